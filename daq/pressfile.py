@@ -1,0 +1,390 @@
+"""The press file: layers, contacts, boundaries, sensors; read from TOML and checked at once.
+
+The classes are the checked description other code works on. Lengths stay in the file's unit
+(the field name says which). Every message names file, key, value and what would be right.
+"""
+
+from __future__ import annotations
+
+import fnmatch
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+
+from daq.materials import MATERIALS, find_material
+from daq.records import InputError, Panel, Run
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Property = Positive | tuple[tuple[float, Positive], ...]
+"""A number, or rows of temperature [°C] and value."""
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class PressTable(_Table):
+    """``[press]``."""
+
+    name: str = "press"
+    area_m2: Positive = 1.0
+
+
+class Layer(_Table):
+    """``[[layer]]``, listed from bottom to top."""
+
+    name: str = Field(min_length=1)
+    from_run: bool = False
+    thickness_mm: Positive | None = None
+    conductivity_W_mK: Property | None = None  # noqa: N815
+    density_kg_m3: Positive | None = None
+    heat_capacity_J_kgK: Property | None = None  # noqa: N815
+
+    @field_validator("conductivity_W_mK", "heat_capacity_J_kgK")
+    @classmethod
+    def _rising(cls, value: Property | None) -> Property | None:
+        if isinstance(value, tuple):
+            temperatures = [row[0] for row in value]
+            if not value or any(b <= a for a, b in zip(temperatures, temperatures[1:], strict=False)):
+                raise ValueError("a table needs at least one row, its temperatures rising")
+        return value
+
+    @model_validator(mode="after")
+    def _complete(self) -> Layer:
+        given = {
+            key: getattr(self, key)
+            for key in ("thickness_mm", "conductivity_W_mK", "density_kg_m3", "heat_capacity_J_kgK")
+        }
+        if self.from_run:
+            if surplus := [key for key, value in given.items() if value is not None]:
+                raise ValueError(
+                    f"from_run = true takes its constants from the run; remove {', '.join(surplus)}"
+                )
+        elif missing := [key for key, value in given.items() if value is None]:
+            raise ValueError(f"needs {', '.join(missing)} (or from_run = true)")
+        return self
+
+
+class Boundary(_Table):
+    """``[boundary.bottom]`` and ``[boundary.top]``."""
+
+    kind: Literal["measured", "flux", "air", "insulated"] = "insulated"
+    column: str | None = None
+    incident_W_m2: float = Field(default=0.0, allow_inf_nan=False)  # noqa: N815
+    absorptivity: float = Field(default=1.0, ge=0, le=1)
+    emissivity: float = Field(default=0.0, ge=0, le=1)
+    coefficient: str | None = None
+    ambient_C: float | None = Field(default=None, gt=-273.15, lt=2000)  # noqa: N815
+    """None takes the run's ``ambient.temperature_C``."""
+
+    @model_validator(mode="after")
+    def _complete(self) -> Boundary:
+        if self.kind == "measured" and self.column is None:
+            raise ValueError('kind = "measured" needs column, the run file column with its temperature')
+        if self.kind == "air" and self.coefficient is None:
+            raise ValueError('kind = "air" needs coefficient, the name of its heat transfer coefficient')
+        return self
+
+
+class Load(_Table):
+    """A contact's pressure: the column that holds it and the law that uses it."""
+
+    column: str
+    law: Literal["power"] = "power"
+
+
+class Contact(_Table):
+    """``[[contact]]``: names of the heat transfer coefficients between two neighbours."""
+
+    between: tuple[str, str]
+    closed: str
+    open: str | tuple[str, str] | None = None
+    """One name; two where the neighbours part: lower face to air, upper face to air; None as closed."""
+    load: Load | None = None
+
+
+class Coefficient(_Table):
+    """``[coefficients.NAME]``: a heat transfer coefficient. [W/m²K]"""
+
+    guess: Positive = 100.0
+    lower: Positive = 0.1
+    upper: Positive = 100000.0
+    fixed: bool = False
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Coefficient:
+        if not self.lower <= self.guess <= self.upper:
+            raise ValueError(
+                f"guess = {self.guess:g} lies outside lower..upper = {self.lower:g}..{self.upper:g}"
+            )
+        return self
+
+
+class At(_Table):
+    """A place inside a layer, measured from the layer's bottom."""
+
+    layer: str
+    depth_mm: float = Field(ge=0)
+
+
+class Sensor(_Table):
+    """``[[sensor]]``: run file columns (patterns allowed) and where their thermocouples sit."""
+
+    columns: tuple[str, ...] = Field(min_length=1)
+    at: str | At
+    """``layer.bottom``, ``layer.middle``, ``layer.top``, or a depth."""
+    role: Literal["fit", "validation"] = "fit"
+    position_mm: tuple[tuple[float, float], ...] | None = None
+
+    @property
+    def label(self) -> str:
+        """The place as ``simulate`` names its column: ``panel.top`` or ``panel@5.7mm``."""
+        return self.at if isinstance(self.at, str) else f"{self.at.layer}@{self.at.depth_mm:g}mm"
+
+
+class Initial(_Table):
+    """``[initial]``: the temperatures before the first row."""
+
+    kind: Literal["steady", "sensors", "uniform"] = "steady"
+    temperature_C: float | None = Field(default=None, gt=-273.15, lt=2000)  # noqa: N815
+
+    @model_validator(mode="after")
+    def _complete(self) -> Initial:
+        if self.kind == "uniform" and self.temperature_C is None:
+            raise ValueError('kind = "uniform" needs temperature_C')
+        return self
+
+
+class Boundaries(_Table):
+    """Both ends of the stack; an end without a table is insulated."""
+
+    bottom: Boundary = Boundary()
+    top: Boundary = Boundary()
+
+
+class Press(_Table):
+    """One press, or any rig of layers: the whole press file."""
+
+    press: PressTable = PressTable()
+    layer: tuple[Layer, ...] = Field(min_length=1)
+    boundary: Boundaries = Boundaries()
+    contact: tuple[Contact, ...] = ()
+    coefficients: Mapping[str, Coefficient] = Field(default_factory=dict)
+    sensor: tuple[Sensor, ...] = ()
+    initial: Initial = Initial()
+
+    @property
+    def name(self) -> str:
+        """What the press is called."""
+        return self.press.name
+
+    @property
+    def chain(self) -> tuple[str, ...]:
+        """``boundary.bottom``, the layers, ``boundary.top``."""
+        return ("boundary.bottom", *(layer.name for layer in self.layer), "boundary.top")
+
+    @property
+    def panel_layers(self) -> tuple[str, ...]:
+        """Names of the layers that come from the run."""
+        return tuple(layer.name for layer in self.layer if layer.from_run)
+
+    @property
+    def coefficient_names(self) -> tuple[str, ...]:
+        """Every coefficient that contacts and boundaries use, in order of first use."""
+        names: list[str] = []
+        for contact in self.contact:
+            opened = () if contact.open is None else contact.open
+            names += [opened] if isinstance(opened, str) else list(opened)
+            names.append(contact.closed)
+        names += [b.coefficient for b in (self.boundary.bottom, self.boundary.top) if b.coefficient]
+        return tuple(dict.fromkeys(names))
+
+    def coefficient(self, name: str) -> Coefficient:
+        """Return the table of a coefficient, or the documented default (100, 0.1 to 100000 W/m²K)."""
+        return self.coefficients.get(name, Coefficient())
+
+    @property
+    def has_states(self) -> bool:
+        """Whether opening and closing changes anything: some contact has an ``open`` entry."""
+        return any(contact.open is not None for contact in self.contact)
+
+    def sensors_of(self, run: Run, role: Literal["fit", "validation"] = "fit") -> dict[str, Sensor]:
+        """Map the run's columns of that role to their sensor tables; the first match counts."""
+        found: dict[str, Sensor] = {}
+        for column in run.columns:
+            for sensor in self.sensor:
+                if any(fnmatch.fnmatchcase(column, pattern) for pattern in sensor.columns):
+                    if sensor.role == role:
+                        found[column] = sensor
+                    break
+        return found
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Press:
+        names = [layer.name for layer in self.layer]
+        if doubled := {n for n in names if names.count(n) > 1}:
+            raise ValueError(f"layer names must differ; {sorted(doubled)} occurs twice")
+        neighbours = list(zip(self.chain, self.chain[1:], strict=False))
+        seen: set[tuple[str, str]] = set()
+        for i, contact in enumerate(self.contact):
+            if contact.between not in neighbours:
+                raise ValueError(
+                    f"contact.{i}.between = {list(contact.between)}: not neighbours, listed from bottom to top; "
+                    f"possible are {[list(n) for n in neighbours]}"
+                )
+            if contact.between in seen:
+                raise ValueError(f"contact.{i}.between = {list(contact.between)}: given twice")
+            seen.add(contact.between)
+        if unused := sorted(set(self.coefficients) - set(self.coefficient_names)):
+            raise ValueError(
+                f"coefficients.{unused[0]}: no contact or boundary uses it; used are {list(self.coefficient_names)}"
+            )
+        for i, sensor in enumerate(self.sensor):
+            self._check_place(i, sensor)
+        return self
+
+    def _check_place(self, i: int, sensor: Sensor) -> None:
+        if isinstance(sensor.at, At):
+            layer = next((x for x in self.layer if x.name == sensor.at.layer), None)
+            if layer is None:
+                raise ValueError(f"sensor.{i}.at.layer = {sensor.at.layer!r}: no such layer")
+            if layer.thickness_mm is not None and sensor.at.depth_mm > layer.thickness_mm:
+                raise ValueError(
+                    f"sensor.{i}.at.depth_mm = {sensor.at.depth_mm:g}: outside layer {layer.name!r}, "
+                    f"which is {layer.thickness_mm:g} mm thick"
+                )
+            return
+        layer_name, _, place = sensor.at.rpartition(".")
+        if layer_name not in {x.name for x in self.layer} or place not in ("bottom", "middle", "top"):
+            raise ValueError(
+                f"sensor.{i}.at = {sensor.at!r}: must be LAYER.bottom, LAYER.middle, LAYER.top "
+                f"or {{ layer = LAYER, depth_mm = ... }}"
+            )
+
+
+def parse_press(text: str, source: str = "press file") -> Press:
+    """Return the press a TOML text describes.
+
+    Raises
+    ------
+    InputError
+        Naming `source`, line or key, value and what is allowed.
+    """
+    try:
+        return Press.model_validate(tomllib.loads(text))
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{source}: not valid TOML: {error}") from error
+    except ValidationError as error:
+        raise InputError(f"{source}: {explain(error)}") from error
+
+
+def read_press(path: Path) -> Press:
+    """Read and check a press file. Raises `InputError`."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot read the press file: {_reason(error)}") from error
+    return parse_press(text, str(path))
+
+
+def press_for_run(press: Press, run: Run) -> Press:
+    """Apply the overrides in a run's header: dotted keys that start with a table of the press file.
+
+    Layers are addressed by name (``layer.plate_top.thickness_mm``), contacts and sensors by number
+    from 0 (``contact.2.closed``). Raises `InputError` for a key the press file does not know.
+    """
+    tables = set(Press.model_fields)
+    overrides = {k: v for k, v in run.header.items() if k.partition(".")[0] in tables and "." in k}
+    if not overrides:
+        return press
+    tree = press.model_dump(exclude_unset=True)
+    for key, value in overrides.items():
+        try:
+            _set(tree, key.split("."), value)
+        except (KeyError, IndexError, ValueError, TypeError) as error:
+            raise InputError(
+                f"{run.source or run.name}: header key {key}: the press file has no such place"
+            ) from error
+    try:
+        return Press.model_validate(tree)
+    except ValidationError as error:
+        raise InputError(f"{run.source or run.name}: header override: {explain(error)}") from error
+
+
+def panel_of(run: Run) -> Panel:
+    """Return the panel a run's header describes, completed from the material table.
+
+    Raises
+    ------
+    InputError
+        For a missing or nonphysical key.
+    """
+    header, where = run.header, run.source or run.name
+    material = str(header.get("panel.material", ""))
+    known = find_material(material) if material else None
+
+    def number(key: str, default: float | None, lower: float, upper: float) -> float:
+        value = header.get(f"panel.{key}", default)
+        if value is None:
+            raise InputError(
+                f"{where}: header key panel.{key} is missing and material {material!r} is not in the table "
+                f"({', '.join(MATERIALS)}); add '# panel.{key} = ...'"
+            )
+        if isinstance(value, bool) or not isinstance(value, int | float) or not lower <= value <= upper:
+            raise InputError(
+                f"{where}: header key panel.{key} = {value!r}: must be a number from {lower:g} to {upper:g}"
+            )
+        return float(value)
+
+    moisture = header.get("panel.moisture_percent")
+    return Panel(
+        material=material,
+        thickness=number("thickness_mm", None, 0.1, 500.0) / 1000.0,
+        density=number("density_kg_m3", known.density if known else None, 5.0, 25000.0),
+        conductivity=number("conductivity_W_mK", known.conductivity if known else None, 0.005, 500.0),
+        heat_capacity=number("heat_capacity_J_kgK", known.heat_capacity if known else None, 50.0, 10000.0),
+        initial_temperature=number("initial_temperature_C", None, -60.0, 400.0),
+        moisture_percent=None if moisture is None else number("moisture_percent", None, 0.0, 200.0),
+    )
+
+
+def explain(error: ValidationError) -> str:
+    """Say in one line what is wrong: key, value, limit."""
+    lines = []
+    for item in error.errors()[:3]:
+        key = ".".join(
+            str(p) for p in item["loc"] if not str(p).startswith(("function-", "constrained-", "tuple["))
+        )
+        message = item["msg"].removeprefix("Value error, ")
+        if item["type"] == "extra_forbidden":
+            message = "unknown key; remove it or check its spelling"
+        value = item.get("input")
+        shown = f" = {value!r}" if isinstance(value, str | int | float | bool) else ""
+        lines.append(f"{key}{shown}: {message}" if key else message)
+    return "; ".join(dict.fromkeys(lines))
+
+
+def _reason(error: Exception) -> str:
+    return getattr(error, "strerror", None) or str(error)
+
+
+def _set(tree: Any, keys: list[str], value: Any) -> None:
+    """Put `value` at a dotted place in nested tables, choosing list items by name or number."""
+    for i, key in enumerate(keys[:-1]):
+        if isinstance(tree, tuple | list):
+            named = [item for item in tree if item.get("name") == key]
+            tree = named[0] if named else tree[int(key)]
+        elif key not in tree and i > 0:
+            tree = tree.setdefault(key, {})
+        else:
+            tree = (
+                tree.setdefault(key, {})
+                if i == 0 and key in ("boundary", "initial", "coefficients", "press")
+                else tree[key]
+            )
+    if not isinstance(tree, dict):
+        raise TypeError
+    tree[keys[-1]] = value

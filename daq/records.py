@@ -1,0 +1,175 @@
+"""The vocabulary every part shares: channels, scans, press events, runs. Frozen data, no I/O."""
+
+from __future__ import annotations
+
+import fnmatch
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from datetime import datetime
+from enum import StrEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class InputError(ValueError):
+    """What the user gave is wrong: the text names file, line or key, value, limit and remedy.
+
+    The command line prints it as one line and exits with status 2.
+    """
+
+
+class Quality(StrEnum):
+    """What one value is worth, from the wire to the chart."""
+
+    GOOD = "good"
+    OPEN = "open"
+    OVER = "over"
+    UNDER = "under"
+    STALE = "stale"
+    BAD_FRAME = "bad_frame"
+    MISSING = "missing"
+    SIMULATED = "simulated"
+
+    @property
+    def usable(self) -> bool:
+        """Whether fits and the live sensor may use the value."""
+        return self in (Quality.GOOD, Quality.SIMULATED)
+
+
+class PressState(StrEnum):
+    """What the press is doing: no panel, panel in the open press, or pressing."""
+
+    IDLE = "idle"
+    OPEN = "open"
+    CLOSED = "closed"
+
+
+class PressEventKind(StrEnum):
+    """The four moments of a pressing, in the order they happen."""
+
+    INSERTED = "inserted"
+    CLOSED = "closed"
+    OPENED = "opened"
+    REMOVED = "removed"
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One input of a logger."""
+
+    name: str
+    """Column name in run files, such as ``top_1``."""
+    unit: str = "C"
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What one logger answered to one request: its channels, in the order it declares them."""
+
+    requested_s: float
+    """Monotonic time the request left. [s]"""
+    received_s: float
+    """Monotonic time the reply was complete. [s]"""
+    values: tuple[float, ...]
+    """Temperatures, NaN where there is none. [C]"""
+    qualities: tuple[Quality, ...]
+
+
+@dataclass(frozen=True)
+class Scan:
+    """All channels of one press at one moment."""
+
+    number: int
+    """Counts up by one for each scheduled scan since the recorder started this press."""
+    utc: datetime
+    monotonic_s: float
+    values: tuple[float, ...]
+    """Temperatures in the press's channel order, NaN where there is none. [C]"""
+    qualities: tuple[Quality, ...]
+
+
+@dataclass(frozen=True)
+class PressEvent:
+    """The press changed state at a moment, noticed at a later one."""
+
+    kind: PressEventKind
+    monotonic_s: float
+    """When it happened, as well as the scans tell. [s]"""
+    noticed_s: float
+    """The scan at which the detector could say so. [s]"""
+    source: str = "temperatures"
+    """``temperatures`` or ``limit switch``."""
+
+
+@dataclass(frozen=True)
+class Panel:
+    """The board in the press: thickness and constants in SI units."""
+
+    material: str
+    thickness: float
+    """[m]"""
+    density: float
+    """[kg/m³]"""
+    conductivity: float
+    """[W/mK]"""
+    heat_capacity: float
+    """[J/kgK]"""
+    initial_temperature: float
+    """[°C]"""
+    moisture_percent: float | None = None
+
+
+@dataclass(frozen=True)
+class Run:
+    """One measured pressing: what a run file or the store holds, in memory.
+
+    ``columns`` maps every column but ``time_s`` to a float array of the same length,
+    NaN where the cell is empty or not usable. ``header`` holds the dotted keys as given.
+    """
+
+    name: str
+    header: Mapping[str, Any]
+    time_s: Array
+    columns: Mapping[str, Array]
+    source: str = ""
+    """Where it came from, for messages: a file path or ``store``."""
+
+    def matching(self, patterns: Iterable[str]) -> tuple[str, ...]:
+        """Return the columns that match shell-style patterns, in file order, each once."""
+        wanted = tuple(patterns)
+        return tuple(c for c in self.columns if any(fnmatch.fnmatchcase(c, p) for p in wanted))
+
+    @property
+    def closed(self) -> Array | None:
+        """The limit switch, 0 or 1, where it was logged."""
+        return self.columns.get("closed")
+
+    @property
+    def ambient_temperature(self) -> float:
+        """Room temperature, 23 °C where the header is silent. [°C]"""
+        return float(self.header.get("ambient.temperature_C", 23.0))
+
+    def setting(self, key: str) -> float | None:
+        """Return ``setting.<key>`` as a number, or None where the header is silent."""
+        value = self.header.get(f"setting.{key}")
+        return None if value is None else float(value)
+
+
+@dataclass(frozen=True)
+class Moments:
+    """When a run's press closed and opened, and when the panel came and went. [s of the run]
+
+    NaN where a moment did not happen inside the run. ``ramp_s`` is how long closing takes;
+    ``closed_s`` and ``opened_s`` are the middles of the two ramps.
+    """
+
+    inserted_s: float = float("nan")
+    closed_s: float = float("nan")
+    opened_s: float = float("nan")
+    removed_s: float = float("nan")
+    ramp_s: float = 0.5
+    source: str = "temperatures"
