@@ -1,0 +1,223 @@
+"""Run files: what is written comes back, what is wrong is named by line and column."""
+
+import string
+import tempfile
+import time
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from daq.records import InputError, Run
+from daq.runfile import read_run, write_run
+
+GOOD = """# run = "2026-03-04-07"
+# panel.material = "MDF"
+# panel.thickness_mm = 16.0
+# setting.platen_temperature_C = 200
+time_s,platen_top,top_1,bottom_1,closed
+0.0,199.8,20.8,20.9,0
+0.5,199.7,,21.9,0
+1.1,199.1,61.25,24.0,1
+"""
+
+keys = st.lists(st.text(string.ascii_letters + '._- µ°"\\', min_size=1, max_size=12), max_size=5, unique=True)
+values = st.recursive(
+    st.text(max_size=20).filter(lambda t: t.encode("utf-8", "ignore").decode() == t)
+    | st.integers(-(2**63), 2**63 - 1)
+    | st.floats(allow_nan=False)
+    | st.booleans()
+    | st.datetimes(timezones=st.just(UTC)),
+    lambda inner: st.lists(inner, max_size=3),
+    max_leaves=4,
+)
+names = st.lists(
+    st.text(string.ascii_letters + string.digits + '_@. ,"µ', min_size=1, max_size=8).filter(
+        lambda t: t == t.strip() and t not in ("time_s", "closed")
+    ),
+    min_size=1,
+    max_size=4,
+    unique=True,
+)
+cells = st.floats(allow_infinity=False, allow_nan=True, width=64)
+
+
+@st.composite
+def runs(draw):
+    rows = draw(st.integers(1, 6))
+    times = sorted(draw(st.sets(st.floats(-1e6, 1e6), min_size=rows, max_size=rows)))
+    columns = {name: np.array(draw(st.lists(cells, min_size=rows, max_size=rows))) for name in draw(names)}
+    columns["closed"] = np.array(
+        draw(st.lists(st.sampled_from([0.0, 1.0, np.nan]), min_size=rows, max_size=rows))
+    )
+    header = {key: draw(values) for key in draw(keys) if key != "run"}
+    return Run(draw(st.text(string.ascii_letters, min_size=1)), header, np.array(times), columns)
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+@given(run=runs())
+@settings(max_examples=150, deadline=None)
+def test_reading_undoes_writing_to_the_last_bit(run, suffix):
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / f"x{suffix}"
+        write_run(run, path)
+        back = read_run(path)
+        assert list(Path(folder).iterdir()) == [path]
+    assert back.name == run.name
+    assert dict(back.header) == {**run.header, "run": run.name}
+    assert list(back.columns) == list(run.columns)
+    assert back.time_s.tobytes() == run.time_s.tobytes()
+    for name, column in run.columns.items():
+        np.testing.assert_array_equal(back.columns[name], column)
+
+
+def test_a_run_file_gives_header_columns_and_missing_values(tmp_path):
+    path = tmp_path / "some.csv"
+    path.write_text(GOOD)
+    run = read_run(path)
+    assert run.name == "2026-03-04-07"
+    assert run.header["panel.thickness_mm"] == 16.0
+    assert run.setting("platen_temperature_C") == 200.0
+    assert list(run.columns) == ["platen_top", "top_1", "bottom_1", "closed"]
+    assert run.time_s.tolist() == [0.0, 0.5, 1.1]
+    assert np.isnan(run.columns["top_1"][1])
+    assert run.closed is not None
+    assert run.closed.tolist() == [0, 0, 1]
+    assert run.source == str(path)
+
+
+def test_the_name_is_the_file_stem_where_the_header_is_silent(tmp_path):
+    path = tmp_path / "night-shift.csv"
+    path.write_text("time_s,top_1\n0,1\n1,2\n")
+    assert read_run(path).name == "night-shift"
+
+
+def test_windows_line_ends_byte_order_mark_plus_signs_and_empty_lines_are_accepted(tmp_path):
+    path = tmp_path / "w.csv"
+    path.write_bytes(
+        b"\xef\xbb\xbf" + GOOD.replace("61.25", "+61.25").replace("\n", "\r\n").encode() + b"\r\n\r\n"
+    )
+    run = read_run(path)
+    assert run.columns["top_1"][2] == 61.25
+    assert len(run.time_s) == 3
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (("0.5,199.7", "-0.5,199.7"), r"line 7: time_s = -0.5 does not rise \(line 6: 0.0\)"),
+        (("0.5,199.7", "0.0,199.7"), r"line 7: time_s = 0.0 does not rise"),
+        (("0.5,199.7", ",199.7"), r"line 7: column time_s: the time is missing"),
+        (("61.25", "hot"), r"line 8: column top_1: 'hot' is not a number"),
+        (("61.25", "inf"), r"line 8: column top_1: 'inf' is not a number"),
+        (("61.25", "61,25"), r"line 8: 6 cells, but the header row has 5 columns"),
+        (("199.7,,21.9,0", "199.7,,21.9"), r"line 7: 4 cells, but the header row has 5 columns"),
+        (("24.0,1", "24.0,2"), r"line 8: column closed: '?2'? must be 0 \(open\) or 1 \(closed\)"),
+        (("24.0,1", "24.0,yes"), r"line 8: column closed: 'yes' is not a number"),
+        (("time_s,", "time,"), r"line 5: column time_s is missing; found time, platen_top"),
+        (("bottom_1", "top_1"), r"line 5: column 'top_1' occurs twice \(columns 3 and 4\)"),
+        (("bottom_1", ""), r"line 5: column 4 has no usable name"),
+        (('"MDF"', "MDF"), r"line 2: '# panel.material = MDF' is not 'key = value' in TOML"),
+        (("# panel.material = ", "# just some words "), r"line 2: .* is not 'key = value' in TOML"),
+        (("panel.thickness_mm", "panel.material"), r"line 3: header key panel.material is given twice"),
+        (("time_s,platen_top,top_1,bottom_1,closed\n", ""), r"line 5: the header row is missing"),
+        ((GOOD, ""), "the file is empty"),
+        ((GOOD[GOOD.index("0.0,") :], ""), r"line 5: no rows follow the header row"),
+        ((GOOD[GOOD.index("time_s,") :], ""), r"line 5: the header row is missing"),
+        ((",", ";"), r"line 5: cells are not separated by commas"),
+    ],
+)
+def test_a_faulty_run_file_is_refused_by_line_and_column(tmp_path, change, message):
+    path = tmp_path / "bad.csv"
+    path.write_text(GOOD.replace(*change))
+    with pytest.raises(InputError, match=message) as caught:
+        read_run(path)
+    assert str(caught.value).startswith(str(path))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_line_number_counts_empty_lines_too(tmp_path):
+    path = tmp_path / "bad.csv"
+    path.write_text("time_s,top_1\n0,1\n\n\n0,2\n")
+    with pytest.raises(InputError, match=r"line 5: time_s = 0\.0 does not rise"):
+        read_run(path)
+
+
+def test_bytes_that_are_no_utf_8_are_refused_by_line(tmp_path):
+    path = tmp_path / "latin.csv"
+    path.write_bytes('# panel.material = "Süß"\ntime_s,top_1\n0,1\n'.encode("latin-1"))
+    with pytest.raises(InputError, match="line 1: not UTF-8"):
+        read_run(path)
+
+
+def test_a_missing_file_and_a_folder_are_refused(tmp_path):
+    with pytest.raises(InputError, match="No such file"):
+        read_run(tmp_path / "none.csv")
+    with pytest.raises(InputError, match="cannot read"):
+        read_run(tmp_path)
+
+
+def test_a_parquet_file_cut_short_is_refused(tmp_path):
+    path = tmp_path / "x.parquet"
+    write_run(Run("x", {}, np.arange(50.0), {"top_1": np.arange(50.0)}), path)
+    path.write_bytes(path.read_bytes()[:-40])
+    with pytest.raises(InputError, match="not a readable Parquet file"):
+        read_run(path)
+
+
+def test_parquet_written_elsewhere_with_plain_text_metadata_integers_and_nulls_is_read(tmp_path):
+    path = tmp_path / "x.parquet"
+    table = pa.table({"time_s": [0, 1, 2], "top_1": [20.0, None, 22.0], "closed": [False, True, True]})
+    pq.write_table(
+        table.replace_schema_metadata(
+            {"panel.material": "MDF", "panel.thickness_mm": "16.0", "pandas": "{}"}
+        ),
+        path,
+    )
+    run = read_run(path)
+    assert dict(run.header) == {"panel.material": "MDF", "panel.thickness_mm": 16.0}
+    assert np.isnan(run.columns["top_1"][1])
+    assert run.columns["closed"].tolist() == [0, 1, 1]
+
+
+def test_parquet_faults_are_named_by_row_and_column(tmp_path):
+    path = tmp_path / "x.parquet"
+    pq.write_table(pa.table({"time_s": [0.0, 2.0, 1.0]}), path)
+    with pytest.raises(InputError, match=r"row 3: time_s = 1.0 does not rise"):
+        read_run(path)
+    pq.write_table(pa.table({"time_s": [0.0], "top_1": ["hot"]}), path)
+    with pytest.raises(InputError, match=r"column top_1: type string is not a number"):
+        read_run(path)
+
+
+def test_a_run_that_no_file_can_hold_is_not_written(tmp_path):
+    path = tmp_path / "x.csv"
+    with pytest.raises(InputError, match="does not rise"):
+        write_run(Run("x", {}, np.array([1.0, 0.0]), {}), path)
+    with pytest.raises(InputError, match="infinite"):
+        write_run(Run("x", {}, np.array([0.0]), {"a": np.array([np.inf])}), path)
+    with pytest.raises(InputError, match="holds text, numbers"):
+        write_run(Run("x", {"a": object()}, np.array([0.0]), {}), path)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_header_times_keep_their_zone(tmp_path):
+    started = datetime(2026, 3, 4, 7, 15, tzinfo=UTC)
+    write_run(Run("x", {"started_utc": started}, np.array([0.0]), {}), tmp_path / "x.csv")
+    assert read_run(tmp_path / "x.csv").header["started_utc"] == started
+
+
+@pytest.mark.benchmark
+def test_reading_three_thousand_rows(tmp_path):
+    rng = np.random.default_rng(1)
+    columns = {f"top_{i}": np.round(rng.normal(100, 30, 3000), 1) for i in range(16)}
+    write_run(Run("x", {"panel.material": "MDF"}, np.arange(3000) / 10, columns), tmp_path / "x.csv")
+    began = time.perf_counter()
+    for _ in range(20):
+        read_run(tmp_path / "x.csv")
+    print(f"3000 rows of 17 cells: {(time.perf_counter() - began) / 20 * 1e3:.1f} ms")
