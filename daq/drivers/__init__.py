@@ -1,0 +1,6 @@
+"""Drivers: every thermocouple logger behind one protocol."""
+
+from daq.drivers.protocol import BadFrame, DataLogger, NoReply, ReadFailure
+from daq.drivers.settings import LoggerSettings
+
+__all__ = ["BadFrame", "DataLogger", "LoggerSettings", "NoReply", "ReadFailure"]

@@ -1,0 +1,1 @@
+"""The virtual press and the simulated loggers that speak for it."""
