@@ -1,0 +1,207 @@
+"""One wire and its manners: one request at a time, and silence after anything went wrong.
+
+Serial protocols carry no transaction number: a reply that comes late would be taken for the reply
+to the next request, with another request's channels in it. So after a timeout or a bad frame the
+bus listens, and throws away, until it has heard nothing for at least the device's worst response
+time; only then does the next request leave. Bytes found waiting before a request make the line
+suspect in the same way. TCP needs no silence: replies carry the transaction number, and a stream
+out of step is closed and opened anew. Decided 2026-11-21, against pymodbus and minimalmodbus, which
+hand out the late reply (see ``tests/daq/test_faults_libraries.py``).
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from daq.drivers.link import Link, LinkLost, Place
+from daq.drivers.protocol import BadFrame, NoReply, ReadFailure
+from daq.records import InputError
+
+TakeReply = Callable[[bytearray], bytes | None]
+"""Looks at what has arrived: the payload when complete, None to wait for more, BadFrame otherwise.
+
+May remove from the front what is known to belong to an older request.
+"""
+
+_SILENCES_BEFORE_RECONNECT = {True: 2, False: 5}
+_LONGEST_DRAIN = 8
+"""A line that will not fall silent within so many drain times is babbling."""
+
+
+@dataclass(frozen=True)
+class Exchange:
+    """A reply and the two moments that bound when it was measured."""
+
+    payload: bytes
+    requested_s: float
+    received_s: float
+
+
+@dataclass(frozen=True)
+class Patience:
+    """How long one station may take, and the silence it needs around its frames."""
+
+    timeout_s: float
+    drain_s: float
+    turnaround_s: float = 0.0
+
+
+class Bus:
+    """A link with its lock. Loggers on one wire share one."""
+
+    def __init__(self, place: Place, *, numbered: bool) -> None:
+        self.place = place
+        self.numbered = numbered
+        """Whether replies carry a transaction number (Modbus TCP)."""
+        self.generation = 0
+        """Counts openings of the link: devices are set up again after each."""
+        self.lock = threading.RLock()
+        """Hold it over exchanges that belong together."""
+        self._link: Link | None = None
+        self._quiet_until = 0.0
+        self._drain_s = 0.0
+        self._last_byte_s = 0.0
+        self._silences = 0
+
+    def exchange(self, request: bytes, take: TakeReply, patience: Patience) -> Exchange:
+        """Send one request and return its reply, or raise NoReply or BadFrame."""
+        with self.lock:
+            link = self._opened(patience)
+            try:
+                self._settle(link, patience)
+                link.write(request)
+                result = self._await(link, take, patience, time.monotonic())
+            except LinkLost as error:
+                self._drop()
+                raise NoReply(f"{self.place}: {error}", "port lost") from error
+            except ReadFailure as failure:
+                self._suspect(failure, patience)
+                raise
+            self._silences = 0
+            return result
+
+    def send(self, data: bytes, patience: Patience) -> None:
+        """Send a command that has no reply."""
+        with self.lock:
+            link = self._opened(patience)
+            try:
+                self._settle(link, patience)
+                link.write(data)
+            except LinkLost as error:
+                self._drop()
+                raise NoReply(f"{self.place}: {error}", "port lost") from error
+            self._last_byte_s = time.monotonic()
+
+    def open(self, patience: Patience) -> int:
+        """Open the link if it is not, and return its generation."""
+        with self.lock:
+            self._opened(patience)
+            return self.generation
+
+    def reconnect(self) -> None:
+        """Close the link; the next exchange opens it anew."""
+        with self.lock:
+            self._drop()
+
+    def close(self) -> None:
+        """Release the port."""
+        self.reconnect()
+
+    def _opened(self, patience: Patience) -> Link:
+        if self._link is None:
+            try:
+                self._link = self.place.open()
+            except LinkLost as error:
+                raise NoReply(str(error), "port lost") from error
+            self.generation += 1
+            self._silences = 0
+            if not self.numbered:
+                self._owe(patience)
+        return self._link
+
+    def _drop(self) -> None:
+        if self._link is not None:
+            self._link.close()
+            self._link = None
+
+    def _owe(self, patience: Patience) -> None:
+        self._drain_s = max(self._drain_s, patience.drain_s)
+        self._quiet_until = max(self._quiet_until, time.monotonic() + self._drain_s)
+
+    def _suspect(self, failure: ReadFailure, patience: Patience) -> None:
+        if isinstance(failure, NoReply) and failure.cause == "silent":
+            self._silences += 1
+        in_step = failure.cause in ("busy", "refused")
+        if in_step:
+            return
+        if not self.numbered:
+            self._owe(patience)
+        lost_step = self.numbered and isinstance(failure, BadFrame)
+        if lost_step or self._silences >= _SILENCES_BEFORE_RECONNECT[self.place.is_socket]:
+            self._drop()
+
+    def _settle(self, link: Link, patience: Patience) -> None:
+        """Listen until the line owes no more silence."""
+        if self.numbered:
+            return
+        if link.read(0.0):
+            self._owe(patience)
+        give_up = time.monotonic() + _LONGEST_DRAIN * max(self._drain_s, patience.drain_s)
+        while (now := time.monotonic()) < self._quiet_until:
+            if now > give_up:
+                raise BadFrame(f"{self.place}: the line never falls silent", "babble")
+            if link.read(self._quiet_until - now):
+                self._quiet_until = time.monotonic() + self._drain_s
+        self._drain_s = 0.0
+        rest = self._last_byte_s + patience.turnaround_s - time.monotonic()
+        if rest > 0 and link.read(rest):
+            self._owe(patience)
+            self._settle(link, patience)
+
+    def _await(self, link: Link, take: TakeReply, patience: Patience, requested_s: float) -> Exchange:
+        buffer = bytearray()
+        deadline = requested_s + patience.timeout_s
+        while (left := deadline - time.monotonic()) > 0:
+            data = link.read(left)
+            if not data:
+                continue
+            self._last_byte_s = time.monotonic()
+            buffer += data
+            payload = take(buffer)
+            if payload is not None:
+                return Exchange(payload, requested_s, self._last_byte_s)
+        if buffer:
+            raise BadFrame(f"{self.place}: reply breaks off after {len(buffer)} bytes", "truncated")
+        raise NoReply(
+            f"{self.place}: no reply in {patience.timeout_s:g} s; check power, cable and address", "silent"
+        )
+
+
+_SHARED: dict[str, tuple[Bus, int]] = {}
+_SHARED_LOCK = threading.Lock()
+
+
+def share_bus(place: Place, *, numbered: bool) -> Bus:
+    """Return the process's bus at this place, opened for the first who asks."""
+    with _SHARED_LOCK:
+        bus, users = _SHARED.get(place.key, (Bus(place, numbered=numbered), 0))
+        if bus.place != place or bus.numbered != numbered:
+            raise InputError(
+                f"{place.key}: two loggers on one port ask for different settings: {bus.place!r}, {place!r}"
+            )
+        _SHARED[place.key] = (bus, users + 1)
+        return bus
+
+
+def release_bus(bus: Bus) -> None:
+    """Give a shared bus back; the last user closes it."""
+    with _SHARED_LOCK:
+        _, users = _SHARED.get(bus.place.key, (bus, 0))
+        if users > 1:
+            _SHARED[bus.place.key] = (bus, users - 1)
+            return
+        _SHARED.pop(bus.place.key, None)
+    bus.close()

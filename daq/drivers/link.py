@@ -1,0 +1,172 @@
+"""Bytes in, bytes out: a serial port or a TCP socket behind one small protocol.
+
+The only module that touches ports. It knows nothing of frames.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import socket
+import time
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import serial
+
+CONNECT_TIMEOUT_S = 1.5
+"""Longest wait for a TCP connection: short enough that rest + connect + set-up stay below 5 s."""
+_SERIAL_POLL_S = 0.02
+
+
+class LinkLost(Exception):
+    """The port or the connection is gone; open it anew."""
+
+
+class Link(Protocol):
+    """An open byte stream."""
+
+    def write(self, data: bytes) -> None:
+        """Send all of it."""
+
+    def read(self, wait_s: float) -> bytes:
+        """Return what has arrived, after at most `wait_s` for the first byte; ``b""`` if nothing."""
+
+    def close(self) -> None:
+        """Release it. A second call does no harm."""
+
+
+@dataclass(frozen=True)
+class SerialPlace:
+    """Where and how to open a serial port."""
+
+    port: str
+    baud: int
+    parity: str = "N"
+    stop_bits: int = 1
+    data_bits: int = 8
+    xonxoff: bool = False
+
+    def open(self) -> Link:
+        """Open the port for us alone."""
+        if self.port.startswith("socket://"):
+            host, _, number = self.port.removeprefix("socket://").rpartition(":")
+            return SocketPlace(host, int(number)).open()
+        try:
+            return _SerialLink(self)
+        except (OSError, ValueError) as error:
+            raise LinkLost(f"cannot open {self.port}: {error}") from error
+
+    @property
+    def key(self) -> str:
+        """What two loggers on the same wire share."""
+        return self.port
+
+    @property
+    def is_socket(self) -> bool:
+        """Whether reconnecting is cheap and clears what was in flight."""
+        return self.port.startswith("socket://")
+
+    def __str__(self) -> str:
+        return self.port
+
+
+@dataclass(frozen=True)
+class SocketPlace:
+    """Where to find a TCP device or gateway."""
+
+    host: str
+    tcp_port: int
+
+    def open(self) -> Link:
+        """Connect."""
+        try:
+            return _SocketLink(socket.create_connection((self.host, self.tcp_port), CONNECT_TIMEOUT_S))
+        except OSError as error:
+            raise LinkLost(f"cannot connect to {self}: {error}") from error
+
+    @property
+    def key(self) -> str:
+        """What two loggers behind one gateway share."""
+        return str(self)
+
+    @property
+    def is_socket(self) -> bool:
+        """Always: see `SerialPlace.is_socket`."""
+        return True
+
+    def __str__(self) -> str:
+        return f"{self.host}:{self.tcp_port}"
+
+
+Place = SerialPlace | SocketPlace
+
+
+class _SocketLink:
+    def __init__(self, connection: socket.socket) -> None:
+        self._socket = connection
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._socket.settimeout(CONNECT_TIMEOUT_S)
+
+    def write(self, data: bytes) -> None:
+        try:
+            self._socket.sendall(data)
+        except OSError as error:
+            raise LinkLost(f"connection lost: {error}") from error
+
+    def read(self, wait_s: float) -> bytes:
+        try:
+            ready, _, _ = select.select([self._socket], [], [], max(wait_s, 0.0))
+            if not ready:
+                return b""
+            data = self._socket.recv(4096)
+        except (OSError, ValueError) as error:
+            raise LinkLost(f"connection lost: {error}") from error
+        if not data:
+            raise LinkLost("the device closed the connection")
+        return data
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+class _SerialLink:
+    def __init__(self, place: SerialPlace) -> None:
+        options: dict[str, Any] = (
+            {"exclusive": True} if os.name == "posix" and "://" not in place.port else {}
+        )
+        self._port = serial.serial_for_url(
+            place.port,
+            baudrate=place.baud,
+            parity=place.parity,
+            stopbits=place.stop_bits,
+            bytesize=place.data_bits,
+            xonxoff=place.xonxoff,
+            timeout=_SERIAL_POLL_S,
+            write_timeout=CONNECT_TIMEOUT_S,
+            **options,
+        )
+
+    def write(self, data: bytes) -> None:
+        try:
+            self._port.write(data)
+            self._port.flush()
+        except (OSError, TypeError, ValueError) as error:
+            raise LinkLost(f"port lost: {error}") from error
+
+    def read(self, wait_s: float) -> bytes:
+        deadline = time.monotonic() + wait_s
+        try:
+            while True:
+                waiting = self._port.in_waiting
+                if waiting:
+                    return bytes(self._port.read(waiting))
+                if time.monotonic() >= deadline:
+                    return b""
+                if first := self._port.read(1):
+                    return bytes(first) + bytes(self._port.read(self._port.in_waiting))
+        except (OSError, TypeError, ValueError) as error:
+            raise LinkLost(f"port lost: {error}") from error
+
+    def close(self) -> None:
+        self._port.close()

@@ -1,0 +1,175 @@
+"""Modbus requests and the only replies that answer them: RTU, and TCP with its transaction number.
+
+Every reply is held against its request: station, function, byte count and checksum (RTU) or
+transaction number (TCP). What does not match is refused, never interpreted.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+
+from daq.drivers.bus import TakeReply
+from daq.drivers.protocol import BadFrame, NoReply
+
+BUSY = {
+    5: "acknowledged, still working",
+    6: "busy",
+    4: "device failure",
+    10: "gateway path",
+    11: "gateway target",
+}
+REFUSED = {1: "illegal function", 2: "illegal address", 3: "illegal value"}
+
+
+def crc16(data: bytes) -> int:
+    """Return the Modbus RTU checksum, sent low byte first.
+
+    >>> hex(crc16(bytes.fromhex("010300000008")))
+    '0xc44'
+    """
+    crc = 0xFFFF
+    for byte in data:
+        crc ^= byte
+        for _ in range(8):
+            crc = (crc >> 1) ^ 0xA001 if crc & 1 else crc >> 1
+    return crc
+
+
+@dataclass(frozen=True)
+class Request:
+    """What is asked, without the framing."""
+
+    function: int
+    address: int
+    """Zero-based, as on the wire."""
+    count: int = 1
+    """Registers or bits."""
+    data: bytes = b""
+    """What is written, for functions 5, 6 and 16."""
+
+    @property
+    def pdu(self) -> bytes:
+        """The request as the device sees it."""
+        if self.function in (5, 6):
+            return struct.pack(">BH", self.function, self.address) + self.data
+        head = struct.pack(">BHH", self.function, self.address, self.count)
+        return head + bytes([len(self.data)]) + self.data if self.data else head
+
+    @property
+    def reply_head(self) -> bytes:
+        """How a good reply begins: function and byte count, or the echo of a write."""
+        if self.function in (1, 2):
+            return bytes([self.function, (self.count + 7) // 8])
+        if self.function in (3, 4):
+            return bytes([self.function, 2 * self.count])
+        if self.function in (5, 6):
+            return self.pdu
+        return struct.pack(">BHH", self.function, self.address, self.count)
+
+    @property
+    def reply_size(self) -> int:
+        """Bytes of a good reply from its function code on."""
+        return len(self.reply_head) + (self.reply_head[1] if self.function <= 4 else 0)
+
+
+def _payload(pdu: bytes, request: Request) -> bytes:
+    """Return the data of a complete reply, its head already known to fit."""
+    return pdu[len(request.reply_head) :]
+
+
+def _raise_exception(code: int) -> None:
+    if code in BUSY:
+        raise NoReply(f"device answers exception {code} ({BUSY[code]})", "busy")
+    reason = REFUSED.get(code, "unknown")
+    raise NoReply(
+        f"device refuses the request: exception {code} ({reason}); the profile does not fit it", "refused"
+    )
+
+
+def rtu_frame(station: int, request: Request) -> bytes:
+    """Return the request as it goes on the wire."""
+    body = bytes([station]) + request.pdu
+    return body + struct.pack("<H", crc16(body))
+
+
+def rtu_reply(station: int, request: Request, *, local_echo: bool = False) -> TakeReply:
+    """Return a reader of the one RTU frame that answers `request`."""
+    sent = rtu_frame(station, request)
+    skip = len(sent) if local_echo else 0
+
+    def take(buffer: bytearray) -> bytes | None:
+        if bytes(buffer[:skip]) != sent[: min(skip, len(buffer))]:
+            raise BadFrame("the local echo differs from what was sent", "echo")
+        frame = bytes(buffer[skip:])
+        return _take_rtu(frame, station, request)
+
+    return take
+
+
+def _take_rtu(frame: bytes, station: int, request: Request) -> bytes | None:
+    if frame and frame[0] != station:
+        raise BadFrame(f"reply of station {frame[0]}, asked {station}", "wrong id")
+    if len(frame) < 5:
+        return None
+    is_exception = frame[1] == request.function | 0x80
+    size = 5 if is_exception else 1 + request.reply_size + 2
+    if not is_exception and not frame[1:].startswith(request.reply_head[: len(frame) - 1]):
+        head = request.reply_head.hex(" ")
+        raise BadFrame(f"reply begins {frame[1:3].hex(' ')}, expected {head}", "wrong shape")
+    if len(frame) < size:
+        return None
+    if len(frame) > size:
+        raise BadFrame(f"{len(frame) - size} bytes after the end of the reply", "surplus")
+    if crc16(frame[:-2]) != struct.unpack("<H", frame[-2:])[0]:
+        raise BadFrame("checksum is wrong", "crc")
+    if is_exception:
+        _raise_exception(frame[2])
+    return _payload(frame[1:-2], request)
+
+
+def tcp_frame(transaction: int, station: int, request: Request) -> bytes:
+    """Return the request with its MBAP header."""
+    return struct.pack(">HHHB", transaction, 0, len(request.pdu) + 1, station) + request.pdu
+
+
+def tcp_reply(transaction: int, station: int, request: Request) -> TakeReply:
+    """Return a reader that waits for this transaction's reply and drops those of older ones."""
+
+    def take(buffer: bytearray) -> bytes | None:
+        while len(buffer) >= 8:
+            number, protocol, length = struct.unpack(">HHH", buffer[:6])
+            if protocol != 0 or not 3 <= length <= 254:
+                raise BadFrame("the stream holds no Modbus frame", "garbage")
+            if len(buffer) < 6 + length:
+                return None
+            frame = bytes(buffer[: 6 + length])
+            if number == transaction:
+                return _check_tcp(frame, station, request)
+            del buffer[: 6 + length]
+        return None
+
+    return take
+
+
+def _check_tcp(frame: bytes, station: int, request: Request) -> bytes:
+    pdu = frame[7:]
+    if frame[6] != station:
+        raise BadFrame(f"reply of station {frame[6]}, asked {station}", "wrong id")
+    if pdu[0] == request.function | 0x80 and len(pdu) == 2:
+        _raise_exception(pdu[1])
+    if len(pdu) != request.reply_size or not pdu.startswith(request.reply_head):
+        raise BadFrame(
+            f"reply begins {pdu[:2].hex(' ')}, expected {request.reply_head.hex(' ')}", "wrong shape"
+        )
+    return _payload(pdu, request)
+
+
+def registers(payload: bytes) -> tuple[int, ...]:
+    """Return 16-bit registers, unsigned."""
+    return struct.unpack(f">{len(payload) // 2}H", payload)
+
+
+def bits(payload: bytes, count: int) -> tuple[bool, ...]:
+    """Return the first `count` bits, lowest first."""
+    return tuple(bool(payload[i // 8] >> (i % 8) & 1) for i in range(count))
