@@ -65,6 +65,13 @@ class Bus:
         self._drain_s = 0.0
         self._last_byte_s = 0.0
         self._silences = 0
+        self._transaction = 0
+
+    def next_transaction(self) -> int:
+        """Return a number no reply still under way can carry."""
+        with self.lock:
+            self._transaction = self._transaction % 0xFFFF + 1
+            return self._transaction
 
     def exchange(self, request: bytes, take: TakeReply, patience: Patience) -> Exchange:
         """Send one request and return its reply, or raise NoReply or BadFrame."""

@@ -1,0 +1,134 @@
+"""Registers and status of a device turned into temperatures and what each is worth. No I/O."""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from daq import thermocouple
+from daq.drivers.profile import REGISTERS, Field16, Format, Profile, Scaling
+from daq.records import Array, Quality
+
+_CODES = {"s16": "h", "u16": "H", "s32": "i", "u32": "I", "f32": "f"}
+_NO_VALUE = (Quality.OPEN, Quality.OVER, Quality.UNDER, Quality.MISSING, Quality.BAD_FRAME)
+
+
+@dataclass(frozen=True)
+class Sample:
+    """What one request brought, for every input of the device."""
+
+    values: tuple[float, ...]
+    """[°C], NaN where there is none."""
+    qualities: tuple[Quality, ...]
+    requested_s: float
+    received_s: float
+
+
+def number(words: Sequence[int], form: Format, word_order: str = "big", byte_order: str = "big") -> float:
+    """Return one raw value from its registers.
+
+    >>> number((0xFFFF,), "s16"), number((0x0000, 0x41C8), "f32", word_order="little")
+    (-1.0, 25.0)
+    """
+    ordered = words if word_order == "big" else tuple(reversed(words))
+    each = ">H" if byte_order == "big" else "<H"
+    data = b"".join(struct.pack(each, word) for word in ordered)
+    return float(struct.unpack(">" + _CODES[form], data)[0])
+
+
+def raw_values(words: Sequence[int], field: Field16, inputs: int) -> list[float]:
+    """Return the raw value of every input."""
+    size = REGISTERS[field.format]
+    starts = [field.at + k * field.step for k in range(inputs)]
+    return [number(words[s : s + size], field.format, field.word_order, field.byte_order) for s in starts]
+
+
+def decode(
+    profile: Profile,
+    scaling: Scaling,
+    words: Sequence[int],
+    flags: Sequence[bool] | None = None,
+    cold_junction: float | None = None,
+) -> tuple[tuple[float, ...], tuple[Quality, ...]]:
+    """Return temperature and quality of every input of a Modbus device.
+
+    Parameters
+    ----------
+    profile, scaling
+        How the device writes.
+    words
+        Registers of the block, unsigned.
+    flags
+        Status bits, where the device has them.
+    cold_junction
+        Terminal temperature for bare voltages where the profile does not derive it. [°C]
+    """
+    if profile.values is None:
+        raise ValueError(f"profile {profile.name} has no register values")
+    raw = raw_values(words, profile.values, profile.inputs)
+    status = _status(profile, words, flags)
+    qualities = [_judge(profile, r, s) for r, s in zip(raw, status, strict=True)]
+    physical = [r * scaling.factor + scaling.offset for r in raw]
+    celsius = _celsius(profile, physical, words, cold_junction)
+    pairs = [limited(profile, v, q) for v, q in zip(celsius, qualities, strict=True)]
+    return tuple(v for v, _ in pairs), tuple(q for _, q in pairs)
+
+
+def limited(profile: Profile, celsius: float, quality: Quality) -> tuple[float, Quality]:
+    """Return value and quality, the value NaN where it is none, outside the limits over or under."""
+    if quality in _NO_VALUE:
+        return math.nan, quality
+    if math.isnan(celsius):
+        return math.nan, Quality.MISSING
+    if celsius > profile.limits.upper_C:
+        return math.nan, Quality.OVER
+    if celsius < profile.limits.lower_C:
+        return math.nan, Quality.UNDER
+    return celsius, quality
+
+
+def _status(profile: Profile, words: Sequence[int], flags: Sequence[bool] | None) -> list[Quality]:
+    if profile.status_bits and flags is not None:
+        return [profile.status_bits.quality if flag else Quality.GOOD for flag in flags[: profile.inputs]]
+    if profile.status_codes:
+        codes = profile.status_codes
+        found = words[codes.at : codes.at + profile.inputs]
+        return [codes.codes.get(str(c), Quality.GOOD if c == 0 else Quality.MISSING) for c in found]
+    return [Quality.GOOD] * profile.inputs
+
+
+def _judge(profile: Profile, raw: float, status: Quality) -> Quality:
+    for error in profile.errors:
+        hit = raw == error.raw or (math.isnan(raw) and math.isnan(error.raw))
+        if hit and (status is not Quality.GOOD or not error.with_status):
+            return error.quality
+    return status
+
+
+def _celsius(
+    profile: Profile, physical: Sequence[float], words: Sequence[int], cold_junction: float | None
+) -> list[float]:
+    unit = profile.values.unit if profile.values else "C"
+    if unit == "K":
+        return [v - 273.15 for v in physical]
+    if unit == "F":
+        return [(v - 32) / 1.8 for v in physical]
+    if unit == "C":
+        return list(physical)
+    millivolt = np.array(physical) * (1e-3 if unit == "uV" else 1.0)
+    cold = _cold_junction(profile, millivolt, words, cold_junction)
+    return [float(v) for v in thermocouple.compensated(millivolt, cold)]
+
+
+def _cold_junction(profile: Profile, millivolt: Array, words: Sequence[int], setting: float | None) -> float:
+    rule = profile.cold_junction
+    if rule is None or rule.kind == "setting" or rule.temperatures is None:
+        return math.nan if setting is None else setting
+    reported = np.array(raw_values(words, rule.temperatures, profile.inputs)) * rule.scale
+    implied = thermocouple.implied_cold_junction(millivolt, reported)
+    sane = implied[(implied > -40) & (implied < 100)]
+    return float(np.median(sane)) if sane.size else math.nan

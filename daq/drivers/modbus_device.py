@@ -1,0 +1,103 @@
+"""A Modbus module: one block of registers a scan, its status bits, its set-up."""
+
+from __future__ import annotations
+
+import struct
+import time
+
+from daq.drivers import modbus
+from daq.drivers.bus import Bus, Exchange, Patience, TakeReply
+from daq.drivers.decode import Sample, decode
+from daq.drivers.profile import Profile, Scaling, Write
+from daq.drivers.protocol import NoReply
+from daq.records import InputError
+
+_PACK = {"s16": ">h", "u16": ">H", "s32": ">i", "u32": ">I", "f32": ">f"}
+
+
+class ModbusDevice:
+    """One station. Asks for the same registers in the same shape every time."""
+
+    def __init__(
+        self,
+        bus: Bus,
+        profile: Profile,
+        *,
+        station: int,
+        patience: Patience,
+        scaling: Scaling,
+        used: tuple[int, ...],
+        cold_junction: float | None = None,
+        local_echo: bool = False,
+    ) -> None:
+        if profile.block is None:
+            raise InputError(f"profile {profile.name} has no block of registers")
+        self.bus = bus
+        self.patience = patience
+        self._profile = profile
+        self._station = station
+        self._scaling = scaling
+        self._used = used
+        self._cold_junction = cold_junction
+        self._local_echo = local_echo
+        self._block = modbus.Request(profile.block.function, profile.block.address, profile.block.count)
+
+    def set_up(self) -> None:
+        """Write the profile's set-up and hold the device against the profile's checks."""
+        for write in self._profile.writes:
+            for request in self._writes(write):
+                self._ask(request)
+                time.sleep(self._profile.timing.setup_s)
+        for check in self._profile.checks:
+            request = modbus.Request(check.function, check.address, check.count)
+            payload = self._ask(request).payload
+            if check.function in (1, 2):
+                found = tuple(int(b) for b in modbus.bits(payload, check.count))
+            else:
+                found = modbus.registers(payload)
+            expected = check.expect * check.count if len(check.expect) == 1 else check.expect
+            if found != expected:
+                raise NoReply(
+                    f"{self.bus.place} station {self._station}: {check.what} reads {_hex(found)}, "
+                    f"profile {self._profile.name} expects {_hex(expected)}",
+                    "refused",
+                )
+
+    def sample(self) -> Sample:
+        """Fetch all inputs once."""
+        with self.bus.lock:
+            reply = self._ask(self._block)
+            flags = self._flags()
+        values, qualities = decode(
+            self._profile, self._scaling, modbus.registers(reply.payload), flags, self._cold_junction
+        )
+        return Sample(values, qualities, reply.requested_s, reply.received_s)
+
+    def _flags(self) -> tuple[bool, ...] | None:
+        status = self._profile.status_bits
+        if status is None:
+            return None
+        request = modbus.Request(status.function, status.address, self._profile.inputs)
+        return modbus.bits(self._ask(request).payload, self._profile.inputs)
+
+    def _ask(self, request: modbus.Request) -> Exchange:
+        return self.bus.exchange(*self._framed(request), self.patience)
+
+    def _framed(self, request: modbus.Request) -> tuple[bytes, TakeReply]:
+        if not self.bus.numbered:
+            take = modbus.rtu_reply(self._station, request, local_echo=self._local_echo)
+            return modbus.rtu_frame(self._station, request), take
+        transaction = self.bus.next_transaction()
+        frame = modbus.tcp_frame(transaction, self._station, request)
+        return frame, modbus.tcp_reply(transaction, self._station, request)
+
+    def _writes(self, write: Write) -> list[modbus.Request]:
+        data = struct.pack(_PACK[write.format], write.value if write.format == "f32" else int(write.value))
+        function = 6 if len(data) == 2 else 16
+        inputs = (0,) if write.stride is None else self._used
+        stride = write.stride or 0
+        return [modbus.Request(function, write.address + k * stride, len(data) // 2, data) for k in inputs]
+
+
+def _hex(found: tuple[int, ...]) -> str:
+    return " ".join(f"{value:04X}" for value in found)

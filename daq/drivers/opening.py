@@ -1,0 +1,77 @@
+"""From a settings table to a logger ready to read."""
+
+from __future__ import annotations
+
+from daq.drivers.bus import Bus, Patience, release_bus, share_bus
+from daq.drivers.link import Place, SerialPlace, SocketPlace
+from daq.drivers.modbus_device import ModbusDevice
+from daq.drivers.polled import Device, PolledLogger
+from daq.drivers.profile import Profile, profile_for
+from daq.drivers.protocol import DataLogger
+from daq.drivers.settings import LoggerSettings
+from daq.records import InputError
+
+
+def open_logger(settings: LoggerSettings) -> DataLogger:
+    """Return the logger these settings describe.
+
+    Reads profile and calibration files, so what is wrong there is raised now as InputError. The
+    port is opened by the first `read`: a logger that is off does not keep others from starting.
+    """
+    profile = profile_for(settings)
+    numbered = profile.protocol == "modbus" and _transport(settings) == "tcp"
+    bus = share_bus(place_of(settings, profile), numbered=numbered)
+    return PolledLogger(
+        _device(settings, profile, bus),
+        settings.channels,
+        stale_after_s=settings.stale_after_s or profile.timing.stale_after_s,
+        simulated=settings.simulated,
+        release=release_bus,
+    )
+
+
+def place_of(settings: LoggerSettings, profile: Profile) -> Place:
+    """Return where the device is found."""
+    if settings.host is not None:
+        return SocketPlace(settings.host, settings.tcp_port or profile.tcp_port)
+    line = profile.serial
+    baud = settings.baud or (line.baud if line else None)
+    if settings.port is None or baud is None:
+        raise InputError(f"logger {settings.name}: baud is not established for this device; give baud")
+    return SerialPlace(
+        settings.port,
+        baud,
+        settings.parity or (line.parity if line else "N"),
+        settings.stop_bits or (line.stop_bits if line else 1),
+        settings.data_bits or (line.data_bits if line else 8),
+        line.xonxoff if line else False,
+    )
+
+
+def _transport(settings: LoggerSettings) -> str:
+    return settings.transport or ("tcp" if settings.host else "rtu")
+
+
+def patience_of(settings: LoggerSettings, profile: Profile) -> Patience:
+    """Return the waits that hold for this logger."""
+    timeout_s = settings.timeout_s or profile.timing.response_s
+    drain_s = settings.drain_s or max(timeout_s, profile.timing.response_s)
+    return Patience(timeout_s, drain_s, profile.timing.turnaround_s)
+
+
+def _device(settings: LoggerSettings, profile: Profile, bus: Bus) -> Device:
+    patience = patience_of(settings, profile)
+    station = settings.address if settings.address is not None else profile.address
+    used = tuple(k for k, name in enumerate(settings.channels) if name)
+    if profile.protocol == "modbus":
+        return ModbusDevice(
+            bus,
+            profile,
+            station=station or 0,
+            patience=patience,
+            scaling=profile.scalings[settings.scaling or profile.scaling or ""],
+            used=used,
+            cold_junction=settings.cold_junction_C,
+            local_echo=settings.local_echo,
+        )
+    raise InputError(f"logger {settings.name}: protocol {profile.protocol} is not available")

@@ -1,0 +1,128 @@
+"""The logger the recorder sees: any device, with set-up, rest, staleness and calibration around it."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from typing import Protocol
+
+from daq.drivers.bus import Bus, Patience
+from daq.drivers.decode import Sample
+from daq.drivers.protocol import NoReply, ReadFailure
+from daq.records import Channel, Quality, Reading
+
+_FAILURES_BEFORE_REST = 3
+_FIRST_REST_S = 0.25
+_LONGEST_REST_S = 1.5
+"""A silent module costs its bus a timeout and a drain each time: ask it rarely, yet find it again
+within 5 s."""
+
+Correct = Callable[[int, float], float]
+"""Calibration: input and reading in, true temperature out."""
+
+
+class Device(Protocol):
+    """A station on a bus: what differs between protocols."""
+
+    bus: Bus
+    patience: Patience
+
+    def set_up(self) -> None:
+        """Prepare the device and make sure it is the right one."""
+
+    def sample(self) -> Sample:
+        """Fetch all inputs once."""
+
+
+class PolledLogger:
+    """A DataLogger: asks its device, and gives a silent device rest."""
+
+    def __init__(
+        self,
+        device: Device,
+        names: tuple[str, ...],
+        *,
+        stale_after_s: float,
+        correct: Correct | None = None,
+        simulated: bool = False,
+        release: Callable[[Bus], None],
+    ) -> None:
+        self._device = device
+        self._used = tuple(k for k, name in enumerate(names) if name)
+        self._channels = tuple(Channel(name) for name in names if name)
+        self._stale_after_s = stale_after_s
+        self._correct = correct
+        self._simulated = simulated
+        self._release: Callable[[Bus], None] | None = release
+        self._ready_for = 0
+        self._failures = 0
+        self._rest_until = 0.0
+        self._last_values: tuple[float, ...] = ()
+        self._moved_s = -math.inf
+
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        """The inputs in use, in the order `read` reports them."""
+        return self._channels
+
+    def read(self) -> Reading:
+        """Wait for the next reading.
+
+        Raises NoReply (silence: try again) or BadFrame (noise: drop it).
+        """
+        if self._release is None:
+            raise NoReply("the logger is closed", "closed")
+        left = self._rest_until - time.monotonic()
+        if left > 0:
+            raise NoReply(f"{self._device.bus.place}: silent; next try in {left:.1f} s", "silent")
+        try:
+            with self._device.bus.lock:
+                self._get_ready()
+                sample = self._device.sample()
+        except ReadFailure as failure:
+            self._failed(failure)
+            raise
+        self._failures = 0
+        return self._reading(sample)
+
+    def close(self) -> None:
+        """Release the port. A second call does no harm."""
+        if self._release is not None:
+            self._release(self._device.bus)
+            self._release = None
+
+    def _get_ready(self) -> None:
+        generation = self._device.bus.open(self._device.patience)
+        if self._ready_for != generation:
+            self._device.set_up()
+            self._ready_for = self._device.bus.generation
+
+    def _failed(self, failure: ReadFailure) -> None:
+        if not isinstance(failure, NoReply) or failure.cause == "busy":
+            return
+        self._failures += 1
+        if self._failures >= _FAILURES_BEFORE_REST:
+            self._ready_for = 0
+            doublings = min(self._failures - _FAILURES_BEFORE_REST, 8)
+            self._rest_until = time.monotonic() + min(_FIRST_REST_S * 2**doublings, _LONGEST_REST_S)
+
+    def _reading(self, sample: Sample) -> Reading:
+        frozen = self._frozen(sample)
+        values, qualities = [], []
+        for k in self._used:
+            value, quality = sample.values[k], sample.qualities[k]
+            if quality is Quality.GOOD:
+                quality = Quality.STALE if frozen else Quality.SIMULATED if self._simulated else Quality.GOOD
+                value = self._correct(k, value) if self._correct else value
+            values.append(value)
+            qualities.append(quality)
+        return Reading(sample.requested_s, sample.received_s, tuple(values), tuple(qualities))
+
+    def _frozen(self, sample: Sample) -> bool:
+        """Whether every measured input has stood still too long."""
+        measured = tuple(v for v, q in zip(sample.values, sample.qualities, strict=True) if q is Quality.GOOD)
+        if measured != self._last_values:
+            self._last_values = measured
+            self._moved_s = sample.received_s
+        return bool(measured) and sample.received_s - self._moved_s > self._stale_after_s

@@ -1,0 +1,313 @@
+"""What is known of a device, as data: the profile files and their vocabulary.
+
+A profile says where the values stand, how they are written, what the device answers instead of a
+value, and how long it takes. ``marks`` gives the confidence of each part: A vendor page or several
+independent drivers, B one source, C not established. What is C has no default: the profile leaves
+it out and the logger's settings must give it (``scaling``, ``baud``, ``override``).
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from daq.drivers.settings import LoggerSettings
+from daq.records import InputError, Quality
+
+Format = Literal["s16", "u16", "s32", "u32", "f32"]
+Order = Literal["big", "little"]
+REGISTERS: Mapping[str, int] = {"s16": 1, "u16": 1, "s32": 2, "u32": 2, "f32": 2}
+"""Registers a value takes in each format."""
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class SerialLine(_Table):
+    """Factory setting of the port."""
+
+    baud: int
+    parity: Literal["N", "E", "O"] = "N"
+    stop_bits: Literal[1, 2] = 1
+    data_bits: Literal[7, 8] = 8
+    xonxoff: bool = False
+
+
+class Timing(_Table):
+    """How fast the device is."""
+
+    response_s: float = Field(gt=0)
+    """Worst time from request to complete reply, wire included."""
+    refresh_s: float = Field(gt=0)
+    """Time in which every input is converted once."""
+    turnaround_s: float = Field(default=0.005, ge=0)
+    """Silence the bus keeps between a reply and the next request."""
+    setup_s: float = Field(default=0.0, ge=0)
+    """Pause after each set-up write or command."""
+    stale_after_s: float = Field(default=30.0, gt=0)
+    """All inputs unchanged for so long: the converter has stopped."""
+
+
+class Block(_Table):
+    """The one Modbus read that fetches all values."""
+
+    function: Literal[3, 4]
+    address: int = Field(ge=0, le=65535)
+    """Zero-based, as on the wire."""
+    count: int = Field(ge=1, le=125)
+
+
+class Field16(_Table):
+    """Values in the block: the first stands at register ``at``, the next ``stride`` further."""
+
+    at: int = Field(default=0, ge=0)
+    format: Format
+    word_order: Order = "big"
+    byte_order: Order = "big"
+    stride: int | None = Field(default=None, ge=1)
+    unit: Literal["C", "K", "F", "uV", "mV"] = "C"
+
+    @property
+    def step(self) -> int:
+        """Registers from one value to the next."""
+        return self.stride or REGISTERS[self.format]
+
+
+class Scaling(_Table):
+    """Physical value = raw x scale + offset; or a full-scale code and what it stands for."""
+
+    scale: float | None = None
+    offset: float = 0.0
+    full_code: float | None = None
+    full_value: float | None = None
+
+    @model_validator(mode="after")
+    def _one_way(self) -> Scaling:
+        by_code = self.full_code is not None and self.full_value is not None
+        if (self.scale is None) == (not by_code):
+            raise ValueError("give either scale, or full_code and full_value")
+        return self
+
+    @property
+    def factor(self) -> float:
+        """Physical units of one count."""
+        if self.scale is not None:
+            return self.scale
+        return (self.full_value or 0.0) / (self.full_code or 1.0)
+
+
+class ErrorValue(_Table):
+    """A raw value that is no measurement."""
+
+    raw: float
+    quality: Quality
+    with_status: bool = False
+    """Believe it only when the status says so too, because the code is also a possible value."""
+
+
+class StatusBits(_Table):
+    """A second read, of one bit an input."""
+
+    function: Literal[1, 2]
+    address: int = Field(ge=0, le=65535)
+    quality: Quality = Quality.OPEN
+
+
+class StatusCodes(_Table):
+    """A register an input, inside the block."""
+
+    at: int = Field(ge=0)
+    codes: dict[str, Quality]
+    """Register value, as text, to what it means; 0 is good unless listed."""
+
+
+class ColdJunction(_Table):
+    """Where the terminal temperature of a device that reports voltages comes from."""
+
+    kind: Literal["setting", "implied"]
+    """``implied``: the median of what the device's own temperatures and voltages imply."""
+    temperatures: Field16 | None = None
+    scale: float = 1.0
+
+
+class Check(_Table):
+    """A read at set-up whose answer must be as expected, else the device is not what we think."""
+
+    what: str
+    function: Literal[1, 2, 3, 4]
+    address: int
+    count: int = 1
+    expect: tuple[int, ...]
+    """One value for all, or one each."""
+
+
+class Write(_Table):
+    """A write at set-up; ``stride`` repeats it for every input in use."""
+
+    what: str
+    address: int
+    format: Format
+    value: float
+    stride: int | None = None
+
+
+class Ascii(_Table):
+    """ADAM and DCON modules: ``#AA`` and what answers it."""
+
+    width: int = 7
+    """Characters of one value."""
+    status: Literal["B"] | None = "B"
+    """``$AAB`` reports open or out-of-range inputs as bits."""
+    name: str | None = None
+    """What ``$AAM`` must contain."""
+
+
+class Scpi(_Table):
+    """Instruments of the 34970A family."""
+
+    first_channel: int = 101
+    """Slot and channel of input 0; the others follow."""
+    thermocouple: Literal["B", "E", "J", "K", "N", "R", "S", "T"] = "K"
+    line_cycles: float = Field(default=1.0, gt=0)
+    model: str
+    """What ``*IDN?`` must contain."""
+
+
+class Limits(_Table):
+    """What the device can measure. [°C]"""
+
+    lower_C: float = -270.0  # noqa: N815
+    upper_C: float = 1372.0  # noqa: N815
+
+
+class Profile(_Table):
+    """A device."""
+
+    name: str
+    title: str
+    protocol: Literal["modbus", "dcon", "scpi", "sr630"]
+    inputs: int = Field(ge=1, le=125)
+    marks: dict[str, Literal["A", "A-", "B", "C"]] = Field(default_factory=dict)
+    sources: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    address: Annotated[int | None, Field(ge=0, le=255)] = None
+    """Factory address; None: the settings must say."""
+    tcp_port: int = 502
+    serial: SerialLine | None = None
+    timing: Timing
+    block: Block | None = None
+    values: Field16 | None = None
+    scaling: str | None = None
+    """Which of ``scalings`` holds unless the settings name one; None: they must."""
+    scalings: dict[str, Scaling] = Field(default_factory=dict)
+    errors: tuple[ErrorValue, ...] = ()
+    status_bits: StatusBits | None = None
+    status_codes: StatusCodes | None = None
+    cold_junction: ColdJunction | None = None
+    checks: tuple[Check, ...] = ()
+    writes: tuple[Write, ...] = ()
+    limits: Limits = Limits()
+    ascii: Ascii | None = None
+    scpi: Scpi | None = None
+
+    @model_validator(mode="after")
+    def _complete(self) -> Profile:
+        needed = {"modbus": ("block", "values"), "dcon": ("ascii",), "scpi": ("scpi",), "sr630": ()}
+        if missing := [key for key in needed[self.protocol] if getattr(self, key) is None]:
+            raise ValueError(f"protocol {self.protocol} needs the table {', '.join(missing)}")
+        if self.block and self.values:
+            end = self.values.at + (self.inputs - 1) * self.values.step + REGISTERS[self.values.format]
+            if end > self.block.count:
+                raise ValueError(f"block.count = {self.block.count}, but {self.inputs} values end at {end}")
+        for check in self.checks:
+            if self.block and (check.function, check.count) == (self.block.function, self.block.count):
+                raise ValueError(
+                    f"check {check.what!r} has the shape of the value read; a late reply could be mistaken "
+                    "for values: read it in parts"
+                )
+        return self
+
+
+def profile_names() -> tuple[str, ...]:
+    """Return the profiles that come with the package."""
+    folder = resources.files("daq.drivers") / "profiles"
+    return tuple(
+        sorted(item.name.removesuffix(".toml") for item in folder.iterdir() if item.name.endswith(".toml"))
+    )
+
+
+def profile_table(name: str) -> dict[str, Any]:
+    """Return a profile file as it stands: one of the package's by name, or a user's by path."""
+    if name.endswith(".toml"):
+        path = Path(name)
+        where = name
+    else:
+        where = f"profile {name}"
+        path = Path(str(resources.files("daq.drivers") / "profiles" / f"{name}.toml"))
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        known = ", ".join(profile_names())
+        raise InputError(
+            f"{where}: no such profile; known are {known}, or give the path of a .toml"
+        ) from None
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise InputError(f"{where}: {error}") from error
+
+
+def merged(table: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return `table` with `changes` laid over it, table by table.
+
+    >>> merged({"a": {"b": 1, "c": 2}}, {"a": {"c": 3}})
+    {'a': {'b': 1, 'c': 3}}
+    """
+    result = dict(table)
+    for key, value in changes.items():
+        old = result.get(key)
+        both = isinstance(old, Mapping) and isinstance(value, Mapping)
+        result[key] = merged(old, value) if both else value  # type: ignore[arg-type]
+    return result
+
+
+def check_profile(table: Mapping[str, Any], where: str) -> Profile:
+    """Validate a profile table, or raise InputError with one line."""
+    try:
+        return Profile.model_validate(dict(table))
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"])
+        if first["type"] == "missing":
+            what = "is not established for this device; give it as override." + key
+        else:
+            what = f"{first['msg']} (got {first['input']!r})" if key else str(first["msg"])
+        raise InputError(f"{where}: {key + ' ' if key else ''}{what}") from None
+
+
+def profile_for(settings: LoggerSettings) -> Profile:
+    """Return the profile of one logger: the file, with the settings' overrides laid over it."""
+    where = f"logger {settings.name} ({settings.profile})"
+    profile = check_profile(merged(profile_table(settings.profile), settings.override), where)
+    if len(settings.channels) > profile.inputs:
+        raise InputError(
+            f"{where}: {len(settings.channels)} channels, the device has {profile.inputs} inputs"
+        )
+    chosen = settings.scaling or profile.scaling
+    if profile.protocol == "modbus" and chosen not in profile.scalings:
+        known = ", ".join(profile.scalings) or "none; give override.scalings"
+        said = f"scaling {chosen!r} is unknown" if chosen else "scaling is not established for this device"
+        raise InputError(f"{where}: {said}; choose scaling = one of: {known}")
+    if settings.port and not (settings.baud or profile.serial):
+        raise InputError(f"{where}: baud is not established for this device; give baud")
+    needs_address = profile.protocol in ("modbus", "dcon")
+    if needs_address and settings.address is None and profile.address is None:
+        raise InputError(f"{where}: address is not established for this device; give address")
+    cold = profile.cold_junction
+    if cold and cold.kind == "setting" and settings.cold_junction_C is None:
+        raise InputError(f"{where}: the device reports voltages; give cold_junction_C")
+    return profile
