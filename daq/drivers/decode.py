@@ -102,6 +102,9 @@ def _status(profile: Profile, words: Sequence[int], flags: Sequence[bool] | None
 
 
 def _judge(profile: Profile, raw: float, status: Quality) -> Quality:
+    """Weigh code and status: either may say open, which is the most that can be said."""
+    if status is Quality.OPEN:
+        return status
     for error in profile.errors:
         hit = raw == error.raw or (math.isnan(raw) and math.isnan(error.raw))
         if hit and (status is not Quality.GOOD or not error.with_status):

@@ -17,6 +17,7 @@ import serial
 CONNECT_TIMEOUT_S = 1.5
 """Longest wait for a TCP connection: short enough that rest + connect + set-up stay below 5 s."""
 _SERIAL_POLL_S = 0.02
+_SERIAL_STEP_S = 0.001
 
 
 class LinkLost(Exception):
@@ -132,9 +133,7 @@ class _SocketLink:
 
 class _SerialLink:
     def __init__(self, place: SerialPlace) -> None:
-        options: dict[str, Any] = (
-            {"exclusive": True} if os.name == "posix" and "://" not in place.port else {}
-        )
+        options: dict[str, Any] = {"exclusive": True} if os.name == "posix" and "://" not in place.port else {}
         self._port = serial.serial_for_url(
             place.port,
             baudrate=place.baud,
@@ -161,9 +160,12 @@ class _SerialLink:
                 waiting = self._port.in_waiting
                 if waiting:
                     return bytes(self._port.read(waiting))
-                if time.monotonic() >= deadline:
+                left = deadline - time.monotonic()
+                if left <= 0:
                     return b""
-                if first := self._port.read(1):
+                if left < _SERIAL_POLL_S:
+                    time.sleep(min(left, _SERIAL_STEP_S))
+                elif first := self._port.read(1):
                     return bytes(first) + bytes(self._port.read(self._port.in_waiting))
         except (OSError, TypeError, ValueError) as error:
             raise LinkLost(f"port lost: {error}") from error

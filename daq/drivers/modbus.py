@@ -159,9 +159,7 @@ def _check_tcp(frame: bytes, station: int, request: Request) -> bytes:
     if pdu[0] == request.function | 0x80 and len(pdu) == 2:
         _raise_exception(pdu[1])
     if len(pdu) != request.reply_size or not pdu.startswith(request.reply_head):
-        raise BadFrame(
-            f"reply begins {pdu[:2].hex(' ')}, expected {request.reply_head.hex(' ')}", "wrong shape"
-        )
+        raise BadFrame(f"reply begins {pdu[:2].hex(' ')}, expected {request.reply_head.hex(' ')}", "wrong shape")
     return _payload(pdu, request)
 
 

@@ -254,9 +254,7 @@ def profile_table(name: str) -> dict[str, Any]:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         known = ", ".join(profile_names())
-        raise InputError(
-            f"{where}: no such profile; known are {known}, or give the path of a .toml"
-        ) from None
+        raise InputError(f"{where}: no such profile; known are {known}, or give the path of a .toml") from None
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise InputError(f"{where}: {error}") from error
 
@@ -294,9 +292,7 @@ def profile_for(settings: LoggerSettings) -> Profile:
     where = f"logger {settings.name} ({settings.profile})"
     profile = check_profile(merged(profile_table(settings.profile), settings.override), where)
     if len(settings.channels) > profile.inputs:
-        raise InputError(
-            f"{where}: {len(settings.channels)} channels, the device has {profile.inputs} inputs"
-        )
+        raise InputError(f"{where}: {len(settings.channels)} channels, the device has {profile.inputs} inputs")
     chosen = settings.scaling or profile.scaling
     if profile.protocol == "modbus" and chosen not in profile.scalings:
         known = ", ".join(profile.scalings) or "none; give override.scalings"

@@ -1,0 +1,222 @@
+"""Simulated Modbus modules: register images as the vendors describe them, and their own framing.
+
+Written from the device facts alone and sharing no code with the drivers, so that an error there
+cannot cancel itself here.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from daq.simulated.devices_converter import Converter
+from daq.thermocouple import voltage
+
+Words = dict[int, int]
+Bits = dict[int, bool]
+_TYPE_K = 0x0F
+COLD_JUNCTION_C = 31.0
+"""Terminal temperature inside a simulated module."""
+
+
+@dataclass(frozen=True)
+class Image:
+    """What a master can read from a module at one moment."""
+
+    words: Words
+    bits: Bits = field(default_factory=dict)
+
+
+Encode = Callable[[Sequence[float], Mapping[int, int]], Image]
+"""Temperatures (NaN: broken wire) and registers written so far, to the image."""
+
+
+def _clipped(value: float, low: int, high: int) -> int:
+    return int(min(max(round(value), low), high)) & 0xFFFF
+
+
+def _signed(values: Sequence[float], per_degree: float, broken: int, at: int = 0) -> Words:
+    return {
+        at + k: broken if math.isnan(v) else _clipped(v * per_degree, -32768, 32767) for k, v in enumerate(values)
+    }
+
+
+def _broken(values: Sequence[float], at: int = 0) -> Bits:
+    return {at + k: math.isnan(v) for k, v in enumerate(values)}
+
+
+def encode_adam_4118(values: Sequence[float], written: Mapping[int, int]) -> Image:
+    """0 to 1370 °C on 0 to 7FFF; a broken wire drives the input to full scale."""
+    words = {k: 0x7FFF if math.isnan(v) else _clipped(v / 1370 * 32767, 0, 32767) for k, v in enumerate(values)}
+    words |= {200 + k: _TYPE_K for k in range(8)} | {210: 0x4118, 211: 0, 212: 0xA100, 213: 0, 220: 0xFF}
+    return Image(words, _broken(values))
+
+
+def encode_adam_4018_hundredth(values: Sequence[float], written: Mapping[int, int]) -> Image:
+    """The field project's reading of the ADAM-4018+: hundredths of a degree."""
+    return Image(_signed(values, 100, 0x7FFF), _broken(values))
+
+
+def encode_m7019r_engineering(values: Sequence[float], written: Mapping[int, int]) -> Image:
+    """Tenths; a broken wire reads 7FFF."""
+    return _icp_das(_signed(values, 10, 0x7FFF), values)
+
+
+def encode_m7019r_hex(values: Sequence[float], written: Mapping[int, int]) -> Image:
+    """Type K full scale 1372 °C on 7FFF; a broken wire reads 7FFF."""
+    return _icp_das(_signed(values, 32767 / 1372, 0x7FFF), values)
+
+
+def _icp_das(words: Words, values: Sequence[float]) -> Image:
+    words |= {128: round(COLD_JUNCTION_C * 100), 486: _TYPE_K} | {256 + k: _TYPE_K for k in range(8)}
+    return Image(words, _broken(values, at=128) | {256: True})
+
+
+def encode_smtc(values: Sequence[float], written: Mapping[int, int]) -> Image:
+    """Hundredths, then bare microvolts against the terminals."""
+    microvolt = [float(v) for v in 1000 * (voltage(list(values)) - voltage(COLD_JUNCTION_C))]
+    return Image(_signed(values, 100, 0x7FFF) | _signed(microvolt, 1, 0x7FFF, at=8))
+
+
+def encode_rme1(values: Sequence[float], written: Mapping[int, int]) -> Image:
+    """Tenths and a status register each: 0 normal, 1 low, 2 high."""
+    status = {8 + k: 2 if math.isnan(v) or v > 1372 else 1 if v < -270 else 0 for k, v in enumerate(values)}
+    return Image(_signed(values, 10, 13720) | status | {200 + k: 3 for k in range(8)})
+
+
+def encode_adam_6018(values: Sequence[float], written: Mapping[int, int]) -> Image:
+    """0 to 1370 °C on 0 to FFFF."""
+    words = {k: 0xFFFF if math.isnan(v) else _clipped(v / 1370 * 65535, 0, 65535) for k, v in enumerate(values)}
+    return Image(words)
+
+
+def encode_labjack_t7(values: Sequence[float], written: Mapping[int, int]) -> Image:
+    """Floats; an input not yet configured for type K in Celsius answers -9999."""
+    words: Words = {60000: 0x40E0, 60001: 0}
+    for k, v in enumerate(values):
+        configured = written.get(9001 + 2 * k) == 22 and written.get(9301 + 2 * k) == 1
+        shown = v if configured and not math.isnan(v) else -9999.0
+        words[7000 + 2 * k], words[7001 + 2 * k] = struct.unpack(">HH", struct.pack(">f", shown))
+    return Image(words)
+
+
+def encode_sixteen(values: Sequence[float], written: Mapping[int, int]) -> Image:
+    """No particular maker: 16 registers of tenths, 7FFF for a broken wire."""
+    return Image(_signed(values, 10, 0x7FFF))
+
+
+class ModbusModule:
+    """A module with a station address, on RTU or TCP."""
+
+    def __init__(
+        self,
+        encode: Encode,
+        converter: Converter,
+        *,
+        station: int = 1,
+        tcp: bool = False,
+        think_s: float = 0.004,
+        writable: Callable[[int], bool] = lambda address: False,
+    ) -> None:
+        self.converter = converter
+        self.switches = converter.switches
+        self._encode = encode
+        self._station = station
+        self._tcp = tcp
+        self._think_s = think_s
+        self._writable = writable
+        self._written: dict[int, int] = {}
+
+    @property
+    def think_s(self) -> float:
+        """Time between request and reply."""
+        return self._think_s
+
+    def split(self, buffer: bytearray) -> bytes | None:
+        """Take one request off the front of the buffer."""
+        return _split_tcp(buffer) if self._tcp else _split_rtu(buffer)
+
+    def answer(self, request: bytes) -> bytes | None:
+        """Return the reply, or None for silence: not ours, damaged, or switched off."""
+        if self.switches.silent:
+            return None
+        if self._tcp:
+            if request[6] != self._station:
+                return None
+            pdu = self._answer(request[7:])
+            return request[:4] + struct.pack(">H", len(pdu) + 1) + request[6:7] + pdu
+        if request[0] != self._station or _checksum(request[:-2]) != request[-2:]:
+            return None
+        body = request[:1] + self._answer(request[1:-2])
+        return body + _checksum(body)
+
+    def _answer(self, pdu: bytes) -> bytes:
+        function, address = struct.unpack(">BH", pdu[:3])
+        if self.switches.busy:
+            return bytes([function | 0x80, 6])
+        image = self._encode(self.converter.read(), self._written)
+        if function in (1, 2, 3, 4):
+            count = struct.unpack(">H", pdu[3:5])[0]
+            return _read(image, function, address, count)
+        if function in (6, 16):
+            return self._write(function, address, pdu)
+        return bytes([function | 0x80, 1])
+
+    def _write(self, function: int, address: int, pdu: bytes) -> bytes:
+        data = pdu[3:5] if function == 6 else pdu[6:]
+        values = struct.unpack(f">{len(data) // 2}H", data)
+        if not all(self._writable(address + k) for k in range(len(values))):
+            return bytes([function | 0x80, 2])
+        self._written |= {address + k: v for k, v in enumerate(values)}
+        return pdu[:5]
+
+
+def _read(image: Image, function: int, address: int, count: int) -> bytes:
+    span = range(address, address + count)
+    known: Mapping[int, int] = image.bits if function in (1, 2) else image.words
+    if not 1 <= count <= 125 or any(k not in known for k in span):
+        return bytes([function | 0x80, 2])
+    if function in (1, 2):
+        data = bytearray((count + 7) // 8)
+        for place, k in enumerate(span):
+            data[place // 8] |= bool(image.bits[k]) << (place % 8)
+    else:
+        data = bytearray(b"".join(struct.pack(">H", image.words[k] & 0xFFFF) for k in span))
+    return bytes([function, len(data)]) + bytes(data)
+
+
+def _split_tcp(buffer: bytearray) -> bytes | None:
+    if len(buffer) < 7:
+        return None
+    size = 6 + int.from_bytes(buffer[4:6], "big")
+    if len(buffer) < size:
+        return None
+    frame = bytes(buffer[:size])
+    del buffer[:size]
+    return frame
+
+
+def _split_rtu(buffer: bytearray) -> bytes | None:
+    """Find the next frame whose checksum fits; noise before it is dropped, as silence would do."""
+    while len(buffer) >= 8:
+        size = 9 + buffer[6] if buffer[1] in (15, 16) else 8
+        if len(buffer) < size:
+            return None
+        if _checksum(buffer[: size - 2]) == buffer[size - 2 : size]:
+            frame = bytes(buffer[:size])
+            del buffer[:size]
+            return frame
+        del buffer[0]
+    return None
+
+
+_TABLE = tuple((lambda c: [c := (c >> 1) ^ (0xA001 if c & 1 else 0) for _ in range(8)][-1])(n) for n in range(256))
+
+
+def _checksum(data: bytes | bytearray) -> bytes:
+    crc = 0xFFFF
+    for byte in data:
+        crc = (crc >> 8) ^ _TABLE[(crc ^ byte) & 0xFF]
+    return crc.to_bytes(2, "little")

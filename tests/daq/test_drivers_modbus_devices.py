@@ -1,0 +1,158 @@
+"""Every Modbus profile against an independently written simulation of its device."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import time
+
+import pytest
+
+from daq.drivers import LoggerSettings, NoReply, open_logger
+from daq.records import Quality
+from daq.simulated.devices import kind_of, simulated, station, wiring
+from daq.simulated.devices_converter import Converter, Switches
+from daq.simulated.devices_line import serve_serial
+
+FAST = {"timeout_s": 0.2, "drain_s": 0.05}
+STEP_K = {
+    "adam-4118": 0.021,
+    "adam-4018+": 0.005,
+    "m-7018": 0.05,
+    "m-7019r": 0.021,
+    "labjack-t7": 0.001,
+    "sequent-smtc": 0.03,
+    "exemys-rme1-tc": 0.05,
+    "adam-6018+": 0.011,
+    "generic": 0.05,
+}
+MODBUS = tuple(STEP_K)
+
+
+@contextlib.contextmanager
+def logger_on(profile, temperatures, *, switches=None, names=None, **changes):
+    inputs = kind_of(profile).inputs
+    names = names or tuple(f"t_{k}" for k in range(inputs))
+    with simulated(profile, temperatures, refresh_s=0, switches=switches) as server:
+        table = wiring(profile, server, profile, names) | FAST | changes
+        logger = open_logger(LoggerSettings(**table))
+        try:
+            yield logger
+        finally:
+            logger.close()
+
+
+@pytest.mark.parametrize("profile", MODBUS)
+def test_every_input_reads_its_own_temperature_within_the_resolution(profile):
+    inputs = kind_of(profile).inputs
+    truth = [25.0 + 13.37 * k for k in range(inputs)]
+    with logger_on(profile, lambda now_s: truth) as logger:
+        reading = logger.read()
+    assert reading.values == pytest.approx(truth, abs=STEP_K[profile] + 1e-9)
+    assert set(reading.qualities) == {Quality.GOOD}
+    assert reading.requested_s < reading.received_s
+
+
+@pytest.mark.parametrize("profile", ["adam-4118", "adam-4018+", "m-7018", "m-7019r", "generic"])
+def test_a_broken_thermocouple_is_reported_open_and_has_no_value(profile):
+    switches = Switches(open_inputs={3})
+    with logger_on(profile, lambda now_s: [30.0] * kind_of(profile).inputs, switches=switches) as logger:
+        reading = logger.read()
+    assert math.isnan(reading.values[3])
+    assert reading.qualities[3] is Quality.OPEN
+    assert all(q is Quality.GOOD for k, q in enumerate(reading.qualities) if k != 3)
+
+
+@pytest.mark.parametrize("profile", ["adam-6018+", "labjack-t7", "exemys-rme1-tc", "sequent-smtc"])
+def test_devices_without_a_code_for_open_still_give_no_usable_value(profile):
+    switches = Switches(open_inputs={0, 3})
+    with logger_on(profile, lambda now_s: [30.0] * kind_of(profile).inputs, switches=switches) as logger:
+        reading = logger.read()
+    assert not any(reading.qualities[k].usable for k in (0, 3))
+    assert all(math.isnan(reading.values[k]) for k in (0, 3))
+
+
+def test_adam_type_k_ends_at_zero_so_frost_reads_under_range():
+    with logger_on("adam-4118", lambda now_s: [-5.0, 1500.0] + [20.0] * 6) as logger:
+        reading = logger.read()
+    assert reading.qualities[:3] == (Quality.UNDER, Quality.OVER, Quality.GOOD)
+
+
+def test_two_modules_on_one_wire_share_it_and_keep_their_channels_apart():
+    low = station("adam-4118", lambda now_s: [50.0 + k for k in range(8)], address=1, refresh_s=0)
+    high = station("m-7019r", lambda now_s: [150.0 + k for k in range(8)], address=2, refresh_s=0)
+    with serve_serial(low, high) as server:
+        wires = (("adam-4118", "a", 1), ("m-7019r", "b", 2))
+        loggers = [
+            open_logger(
+                LoggerSettings(**wiring(p, server, p, tuple(f"{c}{k}" for k in range(8)), address=a) | FAST)
+            )
+            for p, c, a in wires
+        ]
+        for _ in range(3):
+            first, second = (logger.read() for logger in loggers)
+            assert first.values == pytest.approx([50.0 + k for k in range(8)], abs=0.03)
+            assert second.values == pytest.approx([150.0 + k for k in range(8)], abs=0.03)
+        loggers[0].close()
+        assert loggers[1].read().values[0] == pytest.approx(150.0, abs=0.03)
+        loggers[1].close()
+
+
+def test_unused_inputs_are_left_out():
+    with logger_on("generic", lambda now_s: list(range(20, 36)), names=("", "a", "", "b")) as logger:
+        assert [c.name for c in logger.channels] == ["a", "b"]
+        assert logger.read().values == pytest.approx([21.0, 23.0])
+
+
+def test_a_wrong_address_is_met_with_silence():
+    with (
+        logger_on("adam-4118", lambda now_s: [20.0] * 8, address=7) as logger,
+        pytest.raises(NoReply, match=r"no reply in 0.2 s; check power, cable and address") as caught,
+    ):
+        logger.read()
+    assert caught.value.cause == "silent"
+
+
+def test_a_busy_device_says_so_and_is_read_again():
+    switches = Switches(busy=True)
+    with logger_on("exemys-rme1-tc", lambda now_s: [20.0] * 8, switches=switches) as logger:
+        with pytest.raises(NoReply, match="exception 6") as caught:
+            logger.read()
+        assert caught.value.cause == "busy"
+        switches.busy = False
+        assert logger.read().qualities[0] is Quality.GOOD
+
+
+def test_a_module_set_to_another_thermocouple_type_is_refused():
+    override = {"checks": [{"what": "type", "function": 3, "address": 200, "count": 2, "expect": [0x0E]}]}
+    with (
+        logger_on("adam-4118", lambda now_s: [20.0] * 8, override=override) as logger,
+        pytest.raises(NoReply, match="type reads 000F 000F, profile adam-4118 expects 000E"),
+    ):
+        logger.read()
+
+
+def test_a_converter_that_stopped_is_called_stale():
+    switches = Switches(frozen=True)
+    with logger_on("exemys-rme1-tc", lambda now_s: [20.0] * 8, switches=switches, stale_after_s=0.05) as logger:
+        assert logger.read().qualities[0] is Quality.GOOD
+        deadline = time.monotonic() + 5
+        while (reading := logger.read()).qualities[0] is Quality.GOOD:
+            assert time.monotonic() < deadline
+        assert set(reading.qualities) == {Quality.STALE}
+
+
+def test_the_demo_marks_its_values_simulated():
+    with logger_on("exemys-rme1-tc", lambda now_s: [20.0] * 8, simulated=True) as logger:
+        assert set(logger.read().qualities) == {Quality.SIMULATED}
+
+
+def test_converter_refreshes_slower_than_it_is_asked_and_skews_its_channels():
+    clock = [100.0]
+    converter = Converter(lambda now_s: [now_s] * 8, 8, 0.8, clock=lambda: clock[0])
+    first = converter.read()
+    assert len(set(first)) == 8
+    assert all(99.2 <= v <= 100.0 for v in first)
+    clock[0] += 0.11
+    changed = [a != b for a, b in zip(first, converter.read(), strict=True)]
+    assert 0 < sum(changed) < 3
