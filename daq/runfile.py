@@ -48,9 +48,7 @@ def read_run(path: Path) -> Run:
     except OSError as error:
         raise InputError(f"{path}: cannot read the run file: {error.strerror or error}") from error
     if not content.strip():
-        raise InputError(
-            f"{path}: the file is empty; a run file has '# key = value' lines, a header row, rows"
-        )
+        raise InputError(f"{path}: the file is empty; a run file has '# key = value' lines, a header row, rows")
     if content[:4] == b"PAR1" or path.suffix.lower() in (".parquet", ".pq"):
         return _read_parquet(path, content)
     return _read_csv(path, content)
@@ -73,7 +71,7 @@ def write_run(run: Run, path: Path) -> None:
         raise InputError(f"{path}: column {odd[0]!r} has another length than time_s")
     _check_table(str(path), names, columns, first_line=1, unit="row")
     if path.suffix.lower() in (".parquet", ".pq"):
-        metadata = {key: toml_value(value) for key, value in _flat(header)}
+        metadata = {key: toml_value(value) for key, value in flat_keys(header)}
         schema = pa.schema([pa.field(n, pa.float64()) for n in names], metadata=metadata)
         sink = io.BytesIO()
         pq.write_table(pa.table([pa.array(c, from_pandas=True) for c in columns], schema=schema), sink)
@@ -117,17 +115,18 @@ def _quoted(text: str) -> str:
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
-def _flat(tree: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+def flat_keys(tree: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Walk nested tables as dotted keys; None is left out."""
     for key, value in tree.items():
         if isinstance(value, Mapping):
-            yield from _flat(value, f"{prefix}{key}.")
+            yield from flat_keys(value, f"{prefix}{key}.")
         elif value is not None:
             yield f"{prefix}{key}", value
 
 
 def _csv_text(header: Mapping[str, Any], names: Sequence[str], columns: Sequence[Array]) -> str:
     sink = io.StringIO()
-    for key, value in _flat(header):
+    for key, value in flat_keys(header):
         sink.write(f"# {toml_line(key, value)}\n")
     csv.writer(sink, lineterminator="\n").writerow(names)
     cells = [["" if v != v else repr(v).removesuffix(".0") for v in c.tolist()] for c in columns]
@@ -190,7 +189,7 @@ def _read_header(path: Path, content: bytes) -> tuple[dict[str, Any], int, int]:
                 f"{path}: line {line}: '# {text[:60]}' is not 'key = value' in TOML ({error}); "
                 "put text in quotes, start a remark with '##'"
             ) from error
-        for key, value in _flat(parsed):
+        for key, value in flat_keys(parsed):
             if key in header:
                 raise InputError(f"{path}: line {line}: header key {key} is given twice; keep one")
             header[key] = value
@@ -221,21 +220,11 @@ def _column_names(where: str, text: str) -> list[str]:
 
 def _check_names(names: Sequence[str], where: str) -> None:
     for number, name in enumerate(names, start=1):
-        if (
-            not name
-            or name != name.strip()
-            or "\n" in name
-            or "\r" in name
-            or name.startswith(("#", "\ufeff"))
-        ):
-            raise InputError(
-                f"{where}: column {number} has no usable name ({name!r}); give every column a name"
-            )
+        if not name or name != name.strip() or "\n" in name or "\r" in name or name.startswith(("#", "\ufeff")):
+            raise InputError(f"{where}: column {number} has no usable name ({name!r}); give every column a name")
         if name in names[: number - 1]:
             first = names.index(name) + 1
-            raise InputError(
-                f"{where}: column {name!r} occurs twice (columns {first} and {number}); rename one"
-            )
+            raise InputError(f"{where}: column {name!r} occurs twice (columns {first} and {number}); rename one")
 
 
 def _fast_rows(rows: bytes, names: list[str]) -> list[Array] | None:
@@ -293,17 +282,13 @@ def _slow_rows(path: Path, rows: bytes, names: list[str], first_line: int) -> li
             )
         last_time, last_line = now, line
         table.append(values)
-    return (
-        [np.array(column) for column in zip(*table, strict=True)] if table else [np.empty(0) for _ in names]
-    )
+    return [np.array(column) for column in zip(*table, strict=True)] if table else [np.empty(0) for _ in names]
 
 
 def _cell(where: str, name: str, cell: str) -> float:
     value = _number(cell)
     if value is None:
-        raise InputError(
-            f"{where}: column {name}: {cell.strip()!r} is not a number; leave a missing value empty"
-        )
+        raise InputError(f"{where}: column {name}: {cell.strip()!r} is not a number; leave a missing value empty")
     if name == TIME and value != value:
         raise InputError(f"{where}: column time_s: the time is missing; every row needs one")
     if name == CLOSED and value not in (0.0, 1.0) and value == value:
@@ -317,15 +302,11 @@ def _check_table(
     """Check a parsed table as a whole; lines count from `first_line`."""
     for name, column in zip(names, columns, strict=True):
         if len(bad := np.flatnonzero(np.isinf(column))):
-            raise InputError(
-                f"{where}: {unit} {first_line + bad[0]}: column {name}: infinite; must be a number"
-            )
+            raise InputError(f"{where}: {unit} {first_line + bad[0]}: column {name}: infinite; must be a number")
         if name == CLOSED and len(bad := np.flatnonzero(~np.isin(column, (0.0, 1.0)) & ~np.isnan(column))):
             value = column[bad[0]]
             row = first_line + bad[0]
-            raise InputError(
-                f"{where}: {unit} {row}: column closed: {value:g} must be 0 (open) or 1 (closed)"
-            )
+            raise InputError(f"{where}: {unit} {row}: column closed: {value:g} must be 0 (open) or 1 (closed)")
         if name != TIME:
             continue
         if len(bad := np.flatnonzero(np.isnan(column))):
@@ -353,9 +334,7 @@ def _read_parquet(path: Path, content: bytes) -> Run:
         if not (
             pa.types.is_floating(column.type) or pa.types.is_integer(column.type) or column.type == pa.bool_()
         ):
-            raise InputError(
-                f"{path}: column {name}: type {column.type} is not a number; store it as float64"
-            )
+            raise InputError(f"{path}: column {name}: type {column.type} is not a number; store it as float64")
         columns.append(np.asarray(column.cast(pa.float64()).to_numpy(), float))
     if not len(columns[0]):
         raise InputError(f"{path}: the table has no rows; a run needs at least one scan")

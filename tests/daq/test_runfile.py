@@ -52,9 +52,7 @@ def runs(draw):
     rows = draw(st.integers(1, 6))
     times = sorted(draw(st.sets(st.floats(-1e6, 1e6), min_size=rows, max_size=rows)))
     columns = {name: np.array(draw(st.lists(cells, min_size=rows, max_size=rows))) for name in draw(names)}
-    columns["closed"] = np.array(
-        draw(st.lists(st.sampled_from([0.0, 1.0, np.nan]), min_size=rows, max_size=rows))
-    )
+    columns["closed"] = np.array(draw(st.lists(st.sampled_from([0.0, 1.0, np.nan]), min_size=rows, max_size=rows)))
     header = {key: draw(values) for key in draw(keys) if key != "run"}
     return Run(draw(st.text(string.ascii_letters, min_size=1)), header, np.array(times), columns)
 
@@ -174,9 +172,7 @@ def test_parquet_written_elsewhere_with_plain_text_metadata_integers_and_nulls_i
     path = tmp_path / "x.parquet"
     table = pa.table({"time_s": [0, 1, 2], "top_1": [20.0, None, 22.0], "closed": [False, True, True]})
     pq.write_table(
-        table.replace_schema_metadata(
-            {"panel.material": "MDF", "panel.thickness_mm": "16.0", "pandas": "{}"}
-        ),
+        table.replace_schema_metadata({"panel.material": "MDF", "panel.thickness_mm": "16.0", "pandas": "{}"}),
         path,
     )
     run = read_run(path)

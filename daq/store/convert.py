@@ -1,0 +1,108 @@
+"""Between rows and records: times, JSON, header keys. Pure functions."""
+
+from __future__ import annotations
+
+import json
+import math
+import tomllib
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from typing import Any
+
+import numpy as np
+
+from daq.records import Array, Channel, Quality
+from daq.runfile import flat_keys, toml_line
+
+
+def unix_of(moment: datetime) -> float:
+    """Return seconds since 1970 of an aware datetime."""
+    return moment.timestamp()
+
+
+def utc_of(unix_s: float | None) -> datetime | None:
+    """Return the aware datetime, or None."""
+    return None if unix_s is None else datetime.fromtimestamp(unix_s, UTC)
+
+
+def known_utc(unix_s: float) -> datetime:
+    """Return the aware datetime of a column that is never empty."""
+    return datetime.fromtimestamp(unix_s, UTC)
+
+
+def null(value: float | None) -> float | None:
+    """Return None for NaN."""
+    return None if value is None or value != value else float(value)
+
+
+def nan(value: float | None) -> float:
+    """Return NaN for None."""
+    return math.nan if value is None else float(value)
+
+
+def to_json(value: Any) -> str:
+    """Write JSON; NaN becomes null."""
+    return json.dumps(_finite(value), ensure_ascii=False, separators=(",", ":"), default=_plain)
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {str(k): _finite(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(v) for v in value]
+    return value
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        return _finite(value.tolist())
+    if isinstance(value, np.generic):
+        return _finite(value.item())
+    if isinstance(value, datetime):
+        return value.isoformat()
+    return str(value)
+
+
+def readings_json(values: Sequence[float]) -> str:
+    """Write one scan's values; every float comes back to the last bit."""
+    return json.dumps([None if v != v else v for v in values], separators=(",", ":"))
+
+
+def readings_table(texts: Sequence[str], width: int) -> Array:
+    """Parse the values of many scans at once."""
+    if not texts:
+        return np.empty((0, width))
+    return np.array(json.loads("[" + ",".join(texts) + "]"), dtype=float).reshape(len(texts), width)
+
+
+def faults_json(channels: Sequence[Channel], qualities: Sequence[Quality]) -> str | None:
+    """Write the qualities that are not good, or None; ``*`` stands for every channel not named."""
+    rest = Quality.SIMULATED if Quality.SIMULATED in qualities else Quality.GOOD
+    faults = {c.name: q.value for c, q in zip(channels, qualities, strict=True) if q is not rest}
+    if rest is Quality.SIMULATED:
+        faults = {"*": rest.value, **faults}
+    return json.dumps(faults, separators=(",", ":")) if faults else None
+
+
+def qualities_of(channels: Sequence[Channel], faults: str | None) -> tuple[Quality, ...]:
+    """Return the quality of each channel."""
+    if faults is None:
+        return (Quality.GOOD,) * len(channels)
+    named = json.loads(faults)
+    rest = named.get("*", Quality.GOOD.value)
+    return tuple(Quality(named.get(c.name, rest)) for c in channels)
+
+
+def header_text(header: Mapping[str, Any]) -> str:
+    """Write header keys, one TOML line each."""
+    return "".join(toml_line(key, value) + "\n" for key, value in flat_keys(header))
+
+
+def header_of(text: str) -> dict[str, Any]:
+    """Read header keys written by `header_text`."""
+    header: dict[str, Any] = {}
+    for line in text.split("\n"):
+        header.update(flat_keys(tomllib.loads(line)))
+    return header

@@ -1,0 +1,261 @@
+"""What everybody reads: lists of runs, one run's data, the newest scans."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from sqlalchemy import Connection, Row, Select, func, select
+
+from daq.records import Array, Channel, InputError, Moments, Quality, Run, Scan
+from daq.store.convert import header_of, known_utc, nan, qualities_of, readings_table, utc_of
+from daq.store.records import Page, RunRecord, RunStatus, ScanBatch, StoredPressEvent
+from daq.store.schema import CONFIGURATION, LAYOUT, PRESS, PRESS_EVENT, RUN, SCAN
+
+_USABLE = {q.value for q in Quality if q.usable}
+
+
+def runs(connection: Connection, cursor: str | None, limit: int, filters: Mapping[str, Any]) -> Page[RunRecord]:
+    """Return a page of runs, newest first."""
+    query = _runs_query().order_by(RUN.c.run_number.desc()).limit(limit + 1)
+    if cursor is not None:
+        query = query.where(RUN.c.run_number < cursor_number(cursor))
+    for name, value in filters.items():
+        if value is not None:
+            query = query.where(_condition(name, value))
+    rows = connection.execute(query).all()
+    items = tuple(_run_record(row) for row in rows[:limit])
+    return Page(items, str(items[-1].number) if len(rows) > limit else None)
+
+
+def _condition(name: str, value: Any) -> Any:
+    if name == "press":
+        return PRESS.c.name == value
+    if name == "material":
+        return RUN.c.panel_material == value
+    if name == "status":
+        return RUN.c.status == str(value)
+    if name == "since":
+        return RUN.c.started_unix_s >= value.timestamp()
+    if name == "until":
+        return RUN.c.started_unix_s < value.timestamp()
+    raise AssertionError(name)
+
+
+def cursor_number(cursor: str) -> int:
+    """Return the row number a cursor stands for."""
+    try:
+        return int(cursor)
+    except ValueError as error:
+        raise InputError(
+            f"cursor {cursor!r}: not a cursor of this list; take next_cursor of the page before"
+        ) from error
+
+
+def _runs_query() -> Select[Any]:
+    return select(RUN, PRESS.c.name.label("press"), PRESS.c.kind).join(PRESS, PRESS.c.press_id == RUN.c.press_id)
+
+
+def run_row(connection: Connection, run: str) -> Row[Any]:
+    """Return a run's row with its press; raises `InputError` where there is none."""
+    row = connection.execute(_runs_query().where(RUN.c.run == run)).first()
+    if row is None:
+        raise InputError(f"run {run!r} is not in the store; kerntemp export lists runs, a file needs its path")
+    return row
+
+
+def run_record(connection: Connection, run: str) -> RunRecord:
+    """Return one run's record."""
+    return _run_record(run_row(connection, run))
+
+
+def open_run(connection: Connection, press: str) -> RunRecord | None:
+    """Return the run being recorded, or None."""
+    query = (
+        _runs_query()
+        .where(RUN.c.status == RunStatus.OPEN.value, PRESS.c.name == press)
+        .order_by(RUN.c.run_number.desc())
+        .limit(1)
+    )
+    row = connection.execute(query).first()
+    return None if row is None else _run_record(row)
+
+
+def _run_record(row: Row[Any]) -> RunRecord:
+    return RunRecord(
+        number=row.run_number,
+        run=row.run,
+        press=row.press,
+        kind=row.kind,
+        status=RunStatus(row.status),
+        started_utc=known_utc(row.started_unix_s),
+        ended_utc=utc_of(row.ended_unix_s),
+        first_scan=row.first_scan,
+        last_scan=row.last_scan,
+        zero_monotonic_s=row.zero_monotonic_s,
+        moments=Moments(nan(row.inserted_s), nan(row.closed_s), nan(row.opened_s), nan(row.removed_s)),
+        header=header_of(row.header_toml),
+        remark=row.remark,
+        software_version=row.software_version,
+    )
+
+
+def load_run(
+    connection: Connection,
+    run: str,
+    columns: Sequence[str] | None = None,
+    from_s: float | None = None,
+    to_s: float | None = None,
+) -> Run:
+    """Return a run with its data so far; cells that are not usable are NaN."""
+    row = run_row(connection, run)
+    zero = row.zero_monotonic_s
+    query = select(SCAN.c.monotonic_s, SCAN.c.layout_id, SCAN.c.readings, SCAN.c.faults).where(
+        SCAN.c.press_id == row.press_id, SCAN.c.number >= row.first_scan
+    )
+    if row.last_scan is not None:
+        query = query.where(SCAN.c.number <= row.last_scan)
+    if from_s is not None:
+        query = query.where(SCAN.c.monotonic_s >= from_s + zero)
+    if to_s is not None:
+        query = query.where(SCAN.c.monotonic_s <= to_s + zero)
+    scans = connection.execute(query.order_by(SCAN.c.number)).all()
+    times = np.array([s[0] for s in scans], dtype=float)
+    layouts = dict.fromkeys(s[1] for s in scans) or {_first_layout(connection, row.press_id): None}
+    table: dict[str, Array] = {}
+    for layout_id in layouts:
+        channels = layout_channels(connection, layout_id)
+        chosen = np.array([s[1] == layout_id for s in scans], dtype=bool)
+        values = _usable_values(channels, [(s[2], s[3]) for s in scans if s[1] == layout_id])
+        for i, channel in enumerate(channels):
+            table.setdefault(channel.name, np.full(len(scans), np.nan))[chosen] = values[:, i]
+    if columns is not None:
+        if unknown := [c for c in columns if c not in table]:
+            raise InputError(f"run {run!r} has no column {unknown[0]!r}; it has {', '.join(table)}")
+        table = {name: table[name] for name in columns}
+    time_s = np.round(times - zero, 6) if zero else times
+    return Run(run, header_of(row.header_toml), time_s, table, source="store")
+
+
+def _usable_values(channels: Sequence[Channel], scans: Sequence[tuple[str, str | None]]) -> Array:
+    values = readings_table([readings for readings, _ in scans], len(channels))
+    places = {c.name: i for i, c in enumerate(channels)}
+    for number, (_, faults) in enumerate(scans):
+        if faults is not None:
+            for name, quality in json.loads(faults).items():
+                if quality not in _USABLE and name in places:
+                    values[number, places[name]] = np.nan
+    return values
+
+
+def _first_layout(connection: Connection, press_id: int) -> int:
+    newest = select(func.max(LAYOUT.c.layout_id)).where(LAYOUT.c.press_id == press_id)
+    return int(connection.execute(newest).scalar_one())
+
+
+def layout_channels(connection: Connection, layout_id: int) -> tuple[Channel, ...]:
+    """Return the channels of a layout in the order of `scan.readings`."""
+    columns = connection.execute(select(LAYOUT.c.columns_json).where(LAYOUT.c.layout_id == layout_id)).scalar_one()
+    return tuple(Channel(name, unit) for name, unit in json.loads(columns))
+
+
+def recorded_id(connection: Connection, press: str) -> int | None:
+    """Return the row number of a press that is recorded here, or None."""
+    found = connection.execute(
+        select(PRESS.c.press_id).where(PRESS.c.name == press, PRESS.c.kind == "recorded")
+    ).scalar()
+    return None if found is None else int(found)
+
+
+def channels(connection: Connection, press: str) -> tuple[Channel, ...]:
+    """Return the channels a press is recorded with now; empty where it never was."""
+    press_id = recorded_id(connection, press)
+    if press_id is None:
+        return ()
+    newest = select(SCAN.c.layout_id).where(SCAN.c.press_id == press_id).order_by(SCAN.c.number.desc()).limit(1)
+    layout = connection.execute(newest).scalar()
+    return layout_channels(connection, _first_layout(connection, press_id) if layout is None else layout)
+
+
+def newest_number(connection: Connection, press: str) -> int:
+    """Return the number of the newest scan, -1 where there is none."""
+    press_id = recorded_id(connection, press)
+    number = connection.execute(select(func.max(SCAN.c.number)).where(SCAN.c.press_id == press_id)).scalar()
+    return -1 if number is None else int(number)
+
+
+def scans_after(connection: Connection, press: str, last_number: int, limit: int) -> ScanBatch:
+    """Return the scans that follow `last_number`, all of one layout."""
+    press_id = recorded_id(connection, press)
+    if press_id is None:
+        return ScanBatch((), ())
+    rows = connection.execute(
+        select(SCAN)
+        .where(SCAN.c.press_id == press_id, SCAN.c.number > last_number)
+        .order_by(SCAN.c.number)
+        .limit(limit)
+    ).all()
+    if not rows:
+        return ScanBatch((), ())
+    same = [row for row in rows if row.layout_id == rows[0].layout_id]
+    named = layout_channels(connection, rows[0].layout_id)
+    table = readings_table([row.readings for row in same], len(named))
+    scans = tuple(
+        Scan(
+            row.number,
+            known_utc(row.unix_s),
+            row.monotonic_s,
+            tuple(table[i].tolist()),
+            qualities_of(named, row.faults),
+        )
+        for i, row in enumerate(same)
+    )
+    return ScanBatch(named, scans)
+
+
+def press_events(
+    connection: Connection, press: str | None, after: int, limit: int, since_scan: int | None
+) -> list[StoredPressEvent]:
+    """Return press events in the order they were noticed."""
+    query = (
+        select(PRESS_EVENT, PRESS.c.name.label("press"))
+        .join(PRESS, PRESS.c.press_id == PRESS_EVENT.c.press_id)
+        .where(PRESS_EVENT.c.press_event_id > after)
+        .order_by(PRESS_EVENT.c.press_event_id)
+        .limit(limit)
+    )
+    if press is not None:
+        query = query.where(PRESS.c.name == press)
+    if since_scan is not None:
+        query = query.where(PRESS_EVENT.c.scan_number >= since_scan)
+    return [
+        StoredPressEvent(
+            r.press_event_id,
+            r.press,
+            r.kind,
+            utc_of(r.unix_s),
+            r.monotonic_s,
+            r.noticed_monotonic_s,
+            r.scan_number,
+            r.source,
+        )
+        for r in connection.execute(query).all()
+    ]
+
+
+def presses(connection: Connection) -> dict[str, str]:
+    """Return the press file text of each press by name."""
+    rows = connection.execute(select(PRESS.c.name, PRESS.c.press_file).order_by(PRESS.c.kind)).all()
+    return {row.name: row.press_file for row in reversed(rows)}
+
+
+def configuration_of(connection: Connection, run: str) -> str:
+    """Return the settings text a run was recorded with; empty where none was kept."""
+    query = (
+        select(CONFIGURATION.c.text)
+        .join(RUN, RUN.c.configuration_id == CONFIGURATION.c.configuration_id)
+        .where(RUN.c.run == run)
+    )
+    return str(connection.execute(query).scalar() or "")

@@ -1,0 +1,365 @@
+"""What recorder and import write: presses, scans, press events, runs. Each function works in one transaction."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from typing import Any, Literal
+
+from sqlalchemy import Connection, func, insert, select, text, update
+from sqlalchemy.exc import IntegrityError
+
+from daq.records import Channel, InputError, PressEvent, Run, Scan
+from daq.store.convert import faults_json, header_of, header_text, null, readings_json, unix_of, utc_of
+from daq.store.records import NewRun, PressKey, RunEnd, RunStatus, StoreUnavailable
+from daq.store.schema import CONFIGURATION, LAYOUT, PRESS, PRESS_EVENT, RUN, RUN_CHANGE, SCAN
+
+Kind = Literal["recorded", "imported"]
+
+
+def register_press(
+    connection: Connection, name: str, channels: Sequence[Channel], press_file: str, kind: Kind
+) -> PressKey:
+    """Return the press's key, made or brought up to date."""
+    now = unix_of(datetime.now(UTC))
+    row = connection.execute(select(PRESS).where(PRESS.c.name == name, PRESS.c.kind == kind)).first()
+    if row is None:
+        press_id = _inserted(connection, PRESS, name=name, kind=kind, press_file=press_file, created_unix_s=now)
+    else:
+        press_id = int(row.press_id)
+        if press_file and press_file != row.press_file:
+            connection.execute(update(PRESS).where(PRESS.c.press_id == press_id).values(press_file=press_file))
+    layout_id = _layout(connection, press_id, channels, now)
+    if kind == "recorded":
+        _make_view(connection, name, press_id, layout_id, channels)
+    return PressKey(press_id, name, layout_id, tuple(channels), _next_number(connection, press_id))
+
+
+def _layout(connection: Connection, press_id: int, channels: Sequence[Channel], now: float) -> int:
+    columns = json.dumps([[c.name, c.unit] for c in channels], ensure_ascii=False)
+    same = select(func.max(LAYOUT.c.layout_id)).where(
+        LAYOUT.c.press_id == press_id, LAYOUT.c.columns_json == columns
+    )
+    found = connection.execute(same).scalar()
+    if found is not None:
+        return int(found)
+    return _inserted(connection, LAYOUT, press_id=press_id, columns_json=columns, created_unix_s=now)
+
+
+def _next_number(connection: Connection, press_id: int) -> int:
+    scan = connection.execute(select(func.max(SCAN.c.number)).where(SCAN.c.press_id == press_id)).scalar()
+    run = connection.execute(select(func.max(RUN.c.last_scan)).where(RUN.c.press_id == press_id)).scalar()
+    return max(-1 if scan is None else scan, -1 if run is None else run) + 1
+
+
+def _make_view(
+    connection: Connection, name: str, press_id: int, layout_id: int, channels: Sequence[Channel]
+) -> None:
+    """Make ``scan_of_<press>``: the newest layout's scans under real channel names, for any SQL tool."""
+    view = _quoted("scan_of_" + "".join(c if c.isalnum() else "_" for c in name))
+    if connection.dialect.name == "sqlite":
+        values = [f"json_extract(readings, '$[{i}]')" for i in range(len(channels))]
+        utc = "strftime('%Y-%m-%dT%H:%M:%fZ', unix_s, 'unixepoch')"
+    else:
+        values = [f"(readings::json ->> {i})::double precision" for i in range(len(channels))]
+        utc = "to_timestamp(unix_s) AT TIME ZONE 'UTC'"
+    named = [
+        f"{value} AS {_quoted(c.name + ('_celsius' if c.unit == 'C' else ''))}"
+        for c, value in zip(channels, values, strict=True)
+    ]
+    columns = ", ".join(["number", f"{utc} AS utc", "monotonic_s", *named, "faults"])
+    connection.execute(text(f"DROP VIEW IF EXISTS {view}"))
+    body = f"CREATE VIEW {view} AS SELECT {columns} FROM scan"
+    connection.exec_driver_sql(
+        f"{body} WHERE press_id = {press_id} AND layout_id = {layout_id}".replace("%", "%%")
+        if connection.dialect.name == "postgresql"
+        else f"{body} WHERE press_id = {press_id} AND layout_id = {layout_id}"
+    )
+
+
+def _quoted(name: str) -> str:
+    return '"' + name.replace('"', '""') + '"'
+
+
+def append(
+    connection: Connection,
+    key: PressKey,
+    scans: Sequence[Scan],
+    events: Sequence[PressEvent],
+    begin: NewRun | None,
+    end: RunEnd | None,
+) -> None:
+    """Write scans, then what they brought about: a run's begin, press events, a run's end."""
+    _append_scans(connection, key, scans)
+    if begin is not None:
+        _begin_run(connection, key, begin)
+    for event in events:
+        _append_event(connection, key, event, scans[-1].number if scans else key.next_number)
+    if end is not None:
+        connection.execute(
+            update(RUN)
+            .where(RUN.c.run == end.run, RUN.c.status == RunStatus.OPEN.value)
+            .values(status=end.status.value, last_scan=end.last_scan, ended_unix_s=unix_of(end.ended_utc))
+        )
+
+
+def _append_scans(connection: Connection, key: PressKey, scans: Sequence[Scan]) -> None:
+    if not scans:
+        return
+    rows = [
+        {
+            "press_id": key.press_id,
+            "number": scan.number,
+            "unix_s": unix_of(scan.utc),
+            "monotonic_s": scan.monotonic_s,
+            "layout_id": key.layout_id,
+            "readings": readings_json(scan.values),
+            "faults": faults_json(key.channels, scan.qualities),
+        }
+        for scan in scans
+    ]
+    try:
+        with connection.begin_nested():
+            connection.execute(insert(SCAN), rows)
+    except IntegrityError:
+        _append_unless_there(connection, key, rows)
+
+
+def _append_unless_there(connection: Connection, key: PressKey, rows: list[dict[str, Any]]) -> None:
+    """Write again what a lost acknowledgement may have written already; refuse a second recorder's numbers."""
+    for row in rows:
+        same = select(SCAN).where(SCAN.c.press_id == key.press_id, SCAN.c.number == row["number"])
+        there = connection.execute(same).mappings().first()
+        if there is None:
+            connection.execute(insert(SCAN), row)
+        elif there["monotonic_s"] != row["monotonic_s"] or there["readings"] != row["readings"]:
+            raise StoreUnavailable(
+                f"press {key.name}: scan {row['number']} is there already with other values; "
+                "another recorder writes to this press: stop one of them"
+            )
+
+
+def _begin_run(connection: Connection, key: PressKey, new: NewRun) -> None:
+    if connection.execute(select(RUN.c.run).where(RUN.c.run == new.run)).first():
+        return
+    connection.execute(
+        insert(RUN),
+        {
+            "run": new.run,
+            "press_id": key.press_id,
+            "status": RunStatus.OPEN.value,
+            "started_unix_s": unix_of(new.started_utc),
+            "zero_monotonic_s": new.zero_monotonic_s,
+            "first_scan": new.first_scan,
+            "configuration_id": _configuration(connection, new.configuration),
+            **_header_columns({**new.header, "run": new.run}),
+        },
+    )
+
+
+def _header_columns(header: Mapping[str, Any]) -> dict[str, Any]:
+    thickness = header.get("panel.thickness_mm")
+    material = header.get("panel.material")
+    return {
+        "panel_material": None if material is None else str(material),
+        "panel_thickness_mm": null(thickness) if isinstance(thickness, int | float) else None,
+        "header_toml": header_text(header),
+        "remark": "",
+        "software_version": software_version(),
+    }
+
+
+def software_version() -> str:
+    """Return the installed version, for the record."""
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version("kerntemp")
+    except PackageNotFoundError:
+        return "uninstalled"
+
+
+def _configuration(connection: Connection, content: str) -> int | None:
+    if not content:
+        return None
+    found = connection.execute(
+        select(CONFIGURATION.c.configuration_id).where(CONFIGURATION.c.text == content)
+    ).scalar()
+    if found is not None:
+        return int(found)
+    return _inserted(connection, CONFIGURATION, text=content, created_unix_s=unix_of(datetime.now(UTC)))
+
+
+def _append_event(connection: Connection, key: PressKey, event: PressEvent, number: int) -> None:
+    there = select(PRESS_EVENT.c.press_event_id).where(
+        PRESS_EVENT.c.press_id == key.press_id,
+        PRESS_EVENT.c.scan_number == number,
+        PRESS_EVENT.c.kind == event.kind.value,
+    )
+    if connection.execute(there).first():
+        return
+    before = (
+        select(SCAN.c.unix_s)
+        .where(
+            SCAN.c.press_id == key.press_id,
+            SCAN.c.number <= number,
+            SCAN.c.number > number - 1000,
+            SCAN.c.monotonic_s <= event.monotonic_s,
+        )
+        .order_by(SCAN.c.number.desc())
+        .limit(1)
+    )
+    connection.execute(
+        insert(PRESS_EVENT),
+        {
+            "press_id": key.press_id,
+            "kind": event.kind.value,
+            "unix_s": connection.execute(before).scalar(),
+            "monotonic_s": event.monotonic_s,
+            "noticed_monotonic_s": event.noticed_s,
+            "scan_number": number,
+            "source": event.source,
+        },
+    )
+    moment = RUN.c[f"{event.kind.value}_s"]
+    connection.execute(
+        update(RUN)
+        .where(RUN.c.press_id == key.press_id, RUN.c.status == RunStatus.OPEN.value, moment.is_(None))
+        .values({moment: event.monotonic_s - RUN.c.zero_monotonic_s})
+    )
+
+
+def interrupt_open_runs(connection: Connection, press: str) -> list[str]:
+    """Mark runs that a crash left open; their data stay. Returns their names."""
+    is_open = (
+        select(RUN.c.run, RUN.c.press_id, RUN.c.first_scan)
+        .join(PRESS, PRESS.c.press_id == RUN.c.press_id)
+        .where(PRESS.c.name == press, RUN.c.status == RunStatus.OPEN.value)
+    )
+    names = []
+    for run, press_id, first_scan in connection.execute(is_open).all():
+        last = connection.execute(
+            select(SCAN.c.number, SCAN.c.unix_s)
+            .where(SCAN.c.press_id == press_id, SCAN.c.number >= first_scan)
+            .order_by(SCAN.c.number.desc())
+            .limit(1)
+        ).first()
+        connection.execute(
+            update(RUN)
+            .where(RUN.c.run == run)
+            .values(
+                status=RunStatus.INTERRUPTED.value,
+                last_scan=last.number if last else first_scan,
+                ended_unix_s=last.unix_s if last else None,
+            )
+        )
+        names.append(str(run))
+    return names
+
+
+def unused_run_name(connection: Connection, press: str, when: datetime) -> str:
+    """Return ``press-date-NN`` with the next free number of the day."""
+    prefix = f"{press}-{when:%Y-%m-%d}-"
+    taken = connection.execute(select(RUN.c.run).where(RUN.c.run >= prefix, RUN.c.run < prefix + "~")).scalars()
+    numbers = [int(name.removeprefix(prefix)) for name in taken if name.removeprefix(prefix).isdigit()]
+    return f"{prefix}{max(numbers, default=0) + 1:02d}"
+
+
+def import_run(connection: Connection, run: Run, press: str, press_file: str) -> str:
+    """Store a run from elsewhere whole; raises `InputError` where its name is taken."""
+    if connection.execute(select(RUN.c.run).where(RUN.c.run == run.name)).first():
+        raise InputError(
+            f"{run.source or run.name}: run {run.name!r} is in the store already; "
+            "nothing was imported; change the header key run"
+        )
+    channels = tuple(Channel(name, _unit(name)) for name in run.columns)
+    key = register_press(connection, press, channels, press_file, "imported")
+    number = key.next_number
+    columns = zip(*(c.tolist() for c in run.columns.values()), strict=True) if run.columns else None
+    cells = list(columns) if columns is not None else [()] * len(run.time_s)
+    rows = [
+        {
+            "press_id": key.press_id,
+            "number": number + i,
+            "unix_s": None,
+            "monotonic_s": time_s,
+            "layout_id": key.layout_id,
+            "readings": readings_json(values),
+            "faults": None,
+        }
+        for i, (time_s, values) in enumerate(zip(run.time_s.tolist(), cells, strict=True))
+    ]
+    if rows:
+        connection.execute(insert(SCAN), rows)
+    now = unix_of(datetime.now(UTC))
+    connection.execute(
+        insert(RUN),
+        {
+            "run": run.name,
+            "press_id": key.press_id,
+            "status": RunStatus.CLOSED.value,
+            "started_unix_s": now,
+            "ended_unix_s": now,
+            "zero_monotonic_s": 0.0,
+            "first_scan": number,
+            "last_scan": number + len(rows) - 1,
+            **_header_columns({**run.header, "run": run.name}),
+        },
+    )
+    return run.name
+
+
+def _unit(column: str) -> str:
+    return "C" if column.partition("_")[0] in ("platen", "top", "bottom", "core", "T") else ""
+
+
+def annotate_run(connection: Connection, run: str, changes: Mapping[str, Any], who: str) -> None:
+    """Change header keys or the remark of a run; what was there before is kept. None removes a key."""
+    row = connection.execute(select(RUN.c.header_toml, RUN.c.remark).where(RUN.c.run == run)).first()
+    if row is None:
+        raise InputError(f"run {run!r} is not in the store")
+    header, remark = header_of(row.header_toml), row.remark
+    if "run" in changes:
+        raise InputError(f"run {run!r}: the name of a run cannot change")
+    now = unix_of(datetime.now(UTC))
+    for field, after in changes.items():
+        before = remark if field == "remark" else header.get(field)
+        if field == "remark":
+            remark = str(after)
+        elif after is None:
+            header.pop(field, None)
+        else:
+            header[field] = after
+        connection.execute(
+            insert(RUN_CHANGE),
+            {
+                "run": run,
+                "unix_s": now,
+                "who": who,
+                "field": field,
+                "before_toml": None if before is None else header_text({"value": before}),
+                "after_toml": None if after is None else header_text({"value": after}),
+            },
+        )
+    columns = {k: v for k, v in _header_columns(header).items() if k != "software_version"}
+    connection.execute(update(RUN).where(RUN.c.run == run).values({**columns, "remark": remark}))
+
+
+def run_changes(connection: Connection, run: str) -> list[tuple[Any, ...]]:
+    """Return time, who, field, before, after of each edit, oldest first."""
+    rows = connection.execute(
+        select(RUN_CHANGE).where(RUN_CHANGE.c.run == run).order_by(RUN_CHANGE.c.run_change_id)
+    ).all()
+    return [(utc_of(r.unix_s), r.who, r.field, _value(r.before_toml), _value(r.after_toml)) for r in rows]
+
+
+def _value(content: str | None) -> Any:
+    return None if content is None else header_of(content).get("value")
+
+
+def _inserted(connection: Connection, table: Any, **values: Any) -> int:
+    key = connection.execute(insert(table), values).inserted_primary_key
+    if key is None:
+        raise AssertionError("insert gave no key")
+    return int(key[0])

@@ -1,0 +1,204 @@
+"""What the store hands out and takes in, beyond the shared vocabulary. Frozen data."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from datetime import datetime
+from enum import StrEnum
+from typing import Any, Generic, Literal, TypeVar
+
+from daq.records import Channel, Moments, PressState, Scan
+
+T = TypeVar("T")
+
+
+class StoreUnavailable(RuntimeError):
+    """The store cannot do it now: locked, full, read-only, unreachable. The text says what to do."""
+
+
+class RunStatus(StrEnum):
+    """The life of a run."""
+
+    OPEN = "open"
+    CLOSED = "closed"
+    INTERRUPTED = "interrupted"
+
+
+@dataclass(frozen=True)
+class PressKey:
+    """A registered press: what a recorder needs to append to it."""
+
+    press_id: int
+    name: str
+    layout_id: int
+    channels: tuple[Channel, ...]
+    next_number: int
+    """The number the next scan gets; numbers go on over restarts."""
+
+
+@dataclass(frozen=True)
+class NewRun:
+    """A run to open: its first scan may lie back in time (pre-trigger)."""
+
+    run: str
+    first_scan: int
+    started_utc: datetime
+    zero_monotonic_s: float
+    header: Mapping[str, Any] = field(default_factory=dict)
+    configuration: str = ""
+    """The settings in force, as text."""
+
+
+@dataclass(frozen=True)
+class RunEnd:
+    """A run to close."""
+
+    run: str
+    last_scan: int
+    ended_utc: datetime
+    status: RunStatus = RunStatus.CLOSED
+
+
+@dataclass(frozen=True)
+class RunRecord:
+    """One run as lists show it; `Store.load_run` gives its data."""
+
+    number: int
+    run: str
+    press: str
+    kind: Literal["recorded", "imported"]
+    status: RunStatus
+    started_utc: datetime
+    ended_utc: datetime | None
+    first_scan: int
+    last_scan: int | None
+    """None while the run is open."""
+    zero_monotonic_s: float
+    moments: Moments
+    """As the recorder found them live; NaN where not (yet) known."""
+    header: Mapping[str, Any]
+    remark: str
+    software_version: str
+
+
+@dataclass(frozen=True)
+class RunChange:
+    """One edit of a run's metadata."""
+
+    utc: datetime
+    who: str
+    field: str
+    before: Any
+    after: Any
+
+
+@dataclass(frozen=True)
+class ScanBatch:
+    """Consecutive scans that share their channels; empty when there is nothing new."""
+
+    channels: tuple[Channel, ...]
+    scans: tuple[Scan, ...]
+
+
+@dataclass(frozen=True)
+class StoredEstimate:
+    """What the live sensor said at one scan."""
+
+    number: int
+    """The scan it belongs to."""
+    monotonic_s: float
+    state: PressState | Literal["unknown"]
+    core_celsius: float
+    core_sd_kelvin: float
+    core_low_celsius: float
+    core_high_celsius: float
+    valid: bool
+    reason: str = ""
+    model_version: str = ""
+    detail: Mapping[str, Any] | None = None
+    """Anything else worth keeping, as JSON: innovations, predicted surfaces."""
+
+
+@dataclass(frozen=True)
+class StoredPressEvent:
+    """A press event with its row number, for followers."""
+
+    number: int
+    press: str
+    kind: str
+    utc: datetime | None
+    monotonic_s: float
+    noticed_s: float
+    scan_number: int
+    source: str
+
+
+@dataclass(frozen=True)
+class CoefficientRecord:
+    """One coefficient of one fit."""
+
+    fit_number: int
+    run: str
+    started_utc: datetime
+    name: str
+    value: float
+    sd: float
+    low: float
+    high: float
+    identifiable: bool
+    model_version: str
+
+
+@dataclass(frozen=True)
+class ModelRecord:
+    """One model version: the JSON of the model file and what became of it."""
+
+    number: int
+    version: str
+    press: str
+    created_utc: datetime
+    status: Literal["candidate", "promoted", "retired", "rejected"]
+    reason: str
+    model: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class DiagnosisRecord:
+    """One diagnosis as `kerntemp diagnose --json` writes it."""
+
+    number: int
+    press: str
+    created_utc: datetime
+    verdict: str
+    diagnosis: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class JournalEntry:
+    """One line of the journal: an alarm, a loss, a change of state, who did what."""
+
+    number: int
+    utc: datetime
+    level: Literal["info", "warning", "alarm"]
+    process: str
+    press: str | None
+    message: str
+    detail: Mapping[str, Any] | None
+
+
+@dataclass(frozen=True)
+class ProcessStatus:
+    """The newest sign of life of a process."""
+
+    process: str
+    utc: datetime
+    status: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Page(Generic[T]):
+    """Part of a list, newest first, and where the next part begins."""
+
+    items: tuple[T, ...]
+    next_cursor: str | None

@@ -1,0 +1,349 @@
+"""What sensor, nightly job and every process write and read beyond scans: estimates, fits, models, the journal."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from typing import Any, Literal
+
+from sqlalchemy import Connection, Row, Table, func, insert, select, update
+from sqlalchemy.dialects import postgresql, sqlite
+
+from daq.records import InputError, PressState
+from daq.store.convert import known_utc, nan, null, to_json, unix_of
+from daq.store.reading import cursor_number, recorded_id, run_row
+from daq.store.records import (
+    CoefficientRecord,
+    DiagnosisRecord,
+    JournalEntry,
+    ModelRecord,
+    Page,
+    ProcessStatus,
+    StoredEstimate,
+)
+from daq.store.schema import COEFFICIENT, DIAGNOSIS, ESTIMATE, EVENT, FIT, MODEL, RUN, STATUS
+
+ModelStatus = Literal["candidate", "promoted", "retired", "rejected"]
+
+
+def _now() -> float:
+    return unix_of(datetime.now(UTC))
+
+
+def _put(connection: Connection, table: Table, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Insert rows; a row whose key is there already takes the new values."""
+    insert_into = sqlite.insert if connection.dialect.name == "sqlite" else postgresql.insert
+    statement: Any = insert_into(table)
+    keys = [c.name for c in table.primary_key]
+    changed = {c.name: statement.excluded[c.name] for c in table.columns if c.name not in keys}
+    connection.execute(statement.on_conflict_do_update(index_elements=keys, set_=changed), list(rows))
+
+
+def append_estimates(connection: Connection, press_id: int, estimates: Sequence[StoredEstimate]) -> None:
+    """Write estimates; a second one for the same scan replaces the first."""
+    if not estimates:
+        return
+    rows = [
+        {
+            "press_id": press_id,
+            "number": e.number,
+            "monotonic_s": e.monotonic_s,
+            "state": str(e.state),
+            "core_celsius": null(e.core_celsius),
+            "core_sd_kelvin": null(e.core_sd_kelvin),
+            "core_low_celsius": null(e.core_low_celsius),
+            "core_high_celsius": null(e.core_high_celsius),
+            "valid": int(e.valid),
+            "reason": e.reason,
+            "model_version": e.model_version,
+            "detail_json": None if e.detail is None else to_json(e.detail),
+        }
+        for e in estimates
+    ]
+    _put(connection, ESTIMATE, rows)
+
+
+def _estimate(row: Row[Any]) -> StoredEstimate:
+    return StoredEstimate(
+        row.number,
+        row.monotonic_s,
+        "unknown" if row.state not in set(PressState) else PressState(row.state),
+        nan(row.core_celsius),
+        nan(row.core_sd_kelvin),
+        nan(row.core_low_celsius),
+        nan(row.core_high_celsius),
+        bool(row.valid),
+        row.reason,
+        row.model_version,
+        None if row.detail_json is None else json.loads(row.detail_json),
+    )
+
+
+def estimates_after(
+    connection: Connection, press: str, last_number: int, limit: int
+) -> tuple[StoredEstimate, ...]:
+    """Return the estimates of a recorded press that follow scan `last_number`."""
+    query = (
+        select(ESTIMATE)
+        .where(ESTIMATE.c.press_id == recorded_id(connection, press), ESTIMATE.c.number > last_number)
+        .order_by(ESTIMATE.c.number)
+        .limit(limit)
+    )
+    return tuple(_estimate(row) for row in connection.execute(query).all())
+
+
+def newest_estimate_number(connection: Connection, press: str) -> int:
+    """Return the scan of the newest estimate, -1 where there is none."""
+    newest = select(func.max(ESTIMATE.c.number)).where(ESTIMATE.c.press_id == recorded_id(connection, press))
+    number = connection.execute(newest).scalar()
+    return -1 if number is None else int(number)
+
+
+def estimates_of(connection: Connection, run: str) -> tuple[tuple[float, StoredEstimate], ...]:
+    """Return time in the run and estimate, for each scan of a run that has one."""
+    row = run_row(connection, run)
+    query = select(ESTIMATE).where(ESTIMATE.c.press_id == row.press_id, ESTIMATE.c.number >= row.first_scan)
+    if row.last_scan is not None:
+        query = query.where(ESTIMATE.c.number <= row.last_scan)
+    found = connection.execute(query.order_by(ESTIMATE.c.number)).all()
+    return tuple((round(e.monotonic_s - row.zero_monotonic_s, 6), _estimate(e)) for e in found)
+
+
+def put_fit(connection: Connection, run: str, fit: Mapping[str, Any], model_version: str) -> int:
+    """Keep a run's fit (one entry of ``runs`` of ``fit --json``) and its coefficients for the history."""
+    run_row(connection, run)
+    row = {
+        "run": run,
+        "created_unix_s": _now(),
+        "model_version": model_version,
+        "converged": int(bool(fit.get("converged", False))),
+        "rmse_kelvin": null(fit.get("rmse_K")),
+        "fit_json": to_json(fit),
+    }
+    fit_id = _key(connection, FIT, row)
+    coefficients = [
+        {
+            "fit_id": fit_id,
+            "name": name,
+            "value": null(value.get("value")),
+            "sd": null(value.get("sd")),
+            "low": null((value.get("ci95") or (None, None))[0]),
+            "high": null((value.get("ci95") or (None, None))[1]),
+            "identifiable": int(bool(value.get("identifiable", True))),
+        }
+        for name, value in fit.get("coefficients", {}).items()
+    ]
+    if coefficients:
+        connection.execute(insert(COEFFICIENT), coefficients)
+    return fit_id
+
+
+def fit_of(connection: Connection, run: str) -> dict[str, Any] | None:
+    """Return the newest fit of a run as JSON, with ``model_version``; None where it was never fitted."""
+    row = connection.execute(select(FIT).where(FIT.c.run == run).order_by(FIT.c.fit_id.desc()).limit(1)).first()
+    return None if row is None else {**json.loads(row.fit_json), "model_version": row.model_version}
+
+
+def coefficient_history(
+    connection: Connection, press: str | None, cursor: str | None, limit: int
+) -> Page[CoefficientRecord]:
+    """Return the coefficients of the newest fit of each run, newest fit first; `limit` counts fits."""
+    newer = FIT.alias("newer")
+    superseded = select(newer.c.fit_id).where(newer.c.run == FIT.c.run, newer.c.fit_id > FIT.c.fit_id)
+    query = select(FIT.c.fit_id).where(~superseded.exists()).order_by(FIT.c.fit_id.desc()).limit(limit + 1)
+    if cursor is not None:
+        query = query.where(FIT.c.fit_id < cursor_number(cursor))
+    if press is not None:
+        query = query.join(RUN, RUN.c.run == FIT.c.run).where(RUN.c.press_id.in_(_press_ids(press)))
+    fits = list(connection.execute(query).scalars())
+    rows = connection.execute(
+        select(COEFFICIENT, FIT.c.run, FIT.c.model_version, RUN.c.started_unix_s)
+        .join(FIT, FIT.c.fit_id == COEFFICIENT.c.fit_id)
+        .join(RUN, RUN.c.run == FIT.c.run)
+        .where(COEFFICIENT.c.fit_id.in_(fits[:limit]))
+        .order_by(COEFFICIENT.c.fit_id.desc(), COEFFICIENT.c.name)
+    ).all()
+    items = tuple(
+        CoefficientRecord(
+            r.fit_id,
+            r.run,
+            known_utc(r.started_unix_s),
+            r.name,
+            nan(r.value),
+            nan(r.sd),
+            nan(r.low),
+            nan(r.high),
+            bool(r.identifiable),
+            r.model_version,
+        )
+        for r in rows
+    )
+    return Page(items, str(fits[limit - 1]) if len(fits) > limit else None)
+
+
+def _press_ids(press: str) -> Any:
+    from daq.store.schema import PRESS
+
+    return select(PRESS.c.press_id).where(PRESS.c.name == press)
+
+
+def put_model(
+    connection: Connection,
+    press: str,
+    version: str,
+    model: Mapping[str, Any],
+    status: ModelStatus,
+    reason: str,
+) -> int:
+    """Keep a model version; raises `InputError` where the version exists."""
+    if connection.execute(select(MODEL.c.version).where(MODEL.c.version == version)).first():
+        raise InputError(f"model version {version!r} is in the store already; versions never change")
+    row = {
+        "version": version,
+        "press": press,
+        "created_unix_s": _now(),
+        "status": status,
+        "reason": reason,
+        "model_json": to_json(model),
+    }
+    return _key(connection, MODEL, row)
+
+
+def promote_model(connection: Connection, version: str, who: str, reason: str) -> None:
+    """Make a version the one the live sensor uses; the one before is retired."""
+    press = connection.execute(select(MODEL.c.press).where(MODEL.c.version == version)).scalar()
+    if press is None:
+        raise InputError(f"model version {version!r} is not in the store")
+    current = (MODEL.c.press == press, MODEL.c.status == "promoted", MODEL.c.version != version)
+    connection.execute(update(MODEL).where(*current).values(status="retired"))
+    connection.execute(
+        update(MODEL).where(MODEL.c.version == version).values(status="promoted", reason=reason or MODEL.c.reason)
+    )
+    log(connection, "info", who, f"model {version} promoted", press, {"reason": reason})
+
+
+def active_model(connection: Connection, press: str) -> ModelRecord | None:
+    """Return the promoted model of a press, or None."""
+    row = connection.execute(select(MODEL).where(MODEL.c.press == press, MODEL.c.status == "promoted")).first()
+    return None if row is None else _model(row)
+
+
+def model(connection: Connection, version: str) -> ModelRecord:
+    """Return one version; raises `InputError` where there is none."""
+    row = connection.execute(select(MODEL).where(MODEL.c.version == version)).first()
+    if row is None:
+        raise InputError(f"model version {version!r} is not in the store")
+    return _model(row)
+
+
+def models(connection: Connection, press: str | None, cursor: str | None, limit: int) -> Page[ModelRecord]:
+    """Return a page of model versions, newest first."""
+    rows, following = _newest_first(connection, MODEL, "model_number", press, cursor, limit)
+    return Page(tuple(_model(row) for row in rows), following)
+
+
+def _model(r: Row[Any]) -> ModelRecord:
+    created, content = known_utc(r.created_unix_s), json.loads(r.model_json)
+    return ModelRecord(r.model_number, r.version, r.press, created, r.status, r.reason, content)
+
+
+def put_diagnosis(connection: Connection, press: str, diagnosis: Mapping[str, Any]) -> int:
+    """Keep a diagnosis as ``diagnose --json`` writes it."""
+    row = {
+        "press": press,
+        "created_unix_s": _now(),
+        "verdict": str(diagnosis.get("verdict", "")),
+        "diagnosis_json": to_json(diagnosis),
+    }
+    return _key(connection, DIAGNOSIS, row)
+
+
+def diagnoses(connection: Connection, press: str | None, cursor: str | None, limit: int) -> Page[DiagnosisRecord]:
+    """Return a page of diagnoses, newest first."""
+    rows, following = _newest_first(connection, DIAGNOSIS, "diagnosis_id", press, cursor, limit)
+    items = tuple(
+        DiagnosisRecord(
+            r.diagnosis_id, r.press, known_utc(r.created_unix_s), r.verdict, json.loads(r.diagnosis_json)
+        )
+        for r in rows
+    )
+    return Page(items, following)
+
+
+def log(
+    connection: Connection,
+    level: str,
+    process: str,
+    message: str,
+    press: str | None,
+    detail: Mapping[str, Any] | None,
+) -> None:
+    """Add a line to the journal."""
+    row = {
+        "unix_s": _now(),
+        "level": level,
+        "process": process,
+        "press": press,
+        "message": message,
+        "detail_json": None if detail is None else to_json(detail),
+    }
+    connection.execute(insert(EVENT), row)
+
+
+def journal(
+    connection: Connection, press: str | None, level: str | None, cursor: str | None, limit: int
+) -> Page[JournalEntry]:
+    """Return a page of the journal, newest first."""
+    rows, following = _newest_first(connection, EVENT, "event_id", press, cursor, limit, level)
+    return Page(tuple(_entry(r) for r in rows), following)
+
+
+def journal_after(connection: Connection, after: int, limit: int) -> tuple[JournalEntry, ...]:
+    """Return the journal lines that follow row `after`, oldest first."""
+    query = select(EVENT).where(EVENT.c.event_id > after).order_by(EVENT.c.event_id).limit(limit)
+    return tuple(_entry(r) for r in connection.execute(query).all())
+
+
+def _entry(r: Row[Any]) -> JournalEntry:
+    detail = None if r.detail_json is None else json.loads(r.detail_json)
+    return JournalEntry(r.event_id, known_utc(r.unix_s), r.level, r.process, r.press, r.message, detail)
+
+
+def _newest_first(
+    connection: Connection,
+    table: Table,
+    key: str,
+    press: str | None,
+    cursor: str | None,
+    limit: int,
+    level: str | None = None,
+) -> tuple[list[Row[Any]], str | None]:
+    column = table.c[key]
+    query = select(table, column.label("row_number")).order_by(column.desc()).limit(limit + 1)
+    if press is not None:
+        query = query.where(table.c.press == press)
+    if level is not None:
+        query = query.where(table.c.level == level)
+    if cursor is not None:
+        query = query.where(column < cursor_number(cursor))
+    rows = list(connection.execute(query).all())
+    return rows[:limit], str(rows[limit - 1].row_number) if len(rows) > limit else None
+
+
+def beat(connection: Connection, process: str, status: Mapping[str, Any]) -> None:
+    """Write a process's sign of life."""
+    _put(connection, STATUS, [{"process": process, "unix_s": _now(), "status_json": to_json(status)}])
+
+
+def statuses(connection: Connection) -> dict[str, ProcessStatus]:
+    """Return the newest sign of life of each process."""
+    rows = connection.execute(select(STATUS)).all()
+    return {r.process: ProcessStatus(r.process, known_utc(r.unix_s), json.loads(r.status_json)) for r in rows}
+
+
+def _key(connection: Connection, table: Table, row: Mapping[str, Any]) -> int:
+    key = connection.execute(insert(table), dict(row)).inserted_primary_key
+    if key is None:
+        raise AssertionError("insert gave no key")
+    return int(key[0])

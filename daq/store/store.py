@@ -1,0 +1,320 @@
+"""The store as everybody uses it: one method, one transaction."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from datetime import datetime
+from types import TracebackType
+from typing import Any, Literal
+
+from daq.records import Channel, PressEvent, Run, Scan
+from daq.store import reading, recording, results
+from daq.store.database import BUSY_S, Database
+from daq.store.records import (
+    CoefficientRecord,
+    DiagnosisRecord,
+    JournalEntry,
+    ModelRecord,
+    NewRun,
+    Page,
+    PressKey,
+    ProcessStatus,
+    RunChange,
+    RunEnd,
+    RunRecord,
+    RunStatus,
+    ScanBatch,
+    StoredEstimate,
+    StoredPressEvent,
+)
+
+
+def open_store(url: str, *, create: bool = True, busy_s: float = BUSY_S) -> Store:
+    """Open a store by file path, ``sqlite:///path`` or ``postgresql://user@host/name``; make it if needed.
+
+    Any number of processes and threads may have it open. `busy_s` is the longest wait for another
+    process's transaction.
+
+    Raises
+    ------
+    InputError
+        For a wrong URL or path, or a store made by a newer version.
+    StoreUnavailable
+        Where the disk or the server refuses.
+    """
+    return Store(Database(url, create=create, busy_s=busy_s))
+
+
+class Store:
+    """Scans, runs, estimates, fits, models, diagnoses, journal and status of all presses.
+
+    Every method may raise `StoreUnavailable` (try again later; the text says what to do). A method that
+    writes has written durably when it returns, and nothing when it raises.
+    """
+
+    def __init__(self, database: Database) -> None:
+        self.database = database
+
+    @property
+    def label(self) -> str:
+        """The store's path or URL without its password, for messages."""
+        return self.database.label
+
+    def close(self) -> None:
+        """Release all connections. A second call does no harm."""
+        self.database.close()
+
+    def __enter__(self) -> Store:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    # --- recorder -----------------------------------------------------------------------------------
+
+    def register_press(self, name: str, channels: Sequence[Channel], press_file: str = "") -> PressKey:
+        """Prepare recording of a press with these channels; a recorder calls it once at start."""
+        with self.database.writing() as connection:
+            return recording.register_press(connection, name, channels, press_file, "recorded")
+
+    def append_scans(
+        self,
+        key: PressKey,
+        scans: Sequence[Scan],
+        events: Sequence[PressEvent] = (),
+        begin: NewRun | None = None,
+        end: RunEnd | None = None,
+    ) -> None:
+        """Write scans and what they brought about in one commit.
+
+        Writing the same scans again does no harm. A press event sets its moment in the open run.
+        """
+        with self.database.writing() as connection:
+            recording.append(connection, key, scans, events, begin, end)
+
+    def interrupt_open_runs(self, press: str) -> list[str]:
+        """Mark the runs a crash left open as interrupted; returns their names."""
+        with self.database.writing() as connection:
+            return recording.interrupt_open_runs(connection, press)
+
+    def unused_run_name(self, press: str, when: datetime) -> str:
+        """Return the next free name ``press-2026-03-04-07`` of the day."""
+        with self.database.reading() as connection:
+            return recording.unused_run_name(connection, press, when)
+
+    def import_run(self, run: Run, press: str, press_file: str = "") -> str:
+        """Store a run read from a file; returns its name. Raises `InputError` where the name is taken."""
+        with self.database.writing() as connection:
+            return recording.import_run(connection, run, press, press_file)
+
+    def annotate_run(self, run: str, changes: Mapping[str, Any], who: str) -> None:
+        """Change header keys (``panel.density_kg_m3``) or ``remark``; None removes a key. History is kept."""
+        with self.database.writing() as connection:
+            recording.annotate_run(connection, run, changes, who)
+
+    # --- runs and scans -----------------------------------------------------------------------------
+
+    def presses(self) -> dict[str, str]:
+        """Return the press file text of each press by name."""
+        with self.database.reading() as connection:
+            return reading.presses(connection)
+
+    def channels(self, press: str) -> tuple[Channel, ...]:
+        """Return the channels a press is recorded with now; empty where it never was."""
+        with self.database.reading() as connection:
+            return reading.channels(connection, press)
+
+    def runs(
+        self,
+        *,
+        cursor: str | None = None,
+        limit: int = 50,
+        press: str | None = None,
+        status: RunStatus | None = None,
+        material: str | None = None,
+        since: datetime | None = None,
+        until: datetime | None = None,
+    ) -> Page[RunRecord]:
+        """Return a page of runs, newest first; `since` and `until` filter by their start."""
+        wanted = {"press": press, "status": status, "material": material, "since": since, "until": until}
+        with self.database.reading() as connection:
+            return reading.runs(connection, cursor, limit, wanted)
+
+    def run_record(self, run: str) -> RunRecord:
+        """Return one run's record; raises `InputError` where there is none."""
+        with self.database.reading() as connection:
+            return reading.run_record(connection, run)
+
+    def open_run(self, press: str) -> RunRecord | None:
+        """Return the run being recorded now, or None."""
+        with self.database.reading() as connection:
+            return reading.open_run(connection, press)
+
+    def load_run(
+        self,
+        run: str,
+        columns: Sequence[str] | None = None,
+        from_s: float | None = None,
+        to_s: float | None = None,
+    ) -> Run:
+        """Return a run with its data, of an open run those so far; unusable values are NaN."""
+        with self.database.reading() as connection:
+            return reading.load_run(connection, run, columns, from_s, to_s)
+
+    def run_changes(self, run: str) -> list[RunChange]:
+        """Return the edits of a run's metadata, oldest first."""
+        with self.database.reading() as connection:
+            return [RunChange(*row) for row in recording.run_changes(connection, run)]
+
+    def configuration_of(self, run: str) -> str:
+        """Return the settings (TOML text) a run was recorded with; empty where none were kept."""
+        with self.database.reading() as connection:
+            return reading.configuration_of(connection, run)
+
+    def newest_scan_number(self, press: str) -> int:
+        """Return the number of the press's newest scan, -1 where there is none."""
+        with self.database.reading() as connection:
+            return reading.newest_number(connection, press)
+
+    def scans_after(self, press: str, last_number: int, limit: int = 1000) -> ScanBatch:
+        """Return the scans that follow `last_number` (start with -1, go on with the last one's number)."""
+        with self.database.reading() as connection:
+            return reading.scans_after(connection, press, last_number, limit)
+
+    def press_events(
+        self, press: str | None = None, after: int = 0, limit: int = 1000, since_scan: int | None = None
+    ) -> list[StoredPressEvent]:
+        """Return press events after row `after`, oldest first."""
+        with self.database.reading() as connection:
+            return reading.press_events(connection, press, after, limit, since_scan)
+
+    # --- live sensor --------------------------------------------------------------------------------
+
+    def append_estimates(self, press: str, estimates: Sequence[StoredEstimate]) -> None:
+        """Write what the live sensor said; a second estimate of a scan replaces the first."""
+        with self.database.writing() as connection:
+            press_id = reading.recorded_id(connection, press)
+            if press_id is not None:
+                results.append_estimates(connection, press_id, estimates)
+
+    def newest_estimate_number(self, press: str) -> int:
+        """Return the scan of the newest estimate, -1 where there is none."""
+        with self.database.reading() as connection:
+            return results.newest_estimate_number(connection, press)
+
+    def estimates_after(self, press: str, last_number: int, limit: int = 1000) -> tuple[StoredEstimate, ...]:
+        """Return the estimates that follow scan `last_number`."""
+        with self.database.reading() as connection:
+            return results.estimates_after(connection, press, last_number, limit)
+
+    def estimates(self, run: str) -> tuple[tuple[float, StoredEstimate], ...]:
+        """Return (time_s in the run, estimate) of a run's scans."""
+        with self.database.reading() as connection:
+            return results.estimates_of(connection, run)
+
+    # --- fits, models, diagnoses --------------------------------------------------------------------
+
+    def put_fit(self, run: str, fit: Mapping[str, Any], model_version: str = "") -> int:
+        """Keep a run's fit: one entry of ``runs`` of ``fit --json``. The newest fit of a run counts."""
+        with self.database.writing() as connection:
+            return results.put_fit(connection, run, fit, model_version)
+
+    def fit(self, run: str) -> dict[str, Any] | None:
+        """Return the newest fit of a run as JSON with ``model_version``, or None."""
+        with self.database.reading() as connection:
+            return results.fit_of(connection, run)
+
+    def coefficient_history(
+        self, *, press: str | None = None, cursor: str | None = None, limit: int = 200
+    ) -> Page[CoefficientRecord]:
+        """Return the coefficients of each run's newest fit, newest first; `limit` counts runs."""
+        with self.database.reading() as connection:
+            return results.coefficient_history(connection, press, cursor, limit)
+
+    def put_model(
+        self,
+        press: str,
+        version: str,
+        model: Mapping[str, Any],
+        *,
+        status: results.ModelStatus = "candidate",
+        reason: str = "",
+    ) -> int:
+        """Keep a model version (the JSON of the model file); raises `InputError` where it exists."""
+        with self.database.writing() as connection:
+            return results.put_model(connection, press, version, model, status, reason)
+
+    def promote_model(self, version: str, who: str, reason: str = "") -> None:
+        """Make a version the live sensor's; the one before is retired; the journal says who did it."""
+        with self.database.writing() as connection:
+            results.promote_model(connection, version, who, reason)
+
+    def active_model(self, press: str) -> ModelRecord | None:
+        """Return the promoted model of a press, or None."""
+        with self.database.reading() as connection:
+            return results.active_model(connection, press)
+
+    def model(self, version: str) -> ModelRecord:
+        """Return one model version; raises `InputError` where there is none."""
+        with self.database.reading() as connection:
+            return results.model(connection, version)
+
+    def models(self, *, press: str | None = None, cursor: str | None = None, limit: int = 50) -> Page[ModelRecord]:
+        """Return a page of model versions, newest first."""
+        with self.database.reading() as connection:
+            return results.models(connection, press, cursor, limit)
+
+    def put_diagnosis(self, press: str, diagnosis: Mapping[str, Any]) -> int:
+        """Keep a diagnosis as ``diagnose --json`` writes it."""
+        with self.database.writing() as connection:
+            return results.put_diagnosis(connection, press, diagnosis)
+
+    def diagnoses(
+        self, *, press: str | None = None, cursor: str | None = None, limit: int = 50
+    ) -> Page[DiagnosisRecord]:
+        """Return a page of diagnoses, newest first."""
+        with self.database.reading() as connection:
+            return results.diagnoses(connection, press, cursor, limit)
+
+    # --- journal and status -------------------------------------------------------------------------
+
+    def log(
+        self,
+        level: Literal["info", "warning", "alarm"],
+        process: str,
+        message: str,
+        press: str | None = None,
+        detail: Mapping[str, Any] | None = None,
+    ) -> None:
+        """Add a line to the journal: changes of state, losses, who did what."""
+        with self.database.writing() as connection:
+            results.log(connection, level, process, message, press, detail)
+
+    def journal(
+        self,
+        *,
+        press: str | None = None,
+        level: str | None = None,
+        cursor: str | None = None,
+        limit: int = 50,
+    ) -> Page[JournalEntry]:
+        """Return a page of the journal, newest first."""
+        with self.database.reading() as connection:
+            return results.journal(connection, press, level, cursor, limit)
+
+    def journal_after(self, after: int, limit: int = 1000) -> tuple[JournalEntry, ...]:
+        """Return journal lines after row `after`, oldest first, for followers."""
+        with self.database.reading() as connection:
+            return results.journal_after(connection, after, limit)
+
+    def beat(self, process: str, status: Mapping[str, Any]) -> None:
+        """Write a process's sign of life, about once a second."""
+        with self.database.writing() as connection:
+            results.beat(connection, process, status)
+
+    def statuses(self) -> dict[str, ProcessStatus]:
+        """Return the newest sign of life of each process."""
+        with self.database.reading() as connection:
+            return results.statuses(connection)

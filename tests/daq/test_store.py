@@ -1,0 +1,447 @@
+"""The store keeps what it acknowledged, on SQLite and on PostgreSQL alike."""
+
+import math
+import sqlite3
+import string
+import tempfile
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from sqlalchemy import inspect, text
+
+from daq.records import Channel, InputError, PressEvent, PressEventKind, PressState, Quality, Run, Scan
+from daq.runfile import read_run, write_run
+from daq.store import NewRun, RunEnd, RunStatus, StoredEstimate, StoreUnavailable, open_store
+from daq.store.database import migrations, statements, store_url
+from daq.store.schema import METADATA
+
+CHANNELS = tuple(Channel(name) for name in ("platen_top", "platen_bottom", "top_1", "bottom_1"))
+BEGAN = datetime(2026, 3, 4, 7, 0, tzinfo=UTC)
+G, O = Quality.GOOD, Quality.OPEN  # noqa: E741
+
+
+@pytest.fixture
+def store(store_url):
+    with open_store(store_url) as opened:
+        yield opened
+
+
+def scans(first, count, value=20.0):
+    return [
+        Scan(
+            n,
+            BEGAN + timedelta(seconds=n / 10),
+            1000.0 + n / 10,
+            (200.0, 199.5, value + n, math.nan if n % 3 == 0 else 21.0),
+            (G, G, G, O if n % 3 == 0 else G),
+        )
+        for n in range(first, first + count)
+    ]
+
+
+def record_one_run(store, press="lab"):
+    key = store.register_press(press, CHANNELS, "name")
+    n = key.next_number
+    store.append_scans(key, scans(n, 20))
+    name = store.unused_run_name(press, BEGAN)
+    header = {"panel.material": "MDF", "panel.thickness_mm": 16.0}
+    begin = NewRun(name, n + 15, BEGAN, 1000.0 + (n + 15) / 10, header, "[store]")
+    inserted = PressEvent(PressEventKind.INSERTED, 1000.0 + (n + 18) / 10, 1000.0 + (n + 19) / 10)
+    store.append_scans(key, scans(n + 20, 1), [inserted], begin)
+    store.append_scans(key, scans(n + 21, 30), [PressEvent(PressEventKind.CLOSED, 1000.0 + (n + 30) / 10, 1002.1)])
+    store.append_scans(key, scans(n + 51, 1), end=RunEnd(name, n + 51, BEGAN + timedelta(seconds=6)))
+    return name
+
+
+def test_a_run_follows_its_life_and_comes_back_with_its_data(store):
+    name = record_one_run(store)
+    assert name == "lab-2026-03-04-01"
+    record = store.run_record(name)
+    assert record.status is RunStatus.CLOSED
+    assert (record.first_scan, record.last_scan) == (15, 51)
+    assert record.moments.inserted_s == pytest.approx(0.3)
+    assert record.moments.closed_s == pytest.approx(1.5)
+    assert math.isnan(record.moments.opened_s)
+    run = store.load_run(name)
+    assert run.name == name
+    assert run.header == {"panel.material": "MDF", "panel.thickness_mm": 16.0, "run": name}
+    assert list(run.columns) == ["platen_top", "platen_bottom", "top_1", "bottom_1"]
+    np.testing.assert_array_equal(run.time_s, np.round(np.arange(37) / 10, 6))
+    np.testing.assert_array_equal(run.columns["top_1"], 20.0 + np.arange(15, 52))
+    np.testing.assert_array_equal(np.isnan(run.columns["bottom_1"]), np.arange(15, 52) % 3 == 0)
+    assert store.configuration_of(name) == "[store]"
+    assert store.presses() == {"lab": "name"}
+
+
+def test_part_of_a_run_is_given_by_time_and_column(store):
+    name = record_one_run(store)
+    part = store.load_run(name, columns=["top_1"], from_s=1.0, to_s=2.0)
+    assert list(part.columns) == ["top_1"]
+    assert (part.time_s[0], part.time_s[-1]) == (1.0, 2.0)
+    with pytest.raises(InputError, match="has no column 'top_9'; it has platen_top"):
+        store.load_run(name, columns=["top_9"])
+    with pytest.raises(InputError, match="run 'x' is not in the store"):
+        store.load_run("x")
+
+
+def test_an_open_run_shows_what_it_has_so_far(store):
+    key = store.register_press("lab", CHANNELS)
+    assert store.open_run("lab") is None
+    store.append_scans(key, scans(0, 5), begin=NewRun("r", 2, BEGAN, 1000.2))
+    assert store.open_run("lab").run == "r"
+    assert len(store.load_run("r").time_s) == 3
+    store.append_scans(key, scans(5, 1))
+    assert len(store.load_run("r").time_s) == 4
+
+
+def test_a_crash_leaves_an_interrupted_run_with_its_data(store):
+    key = store.register_press("lab", CHANNELS)
+    store.append_scans(key, scans(0, 8), begin=NewRun("r", 2, BEGAN, 1000.2))
+    assert store.interrupt_open_runs("other") == []
+    assert store.interrupt_open_runs("lab") == ["r"]
+    assert store.run_record("r").status is RunStatus.INTERRUPTED
+    again = store.register_press("lab", CHANNELS)
+    assert again.next_number == 8
+    store.append_scans(again, scans(8, 5))
+    assert len(store.load_run("r").time_s) == 6
+
+
+def test_numbers_of_runs_go_on_within_a_day_and_start_anew_on_the_next(store):
+    assert record_one_run(store) == "lab-2026-03-04-01"
+    assert record_one_run(store) == "lab-2026-03-04-02"
+    assert store.unused_run_name("lab", BEGAN + timedelta(days=1)) == "lab-2026-03-05-01"
+
+
+def test_writing_the_same_scans_again_does_no_harm(store):
+    key = store.register_press("lab", CHANNELS)
+    store.append_scans(key, scans(0, 5))
+    store.append_scans(key, scans(3, 5))
+    assert [s.number for s in store.scans_after("lab", -1).scans] == list(range(8))
+
+
+def test_a_second_recorder_on_the_same_press_is_refused(store):
+    key = store.register_press("lab", CHANNELS)
+    store.append_scans(key, scans(0, 5))
+    with pytest.raises(StoreUnavailable, match="another recorder writes to this press"):
+        store.append_scans(key, scans(4, 5, value=99.0))
+    assert store.newest_scan_number("lab") == 4
+
+
+def test_a_follower_gets_every_scan_once_with_values_and_qualities(store):
+    key = store.register_press("lab", CHANNELS)
+    store.append_scans(key, scans(0, 25))
+    seen, last = [], -1
+    while batch := store.scans_after("lab", last, limit=10).scans:
+        seen += batch
+        last = batch[-1].number
+    expected = scans(0, 25)
+    assert [s.number for s in seen] == [s.number for s in expected]
+    assert [s.utc for s in seen] == [s.utc for s in expected]
+    assert [s.qualities for s in seen] == [s.qualities for s in expected]
+    np.testing.assert_array_equal([s.values for s in seen], [s.values for s in expected])
+    assert store.scans_after("nowhere", -1).scans == ()
+
+
+def test_a_batch_ends_where_the_channels_change(store):
+    key = store.register_press("lab", CHANNELS)
+    store.append_scans(key, scans(0, 3))
+    wider = store.register_press("lab", (*CHANNELS, Channel("closed", "")))
+    assert wider.next_number == 3
+    store.append_scans(wider, [Scan(3, BEGAN, 1001.0, (1.0, 2.0, 3.0, 4.0, 1.0), (G,) * 5)])
+    assert len(store.scans_after("lab", -1).scans) == 3
+    batch = store.scans_after("lab", 2)
+    assert [c.name for c in batch.channels][-1] == "closed"
+    assert batch.scans[0].values[-1] == 1.0
+    assert store.channels("lab") == batch.channels
+
+
+def test_simulated_values_are_usable_and_faulty_ones_are_not(store):
+    key = store.register_press("lab", CHANNELS)
+    s = Quality.SIMULATED
+    scan = Scan(0, BEGAN, 1000.0, (1.0, 2.0, 3.0, 1370.0), (s, s, s, Quality.OVER))
+    store.append_scans(key, [scan], begin=NewRun("r", 0, BEGAN, 1000.0))
+    assert store.scans_after("lab", -1).scans[0].qualities == scan.qualities
+    assert store.scans_after("lab", -1).scans[0].values[3] == 1370.0
+    run = store.load_run("r")
+    assert run.columns["top_1"][0] == 3.0
+    assert math.isnan(run.columns["bottom_1"][0])
+
+
+def test_pages_of_runs_hold_every_run_once_newest_first(store):
+    names = [record_one_run(store) for _ in range(7)]
+    found, cursor = [], None
+    while True:
+        page = store.runs(cursor=cursor, limit=3)
+        found += [r.run for r in page.items]
+        cursor = page.next_cursor
+        if cursor is None:
+            break
+    assert found == names[::-1]
+    assert store.runs(material="OSB").items == ()
+    assert len(store.runs(press="lab", status=RunStatus.CLOSED, material="MDF", since=BEGAN).items) == 7
+    assert store.runs(until=BEGAN).items == ()
+    with pytest.raises(InputError, match="cursor 'x'"):
+        store.runs(cursor="x")
+
+
+def test_metadata_change_with_history_and_raw_data_do_not(store):
+    name = record_one_run(store)
+    before = store.load_run(name)
+    store.annotate_run(name, {"panel.density_kg_m3": 741.5, "remark": "knots", "panel.thickness_mm": 19}, "eva")
+    store.annotate_run(name, {"panel.density_kg_m3": None}, "udo")
+    record = store.run_record(name)
+    assert record.remark == "knots"
+    assert record.header["panel.thickness_mm"] == 19
+    assert "panel.density_kg_m3" not in record.header
+    changes = store.run_changes(name)
+    assert [(c.who, c.field, c.before, c.after) for c in changes] == [
+        ("eva", "panel.density_kg_m3", None, 741.5),
+        ("eva", "remark", "", "knots"),
+        ("eva", "panel.thickness_mm", 16.0, 19),
+        ("udo", "panel.density_kg_m3", 741.5, None),
+    ]
+    assert store.load_run(name).columns["top_1"].tobytes() == before.columns["top_1"].tobytes()
+    with pytest.raises(InputError, match="name of a run cannot change"):
+        store.annotate_run(name, {"run": "other"}, "eva")
+
+
+def test_press_events_are_followed_in_order(store):
+    name = record_one_run(store)
+    events = store.press_events("lab")
+    assert [e.kind for e in events] == ["inserted", "closed"]
+    assert events[0].utc == BEGAN + timedelta(seconds=1.8)
+    assert store.press_events("lab", after=events[0].number)[0].kind == "closed"
+    assert store.run_record(name).started_utc == BEGAN
+
+
+def test_estimates_come_back_by_run_and_for_followers(store):
+    name = record_one_run(store)
+    estimates = [
+        StoredEstimate(
+            n, 1000 + n / 10, PressState.CLOSED, 60.0 + n, 0.5, 59.0, 61.0, True, "", "v1", {"x": [1.0]}
+        )
+        for n in range(14, 30)
+    ]
+    store.append_estimates("lab", estimates)
+    store.append_estimates("lab", [StoredEstimate(20, 1002.0, "unknown", *[math.nan] * 4, False, "why")])
+    found = store.estimates(name)
+    assert [t for t, _ in found] == [round((n - 15) / 10, 6) for n in range(15, 30)]
+    assert found[0][1] == estimates[1]
+    assert found[5][1].reason == "why"
+    assert math.isnan(found[5][1].core_celsius)
+    assert [e.number for e in store.estimates_after("lab", 27)] == [28, 29]
+    assert store.newest_estimate_number("lab") == 29
+    assert store.newest_estimate_number("nowhere") == -1
+
+
+def fit_json(run, value):
+    coefficient = {"value": value, "sd": 1.0, "ci95": [value - 2, value + 2], "identifiable": True}
+    return {
+        "run": run,
+        "converged": True,
+        "rmse_K": 0.3,
+        "coefficients": {"h_pp_c": coefficient, "h_wa": coefficient},
+    }
+
+
+def test_the_newest_fit_of_a_run_counts_in_the_history(store):
+    names = [record_one_run(store) for _ in range(3)]
+    for name in names:
+        store.put_fit(name, fit_json(name, 700.0), "v1")
+    store.put_fit(names[0], fit_json(names[0], 650.0), "v2")
+    assert store.fit(names[0])["coefficients"]["h_pp_c"]["value"] == 650.0
+    assert store.fit(names[0])["model_version"] == "v2"
+    assert store.run_record(names[0])
+    page = store.coefficient_history(limit=2, press="lab")
+    assert [(c.run, c.name, c.value) for c in page.items] == [
+        (names[0], "h_pp_c", 650.0),
+        (names[0], "h_wa", 650.0),
+        (names[2], "h_pp_c", 700.0),
+        (names[2], "h_wa", 700.0),
+    ]
+    rest = store.coefficient_history(limit=2, cursor=page.next_cursor)
+    assert [c.run for c in rest.items] == [names[1]] * 2
+    assert rest.next_cursor is None
+    assert store.coefficient_history(press="other").items == ()
+
+
+def test_one_model_of_a_press_is_active_and_its_history_stays(store):
+    store.put_model("lab", "v1", {"coefficients": {}}, status="promoted", reason="first")
+    store.put_model("lab", "v2", {"coefficients": {"h": {"value": 1.0}}})
+    assert store.active_model("lab").version == "v1"
+    store.promote_model("v2", "eva", "better by 0.4 K")
+    assert store.active_model("lab").version == "v2"
+    assert store.model("v1").status == "retired"
+    assert [m.version for m in store.models(press="lab").items] == ["v2", "v1"]
+    assert store.journal().items[0].message == "model v2 promoted"
+    with pytest.raises(InputError, match="'v3' is not in the store"):
+        store.promote_model("v3", "eva")
+    with pytest.raises(InputError, match="versions never change"):
+        store.put_model("lab", "v1", {})
+    assert store.active_model("other") is None
+
+
+def test_diagnoses_journal_and_status_are_kept(store):
+    store.put_diagnosis("lab", {"verdict": "named", "seconds": math.nan})
+    assert store.diagnoses(press="lab").items[0].diagnosis == {"verdict": "named", "seconds": None}
+    store.log("warning", "record", "press-left silent", "lab", {"since": "07:00"})
+    store.log("info", "serve", "started")
+    assert [e.message for e in store.journal(level="warning").items] == ["press-left silent"]
+    assert [e.message for e in store.journal_after(0)] == ["press-left silent", "started"]
+    store.beat("record", {"scans": 1})
+    store.beat("record", {"scans": 2})
+    assert store.statuses()["record"].status == {"scans": 2}
+
+
+def test_an_imported_run_is_refused_twice_and_listed_with_its_press(store):
+    run = Run("r", {"panel.material": "OSB"}, np.arange(3.0), {"top_1": np.array([1.0, np.nan, 3.0])})
+    assert store.import_run(run, "lab") == "r"
+    with pytest.raises(InputError, match="run 'r' is in the store already; nothing was imported"):
+        store.import_run(run, "lab")
+    assert [r.kind for r in store.runs(press="lab").items] == ["imported"]
+    assert store.scans_after("lab", -1).scans == ()
+
+
+floats = st.floats(allow_infinity=False, allow_nan=True)
+
+
+@given(
+    rows=st.lists(st.tuples(floats, floats), min_size=1, max_size=8),
+    step=st.floats(1e-3, 1e3),
+    note=st.text(string.printable, max_size=20),
+    when=st.datetimes(timezones=st.just(UTC)),
+)
+@settings(max_examples=25, deadline=None)
+def test_a_run_file_passes_through_the_store_to_the_last_bit(rows, step, note, when):
+    columns = {name: np.array([row[i] for row in rows]) for i, name in enumerate(("top_1", "load"))}
+    run = Run("x", {"run": "x", "note": note, "when": when}, np.arange(len(rows)) * step, columns)
+    with tempfile.TemporaryDirectory() as folder, open_store(f"{folder}/s.sqlite") as store:
+        write_run(run, Path(folder) / "in.csv")
+        store.import_run(read_run(Path(folder) / "in.csv"), "lab")
+        write_run(store.load_run("x"), Path(folder) / "out.csv")
+        assert (Path(folder) / "out.csv").read_bytes() == (Path(folder) / "in.csv").read_bytes()
+
+
+def test_people_find_runs_and_scans_by_plain_sql(store):
+    name = record_one_run(store)
+    with store.database.reading() as connection:
+        row = connection.execute(text("SELECT * FROM scan_of_lab WHERE number = 16")).mappings().one()
+        assert row["top_1_celsius"] == 36.0
+        assert row["bottom_1_celsius"] == 21.0
+        count = connection.execute(text("SELECT count(*) FROM run_scan WHERE run = :run"), {"run": name}).scalar()
+        assert count == 37
+        overview = connection.execute(text("SELECT * FROM run_overview")).mappings().one()
+        assert overview["press"] == "lab"
+        assert str(overview["started_utc"]).startswith("2026-03-04")
+
+
+def test_the_tables_are_as_the_code_sees_them(store):
+    found = inspect(store.database.engine)
+    for table in METADATA.tables.values():
+        assert [c["name"] for c in found.get_columns(table.name)] == [c.name for c in table.columns]
+        keys = {c.name for c in table.primary_key}
+        assert set(found.get_pk_constraint(table.name)["constrained_columns"]) == keys
+
+
+def test_opening_a_store_again_keeps_it(store_url):
+    with open_store(store_url) as store:
+        name = record_one_run(store)
+    with open_store(store_url) as store:
+        assert len(store.load_run(name).time_s) == 37
+
+
+def test_a_store_from_a_newer_version_is_refused_and_left_alone(store_url):
+    with open_store(store_url) as store, store.database.writing() as connection:
+        connection.execute(text("UPDATE schema_version SET version = 99"))
+    with pytest.raises(InputError, match=r"made by a newer version \(schema 99, this version knows \d+\); update"):
+        open_store(store_url)
+
+
+def test_a_migration_that_fails_half_way_leaves_the_store_as_it_was(store_url, monkeypatch):
+    with open_store(store_url) as store:
+        name = record_one_run(store)
+    good = migrations()
+    newer = max(good) + 1
+    broken = {**good, newer: "ALTER TABLE run ADD COLUMN shift TEXT;\nCREATE TABLE x (y TEXT);\nTHIS IS NO SQL;\n"}
+    monkeypatch.setattr("daq.store.database.migrations", lambda: broken)
+    with pytest.raises(Exception, match="THIS"):
+        open_store(store_url)
+    monkeypatch.setattr("daq.store.database.migrations", lambda: good)
+    with open_store(store_url) as store:
+        assert len(store.load_run(name).time_s) == 37
+        assert "x" not in inspect(store.database.engine).get_table_names()
+    mended = {**good, newer: "ALTER TABLE run ADD COLUMN shift TEXT;\n"}
+    monkeypatch.setattr("daq.store.database.migrations", lambda: mended)
+    with open_store(store_url) as store:
+        columns = [c["name"] for c in inspect(store.database.engine).get_columns("run")]
+        assert columns[-1] == "shift"
+
+
+def test_sqlite_writes_ahead_and_syncs_fully(tmp_path):
+    with open_store(str(tmp_path / "s.sqlite")) as store, store.database.reading() as connection:
+        assert connection.execute(text("PRAGMA journal_mode")).scalar() == "wal"
+        assert connection.execute(text("PRAGMA synchronous")).scalar() == 2
+
+
+@pytest.mark.parametrize(
+    ("url", "message"),
+    [
+        ("mysql://x/y", "mysql is not supported"),
+        ("sqlite://", "needs a file path"),
+        ("nonsense://", "nonsense is not supported"),
+        ("://x", "not a URL"),
+        ("no/such/folder/s.sqlite", "folder no/such/folder does not exist; create it"),
+        (".", "is a folder"),
+    ],
+)
+def test_a_wrong_address_is_refused_in_one_line(url, message):
+    with pytest.raises(InputError, match=message) as caught:
+        open_store(url)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_file_that_is_no_store_is_refused(tmp_path):
+    path = tmp_path / "s.sqlite"
+    path.write_text("time_s,top_1\n" * 500)
+    with pytest.raises(InputError, match="not an SQLite file"):
+        open_store(str(path))
+
+
+def test_reading_a_store_that_is_not_there_does_not_make_one(tmp_path):
+    with pytest.raises(InputError, match="does not exist; start kerntemp record"):
+        open_store(str(tmp_path / "s.sqlite"), create=False)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_unreachable_server_is_named_without_its_password():
+    with pytest.raises(StoreUnavailable, match="check that the database server runs") as caught:
+        open_store("postgresql://eva:secret@127.0.0.1:1/x", busy_s=1)
+    assert "secret" not in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_locked_store_says_so_and_goes_on_when_it_is_free(tmp_path):
+    path = tmp_path / "s.sqlite"
+    with open_store(str(path), busy_s=0.1) as store:
+        key = store.register_press("lab", CHANNELS)
+        other = sqlite3.connect(path, isolation_level=None)
+        other.execute("BEGIN IMMEDIATE")
+        with pytest.raises(StoreUnavailable, match="database is locked; another process holds it"):
+            store.append_scans(key, scans(0, 1))
+        assert store.newest_scan_number("lab") == -1
+        other.execute("ROLLBACK")
+        other.close()
+        store.append_scans(key, scans(0, 1))
+        assert store.newest_scan_number("lab") == 0
+
+
+def test_a_semicolon_ends_a_statement_only_at_a_line_end():
+    assert statements("A 'x; y' B;\nC;\n-- only words\n", "sqlite") == ["A 'x; y' B", "C"]
+
+
+def test_a_postgresql_url_gets_its_driver():
+    assert store_url("postgresql://u@h/d").drivername == "postgresql+psycopg"
