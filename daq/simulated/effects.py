@@ -1,0 +1,170 @@
+"""What can be hidden in the virtual press: the contract's effects at random sizes, and faults outside them.
+
+Sizes are those at which a cause must be named (facts on the thermal model, section 7). An effect that
+lies in the panel differs from run to run by 25 %; the rest belongs to press or measuring chain and stays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from types import MappingProxyType
+
+import numpy as np
+
+from daq.records import InputError
+from daq.simulated.physics import Outside, Pressing
+
+Parameters = Mapping[str, float]
+
+SIZES: Mapping[str, Mapping[str, tuple[float, float]]] = MappingProxyType(
+    {
+        "moisture_evaporation": {"moisture_percent": (2.0, 6.0), "temperature_C": (98.0, 106.0)},
+        "vapour_convection": {"W_m3K": (1e4, 2e4)},
+        "resin_cure": {"heat_kJ_m2": (10.0, 25.0)},
+        "conductivity_temperature": {"per_100_K": (0.12, 0.30)},
+        "heat_capacity_temperature": {"per_100_K": (0.12, 0.30)},
+        "conductivity_offset": {"ratio": (1.10, 1.20)},
+        "heat_capacity_offset": {"ratio": (1.10, 1.20)},
+        "density_profile": {"amplitude": (0.15, 0.30)},
+        "contact_buildup": {"deficit": (0.4, 0.8), "time_constant_s": (4.0, 12.0)},
+        "contact_load": {"exponent": (0.5, 1.0)},
+        "contact_asymmetry": {"ratio": (0.6, 0.8)},
+        "paper_layer": {"resistance_m2K_W": (3e-4, 8e-4), "capacity_J_m2K": (300.0, 800.0)},
+        "open_radiation": {"emissivity": (0.3, 0.7)},
+        "edge_loss": {"W_m3K": (800.0, 2000.0)},
+        "initial_press_state": {"offset_K": (4.0, 10.0)},
+        "thermocouple_lag": {"time_constant_s": (0.3, 1.0)},
+        "thermocouple_footprint": {"weight": (0.05, 0.12)},
+        "clock_offset": {"seconds": (0.2, 0.5)},
+        "platen_offset": {"top_K": (2.0, 4.0), "bottom_K": (2.0, 4.0)},
+        "sensor_fault": {},
+    }
+)
+"""Every effect of the contract, and from where to where its parameters are drawn."""
+
+OUTSIDE = (
+    "contact_lapse",
+    "delamination",
+    "heater_zone_out",
+    "steam_condensation",
+    "draught",
+    "lifted_panel",
+    "upper_plate_sticks",
+)
+"""Faults that are in no catalogue and that no combination of its entries explains."""
+
+_PANEL_SIZE = {
+    "moisture_evaporation": "moisture_percent",
+    "vapour_convection": "W_m3K",
+    "resin_cure": "heat_kJ_m2",
+    "conductivity_temperature": "per_100_K",
+    "heat_capacity_temperature": "per_100_K",
+    "conductivity_offset": "ratio",
+    "heat_capacity_offset": "ratio",
+    "density_profile": "amplitude",
+    "paper_layer": "resistance_m2K_W",
+}
+"""Causes in the panel, and the parameter that differs from panel to panel."""
+
+
+def draw_effect(name: str, rng: np.random.Generator, scale: float = 1.0) -> dict[str, float]:
+    """Return an effect's parameters, drawn at the size range; `scale` 0.5 halves the size.
+
+    Offsets of conductivity and heat capacity lie above or below nominal with equal chance, platen
+    offsets take either sign on each side, sensor faults are drawn later, run by run.
+    """
+    if name not in SIZES:
+        raise InputError(f"effect {name!r}: unknown; known are {', '.join([*SIZES, *OUTSIDE])}")
+    drawn = {key: float(rng.uniform(*limits)) for key, limits in SIZES[name].items()}
+    if name.endswith("_offset") and "ratio" in drawn:
+        sign = 1.0 if rng.random() < 0.5 else -1.0
+        return {"ratio": 1.0 + sign * scale * (drawn["ratio"] - 1.0)}
+    if name == "contact_asymmetry":
+        ratio = 1.0 - scale * (1.0 - drawn["ratio"])
+        return {"ratio": ratio if rng.random() < 0.5 else 1.0 / ratio}
+    if name == "platen_offset":
+        return {key: scale * value * (1.0 if rng.random() < 0.5 else -1.0) for key, value in drawn.items()}
+    keep = ("temperature_C", "time_constant_s") if name != "thermocouple_lag" else ("temperature_C",)
+    return {key: value if key in keep else scale * value for key, value in drawn.items()}
+
+
+def for_run(name: str, parameters: Parameters, rng: np.random.Generator, spread: float = 0.25) -> dict[str, float]:
+    """Return what an effect amounts to in one run: causes in the panel differ from panel to panel."""
+    factor = max(0.2, 1.0 + spread * rng.standard_normal())
+    key = _PANEL_SIZE.get(name)
+    if key is None or key not in parameters:
+        return dict(parameters)
+    varied = dict(parameters)
+    varied[key] = 1.0 + factor * (varied[key] - 1.0) if key == "ratio" else factor * varied[key]
+    return varied
+
+
+def draw_outside(name: str, rng: np.random.Generator, scale: float = 1.0) -> dict[str, float]:
+    """Return the parameters of a fault outside the catalogue; times are shares of the press time."""
+    if name == "contact_lapse":
+        lasts = float(rng.uniform(0.25, 0.7))
+        return {"drop": scale * rng.uniform(0.35, 0.6), "from_share": rng.uniform(0.25, 0.5), "lasts_share": lasts}
+    if name == "upper_plate_sticks":
+        return {"drop": -scale * rng.uniform(0.8, 2.0), "from_share": rng.uniform(0.3, 0.55), "lasts_share": 2.0}
+    if name == "delamination":
+        return {
+            "resistance_m2K_W": scale * rng.uniform(0.008, 0.02),
+            "depth_mm": rng.uniform(1.0, 2.0),
+            "from_share": rng.uniform(0.2, 0.4),
+        }
+    if name == "heater_zone_out":
+        return {"K_s": scale * rng.uniform(0.3, 0.7), "from_share": rng.uniform(-0.2, 0.2)}
+    if name == "steam_condensation":
+        return {
+            "heat_kJ_m2": scale * rng.uniform(20.0, 40.0),
+            "release_share": rng.uniform(0.15, 0.25),
+            "return_share": rng.uniform(0.5, 0.7),
+        }
+    if name == "draught":
+        return {"factor": 1.0 + scale * rng.uniform(2.0, 4.0), "after_s": rng.uniform(5.0, 12.0)}
+    if name == "lifted_panel":
+        return {"factor": 1.0 - scale * rng.uniform(0.7, 0.9), "after_s": rng.uniform(4.0, 10.0)}
+    raise InputError(f"fault {name!r}: unknown; known are {', '.join(OUTSIDE)}")
+
+
+def with_outside(pressing: Pressing, faults: Mapping[str, Parameters]) -> Pressing:
+    """Return the pressing with faults outside the catalogue put in (but a heater zone: see the campaign)."""
+    lasting = pressing.opened - pressing.closed
+
+    def when(share: float) -> float:
+        return pressing.closed + share * lasting
+
+    o = Outside()
+    for name, p in faults.items():
+        if name in ("contact_lapse", "upper_plate_sticks"):
+            until = when(min(p["from_share"] + p["lasts_share"], 1.2))
+            o = replace(o, lapse_drop=p["drop"], lapse_from=when(p["from_share"]), lapse_to=until)
+        elif name == "delamination":
+            o = replace(
+                o,
+                split_resistance=p["resistance_m2K_W"],
+                split_depth=pressing.panel.thickness - p["depth_mm"] / 1000.0,
+                split_from=when(p["from_share"]),
+            )
+        elif name == "steam_condensation":
+            o = replace(
+                o,
+                wet_heat=p["heat_kJ_m2"] * 1e3,
+                wet_release=when(p["release_share"]),
+                wet_return=when(p["return_share"]),
+                wet_width=max(1.0, 0.04 * lasting),
+            )
+        elif name == "draught":
+            o = replace(o, draught=p["factor"], draught_from=pressing.opened + p["after_s"])
+        elif name == "lifted_panel":
+            o = replace(o, lift=p["factor"], lift_from=pressing.opened + p["after_s"])
+    return replace(pressing, outside=o)
+
+
+def split_names(names: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Return catalogue names and outside names of a list; raise InputError for any other."""
+    for name in names:
+        if name not in SIZES and name not in OUTSIDE:
+            raise InputError(f"effect {name!r}: unknown; known are {', '.join([*SIZES, *OUTSIDE])}")
+    return [n for n in names if n in SIZES], [n for n in names if n in OUTSIDE]
