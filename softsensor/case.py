@@ -1,0 +1,271 @@
+"""One run made ready for the solver: mesh, step grid, outside temperatures, places of the sensors.
+
+Everything that does not depend on coefficients or effect parameters is worked out here once, so that
+a fit can solve the same case a hundred times.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.pressfile import At, Boundary, Layer, Press, panel_of, press_for_run
+from daq.records import Array, InputError, Moments, Panel, Run
+from softsensor.conduction import Mesh, build_mesh
+
+MAX_BRIDGE_S = 10.0
+"""Missing cells of a boundary column are bridged by a straight line up to this long. [s]"""
+FINE_STEP_S = 0.04
+"""Step around a switch. [s]"""
+OPENING_RAMP_S = 0.35
+"""How long opening takes; its middle is `Moments.opened_s`. [s]"""
+HANDLING_RAMP_S = 0.2
+"""How long insertion and removal take. [s]"""
+PAPER = ("paper_bottom", "paper_top")
+PAPER_WIDTH = 1e-4
+"""Nominal width of a paper cell; resistance and capacity follow from the effect. [m]"""
+
+
+@dataclass(frozen=True)
+class Case:
+    """A run, its press with the run's overrides, and the grids to solve it on."""
+
+    run: Run
+    press: Press
+    panel: Panel | None
+    mesh: Mesh
+    moments: Moments
+    edges: Array
+    """Step edges (steps + 1). [s of the run]"""
+    boundary: Array
+    """Measured boundary temperature: mean and change in each step (steps, 2, 2). [°C, K]"""
+    first_boundary: tuple[float, float]
+    load: Mapping[int, Array]
+    """Pressure over reference in each step, by contact."""
+    columns: tuple[str, ...]
+    """Panel channels in the run that sensors of role ``fit`` or ``validation`` name."""
+    labels: tuple[str, ...]
+    """Distinct places, named as in ``at``; the last is the core."""
+    place_of: Mapping[str, int]
+    """Place number of each column."""
+    places: Array
+    """Weights that read the places off the cells (m, n)."""
+    press_face: Array
+    """Weights that read the press face opposite each place, zero rows where there is none (m, n)."""
+
+    @property
+    def ambient(self) -> float:
+        """[°C]"""
+        return self.run.ambient_temperature
+
+
+def prepare_case(press: Press, run: Run, moments: Moments, *, paper: bool, fineness: float, max_step_s: float) -> Case:
+    """Check a run against a press and lay out its grids.
+
+    Raises
+    ------
+    InputError
+        For a missing or badly broken boundary column, a sensor outside its layer, or panel constants
+        that are missing or nonphysical.
+    """
+    press = press_for_run(press, run)
+    panel = panel_of(run) if press.panel_layers else None
+    mesh = _mesh(press, panel, paper=paper, fineness=fineness)
+    edges = step_edges(run.time_s, moments, max_step_s / fineness, FINE_STEP_S / fineness)
+    ends = (press.boundary.bottom, press.boundary.top)
+    series = [_boundary_series(run, name, b) for name, b in zip(("bottom", "top"), ends, strict=True)]
+    boundary = np.stack([_means(run.time_s, s, edges) for s in series], axis=1)
+    fit = press.sensors_of(run)
+    sensors = fit | press.sensors_of(run, "validation")
+    labels = list(dict.fromkeys(sensor.label for sensor in sensors.values()))
+    weights = {sensor.label: _place(press, mesh, panel, sensor.at) for sensor in sensors.values()}
+    middle = press.panel_layers[0] if press.panel_layers else press.layer[len(press.layer) // 2].name
+    labels.append("core")
+    weights["core"] = _place(press, mesh, panel, f"{middle}.middle")
+    return Case(
+        run=run,
+        press=press,
+        panel=panel,
+        mesh=mesh,
+        moments=moments,
+        edges=edges,
+        boundary=boundary,
+        first_boundary=(float(series[0][0]), float(series[1][0])),
+        load=_loads(press, run, edges),
+        columns=tuple(sensors),
+        labels=tuple(labels),
+        place_of={column: labels.index(sensor.label) for column, sensor in sensors.items()},
+        places=np.stack([weights[label] for label in labels]),
+        press_face=np.stack([_press_face(press, mesh, label) for label in labels]),
+    )
+
+
+def step_edges(time_s: Array, moments: Moments, max_step: float, fine: float) -> Array:
+    """Return step edges: fine around each switch, growing by 15 % a step up to `max_step`. [s]
+
+    Examples
+    --------
+    >>> edges = step_edges(np.array([0.0, 20.0]), Moments(inserted_s=0.0, closed_s=8.0), 0.5, 0.04)
+    >>> bool(np.diff(edges).max() <= 0.5 + 1e-9), bool(np.diff(edges)[np.searchsorted(edges, 8.0)] < 0.05)
+    (True, True)
+    """
+    start, end = float(time_s[0]), float(time_s[-1])
+    switches = [start]
+    for moment, half in (
+        (moments.inserted_s, 0.3),
+        (moments.closed_s, moments.ramp_s / 2 + 0.4),
+        (moments.opened_s, OPENING_RAMP_S / 2 + 0.4),
+        (moments.removed_s, 0.3),
+    ):
+        if start < moment < end:
+            switches += [max(start, moment - half), min(end, moment + half)]
+    edges = [start]
+    t, h = start, fine / 4
+    spans = list(zip(switches[1::2], switches[2::2], strict=True))
+    for begin, finish in [*spans, (end, end)]:
+        while t < begin - 1e-9:
+            t = min(t + h, begin)
+            if begin - t < 0.25 * h:
+                t = begin
+            edges.append(t)
+            h = min(h * 1.15, max_step)
+        if finish > t:
+            inner = np.linspace(t, finish, max(1, round((finish - t) / fine)) + 1)[1:]
+            edges += inner.tolist()
+            t, h = finish, fine
+    return np.array(edges)
+
+
+def _mesh(press: Press, panel: Panel | None, *, paper: bool, fineness: float) -> Mesh:
+    layers: list[tuple[str, float, float]] = []
+    for layer in press.layer:
+        thickness, k, c = layer_constants(layer, panel)
+        body = (layer.name, thickness, k / c)
+        if paper and layer.from_run:
+            layers += [(PAPER[0], PAPER_WIDTH, 0.0), body, (PAPER[1], PAPER_WIDTH, 0.0)]
+        else:
+            layers.append(body)
+    return build_mesh(layers, fineness)
+
+
+def layer_constants(layer: Layer, panel: Panel | None) -> tuple[float, float, float]:
+    """Return a layer's thickness [m], conductivity [W/mK] and heat capacity [J/m³K] at 20 °C (first row)."""
+    if layer.from_run:
+        if panel is None:
+            raise InputError(f"layer {layer.name!r} takes its constants from the run, and there is no panel")
+        return panel.thickness, panel.conductivity, panel.density * panel.heat_capacity
+
+    def first(value: object) -> float:
+        return float(value[0][1]) if isinstance(value, tuple) else float(value)  # type: ignore[arg-type]
+
+    density, thickness = layer.density_kg_m3, layer.thickness_mm
+    if density is None or thickness is None:
+        raise InputError(f"layer {layer.name!r} lacks density or thickness")
+    return thickness / 1000.0, first(layer.conductivity_W_mK), density * first(layer.heat_capacity_J_kgK)
+
+
+def _boundary_series(run: Run, name: str, boundary: Boundary) -> Array:
+    """Return a measured boundary's temperature at every row, short gaps bridged."""
+    if boundary.kind != "measured":
+        return np.zeros(len(run.time_s))
+    column = boundary.column or ""
+    where = run.source or run.name
+    if column not in run.columns:
+        raise InputError(
+            f"{where}: column {column!r} is missing; boundary.{name} needs it "
+            f"(the run has {', '.join(list(run.columns)[:20])})"
+        )
+    values = run.columns[column]
+    good = np.isfinite(values)
+    if not good.any():
+        raise InputError(f"{where}: column {column!r} holds no value; boundary.{name} needs it")
+    times = run.time_s[good]
+    holes = np.flatnonzero(~good)
+    if len(holes):
+        before = np.searchsorted(times, run.time_s[holes]) - 1
+        gap = np.where(
+            before < 0,
+            times[0] - run.time_s[0],
+            np.where(
+                before + 1 < len(times),
+                times[np.minimum(before + 1, len(times) - 1)] - times[np.maximum(before, 0)],
+                run.time_s[-1] - times[-1],
+            ),
+        )
+        worst = int(np.argmax(gap))
+        if gap[worst] > MAX_BRIDGE_S:
+            raise InputError(
+                f"{where}: column {column!r} is empty for {gap[worst]:.1f} s around time_s = "
+                f"{run.time_s[holes[worst]]:g}; at most {MAX_BRIDGE_S:g} s of boundary.{name} are bridged: "
+                f"cut the run there"
+            )
+    return np.interp(run.time_s, times, values[good])
+
+
+def _means(time_s: Array, values: Array, edges: Array) -> Array:
+    """Mean over each step and change across it of a series joined by straight lines (steps, 2)."""
+    area = np.concatenate([[0.0], np.cumsum(np.diff(time_s) * (values[1:] + values[:-1]) / 2)])
+    at = np.interp(edges, time_s, values)
+    i = np.clip(np.searchsorted(time_s, edges, side="right") - 1, 0, max(len(time_s) - 2, 0))
+    total = area[i] + (edges - time_s[i]) * (values[i] + at) / 2
+    return np.stack([np.diff(total) / np.diff(edges), np.diff(at)], axis=1)
+
+
+def _place(press: Press, mesh: Mesh, panel: Panel | None, at: str | At) -> Array:
+    layer_name = at.layer if isinstance(at, At) else at.rpartition(".")[0]
+    layer = next(x for x in press.layer if x.name == layer_name)
+    thickness = layer_constants(layer, panel)[0]
+    if isinstance(at, At):
+        height = at.depth_mm / 1000.0
+        if height > thickness * (1 + 1e-9):
+            raise InputError(
+                f"sensor at depth_mm = {at.depth_mm:g} lies outside layer {layer_name!r}, {thickness * 1000:g} mm thick"
+            )
+    else:
+        height = {"bottom": 0.0, "middle": 0.5, "top": 1.0}[at.rpartition(".")[2]] * thickness
+    return mesh.place(layer_name, height)
+
+
+def _press_face(press: Press, mesh: Mesh, label: str) -> Array:
+    """Weights of the press face that touches a panel face while closed, zero for any other place."""
+    names = [layer.name for layer in press.layer]
+    layer_name, _, place = label.rpartition(".")
+    if layer_name not in press.panel_layers or place not in ("bottom", "top"):
+        return np.zeros(len(mesh.dx))
+    i = names.index(layer_name) + (1 if place == "top" else -1)
+    if not 0 <= i < len(names):
+        return np.zeros(len(mesh.dx))
+    neighbour = names[i]
+    height = 0.0 if place == "top" else float(mesh.dx[mesh.cells(neighbour)].sum())
+    return mesh.place(neighbour, height)
+
+
+def _loads(press: Press, run: Run, edges: Array) -> dict[int, Array]:
+    """Pressure over its reference in each step, for contacts that have one."""
+    from softsensor.effects.contact_load import REFERENCE_PRESSURE
+
+    loads: dict[int, Array] = {}
+    pressure = run.setting("pressure_N_cm2")
+    for m, contact in enumerate(press.contact):
+        if contact.load is not None and contact.load.column in run.columns:
+            values = run.columns[contact.load.column]
+            good = np.isfinite(values)
+            if not good.any():
+                continue
+            smallest = max(float(np.nanmax(values)) * 0.01, 1e-6)
+            series = np.maximum(np.interp(run.time_s, run.time_s[good], values[good]), smallest)
+            loads[m] = _means(run.time_s, series / float(np.median(series)), edges)[:, 0]
+        elif contact.load is None and pressure is not None and set(contact.between) & set(press.panel_layers):
+            loads[m] = np.full(len(edges) - 1, pressure / REFERENCE_PRESSURE)
+    return loads
+
+
+def mask_cells(mesh: Mesh, names: tuple[str, ...]) -> NDArray[np.bool_]:
+    """Return which cells belong to the named layers."""
+    mask = np.zeros(len(mesh.dx), dtype=bool)
+    for name in names:
+        mask[mesh.cells(name)] = True
+    return mask
