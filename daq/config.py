@@ -1,0 +1,178 @@
+"""``kerntemp.toml``: what the services of one machine are told, checked at start, unknown keys refused.
+
+::
+
+    [store]
+    url = "kerntemp.sqlite"                # a path, or postgresql://user@host/name
+
+    [[press]]
+    name = "lab"
+    file = "presses/lab.toml"              # relative to this file
+    rate_hz = 10.0
+    header = { "panel.material" = "MDF", "panel.thickness_mm" = 16.0 }
+
+    [[press.logger]]                       # see daq.drivers.settings
+    name = "platens"
+    profile = "adam-6018"
+    host = "192.168.0.21"
+    channels = ["platen_top", "platen_bottom"]
+
+    [server]
+    host = "127.0.0.1"
+    port = 8765
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections import Counter
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from daq.drivers.settings import LoggerSettings
+from daq.pressfile import Press, explain, read_press
+from daq.records import InputError
+
+HeaderValue = str | bool | int | float | list[Any]
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class StoreSettings(_Table):
+    """``[store]``."""
+
+    url: str = Field(default="kerntemp.sqlite", min_length=1)
+    """File path (relative to the configuration), ``sqlite:///path`` or ``postgresql://user@host/name``."""
+    buffer: Path | None = None
+    """Local file that takes the scans while a database server is away. None: beside the configuration."""
+    keep_idle_days: Annotated[float, Field(gt=0)] = 30.0
+    """Scans outside every run are thinned after this many days. Runs are never touched."""
+
+
+class PressSettings(_Table):
+    """``[[press]]``: one recorded press."""
+
+    name: str = Field(min_length=1, pattern=r"^[A-Za-z0-9_-]+$")
+    file: Path
+    """The press file."""
+    rate_hz: Annotated[float, Field(ge=0.1, le=20)] = 10.0
+    pre_trigger_s: Annotated[float, Field(ge=0, le=600)] = 5.0
+    """A run begins this long before the panel's insertion."""
+    post_removal_s: Annotated[float, Field(ge=0, le=600)] = 5.0
+    """A run ends this long after the panel's removal."""
+    longest_run_s: Annotated[float, Field(gt=0)] = 3600.0
+    """A run that long is ended: the removal was missed."""
+    limit_switch: str = "closed"
+    """Column of a limit switch, where one is wired; it goes before the temperatures."""
+    header: Mapping[str, HeaderValue] = Field(default_factory=dict)
+    """Header keys every run of this press begins with: panel, ambient, settings."""
+    logger: tuple[LoggerSettings, ...] = Field(min_length=1)
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """The columns of all loggers, in order."""
+        return tuple(c for logger in self.logger for c in logger.columns)
+
+    @model_validator(mode="after")
+    def _distinct(self) -> PressSettings:
+        if twice := [c for c, n in Counter(self.columns).items() if n > 1]:
+            raise ValueError(f"two loggers fill column {twice[0]!r}; each column comes from one input")
+        if twice := [c for c, n in Counter(x.name for x in self.logger).items() if n > 1]:
+            raise ValueError(f"two loggers are called {twice[0]!r}; give each its own name")
+        return self
+
+
+class ServerSettings(_Table):
+    """``[server]``: the REST interface and page."""
+
+    host: str = "127.0.0.1"
+    port: Annotated[int, Field(ge=0, le=65535)] = 8765
+    tokens: Path | None = None
+    """File with the tokens of readers and writers. None: reading on loopback only."""
+
+
+class ClockSettings(_Table):
+    """``[clock]``: only for an accelerated demonstration."""
+
+    speed: Annotated[float, Field(gt=0, le=1000)] = 1.0
+    """Run time = monotonic time times this."""
+
+
+class Config(_Table):
+    """The whole ``kerntemp.toml``. Paths in it are absolute after `load_config`."""
+
+    store: StoreSettings = StoreSettings()
+    press: tuple[PressSettings, ...] = Field(min_length=1)
+    server: ServerSettings = ServerSettings()
+    clock: ClockSettings = ClockSettings()
+    text: str = Field(default="", exclude=True)
+    """The file as it was read, kept with every run."""
+
+    @model_validator(mode="after")
+    def _distinct(self) -> Config:
+        if twice := [c for c, n in Counter(p.name for p in self.press).items() if n > 1]:
+            raise ValueError(f"two presses are called {twice[0]!r}; give each its own name")
+        return self
+
+    def press_named(self, name: str | None = None) -> PressSettings:
+        """Return the press of that name, the first where none is asked for."""
+        found = [p for p in self.press if name in (None, p.name)]
+        if not found:
+            known = ", ".join(p.name for p in self.press)
+            raise InputError(f"press {name!r} is not in the configuration; it has {known}")
+        return found[0]
+
+
+def load_config(path: Path) -> Config:
+    """Read and check a configuration with everything it names.
+
+    Raises
+    ------
+    InputError
+        Naming file, line or key, value and what is allowed.
+    """
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8")
+        tree = tomllib.loads(text)
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise InputError(f"{path}: cannot read the configuration: {reason}") from error
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{path}: not valid TOML: {error}") from error
+    if "text" in tree:
+        raise InputError(f"{path}: text: unknown key; remove it or check its spelling")
+    try:
+        config = Config.model_validate({**tree, "text": text})
+    except ValidationError as error:
+        raise InputError(f"{path}: {explain(error)}") from error
+    config = _absolute(config, path.resolve().parent)
+    for press in config.press:
+        check_columns(press, read_press(press.file), str(path))
+    return config
+
+
+def check_columns(settings: PressSettings, press: Press, where: str) -> None:
+    """Refuse a press whose measured boundaries no logger fills."""
+    ends = (("bottom", press.boundary.bottom), ("top", press.boundary.top))
+    for end, boundary in ends:
+        if boundary.kind == "measured" and boundary.column not in settings.columns:
+            raise InputError(
+                f"{where}: press {settings.name}: no logger has channel {boundary.column!r}, which "
+                f"boundary.{end} of {settings.file} needs; add it to a logger's channels"
+            )
+
+
+def _absolute(config: Config, folder: Path) -> Config:
+    url = config.store.url if "://" in config.store.url else str(folder / Path(config.store.url).expanduser())
+    buffer = folder / (config.store.buffer or "kerntemp-buffer.sqlite")
+    store = config.store.model_copy(update={"url": url, "buffer": buffer})
+    presses = tuple(p.model_copy(update={"file": folder / p.file}) for p in config.press)
+    tokens = config.server.tokens
+    server = config.server.model_copy(update={"tokens": None if tokens is None else folder / tokens})
+    return config.model_copy(update={"store": store, "press": presses, "server": server})

@@ -1,0 +1,89 @@
+"""The service configuration: checked at start, wrong keys named."""
+
+from pathlib import Path
+
+import pytest
+
+from daq.config import load_config
+from daq.records import InputError
+
+PRESSES = Path(__file__).parents[2] / "deploy" / "presses"
+GOOD = """
+[store]
+url = "plant.sqlite"
+
+[[press]]
+name = "lab"
+file = "lab.toml"
+rate_hz = 10.0
+header = { "panel.material" = "MDF", "panel.thickness_mm" = 16.0 }
+
+[[press.logger]]
+name = "platens"
+profile = "adam-6018"
+host = "127.0.0.1"
+channels = ["platen_top", "platen_bottom", "", "top_1"]
+
+[server]
+port = 9000
+"""
+
+
+@pytest.fixture
+def folder(tmp_path):
+    (tmp_path / "lab.toml").write_text((PRESSES / "lab.toml").read_text())
+    return tmp_path
+
+
+def test_a_configuration_gives_paths_beside_itself_and_columns_in_order(folder):
+    (folder / "kerntemp.toml").write_text(GOOD)
+    config = load_config(folder / "kerntemp.toml")
+    assert config.store.url == str(folder / "plant.sqlite")
+    assert config.press[0].file == folder / "lab.toml"
+    assert config.press_named().columns == ("platen_top", "platen_bottom", "top_1")
+    assert config.press[0].header["panel.thickness_mm"] == 16.0
+    assert config.server.port == 9000
+    assert config.clock.speed == 1.0
+    assert config.text == GOOD
+    with pytest.raises(InputError, match="press 'x' is not in the configuration; it has lab"):
+        config.press_named("x")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (("rate_hz", "rate_Hz"), r"press.0.rate_Hz = 10.0: unknown key"),
+        (("rate_hz = 10.0", "rate_hz = 200.0"), r"press.0.rate_hz = 200.0: .*less than or equal to 20"),
+        (('name = "lab"', 'name = "my lab"'), r"press.0.name = 'my lab'"),
+        (('"top_1"', '"platen_top"'), r"names platen_top twice"),
+        (('"platen_bottom"', '"top_2"'), r"no logger has channel 'platen_bottom', which boundary.bottom"),
+        (("lab.toml", "none.toml"), r"none.toml: cannot read the press file: No such file"),
+        (("port = 9000", "port = 90000"), r"server.port = 90000"),
+        (("[server]", "[sever]"), r"sever: unknown key"),
+        (("[server]", "server]"), r"not valid TOML: .*line 17"),
+        (('host = "127.0.0.1"\n', ""), r"press.0.logger.0: give either port"),
+        (("[store]", 'text = "x"\n[store]'), r"text: unknown key"),
+    ],
+)
+def test_a_wrong_configuration_is_refused_by_key_and_value(folder, change, message):
+    (folder / "kerntemp.toml").write_text(GOOD.replace(*change))
+    with pytest.raises(InputError, match=message) as caught:
+        load_config(folder / "kerntemp.toml")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_column_from_two_loggers_is_refused(folder):
+    second = GOOD[GOOD.index("[[press.logger]]") : GOOD.index("[server]")].replace('"platens"', '"others"')
+    (folder / "kerntemp.toml").write_text(GOOD.replace("[server]", second + "[server]"))
+    with pytest.raises(InputError, match="two loggers fill column 'platen_top'"):
+        load_config(folder / "kerntemp.toml")
+
+
+def test_a_missing_configuration_is_named(tmp_path):
+    with pytest.raises(InputError, match=r"kerntemp.toml: cannot read the configuration: No such file"):
+        load_config(tmp_path / "kerntemp.toml")
+
+
+def test_a_server_address_stays_as_it_is(folder):
+    (folder / "kerntemp.toml").write_text(GOOD.replace("plant.sqlite", "postgresql://eva@db/plant"))
+    assert load_config(folder / "kerntemp.toml").store.url == "postgresql://eva@db/plant"
