@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from daq.drivers.bus import Bus, Patience, release_bus, share_bus
+from daq.drivers.dcon import DconDevice
 from daq.drivers.link import Place, SerialPlace, SocketPlace
 from daq.drivers.modbus_device import ModbusDevice
 from daq.drivers.polled import Device, PolledLogger
 from daq.drivers.profile import Profile, profile_for
 from daq.drivers.protocol import DataLogger
+from daq.drivers.scpi import ScpiDevice
 from daq.drivers.settings import LoggerSettings
+from daq.drivers.sr630 import Sr630Device
 from daq.records import InputError
 
 
@@ -55,7 +58,7 @@ def _transport(settings: LoggerSettings) -> str:
 def patience_of(settings: LoggerSettings, profile: Profile) -> Patience:
     """Return the waits that hold for this logger."""
     timeout_s = settings.timeout_s or profile.timing.response_s
-    drain_s = settings.drain_s or max(timeout_s, profile.timing.response_s)
+    drain_s = settings.drain_s or profile.timing.drain_s or max(timeout_s, profile.timing.response_s)
     return Patience(timeout_s, drain_s, profile.timing.turnaround_s)
 
 
@@ -74,4 +77,9 @@ def _device(settings: LoggerSettings, profile: Profile, bus: Bus) -> Device:
             cold_junction=settings.cold_junction_C,
             local_echo=settings.local_echo,
         )
-    raise InputError(f"logger {settings.name}: protocol {profile.protocol} is not available")
+    if profile.protocol == "dcon":
+        guarded = bool(settings.checksum)
+        return DconDevice(bus, profile, station=station or 0, patience=patience, with_checksum=guarded)
+    if profile.protocol == "scpi":
+        return ScpiDevice(bus, profile, patience=patience, used=used)
+    return Sr630Device(bus, profile, patience=patience, used=used)

@@ -44,6 +44,9 @@ class Timing(_Table):
 
     response_s: float = Field(gt=0)
     """Worst time from request to complete reply, wire included."""
+    drain_s: float | None = Field(default=None, gt=0)
+    """Silence after a fault where less than the worst response time is enough, because the reply
+    itself tells which request it answers; None: the worst response time."""
     refresh_s: float = Field(gt=0)
     """Time in which every input is converted once."""
     turnaround_s: float = Field(default=0.005, ge=0)

@@ -14,6 +14,7 @@ from typing import Any, Literal
 
 from daq.records import InputError
 from daq.simulated import modbus
+from daq.simulated.ascii import AdamModule, Monitor, ScanningMeter
 from daq.simulated.devices_converter import Converter, Switches, Temperatures
 from daq.simulated.devices_line import Server, Station, serve_serial, serve_tcp
 
@@ -45,6 +46,17 @@ def _labjack_setup(address: int) -> bool:
     return any(first <= address < first + 64 for first in (9000, 9300, 40000, 41000))
 
 
+def _adam(name: str, lowest: float, highest: float) -> Any:
+    def build(converter: Converter, station: int, tcp: bool) -> Station:
+        return AdamModule(converter, station=station, guarded=True, name=name, lowest=lowest, highest=highest)
+
+    return build
+
+
+def _meter(name: str) -> Any:
+    return lambda converter, station, tcp: ScanningMeter(converter, name=name)
+
+
 KINDS: Mapping[str, Kind] = {
     "adam-4118": Kind(8, 0.8, "serial", _modbus(modbus.encode_adam_4118), {}),
     "adam-4018+": Kind(8, 0.8, "serial", _modbus(modbus.encode_adam_4018_hundredth), {"scaling": "hundredth"}),
@@ -62,6 +74,17 @@ KINDS: Mapping[str, Kind] = {
         _modbus(modbus.encode_m7019r_hex),
         {"scaling": "hex", "baud": 9600, "address": 1},
     ),
+    "adam-4118-ascii": Kind(8, 0.8, "serial", _adam("4118", 0.0, 1370.0), {"checksum": True}),
+    "m-7019r-dcon": Kind(
+        8,
+        0.8,
+        "serial",
+        _adam("7019R", -270.0, 1372.0),
+        {"checksum": True, "baud": 9600, "address": 1},
+    ),
+    "34970a": Kind(16, 0.0, "serial", _meter("HEWLETT-PACKARD,34970A,0,13-2-2"), {"baud": 9600}),
+    "daq970a": Kind(16, 0.0, "rtu_over_tcp", _meter("Keysight Technologies,DAQ970A,MY1,A.03.01"), {}),
+    "sr630": Kind(16, 0.0, "serial", lambda converter, station, tcp: Monitor(converter), {}),
     "labjack-t7": Kind(16, 0.0, "tcp", _modbus(modbus.encode_labjack_t7, _labjack_setup), {}),
     "sequent-smtc": Kind(8, 0.8, "serial", _modbus(modbus.encode_smtc), {"address": 1}),
     "exemys-rme1-tc": Kind(8, 1.0, "tcp", _modbus(modbus.encode_rme1), {}),

@@ -1,0 +1,137 @@
+"""ADAM and DCON modules speaking ASCII: ``#AA`` fetches all inputs, ``$AAB`` proves we are in step.
+
+The reply to ``#AA`` names no module. The reply to ``$AAB`` does, so a scan counts only when the
+status line that belongs to it follows: a late or doubled ``#AA`` reply of any module pushes itself
+into that place and is refused.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+
+from daq.drivers.bus import Bus, Patience
+from daq.drivers.decode import Sample, limited
+from daq.drivers.lines import decoded, line_reply
+from daq.drivers.profile import Ascii, Profile
+from daq.drivers.protocol import BadFrame, NoReply
+from daq.records import InputError, Quality
+
+_OPEN, _OVER, _UNDER = "+888888", "+9999", "-0000"
+_NUMBER = re.compile(r"[+-]\d+\.\d*")
+_CHECKSUM_BIT = 0x40
+
+
+def checksum(text: str) -> str:
+    """Return two hexadecimal digits, the low byte of the sum of the characters.
+
+    >>> checksum("#01")
+    '84'
+    """
+    return f"{sum(text.encode('ascii')) & 0xFF:02X}"
+
+
+def values_of(payload: str, inputs: int, width: int) -> list[tuple[float, Quality]]:
+    """Return value and quality of every input from what follows ``>``, or raise BadFrame.
+
+    >>> values_of("+0025.1+888888       ", 3, 7)[0]
+    (25.1, <Quality.GOOD: 'good'>)
+    """
+    cells = re.findall(rf" {{{width}}}|[+-][0-9.]+", payload)
+    if "".join(cells) != payload or len(cells) != inputs:
+        raise BadFrame(f"{payload[:70]!r} is not {inputs} values", "wrong shape")
+    return [_value(cell, width) for cell in cells]
+
+
+def _value(cell: str, width: int) -> tuple[float, Quality]:
+    if not cell.strip():
+        return math.nan, Quality.MISSING
+    codes = {_OPEN: Quality.OPEN, _OVER: Quality.OVER, _UNDER: Quality.UNDER}
+    if cell in codes:
+        return math.nan, codes[cell]
+    if len(cell) != width or not _NUMBER.fullmatch(cell):
+        raise BadFrame(f"{cell!r} is no value", "wrong shape")
+    return float(cell), Quality.GOOD
+
+
+class DconDevice:
+    """One module at its two-digit address."""
+
+    def __init__(
+        self, bus: Bus, profile: Profile, *, station: int, patience: Patience, with_checksum: bool
+    ) -> None:
+        if profile.ascii is None:
+            raise InputError(f"profile {profile.name} has no table ascii")
+        self.bus = bus
+        self.patience = patience
+        self._profile = profile
+        self._ascii: Ascii = profile.ascii
+        self._at = f"{station:02X}"
+        self._with_checksum = with_checksum
+
+    def set_up(self) -> None:
+        """Make sure the module writes engineering units, with the checksum as set here."""
+        answer, _, _ = self._ask(f"${self._at}2", f"!{self._at}")
+        if not re.fullmatch(r"[0-9A-F]{6}", answer):
+            raise BadFrame(f"{answer!r} is no configuration", "wrong shape")
+        flags = int(answer[4:], 16)
+        if bool(flags & _CHECKSUM_BIT) != self._with_checksum:
+            raise self._refused(
+                f"has its checksum {'on' if flags & _CHECKSUM_BIT else 'off'}; set checksum to match"
+            )
+        if flags & 0x03:
+            raise self._refused("does not write engineering units; set data format 0 in the module")
+        if self._ascii.name:
+            name, _, _ = self._ask(f"${self._at}M", f"!{self._at}")
+            if self._ascii.name not in name:
+                raise self._refused(
+                    f"calls itself {name!r}, profile {self._profile.name} expects {self._ascii.name}"
+                )
+
+    def sample(self) -> Sample:
+        """Fetch all inputs, then the status that belongs to them."""
+        with self.bus.lock:
+            payload, requested_s, received_s = self._ask(f"#{self._at}", ">")
+            flags = self._flags()
+        pairs = values_of(payload, self._profile.inputs, self._ascii.width)
+        judged = [
+            limited(self._profile, value, Quality.OVER if flag and quality is Quality.GOOD else quality)
+            for (value, quality), flag in zip(pairs, flags, strict=True)
+        ]
+        return Sample(tuple(v for v, _ in judged), tuple(q for _, q in judged), requested_s, received_s)
+
+    def _flags(self) -> list[bool]:
+        inputs = self._profile.inputs
+        if self._ascii.status is None:
+            self._ask(f"${self._at}M", f"!{self._at}")
+            return [False] * inputs
+        answer, _, _ = self._ask(f"${self._at}B", f"!{self._at}")
+        if not re.fullmatch(rf"[0-9A-F]{{1,{math.ceil(inputs / 4)}}}", answer):
+            raise BadFrame(f"{answer!r} is no status", "wrong shape")
+        return [bool(int(answer, 16) >> k & 1) for k in range(inputs)]
+
+    def _ask(self, command: str, lead: str) -> tuple[str, float, float]:
+        guard = checksum(command) if self._with_checksum else ""
+        take = line_reply(b"\r")
+
+        def checked(buffer: bytearray) -> bytes | None:
+            line = take(buffer)
+            return None if line is None else self._checked(line, command, lead)
+
+        reply = self.bus.exchange(f"{command}{guard}\r".encode("ascii"), checked, self.patience)
+        return reply.payload.decode("ascii"), reply.requested_s, reply.received_s
+
+    def _checked(self, line: bytes, command: str, lead: str) -> bytes:
+        text = decoded(line)
+        if self._with_checksum:
+            text, guard = text[:-2], text[-2:]
+            if checksum(text) != guard:
+                raise BadFrame("checksum is wrong", "crc")
+        if text.startswith("?"):
+            raise self._refused(f"does not know {command}")
+        if not text.startswith(lead):
+            raise BadFrame(f"reply {text[:20]!r} to {command} does not begin {lead!r}", "wrong shape")
+        return text.removeprefix(lead).encode("ascii")
+
+    def _refused(self, why: str) -> NoReply:
+        return NoReply(f"{self.bus.place} module {self._at} {why}", "refused")
