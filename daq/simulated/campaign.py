@@ -13,22 +13,21 @@ import numpy as np
 
 from daq.records import Array, Moments, Panel, Run
 from daq.runfile import write_run
-from daq.simulated.campaign_platens import KNOT_S, Controller, draw_controller, draw_platens
+from daq.simulated.campaign_places import solve_places
+from daq.simulated.campaign_platens import Controller, draw_controller, draw_platens
 from daq.simulated.campaign_sensors import (
     FACES,
     POSITIONS_MM,
-    RIM_SHAPE,
     Chain,
     Fault,
     Nuisances,
     draw_fault,
     measure,
 )
-from daq.simulated.effects import draw_effect, draw_outside, for_run, split_names, with_outside
-from daq.simulated.physics import BASE_COEFFICIENTS, Accuracy, Platen, Pressing, Solution, solve
+from daq.simulated.effects import CHAIN_EFFECTS, draw_effect, draw_outside, for_run, split_names, with_outside
+from daq.simulated.physics import BASE_COEFFICIENTS, Accuracy, Pressing
 
 Effects = Mapping[str, Mapping[str, float]]
-_CHAIN = ("clock_offset", "platen_offset", "sensor_fault")
 
 
 @dataclass(frozen=True)
@@ -228,9 +227,10 @@ def _draw_press(
 def _make_run(press: _Press, number: int, rng: np.random.Generator) -> tuple[Run, Truth]:
     pressing, setpoint = _draw_pressing(press, rng)
     run_effects = {n: for_run(n, p, rng, press.plan.effect_spread) for n, p in press.effects.items()}
-    physical = {n: p for n, p in run_effects.items() if n not in _CHAIN}
+    physical = {n: p for n, p in run_effects.items() if n not in CHAIN_EFFECTS}
     pressing = with_outside(replace(pressing, effects=physical), press.outside)
-    core, faces = _solve_places(press, pressing)
+    places = solve_places(pressing, press.outside, press.plan.rim_contrast, press.plan.accuracy)
+    core, faces = places.core, places.channels
     period = 1.0 / press.rate_hz
     n = int((pressing.end - pressing.start) / period)
     jitter = np.clip(rng.standard_normal(n) * press.plan.nuisances.jitter, -0.2, 0.2)
@@ -315,50 +315,6 @@ def _draw_pressing(press: _Press, rng: np.random.Generator) -> tuple[Pressing, f
         drying_law="kinetic" if press.laws["drying_law"] == "kinetic" else "equilibrium",
     )
     return pressing, setpoint
-
-
-def _solve_places(
-    press: _Press, pressing: Pressing
-) -> tuple[Callable[[Array], Array], dict[str, Callable[[Array], Array]]]:
-    """Solve the press once, or once for each kind of place over the face; return core and channel curves."""
-    accuracy = press.plan.accuracy
-    mean = solve(pressing, accuracy)
-    places: list[Solution] = [mean] * 7
-    core = _curve(mean, "core")
-    if press.plan.rim_contrast > 0 and "edge_loss" in pressing.effects:
-        solved = {
-            shape: _with_edge(pressing, 1 + press.plan.rim_contrast * (shape - 1), accuracy)
-            for shape in set(RIM_SHAPE)
-        }
-        places = [solved[shape] for shape in RIM_SHAPE]
-    if zone := press.outside.get("heater_zone_out"):
-        cold = solve(replace(pressing, platen_top=_without_heater(pressing, zone)), accuracy)
-        places = [cold if x > 250.0 else mean for x, _ in POSITIONS_MM]
-
-        def core(t: Array) -> Array:
-            return np.asarray(0.5 * (mean.at("core", t) + cold.at("core", t)))
-
-    channels = {
-        c: _curve(places[i], f"sensor_{face}") for face, names in FACES.items() for i, c in enumerate(names)
-    }
-    return core, channels
-
-
-def _with_edge(pressing: Pressing, factor: float, accuracy: Accuracy) -> Solution:
-    edge = {"W_m3K": factor * pressing.effects["edge_loss"]["W_m3K"]}
-    return solve(replace(pressing, effects={**pressing.effects, "edge_loss": edge}), accuracy)
-
-
-def _without_heater(pressing: Pressing, zone: Mapping[str, float]) -> Platen:
-    """Return the upper platen where a heater zone has cut out: it falls, and its sensor sits elsewhere."""
-    platen = pressing.platen_top
-    t = platen.start + KNOT_S * np.arange(len(platen.values))
-    since = np.clip(t - pressing.closed - zone["from_share"] * (pressing.opened - pressing.closed), 0.0, None)
-    return replace(platen, values=platen.values - 40.0 * (1.0 - np.exp(-since * zone["K_s"] / 40.0)))
-
-
-def _curve(solution: Solution, signal: str) -> Callable[[Array], Array]:
-    return lambda t: solution.at(signal, t)
 
 
 def _header(

@@ -54,6 +54,9 @@ OUTSIDE = (
 )
 """Faults that are in no catalogue and that no combination of its entries explains."""
 
+CHAIN_EFFECTS = ("clock_offset", "platen_offset", "sensor_fault")
+"""Put in by the measuring chain, not by the physics."""
+
 _PANEL_SIZE = {
     "moisture_evaporation": "moisture_percent",
     "vapour_convection": "W_m3K",

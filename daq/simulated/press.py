@@ -1,0 +1,249 @@
+"""The virtual press of the live demonstration: pressing after pressing in virtual time, all from one seed.
+
+A whole cycle, from one panel's removal to the next one's, is solved when its time comes; asking for
+temperatures then only interpolates, so the press costs next to nothing at any speed. Two objects with
+the same settings and seed agree at all times: a summary can ask a second one for the truth.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from daq.records import Array, Moments, Panel, PressState
+from daq.simulated.campaign_places import solve_places
+from daq.simulated.campaign_platens import Controller, draw_controller, draw_platens
+from daq.simulated.campaign_sensors import CHANNELS, FACES, PLATENS, Chain, Fault, Nuisances, draw_fault, measure
+from daq.simulated.effects import CHAIN_EFFECTS, draw_effect, draw_outside, for_run, split_names, with_outside
+from daq.simulated.physics import BASE_COEFFICIENTS, Platen, Pressing
+from daq.simulated.press_hands import Between, wander
+
+GRID_S = 0.05
+_QUIET = replace(
+    Nuisances(), quantum_K=0.0, skew_s=0.0, jitter=0.0, missing=0.0, burst_chance=0.0, loose_chance=0.0
+)
+
+
+@dataclass(frozen=True)
+class PressSettings:
+    """How the virtual press works. Pairs are ranges, drawn anew for each pressing."""
+
+    setpoint_C: float = 200.0
+    between_s: tuple[float, float] = (25.0, 45.0)
+    open_before_s: tuple[float, float] = (5.0, 12.0)
+    press_time_s: tuple[float, float] = (35.0, 75.0)
+    open_after_s: tuple[float, float] = (25.0, 40.0)
+    thickness_mm: float = 16.0
+    coefficients: Mapping[str, float] = field(default_factory=lambda: dict(BASE_COEFFICIENTS))
+    coefficient_spread: float = 0.06
+    panel_spread: float = 0.01
+    hide: Sequence[str] = ()
+    """Effects of the contract, or faults outside it, that only the virtual press has."""
+    nuisances: Nuisances = _QUIET
+    """Quantisation, skew and missing values are the loggers' own."""
+    keep: int = 4
+    """Cycles whose temperatures stay in memory."""
+
+
+@dataclass(frozen=True)
+class Cycle:
+    """One pressing and the idle time before it. Times in virtual seconds since the start."""
+
+    number: int
+    """Counts from 1."""
+    start: float
+    moments: Moments
+    pressing: Pressing
+    """With times of its own: add `start`."""
+    times: Array
+    readings: Mapping[str, Array]
+    """What the thermocouples give, before the loggers. [°C]"""
+    core_C: Array
+    top_C: Array
+    bottom_C: Array
+    """True, NaN without a panel."""
+    plates: tuple[Array, Array]
+    platens_end: tuple[float, float]
+
+    @property
+    def end(self) -> float:
+        """The moment of removal."""
+        return self.moments.removed_s
+
+
+class VirtualPress:
+    """The laboratory press with people around it.
+
+    Time only needs to be asked for: `temperatures` and the truths solve what is missing. Asking for a
+    time whose cycle has left memory raises ValueError.
+    """
+
+    def __init__(self, settings: PressSettings | None = None, seed: int = 0) -> None:
+        self.settings = settings or PressSettings()
+        self._seed = seed
+        rng = np.random.default_rng([seed, 7])
+        self.ambient = float(rng.uniform(20.0, 25.0))
+        self._controller: Controller = draw_controller(rng)
+        inside, outer = split_names(self.settings.hide)
+        self.effects: Mapping[str, Mapping[str, float]] = {n: draw_effect(n, rng) for n in inside}
+        """What is hidden, as drawn."""
+        self.outside: Mapping[str, Mapping[str, float]] = {n: draw_outside(n, rng) for n in outer}
+        self.faults: tuple[Fault, ...] = (draw_fault(rng, 60.0),) if "sensor_fault" in inside else ()
+        self._cycles: deque[Cycle] = deque([self._cycle(None)], maxlen=self.settings.keep)
+
+    @property
+    def panel(self) -> Panel:
+        """The panels' nominal constants, as a run's header states them."""
+        return Panel("MDF", self.settings.thickness_mm / 1000.0, 740.0, 0.12, 1550.0, self.ambient, 8.0)
+
+    @property
+    def cycles(self) -> tuple[Cycle, ...]:
+        """The cycles in memory, oldest first."""
+        return tuple(self._cycles)
+
+    def cycle(self, at_s: float) -> Cycle:
+        """Return the cycle a virtual time lies in, solving cycles up to it."""
+        while at_s >= self._cycles[-1].end:
+            self._cycles.append(self._cycle(self._cycles[-1]))
+        for cycle in reversed(self._cycles):
+            if at_s >= cycle.start:
+                return cycle
+        raise ValueError(f"virtual time {at_s:g} s: only {self._cycles[0].start:g} s and later is in memory")
+
+    def temperatures(self, at_s: float) -> dict[str, float]:
+        """Return what the 16 thermocouples give at a virtual time, with their imperfections. [°C]"""
+        cycle = self.cycle(at_s)
+        i, share = _place(cycle, at_s)
+        return {n: float(v[i] + share * (v[i + 1] - v[i])) for n, v in cycle.readings.items()}
+
+    def core(self, at_s: float) -> float:
+        """Return the true core temperature, NaN without a panel. [°C]"""
+        cycle = self.cycle(at_s)
+        i, share = _place(cycle, at_s)
+        if self.state(at_s) is PressState.IDLE:
+            return float("nan")
+        return float(np.interp(share, [0.0, 1.0], cycle.core_C[i : i + 2]))
+
+    def state(self, at_s: float) -> PressState:
+        """Return what the press is truly doing: closed between the middles of both ramps."""
+        m = self.cycle(at_s).moments
+        if at_s < m.inserted_s:
+            return PressState.IDLE
+        return PressState.CLOSED if m.closed_s <= at_s < m.opened_s else PressState.OPEN
+
+    def closed(self, at_s: float) -> bool:
+        """Return the limit switch."""
+        return self.state(at_s) is PressState.CLOSED
+
+    def _cycle(self, before: Cycle | None) -> Cycle:
+        number = 1 if before is None else before.number + 1
+        start = 0.0 if before is None else before.end
+        rng = np.random.default_rng([self._seed, 8, number])
+        pressing = self._draw(before, rng)
+        run_effects = {n: for_run(n, p, rng) for n, p in self.effects.items()}
+        physical = {n: p for n, p in run_effects.items() if n not in CHAIN_EFFECTS}
+        if before is not None:
+            physical.pop("initial_press_state", None)
+        pressing = with_outside(replace(pressing, effects=physical), self.outside)
+        places = solve_places(pressing, self.outside, plates=None if before is None else before.plates)
+        chain = Chain(
+            self.settings.nuisances,
+            run_effects.get("clock_offset", {}).get("seconds", 0.0),
+            {f"platen_{s}": run_effects.get("platen_offset", {}).get(f"{s}_K", 0.0) for s in ("top", "bottom")},
+            self.faults,
+        )
+        times = np.append(np.arange(0.0, pressing.end, GRID_S), pressing.end)
+        curves = self._curves(pressing, places.channels, before, rng)
+        readings, _ = measure(curves, times, chain, self.ambient, rng)
+        with_panel = times >= pressing.inserted
+        moments = Moments(
+            start + pressing.inserted,
+            start + pressing.closed,
+            start + pressing.opened,
+            start + pressing.end,
+            pressing.closing_ramp,
+            "truth",
+        )
+        return Cycle(
+            number=number,
+            start=start,
+            moments=moments,
+            pressing=pressing,
+            times=times,
+            readings={name: readings[name] for name in CHANNELS},
+            core_C=np.where(with_panel, places.core(times), np.nan),
+            top_C=np.where(with_panel, places.mean.at("panel_top", times), np.nan),
+            bottom_C=np.where(with_panel, places.mean.at("panel_bottom", times), np.nan),
+            plates=places.mean.plates,
+            platens_end=(
+                float(pressing.platen_bottom.at(times[-1:])[0]),
+                float(pressing.platen_top.at(times[-1:])[0]),
+            ),
+        )
+
+    def _draw(self, before: Cycle | None, rng: np.random.Generator) -> Pressing:
+        s = self.settings
+        inserted = float(rng.uniform(*s.between_s))
+        closed = inserted + float(rng.uniform(*s.open_before_s))
+        opened = closed + float(rng.uniform(*s.press_time_s))
+        end = opened + float(rng.uniform(*s.open_after_s))
+        platens = draw_platens(self._controller, s.setpoint_C, (0.0, end + 1.0), ((closed, opened),), rng)
+        if before is not None:
+            platens = _continued(platens[0], before.platens_end[0]), _continued(platens[1], before.platens_end[1])
+        k, c = np.exp(s.panel_spread * rng.standard_normal(2))
+        start = self.ambient + float(rng.normal(0.0, 0.7))
+        spread = {
+            n: float(h * np.exp(s.coefficient_spread * rng.standard_normal())) for n, h in s.coefficients.items()
+        }
+        return Pressing(
+            panel=Panel("MDF", s.thickness_mm / 1000.0, 740.0, 0.12 * k, 1550.0 * c, start, 8.0),
+            ambient=self.ambient,
+            platen_bottom=platens[0],
+            platen_top=platens[1],
+            start=0.0,
+            end=end,
+            inserted=inserted,
+            closed=closed,
+            opened=opened,
+            closing_ramp=float(rng.uniform(0.2, 1.0)),
+            opening_ramp=float(rng.uniform(0.2, 0.5)),
+            coefficients=spread,
+            pressure=float(rng.choice([280.0, 320.0, 350.0, 380.0, 400.0])),
+        )
+
+    def _curves(
+        self,
+        pressing: Pressing,
+        panel: Mapping[str, Callable[[Array], Array]],
+        before: Cycle | None,
+        rng: np.random.Generator,
+    ) -> dict[str, Callable[[Array], Array]]:
+        """Return each channel's true temperature: on the hand until the insertion, then on the panel."""
+        curves: dict[str, Callable[[Array], Array]] = {
+            "platen_top": pressing.platen_top.at,
+            "platen_bottom": pressing.platen_bottom.at,
+        }
+        between = Between(0.0, pressing.inserted, self.ambient, pressing.panel.initial_temperature)
+        for column in (*FACES["top"], *FACES["bottom"]):
+            first = self.ambient if before is None else float(before.readings[column][-1])
+            curves[column] = _joined(*wander(between, first, rng), panel[column])
+        return {name: curves[name] for name in (*PLATENS, *FACES["top"], *FACES["bottom"])}
+
+
+def _joined(t: Array, values: Array, panel: Callable[[Array], Array]) -> Callable[[Array], Array]:
+    return lambda at: np.where(at < t[-1], np.interp(at, t, values), panel(at))
+
+
+def _continued(platen: Platen, last: float) -> Platen:
+    """Return the platen without a jump from where the cycle before left it."""
+    t = platen.step * np.arange(len(platen.values))
+    return replace(platen, values=platen.values + (last - platen.values[0]) * np.exp(-t / 15.0))
+
+
+def _place(cycle: Cycle, at_s: float) -> tuple[int, float]:
+    x = (at_s - cycle.start) / GRID_S
+    i = min(int(x), len(cycle.times) - 2)
+    return i, min(x - i, 1.0)

@@ -1,0 +1,120 @@
+"""The virtual press of the demonstration."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+
+from daq.records import InputError, PressState
+from daq.simulated.campaign_sensors import CHANNELS, Nuisances
+from daq.simulated.press import PressSettings, VirtualPress
+
+PERFECT = Nuisances.none()
+
+
+def readings(press: VirtualPress, times: np.ndarray) -> dict[str, np.ndarray]:
+    rows = [press.temperatures(t) for t in times]
+    return {name: np.array([row[name] for row in rows]) for name in CHANNELS}
+
+
+def test_pressings_follow_one_another_and_differ() -> None:
+    press = VirtualPress(PressSettings(keep=20), seed=5)
+    press.cycle(1500.0)
+    cycles = press.cycles
+    assert len(cycles) >= 9
+    for one, two in itertools.pairwise(cycles):
+        assert two.number == one.number + 1
+        assert two.start == one.end
+    for c in cycles:
+        m = c.moments
+        assert c.start < m.inserted_s < m.closed_s < m.opened_s < m.removed_s
+        assert 0.2 <= m.ramp_s <= 1.0
+    assert np.std([c.moments.opened_s - c.moments.closed_s for c in cycles]) > 3.0
+
+
+def test_two_presses_of_one_seed_agree_whatever_was_asked_before() -> None:
+    one, two = VirtualPress(seed=11), VirtualPress(PressSettings(), seed=11)
+    for t in np.arange(0.0, 400.0, 7.3):
+        one.temperatures(float(t))
+    assert one.temperatures(401.0) == two.temperatures(401.0)
+    assert one.core(401.0) == pytest.approx(two.core(401.0), nan_ok=True)
+    assert VirtualPress(seed=12).temperatures(401.0) != two.temperatures(401.0)
+
+
+def test_states_come_in_order_and_the_limit_switch_agrees() -> None:
+    press = VirtualPress(PressSettings(keep=20), seed=2)
+    seen = [press.state(t) for t in np.arange(0.0, 600.0, 0.5)]
+    changes = [b for a, b in itertools.pairwise(seen) if a != b]
+    order = [PressState.OPEN, PressState.CLOSED, PressState.OPEN, PressState.IDLE]
+    assert changes[:8] == (order * 2)[:8]
+    for t in np.arange(0.0, 300.0, 3.1):
+        assert press.closed(t) == (press.state(t) is PressState.CLOSED)
+
+
+def test_the_core_is_known_only_while_a_panel_is_in_the_press() -> None:
+    press = VirtualPress(seed=4)
+    m = press.cycle(0.0).moments
+    assert np.isnan(press.core(m.inserted_s - 1.0))
+    assert press.core(m.inserted_s + 0.5) == pytest.approx(
+        press.cycle(0.0).pressing.panel.initial_temperature, abs=0.01
+    )
+    assert press.core(m.removed_s - 0.1) > press.core(m.inserted_s + 0.5) + 5.0
+
+
+def test_thermocouples_wander_between_hand_and_room_from_panel_to_panel() -> None:
+    press = VirtualPress(PressSettings(nuisances=PERFECT, keep=9), seed=8)
+    first = press.cycle(0.0)
+    second = press.cycle(first.end + 1.0)
+    times = np.arange(first.end, second.moments.inserted_s, 0.1)
+    values = readings(press, times)
+    panel_channels = [c for c in CHANNELS if not c.startswith("platen")]
+    for name in panel_channels:
+        v = values[name]
+        assert v.min() > 15.0
+        assert v[-5:] == pytest.approx(second.pressing.panel.initial_temperature, abs=1.5)
+    loose = times > first.end + 0.6 * (second.moments.inserted_s - first.end)
+    warmest = max(values[name][loose].max() for name in panel_channels)
+    assert 26.0 < warmest < 60.0
+    assert np.ptp([values[name][len(times) // 2] for name in panel_channels]) > 1.0
+
+
+def test_readings_do_not_jump_from_one_cycle_to_the_next() -> None:
+    press = VirtualPress(PressSettings(nuisances=PERFECT, keep=9), seed=9)
+    for _ in range(3):
+        end = press.cycles[-1].end
+        before, after = press.temperatures(end - 0.05), press.temperatures(end + 0.05)
+        assert max(abs(before[n] - after[n]) for n in CHANNELS) < 2.0
+        assert max(abs(before[n] - after[n]) for n in CHANNELS if n.startswith("platen")) < 0.1
+
+
+def test_platens_ripple_and_dip_when_the_press_loads() -> None:
+    press = VirtualPress(PressSettings(nuisances=PERFECT), seed=6)
+    m = press.cycle(0.0).moments
+    t = np.arange(0.0, m.opened_s, 0.5)
+    upper = readings(press, t)["platen_top"]
+    assert 190.0 < upper.min() < upper.max() < 206.0
+    loaded = (t > m.closed_s) & (t < m.closed_s + 20.0)
+    assert upper[loaded].min() < upper[t < m.closed_s].mean() - 0.5
+
+
+def test_a_hidden_effect_changes_the_core_and_not_the_moments() -> None:
+    plain = VirtualPress(seed=21)
+    hidden = VirtualPress(PressSettings(hide=("vapour_convection",)), seed=21)
+    assert hidden.effects["vapour_convection"]["W_m3K"] >= 1e4
+    a, b = plain.cycle(0.0), hidden.cycle(0.0)
+    assert a.moments == b.moments
+    assert np.nanmax(b.core_C - a.core_C) > 1.0
+
+
+def test_an_unknown_effect_is_refused_by_name() -> None:
+    with pytest.raises(InputError, match="'steam': unknown; known are moisture_evaporation"):
+        VirtualPress(PressSettings(hide=("steam",)))
+
+
+def test_a_time_that_left_memory_is_refused() -> None:
+    press = VirtualPress(PressSettings(keep=2), seed=1)
+    press.temperatures(2000.0)
+    with pytest.raises(ValueError, match="in memory"):
+        press.temperatures(10.0)
