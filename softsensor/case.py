@@ -62,7 +62,9 @@ class Case:
         return self.run.ambient_temperature
 
 
-def prepare_case(press: Press, run: Run, moments: Moments, *, paper: bool, fineness: float, max_step_s: float) -> Case:
+def prepare_case(
+    press: Press, run: Run, moments: Moments, *, paper: bool, fineness: float, max_step_s: float
+) -> Case:
     """Check a run against a press and lay out its grids.
 
     Raises
@@ -222,7 +224,8 @@ def _place(press: Press, mesh: Mesh, panel: Panel | None, at: str | At) -> Array
         height = at.depth_mm / 1000.0
         if height > thickness * (1 + 1e-9):
             raise InputError(
-                f"sensor at depth_mm = {at.depth_mm:g} lies outside layer {layer_name!r}, {thickness * 1000:g} mm thick"
+                f"sensor at depth_mm = {at.depth_mm:g} lies outside layer {layer_name!r}, "
+                f"{thickness * 1000:g} mm thick"
             )
     else:
         height = {"bottom": 0.0, "middle": 0.5, "top": 1.0}[at.rpartition(".")[2]] * thickness

@@ -161,6 +161,7 @@ class Work(NamedTuple):
     rate: Array
     drate: Array
     rslope: Array
+    moved: Array
 
 
 @njit(cache=True)
@@ -171,7 +172,7 @@ def make_work(n, p, r):
         z(n + 1), z(n + 1), z(n + 1), z((n + 1, p)), z((n + 1, p)), z((n + 1, p)),
         z(n), z(n), z(n), z((n, p)), z(n), z((n, p)), z(n), z((n, p)), z(n), z(n),
         z(n), z(n), z((n, p)), z((n, p)), z(n), z((n, p)), z(n), z((n, p)),
-        z((r, n)), z((r, n, p)), z((r, n)),
+        z((r, n)), z((r, n, p)), z((r, n)), z(n),
     )  # fmt: skip
 
 
@@ -231,9 +232,7 @@ def _properties(stack, tan, work, nonlinear):
             work.cond[i] = stack.k[i] * lift * value
             dk_dt = stack.k[i] * (stack.k_slope[i] * value + lift * slope)
         for q in range(p):
-            work.dcond[i, q] = (
-                tan.k[i, q] * lift * value + stack.k[i] * tan.k_slope[i, q] * (t - 20.0) * value
-            )
+            work.dcond[i, q] = tan.k[i, q] * lift * value + stack.k[i] * tan.k_slope[i, q] * (t - 20.0) * value
             if nonlinear:
                 work.dcond[i, q] += dk_dt * work.sstar[i, q]
         lift = 1.0 + stack.c_slope[i] * (t - 20.0)
@@ -347,7 +346,7 @@ def _contacts(stack, tan, drive, step, work, h, dh):
         if j == 0 or j == n:
             _end(stack, work, j, h, dh)
             continue
-        if stack.parts[m] and stack.emissivity != 0.0 or tan.emissivity.any() and stack.parts[m]:
+        if stack.parts[m] and (stack.emissivity != 0.0 or tan.emissivity.any()):
             _gap_radiation(stack, tan, drive, step, j, work, h, dh)
         gl = 2.0 * work.cond[j - 1] / stack.dx[j - 1]
         gu = 2.0 * work.cond[j] / stack.dx[j]
@@ -403,12 +402,14 @@ def _end(stack, work, j, h, dh):
 def _sources(stack, tan, drive, step, state, work):
     """Fill sources [W/m²] at `star`, their slope in temperature, and the tangents of both."""
     n, p = work.dcap.shape
+    src, slope, dsrc, dslope, dx = work.src, work.slope, work.dsrc, work.dslope, stack.dx
+    exchange, d_exchange, ambient = stack.exchange, tan.exchange, stack.ambient
     for i in range(n):
-        work.src[i] = stack.exchange[i] * stack.dx[i] * stack.ambient
-        work.slope[i] = stack.exchange[i] * stack.dx[i]
+        src[i] = exchange[i] * dx[i] * ambient
+        slope[i] = exchange[i] * dx[i]
         for q in range(p):
-            work.dsrc[i, q] = tan.exchange[i, q] * stack.dx[i] * stack.ambient
-            work.dslope[i, q] = tan.exchange[i, q] * stack.dx[i]
+            dsrc[i, q] = d_exchange[i, q] * dx[i] * ambient
+            dslope[i, q] = d_exchange[i, q] * dx[i]
     for end in range(2):
         if not stack.measured[end]:
             _absorbed(stack, tan, work, end)
@@ -575,91 +576,93 @@ def _factor(work, dh):
 def _solve(work, dh, x):
     """Overwrite the right-hand side x (n) by the solution."""
     n = x.shape[0]
+    fac, inv, g = work.fac, work.inv, work.g
     for i in range(1, n):
-        x[i] += work.fac[i] * x[i - 1]
-    x[n - 1] *= work.inv[n - 1]
+        x[i] += fac[i] * x[i - 1]
+    x[n - 1] *= inv[n - 1]
     for i in range(n - 2, -1, -1):
-        x[i] = (x[i] + dh * work.g[i + 1] * x[i + 1]) * work.inv[i]
+        x[i] = (x[i] + dh * g[i + 1] * x[i + 1]) * inv[i]
 
 
 @njit(cache=True, fastmath=True)
 def _solve_many(work, dh, x):
     """Overwrite the right-hand sides x (n, P) by the solutions."""
     n, p = x.shape
+    fac, inv, wg = work.fac, work.inv, work.g
     for i in range(1, n):
-        f = work.fac[i]
+        f = fac[i]
         for q in range(p):
             x[i, q] += f * x[i - 1, q]
-    f = work.inv[n - 1]
+    f = inv[n - 1]
     for q in range(p):
         x[n - 1, q] *= f
     for i in range(n - 2, -1, -1):
-        f = work.inv[i]
-        g = dh * work.g[i + 1] * f
+        f = inv[i]
+        g = dh * wg[i + 1] * f
         for q in range(p):
             x[i, q] = x[i, q] * f + g * x[i + 1, q]
 
 
 @njit(cache=True, fastmath=True)
-def _apply(stack, work, t, i):
-    """(K T)_i without the boundaries' and ambient's own temperatures."""
+def _apply(diag, g, t, out):
+    """Write K T, without the boundaries' and ambient's own temperatures, into `out` (n)."""
     n = t.shape[0]
-    y = work.diag[i] * t[i]
-    if i > 0:
-        y -= work.g[i] * t[i - 1]
-    if i < n - 1:
-        y -= work.g[i + 1] * t[i + 1]
-    return y
+    for i in range(n):
+        y = diag[i] * t[i]
+        if i > 0:
+            y -= g[i] * t[i - 1]
+        if i < n - 1:
+            y -= g[i + 1] * t[i + 1]
+        out[i] = y
 
 
 @njit(cache=True, fastmath=True)
-def _stage_tangent(stack, tan, drive, step, state, work, out, combo, bounds, h, stage):
-    """Right-hand side of the tangents in one stage, into `out`.
+def _stage_tangent(work, s, s_mid, d_boundary, moved, combo, bounds, ambient, hw, share, out):
+    """Right-hand side of a stage's tangents, into `out` (n, P).
 
-    `combo` (n) is h times the weighted temperatures the changed matrix acts on; `bounds` (2) the
-    boundary temperatures weighted alike, and their weights' sum is the stage's share of h.
+    Parameters
+    ----------
+    s, s_mid
+        Tangents at the step's start and, in the second stage, in between (else zeros of no columns).
+    moved
+        Start minus result of the stage (n), which a changed heat capacity acts on.
+    combo, bounds
+        The step times the stage's weighted temperatures, of cells (n) and boundaries (2).
+    hw, share
+        Step times the weight of K s; step times the stage's share.
     """
     n, p = out.shape
-    share = _GAMMA if stage == 0 else 1.0
-    hw = h * (_D if stage == 0 else _W)
+    cap, dcap, diag, g, dg = work.cap, work.dcap, work.diag, work.g, work.dg
+    dlow, dup, dsrc, dslope = work.dlow, work.dup, work.dsrc, work.dslope
+    second = s_mid.shape[1] == p
     for i in range(n):
-        cap = work.cap[i]
-        d = work.diag[i]
-        left = work.g[i] if i > 0 else 0.0
-        right = work.g[i + 1] if i < n - 1 else 0.0
-        ct = state.t[i] - (work.tg[i] if stage == 0 else work.tn[i])
-        # outside temperatures: ambient for losses, boundary for the ends
-        aloss = h * share * stack.ambient - combo[i]
+        outside = share * ambient - combo[i]
+        below = bounds[0] if i == 0 else combo[i - 1]
+        above = bounds[1] if i == n - 1 else combo[i + 1]
+        below -= combo[i]
+        above -= combo[i]
+        c, d, move, here = cap[i] - hw * diag[i], hw * diag[i], moved[i], combo[i]
+        left = hw * g[i] if i > 0 else 0.0
+        right = hw * g[i + 1] if i < n - 1 else 0.0
+        down, up = max(i - 1, 0), min(i + 1, n - 1)
         for q in range(p):
-            value = cap * state.s[i, q] + work.dcap[i, q] * ct
-            ks = d * state.s[i, q]
-            if i > 0:
-                ks -= left * state.s[i - 1, q]
-            if i < n - 1:
-                ks -= right * state.s[i + 1, q]
-            if stage == 1:
-                ks += d * work.sg[i, q]
-                if i > 0:
-                    ks -= left * work.sg[i - 1, q]
-                if i < n - 1:
-                    ks -= right * work.sg[i + 1, q]
-            value -= hw * ks
-            value += (work.dlow[i + 1, q] + work.dup[i, q]) * aloss
-            value += h * share * work.dsrc[i, q] - work.dslope[i, q] * combo[i]
-            if i > 0:
-                value += work.dg[i, q] * (combo[i - 1] - combo[i])
-            else:
-                value += (
-                    work.dg[0, q] * (bounds[0] - combo[0]) + h * share * work.g[0] * drive.d_boundary[0, q]
-                )
-            if i < n - 1:
-                value += work.dg[i + 1, q] * (combo[i + 1] - combo[i])
-            else:
-                value += (
-                    work.dg[n, q] * (bounds[1] - combo[n - 1])
-                    + h * share * work.g[n] * drive.d_boundary[1, q]
-                )
-            out[i, q] = value
+            out[i, q] = (
+                c * s[i, q]
+                + left * s[down, q]
+                + right * s[up, q]
+                + dcap[i, q] * move
+                + (dlow[i + 1, q] + dup[i, q]) * outside
+                + share * dsrc[i, q]
+                - dslope[i, q] * here
+                + dg[i, q] * below
+                + dg[i + 1, q] * above
+            )
+        if second:
+            for q in range(p):
+                out[i, q] += left * s_mid[down, q] + right * s_mid[up, q] - d * s_mid[i, q]
+    for q in range(p):
+        out[0, q] += share * g[0] * d_boundary[0, q]
+        out[n - 1, q] += share * g[n] * d_boundary[1, q]
 
 
 @njit(cache=True)
@@ -718,12 +721,55 @@ def _convert(stack, tan, state, work, h):
                             )
                             / heat
                         )
-                    state.s_done[r, i, q] += h * (
-                        work.drate[r, i, q] + drslope * mean + work.rslope[r, i] * smean
-                    )
+                    state.s_done[r, i, q] += h * (work.drate[r, i, q] + drslope * mean + work.rslope[r, i] * smean)
                 elif change > 0.0:
                     state.s_done[r, i, q] = 0.0
             state.done[r, i] += change
+
+
+@njit(cache=True, fastmath=True)
+def _temperatures(work, t, bottom, top, ambient, h):
+    """Both stages of TR-BDF2: `tg` in between and `tn` at the end of the step."""
+    n = t.shape[0]
+    cap, g, low, up, src, rhs, tg, tn = work.cap, work.g, work.low, work.up, work.src, work.rhs, work.tg, work.tn
+    first_b, first_t = g[0] * (bottom[0] + bottom[1]), g[n] * (top[0] + top[1])
+    _apply(work.diag, g, t, rhs)
+    for i in range(n):
+        tg[i] = cap[i] * t[i] + _D * h * (2.0 * ((low[i + 1] + up[i]) * ambient + src[i]) - rhs[i])
+    tg[0] += _D * h * first_b
+    tg[n - 1] += _D * h * first_t
+    _solve(work, _D * h, tg)
+    for i in range(n):
+        tn[i] = cap[i] * t[i] + h * ((low[i + 1] + up[i]) * ambient + src[i] - _W * rhs[i])
+    _apply(work.diag, g, tg, rhs)
+    for i in range(n):
+        tn[i] -= h * _W * rhs[i]
+    tn[0] += h * (_W * first_b + _D * g[0] * bottom[2])
+    tn[n - 1] += h * (_W * first_t + _D * g[n] * top[2])
+    _solve(work, _D * h, tn)
+
+
+@njit(cache=True, fastmath=True)
+def _tangents(work, t, s, d_boundary, bottom, top, ambient, h):
+    """Both stages of the tangents: `sg` and `sn`."""
+    n = t.shape[0]
+    combo, moved, tg, tn = work.rhs, work.moved, work.tg, work.tn
+    bounds = np.empty(2)
+    none = np.empty((n, 0))
+    for i in range(n):
+        combo[i] = h * _D * (t[i] + tg[i])
+        moved[i] = t[i] - tg[i]
+    bounds[0] = h * _D * (bottom[0] + bottom[1])
+    bounds[1] = h * _D * (top[0] + top[1])
+    _stage_tangent(work, s, none, d_boundary, moved, combo, bounds, ambient, h * _D, h * _GAMMA, work.sg)
+    _solve_many(work, _D * h, work.sg)
+    for i in range(n):
+        combo[i] = h * (_W * (t[i] + tg[i]) + _D * tn[i])
+        moved[i] = t[i] - tn[i]
+    bounds[0] = h * (_W * (bottom[0] + bottom[1]) + _D * bottom[2])
+    bounds[1] = h * (_W * (top[0] + top[1]) + _D * top[2])
+    _stage_tangent(work, s, work.sg, d_boundary, moved, combo, bounds, ambient, h * _W, h, work.sn)
+    _solve_many(work, _D * h, work.sn)
 
 
 @njit(cache=True)
@@ -741,45 +787,14 @@ def advance(stack, tan, drive, step, state, work, nonlinear, fresh):
         _sources(stack, tan, drive, step, state, work)
         _matrix(stack, work)
         _factor(work, _D * h)
-    b0, t0 = _outside(stack, drive, step, 0.0)
-    b1, t1 = _outside(stack, drive, step, _GAMMA)
-    b2, t2 = _outside(stack, drive, step, 1.0)
-    for i in range(n):
-        outside = (work.low[i + 1] + work.up[i]) * stack.ambient + work.src[i]
-        ends = 0.0
-        if i == 0:
-            ends += work.g[0] * (b0 + b1)
-        if i == n - 1:
-            ends += work.g[n] * (t0 + t1)
-        work.rhs[i] = work.cap[i] * state.t[i] + _D * h * (
-            2.0 * outside + ends - _apply(stack, work, state.t, i)
-        )
-        work.tg[i] = work.rhs[i]
-    _solve(work, _D * h, work.tg)
-    for i in range(n):
-        outside = (work.low[i + 1] + work.up[i]) * stack.ambient + work.src[i]
-        ends = 0.0
-        if i == 0:
-            ends += work.g[0] * (_W * (b0 + b1) + _D * b2)
-        if i == n - 1:
-            ends += work.g[n] * (_W * (t0 + t1) + _D * t2)
-        inner = _apply(stack, work, state.t, i) + _apply(stack, work, work.tg, i)
-        work.tn[i] = work.cap[i] * state.t[i] + h * (outside + ends - _W * inner)
-    _solve(work, _D * h, work.tn)
+    bottom = np.empty(3)
+    top = np.empty(3)
+    for stage in range(3):
+        at = 0.0 if stage == 0 else (_GAMMA if stage == 1 else 1.0)
+        bottom[stage], top[stage] = _outside(stack, drive, step, at)
+    _temperatures(work, state.t, bottom, top, stack.ambient, h)
     if p > 0:
-        bounds = np.empty(2)
-        for i in range(n):
-            work.rhs[i] = h * _D * (state.t[i] + work.tg[i])
-        bounds[0] = h * _D * (b0 + b1)
-        bounds[1] = h * _D * (t0 + t1)
-        _stage_tangent(stack, tan, drive, step, state, work, work.sg, work.rhs, bounds, h, 0)
-        _solve_many(work, _D * h, work.sg)
-        for i in range(n):
-            work.rhs[i] = h * (_W * (state.t[i] + work.tg[i]) + _D * work.tn[i])
-        bounds[0] = h * (_W * (b0 + b1) + _D * b2)
-        bounds[1] = h * (_W * (t0 + t1) + _D * t2)
-        _stage_tangent(stack, tan, drive, step, state, work, work.sn, work.rhs, bounds, h, 1)
-        _solve_many(work, _D * h, work.sn)
+        _tangents(work, state.t, state.s, drive.d_boundary, bottom, top, stack.ambient, h)
     if stack.heat.shape[0] > 0:
         _convert(stack, tan, state, work, h)
     for i in range(n):
@@ -952,3 +967,17 @@ def delay(h, y, dy, tau, dtau):
                 )
                 d_before[q] = d_now
             before = now
+
+
+@njit(cache=True)
+def gather(first, weights, y, out):
+    """Weighted sums of four neighbouring rows of `y` (rows, c), starting at `first`."""
+    for row in range(out.shape[0]):
+        i = first[row]
+        for c in range(out.shape[1]):
+            value = 0.0
+            for a in range(4):
+                w = weights[row, a]
+                if w != 0.0:
+                    value += w * y[i + a, c]
+            out[row, c] = value

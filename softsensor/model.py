@@ -178,7 +178,9 @@ class ThermalModel:
         out = np.empty((steps + 1, len(places)))
         d_out = np.empty((steps + 1, len(places), p))
         kept = np.empty((steps + 1 if fields else 0, n))
-        kernels.march(build.stack, build.tangents, build.drive, build.start, places, build.nonlinear, out, d_out, kept)
+        kernels.march(
+            build.stack, build.tangents, build.drive, build.start, places, build.nonlinear, out, d_out, kept
+        )
         return self._observe(case, build, values, out, d_out, kept, m)
 
     def _observe(
@@ -193,10 +195,11 @@ class ThermalModel:
     ) -> Solution:
         """Apply the measuring chain and read off the rows."""
         names = build.names
-        weights, d_weights = state_weights(case, case.run.time_s, values, names)
-        core = _sample(case.edges, out[:, m - 1], case.run.time_s)
-        d_core = _sample(case.edges, d_out[:, m - 1], case.run.time_s)
-        true = _sample(case.edges, out[:, :m], case.run.time_s)
+        weights, _ = state_weights(case, case.run.time_s, values)
+        read = _Reader.at(case.edges, case.run.time_s)
+        true = read(out[:, :m])
+        core = true[:, m - 1]
+        d_core = read(d_out[:, m - 1])
         y, dy = out[:, :m].copy(), d_out[:, :m].copy()
         _mix_footprint(case, build, values, y, dy, out, d_out)
         lag = float(build.terms.lag)
@@ -205,8 +208,9 @@ class ThermalModel:
             kernels.delay(build.drive.h, y, dy, max(lag, 1e-3), d_lag)
         clock = float(build.terms.clock)
         at = case.run.time_s - clock
-        rows = _sample(case.edges, y, at)
-        d_rows = _sample(case.edges, dy, at)
+        if clock != 0.0:
+            read = _Reader.at(case.edges, at)
+        rows, d_rows = read(y), read(dy)
         columns = [case.place_of[c] for c in case.columns]
         d_sensors = {}
         for i, name in enumerate(names):
@@ -214,7 +218,8 @@ class ThermalModel:
             shift = float(build.d_terms[name].clock) if name in build.d_terms else 0.0
             if shift:
                 step = 0.02
-                slope = (_sample(case.edges, y, at + step) - _sample(case.edges, y, at - step)) / (2 * step)
+                later, earlier = (_Reader.at(case.edges, at + k * step)(y) for k in (1, -1))
+                slope = (later - earlier) / (2 * step)
                 d = d - shift * slope[:, columns]
             d_sensors[name] = d
         return Solution(
@@ -687,30 +692,43 @@ def _mix_footprint(
                 dy[:, place, i] += float(build.d_terms[name].footprint) * closed * gap
 
 
-def _sample(edges: Array, y: Array, at: Array) -> Array:
-    """Read series given at step edges off at other times: straight in fine steps, cubic in coarse ones."""
-    at = np.clip(at, edges[0], edges[-1])
-    last = len(edges) - 1
-    i = np.clip(np.searchsorted(edges, at, side="right") - 1, 0, last - 1)
-    h = edges[i + 1] - edges[i]
-    u = (at - edges[i]) / h
-    shape = (-1,) + (1,) * (y.ndim - 1)
-    straight = y[i] + u.reshape(shape) * (y[i + 1] - y[i])
-    coarse = (h > 0.06) & (i > 0) & (i < last - 1)
-    if not coarse.any():
-        return np.asarray(straight)
-    j = i[coarse]
-    x = at[coarse]
-    nodes = [edges[j + k] for k in (-1, 0, 1, 2)]
-    value = np.zeros_like(straight[coarse])
-    for a in range(4):
-        weight = np.ones(len(j))
-        for b in range(4):
-            if a != b:
-                weight *= (x - nodes[b]) / (nodes[a] - nodes[b])
-        value += weight.reshape(shape) * y[j + a - 1]
-    straight[coarse] = value
-    return np.asarray(straight)
+@dataclass(frozen=True)
+class _Reader:
+    """Reads series given at step edges off at other times: straight in fine steps, cubic in coarse ones."""
+
+    first: Any
+    weights: Array
+
+    @staticmethod
+    def at(edges: Array, times: Array) -> _Reader:
+        times = np.clip(times, edges[0], edges[-1])
+        last = len(edges) - 1
+        i = np.clip(np.searchsorted(edges, times, side="right") - 1, 0, last - 1)
+        first = np.clip(i - 1, 0, max(last - 3, 0))
+        weights = np.zeros((len(times), 4))
+        rows = np.arange(len(times))
+        h = edges[i + 1] - edges[i]
+        u = (times - edges[i]) / h
+        coarse = (h > 0.06) & (i > 0) & (i < last - 1)
+        straight = ~coarse
+        weights[rows[straight], (i - first)[straight]] = 1.0 - u[straight]
+        weights[rows[straight], (i - first + 1)[straight]] = u[straight]
+        x = times[coarse]
+        nodes = [edges[i[coarse] + k] for k in (-1, 0, 1, 2)]
+        for a in range(4):
+            weight = np.ones(len(x))
+            for b in range(4):
+                if a != b:
+                    weight *= (x - nodes[b]) / (nodes[a] - nodes[b])
+            weights[coarse, a] = weight
+        return _Reader(first, weights)
+
+    def __call__(self, y: Array) -> Array:
+        """Return the rows of `y` (steps + 1, ...) read off (rows, ...)."""
+        flat = np.ascontiguousarray(y).reshape(len(y), -1)
+        out = np.empty((len(self.first), flat.shape[1]))
+        kernels.gather(self.first, self.weights, flat, out)
+        return out.reshape(len(self.first), *y.shape[1:])
 
 
 def states(case: Case, solution: Solution) -> list[PressState]:

@@ -79,9 +79,7 @@ def find_effect(name: str) -> Effect:
     try:
         return catalogue()[name]
     except KeyError:
-        raise InputError(
-            f"effect {name!r} is not in the catalogue; known are {', '.join(catalogue())}"
-        ) from None
+        raise InputError(f"effect {name!r} is not in the catalogue; known are {', '.join(catalogue())}") from None
 
 
 __all__ = [

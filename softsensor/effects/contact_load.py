@@ -13,9 +13,7 @@ REFERENCE_PRESSURE = 350.0
 
 
 def _terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
-    return Terms(
-        closed_contact={m: np.exp(values["exponent"] * np.log(load)) for m, load in scene.load.items()}
-    )
+    return Terms(closed_contact={m: np.exp(values["exponent"] * np.log(load)) for m, load in scene.load.items()})
 
 
 EFFECT = Effect(
@@ -23,9 +21,7 @@ EFFECT = Effect(
     meaning="The contact between press and panel improves with pressure.",
     symptom="Residuals after closing change sign between runs at low and at high pressure.",
     confirm="Press the same kind of panel at three pressures.",
-    parameters=(
-        Parameter("exponent", "-", 0.0, 0.7, -1.0, 2.0, "0.95 for metal contacts; saturates for paper"),
-    ),
+    parameters=(Parameter("exponent", "-", 0.0, 0.7, -1.0, 2.0, "0.95 for metal contacts; saturates for paper"),),
     terms=_terms,
     source="Yovanovich, IEEE Trans. Comp. Pack. 28 (2005): h proportional to p^0.95",
     core="Below 1 K; it matters when the pressure is changed.",

@@ -19,9 +19,7 @@ def _terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
         return Terms()
     dry = scene.panel.density / (1.0 + (scene.panel.moisture_percent or 0.0) / 100.0)
     heat = -LATENT_HEAT * dry * values["moisture_percent"] / 100.0
-    return Terms(
-        conversions=(Conversion(on_panel(scene, heat, 0.0), 1, RATE, values["temperature_C"], SOFTNESS),)
-    )
+    return Terms(conversions=(Conversion(on_panel(scene, heat, 0.0), 1, RATE, values["temperature_C"], SOFTNESS),))
 
 
 EFFECT = Effect(

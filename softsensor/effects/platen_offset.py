@@ -18,9 +18,7 @@ EFFECT = Effect(
     confirm="Compare the platen thermocouples with a calibrated one at working temperature.",
     parameters=(
         Parameter("top_K", "K, true minus reading", 0.0, 3.0, -15.0, 15.0, "class 1: 1.5 K, plus mounting"),
-        Parameter(
-            "bottom_K", "K, true minus reading", 0.0, 3.0, -15.0, 15.0, "class 1: 1.5 K, plus mounting"
-        ),
+        Parameter("bottom_K", "K, true minus reading", 0.0, 3.0, -15.0, 15.0, "class 1: 1.5 K, plus mounting"),
     ),
     terms=_terms,
     source="IEC 60584-1 tolerance classes",

@@ -20,9 +20,7 @@ def _terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
     share = np.zeros(len(scene.dx))
     for i in scene.face_cells:
         share[i] = 1.0 / scene.dx[i]
-    return Terms(
-        conversions=(Conversion(share * (values["heat_kJ_m2"] * 1e3), 0, RATE_140, ACTIVATION, 413.15),)
-    )
+    return Terms(conversions=(Conversion(share * (values["heat_kJ_m2"] * 1e3), 0, RATE_140, ACTIVATION, 413.15),))
 
 
 EFFECT = Effect(

@@ -1,0 +1,123 @@
+"""The model file: coefficients, effects and their uncertainty, as JSON.
+
+``{"version", "press", "coefficients": {NAME: {"value", "sd"}}, "effects": [{"name", "parameters":
+{NAME: {"value", "sd"}}}], "covariance": {"names", "matrix"}}``. Coefficients are those of a typical
+run; ``sd`` is what a run may differ by, uncertainty of the mean included. The covariance is of the
+logarithms of the coefficients and of the effect parameters themselves, in the order of its names.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from daq.pressfile import Press
+from daq.records import Array, InputError
+from softsensor.effects import find_effect
+from softsensor.model import ThermalModel
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A value and its standard deviation."""
+
+    value: float
+    sd: float
+
+
+@dataclass(frozen=True)
+class ModelFile:
+    """Coefficients and effects of one press, as a campaign found them."""
+
+    version: str
+    press: str
+    coefficients: Mapping[str, Estimate]
+    effects: tuple[tuple[str, Mapping[str, Estimate]], ...] = ()
+    names: tuple[str, ...] = ()
+    covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Every parameter's value by its full name."""
+        own = {f"{name}.{key}": e.value for name, table in self.effects for key, e in table.items()}
+        return {name: e.value for name, e in self.coefficients.items()} | own
+
+    def model(self, press: Press) -> ThermalModel:
+        """Return the thermal model of a press with this file's effects."""
+        return ThermalModel(press, tuple(find_effect(name) for name, _ in self.effects))
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the file's content."""
+
+        def table(estimates: Mapping[str, Estimate]) -> dict[str, Any]:
+            return {name: {"value": e.value, "sd": e.sd} for name, e in estimates.items()}
+
+        return {
+            "version": self.version,
+            "press": self.press,
+            "coefficients": table(self.coefficients),
+            "effects": [{"name": name, "parameters": table(p)} for name, p in self.effects],
+            "covariance": {"names": list(self.names), "matrix": np.asarray(self.covariance).tolist()},
+        }
+
+
+def parse_model(content: Any, source: str) -> ModelFile:
+    """Check a model file's content. Raises InputError naming `source`, key and value."""
+
+    def estimates(table: Any, where: str) -> dict[str, Estimate]:
+        if not isinstance(table, dict):
+            raise InputError(f"{source}: {where} must be an object of NAME: {{value, sd}}")
+        found = {}
+        for name, entry in table.items():
+            try:
+                found[name] = Estimate(float(entry["value"]), float(entry.get("sd") or 0.0))
+            except (TypeError, KeyError, ValueError, AttributeError):
+                raise InputError(f"{source}: {where}.{name} = {entry!r}: needs numbers value and sd") from None
+            if not np.isfinite(found[name].value):
+                raise InputError(f"{source}: {where}.{name}.value is not finite")
+        return found
+
+    if not isinstance(content, dict) or "coefficients" not in content:
+        raise InputError(f"{source}: not a model file: key 'coefficients' is missing")
+    effects = []
+    for i, entry in enumerate(content.get("effects", [])):
+        if not isinstance(entry, dict) or "name" not in entry:
+            raise InputError(f"{source}: effects.{i} has no name")
+        effect = find_effect(str(entry["name"]))
+        table = estimates(entry.get("parameters", {}), f"effects.{i}.parameters")
+        if unknown := sorted(set(table) - {p.name for p in effect.parameters}):
+            raise InputError(
+                f"{source}: effects.{i}.parameters.{unknown[0]}: {effect.name} has "
+                f"{', '.join(p.name for p in effect.parameters)}"
+            )
+        effects.append((effect.name, table))
+    covariance = content.get("covariance") or {}
+    names, matrix = (covariance.get("names", ()), covariance.get("matrix", ())) if covariance else ((), ())
+    return ModelFile(
+        version=str(content.get("version", "")),
+        press=str(content.get("press", "")),
+        coefficients=estimates(content["coefficients"], "coefficients"),
+        effects=tuple(effects),
+        names=tuple(names),
+        covariance=np.array(matrix, dtype=float).reshape(len(names), len(names)),
+    )
+
+
+def read_model(path: Path) -> ModelFile:
+    """Read a model file. Raises InputError."""
+    try:
+        return parse_model(json.loads(path.read_text(encoding="utf-8")), str(path))
+    except OSError as error:
+        raise InputError(f"{path}: cannot read the model file: {error.strerror}") from error
+    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise InputError(f"{path}: not a JSON model file: {error}") from error
+
+
+def model_text(model: ModelFile) -> str:
+    """Return the text of a model file."""
+    return json.dumps(model.as_json(), indent=2) + "\n"
