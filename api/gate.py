@@ -1,0 +1,113 @@
+"""Who may come in, and with how much: loopback reads freely, everybody else needs a token.
+
+Plain ASGI, so that streams pass through untouched. The page's own files hold no data and are open;
+the gate stands before everything below ``/api`` and ``/metrics``.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+from dataclasses import dataclass
+
+from starlette.datastructures import Headers
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from api.problems import problem_response
+from api.tokens import Attempts, Token, TokenFile
+
+MAX_BODY_BYTES = 64 * 1024
+"""No request of this API needs more."""
+LOOPBACK_NAMES = ("localhost", "127.0.0.1", "[::1]", "::1", "")
+
+
+def is_loopback(address: str) -> bool:
+    """Whether an address or host name means this machine only."""
+    if address == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(address.strip("[]")).is_loopback
+    except ValueError:
+        return False
+
+
+@dataclass
+class Gate:
+    """Checks size, host, and token of each request, and notes the token for routes that change things."""
+
+    app: ASGIApp
+    tokens: TokenFile
+    attempts: Attempts
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Let the request through or answer with a problem document."""
+        if scope["type"] != "http" or not _guarded(scope["path"]):
+            await self.app(scope, receive, send)
+            return
+        headers = Headers(scope=scope)
+        refusal = self._refusal(scope, headers)
+        if refusal is not None:
+            status, detail, extra = refusal
+            await problem_response(status, detail, scope["path"], extra)(scope, receive, send)
+            return
+        await self.app(scope, _limited(receive), send)
+
+    def _refusal(self, scope: Scope, headers: Headers) -> tuple[int, str, dict[str, str]] | None:
+        length = headers.get("content-length", "0")
+        if not length.isdigit() or int(length) > MAX_BODY_BYTES:
+            return 413, f"the body may have {MAX_BODY_BYTES} bytes at most", {"Connection": "close"}
+        address = scope["client"][0] if scope.get("client") else ""
+        local = is_loopback(address)
+        presented = _bearer(headers)
+        if presented is None:
+            scope["kerntemp.token"] = None
+            if not local:
+                return 401, "reading from elsewhere needs a token: Authorization: Bearer ...", _CHALLENGE
+            if not _names_this_machine(headers.get("host", "")):
+                return 403, "without a token only a loopback host name is answered here", {}
+            return None
+        if self.attempts.exhausted(address):
+            return 429, "too many wrong tokens from this address; wait a minute", {"Retry-After": "60"}
+        token = self.tokens.find(presented)
+        if token is None:
+            self.attempts.failed(address)
+            return 401, "this token is not valid; kerntemp token create makes one", _CHALLENGE
+        scope["kerntemp.token"] = token
+        return None
+
+
+_CHALLENGE = {"WWW-Authenticate": 'Bearer realm="kerntemp"'}
+
+
+def token_of(scope: Scope) -> Token | None:
+    """Return the token a request came with."""
+    token = scope.get("kerntemp.token")
+    return token if isinstance(token, Token) else None
+
+
+def _guarded(path: str) -> bool:
+    return path.startswith(("/api/", "/metrics")) and path != "/api/v1/openapi.json"
+
+
+def _bearer(headers: Headers) -> str | None:
+    kind, _, value = headers.get("authorization", "").partition(" ")
+    return value.strip() if kind.lower() == "bearer" else None
+
+
+def _names_this_machine(host: str) -> bool:
+    """Refuse foreign host names: a web page elsewhere may point its own name at 127.0.0.1."""
+    name = host.rpartition(":")[0] if host.rpartition(":")[2].isdigit() else host
+    return name in LOOPBACK_NAMES or is_loopback(name)
+
+
+def _limited(receive: Receive) -> Receive:
+    taken = 0
+
+    async def counted() -> Message:
+        nonlocal taken
+        message = await receive()
+        taken += len(message.get("body", b""))
+        if taken > MAX_BODY_BYTES:
+            return {"type": "http.disconnect"}
+        return message
+
+    return counted

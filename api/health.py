@@ -1,0 +1,120 @@
+"""Whether the system does its work: processes by their heartbeats, the store by its size."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Mapping
+from datetime import datetime, timedelta
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
+
+from api.schemas import Health, ProcessHealth, StoreHealth
+from daq.store.records import ProcessStatus, StoreUnavailable
+from daq.store.store import Store
+
+SILENT_S = 10.0
+"""A process beats about once a second; one that is silent for this long is taken for dead. [s]"""
+EXPECTED = ("record", "sense")
+"""The processes a working system has beside this one."""
+ALARM_AGE = timedelta(minutes=10)
+"""Alarms of the journal older than this are history."""
+
+
+def installed_version() -> str:
+    """Return the version of the installed project, ``0`` in a bare source tree."""
+    try:
+        return version("kerntemp")
+    except PackageNotFoundError:
+        return "0"
+
+
+def health_of(store: Store, now: datetime) -> Health:
+    """Return the health document; a store that does not answer is part of it, not an error."""
+    try:
+        statuses = store.statuses()
+        alarms = _recent_alarms(store, now)
+        kept = _store_health(store)
+    except StoreUnavailable as error:
+        empty = StoreHealth(kind=store.database.dialect, size_bytes=None, free_bytes=None, hours_left=None)
+        return Health(
+            status="down",
+            version=installed_version(),
+            utc=now,
+            store=empty,
+            processes=[],
+            alarms=[str(error)],
+        )
+    names = [*EXPECTED, *(name for name in sorted(statuses) if name not in EXPECTED)]
+    processes = [_process(name, statuses.get(name), now) for name in names]
+    alarms = [*_process_alarms(processes), *alarms]
+    return Health(
+        status="degraded" if alarms else "ok",
+        version=installed_version(),
+        utc=now,
+        store=kept,
+        processes=processes,
+        alarms=list(dict.fromkeys(alarms)),
+    )
+
+
+def _process(name: str, status: ProcessStatus | None, now: datetime) -> ProcessHealth:
+    if status is None:
+        return ProcessHealth(name=name, alive=False, state="silent", message="never seen", utc=None, age_s=None)
+    age_s = max((now - status.utc).total_seconds(), 0.0)
+    told = status.status
+    ended = told.get("state") in ("stopped", "done")
+    return ProcessHealth(
+        name=name,
+        alive=age_s < SILENT_S and not ended,
+        state=str(told.get("state", "running")),
+        message=str(told.get("message", "")),
+        utc=status.utc,
+        age_s=round(age_s, 3),
+        details=dict(told),
+    )
+
+
+def _process_alarms(processes: list[ProcessHealth]) -> list[str]:
+    alarms = []
+    for process in processes:
+        if process.name in EXPECTED and not process.alive:
+            seen = "never seen" if process.age_s is None else f"silent for {process.age_s:.0f} s"
+            alarms.append(f"{process.name}: {seen}; start kerntemp {process.name}")
+        elif process.alive:
+            alarms += _problems(process.details)
+    return alarms
+
+
+def _problems(details: Mapping[str, Any]) -> list[str]:
+    told = details.get("problems", [])
+    return [str(problem) for problem in told] if isinstance(told, list | tuple) else []
+
+
+def _recent_alarms(store: Store, now: datetime) -> list[str]:
+    entries = store.journal(level="alarm", limit=10).items
+    return [entry.message for entry in entries if now - entry.utc < ALARM_AGE]
+
+
+def _store_health(store: Store) -> StoreHealth:
+    path = store.database.path
+    if path is None or not path.exists():
+        return StoreHealth(kind=store.database.dialect, size_bytes=None, free_bytes=None, hours_left=None)
+    beside = [path, path.with_name(path.name + "-wal"), path.with_name(path.name + "-shm")]
+    size = sum(part.stat().st_size for part in beside if part.exists())
+    free = shutil.disk_usage(path.parent).free
+    return StoreHealth(kind="SQLite", size_bytes=size, free_bytes=free, hours_left=_hours_left(store, size, free))
+
+
+def _hours_left(store: Store, size: int, free: int) -> float | None:
+    """At the present rate of scans and the store's mean size for one."""
+    scans, per_second = 0, 0.0
+    for press in store.presses():
+        newest = store.newest_scan_number(press)
+        batch = store.scans_after(press, newest - 20, 20)
+        scans += newest + 1
+        if len(batch.scans) > 1:
+            elapsed = (batch.scans[-1].utc - batch.scans[0].utc).total_seconds()
+            per_second += (len(batch.scans) - 1) / elapsed if elapsed > 0 else 0.0
+    if scans < 100 or per_second == 0.0:
+        return None
+    return round(free / (size / scans * per_second * 3600.0), 1)

@@ -1,0 +1,93 @@
+"""What commands write: everything or nothing, and a sign of life while work takes long."""
+
+from __future__ import annotations
+
+import json
+import sys
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+from uuid import uuid4
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+from daq.records import InputError
+
+PATIENCE_S = 2.0
+"""Work that takes longer than this shows progress on a terminal."""
+
+
+class WorkFailed(Exception):
+    """The input was right and the work failed all the same: one line, exit status 1."""
+
+
+def check_writable(*paths: Path | None) -> None:
+    """Refuse outputs that cannot be written before any work is done. Raises `InputError`."""
+    for path in paths:
+        if path is None:
+            continue
+        if path.is_dir():
+            raise InputError(f"{path}: is a folder; give a file name")
+        if not path.absolute().parent.is_dir():
+            raise InputError(f"{path}: no folder {path.absolute().parent}; make it first")
+
+
+def write_all(contents: Mapping[Path, str | bytes | Callable[[Path], None]]) -> None:
+    """Write every file, or leave none behind: temporary files first, then renames.
+
+    A callable writes its file itself, to the path it is given.
+    """
+    finished: dict[Path, Path] = {}
+    try:
+        for path, content in contents.items():
+            draft = path.with_name(f".{path.stem}.{uuid4().hex[:8]}{path.suffix}")
+            finished[draft] = path
+            if callable(content):
+                content(draft)
+            elif isinstance(content, bytes):
+                draft.write_bytes(content)
+            else:
+                draft.write_text(content, encoding="utf-8", newline="\n")
+        for draft, path in finished.items():
+            draft.replace(path)
+    except OSError as error:
+        raise WorkFailed(f"{error.filename}: cannot write: {error.strerror}") from error
+    finally:
+        for draft in finished:
+            draft.unlink(missing_ok=True)
+
+
+def as_json(value: Any) -> str:
+    """Return JSON text that is the same for the same value; NaN has no place in it."""
+    return json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+@contextmanager
+def working(what: str, total: int | None = None) -> Iterator[Callable[[int], None]]:
+    """Show `what` with elapsed time and a bar once it takes longer than 2 s, on a terminal only.
+
+    Yields a function that takes how much is done.
+    """
+    if not sys.stderr.isatty():
+        yield lambda _done: None
+        return
+    bar = Progress(
+        SpinnerColumn(),
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TimeElapsedColumn(),
+        console=Console(stderr=True),
+        transient=True,
+    )
+    task = bar.add_task(what, total=total)
+    timer = threading.Timer(PATIENCE_S, bar.start)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield lambda done: bar.update(task, completed=done)
+    finally:
+        timer.cancel()
+        bar.stop()

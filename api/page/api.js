@@ -1,0 +1,99 @@
+// The API as the page sees it: JSON by fetch, events by EventSource. Paths are relative, so a proxy may add a prefix.
+const ROOT = "api/v1";
+
+export class Refused extends Error {
+  constructor(problem, status) {
+    super(problem.detail || problem.title || `HTTP ${status}`);
+    this.status = status;
+  }
+}
+
+export const token = {
+  get: () => sessionStorage.getItem("kerntemp-token") || "",
+  set: (value) => value ? sessionStorage.setItem("kerntemp-token", value) : sessionStorage.removeItem("kerntemp-token"),
+};
+
+export function url(path, query = {}) {
+  const parts = Object.entries(query).filter(([, value]) => value !== undefined && value !== null && value !== "");
+  const text = parts.map(([key, value]) => `${key}=${encodeURIComponent(value)}`).join("&");
+  return `${ROOT}${path}${text ? `?${text}` : ""}`;
+}
+
+export async function get(path, query, options = {}) {
+  return request("GET", url(path, query), options);
+}
+
+export async function post(path, body) {
+  return request("POST", url(path), body === undefined ? {} : { body: JSON.stringify(body) });
+}
+
+async function request(method, target, options) {
+  const headers = { Accept: "application/json" };
+  if (token.get()) headers.Authorization = `Bearer ${token.get()}`;
+  if (options.body) headers["Content-Type"] = "application/json";
+  const answer = await fetch(target, { method, headers, body: options.body, signal: options.signal });
+  if (answer.status === 204) return null;
+  const text = await answer.text();
+  let value = {};
+  try { value = JSON.parse(text); } catch { value = { title: text.slice(0, 200) }; }
+  if (!answer.ok) throw new Refused(value, answer.status);
+  return value;
+}
+
+// Server-Sent Events over fetch: EventSource cannot send a token. Reconnects by itself and
+// catches up with Last-Event-ID; `onState` hears "live" or "lost".
+export function follow(handlers, onState) {
+  let last = "";
+  let stopped = false;
+  let control = null;
+  let wait = 500;
+  const run = async () => {
+    while (!stopped) {
+      control = new AbortController();
+      try {
+        const headers = { Accept: "text/event-stream" };
+        if (token.get()) headers.Authorization = `Bearer ${token.get()}`;
+        if (last) headers["Last-Event-ID"] = last;
+        const answer = await fetch(url("/live"), { headers, signal: control.signal, cache: "no-store" });
+        if (!answer.ok) throw new Error(`HTTP ${answer.status}`);
+        onState("live");
+        wait = 500;
+        await read(answer.body, (event) => {
+          if (event.id) last = event.id;
+          const handler = handlers[event.name];
+          if (handler) handler(JSON.parse(event.data));
+        });
+      } catch (error) {
+        if (stopped) return;
+      }
+      onState("lost");
+      await new Promise((resolve) => setTimeout(resolve, wait));
+      wait = Math.min(wait * 2, 5000);
+    }
+  };
+  run();
+  return () => { stopped = true; if (control) control.abort(); };
+}
+
+async function read(body, deliver) {
+  const reader = body.pipeThrough(new TextDecoderStream()).getReader();
+  let rest = "";
+  for (;;) {
+    const { value, done } = await reader.read();
+    if (done) return;
+    rest += value.replaceAll("\r\n", "\n");
+    let end;
+    while ((end = rest.indexOf("\n\n")) >= 0) {
+      const block = rest.slice(0, end);
+      rest = rest.slice(end + 2);
+      const event = { name: "message", data: "", id: "" };
+      for (const line of block.split("\n")) {
+        const [field, text] = [line.slice(0, line.indexOf(":")), line.slice(line.indexOf(":") + 1).trimStart()];
+        if (field === "event") event.name = text;
+        else if (field === "data") event.data += text;
+        else if (field === "id") event.id = text;
+      }
+      if (event.data) deliver(event);
+    }
+  }
+}

@@ -1,0 +1,136 @@
+// The page's frame: which view, which language, light or dark, and the one live connection all views share.
+import { follow, get } from "./api.js";
+import { closeAll, redrawAll } from "./charts.js";
+import { el } from "./dom.js";
+import { language, setLanguage, text } from "./text.js";
+import * as access from "./views/access.js";
+import * as coefficients from "./views/coefficients.js";
+import * as diagnosis from "./views/diagnosis.js";
+import * as loggers from "./views/loggers.js";
+import * as now from "./views/now.js";
+import * as runs from "./views/runs.js";
+
+const VIEWS = { now, runs, coefficients, diagnosis, loggers, access };
+const main = document.getElementById("view");
+let leave = null;
+let turn = 0;
+
+// What a view gets: the chosen press, and `on(event, handler)` for live events until the view is left.
+const context = { press: null, presses: [], on: (name, handler) => listeners[name].add(handler), live: "lost" };
+const listeners = { scan: new Set(), estimate: new Set(), press: new Set(), run: new Set(), fit: new Set(), link: new Set() };
+
+async function show() {
+  const [name, ...rest] = (location.hash.replace(/^#\//, "") || "now").split("/").map(decodeURIComponent);
+  const view = VIEWS[name] ?? now;
+  const mine = ++turn;
+  if (leave) leave();
+  leave = null;
+  closeAll();
+  for (const handlers of Object.values(listeners)) handlers.clear();
+  for (const link of document.querySelectorAll(".tabs a")) {
+    if (link.dataset.view === name) link.setAttribute("aria-current", "page");
+    else link.removeAttribute("aria-current");
+  }
+  document.querySelector(".tabs a[aria-current]")?.scrollIntoView({ block: "nearest", inline: "center" });
+  document.title = `${text(`nav_${VIEWS[name] ? name : "now"}`)} · Kerntemp`;
+  const place = el("div", { class: "stack" });
+  main.replaceChildren(place);
+  try {
+    const done = await view.show(place, context, rest);
+    if (mine === turn) leave = done ?? null;
+    else if (done) done();
+  } catch (error) {
+    if (mine !== turn) return;
+    const help = error.status === 401 ? el("p", {}, el("a", { href: "#/access" }, text("need_token"))) : "";
+    place.replaceChildren(el("div", { class: "card empty" }, el("p", {}, text("could_not_load")), el("p", { class: "small" }, error.message), help));
+  }
+}
+
+function translate() {
+  document.documentElement.lang = language();
+  for (const node of document.querySelectorAll("[data-text]")) node.textContent = text(node.dataset.text);
+  for (const node of document.querySelectorAll("[data-label]")) node.setAttribute("aria-label", text(node.dataset.label));
+  const other = language() === "de" ? "en" : "de";
+  const button = document.getElementById("language");
+  button.textContent = other.toUpperCase();
+  button.setAttribute("aria-label", other === "de" ? "Deutsch" : "English");
+  button.setAttribute("lang", other);
+  showLink();
+}
+
+function showLink() {
+  const link = document.getElementById("link");
+  link.className = `link ${context.live}`;
+  link.textContent = text(`link_${context.live}`);
+}
+
+function setTheme(theme) {
+  document.documentElement.dataset.theme = theme;
+  document.getElementById("theme").textContent = theme === "dark" ? "☀" : "☾";
+  redrawAll();
+}
+
+const preferred = matchMedia("(prefers-color-scheme: dark)");
+const chosenTheme = () => localStorage.getItem("kerntemp-theme") || (preferred.matches ? "dark" : "light");
+
+document.getElementById("theme").addEventListener("click", () => {
+  localStorage.setItem("kerntemp-theme", chosenTheme() === "dark" ? "light" : "dark");
+  setTheme(chosenTheme());
+});
+preferred.addEventListener("change", () => setTheme(chosenTheme()));
+document.getElementById("language").addEventListener("click", () => {
+  setLanguage(language() === "de" ? "en" : "de");
+  translate();
+  show();
+});
+document.getElementById("press").addEventListener("change", (event) => { context.press = event.target.value; show(); });
+addEventListener("hashchange", () => { show(); main.focus({ preventScroll: true }); });
+
+// One line for the screen reader when something happens, not for each scan.
+export function announce(message) {
+  document.getElementById("announce").textContent = message;
+}
+
+async function refreshPresses() {
+  try {
+    const { items } = await get("/press");
+    context.presses = items.map((item) => item.press);
+    if (!context.presses.includes(context.press)) context.press = context.presses[0] ?? null;
+    const select = document.getElementById("press");
+    select.hidden = context.presses.length < 2;
+    select.replaceChildren(...context.presses.map((name) => el("option", { value: name, selected: name === context.press }, name)));
+  } catch { context.presses = []; }
+}
+
+async function refreshHealth() {
+  if (document.hidden) return;
+  try {
+    const health = await get("/health");
+    document.getElementById("version").textContent = `Kerntemp ${health.version}`;
+    const lines = health.alarms;
+    const alarms = document.getElementById("alarms");
+    if (alarms.textContent !== lines.join("")) alarms.replaceChildren(...lines.map((line) => el("p", {}, `⚠ ${line}`)));
+  } catch { /* the link state says it */ }
+}
+
+function connect() {
+  const handlers = {};
+  for (const name of ["scan", "estimate", "press", "run", "fit"]) {
+    handlers[name] = (data) => { for (const handler of listeners[name]) handler(data); };
+  }
+  follow(handlers, async (state) => {
+    const back = state === "live" && context.live === "lost";
+    context.live = state;
+    showLink();
+    if (back && !context.presses.length) { await refreshPresses(); if (context.presses.length) show(); }
+    for (const handler of listeners.link) handler(state);
+  });
+}
+
+setTheme(chosenTheme());
+translate();
+await refreshPresses();
+show();
+connect();
+refreshHealth();
+setInterval(refreshHealth, 5000);

@@ -1,0 +1,69 @@
+// Small helpers to build the page: elements, numbers, times in the chosen language.
+import { language } from "./text.js";
+
+export function el(tag, attributes = {}, ...children) {
+  const node = document.createElement(tag);
+  for (const [key, value] of Object.entries(attributes)) {
+    if (value === undefined || value === null || value === false) continue;
+    if (key === "class") node.className = value;
+    else if (key === "style") node.style.cssText = value;
+    else if (key.startsWith("on")) node.addEventListener(key.slice(2), value);
+    else node.setAttribute(key, value === true ? "" : value);
+  }
+  node.append(...children.flat(3).filter((child) => child !== null && child !== undefined && child !== false));
+  return node;
+}
+
+const formats = new Map();
+export function number(value, digits = 1) {
+  if (value === null || value === undefined || Number.isNaN(value)) return "–";
+  const key = `${language()}:${digits}`;
+  if (!formats.has(key)) {
+    formats.set(key, new Intl.NumberFormat(language(), { minimumFractionDigits: digits, maximumFractionDigits: digits }));
+  }
+  return formats.get(key).format(value);
+}
+
+// Three significant digits, for values whose size is not known before.
+export function figure(value) {
+  if (value === null || value === undefined || Number.isNaN(value)) return "–";
+  const size = Math.abs(value);
+  return number(value, size >= 100 ? 0 : size >= 10 ? 1 : size >= 0.1 ? 2 : 4);
+}
+
+export function clock(utc, withDate = true) {
+  if (!utc) return "–";
+  const options = withDate ? { dateStyle: "short", timeStyle: "medium" } : { timeStyle: "medium" };
+  return new Intl.DateTimeFormat(language(), options).format(new Date(utc));
+}
+
+export function duration(seconds) {
+  if (seconds === null || seconds === undefined) return "–";
+  if (seconds < 100) return `${number(seconds, 1)} s`;
+  const minutes = Math.floor(seconds / 60);
+  if (minutes < 100) return `${minutes} min ${number(seconds - 60 * minutes, 0)} s`;
+  return minutes < 2880 ? `${number(minutes / 60, 1)} h` : `${number(minutes / 1440, 1)} d`;
+}
+
+export function bytes(value) {
+  if (value === null || value === undefined) return "–";
+  const units = ["B", "kB", "MB", "GB", "TB"];
+  let i = 0;
+  while (value >= 1000 && i < units.length - 1) { value /= 1000; i += 1; }
+  return `${number(value, i ? 1 : 0)} ${units[i]}`;
+}
+
+export function table(caption, heads, rows, options = {}) {
+  return el("div", { class: "scroll" }, el("table", { class: "list" },
+    el("caption", { class: "unseen" }, caption),
+    el("thead", {}, el("tr", {}, heads.map((head) =>
+      el("th", { scope: "col", class: head.class }, head.text ?? head)))),
+    el("tbody", {}, rows.map((row, i) => {
+      const node = el("tr", {}, row.map((cell, j) => el("td", { class: heads[j].class }, cell ?? "–")));
+      if (options.pick) {
+        node.className = "pick";
+        node.addEventListener("click", (event) => { if (!event.target.closest("a,input,button")) options.pick(i); });
+      }
+      return node;
+    }))));
+}

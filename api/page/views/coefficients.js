@@ -1,0 +1,65 @@
+// Coefficients: their history with intervals, and how they depend on a setting.
+import { get } from "../api.js";
+import { TimeChart } from "../charts.js";
+import { clock, el, figure, number, table } from "../dom.js";
+import { text } from "../text.js";
+
+export async function show(place, context) {
+  const press = context.presses.length > 1 ? context.press : "";
+  const [{ items }, presses] = await Promise.all([get("/coefficients", { press, limit: 500 }), get("/press")]);
+  if (!items.length) { place.append(el("div", { class: "card empty" }, el("h1", {}, text("nav_coefficients")), el("p", {}, text("no_fits")))); return null; }
+  const history = [...items].reverse();
+  const names = [...new Set(history.flatMap((item) => Object.keys(item.coefficients)))];
+  const axes = ["time", ...new Set(history.flatMap((item) => Object.keys(item.settings)))];
+  const choice = el("select", { "aria-label": text("against") }, axes.map((name) => el("option", { value: name }, name === "time" ? text("order_of_runs") : name)));
+  const charts = el("div", { class: "pair" });
+  const used = presses.items.find((item) => item.press === context.press)?.coefficients ?? {};
+  place.append(el("section", { class: "card" }, el("div", { class: "head" }, el("h1", {}, text("nav_coefficients")),
+    el("label", { class: "row small" }, el("span", { class: "faint" }, text("against")), choice)),
+  el("p", { class: "faint" }, text("coefficients_hint"))), charts);
+  const draw = () => {
+    charts.replaceChildren(...names.map((name) => card(name, history, choice.value, used[name])));
+  };
+  choice.addEventListener("change", draw);
+  draw();
+  place.append(latestCard(history.at(-1)));
+  context.on("fit", () => { dispatchEvent(new HashChangeEvent("hashchange")); });
+  return null;
+}
+
+function card(name, history, axis, used) {
+  const points = history.map((item, i) => ({ x: axis === "time" ? i + 1 : item.settings[axis], c: item.coefficients[name], item }))
+    .filter((point) => point.c && point.x !== undefined).sort((a, b) => a.x - b.x);
+  const holder = el("div", {});
+  const last = points.at(-1);
+  const values = points.flatMap((p) => (p.c.identifiable === false ? [p.c.value] : [p.c.value, ...(p.c.ci95 ?? []).filter((v) => v !== null)]));
+  const [low, high] = [Math.min(...values), Math.max(...values)];
+  const space = (high - low || Math.abs(high) || 1) * 0.15;
+  const known = (p) => p.c.identifiable !== false;
+  requestAnimationFrame(() => {
+    if (!holder.isConnected) return;
+    const chart = new TimeChart(holder, {
+      series: [{ name: text("ci_low"), kind: "band-low" }, { name: text("ci_high"), kind: "band-high" },
+        { name, colour: "--accent", kind: "line", points: true, unit: "W/m²K", digits: 0 },
+        { name: text("not_identifiable"), colour: "--faint", kind: "dots", unit: "W/m²K", digits: 0 }],
+      height: 200, label: `${name} ${text("history")}`, yLabel: "W/m²K", xLabel: axis === "time" ? text("order_of_runs") : axis,
+      yRange: [Math.max(low - space, 0), high + space], xRange: axis === "time" ? [0.5, Math.max(points.length, 2) + 0.5] : undefined,
+    });
+    chart.tipHead = (x) => (axis === "time" ? points.find((p) => p.x === x)?.item.run ?? "" : `${axis} ${number(x, 0)}`);
+    chart.set([points.map((p) => p.x), points.map((p) => (known(p) ? p.c.ci95?.[0] ?? null : null)), points.map((p) => (known(p) ? p.c.ci95?.[1] ?? null : null)),
+      points.map((p) => (known(p) ? p.c.value : null)), points.map((p) => (known(p) ? null : p.c.value))]);
+  });
+  return el("section", { class: "card" }, el("div", { class: "head" }, el("h2", { style: "margin:0" }, name, " ", el("span", { class: "faint small" }, text(`c_${name}`) === `c_${name}` ? "" : text(`c_${name}`))),
+    el("span", { class: "num" }, last ? `${figure(last.c.value)} W/m²K` : "–", used ? el("span", { class: "faint small" }, ` · ${text("in_use")} ${figure(used)}`) : "")), holder);
+}
+
+function latestCard(item) {
+  return el("section", { class: "card" }, el("h2", {}, `${text("last_fit")}: `, el("a", { href: `#/runs/${encodeURIComponent(item.run)}` }, item.run), ` · ${clock(item.utc)}`), coefficientTable(item.coefficients));
+}
+
+export function coefficientTable(coefficients) {
+  return table(text("nav_coefficients"), [{ text: text("name") }, { text: "W/m²K", class: "right" }, { text: text("interval"), class: "right" }, { text: text("verdict") }],
+    Object.entries(coefficients).map(([name, c]) => [name, el("span", { class: "num" }, figure(c.value)),
+      el("span", { class: "num" }, c.ci95 ? `${figure(c.ci95[0])} … ${figure(c.ci95[1])}` : "–"),
+      c.identifiable === null || c.identifiable === undefined ? "–" : el("span", { class: `pill ${c.identifiable ? "good" : "warn"}`, title: c.reason ?? "" }, text(c.identifiable ? "identifiable" : "not_identifiable"))]));
+}

@@ -1,0 +1,236 @@
+// Press now: the core temperature large, the running pressing as a chart, every channel with its quality.
+import { announce } from "../app.js";
+import { get } from "../api.js";
+import { TimeChart, key } from "../charts.js";
+import { duration, el, number } from "../dom.js";
+import { text } from "../text.js";
+
+const KEEP_ROWS = 20000;
+const COLOURS = { platen: "--platen", top: "--top", bottom: "--bottom", core: "--measured", other: "--faint" };
+
+export async function show(place, context) {
+  const live = new LivePress(place, context);
+  await live.load();
+  context.on("scan", (data) => live.scan(data));
+  context.on("estimate", (data) => live.estimate(data));
+  context.on("press", (data) => live.press(data));
+  context.on("run", (data) => live.run(data));
+  context.on("link", (state) => { if (state === "live") live.load(); });
+  const timer = setInterval(() => live.poll(), 2000);
+  return () => { clearInterval(timer); live.closed = true; };
+}
+
+class LivePress {
+  constructor(place, context) {
+    Object.assign(this, { place, context, closed: false, now: null, chart: null, rows: null, loading: false });
+  }
+
+  async load() {
+    if (this.loading) return;
+    this.loading = true;
+    try {
+      const { items } = await get("/press");
+      this.now = items.find((item) => item.press === this.context.press) ?? items[0] ?? null;
+      if (this.closed) return;
+      if (!this.now) {
+        this.place.replaceChildren(el("div", { class: "card empty" }, el("h1", {}, text("no_press")), el("p", {}, text("no_press_hint"))));
+        return;
+      }
+      this.frame();
+      await this.loadRun(this.now.run);
+    } finally {
+      this.loading = false;
+    }
+  }
+
+  // Numbers that only the server can say (time to target, alarms), now and then.
+  async poll() {
+    if (document.hidden || this.loading) return;
+    try {
+      const { items } = await get("/press");
+      const fresh = items.find((item) => item.press === this.now?.press);
+      if (!fresh) { if (items.length) await this.load(); return; }
+      if (this.closed) return;
+      this.now = fresh;
+      this.facts();
+      this.tiles();
+      if (fresh.run !== this.shown) await this.loadRun(fresh.run);
+    } catch { /* the link state says it */ }
+  }
+
+  frame() {
+    this.state = el("span", { class: "pill", "data-testid": "state" });
+    this.core = el("div", { class: "core", "data-testid": "core" });
+    this.band = el("div", { class: "band", "data-testid": "band" });
+    this.meter = el("i", {});
+    this.list = el("dl", { class: "facts" });
+    this.grid = el("div", { class: "channels", "data-testid": "channels" });
+    this.title = el("h2", {});
+    this.canvas = el("div", {});
+    this.keys = el("div", {});
+    this.place.replaceChildren(
+      el("div", { class: "split" },
+        el("section", { class: "card hero", "aria-labelledby": "core-title" },
+          el("div", { class: "row", style: "justify-content:space-between" }, el("h1", { id: "core-title" }, text("core_temperature")), this.state),
+          el("div", {}, this.core, this.band),
+          el("div", { class: "bench", "aria-hidden": "true" }, this.meter),
+          this.list),
+        el("section", { class: "card", "aria-label": text("running_pressing") },
+          el("div", { class: "head" }, this.title), this.canvas, this.keys)),
+      el("section", { class: "card" }, el("h2", {}, text("channels")), this.grid));
+    this.facts();
+    this.tiles();
+  }
+
+  facts() {
+    const { now } = this;
+    this.state.className = `pill ${now.state}`;
+    this.state.textContent = text(`state_${now.state}`);
+    this.showCore(now.estimate);
+    const target = now.target;
+    const rows = [
+      [text("time_since_closing"), now.time_since_closing_s === null ? "–" : duration(now.time_since_closing_s)],
+      [text("target"), target ? `${number(target.temperature_C, 0)} °C` : "–"],
+      [text("time_to_target"), !target ? "–" : target.reached ? text("reached") : duration(target.time_to_target_s)],
+      [text("run"), now.run ? el("a", { href: `#/runs/${encodeURIComponent(now.run)}` }, now.run) : "–"],
+      [text("press"), now.press],
+    ];
+    this.list.replaceChildren(...rows.flatMap(([name, value]) => [el("dt", {}, name), el("dd", {}, value)]));
+    const share = target && now.estimate?.core_C ? (now.estimate.core_C - 20) / (target.temperature_C - 20) : 0;
+    this.meter.style.width = `${Math.max(0, Math.min(1, share)) * 100}%`;
+  }
+
+  showCore(estimate = this.now.estimate) {
+    const valid = estimate && estimate.valid && estimate.core_C !== null;
+    this.core.className = valid ? "core" : "core invalid";
+    this.core.replaceChildren(valid ? number(estimate.core_C, 1) : "–", el("small", {}, "°C"));
+    this.band.textContent = valid
+      ? `${number(estimate.core_low_C, 1)} … ${number(estimate.core_high_C, 1)} °C · ${text("band95")}`
+      : estimate?.reason || text("no_estimate");
+  }
+
+  tiles() {
+    const nodes = this.now.channels.map((channel) => {
+      const good = ["good", "simulated"].includes(channel.quality);
+      return el("div", { class: good ? "channel" : "channel bad", style: `--dot: var(${COLOURS[channel.role]})`, title: channel.quality },
+        el("span", { class: "name" }, channel.name),
+        el("b", {}, good ? `${number(channel.temperature_C, 1)} °C` : text(`quality_${channel.quality}`)));
+    });
+    this.grid.replaceChildren(...nodes);
+  }
+
+  async loadRun(run) {
+    this.shown = run;
+    if (!run) { this.title.textContent = text("waiting_for_pressing"); return; }
+    const [samples, estimates, detail] = await Promise.all([
+      get(`/runs/${encodeURIComponent(run)}/samples`, { max_points: 4000 }),
+      get(`/runs/${encodeURIComponent(run)}/estimates`, { max_points: 4000 }),
+      get(`/runs/${encodeURIComponent(run)}`),
+    ]);
+    if (this.closed || this.shown !== run) return;
+    this.columns = Object.keys(samples.columns).filter((name) => name !== "closed");
+    this.phases = detail.phases;
+    this.rows = merge(samples, estimates, this.columns);
+    this.draw();
+  }
+
+  draw() {
+    const roles = Object.fromEntries(this.now.channels.map((channel) => [channel.name, channel.role]));
+    const series = this.columns.map((name) => ({ name, colour: COLOURS[roles[name] ?? roleOf(name)], kind: roles[name] === "core" ? "line" : "thin" }));
+    series.push({ name: "low", kind: "band-low" }, { name: "high", kind: "band-high" },
+      { name: text("core_predicted"), colour: "--core", kind: "core", spanGaps: true });
+    if (this.chart) this.chart.close();
+    this.canvas.replaceChildren();
+    this.chart = new TimeChart(this.canvas, { series, height: Math.max(300, Math.min(460, innerHeight * 0.5)), label: text("chart_now_label"), phases: this.phases });
+    this.chart.set(this.rows, this.phases);
+    const running = this.now.run_status === "open";
+    this.title.textContent = `${text(running ? "running_pressing" : "last_pressing")} ${this.shown}`;
+    this.keys.replaceChildren(key([
+      { name: text("core_predicted"), colour: "--core" }, { name: text("band95"), class: "band" },
+      { name: text("sensors_top"), colour: "--top" }, { name: text("sensors_bottom"), colour: "--bottom" },
+      { name: text("platens"), colour: "--platen" }]));
+  }
+
+  scan(data) {
+    if (data.press !== this.now?.press) return;
+    for (const channel of this.now.channels) {
+      if (channel.name in data.temperatures_C) {
+        channel.temperature_C = data.temperatures_C[channel.name];
+        channel.quality = data.qualities[channel.name] ?? "good";
+      }
+    }
+    this.soon("tiles");
+    if (data.run !== this.shown || !this.rows || data.time_s === null) return;
+    const times = this.rows[0];
+    if (times.length && data.time_s <= times.at(-1)) return;
+    times.push(data.time_s);
+    this.columns.forEach((name, i) => this.rows[i + 1].push(data.temperatures_C[name] ?? null));
+    for (let i = this.columns.length + 1; i < this.rows.length; i += 1) this.rows[i].push(null);
+    if (times.length > KEEP_ROWS) this.rows.forEach((values) => values.splice(0, values.length - KEEP_ROWS));
+    this.chart.set(this.rows, this.phases);
+  }
+
+  estimate(data) {
+    if (data.press !== this.now?.press) return;
+    this.now.estimate = data;
+    this.soon("showCore");
+    if (data.run !== this.shown || !this.rows) return;
+    const row = lastAt(this.rows[0], data.time_s);
+    if (row < 0 || !data.valid) return;
+    const first = this.columns.length + 1;
+    this.rows[first][row] = data.core_low_C;
+    this.rows[first + 1][row] = data.core_high_C;
+    this.rows[first + 2][row] = data.core_C;
+    this.chart.set(this.rows, this.phases);
+  }
+
+  press(data) {
+    if (data.press !== this.now?.press) return;
+    announce(`${text("press")}: ${text(`state_${data.state}`)}`);
+    this.poll();
+    if (data.run && data.run === this.shown) {
+      get(`/runs/${encodeURIComponent(data.run)}`).then((detail) => {
+        this.phases = detail.phases;
+        if (this.chart && !this.closed) this.chart.set(this.rows, this.phases);
+      }).catch(() => {});
+    }
+  }
+
+  run(data) {
+    if (data.press === this.now?.press) this.poll();
+  }
+
+  // At most one redraw of the numbers a frame.
+  soon(name) {
+    this.work ??= new Set();
+    if (this.work.has(name)) return;
+    this.work.add(name);
+    requestAnimationFrame(() => { this.work.delete(name); if (!this.closed) this[name](); });
+  }
+}
+
+export function roleOf(name) {
+  return name.startsWith("platen") ? "platen" : name.startsWith("top") ? "top" : name.startsWith("bottom") ? "bottom" : name.startsWith("core") ? "core" : "other";
+}
+
+function merge(samples, estimates, columns) {
+  const rows = [[...samples.time_s], ...columns.map((name) => [...samples.columns[name]]), [], [], []];
+  const first = columns.length + 1;
+  for (let i = first; i < rows.length; i += 1) rows[i] = new Array(rows[0].length).fill(null);
+  let j = 0;
+  estimates.time_s.forEach((time, i) => {
+    if (!estimates.valid[i]) return;
+    while (j < rows[0].length - 1 && rows[0][j] < time - 1e-6) j += 1;
+    rows[first][j] = estimates.core_low_C[i];
+    rows[first + 1][j] = estimates.core_high_C[i];
+    rows[first + 2][j] = estimates.core_C[i];
+  });
+  return rows;
+}
+
+function lastAt(times, time) {
+  for (let i = times.length - 1; i >= 0 && i >= times.length - 400; i -= 1) {
+    if (Math.abs(times[i] - time) < 1e-6) return i;
+  }
+  return -1;
+}

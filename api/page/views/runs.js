@@ -1,0 +1,234 @@
+// Runs: filter and compare; one run measured against simulated, its residual, the profile through the panel, its fit.
+import { get, url } from "../api.js";
+import { TimeChart, key } from "../charts.js";
+import { clock, duration, el, figure, number, table } from "../dom.js";
+import { text } from "../text.js";
+import { coefficientTable } from "./coefficients.js";
+import { roleOf } from "./now.js";
+import { drawProfile } from "./profile.js";
+
+const PALETTE = ["--core", "--bottom", "--top", "--good", "--accent", "--platen"];
+
+export async function show(place, context, [id, ...rest]) {
+  if (id === "compare") return compare(place, rest);
+  if (id) return detail(place, context, id);
+  return list(place, context);
+}
+
+async function list(place, context) {
+  const chosen = new Set();
+  const filter = { material: "", status: "", from: "", to: "" };
+  let items = [];
+  let cursor = null;
+  const body = el("div", {});
+  const more = el("button", { type: "button", class: "button", onclick: () => load(true) }, text("more"));
+  const compareLink = el("a", { class: "button", href: "#/runs", "aria-disabled": "true" }, text("compare"));
+  const field = (name, label, control) => {
+    control.addEventListener("input", () => { filter[name] = control.value; load(false); });
+    return el("label", { class: "row small" }, el("span", { class: "faint" }, label), control);
+  };
+  const statuses = el("select", {}, el("option", { value: "" }, text("all")),
+    ["open", "closed", "interrupted"].map((value) => el("option", { value }, text(`run_${value}`))));
+  place.append(el("section", { class: "card" },
+    el("div", { class: "head" }, el("h1", {}, text("nav_runs")),
+      el("div", { class: "row" },
+        field("material", text("material"), el("input", { type: "search", size: 8 })),
+        field("status", text("status"), statuses),
+        field("from", text("from"), el("input", { type: "date" })),
+        field("to", text("to"), el("input", { type: "date" })), compareLink)),
+    body, el("div", { class: "row", style: "justify-content:center;margin-top:.8rem" }, more)));
+
+  let turn = 0;
+  async function load(next) {
+    const mine = ++turn;
+    const page = await get("/runs", {
+      press: context.presses.length > 1 ? context.press : "", material: filter.material, status: filter.status, limit: 50, cursor: next ? cursor : "",
+      from: filter.from && `${filter.from}T00:00:00Z`, to: filter.to && `${filter.to}T23:59:59Z`,
+    });
+    if (mine !== turn) return;
+    items = next ? items.concat(page.items) : page.items;
+    cursor = page.next_cursor;
+    more.hidden = !cursor;
+    draw();
+  }
+
+  function draw() {
+    if (!items.length) { body.replaceChildren(el("div", { class: "empty" }, text("no_runs"))); return; }
+    body.replaceChildren(table(text("nav_runs"), [
+      { text: "" }, { text: text("run") }, { text: text("started"), class: "hide-narrow" }, { text: text("material") },
+      { text: text("thickness"), class: "right hide-narrow" }, { text: text("platen"), class: "right hide-narrow" },
+      { text: text("pressed"), class: "right" }, { text: text("rmse"), class: "right" }, { text: text("status"), class: "hide-narrow" },
+    ], items.map((run) => [
+      el("input", { type: "checkbox", checked: chosen.has(run.run), "aria-label": `${text("compare")} ${run.run}`, onchange: (event) => pick(run.run, event.target.checked) }),
+      el("a", { href: `#/runs/${encodeURIComponent(run.run)}` }, run.run),
+      el("span", { class: "num" }, clock(run.started_utc)), run.material || "–",
+      el("span", { class: "num" }, run.thickness_mm === null ? "–" : `${number(run.thickness_mm, 1)} mm`),
+      el("span", { class: "num" }, run.platen_temperature_C === null ? "–" : `${number(run.platen_temperature_C, 0)} °C`),
+      el("span", { class: "num" }, run.closed_s === null || run.opened_s === null ? "–" : duration(run.opened_s - run.closed_s)),
+      el("span", { class: "num" }, run.rmse_K === null ? "–" : `${number(run.rmse_K, 2)} K`),
+      statusPill(run.status),
+    ]), { pick: (i) => { location.hash = `#/runs/${encodeURIComponent(items[i].run)}`; } }));
+  }
+
+  function pick(run, on) {
+    if (on) chosen.add(run); else chosen.delete(run);
+    const usable = chosen.size > 1;
+    compareLink.setAttribute("aria-disabled", String(!usable));
+    compareLink.className = usable ? "button primary" : "button";
+    compareLink.href = usable ? `#/runs/compare/${[...chosen].map(encodeURIComponent).join("/")}` : "#/runs";
+    compareLink.textContent = chosen.size ? `${text("compare")} (${chosen.size})` : text("compare");
+  }
+
+  await load(false);
+  for (const name of ["run", "fit"]) context.on(name, () => { if (!cursor || items.length <= 50) load(false).catch(() => {}); });
+  return null;
+}
+
+function statusPill(status) {
+  const tone = { open: "open", closed: "good", interrupted: "warn" }[status] ?? "";
+  return el("span", { class: `pill ${tone}` }, text(`run_${status}`));
+}
+
+async function compare(place, ids) {
+  place.append(el("section", { class: "card" }, el("div", { class: "head" }, el("h1", {}, `${text("compare")}: ${text("core_predicted")}`),
+    el("a", { class: "button", href: "#/runs" }, text("back")))));
+  const runs = await Promise.all(ids.slice(0, 6).map(async (id) => ({
+    id, detail: await get(`/runs/${encodeURIComponent(id)}`), estimates: await get(`/runs/${encodeURIComponent(id)}/estimates`, { max_points: 800 }),
+  })));
+  const times = [...new Set(runs.flatMap(({ detail: d, estimates: e }) => e.time_s.map((t) => round(t - (d.closed_s ?? 0)))))].sort((a, b) => a - b);
+  const at = new Map(times.map((t, i) => [t, i]));
+  const data = [times, ...runs.map(({ detail: d, estimates: e }) => {
+    const values = new Array(times.length).fill(null);
+    e.time_s.forEach((t, i) => { if (e.valid[i]) values[at.get(round(t - (d.closed_s ?? 0)))] = e.core_C[i]; });
+    return values;
+  })];
+  const holder = el("div", {});
+  place.firstChild.append(holder, key(runs.map(({ id }, i) => ({ name: id, colour: PALETTE[i] }))));
+  const chart = new TimeChart(holder, {
+    series: runs.map(({ id }, i) => ({ name: id, colour: PALETTE[i], kind: "line", spanGaps: true })), height: 420, label: text("compare"), xLabel: text("time_from_closing"),
+  });
+  chart.set(data);
+  const facts = await Promise.all(runs.map(({ id }) => get(`/runs/${encodeURIComponent(id)}/fit`).catch(() => null)));
+  const names = [...new Set(facts.flatMap((fit) => (fit ? Object.keys(fit.coefficients) : [])))];
+  if (names.length) {
+    place.append(el("section", { class: "card" }, el("h2", {}, text("nav_coefficients")), table(text("nav_coefficients"),
+      [{ text: text("run") }, ...names.map((name) => ({ text: name, class: "right" })), { text: text("rmse"), class: "right" }],
+      facts.map((fit, i) => [el("a", { href: `#/runs/${encodeURIComponent(runs[i].id)}` }, runs[i].id),
+        ...names.map((name) => el("span", { class: "num" }, fit?.coefficients[name] ? figure(fit.coefficients[name].value) : "–")),
+        el("span", { class: "num" }, fit?.rmse_K ? `${number(fit.rmse_K, 2)} K` : "–")]))));
+  }
+  return null;
+}
+
+const round = (value) => Math.round(value * 10) / 10;
+
+async function detail(place, context, id) {
+  const path = `/runs/${encodeURIComponent(id)}`;
+  const run = await get(path);
+  const [samples, estimates, fit, simulation] = await Promise.all([
+    get(`${path}/samples`, { max_points: 3000 }), get(`${path}/estimates`, { max_points: 3000 }),
+    get(`${path}/fit`).catch(() => null), get(`${path}/simulation`).catch((error) => ({ problem: error.message })),
+  ]);
+  place.append(headCard(run, path));
+  place.append(measuredCard(run, samples, estimates));
+  if (simulation.time_s) place.append(simulationCard(run, simulation), profileCard(simulation));
+  else place.append(el("section", { class: "card empty" }, text("no_simulation"), el("p", { class: "small" }, simulation.problem)));
+  place.append(el("div", { class: "pair" }, fitCard(fit), headerCard(run)));
+  context.on("fit", (data) => { if (data.run === id && !fit) dispatchEvent(new HashChangeEvent("hashchange")); });
+  return null;
+}
+
+function headCard(run, path) {
+  const link = (label, href) => el("a", { class: "button", href, download: "" }, label);
+  return el("section", { class: "card" },
+    el("div", { class: "head" },
+      el("div", { class: "row" }, el("h1", {}, `${text("run")} ${run.run}`), statusPill(run.status)),
+      el("div", { class: "row small" }, link("CSV", url(`${path}/samples`, { format: "csv" })), link("Parquet", url(`${path}/samples`, { format: "parquet" })),
+        link("SVG", url(`${path}/figure.svg`)), el("a", { class: "button", href: "#/runs" }, text("back")))),
+    el("p", { class: "faint" }, [run.material, run.thickness_mm && `${number(run.thickness_mm, 1)} mm`, run.platen_temperature_C && `${number(run.platen_temperature_C, 0)} °C`,
+      run.closed_s !== null && run.opened_s !== null && `${text("pressed")} ${duration(run.opened_s - run.closed_s)}`, clock(run.started_utc), `${run.scans} ${text("scans")}`]
+      .filter(Boolean).join(" · ")),
+    run.remarks.length ? el("ul", { class: "small" }, run.remarks.map((remark) => el("li", {}, remark))) : null);
+}
+
+function measuredCard(run, samples, estimates) {
+  const names = Object.keys(samples.columns).filter((name) => name !== "closed");
+  const colour = { platen: "--platen", top: "--top", bottom: "--bottom", core: "--measured", other: "--faint" };
+  const series = [...names.map((name) => ({ name, colour: colour[roleOf(name)], kind: roleOf(name) === "core" ? "line" : "thin", spanGaps: true })),
+    { name: "low", kind: "band-low" }, { name: "high", kind: "band-high" }, { name: text("core_predicted"), colour: "--core", kind: "core", spanGaps: true }];
+  const { times, lift } = grid(samples.time_s, estimates.time_s);
+  const ok = (values) => values.map((value, i) => (estimates.valid[i] ? value : null));
+  const data = [times, ...names.map((name) => lift(samples.time_s, samples.columns[name])), lift(estimates.time_s, ok(estimates.core_low_C)),
+    lift(estimates.time_s, ok(estimates.core_high_C)), lift(estimates.time_s, ok(estimates.core_C))];
+  const holder = el("div", {});
+  const card = el("section", { class: "card" }, el("h2", {}, text("measured_and_core")), holder, key([
+    { name: text("core_predicted"), colour: "--core" }, { name: text("band95"), class: "band" }, { name: text("sensors_top"), colour: "--top" },
+    { name: text("sensors_bottom"), colour: "--bottom" }, { name: text("platens"), colour: "--platen" }]));
+  later(holder, () => new TimeChart(holder, { series, height: 360, label: text("measured_and_core"), phases: run.phases, sync: "run" }).set(data));
+  return card;
+}
+
+function simulationCard(run, simulation) {
+  const places = Object.keys(simulation.positions);
+  const colour = (name, i) => (name.endsWith("top") ? "--top" : name.endsWith("bottom") ? "--bottom" : ["--good", "--accent"][i % 2]);
+  const residual = places.map((name) => simulation.positions[name].map((value, i) =>
+    (simulation.measured[name]?.[i] == null || value === null ? null : simulation.measured[name][i] - value)));
+  const above = el("div", {});
+  const below = el("div", {});
+  const shown = places.filter((name) => simulation.measured[name]?.some((value) => value !== null));
+  const card = el("section", { class: "card", "data-testid": "simulation" },
+    el("h2", {}, text("measured_simulated")), above, el("h3", {}, text("residual")), below, key([
+      ...shown.map((name, i) => ({ name: `${name} · RMSE ${number(simulation.rmse_K[name], 2)} K`, colour: colour(name, i) })),
+      { name: text("dots_measured"), colour: "--measured", class: "dots" }, { name: text("core_simulated"), colour: "--core" }]));
+  const index = shown.map((name) => places.indexOf(name));
+  later(above, () => {
+    new TimeChart(above, {
+      series: [...shown.map((name, i) => ({ name: `${name} ${text("simulated")}`, colour: colour(name, i), kind: "line" })),
+        ...shown.map((name, i) => ({ name: `${name} ${text("measured")}`, colour: colour(name, i), kind: "dots" })),
+        { name: text("core_simulated"), colour: "--core", kind: "core" }],
+      height: 320, label: text("measured_simulated"), phases: run.phases, sync: "run",
+    }).set([simulation.time_s, ...index.map((i) => simulation.positions[places[i]]), ...index.map((i) => simulation.measured[places[i]]), simulation.core_C]);
+    new TimeChart(below, {
+      series: shown.map((name, i) => ({ name, colour: colour(name, i), kind: "line", unit: "K", digits: 2 })), height: 170, label: text("residual"), yLabel: "K", phases: run.phases, sync: "run",
+    }).set([simulation.time_s, ...index.map((i) => residual[i])]);
+  });
+  return card;
+}
+
+function profileCard(simulation) {
+  const canvas = el("canvas", { class: "profile", role: "img", "aria-label": text("profile_label") });
+  const legend = el("p", { class: "small faint" });
+  later(canvas, () => drawProfile(canvas, legend, simulation));
+  return el("section", { class: "card" }, el("h2", {}, text("profile")), canvas, legend);
+}
+
+function fitCard(fit) {
+  if (!fit) return el("section", { class: "card" }, el("h2", {}, text("fit")), el("p", { class: "faint" }, text("no_fit")));
+  return el("section", { class: "card" }, el("div", { class: "head" }, el("h2", {}, text("fit")),
+    el("span", { class: `pill ${fit.converged ? "good" : "warn"}` }, text(fit.converged ? "converged" : "not_converged"))),
+  coefficientTable(fit.coefficients),
+  el("p", { class: "small faint" }, `RMSE ${number(fit.initial_rmse_K, 2)} K → ${number(fit.rmse_K, 2)} K`),
+  fit.warnings.length ? el("ul", { class: "small" }, fit.warnings.map((warning) => el("li", {}, warning))) : null);
+}
+
+function headerCard(run) {
+  return el("section", { class: "card" }, el("h2", {}, text("metadata")), table(text("metadata"), [{ text: text("name") }, { text: text("value"), class: "right" }],
+    Object.entries(run.header).map(([name, value]) => [name, el("span", { class: "num" }, typeof value === "object" ? JSON.stringify(value) : String(value))])));
+}
+
+// Two time axes on one chart: their union, each series lifted onto it.
+function grid(...axes) {
+  const times = [...new Set(axes.flat().map((t) => Math.round(t * 1000) / 1000))].sort((a, b) => a - b);
+  const at = new Map(times.map((t, i) => [t, i]));
+  const lift = (axis, values) => {
+    const out = new Array(times.length).fill(null);
+    axis.forEach((t, i) => { out[at.get(Math.round(t * 1000) / 1000)] = values[i]; });
+    return out;
+  };
+  return { times, lift };
+}
+
+// Runs once the element stands in the page and has a width.
+export function later(node, work) {
+  requestAnimationFrame(() => { if (node.isConnected) work(); else setTimeout(() => { if (node.isConnected) work(); }, 50); });
+}

@@ -1,0 +1,1 @@
+"""The API's routes: each reads its arguments, asks the store, and answers with a schema."""

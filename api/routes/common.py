@@ -1,0 +1,52 @@
+"""What every route needs: the store, the page size, and leave to change something."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import Depends, Query, Request
+
+from api.gate import token_of
+from api.problems import ProblemError
+from daq.records import InputError
+from daq.store.records import RunRecord
+from daq.store.store import Store
+
+MAX_PAGE = 500
+
+
+def get_store(request: Request) -> Store:
+    """Return the store this application serves."""
+    store = request.app.state.store
+    if not isinstance(store, Store):
+        raise TypeError("the application was made without a store")
+    return store
+
+
+def get_writer(request: Request) -> str:
+    """Return who makes a change. Refuses without a token of scope write."""
+    token = token_of(request.scope)
+    if token is None:
+        raise ProblemError(
+            401,
+            "a change needs a token with scope write; kerntemp token create makes one",
+            {"WWW-Authenticate": 'Bearer realm="kerntemp"'},
+        )
+    if not token.allows("write"):
+        raise ProblemError(403, f"token {token.name!r} may read only; a change needs scope write")
+    return token.name
+
+
+StoreDep = Annotated[Store, Depends(get_store)]
+Writer = Annotated[str, Depends(get_writer)]
+PageSize = Annotated[int, Query(ge=1, le=MAX_PAGE, description="Items in one page.")]
+Cursor = Annotated[str | None, Query(description="`next_cursor` of the page before.", max_length=40)]
+PressName = Annotated[str | None, Query(description="Only this press.", max_length=200)]
+
+
+def existing_run(store: Store, run: str) -> RunRecord:
+    """Return a run's record or refuse with 404."""
+    try:
+        return store.run_record(run)
+    except InputError as error:
+        raise ProblemError(404, f"run {run!r} does not exist; /api/v1/runs lists them") from error

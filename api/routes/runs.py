@@ -1,0 +1,185 @@
+"""Runs: the list, one run, its samples, estimates, fit, simulation and figure."""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from collections.abc import Sequence
+from dataclasses import replace
+from datetime import datetime
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from fastapi import APIRouter, Query
+from fastapi.responses import FileResponse, JSONResponse, Response
+from starlette.background import BackgroundTask
+
+from api.answers import column_values, number_or_none, phases_of, remarks_of, run_summary
+from api.decimation import decimate
+from api.problems import ProblemError, problem_responses
+from api.routes.common import Cursor, PageSize, PressName, StoreDep, existing_run
+from api.schemas import Estimates, Fit, RunDetail, RunList, Samples
+from daq.records import Run
+from daq.runfile import write_run
+from daq.store.records import RunStatus, StoredEstimate
+
+router = APIRouter(tags=["runs"], responses=problem_responses(404))
+
+MaxPoints = Annotated[
+    int | None,
+    Query(
+        ge=4, le=1_000_000, description="At most this many rows; each bucket keeps its lowest and highest value."
+    ),
+]
+FromTime = Annotated[
+    float | None, Query(alias="from", allow_inf_nan=False, description="From this time of the run on. [s]")
+]
+ToTime = Annotated[
+    float | None, Query(alias="to", allow_inf_nan=False, description="Up to this time of the run. [s]")
+]
+MEDIA_TYPES = {"csv": "text/csv; charset=utf-8", "parquet": "application/vnd.apache.parquet"}
+
+
+@router.get("/runs", operation_id="list_runs", summary="Runs, newest first")
+def list_runs(
+    store: StoreDep,
+    press: PressName = None,
+    status: Annotated[RunStatus | None, Query(description="Only runs of this status.")] = None,
+    material: Annotated[str | None, Query(description="Only panels of this material.", max_length=200)] = None,
+    since: Annotated[datetime | None, Query(alias="from", description="Started at or after this instant.")] = None,
+    until: Annotated[datetime | None, Query(alias="to", description="Started before this instant.")] = None,
+    cursor: Cursor = None,
+    limit: PageSize = 50,
+) -> RunList:
+    """Return one page of runs."""
+    page = store.runs(
+        press=press,
+        status=status,
+        material=material or None,
+        since=_aware(since),
+        until=_aware(until),
+        cursor=cursor,
+        limit=limit,
+    )
+    return RunList(items=[run_summary(store, run) for run in page.items], next_cursor=page.next_cursor)
+
+
+@router.get("/runs/{run}", operation_id="get_run", summary="One run")
+def get_run(store: StoreDep, run: str) -> RunDetail:
+    """Return one run with its header, columns, phases and remarks."""
+    record = existing_run(store, run)
+    columns = list(store.load_run(run, from_s=0.0, to_s=0.0).columns)
+    return RunDetail(
+        **run_summary(store, record).model_dump(),
+        header={k: _plain(v) for k, v in record.header.items()},
+        columns=columns,
+        phases=phases_of(record),
+        remarks=remarks_of(store, record),
+    )
+
+
+@router.get(
+    "/runs/{run}/samples",
+    operation_id="get_samples",
+    summary="The measured temperatures of a run",
+    response_model=Samples,
+    responses={
+        200: {
+            "content": {
+                kind.partition(";")[0]: {"schema": {"type": "string", "format": "binary"}}
+                for kind in MEDIA_TYPES.values()
+            }
+        }
+    },
+)
+def get_samples(
+    store: StoreDep,
+    run: str,
+    format: Annotated[Literal["json", "csv", "parquet"], Query(description="How to answer.")] = "json",
+    columns: Annotated[
+        str | None, Query(description="Names of columns, comma between; all without.", max_length=4000)
+    ] = None,
+    from_s: FromTime = None,
+    to_s: ToTime = None,
+    max_points: MaxPoints = None,
+) -> Response:
+    """Return columns of a run between two times, decimated on request; CSV and Parquet are run files."""
+    existing_run(store, run)
+    names = [name.strip() for name in columns.split(",") if name.strip()] if columns else None
+    whole = store.load_run(run, names, from_s, to_s)
+    time_s, kept = decimate(whole.time_s, whole.columns, max_points)
+    shown = replace(whole, time_s=time_s, columns=kept)
+    if format != "json":
+        return _file_response(shown, format)
+    samples = Samples(
+        run=run,
+        rows=len(time_s),
+        decimated=len(time_s) < len(whole.time_s),
+        time_s=time_s.tolist(),
+        columns={name: column_values(values) for name, values in kept.items()},
+    )
+    return JSONResponse(samples.model_dump())
+
+
+@router.get("/runs/{run}/estimates", operation_id="get_estimates", summary="What the live sensor said in a run")
+def get_estimates(
+    store: StoreDep, run: str, from_s: FromTime = None, to_s: ToTime = None, max_points: MaxPoints = None
+) -> Estimates:
+    """Return the live core temperature and its band; decimation takes rows at even steps."""
+    existing_run(store, run)
+    low, high = (-math.inf if from_s is None else from_s), (math.inf if to_s is None else to_s)
+    chosen = [(t, e) for t, e in store.estimates(run) if low <= t <= high]
+    rows = len(chosen)
+    if max_points is not None and rows > max_points:
+        chosen = [chosen[i] for i in np.linspace(0, rows - 1, max_points).astype(int)]
+    return _estimates(run, chosen, decimated=len(chosen) < rows)
+
+
+@router.get("/runs/{run}/fit", operation_id="get_fit", summary="The coefficients of a run")
+def get_fit(store: StoreDep, run: str) -> Fit:
+    """Return the newest fit of a run, as `kerntemp fit --json` reports it."""
+    existing_run(store, run)
+    fit = store.fit(run)
+    if fit is None:
+        raise ProblemError(404, f"run {run!r} has not been fitted; kerntemp refit fits it")
+    return Fit(**fit)
+
+
+def _estimates(run: str, chosen: Sequence[tuple[float, StoredEstimate]], *, decimated: bool) -> Estimates:
+    return Estimates(
+        run=run,
+        rows=len(chosen),
+        decimated=decimated,
+        time_s=[t for t, _ in chosen],
+        state=[str(e.state) for _, e in chosen],
+        core_C=[number_or_none(e.core_celsius) for _, e in chosen],
+        core_sd_K=[number_or_none(e.core_sd_kelvin) for _, e in chosen],
+        core_low_C=[number_or_none(e.core_low_celsius) for _, e in chosen],
+        core_high_C=[number_or_none(e.core_high_celsius) for _, e in chosen],
+        valid=[e.valid for _, e in chosen],
+    )
+
+
+def _file_response(run: Run, kind: Literal["csv", "parquet"]) -> FileResponse:
+    """Answer with a run file; it is written beside the memory and streamed from there."""
+    folder = tempfile.TemporaryDirectory(prefix="kerntemp-")
+    path = Path(folder.name) / f"run.{kind}"
+    write_run(run, path)
+    name = "".join(c if c.isalnum() or c in "-_." else "_" for c in run.name) or "run"
+    return FileResponse(
+        path, media_type=MEDIA_TYPES[kind], filename=f"{name}.{kind}", background=BackgroundTask(folder.cleanup)
+    )
+
+
+def _plain(value: object) -> object:
+    """Return a header value as JSON carries it."""
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value if isinstance(value, str | int | float | bool | list | dict | None) else str(value)
+
+
+def _aware(instant: datetime | None) -> datetime | None:
+    if instant is not None and instant.tzinfo is None:
+        raise ProblemError(422, f"{instant.isoformat()} has no time zone; end it with Z or an offset")
+    return instant

@@ -1,0 +1,325 @@
+"""What the API says, one class per answer. Units stand in field names, instants are UTC, missing is null."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+State = Literal["idle", "open", "closed", "unknown"]
+
+
+class _Answer(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
+
+class Problem(_Answer):
+    """A problem document (RFC 9457): every error has this form."""
+
+    type: str = "about:blank"
+    title: str
+    status: int
+    detail: str = ""
+    instance: str = ""
+
+
+class ProcessHealth(_Answer):
+    """One of the long-running processes, as its last heartbeat tells."""
+
+    name: str
+    alive: bool
+    state: str
+    message: str = ""
+    utc: datetime | None
+    age_s: float | None
+    details: dict[str, Any] = Field(default_factory=dict)
+
+
+class StoreHealth(_Answer):
+    """The store: how big it is and how long the disk lasts."""
+
+    kind: str
+    size_bytes: int | None
+    free_bytes: int | None
+    hours_left: float | None
+
+
+class Health(_Answer):
+    """Whether the system does its work."""
+
+    status: Literal["ok", "degraded", "down"]
+    version: str
+    utc: datetime
+    store: StoreHealth
+    processes: list[ProcessHealth]
+    alarms: list[str]
+
+
+class ChannelNow(_Answer):
+    """One channel: its last value and how its logger has behaved."""
+
+    press: str
+    name: str
+    logger: str = ""
+    unit: str = "°C"
+    role: Literal["platen", "top", "bottom", "core", "other"] = "other"
+    temperature_C: float | None = None  # noqa: N815
+    quality: str = "missing"
+    utc: datetime | None = None
+    last_good_utc: datetime | None = None
+    age_s: float | None = None
+    counters: dict[str, int] = Field(default_factory=dict)
+
+
+class ChannelList(_Answer):
+    """All channels of all presses."""
+
+    items: list[ChannelNow]
+    next_cursor: str | None = None
+
+
+class EstimateNow(_Answer):
+    """The core temperature the live sensor predicts; low and high bound 95 %."""
+
+    run: str | None
+    number: int | None
+    utc: datetime | None
+    time_s: float | None
+    state: str
+    core_C: float | None  # noqa: N815
+    core_sd_K: float | None  # noqa: N815
+    core_low_C: float | None  # noqa: N815
+    core_high_C: float | None  # noqa: N815
+    valid: bool
+    reason: str = ""
+
+
+class Target(_Answer):
+    """The core temperature this pressing is to reach, and when."""
+
+    temperature_C: float  # noqa: N815
+    reached: bool
+    time_to_target_s: float | None
+    """At the present rate of heating; null while it cannot be said."""
+
+
+class Phase(_Answer):
+    """The press was in one state from one moment of the run to another."""
+
+    state: State
+    from_s: float
+    to_s: float | None
+
+
+class PressNow(_Answer):
+    """One press as it stands."""
+
+    press: str
+    state: State
+    since_utc: datetime | None
+    run: str | None
+    run_status: str | None
+    time_s: float | None
+    time_since_closing_s: float | None
+    phases: list[Phase]
+    channels: list[ChannelNow]
+    estimate: EstimateNow | None
+    target: Target | None
+    coefficients: dict[str, float]
+    description: dict[str, Any]
+    """The press file as the recorder used it."""
+
+
+class PressList(_Answer):
+    """Every press the store knows."""
+
+    items: list[PressNow]
+    next_cursor: str | None = None
+
+
+class RunSummary(_Answer):
+    """One pressing in a list."""
+
+    run: str
+    press: str
+    status: str
+    started_utc: datetime | None
+    ended_utc: datetime | None
+    duration_s: float | None
+    scans: int
+    material: str
+    thickness_mm: float | None
+    platen_temperature_C: float | None  # noqa: N815
+    closed_s: float | None
+    opened_s: float | None
+    rmse_K: float | None  # noqa: N815
+    fitted: bool
+
+
+class RunList(_Answer):
+    """One page of runs, newest first."""
+
+    items: list[RunSummary]
+    next_cursor: str | None
+
+
+class RunDetail(RunSummary):
+    """One pressing with everything known about it."""
+
+    header: dict[str, Any]
+    columns: list[str]
+    phases: list[Phase]
+    remarks: list[str]
+
+
+class Samples(_Answer):
+    """Temperatures of a run, column by column; decimated keeps each bucket's lowest and highest."""
+
+    run: str
+    rows: int
+    decimated: bool
+    time_s: list[float]
+    columns: dict[str, list[float | None]]
+
+
+class Estimates(_Answer):
+    """What the live sensor said during the run, scan by scan."""
+
+    run: str
+    rows: int
+    decimated: bool
+    time_s: list[float]
+    state: list[str]
+    core_C: list[float | None]  # noqa: N815
+    core_sd_K: list[float | None]  # noqa: N815
+    core_low_C: list[float | None]  # noqa: N815
+    core_high_C: list[float | None]  # noqa: N815
+    valid: list[bool]
+
+
+class Simulation(_Answer):
+    """The run simulated from its platen temperatures with its fitted coefficients."""
+
+    run: str
+    model_version: str | None
+    time_s: list[float]
+    positions: dict[str, list[float | None]]
+    """One curve for each sensor position of the press file, such as ``panel.top``. [°C]"""
+    measured: dict[str, list[float | None]]
+    """The mean of the good sensors at each position, each sensor's constant offset removed. [°C]"""
+    core_C: list[float | None]  # noqa: N815
+    rmse_K: dict[str, float]  # noqa: N815
+    profile_time_s: list[float]
+    profile_depth_mm: list[float]
+    profile_C: list[list[float]]  # noqa: N815
+    """Temperature through the panel: one row for each time, one value for each depth."""
+
+
+class CoefficientFit(_Answer):
+    """One heat transfer coefficient. [W/m²K]"""
+
+    model_config = ConfigDict(extra="allow")
+
+    value: float
+    sd: float | None = None
+    ci95: tuple[float | None, float | None] | None = None
+    identifiable: bool | None = None
+
+
+class Fit(_Answer):
+    """The coefficients of one run, as `kerntemp fit --json` reports them."""
+
+    model_config = ConfigDict(extra="allow")
+
+    run: str
+    converged: bool
+    coefficients: dict[str, CoefficientFit]
+    rmse_K: float | None = None  # noqa: N815
+    rmse_closed_K: float | None = None  # noqa: N815
+    initial_rmse_K: float | None = None  # noqa: N815
+    seconds: float | None = None
+    closed_s: float | None = None
+    opened_s: float | None = None
+    warnings: list[str] = Field(default_factory=list)
+
+
+class CoefficientPoint(_Answer):
+    """One run's coefficients in the history."""
+
+    run: str
+    press: str
+    utc: datetime | None
+    coefficients: dict[str, CoefficientFit]
+    rmse_K: float | None  # noqa: N815
+    initial_rmse_K: float | None  # noqa: N815
+    settings: dict[str, float]
+    """The run's `setting.*` keys that are numbers."""
+
+
+class CoefficientHistory(_Answer):
+    """Coefficients over time, newest first."""
+
+    items: list[CoefficientPoint]
+    next_cursor: str | None
+
+
+class ModelSummary(_Answer):
+    """A version of the model."""
+
+    version: str
+    press: str
+    utc: datetime | None
+    status: Literal["candidate", "promoted", "retired", "rejected"]
+    current: bool
+    effects: list[str]
+    reason: str = ""
+
+
+class ModelList(_Answer):
+    """Model versions, newest first."""
+
+    items: list[ModelSummary]
+    next_cursor: str | None = None
+
+
+class ModelDetail(ModelSummary):
+    """A model version with its file."""
+
+    model: dict[str, Any]
+
+
+class DiagnosisRecord(_Answer):
+    """What the simulation gets wrong, as `kerntemp diagnose --json` reports it, and when it was found."""
+
+    id: str
+    press: str
+    utc: datetime
+    verdict: str
+    diagnosis: dict[str, Any]
+
+
+class DiagnosisList(_Answer):
+    """Diagnoses, newest first."""
+
+    items: list[DiagnosisRecord]
+    next_cursor: str | None
+
+
+class EventRecord(_Answer):
+    """A line of the journal: an alarm, a loss, a change of state, a change and who made it."""
+
+    id: str
+    utc: datetime
+    level: Literal["info", "warning", "alarm"]
+    process: str
+    press: str | None
+    message: str
+    details: dict[str, Any] = Field(default_factory=dict)
+
+
+class EventList(_Answer):
+    """Events, newest first."""
+
+    items: list[EventRecord]
+    next_cursor: str | None

@@ -1,0 +1,201 @@
+import io
+import json
+
+import httpx
+import pyarrow.parquet as pq
+import pytest
+
+RUN = "/api/v1/runs/lab-2026-03-04-01"
+
+
+def problem(answer: httpx.Response, status: int) -> dict[str, object]:
+    assert answer.status_code == status, answer.text
+    assert answer.headers["content-type"] == "application/problem+json"
+    document = answer.json()
+    assert set(document) == {"type", "title", "status", "detail", "instance"}
+    assert document["status"] == status
+    return document
+
+
+def test_runs_come_newest_first_in_pages_whose_cursor_leads_to_the_next(client):
+    first = client.get("/api/v1/runs", params={"limit": 2}).json()
+    assert [run["run"] for run in first["items"]] == ["lab-2026-03-04-03", "lab-2026-03-04-02"]
+    second = client.get("/api/v1/runs", params={"limit": 2, "cursor": first["next_cursor"]}).json()
+    assert [run["run"] for run in second["items"]] == ["lab-2026-03-04-01"]
+    assert second["next_cursor"] is None
+
+
+def test_runs_are_filtered_by_status_material_and_time(client):
+    def names(**filters: str) -> list[str]:
+        items = client.get("/api/v1/runs", params=filters).json()["items"]
+        return [item["run"][-2:] for item in items]
+
+    assert names(status="open") == ["03"]
+    assert names(material="oak") == []
+    assert names(**{"from": "2026-03-04T07:05:00Z", "to": "2026-03-04T07:15:00Z"}) == ["02"]
+
+
+def test_a_run_tells_its_header_its_columns_and_its_phases(client, campaign):
+    run, truth = campaign[0]
+    detail = client.get(RUN).json()
+    assert detail["header"]["panel.thickness_mm"] == 16.0
+    assert detail["columns"] == list(run.columns)
+    assert [phase["state"] for phase in detail["phases"]] == ["open", "closed", "open"]
+    assert detail["closed_s"] == pytest.approx(truth.moments.closed_s)
+
+
+def test_samples_in_json_hold_the_measured_values_and_null_where_there_is_none(client, campaign):
+    run, _ = campaign[0]
+    samples = client.get(f"{RUN}/samples", params={"columns": "top_1,platen_top"}).json()
+    assert list(samples["columns"]) == ["top_1", "platen_top"]
+    assert samples["rows"] == len(run.time_s)
+    assert samples["columns"]["platen_top"][5] == pytest.approx(run.columns["platen_top"][5], abs=1e-3)
+
+
+def test_decimated_samples_keep_the_highest_and_lowest_value_of_every_column(client, campaign):
+    run, _ = campaign[0]
+    samples = client.get(f"{RUN}/samples", params={"max_points": 40}).json()
+    assert samples["decimated"]
+    assert len(samples["time_s"]) <= 40
+    for name in ("top_1", "platen_top"):
+        shown = [v for v in samples["columns"][name] if v is not None]
+        assert max(shown) == pytest.approx(max(run.columns[name]), abs=1e-3)
+        assert min(shown) == pytest.approx(min(run.columns[name]), abs=1e-3)
+
+
+def test_samples_between_two_times_lie_between_them(client):
+    samples = client.get(f"{RUN}/samples", params={"from": 3, "to": 6}).json()
+    assert samples["rows"] > 10
+    assert all(3 <= t <= 6 for t in samples["time_s"])
+
+
+def test_a_downloaded_csv_is_a_run_file_that_reads_back_as_the_stored_run(client, store, tmp_path):
+    from daq.runfile import read_run
+
+    answer = client.get(f"{RUN}/samples", params={"format": "csv"})
+    assert answer.headers["content-type"].startswith("text/csv")
+    assert 'filename="lab-2026-03-04-01.csv"' in answer.headers["content-disposition"]
+    path = tmp_path / "downloaded.csv"
+    path.write_bytes(answer.content)
+    there, here = store.load_run("lab-2026-03-04-01"), read_run(path)
+    assert dict(there.header) == dict(here.header)
+    assert there.columns["top_3"].tolist() == pytest.approx(here.columns["top_3"].tolist(), nan_ok=True)
+
+
+def test_parquet_carries_the_same_table(client):
+    answer = client.get(f"{RUN}/samples", params={"format": "parquet"})
+    table = pq.read_table(io.BytesIO(answer.content))
+    assert table.column_names[0] == "time_s"
+    assert table.num_rows == client.get(f"{RUN}/samples").json()["rows"]
+
+
+def test_estimates_bound_the_core_from_both_sides(client):
+    estimates = client.get(f"{RUN}/estimates").json()
+    assert estimates["rows"] == len(estimates["core_C"]) > 50
+    for low, core, high in zip(
+        estimates["core_low_C"], estimates["core_C"], estimates["core_high_C"], strict=True
+    ):
+        assert low < core < high
+
+
+def test_the_fit_of_a_run_and_the_history_of_coefficients_agree(client):
+    fit = client.get(f"{RUN}/fit").json()
+    history = client.get("/api/v1/coefficients").json()["items"]
+    assert [point["run"][-2:] for point in history] == ["02", "01"]
+    assert history[1]["coefficients"] == fit["coefficients"]
+
+
+def test_a_run_without_a_fit_says_how_to_fit_it(client):
+    document = problem(client.get("/api/v1/runs/lab-2026-03-04-03/fit"), 404)
+    assert "kerntemp refit" in str(document["detail"])
+
+
+def test_the_press_stands_where_its_last_event_left_it(client):
+    press = client.get("/api/v1/press").json()["items"][0]
+    assert press["press"] == "lab"
+    assert press["state"] == "open"
+    assert press["run"] == "lab-2026-03-04-03"
+    assert press["estimate"]["valid"] is True
+    assert len(press["channels"]) == 16
+    assert press["coefficients"]["h_pp_c"] == 100.0
+
+
+def test_channels_models_diagnoses_and_events_are_lists(client):
+    for path in ("channels", "models", "diagnoses", "events", "press"):
+        document = client.get(f"/api/v1/{path}").json()
+        assert set(document) == {"items", "next_cursor"}, path
+        assert document["items"], path
+
+
+def test_health_names_the_process_that_is_missing_and_the_alarm_that_stands(client):
+    health = client.get("/api/v1/health").json()
+    assert health["status"] == "degraded"
+    assert health["store"]["size_bytes"] > 10_000
+    assert any("sense" in alarm for alarm in health["alarms"])
+    assert "logger platens: no reply in 2 s" in health["alarms"]
+    assert {p["name"]: p["alive"] for p in health["processes"]} == {"record": True, "sense": False}
+
+
+def test_metrics_speak_prometheus(client):
+    text = client.get("/metrics").text
+    assert 'kerntemp_process_up{process="record"} 1.0' in text
+    assert 'kerntemp_press_state{press="lab",state="open"} 1.0' in text
+    assert "kerntemp_scans_total" in text
+
+
+@pytest.mark.parametrize(
+    ("path", "status", "says"),
+    [
+        ("/api/v1/runs/nothing", 404, "does not exist"),
+        ("/api/v1/runs?limit=0", 422, "limit"),
+        ("/api/v1/runs?cursor=abc", 422, "not a cursor"),
+        ("/api/v1/runs?from=2026-03-04T07:00:00", 422, "no time zone"),
+        ("/api/v1/runs?status=gone", 422, "status"),
+        (f"{RUN}/samples?format=xml", 422, "format"),
+        (f"{RUN}/samples?columns=nope", 422, "no column"),
+        (f"{RUN}/samples?max_points=1", 422, "max_points"),
+        ("/api/v1/models/99", 404, "does not exist"),
+        ("/api/v1/nothing", 404, ""),
+        ("/static/../app.py", 404, ""),
+        ("/static/%2e%2e/app.py", 404, ""),
+    ],
+)
+def test_every_refusal_is_a_problem_document_that_says_what_is_wrong(client, path, status, says):
+    document = problem(client.get(path), status)
+    assert says in str(document["detail"])
+
+
+def test_a_method_that_is_not_offered_is_a_problem_too(client):
+    problem(client.delete("/api/v1/runs"), 405)
+
+
+def test_an_answer_that_has_not_changed_is_not_sent_again(client):
+    first = client.get(f"{RUN}/fit")
+    again = client.get(f"{RUN}/fit", headers={"If-None-Match": first.headers["etag"]})
+    assert again.status_code == 304
+    assert again.content == b""
+
+
+def test_long_answers_are_compressed(client):
+    answer = client.get(f"{RUN}/samples")
+    assert answer.headers["content-encoding"] == "gzip"
+
+
+def test_the_page_and_the_api_pages_ask_nothing_of_another_host(client):
+    for path in ("/", "/docs", "/static/app.js", "/static/docs.js", "/static/style.css"):
+        answer = client.get(path)
+        assert answer.status_code == 200, path
+        assert "http://" not in answer.text.replace("http://www.w3.org", "")
+        assert "https://" not in answer.text
+        assert "default-src 'self'" in answer.headers["content-security-policy"]
+
+
+def test_the_openapi_document_describes_every_error_as_a_problem(client):
+    described = client.get("/api/v1/openapi.json").json()
+    assert "Problem" in described["components"]["schemas"]
+    for path, methods in described["paths"].items():
+        for operation in methods.values():
+            for status, answer in operation["responses"].items():
+                if status.startswith("4"):
+                    assert list(answer["content"]) == ["application/problem+json"], path
+    assert "HTTPValidationError" not in json.dumps(described)
