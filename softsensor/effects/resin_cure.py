@@ -8,8 +8,8 @@ import numpy as np
 from softsensor.effects.effect import Conversion, Effect, Scene, Terms
 from softsensor.parameters import Parameter
 
-RATE_140 = 0.15
-"""Rate at 140 °C: most of the resin cures within 15 s. [1/s]"""
+RATE_140 = 0.06
+"""Rate at 140 °C; at the 165 °C of a closed press most of the resin cures within 10 to 20 s. [1/s]"""
 ACTIVATION = 80e3
 """[J/mol]"""
 
