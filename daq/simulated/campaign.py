@@ -25,7 +25,8 @@ from daq.simulated.campaign_sensors import (
     measure,
 )
 from daq.simulated.effects import CHAIN_EFFECTS, draw_effect, draw_outside, for_run, split_names, with_outside
-from daq.simulated.physics import BASE_COEFFICIENTS, Accuracy, Pressing
+from daq.simulated.physics import BASE_COEFFICIENTS, Pressing
+from daq.simulated.physics_mesh import Accuracy
 
 Effects = Mapping[str, Mapping[str, float]]
 
@@ -119,6 +120,8 @@ def make_campaign(
 ) -> list[tuple[Run, Truth]]:
     """Return runs with their truths; the same arguments give the same runs.
 
+    Hiding something changes neither programs nor noise: two campaigns of one seed differ by it alone.
+
     Parameters
     ----------
     seed
@@ -138,7 +141,7 @@ def make_campaign(
     """
     plan = plan or Plan()
     press = _draw_press(np.random.default_rng([seed, 0]), seed, effects, plan)
-    return [_make_run(press, i, np.random.default_rng([seed, 1, i])) for i in range(n_runs)]
+    return [_make_run(press, seed, i) for i in range(n_runs)]
 
 
 def write_campaign(folder: Path, campaign: Sequence[tuple[Run, Truth]], positions: bool = False) -> list[Path]:
@@ -224,9 +227,10 @@ def _draw_press(
     )
 
 
-def _make_run(press: _Press, number: int, rng: np.random.Generator) -> tuple[Run, Truth]:
+def _make_run(press: _Press, seed: int, number: int) -> tuple[Run, Truth]:
+    rng, hidden = np.random.default_rng([seed, 1, number]), np.random.default_rng([seed, 2, number])
     pressing, setpoint = _draw_pressing(press, rng)
-    run_effects = {n: for_run(n, p, rng, press.plan.effect_spread) for n, p in press.effects.items()}
+    run_effects = {n: for_run(n, p, hidden, press.plan.effect_spread) for n, p in press.effects.items()}
     physical = {n: p for n, p in run_effects.items() if n not in CHAIN_EFFECTS}
     pressing = with_outside(replace(pressing, effects=physical), press.outside)
     places = solve_places(pressing, press.outside, press.plan.rim_contrast, press.plan.accuracy)

@@ -50,7 +50,7 @@ OUTSIDE = (
     "steam_condensation",
     "draught",
     "lifted_panel",
-    "upper_plate_sticks",
+    "steam_burst",
 )
 """Faults that are in no catalogue and that no combination of its entries explains."""
 
@@ -106,10 +106,8 @@ def for_run(name: str, parameters: Parameters, rng: np.random.Generator, spread:
 def draw_outside(name: str, rng: np.random.Generator, scale: float = 1.0) -> dict[str, float]:
     """Return the parameters of a fault outside the catalogue; times are shares of the press time."""
     if name == "contact_lapse":
-        lasts = float(rng.uniform(0.25, 0.7))
-        return {"drop": scale * rng.uniform(0.35, 0.6), "from_share": rng.uniform(0.25, 0.5), "lasts_share": lasts}
-    if name == "upper_plate_sticks":
-        return {"drop": -scale * rng.uniform(0.8, 2.0), "from_share": rng.uniform(0.3, 0.55), "lasts_share": 2.0}
+        lasts = 2.0 if rng.random() < 0.5 else float(rng.uniform(0.25, 0.6))
+        return {"drop": scale * rng.uniform(0.25, 0.6), "from_share": rng.uniform(0.25, 0.5), "lasts_share": lasts}
     if name == "delamination":
         return {
             "resistance_m2K_W": scale * rng.uniform(0.008, 0.02),
@@ -128,6 +126,8 @@ def draw_outside(name: str, rng: np.random.Generator, scale: float = 1.0) -> dic
         return {"factor": 1.0 + scale * rng.uniform(2.0, 4.0), "after_s": rng.uniform(5.0, 12.0)}
     if name == "lifted_panel":
         return {"factor": 1.0 - scale * rng.uniform(0.7, 0.9), "after_s": rng.uniform(4.0, 10.0)}
+    if name == "steam_burst":
+        return {"per_s": scale * rng.uniform(0.1, 0.3), "lasts_s": rng.uniform(2.0, 4.0)}
     raise InputError(f"fault {name!r}: unknown; known are {', '.join(OUTSIDE)}")
 
 
@@ -140,7 +140,7 @@ def with_outside(pressing: Pressing, faults: Mapping[str, Parameters]) -> Pressi
 
     o = Outside()
     for name, p in faults.items():
-        if name in ("contact_lapse", "upper_plate_sticks"):
+        if name == "contact_lapse":
             until = when(min(p["from_share"] + p["lasts_share"], 1.2))
             o = replace(o, lapse_drop=p["drop"], lapse_from=when(p["from_share"]), lapse_to=until)
         elif name == "delamination":
@@ -162,6 +162,9 @@ def with_outside(pressing: Pressing, faults: Mapping[str, Parameters]) -> Pressi
             o = replace(o, draught=p["factor"], draught_from=pressing.opened + p["after_s"])
         elif name == "lifted_panel":
             o = replace(o, lift=p["factor"], lift_from=pressing.opened + p["after_s"])
+        elif name == "steam_burst":
+            until = pressing.opened + p["lasts_s"]
+            o = replace(o, flash_rate=p["per_s"], flash_from=pressing.opened, flash_to=until)
     return replace(pressing, outside=o)
 
 

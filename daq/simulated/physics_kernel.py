@@ -1,18 +1,22 @@
-# mypy: disallow_untyped_defs=False
 """Time stepping of the virtual press: a Rosenbrock-W method of order 3 with step control, compiled.
 
 The right-hand side is evaluated at full nonlinearity; only the matrix of the linear systems is
 simplified (conduction, contacts, evaporation and sensor lag are in it, slow sources are not), which a
-W-method allows without losing its order. ROS34PW2: Rang & Angermann, BIT 45 (2005) 761-787.
+W-method allows without losing its order. ROS34PW2: Rang & Angermann, BIT 45 (2005) 761-787, written
+for increments u = Γ k so that no product with the matrix is needed (Hairer & Wanner II, section IV.7).
 
 Everything is per square metre of press. Temperatures in °C, time in s, conductances in W/m²K, heat
-capacities of nodes in J/m²K.
+capacities of nodes in J/m²K. Nodes run from the lower plate's platen side to the upper plate's.
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
+
+from daq.records import Array
 
 GAMMA = 4.3586652150845900e-01
 _ALPHA = np.array(
@@ -32,113 +36,19 @@ _GAMMAS = np.array(
     ]
 )
 _B = np.array([2.4212380706095346e-01, -1.2232505839045147e00, 1.5452602553351020e00, GAMMA])
-_BHAT = np.array([3.7810903145819369e-01, -9.6042292212423178e-02, 0.5, 2.1793326075422950e-01])
+_B_EMBEDDED = np.array([3.7810903145819369e-01, -9.6042292212423178e-02, 0.5, 2.1793326075422950e-01])
 _INVERSE = np.linalg.inv(_GAMMAS)
 A_U = _ALPHA @ _INVERSE
 C_U = np.diag(np.full(4, 1.0 / GAMMA)) - _INVERSE
 M_U = _B @ _INVERSE
-E_U = (_B - _BHAT) @ _INVERSE
+E_U = (_B - _B_EMBEDDED) @ _INVERSE
 T_STAGE = _ALPHA.sum(axis=1)
 G_STAGE = _GAMMAS.sum(axis=1)
 
-PARAMETERS = (
-    "h_p_o",
-    "h_p_c",
-    "h_pp_o",
-    "h_pp_c",
-    "h_wa",
-    "h_ap",
-    "ambient",
-    "inserted",
-    "close_0",
-    "close_1",
-    "open_0",
-    "open_1",
-    "removed",
-    "k_slope",
-    "c_slope",
-    "deficit",
-    "tau",
-    "ratio",
-    "emissivity",
-    "edge",
-    "vapour",
-    "vapour_uniform",
-    "evap_t",
-    "evap_width",
-    "evap_tau",
-    "evap_kinetic",
-    "cure_heat",
-    "cure_rate",
-    "cure_kelvin",
-    "paper_r",
-    "footprint",
-    "lag",
-    "lapse_factor",
-    "lapse_from",
-    "lapse_to",
-    "split_r",
-    "split_from",
-    "split_node",
-    "draught",
-    "draught_from",
-    "lift",
-    "lift_from",
-    "wet_heat",
-    "wet_release",
-    "wet_return",
-    "wet_width",
-)
-"""Order of the parameter vector ``p``; `Pressing` in `daq.simulated.physics` fills it."""
-
-(
-    H_P_O,
-    H_P_C,
-    H_PP_O,
-    H_PP_C,
-    H_WA,
-    H_AP,
-    AMBIENT,
-    INSERTED,
-    CLOSE_0,
-    CLOSE_1,
-    OPEN_0,
-    OPEN_1,
-    REMOVED,
-    K_SLOPE,
-    C_SLOPE,
-    DEFICIT,
-    TAU,
-    RATIO,
-    EMISSIVITY,
-    EDGE,
-    VAPOUR,
-    VAPOUR_UNIFORM,
-    EVAP_T,
-    EVAP_WIDTH,
-    EVAP_TAU,
-    EVAP_KINETIC,
-    CURE_HEAT,
-    CURE_RATE,
-    CURE_KELVIN,
-    PAPER_R,
-    FOOTPRINT,
-    LAG,
-    LAPSE_FACTOR,
-    LAPSE_FROM,
-    LAPSE_TO,
-    SPLIT_R,
-    SPLIT_FROM,
-    SPLIT_NODE,
-    DRAUGHT,
-    DRAUGHT_FROM,
-    LIFT,
-    LIFT_FROM,
-    WET_HEAT,
-    WET_RELEASE,
-    WET_RETURN,
-    WET_WIDTH,
-) = range(len(PARAMETERS))
+STEFAN_BOLTZMANN = 5.670374419e-8
+VAPOUR_C = 100.0
+"""Steam leaves layers above this and condenses in cooler ones. [°C]"""
+CURE_REFERENCE_K = 423.15
 
 SIGNALS = (
     "panel_bottom",
@@ -154,28 +64,116 @@ SIGNALS = (
     "water",
     "cured",
 )
-"""What `advance` records after each step, in this order."""
+"""What `advance` records after each step, in this order, behind the time."""
 
-STEFAN_BOLTZMANN = 5.670374419e-8
-VAPOUR_C = 100.0
-"""Steam leaves layers above this and condenses in cooler ones. [°C]"""
+
+class Knobs(NamedTuple):
+    """Every number that decides a pressing, in the kernel's units; see `daq.simulated.physics`."""
+
+    h_p_o: float
+    h_p_c: float
+    h_pp_o: float
+    h_pp_c: float
+    h_wa: float
+    h_ap: float
+    ambient: float
+    inserted: float
+    close_0: float
+    close_1: float
+    open_0: float
+    open_1: float
+    removed: float
+    k_slope: float
+    c_slope: float
+    deficit: float
+    tau: float
+    ratio: float
+    emissivity: float
+    edge: float
+    vapour: float
+    vapour_uniform: bool
+    evap_t: float
+    evap_width: float
+    evap_tau: float
+    evap_kinetic: bool
+    cure_heat: float
+    cure_rate: float
+    cure_kelvin: float
+    paper_r: float
+    footprint: float
+    lag: float
+    lapse_factor: float
+    lapse_from: float
+    lapse_to: float
+    split_r: float
+    split_from: float
+    split_link: int
+    draught: float
+    draught_from: float
+    lift: float
+    lift_from: float
+    wet_heat: float
+    wet_release: float
+    wet_return: float
+    wet_width: float
+    flash_rate: float
+    flash_from: float
+    flash_to: float
+
+
+class Stack(NamedTuple):
+    """What stays the same over a pressing: nodes, their links and capacities, the platens' curves."""
+
+    lower: int
+    """Node of the lower plate's panel side."""
+    first: int
+    """The panel's first node."""
+    last: int
+    """The panel's last node."""
+    upper: int
+    """Node of the upper plate's panel side."""
+    base: Array
+    """Conductances; entry i lies below node i. Contacts and platens are filled in `links`."""
+    capacity: Array
+    volume: Array
+    """Of panel nodes. [m³/m²]"""
+    latent: Array
+    """Heat to dry each panel node. [J/m²]"""
+    skin: Array
+    """Share of the resin's heat each panel node takes; for the lower face, mirrored for the upper."""
+    wet: Array
+    """Share of condensing steam's heat each panel node takes."""
+    start: float
+    step: float
+    low: Array
+    high: Array
+    """The platens' knots."""
+
+
+class State(NamedTuple):
+    """What changes: or its rate of change, or a stage's increment."""
+
+    T: Array
+    w: Array
+    """Water left in each panel node, 1 to 0."""
+    x: Array
+    """Cure of the lower and the upper face, heat from outside [J/m²], lower and upper thermocouple."""
 
 
 @njit(cache=True)
-def platen(t, start, step, values):
+def platen(t: float, start: float, step: float, values: Array) -> float:
     """Return a platen's temperature: a Catmull-Rom curve through evenly spaced knots."""
-    x = (t - start) / step
+    place = (t - start) / step
     last = values.size - 1
-    i = min(max(int(np.floor(x)), 0), last - 1)
-    s = min(max(x - i, 0.0), 1.0)
-    v1, v2 = values[i], values[i + 1]
-    v0 = values[max(i - 1, 0)]
-    v3 = values[min(i + 2, last)]
-    return v1 + 0.5 * s * (v2 - v0 + s * (2 * v0 - 5 * v1 + 4 * v2 - v3 + s * (3 * (v1 - v2) + v3 - v0)))
+    i = min(max(int(np.floor(place)), 0), last - 1)
+    s = min(max(place - i, 0.0), 1.0)
+    b, c = values[i], values[i + 1]
+    a, d = values[max(i - 1, 0)], values[min(i + 2, last)]
+    return b + 0.5 * s * (c - a + s * (2 * a - 5 * b + 4 * c - d + s * (3 * (b - c) + d - a)))  # type: ignore[no-any-return]
 
 
 @njit(cache=True)
-def platen_curve(times, start, step, values):
+def platen_curve(times: Array, start: float, step: float, values: Array) -> Array:
     """Return a platen's temperature at many times."""
     out = np.empty(times.size)
     for i in range(times.size):
@@ -184,474 +182,334 @@ def platen_curve(times, start, step, values):
 
 
 @njit(cache=True)
-def closed_fraction(t, p):
+def closed_fraction(t: float, k: Knobs) -> float:
     """Return how far the press is closed, 0 to 1, linear in both ramps."""
-    if t < p[CLOSE_1]:
-        return min(max((t - p[CLOSE_0]) / (p[CLOSE_1] - p[CLOSE_0]), 0.0), 1.0)
-    return 1.0 - min(max((t - p[OPEN_0]) / (p[OPEN_1] - p[OPEN_0]), 0.0), 1.0)
+    if t < k.close_1:
+        return min(max((t - k.close_0) / (k.close_1 - k.close_0), 0.0), 1.0)
+    return 1.0 - min(max((t - k.open_0) / (k.open_1 - k.open_0), 0.0), 1.0)
 
 
 @njit(cache=True)
-def links(t, middle, T, p, layout, base, g, loss):
-    """Fill `g` (between neighbours; ends to the platens) and `loss` (of each node to ambient).
+def present(middle: float, k: Knobs) -> bool:
+    """Return whether a panel is in the press."""
+    return k.inserted < middle < k.removed
+
+
+@njit(cache=True)
+def links(t: float, middle: float, T: Array, k: Knobs, s: Stack, g: Array, loss: Array) -> float:
+    """Fill conductances below each node and losses to ambient; return the closed fraction.
 
     `middle` is a time inside the current stretch between two jumps: it decides what is on.
     """
-    nb, p0, p1, n = layout[0], layout[1], layout[2], T.size
-    top = p1 + n - nb - p1  # first node of the upper plate
-    present = p[INSERTED] < middle < p[REMOVED]
-    f = closed_fraction(t, p) if present else 0.0
-    g[:] = base
-    for i in range(n):
-        loss[i] = 0.0
-    h_p = p[H_P_O] + f * (p[H_P_C] - p[H_P_O])
-    g[0] = h_p
-    g[n] = h_p
-    air = p[DRAUGHT] if middle > p[DRAUGHT_FROM] else 1.0
-    if not present:
-        g[nb] = 0.0
-        g[top] = 0.0
-        loss[nb - 1] = p[H_AP]
-        loss[top] = p[H_AP]
+    n = T.size
+    f = closed_fraction(t, k) if present(middle, k) else 0.0
+    g[:] = s.base
+    loss[:] = 0.0
+    g[0] = g[n] = k.h_p_o + f * (k.h_p_c - k.h_p_o)
+    if not present(middle, k):
+        g[s.lower + 1] = 0.0
+        g[s.upper] = 0.0
+        loss[s.lower] = k.h_ap
+        loss[s.upper] = k.h_ap
         return f
-    if p[K_SLOPE] != 0.0:
-        for i in range(p0, p1 - 1):
-            g[i + 1] *= 1.0 + p[K_SLOPE] * (0.5 * (T[i] + T[i + 1]) - 20.0)
-    if p[SPLIT_R] > 0.0 and middle > p[SPLIT_FROM]:
-        j = int(p[SPLIT_NODE])
-        opened = p[SPLIT_R] * min((t - p[SPLIT_FROM]) / 2.0, 1.0)
-        g[j + 1] = 1.0 / (1.0 / g[j + 1] + opened)
-    grown = p[H_PP_C] * (1.0 - p[DEFICIT] * np.exp(-max(t - 0.5 * (p[CLOSE_0] + p[CLOSE_1]), 0.0) / p[TAU]))
-    lower = p[H_PP_O] * (p[LIFT] if middle > p[LIFT_FROM] else 1.0)
-    lower += f * (grown - lower)
-    upper = f * grown * p[RATIO]
-    if p[LAPSE_FROM] < middle < p[LAPSE_TO]:
-        upper *= p[LAPSE_FACTOR]
-    if p[EMISSIVITY] > 0.0 and f < 1.0:
-        a, b = T[top] + 273.15, T[top - 1] + 273.15
-        upper += (1.0 - f) * p[EMISSIVITY] * STEFAN_BOLTZMANN * (a * a + b * b) * (a + b)
-    film = (1.0 - f) * p[H_WA] * air
-    half = 0.5 * p[PAPER_R]
-    g[nb] = lower / (1.0 + lower * half)
-    g[top] = upper / (1.0 + upper * half)
-    loss[top - 1] = film / (1.0 + film * half)
-    loss[top] = (1.0 - f) * p[H_AP] * air
+    if k.k_slope != 0.0:
+        for i in range(s.first, s.last):
+            g[i + 1] *= 1.0 + k.k_slope * (0.5 * (T[i] + T[i + 1]) - 20.0)
+    if k.split_r > 0.0 and middle > k.split_from:
+        opened = k.split_r * min((t - k.split_from) / 2.0, 1.0)
+        g[k.split_link] /= 1.0 + opened * g[k.split_link]
+    contacts(t, f, middle, T, k, s, g, loss)
     return f
 
 
 @njit(cache=True)
-def drying(T, w, p):
-    """Return the rate of the remaining water fraction and its slopes by temperature and fraction."""
-    x = (T - p[EVAP_T]) / p[EVAP_WIDTH]
-    if p[EVAP_KINETIC] > 0.5:
-        e = np.exp(-abs(x))
-        soft = max(x, 0.0) + np.log1p(e)
-        slope = 1.0 / (1.0 + e) if x > 0 else e / (1.0 + e)
-        k = 0.08 / p[EVAP_TAU]
-        return -k * w * soft, -k * w * slope / p[EVAP_WIDTH], -k * soft
-    if x < -30.0:
-        return 0.0, 0.0, 0.0
-    e = np.exp(-abs(x))
-    equilibrium = e / (1.0 + e) if x > 0 else 1.0 / (1.0 + e)
+def contacts(t: float, f: float, middle: float, T: Array, k: Knobs, s: Stack, g: Array, loss: Array) -> None:
+    """Fill the links between plates and panel, and what the open faces lose to air."""
+    since = max(t - 0.5 * (k.close_0 + k.close_1), 0.0)
+    grown = k.h_pp_c * (1.0 - k.deficit * np.exp(-since / k.tau))
+    resting = k.h_pp_o * (k.lift if middle > k.lift_from else 1.0)
+    lower = resting + f * (grown - resting)
+    upper = f * grown * k.ratio
+    if k.lapse_from < middle < k.lapse_to:
+        upper *= k.lapse_factor
+    if k.emissivity > 0.0 and f < 1.0:
+        a, b = T[s.upper] + 273.15, T[s.upper - 1] + 273.15
+        upper += (1.0 - f) * k.emissivity * STEFAN_BOLTZMANN * (a * a + b * b) * (a + b)
+    air = (1.0 - f) * (k.draught if middle > k.draught_from else 1.0)
+    half = 0.5 * k.paper_r
+    g[s.lower + 1] = lower / (1.0 + lower * half)
+    g[s.upper] = upper / (1.0 + upper * half)
+    loss[s.upper - 1] = k.h_wa * air / (1.0 + k.h_wa * air * half)
+    loss[s.upper] = k.h_ap * air
+
+
+@njit(cache=True)
+def drying(T: float, w: float, k: Knobs) -> tuple[float, float, float]:
+    """Return the rate of the water left and its slopes by temperature and by water left."""
+    distance = (T - k.evap_t) / k.evap_width
+    e = np.exp(-abs(distance))
+    if k.evap_kinetic:
+        soft = max(distance, 0.0) + np.log1p(e)
+        rise = 1.0 / (1.0 + e) if distance > 0 else e / (1.0 + e)
+        pace = 0.08 / k.evap_tau
+        return -pace * w * soft, -pace * w * rise / k.evap_width, -pace * soft
+    equilibrium = e / (1.0 + e) if distance > 0 else 1.0 / (1.0 + e)
     if w <= equilibrium:
         return 0.0, 0.0, 0.0
-    slope = -e / ((1.0 + e) * (1.0 + e)) / p[EVAP_WIDTH]
-    return -(w - equilibrium) / p[EVAP_TAU], slope / p[EVAP_TAU], -1.0 / p[EVAP_TAU]
+    fall = -e / ((1.0 + e) * (1.0 + e)) / k.evap_width
+    return -(w - equilibrium) / k.evap_tau, fall / k.evap_tau, -1.0 / k.evap_tau
 
 
 @njit(cache=True)
-def slope(
-    t,
-    middle,
-    T,
-    w,
-    x,
-    p,
-    layout,
-    base,
-    cap,
-    volume,
-    latent,
-    skin,
-    wet,
-    start,
-    step,
-    low,
-    high,
-    g,
-    loss,
-    dT,
-    dw,
-    dx,
-):
-    """Fill the time derivatives of temperatures, water fractions and auxiliary states; return f.
-
-    `x` holds cure of the lower and upper face, external heat [J/m²], lower and upper sensor.
-    """
-    nb, p0, p1, n = layout[0], layout[1], layout[2], T.size
-    f = links(t, middle, T, p, layout, base, g, loss)
-    present = p[INSERTED] < middle < p[REMOVED]
-    ambient = p[AMBIENT]
-    below = platen(t, start, step, low)
-    external = 0.0
-    for i in range(n):
-        above = T[i + 1] if i < n - 1 else platen(t, start, step, high)
-        q = g[i] * (below - T[i]) + g[i + 1] * (above - T[i]) - loss[i] * (T[i] - ambient)
-        external -= loss[i] * (T[i] - ambient)
-        if i == 0:
-            external += g[0] * (below - T[0])
-        if i == n - 1:
-            external += g[n] * (above - T[i])
-        dT[i] = q
-        below = T[i]
-    for j in range(5):
-        dx[j] = 0.0
-    for i in range(p1 - p0):
-        dw[i] = 0.0
-    if present:
-        external += sources(t, f, T, w, x, p, layout, volume, latent, skin, wet, dT, dw, dx)
-    for i in range(n):
-        dT[i] /= cap[i]
-    if p[C_SLOPE] != 0.0:
-        for i in range(p0, p1):
-            dT[i] /= 1.0 + p[C_SLOPE] * (T[i] - 20.0)
-    dx[2] = external
-    if p[LAG] > 0.0:
-        m = p[FOOTPRINT] * f
-        top = p1 + n - nb - p1
-        dx[3] = ((1.0 - m) * T[p0] + m * T[nb - 1] - x[3]) / p[LAG]
-        dx[4] = ((1.0 - m) * T[p1 - 1] + m * T[top] - x[4]) / p[LAG]
-    return f
+def curing(face: float, k: Knobs) -> float:
+    """Return the resin's rate constant. [1/s]"""
+    return k.cure_rate * np.exp(-k.cure_kelvin * (1.0 / (face + 273.15) - 1.0 / CURE_REFERENCE_K))  # type: ignore[no-any-return]
 
 
 @njit(cache=True)
-def sources(t, f, T, w, x, p, layout, volume, latent, skin, wet, dT, dw, dx):
-    """Add what happens inside the panel to the heat flows `dT` [W/m²]; return the heat from outside."""
-    p0, p1 = layout[1], layout[2]
-    m = p1 - p0
-    external = 0.0
-    if p[EDGE] > 0.0:
+def steam(f: float, T: Array, k: Knobs, s: Stack, q: Array) -> None:
+    """Move heat from layers above 100 °C to cooler ones; what one gives the others take."""
+    hot = room = 0.0
+    for i in range(s.volume.size):
+        above = T[s.first + i] - VAPOUR_C
+        hot += s.volume[i] * max(above, 0.0)
+        room += s.volume[i] * (min(max(-above, 0.0) / 5.0, 1.0) if k.vapour_uniform else max(-above, 0.0))
+    if hot == 0.0 or room == 0.0:
+        return
+    spare = 1e-4 if k.vapour_uniform else 1e-3
+    strength = f * k.vapour * room / (room + spare)
+    for i in range(s.volume.size):
+        above = T[s.first + i] - VAPOUR_C
+        share = min(max(-above, 0.0) / 5.0, 1.0) if k.vapour_uniform else max(-above, 0.0)
+        q[s.first + i] += strength * s.volume[i] * (hot * share / room - max(above, 0.0))
+
+
+@njit(cache=True)
+def sources(t: float, f: float, middle: float, y: State, k: Knobs, s: Stack, d: State) -> float:
+    """Add what happens inside the panel to the heat flows `d.T` [W/m²]; return the heat from outside."""
+    m, external = s.volume.size, 0.0
+    if k.edge > 0.0:
         for i in range(m):
-            q = p[EDGE] * volume[i] * (T[p0 + i] - p[AMBIENT])
-            dT[p0 + i] -= q
+            q = k.edge * s.volume[i] * (y.T[s.first + i] - k.ambient)
+            d.T[s.first + i] -= q
             external -= q
-    if latent[0] > 0.0:
+    if k.flash_rate > 0.0 and k.flash_from < middle < k.flash_to:
         for i in range(m):
-            dw[i] = drying(T[p0 + i], w[i], p)[0]
-            dT[p0 + i] += latent[i] * dw[i]
-    if p[CURE_HEAT] > 0.0:
-        for side in range(2):
-            face = T[p0] if side == 0 else T[p1 - 1]
-            dx[side] = (
-                p[CURE_RATE] * np.exp(-p[CURE_KELVIN] * (1.0 / (face + 273.15) - 1.0 / 423.15)) * (1.0 - x[side])
-            )
+            q = k.flash_rate * s.capacity[s.first + i] * max(y.T[s.first + i] - VAPOUR_C, 0.0)
+            d.T[s.first + i] -= q
+            external -= q
+    if s.latent[0] > 0.0:
         for i in range(m):
-            dT[p0 + i] += p[CURE_HEAT] * (skin[i] * dx[0] + skin[m - 1 - i] * dx[1])
-    if p[VAPOUR] > 0.0 and f > 0.0:
-        hot = 0.0
-        room = 0.0
+            d.w[i] = drying(y.T[s.first + i], y.w[i], k)[0]
+            d.T[s.first + i] += s.latent[i] * d.w[i]
+    if k.cure_heat > 0.0:
+        d.x[0] = curing(y.T[s.first], k) * (1.0 - y.x[0])
+        d.x[1] = curing(y.T[s.last], k) * (1.0 - y.x[1])
         for i in range(m):
-            d = T[p0 + i] - VAPOUR_C
-            if d > 0.0:
-                hot += volume[i] * d
-            else:
-                room += volume[i] * (min(-d / 5.0, 1.0) if p[VAPOUR_UNIFORM] > 0.5 else -d)
-        if hot > 0.0 and room > 0.0:
-            spare = 1e-3 if p[VAPOUR_UNIFORM] < 0.5 else 1e-4
-            taken = f * p[VAPOUR] * room / (room + spare)
-            for i in range(m):
-                d = T[p0 + i] - VAPOUR_C
-                if d > 0.0:
-                    dT[p0 + i] -= taken * volume[i] * d
-                else:
-                    share = min(-d / 5.0, 1.0) if p[VAPOUR_UNIFORM] > 0.5 else -d
-                    dT[p0 + i] += taken * hot * volume[i] * share / room
-    if p[WET_HEAT] > 0.0:
-        a = (t - p[WET_RELEASE]) / p[WET_WIDTH]
-        b = (t - p[WET_RETURN]) / (2.0 * p[WET_WIDTH])
-        power = p[WET_HEAT] * 0.3989422804 / p[WET_WIDTH] * (np.exp(-0.5 * a * a) - 0.5 * np.exp(-0.5 * b * b))
+            d.T[s.first + i] += k.cure_heat * (s.skin[i] * d.x[0] + s.skin[m - 1 - i] * d.x[1])
+    if k.vapour > 0.0 and f > 0.0:
+        steam(f, y.T, k, s, d.T)
+    if k.wet_heat > 0.0:
+        a, b = (t - k.wet_release) / k.wet_width, 0.5 * (t - k.wet_return) / k.wet_width
+        power = k.wet_heat * 0.3989422804 / k.wet_width * (np.exp(-0.5 * a * a) - 0.5 * np.exp(-0.5 * b * b))
         for i in range(m):
-            dT[p0 + i] += power * wet[i]
-        external += 2.0 * power
+            d.T[s.first + i] += power * s.wet[i]
+        external += power
     return external
 
 
 @njit(cache=True)
-def record(t, T, w, x, f, p, layout, cap, latent, out, k):
-    """Write one row of `SIGNALS` behind the time."""
-    nb, p0, p1, n = layout[0], layout[1], layout[2], T.size
-    top = p1 + n - nb - p1
-    m = p1 - p0
-    out[k, 0] = t
-    out[k, 1] = T[p0]
-    out[k, 2] = T[p1 - 1]
-    out[k, 3] = T[nb - 1]
-    out[k, 4] = T[top]
-    out[k, 5] = T[p0 + m // 2]
-    mix = p[FOOTPRINT] * f
-    lagging = p[LAG] > 0.0
-    out[k, 6] = x[3] if lagging else (1.0 - mix) * T[p0] + mix * T[nb - 1]
-    out[k, 7] = x[4] if lagging else (1.0 - mix) * T[p1 - 1] + mix * T[top]
-    heat = 0.0
+def slope(t: float, middle: float, y: State, k: Knobs, s: Stack, g: Array, loss: Array, d: State) -> float:
+    """Fill the rates of change `d` (and links on the way); return the closed fraction."""
+    T, n = y.T, y.T.size
+    f: float = links(t, middle, T, k, s, g, loss)
+    low, high = platen(t, s.start, s.step, s.low), platen(t, s.start, s.step, s.high)
+    external = g[0] * (low - T[0]) + g[n] * (high - T[n - 1])
     for i in range(n):
-        heat += cap[i] * T[i]
-    mean = 0.0
-    water = 0.0
-    whole = 0.0
-    for i in range(m):
-        d = T[p0 + i] - 20.0
-        heat += 0.5 * p[C_SLOPE] * cap[p0 + i] * d * d
-        mean += cap[p0 + i] * T[p0 + i]
-        whole += cap[p0 + i]
-        water += latent[i] * w[i]
-    out[k, 8] = mean / whole
-    out[k, 9] = heat
-    out[k, 10] = x[2]
-    out[k, 11] = water
-    out[k, 12] = 0.5 * (x[0] + x[1])
+        below = T[i - 1] if i > 0 else low
+        above = T[i + 1] if i < n - 1 else high
+        lost = loss[i] * (T[i] - k.ambient)
+        d.T[i] = g[i] * (below - T[i]) + g[i + 1] * (above - T[i]) - lost
+        external -= lost
+    d.x[:] = 0.0
+    d.w[:] = 0.0
+    if present(middle, k):
+        external += sources(t, f, middle, y, k, s, d)
+    for i in range(n):
+        d.T[i] /= s.capacity[i]
+    for i in range(s.first, s.last + 1):
+        d.T[i] /= 1.0 + k.c_slope * (T[i] - 20.0)
+    d.x[2] = external
+    if k.lag > 0.0:
+        mix = k.footprint * f
+        d.x[3] = ((1.0 - mix) * T[s.first] + mix * T[s.lower] - y.x[3]) / k.lag
+        d.x[4] = ((1.0 - mix) * T[s.last] + mix * T[s.upper] - y.x[4]) / k.lag
+    return f
+
+
+class Matrix(NamedTuple):
+    """1/(γh) - J, its tridiagonal part eliminated; evaporation is folded into the pivots."""
+
+    pivot: Array
+    up: Array
+    ratio: Array
+    by_T: Array
+    """Slope of each panel node's drying by its temperature."""
+    by_w: Array
+    heat: Array
+    """Latent heat over heat capacity of each panel node. [K]"""
+
+
+@njit(cache=True)
+def factor(
+    inverse: float, moist: bool, inside: bool, y: State, k: Knobs, s: Stack, g: Array, loss: Array, a: Matrix
+) -> None:
+    """Fill the matrix at one state, with links and losses already known."""
+    n = y.T.size
+    for i in range(n):
+        c = s.capacity[i]
+        if s.first <= i <= s.last:
+            j = i - s.first
+            c *= 1.0 + k.c_slope * (y.T[i] - 20.0)
+            a.heat[j] = s.latent[j] / c
+        a.up[i] = -g[i + 1] / c
+        a.ratio[i] = -g[i] / c
+        a.pivot[i] = inverse + (g[i] + g[i + 1] + loss[i]) / c
+        if inside and s.first <= i <= s.last:
+            a.pivot[i] += k.edge * s.volume[i - s.first] / c
+            if moist:
+                _, a.by_T[j], a.by_w[j] = drying(y.T[i], y.w[j], k)
+                a.pivot[i] -= a.heat[j] * a.by_T[j] * inverse / (inverse - a.by_w[j])
+    for i in range(1, n):
+        a.ratio[i] /= a.pivot[i - 1]
+        a.pivot[i] -= a.ratio[i] * a.up[i - 1]
+
+
+@njit(cache=True)
+def back_substitute(
+    inverse: float, moist: bool, mix: float, k: Knobs, s: Stack, a: Matrix, z: State, u: State
+) -> None:
+    """Solve the matrix for one stage: right-hand side `z` (spoilt), increment `u`."""
+    n = z.T.size
+    if moist:
+        for i in range(z.w.size):
+            z.T[s.first + i] += a.heat[i] * a.by_w[i] * z.w[i] / (inverse - a.by_w[i])
+    for i in range(1, n):
+        z.T[i] -= a.ratio[i] * z.T[i - 1]
+    u.T[n - 1] = z.T[n - 1] / a.pivot[n - 1]
+    for i in range(n - 2, -1, -1):
+        u.T[i] = (z.T[i] - a.up[i] * u.T[i + 1]) / a.pivot[i]
+    if moist:
+        for i in range(z.w.size):
+            u.w[i] = (z.w[i] + a.by_T[i] * u.T[s.first + i]) / (inverse - a.by_w[i])
+    for j in range(3):
+        u.x[j] = z.x[j] / inverse
+    if k.lag > 0.0:
+        low = (1.0 - mix) * u.T[s.first] + mix * u.T[s.lower]
+        high = (1.0 - mix) * u.T[s.last] + mix * u.T[s.upper]
+        u.x[3] = (z.x[3] + low / k.lag) / (inverse + 1.0 / k.lag)
+        u.x[4] = (z.x[4] + high / k.lag) / (inverse + 1.0 / k.lag)
+
+
+@njit(cache=True)
+def combine(out: State, start: State, weights: Array, count: int, uT: Array, uw: Array, ux: Array) -> None:
+    """Set `out` to `start` plus the weighted sum of the first `count` increments."""
+    out.T[:] = start.T
+    out.w[:] = start.w
+    out.x[:] = start.x
+    for j in range(count):
+        c = weights[j]
+        if c == 0.0:
+            continue
+        for i in range(out.T.size):
+            out.T[i] += c * uT[j, i]
+        for i in range(out.w.size):
+            out.w[i] += c * uw[j, i]
+        for i in range(5):
+            out.x[i] += c * ux[j, i]
+
+
+@njit(cache=True)
+def record(t: float, y: State, f: float, k: Knobs, s: Stack, row: Array) -> None:
+    """Write the time and `SIGNALS`."""
+    T = y.T
+    mix = k.footprint * f
+    row[0] = t
+    row[1], row[2], row[3], row[4] = T[s.first], T[s.last], T[s.lower], T[s.upper]
+    row[5] = T[s.first + s.volume.size // 2]
+    row[6] = y.x[3] if k.lag > 0.0 else (1.0 - mix) * T[s.first] + mix * T[s.lower]
+    row[7] = y.x[4] if k.lag > 0.0 else (1.0 - mix) * T[s.last] + mix * T[s.upper]
+    heat = mean = whole = water = 0.0
+    for i in range(T.size):
+        heat += s.capacity[i] * T[i]
+    for i in range(s.volume.size):
+        c, above = s.capacity[s.first + i], T[s.first + i] - 20.0
+        heat += 0.5 * k.c_slope * c * above * above
+        mean += c * T[s.first + i]
+        whole += c
+        water += s.latent[i] * y.w[i]
+    row[8], row[9], row[10], row[11] = mean / whole, heat, y.x[2], water
+    row[12] = 0.5 * (y.x[0] + y.x[1])
+
+
+@njit(cache=True)
+def blank(n: int, m: int) -> State:
+    """Return a state of zeros."""
+    return State(np.zeros(n), np.zeros(m), np.zeros(5))
 
 
 @njit(cache=True)
 def advance(
-    t,
-    end,
-    T,
-    w,
-    x,
-    p,
-    layout,
-    base,
-    cap,
-    volume,
-    latent,
-    skin,
-    wet,
-    start,
-    step,
-    low,
-    high,
-    tolerance,
-    longest,
-    out,
-    k,
-):
-    """Integrate from `t` to `end` (no jump between them), changing T, w, x in place.
+    t: float, end: float, y: State, k: Knobs, s: Stack, tolerance: float, longest: float, out: Array, row: int
+) -> int:
+    """Integrate from `t` to `end` (no jump between them), changing `y` in place.
 
-    Rows are added to `out` from `k` on, the first one at `t` itself; returns the next free row,
-    or -1 where `out` is full.
+    Rows are added to `out` from `row` on, the first one at `t` itself; returns the next free row,
+    or -1 where `out` is full. `tolerance` bounds the local error of a step. [K]
     """
-    nb, p0, p1, n = layout[0], layout[1], layout[2], T.size
-    m = p1 - p0
-    top = p1 + n - nb - p1
+    n, m = y.T.size, y.w.size
     middle = 0.5 * (t + end)
-    present = p[INSERTED] < middle < p[REMOVED]
-    g, loss = np.empty(n + 1), np.empty(n)
+    inside = present(middle, k)
+    moist = inside and s.latent[0] > 0.0
+    g, loss, g_unused, loss_unused = np.empty(n + 1), np.empty(n), np.empty(n + 1), np.empty(n)
     uT, uw, ux = np.zeros((4, n)), np.zeros((4, m)), np.zeros((4, 5))
-    yT, yw, yx = np.empty(n), np.empty(m), np.empty(5)
-    fT, fw, fx = np.empty(n), np.empty(m), np.empty(5)
-    tT, tw, tx = np.empty(n), np.empty(m), np.empty(5)
-    zT, zw, zx = np.empty(n), np.empty(m), np.empty(5)
-    g2, loss2 = np.empty(n + 1), np.empty(n)
-    gT, gw, cc = np.zeros(m), np.zeros(m), np.empty(n)
-    ratio, pivot, up, lo = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
-    moist = latent[0] > 0.0 and present
-    f = closed_fraction(t, p) if present else 0.0
-    record(t, T, w, x, f, p, layout, cap, latent, out, k)
-    k += 1
+    stage, rate, drift, z, zero = blank(n, m), blank(n, m), blank(n, m), blank(n, m), blank(n, m)
+    a = Matrix(np.empty(n), np.empty(n), np.empty(n), np.zeros(m), np.zeros(m), np.zeros(m))
+    record(t, y, closed_fraction(t, k) if inside else 0.0, k, s, out[row])
+    row += 1
     h = min(1e-3, end - t)
     while t < end - 1e-9:
-        if k >= out.shape[0]:
+        if row >= out.shape[0]:
             return -1
         if t + 1.01 * h > end:
             h = end - t
-        f0 = slope(
-            t,
-            middle,
-            T,
-            w,
-            x,
-            p,
-            layout,
-            base,
-            cap,
-            volume,
-            latent,
-            skin,
-            wet,
-            start,
-            step,
-            low,
-            high,
-            g,
-            loss,
-            fT,
-            fw,
-            fx,
-        )
-        eps = 1e-3 * h
-        slope(
-            t + eps,
-            middle,
-            T,
-            w,
-            x,
-            p,
-            layout,
-            base,
-            cap,
-            volume,
-            latent,
-            skin,
-            wet,
-            start,
-            step,
-            low,
-            high,
-            g2,
-            loss2,
-            tT,
-            tw,
-            tx,
-        )
+        inverse = 1.0 / (GAMMA * h)
+        mix = k.footprint * slope(t, middle, y, k, s, g, loss, rate)
+        factor(inverse, moist, inside, y, k, s, g, loss, a)
+        slope(t + 1e-3 * h, middle, y, k, s, g_unused, loss_unused, drift)
         for i in range(n):
-            tT[i] = (tT[i] - fT[i]) / eps
-        for j in range(5):
-            tx[j] = (tx[j] - fx[j]) / eps
-        inv = 1.0 / (GAMMA * h)
-        for i in range(n):
-            cc[i] = cap[i]
-        for i in range(p0, p1):
-            cc[i] *= 1.0 + p[C_SLOPE] * (T[i] - 20.0)
-        # matrix 1/(γh) - J, factored once a step
-        for i in range(n):
-            lo[i] = -g[i] / cc[i] if i > 0 else 0.0
-            up[i] = -g[i + 1] / cc[i] if i < n - 1 else 0.0
-            pivot[i] = inv + (g[i] + g[i + 1] + loss[i]) / cc[i]
-        if present and p[EDGE] > 0.0:
-            for i in range(m):
-                pivot[p0 + i] += p[EDGE] * volume[i] / cc[p0 + i]
-        if moist:
-            for i in range(m):
-                _, gT[i], gw[i] = drying(T[p0 + i], w[i], p)
-                pivot[p0 + i] -= latent[i] / cc[p0 + i] * gT[i] * inv / (inv - gw[i])
-        for i in range(1, n):
-            ratio[i] = lo[i] / pivot[i - 1]
-            pivot[i] -= ratio[i] * up[i - 1]
-        mix = p[FOOTPRINT] * f0
-        for s in range(4):
-            if s == 0:
-                zT[:], zw[:], zx[:] = fT, fw, fx
-            else:
-                for i in range(n):
-                    v = T[i]
-                    for j in range(s):
-                        v += A_U[s, j] * uT[j, i]
-                    yT[i] = v
-                for i in range(m):
-                    v = w[i]
-                    if moist:
-                        for j in range(s):
-                            v += A_U[s, j] * uw[j, i]
-                    yw[i] = v
-                for i in range(5):
-                    v = x[i]
-                    for j in range(s):
-                        v += A_U[s, j] * ux[j, i]
-                    yx[i] = v
-                slope(
-                    t + T_STAGE[s] * h,
-                    middle,
-                    yT,
-                    yw,
-                    yx,
-                    p,
-                    layout,
-                    base,
-                    cap,
-                    volume,
-                    latent,
-                    skin,
-                    wet,
-                    start,
-                    step,
-                    low,
-                    high,
-                    g2,
-                    loss2,
-                    zT,
-                    zw,
-                    zx,
-                )
+            drift.T[i] = (drift.T[i] - rate.T[i]) / (1e-3 * h)
+        for i in range(5):
+            drift.x[i] = (drift.x[i] - rate.x[i]) / (1e-3 * h)
+        for j in range(4):
+            if j > 0:
+                combine(stage, y, A_U[j], j, uT, uw, ux)
+                slope(t + T_STAGE[j] * h, middle, stage, k, s, g_unused, loss_unused, rate)
+            combine(z, rate, C_U[j] / h, j, uT, uw, ux)
             for i in range(n):
-                v = zT[i] + G_STAGE[s] * h * tT[i]
-                for j in range(s):
-                    v += C_U[s, j] / h * uT[j, i]
-                zT[i] = v
-            if moist:
-                for i in range(m):
-                    v = zw[i]
-                    for j in range(s):
-                        v += C_U[s, j] / h * uw[j, i]
-                    zw[i] = v
-                    zT[p0 + i] += latent[i] / cc[p0 + i] * gw[i] * v / (inv - gw[i])
-            for i in range(1, n):
-                zT[i] -= ratio[i] * zT[i - 1]
-            uT[s, n - 1] = zT[n - 1] / pivot[n - 1]
-            for i in range(n - 2, -1, -1):
-                uT[s, i] = (zT[i] - up[i] * uT[s, i + 1]) / pivot[i]
-            if moist:
-                for i in range(m):
-                    uw[s, i] = (zw[i] + gT[i] * uT[s, p0 + i]) / (inv - gw[i])
-            for j in range(5):
-                v = zx[j] + G_STAGE[s] * h * tx[j]
-                for q in range(s):
-                    v += C_U[s, q] / h * ux[q, j]
-                if j >= 3 and p[LAG] > 0.0:
-                    face = uT[s, p0] if j == 3 else uT[s, p1 - 1]
-                    plate = uT[s, nb - 1] if j == 3 else uT[s, top]
-                    v = (v + ((1.0 - mix) * face + mix * plate) / p[LAG]) / (inv + 1.0 / p[LAG])
-                elif j < 2 and p[CURE_HEAT] > 0.0 and present:
-                    face = T[p0] if j == 0 else T[p1 - 1]
-                    k_cure = p[CURE_RATE] * np.exp(-p[CURE_KELVIN] * (1.0 / (face + 273.15) - 1.0 / 423.15))
-                    v /= inv + k_cure
-                else:
-                    v /= inv
-                ux[s, j] = v
-        worst = 0.0
-        for i in range(n):
-            e = 0.0
-            for j in range(4):
-                e += E_U[j] * uT[j, i]
-            worst = max(worst, abs(e))
-        if moist:
-            for i in range(m):
-                e = 0.0
-                for j in range(4):
-                    e += E_U[j] * uw[j, i]
-                worst = max(worst, abs(e) * 5.0)
-        for j in range(3, 5):
-            e = 0.0
-            for q in range(4):
-                e += E_U[q] * ux[q, j]
-            worst = max(worst, abs(e))
-        worst /= tolerance
-        if worst > 1.0 and h > 1e-6:
-            h *= max(0.2, 0.85 * worst ** (-1.0 / 3.0))
+                z.T[i] += G_STAGE[j] * h * drift.T[i]
+            for i in range(5):
+                z.x[i] += G_STAGE[j] * h * drift.x[i]
+            back_substitute(inverse, moist, mix, k, s, a, z, State(uT[j], uw[j], ux[j]))
+        combine(stage, zero, E_U, 4, uT, uw, ux)
+        error = max(np.abs(stage.T).max(), 5.0 * np.abs(stage.w).max(), np.abs(stage.x[3:]).max()) / tolerance
+        if error > 1.0 and h > 1e-6:
+            h *= max(0.2, 0.85 * error ** (-1.0 / 3.0))
             continue
         t += h
-        for i in range(n):
-            for j in range(4):
-                T[i] += M_U[j] * uT[j, i]
-        if moist:
-            for i in range(m):
-                for j in range(4):
-                    w[i] += M_U[j] * uw[j, i]
-        for i in range(5):
-            for j in range(4):
-                x[i] += M_U[j] * ux[j, i]
-        f = closed_fraction(min(t, end), p) if present else 0.0
-        record(t, T, w, x, f, p, layout, cap, latent, out, k)
-        k += 1
-        h *= min(2.5, 0.85 * max(worst, 1e-4) ** (-1.0 / 3.0))
-        h = min(h, longest)
-    return k
+        combine(stage, y, M_U, 4, uT, uw, ux)
+        y.T[:], y.w[:], y.x[:] = stage.T, stage.w, stage.x
+        record(t, y, closed_fraction(min(t, end), k) if inside else 0.0, k, s, out[row])
+        row += 1
+        h = min(h * min(2.5, 0.85 * max(error, 1e-4) ** (-1.0 / 3.0)), longest)
+    return row

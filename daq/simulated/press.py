@@ -142,8 +142,9 @@ class VirtualPress:
         number = 1 if before is None else before.number + 1
         start = 0.0 if before is None else before.end
         rng = np.random.default_rng([self._seed, 8, number])
+        hidden = np.random.default_rng([self._seed, 9, number])
         pressing = self._draw(before, rng)
-        run_effects = {n: for_run(n, p, rng) for n, p in self.effects.items()}
+        run_effects = {n: for_run(n, p, hidden) for n, p in self.effects.items()}
         physical = {n: p for n, p in run_effects.items() if n not in CHAIN_EFFECTS}
         if before is not None:
             physical.pop("initial_press_state", None)

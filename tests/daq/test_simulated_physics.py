@@ -9,16 +9,13 @@ import pytest
 from scipy.special import erfcx
 
 from daq.simulated.physics import (
-    LATENT_HEAT,
-    PLATE_CONDUCTIVITY,
-    PLATE_HEAT_CAPACITY,
-    PLATE_THICKNESS,
     Outside,
     Pressing,
     constant_platen,
     nominal_panel,
     solve,
 )
+from daq.simulated.physics_mesh import LATENT_HEAT, PLATE_CONDUCTIVITY, PLATE_HEAT_CAPACITY, PLATE_THICKNESS
 
 TIMES = np.arange(5.0, 139.0, 0.1)
 NOTHING = 1e-9
