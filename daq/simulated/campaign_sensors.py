@@ -164,13 +164,11 @@ def _faulty(
         if fault.kind == "drifting":
             true = true + fault.size * since
             continue
-        grown = 1.0 - np.exp(-since / 5.0)
-        rattle = coloured(rng, len(times), step, 4.0, 0.15)
-        share = np.clip((1.0 - fault.size) * grown * (1.0 + rattle), 0.0, 0.95)
-        air = ambient + share * (ambient - true)
+        rattle = 1.0 + coloured(rng, len(times), step, 4.0, 0.15)
+        share = np.clip((1.0 - fault.size) * (1.0 - np.exp(-since / 5.0)) * rattle, 0.0, 0.95)
         a = float(np.exp(-step / 3.0))
         slow = lfilter([1.0 - a], [1.0, -a], true, zi=[a * true[0]])[0]
-        true = np.where(since > 0, (1.0 - share) * slow + share * np.maximum(air, ambient), true)
+        true = np.where(since > 0, (1.0 - share) * slow + share * ambient, true)
     return true
 
 

@@ -123,11 +123,11 @@ def draw_outside(name: str, rng: np.random.Generator, scale: float = 1.0) -> dic
             "return_share": rng.uniform(0.5, 0.7),
         }
     if name == "draught":
-        return {"factor": 1.0 + scale * rng.uniform(2.0, 4.0), "after_s": rng.uniform(5.0, 12.0)}
+        return {"factor": 1.0 + scale * rng.uniform(1.0, 2.5), "after_s": rng.uniform(5.0, 12.0)}
     if name == "lifted_panel":
         return {"factor": 1.0 - scale * rng.uniform(0.7, 0.9), "after_s": rng.uniform(4.0, 10.0)}
     if name == "steam_burst":
-        return {"per_s": scale * rng.uniform(0.1, 0.3), "lasts_s": rng.uniform(2.0, 4.0)}
+        return {"per_s": scale * rng.uniform(0.04, 0.12), "lasts_s": rng.uniform(2.0, 4.0)}
     raise InputError(f"fault {name!r}: unknown; known are {', '.join(OUTSIDE)}")
 
 

@@ -19,6 +19,7 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from daq.records import Array, Panel
 from daq.simulated import physics_kernel as kernel
@@ -123,23 +124,15 @@ class Solution:
 
     steps: Mapping[str, Array]
     """``time`` and every name of `SIGNALS`."""
-    stretches: tuple[tuple[int, int], ...]
-    """First and one-past-last row between two jumps."""
+    bounds: NDArray[np.int64]
+    """First row of each stretch between two jumps, and one past the last row."""
     plates: tuple[Array, Array]
     """Node temperatures of the lower and upper plate at the end. [°C]"""
 
     def at(self, signal: str, times: Array) -> Array:
         """Return a signal at any times: cubic between the steps, never across a jump."""
-        t, y = self.steps["time"], self.steps[signal]
-        out = np.empty(len(times))
-        for first, last in self.stretches:
-            final = last == len(t)
-            chosen = (times >= t[first] - (1e9 if first == 0 else 0.0)) & (
-                (times < t[last - 1]) | (final and times >= t[last - 1])
-            )
-            if chosen.any():
-                out[chosen] = _cubic(t[first:last], y[first:last], times[chosen])
-        return out
+        wanted = np.ascontiguousarray(times, dtype=np.float64)
+        return np.asarray(kernel.interpolate(self.steps["time"], self.steps[signal], self.bounds, wanted))
 
 
 def solve(pressing: Pressing, accuracy: Accuracy = "fast", plates: tuple[Array, Array] | None = None) -> Solution:
@@ -160,15 +153,14 @@ def solve(pressing: Pressing, accuracy: Accuracy = "fast", plates: tuple[Array, 
     tolerance, longest = _STEPPING[accuracy]
     rows = 4000 + int(8 * (pressing.end - pressing.start) / longest)
     out = np.empty((rows, 1 + len(kernel.SIGNALS)))
-    last, stretches = 0, []
+    last, bounds = 0, [0]
     for a, b in itertools.pairwise(_breakpoints(pressing)):
-        first = last
-        last = kernel.advance(a, b, y, knobs, mesh.stack, tolerance, longest, out, first)
+        last = kernel.advance(a, b, y, knobs, mesh.stack, tolerance, longest, out, last)
         if last < 0:
             raise RuntimeError(f"virtual press: more than {rows} steps up to {b:g} s")
-        stretches.append((first, last))
+        bounds.append(last)
     steps = {name: out[:last, i].copy() for i, name in enumerate(("time", *kernel.SIGNALS))}
-    return Solution(steps, tuple(stretches), (y.T[: mesh.stack.lower + 1], y.T[mesh.stack.upper :]))
+    return Solution(steps, np.array(bounds), (y.T[: mesh.stack.lower + 1], y.T[mesh.stack.upper :]))
 
 
 def _breakpoints(pressing: Pressing) -> list[float]:
@@ -183,23 +175,6 @@ def _breakpoints(pressing: Pressing) -> list[float]:
     ]  # fmt: skip
     inside = sorted({t for t in jumps if pressing.start + 1e-6 < t < pressing.end - 1e-6})
     return [pressing.start, *inside, pressing.end]
-
-
-def _cubic(t: Array, y: Array, at: Array) -> Array:
-    """Interpolate with a cubic whose slopes are those of parabolas through three neighbours."""
-    if len(t) < 3:
-        return np.interp(at, t, y)
-    h = np.diff(t)
-    d = np.diff(y) / h
-    m = np.empty(len(t))
-    m[1:-1] = (d[:-1] * h[1:] + d[1:] * h[:-1]) / (h[:-1] + h[1:])
-    m[0] = d[0] + (d[0] - d[1]) * h[0] / (h[0] + h[1])
-    m[-1] = d[-1] + (d[-1] - d[-2]) * h[-1] / (h[-1] + h[-2])
-    i = np.clip(np.searchsorted(t, at, side="right") - 1, 0, len(h) - 1)
-    s = np.clip((at - t[i]) / h[i], 0.0, 1.0)
-    left = (1 + 2 * s) * (1 - s) ** 2 * y[i] + s * (1 - s) ** 2 * h[i] * m[i]
-    right = s**2 * (3 - 2 * s) * y[i + 1] + s**2 * (s - 1) * h[i] * m[i + 1]
-    return np.asarray(left + right)
 
 
 def nominal_panel(thickness: float = 0.016, initial_temperature: float = 20.8) -> Panel:

@@ -513,3 +513,41 @@ def advance(
         row += 1
         h = min(h * min(2.5, 0.85 * max(error, 1e-4) ** (-1.0 / 3.0)), longest)
     return row
+
+
+@njit(cache=True)
+def interpolate(t: Array, y: Array, bounds: Array, at: Array) -> Array:
+    """Return `y` at any times: cubic through the steps, slopes of parabolas, never across a jump.
+
+    `bounds` holds the first row of each stretch and one past the last; at a jump's own time the
+    later stretch counts. A stretch has two rows at least.
+    """
+    out = np.empty(at.size)
+    for j in range(at.size):
+        s = 0
+        while s < bounds.size - 2 and at[j] >= t[bounds[s + 1]]:
+            s += 1
+        first, last = bounds[s], bounds[s + 1] - 1
+        low, high = first, last
+        while high - low > 1:
+            half = (low + high) // 2
+            if t[half] <= at[j]:
+                low = half
+            else:
+                high = half
+        h = t[low + 1] - t[low]
+        d = (y[low + 1] - y[low]) / h
+        before, after = d, d
+        if low > first:
+            g = t[low] - t[low - 1]
+            before = ((y[low] - y[low - 1]) / g * h + d * g) / (g + h)
+        if low + 1 < last:
+            g = t[low + 2] - t[low + 1]
+            after = ((y[low + 2] - y[low + 1]) / g * h + d * g) / (g + h)
+        if low == first:
+            before = 2.0 * d - after
+        if low + 1 == last:
+            after = 2.0 * d - before
+        x = min(max((at[j] - t[low]) / h, 0.0), 1.0)
+        out[j] = y[low] + h * x * (d + (1.0 - x) * ((before - d) * (1.0 - x) - (after - d) * x))
+    return out

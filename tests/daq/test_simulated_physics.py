@@ -6,8 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from scipy.special import erfcx
 
+from daq.simulated import physics_kernel as kernel
 from daq.simulated.physics import (
     Outside,
     Pressing,
@@ -15,7 +17,15 @@ from daq.simulated.physics import (
     nominal_panel,
     solve,
 )
-from daq.simulated.physics_mesh import LATENT_HEAT, PLATE_CONDUCTIVITY, PLATE_HEAT_CAPACITY, PLATE_THICKNESS
+from daq.simulated.physics_mesh import (
+    LATENT_HEAT,
+    PLATE_CONDUCTIVITY,
+    PLATE_HEAT_CAPACITY,
+    PLATE_THICKNESS,
+    build_knobs,
+    build_mesh,
+    first_state,
+)
 
 TIMES = np.arange(5.0, 139.0, 0.1)
 NOTHING = 1e-9
@@ -106,6 +116,38 @@ def test_an_idle_press_stays_steady() -> None:
     h = p.coefficients
     flux = (200.0 - 23.0) / (1 / h["h_p_o"] + PLATE_THICKNESS / PLATE_CONDUCTIVITY + 1 / h["h_ap"])
     assert s.steps["plate_top"][0] == pytest.approx(23.0 + flux / h["h_ap"], abs=1e-6)
+
+
+def test_the_integrator_agrees_with_scipy_on_the_same_equations() -> None:
+    effects = {
+        "moisture_evaporation": {"moisture_percent": 4.0, "temperature_C": 100.0},
+        "vapour_convection": {"W_m3K": 1.5e4},
+        "conductivity_temperature": {"per_100_K": 0.2},
+        "heat_capacity_temperature": {"per_100_K": 0.2},
+        "resin_cure": {"heat_kJ_m2": 15.0},
+        "contact_buildup": {"deficit": 0.5, "time_constant_s": 6.0},
+        "thermocouple_lag": {"time_constant_s": 0.4},
+    }
+    p = pressing(effects=effects, panel=nominal_panel(0.004), inserted=0.0, closed=0.5, closing_ramp=0.9, end=12.0)
+    mesh = build_mesh(p, "fast")
+    knobs, y = build_knobs(p, mesh), first_state(p, mesh, None)
+    n, m = len(y.T), len(y.w)
+    g, loss, d = np.empty(n + 1), np.empty(n), kernel.State(np.empty(n), np.empty(m), np.empty(5))
+
+    def rates(t: float, v: np.ndarray, middle: float) -> np.ndarray:
+        now = kernel.State(v[:n].copy(), v[n : n + m].copy(), v[n + m :].copy())
+        kernel.slope(t, middle, now, knobs, mesh.stack, g, loss, d)
+        return np.concatenate((d.T, d.w, d.x))
+
+    v = np.concatenate((y.T, y.w, y.x))
+    for a, b in ((0.0, 0.05), (0.05, 0.5), (0.5, 0.95), (0.95, 12.0)):
+        found = solve_ivp(rates, (a, b), v, "BDF", rtol=1e-6, atol=1e-5, args=(0.5 * (a + b),))
+        v = found.y[:, -1]
+    s = solve(p)
+    expected = v[mesh.stack.first], v[mesh.stack.last], v[mesh.stack.first + m // 2], v[n + m + 3], v[n + m + 4]
+    names = ("panel_bottom", "panel_top", "core", "sensor_bottom", "sensor_top")
+    assert [s.steps[name][-1] for name in names] == pytest.approx(expected, abs=0.01)
+    assert s.steps["water"][-1] == pytest.approx(mesh.stack.latent @ v[n : n + m], rel=2e-3)
 
 
 def balance(s: object) -> float:
