@@ -182,6 +182,8 @@ class Bus:
                 return Exchange(payload, requested_s, self._last_byte_s)
         if buffer:
             raise BadFrame(f"{self.place}: reply breaks off after {len(buffer)} bytes", "truncated")
+        if self._last_byte_s > requested_s:
+            raise BadFrame(f"{self.place}: only replies to others came", "wrong id")
         raise NoReply(
             f"{self.place}: no reply in {patience.timeout_s:g} s; check power, cable and address", "silent"
         )

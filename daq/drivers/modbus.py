@@ -22,7 +22,7 @@ BUSY = {
 REFUSED = {1: "illegal function", 2: "illegal address", 3: "illegal value"}
 
 
-def crc16(data: bytes) -> int:
+def crc16(data: bytes | bytearray) -> int:
     """Return the Modbus RTU checksum, sent low byte first.
 
     >>> hex(crc16(bytes.fromhex("010300000008")))
@@ -94,24 +94,46 @@ def rtu_frame(station: int, request: Request) -> bytes:
 
 
 def rtu_reply(station: int, request: Request, *, local_echo: bool = False) -> TakeReply:
-    """Return a reader of the one RTU frame that answers `request`."""
-    sent = rtu_frame(station, request)
-    skip = len(sent) if local_echo else 0
+    """Return a reader of the one RTU frame that answers `request`.
+
+    A sound frame of another station on the wire is passed over: its own driver gave it up.
+    """
+    echo = rtu_frame(station, request) if local_echo else b""
 
     def take(buffer: bytearray) -> bytes | None:
-        if bytes(buffer[:skip]) != sent[: min(skip, len(buffer))]:
+        nonlocal echo
+        if not echo.startswith(bytes(buffer[: len(echo)])):
             raise BadFrame("the local echo differs from what was sent", "echo")
-        frame = bytes(buffer[skip:])
-        return _take_rtu(frame, station, request)
+        if len(buffer) < len(echo):
+            return None
+        del buffer[: len(echo)]
+        echo = b""
+        while (size := _foreign_size(buffer, station)) and len(buffer) >= size:
+            del buffer[:size]
+        return _take_rtu(bytes(buffer), station, request)
 
     return take
 
 
+def _foreign_size(frame: bytearray, station: int) -> int:
+    """Return the size of another station's frame at the front; 0 where there is none in sight."""
+    if len(frame) < 5 or frame[0] == station:
+        return 0
+    if frame[1] & 0x80:
+        size = 5
+    elif frame[1] in (1, 2, 3, 4):
+        size = 5 + frame[2]
+    else:
+        return 0
+    complete = len(frame) >= size
+    return 0 if complete and crc16(frame[: size - 2]) != int.from_bytes(frame[size - 2 : size], "little") else size
+
+
 def _take_rtu(frame: bytes, station: int, request: Request) -> bytes | None:
-    if frame and frame[0] != station:
-        raise BadFrame(f"reply of station {frame[0]}, asked {station}", "wrong id")
-    if len(frame) < 5:
+    if len(frame) < 5 or _foreign_size(bytearray(frame), station):
         return None
+    if frame[0] != station:
+        raise BadFrame(f"reply of station {frame[0]}, asked {station}", "wrong id")
     is_exception = frame[1] == request.function | 0x80
     size = 5 if is_exception else 1 + request.reply_size + 2
     if not is_exception and not frame[1:].startswith(request.reply_head[: len(frame) - 1]):

@@ -147,10 +147,10 @@ class ModbusModule:
                 return None
             pdu = self._answer(request[7:])
             return request[:4] + struct.pack(">H", len(pdu) + 1) + request[6:7] + pdu
-        if request[0] != self._station or _checksum(request[:-2]) != request[-2:]:
+        if request[0] != self._station or checksum(request[:-2]) != request[-2:]:
             return None
         body = request[:1] + self._answer(request[1:-2])
-        return body + _checksum(body)
+        return body + checksum(body)
 
     def _answer(self, pdu: bytes) -> bytes:
         function, address = struct.unpack(">BH", pdu[:3])
@@ -204,7 +204,7 @@ def _split_rtu(buffer: bytearray) -> bytes | None:
         size = 9 + buffer[6] if buffer[1] in (15, 16) else 8
         if len(buffer) < size:
             return None
-        if _checksum(buffer[: size - 2]) == buffer[size - 2 : size]:
+        if checksum(buffer[: size - 2]) == buffer[size - 2 : size]:
             frame = bytes(buffer[:size])
             del buffer[:size]
             return frame
@@ -215,7 +215,8 @@ def _split_rtu(buffer: bytearray) -> bytes | None:
 _TABLE = tuple((lambda c: [c := (c >> 1) ^ (0xA001 if c & 1 else 0) for _ in range(8)][-1])(n) for n in range(256))
 
 
-def _checksum(data: bytes | bytearray) -> bytes:
+def checksum(data: bytes | bytearray) -> bytes:
+    """Return the two bytes that seal an RTU frame."""
     crc = 0xFFFF
     for byte in data:
         crc = (crc >> 8) ^ _TABLE[(crc ^ byte) & 0xFF]

@@ -1,0 +1,258 @@
+"""A wire that misbehaves in every way we know must never put a value on another channel.
+
+Each simulated input answers a temperature that tells its number and the moment of conversion, so a
+value of another channel, of another module or of an older request betrays itself.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+from collections import Counter
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+
+from daq.drivers import LoggerSettings, ReadFailure, open_logger
+from daq.simulated import proxy
+from daq.simulated.devices import kind_of, station, wiring
+from daq.simulated.devices_line import serve_serial, serve_tcp
+from daq.simulated.proxy import Fault, FaultProxy
+
+BASE_C, CHANNEL_K, PERIOD_S, SWING_K = 20.0, 12.0, 10.0, 10.0
+TIMEOUT_S, DRAIN_S = 0.08, 0.10
+LATE_S = (1.05 * TIMEOUT_S, TIMEOUT_S + 0.6 * DRAIN_S)
+CLOCK_SLACK_S = 0.03
+KNOWN_CAUSES = {
+    "silent",
+    "busy",
+    "port lost",
+    "truncated",
+    "crc",
+    "wrong id",
+    "wrong shape",
+    "surplus",
+    "garbage",
+    "babble",
+    "out of step",
+    "refused",
+}
+
+
+def telling(first, inputs):
+    """Temperatures that tell channel and time: 12 K a channel, a sawtooth of 10 K in 10 s on it."""
+
+    def temperatures(now_s):
+        ramp = now_s % PERIOD_S / PERIOD_S * SWING_K
+        return [BASE_C + CHANNEL_K * (first + k) + ramp for k in range(inputs)]
+
+    return temperatures
+
+
+def told(value):
+    """Return channel number and conversion time within the period."""
+    channel = round((value - BASE_C - SWING_K / 2) / CHANNEL_K)
+    return channel, (value - BASE_C - CHANNEL_K * channel) / SWING_K * PERIOD_S
+
+
+@dataclass
+class Tally:
+    """What one logger's readings came to."""
+
+    good: int = 0
+    wrong_channel: int = 0
+    wrong_time: int = 0
+    other_quality: Counter = field(default_factory=Counter)
+    losses: Counter = field(default_factory=Counter)
+
+    @property
+    def attempts(self):
+        return self.good + sum(self.losses.values())
+
+
+@dataclass(frozen=True)
+class Wired:
+    """One logger on a line: which profile, which station, its first channel."""
+
+    profile: str
+    address: int = 1
+    first: int = 0
+    spoiled: bool = True
+
+    @property
+    def step_s(self):
+        coarse = self.profile in ("m-7018", "adam-4118-ascii", "m-7019r-dcon", "generic", "sr630")
+        return 0.055 if coarse else 0.025
+
+
+@dataclass(frozen=True)
+class Line:
+    """Devices behind one proxied wire."""
+
+    loggers: tuple[Wired, ...]
+    spoiler: object
+    serial: bool
+    transport: str | None = None
+    timeout_s: float = TIMEOUT_S
+    drain_s: float = DRAIN_S
+    share: float = 0.25
+    """Replies that are spoiled; low where a scan takes many replies."""
+
+
+LINES = {
+    "RTU, two modules": Line(
+        (Wired("adam-4118", 1), Wired("m-7019r", 2, first=8)), proxy.rtu_spoiler(), serial=True
+    ),
+    "RTU, sound neighbour": Line(
+        (Wired("adam-4118", 1), Wired("m-7018", 2, first=8, spoiled=False)), proxy.rtu_spoiler(), serial=True
+    ),
+    "RTU over TCP": Line((Wired("adam-4018+", 1),), proxy.rtu_spoiler(), serial=False, transport="rtu_over_tcp"),
+    "Modbus TCP, 8": Line((Wired("adam-6018+", first=8),), proxy.tcp_spoiler(), serial=False, share=0.5),
+    "Modbus TCP, 16": Line((Wired("generic"),), proxy.tcp_spoiler(), serial=False, share=0.5),
+    "ADAM and DCON ASCII": Line(
+        (Wired("adam-4118-ascii", 1), Wired("m-7019r-dcon", 2, first=8)),
+        proxy.guarded_text_spoiler(),
+        serial=True,
+    ),
+    "SCPI": Line((Wired("daq970a"),), proxy.bare_text_spoiler(), serial=False, timeout_s=0.2, drain_s=0.2),
+    "SR630": Line((Wired("sr630"),), proxy.bare_text_spoiler(), serial=True, share=0.04),
+    "Modbus TCP, sound": Line(
+        (Wired("exemys-rme1-tc", spoiled=False),), proxy.tcp_spoiler(), serial=False, timeout_s=1.0
+    ),
+}
+FAULTS = [fault for fault in Fault if fault is not Fault.NONE]
+
+
+def spoil_plan(line, seed):
+    rng = np.random.default_rng(seed)
+    sound = [wired.address for wired in line.loggers if not wired.spoiled]
+
+    def plan(request, reply):
+        if len(sound) == len(line.loggers) or request[0] in sound:
+            return Fault.NONE
+        return FAULTS[int(rng.integers(len(FAULTS)))] if rng.random() < line.share else Fault.NONE
+
+    return plan
+
+
+@contextlib.contextmanager
+def opened(line, directory, seed, plan=None):
+    """Yield the proxy and the line's loggers, each with its tally-to-be."""
+    stations = [
+        station(
+            w.profile,
+            telling(w.first, kind_of(w.profile).inputs),
+            address=w.address,
+            refresh_s=0,
+            transport=line.transport or kind_of(w.profile).transport,
+        )
+        for w in line.loggers
+    ]
+    upstream = serve_serial(*stations) if line.serial else serve_tcp(*stations)
+    link = directory / f"port-{seed}" if line.serial else None
+    plan = plan or spoil_plan(line, seed)
+    spoiled = (LATE_S[0] - TIMEOUT_S + line.timeout_s, LATE_S[1] - TIMEOUT_S + line.timeout_s)
+    options = {"seed": seed, "late_s": spoiled, "port_link": link}
+    if line.spoiler.numbered:
+        options["again_s"] = (0.0, 0.003, 0.03)
+    with upstream, FaultProxy(upstream, line.spoiler, plan, **options) as wire:
+        loggers = [open_logger(settings_of(line, w, wire)) for w in line.loggers]
+        try:
+            yield wire, loggers, stations
+        finally:
+            for logger in loggers:
+                logger.close()
+
+
+def settings_of(line, wired, wire, **changes):
+    names = tuple(f"c{wired.first + k}" for k in range(kind_of(wired.profile).inputs))
+    table = wiring(wired.profile, wire, wired.profile, names, address=wired.address)
+    override = table.get("override", {}) | {"timing": {"setup_s": 0.001, "response_s": 0.5, "refresh_s": 1.0}}
+    table |= {"timeout_s": line.timeout_s, "drain_s": line.drain_s, "override": override}
+    if line.transport:
+        table["transport"] = line.transport
+    return LoggerSettings(**table | changes)
+
+
+def read_into(tally, logger, wired):
+    """Read once and judge every value by what it tells."""
+    try:
+        reading = logger.read()
+    except ReadFailure as failure:
+        tally.losses[failure.cause] += 1
+        return
+    tally.good += 1
+    took_s = reading.received_s - reading.requested_s
+    for k, (value, quality) in enumerate(zip(reading.values, reading.qualities, strict=True)):
+        if not quality.usable:
+            tally.other_quality[quality] += 1
+            continue
+        channel, told_s = told(value)
+        tally.wrong_channel += channel != wired.first + k
+        age_s = (reading.received_s - told_s) % PERIOD_S
+        slack_s = CLOCK_SLACK_S + wired.step_s
+        tally.wrong_time += not (age_s <= took_s + slack_s or age_s >= PERIOD_S - slack_s)
+
+
+def keep_reading(tally, logger, wired, stop):
+    while not stop.wait(0.01):
+        read_into(tally, logger, wired)
+
+
+def run_campaign(directory, faulted, seed, give_up_s):
+    """Read all lines at once until so many replies were spoiled; return tallies and fault counts."""
+    tallies = {(name, w.profile): Tally() for name, line in LINES.items() for w in line.loggers}
+    stop = threading.Event()
+    with contextlib.ExitStack() as stack:
+        wires, threads = [], []
+        for number, (name, line) in enumerate(LINES.items()):
+            wire, loggers, _ = stack.enter_context(opened(line, directory, seed + number))
+            wires.append(wire)
+            for logger, wired in zip(loggers, line.loggers, strict=True):
+                work = (tallies[name, wired.profile], logger, wired, stop)
+                threads.append(threading.Thread(target=keep_reading, args=work))
+        for thread in threads:
+            thread.start()
+        deadline = time.monotonic() + give_up_s
+        while count_faults(wires) < faulted and time.monotonic() < deadline:
+            stop.wait(0.2)
+        stop.set()
+        for thread in threads:
+            thread.join(timeout=30)
+        assert not any(thread.is_alive() for thread in threads)
+    return tallies, sum((Counter(wire.faults) for wire in wires), Counter())
+
+
+def count_faults(wires):
+    return sum(count for wire in wires for fault, count in wire.faults.items() if fault is not Fault.NONE)
+
+
+def judge(tallies, faults, faulted):
+    spoiled = sum(count for fault, count in faults.items() if fault is not Fault.NONE)
+    values = sum(t.good for t in tallies.values())
+    print(f"\n{spoiled} spoiled replies, {values} good readings")
+    for (line, profile), t in tallies.items():
+        losses = ", ".join(f"{cause} {count}" for cause, count in t.losses.most_common())
+        print(f"  {line:22} {profile:16} {t.good:6} good of {t.attempts:6}; wrong time {t.wrong_time}; {losses}")
+    assert spoiled >= faulted
+    assert {fault for fault, count in faults.items() if count} == set(Fault)
+    assert sum(t.wrong_channel for t in tallies.values()) == 0
+    assert sum(t.wrong_time for t in tallies.values()) == 0
+    assert set().union(*(t.losses for t in tallies.values())) <= KNOWN_CAUSES
+    assert not tallies["Modbus TCP, sound", "exemys-rme1-tc"].losses
+    neighbour = tallies["RTU, sound neighbour", "m-7018"]
+    assert neighbour.good >= 0.95 * neighbour.attempts
+
+
+def test_no_spoiled_reply_puts_a_value_on_another_channel(tmp_path):
+    tallies, faults = run_campaign(tmp_path, faulted=500, seed=1, give_up_s=60)
+    judge(tallies, faults, 500)
+
+
+@pytest.mark.campaign
+@pytest.mark.timeout(1800)
+def test_no_value_of_ten_thousand_spoiled_transactions_is_on_a_wrong_channel(tmp_path):
+    tallies, faults = run_campaign(tmp_path, faulted=10_000, seed=100, give_up_s=1500)
+    judge(tallies, faults, 10_000)
