@@ -289,11 +289,14 @@ class _Outbox:
         self._count = itertools.count()
         self._wake = threading.Condition()
         self._open = True
+        self._last_due = 0.0
         threading.Thread(target=self._work, daemon=True).start()
 
     def send(self, send: Send, slices: list[bytes], delay_s: float) -> None:
+        """Send after a delay, but never before what a slow device still owes."""
         with self._wake:
-            heapq.heappush(self._due, (time.monotonic() + delay_s, next(self._count), send, slices))
+            self._last_due = max(self._last_due, time.monotonic() + delay_s)
+            heapq.heappush(self._due, (self._last_due, next(self._count), send, slices))
             self._wake.notify()
 
     def forget(self, send: Send) -> None:

@@ -1,0 +1,146 @@
+"""A device, a port or a connection that goes away is missed by nobody else and found again in 5 s."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+
+import pytest
+
+from daq.drivers import LoggerSettings, ReadFailure, open_logger
+from daq.records import Quality
+from daq.simulated.devices import simulated, station, wiring
+from daq.simulated.devices_converter import Switches
+from daq.simulated.devices_line import serve_serial
+from daq.simulated.proxy import Fault, FaultProxy, rtu_spoiler, tcp_spoiler
+
+BACK_WITHIN_S = 5.0
+EIGHT = tuple(f"c{k}" for k in range(8))
+QUICK = {"timeout_s": 0.2, "drain_s": 0.1}
+
+
+def warm(now_s):
+    return [30.0 + 10 * k for k in range(8)]
+
+
+@contextlib.contextmanager
+def wired(profile, directory):
+    """A sound wire, as long as nobody touches it."""
+    serial = profile == "adam-4118"
+    with simulated(profile, warm, refresh_s=0) as upstream:
+        spoiler = rtu_spoiler() if serial else tcp_spoiler()
+        link = directory / "port" if serial else None
+        with FaultProxy(
+            upstream, spoiler, lambda *_: Fault.NONE, seed=0, late_s=(0.3, 0.4), port_link=link
+        ) as wire:
+            logger = open_logger(LoggerSettings(**wiring(profile, wire, profile, EIGHT) | QUICK))
+            try:
+                yield wire, logger
+            finally:
+                logger.close()
+
+
+def until_good(logger):
+    """Return the first good reading and how long it took."""
+    start = time.monotonic()
+    while True:
+        try:
+            return logger.read(), time.monotonic() - start
+        except ReadFailure:
+            assert time.monotonic() - start < 2 * BACK_WITHIN_S
+
+
+def gaps_for(logger, seconds):
+    """Read on for a while and return the causes of the gaps; nothing good may come."""
+    causes, end = set(), time.monotonic() + seconds
+    while time.monotonic() < end:
+        with pytest.raises(ReadFailure) as caught:
+            logger.read()
+        causes.add(caught.value.cause)
+    return causes
+
+
+@pytest.mark.parametrize("profile", ["adam-4118", "exemys-rme1-tc"])
+def test_a_port_that_vanishes_is_a_gap_and_is_read_again_when_it_returns(profile, tmp_path):
+    with wired(profile, tmp_path) as (wire, logger):
+        until_good(logger)
+        wire.vanish()
+        assert gaps_for(logger, 2.0) <= {"port lost", "silent"}
+        wire.appear()
+        reading, waited_s = until_good(logger)
+        assert waited_s <= BACK_WITHIN_S
+        assert reading.values == pytest.approx(warm(0), abs=0.06)
+
+
+@pytest.mark.parametrize("profile", ["adam-4118", "exemys-rme1-tc"])
+def test_a_connection_that_is_open_but_dead_is_made_anew(profile, tmp_path):
+    with wired(profile, tmp_path) as (wire, logger):
+        until_good(logger)
+        wire.go_dead()
+        assert gaps_for(logger, 2.0) <= {"port lost", "silent"}
+        wire.revive()
+        if profile == "adam-4118":
+            wire.vanish()
+            wire.appear()
+        assert until_good(logger)[1] <= BACK_WITHIN_S
+
+
+def test_a_silent_module_costs_its_neighbour_on_the_wire_no_reading():
+    off = Switches()
+    first = station("adam-4118", warm, address=1, refresh_s=0, switches=off)
+    second = station("m-7018", warm, address=2, refresh_s=0)
+    with serve_serial(first, second) as server:
+        loggers = [
+            open_logger(
+                LoggerSettings(
+                    **wiring(profile, server, profile, tuple(f"{profile}{k}" for k in range(8)), address=address)
+                    | QUICK
+                )
+            )
+            for profile, address in (("adam-4118", 1), ("m-7018", 2))
+        ]
+        for logger in loggers:
+            until_good(logger)
+        off.silent = True
+        stop = threading.Event()
+        silent = threading.Thread(target=_keep_failing, args=(loggers[0], stop))
+        silent.start()
+        good, waits = 0, []
+        end = time.monotonic() + 4.0
+        while time.monotonic() < end:
+            start = time.monotonic()
+            good += loggers[1].read().qualities[0] is Quality.GOOD
+            waits.append(time.monotonic() - start)
+            stop.wait(0.1)
+        stop.set()
+        silent.join()
+        assert good == len(waits) > 20
+        assert max(waits) < 1.0
+        off.silent = False
+        assert until_good(loggers[0])[1] <= BACK_WITHIN_S
+        for logger in loggers:
+            logger.close()
+
+
+def _keep_failing(logger, stop):
+    while not stop.wait(0.1):
+        with pytest.raises(ReadFailure):
+            logger.read()
+
+
+def test_a_frozen_module_is_stale_until_it_moves_again():
+    switches = Switches()
+    with simulated("exemys-rme1-tc", lambda now_s: [now_s % 100] * 8, refresh_s=0, switches=switches) as server:
+        table = wiring("exemys-rme1-tc", server, "frozen", EIGHT) | QUICK | {"stale_after_s": 0.5}
+        logger = open_logger(LoggerSettings(**table))
+        until_good(logger)
+        switches.frozen = True
+        deadline = time.monotonic() + 5
+        while logger.read().qualities[0] is not Quality.STALE:
+            assert time.monotonic() < deadline
+        switches.frozen = False
+        deadline = time.monotonic() + 5
+        while logger.read().qualities[0] is not Quality.GOOD:
+            assert time.monotonic() < deadline
+        logger.close()
