@@ -664,7 +664,8 @@ def _sensor_profile(case: Case) -> Array:
             points.setdefault(height, []).append(first)
     if not points:
         raise InputError(
-            f'{case.run.source or case.run.name}: [initial] kind = "sensors" needs a reading; all panel columns are empty'
+            f'{case.run.source or case.run.name}: [initial] kind = "sensors" needs a reading; '
+            "all panel columns are empty"
         )
     heights = sorted(points)
     return np.interp(x, heights, [float(np.mean(points[h])) for h in heights])
