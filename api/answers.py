@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
+from statistics import median
 from typing import Any, Literal
 
 from api.schemas import (
@@ -13,6 +14,7 @@ from api.schemas import (
     CoefficientFit,
     CoefficientPoint,
     EstimateNow,
+    Faces,
     ModelSummary,
     Phase,
     PressNow,
@@ -71,7 +73,7 @@ def phases_of(run: RunRecord) -> list[Phase]:
         (moments.removed_s, "idle"),
     ]
     known = [(at, state) for at, state in steps if math.isfinite(at)]
-    ends = [at for at, _ in known[1:]] + [None]
+    ends = [*(at for at, _ in known[1:]), None][: len(known)]
     return [Phase(state=state, from_s=at, to_s=end) for (at, state), end in zip(known, ends, strict=True)]
 
 
@@ -180,6 +182,7 @@ def press_now(store: Store, press: str, press_file: str, now: datetime) -> Press
         newest = recent[-1]
         home = run_of_scan([shown] if shown else [], newest.number)
         estimate = estimate_now(newest, home, scan.utc if scan else None)
+    channels = channels_now(store, press, batch.channels, scan, now)
     return PressNow(
         press=press,
         state=state_of(events, run),
@@ -191,11 +194,31 @@ def press_now(store: Store, press: str, press_file: str, now: datetime) -> Press
         if time_s is not None and math.isfinite(closed_s)
         else None,
         phases=phases_of(shown) if shown else [],
-        channels=channels_now(store, press, batch.channels, scan, now),
+        channels=channels,
+        faces=faces_of(channels),
         estimate=estimate,
         target=target_of(run, recent),
         coefficients=coefficients_in_use(store, press, press_file),
         description=press_description(press_file),
+    )
+
+
+def faces_of(channels: Sequence[ChannelNow]) -> Faces:
+    """Return the median of the good sensors at platens and faces."""
+
+    def middle(start: str) -> float | None:
+        good = [
+            c.temperature_C
+            for c in channels
+            if c.name.startswith(start) and c.temperature_C is not None and Quality(c.quality).usable
+        ]
+        return round(median(good), 3) if good else None
+
+    return Faces(
+        platen_top_C=middle("platen_top"),
+        platen_bottom_C=middle("platen_bottom"),
+        top_C=middle("top"),
+        bottom_C=middle("bottom"),
     )
 
 

@@ -22,7 +22,7 @@ from api.caching import EntityTags
 from api.gate import Gate
 from api.health import installed_version
 from api.live import MAX_LISTENERS, Hub
-from api.routes import models, press, runs, system
+from api.routes import models, press, runs, simulation, system
 from api.schemas import Problem
 from api.tokens import Attempts, TokenFile
 from daq.store.store import Store
@@ -62,7 +62,7 @@ def create_app(store: Store, tokens: TokenFile, max_listeners: int = MAX_LISTENE
         generate_unique_id_function=lambda route: route.name,
     )
     app.state.store, app.state.hub = store, hub
-    for router in (press.router, runs.router, models.router, system.router):
+    for router in (press.router, runs.router, simulation.router, models.router, system.router):
         app.include_router(router, prefix="/api/v1")
     app.include_router(system.metrics_router)
     _add_page(app)

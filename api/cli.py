@@ -13,16 +13,26 @@ from collections.abc import Sequence
 
 import typer
 
+from api.commands import analysis, files, services
 from api.outputs import WorkFailed
 from daq.records import InputError
 
 app = typer.Typer(
     name="kerntemp",
-    help="Core temperature of pressed panels: log, predict live, fit, and find out what the model gets wrong.",
+    help="Core temperature of pressed panels: log, predict live, fit, and find what the model gets wrong.",
     add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
+
+app.command("serve")(services.serve)
+app.command("simulate")(analysis.simulate)
+app.command("predict")(analysis.predict)
+app.command("import")(files.import_runs)
+app.command("export")(files.export_runs)
+app.command("check")(files.check)
+app.command("token")(services.token)
+
 
 _UsageError: type[Exception] = typer.BadParameter.__mro__[1]
 """The command line library's 'wrong call'; typer names only its subclass in public."""

@@ -95,6 +95,15 @@ class EstimateNow(_Answer):
     reason: str = ""
 
 
+class Faces(_Answer):
+    """Median of the good sensors at each place."""
+
+    platen_top_C: float | None  # noqa: N815
+    platen_bottom_C: float | None  # noqa: N815
+    top_C: float | None  # noqa: N815
+    bottom_C: float | None  # noqa: N815
+
+
 class Target(_Answer):
     """The core temperature this pressing is to reach, and when."""
 
@@ -124,6 +133,7 @@ class PressNow(_Answer):
     time_since_closing_s: float | None
     phases: list[Phase]
     channels: list[ChannelNow]
+    faces: Faces
     estimate: EstimateNow | None
     target: Target | None
     coefficients: dict[str, float]
@@ -207,9 +217,10 @@ class Simulation(_Answer):
     positions: dict[str, list[float | None]]
     """One curve for each sensor position of the press file, such as ``panel.top``. [°C]"""
     measured: dict[str, list[float | None]]
-    """The mean of the good sensors at each position, each sensor's constant offset removed. [°C]"""
+    """The mean of the good sensors at each position. [°C]"""
     core_C: list[float | None]  # noqa: N815
     rmse_K: dict[str, float]  # noqa: N815
+    """Between the two at each position, a constant offset removed."""
     profile_time_s: list[float]
     profile_depth_mm: list[float]
     profile_C: list[list[float]]  # noqa: N815

@@ -15,8 +15,8 @@ export function closeAll() {
 
 // series: [{name, colour (CSS variable), kind: "line"|"dots"|"thin"|"band-low"|"band-high", unit, digits}]
 export class TimeChart {
-  constructor(parent, { series, height = 320, label, yLabel = "°C", xLabel = null, phases = [], onCursor = null, sync = null, yRange = null, xRange = null }) {
-    Object.assign(this, { series, height, label, yLabel, xLabel, phases, sync, yRange, xRange });
+  constructor(parent, { series, height = 320, label, yLabel = "°C", xLabel = null, phases = [], sync = null, yRange = null, xRange = null, xSteps = null, bandColour = "--core-band" }) {
+    Object.assign(this, { series, height, label, yLabel, xLabel, phases, sync, yRange, xRange, xSteps, bandColour });
     this.data = [[], ...series.map(() => [])];
     this.holder = el("div", { class: "chart", role: "img", "aria-label": label });
     this.tip = el("div", { class: "chart-tip", hidden: true });
@@ -54,11 +54,11 @@ export class TimeChart {
         y: this.yRange ? { range: this.yRange } : {},
       },
       axes: [
-        { ...axis, label: this.xLabel ?? text("time_axis"), labelSize: 20, size: 34, values: (_, splits) => splits.map((v) => number(v, Number.isInteger(v) ? 0 : 1)) },
+        { ...axis, label: this.xLabel ?? text("time_axis"), labelSize: 20, size: 34, ...(this.xSteps ? { incrs: this.xSteps } : {}), values: (_, splits) => splits.map((v) => number(v, Number.isInteger(v) ? 0 : 1)) },
         { ...axis, label: this.yLabel, labelSize: 20, size: 46, values: (_, splits) => splits.map((v) => number(v, decimals(splits))) },
       ],
       series: [{}, ...this.series.map((s) => this.line(s))],
-      bands: high >= 0 && low >= 0 ? [{ series: [high + 1, low + 1], fill: style("--core-band") }] : [],
+      bands: high >= 0 && low >= 0 ? [{ series: [high + 1, low + 1], fill: style(this.bandColour) }] : [],
       hooks: { drawClear: [(plot) => this.shade(plot)], setCursor: [(plot) => this.point(plot)] },
     };
   }
@@ -66,7 +66,7 @@ export class TimeChart {
   line(s) {
     const colour = style(s.colour) || s.colour;
     if (s.kind === "band-low" || s.kind === "band-high") return { stroke: "transparent", width: 0, points: { show: false }, spanGaps: true };
-    if (s.kind === "dots") return { stroke: colour, paths: () => null, points: { show: true, size: 3.5, fill: colour, stroke: colour, width: 0, space: 0 } };
+    if (s.kind === "dots") return { stroke: colour, paths: () => null, points: { show: true, size: s.size ?? 3.5, fill: colour, stroke: colour, width: 0, space: 0 } };
     const width = { line: 2, thin: 1, core: 2.6 }[s.kind] ?? 1.5;
     return { stroke: colour, width, dash: s.dash, alpha: s.kind === "thin" ? 0.75 : 1, points: { show: s.points ?? false }, spanGaps: s.spanGaps ?? false };
   }
@@ -84,6 +84,8 @@ export class TimeChart {
       if (phase.state !== "idle") ctx.fillRect(from, bbox.top, to - from, bbox.height);
       if (to - from > 60 && phase.state !== "idle") {
         ctx.fillStyle = style("--faint");
+        ctx.textAlign = "left";
+        ctx.textBaseline = "alphabetic";
         ctx.font = `${11 * devicePixelRatio}px system-ui, sans-serif`;
         ctx.fillText(text(`state_${phase.state}`), Math.max(from, bbox.left) + 5, bbox.top + 13 * devicePixelRatio);
       }

@@ -1,5 +1,5 @@
 // Small helpers to build the page: elements, numbers, times in the chosen language.
-import { language } from "./text.js";
+import { locale } from "./text.js";
 
 export function el(tag, attributes = {}, ...children) {
   const node = document.createElement(tag);
@@ -17,9 +17,9 @@ export function el(tag, attributes = {}, ...children) {
 const formats = new Map();
 export function number(value, digits = 1) {
   if (value === null || value === undefined || Number.isNaN(value)) return "–";
-  const key = `${language()}:${digits}`;
+  const key = `${locale()}:${digits}`;
   if (!formats.has(key)) {
-    formats.set(key, new Intl.NumberFormat(language(), { minimumFractionDigits: digits, maximumFractionDigits: digits }));
+    formats.set(key, new Intl.NumberFormat(locale(), { minimumFractionDigits: digits, maximumFractionDigits: digits }));
   }
   return formats.get(key).format(value);
 }
@@ -34,7 +34,7 @@ export function figure(value) {
 export function clock(utc, withDate = true) {
   if (!utc) return "–";
   const options = withDate ? { dateStyle: "short", timeStyle: "medium" } : { timeStyle: "medium" };
-  return new Intl.DateTimeFormat(language(), options).format(new Date(utc));
+  return new Intl.DateTimeFormat(locale(), options).format(new Date(utc));
 }
 
 export function duration(seconds) {

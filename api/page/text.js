@@ -24,6 +24,7 @@ const WORDS = {
   core_predicted: ["Core, predicted", "Kern, vorhergesagt"],
   core_simulated: ["Core, simulated", "Kern, simuliert"],
   band95: ["95 % band", "95-%-Band"],
+  no_panel: ["No panel in the press", "Keine Platte in der Presse"],
   no_estimate: ["No prediction yet", "Noch keine Vorhersage"],
   time_since_closing: ["Since closing", "Seit dem Schließen"],
   target: ["Target", "Ziel"],
@@ -75,6 +76,7 @@ const WORDS = {
   measured: ["measured", "gemessen"],
   simulated: ["simulated", "simuliert"],
   residual: ["Residual: measured minus simulated", "Residuum: gemessen minus simuliert"],
+  residual_short: ["Residual", "Residuum"],
   dots_measured: ["dots: measured, mean of the sensors", "Punkte: gemessen, Mittel der Fühler"],
   no_simulation: ["No simulation for this pressing.", "Keine Simulation zu dieser Pressung."],
   profile: ["Temperature through the panel", "Temperatur durch die Platte"],
@@ -209,6 +211,9 @@ export function setLanguage(value) {
   chosen = value;
   localStorage.setItem("kerntemp-language", value);
 }
+
+// The reader's own variant of the language, for dates and numbers: English may be en-GB.
+export const locale = () => navigator.languages.find((name) => name.startsWith(chosen)) ?? chosen;
 
 // A key without an entry stands for itself.
 export const text = (key) => WORDS[key]?.[chosen === "de" ? 1 : 0] ?? key;

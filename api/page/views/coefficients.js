@@ -41,8 +41,9 @@ function card(name, history, axis, used) {
     const chart = new TimeChart(holder, {
       series: [{ name: text("ci_low"), kind: "band-low" }, { name: text("ci_high"), kind: "band-high" },
         { name, colour: "--accent", kind: "line", points: true, unit: "W/m²K", digits: 0 },
-        { name: text("not_identifiable"), colour: "--faint", kind: "dots", unit: "W/m²K", digits: 0 }],
+        { name: text("not_identifiable"), colour: "--faint", kind: "dots", size: 8, unit: "W/m²K", digits: 0 }],
       height: 200, label: `${name} ${text("history")}`, yLabel: "W/m²K", xLabel: axis === "time" ? text("order_of_runs") : axis,
+      bandColour: "--accent-band", xSteps: axis === "time" ? [1, 2, 5, 10, 20, 50, 100, 200] : null,
       yRange: [Math.max(low - space, 0), high + space], xRange: axis === "time" ? [0.5, Math.max(points.length, 2) + 0.5] : undefined,
     });
     chart.tipHead = (x) => (axis === "time" ? points.find((p) => p.x === x)?.item.run ?? "" : `${axis} ${number(x, 0)}`);

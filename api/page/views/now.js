@@ -4,6 +4,7 @@ import { get } from "../api.js";
 import { TimeChart, key } from "../charts.js";
 import { duration, el, number } from "../dom.js";
 import { text } from "../text.js";
+import { sketch } from "./sketch.js";
 
 const KEEP_ROWS = 20000;
 const COLOURS = { platen: "--platen", top: "--top", bottom: "--bottom", core: "--measured", other: "--faint" };
@@ -63,6 +64,7 @@ class LivePress {
     this.core = el("div", { class: "core", "data-testid": "core" });
     this.band = el("div", { class: "band", "data-testid": "band" });
     this.meter = el("i", {});
+    this.sketch = el("div", { "aria-hidden": "true" });
     this.list = el("dl", { class: "facts" });
     this.grid = el("div", { class: "channels", "data-testid": "channels" });
     this.title = el("h2", {});
@@ -74,6 +76,7 @@ class LivePress {
           el("div", { class: "row", style: "justify-content:space-between" }, el("h1", { id: "core-title" }, text("core_temperature")), this.state),
           el("div", {}, this.core, this.band),
           el("div", { class: "bench", "aria-hidden": "true" }, this.meter),
+          this.sketch,
           this.list),
         el("section", { class: "card", "aria-label": text("running_pressing") },
           el("div", { class: "head" }, this.title), this.canvas, this.keys)),
@@ -96,17 +99,18 @@ class LivePress {
       [text("press"), now.press],
     ];
     this.list.replaceChildren(...rows.flatMap(([name, value]) => [el("dt", {}, name), el("dd", {}, value)]));
-    const share = target && now.estimate?.core_C ? (now.estimate.core_C - 20) / (target.temperature_C - 20) : 0;
+    this.sketch.replaceChildren(sketch(now));
+    const share = target && now.state !== "idle" && now.estimate?.core_C ? (now.estimate.core_C - 20) / (target.temperature_C - 20) : 0;
     this.meter.style.width = `${Math.max(0, Math.min(1, share)) * 100}%`;
   }
 
   showCore(estimate = this.now.estimate) {
-    const valid = estimate && estimate.valid && estimate.core_C !== null;
+    const valid = this.now.state !== "idle" && estimate && estimate.valid && estimate.core_C !== null;
     this.core.className = valid ? "core" : "core invalid";
     this.core.replaceChildren(valid ? number(estimate.core_C, 1) : "–", el("small", {}, "°C"));
     this.band.textContent = valid
       ? `${number(estimate.core_low_C, 1)} … ${number(estimate.core_high_C, 1)} °C · ${text("band95")}`
-      : estimate?.reason || text("no_estimate");
+      : this.now.state === "idle" ? text("no_panel") : estimate?.reason || text("no_estimate");
   }
 
   tiles() {

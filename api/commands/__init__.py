@@ -1,0 +1,1 @@
+"""The commands of `kerntemp`. They import what they need when they run: `--help` answers at once."""

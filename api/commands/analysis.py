@@ -1,0 +1,111 @@
+"""`simulate` and `predict`: one run in, one table out."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from api.commands.inputs import ConfigFile, OneRun, PressFile, StoreUrl, load_run
+from api.outputs import check_writable, working, write_all
+from daq.records import InputError
+
+if TYPE_CHECKING:
+    from daq.pressfile import Press
+
+OutCsv = Annotated[Path, typer.Option("--out", metavar="CSV", help="Where to write the table.")]
+Model = Annotated[
+    Path | None, typer.Option("--model", metavar="FILE", help="A model file, as `fit` and `diagnose` write it.")
+]
+
+
+def simulate(
+    run: OneRun,
+    press: PressFile,
+    out: OutCsv,
+    coefficients: Annotated[
+        Path | None, typer.Option("--coefficients", metavar="JSON", help="A flat {NAME: value}.")
+    ] = None,
+    model: Model = None,
+    store: StoreUrl = None,
+    config: ConfigFile = None,
+) -> None:
+    """Simulate a run, open loop, from its platen temperatures."""
+    from daq.pressfile import read_press
+
+    if coefficients is not None and model is not None:
+        raise InputError("--coefficients and --model exclude each other; give one")
+    check_writable(out)
+    described = read_press(press)
+    loaded = load_run(run, store, config)
+    with working(f"Simulating {loaded.name}"):
+        from api.simulation import simulate_run
+        from softsensor.model import ThermalModel
+        from softsensor.modelfile import read_model
+
+        if model is not None:
+            content = read_model(model)
+            thermal, values = content.model(described), content.values
+            _check_names(described, content.coefficients, str(model))
+        else:
+            thermal = ThermalModel(described)
+            values = thermal.guesses | (_read_coefficients(coefficients, described) if coefficients else {})
+        result = simulate_run(loaded, described, thermal, values)
+    columns: dict[str, Any] = {"time_s": result.time_s, "state": [str(s) for s in result.state]}
+    columns |= dict(result.places) | {"core_C": result.core}
+    write_all({out: _csv(columns)})
+
+
+def predict(
+    run: OneRun,
+    press: PressFile,
+    out: OutCsv,
+    model: Model = None,
+    without: Annotated[
+        str, typer.Option("--without", metavar="COLUMNS", help="Columns to hide, comma between; patterns allowed.")
+    ] = "",
+    store: StoreUrl = None,
+    config: ConfigFile = None,
+) -> None:
+    """Replay a run scan by scan through the live sensor, causally."""
+
+
+def _read_coefficients(path: Path, press: Press) -> dict[str, float]:
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"{path}: cannot read the coefficients: {error.strerror}") from error
+    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise InputError(f"{path}: not JSON: {error}") from error
+    if not isinstance(content, dict):
+        raise InputError(f"{path}: must be an object {{NAME: value}}")
+    for name, value in content.items():
+        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < 1e9:
+            raise InputError(f"{path}: {name} = {value!r}: must be a number above 0 in W/m²K")
+    _check_names(press, content, str(path))
+    return {name: float(value) for name, value in content.items()}
+
+
+def _check_names(press: Press, given: Mapping[str, Any], where: str) -> None:
+    if unknown := [name for name in given if name not in press.coefficient_names]:
+        known = ", ".join(press.coefficient_names)
+        raise InputError(f"{where}: {unknown[0]}: press {press.name!r} has no such coefficient; it has {known}")
+
+
+def _csv(columns: Mapping[str, Any]) -> str:
+    """Return a table as CSV; a value that is missing is an empty cell."""
+    rows = zip(*columns.values(), strict=True)
+    lines = [",".join(columns)]
+    lines += [",".join(_cell(value) for value in row) for row in rows]
+    return "\n".join(lines) + "\n"
+
+
+def _cell(value: Any) -> str:
+    if isinstance(value, str):
+        return f'"{value}"' if "," in value or '"' in value else value
+    number = float(value)
+    return repr(round(number, 6)) if math.isfinite(number) else ""

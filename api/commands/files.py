@@ -1,0 +1,140 @@
+"""Files into and out of the store: `import`, `export`; and is all well configured: `check`."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from api.commands.inputs import ConfigFile, PressFile, StoreUrl, config_path, opened_store
+from api.outputs import WorkFailed, check_writable, working, write_all
+from daq.records import InputError
+
+if TYPE_CHECKING:
+    from daq.config import PressSettings
+    from daq.store.store import Store
+
+
+def import_runs(
+    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Run files, CSV or Parquet.")],
+    press: PressFile,
+    store: StoreUrl = None,
+    config: ConfigFile = None,
+) -> None:
+    """Store run files: all of them, or none where one is wrong."""
+    from daq.pressfile import read_press
+    from daq.runfile import read_run
+
+    described = read_press(press)
+    with working(f"Reading {len(files)} run files", len(files)) as done:
+        runs = []
+        for number, path in enumerate(files, 1):
+            runs.append(read_run(path))
+            done(number)
+    names = [run.name for run in runs]
+    if twice := next((name for name in names if names.count(name) > 1), None):
+        raise InputError(f"two of the files hold run {twice!r}; give one a key '# run = ...' of its own")
+    with opened_store(store, config, create=True) as opened:
+        for run in runs:
+            _refuse_taken(opened, run.name)
+        with working(f"Storing {len(runs)} runs", len(runs)) as done:
+            for number, run in enumerate(runs, 1):
+                opened.import_run(run, described.name, press.read_text(encoding="utf-8"))
+                done(number)
+    sys.stdout.write(f"{len(runs)} runs stored\n")
+
+
+def _refuse_taken(store: Store, name: str) -> None:
+    try:
+        store.run_record(name)
+    except InputError:
+        return
+    raise InputError(f"run {name!r} is in the store already; change the file's key 'run' to store it too")
+
+
+def export_runs(
+    runs: Annotated[
+        list[str] | None, typer.Argument(metavar="[RUN...]", help="Ids; without, runs are listed.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option("--out", help="A file for one run, a folder for several.")] = None,
+    kind: Annotated[Literal["csv", "parquet"], typer.Option("--format", help="In a folder.")] = "csv",
+    store: StoreUrl = None,
+    config: ConfigFile = None,
+) -> None:
+    """Write runs of the store as run files, or list what there is."""
+    from daq.runfile import write_run
+
+    with opened_store(store, config) as opened:
+        if not runs:
+            _list_runs(opened)
+            return
+        if out is None:
+            raise InputError("export needs --out: a file for one run, a folder for several")
+        targets = _targets(runs, out, kind)
+        check_writable(*targets)
+        loaded = {path: opened.load_run(run) for path, run in targets.items()}
+        write_all({path: (lambda draft, r=run: write_run(r, draft)) for path, run in loaded.items()})
+
+
+def _targets(runs: list[str], out: Path, kind: str) -> dict[Path, str]:
+    if len(runs) == 1 and not out.is_dir():
+        if out.suffix.lower() not in (".csv", ".parquet"):
+            raise InputError(f"{out}: a run file ends in .csv or .parquet")
+        return {out: runs[0]}
+    if not out.is_dir():
+        raise InputError(f"{out}: several runs need a folder that exists")
+    return {out / f"{run}.{kind}": run for run in runs}
+
+
+def _list_runs(store: Store) -> None:
+    cursor: str | None = None
+    while True:
+        page = store.runs(cursor=cursor, limit=500)
+        for run in page.items:
+            material = run.header.get("panel.material", "")
+            sys.stdout.write(
+                f"{run.run}\t{run.started_utc:%Y-%m-%dT%H:%M:%SZ}\t{run.status}\t{run.press}\t{material}\n"
+            )
+        cursor = page.next_cursor
+        if cursor is None:
+            return
+
+
+def check(
+    config: ConfigFile = None,
+    offline: Annotated[bool, typer.Option("--offline", help="Do not read the loggers.")] = False,
+) -> None:
+    """Check the configuration, the store and, unless --offline, read every logger once."""
+    from daq.config import load_config
+
+    path = config_path(config)
+    settings = load_config(path)
+    sys.stdout.write(f"{path}: well formed\n")
+    with opened_store(None, path, create=True) as store:
+        sys.stdout.write(f"store {store.label}: opens\n")
+    failed = [] if offline else [line for press in settings.press for line in _read_loggers(press)]
+    if failed:
+        raise WorkFailed("; ".join(failed))
+
+
+def _read_loggers(press: PressSettings) -> list[str]:
+    from daq.drivers import BadFrame, NoReply, open_logger
+
+    failed = []
+    for settings in press.logger:
+        logger = open_logger(settings)
+        try:
+            reading = logger.read()
+        except (NoReply, BadFrame) as error:
+            failed.append(str(error))
+            continue
+        finally:
+            logger.close()
+        shown = ", ".join(
+            f"{channel.name} {value:.1f}" if quality.usable else f"{channel.name} {quality}"
+            for channel, value, quality in zip(logger.channels, reading.values, reading.qualities, strict=True)
+        )
+        sys.stdout.write(f"{press.name}, {settings.name}: {shown} °C\n")
+    return failed

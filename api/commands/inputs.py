@@ -1,0 +1,78 @@
+"""What commands take: runs by file or by id, the store they live in, press and model files."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from daq.records import InputError, Run
+
+if TYPE_CHECKING:
+    from daq.store.store import Store
+
+CONFIG_NAME = "kerntemp.toml"
+
+Runs = Annotated[list[str], typer.Argument(metavar="RUN...", help="Run files, or ids of runs in the store.")]
+OneRun = Annotated[str, typer.Argument(metavar="RUN", help="A run file, or the id of a run in the store.")]
+PressFile = Annotated[Path, typer.Option("--press", metavar="FILE", help="The press file.")]
+StoreUrl = Annotated[
+    str | None,
+    typer.Option("--store", metavar="URL", help="Path or postgresql:// URL of the store the ids belong to."),
+]
+ConfigFile = Annotated[
+    Path | None, typer.Option("--config", metavar="FILE", help=f"Configuration; {CONFIG_NAME} here without.")
+]
+
+
+def config_path(given: Path | None) -> Path:
+    """Return the configuration to use. Raises `InputError` where there is none."""
+    path = given or Path(CONFIG_NAME)
+    if not path.is_file():
+        raise InputError(f"{path}: no such configuration; write one (README: Connect a logger) or give --config")
+    return path
+
+
+def store_address(store: str | None, config: Path | None) -> str:
+    """Return the store's URL: as given, or as the configuration says."""
+    if store is not None:
+        return store
+    if config is None and not Path(CONFIG_NAME).is_file():
+        raise InputError(f"no store: there is no {CONFIG_NAME} here; give --store or --config")
+    from daq.config import load_config
+
+    return load_config(config_path(config)).store.url
+
+
+@contextmanager
+def opened_store(store: str | None, config: Path | None, *, create: bool = False) -> Iterator[Store]:
+    """Open the store for a command."""
+    from daq.store.store import open_store
+
+    with open_store(store_address(store, config), create=create) as opened:
+        yield opened
+
+
+def load_runs(arguments: list[str], store: str | None, config: Path | None) -> list[Run]:
+    """Read every run, from its file or from the store. Raises `InputError` naming the first that fails."""
+    runs = [load_run(argument, store, config) for argument in arguments]
+    names = [run.name for run in runs]
+    if twice := next((name for name in names if names.count(name) > 1), None):
+        raise InputError(f"run {twice!r} is given twice; each run counts once")
+    return runs
+
+
+def load_run(argument: str, store: str | None, config: Path | None) -> Run:
+    """Read one run: what exists as a file or ends like one is a file, all else an id in the store."""
+    path = Path(argument)
+    if path.exists() or path.suffix.lower() in (".csv", ".parquet"):
+        from daq.runfile import read_run
+
+        return read_run(path)
+    if store is None and config is None and not Path(CONFIG_NAME).is_file():
+        raise InputError(f"{argument}: no such file, and no store to look in; give a file, --store or --config")
+    with opened_store(store, config) as opened:
+        return opened.load_run(argument)

@@ -1,0 +1,73 @@
+"""The long-running processes: `record`, `sense`, `serve`, the nightly `refit`, and `token`."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from api.commands.inputs import ConfigFile, config_path
+from daq.records import InputError
+
+Host = Annotated[str | None, typer.Option("--host", help="Address to listen on; the configuration's without.")]
+Port = Annotated[
+    int | None, typer.Option("--port", min=0, max=65535, help="Port; 0 takes a free one and prints it.")
+]
+
+
+def serve(
+    config: ConfigFile = None,
+    host: Host = None,
+    port: Port = None,
+    certificate: Annotated[Path | None, typer.Option(help="TLS certificate chain, PEM.")] = None,
+    key: Annotated[Path | None, typer.Option(help="Its private key, PEM.")] = None,
+) -> None:
+    """Serve REST and the page; on loopback only unless tokens exist."""
+    from api.server import Listening, address_of, run_server
+    from api.tokens import TokenFile
+    from daq.config import load_config
+    from daq.store.store import open_store
+
+    path = config_path(config)
+    settings = load_config(path)
+    tokens = TokenFile(settings.server.tokens or token_file_beside(path))
+    listening = Listening(
+        host or settings.server.host, settings.server.port if port is None else port, certificate, key
+    )
+    listening.check(tokens)
+    with open_store(settings.store.url) as store:
+        bound = listening.bind()
+        sys.stdout.write(f"kerntemp serves {address_of(bound, tls=certificate is not None)}\n")
+        sys.stdout.flush()
+        run_server(store, tokens, listening, bound)
+
+
+def token_file_beside(config: Path) -> Path:
+    """Return where tokens are kept when the configuration does not say."""
+    return config.resolve().parent / "kerntemp-tokens.json"
+
+
+def token(
+    action: Annotated[Literal["create", "revoke", "list"], typer.Argument(help="What to do.")],
+    name: Annotated[str, typer.Argument(help="Whom the token is for.")] = "",
+    scope: Annotated[Literal["read", "write"], typer.Option(help="write includes read.")] = "read",
+    config: ConfigFile = None,
+) -> None:
+    """Make, list and revoke access tokens; a new one is shown once."""
+    from api.tokens import TokenFile
+    from daq.config import load_config
+
+    path = config_path(config)
+    tokens = TokenFile(load_config(path).server.tokens or token_file_beside(path))
+    if action == "list":
+        for kept in tokens.tokens():
+            sys.stdout.write(f"{kept.id}  {kept.scope:5}  {kept.created_utc}  {kept.name}\n")
+        return
+    if not name:
+        raise InputError(f"kerntemp token {action}: needs a name")
+    if action == "revoke":
+        tokens.revoke(name)
+    else:
+        sys.stdout.write(tokens.create(name, scope) + "\n")

@@ -1,0 +1,101 @@
+"""A run against the model: simulated curves, residual, the profile through the panel, and a figure."""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+from fastapi import APIRouter
+
+from api.answers import column_values
+from api.decimation import decimate
+from api.problems import ProblemError, problem_responses
+from api.routes.common import StoreDep, existing_run
+from api.schemas import Simulation
+from daq.pressfile import parse_press
+from daq.records import InputError
+from daq.store.records import RunRecord
+from daq.store.store import Store
+
+if TYPE_CHECKING:
+    from api.simulation import Simulated
+
+router = APIRouter(tags=["runs"], responses=problem_responses(404))
+
+SHOWN_POINTS = 1500
+KEPT = 32
+"""Simulations kept in memory; a run is simulated again when its data or fit change."""
+
+
+class _Kept:
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._known: OrderedDict[tuple[object, ...], Simulated] = OrderedDict()
+
+    def get(self, store: Store, record: RunRecord) -> tuple[Simulated, str | None]:
+        """Return the simulation with the run's own coefficients, else those in use, else the guesses."""
+        values, version = _values(store, record)
+        newest = record.last_scan if record.last_scan is not None else store.newest_scan_number(record.press)
+        key = (store.label, record.run, newest, tuple(sorted(values.items())))
+        with self._lock:
+            if key not in self._known:
+                self._known[key] = _simulate(store, record, values)
+                while len(self._known) > KEPT:
+                    self._known.popitem(last=False)
+            self._known.move_to_end(key)
+            return self._known[key], version
+
+
+_KEPT = _Kept()
+
+
+@router.get(
+    "/runs/{run}/simulation", operation_id="get_simulation", summary="The run simulated with its coefficients"
+)
+def get_simulation(store: StoreDep, run: str) -> Simulation:
+    """Return simulated and measured temperatures at each sensor position, and the profile over time."""
+    simulated, version = _KEPT.get(store, existing_run(store, run))
+    table = {f"s {k}": v for k, v in simulated.places.items()}
+    table |= {f"m {k}": v for k, v in simulated.measured.items()} | {"core": simulated.core}
+    time_s, kept = decimate(simulated.time_s, table, SHOWN_POINTS)
+    return Simulation(
+        run=run,
+        model_version=version,
+        time_s=[round(t, 3) for t in time_s.tolist()],
+        positions={k: column_values(kept[f"s {k}"]) for k in simulated.places},
+        measured={k: column_values(kept[f"m {k}"]) for k in simulated.places},
+        core_C=column_values(kept["core"]),
+        rmse_K={k: round(v, 4) for k, v in simulated.rmse.items()},
+        profile_time_s=[round(t, 3) for t in simulated.profile_time_s.tolist()],
+        profile_depth_mm=[round(d, 3) for d in simulated.profile_depth_mm.tolist()],
+        profile_C=[[round(v, 2) for v in row] for row in simulated.profile.tolist()],
+    )
+
+
+def _values(store: Store, record: RunRecord) -> tuple[dict[str, float], str | None]:
+    fit = store.fit(record.run)
+    if fit is not None:
+        found = {name: float(c["value"]) for name, c in fit.get("coefficients", {}).items()}
+        return found, fit.get("model_version") or None
+    model = store.active_model(record.press)
+    if model is None:
+        return {}, None
+    return {name: float(c["value"]) for name, c in model.model.get("coefficients", {}).items()}, model.version
+
+
+def _simulate(store: Store, record: RunRecord, values: Mapping[str, float]) -> Simulated:
+    from api.simulation import simulate_run
+    from softsensor.model import ThermalModel
+
+    text = store.presses().get(record.press, "")
+    if not text:
+        raise ProblemError(404, f"run {record.run!r}: its press was stored without a press file")
+    try:
+        press = parse_press(text, f"press {record.press}")
+        model = ThermalModel(press)
+        known = {k: v for k, v in values.items() if k in press.coefficient_names}
+        return simulate_run(store.load_run(record.run), press, model, model.guesses | known)
+    except InputError as error:
+        raise ProblemError(404, f"run {record.run!r} cannot be simulated: {error}") from error
