@@ -1,14 +1,17 @@
 """The virtual press of the live demonstration: pressing after pressing in virtual time, all from one seed.
 
-A whole cycle, from one panel's removal to the next one's, is solved when its time comes; asking for
-temperatures then only interpolates, so the press costs next to nothing at any speed. Two objects with
-the same settings and seed agree at all times: a summary can ask a second one for the truth.
+A whole cycle, from one panel's removal to the next one's, is solved at once, in a thread of its own and
+one cycle ahead; asking for temperatures then only interpolates, so the press costs next to nothing at any
+speed and never keeps a logger waiting. Two objects with the same settings and seed agree at all times: a
+summary can ask a second one for the truth. Any thread may ask.
 """
 
 from __future__ import annotations
 
+import threading
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -58,6 +61,8 @@ class Cycle:
     moments: Moments
     pressing: Pressing
     """With times of its own: add `start`."""
+    header: Mapping[str, str | float]
+    """What people and the press's controller know of the pressing, as a run's header says it."""
     times: Array
     readings: Mapping[str, Array]
     """What the thermocouples give, before the loggers. [°C]"""
@@ -92,7 +97,10 @@ class VirtualPress:
         """What is hidden, as drawn."""
         self.outside: Mapping[str, Mapping[str, float]] = {n: draw_outside(n, rng) for n in outer}
         self.faults: tuple[Fault, ...] = (draw_fault(rng, 60.0),) if "sensor_fault" in inside else ()
+        self._lock = threading.Lock()
+        self._worker = ThreadPoolExecutor(1, "virtual-press")
         self._cycles: deque[Cycle] = deque([self._cycle(None)], maxlen=self.settings.keep)
+        self._next: Future[Cycle] = self._worker.submit(self._cycle, self._cycles[-1])
 
     @property
     def panel(self) -> Panel:
@@ -106,11 +114,13 @@ class VirtualPress:
 
     def cycle(self, at_s: float) -> Cycle:
         """Return the cycle a virtual time lies in, solving cycles up to it."""
-        while at_s >= self._cycles[-1].end:
-            self._cycles.append(self._cycle(self._cycles[-1]))
-        for cycle in reversed(self._cycles):
-            if at_s >= cycle.start:
-                return cycle
+        with self._lock:
+            while at_s >= self._cycles[-1].end:
+                self._cycles.append(self._next.result())
+                self._next = self._worker.submit(self._cycle, self._cycles[-1])
+            for cycle in reversed(self._cycles):
+                if at_s >= cycle.start:
+                    return cycle
         raise ValueError(f"virtual time {at_s:g} s: only {self._cycles[0].start:g} s and later is in memory")
 
     def temperatures(self, at_s: float) -> dict[str, float]:
@@ -173,6 +183,7 @@ class VirtualPress:
             start=start,
             moments=moments,
             pressing=pressing,
+            header=self._header(number, pressing, rng),
             times=times,
             readings={name: readings[name] for name in CHANNELS},
             core_C=np.where(with_panel, places.core(times), np.nan),
@@ -214,6 +225,21 @@ class VirtualPress:
             coefficients=spread,
             pressure=float(rng.choice([280.0, 320.0, 350.0, 380.0, 400.0])),
         )
+
+    def _header(self, number: int, pressing: Pressing, rng: np.random.Generator) -> dict[str, str | float]:
+        start = pressing.panel.initial_temperature + rng.normal(0.0, self.settings.nuisances.start_error_K)
+        return {
+            "run": f"demo-{number:03d}",
+            "panel.material": "MDF",
+            "panel.thickness_mm": self.settings.thickness_mm,
+            "panel.density_kg_m3": 740.0,
+            "panel.moisture_percent": 8.0,
+            "panel.initial_temperature_C": round(float(start), 2),
+            "ambient.temperature_C": round(self.ambient, 1),
+            "setting.platen_temperature_C": self.settings.setpoint_C,
+            "setting.pressure_N_cm2": pressing.pressure,
+            "setting.press_time_s": round(pressing.opened - pressing.closed, 1),
+        }
 
     def _curves(
         self,

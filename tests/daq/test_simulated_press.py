@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import itertools
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
 
-from daq.records import InputError, PressState
+from daq.pressfile import panel_of
+from daq.records import InputError, PressState, Run
 from daq.simulated.campaign_sensors import CHANNELS, Nuisances
 from daq.simulated.press import PressSettings, VirtualPress
 
@@ -106,6 +108,21 @@ def test_a_hidden_effect_changes_the_core_and_not_the_moments() -> None:
     a, b = plain.cycle(0.0), hidden.cycle(0.0)
     assert a.moments == b.moments
     assert np.nanmax(b.core_C - a.core_C) > 1.0
+
+
+def test_loggers_in_several_threads_read_the_same_press() -> None:
+    press, alone = VirtualPress(seed=14), VirtualPress(seed=14)
+    times = [float(t) for t in np.arange(0.0, 500.0, 2.7)]
+    with ThreadPoolExecutor(4) as pool:
+        together = list(pool.map(press.temperatures, times))
+    assert together == [alone.temperatures(t) for t in times]
+
+
+def test_the_header_is_what_a_run_file_needs() -> None:
+    cycle = VirtualPress(seed=3).cycle(0.0)
+    panel = panel_of(Run("demo", cycle.header, cycle.times, cycle.readings))
+    assert panel.thickness == 0.016
+    assert panel.initial_temperature == pytest.approx(cycle.pressing.panel.initial_temperature, abs=0.5)
 
 
 def test_an_unknown_effect_is_refused_by_name() -> None:
