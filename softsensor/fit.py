@@ -1,0 +1,488 @@
+"""Coefficients of one run, with what is known about them.
+
+The default: Levenberg-Marquardt in the logarithm of the coefficients with exact sensitivities, every
+sensor with its own offset, nuisances with the priors a real measuring chain deserves (`chain_priors`),
+correlated noise whitened, single bad cells and loose channels left out. The paper's own procedures can be
+had by name (`softsensor.paper`).
+
+Choices (2026-11-21). Limits come from the press file. A coefficient nobody can know from the run is not
+guessed: `softsensor.identifiability` says so from the profile of the likelihood at hand. The residuals'
+noise level is estimated from the run itself (restricted likelihood), so intervals widen where the model
+fits badly.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.optimize import minimize
+from scipy.stats import t as student
+
+from daq.pressfile import Press
+from daq.records import Array, InputError, Moments, Run
+from softsensor.case import Case
+from softsensor.effects import find_effect
+from softsensor.fit_problem import Evaluation, Minimum, Problem, Unknown, grid_correction, minimise, slopes
+from softsensor.model import ThermalModel, state_weights
+from softsensor.parameters import Parameter
+from softsensor.residuals import Noise, Signals, channel_noise, collect_signals, whiten
+
+RAMP_S = (0.55, 0.25)
+"""Closing ramp: a press takes 0.2 to 1 s to close. Mean and standard deviation. [s]"""
+START_K = 0.3
+"""Of the panel's initial temperature. [K]"""
+PLATEN_K, PLATEN_GAIN = 0.1, 0.0005
+"""Of a platen channel: offset and gain. [K, -]"""
+CHANNEL_K, CHANNEL_GAIN = 0.3, 0.0015
+"""Of a panel channel: offset and gain. [K, -]"""
+FIRST_NOISE = Noise(slow_K=0.15, slow_s=30.0, fast_K=0.0, fast_s=10.0, white_K=1.0, timing_s=0.05)
+"""For the first steps, while the model is still far off."""
+SLOW_PRIOR = ((np.log(0.15), 1.0), (np.log(30.0), 0.7))
+"""Log-normal priors of the slow noise's size [K] and correlation time [s]."""
+
+
+@dataclass(frozen=True)
+class Coefficient:
+    """What a fit says about one coefficient or effect parameter."""
+
+    value: float
+    sd: float
+    """Of the value; for a coefficient from the logarithm's, times the value."""
+    ci95: tuple[float, float]
+    identifiable: bool
+    verdict: str = "identifiable"
+    """``identifiable``, ``one-sided``, ``not identifiable`` or ``fixed``."""
+    reason: str = ""
+    """Why not, and which measurement would fix it."""
+    log_sd: float = float("nan")
+    """Of the logarithm."""
+
+
+@dataclass(frozen=True)
+class RunFit:
+    """What a run says about the press."""
+
+    run: str
+    coefficients: Mapping[str, Coefficient]
+    """Coefficients, and effect parameters that were free."""
+    rmse_K: float  # noqa: N815
+    """All good channels but validation ones, whole run, each channel's constant offset removed. [K]"""
+    rmse_closed_K: float  # noqa: N815
+    rmse_raw_K: float  # noqa: N815
+    initial_rmse_K: float  # noqa: N815
+    """At the press file's guesses. [K]"""
+    converged: bool
+    seconds: float
+    closed_s: float
+    opened_s: float
+    warnings: tuple[str, ...]
+    names: tuple[str, ...]
+    """Of the unknowns, nuisances included."""
+    covariance: Array
+    """Of the internal variables: logarithms of coefficients, effect parameters over their size."""
+    problem: Problem
+    minimum: Minimum
+    residuals: Mapping[str, Array]
+    """Reading minus prediction by channel, its constant offset removed (rows). [K]"""
+    offsets: Mapping[str, float]
+    """Constant offset of each channel. [K]"""
+    evaluations: int
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Every parameter's value, nuisances included."""
+        return self.problem.merged(self.minimum.x)
+
+    @property
+    def nuisances(self) -> dict[str, float]:
+        """Nuisances and their values, channel errors included."""
+        pairs = zip(self.problem.unknowns, self.minimum.x, strict=True)
+        return {u.name: u.value(x) for u, x in pairs if u.name not in self.coefficients}
+
+    @property
+    def correlation(self) -> Array:
+        """Of the unknowns, in the order of `names`."""
+        sd = np.sqrt(np.maximum(np.diag(self.covariance), 1e-300))
+        return np.asarray(self.covariance / sd[:, None] / sd[None, :])
+
+    @property
+    def moments(self) -> Moments:
+        """The run's moments as refined."""
+        case, n = self.problem.case, self.nuisances
+        return replace(
+            case.moments,
+            closed_s=self.closed_s,
+            opened_s=self.opened_s,
+            ramp_s=case.moments.ramp_s + n.get("ramp_s", 0.0),
+        )
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the run's entry of ``fit --json`` (NaN as null)."""
+        table = {
+            name: {
+                "value": number(c.value),
+                "sd": number(c.sd),
+                "ci95": [number(c.ci95[0]), number(c.ci95[1])],
+                "identifiable": c.identifiable,
+                "verdict": c.verdict,
+                "reason": c.reason,
+            }
+            for name, c in self.coefficients.items()
+        }
+        return {
+            "run": self.run,
+            "converged": self.converged,
+            "coefficients": table,
+            "rmse_K": number(self.rmse_K),
+            "rmse_closed_K": number(self.rmse_closed_K),
+            "rmse_raw_K": number(self.rmse_raw_K),
+            "initial_rmse_K": number(self.initial_rmse_K),
+            "seconds": round(self.seconds, 4),
+            "closed_s": number(self.closed_s),
+            "opened_s": number(self.opened_s),
+            "warnings": list(self.warnings),
+        }
+
+
+def number(value: float) -> float | None:
+    """Return a JSON number, None where it is not finite."""
+    return float(value) if np.isfinite(value) else None
+
+
+def fit_run(
+    model: ThermalModel,
+    run: Run,
+    moments: Moments,
+    *,
+    start: Mapping[str, float] | None = None,
+    priors: Mapping[str, tuple[float, float]] | None = None,
+    free: Sequence[str] | None = None,
+    verdicts: bool = True,
+) -> RunFit:
+    """Fit one run.
+
+    Parameters
+    ----------
+    model
+        The press and the effects its model takes into account.
+    moments
+        When the press closed and opened, as detected; the fit refines them.
+    start
+        Values of parameters: where to start, or for effect parameters that are not `free`, their value.
+    priors
+        Log-normal priors of coefficients: median and standard deviation of the logarithm; of effect
+        parameters: mean and standard deviation.
+    free
+        Parameters to adjust; by default every coefficient the press file does not fix.
+    verdicts
+        False skips the profiles, for callers that only want the numbers.
+
+    Raises
+    ------
+    InputError
+        For a run without usable channels.
+    """
+    begun = time.perf_counter()
+    problem = make_problem(model, run, moments, start=start, priors=priors, free=free)
+    rough = _settle(problem)
+    initial = rough.initial
+    problem, best = rough.problem, rough.minimum
+    warnings = [f.sentence for f in problem.signals.findings]
+    fitted = run_fit(problem, best, initial, warnings, begun, rough.evaluations)
+    if not verdicts:
+        return fitted
+    from softsensor.identifiability import judge
+
+    return replace(judge(fitted), seconds=time.perf_counter() - begun)
+
+
+def make_problem(
+    model: ThermalModel,
+    run: Run,
+    moments: Moments,
+    *,
+    start: Mapping[str, float] | None = None,
+    priors: Mapping[str, tuple[float, float]] | None = None,
+    free: Sequence[str] | None = None,
+    screen: bool = True,
+    fineness: float = 1.0,
+) -> Problem:
+    """Lay out a run for fitting: channels, unknowns, priors. Raises InputError."""
+    case = model.prepare(run, moments, fineness=fineness)
+    signals = collect_signals(case.press, run, moments, screen=screen)
+    if not signals.places:
+        wanted = ", ".join(p for s in case.press.sensor if s.role == "fit" for p in s.columns) or "none named"
+        raise InputError(
+            f"{run.source or run.name}: no usable sensor column (the press file names {wanted}); a fit needs one"
+        )
+    names = [n for n in model.press.coefficient_names if not model.press.coefficient(n).fixed]
+    names = names if free is None else list(free)
+    values = {**_neutral(model), **(start or {})}
+    unknowns = [_parameter_unknown(model, n, values[n], (priors or {}).get(n)) for n in names]
+    unknowns += chain_priors(case, signals)
+    weights, _ = state_weights(case, run.time_s, {})
+    rows = (weights[:, 0] < 0.5).astype(float) if case.press.has_states else np.ones(len(run.time_s))
+    if not rows.any():
+        rows = np.ones(len(run.time_s))
+    return Problem(model, case, signals, tuple(unknowns), values, FIRST_NOISE, rows)
+
+
+def _neutral(model: ThermalModel) -> dict[str, float]:
+    effects = {e.key(p.name): p.typical for e in model.effects for p in e.parameters}
+    return {n: model.press.coefficient(n).guess for n in model.press.coefficient_names} | effects
+
+
+def _parameter_unknown(model: ThermalModel, name: str, start: float, prior: tuple[float, float] | None) -> Unknown:
+    if "." not in name:
+        table = model.press.coefficient(name)
+        mean, sd = (0.0, float("inf")) if prior is None else (float(np.log(prior[0])), prior[1])
+        begin = float(np.clip(start, table.lower, table.upper))
+        return Unknown(name, begin, table.lower, table.upper, "log", mean=mean, sd=sd)
+    parameter = effect_parameter(name)
+    size = abs(parameter.typical - parameter.neutral) or abs(parameter.typical) or 1.0
+    mean, sd = (0.0, float("inf")) if prior is None else (prior[0] / size, prior[1] / size)
+    begin = float(np.clip(start, parameter.lower, parameter.upper))
+    return Unknown(name, begin, parameter.lower, parameter.upper, "linear", size, mean, sd)
+
+
+def effect_parameter(name: str) -> Parameter:
+    """Return the parameter of a full name such as ``edge_loss.W_m3K``. Raises InputError."""
+    effect, _, key = name.partition(".")
+    for parameter in find_effect(effect).parameters:
+        if parameter.name == key:
+            return parameter
+    raise InputError(f"parameter {name!r}: effect {effect} has no {key!r}")
+
+
+def chain_priors(case: Case, signals: Signals) -> list[Unknown]:
+    """Return the nuisances of a run with the priors a real measuring chain deserves."""
+    unknowns: list[Unknown] = []
+    period = signals.period_s
+    moments, press = case.moments, case.press
+    if press.has_states:
+        first, last = float(case.run.time_s[0]), float(case.run.time_s[-1])
+        sd = min(0.1 + 0.4 * period, 1.0)
+        if first < moments.closed_s < last:
+            unknowns.append(nuisance("closed_s", sd, 4 * sd))
+            ramp = moments.ramp_s
+            unknowns.append(nuisance("ramp_s", RAMP_S[1], 1.5, RAMP_S[0] - ramp, lower=0.08 - ramp))
+        if first < moments.opened_s < last:
+            unknowns.append(nuisance("opened_s", sd, 4 * sd))
+    if press.panel_layers or press.initial.kind != "steady":
+        unknowns.append(nuisance("initial_K", START_K, 10 * START_K))
+    for end, boundary in (("bottom", press.boundary.bottom), ("top", press.boundary.top)):
+        if boundary.kind == "measured":
+            level = float(np.nanmedian(case.run.columns[boundary.column or ""]))
+            sd = float(np.hypot(PLATEN_K, PLATEN_GAIN * (level - case.ambient)))
+            unknowns.append(nuisance(f"boundary_{end}_K", sd, 10 * sd))
+    for place in signals.places:
+        n = len(place.columns)
+        unknowns.append(nuisance(f"offset:{place.label}", CHANNEL_K / np.sqrt(n), 10 * CHANNEL_K))
+        unknowns.append(nuisance(f"gain:{place.label}", CHANNEL_GAIN / np.sqrt(n), 10 * CHANNEL_GAIN))
+        if press.has_states:
+            unknowns.append(nuisance(f"skew:{place.label}", 0.02 + 0.1 * period, 1.0))
+    return unknowns
+
+
+def nuisance(name: str, sd: float, reach: float, mean: float = 0.0, lower: float | None = None) -> Unknown:
+    """Return a nuisance with a normal prior; its internal variable counts in standard deviations."""
+    return Unknown(
+        name, mean, mean - reach if lower is None else lower, mean + reach, "linear", sd, mean / sd, 1.0
+    )
+
+
+@dataclass(frozen=True)
+class _Settled:
+    problem: Problem
+    minimum: Minimum
+    initial: Evaluation
+    evaluations: int
+
+
+def _settle(problem: Problem) -> _Settled:
+    """Fit in three passes: roughly, with noise and grid corrected, and once more with noise re-estimated."""
+    initial = problem.evaluate(problem.start)
+    rough = minimise(problem, max_evaluations=25, decrease=0.05)
+    count = rough.evaluations + 1
+    problem, x = recentre(problem, rough.x)
+    problem = replace(problem, correction=grid_correction(problem, x), slope=slopes(problem, x))
+    noise = channel_noise(problem.signals, problem.case.moments, problem.noise)
+    problem = replace(problem, noise=replace(noise, slow_K=0.2, slow_s=30.0, timing_s=timing(problem)))
+    best = minimise(problem, x, max_evaluations=15, decrease=0.05)
+    problem = replace(problem, noise=slow_noise(problem, best.evaluation), slope=slopes(problem, best.x))
+    best = minimise(problem, best.x, max_evaluations=25)
+    return _Settled(problem, best, initial, count + best.evaluations)
+
+
+def timing(problem: Problem) -> float:
+    """Return how well row times are known. [s]"""
+    return 0.01 + 0.02 * problem.signals.period_s
+
+
+def recentre(problem: Problem, x: Array) -> tuple[Problem, Array]:
+    """Lay the run out again about refined moments, so that fine steps sit where the press switches."""
+    values = problem.merged(x)
+    case = problem.case
+    shifts = {n: values.get(n, 0.0) for n in ("closed_s", "opened_s", "ramp_s")}
+    if all(abs(s) < 0.1 for s in shifts.values()):
+        return problem, x
+    moments = replace(case.moments, **{n: getattr(case.moments, n) + s for n, s in shifts.items()})
+    case = problem.model.prepare(case.run, moments)
+    unknowns, moved = [], x.copy()
+    for i, u in enumerate(problem.unknowns):
+        if shift := shifts.get(u.name, 0.0):
+            u = replace(
+                u,
+                start=u.start - shift,
+                lower=u.lower - shift,
+                upper=u.upper - shift,
+                mean=u.mean - shift / u.size,
+            )
+            moved[i] -= shift / u.size
+        unknowns.append(u)
+    return replace(problem, case=case, unknowns=tuple(unknowns)), moved
+
+
+def slow_noise(problem: Problem, at: Evaluation) -> Noise:
+    """Return the noise with its slow part by restricted maximum likelihood on rows a second apart."""
+    thin = _thin(problem)
+    mean, precision = problem.precision
+    pull = precision * (mean - at.x)
+
+    def loss(guess: Array) -> float:
+        noise = replace(problem.noise, slow_K=float(np.exp(guess[0])), slow_s=float(np.exp(guess[1])))
+        matrix, right = np.diag(precision), pull.copy()
+        total = 0.0
+        for i, place in enumerate(problem.signals.places):
+            series = np.column_stack([at.residual[i], at.derivative[i]])[thin]
+            white, log_det = whiten(
+                problem.signals.time_s[thin], series, problem.variance(i)[thin], noise, len(place.columns)
+            )
+            total += log_det + float(white[:, 0] @ white[:, 0])
+            matrix = matrix + white[:, 1:].T @ white[:, 1:]
+            right = right + white[:, 1:].T @ white[:, 0]
+        total += float(np.linalg.slogdet(matrix)[1]) - float(right @ np.linalg.solve(matrix, right))
+        total += sum(float((g - m) / s) ** 2 for g, (m, s) in zip(guess, SLOW_PRIOR, strict=True))
+        return 0.5 * total
+
+    best = minimize(
+        loss,
+        [m for m, _ in SLOW_PRIOR],
+        method="Nelder-Mead",
+        options={"xatol": 0.05, "fatol": 0.05, "maxfev": 50},
+    ).x
+    best = np.clip(best, np.log([1e-3, 2.0]), np.log([50.0, 600.0]))
+    return replace(problem.noise, slow_K=float(np.exp(best[0])), slow_s=float(np.exp(best[1])))
+
+
+def _thin(problem: Problem) -> Array:
+    """Rows about a second apart, none near a switch."""
+    t, moments = problem.signals.time_s, problem.case.moments
+    use = problem.rows > 0
+    for moment in (moments.closed_s, moments.opened_s):
+        if np.isfinite(moment):
+            use &= (t < moment - 1.0) | (t > moment + 1.5)
+    rows = np.flatnonzero(use)
+    step = max(1, round(1.0 / problem.signals.period_s), len(rows) // 400)
+    return np.asarray(rows[::step])
+
+
+def run_fit(
+    problem: Problem, best: Minimum, initial: Evaluation, warnings: Sequence[str], begun: float, evaluations: int
+) -> RunFit:
+    """Put together what a finished search says."""
+    residuals, offsets = channel_residuals(problem, best.evaluation)
+    closed = best.evaluation.solution.closed_share > 0.5
+    x, covariance = best.x, best.covariance
+    spread = _spread(best)
+    quantile = float(student.ppf(0.975, spread.freedom))
+    table = {}
+    for i, u in enumerate(problem.unknowns):
+        if ":" in u.name or ("." not in u.name and u.name not in problem.case.press.coefficient_names):
+            continue
+        sd = float(np.sqrt(covariance[i, i])) * spread.factor
+        table[u.name] = _coefficient(u, x[i], sd, quantile)
+    for name in problem.case.press.coefficient_names:
+        if name not in table:
+            v = problem.values[name]
+            table[name] = Coefficient(v, 0.0, (v, v), False, "fixed", "fixed by the press file", 0.0)
+    values = problem.merged(x)
+    moments = problem.case.moments
+    notes = list(warnings)
+    if problem.signals.dropped:
+        notes.append(f"{problem.signals.dropped} single cells departed from their face and were left out")
+    if not best.converged:
+        notes.append("the search did not converge; coefficients are where it stopped")
+    return RunFit(
+        run=problem.case.run.name,
+        coefficients=table,
+        rmse_K=rms(residuals.values()),
+        rmse_closed_K=rms(r[closed] for r in residuals.values()),
+        rmse_raw_K=rms(r + offsets[c] for c, r in residuals.items()),
+        initial_rmse_K=rms(channel_residuals(problem, initial)[0].values()),
+        converged=best.converged,
+        seconds=time.perf_counter() - begun,
+        closed_s=moments.closed_s + values.get("closed_s", 0.0),
+        opened_s=moments.opened_s + values.get("opened_s", 0.0),
+        warnings=tuple(notes),
+        names=problem.names,
+        covariance=covariance * spread.factor**2,
+        problem=problem,
+        minimum=best,
+        residuals=residuals,
+        offsets=offsets,
+        evaluations=evaluations,
+    )
+
+
+def _coefficient(u: Unknown, x: float, sd: float, quantile: float) -> Coefficient:
+    value = u.value(x)
+    low, high = u.value(x - min(quantile * sd, 50.0)), u.value(x + min(quantile * sd, 50.0))
+    interval = (max(low, u.lower), min(high, u.upper))
+    log_sd = sd if u.scale == "log" else float("nan")
+    return Coefficient(value, float(abs(u.slope(x)) * sd), interval, sd > 0, log_sd=log_sd)
+
+
+@dataclass(frozen=True)
+class _Spread:
+    factor: float
+    freedom: float
+
+
+def _spread(best: Minimum) -> _Spread:
+    """How much wider than the noise model says the residuals are, and the freedom behind its size."""
+    z, w = best.evaluation.z, best.evaluation.weight
+    used = z != 0
+    size = float((w[used] * z[used] ** 2).sum() / max(used.sum() - len(best.x), 1))
+    return _Spread(max(1.0, np.sqrt(size)), 30.0)
+
+
+def channel_residuals(problem: Problem, at: Evaluation) -> tuple[dict[str, Array], dict[str, float]]:
+    """Return by channel reading minus prediction with its constant offset removed, and that offset. [K]"""
+    residuals, offsets = {}, {}
+    present = problem.rows > 0
+    for i, place in enumerate(problem.signals.places):
+        predicted = at.solution.sensors[:, at.solution.columns.index(place.columns[0])]
+        if problem.correction:
+            predicted = predicted + problem.correction[i]
+        for column in place.columns:
+            difference = np.where(present, problem.signals.cells[column] - predicted, np.nan)
+            ok = np.isfinite(difference)
+            offsets[column] = float(difference[ok].mean()) if ok.any() else 0.0
+            residuals[column] = difference - offsets[column]
+    return residuals, offsets
+
+
+def rms(series: Any) -> float:
+    """Root mean square over the finite values of several arrays."""
+    values = np.concatenate([np.asarray(s)[np.isfinite(s)] for s in series])
+    return float(np.sqrt(np.mean(np.square(values)))) if len(values) else float("nan")
+
+
+def free_names(press: Press) -> tuple[str, ...]:
+    """Coefficients a fit adjusts: all the press file does not fix."""
+    return tuple(n for n in press.coefficient_names if not press.coefficient(n).fixed)

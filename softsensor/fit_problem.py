@@ -1,0 +1,445 @@
+"""Least squares between a model and measured runs: unknowns, priors, whitened residuals, derivatives.
+
+What a fit adjusts are `Unknown`s: coefficients in the logarithm, effect parameters on their own scale,
+and nuisances (moments, start temperature, boundary and channel errors) that carry priors. A `Problem` is one
+run; `minimise` finds its unknowns, `minimise_together` those of several runs that share some. Both are
+Levenberg-Marquardt with exact sensitivities, Huber weights and limits; the cost of sharing is linear in runs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+
+from daq.records import Array
+from softsensor.case import Case
+from softsensor.effects import find_effect
+from softsensor.model import Solution, ThermalModel
+from softsensor.residuals import Noise, Signals, whiten
+
+HUBER = 3.0
+"""Whitened residuals beyond this count in proportion, not squared."""
+SLOPE = "clock_offset.seconds"
+"""The model's derivative by this parameter is minus the slope of what the channels read."""
+MAX_MOVE = 2.0
+"""Largest change of a logarithm or of a scaled parameter in one step."""
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """One number a fit adjusts."""
+
+    name: str
+    """A coefficient, ``effect.parameter``, a nuisance of the model, or ``offset|gain|skew:PLACE``."""
+    start: float
+    lower: float
+    upper: float
+    scale: Literal["log", "linear"] = "linear"
+    size: float = 1.0
+    """Unit of the internal variable where linear."""
+    mean: float = 0.0
+    """Of the prior, in the internal variable."""
+    sd: float = float("inf")
+    """Of the prior, in the internal variable; infinite: no prior."""
+
+    def inside(self, value: float) -> float:
+        """Return the internal variable of a value."""
+        return float(np.log(value)) if self.scale == "log" else value / self.size
+
+    def value(self, x: float) -> float:
+        """Return the value of an internal variable."""
+        return float(np.exp(x)) if self.scale == "log" else x * self.size
+
+    def slope(self, x: float) -> float:
+        """Return the derivative of the value by the internal variable."""
+        return float(np.exp(x)) if self.scale == "log" else self.size
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Whitened residuals and their derivatives at one point."""
+
+    x: Array
+    z: Array
+    """Whitened residuals (rows of all places)."""
+    jacobian: Array
+    """Whitened derivatives of the prediction (rows, unknowns)."""
+    weight: Array
+    """Huber weights (rows)."""
+    loss: float
+    """Half of minus two log likelihood, priors included, up to a constant."""
+    solution: Solution
+    residual: tuple[Array, ...]
+    """By place: mean of the channels minus prediction, nuisances applied (rows). [K]"""
+    derivative: tuple[Array, ...]
+    """By place: of the prediction by the internal variables (rows, unknowns). [K]"""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One run to be fitted."""
+
+    model: ThermalModel
+    case: Case
+    signals: Signals
+    unknowns: tuple[Unknown, ...]
+    values: Mapping[str, float]
+    """Every coefficient and effect parameter; the unknowns among them are overridden."""
+    noise: Noise
+    rows: Array
+    """1 where a row counts: a panel is in the press."""
+    correction: tuple[Array, ...] = ()
+    """By place: prediction on a finer grid minus this grid's, worked out once (rows). [K]"""
+    slope: tuple[Array, ...] = ()
+    """By place: how fast the prediction rises, taken once near the solution (rows). [K/s]"""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the unknowns."""
+        return tuple(u.name for u in self.unknowns)
+
+    @property
+    def start(self) -> Array:
+        """Internal variables at the unknowns' start values."""
+        return np.array([u.inside(u.start) for u in self.unknowns])
+
+    @property
+    def limits(self) -> tuple[Array, Array]:
+        """Limits of the internal variables."""
+        return (
+            np.array([u.inside(u.lower) for u in self.unknowns]),
+            np.array([u.inside(u.upper) for u in self.unknowns]),
+        )
+
+    @property
+    def precision(self) -> tuple[Array, Array]:
+        """Means of the priors and their inverse variances, 0 where there is none."""
+        return np.array([u.mean for u in self.unknowns]), np.array([1.0 / u.sd**2 for u in self.unknowns])
+
+    def merged(self, x: Array) -> dict[str, float]:
+        """Return every parameter's value at a point."""
+        own = {u.name: u.value(v) for u, v in zip(self.unknowns, x, strict=True) if ":" not in u.name}
+        return {**self.values, **own}
+
+    def predict(self, x: Array) -> Solution:
+        """Solve the model at a point, with the derivatives by its unknowns."""
+        wanted = [u.name for u in self.unknowns if ":" not in u.name]
+        return self.model.solve(self.case, self.merged(x), wanted)
+
+    def evaluate(self, x: Array) -> Evaluation:
+        """Return residuals, derivatives and loss at a point."""
+        solution = self.predict(x)
+        z, jacobian, residuals, derivatives = [], [], [], []
+        for i in range(len(self.signals.places)):
+            residual, derivative = self._place(i, x, solution)
+            white = self._whitened(i, residual, derivative)
+            z.append(white[:, 0])
+            jacobian.append(white[:, 1:])
+            residuals.append(residual)
+            derivatives.append(derivative)
+        stacked = np.concatenate(z)
+        far = np.abs(stacked)
+        inner = far <= HUBER
+        mean, precision = self.precision
+        pull = x - mean
+        loss = 0.5 * float(
+            np.where(inner, stacked * stacked, HUBER * (2.0 * far - HUBER)).sum() + pull @ (precision * pull)
+        )
+        return Evaluation(
+            x=x,
+            z=stacked,
+            jacobian=np.concatenate(jacobian),
+            weight=np.where(inner, 1.0, HUBER / np.maximum(far, 1e-300)),
+            loss=loss,
+            solution=solution,
+            residual=tuple(residuals),
+            derivative=tuple(derivatives),
+        )
+
+    def variance(self, i: int) -> Array:
+        """Return the white part of a place's variance (rows). [K²]"""
+        place = self.signals.places[i]
+        variance = self.noise.white_K**2 / np.maximum(place.count, 1.0)
+        if self.slope:
+            variance = variance + (self.noise.timing_s * self.slope[i]) ** 2
+        return np.asarray(variance)
+
+    def whiten(self, i: int, series: Array) -> Array:
+        """Whiten series of a place's mean as this problem's residuals are (rows, columns)."""
+        place = self.signals.places[i]
+        counted = np.where((self.rows > 0) & np.isfinite(place.mean), series[:, 0], np.nan)
+        series = np.nan_to_num(series)
+        series[:, 0] = counted
+        return whiten(self.signals.time_s, series, self.variance(i), self.noise, len(place.columns))[0]
+
+    def _whitened(self, i: int, residual: Array, derivative: Array) -> Array:
+        return self.whiten(i, np.column_stack([residual, derivative]))
+
+    def _place(self, i: int, x: Array, solution: Solution) -> tuple[Array, Array]:
+        """Residual of a place's mean and the prediction's derivatives by the internal variables."""
+        place = self.signals.places[i]
+        column = solution.columns.index(place.columns[0])
+        predicted = solution.sensors[:, column]
+        if self.correction:
+            predicted = predicted + self.correction[i]
+        derivative = np.zeros((len(predicted), len(self.unknowns)))
+        added = np.zeros(len(predicted))
+        for j, u in enumerate(self.unknowns):
+            if ":" not in u.name:
+                derivative[:, j] = solution.d_sensors[u.name][:, column] * u.slope(x[j])
+                continue
+            kind, _, label = u.name.partition(":")
+            if label != place.label:
+                continue
+            if kind == "offset":
+                derivative[:, j] = u.size
+            elif kind == "gain":
+                derivative[:, j] = (predicted - self.case.ambient) * u.size
+            elif self.slope:
+                derivative[:, j] = -self.slope[i] * u.size
+            added += derivative[:, j] * x[j]
+        return place.mean - predicted - added, derivative
+
+
+def with_clock(model: ThermalModel) -> ThermalModel:
+    """Return the model with a clock offset of 0 in it, whose derivative is the readings' slope."""
+    if any(e.name == "clock_offset" for e in model.effects):
+        return model
+    return model.extended(find_effect("clock_offset"))
+
+
+def slopes(problem: Problem, x: Array) -> tuple[Array, ...]:
+    """Return how fast each place's reading changes (rows). [K/s]"""
+    d = with_clock(problem.model).solve(problem.case, problem.merged(x), (SLOPE,)).d_sensors[SLOPE]
+    return tuple(-d[:, problem.case.columns.index(p.columns[0])] for p in problem.signals.places)
+
+
+def grid_correction(problem: Problem, x: Array, fineness: float = 3.0) -> tuple[Array, ...]:
+    """Return what a finer grid adds to the prediction at a point (rows). [K]
+
+    The grid's error hardly depends on the unknowns, so one fine solution corrects all coarse ones.
+    """
+    case, values = problem.case, problem.merged(x)
+    fine = problem.model.prepare(case.run, case.moments, fineness=fineness)
+    difference = problem.model.solve(fine, values).sensors - problem.model.solve(case, values).sensors
+    return tuple(difference[:, case.columns.index(p.columns[0])] for p in problem.signals.places)
+
+
+@dataclass(frozen=True)
+class Minimum:
+    """Where a search ended."""
+
+    evaluation: Evaluation
+    converged: bool
+    evaluations: int
+    covariance: Array
+    """Of the internal variables, priors included, zero where a limit holds one."""
+    held: Array
+    """Which unknowns a limit holds (unknowns)."""
+    trace: tuple[float, ...] = field(default_factory=tuple)
+
+    @property
+    def x(self) -> Array:
+        """Internal variables."""
+        return self.evaluation.x
+
+
+def normal_equations(problem: Problem, at: Evaluation) -> tuple[Array, Array]:
+    """Return the Gauss-Newton matrix and the descent direction's right-hand side, priors included."""
+    mean, precision = problem.precision
+    weighted = at.jacobian * at.weight[:, None]
+    matrix = weighted.T @ at.jacobian + np.diag(precision)
+    return matrix, weighted.T @ at.z - precision * (at.x - mean)
+
+
+def minimise(
+    problem: Problem, x: Array | None = None, *, max_evaluations: int = 40, decrease: float = 1e-3
+) -> Minimum:
+    """Find a run's unknowns; stop when the next step promises less than `decrease` of loss."""
+    lower, upper = problem.limits
+    at = problem.evaluate(np.clip(problem.start if x is None else x, lower, upper))
+    damping, count, converged = 1e-3, 1, False
+    trace = [at.loss]
+    while count < max_evaluations:
+        matrix, right = normal_equations(problem, at)
+        free = _free(at.x, right, lower, upper)
+        step, promise = _step(matrix, right, free, damping)
+        if promise < decrease:
+            converged = True
+            break
+        trial = np.clip(at.x + step, lower, upper)
+        new = problem.evaluate(trial)
+        count += 1
+        if np.isfinite(new.loss) and new.loss < at.loss:
+            damping = max(damping * 0.2, 1e-9)
+            at = new
+            trace.append(at.loss)
+        else:
+            damping *= 8.0
+            if damping > 1e10:
+                break
+    matrix, right = normal_equations(problem, at)
+    free = _free(at.x, right, lower, upper)
+    return Minimum(at, converged, count, _covariance(matrix, free), ~free, tuple(trace))
+
+
+def _free(x: Array, right: Array, lower: Array, upper: Array) -> Array:
+    """Unknowns that no limit holds against the descent direction."""
+    edge = 1e-9
+    return np.asarray(~(((x <= lower + edge) & (right <= 0)) | ((x >= upper - edge) & (right >= 0))))
+
+
+def _step(matrix: Array, right: Array, free: Array, damping: float) -> tuple[Array, float]:
+    """Return a damped step and the decrease of loss an undamped one promises."""
+    step = np.zeros(len(right))
+    index = np.flatnonzero(free)
+    if not len(index):
+        return step, 0.0
+    inner = matrix[np.ix_(index, index)]
+    diagonal = np.maximum(np.diag(inner), 1e-12)
+    full = _solve(inner, right[index])
+    damped = full if damping < 1e-8 else _solve(inner + np.diag(damping * diagonal), right[index])
+    step[index] = np.clip(damped, -MAX_MOVE, MAX_MOVE)
+    return step, 0.5 * float(right[index] @ full)
+
+
+def _solve(matrix: Array, right: Array) -> Array:
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-12))
+    scaled = matrix * scale[:, None] * scale[None, :] + 1e-12 * np.eye(len(matrix))
+    return np.asarray(scale * np.linalg.solve(scaled, scale * right))
+
+
+def _covariance(matrix: Array, free: Array) -> Array:
+    covariance = np.zeros_like(matrix)
+    index = np.flatnonzero(free)
+    if len(index):
+        covariance[np.ix_(index, index)] = inverse(matrix[np.ix_(index, index)])
+    return covariance
+
+
+def inverse(matrix: Array) -> Array:
+    """Invert a positive matrix, scaled so that units do not matter; flat directions get a huge variance."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-12))
+    scaled = matrix * scale[:, None] * scale[None, :]
+    values, vectors = np.linalg.eigh(scaled)
+    inverted = (vectors / np.maximum(values, 1e-10)) @ vectors.T
+    return np.asarray(inverted * scale[:, None] * scale[None, :])
+
+
+@dataclass(frozen=True)
+class SharedMinimum:
+    """Where a search over several runs ended."""
+
+    runs: tuple[Evaluation, ...]
+    names: tuple[str, ...]
+    """The shared unknowns."""
+    x: Array
+    """Their internal variables."""
+    covariance: Array
+    """Of the shared ones."""
+    loss: float
+    converged: bool
+    evaluations: int
+
+
+def minimise_together(
+    problems: Sequence[Problem],
+    shared: Sequence[str],
+    *,
+    starts: Sequence[Array] | None = None,
+    max_evaluations: int = 30,
+    decrease: float = 1e-2,
+) -> SharedMinimum:
+    """Find the unknowns of several runs that share some of them.
+
+    Every problem must list the shared names among its unknowns, with equal limits and priors; a shared
+    prior counts once. Runs are eliminated one by one (Schur complement), so the cost is linear in runs.
+    """
+    shared = tuple(shared)
+    first = problems[0]
+    own = [first.names.index(name) for name in shared]
+    unknowns = [first.unknowns[i] for i in own]
+    mean, precision = first.precision[0][own], first.precision[1][own]
+    problems = [_without_prior(p, shared) for p in problems]
+    low, high = (side[own] for side in first.limits)
+    points = [np.array(p.start if starts is None else starts[r]) for r, p in enumerate(problems)]
+    top = np.array([u.inside(u.start) for u in unknowns]) if starts is None else points[0][own]
+    state = _Together(problems, shared, low, high, mean, precision)
+    at = state.evaluate(points, top)
+    damping, count, converged = 1e-3, 1, False
+    while count < max_evaluations:
+        steps, top_step, promise, _ = state.step(at, damping)
+        if promise < decrease:
+            converged = True
+            break
+        new = state.evaluate([a.x + s for a, s in zip(at.runs, steps, strict=True)], at.x + top_step)
+        count += 1
+        if np.isfinite(new.loss) and new.loss < at.loss:
+            damping, at = max(damping * 0.2, 1e-9), new
+        else:
+            damping *= 8.0
+            if damping > 1e10:
+                break
+    covariance = state.step(at, 0.0)[3]
+    return replace(at, covariance=covariance, converged=converged, evaluations=count)
+
+
+def _without_prior(problem: Problem, shared: tuple[str, ...]) -> Problem:
+    unknowns = tuple(replace(u, sd=float("inf")) if u.name in shared else u for u in problem.unknowns)
+    return replace(problem, unknowns=unknowns)
+
+
+@dataclass(frozen=True)
+class _Together:
+    """The runs of one joint search."""
+
+    problems: Sequence[Problem]
+    shared: tuple[str, ...]
+    low: Array
+    high: Array
+    mean: Array
+    precision: Array
+
+    def evaluate(self, points: Sequence[Array], top: Array) -> SharedMinimum:
+        """Evaluate every run with the shared values put in."""
+        top = np.clip(top, self.low, self.high)
+        runs = []
+        for problem, point in zip(self.problems, points, strict=True):
+            x = np.clip(point, *problem.limits)
+            x[[problem.names.index(n) for n in self.shared]] = top
+            runs.append(problem.evaluate(x))
+        pull = top - self.mean
+        loss = sum(r.loss for r in runs) + 0.5 * float(pull @ (self.precision * pull))
+        return SharedMinimum(tuple(runs), self.shared, top, np.zeros((len(top), len(top))), loss, False, 0)
+
+    def step(self, at: SharedMinimum, damping: float) -> tuple[list[Array], Array, float, Array]:
+        """Return each run's step, the shared step, the promised decrease and the shared covariance."""
+        matrix = np.diag(self.precision)
+        right = -self.precision * (at.x - self.mean)
+        parts = []
+        promise = 0.0
+        for problem, run in zip(self.problems, at.runs, strict=True):
+            a, g = normal_equations(problem, run)
+            s = np.array([problem.names.index(n) for n in self.shared])
+            free = _free(run.x, g, *problem.limits)
+            free[s] = False
+            i = np.flatnonzero(free)
+            block = a[np.ix_(i, i)]
+            block = block + np.diag(damping * np.maximum(np.diag(block), 1e-12))
+            solved = np.column_stack([_solve(block, g[i]), *(_solve(block, c) for c in a[np.ix_(i, s)].T)])
+            matrix = matrix + a[np.ix_(s, s)] - a[np.ix_(s, i)] @ solved[:, 1:]
+            right = right + g[s] - a[np.ix_(s, i)] @ solved[:, 0]
+            promise += 0.5 * float(g[i] @ solved[:, 0])
+            parts.append((i, s, solved))
+        free = _free(at.x, right, self.low, self.high)
+        top, more = _step(matrix, right, free, damping)
+        steps = []
+        for run, (i, s, solved) in zip(at.runs, parts, strict=True):
+            step = np.zeros(len(run.x))
+            step[i] = np.clip(solved[:, 0] - solved[:, 1:] @ top, -MAX_MOVE, MAX_MOVE)
+            step[s] = top
+            steps.append(step)
+        return steps, top, promise + more, _covariance(matrix, free)

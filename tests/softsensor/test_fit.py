@@ -1,0 +1,46 @@
+"""Recovery: virtual runs with known coefficients, refitted. Truths come from the virtual press's own physics."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from daq.pressfile import parse_press
+from daq.simulated.campaign import Plan, make_campaign, press_toml
+from daq.simulated.campaign_sensors import Nuisances
+from softsensor.fit import fit_run
+from softsensor.model import ThermalModel
+
+PRESS = parse_press(press_toml())
+MODEL = ThermalModel.of(PRESS)
+
+
+def _campaign(seed, runs, rate_hz, **plan):
+    return make_campaign(seed, runs, plan=Plan(rate_hz=rate_hz, nuisances=Nuisances.real_chain(), **plan))
+
+
+def _noticed(truth, rng, period):
+    """Moments as a detector would give them: off by a fraction of a row, the ramp unknown."""
+    closed, opened = rng.normal(0.0, 0.05 + 0.2 * period, 2)
+    moments = truth.moments
+    return replace(moments, closed_s=moments.closed_s + closed, opened_s=moments.opened_s + opened, ramp_s=0.5)
+
+
+@pytest.mark.parametrize("rate_hz", [10.0, 1.0])
+def test_coefficients_of_virtual_runs_lie_within_four_standard_deviations(rate_hz):
+    rng = np.random.default_rng(5)
+    for run, truth in _campaign(3, 3, rate_hz):
+        fitted = fit_run(MODEL, run, _noticed(truth, rng, 1.0 / rate_hz))
+        assert fitted.converged
+        for name, c in fitted.coefficients.items():
+            assert abs(np.log(c.value / truth.coefficients[name])) < 4.0 * c.log_sd, name
+        assert abs(fitted.closed_s - truth.moments.closed_s) < 0.1
+
+
+def test_loose_sensor_is_left_out_and_named():
+    run, truth = _campaign(3, 1, 2.0)[0]
+    columns = dict(run.columns)
+    columns["top_3"] = 0.6 * columns["top_3"] + 0.4 * 25.0
+    fitted = fit_run(MODEL, replace(run, columns=columns), truth.moments)
+    assert any("top_3" in w for w in fitted.warnings)
+    assert "top_3" not in fitted.residuals
