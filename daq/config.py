@@ -172,7 +172,10 @@ def _absolute(config: Config, folder: Path) -> Config:
     url = config.store.url if "://" in config.store.url else str(folder / Path(config.store.url).expanduser())
     buffer = folder / (config.store.buffer or "kerntemp-buffer.sqlite")
     store = config.store.model_copy(update={"url": url, "buffer": buffer})
-    presses = tuple(p.model_copy(update={"file": folder / p.file}) for p in config.press)
+    presses = tuple(
+        p.model_copy(update={"file": folder / p.file, "logger": tuple(lg.relative_to(folder) for lg in p.logger)})
+        for p in config.press
+    )
     tokens = config.server.tokens
     server = config.server.model_copy(update={"tokens": None if tokens is None else folder / tokens})
     return config.model_copy(update={"store": store, "press": presses, "server": server})

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from datetime import UTC, datetime
+
 from daq.drivers.bus import Bus, Patience, release_bus, share_bus
+from daq.drivers.calibration import corrector, read_calibrations
 from daq.drivers.dcon import DconDevice
 from daq.drivers.link import Place, SerialPlace, SocketPlace
 from daq.drivers.modbus_device import ModbusDevice
@@ -22,12 +25,17 @@ def open_logger(settings: LoggerSettings) -> DataLogger:
     port is opened by the first `read`: a logger that is off does not keep others from starting.
     """
     profile = profile_for(settings)
+    correct = None
+    if settings.calibration is not None:
+        today = datetime.now(UTC).date()
+        correct = corrector(read_calibrations(settings.calibration), settings.channels, today)
     numbered = profile.protocol == "modbus" and _transport(settings) == "tcp"
     bus = share_bus(place_of(settings, profile), numbered=numbered)
     return PolledLogger(
         _device(settings, profile, bus),
         settings.channels,
         stale_after_s=settings.stale_after_s or profile.timing.stale_after_s,
+        correct=correct,
         simulated=settings.simulated,
         release=release_bus,
     )

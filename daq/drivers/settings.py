@@ -19,7 +19,8 @@ class LoggerSettings(BaseModel):
     name: str = Field(min_length=1)
     """What messages and /health call it."""
     profile: str = Field(min_length=1)
-    """A profile of ``daq/drivers/profiles`` (``adam-4118``) or the path of a user's own TOML file."""
+    """A profile of ``daq/drivers/profiles`` (``adam-4118``) or the path of a user's own TOML file, relative to the
+    configuration."""
     channels: tuple[str, ...] = Field(min_length=1)
     """Column names in the order of the inputs, from input 0; ``""`` leaves an input unused."""
 
@@ -54,7 +55,7 @@ class LoggerSettings(BaseModel):
     cold_junction_C: float | None = Field(default=None, ge=-40, le=100)  # noqa: N815
     """Cold junction of a device that reports bare voltages and no temperature of its own."""
     calibration: Path | None = None
-    """File with dated offsets and gains (see ``daq.drivers.calibration``)."""
+    """File with dated offsets and gains, relative to the configuration (``daq.drivers.calibration``)."""
     simulated: bool = False
     """Mark every good value ``simulated``."""
     override: dict[str, Any] = Field(default_factory=dict)
@@ -76,6 +77,15 @@ class LoggerSettings(BaseModel):
         if twice := [name for name, count in names.items() if count > 1]:
             raise ValueError(f"channels names {', '.join(twice)} twice")
         return self
+
+    def relative_to(self, folder: Path) -> LoggerSettings:
+        """Return the same with its file names, relative to a folder, made absolute."""
+        changes: dict[str, Any] = {}
+        if self.profile.endswith(".toml"):
+            changes["profile"] = str(folder / self.profile)
+        if self.calibration is not None:
+            changes["calibration"] = folder / self.calibration
+        return self.model_copy(update=changes)
 
     @property
     def columns(self) -> tuple[str, ...]:

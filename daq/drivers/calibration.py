@@ -1,0 +1,116 @@
+"""Offset and gain of every channel, dated; the file keeps the whole history.
+
+    [[calibration]]
+    channel = "top_3"
+    date = 2026-03-01
+    gain = 1.0
+    offset_K = -0.42          # true temperature = gain x reading + offset
+    reference = "mercury thermometer 17, room"
+
+What was measured on a day is corrected by the newest entry of that day or before it.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Callable, Iterable, Sequence
+from datetime import date
+from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from daq.records import InputError
+
+LARGEST_OFFSET_K = 50.0
+SMALLEST_GAIN, LARGEST_GAIN = 0.8, 1.25
+
+
+class Calibration(BaseModel):
+    """One entry: what corrects one channel from a day on."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    channel: str = Field(min_length=1)
+    date: date
+    gain: float = Field(default=1.0, ge=SMALLEST_GAIN, le=LARGEST_GAIN)
+    offset_K: float = Field(default=0.0, ge=-LARGEST_OFFSET_K, le=LARGEST_OFFSET_K)  # noqa: N815
+    reference: str = ""
+    """What the reading was held against."""
+
+    def correct(self, celsius: float) -> float:
+        """Return the true temperature of a reading. [°C]"""
+        return self.gain * celsius + self.offset_K
+
+
+def read_calibrations(path: Path) -> tuple[Calibration, ...]:
+    """Return the history, oldest first."""
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise InputError(f"calibration file {path}: {error}") from error
+    entries = table.pop("calibration", [])
+    if table or not isinstance(entries, list):
+        raise InputError(f"calibration file {path}: only [[calibration]] tables are known, got {', '.join(table)}")
+    return tuple(sorted((_entry(path, n, e) for n, e in enumerate(entries, 1)), key=lambda c: c.date))
+
+
+def _entry(path: Path, number: int, table: object) -> Calibration:
+    try:
+        return Calibration.model_validate(table)
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"])
+        raise InputError(
+            f"calibration file {path}: entry {number}: {key}: {first['msg']} (got {first['input']!r})"
+        ) from None
+
+
+def append_calibrations(path: Path, entries: Iterable[Calibration]) -> None:
+    """Add entries to the file's end, or leave it as it was."""
+    before = path.read_text(encoding="utf-8") if path.exists() else ""
+    text = before + "".join(_written(entry) for entry in entries)
+    partial = path.with_suffix(path.suffix + ".part")
+    partial.write_text(text, encoding="utf-8")
+    partial.replace(path)
+
+
+def _written(entry: Calibration) -> str:
+    quoted = entry.reference.replace("\\", "\\\\").replace('"', '\\"')
+    return (
+        f'\n[[calibration]]\nchannel = "{entry.channel}"\ndate = {entry.date.isoformat()}\n'
+        f'gain = {entry.gain!r}\noffset_K = {entry.offset_K!r}\nreference = "{quoted}"\n'
+    )
+
+
+def in_force(history: Sequence[Calibration], channel: str, day: date) -> Calibration | None:
+    """Return the entry that corrects `channel` on `day`, or None."""
+    known = [entry for entry in history if entry.channel == channel and entry.date <= day]
+    return max(known, key=lambda entry: entry.date, default=None)
+
+
+def corrector(history: Sequence[Calibration], names: Sequence[str], day: date) -> Callable[[int, float], float]:
+    """Return what turns input number and reading into a true temperature on `day`."""
+    entries = tuple(in_force(history, name, day) if name else None for name in names)
+
+    def correct(k: int, celsius: float) -> float:
+        entry = entries[k]
+        return celsius if entry is None else entry.correct(celsius)
+
+    return correct
+
+
+def from_two_points(
+    channel: str, day: date, readings: tuple[float, float], truths: tuple[float, float], reference: str = ""
+) -> Calibration:
+    """Return gain and offset from readings at two known temperatures, ice and boiling water say. [°C]"""
+    (low, high), (true_low, true_high) = readings, truths
+    if abs(high - low) < 10:
+        raise InputError(
+            f"{channel}: readings {low:g} and {high:g} C lie closer than 10 K; take points further apart"
+        )
+    gain = (true_high - true_low) / (high - low)
+    if not SMALLEST_GAIN <= gain <= LARGEST_GAIN:
+        raise InputError(
+            f"{channel}: gain {gain:.3f} lies outside {SMALLEST_GAIN:g}..{LARGEST_GAIN:g}; check the wiring"
+        )
+    return Calibration(channel=channel, date=day, gain=gain, offset_K=true_low - gain * low, reference=reference)

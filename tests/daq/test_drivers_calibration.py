@@ -1,0 +1,142 @@
+"""Calibration with history, the check at room temperature, and the warm hand."""
+
+from __future__ import annotations
+
+import math
+from datetime import date
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from daq.drivers import LoggerSettings, open_logger
+from daq.drivers.calibration import (
+    Calibration,
+    append_calibrations,
+    corrector,
+    from_two_points,
+    in_force,
+    read_calibrations,
+)
+from daq.drivers.commissioning import (
+    check_at_room_temperature,
+    collect,
+    offsets_from_room,
+    warmed_channel,
+)
+from daq.records import Channel, InputError, Quality, Reading
+from daq.simulated.devices import simulated, wiring
+
+SPRING, SUMMER = date(2026, 3, 1), date(2026, 7, 1)
+CHANNELS = tuple(Channel(f"top_{k}") for k in range(1, 5))
+
+
+def readings_of(table, qualities=None):
+    table = np.atleast_2d(table)
+    good = (Quality.GOOD,) * table.shape[1]
+    return tuple(Reading(i, i + 0.1, tuple(row), qualities or good) for i, row in enumerate(table.tolist()))
+
+
+def test_a_run_is_corrected_by_what_was_in_force_on_its_day():
+    history = (
+        Calibration(channel="top_1", date=SPRING, offset_K=-0.4),
+        Calibration(channel="top_1", date=SUMMER, offset_K=-0.6),
+    )
+    assert in_force(history, "top_1", date(2026, 2, 1)) is None
+    assert in_force(history, "top_1", date(2026, 4, 1)).offset_K == -0.4
+    assert in_force(history, "top_1", date(2026, 8, 1)).offset_K == -0.6
+    correct = corrector(history, ("", "top_1"), date(2026, 8, 1))
+    assert correct(1, 20.6) == pytest.approx(20.0)
+    assert correct(0, 20.6) == 20.6
+
+
+def test_the_file_keeps_every_entry_and_reads_back_what_was_written(tmp_path):
+    path = tmp_path / "calibration.toml"
+    first = Calibration(channel="top_1", date=SUMMER, offset_K=-0.1234567, reference='Hg "17"')
+    second = Calibration(channel="top_2", date=SPRING, gain=1.01)
+    append_calibrations(path, [first])
+    append_calibrations(path, [second])
+    assert read_calibrations(path) == (second, first)
+    assert [p.name for p in tmp_path.iterdir()] == ["calibration.toml"]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('[[calibration]]\nchannel = "a"\ndate = 2026-01-01\noffset = 1.0\n', "entry 1: offset: Extra"),
+        ('[[calibration]]\nchannel = "a"\ndate = 2026-01-01\noffset_K = 99.0\n', "offset_K.*50"),
+        ('[[calibration]]\nchannel = "a"\n', "entry 1: date"),
+        ("x = 1\n", "only .*calibration"),
+        ("[[calib", "calibration.toml"),
+    ],
+)
+def test_a_wrong_file_is_refused_by_entry_and_key(tmp_path, text, message):
+    path = tmp_path / "calibration.toml"
+    path.write_text(text)
+    with pytest.raises(InputError, match=message):
+        read_calibrations(path)
+
+
+@given(st.floats(0.9, 1.1), st.floats(-5, 5))
+def test_two_points_give_gain_and_offset_back(gain, offset):
+    readings = tuple((truth - offset) / gain for truth in (0.0, 100.0))
+    entry = from_two_points("top_1", SPRING, readings, (0.0, 100.0))
+    assert entry.correct(readings[0]) == pytest.approx(0.0, abs=1e-9)
+    assert entry.correct(readings[1]) == pytest.approx(100.0, abs=1e-9)
+
+
+def test_two_points_too_close_or_absurd_are_refused():
+    with pytest.raises(InputError, match="closer than 10 K"):
+        from_two_points("top_1", SPRING, (20.0, 25.0), (20.0, 25.0))
+    with pytest.raises(InputError, match="check the wiring"):
+        from_two_points("top_1", SPRING, (0.0, 50.0), (0.0, 100.0))
+
+
+def test_readings_come_corrected_out_of_the_driver(tmp_path):
+    path = tmp_path / "calibration.toml"
+    append_calibrations(path, [Calibration(channel="b", date=SPRING, gain=1.02, offset_K=-0.5)])
+    with simulated("exemys-rme1-tc", lambda now_s: [100.0] * 8, refresh_s=0) as server:
+        table = wiring("exemys-rme1-tc", server, "x", ("a", "b")) | {"calibration": path}
+        logger = open_logger(LoggerSettings(**table))
+        assert logger.read().values == pytest.approx((100.0, 101.5))
+        logger.close()
+
+
+def test_room_check_tells_sound_off_noisy_and_dead_channels_apart():
+    rng = np.random.default_rng(3)
+    table = 21.0 + rng.normal(0, 0.05, (20, 4))
+    table[:, 1] += 6.0
+    table[:, 2] += rng.normal(0, 2.0, 20)
+    qualities = (Quality.GOOD, Quality.GOOD, Quality.GOOD, Quality.OPEN)
+    checks = check_at_room_temperature(CHANNELS, readings_of(table, qualities), 20.5)
+    assert [c.verdict for c in checks] == ["ok", "off", "noisy", "no value"]
+    assert checks[0].deviation_kelvin == pytest.approx(0.5, abs=0.05)
+    assert checks[3].quality is Quality.OPEN
+    assert math.isnan(checks[3].mean_celsius)
+    offsets = offsets_from_room(checks, SPRING, "mercury")
+    assert [o.channel for o in offsets] == ["top_1"]
+    assert offsets[0].correct(checks[0].mean_celsius) == pytest.approx(20.5, abs=1e-3)
+
+
+def test_the_channel_warmed_by_hand_is_found_in_a_warming_room():
+    before = readings_of(np.full((5, 4), 20.0))
+    after = readings_of(np.full((5, 4), 21.0) + np.array([0.0, 0.1, 6.0, 0.3]))
+    warmed = warmed_channel(CHANNELS, before, after)
+    assert warmed.channel == "top_3"
+    assert warmed.rise_kelvin == pytest.approx(5.8, abs=0.1)
+
+
+@pytest.mark.parametrize("rise", [[0.1, 0.2, 0.3, 0.2], [5.0, 0.0, 4.0, 0.0], [np.nan] * 4])
+def test_no_channel_is_named_when_none_or_two_are_warm(rise):
+    before = readings_of(np.full((5, 4), 20.0))
+    assert warmed_channel(CHANNELS, before, readings_of(20.0 + np.array([rise] * 5))).channel is None
+
+
+def test_readings_are_collected_across_gaps():
+    with simulated("exemys-rme1-tc", lambda now_s: [20.0] * 8, refresh_s=0) as server:
+        logger = open_logger(LoggerSettings(**wiring("exemys-rme1-tc", server, "x", ("a", "b"))))
+        waits = []
+        assert len(collect(logger, 3, wait=waits.append)) == 3
+        assert waits == [0.5, 0.5]
+        logger.close()
