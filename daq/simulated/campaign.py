@@ -15,9 +15,9 @@ from daq.records import Array, Moments, Panel, Run
 from daq.runfile import write_run
 from daq.simulated.campaign_places import solve_places
 from daq.simulated.campaign_platens import Controller, draw_controller, draw_platens
+from daq.simulated.campaign_pressfile import press_toml
 from daq.simulated.campaign_sensors import (
     FACES,
-    POSITIONS_MM,
     Chain,
     Fault,
     Nuisances,
@@ -26,7 +26,7 @@ from daq.simulated.campaign_sensors import (
 )
 from daq.simulated.effects import CHAIN_EFFECTS, draw_effect, draw_outside, for_run, split_names, with_outside
 from daq.simulated.physics import BASE_COEFFICIENTS, Pressing
-from daq.simulated.physics_mesh import Accuracy
+from daq.simulated.physics_mesh import Accuracy, Plates
 
 Effects = Mapping[str, Mapping[str, float]]
 
@@ -53,6 +53,9 @@ class Plan:
     """Of the press; a run differs from them by `coefficient_spread`. [W/m²K]"""
     coefficient_spread: float | None = None
     """Log-normal, from run to run. None: 0.12 to 0.30."""
+    trends_per_K: Mapping[str, float] = field(default_factory=dict)
+    """Coefficients that grow with the platens' set point: relative change per kelvin from 195 °C."""
+    plates: Plates = field(default_factory=Plates)
     panel_spread: float = 0.0
     """Relative scatter of conductivity and heat capacity from panel to panel, not in the header."""
     effect_spread: float = 0.25
@@ -147,45 +150,13 @@ def make_campaign(
 def write_campaign(folder: Path, campaign: Sequence[tuple[Run, Truth]], positions: bool = False) -> list[Path]:
     """Write run files and ``press.toml`` into a folder; return the run files. Truths stay out."""
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "press.toml").write_text(press_toml(positions), encoding="utf-8")
+    plates = campaign[0][1].pressing.plates if campaign else None
+    (folder / "press.toml").write_text(press_toml(positions, plates), encoding="utf-8")
     paths = []
     for run, _ in campaign:
         paths.append(folder / f"{run.name}.csv")
         write_run(run, paths[-1])
     return paths
-
-
-def press_toml(positions: bool = False) -> str:
-    """Return the press file of the virtual press, with the sensors' places over the face if asked for."""
-    plate = "thickness_mm = 10.0\nconductivity_W_mK = 45.0\ndensity_kg_m3 = 7850.0\nheat_capacity_J_kgK = 490.0\n"
-    text = '[press]\nname = "lab"\narea_m2 = 0.25\n'
-    text += f'\n[[layer]]\nname = "plate_bottom"\n{plate}\n[[layer]]\nname = "panel"\nfrom_run = true\n'
-    text += f'\n[[layer]]\nname = "plate_top"\n{plate}'
-    for end in ("bottom", "top"):
-        text += f'\n[boundary.{end}]\nkind = "measured"\ncolumn = "platen_{end}"\n'
-    for pair, opened, closed in (
-        ('"boundary.bottom", "plate_bottom"', '"h_p_o"', "h_p_c"),
-        ('"plate_bottom", "panel"', '"h_pp_o"', "h_pp_c"),
-        ('"panel", "plate_top"', '["h_wa", "h_ap"]', "h_pp_c"),
-        ('"plate_top", "boundary.top"', '"h_p_o"', "h_p_c"),
-    ):
-        text += f'\n[[contact]]\nbetween = [{pair}]\nopen = {opened}\nclosed = "{closed}"\n'
-    for name, (guess, lower, upper) in _GUESSES.items():
-        text += f"\n[coefficients.{name}]\nguess = {guess}\nlower = {lower}\nupper = {upper}\n"
-    places = f"position_mm = {[list(p) for p in POSITIONS_MM]}\n" if positions else ""
-    for face in ("top", "bottom"):
-        text += f'\n[[sensor]]\ncolumns = ["{face}_*"]\nat = "panel.{face}"\n{places}'
-    return text + '\n[[sensor]]\ncolumns = ["core_*"]\nat = "panel.middle"\nrole = "validation"\n'
-
-
-_GUESSES = {
-    "h_p_o": (500.0, 10.0, 50000.0),
-    "h_p_c": (700.0, 10.0, 50000.0),
-    "h_pp_o": (30.0, 1.0, 2000.0),
-    "h_pp_c": (700.0, 10.0, 50000.0),
-    "h_wa": (12.0, 1.0, 200.0),
-    "h_ap": (10.0, 1.0, 200.0),
-}
 
 
 def _draw_press(
@@ -240,6 +211,9 @@ def _make_run(press: _Press, seed: int, number: int) -> tuple[Run, Truth]:
     jitter = np.clip(rng.standard_normal(n) * press.plan.nuisances.jitter, -0.2, 0.2)
     times = np.round(pressing.start + period * (np.arange(n) + jitter), 4)
     times -= times[0]
+    if hidden.random() < press.plan.nuisances.gap_chance:
+        begin = hidden.uniform(1.0, times[-1] - 11.0)
+        times = times[(times < begin) | (times > begin + hidden.uniform(1.0, 10.0))]
     faults = press.faults
     if rng.random() < press.plan.nuisances.loose_chance:
         faults += (draw_fault(rng, pressing.end, "loose"),)
@@ -301,8 +275,11 @@ def _draw_pressing(press: _Press, rng: np.random.Generator) -> tuple[Pressing, f
         8.0,
     )
     values = {n: float(v * np.exp(press.spread * rng.standard_normal())) for n, v in plan.coefficients.items()}
+    for name, trend in plan.trends_per_K.items():
+        values[name] *= float(np.exp(trend * (setpoint - 195.0)))
     pressing = Pressing(
         panel=panel,
+        plates=plan.plates,
         ambient=float(rng.uniform(18.0, 28.0)),
         platen_bottom=low,
         platen_top=high,

@@ -58,6 +58,8 @@ class Nuisances:
     """Share of single cells."""
     burst_chance: float = 0.15
     """That a run has one channel silent for some seconds."""
+    gap_chance: float = 0.0
+    """That a run lacks all rows for 1 to 10 s."""
     loose_chance: float = 0.15
     """That a run has a loose sensor, beyond any hidden effect."""
     start_error_K: float = 0.1
@@ -72,7 +74,7 @@ class Nuisances:
     @classmethod
     def none(cls) -> Nuisances:
         """Return a perfect chain."""
-        return cls(0.0, 0.0, 0.0, 0.0, (0.0, 0.0), (0.0, 0.0), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        return cls(0.0, 0.0, 0.0, 0.0, (0.0, 0.0), (0.0, 0.0), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from daq.records import Array, Panel
 from daq.simulated import physics_kernel as kernel
-from daq.simulated.physics_mesh import LOAD_REFERENCE, Accuracy, build_knobs, build_mesh, first_state
+from daq.simulated.physics_mesh import LOAD_REFERENCE, Accuracy, Plates, build_knobs, build_mesh, first_state
 
 BASE_COEFFICIENTS: Mapping[str, float] = {
     "h_p_o": 800.0,
@@ -111,6 +111,7 @@ class Pressing:
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     """Physical effects by the contract's names, and thermocouple lag and footprint."""
     outside: Outside = Outside()
+    plates: Plates = field(default_factory=Plates)
     pressure: float = LOAD_REFERENCE
     """[N/cm²]"""
     vapour_law: Literal["proportional", "uniform"] = "proportional"

@@ -16,10 +16,6 @@ if TYPE_CHECKING:
 
 Accuracy = Literal["fast", "accurate"]
 
-PLATE_THICKNESS = 0.010
-PLATE_CONDUCTIVITY = 45.0
-PLATE_HEAT_CAPACITY = 7850.0 * 490.0
-"""Per volume. [J/m³K]"""
 LATENT_HEAT = 2.4e6
 """Of bound water in wood near 100 °C, with the heat of sorption. [J/kg]"""
 LOAD_REFERENCE = 350.0
@@ -38,6 +34,27 @@ DRYING_TIME = 0.5
 WET_DEPTH, WET_WIDTH = 1.5e-3, 0.5e-3
 """Where steam of a wet spot condenses, below the upper face. [m]"""
 
+
+@dataclass(frozen=True)
+class Plates:
+    """Both press plates: steel, 10 mm, unless another press is meant. SI units."""
+
+    thickness: float = 0.010
+    conductivity: float = 45.0
+    density: float = 7850.0
+    heat_capacity: float = 490.0
+
+    @property
+    def stored(self) -> float:
+        """Heat capacity per volume. [J/m³K]"""
+        return self.density * self.heat_capacity
+
+    @property
+    def resistance(self) -> float:
+        """[m²K/W]"""
+        return self.thickness / self.conductivity
+
+
 _PANEL_NODES = {"fast": (5e-6, 1.06, 0.15e-3), "accurate": (4e-6, 1.03, 0.06e-3)}
 _PLATE_NODES = {"fast": (0.1e-3, 1.2, 0.6e-3), "accurate": (0.04e-3, 1.08, 0.25e-3)}
 """Spacing at the panel's face, its growth, and its largest value. [m]"""
@@ -54,21 +71,21 @@ class Mesh:
 
 def build_mesh(pressing: Pressing, accuracy: Accuracy) -> Mesh:
     """Return nodes and everything attached to them, from the lower plate to the upper."""
-    panel, effects = pressing.panel, pressing.effects
+    panel, plates, effects = pressing.panel, pressing.plates, pressing.effects
     half = _graded(panel.thickness / 2, *_PANEL_NODES[accuracy])
     depth = np.concatenate((half, panel.thickness - half[-2::-1]))
-    plate = _graded(PLATE_THICKNESS, *_PLATE_NODES[accuracy])
+    plate = _graded(plates.thickness, *_PLATE_NODES[accuracy])
     paper = effects.get("paper_layer")
     nb, m = len(plate), len(depth)
     first = nb + (1 if paper else 0)
     n = m + 2 * first
     base, capacity = np.zeros(n + 1), np.empty(n)
-    base[1:nb] = PLATE_CONDUCTIVITY / np.diff(plate)[::-1]
-    base[n - nb + 1 : n] = PLATE_CONDUCTIVITY / np.diff(plate)
+    base[1:nb] = plates.conductivity / np.diff(plate)[::-1]
+    base[n - nb + 1 : n] = plates.conductivity / np.diff(plate)
     base[first + 1 : first + m] = _profile(pressing, 0.5 * (depth[1:] + depth[:-1]))[0] / np.diff(depth)
     volume = _volumes(depth)
-    capacity[:nb] = PLATE_HEAT_CAPACITY * _volumes(plate)[::-1]
-    capacity[n - nb :] = PLATE_HEAT_CAPACITY * _volumes(plate)
+    capacity[:nb] = plates.stored * _volumes(plate)[::-1]
+    capacity[n - nb :] = plates.stored * _volumes(plate)
     capacity[first : first + m] = _profile(pressing, depth)[1] * volume
     if paper:
         capacity[nb] = capacity[first + m] = paper["capacity_J_m2K"]
@@ -162,7 +179,7 @@ def first_state(pressing: Pressing, mesh: Mesh, plates: tuple[Array, Array] | No
     else:
         h = pressing.coefficients
         offset = pressing.effects.get("initial_press_state", {}).get("offset_K", 0.0)
-        path = 1.0 / h["h_p_o"] + PLATE_THICKNESS / PLATE_CONDUCTIVITY + 1.0 / h["h_ap"]
+        path = 1.0 / h["h_p_o"] + pressing.plates.resistance + 1.0 / h["h_ap"]
         passed = 1.0 / h["h_p_o"] + np.concatenate(([0.0], np.cumsum(1.0 / s.base[1 : s.lower + 1])))
         for place, platen in ((below, pressing.platen_bottom), (above, pressing.platen_top)):
             hot = float(platen.at(np.array([pressing.start]))[0])

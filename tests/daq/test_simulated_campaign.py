@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +11,11 @@ import pytest
 from daq.pressfile import panel_of, parse_press, read_press
 from daq.records import InputError
 from daq.runfile import read_run
-from daq.simulated.campaign import Plan, make_campaign, press_toml, write_campaign
+from daq.simulated.campaign import Plan, make_campaign, write_campaign
+from daq.simulated.campaign_pressfile import press_toml
 from daq.simulated.campaign_sensors import CHANNELS, FACES, Nuisances
 from daq.simulated.effects import OUTSIDE, SIZES, draw_effect, draw_outside
+from daq.simulated.physics_mesh import Plates
 
 LAB = Path(__file__).parents[2] / "deploy" / "presses" / "lab.toml"
 SEEDS = range(20, 26)
@@ -195,6 +198,32 @@ def test_the_press_file_is_the_laboratorys() -> None:
     places = parse_press(press_toml(positions=True)).sensor[0].position_mm
     assert places is not None
     assert len(places) == 7
+
+
+def test_another_press_has_its_own_plates_in_file_and_physics(tmp_path: Path) -> None:
+    plates = Plates(thickness=0.015, conductivity=160.0, density=2700.0, heat_capacity=900.0)
+    quiet = Plan(nuisances=Nuisances.none(), plates=plates, start_before_s=0.0)
+    campaign = make_campaign(3, 1, None, quiet)
+    write_campaign(tmp_path, campaign)
+    layers = {layer.name: layer for layer in read_press(tmp_path / "press.toml").layer}
+    assert layers["plate_top"].thickness_mm == 15.0
+    assert layers["plate_bottom"].conductivity_W_mK == 160.0
+    usual = make_campaign(3, 1, None, Plan(nuisances=Nuisances.none(), start_before_s=0.0))[0][0]
+    assert np.abs(campaign[0][0].columns["top_1"] - usual.columns["top_1"]).max() > 1.0
+
+
+def test_coefficients_may_follow_the_platens_set_point() -> None:
+    plan = Plan(coefficient_spread=0.0, trends_per_K={"h_pp_c": 0.01}, rate_hz=1.0)
+    for run, truth in make_campaign(12, 5, None, plan):
+        expected = 700.0 * np.exp(0.01 * (run.header["setting.platen_temperature_C"] - 195.0))
+        assert truth.coefficients["h_pp_c"] == pytest.approx(expected)
+
+
+def test_rows_may_be_missing_altogether() -> None:
+    plan = Plan(nuisances=replace(Nuisances(), gap_chance=1.0), rate_hz=10.0)
+    run, truth = make_campaign(12, 1, None, plan)[0]
+    assert 1.0 <= np.diff(run.time_s).max() <= 10.2
+    assert len(truth.core_C) == len(run.time_s)
 
 
 def test_written_campaigns_are_read_back_as_they_were(tmp_path: Path) -> None:

@@ -17,18 +17,11 @@ from daq.simulated.physics import (
     nominal_panel,
     solve,
 )
-from daq.simulated.physics_mesh import (
-    LATENT_HEAT,
-    PLATE_CONDUCTIVITY,
-    PLATE_HEAT_CAPACITY,
-    PLATE_THICKNESS,
-    build_knobs,
-    build_mesh,
-    first_state,
-)
+from daq.simulated.physics_mesh import LATENT_HEAT, Plates, build_knobs, build_mesh, first_state
 
 TIMES = np.arange(5.0, 139.0, 0.1)
 NOTHING = 1e-9
+STEEL = Plates()
 
 
 def pressing(**changes: object) -> Pressing:
@@ -56,7 +49,7 @@ def test_two_thick_bodies_in_contact_follow_the_closed_form() -> None:
     t = np.linspace(0.06, 0.4, 50)
     panel = p.panel
     e2 = np.sqrt(panel.conductivity * panel.density * panel.heat_capacity)
-    e1 = np.sqrt(PLATE_CONDUCTIVITY * PLATE_HEAT_CAPACITY)
+    e1 = np.sqrt(STEEL.conductivity * STEEL.stored)
     beta = h * (e1 + e2) / (e1 * e2)
     start = panel.initial_temperature
     rise = 1.0 - erfcx(beta * np.sqrt(t - 0.05))
@@ -71,7 +64,7 @@ def test_a_long_pressing_ends_in_the_steady_profile_of_series_resistances() -> N
     p = closed_for_long()
     s = solve(p)
     h = p.coefficients
-    resistances = [1 / h["h_p_c"], PLATE_THICKNESS / PLATE_CONDUCTIVITY, 1 / h["h_pp_c"], 0.008 / 0.12]
+    resistances = [1 / h["h_p_c"], STEEL.resistance, 1 / h["h_pp_c"], 0.008 / 0.12]
     resistances += resistances[2::-1]
     flux = 20.0 / sum(resistances)
     assert s.steps["panel_bottom"][-1] == pytest.approx(200.0 - flux * sum(resistances[:3]), abs=0.01)
@@ -114,7 +107,7 @@ def test_an_idle_press_stays_steady() -> None:
     for plate in ("plate_top", "plate_bottom"):
         assert np.ptp(s.steps[plate]) < 1e-6
     h = p.coefficients
-    flux = (200.0 - 23.0) / (1 / h["h_p_o"] + PLATE_THICKNESS / PLATE_CONDUCTIVITY + 1 / h["h_ap"])
+    flux = (200.0 - 23.0) / (1 / h["h_p_o"] + STEEL.resistance + 1 / h["h_ap"])
     assert s.steps["plate_top"][0] == pytest.approx(23.0 + flux / h["h_ap"], abs=1e-6)
 
 
@@ -250,6 +243,19 @@ def test_a_footprint_mixes_in_the_plate_only_while_closed() -> None:
     assert s.at("sensor_top", opened) == pytest.approx(s.at("panel_top", opened), abs=1e-9)
 
 
+def test_thicker_plates_keep_their_heat_longer() -> None:
+    effect = {"initial_press_state": {"offset_K": 10.0}}
+    left = []
+    for plates in (Plates(), Plates(thickness=0.02)):
+        p = pressing(plates=plates, inserted=200.0, closed=300.0, opened=400.0, removed=500.0, end=60.0)
+        still = solve(p).at("plate_top", np.array([60.0]))
+        warm = solve(replace(p, effects=effect)).at("plate_top", np.array([60.0]))
+        left.append(float((warm - still)[0]) / 10.0)
+    # a lump would keep exp(-60 s (h_p_o + h_ap) / C): 0.28 and 0.53
+    assert left[0] == pytest.approx(0.28, abs=0.05)
+    assert left[1] == pytest.approx(0.55, abs=0.07)
+
+
 def test_load_and_asymmetry_scale_the_closed_contact() -> None:
     p = pressing(effects={"contact_load": {"exponent": 0.7}}, pressure=280.0)
     h = dict(p.coefficients) | {"h_pp_c": 700.0 * 0.8**0.7}
@@ -258,7 +264,7 @@ def test_load_and_asymmetry_scale_the_closed_contact() -> None:
     lopsided = solve(closed_for_long(effects={"contact_asymmetry": {"ratio": 0.5}}))
     coefficients = dict(p.coefficients)
     flux = coefficients["h_p_c"] * (200.0 - lopsided.steps["plate_bottom"][-1])
-    flux /= 1 + coefficients["h_p_c"] * PLATE_THICKNESS / PLATE_CONDUCTIVITY
+    flux /= 1 + coefficients["h_p_c"] * STEEL.resistance
     upper = lopsided.steps["panel_top"][-1] - lopsided.steps["plate_top"][-1]
     assert flux / upper == pytest.approx(350.0, rel=2e-3)
 
