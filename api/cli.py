@@ -14,6 +14,7 @@ from collections.abc import Sequence
 import typer
 
 from api.commands import analysis, files, services
+from api.commands.demo import demo
 from api.outputs import WorkFailed
 from daq.records import InputError
 
@@ -25,6 +26,7 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 
+app.command("demo")(demo)
 app.command("serve")(services.serve)
 app.command("simulate")(analysis.simulate)
 app.command("predict")(analysis.predict)

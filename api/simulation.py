@@ -72,8 +72,7 @@ def simulate_run(run: Run, press: Press, model: ThermalModel, values: Mapping[st
 
 
 def _measured(run: Run, place_of: Mapping[str, int], place: int) -> Array:
-    """Mean of a place's sensors; each is first moved onto their common median, so that one
-    dropping out makes no step."""
+    """Mean of a place's sensors, each moved onto their median: one that drops out makes no step."""
     columns = [run.columns[name] for name, at in place_of.items() if at == place]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # rows without any value are NaN, as they should be

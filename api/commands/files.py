@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -75,7 +76,7 @@ def export_runs(
         targets = _targets(runs, out, kind)
         check_writable(*targets)
         loaded = {path: opened.load_run(run) for path, run in targets.items()}
-        write_all({path: (lambda draft, r=run: write_run(r, draft)) for path, run in loaded.items()})
+        write_all({path: partial(write_run, run) for path, run in loaded.items()})
 
 
 def _targets(runs: list[str], out: Path, kind: str) -> dict[Path, str]:

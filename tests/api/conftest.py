@@ -86,10 +86,10 @@ def fit_of(run: str, seed: int) -> dict[str, object]:
     }
 
 
-@pytest.fixture
-def store(tmp_path: Path, campaign: list[tuple[Run, Truth]]) -> Iterator[Store]:
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory, campaign: list[tuple[Run, Truth]]) -> Iterator[Store]:
     """Two finished pressings with fits, one running, a model, a diagnosis, an alarm."""
-    with open_store(str(tmp_path / "kerntemp.sqlite")) as opened:
+    with open_store(str(tmp_path_factory.mktemp("store") / "kerntemp.sqlite")) as opened:
         for i, (run, truth) in enumerate(campaign):
             name = f"lab-2026-03-04-0{i + 1}"
             record(opened, run, truth, name, STARTED + timedelta(minutes=10 * i), finish=i < 2)
@@ -126,12 +126,12 @@ class Server(uvicorn.Server):
         return thread
 
 
-@pytest.fixture
-def tokens(tmp_path: Path) -> TokenFile:
-    return TokenFile(tmp_path / "tokens.json")
+@pytest.fixture(scope="module")
+def tokens(tmp_path_factory: pytest.TempPathFactory) -> TokenFile:
+    return TokenFile(tmp_path_factory.mktemp("tokens") / "tokens.json")
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def serve(store: Store, tokens: TokenFile) -> Iterator[Callable[..., str]]:
     """Start servers over the store; returns their addresses."""
     running: list[tuple[Server, threading.Thread]] = []
@@ -148,7 +148,7 @@ def serve(store: Store, tokens: TokenFile) -> Iterator[Callable[..., str]]:
         thread.join(10)
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def client(serve: Callable[..., str]) -> Iterator[httpx.Client]:
     with httpx.Client(base_url=serve(), timeout=20) as opened:
         yield opened

@@ -1,0 +1,46 @@
+"""`demo`: the whole system on a virtual press."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from daq.records import InputError
+
+
+def demo(
+    speed: Annotated[float, typer.Option(min=0.1, max=200.0, help="Times real speed.")] = 1.0,
+    pressings: Annotated[
+        int | None, typer.Option(min=1, max=1000, help="Stop after this many; without, at Ctrl-C.")
+    ] = None,
+    hide: Annotated[
+        str, typer.Option(metavar="EFFECT", help="Switch this effect on in the virtual press only.")
+    ] = "",
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the page; 0 takes a free one.")] = 0,
+    data: Annotated[Path | None, typer.Option(metavar="DIR", help="Keep everything here.")] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Another seed is another press.")] = 1,
+) -> None:
+    """Run logging, live sensor, refits and page on a virtual press."""
+    hidden = tuple(name.strip() for name in hide.split(",") if name.strip())
+    check_effects(hidden)
+    from api.demo import Plan, run_demo
+
+    run_demo(Plan(speed=speed, pressings=pressings, hide=hidden, port=port, seed=seed), data, _say)
+
+
+def check_effects(names: tuple[str, ...]) -> None:
+    """Refuse names the virtual press does not know. Raises `InputError`."""
+    from daq.simulated.effects import split_names
+
+    try:
+        split_names(names)
+    except InputError as error:
+        raise InputError(f"--hide: {error}") from error
+
+
+def _say(line: str) -> None:
+    sys.stdout.write(line + "\n")
+    sys.stdout.flush()

@@ -1,0 +1,274 @@
+"""`kerntemp demo`: the whole system on a virtual press, with nothing in it pretended but the press.
+
+Simulated loggers in a process of their own speak Modbus TCP over a socket and ADAM-ASCII over a
+serial line. `kerntemp record`, `sense` and `serve` run as they would in a plant, from a kerntemp.toml
+written here, and meet only in the store. This process plays the operator, who writes down what is in
+the press, and at the end compares what the system found with what the virtual press truly did.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from api.demo_press import press_of
+from api.demo_summary import Finding, compare, summary_lines
+from api.outputs import WorkFailed
+from daq.records import InputError
+from daq.runfile import toml_line, toml_value
+from daq.simulated.campaign_pressfile import press_toml
+from daq.simulated.press import Cycle, VirtualPress
+from daq.store.records import RunRecord, RunStatus
+from daq.store.store import Store, open_store
+
+START_S = 60.0
+"""Longest wait for a process to come up. [s]"""
+FIT_S = 90.0
+"""Longest wait for the fit of a finished pressing. [s]"""
+SCANS_PER_S = 40.0
+"""An accelerated demonstration scans at most about this often in real time."""
+TARGET_C = 40.0
+"""What the demonstration's recipe asks of the core. [°C]"""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What the demonstration is asked to do."""
+
+    speed: float = 1.0
+    pressings: int | None = None
+    hide: tuple[str, ...] = ()
+    port: int = 0
+    folder: Path = Path()
+    seed: int = 1
+
+    @property
+    def rate_hz(self) -> float:
+        """Scans per second of run time. [Hz]"""
+        return round(min(10.0, max(SCANS_PER_S / self.speed, 0.5)), 3)
+
+
+@dataclass
+class Children:
+    """The processes of the demonstration; all of them end with it."""
+
+    folder: Path
+    running: dict[str, subprocess.Popen[str]] = field(default_factory=dict)
+
+    def start(self, name: str, command: list[str], **options: Any) -> subprocess.Popen[str]:
+        """Start a process whose messages go to a log file beside the store."""
+        with (self.folder / f"{name}.log").open("w", encoding="utf-8") as log:
+            child = subprocess.Popen(command, stderr=log, text=True, encoding="utf-8", **_APART, **options)
+        self.running[name] = child
+        return child
+
+    def check(self) -> None:
+        """Raise `WorkFailed` with the last words of a process that ended by itself."""
+        for name, child in self.running.items():
+            if child.poll() is not None:
+                raise WorkFailed(f"{name} ended with status {child.returncode}: {self.last_words(name)}")
+
+    def last_words(self, name: str) -> str:
+        """Return the last line of a process's log."""
+        lines = (self.folder / f"{name}.log").read_text(encoding="utf-8", errors="replace").split("\n")
+        return next((line for line in reversed(lines) if line.strip()), "no message")
+
+    def stop(self) -> None:
+        """Ask the processes to end, newest first, and end those that do not."""
+        for child in reversed(self.running.values()):
+            if child.stdin is not None:
+                child.stdin.close()
+            elif child.poll() is None:
+                child.terminate()
+        for child in reversed(self.running.values()):
+            try:
+                child.wait(15)
+            except subprocess.TimeoutExpired:
+                child.kill()
+                child.wait()
+            if child.stdout is not None:
+                child.stdout.close()
+        self.running.clear()
+
+
+_APART: dict[str, Any] = {"start_new_session": True}
+if sys.platform == "win32":
+    _APART = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}
+"""Ctrl-C reaches this process only, which then ends the others in order."""
+
+
+@contextmanager
+def _folder(data: Path | None) -> Iterator[Path]:
+    if data is None:
+        with tempfile.TemporaryDirectory(prefix="kerntemp-demo-", ignore_cleanup_errors=True) as folder:
+            yield Path(folder)
+        return
+    data.mkdir(parents=True, exist_ok=True)
+    if (data / "kerntemp.sqlite").exists():
+        raise InputError(f"--data {data}: holds a store already; give a new folder, or remove it")
+    yield data.resolve()
+
+
+def run_demo(plan: Plan, data: Path | None, say: Callable[[str], None]) -> None:
+    """Run the demonstration to its end. Raises `WorkFailed` where a part of it breaks."""
+    with _folder(data) as folder, ExitStack() as ending:
+        children = Children(folder)
+        ending.callback(children.stop)
+        demo = _Demo(Plan(**{**plan.__dict__, "folder": folder}), children, say)
+        demo.start(ending)
+        try:
+            demo.watch()
+        except KeyboardInterrupt:
+            if not demo.findings:
+                raise
+        demo.finish()
+
+
+class _Demo:
+    def __init__(self, plan: Plan, children: Children, say: Callable[[str], None]) -> None:
+        self.plan, self.children, self.say = plan, children, say
+        self.started = time.monotonic()
+        self.findings: list[Finding] = []
+        self._noted: set[str] = set()
+        self._ended: dict[str, float] = {}
+        self.config = plan.folder / "kerntemp.toml"
+
+    def start(self, ending: ExitStack) -> None:
+        """Bring up loggers, recorder, sensor and page."""
+        plan = self.plan
+        keep = 6 if plan.pressings is None else plan.pressings + 4
+        settings = {"hide": plan.hide, "keep": keep, "seed": plan.seed}
+        self.truth: VirtualPress = press_of(settings)
+        self.started = time.monotonic()
+        loggers = self._start_loggers({**settings, "speed": plan.speed})
+        _write_configuration(self.config, plan, loggers, self.truth)
+        self.store: Store = ending.enter_context(open_store(str(plan.folder / "kerntemp.sqlite")))
+        for name in ("record", "sense"):
+            self.children.start(name, [*_KERNTEMP, name, "--config", str(self.config)], stdout=subprocess.DEVNULL)
+        web = [*_KERNTEMP, "serve", "--config", str(self.config), "--port", str(plan.port)]
+        page = self._first_line("serve", self.children.start("serve", web, stdout=subprocess.PIPE))
+        places = " · ".join(
+            f"{t['profile']} at {t.get('port') or '{host}:{tcp_port}'.format_map(t)}" for t in loggers["loggers"]
+        )
+        many = "until Ctrl-C" if plan.pressings is None else f"{plan.pressings} pressings"
+        self.say(f"A virtual press at {plan.speed:g} times real speed, {many}.")
+        self.say(f"Loggers  {places}")
+        self.say(f"Store    {plan.folder / 'kerntemp.sqlite'}")
+        self.say(f"Page     {page.removeprefix('kerntemp serves ')}")
+
+    def _start_loggers(self, settings: dict[str, Any]) -> dict[str, Any]:
+        command = [sys.executable, "-m", "api.demo_press"]
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+        child = self.children.start("loggers", command, **pipes)
+        if child.stdin is None:
+            raise WorkFailed("loggers: no pipe to the process")
+        child.stdin.write(json.dumps({**settings, "started_monotonic_s": self.started}) + "\n")
+        child.stdin.flush()
+        answer: dict[str, Any] = json.loads(self._first_line("loggers", child))
+        return answer
+
+    def _first_line(self, name: str, child: subprocess.Popen[str]) -> str:
+        line = child.stdout.readline() if child.stdout is not None else ""
+        if not line:
+            child.wait(START_S)
+            raise WorkFailed(f"{name} did not start: {self.children.last_words(name)}")
+        return line.strip()
+
+    def watch(self) -> None:
+        """Play the operator until the pressings asked for are recorded and fitted."""
+        deadline = time.monotonic() + START_S + 400.0 / self.plan.speed
+        while self.plan.pressings is None or len(self.findings) < self.plan.pressings:
+            self.children.check()
+            for record in reversed(self.store.runs(limit=5).items):
+                self._note(record)
+                if self._finished(record):
+                    self._conclude(record)
+                    deadline = time.monotonic() + START_S + 400.0 / self.plan.speed
+            if time.monotonic() > deadline:
+                raise WorkFailed("no pressing was recorded for too long; the logs are beside the store")
+            time.sleep(0.05)
+
+    def _note(self, record: RunRecord) -> None:
+        """Write down what the operator knows of a pressing as soon as it runs."""
+        if record.run in self._noted or record.status is not RunStatus.OPEN:
+            return
+        self._noted.add(record.run)
+        cycle = self._cycle(record, 0.0)
+        known = {key: value for key, value in cycle.header.items() if key != "run"}
+        self.store.annotate_run(record.run, known, "operator")
+
+    def _finished(self, record: RunRecord) -> bool:
+        if record.status is RunStatus.OPEN or any(f.run == record.run for f in self.findings):
+            return False
+        since = self._ended.setdefault(record.run, time.monotonic())
+        return self.store.fit(record.run) is not None or time.monotonic() - since > FIT_S
+
+    def _conclude(self, record: RunRecord) -> None:
+        cycle = self._cycle(record, record.moments.closed_s)
+        finding = compare(self.store, record, cycle, self._virtual(record))
+        self.findings.append(finding)
+        self.say(finding.line)
+
+    def _virtual(self, record: RunRecord) -> float:
+        """Return the virtual time of a run's time 0. [s]"""
+        return record.zero_monotonic_s - self.started * self.plan.speed
+
+    def _cycle(self, record: RunRecord, at_s: float) -> Cycle:
+        return self.truth.cycle(max(self._virtual(record) + (at_s if at_s == at_s else 0.0), 0.0))
+
+    def finish(self) -> None:
+        """Let the nightly job run where something is hidden, and say what came out."""
+        report: Mapping[str, Any] | None = None
+        if self.plan.hide:
+            self.say("Nightly job: refitting all runs and looking for what the model gets wrong ...")
+            command = [*_KERNTEMP, "refit", "--config", str(self.config)]
+            with (self.plan.folder / "refit.log").open("w", encoding="utf-8") as log:
+                done = subprocess.run(command, stdout=log, stderr=log, check=False, **_APART)
+            if done.returncode != 0:
+                raise WorkFailed(f"refit ended with status {done.returncode}: {self.children.last_words('refit')}")
+            found = self.store.diagnoses(limit=1).items
+            report = found[0].diagnosis if found else None
+        for line in summary_lines(self.findings, self.plan.hide, report):
+            self.say(line)
+
+
+_KERNTEMP = [sys.executable, "-m", "api"]
+
+
+def _write_configuration(path: Path, plan: Plan, loggers: Mapping[str, Any], press: VirtualPress) -> None:
+    (path.parent / "press.toml").write_text(press_toml(), encoding="utf-8")
+    panel = press.panel
+    header = {
+        "panel.material": panel.material,
+        "panel.thickness_mm": panel.thickness * 1000.0,
+        "panel.density_kg_m3": panel.density,
+        "panel.moisture_percent": panel.moisture_percent or 0.0,
+        "panel.initial_temperature_C": round(press.ambient, 1),
+        "ambient.temperature_C": round(press.ambient, 1),
+        "setting.platen_temperature_C": press.settings.setpoint_C,
+        "setting.core_target_C": TARGET_C,
+    }
+    lines = [
+        "[store]",
+        toml_line("url", "kerntemp.sqlite"),
+        "",
+        "[clock]",
+        toml_line("speed", plan.speed),
+        "",
+        "[[press]]",
+        toml_line("name", "lab"),
+        toml_line("file", "press.toml"),
+        toml_line("rate_hz", plan.rate_hz),
+        "header = { " + ", ".join(f"{toml_value(k)} = {toml_value(v)}" for k, v in header.items()) + " }",
+    ]
+    for table in loggers["loggers"]:
+        lines += ["", "[[press.logger]]", *(toml_line(key, value) for key, value in table.items())]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
