@@ -8,14 +8,15 @@ Levenberg-Marquardt with exact sensitivities, Huber weights and limits; the cost
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
+from numba import njit
 
 from daq.records import Array
-from softsensor.case import Case
+from softsensor.case import OPENING_RAMP_S, Case
 from softsensor.effects import find_effect
 from softsensor.model import Solution, ThermalModel
 from softsensor.residuals import Noise, Signals, whiten
@@ -24,6 +25,10 @@ HUBER = 3.0
 """Whitened residuals beyond this count in proportion, not squared."""
 SLOPE = "clock_offset.seconds"
 """The model's derivative by this parameter is minus the slope of what the channels read."""
+SWITCH_TIMING_S = 0.04
+"""How well the press's motion is described by straight ramps: as a delay, while it closes or opens. [s]"""
+SWITCH_EDGE_S = 0.2
+"""Rows this close to a ramp count as part of it. [s]"""
 MAX_MOVE = 2.0
 """Largest change of a logarithm or of a scaled parameter in one step."""
 
@@ -164,8 +169,16 @@ class Problem:
         place = self.signals.places[i]
         variance = self.noise.white_K**2 / np.maximum(place.count, 1.0)
         if self.slope:
-            variance = variance + (self.noise.timing_s * self.slope[i]) ** 2
+            variance = variance + (self._timing() * _steepest(self.signals.time_s, self.slope[i])) ** 2
         return np.asarray(variance)
+
+    def _timing(self) -> Array:
+        """How well the time of each row is known against the heat; poorly while the press moves. [s]"""
+        t, moments = self.signals.time_s, self.case.moments
+        timing = np.full(len(t), self.noise.timing_s)
+        for moment, half in ((moments.closed_s, moments.ramp_s / 2), (moments.opened_s, OPENING_RAMP_S / 2)):
+            timing[np.abs(t - moment) < half + SWITCH_EDGE_S] = SWITCH_TIMING_S
+        return timing
 
     def whiten(self, i: int, series: Array) -> Array:
         """Whiten series of a place's mean as this problem's residuals are (rows, columns)."""
@@ -202,6 +215,21 @@ class Problem:
                 derivative[:, j] = -self.slope[i] * u.size
             added += derivative[:, j] * x[j]
         return place.mean - predicted - added, derivative
+
+
+def _steepest(time_s: Array, slope: Array) -> Array:
+    """Return the steepest slope near each row, so that a row just before a kink knows of it. [K/s]"""
+    steep = np.abs(slope)
+    out = steep.copy()
+    first, last = (np.searchsorted(time_s, time_s + d) for d in (-SWITCH_EDGE_S, SWITCH_EDGE_S))
+    for shift in range(1, int(np.max(last - first, initial=1)) + 1):
+        if shift >= len(steep):
+            break
+        near = np.diff(time_s) if shift == 1 else time_s[shift:] - time_s[:-shift]
+        close = near <= SWITCH_EDGE_S
+        out[shift:] = np.where(close, np.maximum(out[shift:], steep[:-shift]), out[shift:])
+        out[:-shift] = np.where(close, np.maximum(out[:-shift], steep[shift:]), out[:-shift])
+    return out
 
 
 def with_clock(model: ThermalModel) -> ThermalModel:
@@ -250,9 +278,29 @@ class Minimum:
 def normal_equations(problem: Problem, at: Evaluation) -> tuple[Array, Array]:
     """Return the Gauss-Newton matrix and the descent direction's right-hand side, priors included."""
     mean, precision = problem.precision
-    weighted = at.jacobian * at.weight[:, None]
-    matrix = weighted.T @ at.jacobian + np.diag(precision)
-    return matrix, weighted.T @ at.z - precision * (at.x - mean)
+    matrix, right = _gram(at.jacobian, at.weight, at.z)
+    return matrix + np.diag(precision), right - precision * (at.x - mean)
+
+
+def _gram_of(jacobian: Array, weight: Array, z: Array) -> tuple[Array, Array]:
+    """Return J'WJ and J'Wz, in one pass and one thread (a threaded BLAS loses to its own overhead here)."""
+    rows, p = jacobian.shape
+    matrix, right = np.zeros((p, p)), np.zeros(p)
+    for k in range(rows):
+        if z[k] == 0.0:
+            continue
+        for i in range(p):
+            w = weight[k] * jacobian[k, i]
+            right[i] += w * z[k]
+            for j in range(i + 1):
+                matrix[i, j] += w * jacobian[k, j]
+    for i in range(p):
+        for j in range(i):
+            matrix[j, i] = matrix[i, j]
+    return matrix, right
+
+
+_gram: Callable[..., tuple[Array, Array]] = njit(cache=True, nogil=True, fastmath=True)(_gram_of)
 
 
 def minimise(
