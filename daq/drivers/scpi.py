@@ -33,8 +33,8 @@ class ScpiDevice:
 
     def set_up(self) -> None:
         """Configure the scan. The format comes last: CONFigure and *RST switch it off again."""
-        self._send("*RST")
-        self._send("*CLS")
+        for command in ("*CLS", "*RST", "*CLS"):  # the first ends whatever lay half sent on the line
+            self._send(command)
         name = decoded(self._query("*IDN?").payload)
         if self._scpi.model not in name:
             raise NoReply(

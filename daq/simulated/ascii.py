@@ -161,6 +161,8 @@ class ScanningMeter:
         head, _, rest = command.partition(" ")
         if head == "*RST":
             self._reset()
+        elif head == "*CLS":
+            self._errors.clear()
         elif head == "CONF:TEMP":
             self._reference_internal = self._checks_open = self._shows_channel = False
         elif head == "SENS:TEMP:TRAN:TC:RJUN:TYPE":
@@ -172,7 +174,6 @@ class ScanningMeter:
         elif head == "FORM:READ:CHAN":
             self._shows_channel = rest == "ON"
         elif head not in {
-            "*CLS",
             "UNIT:TEMP",
             "SENS:TEMP:NPLC",
             "FORM:READ:TIME",

@@ -1,0 +1,314 @@
+"""What is at the end of this wire? Registers under every plausible reading, and a profile for it.
+
+Only reads, except where a profile's own set-up writes (LabJack, SCPI). At room temperature a right
+reading gives every connected channel 5 to 45 °C, and a wrong one hardly ever does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from pydantic import ValidationError
+
+from daq.drivers import modbus
+from daq.drivers.bus import Bus, Patience
+from daq.drivers.decode import raw_values
+from daq.drivers.link import Place, SerialPlace, SocketPlace
+from daq.drivers.opening import open_logger
+from daq.drivers.profile import REGISTERS, Field16, Profile, Scaling, check_profile, profile_names, profile_table
+from daq.drivers.protocol import NoReply, ReadFailure
+from daq.drivers.settings import LoggerSettings
+from daq.records import InputError, Quality
+
+ROOM_C = (5.0, 45.0)
+_ENOUGH = 0.5
+"""Share of inputs that must read room temperature: some may have no thermocouple yet."""
+_SCALINGS: Mapping[str, tuple[str, Scaling]] = {
+    "tenths": ("s16", Scaling(scale=0.1)),
+    "hundredths": ("s16", Scaling(scale=0.01)),
+    "whole degrees": ("s16", Scaling(scale=1.0)),
+    "7FFF = 1370 C": ("s16", Scaling(full_code=32767, full_value=1370.0)),
+    "7FFF = 1372 C": ("s16", Scaling(full_code=32767, full_value=1372.0)),
+    "FFFF = 1370 C": ("u16", Scaling(full_code=65535, full_value=1370.0)),
+    "float": ("f32", Scaling(scale=1.0)),
+}
+
+
+@dataclass(frozen=True)
+class Interpretation:
+    """Registers read one way."""
+
+    meaning: str
+    format: str
+    word_order: str
+    scale: float
+    values: tuple[float, ...]
+    """[°C]"""
+    plausible: float
+    """Share of values at room temperature."""
+
+
+@dataclass(frozen=True)
+class RegisterBlock:
+    """What a station answered, and every way to read it, the most plausible first."""
+
+    station: int
+    function: int
+    address: int
+    words: tuple[int, ...]
+    interpretations: tuple[Interpretation, ...]
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """One profile tried on the wire."""
+
+    profile: str
+    scaling: str | None
+    station: int | None
+    outcome: str
+    """``fits``, ``not at room temperature``, or why it failed."""
+    values: tuple[float, ...] = ()
+    qualities: tuple[Quality, ...] = ()
+    plausible: float = 0.0
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    """The settings table that was tried, without channels and waits."""
+    identified: bool = False
+    """The device confirmed what it is: name or thermocouple types were checked."""
+
+
+@dataclass(frozen=True)
+class ProbeReport:
+    """All that was found."""
+
+    place: str
+    stations: tuple[int, ...]
+    """That answered Modbus."""
+    registers: tuple[RegisterBlock, ...]
+    attempts: tuple[Attempt, ...]
+    """Best first."""
+    proposal: Mapping[str, Any] | None = field(default=None)
+    """A settings table for kerntemp.toml, channels still to be named; None if nothing fits."""
+    ambiguous_with: tuple[str, ...] = ()
+    """Other profiles that read just as well."""
+
+
+def probe(
+    wire: Mapping[str, Any],
+    *,
+    stations: Iterable[int] = (1,),
+    profiles: Iterable[str] | None = None,
+    timeout_s: float = 0.3,
+    progress: Callable[[str], None] = lambda line: None,
+) -> ProbeReport:
+    """Find out what is on a wire.
+
+    Parameters
+    ----------
+    wire
+        Settings keys that say where: ``port`` and ``baud``, or ``host`` and ``tcp_port``; also
+        ``transport``, ``parity``, ``stop_bits``, ``local_echo`` where they differ from the usual.
+    stations
+        Addresses to try.
+    profiles
+        Which to try; None: all that come with the package.
+    timeout_s
+        Wait for each reply. [s]
+    progress
+        Told before each step what is tried.
+    """
+    place = _place(wire)
+    blocks = _registers(wire, place, tuple(stations), timeout_s, progress)
+    answering = tuple(sorted({block.station for block in blocks}))
+    attempts: list[Attempt] = []
+    for name in profiles or [n for n in profile_names() if n != "generic"]:
+        progress(f"trying {name}")
+        attempts += _tried(name, wire, answering, tuple(stations), timeout_s)
+    attempts.sort(key=_rank, reverse=True)
+    proposal, rivals = _proposed(wire, attempts, blocks)
+    return ProbeReport(str(place), answering, tuple(blocks), tuple(attempts), proposal, rivals)
+
+
+def interpretations(words: Sequence[int], room: tuple[float, float] = ROOM_C) -> tuple[Interpretation, ...]:
+    """Return every plausible way to read registers, the most plausible first.
+
+    >>> best = interpretations((213, 208, 0x7FFF, 210))[0]
+    >>> best.meaning, best.plausible
+    ('tenths', 0.75)
+    """
+    found = []
+    for meaning, (form, scaling) in _SCALINGS.items():
+        for order in ("big", "little") if form == "f32" else ("big",):
+            layout = Field16.model_validate({"format": form, "word_order": order})
+            inputs = len(words) // REGISTERS[form]
+            if not inputs:
+                continue
+            values = tuple(r * scaling.factor for r in raw_values(words, layout, inputs))
+            share = sum(room[0] <= v <= room[1] for v in values) / inputs
+            title = f"{meaning}, low word first" if order == "little" else meaning
+            found.append(Interpretation(title, form, order, scaling.factor, values, share))
+    return tuple(sorted(found, key=lambda i: i.plausible, reverse=True))
+
+
+def _place(wire: Mapping[str, Any]) -> Place:
+    if wire.get("host"):
+        return SocketPlace(str(wire["host"]), int(wire.get("tcp_port") or 502))
+    if not wire.get("port"):
+        raise InputError("probe: give --port or --host")
+    return SerialPlace(
+        str(wire["port"]),
+        int(wire.get("baud") or 9600),
+        str(wire.get("parity") or "N"),
+        int(wire.get("stop_bits") or 1),
+    )
+
+
+def _is_tcp(wire: Mapping[str, Any]) -> bool:
+    return bool(wire.get("host")) and wire.get("transport") in (None, "tcp")
+
+
+def _registers(
+    wire: Mapping[str, Any],
+    place: Place,
+    stations: tuple[int, ...],
+    timeout_s: float,
+    progress: Callable[[str], None],
+) -> list[RegisterBlock]:
+    bus = Bus(place, numbered=_is_tcp(wire))
+    patience = Patience(timeout_s, min(timeout_s, 0.3), 0.005)
+    blocks = []
+    try:
+        for station in stations:
+            for function in (3, 4):
+                progress(f"reading registers of station {station}, function {function}")
+                block = _block(bus, patience, station, function, local_echo=bool(wire.get("local_echo")))
+                if block is not None:
+                    blocks.append(block)
+    finally:
+        bus.close()
+    return blocks
+
+
+def _block(bus: Bus, patience: Patience, station: int, function: int, *, local_echo: bool) -> RegisterBlock | None:
+    """Return the first 16 registers, or 8, or nothing where the station does not answer."""
+    for count in (16, 8):
+        request = modbus.Request(function, 0, count)
+        try:
+            if bus.numbered:
+                number = bus.next_transaction()
+                frame, take = (
+                    modbus.tcp_frame(number, station, request),
+                    modbus.tcp_reply(number, station, request),
+                )
+            else:
+                frame = modbus.rtu_frame(station, request)
+                take = modbus.rtu_reply(station, request, local_echo=local_echo)
+            words = modbus.registers(bus.exchange(frame, take, patience).payload)
+        except NoReply as failure:
+            if failure.cause == "refused":
+                continue
+            return None
+        except ReadFailure:
+            return None
+        return RegisterBlock(station, function, 0, words, interpretations(words))
+    return None
+
+
+def _tried(
+    name: str,
+    wire: Mapping[str, Any],
+    answering: tuple[int, ...],
+    stations: tuple[int, ...],
+    timeout_s: float,
+) -> list[Attempt]:
+    profile = check_profile(profile_table(name), name)
+    if profile.protocol == "modbus":
+        return [
+            _attempt(profile, wire, station, scaling, timeout_s)
+            for station in answering
+            for scaling in profile.scalings
+        ]
+    if answering or (_is_tcp(wire) and profile.protocol != "scpi"):
+        return []
+    if profile.protocol == "dcon":
+        return [
+            _attempt(profile, {**wire, "checksum": guarded}, station, None, timeout_s)
+            for station in stations
+            for guarded in (False, True)
+        ]
+    return [_attempt(profile, wire, None, None, max(timeout_s, 0.5))]
+
+
+def _attempt(
+    profile: Profile, wire: Mapping[str, Any], station: int | None, scaling: str | None, timeout_s: float
+) -> Attempt:
+    settings = _table(profile.name, wire, station, scaling)
+    trial = {"channels": [f"input_{k}" for k in range(profile.inputs)], "timeout_s": timeout_s}
+    try:
+        logger = open_logger(LoggerSettings.model_validate(settings | trial | {"drain_s": min(timeout_s, 0.3)}))
+    except ValidationError as error:
+        raise InputError(f"probe: {error.errors()[0]['msg']}") from None
+    try:
+        reading = logger.read()
+    except ReadFailure as failure:
+        return Attempt(profile.name, scaling, station, f"{failure.cause}: {failure}", settings=settings)
+    finally:
+        logger.close()
+    low, high = ROOM_C
+    hits = sum(low <= v <= high for v, q in zip(reading.values, reading.qualities, strict=True) if q.usable)
+    share = hits / profile.inputs
+    outcome = "fits" if share >= _ENOUGH else "not at room temperature"
+    identified = bool(profile.checks) or profile.protocol in ("scpi", "sr630")
+    return Attempt(
+        profile.name,
+        scaling,
+        station,
+        outcome,
+        reading.values,
+        reading.qualities,
+        share,
+        settings=settings,
+        identified=identified,
+    )
+
+
+def _table(name: str, wire: Mapping[str, Any], station: int | None, scaling: str | None) -> dict[str, Any]:
+    table: dict[str, Any] = {"name": name, "profile": name} | dict(wire)
+    if station is not None:
+        table["address"] = station
+    if scaling is not None:
+        table["scaling"] = scaling
+    if "port" in wire:
+        table.setdefault("baud", 9600)
+    return table
+
+
+def _rank(attempt: Attempt) -> tuple[bool, float, bool]:
+    return (attempt.outcome == "fits", attempt.plausible, attempt.identified)
+
+
+def _proposed(
+    wire: Mapping[str, Any], attempts: Sequence[Attempt], blocks: Sequence[RegisterBlock]
+) -> tuple[Mapping[str, Any] | None, tuple[str, ...]]:
+    fitting = [a for a in attempts if a.outcome == "fits"]
+    if fitting:
+        best = fitting[0]
+        rivals = tuple(a.profile for a in fitting[1:] if _rank(a) == _rank(best) and a.profile != best.profile)
+        return best.settings, rivals
+    for block in blocks:
+        top = block.interpretations[0]
+        if top.plausible >= _ENOUGH:
+            return _generic(wire, block, top), ()
+    return None, ()
+
+
+def _generic(wire: Mapping[str, Any], block: RegisterBlock, reading: Interpretation) -> dict[str, Any]:
+    override = {
+        "inputs": len(reading.values),
+        "block": {"function": block.function, "address": block.address, "count": len(block.words)},
+        "values": {"format": reading.format, "word_order": reading.word_order},
+        "scalings": {"probed": {"scale": reading.scale}},
+    }
+    return _table("generic", wire, block.station, "probed") | {"override": override}

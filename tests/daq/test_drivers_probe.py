@@ -1,0 +1,92 @@
+"""The probe finds out what hangs on a wire, in the words of kerntemp.toml."""
+
+from __future__ import annotations
+
+import pytest
+
+from daq.drivers import LoggerSettings, open_logger
+from daq.drivers.probe import interpretations, probe
+from daq.records import InputError, Quality
+from daq.simulated.devices import kind_of, simulated
+from daq.simulated.devices_converter import Switches
+
+
+def room(profile):
+    return lambda now_s: [20.0 + 0.3 * k for k in range(kind_of(profile).inputs)]
+
+
+def wire_of(server, **more):
+    return dict(server.place) | more
+
+
+@pytest.mark.parametrize(
+    ("profile", "family"),
+    [
+        ("adam-4118", {"adam-4118"}),
+        ("m-7019r", {"m-7019r", "m-7018"}),
+        ("adam-4118-ascii", {"adam-4118-ascii", "m-7019r-dcon"}),
+        ("exemys-rme1-tc", {"exemys-rme1-tc"}),
+        ("adam-6018+", {"adam-6018+"}),
+        ("34970a", {"34970a"}),
+    ],
+)
+def test_the_right_profile_is_proposed_for_a_device_at_room_temperature(profile, family):
+    with simulated(profile, room(profile), refresh_s=0) as server:
+        report = probe(wire_of(server))
+        assert report.proposal is not None
+        assert report.proposal["profile"] in family
+        assert {report.proposal["profile"], *report.ambiguous_with} >= {profile} or profile in family
+        inputs = kind_of(profile).inputs
+        names = [f"c{k}" for k in range(inputs)]
+        logger = open_logger(LoggerSettings(**report.proposal, channels=names))
+        reading = logger.read()
+        assert reading.values == pytest.approx(room(profile)(0), abs=0.06)
+        assert set(reading.qualities) == {Quality.GOOD}
+        logger.close()
+
+
+def test_the_scaling_in_doubt_of_the_adam_4018_is_settled_by_room_temperature():
+    with simulated("adam-4018+", room("adam-4018+"), refresh_s=0) as server:
+        report = probe(wire_of(server), profiles=["adam-4018+"])
+    assert report.proposal["scaling"] == "hundredth"
+    assert {a.scaling: a.outcome for a in report.attempts if a.station == 1}["fullscale"] != "fits"
+
+
+def test_an_unknown_device_gets_a_generic_map_from_its_registers():
+    with simulated("generic", room("generic"), refresh_s=0) as server:
+        report = probe(wire_of(server), profiles=["exemys-rme1-tc"])
+        assert report.proposal["profile"] == "generic"
+        logger = open_logger(LoggerSettings(**report.proposal, channels=[f"c{k}" for k in range(16)]))
+        assert logger.read().values == pytest.approx(room("generic")(0), abs=0.06)
+        logger.close()
+
+
+def test_stations_on_a_bus_are_searched():
+    with simulated("adam-4118", room("adam-4118"), refresh_s=0, address=3) as server:
+        said = []
+        report = probe(
+            wire_of(server), stations=(1, 2, 3), profiles=["adam-4118"], timeout_s=0.15, progress=said.append
+        )
+    assert report.stations == (3,)
+    assert report.proposal["address"] == 3
+    assert any("station 2" in line for line in said)
+
+
+def test_a_silent_wire_proposes_nothing_and_says_why():
+    with simulated("adam-4118", room("adam-4118"), switches=Switches(silent=True)) as server:
+        report = probe(wire_of(server), profiles=["adam-4118-ascii", "sr630"], timeout_s=0.1)
+    assert report.proposal is None
+    assert all(a.outcome.startswith("silent") for a in report.attempts)
+
+
+def test_registers_are_shown_under_every_reading_the_most_plausible_first():
+    floats = [0x41A8, 0x0000, 0x41B0, 0x0000]
+    best = interpretations(floats)[0]
+    assert (best.meaning, best.values) == ("float", (21.0, 22.0))
+    swapped = interpretations([0x0000, 0x41A8])[0]
+    assert swapped.word_order == "little"
+
+
+def test_a_probe_without_a_wire_is_refused():
+    with pytest.raises(InputError, match="--port or --host"):
+        probe({})
