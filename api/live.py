@@ -15,6 +15,9 @@ from dataclasses import dataclass, field
 from typing import Any
 from urllib.parse import quote, unquote
 
+from starlette.responses import StreamingResponse
+from starlette.types import Receive, Scope, Send
+
 from api.answers import STATE_AFTER, estimate_now, number_or_none, run_of_scan
 from daq.records import Channel, InputError, Quality, Scan
 from daq.store.records import RunRecord, StoreUnavailable
@@ -212,8 +215,8 @@ class Hub:
         """Whether no further listener is taken."""
         return self._closed or len(self._queues) >= self._max_listeners
 
-    async def listen(self, last_event_id: str) -> AsyncIterator[bytes]:
-        """Yield encoded events from now on, after those missed since `last_event_id`."""
+    async def join(self, last_event_id: str) -> Listener:
+        """Take a listener in: everything stored from now on comes, after what was missed."""
         queue: asyncio.Queue[bytes | None] = asyncio.Queue(QUEUE_EVENTS)
         missed: list[bytes] = []
         async with self._lock:
@@ -225,14 +228,11 @@ class Hub:
             self._queues.add(queue)
         if self._task is None:
             self._task = asyncio.create_task(self._follow())
-        try:
-            yield b": kerntemp\nretry: 1000\n\n"
-            for event in missed:
-                yield event
-            async for event in _events(queue):
-                yield event
-        finally:
-            self._queues.discard(queue)
+        return Listener(missed, queue)
+
+    def leave(self, listener: Listener) -> None:
+        """Let a listener go. A second call does no harm."""
+        self._queues.discard(listener.queue)
 
     async def _follow(self) -> None:
         while self._queues and not self._closed:
@@ -267,12 +267,43 @@ class Hub:
             queue.put_nowait(None)
 
 
-async def _events(queue: asyncio.Queue[bytes | None]) -> AsyncIterator[bytes]:
-    while True:
+@dataclass(frozen=True)
+class Listener:
+    """One stream: what it missed, and what comes."""
+
+    missed: list[bytes]
+    queue: asyncio.Queue[bytes | None]
+
+    async def events(self) -> AsyncIterator[bytes]:
+        """Yield encoded events, and a comment now and then, until the hub ends the stream."""
+        yield b": kerntemp\nretry: 1000\n\n"
+        for missed in self.missed:
+            yield missed
+        while True:
+            try:
+                async with asyncio.timeout(PING_S):
+                    event = await self.queue.get()
+            except TimeoutError:
+                yield b": ping\n\n"
+                continue
+            if event is None:
+                return
+            yield event
+
+
+class EventStream(StreamingResponse):
+    """A stream of a hub's events; the listener leaves however the stream ends."""
+
+    media_type = "text/event-stream"
+
+    def __init__(self, hub: Hub, listener: Listener) -> None:
+        headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
+        super().__init__(listener.events(), headers=headers)
+        self._hub, self._listener = hub, listener
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Send the stream."""
         try:
-            event = await asyncio.wait_for(queue.get(), PING_S)
-        except TimeoutError:
-            event = b": ping\n\n"
-        if event is None:
-            return
-        yield event
+            await super().__call__(scope, receive, send)
+        finally:
+            self._hub.leave(self._listener)

@@ -40,7 +40,7 @@ def get_writer(request: Request) -> str:
 StoreDep = Annotated[Store, Depends(get_store)]
 Writer = Annotated[str, Depends(get_writer)]
 PageSize = Annotated[int, Query(ge=1, le=MAX_PAGE, description="Items in one page.")]
-Cursor = Annotated[str | None, Query(description="`next_cursor` of the page before.", max_length=40)]
+Cursor = Annotated[str | None, Query(description="`next_cursor` of the page before.", pattern="^[0-9]{1,18}$")]
 PressName = Annotated[str | None, Query(description="Only this press.", max_length=200)]
 
 

@@ -8,7 +8,7 @@ from fastapi import APIRouter, Header, Request
 from fastapi.responses import StreamingResponse
 
 from api.answers import channels_now, press_now, utc_now
-from api.live import Hub, Position
+from api.live import EventStream, Hub
 from api.problems import ProblemError, problem_responses
 from api.routes.common import PressName, StoreDep
 from api.schemas import ChannelList, PressList
@@ -52,14 +52,11 @@ def list_channels(store: StoreDep, press: PressName = None) -> ChannelList:
 )
 async def follow_live(
     request: Request, last_event_id: Annotated[str, Header(max_length=2000)] = ""
-) -> StreamingResponse:
+) -> EventStream:
     """Stream events from now on; with `Last-Event-ID`, first those missed since."""
     hub = request.app.state.hub
     if not isinstance(hub, Hub):
         raise TypeError("the application was made without a hub")
-    if last_event_id:
-        Position.parse(last_event_id)
     if hub.full:
         raise ProblemError(503, "too many live listeners; try again later", {"Retry-After": "10"})
-    headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
-    return StreamingResponse(hub.listen(last_event_id), media_type="text/event-stream", headers=headers)
+    return EventStream(hub, await hub.join(last_event_id))

@@ -20,7 +20,7 @@ from api.decimation import decimate
 from api.problems import ProblemError, problem_responses
 from api.routes.common import Cursor, PageSize, PressName, StoreDep, existing_run
 from api.schemas import Estimates, Fit, RunDetail, RunList, Samples
-from daq.records import Run
+from daq.records import InputError, Run
 from daq.runfile import write_run
 from daq.store.records import RunStatus, StoredEstimate
 
@@ -107,7 +107,10 @@ def get_samples(
     """Return columns of a run between two times, decimated on request; CSV and Parquet are run files."""
     existing_run(store, run)
     names = [name.strip() for name in columns.split(",") if name.strip()] if columns else None
-    whole = store.load_run(run, names, from_s, to_s)
+    try:
+        whole = store.load_run(run, names, from_s, to_s)
+    except InputError as error:
+        raise ProblemError(404, str(error)) from error
     time_s, kept = decimate(whole.time_s, whole.columns, max_points)
     shown = replace(whole, time_s=time_s, columns=kept)
     if format != "json":

@@ -86,6 +86,16 @@ def fit_of(run: str, seed: int) -> dict[str, object]:
     }
 
 
+@pytest.fixture
+def make_estimate() -> Callable[[Scan, float], StoredEstimate]:
+    return estimate
+
+
+@pytest.fixture
+def make_fit() -> Callable[[str, int], dict[str, object]]:
+    return fit_of
+
+
 @pytest.fixture(scope="module")
 def store(tmp_path_factory: pytest.TempPathFactory, campaign: list[tuple[Run, Truth]]) -> Iterator[Store]:
     """Two finished pressings with fits, one running, a model, a diagnosis, an alarm."""

@@ -148,11 +148,11 @@ def test_metrics_speak_prometheus(client):
     [
         ("/api/v1/runs/nothing", 404, "does not exist"),
         ("/api/v1/runs?limit=0", 422, "limit"),
-        ("/api/v1/runs?cursor=abc", 422, "not a cursor"),
+        ("/api/v1/runs?cursor=abc", 422, "cursor"),
         ("/api/v1/runs?from=2026-03-04T07:00:00", 422, "no time zone"),
         ("/api/v1/runs?status=gone", 422, "status"),
         (f"{RUN}/samples?format=xml", 422, "format"),
-        (f"{RUN}/samples?columns=nope", 422, "no column"),
+        (f"{RUN}/samples?columns=nope", 404, "no column"),
         (f"{RUN}/samples?max_points=1", 422, "max_points"),
         ("/api/v1/models/99", 404, "does not exist"),
         ("/api/v1/nothing", 404, ""),

@@ -1,0 +1,119 @@
+import json
+import stat
+import sys
+
+import httpx
+import pytest
+
+from api.gate import is_loopback
+from api.server import Listening, address_of
+from api.tokens import ATTEMPTS, Attempts, TokenFile
+from daq.records import InputError
+
+PROMOTE = "/api/v1/models/2/promote"
+
+
+def bearer(token: str) -> dict[str, str]:
+    return {"Authorization": f"Bearer {token}"}
+
+
+def test_a_change_needs_a_token_that_may_write(client, tokens, store):
+    reader, writer = tokens.create("reader", "read"), tokens.create("writer", "write")
+    assert client.post(PROMOTE).status_code == 401
+    assert client.post(PROMOTE, headers=bearer(reader)).status_code == 403
+    answer = client.post(PROMOTE, headers=bearer(writer))
+    assert answer.json()["current"] is True
+    assert store.active_model("lab").version == "2"
+    journal = [f"{entry.process} {entry.message} {entry.detail}" for entry in store.journal(limit=5).items]
+    assert "writer" in journal[0]
+    assert not any(writer in line for line in journal)
+
+
+def test_a_wrong_token_is_refused_and_too_many_of_them_have_to_wait(serve):
+    base = serve()
+    for _ in range(ATTEMPTS):
+        assert httpx.get(base + "/api/v1/runs", headers=bearer("kt_wrong")).status_code == 401
+    answer = httpx.get(base + "/api/v1/runs", headers=bearer("kt_wrong"))
+    assert answer.status_code == 429
+    assert answer.headers["retry-after"] == "60"
+
+
+def test_a_foreign_host_name_is_refused_so_that_no_other_page_reads_along(client):
+    answer = client.get("/api/v1/runs", headers={"Host": "press.example.org"})
+    assert answer.status_code == 403
+    assert client.get("/api/v1/runs", headers={"Host": "localhost:1234"}).status_code == 200
+
+
+def test_an_oversize_body_is_refused(client):
+    answer = client.post(PROMOTE, content=b"x" * 100_000)
+    assert answer.status_code == 413
+    assert answer.headers["content-type"] == "application/problem+json"
+
+
+def test_the_token_file_keeps_hashes_only_and_is_for_its_owner(tmp_path):
+    file = TokenFile(tmp_path / "tokens.json")
+    text = file.create("grafana", "read")
+    kept = (tmp_path / "tokens.json").read_text()
+    assert text.rpartition("_")[2] not in kept
+    assert json.loads(kept)[0]["name"] == "grafana"
+    if sys.platform != "win32":
+        assert stat.S_IMODE((tmp_path / "tokens.json").stat().st_mode) == 0o600
+
+
+def test_a_revoked_token_opens_nothing_any_more(tmp_path):
+    file = TokenFile(tmp_path / "tokens.json")
+    text = file.create("grafana", "read")
+    found = TokenFile(tmp_path / "tokens.json").find(text)
+    assert found is not None
+    assert found.allows("read")
+    assert not found.allows("write")
+    file.revoke("grafana")
+    assert file.find(text) is None
+    with pytest.raises(InputError, match="does not exist"):
+        file.revoke("grafana")
+
+
+def test_two_tokens_of_one_name_are_refused(tmp_path):
+    file = TokenFile(tmp_path / "tokens.json")
+    file.create("grafana", "read")
+    with pytest.raises(InputError, match="revoke it first"):
+        file.create("grafana", "write")
+
+
+def test_waiting_a_minute_lets_an_address_try_again():
+    now = [0.0]
+    attempts = Attempts(now=lambda: now[0])
+    for _ in range(ATTEMPTS):
+        attempts.failed("10.0.0.9")
+    assert attempts.exhausted("10.0.0.9")
+    assert not attempts.exhausted("10.0.0.8")
+    now[0] = 61.0
+    assert not attempts.exhausted("10.0.0.9")
+
+
+def test_beyond_loopback_the_server_listens_only_with_tokens(tmp_path):
+    empty = TokenFile(tmp_path / "tokens.json")
+    with pytest.raises(InputError, match="beyond loopback readers need tokens"):
+        Listening(host="0.0.0.0").check(empty)
+    empty.create("tablet", "read")
+    Listening(host="0.0.0.0").check(empty)
+
+
+def test_a_taken_port_is_told_in_one_line():
+    with Listening(port=0).bind() as first:
+        first.listen()
+        port = first.getsockname()[1]
+        assert address_of(first, tls=False) == f"http://127.0.0.1:{port}/"
+        with pytest.raises(InputError, match=f"cannot listen on 127.0.0.1:{port}"):
+            Listening(port=port).bind()
+
+
+@pytest.mark.parametrize(
+    ("address", "loopback"),
+    [
+        *((name, True) for name in ("127.0.0.1", "127.9.9.9", "::1", "[::1]", "localhost")),
+        *((name, False) for name in ("0.0.0.0", "192.168.0.4", "localhost.example.org", "")),
+    ],
+)
+def test_loopback_is_known_by_address(address, loopback):
+    assert is_loopback(address) is loopback
