@@ -1,0 +1,242 @@
+"""When exactly the press closed or opened: kinks in face temperatures, placed between the scans.
+
+A face that a hot plate touches follows the solution for a half space heated through a contact that grows
+while the press closes; a face the plate leaves cools like a half space whose flux changes over a short
+ramp. Both are compared with the readings on a grid of onset, ramp and contact; the answer is the
+posterior mean of the ramp's middle, so that few scans lean on the prior and many do not.
+
+References
+----------
+Carslaw & Jaeger, Conduction of Heat in Solids, 2nd ed., Secs. 2.7 (contact) and 2.9 (given flux).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from daq.records import Array
+
+STEP_S = 0.02
+_CONTACTS = np.geomspace(0.3, 8.0, 15)
+"""Contact coefficient over the panel's effusivity; 700 W/m²K on MDF gives 1.9. [1/√s]"""
+_CLOSING_RAMPS_S = np.linspace(0.1, 1.2, 12)
+_OPENING_RAMPS_S = (0.05, 0.15, 0.25, 0.35, 0.45, 0.55)
+_TYPICAL_CONTACT, _CONTACT_SPREAD = 1.9, 0.5
+_TYPICAL_RAMP_S, _RAMP_SPREAD_S = 0.6, 0.3
+LAGS_S = np.array([0.0, 0.15, 0.3, 0.5, 0.75, 1.0])
+_LAG_SCALE_S = 0.25
+"""A thermocouple taped between two bodies may lag up to a second, but mostly does not. [s]"""
+_SQRT_KELVIN = 2.0 / (np.sqrt(np.pi) * 370.0)
+"""Rise of a face per flux and root of time; 370 is the effusivity of MDF. [K m²/W/√s]"""
+_REACH_S = 4.0
+
+
+@cache
+def _contact_table() -> Array:
+    """Return the rise of a face towards the plate, 0 to 1: contact x ramp x time since the ramp began."""
+    time = STEP_S * np.arange(int(_REACH_S / STEP_S) + 1)
+    edges = 2.0 / np.sqrt(np.pi) * np.sqrt(STEP_S * np.arange(len(time) + 1))
+    weights = np.diff(edges)
+    strength = _CONTACTS[:, None, None] * np.clip(time / _CLOSING_RAMPS_S[None, :, None], 0.0, 1.0)
+    rise = np.zeros(strength.shape)
+    flux = np.zeros(strength.shape)
+    for n in range(1, len(time)):
+        history = flux[..., 1:n] @ weights[n - 1 : 0 : -1] if n > 1 else 0.0
+        rise[..., n] = (history + weights[0] * strength[..., n]) / (1.0 + weights[0] * strength[..., n])
+        flux[..., n] = strength[..., n] * (1.0 - rise[..., n])
+    return np.stack([_lagged(rise, lag) for lag in LAGS_S])
+
+
+def _lagged(curves: Array, lag: float) -> Array:
+    """Return curves that start at 0 as a sensor with a first-order lag shows them."""
+    if lag == 0.0:
+        return curves
+    keep = float(np.exp(-STEP_S / lag))
+    between = 1.0 - lag / STEP_S * (1.0 - keep)
+    weights = [between, 1.0 - keep - between]  # exact for straight lines between the steps
+    driven = weights[0] * curves
+    driven[..., 1:] += weights[1] * curves[..., :-1]
+    return np.asarray(lfilter([1.0], [1.0, -keep], driven, axis=-1))
+
+
+@dataclass(frozen=True)
+class Placed:
+    """A moment between the scans, the ramp around it, and what the readings say about the sensors' lag."""
+
+    middle: float
+    """[s]"""
+    ramp: float
+    """[s]"""
+    lag_misfit: Array
+    """For each lag of `LAGS_S`, minus twice the logarithm of its likelihood."""
+
+
+def no_lag() -> Array:
+    """Return the belief that the sensors do not lag, as a misfit for each of `LAGS_S`."""
+    return np.where(LAGS_S == 0.0, 0.0, 1e6)
+
+
+def usual_lag() -> Array:
+    """Return what is believed of the lag before a run is seen: most likely none, at times up to a second."""
+    return np.where(LAGS_S == 0.0, 0.0, 5.0 + 2.0 * LAGS_S / _LAG_SCALE_S)
+
+
+def closing_moment(
+    times: Array, face: Array, plate: float, noticed: float, lag: Array | None = None, sigma: float = 0.02
+) -> Placed:
+    """Return middle and length of the closing ramp from the face the hot plate comes to.
+
+    Parameters
+    ----------
+    times, face
+        Some seconds before and about one after the jump. [s, °C]
+    plate
+        Temperature of the plate that comes. [°C]
+    noticed
+        A time at which the jump was plain to see. [s]
+    lag
+        What is known of the sensors' lag, a misfit for each of `LAGS_S`; None: they have none. Ramp, contact
+        and lag look alike in this one jump, so the lag is better learned from insertion and opening.
+    sigma
+        Error of reading and model, as a share of the distance to the plate.
+    """
+    good = np.isfinite(face)
+    times, face = times[good], face[good]
+    level, slope = _trend(times, face, noticed)
+    onsets = np.arange(noticed - 2.6, noticed + 1e-9, STEP_S)
+    onsets = onsets[onsets >= min(times[0], noticed) - STEP_S]
+    near = times >= onsets[0]
+    times, face = times[near], face[near]
+    base = level + slope * (times - noticed)
+    distance = np.maximum(plate - base, 1.0)
+    place = np.rint((times[None, :] - onsets[:, None]) / STEP_S).astype(int)
+    place = np.clip(place, 0, int(_REACH_S / STEP_S))
+    error = sigma + 0.5 / float(np.median(distance))
+    lag = no_lag() if lag is None else lag
+    prior = ((np.log(_CONTACTS / _TYPICAL_CONTACT) / _CONTACT_SPREAD) ** 2)[:, None, None]
+    prior = prior + (((_CLOSING_RAMPS_S - _TYPICAL_RAMP_S) / _RAMP_SPREAD_S) ** 2)[:, None]
+    misfit = np.full((len(LAGS_S), *prior.shape[:2], len(onsets)), 1e9)
+    for i in np.flatnonzero(lag < lag.min() + 20.0):
+        model = _contact_table()[i][..., place]  # contact, ramp, onset, row
+        misfit[i] = np.sum(((model - (face - base) / distance) / error) ** 2, axis=-1) + prior + lag[i]
+    return _posterior(misfit, onsets, _CLOSING_RAMPS_S, lag)
+
+
+def _posterior(misfit: Array, onsets: Array, ramps: Array, lag: Array) -> Placed:
+    """Return the means over a grid whose first axis is the lag and whose last two are ramp and onset."""
+    weight = np.exp(-0.5 * (misfit - misfit.min()))
+    weight /= weight.sum()
+    by_lag = weight.reshape(len(LAGS_S), -1).sum(axis=1)
+    return Placed(
+        middle=float(np.sum(weight * (onsets + 0.5 * ramps[:, None]))),
+        ramp=float(np.sum(weight * ramps[:, None])),
+        lag_misfit=-2.0 * np.log(np.maximum(by_lag, 1e-30)) - lag,
+    )
+
+
+def _trend(times: Array, face: Array, noticed: float) -> tuple[float, float]:
+    """Return level at `noticed` and slope of the readings safely before the jump."""
+    early = times < noticed - 1.3
+    if early.sum() < 2:
+        early = np.arange(len(times)) < max(1, int((times < noticed).sum()) - 1)
+    t, y = times[early][-40:], face[early][-40:]
+    if len(t) < 4:
+        return float(y[-1]), 0.0
+    slope, level = np.polyfit(t - noticed, y, 1)
+    slope = float(np.clip(slope, -3.0, 6.0))
+    return float(np.mean(y) - slope * np.mean(t - noticed)), slope
+
+
+def opening_moment(
+    times: Array,
+    faces: Sequence[Array],
+    noticed: float,
+    plate: float = np.nan,
+    lag: Array | None = None,
+    sigma: float = 0.3,
+) -> Placed:
+    """Return when the plates left the faces: their flux changes over a short ramp.
+
+    `sigma` is the error of reading and model. [K] The platen, where known, tells roughly how much flux
+    there was to lose (365 W/m²K from platen to face); that helps where a single scan follows the opening.
+    """
+    sizes = []
+    for face in faces:
+        before = face[(times < noticed - 0.9) & np.isfinite(face)]
+        level = float(np.median(before[-5:])) if len(before) else np.nan
+        flux = 365.0 * max(plate - level, 2.0) + 12.0 * max(level - 25.0, 5.0)
+        sizes.append(-_SQRT_KELVIN * flux)
+    return _kink(times, faces, noticed, sigma, _OPENING_RAMPS_S, (1.8, tuple(sizes)), lag)
+
+
+def insertion_moment(
+    times: Array,
+    faces: Sequence[Array],
+    noticed: float,
+    plate: float = np.nan,
+    lag: Array | None = None,
+    sigma: float = 0.6,
+) -> Placed:
+    """Return when the cool panel came to lie on the hot plate."""
+    sizes = tuple(_SQRT_KELVIN * 40.0 * max(plate - float(np.nanmin(face)), 30.0) for face in faces)
+    return _kink(times, faces, noticed, sigma, (0.02,), (5.0, sizes), lag)
+
+
+@cache
+def _kink_table(ramps: tuple[float, ...]) -> Array:
+    """Return how a face departs from its trend when its flux changes: lag x ramp x time since."""
+    time = STEP_S * np.arange(int(2 * _REACH_S / STEP_S) + 1)
+    ramp = np.array(ramps)[:, None]
+    shape = (time**1.5 - np.clip(time - ramp, 0.0, None) ** 1.5) / (1.5 * ramp)
+    return np.stack([_lagged(shape, lag) for lag in LAGS_S])
+
+
+def _kink(
+    times: Array,
+    faces: Sequence[Array],
+    noticed: float,
+    sigma: float,
+    ramps: tuple[float, ...],
+    expected: tuple[float, tuple[float, ...]],
+    lag: Array | None,
+) -> Placed:
+    """Place a kink; `expected` tells how far back it may lie and how strong each face's will be. [s, K/√s]"""
+    back, sizes = expected
+    onsets = np.arange(noticed - back, noticed + 1e-9, STEP_S)
+    place = np.rint((times[None, :] - onsets[:, None]) / STEP_S).astype(int)
+    table = _kink_table(ramps)
+    place = np.clip(place, 0, table.shape[-1] - 1)
+    lag = usual_lag() if lag is None else lag
+    misfit = np.full((len(LAGS_S), len(ramps), len(onsets)), 1e9)
+    for i in np.flatnonzero(lag < lag.min() + 20.0):
+        shape = table[i][..., place]  # ramp, onset, row
+        misfit[i] = lag[i]
+        for face, size in zip(faces, sizes, strict=True):
+            good = np.isfinite(face)
+            if good.sum() >= 3:
+                misfit[i] += _misfit(times[good] - noticed, face[good], shape[..., good], size, sigma)
+    return _posterior(misfit, onsets, np.array(ramps), lag)
+
+
+def _misfit(times: Array, face: Array, shape: NDArray[np.float64], size: float, sigma: float) -> Array:
+    """Return the squared misfit of level + slope + kink for every shape, the kink's size known within 60 %."""
+    lines = np.stack([np.ones_like(times), times])
+    if len(times) < 6:
+        lines = lines[:1]
+    q, _ = np.linalg.qr(lines.T)
+    rest = face - q @ (q.T @ face)
+    bent = shape - (shape @ q) @ q.T
+    trust = (sigma / (0.6 * size)) ** 2 if np.isfinite(size) else 0.0
+    aim = size if np.isfinite(size) else 0.0
+    power = np.maximum(np.einsum("...n,...n->...", bent, bent) + trust, 1e-9)
+    found = (bent @ rest + trust * aim) / power
+    if np.isfinite(size):
+        found = np.where(np.sign(found) == np.sign(size), found, 0.0)
+    off = np.sum((rest - found[..., None] * bent) ** 2, axis=-1) + trust * (found - aim) ** 2
+    return np.asarray(off / sigma**2)

@@ -1,0 +1,259 @@
+"""Press events against the virtual press: found, placed, and never invented."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+from scipy.special import erfc
+
+from daq.press_events import PressEventDetector, find_moments
+from daq.press_moments import closing_moment, opening_moment
+from daq.pressfile import parse_press
+from daq.records import PressEventKind, PressState, Run
+from daq.simulated.campaign import Plan, make_campaign, press_toml
+from daq.simulated.campaign_sensors import CHANNELS, Nuisances
+from daq.simulated.press import PressSettings, VirtualPress
+
+PRESS = parse_press(press_toml())
+FACES = [f"{face}_{i}" for face in ("top", "bottom") for i in range(1, 8)]
+IN_ORDER = ["inserted", "closed", "opened"]
+
+
+def replay(run, detector=None, columns=None):
+    detector = detector or PressEventDetector(PRESS)
+    names = list(run.columns) if columns is None else columns
+    rows = np.array([run.columns[n] for n in names]).T.tolist()
+    return [
+        event
+        for t, row in zip(run.time_s.tolist(), rows, strict=True)
+        for event in detector.update(t, dict(zip(names, row, strict=True)))
+    ]
+
+
+def with_rough_sensors(run, rng):
+    """One dead, one noisy and one loose sensor on each face, beyond what the run has."""
+    columns = dict(run.columns)
+    for face in ("top", "bottom"):
+        dead, noisy, loose = (f"{face}_{i}" for i in rng.permutation(7)[:3] + 1)
+        columns[dead] = np.full(len(run.time_s), np.nan if rng.random() < 0.5 else 1370.0)
+        columns[noisy] = columns[noisy] + rng.normal(0.0, 5.0, len(run.time_s))
+        rattle = np.clip(0.6 + 0.15 * rng.standard_normal(len(run.time_s)), 0.0, 1.0)
+        columns[loose] = 23.0 + rattle * (columns[loose] - 23.0)
+    return Run(run.name, run.header, run.time_s, columns)
+
+
+def campaign(first_seed, count, rate_hz, skew_s):
+    plan = Plan(rate_hz=rate_hz, closed_column=False, nuisances=Nuisances(skew_s=skew_s))
+    return [
+        pair
+        for seed in range(first_seed, first_seed + count // 10)
+        for pair in make_campaign(seed, 10, None, plan)
+    ]
+
+
+def share_within(limit, errors):
+    return np.mean(np.abs(errors) <= limit)
+
+
+def check_pressings(count, rate_hz, limit_s, skew_s):
+    """Compare events, found causally and afterwards, with the virtual press's truth."""
+    rng = np.random.default_rng(7)
+    live, late, after = [], [], []
+    for run, truth in campaign(int(1000 * rate_hz), count, rate_hz, skew_s):
+        run = with_rough_sensors(run, rng)
+        events = replay(run)
+        assert [e.kind.value for e in events] == IN_ORDER, run.name
+        found = find_moments(run, PRESS)
+        m = truth.moments
+        live += [events[1].monotonic_s - m.closed_s, events[2].monotonic_s - m.opened_s]
+        late += [events[1].noticed_s - m.closed_s, events[2].noticed_s - m.opened_s]
+        after += [found.closed_s - m.closed_s, found.opened_s - m.opened_s]
+        assert math.isnan(found.removed_s)
+        assert abs(found.inserted_s - m.inserted_s) < 1.0
+    assert share_within(limit_s, live) >= 0.99
+    assert share_within(limit_s, after) >= 0.99
+    assert np.quantile(late, 0.99) <= 1.0
+    assert max(late) <= 1.2
+
+
+@pytest.mark.parametrize(("rate_hz", "limit_s", "skew_s"), [(10.0, 0.1, 0.05), (1.0, 0.5, 0.25)])
+def test_closing_and_opening_are_found_to_the_scan_with_dead_noisy_and_loose_sensors(rate_hz, limit_s, skew_s):
+    check_pressings(100, rate_hz, limit_s, skew_s)
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize(("rate_hz", "limit_s", "skew_s"), [(10.0, 0.1, 0.05), (1.0, 0.5, 0.25)])
+def test_a_thousand_pressings_are_found_to_the_scan(rate_hz, limit_s, skew_s):
+    check_pressings(1000, rate_hz, limit_s, skew_s)
+
+
+@pytest.mark.parametrize("rate_hz", [10.0, 1.0])
+def test_whole_days_of_pressing_give_each_event_once_and_in_order(rate_hz):
+    for seed in range(2):
+        virtual = VirtualPress(PressSettings(thickness_mm=(16.0, 8.0)[seed]), seed)
+        detector, kinds, t = PressEventDetector(PRESS), [], 0.0
+        while virtual.cycle(t).number <= 8:
+            scan = {name: round(value, 1) for name, value in virtual.temperatures(t).items()}
+            for event in detector.update(t, scan):
+                kinds.append(event.kind.value)
+                moments = min(
+                    (c.moments for c in virtual.cycles), key=lambda m: abs(m.closed_s - event.monotonic_s)
+                )
+                if event.kind is not PressEventKind.REMOVED:
+                    true = getattr(moments, f"{event.kind.value}_s")
+                    assert event.monotonic_s == pytest.approx(true, abs=0.12 if rate_hz == 10 else 0.6)
+            t += 1 / rate_hz
+        assert kinds == (["inserted", "closed", "opened", "removed"] * 8)[: len(kinds)]
+        assert len(kinds) >= 31
+
+
+def idle_hours(rng, hours, rate_hz, heating):
+    """Sensors on hands and in the air, a door that opens, platens steady or heated up and down."""
+    n = int(hours * 3600 * rate_hz)
+    t = np.arange(n) / rate_hz
+    platen = 110 - 90 * np.cos(2 * np.pi * t / 7200) if heating else np.full(n, 195.0)
+    air = 23 + 4 * np.sin(2 * np.pi * t / 28800)
+    for begin in rng.integers(0, n, int(2 * hours) + 1):
+        air[begin : begin + int(rng.uniform(30, 200) * rate_hz)] -= rng.uniform(2, 6)
+    around = {name: air.copy() for name in FACES}
+    for name in FACES:
+        for begin in rng.integers(0, n, int(40 * hours)):
+            around[name][begin : begin + int(rng.uniform(0.5, 20) * rate_hz) + 1] = rng.uniform(28, 36)
+    for begin in rng.integers(0, n, int(10 * hours)):
+        face, warm = ("top", "bottom")[int(rng.integers(2))], rng.uniform(30, 36)
+        for i in range(1, 8):
+            around[f"{face}_{i}"][begin : begin + int(rng.uniform(1, 20) * rate_hz) + 1] = warm
+    columns = {"platen_top": platen + 0.5 * np.sin(t / 25), "platen_bottom": platen}
+    for name, target in around.items():
+        keep = np.exp(-1 / rate_hz / rng.uniform(0.3, 2.5))
+        values = lfilter([1 - keep], [1, -keep], target, zi=[keep * target[0]])[0]
+        columns[name] = np.round(values + rng.normal(0, 0.3) + rng.normal(0, 0.05, n), 1)
+    return Run("idle", {}, t, columns)
+
+
+@pytest.mark.parametrize("heating", [False, True])
+@pytest.mark.parametrize("rate_hz", [10.0, 1.0])
+def test_hands_doors_and_heating_platens_are_no_events(rate_hz, heating):
+    hours = 1 if rate_hz == 10 else 6
+    assert replay(idle_hours(np.random.default_rng(11), hours, rate_hz, heating)) == []
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("heating", [False, True])
+@pytest.mark.parametrize("rate_hz", [10.0, 2.0, 1.0, 0.5])
+def test_a_day_of_hands_doors_and_heating_platens_has_no_event(rate_hz, heating):
+    assert replay(idle_hours(np.random.default_rng(13), 24, rate_hz, heating)) == []
+
+
+def one_run(rate_hz=10.0, seed=42, **plan):
+    return make_campaign(seed, 1, None, Plan(rate_hz=rate_hz, **plan))[0]
+
+
+def test_a_limit_switch_goes_before_the_temperatures():
+    run, _ = one_run(closed_column=True)
+    late = Run("late", {}, run.time_s, {**run.columns, "closed": np.roll(run.columns["closed"], 12)})
+    first, last = np.flatnonzero(late.columns["closed"])[[0, -1]]
+    found = find_moments(late, PRESS)
+    assert found.source == "limit switch"
+    assert found.closed_s == late.time_s[first]
+    assert found.opened_s == late.time_s[last + 1]
+    events = replay(late)
+    assert [e.kind.value for e in events] == IN_ORDER
+    assert [e.source for e in events] == ["temperatures", "limit switch", "limit switch"]
+    assert events[1].monotonic_s == late.time_s[first]
+
+
+def test_a_switch_that_contradicts_the_temperatures_is_reported():
+    run, truth = one_run(closed_column=False)
+    stuck = Run("stuck", {}, run.time_s, {**run.columns, "closed": np.zeros(len(run.time_s))})
+    detector, said = PressEventDetector(PRESS), set()
+    for i, t in enumerate(run.time_s.tolist()):
+        detector.update(t, {name: float(c[i]) for name, c in stuck.columns.items()})
+        if truth.moments.closed_s + 15 < t < truth.moments.opened_s - 1:
+            said.add(detector.disagreement)
+    assert said == {"the limit switch says open, but the upper face is hot; check it"}
+
+
+@pytest.mark.parametrize("face", ["top", "bottom"])
+def test_one_face_alone_still_shows_closing_and_opening(face):
+    run, truth = one_run()
+    columns = {n: c for n, c in run.columns.items() if n.startswith((face, "platen"))}
+    found = find_moments(Run("half", run.header, run.time_s, columns), PRESS)
+    assert found.closed_s == pytest.approx(truth.moments.closed_s, abs=0.3)
+    assert found.opened_s == pytest.approx(truth.moments.opened_s, abs=0.3)
+
+
+def test_a_single_sensor_on_each_face_with_missing_cells_is_enough():
+    run, truth = one_run(rate_hz=2.0)
+    rng = np.random.default_rng(3)
+    columns = {n: run.columns[n].copy() for n in ("platen_top", "top_3", "bottom_5")}
+    for column in columns.values():
+        column[rng.random(len(column)) < 0.1] = np.nan
+    found = find_moments(Run("few", run.header, run.time_s, columns), PRESS)
+    assert found.closed_s == pytest.approx(truth.moments.closed_s, abs=0.5)
+    assert found.opened_s == pytest.approx(truth.moments.opened_s, abs=0.5)
+
+
+def test_without_panel_columns_and_switch_the_state_is_unknown():
+    run, _ = one_run(closed_column=False)
+    blind = Run("blind", {}, run.time_s, {n: run.columns[n] for n in ("platen_top", "platen_bottom")})
+    detector = PressEventDetector(PRESS)
+    assert replay(blind, detector) == []
+    assert detector.state is None
+    found = find_moments(blind, PRESS)
+    assert found.source == "unknown"
+    assert math.isnan(found.closed_s)
+
+
+def test_the_state_follows_the_panel_and_gets_lost_with_the_sensors():
+    run, truth = one_run(closed_column=False, start_before_s=8.0)
+    detector, states = PressEventDetector(PRESS), {}
+    for i, t in enumerate(run.time_s.tolist()):
+        detector.update(t, {name: float(c[i]) for name, c in run.columns.items()})
+        states[t] = detector.state
+    m = truth.moments
+    for t, state in states.items():
+        if 1 < t < m.inserted_s:
+            assert state is PressState.IDLE
+        if m.inserted_s + 3 < t < m.closed_s or t > m.opened_s + 1:
+            assert state is PressState.OPEN
+        if m.closed_s + 1 < t < m.opened_s:
+            assert state is PressState.CLOSED
+    for k in range(50):
+        detector.update(run.time_s[-1] + 0.1 * (k + 1), dict.fromkeys(CHANNELS, math.nan))
+    assert detector.state is None
+
+
+def test_a_run_cut_at_the_opening_has_no_opening():
+    run, truth = one_run(closed_column=False)
+    n = int(np.searchsorted(run.time_s, truth.moments.opened_s - 1))
+    short = Run("short", {}, run.time_s[:n], {name: c[:n] for name, c in run.columns.items()})
+    found = find_moments(short, PRESS)
+    assert found.closed_s == pytest.approx(truth.moments.closed_s, abs=0.1)
+    assert math.isnan(found.opened_s)
+
+
+def test_a_sensors_lag_is_learned_and_does_not_delay_the_moments():
+    plan = Plan(rate_hz=10.0, closed_column=False)
+    for run, truth in make_campaign(5, 6, {"thermocouple_lag": {"time_constant_s": 0.6}}, plan):
+        found = find_moments(run, PRESS)
+        assert found.closed_s == pytest.approx(truth.moments.closed_s, abs=0.15)
+        assert found.opened_s == pytest.approx(truth.moments.opened_s, abs=0.15)
+
+
+def test_closing_is_placed_on_the_closed_form_of_a_half_space_at_once_in_contact():
+    # Carslaw & Jaeger 2.7: rise = 1 - exp(a² t) erfc(a √t), contact a = h / effusivity
+    t = np.arange(-6.0, 1.0, 0.1)
+    since = np.clip(t - 0.037, 0.0, None)
+    rise = 1 - np.exp(1.9**2 * since) * erfc(1.9 * np.sqrt(since))
+    placed = closing_moment(t, 23.0 + 170.0 * rise, 193.0, 0.4)
+    assert placed.middle == pytest.approx(0.037, abs=0.08)
+    assert placed.ramp < 0.35
+
+
+def test_opening_is_placed_on_the_closed_form_of_a_lost_flux():
+    # Carslaw & Jaeger 2.9: a flux that starts at once changes the face by the root of time
+    t = np.arange(-4.0, 1.0, 0.1)
+    fall = 20.0 * np.sqrt(np.clip(t - 0.013, 0.0, None))
+    assert opening_moment(t, [170.0 + 0.2 * t - fall], 0.3).middle == pytest.approx(0.013, abs=0.06)
