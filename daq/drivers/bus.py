@@ -6,7 +6,7 @@ bus listens, and throws away, until it has heard nothing for at least the device
 time; only then does the next request leave. Bytes found waiting before a request make the line
 suspect in the same way. TCP needs no silence: replies carry the transaction number, and a stream
 out of step is closed and opened anew. Decided 2026-11-21, against pymodbus and minimalmodbus, which
-hand out the late reply (see ``tests/daq/test_faults_libraries.py``).
+hand out the late reply (shown by ``tests/daq/test_faults_libraries.py``).
 """
 
 from __future__ import annotations

@@ -167,6 +167,8 @@ def tcp_reply(transaction: int, station: int, request: Request) -> TakeReply:
                 return None
             frame = bytes(buffer[: 6 + length])
             if number == transaction:
+                if len(buffer) > len(frame):
+                    raise BadFrame(f"{len(buffer) - len(frame)} bytes after the end of the reply", "surplus")
                 return _check_tcp(frame, station, request)
             del buffer[: 6 + length]
         return None

@@ -12,6 +12,9 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
+WARM_UP_S = 600.0
+"""Time constant with which a module's terminals reach their temperature after power-on."""
+
 Temperatures = Callable[[float], Sequence[float]]
 """True temperature of every input at a time of the converter's clock. [s -> °C]
 
@@ -46,11 +49,14 @@ class Converter:
         *,
         clock: Callable[[], float] = time.monotonic,
         switches: Switches | None = None,
+        warm_up_kelvin: float = 0.0,
     ) -> None:
         self.inputs = inputs
         self.switches = switches or Switches()
         self._temperatures = temperatures
         self._refresh_s = refresh_s
+        self._warm_up_kelvin = warm_up_kelvin
+        self._switched_on_s = clock()
         self._clock = clock
         self._held = [math.nan] * inputs
         self._converted_s = [-math.inf] * inputs
@@ -74,8 +80,13 @@ class Converter:
                 continue
             if moment != asked:
                 truth, asked = self._temperatures(moment), moment
-            self._held[k] = float(truth[k])
+            self._held[k] = float(truth[k]) + self._cold_junction_error(moment)
             self._converted_s[k] = moment
+
+    def _cold_junction_error(self, moment: float) -> float:
+        """How far the cold junction sensor lags the terminals while the module warms up. [K]"""
+        age_s = max(moment - self._switched_on_s, 0.0)
+        return self._warm_up_kelvin * math.exp(-age_s / WARM_UP_S)
 
     def _last_conversion(self, k: int, now: float) -> float:
         if self._refresh_s <= 0:

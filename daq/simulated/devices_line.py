@@ -21,7 +21,7 @@ except ImportError:  # Windows
     pty = tty = None  # type: ignore[assignment]
 
 HAS_PSEUDO_TERMINALS = pty is not None
-_POLL_S = 0.1
+_POLL_S = 0.03
 
 
 class Station(Protocol):

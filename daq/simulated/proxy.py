@@ -29,7 +29,7 @@ if HAS_PSEUDO_TERMINALS:
     import pty
     import tty
 
-_POLL_S = 0.1
+_POLL_S = 0.03
 _MORE_S = 0.002
 """A reply is complete when nothing follows for so long: the device writes it in one go."""
 _SLICE_S = 0.016
@@ -90,6 +90,7 @@ class FaultProxy:
         late_s: tuple[float, float],
         again_s: tuple[float, ...] = (0.0, 0.003),
         port_link: Path | None = None,
+        greeting: bytes = b"",
     ) -> None:
         self.faults: dict[Fault, int] = dict.fromkeys(Fault, 0)
         """Replies that suffered each fault."""
@@ -99,6 +100,7 @@ class FaultProxy:
         self._rng = np.random.default_rng(seed)
         self._late_s = late_s
         self._again_s = again_s
+        self._greeting = greeting
         self._port_link = port_link
         self._request = b""
         self._dead = False
@@ -185,7 +187,8 @@ class FaultProxy:
             self._carry(*socket_channel(connection), stopped)
 
     def _carry(self, read: Read, send: Send, stopped: threading.Event) -> None:
-        """Carry bytes both ways for one connection."""
+        """Carry bytes both ways for one connection; adapters may begin with noise."""
+        self._outbox.send(send, [self._greeting], 0.0)
         with _Upstream(self._upstream) as (device_read, device_send):
             killed = threading.Event()
             back = threading.Thread(

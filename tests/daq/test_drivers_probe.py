@@ -32,7 +32,7 @@ def wire_of(server, **more):
 )
 def test_the_right_profile_is_proposed_for_a_device_at_room_temperature(profile, family):
     with simulated(profile, room(profile), refresh_s=0) as server:
-        report = probe(wire_of(server))
+        report = probe(wire_of(server), timeout_s=0.15)
         assert report.proposal is not None
         assert report.proposal["profile"] in family
         assert {report.proposal["profile"], *report.ambiguous_with} >= {profile} or profile in family
