@@ -16,6 +16,7 @@ from daq.records import InputError
 
 if TYPE_CHECKING:
     from daq.pressfile import Press
+    from daq.records import Run
 
 OutCsv = Annotated[Path, typer.Option("--out", metavar="CSV", help="Where to write the table.")]
 Model = Annotated[
@@ -66,12 +67,49 @@ def predict(
     out: OutCsv,
     model: Model = None,
     without: Annotated[
-        str, typer.Option("--without", metavar="COLUMNS", help="Columns to hide, comma between; patterns allowed.")
+        str,
+        typer.Option("--without", metavar="COLUMNS", help="Columns to hide, comma between; patterns allowed."),
     ] = "",
     store: StoreUrl = None,
     config: ConfigFile = None,
 ) -> None:
     """Replay a run scan by scan through the live sensor, causally."""
+    from daq.pressfile import read_press
+
+    check_writable(out)
+    described = read_press(press)
+    loaded = load_run(run, store, config)
+    hidden = _hidden(loaded, without) | set(described.sensors_of(loaded, "validation"))
+    seen = {name: values for name, values in loaded.columns.items() if name not in hidden}
+    with working(f"Predicting {loaded.name}", len(loaded.time_s)) as done:
+        from softsensor.modelfile import read_model
+        from softsensor.observer import LiveSensor
+
+        sensor = LiveSensor(described, loaded.header, read_model(model) if model is not None else None)
+        rows = []
+        for i, time_s in enumerate(loaded.time_s.tolist()):
+            rows.append(sensor.update(time_s, {name: float(values[i]) for name, values in seen.items()}))
+            done(i + 1)
+    columns: dict[str, Any] = {
+        "time_s": [row.time_s for row in rows],
+        "state": ["unknown" if row.state is None else str(row.state) for row in rows],
+    }
+    for name in ("core_C", "core_sd_K", "core_low_C", "core_high_C"):
+        columns[name] = [getattr(row, name) for row in rows]
+    columns["valid"] = ["1" if row.valid else "0" for row in rows]
+    columns["reason"] = [row.reason for row in rows]
+    write_all({out: _csv(columns)})
+
+
+def _hidden(run: Run, without: str) -> set[str]:
+    """Return the columns a comma-separated list of patterns names. Raises `InputError` where one names none."""
+    hidden: set[str] = set()
+    for pattern in filter(None, (part.strip() for part in without.split(","))):
+        found = run.matching([pattern])
+        if not found:
+            raise InputError(f"--without {pattern}: run {run.name!r} has none; it has {', '.join(run.columns)}")
+        hidden |= set(found)
+    return hidden
 
 
 def _read_coefficients(path: Path, press: Press) -> dict[str, float]:

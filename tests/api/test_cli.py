@@ -1,0 +1,131 @@
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from api.cli import main
+from daq.runfile import read_run, write_run
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory, campaign):
+    folder = tmp_path_factory.mktemp("runs")
+    for run, _ in campaign:
+        write_run(run, folder / f"{run.name}.csv")
+    from daq.simulated.campaign_pressfile import press_toml
+
+    (folder / "press.toml").write_text(press_toml())
+    return folder
+
+
+@pytest.fixture
+def first(files, campaign):
+    return str(files / f"{campaign[0][0].name}.csv")
+
+
+def one_line(capsys: pytest.CaptureFixture[str]) -> str:
+    captured = capsys.readouterr()
+    lines = captured.err.splitlines()
+    assert len(lines) == 1, lines
+    assert lines[0].startswith("kerntemp: ")
+    return lines[0]
+
+
+def test_help_loads_neither_the_compiler_nor_the_plotter():
+    script = (
+        "import sys, api.cli; sys.exit(bool({'numba', 'matplotlib', 'scipy', 'sqlalchemy'} & set(sys.modules)))"
+    )
+    assert subprocess.run([sys.executable, "-c", script], check=False).returncode == 0
+
+
+def test_help_names_every_command_of_the_contract(capsys):
+    assert main(["--help"]) == 0
+    listed = capsys.readouterr().out
+    for command in ("demo", "serve", "predict", "simulate", "import", "export", "check"):
+        assert f"  {command} " in listed
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        ([], "Missing command"),
+        (["nonsense"], "No such command"),
+        (["simulate"], "Missing argument"),
+        (["simulate", "x.csv", "--press", "nope.toml", "--out", "o.csv"], "nope.toml: cannot read the press file"),
+        (["serve", "--config", "nope.toml"], "nope.toml: no such configuration"),
+        (["check", "--config", "nope.toml"], "nope.toml: no such configuration"),
+        (["token", "create", "--config", "nope.toml"], "nope.toml: no such configuration"),
+        (["demo", "--speed", "0"], "speed"),
+        (["demo", "--hide", "gremlins"], "--hide: effect 'gremlins': unknown"),
+        (["export", "--store", "nowhere.sqlite"], "does not exist"),
+    ],
+)
+def test_a_wrong_call_or_input_is_one_line_and_exit_status_2(arguments, says, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(arguments) == 2
+    assert says in one_line(capsys)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_simulate_writes_one_column_a_sensor_position_and_the_core(files, first, tmp_path, campaign):
+    out = tmp_path / "simulated.csv"
+    assert main(["simulate", first, "--press", str(files / "press.toml"), "--out", str(out)]) == 0
+    lines = out.read_text().splitlines()
+    assert lines[0] == "time_s,state,panel.top,panel.bottom,core_C"
+    assert len(lines) == len(campaign[0][0].time_s) + 1
+
+
+def test_simulate_with_the_true_coefficients_comes_close_to_the_virtual_press(files, tmp_path, campaign, first):
+    _, truth = campaign[0]
+    given, out = tmp_path / "true.json", tmp_path / "simulated.csv"
+    given.write_text(json.dumps(dict(truth.coefficients)))
+    options = ["--coefficients", str(given), "--press", str(files / "press.toml"), "--out", str(out)]
+    assert main(["simulate", first, *options]) == 0
+    core = np.genfromtxt(out, delimiter=",", skip_header=1, usecols=4)
+    inside = np.isfinite(truth.core_C)
+    assert np.sqrt(np.mean((core - truth.core_C)[inside] ** 2)) < 1.5
+
+
+def test_an_unknown_coefficient_is_named_and_nothing_is_written(files, first, tmp_path, capsys):
+    given, out = tmp_path / "given.json", tmp_path / "out.csv"
+    given.write_text('{"h_x": 5}')
+    options = ["--coefficients", str(given), "--press", str(files / "press.toml"), "--out", str(out)]
+    assert main(["simulate", first, *options]) == 2
+    assert "h_x: press 'lab' has no such coefficient" in one_line(capsys)
+    assert not out.exists()
+
+
+def test_imported_runs_come_out_again_as_they_went_in(files, first, tmp_path, campaign, capsys):
+    store = str(tmp_path / "kerntemp.sqlite")
+    paths = [str(path) for path in sorted(files.glob("*.csv"))]
+    assert main(["import", *paths, "--press", str(files / "press.toml"), "--store", store]) == 0
+    assert main(["export", "--store", store]) == 0
+    assert campaign[0][0].name in capsys.readouterr().out
+    out = tmp_path / "out.parquet"
+    assert main(["export", campaign[0][0].name, "--out", str(out), "--store", store]) == 0
+    before, after = read_run(files / f"{campaign[0][0].name}.csv"), read_run(out)
+    assert dict(after.header) == dict(before.header)
+    for name, values in before.columns.items():
+        np.testing.assert_array_equal(after.columns[name], values)
+
+
+def test_a_run_that_is_stored_already_stops_the_whole_import(files, first, tmp_path, capsys):
+    store = str(tmp_path / "kerntemp.sqlite")
+    press = ["--press", str(files / "press.toml"), "--store", store]
+    assert main(["import", first, *press]) == 0
+    capsys.readouterr()
+    paths = [str(path) for path in sorted(files.glob("*.csv"))]
+    assert main(["import", *paths, *press]) == 2
+    assert "is in the store already" in one_line(capsys)
+    assert main(["export", "--store", store]) == 0
+    assert len(capsys.readouterr().out.splitlines()) == 1
+
+
+def test_simulate_takes_a_run_by_its_id_in_the_store(files, first, tmp_path, campaign):
+    store, out = str(tmp_path / "kerntemp.sqlite"), tmp_path / "out.csv"
+    press = ["--press", str(files / "press.toml"), "--store", store]
+    assert main(["import", first, *press]) == 0
+    assert main(["simulate", campaign[0][0].name, *press, "--out", str(out)]) == 0
+    assert out.exists()
