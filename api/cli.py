@@ -15,6 +15,7 @@ import typer
 
 from api.commands import analysis, files, services
 from api.commands.demo import demo
+from api.commands.probing import probe
 from api.outputs import WorkFailed
 from daq.records import InputError
 
@@ -33,6 +34,7 @@ app.command("predict")(analysis.predict)
 app.command("import")(files.import_runs)
 app.command("export")(files.export_runs)
 app.command("check")(files.check)
+app.command("probe")(probe)
 app.command("token")(services.token)
 
 

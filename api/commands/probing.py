@@ -1,0 +1,90 @@
+"""`probe`: what is at the end of this wire, and the settings table that reads it."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from api.outputs import WorkFailed
+from daq.records import InputError
+
+if TYPE_CHECKING:
+    from daq.drivers.probe import ProbeReport
+
+SHOWN_ATTEMPTS = 5
+
+
+def probe(
+    port: Annotated[
+        str | None, typer.Option(help="Serial port: /dev/ttyUSB0, COM5, or socket://host:port.")
+    ] = None,
+    host: Annotated[str | None, typer.Option(help="Address of a device on the network.")] = None,
+    baud: Annotated[int | None, typer.Option(min=300, help="Of the serial line; 9600 without.")] = None,
+    tcp_port: Annotated[int | None, typer.Option("--tcp-port", min=1, max=65535, help="502 without.")] = None,
+    transport: Annotated[str | None, typer.Option(help="rtu, tcp or rtu_over_tcp.")] = None,
+    stations: Annotated[str, typer.Option(help="Addresses to try, such as 1-4,9.")] = "1",
+    timeout: Annotated[float, typer.Option(min=0.05, max=10.0, help="Wait for a reply. [s]")] = 0.3,
+) -> None:
+    """Find out what logger is on a wire, with the sensors at room temperature."""
+    if (port is None) == (host is None):
+        raise InputError("probe: give either --port or --host")
+    given = {"port": port, "host": host, "tcp_port": tcp_port, "transport": transport}
+    wire = {key: value for key, value in given.items() if value is not None}
+    if port is not None:
+        wire["baud"] = baud or 9600
+    from daq.drivers import probe as probing
+    from daq.drivers.protocol import ReadFailure
+
+    try:
+        report = probing.probe(wire, stations=_stations(stations), timeout_s=timeout, progress=_tell)
+    except ReadFailure as error:
+        raise WorkFailed(str(error)) from error
+    for line in _lines(report):
+        sys.stdout.write(line + "\n")
+    if report.proposal is None:
+        raise WorkFailed(
+            f"{report.place}: nothing known reads room temperature here; check power, cable, address and baud rate"
+        )
+
+
+def _tell(line: str) -> None:
+    if sys.stderr.isatty():
+        sys.stderr.write(line + "\n")
+
+
+def _stations(text: str) -> list[int]:
+    found: list[int] = []
+    for part in filter(None, (p.strip() for p in text.split(","))):
+        first, _, last = part.partition("-")
+        if not first.isdigit() or (last and not last.isdigit()):
+            raise InputError(f"--stations {text!r}: give numbers and ranges, such as 1-4,9")
+        found += range(int(first), int(last or first) + 1)
+    if not found or max(found) > 255:
+        raise InputError(f"--stations {text!r}: addresses lie between 0 and 255")
+    return found
+
+
+def _lines(report: ProbeReport) -> Iterable[str]:
+    answered = ", ".join(str(s) for s in report.stations) or "none"
+    yield f"{report.place}: Modbus answers from stations {answered}"
+    for attempt in report.attempts[:SHOWN_ATTEMPTS]:
+        values = " ".join(f"{v:.1f}" for v in attempt.values[:8])
+        scaling = f", {attempt.scaling}" if attempt.scaling else ""
+        yield f"  {attempt.profile}{scaling}: {attempt.outcome}{f' ({values} °C)' if values else ''}"
+    if report.proposal is not None:
+        if report.ambiguous_with:
+            yield f"  reads just as well: {', '.join(report.ambiguous_with)}; look at the device's label"
+        yield ""
+        yield "# for kerntemp.toml; name the channels"
+        yield "[[press.logger]]"
+        yield from _toml(report.proposal)
+
+
+def _toml(table: Mapping[str, Any]) -> Iterable[str]:
+    from daq.runfile import toml_line
+
+    for key, value in table.items():
+        yield toml_line(key, value)
