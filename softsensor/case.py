@@ -10,23 +10,23 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq.pressfile import At, Boundary, Layer, Press, panel_of, press_for_run
+from daq.pressfile import At, Boundary, Press, panel_of, press_for_run
 from daq.records import Array, InputError, Moments, Panel, Run
+from softsensor.assembly import PAPER, PAPER_WIDTH, Layout, layer_constants, mask_cells
 from softsensor.conduction import Mesh, build_mesh
+from softsensor.effects.effect import Scene
+from softsensor.readout import Reader
+from softsensor.timing import OPENING_RAMP_S, Clock
+
+__all__ = ["Case", "mask_cells", "prepare_case", "step_edges"]
 
 MAX_BRIDGE_S = 10.0
 """Missing cells of a boundary column are bridged by a straight line up to this long. [s]"""
 FINE_STEP_S = 0.04
 """Step around a switch. [s]"""
-OPENING_RAMP_S = 0.35
-"""How long opening takes; its middle is `Moments.opened_s`. [s]"""
-HANDLING_RAMP_S = 0.2
-"""How long insertion and removal take. [s]"""
-PAPER = ("paper_bottom", "paper_top")
-PAPER_WIDTH = 1e-4
-"""Nominal width of a paper cell; resistance and capacity follow from the effect. [m]"""
+GROWTH = 1.12
+"""Of steps after it."""
 
 
 @dataclass(frozen=True)
@@ -55,11 +55,24 @@ class Case:
     """Weights that read the places off the cells (m, n)."""
     press_face: Array
     """Weights that read the press face opposite each place, zero rows where there is none (m, n)."""
-
-    @property
-    def ambient(self) -> float:
-        """[°C]"""
-        return self.run.ambient_temperature
+    h: Array
+    """Step lengths (steps). [s]"""
+    ambient: float
+    """[°C]"""
+    layout: Layout
+    """What no parameter changes."""
+    scene: Scene
+    """What effects may look at; its closing moment is the case's own."""
+    step_clock: Clock
+    """Shares of the states averaged over steps."""
+    edge_clock: Clock
+    """Shares at step edges."""
+    row_clock: Clock
+    """Shares at the run's rows."""
+    reader: Reader
+    """Reads step edges off at the run's rows."""
+    slope_reader: Reader
+    """Reads slopes in time off at the run's rows."""
 
 
 def prepare_case(
@@ -77,6 +90,7 @@ def prepare_case(
     panel = panel_of(run) if press.panel_layers else None
     mesh = _mesh(press, panel, paper=paper, fineness=fineness)
     edges = step_edges(run.time_s, moments, max_step_s / fineness, FINE_STEP_S / fineness)
+    start, has_states = float(run.time_s[0]), press.has_states
     ends = (press.boundary.bottom, press.boundary.top)
     series = [_boundary_series(run, name, b) for name, b in zip(("bottom", "top"), ends, strict=True)]
     boundary = np.stack([_means(run.time_s, s, edges) for s in series], axis=1)
@@ -86,6 +100,8 @@ def prepare_case(
     weights = {sensor.label: _place(press, mesh, panel, sensor.at) for sensor in sensors.values()}
     middle = press.panel_layers[0] if press.panel_layers else press.layer[len(press.layer) // 2].name
     labels.append("core")
+    load = _loads(press, run, edges)
+    layout = Layout.of(press, mesh, panel, run.ambient_temperature)
     weights["core"] = _place(press, mesh, panel, f"{middle}.middle")
     return Case(
         run=run,
@@ -96,22 +112,74 @@ def prepare_case(
         edges=edges,
         boundary=boundary,
         first_boundary=(float(series[0][0]), float(series[1][0])),
-        load=_loads(press, run, edges),
+        load=load,
         columns=tuple(sensors),
         labels=tuple(labels),
         place_of={column: labels.index(sensor.label) for column, sensor in sensors.items()},
         places=np.stack([weights[label] for label in labels]),
         press_face=np.stack([_press_face(press, mesh, label) for label in labels]),
+        h=_snap(np.diff(edges)),
+        ambient=run.ambient_temperature,
+        layout=layout,
+        scene=_scene(press, mesh, panel, layout, moments, edges, load, run.ambient_temperature),
+        step_clock=Clock.of(moments, edges, start, mean=True, has_states=has_states),
+        edge_clock=Clock.of(moments, edges, start, mean=False, has_states=has_states),
+        row_clock=Clock.of(moments, run.time_s, start, mean=False, has_states=has_states),
+        reader=Reader.at(edges, run.time_s),
+        slope_reader=Reader.at(edges, run.time_s, slope=True),
     )
 
 
+def _scene(
+    press: Press,
+    mesh: Mesh,
+    panel: Panel | None,
+    layout: Layout,
+    moments: Moments,
+    edges: Array,
+    load: Mapping[int, Array],
+    ambient: float,
+) -> Scene:
+    z = np.zeros(len(mesh.dx))
+    faces = None
+    if layout.wet.any():
+        inside = np.flatnonzero(layout.wet)
+        height = np.cumsum(mesh.dx[inside]) - mesh.dx[inside] / 2
+        z[inside] = 2.0 * height / mesh.dx[inside].sum() - 1.0
+        faces = (int(inside[0]), int(inside[-1]))
+    touching = tuple(m for m, c in enumerate(press.contact) if set(c.between) & set(press.panel_layers))
+    return Scene(
+        dx=mesh.dx,
+        panel_cells=layout.wet,
+        plate_cells=~layout.panel,
+        z=z,
+        face_cells=faces,
+        panel=panel,
+        panel_contacts=touching,
+        contacts=len(press.contact),
+        step_start=edges[:-1],
+        step_end=edges[1:],
+        closed_s=moments.closed_s,
+        load=load,
+        ambient=ambient,
+    )
+
+
+def _snap(h: Array) -> Array:
+    """Make steps that differ only by rounding equal, so that the kernel can keep its factors."""
+    same = np.abs(np.diff(h)) < 1e-9 * h[1:]
+    group = np.concatenate([[0], np.cumsum(~same)])
+    first = np.concatenate([[0], np.flatnonzero(~same) + 1])
+    return np.asarray(h[first][group])
+
+
 def step_edges(time_s: Array, moments: Moments, max_step: float, fine: float) -> Array:
-    """Return step edges: fine around each switch, growing by 15 % a step up to `max_step`. [s]
+    """Return step edges: fine around each switch, growing from step to step up to `max_step`. [s]
 
     Examples
     --------
     >>> edges = step_edges(np.array([0.0, 20.0]), Moments(inserted_s=0.0, closed_s=8.0), 0.5, 0.04)
-    >>> bool(np.diff(edges).max() <= 0.5 + 1e-9), bool(np.diff(edges)[np.searchsorted(edges, 8.0)] < 0.05)
+    >>> bool(np.diff(edges).max() <= 1.25 * 0.5), bool(np.diff(edges)[np.searchsorted(edges, 8.0)] < 0.05)
     (True, True)
     """
     start, end = float(time_s[0]), float(time_s[-1])
@@ -133,40 +201,24 @@ def step_edges(time_s: Array, moments: Moments, max_step: float, fine: float) ->
             if begin - t < 0.25 * h:
                 t = begin
             edges.append(t)
-            h = min(h * 1.15, max_step)
+            h = min(h * GROWTH, max_step)
         if finish > t:
             inner = np.linspace(t, finish, max(1, round((finish - t) / fine)) + 1)[1:]
             edges += inner.tolist()
             t, h = finish, fine
-    return np.array(edges)
+    return np.array(edges) if len(edges) > 3 else np.linspace(start, end, 4)
 
 
 def _mesh(press: Press, panel: Panel | None, *, paper: bool, fineness: float) -> Mesh:
     layers: list[tuple[str, float, float]] = []
     for layer in press.layer:
-        thickness, k, c = layer_constants(layer, panel)
+        thickness, k, c = layer_constants(press, layer.name, panel)
         body = (layer.name, thickness, k / c)
         if paper and layer.from_run:
             layers += [(PAPER[0], PAPER_WIDTH, 0.0), body, (PAPER[1], PAPER_WIDTH, 0.0)]
         else:
             layers.append(body)
     return build_mesh(layers, fineness)
-
-
-def layer_constants(layer: Layer, panel: Panel | None) -> tuple[float, float, float]:
-    """Return a layer's thickness [m], conductivity [W/mK] and heat capacity [J/m³K] at 20 °C (first row)."""
-    if layer.from_run:
-        if panel is None:
-            raise InputError(f"layer {layer.name!r} takes its constants from the run, and there is no panel")
-        return panel.thickness, panel.conductivity, panel.density * panel.heat_capacity
-
-    def first(value: object) -> float:
-        return float(value[0][1]) if isinstance(value, tuple) else float(value)  # type: ignore[arg-type]
-
-    density, thickness = layer.density_kg_m3, layer.thickness_mm
-    if density is None or thickness is None:
-        raise InputError(f"layer {layer.name!r} lacks density or thickness")
-    return thickness / 1000.0, first(layer.conductivity_W_mK), density * first(layer.heat_capacity_J_kgK)
 
 
 def _boundary_series(run: Run, name: str, boundary: Boundary) -> Array:
@@ -218,8 +270,7 @@ def _means(time_s: Array, values: Array, edges: Array) -> Array:
 
 def _place(press: Press, mesh: Mesh, panel: Panel | None, at: str | At) -> Array:
     layer_name = at.layer if isinstance(at, At) else at.rpartition(".")[0]
-    layer = next(x for x in press.layer if x.name == layer_name)
-    thickness = layer_constants(layer, panel)[0]
+    thickness = layer_constants(press, layer_name, panel)[0]
     if isinstance(at, At):
         height = at.depth_mm / 1000.0
         if height > thickness * (1 + 1e-9):
@@ -264,11 +315,3 @@ def _loads(press: Press, run: Run, edges: Array) -> dict[int, Array]:
         elif contact.load is None and pressure is not None and set(contact.between) & set(press.panel_layers):
             loads[m] = np.full(len(edges) - 1, pressure / REFERENCE_PRESSURE)
     return loads
-
-
-def mask_cells(mesh: Mesh, names: tuple[str, ...]) -> NDArray[np.bool_]:
-    """Return which cells belong to the named layers."""
-    mask = np.zeros(len(mesh.dx), dtype=bool)
-    for name in names:
-        mask[mesh.cells(name)] = True
-    return mask

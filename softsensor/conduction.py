@@ -12,6 +12,9 @@ import numpy as np
 
 from daq.records import Array
 
+QUICK_S = 20.0
+"""A layer whose thickness² / diffusivity is shorter gets equal cells. [s]"""
+
 
 @dataclass(frozen=True)
 class Mesh:
@@ -53,10 +56,12 @@ class Mesh:
 
 
 def graded_widths(thickness: float, diffusivity: float, fineness: float = 1.0) -> Array:
-    """Return cell widths that grow from both faces of a layer inwards.
+    """Return cell widths that grow smoothly from both faces of a layer inwards.
 
-    The first cell is what heat crosses in 0.05 s, the widest what it crosses in 6 s, so that faces
-    are resolved from the first tenth of a second after a contact closes.
+    The first cell is what heat crosses in 0.02 s, so that faces are resolved from the first tenth of a
+    second after a contact closes; widths grow by 0.12 of the depth, up to what heat crosses in 6 s or
+    1/24 of the layer. A layer that equalises within seconds (a steel plate) gets about 6 equal cells.
+    Smooth growth matters: a jump in the widths costs more than wider cells do.
 
     Parameters
     ----------
@@ -70,22 +75,21 @@ def graded_widths(thickness: float, diffusivity: float, fineness: float = 1.0) -
     Examples
     --------
     >>> widths = graded_widths(0.016, 1.0e-7)
-    >>> round(float(widths.sum()), 6), len(widths) > 30
-    (0.016, True)
+    >>> round(float(widths.sum()), 6), len(widths)
+    (0.016, 76)
     """
-    first = min(np.sqrt(diffusivity * 0.05), thickness / 6) / fineness
-    widest = min(np.sqrt(diffusivity * 6.0), thickness / 5) / fineness
-    growth = 1.25 ** (1.0 / fineness)
-    half = []
-    width, total = first, 0.0
-    while total + width < thickness / 2:
-        half.append(width)
-        total += width
-        width = min(width * growth, widest)
-    if not half or thickness / 2 - total > 0.5 * half[-1]:
-        half.append(thickness / 2 - total)
-    widths = np.array(half + half[::-1])
-    return np.asarray(widths * (thickness / widths.sum()))
+    if thickness**2 / diffusivity < QUICK_S:
+        equal = max(4, 2 * round(3.0 * fineness))
+        return np.full(equal, thickness / equal)
+    widest = min(np.sqrt(diffusivity * 6.0), thickness / 24.0)
+    first = min(np.sqrt(diffusivity * 0.02), widest)
+    x = np.linspace(0.0, thickness / 2, 2001)
+    density = 1.0 / (first + 0.12 * x) + 1.0 / widest
+    count = np.concatenate([[0.0], np.cumsum((density[1:] + density[:-1]) / 2 * np.diff(x))])
+    half = max(2, round(float(count[-1]) * fineness))
+    edges = np.interp(np.linspace(0.0, count[-1], half + 1), count, x)
+    widths = np.diff(edges)
+    return np.concatenate([widths, widths[::-1]])
 
 
 def build_mesh(layers: list[tuple[str, float, float]], fineness: float = 1.0) -> Mesh:

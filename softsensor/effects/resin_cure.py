@@ -12,14 +12,19 @@ RATE_140 = 0.06
 """Rate at 140 °C; at the 165 °C of a closed press most of the resin cures within 10 to 20 s. [1/s]"""
 ACTIVATION = 80e3
 """[J/mol]"""
+SKIN = 0.15e-3
+"""Depth under each face over which the heat is released, about the paper's thickness (assumed). [m]"""
 
 
 def _terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
     if scene.face_cells is None:
         return Terms()
+    first, last = scene.face_cells
+    dx = scene.dx[first : last + 1]
     share = np.zeros(len(scene.dx))
-    for i in scene.face_cells:
-        share[i] = 1.0 / scene.dx[i]
+    for order in (slice(None), slice(None, None, -1)):
+        below = np.minimum(np.concatenate([[0.0], np.cumsum(dx[order])]), SKIN)
+        share[first : last + 1] += (np.diff(below) / SKIN)[order] / dx
     return Terms(conversions=(Conversion(share * (values["heat_kJ_m2"] * 1e3), 0, RATE_140, ACTIVATION, 413.15),))
 
 

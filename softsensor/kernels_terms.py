@@ -1,0 +1,349 @@
+"""Coefficients of one step, and their tangents: properties, contacts, losses, sources.
+
+Everything that depends on temperature is taken at the temperatures expected in the middle of the step.
+Rows of the coefficient arrays are named below; ``w`` has shape (rows, n + 1), ``dw`` (rows, P, n + 1).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+CAP, G, LOSS, SRC, SLOPE, DIAG, COND, STAR = range(8)
+"""Heat capacity [J/m²K]; conductance of each interface; loss of each cell to ambient [W/m²K]; source
+[W/m²]; its slope; diagonal of K; conductivity; expected temperature."""
+ROWS = 8
+DCAP, DG, DLOSS, DSRC, DSLOPE, DCOND, DSTAR = range(7)
+DROWS = 7
+RATE, RSLOPE = range(2)
+"""Of each conversion: mean rate in the step, its part without temperature, and its slope. [1/s, 1/sK]"""
+
+_SIGMA = 5.670374419e-8
+_GAS = 8.31446261815324
+_ZERO_C = 273.15
+_FLOOR = 0.05
+"""Least factor a property falls to when it falls with temperature."""
+
+
+@njit(cache=True)
+def _table(x, y, t):
+    """Interpolate a table at t, constant beyond its ends; return value and slope."""
+    last = x.shape[0] - 1
+    if t <= x[0]:
+        return y[0], 0.0
+    if t >= x[last]:
+        return y[last], 0.0
+    j = 0
+    while x[j + 1] < t:
+        j += 1
+    slope = (y[j + 1] - y[j]) / (x[j + 1] - x[j])
+    return y[j] + slope * (t - x[j]), slope
+
+
+@njit(cache=True)
+def _rate(kind, a, b, c, t):
+    """Return a conversion's rate [1/s] and its derivatives in T, a, b, c; then those of its slope in T."""
+    if kind == 0.0:
+        kelvin = t + _ZERO_C
+        inverse = 1.0 / kelvin - 1.0 / c
+        value = a * np.exp(-b / _GAS * inverse)
+        f = b / _GAS / kelvin**2
+        first = (value, value * f, value / a, -value * inverse / _GAS, -value * b / _GAS / c**2)
+        return first, (
+            value * f * (f - 2.0 / kelvin),
+            value * f / a,
+            value * f * (1.0 / b - inverse / _GAS),
+            -value * b / _GAS / c**2 * f,
+        )
+    x = (t - b) / c
+    soft, step = x, 1.0
+    if x < -30.0:
+        soft, step = 0.0, 0.0
+    elif x < 30.0:
+        e = np.exp(x)
+        soft, step = np.log1p(e), e / (1.0 + e)
+    bend = step * (1.0 - step)
+    first = (a * c * soft, a * step, c * soft, -a * step, a * (soft - x * step))
+    return first, (a * bend / c, step, -a * bend / c, -a * bend * x / c)
+
+
+@njit(cache=True)
+def properties(dx, base, slope, table, table_x, table_y, d_base, d_slope, star, dstar, value, dvalue):
+    """Fill a property per cell, base (1 + slope (T - 20)) table(T), and its tangents."""
+    p, n = d_base.shape
+    for i in range(n):
+        t = star[i] - 20.0
+        lift = 1.0 + slope[i] * t
+        bend = base[i] * slope[i]
+        if lift < _FLOOR:
+            lift, bend = _FLOOR, 0.0
+        y = 1.0
+        if table[i] >= 0:
+            y, dy = _table(table_x[table[i]], table_y[table[i]], star[i])
+            bend = bend * y + base[i] * lift * dy
+        value[i] = base[i] * lift * y * dx[i]
+        for q in range(p):
+            dvalue[q, i] = dx[i] * (y * (d_base[q, i] * lift + base[i] * d_slope[q, i] * t) + bend * dstar[q, i])
+
+
+@njit(cache=True)
+def joints(dx, measured, w, dw):
+    """Conductance of the interfaces inside layers and of perfect joints, with tangents."""
+    n, p = dx.shape[0], dw.shape[1]
+    cond, g = w[COND], w[G]
+    dcond, dg = dw[DCOND], dw[DG]
+    g[0] = 0.0
+    g[n] = 0.0
+    for j in range(1, n):
+        g[j] = 2.0 / (dx[j - 1] / cond[j - 1] + dx[j] / cond[j])
+    for q in range(p):
+        dg[q, 0] = 0.0
+        dg[q, n] = 0.0
+        for j in range(1, n):
+            low, up = g[j] / cond[j - 1], g[j] / cond[j]
+            dg[q, j] = 0.5 * (low * low * dx[j - 1] * dcond[q, j - 1] + up * up * dx[j] * dcond[q, j])
+    for end in range(2):
+        if measured[end]:
+            i, j = (0, 0) if end == 0 else (n - 1, n)
+            g[j] = 2.0 * cond[i] / dx[i]
+            for q in range(p):
+                dg[q, j] = 2.0 * dcond[q, i] / dx[i]
+
+
+@njit(cache=True)
+def contacts(stack, tan, drive, step, w, dw):
+    """Replace joints that are contacts by coupling and losses to air, with tangents; fill the losses."""
+    n, p = stack.dx.shape[0], dw.shape[1]
+    loss, dloss, star, dstar = w[LOSS], dw[DLOSS], w[STAR], dw[DSTAR]
+    loss[:] = 0.0
+    dloss[:] = 0.0
+    h = np.empty(3)
+    dh = np.empty((3, p))
+    radiates = stack.emissivity != 0.0 or tan.emissivity.any()
+    for m in range(stack.interface.shape[0]):
+        j = stack.interface[m]
+        _contact_values(stack.contact[m], tan.contact[m], drive, step, m, h, dh)
+        if j == 0 or j == n:
+            _end(stack, tan, w, dw, j, h, dh)
+            continue
+        if stack.parts[m] and radiates:
+            share, a, b = drive.weight[step, 1], star[j - 1] + _ZERO_C, star[j] + _ZERO_C
+            shape = _SIGMA * (a * a + b * b) * (a + b)
+            d_a, d_b = _SIGMA * (3 * a * a + 2 * a * b + b * b), _SIGMA * (3 * b * b + 2 * a * b + a * a)
+            h[0] += share * stack.emissivity * shape
+            for q in range(p):
+                dh[0, q] += (share * tan.emissivity[q] + drive.d_weight[step, 1, q] * stack.emissivity) * shape
+                dh[0, q] += share * stack.emissivity * (d_a * dstar[q, j - 1] + d_b * dstar[q, j])
+        _inner(stack.dx, w, dw, j, h, dh)
+
+
+@njit(cache=True)
+def _contact_values(contact, d_contact, drive, step, m, h, dh):
+    """Mix a contact's three values by the step's shares of the states; fill h (3) and dh (3, P)."""
+    p = dh.shape[1]
+    for v in range(3):
+        h[v] = 0.0
+        for q in range(p):
+            dh[v, q] = 0.0
+        for s in range(3):
+            closed = s == 2 and v == 0
+            f = drive.factor[step, m] if closed else 1.0
+            share = drive.weight[step, s]
+            h[v] += share * contact[s, v] * f
+            for q in range(p):
+                dh[v, q] += share * f * d_contact[s, v, q] + drive.d_weight[step, s, q] * f * contact[s, v]
+                if closed:
+                    dh[v, q] += share * contact[s, v] * drive.d_factor[step, m, q]
+
+
+@njit(cache=True)
+def _inner(dx, w, dw, j, h, dh):
+    """Eliminate the two faces of a contact: its coupling, and the losses of the cells on either side."""
+    gl, gu = 2.0 * w[COND, j - 1] / dx[j - 1], 2.0 * w[COND, j] / dx[j]
+    lower, upper = gl + h[0] + h[1], gu + h[0] + h[2]
+    det = lower * upper - h[0] * h[0]
+    g = gl * h[0] * gu / det
+    below, above = h[1] * upper + h[0] * h[2], h[2] * lower + h[0] * h[1]
+    low, up = gl * below / det, gu * above / det
+    w[G, j] = g
+    w[LOSS, j - 1] += low
+    w[LOSS, j] += up
+    for q in range(dh.shape[1]):
+        dgl, dgu = 2.0 * dw[DCOND, q, j - 1] / dx[j - 1], 2.0 * dw[DCOND, q, j] / dx[j]
+        d0, d1, d2 = dh[0, q], dh[1, q], dh[2, q]
+        dlower, dupper = dgl + d0 + d1, dgu + d0 + d2
+        ddet = dlower * upper + lower * dupper - 2.0 * h[0] * d0
+        dbelow = d1 * upper + h[1] * dupper + d0 * h[2] + h[0] * d2
+        dabove = d2 * lower + h[2] * dlower + d0 * h[1] + h[0] * d1
+        dw[DG, q, j] = (dgl * h[0] * gu + gl * d0 * gu + gl * h[0] * dgu - g * ddet) / det
+        dw[DLOSS, q, j - 1] += (dgl * below + gl * dbelow - low * ddet) / det
+        dw[DLOSS, q, j] += (dgu * above + gu * dabove - up * ddet) / det
+
+
+@njit(cache=True)
+def _end(stack, tan, w, dw, j, h, dh):
+    """A boundary with a coefficient and radiation, in series with half a cell.
+
+    The face's own temperature x solves g (T - x) + h (T_a - x) + eps sigma (T_a^4 - x^4) + flux = 0.
+    """
+    n = stack.dx.shape[0]
+    i, end = (0, 0) if j == 0 else (n - 1, 1)
+    g = 2.0 * w[COND, i] / stack.dx[i]
+    if stack.measured[end]:
+        w[G, j] = h[0] * g / (h[0] + g)
+        for q in range(dh.shape[1]):
+            dg = 2.0 * dw[DCOND, q, i] / stack.dx[i]
+            dw[DG, q, j] = (g * g * dh[0, q] + h[0] * h[0] * dg) / (h[0] + g) ** 2
+        return
+    t, around, sigma = w[STAR, i] + _ZERO_C, stack.flux[end, 2] + _ZERO_C, stack.flux[end, 1] * _SIGMA
+    x = t
+    if sigma > 0.0:
+        for _ in range(30):
+            rest = g * (t - x) + h[0] * (around - x) + sigma * (around**4 - x**4) + stack.flux[end, 0]
+            move = rest / (g + h[0] + 4.0 * sigma * x**3)
+            x += move
+            if abs(move) < 1e-10 * x:
+                break
+    a = h[0] + sigma * (x * x + around * around) * (x + around)
+    bend = sigma * (3 * x * x + 2 * x * around + around * around)
+    share = g / (a + g)
+    w[G, j] = a * share
+    w[SRC, i] += stack.flux[end, 0] * share
+    for q in range(dh.shape[1]):
+        dg = 2.0 * dw[DCOND, q, i] / stack.dx[i]
+        dx = dg * (t - x) + g * dw[DSTAR, q, i] + dh[0, q] * (around - x) + tan.flux[end, q]
+        da = dh[0, q] + bend * dx / (g + h[0] + 4.0 * sigma * x**3)
+        dw[DG, q, j] = (g * g * da + a * a * dg) / (a + g) ** 2
+        dshare = (dg * a - g * da) / (a + g) ** 2
+        dw[DSRC, q, i] += tan.flux[end, q] * share + stack.flux[end, 0] * dshare
+
+
+@njit(cache=True)
+def exchange(dx, ambient, rate, d_rate, w, dw):
+    """Start the sources with the volumetric exchange with ambient."""
+    n = dx.shape[0]
+    for i in range(n):
+        w[SRC, i] = rate[i] * dx[i] * ambient
+        w[SLOPE, i] = rate[i] * dx[i]
+    for q in range(d_rate.shape[0]):
+        for i in range(n):
+            dw[DSRC, q, i] = d_rate[q, i] * dx[i] * ambient
+            dw[DSLOPE, q, i] = d_rate[q, i] * dx[i]
+
+
+@njit(cache=True)
+def conversion(dx, heat, law, d_heat, d_law, done, d_done, h, w, dw, rate, drate):
+    """Add the heat of one conversion, dZ/dt = (1 - Z) r(T), taken as the step's mean.
+
+    With r frozen over the step its mean is (1 - Z) (1 - exp(-h r)) / h, linear in T about `star`;
+    a source that grows with temperature is taken at `star` alone.
+    """
+    n, p = dx.shape[0], dw.shape[1]
+    star, dstar = w[STAR], dw[DSTAR]
+    for i in range(n):
+        q_cell = heat[i] * dx[i]
+        active = q_cell != 0.0
+        for q in range(p):
+            active = active or d_heat[q, i] != 0.0
+        rate[RATE, i] = 0.0
+        rate[RSLOPE, i] = 0.0
+        if not active:
+            for q in range(p):
+                drate[RATE, q, i] = 0.0
+                drate[RSLOPE, q, i] = 0.0
+            continue
+        t = star[i]
+        first, second = _rate(law[0], law[1], law[2], law[3], t)
+        stiff = 0.0 if heat[i] > 0.0 else 1.0
+        left = 1.0 - done[i]
+        kept = np.exp(-h * first[0])
+        share = -np.expm1(-h * first[0]) / h
+        slope = stiff * left * kept * first[1]
+        value = left * share - slope * t
+        rate[RATE, i] = value
+        rate[RSLOPE, i] = slope
+        w[SRC, i] += q_cell * value
+        w[SLOPE, i] -= q_cell * slope
+        for q in range(p):
+            st, da, db, dc = dstar[q, i], d_law[1, q], d_law[2, q], d_law[3, q]
+            dr = first[1] * st + first[2] * da + first[3] * db + first[4] * dc
+            bend = second[0] * st + second[1] * da + second[2] * db + second[3] * dc
+            dl = -d_done[q, i]
+            dslope = stiff * kept * (dl * first[1] + left * (bend - h * first[1] * dr))
+            dvalue = dl * share + left * kept * dr - dslope * t - slope * st
+            drate[RATE, q, i] = dvalue
+            drate[RSLOPE, q, i] = dslope
+            dq = d_heat[q, i] * dx[i]
+            dw[DSRC, q, i] += dq * value + q_cell * dvalue
+            dw[DSLOPE, q, i] -= dq * slope + q_cell * dslope
+
+
+@njit(cache=True)
+def steam(dx, wet, factor, d_factor, w, dw):
+    """Steam leaves cells above 100 °C and condenses in cooler ones in proportion to 100 °C - T."""
+    n, p = dx.shape[0], dw.shape[1]
+    star, dstar = w[STAR], dw[DSTAR]
+    hot = 0.0
+    cold = 0.0
+    for i in range(n):
+        if wet[i]:
+            over = (star[i] - 100.0) * dx[i]
+            if over > 0.0:
+                hot += over
+            else:
+                cold -= over
+    if hot <= 0.0 or cold <= 1e-9:
+        return
+    ratio = hot / cold
+    for i in range(n):
+        if wet[i]:
+            over = star[i] - 100.0
+            w[SRC, i] -= factor * dx[i] * over * (1.0 if over > 0.0 else ratio)
+    for q in range(p):
+        dhot = 0.0
+        dcold = 0.0
+        for i in range(n):
+            if wet[i]:
+                if star[i] > 100.0:
+                    dhot += dstar[q, i] * dx[i]
+                else:
+                    dcold -= dstar[q, i] * dx[i]
+        dratio = (dhot - ratio * dcold) / cold
+        for i in range(n):
+            if wet[i]:
+                over = star[i] - 100.0
+                share, dshare = (1.0, 0.0) if over > 0.0 else (ratio, dratio)
+                dw[DSRC, q, i] -= dx[i] * (
+                    d_factor[q] * over * share + factor * (dstar[q, i] * share + over * dshare)
+                )
+
+
+@njit(cache=True)
+def coefficients(stack, tan, drive, step, h, done, d_done, w, dw, rate, drate):
+    """Fill all coefficients of a step of length h, from the expected temperatures in `w` and `dw`."""
+    n, p = stack.dx.shape[0], dw.shape[1]
+    unit = np.ones(n)
+    properties(
+        unit, stack.k, stack.k_slope, stack.k_table, stack.table_x, stack.table_y, tan.k, tan.k_slope,
+        w[STAR], dw[DSTAR], w[COND], dw[DCOND],
+    )  # fmt: skip
+    properties(
+        stack.dx, stack.c, stack.c_slope, stack.c_table, stack.table_x, stack.table_y, tan.c, tan.c_slope,
+        w[STAR], dw[DSTAR], w[CAP], dw[DCAP],
+    )  # fmt: skip
+    exchange(stack.dx, stack.ambient, stack.exchange, tan.exchange, w, dw)
+    joints(stack.dx, stack.measured, w, dw)
+    contacts(stack, tan, drive, step, w, dw)
+    for r in range(stack.heat.shape[0]):
+        conversion(
+            stack.dx, stack.heat[r], stack.law[r], tan.heat[r], tan.law[r], done[r], d_done[r], h, w, dw,
+            rate[r], drate[r],
+        )  # fmt: skip
+    if stack.convection != 0.0 or tan.convection.any():
+        share = drive.weight[step, 2]
+        d_factor = np.empty(p)
+        for q in range(p):
+            d_factor[q] = share * tan.convection[q] + drive.d_weight[step, 2, q] * stack.convection
+        steam(stack.dx, stack.wet, share * stack.convection, d_factor, w, dw)
+    for i in range(n):
+        w[DIAG, i] = w[G, i] + w[G, i + 1] + w[LOSS, i] + w[SLOPE, i]

@@ -1,0 +1,93 @@
+"""When the press is idle, open and closed: shares of the states at times, or averaged over steps.
+
+Insertion, closing, opening and removal are ramps. A closing or opening moment may be shifted and the
+closing ramp stretched by nuisance parameters, so the shares come with derivatives.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from daq.records import Array, Moments
+
+OPENING_RAMP_S = 0.35
+"""How long opening takes; its middle is `Moments.opened_s`. [s]"""
+HANDLING_RAMP_S = 0.2
+"""How long insertion and removal take. [s]"""
+SHORTEST_RAMP_S = 0.02
+TIMINGS = ("closed_s", "opened_s", "ramp_s")
+
+
+@dataclass(frozen=True)
+class Clock:
+    """A press's moments in one run, and the times at which shares are asked for."""
+
+    moments: Moments
+    times: Array
+    """Times, or step edges if `mean`. [s]"""
+    mean: bool
+    """Average between the times."""
+    present: Array
+    """Whether a panel is in, 0 .. 1 (rows)."""
+    has_states: bool
+
+    @staticmethod
+    def of(moments: Moments, times: Array, start: float, *, mean: bool, has_states: bool) -> Clock:
+        """Prepare for a run that starts at `start`."""
+        inside = np.isfinite(moments.inserted_s) and moments.inserted_s > start
+        present, _, _ = ramp(times, moments.inserted_s if inside else -np.inf, HANDLING_RAMP_S, mean=mean)
+        if np.isfinite(moments.removed_s):
+            present = present - ramp(times, moments.removed_s, HANDLING_RAMP_S, mean=mean)[0]
+        return Clock(moments, times, mean, present, has_states)
+
+    def shares(self, values: Mapping[str, float], names: tuple[str, ...] = (), p: int = 0) -> tuple[Array, Array]:
+        """Return the shares of idle, open and closed (rows, 3), and their derivatives (rows, 3, p)."""
+        rows = len(self.present)
+        weights, d_weights = np.zeros((rows, 3)), np.zeros((rows, 3, max(p, len(names))))
+        if not self.has_states:
+            weights[:, 2] = 1.0
+            return weights, d_weights
+        m = self.moments
+        length = max(m.ramp_s + values.get("ramp_s", 0.0), SHORTEST_RAMP_S)
+        up, d_up, d_ramp = ramp(self.times, m.closed_s + values.get("closed_s", 0.0), length, mean=self.mean)
+        opening = m.opened_s + values.get("opened_s", 0.0)
+        down, d_down, _ = ramp(self.times, opening, OPENING_RAMP_S, mean=self.mean)
+        closed = up - down
+        weights[:, 0] = 1.0 - self.present
+        weights[:, 1] = self.present - closed
+        weights[:, 2] = closed
+        for name, change in zip(TIMINGS, (d_up, -d_down, d_ramp), strict=True):
+            if name in names:
+                d_weights[:, 2, names.index(name)] = change
+                d_weights[:, 1, names.index(name)] = -change
+        return np.clip(weights, 0.0, 1.0, out=weights), d_weights
+
+
+def ramp(edges: Array, middle: float, length: float, *, mean: bool) -> tuple[Array, Array, Array]:
+    """Return a rise from 0 to 1 about `middle` and its derivatives by middle and length.
+
+    With `mean`, averages between the edges instead of values at them.
+
+    Examples
+    --------
+    >>> ramp(np.array([0.0, 1.0, 2.0]), 1.0, 1.0, mean=True)[0].tolist()
+    [0.125, 0.875]
+    """
+    rows = len(edges) - 1 if mean else len(edges)
+    if not np.isfinite(middle):
+        flat = np.ones(rows) if middle < 0 else np.zeros(rows)
+        return flat, np.zeros(rows), np.zeros(rows)
+    x = np.clip((edges - middle) / length + 0.5, 0.0, 1.0)
+    inner = (x > 0) & (x < 1)
+    if not mean:
+        return x, np.where(inner, -1.0 / length, 0.0), np.where(inner, -(x - 0.5) / length, 0.0)
+    h = np.diff(edges)
+    area = np.where(x >= 1, edges - middle, length * x * x / 2)
+    d_length = np.where(inner, x * (1 - x) / 2, 0.0)
+    value = np.diff(area) / h
+    # whole steps inside or outside the ramp are exact, so that equal steps compare equal
+    value = np.where(x[1:] <= 0, 0.0, np.where(x[:-1] >= 1, 1.0, value))
+    return value, -np.diff(x) / h, np.diff(d_length) / h
