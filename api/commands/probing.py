@@ -14,7 +14,8 @@ from daq.records import InputError
 if TYPE_CHECKING:
     from daq.drivers.probe import ProbeReport
 
-SHOWN_ATTEMPTS = 5
+SHOWN_ATTEMPTS = 6
+SHOWN_READINGS = 8
 
 
 def probe(
@@ -44,7 +45,7 @@ def probe(
         raise WorkFailed(str(error)) from error
     for line in _lines(report):
         sys.stdout.write(line + "\n")
-    if report.proposal is None:
+    if not report.proposals:
         raise WorkFailed(
             f"{report.place}: nothing known reads room temperature here; check power, cable, address and baud rate"
         )
@@ -70,17 +71,23 @@ def _stations(text: str) -> list[int]:
 def _lines(report: ProbeReport) -> Iterable[str]:
     answered = ", ".join(str(s) for s in report.stations) or "none"
     yield f"{report.place}: Modbus answers from stations {answered}"
+    for block in report.registers:
+        yield f"  station {block.station}, function {block.function}: registers from 0, read as"
+        for reading in block.interpretations[:SHOWN_READINGS]:
+            values = " ".join(f"{v:.5g}" for v in reading.values)
+            yield f"    {reading.meaning:26} {reading.plausible:4.0%} at room temperature: {values}"
     for attempt in report.attempts[:SHOWN_ATTEMPTS]:
         values = " ".join(f"{v:.1f}" for v in attempt.values[:8])
         scaling = f", {attempt.scaling}" if attempt.scaling else ""
-        yield f"  {attempt.profile}{scaling}: {attempt.outcome}{f' ({values} °C)' if values else ''}"
-    if report.proposal is not None:
-        if report.ambiguous_with:
-            yield f"  reads just as well: {', '.join(report.ambiguous_with)}; look at the device's label"
+        at = "" if attempt.station is None else f" at {attempt.station}"
+        yield f"  {attempt.profile}{at}{scaling}: {attempt.outcome}{f' ({values} °C)' if values else ''}"
+    for proposal in report.proposals:
         yield ""
+        if proposal.ambiguous_with:
+            yield f"# reads just as well: {', '.join(proposal.ambiguous_with)}; look at the device's label"
         yield "# for kerntemp.toml; name the channels"
         yield "[[press.logger]]"
-        yield from _toml(report.proposal)
+        yield from _toml(proposal.settings)
 
 
 def _toml(table: Mapping[str, Any]) -> Iterable[str]:

@@ -80,6 +80,15 @@ class Attempt:
 
 
 @dataclass(frozen=True)
+class Proposal:
+    """A settings table for kerntemp.toml, its channels still to be named."""
+
+    settings: Mapping[str, Any]
+    ambiguous_with: tuple[str, ...] = ()
+    """Other profiles that read just as well: only the label on the device can tell."""
+
+
+@dataclass(frozen=True)
 class ProbeReport:
     """All that was found."""
 
@@ -89,10 +98,8 @@ class ProbeReport:
     registers: tuple[RegisterBlock, ...]
     attempts: tuple[Attempt, ...]
     """Best first."""
-    proposal: Mapping[str, Any] | None = field(default=None)
-    """A settings table for kerntemp.toml, channels still to be named; None if nothing fits."""
-    ambiguous_with: tuple[str, ...] = ()
-    """Other profiles that read just as well."""
+    proposals: tuple[Proposal, ...] = ()
+    """One for each device found."""
 
 
 def probe(
@@ -120,15 +127,19 @@ def probe(
         Told before each step what is tried.
     """
     place = _place(wire)
-    blocks = _registers(wire, place, tuple(stations), timeout_s, progress)
+    stations = tuple(stations)
+    blocks = _registers(wire, place, stations, timeout_s, progress)
     answering = tuple(sorted({block.station for block in blocks}))
     attempts: list[Attempt] = []
     for name in profiles or [n for n in profile_names() if n != "generic"]:
         progress(f"trying {name}")
-        attempts += _tried(name, wire, answering, tuple(stations), timeout_s)
+        attempts += _tried(name, wire, answering, stations, timeout_s)
     attempts.sort(key=_rank, reverse=True)
-    proposal, rivals = _proposed(wire, attempts, blocks)
-    return ProbeReport(str(place), answering, tuple(blocks), tuple(attempts), proposal, rivals)
+    places: tuple[int | None, ...] = answering or (*stations, None)
+    found = [_proposed(wire, station, attempts, blocks) for station in places]
+    return ProbeReport(
+        str(place), answering, tuple(blocks), tuple(attempts), tuple(p for p in found if p is not None)
+    )
 
 
 def interpretations(words: Sequence[int], room: tuple[float, float] = ROOM_C) -> tuple[Interpretation, ...]:
@@ -275,7 +286,8 @@ def _attempt(
 
 
 def _table(name: str, wire: Mapping[str, Any], station: int | None, scaling: str | None) -> dict[str, Any]:
-    table: dict[str, Any] = {"name": name, "profile": name} | dict(wire)
+    title = name if station is None else f"{name} at {station}"
+    table: dict[str, Any] = {"name": title, "profile": name} | dict(wire)
     if station is not None:
         table["address"] = station
     if scaling is not None:
@@ -290,18 +302,22 @@ def _rank(attempt: Attempt) -> tuple[bool, float, bool]:
 
 
 def _proposed(
-    wire: Mapping[str, Any], attempts: Sequence[Attempt], blocks: Sequence[RegisterBlock]
-) -> tuple[Mapping[str, Any] | None, tuple[str, ...]]:
-    fitting = [a for a in attempts if a.outcome == "fits"]
+    wire: Mapping[str, Any],
+    station: int | None,
+    attempts: Sequence[Attempt],
+    blocks: Sequence[RegisterBlock],
+) -> Proposal | None:
+    """Return what reads one station best, or a generic map of its registers."""
+    fitting = [a for a in attempts if a.outcome == "fits" and a.station == station]
     if fitting:
         best = fitting[0]
-        rivals = tuple(a.profile for a in fitting[1:] if _rank(a) == _rank(best) and a.profile != best.profile)
-        return best.settings, rivals
+        rivals = [a.profile for a in fitting if _rank(a) == _rank(best) and a.profile != best.profile]
+        return Proposal(best.settings, tuple(dict.fromkeys(rivals)))
     for block in blocks:
         top = block.interpretations[0]
-        if top.plausible >= _ENOUGH:
-            return _generic(wire, block, top), ()
-    return None, ()
+        if block.station == station and top.plausible >= _ENOUGH:
+            return Proposal(_generic(wire, block, top))
+    return None
 
 
 def _generic(wire: Mapping[str, Any], block: RegisterBlock, reading: Interpretation) -> dict[str, Any]:

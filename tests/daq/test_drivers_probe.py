@@ -7,8 +7,9 @@ import pytest
 from daq.drivers import LoggerSettings, open_logger
 from daq.drivers.probe import interpretations, probe
 from daq.records import InputError, Quality
-from daq.simulated.devices import kind_of, simulated
+from daq.simulated.devices import kind_of, simulated, station
 from daq.simulated.devices_converter import Switches
+from daq.simulated.devices_line import serve_serial
 
 
 def room(profile):
@@ -33,12 +34,11 @@ def wire_of(server, **more):
 def test_the_right_profile_is_proposed_for_a_device_at_room_temperature(profile, family):
     with simulated(profile, room(profile), refresh_s=0) as server:
         report = probe(wire_of(server), timeout_s=0.15)
-        assert report.proposal is not None
-        assert report.proposal["profile"] in family
-        assert {report.proposal["profile"], *report.ambiguous_with} >= {profile} or profile in family
+        (proposal,) = report.proposals
+        assert {proposal.settings["profile"], *proposal.ambiguous_with} == family
         inputs = kind_of(profile).inputs
         names = [f"c{k}" for k in range(inputs)]
-        logger = open_logger(LoggerSettings(**report.proposal, channels=names))
+        logger = open_logger(LoggerSettings(**proposal.settings, channels=names))
         reading = logger.read()
         assert reading.values == pytest.approx(room(profile)(0), abs=0.06)
         assert set(reading.qualities) == {Quality.GOOD}
@@ -48,34 +48,45 @@ def test_the_right_profile_is_proposed_for_a_device_at_room_temperature(profile,
 def test_the_scaling_in_doubt_of_the_adam_4018_is_settled_by_room_temperature():
     with simulated("adam-4018+", room("adam-4018+"), refresh_s=0) as server:
         report = probe(wire_of(server), profiles=["adam-4018+"])
-    assert report.proposal["scaling"] == "hundredth"
+    assert report.proposals[0].settings["scaling"] == "hundredth"
     assert {a.scaling: a.outcome for a in report.attempts if a.station == 1}["fullscale"] != "fits"
 
 
 def test_an_unknown_device_gets_a_generic_map_from_its_registers():
     with simulated("generic", room("generic"), refresh_s=0) as server:
         report = probe(wire_of(server), profiles=["exemys-rme1-tc"])
-        assert report.proposal["profile"] == "generic"
-        logger = open_logger(LoggerSettings(**report.proposal, channels=[f"c{k}" for k in range(16)]))
+        (proposal,) = report.proposals
+        assert proposal.settings["profile"] == "generic"
+        logger = open_logger(LoggerSettings(**proposal.settings, channels=[f"c{k}" for k in range(16)]))
         assert logger.read().values == pytest.approx(room("generic")(0), abs=0.06)
         logger.close()
 
 
-def test_stations_on_a_bus_are_searched():
-    with simulated("adam-4118", room("adam-4118"), refresh_s=0, address=3) as server:
-        said = []
+def test_each_module_on_a_bus_is_proposed_at_its_own_address():
+    first = station("adam-4118", room("adam-4118"), address=2, refresh_s=0)
+    second = station("m-7019r", room("m-7019r"), address=3, refresh_s=0)
+    said = []
+    with serve_serial(first, second) as server:
         report = probe(
-            wire_of(server), stations=(1, 2, 3), profiles=["adam-4118"], timeout_s=0.15, progress=said.append
+            wire_of(server),
+            stations=(1, 2, 3),
+            profiles=["adam-4118", "m-7019r"],
+            timeout_s=0.15,
+            progress=said.append,
         )
-    assert report.stations == (3,)
-    assert report.proposal["address"] == 3
-    assert any("station 2" in line for line in said)
+    assert report.stations == (2, 3)
+    assert [(p.settings["profile"], p.settings["address"]) for p in report.proposals] == [
+        ("adam-4118", 2),
+        ("m-7019r", 3),
+    ]
+    assert {block.station for block in report.registers} == {2, 3}
+    assert any("station 1" in line for line in said)
 
 
 def test_a_silent_wire_proposes_nothing_and_says_why():
     with simulated("adam-4118", room("adam-4118"), switches=Switches(silent=True)) as server:
         report = probe(wire_of(server), profiles=["adam-4118-ascii", "sr630"], timeout_s=0.1)
-    assert report.proposal is None
+    assert not report.proposals
     assert all(a.outcome.startswith("silent") for a in report.attempts)
 
 
