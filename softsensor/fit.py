@@ -26,20 +26,20 @@ from daq.pressfile import Press
 from daq.records import Array, InputError, Moments, Run
 from softsensor.case import Case
 from softsensor.effects import find_effect
-from softsensor.fit_problem import Evaluation, Minimum, Problem, Unknown, grid_correction, minimise, slopes
+from softsensor.fit_problem import Evaluation, Minimum, Problem, Unknown, grid_correction, minimise, with_motion
 from softsensor.model import ThermalModel, state_weights
 from softsensor.parameters import Parameter
 from softsensor.residuals import Noise, Signals, channel_noise, collect_signals, whiten
 
-RAMP_S = (0.55, 0.25)
-"""Closing ramp: a press takes 0.2 to 1 s to close. Mean and standard deviation. [s]"""
+RAMP_S = (0.55, 0.25, 1.2)
+"""Closing ramp: a press takes 0.2 to 1 s to close. Mean, standard deviation and limit. [s]"""
 START_K = 0.3
 """Of the panel's initial temperature. [K]"""
 PLATEN_K, PLATEN_GAIN = 0.1, 0.0005
 """Of a platen channel: offset and gain. [K, -]"""
 CHANNEL_K, CHANNEL_GAIN = 0.3, 0.0015
 """Of a panel channel: offset and gain. [K, -]"""
-FIRST_NOISE = Noise(slow_K=0.15, slow_s=30.0, fast_K=0.0, fast_s=10.0, white_K=1.0, timing_s=0.05)
+FIRST_NOISE = Noise(slow_K=0.15, slow_s=30.0, fast_K=0.0, fast_s=10.0, white_K=1.0)
 """For the first steps, while the model is still far off."""
 SLOW_PRIOR = ((np.log(0.15), 1.0), (np.log(30.0), 0.7))
 """Log-normal priors of the slow noise's size [K] and correlation time [s]."""
@@ -269,7 +269,7 @@ def chain_priors(case: Case, signals: Signals) -> list[Unknown]:
         if first < moments.closed_s < last:
             unknowns.append(nuisance("closed_s", sd, 4 * sd))
             ramp = moments.ramp_s
-            unknowns.append(nuisance("ramp_s", RAMP_S[1], 1.5, RAMP_S[0] - ramp, lower=0.08 - ramp))
+            unknowns.append(nuisance("ramp_s", RAMP_S[1], RAMP_S[2] - RAMP_S[0], RAMP_S[0] - ramp, 0.1 - ramp))
         if first < moments.opened_s < last:
             unknowns.append(nuisance("opened_s", sd, 4 * sd))
     if press.panel_layers or press.initial.kind != "steady":
@@ -305,21 +305,25 @@ class _Settled:
 
 def _settle(problem: Problem) -> _Settled:
     """Fit in three passes: roughly, with noise and grid corrected, and once more with noise re-estimated."""
+    period = problem.signals.period_s
+    problem = with_motion(problem, problem.start, 0.05 + timing(problem), min(0.1 + 0.4 * period, 1.0))
     initial = problem.evaluate(problem.start)
     rough = minimise(problem, max_evaluations=25, decrease=0.05)
     count = rough.evaluations + 1
     problem, x = recentre(problem, rough.x)
-    problem = replace(problem, correction=grid_correction(problem, x), slope=slopes(problem, x))
+    problem = replace(problem, correction=grid_correction(problem, x))
+    problem = with_motion(problem, x, timing(problem), 0.1 * period)
     noise = channel_noise(problem.signals, problem.case.moments, problem.noise)
-    problem = replace(problem, noise=replace(noise, slow_K=0.2, slow_s=30.0, timing_s=timing(problem)))
+    problem = replace(problem, noise=replace(noise, slow_K=0.2, slow_s=30.0))
     best = minimise(problem, x, max_evaluations=15, decrease=0.05)
-    problem = replace(problem, noise=slow_noise(problem, best.evaluation), slope=slopes(problem, best.x))
+    problem = with_motion(problem, best.x, timing(problem), 0.1 * period)
+    problem = replace(problem, noise=slow_noise(problem, best.evaluation))
     best = minimise(problem, best.x, max_evaluations=25)
     return _Settled(problem, best, initial, count + best.evaluations)
 
 
 def timing(problem: Problem) -> float:
-    """Return how well row times are known. [s]"""
+    """Return how well row times are known: channels are read one after the other. [s]"""
     return 0.01 + 0.02 * problem.signals.period_s
 
 
@@ -398,7 +402,7 @@ def run_fit(
     residuals, offsets = channel_residuals(problem, best.evaluation)
     closed = best.evaluation.solution.closed_share > 0.5
     x, covariance = best.x, best.covariance
-    spread = _spread(best)
+    spread = _spread(problem, best)
     quantile = float(student.ppf(0.975, spread.freedom))
     table = {}
     for i, u in enumerate(problem.unknowns):
@@ -450,15 +454,18 @@ def _coefficient(u: Unknown, x: float, sd: float, quantile: float) -> Coefficien
 @dataclass(frozen=True)
 class _Spread:
     factor: float
+    """How much larger the whitened residuals are than their model says, at least 1."""
     freedom: float
+    """Independent values behind the size of the slow noise, which decides most intervals."""
 
 
-def _spread(best: Minimum) -> _Spread:
-    """How much wider than the noise model says the residuals are, and the freedom behind its size."""
+def _spread(problem: Problem, best: Minimum) -> _Spread:
     z, w = best.evaluation.z, best.evaluation.weight
     used = z != 0
     size = float((w[used] * z[used] ** 2).sum() / max(used.sum() - len(best.x), 1))
-    return _Spread(max(1.0, np.sqrt(size)), 30.0)
+    seconds = float(problem.rows.sum()) * problem.signals.period_s
+    freedom = len(problem.signals.places) * seconds / problem.noise.slow_s
+    return _Spread(max(1.0, float(np.sqrt(size))), float(np.clip(freedom, 5.0, 100.0)))
 
 
 def channel_residuals(problem: Problem, at: Evaluation) -> tuple[dict[str, Array], dict[str, float]]:

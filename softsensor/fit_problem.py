@@ -16,10 +16,11 @@ import numpy as np
 from numba import njit
 
 from daq.records import Array
-from softsensor.case import OPENING_RAMP_S, Case
+from softsensor.case import Case
 from softsensor.effects import find_effect
 from softsensor.model import Solution, ThermalModel
 from softsensor.residuals import Noise, Signals, whiten
+from softsensor.timing import OPENING_RAMP_S
 
 HUBER = 3.0
 """Whitened residuals beyond this count in proportion, not squared."""
@@ -29,6 +30,8 @@ SWITCH_TIMING_S = 0.04
 """How well the press's motion is described by straight ramps: as a delay, while it closes or opens. [s]"""
 SWITCH_EDGE_S = 0.2
 """Rows this close to a ramp count as part of it. [s]"""
+STALLED = 0.05
+"""A search that stalls this close to the minimum (0.3 standard deviations) has found it."""
 MAX_MOVE = 2.0
 """Largest change of a logarithm or of a scaled parameter in one step."""
 
@@ -100,6 +103,8 @@ class Problem:
     """By place: prediction on a finer grid minus this grid's, worked out once (rows). [K]"""
     slope: tuple[Array, ...] = ()
     """By place: how fast the prediction rises, taken once near the solution (rows). [K/s]"""
+    blur: tuple[Array, ...] = ()
+    """By place: what timing leaves unknown of each row (rows). [K]"""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -168,17 +173,9 @@ class Problem:
         """Return the white part of a place's variance (rows). [K²]"""
         place = self.signals.places[i]
         variance = self.noise.white_K**2 / np.maximum(place.count, 1.0)
-        if self.slope:
-            variance = variance + (self._timing() * _steepest(self.signals.time_s, self.slope[i])) ** 2
+        if self.blur:
+            variance = variance + self.blur[i] ** 2
         return np.asarray(variance)
-
-    def _timing(self) -> Array:
-        """How well the time of each row is known against the heat; poorly while the press moves. [s]"""
-        t, moments = self.signals.time_s, self.case.moments
-        timing = np.full(len(t), self.noise.timing_s)
-        for moment, half in ((moments.closed_s, moments.ramp_s / 2), (moments.opened_s, OPENING_RAMP_S / 2)):
-            timing[np.abs(t - moment) < half + SWITCH_EDGE_S] = SWITCH_TIMING_S
-        return timing
 
     def whiten(self, i: int, series: Array) -> Array:
         """Whiten series of a place's mean as this problem's residuals are (rows, columns)."""
@@ -217,21 +214,6 @@ class Problem:
         return place.mean - predicted - added, derivative
 
 
-def _steepest(time_s: Array, slope: Array) -> Array:
-    """Return the steepest slope near each row, so that a row just before a kink knows of it. [K/s]"""
-    steep = np.abs(slope)
-    out = steep.copy()
-    first, last = (np.searchsorted(time_s, time_s + d) for d in (-SWITCH_EDGE_S, SWITCH_EDGE_S))
-    for shift in range(1, int(np.max(last - first, initial=1)) + 1):
-        if shift >= len(steep):
-            break
-        near = np.diff(time_s) if shift == 1 else time_s[shift:] - time_s[:-shift]
-        close = near <= SWITCH_EDGE_S
-        out[shift:] = np.where(close, np.maximum(out[shift:], steep[:-shift]), out[shift:])
-        out[:-shift] = np.where(close, np.maximum(out[:-shift], steep[shift:]), out[:-shift])
-    return out
-
-
 def with_clock(model: ThermalModel) -> ThermalModel:
     """Return the model with a clock offset of 0 in it, whose derivative is the readings' slope."""
     if any(e.name == "clock_offset" for e in model.effects):
@@ -239,13 +221,35 @@ def with_clock(model: ThermalModel) -> ThermalModel:
     return model.extended(find_effect("clock_offset"))
 
 
-def slopes(problem: Problem, x: Array) -> tuple[Array, ...]:
-    """Return how fast each place's reading changes (rows). [K/s]"""
-    d = with_clock(problem.model).solve(problem.case, problem.merged(x), (SLOPE,)).d_sensors[SLOPE]
-    return tuple(-d[:, problem.case.columns.index(p.columns[0])] for p in problem.signals.places)
+def with_motion(problem: Problem, x: Array, timing_s: float, reach_s: float = 0.0) -> Problem:
+    """Return the problem with slopes and blur taken at a point.
+
+    Rows are blurred by their slope times `timing_s`; while the press moves, when straight ramps stand for
+    whatever it really does, by `SWITCH_TIMING_S` of the whole change across the ramp; `reach_s` is how far
+    the moment may still wander.
+    """
+    t, moments = problem.signals.time_s, problem.case.moments
+    values = problem.merged(x)
+    solution = with_clock(problem.model).solve(problem.case, values, (SLOPE,))
+    closing = (moments.closed_s + values.get("closed_s", 0.0), moments.ramp_s + values.get("ramp_s", 0.0))
+    opening = (moments.opened_s + values.get("opened_s", 0.0), OPENING_RAMP_S)
+    slope, blur = [], []
+    for place in problem.signals.places:
+        column = problem.case.columns.index(place.columns[0])
+        slope.append(-solution.d_sensors[SLOPE][:, column])
+        own = np.abs(slope[-1]) * timing_s
+        for moment, ramp in (closing, opening):
+            edge = ramp / 2 + SWITCH_EDGE_S + reach_s
+            moving = np.abs(t - moment) < edge
+            around = solution.sensors[np.abs(t - moment) < edge + max(1.0, 1.1 * problem.signals.period_s), column]
+            if moving.any() and problem.case.press.has_states:
+                steepest = float(np.ptp(around)) / max(ramp, 0.2)
+                own = np.where(moving, np.maximum(own, SWITCH_TIMING_S * steepest), own)
+        blur.append(own)
+    return replace(problem, slope=tuple(slope), blur=tuple(blur))
 
 
-def grid_correction(problem: Problem, x: Array, fineness: float = 3.0) -> tuple[Array, ...]:
+def grid_correction(problem: Problem, x: Array, fineness: float = 2.0) -> tuple[Array, ...]:
     """Return what a finer grid adds to the prediction at a point (rows). [K]
 
     The grid's error hardly depends on the unknowns, so one fine solution corrects all coarse ones.
@@ -304,7 +308,7 @@ _gram: Callable[..., tuple[Array, Array]] = njit(cache=True, nogil=True, fastmat
 
 
 def minimise(
-    problem: Problem, x: Array | None = None, *, max_evaluations: int = 40, decrease: float = 1e-3
+    problem: Problem, x: Array | None = None, *, max_evaluations: int = 40, decrease: float = 5e-3
 ) -> Minimum:
     """Find a run's unknowns; stop when the next step promises less than `decrease` of loss."""
     lower, upper = problem.limits
@@ -327,17 +331,19 @@ def minimise(
             trace.append(at.loss)
         else:
             damping *= 8.0
-            if damping > 1e10:
-                break
+        if promise < STALLED and (damping > 1e4 or (len(trace) > 4 and trace[-4] - trace[-1] < STALLED)):
+            converged = True
+            break
     matrix, right = normal_equations(problem, at)
     free = _free(at.x, right, lower, upper)
-    return Minimum(at, converged, count, _covariance(matrix, free), ~free, tuple(trace))
+    return Minimum(at, converged, count, _covariance(matrix, free), np.logical_not(free), tuple(trace))
 
 
 def _free(x: Array, right: Array, lower: Array, upper: Array) -> Array:
     """Unknowns that no limit holds against the descent direction."""
     edge = 1e-9
-    return np.asarray(~(((x <= lower + edge) & (right <= 0)) | ((x >= upper - edge) & (right >= 0))))
+    held = ((x <= lower + edge) & (right <= 0)) | ((x >= upper - edge) & (right >= 0))
+    return np.logical_not(held)
 
 
 def _step(matrix: Array, right: Array, free: Array, damping: float) -> tuple[Array, float]:

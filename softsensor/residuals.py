@@ -99,8 +99,6 @@ class Noise:
     fast_s: float = 10.0
     white_K: float = 0.1  # noqa: N815
     """Of each reading. [K]"""
-    timing_s: float = 0.02
-    """How well row times are known; multiplies the slope. [s]"""
 
 
 def collect_signals(press: Press, run: Run, moments: Moments, *, screen: bool = True) -> Signals:
