@@ -148,7 +148,7 @@ def _trend(times: Array, face: Array, noticed: float) -> tuple[float, float]:
     t, y = times[early][-40:], face[early][-40:]
     if len(t) < 4:
         return float(y[-1]), 0.0
-    slope, level = np.polyfit(t - noticed, y, 1)
+    slope, _ = np.polyfit(t - noticed, y, 1)
     slope = float(np.clip(slope, -3.0, 6.0))
     return float(np.mean(y) - slope * np.mean(t - noticed)), slope
 

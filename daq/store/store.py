@@ -10,6 +10,7 @@ from typing import Any, Literal
 from daq.records import Channel, PressEvent, Run, Scan
 from daq.store import reading, recording, results
 from daq.store.database import BUSY_S, Database
+from daq.store.parcels import Parcel
 from daq.store.records import (
     CoefficientRecord,
     DiagnosisRecord,
@@ -93,6 +94,14 @@ class Store:
         """
         with self.database.writing() as connection:
             recording.append(connection, key, scans, events, begin, end)
+
+    def write_parcels(self, parcels: Sequence[Parcel]) -> None:
+        """Write several parcels of `append_scans` in one commit."""
+        if not parcels:
+            return
+        with self.database.writing() as connection:
+            for p in parcels:
+                recording.append(connection, p.key, p.scans, p.events, p.begin, p.end)
 
     def interrupt_open_runs(self, press: str) -> list[str]:
         """Mark the runs a crash left open as interrupted; returns their names."""

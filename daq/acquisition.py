@@ -1,0 +1,198 @@
+"""Scans from loggers: one thread a logger, one schedule that does not drift, and no logger waits for another.
+
+Every logger is asked at every tick. A scan takes what has arrived by then; a logger that has not answered
+leaves its channels empty with the reason as their quality. An answer that comes after its tick's scan is
+used in the next scan, once, while it is younger than one and a half periods.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any
+
+from daq.drivers import DataLogger, ReadFailure
+from daq.records import Channel, Quality, Reading, Scan
+
+Say = Callable[[str, str, Mapping[str, Any]], None]
+"""Level, sentence, detail: for state changes only."""
+_OLDEST_PERIODS = 1.5
+_LOST_AFTER_S = 3.0
+"""A logger without an answer this long is called lost. [s]"""
+
+
+class LoggerThread:
+    """Asks one logger at every tick and keeps its newest answer."""
+
+    def __init__(self, name: str, logger: DataLogger, say: Say) -> None:
+        self.name = name
+        self.channels = logger.channels
+        self.counters: Counter[str] = Counter()
+        self.last_good_utc: datetime | None = None
+        self.lost = False
+        self.message = ""
+        self._logger = logger
+        self._say = say
+        self._answer: tuple[int, Reading] | None = None
+        self._failure = Quality.MISSING
+        self._good_s = time.monotonic()
+        self._arrived: Callable[[], None] = lambda: None
+
+    def start(self, ticks: Ticks, arrived: Callable[[], None], stop: threading.Event) -> threading.Thread:
+        """Read in a thread of its own until `stop`."""
+        self._arrived = arrived
+        thread = threading.Thread(target=self._work, args=(ticks, stop), name=self.name, daemon=True)
+        thread.start()
+        return thread
+
+    def _work(self, ticks: Ticks, stop: threading.Event) -> None:
+        number = ticks.next_number()
+        while not stop.wait(ticks.until(number)):
+            self._read(number)
+            self._arrived()
+            number = max(number + 1, ticks.next_number())
+        self._logger.close()
+
+    def _read(self, number: int) -> None:
+        try:
+            reading = self._logger.read()
+        except ReadFailure as failure:
+            self._failed(str(failure), failure.cause, failure.quality)
+        except Exception as error:  # noqa: BLE001 - a fault in one driver must not end its thread
+            self._failed(f"{type(error).__name__}: {error}", "driver fault", Quality.MISSING)
+        else:
+            self._answer = (number, reading)
+            self._failure = Quality.MISSING
+            self.counters["good"] += 1
+            self.last_good_utc = datetime.now(UTC)
+            self._good_s = time.monotonic()
+            self.message = ""
+            if self.lost:
+                self.lost = False
+                self._say("info", f"logger {self.name} answers again", {"logger": self.name})
+
+    def _failed(self, message: str, cause: str, quality: Quality) -> None:
+        self.counters[cause] += 1
+        self.message, self._failure = message, quality
+        if not self.lost and time.monotonic() - self._good_s > _LOST_AFTER_S:
+            self.lost = True
+            self._say(
+                "warning",
+                f"logger {self.name} does not answer: {message}; recording goes on without it, trying again",
+                {"logger": self.name, "cause": cause},
+            )
+
+    def has(self, tick: int) -> bool:
+        """Whether the answer to this tick is there."""
+        return self._answer is not None and self._answer[0] >= tick
+
+    def take(self, not_before_s: float) -> tuple[Reading | None, Quality]:
+        """Return the unused answer, or none and why."""
+        answer, self._answer = self._answer, None
+        if answer is None or answer[1].received_s < not_before_s:
+            return None, self._failure
+        return answer[1], Quality.GOOD
+
+    def report(self) -> dict[str, Any]:
+        """Return what the heartbeat says about this logger."""
+        return {
+            "name": self.name,
+            "channels": [c.name for c in self.channels],
+            "state": "lost" if self.lost else "answers",
+            "message": self.message,
+            "last_good_utc": None if self.last_good_utc is None else self.last_good_utc.isoformat(),
+            "counters": dict(self.counters),
+        }
+
+
+@dataclass(frozen=True)
+class Ticks:
+    """Moments of the monotonic clock, evenly spaced for ever."""
+
+    start_s: float
+    period_s: float
+
+    def at(self, number: int) -> float:
+        """Return the moment of a tick. [s]"""
+        return self.start_s + number * self.period_s
+
+    def until(self, number: int) -> float:
+        """Return how long a tick is away, 0 where it is past. [s]"""
+        return max(0.0, self.at(number) - time.monotonic())
+
+    def next_number(self) -> int:
+        """Return the first tick that is still to come."""
+        return max(0, math.ceil((time.monotonic() - self.start_s) / self.period_s))
+
+
+class Scanner:
+    """All loggers of one press: `scan` gives one scan a tick."""
+
+    def __init__(self, loggers: Sequence[LoggerThread], period_s: float, speed: float, first_number: int) -> None:
+        self.loggers = tuple(loggers)
+        self.channels: tuple[Channel, ...] = tuple(c for x in self.loggers for c in x.channels)
+        self.missed_ticks = 0
+        self._ticks = Ticks(time.monotonic() + 0.05, period_s)
+        self._speed = speed
+        self._number = first_number
+        self._tick = 0
+        self._last_s = -math.inf
+        self._arrived = threading.Condition()
+        self._threads: list[threading.Thread] = []
+
+    def start(self, stop: threading.Event) -> None:
+        """Start the loggers' threads."""
+        self._threads = [x.start(self._ticks, self._notify, stop) for x in self.loggers]
+
+    def join(self, longest_s: float) -> None:
+        """Wait for the loggers' threads to end."""
+        deadline = time.monotonic() + longest_s
+        for thread in self._threads:
+            thread.join(max(0.0, deadline - time.monotonic()))
+
+    def _notify(self) -> None:
+        with self._arrived:
+            self._arrived.notify_all()
+
+    def scan(self, stop: threading.Event) -> Scan | None:
+        """Wait for the next tick and its answers; None when stopped."""
+        if stop.wait(self._ticks.until(self._tick)):
+            return None
+        period = self._ticks.period_s
+        end = self._ticks.at(self._tick) + 0.85 * period
+        with self._arrived:
+            self._arrived.wait_for(
+                lambda: stop.is_set() or all(x.has(self._tick) or x.lost for x in self.loggers),
+                max(0.0, end - time.monotonic()),
+            )
+        scan = self._assemble(self._ticks.at(self._tick) - _OLDEST_PERIODS * period)
+        self._number += 1
+        following = max(self._tick + 1, self._ticks.next_number())
+        self.missed_ticks += following - self._tick - 1
+        self._tick = following
+        return scan
+
+    def _assemble(self, not_before_s: float) -> Scan:
+        values: list[float] = []
+        qualities: list[Quality] = []
+        middles: list[float] = []
+        for logger in self.loggers:
+            reading, why = logger.take(not_before_s)
+            if reading is None:
+                values += [math.nan] * len(logger.channels)
+                qualities += [why] * len(logger.channels)
+            else:
+                values += reading.values
+                qualities += reading.qualities
+                middles.append(0.5 * (reading.requested_s + reading.received_s))
+        now_s, utc = time.monotonic(), datetime.now(UTC)
+        measured_s = sum(middles) / len(middles) if middles else self._ticks.at(self._tick)
+        at_s = max(min(measured_s, now_s), self._last_s + 1e-4)
+        self._last_s = at_s
+        utc = datetime.fromtimestamp(utc.timestamp() - (now_s - at_s), UTC)
+        return Scan(self._number, utc, round(at_s * self._speed, 6), tuple(values), tuple(qualities))

@@ -1,0 +1,129 @@
+"""When a run begins and ends: press events and scans in, runs out. No clock, no store.
+
+A run begins some seconds before the panel's insertion (the scans are stored already, so only their
+numbers are noted) and ends some seconds after its removal.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from statistics import median
+from typing import Any
+
+from daq.records import PressEvent, PressEventKind, Scan
+from daq.store.records import NewRun, RunEnd, RunStatus
+
+_SETTLED_S = 3.0
+"""The panel's start temperature is what its sensors showed this long before the insertion. [s]"""
+
+
+@dataclass(frozen=True)
+class RunRules:
+    """How runs are cut from the scans of a press."""
+
+    press: str
+    pre_trigger_s: float = 5.0
+    post_removal_s: float = 5.0
+    longest_run_s: float = 3600.0
+    header: Mapping[str, Any] = field(default_factory=dict)
+    configuration: str = ""
+
+
+class RunNames:
+    """Names ``press-2026-03-04-07``: numbers count up within a UTC day."""
+
+    def __init__(self, press: str, next_free: str) -> None:
+        self._press = press
+        self._day, _, number = next_free.removeprefix(f"{press}-").rpartition("-")
+        self._number = int(number)
+
+    def take(self, day: str) -> str:
+        """Return the next name of a day written ``2026-03-04``."""
+        if day != self._day:
+            self._day, self._number = day, 1
+        name = f"{self._press}-{day}-{self._number:02d}"
+        self._number += 1
+        return name
+
+
+@dataclass(frozen=True)
+class _Seen:
+    number: int
+    monotonic_s: float
+    scan: Scan
+    panel_celsius: float
+
+
+class RunKeeper:
+    """Follows one press and says when its runs begin and end."""
+
+    def __init__(self, rules: RunRules, names: RunNames, panel_places: Sequence[int]) -> None:
+        self.rules = rules
+        self.open_run: str | None = None
+        self._names = names
+        self._places = tuple(panel_places)
+        self._recent: deque[_Seen] = deque()
+        self._zero = 0.0
+        self._first = 0
+        self._removed: float | None = None
+
+    def take(self, scan: Scan, events: Sequence[PressEvent]) -> list[tuple[NewRun | None, RunEnd | None]]:
+        """Return what begins and ends with this scan, in order."""
+        self._remember(scan)
+        changes: list[tuple[NewRun | None, RunEnd | None]] = []
+        for event in events:
+            if event.kind is PressEventKind.INSERTED:
+                begin = self._begin(event)
+                if self.open_run is not None:
+                    changes.append((None, self._end(begin.first_scan - 1, scan, RunStatus.CLOSED)))
+                self.open_run, self._zero, self._removed = begin.run, begin.zero_monotonic_s, None
+                self._first = begin.first_scan
+                changes.append((begin, None))
+            elif event.kind is PressEventKind.REMOVED:
+                self._removed = event.monotonic_s
+        if self.open_run is not None and self._over(scan):
+            changes.append((None, self._end(scan.number, scan, RunStatus.CLOSED)))
+        return changes
+
+    def stop(self) -> RunEnd | None:
+        """Return the end of a run that recording leaves unfinished."""
+        if self.open_run is None or not self._recent:
+            return None
+        last = self._recent[-1]
+        return self._end(last.number, last.scan, RunStatus.INTERRUPTED)
+
+    def _over(self, scan: Scan) -> bool:
+        if self._removed is not None and scan.monotonic_s >= self._removed + self.rules.post_removal_s:
+            return True
+        return scan.monotonic_s - self._zero > self.rules.longest_run_s
+
+    def _end(self, last_scan: int, scan: Scan, status: RunStatus) -> RunEnd:
+        run, self.open_run = self.open_run or "", None
+        return RunEnd(run, max(last_scan, self._first), scan.utc, status)
+
+    def _begin(self, event: PressEvent) -> NewRun:
+        early = event.monotonic_s - self.rules.pre_trigger_s
+        first = next((s for s in self._recent if s.monotonic_s >= early), self._recent[-1])
+        if self.open_run is not None and first.number <= self._first:
+            first = self._recent[-1]
+        settled = [
+            s.panel_celsius
+            for s in self._recent
+            if event.monotonic_s - _SETTLED_S <= s.monotonic_s < event.monotonic_s - 0.2
+            and s.panel_celsius == s.panel_celsius
+        ]
+        header = dict(self.rules.header)
+        if settled:
+            header.setdefault("panel.initial_temperature_C", round(median(settled), 2))
+        name = self._names.take(f"{first.scan.utc:%Y-%m-%d}")
+        return NewRun(name, first.number, first.scan.utc, first.monotonic_s, header, self.rules.configuration)
+
+    def _remember(self, scan: Scan) -> None:
+        usable = [scan.values[i] for i in self._places if scan.qualities[i].usable]
+        level = median(usable) if usable else float("nan")
+        self._recent.append(_Seen(scan.number, scan.monotonic_s, scan, level))
+        keep = self.rules.pre_trigger_s + 30.0
+        while self._recent[0].monotonic_s < scan.monotonic_s - keep:
+            self._recent.popleft()
