@@ -1,0 +1,134 @@
+"""What the live sensor believes before a run: parameters with their spread, and what may be missing.
+
+Two kinds of uncertainty stand beside the coefficients. *Nuisances* bend the faces' readings but hardly move
+the core; each is a Gaussian. *Suspects* are causes of the catalogue that move the core by kelvins: most
+runs have none, some have one. Sizes are those of effects known from practice (sources in the effects' own
+modules); the chances are a judgement, calibrated so that the band holds what it promises on virtual
+campaigns with and without a hidden effect.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from daq.pressfile import Press
+from softsensor.effects import find_effect
+from softsensor.modelfile import ModelFile
+
+COEFFICIENT_SD = 0.7
+"""Of the logarithm of a coefficient no fit has seen: a factor of two."""
+COEFFICIENT_FLOOR = 0.05
+"""Of the logarithm, where a fit promises more. Pressings differ."""
+INITIAL_K = 0.3
+"""Start temperature in the header against the true one."""
+PLATEN_K = 0.12
+"""Platen channels, 0.1 K and 0.05 % of the reading."""
+
+
+@dataclass(frozen=True)
+class Prior:
+    """One parameter of the filter: x = (value - centre) / sd, or its logarithm where `logarithmic`."""
+
+    name: str
+    centre: float
+    sd: float
+    logarithmic: bool = False
+
+
+@dataclass(frozen=True)
+class Suspect:
+    """A cause of the catalogue that the model in force leaves out and that would move the core."""
+
+    parameter: str
+    sd: float
+    """Size it has where it is present."""
+    one_sided: bool
+    chance: float
+    """That a run has it, before anything is known of the press."""
+    spike: float = 0.03
+    """What is left of it where it is absent, as a share of `sd`."""
+
+    @property
+    def effect(self) -> str:
+        """Name in the catalogue."""
+        return self.parameter.partition(".")[0]
+
+
+SUSPECTS = (
+    Suspect("vapour_convection.W_m3K", 1.2e4, True, 0.03),
+    Suspect("conductivity_temperature.per_100_K", 0.2, False, 0.03),
+    Suspect("heat_capacity_temperature.per_100_K", 0.2, False, 0.03),
+    Suspect("edge_loss.W_m3K", 1400.0, True, 0.03),
+    Suspect("density_profile.amplitude", 0.22, True, 0.03),
+    Suspect("conductivity_offset.ratio", 0.15, False, 0.05, 0.06),
+    Suspect("heat_capacity_offset.ratio", 0.15, False, 0.05, 0.06),
+)
+
+NUISANCES: Mapping[str, float] = {
+    "contact_asymmetry.ratio": 0.2,
+    "contact_buildup.deficit": 0.3,
+    "open_radiation.emissivity": 0.3,
+    "initial_press_state.offset_K": 5.0,
+    "resin_cure.heat_kJ_m2": 10.0,
+}
+"""Standard deviation of effects that hardly touch the core."""
+SKIN = "skin.J_m2K"
+SKIN_SD = 300.0
+"""Heat capacity on the panel's faces, as paper has. [J/m²K]"""
+LAG_SD, FOOTPRINT_SD = 0.3, 0.05
+TIMING = ("closed_s", "opened_s")
+
+
+def spread_of(value: float, sd: float) -> float:
+    """Return the standard deviation of the logarithm."""
+    return float(np.sqrt(np.log1p((sd / value) ** 2)))
+
+
+def coefficient_priors(press: Press, model: ModelFile | None) -> list[Prior]:
+    """Return the coefficients: from the model file, else the press file's guesses within a factor of two."""
+    priors = []
+    for name in press.coefficient_names:
+        table = press.coefficient(name)
+        known = model.coefficients.get(name) if model is not None else None
+        value = table.guess if known is None else known.value
+        sd = COEFFICIENT_SD if known is None else max(spread_of(value, known.sd), COEFFICIENT_FLOOR)
+        if table.fixed:
+            sd = 0.01
+        priors.append(Prior(name, float(np.log(value)), sd, logarithmic=True))
+    return priors
+
+
+def effect_priors(model: ModelFile | None) -> list[Prior]:
+    """Return the parameters of the effects that the model in force holds, with their spread between runs."""
+    priors = []
+    for name, table in () if model is None else model.effects:
+        effect = find_effect(name)
+        for p in effect.parameters:
+            known = table.get(p.name)
+            value = p.typical if known is None else known.value
+            reach = abs(value - p.neutral)
+            sd = abs(p.typical - p.neutral) if known is None else known.sd
+            sd = max(float(np.hypot(sd, p.spread * reach)), 0.02 * reach, 1e-3 * abs(p.typical), 1e-9)
+            priors.append(Prior(effect.key(p.name), value, sd))
+    return priors
+
+
+def nuisance_priors(press: Press, known: set[str], initial: bool) -> list[Prior]:
+    """Return what else bends the faces' readings, but for effects the model in force already holds."""
+    priors = [Prior("initial_K", 0.0, INITIAL_K)] if initial else []
+    for side, boundary in (("bottom", press.boundary.bottom), ("top", press.boundary.top)):
+        if boundary.kind == "measured":
+            priors.append(Prior(f"boundary_{side}_K", 0.0, PLATEN_K))
+    if not press.panel_layers:
+        return priors
+    for parameter, sd in NUISANCES.items():
+        effect = find_effect(parameter.partition(".")[0])
+        if effect.name not in known and (press.has_states or effect.name == "resin_cure"):
+            neutral = next(p.neutral for p in effect.parameters if effect.key(p.name) == parameter)
+            priors.append(Prior(parameter, neutral, sd))
+    if "paper_layer" not in known:
+        priors.append(Prior(SKIN, 0.0, SKIN_SD))
+    return priors

@@ -1,0 +1,157 @@
+"""From press, header and priors to the arrays of one filter of the live sensor."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from daq.pressfile import Press
+from daq.records import Array, Moments, Run
+from softsensor import kernels
+from softsensor import observer_kernels as loops
+from softsensor.case import Case
+from softsensor.effects import find_effect
+from softsensor.model import Build, ThermalModel
+from softsensor.observer_priors import FOOTPRINT_SD, LAG_SD, SKIN, TIMING, Prior
+
+_LONGEST_S = 900.0
+"""How long after closing factors on contacts are tabulated. [s]"""
+
+
+@dataclass(frozen=True)
+class Bench:
+    """What all filters of a run share: the press with the run's overrides, mesh, places."""
+
+    press: Press
+    run: Run
+    columns: tuple[str, ...]
+    """Panel channels, in the order of `place`."""
+    place: loops.Integers
+    labels: tuple[str, ...]
+    effects: tuple[str, ...]
+    """Every effect any filter uses; those with layers shape the mesh."""
+
+
+@dataclass
+class Filter:
+    """One linearisation of the model with its belief. Arrays change in place."""
+
+    names: tuple[str, ...]
+    priors: tuple[Prior, ...]
+    at: Array
+    """Where it is linearised, in prior units (P)."""
+    stack: kernels.Stack
+    tangents: kernels.Tangents
+    d_boundary: Array
+    state: kernels.State
+    nonlinear: bool
+    factors: loops.Factors
+    chain: loops.Chain
+    places: Array
+    """Weights of the chain's outputs: places, press faces opposite them, core (2 M + 1, n)."""
+    moving: loops.Integers
+    heat: Array
+    """Weights that sum the panel's heat (n). [J/m²K]"""
+
+    @property
+    def timing_units(self) -> tuple[float, float]:
+        """Seconds for one unit of closing and opening time."""
+        found = {p.name: p.sd for p in self.priors}
+        return found.get("closed_s", 1.0), found.get("opened_s", 1.0)
+
+    def shift(self, name: str) -> float:
+        """Return where a parameter is linearised, as a difference to its prior's centre."""
+        return float(self.at[self.names.index(name)] * self.priors[self.names.index(name)].sd)
+
+
+def prepare_bench(press: Press, run: Run, effects: Sequence[str]) -> Bench:
+    """Check a run's first scan against the press. Raises InputError."""
+    sensors = press.sensors_of(run)
+    labels = tuple(dict.fromkeys(s.label for s in sensors.values()))
+    place = np.array([labels.index(s.label) for s in sensors.values()], dtype=np.int64)
+    return Bench(press, run, tuple(sensors), place, labels, tuple(effects))
+
+
+def make_filter(
+    bench: Bench, priors: Sequence[Prior], fixed: Mapping[str, float], at: Array, effects: Sequence[str]
+) -> Filter:
+    """Build a filter linearised at `at` (P, prior units), with the `fixed` effect parameters beside."""
+    model = ThermalModel(bench.press, tuple(find_effect(name) for name in effects))
+    names = tuple(p.name for p in priors)
+    values = dict(fixed)
+    units = np.ones(-(-len(names) // 4) * 4)
+    for i, p in enumerate(priors):
+        value = p.centre + at[i] * p.sd
+        values[p.name] = float(np.exp(value)) if p.logarithmic else value
+        units[i] = values[p.name] * p.sd if p.logarithmic else p.sd
+    case = model.prepare(bench.run, Moments(closed_s=0.0), max_step_s=60.0)
+    build = model.build(case, {k: v for k, v in values.items() if k not in TIMING}, names)
+    if len(units) != build.width:
+        raise AssertionError(f"tangents have {build.width} rows for {len(names)} parameters")
+    if SKIN in names:
+        inside = np.flatnonzero(case.layout.wet)
+        for i in (inside[0], inside[-1]):
+            build.tangents.c[names.index(SKIN), i] += 1.0 / case.mesh.dx[i]
+    return _arrays(bench, case, build, priors, units, at)
+
+
+def _arrays(bench: Bench, case: Case, build: Build, priors: Sequence[Prior], units: Array, at: Array) -> Filter:
+    """Bring tangents to prior units and lay out the measuring chain."""
+    names = tuple(p.name for p in priors)
+    p, m = len(names), len(bench.labels)
+    by_row = units[:, None]
+    t = build.tangents
+    tangents = kernels.Tangents(
+        t.k * by_row, t.k_slope * by_row, t.c * by_row, t.c_slope * by_row, t.exchange * by_row,
+        t.contact * units, t.emissivity * units, t.convection * units, t.flux * units,
+        t.heat * by_row, t.law * units,
+    )  # fmt: skip
+    h, drive = case.h, build.drive
+    zero = np.zeros((1, drive.factor.shape[1]))
+    factors = loops.Factors(
+        edges=case.edges,
+        total=np.concatenate([zero, np.cumsum(drive.factor * h[:, None], axis=0)]),
+        d_total=np.concatenate(
+            [
+                np.zeros((1, *drive.d_factor.shape[1:])),
+                np.cumsum(drive.d_factor * units * h[:, None, None], axis=0),
+            ]
+        ),
+    )
+    start = build.start
+    state = start._replace(s=start.s * by_row, s_before=start.s_before * by_row, s_done=start.s_done * by_row)
+    rows = [case.labels.index(label) for label in bench.labels]
+    places = np.concatenate([case.places[rows], case.press_face[rows], case.places[-1:]])
+    chain = loops.Chain(
+        opposite=np.asarray(case.press_face[rows].any(axis=1)),
+        lag=float(build.terms.lag) + max(float(build.terms.clock), 0.0),
+        footprint=float(build.terms.footprint),
+        true=np.zeros(m),
+        d_true=np.zeros((m, p + 2)),
+        read=np.zeros(m),
+        d_read=np.zeros((m, p + 2)),
+        level=np.zeros(2),
+        d_level=np.zeros(p),
+    )
+    loops.settle(state, chain, places)
+    return Filter(
+        names=names,
+        priors=tuple(priors),
+        at=at,
+        stack=build.stack,
+        tangents=tangents,
+        d_boundary=drive.d_boundary * units,
+        state=state,
+        nonlinear=build.nonlinear,
+        factors=factors,
+        chain=chain,
+        places=np.ascontiguousarray(places),
+        moving=np.array([names.index(t) if t in names else -1 for t in TIMING], dtype=np.int64),
+        heat=np.where(case.layout.wet, build.stack.c * case.mesh.dx, 0.0),
+    )
+
+
+CHAIN_UNITS = (LAG_SD, FOOTPRINT_SD)
+"""Prior standard deviation of the two parameters of the measuring chain. [s, -]"""
