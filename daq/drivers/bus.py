@@ -4,9 +4,15 @@ Serial protocols carry no transaction number: a reply that comes late would be t
 to the next request, with another request's channels in it. So after a timeout or a bad frame the
 bus listens, and throws away, until it has heard nothing for at least the device's worst response
 time; only then does the next request leave. Bytes found waiting before a request make the line
-suspect in the same way. TCP needs no silence: replies carry the transaction number, and a stream
-out of step is closed and opened anew. Decided 2026-11-21, against pymodbus and minimalmodbus, which
-hand out the late reply (shown by ``tests/daq/test_faults_libraries.py``).
+suspect in the same way.
+
+A reply later than timeout and drain together would still be taken for the next one of the same
+module, with the right channels but an older moment; where a device reads the same registers by two
+functions (``block.alternate``) even that is refused. TCP needs no silence: replies carry the
+transaction number, and a stream out of step is closed and opened anew.
+
+Decided 2026-11-21, against pymodbus and minimalmodbus, which hand out the late reply
+(``tests/daq/test_faults_libraries.py`` shows it).
 """
 
 from __future__ import annotations

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import struct
 import time
 
@@ -16,7 +17,7 @@ _PACK = {"s16": ">h", "u16": ">H", "s32": ">i", "u32": ">I", "f32": ">f"}
 
 
 class ModbusDevice:
-    """One station. Asks for the same registers in the same shape every time."""
+    """One station. Asks for the same registers in the same shape every time, or in two by turns."""
 
     def __init__(
         self,
@@ -40,7 +41,9 @@ class ModbusDevice:
         self._used = used
         self._cold_junction = cold_junction
         self._local_echo = local_echo
-        self._block = modbus.Request(profile.block.function, profile.block.address, profile.block.count)
+        block = profile.block
+        functions = (block.function, block.alternate or block.function)
+        self._blocks = itertools.cycle([modbus.Request(f, block.address, block.count) for f in functions])
 
     def set_up(self) -> None:
         """Write the profile's set-up and hold the device against the profile's checks."""
@@ -66,7 +69,7 @@ class ModbusDevice:
     def sample(self) -> Sample:
         """Fetch all inputs once."""
         with self.bus.lock:
-            reply = self._ask(self._block)
+            reply = self._ask(next(self._blocks))
             flags = self._flags()
         values, qualities = decode(
             self._profile, self._scaling, modbus.registers(reply.payload), flags, self._cold_junction

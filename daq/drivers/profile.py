@@ -64,6 +64,9 @@ class Block(_Table):
     address: int = Field(ge=0, le=65535)
     """Zero-based, as on the wire."""
     count: int = Field(ge=1, le=125)
+    alternate: Literal[3, 4] | None = None
+    """The other function that reads the same registers: used in turn, it tells a reply that comes
+    later than any drain from the reply to the next request."""
 
 
 class Field16(_Table):

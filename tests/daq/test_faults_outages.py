@@ -7,6 +7,7 @@ import threading
 import time
 
 import pytest
+import serial
 
 from daq.drivers import LoggerSettings, ReadFailure, open_logger
 from daq.records import Quality
@@ -150,3 +151,55 @@ def test_noise_on_opening_the_port_costs_at_most_the_first_reading(tmp_path):
         reading, waited_s = until_good(logger)
         assert waited_s <= 2.0
         assert reading.values == pytest.approx(warm(0), abs=0.06)
+
+
+@pytest.mark.parametrize(("alternate", "expected"), [(None, "older moment"), (3, "refused")])
+def test_a_reply_later_than_any_drain_never_moves_channels_and_two_functions_betray_it(alternate, expected):
+    """The wire holds the second reply back until the third request has left."""
+    held = []
+    count = iter(range(100))
+
+    class Holding:
+        """A module whose second reply comes right after the third request, before its own."""
+
+        think_s = 0.001
+
+        def __init__(self, module):
+            self._module = module
+            self.split = module.split
+
+        def answer(self, request):
+            reply = self._module.answer(request)
+            number = next(count)
+            if number == 1:
+                held.append(reply)
+                return None
+            return held.pop() if number == 2 else reply
+
+    ramp = iter(range(20, 90))
+    module = station("m-7018", lambda now_s: [float(v) for v in [next(ramp)] * 8], refresh_s=0)
+    with serve_serial(Holding(module)) as server:
+        changes = {"override": {"checks": [], "block": {"alternate": alternate}}}
+        logger = open_logger(LoggerSettings(**wiring("m-7018", server, "x", EIGHT) | QUICK | changes))
+        assert set(logger.read().values) == {20.0}
+        with pytest.raises(ReadFailure):
+            logger.read()
+        if expected == "refused":
+            with pytest.raises(ReadFailure, match="expected 04 10"):
+                logger.read()
+        else:
+            assert set(logger.read().values) == {21.0}
+        logger.close()
+
+
+def test_a_port_another_program_holds_is_a_gap_that_says_so():
+    pytest.importorskip("fcntl", reason="ports are always exclusive on Windows")
+    with simulated("m-7018", warm, refresh_s=0) as server:
+        table = wiring("m-7018", server, "x", EIGHT) | QUICK
+        with serial.Serial(server.port, exclusive=True):
+            logger = open_logger(LoggerSettings(**table))
+            with pytest.raises(ReadFailure, match=r"cannot open .* lock") as caught:
+                logger.read()
+            assert caught.value.cause == "port lost"
+        assert until_good(logger)[1] <= BACK_WITHIN_S
+        logger.close()
