@@ -28,6 +28,7 @@ app = typer.Typer(
 )
 
 app.command("demo")(demo)
+app.command("record")(services.record)
 app.command("serve")(services.serve)
 app.command("simulate")(analysis.simulate)
 app.command("predict")(analysis.predict)

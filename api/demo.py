@@ -29,7 +29,8 @@ from daq.simulated.press import Cycle, VirtualPress
 from daq.store.records import RunRecord, RunStatus
 from daq.store.store import Store, open_store
 
-START_S = 60.0
+SERVICES = ("record", "sense")
+START_S = 120.0
 """Longest wait for a process to come up. [s]"""
 FIT_S = 90.0
 """Longest wait for the fit of a finished pressing. [s]"""
@@ -147,11 +148,10 @@ class _Demo:
         keep = 6 if plan.pressings is None else plan.pressings + 4
         settings = {"hide": plan.hide, "keep": keep, "seed": plan.seed}
         self.truth: VirtualPress = press_of(settings)
-        self.started = time.monotonic()
         loggers = self._start_loggers({**settings, "speed": plan.speed})
         _write_configuration(self.config, plan, loggers, self.truth)
         self.store: Store = ending.enter_context(open_store(str(plan.folder / "kerntemp.sqlite")))
-        for name in ("record", "sense"):
+        for name in SERVICES:
             self.children.start(name, [*_KERNTEMP, name, "--config", str(self.config)], stdout=subprocess.DEVNULL)
         web = [*_KERNTEMP, "serve", "--config", str(self.config), "--port", str(plan.port)]
         page = self._first_line("serve", self.children.start("serve", web, stdout=subprocess.PIPE))
@@ -163,17 +163,32 @@ class _Demo:
         self.say(f"Loggers  {places}")
         self.say(f"Store    {plan.folder / 'kerntemp.sqlite'}")
         self.say(f"Page     {page.removeprefix('kerntemp serves ')}")
+        self._wait_for_services()
+        self.started = time.monotonic()
+        self._tell({"started_monotonic_s": self.started})
 
     def _start_loggers(self, settings: dict[str, Any]) -> dict[str, Any]:
         command = [sys.executable, "-m", "api.demo_press"]
         pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
         child = self.children.start("loggers", command, **pipes)
-        if child.stdin is None:
-            raise WorkFailed("loggers: no pipe to the process")
-        child.stdin.write(json.dumps({**settings, "started_monotonic_s": self.started}) + "\n")
-        child.stdin.flush()
+        self._tell(settings)
         answer: dict[str, Any] = json.loads(self._first_line("loggers", child))
         return answer
+
+    def _tell(self, message: Mapping[str, Any]) -> None:
+        pipe = self.children.running["loggers"].stdin
+        if pipe is None:
+            raise WorkFailed("loggers: no pipe to the process")
+        pipe.write(json.dumps(message) + "\n")
+        pipe.flush()
+
+    def _wait_for_services(self) -> None:
+        deadline = time.monotonic() + START_S
+        while not set(SERVICES) <= set(self.store.statuses()):
+            self.children.check()
+            if time.monotonic() > deadline:
+                raise WorkFailed(f"no sign of life from {' and '.join(SERVICES)} in {START_S:g} s")
+            time.sleep(0.05)
 
     def _first_line(self, name: str, child: subprocess.Popen[str]) -> str:
         line = child.stdout.readline() if child.stdout is not None else ""

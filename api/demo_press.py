@@ -1,8 +1,9 @@
 """The virtual press behind its simulated loggers, as a process of its own: ``python -m api.demo_press``.
 
-It reads one JSON line of settings, writes one JSON line with the loggers' wiring, and serves until
-its standard input ends, so that it never outlives whoever started it. Its clock starts at a moment
-of the machine's monotonic clock and runs `speed` times as fast.
+It reads one JSON line of settings, writes one JSON line with the loggers' wiring, and waits between
+two pressings until a second line names the moment of the machine's monotonic clock at which virtual
+time 0 is; from there it runs `speed` times as fast. It ends with its standard input, so that it never
+outlives whoever started it.
 """
 
 from __future__ import annotations
@@ -18,6 +19,8 @@ from daq.simulated.press import PressSettings, VirtualPress
 
 FAST_MODE_S = 0.1
 """An ADAM-4118 in its fast mode converts its eight inputs in about this time. [s]"""
+WAITING_S = 4.0
+"""While it waits, the press goes to and fro in the first seconds before a pressing. [s]"""
 TCP_CHANNELS = ("platen_top", "platen_bottom", *(f"top_{i}" for i in range(1, 8)))
 SERIAL_CHANNELS = tuple(f"bottom_{i}" for i in range(1, 8))
 AMBIENT_INPUT = ("",)
@@ -33,10 +36,12 @@ def main() -> int:
     """Serve both loggers until standard input ends."""
     settings = json.loads(sys.stdin.readline())
     press = press_of(settings)
-    started, speed = float(settings["started_monotonic_s"]), float(settings["speed"])
+    speed = float(settings["speed"])
+    started: list[float] = []
 
     def clock() -> float:
-        return (time.monotonic() - started) * speed
+        now = time.monotonic()
+        return (now - started[0]) * speed if started else abs(now % (2 * WAITING_S) - WAITING_S)
 
     def inputs(channels: tuple[str, ...]) -> Any:
         def temperatures(at_s: float) -> list[float]:
@@ -58,6 +63,8 @@ def main() -> int:
         ]
         sys.stdout.write(json.dumps({"loggers": tables, "ambient_C": press.ambient}) + "\n")
         sys.stdout.flush()
+        if told := sys.stdin.readline():
+            started.append(float(json.loads(told)["started_monotonic_s"]))
         sys.stdin.read()
     return 0
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import sys
 from pathlib import Path
 from typing import Annotated, Literal
@@ -15,6 +16,21 @@ Host = Annotated[str | None, typer.Option("--host", help="Address to listen on; 
 Port = Annotated[
     int | None, typer.Option("--port", min=0, max=65535, help="Port; 0 takes a free one and prints it.")
 ]
+
+
+def record(config: ConfigFile = None) -> None:
+    """Log all presses of the configuration, without end."""
+    from daq.config import load_config
+    from daq.recorder import record as run
+
+    settings = load_config(config_path(config))
+    log_to_stderr()
+    run(settings)
+
+
+def log_to_stderr() -> None:
+    """Send what a long-running process has to say to standard error, with the time."""
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s", stream=sys.stderr)
 
 
 def serve(
