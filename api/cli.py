@@ -14,6 +14,7 @@ from collections.abc import Sequence
 import typer
 
 from api.commands import analysis, files, services
+from api.commands.calibrating import calibrate
 from api.commands.demo import demo
 from api.commands.probing import probe
 from api.outputs import WorkFailed
@@ -36,6 +37,7 @@ app.command("import")(files.import_runs)
 app.command("export")(files.export_runs)
 app.command("check")(files.check)
 app.command("probe")(probe)
+app.command("calibrate")(calibrate)
 app.command("token")(services.token)
 
 

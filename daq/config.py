@@ -13,7 +13,7 @@
 
     [[press.logger]]                       # see daq.drivers.settings
     name = "platens"
-    profile = "adam-6018"
+    profile = "adam-6018+"
     host = "192.168.0.21"
     channels = ["platen_top", "platen_bottom"]
 

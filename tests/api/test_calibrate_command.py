@@ -1,0 +1,83 @@
+"""`kerntemp calibrate` on simulated loggers that lie in a room."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from pathlib import Path
+
+import pytest
+
+from api.cli import main
+from daq.drivers.calibration import read_calibrations
+from daq.simulated.devices import simulated
+
+PRESS_FILE = Path(__file__).parents[2] / "deploy" / "presses" / "lab.toml"
+ROOM_C = 21.0
+
+
+@contextlib.contextmanager
+def workshop(folder, temperatures):
+    """A configuration with two loggers; yields its path."""
+    with (
+        simulated("exemys-rme1-tc", lambda now_s: temperatures(now_s)[:8], refresh_s=0) as first,
+        simulated("exemys-rme1-tc", lambda now_s: temperatures(now_s)[8:], refresh_s=0) as second,
+    ):
+        tables = []
+        for name, server, channels in (
+            ("upper", first, ["platen_top", *(f"top_{k}" for k in range(1, 8))]),
+            ("lower", second, ["platen_bottom", *(f"bottom_{k}" for k in range(1, 8))]),
+        ):
+            tables.append(
+                f'[[press.logger]]\nname = "{name}"\nprofile = "exemys-rme1-tc"\nhost = "127.0.0.1"\n'
+                f'tcp_port = {server.place["tcp_port"]}\nchannels = {channels}\ncalibration = "{name}.toml"\n'
+            )
+        path = folder / "kerntemp.toml"
+        head = f'[store]\nurl = "store.sqlite"\n[[press]]\nname = "lab"\nfile = "{PRESS_FILE.as_posix()}"\n'
+        path.write_text(head + "".join(tables).replace("'", '"'))
+        yield path
+
+
+def test_offsets_at_room_temperature_are_written_once_and_correct_the_next_check(tmp_path, capsys):
+    with workshop(tmp_path, lambda now_s: [ROOM_C + 0.1 * k for k in range(16)]) as config:
+        call = ["calibrate", "--config", str(config), "--room", str(ROOM_C), "--period", "0"]
+        assert main([*call, "--write"]) == 0
+        assert "bottom_7         22.50 °C,  +1.50 K off" in capsys.readouterr().out
+        assert {c.channel: c.offset_K for c in read_calibrations(tmp_path / "lower.toml")}["bottom_7"] == -1.5
+        assert main(call) == 0
+        assert "bottom_7         21.00 °C,  +0.00 K off" in capsys.readouterr().out
+
+
+def test_a_channel_too_far_off_is_named_and_not_calibrated_away(tmp_path, capsys):
+    with workshop(tmp_path, lambda now_s: [ROOM_C] * 15 + [ROOM_C + 8.0]) as config:
+        call = ["calibrate", "--config", str(config), "--room", str(ROOM_C), "--period", "0", "--write"]
+        assert main(call) == 1
+    assert "1 of 16 channels fail: bottom_7 off" in capsys.readouterr().err
+    assert "bottom_7" not in (tmp_path / "lower.toml").read_text()
+
+
+def test_the_thermocouple_warmed_by_hand_is_named_with_its_logger(tmp_path, capsys):
+    start = time.monotonic()
+
+    def temperatures(now_s):
+        warm = [ROOM_C] * 16
+        warm[11] += 6.0 if now_s > start + 1.5 else 0.0
+        return warm
+
+    with workshop(tmp_path, temperatures) as config:
+        call = ["calibrate", "--config", str(config), "--warm", "--period", "0", "--wait", "2"]
+        assert main(call) == 0
+    assert "bottom_3 (lower) rose by 6.0 K" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([], "either --room"),
+        (["--warm", "--write"], "--write needs --room"),
+        (["--room", "21", "--warm"], "either"),
+    ],
+)
+def test_calls_that_say_nothing_clear_are_refused(tmp_path, capsys, arguments, message):
+    assert main(["calibrate", *arguments]) == 2
+    assert message in capsys.readouterr().err
