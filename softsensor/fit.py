@@ -24,21 +24,11 @@ from scipy.stats import t as student
 
 from daq.pressfile import Press
 from daq.records import Array, InputError, Moments, Run
-from softsensor.case import Case
-from softsensor.effects import find_effect
 from softsensor.fit_problem import Evaluation, Minimum, Problem, Unknown, grid_correction, minimise, with_motion
+from softsensor.fit_unknowns import chain_priors, is_parameter, neutral_values, parameter_unknown
 from softsensor.model import ThermalModel, state_weights
-from softsensor.parameters import Parameter
-from softsensor.residuals import Noise, Signals, channel_noise, collect_signals, whiten
+from softsensor.residuals import Noise, channel_noise, collect_signals, whiten
 
-RAMP_S = (0.55, 0.25, 1.2)
-"""Closing ramp: a press takes 0.2 to 1 s to close. Mean, standard deviation and limit. [s]"""
-START_K = 0.3
-"""Of the panel's initial temperature. [K]"""
-PLATEN_K, PLATEN_GAIN = 0.1, 0.0005
-"""Of a platen channel: offset and gain. [K, -]"""
-CHANNEL_K, CHANNEL_GAIN = 0.3, 0.0015
-"""Of a panel channel: offset and gain. [K, -]"""
 FIRST_NOISE = Noise(slow_K=0.15, slow_s=30.0, fast_K=0.0, fast_s=10.0, white_K=1.0)
 """For the first steps, while the model is still far off."""
 SLOW_PRIOR = ((np.log(0.15), 1.0), (np.log(30.0), 0.7))
@@ -91,6 +81,10 @@ class RunFit:
     offsets: Mapping[str, float]
     """Constant offset of each channel. [K]"""
     evaluations: int
+    spread: float
+    """How much larger the whitened residuals are than the noise model says, at least 1."""
+    quantile: float
+    """Standard deviations to either end of a 95 % interval."""
 
     @property
     def values(self) -> dict[str, float]:
@@ -221,78 +215,14 @@ def make_problem(
         )
     names = [n for n in model.press.coefficient_names if not model.press.coefficient(n).fixed]
     names = names if free is None else list(free)
-    values = {**_neutral(model), **(start or {})}
-    unknowns = [_parameter_unknown(model, n, values[n], (priors or {}).get(n)) for n in names]
+    values = {**neutral_values(model), **(start or {})}
+    unknowns = [parameter_unknown(model, n, values[n], (priors or {}).get(n)) for n in names]
     unknowns += chain_priors(case, signals)
     weights, _ = state_weights(case, run.time_s, {})
     rows = (weights[:, 0] < 0.5).astype(float) if case.press.has_states else np.ones(len(run.time_s))
     if not rows.any():
         rows = np.ones(len(run.time_s))
     return Problem(model, case, signals, tuple(unknowns), values, FIRST_NOISE, rows)
-
-
-def _neutral(model: ThermalModel) -> dict[str, float]:
-    effects = {e.key(p.name): p.typical for e in model.effects for p in e.parameters}
-    return {n: model.press.coefficient(n).guess for n in model.press.coefficient_names} | effects
-
-
-def _parameter_unknown(model: ThermalModel, name: str, start: float, prior: tuple[float, float] | None) -> Unknown:
-    if "." not in name:
-        table = model.press.coefficient(name)
-        mean, sd = (0.0, float("inf")) if prior is None else (float(np.log(prior[0])), prior[1])
-        begin = float(np.clip(start, table.lower, table.upper))
-        return Unknown(name, begin, table.lower, table.upper, "log", mean=mean, sd=sd)
-    parameter = effect_parameter(name)
-    size = abs(parameter.typical - parameter.neutral) or abs(parameter.typical) or 1.0
-    mean, sd = (0.0, float("inf")) if prior is None else (prior[0] / size, prior[1] / size)
-    begin = float(np.clip(start, parameter.lower, parameter.upper))
-    return Unknown(name, begin, parameter.lower, parameter.upper, "linear", size, mean, sd)
-
-
-def effect_parameter(name: str) -> Parameter:
-    """Return the parameter of a full name such as ``edge_loss.W_m3K``. Raises InputError."""
-    effect, _, key = name.partition(".")
-    for parameter in find_effect(effect).parameters:
-        if parameter.name == key:
-            return parameter
-    raise InputError(f"parameter {name!r}: effect {effect} has no {key!r}")
-
-
-def chain_priors(case: Case, signals: Signals) -> list[Unknown]:
-    """Return the nuisances of a run with the priors a real measuring chain deserves."""
-    unknowns: list[Unknown] = []
-    period = signals.period_s
-    moments, press = case.moments, case.press
-    if press.has_states:
-        first, last = float(case.run.time_s[0]), float(case.run.time_s[-1])
-        sd = min(0.1 + 0.4 * period, 1.0)
-        if first < moments.closed_s < last:
-            unknowns.append(nuisance("closed_s", sd, 4 * sd))
-            ramp = moments.ramp_s
-            unknowns.append(nuisance("ramp_s", RAMP_S[1], RAMP_S[2] - RAMP_S[0], RAMP_S[0] - ramp, 0.1 - ramp))
-        if first < moments.opened_s < last:
-            unknowns.append(nuisance("opened_s", sd, 4 * sd))
-    if press.panel_layers or press.initial.kind != "steady":
-        unknowns.append(nuisance("initial_K", START_K, 10 * START_K))
-    for end, boundary in (("bottom", press.boundary.bottom), ("top", press.boundary.top)):
-        if boundary.kind == "measured":
-            level = float(np.nanmedian(case.run.columns[boundary.column or ""]))
-            sd = float(np.hypot(PLATEN_K, PLATEN_GAIN * (level - case.ambient)))
-            unknowns.append(nuisance(f"boundary_{end}_K", sd, 10 * sd))
-    for place in signals.places:
-        n = len(place.columns)
-        unknowns.append(nuisance(f"offset:{place.label}", CHANNEL_K / np.sqrt(n), 10 * CHANNEL_K))
-        unknowns.append(nuisance(f"gain:{place.label}", CHANNEL_GAIN / np.sqrt(n), 10 * CHANNEL_GAIN))
-        if press.has_states:
-            unknowns.append(nuisance(f"skew:{place.label}", 0.02 + 0.1 * period, 1.0))
-    return unknowns
-
-
-def nuisance(name: str, sd: float, reach: float, mean: float = 0.0, lower: float | None = None) -> Unknown:
-    """Return a nuisance with a normal prior; its internal variable counts in standard deviations."""
-    return Unknown(
-        name, mean, mean - reach if lower is None else lower, mean + reach, "linear", sd, mean / sd, 1.0
-    )
 
 
 @dataclass(frozen=True)
@@ -369,6 +299,7 @@ def slow_noise(problem: Problem, at: Evaluation) -> Noise:
             total += log_det + float(white[:, 0] @ white[:, 0])
             matrix = matrix + white[:, 1:].T @ white[:, 1:]
             right = right + white[:, 1:].T @ white[:, 0]
+        matrix = matrix + 1e-6 * np.eye(len(matrix))
         total += float(np.linalg.slogdet(matrix)[1]) - float(right @ np.linalg.solve(matrix, right))
         total += sum(float((g - m) / s) ** 2 for g, (m, s) in zip(guess, SLOW_PRIOR, strict=True))
         return 0.5 * total
@@ -406,7 +337,7 @@ def run_fit(
     quantile = float(student.ppf(0.975, spread.freedom))
     table = {}
     for i, u in enumerate(problem.unknowns):
-        if ":" in u.name or ("." not in u.name and u.name not in problem.case.press.coefficient_names):
+        if not is_parameter(u.name):
             continue
         sd = float(np.sqrt(covariance[i, i])) * spread.factor
         table[u.name] = _coefficient(u, x[i], sd, quantile)
@@ -440,6 +371,8 @@ def run_fit(
         residuals=residuals,
         offsets=offsets,
         evaluations=evaluations,
+        spread=spread.factor,
+        quantile=quantile,
     )
 
 

@@ -257,7 +257,7 @@ def channel_noise(signals: Signals, moments: Moments, before: Noise) -> Noise:
         deviation = deviation - nan_median(deviation.T)
         deviation = _without_gain(deviation, place.mean[quiet]) * np.sqrt(n / (n - 1.0))
         for i, lag in enumerate((0, near, far)):
-            product = deviation[lag:] * deviation[: len(deviation) - lag]
+            product = deviation[lag:] * deviation[: max(len(deviation) - lag, 0)]
             ok = np.isfinite(product)
             sums[i] += product[ok].sum()
             weights[i] += ok.sum()
@@ -265,6 +265,8 @@ def channel_noise(signals: Signals, moments: Moments, before: Noise) -> Noise:
         white = float(np.median(single)) if single else before.white_K
         return replace(before, white_K=max(white, 1e-3), fast_K=0.0)
     c0, c1, c2 = sums / np.maximum(weights, 1.0)
+    if weights[2] < 20:
+        return replace(before, white_K=max(float(np.sqrt(c0)), 1e-3), fast_K=0.0)
     apart = (far - near) * period
     tau = 10.0 if c2 <= 0 or c1 <= c2 else float(np.clip(apart / np.log(c1 / c2), 3.0, 40.0))
     fast = float(np.clip(c1 * np.exp(near * period / tau), 0.0, c0))
