@@ -1,0 +1,259 @@
+"""The recorder against simulated loggers on real sockets and serial lines, and killed while it works."""
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import threading
+import time
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from daq.config import load_config
+from daq.recorder import record
+from daq.runfile import toml_value
+from daq.simulated.campaign import press_toml
+from daq.simulated.devices import simulated, wiring
+from daq.simulated.devices_converter import Switches
+from daq.simulated.press import PressSettings, VirtualPress
+from daq.store import RunStatus, open_store
+
+UPPER = ("platen_top", "platen_bottom", *(f"top_{i}" for i in range(1, 8)))
+LOWER = tuple(f"bottom_{i}" for i in range(1, 8))
+
+
+class Plant:
+    """A virtual press with two loggers, and the configuration of its recorder."""
+
+    def __init__(self, folder: Path, speed: float, rate_hz: float) -> None:
+        self.folder, self.speed, self.rate_hz = folder, speed, rate_hz
+        self.press = VirtualPress(PressSettings(between_s=(12.0, 16.0), keep=40), 3)
+        self.began = time.monotonic()
+        self.lower = Switches()
+        self.url = str(folder / "plant.sqlite")
+        self.config = folder / "kerntemp.toml"
+
+    def clock(self) -> float:
+        return (time.monotonic() - self.began) * self.speed
+
+    def inputs(self, columns):
+        def temperatures(now_s):
+            shown = self.press.temperatures(max(now_s, 0.0))
+            return [shown[name] for name in columns] + [20.0] * (16 - len(columns))
+
+        return temperatures
+
+    def write(self, *tables, store=None):
+        (self.folder / "lab.toml").write_text(press_toml())
+        text = f"[store]\nurl = {toml_value(store or self.url)}\n[clock]\nspeed = {self.speed}\n"
+        text += f'[[press]]\nname = "lab"\nfile = "lab.toml"\nrate_hz = {self.rate_hz}\n'
+        text += 'header = { "panel.material" = "MDF", "panel.thickness_mm" = 16.0 }\n'
+        for table in tables:
+            text += "[[press.logger]]\n" + "".join(f"{k} = {toml_value(v)}\n" for k, v in table.items())
+        self.config.write_text(text)
+
+
+@contextmanager
+def plant(folder, speed=1.0, rate_hz=10.0, store=None):
+    made = Plant(folder, speed, rate_hz)
+    upper = simulated("labjack-t7", made.inputs(UPPER), clock=made.clock, refresh_s=0.0)
+    lower = simulated(
+        "adam-4118-ascii",
+        lambda s: made.inputs(LOWER)(s)[:8],
+        clock=made.clock,
+        refresh_s=0.1,
+        switches=made.lower,
+    )
+    with upper as a, lower as b:
+        made.write(
+            wiring("labjack-t7", a, "upper", UPPER), wiring("adam-4118-ascii", b, "lower", LOWER), store=store
+        )
+        yield made
+
+
+@contextmanager
+def recording(made):
+    stop, failures = threading.Event(), []
+
+    def work():
+        try:
+            record(load_config(made.config), stop=stop)
+        except BaseException as error:
+            failures.append(error)
+            raise
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        thread.join(30)
+    assert not failures
+    assert not thread.is_alive()
+
+
+def wait_until(condition, longest_s=30.0):
+    deadline = time.monotonic() + longest_s
+    while not condition():
+        assert time.monotonic() < deadline, "it did not happen in time"
+        time.sleep(0.02)
+
+
+def test_pressings_are_recorded_as_runs_with_their_moments_and_start_temperature(tmp_path):
+    with plant(tmp_path, speed=20.0, rate_hz=2.0) as made, open_store(made.url) as store:
+        with recording(made):
+            wait_until(lambda: len(store.runs(status=RunStatus.CLOSED).items) >= 2, 60)
+        runs = store.runs(status=RunStatus.CLOSED).items[:2]
+        for record_ in runs:
+            zero = record_.zero_monotonic_s - made.began * made.speed
+            true = made.press.cycle(zero + record_.moments.closed_s).moments
+            assert zero + record_.moments.closed_s == pytest.approx(true.closed_s, abs=1.0)
+            assert zero + record_.moments.opened_s == pytest.approx(true.opened_s, abs=1.0)
+            assert zero == pytest.approx(true.inserted_s - 5.0, abs=3.0)
+            assert record_.header["panel.material"] == "MDF"
+            assert record_.header["panel.initial_temperature_C"] == pytest.approx(made.press.ambient, abs=4.0)
+            assert store.configuration_of(record_.run) == made.config.read_text()
+            run = store.load_run(record_.run)
+            assert np.all(np.diff(run.time_s) > 0)
+            assert np.median(np.diff(run.time_s)) == pytest.approx(0.5, rel=0.05)
+            assert np.isfinite(run.columns["top_3"]).mean() > 0.9
+        kinds = [e.kind for e in store.press_events("lab")]
+        assert kinds[:4] == ["inserted", "closed", "opened", "removed"]
+        left = store.runs(status=RunStatus.INTERRUPTED).items
+        assert len(left) == len(store.runs().items) - len(store.runs(status=RunStatus.CLOSED).items)
+        assert store.statuses()["record"].status["state"] == "stopped"
+
+
+def test_a_silent_logger_is_said_once_leaves_gaps_with_cause_and_does_not_disturb_the_other(tmp_path):
+    with plant(tmp_path, rate_hz=10.0) as made, open_store(made.url) as store:
+        with recording(made):
+            wait_until(lambda: store.newest_scan_number("lab") > 10)
+            made.lower.silent = True
+            wait_until(lambda: any("does not answer" in e.message for e in store.journal().items), 20)
+            first = store.newest_scan_number("lab")
+            wait_until(lambda: store.newest_scan_number("lab") > first + 20)
+            said = store.statuses()["record"].status
+            made.lower.silent = False
+            wait_until(lambda: any("answers again" in e.message for e in store.journal().items), 20)
+            last = store.newest_scan_number("lab")
+        batch = store.scans_after("lab", first, 20)
+        names = [c.name for c in batch.channels]
+        for scan in batch.scans:
+            qualities = dict(zip(names, scan.qualities, strict=True))
+            assert qualities["top_1"] == "good"
+            assert qualities["bottom_1"] == "missing"
+        gaps = np.diff([s.monotonic_s for s in batch.scans])
+        assert np.median(gaps) == pytest.approx(0.1, abs=0.02)
+        assert any("lower" in problem for problem in said["problems"])
+        assert [r["state"] for r in said["loggers"]] == ["answers", "lost"]
+        warnings = [e for e in store.journal(level="warning").items if "logger lower" in e.message]
+        assert len(warnings) == 1
+        assert last > first + 20
+
+
+def start(made, **options):
+    command = [sys.executable, "-m", "daq.recorder", str(made.config)]
+    where = {"cwd": Path(__file__).parents[2], "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
+    return subprocess.Popen(command, text=True, **where, **options)
+
+
+def acknowledged_until_killed(child, wait_s):
+    """Let it run for a while after its first commit, kill it, and return the last acknowledged scan."""
+    numbers = []
+
+    def listen():
+        for line in child.stdout:
+            numbers.append(int(line.split()[1]))
+
+    listener = threading.Thread(target=listen)
+    listener.start()
+    wait_until(lambda: numbers or child.poll() is not None, 60)
+    end = time.monotonic() + wait_s
+    while time.monotonic() < end:
+        time.sleep(0.005)
+    child.send_signal(signal.SIGKILL)
+    child.wait()
+    listener.join()
+    child.stdout.close()
+    return numbers[-1] if numbers else -1
+
+
+def check_store_after_kill(url, last_acknowledged):
+    with open_store(url) as store:
+        numbers, last = [], -1
+        while scans := store.scans_after("lab", last, 5000).scans:
+            numbers += [s.number for s in scans]
+            last = numbers[-1]
+        assert numbers == list(range(len(numbers))), "a scan is missing or doubled"
+        assert last >= last_acknowledged, "an acknowledged scan is lost"
+        with store.database.reading() as connection:
+            if store.database.dialect == "sqlite":
+                assert connection.exec_driver_sql("PRAGMA integrity_check").scalar() == "ok"
+        return last
+
+
+def kill_repeatedly(made, times, seed):
+    chance = random.Random(seed)
+    for _ in range(times):
+        child = start(made)
+        last = acknowledged_until_killed(child, chance.uniform(0.0, 1.2))
+        assert last >= 0
+        check_store_after_kill(made.url, last)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="SIGKILL is POSIX")
+def test_killed_in_mid_run_the_recorder_loses_nothing_acknowledged_and_resumes(tmp_path):
+    with plant(tmp_path, speed=20.0, rate_hz=2.0) as made:
+        kill_repeatedly(made, 3, 1)
+        with open_store(made.url) as store:
+            before = {r.run for r in store.runs().items}
+            child = start(made)
+            wait_until(lambda: (now := store.open_run("lab")) is not None and now.run not in before, 60)
+            run = store.open_run("lab").run
+            last = acknowledged_until_killed(child, 0.3)
+            assert store.run_record(run).status is RunStatus.OPEN
+            child = start(made)
+            wait_until(lambda: store.run_record(run).status is RunStatus.INTERRUPTED, 60)
+            assert len(store.load_run(run).time_s) > 5
+            acknowledged_until_killed(child, 0.2)
+            assert any(f"run {run} was interrupted" in e.message for e in store.journal().items)
+        check_store_after_kill(made.url, last)
+
+
+@pytest.mark.campaign
+@pytest.mark.timeout(3600)
+@pytest.mark.skipif(os.name == "nt", reason="SIGKILL is POSIX")
+def test_three_hundred_kills_lose_nothing(tmp_path):
+    with plant(tmp_path, speed=20.0, rate_hz=2.0) as made:
+        kill_repeatedly(made, 300, 2)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="SIGTERM is POSIX")
+def test_asked_to_end_the_recorder_writes_what_it_has_and_ends_in_order(tmp_path):
+    with plant(tmp_path, speed=20.0, rate_hz=2.0) as made, open_store(made.url) as store:
+        child = start(made)
+        wait_until(lambda: store.open_run("lab") is not None, 60)
+        child.send_signal(signal.SIGTERM)
+        out, _ = child.communicate(timeout=20)
+        assert child.returncode == 0
+        acknowledged = [int(line.split()[1]) for line in out.split("\n") if line]
+        assert acknowledged[-1] == store.newest_scan_number("lab")
+        assert store.open_run("lab") is None
+        assert store.runs().items[0].status is RunStatus.INTERRUPTED
+        assert store.statuses()["record"].status["state"] == "stopped"
+
+
+def test_a_recorder_on_postgresql_stores_the_same(tmp_path, postgresql_url):
+    with (
+        plant(tmp_path, speed=20.0, rate_hz=2.0, store=postgresql_url) as made,
+        open_store(postgresql_url) as store,
+    ):
+        with recording(made):
+            wait_until(lambda: len(store.runs(status=RunStatus.CLOSED).items) >= 1, 60)
+        run = store.load_run(store.runs(status=RunStatus.CLOSED).items[0].run)
+        assert np.median(np.diff(run.time_s)) == pytest.approx(0.5, rel=0.05)

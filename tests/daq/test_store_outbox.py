@@ -1,0 +1,234 @@
+"""The way from recorder to store: in order and complete, whatever the store does meanwhile."""
+
+import sqlite3
+import subprocess
+import time
+from contextlib import suppress
+from datetime import UTC, datetime, timedelta
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from daq.records import Channel, PressEvent, PressEventKind, Quality, Scan
+from daq.store import NewRun, RunEnd, StoreUnavailable, open_store
+from daq.store.outbox import Outbox
+from daq.store.parcels import Entry, Parcel, decode, encode
+
+BEGAN = datetime(2026, 3, 4, 7, 0, tzinfo=UTC)
+CHANNELS = (Channel("platen_top"), Channel("top_1"))
+G = Quality.GOOD
+
+
+def parcel(key, number):
+    scan = Scan(number, BEGAN + timedelta(seconds=number / 10), 100 + number / 10, (200.0, 20.0 + number), (G, G))
+    return Parcel(key, (scan,))
+
+
+def wait_until(condition, longest_s=20.0):
+    deadline = time.monotonic() + longest_s
+    while not condition():
+        assert time.monotonic() < deadline, "it did not happen in time"
+        time.sleep(0.01)
+
+
+class Notes:
+    def __init__(self):
+        self.acknowledged, self.said = [], []
+
+    def note(self, item):
+        self.acknowledged += [s.number for s in item.scans]
+
+    def say(self, level, sentence):
+        self.said.append((level, sentence))
+
+
+def numbers(store):
+    return [s.number for s in store.scans_after("lab", -1, 100000).scans]
+
+
+def test_everything_put_is_written_in_order_and_acknowledged_after(store_url):
+    notes = Notes()
+    with open_store(store_url) as store:
+        key = store.register_press("lab", CHANNELS)
+        outbox = Outbox(store, acknowledged=notes.note)
+        outbox.start()
+        for n in range(200):
+            outbox.put(parcel(key, n))
+        outbox.put(Entry("info", "record", "hello"))
+        outbox.beat("record", {"x": 1})
+        outbox.close()
+        assert numbers(store) == notes.acknowledged == list(range(200))
+        assert store.journal().items[0].message == "hello"
+        assert store.statuses()["record"].status == {"x": 1}
+        assert outbox.waiting == 0
+
+
+def test_a_locked_store_makes_scans_wait_says_so_once_and_loses_none(tmp_path):
+    notes, path = Notes(), tmp_path / "s.sqlite"
+    with open_store(str(path), busy_s=0.05) as store:
+        key = store.register_press("lab", CHANNELS)
+        outbox = Outbox(store, acknowledged=notes.note, say=notes.say)
+        outbox.start()
+        outbox.put(parcel(key, 0))
+        wait_until(lambda: notes.acknowledged == [0])
+        other = sqlite3.connect(path, isolation_level=None)
+        other.execute("BEGIN IMMEDIATE")
+        for n in range(1, 50):
+            outbox.put(parcel(key, n))
+        wait_until(lambda: outbox.trouble)
+        assert notes.acknowledged == [0]
+        other.execute("ROLLBACK")
+        other.close()
+        wait_until(lambda: len(notes.acknowledged) == 50)
+        outbox.close()
+        assert numbers(store) == list(range(50))
+        assert [level for level, _ in notes.said] == ["alarm", "info"]
+        assert "another process holds it" in notes.said[0][1]
+        assert "takes data again" in notes.said[1][1]
+
+
+class Server:
+    """A PostgreSQL database that can be made unreachable: connections refused and cut, as in a restart."""
+
+    def __init__(self, url):
+        self.url, self.name = url, url.rpartition("/")[2]
+
+    def _say(self, *statements):
+        import psycopg
+
+        admin = self.url.replace("postgresql+psycopg", "postgresql").rpartition("/")[0] + "/postgres"
+        with psycopg.connect(admin, autocommit=True) as connection:
+            for statement in statements:
+                connection.execute(statement)
+
+    def stop(self):
+        cut = f"SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE datname = '{self.name}'"
+        self._say(cut, f"ALTER DATABASE {self.name} RENAME TO {self.name}_away")
+
+    def start(self):
+        self._say(f"ALTER DATABASE {self.name}_away RENAME TO {self.name}")
+
+
+def test_a_server_that_goes_away_is_replaced_by_a_local_buffer_and_filled_in_order(postgresql_url, tmp_path):
+    notes, server = Notes(), Server(postgresql_url)
+    buffer = tmp_path / "buffer.sqlite"
+    with open_store(postgresql_url, busy_s=2) as store:
+        key = store.register_press("lab", CHANNELS)
+        outbox = Outbox(store, buffer=buffer, acknowledged=notes.note, say=notes.say)
+        outbox.start()
+        outbox.put(parcel(key, 0))
+        wait_until(lambda: notes.acknowledged == [0])
+        server.stop()
+        try:
+            for n in range(1, 60):
+                outbox.put(parcel(key, n))
+                time.sleep(0.002)
+            wait_until(lambda: len(notes.acknowledged) == 60)
+            with sqlite3.connect(buffer) as kept:
+                assert kept.execute("SELECT count(*) FROM parcel").fetchone()[0] == 59
+            kept.close()
+            assert "enough for" in notes.said[0][1]
+        finally:
+            server.start()
+        outbox.put(parcel(key, 60))
+        wait_until(lambda: outbox.waiting == 0 and len(notes.acknowledged) == 61, 30)
+        outbox.close()
+        assert numbers(store) == list(range(61))
+        assert notes.acknowledged == list(range(61))
+
+
+def test_what_a_killed_recorder_left_in_the_buffer_is_written_by_the_next(postgresql_url, tmp_path):
+    server = Server(postgresql_url)
+    with open_store(postgresql_url, busy_s=2) as store:
+        key = store.register_press("lab", CHANNELS)
+        notes = Notes()
+        first = Outbox(store, buffer=tmp_path / "b.sqlite", acknowledged=notes.note)
+        server.stop()
+        try:
+            first.start()
+            for n in range(30):
+                first.put(parcel(key, n))
+            wait_until(lambda: len(notes.acknowledged) == 30)
+            first.close()
+        finally:
+            server.start()
+        second = Outbox(store, buffer=tmp_path / "b.sqlite")
+        assert second.waiting == 30
+        second.start()
+        second.put(parcel(key, 30))
+        wait_until(lambda: second.waiting == 0)
+        second.close()
+        assert numbers(store) == list(range(31))
+
+
+@pytest.fixture
+def small_disk(tmp_path):
+    """A file system of 3 MB; skipped where mounting is not allowed."""
+    place = tmp_path / "small"
+    place.mkdir()
+    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=3m", "tmpfs", str(place)], capture_output=True)
+    if mounted.returncode:
+        pytest.skip(f"no small file system can be mounted here: {mounted.stderr.decode().strip()}")
+    yield place
+    subprocess.run(["umount", str(place)], check=True)
+
+
+def test_a_full_disk_makes_scans_wait_and_recording_goes_on_when_there_is_room(small_disk):
+    notes = Notes()
+    with open_store(str(small_disk / "s.sqlite"), busy_s=0.2) as store:
+        key = store.register_press("lab", CHANNELS)
+        outbox = Outbox(store, acknowledged=notes.note, say=notes.say)
+        outbox.start()
+        outbox.put(parcel(key, 0))
+        wait_until(lambda: notes.acknowledged)
+        with (small_disk / "ballast").open("wb", buffering=0) as ballast, suppress(OSError):
+            while ballast.write(b"x" * 4096) == 4096:
+                pass
+        for n in range(1, 3000):
+            outbox.put(parcel(key, n))
+        wait_until(lambda: outbox.trouble)
+        assert "free space on the disk" in notes.said[0][1]
+        assert store.newest_scan_number("lab") == max(notes.acknowledged)
+        (small_disk / "ballast").unlink()
+        wait_until(lambda: len(notes.acknowledged) == 3000, 30)
+        outbox.close()
+        assert numbers(store) == notes.acknowledged == list(range(3000))
+
+
+def test_a_store_that_may_not_be_written_says_so(tmp_path):
+    path = tmp_path / "s.sqlite"
+    open_store(str(path)).close()
+    with sqlite3.connect(path) as connection:
+        connection.execute("PRAGMA journal_mode=DELETE")
+    connection.close()
+    with open_store(str(path)) as store:
+        with store.database.engine.connect() as raw:
+            raw.exec_driver_sql("PRAGMA query_only=ON")
+        with pytest.raises(StoreUnavailable, match="no permission to write; check owner and mount"):
+            store.beat("record", {})
+
+
+values = st.floats(allow_nan=False, allow_infinity=False)
+
+
+@given(
+    reading=st.lists(st.tuples(values, st.sampled_from(list(Quality))), min_size=2, max_size=2),
+    moment=values,
+    note=st.text(max_size=10),
+)
+@settings(max_examples=60, deadline=None)
+def test_a_buffered_parcel_comes_back_as_it_was(reading, moment, note):
+    channels = (Channel("top_1"), Channel("closed", ""))
+    from daq.store import PressKey
+
+    item = Parcel(
+        PressKey(3, "lab", 4, channels, 17),
+        (Scan(17, BEGAN, moment, tuple(v for v, _ in reading), tuple(q for _, q in reading)),),
+        (PressEvent(PressEventKind.CLOSED, moment, 1.0, "limit switch"),),
+        NewRun("r", 12, BEGAN, moment, {"panel.material": note, "x": 1.5}, "text"),
+        RunEnd("q", 11, BEGAN),
+    )
+    assert decode(encode(item)) == item
+    entry = Entry("warning", "record", note, "lab", {"step_s": 1.0})
+    assert decode(encode(entry)) == entry
