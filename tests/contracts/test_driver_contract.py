@@ -5,10 +5,12 @@ from __future__ import annotations
 import contextlib
 import math
 import time
+from pathlib import Path
 
 import pytest
 
 from daq.drivers import LoggerSettings, NoReply, ReadFailure, open_logger
+from daq.drivers import profile as profiles
 from daq.drivers.profile import profile_names, profile_table
 from daq.records import Quality
 from daq.simulated.devices import KINDS, kind_of, simulated, wiring
@@ -152,3 +154,8 @@ def _first_good(logger):
             return logger.read(), time.monotonic() - start
         except ReadFailure:
             assert time.monotonic() - start < 2 * BACK_WITHIN_S
+
+
+def test_every_profile_stands_in_the_table_of_profiles(profile):
+    table = (Path(profiles.__file__).parent / "profiles" / "README.md").read_text(encoding="utf-8")
+    assert f"`{profile}`" in table
