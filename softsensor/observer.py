@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -28,34 +28,25 @@ from daq.records import Array, Moments, PressEvent, PressEventKind, PressState, 
 from softsensor import observer_kernels as loops
 from softsensor.effects import find_effect
 from softsensor.modelfile import ModelFile
-from softsensor.observer_priors import (
-    SUSPECTS,
-    TIMING,
-    Prior,
-    Suspect,
-    coefficient_priors,
-    effect_priors,
-    nuisance_priors,
-)
-from softsensor.observer_setup import CHAIN_UNITS, Bench, Filter, make_filter, prepare_bench
+from softsensor.observer_belief import Member, Mixture, mix
+from softsensor.observer_priors import TIMING, Plan, plans_for
+from softsensor.observer_setup import Bench, Filter, make_filter, prepare_bench
 
 UNKNOWN_STATE = "press state unknown"
 NO_PLATENS = "platen reading missing"
+NOT_VALID = "model not valid"
+NOT_OBSERVABLE = "core not observable"
 BRIDGE_S = 10.0
 """Platen readings are held this long. [s]"""
-CHANNEL_K, OFFSET_K = 0.1, 0.3
-"""White noise and constant offset of a panel channel. [K]"""
-FACE_K, FACE_S = 0.17, 25.0
-"""Slow error common to a face, and how fast it is forgotten. [K, s]"""
-ROUGH_S, ROUGH_MEMORY_S = 0.15, 3.0
-"""How far the model may be off in time where readings jump, and for how long. [s]"""
-MARGIN_K, MARGIN_SHARE = 0.08, 0.006
-"""What the model itself adds: absolute, and of the core's rise."""
+MISFIT_LIMIT = 9.0
+"""Mean squared normalised innovation over 10 s beyond which the model is not valid."""
+WIDEST_K = 25.0
+"""Half-width of a band beyond which the core is not observable. [K]"""
 BLOCK_S, EAGER_S = 0.45, 4.0
 """Scans are absorbed together over `BLOCK_S`, one by one for `EAGER_S` after a switch. [s]"""
-GATE = 4.0
-EVAPORATION = ("moisture_evaporation.moisture_percent", "moisture_evaporation.temperature_C")
-EVAPORATION_CHANCE = 0.03
+UNSEEN_WAIT_S, USUAL_WAIT_S = 30.0, 18.0
+"""A panel nobody saw coming in is taken to lie in the open press from the first scan, but not longer than
+the first; else for the second, the usual time. [s]"""
 
 
 @dataclass(frozen=True)
@@ -65,31 +56,15 @@ class Estimate:
     time_s: float
     state: PressState | None
     """None: unknown."""
-    core_C: float  # noqa: N815
-    core_sd_K: float  # noqa: N815
-    core_low_C: float  # noqa: N815
-    core_high_C: float  # noqa: N815
-    valid: bool
+    core_C: float = math.nan  # noqa: N815
+    core_sd_K: float = math.nan  # noqa: N815
+    core_low_C: float = math.nan  # noqa: N815
+    core_high_C: float = math.nan  # noqa: N815
+    """Low and high bound 95 %."""
+    valid: bool = False
     reason: str = ""
-
-
-@dataclass
-class _Member:
-    """A filter with its belief and how well it has done."""
-
-    filter: Filter
-    suspects: tuple[Suspect, ...]
-    chance: float
-    x: Array
-    cov: Array
-    fit: float = 0.0
-    misfit: float = 1.0
-    """Mean squared normalised innovation, the newest weighing most."""
-
-    @property
-    def where(self) -> loops.Integers:
-        names = self.filter.names
-        return np.array([names.index(s.parameter) for s in self.suspects], dtype=np.int64)
+    suspected: str = ""
+    """The cause the readings speak for, where one is likelier than nothing."""
 
 
 @dataclass(frozen=True)
@@ -102,19 +77,13 @@ class _Row:
     votes: Array
 
 
-@dataclass(frozen=True)
-class _Mixture:
-    weights: Array
-    means: Array
-    sds: Array
+@dataclass
+class _Known:
+    """What has been found out about the run's moments."""
 
-    @property
-    def mean(self) -> float:
-        return float(self.weights @ self.means)
-
-    @property
-    def sd(self) -> float:
-        return float(np.sqrt(self.weights @ (self.sds**2 + (self.means - self.mean) ** 2)))
+    moments: Moments = field(default_factory=Moments)
+    closed_sd: float = 0.15
+    opened_sd: float = 0.15
 
 
 class LiveSensor:
@@ -134,333 +103,233 @@ class LiveSensor:
         self._press = press
         self._header = dict(header)
         self._model = model
-        self._bench: Bench | None = None
         self._detector = PressEventDetector(press)
-        self._moments = Moments()
-        self._closed_sd, self._opened_sd = 0.15, 0.15
+        self._known = _Known()
+        self._bench: Bench | None = None
+        self._state: PressState | None = None
+        self._platens = [math.nan, math.nan]
+        self._platens_seen = math.nan
         self._rows: list[_Row] = []
         self._done = 0
-        self._members: list[_Member] = []
+        self._members: list[Member] = []
         self._points: list[Array] = []
-        self._mixture: _Mixture | None = None
-        self._platens = [math.nan, math.nan]
-        self._platen_age = 0.0
-        self._last_replay = -math.inf
-        self._state: PressState | None = None
+        self._mixture: Mixture | None = None
+        self._replayed_at = -math.inf
+        self._initial = math.nan
 
     # --- one scan -----------------------------------------------------------------------------------
 
     def update(self, time_s: float, values: Mapping[str, float]) -> Estimate:
         """Take a scan (missing values NaN or left out) and say what the core is doing now."""
-        if self._bench is None:
-            self._bench = self._prepare(time_s, values)
-        stale = self._detect(time_s, values)
-        outside = self._outside(time_s, values)
-        if outside is None:
-            return self._nothing(time_s, NO_PLATENS)
-        self._store(time_s, values, outside)
-        if not self._members or stale:
+        bench = self._bench or self._prepare(values)
+        stale = self._detect(bench, time_s, values)
+        if not self._note_platens(bench, time_s, values):
+            return Estimate(time_s, self._state, reason=NO_PLATENS)
+        readings = np.array([values.get(c, math.nan) for c in bench.columns])
+        level, votes = np.empty(len(bench.labels)), np.empty(len(bench.labels))
+        loops.agree(self._consensus, readings, level, votes)
+        self._rows.append(_Row(time_s, (self._platens[0], self._platens[1]), level, votes))
+        if stale or not self._members:
             self._replay()
-        else:
-            self._extend()
-            self._settle()
+        elif self._extend() and self._relinearise(time_s):
+            self._replay()
         return self._say(time_s)
 
-    def _nothing(self, time_s: float, reason: str) -> Estimate:
-        nan = math.nan
-        return Estimate(time_s, self._state, nan, nan, nan, nan, False, reason)
-
-    def _prepare(self, time_s: float, values: Mapping[str, float]) -> Bench:
+    def _prepare(self, values: Mapping[str, float]) -> Bench:
         columns = {name: np.full(2, v) for name, v in values.items()}
         run = Run("live", self._header, np.array([-2.0, 900.0]), columns, "live")
         press = press_for_run(self._press, run)
         own = tuple(name for name, _ in self._model.effects) if self._model else ()
         bench = prepare_bench(press, run, own)
+        count = len(bench.place)
         self._consensus = loops.Consensus(
             place=bench.place,
-            shift=np.zeros(len(bench.place)),
-            scatter=np.full(len(bench.place), 0.04),
-            seen=np.zeros(len(bench.place)),
+            shift=np.zeros(count),
+            scatter=np.full(count, 0.04),
+            seen=np.zeros(count),
             level=np.full(len(bench.labels), np.nan),
         )
+        if press.panel_layers:
+            self._initial = panel_of(run).initial_temperature
+        self._bench = bench
         return bench
 
-    def _detect(self, time_s: float, values: Mapping[str, float]) -> bool:
-        """Follow the press; return whether what was known of its moments has changed."""
-        bench = self._bench
-        if bench is None or not bench.press.has_states:
+    def _detect(self, bench: Bench, time_s: float, values: Mapping[str, float]) -> bool:
+        """Follow the press; return whether what is known of its moments has changed."""
+        if not bench.press.has_states:
             self._state = PressState.CLOSED
             return False
         events = self._detector.update(time_s, values)
         self._state = self._detector.state
         if not bench.columns and self._state is PressState.IDLE:
-            self._state = PressState.OPEN if "closed" in values else None
+            self._state = PressState.OPEN
         for event in events:
-            self._note(event, time_s)
+            self._note(bench, event, time_s)
         return bool(events)
 
-    def _note(self, event: PressEvent, time_s: float) -> None:
-        at, sd = event.monotonic_s, 0.15
+    def _note(self, bench: Bench, event: PressEvent, time_s: float) -> None:
+        """Keep a moment the detector found, and how well it is known."""
+        at, sd, known = event.monotonic_s, 0.15, self._known
+        first = self._rows[0].time if self._rows else time_s
         if event.source == "limit switch":
             before = self._rows[-1].time if self._rows else time_s
             at, sd = at - 0.5 * (time_s - before), 0.3 * (time_s - before) + 0.1
-        first = self._rows[0].time if self._rows else time_s
         if event.kind is PressEventKind.INSERTED:
-            seen = bool(self._bench and self._bench.columns)
-            known = seen and at > first + 0.3
-            if not seen and time_s - first > 30.0:
-                at, known = max(first, time_s - 18.0), True
-            self._moments = Moments(inserted_s=at if known else math.nan)
+            seen = bool(bench.columns) and at > first + 0.3
+            if not bench.columns and time_s - first > UNSEEN_WAIT_S:
+                at, seen = max(first, time_s - USUAL_WAIT_S), True
+            known.moments = Moments(inserted_s=at if seen else math.nan)
         elif event.kind is PressEventKind.CLOSED:
-            self._moments = replace(self._moments, closed_s=at, opened_s=math.nan, removed_s=math.nan)
-            self._closed_sd = sd
+            known.moments = replace(known.moments, closed_s=at, opened_s=math.nan, removed_s=math.nan)
+            known.closed_sd = sd
         elif event.kind is PressEventKind.OPENED:
-            self._moments = replace(self._moments, opened_s=at)
-            self._opened_sd = sd
+            known.moments, known.opened_sd = replace(known.moments, opened_s=at), sd
         else:
-            self._moments = replace(self._moments, removed_s=at)
+            known.moments = replace(known.moments, removed_s=at)
         for point in self._points:
-            point[-2:] = 0.0
+            point[-len(TIMING) :] = 0.0
 
-    def _outside(self, time_s: float, values: Mapping[str, float]) -> tuple[float, float] | None:
-        """Return both boundary temperatures, held for a while where missing; None where too long."""
-        assert_press = self._bench.press if self._bench else self._press
+    def _note_platens(self, bench: Bench, time_s: float, values: Mapping[str, float]) -> bool:
+        """Keep both boundary temperatures, held where missing; return whether both are known at all."""
         good = True
-        for side, boundary in enumerate((assert_press.boundary.bottom, assert_press.boundary.top)):
-            if boundary.kind != "measured":
-                self._platens[side] = 0.0
-                continue
-            value = values.get(boundary.column or "", math.nan)
+        for side, boundary in enumerate((bench.press.boundary.bottom, bench.press.boundary.top)):
+            value = values.get(boundary.column or "", math.nan) if boundary.kind == "measured" else 0.0
             if value == value:
                 self._platens[side] = value
             else:
                 good = False
-        if any(v != v for v in self._platens):
-            return None
         if good:
-            self._platen_age = time_s
-        return (self._platens[0], self._platens[1])
-
-    def _store(self, time_s: float, values: Mapping[str, float], outside: tuple[float, float]) -> None:
-        bench = self._bench
-        columns = bench.columns if bench else ()
-        readings = np.array([values.get(c, math.nan) for c in columns], dtype=float)
-        level, votes = np.empty(len(self._consensus.level)), np.empty(len(self._consensus.level))
-        loops.agree(self._consensus, readings, level, votes)
-        self._rows.append(_Row(time_s, outside, level, votes))
+            self._platens_seen = time_s
+        return self._platens[0] == self._platens[0] and self._platens[1] == self._platens[1]
 
     # --- filters ------------------------------------------------------------------------------------
 
-    def _priors(self) -> tuple[list[Prior], list[Suspect], list[Prior]]:
-        """Return common parameters, suspects of the joint filter, and the timing parameters."""
-        bench = self._bench
-        if bench is None:
-            return [], [], []
-        own = {name for name, _ in self._model.effects} if self._model else set()
-        panel = bool(bench.press.panel_layers)
-        common = coefficient_priors(bench.press, self._model) + effect_priors(self._model)
-        common += nuisance_priors(bench.press, own, initial=True)
-        suspects = [s for s in SUSPECTS if panel and s.effect not in own]
-        timing = [Prior("closed_s", 0.0, self._closed_sd), Prior("opened_s", 0.0, self._opened_sd)]
-        return common, suspects, timing if bench.press.has_states else []
-
-    def _build(self) -> None:
-        """Make the filters anew at the points they are linearised at."""
+    def _replay(self) -> None:
+        """Start anew with what is known by now and take in all scans."""
         bench = self._bench
         if bench is None:
             return
-        common, suspects, timing = self._priors()
-        own = {name for name, _ in self._model.effects} if self._model else set()
-        joint = common + [_suspected(s) for s in suspects] + timing
-        plans: list[tuple[list[Prior], tuple[Suspect, ...], float]] = [
-            (joint, tuple(suspects), 1.0 - sum(s.chance for s in suspects) - EVAPORATION_CHANCE)
-        ]
-        if suspects and "moisture_evaporation" not in own:
-            wet = [Prior(EVAPORATION[0], 4.0, 2.0), Prior(EVAPORATION[1], 102.0, 3.0)]
-            firm = [Prior(s.parameter, 1.0, 0.01) for s in suspects if s.parameter.endswith(".ratio")]
-            plans.append((common + wet + firm + timing, (), EVAPORATION_CHANCE))
-        if [len(p) for p in self._points] != [len(plan[0]) for plan in plans]:
-            self._points = [np.zeros(len(plan[0])) for plan in plans]
-        self._members = []
-        for (priors, mine, chance), at in zip(plans, self._points, strict=True):
-            effects = list(
-                dict.fromkeys([*bench.effects, *(p.name.partition(".")[0] for p in priors if _is_effect(p))])
-            )
-            neutral = {e.key(p.name): p.neutral for e in map(find_effect, effects) for p in e.parameters}
-            made = make_filter(bench, priors, neutral, at, effects)
-            size = len(priors) + 2 + 2 * len(bench.labels)
-            cov = np.eye(size)
-            m = len(bench.labels)
-            for a in range(m):
-                channels = max(1, int((bench.place == a).sum()))
-                cov[-2 * m + a, -2 * m + a] = (OFFSET_K * 1.2) ** 2 / channels
-                cov[-m + a, -m + a] = FACE_K**2
-            self._members.append(_Member(made, mine, chance, np.zeros(size), cov))
+        plans = plans_for(bench.press, self._model, self._known.closed_sd, self._known.opened_sd)
+        if [len(p) for p in self._points] != [len(plan.priors) for plan in plans]:
+            self._points = [np.zeros(len(plan.priors)) for plan in plans]
+        self._members = [self._start(bench, plan, at) for plan, at in zip(plans, self._points, strict=True)]
         self._done = 0
+        self._extend()
+        self._replayed_at = self._rows[-1].time
 
-    def _timing(self, filter_: Filter) -> loops.Timing:
-        m = self._moments
-        closing, opening = (filter_.shift(t) if t in filter_.names else 0.0 for t in TIMING)
+    def _start(self, bench: Bench, plan: Plan, at: Array) -> Member:
+        effects = tuple(dict.fromkeys([*bench.effects, *plan.effects]))
+        neutral = {e.key(p.name): p.neutral for e in map(find_effect, effects) for p in e.parameters}
+        made = make_filter(bench, plan.priors, neutral, at, effects)
+        return Member.fresh(bench, made, self._timing(bench, made), plan.suspects, plan.chance, plan.label)
 
-        def known(moment: float) -> float:
-            return moment if math.isfinite(moment) else math.inf
+    def _timing(self, bench: Bench, made: Filter) -> loops.Timing:
+        m = self._known.moments
+        closing, opening = (made.shift(t) if t in made.names else 0.0 for t in TIMING)
+        here = math.inf if self._state is PressState.IDLE and not math.isfinite(m.removed_s) else -math.inf
 
-        units = filter_.timing_units
+        def known(moment: float, otherwise: float = math.inf) -> float:
+            return moment if math.isfinite(moment) else otherwise
+
+        units = made.timing_units
         return loops.Timing(
             start=self._rows[0].time,
-            inserted=m.inserted_s if math.isfinite(m.inserted_s) else self._present,
+            inserted=known(m.inserted_s, here),
             closed=known(m.closed_s) + closing,
             opened=known(m.opened_s) + opening,
             removed=known(m.removed_s),
             ramp=m.ramp_s,
-            switching=bool(self._bench and self._bench.press.has_states),
+            switching=bench.press.has_states,
             closed_unit=units[0],
             opened_unit=units[1],
         )
 
-    @property
-    def _present(self) -> float:
-        """Without a known insertion the panel is either there from the start or not there yet."""
-        return math.inf if self._state is PressState.IDLE else -math.inf
+    def _relinearise(self, time_s: float) -> bool:
+        """Move the points of linearisation where the belief has gone far from them; return whether it has."""
+        since = time_s - self._last_switch(time_s)
+        if self._mixture is None or time_s - self._replayed_at < max(0.7, 0.3 * since):
+            return False
+        leading, start, moved = self._mixture.leading, 0, False
+        sure = bool(self._mixture.weights[leading] > 0.9)
+        for i, member in enumerate(self._members):
+            own = leading - start
+            inside = 0 <= own <= len(member.suspects)
+            point = member.better_point(own if inside else 0, sure and inside)
+            if point is not None:
+                self._points[i] = point
+                moved = True
+            start += 1 + len(member.suspects)
+        return moved
+
+    def _last_switch(self, now: float) -> float:
+        m = self._known.moments
+        moments = (m.inserted_s, m.closed_s, m.opened_s, m.removed_s, self._rows[0].time)
+        return max(moment for moment in moments if moment <= now)
 
     # --- marching -----------------------------------------------------------------------------------
 
-    def _replay(self) -> None:
-        """Start anew with what is known by now and take in all scans."""
-        self._build()
-        self._extend()
-        self._last_replay = self._rows[-1].time
-
-    def _extend(self) -> None:
-        """Take in the scans that make up complete blocks."""
-        rows = self._rows
+    def _extend(self) -> bool:
+        """Take in the scans that make up complete blocks; return whether there were any."""
+        rows, before = self._rows, self._done
         if self._done == 0:
             self._block(0, 0)
             self._done = 1
-        first = self._done
-        for i in range(first, len(rows)):
-            begin = rows[self._done - 1].time
-            if rows[i].time - begin >= self._block_length(rows[i].time) - 1e-6:
+        for i in range(self._done, len(rows)):
+            since = rows[i].time - rows[self._done - 1].time
+            if since >= BLOCK_S - 1e-6 or rows[i].time - self._last_switch(rows[i].time + 1.0) < EAGER_S:
                 self._block(self._done, i)
                 self._done = i + 1
-        self._mix()
-
-    def _block_length(self, now: float) -> float:
-        m = self._moments
-        for moment in (m.closed_s, m.opened_s, m.inserted_s, m.removed_s, self._rows[0].time):
-            if -1.0 <= now - moment < EAGER_S:
-                return 0.0
-        return BLOCK_S
+        if self._done == before:
+            return False
+        rise = float(self._members[0].filter.chain.level[0]) - self._initial
+        self._mixture = mix(self._members, rise if rise == rise else 0.0)
+        return True
 
     def _block(self, first: int, last: int) -> None:
         """March over the scans `first` to `last` and correct by what they read."""
-        rows = self._rows[first : last + 1]
-        begin = self._rows[max(first - 1, 0)]
-        end = rows[-1]
+        rows = self._rows
+        begin, end = rows[max(first - 1, 0)], rows[last]
         elapsed = end.time - begin.time
-        votes = np.array([r.votes for r in rows])
-        levels = np.array([r.level for r in rows])
-        good = np.isfinite(levels)
-        count = good.sum(axis=0)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            level = np.where(good, levels, 0.0).sum(axis=0) / count
-            times = np.array([r.time for r in rows])
-            moment = np.where(good, times[:, None], 0.0).sum(axis=0) / count
-            share = (moment - begin.time) / elapsed if elapsed > 0 else np.ones(len(level))
-        vote = (np.where(good, votes, 0.0)).sum(axis=0)
-        outside = np.array([begin.outside, end.outside])
-        span = np.array([begin.time, end.time])
-        errors = np.array([CHANNEL_K, ROUGH_S, ROUGH_MEMORY_S])
-        units = np.array(CHAIN_UNITS)
-        m = len(level)
+        if first == last:
+            level, votes = end.level, end.votes
+            moment = np.ones(len(level))
+        else:
+            block = rows[first : last + 1]
+            levels = np.array([r.level for r in block])
+            good = np.isfinite(levels)
+            count = np.maximum(good.sum(axis=0), 1)
+            times = np.array([[r.time] for r in block])
+            level = np.where(good.any(axis=0), np.where(good, levels, 0.0).sum(axis=0) / count, np.nan)
+            moment = (np.where(good, times, 0.0).sum(axis=0) / count - begin.time) / elapsed
+            votes = np.where(good, [r.votes for r in block], 0.0).sum(axis=0)
+        span, outside = np.array([begin.time, end.time]), np.array([begin.outside, end.outside])
         for member in self._members:
-            f = member.filter
-            read, d_read = f.chain.read.copy(), f.chain.d_read.copy()
-            if elapsed > 0:
-                loops.march(
-                    f.stack, f.tangents, f.d_boundary, f.state, f.nonlinear, f.factors, f.chain, f.places,
-                    self._timing(f), span, outside, f.moving,
-                )  # fmt: skip
-                loops.drift(member.x, member.cov, len(member.x) - m, math.exp(-elapsed / FACE_S), FACE_K**2)
-            if m:
-                fit, squares, n = loops.absorb_faces(
-                    member.x,
-                    member.cov,
-                    f.at,
-                    f.chain,
-                    read,
-                    d_read,
-                    level,
-                    share,
-                    vote,
-                    elapsed,
-                    errors,
-                    units,
-                    GATE,
-                )
-                member.fit += fit
-                if n:
-                    keep = math.exp(-max(elapsed, 0.05) / 10.0)
-                    member.misfit = keep * member.misfit + (1 - keep) * squares / n
-
-    def _mix(self) -> None:
-        """Blend what all hypotheses say about the core."""
-        logs, means, variances = [], [], []
-        for member in self._members:
-            f = member.filter
-            p = len(f.names)
-            readout = np.zeros(len(member.x))
-            readout[:p] = f.chain.d_level
-            centre = f.chain.level[0] + f.chain.d_level @ (member.x[:p] - f.at)
-            e = len(member.suspects)
-            shift, spread, evidence, sizes = np.empty(e + 1), np.empty(e + 1), np.empty(e + 1), np.empty(e)
-            spike = np.array([s.spike for s in member.suspects])
-            sided = np.array([s.one_sided for s in member.suspects], dtype=bool)
-            loops.blend(member.x, member.cov, readout, member.where, spike, sided, shift, spread, evidence, sizes)
-            chances = np.array([member.chance, *(s.chance for s in member.suspects)])
-            logs.append(np.log(chances) + evidence + member.fit)
-            means.append(centre + shift)
-            margin = MARGIN_K**2 + (MARGIN_SHARE * (centre - self._initial)) ** 2
-            variances.append(spread + margin)
-        log = np.concatenate(logs)
-        weights = np.exp(log - log.max())
-        self._mixture = _Mixture(
-            weights / weights.sum(), np.concatenate(means), np.sqrt(np.concatenate(variances))
-        )
-
-    @property
-    def _initial(self) -> float:
-        return (
-            panel_of(self._bench.run).initial_temperature
-            if self._bench and self._bench.press.panel_layers
-            else 0.0
-        )
-
-    def _settle(self) -> None:
-        """Linearise anew where the belief has moved far."""
+            member.take(span, outside, level, moment, votes)
 
     # --- rows ---------------------------------------------------------------------------------------
 
     def _say(self, time_s: float) -> Estimate:
-        if self._state is None:
-            return self._nothing(time_s, UNKNOWN_STATE)
-        if time_s - self._platen_age > BRIDGE_S:
-            return self._nothing(time_s, NO_PLATENS)
         mixture = self._mixture
-        if mixture is None:
-            return self._nothing(time_s, "no estimate yet")
-        f = self._members[0].filter
-        ahead = f.chain.level[1] * (time_s - self._rows[self._done - 1].time)
-        low = loops.quantile(mixture.weights, mixture.means, mixture.sds, 0.025)
-        high = loops.quantile(mixture.weights, mixture.means, mixture.sds, 0.975)
-        return Estimate(time_s, self._state, mixture.mean + ahead, mixture.sd, low + ahead, high + ahead, True)
-
-
-def _suspected(suspect: Suspect) -> Prior:
-    effect = find_effect(suspect.effect)
-    neutral = next(p.neutral for p in effect.parameters if effect.key(p.name) == suspect.parameter)
-    return Prior(suspect.parameter, neutral, suspect.sd)
-
-
-def _is_effect(prior: Prior) -> bool:
-    return "." in prior.name and not prior.name.startswith("skin.")
+        if self._state is None:
+            return Estimate(time_s, None, reason=UNKNOWN_STATE)
+        if mixture is None or time_s - self._platens_seen > BRIDGE_S:
+            return Estimate(time_s, self._state, reason=NO_PLATENS)
+        chain = self._members[0].filter.chain
+        ahead = float(chain.level[1]) * (time_s - self._rows[self._done - 1].time)
+        low, high = mixture.low + ahead, mixture.high + ahead
+        reason = ""
+        if min(member.misfit for member in self._members) > MISFIT_LIMIT:
+            reason = NOT_VALID
+        elif high - low > 2.0 * WIDEST_K:
+            reason = f"{NOT_OBSERVABLE}: band wider than {WIDEST_K:g} K to either side"
+        return Estimate(
+            time_s=time_s,
+            state=self._state,
+            core_C=mixture.mean + ahead,
+            core_sd_K=mixture.sd,
+            core_low_C=low,
+            core_high_C=high,
+            valid=not reason,
+            reason=reason,
+            suspected=mixture.names[mixture.leading],
+        )

@@ -30,7 +30,7 @@ _BIG = 1e30
 
 
 class Factors(NamedTuple):
-    """Factor on closed contacts over the time since closing, integrated so that any step's mean is a difference."""
+    """Factor on closed contacts over the time since closing, integrated: a step's mean is a difference."""
 
     edges: Array
     """[s since closing]"""
@@ -572,3 +572,26 @@ def absorb_faces(x, cov, at, chain, read_before, d_before, level, moment, votes,
         squares += min(square, 25.0)
         count += 1.0
     return fit, squares, count
+
+
+@njit(cache=True)
+def take(
+    stack, tangents, d_boundary, state, nonlinear, factors, chain, places, timing, moving,
+    span, outside, x, cov, at, level, moment, votes, errors, units, limit, slow,
+):  # fmt: skip
+    """March over a block of scans and correct by what the faces read: `march`, `drift`, `absorb_faces` in one.
+
+    `slow` are standard deviation and time constant of the faces' slow error. [K, s]
+    """
+    elapsed = span[1] - span[0]
+    read_before, d_before = chain.read.copy(), chain.d_read.copy()
+    places_read = chain.read.shape[0]
+    if elapsed > 0.0:
+        march(
+            stack, tangents, d_boundary, state, nonlinear, factors, chain, places, timing, span, outside, moving
+        )  # fmt: skip
+        keep = math.exp(-elapsed / slow[1])
+        drift(x, cov, x.shape[0] - places_read, keep, slow[0] * slow[0])
+    return absorb_faces(
+        x, cov, at, chain, read_before, d_before, level, moment, votes, elapsed, errors, units, limit
+    )  # fmt: skip

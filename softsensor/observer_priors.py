@@ -80,6 +80,26 @@ SKIN_SD = 300.0
 """Heat capacity on the panel's faces, as paper has. [J/m²K]"""
 LAG_SD, FOOTPRINT_SD = 0.3, 0.05
 TIMING = ("closed_s", "opened_s")
+EVAPORATION = ("moisture_evaporation.moisture_percent", "moisture_evaporation.temperature_C")
+EVAPORATION_CHANCE = 0.03
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What one filter is to be made of. The last priors are those of `TIMING`, where the press has states."""
+
+    priors: tuple[Prior, ...]
+    suspects: tuple[Suspect, ...]
+    chance: float
+    """Of this filter with no suspect at work."""
+    label: str
+    """The cause this filter takes for granted, empty for none."""
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Catalogue names its parameters belong to."""
+        names = (p.name.partition(".") for p in self.priors)
+        return tuple(dict.fromkeys(n for n, dot, _ in names if dot and n != SKIN.partition(".")[0]))
 
 
 def spread_of(value: float, sd: float) -> float:
@@ -127,8 +147,30 @@ def nuisance_priors(press: Press, known: set[str], initial: bool) -> list[Prior]
     for parameter, sd in NUISANCES.items():
         effect = find_effect(parameter.partition(".")[0])
         if effect.name not in known and (press.has_states or effect.name == "resin_cure"):
-            neutral = next(p.neutral for p in effect.parameters if effect.key(p.name) == parameter)
-            priors.append(Prior(parameter, neutral, sd))
+            priors.append(Prior(parameter, _neutral(parameter), sd))
     if "paper_layer" not in known:
         priors.append(Prior(SKIN, 0.0, SKIN_SD))
     return priors
+
+
+def plans_for(press: Press, model: ModelFile | None, closed_sd: float, opened_sd: float) -> list[Plan]:
+    """Return the filters to run side by side: the joint one, and one for evaporation if it is not diagnosed."""
+    own = {name for name, _ in model.effects} if model else set()
+    common = coefficient_priors(press, model) + effect_priors(model)
+    common += nuisance_priors(press, own, initial=True)
+    timing = [Prior("closed_s", 0.0, closed_sd), Prior("opened_s", 0.0, opened_sd)] if press.has_states else []
+    suspects = tuple(s for s in SUSPECTS if press.panel_layers and s.effect not in own)
+    doubted = [Prior(s.parameter, _neutral(s.parameter), s.sd) for s in suspects]
+    wet = bool(press.panel_layers) and "moisture_evaporation" not in own
+    chance = 1.0 - sum(s.chance for s in suspects) - (EVAPORATION_CHANCE if wet else 0.0)
+    plans = [Plan((*common, *doubted, *timing), suspects, chance, "")]
+    if wet:
+        water = [Prior(EVAPORATION[0], 4.0, 2.0), Prior(EVAPORATION[1], 102.0, 3.0)]
+        firm = [Prior(s.parameter, 1.0, s.sd * s.spike) for s in suspects if s.parameter.endswith(".ratio")]
+        plans.append(Plan((*common, *water, *firm, *timing), (), EVAPORATION_CHANCE, "moisture_evaporation"))
+    return plans
+
+
+def _neutral(parameter: str) -> float:
+    effect = find_effect(parameter.partition(".")[0])
+    return next(p.neutral for p in effect.parameters if effect.key(p.name) == parameter)
