@@ -166,11 +166,11 @@ def march(stack, tan, drive, state, places, nonlinear, out, d_out, fields):
     scratch, d_scratch = np.zeros((9, n)), np.zeros((2, p, n))
     busy = np.zeros(n, np.int64)
     steps = drive.h.shape[0]
-    _observe(places, state.t, state.s, out, d_out, 0)
-    keep = fields.shape[0] > 0
-    if keep:
-        fields[0] = state.t
-    step = 0
+    step = np.int64(0)  # a plain 0 would be a type of its own, and all that takes it be compiled twice
+    _observe(places, state.t, state.s, out, d_out, step)
+    if fields.shape[0] > 0:
+        for i in range(n):
+            fields[0, i] = state.t[i]
     while step < steps:
         last = step + 1
         h = drive.h[step]
@@ -383,28 +383,30 @@ def _solve_many(fac, inv, back, x):
 def _conduct(diag, g, t, out):
     """Write K T, without the boundaries' and ambient's own temperatures, into `out` (n)."""
     n = t.shape[0]
-    if n == 1:
-        out[0] = diag[0] * t[0]
-        return
-    out[0] = diag[0] * t[0] - g[1] * t[1]
-    for i in range(1, n - 1):
-        out[i] = diag[i] * t[i] - g[i] * t[i - 1] - g[i + 1] * t[i + 1]
-    out[n - 1] = diag[n - 1] * t[n - 1] - g[n - 1] * t[n - 2]
+    # shifted views instead of i - 1 and i + 1: an index that cannot be negative vectorises
+    upper, below, inner = t[1:], out[1:], g[1:]
+    for i in range(n):
+        out[i] = diag[i] * t[i]
+    for i in range(n - 1):
+        out[i] -= inner[i] * upper[i]
+    for i in range(n - 1):
+        below[i] -= inner[i] * t[i]
 
 
 @njit(cache=True, fastmath=_FAST)
 def _carry(cap, diag, g, hw, s, z, out):
     """Write C s - hw K z, of tangents (P, n), into `out`."""
     p, n = out.shape
+    inner = g[1:]
     for q in range(p):
         sq, zq, oq = s[q], z[q], out[q]
-        if n == 1:
-            oq[0] = cap[0] * sq[0] - hw * diag[0] * zq[0]
-            continue
-        oq[0] = cap[0] * sq[0] - hw * (diag[0] * zq[0] - g[1] * zq[1])
-        for i in range(1, n - 1):
-            oq[i] = cap[i] * sq[i] - hw * (diag[i] * zq[i] - g[i] * zq[i - 1] - g[i + 1] * zq[i + 1])
-        oq[n - 1] = cap[n - 1] * sq[n - 1] - hw * (diag[n - 1] * zq[n - 1] - g[n - 1] * zq[n - 2])
+        upper, below = zq[1:], oq[1:]
+        for i in range(n):
+            oq[i] = cap[i] * sq[i] - hw * diag[i] * zq[i]
+        for i in range(n - 1):
+            oq[i] += hw * inner[i] * upper[i]
+        for i in range(n - 1):
+            below[i] += hw * inner[i] * zq[i]
 
 
 @njit(cache=True, fastmath=_FAST)
@@ -423,19 +425,20 @@ def _disturb(dw, busy, count, move, combo, bounds, share, ambient, out):
             for i in range(n):
                 oq[i] += dcap[i] * move[i] + dloss[i] * (outside - combo[i]) + share * dsrc[i]
                 oq[i] -= dslope[i] * combo[i]
-            for i in range(1, n):
-                oq[i] += dg[i] * (combo[i - 1] - combo[i])
+            upper, below, inner = combo[1:], oq[1:], dg[1:]
             for i in range(n - 1):
-                oq[i] += dg[i + 1] * (combo[i + 1] - combo[i])
+                oq[i] += inner[i] * (upper[i] - combo[i])
+            for i in range(n - 1):
+                below[i] -= inner[i] * (upper[i] - combo[i])
             oq[0] += dg[0] * (bounds[0] - combo[0])
             oq[n - 1] += dg[n] * (bounds[1] - combo[n - 1])
             continue
         for b in range(count):
             i = busy[b]
-            below = bounds[0] if i == 0 else combo[i - 1]
-            above = bounds[1] if i == n - 1 else combo[i + 1]
+            low = bounds[0] if i == 0 else combo[i - 1]
+            high = bounds[1] if i == n - 1 else combo[i + 1]
             oq[i] += dcap[i] * move[i] + dloss[i] * (outside - combo[i]) + share * dsrc[i]
-            oq[i] += dg[i] * (below - combo[i]) + dg[i + 1] * (above - combo[i]) - dslope[i] * combo[i]
+            oq[i] += dg[i] * (low - combo[i]) + dg[i + 1] * (high - combo[i]) - dslope[i] * combo[i]
 
 
 @njit(cache=True, fastmath=_FAST)
@@ -489,14 +492,13 @@ def rest(stack, tan, drive, held, held_t, d_held, state):
     w, dw = np.zeros((ROWS, n + 1)), np.zeros((DROWS, p, n + 1))
     rate, drate = np.zeros((r, 2, n)), np.zeros((r, 2, p, n))
     x, pivot = np.zeros(n), np.zeros(n)
-    state.t[:] = held_t
-    state.s[:] = d_held
+    first = np.int64(0)
+    _copy(held_t, d_held, state.t, state.s)
     low = drive.boundary[0, 0, 0] if stack.measured[0] else stack.flux[0, 2]
     top = drive.boundary[0, 1, 0] if stack.measured[1] else stack.flux[1, 2]
     for _ in range(30):
-        w[STAR, :n] = state.t
-        dw[DSTAR, :, :n] = state.s
-        coefficients(stack, tan, drive, 0, 1.0, state.done, state.s_done, w, dw, rate, drate)
+        _copy(state.t, state.s, w[STAR], dw[DSTAR])
+        coefficients(stack, tan, drive, first, 1.0, state.done, state.s_done, w, dw, rate, drate)
         g, loss, src, diag = w[G], w[LOSS], w[SRC], w[DIAG]
         for i in range(n):
             x[i] = loss[i] * stack.ambient + src[i]
@@ -528,9 +530,19 @@ def rest(stack, tan, drive, held, held_t, d_held, state):
                 state.s[q, i] = x[i]
         if change < 1e-10:
             break
-    state.t_before[:] = state.t
-    state.s_before[:] = state.s
+    _copy(state.t, state.s, state.t_before, state.s_before)
     state.clock[0] = 0.0
+
+
+@njit(cache=True)
+def _copy(t, s, t_out, s_out):
+    """Copy temperatures (n) and their tangents (P, n)."""
+    p, n = s.shape
+    for i in range(n):
+        t_out[i] = t[i]
+    for q in range(p):
+        for i in range(n):
+            s_out[q, i] = s[q, i]
 
 
 @njit(cache=True)

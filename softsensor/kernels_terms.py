@@ -57,7 +57,7 @@ def _rate(kind, a, b, c, t):
         )
     x = (t - b) / c
     soft, step = x, 1.0
-    if x < -30.0:
+    if x < -20.0:
         soft, step = 0.0, 0.0
     elif x < 30.0:
         e = np.exp(x)
@@ -71,6 +71,7 @@ def _rate(kind, a, b, c, t):
 def properties(dx, base, slope, table, table_x, table_y, d_base, d_slope, star, dstar, value, dvalue):
     """Fill a property per cell, base (1 + slope (T - 20)) table(T), and its tangents."""
     p, n = d_base.shape
+    by_base, by_slope, by_star = np.empty(n), np.empty(n), np.empty(n)
     for i in range(n):
         t = star[i] - 20.0
         lift = 1.0 + slope[i] * t
@@ -82,8 +83,11 @@ def properties(dx, base, slope, table, table_x, table_y, d_base, d_slope, star, 
             y, dy = _table(table_x[table[i]], table_y[table[i]], star[i])
             bend = bend * y + base[i] * lift * dy
         value[i] = base[i] * lift * y * dx[i]
-        for q in range(p):
-            dvalue[q, i] = dx[i] * (y * (d_base[q, i] * lift + base[i] * d_slope[q, i] * t) + bend * dstar[q, i])
+        by_base[i], by_slope[i], by_star[i] = dx[i] * lift * y, dx[i] * base[i] * t * y, dx[i] * bend
+    for q in range(p):
+        db, ds, st, out = d_base[q], d_slope[q], dstar[q], dvalue[q]
+        for i in range(n):
+            out[i] = by_base[i] * db[i] + by_slope[i] * ds[i] + by_star[i] * st[i]
 
 
 @njit(cache=True)
@@ -96,12 +100,16 @@ def joints(dx, measured, w, dw):
     g[n] = 0.0
     for j in range(1, n):
         g[j] = 2.0 / (dx[j - 1] / cond[j - 1] + dx[j] / cond[j])
+    below, above = np.empty(n), np.empty(n)
+    for j in range(1, n):
+        below[j - 1] = 0.5 * dx[j - 1] * (g[j] / cond[j - 1]) ** 2
+        above[j - 1] = 0.5 * dx[j] * (g[j] / cond[j]) ** 2
     for q in range(p):
+        lower, upper, inner = dcond[q], dcond[q, 1:], dg[q, 1:]
         dg[q, 0] = 0.0
         dg[q, n] = 0.0
-        for j in range(1, n):
-            low, up = g[j] / cond[j - 1], g[j] / cond[j]
-            dg[q, j] = 0.5 * (low * low * dx[j - 1] * dcond[q, j - 1] + up * up * dx[j] * dcond[q, j])
+        for i in range(n - 1):
+            inner[i] = below[i] * lower[i] + above[i] * upper[i]
     for end in range(2):
         if measured[end]:
             i, j = (0, 0) if end == 0 else (n - 1, n)
@@ -111,34 +119,46 @@ def joints(dx, measured, w, dw):
 
 
 @njit(cache=True)
-def contacts(stack, tan, drive, step, w, dw):
-    """Replace joints that are contacts by coupling and losses to air, with tangents; fill the losses."""
-    n, p = stack.dx.shape[0], dw.shape[1]
+def contacts(
+    dx, interface, contact, d_contact, parts, emissivity, d_emissivity, measured, flux, d_flux,
+    weight, d_weight, factor, d_factor, w, dw,
+):  # fmt: skip
+    """Replace joints that are contacts by coupling and losses to air, with tangents; fill the losses.
+
+    `weight` (3), `d_weight` (3, P), `factor` (m) and `d_factor` (m, P) are those of the step.
+    """
+    n, p = dx.shape[0], dw.shape[1]
     loss, dloss, star, dstar = w[LOSS], dw[DLOSS], w[STAR], dw[DSTAR]
-    loss[:] = 0.0
-    dloss[:] = 0.0
+    for i in range(n):
+        loss[i] = 0.0
+    for q in range(p):
+        for i in range(n):
+            dloss[q, i] = 0.0
     h = np.empty(3)
     dh = np.empty((3, p))
-    radiates = stack.emissivity != 0.0 or tan.emissivity.any()
-    for m in range(stack.interface.shape[0]):
-        j = stack.interface[m]
-        _contact_values(stack.contact[m], tan.contact[m], drive, step, m, h, dh)
-        if j == 0 or j == n:
-            _end(stack, tan, w, dw, j, h, dh)
+    radiates = emissivity != 0.0 or d_emissivity.any()
+    for m in range(interface.shape[0]):
+        j = interface[m]
+        _contact_values(contact, d_contact, weight, d_weight, factor, d_factor, m, h, dh)
+        if j == 0:
+            _end(dx, measured[0], flux[0], d_flux[0], w, dw, j, j, h, dh)
             continue
-        if stack.parts[m] and radiates:
-            share, a, b = drive.weight[step, 1], star[j - 1] + _ZERO_C, star[j] + _ZERO_C
+        if j == n:
+            _end(dx, measured[1], flux[1], d_flux[1], w, dw, j - 1, j, h, dh)
+            continue
+        if parts[m] and radiates:
+            share, a, b = weight[1], star[j - 1] + _ZERO_C, star[j] + _ZERO_C
             shape = _SIGMA * (a * a + b * b) * (a + b)
             d_a, d_b = _SIGMA * (3 * a * a + 2 * a * b + b * b), _SIGMA * (3 * b * b + 2 * a * b + a * a)
-            h[0] += share * stack.emissivity * shape
+            h[0] += share * emissivity * shape
             for q in range(p):
-                dh[0, q] += (share * tan.emissivity[q] + drive.d_weight[step, 1, q] * stack.emissivity) * shape
-                dh[0, q] += share * stack.emissivity * (d_a * dstar[q, j - 1] + d_b * dstar[q, j])
-        _inner(stack.dx, w, dw, j, h, dh)
+                dh[0, q] += (share * d_emissivity[q] + d_weight[1, q] * emissivity) * shape
+                dh[0, q] += share * emissivity * (d_a * dstar[q, j - 1] + d_b * dstar[q, j])
+        _inner(dx, w, dw, j, h, dh)
 
 
 @njit(cache=True)
-def _contact_values(contact, d_contact, drive, step, m, h, dh):
+def _contact_values(contact, d_contact, weight, d_weight, factor, d_factor, m, h, dh):
     """Mix a contact's three values by the step's shares of the states; fill h (3) and dh (3, P)."""
     p = dh.shape[1]
     for v in range(3):
@@ -147,13 +167,14 @@ def _contact_values(contact, d_contact, drive, step, m, h, dh):
             dh[v, q] = 0.0
         for s in range(3):
             closed = s == 2 and v == 0
-            f = drive.factor[step, m] if closed else 1.0
-            share = drive.weight[step, s]
-            h[v] += share * contact[s, v] * f
+            f = factor[m] if closed else 1.0
+            share, value = weight[s], contact[m, s, v]
+            h[v] += share * value * f
             for q in range(p):
-                dh[v, q] += share * f * d_contact[s, v, q] + drive.d_weight[step, s, q] * f * contact[s, v]
-                if closed:
-                    dh[v, q] += share * contact[s, v] * drive.d_factor[step, m, q]
+                dh[v, q] += share * f * d_contact[m, s, v, q] + d_weight[s, q] * f * value
+            if closed:
+                for q in range(p):
+                    dh[v, q] += share * value * d_factor[m, q]
 
 
 @njit(cache=True)
@@ -181,25 +202,23 @@ def _inner(dx, w, dw, j, h, dh):
 
 
 @njit(cache=True)
-def _end(stack, tan, w, dw, j, h, dh):
-    """A boundary with a coefficient and radiation, in series with half a cell.
+def _end(dx, measured, flux, d_flux, w, dw, i, j, h, dh):
+    """A boundary with a coefficient and radiation, in series with half a cell: cell i, interface j.
 
     The face's own temperature x solves g (T - x) + h (T_a - x) + eps sigma (T_a^4 - x^4) + flux = 0.
     """
-    n = stack.dx.shape[0]
-    i, end = (0, 0) if j == 0 else (n - 1, 1)
-    g = 2.0 * w[COND, i] / stack.dx[i]
-    if stack.measured[end]:
+    g = 2.0 * w[COND, i] / dx[i]
+    if measured:
         w[G, j] = h[0] * g / (h[0] + g)
         for q in range(dh.shape[1]):
-            dg = 2.0 * dw[DCOND, q, i] / stack.dx[i]
+            dg = 2.0 * dw[DCOND, q, i] / dx[i]
             dw[DG, q, j] = (g * g * dh[0, q] + h[0] * h[0] * dg) / (h[0] + g) ** 2
         return
-    t, around, sigma = w[STAR, i] + _ZERO_C, stack.flux[end, 2] + _ZERO_C, stack.flux[end, 1] * _SIGMA
+    t, around, sigma = w[STAR, i] + _ZERO_C, flux[2] + _ZERO_C, flux[1] * _SIGMA
     x = t
     if sigma > 0.0:
         for _ in range(30):
-            rest = g * (t - x) + h[0] * (around - x) + sigma * (around**4 - x**4) + stack.flux[end, 0]
+            rest = g * (t - x) + h[0] * (around - x) + sigma * (around**4 - x**4) + flux[0]
             move = rest / (g + h[0] + 4.0 * sigma * x**3)
             x += move
             if abs(move) < 1e-10 * x:
@@ -208,14 +227,14 @@ def _end(stack, tan, w, dw, j, h, dh):
     bend = sigma * (3 * x * x + 2 * x * around + around * around)
     share = g / (a + g)
     w[G, j] = a * share
-    w[SRC, i] += stack.flux[end, 0] * share
+    w[SRC, i] += flux[0] * share
     for q in range(dh.shape[1]):
-        dg = 2.0 * dw[DCOND, q, i] / stack.dx[i]
-        dx = dg * (t - x) + g * dw[DSTAR, q, i] + dh[0, q] * (around - x) + tan.flux[end, q]
-        da = dh[0, q] + bend * dx / (g + h[0] + 4.0 * sigma * x**3)
+        dg = 2.0 * dw[DCOND, q, i] / dx[i]
+        dface = dg * (t - x) + g * dw[DSTAR, q, i] + dh[0, q] * (around - x) + d_flux[q]
+        da = dh[0, q] + bend * dface / (g + h[0] + 4.0 * sigma * x**3)
         dw[DG, q, j] = (g * g * da + a * a * dg) / (a + g) ** 2
         dshare = (dg * a - g * da) / (a + g) ** 2
-        dw[DSRC, q, i] += tan.flux[end, q] * share + stack.flux[end, 0] * dshare
+        dw[DSRC, q, i] += d_flux[q] * share + flux[0] * dshare
 
 
 @njit(cache=True)
@@ -226,9 +245,10 @@ def exchange(dx, ambient, rate, d_rate, w, dw):
         w[SRC, i] = rate[i] * dx[i] * ambient
         w[SLOPE, i] = rate[i] * dx[i]
     for q in range(d_rate.shape[0]):
+        dsrc, dslope, dr = dw[DSRC, q], dw[DSLOPE, q], d_rate[q]
         for i in range(n):
-            dw[DSRC, q, i] = d_rate[q, i] * dx[i] * ambient
-            dw[DSLOPE, q, i] = d_rate[q, i] * dx[i]
+            dsrc[i] = dr[i] * dx[i] * ambient
+            dslope[i] = dr[i] * dx[i]
 
 
 @njit(cache=True)
@@ -239,43 +259,53 @@ def conversion(dx, heat, law, d_heat, d_law, done, d_done, h, w, dw, rate, drate
     a source that grows with temperature is taken at `star` alone.
     """
     n, p = dx.shape[0], dw.shape[1]
-    star, dstar = w[STAR], dw[DSTAR]
+    star, value, slope = w[STAR], rate[RATE], rate[RSLOPE]
+    part = np.zeros((4, n))
+    active = np.zeros(n, np.bool_)
     for i in range(n):
-        q_cell = heat[i] * dx[i]
-        active = q_cell != 0.0
+        active[i] = heat[i] != 0.0
         for q in range(p):
-            active = active or d_heat[q, i] != 0.0
-        rate[RATE, i] = 0.0
-        rate[RSLOPE, i] = 0.0
-        if not active:
-            for q in range(p):
-                drate[RATE, q, i] = 0.0
-                drate[RSLOPE, q, i] = 0.0
+            active[i] = active[i] or d_heat[q, i] != 0.0
+    # value and slope are linear in the tangents of: the fraction left, the rate (through left * kept),
+    # and the rate's slope; both of the last are linear in those of T, a, b, c
+    by_law = np.zeros((6, n))
+    for i in range(n):
+        value[i] = 0.0
+        slope[i] = 0.0
+        if not active[i]:
             continue
         t = star[i]
         first, second = _rate(law[0], law[1], law[2], law[3], t)
+        if first[0] == 0.0:
+            continue
+        gone = -np.expm1(-h * first[0])
         stiff = 0.0 if heat[i] > 0.0 else 1.0
-        left = 1.0 - done[i]
-        kept = np.exp(-h * first[0])
-        share = -np.expm1(-h * first[0]) / h
-        slope = stiff * left * kept * first[1]
-        value = left * share - slope * t
-        rate[RATE, i] = value
-        rate[RSLOPE, i] = slope
-        w[SRC, i] += q_cell * value
-        w[SLOPE, i] -= q_cell * slope
-        for q in range(p):
-            st, da, db, dc = dstar[q, i], d_law[1, q], d_law[2, q], d_law[3, q]
-            dr = first[1] * st + first[2] * da + first[3] * db + first[4] * dc
-            bend = second[0] * st + second[1] * da + second[2] * db + second[3] * dc
-            dl = -d_done[q, i]
-            dslope = stiff * kept * (dl * first[1] + left * (bend - h * first[1] * dr))
-            dvalue = dl * share + left * kept * dr - dslope * t - slope * st
-            drate[RATE, q, i] = dvalue
-            drate[RSLOPE, q, i] = dslope
-            dq = d_heat[q, i] * dx[i]
-            dw[DSRC, q, i] += dq * value + q_cell * dvalue
-            dw[DSLOPE, q, i] -= dq * slope + q_cell * dslope
+        left, kept, share = 1.0 - done[i], 1.0 - gone, gone / h
+        slope[i] = stiff * left * kept * first[1]
+        value[i] = left * share - slope[i] * t
+        w[SRC, i] += heat[i] * dx[i] * value[i]
+        w[SLOPE, i] -= heat[i] * dx[i] * slope[i]
+        part[0, i] = -stiff * kept * first[1]
+        part[1, i] = stiff * left * kept * (second[0] - h * first[1] * first[1])
+        part[2, i] = -share
+        part[3, i] = left * kept * first[1] - slope[i]
+        for a in range(3):
+            by_law[a, i] = left * kept * first[2 + a]
+            by_law[3 + a, i] = stiff * left * kept * (second[1 + a] - h * first[1] * first[2 + a])
+    by_done, by_star, of_done, of_star = part[0], part[1], part[2], part[3]
+    for q in range(p):
+        st, dz, dh = dw[DSTAR, q], d_done[q], d_heat[q]
+        dvalue, dslope, dsrc, dk = drate[RATE, q], drate[RSLOPE, q], dw[DSRC, q], dw[DSLOPE, q]
+        da, db, dc = d_law[1, q], d_law[2, q], d_law[3, q]
+        for i in range(n):
+            ds = by_done[i] * dz[i] + by_star[i] * st[i]
+            dv = of_done[i] * dz[i] + of_star[i] * st[i]
+            ds += by_law[3, i] * da + by_law[4, i] * db + by_law[5, i] * dc
+            dv += by_law[0, i] * da + by_law[1, i] * db + by_law[2, i] * dc - ds * star[i]
+            dslope[i] = ds
+            dvalue[i] = dv
+            dsrc[i] += dx[i] * (dh[i] * value[i] + heat[i] * dv)
+            dk[i] -= dx[i] * (dh[i] * slope[i] + heat[i] * ds)
 
 
 @njit(cache=True)
@@ -309,20 +339,21 @@ def steam(dx, wet, factor, d_factor, w, dw):
                 else:
                     dcold -= dstar[q, i] * dx[i]
         dratio = (dhot - ratio * dcold) / cold
+        df, st, dsrc = d_factor[q], dstar[q], dw[DSRC, q]
         for i in range(n):
             if wet[i]:
                 over = star[i] - 100.0
                 share, dshare = (1.0, 0.0) if over > 0.0 else (ratio, dratio)
-                dw[DSRC, q, i] -= dx[i] * (
-                    d_factor[q] * over * share + factor * (dstar[q, i] * share + over * dshare)
-                )
+                dsrc[i] -= dx[i] * (df * over * share + factor * (st[i] * share + over * dshare))
 
 
 @njit(cache=True)
 def coefficients(stack, tan, drive, step, h, done, d_done, w, dw, rate, drate):
     """Fill all coefficients of a step of length h, from the expected temperatures in `w` and `dw`."""
     n, p = stack.dx.shape[0], dw.shape[1]
-    unit = np.ones(n)
+    unit = np.empty(n)
+    for i in range(n):
+        unit[i] = 1.0
     properties(
         unit, stack.k, stack.k_slope, stack.k_table, stack.table_x, stack.table_y, tan.k, tan.k_slope,
         w[STAR], dw[DSTAR], w[COND], dw[DCOND],
@@ -333,7 +364,11 @@ def coefficients(stack, tan, drive, step, h, done, d_done, w, dw, rate, drate):
     )  # fmt: skip
     exchange(stack.dx, stack.ambient, stack.exchange, tan.exchange, w, dw)
     joints(stack.dx, stack.measured, w, dw)
-    contacts(stack, tan, drive, step, w, dw)
+    contacts(
+        stack.dx, stack.interface, stack.contact, tan.contact, stack.parts, stack.emissivity, tan.emissivity,
+        stack.measured, stack.flux, tan.flux,
+        drive.weight[step], drive.d_weight[step], drive.factor[step], drive.d_factor[step], w, dw,
+    )  # fmt: skip
     for r in range(stack.heat.shape[0]):
         conversion(
             stack.dx, stack.heat[r], stack.law[r], tan.heat[r], tan.law[r], done[r], d_done[r], h, w, dw,
