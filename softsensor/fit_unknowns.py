@@ -59,12 +59,13 @@ def chain_priors(case: Case, signals: Signals) -> list[Unknown]:
     if press.has_states:
         first, last = float(case.run.time_s[0]), float(case.run.time_s[-1])
         sd = min(0.1 + 0.4 * period, 1.0)
+        late = -0.5 * period if moments.source == "limit switch" else 0.0
         if first < moments.closed_s < last:
-            unknowns.append(nuisance("closed_s", sd, 4 * sd))
+            unknowns.append(nuisance("closed_s", sd, 4 * sd, late))
             ramp = moments.ramp_s
             unknowns.append(nuisance("ramp_s", RAMP_S[1], RAMP_S[2] - RAMP_S[0], RAMP_S[0] - ramp, 0.1 - ramp))
         if first < moments.opened_s < last:
-            unknowns.append(nuisance("opened_s", sd, 4 * sd))
+            unknowns.append(nuisance("opened_s", sd, 4 * sd, late))
     if press.panel_layers or press.initial.kind != "steady":
         unknowns.append(nuisance("initial_K", START_K, 10 * START_K))
     for end, boundary in (("bottom", press.boundary.bottom), ("top", press.boundary.top)):

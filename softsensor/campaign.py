@@ -1,0 +1,230 @@
+"""Coefficients of a campaign: mean and spread over its runs, jointly estimated, and what they depend on.
+
+Two answers stand side by side. The paper's: mean, standard deviation and 95 % interval of the mean over the runs
+in which a coefficient is identifiable (Student's t, and a bootstrap over runs). And the joint one: every
+run's coefficients are drawn from one log-normal population whose median and spread are estimated together
+with them, so that a run which hardly shows a coefficient borrows it from the others. The joint one is what a
+model file holds.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.stats import t as student
+
+from daq.press_events import find_moments
+from daq.pressfile import Press
+from daq.records import Array, InputError, Moments, Run
+from softsensor.campaign_joint import Population, information, population
+from softsensor.dependence import Dependence, fit_dependence
+from softsensor.fit import RunFit, fit_run, number
+from softsensor.model import ThermalModel
+from softsensor.modelfile import Estimate, ModelFile
+
+BOOTSTRAPS = 4000
+PROCESSES_FROM = 40
+"""Runs from which worker processes pay for their start; below that, threads (the kernels run without the GIL)."""
+
+
+@dataclass(frozen=True)
+class CampaignCoefficient:
+    """One coefficient over a campaign."""
+
+    mean: float
+    """Over the runs in which it is identifiable; the population's median where there are none."""
+    sd: float
+    """From run to run, estimation error included; NaN below two runs."""
+    ci95: tuple[float, float]
+    """Of the mean, by Student's t."""
+    bootstrap95: tuple[float, float]
+    """Of the mean, by a bootstrap over runs."""
+    runs: int
+    """In which it is identifiable."""
+    median: float
+    """Of the population the runs are drawn from, estimated jointly."""
+    median_ci95: tuple[float, float]
+    spread: float
+    """Of the logarithm from run to run, estimation error taken out."""
+
+
+@dataclass(frozen=True)
+class CampaignFit:
+    """What a campaign says about a press."""
+
+    press: Press
+    model: ThermalModel
+    runs: tuple[RunFit, ...]
+    coefficients: Mapping[str, CampaignCoefficient]
+    population: Population
+    borrowed: Mapping[str, Mapping[str, Estimate]]
+    """By run and coefficient: the run's value with what it borrows from the others."""
+    dependence: Dependence | None
+    """On platen temperature, pressure and press time, where they vary."""
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the content of ``fit --json``."""
+        campaign = {
+            name: {
+                "mean": number(c.mean),
+                "sd": number(c.sd),
+                "ci95": [number(v) for v in c.ci95],
+                "bootstrap95": [number(v) for v in c.bootstrap95],
+                "runs": c.runs,
+                "median": number(c.median),
+                "median_ci95": [number(v) for v in c.median_ci95],
+                "spread": number(c.spread),
+            }
+            for name, c in self.coefficients.items()
+        }
+        runs = [f.as_json() for f in self.runs]
+        for entry in runs:
+            own = self.borrowed.get(entry["run"], {})
+            for name, table in entry["coefficients"].items():
+                if name in own:
+                    table["joint"] = {"value": own[name].value, "sd": own[name].sd}
+        depends = None if self.dependence is None else self.dependence.as_json()
+        return {"runs": runs, "campaign": campaign, "dependence": depends}
+
+    def model_file(self, version: str = "fit") -> ModelFile:
+        """Return the model file of a typical run: medians, and what a run may differ by."""
+        p = self.population
+        total = p.mean_covariance + np.diag(p.spread**2)
+        table: dict[str, Estimate] = {}
+        for i, name in enumerate(p.names):
+            median = float(np.exp(p.mean[i]))
+            table[name] = Estimate(median, median * float(np.sqrt(total[i, i])))
+        for name in self.press.coefficient_names:
+            if name not in table:
+                table[name] = Estimate(self.press.coefficient(name).guess, 0.0)
+        ordered = {n: table[n] for n in self.press.coefficient_names}
+        return ModelFile(version, self.press.name, ordered, (), p.names, total)
+
+
+def moments_of(run: Run, press: Press) -> Moments:
+    """Return a run's moments; raise InputError where a press with states shows none."""
+    if not press.has_states:
+        return Moments(inserted_s=float(run.time_s[0]))
+    moments = find_moments(run, press)
+    if moments.source == "unknown":
+        raise InputError(
+            f"{run.source or run.name}: press state unknown: no panel column and no column 'closed'; "
+            "add one of them, or fit a press file without open contacts"
+        )
+    return moments
+
+
+def fit_runs(
+    model: ThermalModel,
+    runs: Sequence[Run],
+    *,
+    workers: int | None = None,
+    progress: Callable[[str], None] | None = None,
+    **options: Any,
+) -> list[RunFit]:
+    """Fit every run on all cores, in order; `options` are those of `fit_run`."""
+    workers = max(1, min(workers or os.cpu_count() or 1, len(runs)))
+    tasks = [_Task(model, run, options) for run in runs]
+    if workers == 1:
+        return _collect(map(_fit, tasks), progress)
+    if len(runs) < PROCESSES_FROM:
+        with ThreadPoolExecutor(workers) as threads:
+            return _collect(threads.map(_fit, tasks), progress)
+    with ProcessPoolExecutor(workers) as processes:
+        return _collect(processes.map(_fit, tasks, chunksize=4), progress)
+
+
+@dataclass(frozen=True)
+class _Task:
+    model: ThermalModel
+    run: Run
+    options: Mapping[str, Any]
+
+
+def _fit(task: _Task) -> RunFit:
+    return fit_run(task.model, task.run, moments_of(task.run, task.model.press), **task.options)
+
+
+def _collect(fits: Iterable[RunFit], progress: Callable[[str], None] | None) -> list[RunFit]:
+    done = []
+    for fitted in fits:
+        done.append(fitted)
+        if progress is not None:
+            progress(fitted.run)
+    return done
+
+
+def fit_campaign(
+    press: Press,
+    runs: Sequence[Run],
+    *,
+    model: ThermalModel | None = None,
+    workers: int | None = None,
+    progress: Callable[[str], None] | None = None,
+    **options: Any,
+) -> CampaignFit:
+    """Fit a campaign: every run, then the population they are drawn from.
+
+    Parameters
+    ----------
+    model
+        By default the plain model of the press.
+    progress
+        Called with a run's name when it is done.
+    options
+        Of `fit_run`, such as ``start`` with the values of a model's effects.
+    """
+    if not runs:
+        raise InputError("no run given; name at least one run file")
+    model = model or ThermalModel(press)
+    return summarise(press, model, fit_runs(model, runs, workers=workers, progress=progress, **options))
+
+
+def summarise(press: Press, model: ThermalModel, fits: Sequence[RunFit]) -> CampaignFit:
+    """Put fitted runs together to a campaign."""
+    names = tuple(n for n in press.coefficient_names if not press.coefficient(n).fixed)
+    knowledge = [information(f, names) for f in fits]
+    people = population(names, knowledge)
+    coefficients = {n: _summary(n, i, fits, people) for i, n in enumerate(names)}
+    borrowed = {}
+    for f, (mean, covariance) in zip(fits, people.members, strict=True):
+        sd = np.sqrt(np.diag(covariance))
+        values = np.exp(mean)
+        borrowed[f.run] = {n: Estimate(float(values[i]), float(values[i] * sd[i])) for i, n in enumerate(names)}
+    dependence = fit_dependence(names, [f.problem.case.run for f in fits], fits, knowledge)
+    return CampaignFit(press, model, tuple(fits), coefficients, people, borrowed, dependence)
+
+
+def _summary(name: str, i: int, fits: Sequence[RunFit], people: Population) -> CampaignCoefficient:
+    values = np.array([f.coefficients[name].value for f in fits if f.coefficients[name].identifiable])
+    n = len(values)
+    median = float(np.exp(people.mean[i]))
+    error = float(np.sqrt(people.mean_covariance[i, i]))
+    reach = float(student.ppf(0.975, max(len(fits) - 1, 1)))
+    interval = (
+        median * float(np.exp(-min(reach * error, 50.0))),
+        median * float(np.exp(min(reach * error, 50.0))),
+    )
+    if n >= 2:
+        mean, sd = float(values.mean()), float(values.std(ddof=1))
+        half = float(student.ppf(0.975, n - 1)) * sd / np.sqrt(n)
+        ci, bootstrap = (mean - half, mean + half), _bootstrap(values)
+    else:
+        mean, sd = (float(values[0]) if n else median), float("nan")
+        single = next((f.coefficients[name].ci95 for f in fits if f.coefficients[name].identifiable), interval)
+        ci = bootstrap = single
+    spread = float(people.spread[i])
+    return CampaignCoefficient(mean, sd, ci, bootstrap, n, median, interval, spread)
+
+
+def _bootstrap(values: Array) -> tuple[float, float]:
+    """Percentile interval of the mean over resampled runs; the same runs give the same interval."""
+    rng = np.random.default_rng(20261121)
+    means = values[rng.integers(0, len(values), (BOOTSTRAPS, len(values)))].mean(axis=1)
+    low, high = np.percentile(means, [2.5, 97.5])
+    return float(low), float(high)
