@@ -16,6 +16,7 @@ import typer
 from api.commands import analysis, files, services
 from api.commands.calibrating import calibrate
 from api.commands.demo import demo
+from api.commands.fitting import fit
 from api.commands.probing import probe
 from api.outputs import WorkFailed
 from daq.records import InputError
@@ -31,6 +32,7 @@ app = typer.Typer(
 app.command("demo")(demo)
 app.command("record")(services.record)
 app.command("serve")(services.serve)
+app.command("fit")(fit)
 app.command("simulate")(analysis.simulate)
 app.command("predict")(analysis.predict)
 app.command("import")(files.import_runs)

@@ -32,6 +32,8 @@ from daq.store.store import Store, open_store
 SERVICES = ("record", "sense")
 START_S = 120.0
 """Longest wait for a process to come up. [s]"""
+PATIENCE_S = 15.0
+"""Longest wait for a process to end by itself. [s]"""
 FIT_S = 90.0
 """Longest wait for the fit of a finished pressing. [s]"""
 SCANS_PER_S = 40.0
@@ -83,15 +85,14 @@ class Children:
         return next((line for line in reversed(lines) if line.strip()), "no message")
 
     def stop(self) -> None:
-        """Ask the processes to end, newest first, and end those that do not."""
+        """End the processes one after the other, newest first, by force where asking does not help."""
         for child in reversed(self.running.values()):
             if child.stdin is not None:
                 child.stdin.close()
             elif child.poll() is None:
                 child.terminate()
-        for child in reversed(self.running.values()):
             try:
-                child.wait(15)
+                child.wait(PATIENCE_S)
             except subprocess.TimeoutExpired:
                 child.kill()
                 child.wait()
@@ -217,7 +218,7 @@ class _Demo:
             return
         self._noted.add(record.run)
         cycle = self._cycle(record, 0.0)
-        known = {key: value for key, value in cycle.header.items() if key != "run"}
+        known = {k: v for k, v in cycle.header.items() if k != "run" and record.header.get(k) != v}
         self.store.annotate_run(record.run, known, "operator")
 
     def _finished(self, record: RunRecord) -> bool:

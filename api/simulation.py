@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.press_events import find_moments
 from daq.pressfile import Press
 from daq.records import Array, PressState, Run
+from softsensor.campaign import moments_of
 from softsensor.model import ThermalModel, states
 
 PROFILE_ROWS = 160
@@ -39,7 +39,7 @@ class Simulated:
 
 def simulate_run(run: Run, press: Press, model: ThermalModel, values: Mapping[str, float]) -> Simulated:
     """Solve the model over a run, open loop. Raises `InputError`."""
-    case = model.prepare(run, find_moments(run, press))
+    case = model.prepare(run, moments_of(run, press))
     solution = model.solve(case, values, fields=True)
     places = {label: solution.places[:, i] for i, label in enumerate(case.labels[:-1])}
     measured = {label: _measured(run, case.place_of, i) for i, label in enumerate(places)}

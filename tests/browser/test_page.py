@@ -1,0 +1,101 @@
+import re
+
+from playwright.sync_api import Page, expect
+
+CLOSED = re.compile("closed")
+
+
+def wait_for_fitted_run(page: Page) -> None:
+    """Wait until the first pressing is recorded and fitted."""
+    page.wait_for_function(
+        "fetch('api/v1/coefficients').then(r => r.json()).then(d => d.items.length > 0)",
+        polling=300,
+        timeout=120_000,
+    )
+
+
+def test_a_live_pressing_is_followed_from_closing_to_its_stored_run(open_page):
+    page = open_page("#/now")
+    expect(page.locator("#link")).to_have_text("live")
+    expect(page.get_by_test_id("state")).to_have_text("closed", timeout=60_000)
+    expect(page.get_by_test_id("core")).to_have_text(re.compile(r"\d+\.\d"))
+    expect(page.get_by_test_id("band")).to_contain_text("95 % band")
+    assert page.get_by_test_id("channels").locator(".channel").count() == 16
+    assert page.locator(".chart canvas").count() >= 1
+    wait_for_fitted_run(page)
+    page.get_by_role("link", name="Runs").click()
+    page.locator("table a").last.click()
+    expect(page.get_by_role("heading", name="Measured against simulated")).to_be_visible()
+    expect(page.get_by_test_id("simulation")).to_contain_text("RMSE")
+    assert page.locator(".chart canvas").count() >= 3
+    for kind in ("CSV", "Parquet"):
+        with page.expect_download() as download:
+            page.get_by_role("link", name=kind, exact=True).click()
+        assert download.value.path().stat().st_size > 1000
+
+
+def test_coefficients_have_one_card_each_with_their_history(open_page):
+    page = open_page("#/coefficients")
+    wait_for_fitted_run(page)
+    page.reload()
+    for name in ("h_p_o", "h_p_c", "h_pp_o", "h_pp_c", "h_wa", "h_ap"):
+        expect(page.get_by_role("heading", name=re.compile(rf"^{name} "))).to_be_visible()
+
+
+def test_loggers_show_sixteen_good_channels_and_both_processes(open_page):
+    page = open_page("#/loggers")
+    expect(
+        page.locator("tbody tr", has_text="labjack").or_(page.locator("tbody tr", has_text="top_7"))
+    ).to_have_count(1)
+    expect(page.locator(".pill.good", has_text="good")).to_have_count(16)
+    for name in ("record", "sense"):
+        expect(page.locator("tbody tr", has_text=name).first).to_contain_text("running")
+
+
+def test_what_the_simulation_gets_wrong_says_that_there_is_no_diagnosis_yet(open_page):
+    page = open_page("#/diagnosis")
+    expect(page.locator("main")).to_contain_text("No diagnosis yet")
+
+
+def test_the_page_speaks_german_and_goes_dark(open_page):
+    page = open_page("#/now", locale="de-DE", color_scheme="dark")
+    expect(page.locator("h1")).to_have_text("Kerntemperatur")
+    assert page.locator("html").get_attribute("data-theme") == "dark"
+    page.get_by_role("button", name="English").click()
+    expect(page.locator("h1")).to_have_text("Core temperature")
+
+
+def test_a_narrow_screen_scrolls_down_only(open_page):
+    page = open_page("#/now", viewport={"width": 375, "height": 780})
+    expect(page.get_by_test_id("core")).to_be_visible()
+    for view in ("now", "runs", "coefficients", "diagnosis", "loggers"):
+        page.goto(page.url.split("#")[0] + f"#/{view}")
+        expect(page.locator("main .card").first).to_be_visible()
+        assert page.evaluate("document.documentElement.scrollWidth") <= 375, view
+
+
+def test_every_view_is_reached_by_the_keyboard(open_page):
+    page = open_page("#/now")
+    expect(page.locator("#link")).to_have_text("live")
+    reached = []
+    for _ in range(12):
+        page.keyboard.press("Tab")
+        reached.append(page.evaluate("document.activeElement.textContent.trim()"))
+    for name in (
+        "Skip to content",
+        "Press now",
+        "Runs",
+        "Coefficients",
+        "What the simulation gets wrong",
+        "Loggers",
+    ):
+        assert name in reached
+    assert page.evaluate("[...document.querySelectorAll('[role=img]')].every(e => e.getAttribute('aria-label'))")
+
+
+def test_the_api_page_describes_every_route_and_tries_one(open_page):
+    page = open_page("docs")
+    entry = page.locator("details", has_text="GET /api/v1/health").first
+    entry.locator("summary").click()
+    entry.get_by_role("button", name="Try").click()
+    expect(entry.locator("pre")).to_contain_text('"processes"')
