@@ -138,8 +138,8 @@ def _regress(x: Array, y: Array, precision: Array) -> tuple[Array, Array, float]
     covariance: Array = np.eye(x.shape[1])
     for _ in range(50):
         weight = 1.0 / (variance + spread2)
-        covariance = np.linalg.inv((x * weight[:, None]).T @ x + prior)
-        beta = covariance @ (x * weight[:, None]).T @ y
+        covariance = np.asarray(np.linalg.inv((x * weight[:, None]).T @ x + prior))
+        beta = np.asarray(covariance @ (x * weight[:, None]).T @ y)
         residual = y - x @ beta
         leverage = np.einsum("ij,jk,ik->i", x, covariance, x)
         share = spread2 / (variance + spread2)
