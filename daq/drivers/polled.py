@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import math
 import time
+from collections import deque
 from collections.abc import Callable
 from typing import Protocol
 
@@ -17,6 +17,10 @@ _FIRST_REST_S = 0.25
 _LONGEST_REST_S = 1.5
 """A silent module costs its bus a timeout and a drain each time: ask it rarely, yet find it again
 within 5 s."""
+
+_STANDSTILLS_KEPT = 100
+_LONGEST_STANDSTILL = 10
+"""Times the profile's limit: beyond this nothing is natural."""
 
 Correct = Callable[[int, float], float]
 """Calibration: input and reading in, true temperature out."""
@@ -35,6 +39,30 @@ class Device(Protocol):
         """Fetch all inputs once."""
 
 
+class Standstill:
+    """Notices that a converter has stopped: all its values stand still longer than they ever do.
+
+    Coarse values in a calm room stand still by nature, so the standstills of late count, thrice,
+    where they are longer than the profile's limit.
+    """
+
+    def __init__(self, stale_after_s: float) -> None:
+        self._stale_after_s = stale_after_s
+        self._natural_s: deque[float] = deque(maxlen=_STANDSTILLS_KEPT)
+        self._values: tuple[float, ...] = ()
+        self._moved_s = 0.0
+
+    def too_long(self, values: tuple[float, ...], now_s: float) -> bool:
+        """Whether `values` have been the same for too long; empty values never have."""
+        if values != self._values:
+            if self._values:
+                self._natural_s.append(now_s - self._moved_s)
+            self._values, self._moved_s = values, now_s
+        natural_s = 3 * max(self._natural_s, default=0.0)
+        limit_s = min(max(self._stale_after_s, natural_s), _LONGEST_STANDSTILL * self._stale_after_s)
+        return bool(values) and now_s - self._moved_s > limit_s
+
+
 class PolledLogger:
     """A DataLogger: asks its device, and gives a silent device rest."""
 
@@ -51,15 +79,13 @@ class PolledLogger:
         self._device = device
         self._used = tuple(k for k, name in enumerate(names) if name)
         self._channels = tuple(Channel(name) for name in names if name)
-        self._stale_after_s = stale_after_s
+        self._standstill = Standstill(stale_after_s)
         self._correct = correct
         self._simulated = simulated
         self._release: Callable[[Bus], None] | None = release
         self._ready_for = 0
         self._failures = 0
         self._rest_until = 0.0
-        self._last_values: tuple[float, ...] = ()
-        self._moved_s = -math.inf
 
     @property
     def channels(self) -> tuple[Channel, ...]:
@@ -108,7 +134,8 @@ class PolledLogger:
             self._rest_until = time.monotonic() + min(_FIRST_REST_S * 2**doublings, _LONGEST_REST_S)
 
     def _reading(self, sample: Sample) -> Reading:
-        frozen = self._frozen(sample)
+        measured = [v for v, q in zip(sample.values, sample.qualities, strict=True) if q is Quality.GOOD]
+        frozen = self._standstill.too_long(tuple(measured), sample.received_s)
         values, qualities = [], []
         for k in self._used:
             value, quality = sample.values[k], sample.qualities[k]
@@ -118,11 +145,3 @@ class PolledLogger:
             values.append(value)
             qualities.append(quality)
         return Reading(sample.requested_s, sample.received_s, tuple(values), tuple(qualities))
-
-    def _frozen(self, sample: Sample) -> bool:
-        """Whether every measured input has stood still too long."""
-        measured = tuple(v for v, q in zip(sample.values, sample.qualities, strict=True) if q is Quality.GOOD)
-        if measured != self._last_values:
-            self._last_values = measured
-            self._moved_s = sample.received_s
-        return bool(measured) and sample.received_s - self._moved_s > self._stale_after_s

@@ -17,7 +17,7 @@ from daq.simulated.devices import KINDS, kind_of, simulated, wiring
 from daq.simulated.devices_converter import Switches
 from daq.simulated.devices_line import Server
 
-QUICK = {"timeout_s": 0.3, "drain_s": 0.05}
+QUICK = {"timeout_s": 0.5, "drain_s": 0.05}
 QUICK_SETUP = {"timing": {"setup_s": 0.002}}
 BACK_WITHIN_S = 5.0
 PROFILES = profile_names()

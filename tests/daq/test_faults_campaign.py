@@ -22,9 +22,10 @@ from daq.simulated.devices_line import serve_serial, serve_tcp
 from daq.simulated.proxy import Fault, FaultProxy
 
 BASE_C, CHANNEL_K, PERIOD_S, SWING_K = 20.0, 12.0, 10.0, 10.0
-TIMEOUT_S, DRAIN_S = 0.08, 0.10
-LATE_S = (1.05 * TIMEOUT_S, TIMEOUT_S + 0.6 * DRAIN_S)
-CLOCK_SLACK_S = 0.03
+TIMEOUT_S, DRAIN_S = 0.08, 0.15
+LATE_S = (1.05 * TIMEOUT_S, TIMEOUT_S + 0.5 * DRAIN_S)
+CLOCK_SLACK_S = 0.05
+SOUND_TIMEOUT_S = 1.0
 KNOWN_CAUSES = {
     "silent",
     "busy",
@@ -170,7 +171,8 @@ def settings_of(line, wired, wire, **changes):
     names = tuple(f"c{wired.first + k}" for k in range(kind_of(wired.profile).inputs))
     table = wiring(wired.profile, wire, wired.profile, names, address=wired.address)
     override = table.get("override", {}) | {"timing": {"setup_s": 0.001, "response_s": 0.5, "refresh_s": 1.0}}
-    table |= {"timeout_s": line.timeout_s, "drain_s": line.drain_s, "override": override}
+    timeout_s = line.timeout_s if wired.spoiled else SOUND_TIMEOUT_S
+    table |= {"timeout_s": timeout_s, "drain_s": line.drain_s, "override": override}
     if line.transport:
         table["transport"] = line.transport
     return LoggerSettings(**table | changes)
@@ -243,7 +245,7 @@ def judge(tallies, faults, faulted):
     assert set().union(*(t.losses for t in tallies.values())) <= KNOWN_CAUSES
     assert not tallies["Modbus TCP, sound", "exemys-rme1-tc"].losses
     neighbour = tallies["RTU, sound neighbour", "m-7018"]
-    assert neighbour.good >= 0.95 * neighbour.attempts
+    assert neighbour.good >= 0.99 * neighbour.attempts
 
 
 def test_no_spoiled_reply_puts_a_value_on_another_channel(tmp_path):

@@ -26,15 +26,17 @@ def warm(now_s):
 
 
 @contextlib.contextmanager
-def wired(profile, directory, **options):
-    """A sound wire, as long as nobody touches it."""
+def wired(profile, directory, *, fault=Fault.NONE, settings=None, **options):
+    """A wire whose every reply suffers one fault, none unless asked for."""
     serial = profile == "adam-4118"
     with simulated(profile, warm, refresh_s=0) as upstream:
         spoiler = rtu_spoiler() if serial else tcp_spoiler()
         link = directory / "port" if serial else None
-        sound = {"plan": lambda *_: Fault.NONE, "seed": 0, "late_s": (0.3, 0.4), "port_link": link}
+        sound = {"plan": lambda *_: fault, "seed": 0, "late_s": (0.3, 0.4), "port_link": link}
         with FaultProxy(upstream, spoiler, **sound, **options) as wire:
-            logger = open_logger(LoggerSettings(**wiring(profile, wire, profile, EIGHT) | QUICK))
+            logger = open_logger(
+                LoggerSettings(**wiring(profile, wire, profile, EIGHT) | QUICK | (settings or {}))
+            )
             try:
                 yield wire, logger
             finally:
@@ -203,3 +205,11 @@ def test_a_port_another_program_holds_is_a_gap_that_says_so():
             assert caught.value.cause == "port lost"
         assert until_good(logger)[1] <= BACK_WITHIN_S
         logger.close()
+
+
+def test_a_converter_that_echoes_what_is_sent_is_read_where_the_settings_say_so(tmp_path):
+    with wired("adam-4118", tmp_path, fault=Fault.ECHOED, settings={"local_echo": True}) as (_, logger):
+        assert logger.read().values == pytest.approx(warm(0), abs=0.06)
+    with wired("adam-4118", tmp_path, fault=Fault.ECHOED) as (_, logger), pytest.raises(ReadFailure) as caught:
+        logger.read()
+    assert caught.value.cause in ("wrong shape", "surplus", "truncated")
