@@ -14,6 +14,8 @@ from typing import Any, Protocol
 
 import serial
 
+from daq.records import InputError
+
 CONNECT_TIMEOUT_S = 1.5
 """Longest wait for a TCP connection: short enough that rest + connect + set-up stay below 5 s."""
 _SERIAL_POLL_S = 0.02
@@ -50,9 +52,6 @@ class SerialPlace:
 
     def open(self) -> Link:
         """Open the port for us alone."""
-        if self.port.startswith("socket://"):
-            host, _, number = self.port.removeprefix("socket://").rpartition(":")
-            return SocketPlace(host, int(number)).open()
         try:
             return _SerialLink(self)
         except (OSError, ValueError) as error:
@@ -66,7 +65,7 @@ class SerialPlace:
     @property
     def is_socket(self) -> bool:
         """Whether reconnecting is cheap and clears what was in flight."""
-        return self.port.startswith("socket://")
+        return False
 
     def __str__(self) -> str:
         return self.port
@@ -101,6 +100,20 @@ class SocketPlace:
 
 
 Place = SerialPlace | SocketPlace
+
+
+def socket_of(port: str) -> SocketPlace | None:
+    """Return the socket a port written as ``socket://host:port`` means; None for a real port.
+
+    >>> socket_of("socket://gateway:4001"), socket_of("COM5")
+    (SocketPlace(host='gateway', tcp_port=4001), None)
+    """
+    if not port.startswith("socket://"):
+        return None
+    host, _, number = port.removeprefix("socket://").rpartition(":")
+    if not host or not number.isdigit():
+        raise InputError(f"port {port!r}: write socket://host:port, such as socket://192.168.0.50:4001")
+    return SocketPlace(host, int(number))
 
 
 class _SocketLink:

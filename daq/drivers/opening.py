@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 from daq.drivers.bus import Bus, Patience, release_bus, share_bus
 from daq.drivers.calibration import corrector, read_calibrations
 from daq.drivers.dcon import DconDevice
-from daq.drivers.link import Place, SerialPlace, SocketPlace
+from daq.drivers.link import Place, SerialPlace, SocketPlace, socket_of
 from daq.drivers.modbus_device import ModbusDevice
 from daq.drivers.polled import Device, PolledLogger
 from daq.drivers.profile import Profile, profile_for
@@ -45,6 +45,8 @@ def place_of(settings: LoggerSettings, profile: Profile) -> Place:
     """Return where the device is found."""
     if settings.host is not None:
         return SocketPlace(settings.host, settings.tcp_port or profile.tcp_port)
+    if settings.port is not None and (place := socket_of(settings.port)):
+        return place
     line = profile.serial
     baud = settings.baud or (line.baud if line else None)
     if settings.port is None or baud is None:

@@ -15,7 +15,7 @@ from pydantic import ValidationError
 from daq.drivers import modbus
 from daq.drivers.bus import Bus, Patience
 from daq.drivers.decode import raw_values
-from daq.drivers.link import Place, SerialPlace, SocketPlace
+from daq.drivers.link import Place, SerialPlace, SocketPlace, socket_of
 from daq.drivers.opening import open_logger
 from daq.drivers.profile import REGISTERS, Field16, Profile, Scaling, check_profile, profile_names, profile_table
 from daq.drivers.protocol import NoReply, ReadFailure
@@ -168,6 +168,8 @@ def _place(wire: Mapping[str, Any]) -> Place:
         return SocketPlace(str(wire["host"]), int(wire.get("tcp_port") or 502))
     if not wire.get("port"):
         raise InputError("probe: give --port or --host")
+    if socket := socket_of(str(wire["port"])):
+        return socket
     return SerialPlace(
         str(wire["port"]),
         int(wire.get("baud") or 9600),

@@ -304,7 +304,8 @@ def profile_for(settings: LoggerSettings) -> Profile:
         known = ", ".join(profile.scalings) or "none; give override.scalings"
         said = f"scaling {chosen!r} is unknown" if chosen else "scaling is not established for this device"
         raise InputError(f"{where}: {said}; choose scaling = one of: {known}")
-    if settings.port and not (settings.baud or profile.serial):
+    wired = settings.port is not None and not settings.port.startswith("socket://")
+    if wired and not (settings.baud or profile.serial):
         raise InputError(f"{where}: baud is not established for this device; give baud")
     needs_address = profile.protocol in ("modbus", "dcon")
     if needs_address and settings.address is None and profile.address is None:

@@ -89,7 +89,9 @@ Send = Callable[[bytes], None]
 def serve_serial(*stations: Station) -> Server:
     """Put devices on one serial line: a pseudo-terminal, or a socket on Windows."""
     if not HAS_PSEUDO_TERMINALS:
-        return serve_tcp(*stations)
+        server = serve_tcp(*stations)
+        server.place = {"port": server.port}
+        return server
     master, slave = pty.openpty()
     tty.setraw(slave)
     server = Server({"port": os.ttyname(slave)})

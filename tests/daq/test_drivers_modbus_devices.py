@@ -10,6 +10,7 @@ import pytest
 
 from daq.drivers import LoggerSettings, NoReply, open_logger
 from daq.records import Quality
+from daq.simulated import devices_line
 from daq.simulated.devices import kind_of, simulated, station, wiring
 from daq.simulated.devices_converter import Converter, Switches
 from daq.simulated.devices_line import serve_serial
@@ -156,3 +157,22 @@ def test_converter_refreshes_slower_than_it_is_asked_and_skews_its_channels():
     clock[0] += 0.11
     changed = [a != b for a, b in zip(first, converter.read(), strict=True)]
     assert 0 < sum(changed) < 3
+
+
+def test_a_serial_device_behind_a_gateway_is_reached_by_a_socket_url():
+    with simulated("m-7019r", lambda now_s: [40.0] * 8, transport="rtu_over_tcp", refresh_s=0) as server:
+        table = wiring("m-7019r", server, "x", ("a",)) | FAST
+        table = {k: v for k, v in table.items() if k not in ("host", "tcp_port", "baud")} | {"port": server.port}
+        logger = open_logger(LoggerSettings(**table))
+        assert server.port.startswith("socket://")
+        assert logger.read().values == pytest.approx([40.0], abs=0.03)
+        logger.close()
+
+
+def test_without_pseudo_terminals_a_serial_device_is_served_on_a_socket_url(monkeypatch):
+    monkeypatch.setattr(devices_line, "HAS_PSEUDO_TERMINALS", False)
+    with simulated("adam-4118-ascii", lambda now_s: [40.0] * 8, refresh_s=0) as server:
+        assert server.place["port"].startswith("socket://127.0.0.1:")
+        logger = open_logger(LoggerSettings(**wiring("adam-4118-ascii", server, "x", ("a",)) | FAST))
+        assert logger.read().values == pytest.approx([40.0], abs=0.06)
+        logger.close()

@@ -50,6 +50,7 @@ def test_every_packaged_profile_is_well_formed(name):
         ("m-7019r-dcon", {"baud": 9600}, "address is not established"),
         ("34970a", {}, "baud is not established"),
         ("sequent-smtc", {}, "address is not established"),
+        ("adam-4118", {"port": "socket://gateway"}, "socket://host:port"),
         ("generic", {"baud": 9600, "address": 1}, "needs the table block, values"),
         ("adam-4119", {}, "no such profile; known are 34970a, adam-4018"),
         ("adam-4118", {"channels": (*EIGHT, "c8")}, "9 channels, the device has 8 inputs"),
