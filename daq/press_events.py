@@ -434,8 +434,11 @@ def find_moments(run: Run, press: Press) -> Moments:
 
     The column ``closed`` decides where it holds values: closed from the time of its first 1, open from
     the first 0 after it. Else the faces' temperatures do. A moment that did not happen is NaN; without
-    any panel column and without ``closed`` all are, and `source` says ``unknown``.
+    any panel column and without ``closed`` all are, and `source` says ``unknown``. In a press of one state
+    the panel is there from the first row.
     """
+    if not press.has_states:
+        return Moments(inserted_s=float(run.time_s[0]), source="one state")
     columns = columns_of(press)
     names = tuple(run.columns)
     top_names, bottom_names = columns.of_face(names)

@@ -1,0 +1,303 @@
+"""Run files from foreign loggers: a mapping (TOML) says what their columns, units and times mean.
+
+::
+
+    [file]
+    delimiter = ";"                  # "," ";" "tab" "space"
+    decimal = ","                    # "." or ","
+    header_line = 1                  # the line that names the columns
+    units_lines = 1                  # lines after it to skip
+    missing = ["", "---"]
+
+    [time]
+    column = "Zeit"
+    format = "%d.%m.%Y %H:%M:%S"     # or "seconds", "minutes", "hours", "milliseconds", "clock" (hh:mm:ss)
+    from_zero = true
+    repeated = "first"               # rows whose time does not rise: "refuse" or keep the "first"
+
+    [[column]]
+    from = "TC back 2 (K)"
+    to = "bottom_1"
+    unit = "K"                       # "C", "K", "F", or "" for anything else
+    scale = 1.0                      # value * scale + offset, before the unit
+    lower = 250.0                    # readings outside lower..upper count as missing
+    upper = 1500.0
+
+    [header]                         # keys of the run file
+    "panel.material" = "pine"
+    [header_from."panel.initial_temperature_C"]     # a key from a column's first value
+    column = "bottom_1"
+    [[variant]]                      # more keys where the file's name matches
+    match = "*_40kW_*"
+    header = { "boundary.top.incident_W_m2" = 40000.0 }
+"""
+
+from __future__ import annotations
+
+import csv
+import fnmatch
+import math
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from daq.pressfile import explain
+from daq.records import Array, InputError, Run
+
+_DELIMITERS = {"tab": "\t", "space": " "}
+_SECONDS = {"milliseconds": 1e-3, "seconds": 1.0, "minutes": 60.0, "hours": 3600.0}
+_DAY_S = 86400.0
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class FileTable(_Table):
+    """``[file]``: how the text is laid out."""
+
+    encoding: str = "utf-8-sig"
+    delimiter: Literal[",", ";", "|", "tab", "space"] = ","
+    decimal: Literal[".", ","] = "."
+    header_line: int = Field(default=1, ge=1)
+    units_lines: int = Field(default=0, ge=0)
+    comment: str = "#"
+    missing: tuple[str, ...] = ("", "NaN", "nan", "NA", "---")
+
+
+class TimeTable(_Table):
+    """``[time]``: what the time column holds."""
+
+    column: str
+    format: str = "seconds"
+    from_zero: bool = True
+    """Count from the first row; instants always do."""
+    repeated: Literal["refuse", "first"] = "refuse"
+
+
+class ColumnTable(_Table):
+    """``[[column]]``: one column of the run file."""
+
+    source: str = Field(alias="from")
+    to: str = Field(min_length=1)
+    unit: Literal["C", "K", "F", ""] = "C"
+    scale: float = 1.0
+    offset: float = 0.0
+    lower: float = -math.inf
+    upper: float = math.inf
+    optional: bool = False
+    """The file may lack it."""
+
+
+class HeaderFrom(_Table):
+    """``[header_from.KEY]``: a header key from the first value of a mapped column."""
+
+    column: str
+    scale: float = 1.0
+    digits: int = 3
+
+
+class Variant(_Table):
+    """``[[variant]]``: header keys for files whose name matches."""
+
+    match: str
+    header: Mapping[str, Any]
+
+
+class Mapped(_Table):
+    """The whole mapping."""
+
+    file: FileTable = FileTable()
+    time: TimeTable
+    column: tuple[ColumnTable, ...] = Field(min_length=1)
+    header: Mapping[str, Any] = Field(default_factory=dict)
+    header_from: Mapping[str, HeaderFrom] = Field(default_factory=dict)
+    variant: tuple[Variant, ...] = ()
+
+
+def read_mapping(path: Path) -> Mapped:
+    """Read and check a mapping. Raises `InputError` naming key, value and what is allowed."""
+    path = Path(path)
+    try:
+        mapped = Mapped.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(
+            f"{path}: cannot read the mapping: {getattr(error, 'strerror', None) or error}"
+        ) from error
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{path}: not valid TOML: {error}") from error
+    except ValidationError as error:
+        raise InputError(f"{path}: {explain(error)}") from error
+    targets = [c.to for c in mapped.column]
+    if twice := next((t for t in targets if targets.count(t) > 1), None):
+        raise InputError(f"{path}: column.to = {twice!r} occurs twice; each column of the run file has one source")
+    for key, source in mapped.header_from.items():
+        if source.column not in targets:
+            raise InputError(f"{path}: header_from.{key}.column = {source.column!r}: no [[column]] maps to it")
+    return mapped
+
+
+def read_foreign(path: Path, mapped: Mapped) -> Run:
+    """Read a foreign file as a run.
+
+    Raises
+    ------
+    InputError
+        Naming file, line, column and value of what the mapping does not explain.
+    """
+    path = Path(path)
+    lines = _lines(path, mapped.file)
+    names, rows = _cells(path, lines, mapped.file)
+    places = _places(path, names, mapped)
+    keep = _rows_in_order(path, rows, names, mapped)
+    columns = {
+        column.to: np.array([_value(path, row, places[column.to], column, mapped.file) for row, _ in keep])
+        for column in mapped.column
+        if column.to in places
+    }
+    header: dict[str, Any] = {"run": path.stem, **mapped.header}
+    for variant in mapped.variant:
+        if fnmatch.fnmatchcase(path.name, variant.match):
+            header |= variant.header
+    for key, source in mapped.header_from.items():
+        header.setdefault(key, _first(path, key, columns.get(source.column, np.empty(0)), source))
+    times = np.array([time_s for _, time_s in keep])
+    return Run(str(header["run"]), header, times, columns, str(path))
+
+
+@dataclass(frozen=True)
+class _Row:
+    line: int
+    cells: Sequence[str]
+
+
+def _lines(path: Path, file: FileTable) -> list[tuple[int, str]]:
+    try:
+        text = path.read_text(encoding=file.encoding)
+    except LookupError as error:
+        raise InputError(f"{path}: file.encoding = {file.encoding!r} is unknown; try utf-8 or cp1252") from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: not {file.encoding} text at byte {error.start}; set file.encoding") from error
+    except OSError as error:
+        raise InputError(f"{path}: cannot read: {error.strerror or error}") from error
+    numbered = list(enumerate(text.split("\n"), start=1))
+    if len(numbered) < file.header_line:
+        raise InputError(f"{path}: has {len(numbered)} lines, but file.header_line = {file.header_line}")
+    first = file.header_line + file.units_lines
+    kept = [(n, t) for n, t in numbered[first:] if t.strip() and not (file.comment and t.startswith(file.comment))]
+    return [numbered[file.header_line - 1], *kept]
+
+
+def _cells(path: Path, lines: list[tuple[int, str]], file: FileTable) -> tuple[list[str], list[_Row]]:
+    delimiter = _DELIMITERS.get(file.delimiter, file.delimiter)
+    reader = csv.reader((text for _, text in lines), delimiter=delimiter, skipinitialspace=delimiter == " ")
+    table = [[cell.strip() for cell in cells] for cells in reader]
+    if delimiter == " ":
+        table = [[cell for cell in cells if cell] for cells in table]
+    names = table[0]
+    rows = [_Row(line, cells) for (line, _), cells in zip(lines[1:], table[1:], strict=True)]
+    for row in rows:
+        if len(row.cells) < len(names) and not all(not c for c in names[len(row.cells) :]):
+            named = f"line {lines[0][0]} names {len(names)} columns"
+            raise InputError(f"{path}: line {row.line}: {len(row.cells)} cells, but {named}")
+    if not rows:
+        raise InputError(f"{path}: no rows follow line {lines[0][0]}, which names the columns")
+    return names, rows
+
+
+def _places(path: Path, names: list[str], mapped: Mapped) -> dict[str, int]:
+    wanted = {c.to: c for c in mapped.column}
+    missing = [c.source for c in wanted.values() if c.source not in names and not c.optional]
+    if mapped.time.column not in names:
+        missing.insert(0, mapped.time.column)
+    if missing:
+        raise InputError(
+            f"{path}: column {missing[0]!r} of the mapping is not in the file; it has {', '.join(names)}"
+        )
+    return {to: names.index(c.source) for to, c in wanted.items() if c.source in names}
+
+
+def _rows_in_order(path: Path, rows: list[_Row], names: list[str], mapped: Mapped) -> list[tuple[_Row, float]]:
+    """Return the rows with their times, which rise."""
+    place = names.index(mapped.time.column)
+    kept: list[tuple[_Row, float]] = []
+    start, days, before = math.nan, 0.0, -math.inf
+    clock = mapped.time.format == "clock"
+    for row in rows:
+        time_s = _time(path, row, row.cells[place], mapped)
+        if clock and time_s + days < before - 0.5 * _DAY_S:
+            days += _DAY_S
+        time_s += days
+        if time_s <= before:
+            if mapped.time.repeated == "first":
+                continue
+            raise InputError(
+                f"{path}: line {row.line}: column {mapped.time.column}: {row.cells[place]!r} does not rise; "
+                'sort the rows, or set time.repeated = "first"'
+            )
+        before = time_s
+        instants = mapped.time.format not in _SECONDS
+        if start != start:
+            start = time_s if mapped.time.from_zero or instants else 0.0
+        kept.append((row, round(time_s - start, 6)))
+    return kept
+
+
+def _time(path: Path, row: _Row, cell: str, mapped: Mapped) -> float:
+    layout = mapped.time.format
+    try:
+        if layout in _SECONDS:
+            return float(_plain(cell, mapped.file)) * _SECONDS[layout]
+        if layout == "clock":
+            hours, minutes, seconds = cell.split(":")
+            return 3600.0 * int(hours) + 60.0 * int(minutes) + float(_plain(seconds, mapped.file))
+        moment = datetime.fromisoformat(cell) if layout == "iso" else datetime.strptime(cell, layout)  # noqa: DTZ007
+    except ValueError as error:
+        raise InputError(
+            f"{path}: line {row.line}: column {mapped.time.column}: {cell!r} is not {layout!r}; set time.format"
+        ) from error
+    return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
+
+
+def _plain(cell: str, file: FileTable) -> str:
+    """Return a number with a decimal point and without thousands marks."""
+    if file.decimal == ",":
+        if "." in cell and "," not in cell:
+            raise ValueError(cell)
+        return cell.replace(".", "").replace(",", ".")
+    return cell
+
+
+def _value(path: Path, row: _Row, place: int, column: ColumnTable, file: FileTable) -> float:
+    cell = row.cells[place] if place < len(row.cells) else ""
+    if cell in file.missing:
+        return math.nan
+    try:
+        value = float(_plain(cell, file)) * column.scale + column.offset
+    except ValueError as error:
+        raise InputError(
+            f"{path}: line {row.line}: column {column.source}: {cell!r} is not a number with decimal "
+            f"{file.decimal!r}; set file.decimal, or list it in file.missing"
+        ) from error
+    if not column.lower <= value <= column.upper or not math.isfinite(value):
+        return math.nan
+    if column.unit == "K":
+        return round(value - 273.15, 9)
+    if column.unit == "F":
+        return round((value - 32.0) / 1.8, 9)
+    return value
+
+
+def _first(path: Path, key: str, values: Array, source: HeaderFrom) -> float:
+    good = values[np.isfinite(values)]
+    if not len(good):
+        raise InputError(
+            f"{path}: header_from.{key}: column {source.column!r} holds no value; give the key in [header]"
+        )
+    return round(float(good[0]) * source.scale, source.digits)

@@ -1,0 +1,179 @@
+"""Files of foreign loggers: explained by a mapping, tried on measured ones."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from daq.foreign import read_foreign, read_mapping
+from daq.press_events import find_moments
+from daq.pressfile import press_for_run, read_press
+from daq.records import InputError
+from daq.runfile import read_run, write_run
+
+ROOT = Path(__file__).parents[2]
+DATA = Path(os.environ.get("KERNTEMP_DATA", ROOT.parent / "shared" / "data"))
+
+GERMAN = """Messung;Presse 2
+Zeit;Platte oben;Fläche oben 1;Kraft
+;°C;K;kN
+04.03.2026 23:59:59;199,8;293,95;1.250,5
+05.03.2026 00:00:00;199,7;---;1.251,0
+
+05.03.2026 00:00:00;199,7;294,05;1.251,0
+05.03.2026 00:00:56;199,5;1400,00;1.249,5
+"""
+MAPPING = """
+[file]
+delimiter = ";"
+decimal = ","
+header_line = 2
+units_lines = 1
+[time]
+column = "Zeit"
+format = "%d.%m.%Y %H:%M:%S"
+repeated = "first"
+[[column]]
+from = "Platte oben"
+to = "platen_top"
+[[column]]
+from = "Fläche oben 1"
+to = "top_1"
+unit = "K"
+upper = 1000.0
+[[column]]
+from = "Kraft"
+to = "load"
+unit = ""
+scale = 1000.0
+[header]
+"panel.material" = "MDF"
+[header_from."panel.initial_temperature_C"]
+column = "top_1"
+[[variant]]
+match = "shift*"
+header = { "setting.platen_temperature_C" = 200 }
+"""
+
+
+@pytest.fixture
+def files(tmp_path):
+    (tmp_path / "shift 7.csv").write_text(GERMAN)
+    (tmp_path / "map.toml").write_text(MAPPING)
+    return tmp_path
+
+
+def test_decimal_commas_units_dates_gaps_and_faults_become_a_run_file(files):
+    run = read_foreign(files / "shift 7.csv", read_mapping(files / "map.toml"))
+    assert run.name == "shift 7"
+    assert run.time_s.tolist() == [0.0, 1.0, 57.0]
+    assert run.columns["platen_top"].tolist() == [199.8, 199.7, 199.5]
+    np.testing.assert_array_equal(run.columns["top_1"], [20.8, np.nan, np.nan])
+    assert run.columns["load"].tolist() == [1250500.0, 1251000.0, 1249500.0]
+    assert run.header == {
+        "run": "shift 7",
+        "panel.material": "MDF",
+        "setting.platen_temperature_C": 200,
+        "panel.initial_temperature_C": 20.8,
+    }
+    write_run(run, files / "out.csv")
+    assert read_run(files / "out.csv").columns["load"].tolist() == run.columns["load"].tolist()
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "message"),
+    [
+        ("map.toml", ('unit = "K"', 'unit = "R"'), r"map.toml: column.1.unit = 'R'"),
+        ("map.toml", ('to = "top_1"', 'to = "platen_top"'), r"column.to = 'platen_top' occurs twice"),
+        ("map.toml", ('column = "top_1"', 'column = "top_2"'), r"'top_2': no \[\[column\]\] maps to it"),
+        ("map.toml", ('delimiter = ";"', 'separator = ";"'), r"file.separator = ';': unknown key"),
+        ("map.toml", ('from = "Kraft"', 'from = "Druck"'), r"column 'Druck' of the mapping is not in the file"),
+        ("map.toml", ('repeated = "first"', ""), r"line 7: column Zeit: '05.03.2026 00:00:00' does not rise"),
+        ("map.toml", ("%d.%m.%Y", "%m/%d/%Y"), r"line 4: column Zeit: '04.03.2026 23:59:59' is not"),
+        ("shift 7.csv", ("199,7;---", "199.7;---"), r"line 5: column Platte oben: '199.7' is not a number"),
+        ("shift 7.csv", ("199,5;1400,00;1.249,5", "199,5"), r"line 8: 2 cells, but line 2 names 4 columns"),
+    ],
+)
+def test_what_a_mapping_does_not_explain_is_named(files, name, change, message):
+    path = files / name
+    path.write_text(path.read_text().replace(*change))
+    with pytest.raises(InputError, match=message) as caught:
+        read_foreign(files / "shift 7.csv", read_mapping(files / "map.toml"))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("layout", "cells", "expected"),
+    [
+        ("seconds", ["40698.16", "40698.845"], [0.0, 0.685]),
+        ("minutes", ["1", "1.5"], [0.0, 30.0]),
+        ("milliseconds", ["100", "350"], [0.0, 0.25]),
+        ("clock", ["23:59:59.5", "00:00:01.0"], [0.0, 1.5]),
+        ("iso", ["2026-03-04T07:00:00Z", "2026-03-04T09:00:01+02:00"], [0.0, 1.0]),
+        ("%H:%M:%S.%f", ["07:00:00.25", "07:00:01.00"], [0.0, 0.75]),
+    ],
+)
+def test_times_are_understood_in_many_ways(tmp_path, layout, cells, expected):
+    (tmp_path / "a.csv").write_text("t,x\n" + "".join(f"{c},1\n" for c in cells))
+    (tmp_path / "m.toml").write_text(
+        f'[time]\ncolumn = "t"\nformat = "{layout}"\n[[column]]\nfrom = "x"\nto = "x"\n'
+    )
+    run = read_foreign(tmp_path / "a.csv", read_mapping(tmp_path / "m.toml"))
+    np.testing.assert_allclose(run.time_s, expected, atol=1e-5)
+
+
+def measured(pattern, count):
+    found = sorted(DATA.glob(pattern))
+    if not found:
+        pytest.skip(f"the measured files are not here: no {pattern} in {DATA}; set KERNTEMP_DATA")
+    assert len(found) == count
+    return found
+
+
+@pytest.mark.parametrize(
+    ("mapping", "press", "pattern", "count", "sensors"),
+    [
+        ("press_rig", "rig", "press_rig/*.dat", 6, {"T_Inco1", "T_Inco2"}),
+        (
+            "inert_board",
+            "inert_board",
+            "inert_board/Black-Insulation*.csv",
+            1,
+            {"depth_5_72mm", "depth_11_44mm", "depth_17_16mm"},
+        ),
+        ("pine_slab", "pine_slab", "pine_gasification/TIFP*.csv", 6, {"bottom_1"}),
+        ("pine", "pine_disc", "pine_gasification/*CAPA*.csv", 8, {"bottom_1"}),
+    ],
+)
+def test_measured_files_are_read_whole_and_fit_their_press_file(mapping, press, pattern, count, sensors, tmp_path):
+    explained = read_mapping(ROOT / "deploy" / "mappings" / f"{mapping}.toml")
+    rig = read_press(ROOT / "deploy" / "presses" / f"{press}.toml")
+    for path in measured(pattern, count):
+        run = read_foreign(path, explained)
+        assert set(rig.sensors_of(run)) == sensors
+        for boundary in (rig.boundary.bottom, rig.boundary.top):
+            assert boundary.column is None or np.isfinite(run.columns[boundary.column]).all()
+        assert press_for_run(rig, run).name == rig.name
+        for column in sensors:
+            assert np.nanmin(run.columns[column]) > 10.0
+        assert not rig.has_states
+        assert find_moments(run, rig).inserted_s == run.time_s[0]
+        write_run(run, tmp_path / "out.parquet")
+        assert read_run(tmp_path / "out.parquet").time_s.tobytes() == run.time_s.tobytes()
+
+
+def test_the_rig_is_driven_by_two_thermocouples_and_pressed_with_245_kilopascals():
+    path = measured("press_rig/230918-1117-med2.dat", 1)[0]
+    run = read_foreign(path, read_mapping(ROOT / "deploy" / "mappings" / "press_rig.toml"))
+    # the bar is 16.25 mm thick; 5.2 kg weigh 51 N
+    assert np.max(run.columns["load"]) == pytest.approx(5.2 * 9.81 / (np.pi / 4 * 0.01625**2) / 1000, rel=0.01)
+    drop = run.columns["T_Inco1"] - run.columns["T_Inco2"]
+    assert (drop.min(), drop.max()) == pytest.approx((28.0, 38.0), abs=0.5)
+    assert np.median(np.diff(run.time_s)) == pytest.approx(0.70, abs=0.02)
+
+
+def test_pmma_discs_are_read_with_their_thickness():
+    explained = read_mapping(ROOT / "deploy" / "mappings" / "pmma.toml")
+    thick = {p.stem[-2:]: read_foreign(p, explained) for p in measured("inert_board/MaCFP-PMMA*.csv", 3)}
+    assert {k: r.header["panel.thickness_mm"] for k, r in thick.items()} == {"R1": 6.26, "R2": 6.15, "R3": 5.8}
