@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -15,24 +16,32 @@ from daq.records import InputError
 
 if TYPE_CHECKING:
     from daq.config import PressSettings
+    from daq.records import Run
     from daq.store.store import Store
 
 
 def import_runs(
-    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Run files, CSV or Parquet.")],
+    files: Annotated[
+        list[Path], typer.Argument(metavar="FILE...", help="Run files, or a logger's own with --mapping.")
+    ],
     press: PressFile,
     store: StoreUrl = None,
     config: ConfigFile = None,
+    mapping: Annotated[
+        Path | None, typer.Option("--mapping", help="Mapping that explains a foreign logger's files, TOML.")
+    ] = None,
 ) -> None:
     """Store run files: all of them, or none where one is wrong."""
+    from daq.foreign import read_foreign, read_mapping
     from daq.pressfile import read_press
-    from daq.runfile import read_run
+    from daq.runfile import read_run as read_own
 
     described = read_press(press)
+    read_run = read_own if mapping is None else partial(read_foreign, mapped=read_mapping(mapping))
     with working(f"Reading {len(files)} run files", len(files)) as done:
         runs = []
         for number, path in enumerate(files, 1):
-            runs.append(read_run(path))
+            runs.append(read(path))
             done(number)
     names = [run.name for run in runs]
     if twice := next((name for name in names if names.count(name) > 1), None):
@@ -45,6 +54,18 @@ def import_runs(
                 opened.import_run(run, described.name, press.read_text(encoding="utf-8"))
                 done(number)
     sys.stdout.write(f"{len(runs)} runs stored\n")
+
+
+def _reader(mapping: Path | None) -> Callable[[Path], Run]:
+    """Return what reads a file: ours, or a foreign logger's by its mapping."""
+    if mapping is None:
+        from daq.runfile import read_run
+
+        return read_run
+    from daq.foreign import read_foreign, read_mapping
+
+    mapped = read_mapping(mapping)
+    return lambda path: read_foreign(path, mapped)
 
 
 def _refuse_taken(store: Store, name: str) -> None:
