@@ -129,9 +129,7 @@ class LiveSensor:
         level, votes = np.empty(len(bench.labels)), np.empty(len(bench.labels))
         loops.agree(self._consensus, readings, level, votes)
         self._rows.append(_Row(time_s, (self._platens[0], self._platens[1]), level, votes))
-        if stale or not self._members:
-            self._replay()
-        elif self._extend() and self._relinearise(time_s):
+        if stale or not self._members or (self._extend() and self._relinearise(time_s)):
             self._replay()
         return self._say(time_s)
 

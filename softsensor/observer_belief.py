@@ -125,7 +125,7 @@ class Member:
             self.misfit = keep * self.misfit + (1.0 - keep) * squares / count
 
     def blend(self, level: float, readout: Array) -> tuple[Array, Array, Array, Array]:
-        """Return log-weights, means and variances by hypothesis of level + readout (x - at), and suspects' sizes."""
+        """Return by hypothesis log-weight, mean and variance of level + readout (x - at); and suspects' sizes."""
         p, e = len(self.filter.names), len(self.suspects)
         full = np.zeros(len(self.x))
         full[:p] = readout

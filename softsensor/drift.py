@@ -1,0 +1,124 @@
+"""Control charts over runs: does the press still do what it used to?
+
+For each coefficient the logarithm of every run's value is standardised by what runs differ by, smoothed
+exponentially (EWMA, for creeping wear) and accumulated (CUSUM, for jumps). A chart that leaves its limits
+names the run at which the change began, not the one at which it was noticed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+LEARN_RUNS = 8
+"""Runs that say what is usual, where no model does."""
+SPREAD_FLOOR = 0.05
+"""Of the logarithm: smaller scatter is luck."""
+EWMA_WEIGHT, EWMA_LIMIT = 0.25, 3.2
+"""Weight of the newest run; limit in standard deviations of the smoothed value."""
+CUSUM_SLACK, CUSUM_LIMIT = 0.6, 5.0
+"""In standard deviations of one run: half the shift to be found, and the alarm. A false alarm every
+thousand runs or so (Montgomery, Introduction to Statistical Quality Control, ch. 9)."""
+OUTLIER = 4.0
+"""One run beyond this many standard deviations counts as this many."""
+
+
+@dataclass(frozen=True)
+class RunValue:
+    """One coefficient of one run."""
+
+    run: str
+    value: float
+    sd: float
+    """Of the value."""
+
+
+@dataclass(frozen=True)
+class Alarm:
+    """A coefficient has left what is usual."""
+
+    coefficient: str
+    run: str
+    """The first run of the new behaviour."""
+    noticed: str
+    """The run that made it plain."""
+    factor: float
+    """New level over the old one."""
+    chart: str
+    """``cusum`` (a jump) or ``ewma`` (a creep)."""
+
+    @property
+    def sentence(self) -> str:
+        """One line for the journal."""
+        change = f"{100 * (self.factor - 1):+.0f} %"
+        return (
+            f"{self.coefficient} has changed by {change} since run {self.run} (noticed at {self.noticed}): "
+            "look at what was done to the press before it"
+        )
+
+
+def watch(name: str, values: Sequence[RunValue], usual: tuple[float, float] | None = None) -> Alarm | None:
+    """Look through a coefficient's runs, oldest first, for the latest change that still stands.
+
+    Parameters
+    ----------
+    usual
+        Median and standard deviation of the logarithm between runs, from a model; by default the first
+        `LEARN_RUNS` runs tell, and fewer runs give no alarm.
+    """
+    good = [v for v in values if v.value > 0 and math.isfinite(v.value) and math.isfinite(v.sd)]
+    logs = np.array([math.log(v.value) for v in good])
+    errors = np.array([v.sd / v.value for v in good])
+    start = 0
+    if usual is None:
+        if len(good) <= LEARN_RUNS:
+            return None
+        first = logs[:LEARN_RUNS]
+        centre = float(np.median(first))
+        spread = max(
+            1.4826 * float(np.median(np.abs(first - centre))), 0.7 * float(first.std(ddof=1)), SPREAD_FLOOR
+        )
+        start = LEARN_RUNS
+    else:
+        centre, spread = usual[0], max(usual[1], SPREAD_FLOOR)
+    z = np.clip((logs - centre) / np.hypot(spread, errors), -OUTLIER, OUTLIER)
+    return _chart(name, good, logs, z, centre, start)
+
+
+def _chart(
+    name: str, runs: Sequence[RunValue], logs: np.ndarray, z: np.ndarray, centre: float, start: int
+) -> Alarm | None:
+    high = low = smooth = 0.0
+    high_from = low_from = smooth_from = start
+    alarm: Alarm | None = None
+    scale = math.sqrt(EWMA_WEIGHT / (2.0 - EWMA_WEIGHT))
+    for i in range(start, len(z)):
+        high, high_from = (high + z[i] - CUSUM_SLACK, high_from) if high > 0 else (z[i] - CUSUM_SLACK, i)
+        low, low_from = (low - z[i] - CUSUM_SLACK, low_from) if low > 0 else (-z[i] - CUSUM_SLACK, i)
+        high, low = max(high, 0.0), max(low, 0.0)
+        before = smooth
+        smooth = (1.0 - EWMA_WEIGHT) * smooth + EWMA_WEIGHT * z[i]
+        if before * smooth <= 0.0:
+            smooth_from = i
+        first, chart = -1, ""
+        if high > CUSUM_LIMIT or low > CUSUM_LIMIT:
+            first, chart = (high_from if high > low else low_from), "cusum"
+        elif abs(smooth) > EWMA_LIMIT * scale:
+            first, chart = smooth_from, "ewma"
+        if first < 0:
+            alarm = None
+        elif alarm is None or alarm.run != runs[first].run:
+            factor = math.exp(float(np.mean(logs[first : i + 1])) - centre)
+            alarm = Alarm(name, runs[first].run, runs[i].run, factor, chart)
+    return alarm
+
+
+def watch_all(
+    history: Mapping[str, Sequence[RunValue]], usual: Mapping[str, tuple[float, float]] | None = None
+) -> list[Alarm]:
+    """Return the alarms of all coefficients."""
+    found = (watch(name, values, (usual or {}).get(name)) for name, values in history.items())
+    return [alarm for alarm in found if alarm is not None]

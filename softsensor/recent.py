@@ -1,0 +1,77 @@
+"""What the next pressing starts from: the promoted model, brought up to date by the runs since."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from daq.pressfile import Press
+from softsensor.modelfile import Estimate, ModelFile
+from softsensor.observer_priors import COEFFICIENT_SD, spread_of
+
+NEWEST_RUNS = 12
+"""Older runs say little about today's press."""
+USUAL_SPREAD = 0.2
+"""Of the logarithm from run to run, until runs have shown it."""
+MODEL_RUNS = 8.0
+"""How many runs a promoted model counts for."""
+SMALLEST_SPREAD = 0.05
+
+
+def up_to_date(press: Press, base: ModelFile | None, fits: Sequence[Mapping[str, Any]]) -> ModelFile | None:
+    """Return the model the live sensor should start from, None where nothing is known.
+
+    Parameters
+    ----------
+    base
+        The promoted model.
+    fits
+        Entries of ``fit --json`` of the newest runs, newest first, made with the base's effects.
+    """
+    if base is None and not fits:
+        return None
+    table = {}
+    for name in press.coefficient_names:
+        known = base.coefficients.get(name) if base is not None else None
+        estimate = _combined(known, press.coefficient(name).guess, list(_values(name, fits[:NEWEST_RUNS])))
+        if estimate is not None:
+            table[name] = estimate
+    version = (base.version if base is not None else "press file") + (
+        f"+{len(fits[:NEWEST_RUNS])}" if fits else ""
+    )
+    if base is None:
+        return ModelFile(version, press.name, table)
+    return replace(base, version=version, coefficients=table)
+
+
+def _values(name: str, fits: Iterable[Mapping[str, Any]]) -> Iterable[tuple[float, float]]:
+    """Yield logarithm and its standard deviation for each fit in which the coefficient is known."""
+    for fit in fits:
+        entry = fit.get("coefficients", {}).get(name) or {}
+        value, sd = entry.get("value"), entry.get("sd")
+        if entry.get("identifiable", True) and value and sd and value > 0 and sd < value:
+            yield math.log(value), spread_of(value, sd)
+
+
+def _combined(known: Estimate | None, guess: float, found: list[tuple[float, float]]) -> Estimate | None:
+    if not found:
+        return known
+    logs, errors = np.array(found).T
+    spread = USUAL_SPREAD if known is None else max(spread_of(known.value, known.sd), SMALLEST_SPREAD)
+    if len(logs) >= 3:
+        seen = max(float(logs.var(ddof=1)) - float(np.mean(errors**2)), 0.0)
+        count = len(logs)
+        spread = math.sqrt(max((4.0 * spread**2 + count * seen) / (4.0 + count), SMALLEST_SPREAD**2))
+    weights = 1.0 / (spread**2 + errors**2)
+    if known is None:
+        centre, own = math.log(guess), 1.0 / COEFFICIENT_SD**2
+    else:
+        centre, own = math.log(known.value), MODEL_RUNS / spread**2
+    mean = (weights @ logs + own * centre) / (weights.sum() + own)
+    sd = math.sqrt(spread**2 + 1.0 / (weights.sum() + own))
+    value = math.exp(mean)
+    return Estimate(value, value * math.sqrt(math.expm1(sd**2)))

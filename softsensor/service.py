@@ -1,0 +1,369 @@
+"""The `sense` process: follows the store, runs the live sensor, refits each pressing.
+
+It keeps nothing of its own. After a restart, or when the run's header or the promoted model changes, the
+scans of the open run are taken from the store again; the live sensor is a function of the scans, so that
+gives the estimates an uninterrupted process would have given. Fits run in a worker process, so that no
+estimate waits for one.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import threading
+import time
+from concurrent.futures import Future, ProcessPoolExecutor
+from dataclasses import dataclass, field
+from multiprocessing import get_context
+from typing import Any, Literal
+
+from daq.config import Config, PressSettings
+from daq.pressfile import Press, read_press
+from daq.records import InputError, PressState, Run, Scan
+from daq.store import RunRecord, RunStatus, Store, StoredEstimate, StoreUnavailable, open_store
+from softsensor.drift import RunValue, watch_all
+from softsensor.modelfile import ModelFile, parse_model
+from softsensor.observer import Estimate, LiveSensor
+from softsensor.recent import NEWEST_RUNS, up_to_date
+
+LOG = logging.getLogger("kerntemp.sense")
+PROCESS = "sense"
+POLL_S = 0.02
+"""How often the store is asked for new scans. [s]"""
+LOOK_S = 0.25
+"""How often for a new run, a changed header, press events. [s]"""
+BEAT_S = 1.0
+MODEL_S = 1.0
+BATCH = 400
+IDLE_S = 1.0
+"""Between pressings an estimate is written this often. [s]"""
+HISTORY_RUNS = 200
+"""Runs the control charts look back on."""
+PRESS_FILE = "press file"
+"""Version of the model before there is one."""
+NO_PANEL = "no panel in the press"
+Level = Literal["info", "warning", "alarm"]
+
+
+def sense(config: Config, *, stop: threading.Event | None = None) -> None:
+    """Follow all presses of a configuration until stopped by `stop`, SIGTERM or SIGINT.
+
+    Raises
+    ------
+    InputError
+        For what is wrong in press files or the store's address.
+    """
+    stop = stop or threading.Event()
+    _stop_on_signals(stop)
+    presses = [(settings, read_press(settings.file)) for settings in config.press]
+    store = _store_when_ready(config.store.url, stop)
+    if store is None:
+        return
+    with store, Fitter() as fitter:
+        followers = [Follower(store, settings, press, fitter) for settings, press in presses]
+        _say(store, "info", f"following {', '.join(s.name for s, _ in presses)}")
+        trouble, beat = "", -1e9
+        while not stop.is_set():
+            worked = False
+            try:
+                for follower in followers:
+                    worked = follower.step(time.monotonic()) or worked
+                if time.monotonic() - beat > BEAT_S:
+                    beat = time.monotonic()
+                    store.beat(PROCESS, _status(followers, "running"))
+                trouble = ""
+            except StoreUnavailable as error:
+                if str(error) != trouble:
+                    LOG.warning("%s; trying again", error)
+                trouble = str(error)
+                stop.wait(0.5)
+            if not worked:
+                stop.wait(POLL_S)
+        store.beat(PROCESS, _status(followers, "stopped"))
+
+
+def _stop_on_signals(stop: threading.Event) -> None:
+    if threading.current_thread() is threading.main_thread():
+        for name in ("SIGTERM", "SIGINT", "SIGBREAK"):
+            if hasattr(signal, name):
+                signal.signal(getattr(signal, name), lambda *_: stop.set())
+
+
+def _store_when_ready(url: str, stop: threading.Event) -> Store | None:
+    said = False
+    while not stop.is_set():
+        try:
+            return open_store(url)
+        except StoreUnavailable as error:
+            if not said:
+                LOG.warning("%s; trying again", error)
+                said = True
+        stop.wait(2.0)
+    return None
+
+
+def _say(store: Store, level: Level, sentence: str, press: str | None = None, **detail: Any) -> None:
+    LOG.log(logging.INFO if level == "info" else logging.WARNING, "%s", sentence)
+    store.log(level, PROCESS, sentence, press, detail or None)
+
+
+def _status(followers: list[Follower], state: str) -> dict[str, Any]:
+    problems = [f"{f.settings.name}: {f.problem}" for f in followers if f.problem]
+    return {
+        "state": state,
+        "pid": os.getpid(),
+        "message": "; ".join(problems) or ", ".join(f.message for f in followers),
+        "problems": problems,
+        "presses": [
+            {
+                "press": f.settings.name,
+                "run": f.live.record.run if f.live else None,
+                "last_scan": f.last,
+                "behind_scans": f.behind,
+                "model_version": f.model.version if f.model else "",
+                "update_us": round(f.update_us, 1),
+            }
+            for f in followers
+        ],
+    }
+
+
+class Fitter:
+    """Fits runs in a worker process."""
+
+    def __init__(self) -> None:
+        self._pool = ProcessPoolExecutor(1, mp_context=get_context("spawn"))
+        self._warm = self._pool.submit(_warm_up)
+
+    def __enter__(self) -> Fitter:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._pool.shutdown(wait=False, cancel_futures=True)
+
+    def submit(self, press: Press, run: Run, model: ModelFile | None) -> Future[dict[str, Any]]:
+        """Fit a run with the effects of a model; the result is an entry of ``fit --json``."""
+        return self._pool.submit(fit_one, press, run, model)
+
+
+def _warm_up() -> None:
+    """Load the solver before the first fit is due."""
+    from softsensor import campaign
+
+    LOG.debug("fitter ready: %s", campaign.__name__)
+
+
+def fit_one(press: Press, run: Run, model: ModelFile | None) -> dict[str, Any]:
+    """Fit one run as the live sensor does after a pressing. Raises InputError."""
+    from softsensor.campaign import moments_of
+    from softsensor.fit import fit_run
+    from softsensor.model import ThermalModel
+
+    thermal = model.model(press) if model is not None else ThermalModel(press)
+    start = dict(model.values) if model is not None else None
+    return fit_run(thermal, run, moments_of(run, press), start=start).as_json()
+
+
+@dataclass
+class _Live:
+    """The run being pressed and its sensor."""
+
+    record: RunRecord
+    sensor: LiveSensor
+    model: str
+    fitted_open: bool = False
+
+
+@dataclass
+class Follower:
+    """One press: its open run, its sensor, its fits."""
+
+    store: Store
+    settings: PressSettings
+    press: Press
+    fitter: Fitter
+    last: int = -2
+    """Newest scan taken; -2 before the first step."""
+    behind: int = 0
+    live: _Live | None = None
+    model: ModelFile | None = None
+    problem: str = ""
+    message: str = "waiting for scans"
+    update_us: float = 0.0
+    _base_version: str = "?"
+    _fits: dict[str, Future[dict[str, Any]]] = field(default_factory=dict)
+    _looked: float = -1e9
+    _idle_said: float = -1e9
+    _model_looked: float = -1e9
+    _due: set[str] = field(default_factory=set)
+    _alarmed: set[tuple[str, str]] = field(default_factory=set)
+
+    @property
+    def name(self) -> str:
+        """The press."""
+        return self.settings.name
+
+    def step(self, now: float) -> bool:
+        """Do what there is to do; return whether there was anything."""
+        if self.last == -2:
+            self.last = self.store.newest_estimate_number(self.name)
+            if self.last == -1:
+                self.last = self.store.newest_scan_number(self.name)
+        if now - self._model_looked > MODEL_S:
+            self._model_looked = now
+            self._refresh_model()
+        if now - self._looked > LOOK_S:
+            self._looked = now
+            self._look()
+        self._collect()
+        batch = self.store.scans_after(self.name, self.last, BATCH)
+        if not batch.scans:
+            self.behind = 0
+            return False
+        self.behind = len(batch.scans)
+        names = tuple(c.name for c in batch.channels)
+        if self.live is None or batch.scans[-1].number < self.live.record.first_scan:
+            self._look()
+        estimates = [self._estimate(scan, names) for scan in batch.scans]
+        self.store.append_estimates(self.name, [e for e in estimates if e is not None])
+        self.last = batch.scans[-1].number
+        return True
+
+    # --- runs ---------------------------------------------------------------------------------------
+
+    def _look(self) -> None:
+        """Notice a new, changed or finished run."""
+        record = self.store.open_run(self.name)
+        live = self.live
+        if live is not None and (record is None or record.run != live.record.run):
+            self._finish(live)
+            self.live = live = None
+        if record is None:
+            self.message = "no panel in the press"
+            return
+        version = self.model.version if self.model else ""
+        if live is None or live.record.header != record.header or live.model != version:
+            self._begin(record, version)
+        elif live.record.moments != record.moments:
+            self.live = live = _Live(record, live.sensor, live.model, live.fitted_open)
+        if (
+            self.live is not None
+            and not self.live.fitted_open
+            and record.moments.opened_s == record.moments.opened_s
+        ):
+            self.live.fitted_open = True
+            self._due.add(record.run)
+            self._submit(record.run)
+
+    def _begin(self, record: RunRecord, version: str) -> None:
+        """Start a sensor and give it the run's scans so far."""
+        before = self.live
+        same = before is not None and before.record.header == record.header
+        fitted = before is not None and before.record.run == record.run and before.fitted_open
+        self.live = _Live(record, LiveSensor(self.press, record.header, self.model), version, fitted)
+        self.problem = ""
+        number = record.first_scan - 1
+        while number < self.last:
+            batch = self.store.scans_after(self.name, number, BATCH)
+            names = tuple(c.name for c in batch.channels)
+            scans = [s for s in batch.scans if s.number <= self.last]
+            if not scans:
+                break
+            estimates = [self._estimate(scan, names) for scan in scans]
+            if not same:  # a new model does not rewrite what the old one said
+                self.store.append_estimates(self.name, [e for e in estimates if e is not None])
+            number = scans[-1].number
+        self.message = f"following {record.run}"
+
+    def _estimate(self, scan: Scan, names: tuple[str, ...]) -> StoredEstimate | None:
+        """Return what the sensor says at a scan; between pressings once a second."""
+        live = self.live
+        if live is None or scan.number < live.record.first_scan:
+            if 0.0 <= scan.monotonic_s - self._idle_said < IDLE_S:
+                return None
+            self._idle_said = scan.monotonic_s
+            return _stored(scan, Estimate(scan.monotonic_s, PressState.IDLE, reason=NO_PANEL), "")
+        values = {
+            name: value if quality.usable else float("nan")
+            for name, value, quality in zip(names, scan.values, scan.qualities, strict=True)
+        }
+        time_s = round(scan.monotonic_s - live.record.zero_monotonic_s, 6)
+        begun = time.perf_counter()
+        try:
+            said = live.sensor.update(time_s, values)
+        except InputError as error:
+            self.problem = str(error)
+            said = Estimate(time_s, None, reason=self.problem)
+        self.update_us += 0.02 * (1e6 * (time.perf_counter() - begun) - self.update_us)
+        return _stored(scan, said, live.model)
+
+    # --- fits ---------------------------------------------------------------------------------------
+
+    def _finish(self, live: _Live) -> None:
+        """A run is over: fit all of it."""
+        record = self.store.run_record(live.record.run)
+        if record.status is not RunStatus.OPEN and record.moments.closed_s == record.moments.closed_s:
+            self._due.add(record.run)
+            self._submit(record.run)
+
+    def _submit(self, run: str) -> None:
+        if run in self._fits or run not in self._due:
+            return
+        self._due.discard(run)
+        self._fits[run] = self.fitter.submit(self.press, self.store.load_run(run), self.model)
+
+    def _collect(self) -> None:
+        """Store finished fits and look at the control charts."""
+        for run in [run for run, future in self._fits.items() if future.done()]:
+            future = self._fits.pop(run)
+            error = future.exception()
+            if error is not None:
+                _say(self.store, "warning", f"run {run} could not be fitted: {error}", self.name)
+            else:
+                self.store.put_fit(run, future.result(), self._base_version)
+                self._model_looked = -1e9
+                self._watch()
+            self._submit(run)
+
+    def _watch(self) -> None:
+        """Write an alarm once for each coefficient that has left what is usual."""
+        history: dict[str, list[RunValue]] = {}
+        for c in self.store.coefficient_history(press=self.name, limit=HISTORY_RUNS).items:
+            if c.identifiable:
+                history.setdefault(c.name, []).append(RunValue(c.run, c.value, c.sd))
+        for alarm in watch_all({name: values[::-1] for name, values in history.items()}):
+            if (alarm.coefficient, alarm.run) not in self._alarmed:
+                self._alarmed.add((alarm.coefficient, alarm.run))
+                _say(self.store, "warning", alarm.sentence, self.name, **alarm.__dict__)
+
+    def _refresh_model(self) -> None:
+        """Take the promoted model and the newest fits made with it."""
+        active = self.store.active_model(self.name)
+        base = parse_model(active.model, f"model {active.version}") if active is not None else None
+        version = base.version if base is not None else PRESS_FILE
+        runs = self.store.runs(press=self.name, limit=NEWEST_RUNS + 1).items
+        busy = self.live.record.run if self.live else ""
+        fits = [self.store.fit(r.run) for r in runs if r.run != busy]
+        good = [f for f in fits if f is not None and f.get("model_version") == version]
+        if version != self._base_version:
+            if self._base_version != "?":
+                _say(self.store, "info", f"the live sensor takes model {version}", self.name)
+            self._base_version = version
+        self.model = up_to_date(self.press, base, good[:NEWEST_RUNS])
+
+
+def _stored(scan: Scan, said: Estimate, model: str) -> StoredEstimate:
+    return StoredEstimate(
+        number=scan.number,
+        monotonic_s=scan.monotonic_s,
+        state=said.state if said.state is not None else "unknown",
+        core_celsius=said.core_C,
+        core_sd_kelvin=said.core_sd_K,
+        core_low_celsius=said.core_low_C,
+        core_high_celsius=said.core_high_C,
+        valid=said.valid,
+        reason=said.reason,
+        model_version=model,
+        detail={"suspected": said.suspected} if said.suspected else None,
+    )
