@@ -32,7 +32,6 @@ app = typer.Typer(
 app.command("demo")(demo)
 app.command("record")(services.record)
 app.command("sense")(services.sense)
-app.command("sense")(services.sense)
 app.command("serve")(services.serve)
 app.command("fit")(fit)
 app.command("simulate")(analysis.simulate)

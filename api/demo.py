@@ -34,8 +34,8 @@ START_S = 120.0
 """Longest wait for a process to come up. [s]"""
 PATIENCE_S = 15.0
 """Longest wait for a process to end by itself. [s]"""
-FIT_S = 90.0
-"""Longest wait for the fit of a finished pressing. [s]"""
+FIT_S = 30.0
+"""Longest wait for the last fit of a finished pressing. [s]"""
 SCANS_PER_S = 40.0
 """An accelerated demonstration scans at most about this often in real time."""
 TARGET_C = 40.0
@@ -140,7 +140,7 @@ class _Demo:
         self.started = time.monotonic()
         self.findings: list[Finding] = []
         self._noted: set[str] = set()
-        self._ended: dict[str, float] = {}
+        self._ended: dict[str, tuple[float, int]] = {}
         self.config = plan.folder / "kerntemp.toml"
 
     def start(self, ending: ExitStack) -> None:
@@ -224,8 +224,14 @@ class _Demo:
     def _finished(self, record: RunRecord) -> bool:
         if record.status is RunStatus.OPEN or any(f.run == record.run for f in self.findings):
             return False
-        since = self._ended.setdefault(record.run, time.monotonic())
-        return self.store.fit(record.run) is not None or time.monotonic() - since > FIT_S
+        newest = self._fit_number(record.run)
+        since, before = self._ended.setdefault(record.run, (time.monotonic(), newest))
+        return newest > before or time.monotonic() - since > FIT_S
+
+    def _fit_number(self, run: str) -> int:
+        """Return the number of a run's newest fit, 0 without; one comes at opening, the last one at the end."""
+        recent = self.store.coefficient_history(limit=5).items
+        return max((c.fit_number for c in recent if c.run == run), default=0)
 
     def _conclude(self, record: RunRecord) -> None:
         cycle = self._cycle(record, record.moments.closed_s)

@@ -32,12 +32,10 @@ def import_runs(
     ] = None,
 ) -> None:
     """Store run files: all of them, or none where one is wrong."""
-    from daq.foreign import read_foreign, read_mapping
     from daq.pressfile import read_press
-    from daq.runfile import read_run as read_own
 
     described = read_press(press)
-    read_run = read_own if mapping is None else partial(read_foreign, mapped=read_mapping(mapping))
+    read = _reader(mapping)
     with working(f"Reading {len(files)} run files", len(files)) as done:
         runs = []
         for number, path in enumerate(files, 1):

@@ -38,16 +38,6 @@ def sense(config: ConfigFile = None) -> None:
     run(settings)
 
 
-def sense(config: ConfigFile = None) -> None:
-    """Predict the core of every running pressing and refit after each, without end."""
-    from daq.config import load_config
-    from softsensor.service import sense as run
-
-    settings = load_config(config_path(config))
-    log_to_stderr()
-    run(settings)
-
-
 def log_to_stderr() -> None:
     """Send what a long-running process has to say to standard error, with the time."""
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s", stream=sys.stderr)

@@ -7,9 +7,9 @@ from collections import OrderedDict
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-from fastapi import APIRouter
+from fastapi import APIRouter, Response
 
-from api.answers import column_values
+from api.answers import column_values, phases_of
 from api.decimation import decimate
 from api.problems import ProblemError, problem_responses
 from api.routes.common import StoreDep, existing_run
@@ -72,6 +72,35 @@ def get_simulation(store: StoreDep, run: str) -> Simulation:
         profile_depth_mm=[round(d, 3) for d in simulated.profile_depth_mm.tolist()],
         profile_C=[[round(v, 2) for v in row] for row in simulated.profile.tolist()],
     )
+
+
+@router.get(
+    "/runs/{run}/figure.svg",
+    operation_id="get_figure",
+    summary="The run as a picture",
+    response_class=Response,
+    responses={200: {"content": {"image/svg+xml": {"schema": {"type": "string"}}}}},
+)
+def get_figure(store: StoreDep, run: str) -> Response:
+    """Return measured against simulated temperatures and the residual, as SVG."""
+    from api.figure import Curves, run_figure
+
+    record = existing_run(store, run)
+    simulated, _ = _KEPT.get(store, record)
+    last = float(simulated.time_s[-1])
+    phases = [(p.state, p.from_s, last if p.to_s is None else p.to_s) for p in phases_of(record)]
+    material = str(record.header.get("panel.material", ""))
+    picture = run_figure(
+        Curves(
+            title=f"{record.run}  {material}",
+            time_s=simulated.time_s,
+            simulated=simulated.places,
+            measured=simulated.measured,
+            core=simulated.core,
+            phases=phases,
+        )
+    )
+    return Response(picture, media_type="image/svg+xml")
 
 
 def _values(store: Store, record: RunRecord) -> tuple[dict[str, float], str | None]:

@@ -1,5 +1,6 @@
 import io
 import json
+from xml.etree import ElementTree
 
 import httpx
 import pyarrow.parquet as pq
@@ -199,3 +200,20 @@ def test_the_openapi_document_describes_every_error_as_a_problem(client):
                 if status.startswith("4"):
                     assert list(answer["content"]) == ["application/problem+json"], path
     assert "HTTPValidationError" not in json.dumps(described)
+
+
+def test_a_run_is_simulated_at_every_sensor_position_with_its_fitted_coefficients(client):
+    simulation = client.get(f"{RUN}/simulation").json()
+    assert list(simulation["positions"]) == ["panel.top", "panel.bottom"]
+    rows = len(simulation["time_s"])
+    assert {len(v) for v in (*simulation["positions"].values(), *simulation["measured"].values())} == {rows}
+    assert len(simulation["profile_C"]) == len(simulation["profile_time_s"])
+    assert simulation["profile_depth_mm"][-1] == 16.0
+
+
+def test_the_figure_is_an_svg_that_names_the_run(client):
+    answer = client.get(f"{RUN}/figure.svg")
+    assert answer.headers["content-type"].startswith("image/svg+xml")
+    root = ElementTree.fromstring(answer.text)
+    assert root.tag.endswith("svg")
+    assert any("lab-2026-03-04-01" in (text.text or "") for text in root.iter("{http://www.w3.org/2000/svg}text"))
