@@ -40,7 +40,7 @@ class AdamModule:
         name: str = "4118",
         lowest: float = 0.0,
         highest: float = 1370.0,
-        think_s: float = 0.004,
+        think_s: float = 0.001,
     ) -> None:
         self.converter = converter
         self.switches = converter.switches

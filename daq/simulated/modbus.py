@@ -117,7 +117,7 @@ class ModbusModule:
         *,
         station: int = 1,
         tcp: bool = False,
-        think_s: float = 0.004,
+        think_s: float = 0.001,
         writable: Callable[[int], bool] = lambda address: False,
     ) -> None:
         self.converter = converter
