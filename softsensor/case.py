@@ -19,7 +19,7 @@ from softsensor.effects.effect import Scene
 from softsensor.readout import Reader
 from softsensor.timing import OPENING_RAMP_S, Clock
 
-__all__ = ["Case", "mask_cells", "prepare_case", "step_edges"]
+__all__ = ["Case", "mask_cells", "prepare_case", "snap", "step_edges", "step_means"]
 
 MAX_BRIDGE_S = 10.0
 """Missing cells of a boundary column are bridged by a straight line up to this long. [s]"""
@@ -43,6 +43,8 @@ class Case:
     boundary: Array
     """Measured boundary temperature: mean and change in each step (steps, 2, 2). [°C, K]"""
     first_boundary: tuple[float, float]
+    outside: Array
+    """Measured boundary temperatures at the run's rows (rows, 2). [°C]"""
     load: Mapping[int, Array]
     """Pressure over reference in each step, by contact."""
     columns: tuple[str, ...]
@@ -93,7 +95,7 @@ def prepare_case(
     start, has_states = float(run.time_s[0]), press.has_states
     ends = (press.boundary.bottom, press.boundary.top)
     series = [_boundary_series(run, name, b) for name, b in zip(("bottom", "top"), ends, strict=True)]
-    boundary = np.stack([_means(run.time_s, s, edges) for s in series], axis=1)
+    boundary = np.stack([step_means(run.time_s, s, edges) for s in series], axis=1)
     fit = press.sensors_of(run)
     sensors = fit | press.sensors_of(run, "validation")
     labels = list(dict.fromkeys(sensor.label for sensor in sensors.values()))
@@ -112,13 +114,14 @@ def prepare_case(
         edges=edges,
         boundary=boundary,
         first_boundary=(float(series[0][0]), float(series[1][0])),
+        outside=np.stack(series, axis=1),
         load=load,
         columns=tuple(sensors),
         labels=tuple(labels),
         place_of={column: labels.index(sensor.label) for column, sensor in sensors.items()},
         places=np.stack([weights[label] for label in labels]),
         press_face=np.stack([_press_face(press, mesh, label) for label in labels]),
-        h=_snap(np.diff(edges)),
+        h=snap(np.diff(edges)),
         ambient=run.ambient_temperature,
         layout=layout,
         scene=_scene(press, mesh, panel, layout, moments, edges, load, run.ambient_temperature),
@@ -165,8 +168,8 @@ def _scene(
     )
 
 
-def _snap(h: Array) -> Array:
-    """Make steps that differ only by rounding equal, so that the kernel can keep its factors."""
+def snap(h: Array) -> Array:
+    """Return steps with those that differ only by rounding made equal, so that kernels keep their factors."""
     same = np.abs(np.diff(h)) < 1e-9 * h[1:]
     group = np.concatenate([[0], np.cumsum(~same)])
     first = np.concatenate([[0], np.flatnonzero(~same) + 1])
@@ -259,8 +262,8 @@ def _boundary_series(run: Run, name: str, boundary: Boundary) -> Array:
     return np.interp(run.time_s, times, values[good])
 
 
-def _means(time_s: Array, values: Array, edges: Array) -> Array:
-    """Mean over each step and change across it of a series joined by straight lines (steps, 2)."""
+def step_means(time_s: Array, values: Array, edges: Array) -> Array:
+    """Return the mean over each step and change across it of a series joined by straight lines (steps, 2)."""
     area = np.concatenate([[0.0], np.cumsum(np.diff(time_s) * (values[1:] + values[:-1]) / 2)])
     at = np.interp(edges, time_s, values)
     i = np.clip(np.searchsorted(time_s, edges, side="right") - 1, 0, max(len(time_s) - 2, 0))
@@ -311,7 +314,7 @@ def _loads(press: Press, run: Run, edges: Array) -> dict[int, Array]:
                 continue
             smallest = max(float(np.nanmax(values)) * 0.01, 1e-6)
             series = np.maximum(np.interp(run.time_s, run.time_s[good], values[good]), smallest)
-            loads[m] = _means(run.time_s, series / float(np.median(series)), edges)[:, 0]
+            loads[m] = step_means(run.time_s, series / float(np.median(series)), edges)[:, 0]
         elif contact.load is None and pressure is not None and set(contact.between) & set(press.panel_layers):
             loads[m] = np.full(len(edges) - 1, pressure / REFERENCE_PRESSURE)
     return loads

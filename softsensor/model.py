@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -29,6 +29,7 @@ from softsensor import kernels
 from softsensor.assembly import initial_profile
 from softsensor.case import Case, prepare_case
 from softsensor.effects import Effect, Terms, find_effect
+from softsensor.exact import run_exact
 from softsensor.readout import Derivatives, Reader
 from softsensor.timing import Clock
 
@@ -163,6 +164,7 @@ class ThermalModel:
         values: Mapping[str, float],
         tangents: Iterable[str] = (),
         *,
+        method: Literal["implicit", "exact"] = "implicit",
         fields: bool = False,
     ) -> Solution:
         """Run the model over a case.
@@ -173,21 +175,34 @@ class ThermalModel:
             Every coefficient of the press; effect parameters left out are neutral, nuisances 0.
         tangents
             Parameters to differentiate by.
+        method
+            ``implicit`` (TR-BDF2) for any model; ``exact`` in time for a linear one, see `exact`.
         fields
-            Keep all cell temperatures at every step.
+            Keep all cell temperatures at every step edge of the case (of the exact solver's own grid).
+
+        Raises
+        ------
+        InputError
+            For a missing coefficient, or a model the exact solver cannot take.
         """
         names = tuple(tangents)
         build = self.build(case, values, names)
         steps, m, p = len(case.h), len(case.places), build.width
         faces = build.terms.footprint != 0 or any(t.footprint != 0 for t in build.d_terms.values())
         places = np.concatenate([case.places, case.press_face]) if faces else case.places
+        shares, _ = case.row_clock.shares(values)
+        if method == "exact":
+            if build.nonlinear:
+                bent = [e.name for e in self.effects if e.nonlinear] or ["a property table or radiation"]
+                raise InputError(f"method = 'exact': {bent[0]} is not linear; use the implicit solver")
+            grid, out, d_out, kept = run_exact(case, build, values, places, fields=fields)
+            return _observe(grid.case, build, values, out, d_out[: len(names)], m, kept, shares[:, 2])
         out = np.empty((steps + 1, len(places)))
         d_out = np.empty((p, steps + 1, len(places)))
         kept = np.empty((steps + 1 if fields else 0, len(case.mesh.dx)))
         kernels.march(
             build.stack, build.tangents, build.drive, build.start, places, build.nonlinear, out, d_out, kept
         )
-        shares, _ = case.row_clock.shares(values)
         return _observe(case, build, values, out, d_out[: len(names)], m, kept, shares[:, 2])
 
     def _terms(self, case: Case, values: Mapping[str, float], by: str | None = None) -> Terms:

@@ -33,6 +33,8 @@ class Clock:
     present: Array
     """Whether a panel is in, 0 .. 1 (rows)."""
     has_states: bool
+    start: float
+    """Of the run. [s]"""
 
     @staticmethod
     def of(moments: Moments, times: Array, start: float, *, mean: bool, has_states: bool) -> Clock:
@@ -41,7 +43,20 @@ class Clock:
         present, _, _ = ramp(times, moments.inserted_s if inside else -np.inf, HANDLING_RAMP_S, mean=mean)
         if np.isfinite(moments.removed_s):
             present = present - ramp(times, moments.removed_s, HANDLING_RAMP_S, mean=mean)[0]
-        return Clock(moments, times, mean, present, has_states)
+        return Clock(moments, times, mean, present, has_states, start)
+
+    def ramps(self) -> list[tuple[float, float]]:
+        """Return when the shares change: from, to. [s]"""
+        if not self.has_states:
+            return []
+        m = self.moments
+        lengths = (HANDLING_RAMP_S, max(m.ramp_s, SHORTEST_RAMP_S), OPENING_RAMP_S, HANDLING_RAMP_S)
+        middles = (m.inserted_s, m.closed_s, m.opened_s, m.removed_s)
+        return [
+            (a - b / 2, a + b / 2)
+            for i, (a, b) in enumerate(zip(middles, lengths, strict=True))
+            if np.isfinite(a) and (i > 0 or a > self.start)
+        ]
 
     def shares(self, values: Mapping[str, float], names: tuple[str, ...] = (), p: int = 0) -> tuple[Array, Array]:
         """Return the shares of idle, open and closed (rows, 3), and their derivatives (rows, 3, p)."""

@@ -1,0 +1,376 @@
+"""The solver that is exact in time for a linear stack: decoupled modes between the ramps.
+
+While the contacts stay as they are, C dT/dt = -K T + f(t) with constant C and K. With S = C^-1/2 K C^-1/2
+= U diag(lam) U^T (symmetric tridiagonal) the modes q = U^T C^1/2 T decouple, and for outside temperatures
+that are straight between the run's rows each step is exact (`kernels_modal`). Space is discretised as in
+the implicit solver, so both must agree up to the latter's time error.
+
+Through a ramp (closing, opening, handling) the contacts change continuously; there the implicit step is
+used at 1/60 of the ramp. A staircase of constant contacts would need one eigenvalue problem a stair.
+
+Tangents obey the same equation, forced by what a parameter's change does to the temperatures:
+C s' = -K s + (-dK T + df - dC T'). The forcing is taken as straight between steps, which after a switch
+start at 1 ms and grow by 10 %; tangents are therefore not exact but good to about 1e-4 of their largest
+value.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from itertools import pairwise
+from threading import Lock
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import eigh_tridiagonal
+
+from daq.records import Array, InputError
+from softsensor import kernels, kernels_modal, kernels_terms
+from softsensor.case import Case, snap, step_means
+from softsensor.readout import Reader
+from softsensor.timing import TIMINGS, Clock
+
+FIRST_STEP_S = 1e-3
+GROWTH = 1.10
+RAMP_PARTS = 60
+FEW = 12
+"""Up to so many disturbed cells are forced one by one."""
+KEPT = 64
+"""Eigensystems remembered."""
+
+
+@dataclass(frozen=True)
+class Span:
+    """Steps `first` to `last` of a grid; `steady` if the contacts stay as they are."""
+
+    first: int
+    last: int
+    steady: bool
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A case whose step edges hold all rows, and spans of constant contacts."""
+
+    case: Case
+    spans: tuple[Span, ...]
+    outside: Array
+    """Temperature outside both ends at the step edges, and 1 (steps + 1, 3). [°C]"""
+
+
+@dataclass(frozen=True)
+class Modes:
+    """A stack with constant contacts, decoupled."""
+
+    rates: Array
+    """(n). [1/s]"""
+    to_t: Array
+    """Temperatures from modes (n, n)."""
+    from_t: Array
+    """Modes from temperatures (n, n)."""
+    gains: Array
+    """Of the temperature below, above, and of 1 (3, n)."""
+    from_power: Array
+    """Forces on the modes from power in the cells (n, n)."""
+
+
+@dataclass(frozen=True)
+class Forcing:
+    """How a parameter's change acts: power in `cells` = `on` @ (temperatures of `seen`, outside, 1)."""
+
+    cells: NDArray[np.int64]
+    seen: NDArray[np.int64]
+    on: Array
+
+    def power(self, columns: NDArray[np.int64], inputs: Array) -> Array:
+        """Return the power in `cells` (rows, cells); inputs are temperatures of `columns`, outside, 1."""
+        chosen = np.concatenate([np.searchsorted(columns, self.seen), len(columns) + np.arange(3)])
+        return inputs[:, chosen] @ self.on.T
+
+
+def run_exact(
+    case: Case, build: Any, values: Mapping[str, float], places: Array, *, fields: bool = False
+) -> tuple[Grid, Array, Array, Array]:
+    """Solve a linear case; return its grid, outputs, their tangents, and the cells' temperatures.
+
+    Raises
+    ------
+    InputError
+        If the stack is not linear or its contacts change while the press is closed.
+    """
+    moments = case.moments
+    shifts = tuple(values.get(name, 0.0) for name in TIMINGS)
+    grid = _grid(
+        _Key(case), moments.closed_s + shifts[0], moments.opened_s + shifts[1], shifts[2], bool(build.names)
+    )
+    weight, d_weight = grid.case.step_clock.shares(values, build.names, build.width)
+    factor = build.drive.factor
+    if (factor != factor[:1]).any():
+        raise InputError("method = 'exact': a contact changes while the press is closed; use the implicit solver")
+    steps, contacts = len(grid.case.h), factor.shape[1]
+    drive = build.drive._replace(
+        h=grid.case.h,
+        weight=weight,
+        d_weight=d_weight,
+        factor=np.broadcast_to(factor[0], (steps, contacts)).copy(),
+        d_factor=np.broadcast_to(build.drive.d_factor[0], (steps, contacts, build.width)).copy(),
+        boundary=grid.case.boundary + np.array([1.0, 0.0]) * (build.drive.boundary - case.boundary)[:1],
+    )
+    shift = np.append((build.drive.boundary - case.boundary)[0, :, 0], 0.0)
+    outside = grid.outside + shift
+    march = _March(build, drive, outside, places, whole=fields)
+    for span in grid.spans:
+        if span.steady:
+            march.steady(span)
+        else:
+            march.ramp(span)
+    return grid, march.out, march.d_out, march.fields
+
+
+class _March:
+    """The state while spans are taken one after the other."""
+
+    def __init__(self, build: Any, drive: kernels.Drive, outside: Array, places: Array, *, whole: bool) -> None:
+        self.whole = whole
+        self.build, self.drive, self.outside = build, drive, outside
+        self.places = places
+        self.state = build.start
+        steps, m = len(drive.h), len(places)
+        self.out = np.empty((steps + 1, m))
+        self.d_out = np.zeros((build.width, steps + 1, m))
+        self.fields = np.empty((steps + 1 if whole else 0, len(self.state.t)))
+        self.out[0], self.d_out[:, 0] = places @ self.state.t, self.state.s @ places.T
+        if whole:
+            self.fields[0] = self.state.t
+
+    def ramp(self, span: Span) -> None:
+        """Take the implicit step through changing contacts."""
+        a, b = span.first, span.last
+        d = self.drive
+        part = kernels.Drive(
+            d.h[a:b],
+            d.weight[a:b],
+            d.d_weight[a:b],
+            d.factor[a:b],
+            d.d_factor[a:b],
+            d.boundary[a:b],
+            d.d_boundary,
+        )
+        m = len(self.places)
+        out = np.empty((b - a + 1, m))
+        d_out = np.empty((self.build.width, b - a + 1, m))
+        fields = np.empty((b - a + 1 if self.whole else 0, len(self.state.t)))
+        self.state.clock[0] = 0.0
+        kernels.march(
+            self.build.stack, self.build.tangents, part, self.state, self.places, False, out, d_out, fields
+        )
+        self.out[a : b + 1], self.d_out[:, a : b + 1] = out, d_out
+        if self.whole:
+            self.fields[a : b + 1] = fields
+
+    def steady(self, span: Span) -> None:
+        """Take exact steps with constant contacts."""
+        a, b = span.first, span.last
+        w, dw = _coefficients(self.build, self.drive, a)
+        ambient, d_boundary = self.build.stack.ambient, self.drive.d_boundary
+        modes = _decouple(w, ambient)
+        forcings = [_forcing(w, dw, i, d_boundary, ambient) for i in range(len(self.build.names))]
+        n, m = len(modes.rates), len(self.places)
+        dense = self.whole or any(len(f.cells) > FEW for f in forcings)
+        seen = np.unique(np.concatenate([f.seen for f in forcings])) if forcings and not dense else np.arange(0)
+        read = np.concatenate([self.places @ modes.to_t, modes.to_t[seen]])
+        q = (modes.from_t @ self.state.t)[None]
+        out = np.empty((1, b - a + 1, len(read)))
+        out[0, 0] = read @ q[0]
+        history = np.empty((1 if dense else 0, b - a + 1, n))
+        if dense:
+            history[0, 0] = q[0]
+        u, h = np.ascontiguousarray(self.outside[None, a : b + 1]), self.drive.h[a:b]
+        none = np.empty((0, 0, n))
+        kernels_modal.modes(modes.rates, modes.gains[None], read, h, u, none, q, out, history)
+        self.out[a : b + 1] = out[0, :, :m]
+        seen_t = history[0] @ modes.to_t.T if dense else out[0, :, m:]
+        if forcings:
+            inputs = np.concatenate([seen_t, u[0]], axis=1)
+            self._tangents(span, forcings, modes, np.arange(n) if dense else seen, inputs, read[:m])
+        self.state.t[:] = modes.to_t @ q[0]
+        if self.whole:
+            self.fields[a : b + 1] = seen_t
+
+    def _tangents(
+        self,
+        span: Span,
+        forcings: list[Forcing],
+        modes: Modes,
+        seen: NDArray[np.int64],
+        inputs: Array,
+        read: Array,
+    ) -> None:
+        """Carry the tangents over a span, forced by what the parameters do to the temperatures."""
+        a, b, n, p = span.first, span.last, len(modes.rates), len(forcings)
+        h, steps = self.drive.h[a:b], b - a
+        q = self.state.s[:p] @ modes.from_t.T
+        out = np.empty((p, steps + 1, len(read)))
+        out[:, 0] = q @ read.T
+        none = np.empty((0, 0, n))
+        few = [i for i, f in enumerate(forcings) if len(f.cells) <= FEW]
+        c = max([len(forcings[i].cells) for i in few], default=1) or 1
+        gains, u = np.zeros((len(few), c, n)), np.zeros((len(few), steps + 1, c))
+        for row, i in enumerate(few):
+            f = forcings[i]
+            gains[row, : len(f.cells)] = modes.from_power[:, f.cells].T
+            u[row, :, : len(f.cells)] = f.power(seen, inputs)
+        x, y = q[few], out[few]
+        kernels_modal.modes(modes.rates, gains, read, h, u, none, x, y, none)
+        q[few], out[few] = x, y
+        for i in sorted(set(range(p)) - set(few)):
+            f = forcings[i]
+            forced = (f.power(seen, inputs) @ modes.from_power[:, f.cells].T)[None]
+            gains, u = np.zeros((1, 1, n)), np.zeros((1, 1, 1))
+            kernels_modal.modes(modes.rates, gains, read, h, u, forced, q[i : i + 1], out[i : i + 1], none)
+        self.d_out[:p, a : b + 1] = out
+        self.state.s[:p] = q @ modes.to_t.T
+
+
+def _coefficients(build: Any, drive: kernels.Drive, step: int) -> tuple[Array, Array]:
+    """Return the coefficients of a step and their tangents."""
+    p, n = build.start.s.shape
+    w = np.zeros((kernels_terms.ROWS, n + 1))
+    dw = np.zeros((kernels_terms.DROWS, p, n + 1))
+    empty, d_empty = np.zeros((0, 2, n)), np.zeros((0, 2, p, n))
+    kernels_terms.coefficients(
+        build.stack, build.tangents, drive, step, 1.0, build.start.done, build.start.s_done, w, dw, empty, d_empty
+    )
+    return w, dw
+
+
+_remembered: OrderedDict[bytes, Modes] = OrderedDict()
+_lock = Lock()
+
+
+def _decouple(w: Array, ambient: float) -> Modes:
+    """Solve the eigenvalue problem of constant contacts, or remember it."""
+    n = w.shape[1] - 1
+    rows = [kernels_terms.CAP, kernels_terms.G, kernels_terms.LOSS, kernels_terms.SRC, kernels_terms.DIAG]
+    key = w[rows].tobytes() + np.float64(ambient).tobytes()
+    with _lock:
+        if key in _remembered:
+            _remembered.move_to_end(key)
+            return _remembered[key]
+    cap, g, loss, src, diag = w[rows]
+    root = np.sqrt(cap[:n])
+    rates, u = eigh_tridiagonal(diag[:n] / cap[:n], -g[1:n] / (root[1:] * root[:-1]))
+    power = u.T / root
+    inputs = np.zeros((n, 3))
+    inputs[0, 0] += g[0]
+    inputs[n - 1, 1] += g[n]
+    inputs[:, 2] = loss[:n] * ambient + src[:n]
+    modes = Modes(
+        rates=np.maximum(rates, 0.0),
+        to_t=np.ascontiguousarray(u / root[:, None]),
+        from_t=np.ascontiguousarray(u.T * root),
+        gains=np.ascontiguousarray((power @ inputs).T),
+        from_power=power,
+    )
+    with _lock:
+        _remembered[key] = modes
+        while len(_remembered) > KEPT:
+            _remembered.popitem(last=False)
+    return modes
+
+
+def _forcing(w: Array, dw: Array, i: int, d_boundary: Array, ambient: float) -> Forcing:
+    """Return -dK T + df - dC T' of parameter `i` as a matrix on temperatures and outside."""
+    n = w.shape[1] - 1
+    t = kernels_terms
+    cap, g, diag = w[t.CAP, :n], w[t.G], w[t.DIAG, :n]
+    dcap, dg, dloss = dw[t.DCAP, i, :n], dw[t.DG, i], dw[t.DLOSS, i, :n]
+    dsrc, dslope = dw[t.DSRC, i, :n], dw[t.DSLOPE, i, :n]
+    share = dcap / cap
+    below, above = dg[:n] - share * g[:n], dg[1:] - share * g[1:]
+    here = -(dg[:n] + dg[1:] + dloss + dslope) + share * diag
+    rest = dloss * ambient + dsrc - share * (w[t.LOSS, :n] * ambient + w[t.SRC, :n])
+    rest[0] += g[0] * d_boundary[0, i]
+    rest[n - 1] += g[n] * d_boundary[1, i]
+    cells = np.flatnonzero((below != 0) | (above != 0) | (here != 0) | (rest != 0))
+    seen = np.unique(np.clip(np.concatenate([cells - 1, cells, cells + 1]), 0, n - 1)) if len(cells) else cells
+    where = {int(cell): c for c, cell in enumerate(seen)}
+    on = np.zeros((len(cells), len(seen) + 3))
+    for row, cell in enumerate(cells):
+        on[row, where[int(cell)]] += here[cell]
+        on[row, where[int(cell) - 1] if cell > 0 else -3] += below[cell]
+        on[row, where[int(cell) + 1] if cell < n - 1 else -2] += above[cell]
+        on[row, -1] += rest[cell]
+    return Forcing(cells, seen, on)
+
+
+class _Key:
+    """A case as a dictionary key: the same object is the same key."""
+
+    def __init__(self, case: Case) -> None:
+        self.case = case
+
+    def __hash__(self) -> int:
+        return id(self.case)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Key) and other.case is self.case
+
+
+@lru_cache(maxsize=256)
+def _grid(key: _Key, closed: float, opened: float, stretch: float, fine: bool) -> Grid:
+    """Lay out the steps: all rows, the ramps finely, and short steps after a ramp if `fine`."""
+    case = key.case
+    times = case.run.time_s
+    start, end = float(times[0]), float(times[-1])
+    moments = replace(case.moments, closed_s=closed, opened_s=opened, ramp_s=case.moments.ramp_s + stretch)
+    clock = Clock.of(moments, times, start, mean=False, has_states=case.press.has_states)
+    ramps = [r for r in clock.ramps() if start < r[1] and r[0] < end]
+    parts: list[NDArray[Any]] = [times]
+    for first, last in ramps:
+        parts.append(np.asarray(np.linspace(max(first, start), min(last, end), RAMP_PARTS + 1)))
+    if fine:
+        for switch in [start, *(last for _, last in ramps)]:
+            longest = 0.1 * (end - switch)
+            count = int(np.log1p(max(longest, 0.0) / FIRST_STEP_S) / np.log(GROWTH)) + 1
+            after = switch + FIRST_STEP_S * (GROWTH ** np.arange(1, count) - 1.0) / (GROWTH - 1.0)
+            parts.append(after[(after < end) & (after < switch + 3.0)])
+    edges = np.unique(np.concatenate(parts))
+    rows = np.isin(edges, times)
+    close = np.flatnonzero(np.diff(edges) < 1e-7)
+    drop = {int(i) if not rows[i] else int(i) + 1 for i in close}
+    edges = np.delete(edges, [i for i in drop if not rows[i]])
+    outside = np.ones((len(edges), 3))
+    boundary = np.empty((len(edges) - 1, 2, 2))
+    for end_number in range(2):
+        series = case.outside[:, end_number]
+        outside[:, end_number] = np.interp(edges, times, series)
+        boundary[:, end_number] = step_means(times, series, edges)
+        if not case.layout.measured[end_number]:
+            outside[:, end_number] = case.layout.flux[end_number, 2]
+    has_states = case.press.has_states
+    whole = replace(
+        case,
+        edges=edges,
+        h=snap(np.diff(edges)),
+        boundary=boundary,
+        step_clock=Clock.of(case.moments, edges, start, mean=True, has_states=has_states),
+        edge_clock=Clock.of(case.moments, edges, start, mean=False, has_states=has_states),
+        reader=Reader.at(edges, times),
+        slope_reader=Reader.at(edges, times, slope=True),
+    )
+    return Grid(whole, _spans(edges, ramps), outside)
+
+
+def _spans(edges: Array, ramps: list[tuple[float, float]]) -> tuple[Span, ...]:
+    """Cut the steps into ramps and what lies between them."""
+    middle = (edges[1:] + edges[:-1]) / 2
+    inside = np.zeros(len(middle), dtype=bool)
+    for first, last in ramps:
+        inside |= (middle > first) & (middle < last)
+    cuts = [0, *(np.flatnonzero(np.diff(inside)) + 1).tolist(), len(middle)]
+    return tuple(Span(a, b, not bool(inside[a])) for a, b in pairwise(cuts) if b > a)
