@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from datetime import datetime
+from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal
 
 from daq.records import Channel, PressEvent, Run, Scan
-from daq.store import reading, recording, results
+from daq.store import reading, recording, results, upkeep
 from daq.store.database import BUSY_S, Database
 from daq.store.parcels import Parcel
 from daq.store.records import (
@@ -117,6 +118,11 @@ class Store:
         """Store a run read from a file; returns its name. Raises `InputError` where the name is taken."""
         with self.database.writing() as connection:
             return recording.import_run(connection, run, press, press_file)
+
+    def import_runs(self, runs: Sequence[Run], press: str, press_file: str = "") -> list[str]:
+        """Store several runs, all or none; returns their names."""
+        with self.database.writing() as connection:
+            return [recording.import_run(connection, run, press, press_file) for run in runs]
 
     def annotate_run(self, run: str, changes: Mapping[str, Any], who: str) -> None:
         """Change header keys (``panel.density_kg_m3``) or ``remark``; None removes a key. History is kept."""
@@ -327,3 +333,21 @@ class Store:
         """Return the newest sign of life of each process."""
         with self.database.reading() as connection:
             return results.statuses(connection)
+
+    # --- upkeep -------------------------------------------------------------------------------------
+
+    def back_up(self, target: Path) -> upkeep.Contents:
+        """Copy the store into a new, checked SQLite file while others write; `upkeep.restore` reads it."""
+        return upkeep.back_up(self.database, target)
+
+    def contents(self) -> upkeep.Contents:
+        """Return how many runs, scans, fits and models there are."""
+        return upkeep.contents_of(self.database)
+
+    def thin_idle(self, before: datetime, keep_every: int = 100) -> int:
+        """Delete some idle scans older than `before`, all but every `keep_every`-th; runs stay whole."""
+        return upkeep.thin_idle(self.database, before, keep_every)
+
+    def sizes(self) -> upkeep.Sizes:
+        """Return size, cost of a scan and free space."""
+        return upkeep.sizes_of(self.database)

@@ -1,0 +1,295 @@
+"""Looking after a store: backup while recording, verified restore, thinning of idle scans, sizes.
+
+A backup is always one SQLite file, also of a PostgreSQL store: it opens anywhere, and restoring it into
+either engine is the same copy. It is checked before it gets its name, so a file that is there is whole.
+"""
+
+from __future__ import annotations
+
+import shutil
+import sqlite3
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import closing, suppress
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+from sqlalchemy import Connection, Table, delete, func, insert, select, text
+
+from daq.records import InputError
+from daq.store.database import Database
+from daq.store.records import StoreUnavailable
+from daq.store.schema import (
+    COEFFICIENT,
+    CONFIGURATION,
+    DIAGNOSIS,
+    ESTIMATE,
+    EVENT,
+    FIT,
+    LAYOUT,
+    MODEL,
+    PRESS,
+    PRESS_EVENT,
+    RUN,
+    RUN_CHANGE,
+    SCAN,
+    STATUS,
+)
+
+_IN_ORDER = (
+    PRESS,
+    LAYOUT,
+    CONFIGURATION,
+    RUN,
+    RUN_CHANGE,
+    SCAN,
+    PRESS_EVENT,
+    ESTIMATE,
+    FIT,
+    COEFFICIENT,
+    MODEL,
+    DIAGNOSIS,
+    EVENT,
+    STATUS,
+)
+_BATCH = 20_000
+Progress = Callable[[int], None]
+
+
+@dataclass(frozen=True)
+class Contents:
+    """What a store holds, for comparing a backup with its origin."""
+
+    schema: int
+    runs: int
+    scans: int
+    fits: int
+    models: int
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """How large a store is and how long the disk lasts."""
+
+    bytes: int
+    bytes_per_scan: float
+    free_bytes: int | None
+    """None for a server, whose disk is its own affair."""
+
+
+def back_up(database: Database, target: Path) -> Contents:
+    """Copy a store into a new SQLite file while others write, check the copy, then give it its name.
+
+    Raises
+    ------
+    InputError
+        Where the target exists or its folder does not.
+    StoreUnavailable
+        Where store or disk refuse; no file is left behind.
+    """
+    _check_target(target)
+    part = target.with_name(f".{target.name}.part")
+    part.unlink(missing_ok=True)
+    try:
+        if database.path is not None:
+            _copy_file(database.path, part)
+        else:
+            with closing(Database(str(part))) as copy, database.reading() as source:
+                if database.dialect == "postgresql":
+                    source.execute(text("SET TRANSACTION ISOLATION LEVEL REPEATABLE READ, READ ONLY"))
+                _copy_tables(source, copy)
+            _make_single_file(part)
+        contents = verify(part)
+        part.replace(target)
+    except sqlite3.Error as error:
+        raise StoreUnavailable(f"backup {target}: {error}; check the disk and its space") from error
+    finally:
+        for leftover in (part, part.with_name(part.name + "-wal"), part.with_name(part.name + "-shm")):
+            with suppress(OSError):
+                leftover.unlink(missing_ok=True)
+    return contents
+
+
+def _check_target(target: Path) -> None:
+    if target.exists():
+        raise InputError(f"backup {target}: exists already; give a new name, backups are never overwritten")
+    if not target.parent.is_dir():
+        raise InputError(f"backup {target}: folder {target.parent} does not exist; create it")
+
+
+def _copy_file(source: Path, target: Path) -> None:
+    """Copy by SQLite's own online backup, one consistent state."""
+    with closing(sqlite3.connect(source)) as old, closing(sqlite3.connect(target)) as new:
+        old.backup(new)
+    _make_single_file(target)
+
+
+def _make_single_file(path: Path) -> None:
+    with closing(sqlite3.connect(path)) as connection:
+        connection.execute("PRAGMA journal_mode=DELETE")
+
+
+def _copy_tables(source: Connection, target: Database) -> None:
+    with target.writing() as connection:
+        for table in _IN_ORDER:
+            rows = source.execution_options(stream_results=True).execute(select(table)).mappings()
+            for batch in rows.partitions(_BATCH):
+                connection.execute(insert(table), [dict(row) for row in batch])
+        if target.dialect == "postgresql":
+            for table in _IN_ORDER:
+                _continue_numbers(connection, table)
+    if target.path is not None:
+        with target.engine.connect() as connection:
+            connection.exec_driver_sql("PRAGMA wal_checkpoint(TRUNCATE)")
+
+
+def _continue_numbers(connection: Connection, table: Table) -> None:
+    """Let a server's row numbers go on after the copied ones."""
+    key = next(iter(table.primary_key)).name
+    identity = text("SELECT pg_get_serial_sequence(:table, :key)")
+    sequence = connection.execute(identity, {"table": table.name, "key": key}).scalar()
+    if sequence is not None:
+        newest = connection.execute(select(func.max(table.c[key]))).scalar() or 0
+        connection.execute(text("SELECT setval(:sequence, :value)"), {"sequence": sequence, "value": newest + 1})
+
+
+def verify(path: Path) -> Contents:
+    """Check a store file: sound pages, sound references, every closed run with all its scans' numbers in order.
+
+    Raises
+    ------
+    InputError
+        For a file that is damaged or no store.
+    """
+    if not path.is_file():
+        raise InputError(f"backup {path}: does not exist")
+    try:
+        with closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as connection:
+            if (sound := connection.execute("PRAGMA integrity_check(1)").fetchone()[0]) != "ok":
+                raise InputError(f"backup {path}: damaged: {sound}; take another backup")
+            if connection.execute("PRAGMA foreign_key_check").fetchone() is not None:
+                raise InputError(f"backup {path}: damaged: rows refer to rows that are not there")
+            schema = connection.execute("SELECT version FROM schema_version").fetchone()[0]
+            counts = [
+                connection.execute(f"SELECT count(*) FROM {table}").fetchone()[0]
+                for table in ("run", "scan", "fit", "model")
+            ]
+            short = connection.execute(_RUNS_WITHOUT_ENDS).fetchone()
+    except sqlite3.Error as error:
+        raise InputError(f"backup {path}: not a sound store: {error}; take another backup") from error
+    if short is not None:
+        raise InputError(f"backup {path}: run {short[0]} lacks its first or last scan; take another backup")
+    return Contents(schema, *counts)
+
+
+_RUNS_WITHOUT_ENDS = """
+SELECT run.run FROM run WHERE run.last_scan >= run.first_scan AND run.status = 'closed' AND (
+    NOT EXISTS (SELECT 1 FROM scan WHERE scan.press_id = run.press_id AND scan.number = run.first_scan)
+    OR NOT EXISTS (SELECT 1 FROM scan WHERE scan.press_id = run.press_id AND scan.number = run.last_scan)
+) LIMIT 1
+"""
+
+
+def restore(backup: Path, url: str) -> Contents:
+    """Make a store from a backup at a place where none is, and compare the two.
+
+    Raises
+    ------
+    InputError
+        For a damaged backup, or a place that holds data.
+    """
+    contents = verify(backup)
+    with closing(Database(url)) as target, tempfile.TemporaryDirectory(prefix="kerntemp-restore-") as folder:
+        with target.reading() as connection:
+            if connection.execute(select(func.count()).select_from(PRESS)).scalar():
+                raise InputError(f"store {target.label}: holds data; restore only into a new place")
+        working = Path(folder) / "backup.sqlite"  # opening a store writes beside it; the backup stays untouched
+        shutil.copyfile(backup, working)
+        with closing(Database(str(working))) as source, source.reading() as rows:
+            _copy_tables(rows, target)
+        found = contents_of(target)
+    if found != contents:
+        raise StoreUnavailable(f"store {target.label}: holds {found} after restoring, the backup {contents}")
+    return found
+
+
+def contents_of(database: Database) -> Contents:
+    """Return what a store holds."""
+    with database.reading() as connection:
+        counts = [
+            int(connection.execute(select(func.count()).select_from(table)).scalar_one())
+            for table in (RUN, SCAN, FIT, MODEL)
+        ]
+        schema = connection.execute(text("SELECT version FROM schema_version")).scalar_one()
+    return Contents(int(schema), *counts)
+
+
+def thin_idle(database: Database, before: datetime, keep_every: int, most_rows: int = 20_000) -> int:
+    """Delete idle scans older than `before` but every `keep_every`-th; scans of runs are never touched.
+
+    Returns how many went; at most `most_rows` at a time, so that recording never waits long.
+    """
+    gone = 0
+    for press_id, first, last in _idle_stretches(database, before):
+        while gone < most_rows:
+            with database.writing() as connection:
+                numbers = list(
+                    connection.execute(
+                        select(SCAN.c.number)
+                        .where(
+                            SCAN.c.press_id == press_id,
+                            SCAN.c.number.between(first, last),
+                            SCAN.c.number % keep_every != 0,
+                            SCAN.c.unix_s < before.timestamp(),
+                        )
+                        .order_by(SCAN.c.number)
+                        .limit(1000)
+                    ).scalars()
+                )
+                if not numbers:
+                    break
+                for table in (SCAN, ESTIMATE):
+                    connection.execute(
+                        delete(table).where(table.c.press_id == press_id, table.c.number.in_(numbers))
+                    )
+            gone += len(numbers)
+            first = numbers[-1] + 1
+    return gone
+
+
+def _idle_stretches(database: Database, before: datetime) -> Iterator[tuple[int, int, int]]:
+    """Yield press, first and last number of every stretch of scans outside all runs, oldest first."""
+    with database.reading() as connection:
+        presses = list(connection.execute(select(PRESS.c.press_id).where(PRESS.c.kind == "recorded")).scalars())
+        stretches = []
+        for press_id in presses:
+            runs = connection.execute(
+                select(RUN.c.first_scan, RUN.c.last_scan)
+                .where(RUN.c.press_id == press_id)
+                .order_by(RUN.c.first_scan)
+            ).all()
+            first = 0
+            for run in runs:
+                if run.first_scan > first:
+                    stretches.append((press_id, first, run.first_scan - 1))
+                if run.last_scan is None:
+                    break
+                first = max(first, run.last_scan + 1)
+            else:
+                newest = connection.execute(select(func.max(SCAN.c.number)).where(SCAN.c.press_id == press_id))
+                stretches.append((press_id, first, int(newest.scalar() or 0)))
+    yield from (s for s in stretches if s[2] >= s[1])
+
+
+def sizes_of(database: Database) -> Sizes:
+    """Return how large the store is and what a scan costs."""
+    with database.reading() as connection:
+        newest = connection.execute(select(SCAN.c.press_id, func.max(SCAN.c.number)).group_by(SCAN.c.press_id))
+        scans = sum(int(n) + 1 for _, n in newest)
+        if database.path is None:
+            size = int(connection.execute(text("SELECT pg_database_size(current_database())")).scalar_one())
+            return Sizes(size, size / max(scans, 1), None)
+    beside = [database.path, *(database.path.with_name(database.path.name + s) for s in ("-wal", "-shm"))]
+    size = sum(p.stat().st_size for p in beside if p.exists())
+    return Sizes(size, size / max(scans, 1), shutil.disk_usage(database.path.parent).free)
