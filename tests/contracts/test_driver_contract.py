@@ -108,8 +108,8 @@ def test_a_broken_thermocouple_costs_only_its_own_channel(profile):
 
 def test_a_device_that_falls_silent_is_a_named_gap_and_is_found_again(profile):
     switches = Switches()
-    with logger_of(profile, switches=switches) as logger:
-        logger.read()
+    with logger_of(profile, switches=switches, timeout_s=0.15) as logger:
+        _first_good(logger)
         switches.silent = True
         for _ in range(3):
             with pytest.raises(ReadFailure) as caught:
