@@ -236,7 +236,8 @@ class _Settled:
 def _settle(problem: Problem) -> _Settled:
     """Fit in three passes: roughly, with noise and grid corrected, and once more with noise re-estimated."""
     period = problem.signals.period_s
-    problem = with_motion(problem, problem.start, 0.05 + timing(problem), min(0.1 + 0.4 * period, 1.0))
+    moving = with_motion(problem, problem.start, 0.05 + timing(problem), min(0.1 + 0.4 * period, 1.0))
+    problem = replace(problem, blur=moving.blur)
     initial = problem.evaluate(problem.start)
     rough = minimise(problem, max_evaluations=25, decrease=0.05)
     count = rough.evaluations + 1
