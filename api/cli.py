@@ -17,6 +17,7 @@ from api.commands import analysis, files, services
 from api.commands.calibrating import calibrate
 from api.commands.demo import demo
 from api.commands.fitting import fit
+from api.commands.keeping import backup
 from api.commands.probing import probe
 from api.outputs import WorkFailed
 from daq.records import InputError
@@ -39,6 +40,7 @@ app.command("predict")(analysis.predict)
 app.command("import")(files.import_runs)
 app.command("export")(files.export_runs)
 app.command("check")(files.check)
+app.command("backup")(backup)
 app.command("probe")(probe)
 app.command("calibrate")(calibrate)
 app.command("token")(services.token)

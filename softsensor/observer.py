@@ -114,7 +114,7 @@ class LiveSensor:
         self._members: list[Member] = []
         self._points: list[Array] = []
         self._mixture: Mixture | None = None
-        self._replayed_at = -math.inf
+        self._looked_at = -math.inf
         self._initial = math.nan
 
     # --- one scan -----------------------------------------------------------------------------------
@@ -129,7 +129,8 @@ class LiveSensor:
         level, votes = np.empty(len(bench.labels)), np.empty(len(bench.labels))
         loops.agree(self._consensus, readings, level, votes)
         self._rows.append(_Row(time_s, (self._platens[0], self._platens[1]), level, votes))
-        if stale or not self._members or (self._extend() and self._relinearise(time_s)):
+        plain = self._detector.pending is None
+        if stale or not self._members or (plain and self._extend() and self._relinearise(time_s)):
             self._replay()
         return self._say(time_s)
 
@@ -213,7 +214,7 @@ class LiveSensor:
         self._members = [self._start(bench, plan, at) for plan, at in zip(plans, self._points, strict=True)]
         self._done = 0
         self._extend()
-        self._replayed_at = self._rows[-1].time
+        self._looked_at = self._rows[-1].time
 
     def _start(self, bench: Bench, plan: Plan, at: Array) -> Member:
         effects = tuple(dict.fromkeys([*bench.effects, *plan.effects]))
@@ -245,8 +246,9 @@ class LiveSensor:
     def _relinearise(self, time_s: float) -> bool:
         """Move the points of linearisation where the belief has gone far from them; return whether it has."""
         since = time_s - self._last_switch(time_s)
-        if self._mixture is None or time_s - self._replayed_at < max(0.7, 0.3 * since):
+        if self._mixture is None or time_s - self._looked_at < max(0.7, 0.4 * since):
             return False
+        self._looked_at = time_s
         leading, start, moved = self._mixture.leading, 0, False
         sure = bool(self._mixture.weights[leading] > 0.9)
         for i, member in enumerate(self._members):

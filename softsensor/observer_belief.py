@@ -14,11 +14,11 @@ from softsensor.observer_setup import CHAIN_UNITS, Bench, Filter
 
 CHANNEL_K, OFFSET_K = 0.1, 0.3
 """White noise and constant offset of a panel channel. [K]"""
-FACE_K, FACE_S = 0.17, 25.0
+FACE_K, FACE_S = 0.15, 25.0
 """Slow error common to a face, and how fast it is forgotten. [K, s]"""
 ROUGH_S, ROUGH_MEMORY_S = 0.15, 3.0
 """How far the model may be off in time where readings jump, and for how long. [s]"""
-MARGIN_K, MARGIN_SHARE = 0.08, 0.006
+MARGIN_K, MARGIN_SHARE = 0.04, 0.006
 """What the model itself adds to the core: absolute, and of the core's rise."""
 GATE = 4.0
 """Innovations beyond this many standard deviations lose weight."""
@@ -96,7 +96,7 @@ class Member:
         cov = np.eye(size)
         for a in range(m):
             channels = max(1, int((bench.place == a).sum()))
-            cov[p + 2 + a, p + 2 + a] = (OFFSET_K * 1.2) ** 2 / channels
+            cov[p + 2 + a, p + 2 + a] = OFFSET_K**2 / channels
             cov[p + 2 + m + a, p + 2 + m + a] = FACE_K**2
         return Member(
             filter=made,

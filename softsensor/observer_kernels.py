@@ -380,7 +380,7 @@ def drift(x, cov, first, keep, variance):
 
 @njit(cache=True, fastmath=True)
 def absorb(x, cov, row, innovation, noise, limit):
-    """One scalar Kalman update; beyond `limit` standard deviations the reading loses weight.
+    """One scalar Kalman update; beyond `limit` standard deviations the reading loses weight, beyond twice all.
 
     Returns the log-likelihood and the squared normalised innovation, both bounded by the limit.
     """
@@ -397,6 +397,8 @@ def absorb(x, cov, row, innovation, noise, limit):
     fit = -0.5 * min(square, limit * limit) - 0.5 * math.log(spread)
     if square > limit * limit:
         spread = abs(innovation) * math.sqrt(spread) / limit
+    if square > 4.0 * limit * limit:
+        spread *= math.sqrt(square) / (2.0 * limit)
     move = innovation / spread
     for a in range(n):
         x[a] += gain[a] * move
@@ -564,6 +566,8 @@ def absorb_faces(x, cov, at, chain, read_before, d_before, level, moment, votes,
         row[p + 2 + a] = 1.0
         row[p + 2 + m + a] = 1.0
         value += x[p + 2 + a] + x[p + 2 + m + a]
+        if elapsed <= 0.0 and abs(level[a] - value) > 1.0:
+            continue  # the first scan of a run may lie at the insertion, when a face is already warming
         rough = errors[1] * slope
         noise = errors[0] ** 2 / max(votes[a], 0.2) + 1e-3
         noise += rough * rough * max(1.0, errors[2] / max(elapsed, 0.02))

@@ -13,6 +13,8 @@ from daq.pressfile import Press
 from softsensor.modelfile import Estimate, ModelFile
 from softsensor.observer_priors import COEFFICIENT_SD, spread_of
 
+PRESS_FILE = "press file"
+"""Version of the model before there is one."""
 NEWEST_RUNS = 12
 """Older runs say little about today's press."""
 USUAL_SPREAD = 0.2
@@ -34,18 +36,22 @@ def up_to_date(press: Press, base: ModelFile | None, fits: Sequence[Mapping[str,
     """
     if base is None and not fits:
         return None
+    fits = fits[:NEWEST_RUNS]
+    version = (base.version if base is not None else PRESS_FILE) + (f"+{len(fits)}" if fits else "")
+    return replace(combined_model(press, base, fits), version=version)
+
+
+def combined_model(press: Press, base: ModelFile | None, fits: Sequence[Mapping[str, Any]]) -> ModelFile:
+    """Return a base model's coefficients and those of runs taken together."""
     table = {}
     for name in press.coefficient_names:
         known = base.coefficients.get(name) if base is not None else None
-        estimate = _combined(known, press.coefficient(name).guess, list(_values(name, fits[:NEWEST_RUNS])))
+        estimate = _combined(known, press.coefficient(name).guess, list(_values(name, fits)))
         if estimate is not None:
             table[name] = estimate
-    version = (base.version if base is not None else "press file") + (
-        f"+{len(fits[:NEWEST_RUNS])}" if fits else ""
-    )
     if base is None:
-        return ModelFile(version, press.name, table)
-    return replace(base, version=version, coefficients=table)
+        return ModelFile(PRESS_FILE, press.name, table)
+    return replace(base, coefficients=table)
 
 
 def _values(name: str, fits: Iterable[Mapping[str, Any]]) -> Iterable[tuple[float, float]]:

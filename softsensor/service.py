@@ -25,7 +25,7 @@ from daq.store import RunRecord, RunStatus, Store, StoredEstimate, StoreUnavaila
 from softsensor.drift import RunValue, watch_all
 from softsensor.modelfile import ModelFile, parse_model
 from softsensor.observer import Estimate, LiveSensor
-from softsensor.recent import NEWEST_RUNS, up_to_date
+from softsensor.recent import NEWEST_RUNS, PRESS_FILE, up_to_date
 
 LOG = logging.getLogger("kerntemp.sense")
 PROCESS = "sense"
@@ -40,8 +40,6 @@ IDLE_S = 1.0
 """Between pressings an estimate is written this often. [s]"""
 HISTORY_RUNS = 200
 """Runs the control charts look back on."""
-PRESS_FILE = "press file"
-"""Version of the model before there is one."""
 NO_PANEL = "no panel in the press"
 Level = Literal["info", "warning", "alarm"]
 
