@@ -8,6 +8,7 @@ Units: K, s, W, m; temperatures in °C. Parameters are named: coefficients as in
 
 ========================  ==========================================================
 ``closed_s, opened_s``    middle of the closing and opening ramp, shift from the case [s]
+``inserted_s``            insertion, shift from the case; without effect where the run starts at it [s]
 ``ramp_s``                length of the closing ramp, shift from the case [s]
 ``initial_K``             shift of the panel's initial temperature [K]
 ``boundary_bottom_K``     shift of the measured bottom boundary [K]
@@ -33,7 +34,15 @@ from softsensor.exact import run_exact
 from softsensor.readout import Derivatives, Reader
 from softsensor.timing import Clock
 
-NUISANCES = ("closed_s", "opened_s", "ramp_s", "initial_K", "boundary_bottom_K", "boundary_top_K")
+NUISANCES = (
+    "closed_s",
+    "opened_s",
+    "ramp_s",
+    "inserted_s",
+    "initial_K",
+    "boundary_bottom_K",
+    "boundary_top_K",
+)
 """Per-run parameters every model has; 0 where nothing is known better."""
 _TINY = 1e-30
 _STATES = (PressState.IDLE, PressState.OPEN, PressState.CLOSED)

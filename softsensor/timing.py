@@ -1,6 +1,6 @@
 """When the press is idle, open and closed: shares of the states at times, or averaged over steps.
 
-Insertion, closing, opening and removal are ramps. A closing or opening moment may be shifted and the
+Insertion, closing, opening and removal are ramps. All moments but the removal may be shifted and the
 closing ramp stretched by nuisance parameters, so the shares come with derivatives.
 """
 
@@ -18,7 +18,7 @@ OPENING_RAMP_S = 0.35
 HANDLING_RAMP_S = 0.2
 """How long insertion and removal take. [s]"""
 SHORTEST_RAMP_S = 0.02
-TIMINGS = ("closed_s", "opened_s", "ramp_s")
+TIMINGS = ("closed_s", "opened_s", "ramp_s", "inserted_s")
 
 
 @dataclass(frozen=True)
@@ -71,14 +71,28 @@ class Clock:
         opening = m.opened_s + values.get("opened_s", 0.0)
         down, d_down, _ = ramp(self.times, opening, OPENING_RAMP_S, mean=self.mean)
         closed = up - down
-        weights[:, 0] = 1.0 - self.present
-        weights[:, 1] = self.present - closed
+        present, d_present = self._presence(values.get("inserted_s", 0.0), derive="inserted_s" in names)
+        weights[:, 0] = 1.0 - present
+        weights[:, 1] = present - closed
         weights[:, 2] = closed
-        for name, change in zip(TIMINGS, (d_up, -d_down, d_ramp), strict=True):
+        if "inserted_s" in names:
+            weights_of = names.index("inserted_s")
+            d_weights[:, 0, weights_of] = -d_present
+            d_weights[:, 1, weights_of] = d_present
+        for name, change in zip(TIMINGS[:3], (d_up, -d_down, d_ramp), strict=True):
             if name in names:
                 d_weights[:, 2, names.index(name)] = change
                 d_weights[:, 1, names.index(name)] = -change
         return np.clip(weights, 0.0, 1.0, out=weights), d_weights
+
+    def _presence(self, shift: float, *, derive: bool) -> tuple[Array, Array]:
+        """Return whether a panel is in with the insertion shifted, and the derivative by the shift (rows)."""
+        inserted = self.moments.inserted_s
+        if (shift == 0.0 and not derive) or not np.isfinite(inserted) or inserted <= self.start:
+            return self.present, np.zeros(len(self.present))
+        there, _, _ = ramp(self.times, inserted, HANDLING_RAMP_S, mean=self.mean)
+        moved, change, _ = ramp(self.times, inserted + shift, HANDLING_RAMP_S, mean=self.mean)
+        return self.present + moved - there, change
 
 
 def ramp(edges: Array, middle: float, length: float, *, mean: bool) -> tuple[Array, Array, Array]:
