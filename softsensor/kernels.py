@@ -500,6 +500,14 @@ def rest(stack, tan, drive, held, held_t, d_held, state):
         _copy(state.t, state.s, w[STAR], dw[DSTAR])
         coefficients(stack, tan, drive, first, 1.0, state.done, state.s_done, w, dw, rate, drate)
         g, loss, src, diag = w[G], w[LOSS], w[SRC], w[DIAG]
+        for j in range(1, n):
+            if held[j - 1] != held[j]:
+                # the panel is not there yet: what touches it later rests without it
+                diag[j - 1] -= g[j]
+                diag[j] -= g[j]
+                g[j] = 0.0
+                for q in range(p):
+                    dw[DG, q, j] = 0.0
         for i in range(n):
             x[i] = loss[i] * stack.ambient + src[i]
         x[0] += g[0] * low

@@ -1,0 +1,238 @@
+"""The solver against closed forms, laws and its own order of convergence."""
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+from scipy.special import erfc, erfcx
+
+from daq.records import Moments
+from softsensor.conduction import build_mesh, graded_widths
+
+K, RHO, C = 0.12, 740.0, 1550.0
+ALPHA = K / (RHO * C)
+METHODS = ("implicit", "exact")
+NEVER = Moments()
+
+
+def slab(thickness_mm: float, bottom: str, top: str = 'kind = "insulated"', contact: str = "") -> str:
+    return f"""
+[[layer]]
+name = "slab"
+thickness_mm = {thickness_mm}
+conductivity_W_mK = {K}
+density_kg_m3 = {RHO}
+heat_capacity_J_kgK = {C}
+[boundary.bottom]
+{bottom}
+[boundary.top]
+{top}
+{contact}
+[initial]
+kind = "uniform"
+temperature_C = 20.0
+"""
+
+
+MEASURED = 'kind = "measured"\ncolumn = "hot"'
+CONTACT_BELOW = '[[contact]]\nbetween = ["boundary.bottom", "slab"]\nclosed = "h"\n'
+CONTACT_ABOVE = '[[contact]]\nbetween = ["slab", "boundary.top"]\nclosed = "h"\n'
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("h", [30.0, 700.0, 5000.0])
+def test_thick_slab_heated_through_a_contact_follows_the_error_function(make_rig, method, h):
+    time_s = np.arange(0.0, 60.05, 0.1)
+    places = {"face": '"slab.bottom"', "deep": '{ layer = "slab", depth_mm = 4.0 }'}
+    model, run = make_rig(slab(60.0, MEASURED, contact=CONTACT_BELOW), time_s, {"hot": 200.0}, places)
+    solution = model.solve(model.prepare(run, NEVER), {"h": h}, method=method)
+    after = time_s >= 0.2
+    for column, x in (("face", 0.0), ("deep", 0.004)):
+        s = np.sqrt(ALPHA * time_s[after])
+        eta = x / (2 * s)
+        # exp(h x / k + h² alpha t / k²) erfc(eta + h sqrt(alpha t) / k), Carslaw & Jaeger sec. 2.7
+        expected = 20.0 + 180.0 * (erfc(eta) - np.exp(-(eta**2)) * erfcx(eta + h * s / K))
+        error = np.abs(solution.column(column)[after] - expected)
+        # at 5000 W/m²K the face rises by 400 K/s in the first tenths
+        assert error.max() < (0.05 if h < 1000 else 0.4), (column, error.max())
+        assert error[time_s[after] > 1.0].max() < 0.05
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_slab_between_two_contacts_follows_the_eigenfunction_series(make_rig, method):
+    thickness, h = 0.016, 300.0
+    time_s = np.arange(0.0, 400.05, 0.2)
+    toml = slab(16.0, MEASURED, MEASURED, CONTACT_BELOW + CONTACT_ABOVE)
+    places = {"face": '"slab.top"', "core": '"slab.middle"'}
+    model, run = make_rig(toml, time_s, {"hot": 180.0}, places)
+    solution = model.solve(model.prepare(run, NEVER), {"h": h}, method=method)
+    biot = h * thickness / 2 / K
+    after = time_s >= 5.0
+    theta = {"face": 0.0, "core": 0.0}
+    for i in range(60):
+        beta = brentq(lambda b: b * np.sin(b) - biot * np.cos(b), i * np.pi + 1e-12, i * np.pi + np.pi / 2)
+        weight = 4 * np.sin(beta) / (2 * beta + np.sin(2 * beta))
+        decay = np.exp(-(beta**2) * ALPHA * time_s[after] / (thickness / 2) ** 2)
+        theta["face"] = theta["face"] + weight * np.cos(beta) * decay
+        theta["core"] = theta["core"] + weight * decay
+    for column in theta:
+        error = np.abs(solution.column(column)[after] - (180.0 - 160.0 * theta[column]))
+        assert error.max() < 0.05, (column, error.max())
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("h", [None, 400.0])
+def test_two_bodies_brought_together_share_heat_by_their_effusivities(make_rig, method, h):
+    contact = '[[contact]]\nbetween = ["hot_body", "panel"]\nclosed = "h"\n' if h else ""
+    toml = f"""
+[[layer]]
+name = "hot_body"
+thickness_mm = 60.0
+conductivity_W_mK = 1.0
+density_kg_m3 = 2500.0
+heat_capacity_J_kgK = 840.0
+[[layer]]
+name = "panel"
+from_run = true
+[boundary.bottom]
+{MEASURED}
+{contact}
+"""
+    header = {
+        "panel.thickness_mm": 60.0,
+        "panel.density_kg_m3": RHO,
+        "panel.conductivity_W_mK": K,
+        "panel.heat_capacity_J_kgK": C,
+        "panel.initial_temperature_C": 20.0,
+    }
+    time_s = np.arange(0.0, 40.05, 0.1)
+    places = {"lower": '"hot_body.top"', "upper": '"panel.bottom"'}
+    model, run = make_rig(toml, time_s, {"hot": 180.0}, places, **header)
+    solution = model.solve(model.prepare(run, NEVER), {"h": h} if h else {}, method=method)
+    e_panel, e_hot = np.sqrt(K * RHO * C), np.sqrt(1.0 * 2500.0 * 840.0)
+    after = time_s >= 0.2
+    a = (h or 1e12) * (1 / e_panel + 1 / e_hot)
+    grown = 1.0 - erfcx(a * np.sqrt(time_s[after]))
+    upper = 20.0 + 160.0 * e_hot / (e_hot + e_panel) * grown
+    lower = 180.0 - 160.0 * e_panel / (e_hot + e_panel) * grown
+    # a step of 126 K at once, a fifth of a second ago
+    assert np.abs(solution.column("upper")[after] - upper).max() < 0.4
+    assert np.abs(solution.column("lower")[after] - lower).max() < 0.4
+    late = time_s[after] > 1.0
+    assert np.abs(solution.column("upper")[after] - upper)[late].max() < 0.05
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_ramped_face_drives_the_integrated_error_function(make_rig, method):
+    time_s = np.arange(0.0, 60.05, 0.5)
+    toml = slab(60.0, MEASURED)
+    places = {"deep": '{ layer = "slab", depth_mm = 3.0 }'}
+    model, run = make_rig(toml, time_s, {"hot": 20.0 + 2.0 * time_s}, places)
+    solution = model.solve(model.prepare(run, NEVER), {}, method=method)
+    t = time_s[1:]
+    eta = 0.003 / (2 * np.sqrt(ALPHA * t))
+    expected = 20.0 + 2.0 * t * ((1 + 2 * eta**2) * erfc(eta) - 2 / np.sqrt(np.pi) * eta * np.exp(-(eta**2)))
+    assert np.abs(solution.column("deep")[1:] - expected).max() < 0.03
+
+
+def test_halving_the_cells_quarters_the_error(make_rig):
+    time_s = np.arange(0.0, 200.5, 1.0)
+    toml = slab(16.0, MEASURED, MEASURED, CONTACT_BELOW + CONTACT_ABOVE)
+    hot = 20.0 + 150.0 * np.sin(np.pi * time_s / 400.0) ** 2
+    model, run = make_rig(toml, time_s, {"hot": hot}, {"face": '"slab.top"'})
+
+    def solve(fineness):
+        return model.solve(model.prepare(run, NEVER, fineness=fineness), {"h": 300.0}, method="exact").places
+
+    finest = solve(8.0)
+    errors = [np.abs(solve(f) - finest).max(axis=0) for f in (1.0, 2.0)]
+    ratio = errors[0] / errors[1]
+    assert (3.6 < ratio).all(), ratio
+    assert (ratio < 4.8).all(), ratio
+
+
+def test_halving_the_steps_quarters_the_error(make_rig):
+    time_s = np.arange(0.0, 300.5, 1.0)
+    toml = slab(16.0, MEASURED, MEASURED, CONTACT_BELOW + CONTACT_ABOVE)
+    hot = 20.0 + 150.0 * np.sin(np.pi * time_s / 200.0) ** 2
+    model, run = make_rig(toml, time_s, {"hot": hot}, {"face": '"slab.top"'})
+    exact = model.solve(model.prepare(run, NEVER), {"h": 300.0}, method="exact").places
+    errors = []
+    for step in (8.0, 4.0, 2.0):
+        case = model.prepare(run, NEVER, max_step_s=step)
+        rows = np.isin(np.round(time_s, 6), np.round(case.edges, 6)) & (time_s > 60.0)
+        late = (time_s > 60.0) if rows.sum() < 5 else rows
+        errors.append(np.sqrt(np.mean((model.solve(case, {"h": 300.0}).places - exact)[late] ** 2)))
+    assert 3.0 < errors[0] / errors[1] < 5.5, errors
+    assert 3.0 < errors[1] / errors[2] < 5.5, errors
+
+
+def test_insulated_slab_keeps_its_heat_to_rounding(make_rig):
+    time_s = np.arange(0.0, 100.05, 0.5)
+    toml = slab(16.0, 'kind = "insulated"').replace('kind = "uniform"\ntemperature_C = 20.0', 'kind = "sensors"')
+    model, run = make_rig(toml, time_s, {}, {"a": '"slab.bottom"', "b": '"slab.top"'})
+    run.columns["a"][0], run.columns["b"][0] = 20.0, 180.0
+    case = model.prepare(run, NEVER)
+    for method in METHODS:
+        fields = model.solve(case, {}, method=method, fields=True).fields
+        heat = fields @ case.mesh.dx * RHO * C
+        assert np.ptp(fields[-1]) < 100.0, "heat moved"
+        assert np.abs(heat / heat[0] - 1.0).max() < 1e-12, method
+
+
+def test_absorbed_flux_ends_up_in_the_slab_to_rounding(make_rig):
+    time_s = np.arange(0.0, 50.05, 0.5)
+    toml = slab(16.0, 'kind = "flux"\nincident_W_m2 = 5000.0\nabsorptivity = 0.9')
+    model, run = make_rig(toml, time_s, {}, {"a": '"slab.bottom"'})
+    case = model.prepare(run, NEVER)
+    fields = model.solve(case, {}, fields=True).fields
+    gained = (fields[-1] - fields[0]) @ case.mesh.dx * RHO * C
+    assert gained == pytest.approx(0.9 * 5000.0 * 50.0, rel=1e-11)
+
+
+def test_irradiated_face_of_a_thick_slab_rises_with_the_square_root_of_time(make_rig):
+    time_s = np.arange(0.0, 20.05, 0.1)
+    toml = slab(60.0, 'kind = "flux"\nincident_W_m2 = 20000.0')
+    model, run = make_rig(toml, time_s, {}, {"a": '"slab.bottom"'})
+    solution = model.solve(model.prepare(run, NEVER), {})
+    expected = 20.0 + 2 * 20000.0 * np.sqrt(time_s / (np.pi * K * RHO * C))
+    assert np.abs(solution.column("a") - expected)[time_s >= 0.5].max() < 0.3  # of 600 K
+
+
+def test_face_that_radiates_settles_where_losses_equal_the_flux(make_rig):
+    time_s = np.arange(0.0, 3000.5, 1.0)
+    toml = slab(
+        5.0, 'kind = "flux"\nincident_W_m2 = 8000.0\nemissivity = 0.8\ncoefficient = "h"\nambient_C = 25.0'
+    )
+    model, run = make_rig(toml, time_s, {}, {"a": '"slab.bottom"'})
+    face = model.solve(model.prepare(run, NEVER), {"h": 10.0}).column("a")[-1]
+    lost = 10.0 * (face - 25.0) + 0.8 * 5.670374419e-8 * ((face + 273.15) ** 4 - 298.15**4)
+    assert lost == pytest.approx(8000.0, rel=1e-6)
+
+
+def test_heat_from_both_sides_stays_symmetric(make_rig):
+    time_s = np.arange(0.0, 60.05, 0.1)
+    toml = slab(16.0, MEASURED, MEASURED, CONTACT_BELOW + CONTACT_ABOVE)
+    model, run = make_rig(toml, time_s, {"hot": 180.0}, {"a": '"slab.bottom"', "b": '"slab.top"'})
+    case = model.prepare(run, NEVER)
+    for method in METHODS:
+        fields = model.solve(case, {"h": 700.0}, method=method, fields=True).fields
+        assert np.abs(fields - fields[:, ::-1]).max() < 1e-8, method
+
+
+def test_widths_fill_the_layer_and_grow_smoothly():
+    for thickness, diffusivity in ((0.003, 1e-7), (0.016, 1.05e-7), (0.038, 1.2e-7), (0.01, 1.2e-5), (0.05, 2e-6)):
+        for fineness in (0.5, 1.0, 4.0):
+            widths = graded_widths(thickness, diffusivity, fineness)
+            assert widths.sum() == pytest.approx(thickness, rel=1e-12)
+            assert np.allclose(widths, widths[::-1])
+            growth = widths[1:] / widths[:-1]
+            assert growth.max() < 1.3 ** (1 / fineness) + 0.01
+
+
+def test_place_reads_a_parabola_exactly_anywhere_in_its_layer():
+    mesh = build_mesh([("plate", 0.01, 1.2e-5), ("panel", 0.016, 1e-7)])
+    x = mesh.centres("panel")
+    field = np.zeros(len(mesh.dx))
+    field[mesh.cells("panel")] = 3.0 + 2e3 * x - 5e4 * x**2
+    for height in (0.0, 1e-5, 0.0057, 0.008, 0.016):
+        assert mesh.place("panel", height) @ field == pytest.approx(3.0 + 2e3 * height - 5e4 * height**2, abs=1e-6)
