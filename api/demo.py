@@ -32,11 +32,13 @@ from daq.store.store import Store, open_store
 SERVICES = ("record", "sense")
 START_S = 120.0
 """Longest wait for a process to come up. [s]"""
+COMPILE_S = 600.0
+"""Longest wait for the compiler. [s]"""
 PATIENCE_S = 15.0
 """Longest wait for a process to end by itself. [s]"""
 FIT_S = 30.0
 """Longest wait for the last fit of a finished pressing. [s]"""
-SCANS_PER_S = 40.0
+SCANS_PER_S = 30.0
 """An accelerated demonstration scans at most about this often in real time."""
 TARGET_C = 40.0
 """What the demonstration's recipe asks of the core. [°C]"""
@@ -149,7 +151,9 @@ class _Demo:
         keep = 6 if plan.pressings is None else plan.pressings + 4
         settings = {"hide": plan.hide, "keep": keep, "seed": plan.seed}
         self.truth: VirtualPress = press_of(settings)
+        warming = self.children.start("warmup", [sys.executable, "-m", "api.warmup"], stdout=subprocess.DEVNULL)
         loggers = self._start_loggers({**settings, "speed": plan.speed})
+        self._wait_for_warmup(warming)
         _write_configuration(self.config, plan, loggers, self.truth)
         self.store: Store = ending.enter_context(open_store(str(plan.folder / "kerntemp.sqlite")))
         for name in SERVICES:
@@ -175,6 +179,17 @@ class _Demo:
         self._tell(settings)
         answer: dict[str, Any] = json.loads(self._first_line("loggers", child))
         return answer
+
+    def _wait_for_warmup(self, warming: subprocess.Popen[str]) -> None:
+        """Compile before the clock starts: an accelerated press would run away from a compiling sensor."""
+        try:
+            warming.wait(5.0)
+        except subprocess.TimeoutExpired:
+            self.say("First start: compiling the model takes about a minute ...")
+            warming.wait(COMPILE_S)
+        del self.children.running["warmup"]
+        if warming.returncode != 0:
+            raise WorkFailed(f"warming up failed: {self.children.last_words('warmup')}")
 
     def _tell(self, message: Mapping[str, Any]) -> None:
         pipe = self.children.running["loggers"].stdin

@@ -49,6 +49,7 @@ class Listening:
         taken.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             taken.bind((self.host, self.port))
+            taken.listen(2048)
         except OSError as error:
             taken.close()
             raise InputError(

@@ -4,6 +4,7 @@ import { text } from "./text.js";
 
 const style = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 const open = new Set();
+const BRIDGE_S = 5;
 
 export function redrawAll() {
   for (const chart of open) chart.rebuild();
@@ -68,7 +69,7 @@ export class TimeChart {
     if (s.kind === "band-low" || s.kind === "band-high") return { stroke: "transparent", width: 0, points: { show: false }, spanGaps: true };
     if (s.kind === "dots") return { stroke: colour, paths: () => null, points: { show: true, size: s.size ?? 3.5, fill: colour, stroke: colour, width: 0, space: 0 } };
     const width = { line: 2, thin: 1, core: 2.6 }[s.kind] ?? 1.5;
-    return { stroke: colour, width, dash: s.dash, alpha: s.kind === "thin" ? 0.75 : 1, points: { show: s.points ?? false }, spanGaps: s.spanGaps ?? false };
+    return { stroke: colour, width, dash: s.dash, alpha: s.kind === "thin" ? 0.75 : 1, points: { show: s.points ?? false }, spanGaps: s.spanGaps ?? false, gaps: longGaps };
   }
 
   shade(plot) {
@@ -134,6 +135,11 @@ export class TimeChart {
     this.plot = null;
     open.delete(this);
   }
+}
+
+// A missed scan is bridged; silence of more than a few seconds stays a gap.
+function longGaps(plot, index, from, to, gaps) {
+  return gaps.filter(([start, end]) => plot.posToVal(end, "x", true) - plot.posToVal(start, "x", true) > BRIDGE_S);
 }
 
 function decimals(splits) {

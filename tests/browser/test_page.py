@@ -1,17 +1,16 @@
 import re
+import time
 
 from playwright.sync_api import Page, expect
-
-CLOSED = re.compile("closed")
 
 
 def wait_for_fitted_run(page: Page) -> None:
     """Wait until the first pressing is recorded and fitted."""
-    page.wait_for_function(
-        "fetch('api/v1/coefficients').then(r => r.json()).then(d => d.items.length > 0)",
-        polling=300,
-        timeout=120_000,
-    )
+    count = "fetch('api/v1/coefficients').then((answer) => answer.json()).then((list) => list.items.length)"
+    deadline = time.monotonic() + 120
+    while page.evaluate(count) == 0:
+        assert time.monotonic() < deadline, "no pressing was fitted"
+        time.sleep(0.2)
 
 
 def test_a_live_pressing_is_followed_from_closing_to_its_stored_run(open_page):

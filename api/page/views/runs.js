@@ -125,15 +125,14 @@ const round = (value) => Math.round(value * 10) / 10;
 async function detail(place, context, id) {
   const path = `/runs/${encodeURIComponent(id)}`;
   const run = await get(path);
-  const [samples, estimates, fit, simulation] = await Promise.all([
-    get(`${path}/samples`, { max_points: 3000 }), get(`${path}/estimates`, { max_points: 3000 }),
-    get(`${path}/fit`).catch(() => null), get(`${path}/simulation`).catch((error) => ({ problem: error.message })),
+  const [samples, estimates, fit] = await Promise.all([
+    get(`${path}/samples`, { max_points: 3000 }), get(`${path}/estimates`, { max_points: 3000 }), get(`${path}/fit`).catch(() => null),
   ]);
-  place.append(headCard(run, path));
-  place.append(measuredCard(run, samples, estimates));
-  if (simulation.time_s) place.append(simulationCard(run, simulation), profileCard(simulation));
-  else place.append(el("section", { class: "card empty" }, text("no_simulation"), el("p", { class: "small" }, simulation.problem)));
-  place.append(el("div", { class: "pair" }, fitCard(fit), headerCard(run)));
+  const waiting = el("section", { class: "card empty" }, text("simulating"));
+  place.append(headCard(run, path), measuredCard(run, samples, estimates), waiting, el("div", { class: "pair" }, fitCard(fit), headerCard(run)));
+  get(`${path}/simulation`).then((simulation) => {
+    if (waiting.isConnected) waiting.replaceWith(simulationCard(run, simulation), profileCard(simulation));
+  }).catch((error) => waiting.replaceChildren(text("no_simulation"), el("p", { class: "small" }, error.message)));
   context.on("fit", (data) => { if (data.run === id && !fit) dispatchEvent(new HashChangeEvent("hashchange")); });
   return null;
 }

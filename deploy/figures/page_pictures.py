@@ -1,0 +1,87 @@
+"""Photograph the page before a running demonstration: ``python deploy/figures/page_pictures.py [FOLDER]``.
+
+Without a folder, README's picture is renewed; with one, every view goes there, light and dark, wide and narrow.
+"""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from playwright.sync_api import Browser, sync_playwright
+
+PICTURES = Path(__file__).parents[1] / "pictures"
+CHROMIUM = "/usr/bin/chromium"
+FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking"]
+PRESSINGS_BEFORE = 3
+CORE_C = 35.0
+"""The picture is taken when the core of a running pressing is at least this warm."""
+
+
+def page_address(demo: subprocess.Popen[str]) -> str:
+    """Return the address the demonstration prints."""
+    for line in demo.stdout or ():
+        if line.startswith("Page"):
+            return line.split()[1]
+    raise SystemExit("the demonstration did not start")
+
+
+def take(browser: Browser, address: str, view: str, path: Path, **options: object) -> None:
+    """Photograph one view."""
+    context = browser.new_context(**{"viewport": {"width": 1280, "height": 820}, "locale": "en-GB", **options})
+    page = context.new_page()
+    page.goto(address + view)
+    page.wait_for_timeout(2500)
+    page.screenshot(path=path, full_page=view != "#/now")
+    context.close()
+
+
+def wait_for(browser: Browser, address: str) -> str:
+    """Wait for fitted pressings and a warm core in a closed press; return the newest fitted run."""
+    page = browser.new_page()
+    page.goto(address)
+    deadline = time.monotonic() + 300
+    while time.monotonic() < deadline:
+        state = page.evaluate(
+            "Promise.all(['press', 'coefficients'].map(p => fetch('api/v1/' + p).then(a => a.json())))"
+            ".then(([p, c]) => [c.items.map(i => i.run), p.items[0].state, p.items[0].estimate?.core_C ?? 0])"
+        )
+        if len(state[0]) >= PRESSINGS_BEFORE and state[1] == "closed" and state[2] >= CORE_C:
+            page.close()
+            return str(state[0][0])
+        time.sleep(0.1)
+    raise SystemExit("no pressing got warm in time")
+
+
+def main() -> None:
+    """Start the demonstration, take the pictures, end it."""
+    folder = Path(sys.argv[1]) if len(sys.argv) > 1 else None
+    demo = subprocess.Popen(
+        [sys.executable, "-m", "api", "demo", "--speed", "12"], stdout=subprocess.PIPE, text=True
+    )
+    try:
+        address = page_address(demo)
+        with sync_playwright() as playwright:
+            browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+            run = wait_for(browser, address)
+            PICTURES.mkdir(exist_ok=True)
+            if folder is None:
+                take(browser, address, "#/now", PICTURES / "page.png")
+                return
+            folder.mkdir(exist_ok=True)
+            for name in ("now", f"runs/{run}", "runs", "coefficients", "diagnosis", "loggers"):
+                file = name.split("/")[0] + ("-one" if "/" in name else "")
+                take(browser, address, f"#/{name}", folder / f"{file}.png")
+                take(browser, address, f"#/{name}", folder / f"{file}-dark.png", color_scheme="dark")
+                narrow = {"width": 375, "height": 780}
+                take(browser, address, f"#/{name}", folder / f"{file}-375.png", viewport=narrow, locale="de-DE")
+    finally:
+        demo.send_signal(signal.SIGINT)
+        demo.wait(60)
+
+
+if __name__ == "__main__":
+    main()
