@@ -23,6 +23,8 @@ __all__ = ["Case", "mask_cells", "prepare_case", "snap", "step_edges", "step_mea
 
 MAX_BRIDGE_S = 10.0
 """Missing cells of a boundary column are bridged by a straight line up to this long. [s]"""
+MAX_GAP_S = 60.0
+"""Missing rows are bridged up to this long. [s]"""
 FINE_STEP_S = 0.04
 """Step around a switch. [s]"""
 GROWTH = 1.12
@@ -89,6 +91,7 @@ def prepare_case(
         that are missing or nonphysical.
     """
     press = press_for_run(press, run)
+    _check_times(press, run, moments)
     panel = panel_of(run) if press.panel_layers else None
     mesh = _mesh(press, panel, paper=paper, fineness=fineness)
     edges = step_edges(run.time_s, moments, max_step_s / fineness, FINE_STEP_S / fineness)
@@ -174,6 +177,32 @@ def snap(h: Array) -> Array:
     group = np.concatenate([[0], np.cumsum(~same)])
     first = np.concatenate([[0], np.flatnonzero(~same) + 1])
     return np.asarray(h[first][group])
+
+
+def _check_times(press: Press, run: Run, moments: Moments) -> None:
+    """Refuse times that do not rise, long gaps, and moments out of order."""
+    where, t = run.source or run.name, run.time_s
+    if len(t) < 2:
+        raise InputError(f"{where}: column time_s has {len(t)} row; a run needs at least two")
+    steps = np.diff(t)
+    wrong = np.flatnonzero(~(np.isfinite(steps) & (steps > 0)))
+    if len(wrong):
+        i = int(wrong[0])
+        raise InputError(
+            f"{where}: time_s = {t[i + 1]:g} follows {t[i]:g} (row {i + 2}): times must rise; mend the row"
+        )
+    measured = "measured" in (press.boundary.bottom.kind, press.boundary.top.kind)
+    i = int(np.argmax(steps))
+    if measured and steps[i] > MAX_GAP_S:
+        raise InputError(
+            f"{where}: no row for {steps[i]:.1f} s after time_s = {t[i]:g}; at most {MAX_GAP_S:g} s of a measured "
+            f"boundary are bridged: cut the run there"
+        )
+    if moments.opened_s < moments.closed_s:
+        raise InputError(
+            f"{where}: opened_s = {moments.opened_s:g} lies before closed_s = {moments.closed_s:g}; "
+            f"check column closed"
+        )
 
 
 def step_edges(time_s: Array, moments: Moments, max_step: float, fine: float) -> Array:

@@ -146,6 +146,12 @@ class ThermalModel:
         missing = [n for n in case.press.coefficient_names if n not in values]
         if missing:
             raise InputError(f"coefficient {missing[0]} is missing; give all of {case.press.coefficient_names}")
+        for name in case.press.coefficient_names:
+            if not 0.0 <= values[name] < np.inf:
+                raise InputError(f"{name} = {values[name]:g} W/m²K: must be a finite number, at least 0")
+        for name in values:
+            if not np.isfinite(values[name]):
+                raise InputError(f"{name} = {values[name]:g}: must be a finite number")
         terms = self._terms(case, values)
         own = {e.key(q.name) for e in self.effects for q in e.parameters}
         late = any(e.nonlinear or terms.closed_contact for e in self.effects)

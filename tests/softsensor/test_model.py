@@ -173,7 +173,7 @@ def _refined(model, run):
 def test_both_solvers_agree_on_the_press_cycle(lab_press, make_run, coefficients, moments):
     model = ThermalModel.of(lab_press)
     case = model.prepare(make_run(noise=0.1), moments)
-    names = model.parameter_names + ("initial_K", "boundary_top_K", "closed_s", "opened_s", "ramp_s")
+    names = (*model.parameter_names, "initial_K", "boundary_top_K", "closed_s", "opened_s", "ramp_s")
     exact = model.solve(case, coefficients, names, method="exact")
     implicit = model.solve(case, coefficients, names)
     t = case.run.time_s

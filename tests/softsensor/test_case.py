@@ -1,0 +1,143 @@
+"""What a run must offer to be solved, and how it is refused otherwise."""
+
+import re
+
+import numpy as np
+import pytest
+
+from daq.pressfile import parse_press
+from daq.records import InputError, Moments, Run
+from softsensor.case import step_edges, step_means
+from softsensor.model import ThermalModel
+
+
+def prepared(press, run, moments):
+    return ThermalModel.of(press).prepare(run, moments)
+
+
+def test_a_missing_boundary_column_is_named(lab_press, make_run, moments):
+    run = make_run(end=30.0)
+    del run.columns["platen_top"]
+    with pytest.raises(InputError, match=r"column 'platen_top' is missing; boundary.top needs it"):
+        prepared(lab_press, run, moments)
+
+
+def test_an_empty_boundary_column_is_named(lab_press, make_run, moments):
+    run = make_run(end=30.0)
+    run.columns["platen_bottom"][:] = np.nan
+    with pytest.raises(InputError, match="column 'platen_bottom' holds no value"):
+        prepared(lab_press, run, moments)
+
+
+def test_a_short_gap_in_a_boundary_is_bridged_by_a_straight_line(lab_press, make_run, moments, coefficients):
+    line = {"top": lambda t: 190.0 + 0.1 * t, "bottom": lambda t: 195.0 + 0.05 * t}
+    whole, holed = make_run(end=60.0, **line), make_run(end=60.0, **line)
+    holed.columns["platen_top"][200:290] = np.nan
+    model = ThermalModel.of(lab_press)
+    expected = model.solve(model.prepare(whole, moments), coefficients).sensors
+    found = model.solve(model.prepare(holed, moments), coefficients).sensors
+    assert np.abs(found - expected).max() < 1e-9
+
+
+@pytest.mark.parametrize(("first", "last"), [(0, 150), (200, 350), (400, 600)])
+def test_a_long_gap_in_a_boundary_is_refused_with_its_length_and_place(lab_press, make_run, moments, first, last):
+    run = make_run(end=60.0)
+    run.columns["platen_top"][first:last] = np.nan
+    with pytest.raises(InputError, match=r"'platen_top' is empty for \d+\.\d s around time_s = .* at most 10 s"):
+        prepared(lab_press, run, moments)
+
+
+@pytest.mark.parametrize("kind", ["falling", "equal", "not a number", "one row"])
+def test_times_that_do_not_rise_are_refused(lab_press, make_run, moments, kind):
+    run = make_run(end=30.0)
+    if kind == "falling":
+        run.time_s[50] = 2.0
+    elif kind == "equal":
+        run.time_s[50] = run.time_s[49]
+    elif kind == "not a number":
+        run.time_s[50] = np.nan
+    else:
+        run = Run("short", run.header, run.time_s[:1], {name: x[:1] for name, x in run.columns.items()})
+    with pytest.raises(InputError, match="time_s"):
+        prepared(lab_press, run, moments)
+
+
+def test_a_gap_in_the_rows_is_refused_where_a_boundary_is_measured(lab_press, make_run, moments):
+    run = make_run(end=150.0)
+    keep = (run.time_s < 25.0) | (run.time_s > 90.0)
+    cut = Run("cut", run.header, run.time_s[keep], {name: x[keep] for name, x in run.columns.items()})
+    with pytest.raises(InputError, match=r"no row for 65\.\d s after time_s = 24\.9"):
+        prepared(lab_press, cut, moments)
+
+
+def test_a_sensor_outside_a_panel_is_refused(lab_press, make_run, moments):
+    text = """
+[[layer]]
+name = "panel"
+from_run = true
+[[sensor]]
+columns = ["core_1"]
+at = { layer = "panel", depth_mm = 17.0 }
+"""
+    with pytest.raises(InputError, match=r"depth_mm = 17 lies outside layer 'panel', 16 mm thick"):
+        prepared(parse_press(text), make_run(end=30.0), moments)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("panel.conductivity_W_mK", -0.1),
+        ("panel.conductivity_W_mK", float("nan")),
+        ("panel.density_kg_m3", 0.0),
+        ("panel.heat_capacity_J_kgK", 1e9),
+        ("panel.thickness_mm", -16.0),
+        ("panel.initial_temperature_C", -300.0),
+        ("panel.thickness_mm", "thick"),
+    ],
+)
+def test_nonphysical_panel_constants_are_refused_with_their_limits(lab_press, make_run, moments, key, value):
+    with pytest.raises(InputError, match=rf"{re.escape(key)} = .*: must be a number from"):
+        prepared(lab_press, make_run(end=30.0, **{key: value}), moments)
+
+
+@pytest.mark.parametrize("line", ["conductivity_W_mK = 0", "conductivity_W_mK = nan", "conductivity_W_mK = []"])
+def test_nonphysical_layer_constants_are_refused(line):
+    text = f'[[layer]]\nname = "a"\nthickness_mm = 1\ndensity_kg_m3 = 1\nheat_capacity_J_kgK = 1\n{line}\n'
+    with pytest.raises(InputError, match=r"layer\.0"):
+        parse_press(text)
+
+
+@pytest.mark.parametrize("value", [float("nan"), -5.0, float("inf")])
+def test_a_nonphysical_coefficient_is_refused(lab_press, make_run, moments, coefficients, value):
+    model = ThermalModel.of(lab_press)
+    case = model.prepare(make_run(end=30.0), moments)
+    with pytest.raises(InputError, match=r"h_pp_c = .*: must be a finite number, at least 0"):
+        model.solve(case, coefficients | {"h_pp_c": value})
+
+
+def test_moments_that_contradict_each_other_are_refused(lab_press, make_run):
+    wrong = Moments(inserted_s=0.0, closed_s=20.0, opened_s=10.0)
+    with pytest.raises(InputError, match=r"opened_s = 10 .* before .*closed_s = 20"):
+        prepared(lab_press, make_run(end=30.0), wrong)
+
+
+def test_steps_are_fine_at_switches_and_end_with_the_run(moments):
+    times = np.arange(0.0, 200.0, 0.7)
+    edges = step_edges(times, moments, 0.5, 0.04)
+    steps = np.diff(edges)
+    assert edges[0] == times[0]
+    assert edges[-1] == times[-1]
+    assert (steps > 0).all()
+    for moment in (moments.inserted_s, moments.closed_s, moments.opened_s, moments.removed_s):
+        near = np.abs((edges[1:] + edges[:-1]) / 2 - moment) < 0.25
+        assert steps[near].max() < 0.05
+
+
+def test_step_means_keep_the_area_under_a_series():
+    rng = np.random.default_rng(3)
+    times = np.sort(rng.uniform(0.0, 10.0, 80))
+    values = rng.normal(size=80)
+    edges = np.sort(np.concatenate([[times[0], times[-1]], rng.uniform(times[0], times[-1], 30)]))
+    means = step_means(times, values, edges)
+    assert np.sum(means[:, 0] * np.diff(edges)) == pytest.approx(np.trapezoid(values, times), abs=1e-12)
+    assert means[:, 1].sum() == pytest.approx(values[-1] - values[0])
