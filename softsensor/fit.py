@@ -262,10 +262,12 @@ def recentre(problem: Problem, x: Array) -> tuple[Problem, Array]:
     """Lay the run out again about refined moments, so that fine steps sit where the press switches."""
     values = problem.merged(x)
     case = problem.case
-    shifts = {n: values.get(n, 0.0) for n in ("closed_s", "opened_s", "ramp_s")}
+    shifts = {n: values.get(n, 0.0) for n in ("closed_s", "opened_s", "ramp_s", "inserted_s")}
     if all(abs(s) < 0.1 for s in shifts.values()):
         return problem, x
     moments = replace(case.moments, **{n: getattr(case.moments, n) + s for n, s in shifts.items()})
+    if moments.inserted_s < float(case.run.time_s[0]):
+        return problem, x
     case = problem.model.prepare(case.run, moments)
     unknowns, moved = [], x.copy()
     for i, u in enumerate(problem.unknowns):

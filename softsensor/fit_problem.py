@@ -20,7 +20,7 @@ from softsensor.case import Case
 from softsensor.effects import find_effect
 from softsensor.model import Solution, ThermalModel
 from softsensor.residuals import Noise, Signals, whiten
-from softsensor.timing import OPENING_RAMP_S
+from softsensor.timing import HANDLING_RAMP_S, OPENING_RAMP_S
 
 HUBER = 3.0
 """Whitened residuals beyond this count in proportion, not squared."""
@@ -233,12 +233,13 @@ def with_motion(problem: Problem, x: Array, timing_s: float, reach_s: float = 0.
     solution = with_clock(problem.model).solve(problem.case, values, (SLOPE,))
     closing = (moments.closed_s + values.get("closed_s", 0.0), moments.ramp_s + values.get("ramp_s", 0.0))
     opening = (moments.opened_s + values.get("opened_s", 0.0), OPENING_RAMP_S)
+    inserting = (moments.inserted_s + values.get("inserted_s", 0.0), HANDLING_RAMP_S)
     slope, blur = [], []
     for place in problem.signals.places:
         column = problem.case.columns.index(place.columns[0])
         slope.append(-solution.d_sensors[SLOPE][:, column])
         own = np.abs(slope[-1]) * timing_s
-        for moment, ramp in (closing, opening):
+        for moment, ramp in (inserting, closing, opening):
             edge = ramp / 2 + SWITCH_EDGE_S + reach_s
             moving = np.abs(t - moment) < edge
             around = solution.sensors[np.abs(t - moment) < edge + max(1.0, 1.1 * problem.signals.period_s), column]

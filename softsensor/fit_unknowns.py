@@ -60,6 +60,8 @@ def chain_priors(case: Case, signals: Signals) -> list[Unknown]:
         first, last = float(case.run.time_s[0]), float(case.run.time_s[-1])
         sd = min(0.1 + 0.4 * period, 1.0)
         late = -0.5 * period if moments.source == "limit switch" else 0.0
+        if first < moments.inserted_s < last:
+            unknowns.append(nuisance("inserted_s", sd, 4 * sd))
         if first < moments.closed_s < last:
             unknowns.append(nuisance("closed_s", sd, 4 * sd, late))
             ramp = moments.ramp_s
