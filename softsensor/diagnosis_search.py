@@ -1,0 +1,288 @@
+"""The search for a cause: the base model settled on all runs, then every candidate fitted for real.
+
+Candidates are not ranked by a linear score alone: a secant of the wrong size leaves a remainder that
+the next candidate then explains (facts measured with a prototype: up to 100 % spurious second names).
+Every candidate starts from its secant, takes a few Gauss-Newton rounds together with all coefficients
+and nuisances, and those that keep up with the best go on to convergence (successive halving).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from daq.records import Array
+from softsensor.effects import Effect, catalogue
+from softsensor.evidence import Digest, Noise, Whitened
+from softsensor.extension import (
+    CampaignFit,
+    Direction,
+    Population,
+    RunState,
+    direction,
+    fit_campaign_model,
+    free_coefficients,
+    held_out,
+    is_shape,
+    lay_out,
+)
+from softsensor.model import ThermalModel
+
+PROBE = 0.5
+"""Secants are taken at this share of an effect's typical size."""
+COARSEST = 3.0
+"""The search works with the noise up to so many times larger where the base model is far off."""
+SPREAD_LIMITS = (0.12, 0.4)
+"""Of the coefficients between runs, logarithmic."""
+START_NOISE = Noise(0.12, 0.06, 0.03)
+KEEP = 6
+"""Candidates fitted to convergence, at most."""
+
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A model settled on the campaign: what the next candidate has to beat."""
+
+    fit: CampaignFit
+    data: tuple[Whitened, ...]
+    population: Population
+    noise: Noise
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Names of the effects in the model."""
+        return tuple(e.name for e in self.fit.layout.model.effects)
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One more effect, fitted."""
+
+    effect: Effect
+    direction: Direction
+    """Secant from the stage's fit."""
+    fit: CampaignFit
+    gain: float
+    """Sum of squares saved."""
+    gains: Array
+    """Sum of squares each run saves with shared numbers from the other runs (runs)."""
+    refined: bool
+    others: tuple[RunState, ...] = ()
+    """Each run by numbers from the others."""
+    score: Array = field(default_factory=lambda: np.zeros(0))
+    """Each run's say along the direction at the fitted size (runs)."""
+
+    def large_enough(self, share: float) -> bool:
+        """Whether some amplitude reaches a share of its typical size."""
+        values = self.fit.values
+        sizes = [
+            abs(values[self.effect.key(p.name)] - p.neutral) / abs(p.typical - p.neutral)
+            for p in self.effect.parameters
+            if not is_shape(p)
+        ]
+        return max(sizes, default=0.0) >= share
+
+    def heldout_ratio(self, stage: Stage) -> float:
+        """Held-out misfit over the stage's, root mean square."""
+        return _rms(self.others) / _rms(stage.fit.runs) if self.others else 1.0
+
+    def heldout_gain(self, stage: Stage) -> float:
+        """Held-out misfit of the places saved. [K]"""
+        return _rms(stage.fit.runs) - _rms(self.others) if self.others else 0.0
+
+
+def _rms(runs: Sequence[RunState]) -> float:
+    return float(np.sqrt(np.mean([np.nanmean(r.misfit**2) for r in runs])))
+
+
+def whiten_all(digests: Sequence[Digest], noise: Noise) -> tuple[Whitened, ...]:
+    """Return every digest with its noise."""
+    return tuple(Whitened.of(d, noise) for d in digests)
+
+
+def settle(
+    model: ThermalModel,
+    digests: Sequence[Digest],
+    noise: Noise,
+    start: Mapping[str, float] | None = None,
+    etas: Sequence[Array] | None = None,
+) -> Stage:
+    """Fit a model to all runs, learn how coefficients scatter, and fit again."""
+    data = whiten_all(digests, noise)
+    population = Population({})
+    fit = fit_campaign_model(lay_out(model, digests, population, start or {}), data, etas, rounds=10)
+    population = scatter(fit)
+    layout = lay_out(model, digests, population, fit.values)
+    fit = fit_campaign_model(layout, data, [r.eta for r in fit.runs], rounds=6)
+    return Stage(fit, data, population, noise)
+
+
+def scatter(fit: CampaignFit) -> Population:
+    """Return how the coefficients scatter from run to run."""
+    names = free_coefficients(fit.layout.model)
+    logs = np.array([r.eta[: len(names)] for r in fit.runs])
+    if len(logs) < 2:
+        return Population({})
+    sd = np.clip(np.std(logs, axis=0, ddof=1), *SPREAD_LIMITS)
+    return Population(dict(zip(names, sd.tolist(), strict=True)))
+
+
+def coarse(stage: Stage) -> Noise:
+    """Return noise as large as the stage's misfit suggests, up to `COARSEST` times."""
+    cost = sum(r.cost for r in stage.fit.runs)
+    count = sum(int(d.digest.valid.sum()) for d in stage.data)
+    factor = float(np.clip(np.sqrt(cost / max(count, 1)), 1.0, COARSEST))
+    n = stage.noise
+    return Noise(n.slow * factor, n.fast * factor, n.white * factor)
+
+
+def settle_base(model: ThermalModel, digests: Sequence[Digest]) -> Stage:
+    """Fit the plain model; where it is far off, with the noise as large as that suggests."""
+    stage = settle(model, digests, START_NOISE)
+    noise = coarse(stage)
+    if noise == stage.noise:
+        return stage
+    return settle(model, digests, noise, stage.fit.values, [r.eta for r in stage.fit.runs])
+
+
+def extend(stage: Stage, candidate: Candidate) -> Stage:
+    """Take a candidate in: fit again with the spread and noise it leaves."""
+    fit = candidate.fit
+    digests = [d.digest for d in stage.data]
+    cost, count = sum(r.cost for r in fit.runs), sum(int(d.valid.sum()) for d in digests)
+    factor = float(np.clip(np.sqrt(cost / max(count, 1)), 1.0 / COARSEST, 1.0))
+    n = stage.noise
+    noise = Noise(n.slow * factor, n.fast * factor, n.white * factor)
+    data, population = whiten_all(digests, noise), scatter(fit)
+    layout = lay_out(fit.layout.model, digests, population, fit.values)
+    return Stage(fit_campaign_model(layout, data, [r.eta for r in fit.runs], rounds=6), data, population, noise)
+
+
+def exchange(stages: Sequence[Stage], first: Sequence[Candidate]) -> list[Stage] | None:
+    """Try others in the place of the first of two causes; None if it stays.
+
+    The first cause was chosen while the second was still unknown.
+    """
+    base, last = stages[0], stages[-1]
+    second = last.fit.layout.model.effects[1]
+    best: tuple[float, Stage, Stage] | None = None
+    for other in [c for c in first if c.refined and c.effect.name not in last.effects][:2]:
+        middle = extend(base, other)
+        middle = _resettled(middle, last)
+        probe = refine(middle, _probe(middle, second, rounds=4))
+        if probe.fit.cost < (best[0] if best else last.fit.cost - 10.0):
+            best = (probe.fit.cost, extend(base, other), Stage(probe.fit, last.data, last.population, last.noise))
+    return None if best is None else [base, best[1], best[2]]
+
+
+def _resettled(stage: Stage, like: Stage) -> Stage:
+    """Fit a stage's model with another's noise and spread, to compare costs."""
+    layout = lay_out(stage.fit.layout.model, [d.digest for d in like.data], like.population, stage.fit.values)
+    fit = fit_campaign_model(layout, like.data, [r.eta for r in stage.fit.runs], rounds=6)
+    return Stage(fit, like.data, like.population, like.noise)
+
+
+def candidates_for(stage: Stage) -> list[Effect]:
+    """Return the catalogue's effects these runs can say something about."""
+    digests = [d.digest for d in stage.data]
+    press = stage.fit.layout.model.press
+    loads = [d.cases[False].load for d in digests]
+    found = []
+    for effect in catalogue().values():
+        if not effect.parameters:
+            continue
+        if effect.needs == "panel" and not press.panel_layers:
+            continue
+        if effect.needs == "closed" and not any(d.switch is not None for d in digests):
+            continue
+        if effect.needs == "load" and not _varies(loads):
+            continue
+        found.append(effect)
+    return found
+
+
+def _varies(loads: Sequence[Mapping[int, Array]]) -> bool:
+    values = [v for load in loads for series in load.values() for v in (series.min(), series.max())]
+    return bool(values) and max(values) > 1.05 * min(values)
+
+
+def search(stage: Stage, effects: Iterable[Effect], progress: Progress | None = None) -> list[Candidate]:
+    """Fit every candidate on top of a stage; best first."""
+    probes = []
+    for effect in effects:
+        if progress is not None:
+            progress(effect.name)
+        probes.append(_probe(stage, effect, rounds=3))
+    probes.sort(key=lambda c: -c.gain)
+    best = probes[0].gain
+    found = []
+    for i, candidate in enumerate(probes):
+        keeps_up = i < 2 or candidate.gain > max(0.35 * best, 4.0)
+        if i < KEEP and keeps_up:
+            if progress is not None:
+                progress(f"{candidate.effect.name}, refined")
+            candidate = refine(stage, candidate)
+        found.append(candidate)
+    return sorted(found, key=lambda c: (-c.gain, c.effect.name))
+
+
+def _probe(stage: Stage, effect: Effect, rounds: int) -> Candidate:
+    model = stage.fit.layout.model.extended(effect)
+    options = [_secant(stage, model, effect, size) for size in _sizes(effect)]
+    forward = [o for o in options if o[1].amplitude > 0] or options[:1]
+    size, secant = max(forward, key=lambda o: o[1].gain)
+    amplitude = float(np.clip(secant.amplitude, 0.02, 3.0))
+    start = dict(stage.fit.values)
+    for p in effect.parameters:
+        reach = 1.0 if is_shape(p) else amplitude * size
+        start[effect.key(p.name)] = float(np.clip(p.neutral + reach * (p.typical - p.neutral), p.lower, p.upper))
+    digests = [d.digest for d in stage.data]
+    layout = lay_out(model, digests, stage.population, start)
+    etas = [
+        _grown(layout.unknowns[i], stage.fit.layout.unknowns[i], r.eta + amplitude * o)
+        for i, (r, o) in enumerate(zip(stage.fit.runs, secant.own, strict=True))
+    ]
+    fit = fit_campaign_model(layout, stage.data, etas, rounds=rounds, tolerance=1.0)
+    gain = max(stage.fit.cost - fit.cost, 0.0)
+    return Candidate(effect, secant, fit, gain, np.zeros(len(stage.data)), refined=False, score=secant.says)
+
+
+def _grown(new: Sequence[object], old: Sequence[object], eta: Array) -> Array:
+    """Extend a run's numbers by zeros for the unknowns a further effect brings at the end."""
+    return np.concatenate([eta, np.zeros(len(new) - len(old))])
+
+
+def refine(stage: Stage, candidate: Candidate, rounds: int = 8) -> Candidate:
+    """Fit a candidate to convergence and find out what it gains on runs left out."""
+    etas = [r.eta for r in candidate.fit.runs]
+    layout = replace(
+        candidate.fit.layout,
+        shared=tuple(
+            replace(s, start=float(v))
+            for s, v in zip(candidate.fit.layout.shared, candidate.fit.theta, strict=True)
+        ),
+    )
+    fit = fit_campaign_model(layout, stage.data, etas, rounds=rounds, tolerance=0.5)
+    others = held_out(fit, stage.data, rounds=1)
+    gains = np.array([a.cost - b.cost for a, b in zip(stage.fit.runs, others, strict=True)])
+    values = {key: fit.values[key] for key in layout.effect_names}
+    score = direction(stage.fit, stage.data, layout.model, values).says
+    gain = max(stage.fit.cost - fit.cost, 0.0)
+    return replace(candidate, fit=fit, gain=gain, gains=gains, refined=True, others=tuple(others), score=score)
+
+
+def _sizes(effect: Effect) -> tuple[float, ...]:
+    one_sided = any(p.lower >= p.neutral for p in effect.parameters if not is_shape(p))
+    return (PROBE,) if one_sided else (PROBE, -PROBE)
+
+
+def _secant(stage: Stage, model: ThermalModel, effect: Effect, size: float) -> tuple[float, Direction]:
+    values = {
+        effect.key(p.name): p.typical if is_shape(p) else p.neutral + size * (p.typical - p.neutral)
+        for p in effect.parameters
+    }
+    return size, direction(stage.fit, stage.data, model, values)
