@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from daq.records import Array
 from softsensor.campaign import CampaignFit
 from softsensor.fit import RunFit
+from softsensor.paper import Reproduction
 from softsensor.residuals import Place
 
 INK, MUTED, GRID = "#1f2933", "#6b7785", "#e3e7ec"
@@ -238,4 +239,22 @@ def correlation_figure(fitted: RunFit) -> Figure:
         strongest = f"{names[i]} and {names[j]} move together most ({matrix[i, j]:+.2f})"
         ax.set_title(f"{fitted.run}: {strongest}")
         figure.colorbar(image, ax=ax, shrink=0.7, label="correlation")
+    return figure
+
+
+def roughness_figure(found: Reproduction) -> Figure:
+    """Draw the cost along one coefficient for an adaptive and for the exact solver."""
+    percent = 100.0 * (found.relative - 1.0)
+    with rc_context(dict(STYLE)):
+        figure = Figure(figsize=(8.0, 3.6), layout="constrained")
+        ax = figure.subplots()
+        figure.suptitle(
+            "Adaptive steps make the cost rough: differences measure the steps, not the slope",
+            x=0.01, ha="left", color=INK, weight="bold",
+        )  # fmt: skip
+        ax.plot(percent, found.adaptive, "o-", ms=2.5, lw=0.9, color=COLOURS[0], label="adaptive solver")
+        ax.plot(percent, found.exact, lw=1.8, color=COLOURS[1], label="exact solver")
+        ax.set_xlabel(f"{found.coefficient} from its best value [%]")
+        ax.set_ylabel("weighted cost per value, from its minimum")
+        ax.legend()
     return figure

@@ -10,8 +10,16 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, select_autoescape
 
 from softsensor.campaign import CampaignFit
-from softsensor.figures import coefficients_figure, correlation_figure, normalised_figure, run_figure, svg
+from softsensor.figures import (
+    coefficients_figure,
+    correlation_figure,
+    normalised_figure,
+    roughness_figure,
+    run_figure,
+    svg,
+)
 from softsensor.fit import RunFit
+from softsensor.paper import Reproduction
 
 TEMPLATE = "fit_report.html"
 STEPS = {"platen_temperature_C": 10.0, "pressure_N_cm2": 10.0, "press_time_s": 10.0}
@@ -128,3 +136,23 @@ def _dependence(campaign: CampaignFit) -> Iterator[dict[str, Any]]:
             text = f"{percent[0]:+.1f} % ({percent[1]:+.1f} … {percent[2]:+.1f})"
             cells.append({"text": text, "sure": sure})
         yield {"name": name, "cells": cells}
+
+
+def paper_report(found: Reproduction) -> str:
+    """Return a page with the paper's table reproduced and the cost that explains it."""
+    pages = Environment(loader=PackageLoader("softsensor", "templates"), autoescape=select_autoescape())
+    return pages.get_template("paper_report.html").render(
+        rows=[
+            {
+                "solver": c.solver,
+                "slopes": c.slopes,
+                "converged": f"{c.converged} of {c.runs}",
+                "seconds": f"{c.seconds:.2f}",
+                "solves": f"{c.evaluations:.0f}",
+                "error": f"{100 * (np.exp(c.error) - 1):.1f} %",
+            }
+            for c in found.table
+        ],
+        last=found.lines[-1],
+        figure=svg(roughness_figure(found)),
+    )

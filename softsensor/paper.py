@@ -1,0 +1,326 @@
+"""The paper's procedures by name, and why its gradient least squares got stuck.
+
+The paper fitted averages of upper and lower sensors with an adaptive ODE solver and finite differences, found
+gradient least squares stuck, and went on with Nelder-Mead followed by weighted least squares. Its procedures are
+here on our solver. `reproduce` runs the four combinations of {adaptive, exact} solver and {finite differences,
+exact sensitivities} on one virtual campaign: adaptive steps change with the coefficients, so the cost has
+steps of its own, and differences over a millionth of a coefficient measure those steps and not the slope.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy.optimize import least_squares, minimize
+
+from daq.records import Array, InputError, Moments, Run
+from softsensor.case import Case
+from softsensor.model import ThermalModel
+from softsensor.paper_ode import Lines, lines_of
+from softsensor.residuals import Signals, collect_signals
+
+METHODS = ("least_squares", "nelder_mead", "nelder_mead_then_least_squares")
+Method = Literal["least_squares", "nelder_mead", "nelder_mead_then_least_squares"]
+STOP = 1e-4
+"""The paper stops when the coefficients change by less than this."""
+Residuals = Callable[[Array], Array]
+
+
+@dataclass(frozen=True)
+class PaperFit:
+    """What one of the paper's procedures found in a run."""
+
+    values: Mapping[str, float]
+    rmse_K: float  # noqa: N815
+    """Of what was fitted: weighted averages, or every sensor with its offset removed. [K]"""
+    converged: bool
+    evaluations: int
+    seconds: float
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """Residuals of a run as the paper forms them."""
+
+    model: ThermalModel
+    case: Case
+    signals: Signals
+    names: tuple[str, ...]
+    every: bool
+
+    def solution(self, x: Array, *, derive: bool) -> tuple[Array, Array]:
+        """Temperature of each place (rows, places), and its derivatives by ln h."""
+        values = {n: self.model.press.coefficient(n).guess for n in self.model.press.coefficient_names}
+        values |= {n: float(np.exp(v)) for n, v in zip(self.names, x, strict=True)}
+        found = self.model.solve(self.case, values, self.names if derive else ())
+        columns = [found.columns.index(p.columns[0]) for p in self.signals.places]
+        slopes = [found.d_sensors[n][:, columns] * values[n] for n in self.names] if derive else []
+        return found.sensors[:, columns], np.stack(slopes, axis=-1) if derive else np.zeros(0)
+
+    def residuals(self, predicted: Array) -> Array:
+        """Weighted residuals, one long row."""
+        parts = []
+        for i, place in enumerate(self.signals.places):
+            if self.every:
+                cells = np.stack([self.signals.cells[c] for c in place.columns], axis=1)
+                difference = cells - predicted[:, [i]]
+                difference = difference - np.nanmean(difference, axis=0)
+                parts.append(np.nan_to_num(difference).ravel() / 0.3)
+            else:
+                parts.append(np.nan_to_num(place.mean - predicted[:, i]) / _scatter(self.signals, i))
+        return np.concatenate(parts)
+
+    def jacobian(self, slopes: Array) -> Array:
+        """Derivatives of `residuals`."""
+        parts = []
+        for i, place in enumerate(self.signals.places):
+            d = slopes[:, i]
+            if self.every:
+                wide = np.repeat((d - d.mean(axis=0))[:, None, :], len(place.columns), axis=1)
+                parts.append(-wide.reshape(-1, d.shape[1]) / 0.3)
+            else:
+                parts.append(
+                    -np.where(np.isfinite(place.mean)[:, None], d, 0.0) / _scatter(self.signals, i)[:, None]
+                )
+        return np.concatenate(parts)
+
+
+def _scatter(signals: Signals, i: int) -> Array:
+    """Standard deviation over a place's sensors in each row, at least 0.1 K. [K]"""
+    cells = np.stack([signals.cells[c] for c in signals.places[i].columns], axis=1)
+    good = np.isfinite(cells)
+    count = np.maximum(good.sum(axis=1), 1)
+    mean = np.where(good, cells, 0.0).sum(axis=1) / count
+    squares = (np.where(good, cells - mean[:, None], 0.0) ** 2).sum(axis=1) / count
+    return np.asarray(np.maximum(np.sqrt(squares), 0.1))
+
+
+def fit_as_paper(
+    model: ThermalModel,
+    run: Run,
+    moments: Moments,
+    method: Method = "nelder_mead_then_least_squares",
+    *,
+    every: bool = False,
+    start: Mapping[str, float] | None = None,
+) -> PaperFit:
+    """Fit a run by one of the paper's procedures.
+
+    Parameters
+    ----------
+    method
+        ``least_squares`` (gradient alone), ``nelder_mead`` alone, or Nelder-Mead and then least squares.
+    every
+        Every sensor with its own offset instead of top and bottom averages.
+    """
+    if method not in METHODS:
+        raise InputError(f"method {method!r}: must be one of {', '.join(METHODS)}")
+    begun = time.perf_counter()
+    problem = _prepare(model, run, moments, every)
+    guesses = {**model.guesses, **(start or {})}
+    x = np.log([guesses[n] for n in problem.names])
+    count, converged = 0, True
+    if method != "least_squares":
+        rough = minimize(
+            lambda v: float(np.sum(problem.residuals(problem.solution(v, derive=False)[0]) ** 2)),
+            x, method="Nelder-Mead", options={"xatol": STOP, "fatol": 1e-3, "maxfev": 1200},
+        )  # fmt: skip
+        x, count, converged = rough.x, int(rough.nfev), bool(rough.success)
+    if method != "nelder_mead":
+        polished = least_squares(
+            lambda v: problem.residuals(problem.solution(v, derive=False)[0]),
+            x,
+            jac=lambda v: problem.jacobian(problem.solution(v, derive=True)[1]),
+            xtol=STOP,
+        )
+        x, converged = polished.x, bool(polished.success)
+        count += int(polished.nfev + polished.njev)
+    final = problem.residuals(problem.solution(x, derive=False)[0])
+    scale = (
+        0.3
+        if every
+        else np.concatenate([_scatter(problem.signals, i) for i in range(len(problem.signals.places))])
+    )
+    return PaperFit(
+        {n: float(np.exp(v)) for n, v in zip(problem.names, x, strict=True)},
+        float(np.sqrt(np.mean((final * scale) ** 2))),
+        converged,
+        count,
+        time.perf_counter() - begun,
+    )
+
+
+def _prepare(model: ThermalModel, run: Run, moments: Moments, every: bool) -> _Fit:
+    case = model.prepare(run, moments)
+    names = tuple(n for n in model.press.coefficient_names if not model.press.coefficient(n).fixed)
+    return _Fit(model, case, collect_signals(case.press, run, moments), names, every)
+
+
+@dataclass(frozen=True)
+class Combination:
+    """One row of the table: a solver and a way to get slopes, over all measurements."""
+
+    solver: str
+    slopes: str
+    converged: int
+    """Measurements in which it reached the lowest cost any combination found (within 2 %)."""
+    runs: int
+    seconds: float
+    """Mean time a measurement. [s]"""
+    evaluations: float
+    """Mean solves a measurement, differences counted."""
+    error: float
+    """Median over measurements of the largest |ln h / h_true| of the coefficients a run shows."""
+
+
+@dataclass(frozen=True)
+class Reproduction:
+    """The table, and the cost along one coefficient for either solver."""
+
+    table: tuple[Combination, ...]
+    coefficient: str
+    relative: Array
+    """Of the coefficient, about the minimum. [-]"""
+    adaptive: Array
+    exact: Array
+    """Cost over its minimum, per residual."""
+
+    @property
+    def lines(self) -> list[str]:
+        """The table as text."""
+        rows = [f"{'solver':<10}{'slopes':<22}{'converged':>10}{'time [s]':>10}{'solves':>9}{'error':>9}"]
+        for c in self.table:
+            error = f"{100 * (np.exp(c.error) - 1):.1f} %"
+            rows.append(
+                f"{c.solver:<10}{c.slopes:<22}{f'{c.converged} of {c.runs}':>10}"
+                f"{c.seconds:>10.2f}{c.evaluations:>9.0f}{error:>9}"
+            )
+        turns = [int(np.sum(np.diff(np.sign(np.diff(y))) != 0)) for y in (self.adaptive, self.exact)]
+        span = 100 * float(self.relative[-1] - 1.0)
+        rows.append(
+            f"Cost along {self.coefficient} within ±{span:.1g} %: the slope changes sign "
+            f"{turns[0]} times with the adaptive solver, {turns[1]} times with the exact one."
+        )
+        return rows
+
+
+def reproduce(
+    measurements: Sequence[tuple[Run, Moments, Mapping[str, float]]],
+    model: ThermalModel,
+    *,
+    judged: Sequence[str] = ("h_pp_o", "h_pp_c", "h_wa"),
+    seed: int = 1,
+    progress: Callable[[int], None] | None = None,
+) -> Reproduction:
+    """Compare the four combinations on measurements given with their moments and true coefficients.
+
+    Parameters
+    ----------
+    judged
+        Coefficients whose error against the truth counts: those every run shows.
+    seed
+        Of the starts, which are off by up to a factor of 3.
+    """
+    rng = np.random.default_rng(seed)
+    results: dict[tuple[str, str], list[_Outcome]] = {}
+    for number, (run, moments, truth) in enumerate(measurements, start=1):
+        problem = _prepare(model, run, moments, every=False)
+        start = np.log([truth[n] for n in problem.names]) + rng.uniform(-np.log(3), np.log(3), len(problem.names))
+        lines = lines_of(model, problem.case, problem.names, tuple(p.label for p in problem.signals.places))
+        for solver in ("adaptive", "exact"):
+            for slopes in ("finite differences", "exact sensitivities"):
+                outcome = _search(problem, lines if solver == "adaptive" else None, slopes, start)
+                results.setdefault((solver, slopes), []).append(outcome)
+        if progress is not None:
+            progress(number)
+    table = _table(results, [truth for _, _, truth in measurements], problem.names, judged)
+    return Reproduction(table, *_cost_along(problem, lines, results[("exact", "exact sensitivities")][-1].x))
+
+
+@dataclass(frozen=True)
+class _Outcome:
+    x: Array
+    cost: float
+    """By the exact solver, so that all are measured alike."""
+    solves: int
+    seconds: float
+
+
+def _search(problem: _Fit, lines: Lines | None, slopes: str, start: Array) -> _Outcome:
+    """Run scipy's least squares at its defaults with one solver and one kind of slopes."""
+    count = [0]
+
+    def solve(x: Array, derive: bool) -> tuple[Array, Array]:
+        count[0] += 1
+        x = np.clip(x, np.log(0.01), np.log(1e6))
+        return (
+            problem.solution(x, derive=derive) if lines is None else lines.solve(np.exp(x), sensitivities=derive)
+        )
+
+    begun = time.perf_counter()
+    exact = slopes == "exact sensitivities"
+    memory: dict[bytes, tuple[Array, Array]] = {}
+
+    def both(x: Array) -> tuple[Array, Array]:
+        if x.tobytes() not in memory:
+            memory.clear()
+            memory[x.tobytes()] = solve(x, True)
+        return memory[x.tobytes()]
+
+    def value(x: Array) -> Array:
+        return problem.residuals(both(x)[0] if exact else solve(x, False)[0])
+
+    jacobian = (lambda x: problem.jacobian(both(x)[1])) if exact else "2-point"
+    found = least_squares(value, start, jac=jacobian, max_nfev=60)
+    seconds = time.perf_counter() - begun
+    final = problem.residuals(problem.solution(np.clip(found.x, -4.6, 13.8), derive=False)[0])
+    return _Outcome(np.asarray(found.x), float(final @ final), count[0], seconds)
+
+
+def _table(
+    results: Mapping[tuple[str, str], Sequence[_Outcome]],
+    truths: Sequence[Mapping[str, float]],
+    names: Sequence[str],
+    judged: Sequence[str],
+) -> tuple[Combination, ...]:
+    best = [min(outcomes[r].cost for outcomes in results.values()) for r in range(len(truths))]
+    index = [names.index(n) for n in judged if n in names]
+    rows = []
+    for (solver, slopes), outcomes in results.items():
+        errors = [
+            max(abs(o.x[i] - np.log(truth[names[i]])) for i in index)
+            for o, truth in zip(outcomes, truths, strict=True)
+        ]
+        rows.append(
+            Combination(
+                solver,
+                slopes,
+                sum(o.cost <= 1.02 * lowest for o, lowest in zip(outcomes, best, strict=True)),
+                len(outcomes),
+                float(np.mean([o.seconds for o in outcomes])),
+                float(np.mean([o.solves for o in outcomes])),
+                float(np.median(errors)),
+            )
+        )
+    return tuple(rows)
+
+
+def _cost_along(problem: _Fit, lines: Lines, x: Array, points: int = 81) -> tuple[str, Array, Array, Array]:
+    """Cost along the last but one coefficient that closes the press, ±2 % about the minimum."""
+    i = next((problem.names.index(n) for n in ("h_pp_c",) if n in problem.names), 0)
+    relative = np.linspace(0.98, 1.02, points)
+    adaptive, exact = np.empty(points), np.empty(points)
+    for k, factor in enumerate(relative):
+        at = x.copy()
+        at[i] += np.log(factor)
+        for costs, predicted in (
+            (adaptive, lines.solve(np.exp(at), sensitivities=False)[0]),
+            (exact, problem.solution(at, derive=False)[0]),
+        ):
+            residual = problem.residuals(predicted)
+            costs[k] = float(residual @ residual) / len(residual)
+    return problem.names[i], relative, adaptive - adaptive.min(), exact - exact.min()
