@@ -9,12 +9,24 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from api.commands.inputs import ConfigFile, PressFile, Runs, StoreUrl, load_runs
+from api.commands.inputs import ConfigFile, StoreUrl, load_runs
 from api.outputs import as_json, check_writable, working, write_all
+from daq.records import InputError
 
 if TYPE_CHECKING:
     from softsensor.campaign import CampaignFit
 
+FitRuns = Annotated[
+    list[str] | None, typer.Argument(metavar="RUN...", help="Run files, or ids of runs in the store.")
+]
+FitPress = Annotated[Path | None, typer.Option("--press", metavar="FILE", help="The press file.")]
+Reproduce = Annotated[
+    bool,
+    typer.Option(
+        "--reproduce-paper",
+        help="Instead: why gradient least squares got stuck, on 20 virtual measurements; --html draws it.",
+    ),
+]
 ModelOut = Annotated[
     Path | None, typer.Option("--model", metavar="OUT", help="Write the campaign's model file here.")
 ]
@@ -23,18 +35,24 @@ HtmlOut = Annotated[Path | None, typer.Option("--html", metavar="OUT", help="Wri
 
 
 def fit(
-    runs: Runs,
-    press: PressFile,
+    runs: FitRuns = None,
+    press: FitPress = None,
     model: ModelOut = None,
     json: JsonOut = None,
     html: HtmlOut = None,
     store: StoreUrl = None,
     config: ConfigFile = None,
+    reproduce_paper: Reproduce = False,
 ) -> None:
     """Fit the heat transfer coefficients of each run and of the campaign."""
     from daq.pressfile import read_press
 
     check_writable(model, json, html)
+    if reproduce_paper:
+        _reproduce(html)
+        return
+    if not runs or press is None:
+        raise InputError("fit needs run files and --press FILE (or --reproduce-paper alone)")
     described = read_press(press)
     loaded = load_runs(runs, store, config)
     with working(f"Fitting {len(loaded)} runs", len(loaded)) as done:
@@ -48,9 +66,27 @@ def fit(
             from softsensor.modelfile import model_text
 
             outputs[model] = model_text(found.model_file())
+        if html is not None:
+            from softsensor.report import fit_report
+
+            outputs[html] = fit_report(found)
         write_all(outputs)
     for line in _lines(found):
         sys.stdout.write(line + "\n")
+
+
+def _reproduce(html: Path | None) -> None:
+    """Compare solvers and slopes on virtual measurements; print the table, and draw it where asked."""
+    from softsensor.paper_campaign import MEASUREMENTS, reproduce_paper
+
+    with working(f"{MEASUREMENTS} virtual measurements, four ways each", MEASUREMENTS) as done:
+        found = reproduce_paper(progress=done)
+    for line in found.lines:
+        sys.stdout.write(line + "\n")
+    if html is not None:
+        from softsensor.report import paper_report
+
+        write_all({html: paper_report(found)})
 
 
 def count(done: Callable[[int], None]) -> Callable[[str], None]:
