@@ -16,6 +16,7 @@ import typer
 from api.commands import analysis, files, services
 from api.commands.calibrating import calibrate
 from api.commands.demo import demo
+from api.commands.diagnosing import diagnose
 from api.commands.fitting import fit
 from api.commands.keeping import backup
 from api.commands.probing import probe
@@ -34,7 +35,9 @@ app.command("demo")(demo)
 app.command("record")(services.record)
 app.command("sense")(services.sense)
 app.command("serve")(services.serve)
+app.command("refit")(services.refit)
 app.command("fit")(fit)
+app.command("diagnose")(diagnose)
 app.command("simulate")(analysis.simulate)
 app.command("predict")(analysis.predict)
 app.command("import")(files.import_runs)

@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 import typer
 
 from api.commands.inputs import ConfigFile, config_path
+from api.outputs import WorkFailed, working
 from daq.records import InputError
 
 Host = Annotated[str | None, typer.Option("--host", help="Address to listen on; the configuration's without.")]
@@ -68,6 +69,43 @@ def serve(
         sys.stdout.write(f"kerntemp serves {address_of(bound, tls=certificate is not None)}\n")
         sys.stdout.flush()
         run_server(store, tokens, listening, bound)
+
+
+def refit(
+    config: ConfigFile = None,
+    workers: Annotated[int | None, typer.Option(min=1, help="Local processes; one a core without.")] = None,
+    dask: Annotated[
+        str, typer.Option(metavar="ADDRESS", help="A Dask scheduler whose workers take the fits.")
+    ] = "",
+    roll_back: Annotated[
+        str, typer.Option("--roll-back", metavar="PRESS", help="Only go back to this press's model before.")
+    ] = "",
+) -> None:
+    """Refit all runs, diagnose, extend, and promote or reject a model version: the nightly job."""
+    from daq.config import load_config
+    from daq.pressfile import read_press
+    from daq.store.store import open_store
+    from softsensor import nightly
+
+    settings = load_config(config_path(config))
+    with open_store(settings.store.url) as store:
+        if roll_back:
+            name = settings.press_named(roll_back).name
+            sys.stdout.write(
+                f"{name}: model {nightly.roll_back(store, name, 'kerntemp refit')} is in force again\n"
+            )
+            return
+        failed = []
+        for press in settings.press:
+            with working(f"Refitting {press.name}"):
+                outcome = nightly.refit_press(
+                    store, press.name, read_press(press.file), workers=workers, dask=dask
+                )
+            sys.stdout.write(outcome.line + "\n")
+            if outcome.failed:
+                failed.append(f"{press.name}: {outcome.failed} of {outcome.runs} runs could not be fitted")
+    if failed:
+        raise WorkFailed("; ".join(failed) + "; the journal names them")
 
 
 def token_file_beside(config: Path) -> Path:

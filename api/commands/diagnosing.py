@@ -1,0 +1,66 @@
+"""`diagnose`: what the simulation gets wrong, the cause by name, the extended model, the gain."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from api.commands.fitting import HtmlOut, JsonOut, ModelOut
+from api.commands.inputs import ConfigFile, PressFile, Runs, StoreUrl, load_runs
+from api.outputs import as_json, check_writable, working, write_all
+
+if TYPE_CHECKING:
+    from softsensor.diagnosis import Diagnosis
+
+
+def diagnose(
+    runs: Runs,
+    press: PressFile,
+    model: ModelOut = None,
+    json: JsonOut = None,
+    html: HtmlOut = None,
+    store: StoreUrl = None,
+    config: ConfigFile = None,
+) -> None:
+    """Say what the simulation gets wrong, why, what that costs, and what to measure next."""
+    from daq.pressfile import read_press
+
+    check_writable(model, json, html)
+    described = read_press(press)
+    loaded = load_runs(runs, store, config)
+    with working(f"Diagnosing {len(loaded)} runs", 100) as done:
+        from softsensor.diagnosis import diagnose as look
+
+        found = look(described, loaded, progress=lambda _what, share: done(round(100 * share)))
+        outputs: dict[Path, str | bytes | Callable[[Path], None]] = {}
+        if json is not None:
+            outputs[json] = as_json(found.as_json())
+        if model is not None:
+            from softsensor.modelfile import model_text
+
+            outputs[model] = model_text(found.model_file())
+        if html is not None:
+            from softsensor.diagnosis_report import diagnosis_report
+
+            outputs[html] = diagnosis_report(found)
+        write_all(outputs)
+    for line in _lines(found):
+        sys.stdout.write(line + "\n")
+
+
+def _lines(found: Diagnosis) -> Iterator[str]:
+    from softsensor.diagnosis_words import sentence
+
+    yield f"{found.verdict}: {sentence(found)}"
+    for f in found.findings:
+        alternatives = f" (not told from {', '.join(f.set[1:])})" if len(f.set) > 1 else ""
+        yield f"  {f.name}{alternatives}, p = {f.p_value:.2g}, saves {f.heldout_gain_K:.2f} K on runs left out"
+        for name, i in f.parameters.items():
+            between = "" if i.ci95 is None else f" ({i.ci95[0]:.4g} to {i.ci95[1]:.4g})"
+            value = ", ".join(i.value) if isinstance(i.value, tuple) else f"{i.value:.4g}"
+            yield f"    {name} = {value}{between}"
+    yield f"  residual {found.base.rmse_K:.3f} K, extended model {found.extended.rmse_K:.3f} K"
+    yield f"Next: {found.next_measurement}"
+    yield from found.warnings
