@@ -6,12 +6,12 @@ that are straight between the run's rows each step is exact (`kernels_modal`). S
 the implicit solver, so both must agree up to the latter's time error.
 
 Through a ramp (closing, opening, handling) the contacts change continuously; there the implicit step is
-used at 1/60 of the ramp. A staircase of constant contacts would need one eigenvalue problem a stair.
+used in steps of 8 ms. A staircase of constant contacts would need one eigenvalue problem a stair.
 
 Tangents obey the same equation, forced by what a parameter's change does to the temperatures:
 C s' = -K s + (-dK T + df - dC T'). The forcing is taken as straight between steps, which after a switch
-start at 1 ms and grow by 10 %; tangents are therefore not exact but good to about 1e-4 of their largest
-value.
+start at 1 ms and grow by 10 % up to half a second; tangents are therefore not exact but good to about 1e-4
+of their largest value.
 """
 
 from __future__ import annotations
@@ -36,7 +36,9 @@ from softsensor.timing import TIMINGS, Clock
 
 FIRST_STEP_S = 1e-3
 GROWTH = 1.10
-RAMP_PARTS = 60
+RAMP_STEP_S = 0.008
+COARSE_STEP_S = 0.5
+"""Longest step of tangents, and how long after a ramp no row is left out for them. [s]"""
 FEW = 12
 """Up to so many disturbed cells are forced one by one."""
 KEPT = 64
@@ -60,6 +62,10 @@ class Grid:
     spans: tuple[Span, ...]
     outside: Array
     """Temperature outside both ends at the step edges, and 1 (steps + 1, 3). [°C]"""
+    coarse: NDArray[np.int64]
+    """The step edges tangents are carried on."""
+    spread: Reader
+    """Reads tangents off at all step edges."""
 
 
 @dataclass(frozen=True)
@@ -102,11 +108,8 @@ def run_exact(
     InputError
         If the stack is not linear or its contacts change while the press is closed.
     """
-    moments = case.moments
-    shifts = tuple(values.get(name, 0.0) for name in TIMINGS)
-    grid = _grid(
-        _Key(case), moments.closed_s + shifts[0], moments.opened_s + shifts[1], shifts[2], bool(build.names)
-    )
+    shifts = tuple(float(values.get(name, 0.0)) for name in TIMINGS)
+    grid = _grid(_Key(case), shifts, bool(build.names))
     weight, d_weight = grid.case.step_clock.shares(values, build.names, build.width)
     factor = build.drive.factor
     if (factor != factor[:1]).any():
@@ -122,19 +125,23 @@ def run_exact(
     )
     shift = np.append((build.drive.boundary - case.boundary)[0, :, 0], 0.0)
     outside = grid.outside + shift
-    march = _March(build, drive, outside, places, whole=fields)
+    march = _March(build, drive, grid, outside, places, whole=fields)
     for span in grid.spans:
         if span.steady:
             march.steady(span)
         else:
             march.ramp(span)
-    return grid, march.out, march.d_out, march.fields
+    d_out = grid.spread(march.d_out[:, grid.coarse]) if build.names else march.d_out
+    return grid, march.out, d_out, march.fields
 
 
 class _March:
     """The state while spans are taken one after the other."""
 
-    def __init__(self, build: Any, drive: kernels.Drive, outside: Array, places: Array, *, whole: bool) -> None:
+    def __init__(
+        self, build: Any, drive: kernels.Drive, grid: Grid, outside: Array, places: Array, *, whole: bool
+    ) -> None:
+        self.edges, self.coarse = grid.case.edges, grid.coarse
         self.whole = whole
         self.build, self.drive, self.outside = build, drive, outside
         self.places = places
@@ -211,8 +218,10 @@ class _March:
         read: Array,
     ) -> None:
         """Carry the tangents over a span, forced by what the parameters do to the temperatures."""
-        a, b, n, p = span.first, span.last, len(modes.rates), len(forcings)
-        h, steps = self.drive.h[a:b], b - a
+        n, p = len(modes.rates), len(forcings)
+        edges = self.coarse[np.searchsorted(self.coarse, span.first) : np.searchsorted(self.coarse, span.last) + 1]
+        h, steps = snap(np.diff(self.edges[edges])), len(edges) - 1
+        inputs = inputs[edges - span.first]
         q = self.state.s[:p] @ modes.from_t.T
         out = np.empty((p, steps + 1, len(read)))
         out[:, 0] = q @ read.T
@@ -232,7 +241,7 @@ class _March:
             forced = (f.power(seen, inputs) @ modes.from_power[:, f.cells].T)[None]
             gains, u = np.zeros((1, 1, n)), np.zeros((1, 1, 1))
             kernels_modal.modes(modes.rates, gains, read, h, u, forced, q[i : i + 1], out[i : i + 1], none)
-        self.d_out[:p, a : b + 1] = out
+        self.d_out[:p, edges] = out
         self.state.s[:p] = q @ modes.to_t.T
 
 
@@ -322,17 +331,25 @@ class _Key:
 
 
 @lru_cache(maxsize=256)
-def _grid(key: _Key, closed: float, opened: float, stretch: float, fine: bool) -> Grid:
+def _grid(key: _Key, shifts: tuple[float, ...], fine: bool) -> Grid:
     """Lay out the steps: all rows, the ramps finely, and short steps after a ramp if `fine`."""
     case = key.case
     times = case.run.time_s
     start, end = float(times[0]), float(times[-1])
-    moments = replace(case.moments, closed_s=closed, opened_s=opened, ramp_s=case.moments.ramp_s + stretch)
+    shift = dict(zip(TIMINGS, shifts, strict=True))
+    m = case.moments
+    moments = replace(
+        m,
+        inserted_s=m.inserted_s + shift["inserted_s"],
+        closed_s=m.closed_s + shift["closed_s"],
+        opened_s=m.opened_s + shift["opened_s"],
+        ramp_s=m.ramp_s + shift["ramp_s"],
+    )
     clock = Clock.of(moments, times, start, mean=False, has_states=case.press.has_states)
     ramps = [r for r in clock.ramps() if start < r[1] and r[0] < end]
     parts: list[NDArray[Any]] = [times]
     for first, last in ramps:
-        parts.append(np.asarray(np.linspace(max(first, start), min(last, end), RAMP_PARTS + 1)))
+        parts.append(np.linspace(max(first, start), min(last, end), round((last - first) / RAMP_STEP_S) + 1))
     if fine:
         for switch in [start, *(last for _, last in ramps)]:
             longest = 0.1 * (end - switch)
@@ -363,7 +380,40 @@ def _grid(key: _Key, closed: float, opened: float, stretch: float, fine: bool) -
         reader=Reader.at(edges, times),
         slope_reader=Reader.at(edges, times, slope=True),
     )
-    return Grid(whole, _spans(edges, ramps), outside)
+    coarse = _coarse(edges, ramps, start)
+    spans = _spans(edges, ramps)
+    return Grid(whole, spans, outside, coarse, _spread(edges, coarse, spans))
+
+
+def _spread(edges: Array, coarse: NDArray[np.int64], spans: tuple[Span, ...]) -> Reader:
+    """Read tangents off between the chosen edges, never across a ramp's end."""
+    first, weights = [], []
+    for span in spans:
+        a, b = np.searchsorted(coarse, (span.first, span.last))
+        nodes, stop = coarse[a : b + 1], span.last + (1 if span is spans[-1] else 0)
+        if len(nodes) < 4:
+            raise InputError(
+                f"method = 'exact': less than four steps in {edges[span.last] - edges[span.first]:g} s"
+            )
+        part = Reader.at(edges[nodes], edges[span.first : stop])
+        first.append(part.first + a)
+        weights.append(part.weights)
+    return Reader(np.concatenate(first), np.concatenate(weights))
+
+
+def _coarse(edges: Array, ramps: list[tuple[float, float]], start: float) -> NDArray[np.int64]:
+    """Choose step edges for tangents: all around a ramp, then ever fewer."""
+    switches = np.array([start, *(last for _, last in ramps)])
+    since = edges - switches[np.clip(np.searchsorted(np.sort(switches), edges, side="right") - 1, 0, None)]
+    ends = np.array([first for first, _ in ramps] + [last for _, last in ramps])
+    kept = [0]
+    for i in range(1, len(edges)):
+        spacing = min(0.1 * since[i], COARSE_STEP_S) if since[i] > 2 * COARSE_STEP_S else 0.0
+        last = i == len(edges) - 1 or bool((np.abs(edges[i] - ends) < 1e-6).any())
+        inside = any(first < edges[i] < stop for first, stop in ramps)
+        if last or inside or edges[i] - edges[kept[-1]] >= spacing - 1e-9:
+            kept.append(i)
+    return np.array(kept)
 
 
 def _spans(edges: Array, ramps: list[tuple[float, float]]) -> tuple[Span, ...]:

@@ -383,30 +383,32 @@ def _solve_many(fac, inv, back, x):
 def _conduct(diag, g, t, out):
     """Write K T, without the boundaries' and ambient's own temperatures, into `out` (n)."""
     n = t.shape[0]
+    out[0] = diag[0] * t[0]
+    if n == 1:
+        return
+    out[0] -= g[1] * t[1]
     # shifted views instead of i - 1 and i + 1: an index that cannot be negative vectorises
-    upper, below, inner = t[1:], out[1:], g[1:]
-    for i in range(n):
-        out[i] = diag[i] * t[i]
-    for i in range(n - 1):
-        out[i] -= inner[i] * upper[i]
-    for i in range(n - 1):
-        below[i] -= inner[i] * t[i]
+    here, above, inner, d, g_low, g_high = t[1:], t[2:], out[1:], diag[1:], g[1:], g[2:]
+    for i in range(n - 2):
+        inner[i] = d[i] * here[i] - g_low[i] * t[i] - g_high[i] * above[i]
+    out[n - 1] = diag[n - 1] * t[n - 1] - g[n - 1] * t[n - 2]
 
 
 @njit(cache=True, fastmath=_FAST)
 def _carry(cap, diag, g, hw, s, z, out):
     """Write C s - hw K z, of tangents (P, n), into `out`."""
     p, n = out.shape
-    inner = g[1:]
+    c, d, g_low, g_high = cap[1:], diag[1:], g[1:], g[2:]
     for q in range(p):
         sq, zq, oq = s[q], z[q], out[q]
-        upper, below = zq[1:], oq[1:]
-        for i in range(n):
-            oq[i] = cap[i] * sq[i] - hw * diag[i] * zq[i]
-        for i in range(n - 1):
-            oq[i] += hw * inner[i] * upper[i]
-        for i in range(n - 1):
-            below[i] += hw * inner[i] * zq[i]
+        oq[0] = cap[0] * sq[0] - hw * diag[0] * zq[0]
+        if n == 1:
+            continue
+        oq[0] += hw * g[1] * zq[1]
+        s_here, here, above, inner = sq[1:], zq[1:], zq[2:], oq[1:]
+        for i in range(n - 2):
+            inner[i] = c[i] * s_here[i] - hw * (d[i] * here[i] - g_low[i] * zq[i] - g_high[i] * above[i])
+        oq[n - 1] = cap[n - 1] * sq[n - 1] - hw * (diag[n - 1] * zq[n - 1] - g[n - 1] * zq[n - 2])
 
 
 @njit(cache=True, fastmath=_FAST)

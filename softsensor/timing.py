@@ -106,17 +106,25 @@ def ramp(edges: Array, middle: float, length: float, *, mean: bool) -> tuple[Arr
     [0.125, 0.875]
     """
     rows = len(edges) - 1 if mean else len(edges)
+    value, by_middle, by_length = np.zeros(rows), np.zeros(rows), np.zeros(rows)
     if not np.isfinite(middle):
-        flat = np.ones(rows) if middle < 0 else np.zeros(rows)
-        return flat, np.zeros(rows), np.zeros(rows)
-    x = np.clip((edges - middle) / length + 0.5, 0.0, 1.0)
+        value[:] = 1.0 if middle < 0 else 0.0
+        return value, by_middle, by_length
+    first, last = np.searchsorted(edges, (middle - length / 2, middle + length / 2))
+    a, b = max(int(first) - 1, 0), min(int(last) + 1, len(edges))
+    value[b - 1 if mean else b :] = 1.0
+    near = edges[a:b]
+    x = np.clip((near - middle) / length + 0.5, 0.0, 1.0)
     inner = (x > 0) & (x < 1)
     if not mean:
-        return x, np.where(inner, -1.0 / length, 0.0), np.where(inner, -(x - 0.5) / length, 0.0)
-    h = np.diff(edges)
-    area = np.where(x >= 1, edges - middle, length * x * x / 2)
-    d_length = np.where(inner, x * (1 - x) / 2, 0.0)
-    value = np.diff(area) / h
+        value[a:b] = x
+        by_middle[a:b] = np.where(inner, -1.0 / length, 0.0)
+        by_length[a:b] = np.where(inner, -(x - 0.5) / length, 0.0)
+        return value, by_middle, by_length
+    h = np.diff(near)
+    area = np.where(x >= 1, near - middle, length * x * x / 2)
     # whole steps inside or outside the ramp are exact, so that equal steps compare equal
-    value = np.where(x[1:] <= 0, 0.0, np.where(x[:-1] >= 1, 1.0, value))
-    return value, -np.diff(x) / h, np.diff(d_length) / h
+    value[a : b - 1] = np.where(x[1:] <= 0, 0.0, np.where(x[:-1] >= 1, 1.0, np.diff(area) / h))
+    by_middle[a : b - 1] = -np.diff(x) / h
+    by_length[a : b - 1] = np.diff(np.where(inner, x * (1 - x) / 2, 0.0)) / h
+    return value, by_middle, by_length

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from daq.pressfile import parse_press
-from daq.simulated.campaign import Plan, make_campaign, press_toml
+from daq.simulated.campaign import Plan, make_campaign
+from daq.simulated.campaign_pressfile import press_toml
 from daq.simulated.campaign_sensors import Nuisances
 from softsensor.fit import fit_run
 from softsensor.model import ThermalModel
