@@ -1,0 +1,118 @@
+"""A campaign's coefficients against the truths of the virtual press, and against closed forms."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from daq.pressfile import parse_press
+from daq.simulated.campaign import Plan, make_campaign
+from daq.simulated.campaign_pressfile import press_toml
+from daq.simulated.campaign_sensors import Nuisances
+from softsensor.campaign import fit_campaign
+from softsensor.campaign_joint import Knowledge, population
+from softsensor.dependence import fit_dependence
+from softsensor.modelfile import parse_model
+
+PRESS = parse_press(press_toml())
+
+
+@pytest.fixture(scope="module")
+def campaign():
+    plan = Plan(rate_hz=2.0, thickness_mm=16.0, coefficient_spread=0.15, nuisances=Nuisances.real_chain())
+    measured = make_campaign(4, 8, plan=plan)
+    return measured, fit_campaign(PRESS, [run for run, _ in measured])
+
+
+def test_mean_of_a_campaign_covers_the_mean_of_the_truths(campaign):
+    measured, found = campaign
+    for name in ("h_pp_c", "h_pp_o", "h_wa", "h_p_c"):
+        truths = np.array([t.coefficients[name] for _, t in measured])
+        c = found.coefficients[name]
+        assert c.runs >= 7
+        assert c.ci95[0] < truths.mean() < c.ci95[1]
+        assert c.bootstrap95[0] < truths.mean() < c.bootstrap95[1]
+
+
+def test_badly_determined_runs_borrow_from_the_others(campaign):
+    measured, found = campaign
+    own, joint = [], []
+    for fitted, (_, truth) in zip(found.runs, measured, strict=True):
+        for name in ("h_ap", "h_p_o"):
+            own.append(np.log(fitted.coefficients[name].value / truth.coefficients[name]))
+            joint.append(np.log(found.borrowed[fitted.run][name].value / truth.coefficients[name]))
+    assert np.sqrt(np.mean(np.square(joint))) < np.sqrt(np.mean(np.square(own)))
+
+
+def test_json_holds_what_the_contract_names_and_survives_json(campaign):
+    _, found = campaign
+    content = json.loads(json.dumps(found.as_json(), allow_nan=False))
+    run = content["runs"][0]
+    assert {"run", "converged", "coefficients", "rmse_K", "rmse_closed_K", "initial_rmse_K"} <= set(run)
+    assert {"seconds", "closed_s", "opened_s", "warnings"} <= set(run)
+    assert {"value", "sd", "ci95", "identifiable"} <= set(run["coefficients"]["h_pp_c"])
+    assert {"mean", "sd", "ci95"} <= set(content["campaign"]["h_pp_c"])
+
+
+def test_model_file_of_a_campaign_reads_back(campaign):
+    _, found = campaign
+    model = parse_model(found.model_file().as_json(), "text")
+    assert set(model.coefficients) == set(PRESS.coefficient_names)
+    assert model.covariance.shape == (6, 6)
+    assert np.all(np.linalg.eigvalsh(model.covariance) > 0)
+
+
+def test_order_of_runs_does_not_change_a_run(campaign):
+    measured, found = campaign
+    again = fit_campaign(PRESS, [run for run, _ in measured[:3]][::-1], workers=1)
+    values = {f.run: f.coefficients["h_pp_c"].value for f in again.runs}
+    for fitted in found.runs[:3]:
+        assert values[fitted.run] == fitted.coefficients["h_pp_c"].value
+
+
+def test_population_of_perfectly_known_runs_is_their_mean_and_scatter():
+    logs = np.array([[0.1], [0.3], [-0.2], [0.4], [0.0], [-0.1]] * 5)
+    runs = [Knowledge(np.array([[1e8]]), 1e8 * x, x) for x in logs]
+    found = population(("h",), runs)
+    assert found.mean[0] == pytest.approx(logs.mean(), abs=1e-4)
+    assert found.spread[0] == pytest.approx(logs.std(ddof=1), rel=0.05)
+
+
+def test_run_that_knows_nothing_takes_the_population():
+    known = [Knowledge(np.array([[1e6]]), 1e6 * np.array([x]), np.array([x])) for x in (0.9, 1.0, 1.1, 1.0)]
+    blind = Knowledge(np.zeros((1, 1)), np.zeros(1), np.array([7.0]))
+    found = population(("h",), [*known, blind])
+    mean, covariance = found.members[-1]
+    assert mean[0] == pytest.approx(1.0, abs=0.01)
+    assert np.sqrt(covariance[0, 0]) == pytest.approx(found.spread[0], rel=0.05)
+    assert found.mean[0] == pytest.approx(1.0, abs=0.01)
+
+
+def test_dependence_on_pressure_is_found_and_predicts_a_program_never_run(campaign):
+    _, found = campaign
+    rng = np.random.default_rng(3)
+    runs, fits, knowledge = [], [], []
+    for i in range(12):
+        pressure = 280.0 + 10.0 * i
+        y = np.log(700.0) + 0.8 * np.log(pressure / 340.0) + 0.05 * rng.standard_normal()
+        base = found.runs[i % 8].problem.case.run
+        runs.append(replace(base, header={**base.header, "setting.pressure_N_cm2": pressure}))
+        fits.append(found.runs[i % 8])
+        knowledge.append(Knowledge(np.array([[4e3]]), np.array([4e3 * y]), np.array([y])))
+    fitted = fit_dependence(("h_pp_c",), runs, fits, knowledge)
+    assert fitted is not None
+    slope = fitted.as_json()["coefficients"]["h_pp_c"]["pressure_N_cm2"]
+    assert slope["ci95"][0] < 0.8 / 340.0 < slope["ci95"][1]
+    assert slope["ci95"][0] > 0
+    told = fitted.predict({"pressure_N_cm2": 420.0})["h_pp_c"]
+    assert abs(told.value - 700.0 * (420 / 340) ** 0.8) < 2.5 * told.sd
+
+
+def test_settings_that_hardly_vary_give_no_slope(campaign):
+    _, found = campaign
+    runs = [f.problem.case.run for f in found.runs]
+    still = [replace(r, header={k: v for k, v in r.header.items() if not k.startswith("setting.")}) for r in runs]
+    knowledge = [Knowledge(np.eye(1), np.zeros(1), np.zeros(1))] * len(runs)
+    fitted = fit_dependence(("h",), still, found.runs, knowledge)
+    assert fitted is None or fitted.settings == ("press_time_s",)

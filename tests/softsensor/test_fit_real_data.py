@@ -1,0 +1,66 @@
+"""Measured runs of other laboratories, read through their mapping, fitted through their press file."""
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize_scalar
+
+from daq.foreign import read_foreign, read_mapping
+from daq.pressfile import read_press
+from softsensor.campaign import fit_campaign, moments_of
+from softsensor.fit import fit_run
+from softsensor.model import ThermalModel
+
+ROOT = Path(__file__).resolve().parents[2]
+DATA_SHEET_HEAT_CAPACITY = 1070.0
+
+
+def _data(name):
+    folder = Path(os.environ.get("KERNTEMP_DATA", ROOT.parent / "shared" / "data")) / name
+    if not folder.is_dir():
+        pytest.skip(f"the measured runs are not here: set KERNTEMP_DATA to the folder that holds {name}")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def rig():
+    folder = _data("press_rig")
+    mapped = read_mapping(ROOT / "deploy/mappings/press_rig.toml")
+    runs = [read_foreign(path, mapped) for path in sorted(folder.glob("*.dat"))]
+    return fit_campaign(read_press(ROOT / "deploy/presses/rig.toml"), runs)
+
+
+def test_press_rig_is_met_to_four_tenths_of_a_kelvin_with_two_constant_contacts(rig):
+    errors = [fitted.rmse_K for fitted in rig.runs]
+    assert len(errors) >= 6
+    assert np.median(errors) <= 0.4
+    assert max(errors) <= 0.65
+    assert all(fitted.converged for fitted in rig.runs)
+
+
+def test_contacts_of_the_press_rig_lie_where_its_author_found_them(rig):
+    """The author's pseudo-steady values at light load run from 1.2 to 4.5 kW/m2K."""
+    for fitted in rig.runs:
+        for c in fitted.coefficients.values():
+            assert c.identifiable
+            assert c.ci95[0] < 5000.0
+            assert c.ci95[1] > 1200.0
+
+
+def test_inert_board_is_met_with_the_heat_capacity_of_its_data_sheet():
+    folder = _data("inert_board")
+    mapped = read_mapping(ROOT / "deploy/mappings/inert_board.toml")
+    run = read_foreign(folder / "Black-Insulation_q50_Temp.csv", mapped)
+    press = read_press(ROOT / "deploy/presses/inert_board.toml")
+    model = ThermalModel(press)
+
+    def error(heat_capacity):
+        given = replace(run, header={**run.header, "layer.board.heat_capacity_J_kgK": float(heat_capacity)})
+        return fit_run(model, given, moments_of(given, press), verdicts=False).rmse_K
+
+    best = minimize_scalar(error, bounds=(900.0, 1250.0), method="bounded", options={"xatol": 10.0})
+    assert best.fun <= 3.5
+    assert best.x == pytest.approx(DATA_SHEET_HEAT_CAPACITY, rel=0.05)

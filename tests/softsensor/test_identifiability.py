@@ -1,0 +1,87 @@
+"""What a run can and cannot tell: verdicts come from the profile of the run at hand."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from daq.pressfile import parse_press
+from daq.simulated.campaign import Plan, make_campaign
+from daq.simulated.campaign_pressfile import press_toml
+from daq.simulated.campaign_sensors import Nuisances
+from softsensor.fit import fit_run
+from softsensor.identifiability import profile
+from softsensor.model import ThermalModel
+
+PRESS = parse_press(press_toml())
+MODEL = ThermalModel.of(PRESS)
+PLAN = Plan(rate_hz=2.0, start_before_s=0.0, open_before_s=(15.0, 20.0), thickness_mm=16.0)
+
+
+@pytest.fixture(scope="module")
+def measured():
+    return make_campaign(11, 1, plan=replace(PLAN, nuisances=Nuisances.real_chain()))[0]
+
+
+def _until(run, end_s):
+    keep = run.time_s <= end_s
+    return replace(run, time_s=run.time_s[keep], columns={c: v[keep] for c, v in run.columns.items()})
+
+
+def test_full_run_shows_the_main_coefficients_within_thirty_percent(measured):
+    run, truth = measured
+    fitted = fit_run(MODEL, run, truth.moments)
+    for name in ("h_pp_c", "h_pp_o", "h_wa"):
+        c = fitted.coefficients[name]
+        assert c.identifiable
+        assert c.ci95[1] / c.ci95[0] < 1.3**2, name
+
+
+def test_run_that_ends_while_closed_cannot_tell_what_happens_after_opening(measured):
+    run, truth = measured
+    fitted = fit_run(MODEL, _until(run, truth.moments.opened_s - 1.0), truth.moments)
+    panel_air, contact = fitted.coefficients["h_wa"], fitted.coefficients["h_pp_c"]
+    assert contact.identifiable
+    assert panel_air.ci95[1] / panel_air.ci95[0] > 2.0
+    if not panel_air.identifiable:
+        assert "after opening" in panel_air.reason
+        assert any("h_wa" in w for w in fitted.warnings)
+
+
+def test_run_that_never_closes_says_nothing_about_closed_contacts(measured):
+    run, truth = measured
+    fitted = fit_run(MODEL, _until(run, truth.moments.closed_s - 1.5), truth.moments)
+    for name in ("h_pp_c", "h_p_c"):
+        c = fitted.coefficients[name]
+        assert c.verdict == "not identifiable"
+        assert c.ci95 == pytest.approx((10.0, 50000.0))
+        assert "while closed" in c.reason
+    assert fitted.coefficients["h_pp_o"].identifiable
+
+
+def test_contact_too_good_to_be_seen_is_known_from_below_only():
+    plan = replace(PLAN, rate_hz=1.0, coefficients={**PLAN.coefficients, "h_pp_c": 40000.0})
+    run, truth = make_campaign(5, 1, plan=plan)[0]
+    c = fit_run(MODEL, run, truth.moments).coefficients["h_pp_c"]
+    assert c.verdict == "one-sided"
+    assert 1000.0 < c.ci95[0] < truth.coefficients["h_pp_c"]
+    assert c.ci95[1] == pytest.approx(50000.0)
+
+
+def test_what_only_a_prior_says_is_not_called_identified(measured):
+    run, truth = measured
+    short = _until(run, truth.moments.closed_s - 1.5)
+    fitted = fit_run(MODEL, short, truth.moments, priors={"h_pp_c": (700.0, 0.2)})
+    c = fitted.coefficients["h_pp_c"]
+    assert not c.identifiable
+    assert c.value == pytest.approx(700.0, rel=0.05)
+
+
+def test_profile_rises_on_both_sides_of_an_identifiable_coefficient(measured):
+    run, truth = measured
+    fitted = fit_run(MODEL, run, truth.moments)
+    values, rise = profile(fitted, "h_pp_c", points=5)
+    assert np.all(np.diff(values) > 0)
+    assert rise[0] > 2.0
+    assert rise[-1] > 2.0
+    assert rise[2] < 0.2

@@ -1,0 +1,39 @@
+"""Figures and the page: self-contained, repeatable, and saying what was found."""
+
+import re
+
+import pytest
+
+from daq.pressfile import parse_press
+from daq.simulated.campaign import Plan, make_campaign
+from daq.simulated.campaign_pressfile import press_toml
+from softsensor.campaign import fit_campaign
+from softsensor.figures import coefficients_figure, png, run_figure, svg
+from softsensor.report import fit_report
+
+
+@pytest.fixture(scope="module")
+def campaign():
+    plan = Plan(rate_hz=1.0, press_time_s=(20.0, 40.0), open_after_s=(30.0, 40.0))
+    return fit_campaign(parse_press(press_toml()), [run for run, _ in make_campaign(6, 3, plan=plan)])
+
+
+def test_page_needs_nothing_from_elsewhere_and_names_every_run(campaign):
+    page = fit_report(campaign)
+    assert page.startswith("<!doctype html>")
+    assert not re.search(r'(src|href)="https?:', page)
+    assert "<script" not in page
+    for fitted in campaign.runs:
+        assert fitted.run in page
+    for name in campaign.coefficients:
+        assert name in page
+    assert "W/m²K" in page
+
+
+def test_same_campaign_gives_the_same_page(campaign):
+    assert fit_report(campaign) == fit_report(campaign)
+
+
+def test_figures_come_as_svg_and_png(campaign):
+    assert "<svg" in svg(coefficients_figure(campaign))
+    assert png(run_figure(campaign.runs[0]), dpi=50).startswith(b"\x89PNG")
