@@ -24,7 +24,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from daq.pressfile import Press
+from daq.pressfile import Press, parse_press
 from daq.records import Array, InputError, Moments, PressState, Run
 from softsensor import kernels
 from softsensor.assembly import initial_profile
@@ -475,3 +475,32 @@ def states(case: Case, solution: Solution) -> list[PressState]:
     """Return the press state at each row."""
     shares, _ = case.row_clock.shares({})
     return [_STATES[i] for i in np.argmax(shares, axis=1)]
+
+
+_WARM_PRESS = """
+[[layer]]
+name = "panel"
+from_run = true
+[boundary.bottom]
+kind = "measured"
+column = "plate"
+[[sensor]]
+columns = ["face"]
+at = "panel.top"
+"""
+
+
+def warm_up() -> None:
+    """Compile every kernel, or load it from the cache, so that no later solve has to wait.
+
+    Numba keeps compiled code beside the modules (or under ``NUMBA_CACHE_DIR`` where they cannot be
+    written): the first call after an installation takes tens of seconds, later processes under two.
+    """
+    time_s = np.linspace(0.0, 2.0, 5)
+    header = {"panel.material": "MDF", "panel.thickness_mm": 5.0, "panel.initial_temperature_C": 20.0}
+    run = Run("warm-up", header, time_s, {"plate": np.full(5, 60.0), "face": np.full(5, np.nan)})
+    model = ThermalModel.of(parse_press(_WARM_PRESS), ["thermocouple_lag"])
+    case = model.prepare(run, Moments())
+    for names in ((), ("thermocouple_lag.time_constant_s", "initial_K")):
+        model.solve(case, {}, names)
+        model.solve(case, {}, names, method="exact")
