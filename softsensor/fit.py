@@ -24,13 +24,26 @@ from scipy.stats import t as student
 
 from daq.pressfile import Press
 from daq.records import Array, InputError, Moments, Run
-from softsensor.fit_problem import Evaluation, Minimum, Problem, Unknown, grid_correction, minimise, with_motion
+from softsensor.fit_problem import (
+    STALLED,
+    Evaluation,
+    Minimum,
+    Problem,
+    Unknown,
+    grid_correction,
+    minimise,
+    with_motion,
+)
 from softsensor.fit_unknowns import chain_priors, is_parameter, neutral_values, parameter_unknown
 from softsensor.model import ThermalModel, state_weights
 from softsensor.residuals import Noise, channel_noise, collect_signals, whiten
 
 FIRST_NOISE = Noise(slow_K=0.15, slow_s=30.0, fast_K=0.0, fast_s=10.0, white_K=1.0)
 """For the first steps, while the model is still far off."""
+BAD_LOSS = 1.0
+"""Loss a value after the first search, with 1 K of noise assumed, above which other starts are tried."""
+OTHER_STARTS = (float(np.log(3.0)), -float(np.log(3.0)))
+"""Shifts of the logarithms for further starts."""
 SLOW_PRIOR = ((np.log(0.15), 1.0), (np.log(30.0), 0.7))
 """Log-normal priors of the slow noise's size [K] and correlation time [s]."""
 
@@ -239,7 +252,7 @@ def _settle(problem: Problem) -> _Settled:
     moving = with_motion(problem, problem.start, 0.05 + timing(problem), min(0.1 + 0.4 * period, 1.0))
     problem = replace(problem, blur=moving.blur)
     initial = problem.evaluate(problem.start)
-    rough = minimise(problem, max_evaluations=25, decrease=0.05)
+    rough = _roughly(problem)
     count = rough.evaluations + 1
     problem, x = recentre(problem, rough.x)
     problem = replace(problem, correction=grid_correction(problem, x))
@@ -251,6 +264,22 @@ def _settle(problem: Problem) -> _Settled:
     problem = replace(problem, noise=slow_noise(problem, best.evaluation))
     best = minimise(problem, best.x, max_evaluations=25)
     return _Settled(problem, best, initial, count + best.evaluations)
+
+
+def _roughly(problem: Problem) -> Minimum:
+    """Search from the given start, and from further ones where that ends badly or at a limit."""
+    best = minimise(problem, max_evaluations=25, decrease=0.05)
+    count = best.evaluations
+    logs = np.array([u.scale == "log" for u in problem.unknowns])
+    for shift in OTHER_STARTS:
+        values = float(np.count_nonzero(best.evaluation.z))
+        if best.converged and best.evaluation.loss < BAD_LOSS * values and not best.held[logs].any():
+            break
+        other = minimise(problem, problem.start + np.where(logs, shift, 0.0), max_evaluations=25, decrease=0.05)
+        count += other.evaluations
+        if other.evaluation.loss < best.evaluation.loss - STALLED:
+            best = other
+    return replace(best, evaluations=count)
 
 
 def timing(problem: Problem) -> float:
