@@ -28,9 +28,9 @@ from daq.records import Array, Moments, PressEvent, PressEventKind, PressState, 
 from softsensor import observer_kernels as loops
 from softsensor.effects import find_effect
 from softsensor.modelfile import ModelFile
-from softsensor.observer_belief import Member, Mixture, mix
-from softsensor.observer_priors import TIMING, Plan, plans_for
-from softsensor.observer_setup import Bench, Filter, make_filter, prepare_bench
+from softsensor.observer_belief import QUIET_S, Driven, Member, Mixture, mix
+from softsensor.observer_priors import TIMING, Plan, panel_plan, plans_for
+from softsensor.observer_setup import Bench, Filter, make_filter, panel_bench, prepare_bench
 
 UNKNOWN_STATE = "press state unknown"
 NO_PLATENS = "platen reading missing"
@@ -112,6 +112,7 @@ class LiveSensor:
         self._rows: list[_Row] = []
         self._done = 0
         self._members: list[Member] = []
+        self._driven: Driven | None = None
         self._points: list[Array] = []
         self._mixture: Mixture | None = None
         self._looked_at = -math.inf
@@ -135,8 +136,9 @@ class LiveSensor:
         return self._say(time_s)
 
     def _prepare(self, values: Mapping[str, float]) -> Bench:
-        columns = {name: np.full(2, v) for name, v in values.items()}
-        run = Run("live", self._header, np.array([-2.0, 900.0]), columns, "live")
+        times = np.linspace(-2.0, 900.0, 24)  # close enough that no gap needs bridging
+        columns = {name: np.full(len(times), v) for name, v in values.items()}
+        run = Run("live", self._header, times, columns, "live")
         press = press_for_run(self._press, run)
         own = tuple(name for name, _ in self._model.effects) if self._model else ()
         bench = prepare_bench(press, run, own)
@@ -212,15 +214,27 @@ class LiveSensor:
         if [len(p) for p in self._points] != [len(plan.priors) for plan in plans]:
             self._points = [np.zeros(len(plan.priors)) for plan in plans]
         self._members = [self._start(bench, plan, at) for plan, at in zip(plans, self._points, strict=True)]
+        self._driven = self._start_driven(bench)
         self._done = 0
         self._extend()
         self._looked_at = self._rows[-1].time
 
     def _start(self, bench: Bench, plan: Plan, at: Array) -> Member:
+        made = self._filter(bench, plan, at)
+        return Member.fresh(bench, made, self._timing(bench, made), plan.suspects, plan.chance, plan.label)
+
+    def _start_driven(self, bench: Bench) -> Driven | None:
+        alone = panel_bench(bench) if bench.press.has_states else None
+        if alone is None:
+            return None
+        plan = panel_plan(self._model, alone[0].effects)
+        made = self._filter(alone[0], plan, np.zeros(len(plan.priors)))
+        return Driven.fresh(made, self._timing(bench, made), alone[1], self._initial)
+
+    def _filter(self, bench: Bench, plan: Plan, at: Array) -> Filter:
         effects = tuple(dict.fromkeys([*bench.effects, *plan.effects]))
         neutral = {e.key(p.name): p.neutral for e in map(find_effect, effects) for p in e.parameters}
-        made = make_filter(bench, plan.priors, neutral, at, effects)
-        return Member.fresh(bench, made, self._timing(bench, made), plan.suspects, plan.chance, plan.label)
+        return make_filter(bench, plan.priors, neutral, at, effects)
 
     def _timing(self, bench: Bench, made: Filter) -> loops.Timing:
         m = self._known.moments
@@ -282,7 +296,7 @@ class LiveSensor:
         if self._done == before:
             return False
         rise = float(self._members[0].filter.chain.level[0]) - self._initial
-        self._mixture = mix(self._members, rise if rise == rise else 0.0)
+        self._mixture = mix(self._members, rise if rise == rise else 0.0, self._driven)
         return True
 
     def _block(self, first: int, last: int) -> None:
@@ -303,8 +317,11 @@ class LiveSensor:
             moment = (np.where(good, times, 0.0).sum(axis=0) / count - begin.time) / elapsed
             votes = np.where(good, [r.votes for r in block], 0.0).sum(axis=0)
         span, outside = np.array([begin.time, end.time]), np.array([begin.outside, end.outside])
+        quiet = not first or end.time - self._last_switch(end.time + 1.0) < QUIET_S
         for member in self._members:
-            member.take(span, outside, level, moment, votes)
+            member.take(span, outside, level, moment, votes, quiet=quiet)
+        if self._driven is not None:
+            self._driven.take(span, end.level)
 
     # --- rows ---------------------------------------------------------------------------------------
 

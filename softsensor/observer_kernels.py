@@ -544,12 +544,13 @@ def absorb_faces(x, cov, at, chain, read_before, d_before, level, moment, votes,
 
     Returns
     -------
-    Log-likelihood, sum of squared normalised innovations, number of readings.
+    Log-likelihood, sum of squared normalised innovations, number of readings, and the logarithm of how much
+    likelier the readings are if something changed at once (heavy tails of `errors[3]` K).
     """
     m, p = level.shape[0], at.shape[0]
     n = x.shape[0]
     row = np.zeros(n)
-    fit, squares, count = 0.0, 0.0, 0.0
+    fit, squares, count, jump = 0.0, 0.0, 0.0, 0.0
     for a in range(m):
         if not math.isfinite(level[a]):
             continue
@@ -569,13 +570,16 @@ def absorb_faces(x, cov, at, chain, read_before, d_before, level, moment, votes,
         if elapsed <= 0.0 and abs(level[a] - value) > 1.0:
             continue  # the first scan of a run may lie at the insertion, when a face is already warming
         rough = errors[1] * slope
-        noise = errors[0] ** 2 / max(votes[a], 0.2) + 1e-3
+        noise = errors[0] ** 2 / max(votes[a], 0.2) + 3e-4
         noise += rough * rough * max(1.0, errors[2] / max(elapsed, 0.02))
         gained, square = absorb(x, cov, row, level[a] - value, noise, limit)
+        wide = (level[a] - value) / errors[3]
+        log_spread = -2.0 * (gained + 0.5 * min(square, limit * limit))
+        jump += 0.5 * min(square, 200.0) + 0.5 * log_spread - math.log(1.25 * errors[3] * (1.0 + wide * wide))
         fit += gained
         squares += min(square, 25.0)
         count += 1.0
-    return fit, squares, count
+    return fit, squares, count, jump
 
 
 @njit(cache=True)

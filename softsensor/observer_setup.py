@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.pressfile import Press
+from daq.pressfile import Press, panel_of
 from daq.records import Array, Moments, Run
 from softsensor import kernels
 from softsensor import observer_kernels as loops
@@ -72,6 +72,44 @@ def prepare_bench(press: Press, run: Run, effects: Sequence[str]) -> Bench:
     labels = tuple(dict.fromkeys(s.label for s in sensors.values()))
     place = np.array([labels.index(s.label) for s in sensors.values()], dtype=np.int64)
     return Bench(press, run, tuple(sensors), place, labels, tuple(effects))
+
+
+_IN_PANEL = (
+    "moisture_evaporation",
+    "vapour_convection",
+    "conductivity_temperature",
+    "heat_capacity_temperature",
+    "conductivity_offset",
+    "heat_capacity_offset",
+    "density_profile",
+    "edge_loss",
+)
+"""Effects that act inside the panel."""
+
+
+def panel_bench(bench: Bench) -> tuple[Bench, tuple[int, int]] | None:
+    """Return a bench of the panel alone between its faces, and their places; None where they are not measured."""
+    layers = bench.press.panel_layers
+    wanted = [f"{layer}.{side}" for layer in layers for side in ("bottom", "top")]
+    if len(layers) != 1 or any(label not in bench.labels for label in wanted):
+        return None
+    header = {k: v for k, v in bench.run.header.items() if k.partition(".")[0] in ("panel", "ambient", "setting")}
+    start = panel_of(bench.run).initial_temperature
+    columns = {label: np.full(len(bench.run.time_s), start) for label in wanted}
+    press = Press.model_validate(
+        {
+            "layer": [{"name": layers[0], "from_run": True}],
+            "boundary": {
+                side: {"kind": "measured", "column": label}
+                for side, label in zip(("bottom", "top"), wanted, strict=True)
+            },
+            "initial": {"kind": "uniform", "temperature_C": start},
+        }
+    )
+    run = Run("faces", header, bench.run.time_s, columns, bench.run.source)
+    inside = tuple(name for name in bench.effects if name in _IN_PANEL)
+    alone = Bench(press, run, (), np.zeros(0, np.int64), (), inside)
+    return alone, (bench.labels.index(wanted[0]), bench.labels.index(wanted[1]))
 
 
 def make_filter(
