@@ -6,11 +6,11 @@ that are straight between the run's rows each step is exact (`kernels_modal`). S
 the implicit solver, so both must agree up to the latter's time error.
 
 Through a ramp (closing, opening, handling) the contacts change continuously; there the implicit step is
-used in steps of 8 ms. A staircase of constant contacts would need one eigenvalue problem a stair.
+used in steps of 16 ms. A staircase of constant contacts would need one eigenvalue problem a stair.
 
 Tangents obey the same equation, forced by what a parameter's change does to the temperatures:
 C s' = -K s + (-dK T + df - dC T'). The forcing is taken as straight between steps, which after a switch
-start at 1 ms and grow by 10 % up to half a second; tangents are therefore not exact but good to about 1e-4
+start at 2 ms and grow by 20 % up to half a second; tangents are therefore not exact but good to about 1e-3
 of their largest value.
 """
 
@@ -34,9 +34,9 @@ from softsensor.case import Case, snap, step_means
 from softsensor.readout import Reader
 from softsensor.timing import TIMINGS, Clock
 
-FIRST_STEP_S = 1e-3
-GROWTH = 1.10
-RAMP_STEP_S = 0.008
+FIRST_STEP_S = 2e-3
+GROWTH = 1.2
+RAMP_STEP_S = 0.016
 COARSE_STEP_S = 0.5
 """Longest step of tangents, and how long after a ramp no row is left out for them. [s]"""
 FEW = 12
@@ -52,6 +52,8 @@ class Span:
     first: int
     last: int
     steady: bool
+    at: int
+    """Its first step among those of the sparse case: one for a steady span."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +61,8 @@ class Grid:
     """A case whose step edges hold all rows, and spans of constant contacts."""
 
     case: Case
+    sparse: Case
+    """The same with one step for each steady span, to build coefficients on."""
     spans: tuple[Span, ...]
     outside: Array
     """Temperature outside both ends at the step edges, and 1 (steps + 1, 3). [°C]"""
@@ -98,55 +102,50 @@ class Forcing:
         return inputs[:, chosen] @ self.on.T
 
 
-def run_exact(
-    case: Case, build: Any, values: Mapping[str, float], places: Array, *, fields: bool = False
-) -> tuple[Grid, Array, Array, Array]:
-    """Solve a linear case; return its grid, outputs, their tangents, and the cells' temperatures.
+def exact_grid(case: Case, values: Mapping[str, float], *, fine: bool) -> Grid:
+    """Return a case's grid for the exact solver, remembered; `fine` if tangents are wanted.
 
     Raises
     ------
     InputError
-        If the stack is not linear or its contacts change while the press is closed.
+        If a contact's load changes within the run.
     """
-    shifts = tuple(float(values.get(name, 0.0)) for name in TIMINGS)
-    grid = _grid(_Key(case), shifts, bool(build.names))
-    weight, d_weight = grid.case.step_clock.shares(values, build.names, build.width)
+    return _grid(_Key(case), tuple(float(values.get(name, 0.0)) for name in TIMINGS), fine)
+
+
+def run_exact(grid: Grid, build: Any, places: Array, *, fields: bool = False) -> tuple[Array, Array, Array]:
+    """Solve a linear model built on the grid's sparse case; return outputs, tangents, cell temperatures.
+
+    Raises
+    ------
+    InputError
+        If the contacts change while the press is closed.
+    """
     factor = build.drive.factor
     if (factor != factor[:1]).any():
         raise InputError("method = 'exact': a contact changes while the press is closed; use the implicit solver")
-    steps, contacts = len(grid.case.h), factor.shape[1]
-    drive = build.drive._replace(
-        h=grid.case.h,
-        weight=weight,
-        d_weight=d_weight,
-        factor=np.broadcast_to(factor[0], (steps, contacts)).copy(),
-        d_factor=np.broadcast_to(build.drive.d_factor[0], (steps, contacts, build.width)).copy(),
-        boundary=grid.case.boundary + np.array([1.0, 0.0]) * (build.drive.boundary - case.boundary)[:1],
-    )
-    shift = np.append((build.drive.boundary - case.boundary)[0, :, 0], 0.0)
-    outside = grid.outside + shift
-    march = _March(build, drive, grid, outside, places, whole=fields)
+    march = _March(build, grid, places, whole=fields)
     for span in grid.spans:
         if span.steady:
             march.steady(span)
         else:
             march.ramp(span)
     d_out = grid.spread(march.d_out[:, grid.coarse]) if build.names else march.d_out
-    return grid, march.out, d_out, march.fields
+    return march.out, d_out, march.fields
 
 
 class _March:
     """The state while spans are taken one after the other."""
 
-    def __init__(
-        self, build: Any, drive: kernels.Drive, grid: Grid, outside: Array, places: Array, *, whole: bool
-    ) -> None:
-        self.edges, self.coarse = grid.case.edges, grid.coarse
+    def __init__(self, build: Any, grid: Grid, places: Array, *, whole: bool) -> None:
+        self.edges, self.coarse, self.h = grid.case.edges, grid.coarse, grid.case.h
         self.whole = whole
-        self.build, self.drive, self.outside = build, drive, outside
+        self.build, self.drive = build, build.drive
+        shift = (build.drive.boundary - grid.sparse.boundary)[0, :, 0]
+        self.outside = grid.outside + np.append(shift, 0.0)
         self.places = places
         self.state = build.start
-        steps, m = len(drive.h), len(places)
+        steps, m = len(self.h), len(places)
         self.out = np.empty((steps + 1, m))
         self.d_out = np.zeros((build.width, steps + 1, m))
         self.fields = np.empty((steps + 1 if whole else 0, len(self.state.t)))
@@ -157,15 +156,9 @@ class _March:
     def ramp(self, span: Span) -> None:
         """Take the implicit step through changing contacts."""
         a, b = span.first, span.last
-        d = self.drive
+        d, k = self.drive, slice(span.at, span.at + b - a)
         part = kernels.Drive(
-            d.h[a:b],
-            d.weight[a:b],
-            d.d_weight[a:b],
-            d.factor[a:b],
-            d.d_factor[a:b],
-            d.boundary[a:b],
-            d.d_boundary,
+            d.h[k], d.weight[k], d.d_weight[k], d.factor[k], d.d_factor[k], d.boundary[k], d.d_boundary
         )
         m = len(self.places)
         out = np.empty((b - a + 1, m))
@@ -182,7 +175,7 @@ class _March:
     def steady(self, span: Span) -> None:
         """Take exact steps with constant contacts."""
         a, b = span.first, span.last
-        w, dw = _coefficients(self.build, self.drive, a)
+        w, dw = _coefficients(self.build, self.drive, span.at)
         ambient, d_boundary = self.build.stack.ambient, self.drive.d_boundary
         modes = _decouple(w, ambient)
         forcings = [_forcing(w, dw, i, d_boundary, ambient) for i in range(len(self.build.names))]
@@ -196,7 +189,7 @@ class _March:
         history = np.empty((1 if dense else 0, b - a + 1, n))
         if dense:
             history[0, 0] = q[0]
-        u, h = np.ascontiguousarray(self.outside[None, a : b + 1]), self.drive.h[a:b]
+        u, h = np.ascontiguousarray(self.outside[None, a : b + 1]), self.h[a:b]
         none = np.empty((0, 0, n))
         kernels_modal.modes(modes.rates, modes.gains[None], read, h, u, none, q, out, history)
         self.out[a : b + 1] = out[0, :, :m]
@@ -296,6 +289,9 @@ def _forcing(w: Array, dw: Array, i: int, d_boundary: Array, ambient: float) -> 
     """Return -dK T + df - dC T' of parameter `i` as a matrix on temperatures and outside."""
     n = w.shape[1] - 1
     t = kernels_terms
+    if not dw[:, i].any() and not d_boundary[:, i].any():
+        none = np.arange(0)
+        return Forcing(none, none, np.zeros((0, 3)))
     cap, g, diag = w[t.CAP, :n], w[t.G], w[t.DIAG, :n]
     dcap, dg, dloss = dw[t.DCAP, i, :n], dw[t.DG, i], dw[t.DLOSS, i, :n]
     dsrc, dslope = dw[t.DSRC, i, :n], dw[t.DSLOPE, i, :n]
@@ -351,22 +347,20 @@ def _grid(key: _Key, shifts: tuple[float, ...], fine: bool) -> Grid:
     for first, last in ramps:
         parts.append(np.linspace(max(first, start), min(last, end), round((last - first) / RAMP_STEP_S) + 1))
     if fine:
+        longest = min(float(np.median(np.diff(times))), COARSE_STEP_S)
+        count = max(int(np.log(longest / FIRST_STEP_S) / np.log(GROWTH)), 4)
         for switch in [start, *(last for _, last in ramps)]:
-            longest = 0.1 * (end - switch)
-            count = int(np.log1p(max(longest, 0.0) / FIRST_STEP_S) / np.log(GROWTH)) + 1
-            after = switch + FIRST_STEP_S * (GROWTH ** np.arange(1, count) - 1.0) / (GROWTH - 1.0)
-            parts.append(after[(after < end) & (after < switch + 3.0)])
+            after = switch + FIRST_STEP_S * (GROWTH ** np.arange(1, count + 1) - 1.0) / (GROWTH - 1.0)
+            parts.append(after[after < end])
     edges = np.unique(np.concatenate(parts))
     rows = np.isin(edges, times)
     close = np.flatnonzero(np.diff(edges) < 1e-7)
     drop = {int(i) if not rows[i] else int(i) + 1 for i in close}
     edges = np.delete(edges, [i for i in drop if not rows[i]])
     outside = np.ones((len(edges), 3))
-    boundary = np.empty((len(edges) - 1, 2, 2))
     for end_number in range(2):
         series = case.outside[:, end_number]
         outside[:, end_number] = np.interp(edges, times, series)
-        boundary[:, end_number] = step_means(times, series, edges)
         if not case.layout.measured[end_number]:
             outside[:, end_number] = case.layout.flux[end_number, 2]
     has_states = case.press.has_states
@@ -374,15 +368,13 @@ def _grid(key: _Key, shifts: tuple[float, ...], fine: bool) -> Grid:
         case,
         edges=edges,
         h=snap(np.diff(edges)),
-        boundary=boundary,
-        step_clock=Clock.of(case.moments, edges, start, mean=True, has_states=has_states),
         edge_clock=Clock.of(case.moments, edges, start, mean=False, has_states=has_states),
         reader=Reader.at(edges, times),
         slope_reader=Reader.at(edges, times, slope=True),
     )
     coarse = _coarse(edges, ramps, start)
     spans = _spans(edges, ramps)
-    return Grid(whole, spans, outside, coarse, _spread(edges, coarse, spans))
+    return Grid(whole, _sparse(case, edges, spans), spans, outside, coarse, _spread(edges, coarse, spans))
 
 
 def _spread(edges: Array, coarse: NDArray[np.int64], spans: tuple[Span, ...]) -> Reader:
@@ -423,4 +415,31 @@ def _spans(edges: Array, ramps: list[tuple[float, float]]) -> tuple[Span, ...]:
     for first, last in ramps:
         inside |= (middle > first) & (middle < last)
     cuts = [0, *(np.flatnonzero(np.diff(inside)) + 1).tolist(), len(middle)]
-    return tuple(Span(a, b, not bool(inside[a])) for a, b in pairwise(cuts) if b > a)
+    spans: list[Span] = []
+    at = 0
+    for a, b in pairwise(cuts):
+        spans.append(Span(a, b, not bool(inside[a]), at))
+        at += 1 if spans[-1].steady else b - a
+    return tuple(spans)
+
+
+def _sparse(case: Case, edges: Array, spans: tuple[Span, ...]) -> Case:
+    """Return the case with one step for each steady span and all steps of the ramps."""
+    chosen = [np.arange(s.first, s.last) if not s.steady else np.array([s.first]) for s in spans]
+    few = edges[np.concatenate([*chosen, [len(edges) - 1]])]
+    times = case.run.time_s
+    load = {}
+    for m, series in case.load.items():
+        if np.ptp(series) > 0.0:
+            raise InputError("method = 'exact': a contact's load changes; use the implicit solver")
+        load[m] = np.full(len(few) - 1, series[0])
+    clock = case.step_clock
+    return replace(
+        case,
+        edges=few,
+        h=snap(np.diff(few)),
+        boundary=np.stack([step_means(times, series, few) for series in case.outside.T], axis=1),
+        load=load,
+        scene=replace(case.scene, step_start=few[:-1], step_end=few[1:], load=load),
+        step_clock=Clock.of(case.moments, few, clock.start, mean=True, has_states=clock.has_states),
+    )

@@ -30,7 +30,7 @@ from softsensor import kernels
 from softsensor.assembly import initial_profile
 from softsensor.case import Case, prepare_case
 from softsensor.effects import Effect, Terms, find_effect
-from softsensor.exact import run_exact
+from softsensor.exact import exact_grid, run_exact
 from softsensor.readout import Derivatives, Reader
 from softsensor.timing import Clock
 
@@ -201,16 +201,17 @@ class ThermalModel:
             For a missing coefficient, or a model the exact solver cannot take.
         """
         names = tuple(tangents)
-        build = self.build(case, values, names)
+        grid = exact_grid(case, values, fine=bool(names)) if method == "exact" else None
+        build = self.build(grid.sparse if grid else case, values, names)
         steps, m, p = len(case.h), len(case.places), build.width
         faces = build.terms.footprint != 0 or any(t.footprint != 0 for t in build.d_terms.values())
         places = np.concatenate([case.places, case.press_face]) if faces else case.places
         shares, _ = case.row_clock.shares(values)
-        if method == "exact":
+        if grid is not None:
             if build.nonlinear:
                 bent = [e.name for e in self.effects if e.nonlinear] or ["a property table or radiation"]
                 raise InputError(f"method = 'exact': {bent[0]} is not linear; use the implicit solver")
-            grid, out, d_out, kept = run_exact(case, build, values, places, fields=fields)
+            out, d_out, kept = run_exact(grid, build, places, fields=fields)
             return _observe(grid.case, build, values, out, d_out[: len(names)], m, kept, shares[:, 2])
         out = np.empty((steps + 1, len(places)))
         d_out = np.empty((p, steps + 1, len(places)))
