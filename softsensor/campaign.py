@@ -23,7 +23,8 @@ from daq.pressfile import Press
 from daq.records import Array, InputError, Moments, Run
 from softsensor.campaign_joint import Population, information, population
 from softsensor.dependence import Dependence, fit_dependence
-from softsensor.fit import RunFit, fit_run, number
+from softsensor.fit import fit_run
+from softsensor.fit_result import RunFit, number
 from softsensor.model import ThermalModel
 from softsensor.modelfile import Estimate, ModelFile
 

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from daq.records import Array
-from softsensor.fit import RunFit
 from softsensor.fit_problem import inverse, normal_equations
+from softsensor.fit_result import RunFit
 
 SPREAD_PRIOR = (0.15, 2.0)
 """Coefficients differ from run to run by 12 to 30 %: size of the spread, and how many runs this counts for."""

@@ -15,7 +15,7 @@ import numpy as np
 
 from daq.records import Array, Run
 from softsensor.campaign_joint import Knowledge
-from softsensor.fit import RunFit
+from softsensor.fit_result import RunFit
 from softsensor.modelfile import Estimate
 
 SETTINGS: Mapping[str, tuple[str, float]] = {

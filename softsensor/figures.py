@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from daq.records import Array
 from softsensor.campaign import CampaignFit
-from softsensor.fit import RunFit
+from softsensor.fit_result import RunFit
 from softsensor.paper import Reproduction
 from softsensor.residuals import Place
 
@@ -39,6 +39,17 @@ STYLE: Mapping[str, Any] = {
     "svg.hashsalt": "kerntemp",
     "svg.fonttype": "path",
 }
+
+
+def plain(value: float, digits: int) -> str:
+    """Return a number with so many significant digits and no exponent.
+
+    Examples
+    --------
+    >>> plain(247.3, 2), plain(0.01234, 3), plain(68437.0, 3)
+    ('250', '0.0123', '68400')
+    """
+    return f"{float(f'{value:.{digits}g}'):.10g}"
 
 
 def svg(figure: Figure) -> str:
@@ -177,7 +188,7 @@ def _campaign_title(campaign: CampaignFit) -> str:
 
 def _draw_coefficient(ax: Any, campaign: CampaignFit, name: str) -> None:
     c = campaign.coefficients[name]
-    ax.set_title(f"{name} = {c.mean:.3g}" + (f" ± {c.sd:.2g}" if np.isfinite(c.sd) else "") + " W/m²K")
+    ax.set_title(f"{name} = {plain(c.mean, 3)}" + (f" ± {plain(c.sd, 2)}" if np.isfinite(c.sd) else "") + " W/m²K")
     if np.isfinite(c.sd):
         ax.axhspan(c.mean - c.sd, c.mean + c.sd, color="#dfeaf4", lw=0, zorder=0)
     ax.axhline(c.mean, color=COLOURS[1], lw=1.2, zorder=1)

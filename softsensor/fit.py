@@ -16,11 +16,9 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize
-from scipy.stats import t as student
 
 from daq.pressfile import Press
 from daq.records import Array, InputError, Moments, Run
@@ -29,12 +27,13 @@ from softsensor.fit_problem import (
     Evaluation,
     Minimum,
     Problem,
-    Unknown,
     grid_correction,
     minimise,
     with_motion,
 )
-from softsensor.fit_unknowns import chain_priors, is_parameter, neutral_values, parameter_unknown
+from softsensor.fit_result import RunFit, run_fit
+from softsensor.fit_unknowns import chain_priors, neutral_values, parameter_unknown
+from softsensor.identifiability import judge
 from softsensor.model import ThermalModel, state_weights
 from softsensor.residuals import Noise, channel_noise, collect_signals, whiten
 
@@ -48,118 +47,6 @@ SLOW_PRIOR = ((np.log(0.15), 1.0), (np.log(30.0), 0.7))
 """Log-normal priors of the slow noise's size [K] and correlation time [s]."""
 
 
-@dataclass(frozen=True)
-class Coefficient:
-    """What a fit says about one coefficient or effect parameter."""
-
-    value: float
-    sd: float
-    """Of the value; for a coefficient from the logarithm's, times the value."""
-    ci95: tuple[float, float]
-    identifiable: bool
-    verdict: str = "identifiable"
-    """``identifiable``, ``one-sided``, ``not identifiable`` or ``fixed``."""
-    reason: str = ""
-    """Why not, and which measurement would fix it."""
-    log_sd: float = float("nan")
-    """Of the logarithm."""
-
-
-@dataclass(frozen=True)
-class RunFit:
-    """What a run says about the press."""
-
-    run: str
-    coefficients: Mapping[str, Coefficient]
-    """Coefficients, and effect parameters that were free."""
-    rmse_K: float  # noqa: N815
-    """All good channels but validation ones, whole run, each channel's constant offset removed. [K]"""
-    rmse_closed_K: float  # noqa: N815
-    rmse_raw_K: float  # noqa: N815
-    initial_rmse_K: float  # noqa: N815
-    """At the press file's guesses. [K]"""
-    converged: bool
-    seconds: float
-    closed_s: float
-    opened_s: float
-    warnings: tuple[str, ...]
-    names: tuple[str, ...]
-    """Of the unknowns, nuisances included."""
-    covariance: Array
-    """Of the internal variables: logarithms of coefficients, effect parameters over their size."""
-    problem: Problem
-    minimum: Minimum
-    residuals: Mapping[str, Array]
-    """Reading minus prediction by channel, its constant offset removed (rows). [K]"""
-    offsets: Mapping[str, float]
-    """Constant offset of each channel. [K]"""
-    evaluations: int
-    spread: float
-    """How much larger the whitened residuals are than the noise model says, at least 1."""
-    quantile: float
-    """Standard deviations to either end of a 95 % interval."""
-
-    @property
-    def values(self) -> dict[str, float]:
-        """Every parameter's value, nuisances included."""
-        return self.problem.merged(self.minimum.x)
-
-    @property
-    def nuisances(self) -> dict[str, float]:
-        """Nuisances and their values, channel errors included."""
-        pairs = zip(self.problem.unknowns, self.minimum.x, strict=True)
-        return {u.name: u.value(x) for u, x in pairs if u.name not in self.coefficients}
-
-    @property
-    def correlation(self) -> Array:
-        """Of the unknowns, in the order of `names`."""
-        sd = np.sqrt(np.maximum(np.diag(self.covariance), 1e-300))
-        return np.asarray(self.covariance / sd[:, None] / sd[None, :])
-
-    @property
-    def moments(self) -> Moments:
-        """The run's moments as refined."""
-        case, n = self.problem.case, self.nuisances
-        return replace(
-            case.moments,
-            closed_s=self.closed_s,
-            opened_s=self.opened_s,
-            ramp_s=case.moments.ramp_s + n.get("ramp_s", 0.0),
-        )
-
-    def as_json(self) -> dict[str, Any]:
-        """Return the run's entry of ``fit --json`` (NaN as null)."""
-        table = {
-            name: {
-                "value": number(c.value),
-                "sd": number(c.sd),
-                "ci95": [number(c.ci95[0]), number(c.ci95[1])],
-                "identifiable": c.identifiable,
-                "verdict": c.verdict,
-                "reason": c.reason,
-            }
-            for name, c in self.coefficients.items()
-        }
-        return {
-            "run": self.run,
-            "converged": self.converged,
-            "coefficients": table,
-            "rmse_K": number(self.rmse_K),
-            "rmse_closed_K": number(self.rmse_closed_K),
-            "rmse_raw_K": number(self.rmse_raw_K),
-            "initial_rmse_K": number(self.initial_rmse_K),
-            "seconds": round(self.seconds, 4),
-            "closed_s": number(self.closed_s),
-            "opened_s": number(self.opened_s),
-            "warnings": list(self.warnings),
-        }
-
-
-def number(value: float) -> float | None:
-    """Return a JSON number, None where it is not finite."""
-    return float(value) if np.isfinite(value) else None
-
-
 def fit_run(
     model: ThermalModel,
     run: Run,
@@ -169,6 +56,7 @@ def fit_run(
     priors: Mapping[str, tuple[float, float]] | None = None,
     free: Sequence[str] | None = None,
     verdicts: bool = True,
+    method: str = "default",
 ) -> RunFit:
     """Fit one run.
 
@@ -187,6 +75,10 @@ def fit_run(
         Parameters to adjust; by default every coefficient the press file does not fix.
     verdicts
         False skips the profiles, for callers that only want the numbers.
+    method
+        ``default``, or one of the paper's (`softsensor.paper.METHODS`): coefficients by that procedure on
+        unrefined moments, every sensor with its own offset, or with ``:averages`` behind the name top and
+        bottom averages; uncertainty from the curvature there.
 
     Raises
     ------
@@ -195,6 +87,8 @@ def fit_run(
     """
     begun = time.perf_counter()
     problem = make_problem(model, run, moments, start=start, priors=priors, free=free)
+    if method != "default":
+        return _fit_by_the_paper(problem, method, begun)
     rough = _settle(problem)
     initial = rough.initial
     problem, best = rough.problem, rough.minimum
@@ -202,8 +96,6 @@ def fit_run(
     fitted = run_fit(problem, best, initial, warnings, begun, rough.evaluations)
     if not verdicts:
         return fitted
-    from softsensor.identifiability import judge
-
     return replace(judge(fitted), seconds=time.perf_counter() - begun)
 
 
@@ -236,6 +128,25 @@ def make_problem(
     if not rows.any():
         rows = np.ones(len(run.time_s))
     return Problem(model, case, signals, tuple(unknowns), values, FIRST_NOISE, rows)
+
+
+def _fit_by_the_paper(problem: Problem, method: str, begun: float) -> RunFit:
+    """Take the coefficients from one of the paper's procedures; noise and curvature from where they lie."""
+    from softsensor.paper import fit_as_paper
+
+    name, _, sensors = method.partition(":")
+    model, case = problem.model, problem.case
+    found = fit_as_paper(model, case.run, case.moments, name, every=sensors != "averages", start=problem.values)
+    initial = problem.evaluate(problem.start)
+    x = np.array([u.inside(found.values.get(u.name, u.start)) for u in problem.unknowns])
+    x = np.clip(x, *problem.limits)
+    period = problem.signals.period_s
+    problem = with_motion(problem, x, timing(problem), 0.1 * period)
+    problem = replace(problem, noise=channel_noise(problem.signals, problem.case.moments, problem.noise))
+    problem = replace(problem, noise=slow_noise(problem, problem.evaluate(x)))
+    there = replace(minimise(problem, x, max_evaluations=1), converged=found.converged)
+    warnings = [f.sentence for f in problem.signals.findings]
+    return run_fit(problem, there, initial, warnings, begun, found.evaluations)
 
 
 @dataclass(frozen=True)
@@ -356,103 +267,6 @@ def _thin(problem: Problem) -> Array:
     rows = np.flatnonzero(use)
     step = max(1, round(1.0 / problem.signals.period_s), len(rows) // 400)
     return np.asarray(rows[::step])
-
-
-def run_fit(
-    problem: Problem, best: Minimum, initial: Evaluation, warnings: Sequence[str], begun: float, evaluations: int
-) -> RunFit:
-    """Put together what a finished search says."""
-    residuals, offsets = channel_residuals(problem, best.evaluation)
-    closed = best.evaluation.solution.closed_share > 0.5
-    x, covariance = best.x, best.covariance
-    spread = _spread(problem, best)
-    quantile = float(student.ppf(0.975, spread.freedom))
-    table = {}
-    for i, u in enumerate(problem.unknowns):
-        if not is_parameter(u.name):
-            continue
-        sd = float(np.sqrt(covariance[i, i])) * spread.factor
-        table[u.name] = _coefficient(u, x[i], sd, quantile)
-    for name in problem.case.press.coefficient_names:
-        if name not in table:
-            v = problem.values[name]
-            table[name] = Coefficient(v, 0.0, (v, v), False, "fixed", "fixed by the press file", 0.0)
-    values = problem.merged(x)
-    moments = problem.case.moments
-    notes = list(warnings)
-    if problem.signals.dropped:
-        notes.append(f"{problem.signals.dropped} single cells departed from their face and were left out")
-    if not best.converged:
-        notes.append("the search did not converge; coefficients are where it stopped")
-    return RunFit(
-        run=problem.case.run.name,
-        coefficients=table,
-        rmse_K=rms(residuals.values()),
-        rmse_closed_K=rms(r[closed] for r in residuals.values()),
-        rmse_raw_K=rms(r + offsets[c] for c, r in residuals.items()),
-        initial_rmse_K=rms(channel_residuals(problem, initial)[0].values()),
-        converged=best.converged,
-        seconds=time.perf_counter() - begun,
-        closed_s=moments.closed_s + values.get("closed_s", 0.0),
-        opened_s=moments.opened_s + values.get("opened_s", 0.0),
-        warnings=tuple(notes),
-        names=problem.names,
-        covariance=covariance * spread.factor**2,
-        problem=problem,
-        minimum=best,
-        residuals=residuals,
-        offsets=offsets,
-        evaluations=evaluations,
-        spread=spread.factor,
-        quantile=quantile,
-    )
-
-
-def _coefficient(u: Unknown, x: float, sd: float, quantile: float) -> Coefficient:
-    value = u.value(x)
-    low, high = u.value(x - min(quantile * sd, 50.0)), u.value(x + min(quantile * sd, 50.0))
-    interval = (max(low, u.lower), min(high, u.upper))
-    log_sd = sd if u.scale == "log" else float("nan")
-    return Coefficient(value, float(abs(u.slope(x)) * sd), interval, sd > 0, log_sd=log_sd)
-
-
-@dataclass(frozen=True)
-class _Spread:
-    factor: float
-    """How much larger the whitened residuals are than their model says, at least 1."""
-    freedom: float
-    """Independent values behind the size of the slow noise, which decides most intervals."""
-
-
-def _spread(problem: Problem, best: Minimum) -> _Spread:
-    z, w = best.evaluation.z, best.evaluation.weight
-    used = z != 0
-    size = float((w[used] * z[used] ** 2).sum() / max(used.sum() - len(best.x), 1))
-    seconds = float(problem.rows.sum()) * problem.signals.period_s
-    freedom = len(problem.signals.places) * seconds / problem.noise.slow_s
-    return _Spread(max(1.0, float(np.sqrt(size))), float(np.clip(freedom, 5.0, 100.0)))
-
-
-def channel_residuals(problem: Problem, at: Evaluation) -> tuple[dict[str, Array], dict[str, float]]:
-    """Return by channel reading minus prediction with its constant offset removed, and that offset. [K]"""
-    residuals, offsets = {}, {}
-    present = problem.rows > 0
-    for i, place in enumerate(problem.signals.places):
-        predicted = at.solution.sensors[:, at.solution.columns.index(place.columns[0])]
-        if problem.correction:
-            predicted = predicted + problem.correction[i]
-        for column in place.columns:
-            difference = np.where(present, problem.signals.cells[column] - predicted, np.nan)
-            ok = np.isfinite(difference)
-            offsets[column] = float(difference[ok].mean()) if ok.any() else 0.0
-            residuals[column] = difference - offsets[column]
-    return residuals, offsets
-
-
-def rms(series: Any) -> float:
-    """Root mean square over the finite values of several arrays."""
-    values = np.concatenate([np.asarray(s)[np.isfinite(s)] for s in series])
-    return float(np.sqrt(np.mean(np.square(values)))) if len(values) else float("nan")
 
 
 def free_names(press: Press) -> tuple[str, ...]:

@@ -17,8 +17,8 @@ from scipy.stats import t as student
 
 from daq.pressfile import Press
 from daq.records import Array
-from softsensor.fit import Coefficient, RunFit
 from softsensor.fit_problem import Problem, minimise
+from softsensor.fit_result import Coefficient, RunFit
 from softsensor.fit_unknowns import is_parameter
 
 NARROW = 0.5

@@ -12,7 +12,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from scipy.optimize import least_squares, minimize
@@ -24,7 +23,6 @@ from softsensor.paper_ode import Lines, lines_of
 from softsensor.residuals import Signals, collect_signals
 
 METHODS = ("least_squares", "nelder_mead", "nelder_mead_then_least_squares")
-Method = Literal["least_squares", "nelder_mead", "nelder_mead_then_least_squares"]
 STOP = 1e-4
 """The paper stops when the coefficients change by less than this."""
 Residuals = Callable[[Array], Array]
@@ -103,7 +101,7 @@ def fit_as_paper(
     model: ThermalModel,
     run: Run,
     moments: Moments,
-    method: Method = "nelder_mead_then_least_squares",
+    method: str = "nelder_mead_then_least_squares",
     *,
     every: bool = False,
     start: Mapping[str, float] | None = None,

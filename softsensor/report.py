@@ -14,11 +14,12 @@ from softsensor.figures import (
     coefficients_figure,
     correlation_figure,
     normalised_figure,
+    plain,
     roughness_figure,
     run_figure,
     svg,
 )
-from softsensor.fit import RunFit
+from softsensor.fit_result import RunFit
 from softsensor.paper import Reproduction
 
 TEMPLATE = "fit_report.html"
@@ -77,12 +78,12 @@ def _rows(campaign: CampaignFit) -> Iterator[dict[str, Any]]:
     for name, c in campaign.coefficients.items():
         yield {
             "name": name,
-            "mean": f"{c.mean:.4g}",
-            "sd": f"{c.sd:.2g}" if np.isfinite(c.sd) else "–",
-            "ci": f"{c.ci95[0]:.4g} – {c.ci95[1]:.4g}",
-            "bootstrap": f"{c.bootstrap95[0]:.4g} – {c.bootstrap95[1]:.4g}",
+            "mean": plain(c.mean, 4),
+            "sd": plain(c.sd, 2) if np.isfinite(c.sd) else "–",
+            "ci": f"{plain(c.ci95[0], 4)} – {plain(c.ci95[1], 4)}",
+            "bootstrap": f"{plain(c.bootstrap95[0], 4)} – {plain(c.bootstrap95[1], 4)}",
             "runs": f"{c.runs} of {len(campaign.runs)}",
-            "median": f"{c.median:.4g}",
+            "median": plain(c.median, 4),
             "spread": f"{100 * c.spread:.0f} %",
         }
 
@@ -93,7 +94,9 @@ def _run_row(f: RunFit) -> dict[str, Any]:
         if c.verdict == "fixed":
             continue
         half = 50.0 * (c.ci95[1] - c.ci95[0]) / c.value if c.value else float("nan")
-        text = f"{c.value:.4g} ± {half:.0f} %" if c.identifiable else f"{c.ci95[0]:.3g} – {c.ci95[1]:.3g}"
+        text = f"{plain(c.value, 4)} ± {half:.0f} %"
+        if not c.identifiable:
+            text = f"{plain(c.ci95[0], 3)} – {plain(c.ci95[1], 3)}"
         cells.append({"text": text, "known": c.identifiable, "why": c.reason})
     return {
         "run": f.run,

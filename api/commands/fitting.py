@@ -27,6 +27,13 @@ Reproduce = Annotated[
         help="Instead: why gradient least squares got stuck, on 20 virtual measurements; --html draws it.",
     ),
 ]
+MethodName = Annotated[
+    str,
+    typer.Option("--method", help="Or the paper's: least_squares, nelder_mead, nelder_mead_then_least_squares."),
+]
+Averages = Annotated[
+    bool, typer.Option("--averages", help="With the paper's methods: top and bottom averages, not every sensor.")
+]
 ModelOut = Annotated[
     Path | None, typer.Option("--model", metavar="OUT", help="Write the campaign's model file here.")
 ]
@@ -34,7 +41,7 @@ JsonOut = Annotated[Path | None, typer.Option("--json", metavar="OUT", help="Wri
 HtmlOut = Annotated[Path | None, typer.Option("--html", metavar="OUT", help="Write a report to read here.")]
 
 
-def fit(
+def fit(  # noqa: PLR0913 - one argument an option
     runs: FitRuns = None,
     press: FitPress = None,
     model: ModelOut = None,
@@ -42,6 +49,8 @@ def fit(
     html: HtmlOut = None,
     store: StoreUrl = None,
     config: ConfigFile = None,
+    method: MethodName = "default",
+    averages: Averages = False,
     reproduce_paper: Reproduce = False,
 ) -> None:
     """Fit the heat transfer coefficients of each run and of the campaign."""
@@ -53,12 +62,13 @@ def fit(
         return
     if not runs or press is None:
         raise InputError("fit needs run files and --press FILE (or --reproduce-paper alone)")
+    chosen = check_method(method, averages=averages)
     described = read_press(press)
     loaded = load_runs(runs, store, config)
     with working(f"Fitting {len(loaded)} runs", len(loaded)) as done:
         from softsensor.campaign import fit_campaign
 
-        found = fit_campaign(described, loaded, progress=count(done))
+        found = fit_campaign(described, loaded, progress=count(done), method=chosen)
         outputs: dict[Path, str | bytes | Callable[[Path], None]] = {}
         if json is not None:
             outputs[json] = as_json(found.as_json())
@@ -73,6 +83,17 @@ def fit(
         write_all(outputs)
     for line in _lines(found):
         sys.stdout.write(line + "\n")
+
+
+def check_method(method: str, *, averages: bool) -> str:
+    """Return the method's full name; refuse an unknown one before any work."""
+    from softsensor.paper import METHODS
+
+    if method not in ("default", *METHODS):
+        raise InputError(f"--method {method}: must be default, {', '.join(METHODS)}")
+    if averages and method == "default":
+        raise InputError("--averages goes with one of the paper's methods; give --method too")
+    return f"{method}:averages" if averages else method
 
 
 def _reproduce(html: Path | None) -> None:
