@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
@@ -43,6 +44,10 @@ STATE_AFTER: Mapping[str, State] = {
 }
 TREND_S = 5.0
 """How far back the rate of heating is taken from. [s]"""
+
+KEPT_MODELS = 16
+_IN_USE: dict[tuple[object, ...], dict[str, float]] = {}
+_IN_USE_LOCK = threading.Lock()
 
 Role = Literal["platen", "top", "bottom", "core", "other"]
 _ROLES: tuple[Role, ...] = ("platen", "top", "bottom", "core")
@@ -223,17 +228,35 @@ def faces_of(channels: Sequence[ChannelNow]) -> Faces:
 
 
 def coefficients_in_use(store: Store, press: str, press_file: str) -> dict[str, float]:
-    """Return the promoted model's coefficients, or the press file's guesses."""
-    model = store.active_model(press)
-    if model is not None:
-        return {name: float(c["value"]) for name, c in model.model.get("coefficients", {}).items()}
+    """Return what the live sensor starts from: the promoted model and the newest fits, else the guesses."""
+    active = store.active_model(press)
+    newest = store.coefficient_history(press=press, limit=1).items
+    key = (store.label, press, press_file, active.version if active else "", newest[0].fit_number if newest else 0)
+    with _IN_USE_LOCK:
+        if key not in _IN_USE:
+            _IN_USE[key] = _coefficients(store, press, press_file, active)
+            while len(_IN_USE) > KEPT_MODELS:
+                del _IN_USE[next(iter(_IN_USE))]
+        return _IN_USE[key]
+
+
+def _coefficients(store: Store, press: str, press_file: str, active: ModelRecord | None) -> dict[str, float]:
+    from softsensor.modelfile import parse_model
+    from softsensor.recent import NEWEST_RUNS, PRESS_FILE, up_to_date
+
     if not press_file:
         return {}
     try:
         described = parse_press(press_file)
+        base = parse_model(active.model, f"model {active.version}") if active else None
     except InputError:
         return {}
-    return {name: described.coefficient(name).guess for name in described.coefficient_names}
+    version = base.version if base else PRESS_FILE
+    found = [store.fit(run.run) for run in store.runs(press=press, limit=NEWEST_RUNS + 1).items]
+    fits = [fit for fit in found if fit is not None and fit.get("model_version") == version]
+    model = up_to_date(described, base, fits[:NEWEST_RUNS])
+    guesses = {name: described.coefficient(name).guess for name in described.coefficient_names}
+    return guesses | ({name: e.value for name, e in model.coefficients.items()} if model else {})
 
 
 def press_description(press_file: str) -> dict[str, Any]:
