@@ -2,13 +2,12 @@
 
 What a fit adjusts are `Unknown`s: coefficients in the logarithm, effect parameters on their own scale,
 and nuisances (moments, start temperature, boundary and channel errors) that carry priors. A `Problem` is one
-run; `minimise` finds its unknowns, `minimise_together` those of several runs that share some. Both are
-Levenberg-Marquardt with exact sensitivities, Huber weights and limits; the cost of sharing is linear in runs.
+run; `minimise` finds its unknowns by Levenberg-Marquardt with exact sensitivities, Huber weights and limits.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -26,7 +25,7 @@ HUBER = 3.0
 """Whitened residuals beyond this count in proportion, not squared."""
 SLOPE = "clock_offset.seconds"
 """The model's derivative by this parameter is minus the slope of what the channels read."""
-SWITCH_TIMING_S = 0.04
+SWITCH_TIMING_S = 0.03
 """How well the press's motion is described by straight ramps: as a delay, while it closes or opens. [s]"""
 SWITCH_EDGE_S = 0.2
 """Rows this close to a ramp count as part of it. [s]"""
@@ -318,8 +317,8 @@ def minimise(
     trace = [at.loss]
     while count < max_evaluations:
         matrix, right = normal_equations(problem, at)
-        free = _free(at.x, right, lower, upper)
-        step, promise = _step(matrix, right, free, damping)
+        free = free_of(at.x, right, lower, upper)
+        step, promise = damped_step(matrix, right, free, damping)
         if promise < decrease:
             converged = True
             break
@@ -336,18 +335,18 @@ def minimise(
             converged = True
             break
     matrix, right = normal_equations(problem, at)
-    free = _free(at.x, right, lower, upper)
-    return Minimum(at, converged, count, _covariance(matrix, free), np.logical_not(free), tuple(trace))
+    free = free_of(at.x, right, lower, upper)
+    return Minimum(at, converged, count, covariance_of(matrix, free), np.logical_not(free), tuple(trace))
 
 
-def _free(x: Array, right: Array, lower: Array, upper: Array) -> Array:
+def free_of(x: Array, right: Array, lower: Array, upper: Array) -> Array:
     """Unknowns that no limit holds against the descent direction."""
     edge = 1e-9
     held = ((x <= lower + edge) & (right <= 0)) | ((x >= upper - edge) & (right >= 0))
     return np.logical_not(held)
 
 
-def _step(matrix: Array, right: Array, free: Array, damping: float) -> tuple[Array, float]:
+def damped_step(matrix: Array, right: Array, free: Array, damping: float) -> tuple[Array, float]:
     """Return a damped step and the decrease of loss an undamped one promises."""
     step = np.zeros(len(right))
     index = np.flatnonzero(free)
@@ -355,19 +354,21 @@ def _step(matrix: Array, right: Array, free: Array, damping: float) -> tuple[Arr
         return step, 0.0
     inner = matrix[np.ix_(index, index)]
     diagonal = np.maximum(np.diag(inner), 1e-12)
-    full = _solve(inner, right[index])
-    damped = full if damping < 1e-8 else _solve(inner + np.diag(damping * diagonal), right[index])
+    full = solve_scaled(inner, right[index])
+    damped = full if damping < 1e-8 else solve_scaled(inner + np.diag(damping * diagonal), right[index])
     step[index] = np.clip(damped, -MAX_MOVE, MAX_MOVE)
     return step, 0.5 * float(right[index] @ full)
 
 
-def _solve(matrix: Array, right: Array) -> Array:
+def solve_scaled(matrix: Array, right: Array) -> Array:
+    """Solve for a positive matrix whose rows may be of very different size."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-12))
     scaled = matrix * scale[:, None] * scale[None, :] + 1e-12 * np.eye(len(matrix))
     return np.asarray(scale * np.linalg.solve(scaled, scale * right))
 
 
-def _covariance(matrix: Array, free: Array) -> Array:
+def covariance_of(matrix: Array, free: Array) -> Array:
+    """Invert over the unknowns that no limit holds; zero for the others."""
     covariance = np.zeros_like(matrix)
     index = np.flatnonzero(free)
     if len(index):
@@ -382,119 +383,3 @@ def inverse(matrix: Array) -> Array:
     values, vectors = np.linalg.eigh(scaled)
     inverted = (vectors / np.maximum(values, 1e-10)) @ vectors.T
     return np.asarray(inverted * scale[:, None] * scale[None, :])
-
-
-@dataclass(frozen=True)
-class SharedMinimum:
-    """Where a search over several runs ended."""
-
-    runs: tuple[Evaluation, ...]
-    names: tuple[str, ...]
-    """The shared unknowns."""
-    x: Array
-    """Their internal variables."""
-    covariance: Array
-    """Of the shared ones."""
-    loss: float
-    converged: bool
-    evaluations: int
-
-
-def minimise_together(
-    problems: Sequence[Problem],
-    shared: Sequence[str],
-    *,
-    starts: Sequence[Array] | None = None,
-    max_evaluations: int = 30,
-    decrease: float = 1e-2,
-) -> SharedMinimum:
-    """Find the unknowns of several runs that share some of them.
-
-    Every problem must list the shared names among its unknowns, with equal limits and priors; a shared
-    prior counts once. Runs are eliminated one by one (Schur complement), so the cost is linear in runs.
-    """
-    shared = tuple(shared)
-    first = problems[0]
-    own = [first.names.index(name) for name in shared]
-    unknowns = [first.unknowns[i] for i in own]
-    mean, precision = first.precision[0][own], first.precision[1][own]
-    problems = [_without_prior(p, shared) for p in problems]
-    low, high = (side[own] for side in first.limits)
-    points = [np.array(p.start if starts is None else starts[r]) for r, p in enumerate(problems)]
-    top = np.array([u.inside(u.start) for u in unknowns]) if starts is None else points[0][own]
-    state = _Together(problems, shared, low, high, mean, precision)
-    at = state.evaluate(points, top)
-    damping, count, converged = 1e-3, 1, False
-    while count < max_evaluations:
-        steps, top_step, promise, _ = state.step(at, damping)
-        if promise < decrease:
-            converged = True
-            break
-        new = state.evaluate([a.x + s for a, s in zip(at.runs, steps, strict=True)], at.x + top_step)
-        count += 1
-        if np.isfinite(new.loss) and new.loss < at.loss:
-            damping, at = max(damping * 0.2, 1e-9), new
-        else:
-            damping *= 8.0
-            if damping > 1e10:
-                break
-    covariance = state.step(at, 0.0)[3]
-    return replace(at, covariance=covariance, converged=converged, evaluations=count)
-
-
-def _without_prior(problem: Problem, shared: tuple[str, ...]) -> Problem:
-    unknowns = tuple(replace(u, sd=float("inf")) if u.name in shared else u for u in problem.unknowns)
-    return replace(problem, unknowns=unknowns)
-
-
-@dataclass(frozen=True)
-class _Together:
-    """The runs of one joint search."""
-
-    problems: Sequence[Problem]
-    shared: tuple[str, ...]
-    low: Array
-    high: Array
-    mean: Array
-    precision: Array
-
-    def evaluate(self, points: Sequence[Array], top: Array) -> SharedMinimum:
-        """Evaluate every run with the shared values put in."""
-        top = np.clip(top, self.low, self.high)
-        runs = []
-        for problem, point in zip(self.problems, points, strict=True):
-            x = np.clip(point, *problem.limits)
-            x[[problem.names.index(n) for n in self.shared]] = top
-            runs.append(problem.evaluate(x))
-        pull = top - self.mean
-        loss = sum(r.loss for r in runs) + 0.5 * float(pull @ (self.precision * pull))
-        return SharedMinimum(tuple(runs), self.shared, top, np.zeros((len(top), len(top))), loss, False, 0)
-
-    def step(self, at: SharedMinimum, damping: float) -> tuple[list[Array], Array, float, Array]:
-        """Return each run's step, the shared step, the promised decrease and the shared covariance."""
-        matrix = np.diag(self.precision)
-        right = -self.precision * (at.x - self.mean)
-        parts = []
-        promise = 0.0
-        for problem, run in zip(self.problems, at.runs, strict=True):
-            a, g = normal_equations(problem, run)
-            s = np.array([problem.names.index(n) for n in self.shared])
-            free = _free(run.x, g, *problem.limits)
-            free[s] = False
-            i = np.flatnonzero(free)
-            block = a[np.ix_(i, i)]
-            block = block + np.diag(damping * np.maximum(np.diag(block), 1e-12))
-            solved = np.column_stack([_solve(block, g[i]), *(_solve(block, c) for c in a[np.ix_(i, s)].T)])
-            matrix = matrix + a[np.ix_(s, s)] - a[np.ix_(s, i)] @ solved[:, 1:]
-            right = right + g[s] - a[np.ix_(s, i)] @ solved[:, 0]
-            promise += 0.5 * float(g[i] @ solved[:, 0])
-            parts.append((i, s, solved))
-        free = _free(at.x, right, self.low, self.high)
-        top, more = _step(matrix, right, free, damping)
-        steps = []
-        for run, (i, s, solved) in zip(at.runs, parts, strict=True):
-            step = np.zeros(len(run.x))
-            step[i] = np.clip(solved[:, 0] - solved[:, 1:] @ top, -MAX_MOVE, MAX_MOVE)
-            step[s] = top
-            steps.append(step)
-        return steps, top, promise + more, _covariance(matrix, free)
