@@ -39,6 +39,7 @@ import numpy as np
 from daq.pressfile import Press
 from daq.records import Array, InputError, Moments, Run
 from softsensor.channels import ChannelFault, faulty_channels, recurring
+from softsensor.diagnosis_model import model_of
 from softsensor.diagnosis_numbers import Errors, Interval, intervals, measure_errors
 from softsensor.diagnosis_search import Candidate, Stage, candidates_for, exchange, extend, search, settle_base
 from softsensor.diagnosis_tests import Adequacy, Pocket, adequacy, max_t, paired_t, pockets
@@ -46,6 +47,7 @@ from softsensor.effects import find_effect
 from softsensor.evidence import Digest, digest_run, moments_of
 from softsensor.extension import held_out
 from softsensor.model import ThermalModel
+from softsensor.modelfile import ModelFile
 
 ALPHA = 0.05
 """For a name; the size and held-out conditions on top make false names rarer than this."""
@@ -56,6 +58,8 @@ EXPLAINED = 0.8
 """Share of the common residual pattern a named cause must explain."""
 NEGLIGIBLE_K = 0.06
 """A common pattern smaller than this (rms over pockets) is no finding. [K]"""
+LEAST_GAIN_K, LEAST_GAIN_SHARE = 0.005, 0.02
+"""A cause must save this much on runs left out: kelvins, and share of the residual."""
 SMALLEST_SIZE = 0.3
 """Of an effect's typical size; below it a candidate is not a cause but a nuisance."""
 SURE_T = 2.2
@@ -101,12 +105,18 @@ class Diagnosis:
     stages: tuple[Stage, ...]
     """Fits: the plain model, then with each cause."""
     adequacy: Adequacy
+    rivals: tuple[tuple[str, Array], ...]
+    """The first cause and the runners-up, with what each run, left out, saves by them."""
     warnings: tuple[str, ...] = ()
 
     @property
     def final(self) -> Stage:
         """The last fit."""
         return self.stages[-1]
+
+    def model_file(self, version: str = "") -> ModelFile:
+        """Return the extended model (the plain one where nothing was named)."""
+        return model_of(self.final, version)
 
     def as_json(self) -> dict[str, Any]:
         """Return the contract's JSON content."""
@@ -246,6 +256,8 @@ def _acceptable(stage: Stage, candidate: Candidate, p: float) -> bool:
     runs = len(stage.data)
     if not candidate.large_enough(SMALLEST_SIZE) or candidate.gains.sum() <= 0:
         return False
+    if candidate.heldout_gain(stage) < LEAST_GAIN_K or candidate.heldout_ratio(stage) > 1 - LEAST_GAIN_SHARE:
+        return False
     if runs >= FEW_RUNS:
         return p <= ALPHA and float((candidate.gains > 0).mean()) >= 0.6
     if runs < 2 or not (candidate.gains > 0).all():
@@ -288,6 +300,7 @@ def _conclude(
         faults={r.name: f for r, f in zip(runs, faults, strict=True) if f},
         stages=tuple(stages),
         adequacy=left,
+        rivals=_rivals(rounds),
         warnings=_warnings(runs, faults),
     )
 
@@ -420,6 +433,15 @@ def _next(verdict: str, findings: tuple[Finding, ...], has_core: bool, runs: int
 
 def _first_lower(text: str) -> str:
     return text[:1].lower() + text[1:]
+
+
+def _rivals(rounds: list[_Round]) -> tuple[tuple[str, Array], ...]:
+    if not rounds:
+        return ()
+    first = rounds[0]
+    refined = [c for c in first.candidates if c.refined]
+    refined.sort(key=lambda c: (c is not first.chosen, -c.gain))
+    return tuple((c.effect.name, c.gains) for c in refined[:3])
 
 
 def _warnings(runs: Sequence[Run], faults: list[tuple[ChannelFault, ...]]) -> tuple[str, ...]:

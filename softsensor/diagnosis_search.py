@@ -8,7 +8,7 @@ and nuisances, and those that keep up with the best go on to convergence (succes
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -37,7 +37,15 @@ COARSEST = 3.0
 SPREAD_LIMITS = (0.12, 0.4)
 """Of the coefficients between runs, logarithmic."""
 START_NOISE = Noise(0.12, 0.06, 0.03)
-KEEP = 6
+FRESH_SIZES = (1.3, -1.0)
+"""Effects of the measuring chain are also tried from these sizes, in typical ones."""
+FAR_OFF = 1.15
+"""Cost per reading above which every candidate is fitted, whatever its secant promises."""
+NEAR = 0.35
+"""Candidates below this share of the best gain after the first rounds are dropped."""
+HOPELESS = 9.0
+"""Sum of squares a candidate must promise, or save, to be worth more rounds."""
+KEEP = 5
 """Candidates fitted to convergence, at most."""
 
 Progress = Callable[[str], None]
@@ -51,6 +59,12 @@ class Stage:
     data: tuple[Whitened, ...]
     population: Population
     noise: Noise
+
+    @property
+    def misfit(self) -> float:
+        """Cost over the number of readings; about 1 where noise is all that is left."""
+        count = sum(int(d.digest.valid.sum()) for d in self.data)
+        return sum(r.cost for r in self.fit.runs) / max(count, 1)
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -133,9 +147,8 @@ def scatter(fit: CampaignFit) -> Population:
 
 def coarse(stage: Stage) -> Noise:
     """Return noise as large as the stage's misfit suggests, up to `COARSEST` times."""
-    cost = sum(r.cost for r in stage.fit.runs)
-    count = sum(int(d.digest.valid.sum()) for d in stage.data)
-    factor = float(np.clip(np.sqrt(cost / max(count, 1)), 1.0, COARSEST))
+    factor = float(np.clip(np.sqrt(stage.misfit), 1.0 / COARSEST, COARSEST))
+    factor = 1.0 if 0.6 < factor < 1.1 else factor
     n = stage.noise
     return Noise(n.slow * factor, n.fast * factor, n.white * factor)
 
@@ -173,7 +186,7 @@ def exchange(stages: Sequence[Stage], first: Sequence[Candidate]) -> list[Stage]
     for other in [c for c in first if c.refined and c.effect.name not in last.effects][:2]:
         middle = extend(base, other)
         middle = _resettled(middle, last)
-        probe = refine(middle, _probe(middle, second, rounds=4))
+        probe = refine(middle, _probe(middle, second, *_best_secant(middle, second), rounds=4))
         if probe.fit.cost < (best[0] if best else last.fit.cost - 10.0):
             best = (probe.fit.cost, extend(base, other), Stage(probe.fit, last.data, last.population, last.noise))
     return None if best is None else [base, best[1], best[2]]
@@ -213,15 +226,22 @@ def _varies(loads: Sequence[Mapping[int, Array]]) -> bool:
 def search(stage: Stage, effects: Iterable[Effect], progress: Progress | None = None) -> list[Candidate]:
     """Fit every candidate on top of a stage; best first."""
     probes = []
+    misfit = stage.misfit
     for effect in effects:
         if progress is not None:
             progress(effect.name)
-        probes.append(_probe(stage, effect, rounds=3))
+        size, secant = _best_secant(stage, effect)
+        if secant.gain < HOPELESS and misfit < FAR_OFF and not effect.measuring:
+            fit = stage.fit
+            zeros = np.zeros(len(stage.data))
+            probes.append(Candidate(effect, secant, fit, 0.0, zeros, refined=False, score=secant.says))
+        else:
+            probes.append(_probe(stage, effect, size, secant, rounds=3))
     probes.sort(key=lambda c: -c.gain)
     best = probes[0].gain
     found = []
     for i, candidate in enumerate(probes):
-        keeps_up = i < 2 or candidate.gain > max(0.35 * best, 4.0)
+        keeps_up = candidate.gain > max(NEAR * best, HOPELESS)
         if i < KEEP and keeps_up:
             if progress is not None:
                 progress(f"{candidate.effect.name}, refined")
@@ -230,11 +250,15 @@ def search(stage: Stage, effects: Iterable[Effect], progress: Progress | None = 
     return sorted(found, key=lambda c: (-c.gain, c.effect.name))
 
 
-def _probe(stage: Stage, effect: Effect, rounds: int) -> Candidate:
+def _best_secant(stage: Stage, effect: Effect) -> tuple[float, Direction]:
     model = stage.fit.layout.model.extended(effect)
     options = [_secant(stage, model, effect, size) for size in _sizes(effect)]
     forward = [o for o in options if o[1].amplitude > 0] or options[:1]
-    size, secant = max(forward, key=lambda o: o[1].gain)
+    return max(forward, key=lambda o: o[1].gain)
+
+
+def _probe(stage: Stage, effect: Effect, size: float, secant: Direction, rounds: int) -> Candidate:
+    model = stage.fit.layout.model.extended(effect)
     amplitude = float(np.clip(secant.amplitude, 0.02, 3.0))
     start = dict(stage.fit.values)
     for p in effect.parameters:
@@ -243,17 +267,43 @@ def _probe(stage: Stage, effect: Effect, rounds: int) -> Candidate:
     digests = [d.digest for d in stage.data]
     layout = lay_out(model, digests, stage.population, start)
     etas = [
-        _grown(layout.unknowns[i], stage.fit.layout.unknowns[i], r.eta + amplitude * o)
+        _grown(layout.unknowns[i], r.eta + amplitude * o)
         for i, (r, o) in enumerate(zip(stage.fit.runs, secant.own, strict=True))
     ]
     fit = fit_campaign_model(layout, stage.data, etas, rounds=rounds, tolerance=1.0)
+    if effect.needs == "closed" or (effect.measuring and stage.misfit > FAR_OFF):
+        fit = min([fit, *_fresh_fits(stage, model, effect, rounds + 1)], key=lambda f: f.cost)
     gain = max(stage.fit.cost - fit.cost, 0.0)
     return Candidate(effect, secant, fit, gain, np.zeros(len(stage.data)), refined=False, score=secant.says)
 
 
-def _grown(new: Sequence[object], old: Sequence[object], eta: Array) -> Array:
+def _fresh_fits(stage: Stage, model: ThermalModel, effect: Effect, rounds: int) -> Iterator[CampaignFit]:
+    """Fit from full sizes with the moments back at their priors.
+
+    What the measuring chain does to a switch, the plain fit has made up for with moments and contacts;
+    from there the way back is uphill at first.
+    """
+    digests = [d.digest for d in stage.data]
+    for size in FRESH_SIZES:
+        if size < 0 and all(p.lower >= p.neutral for p in effect.parameters):
+            continue
+        start = dict(stage.fit.values)
+        for p in effect.parameters:
+            value = p.neutral + size * (p.typical - p.neutral)
+            start[effect.key(p.name)] = float(np.clip(value, p.lower, p.upper))
+        layout = lay_out(model, digests, stage.population, start)
+        etas = []
+        for unknowns, run in zip(layout.unknowns, stage.fit.runs, strict=True):
+            eta = _grown(unknowns, run.eta)
+            timing = [j for j, u in enumerate(unknowns) if u.name in ("closed_s", "opened_s", "ramp_s")]
+            eta[timing] = [unknowns[j].centre for j in timing]
+            etas.append(eta)
+        yield fit_campaign_model(layout, stage.data, etas, rounds=rounds, tolerance=1.0)
+
+
+def _grown(unknowns: Sequence[object], eta: Array) -> Array:
     """Extend a run's numbers by zeros for the unknowns a further effect brings at the end."""
-    return np.concatenate([eta, np.zeros(len(new) - len(old))])
+    return np.concatenate([eta, np.zeros(len(unknowns) - len(eta))])
 
 
 def refine(stage: Stage, candidate: Candidate, rounds: int = 8) -> Candidate:

@@ -115,21 +115,27 @@ class Digest:
 def moments_of(press: Press, run: Run) -> Moments:
     """Return the moments as the temperatures show them, the limit switch's where they do not.
 
-    A switch known only to a whole scan would put the solver's fine steps beside the event.
+    Where both tell, the middle of the two: a switch is known to a scan only, and channels with a clock of
+    their own show an event late; the solver's fine steps should hold the event either way.
     """
+    if not press.has_states:
+        return Moments(inserted_s=float(run.time_s[0]))
     columns = {name: values for name, values in run.columns.items() if name != "closed"}
     moments = find_moments(replace(run, columns=columns), press)
     switched = find_moments(run, press)
     if switched.source != "limit switch":
         return moments
     changes = {}
-    for name in ("closed_s", "opened_s"):
-        seen, told = getattr(moments, name), getattr(switched, name)
-        if not abs(seen - told) < 3.0:
-            changes[name] = told
+    told = switch_of(run) or (_NEVER, _NEVER)
+    for name, (first, gap) in zip(("closed_s", "opened_s"), told, strict=True):
+        seen, middle = getattr(moments, name), first - gap / 2
+        changes[name] = (seen + middle) / 2 if abs(seen - middle) < 1.5 else middle
     if not abs(moments.inserted_s - switched.inserted_s) < 5.0 or not moments.inserted_s < switched.closed_s:
         changes["inserted_s"] = switched.inserted_s
     return replace(moments, **changes)
+
+
+_NEVER = (float("nan"), 0.0)
 
 
 def switch_of(run: Run) -> tuple[tuple[float, float], tuple[float, float]] | None:
@@ -141,10 +147,9 @@ def switch_of(run: Run) -> tuple[tuple[float, float], tuple[float, float]] | Non
     if not state.any():
         return None
     first = int(np.argmax(state))
-    nothing = (float("nan"), 0.0)
-    closed = (float(times[first]), float(times[first] - times[first - 1])) if first > 0 else nothing
+    closed = (float(times[first]), float(times[first] - times[first - 1])) if first > 0 else _NEVER
     last = first + int(np.argmin(state[first:]))
-    opened = nothing if state[first:].all() else (float(times[last]), float(times[last] - times[last - 1]))
+    opened = _NEVER if state[first:].all() else (float(times[last]), float(times[last] - times[last - 1]))
     return closed, opened
 
 

@@ -32,7 +32,7 @@ PLATEN_SD_K = 0.25
 INITIAL_SD_K = 0.3
 SWITCH_SD_S = 0.05
 """Scatter of a limit switch about the middle of the ramp. [s]"""
-SWITCH_LAG_SD_S = 0.08
+SWITCH_LAG_SD_S = {"closed_s": 0.06, "opened_s": 0.03}
 """How far all its moments may lie off together. [s]"""
 DETECTED_SD_S = 0.5
 """Prior of moments found in the temperatures. [s]"""
@@ -182,7 +182,9 @@ def lay_out(
         )
     if any(d.switch is not None for d in digests):
         for name in ("closed_s", "opened_s"):
-            levels.append(Shared(f"switch {name}", 0.0, SWITCH_LAG_SD_S, start=start.get(f"switch {name}", 0.0)))
+            levels.append(
+                Shared(f"switch {name}", 0.0, SWITCH_LAG_SD_S[name], start=start.get(f"switch {name}", 0.0))
+            )
     unknowns = tuple(_unknowns(model, d, population, spreads) for d in digests)
     return Layout(model, (*shared, *levels), unknowns, spreads)
 

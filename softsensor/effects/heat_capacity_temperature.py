@@ -18,7 +18,7 @@ EFFECT = Effect(
     confirm="Measure c at 20 to 100 °C (DSC), or press a panel with a core thermocouple.",
     parameters=(
         Parameter(
-            "per_100_K", "of the value at 20 °C", 0.0, 0.2, -0.5, 1.5, "dry wood: +0.3 % per K, Wood Handbook"
+            "per_100_K", "of the value at 20 °C", 0.0, 0.2, -0.5, 1.5, "dry wood: +0.3 % per K, Wood Handbook", 0.25
         ),
     ),
     terms=_terms,

@@ -1,0 +1,132 @@
+"""One self-contained page: what is wrong, why, what it costs, what is gained, what to measure next."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from jinja2 import Environment, PackageLoader, select_autoescape
+
+from softsensor.diagnosis import Diagnosis, Finding
+from softsensor.diagnosis_figures import residual_figure, run_figure, votes_figure
+from softsensor.diagnosis_words import core_cost, sentence
+from softsensor.effects import find_effect
+from softsensor.figures import svg
+
+TEMPLATE = "diagnosis_report.html"
+TITLES = {
+    "named": "Cause named",
+    "ambiguous": "Cause narrowed down",
+    "unknown_effect": "Something unknown",
+    "no_effect": "No effect found",
+    "too_few_runs": "Too few runs",
+}
+
+
+def diagnosis_report(found: Diagnosis) -> str:
+    """Return the page as HTML text; it needs no other file."""
+    pages = Environment(
+        loader=PackageLoader("softsensor", "templates"), autoescape=select_autoescape(), trim_blocks=True
+    )
+    votes = votes_figure(found)
+    return pages.get_template(TEMPLATE).render(
+        press=found.final.fit.layout.model.press.name,
+        title=TITLES[found.verdict],
+        verdict=found.verdict,
+        sentence=sentence(found),
+        runs=len(found.stages[0].data),
+        findings=[_finding(f) for f in found.findings],
+        where=list(_where(found)),
+        cost=_cost(found),
+        numbers=list(_numbers(found)),
+        noise=f"{found.noise_floor_K:.2f}",
+        candidates=[_candidate(c) for c in found.candidates[:8]],
+        next=found.next_measurement,
+        warnings=found.warnings,
+        run_svg=svg(run_figure(found)),
+        residual_svg=svg(residual_figure(found)),
+        votes_svg="" if votes is None else svg(votes),
+    )
+
+
+def _finding(f: Finding) -> dict[str, Any]:
+    effect = find_effect(f.name)
+    units = {p.name: p.unit for p in effect.parameters}
+    return {
+        "name": _readable(f.name),
+        "others": [{"name": _readable(n), "confirm": find_effect(n).confirm} for n in f.set[1:]],
+        "meaning": effect.meaning,
+        "symptom": effect.symptom,
+        "core": effect.core,
+        "confirm": effect.confirm,
+        "parameters": [
+            {
+                "name": name,
+                "value": ", ".join(i.value) if isinstance(i.value, tuple) else f"{i.value:.3g}",
+                "unit": units.get(name, ""),
+                "between": "" if i.ci95 is None else f"{i.ci95[0]:.3g} to {i.ci95[1]:.3g}",
+            }
+            for name, i in f.parameters.items()
+        ],
+        "p": f"{f.p_value:.2g}",
+        "gain": f"{f.heldout_gain_K:.2f}",
+        "share": f"{100 * min(f.explained_share, 1.0):.0f}",
+        "against": [{"name": _readable(n), "t": f"{t:.1f}"} for n, t in f.against],
+    }
+
+
+def _where(found: Diagnosis) -> Iterator[dict[str, str]]:
+    for row in found.where:
+        until = "to the end" if row["to_s"] is None else f"{row['to_s']:g} s"
+        yield {
+            "signal": row["signal"],
+            "phase": row["phase"],
+            "time": f"{row['from_s']:g} s – {until}",
+            "residual": f"{row['residual_K']:+.2f} K",
+        }
+
+
+def _cost(found: Diagnosis) -> str:
+    cost = core_cost(found)
+    if cost is None:
+        return (
+            "No cause was added, so the core estimate stays as it is. The surfaces alone do not prove the core: "
+            "a few sacrificial panels with a core thermocouple would."
+        )
+    hotter = "hotter" if cost.kelvin > 0 else "cooler"
+    text = (
+        f"When the press opens, the core is {abs(cost.kelvin):.1f} K {hotter} than the plain model says "
+        f"(± {cost.kelvin_sd:.1f} K from run to run)."
+    )
+    if np.isfinite(cost.seconds) and abs(cost.kelvin) > 0.2:
+        verb = "longer" if cost.seconds > 0 else "shorter"
+        text += f" For the core the plain model promised, press {abs(cost.seconds):.1f} s {verb} (median run)."
+    return text
+
+
+def _numbers(found: Diagnosis) -> Iterator[dict[str, str]]:
+    rows = (
+        ("residual of all sensors, fitted runs", "rmse_K"),
+        ("residual on runs that took no part", "heldout_rmse_K"),
+        ("error of the core against core thermocouples", "core_rmse_K"),
+    )
+    for label, key in rows:
+        a, b = getattr(found.base, key), getattr(found.extended, key)
+        if a is None:
+            yield {"label": label, "base": "no core thermocouple", "extended": ""}
+        else:
+            yield {"label": label, "base": f"{a:.2f} K", "extended": f"{b:.2f} K"}
+
+
+def _candidate(row: dict[str, Any]) -> dict[str, str]:
+    return {
+        "name": _readable(row["name"]),
+        "score": f"{row['score']:.0f}",
+        "p": f"{row['p_value']:.2g}",
+        "gain": f"{row['heldout_gain_K']:.2f}",
+    }
+
+
+def _readable(name: str) -> str:
+    return name.replace("_", " ")
