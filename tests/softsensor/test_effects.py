@@ -1,0 +1,173 @@
+"""The catalogue: every entry passes the same contract; users add their own; examples run."""
+
+import os
+import subprocess
+import sys
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from daq.records import InputError
+from softsensor.effects import BUILT_IN, Terms, catalogue, find_effect
+from softsensor.model import ThermalModel
+
+ROOT = Path(__file__).parents[2]
+EXAMPLES = ROOT / "deploy" / "examples"
+CONTRACT = {
+    "moisture_evaporation": {"moisture_percent", "temperature_C"},
+    "vapour_convection": {"W_m3K"},
+    "resin_cure": {"heat_kJ_m2"},
+    "conductivity_temperature": {"per_100_K"},
+    "heat_capacity_temperature": {"per_100_K"},
+    "conductivity_offset": {"ratio"},
+    "heat_capacity_offset": {"ratio"},
+    "density_profile": {"amplitude"},
+    "contact_buildup": {"deficit", "time_constant_s"},
+    "contact_load": {"exponent"},
+    "contact_asymmetry": {"ratio"},
+    "paper_layer": {"resistance_m2K_W", "capacity_J_m2K"},
+    "open_radiation": {"emissivity"},
+    "edge_loss": {"W_m3K"},
+    "initial_press_state": {"offset_K"},
+    "thermocouple_lag": {"time_constant_s"},
+    "thermocouple_footprint": {"weight"},
+    "clock_offset": {"seconds"},
+    "platen_offset": {"top_K", "bottom_K"},
+    "sensor_fault": set(),
+}
+by_name = pytest.mark.parametrize("effect", BUILT_IN, ids=lambda e: e.name)
+
+
+def test_the_catalogue_holds_the_contract_names_and_parameters():
+    assert {e.name: {p.name for p in e.parameters} for e in BUILT_IN} == CONTRACT
+
+
+@by_name
+def test_every_effect_says_what_it_means_and_how_to_confirm_it(effect):
+    for text in (effect.meaning, effect.symptom, effect.confirm, effect.source, effect.core):
+        assert len(text) > 5
+    for parameter in effect.parameters:
+        assert parameter.unit
+        assert parameter.source
+        assert parameter.lower <= parameter.neutral <= parameter.upper
+        assert parameter.lower <= parameter.typical <= parameter.upper
+
+
+@by_name
+def test_neutral_values_leave_the_stack_alone(effect, lab_press, make_run, moments):
+    model = ThermalModel(lab_press, (effect,))
+    case = model.prepare(make_run(end=30.0), moments)
+    terms = model._terms(case, {})
+    for field in fields(Terms):
+        value, default = getattr(terms, field.name), getattr(Terms(), field.name)
+        if field.name == "closed_contact":
+            assert all(np.allclose(factor, 1.0) for factor in value.values())
+        elif field.name == "conversions":
+            assert all(np.allclose(c.heat, 0.0) for c in value)
+        elif field.name != "paper":
+            assert np.allclose(value, default), field.name
+
+
+@by_name
+def test_a_typical_size_changes_readings_or_core(effect, lab_press, make_run, coefficients, moments):
+    if not effect.parameters:
+        return
+    model = ThermalModel(lab_press, (effect,))
+    case = model.prepare(make_run(every=0.5), moments, fineness=0.5)
+    plain, moved = (model.solve(case, coefficients | v) for v in ({}, model.guesses | coefficients))
+    change = max(np.abs(moved.sensors - plain.sensors).max(), np.abs(moved.core - plain.core).max())
+    assert change > 0.2
+
+
+@by_name
+def test_the_exact_solver_takes_linear_effects_and_refuses_the_others_by_name(
+    effect, lab_press, make_run, coefficients, moments
+):
+    model = ThermalModel(lab_press, (effect,))
+    case = model.prepare(make_run(every=0.5, end=60.0), moments, fineness=0.5)
+    values = model.guesses | coefficients
+    if effect.nonlinear:
+        with pytest.raises(InputError, match=f"'exact': {effect.name} is not linear"):
+            model.solve(case, values, method="exact")
+    elif effect.name == "contact_buildup":
+        with pytest.raises(InputError, match="a contact changes while the press is closed"):
+            model.solve(case, values, method="exact")
+    else:
+        names = model.parameter_names
+        exact, implicit = (model.solve(case, values, names, method=m) for m in ("exact", "implicit"))
+        assert np.abs(exact.core - implicit.core).max() < 0.005
+        t = case.run.time_s
+        settled = (np.abs(t - moments.inserted_s) > 0.4) & (np.abs(t - moments.closed_s) > 0.7)
+        assert np.abs(exact.sensors - implicit.sensors)[settled].max() < 0.15
+        for name in names:
+            scale = np.abs(exact.d_core[name]).max() + 1e-9
+            assert np.abs(exact.d_core[name] - implicit.d_core[name]).max() < 0.01 * scale, name
+
+
+def test_an_unknown_effect_is_refused_with_the_known_ones():
+    with pytest.raises(InputError, match=r"'draft' is not in the catalogue; known are moisture_evaporation, "):
+        find_effect("draft")
+
+
+def test_parameter_limits_are_told():
+    parameter = find_effect("edge_loss").parameters[0]
+    with pytest.raises(ValueError, match=r"W_m3K = 70000 W/m³K lies outside its limits 0\.\.20000"):
+        parameter.check(70000.0)
+
+
+def test_paper_contributes_its_resistance_and_capacity(lab_press, make_run, moments):
+    model = ThermalModel.of(lab_press, ["paper_layer"])
+    case = model.prepare(make_run(end=30.0), moments)
+    values = {name: 100.0 for name in lab_press.coefficient_names}
+    values |= {"paper_layer.resistance_m2K_W": 4e-4, "paper_layer.capacity_J_m2K": 600.0}
+    stack = model.build(case, values).stack
+    paper = case.layout.paper
+    assert paper.sum() == 2
+    assert (stack.dx / stack.k)[paper] == pytest.approx([4e-4, 4e-4])
+    assert (stack.dx * stack.c)[paper] == pytest.approx([600.0, 600.0])
+
+
+def test_resin_heat_adds_up_to_what_is_given_on_each_face(lab_press, make_run, moments):
+    model = ThermalModel.of(lab_press, ["resin_cure"])
+    case = model.prepare(make_run(end=30.0), moments)
+    values = {name: 100.0 for name in lab_press.coefficient_names} | {"resin_cure.heat_kJ_m2": 12.0}
+    stack = model.build(case, values).stack
+    assert stack.heat[0] @ stack.dx == pytest.approx(2 * 12e3)
+
+
+def run_python(*arguments: str, path: tuple[Path, ...] = ()) -> str:
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(str(p) for p in (*path, ROOT))}
+    done = subprocess.run(
+        [sys.executable, *arguments], env=environment, capture_output=True, text=True, check=False, cwd=ROOT
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_an_installed_package_adds_its_effect_to_the_catalogue(tmp_path):
+    source = tmp_path / "own_effect"
+    source.mkdir()
+    for file in ("pyproject.toml", "hood_draught.py"):
+        (source / file).write_text((EXAMPLES / "own_effect" / file).read_text(encoding="utf-8"), encoding="utf-8")
+    target = tmp_path / "site"
+    run_python(
+        "-m", "pip", "install", "-q", "--no-deps", "--no-build-isolation", "--target", str(target), str(source)
+    )
+    said = run_python(
+        "-c",
+        "from softsensor.effects import catalogue; e = catalogue()['hood_draught']; print(e.key('W_m3K'))",
+        path=(target,),
+    )
+    assert said.strip() == "hood_draught.W_m3K"
+    assert "hood_draught" not in catalogue()
+
+
+def test_the_paper_table_example_finds_only_the_kilowatt_reading_able_to_laminate(tmp_path):
+    figure = tmp_path / "faces.svg"
+    said = run_python(str(EXAMPLES / "paper_table" / "face_temperature.py"), str(figure))
+    able = [line for line in said.splitlines() if line.endswith("laminates")]
+    assert len(able) == 1
+    assert able[0].startswith("closed values in kW/m²K")
+    assert figure.read_text(encoding="utf-8").startswith("<?xml")
