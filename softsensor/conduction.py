@@ -1,7 +1,8 @@
 """1-D heat conduction on a graded grid: meshes and places.
 
 The equation is  rho c dT/dt = d/dx (k dT/dx) + q  with T in °C, x in m from the bottom of the stack,
-q in W/m³. Cells are finite volumes, so what leaves one enters the next and energy is kept to rounding.
+q in W/m³ (see `model` for how the paper prints it). Cells are finite volumes, so what leaves one enters
+the next and energy is kept to rounding.
 """
 
 from __future__ import annotations

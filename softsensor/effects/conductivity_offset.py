@@ -20,7 +20,7 @@ EFFECT = Effect(
         Parameter("ratio", "true / nominal", 1.0, 1.15, 0.4, 2.5, "Wood Handbook: +-20 % between boards", 0.25),
     ),
     terms=_terms,
-    source="Wood Handbook FPL-GTR-282, sec. 4",
+    source="Wood Handbook, FPL-GTR-282, ch. 4: +-20 % about its rule for wood",
     core="The core is hotter (ratio above 1) or cooler by about 1 K for every 5 %.",
     needs="panel",
 )

@@ -17,10 +17,12 @@ EFFECT = Effect(
     symptom="Late in the pressing and after opening the faces drift off the simulation, more so for thick panels.",
     confirm="Measure k at 25 and 100 °C (guarded hot plate), or press a panel with a core thermocouple.",
     parameters=(
-        Parameter("per_100_K", "of the value at 20 °C", 0.0, 0.2, -0.5, 1.5, "Wood Handbook: 2-3 % per 10 K", 0.25),
+        Parameter(
+            "per_100_K", "of the value at 20 °C", 0.0, 0.2, -0.5, 1.5, "Wood Handbook: 2-3 % per 10 K", 0.25
+        ),
     ),
     terms=_terms,
-    source="Wood Handbook FPL-GTR-282, sec. 4",
+    source="Wood Handbook, FPL-GTR-282, ch. 4: conductivity of wood rises by 2 to 3 % per 10 K",
     core="With a rising conductivity the core is 1 to 4 K hotter than simulated.",
     nonlinear=True,
     needs="panel",

@@ -21,7 +21,7 @@ EFFECT = Effect(
     confirm="Turn the panel over, or exchange the press plates.",
     parameters=(Parameter("ratio", "upper / lower", 1.0, 0.7, 0.1, 10.0, "worn plates, one-sided paper"),),
     terms=_terms,
-    source="two-sided contact resistances, Incropera & DeWitt, sec. 3.1.4",
+    source="two contact resistances in series with the panel; the split about their mean is assumed",
     core="Below 1 K in the middle; the hottest plane moves off it.",
     needs="panel",
 )

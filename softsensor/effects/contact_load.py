@@ -23,7 +23,7 @@ EFFECT = Effect(
     confirm="Press the same kind of panel at three pressures.",
     parameters=(Parameter("exponent", "-", 0.0, 0.7, -1.0, 2.0, "0.95 for metal contacts; saturates for paper"),),
     terms=_terms,
-    source="Yovanovich, IEEE Trans. Comp. Pack. 28 (2005): h proportional to p^0.95",
+    source="power law, assumed; rough metal joints are known to follow about p^0.95",
     core="Below 1 K; it matters when the pressure is changed.",
     needs="load",
 )

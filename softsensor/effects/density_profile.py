@@ -17,9 +17,11 @@ EFFECT = Effect(
     meaning="The panel's faces are denser than its middle; density and conductivity follow 1 + a (z^4 - 0.2).",
     symptom="Faces take up more heat than simulated just after closing and less later.",
     confirm="Measure the density profile (X-ray), or press a panel with a core thermocouple.",
-    parameters=(Parameter("amplitude", "-", 0.0, 0.25, -0.8, 1.1, "MDF faces 1.2 to 1.4 times the core", 0.25),),
+    parameters=(
+        Parameter("amplitude", "-", 0.0, 0.25, -0.8, 1.1, "faces 1.2 to 1.4 times the core, assumed", 0.25),
+    ),
     terms=_terms,
-    source="Wong et al., J. Wood Sci. 45 (1999): U-shaped profiles of MDF",
+    source="boards are denser at their faces; the fourth-power shape is assumed",
     core="The core is 1 to 3 K off, since its layers hold less heat and conduct less.",
     needs="panel",
 )

@@ -18,7 +18,7 @@ EFFECT = Effect(
     confirm="Weigh and measure the panel; measure its heat capacity; press panels of different thickness.",
     parameters=(Parameter("ratio", "true / nominal", 1.0, 1.15, 0.4, 2.5, "moisture and density spread", 0.25),),
     terms=_terms,
-    source="Wood Handbook FPL-GTR-282, sec. 4",
+    source="density and moisture of a board scatter about nominal; assumed",
     core="The core is cooler (ratio above 1) or hotter by about 1 K for every 5 %.",
     needs="panel",
 )

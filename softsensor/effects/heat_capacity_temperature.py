@@ -18,11 +18,11 @@ EFFECT = Effect(
     confirm="Measure c at 20 to 100 °C (DSC), or press a panel with a core thermocouple.",
     parameters=(
         Parameter(
-            "per_100_K", "of the value at 20 °C", 0.0, 0.2, -0.5, 1.5, "dry wood: +0.3 % per K, Wood Handbook", 0.25
+            "per_100_K", "of the value at 20 °C", 0.0, 0.2, -0.5, 1.5, "dry wood about +0.3 % per K, assumed", 0.25
         ),
     ),
     terms=_terms,
-    source="Wood Handbook FPL-GTR-282, sec. 4",
+    source="heat capacity of wood rises with temperature; straight line assumed",
     core="With a rising heat capacity the core is 1 to 2 K cooler than simulated.",
     nonlinear=True,
     needs="panel",

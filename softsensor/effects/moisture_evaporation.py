@@ -9,9 +9,9 @@ from softsensor.parameters import Parameter
 LATENT_HEAT = 2.4e6
 """Heat of vaporisation at 100 °C (2.26 MJ/kg) plus sorption heat below 10 % moisture. [J/kg]"""
 RATE = 0.05
-"""How fast water leaves above the temperature. [1/sK]"""
+"""How fast water leaves above the temperature, assumed. [1/sK]"""
 SOFTNESS = 2.0
-"""Width of the onset. [K]"""
+"""Width of the onset, assumed. [K]"""
 
 
 def _terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
@@ -32,7 +32,7 @@ EFFECT = Effect(
         Parameter("temperature_C", "°C", 103.0, 103.0, 80.0, 130.0, "boiling point with pore pressure"),
     ),
     terms=_terms,
-    source="Thoemen & Humphrey, Holz Roh Werkst. 64 (2006); plateau near 100 °C in hot pressing",
+    source="plateau of hot-pressed mats near 100 °C; rate and softness of the onset are assumed",
     core="The core heats more slowly than simulated once steam forms: several kelvin too low.",
     nonlinear=True,
     needs="panel",

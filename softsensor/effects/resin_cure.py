@@ -37,7 +37,7 @@ EFFECT = Effect(
         Parameter("heat_kJ_m2", "kJ/m² per face", 0.0, 12.0, 0.0, 80.0, "80-130 g/m² x 50-150 J/g", 0.25),
     ),
     terms=_terms,
-    source="Kandelbauer et al., melamine resin cure by DSC: activation energy 70 to 100 kJ/mol",
+    source="first-order Arrhenius law; rate and an activation energy of 70 to 100 kJ/mol are assumed",
     core="Small: some tenths of a kelvin.",
     nonlinear=True,
     needs="panel",
