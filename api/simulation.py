@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 
@@ -37,9 +38,21 @@ class Simulated:
     """Temperature through the panel (times, depths). [°C]"""
 
 
-def simulate_run(run: Run, press: Press, model: ThermalModel, values: Mapping[str, float]) -> Simulated:
-    """Solve the model over a run, open loop. Raises `InputError`."""
-    case = model.prepare(run, moments_of(run, press))
+def simulate_run(
+    run: Run,
+    press: Press,
+    model: ThermalModel,
+    values: Mapping[str, float],
+    refined: Mapping[str, float] = MappingProxyType({}),
+) -> Simulated:
+    """Solve the model over a run, open loop; `refined` moments go before those found. Raises `InputError`."""
+    moments = moments_of(run, press)
+    moments = replace(
+        moments,
+        closed_s=refined.get("closed_s", moments.closed_s),
+        opened_s=refined.get("opened_s", moments.opened_s),
+    )
+    case = model.prepare(run, moments)
     solution = model.solve(case, values, fields=True)
     places = {label: solution.places[:, i] for i, label in enumerate(case.labels[:-1])}
     measured = {label: _measured(run, case.place_of, i) for i, label in enumerate(places)}

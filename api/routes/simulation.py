@@ -5,6 +5,8 @@ from __future__ import annotations
 import threading
 from collections import OrderedDict
 from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from fastapi import APIRouter, Response
@@ -16,7 +18,7 @@ from api.routes.common import StoreDep, existing_run
 from api.schemas import Simulation
 from daq.pressfile import parse_press
 from daq.records import InputError
-from daq.store.records import RunRecord
+from daq.store.records import ModelRecord, RunRecord
 from daq.store.store import Store
 
 if TYPE_CHECKING:
@@ -29,23 +31,36 @@ KEPT = 32
 """Simulations kept in memory; a run is simulated again when its data or fit change."""
 
 
+@dataclass(frozen=True)
+class _Known:
+    """What a run is simulated with: its own fit and the model it was fitted with, else the model in force."""
+
+    version: str | None
+    model: ModelRecord | None
+    values: Mapping[str, float]
+    """Coefficients of the run's fit, empty without one."""
+    closed_s: float | None = None
+    opened_s: float | None = None
+    """As the fit refined them."""
+
+
 class _Kept:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._known: OrderedDict[tuple[object, ...], Simulated] = OrderedDict()
 
     def get(self, store: Store, record: RunRecord) -> tuple[Simulated, str | None]:
-        """Return the simulation with the run's own coefficients, else those in use, else the guesses."""
-        values, version = _values(store, record)
+        """Return the simulation of a run as it stands, and the version of the model behind it."""
+        known = _known(store, record)
         newest = record.last_scan if record.last_scan is not None else store.newest_scan_number(record.press)
-        key = (store.label, record.run, newest, tuple(sorted(values.items())))
+        key = (store.label, record.run, newest, known.version, tuple(sorted(known.values.items())))
         with self._lock:
             if key not in self._known:
-                self._known[key] = _simulate(store, record, values)
+                self._known[key] = _simulate(store, record, known)
                 while len(self._known) > KEPT:
                     self._known.popitem(last=False)
             self._known.move_to_end(key)
-            return self._known[key], version
+            return self._known[key], known.version
 
 
 _KEPT = _Kept()
@@ -103,28 +118,35 @@ def get_figure(store: StoreDep, run: str) -> Response:
     return Response(picture, media_type="image/svg+xml")
 
 
-def _values(store: Store, record: RunRecord) -> tuple[dict[str, float], str | None]:
+def _known(store: Store, record: RunRecord) -> _Known:
+    active = store.active_model(record.press)
     fit = store.fit(record.run)
-    if fit is not None:
-        found = {name: float(c["value"]) for name, c in fit.get("coefficients", {}).items()}
-        return found, fit.get("model_version") or None
-    model = store.active_model(record.press)
-    if model is None:
-        return {}, None
-    return {name: float(c["value"]) for name, c in model.model.get("coefficients", {}).items()}, model.version
+    if fit is None:
+        return _Known(active.version if active else None, active, {})
+    version = fit.get("model_version") or None
+    behind = active if active and active.version == version else None
+    if behind is None and version:
+        with suppress(InputError):
+            behind = store.model(version)
+    values = {name: float(c["value"]) for name, c in fit.get("coefficients", {}).items()}
+    return _Known(version, behind, values, fit.get("closed_s"), fit.get("opened_s"))
 
 
-def _simulate(store: Store, record: RunRecord, values: Mapping[str, float]) -> Simulated:
+def _simulate(store: Store, record: RunRecord, known: _Known) -> Simulated:
     from api.simulation import simulate_run
     from softsensor.model import ThermalModel
+    from softsensor.modelfile import parse_model
 
     text = store.presses().get(record.press, "")
     if not text:
         raise ProblemError(404, f"run {record.run!r}: its press was stored without a press file")
     try:
         press = parse_press(text, f"press {record.press}")
-        model = ThermalModel(press)
-        known = {k: v for k, v in values.items() if k in press.coefficient_names}
-        return simulate_run(store.load_run(record.run), press, model, model.guesses | known)
+        file = parse_model(known.model.model, f"model {known.model.version}") if known.model else None
+        model = file.model(press) if file else ThermalModel(press)
+        values = model.guesses | (file.values if file else {}) | dict(known.values)
+        moments = {"closed_s": known.closed_s, "opened_s": known.opened_s}
+        refined = {name: at for name, at in moments.items() if at is not None}
+        return simulate_run(store.load_run(record.run), press, model, values, refined)
     except InputError as error:
         raise ProblemError(404, f"run {record.run!r} cannot be simulated: {error}") from error

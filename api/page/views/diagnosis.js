@@ -67,7 +67,7 @@ function candidatesCard(d) {
 function whereCard(d) {
   return el("section", { class: "card" }, el("h2", {}, text("where")), d.where?.length ? table(text("where"),
     [{ text: text("signal") }, { text: text("state") }, { text: text("when"), class: "right" }, { text: text("residual_short"), class: "right" }],
-    d.where.slice(0, 8).map((w) => [w.signal, text(`state_${w.state}`), el("span", { class: "num" }, `${number(w.from_s, 0)} … ${number(w.to_s, 0)} s`), el("span", { class: "num" }, `${number(w.residual_K, 2)} K`)])) : el("p", { class: "faint" }, text("nowhere")));
+    d.where.slice(0, 8).map((w) => [w.signal, text(`state_${w.state}`), el("span", { class: "num" }, w.to_s === null ? `> ${number(w.from_s, 0)} s` : `${number(w.from_s, 0)} … ${number(w.to_s, 0)} s`), el("span", { class: "num" }, `${number(w.residual_K, 2)} K`)])) : el("p", { class: "faint" }, text("nowhere")));
 }
 
 function historyCard(items, choose) {

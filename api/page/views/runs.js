@@ -188,10 +188,17 @@ function simulationCard(run, simulation) {
       height: 320, label: text("measured_simulated"), phases: run.phases, sync: "run",
     }).set([simulation.time_s, ...index.map((i) => simulation.positions[places[i]]), ...index.map((i) => simulation.measured[places[i]]), simulation.core_C]);
     new TimeChart(below, {
-      series: shown.map((name, i) => ({ name, colour: colour(name, i), kind: "line", unit: "K", digits: 2 })), height: 170, label: text("residual"), yLabel: "K", phases: run.phases, sync: "run",
+      series: shown.map((name, i) => ({ name, colour: colour(name, i), kind: "line", unit: "K", digits: 2 })), height: 170, label: text("residual"), yLabel: "K", phases: run.phases, sync: "run", yRange: calmRange(index.map((i) => residual[i])),
     }).set([simulation.time_s, ...index.map((i) => residual[i])]);
   });
   return card;
+}
+
+// The second after closing may be off by tens of kelvins: the axis shows what 97 % of the residuals need.
+function calmRange(series) {
+  const sizes = series.flat().filter((value) => value !== null).map(Math.abs).sort((a, b) => a - b);
+  const limit = Math.max(sizes[Math.floor(sizes.length * 0.97)] ?? 1, 0.5) * 1.3;
+  return [-limit, limit];
 }
 
 function profileCard(simulation) {
