@@ -206,8 +206,7 @@ def recentre(problem: Problem, x: Array) -> tuple[Problem, Array]:
     if all(abs(s) < 0.1 for s in shifts.values()):
         return problem, x
     moments = replace(case.moments, **{n: getattr(case.moments, n) + s for n, s in shifts.items()})
-    if moments.inserted_s < float(case.run.time_s[0]):
-        return problem, x
+    moments = replace(moments, inserted_s=max(moments.inserted_s, float(case.run.time_s[0])))
     case = problem.model.prepare(case.run, moments)
     unknowns, moved = [], x.copy()
     for i, u in enumerate(problem.unknowns):

@@ -61,7 +61,7 @@ def chain_priors(case: Case, signals: Signals) -> list[Unknown]:
         sd = min(0.1 + 0.4 * period, 1.0)
         late = -0.5 * period if moments.source == "limit switch" else 0.0
         if first < moments.inserted_s < last:
-            unknowns.append(nuisance("inserted_s", sd, 4 * sd))
+            unknowns.append(nuisance("inserted_s", sd, 4 * sd, lower=max(-4 * sd, first - moments.inserted_s)))
         if first < moments.closed_s < last:
             unknowns.append(nuisance("closed_s", sd, 4 * sd, late))
             ramp = moments.ramp_s
@@ -80,7 +80,7 @@ def chain_priors(case: Case, signals: Signals) -> list[Unknown]:
         unknowns.append(nuisance(f"offset:{place.label}", CHANNEL_K / np.sqrt(n), 10 * CHANNEL_K))
         unknowns.append(nuisance(f"gain:{place.label}", CHANNEL_GAIN / np.sqrt(n), 10 * CHANNEL_GAIN))
         if press.has_states:
-            unknowns.append(nuisance(f"skew:{place.label}", 0.02 + 0.1 * period, 1.0))
+            unknowns.append(nuisance(f"skew:{place.label}", 0.02 + 0.03 * period, 1.0))
     return unknowns
 
 
