@@ -185,13 +185,13 @@ def insertion_moment(
 ) -> Placed:
     """Return when the cool panel came to lie on the hot plate."""
     sizes = tuple(_SQRT_KELVIN * 40.0 * max(plate - float(np.nanmin(face)), 30.0) for face in faces)
-    return _kink(times, faces, noticed, sigma, (0.02,), (5.0, sizes), lag)
+    return _kink(times, faces, noticed, sigma, (0.02,), (11.0, sizes), lag)
 
 
 @cache
 def _kink_table(ramps: tuple[float, ...]) -> Array:
     """Return how a face departs from its trend when its flux changes: lag x ramp x time since."""
-    time = STEP_S * np.arange(int(2 * _REACH_S / STEP_S) + 1)
+    time = STEP_S * np.arange(int(4 * _REACH_S / STEP_S) + 1)
     ramp = np.array(ramps)[:, None]
     shape = (time**1.5 - np.clip(time - ramp, 0.0, None) ** 1.5) / (1.5 * ramp)
     return np.stack([_lagged(shape, lag) for lag in LAGS_S])

@@ -67,6 +67,7 @@ class RunKeeper:
         self._recent: deque[_Seen] = deque()
         self._zero = 0.0
         self._first = 0
+        self._last = -1
         self._removed: float | None = None
 
     def take(self, scan: Scan, events: Sequence[PressEvent]) -> list[tuple[NewRun | None, RunEnd | None]]:
@@ -76,6 +77,8 @@ class RunKeeper:
         for event in events:
             if event.kind is PressEventKind.INSERTED:
                 begin = self._begin(event)
+                if begin is None:
+                    continue
                 if self.open_run is not None:
                     changes.append((None, self._end(begin.first_scan - 1, scan, RunStatus.CLOSED)))
                 self.open_run, self._zero, self._removed = begin.run, begin.zero_monotonic_s, None
@@ -84,8 +87,16 @@ class RunKeeper:
             elif event.kind is PressEventKind.REMOVED:
                 self._removed = event.monotonic_s
         if self.open_run is not None and self._over(scan):
-            changes.append((None, self._end(scan.number, scan, RunStatus.CLOSED)))
+            last = self._last_of_run(scan)
+            changes.append((None, self._end(last.number, last, RunStatus.CLOSED)))
         return changes
+
+    def _last_of_run(self, scan: Scan) -> Scan:
+        """Return the last scan before the removal's margin is over: a removal is noticed late."""
+        if self._removed is None:
+            return scan
+        over = self._removed + self.rules.post_removal_s
+        return next((s.scan for s in reversed(self._recent) if s.monotonic_s <= over), scan)
 
     def stop(self) -> RunEnd | None:
         """Return the end of a run that recording leaves unfinished."""
@@ -101,13 +112,17 @@ class RunKeeper:
 
     def _end(self, last_scan: int, scan: Scan, status: RunStatus) -> RunEnd:
         run, self.open_run = self.open_run or "", None
-        return RunEnd(run, max(last_scan, self._first), scan.utc, status)
+        self._last = max(last_scan, self._first)
+        return RunEnd(run, self._last, scan.utc, status)
 
-    def _begin(self, event: PressEvent) -> NewRun:
+    def _begin(self, event: PressEvent) -> NewRun | None:
+        """Return the run an insertion begins; None where no scan is free for it."""
         early = event.monotonic_s - self.rules.pre_trigger_s
-        first = next((s for s in self._recent if s.monotonic_s >= early), self._recent[-1])
-        if self.open_run is not None and first.number <= self._first:
-            first = self._recent[-1]
+        taken = self._first if self.open_run is not None else self._last
+        free = [s for s in self._recent if s.number > taken]
+        if not free:
+            return None
+        first = next((s for s in free if s.monotonic_s >= early), free[-1])
         settled = [
             s.panel_celsius
             for s in self._recent
@@ -124,6 +139,6 @@ class RunKeeper:
         usable = [scan.values[i] for i in self._places if scan.qualities[i].usable]
         level = median(usable) if usable else float("nan")
         self._recent.append(_Seen(scan.number, scan.monotonic_s, scan, level))
-        keep = self.rules.pre_trigger_s + 30.0
+        keep = self.rules.pre_trigger_s + self.rules.post_removal_s + 60.0
         while self._recent[0].monotonic_s < scan.monotonic_s - keep:
             self._recent.popleft()

@@ -257,3 +257,35 @@ def test_opening_is_placed_on_the_closed_form_of_a_lost_flux():
     t = np.arange(-4.0, 1.0, 0.1)
     fall = 20.0 * np.sqrt(np.clip(t - 0.013, 0.0, None))
     assert opening_moment(t, [170.0 + 0.2 * t - fall], 0.3).middle == pytest.approx(0.013, abs=0.06)
+
+
+@pytest.mark.parametrize(
+    ("hidden", "plan"),
+    [
+        (None, Plan(rate_hz=5.0, thickness_mm=3.0, press_time_s=(200.0, 300.0), closed_column=False)),
+        (None, Plan(rate_hz=10.0, press_time_s=(5.0, 8.0), open_before_s=(2.0, 3.0), closed_column=False)),
+        (None, Plan(rate_hz=5.0, platen_C=(90.0, 120.0), closed_column=False)),
+        (None, Plan(rate_hz=2.0, nuisances=Nuisances(missing=0.1), closed_column=False)),
+        ("lifted_panel", Plan(rate_hz=5.0, closed_column=False)),
+        ("contact_lapse", Plan(rate_hz=5.0, closed_column=False)),
+        ("paper_layer", Plan(rate_hz=5.0, closed_column=False)),
+    ],
+    ids=["heated through", "short", "cool platens", "many gaps", "lifted", "contact lapse", "paper"],
+)
+def test_unusual_pressings_are_found_too_and_none_is_taken_for_removed(hidden, plan):
+    for run, truth in make_campaign(77, 6, hidden, plan):
+        found = find_moments(run, PRESS)
+        assert found.closed_s == pytest.approx(truth.moments.closed_s, abs=0.4)
+        assert found.opened_s == pytest.approx(truth.moments.opened_s, abs=0.4)
+        assert math.isnan(found.removed_s)
+        assert [e.kind.value for e in replay(run)] == IN_ORDER
+
+
+def test_a_run_that_ends_soon_after_the_removal_knows_it():
+    virtual = VirtualPress(PressSettings(), 4)
+    moments = virtual.cycle(0.0).moments
+    times = np.arange(moments.inserted_s - 5, moments.removed_s + 5, 0.1)
+    scans = [virtual.temperatures(t) for t in times.tolist()]
+    columns = {name: np.array([s[name] for s in scans]) for name in CHANNELS}
+    found = find_moments(Run("whole", {}, times, columns), PRESS)
+    assert found.removed_s == pytest.approx(moments.removed_s, abs=3.0)

@@ -1,0 +1,389 @@
+"""The causal machine: scans in, press events out; see `daq.press_events` for what it looks at."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from statistics import median
+
+import numpy as np
+
+from daq.press_faces import HIGH_C, LOW_C, Face, columns_of
+from daq.press_moments import Placed, closing_moment, insertion_moment, opening_moment, usual_lag
+from daq.pressfile import Press
+from daq.records import Array, PressEvent, PressEventKind, PressState
+
+SWITCH = "closed"
+_MEMORY_S = 14.0
+_LOOK_BACK_S = 0.9
+"""Changes are judged over about this time, at least one scan. [s]"""
+_SETTLE_S = 0.65
+"""Scans awaited after a closing or opening is plain, to place it. [s]"""
+_HAND_C = 38.0
+"""Hands and room never bring a sensor above this. [°C]"""
+_ROOM_C = 25.0
+_BLIND_S = 3.0
+"""Without a usable sensor this long, the state is unknown. [s]"""
+_SPREAD_K = 25.0
+"""Sensors of one face that part by this much have been taken off the panel. [K]"""
+
+
+@dataclass(frozen=True)
+class _Row:
+    time: float
+    top: float
+    bottom: float
+    plate: float
+    values: Mapping[str, float]
+
+
+class PressEventDetector:
+    """Scans in, press events out. It knows no clock but the scans' own times.
+
+    Parameters
+    ----------
+    press
+        Tells which columns lie on which face and which are platens.
+    inserted
+        The first scan lies at the insertion or later: start in the open press, not idle. None: find out.
+    placing
+        Place moments between the scans; without, an event's moment is the scan it was noticed at.
+    """
+
+    def __init__(self, press: Press, inserted: bool | None = None, *, placing: bool = True) -> None:
+        self._columns = columns_of(press)
+        self._placing = placing
+        self._rows: deque[_Row] = deque()
+        self._top, self._bottom = Face(), Face()
+        self._names: tuple[str, ...] = ()
+        self._top_names: tuple[str, ...] = ()
+        self._bottom_names: tuple[str, ...] = ()
+        self._platen_names: tuple[str, ...] = ()
+        self._state = PressState.OPEN if inserted else PressState.IDLE
+        self._pending: tuple[PressEventKind, float] | None = None
+        self._switch: bool | None = None
+        self._seen = -math.inf
+        self._since = -math.inf
+        self._first = math.nan
+        self._bottom_high = -math.inf
+        self._was_closed = False
+        self._lag: Array | None = None
+        self._lifted: tuple[float, float, float] | None = None
+        self.disagreement: str | None = None
+        """Why switch and temperatures contradict each other, for the journal; None while they agree."""
+
+    @property
+    def state(self) -> PressState | None:
+        """What the press is doing; None where nothing usable has been seen for 3 s."""
+        if self._switch is None and (not self._rows or self._rows[-1].time - self._seen > _BLIND_S):
+            return None
+        return self._state
+
+    @property
+    def left_plate_s(self) -> float | None:
+        """When the panel seems to have left the lower plate, not confirmed yet by cold or parting sensors. [s]"""
+        return None if self._lifted is None else self._lifted[0]
+
+    @property
+    def pending(self) -> PressEventKind | None:
+        """An event that is plain already while its moment is still being placed."""
+        return None if self._pending is None else self._pending[0]
+
+    def update(self, time_s: float, values: Mapping[str, float]) -> list[PressEvent]:
+        """Take one scan (unusable values NaN or left out); return what it brought to light."""
+        self._append(time_s, values)
+        switch = values.get(SWITCH, math.nan)
+        if switch == switch:
+            return self._by_switch(time_s, switch > 0.5)
+        if self._pending is not None:
+            return self._place(time_s)
+        kind = self._look()
+        if kind is None:
+            return []
+        self._pending = (kind, time_s)
+        return self._place(time_s)
+
+    def _append(self, time_s: float, values: Mapping[str, float]) -> None:
+        names = tuple(values)
+        if names != self._names:
+            self._names = names
+            self._top_names, self._bottom_names = self._columns.of_face(names)
+            self._platen_names = tuple(n for n in names if n in self._columns.platens)
+        elapsed = time_s - self._rows[-1].time if self._rows else 0.0
+        top = {n: v for n in self._top_names if LOW_C < (v := values[n]) < HIGH_C}
+        bottom = {n: v for n in self._bottom_names if LOW_C < (v := values[n]) < HIGH_C}
+        platens = [v for n in self._platen_names if (v := values[n]) == v]
+        plate = median(platens) if platens else (self._rows[-1].plate if self._rows else math.nan)
+        row = _Row(
+            time_s,
+            self._top.update(top, elapsed),
+            self._bottom.update(bottom, elapsed),
+            plate,
+            {**top, **bottom},
+        )
+        if top or bottom:
+            self._seen = time_s
+        if self._first != self._first:
+            self._first = time_s
+        self._rows.append(row)
+        while self._rows[0].time < time_s - _MEMORY_S and len(self._rows) > 4:
+            self._rows.popleft()
+
+    # --- limit switch ---------------------------------------------------------------------------
+
+    def _by_switch(self, time_s: float, closed: bool) -> list[PressEvent]:
+        """Closing and opening by the switch; insertion and removal still by temperatures."""
+        before, self._switch = self._switch, closed
+        events: list[PressEvent] = []
+        if closed and self._state is not PressState.CLOSED:
+            if self._state is PressState.IDLE:
+                events.append(self._event(PressEventKind.INSERTED, time_s, time_s))
+            events.append(self._event(PressEventKind.CLOSED, time_s, time_s, "limit switch"))
+        elif not closed and self._state is PressState.CLOSED:
+            events.append(self._event(PressEventKind.OPENED, time_s, time_s, "limit switch"))
+        elif self._pending is not None:
+            events += self._place(time_s)
+        elif before is not None:
+            kind = self._look()
+            if kind in (PressEventKind.INSERTED, PressEventKind.REMOVED):
+                self._pending = (kind, time_s)
+                events += self._place(time_s)
+        self._compare(time_s, closed)
+        return events
+
+    def _compare(self, time_s: float, closed: bool) -> None:
+        row = self._rows[-1]
+        self.disagreement = None
+        if time_s - self._since < 5.0 or row.plate - row.top != row.plate - row.top:
+            return
+        reach = (row.top - 25.0) / max(row.plate - 25.0, 30.0)
+        if closed and reach < 0.2:
+            self.disagreement = "the limit switch says closed, but the upper face is cold; check switch and panel"
+        elif not closed and not self._was_closed and reach > 0.6 and self._state is PressState.OPEN:
+            self.disagreement = "the limit switch says open, but the upper face is hot; check it"
+
+    # --- temperatures ---------------------------------------------------------------------------
+
+    def _look(self) -> PressEventKind | None:
+        """Say what is plain at the newest scan, if anything."""
+        now, then = self._rows[-1], self._row_before(self._look_back)
+        if then is None:
+            return None
+        if self._state is PressState.CLOSED:
+            return PressEventKind.OPENED if self._opened(now, then) else None
+        if self._closed(now, then):
+            return PressEventKind.CLOSED
+        if self._state is PressState.IDLE:
+            return PressEventKind.INSERTED if self._inserted(now, then) else None
+        return PressEventKind.REMOVED if self._removed(now) else None
+
+    @property
+    def _look_back(self) -> float:
+        step = self._rows[-1].time - self._rows[-2].time if len(self._rows) > 1 else 0.0
+        return max(_LOOK_BACK_S, 1.01 * step)
+
+    def _row_before(self, seconds: float) -> _Row | None:
+        """Return the newest row at least `seconds` before the newest, or the first where all are younger."""
+        limit = self._rows[-1].time - seconds
+        for row in reversed(self._rows):
+            if row.time <= limit:
+                return row
+        return self._rows[0] if len(self._rows) > 1 else None
+
+    def _closed(self, now: _Row, then: _Row) -> bool:
+        """The upper face jumps towards the plate (the lower one, where no upper sensor works)."""
+        if now.top == now.top and then.top == then.top:
+            gap = _gap(now.plate, then.top)
+            if gap < 25.0 or now.top - then.top < max(6.0, 0.11 * gap) or now.top < _HAND_C:
+                return False
+            return self._together(now, then, self._top_names, 0.11 * gap)
+        if self._state is PressState.IDLE or now.bottom != now.bottom or then.bottom != then.bottom:
+            return False
+        gap = _gap(now.plate, then.bottom)
+        expected = self._slope_before(then) * (now.time - then.time)
+        return gap > 15.0 and now.bottom - then.bottom - max(expected, 0.0) > max(5.0, 0.2 * gap)
+
+    def _slope_before(self, then: _Row) -> float:
+        """Return how fast the lower face moved in the 2 s before a row. [K/s]"""
+        early = [r for r in self._rows if then.time - 2.0 <= r.time <= then.time and r.bottom == r.bottom]
+        if len(early) < 2:
+            return 0.0
+        return (early[-1].bottom - early[0].bottom) / (early[-1].time - early[0].time)
+
+    def _opened(self, now: _Row, then: _Row) -> bool:
+        """Both faces fall at once; the lower may stay where panel and plates had become equally hot."""
+        if now.time - self._since < 1.5:
+            return False
+        top, bottom = then.top - now.top, then.bottom - now.bottom
+        if top == top and bottom == bottom:
+            both = top > 1.8 and bottom > 0.35 and bottom > 0.2 * top
+            return both or top > 25.0 or any(self._sank(now, s) for s in (self._look_back, 3.0, 6.0))
+        fall = top if top == top else bottom
+        return fall > (3.0 if top == top else 2.0)
+
+    def _sank(self, now: _Row, seconds: float) -> bool:
+        """Whether the upper face fell further than a worse contact could let it: it follows the plate then."""
+        then = self._row_before(seconds)
+        if then is None or then.time < self._since + 1.0:
+            return False
+        fall = (then.top - now.top) - max(then.plate - now.plate, 0.0)
+        return fall > 4.0 and fall > 1.7 * max(then.plate - then.top, 0.0) + 2.5
+
+    def _inserted(self, now: _Row, then: _Row) -> bool:
+        """The lower face leaves hand and room temperature, all its sensors together, the upper stays."""
+        if now.bottom != now.bottom or then.bottom != then.bottom:
+            return self._upper_only(now, then)
+        early = self._row_before(9.0) or then
+        if now.bottom < _HAND_C:
+            return False
+        return self._jumped(now, then, 0.04) or (early.bottom < _HAND_C and self._jumped(now, early, 0.08))
+
+    def _jumped(self, now: _Row, then: _Row, share: float) -> bool:
+        """Whether the lower face alone rose by a share of its distance to the plate."""
+        gap, rise = _gap(now.plate, then.bottom), now.bottom - then.bottom
+        if not (gap > 25.0 and rise > max(4.0, share * gap)):
+            return False
+        if now.top - then.top > 0.5 * rise:
+            return False
+        return self._together(now, then, self._bottom_names, 0.5 * share * gap)
+
+    def _upper_only(self, now: _Row, then: _Row) -> bool:
+        return now.top == now.top and now.top > 1.3 * _HAND_C and then.top == then.top
+
+    def _together(self, now: _Row, then: _Row, names: Sequence[str], least: float) -> bool:
+        """Whether most sensors of a face rose from `then` to `now`, not a few that a hand touched."""
+        rises = [now.values[n] - then.values[n] for n in names if n in now.values and n in then.values]
+        return not rises or sum(r > 0.4 * least for r in rises) >= 0.7 * len(rises)
+
+    def _removed(self, now: _Row) -> bool:
+        """The lower face lost its plate, and then got cold or its sensors came off one by one."""
+        level = now.bottom if now.bottom == now.bottom else now.top
+        if level != level:
+            return False
+        self._bottom_high = max(self._bottom_high, level)
+        gap = _gap(now.plate, _ROOM_C)
+        if self._bottom_high > _ROOM_C + 0.25 * gap and level < _ROOM_C + 0.12 * gap:
+            return True
+        if self._lifted is None:
+            if self._left_plate(now):
+                self._lifted = (self._moment(PressEventKind.REMOVED, now.time), level, self._spread(now))
+            return False
+        moment, lowest, spread = self._lifted
+        if level > lowest + 5.0:
+            self._lifted = None
+            return False
+        self._lifted = (moment, min(level, lowest), spread)
+        return level < _ROOM_C + 0.3 * gap or self._spread(now) > spread + _SPREAD_K
+
+    def _spread(self, now: _Row) -> float:
+        """Return how far the lower face's sensors lie apart, the two most extreme left out where there are many."""
+        values = sorted(v for n, v in now.values.items() if n in self._bottom_names)
+        if len(values) < 2:
+            return 0.0
+        return values[-2] - values[1] if len(values) >= 4 else values[-1] - values[0]
+
+    def _left_plate(self, now: _Row) -> bool:
+        """Whether the lower face falls against its trend."""
+        if now.bottom != now.bottom or now.time - self._since < 4.0:
+            return False
+        then, early = self._row_before(max(2.5, self._look_back)), self._row_before(6.5)
+        if then is None or early is None or then.bottom != then.bottom or early.bottom != early.bottom:
+            return False
+        if then.time - early.time < 2.0 or early.time < self._since + 0.5:
+            return False
+        trend = (then.bottom - early.bottom) / (then.time - early.time)
+        fall = then.bottom + trend * (now.time - then.time) - now.bottom
+        if not (fall > 3.0 and then.bottom - now.bottom > 2.5 and now.bottom > _HAND_C):
+            return False
+        return self._together(then, now, self._bottom_names, 5.0)
+
+    # --- the moment -----------------------------------------------------------------------------
+
+    def _place(self, time_s: float) -> list[PressEvent]:
+        """Report the pending event once enough scans followed to say when it was."""
+        if self._pending is None:
+            return []
+        kind, noticed = self._pending
+        step = self._rows[-1].time - self._rows[-2].time if len(self._rows) > 1 else 0.0
+        settle = _SETTLE_S if kind in (PressEventKind.CLOSED, PressEventKind.OPENED) else 0.2
+        if time_s - noticed + step <= settle:
+            return []
+        self._pending = None
+        lifted = self._lifted[0] if self._lifted and kind is PressEventKind.REMOVED else None
+        moment = min(self._moment(kind, noticed) if lifted is None else lifted, time_s)
+        events = []
+        if kind is PressEventKind.CLOSED and self._state is PressState.IDLE:
+            events.append(self._event(PressEventKind.INSERTED, max(self._first, moment - 1.0), time_s))
+        return [*events, self._event(kind, moment, time_s)]
+
+    def _moment(self, kind: PressEventKind, noticed: float) -> float:
+        if not self._placing:
+            return noticed
+        times = np.array([r.time for r in self._rows])
+        top, bottom = np.array([r.top for r in self._rows]), np.array([r.bottom for r in self._rows])
+        after = self._since + 1.0 if kind is PressEventKind.OPENED else -math.inf
+        placed = place_moment(kind, Faces(times, top, bottom, self._rows[-1].plate), noticed, after, self._lag)
+        if placed is None:
+            return max(noticed, self._first)
+        if kind is PressEventKind.INSERTED:
+            self._lag = usual_lag() + placed.lag_misfit
+        return max(placed.middle, self._first)
+
+    def _event(
+        self, kind: PressEventKind, moment: float, noticed: float, source: str = "temperatures"
+    ) -> PressEvent:
+        self._state = {
+            PressEventKind.INSERTED: PressState.OPEN,
+            PressEventKind.CLOSED: PressState.CLOSED,
+            PressEventKind.OPENED: PressState.OPEN,
+            PressEventKind.REMOVED: PressState.IDLE,
+        }[kind]
+        self._since = moment
+        self._was_closed = kind is PressEventKind.OPENED or (
+            self._was_closed and kind is not PressEventKind.INSERTED
+        )
+        self._bottom_high, self._lifted = -math.inf, None
+        return PressEvent(kind, moment, noticed, source)
+
+
+def _gap(plate: float, face: float) -> float:
+    """Return how much hotter the plate is; with no platen column, what a press usually has."""
+    return plate - face if plate == plate else 150.0
+
+
+@dataclass(frozen=True)
+class Faces:
+    """Both faces over some seconds, and the plate's temperature there."""
+
+    times: Array
+    top: Array
+    bottom: Array
+    plate: float
+
+
+def place_moment(
+    kind: PressEventKind, faces: Faces, noticed: float, after: float, lag: Array | None
+) -> Placed | None:
+    """Place an event by the faces around the scan it was noticed at; None where they cannot tell.
+
+    Rows before `after` belong to an earlier event. [s]
+    """
+    reach = 6.0 if after < noticed - 20.0 else 2.5
+    reach = 14.0 if kind is PressEventKind.INSERTED else reach
+    near = (faces.times > noticed - reach) & (faces.times >= after)
+    times, top, bottom = faces.times[near], faces.top[near], faces.bottom[near]
+    seen = [face for face in (top, bottom) if np.isfinite(face).sum() >= 2]
+    plate = faces.plate
+    if not seen or len(times) < 2:
+        return None
+    if kind is PressEventKind.CLOSED:
+        hot = plate - 3.0 if plate == plate else float(np.nanmax(seen[0])) + 30.0
+        return closing_moment(times, seen[0], hot, noticed, lag)
+    if kind is PressEventKind.OPENED:
+        return opening_moment(times, seen, noticed, plate, lag)
+    lower = bottom if np.isfinite(bottom).sum() >= 2 else top
+    if kind is PressEventKind.INSERTED:
+        return insertion_moment(times, [lower], noticed, plate, lag)
+    return opening_moment(times, [lower], noticed, math.nan, lag)

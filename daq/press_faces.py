@@ -1,0 +1,127 @@
+"""The two faces of the panel as their sensors show them: which columns, and the median nobody can fool."""
+
+from __future__ import annotations
+
+import fnmatch
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from statistics import median
+
+import numpy as np
+
+from daq.pressfile import At, Press
+from daq.records import Array, Run
+
+RATTLE_S = 10.0
+"""How long a sensor's restlessness is remembered. [s]"""
+LOW_C, HIGH_C = -60.0, 500.0
+"""A panel's sensor outside this is broken. [°C]"""
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Which columns tell what, by patterns of the press file."""
+
+    top: tuple[str, ...]
+    bottom: tuple[str, ...]
+    platens: tuple[str, ...]
+
+    def of_face(self, names: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """Return the names that lie on the upper and on the lower face."""
+        return _matching(names, self.top), _matching(names, self.bottom)
+
+
+def _matching(names: Sequence[str], patterns: Sequence[str]) -> tuple[str, ...]:
+    return tuple(n for n in names if any(fnmatch.fnmatchcase(n, p) for p in patterns))
+
+
+def columns_of(press: Press) -> Columns:
+    """Return the patterns of face and platen columns of a press file."""
+    faces: dict[str, list[str]] = {"top": [], "bottom": []}
+    for sensor in press.sensor:
+        if sensor.role != "fit" or isinstance(sensor.at, At):
+            continue
+        layer, _, place = sensor.at.rpartition(".")
+        if layer in press.panel_layers and place in faces:
+            faces[place] += sensor.columns
+    ends = (press.boundary.bottom, press.boundary.top)
+    platens = tuple(b.column for b in ends if b.kind == "measured" and b.column)
+    return Columns(tuple(faces["top"]), tuple(faces["bottom"]), platens)
+
+
+class Face:
+    """The median of a face's sensors, without a step where a sensor drops out or returns."""
+
+    def __init__(self) -> None:
+        self.before: dict[str, float] = {}
+        self.shift = 0.0
+        self.level = math.nan
+        self.members: frozenset[str] = frozenset()
+        self.motion: dict[str, tuple[float, float]] = {}
+        self.rattle: dict[str, float] = {}
+
+    def update(self, values: Mapping[str, float], elapsed_s: float) -> float:
+        """Return the face's temperature after a scan's usable values."""
+        values = self._quiet(values, elapsed_s)
+        if not values:
+            self.before, self.level = {}, math.nan
+            return math.nan
+        common = frozenset(values).intersection(self.before) or frozenset(values)
+        self.shift *= math.exp(-elapsed_s / 10.0)
+        if self.level != self.level or not common <= self.before.keys():
+            self.shift = 0.0
+        elif common != self.members:
+            self.shift = self.level - median(self.before[c] for c in common)
+        self.level = median(values[c] for c in common) + self.shift
+        self.members, self.before = common, dict(values)
+        return self.level
+
+    def _quiet(self, values: Mapping[str, float], elapsed_s: float) -> Mapping[str, float]:
+        """Leave out sensors that rattle far more than the others of the face."""
+        share = min(1.0, elapsed_s / RATTLE_S)
+        for name, value in values.items():
+            last, slope = self.motion.get(name, (value, 0.0))
+            bend = abs(value - last - slope)
+            self.motion[name] = (value, value - last)
+            self.rattle[name] = (1.0 - share) * self.rattle.get(name, 0.0) + share * bend
+        if len(values) < 3:
+            return values
+        limit = 0.4 + 5.0 * median(self.rattle[n] for n in values)
+        return {n: v for n, v in values.items() if self.rattle[n] <= limit} or values
+
+
+def face_of(run: Run, names: Sequence[str]) -> Array:
+    """Return the median over columns, short gaps bridged; NaN where nothing is known."""
+    if not names:
+        return np.full(len(run.time_s), np.nan)
+    table = np.array([_bridged(run.time_s, _plausible(run.columns[n])) for n in names])
+    table = table[np.isfinite(table).any(axis=1)]
+    if len(table) >= 3 and table.shape[1] >= 10:
+        rattle = np.nan_to_num(np.nanmean(np.abs(np.diff(table, 2, axis=1)), axis=1), nan=np.inf)
+        table = table[rattle <= 0.4 + 5.0 * float(np.median(rattle))]
+    if not len(table):
+        return np.full(len(run.time_s), np.nan)
+    lost = np.isnan(table).all(axis=0)
+    if not np.isnan(table).any():
+        return np.asarray(np.median(table, axis=0))
+    table[:, lost] = 0.0
+    out = np.asarray(np.nanmedian(table, axis=0))
+    out[lost] = np.nan
+    return out
+
+
+def _plausible(values: Array) -> Array:
+    return np.asarray(np.where((values > LOW_C) & (values < HIGH_C), values, np.nan))
+
+
+def _bridged(times: Array, values: Array) -> Array:
+    """Fill gaps up to 3 s by a straight line."""
+    good = np.isfinite(values)
+    if good.all() or good.sum() < 2:
+        return values
+    filled = np.interp(times, times[good], values[good])
+    place = np.clip(np.searchsorted(times[good], times), 1, good.sum() - 1)
+    gap = times[good][place] - times[good][place - 1]
+    inside = (times >= times[good][0]) & (times <= times[good][-1])
+    return np.asarray(np.where(good | (inside & (gap <= 3.0)), filled, np.nan))
