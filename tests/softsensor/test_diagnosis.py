@@ -1,0 +1,141 @@
+"""Hide an effect in a campaign and require finding it."""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+
+import numpy as np
+import pytest
+
+from daq.pressfile import Press, parse_press
+from daq.records import InputError, Run
+from daq.simulated.campaign import Plan, Truth, make_campaign, press_toml
+from softsensor.channels import faulty_channels
+from softsensor.diagnosis import Diagnosis, diagnose
+from softsensor.diagnosis_report import diagnosis_report
+from softsensor.diagnosis_tests import max_t, sign_patterns
+from softsensor.evidence import moments_of
+from softsensor.modelfile import parse_model
+
+SMALL = Plan(rate_hz=2.0, thickness_mm=(8.0, 16.0, 19.0))
+
+
+@cache
+def press() -> Press:
+    """The virtual press as a press file describes it."""
+    return parse_press(press_toml())
+
+
+@cache
+def campaign(effect: str | None, seed: int, runs: int, core: float = 0.0) -> tuple[tuple[Run, Truth], ...]:
+    plan = Plan(rate_hz=2.0, thickness_mm=(8.0, 16.0, 19.0), core_column=core)
+    return tuple(make_campaign(seed, runs, effect, plan))
+
+
+@cache
+def diagnosed(effect: str | None, seed: int, runs: int = 7, core: float = 0.0) -> Diagnosis:
+    return diagnose(press(), [run for run, _ in campaign(effect, seed, runs, core)])
+
+
+def test_a_campaign_without_a_hidden_effect_gets_no_name() -> None:
+    found = diagnosed(None, 41)
+    assert found.verdict == "no_effect"
+    assert found.findings == ()
+    assert found.extended == found.base
+
+
+def test_a_rim_loss_is_named_and_its_size_found() -> None:
+    found = diagnosed("edge_loss", 501, 7, 0.5)
+    truth = campaign("edge_loss", 501, 7, 0.5)[0][1].effects["edge_loss"]["W_m3K"]
+    assert [f.name for f in found.findings] == ["edge_loss"]
+    assert found.findings[0].parameters["W_m3K"].value == pytest.approx(truth, rel=0.35)
+
+
+def test_the_extended_model_at_least_halves_core_and_held_out_errors() -> None:
+    found = diagnosed("edge_loss", 501, 7, 0.5)
+    assert found.base.core_rmse_K is not None
+    assert found.extended.core_rmse_K is not None
+    assert found.extended.core_rmse_K < 0.5 * found.base.core_rmse_K
+    assert found.extended.heldout_rmse_K < 0.5 * found.base.heldout_rmse_K
+
+
+def test_the_answer_holds_every_key_of_the_contract_and_is_plain_json() -> None:
+    content = json.loads(json.dumps(diagnosed("edge_loss", 501, 7, 0.5).as_json(), allow_nan=False))
+    assert {
+        "verdict",
+        "effects",
+        "base",
+        "extended",
+        "noise_floor_K",
+        "where",
+        "candidates",
+        "next_measurement",
+        "seconds",
+    } <= content.keys()
+    effect = content["effects"][0]
+    assert {"name", "set", "parameters", "p_value", "heldout_gain_K", "explained_share"} <= effect.keys()
+    assert effect["set"][0] == effect["name"]
+    assert {"rmse_K", "heldout_rmse_K", "core_rmse_K"} <= content["base"].keys()
+    assert {"signal", "state", "from_s", "to_s", "residual_K"} <= content["where"][0].keys()
+    assert {"name", "score", "p_value", "heldout_gain_K"} <= content["candidates"][0].keys()
+
+
+def test_the_model_file_carries_the_cause_for_other_commands() -> None:
+    found = diagnosed("edge_loss", 501, 7, 0.5)
+    read = parse_model(found.model_file().as_json(), "here")
+    assert [name for name, _ in read.effects] == ["edge_loss"]
+    assert set(read.coefficients) == set(press().coefficient_names)
+    assert read.covariance.shape == (len(read.names), len(read.names))
+    assert np.linalg.eigvalsh(read.covariance).min() > -1e-9
+
+
+def test_the_report_says_cause_cost_gain_and_next_measurement() -> None:
+    page = diagnosis_report(diagnosed("edge_loss", 501, 7, 0.5))
+    for words in ("Heat leaves through the rim", "What it costs", "When the press opens", "Measure next"):
+        assert words in page
+    assert page.count("<svg") == 3
+
+
+def test_two_runs_without_an_effect_are_too_few() -> None:
+    assert diagnosed(None, 43, 2).verdict == "too_few_runs"
+
+
+def test_the_order_of_the_runs_does_not_matter() -> None:
+    runs = [run for run, _ in campaign(None, 41, 7)]
+    again = diagnose(press(), runs[::-1], effects=["edge_loss"]).as_json()
+    first = diagnose(press(), runs, effects=["edge_loss"]).as_json()
+    assert {**again, "seconds": 0} == {**first, "seconds": 0}
+
+
+def test_no_runs_are_refused_with_what_to_do() -> None:
+    with pytest.raises(InputError, match="give at least one run file"):
+        diagnose(press(), [])
+
+
+@pytest.mark.parametrize("seed", [21, 22, 23])
+def test_loose_drifting_and_swapped_channels_are_found_and_no_other(seed: int) -> None:
+    for run, truth in make_campaign(seed, 4, "sensor_fault", SMALL):
+        expected = {f.column for f in truth.faults} | {f.partner for f in truth.faults if f.partner}
+        assert {f.column for f in faulty_channels(press(), run, moments_of(press(), run))} == expected
+
+
+def test_rim_sensors_that_read_lower_on_every_face_are_not_called_faulty() -> None:
+    plan = Plan(rate_hz=2.0, rim_contrast=1.0)
+    for run, truth in make_campaign(31, 4, "edge_loss", plan):
+        expected = {f.column for f in truth.faults}
+        assert {f.column for f in faulty_channels(press(), run, moments_of(press(), run))} <= expected
+
+
+def test_sign_flips_keep_the_level_under_any_scale_of_the_runs() -> None:
+    rng = np.random.default_rng(5)
+    scale = np.exp(rng.normal(0.0, 1.0, 10))
+    p = np.array([max_t((rng.standard_t(3, (10, 4)) * scale[:, None])).min() for _ in range(400)])
+    assert 0.02 < np.mean(p <= 0.05) < 0.08
+
+
+def test_each_sign_pattern_and_its_opposite_count_once() -> None:
+    patterns = sign_patterns(5)
+    assert patterns.shape == (16, 5)
+    assert (patterns[0] == 1.0).all()
+    assert len(np.unique(np.concatenate([patterns, -patterns]), axis=0)) == 32
