@@ -130,7 +130,7 @@ def test_rim_sensors_that_read_lower_on_every_face_are_not_called_faulty() -> No
 def test_sign_flips_keep_the_level_under_any_scale_of_the_runs() -> None:
     rng = np.random.default_rng(5)
     scale = np.exp(rng.normal(0.0, 1.0, 10))
-    p = np.array([max_t((rng.standard_t(3, (10, 4)) * scale[:, None])).min() for _ in range(400)])
+    p = np.array([max_t(rng.standard_t(3, (10, 4)) * scale[:, None]).min() for _ in range(400)])
     assert 0.02 < np.mean(p <= 0.05) < 0.08
 
 
