@@ -6,7 +6,7 @@ that are straight between the run's rows each step is exact (`kernels_modal`). S
 the implicit solver, so both must agree up to the latter's time error.
 
 Through a ramp (closing, opening, handling) the contacts change continuously; there the implicit step is
-used in steps of 16 ms. A staircase of constant contacts would need one eigenvalue problem a stair.
+used in steps of 8 ms. A staircase of constant contacts would need one eigenvalue problem a stair.
 
 Tangents obey the same equation, forced by what a parameter's change does to the temperatures:
 C s' = -K s + (-dK T + df - dC T'). The forcing is taken as straight between steps, which after a switch
@@ -32,11 +32,12 @@ from daq.records import Array, InputError
 from softsensor import kernels, kernels_modal, kernels_terms
 from softsensor.case import Case, snap, step_means
 from softsensor.readout import Reader
-from softsensor.timing import TIMINGS, Clock
+from softsensor.timing import HANDLING_RAMP_S, TIMINGS, Clock
 
 FIRST_STEP_S = 2e-3
 GROWTH = 1.2
-RAMP_STEP_S = 0.016
+RAMP_STEP_S = 0.008
+"""In a closing or opening ramp; twice as long while the panel is handled, whose contacts are weak. [s]"""
 COARSE_STEP_S = 0.5
 """Longest step of tangents, and how long after a ramp no row is left out for them. [s]"""
 FEW = 12
@@ -302,14 +303,15 @@ def _forcing(w: Array, dw: Array, i: int, d_boundary: Array, ambient: float) -> 
     rest[0] += g[0] * d_boundary[0, i]
     rest[n - 1] += g[n] * d_boundary[1, i]
     cells = np.flatnonzero((below != 0) | (above != 0) | (here != 0) | (rest != 0))
-    seen = np.unique(np.clip(np.concatenate([cells - 1, cells, cells + 1]), 0, n - 1)) if len(cells) else cells
-    where = {int(cell): c for c, cell in enumerate(seen)}
+    near = np.zeros(n + 2, dtype=bool)
+    near[cells] = near[cells + 1] = near[cells + 2] = True
+    seen = np.flatnonzero(near[1:-1])
+    rows, column = np.arange(len(cells)), np.searchsorted(seen, cells)
     on = np.zeros((len(cells), len(seen) + 3))
-    for row, cell in enumerate(cells):
-        on[row, where[int(cell)]] += here[cell]
-        on[row, where[int(cell) - 1] if cell > 0 else -3] += below[cell]
-        on[row, where[int(cell) + 1] if cell < n - 1 else -2] += above[cell]
-        on[row, -1] += rest[cell]
+    on[rows, column] = here[cells]
+    on[rows, np.where(cells > 0, column - 1, len(seen))] = below[cells]
+    on[rows, np.where(cells < n - 1, column + 1, len(seen) + 1)] = above[cells]
+    on[:, -1] = rest[cells]
     return Forcing(cells, seen, on)
 
 
@@ -345,7 +347,8 @@ def _grid(key: _Key, shifts: tuple[float, ...], fine: bool) -> Grid:
     ramps = [r for r in clock.ramps() if start < r[1] and r[0] < end]
     parts: list[NDArray[Any]] = [times]
     for first, last in ramps:
-        parts.append(np.linspace(max(first, start), min(last, end), round((last - first) / RAMP_STEP_S) + 1))
+        step = RAMP_STEP_S * (2.0 if abs(last - first - HANDLING_RAMP_S) < 1e-9 else 1.0)
+        parts.append(np.linspace(max(first, start), min(last, end), max(4, round((last - first) / step)) + 1))
     if fine:
         longest = min(float(np.median(np.diff(times))), COARSE_STEP_S)
         count = max(int(np.log(longest / FIRST_STEP_S) / np.log(GROWTH)), 4)

@@ -39,6 +39,7 @@ from softsensor.kernels_terms import (
     STAR,
     G,
     coefficients,
+    switched,
 )
 
 Array = NDArray[np.float64]
@@ -174,8 +175,11 @@ def march(stack, tan, drive, state, places, nonlinear, out, d_out, fields):
     while step < steps:
         last = step + 1
         h = drive.h[step]
-        _expect(state.t, state.t_before, state.s, state.s_before, state.clock[0], h, w, dw)
-        coefficients(stack, tan, drive, step, h, state.done, state.s_done, w, dw, rate, drate)
+        if nonlinear or step == 0:
+            _expect(state.t, state.t_before, state.s, state.s_before, state.clock[0], h, w, dw)
+            coefficients(stack, tan, drive, step, h, state.done, state.s_done, w, dw, rate, drate)
+        else:
+            switched(stack, tan, drive, step, h, state.done, state.s_done, w, dw, rate, drate)
         count = n
         if not nonlinear:
             last = _same(drive.weight, drive.d_weight, drive.factor, drive.d_factor, step)
@@ -357,7 +361,10 @@ def _solve(fac, inv, back, x):
 
 @njit(cache=True, fastmath=_FAST)
 def _solve_many(fac, inv, back, x):
-    """Overwrite right-hand sides x (P, n), P a multiple of four, by the solutions."""
+    """Overwrite right-hand sides x (P, n), P a multiple of four, by the solutions.
+
+    Four systems at a time: while one waits for its last product, the others use the unit.
+    """
     p, n = x.shape
     for q in range(0, p, 4):
         a, b, c, d = x[q], x[q + 1], x[q + 2], x[q + 3]

@@ -350,7 +350,7 @@ def steam(dx, wet, factor, d_factor, w, dw):
 @njit(cache=True)
 def coefficients(stack, tan, drive, step, h, done, d_done, w, dw, rate, drate):
     """Fill all coefficients of a step of length h, from the expected temperatures in `w` and `dw`."""
-    n, p = stack.dx.shape[0], dw.shape[1]
+    n = stack.dx.shape[0]
     unit = np.empty(n)
     for i in range(n):
         unit[i] = 1.0
@@ -362,8 +362,15 @@ def coefficients(stack, tan, drive, step, h, done, d_done, w, dw, rate, drate):
         stack.dx, stack.c, stack.c_slope, stack.c_table, stack.table_x, stack.table_y, tan.c, tan.c_slope,
         w[STAR], dw[DSTAR], w[CAP], dw[DCAP],
     )  # fmt: skip
-    exchange(stack.dx, stack.ambient, stack.exchange, tan.exchange, w, dw)
     joints(stack.dx, stack.measured, w, dw)
+    switched(stack, tan, drive, step, h, done, d_done, w, dw, rate, drate)
+
+
+@njit(cache=True)
+def switched(stack, tan, drive, step, h, done, d_done, w, dw, rate, drate):
+    """Fill what changes with the press's state: contacts, sources and the diagonal."""
+    n, p = stack.dx.shape[0], dw.shape[1]
+    exchange(stack.dx, stack.ambient, stack.exchange, tan.exchange, w, dw)
     contacts(
         stack.dx, stack.interface, stack.contact, tan.contact, stack.parts, stack.emissivity, tan.emissivity,
         stack.measured, stack.flux, tan.flux,

@@ -261,7 +261,7 @@ def seconds(call):
 def test_press_cycle_beside_general_solvers(noise, capsys):
     model = ThermalModel(parse_press(PRESS))
     run = make_run(1, noise)
-    case = model.prepare(run, MOMENTS, fineness=1.2)
+    case = model.prepare(run, MOMENTS, fineness=1.2, max_step_s=2.4)
     keep = settled(run.time_s)
     truth = model.solve(case, VALUES, method="exact").places[keep]
     seven = model.parameter_names
@@ -319,7 +319,7 @@ def test_press_cycle_beside_general_solvers(noise, capsys):
 
 def test_hundred_runs_on_two_threads(capsys):
     model = ThermalModel(parse_press(PRESS))
-    cases = [model.prepare(make_run(seed, 0.1), MOMENTS, fineness=1.2) for seed in range(100)]
+    cases = [model.prepare(make_run(seed, 0.1), MOMENTS, fineness=1.2, max_step_s=2.4) for seed in range(100)]
     with capsys.disabled():
         print(f"\n{'batch of 100 runs, two threads':34s} {'wall ms':>9s} {'ms a run and core':>18s}")
         for method in ("exact", "implicit"):
@@ -342,7 +342,7 @@ def test_effects_beside_the_linear_model(capsys):
         linear = 0.0
         for name in ((), "moisture_evaporation", "vapour_convection", "resin_cure", "conductivity_temperature"):
             model = ThermalModel.of(press, [name] if name else [])
-            case = model.prepare(run, MOMENTS, fineness=1.2)
+            case = model.prepare(run, MOMENTS, fineness=1.2, max_step_s=2.4)
             values = model.guesses | VALUES
             model.solve(case, values, model.parameter_names)
             base = least_ms(lambda m=model, c=case, v=values: m.solve(c, v))
