@@ -7,6 +7,7 @@ The classes are the checked description other code works on. Lengths stay in the
 from __future__ import annotations
 
 import fnmatch
+import itertools
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
@@ -48,7 +49,7 @@ class Layer(_Table):
     def _rising(cls, value: Property | None) -> Property | None:
         if isinstance(value, tuple):
             temperatures = [row[0] for row in value]
-            if not value or any(b <= a for a, b in zip(temperatures, temperatures[1:], strict=False)):
+            if not value or any(b <= a for a, b in itertools.pairwise(temperatures)):
                 raise ValueError("a table needs at least one row, its temperatures rising")
         return value
 
@@ -60,9 +61,7 @@ class Layer(_Table):
         }
         if self.from_run:
             if surplus := [key for key, value in given.items() if value is not None]:
-                raise ValueError(
-                    f"from_run = true takes its constants from the run; remove {', '.join(surplus)}"
-                )
+                raise ValueError(f"from_run = true takes its constants from the run; remove {', '.join(surplus)}")
         elif missing := [key for key, value in given.items() if value is None]:
             raise ValueError(f"needs {', '.join(missing)} (or from_run = true)")
         return self
@@ -117,9 +116,7 @@ class Coefficient(_Table):
     @model_validator(mode="after")
     def _ordered(self) -> Coefficient:
         if not self.lower <= self.guess <= self.upper:
-            raise ValueError(
-                f"guess = {self.guess:g} lies outside lower..upper = {self.lower:g}..{self.upper:g}"
-            )
+            raise ValueError(f"guess = {self.guess:g} lies outside lower..upper = {self.lower:g}..{self.upper:g}")
         return self
 
 
@@ -227,7 +224,7 @@ class Press(_Table):
         names = [layer.name for layer in self.layer]
         if doubled := {n for n in names if names.count(n) > 1}:
             raise ValueError(f"layer names must differ; {sorted(doubled)} occurs twice")
-        neighbours = list(zip(self.chain, self.chain[1:], strict=False))
+        neighbours = list(itertools.pairwise(self.chain))
         seen: set[tuple[str, str]] = set()
         for i, contact in enumerate(self.contact):
             if contact.between not in neighbours:
@@ -240,7 +237,8 @@ class Press(_Table):
             seen.add(contact.between)
         if unused := sorted(set(self.coefficients) - set(self.coefficient_names)):
             raise ValueError(
-                f"coefficients.{unused[0]}: no contact or boundary uses it; used are {list(self.coefficient_names)}"
+                f"coefficients.{unused[0]}: no contact or boundary uses it; "
+                f"used are {list(self.coefficient_names)}"
             )
         for i, sensor in enumerate(self.sensor):
             self._check_place(i, sensor)
@@ -329,10 +327,9 @@ def panel_of(run: Run) -> Panel:
     def number(key: str, default: float | None, lower: float, upper: float) -> float:
         value = header.get(f"panel.{key}", default)
         if value is None:
-            raise InputError(
-                f"{where}: header key panel.{key} is missing and material {material!r} is not in the table "
-                f"({', '.join(MATERIALS)}); add '# panel.{key} = ...'"
-            )
+            unknown = known is None and key in ("density_kg_m3", "conductivity_W_mK", "heat_capacity_J_kgK")
+            listed = f" and material {material!r} is not in the table ({', '.join(MATERIALS)})" if unknown else ""
+            raise InputError(f"{where}: header key panel.{key} is missing{listed}; add '# panel.{key} = ...'")
         if isinstance(value, bool) or not isinstance(value, int | float) or not lower <= value <= upper:
             raise InputError(
                 f"{where}: header key panel.{key} = {value!r}: must be a number from {lower:g} to {upper:g}"
@@ -354,7 +351,9 @@ def panel_of(run: Run) -> Panel:
 def explain(error: ValidationError) -> str:
     """Say in one line what is wrong: key, value, limit."""
     lines = []
-    for item in error.errors()[:3]:
+    items = error.errors()
+    own = [item for item in items if item["type"] != "too_short"]
+    for item in (own or items)[:3]:
         key = ".".join(
             str(p) for p in item["loc"] if not str(p).startswith(("function-", "constrained-", "tuple["))
         )

@@ -489,9 +489,14 @@ def state_weights(
 
 
 def states(case: Case, solution: Solution) -> list[PressState]:
-    """Return the press state at each row."""
-    shares, _ = case.row_clock.shares({})
-    return [_STATES[i] for i in np.argmax(shares, axis=1)]
+    """Return the press state at each row: a moment's own row already has the new state."""
+    if not case.press.has_states:
+        return [PressState.CLOSED] * len(case.run.time_s)
+    moments, t = case.moments, case.run.time_s + 1e-9
+    gone = t >= moments.removed_s
+    closed = (t >= moments.closed_s) & ~(t >= moments.opened_s) & ~gone
+    idle = gone | ((t < moments.inserted_s) & ~closed)
+    return [_STATES[0 if away else 2 if shut else 1] for away, shut in zip(idle, closed, strict=True)]
 
 
 _WARM_PRESS = """

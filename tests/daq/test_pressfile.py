@@ -1,0 +1,105 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from daq.pressfile import panel_of, parse_press, press_for_run, read_press
+from daq.records import InputError, Run
+
+LAB = Path(__file__).parents[2] / "deploy" / "presses" / "lab.toml"
+PANEL = """
+[[layer]]
+name = "panel"
+from_run = true
+"""
+PLATE = """
+[[layer]]
+name = "plate"
+thickness_mm = 10.0
+conductivity_W_mK = 45.0
+density_kg_m3 = 7850.0
+heat_capacity_J_kgK = 490.0
+"""
+
+
+def run(**header: object) -> Run:
+    keys = {key.replace("__", "."): value for key, value in header.items()}
+    return Run("r", keys, np.arange(3.0), {}, source="r.csv")
+
+
+def test_laboratory_press_has_the_six_coefficients_of_the_paper() -> None:
+    press = read_press(LAB)
+    assert set(press.coefficient_names) == {"h_p_o", "h_p_c", "h_pp_o", "h_pp_c", "h_wa", "h_ap"}
+    assert press.has_states
+
+
+def test_press_without_an_open_entry_has_one_state() -> None:
+    assert not parse_press(PANEL).has_states
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("x =", "not valid TOML"),
+        (PANEL + "[press]\nnam = 'x'", r"press\.nam = 'x': unknown key"),
+        (PLATE.replace("10.0", "-1.0"), r"layer\.0\.thickness_mm = -1\.0: .* greater than 0"),
+        (PLATE.replace("45.0", "[[20.0, 1.0], [20.0, 2.0]]"), "temperatures rising"),
+        (PLATE.replace("thickness_mm = 10.0", ""), "needs thickness_mm"),
+        (PANEL + "thickness_mm = 3.0", "remove thickness_mm"),
+        (PANEL + PANEL, "layer names must differ"),
+        (PANEL + "[boundary.top]\nkind = 'measured'", "needs column"),
+        (PANEL + "[[contact]]\nbetween = ['panel', 'plate']\nclosed = 'h'", "not neighbours"),
+        (PANEL + "[coefficients.h]\nguess = 1.0", r"coefficients\.h: no contact or boundary uses it"),
+        (
+            PANEL
+            + "[[contact]]\nbetween = ['panel', 'boundary.top']\nclosed = 'h'\n"
+            + "[coefficients.h]\nguess = 1.0\nlower = 2.0",
+            r"guess = 1 lies outside lower\.\.upper",
+        ),
+        (PANEL + "[[sensor]]\ncolumns = ['a']\nat = 'b.top'", r"sensor\.0\.at = 'b\.top'"),
+        (
+            PLATE + "[[sensor]]\ncolumns = ['a']\nat = { layer = 'plate', depth_mm = 11.0 }",
+            "outside layer 'plate'",
+        ),
+    ],
+)
+def test_wrong_press_file_is_refused_with_key_and_value(text: str, said: str) -> None:
+    with pytest.raises(InputError, match=f"^press file: .*{said}") as caught:
+        parse_press(text)
+    assert "\n" not in str(caught.value)
+
+
+def test_missing_press_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"none\.toml: cannot read the press file"):
+        read_press(tmp_path / "none.toml")
+
+
+def test_run_overrides_values_of_the_press_by_dotted_key() -> None:
+    own = press_for_run(
+        read_press(LAB),
+        run(layer__plate_top__thickness_mm=12.0, coefficients__h_wa__guess=5.0, contact__0__closed="h_p_o"),
+    )
+    assert own.layer[2].thickness_mm == 12.0
+    assert own.coefficient("h_wa").guess == 5.0
+    assert own.contact[0].closed == "h_p_o"
+
+
+def test_override_of_an_unknown_place_is_refused() -> None:
+    with pytest.raises(InputError, match=r"r\.csv: header key layer\.nothing\.thickness_mm"):
+        press_for_run(read_press(LAB), run(layer__nothing__thickness_mm=12.0))
+
+
+def test_known_material_needs_no_constants() -> None:
+    panel = panel_of(run(panel__material="mdf", panel__thickness_mm=16.0, panel__initial_temperature_C=20.0))
+    assert panel.conductivity == 0.12
+    assert panel.thickness == 0.016
+
+
+def test_missing_temperature_is_not_blamed_on_the_material() -> None:
+    with pytest.raises(InputError, match=r"panel\.initial_temperature_C is missing; add"):
+        panel_of(run(panel__material="MDF", panel__thickness_mm=16.0))
+
+
+def test_unknown_material_needs_its_constants() -> None:
+    with pytest.raises(InputError, match=r"panel\.density_kg_m3 is missing and material 'cork' is not in the"):
+        panel_of(run(panel__material="cork", panel__thickness_mm=16.0, panel__initial_temperature_C=20.0))
