@@ -1,0 +1,97 @@
+import re
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from api.demo import Plan, run_demo
+from api.demo_press import press_of
+from api.demo_summary import Finding, compare, summary_lines
+from daq.records import InputError
+from daq.store.records import StoredEstimate
+
+
+def processes_mentioning(folder: str) -> int:
+    found = subprocess.run(["ps", "-eo", "args"], capture_output=True, text=True, check=False)
+    return sum(folder in line for line in found.stdout.splitlines())
+
+
+def test_the_demonstration_ends_by_itself_with_a_summary_and_leaves_no_process_behind(tmp_path):
+    folder = tmp_path / "demo"
+    command = [sys.executable, "-m", "api", "demo", "--speed", "30", "--pressings", "1", "--data", str(folder)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=280, check=False)
+    assert done.returncode == 0, done.stderr
+    summary = done.stdout[done.stdout.index("Summary of 1 pressings") :]
+    row = next(line for line in summary.splitlines() if "lab-" in line)
+    closing, opening, before, after, core = map(
+        float, re.findall(r"([+-]?\d+\.\d+) (?:s|K|->)", row.replace("->", "K ->"))[:5]
+    )
+    assert abs(closing) < 0.5
+    assert abs(opening) < 0.5
+    assert after < before
+    assert core < 3.0
+    assert (folder / "kerntemp.sqlite").exists()
+    if sys.platform != "win32":
+        deadline = time.monotonic() + 10
+        while processes_mentioning(str(folder)) and time.monotonic() < deadline:
+            time.sleep(0.1)
+        assert processes_mentioning(str(folder)) == 0
+
+
+def test_a_folder_that_holds_a_store_is_not_overwritten(tmp_path):
+    (tmp_path / "kerntemp.sqlite").touch()
+    with pytest.raises(InputError, match="holds a store already"):
+        run_demo(Plan(), tmp_path, print)
+
+
+def test_two_virtual_presses_of_the_same_settings_agree_so_that_one_can_judge_the_other():
+    settings = {"hide": [], "keep": 4, "seed": 3}
+    first, second = press_of(settings), press_of(settings)
+    for at_s in (1.0, 40.0, 95.0):
+        assert first.temperatures(at_s) == second.temperatures(at_s)
+
+
+def test_a_perfect_prediction_has_no_error_and_lies_inside_its_band(store):
+    cycle = press_of({"hide": [], "keep": 4, "seed": 3}).cycle(0.0)
+    record = store.run_record("lab-2026-03-04-02")
+    number = record.first_scan
+    rows = np.flatnonzero(np.isfinite(cycle.core_C))[::40]
+    estimates = []
+    for i, row in enumerate(rows.tolist()):
+        at, core = record.zero_monotonic_s + float(cycle.times[row]), float(cycle.core_C[row])
+        estimates.append(StoredEstimate(number + i, at, "closed", core, 0.5, core - 1.0, core + 1.0, True))
+    store.append_estimates("lab", estimates)
+    known = {e.number for e in estimates}
+
+    class OnlyThese:
+        def fit(self, run):
+            return {"initial_rmse_K": 4.0, "rmse_K": 0.4}
+
+        def estimates(self, run):
+            return [(t, e) for t, e in store.estimates(run) if e.number in known]
+
+    finding = compare(OnlyThese(), record, cycle, cycle.start)
+    assert finding.core_worst_K < 1e-6
+    assert finding.inside_band == 1.0
+
+
+def test_the_summary_says_what_was_hidden_and_what_the_nightly_job_named():
+    finding = Finding("lab-1", 100, 0.02, -0.03, 4.0, 0.4, 0.5, 1.0, 0.97)
+    report = {
+        "verdict": "named",
+        "effects": [{"name": "edge_loss", "set": ["edge_loss"]}],
+        "base": {"heldout_rmse_K": 1.2},
+        "extended": {"heldout_rmse_K": 0.3},
+        "next_measurement": "Insulate the rim.",
+    }
+    text = "\n".join(summary_lines([finding], ["edge_loss"], report))
+    for part in (
+        "Hidden in the virtual press: edge_loss",
+        "named, edge_loss",
+        "1.200 K",
+        "0.300 K",
+        "Insulate the rim.",
+    ):
+        assert part in text
