@@ -112,6 +112,8 @@ class Config(_Table):
     clock: ClockSettings = ClockSettings()
     text: str = Field(default="", exclude=True)
     """The file as it was read, kept with every run."""
+    path: Path | None = Field(default=None, exclude=True)
+    """Where it was read."""
 
     @model_validator(mode="after")
     def _distinct(self) -> Config:
@@ -145,10 +147,10 @@ def load_config(path: Path) -> Config:
         raise InputError(f"{path}: cannot read the configuration: {reason}") from error
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"{path}: not valid TOML: {error}") from error
-    if "text" in tree:
-        raise InputError(f"{path}: text: unknown key; remove it or check its spelling")
+    if own := {"text", "path"} & set(tree):
+        raise InputError(f"{path}: {min(own)}: unknown key; remove it or check its spelling")
     try:
-        config = Config.model_validate({**tree, "text": text})
+        config = Config.model_validate({**tree, "text": text, "path": path})
     except ValidationError as error:
         raise InputError(f"{path}: {explain(error)}") from error
     config = _absolute(config, path.resolve().parent)

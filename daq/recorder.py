@@ -11,19 +11,20 @@ import logging
 import os
 import signal
 import threading
+import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any, Literal
 
 from daq.acquisition import LoggerThread, Scanner
-from daq.config import Config, PressSettings
+from daq.config import Config, PressSettings, load_config
 from daq.drivers import open_logger
 from daq.press_events import PressEventDetector, columns_of
 from daq.pressfile import Press, read_press
-from daq.records import Channel, PressEvent, Scan
+from daq.records import Channel, InputError, PressEvent, Scan
 from daq.runkeeper import RunKeeper, RunNames, RunRules
 from daq.store import PressKey, Store, StoreUnavailable, open_store
 from daq.store.outbox import Outbox
@@ -36,6 +37,8 @@ _GATHER_S = 0.1
 """An accelerated recorder gathers scans this long for one commit. [s]"""
 _HOLD_S = 1.5
 """The detector may use a channel's last value this long: some loggers are slower than the scans. [s]"""
+_TIDY_S = 600.0
+"""How often old idle scans are thinned. [s]"""
 _CLOCK_STEP_S = 0.5
 """A step of the wall clock larger than this goes into the journal. [s]"""
 
@@ -79,13 +82,28 @@ def record(
         for line in lines:
             line.start()
         _say(outbox, "info", f"recording {', '.join(s.name for s, _ in presses)}", None)
-        while not stop.wait(_BEAT_S):
-            outbox.beat(PROCESS, _status(lines, outbox, "running"))
-        for line in lines:
-            line.join()
-        outbox.beat(PROCESS, _status(lines, outbox, "stopped"))
-        _say(outbox, "info", "recording ends", None)
-        outbox.close()
+        try:
+            _watch(config, store, lines, outbox, stop)
+        finally:
+            stop.set()
+            for line in lines:
+                line.join()
+            outbox.beat(PROCESS, _status(lines, outbox, "stopped"))
+            _say(outbox, "info", "recording ends", None)
+            outbox.close()
+
+
+def _watch(
+    config: Config, store: Store, lines: Sequence[_PressLine], outbox: Outbox, stop: threading.Event
+) -> None:
+    """Until stopped: signs of life, changes of the configuration, thinning of old idle scans."""
+    watch, tidied = _ConfigWatch(config, outbox), time.monotonic()
+    while not stop.wait(_BEAT_S):
+        outbox.beat(PROCESS, _status(lines, outbox, "running"))
+        watch.look(lines)
+        if time.monotonic() - tidied > _TIDY_S:
+            tidied = time.monotonic()
+            _tidy(store, config.store.keep_idle_days)
 
 
 def _stop_on_signals(stop: threading.Event) -> None:
@@ -108,6 +126,41 @@ def _store_when_ready(url: str, stop: threading.Event) -> Store | None:
                 said = True
         if stop.wait(2.0):
             return None
+
+
+def _tidy(store: Store, keep_days: float) -> None:
+    try:
+        store.thin_idle(datetime.now(UTC) - timedelta(days=keep_days))
+    except StoreUnavailable as error:
+        LOG.info("idle scans are not thinned now: %s", error)
+
+
+class _ConfigWatch:
+    """Notices a changed configuration; each press takes it over between its runs."""
+
+    def __init__(self, config: Config, outbox: Outbox) -> None:
+        self._config, self._outbox = config, outbox
+        self._seen = self._stamp()
+
+    def _stamp(self) -> tuple[int, ...]:
+        files = [self._config.path, *(p.file for p in self._config.press)]
+        return tuple(f.stat().st_mtime_ns if f is not None and f.exists() else 0 for f in files)
+
+    def look(self, lines: Sequence[_PressLine]) -> None:
+        """Hand a changed configuration to the presses; a wrong one is told once and left."""
+        if self._config.path is None or self._stamp() == self._seen:
+            return
+        self._seen = self._stamp()
+        try:
+            fresh = load_config(self._config.path)
+            for line in lines:
+                line.change(fresh.press_named(line.settings.name), fresh.text)
+        except InputError as error:
+            _say(self._outbox, "warning", f"{error}; recording goes on with the configuration before", None)
+            return
+        self._config = fresh
+        self._seen = self._stamp()
+        _say(self._outbox, "info", "configuration changed; it takes effect between runs", None)
 
 
 def _log(level: str, sentence: str) -> None:
@@ -163,26 +216,39 @@ class _PressLine:
             for x, logger in zip(settings.logger, loggers, strict=True)
         ]
         channels = tuple(c for t in threads for c in _with_units(t.channels))
-        text = settings.file.read_text(encoding="utf-8")
+        self._changed: tuple[PressSettings, str] | None = None
+        self._press_file = settings.file.read_text(encoding="utf-8")
         interrupted = store.interrupt_open_runs(settings.name)
-        self._key: PressKey = store.register_press(settings.name, channels, text)
+        self._key: PressKey = store.register_press(settings.name, channels, self._press_file)
         for run in interrupted:
             _say(outbox, "warning", f"run {run} was interrupted; its data are kept", settings.name)
-        rules = RunRules(
-            settings.name,
-            settings.pre_trigger_s,
-            settings.post_removal_s,
-            settings.longest_run_s,
-            settings.header,
-            config.text,
-        )
         names = RunNames(settings.name, store.unused_run_name(settings.name, datetime.now(UTC)))
         faces = columns_of(press).of_face([c.name for c in channels])
         panel = [i for i, c in enumerate(channels) if c.name in (*faces[0], *faces[1])]
-        self._keeper = RunKeeper(rules, names, panel)
+        self._keeper = RunKeeper(_rules(settings, config.text), names, panel)
         period = 1.0 / (settings.rate_hz * config.clock.speed)
         self._scanner = Scanner(threads, period, config.clock.speed, self._key.next_number)
         self._thread = threading.Thread(target=self._work, name=f"press {settings.name}", daemon=True)
+
+    def change(self, settings: PressSettings, text: str) -> None:
+        """Take over changed settings before the next run. Raises `InputError` for what needs a new start."""
+        if settings.logger != self.settings.logger or settings.rate_hz != self.settings.rate_hz:
+            raise InputError(
+                f"press {settings.name}: changed loggers or rate_hz need a new start of kerntemp record"
+            )
+        self._changed = (settings, text)
+
+    def _take_over(self) -> None:
+        """Swap settings between two scans; nothing is lost, the loggers do not notice."""
+        if self._changed is None or self._keeper.open_run is not None:
+            return
+        (settings, text), self._changed = self._changed, None
+        press_file = settings.file.read_text(encoding="utf-8")
+        if press_file != self._press_file:
+            self._press_file = press_file
+            self._detector = PressEventDetector(read_press(settings.file))
+        self.settings = settings
+        self._keeper.rules = _rules(settings, text)
 
     def start(self) -> None:
         """Begin to record."""
@@ -211,7 +277,7 @@ class _PressLine:
 
     def _take(self, scan: Scan) -> None:
         self._watch_clock(scan)
-        state = self._detector.state
+        self._take_over()
         events = self._detector.update(scan.monotonic_s, self._usable(scan))
         changes = self._keeper.take(scan, events)
         self._newest = scan
@@ -222,9 +288,8 @@ class _PressLine:
                 self._outbox.put(Parcel(self._key, end=end))
         ends = [end for _, end in changes if end is not None and (first is None or end.run == first.run)]
         self._outbox.put(Parcel(self._key, (scan,), tuple(events), first, ends[0] if ends else None))
-        if self._detector.state is not state or events:
-            for event in events:
-                self._tell(event)
+        for event in events:
+            self._tell(event)
 
     def _tell(self, event: PressEvent) -> None:
         run = self._keeper.open_run
@@ -293,6 +358,17 @@ class _PressLine:
         return [{"press": self.settings.name, **x.report()} for x in self._scanner.loggers]
 
 
+def _rules(settings: PressSettings, text: str) -> RunRules:
+    return RunRules(
+        settings.name,
+        settings.pre_trigger_s,
+        settings.post_removal_s,
+        settings.longest_run_s,
+        settings.header,
+        text,
+    )
+
+
 def _with_units(channels: Sequence[Channel]) -> tuple[Channel, ...]:
     """A limit switch is no temperature."""
     return tuple(Channel(c.name, "") if c.name == "closed" else c for c in channels)
@@ -301,8 +377,6 @@ def _with_units(channels: Sequence[Channel]) -> tuple[Channel, ...]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Record by a configuration file, printing each commit: ``python -m daq.recorder kerntemp.toml``."""
     import sys
-
-    from daq.config import load_config
 
     given = list(sys.argv[1:] if arguments is None else arguments)
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s")

@@ -45,6 +45,7 @@ def test_a_configuration_gives_paths_beside_itself_and_columns_in_order(folder):
     assert config.server.port == 9000
     assert config.clock.speed == 1.0
     assert config.text == GOOD
+    assert config.path == folder / "kerntemp.toml"
     with pytest.raises(InputError, match="press 'x' is not in the configuration; it has lab"):
         config.press_named("x")
 
