@@ -31,6 +31,8 @@ SWITCH_EDGE_S = 0.2
 """Rows this close to a ramp count as part of it. [s]"""
 STALLED = 0.05
 """A search that stalls this close to the minimum (0.3 standard deviations) has found it."""
+EVERYWHERE = "all"
+"""In place of a place: the unknown is common to all channels."""
 MAX_MOVE = 2.0
 """Largest change of a logarithm or of a scaled parameter in one step."""
 
@@ -201,7 +203,7 @@ class Problem:
                 derivative[:, j] = solution.d_sensors[u.name][:, column] * u.slope(x[j])
                 continue
             kind, _, label = u.name.partition(":")
-            if label != place.label:
+            if label not in (place.label, EVERYWHERE):
                 continue
             if kind == "offset":
                 derivative[:, j] = u.size

@@ -7,7 +7,7 @@ import numpy as np
 from daq.records import InputError
 from softsensor.case import Case
 from softsensor.effects import find_effect
-from softsensor.fit_problem import Unknown
+from softsensor.fit_problem import EVERYWHERE, Unknown
 from softsensor.model import NUISANCES, ThermalModel
 from softsensor.parameters import Parameter
 from softsensor.residuals import Signals
@@ -20,6 +20,10 @@ PLATEN_K, PLATEN_GAIN = 0.1, 0.0005
 """Of a platen channel: offset and gain. [K, -]"""
 CHANNEL_K, CHANNEL_GAIN = 0.3, 0.0015
 """Of a panel channel: offset and gain. [K, -]"""
+LATE_S, LATE_ROWS, APART_ROWS = 0.02, 0.03, 0.12
+"""How late panel channels are read: at least, and per row all of them, and one face after the other. [s, rows]
+
+Where all moments are free, a delay common to all channels shows only against the platens and is held tightly."""
 
 
 def neutral_values(model: ThermalModel) -> dict[str, float]:
@@ -79,8 +83,11 @@ def chain_priors(case: Case, signals: Signals) -> list[Unknown]:
         n = len(place.columns)
         unknowns.append(nuisance(f"offset:{place.label}", CHANNEL_K / np.sqrt(n), 10 * CHANNEL_K))
         unknowns.append(nuisance(f"gain:{place.label}", CHANNEL_GAIN / np.sqrt(n), 10 * CHANNEL_GAIN))
-        if press.has_states:
-            unknowns.append(nuisance(f"skew:{place.label}", 0.02 + 0.03 * period, 1.0))
+    if press.has_states:
+        free = any(u.name == "inserted_s" for u in unknowns)
+        unknowns.append(nuisance(f"skew:{EVERYWHERE}", LATE_S + (LATE_ROWS if free else APART_ROWS) * period, 1.0))
+        for place in signals.places[1:]:
+            unknowns.append(nuisance(f"skew:{place.label}", LATE_S + APART_ROWS * period, 1.0))
     return unknowns
 
 
