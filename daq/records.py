@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import fnmatch
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime
 from enum import StrEnum
 from typing import Any
@@ -137,6 +137,8 @@ class Run:
     columns: Mapping[str, Array]
     source: str = ""
     """Where it came from, for messages: a file path or ``store``."""
+    texts: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    """Columns of remarks, one text a row: kept in files, used by nothing."""
 
     def matching(self, patterns: Iterable[str]) -> tuple[str, ...]:
         """Return the columns that match shell-style patterns, in file order, each once."""

@@ -66,18 +66,19 @@ def write_run(run: Run, path: Path) -> None:
     header = {**run.header, "run": run.name} if str(run.header.get("run")) != run.name else dict(run.header)
     names = (TIME, *run.columns)
     columns = [np.asarray(run.time_s, float), *(np.asarray(c, float) for c in run.columns.values())]
-    _check_names(list(names), str(path))
+    _check_names([*names, *run.texts], str(path))
     if odd := [n for n, c in zip(names, columns, strict=True) if len(c) != len(run.time_s)]:
         raise InputError(f"{path}: column {odd[0]!r} has another length than time_s")
     _check_table(str(path), names, columns, first_line=1, unit="row")
     if path.suffix.lower() in (".parquet", ".pq"):
         metadata = {key: toml_value(value) for key, value in flat_keys(header)}
-        schema = pa.schema([pa.field(n, pa.float64()) for n in names], metadata=metadata)
+        fields = [pa.field(n, pa.float64()) for n in names] + [pa.field(n, pa.string()) for n in run.texts]
+        arrays = [pa.array(c, from_pandas=True) for c in columns] + [pa.array(t) for t in run.texts.values()]
         sink = io.BytesIO()
-        pq.write_table(pa.table([pa.array(c, from_pandas=True) for c in columns], schema=schema), sink)
+        pq.write_table(pa.table(arrays, schema=pa.schema(fields, metadata=metadata)), sink)
         _replace(path, sink.getvalue())
     else:
-        _replace(path, _csv_text(header, names, columns).encode())
+        _replace(path, _csv_text(header, names, columns, run.texts).encode())
 
 
 def toml_line(key: str, value: Any) -> str:
@@ -124,13 +125,22 @@ def flat_keys(tree: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, 
             yield f"{prefix}{key}", value
 
 
-def _csv_text(header: Mapping[str, Any], names: Sequence[str], columns: Sequence[Array]) -> str:
+def _csv_text(
+    header: Mapping[str, Any],
+    names: Sequence[str],
+    columns: Sequence[Array],
+    texts: Mapping[str, tuple[str, ...]],
+) -> str:
     sink = io.StringIO()
     for key, value in flat_keys(header):
         sink.write(f"# {toml_line(key, value)}\n")
-    csv.writer(sink, lineterminator="\n").writerow(names)
+    writer = csv.writer(sink, lineterminator="\n")
+    writer.writerow([*names, *texts])
     cells = [["" if v != v else repr(v).removesuffix(".0") for v in c.tolist()] for c in columns]
-    sink.writelines(",".join(row) + "\n" for row in zip(*cells, strict=True))
+    if texts:
+        writer.writerows(zip(*cells, *texts.values(), strict=True))
+    else:
+        sink.writelines(",".join(row) + "\n" for row in zip(*cells, strict=True))
     return sink.getvalue()
 
 
@@ -158,17 +168,19 @@ def _read_csv(path: Path, content: bytes) -> Run:
     body = content.removeprefix(b"\xef\xbb\xbf")[start:]
     head, _, rows = body.partition(b"\n")
     names = _column_names(f"{path}: line {line}", _decoded(path, line, head))
-    columns = _fast_rows(rows, names)
+    columns, texts = _fast_rows(rows, names), dict[str, tuple[str, ...]]()
     if columns is None:
-        columns = _slow_rows(path, rows, names, line + 1)
+        texts = _text_columns(rows, names)
+        columns = _slow_rows(path, rows, names, line + 1, texts)
+        names = [name for name in names if name not in texts]
     if len(columns[0]) == 0:
         raise InputError(f"{path}: line {line}: no rows follow the header row; a run needs at least one scan")
     try:
         _check_table(str(path), names, columns, first_line=line + 1, unit="line")
     except InputError:
-        _slow_rows(path, rows, names, line + 1)  # names the line even where empty lines lie in between
+        _slow_rows(path, rows, [*names, *texts], line + 1, texts)  # names the line, empty lines counted
         raise
-    return _run(path, header, names, columns)
+    return _run(path, header, names, columns, texts)
 
 
 def _read_header(path: Path, content: bytes) -> tuple[dict[str, Any], int, int]:
@@ -259,7 +271,25 @@ def _number(cell: str) -> float | None:
     return value if math.isfinite(value) and "_" not in cell else None
 
 
-def _slow_rows(path: Path, rows: bytes, names: list[str], first_line: int) -> list[Array]:
+def _text_columns(rows: bytes, names: list[str]) -> dict[str, tuple[str, ...]]:
+    """Return the columns of remarks: every cell that is not empty holds text."""
+    try:
+        table = [row for row in csv.reader(io.StringIO(rows.decode())) if any(cell.strip() for cell in row)]
+    except (UnicodeDecodeError, csv.Error):
+        return {}
+    if any(len(row) != len(names) for row in table):
+        return {}
+    texts = {}
+    for name, cells in zip(names, zip(*table, strict=True), strict=True):
+        filled = [cell for cell in cells if cell.strip()]
+        if name not in (TIME, CLOSED) and filled and all(re.match("[^0-9.+-]", cell.strip()) for cell in filled):
+            texts[name] = tuple(cells)
+    return {name: cells for name, cells in texts.items() if all(_number(cell) is None for cell in cells if cell)}
+
+
+def _slow_rows(
+    path: Path, rows: bytes, names: list[str], first_line: int, texts: Mapping[str, tuple[str, ...]]
+) -> list[Array]:
     """Parse line by line; raise at the first that is wrong."""
     table: list[list[float]] = []
     last_time, last_line = -math.inf, 0
@@ -273,8 +303,9 @@ def _slow_rows(path: Path, rows: bytes, names: list[str], first_line: int) -> li
                 f"{path}: line {line}: {len(cells)} cells, but the header row has {len(names)} columns; "
                 "leave a missing value as an empty cell"
             )
-        values = [_cell(f"{path}: line {line}", name, cell) for name, cell in zip(names, cells, strict=True)]
-        now = values[names.index(TIME)]
+        where = f"{path}: line {line}"
+        values = [_cell(where, n, cell) for n, cell in zip(names, cells, strict=True) if n not in texts]
+        now = values[[n for n in names if n not in texts].index(TIME)]
         if now <= last_time:
             raise InputError(
                 f"{path}: line {line}: time_s = {now!r} does not rise (line {last_line}: {last_time!r}); "
@@ -329,19 +360,23 @@ def _read_parquet(path: Path, content: bytes) -> Run:
     _check_names(names, str(path))
     if TIME not in names:
         raise InputError(f"{path}: column time_s is missing; found {', '.join(names[:8])}")
-    columns = []
+    columns, texts = [], dict[str, tuple[str, ...]]()
     for name, column in zip(names, table.columns, strict=True):
+        if pa.types.is_string(column.type) and name not in (TIME, CLOSED):
+            texts[name] = tuple(cell or "" for cell in column.to_pylist())
+            continue
         if not (
             pa.types.is_floating(column.type) or pa.types.is_integer(column.type) or column.type == pa.bool_()
         ):
             raise InputError(f"{path}: column {name}: type {column.type} is not a number; store it as float64")
         columns.append(np.asarray(column.cast(pa.float64()).to_numpy(), float))
+    names = [name for name in names if name not in texts]
     if not len(columns[0]):
         raise InputError(f"{path}: the table has no rows; a run needs at least one scan")
     _check_table(str(path), names, columns, first_line=1, unit="row")
     metadata = {k.decode(): v.decode() for k, v in (table.schema.metadata or {}).items()}
     header = {k: _metadata_value(v) for k, v in metadata.items() if not k.startswith(_FOREIGN_METADATA)}
-    return _run(path, header, names, columns)
+    return _run(path, header, names, columns, texts)
 
 
 def _metadata_value(text: str) -> Any:
@@ -353,7 +388,13 @@ def _metadata_value(text: str) -> Any:
     return value["value"] if len(value) == 1 else text
 
 
-def _run(path: Path, header: dict[str, Any], names: list[str], columns: list[Array]) -> Run:
+def _run(
+    path: Path,
+    header: dict[str, Any],
+    names: list[str],
+    columns: list[Array],
+    texts: Mapping[str, tuple[str, ...]],
+) -> Run:
     table = dict(zip(names, columns, strict=True))
     time_s = table.pop(TIME)
-    return Run(str(header.get("run", path.stem)), header, time_s, table, str(path))
+    return Run(str(header.get("run", path.stem)), header, time_s, table, str(path), texts)

@@ -186,8 +186,8 @@ def test_parquet_faults_are_named_by_row_and_column(tmp_path):
     pq.write_table(pa.table({"time_s": [0.0, 2.0, 1.0]}), path)
     with pytest.raises(InputError, match=r"row 3: time_s = 1.0 does not rise"):
         read_run(path)
-    pq.write_table(pa.table({"time_s": [0.0], "top_1": ["hot"]}), path)
-    with pytest.raises(InputError, match=r"column top_1: type string is not a number"):
+    pq.write_table(pa.table({"time_s": [0.0], "top_1": [b"hot"]}), path)
+    with pytest.raises(InputError, match=r"column top_1: type binary is not a number"):
         read_run(path)
 
 
@@ -217,3 +217,23 @@ def test_reading_three_thousand_rows(tmp_path):
     for _ in range(20):
         read_run(tmp_path / "x.csv")
     print(f"3000 rows of 17 cells: {(time.perf_counter() - began) / 20 * 1e3:.1f} ms")
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+def test_column_of_remarks_is_kept_and_used_by_nothing(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text('time_s,a,remark,b\n0,1,"ok, fine",2\n1,3,,4\n')
+    run = read_run(path)
+    assert list(run.columns) == ["a", "b"]
+    assert run.texts == {"remark": ("ok, fine", "")}
+    copy = tmp_path / f"copy{suffix}"
+    write_run(run, copy)
+    assert read_run(copy).texts == run.texts
+    assert read_run(copy).columns["b"].tolist() == [2.0, 4.0]
+
+
+def test_text_among_numbers_is_refused_by_line(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text("time_s,a,b\n0,1,x\n1,lost,y\n")
+    with pytest.raises(InputError, match="line 3: column a: 'lost' is not a number"):
+        read_run(path)
