@@ -11,6 +11,7 @@ SERVER = os.environ.get("KERNTEMP_TEST_POSTGRESQL", "postgresql+psycopg://postgr
 
 
 def _postgresql(run_in):
+    pytest.importorskip("psycopg", reason="the PostgreSQL driver is not installed: pip install psycopg[binary]")
     engine = create_engine(SERVER, isolation_level="AUTOCOMMIT", connect_args={"connect_timeout": 2})
     try:
         with engine.connect() as connection:

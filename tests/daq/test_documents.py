@@ -1,0 +1,47 @@
+"""Event-model documents, checked with that model's own library."""
+
+import json
+
+import event_model
+import numpy as np
+
+from daq.documents import documents_of, json_lines
+from daq.records import Run
+
+RUN = Run(
+    "2026-03-04-07",
+    {"panel.material": "MDF", "panel.thickness_mm": 16.0},
+    np.array([0.0, 0.5, 1.1]),
+    {"top_1": np.array([20.8, np.nan, 61.2]), "closed": np.array([0.0, 0.0, 1.0])},
+)
+
+
+def test_every_document_passes_the_models_own_schema_and_refers_to_the_right_one():
+    documents = list(documents_of(RUN, 1772607600.0))
+    assert [name for name, _ in documents] == ["start", "descriptor", "event", "event", "event", "stop"]
+    for name, content in documents:
+        event_model.schema_validators[event_model.DocumentNames[name]].validate(content)
+    router = event_model.RunRouter([lambda name, start: ([], [])])
+    for name, content in documents:
+        router(name, content)
+
+
+def test_a_reader_of_the_model_gets_the_runs_values_back():
+    seen = {}
+
+    class Reader(event_model.DocumentRouter):
+        def event(self, doc):
+            seen[doc["seq_num"]] = (doc["time"], doc["data"]["top_1"])
+
+    reader = Reader()
+    for name, content in documents_of(RUN, 100.0):
+        reader(name, content)
+    np.testing.assert_array_equal([t for t, _ in seen.values()], 100.0 + RUN.time_s)
+    np.testing.assert_array_equal([v for _, v in seen.values()], RUN.columns["top_1"])
+
+
+def test_lines_of_json_say_null_for_a_missing_value_and_are_the_same_each_time():
+    lines = list(json_lines(RUN, 0.0))
+    assert json.loads(lines[3])[1]["data"]["top_1"] is None
+    assert json.loads(lines[0])[1]["header"]["panel:material"] == "MDF"
+    assert lines == list(json_lines(RUN, 0.0))
