@@ -516,7 +516,9 @@ def warm_up() -> None:
     """Compile every kernel, or load it from the cache, so that no later solve has to wait.
 
     Numba keeps compiled code beside the modules (or under ``NUMBA_CACHE_DIR`` where they cannot be
-    written): the first call after an installation takes tens of seconds, later processes under two.
+    written): the first call after an installation takes tens of seconds, later processes under two. It
+    looks only at the date of the file a function stands in: after a change in ``kernels_terms`` touch
+    ``kernels`` as well.
     """
     time_s = np.linspace(0.0, 2.0, 5)
     header = {"panel.material": "MDF", "panel.thickness_mm": 5.0, "panel.initial_temperature_C": 20.0}

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -60,8 +61,19 @@ class Clock:
 
     def shares(self, values: Mapping[str, float], names: tuple[str, ...] = (), p: int = 0) -> tuple[Array, Array]:
         """Return the shares of idle, open and closed (rows, 3), and their derivatives (rows, 3, p)."""
+        p = max(p, len(names))
+        if not any(name in names or values.get(name, 0.0) != 0.0 for name in TIMINGS):
+            return self._unshifted, np.zeros((len(self.present), 3, p))
+        return self._shares(values, names, p)
+
+    @cached_property
+    def _unshifted(self) -> Array:
+        """Shares with no shift, not to be changed."""
+        return self._shares({}, (), 0)[0]
+
+    def _shares(self, values: Mapping[str, float], names: tuple[str, ...], p: int) -> tuple[Array, Array]:
         rows = len(self.present)
-        weights, d_weights = np.zeros((rows, 3)), np.zeros((rows, 3, max(p, len(names))))
+        weights, d_weights = np.zeros((rows, 3)), np.zeros((rows, 3, p))
         if not self.has_states:
             weights[:, 2] = 1.0
             return weights, d_weights
