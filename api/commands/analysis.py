@@ -85,6 +85,7 @@ def predict(
         from softsensor.modelfile import read_model
         from softsensor.observer import LiveSensor
 
+        _check_run(described, loaded, seen)
         sensor = LiveSensor(described, loaded.header, read_model(model) if model is not None else None)
         rows = []
         for i, time_s in enumerate(loaded.time_s.tolist()):
@@ -99,6 +100,22 @@ def predict(
     columns["valid"] = ["1" if row.valid else "0" for row in rows]
     columns["reason"] = [row.reason for row in rows]
     write_all({out: _csv(columns)})
+
+
+def _check_run(press: Press, run: Run, seen: Mapping[str, Any]) -> None:
+    """Refuse a run that this press cannot predict: no platen reading, no panel. Raises `InputError`."""
+    from daq.pressfile import panel_of, press_for_run
+
+    own = press_for_run(press, run)
+    for end in ("bottom", "top"):
+        boundary = getattr(own.boundary, end)
+        if boundary.kind == "measured" and boundary.column not in seen:
+            raise InputError(
+                f"{run.source or run.name}: column {boundary.column!r} is missing; boundary.{end} of press "
+                f"{press.name!r} needs it (used are {', '.join(seen)})"
+            )
+    if own.panel_layers:
+        panel_of(run)
 
 
 def _hidden(run: Run, without: str) -> set[str]:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from api.commands.inputs import ConfigFile, PressFile, StoreUrl, config_path, opened_store
-from api.outputs import WorkFailed, check_writable, working, write_all
+from api.outputs import check_writable, working, write_all
 from daq.records import InputError
 
 if TYPE_CHECKING:
@@ -32,10 +32,13 @@ def import_runs(
     ] = None,
 ) -> None:
     """Store run files: all of them, or none where one is wrong."""
+    from daq.manifest import check_listed
     from daq.pressfile import read_press
 
     described = read_press(press)
     read = _reader(mapping)
+    for path in files:
+        check_listed(path)
     with working(f"Reading {len(files)} run files", len(files)) as done:
         runs = []
         for number, path in enumerate(files, 1):
@@ -47,10 +50,8 @@ def import_runs(
     with opened_store(store, config, create=True) as opened:
         for run in runs:
             _refuse_taken(opened, run.name)
-        with working(f"Storing {len(runs)} runs", len(runs)) as done:
-            for number, run in enumerate(runs, 1):
-                opened.import_run(run, described.name, press.read_text(encoding="utf-8"))
-                done(number)
+        with working(f"Storing {len(runs)} runs"):
+            opened.import_runs(runs, described.name, press.read_text(encoding="utf-8"))
     sys.stdout.write(f"{len(runs)} runs stored\n")
 
 
@@ -79,11 +80,16 @@ def export_runs(
         list[str] | None, typer.Argument(metavar="[RUN...]", help="Ids; without, runs are listed.")
     ] = None,
     out: Annotated[Path | None, typer.Option("--out", help="A file for one run, a folder for several.")] = None,
-    kind: Annotated[Literal["csv", "parquet"], typer.Option("--format", help="In a folder.")] = "csv",
+    kind: Annotated[
+        Literal["csv", "parquet", "jsonl"],
+        typer.Option("--format", help="In a folder; jsonl holds bluesky event-model documents."),
+    ] = "csv",
     store: StoreUrl = None,
     config: ConfigFile = None,
 ) -> None:
     """Write runs of the store as run files, or list what there is."""
+    from daq.documents import json_lines
+    from daq.manifest import update_manifest
     from daq.runfile import write_run
 
     with opened_store(store, config) as opened:
@@ -94,14 +100,23 @@ def export_runs(
             raise InputError("export needs --out: a file for one run, a folder for several")
         targets = _targets(runs, out, kind)
         check_writable(*targets)
-        loaded = {path: opened.load_run(run) for path, run in targets.items()}
-        write_all({path: partial(write_run, run) for path, run in loaded.items()})
+        contents: dict[Path, str | Callable[[Path], None]] = {}
+        for path, run in targets.items():
+            loaded = opened.load_run(run)
+            if path.suffix.lower() == ".jsonl":
+                began = opened.run_record(run).started_utc.timestamp()
+                contents[path] = "".join(f"{line}\n" for line in json_lines(loaded, began))
+            else:
+                contents[path] = partial(write_run, loaded)
+        write_all(contents)
+        if out.is_dir():
+            update_manifest(out, targets)
 
 
 def _targets(runs: list[str], out: Path, kind: str) -> dict[Path, str]:
     if len(runs) == 1 and not out.is_dir():
-        if out.suffix.lower() not in (".csv", ".parquet"):
-            raise InputError(f"{out}: a run file ends in .csv or .parquet")
+        if out.suffix.lower() not in (".csv", ".parquet", ".jsonl"):
+            raise InputError(f"{out}: a run file ends in .csv or .parquet, event documents in .jsonl")
         return {out: runs[0]}
     if not out.is_dir():
         raise InputError(f"{out}: several runs need a folder that exists")
@@ -136,7 +151,7 @@ def check(
         sys.stdout.write(f"store {store.label}: opens\n")
     failed = [] if offline else [line for press in settings.press for line in _read_loggers(press)]
     if failed:
-        raise WorkFailed("; ".join(failed))
+        raise InputError(f"{path}: {'; '.join(failed)}; check power, cable and address")
 
 
 def _read_loggers(press: PressSettings) -> list[str]:
@@ -148,7 +163,7 @@ def _read_loggers(press: PressSettings) -> list[str]:
         try:
             reading = logger.read()
         except (NoReply, BadFrame) as error:
-            failed.append(str(error))
+            failed.append(f"press {press.name}, logger {settings.name}: {error}")
             continue
         finally:
             logger.close()
