@@ -34,6 +34,14 @@ MethodName = Annotated[
 Averages = Annotated[
     bool, typer.Option("--averages", help="With the paper's methods: top and bottom averages, not every sensor.")
 ]
+Program = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--program",
+        metavar="KEY=VALUE",
+        help="A press program never run, by its settings; its coefficients are predicted from the campaign's.",
+    ),
+]
 ModelOut = Annotated[
     Path | None, typer.Option("--model", metavar="OUT", help="Write the campaign's model file here.")
 ]
@@ -51,6 +59,7 @@ def fit(  # noqa: PLR0913 - one argument an option
     config: ConfigFile = None,
     method: MethodName = "default",
     averages: Averages = False,
+    program: Program = None,
     reproduce_paper: Reproduce = False,
 ) -> None:
     """Fit the heat transfer coefficients of each run and of the campaign."""
@@ -63,15 +72,17 @@ def fit(  # noqa: PLR0913 - one argument an option
     if not runs or press is None:
         raise InputError("fit needs run files and --press FILE (or --reproduce-paper alone)")
     chosen = check_method(method, averages=averages)
+    settings = parse_program(program or [])
     described = read_press(press)
     loaded = load_runs(runs, store, config)
     with working(f"Fitting {len(loaded)} runs", len(loaded)) as done:
         from softsensor.campaign import fit_campaign
 
         found = fit_campaign(described, loaded, progress=count(done), method=chosen)
+        told = predict_program(found, settings)
         outputs: dict[Path, str | bytes | Callable[[Path], None]] = {}
         if json is not None:
-            outputs[json] = as_json(found.as_json())
+            outputs[json] = as_json(found.as_json() | ({"program": told} if told else {}))
         if model is not None:
             from softsensor.modelfile import model_text
 
@@ -83,6 +94,37 @@ def fit(  # noqa: PLR0913 - one argument an option
         write_all(outputs)
     for line in _lines(found):
         sys.stdout.write(line + "\n")
+    for name, values in told.items():
+        sys.stdout.write(f"predicted {name} = {values['value']:.4g} ± {values['sd']:.2g} W/m²K\n")
+
+
+def parse_program(settings: list[str]) -> dict[str, float]:
+    """Read ``KEY=VALUE`` settings. Raises `InputError` naming a wrong one."""
+    from softsensor.dependence import SETTINGS
+
+    found: dict[str, float] = {}
+    for setting in settings:
+        key, _, value = setting.partition("=")
+        if key not in SETTINGS:
+            raise InputError(f"--program {setting}: must be KEY=VALUE with KEY one of {', '.join(SETTINGS)}")
+        try:
+            found[key] = float(value)
+        except ValueError:
+            raise InputError(f"--program {setting}: {value!r} is no number") from None
+    return found
+
+
+def predict_program(found: CampaignFit, settings: dict[str, float]) -> dict[str, dict[str, float]]:
+    """Return the coefficients of a program. Raises `InputError` where the campaign cannot tell."""
+    if not settings:
+        return {}
+    known = found.dependence.settings if found.dependence is not None else ()
+    if missing := [key for key in settings if key not in known]:
+        raise InputError(
+            f"--program: these runs do not vary {', '.join(missing)} enough; give at least 6 runs that do"
+        )
+    told = found.dependence.predict(settings) if found.dependence is not None else {}
+    return {name: {"value": e.value, "sd": e.sd} for name, e in told.items()}
 
 
 def check_method(method: str, *, averages: bool) -> str:

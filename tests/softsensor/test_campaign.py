@@ -10,6 +10,7 @@ from daq.pressfile import parse_press
 from daq.simulated.campaign import Plan, make_campaign
 from daq.simulated.campaign_pressfile import press_toml
 from daq.simulated.campaign_sensors import Nuisances
+from daq.simulated.physics_mesh import Plates
 from softsensor.campaign import fit_campaign
 from softsensor.campaign_joint import Knowledge, population
 from softsensor.dependence import fit_dependence
@@ -107,6 +108,34 @@ def test_dependence_on_pressure_is_found_and_predicts_a_program_never_run(campai
     assert slope["ci95"][0] > 0
     told = fitted.predict({"pressure_N_cm2": 420.0})["h_pp_c"]
     assert abs(told.value - 700.0 * (420 / 340) ** 0.8) < 2.5 * told.sd
+
+
+def test_coefficients_of_a_hotter_program_are_predicted_from_cooler_ones():
+    trends = {"h_pp_c": 0.012, "h_pp_o": -0.010}
+    plan = Plan(
+        rate_hz=1.0, thickness_mm=16.0, coefficient_spread=0.05, trends_per_K=trends, platen_C=(180.0, 200.0),
+        nuisances=Nuisances.real_chain(),
+    )  # fmt: skip
+    found = fit_campaign(PRESS, [run for run, _ in make_campaign(31, 12, plan=plan)])
+    assert found.dependence is not None
+    told = found.dependence.predict({"platen_temperature_C": 210.0})
+    for name, trend in trends.items():
+        expected = plan.coefficients[name] * np.exp(trend * 15.0)
+        assert abs(told[name].value - expected) < 2.5 * told[name].sd, name
+        slope = found.dependence.as_json()["coefficients"][name]["platen_temperature_C"]["ci95"]
+        assert slope[0] < trend < slope[1]
+        assert slope[0] * slope[1] > 0
+
+
+def test_second_press_with_other_plates_is_fitted_by_its_own_press_file():
+    plates = Plates(thickness=0.006, conductivity=16.0, density=7900.0, heat_capacity=500.0)
+    plan = Plan(rate_hz=2.0, thickness_mm=16.0, plates=plates)
+    run, truth = make_campaign(14, 1, plan=plan)[0]
+    found = fit_campaign(parse_press(press_toml(plates=plates)), [run])
+    for name in ("h_pp_c", "h_pp_o", "h_wa", "h_p_c"):
+        c = found.runs[0].coefficients[name]
+        assert abs(np.log(c.value / truth.coefficients[name])) < 4.0 * c.log_sd, name
+    assert found.runs[0].rmse_K < 0.5
 
 
 def test_settings_that_hardly_vary_give_no_slope(campaign):
