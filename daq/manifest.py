@@ -1,4 +1,4 @@
-"""What was exported, with SHA-256 sums: ``SHA256SUMS`` as ``sha256sum --check`` reads it."""
+"""What was exported, with SHA-256 sums: ``SHA256SUMS`` beside the files, as ``sha256sum --check`` reads it."""
 
 from __future__ import annotations
 
@@ -11,38 +11,45 @@ from daq.records import InputError
 NAME = "SHA256SUMS"
 
 
-def manifest_text(files: Iterable[Path]) -> str:
-    """Return one line a file: sum, two spaces, name."""
-    return "".join(f"{_sum(path)}  {path.name}\n" for path in sorted(files))
+def update_manifest(folder: Path, files: Iterable[Path]) -> None:
+    """Write the sums of files into their folder's manifest; lines of other files stay."""
+    sums = {**_listed(folder), **{path.name: _sum(path) for path in files}}
+    text = "".join(f"{value}  {name}\n" for name, value in sorted(sums.items()))
+    draft = folder / f".{NAME}"
+    draft.write_text(text, encoding="utf-8", newline="\n")
+    draft.replace(folder / NAME)
 
 
-def check_manifest(folder: Path) -> list[Path]:
-    """Return the files a manifest lists, all of them whole.
+def check_listed(path: Path) -> None:
+    """Refuse a file that its folder's manifest lists with another sum.
 
     Raises
     ------
     InputError
-        Naming the first file that is missing or changed.
+        For a file changed since it was exported, or a manifest that cannot be read.
     """
+    if not path.is_file():
+        return
+    expected = _listed(path.parent).get(path.name)
+    if expected is not None and expected != _sum(path):
+        raise InputError(
+            f"{path}: changed or damaged since it was exported; export it again, or take it out of "
+            f"{path.parent / NAME}"
+        )
+
+
+def _listed(folder: Path) -> dict[str, str]:
     manifest = folder / NAME
-    try:
-        lines = manifest.read_text(encoding="utf-8").split("\n")
-    except OSError as error:
-        raise InputError(f"{manifest}: cannot read: {error.strerror or error}") from error
-    files = []
-    for number, line in enumerate(lines, start=1):
-        if not line:
-            continue
-        expected, mark, name = line.partition("  ")
-        if not mark or len(expected) != 64:
-            raise InputError(f"{manifest}: line {number}: not 'SHA-256 sum, two spaces, file name'")
-        path = folder / name
-        if not path.is_file():
-            raise InputError(f"{path}: listed in {NAME}, but not there; export again")
-        if _sum(path) != expected:
-            raise InputError(f"{path}: changed since it was exported; export again, or remove it from {NAME}")
-        files.append(path)
-    return files
+    if not manifest.is_file():
+        return {}
+    sums = {}
+    for number, line in enumerate(manifest.read_text(encoding="utf-8").split("\n"), start=1):
+        value, mark, name = line.partition("  ")
+        if line and (not mark or len(value) != 64):
+            raise InputError(f"{manifest}: line {number}: not 'SHA-256 sum, two spaces, file name'; remove the line")
+        if line:
+            sums[name] = value
+    return sums
 
 
 def _sum(path: Path) -> str:
