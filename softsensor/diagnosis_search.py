@@ -41,6 +41,7 @@ FRESH_SIZES = (1.3, -1.0)
 """Effects of the measuring chain are also tried from these sizes, in typical ones."""
 FAR_OFF = 1.15
 """Cost per reading above which every candidate is fitted, whatever its secant promises."""
+SWITCHED = ("closed_s", "opened_s")
 NEAR = 0.35
 """Candidates below this share of the best gain after the first rounds are dropped."""
 HOPELESS = 9.0
@@ -102,15 +103,17 @@ class Candidate:
 
     def heldout_ratio(self, stage: Stage) -> float:
         """Held-out misfit over the stage's, root mean square."""
-        return _rms(self.others) / _rms(stage.fit.runs) if self.others else 1.0
+        return rms(stage.data, self.others) / rms(stage.data, stage.fit.runs) if self.others else 1.0
 
     def heldout_gain(self, stage: Stage) -> float:
         """Held-out misfit of the places saved. [K]"""
-        return _rms(stage.fit.runs) - _rms(self.others) if self.others else 0.0
+        return rms(stage.data, stage.fit.runs) - rms(stage.data, self.others) if self.others else 0.0
 
 
-def _rms(runs: Sequence[RunState]) -> float:
-    return float(np.sqrt(np.mean([np.nanmean(r.misfit**2) for r in runs])))
+def rms(data: Sequence[Whitened], runs: Sequence[RunState]) -> float:
+    """Return the root mean square of the places' misfit, steep moments counting less. [K]"""
+    squares = [np.nanmean((r.misfit * d.digest.trust) ** 2) for d, r in zip(data, runs, strict=True)]
+    return float(np.sqrt(np.mean(squares)))
 
 
 def whiten_all(digests: Sequence[Digest], noise: Noise) -> tuple[Whitened, ...]:
@@ -274,7 +277,23 @@ def _probe(stage: Stage, effect: Effect, size: float, secant: Direction, rounds:
     if effect.needs == "closed" or (effect.measuring and stage.misfit > FAR_OFF):
         fit = min([fit, *_fresh_fits(stage, model, effect, rounds + 1)], key=lambda f: f.cost)
     gain = max(stage.fit.cost - fit.cost, 0.0)
-    return Candidate(effect, secant, fit, gain, np.zeros(len(stage.data)), refined=False, score=secant.says)
+    score = switch_scores(stage) if effect.needs == "closed" else secant.says
+    return Candidate(effect, secant, fit, gain, np.zeros(len(stage.data)), refined=False, score=score)
+
+
+def switch_scores(stage: Stage) -> Array:
+    """Return how far each run's fitted moments lie behind the limit switch, in standard deviations (runs).
+
+    Moments make up for a clock offset completely, so nothing of it is left in the temperatures.
+    """
+    scores = []
+    for unknowns, run, d in zip(stage.fit.layout.unknowns, stage.fit.runs, stage.data, strict=True):
+        told = d.digest.switch is not None
+        rest = [
+            (e - u.centre) / u.sd for u, e in zip(unknowns, run.eta, strict=True) if u.name in SWITCHED and told
+        ]
+        scores.append(sum(rest) / max(len(rest), 1) ** 0.5)
+    return np.array(scores)
 
 
 def _fresh_fits(stage: Stage, model: ThermalModel, effect: Effect, rounds: int) -> Iterator[CampaignFit]:
@@ -320,7 +339,10 @@ def refine(stage: Stage, candidate: Candidate, rounds: int = 8) -> Candidate:
     others = held_out(fit, stage.data, rounds=1)
     gains = np.array([a.cost - b.cost for a, b in zip(stage.fit.runs, others, strict=True)])
     values = {key: fit.values[key] for key in layout.effect_names}
-    score = direction(stage.fit, stage.data, layout.model, values).says
+    if candidate.effect.needs == "closed":
+        score = switch_scores(stage)
+    else:
+        score = direction(stage.fit, stage.data, layout.model, values).says
     gain = max(stage.fit.cost - fit.cost, 0.0)
     return replace(candidate, fit=fit, gain=gain, gains=gains, refined=True, others=tuple(others), score=score)
 

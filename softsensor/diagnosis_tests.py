@@ -19,7 +19,7 @@ from itertools import pairwise
 import numpy as np
 
 from daq.records import Array
-from softsensor.evidence import TIMING_S, Digest
+from softsensor.evidence import Digest
 
 MANY = 4096
 """Flips drawn where all of them are more."""
@@ -27,8 +27,6 @@ SINCE_S = (0.0, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 1e9)
 """Edges of the bins of time since the last event. [s]"""
 SHARES = 6
 """The pressing is also cut into so many equal shares, for what follows the program and not the clock."""
-PLAIN_K = 0.1
-"""Where a slope times the timing error exceeds this, residuals count less. [K]"""
 PHASES = ("open", "closed", "opened")
 
 
@@ -91,7 +89,7 @@ class Pocket:
 def pockets(digests: Sequence[Digest], residuals: Sequence[Array]) -> list[Pocket]:
     """Average residuals (bins, signals) over pockets that at least half of the runs share."""
     signals = tuple(dict.fromkeys(s for d in digests for s in d.signals))
-    residuals = [r * _trust(d) for d, r in zip(digests, residuals, strict=True)]
+    residuals = [r * d.trust for d, r in zip(digests, residuals, strict=True)]
     stretches = [(phase, a, b, False) for phase in PHASES for a, b in pairwise(SINCE_S)]
     stretches += [("closed", i / SHARES, (i + 1) / SHARES, True) for i in range(SHARES)]
     found = []
@@ -103,11 +101,6 @@ def pockets(digests: Sequence[Digest], residuals: Sequence[Array]) -> list[Pocke
             if np.isfinite(means).sum() >= max(2, (len(digests) + 1) // 2):
                 found.append(Pocket(signal, phase, a, b, shared, means))
     return found
-
-
-def _trust(d: Digest) -> Array:
-    """Weights that take out what a timing error makes of a steep slope (bins, signals)."""
-    return np.asarray(PLAIN_K / np.hypot(PLAIN_K, 2.0 * TIMING_S * d.slope))
 
 
 def _mean_in(d: Digest, residual: Array, signal: str, phase: str, a: float, b: float, shared: bool) -> float:

@@ -34,12 +34,16 @@ FIRST_BIN_S = 0.2
 WIDEST_BIN_S = 4.0
 SAMPLES = 4
 """The model is read at up to so many times within a bin."""
+PLAIN_K = 0.1
+"""Where a slope times the timing error exceeds this, residuals count less. [K]"""
 STEP_S = 1.5
 """The solver's longest step; 5 mK off at most against a third of it. [s]"""
 TIMING_S = 0.02
 """Errors of the time axis that no nuisance covers: scan skew, jitter, shape of a ramp. [s]"""
-INSERTED_SD_S, SKEW_SD_S = 0.25, 0.06
+INSERTED_SD_S, SKEW_SD_S = 0.4, 0.06
 """Of an insertion found in the temperatures; of one at the first row, only the length of a scan. [s]"""
+UNSURE_S = 1.5
+"""After an insertion found in the temperatures, so much is left out: its moment enters linearly only. [s]"""
 SLOW_S, FAST_S = 30.0, 6.0
 """Time constants of the two noise processes. [s]"""
 
@@ -91,6 +95,11 @@ class Digest:
     def valid(self) -> np.ndarray:
         """Which bins of which signals hold a value (bins, signals)."""
         return np.isfinite(self.y)
+
+    @property
+    def trust(self) -> Array:
+        """Weights of residuals in kelvin: small where a timing error turns a steep slope into one."""
+        return np.asarray(PLAIN_K / np.hypot(PLAIN_K, 2.0 * TIMING_S * self.slope))
 
     def bins(self, rows: Array) -> Array:
         """Average rows at the sample times (samples, ...) over the bins (bins, ...)."""
@@ -278,6 +287,8 @@ def _group_rows(time_s: Array, moments: Moments, period: float) -> tuple[np.ndar
     """Rows with the panel in the press, and the bin each belongs to."""
     start = moments.inserted_s if np.isfinite(moments.inserted_s) else time_s[0]
     start = max(float(start), float(time_s[0]))
+    if start > time_s[0]:
+        start = min(start + UNSURE_S, float(time_s[-1]))
     end = moments.removed_s - 0.3 if np.isfinite(moments.removed_s) else time_s[-1]
     edges = [start]
     inner = [m for m in (moments.closed_s, moments.opened_s) if np.isfinite(m) and start < m < end]

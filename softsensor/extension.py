@@ -30,10 +30,8 @@ START_LOG_SD = 0.4
 """Prior of a run's coefficient about the campaign's before the campaign's own spread is known."""
 PLATEN_SD_K = 0.25
 INITIAL_SD_K = 0.3
-SWITCH_SD_S = 0.05
-"""Scatter of a limit switch about the middle of the ramp. [s]"""
-SWITCH_LAG_SD_S = {"closed_s": 0.06, "opened_s": 0.03}
-"""How far all its moments may lie off together. [s]"""
+SWITCH_SD_S = 0.06
+"""How far a limit switch may lie off the middle of the ramp, beyond the scan it is known to. [s]"""
 DETECTED_SD_S = 0.5
 """Prior of moments found in the temperatures. [s]"""
 RAMP_SD_S = 0.25
@@ -180,11 +178,6 @@ def lay_out(
                 f"log {name}", guess, WEAK_LOG_SD, float(low), float(high), start.get(f"log {name}", guess), 1.0
             )
         )
-    if any(d.switch is not None for d in digests):
-        for name in ("closed_s", "opened_s"):
-            levels.append(
-                Shared(f"switch {name}", 0.0, SWITCH_LAG_SD_S[name], start=start.get(f"switch {name}", 0.0))
-            )
     unknowns = tuple(_unknowns(model, d, population, spreads) for d in digests)
     return Layout(model, (*shared, *levels), unknowns, spreads)
 
@@ -221,7 +214,7 @@ def _unknowns(
                 continue
             if np.isfinite(told):
                 sd = float(np.hypot(gap / np.sqrt(12.0), SWITCH_SD_S))
-                found.append(Unknown(name, told - gap / 2 - at, sd, shared=f"switch {name}"))
+                found.append(Unknown(name, told - gap / 2 - at, sd))
             else:
                 found.append(Unknown(name, 0.0, DETECTED_SD_S))
         if np.isfinite(moments.closed_s):
