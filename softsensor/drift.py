@@ -12,6 +12,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import norm
+from scipy.stats import t as student
 
 LEARN_RUNS = 8
 """Runs that say what is usual, where no model does."""
@@ -66,31 +68,33 @@ def watch(name: str, values: Sequence[RunValue], usual: tuple[float, float] | No
     Parameters
     ----------
     usual
-        Median and standard deviation of the logarithm between runs, from a model; by default the first
-        `LEARN_RUNS` runs tell, and fewer runs give no alarm.
+        Mean and standard deviation of the logarithm between runs, from a model; by default each run is held
+        against all before it, `LEARN_RUNS` at least.
     """
     good = [v for v in values if v.value > 0 and math.isfinite(v.value) and math.isfinite(v.sd)]
     logs = np.array([math.log(v.value) for v in good])
     errors = np.array([v.sd / v.value for v in good])
-    start = 0
-    if usual is None:
-        if len(good) <= LEARN_RUNS:
-            return None
-        first = logs[:LEARN_RUNS]
-        centre = float(np.median(first))
-        spread = max(
-            1.4826 * float(np.median(np.abs(first - centre))), 0.7 * float(first.std(ddof=1)), SPREAD_FLOOR
-        )
-        start = LEARN_RUNS
-    else:
-        centre, spread = usual[0], max(usual[1], SPREAD_FLOOR)
-    z = np.clip((logs - centre) / np.hypot(spread, errors), -OUTLIER, OUTLIER)
-    return _chart(name, good, logs, z, centre, start)
+    start = 0 if usual is not None else LEARN_RUNS
+    if len(good) <= start:
+        return None
+    z = np.zeros(len(good))
+    tame = logs.copy()
+    for i in range(start, len(good)):
+        centre, spread = _usual(tame[:i]) if usual is None else (usual[0], max(usual[1], SPREAD_FLOOR))
+        away = (logs[i] - centre) / math.hypot(spread, errors[i])
+        if usual is None:  # the past is known from i runs only: Student's t, as a normal deviate
+            away = float(norm.ppf(np.clip(student.cdf(away / math.sqrt(1.0 + 1.0 / i), i - 1), 1e-9, 1 - 1e-9)))
+        z[i] = min(max(away, -OUTLIER), OUTLIER)
+        tame[i] = min(max(logs[i], centre - 2.5 * spread), centre + 2.5 * spread)
+    return _chart(name, good, logs, z, start)
 
 
-def _chart(
-    name: str, runs: Sequence[RunValue], logs: np.ndarray, z: np.ndarray, centre: float, start: int
-) -> Alarm | None:
+def _usual(logs: np.ndarray) -> tuple[float, float]:
+    """Return mean and standard deviation of the runs so far (self-starting chart, Hawkins 1987)."""
+    return float(logs.mean()), max(float(logs.std(ddof=1)), SPREAD_FLOOR)
+
+
+def _chart(name: str, runs: Sequence[RunValue], logs: np.ndarray, z: np.ndarray, start: int) -> Alarm | None:
     high = low = smooth = 0.0
     high_from = low_from = smooth_from = start
     alarm: Alarm | None = None
@@ -111,7 +115,8 @@ def _chart(
         if first < 0:
             alarm = None
         elif alarm is None or alarm.run != runs[first].run:
-            factor = math.exp(float(np.mean(logs[first : i + 1])) - centre)
+            before_it = logs[:first] if first else logs[:1]
+            factor = math.exp(float(np.mean(logs[first : i + 1]) - np.mean(before_it)))
             alarm = Alarm(name, runs[first].run, runs[i].run, factor, chart)
     return alarm
 

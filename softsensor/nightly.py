@@ -249,14 +249,13 @@ def _judge(night: _Night, outcome: Outcome) -> Outcome:
     held = good[-min(JUDGES, len(good) // 3) :] if len(good) >= SPLIT_FROM else []
     asked = [run for run in good if run not in held][-DIAGNOSED_RUNS:]
     base = combined_model(night.press, night.base, [night.fits[run] for run in good])
-    found = _diagnose(night, asked, base)
-    if found is None:
-        return _keep_or_begin(night, base, replace(outcome, verdict="not available"))
-    report, extended = found
+    report, extended = _diagnose(night, asked)
     night.store.put_diagnosis(night.name, {**report, "runs": asked})
     outcome = replace(outcome, verdict=str(report["verdict"]))
-    if extended is None or not report.get("effects"):
+    if not extended.effects:
         return _keep_or_begin(night, base, outcome)
+    if night.base is not None and _same_effects(night.base, extended):
+        return replace(outcome, reason="the diagnosis confirms it")
     candidate = replace(extended, version=_next_version(night), press=night.name)
     reason, better = _compare(night, report, candidate, held or asked)
     night.store.put_model(
@@ -281,6 +280,19 @@ def _keep_or_begin(night: _Night, base: ModelFile, outcome: Outcome) -> Outcome:
     night.store.put_model(night.name, first.version, first.as_json(), reason=reason)
     night.store.promote_model(first.version, PROCESS, reason)
     return replace(outcome, version=first.version, promoted=True, reason=f"{reason}; {outcome.reason}")
+
+
+def _same_effects(old: ModelFile, new: ModelFile) -> bool:
+    """Return whether two models hold the same effects at about the same size."""
+    if {name for name, _ in old.effects} != {name for name, _ in new.effects}:
+        return False
+    before = dict(old.effects)
+    return all(
+        abs(estimate.value - before[name][key].value) <= 2.0 * math.hypot(estimate.sd, before[name][key].sd)
+        for name, table in new.effects
+        for key, estimate in table.items()
+        if key in before[name]
+    )
 
 
 def _next_version(night: _Night) -> str:
@@ -311,11 +323,8 @@ def _compare(
     reason = f"{names}: residual {np.mean(old):.3f} -> {np.mean(new):.3f} K on {len(old)} runs"
     if math.isfinite(base_core):
         reason += f", core {base_core:.2f} -> {new_core:.2f} K live"
-    heldout = (
-        (report.get("base") or {}).get("heldout_rmse_K"),
-        (report.get("extended") or {}).get("heldout_rmse_K"),
-    )
-    if None not in heldout and heldout[1] > heldout[0]:
+    held = [float((report.get(k) or {}).get("heldout_rmse_K") or math.nan) for k in ("base", "extended")]
+    if held[1] > held[0]:
         return f"{reason}; worse on held-out runs", False
     if share < LEAST_SHARE or certain < 2.0:
         return f"{reason}; the gain is not significant", False
@@ -355,8 +364,9 @@ def _squares(press: Press, run: Run, model: ModelFile | None, core: np.ndarray) 
     ]
 
 
-def _diagnose(
-    night: _Night, runs: Sequence[str], base: ModelFile
-) -> tuple[Mapping[str, Any], ModelFile | None] | None:
-    """Ask what the model gets wrong on these runs."""
-    return None
+def _diagnose(night: _Night, runs: Sequence[str]) -> tuple[dict[str, Any], ModelFile]:
+    """Ask what the plain model gets wrong on these runs."""
+    from softsensor.diagnosis import diagnose
+
+    found = diagnose(night.press, night.runs(runs), progress=lambda what, _: night.say(f"{night.name}: {what}"))
+    return found.as_json(), found.model_file()

@@ -29,7 +29,7 @@ SURE = 0.9
 """A hypothesis this likely moves the point of linearisation."""
 LOG_STEP, TIME_STEP_S, UNIT_STEP = 0.15, 0.06, 0.5
 """Linearise anew where a logarithm, a moment or any other parameter (in prior units) has moved this far."""
-JUMP_K, JUMPS_PER_S = 0.15, 2e-4
+JUMP_K, JUMPS_PER_S = 0.15, 5e-5
 """Innovations where something changes at once (a contact lapses, a door opens), and how often that is. [K, 1/s]"""
 QUIET_S = 2.5
 """So long after a switch innovations say nothing about changes. [s]"""
@@ -87,7 +87,7 @@ class Member:
     spikes: Array
     one_sided: Array
     fit: float = 0.0
-    misfit: float = 1.0
+    misfit: float = 0.3
     """Mean squared normalised innovation, the newest weighing most."""
     worst: float = 0.0
     """Largest misfit away from switches, forgotten slowly."""
@@ -134,11 +134,12 @@ class Member:
             self.timing, f.moving, span, outside, self.x, self.cov, f.at,
             level, moment, votes, _ERRORS, _UNITS, GATE, _SLOW,
         )  # fmt: skip
-        self.fit += fit
+        if not quiet:  # just after a switch the filters differ by their linearisation, not by what they know
+            self.fit += fit
         if count and not quiet:
             self.changed = float(np.logaddexp(self.changed, math.log(JUMPS_PER_S * (span[1] - span[0])) + jump))
         elapsed = max(span[1] - span[0], 0.05)
-        if count:
+        if count and not quiet:
             keep = math.exp(-elapsed / MISFIT_MEMORY_S)
             self.misfit = keep * self.misfit + (1.0 - keep) * squares / count
         worst = self.worst * math.exp(-elapsed / WORST_MEMORY_S)

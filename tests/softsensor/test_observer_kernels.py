@@ -1,0 +1,117 @@
+"""The filter's algebra against slow second ways."""
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+from scipy.stats import multivariate_normal, norm
+
+from softsensor import observer_kernels as loops
+
+
+def problem(seed, states=6, readings=9):
+    """Return a linear-Gaussian problem: H, readings y, noise variance, prior N(0, I)."""
+    rng = np.random.default_rng(seed)
+    return rng.standard_normal((readings, states)), rng.standard_normal(readings), 0.3
+
+
+def filtered(h, y, noise):
+    x, cov, fit = np.zeros(h.shape[1]), np.eye(h.shape[1]), 0.0
+    for row, value in zip(h, y, strict=True):
+        gained, _ = loops.absorb(x, cov, row, value - row @ x, noise, 1e3)
+        fit += gained
+    return x, cov, fit
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_updates_one_by_one_equal_conditioning_the_joint_gaussian(seed):
+    h, y, noise = problem(seed)
+    x, cov, fit = filtered(h, y, noise)
+    joint = h @ h.T + noise * np.eye(len(y))
+    assert x == pytest.approx(h.T @ np.linalg.solve(joint, y))
+    assert cov == pytest.approx(np.eye(h.shape[1]) - h.T @ np.linalg.solve(joint, h))
+    constant = -0.5 * len(y) * np.log(2 * np.pi)
+    assert fit + constant == pytest.approx(multivariate_normal(np.zeros(len(y)), joint).logpdf(y))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_hypotheses_read_off_one_filter_equal_filters_run_for_each(seed):
+    h, y, noise = problem(seed)
+    where, spike = np.array([1, 3, 4]), np.array([0.05, 0.1, 0.02])
+    readout = np.random.default_rng(seed + 100).standard_normal(h.shape[1])
+    x, cov, fit = filtered(h, y, noise)
+    means, variances, evidence, sizes = np.empty(4), np.empty(4), np.empty(4), np.empty(3)
+    two_sided = np.zeros(3, dtype=bool)
+    loops.blend(x, cov, readout, where, spike, two_sided, means, variances, evidence, sizes)
+    for hypothesis in range(4):
+        scale = np.ones(h.shape[1])
+        scale[where] = spike
+        if hypothesis:
+            scale[where[hypothesis - 1]] = 1.0
+        own_x, own_cov, own_fit = filtered(h * scale, y, noise)
+        assert readout @ x + means[hypothesis] == pytest.approx(readout @ (scale * own_x), abs=1e-6)
+        assert variances[hypothesis] == pytest.approx((readout * scale) @ own_cov @ (readout * scale), rel=1e-5)
+        assert fit + evidence[hypothesis] == pytest.approx(own_fit, abs=1e-5)
+        if hypothesis:
+            assert sizes[hypothesis - 1] == pytest.approx(own_x[where[hypothesis - 1]], abs=1e-6)
+
+
+def test_a_cause_that_can_only_be_positive_counts_half_its_prior():
+    x, cov = np.array([0.8, 0.3]), np.array([[0.25, 0.1], [0.1, 0.5]])
+    readout, where, spike = np.array([0.4, 1.0]), np.array([0]), np.array([1e-3])
+    out = [np.empty(2) for _ in range(3)]
+    free = [np.empty(2) for _ in range(3)]
+    loops.blend(x, cov, readout, where, spike, np.array([True]), *out, np.empty(1))
+    loops.blend(x, cov, readout, where, spike, np.array([False]), *free, np.empty(1))
+    draws = np.random.default_rng(3).multivariate_normal(x, cov, 400_000)
+    positive = draws[draws[:, 0] > 0] @ readout - readout @ x
+    assert out[0][1] == pytest.approx(positive.mean(), abs=0.01)
+    assert out[1][1] == pytest.approx(positive.var(), abs=0.01)
+    assert out[2][1] - free[2][1] == pytest.approx(np.log(2 * norm.cdf(0.8 / 0.5)))
+
+
+def test_quantiles_of_a_mixture_leave_their_share_below():
+    weights, means, sds = np.array([0.7, 0.2, 0.1]), np.array([0.0, 5.0, -3.0]), np.array([0.3, 1.0, 4.0])
+    for share in (0.025, 0.5, 0.975):
+        exact = brentq(lambda v, p=share: weights @ norm.cdf((v - means) / sds) - p, -50, 50)
+        assert loops.quantile(weights, means, sds, share) == pytest.approx(exact, abs=2e-3)
+
+
+def consensus(channels):
+    return loops.Consensus(
+        np.zeros(channels, dtype=np.int64), np.zeros(channels), np.full(channels, 0.04), np.zeros(channels),
+        np.full(1, np.nan),
+    )  # fmt: skip
+
+
+def test_a_channel_that_drops_out_and_returns_leaves_no_step():
+    shifts = np.array([0.3, -0.2, 0.5, -0.4, 0.1])
+    known, level, votes = consensus(5), np.empty(1), np.empty(1)
+    seen = []
+    for k in range(120):
+        values = 50.0 + 0.1 * k + shifts
+        if 40 <= k < 80:
+            values[2] = np.nan
+        loops.agree(known, values, level, votes)
+        seen.append(level[0] - 0.1 * k)
+    assert np.ptp(seen[5:]) < 0.02
+
+
+def test_a_loose_channel_loses_its_vote():
+    known, level, votes = consensus(7), np.empty(1), np.empty(1)
+    for k in range(60):
+        values = np.full(7, 100.0)
+        values[4] -= 0.8 * max(k - 10, 0)
+        loops.agree(known, values, level, votes)
+    assert level[0] == pytest.approx(100.0, abs=0.1)
+
+
+def test_steps_end_where_they_should_and_are_fine_at_a_switch():
+    timing = loops.Timing(0.0, 2.0, 10.0, np.inf, np.inf, 0.5, True, 1.0, 1.0)
+    t, steps = 0.0, []
+    while t < 30.0 - 1e-9:
+        h = loops.step_length(t, 30.0, timing)
+        steps.append((t, h))
+        t += h
+    assert t == pytest.approx(30.0)
+    assert max(h for at, h in steps if 9.8 < at < 10.2) <= 0.11
+    assert max(h for _, h in steps) <= 0.66

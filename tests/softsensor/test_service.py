@@ -1,0 +1,227 @@
+"""The sense process on a store that fills as a recorder would fill it."""
+
+import time
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+
+import numpy as np
+import pytest
+
+from daq.config import PressSettings
+from daq.drivers.settings import LoggerSettings
+from daq.press_events import PressEventDetector
+from daq.pressfile import parse_press
+from daq.records import Channel, PressState, Quality, Scan
+from daq.runkeeper import RunKeeper, RunNames, RunRules
+from daq.simulated.campaign import Plan, make_campaign
+from daq.simulated.campaign_pressfile import press_toml
+from daq.store import open_store
+from softsensor.modelfile import Estimate, ModelFile
+from softsensor.recent import PRESS_FILE, combined_model, up_to_date
+from softsensor.service import Fitter, Follower
+
+PRESS = parse_press(press_toml())
+PLAN = Plan(
+    rate_hz=2.0, thickness_mm=16.0, start_before_s=8.0, closed_column=False,
+    press_time_s=(30.0, 40.0), open_before_s=(6.0, 8.0), open_after_s=(25.0, 30.0),
+)  # fmt: skip
+BEGAN = datetime(2026, 3, 4, 7, 0, tzinfo=UTC)
+DEADLINE_S = 120.0
+
+
+@pytest.fixture(scope="module")
+def fitter():
+    with Fitter() as made:
+        yield made
+
+
+@pytest.fixture
+def store(tmp_path):
+    with open_store(str(tmp_path / "kerntemp.sqlite")) as opened:
+        yield opened
+
+
+@pytest.fixture(scope="module")
+def pressing():
+    """One pressing, and the panel taken away after it."""
+    ((run, truth),) = make_campaign(41, 1, None, PLAN)
+    count = 24
+    tail = run.time_s[-1] + 0.5 * np.arange(1, count + 1)
+    cold = {
+        n: np.full(count, v[~np.isnan(v)][-1] if n.startswith("platen") else 24.0) for n, v in run.columns.items()
+    }
+    columns = {n: np.concatenate([v, cold[n]]) for n, v in run.columns.items()}
+    return replace(run, time_s=np.concatenate([run.time_s, tail]), columns=columns), truth
+
+
+class Recorder:
+    """Puts a run into a store scan by scan, as the recorder does."""
+
+    def __init__(self, store, run, header=None):
+        self.store, self.run = store, run
+        self.names = tuple(run.columns)
+        self.key = store.register_press("lab", [Channel(n) for n in self.names], "press")
+        self.detector = PressEventDetector(PRESS)
+        header = {k: v for k, v in run.header.items() if k != "run"} if header is None else header
+        rules = RunRules("lab", header=header, post_removal_s=3.0)
+        places = [i for i, n in enumerate(self.names) if n.startswith(("top", "bottom"))]
+        self.keeper = RunKeeper(rules, RunNames("lab", store.unused_run_name("lab", BEGAN)), places)
+        self.done = 0
+
+    def put(self, count):
+        for i in range(self.done, min(self.done + count, len(self.run.time_s))):
+            at = float(self.run.time_s[i])
+            values = tuple(float(self.run.columns[n][i]) for n in self.names)
+            quality = tuple(Quality.GOOD if v == v else Quality.MISSING for v in values)
+            scan = Scan(self.key.next_number + i, BEGAN + timedelta(seconds=at), 100.0 + at, values, quality)
+            events = self.detector.update(scan.monotonic_s, dict(zip(self.names, values, strict=True)))
+            changes = self.keeper.take(scan, events) or [(None, None)]
+            for begin, end in changes[:-1]:
+                self.store.append_scans(self.key, [], [], begin, end)
+            self.store.append_scans(self.key, [scan], events, *changes[-1])
+        self.done = min(self.done + count, len(self.run.time_s))
+
+    @property
+    def finished(self):
+        return self.done >= len(self.run.time_s)
+
+
+def follower(store, fitter):
+    logger = LoggerSettings.model_validate(
+        {"name": "x", "profile": "m-7018", "host": "h", "channels": ["platen_top", "platen_bottom"]}
+    )
+    return Follower(store, PressSettings(name="lab", file="press.toml", logger=(logger,)), PRESS, fitter)
+
+
+def drain(sense):
+    now = time.monotonic()
+    while sense.step(now):
+        now += 1.0  # looks for runs and models every time
+    sense.step(now + 2.0)
+
+
+def follow(store, fitter, recorder, chunk=20, restart_at=None):
+    sense = follower(store, fitter)
+    while not recorder.finished:
+        recorder.put(chunk)
+        drain(sense)
+        if restart_at is not None and recorder.done >= restart_at:
+            sense, restart_at = follower(store, fitter), None
+            drain(sense)
+    return sense
+
+
+def said(store):
+    record = store.runs().items[0]
+    return [
+        (t, str(e.state), e.core_celsius, e.core_low_celsius, e.core_high_celsius, e.valid)
+        for t, e in store.estimates(record.run)
+    ]
+
+
+def test_every_scan_of_a_pressing_gets_its_estimate_and_the_pressing_its_fit(store, fitter, pressing):
+    run, truth = pressing
+    recorder = Recorder(store, run)
+    sense = follow(store, fitter, recorder)
+    record = store.runs().items[0]
+    rows = said(store)
+    assert len(rows) == record.last_scan - record.first_scan + 1
+    shift = float(run.time_s[np.searchsorted(run.time_s, record.zero_monotonic_s - 100.0 - 1e-6)])
+    errors = [
+        core - np.interp(t + shift, run.time_s[: len(truth.core_C)], truth.core_C)
+        for t, state, core, *_, valid in rows
+        if valid and state == str(PressState.CLOSED)
+    ]
+    assert len(errors) > 40
+    assert np.sqrt(np.mean(np.square(errors))) < 1.0
+    deadline = time.monotonic() + DEADLINE_S
+    while store.fit(record.run) is None and time.monotonic() < deadline:
+        drain(sense)
+    fit = store.fit(record.run)
+    assert fit is not None
+    assert set(fit["coefficients"]) == set(PRESS.coefficient_names)
+    assert fit["model_version"] == PRESS_FILE
+    drain(sense)
+    assert sense.model is not None
+    assert sense.model.version == f"{PRESS_FILE}+1"
+
+
+def test_a_restart_in_mid_press_agrees_with_the_uninterrupted_estimate(tmp_path, fitter, pressing):
+    answers = []
+    for name, restart in (("whole", None), ("restarted", 60)):
+        with open_store(str(tmp_path / f"{name}.sqlite")) as store:
+            recorder = Recorder(store, pressing[0])
+            recorder.run = replace(
+                recorder.run,
+                time_s=recorder.run.time_s[:100],
+                columns={n: v[:100] for n, v in recorder.run.columns.items()},
+            )
+            follow(store, fitter, recorder, restart_at=restart)
+            answers.append(repr(said(store)))
+    assert answers[0] == answers[1]
+
+
+def test_a_promoted_model_is_taken_without_restart(store, fitter, pressing):
+    recorder = Recorder(store, pressing[0])
+    sense = follower(store, fitter)
+    recorder.put(40)
+    drain(sense)
+    known = {n: Estimate(PRESS.coefficient(n).guess, 50.0) for n in PRESS.coefficient_names}
+    model = ModelFile("lab-7", "lab", known, (("edge_loss", {"W_m3K": Estimate(900.0, 100.0)}),))
+    store.put_model("lab", "lab-7", model.as_json())
+    store.promote_model("lab-7", "test")
+    recorder.put(40)
+    drain(sense)
+    recorder.put(1)
+    drain(sense)
+    versions = [e.model_version for _, e in store.estimates(store.runs().items[0].run)]
+    assert versions[-1] == "lab-7"
+    assert versions[0] == ""
+
+
+def test_what_the_operator_writes_down_counts_at_once(store, fitter, pressing):
+    run = pressing[0]
+    partial = {k: v for k, v in run.header.items() if k != "run" and not k.startswith("panel.")}
+    recorder = Recorder(store, run, partial)
+    sense = follower(store, fitter)
+    recorder.put(40)
+    drain(sense)
+    assert "panel.thickness_mm" in sense.problem
+    name = store.runs().items[0].run
+    store.annotate_run(name, {k: v for k, v in run.header.items() if k.startswith("panel.")}, "operator")
+    recorder.put(10)
+    drain(sense)
+    assert sense.problem == ""
+    assert all(e.valid for t, e in store.estimates(name)[3:])
+
+
+def test_between_pressings_the_state_is_idle(store, fitter, pressing):
+    recorder = Recorder(store, pressing[0])
+    recorder.put(10)
+    sense = follower(store, fitter)
+    drain(sense)
+    recorder.put(3)
+    drain(sense)
+    idle = store.estimates_after("lab", -1)
+    assert [(str(e.state), e.valid) for e in idle] == [("idle", False)] * len(idle)
+    assert len(idle) >= 1
+
+
+def fit_entry(value, sd=10.0):
+    return {"coefficients": {"h_pp_c": {"value": value, "sd": sd, "identifiable": True}}}
+
+
+def test_runs_bring_the_coefficients_up_to_date():
+    fresh = up_to_date(PRESS, None, [fit_entry(v) for v in (400.0, 410.0, 390.0, 405.0)])
+    assert fresh.coefficients["h_pp_c"].value == pytest.approx(400.0, rel=0.05)
+    base = ModelFile("m", "lab", {"h_pp_c": Estimate(700.0, 70.0)})
+    mixed = up_to_date(PRESS, base, [fit_entry(400.0)] * 4)
+    assert 480.0 < mixed.coefficients["h_pp_c"].value < 620.0
+    assert mixed.version == "m+4"
+    assert up_to_date(PRESS, None, []) is None
+
+
+def test_a_fit_that_knows_nothing_changes_nothing():
+    unknown = {"coefficients": {"h_pp_c": {"value": 5.0, "sd": 50.0, "identifiable": False}}}
+    base = ModelFile("m", "lab", {"h_pp_c": Estimate(700.0, 70.0)})
+    assert combined_model(PRESS, base, [unknown]).coefficients == base.coefficients
