@@ -104,13 +104,7 @@ class Forcing:
 
 
 def exact_grid(case: Case, values: Mapping[str, float], *, fine: bool) -> Grid:
-    """Return a case's grid for the exact solver, remembered; `fine` if tangents are wanted.
-
-    Raises
-    ------
-    InputError
-        If a contact's load changes within the run.
-    """
+    """Return a case's grid for the exact solver, remembered; `fine` if tangents are wanted."""
     return _grid(_Key(case), tuple(float(values.get(name, 0.0)) for name in TIMINGS), fine)
 
 
@@ -123,7 +117,8 @@ def run_exact(grid: Grid, build: Any, places: Array, *, fields: bool = False) ->
         If the contacts change while the press is closed.
     """
     factor = build.drive.factor
-    if (factor != factor[:1]).any():
+    loaded = any(np.ptp(series) > 0.0 for series in grid.case.load.values())
+    if (factor != factor[:1]).any() or (loaded and (factor != 1.0).any()):
         raise InputError("method = 'exact': a contact changes while the press is closed; use the implicit solver")
     march = _March(build, grid, places, whole=fields)
     for span in grid.spans:
@@ -431,11 +426,7 @@ def _sparse(case: Case, edges: Array, spans: tuple[Span, ...]) -> Case:
     chosen = [np.arange(s.first, s.last) if not s.steady else np.array([s.first]) for s in spans]
     few = edges[np.concatenate([*chosen, [len(edges) - 1]])]
     times = case.run.time_s
-    load = {}
-    for m, series in case.load.items():
-        if np.ptp(series) > 0.0:
-            raise InputError("method = 'exact': a contact's load changes; use the implicit solver")
-        load[m] = np.full(len(few) - 1, series[0])
+    load = {m: np.full(len(few) - 1, float(np.mean(series))) for m, series in case.load.items()}
     clock = case.step_clock
     return replace(
         case,

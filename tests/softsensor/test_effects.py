@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.records import InputError
+from daq.records import InputError, Moments
 from softsensor.effects import BUILT_IN, Terms, catalogue, find_effect
 from softsensor.model import ThermalModel
 
@@ -104,6 +104,29 @@ def test_the_exact_solver_takes_linear_effects_and_refuses_the_others_by_name(
         for name in names:
             scale = np.abs(exact.d_core[name]).max() + 1e-9
             assert np.abs(exact.d_core[name] - implicit.d_core[name]).max() < 0.01 * scale, name
+
+
+def test_the_exact_solver_refuses_a_load_that_changes_only_where_contacts_follow_it(make_rig):
+    toml = """
+[[layer]]
+name = "panel"
+from_run = true
+[boundary.bottom]
+kind = "measured"
+column = "hot"
+[[contact]]
+between = ["boundary.bottom", "panel"]
+closed = "h"
+load = { column = "load" }
+"""
+    header = {"panel.material": "MDF", "panel.thickness_mm": 16.0, "panel.initial_temperature_C": 20.0}
+    time_s = np.arange(0.0, 20.05, 0.5)
+    plain, run = make_rig(toml, time_s, {"hot": 150.0, "load": 1.0 + time_s}, {"a": '"panel.bottom"'}, **header)
+    model = ThermalModel.of(plain.press, ["contact_load"])
+    case = model.prepare(run, Moments())
+    assert np.ptp(model.solve(case, {"h": 300.0}, method="exact").core) > 0.0
+    with pytest.raises(InputError, match="a contact changes"):
+        model.solve(case, {"h": 300.0, "contact_load.exponent": 0.7}, method="exact")
 
 
 def test_an_unknown_effect_is_refused_with_the_known_ones():
