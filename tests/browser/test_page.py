@@ -1,7 +1,10 @@
 import re
 import time
 
+import pytest
 from playwright.sync_api import Page, expect
+
+pytestmark = pytest.mark.timeout(900)  # on a fresh machine the compiler runs first
 
 
 def wait_for_fitted_run(page: Page) -> None:
