@@ -262,7 +262,8 @@ def _judge(stage: Stage, found: list[Candidate]) -> _Round:
     if not able:
         return _Round(found, p, None, ())
     chosen = max(able, key=lambda c: c.gain)
-    others = [c for c in able if c is not chosen and c.gain > NEAR * chosen.gain]
+    others = [c for c in found if c is not chosen and c.refined and c.gain > NEAR * chosen.gain]
+    others = [c for c in others if c.large_enough(SMALLEST_SIZE / 2) and c.gains.sum() > 0]
     near = [c for c in others if _not_told_apart(chosen.gains, c.gains)]
     near = sorted(near, key=lambda c: -c.gain)[: LARGEST_SET - 1]
     return _Round(found, p, chosen, (chosen.effect.name, *(c.effect.name for c in near)))
