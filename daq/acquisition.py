@@ -130,6 +130,22 @@ class Ticks:
         return max(0, math.ceil((time.monotonic() - self.start_s) / self.period_s))
 
 
+class ClockWatch:
+    """Notices when somebody sets the wall clock: it then runs away from the monotonic one."""
+
+    def __init__(self, speed: float = 1.0, least_s: float = 0.5) -> None:
+        self._speed, self._least_s = speed, least_s
+        self._offset_s: float | None = None
+
+    def step(self, scan: Scan) -> float | None:
+        """Return by how much the clock was set since the scan before, None where it was not. [s]"""
+        offset_s = scan.utc.timestamp() - scan.monotonic_s / self._speed
+        before, self._offset_s = self._offset_s, offset_s
+        if before is None or abs(offset_s - before) < self._least_s:
+            return None
+        return offset_s - before
+
+
 class Scanner:
     """All loggers of one press: `scan` gives one scan a tick."""
 

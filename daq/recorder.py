@@ -19,7 +19,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any, Literal
 
-from daq.acquisition import LoggerThread, Scanner
+from daq.acquisition import ClockWatch, LoggerThread, Scanner
 from daq.config import Config, PressSettings, load_config
 from daq.drivers import open_logger
 from daq.press_events import PressEventDetector, columns_of
@@ -39,8 +39,6 @@ _HOLD_S = 1.5
 """The detector may use a channel's last value this long: some loggers are slower than the scans. [s]"""
 _TIDY_S = 600.0
 """How often old idle scans are thinned. [s]"""
-_CLOCK_STEP_S = 0.5
-"""A step of the wall clock larger than this goes into the journal. [s]"""
 
 Level = Literal["info", "warning", "alarm"]
 
@@ -209,8 +207,7 @@ class _PressLine:
         self._held: dict[str, tuple[float, float]] = {}
         self._rates: Counter[str] = Counter()
         self._newest: Scan | None = None
-        self._offset: float | None = None
-        self._speed = config.clock.speed
+        self._clock = ClockWatch(config.clock.speed)
         threads = [
             LoggerThread(x.name, logger, self._logger_said)
             for x, logger in zip(settings.logger, loggers, strict=True)
@@ -312,9 +309,8 @@ class _PressLine:
         return max(_HOLD_S, 1.5 / self.settings.rate_hz)
 
     def _watch_clock(self, scan: Scan) -> None:
-        offset = scan.utc.timestamp() - scan.monotonic_s / self._speed
-        if self._offset is not None and abs(offset - self._offset) > _CLOCK_STEP_S:
-            step = offset - self._offset
+        step = self._clock.step(scan)
+        if step is not None:
             _say(
                 self._outbox,
                 "warning",
@@ -323,7 +319,6 @@ class _PressLine:
                 step_s=step,
                 scan=scan.number,
             )
-        self._offset = offset
 
     def _logger_said(self, level: str, sentence: str, detail: Mapping[str, Any]) -> None:
         known: Level = "warning" if level == "warning" else "info"

@@ -1,0 +1,111 @@
+"""The schedule and its loggers: no drift, no waiting for each other, every gap with its cause."""
+
+import math
+import threading
+import time
+from datetime import UTC, datetime, timedelta
+from statistics import median
+
+import pytest
+
+from daq.acquisition import ClockWatch, LoggerThread, Scanner, Ticks
+from daq.drivers import BadFrame, NoReply
+from daq.records import Channel, Quality, Reading, Scan
+
+BEGAN = datetime(2026, 3, 4, 7, 0, tzinfo=UTC)
+
+
+class Instrument:
+    """A logger that answers after a while, or as it is told."""
+
+    def __init__(self, name, takes_s=0.0):
+        self.channels = (Channel(f"{name}_1"), Channel(f"{name}_2"))
+        self.takes_s, self.fails, self.closed, self.count = takes_s, None, False, 0
+
+    def read(self):
+        requested = time.monotonic()
+        if self.takes_s:
+            time.sleep(self.takes_s)
+        if self.fails is not None:
+            raise self.fails
+        self.count += 1
+        return Reading(requested, time.monotonic(), (float(self.count), 20.0), (Quality.GOOD,) * 2)
+
+    def close(self):
+        self.closed = True
+
+
+def scans_of(instruments, period_s, count, speed=1.0, between=lambda number: None):
+    said, stop = [], threading.Event()
+    threads = [LoggerThread(f"logger {i}", x, lambda *what: said.append(what)) for i, x in enumerate(instruments)]
+    scanner = Scanner(threads, period_s, speed, first_number=7)
+    scanner.start(stop)
+    scans = []
+    for number in range(count):
+        scans.append(scanner.scan(stop))
+        between(number)
+    stop.set()
+    scanner.join(2.0)
+    assert all(x.closed for x in instruments)
+    return scans, said, threads
+
+
+def test_scans_come_on_a_schedule_that_does_not_drift():
+    scans, _, _ = scans_of([Instrument("a"), Instrument("b")], 0.05, 60)
+    assert [s.number for s in scans] == list(range(7, 67))
+    phases = [math.remainder(s.monotonic_s - scans[0].monotonic_s, 0.05) for s in scans]
+    assert median(phases[40:]) == pytest.approx(median(phases[:20]), abs=0.01)
+    assert all(q is Quality.GOOD for s in scans for q in s.qualities)
+
+
+def test_a_slow_logger_leaves_gaps_and_the_fast_one_misses_nothing():
+    slow = Instrument("slow", takes_s=0.12)
+    scans, _, _ = scans_of([Instrument("fast"), slow], 0.05, 30)
+    fast = [s.values[0] for s in scans]
+    assert not any(math.isnan(v) for v in fast)
+    answered = [s.values[2] for s in scans if not math.isnan(s.values[2])]
+    assert 6 <= len(answered) <= 16
+    assert len(set(answered)) == len(answered), "an answer was used twice"
+
+
+@pytest.mark.parametrize(
+    ("failure", "quality"),
+    [
+        (NoReply("no reply in 0.2 s; check power", "silent"), Quality.MISSING),
+        (BadFrame("wrong sum", "crc"), Quality.BAD_FRAME),
+        (ZeroDivisionError("a fault in a driver"), Quality.MISSING),
+    ],
+)
+def test_a_failing_logger_gives_gaps_with_their_cause_and_comes_back(failure, quality):
+    broken = Instrument("broken")
+
+    def between(number):
+        broken.fails = failure if 5 <= number < 10 else None
+
+    scans, _, threads = scans_of([Instrument("sound"), broken], 0.04, 16, between=between)
+    assert {q for s in scans[7:9] for q in s.qualities[2:]} == {quality}
+    assert all(q is Quality.GOOD for s in scans for q in s.qualities[:2])
+    assert scans[-1].qualities[2] is Quality.GOOD
+    cause = getattr(failure, "cause", "driver fault")
+    assert threads[1].counters[cause] >= 4
+
+
+def test_an_accelerated_clock_runs_that_much_faster():
+    scans, _, _ = scans_of([Instrument("a")], 0.02, 30, speed=20.0)
+    real_s = (scans[-1].utc - scans[0].utc).total_seconds()
+    assert scans[-1].monotonic_s - scans[0].monotonic_s == pytest.approx(20.0 * real_s, rel=0.01)
+
+
+def test_ticks_are_counted_from_the_start():
+    ticks = Ticks(100.0, 0.1)
+    assert ticks.at(10_000_000) == pytest.approx(1_000_100.0)
+
+
+def test_a_clock_set_back_is_noticed_once_and_drift_is_not():
+    watch, steps = ClockWatch(), []
+    for n in range(100):
+        set_back = timedelta(hours=1) if n >= 50 else timedelta(0)
+        utc = BEGAN + timedelta(seconds=0.1001 * n) - set_back
+        steps.append(watch.step(Scan(n, utc, 0.1 * n, (), ())))
+    assert [n for n, s in enumerate(steps) if s is not None] == [50]
+    assert steps[50] == pytest.approx(-3600.0, abs=0.1)
