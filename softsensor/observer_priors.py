@@ -58,13 +58,13 @@ class Suspect:
 
 
 SUSPECTS = (
-    Suspect("vapour_convection.W_m3K", 1.2e4, True, 0.05),
+    Suspect("vapour_convection.W_m3K", 1.2e4, True, 0.10),
     Suspect("conductivity_temperature.per_100_K", 0.2, False, 0.03),
     Suspect("heat_capacity_temperature.per_100_K", 0.2, False, 0.02),
     Suspect("edge_loss.W_m3K", 1400.0, True, 0.02),
     Suspect("density_profile.amplitude", 0.22, True, 0.02),
-    Suspect("conductivity_offset.ratio", 0.15, False, 0.045, 0.06),
-    Suspect("heat_capacity_offset.ratio", 0.15, False, 0.045, 0.06),
+    Suspect("conductivity_offset.ratio", 0.15, False, 0.035, 0.06),
+    Suspect("heat_capacity_offset.ratio", 0.15, False, 0.035, 0.06),
 )
 
 NUISANCES: Mapping[str, float] = {
