@@ -38,7 +38,7 @@ import numpy as np
 
 from daq.pressfile import Press
 from daq.records import Array, InputError, Moments, Run
-from softsensor.channels import ChannelFault, faulty_channels, recurring
+from softsensor.channels import ChannelFault, faulty_channels, recurring, rim_falls
 from softsensor.diagnosis_model import model_of
 from softsensor.diagnosis_numbers import Errors, Interval, intervals, measure_errors
 from softsensor.diagnosis_search import (
@@ -78,6 +78,8 @@ SURE_T = 2.2
 NEAR = 0.5
 """A candidate must reach this share of the best gain to stand in its set."""
 LARGEST_SET = 3
+RIM_EFFECT, RIM_K, RIM_T = "edge_loss", 0.15, 3.0
+"""Rim sensors that fall by so much against central ones, and so many standard errors, settle a set for it."""
 MOST_EFFECTS = 3
 FEW_STEP, FEW_TOTAL = 0.85, 0.5
 """With few runs each cause brings the held-out residual down to the first share, all together to the second."""
@@ -203,7 +205,11 @@ def diagnose(
     digests = [_digest(press, r, m, f) for r, m, f in zip(runs, moments, faults, strict=True)]
     tell("plain model", 0.03)
     base = settle_base(ThermalModel(press), digests)
-    stages, rounds = _search_all(base, effects, tell)
+    rim = [
+        rim_falls(press, r, m, frozenset(x.column for x in f))
+        for r, m, f in zip(runs, moments, faults, strict=True)
+    ]
+    stages, rounds = _search_all(base, effects, tell, _rim_is_cool(np.array(rim)))
     tell("what is left", 0.9)
     return _conclude(press, runs, faults, stages, rounds, began)
 
@@ -219,7 +225,18 @@ def _digest(press: Press, run: Run, moments: Moments, faults: tuple[ChannelFault
     return digest
 
 
-def _search_all(base: Stage, effects: Sequence[str] | None, tell: Progress) -> tuple[list[Stage], list[_Round]]:
+def _rim_is_cool(falls: Array) -> bool:
+    """Whether rim sensors fall against central ones in the runs, beyond chance."""
+    known = falls[np.isfinite(falls)]
+    if len(known) < 2:
+        return False
+    error = float(np.std(known, ddof=1)) / np.sqrt(len(known))
+    return bool(known.mean() < -RIM_K and known.mean() < -RIM_T * error)
+
+
+def _search_all(
+    base: Stage, effects: Sequence[str] | None, tell: Progress, rim_is_cool: bool
+) -> tuple[list[Stage], list[_Round]]:
     stages, rounds = [base], []
     for number in range(MOST_EFFECTS):
         stage = stages[-1]
@@ -237,6 +254,8 @@ def _search_all(base: Stage, effects: Sequence[str] | None, tell: Progress) -> t
             tell(f"cause {number + 1}: {name}", 0.05 + 0.28 * (number + min(done["n"] / (size + 6), 1.0)))
 
         found = _judge(stage, search(stage, pool, note))
+        if rim_is_cool:
+            found = _rim_decides(found)
         rounds.append(found)
         if found.chosen is None:
             break
@@ -247,6 +266,14 @@ def _search_all(base: Stage, effects: Sequence[str] | None, tell: Progress) -> t
                 stages = better
                 rounds = [_again(rounds[0], stages[1].effects[-1]), found]
     return stages, rounds
+
+
+def _rim_decides(found: _Round) -> _Round:
+    """Where the set holds a rim loss and the rim is seen to be cool, it is the rim loss."""
+    rim = next((c for c in found.candidates if c.effect.name == RIM_EFFECT), None)
+    if rim is None or RIM_EFFECT not in found.set:
+        return found
+    return replace(found, chosen=rim, set=(RIM_EFFECT,))
 
 
 def _again(first: _Round, name: str) -> _Round:

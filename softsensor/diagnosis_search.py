@@ -310,6 +310,8 @@ def _fresh_fits(stage: Stage, model: ThermalModel, effect: Effect, rounds: int) 
         for p in effect.parameters:
             value = p.neutral + size * (p.typical - p.neutral)
             start[effect.key(p.name)] = float(np.clip(value, p.lower, p.upper))
+        if effect.needs == "closed":
+            start |= {effect.key(p.name): _behind_the_switch(stage) for p in effect.parameters}
         layout = lay_out(model, digests, stage.population, start)
         etas = []
         for unknowns, run in zip(layout.unknowns, stage.fit.runs, strict=True):
@@ -318,6 +320,17 @@ def _fresh_fits(stage: Stage, model: ThermalModel, effect: Effect, rounds: int) 
             eta[timing] = [unknowns[j].centre for j in timing]
             etas.append(eta)
         yield fit_campaign_model(layout, stage.data, etas, rounds=rounds, tolerance=1.0)
+
+
+def _behind_the_switch(stage: Stage) -> float:
+    """Return how far the fitted moments lie behind the limit switch's, mean over runs. [s]"""
+    rest = [
+        e - u.centre
+        for unknowns, run, d in zip(stage.fit.layout.unknowns, stage.fit.runs, stage.data, strict=True)
+        for u, e in zip(unknowns, run.eta, strict=True)
+        if u.name in SWITCHED and d.digest.switch is not None
+    ]
+    return float(np.mean(rest)) if rest else 0.0
 
 
 def _grown(unknowns: Sequence[object], eta: Array) -> Array:

@@ -11,7 +11,7 @@ import pytest
 from daq.pressfile import Press, parse_press
 from daq.records import InputError, Run
 from daq.simulated.campaign import Plan, Truth, make_campaign, press_toml
-from softsensor.channels import faulty_channels
+from softsensor.channels import faulty_channels, rim_falls
 from softsensor.diagnosis import Diagnosis, diagnose
 from softsensor.diagnosis_report import diagnosis_report
 from softsensor.diagnosis_tests import max_t, sign_patterns
@@ -125,6 +125,18 @@ def test_rim_sensors_that_read_lower_on_every_face_are_not_called_faulty() -> No
     for run, truth in make_campaign(31, 4, "edge_loss", plan):
         expected = {f.column for f in truth.faults}
         assert {f.column for f in faulty_channels(press(), run, moments_of(press(), run))} <= expected
+
+
+def test_rim_sensors_fall_against_central_ones_when_the_rim_loses_heat() -> None:
+    placed = parse_press(press_toml(positions=True))
+    falls = {}
+    for effect in ("edge_loss", None):
+        runs = make_campaign(33, 4, effect, Plan(rate_hz=2.0, rim_contrast=1.0, press_time_s=(60.0, 120.0)))
+        falls[effect] = [
+            rim_falls(placed, r, moments_of(placed, r), frozenset(f.column for f in t.faults)) for r, t in runs
+        ]
+    assert max(falls["edge_loss"]) < -0.15
+    assert abs(np.mean(falls[None])) < 0.15
 
 
 def test_sign_flips_keep_the_level_under_any_scale_of_the_runs() -> None:

@@ -1,0 +1,50 @@
+"""Every effect of the catalogue, hidden in twelve runs, stands in the answer; what lies outside is unknown."""
+
+import pytest
+
+from daq.pressfile import parse_press
+from daq.simulated.campaign import make_campaign, press_toml
+from daq.simulated.effects import SIZES
+from softsensor.diagnosis import diagnose
+
+pytestmark = [pytest.mark.campaign, pytest.mark.timeout(1800)]
+
+HARD = ("contact_load", "clock_offset", "platen_offset")
+"""Other coefficients make up for these: 12 to 30 % scatter of contacts hides an exponent over 280 to 400 N/cm2,
+a scan of 1 s hides 0.3 s, and the contacts take most of a platen's error."""
+
+
+def answer(seed, *names):
+    campaign = make_campaign(seed, 12, list(names) or None)
+    return diagnose(parse_press(press_toml()), [run for run, _ in campaign])
+
+
+@pytest.mark.parametrize("name", [n for n in SIZES if n not in HARD])
+def test_a_hidden_effect_stands_in_the_answer(name):
+    found = answer(200 + list(SIZES).index(name), name)
+    assert any(name in f.set and len(f.set) <= 3 for f in found.findings), found.as_json()["verdict"]
+
+
+@pytest.mark.parametrize("name", HARD)
+def test_an_effect_hard_to_see_is_never_taken_for_another(name):
+    found = answer(100 + list(SIZES).index(name), name)
+    assert all(name in f.set for f in found.findings)
+
+
+@pytest.mark.parametrize("name", ["contact_lapse", "delamination", "heater_zone_out", "steam_condensation"])
+def test_a_fault_outside_the_catalogue_is_called_unknown(name):
+    found = answer(700, name)
+    assert found.verdict == "unknown_effect"
+    assert found.where
+
+
+def test_two_hidden_effects_are_found_one_after_the_other():
+    found = answer(431, "edge_loss", "contact_buildup")
+    assert {f.name for f in found.findings} == {"edge_loss", "contact_buildup"}
+
+
+@pytest.mark.parametrize("seed", [400, 401, 407, 440])
+def test_nothing_hidden_means_nothing_named(seed):
+    found = answer(seed)
+    assert found.verdict == "no_effect"
+    assert found.findings == ()
