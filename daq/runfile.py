@@ -201,6 +201,10 @@ def _read_header(path: Path, content: bytes) -> tuple[dict[str, Any], int, int]:
                 f"{path}: line {line}: '# {text[:60]}' is not 'key = value' in TOML ({error}); "
                 "put text in quotes, start a remark with '##'"
             ) from error
+        if text.startswith("["):
+            raise InputError(
+                f"{path}: line {line}: '# {text[:60]}': sections are not read; write '# panel.key = value'"
+            )
         for key, value in flat_keys(parsed):
             if key in header:
                 raise InputError(f"{path}: line {line}: header key {key} is given twice; keep one")

@@ -121,6 +121,7 @@ def test_windows_line_ends_byte_order_mark_plus_signs_and_empty_lines_are_accept
         (("bottom_1", "top_1"), r"line 5: column 'top_1' occurs twice \(columns 3 and 4\)"),
         (("bottom_1", ""), r"line 5: column 4 has no usable name"),
         (('"MDF"', "MDF"), r"line 2: '# panel.material = MDF' is not 'key = value' in TOML"),
+        (('# panel.material = "MDF"', "# [panel]"), r"line 2: '# \[panel\]': sections are not read"),
         (("# panel.material = ", "# just some words "), r"line 2: .* is not 'key = value' in TOML"),
         (("panel.thickness_mm", "panel.material"), r"line 3: header key panel.material is given twice"),
         (("time_s,platen_top,top_1,bottom_1,closed\n", ""), r"line 5: the header row is missing"),
