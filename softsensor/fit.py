@@ -195,7 +195,7 @@ def _roughly(problem: Problem) -> Minimum:
 
 def timing(problem: Problem) -> float:
     """Return how well row times are known: channels are read one after the other. [s]"""
-    return 0.01 + 0.02 * problem.signals.period_s
+    return 0.005 + 0.02 * problem.signals.period_s
 
 
 def recentre(problem: Problem, x: Array) -> tuple[Problem, Array]:

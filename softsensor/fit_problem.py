@@ -25,7 +25,7 @@ HUBER = 3.0
 """Whitened residuals beyond this count in proportion, not squared."""
 SLOPE = "clock_offset.seconds"
 """The model's derivative by this parameter is minus the slope of what the channels read."""
-SWITCH_TIMING_S = 0.03
+SWITCH_TIMING_S = 0.025
 """How well the press's motion is described by straight ramps: as a delay, while it closes or opens. [s]"""
 SWITCH_EDGE_S = 0.2
 """Rows this close to a ramp count as part of it. [s]"""
