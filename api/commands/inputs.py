@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from daq.store.store import Store
 
 CONFIG_NAME = "kerntemp.toml"
+DEFAULT_STORE = Path("kerntemp-data") / "kerntemp.sqlite"
+"""Where runs go and come from without --store, --config and kerntemp.toml."""
 
 Runs = Annotated[list[str], typer.Argument(metavar="RUN...", help="Run files, or ids of runs in the store.")]
 OneRun = Annotated[str, typer.Argument(metavar="RUN", help="A run file, or the id of a run in the store.")]
@@ -37,11 +39,11 @@ def config_path(given: Path | None) -> Path:
 
 
 def store_address(store: str | None, config: Path | None) -> str:
-    """Return the store's URL: as given, or as the configuration says."""
+    """Return the store's URL: as given, as the configuration says, else the default's."""
     if store is not None:
         return store
     if config is None and not Path(CONFIG_NAME).is_file():
-        raise InputError(f"no store: there is no {CONFIG_NAME} here; give --store or --config")
+        return str(DEFAULT_STORE)
     from daq.config import load_config
 
     return load_config(config_path(config)).store.url
@@ -52,7 +54,15 @@ def opened_store(store: str | None, config: Path | None, *, create: bool = False
     """Open the store for a command."""
     from daq.store.store import open_store
 
-    with open_store(store_address(store, config), create=create) as opened:
+    address = store_address(store, config)
+    if address == str(DEFAULT_STORE):
+        if create:
+            DEFAULT_STORE.parent.mkdir(exist_ok=True)
+        elif not DEFAULT_STORE.is_file():
+            raise InputError(
+                f"no store: neither {CONFIG_NAME} nor {DEFAULT_STORE} is here; give --store or --config"
+            )
+    with open_store(address, create=create) as opened:
         yield opened
 
 
@@ -72,7 +82,7 @@ def load_run(argument: str, store: str | None, config: Path | None) -> Run:
         from daq.runfile import read_run
 
         return read_run(path)
-    if store is None and config is None and not Path(CONFIG_NAME).is_file():
+    if store is None and config is None and not Path(CONFIG_NAME).is_file() and not DEFAULT_STORE.is_file():
         raise InputError(f"{argument}: no such file, and no store to look in; give a file, --store or --config")
     with opened_store(store, config) as opened:
         return opened.load_run(argument)

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from api.commands.inputs import ConfigFile, config_path
+from api.commands.inputs import CONFIG_NAME, ConfigFile, StoreUrl, config_path
 from api.outputs import WorkFailed, working
 from daq.records import InputError
 
@@ -50,25 +50,26 @@ def serve(
     port: Port = None,
     certificate: Annotated[Path | None, typer.Option(help="TLS certificate chain, PEM.")] = None,
     key: Annotated[Path | None, typer.Option(help="Its private key, PEM.")] = None,
+    store: StoreUrl = None,
 ) -> None:
     """Serve REST and the page; on loopback only unless tokens exist."""
     from api.server import Listening, address_of, run_server
     from api.tokens import TokenFile
-    from daq.config import load_config
+    from daq.config import ServerSettings, load_config
     from daq.store.store import open_store
 
-    path = config_path(config)
-    settings = load_config(path)
-    tokens = TokenFile(settings.server.tokens or token_file_beside(path))
-    listening = Listening(
-        host or settings.server.host, settings.server.port if port is None else port, certificate, key
-    )
+    path = Path(CONFIG_NAME) if store is not None and config is None else config_path(config)
+    settings = load_config(path) if path.is_file() else None
+    server = settings.server if settings else ServerSettings()
+    tokens = TokenFile(server.tokens or token_file_beside(path))
+    listening = Listening(host or server.host, server.port if port is None else port, certificate, key)
     listening.check(tokens)
-    with open_store(settings.store.url) as store:
+    address = store or (settings.store.url if settings else "")
+    with open_store(address, create=store is None) as opened:
         bound = listening.bind()
         sys.stdout.write(f"kerntemp serves {address_of(bound, tls=certificate is not None)}\n")
         sys.stdout.flush()
-        run_server(store, tokens, listening, bound)
+        run_server(opened, tokens, listening, bound)
 
 
 def refit(

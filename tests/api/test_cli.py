@@ -129,3 +129,15 @@ def test_simulate_takes_a_run_by_its_id_in_the_store(files, first, tmp_path, cam
     assert main(["import", first, *press]) == 0
     assert main(["simulate", campaign[0][0].name, *press, "--out", str(out)]) == 0
     assert out.exists()
+
+
+def test_without_a_store_named_runs_go_to_the_default_one_and_come_back_from_it(
+    files, first, tmp_path, campaign, capsys, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    assert main(["export"]) == 2
+    assert "give --store or --config" in one_line(capsys)
+    assert main(["import", first, "--press", str(files / "press.toml")]) == 0
+    assert (tmp_path / "kerntemp-data" / "kerntemp.sqlite").exists()
+    assert main(["export", campaign[0][0].name, "--out", "back.csv"]) == 0
+    assert (tmp_path / "back.csv").exists()
