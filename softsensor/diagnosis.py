@@ -261,7 +261,11 @@ def _search_all(
             break
         stages.append(extend(stage, found.chosen))
         if number == 1:
-            better = exchange(stages, rounds[0].candidates)
+            first = rounds[0]
+            able = [
+                c for c in first.candidates if c.refined and _acceptable(base, c, first.p_values[c.effect.name])
+            ]
+            better = exchange(stages, able)
             if better is not None:
                 stages = better
                 rounds = [_again(rounds[0], stages[1].effects[-1]), found]
@@ -331,7 +335,7 @@ def _conclude(
     before = pockets(digests, [r.misfit for r in stages[0].fit.runs])
     plain = adequacy(before)
     tests = [adequacy(pockets([d.digest for d in s.data], [r.misfit for r in s.fit.runs])) for s in stages]
-    shares = [1.0 - t.energy / plain.energy if plain.energy > 0 else 0.0 for t in tests]
+    shares = [float(np.clip(1.0 - t.energy / plain.energy, 0.0, 1.0)) if plain.energy > 0 else 0.0 for t in tests]
     left = tests[-1]
     unexplained = _unexplained(left, shares[-1], len(stages) > 1, len(runs))
     if len(stages) > 1 and len(runs) < FEW_RUNS and _heldout_ratio(stages) > FEW_TOTAL:
