@@ -30,7 +30,7 @@ is named, and every candidate outside the set loses in every run; else the verdi
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -39,56 +39,26 @@ import numpy as np
 from daq.pressfile import Press
 from daq.records import Array, InputError, Moments, Run
 from softsensor.channels import ChannelFault, faulty_channels, recurring, rim_falls
+from softsensor.diagnosis_jury import FEW_RUNS, FEW_TOTAL, Progress, Round, cool_rim, search_all
 from softsensor.diagnosis_model import model_of
 from softsensor.diagnosis_numbers import Errors, Interval, intervals, measure_errors
 from softsensor.diagnosis_search import (
-    Candidate,
     Stage,
-    candidates_for,
-    exchange,
-    extend,
     rms,
-    search,
     settle_base,
 )
-from softsensor.diagnosis_tests import Adequacy, Pocket, adequacy, max_t, paired_t, pockets
+from softsensor.diagnosis_tests import Adequacy, Pocket, adequacy, paired_t, pockets
 from softsensor.effects import find_effect
 from softsensor.evidence import Digest, digest_run, moments_of
 from softsensor.extension import held_out
 from softsensor.model import ThermalModel
 from softsensor.modelfile import ModelFile
 
-ALPHA = 0.05
-"""For a name; the size and held-out conditions on top make false names rarer than this."""
 ALPHA_ADEQUACY = 0.025
-FEW_RUNS = 6
-"""Below this sign flips cannot reach `ALPHA`."""
 EXPLAINED = 0.8
 """Share of the common residual pattern a named cause must explain."""
 NEGLIGIBLE_K = 0.06
 """A common pattern smaller than this (rms over pockets) is no finding. [K]"""
-LEAST_GAIN_K, LEAST_GAIN_SHARE = 0.005, 0.02
-"""A cause must save this much on runs left out: kelvins, and share of the residual."""
-SMALLEST_SIZE = 0.3
-"""Of an effect's typical size; below it a candidate is not a cause but a nuisance."""
-PLAIN_RATIO = 0.8
-"""A candidate that brings the held-out residual below this share may be a fifteenth as large."""
-SURE_T = 2.2
-"""A candidate whose runs gain less by so many standard errors is told apart."""
-NEAR = 0.5
-"""A candidate must reach this share of the best gain to stand in its set."""
-LARGEST_SET = 3
-RIM_EFFECT, RIM_K, RIM_T = "edge_loss", 0.15, 3.0
-"""Rim sensors that fall by so much against central ones, and so many standard errors, settle a set for it."""
-MOST_EFFECTS = 3
-FEW_STEP, FEW_TOTAL = 0.85, 0.5
-"""With few runs each cause brings the held-out residual down to the first share, all together to the second."""
-STRONG, LENIENT = 40.0, 0.2
-"""Runs that differ much in what they can say (thin and thick panels) count as fewer in sign flips. A cause that
-saves so much misfit on runs left out, in two thirds of them, is named up to this p-value."""
-
-Progress = Callable[[str, float], None]
-"""Called with what is being done and the share done."""
 
 
 @dataclass(frozen=True)
@@ -163,16 +133,6 @@ class Diagnosis:
         }
 
 
-@dataclass(frozen=True)
-class _Round:
-    """One search: what was found, and how sure."""
-
-    candidates: list[Candidate]
-    p_values: dict[str, float]
-    chosen: Candidate | None
-    set: tuple[str, ...]
-
-
 def diagnose(
     press: Press, runs: Sequence[Run], progress: Progress | None = None, effects: Sequence[str] | None = None
 ) -> Diagnosis:
@@ -209,7 +169,7 @@ def diagnose(
         rim_falls(press, r, m, frozenset(x.column for x in f))
         for r, m, f in zip(runs, moments, faults, strict=True)
     ]
-    stages, rounds = _search_all(base, effects, tell, _rim_is_cool(np.array(rim)))
+    stages, rounds = search_all(base, effects, tell, cool_rim(np.array(rim)))
     tell("what is left", 0.9)
     return _conclude(press, runs, faults, stages, rounds, began)
 
@@ -225,110 +185,12 @@ def _digest(press: Press, run: Run, moments: Moments, faults: tuple[ChannelFault
     return digest
 
 
-def _rim_is_cool(falls: Array) -> bool:
-    """Whether rim sensors fall against central ones in the runs, beyond chance."""
-    known = falls[np.isfinite(falls)]
-    if len(known) < 2:
-        return False
-    error = float(np.std(known, ddof=1)) / np.sqrt(len(known))
-    return bool(known.mean() < -RIM_K and known.mean() < -RIM_T * error)
-
-
-def _search_all(
-    base: Stage, effects: Sequence[str] | None, tell: Progress, rim_is_cool: bool
-) -> tuple[list[Stage], list[_Round]]:
-    stages, rounds = [base], []
-    for number in range(MOST_EFFECTS):
-        stage = stages[-1]
-        pool = [
-            e
-            for e in candidates_for(stage)
-            if (effects is None or e.name in effects) and e.name not in stage.effects
-        ]
-        if not pool:
-            break
-        done = {"n": 0}
-
-        def note(name: str, number: int = number, size: int = len(pool), done: dict[str, int] = done) -> None:
-            done["n"] += 1
-            tell(f"cause {number + 1}: {name}", 0.05 + 0.28 * (number + min(done["n"] / (size + 6), 1.0)))
-
-        found = _judge(stage, search(stage, pool, note))
-        if rim_is_cool:
-            found = _rim_decides(found)
-        rounds.append(found)
-        if found.chosen is None:
-            break
-        stages.append(extend(stage, found.chosen))
-        if number == 1:
-            first = rounds[0]
-            able = [
-                c for c in first.candidates if c.refined and _acceptable(base, c, first.p_values[c.effect.name])
-            ]
-            better = exchange(stages, able)
-            if better is not None:
-                stages = better
-                rounds = [_again(rounds[0], stages[1].effects[-1]), found]
-    return stages, rounds
-
-
-def _rim_decides(found: _Round) -> _Round:
-    """Where the set holds a rim loss and the rim is seen to be cool, it is the rim loss."""
-    rim = next((c for c in found.candidates if c.effect.name == RIM_EFFECT), None)
-    if rim is None or RIM_EFFECT not in found.set:
-        return found
-    return replace(found, chosen=rim, set=(RIM_EFFECT,))
-
-
-def _again(first: _Round, name: str) -> _Round:
-    """Return the first round with the cause that a later one proved right."""
-    chosen = next(c for c in first.candidates if c.effect.name == name)
-    return replace(first, chosen=chosen, set=(name,))
-
-
-def _judge(stage: Stage, found: list[Candidate]) -> _Round:
-    scores = np.stack([c.score for c in found], axis=1)
-    p = dict(zip([c.effect.name for c in found], max_t(scores).tolist(), strict=True))
-    able = [c for c in found if c.refined and _acceptable(stage, c, p[c.effect.name])]
-    if not able:
-        return _Round(found, p, None, ())
-    chosen = max(able, key=lambda c: c.gain)
-    others = [c for c in found if c is not chosen and c.refined and c.gain > NEAR * chosen.gain]
-    others = [c for c in others if c.large_enough(SMALLEST_SIZE / 2) and c.gains.sum() > 0]
-    near = [c for c in others if _not_told_apart(chosen.gains, c.gains)]
-    near = sorted(near, key=lambda c: -c.gain)[: LARGEST_SET - 1]
-    return _Round(found, p, chosen, (chosen.effect.name, *(c.effect.name for c in near)))
-
-
-def _not_told_apart(best: Array, other: Array) -> bool:
-    if len(best) < FEW_RUNS:
-        return bool((other >= best).any())
-    return paired_t(best, other) < SURE_T
-
-
-def _acceptable(stage: Stage, candidate: Candidate, p: float) -> bool:
-    runs = len(stage.data)
-    ratio = candidate.heldout_ratio(stage)
-    size = SMALLEST_SIZE if ratio > PLAIN_RATIO else SMALLEST_SIZE / 15
-    if not candidate.large_enough(size) or candidate.gains.sum() <= 0:
-        return False
-    seen = candidate.heldout_gain(stage) >= LEAST_GAIN_K and ratio <= 1 - LEAST_GAIN_SHARE
-    if not seen and candidate.effect.needs != "closed":
-        return False
-    if runs >= FEW_RUNS:
-        agree = float((candidate.gains > 0).mean())
-        return (p <= ALPHA and agree >= 0.6) or (
-            p <= LENIENT and agree >= 0.66 and float(candidate.gains.sum()) >= STRONG
-        )
-    return runs >= 2 and bool((candidate.gains > 0).all()) and candidate.heldout_ratio(stage) <= FEW_STEP
-
-
 def _conclude(
     press: Press,
     runs: Sequence[Run],
     faults: list[tuple[ChannelFault, ...]],
     stages: list[Stage],
-    rounds: list[_Round],
+    rounds: list[Round],
     began: float,
 ) -> Diagnosis:
     digests = [d.digest for d in stages[0].data]
@@ -386,7 +248,7 @@ def _sensor_findings(faults: list[tuple[ChannelFault, ...]]) -> tuple[Finding, .
     return (Finding("sensor_fault", ("sensor_fault",), {"columns": value}, 2.0 ** (1 - share), 0.0, 1.0),)
 
 
-def _findings(stages: list[Stage], rounds: list[_Round], shares: list[float]) -> tuple[Finding, ...]:
+def _findings(stages: list[Stage], rounds: list[Round], shares: list[float]) -> tuple[Finding, ...]:
     found = []
     final = stages[-1]
     for i in range(1, len(stages)):
@@ -425,7 +287,7 @@ def _with_gains(findings: tuple[Finding, ...], base: Errors, extended: Errors) -
 
 
 def _verdict(
-    findings: tuple[Finding, ...], unexplained: bool, runs: int, rounds: list[_Round], plain: Adequacy
+    findings: tuple[Finding, ...], unexplained: bool, runs: int, rounds: list[Round], plain: Adequacy
 ) -> str:
     if unexplained:
         return "unknown_effect"
@@ -461,7 +323,7 @@ def _pocket_row(p: Pocket) -> dict[str, Any]:
     return row | {"phase": {"open": "before closing", "closed": "closed", "opened": "after opening"}[p.phase]}
 
 
-def _candidate_rows(rounds: list[_Round], stages: list[Stage]) -> tuple[dict[str, Any], ...]:
+def _candidate_rows(rounds: list[Round], stages: list[Stage]) -> tuple[dict[str, Any], ...]:
     if not rounds:
         return ()
     rows = []
@@ -501,7 +363,7 @@ def _first_lower(text: str) -> str:
     return text[:1].lower() + text[1:]
 
 
-def _rivals(rounds: list[_Round]) -> tuple[tuple[str, Array], ...]:
+def _rivals(rounds: list[Round]) -> tuple[tuple[str, Array], ...]:
     if not rounds:
         return ()
     first = rounds[0]
@@ -520,6 +382,3 @@ def _warnings(runs: Sequence[Run], faults: list[tuple[ChannelFault, ...]]) -> tu
 
 def _rounded(value: float) -> float:
     return float(f"{value:.6g}")
-
-
-__all__ = ["Array", "Diagnosis", "Finding", "diagnose"]

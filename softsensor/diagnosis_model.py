@@ -6,7 +6,7 @@ import numpy as np
 
 from daq.records import Array
 from softsensor.diagnosis_search import Stage
-from softsensor.extension import free_coefficients
+from softsensor.extension_layout import free_coefficients
 from softsensor.modelfile import Estimate, ModelFile
 
 

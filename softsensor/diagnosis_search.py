@@ -16,18 +16,8 @@ import numpy as np
 from daq.records import Array
 from softsensor.effects import Effect, catalogue
 from softsensor.evidence import Digest, Noise, Whitened
-from softsensor.extension import (
-    CampaignFit,
-    Direction,
-    Population,
-    RunState,
-    direction,
-    fit_campaign_model,
-    free_coefficients,
-    held_out,
-    is_shape,
-    lay_out,
-)
+from softsensor.extension import CampaignFit, Direction, RunState, direction, fit_campaign_model, held_out
+from softsensor.extension_layout import Population, free_coefficients, is_shape, lay_out
 from softsensor.model import ThermalModel
 
 PROBE = 0.5
