@@ -43,7 +43,7 @@ def wait_for(browser: Browser, address: str) -> str:
     """Wait for fitted pressings and a warm core in a closed press; return the newest fitted run."""
     page = browser.new_page()
     page.goto(address)
-    deadline = time.monotonic() + 300
+    deadline = time.monotonic() + 900
     while time.monotonic() < deadline:
         state = page.evaluate(
             "Promise.all(['press', 'coefficients'].map(p => fetch('api/v1/' + p).then(a => a.json())))"

@@ -95,7 +95,7 @@ def draw(run: Run, table: np.ndarray) -> None:
         fontsize=10.5,
         fontweight="bold",
     )
-    above.legend(frameon=False, fontsize=8.5, loc="center right")
+    above.legend(frameon=False, fontsize=8.5, loc="center", bbox_to_anchor=(0.34, 0.5))
     below.fill_between(
         time,
         table["core_low_C"] - table["core_C"],
