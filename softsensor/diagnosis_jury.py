@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from daq.records import Array
-from softsensor.diagnosis_search import Candidate, Stage, candidates_for, exchange, extend, search
+from softsensor.diagnosis_search import Candidate, Stage, candidates_for, exchange, extend, large_in, search
 from softsensor.diagnosis_tests import max_t, paired_t
 
 ALPHA = 0.05
@@ -100,7 +100,19 @@ def search_all(
             if better is not None:
                 stages = better
                 rounds = [_again(rounds[0], stages[1].effects[-1]), found]
+            stages, rounds = _without_shadow(stages, rounds)
     return stages, rounds
+
+
+def _without_shadow(stages: list[Stage], rounds: list[Round]) -> tuple[list[Stage], list[Round]]:
+    """Drop a first cause that the second leaves nothing of: it only stood in for it."""
+    model = stages[-1].fit.layout.model
+    first, second = model.effects[0], model.effects[1].name
+    least = LEAST_LOAD if first.needs == "load" else SMALLEST_SIZE
+    alone = next((c for c in rounds[0].candidates if c.refined and c.effect.name == second), None)
+    if alone is None or large_in(stages[-1].fit, first, least):
+        return stages, rounds
+    return [stages[0], extend(stages[0], alone)], [replace(rounds[0], chosen=alone, set=(second,))]
 
 
 def _rim_decides(found: Round) -> Round:

@@ -83,13 +83,7 @@ class Candidate:
 
     def large_enough(self, share: float) -> bool:
         """Whether some amplitude reaches a share of its typical size."""
-        values = self.fit.values
-        sizes = [
-            abs(values[self.effect.key(p.name)] - p.neutral) / abs(p.typical - p.neutral)
-            for p in self.effect.parameters
-            if not is_shape(p)
-        ]
-        return max(sizes, default=0.0) >= share
+        return large_in(self.fit, self.effect, share)
 
     def heldout_ratio(self, stage: Stage) -> float:
         """Held-out misfit over the stage's, root mean square."""
@@ -98,6 +92,17 @@ class Candidate:
     def heldout_gain(self, stage: Stage) -> float:
         """Held-out misfit of the places saved. [K]"""
         return rms(stage.data, stage.fit.runs) - rms(stage.data, self.others) if self.others else 0.0
+
+
+def large_in(fit: CampaignFit, effect: Effect, share: float) -> bool:
+    """Return whether some amplitude of an effect reaches a share of its typical size in a fit."""
+    values = fit.values
+    sizes = [
+        abs(values[effect.key(p.name)] - p.neutral) / abs(p.typical - p.neutral)
+        for p in effect.parameters
+        if not is_shape(p)
+    ]
+    return max(sizes, default=0.0) >= share
 
 
 def rms(data: Sequence[Whitened], runs: Sequence[RunState]) -> float:
