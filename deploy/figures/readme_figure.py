@@ -27,8 +27,8 @@ SEED, RUNS = 11, 6
 MEASURED, CORE, TOP, BOTTOM = "#17202b", "#c92a2a", "#e8590c", "#1c7ed6"
 
 
-def predicted(folder: Path) -> tuple[Run, np.ndarray]:
-    """Return the last run and what the live sensor said about it."""
+def predicted(folder: Path) -> tuple[Run, np.ndarray, np.ndarray]:
+    """Return the last run, what the live sensor said about it, and the virtual press's true core."""
     plan = Plan(rate_hz=5.0, thickness_mm=16.0, closed_column=False, core_column=1.0, press_time_s=(60.0, 110.0))
     campaign = make_campaign(SEED, RUNS, plan=plan)
     files = [str(path) for path in write_campaign(folder, campaign)]
@@ -42,10 +42,10 @@ def predicted(folder: Path) -> tuple[Run, np.ndarray]:
         if main(command) != 0:
             sys.exit(1)
     table = np.genfromtxt(out, delimiter=",", names=True, dtype=None, encoding="utf-8")
-    return campaign[-1][0], table
+    return campaign[-1][0], table, campaign[-1][1].core_C
 
 
-def draw(run: Run, table: np.ndarray) -> None:
+def draw(run: Run, table: np.ndarray, truth: np.ndarray) -> None:
     """Draw temperatures above, the error of the prediction below."""
     from daq.press_events import find_moments
     from daq.pressfile import parse_press
@@ -53,7 +53,7 @@ def draw(run: Run, table: np.ndarray) -> None:
     moments = find_moments(run, parse_press(press_toml()))
     time, core = run.time_s - moments.closed_s, run.columns["core_1"]
     error = table["core_C"] - core
-    inside = (table["core_low_C"] <= core) & (core <= table["core_high_C"])
+    inside = [100 * np.mean((table["core_low_C"] <= c) & (c <= table["core_high_C"])) for c in (truth, core)]
     rms = float(np.sqrt(np.nanmean(error**2)))
     figure, (above, below) = plt.subplots(
         2, 1, figsize=(8.6, 4.6), sharex=True, height_ratios=(3, 1), layout="constrained"
@@ -105,7 +105,11 @@ def draw(run: Run, table: np.ndarray) -> None:
         lw=0,
     )
     below.plot(time, -error, ".", color=MEASURED, ms=1.5)
-    below.set_title(f"the band holds {100 * inside.mean():.0f} % of the readings", loc="right", fontsize=8.5)
+    below.set_title(
+        f"the band holds the true core {inside[0]:.0f} %, the thermocouple in it {inside[1]:.0f} % of the time",
+        loc="right",
+        fontsize=8.5,
+    )
     below.set_ylabel("measured −\npredicted [K]")
     below.set_xlabel("time since the press closed [s]")
     OUT.parent.mkdir(exist_ok=True)
