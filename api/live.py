@@ -235,15 +235,17 @@ class Hub:
         self._queues.discard(listener.queue)
 
     async def _follow(self) -> None:
-        while self._queues and not self._closed:
+        while True:
             try:
-                async with self._lock:
+                async with self._lock:  # who joins holds it too: nobody is forgotten at the end
+                    if self._closed or not self._queues:
+                        self._task, self._position = None, None
+                        return
                     self._hand_out(await asyncio.to_thread(self._read))
             except StoreUnavailable as error:
                 LOG.warning("%s", error)
                 await asyncio.sleep(1.0)
             await asyncio.sleep(POLL_S)
-        self._task, self._position = None, None
 
     def _read(self) -> list[bytes]:
         return list(news(self._store, self._position)) if self._position else []

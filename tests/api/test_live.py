@@ -110,6 +110,17 @@ def test_who_comes_back_gets_every_scan_missed_once_and_in_order(client, store, 
         back.close()
 
 
+def test_who_comes_while_the_last_one_leaves_is_not_forgotten(client, store, key):
+    for i in range(12):
+        leaving = Stream(str(client.base_url))
+        threading.Thread(target=leaving.close).start()
+        coming = Stream(str(client.base_url))
+        number = store.newest_scan_number("lab") + 1
+        store.append_scans(key, [scan(number, 50.0 + i)])
+        assert coming.wait("scan")[-1]["data"]["number"] == number
+        coming.close()
+
+
 def test_listeners_beyond_the_limit_are_refused_with_a_problem(serve):
     base = serve(max_listeners=2)
     streams = [Stream(base), Stream(base)]
