@@ -245,6 +245,9 @@ class Hub:
             except StoreUnavailable as error:
                 LOG.warning("%s", error)
                 await asyncio.sleep(1.0)
+            except Exception:
+                LOG.exception("a fault while following the store; going on")
+                await asyncio.sleep(1.0)
             await asyncio.sleep(POLL_S)
 
     def _read(self) -> list[bytes]:
