@@ -220,22 +220,21 @@ class ThermalModel:
         grid = exact_grid(case, values, fine=bool(names)) if method == "exact" else None
         build = self.build(grid.sparse if grid else case, values, names)
         steps, m, p = len(case.h), len(case.places), build.width
-        faces = build.terms.footprint != 0 or any(t.footprint != 0 for t in build.d_terms.values())
-        places = np.concatenate([case.places, case.press_face]) if faces else case.places
+        places = read_places(case, build)
         shares, _ = case.row_clock.shares(values)
         if grid is not None:
             if build.nonlinear:
                 bent = [e.name for e in self.effects if e.nonlinear] or ["a property table or radiation"]
                 raise InputError(f"method = 'exact': {bent[0]} is not linear; use the implicit solver")
             out, d_out, kept = run_exact(grid, build, places, fields=fields)
-            return _observe(grid.case, build, values, out, d_out[: len(names)], m, kept, shares[:, 2])
+            return observe(grid.case, build, values, out, d_out[: len(names)], m, kept, shares[:, 2])
         out = np.empty((steps + 1, len(places)))
         d_out = np.empty((p, steps + 1, len(places)))
         kept = np.empty((steps + 1 if fields else 0, len(case.mesh.dx)))
         kernels.march(
             build.stack, build.tangents, build.drive, build.start, places, build.nonlinear, out, d_out, kept
         )
-        return _observe(case, build, values, out, d_out[: len(names)], m, kept, shares[:, 2])
+        return observe(case, build, values, out, d_out[: len(names)], m, kept, shares[:, 2])
 
     def _terms(self, case: Case, values: Mapping[str, float], by: str | None = None) -> Terms:
         """Merge the effects' terms; with `by`, their derivative by that parameter."""
@@ -413,7 +412,13 @@ def _first_profile(case: Case) -> Array:
     return initial_profile(case.run, case.mesh, heights, {x: t for x, t, measured in ends if measured})
 
 
-def _observe(
+def read_places(case: Case, build: Build) -> Array:
+    """Return the weights that read off the places, and the press faces opposite them where they mix in."""
+    faces = build.terms.footprint != 0 or any(t.footprint != 0 for t in build.d_terms.values())
+    return np.concatenate([case.places, case.press_face]) if faces else case.places
+
+
+def observe(
     case: Case,
     build: Build,
     values: Mapping[str, float],

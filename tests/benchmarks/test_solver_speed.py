@@ -17,6 +17,7 @@ from scipy.sparse import diags
 from daq.pressfile import parse_press
 from daq.records import Moments, Run
 from softsensor import exact, kernels_terms
+from softsensor.batch import solve_many
 from softsensor.model import ThermalModel
 
 pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(1800)]
@@ -333,6 +334,19 @@ def test_hundred_runs_on_two_threads(capsys):
                     now = (time.perf_counter() - wall) * 1e3, (time.process_time() - spent) * 1e3
                     best = min(best, now, key=lambda pair: pair[1])
             print(f"{method:34s} {best[0]:9.0f} {best[1] / 100:18.2f}")
+        keep = settled(cases[0].run.time_s)
+        wrong = 0.0
+        for case, found in zip(cases, solve_many(model, cases, VALUES), strict=True):
+            truth = model.solve(case, VALUES, method="exact").places
+            wrong = max(wrong, float(np.abs(found.places - truth)[keep].max()))
+        best = (np.inf, np.inf)
+        for _ in range(10):
+            wall, spent = time.perf_counter(), time.process_time()
+            solve_many(model, cases, VALUES)
+            now = (time.perf_counter() - wall) * 1e3, (time.process_time() - spent) * 1e3
+            best = min(best, now, key=lambda pair: pair[1])
+        label = f"side by side, error {wrong:.3f} K"
+        print(f"{label:34s} {best[0]:9.0f} {best[1] / 100:18.2f}")
 
 
 def test_effects_beside_the_linear_model(capsys):
