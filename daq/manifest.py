@@ -46,7 +46,7 @@ def _listed(folder: Path) -> dict[str, str]:
     for number, line in enumerate(manifest.read_text(encoding="utf-8").split("\n"), start=1):
         value, mark, name = line.partition("  ")
         if line and (not mark or len(value) != 64):
-            raise InputError(f"{manifest}: line {number}: not 'SHA-256 sum, two spaces, file name'; remove the line")
+            raise InputError(f"{manifest}: line {number}: not 'SHA-256 sum, two spaces, file'; remove the line")
         if line:
             sums[name] = value
     return sums

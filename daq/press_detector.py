@@ -278,7 +278,7 @@ class PressEventDetector:
         return level < _ROOM_C + 0.3 * gap or self._spread(now) > spread + _SPREAD_K
 
     def _spread(self, now: _Row) -> float:
-        """Return how far the lower face's sensors lie apart, the two most extreme left out where there are many."""
+        """Return how far the lower face's sensors lie apart, without the two most extreme where there are many."""
         values = sorted(v for n, v in now.values.items() if n in self._bottom_names)
         if len(values) < 2:
             return 0.0
@@ -385,5 +385,16 @@ def place_moment(
         return opening_moment(times, seen, noticed, plate, lag)
     lower = bottom if np.isfinite(bottom).sum() >= 2 else top
     if kind is PressEventKind.INSERTED:
-        return insertion_moment(times, [lower], noticed, plate, lag)
+        rise = _last_rise(times, lower, noticed)
+        return insertion_moment(times[rise:], [lower[rise:]], noticed, plate, lag)
     return opening_moment(times, [lower], noticed, math.nan, lag)
+
+
+def _last_rise(times: Array, face: Array, noticed: float) -> int:
+    """Return the row from which a face only rose: a warm hand before the insertion is no part of it."""
+    lowest = math.inf
+    for i in range(int(np.searchsorted(times, noticed, side="right")) - 1, -1, -1):
+        if face[i] > lowest + 1.0:
+            return i + 1
+        lowest = min(lowest, face[i]) if face[i] == face[i] else lowest
+    return 0

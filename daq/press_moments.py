@@ -208,7 +208,7 @@ def _kink(
 ) -> Placed:
     """Place a kink; `expected` tells how far back it may lie and how strong each face's will be. [s, K/√s]"""
     back, sizes = expected
-    onsets = np.arange(noticed - back, noticed + 1e-9, STEP_S)
+    onsets = np.arange(max(noticed - back, times[0] - 1.0), noticed + 1e-9, STEP_S)
     place = np.rint((times[None, :] - onsets[:, None]) / STEP_S).astype(int)
     table = _kink_table(ramps)
     place = np.clip(place, 0, table.shape[-1] - 1)

@@ -15,8 +15,8 @@ from typing import Any
 from daq.records import PressEvent, PressEventKind, Scan
 from daq.store.records import NewRun, RunEnd, RunStatus
 
-_SETTLED_S = 3.0
-"""The panel's start temperature is what its sensors showed this long before the insertion. [s]"""
+_SETTLED_S, _SETTLED_SCANS = 3.0, 3
+"""The panel's start temperature is what its sensors showed in the last scans before the insertion."""
 
 
 @dataclass(frozen=True)
@@ -131,7 +131,7 @@ class RunKeeper:
         ]
         header = dict(self.rules.header)
         if settled:
-            header.setdefault("panel.initial_temperature_C", round(median(settled), 2))
+            header.setdefault("panel.initial_temperature_C", round(median(settled[-_SETTLED_SCANS:]), 2))
         name = self._names.take(f"{first.scan.utc:%Y-%m-%d}")
         return NewRun(name, first.number, first.scan.utc, first.monotonic_s, header, self.rules.configuration)
 
