@@ -18,7 +18,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from softsensor.kernels_terms import CAP, DIAG, DROWS, ROWS, SLOPE, SRC, STAR, G, coefficients, switched
+from softsensor.kernels_terms import CAP, DIAG, DROWS, LOSS, ROWS, SLOPE, SRC, STAR, G, coefficients, contacts
 
 _GAMMA = 2.0 - 2.0**0.5
 _D = _GAMMA / 2.0
@@ -81,15 +81,22 @@ def lay_out(
             g[0, lane] = 0.0
         changed = step == 0 or _differs(drive.weight, drive.factor, step)
         if changed and step > 0:
-            switched(stack, tan, drive, step, 1.0, state.done, state.s_done, w, dw, rate, drate)
+            # exchange stays; a flux adds to the source of its end cell anew
+            w[SRC, 0] = w[SLOPE, 0] * stack.ambient
+            w[SRC, n - 1] = w[SLOPE, n - 1] * stack.ambient
+            contacts(
+                stack.dx, stack.interface, stack.contact, tan.contact, stack.parts, stack.emissivity,
+                tan.emissivity, stack.measured, stack.flux, tan.flux,
+                drive.weight[step], drive.d_weight[step], drive.factor[step], drive.d_factor[step], w, dw,
+            )  # fmt: skip
         if changed:
             row += 1
             for m in range(stack.interface.shape[0]):
                 j = stack.interface[m]
                 joints[lane, m] = j
                 joint[lane, row, m, 0] = w[G, j]
-                joint[lane, row, m, 1] = w[DIAG, max(j - 1, 0)]
-                joint[lane, row, m, 2] = w[DIAG, min(j, n - 1)]
+                joint[lane, row, m, 1] = _diagonal(w, max(j - 1, 0))
+                joint[lane, row, m, 2] = _diagonal(w, min(j, n - 1))
             for end in range(2):
                 i = 0 if end == 0 else n - 1
                 ends[lane, row, 2 * end] = w[G, 0 if end == 0 else n]
@@ -111,6 +118,11 @@ def lay_out(
         first[lane, a] = begin
         for b in range(SPAN):
             weights[lane, a, b] = places[a, begin + b] if begin + b < n else 0.0
+
+
+@njit(cache=True)
+def _diagonal(w, i):
+    return w[G, i] + w[G, i + 1] + w[LOSS, i] + w[SLOPE, i]
 
 
 @njit(cache=True)
