@@ -83,7 +83,7 @@ def measure_errors(stage: Stage, others: Sequence[RunState]) -> Errors:
     A channel's error is made of what its place's mean is off and its own scatter about that mean; both
     are weighted by time. Offsets are constant, so they come out of the first and stay in `raw`.
     """
-    squares: list[tuple[float, float, float, float, float]] = []
+    squares: list[tuple[float, float, float, float]] = []
     cores: list[Array] = []
     for run, other, white in zip(stage.fit.runs, others, stage.data, strict=True):
         d = white.digest

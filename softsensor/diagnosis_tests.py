@@ -35,9 +35,9 @@ def sign_patterns(runs: int) -> Array:
     if runs <= 12:
         codes = np.arange(2 ** max(runs - 1, 0))
         bits = (codes[:, None] >> np.arange(max(runs, 1))[None, :]) & 1
-        return 1.0 - 2.0 * bits
+        return np.asarray(1.0 - 2.0 * bits, dtype=float)
     rng = np.random.default_rng(20)
-    drawn = 1.0 - 2.0 * rng.integers(0, 2, (MANY, runs))
+    drawn = np.asarray(1.0 - 2.0 * rng.integers(0, 2, (MANY, runs)), dtype=float)
     drawn[0] = 1.0
     return drawn
 
@@ -45,7 +45,7 @@ def sign_patterns(runs: int) -> Array:
 def flip_statistics(scores: Array) -> Array:
     """Return |sum over runs| / root of the sum of squares for every sign pattern (patterns, tests)."""
     norm = np.sqrt(np.maximum((scores**2).sum(axis=0), 1e-300))
-    return np.abs(sign_patterns(len(scores)) @ scores) / norm
+    return np.asarray(np.abs(sign_patterns(len(scores)) @ scores) / norm)
 
 
 def max_t(scores: Array) -> Array:

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -134,7 +135,7 @@ def moments_of(press: Press, run: Run) -> Moments:
     switched = find_moments(run, press)
     if switched.source != "limit switch":
         return moments
-    changes = {}
+    changes: dict[str, Any] = {}
     told = switch_of(run) or (_NEVER, _NEVER)
     for name, (first, gap) in zip(("closed_s", "opened_s"), told, strict=True):
         seen, middle = getattr(moments, name), first - gap / 2
