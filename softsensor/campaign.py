@@ -97,9 +97,12 @@ class CampaignFit:
         p = self.population
         total = p.mean_covariance + np.diag(p.spread**2)
         table: dict[str, Estimate] = {}
+        shrink = np.ones(len(p.names))
         for i, name in enumerate(p.names):
-            median = float(np.exp(p.mean[i]))
-            table[name] = Estimate(median, median * float(np.sqrt(total[i, i])))
+            middle, sd = _anchored(self.press, name, float(p.mean[i]), float(np.sqrt(total[i, i])))
+            shrink[i] = sd / float(np.sqrt(total[i, i]))
+            table[name] = Estimate(float(np.exp(middle)), float(np.exp(middle)) * sd)
+        total = total * np.outer(shrink, shrink)
         for name in self.press.coefficient_names:
             if name not in table:
                 table[name] = Estimate(self.press.coefficient(name).guess, 0.0)
@@ -191,7 +194,7 @@ def summarise(press: Press, model: ThermalModel, fits: Sequence[RunFit]) -> Camp
     names = tuple(n for n in press.coefficient_names if not press.coefficient(n).fixed)
     knowledge = [information(f, names) for f in fits]
     people = population(names, knowledge)
-    coefficients = {n: _summary(n, i, fits, people) for i, n in enumerate(names)}
+    coefficients = {n: _summary(press, n, i, fits, people) for i, n in enumerate(names)}
     borrowed = {}
     for f, (mean, covariance) in zip(fits, people.members, strict=True):
         sd = np.sqrt(np.diag(covariance))
@@ -201,20 +204,33 @@ def summarise(press: Press, model: ThermalModel, fits: Sequence[RunFit]) -> Camp
     return CampaignFit(press, model, tuple(fits), coefficients, people, borrowed, dependence)
 
 
-def _summary(name: str, i: int, fits: Sequence[RunFit], people: Population) -> CampaignCoefficient:
+def _anchored(press: Press, name: str, middle: float, sd: float) -> tuple[float, float]:
+    """Return the logarithm of a coefficient and its error, joined with what the press file allows.
+
+    The limits count as 95 % of a log-normal about the guess: no more than a hint where runs speak, and
+    all there is where none does.
+    """
+    table = press.coefficient(name)
+    prior = max(float(np.log(table.upper / table.lower)) / 4.0, 1e-3)
+    weight = prior**2 / (prior**2 + sd**2)
+    joined = weight * middle + (1.0 - weight) * float(np.log(table.guess))
+    limited = float(np.clip(joined, np.log(table.lower), np.log(table.upper)))
+    return limited, sd * float(np.sqrt(weight))
+
+
+def _summary(press: Press, name: str, i: int, fits: Sequence[RunFit], people: Population) -> CampaignCoefficient:
     values = np.array([f.coefficients[name].value for f in fits if f.coefficients[name].identifiable])
     n = len(values)
-    median = float(np.exp(people.mean[i]))
-    error = float(np.sqrt(people.mean_covariance[i, i]))
-    reach = float(student.ppf(0.975, max(len(fits) - 1, 1)))
-    interval = (
-        median * float(np.exp(-min(reach * error, 50.0))),
-        median * float(np.exp(min(reach * error, 50.0))),
-    )
+    table = press.coefficient(name)
+    middle, error = _anchored(press, name, float(people.mean[i]), float(np.sqrt(people.mean_covariance[i, i])))
+    median = float(np.exp(middle))
+    reach = min(float(student.ppf(0.975, max(len(fits) - 1, 1))) * error, 50.0)
+    interval = (max(median * float(np.exp(-reach)), table.lower), min(median * float(np.exp(reach)), table.upper))
     if n >= 2:
         mean, sd = float(values.mean()), float(values.std(ddof=1))
         half = float(student.ppf(0.975, n - 1)) * sd / np.sqrt(n)
-        ci, bootstrap = (mean - half, mean + half), _bootstrap(values)
+        ci = (max(mean - half, min(table.lower, values.min())), min(mean + half, max(table.upper, values.max())))
+        bootstrap = _bootstrap(values)
     else:
         mean, sd = (float(values[0]) if n else median), float("nan")
         single = next((f.coefficients[name].ci95 for f in fits if f.coefficients[name].identifiable), interval)

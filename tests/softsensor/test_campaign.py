@@ -145,3 +145,16 @@ def test_settings_that_hardly_vary_give_no_slope(campaign):
     knowledge = [Knowledge(np.eye(1), np.zeros(1), np.zeros(1))] * len(runs)
     fitted = fit_dependence(("h",), still, found.runs, knowledge)
     assert fitted is None or fitted.settings == ("press_time_s",)
+
+
+def test_what_no_run_can_tell_stays_within_the_limits_of_the_press_file():
+    run, truth = make_campaign(4, 1, plan=Plan(rate_hz=2.0, closed_column=True))[0]
+    keep = run.time_s < truth.moments.closed_s - 0.5
+    short = replace(run, time_s=run.time_s[keep], columns={n: c[keep] for n, c in run.columns.items()})
+    found = fit_campaign(PRESS, [short])
+    model = found.model_file()
+    for name in PRESS.coefficient_names:
+        table, c = PRESS.coefficient(name), found.coefficients[name]
+        assert table.lower <= c.ci95[0] <= c.mean <= c.ci95[1] <= table.upper
+        assert table.lower <= model.coefficients[name].value <= table.upper
+    assert found.coefficients["h_pp_c"].runs == 0
