@@ -87,20 +87,32 @@ class Children:
         return next((line for line in reversed(lines) if line.strip()), "no message")
 
     def stop(self) -> None:
-        """End the processes one after the other, newest first, by force where asking does not help."""
-        for child in reversed(self.running.values()):
+        """End the services at once, then the loggers they read; by force where asking does not help."""
+        asked = [child for child in self.running.values() if child.stdin is None]
+        for child in asked:
+            if child.poll() is None:
+                child.terminate()
+        _wait_or_kill(asked)
+        fed = [child for child in self.running.values() if child.stdin is not None]
+        for child in fed:
             if child.stdin is not None:
                 child.stdin.close()
-            elif child.poll() is None:
-                child.terminate()
-            try:
-                child.wait(PATIENCE_S)
-            except subprocess.TimeoutExpired:
-                child.kill()
-                child.wait()
+        _wait_or_kill(fed)
+        for child in self.running.values():
             if child.stdout is not None:
                 child.stdout.close()
         self.running.clear()
+
+
+def _wait_or_kill(children: list[subprocess.Popen[str]]) -> None:
+    """Give the processes `PATIENCE_S` together to end, then kill those that have not."""
+    deadline = time.monotonic() + PATIENCE_S
+    for child in children:
+        try:
+            child.wait(max(deadline - time.monotonic(), 0.0))
+        except subprocess.TimeoutExpired:
+            child.kill()
+            child.wait()
 
 
 _APART: dict[str, Any] = {"start_new_session": True}

@@ -105,15 +105,17 @@ def wait_until(condition, longest_s=30.0):
 
 
 def test_pressings_are_recorded_as_runs_with_their_moments_and_start_temperature(tmp_path):
-    with plant(tmp_path, speed=20.0, rate_hz=2.0) as made, open_store(made.url) as store:
+    speed = 10.0
+    near = 1.0 + 0.2 * speed  # a fifth of a second in which a busy machine reads nothing
+    with plant(tmp_path, speed=speed, rate_hz=2.0) as made, open_store(made.url) as store:
         with recording(made):
-            wait_until(lambda: len(store.runs(status=RunStatus.CLOSED).items) >= 2, 60)
+            wait_until(lambda: len(store.runs(status=RunStatus.CLOSED).items) >= 2, 120)
         runs = store.runs(status=RunStatus.CLOSED).items[:2]
         for record_ in runs:
             zero = record_.zero_monotonic_s - made.began * made.speed
             true = made.press.cycle(zero + record_.moments.closed_s).moments
-            assert zero + record_.moments.closed_s == pytest.approx(true.closed_s, abs=1.0)
-            assert zero + record_.moments.opened_s == pytest.approx(true.opened_s, abs=1.0)
+            assert zero + record_.moments.closed_s == pytest.approx(true.closed_s, abs=near)
+            assert zero + record_.moments.opened_s == pytest.approx(true.opened_s, abs=near)
             assert zero == pytest.approx(true.inserted_s - 5.0, abs=6.0)
             assert record_.header["panel.material"] == "MDF"
             assert record_.header["panel.initial_temperature_C"] == pytest.approx(made.press.ambient, abs=4.0)
