@@ -18,8 +18,8 @@ FACE_K, FACE_S = 0.15, 25.0
 """Slow error common to a face, and how fast it is forgotten. [K, s]"""
 ROUGH_S, ROUGH_MEMORY_S = 0.15, 3.0
 """How far the model may be off in time where readings jump, and for how long. [s]"""
-MARGIN_K, MARGIN_SHARE = 0.04, 0.006
-"""What the model itself adds to the core: absolute, and of the core's rise."""
+MARGIN_K, MARGIN_SHARE = 0.2, 0.006
+"""What the model itself adds to the core: absolute (no start temperature is known better), and of its rise."""
 GATE = 4.0
 """Innovations beyond this many standard deviations lose weight."""
 MISFIT_MEMORY_S, WORST_MEMORY_S = 10.0, 120.0
