@@ -73,7 +73,7 @@ def simulate_run(
         profile = np.stack([np.interp(depths, centres, solution.fields[row, cells]) for row in rows])
     return Simulated(
         run.time_s,
-        tuple(states(case, solution)),
+        tuple(states(case)),
         places,
         measured,
         rmse,

@@ -493,7 +493,7 @@ def state_weights(
     return clock.shares(values, names)
 
 
-def states(case: Case, solution: Solution) -> list[PressState]:
+def states(case: Case) -> list[PressState]:
     """Return the press state at each row: a moment's own row already has the new state."""
     if not case.press.has_states:
         return [PressState.CLOSED] * len(case.run.time_s)

@@ -28,7 +28,7 @@ from softsensor.effects import (
     thermocouple_lag,
     vapour_convection,
 )
-from softsensor.effects.effect import Conversion, Effect, Scene, Terms, on_panel, ones
+from softsensor.effects.effect import Conversion, Effect, Scene, Terms, on_panel
 
 ENTRY_POINTS = "kerntemp.effects"
 """A package that declares an entry point of this group, naming an `Effect`, adds to the catalogue."""
@@ -92,5 +92,4 @@ __all__ = [
     "catalogue",
     "find_effect",
     "on_panel",
-    "ones",
 ]

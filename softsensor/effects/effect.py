@@ -136,11 +136,6 @@ class Effect:
         return f"{self.name}.{parameter}"
 
 
-def ones(scene: Scene) -> Array:
-    """Return a factor of one for every cell."""
-    return np.ones(len(scene.dx))
-
-
 def on_panel(scene: Scene, value: Numbers | float | complex, elsewhere: float) -> Numbers:
     """Return `value` on the panel's cells and `elsewhere` on the others."""
     return np.where(scene.panel_cells, value, elsewhere)
