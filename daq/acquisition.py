@@ -3,6 +3,9 @@
 Every logger is asked at every tick. A scan takes what has arrived by then; a logger that has not answered
 leaves its channels empty with the reason as their quality. An answer that comes after its tick's scan is
 used in the next scan, once, while it is younger than one and a half periods.
+
+A scan's `utc` is when the replies came; its `monotonic_s` is when the values were converted on average, which
+is up to half a second earlier in modules that convert one input after the other (`timing.age_s` of a profile).
 """
 
 from __future__ import annotations
@@ -17,7 +20,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 from daq.drivers import DataLogger, ReadFailure
-from daq.records import Channel, Quality, Reading, Scan
+from daq.records import Quality, Reading, Scan
 
 Say = Callable[[str, str, Mapping[str, Any]], None]
 """Level, sentence, detail: for state changes only."""
@@ -38,24 +41,33 @@ class LoggerThread:
         self.message = ""
         self._logger = logger
         self._say = say
+        self._retired = False
         self._answer: tuple[int, Reading] | None = None
         self._failure = Quality.MISSING
         self._good_s = time.monotonic()
+        self.returned_s = time.monotonic()
+        """When the driver last came back from its device, with an answer or the reason for none. [s]"""
         self._arrived: Callable[[], None] = lambda: None
 
-    def start(self, ticks: Ticks, arrived: Callable[[], None], stop: threading.Event) -> threading.Thread:
-        """Read in a thread of its own until `stop`."""
+    def start(
+        self, ticks: Callable[[], Ticks], arrived: Callable[[], None], stop: threading.Event
+    ) -> threading.Thread:
+        """Read in a thread of its own, by the schedule in force, until `stop`."""
         self._arrived = arrived
         thread = threading.Thread(target=self._work, args=(ticks, stop), name=self.name, daemon=True)
         thread.start()
         return thread
 
-    def _work(self, ticks: Ticks, stop: threading.Event) -> None:
-        number = ticks.next_number()
-        while not stop.wait(ticks.until(number)):
+    def retire(self) -> None:
+        """Read no more; the port is released by the next tick at the latest."""
+        self._retired = True
+
+    def _work(self, ticks: Callable[[], Ticks], stop: threading.Event) -> None:
+        number = ticks().next_number()
+        while not stop.wait(ticks().until(number)) and not self._retired:
             self._read(number)
             self._arrived()
-            number = max(number + 1, ticks.next_number())
+            number = max(number + 1, ticks().next_number())
         self._logger.close()
 
     def _read(self, number: int) -> None:
@@ -65,6 +77,7 @@ class LoggerThread:
             self._failed(str(failure), failure.cause, failure.quality)
         except Exception as error:  # noqa: BLE001 - a fault in one driver must not end its thread
             self._failed(f"{type(error).__name__}: {error}", "driver fault", Quality.MISSING)
+            return  # a broken driver has not come back: the watchdog may start the service anew
         else:
             self._answer = (number, reading)
             self._failure = Quality.MISSING
@@ -75,6 +88,7 @@ class LoggerThread:
             if self.lost:
                 self.lost = False
                 self._say("info", f"logger {self.name} answers again", {"logger": self.name})
+        self.returned_s = time.monotonic()
 
     def _failed(self, message: str, cause: str, quality: Quality) -> None:
         self.counters[cause] += 1
@@ -116,10 +130,12 @@ class Ticks:
 
     start_s: float
     period_s: float
+    first: int = 0
+    """The number of the tick at `start_s`."""
 
     def at(self, number: int) -> float:
         """Return the moment of a tick. [s]"""
-        return self.start_s + number * self.period_s
+        return self.start_s + (number - self.first) * self.period_s
 
     def until(self, number: int) -> float:
         """Return how long a tick is away, 0 where it is past. [s]"""
@@ -127,7 +143,7 @@ class Ticks:
 
     def next_number(self) -> int:
         """Return the first tick that is still to come."""
-        return max(0, math.ceil((time.monotonic() - self.start_s) / self.period_s))
+        return self.first + max(0, math.ceil((time.monotonic() - self.start_s) / self.period_s))
 
 
 class ClockWatch:
@@ -151,19 +167,33 @@ class Scanner:
 
     def __init__(self, loggers: Sequence[LoggerThread], period_s: float, speed: float, first_number: int) -> None:
         self.loggers = tuple(loggers)
-        self.channels: tuple[Channel, ...] = tuple(c for x in self.loggers for c in x.channels)
         self.missed_ticks = 0
         self._ticks = Ticks(time.monotonic() + 0.05, period_s)
         self._speed = speed
         self._number = first_number
         self._tick = 0
         self._last_s = -math.inf
+        self._last_scan_s = -math.inf
         self._arrived = threading.Condition()
         self._threads: list[threading.Thread] = []
 
     def start(self, stop: threading.Event) -> None:
         """Start the loggers' threads."""
-        self._threads = [x.start(self._ticks, self._notify, stop) for x in self.loggers]
+        self._threads = [x.start(lambda: self._ticks, self._notify, stop) for x in self.loggers]
+
+    def change(self, loggers: Sequence[LoggerThread], period_s: float, stop: threading.Event) -> None:
+        """Go on from the next tick with other loggers or another period; loggers kept are not disturbed.
+
+        Call it between two scans, from the thread that scans.
+        """
+        self._ticks = Ticks(self._ticks.at(self._tick), period_s, self._tick)
+        before, self.loggers = self.loggers, tuple(loggers)
+        for logger in before:
+            if logger not in loggers:
+                logger.retire()
+        self._threads = [t for t in self._threads if t.is_alive()] + [
+            x.start(lambda: self._ticks, self._notify, stop) for x in loggers if x not in before
+        ]
 
     def join(self, longest_s: float) -> None:
         """Wait for the loggers' threads to end."""
@@ -211,4 +241,12 @@ class Scanner:
         at_s = max(min(measured_s, now_s), self._last_s + 1e-4)
         self._last_s = at_s
         utc = datetime.fromtimestamp(utc.timestamp() - (now_s - at_s), UTC)
-        return Scan(self._number, utc, round(at_s * self._speed, 6), tuple(values), tuple(qualities))
+        converted_s = max(at_s * self._speed - self._age_s, self._last_scan_s + 1e-4)
+        self._last_scan_s = converted_s
+        return Scan(self._number, utc, round(converted_s, 6), tuple(values), tuple(qualities))
+
+    @property
+    def _age_s(self) -> float:
+        """How old values are at the reply; the same whether or not a logger answers, so that time goes evenly."""
+        ages = [c.age_s for logger in self.loggers for c in logger.channels]
+        return sum(ages) / len(ages) if ages else 0.0

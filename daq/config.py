@@ -96,6 +96,44 @@ class ServerSettings(_Table):
     """File with the tokens of readers and writers. None: reading on loopback only."""
 
 
+class RefitSettings(_Table):
+    """``[refit]``: the nightly job."""
+
+    workers: Annotated[int, Field(ge=1)] | None = None
+    """Local processes; None: one a core."""
+    dask: str = ""
+    """Address of a Dask scheduler whose workers take the fits instead; they must reach the store."""
+    reports: Path = Path("reports")
+    """Folder the job writes its report to, one page a press and night."""
+
+
+class MqttSettings(_Table):
+    """``[mqtt]``: the plant's broker, fed by `kerntemp publish`."""
+
+    host: str = Field(min_length=1)
+    port: Annotated[int, Field(ge=1, le=65535)] = 1883
+    prefix: str = Field(default="kerntemp", pattern=r"^[^#+]+$")
+    """Topics begin with it: ``prefix/press/scan``."""
+    client: str = Field(default="kerntemp", min_length=1)
+    """Client identifier; give each machine its own."""
+    user: str = ""
+    password_file: Path | None = None
+    """File with the user's password in its first line."""
+    tls: bool = False
+    certificates: Path | None = None
+    """Certificates of who may have signed the broker's, PEM. None: the machine's own."""
+
+
+class OpcuaSettings(_Table):
+    """``[opcua]``: an OPC UA server, run by `kerntemp publish`."""
+
+    host: str = "127.0.0.1"
+    port: Annotated[int, Field(ge=0, le=65535)] = 4840
+    certificate: Path | None = None
+    """The server's certificate, DER or PEM; with `key` it switches signing and encryption on."""
+    key: Path | None = None
+
+
 class ClockSettings(_Table):
     """``[clock]``: only for an accelerated demonstration."""
 
@@ -109,6 +147,9 @@ class Config(_Table):
     store: StoreSettings = StoreSettings()
     press: tuple[PressSettings, ...] = Field(min_length=1)
     server: ServerSettings = ServerSettings()
+    refit: RefitSettings = RefitSettings()
+    mqtt: MqttSettings | None = None
+    opcua: OpcuaSettings | None = None
     clock: ClockSettings = ClockSettings()
     text: str = Field(default="", exclude=True)
     """The file as it was read, kept with every run."""
@@ -180,4 +221,15 @@ def _absolute(config: Config, folder: Path) -> Config:
     )
     tokens = config.server.tokens
     server = config.server.model_copy(update={"tokens": None if tokens is None else folder / tokens})
-    return config.model_copy(update={"store": store, "press": presses, "server": server})
+    mqtt = _files_absolute(config.mqtt, folder, "password_file", "certificates")
+    opcua = _files_absolute(config.opcua, folder, "certificate", "key")
+    refit = config.refit.model_copy(update={"reports": folder / config.refit.reports})
+    found = {"store": store, "press": presses, "server": server, "mqtt": mqtt, "opcua": opcua, "refit": refit}
+    return config.model_copy(update=found)
+
+
+def _files_absolute(table: _Table | None, folder: Path, *names: str) -> _Table | None:
+    if table is None:
+        return None
+    given = {name: folder / path for name in names if (path := getattr(table, name)) is not None}
+    return table.model_copy(update=given)

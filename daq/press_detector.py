@@ -229,7 +229,10 @@ class PressEventDetector:
         if then is None or then.time < self._since + 1.0:
             return False
         fall = (then.top - now.top) - max(then.plate - now.plate, 0.0)
-        return fall > 4.0 and fall > 1.7 * max(then.plate - then.top, 0.0) + 2.5
+        if not (fall > 4.0 and fall > 1.7 * max(then.plate - then.top, 0.0) + 2.5):
+            return False
+        falls = [then.values[n] - now.values[n] for n in self._top_names if n in now.values and n in then.values]
+        return 2 * sum(f > 0.0 for f in falls) >= len(falls)  # else only the bridge over a lost sensor fades
 
     def _inserted(self, now: _Row, then: _Row) -> bool:
         """The lower face leaves hand and room temperature, all its sensors together, the upper stays."""

@@ -59,7 +59,8 @@ def find_moments(run: Run, press: Press) -> Moments:
     nan = math.nan
     closed = moments.get(PressEventKind.CLOSED, nan)
     inserted = moments.get(PressEventKind.INSERTED, nan)
-    if not closed - inserted > 1.1:  # the machine saw none before the closing
+    unseen = not math.isfinite(inserted) or closed - inserted <= 1.1
+    if unseen:  # the machine saw none before the closing
         inserted = _slow_insertion(run.time_s, bottom, closed)
     return Moments(
         inserted_s=max(inserted, float(run.time_s[0])),

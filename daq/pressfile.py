@@ -16,10 +16,11 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from daq.materials import MATERIALS, find_material
-from daq.records import InputError, Panel, Run
+from daq.records import InputError, Nonphysical, Panel, Run
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-Property = Positive | tuple[tuple[float, Positive], ...]
+Temperature = Annotated[float, Field(gt=-273.15, lt=5000, allow_inf_nan=False)]
+Property = Positive | tuple[tuple[Temperature, Positive], ...]
 """A number, or rows of temperature [°C] and value."""
 
 
@@ -93,6 +94,11 @@ class Load(_Table):
 
     column: str
     law: Literal["power"] = "power"
+    reference: Positive | None = None
+    """Load at which the contact's coefficient holds, in the column's unit.
+
+    None: the run's own median, which cannot tell runs of different steady loads apart.
+    """
 
 
 class Contact(_Table):
@@ -118,6 +124,14 @@ class Coefficient(_Table):
         if not self.lower <= self.guess <= self.upper:
             raise ValueError(f"guess = {self.guess:g} lies outside lower..upper = {self.lower:g}..{self.upper:g}")
         return self
+
+
+class Prior(_Table):
+    """``[priors.NAME]``: what is known of a coefficient before any run is seen; log-normal."""
+
+    median: Positive
+    factor: float = Field(gt=1.0, allow_inf_nan=False)
+    """Two in three values lie between median / factor and median x factor."""
 
 
 class At(_Table):
@@ -170,6 +184,7 @@ class Press(_Table):
     boundary: Boundaries = Boundaries()
     contact: tuple[Contact, ...] = ()
     coefficients: Mapping[str, Coefficient] = Field(default_factory=dict)
+    priors: Mapping[str, Prior] = Field(default_factory=dict)
     sensor: tuple[Sensor, ...] = ()
     initial: Initial = Initial()
 
@@ -240,9 +255,21 @@ class Press(_Table):
                 f"coefficients.{unused[0]}: no contact or boundary uses it; "
                 f"used are {list(self.coefficient_names)}"
             )
+        for name, prior in self.priors.items():
+            self._check_prior(name, prior)
         for i, sensor in enumerate(self.sensor):
             self._check_place(i, sensor)
         return self
+
+    def _check_prior(self, name: str, prior: Prior) -> None:
+        if name not in self.coefficient_names:
+            raise ValueError(f"priors.{name}: no such coefficient; used are {list(self.coefficient_names)}")
+        table = self.coefficient(name)
+        if not table.lower <= prior.median <= table.upper:
+            raise ValueError(
+                f"priors.{name}.median = {prior.median:g}: outside the coefficient's limits "
+                f"{table.lower:g}..{table.upper:g}"
+            )
 
     def _check_place(self, i: int, sensor: Sensor) -> None:
         if isinstance(sensor.at, At):
@@ -331,7 +358,7 @@ def panel_of(run: Run) -> Panel:
             listed = f" and material {material!r} is not in the table ({', '.join(MATERIALS)})" if unknown else ""
             raise InputError(f"{where}: header key panel.{key} is missing{listed}; add '# panel.{key} = ...'")
         if isinstance(value, bool) or not isinstance(value, int | float) or not lower <= value <= upper:
-            raise InputError(
+            raise Nonphysical(
                 f"{where}: header key panel.{key} = {value!r}: must be a number from {lower:g} to {upper:g}"
             )
         return float(value)
@@ -381,7 +408,7 @@ def _set(tree: Any, keys: list[str], value: Any) -> None:
         else:
             tree = (
                 tree.setdefault(key, {})
-                if i == 0 and key in ("boundary", "initial", "coefficients", "press")
+                if i == 0 and key in ("boundary", "initial", "coefficients", "press", "priors")
                 else tree[key]
             )
     if not isinstance(tree, dict):

@@ -22,6 +22,22 @@ class InputError(ValueError):
     """
 
 
+class Nonphysical(InputError):
+    """A property, coefficient or temperature that no matter has."""
+
+
+class OutsideLayer(InputError):
+    """A sensor that lies outside the layer it is said to be in."""
+
+
+class BrokenTime(InputError):
+    """Times that fall or stand still, or rows missing for longer than can be bridged."""
+
+
+class BoundaryGap(InputError):
+    """A measured boundary that is missing for longer than can be bridged."""
+
+
 class Quality(StrEnum):
     """What one value is worth, from the wire to the chart."""
 
@@ -64,6 +80,8 @@ class Channel:
     name: str
     """Column name in run files, such as ``top_1``."""
     unit: str = "C"
+    age_s: float = field(default=0.0, compare=False)
+    """How old its values are on average when the logger hands them out. [s]"""
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ import pyarrow as pa
 import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
 
-from daq.records import Array, InputError, Run
+from daq.records import Array, BrokenTime, InputError, Run
 
 TIME = "time_s"
 CLOSED = "closed"
@@ -311,7 +311,7 @@ def _slow_rows(
         values = [_cell(where, n, cell) for n, cell in zip(names, cells, strict=True) if n not in texts]
         now = values[[n for n in names if n not in texts].index(TIME)]
         if now <= last_time:
-            raise InputError(
+            raise BrokenTime(
                 f"{path}: line {line}: time_s = {now!r} does not rise (line {last_line}: {last_time!r}); "
                 "sort the rows, remove doubled ones"
             )
@@ -325,7 +325,7 @@ def _cell(where: str, name: str, cell: str) -> float:
     if value is None:
         raise InputError(f"{where}: column {name}: {cell.strip()!r} is not a number; leave a missing value empty")
     if name == TIME and value != value:
-        raise InputError(f"{where}: column time_s: the time is missing; every row needs one")
+        raise BrokenTime(f"{where}: column time_s: the time is missing; every row needs one")
     if name == CLOSED and value not in (0.0, 1.0) and value == value:
         raise InputError(f"{where}: column closed: {cell.strip()!r} must be 0 (open) or 1 (closed)")
     return value
@@ -345,10 +345,10 @@ def _check_table(
         if name != TIME:
             continue
         if len(bad := np.flatnonzero(np.isnan(column))):
-            raise InputError(f"{where}: {unit} {first_line + bad[0]}: column time_s: the time is missing")
+            raise BrokenTime(f"{where}: {unit} {first_line + bad[0]}: column time_s: the time is missing")
         if len(bad := np.flatnonzero(np.diff(column) <= 0)):
             i = int(bad[0]) + 1
-            raise InputError(
+            raise BrokenTime(
                 f"{where}: {unit} {first_line + i}: time_s = {float(column[i])!r} does not rise "
                 f"({unit} {first_line + i - 1}: {float(column[i - 1])!r}); sort the rows, remove doubled ones"
             )

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import datetime
 from statistics import median
 from typing import Any
 
@@ -32,15 +33,22 @@ class RunRules:
 
 
 class RunNames:
-    """Names ``press-2026-03-04-07``: numbers count up within a UTC day."""
+    """Names ``press-2026-03-04-07``: numbers count up within a UTC day.
 
-    def __init__(self, press: str, next_free: str) -> None:
-        self._press = press
-        self._day, _, number = next_free.removeprefix(f"{press}-").rpartition("-")
+    Where nobody could tell the next free number (the store is away), runs are named by their time of day:
+    ``press-2026-03-04-t071523``.
+    """
+
+    def __init__(self, press: str, next_free: str | None) -> None:
+        self._press, self._counts = press, next_free is not None
+        self._day, _, number = (next_free or f"{press}--0").removeprefix(f"{press}-").rpartition("-")
         self._number = int(number)
 
-    def take(self, day: str) -> str:
-        """Return the next name of a day written ``2026-03-04``."""
+    def take(self, started_utc: datetime) -> str:
+        """Return the name of a run that starts then."""
+        day = f"{started_utc:%Y-%m-%d}"
+        if not self._counts:
+            return f"{self._press}-{day}-t{started_utc:%H%M%S}"
         if day != self._day:
             self._day, self._number = day, 1
         name = f"{self._press}-{day}-{self._number:02d}"
@@ -69,6 +77,10 @@ class RunKeeper:
         self._first = 0
         self._last = -1
         self._removed: float | None = None
+
+    def change(self, rules: RunRules, panel_places: Sequence[int]) -> None:
+        """Cut the next runs by other rules, from scans with other columns."""
+        self.rules, self._places = rules, tuple(panel_places)
 
     def take(self, scan: Scan, events: Sequence[PressEvent]) -> list[tuple[NewRun | None, RunEnd | None]]:
         """Return what begins and ends with this scan, in order."""
@@ -132,7 +144,7 @@ class RunKeeper:
         header = dict(self.rules.header)
         if settled:
             header.setdefault("panel.initial_temperature_C", round(median(settled[-_SETTLED_SCANS:]), 2))
-        name = self._names.take(f"{first.scan.utc:%Y-%m-%d}")
+        name = self._names.take(first.scan.utc)
         return NewRun(name, first.number, first.scan.utc, first.monotonic_s, header, self.rules.configuration)
 
     def _remember(self, scan: Scan) -> None:

@@ -128,7 +128,7 @@ class Bus:
             try:
                 self._link = self.place.open()
             except LinkLost as error:
-                raise NoReply(str(error), "port lost") from error
+                raise NoReply(str(error), error.cause) from error
             self.generation += 1
             self._silences = 0
             if not self.numbered:

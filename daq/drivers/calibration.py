@@ -83,9 +83,9 @@ def _written(entry: Calibration) -> str:
 
 
 def in_force(history: Sequence[Calibration], channel: str, day: date) -> Calibration | None:
-    """Return the entry that corrects `channel` on `day`, or None."""
+    """Return the entry that corrects `channel` on `day`, or None; of two of one day the later in the file."""
     known = [entry for entry in history if entry.channel == channel and entry.date <= day]
-    return max(known, key=lambda entry: entry.date, default=None)
+    return max(reversed(known), key=lambda entry: entry.date, default=None)
 
 
 def corrector(history: Sequence[Calibration], names: Sequence[str], day: date) -> Callable[[int, float], float]:

@@ -5,6 +5,7 @@ The only module that touches ports. It knows nothing of frames.
 
 from __future__ import annotations
 
+import errno
 import os
 import select
 import socket
@@ -24,6 +25,11 @@ _SERIAL_STEP_S = 0.001
 
 class LinkLost(Exception):
     """The port or the connection is gone; open it anew."""
+
+    def __init__(self, message: str, cause: str = "port lost") -> None:
+        super().__init__(message)
+        self.cause = cause
+        """For counting: ``port lost``, or why it does not open."""
 
 
 class Link(Protocol):
@@ -55,7 +61,7 @@ class SerialPlace:
         try:
             return _SerialLink(self)
         except (OSError, ValueError) as error:
-            raise LinkLost(f"cannot open {self.port}: {error}") from error
+            raise _not_opened(f"cannot open {self.port}", error) from error
 
     @property
     def key(self) -> str:
@@ -83,7 +89,7 @@ class SocketPlace:
         try:
             return _SocketLink(socket.create_connection((self.host, self.tcp_port), CONNECT_TIMEOUT_S))
         except OSError as error:
-            raise LinkLost(f"cannot connect to {self}: {error}") from error
+            raise _not_opened(f"cannot connect to {self}", error) from error
 
     @property
     def key(self) -> str:
@@ -100,6 +106,37 @@ class SocketPlace:
 
 
 Place = SerialPlace | SocketPlace
+
+_WHY_NOT: tuple[tuple[frozenset[int], str, str], ...] = (
+    (
+        frozenset({errno.ECONNREFUSED}),
+        "connection refused",
+        "the device is on but nothing listens there; check port",
+    ),
+    (
+        frozenset({errno.EHOSTUNREACH, errno.ENETUNREACH, errno.ETIMEDOUT}),
+        "unreachable",
+        "nobody answers at this address; check power, cable and host",
+    ),
+    (frozenset({errno.ENOENT, errno.ENXIO, errno.ENODEV}), "no port", "no such port; check adapter and name"),
+    (
+        frozenset({errno.EACCES, errno.EPERM}),
+        "no permission",
+        "the user may not open it; add it to the port's group",
+    ),
+    (frozenset({errno.EBUSY, errno.EAGAIN}), "port in use", "another program has it open; close that"),
+)
+
+
+def _not_opened(what: str, error: OSError | ValueError) -> LinkLost:
+    """Return why a place does not open, each cause by its own name, with what to do."""
+    number = error.errno if isinstance(error, OSError) else None
+    if isinstance(error, TimeoutError):
+        number = errno.ETIMEDOUT
+    for numbers, cause, remedy in _WHY_NOT:
+        if number in numbers:
+            return LinkLost(f"{what}: {cause}; {remedy}", cause)
+    return LinkLost(f"{what}: {error}")
 
 
 def socket_of(port: str) -> SocketPlace | None:

@@ -11,11 +11,11 @@ from daq.drivers.link import Place, SerialPlace, SocketPlace, socket_of
 from daq.drivers.modbus_device import ModbusDevice
 from daq.drivers.polled import Device, PolledLogger
 from daq.drivers.profile import Profile, profile_for
-from daq.drivers.protocol import DataLogger
+from daq.drivers.protocol import DataLogger, NoReply
 from daq.drivers.scpi import ScpiDevice
 from daq.drivers.settings import LoggerSettings
 from daq.drivers.sr630 import Sr630Device
-from daq.records import InputError
+from daq.records import Channel, InputError, Reading
 
 
 def open_logger(settings: LoggerSettings) -> DataLogger:
@@ -25,20 +25,66 @@ def open_logger(settings: LoggerSettings) -> DataLogger:
     port is opened by the first `read`: a logger that is off does not keep others from starting.
     """
     profile = profile_for(settings)
+    bus = share_bus(place_of(settings, profile), numbered=_numbered(settings, profile))
+    try:
+        return _on_bus(settings, profile, bus)
+    except InputError:
+        release_bus(bus)
+        raise
+
+
+def _on_bus(settings: LoggerSettings, profile: Profile, bus: Bus) -> PolledLogger:
     correct = None
     if settings.calibration is not None:
         today = datetime.now(UTC).date()
         correct = corrector(read_calibrations(settings.calibration), settings.channels, today)
-    numbered = profile.protocol == "modbus" and _transport(settings) == "tcp"
-    bus = share_bus(place_of(settings, profile), numbered=numbered)
     return PolledLogger(
         _device(settings, profile, bus),
         settings.channels,
         stale_after_s=settings.stale_after_s or profile.timing.stale_after_s,
+        age_s=profile.timing.age_s,
         correct=correct,
         simulated=settings.simulated,
         release=release_bus,
     )
+
+
+def _numbered(settings: LoggerSettings, profile: Profile) -> bool:
+    return profile.protocol == "modbus" and _transport(settings) == "tcp"
+
+
+class SuccessorLogger:
+    """A logger that takes over from one still running: it opens its port once that one has let go.
+
+    Raises InputError at once for what is wrong in profile, calibration file or settings.
+    """
+
+    def __init__(self, settings: LoggerSettings) -> None:
+        profile = profile_for(settings)
+        place = place_of(settings, profile)
+        trial = _on_bus(settings, profile, Bus(place, numbered=_numbered(settings, profile)))
+        self._settings = settings
+        self._channels = trial.channels
+        self._logger: DataLogger | None = None
+
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        """The inputs in use, in the order `read` reports them."""
+        return self._channels
+
+    def read(self) -> Reading:
+        """Wait for the next reading. Raises NoReply or BadFrame."""
+        if self._logger is None:
+            try:
+                self._logger = open_logger(self._settings)
+            except InputError as error:
+                raise NoReply(str(error), "port in use") from error
+        return self._logger.read()
+
+    def close(self) -> None:
+        """Release the port."""
+        if self._logger is not None:
+            self._logger.close()
 
 
 def place_of(settings: LoggerSettings, profile: Profile) -> Place:

@@ -72,13 +72,14 @@ class PolledLogger:
         names: tuple[str, ...],
         *,
         stale_after_s: float,
+        age_s: float = 0.0,
         correct: Correct | None = None,
         simulated: bool = False,
         release: Callable[[Bus], None],
     ) -> None:
         self._device = device
         self._used = tuple(k for k, name in enumerate(names) if name)
-        self._channels = tuple(Channel(name) for name in names if name)
+        self._channels = tuple(Channel(name, age_s=age_s) for name in names if name)
         self._standstill = Standstill(stale_after_s)
         self._correct = correct
         self._simulated = simulated
@@ -86,6 +87,7 @@ class PolledLogger:
         self._ready_for = 0
         self._failures = 0
         self._rest_until = 0.0
+        self._rests_for = NoReply("no answer yet", "silent")
 
     @property
     def channels(self) -> tuple[Channel, ...]:
@@ -101,7 +103,7 @@ class PolledLogger:
             raise NoReply("the logger is closed", "closed")
         left = self._rest_until - time.monotonic()
         if left > 0:
-            raise NoReply(f"{self._device.bus.place}: silent; next try in {left:.1f} s", "silent")
+            raise NoReply(str(self._rests_for), self._rests_for.cause)
         try:
             with self._device.bus.lock:
                 self._get_ready()
@@ -128,6 +130,7 @@ class PolledLogger:
         if not isinstance(failure, NoReply) or failure.cause == "busy":
             return
         self._failures += 1
+        self._rests_for = failure
         if self._failures >= _FAILURES_BEFORE_REST:
             self._ready_for = 0
             doublings = min(self._failures - _FAILURES_BEFORE_REST, 8)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from statistics import median
 from typing import Any
 
 from pydantic import ValidationError
@@ -23,6 +24,7 @@ from daq.drivers.settings import LoggerSettings
 from daq.records import InputError, Quality
 
 ROOM_C = (5.0, 45.0)
+USUAL_ROOM_C = 22.0
 _ENOUGH = 0.5
 """Share of inputs that must read room temperature: some may have no thermocouple yet."""
 _SCALINGS: Mapping[str, tuple[str, Scaling]] = {
@@ -128,8 +130,7 @@ def probe(
     """
     place = _place(wire)
     stations = tuple(stations)
-    blocks = _registers(wire, place, stations, timeout_s, progress)
-    answering = tuple(sorted({block.station for block in blocks}))
+    blocks, answering = _registers(wire, place, stations, timeout_s, progress)
     attempts: list[Attempt] = []
     for name in profiles or [n for n in profile_names() if n != "generic"]:
         progress(f"trying {name}")
@@ -188,24 +189,29 @@ def _registers(
     stations: tuple[int, ...],
     timeout_s: float,
     progress: Callable[[str], None],
-) -> list[RegisterBlock]:
+) -> tuple[list[RegisterBlock], tuple[int, ...]]:
+    """Return the first registers of each station, and the stations that answered, be it with a refusal."""
     bus = Bus(place, numbered=_is_tcp(wire))
     patience = Patience(timeout_s, min(timeout_s, 0.3), 0.005)
-    blocks = []
+    blocks, answering = [], set()
     try:
         for station in stations:
             for function in (3, 4):
                 progress(f"reading registers of station {station}, function {function}")
-                block = _block(bus, patience, station, function, local_echo=bool(wire.get("local_echo")))
-                if block is not None:
-                    blocks.append(block)
+                words = _words(bus, patience, station, function, local_echo=bool(wire.get("local_echo")))
+                if words is not None:
+                    answering.add(station)
+                if words:
+                    blocks.append(RegisterBlock(station, function, 0, words, interpretations(words)))
     finally:
         bus.close()
-    return blocks
+    return blocks, tuple(sorted(answering))
 
 
-def _block(bus: Bus, patience: Patience, station: int, function: int, *, local_echo: bool) -> RegisterBlock | None:
-    """Return the first 16 registers, or 8, or nothing where the station does not answer."""
+def _words(
+    bus: Bus, patience: Patience, station: int, function: int, *, local_echo: bool
+) -> tuple[int, ...] | None:
+    """Return the first 16 registers, or 8, none where the station refuses; None where it does not answer."""
     for count in (16, 8):
         request = modbus.Request(function, 0, count)
         try:
@@ -218,15 +224,14 @@ def _block(bus: Bus, patience: Patience, station: int, function: int, *, local_e
             else:
                 frame = modbus.rtu_frame(station, request)
                 take = modbus.rtu_reply(station, request, local_echo=local_echo)
-            words = modbus.registers(bus.exchange(frame, take, patience).payload)
+            return modbus.registers(bus.exchange(frame, take, patience).payload)
         except NoReply as failure:
             if failure.cause == "refused":
                 continue
             return None
         except ReadFailure:
             return None
-        return RegisterBlock(station, function, 0, words, interpretations(words))
-    return None
+    return ()
 
 
 def _tried(
@@ -303,6 +308,20 @@ def _rank(attempt: Attempt) -> tuple[bool, float, bool]:
     return (attempt.outcome == "fits", attempt.plausible, attempt.identified)
 
 
+def _from_usual_room(attempt: Attempt) -> int:
+    """Return how far the middle reading lies from the usual room: only orders readings that fit as well. [K]"""
+    return round(abs(_middle(attempt) - USUAL_ROOM_C))
+
+
+def _middle(attempt: Attempt) -> float:
+    return median(v for v, q in zip(attempt.values, attempt.qualities, strict=True) if q.usable)
+
+
+def _differs(rival: Attempt, best: Attempt) -> bool:
+    """Whether a rival is another profile, or reads other temperatures by another scaling."""
+    return rival.profile != best.profile or abs(_middle(rival) - _middle(best)) > 1.0
+
+
 def _proposed(
     wire: Mapping[str, Any],
     station: int | None,
@@ -312,14 +331,20 @@ def _proposed(
     """Return what reads one station best, or a generic map of its registers."""
     fitting = [a for a in attempts if a.outcome == "fits" and a.station == station]
     if fitting:
-        best = fitting[0]
-        rivals = [a.profile for a in fitting if _rank(a) == _rank(best) and a.profile != best.profile]
+        equal = [a for a in fitting if _rank(a) == _rank(fitting[0])]
+        best = min(equal, key=_from_usual_room)
+        rivals = [_called(a, best) for a in equal if _differs(a, best)]
         return Proposal(best.settings, tuple(dict.fromkeys(rivals)))
     for block in blocks:
         top = block.interpretations[0]
         if block.station == station and top.plausible >= _ENOUGH:
             return Proposal(_generic(wire, block, top))
     return None
+
+
+def _called(rival: Attempt, best: Attempt) -> str:
+    """Return a rival by its profile, or by its scaling where that is all that differs."""
+    return rival.profile if rival.profile != best.profile else f"{rival.profile} with scaling {rival.scaling}"
 
 
 def _generic(wire: Mapping[str, Any], block: RegisterBlock, reading: Interpretation) -> dict[str, Any]:

@@ -49,6 +49,9 @@ class Timing(_Table):
     itself tells which request it answers; None: the worst response time."""
     refresh_s: float = Field(gt=0)
     """Time in which every input is converted once."""
+    age_s: float = Field(default=0.0, ge=0)
+    """How old values are on average when the device is asked: half of `refresh_s` where it converts by itself,
+    one input after the other; 0 where it converts at the request, or where nobody has established it."""
     turnaround_s: float = Field(default=0.005, ge=0)
     """Silence the bus keeps between a reply and the next request."""
     setup_s: float = Field(default=0.0, ge=0)

@@ -31,6 +31,7 @@ class Sr630Device:
 
     def set_up(self) -> None:
         """Make sure it is an SR630 and that it reads Celsius."""
+        self.bus.send(b"\r", self.patience)  # ends half a command that somebody else left in its buffer
         self._in_step()
         for k in self._used:
             self.bus.send(f"UNIT {k + 1},CENT\r".encode("ascii"), self.patience)

@@ -28,6 +28,10 @@ def _split(buffer: bytearray, end: bytes) -> bytes | None:
     return line
 
 
+_XON, _XOFF = b"\x11", b"\x13"
+_FLOW = (_XON + _XOFF).decode()
+
+
 class AdamModule:
     """``#AA`` and ``$AA...`` as ADAM-4000 and I-7000 modules answer them."""
 
@@ -143,10 +147,17 @@ class ScanningMeter:
         return _split(buffer, b"\n")
 
     def answer(self, request: bytes) -> bytes | None:
-        """Return the reply to a query; commands have none."""
+        """Return the reply to a query; commands have none. Power off forgets all settings."""
         if self.switches.silent:
+            self._reset()
             return None
-        command = request.decode("latin-1").strip().upper()
+        reply = self._reply(request.decode("latin-1").strip(_FLOW).strip().upper())
+        if reply is None or not self.switches.flow_control:
+            return reply
+        half = len(reply) // 2
+        return _XOFF + reply[:half] + _XOFF + reply[half:] + _XON
+
+    def _reply(self, command: str) -> bytes | None:
         self._think_s = self._scan_s if command == "READ?" else 0.002
         if command == "*IDN?":
             return (self._name + "\n").encode()

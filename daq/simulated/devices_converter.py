@@ -36,6 +36,8 @@ class Switches:
     """Thermocouples that are broken."""
     disabled_inputs: set[int] = field(default_factory=set)
     """Inputs switched off in the module's configuration."""
+    flow_control: bool = False
+    """XON/XOFF: the line is stopped while a scanning instrument works out its reply."""
 
 
 class Converter:

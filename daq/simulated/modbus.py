@@ -17,6 +17,8 @@ from daq.thermocouple import voltage
 Words = dict[int, int]
 Bits = dict[int, bool]
 _TYPE_K = 0x0F
+RESET_FLAG = 272
+"""ICP DAS coil 00273: set at the first reading after power-on, then clear."""
 COLD_JUNCTION_C = 31.0
 """Terminal temperature inside a simulated module."""
 
@@ -71,7 +73,7 @@ def encode_m7019r_hex(values: Sequence[float], written: Mapping[int, int]) -> Im
 
 def _icp_das(words: Words, values: Sequence[float]) -> Image:
     words |= {128: round(COLD_JUNCTION_C * 100), 486: _TYPE_K} | {256 + k: _TYPE_K for k in range(8)}
-    return Image(words, _broken(values, at=128) | {256: True})
+    return Image(words, _broken(values, at=128) | {256: True, RESET_FLAG: True})
 
 
 def encode_smtc(values: Sequence[float], written: Mapping[int, int]) -> Image:
@@ -128,6 +130,7 @@ class ModbusModule:
         self._think_s = think_s
         self._writable = writable
         self._written: dict[int, int] = {}
+        self._asked_reset = False
 
     @property
     def think_s(self) -> float:
@@ -139,8 +142,10 @@ class ModbusModule:
         return _split_tcp(buffer) if self._tcp else _split_rtu(buffer)
 
     def answer(self, request: bytes) -> bytes | None:
-        """Return the reply, or None for silence: not ours, damaged, or switched off."""
+        """Return the reply, or None for silence: not ours, damaged, or off, which forgets all settings."""
         if self.switches.silent:
+            self._written.clear()
+            self._asked_reset = False
             return None
         if self._tcp:
             if request[6] != self._station:
@@ -159,6 +164,9 @@ class ModbusModule:
         image = self._encode(self.converter.read(), self._written)
         if function in (1, 2, 3, 4):
             count = struct.unpack(">H", pdu[3:5])[0]
+            if function in (1, 2) and address <= RESET_FLAG < address + count and RESET_FLAG in image.bits:
+                image.bits[RESET_FLAG] = not self._asked_reset
+                self._asked_reset = True
             return _read(image, function, address, count)
         if function in (6, 16):
             return self._write(function, address, pdu)

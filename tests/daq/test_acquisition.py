@@ -6,11 +6,13 @@ import time
 from datetime import UTC, datetime, timedelta
 from statistics import median
 
+import numpy as np
 import pytest
 
 from daq.acquisition import ClockWatch, LoggerThread, Scanner, Ticks
-from daq.drivers import BadFrame, NoReply
+from daq.drivers import BadFrame, LoggerSettings, NoReply, open_logger
 from daq.records import Channel, Quality, Reading, Scan
+from daq.simulated.devices import simulated, wiring
 
 BEGAN = datetime(2026, 3, 4, 7, 0, tzinfo=UTC)
 
@@ -46,7 +48,7 @@ def scans_of(instruments, period_s, count, speed=1.0, between=lambda number: Non
         between(number)
     stop.set()
     scanner.join(2.0)
-    assert all(x.closed for x in instruments)
+    assert all(x.closed for x in instruments if isinstance(x, Instrument))
     return scans, said, threads
 
 
@@ -94,6 +96,20 @@ def test_an_accelerated_clock_runs_that_much_faster():
     scans, _, _ = scans_of([Instrument("a")], 0.02, 30, speed=20.0)
     real_s = (scans[-1].utc - scans[0].utc).total_seconds()
     assert scans[-1].monotonic_s - scans[0].monotonic_s == pytest.approx(20.0 * real_s, rel=0.01)
+
+
+def test_a_scan_bears_the_time_at_which_its_values_were_converted_not_asked_for():
+    began = time.monotonic()
+    inputs = tuple(f"top_{k}" for k in range(1, 9))
+    with simulated("adam-4118", lambda now_s: [20.0 + now_s - began] * 8) as server:
+        logger = open_logger(LoggerSettings(**wiring("adam-4118", server, "module", inputs)))
+        scans, _, _ = scans_of([logger], 0.2, 20)
+    late = [
+        s.monotonic_s - began - (sum(s.values) / 8 - 20.0) for s in scans if all(q.usable for q in s.qualities)
+    ]
+    assert len(late) > 10
+    assert median(late) == pytest.approx(0.0, abs=0.12)
+    assert np.all(np.diff([s.monotonic_s for s in scans]) > 0)
 
 
 def test_ticks_are_counted_from_the_start():

@@ -61,6 +61,17 @@ def test_the_file_keeps_every_entry_and_reads_back_what_was_written(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["calibration.toml"]
 
 
+def test_of_two_calibrations_on_one_day_the_later_entry_is_in_force_and_both_are_kept(tmp_path):
+    path = tmp_path / "calibration.toml"
+    append_calibrations(path, [Calibration(channel="top_1", date=SUMMER, offset_K=-0.4)])
+    append_calibrations(path, [Calibration(channel="top_1", date=SUMMER, offset_K=0.7)])
+    append_calibrations(path, [Calibration(channel="top_1", date=SPRING, offset_K=5.0)])
+    history = read_calibrations(path)
+    assert [entry.offset_K for entry in history] == [5.0, -0.4, 0.7]
+    assert corrector(history, ("top_1",), SUMMER)(0, 20.0) == pytest.approx(20.7)
+    assert corrector(history, ("top_1",), SPRING)(0, 20.0) == pytest.approx(25.0)
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [

@@ -8,7 +8,8 @@ import time
 
 import pytest
 
-from daq.drivers import LoggerSettings, NoReply, open_logger
+from daq.drivers import BadFrame, LoggerSettings, NoReply, open_logger
+from daq.drivers.modbus import Request, rtu_frame
 from daq.records import Quality
 from daq.simulated import devices_line
 from daq.simulated.devices import kind_of, simulated, station, wiring
@@ -176,3 +177,44 @@ def test_without_pseudo_terminals_a_serial_device_is_served_on_a_socket_url(monk
         logger = open_logger(LoggerSettings(**wiring("adam-4118-ascii", server, "x", ("a",)) | FAST))
         assert logger.read().values == pytest.approx([40.0], abs=0.06)
         logger.close()
+
+
+@pytest.mark.skipif(not devices_line.HAS_PSEUDO_TERMINALS, reason="flow control is the serial port's own")
+def test_an_instrument_that_stops_the_line_while_it_works_is_read_whole():
+    truth = [20.0 + k for k in range(16)]
+    stopping = {"switches": Switches(flow_control=True), "timeout_s": 2.0}
+    flow = {"serial": {"baud": 9600, "xonxoff": True}}
+    with logger_on("34970a", lambda now_s: truth, override=flow, **stopping) as logger:
+        for _ in range(3):
+            assert logger.read().values == pytest.approx(truth, abs=0.06)
+    with logger_on("34970a", lambda now_s: truth, **stopping) as logger, pytest.raises(BadFrame):
+        logger.read()
+
+
+def test_a_device_that_was_switched_off_has_forgotten_its_settings_and_is_set_up_again():
+    switches = Switches()
+    for profile in ("labjack-t7", "34970a"):
+        with logger_on(profile, lambda now_s: [21.0] * 16, switches=switches) as logger:
+            assert set(logger.read().qualities) == {Quality.GOOD}
+            switches.silent = True
+            for _ in range(3):
+                with pytest.raises(NoReply):
+                    logger.read()
+            switches.silent = False
+            end = time.monotonic() + 5.0
+            qualities = set()
+            while qualities != {Quality.GOOD} and time.monotonic() < end:
+                with contextlib.suppress(NoReply):
+                    qualities = set(logger.read().qualities)
+            assert qualities == {Quality.GOOD}
+
+
+def test_an_icp_module_tells_its_first_reading_after_power_on():
+    switches = Switches()
+    module = station("m-7018", lambda now_s: [21.0] * 8, switches=switches)
+    ask = rtu_frame(1, Request(1, 272, 1))
+    assert [module.answer(ask)[3] for _ in range(3)] == [1, 0, 0]
+    switches.silent = True
+    assert module.answer(ask) is None
+    switches.silent = False
+    assert [module.answer(ask)[3] for _ in range(2)] == [1, 0]

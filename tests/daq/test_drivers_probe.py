@@ -11,7 +11,7 @@ from daq.simulated.devices import kind_of, simulated, station
 from daq.simulated.devices_converter import Switches
 from daq.simulated.devices_line import serve_serial
 
-TEXT = ("34970a", "adam-4118-ascii", "m-7019r-dcon")
+TEXT = ("34970a", "daq970a", "sr630", "adam-4118-ascii", "m-7019r-dcon")
 
 
 def room(profile):
@@ -31,6 +31,10 @@ def wire_of(server, **more):
         ("exemys-rme1-tc", {"exemys-rme1-tc"}),
         ("adam-6018+", {"adam-6018+"}),
         ("34970a", {"34970a"}),
+        ("daq970a", {"daq970a"}),
+        ("sr630", {"sr630"}),
+        ("labjack-t7", {"labjack-t7"}),
+        ("sequent-smtc", {"sequent-smtc"}),
     ],
 )
 def test_the_right_profile_is_proposed_for_a_device_at_room_temperature(profile, family):
@@ -52,6 +56,13 @@ def test_the_scaling_in_doubt_of_the_adam_4018_is_settled_by_room_temperature():
         report = probe(wire_of(server), profiles=["adam-4018+"])
     assert report.proposals[0].settings["scaling"] == "hundredth"
     assert {a.scaling: a.outcome for a in report.attempts if a.station == 1}["fullscale"] != "fits"
+
+
+def test_two_scalings_that_both_look_like_a_room_are_both_named_the_likelier_first():
+    with simulated("m-7018", room("m-7018"), refresh_s=0) as server:
+        (proposal,) = probe(wire_of(server), profiles=["m-7018"]).proposals
+    assert proposal.settings["scaling"] == "engineering"
+    assert proposal.ambiguous_with == ("m-7018 with scaling hex",)
 
 
 def test_an_unknown_device_gets_a_generic_map_from_its_registers():

@@ -30,6 +30,8 @@ KNOWN_CAUSES = {
     "silent",
     "busy",
     "port lost",
+    "no port",
+    "connection refused",
     "truncated",
     "crc",
     "wrong id",

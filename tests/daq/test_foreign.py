@@ -1,6 +1,7 @@
 """Files of foreign loggers: explained by a mapping, tried on measured ones."""
 
 import os
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -177,3 +178,16 @@ def test_pmma_discs_are_read_with_their_thickness():
     explained = read_mapping(ROOT / "deploy" / "mappings" / "pmma.toml")
     thick = {p.stem[-2:]: read_foreign(p, explained) for p in measured("inert_board/MaCFP-PMMA*.csv", 3)}
     assert {k: r.header["panel.thickness_mm"] for k, r in thick.items()} == {"R1": 6.26, "R2": 6.15, "R3": 5.8}
+
+
+def test_every_measured_time_series_at_hand_is_explained_by_a_mapping():
+    mappings = [read_mapping(path) for path in sorted((ROOT / "deploy" / "mappings").glob("*.toml"))]
+    found = measured("*/*.csv", 20) + measured("*/*.dat", 6)
+    tables = [path for path in found if path.parent.name != "panel_properties"]
+
+    def rows(path):
+        for mapping in mappings:
+            with suppress(InputError):
+                yield len(read_foreign(path, mapping).time_s)
+
+    assert not [path.name for path in tables if max(rows(path), default=0) < 100]

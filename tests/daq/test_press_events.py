@@ -289,3 +289,13 @@ def test_a_run_that_ends_soon_after_the_removal_knows_it():
     columns = {name: np.array([s[name] for s in scans]) for name in CHANNELS}
     found = find_moments(Run("whole", {}, times, columns), PRESS)
     assert found.removed_s == pytest.approx(moments.removed_s, abs=3.0)
+
+
+def test_insertion_of_a_run_that_never_closes_is_kept():
+    run, truth = make_campaign(4, 1, plan=Plan(rate_hz=2.0, closed_column=False))[0]
+    keep = run.time_s < truth.moments.closed_s - 1.0
+    short = Run(run.name, run.header, run.time_s[keep], {c: v[keep] for c, v in run.columns.items()})
+    found = find_moments(short, PRESS)
+    assert math.isnan(found.closed_s)
+    assert found.inserted_s == pytest.approx(truth.moments.inserted_s, abs=1.0)
+    assert truth.moments.inserted_s > short.time_s[0] + 1.5

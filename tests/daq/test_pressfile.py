@@ -44,6 +44,8 @@ def test_press_without_an_open_entry_has_one_state() -> None:
         (PANEL + "[press]\nnam = 'x'", r"press\.nam = 'x': unknown key"),
         (PLATE.replace("10.0", "-1.0"), r"layer\.0\.thickness_mm = -1\.0: .* greater than 0"),
         (PLATE.replace("45.0", "[[20.0, 1.0], [20.0, 2.0]]"), "temperatures rising"),
+        (PLATE.replace("45.0", "[[nan, 1.0], [20.0, 2.0]]"), r"conductivity_W_mK.*finite number"),
+        (PLATE.replace("45.0", "[[-9999.0, 1.0], [20.0, 2.0]]"), r"conductivity_W_mK.*greater than -273"),
         (PLATE.replace("thickness_mm = 10.0", ""), "needs thickness_mm"),
         (PANEL + "thickness_mm = 3.0", "remove thickness_mm"),
         (PANEL + PANEL, "layer names must differ"),

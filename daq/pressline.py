@@ -1,0 +1,292 @@
+"""One press in the recorder: its scanner, its detector, its runs, in a thread of its own."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Literal, Protocol
+
+from daq.acquisition import ClockWatch, LoggerThread, Scanner
+from daq.config import PressSettings
+from daq.drivers import DataLogger, LoggerSettings, SuccessorLogger
+from daq.press_events import PressEventDetector, columns_of
+from daq.pressfile import read_press
+from daq.records import Channel, PressEvent, Scan
+from daq.runkeeper import RunKeeper, RunNames, RunRules
+from daq.store import PressKey, Store, StoreUnavailable
+from daq.store.outbox import Outbox
+from daq.store.parcels import Parcel
+
+LOG = logging.getLogger("kerntemp.record")
+_HOLD_S = 1.5
+"""The detector may use a channel's last value this long: some loggers are slower than the scans. [s]"""
+_STALLED_AFTER_S = 5.0
+"""No scan for so long beside the schedule's own pace is a standstill. [s]"""
+_STUCK_AFTER_S = 20.0
+"""Longer than any wait for devices on one bus: a driver that is still in its read hangs. [s]"""
+
+Level = Literal["info", "warning", "alarm"]
+
+
+class Say(Protocol):
+    """Tells the log and the journal."""
+
+    def __call__(self, level: Level, sentence: str, press: str | None = None, **detail: Any) -> None:
+        """Say a sentence with its details."""
+
+
+@dataclass(frozen=True)
+class LoggerPlan:
+    """A logger's settings with the state of the files they name: what differs needs the logger anew."""
+
+    settings: LoggerSettings
+    calibration: str
+    profile: str
+
+
+def plan_of(settings: LoggerSettings) -> LoggerPlan:
+    """Return what a logger depends on."""
+    own = Path(settings.profile) if settings.profile.endswith(".toml") else None
+    return LoggerPlan(settings, _text(settings.calibration), _text(own))
+
+
+def _text(path: Path | None) -> str:
+    return "" if path is None or not path.is_file() else path.read_text(encoding="utf-8")
+
+
+@dataclass(frozen=True)
+class _Change:
+    settings: PressSettings
+    text: str
+    plans: tuple[LoggerPlan, ...]
+    successors: Mapping[str, DataLogger]
+    """By name, the loggers that are new or differ."""
+
+
+class PressLine:
+    """One press: scans by the schedule, events, runs."""
+
+    def __init__(
+        self,
+        settings: PressSettings,
+        text: str,
+        loggers: Sequence[DataLogger],
+        store: Store,
+        outbox: Outbox,
+        speed: float,
+        say: Say,
+        stop: threading.Event,
+    ) -> None:
+        self.settings = settings
+        self._outbox, self._stop, self._say, self._speed = outbox, stop, say, speed
+        press = read_press(settings.file)
+        self._detector = PressEventDetector(press)
+        self._held: dict[str, tuple[float, float]] = {}
+        self._newest: Scan | None = None
+        self._fresh_s = time.monotonic()
+        self._clock = ClockWatch(speed)
+        self._changed: _Change | None = None
+        self._press_file = settings.file.read_text(encoding="utf-8")
+        self._plans = tuple(plan_of(x) for x in settings.logger)
+        threads = [self._thread_of(x, logger) for x, logger in zip(settings.logger, loggers, strict=True)]
+        channels = _channels(threads)
+        outbox.expect(channels)
+        self._key, names = self._enter(store, channels)
+        self._keeper = RunKeeper(self._rules(text), names, self._panel_places(channels))
+        self._scanner = Scanner(threads, self._period_s, speed, self._key.next_number)
+        self._thread = threading.Thread(target=self._work, name=f"press {settings.name}", daemon=True)
+
+    def _enter(self, store: Store, channels: tuple[Channel, ...]) -> tuple[PressKey, RunNames]:
+        """Take a place in the store, at once or, where it is away or behind, later."""
+        name = self.settings.name
+        if not self._outbox.behind:
+            with suppress(StoreUnavailable):  # the outbox will meet it too, and says so
+                interrupted = store.interrupt_open_runs(name)
+                key = store.register_press(name, channels, self._press_file)
+                names = RunNames(name, store.unused_run_name(name, datetime.now(UTC)))
+                for run in interrupted:
+                    self._say("warning", f"run {run} was interrupted; its data are kept", name)
+                return key, names
+        return self._outbox.later_key(name, channels, self._press_file), RunNames(name, None)
+
+    def _thread_of(self, settings: LoggerSettings, logger: DataLogger) -> LoggerThread:
+        return LoggerThread(settings.name, logger, self._logger_said)
+
+    @property
+    def _period_s(self) -> float:
+        return 1.0 / (self.settings.rate_hz * self._speed)
+
+    def _panel_places(self, channels: Sequence[Channel]) -> list[int]:
+        faces = columns_of(read_press(self.settings.file)).of_face([c.name for c in channels])
+        return [i for i, c in enumerate(channels) if c.name in (*faces[0], *faces[1])]
+
+    def _rules(self, text: str) -> RunRules:
+        """Return how runs are cut; they keep the configuration with the calibrations in force."""
+        used = {p.settings.calibration: p.calibration for p in self._plans if p.settings.calibration}
+        for path, content in used.items():
+            text += f"\n# {path}:\n" + "".join(f"#   {line}\n" for line in content.splitlines())
+        s = self.settings
+        return RunRules(s.name, s.pre_trigger_s, s.post_removal_s, s.longest_run_s, s.header, text)
+
+    # --- a changed configuration ------------------------------------------------------------------------
+
+    def change(self, settings: PressSettings, text: str) -> None:
+        """Take over changed settings between runs. Raises `InputError` for what is wrong in them."""
+        read_press(settings.file)
+        plans = tuple(plan_of(x) for x in settings.logger)
+        new = [p.settings for p in plans if p not in self._plans]
+        self._changed = _Change(settings, text, plans, {x.name: SuccessorLogger(x) for x in new})
+
+    def _take_over(self) -> None:
+        """Swap settings between two scans; loggers that stay do not notice."""
+        if self._changed is None or self._keeper.open_run is not None:
+            return
+        change, self._changed = self._changed, None
+        press_file = change.settings.file.read_text(encoding="utf-8")
+        if press_file != self._press_file:
+            self._press_file = press_file
+            self._detector = PressEventDetector(read_press(change.settings.file))
+        self.settings, self._plans = change.settings, change.plans
+        kept = {x.name: x for x in self._scanner.loggers}
+        threads = [
+            self._thread_of(x, change.successors[x.name]) if x.name in change.successors else kept[x.name]
+            for x in change.settings.logger
+        ]
+        channels = _channels(threads)
+        if channels != self._key.channels:
+            self._key = replace(self._key, layout_id=0, channels=channels)
+            self._outbox.expect(channels)
+        self._keeper.change(self._rules(change.text), self._panel_places(channels))
+        self._scanner.change(threads, self._period_s, self._stop)
+        self._say("info", "the changed configuration is in force", self.settings.name)
+
+    # --- the thread -------------------------------------------------------------------------------------
+
+    def start(self) -> None:
+        """Begin to record."""
+        self._scanner.start(self._stop)
+        self._thread.start()
+
+    def join(self) -> None:
+        """Wait for the end: a run under way is closed as interrupted."""
+        self._thread.join(10.0)
+        self._scanner.join(5.0)
+
+    def _work(self) -> None:
+        while True:
+            try:
+                scan = self._scanner.scan(self._stop)
+                if scan is None:
+                    break
+                self._take(scan)
+                self._take_over()
+            except Exception:
+                LOG.exception("press %s: a fault in the recorder; recording goes on", self.settings.name)
+                if self._stop.wait(1.0):
+                    break
+        end = self._keeper.stop()
+        if end is not None:
+            self._outbox.put(Parcel(self._key, end=end))
+
+    def _take(self, scan: Scan) -> None:
+        self._watch_clock(scan)
+        events = self._detector.update(scan.monotonic_s, self._usable(scan))
+        changes = self._keeper.take(scan, events)
+        self._newest, self._fresh_s = scan, time.monotonic()
+        begins = [c for c in changes if c[0] is not None]
+        first = begins[0][0] if begins else None
+        for begin, end in changes:
+            if end is not None and (begin is None and first is not None and end.last_scan < first.first_scan):
+                self._outbox.put(Parcel(self._key, end=end))
+        ends = [end for _, end in changes if end is not None and (first is None or end.run == first.run)]
+        self._outbox.put(Parcel(self._key, (scan,), tuple(events), first, ends[0] if ends else None))
+        for event in events:
+            self._tell(event)
+
+    def _tell(self, event: PressEvent) -> None:
+        run = self._keeper.open_run
+        LOG.info("press %s: %s%s", self.settings.name, event.kind.value, f" (run {run})" if run else "")
+
+    def _usable(self, scan: Scan) -> dict[str, float]:
+        """Return the usable values, for a slow logger's channels the last ones for a moment longer."""
+        now: dict[str, float] = {}
+        for channel, value, quality in zip(self._key.channels, scan.values, scan.qualities, strict=True):
+            if quality.usable and value == value:
+                self._held[channel.name] = (scan.monotonic_s, value)
+                now[channel.name] = value
+            else:
+                at, held = self._held.get(channel.name, (float("-inf"), float("nan")))
+                now[channel.name] = held if scan.monotonic_s - at <= self._hold_s else float("nan")
+        return now
+
+    @property
+    def _hold_s(self) -> float:
+        return max(_HOLD_S, 1.5 / self.settings.rate_hz)
+
+    def _watch_clock(self, scan: Scan) -> None:
+        step = self._clock.step(scan)
+        if step is not None:
+            self._say(
+                "warning",
+                f"the clock of this machine was set by {step:+.1f} s; times within a run are not affected",
+                self.settings.name,
+                step_s=step,
+                scan=scan.number,
+            )
+
+    def _logger_said(self, level: str, sentence: str, detail: Mapping[str, Any]) -> None:
+        known: Level = "warning" if level == "warning" else "info"
+        self._say(known, f"press {self.settings.name}: {sentence}", self.settings.name, **detail)
+
+    # --- how it is --------------------------------------------------------------------------------------
+
+    def stalled(self) -> str:
+        """Return why this press must not count as alive; empty while fresh scans come.
+
+        A device that is off is no standstill: its driver comes back with that news, and goes on asking.
+        """
+        now_s, periods_s = time.monotonic(), 2.0 / self.settings.rate_hz
+        if now_s - self._fresh_s > _STALLED_AFTER_S + periods_s:
+            return f"{self.settings.name}: no fresh scan for {now_s - self._fresh_s:.0f} s"
+        stuck = [x.name for x in self._scanner.loggers if now_s - x.returned_s > _STUCK_AFTER_S + periods_s]
+        return f"{self.settings.name}: the driver of logger {stuck[0]} does not come back" if stuck else ""
+
+    def problems(self) -> list[str]:
+        """Return what is wrong now, in sentences."""
+        said = [
+            f"{self.settings.name}: logger {x.name}: {x.message or 'no answer yet'}"
+            for x in self._scanner.loggers
+            if x.lost
+        ]
+        if self._detector.disagreement:
+            said.append(f"{self.settings.name}: {self._detector.disagreement}")
+        return said
+
+    def report(self) -> dict[str, Any]:
+        """Return what the heartbeat says about this press."""
+        newest = self._newest
+        return {
+            "press": self.settings.name,
+            "state": self._detector.state or "unknown",
+            "open_run": self._keeper.open_run,
+            "rate_hz": self.settings.rate_hz,
+            "newest_scan": None if newest is None else newest.number,
+            "newest_utc": None if newest is None else newest.utc.isoformat(),
+            "missed_ticks": self._scanner.missed_ticks,
+        }
+
+    def logger_reports(self) -> list[dict[str, Any]]:
+        """Return what the heartbeat says about each logger."""
+        return [{"press": self.settings.name, **x.report()} for x in self._scanner.loggers]
+
+
+def _channels(threads: Sequence[LoggerThread]) -> tuple[Channel, ...]:
+    """Return all channels; a limit switch is no temperature."""
+    every = [c for thread in threads for c in thread.channels]
+    return tuple(Channel(c.name, "") if c.name == "closed" else c for c in every)
