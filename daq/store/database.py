@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 import sqlite3
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -43,9 +44,12 @@ _WORDS = {
 
 
 class Database:
-    """One SQLite file or one PostgreSQL database, opened and brought up to date."""
+    """One SQLite file or one PostgreSQL database, opened and brought up to date.
 
-    def __init__(self, url: str, *, create: bool = True, busy_s: float = BUSY_S) -> None:
+    With `later` an engine that is away now is no error: it is opened by the first transaction that succeeds.
+    """
+
+    def __init__(self, url: str, *, create: bool = True, busy_s: float = BUSY_S, later: bool = False) -> None:
         self.url = store_url(url)
         self.label = self.url.render_as_string(hide_password=True)
         self.path = Path(self.url.database) if self.dialect == "sqlite" and self.url.database else None
@@ -53,14 +57,35 @@ class Database:
             self.label = str(self.path)
             _check_place(self.path, create)
         self.engine = self._make_engine(busy_s)
+        self._busy_s = busy_s
+        self._prepared = False
+        self._preparing = threading.Lock()
+        if later:
+            return
         try:
-            with self.translated():
-                if self.path:
-                    _switch_to_wal(self.engine, busy_s)
-                self._migrate()
+            self.prepare()
         except BaseException:
             self.close()
             raise
+
+    def prepare(self) -> None:
+        """Connect and bring the schema up to date, once.
+
+        Raises
+        ------
+        InputError
+            For a store made by a newer version.
+        StoreUnavailable
+            Where the disk or the server refuses now.
+        """
+        with self._preparing:
+            if self._prepared:
+                return
+            with self.translated():
+                if self.path:
+                    _switch_to_wal(self.engine, self._busy_s)
+                self._migrate()
+            self._prepared = True
 
     @property
     def dialect(self) -> str:
@@ -70,12 +95,16 @@ class Database:
     @contextmanager
     def reading(self) -> Iterator[Connection]:
         """Open a transaction that only reads: one consistent state of the store."""
+        if not self._prepared:
+            self.prepare()
         with self.translated(), self.engine.connect() as connection, connection.begin():
             yield connection
 
     @contextmanager
     def writing(self) -> Iterator[Connection]:
         """Open a transaction that writes: committed durably when the block ends, or not at all."""
+        if not self._prepared:
+            self.prepare()
         with (
             self.translated(),
             self.engine.connect().execution_options(writes=True) as connection,
@@ -104,9 +133,7 @@ class Database:
 
     def _make_engine(self, busy_s: float) -> Engine:
         if self.dialect == "postgresql":
-            return create_engine(
-                self.url, pool_pre_ping=True, connect_args={"connect_timeout": max(1, int(busy_s))}
-            )
+            return create_engine(self.url, pool_pre_ping=True, connect_args=_server_options(busy_s))
         engine = create_engine(self.url, connect_args={"timeout": busy_s})
         event.listen(engine, "connect", _prepare_sqlite)
         event.listen(engine, "begin", _begin_sqlite)
@@ -181,6 +208,18 @@ def store_url(url: str) -> URL:
     return parsed
 
 
+def _server_options(busy_s: float) -> dict[str, Any]:
+    """Return what makes a dead server or connection an error within seconds, instead of minutes of silence."""
+    return {
+        "connect_timeout": max(2, min(int(busy_s), 3)),
+        "keepalives_idle": 5,
+        "keepalives_interval": 2,
+        "keepalives_count": 3,
+        "tcp_user_timeout": 8000,
+        "options": f"-c lock_timeout={int(1000 * busy_s)}",
+    }
+
+
 def _check_place(path: Path, create: bool) -> None:
     if path.is_dir():
         raise InputError(f"store {path}: is a folder; give the path of a file in it")
@@ -225,10 +264,11 @@ def _switch_to_wal(engine: Engine, busy_s: float) -> None:
 def _advice(reason: str) -> str:
     reason = reason.strip().splitlines()[0] if reason.strip() else "no reason given"
     known = {
+        "lock timeout": "another session holds a table; end it",
         "database is locked": "another process holds it; close other programs that have the file open",
         "disk is full": "free space on the disk; recording goes on by itself",
         "readonly database": "no permission to write; check owner and mount of the file and its folder",
-        "unable to open": "check that the folder exists and may be written",
+        "unable to open": "check that the folder exists, may be written, and its disk is not mounted read-only",
         "disk I/O error": "the disk failed; check it and its space, restore the newest backup if the file is hurt",
         "malformed": "the file is damaged; restore the newest backup with kerntemp backup --restore",
         "connection": "check that the database server runs and is reachable",

@@ -9,20 +9,24 @@ it was put; what a lost acknowledgement may have written already is not written 
 from __future__ import annotations
 
 import queue
-import shutil
 import sqlite3
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import closing, suppress
+from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
-from daq.store.parcels import Entry, Parcel, decode, encode
-from daq.store.records import StoreUnavailable
+from daq.records import Channel, Quality, Scan
+from daq.store.admission import Admission, Notes, session_key
+from daq.store.buffer import Buffer
+from daq.store.convert import known_utc
+from daq.store.parcels import Entry, Parcel, encode
+from daq.store.records import PressKey, StoreUnavailable
 from daq.store.store import Store
 
-_RETRY_S = 1.0
+Level = Literal["info", "warning", "alarm"]
+_FIRST_RETRY_S, _LONGEST_RETRY_S = 1.0, 10.0
 _MOST_WAITING = 200_000
 """Parcels kept in memory while the store is away and there is no buffer: 5 h at 10 Hz and one press."""
 _BATCH = 500
@@ -36,9 +40,10 @@ class Outbox:
         store: Store,
         *,
         buffer: Path | None = None,
+        per_second: float = 10.0,
         gather_s: float = 0.0,
         acknowledged: Callable[[Parcel], None] | None = None,
-        say: Callable[[str, str], None] | None = None,
+        say: Callable[[Level, str], None] | None = None,
     ) -> None:
         self.trouble = ""
         """Why the store refuses now; empty while it does not."""
@@ -46,12 +51,17 @@ class Outbox:
         self.written = 0
         self._store = store
         self._buffer = None if buffer is None else Buffer(buffer)
+        self._notes: Notes = {} if self._buffer is None else self._buffer.sessions
+        self._admission = Admission(store, self._notes)
+        self._per_second = per_second
         self._gather_s = gather_s
         self._acknowledged = acknowledged or (lambda parcel: None)
         self._say = say or (lambda level, sentence: None)
         self._queue: queue.Queue[Parcel | Entry | None] = queue.Queue()
         self._beat: tuple[str, Mapping[str, Any]] | None = None
         self._waiting: list[Parcel | Entry] = []
+        self._retry_s, self._retry_at = _FIRST_RETRY_S, 0.0
+        self._buffer_trouble = ""
         self._thread = threading.Thread(target=self._work, name="outbox", daemon=True)
         self._closed = False
 
@@ -67,10 +77,38 @@ class Outbox:
         """Hand over a sign of life; only the newest is written."""
         self._beat = (process, status)
 
+    def later_key(self, press: str, channels: Sequence[Channel], press_file: str) -> PressKey:
+        """Return a key to record with before the store can give one; the store's is found when it is due."""
+        return session_key(self._notes, press, channels, press_file)
+
     @property
     def waiting(self) -> int:
         """How many items are not written yet."""
         return len(self._waiting) + self._queue.qsize() + (len(self._buffer) if self._buffer else 0)
+
+    @property
+    def behind(self) -> bool:
+        """Whether the buffer holds what must be written before anything new."""
+        return self._buffer is not None and len(self._buffer) > 0
+
+    @property
+    def capacity(self) -> str:
+        """Where scans wait while the store is away, and how long there is room."""
+        if self._buffer is None or self._buffer_trouble:
+            return f"memory, enough for {self.hours_left:.1f} h"
+        return f"{self._buffer.path}, enough for {self.hours_left:.0f} h"
+
+    @property
+    def hours_left(self) -> float:
+        """How long scans can wait from now on, at the pace of all presses. [h]"""
+        if self._buffer is not None and not self._buffer_trouble:
+            return self._buffer.hours_left(self._per_second)
+        return max(0, _MOST_WAITING - self.waiting) / self._per_second / 3600.0
+
+    def expect(self, channels: Sequence[Channel]) -> None:
+        """Reckon with scans of so many channels before the first one waits."""
+        if self._buffer is not None:
+            self._buffer.expect(len(encode(_example(channels))))
 
     def close(self, longest_s: float = 10.0) -> None:
         """Write what is left, or give up after `longest_s`."""
@@ -82,27 +120,31 @@ class Outbox:
         ended = False
         while not ended:
             ended = self._fetch()
-            if self._waiting or self._beat or (self._buffer is not None and len(self._buffer)):
+            if not ended and self.trouble and time.monotonic() < self._retry_at:
+                self._keep()
+            elif self._waiting or self._beat or self.behind:
                 self._deliver()
             if self.trouble and not ended and self._closed:
                 ended = self._queue.empty()
 
     def _fetch(self) -> bool:
-        """Move what was put to the waiting list; True at the end."""
+        """Wait for something to be put and move it to the waiting list; True at the end."""
         try:
-            item = self._queue.get(timeout=_RETRY_S if self.trouble else 0.25)
+            first = self._queue.get(timeout=0.25)
         except queue.Empty:
             return False
-        if self._gather_s and item is not None and not self._closed:
+        if self._gather_s and first is not None and not self._closed:
             time.sleep(self._gather_s)
-        while True:
-            if item is None:
-                return True
-            self._waiting.append(item)
-            try:
-                item = self._queue.get_nowait()
-            except queue.Empty:
-                break
+        return first is None or self._take(first)
+
+    def _take(self, first: Parcel | Entry | None = None) -> bool:
+        """Move all that was put to the waiting list; True at the end."""
+        if first is not None:
+            self._waiting.append(first)
+        with suppress(queue.Empty):
+            while (item := self._queue.get_nowait()) is not None:
+                self._waiting.append(item)
+            return True
         if len(self._waiting) > _MOST_WAITING:
             surplus = len(self._waiting) - _MOST_WAITING
             del self._waiting[:surplus]
@@ -111,8 +153,7 @@ class Outbox:
 
     def _deliver(self) -> None:
         try:
-            if self._buffer is not None:
-                self._drain(self._buffer)
+            self._drain()
             while self._waiting:
                 batch = self._waiting[:_BATCH]
                 self._write(batch)
@@ -121,33 +162,40 @@ class Outbox:
         except Exception as error:  # noqa: BLE001 - the thread must outlive whatever the engine raises
             self._refused(error)
         else:
+            self._retry_s = _FIRST_RETRY_S
             if self.trouble:
                 self.trouble = ""
                 self._say("info", f"store {self._store.label} takes data again; everything kept is written")
-        if self._beat is not None:
+        if self._beat is not None and not self.trouble:
             beat, self._beat = self._beat, None
             with suppress(StoreUnavailable):
                 self._store.beat(*beat)
 
     def _refused(self, error: Exception) -> None:
-        reason = str(error) if isinstance(error, StoreUnavailable) else f"{type(error).__name__}: {error}"
+        reason = str(error)
+        if not isinstance(error, StoreUnavailable):
+            reason = f"{type(error).__name__}: {error}"
         if not self.trouble:
-            self._say("alarm", f"{reason}; {self._meanwhile}")
+            self._say("alarm", f"{reason}; scans wait in {self.capacity}")
         self.trouble = reason
-        if self._buffer is not None and self._waiting:
-            self._keep(self._buffer)
-
-    @property
-    def _meanwhile(self) -> str:
-        if self._buffer is None:
-            return "scans wait in memory"
-        return f"scans go to {self._buffer.path}, enough for {self._buffer.hours_left():.0f} h"
+        self._retry_at = time.monotonic() + self._retry_s
+        self._retry_s = min(2.0 * self._retry_s, _LONGEST_RETRY_S)
+        self._keep()
 
     def _write(self, batch: Sequence[Parcel | Entry]) -> None:
-        self._store.write_parcels([p for p in batch if isinstance(p, Parcel)])
-        for entry in batch:
-            if isinstance(entry, Entry):
-                self._store.log(entry.level, entry.process, entry.message, entry.press, entry.detail)
+        ready: list[Parcel] = []
+        for parcel in (item for item in batch if isinstance(item, Parcel)):
+            if self._admission.waits_for_place(parcel):
+                self._store.write_parcels(ready)
+                ready = []
+                for run in self._admission.place(parcel.key).interrupted:
+                    said = f"run {run} was interrupted; its data are kept"
+                    self._store.log("warning", "record", said, parcel.key.name)
+            ready.append(self._admission.moved(parcel))
+        self._store.write_parcels(ready)
+        for entry in (item for item in batch if isinstance(item, Entry)):
+            at = known_utc(entry.unix_s)
+            self._store.log(entry.level, entry.process, entry.message, entry.press, entry.detail, at)
 
     def _acknowledge(self, batch: Sequence[Parcel | Entry]) -> None:
         for parcel in batch:
@@ -155,69 +203,36 @@ class Outbox:
                 self.written += len(parcel.scans)
                 self._acknowledged(parcel)
 
-    def _keep(self, buffer: Buffer) -> None:
-        try:
-            buffer.append(self._waiting)
-        except sqlite3.Error as error:
-            self._say("alarm", f"buffer {buffer.path}: {error}; scans wait in memory")
+    def _keep(self) -> None:
+        """Move what waits from memory to the buffer."""
+        if self._buffer is None or not self._waiting:
             return
+        try:
+            self._buffer.append(self._waiting)
+        except sqlite3.Error as error:
+            if not self._buffer_trouble:
+                self._buffer_trouble = f"buffer {self._buffer.path}: {error}"
+                self._say(
+                    "alarm", f"{self._buffer_trouble}; free space on its disk; scans wait in {self.capacity}"
+                )
+            return
+        self._buffer_trouble = ""
         kept, self._waiting = self._waiting, []
         self._acknowledge(kept)
 
-    def _drain(self, buffer: Buffer) -> None:
-        while rows := buffer.oldest(_BATCH):
+    def _drain(self) -> None:
+        """Write the buffer's content; what is put meanwhile goes behind it, durably."""
+        while self._buffer is not None and (rows := self._buffer.oldest(_BATCH)):
             self._write([item for _, item in rows])
-            buffer.remove(rows[-1][0])
+            self._buffer.remove(rows[-1][0])
+            if self._take():
+                self._queue.put(None)
+            self._keep()
 
 
-class Buffer:
-    """A local file that keeps parcels while the store is away."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self._count = 0
-        self._bytes = 400.0
-        with closing(self._open()) as connection:
-            self._count = connection.execute("SELECT count(*) FROM parcel").fetchone()[0]
-
-    def __len__(self) -> int:
-        return self._count
-
-    def _open(self) -> sqlite3.Connection:
-        connection = sqlite3.connect(self.path, isolation_level=None, timeout=5.0)
-        connection.execute("PRAGMA journal_mode=WAL")
-        connection.execute("PRAGMA synchronous=FULL")
-        connection.execute("CREATE TABLE IF NOT EXISTS parcel (number INTEGER PRIMARY KEY, content TEXT NOT NULL)")
-        return connection
-
-    def append(self, items: Sequence[Parcel | Entry]) -> None:
-        """Keep items durably, all or none."""
-        texts = [(encode(item),) for item in items]
-        with closing(self._open()) as connection:
-            connection.execute("BEGIN IMMEDIATE")
-            try:
-                connection.executemany("INSERT INTO parcel (content) VALUES (?)", texts)
-                connection.execute("COMMIT")
-            except sqlite3.Error:
-                with suppress(sqlite3.Error):
-                    connection.execute("ROLLBACK")
-                raise
-        self._count += len(texts)
-        self._bytes = sum(len(t) for (t,) in texts) / len(texts)
-
-    def oldest(self, limit: int) -> list[tuple[int, Parcel | Entry]]:
-        """Return the first items with their row numbers."""
-        if not self._count:
-            return []
-        with closing(self._open()) as connection:
-            rows = connection.execute("SELECT number, content FROM parcel ORDER BY number LIMIT ?", (limit,))
-            return [(number, decode(content)) for number, content in rows]
-
-    def remove(self, last: int) -> None:
-        """Forget everything up to a row."""
-        with closing(self._open()) as connection:
-            self._count -= connection.execute("DELETE FROM parcel WHERE number <= ?", (last,)).rowcount
-
-    def hours_left(self, per_second: float = 10.0) -> float:
-        """Return how long the disk takes scans at this rate. [h]"""
-        return shutil.disk_usage(self.path.parent).free / (1.3 * self._bytes * per_second) / 3600.0
+def _example(channels: Sequence[Channel]) -> Parcel:
+    """Return a parcel as large as they come."""
+    key = PressKey(1, "press-name", 1, tuple(channels), 10**8)
+    now = known_utc(time.time())
+    scan = Scan(10**8, now, 1e6 / 7.0, (1e3 / 7.0,) * len(channels), (Quality.GOOD,) * len(channels))
+    return Parcel(key, (scan,))

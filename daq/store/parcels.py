@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
-from dataclasses import dataclass
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from datetime import datetime
+from itertools import groupby
 from typing import Any, Literal
 
 from daq.records import Channel, PressEvent, PressEventKind, Quality, Scan
@@ -24,6 +26,15 @@ class Parcel:
     end: RunEnd | None = None
 
 
+def in_rows(parcels: Sequence[Parcel]) -> list[Parcel]:
+    """Join neighbouring parcels of one press that bring nothing but scans: one insertion takes them all."""
+    joined: list[Parcel] = []
+    for (key, plain), neighbours in groupby(parcels, lambda p: (p.key, not (p.events or p.begin or p.end))):
+        group = list(neighbours)
+        joined += [Parcel(key, tuple(scan for p in group for scan in p.scans))] if plain else group
+    return joined
+
+
 @dataclass(frozen=True)
 class Entry:
     """A line for the journal."""
@@ -33,13 +44,16 @@ class Entry:
     message: str
     press: str | None = None
     detail: Mapping[str, Any] | None = None
+    unix_s: float = field(default_factory=time.time)
+    """When it happened; it may be written much later."""
 
 
 def encode(item: Parcel | Entry) -> str:
     """Write a parcel or journal line as JSON."""
     if isinstance(item, Entry):
         return json.dumps(
-            {"entry": [item.level, item.process, item.message, item.press, item.detail]}, default=str
+            {"entry": [item.level, item.process, item.message, item.press, item.detail, item.unix_s]},
+            default=str,
         )
     key = item.key
     return json.dumps(

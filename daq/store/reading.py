@@ -15,6 +15,8 @@ from daq.store.records import Page, RunRecord, RunStatus, ScanBatch, StoredPress
 from daq.store.schema import CONFIGURATION, LAYOUT, PRESS, PRESS_EVENT, RUN, SCAN
 
 _USABLE = {q.value for q in Quality if q.usable}
+_ROWS = 500
+"""Rows held at a time: fewer than set the garbage collector off."""
 
 
 def runs(connection: Connection, cursor: str | None, limit: int, filters: Mapping[str, Any]) -> Page[RunRecord]:
@@ -71,6 +73,12 @@ def run_record(connection: Connection, run: str) -> RunRecord:
     return _run_record(run_row(connection, run))
 
 
+def run_records(connection: Connection, runs: Sequence[str]) -> dict[str, RunRecord]:
+    """Return the records of runs by name."""
+    rows = connection.execute(_runs_query().where(RUN.c.run.in_(runs))).all()
+    return {row.run: _run_record(row) for row in rows}
+
+
 def open_run(connection: Connection, press: str) -> RunRecord | None:
     """Return the run being recorded, or None."""
     query = (
@@ -81,6 +89,20 @@ def open_run(connection: Connection, press: str) -> RunRecord | None:
     )
     row = connection.execute(query).first()
     return None if row is None else _run_record(row)
+
+
+def ended_runs_after(connection: Connection, press: str, number: int, limit: int) -> list[RunRecord]:
+    """Return the recorded runs that are over and end after scan `number`, oldest first."""
+    press_id = recorded_id(connection, press)
+    own = RUN.c.press_id == press_id
+    begun = select(func.coalesce(func.max(RUN.c.first_scan), 0)).where(own, RUN.c.first_scan <= number)
+    query = (
+        _runs_query()
+        .where(own, RUN.c.first_scan >= begun.scalar_subquery(), RUN.c.last_scan > number)
+        .order_by(RUN.c.first_scan)
+        .limit(limit)
+    )
+    return [_run_record(row) for row in connection.execute(query).all()]
 
 
 def _run_record(row: Row[Any]) -> RunRecord:
@@ -121,16 +143,20 @@ def load_run(
         query = query.where(SCAN.c.monotonic_s >= from_s + zero)
     if to_s is not None:
         query = query.where(SCAN.c.monotonic_s <= to_s + zero)
-    scans = connection.execute(query.order_by(SCAN.c.number)).all()
-    times = np.array([s[0] for s in scans], dtype=float)
-    layouts = dict.fromkeys(s[1] for s in scans) or {_first_layout(connection, row.press_id): None}
+    found: tuple[list[Any], ...] = ([], [], [], [])
+    for rows in connection.execute(query.order_by(SCAN.c.number)).partitions(_ROWS):
+        for column, cells in zip(found, zip(*rows, strict=True), strict=True):
+            column.extend(cells)
+    at, layout_of, texts, faults = found
+    times = np.array(at, dtype=float)
+    layouts = dict.fromkeys(layout_of) or {_first_layout(connection, row.press_id): None}
     table: dict[str, Array] = {}
     for layout_id in layouts:
         channels = layout_channels(connection, layout_id)
-        chosen = np.array([s[1] == layout_id for s in scans], dtype=bool)
-        values = _usable_values(channels, [(s[2], s[3]) for s in scans if s[1] == layout_id])
+        chosen = [i for i, own in enumerate(layout_of) if own == layout_id]
+        values = _usable_values(channels, [texts[i] for i in chosen], [faults[i] for i in chosen])
         for i, channel in enumerate(channels):
-            table.setdefault(channel.name, np.full(len(scans), np.nan))[chosen] = values[:, i]
+            table.setdefault(channel.name, np.full(len(times), np.nan))[chosen] = values[:, i]
     if columns is not None:
         if unknown := [c for c in columns if c not in table]:
             raise InputError(f"run {run!r} has no column {unknown[0]!r}; it has {', '.join(table)}")
@@ -139,12 +165,12 @@ def load_run(
     return Run(run, header_of(row.header_toml), time_s, table, source="store")
 
 
-def _usable_values(channels: Sequence[Channel], scans: Sequence[tuple[str, str | None]]) -> Array:
-    values = readings_table([readings for readings, _ in scans], len(channels))
+def _usable_values(channels: Sequence[Channel], texts: Sequence[str], faults: Sequence[str | None]) -> Array:
+    values = readings_table(texts, len(channels))
     places = {c.name: i for i, c in enumerate(channels)}
-    for number, (_, faults) in enumerate(scans):
-        if faults is not None:
-            for name, quality in json.loads(faults).items():
+    for number, named in enumerate(faults):
+        if named is not None:
+            for name, quality in json.loads(named).items():
                 if quality not in _USABLE and name in places:
                     values[number, places[name]] = np.nan
     return values
@@ -247,7 +273,9 @@ def press_events(
 
 def presses(connection: Connection) -> dict[str, str]:
     """Return the press file text of each press by name."""
-    rows = connection.execute(select(PRESS.c.name, PRESS.c.press_file).order_by(PRESS.c.kind)).all()
+    rows = connection.execute(
+        select(PRESS.c.name, PRESS.c.press_file).order_by(PRESS.c.kind, PRESS.c.press_id.desc())
+    ).all()
     return {row.name: row.press_file for row in reversed(rows)}
 
 

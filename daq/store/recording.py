@@ -30,10 +30,19 @@ def register_press(
         press_id = int(row.press_id)
         if press_file and press_file != row.press_file:
             connection.execute(update(PRESS).where(PRESS.c.press_id == press_id).values(press_file=press_file))
-    layout_id = _layout(connection, press_id, channels, now)
-    if kind == "recorded":
-        _make_view(connection, name, press_id, layout_id, channels)
+    layout_id = (
+        layout_of(connection, press_id, name, channels)
+        if kind == "recorded"
+        else _layout(connection, press_id, channels, now)
+    )
     return PressKey(press_id, name, layout_id, tuple(channels), _next_number(connection, press_id))
+
+
+def layout_of(connection: Connection, press_id: int, press: str, channels: Sequence[Channel]) -> int:
+    """Return the number of a recorded press's layout, made where it is new; the press's view shows it."""
+    layout_id = _layout(connection, press_id, channels, unix_of(datetime.now(UTC)))
+    _make_view(connection, press, press_id, layout_id, channels)
+    return layout_id
 
 
 def _layout(connection: Connection, press_id: int, channels: Sequence[Channel], now: float) -> int:

@@ -100,6 +100,23 @@ def newest_estimate_number(connection: Connection, press: str) -> int:
     return -1 if number is None else int(number)
 
 
+def last_scan_followed(connection: Connection, press: str) -> int:
+    """Return the scan of the newest estimate, or the one before the newest run where that lacks some till there.
+
+    The sensor writes in order, but goes back when a run turns out to have begun before: a kill may come between.
+    """
+    newest, press_id = newest_estimate_number(connection, press), recorded_id(connection, press)
+    first = select(func.max(RUN.c.first_scan)).where(RUN.c.press_id == press_id, RUN.c.first_scan <= newest)
+    begun = connection.execute(first).scalar()
+    if begun is None:
+        return newest
+    until = select(RUN.c.last_scan).where(RUN.c.press_id == press_id, RUN.c.first_scan == begun)
+    end = min(newest, connection.execute(until).scalar() or newest)
+    own = (ESTIMATE.c.press_id == press_id, ESTIMATE.c.number.between(begun, end))
+    said = connection.execute(select(func.count()).where(*own)).scalar_one()
+    return newest if said == end - begun + 1 else int(begun) - 1
+
+
 def estimates_of(connection: Connection, run: str) -> tuple[tuple[float, StoredEstimate], ...]:
     """Return time in the run and estimate, for each scan of a run that has one."""
     row = run_row(connection, run)
@@ -143,6 +160,23 @@ def fit_of(connection: Connection, run: str) -> dict[str, Any] | None:
     """Return the newest fit of a run as JSON, with ``model_version``; None where it was never fitted."""
     row = connection.execute(select(FIT).where(FIT.c.run == run).order_by(FIT.c.fit_id.desc()).limit(1)).first()
     return None if row is None else {**json.loads(row.fit_json), "model_version": row.model_version}
+
+
+def fits_of(connection: Connection, runs: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """Return the newest fit of each run that has one, as `fit_of` does, by one query."""
+    rows = connection.execute(_newest_fits((FIT,), runs)).all()
+    return {r.run: {**json.loads(r.fit_json), "model_version": r.model_version} for r in rows}
+
+
+def fit_errors(connection: Connection, runs: Sequence[str]) -> dict[str, float | None]:
+    """Return ``rmse_K`` of the newest fit of each run that has one."""
+    rows = connection.execute(_newest_fits((FIT.c.run, FIT.c.rmse_kelvin), runs)).all()
+    return {r.run: r.rmse_kelvin for r in rows}
+
+
+def _newest_fits(columns: Sequence[Any], runs: Sequence[str]) -> Any:
+    newest = select(func.max(FIT.c.fit_id)).where(FIT.c.run.in_(runs)).group_by(FIT.c.run)
+    return select(*columns).where(FIT.c.fit_id.in_(newest))
 
 
 def coefficient_history(
@@ -278,10 +312,11 @@ def log(
     message: str,
     press: str | None,
     detail: Mapping[str, Any] | None,
+    utc: datetime | None = None,
 ) -> None:
-    """Add a line to the journal."""
+    """Add a line to the journal, of now or of the moment given."""
     row = {
-        "unix_s": _now(),
+        "unix_s": _now() if utc is None else unix_of(utc),
         "level": level,
         "process": process,
         "press": press,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from sqlalchemy import Column, Double, Integer, MetaData, Table, Text
+from sqlalchemy import BigInteger, Column, Double, MetaData, Table, Text
 from sqlalchemy.types import TypeEngine
 
 METADATA = MetaData()
@@ -15,36 +15,43 @@ def _table(table: str, key: str, /, **columns: type[TypeEngine[Any]]) -> Table:
     return Table(table, METADATA, *(Column(c, kind(), primary_key=c in keys) for c, kind in columns.items()))
 
 
-PRESS = _table("press", "press_id", press_id=Integer, name=Text, kind=Text, press_file=Text, created_unix_s=Double)
+PRESS = _table(
+    "press", "press_id", press_id=BigInteger, name=Text, kind=Text, press_file=Text, created_unix_s=Double
+)
 LAYOUT = _table(
-    "channel_layout", "layout_id", layout_id=Integer, press_id=Integer, columns_json=Text, created_unix_s=Double
+    "channel_layout",
+    "layout_id",
+    layout_id=BigInteger,
+    press_id=BigInteger,
+    columns_json=Text,
+    created_unix_s=Double,
 )
 SCAN = _table(
     "scan",
     "press_id number",
-    press_id=Integer,
-    number=Integer,
+    press_id=BigInteger,
+    number=BigInteger,
     unix_s=Double,
     monotonic_s=Double,
-    layout_id=Integer,
+    layout_id=BigInteger,
     readings=Text,
     faults=Text,
 )
 CONFIGURATION = _table(
-    "configuration", "configuration_id", configuration_id=Integer, text=Text, created_unix_s=Double
+    "configuration", "configuration_id", configuration_id=BigInteger, text=Text, created_unix_s=Double
 )
 RUN = _table(
     "run",
     "run_number",
-    run_number=Integer,
+    run_number=BigInteger,
     run=Text,
-    press_id=Integer,
+    press_id=BigInteger,
     status=Text,
     started_unix_s=Double,
     ended_unix_s=Double,
     zero_monotonic_s=Double,
-    first_scan=Integer,
-    last_scan=Integer,
+    first_scan=BigInteger,
+    last_scan=BigInteger,
     inserted_s=Double,
     closed_s=Double,
     opened_s=Double,
@@ -53,13 +60,13 @@ RUN = _table(
     panel_thickness_mm=Double,
     header_toml=Text,
     remark=Text,
-    configuration_id=Integer,
+    configuration_id=BigInteger,
     software_version=Text,
 )
 RUN_CHANGE = _table(
     "run_change",
     "run_change_id",
-    run_change_id=Integer,
+    run_change_id=BigInteger,
     run=Text,
     unix_s=Double,
     who=Text,
@@ -70,27 +77,27 @@ RUN_CHANGE = _table(
 PRESS_EVENT = _table(
     "press_event",
     "press_event_id",
-    press_event_id=Integer,
-    press_id=Integer,
+    press_event_id=BigInteger,
+    press_id=BigInteger,
     kind=Text,
     unix_s=Double,
     monotonic_s=Double,
     noticed_monotonic_s=Double,
-    scan_number=Integer,
+    scan_number=BigInteger,
     source=Text,
 )
 ESTIMATE = _table(
     "estimate",
     "press_id number",
-    press_id=Integer,
-    number=Integer,
+    press_id=BigInteger,
+    number=BigInteger,
     monotonic_s=Double,
     state=Text,
     core_celsius=Double,
     core_sd_kelvin=Double,
     core_low_celsius=Double,
     core_high_celsius=Double,
-    valid=Integer,
+    valid=BigInteger,
     reason=Text,
     model_version=Text,
     detail_json=Text,
@@ -98,29 +105,29 @@ ESTIMATE = _table(
 FIT = _table(
     "fit",
     "fit_id",
-    fit_id=Integer,
+    fit_id=BigInteger,
     run=Text,
     created_unix_s=Double,
     model_version=Text,
-    converged=Integer,
+    converged=BigInteger,
     rmse_kelvin=Double,
     fit_json=Text,
 )
 COEFFICIENT = _table(
     "coefficient",
     "fit_id name",
-    fit_id=Integer,
+    fit_id=BigInteger,
     name=Text,
     value=Double,
     sd=Double,
     low=Double,
     high=Double,
-    identifiable=Integer,
+    identifiable=BigInteger,
 )
 MODEL = _table(
     "model",
     "model_number",
-    model_number=Integer,
+    model_number=BigInteger,
     version=Text,
     press=Text,
     created_unix_s=Double,
@@ -131,7 +138,7 @@ MODEL = _table(
 DIAGNOSIS = _table(
     "diagnosis",
     "diagnosis_id",
-    diagnosis_id=Integer,
+    diagnosis_id=BigInteger,
     press=Text,
     created_unix_s=Double,
     verdict=Text,
@@ -140,7 +147,7 @@ DIAGNOSIS = _table(
 EVENT = _table(
     "event",
     "event_id",
-    event_id=Integer,
+    event_id=BigInteger,
     unix_s=Double,
     level=Text,
     process=Text,

@@ -11,7 +11,7 @@ from typing import Any, Literal
 from daq.records import Channel, PressEvent, Run, Scan
 from daq.store import reading, recording, results, upkeep
 from daq.store.database import BUSY_S, Database
-from daq.store.parcels import Parcel
+from daq.store.parcels import Parcel, in_rows
 from daq.store.records import (
     CoefficientRecord,
     DiagnosisRecord,
@@ -31,11 +31,11 @@ from daq.store.records import (
 )
 
 
-def open_store(url: str, *, create: bool = True, busy_s: float = BUSY_S) -> Store:
+def open_store(url: str, *, create: bool = True, busy_s: float = BUSY_S, later: bool = False) -> Store:
     """Open a store by file path, ``sqlite:///path`` or ``postgresql://user@host/name``; make it if needed.
 
     Any number of processes and threads may have it open. `busy_s` is the longest wait for another
-    process's transaction.
+    process's transaction. With `later` a store that is away now is opened by the first call that succeeds.
 
     Raises
     ------
@@ -44,7 +44,7 @@ def open_store(url: str, *, create: bool = True, busy_s: float = BUSY_S) -> Stor
     StoreUnavailable
         Where the disk or the server refuses.
     """
-    return Store(Database(url, create=create, busy_s=busy_s))
+    return Store(Database(url, create=create, busy_s=busy_s, later=later))
 
 
 class Store:
@@ -101,8 +101,13 @@ class Store:
         if not parcels:
             return
         with self.database.writing() as connection:
-            for p in parcels:
+            for p in in_rows(parcels):
                 recording.append(connection, p.key, p.scans, p.events, p.begin, p.end)
+
+    def layout_of(self, press_id: int, press: str, channels: Sequence[Channel]) -> int:
+        """Return the number of a press's layout with these channels, made where it is new."""
+        with self.database.writing() as connection:
+            return recording.layout_of(connection, press_id, press, channels)
 
     def interrupt_open_runs(self, press: str) -> list[str]:
         """Mark the runs a crash left open as interrupted; returns their names."""
@@ -162,10 +167,20 @@ class Store:
         with self.database.reading() as connection:
             return reading.run_record(connection, run)
 
+    def run_records(self, runs: Sequence[str]) -> dict[str, RunRecord]:
+        """Return the records of these runs by name, all in one query."""
+        with self.database.reading() as connection:
+            return reading.run_records(connection, runs)
+
     def open_run(self, press: str) -> RunRecord | None:
         """Return the run being recorded now, or None."""
         with self.database.reading() as connection:
             return reading.open_run(connection, press)
+
+    def ended_runs_after(self, press: str, number: int, limit: int = 1000) -> list[RunRecord]:
+        """Return a press's recorded runs that are over and end after scan `number`, oldest first."""
+        with self.database.reading() as connection:
+            return reading.ended_runs_after(connection, press, number, limit)
 
     def load_run(
         self,
@@ -219,6 +234,11 @@ class Store:
         with self.database.reading() as connection:
             return results.newest_estimate_number(connection, press)
 
+    def last_scan_followed(self, press: str) -> int:
+        """Return up to which scan every run has all its estimates, -1 where there are none."""
+        with self.database.reading() as connection:
+            return results.last_scan_followed(connection, press)
+
     def estimates_after(self, press: str, last_number: int, limit: int = 1000) -> tuple[StoredEstimate, ...]:
         """Return the estimates that follow scan `last_number`."""
         with self.database.reading() as connection:
@@ -240,6 +260,16 @@ class Store:
         """Return the newest fit of a run as JSON with ``model_version``, or None."""
         with self.database.reading() as connection:
             return results.fit_of(connection, run)
+
+    def fits(self, runs: Sequence[str]) -> dict[str, dict[str, Any]]:
+        """Return the newest fit of each of these runs that has one, all in one query."""
+        with self.database.reading() as connection:
+            return results.fits_of(connection, runs)
+
+    def fit_errors(self, runs: Sequence[str]) -> dict[str, float | None]:
+        """Return ``rmse_K`` of the newest fit of each of these runs that has one."""
+        with self.database.reading() as connection:
+            return results.fit_errors(connection, runs)
 
     def coefficient_history(
         self, *, press: str | None = None, cursor: str | None = None, limit: int = 200
@@ -302,10 +332,11 @@ class Store:
         message: str,
         press: str | None = None,
         detail: Mapping[str, Any] | None = None,
+        utc: datetime | None = None,
     ) -> None:
-        """Add a line to the journal: changes of state, losses, who did what."""
+        """Add a line to the journal: changes of state, losses, who did what. `utc`: when, where not now."""
         with self.database.writing() as connection:
-            results.log(connection, level, process, message, press, detail)
+            results.log(connection, level, process, message, press, detail, utc)
 
     def journal(
         self,
@@ -344,9 +375,12 @@ class Store:
         """Return how many runs, scans, fits and models there are."""
         return upkeep.contents_of(self.database)
 
-    def thin_idle(self, before: datetime, keep_every: int = 100) -> int:
-        """Delete some idle scans older than `before`, all but every `keep_every`-th; runs stay whole."""
-        return upkeep.thin_idle(self.database, before, keep_every)
+    def thin_idle(self, before: datetime, keep_every: int = 100, done: dict[int, int] | None = None) -> int:
+        """Delete some idle scans older than `before`, all but every `keep_every`-th; runs stay whole.
+
+        Hand in the same `done` each time: it keeps how far each press is thinned already.
+        """
+        return upkeep.thin_idle(self.database, before, keep_every, done=done)
 
     def sizes(self) -> upkeep.Sizes:
         """Return size, cost of a scan and free space."""

@@ -225,40 +225,67 @@ def contents_of(database: Database) -> Contents:
     return Contents(int(schema), *counts)
 
 
-def thin_idle(database: Database, before: datetime, keep_every: int, most_rows: int = 20_000) -> int:
+def thin_idle(
+    database: Database,
+    before: datetime,
+    keep_every: int,
+    most_rows: int = 20_000,
+    done: dict[int, int] | None = None,
+) -> int:
     """Delete idle scans older than `before` but every `keep_every`-th; scans of runs are never touched.
 
-    Returns how many went; at most `most_rows` at a time, so that recording never waits long.
+    Returns how many went; at most `most_rows` at a time, so that recording never waits long. `done` keeps, by
+    press, up to which scan everything is thinned: hand it in again, and old runs are not gone through anew.
     """
-    gone = 0
-    for press_id, first, last in _idle_stretches(database, before):
-        while gone < most_rows:
+    gone, done = 0, {} if done is None else done
+    for press_id, first, last in _idle_stretches(database):
+        start = max(first, done.get(press_id, -1) + 1)
+        while start <= last:
+            numbers = _old_surplus(database, press_id, start, last, before, keep_every)
+            if not numbers:
+                break
             with database.writing() as connection:
-                numbers = list(
-                    connection.execute(
-                        select(SCAN.c.number)
-                        .where(
-                            SCAN.c.press_id == press_id,
-                            SCAN.c.number.between(first, last),
-                            SCAN.c.number % keep_every != 0,
-                            SCAN.c.unix_s < before.timestamp(),
-                        )
-                        .order_by(SCAN.c.number)
-                        .limit(1000)
-                    ).scalars()
-                )
-                if not numbers:
-                    break
                 for table in (SCAN, ESTIMATE):
                     connection.execute(
                         delete(table).where(table.c.press_id == press_id, table.c.number.in_(numbers))
                     )
             gone += len(numbers)
-            first = numbers[-1] + 1
+            start = numbers[-1] + 1
+            done[press_id] = numbers[-1]
+            if gone >= most_rows:
+                return gone
+        if _all_older(database, press_id, last, before):
+            done[press_id] = max(last, done.get(press_id, -1))
     return gone
 
 
-def _idle_stretches(database: Database, before: datetime) -> Iterator[tuple[int, int, int]]:
+def _old_surplus(
+    database: Database, press_id: int, first: int, last: int, before: datetime, keep_every: int
+) -> list[int]:
+    query = (
+        select(SCAN.c.number)
+        .where(
+            SCAN.c.press_id == press_id,
+            SCAN.c.number.between(first, last),
+            SCAN.c.number % keep_every != 0,
+            SCAN.c.unix_s < before.timestamp(),
+        )
+        .order_by(SCAN.c.number)
+        .limit(1000)
+    )
+    with database.reading() as connection:
+        return list(connection.execute(query).scalars())
+
+
+def _all_older(database: Database, press_id: int, last: int, before: datetime) -> bool:
+    """Whether the scan after a stretch, so the whole stretch, is older than `before`."""
+    query = select(SCAN.c.unix_s).where(SCAN.c.press_id == press_id, SCAN.c.number == last + 1)
+    with database.reading() as connection:
+        unix_s = connection.execute(query).scalar()
+    return unix_s is not None and unix_s < before.timestamp()
+
+
+def _idle_stretches(database: Database) -> Iterator[tuple[int, int, int]]:
     """Yield press, first and last number of every stretch of scans outside all runs, oldest first."""
     with database.reading() as connection:
         presses = list(connection.execute(select(PRESS.c.press_id).where(PRESS.c.kind == "recorded")).scalars())
@@ -285,8 +312,9 @@ def _idle_stretches(database: Database, before: datetime) -> Iterator[tuple[int,
 def sizes_of(database: Database) -> Sizes:
     """Return how large the store is and what a scan costs."""
     with database.reading() as connection:
-        newest = connection.execute(select(SCAN.c.press_id, func.max(SCAN.c.number)).group_by(SCAN.c.press_id))
-        scans = sum(int(n) + 1 for _, n in newest)
+        presses = connection.execute(select(PRESS.c.press_id)).scalars().all()
+        newest = [select(func.max(SCAN.c.number)).where(SCAN.c.press_id == key) for key in presses]
+        scans = sum(int(connection.execute(query).scalar() or 0) + 1 for query in newest)
         if database.path is None:
             size = int(connection.execute(text("SELECT pg_database_size(current_database())")).scalar_one())
             return Sizes(size, size / max(scans, 1), None)

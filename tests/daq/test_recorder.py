@@ -7,7 +7,9 @@ import subprocess
 import sys
 import threading
 import time
+import tomllib
 from contextlib import contextmanager
+from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -158,22 +160,98 @@ def test_a_silent_logger_is_said_once_leaves_gaps_with_cause_and_does_not_distur
         assert last > first + 20
 
 
+def all_scans(store):
+    scans, last = [], -1
+    while batch := store.scans_after("lab", last, 5000).scans:
+        scans += batch
+        last = scans[-1].number
+    return scans
+
+
 def test_a_changed_configuration_is_taken_over_between_runs_without_losing_a_scan(tmp_path):
-    with plant(tmp_path, speed=20.0, rate_hz=2.0) as made, open_store(made.url) as store:
+    with plant(tmp_path, speed=20.0, rate_hz=1.0) as made, open_store(made.url) as store:
         with recording(made):
             wait_until(lambda: store.open_run("lab") is not None, 60)
             under_way = store.open_run("lab").run
             text = made.config.read_text()
-            made.config.write_text(text.replace('"MDF"', '"OSB"').replace("rate_hz = 2.0", "rate_hz = 4.0"))
-            wait_until(lambda: any("need a new start" in e.message for e in store.journal().items))
-            made.config.write_text(text.replace('"MDF"', '"OSB"'))
+            made.config.write_text(text.replace("speed = 20.0", "speed = 10.0"))
+            wait_until(lambda: any("start kerntemp record anew" in e.message for e in store.journal().items))
+            made.config.write_text(text.replace("rate_hz = 1.0", "rate_hz = 99"))
+            wait_until(lambda: any("rate_hz" in e.message for e in store.journal().items))
+            changed = text.replace('"MDF"', '"OSB"').replace("rate_hz = 1.0", "rate_hz = 2.0")
+            made.config.write_text(changed.replace('"bottom_7"', '""'))
             wait_until(lambda: any("takes effect between runs" in e.message for e in store.journal().items))
+            assert not any("is in force" in e.message for e in store.journal().items)
             wait_until(lambda: (now := store.open_run("lab")) is not None and now.run != under_way, 60)
+            wait_until(lambda: len(store.load_run(store.open_run("lab").run).time_s) > 30, 60)
         runs = {r.run: r.header["panel.material"] for r in store.runs().items}
+        before, after = store.load_run(under_way), store.load_run(store.runs().items[0].run)
         assert runs.pop(under_way) == "MDF"
         assert set(runs.values()) == {"OSB"}
-        numbers = [s.number for s in store.scans_after("lab", -1, 100000).scans]
-        assert numbers == list(range(len(numbers)))
+        assert "bottom_7" in before.columns
+        assert "bottom_7" not in after.columns
+        assert np.median(np.diff(before.time_s)) == pytest.approx(1.0, rel=0.1)
+        assert np.median(np.diff(after.time_s)) == pytest.approx(0.5, rel=0.1)
+        assert np.isfinite(after.columns["bottom_6"]).mean() > 0.7
+        scans = all_scans(store)
+        assert [s.number for s in scans] == list(range(len(scans)))
+        change = next(i for i, s in enumerate(scans) if len(s.values) == 15)
+        kept = [s.qualities[0] for s in scans[change - 5 : change + 5]]
+        assert kept == ["good"] * 10, "the logger that stays noticed the change"
+
+
+class SettableClock(datetime):
+    """The wall clock as the recorder sees it, set to another hour by somebody."""
+
+    set_by = timedelta(0)
+
+    @classmethod
+    def now(cls, tz=None):
+        return datetime.now(tz) + cls.set_by
+
+
+def test_a_clock_set_back_and_forth_is_journalled_and_costs_no_scan_and_no_order(tmp_path, monkeypatch):
+    monkeypatch.setattr("daq.acquisition.datetime", SettableClock)
+    with plant(tmp_path) as made, open_store(made.url) as store:
+        with recording(made):
+            for hours in (-1, 2):
+                seen = len(all_scans(store))
+                wait_until(lambda seen=seen: len(all_scans(store)) > seen + 10)
+                monkeypatch.setattr(SettableClock, "set_by", timedelta(hours=hours))
+            seen = len(all_scans(store))
+            wait_until(lambda: len(all_scans(store)) > seen + 10)
+        said = [e.message for e in store.journal().items if "clock of this machine" in e.message]
+        scans = all_scans(store)
+    set_by = sorted(float(m.split("set by ")[1].split(" s")[0]) for m in said)
+    assert set_by == pytest.approx([-3600, 10800], abs=1)
+    assert [s.number for s in scans] == list(range(len(scans)))
+    monotonic, wall = (np.diff(x) for x in zip(*((s.monotonic_s, s.utc.timestamp()) for s in scans), strict=True))
+    assert np.all((monotonic > 0) & (monotonic < 2))
+    assert np.count_nonzero(np.abs(wall - monotonic) > 1) == 2
+
+
+def test_a_calibration_that_changes_is_in_force_between_runs_and_kept_with_them(tmp_path):
+    with plant(tmp_path, speed=20.0, rate_hz=2.0) as made, open_store(made.url) as store:
+        entry = '[[calibration]]\nchannel = "platen_top"\ndate = 2026-01-0{}\noffset_K = {}\n'
+        (tmp_path / "upper.toml").write_text(entry.format(1, "0.0"))
+        made.config.write_text(
+            made.config.read_text().replace('name = "upper"', 'name = "upper"\ncalibration = "upper.toml"')
+        )
+
+        def newest():
+            return store.scans_after("lab", store.newest_scan_number("lab") - 1).scans[-1].values[0]
+
+        with recording(made):
+            wait_until(lambda: store.newest_scan_number("lab") > 10)
+            raw = newest()
+            (tmp_path / "upper.toml").write_text(entry.format(1, "0.0") + entry.format(2, "30.0"))
+            wait_until(lambda: newest() > raw + 20.0, 60)
+            assert any("is in force" in e.message for e in store.journal().items)
+            wait_until(lambda: store.open_run("lab") is not None, 60)
+            kept = store.configuration_of(store.open_run("lab").run)
+        assert "date = 2026-01-02" in kept
+        assert "offset_K = 30.0" in kept
+        assert tomllib.loads(kept) == tomllib.loads(made.config.read_text())
 
 
 def start(made, **options):
@@ -205,10 +283,8 @@ def acknowledged_until_killed(child, wait_s):
 
 def check_store_after_kill(url, last_acknowledged):
     with open_store(url) as store:
-        numbers, last = [], -1
-        while scans := store.scans_after("lab", last, 5000).scans:
-            numbers += [s.number for s in scans]
-            last = numbers[-1]
+        numbers = [s.number for s in all_scans(store)]
+        last = numbers[-1]
         assert numbers == list(range(len(numbers))), "a scan is missing or doubled"
         assert last >= last_acknowledged, "an acknowledged scan is lost"
         with store.database.reading() as connection:
@@ -245,14 +321,6 @@ def test_killed_in_mid_run_the_recorder_loses_nothing_acknowledged_and_resumes(t
         check_store_after_kill(made.url, last)
 
 
-@pytest.mark.campaign
-@pytest.mark.timeout(3600)
-@pytest.mark.skipif(os.name == "nt", reason="SIGKILL is POSIX")
-def test_three_hundred_kills_lose_nothing(tmp_path):
-    with plant(tmp_path, speed=20.0, rate_hz=2.0) as made:
-        kill_repeatedly(made, 300, 2)
-
-
 @pytest.mark.skipif(os.name == "nt", reason="SIGTERM is POSIX")
 def test_asked_to_end_the_recorder_writes_what_it_has_and_ends_in_order(tmp_path):
     with plant(tmp_path, speed=20.0, rate_hz=2.0) as made, open_store(made.url) as store:
@@ -277,3 +345,28 @@ def test_a_recorder_on_postgresql_stores_the_same(tmp_path, postgresql_url):
             wait_until(lambda: len(store.runs(status=RunStatus.CLOSED).items) >= 1, 60)
         run = store.load_run(store.runs(status=RunStatus.CLOSED).items[0].run)
         assert np.median(np.diff(run.time_s)) == pytest.approx(0.5, rel=0.05)
+
+
+def test_two_presses_in_one_process_do_not_wait_for_each_other(tmp_path, store_url):
+    off = Switches()
+    with plant(tmp_path, rate_hz=10.0, store=store_url) as made, open_store(store_url) as store:
+        with simulated("labjack-t7", made.inputs(UPPER), clock=made.clock, refresh_s=0.0, switches=off) as server:
+            other = wiring("labjack-t7", server, "alone", UPPER)
+            text = made.config.read_text() + '[[press]]\nname = "second"\nfile = "lab.toml"\nrate_hz = 5.0\n'
+            text += "[[press.logger]]\n" + "".join(f"{k} = {toml_value(v)}\n" for k, v in other.items())
+            made.config.write_text(text)
+            with recording(made):
+                wait_until(lambda: store.newest_scan_number("second") > 5)
+                off.silent = True
+                wait_until(lambda: any("logger alone does not answer" in e.message for e in store.journal().items))
+                before = [store.newest_scan_number(press) for press in ("lab", "second")]
+                time.sleep(2.0)
+                after = [store.newest_scan_number(press) for press in ("lab", "second")]
+                status = store.statuses()["record"].status
+        paces = [(b - a) / 2.0 for a, b in zip(before, after, strict=True)]
+        assert paces == pytest.approx([10.0, 5.0], rel=0.3)
+        assert [(p["press"], p["rate_hz"]) for p in status["presses"]] == [("lab", 10.0), ("second", 5.0)]
+        assert [r["state"] for r in status["loggers"]] == ["answers", "answers", "lost"]
+        waiting = "memory" if store.database.path else "kerntemp-buffer.sqlite"
+        assert waiting in status["room_for_waiting"]
+        assert status["room_for_waiting_hours"] > 1.0

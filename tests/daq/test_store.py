@@ -16,6 +16,7 @@ from sqlalchemy import inspect, text
 from daq.records import Channel, InputError, PressEvent, PressEventKind, PressState, Quality, Run, Scan
 from daq.runfile import read_run, write_run
 from daq.store import NewRun, RunEnd, RunStatus, StoredEstimate, StoreUnavailable, open_store
+from daq.store.convert import MANY, readings_json, readings_table
 from daq.store.database import migrations, statements, store_url
 from daq.store.schema import METADATA
 
@@ -267,6 +268,8 @@ def test_the_newest_fit_of_a_run_counts_in_the_history(store):
     assert [c.run for c in rest.items] == [names[1]] * 2
     assert rest.next_cursor is None
     assert store.coefficient_history(press="other").items == ()
+    store.put_fit(names[2], {**fit_json(names[2], 1.0), "rmse_K": float("nan")})
+    assert store.fit_errors([names[0], names[2], "no such run"]) == {names[0]: 0.3, names[2]: None}
 
 
 def test_one_model_of_a_press_is_active_and_its_history_stays(store):
@@ -324,6 +327,14 @@ def test_a_run_file_passes_through_the_store_to_the_last_bit(rows, step, note, w
         store.import_run(read_run(Path(folder) / "in.csv"), "lab")
         write_run(store.load_run("x"), Path(folder) / "out.csv")
         assert (Path(folder) / "out.csv").read_bytes() == (Path(folder) / "in.csv").read_bytes()
+
+
+@given(rows=st.lists(st.lists(st.floats(width=64), min_size=3, max_size=3), min_size=1, max_size=6))
+def test_many_scans_are_parsed_to_the_last_bit_as_few_are(rows):
+    texts = [readings_json(row) for row in rows]
+    known = np.where(np.isnan(rows), np.nan, rows)
+    assert readings_table(texts, 3).tobytes() == known.tobytes()
+    assert readings_table(texts * MANY, 3).tobytes() == np.tile(known, (MANY, 1)).tobytes()
 
 
 def test_people_find_runs_and_scans_by_plain_sql(store):

@@ -196,6 +196,34 @@ def test_a_full_disk_makes_scans_wait_and_recording_goes_on_when_there_is_room(s
         assert numbers(store) == notes.acknowledged == list(range(3000))
 
 
+def test_a_disk_that_turns_read_only_makes_scans_wait_until_it_is_mended(small_disk):
+    notes = Notes()
+
+    def remount(mode):
+        subprocess.run(["mount", "-o", f"remount,{mode}", str(small_disk)], check=True)
+
+    with open_store(str(small_disk / "s.sqlite"), busy_s=0.2) as store:
+        key = store.register_press("lab", CHANNELS)
+        outbox = Outbox(store, acknowledged=notes.note, say=notes.say)
+        outbox.start()
+        outbox.put(parcel(key, 0))
+        wait_until(lambda: notes.acknowledged)
+        store.database.close()  # the kernel refuses to remount while a file is open for writing
+        remount("ro")
+        try:
+            for n in range(1, 30):
+                outbox.put(parcel(key, n))
+            wait_until(lambda: outbox.trouble)
+            assert notes.said[0][0] == "alarm"
+            assert "its disk is not mounted read-only" in notes.said[0][1]
+            assert notes.acknowledged == [0]
+        finally:
+            remount("rw")
+        wait_until(lambda: len(notes.acknowledged) == 30, 30)
+        outbox.close()
+        assert numbers(store) == list(range(30))
+
+
 def test_a_store_that_may_not_be_written_says_so(tmp_path):
     path = tmp_path / "s.sqlite"
     open_store(str(path)).close()

@@ -1,10 +1,8 @@
 """Backup, restore, thinning and export sums: nothing of a run is ever lost by looking after it."""
 
 import math
-import os
 import sqlite3
 import threading
-import time
 from datetime import UTC, datetime, timedelta
 
 import numpy as np
@@ -172,56 +170,3 @@ def test_several_runs_are_imported_all_or_none(store_url):
             store.import_runs(runs, "lab")
         assert store.runs().items == ()
         assert store.import_runs(runs[:2], "lab") == ["a", "b"]
-
-
-def generate(store, there, runs):
-    """Add runs of 3000 scans as a press leaves them, fits included."""
-    rng = np.random.default_rng(there)
-    key = store.register_press("lab", tuple(Channel(f"c{i}") for i in range(16)))
-    table = np.round(np.cumsum(rng.normal(0, 0.3, (3000, 16)), axis=0) + 100, 1).tolist()
-    coefficient = {"value": 700.0, "sd": 9.0, "ci95": [680.0, 720.0], "identifiable": True}
-    fit = {"coefficients": dict.fromkeys(("h_a", "h_b", "h_c", "h_d", "h_e", "h_f"), coefficient)}
-    for r in range(there, there + runs):
-        number, start = 3000 * r, BEGAN + timedelta(seconds=400 * r)
-        batch = [
-            Scan(number + i, start + timedelta(seconds=i / 10), 400.0 * r + i / 10, tuple(row), (G,) * 16)
-            for i, row in enumerate(table)
-        ]
-        begin = NewRun(f"lab-{r:06d}", number, start, 400.0 * r, {"panel.material": "MDF"})
-        store.append_scans(key, batch, begin=begin, end=RunEnd(begin.run, number + 2999, start))
-        store.put_fit(begin.run, fit)
-
-
-def timed(question, times):
-    spent = []
-    for i in range(times):
-        began = time.perf_counter()
-        question(i)
-        spent.append(1000 * (time.perf_counter() - began))
-    return np.quantile(spent, [0.5, 0.99])
-
-
-@pytest.mark.benchmark
-@pytest.mark.timeout(3600)
-def test_cost_of_questions_as_the_store_grows(tmp_path):
-    """Scale by KERNTEMP_BENCH_RUNS, default 200 runs of 3000 scans; issue sizes are 10,000 runs."""
-    most = int(os.environ.get("KERNTEMP_BENCH_RUNS", "200"))
-    path = tmp_path / "s.sqlite"
-    rng = np.random.default_rng(1)
-    print("\n  runs      scans  ingest/s  open p99  page p99  samples p50/p99  coefficients p99  [ms]")
-    for runs in (most // 10, most):
-        with open_store(str(path)) as store:
-            there, began = store.contents(), time.perf_counter()
-            more = runs - there.runs
-            generate(store, there.runs, more)
-            rate = 3000 * more / (time.perf_counter() - began)
-            names = [f"lab-{r:06d}" for r in rng.integers(0, runs, 60)]
-            opening = timed(lambda i: open_store(str(path)).close(), 20)
-            cursors = rng.integers(1, runs, 60).tolist()
-            page = timed(lambda i: store.runs(cursor=str(cursors[i]), limit=50), 60)  # noqa: B023
-            samples = timed(lambda i: store.load_run(names[i]), 60)  # noqa: B023
-            history = timed(lambda i: store.coefficient_history(limit=200), 60)
-            print(
-                f"{runs:6d} {3000 * runs:10d} {rate:9.0f} {opening[1]:9.1f} {page[1]:9.1f}"
-                f" {samples[0]:9.1f}/{samples[1]:<6.1f} {history[1]:13.1f}"
-            )

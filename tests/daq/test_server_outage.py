@@ -1,0 +1,220 @@
+"""A database server that is away: at the start, for minutes, while the recorder is killed. Nothing is lost."""
+
+import os
+import select
+import shutil
+import socket
+import subprocess
+import tempfile
+import threading
+import time
+from contextlib import contextmanager, suppress
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from sqlalchemy.engine import make_url
+
+from daq.records import Channel
+from daq.store import NewRun, RunStatus, open_store
+from daq.store.outbox import Outbox
+from daq.store.parcels import Entry, Parcel
+from tests.daq.test_kills import herd
+from tests.daq.test_recorder import all_scans, wait_until
+from tests.daq.test_store_outbox import BEGAN, CHANNELS, G, Notes, parcel
+
+
+class Gate:
+    """A door in front of a server: connections through it are cut and refused while it is shut."""
+
+    def __init__(self, host, port):
+        self._server = (host, port)
+        self._listener, self._links = None, []
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            self.port = probe.getsockname()[1]
+
+    def open(self):
+        self._listener = socket.create_server(("127.0.0.1", self.port))
+        threading.Thread(target=self._accept, args=(self._listener,), daemon=True).start()
+
+    def shut(self):
+        listener, self._listener = self._listener, None
+        if listener is None:
+            return
+        with suppress(OSError):
+            listener.shutdown(socket.SHUT_RDWR)
+        listener.close()
+        for link in self._links:
+            with suppress(OSError):
+                link.shutdown(socket.SHUT_RDWR)
+        self._links.clear()
+
+    def _accept(self, listener):
+        with suppress(OSError):
+            while True:
+                client, _ = listener.accept()
+                server = socket.create_connection(self._server)
+                self._links += [client, server]
+                threading.Thread(target=self._forward, args=(client, server), daemon=True).start()
+
+    @staticmethod
+    def _forward(client, server):
+        with client, server, suppress(OSError):
+            while True:
+                ready, _, _ = select.select([client, server], [], [])
+                for side in ready:
+                    data = side.recv(65536)
+                    if not data:
+                        return
+                    (server if side is client else client).sendall(data)
+
+
+@contextmanager
+def gated(url):
+    """A gate before a PostgreSQL server, shut at first, and the URL that leads through it."""
+    real = make_url(url)
+    gate = Gate(real.host, real.port or 5432)
+    try:
+        yield gate, real.set(host="127.0.0.1", port=gate.port).render_as_string(hide_password=False)
+    finally:
+        gate.shut()
+
+
+def test_a_recorder_started_and_killed_while_the_server_is_away_loses_nothing(postgresql_url, tmp_path):
+    with gated(postgresql_url) as (gate, url), herd(tmp_path, url) as one:
+        for count in (60, 120):
+            one.start("record")
+            wait_until(lambda: len(one.acknowledged("record")) > count, 60)  # noqa: B023
+            one.kill("record")
+        gate.open()
+        one.start("record")
+        time.sleep(0.3)
+        one.kill("record")  # perhaps in the middle of the back-fill
+        one.start("record")
+        count = len(one.acknowledged("record"))
+        wait_until(lambda: len(one.acknowledged("record")) > count + 40, 60)
+        gate.shut()
+        count = len(one.acknowledged("record"))
+        wait_until(lambda: len(one.acknowledged("record")) > count + 40, 60)
+        gate.open()
+        with open_store(postgresql_url) as store:
+            wait_until(lambda: any("takes data again" in e.message for e in store.journal().items), 60)
+            one.kill("record")
+            one.start("record")
+            balanced(one, store)
+            assert len(store.runs(status=RunStatus.OPEN).items) <= 1
+            said = [e.message for e in store.journal(limit=200).items]
+            assert any(
+                "kerntemp-buffer.sqlite, enough for" in m and "check that the database server" in m for m in said
+            )
+
+
+def balanced(one, store):
+    """Hold what was acknowledged against the store: all there, once, in order."""
+    promised = one.acknowledged("record")
+    wait_until(lambda: {at for at, _ in promised} <= {s.monotonic_s for s in all_scans(store)}, 60)
+    scans = all_scans(store)
+    assert [s.number for s in scans] == list(range(len(scans)))
+    times = [s.monotonic_s for s in scans]
+    assert times == sorted(set(times)), "a scan is doubled or out of order"
+    kept = dict(zip(times, (s.values[0] for s in scans), strict=True))
+    assert all(value is None or kept[at] == value for at, value in promised)
+
+
+@contextmanager
+def own_server():
+    """A PostgreSQL server of our own that may be restarted; yields a function of pg_ctl's words, and the URL."""
+    programs = sorted(Path("/usr/lib/postgresql").glob("*/bin"))
+    initdb = shutil.which("initdb") or (str(programs[-1] / "initdb") if programs else None)
+    if initdb is None:
+        pytest.skip("no PostgreSQL server programs (initdb) on this machine")
+    root = os.geteuid() == 0  # the server refuses to run as root
+    data = Path(tempfile.mkdtemp(prefix="kt_pg_"))
+    if root:
+        shutil.chown(data, "postgres")
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+
+    def call(*words):
+        prefix = ["runuser", "-u", "postgres", "--"] if root else []
+        subprocess.run([*prefix, *words], check=True, cwd="/", stdout=subprocess.DEVNULL, timeout=90)
+
+    def control(*words):
+        options = f"-p {port} -k {data} -c listen_addresses=127.0.0.1"
+        call(
+            str(Path(initdb).with_name("pg_ctl")),
+            "-D",
+            str(data / "d"),
+            "-l",
+            str(data / "log"),
+            "-o",
+            options,
+            "-w",
+            *words,
+        )
+
+    try:
+        call(initdb, "-A", "trust", "-U", "postgres", "--no-sync", "-D", str(data / "d"))
+        control("start")
+        yield control, f"postgresql+psycopg://postgres@127.0.0.1:{port}/postgres"
+        control("stop", "-m", "immediate")
+    finally:
+        shutil.rmtree(data, ignore_errors=True)
+
+
+@pytest.mark.campaign
+@pytest.mark.timeout(300)
+def test_a_server_that_is_restarted_under_the_recorder_costs_no_scan(tmp_path):
+    with own_server() as (control, url), herd(tmp_path, url) as one:
+        one.start("record")
+        for way in ("fast", "immediate"):
+            count = len(one.acknowledged("record"))
+            wait_until(lambda: len(one.acknowledged("record")) > count + 40, 60)  # noqa: B023
+            control("restart", "-m", way)
+        count = len(one.acknowledged("record"))
+        wait_until(lambda: len(one.acknowledged("record")) > count + 40, 60)
+        with open_store(url) as store:
+            balanced(one, store)
+            wait_until(lambda: any("takes data again" in e.message for e in store.journal(limit=200).items), 60)
+
+
+def test_a_session_gets_its_place_once_in_order_behind_what_a_killed_one_left(store_url, tmp_path):
+    with open_store(store_url) as store:
+        store.append_scans(store.register_press("lab", CHANNELS), parcel(None, 0).scans)
+        first = Outbox(store, buffer=tmp_path / "b.sqlite")
+        key = first.later_key("lab", CHANNELS, "press file")
+        begin = NewRun("lab-2026-03-04-t070000", 3, BEGAN, 0.0)
+        for n in range(5):
+            first.put(Parcel(key, parcel(key, n).scans, (), begin if n == 4 else None))
+        wider = (*CHANNELS, Channel("top_2"))
+        second_key = first.later_key("lab", wider, "press file")
+        for n in range(5):
+            scan = parcel(second_key, n).scans[0]
+            first.put(Parcel(second_key, (replace(scan, values=(*scan.values, 21.0), qualities=(G, G, G)),)))
+        notes = Notes()
+        first._take()
+        first._keep()
+        assert first.behind
+        second = Outbox(store, buffer=tmp_path / "b.sqlite", acknowledged=notes.note)
+        second.start()
+        wait_until(lambda: second.waiting == 0)
+        second.close()
+        assert [s.number for s in store.scans_after("lab", -1).scans] == list(range(6))
+        assert [c.name for c in store.scans_after("lab", 5).channels] == ["platen_top", "top_1", "top_2"]
+        assert store.newest_scan_number("lab") == 10
+        run = store.run_record("lab-2026-03-04-t070000")
+        assert (run.status, run.first_scan, run.last_scan) == (RunStatus.INTERRUPTED, 4, 5)
+
+
+def test_what_a_session_said_is_timed_when_it_was_said(store_url, tmp_path):
+    with open_store(store_url) as store:
+        outbox = Outbox(store, buffer=tmp_path / "b.sqlite")
+        outbox.put(Entry("warning", "record", "long ago", unix_s=BEGAN.timestamp()))
+        outbox._take()
+        outbox._keep()
+        outbox.start()
+        wait_until(lambda: outbox.waiting == 0)
+        outbox.close()
+        assert store.journal().items[0].utc == BEGAN
