@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,8 +49,16 @@ class Layout:
     """Contact, state, kind (coupling, lower and upper face to air) and coefficient."""
     measured: Flags
     flux: Array
+    radiates: bool
+    """Whether an end radiates."""
     zeros: Array
     """(n), not to be changed."""
+    no_heat: Array
+    """Of no conversion (0, n)."""
+    no_law: Array
+    """(0, 4)"""
+    unmoved: kernels.Tangents
+    """Of a stack without conversions by no parameter."""
 
     @staticmethod
     def of(press: Press, mesh: Mesh, panel: Panel | None, ambient: float) -> Layout:
@@ -65,6 +74,7 @@ class Layout:
         paper = mask_cells(mesh, tuple(name for name in PAPER if name in mesh.layer))
         wet = mask_cells(mesh, press.panel_layers)
         interface, parts, spots = _contacts(press, mesh)
+        flux = _flux_table(press, ambient)
         return Layout(
             k=k,
             c=c,
@@ -79,13 +89,16 @@ class Layout:
             parts=np.array(parts, dtype=bool),
             spots=tuple(spots),
             measured=np.array([b.kind == "measured" for b in (press.boundary.bottom, press.boundary.top)]),
-            flux=_flux_table(press, ambient),
+            flux=flux,
+            radiates=bool((flux[:, 1] > 0).any()),
             zeros=np.zeros(n),
+            no_heat=np.zeros((0, n)),
+            no_law=np.zeros((0, 4)),
+            unmoved=_tangents(n, len(interface), 0, 0),
         )
 
     def stack(self, mesh: Mesh, terms: Terms, values: Mapping[str, float], ambient: float) -> kernels.Stack:
         """Return the stack at parameter values."""
-        n = len(mesh.dx)
         k, c = self.k, self.c
         if terms.paper is not None and self.paper.any():
             k, c = k.copy(), c.copy()
@@ -94,18 +107,21 @@ class Layout:
         contact = np.zeros((len(self.interface), 3, 3))
         for m, state, kind, name in self.spots:
             contact[m, state, kind] = values[name]
-        laws = [[conversion.kind, conversion.a, conversion.b, conversion.c] for conversion in terms.conversions]
+        heat, law = self.no_heat, self.no_law
+        if terms.conversions:
+            heat = np.array([x.heat for x in terms.conversions], dtype=float)
+            law = np.array([[x.kind, x.a, x.b, x.c] for x in terms.conversions], dtype=float)
         return kernels.Stack(
             dx=mesh.dx,
             k=k * terms.conductivity,
-            k_slope=self.zeros + terms.conductivity_slope,
+            k_slope=self._spread(terms.conductivity_slope),
             k_table=self.k_table,
             c=c * terms.capacity,
-            c_slope=self.zeros + terms.capacity_slope,
+            c_slope=self._spread(terms.capacity_slope),
             c_table=self.c_table,
             table_x=self.table_x,
             table_y=self.table_y,
-            exchange=self.zeros + terms.exchange,
+            exchange=self._spread(terms.exchange),
             interface=self.interface,
             contact=contact,
             parts=self.parts,
@@ -115,19 +131,21 @@ class Layout:
             ambient=ambient,
             measured=self.measured,
             flux=self.flux,
-            heat=np.array([x.heat for x in terms.conversions], dtype=float).reshape(-1, n),
-            law=np.array(laws, dtype=float).reshape(-1, 4),
+            heat=heat,
+            law=law,
         )
+
+    def _spread(self, value: Any) -> Array:
+        """Return a value in every cell (n)."""
+        return self.zeros if isinstance(value, float) and value == 0.0 else self.zeros + value
 
     def tangents(
         self, terms: Terms, d_terms: Mapping[str, Terms], names: tuple[str, ...], p: int
     ) -> kernels.Tangents:
         """Return the derivatives of the stack by the named parameters, with room for `p`."""
-        n, r, z = len(self.k), len(terms.conversions), np.zeros
-        d = kernels.Tangents(
-            z((p, n)), z((p, n)), z((p, n)), z((p, n)), z((p, n)), z((len(self.interface), 3, 3, p)), z(p), z(p),
-            z((2, p)), z((r, p, n)), z((r, 4, p)),
-        )  # fmt: skip
+        if not names and not terms.conversions:
+            return self.unmoved
+        d = _tangents(len(self.k), len(self.interface), len(terms.conversions), p)
         index = {name: i for i, name in enumerate(names)}
         for m, state, kind, name in self.spots:
             if name in index:
@@ -148,6 +166,15 @@ class Layout:
                 d.heat[j, i] = conversion.heat
                 d.law[j, 1:, i] = conversion.a, conversion.b, conversion.c
         return d
+
+
+def _tangents(n: int, contacts: int, r: int, p: int) -> kernels.Tangents:
+    """Return tangents of nothing yet, by `p` parameters."""
+    z = np.zeros
+    return kernels.Tangents(
+        z((p, n)), z((p, n)), z((p, n)), z((p, n)), z((p, n)), z((contacts, 3, 3, p)), z(p), z(p), z((2, p)),
+        z((r, p, n)), z((r, 4, p)),
+    )  # fmt: skip
 
 
 def layer_constants(press: Press, name: str, panel: Panel | None) -> tuple[float, float, float]:

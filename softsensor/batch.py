@@ -1,4 +1,8 @@
-"""Many runs at once: the same model solved for a list of cases, several runs side by side in one kernel."""
+"""Many runs at once: the same model solved for a list of cases, several runs side by side in one kernel.
+
+For questions to the model alone, such as a window of press times (``deploy/examples/press_window``) or the spread
+of coefficients. Fits need sensitivities with every run and solve run by run.
+"""
 
 from __future__ import annotations
 

@@ -11,8 +11,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.pressfile import At, Boundary, Press, panel_of, press_for_run
-from daq.records import Array, InputError, Moments, Panel, Run
+from daq.pressfile import At, Press, panel_of, press_for_run
+from daq.records import (
+    Array,
+    InputError,
+    Moments,
+    OutsideLayer,
+    Panel,
+    Run,
+)
+from softsensor.admission import boundary_series, check_layers, check_times
 from softsensor.assembly import PAPER, PAPER_WIDTH, Layout, layer_constants, mask_cells
 from softsensor.conduction import Mesh, build_mesh
 from softsensor.effects.effect import Scene
@@ -21,13 +29,9 @@ from softsensor.timing import OPENING_RAMP_S, Clock
 
 __all__ = ["Case", "mask_cells", "prepare_case", "snap", "step_edges", "step_means"]
 
-MAX_BRIDGE_S = 10.0
-"""Missing cells of a boundary column are bridged by a straight line up to this long. [s]"""
-MAX_GAP_S = 60.0
-"""Missing rows are bridged up to this long. [s]"""
-FINE_STEP_S = 0.04
+FINE_STEP_S = 0.03
 """Step around a switch. [s]"""
-GROWTH = 1.12
+GROWTH = 1.13
 """Of steps after it."""
 
 
@@ -61,6 +65,8 @@ class Case:
     """Weights that read the press face opposite each place, zero rows where there is none (m, n)."""
     h: Array
     """Step lengths (steps). [s]"""
+    unchanged: Array
+    """Factor 1 on every contact in each step, not to be changed (steps, contacts)."""
     ambient: float
     """[°C]"""
     layout: Layout
@@ -79,35 +85,65 @@ class Case:
     """Reads slopes in time off at the run's rows."""
 
 
-def prepare_case(
-    press: Press, run: Run, moments: Moments, *, paper: bool, fineness: float, max_step_s: float
-) -> Case:
+@dataclass(frozen=True)
+class Fineness:
+    """How finely a run is laid out."""
+
+    cells: float = 1.0
+    """2 halves cells and steps."""
+    max_step_s: float = 0.5
+    switch_step_s: float = FINE_STEP_S
+    """Step around a switch. [s]"""
+    growth: float = GROWTH
+    """Of steps after it."""
+
+    def __post_init__(self) -> None:
+        for name, value, lower, upper in (
+            ("fineness", self.cells, 0.05, 50.0),
+            ("max_step_s", self.max_step_s, 1e-4, 3600.0),
+            ("switch_step_s", self.switch_step_s, 1e-4, 60.0),
+            ("growth", self.growth, 1.0, 10.0),
+        ):
+            if not lower <= value <= upper:
+                raise InputError(f"{name} = {value!r}: must be a number from {lower:g} to {upper:g}")
+
+
+def prepare_case(press: Press, run: Run, moments: Moments, *, paper: bool, fineness: Fineness) -> Case:
     """Check a run against a press and lay out its grids.
 
     Raises
     ------
+    BrokenTime
+        For times that fall or rows missing for more than `admission.MAX_GAP_S`.
+    BoundaryGap
+        For a measured boundary that is empty for more than `admission.MAX_BRIDGE_S`.
+    OutsideLayer
+        For a sensor outside its layer.
+    Nonphysical
+        For properties of panel or layers, or temperatures outside, that no matter has.
     InputError
-        For a missing or badly broken boundary column, a sensor outside its layer, or panel constants
-        that are missing or nonphysical.
+        For a missing boundary column or panel constant, or moments that contradict each other.
     """
     press = press_for_run(press, run)
-    _check_times(press, run, moments)
+    check_times(press, run, moments)
+    check_layers(press, run)
     panel = panel_of(run) if press.panel_layers else None
-    mesh = _mesh(press, panel, paper=paper, fineness=fineness)
-    edges = step_edges(run.time_s, moments, max_step_s / fineness, FINE_STEP_S / fineness)
+    mesh = _mesh(press, panel, paper=paper, fineness=fineness.cells)
+    fine, coarse = fineness.switch_step_s / fineness.cells, fineness.max_step_s / fineness.cells
+    edges = step_edges(run.time_s, moments, coarse, fine, fineness.growth)
     start, has_states = float(run.time_s[0]), press.has_states
     ends = (press.boundary.bottom, press.boundary.top)
-    series = [_boundary_series(run, name, b) for name, b in zip(("bottom", "top"), ends, strict=True)]
+    series = [boundary_series(run, name, b) for name, b in zip(("bottom", "top"), ends, strict=True)]
     boundary = np.stack([step_means(run.time_s, s, edges) for s in series], axis=1)
     fit = press.sensors_of(run)
     sensors = fit | press.sensors_of(run, "validation")
     labels = list(dict.fromkeys(sensor.label for sensor in sensors.values()))
-    weights = {sensor.label: _place(press, mesh, panel, sensor.at) for sensor in sensors.values()}
+    weights = {sensor.label: _place(press, run, mesh, panel, sensor.at) for sensor in sensors.values()}
     middle = press.panel_layers[0] if press.panel_layers else press.layer[len(press.layer) // 2].name
     labels.append("core")
     load = _loads(press, run, edges)
     layout = Layout.of(press, mesh, panel, run.ambient_temperature)
-    weights["core"] = _place(press, mesh, panel, f"{middle}.middle")
+    weights["core"] = _place(press, run, mesh, panel, f"{middle}.middle")
     return Case(
         run=run,
         press=press,
@@ -125,6 +161,7 @@ def prepare_case(
         places=np.stack([weights[label] for label in labels]),
         press_face=np.stack([_press_face(press, mesh, label) for label in labels]),
         h=snap(np.diff(edges)),
+        unchanged=np.ones((len(edges) - 1, len(layout.interface))),
         ambient=run.ambient_temperature,
         layout=layout,
         scene=_scene(press, mesh, panel, layout, moments, edges, load, run.ambient_temperature),
@@ -179,33 +216,7 @@ def snap(h: Array) -> Array:
     return np.asarray(h[first][group])
 
 
-def _check_times(press: Press, run: Run, moments: Moments) -> None:
-    """Refuse times that do not rise, long gaps, and moments out of order."""
-    where, t = run.source or run.name, run.time_s
-    if len(t) < 2:
-        raise InputError(f"{where}: column time_s has {len(t)} row; a run needs at least two")
-    steps = np.diff(t)
-    wrong = np.flatnonzero(~(np.isfinite(steps) & (steps > 0)))
-    if len(wrong):
-        i = int(wrong[0])
-        raise InputError(
-            f"{where}: time_s = {t[i + 1]:g} follows {t[i]:g} (row {i + 2}): times must rise; mend the row"
-        )
-    measured = "measured" in (press.boundary.bottom.kind, press.boundary.top.kind)
-    i = int(np.argmax(steps))
-    if measured and steps[i] > MAX_GAP_S:
-        raise InputError(
-            f"{where}: no row for {steps[i]:.1f} s after time_s = {t[i]:g}; at most {MAX_GAP_S:g} s of a measured "
-            f"boundary are bridged: cut the run there"
-        )
-    if moments.opened_s < moments.closed_s:
-        raise InputError(
-            f"{where}: opened_s = {moments.opened_s:g} lies before closed_s = {moments.closed_s:g}; "
-            f"check column closed"
-        )
-
-
-def step_edges(time_s: Array, moments: Moments, max_step: float, fine: float) -> Array:
+def step_edges(time_s: Array, moments: Moments, max_step: float, fine: float, growth: float = GROWTH) -> Array:
     """Return step edges: fine around each switch, growing from step to step up to `max_step`. [s]
 
     Examples
@@ -233,7 +244,7 @@ def step_edges(time_s: Array, moments: Moments, max_step: float, fine: float) ->
             if begin - t < 0.25 * h:
                 t = begin
             edges.append(t)
-            h = min(h * GROWTH, max_step)
+            h = min(h * growth, max_step)
         if finish > t:
             inner = np.linspace(t, finish, max(1, round((finish - t) / fine)) + 1)[1:]
             edges += inner.tolist()
@@ -253,44 +264,6 @@ def _mesh(press: Press, panel: Panel | None, *, paper: bool, fineness: float) ->
     return build_mesh(layers, fineness)
 
 
-def _boundary_series(run: Run, name: str, boundary: Boundary) -> Array:
-    """Return a measured boundary's temperature at every row, short gaps bridged."""
-    if boundary.kind != "measured":
-        return np.zeros(len(run.time_s))
-    column = boundary.column or ""
-    where = run.source or run.name
-    if column not in run.columns:
-        raise InputError(
-            f"{where}: column {column!r} is missing; boundary.{name} needs it "
-            f"(the run has {', '.join(list(run.columns)[:20])})"
-        )
-    values = run.columns[column]
-    good = np.isfinite(values)
-    if not good.any():
-        raise InputError(f"{where}: column {column!r} holds no value; boundary.{name} needs it")
-    times = run.time_s[good]
-    holes = np.flatnonzero(~good)
-    if len(holes):
-        before = np.searchsorted(times, run.time_s[holes]) - 1
-        gap = np.where(
-            before < 0,
-            times[0] - run.time_s[0],
-            np.where(
-                before + 1 < len(times),
-                times[np.minimum(before + 1, len(times) - 1)] - times[np.maximum(before, 0)],
-                run.time_s[-1] - times[-1],
-            ),
-        )
-        worst = int(np.argmax(gap))
-        if gap[worst] > MAX_BRIDGE_S:
-            raise InputError(
-                f"{where}: column {column!r} is empty for {gap[worst]:.1f} s around time_s = "
-                f"{run.time_s[holes[worst]]:g}; at most {MAX_BRIDGE_S:g} s of boundary.{name} are bridged: "
-                f"cut the run there"
-            )
-    return np.interp(run.time_s, times, values[good])
-
-
 def step_means(time_s: Array, values: Array, edges: Array) -> Array:
     """Return the mean over each step and change across it of a series joined by straight lines (steps, 2)."""
     area = np.concatenate([[0.0], np.cumsum(np.diff(time_s) * (values[1:] + values[:-1]) / 2)])
@@ -300,15 +273,15 @@ def step_means(time_s: Array, values: Array, edges: Array) -> Array:
     return np.stack([np.diff(total) / np.diff(edges), np.diff(at)], axis=1)
 
 
-def _place(press: Press, mesh: Mesh, panel: Panel | None, at: str | At) -> Array:
+def _place(press: Press, run: Run, mesh: Mesh, panel: Panel | None, at: str | At) -> Array:
     layer_name = at.layer if isinstance(at, At) else at.rpartition(".")[0]
     thickness = layer_constants(press, layer_name, panel)[0]
     if isinstance(at, At):
         height = at.depth_mm / 1000.0
         if height > thickness * (1 + 1e-9):
-            raise InputError(
-                f"sensor at depth_mm = {at.depth_mm:g} lies outside layer {layer_name!r}, "
-                f"{thickness * 1000:g} mm thick"
+            raise OutsideLayer(
+                f"{run.source or run.name}: a sensor at depth_mm = {at.depth_mm:g} lies outside layer "
+                f"{layer_name!r}, {thickness * 1000:g} mm thick in this run; mend its place or the thickness"
             )
     else:
         height = {"bottom": 0.0, "middle": 0.5, "top": 1.0}[at.rpartition(".")[2]] * thickness
@@ -330,7 +303,7 @@ def _press_face(press: Press, mesh: Mesh, label: str) -> Array:
 
 
 def _loads(press: Press, run: Run, edges: Array) -> dict[int, Array]:
-    """Pressure over its reference in each step, for contacts that have one."""
+    """Pressure over its reference in each step, for contacts that have one in a column or the run's settings."""
     from softsensor.effects.contact_load import REFERENCE_PRESSURE
 
     loads: dict[int, Array] = {}
@@ -343,7 +316,8 @@ def _loads(press: Press, run: Run, edges: Array) -> dict[int, Array]:
                 continue
             smallest = max(float(np.nanmax(values)) * 0.01, 1e-6)
             series = np.maximum(np.interp(run.time_s, run.time_s[good], values[good]), smallest)
-            loads[m] = step_means(run.time_s, series / float(np.median(series)), edges)[:, 0]
+            reference = contact.load.reference or float(np.median(series))
+            loads[m] = step_means(run.time_s, series / reference, edges)[:, 0]
         elif contact.load is None and pressure is not None and set(contact.between) & set(press.panel_layers):
             loads[m] = np.full(len(edges) - 1, pressure / REFERENCE_PRESSURE)
     return loads

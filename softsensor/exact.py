@@ -6,12 +6,13 @@ that are straight between the run's rows each step is exact (`kernels_modal`). S
 the implicit solver, so both must agree up to the latter's time error.
 
 Through a ramp (closing, opening, handling) the contacts change continuously; there the implicit step is
-used in steps of 8 ms. A staircase of constant contacts would need one eigenvalue problem a stair.
+used in steps of 10 ms. A staircase of constant contacts would need one eigenvalue problem a stair.
 
 Tangents obey the same equation, forced by what a parameter's change does to the temperatures:
 C s' = -K s + (-dK T + df - dC T'). The forcing is taken as straight between steps, which after a switch
-start at 2 ms and grow by 20 % up to half a second; tangents are therefore not exact but good to about 1e-3
-of their largest value.
+start at 2 ms and grow up to a second; tangents are therefore not exact but good to 0.4 % of their largest
+value with 0.1 K of noise on the platens, and to 2e-3 for coefficients away from them. What the ramps' steps
+leave is below 0.5 mK a quarter of a second after a ramp, and 2 mK where tangents are asked for.
 """
 
 from __future__ import annotations
@@ -35,13 +36,16 @@ from softsensor.readout import Reader
 from softsensor.timing import HANDLING_RAMP_S, TIMINGS, Clock
 
 FIRST_STEP_S = 2e-3
-GROWTH = 1.2
-RAMP_STEP_S = 0.008
-"""In a closing or opening ramp; twice as long while the panel is handled, whose contacts are weak. [s]"""
-COARSE_STEP_S = 0.5
-"""Longest step of tangents, and how long after a ramp no row is left out for them. [s]"""
-FEW = 12
-"""Up to so many disturbed cells are forced one by one."""
+GROWTH = 1.3
+RAMP_STEP_S = 0.01
+"""In a closing or opening ramp; twice as long with tangents, and while the panel is handled, whose contacts
+are weak. [s]"""
+COARSE_STEP_S = 1.0
+"""Longest step of tangents. [s]"""
+ALL_ROWS_S = 1.0
+"""How long after a ramp no row is left out for them. [s]"""
+AT_ONCE = 48
+"""Steps of all tangents taken at a time: so few that their modes stay in the cache."""
 KEPT = 64
 """Eigensystems remembered."""
 
@@ -66,7 +70,7 @@ class Grid:
     """The same with one step for each steady span, to build coefficients on."""
     spans: tuple[Span, ...]
     outside: Array
-    """Temperature outside both ends at the step edges, and 1 (steps + 1, 3). [°C]"""
+    """Temperature outside both ends at the step edges (steps + 1, 2). [°C]"""
     coarse: NDArray[np.int64]
     """The step edges tangents are carried on."""
     spread: Reader
@@ -89,20 +93,6 @@ class Modes:
     """Forces on the modes from power in the cells (n, n)."""
 
 
-@dataclass(frozen=True)
-class Forcing:
-    """How a parameter's change acts: power in `cells` = `on` @ (temperatures of `seen`, outside, 1)."""
-
-    cells: NDArray[np.int64]
-    seen: NDArray[np.int64]
-    on: Array
-
-    def power(self, columns: NDArray[np.int64], inputs: Array) -> Array:
-        """Return the power in `cells` (rows, cells); inputs are temperatures of `columns`, outside, 1."""
-        chosen = np.concatenate([np.searchsorted(columns, self.seen), len(columns) + np.arange(3)])
-        return inputs[:, chosen] @ self.on.T
-
-
 def exact_grid(case: Case, values: Mapping[str, float], *, fine: bool) -> Grid:
     """Return a case's grid for the exact solver, remembered; `fine` if tangents are wanted."""
     return _grid(_Key(case), tuple(float(values.get(name, 0.0)) for name in TIMINGS), fine)
@@ -121,13 +111,15 @@ def run_exact(grid: Grid, build: Any, places: Array, *, fields: bool = False) ->
     if (factor != factor[:1]).any() or (loaded and (factor != 1.0).any()):
         raise InputError("method = 'exact': a contact changes while the press is closed; use the implicit solver")
     march = _March(build, grid, places, whole=fields)
+    steady = [span for span in grid.spans if span.steady]
+    w, dw = freeze(build, np.array([span.at for span in steady], dtype=np.int64))
+    frozen = dict(zip(steady, zip(w, dw, strict=True), strict=True))
     for span in grid.spans:
         if span.steady:
-            march.steady(span)
+            march.steady(span, *frozen[span])
         else:
             march.ramp(span)
-    d_out = grid.spread(march.d_out[:, grid.coarse]) if build.names else march.d_out
-    return march.out, d_out, march.fields
+    return march.out, grid.spread(march.d_out[: len(build.names)]), march.fields
 
 
 class _March:
@@ -138,12 +130,12 @@ class _March:
         self.whole = whole
         self.build, self.drive = build, build.drive
         shift = (build.drive.boundary - grid.sparse.boundary)[0, :, 0]
-        self.outside = grid.outside + np.append(shift, 0.0)
+        self.outside = grid.outside + shift
         self.places = places
         self.state = build.start
         steps, m = len(self.h), len(places)
         self.out = np.empty((steps + 1, m))
-        self.d_out = np.zeros((build.width, steps + 1, m))
+        self.d_out = np.zeros((build.width, len(self.coarse), m))
         self.fields = np.empty((steps + 1 if whole else 0, len(self.state.t)))
         self.out[0], self.d_out[:, 0] = places @ self.state.t, self.state.s @ places.T
         if whole:
@@ -164,85 +156,83 @@ class _March:
         kernels.march(
             self.build.stack, self.build.tangents, part, self.state, self.places, False, out, d_out, fields
         )
-        self.out[a : b + 1], self.d_out[:, a : b + 1] = out, d_out
+        self.out[a : b + 1] = out
+        at = int(np.searchsorted(self.coarse, a))
+        self.d_out[:, at : at + b - a + 1] = d_out
         if self.whole:
             self.fields[a : b + 1] = fields
 
-    def steady(self, span: Span) -> None:
-        """Take exact steps with constant contacts."""
-        a, b = span.first, span.last
-        w, dw = _coefficients(self.build, self.drive, span.at)
-        ambient, d_boundary = self.build.stack.ambient, self.drive.d_boundary
-        modes = _decouple(w, ambient)
-        forcings = [_forcing(w, dw, i, d_boundary, ambient) for i in range(len(self.build.names))]
-        n, m = len(modes.rates), len(self.places)
-        dense = self.whole or any(len(f.cells) > FEW for f in forcings)
-        seen = np.unique(np.concatenate([f.seen for f in forcings])) if forcings and not dense else np.arange(0)
-        read = np.concatenate([self.places @ modes.to_t, modes.to_t[seen]])
-        q = (modes.from_t @ self.state.t)[None]
-        out = np.empty((1, b - a + 1, len(read)))
-        out[0, 0] = read @ q[0]
-        history = np.empty((1 if dense else 0, b - a + 1, n))
-        if dense:
-            history[0, 0] = q[0]
-        u, h = np.ascontiguousarray(self.outside[None, a : b + 1]), self.h[a:b]
-        none = np.empty((0, 0, n))
-        kernels_modal.modes(modes.rates, modes.gains[None], read, h, u, none, q, out, history)
-        self.out[a : b + 1] = out[0, :, :m]
-        seen_t = history[0] @ modes.to_t.T if dense else out[0, :, m:]
-        if forcings:
-            inputs = np.concatenate([seen_t, u[0]], axis=1)
-            self._tangents(span, forcings, modes, np.arange(n) if dense else seen, inputs, read[:m])
-        self.state.t[:] = modes.to_t @ q[0]
+    def steady(self, span: Span, w: Array, dw: Array) -> None:
+        """Take exact steps with constant contacts and so constant coefficients."""
+        modes = _decouple(w, self.build.stack.ambient)
+        names, m = self.build.names, len(self.places)
+        read = np.zeros((max(m, 3), len(modes.rates)))
+        read[:m] = self.places @ modes.to_t
+        edges = self.coarse[np.searchsorted(self.coarse, span.first) : np.searchsorted(self.coarse, span.last) + 1]
+        chosen = np.arange(span.first, span.last + 1) if self.whole else edges[: len(edges) if names else 0]
+        history = np.empty((len(chosen), len(modes.rates)))
+        q = modes.from_t @ self.state.t
+        out = np.empty((span.last - span.first + 1, len(read)))
+        kernels_modal.drive(
+            modes.rates, self.h[span.first : span.last], modes.gains, self.outside[span.first : span.last + 1],
+            read, q, out, chosen - span.first, history,
+        )  # fmt: skip
+        self.out[span.first : span.last + 1] = out[:, :m]
+        self.state.t[:] = modes.to_t @ q
         if self.whole:
-            self.fields[a : b + 1] = seen_t
+            self.fields[chosen] = history @ modes.to_t.T
+        if names:
+            self._tangents(w, dw, modes, edges, history[edges - span.first] if self.whole else history, read[:m])
 
     def _tangents(
-        self,
-        span: Span,
-        forcings: list[Forcing],
-        modes: Modes,
-        seen: NDArray[np.int64],
-        inputs: Array,
-        read: Array,
+        self, w: Array, dw: Array, modes: Modes, edges: NDArray[np.int64], history: Array, read: Array
     ) -> None:
         """Carry the tangents over a span, forced by what the parameters do to the temperatures."""
-        n, p = len(modes.rates), len(forcings)
-        edges = self.coarse[np.searchsorted(self.coarse, span.first) : np.searchsorted(self.coarse, span.last) + 1]
-        h, steps = snap(np.diff(self.edges[edges])), len(edges) - 1
-        inputs = inputs[edges - span.first]
-        q = self.state.s[:p] @ modes.from_t.T
-        out = np.empty((p, steps + 1, len(read)))
-        out[:, 0] = q @ read.T
-        none = np.empty((0, 0, n))
-        few = [i for i, f in enumerate(forcings) if len(f.cells) <= FEW]
-        c = max([len(forcings[i].cells) for i in few], default=1) or 1
-        gains, u = np.zeros((len(few), c, n)), np.zeros((len(few), steps + 1, c))
-        for row, i in enumerate(few):
-            f = forcings[i]
-            gains[row, : len(f.cells)] = modes.from_power[:, f.cells].T
-            u[row, :, : len(f.cells)] = f.power(seen, inputs)
-        x, y = q[few], out[few]
-        kernels_modal.modes(modes.rates, gains, read, h, u, none, x, y, none)
-        q[few], out[few] = x, y
-        for i in sorted(set(range(p)) - set(few)):
-            f = forcings[i]
-            forced = (f.power(seen, inputs) @ modes.from_power[:, f.cells].T)[None]
-            gains, u = np.zeros((1, 1, n)), np.zeros((1, 1, 1))
-            kernels_modal.modes(modes.rates, gains, read, h, u, forced, q[i : i + 1], out[i : i + 1], none)
-        self.d_out[:p, edges] = out
-        self.state.s[:p] = q @ modes.to_t.T
+        n, p = len(modes.rates), len(self.build.names)
+        cells, column, seen = self._seen(dw, modes, edges, history)
+        power = np.empty((p, len(edges), len(cells)))
+        kernels_modal.disturb(w, dw, self.drive.d_boundary, self.build.stack.ambient, cells, column, seen, power)
+        gains, busy = modes.from_power.T[cells], np.flatnonzero(power.any(axis=(1, 2)))
+        h = snap(np.diff(self.edges[edges]))
+        start = self.state.s[:p] @ modes.from_t.T
+        at = int(np.searchsorted(self.coarse, edges[0]))
+        for first in range(0, len(h), AT_ONCE):
+            last = min(first + AT_ONCE, len(h))
+            forces = np.zeros((p, last + 1 - first, n))
+            forces[busy] = power[busy, first : last + 1] @ gains
+            q = np.empty_like(forces)
+            q[:, 0] = start
+            kernels_modal.carry(modes.rates, h[first:last], forces, q)
+            self.d_out[:p, at + first : at + last + 1] = q @ read.T
+            start = q[:, -1]
+        self.state.s[:p] = start @ modes.to_t.T
+
+    def _seen(
+        self, dw: Array, modes: Modes, edges: NDArray[np.int64], history: Array
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
+        """Return the cells any parameter touches, and the temperatures in and beside them, see `disturb`."""
+        n = len(modes.rates)
+        touched = (dw[: kernels_terms.DSLOPE + 1] != 0.0).any(axis=(0, 1))
+        touched[:n] |= touched[1:]
+        touched[[0, n - 1]] |= self.drive.d_boundary.any(axis=1)
+        cells = np.flatnonzero(touched[:n])
+        near = np.zeros(n + 2, dtype=bool)
+        near[cells] = near[cells + 1] = near[cells + 2] = True
+        seen = np.empty((len(edges), int(near.sum())))
+        low, top = int(near[0]), int(near[-1])
+        seen[:, low : seen.shape[1] - top] = history @ modes.to_t[near[1:-1]].T
+        for end, there in ((0, low), (-1, top)):
+            if there:
+                seen[:, end] = self.outside[edges, end]
+        return cells, np.cumsum(near) - 1, seen
 
 
-def _coefficients(build: Any, drive: kernels.Drive, step: int) -> tuple[Array, Array]:
-    """Return the coefficients of a step and their tangents."""
+def freeze(build: Any, steps: NDArray[np.int64]) -> tuple[Array, Array]:
+    """Return the coefficients of some steps (spans, rows, n + 1), and tangents (spans, rows, P, n + 1)."""
     p, n = build.start.s.shape
-    w = np.zeros((kernels_terms.ROWS, n + 1))
-    dw = np.zeros((kernels_terms.DROWS, p, n + 1))
-    empty, d_empty = np.zeros((0, 2, n)), np.zeros((0, 2, p, n))
-    kernels_terms.coefficients(
-        build.stack, build.tangents, drive, step, 1.0, build.start.done, build.start.s_done, w, dw, empty, d_empty
-    )
+    w = np.zeros((len(steps), kernels_terms.ROWS, n + 1))
+    dw = np.zeros((len(steps), kernels_terms.DROWS, p, n + 1))
+    kernels_modal.freeze(build.stack, build.tangents, build.drive, build.start, steps, w, dw)
     return w, dw
 
 
@@ -281,35 +271,6 @@ def _decouple(w: Array, ambient: float) -> Modes:
     return modes
 
 
-def _forcing(w: Array, dw: Array, i: int, d_boundary: Array, ambient: float) -> Forcing:
-    """Return -dK T + df - dC T' of parameter `i` as a matrix on temperatures and outside."""
-    n = w.shape[1] - 1
-    t = kernels_terms
-    if not dw[:, i].any() and not d_boundary[:, i].any():
-        none = np.arange(0)
-        return Forcing(none, none, np.zeros((0, 3)))
-    cap, g, diag = w[t.CAP, :n], w[t.G], w[t.DIAG, :n]
-    dcap, dg, dloss = dw[t.DCAP, i, :n], dw[t.DG, i], dw[t.DLOSS, i, :n]
-    dsrc, dslope = dw[t.DSRC, i, :n], dw[t.DSLOPE, i, :n]
-    share = dcap / cap
-    below, above = dg[:n] - share * g[:n], dg[1:] - share * g[1:]
-    here = -(dg[:n] + dg[1:] + dloss + dslope) + share * diag
-    rest = dloss * ambient + dsrc - share * (w[t.LOSS, :n] * ambient + w[t.SRC, :n])
-    rest[0] += g[0] * d_boundary[0, i]
-    rest[n - 1] += g[n] * d_boundary[1, i]
-    cells = np.flatnonzero((below != 0) | (above != 0) | (here != 0) | (rest != 0))
-    near = np.zeros(n + 2, dtype=bool)
-    near[cells] = near[cells + 1] = near[cells + 2] = True
-    seen = np.flatnonzero(near[1:-1])
-    rows, column = np.arange(len(cells)), np.searchsorted(seen, cells)
-    on = np.zeros((len(cells), len(seen) + 3))
-    on[rows, column] = here[cells]
-    on[rows, np.where(cells > 0, column - 1, len(seen))] = below[cells]
-    on[rows, np.where(cells < n - 1, column + 1, len(seen) + 1)] = above[cells]
-    on[:, -1] = rest[cells]
-    return Forcing(cells, seen, on)
-
-
 class _Key:
     """A case as a dictionary key: the same object is the same key."""
 
@@ -342,7 +303,8 @@ def _grid(key: _Key, shifts: tuple[float, ...], fine: bool) -> Grid:
     ramps = [r for r in clock.ramps() if start < r[1] and r[0] < end]
     parts: list[NDArray[Any]] = [times]
     for first, last in ramps:
-        step = RAMP_STEP_S * (2.0 if abs(last - first - HANDLING_RAMP_S) < 1e-9 else 1.0)
+        handled = abs(last - first - HANDLING_RAMP_S) < 1e-9
+        step = RAMP_STEP_S * (2.0 if handled or fine else 1.0)
         parts.append(np.linspace(max(first, start), min(last, end), max(4, round((last - first) / step)) + 1))
     if fine:
         longest = min(float(np.median(np.diff(times))), COARSE_STEP_S)
@@ -355,7 +317,7 @@ def _grid(key: _Key, shifts: tuple[float, ...], fine: bool) -> Grid:
     close = np.flatnonzero(np.diff(edges) < 1e-7)
     drop = {int(i) if not rows[i] else int(i) + 1 for i in close}
     edges = np.delete(edges, [i for i in drop if not rows[i]])
-    outside = np.ones((len(edges), 3))
+    outside = np.empty((len(edges), 2))
     for end_number in range(2):
         series = case.outside[:, end_number]
         outside[:, end_number] = np.interp(edges, times, series)
@@ -398,7 +360,7 @@ def _coarse(edges: Array, ramps: list[tuple[float, float]], start: float) -> NDA
     ends = np.array([first for first, _ in ramps] + [last for _, last in ramps])
     kept = [0]
     for i in range(1, len(edges)):
-        spacing = min(0.1 * since[i], COARSE_STEP_S) if since[i] > 2 * COARSE_STEP_S else 0.0
+        spacing = min(0.1 * since[i], COARSE_STEP_S) if since[i] > ALL_ROWS_S else 0.0
         last = i == len(edges) - 1 or bool((np.abs(edges[i] - ends) < 1e-6).any())
         inside = any(first < edges[i] < stop for first, stop in ramps)
         if last or inside or edges[i] - edges[kept[-1]] >= spacing - 1e-9:
@@ -432,6 +394,7 @@ def _sparse(case: Case, edges: Array, spans: tuple[Span, ...]) -> Case:
         case,
         edges=few,
         h=snap(np.diff(few)),
+        unchanged=np.ones((len(few) - 1, len(case.layout.interface))),
         boundary=np.stack([step_means(times, series, few) for series in case.outside.T], axis=1),
         load=load,
         scene=replace(case.scene, step_start=few[:-1], step_end=few[1:], load=load),

@@ -164,7 +164,7 @@ def march(stack, tan, drive, state, places, nonlinear, out, d_out, fields):
     r = stack.heat.shape[0]
     w, dw = np.zeros((ROWS, n + 1)), np.zeros((DROWS, p, n + 1))
     rate, drate = np.zeros((r, 2, n)), np.zeros((r, 2, p, n))
-    scratch, d_scratch = np.zeros((9, n)), np.zeros((2, p, n))
+    scratch, d_scratch = np.zeros((8, n)), np.zeros((2, p, n))
     busy = np.zeros(n, np.int64)
     steps = drive.h.shape[0]
     step = np.int64(0)  # a plain 0 would be a type of its own, and all that takes it be compiled twice
@@ -258,8 +258,8 @@ def _advance(
     """Take the steps from `step` up to `last` with the same coefficients."""
     p, n = s.shape
     cap, g, loss, src, diag = w[CAP], w[G], w[LOSS], w[SRC], w[DIAG]
-    fac, inv, back, tg, tn = scratch[0], scratch[1], scratch[2], scratch[3], scratch[4]
-    rhs, move, combo, load = scratch[5], scratch[6], scratch[7], scratch[8]
+    inv, back, tg, tn = scratch[0], scratch[1], scratch[2], scratch[3]
+    rhs, move, combo, load = scratch[4], scratch[5], scratch[6], scratch[7]
     sg, sn = d_scratch[0], d_scratch[1]
     ends = np.empty((2, 3))
     bounds = np.empty(2)
@@ -271,7 +271,7 @@ def _advance(
         dh = _D * h
         if h != before:
             before = h
-            _factor(cap, diag, g, dh, fac, inv, back)
+            _factor(cap, diag, g, dh, inv, back)
         for end in range(2):
             for stage in range(3):
                 at = 0.0 if stage == 0 else (_GAMMA if stage == 1 else 1.0)
@@ -285,7 +285,7 @@ def _advance(
             tg[i] = cap[i] * t[i] + dh * (2.0 * load[i] - rhs[i])
         tg[0] += dh * first_b
         tg[n - 1] += dh * first_t
-        _solve(fac, inv, back, tg)
+        _solve(inv, back, tg)
         for i in range(n):
             combo[i] = t[i] + tg[i]
         _conduct(diag, g, combo, rhs)
@@ -293,7 +293,7 @@ def _advance(
             tn[i] = cap[i] * t[i] + h * (load[i] - _W * rhs[i])
         tn[0] += h * (_W * first_b + _D * g[0] * ends[0, 2])
         tn[n - 1] += h * (_W * first_t + _D * g[n] * ends[1, 2])
-        _solve(fac, inv, back, tn)
+        _solve(inv, back, tn)
         if p > 0:
             for i in range(n):
                 combo[i] = dh * (t[i] + tg[i])
@@ -304,7 +304,7 @@ def _advance(
             for q in range(p):
                 sg[q, 0] += 2.0 * dh * g[0] * d_boundary[0, q]
                 sg[q, n - 1] += 2.0 * dh * g[n] * d_boundary[1, q]
-            _solve_many(fac, inv, back, sg)
+            _solve_many(inv, back, sg)
             for i in range(n):
                 combo[i] = h * (_W * (t[i] + tg[i]) + _D * tn[i])
                 move[i] = t[i] - tn[i]
@@ -318,7 +318,7 @@ def _advance(
             for q in range(p):
                 sn[q, 0] += h * g[0] * d_boundary[0, q]
                 sn[q, n - 1] += h * g[n] * d_boundary[1, q]
-            _solve_many(fac, inv, back, sn)
+            _solve_many(inv, back, sn)
             for q in range(p):
                 for i in range(n):
                     s_before[q, i] = s[q, i]
@@ -332,58 +332,114 @@ def _advance(
                 fields[k + 1, i] = t[i]
 
 
+# Elimination goes from both ends at once and meets in the middle cell: two chains of products instead of one
+# twice as long. `inv` holds the inverse pivots, `back` what a cell passes on to its neighbour towards the middle.
+
+
 @njit(cache=True, fastmath=_FAST)
-def _factor(cap, diag, g, dh, fac, inv, back):
+def _factor(cap, diag, g, dh, inv, back):
     """Factor C + dh K by elimination without pivoting (diagonally dominant)."""
     n = inv.shape[0]
-    up = 0.0
-    for i in range(n):
-        fac[i] = up
-        inv[i] = 1.0 / (cap[i] + dh * diag[i] - up * dh * g[i])
-        up = dh * g[i + 1] * inv[i]
-        back[i] = up
-    back[n - 1] = 0.0
+    mid = n // 2
+    low, high = 0.0, 0.0
+    for i in range(n - 1 - mid):
+        j = n - 1 - i
+        inv[i] = 1.0 / (cap[i] + dh * diag[i] - low * dh * g[i])
+        inv[j] = 1.0 / (cap[j] + dh * diag[j] - high * dh * g[j + 1])
+        low = dh * g[i + 1] * inv[i]
+        high = dh * g[j] * inv[j]
+        back[i] = low
+        back[j] = high
+    if n % 2 == 0:
+        i = mid - 1
+        inv[i] = 1.0 / (cap[i] + dh * diag[i] - low * dh * g[i])
+        low = dh * g[mid] * inv[i]
+        back[i] = low
+    inv[mid] = 1.0 / (cap[mid] + dh * diag[mid] - low * dh * g[mid] - high * dh * g[mid + 1])
 
 
 @njit(cache=True, fastmath=_FAST)
-def _solve(fac, inv, back, x):
+def _solve(inv, back, x):
     """Overwrite the right-hand side x (n) by the solution."""
     n = x.shape[0]
-    y = 0.0
-    for i in range(n):
-        y = x[i] + fac[i] * y
-        x[i] = y
-    y = 0.0
-    for i in range(n - 1, -1, -1):
-        y = x[i] * inv[i] + back[i] * y
-        x[i] = y
+    mid = n // 2
+    low, high = 0.0, 0.0
+    for i in range(n - 1 - mid):
+        j = n - 1 - i
+        low += x[i]
+        high += x[j]
+        x[i] = low * inv[i]
+        x[j] = high * inv[j]
+        low *= back[i]
+        high *= back[j]
+    if n % 2 == 0:
+        low += x[mid - 1]
+        x[mid - 1] = low * inv[mid - 1]
+        low *= back[mid - 1]
+    low = (x[mid] + low + high) * inv[mid]
+    x[mid] = low
+    high = low
+    if n % 2 == 0:
+        low = x[mid - 1] + back[mid - 1] * low
+        x[mid - 1] = low
+    for i in range(n - 2 - mid, -1, -1):
+        j = n - 1 - i
+        low = x[i] + back[i] * low
+        high = x[j] + back[j] * high
+        x[i] = low
+        x[j] = high
 
 
 @njit(cache=True, fastmath=_FAST)
-def _solve_many(fac, inv, back, x):
+def _solve_many(inv, back, x):
     """Overwrite right-hand sides x (P, n), P a multiple of four, by the solutions.
 
     Four systems at a time: while one waits for its last product, the others use the unit.
     """
     p, n = x.shape
+    mid = n // 2
     for q in range(0, p, 4):
         a, b, c, d = x[q], x[q + 1], x[q + 2], x[q + 3]
-        ya, yb, yc, yd = 0.0, 0.0, 0.0, 0.0
-        for i in range(n):
-            f = fac[i]
-            ya = a[i] + f * ya
-            yb = b[i] + f * yb
-            yc = c[i] + f * yc
-            yd = d[i] + f * yd
-            a[i], b[i], c[i], d[i] = ya, yb, yc, yd
-        ya, yb, yc, yd = 0.0, 0.0, 0.0, 0.0
-        for i in range(n - 1, -1, -1):
+        la, lb, lc, ld = 0.0, 0.0, 0.0, 0.0
+        ha, hb, hc, hd = 0.0, 0.0, 0.0, 0.0
+        for i in range(n - 1 - mid):
+            j = n - 1 - i
             f, u = inv[i], back[i]
-            ya = a[i] * f + u * ya
-            yb = b[i] * f + u * yb
-            yc = c[i] * f + u * yc
-            yd = d[i] * f + u * yd
-            a[i], b[i], c[i], d[i] = ya, yb, yc, yd
+            la, lb, lc, ld = a[i] + la, b[i] + lb, c[i] + lc, d[i] + ld
+            a[i], b[i], c[i], d[i] = la * f, lb * f, lc * f, ld * f
+            la, lb, lc, ld = la * u, lb * u, lc * u, ld * u
+            f, u = inv[j], back[j]
+            ha, hb, hc, hd = a[j] + ha, b[j] + hb, c[j] + hc, d[j] + hd
+            a[j], b[j], c[j], d[j] = ha * f, hb * f, hc * f, hd * f
+            ha, hb, hc, hd = ha * u, hb * u, hc * u, hd * u
+        if n % 2 == 0:
+            i = mid - 1
+            f, u = inv[i], back[i]
+            la, lb, lc, ld = a[i] + la, b[i] + lb, c[i] + lc, d[i] + ld
+            a[i], b[i], c[i], d[i] = la * f, lb * f, lc * f, ld * f
+            la, lb, lc, ld = la * u, lb * u, lc * u, ld * u
+        f = inv[mid]
+        la, lb, lc, ld = (
+            (a[mid] + la + ha) * f,
+            (b[mid] + lb + hb) * f,
+            (c[mid] + lc + hc) * f,
+            (d[mid] + ld + hd) * f,
+        )
+        a[mid], b[mid], c[mid], d[mid] = la, lb, lc, ld
+        ha, hb, hc, hd = la, lb, lc, ld
+        if n % 2 == 0:
+            i = mid - 1
+            u = back[i]
+            la, lb, lc, ld = a[i] + u * la, b[i] + u * lb, c[i] + u * lc, d[i] + u * ld
+            a[i], b[i], c[i], d[i] = la, lb, lc, ld
+        for i in range(n - 2 - mid, -1, -1):
+            j = n - 1 - i
+            u = back[i]
+            la, lb, lc, ld = a[i] + u * la, b[i] + u * lb, c[i] + u * lc, d[i] + u * ld
+            a[i], b[i], c[i], d[i] = la, lb, lc, ld
+            u = back[j]
+            ha, hb, hc, hd = a[j] + u * ha, b[j] + u * hb, c[j] + u * hc, d[j] + u * hd
+            a[j], b[j], c[j], d[j] = ha, hb, hc, hd
 
 
 @njit(cache=True, fastmath=_FAST)
@@ -454,7 +510,7 @@ def _disturb(dw, busy, count, move, combo, bounds, share, ambient, out):
 def _convert(t, scratch, tn, s, d_scratch, sn, rate, drate, h, state):
     """Advance the conversions by what the step's mean temperature made of them."""
     p, n = s.shape
-    tg, sg = scratch[3], d_scratch[0]
+    tg, sg = scratch[2], d_scratch[0]
     for r in range(rate.shape[0]):
         value, slope = rate[r, RATE], rate[r, RSLOPE]
         done, d_done = state.done[r], state.s_done[r]

@@ -1,11 +1,11 @@
-"""The compiled recurrence of decoupled modes, exact in time for inputs that are straight between steps.
+"""The compiled recurrence of decoupled modes, exact in time for forces that are straight between steps.
 
-Each mode obeys q' = -lam q + B u(t). Over a step of length h, with x = lam h,
+Each mode obeys q' = -lam q + z(t). Over a step of length h, with x = lam h,
 
-    q1 = exp(-x) q0 + h [(phi1 - phi2) B u0 + phi2 B u1],   phi1 = (1 - exp(-x)) / x,  phi2 = (1 - phi1) / x
+    q1 = exp(-x) q0 + h [(phi1 - phi2) z0 + phi2 z1],   phi1 = (1 - exp(-x)) / x,  phi2 = (1 - phi1) / x
 
-(first-order hold; Moler & Van Loan 2003 review the exponential). A mode that has decayed within the step
-follows its inputs, q1 = B u1 / lam - B (u1 - u0) / (h lam²); all such modes are collapsed into gains.
+(first-order hold; Moler & Van Loan 2003 review the exponential). It holds for any x: a mode that has decayed
+within the step follows its force.
 """
 
 from __future__ import annotations
@@ -13,22 +13,32 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from softsensor.kernels_terms import CAP, DCAP, DG, DIAG, DLOSS, DSLOPE, DSRC, LOSS, SRC, G, coefficients
+
+_NEXT_TO_NOTHING = 1e-200
+"""Added to all modes: one that nothing forces would decay into subnormal numbers, which take ten times as long."""
 _FAST = {"contract", "reassoc", "nsz", "arcp"}
-_DECAYED = 37.0
-"""exp(-37) is below the rounding of a double."""
 
 
 @njit(cache=True)
-def _hold(lam, h, active, keep, old, new):
-    """Fill the factors on q0, B u0 and B u1 of the first `active` modes."""
-    for j in range(active):
+def freeze(stack, tan, drive, state, steps, w, dw):
+    """Fill the coefficients, and their tangents, of each of some steps of a linear stack (spans, ...)."""
+    p, n = state.s.shape
+    rate, drate = np.zeros((0, 2, n)), np.zeros((0, 2, p, n))
+    for i in range(steps.shape[0]):
+        coefficients(stack, tan, drive, steps[i], 1.0, state.done, state.s_done, w[i], dw[i], rate, drate)
+
+
+@njit(cache=True)
+def _hold(lam, h, keep, old, new):
+    """Fill the factors on q0, z0 and z1 of every mode."""
+    for j in range(lam.shape[0]):
         x = lam[j] * h
+        e = np.exp(-x)
         if x > 1e-3:
-            e = np.exp(-x)
             phi1 = (1.0 - e) / x
             phi2 = (1.0 - phi1) / x
         else:
-            e = np.exp(-x)
             phi1 = 1.0 - x / 2.0 * (1.0 - x / 3.0 * (1.0 - x / 4.0))
             phi2 = 0.5 - x / 6.0 * (1.0 - x / 4.0 * (1.0 - x / 5.0))
         keep[j] = e
@@ -36,121 +46,130 @@ def _hold(lam, h, active, keep, old, new):
         new[j] = h * phi2
 
 
-@njit(cache=True, fastmath=_FAST)
-def _force(B, u, forced, s, row, active, z):
-    """Write system s's B u, or the given forces, of the first `active` modes into z."""
-    if forced.shape[0] > 0:
-        for j in range(active):
-            z[j] = forced[s, row, j]
-        return
-    first, v = B[s, 0], u[s, row, 0]
-    for j in range(active):
-        z[j] = first[j] * v
-    for c in range(1, B.shape[1]):
-        b, v = B[s, c], u[s, row, c]
-        if v != 0.0:
-            for j in range(active):
-                z[j] += b[j] * v
-
-
-@njit(cache=True, fastmath=_FAST)
-def _follow(lam, z0, z1, h, first, last, q):
-    """Set decayed modes to what their inputs hold them at."""
-    for j in range(first, last):
-        inverse = 1.0 / lam[j]
-        q[j] = inverse * (z1[j] - (z1[j] - z0[j]) * inverse / h)
-
-
 @njit(cache=True, nogil=True, fastmath=_FAST)
-def modes(lam, B, read, h, u, forced, q, out, history):
-    """Carry the modes of several systems over steps and read outputs off after each.
+def carry(lam, h, z, q):
+    """Carry the modes of several systems from step edge to step edge.
 
-    The systems share rates, steps and outputs, not inputs: the temperatures are one, every tangent another.
+    The systems share rates and steps: the temperatures are one, the tangent of every parameter another.
 
     Parameters
     ----------
     lam
-        Rates, rising (n). [1/s]
-    B, u
-        Gains of the inputs (s, c, n) and inputs at the step edges (s, steps + 1, c).
-    forced
-        Instead of B u: forces on the modes at the step edges (s, steps + 1, n), or no systems.
-    read
-        Outputs in terms of modes (m, n).
+        Rates, not negative (n). [1/s]
+    h
+        Step lengths (steps). [s]
+    z
+        Forces on the modes at the step edges (s, steps + 1, n).
     q
-        Modes, changed in place (s, n).
-    out
-        Outputs (s, steps + 1, m); their first row is left alone.
-    history
-        Modes at the step edges (s, steps + 1, n), filled if there are systems; first row left alone.
+        Modes at the step edges (s, steps + 1, n), of which the first are given.
     """
-    n, m, steps, systems, c = lam.shape[0], read.shape[0], h.shape[0], B.shape[0], B.shape[1]
-    keep, old, new = np.zeros(n), np.zeros(n), np.zeros(n)
-    z0, z1 = np.zeros((systems, n)), np.zeros(n)
-    gain, drop = np.zeros((systems, m, c)), np.zeros((systems, m, c))
-    whole = forced.shape[0] > 0 or history.shape[0] > 0
-    length, active = -1.0, n
-    for s in range(systems):
-        _force(B, u, forced, s, 0, n, z0[s])
+    n, steps = lam.shape[0], h.shape[0]
+    keep, old, new = np.empty(n), np.empty(n), np.empty(n)
+    length = -1.0
     for k in range(steps):
         if h[k] != length:
-            if active < n and not whole:
-                _settle(lam, B, u, forced, k, length, active, z0, z1, q)
             length = h[k]
-            active = n
-            while active > 1 and lam[active - 1] * length > _DECAYED:
-                active -= 1
-            _hold(lam, length, active, keep, old, new)
-            if not whole:
-                _collapse(lam, B, read, length, active, gain, drop)
-        reach = n if whole else active
-        for s in range(systems):
-            before, x = z0[s], q[s]
-            _force(B, u, forced, s, k + 1, reach, z1)
-            for j in range(active):
-                x[j] = keep[j] * x[j] + old[j] * before[j] + new[j] * z1[j]
-            if whole:
-                _follow(lam, before, z1, length, active, n, x)
-            for a in range(m):
-                row = read[a]
-                value = 0.0
-                for j in range(reach):
-                    value += row[j] * x[j]
-                if not whole:
-                    for i in range(c):
-                        value += gain[s, a, i] * u[s, k + 1, i] - drop[s, a, i] * (u[s, k + 1, i] - u[s, k, i])
-                out[s, k + 1, a] = value
-            if history.shape[0] > 0:
+            _hold(lam, length, keep, old, new)
+        for s in range(q.shape[0]):
+            before, after, force, next_force = q[s, k], q[s, k + 1], z[s, k], z[s, k + 1]
+            for j in range(n):
+                after[j] = keep[j] * before[j] + old[j] * force[j] + (new[j] * next_force[j] + _NEXT_TO_NOTHING)
+
+
+@njit(cache=True, nogil=True, fastmath=_FAST)
+def drive(lam, h, gains, u, read, q, out, chosen, history):
+    """Carry the modes of the temperatures, driven by what is outside, and read places off at every step edge.
+
+    Parameters
+    ----------
+    lam
+        Rates, not negative (n). [1/s]
+    h
+        Step lengths (steps). [s]
+    gains, u
+        Forces on the modes by the temperature below, that above, and 1 (3, n); these at the step edges
+        (steps + 1, 2).
+    read
+        Places in terms of modes (m, n), m at least 3.
+    q
+        Modes (n), changed in place.
+    out
+        Places (steps + 1, m).
+    chosen, history
+        Step edges, rising, whose modes are wanted (c), and those (c, n).
+    """
+    n, m, steps = lam.shape[0], read.shape[0], h.shape[0]
+    keep, old, new = np.empty(n), np.empty(n), np.empty(n)
+    below, above, rest, next_below, next_above = np.empty(n), np.empty(n), np.empty(n), np.empty(n), np.empty(n)
+    r0, r1, r2 = read[0], read[1], read[2]
+    length = -1.0
+    wanted = 0
+    for k in range(steps + 1):
+        s0, s1, s2 = 0.0, 0.0, 0.0
+        if k == 0:
+            for j in range(n):
+                s0 += r0[j] * q[j]
+                s1 += r1[j] * q[j]
+                s2 += r2[j] * q[j]
+        else:
+            if h[k - 1] != length:
+                length = h[k - 1]
+                _hold(lam, length, keep, old, new)
                 for j in range(n):
-                    history[s, k + 1, j] = x[j]
-            for j in range(reach):
-                before[j] = z1[j]
-    if active < n and not whole:
-        _settle(lam, B, u, forced, steps, length, active, z0, z1, q)
+                    below[j], next_below[j] = old[j] * gains[0, j], new[j] * gains[0, j]
+                    above[j], next_above[j] = old[j] * gains[1, j], new[j] * gains[1, j]
+                    rest[j] = (old[j] + new[j]) * gains[2, j] + _NEXT_TO_NOTHING
+            low, top, next_low, next_top = u[k - 1, 0], u[k - 1, 1], u[k, 0], u[k, 1]
+            for j in range(n):
+                force = below[j] * low + above[j] * top + next_below[j] * next_low + next_above[j] * next_top
+                x = keep[j] * q[j] + force + rest[j]
+                q[j] = x
+                s0 += r0[j] * x
+                s1 += r1[j] * x
+                s2 += r2[j] * x
+        out[k, 0], out[k, 1], out[k, 2] = s0, s1, s2
+        for a in range(3, m):
+            value = 0.0
+            for j in range(n):
+                value += read[a, j] * q[j]
+            out[k, a] = value
+        if wanted < chosen.shape[0] and chosen[wanted] == k:
+            for j in range(n):
+                history[wanted, j] = q[j]
+            wanted += 1
 
 
 @njit(cache=True, fastmath=_FAST)
-def _settle(lam, B, u, forced, k, length, active, z0, z1, q):
-    """Set the decayed modes at step edge k, and all forces there."""
-    n = lam.shape[0]
-    for s in range(q.shape[0]):
-        _force(B, u, forced, s, k - 1, n, z1)
-        _force(B, u, forced, s, k, n, z0[s])
-        _follow(lam, z1, z0[s], length, active, n, q[s])
+def disturb(w, dw, shift, ambient, cells, column, seen, power):
+    """Fill what changes of the parameters do in the cells they touch: -dK T + df - dC T'.
 
-
-@njit(cache=True, fastmath=_FAST)
-def _collapse(lam, B, read, length, active, gain, drop):
-    """Sum the decayed modes' answers to inputs and to their changes."""
-    for s in range(B.shape[0]):
-        for i in range(B.shape[1]):
-            b = B[s, i]
-            for a in range(read.shape[0]):
-                row = read[a]
-                g, d = 0.0, 0.0
-                for j in range(active, lam.shape[0]):
-                    part = row[j] * b[j] / lam[j]
-                    g += part
-                    d += part / (lam[j] * length)
-                gain[s, a, i] = g
-                drop[s, a, i] = d
+    Parameters
+    ----------
+    w, dw
+        Coefficients and their tangents, see `kernels_terms`.
+    shift
+        Tangents of the temperatures outside below and above (2, P). [K]
+    cells
+        Those touched (c).
+    column
+        Of `seen`, by place: 0 outside below, 1 .. n the cells, n + 1 outside above.
+    seen
+        Temperatures (steps, .). [°C]
+    power
+        (P, steps, c). [W/m²]
+    """
+    n = w.shape[1] - 1
+    for q in range(power.shape[0]):
+        for c in range(cells.shape[0]):
+            i = cells[c]
+            share = dw[DCAP, q, i] / w[CAP, i]
+            low, high = dw[DG, q, i] - share * w[G, i], dw[DG, q, i + 1] - share * w[G, i + 1]
+            here = share * w[DIAG, i] - dw[DG, q, i] - dw[DG, q, i + 1] - dw[DLOSS, q, i] - dw[DSLOPE, q, i]
+            rest = dw[DLOSS, q, i] * ambient + dw[DSRC, q, i] - share * (w[LOSS, i] * ambient + w[SRC, i])
+            if i == 0:
+                rest += w[G, 0] * shift[0, q]
+            if i == n - 1:
+                rest += w[G, n] * shift[1, q]
+            below, own, above = column[i], column[i + 1], column[i + 2]
+            for k in range(seen.shape[0]):
+                power[q, k, c] = low * seen[k, below] + here * seen[k, own] + high * seen[k, above] + rest

@@ -9,7 +9,10 @@ from softsensor.effects.effect import Effect, Scene, Terms
 from softsensor.parameters import Parameter
 
 REFERENCE_PRESSURE = 350.0
-"""Where h_ref holds when the pressure comes from the run's settings. [N/cm²]"""
+"""Where h_ref holds when the pressure comes from the run's settings. [N/cm²]
+
+With a load column it holds at the contact's ``reference``, or, without one, at the median load of the run.
+"""
 
 
 def _terms(scene: Scene, values: Mapping[str, Any]) -> Terms:

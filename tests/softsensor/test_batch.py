@@ -1,6 +1,8 @@
 """Many runs solved side by side against the same runs solved alone."""
 
+import runpy
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +12,8 @@ from daq.records import InputError, Moments, Run
 from softsensor.batch import solve_many
 from softsensor.kernels_batch import LANES
 from softsensor.model import ThermalModel
+
+WINDOW = Path(__file__).parents[2] / "deploy" / "examples" / "press_window" / "core_at_opening.py"
 
 
 def assert_as_alone(model, cases, values, found):
@@ -95,3 +99,21 @@ def test_values_must_match_the_cases(lab_press, make_run, coefficients, moments)
         solve_many(model, [case], [coefficients] * 2)
     with pytest.raises(InputError, match="h_pp_c"):
         solve_many(model, [case], {k: v for k, v in coefficients.items() if k != "h_pp_c"})
+
+
+def test_the_press_window_example_tells_what_single_pressings_tell(lab_press):
+    example = runpy.run_path(str(WINDOW))
+    model = ThermalModel(lab_press)
+    core = example["window"](model, model.guesses)
+    assert (np.diff(core, axis=0) > 0).all(), "hotter platens, hotter core"
+    assert (np.diff(core, axis=1) < 0).all(), "thicker panel, cooler core"
+    assert (np.diff(core, axis=2) > -1e-6).all(), "longer in the press, hotter core"
+    run = example["pressing"](16.0, 200.0)
+    moments = Moments(inserted_s=0.0, closed_s=example["CLOSED_S"], opened_s=example["CLOSED_S"] + 120.0)
+    alone = model.solve(model.prepare(run, moments), model.guesses)
+    at = (
+        example["PLATENS_C"].index(200.0),
+        example["THICKNESSES_MM"].index(16.0),
+        example["PRESS_TIMES_S"].index(120.0),
+    )
+    assert core[at] == pytest.approx(np.interp(moments.opened_s, run.time_s, alone.core), abs=1e-8)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from daq.pressfile import parse_press
-from daq.records import InputError, Moments, Run
+from daq.records import BoundaryGap, BrokenTime, InputError, Moments, Nonphysical, OutsideLayer, Run
 from softsensor.case import step_edges, step_means
 from softsensor.model import ThermalModel
 
@@ -25,7 +25,7 @@ def test_a_missing_boundary_column_is_named(lab_press, make_run, moments):
 def test_an_empty_boundary_column_is_named(lab_press, make_run, moments):
     run = make_run(end=30.0)
     run.columns["platen_bottom"][:] = np.nan
-    with pytest.raises(InputError, match="column 'platen_bottom' holds no value"):
+    with pytest.raises(BoundaryGap, match="column 'platen_bottom' holds no value"):
         prepared(lab_press, run, moments)
 
 
@@ -43,7 +43,7 @@ def test_a_short_gap_in_a_boundary_is_bridged_by_a_straight_line(lab_press, make
 def test_a_long_gap_in_a_boundary_is_refused_with_its_length_and_place(lab_press, make_run, moments, first, last):
     run = make_run(end=60.0)
     run.columns["platen_top"][first:last] = np.nan
-    with pytest.raises(InputError, match=r"'platen_top' is empty for \d+\.\d s around time_s = .* at most 10 s"):
+    with pytest.raises(BoundaryGap, match=r"'platen_top' is empty for \d+\.\d s around time_s = .* at most 10 s"):
         prepared(lab_press, run, moments)
 
 
@@ -58,7 +58,7 @@ def test_times_that_do_not_rise_are_refused(lab_press, make_run, moments, kind):
         run.time_s[50] = np.nan
     else:
         run = Run("short", run.header, run.time_s[:1], {name: x[:1] for name, x in run.columns.items()})
-    with pytest.raises(InputError, match="time_s"):
+    with pytest.raises(BrokenTime, match="time_s"):
         prepared(lab_press, run, moments)
 
 
@@ -66,7 +66,7 @@ def test_a_gap_in_the_rows_is_refused_where_a_boundary_is_measured(lab_press, ma
     run = make_run(end=150.0)
     keep = (run.time_s < 25.0) | (run.time_s > 90.0)
     cut = Run("cut", run.header, run.time_s[keep], {name: x[keep] for name, x in run.columns.items()})
-    with pytest.raises(InputError, match=r"no row for 65\.\d s after time_s = 24\.9"):
+    with pytest.raises(BrokenTime, match=r"no row for 65\.\d s after time_s = 24\.9"):
         prepared(lab_press, cut, moments)
 
 
@@ -79,7 +79,7 @@ from_run = true
 columns = ["core_1"]
 at = { layer = "panel", depth_mm = 17.0 }
 """
-    with pytest.raises(InputError, match=r"depth_mm = 17 lies outside layer 'panel', 16 mm thick"):
+    with pytest.raises(OutsideLayer, match=r"depth_mm = 17 lies outside layer 'panel', 16 mm thick in this run"):
         prepared(parse_press(text), make_run(end=30.0), moments)
 
 
@@ -96,7 +96,7 @@ at = { layer = "panel", depth_mm = 17.0 }
     ],
 )
 def test_nonphysical_panel_constants_are_refused_with_their_limits(lab_press, make_run, moments, key, value):
-    with pytest.raises(InputError, match=rf"{re.escape(key)} = .*: must be a number from"):
+    with pytest.raises(Nonphysical, match=rf"{re.escape(key)} = .*: must be a number from"):
         prepared(lab_press, make_run(end=30.0, **{key: value}), moments)
 
 
@@ -107,11 +107,40 @@ def test_nonphysical_layer_constants_are_refused(line):
         parse_press(text)
 
 
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("conductivity_W_mK", 1e9),
+        ("conductivity_W_mK", 1e-6),
+        ("conductivity_W_mK", [[20.0, 45.0], [100.0, 1e9]]),
+        ("density_kg_m3", 1e6),
+        ("heat_capacity_J_kgK", 1.0),
+        ("thickness_mm", 1e6),
+    ],
+)
+def test_layer_constants_no_matter_has_are_refused_with_their_limits(lab_press, make_run, moments, key, value):
+    layers = [layer.model_dump() for layer in lab_press.layer]
+    layers[0][key] = value
+    press = type(lab_press).model_validate(lab_press.model_dump() | {"layer": layers})
+    with pytest.raises(Nonphysical, match=rf"layer\.0\.{key} = .* \('plate_bottom'\): must be a number from"):
+        prepared(press, make_run(end=30.0), moments)
+
+
+@pytest.mark.parametrize("value", [-400.0, 1e5])
+def test_outside_temperatures_that_cannot_be_are_refused_with_their_place(lab_press, make_run, moments, value):
+    run = make_run(end=30.0)
+    run.columns["platen_top"][40] = value
+    with pytest.raises(Nonphysical, match=r"'platen_top' = .* °C at time_s = 4: boundary.top must lie between"):
+        prepared(lab_press, run, moments)
+    with pytest.raises(Nonphysical, match=r"ambient\.temperature_C = .*: must be a number from"):
+        prepared(lab_press, make_run(end=30.0, **{"ambient.temperature_C": value}), moments)
+
+
 @pytest.mark.parametrize("value", [float("nan"), -5.0, float("inf")])
 def test_a_nonphysical_coefficient_is_refused(lab_press, make_run, moments, coefficients, value):
     model = ThermalModel.of(lab_press)
     case = model.prepare(make_run(end=30.0), moments)
-    with pytest.raises(InputError, match=r"h_pp_c = .*: must be a finite number, at least 0"):
+    with pytest.raises(Nonphysical, match=r"h_pp_c = .*: must be a finite number, at least 0"):
         model.solve(case, coefficients | {"h_pp_c": value})
 
 
@@ -119,6 +148,25 @@ def test_moments_that_contradict_each_other_are_refused(lab_press, make_run):
     wrong = Moments(inserted_s=0.0, closed_s=20.0, opened_s=10.0)
     with pytest.raises(InputError, match=r"opened_s = 10 .* before .*closed_s = 20"):
         prepared(lab_press, make_run(end=30.0), wrong)
+    with pytest.raises(InputError, match=r"closed_s = 20 lies before inserted_s = 25"):
+        prepared(lab_press, make_run(end=30.0), Moments(inserted_s=25.0, closed_s=20.0))
+    with pytest.raises(InputError, match=r"ramp_s = -1"):
+        prepared(lab_press, make_run(end=30.0), Moments(inserted_s=0.0, closed_s=20.0, ramp_s=-1.0))
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"fineness": 0.0}, {"max_step_s": -1.0}, {"switch_step_s": np.nan}, {"growth": 0.5}]
+)
+def test_a_grid_that_cannot_be_is_refused(lab_press, make_run, moments, wrong):
+    with pytest.raises(InputError, match=rf"{next(iter(wrong))} = .*must be a number from"):
+        ThermalModel.of(lab_press).prepare(make_run(end=30.0), moments, **wrong)
+
+
+def test_a_tangent_the_model_does_not_have_is_refused(lab_press, make_run, moments, coefficients):
+    model = ThermalModel.of(lab_press)
+    case = model.prepare(make_run(end=30.0), moments)
+    with pytest.raises(InputError, match=r"'h_pp' is no parameter of this model; it has .*'h_pp_c'"):
+        model.solve(case, coefficients, ("h_pp",))
 
 
 def test_steps_are_fine_at_switches_and_end_with_the_run(moments):

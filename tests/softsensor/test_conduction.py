@@ -57,11 +57,17 @@ def test_thick_slab_heated_through_a_contact_follows_the_error_function(make_rig
         assert error[time_s[after] > 1.0].max() < 0.05
 
 
+HOT_AIR = 'kind = "air"\ncoefficient = "h"\nambient_C = 180.0'
+
+
 @pytest.mark.parametrize("method", METHODS)
-def test_slab_between_two_contacts_follows_the_eigenfunction_series(make_rig, method):
+@pytest.mark.parametrize(
+    ("end", "contacts"), [(MEASURED, CONTACT_BELOW + CONTACT_ABOVE), (HOT_AIR, "")], ids=["contacts", "air"]
+)
+def test_slab_between_two_contacts_follows_the_eigenfunction_series(make_rig, method, end, contacts):
     thickness, h = 0.016, 300.0
     time_s = np.arange(0.0, 400.05, 0.2)
-    toml = slab(16.0, MEASURED, MEASURED, CONTACT_BELOW + CONTACT_ABOVE)
+    toml = slab(16.0, end, end, contacts)
     places = {"face": '"slab.top"', "core": '"slab.middle"'}
     model, run = make_rig(toml, time_s, {"hot": 180.0}, places)
     solution = model.solve(model.prepare(run, NEVER), {"h": h}, method=method)
@@ -177,6 +183,29 @@ def test_insulated_slab_keeps_its_heat_to_rounding(make_rig):
         heat = fields @ case.mesh.dx * RHO * C
         assert np.ptp(fields[-1]) < 100.0, "heat moved"
         assert np.abs(heat / heat[0] - 1.0).max() < 1e-12, method
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_what_leaves_one_layer_through_a_contact_enters_the_next_to_rounding(make_rig, method):
+    layers = {"steel": (10.0, 45.0, 7850.0, 490.0), "pad": (2.0, 0.4, 1500.0, 1000.0), "board": (16.0, K, RHO, C)}
+    toml = "".join(
+        f'[[layer]]\nname = "{name}"\nthickness_mm = {d}\nconductivity_W_mK = {k}\ndensity_kg_m3 = {rho}\n'
+        f"heat_capacity_J_kgK = {c}\n"
+        for name, (d, k, rho, c) in layers.items()
+    )
+    toml += '[[contact]]\nbetween = ["steel", "pad"]\nclosed = "h_1"\n'
+    toml += '[[contact]]\nbetween = ["pad", "board"]\nclosed = "h_2"\n[initial]\nkind = "sensors"\n'
+    model, run = make_rig(toml, np.arange(0.0, 300.05, 0.5), {}, {"a": '"steel.bottom"', "b": '"board.top"'})
+    run.columns["a"][0], run.columns["b"][0] = 200.0, 20.0
+    case = model.prepare(run, NEVER)
+    fields = model.solve(case, {"h_1": 900.0, "h_2": 40.0}, method=method, fields=True).fields
+    capacity = np.concatenate(
+        [case.mesh.dx[case.mesh.cells(name)] * rho * c for name, (_, _, rho, c) in layers.items()]
+    )
+    board = case.mesh.cells("board")
+    gained = (fields[-1] - fields[0])[board] @ capacity[board]
+    assert gained > 1e5, "heat passed the contacts"
+    assert np.abs(fields @ capacity / (fields[0] @ capacity) - 1.0).max() < 1e-12
 
 
 def test_absorbed_flux_ends_up_in_the_slab_to_rounding(make_rig):

@@ -129,6 +129,32 @@ load = { column = "load" }
         model.solve(case, {"h": 300.0, "contact_load.exponent": 0.7}, method="exact")
 
 
+def test_a_load_at_twice_its_reference_raises_the_contact_by_the_power_law(make_rig):
+    toml = """
+[[layer]]
+name = "panel"
+from_run = true
+[boundary.bottom]
+kind = "measured"
+column = "hot"
+[[contact]]
+between = ["boundary.bottom", "panel"]
+closed = "h"
+load = { column = "load", reference = 200.0 }
+"""
+    header = {"panel.material": "MDF", "panel.thickness_mm": 16.0, "panel.initial_temperature_C": 20.0}
+    time_s = np.arange(0.0, 20.05, 0.5)
+
+    def core(load, h):
+        plain, run = make_rig(
+            toml, time_s, {"hot": 150.0, "load": load + 0.0 * time_s}, {"a": '"panel.bottom"'}, **header
+        )
+        model = ThermalModel.of(plain.press, ["contact_load"])
+        return model.solve(model.prepare(run, Moments()), {"h": h, "contact_load.exponent": 0.8}).sensors
+
+    assert core(400.0, 300.0) == pytest.approx(core(200.0, 300.0 * 2.0**0.8), abs=1e-9)
+
+
 def test_an_unknown_effect_is_refused_with_the_known_ones():
     with pytest.raises(InputError, match=r"'draft' is not in the catalogue; known are moisture_evaporation, "):
         find_effect("draft")

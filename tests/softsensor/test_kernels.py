@@ -4,69 +4,85 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from softsensor import kernels, kernels_modal
-from softsensor.model import ThermalModel, warm_up
+from softsensor import kernels, kernels_modal, kernels_terms, observer_kernels
+from softsensor.modelfile import Estimate, ModelFile
+from softsensor.observer import LiveSensor
 from softsensor.readout import Reader
 from softsensor.timing import ramp
+from softsensor.warming import warm_up
+
+MODULES = (kernels, kernels_modal, kernels_terms, observer_kernels)
 
 
-def test_nothing_compiles_after_warming_up(lab_press, make_run, coefficients, moments):
-    warm_up()
-    before = {name: len(f.signatures) for name, f in _dispatchers().items()}
-    for effects in ((), ("moisture_evaporation", "thermocouple_lag", "thermocouple_footprint"), ("paper_layer",)):
-        model = ThermalModel.of(lab_press, effects)
-        case = model.prepare(make_run(end=30.0), moments)
-        model.solve(case, model.guesses | coefficients, model.parameter_names)
-        model.solve(case, model.guesses | coefficients)
-        if not effects:
-            model.solve(case, coefficients, model.parameter_names, method="exact")
-    assert {name: len(f.signatures) for name, f in _dispatchers().items()} == before
+def test_no_scan_of_a_live_run_waits_for_a_compiler_once_warmed_up(lab_press, make_run, coefficients, moments):
+    warm_up(lab_press)
+    before = compiled()
+    assert before["observer_kernels"] > 0
+    run = make_run(end=60.0, every=0.5)
+    values = {name: Estimate(x, 0.2 * x) for name, x in coefficients.items()}
+    wet = (
+        ("moisture_evaporation", {"moisture_percent": Estimate(3.0, 1.0), "temperature_C": Estimate(103.0, 2.0)}),
+    )
+    for model in (None, ModelFile("known", "lab", values, wet)):
+        sensor = LiveSensor(lab_press, run.header, model)
+        for i, time_s in enumerate(run.time_s.tolist()):
+            values = {name: float(x[i]) for name, x in run.columns.items()}
+            sensor.update(time_s, values | {"top_1": 80.0, "bottom_1": 79.0, "closed": float(20 <= time_s < 45)})
+    assert compiled() == before
 
 
-def _dispatchers():
-    found = {}
-    for module in (kernels, kernels_modal):
-        found |= {name: f for name, f in vars(module).items() if hasattr(f, "signatures")}
-    return found
+def compiled():
+    return {
+        module.__name__.rpartition(".")[2]: sum(
+            len(f.signatures) for f in vars(module).values() if hasattr(f, "signatures")
+        )
+        for module in MODULES
+    }
 
 
 def test_modes_follow_a_stiff_integrator_with_inputs_straight_between_steps():
     rng = np.random.default_rng(5)
     rates = np.array([0.0, 1e-6, 0.3, 4.0, 90.0, 900.0])
-    gains = rng.normal(size=(2, 6))
+    gains = rng.normal(size=(3, 6))
     edges = np.concatenate([[0.0], np.cumsum(rng.choice([0.01, 0.1, 0.3], 40))])
     u = np.cumsum(rng.normal(size=(41, 2)), axis=0)
-    read = rng.normal(size=(3, 6))
-    q = rng.normal(size=(1, 6))
-    start = q[0].copy()
-    out, none = np.zeros((1, 41, 3)), np.zeros((0, 0, 6))
-    kernels_modal.modes(rates, gains[None], read, np.diff(edges), u[None], none, q, out, none)
-    y = start
+    forces = u @ gains[:2] + gains[2]
+    read, chosen = rng.normal(size=(4, 6)), np.array([0, 7, 40])
+    q = rng.normal(size=6)
+    start = q.copy()
+    out, history = np.zeros((41, 4)), np.zeros((3, 6))
+    kernels_modal.drive(rates, np.diff(edges), gains, u, read, q, out, chosen, history)
+    carried = np.zeros((1, 41, 6))
+    carried[0, 0] = start
+    kernels_modal.carry(rates, np.diff(edges), forces[None], carried)
+    expected = [start]
     for k in range(40):
 
         def rate(t, y, k=k):
             share = (t - edges[k]) / (edges[k + 1] - edges[k])
-            return -rates * y + (u[k] + share * (u[k + 1] - u[k])) @ gains
+            return -rates * y + forces[k] + share * (forces[k + 1] - forces[k])
 
-        y = solve_ivp(rate, edges[k : k + 2], y, "Radau", rtol=1e-10, atol=1e-12).y[:, -1]
-        assert np.allclose(out[0, k + 1], read @ y, atol=1e-6)
-    assert np.allclose(q[0], y, atol=1e-6)
+        expected.append(solve_ivp(rate, edges[k : k + 2], expected[-1], "Radau", rtol=1e-10, atol=1e-12).y[:, -1])
+    assert np.allclose(out, np.array(expected) @ read.T, atol=1e-6)
+    assert np.allclose(carried[0], expected, atol=1e-6)
+    assert np.allclose(history, np.array(expected)[chosen], atol=1e-6)
+    assert np.allclose(q, expected[-1], atol=1e-6)
 
 
-def test_modes_take_given_forces_and_keep_a_history():
-    rng = np.random.default_rng(6)
-    rates, gains = np.array([0.1, 3.0, 500.0]), rng.normal(size=(1, 2, 3))
-    u, h = rng.normal(size=(1, 21, 2)), np.full(20, 0.2)
-    read, none = np.eye(3), np.zeros((0, 0, 3))
-    results = []
-    for forced, history in ((none, none), (u @ gains, np.zeros((1, 21, 3)))):
-        q, out = np.ones((1, 3)), np.zeros((1, 21, 3))
-        kernels_modal.modes(rates, gains, read, h, u, forced, q, out, history)
-        results.append((q, out[:, 1:]))
-        if len(history):
-            assert np.allclose(history[:, 1:], out[:, 1:])
-    assert np.allclose(results[0][0], results[1][0])
-    assert np.allclose(results[0][1], results[1][1])
+@pytest.mark.parametrize("n", [1, 2, 3, 8, 9])
+def test_elimination_from_both_ends_solves_the_tridiagonal_system(n):
+    rng = np.random.default_rng(n)
+    cap, g, dh = rng.uniform(1, 2, n), rng.uniform(0, 5, n + 1), 0.7
+    diag = g[:-1] + g[1:]
+    full = np.diag(cap + dh * diag) - dh * (np.diag(g[1:n], 1) + np.diag(g[1:n], -1))
+    inverse, back = np.zeros(n), np.zeros(n)
+    kernels._factor(cap, diag, g, dh, inverse, back)
+    one, many = rng.normal(size=n), rng.normal(size=(8, n))
+    x, y = one.copy(), many.copy()
+    kernels._solve(inverse, back, x)
+    kernels._solve_many(inverse, back, y)
+    assert np.allclose(full @ x, one, rtol=0, atol=1e-12)
+    assert np.allclose(full @ y.T, many.T, rtol=0, atol=1e-12)
 
 
 def test_delay_is_the_exact_answer_to_straight_pieces():

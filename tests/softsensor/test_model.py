@@ -5,7 +5,6 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from daq.records import InputError, Moments
-from softsensor import case as case_module
 from softsensor.effects import BUILT_IN
 from softsensor.model import NUISANCES, ThermalModel, states
 from softsensor.timing import HANDLING_RAMP_S, OPENING_RAMP_S
@@ -162,12 +161,7 @@ def test_press_cycle_agrees_with_tight_bdf_on_an_independent_right_hand_side(
 
 def _refined(model, run):
     """A case on the same mesh with steps a tenth as long."""
-    kept = case_module.FINE_STEP_S, case_module.GROWTH
-    case_module.FINE_STEP_S, case_module.GROWTH = 0.004, 1.02
-    try:
-        return model.prepare(run, SHORT, fineness=0.5, max_step_s=0.05)
-    finally:
-        case_module.FINE_STEP_S, case_module.GROWTH = kept
+    return model.prepare(run, SHORT, fineness=0.5, max_step_s=0.05, switch_step_s=0.004, growth=1.02)
 
 
 def test_both_solvers_agree_on_the_press_cycle(lab_press, make_run, coefficients, moments):
@@ -194,7 +188,7 @@ def test_every_sensitivity_equals_high_order_differences(lab_press, make_run, co
     case = model.prepare(run, moments, fineness=0.5)
     values = with_typical(model, coefficients)
     own = tuple(n for n in model.parameter_names if effect is None or "." in n)
-    # a shift of time moves kinks across steps, and is checked between the ramps by the solvers' agreement
+    # a shift of time moves kinks across steps, and is checked on fine steps below
     names = own + tuple(n for n in NUISANCES if n not in ("closed_s", "opened_s", "ramp_s"))
     if effect == "clock_offset":
         names = tuple(n for n in names if n != "clock_offset.seconds")
@@ -209,6 +203,51 @@ def test_every_sensitivity_equals_high_order_differences(lab_press, make_run, co
         difference = (8 * (at(step) - at(-step)) - (at(2 * step) - at(-2 * step))) / (12 * step)
         tangent = np.column_stack([solution.d_sensors[name], solution.d_core[name]])
         assert np.abs(tangent - difference).max() < 2e-5 * np.abs(difference).max() + 1e-12, name
+
+
+def test_tangents_of_the_exact_solver_are_as_good_as_it_says(lab_press, make_run, coefficients, moments):
+    model = ThermalModel.of(lab_press)
+    case = model.prepare(make_run(noise=0.1), moments)
+    names = model.parameter_names
+    solution = model.solve(case, coefficients, names, method="exact")
+    t = case.run.time_s
+    settled = np.ones(len(t), dtype=bool)
+    for moment in (moments.inserted_s, moments.closed_s, moments.opened_s, moments.removed_s):
+        settled &= (t < moment - 0.25) | (t > moment + 0.45)
+    for name in names:
+        step = 1e-3 * coefficients[name]
+
+        def at(shift, name=name):
+            moved = model.solve(case, coefficients | {name: coefficients[name] + shift}, method="exact")
+            return np.column_stack([moved.sensors, moved.core])
+
+        difference = (8 * (at(step) - at(-step)) - (at(2 * step) - at(-2 * step))) / (12 * step)
+        tangent = np.column_stack([solution.d_sensors[name], solution.d_core[name]])
+        assert np.abs(tangent - difference)[settled].max() < 0.004 * np.abs(difference).max(), name
+
+
+@pytest.mark.parametrize("method", ["implicit", "exact"])
+@pytest.mark.parametrize("name", ["closed_s", "opened_s", "ramp_s", "inserted_s"])
+def test_sensitivities_to_moments_equal_differences_on_fine_steps(
+    lab_press, make_run, coefficients, moments, method, name
+):
+    model = ThermalModel.of(lab_press)
+    case = model.prepare(make_run(every=0.5), moments, fineness=0.5, switch_step_s=0.004, growth=1.05)
+    solution = model.solve(case, coefficients, (name,), method=method)
+
+    def at(shift):
+        moved = model.solve(case, coefficients | {name: shift})
+        return np.column_stack([moved.sensors, moved.core])
+
+    step = 0.01
+    difference = (8 * (at(step) - at(-step)) - (at(2 * step) - at(-2 * step))) / (12 * step)
+    tangent = np.column_stack([solution.d_sensors[name], solution.d_core[name]])
+    t = case.run.time_s
+    settled = np.ones(len(t), dtype=bool)
+    for moment in (moments.inserted_s, moments.closed_s, moments.opened_s, moments.removed_s):
+        settled &= (t < moment - 0.3) | (t > moment + 0.4)
+    assert np.abs(difference[settled]).max() > 0.1
+    assert np.abs(tangent - difference)[settled].max() < 0.005 * np.abs(difference[settled]).max()
 
 
 def test_clock_offset_shifts_readings_by_their_slope(lab_press, make_run, coefficients, moments):
@@ -243,8 +282,29 @@ def test_default_mesh_and_steps_are_within_their_stated_error(
     for moment in (moments.inserted_s, moments.closed_s, moments.opened_s, moments.removed_s):
         settled &= (t < moment - 0.25) | (t > moment + 0.4)
     assert error[settled, -1].max() < 0.055, "core"
-    assert error[settled].max() < 0.075, "faces"
+    assert error[settled].max() < 0.06, "faces"
     assert np.sqrt(np.mean(error[settled] ** 2)) < 0.03
+
+
+@pytest.mark.parametrize(("thickness", "contact", "percent"), [(19.0, 700.0, 6.0), (8.0, 2000.0, 2.0)])
+def test_default_mesh_and_steps_are_within_their_stated_error_with_evaporation(
+    lab_press, make_run, coefficients, moments, thickness, contact, percent
+):
+    model = ThermalModel.of(lab_press, ["moisture_evaporation"])
+    run = make_run(**{"panel.thickness_mm": thickness})
+    values = model.guesses | coefficients | {"h_pp_c": contact, "moisture_evaporation.moisture_percent": percent}
+    error = np.abs(
+        model.solve(model.prepare(run, moments), values).places
+        - model.solve(model.prepare(run, moments, fineness=6.0), values).places
+    )
+    t = run.time_s
+    settled = np.ones(len(t), dtype=bool)
+    for moment in (moments.inserted_s, moments.closed_s, moments.opened_s, moments.removed_s):
+        settled &= (t < moment - 0.25) | (t > moment + 0.4)
+    first = (t > moments.closed_s) & (t < moments.closed_s + 1.2)
+    assert error[settled, -1].max() < 0.1, "core"
+    assert error[settled].max() < 0.45, "faces, in the first second"
+    assert error[settled & ~first].max() < 0.15, "faces, later"
 
 
 @pytest.mark.parametrize(
