@@ -21,10 +21,14 @@ from scipy.stats import t as student
 from daq.press_events import find_moments
 from daq.pressfile import Press
 from daq.records import Array, InputError, Moments, Run
-from softsensor.campaign_joint import Population, information, population
+from softsensor.campaign_joint import Population, information
 from softsensor.dependence import Dependence, fit_dependence
-from softsensor.fit import fit_run
+from softsensor.fit import fit_run, free_names, make_problem
+from softsensor.fit_joint import fit_together
+from softsensor.fit_problem import minimise
 from softsensor.fit_result import RunFit, number
+from softsensor.fit_unknowns import known_before
+from softsensor.identifiability import Profile, profiles_of
 from softsensor.model import ThermalModel
 from softsensor.modelfile import Estimate, ModelFile
 
@@ -40,7 +44,7 @@ class CampaignCoefficient:
     mean: float
     """Over the runs in which it is identifiable; the population's median where there are none."""
     sd: float
-    """From run to run, estimation error included; NaN below two runs."""
+    """From run to run, estimation error included; NaN below two runs, 0 where all share one value."""
     ci95: tuple[float, float]
     """Of the mean, by Student's t."""
     bootstrap95: tuple[float, float]
@@ -67,6 +71,11 @@ class CampaignFit:
     """By run and coefficient: the run's value with what it borrows from the others."""
     dependence: Dependence | None
     """On platen temperature, pressure and press time, where they vary."""
+    shared: tuple[str, ...] = ()
+    """Coefficients with one value in all runs."""
+    profiles: tuple[Mapping[str, Profile], ...] = ()
+    """By run and coefficient; empty where they were not asked for."""
+    method: str = "default"
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of ``fit --json``."""
@@ -80,15 +89,23 @@ class CampaignFit:
                 "median": number(c.median),
                 "median_ci95": [number(v) for v in c.median_ci95],
                 "spread": number(c.spread),
+                "shared": name in self.shared,
             }
             for name, c in self.coefficients.items()
         }
         runs = [f.as_json() for f in self.runs]
-        for entry in runs:
-            own = self.borrowed.get(entry["run"], {})
+        for entry, fitted, shapes in zip(runs, self.runs, self.profiles, strict=True):
+            own = self.borrowed[fitted.run]
             for name, table in entry["coefficients"].items():
                 if name in own:
-                    table["joint"] = {"value": own[name].value, "sd": own[name].sd}
+                    low, high = joint_interval(own[name])
+                    table["joint"] = {"value": own[name].value, "sd": own[name].sd, "ci95": [low, high]}
+            entry["correlation"] = {
+                "names": list(fitted.names),
+                "matrix": [[number(v) for v in row] for row in np.round(fitted.correlation, 4)],
+            }
+            if shapes:
+                entry["profiles"] = {name: shape.as_json() for name, shape in shapes.items()}
         depends = None if self.dependence is None else self.dependence.as_json()
         return {"runs": runs, "campaign": campaign, "dependence": depends}
 
@@ -108,6 +125,12 @@ class CampaignFit:
                 table[name] = Estimate(self.press.coefficient(name).guess, 0.0)
         ordered = {n: table[n] for n in self.press.coefficient_names}
         return ModelFile(version, self.press.name, ordered, (), p.names, total)
+
+
+def joint_interval(estimate: Estimate) -> tuple[float, float]:
+    """Return the 95 % interval of a run's value as the joint fit knows it."""
+    reach = float(np.exp(min(1.96 * estimate.sd / estimate.value, 50.0)))
+    return estimate.value / reach, estimate.value * reach
 
 
 def moments_of(run: Run, press: Press) -> Moments:
@@ -134,6 +157,7 @@ def fit_runs(
     """Fit every run on all cores, in order; `options` are those of `fit_run`."""
     workers = max(1, min(workers or os.cpu_count() or 1, len(runs)))
     tasks = [_Task(model, run, options) for run in runs]
+    _compile(tasks[0])
     if workers == 1:
         return _collect(map(_fit, tasks), progress)
     if len(runs) < PROCESSES_FROM:
@@ -148,6 +172,12 @@ class _Task:
     model: ThermalModel
     run: Run
     options: Mapping[str, Any]
+
+
+def _compile(task: _Task) -> None:
+    """Have the kernels compiled before the first run, whose time would otherwise hold that."""
+    problem = make_problem(task.model, task.run, moments_of(task.run, task.model.press))
+    minimise(problem, max_evaluations=1)
 
 
 def _fit(task: _Task) -> RunFit:
@@ -168,40 +198,65 @@ def fit_campaign(
     runs: Sequence[Run],
     *,
     model: ThermalModel | None = None,
+    shared: Sequence[str] = (),
+    profiles: bool = False,
     workers: int | None = None,
     progress: Callable[[str], None] | None = None,
     **options: Any,
 ) -> CampaignFit:
-    """Fit a campaign: every run, then the population they are drawn from.
+    """Fit a campaign: every run, then all together as draws from one population.
 
     Parameters
     ----------
     model
         By default the plain model of the press.
+    shared
+        Coefficients with one value in all runs.
+    profiles
+        Whether to work out the profile of every coefficient in every run, for a report.
     progress
         Called with a run's name when it is done.
     options
         Of `fit_run`, such as ``start`` with the values of a model's effects.
+
+    Raises
+    ------
+    InputError
+        Without a run, for a run that cannot be fitted, or a shared name that is no free coefficient.
     """
     if not runs:
         raise InputError("no run given; name at least one run file")
     model = model or ThermalModel(press)
-    return summarise(press, model, fit_runs(model, runs, workers=workers, progress=progress, **options))
-
-
-def summarise(press: Press, model: ThermalModel, fits: Sequence[RunFit]) -> CampaignFit:
-    """Put fitted runs together to a campaign."""
-    names = tuple(n for n in press.coefficient_names if not press.coefficient(n).fixed)
-    knowledge = [information(f, names) for f in fits]
-    people = population(names, knowledge)
-    coefficients = {n: _summary(press, n, i, fits, people) for i, n in enumerate(names)}
+    names = free_names(press)
+    if wrong := [n for n in shared if n not in names]:
+        raise InputError(f"shared coefficient {wrong[0]!r}: must be one of {', '.join(names)}")
+    fits = fit_runs(model, runs, workers=workers, progress=progress, **options)
+    workers = max(1, min(workers or os.cpu_count() or 1, len(runs)))
+    people = fit_together(fits, names, shared=shared, known=known_before(press), workers=workers)
+    coefficients = {n: _summary(press, n, i, fits, people, n in shared) for i, n in enumerate(names)}
     borrowed = {}
     for f, (mean, covariance) in zip(fits, people.members, strict=True):
         sd = np.sqrt(np.diag(covariance))
         values = np.exp(mean)
         borrowed[f.run] = {n: Estimate(float(values[i]), float(values[i] * sd[i])) for i, n in enumerate(names)}
-    dependence = fit_dependence(names, [f.problem.case.run for f in fits], fits, knowledge)
-    return CampaignFit(press, model, tuple(fits), coefficients, people, borrowed, dependence)
+    alone = [information(f.problem, f.minimum.evaluation, f.spread, names) for f in fits]
+    dependence = fit_dependence(names, [f.problem.case.run for f in fits], fits, alone)
+    shapes: list[Mapping[str, Profile]] = [{} for _ in fits]
+    if profiles:
+        with ThreadPoolExecutor(workers) as threads:
+            shapes = list(threads.map(profiles_of, fits))
+    return CampaignFit(
+        press,
+        model,
+        tuple(fits),
+        coefficients,
+        people,
+        borrowed,
+        dependence,
+        tuple(shared),
+        tuple(shapes),
+        options.get("method", "default"),
+    )
 
 
 def _anchored(press: Press, name: str, middle: float, sd: float) -> tuple[float, float]:
@@ -218,7 +273,9 @@ def _anchored(press: Press, name: str, middle: float, sd: float) -> tuple[float,
     return limited, sd * float(np.sqrt(weight))
 
 
-def _summary(press: Press, name: str, i: int, fits: Sequence[RunFit], people: Population) -> CampaignCoefficient:
+def _summary(
+    press: Press, name: str, i: int, fits: Sequence[RunFit], people: Population, shared: bool
+) -> CampaignCoefficient:
     values = np.array([f.coefficients[name].value for f in fits if f.coefficients[name].identifiable])
     n = len(values)
     table = press.coefficient(name)
@@ -226,6 +283,8 @@ def _summary(press: Press, name: str, i: int, fits: Sequence[RunFit], people: Po
     median = float(np.exp(middle))
     reach = min(float(student.ppf(0.975, max(len(fits) - 1, 1))) * error, 50.0)
     interval = (max(median * float(np.exp(-reach)), table.lower), min(median * float(np.exp(reach)), table.upper))
+    if shared:
+        return CampaignCoefficient(median, 0.0, interval, interval, n, median, interval, 0.0)
     if n >= 2:
         mean, sd = float(values.mean()), float(values.std(ddof=1))
         half = float(student.ppf(0.975, n - 1)) * sd / np.sqrt(n)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.stats import t as student
 
 from daq.records import Array, Run
 from softsensor.campaign_joint import Knowledge
@@ -30,6 +31,42 @@ FEWEST_RUNS = 5
 
 
 @dataclass(frozen=True)
+class Program:
+    """A press program never run, and the coefficients predicted for it."""
+
+    settings: Mapping[str, float]
+    coefficients: Mapping[str, Estimate]
+    """``sd`` is what a run of it may differ by."""
+    remarks: tuple[str, ...]
+    quantile: float
+    """Standard deviations to either end of a 95 % interval."""
+
+    def interval(self, name: str) -> tuple[float, float]:
+        """Return where 95 % of its runs should lie."""
+        e = self.coefficients[name]
+        reach = float(np.exp(min(self.quantile * e.sd / e.value, 50.0)))
+        return e.value / reach, e.value * reach
+
+    @property
+    def lines(self) -> list[str]:
+        """The prediction as text."""
+        told = ", ".join(f"{k} = {v:g} {SETTINGS[k][0]}" for k, v in self.settings.items())
+        rows = [f"Predicted for {told} (95 % of runs):"]
+        for name, e in self.coefficients.items():
+            low, high = self.interval(name)
+            rows.append(f"  {name} = {e.value:.4g} W/m²K ({low:.4g} to {high:.4g})")
+        return rows + [f"Remark: {r}" for r in self.remarks]
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the prediction's entry in ``fit --json``."""
+        table = {
+            name: {"value": e.value, "sd": e.sd, "ci95": list(self.interval(name))}
+            for name, e in self.coefficients.items()
+        }
+        return {"settings": dict(self.settings), "coefficients": table, "remarks": list(self.remarks)}
+
+
+@dataclass(frozen=True)
 class Dependence:
     """Regression of the logarithms of the coefficients on the settings."""
 
@@ -45,6 +82,24 @@ class Dependence:
     """What is left from run to run (coefficients)."""
     lowest: Array
     highest: Array
+    runs: int
+
+    @property
+    def quantile(self) -> float:
+        """Standard deviations to either end of a 95 % interval: Student's t, the scatter is estimated too."""
+        return float(student.ppf(0.975, max(self.runs - 1 - len(self.settings), 1)))
+
+    def program(self, settings: Mapping[str, float]) -> Program:
+        """Return what a program never run would be like, with a remark where it lies outside those seen."""
+        remarks = []
+        for name, low, high in zip(self.settings, self.lowest, self.highest, strict=True):
+            if name in settings and not low <= settings[name] <= high:
+                unit = SETTINGS[name][0]
+                remarks.append(
+                    f"{name} = {settings[name]:g} {unit} lies outside the programs seen, {low:.4g} to {high:.4g} "
+                    f"{unit}: the trend is continued, run one pressing there before relying on it"
+                )
+        return Program(dict(settings), self.predict(settings), tuple(remarks), self.quantile)
 
     def predict(self, program: Mapping[str, float]) -> dict[str, Estimate]:
         """Return the coefficients of a program; ``sd`` is what a run of it may differ by.
@@ -70,7 +125,7 @@ class Dependence:
             table[name] = {"spread": float(self.spread[i])}
             for j, setting in enumerate(self.settings):
                 slope = self.beta[i, j + 1] / self.scale[j]
-                half = 1.96 * np.sqrt(self.covariance[i, j + 1, j + 1]) / self.scale[j]
+                half = self.quantile * np.sqrt(self.covariance[i, j + 1, j + 1]) / self.scale[j]
                 table[name][setting] = {
                     "log_slope": float(slope),
                     "ci95": [float(slope - half), float(slope + half)],
@@ -108,6 +163,7 @@ def fit_dependence(
         np.array(spreads),
         raw.min(axis=0),
         raw.max(axis=0),
+        len(runs),
     )
 
 

@@ -9,10 +9,12 @@ from typing import Any
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from daq.records import Array
 from softsensor.campaign import CampaignFit
-from softsensor.fit_result import RunFit
+from softsensor.fit_result import RunFit, plain
+from softsensor.fit_unknowns import is_parameter
 from softsensor.paper import Reproduction
 from softsensor.residuals import Place
 
@@ -27,6 +29,7 @@ STYLE: Mapping[str, Any] = {
     "axes.labelcolor": INK,
     "axes.titlesize": 10.5,
     "axes.titleweight": "bold",
+    "axes.titlecolor": INK,
     "axes.titlelocation": "left",
     "axes.spines.top": False,
     "axes.spines.right": False,
@@ -39,17 +42,6 @@ STYLE: Mapping[str, Any] = {
     "svg.hashsalt": "kerntemp",
     "svg.fonttype": "path",
 }
-
-
-def plain(value: float, digits: int) -> str:
-    """Return a number with so many significant digits and no exponent.
-
-    Examples
-    --------
-    >>> plain(247.3, 2), plain(0.01234, 3), plain(68437.0, 3)
-    ('250', '0.0123', '68400')
-    """
-    return f"{float(f'{value:.{digits}g}'):.10g}"
 
 
 def svg(figure: Figure) -> str:
@@ -67,6 +59,17 @@ def _saved(figure: Figure, kind: str, **options: Any) -> bytes:
     with rc_context(dict(STYLE)):
         figure.savefig(buffer, format=kind, metadata={"Date": None} if kind == "svg" else None, **options)
     return buffer.getvalue()
+
+
+def campaign_figures(campaign: CampaignFit) -> dict[str, str]:
+    """Return every figure of a campaign as SVG text, by name: the runs, the coefficients, what moves together."""
+    figures = {"coefficients": svg(coefficients_figure(campaign))}
+    if len(campaign.runs) > 1:
+        figures["coefficients_normalised"] = svg(normalised_figure(campaign))
+    for fitted in campaign.runs:
+        figures[f"measured_{fitted.run}"] = svg(run_figure(fitted))
+        figures[f"correlation_{fitted.run}"] = svg(correlation_figure(fitted))
+    return figures
 
 
 def run_figure(fitted: RunFit) -> Figure:
@@ -140,6 +143,10 @@ def _draw_place(axes: Any, fitted: RunFit, place: Place, before: Array, after: A
     calm = np.abs(residual[np.isfinite(residual)])
     reach = max(0.5, 1.3 * float(np.percentile(calm, 98.5))) if len(calm) else 1.0
     low.set_ylim(-reach, reach)
+    if len(calm) and calm.max() > reach:
+        k = int(np.nanargmax(np.abs(residual)))
+        words = f"{residual[k]:+.1f} K at {t[k]:.1f} s"
+        low.text(0.99, 0.96, words, transform=low.transAxes, ha="right", va="top", fontsize=7.5, color=MUTED)
 
 
 def _scatter(cells: Array) -> Array:
@@ -179,11 +186,13 @@ def coefficients_figure(campaign: CampaignFit) -> Figure:
 
 def _campaign_title(campaign: CampaignFit) -> str:
     total = len(campaign.runs)
+    if total == 1:
+        told = [n for n, c in campaign.coefficients.items() if c.runs]
+        return f"Known from {campaign.runs[0].run}: {', '.join(told) or 'none of the coefficients'}"
     full = [n for n, c in campaign.coefficients.items() if c.runs == total]
     known = "all coefficients" if len(full) == len(campaign.coefficients) else (", ".join(full) or "none")
     worst = max(campaign.coefficients.values(), key=lambda c: c.spread)
-    word = "run" if total == 1 else "runs"
-    return f"{total} {word}: {known} known from every run; spread from run to run up to {100 * worst.spread:.0f} %"
+    return f"{total} runs: {known} known from every run; spread from run to run up to {100 * worst.spread:.0f} %"
 
 
 def _draw_coefficient(ax: Any, campaign: CampaignFit, name: str) -> None:
@@ -204,7 +213,7 @@ def _draw_coefficient(ax: Any, campaign: CampaignFit, name: str) -> None:
             ax.plot([i], [c.mean], marker="x", ms=5, color=MUTED, zorder=2)
     ax.set_ylim(0.0, 1.15 * max(tops))
     ax.set_xlim(0.4, len(campaign.runs) + 0.6)
-    ax.xaxis.get_major_locator().set_params(integer=True)
+    ax.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=8))
 
 
 def normalised_figure(campaign: CampaignFit) -> Figure:
@@ -235,11 +244,20 @@ def normalised_figure(campaign: CampaignFit) -> Figure:
     return figure
 
 
+def strongest(fitted: RunFit) -> tuple[int, int, float]:
+    """Return the coefficient and the other unknown that move together most, and their correlation."""
+    matrix = np.abs(fitted.correlation) * (1.0 - np.eye(len(fitted.names)))
+    rows = [i for i, name in enumerate(fitted.names) if is_parameter(name)]
+    row, j = np.unravel_index(np.argmax(matrix[rows]), matrix[rows].shape)
+    i = rows[int(row)]
+    return i, int(j), float(fitted.correlation[i, j])
+
+
 def correlation_figure(fitted: RunFit) -> Figure:
     """Which unknowns of a run move together."""
     names = list(fitted.names)
     matrix = np.where(np.eye(len(names)) > 0, np.nan, fitted.correlation)
-    i, j = np.unravel_index(np.nanargmax(np.abs(matrix)), matrix.shape)
+    i, j, value = strongest(fitted)
     with rc_context(dict(STYLE)):
         figure = Figure(figsize=(7.4, 6.2), layout="constrained")
         ax = figure.subplots()
@@ -247,8 +265,7 @@ def correlation_figure(fitted: RunFit) -> Figure:
         ax.set_xticks(range(len(names)), names, rotation=90)
         ax.set_yticks(range(len(names)), names)
         ax.grid(False)
-        strongest = f"{names[i]} and {names[j]} move together most ({matrix[i, j]:+.2f})"
-        ax.set_title(f"{fitted.run}: {strongest}")
+        ax.set_title(f"{fitted.run}: {names[i]} moves most with {names[j]} ({value:+.2f})")
         figure.colorbar(image, ax=ax, shrink=0.7, label="correlation")
     return figure
 

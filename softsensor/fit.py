@@ -29,13 +29,15 @@ from softsensor.fit_problem import (
     Problem,
     grid_correction,
     minimise,
+    rows_with_panel,
     with_motion,
 )
 from softsensor.fit_result import RunFit, run_fit
-from softsensor.fit_unknowns import chain_priors, neutral_values, parameter_unknown
-from softsensor.identifiability import judge
-from softsensor.model import ThermalModel, state_weights
+from softsensor.fit_unknowns import chain_priors, gaps_at_moments, known_before, neutral_values, parameter_unknown
+from softsensor.identifiability import held_against, judge
+from softsensor.model import ThermalModel
 from softsensor.residuals import Noise, channel_noise, collect_signals, whiten
+from softsensor.timing import TIMINGS
 
 FIRST_NOISE = Noise(slow_K=0.15, slow_s=30.0, fast_K=0.0, fast_s=10.0, white_K=1.0)
 """For the first steps, while the model is still far off."""
@@ -70,15 +72,15 @@ def fit_run(
         Values of parameters: where to start, or for effect parameters that are not `free`, their value.
     priors
         Log-normal priors of coefficients: median and standard deviation of the logarithm; of effect
-        parameters: mean and standard deviation.
+        parameters: mean and standard deviation. They go before the press file's own.
     free
         Parameters to adjust; by default every coefficient the press file does not fix.
     verdicts
         False skips the profiles, for callers that only want the numbers.
     method
-        ``default``, or one of the paper's (`softsensor.paper.METHODS`): coefficients by that procedure on
-        unrefined moments, every sensor with its own offset, or with ``:averages`` behind the name top and
-        bottom averages; uncertainty from the curvature there.
+        ``default``, or one of the paper's (`softsensor.paper.METHODS`): coefficients by that procedure,
+        every sensor with its own offset, or with ``:averages`` behind the name top and bottom averages;
+        moments and verdicts from our own search, uncertainty from the curvature where the procedure ended.
 
     Raises
     ------
@@ -92,7 +94,7 @@ def fit_run(
     rough = _settle(problem)
     initial = rough.initial
     problem, best = rough.problem, rough.minimum
-    warnings = [f.sentence for f in problem.signals.findings]
+    warnings = _remarks(problem, moments)
     fitted = run_fit(problem, best, initial, warnings, begun, rough.evaluations)
     if not verdicts:
         return fitted
@@ -118,35 +120,47 @@ def make_problem(
         raise InputError(
             f"{run.source or run.name}: no usable sensor column (the press file names {wanted}); a fit needs one"
         )
-    names = [n for n in model.press.coefficient_names if not model.press.coefficient(n).fixed]
-    names = names if free is None else list(free)
-    values = {**neutral_values(model), **(start or {})}
-    unknowns = [parameter_unknown(model, n, values[n], (priors or {}).get(n)) for n in names]
+    names = free_names(case.press) if free is None else tuple(free)
+    values = {**neutral_values(model, case.press), **(start or {})}
+    known = {**known_before(case.press), **(priors or {})}
+    unknowns = [parameter_unknown(case.press, n, values[n], known.get(n)) for n in names]
     unknowns += chain_priors(case, signals)
-    weights, _ = state_weights(case, run.time_s, {})
-    rows = (weights[:, 0] < 0.5).astype(float) if case.press.has_states else np.ones(len(run.time_s))
-    if not rows.any():
-        rows = np.ones(len(run.time_s))
-    return Problem(model, case, signals, tuple(unknowns), values, FIRST_NOISE, rows)
+    return Problem(model, case, signals, tuple(unknowns), values, FIRST_NOISE, rows_with_panel(case))
+
+
+def _remarks(problem: Problem, moments: Moments) -> list[str]:
+    """Say what is wrong with the record."""
+    signals = problem.signals
+    gaps = gaps_at_moments(problem.case.run.time_s, moments, signals.period_s)
+    return [f.sentence for f in signals.findings] + [g.sentence for g in gaps]
 
 
 def _fit_by_the_paper(problem: Problem, method: str, begun: float) -> RunFit:
-    """Take the coefficients from one of the paper's procedures; noise and curvature from where they lie."""
+    """Take the coefficients from one of the paper's procedures, and hold them against what the run can tell.
+
+    The paper adjusts coefficients at known moments. A switch or a detector knows them to half a row, which
+    at a row a second is worth a factor in the closed contact, so they come from our own search. Verdicts come
+    from the profile about our own minimum, for what a run shows does not depend on who searches it.
+    """
     from softsensor.paper import fit_as_paper
 
     name, _, sensors = method.partition(":")
-    model, case = problem.model, problem.case
-    found = fit_as_paper(model, case.run, case.moments, name, every=sensors != "averages", start=problem.values)
-    initial = problem.evaluate(problem.start)
-    x = np.array([u.inside(found.values.get(u.name, u.start)) for u in problem.unknowns])
-    x = np.clip(x, *problem.limits)
-    period = problem.signals.period_s
-    problem = with_motion(problem, x, timing(problem), 0.1 * period)
-    problem = replace(problem, noise=channel_noise(problem.signals, problem.case.moments, problem.noise))
+    settled = _settle(problem)
+    warnings = _remarks(problem, problem.case.moments)
+    own = judge(run_fit(settled.problem, settled.minimum, settled.initial, [], begun, settled.evaluations))
+    run = problem.case.run
+    found = fit_as_paper(problem.model, run, own.moments, name, every=sensors != "averages", start=problem.values)
+    problem = settled.problem
+    x = np.zeros(len(problem.unknowns))
+    for i, u in enumerate(problem.unknowns):
+        if u.name in found.values:
+            x[i] = u.inside(found.values[u.name])
+        elif u.name in TIMINGS:
+            x[i] = settled.minimum.x[i]
     problem = replace(problem, noise=slow_noise(problem, problem.evaluate(x)))
     there = replace(minimise(problem, x, max_evaluations=1), converged=found.converged)
-    warnings = [f.sentence for f in problem.signals.findings]
-    return run_fit(problem, there, initial, warnings, begun, found.evaluations)
+    fitted = run_fit(problem, there, settled.initial, warnings, begun, found.evaluations)
+    return replace(held_against(fitted, own), seconds=time.perf_counter() - begun)
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from numba import njit
 from daq.records import Array
 from softsensor.case import Case
 from softsensor.effects import find_effect
-from softsensor.model import Solution, ThermalModel
+from softsensor.model import Solution, ThermalModel, state_weights
 from softsensor.residuals import Noise, Signals, whiten
 from softsensor.timing import HANDLING_RAMP_S, OPENING_RAMP_S
 
@@ -213,6 +213,15 @@ class Problem:
                 derivative[:, j] = -self.slope[i] * u.size
             added += derivative[:, j] * x[j]
         return place.mean - predicted - added, derivative
+
+
+def rows_with_panel(case: Case) -> Array:
+    """Return 1 for each row with a panel in the press, all ones where there is none or nothing opens (rows)."""
+    if not case.press.has_states:
+        return np.ones(len(case.run.time_s))
+    idle = state_weights(case, case.run.time_s, {})[0][:, 0]
+    rows = (idle < 0.5).astype(float)
+    return rows if rows.any() else np.ones(len(rows))
 
 
 def with_clock(model: ThermalModel) -> ThermalModel:

@@ -21,7 +21,7 @@ class Coefficient:
 
     value: float
     sd: float
-    """Of the value; for a coefficient from the logarithm's, times the value."""
+    """Of the value; for a coefficient from the logarithm's, times the value. NaN where a limit holds it."""
     ci95: tuple[float, float]
     identifiable: bool
     verdict: str = "identifiable"
@@ -92,6 +92,7 @@ class RunFit:
             closed_s=self.closed_s,
             opened_s=self.opened_s,
             ramp_s=case.moments.ramp_s + n.get("ramp_s", 0.0),
+            inserted_s=case.moments.inserted_s + n.get("inserted_s", 0.0),
         )
 
     def as_json(self) -> dict[str, Any]:
@@ -125,6 +126,17 @@ class RunFit:
 def number(value: float) -> float | None:
     """Return a JSON number, None where it is not finite."""
     return float(value) if np.isfinite(value) else None
+
+
+def plain(value: float, digits: int) -> str:
+    """Return a number with so many significant digits and no exponent.
+
+    Examples
+    --------
+    >>> plain(247.3, 2), plain(0.01234, 3), plain(68437.0, 3)
+    ('250', '0.0123', '68400')
+    """
+    return f"{float(f'{value:.{digits}g}'):.10g}"
 
 
 def run_fit(
@@ -182,7 +194,9 @@ def _coefficient(u: Unknown, x: float, sd: float, quantile: float) -> Coefficien
     low, high = u.value(x - min(quantile * sd, 50.0)), u.value(x + min(quantile * sd, 50.0))
     interval = (max(low, u.lower), min(high, u.upper))
     log_sd = sd if u.scale == "log" else float("nan")
-    return Coefficient(value, float(abs(u.slope(x)) * sd), interval, sd > 0, log_sd=log_sd)
+    if sd == 0.0:
+        return Coefficient(value, float("nan"), (u.lower, u.upper), False, log_sd=float("nan"))
+    return Coefficient(value, float(abs(u.slope(x)) * sd), interval, True, log_sd=log_sd)
 
 
 @dataclass(frozen=True)

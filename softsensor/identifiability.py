@@ -10,34 +10,70 @@ A prior on the coefficient itself is left out of its profile: what only a prior 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
-from scipy.stats import t as student
 
-from daq.pressfile import Press
 from daq.records import Array
-from softsensor.fit_problem import Problem, minimise
+from softsensor.fit_problem import MAX_MOVE, Problem, damped_step, free_of, minimise, normal_equations
 from softsensor.fit_result import Coefficient, RunFit
 from softsensor.fit_unknowns import is_parameter
+from softsensor.remedies import SEEN_K, Side, explain
 
 NARROW = 0.5
 """Half intervals of a logarithm below this are taken from the curvature: there the profile is a parabola."""
 WIDE = float(np.log(4.0))
 """An interval whose ends differ by more than four times is no knowledge to build on, even if both are closed."""
-SEEN_K = 0.05
-"""A coefficient that moves no reading by this much when it grows by e goes unseen. [K]"""
+SETTLED = 0.3
+"""Where the other unknowns still promise less than this, one Gauss-Newton step tells where they would end."""
+MUCH_WORSE = 1.5
+"""A procedure that ends this many times as far from the readings as they can be met has not found them."""
+PROFILE_POINTS = 5
+"""Odd: the best value is the one in the middle."""
 EVALUATIONS = 7
-"""Allowed for each point of a profile."""
+"""Allowed for each point of a profile that decides a verdict."""
+PROFILE_STEPS = 3
+"""Allowed for each point of a profile that is drawn."""
 
 
-@dataclass(frozen=True)
-class Side:
-    """One end of a profile interval."""
+def held_against(fitted: RunFit, own: RunFit) -> RunFit:
+    """Return another procedure's fit with the verdicts of our own, and say where the two cannot both be right.
 
-    x: float
-    """Internal variable at the end; the limit where open."""
-    closed: bool
+    It counts as not converged where it ends worse than it began, or `MUCH_WORSE` times as far from the
+    readings as this run can be met.
+    """
+    coefficients, notes = dict(fitted.coefficients), []
+    for name, c in fitted.coefficients.items():
+        told = own.coefficients[name]
+        low, high = told.ci95
+        if told.verdict == "fixed":
+            continue
+        if c.ci95[1] < low or c.ci95[0] > high:
+            notes.append(f"{name} = {c.value:.4g} W/m²K lies outside what the run allows, {low:.4g} to {high:.4g}")
+        ends = c.ci95 if told.identifiable else (min(low, c.value), max(high, c.value))
+        coefficients[name] = replace(
+            c, ci95=ends, identifiable=told.identifiable, verdict=told.verdict, reason=told.reason
+        )
+    notes += verdict_notes(coefficients)
+    seen = fitted.rmse_K > own.rmse_K + SEEN_K
+    if seen and fitted.rmse_K > min(MUCH_WORSE * own.rmse_K, fitted.initial_rmse_K):
+        notes.append(
+            f"stuck: it ends {fitted.rmse_K:.2f} K rms from the readings, at the guesses it was "
+            f"{fitted.initial_rmse_K:.2f} K, and the default method reaches {own.rmse_K:.2f} K"
+        )
+        fitted = replace(fitted, converged=False)
+    return replace(fitted, coefficients=coefficients, warnings=(*fitted.warnings, *notes))
+
+
+def verdict_notes(coefficients: Mapping[str, Coefficient]) -> list[str]:
+    """Say of each coefficient the run does not determine why."""
+    return [
+        f"{name} is {c.verdict}: {c.reason}"
+        for name, c in coefficients.items()
+        if c.verdict in ("one-sided", "not identifiable")
+    ]
 
 
 def judge(fitted: RunFit) -> RunFit:
@@ -46,12 +82,7 @@ def judge(fitted: RunFit) -> RunFit:
     for i, u in enumerate(fitted.problem.unknowns):
         if is_parameter(u.name):
             coefficients[u.name] = _judge_one(fitted, i, coefficients[u.name])
-    notes = [
-        f"{name} is {c.verdict}: {c.reason}"
-        for name, c in coefficients.items()
-        if c.verdict in ("one-sided", "not identifiable")
-    ]
-    return replace(fitted, coefficients=coefficients, warnings=(*fitted.warnings, *notes))
+    return replace(fitted, coefficients=coefficients, warnings=(*fitted.warnings, *verdict_notes(coefficients)))
 
 
 def _judge_one(fitted: RunFit, i: int, c: Coefficient) -> Coefficient:
@@ -66,7 +97,8 @@ def _judge_one(fitted: RunFit, i: int, c: Coefficient) -> Coefficient:
     interval = (u.value(below.x), u.value(above.x))
     if below.closed and above.closed:
         if u.scale != "log" or above.x - below.x < WIDE:
-            return replace(c, ci95=interval, identifiable=True, verdict="identifiable")
+            ends = c.ci95 if np.isfinite(u.sd) else interval
+            return replace(c, ci95=ends, identifiable=True, verdict="identifiable")
         verdict = "not identifiable"
     else:
         verdict = "one-sided" if below.closed or above.closed else "not identifiable"
@@ -114,8 +146,11 @@ def _next(points: list[tuple[float, float]], rise: float, limit: float, directio
     return float(inner[0] + share * (end[0] - inner[0]))
 
 
-def profile_rise(fitted: RunFit, i: int, x: float) -> float:
-    """Return how much the loss rises above its minimum when unknown `i` is held at `x`."""
+def profile_rise(fitted: RunFit, i: int, x: float, steps: int = EVALUATIONS) -> float:
+    """Return how much the loss rises above its minimum when unknown `i` is held at `x`.
+
+    Few `steps` give an upper estimate where the other unknowns have far to go.
+    """
     problem, best = fitted.problem, fitted.minimum
     held = _hold(problem, i, x)
     start = best.x.copy()
@@ -126,19 +161,53 @@ def profile_rise(fitted: RunFit, i: int, x: float) -> float:
     start[i] = x
     u = problem.unknowns[i]
     own = 0.5 * ((best.x[i] - u.mean) / u.sd) ** 2
-    found = minimise(held, start, max_evaluations=EVALUATIONS, decrease=0.05)
-    return float(max(found.evaluation.loss - (best.evaluation.loss - own), 0.0))
+    at = minimise(held, start, max_evaluations=steps, decrease=SETTLED).evaluation
+    matrix, right = normal_equations(held, at)
+    step, promise = damped_step(matrix, right, free_of(at.x, right, *held.limits), 0.0)
+    lowest = at.loss - (promise if promise < 2.0 * SETTLED and np.max(np.abs(step)) < MAX_MOVE else 0.0)
+    return float(max(lowest - (best.evaluation.loss - own), 0.0))
 
 
-def profile(fitted: RunFit, name: str, points: int = 9) -> tuple[Array, Array]:
-    """Return values of a parameter over twice its interval, and the rise of the loss there."""
+@dataclass(frozen=True)
+class Profile:
+    """How much worse a run is met the further a coefficient is moved, the other unknowns following."""
+
+    value: Array
+    """Values looked at, rising, the best one among them."""
+    rise: Array
+    """Of half of minus two log likelihood above its minimum, over the noise the residuals really have."""
+    threshold: float
+    """Rise at which a 95 % interval ends."""
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the profile's entry in ``fit --json``."""
+        return {
+            "value": [float(v) for v in self.value],
+            "rise": [round(float(v), 4) for v in self.rise],
+            "threshold": round(self.threshold, 4),
+        }
+
+
+def profile(fitted: RunFit, name: str, points: int = PROFILE_POINTS) -> Profile:
+    """Return the profile of a parameter over about one and a half times its interval."""
     i = fitted.problem.names.index(name)
     u, c = fitted.problem.unknowns[i], fitted.coefficients[name]
     low, high = (side[i] for side in fitted.problem.limits)
-    ends = [u.inside(max(v, 1e-12)) for v in c.ci95] if u.scale == "log" else [v / u.size for v in c.ci95]
-    middle, half = fitted.minimum.x[i], max(abs(ends[1] - ends[0]), 1e-3)
-    xs = np.linspace(max(low, middle - half), min(high, middle + half), points)
-    return np.array([u.value(x) for x in xs]), np.array([profile_rise(fitted, i, x) for x in xs])
+    ends = [u.inside(v) for v in c.ci95]
+    middle, most = fitted.minimum.x[i], max(abs(ends[1] - ends[0]), 1e-3)
+    first = max(low, min(middle, ends[0]) - 0.25 * most)
+    last = min(high, max(middle, ends[1]) + 0.25 * most)
+    below = np.linspace(first, middle, points // 2 + 1)[:-1] if middle > first else np.zeros(0)
+    above = np.linspace(middle, last, points // 2 + 1)[1:] if last > middle else np.zeros(0)
+    xs = np.concatenate([below, [middle], above])
+    rise = np.array([0.0 if x == middle else profile_rise(fitted, i, x, PROFILE_STEPS) for x in xs])
+    values = np.array([u.value(x) for x in xs])
+    return Profile(values, rise / fitted.spread**2, 0.5 * fitted.quantile**2)
+
+
+def profiles_of(fitted: RunFit) -> dict[str, Profile]:
+    """Return the profile of every free coefficient of a run."""
+    return {u.name: profile(fitted, u.name) for u in fitted.problem.unknowns if is_parameter(u.name)}
 
 
 def _hold(problem: Problem, i: int, x: float) -> Problem:
@@ -146,70 +215,3 @@ def _hold(problem: Problem, i: int, x: float) -> Problem:
     u = problem.unknowns[i]
     fixed = replace(u, lower=u.value(x), upper=u.value(x), sd=float("inf"))
     return replace(problem, unknowns=(*problem.unknowns[:i], fixed, *problem.unknowns[i + 1 :]))
-
-
-def explain(fitted: RunFit, i: int, below: Side, above: Side) -> str:
-    """Say why a coefficient is not identifiable in this run, and which measurement would fix it."""
-    name = fitted.problem.names[i]
-    largest = max(float(np.abs(d[:, i]).max()) for d in fitted.minimum.evaluation.derivative)
-    role, remedy = role_of(fitted.problem.case.press, name, fitted)
-    if largest < SEEN_K:
-        return f"{role}; no reading of this run moves by more than {largest:.2g} K when it grows by e. {remedy}"
-    if below.closed and not above.closed:
-        least = fitted.problem.unknowns[i].value(below.x)
-        return f"{role}; anything above {least:.3g} fits as well: its resistance is too small to be seen. {remedy}"
-    partner, correlation = partner_of(fitted, i)
-    if below.closed and above.closed:
-        role += f"; it is known to a factor of {np.exp((above.x - below.x) / 2):.0f} only"
-    if abs(correlation) > 0.8:
-        return f"{role}; it moves together with {partner} (correlation {correlation:+.2f}). {remedy}"
-    return f"{role}; its effect of {largest:.2g} K drowns in the slow noise of the faces. {remedy}"
-
-
-def partner_of(fitted: RunFit, i: int) -> tuple[str, float]:
-    """Return the unknown that correlates most with unknown `i`, and the correlation."""
-    row = fitted.correlation[i].copy()
-    row[i] = 0.0
-    j = int(np.argmax(np.abs(row)))
-    return fitted.problem.names[j], float(row[j])
-
-
-def role_of(press: Press, name: str, fitted: RunFit) -> tuple[str, str]:
-    """Return what a coefficient does in this press, and which record would show it."""
-    share = fitted.minimum.evaluation.solution.closed_share
-    period = fitted.problem.signals.period_s
-    t = fitted.problem.signals.time_s
-    after = float((t > fitted.opened_s).sum() * period) if np.isfinite(fitted.opened_s) else 0.0
-    closed = float((share > 0.5).sum() * period)
-    for contact in press.contact:
-        pair = " and ".join(contact.between)
-        if contact.closed == name:
-            return (
-                f"it couples {pair} while closed ({closed:.0f} s here)",
-                "Press longer, and log at 5 Hz or faster.",
-            )
-        opened = contact.open or ()
-        if name in ((opened,) if isinstance(opened, str) else opened):
-            remedy = (
-                "Log for a minute after opening"
-                if after < 30.0
-                else "Log a minute of the open press before closing"
-            )
-            return (
-                f"it acts at {pair} while open ({after:.0f} s after opening here)",
-                f"{remedy}, or put a thermocouple on the face of the layer next to it.",
-            )
-    if "." in name:
-        return "it is a parameter of an effect", "See the effect's confirming measurement."
-    return "it acts at a boundary", "Put a thermocouple next to that boundary."
-
-
-def quantile(freedom: float) -> float:
-    """Return the two-sided 95 % quantile of Student's t.
-
-    Examples
-    --------
-    >>> round(quantile(10), 2)
-    2.23
-    """
-    return float(student.ppf(0.975, freedom))

@@ -12,20 +12,23 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.optimize import least_squares, minimize
 
 from daq.records import Array, InputError, Moments, Run
 from softsensor.case import Case
+from softsensor.fit_problem import rows_with_panel
 from softsensor.model import ThermalModel
 from softsensor.paper_ode import Lines, lines_of
-from softsensor.residuals import Signals, collect_signals
+from softsensor.residuals import collect_signals
 
 METHODS = ("least_squares", "nelder_mead", "nelder_mead_then_least_squares")
 STOP = 1e-4
 """The paper stops when the coefficients change by less than this."""
-Residuals = Callable[[Array], Array]
+LEAST_SCATTER_K = 0.1
+"""Sensors that happen to agree better than they can read get no more weight. [K]"""
 
 
 @dataclass(frozen=True)
@@ -46,55 +49,80 @@ class _Fit:
 
     model: ThermalModel
     case: Case
-    signals: Signals
     names: tuple[str, ...]
-    every: bool
+    labels: tuple[str, ...]
+    columns: tuple[str, ...]
+    """One channel of each place, to find it in a solution."""
+    readings: tuple[Array, ...]
+    """By place, averages or every sensor (rows, series). [°C]"""
+    weights: tuple[Array, ...]
+    """By place: one over the sensors' scatter, 0 where nothing counts (rows, series). [1/K]"""
+    own_offsets: bool
+    """Whether each series has an offset of its own."""
+
+    @property
+    def limits(self) -> tuple[Array, Array]:
+        """The press file's limits, as logarithms."""
+        tables = [self.case.press.coefficient(n) for n in self.names]
+        return np.log([t.lower for t in tables]) - 1e-9, np.log([t.upper for t in tables]) + 1e-9
 
     def solution(self, x: Array, *, derive: bool) -> tuple[Array, Array]:
         """Temperature of each place (rows, places), and its derivatives by ln h."""
-        values = {n: self.model.press.coefficient(n).guess for n in self.model.press.coefficient_names}
+        press = self.case.press
+        values = {n: press.coefficient(n).guess for n in press.coefficient_names}
         values |= {n: float(np.exp(v)) for n, v in zip(self.names, x, strict=True)}
         found = self.model.solve(self.case, values, self.names if derive else ())
-        columns = [found.columns.index(p.columns[0]) for p in self.signals.places]
+        columns = [found.columns.index(c) for c in self.columns]
         slopes = [found.d_sensors[n][:, columns] * values[n] for n in self.names] if derive else []
         return found.sensors[:, columns], np.stack(slopes, axis=-1) if derive else np.zeros(0)
 
     def residuals(self, predicted: Array) -> Array:
         """Weighted residuals, one long row."""
         parts = []
-        for i, place in enumerate(self.signals.places):
-            if self.every:
-                cells = np.stack([self.signals.cells[c] for c in place.columns], axis=1)
-                difference = cells - predicted[:, [i]]
-                difference = difference - np.nanmean(difference, axis=0)
-                parts.append(np.nan_to_num(difference).ravel() / 0.3)
-            else:
-                parts.append(np.nan_to_num(place.mean - predicted[:, i]) / _scatter(self.signals, i))
+        for i, (read, weight) in enumerate(zip(self.readings, self.weights, strict=True)):
+            parts.append((weight * self._centred(read - predicted[:, [i]], weight)).ravel())
         return np.concatenate(parts)
 
     def jacobian(self, slopes: Array) -> Array:
         """Derivatives of `residuals`."""
         parts = []
-        for i, place in enumerate(self.signals.places):
-            d = slopes[:, i]
-            if self.every:
-                wide = np.repeat((d - d.mean(axis=0))[:, None, :], len(place.columns), axis=1)
-                parts.append(-wide.reshape(-1, d.shape[1]) / 0.3)
-            else:
-                parts.append(
-                    -np.where(np.isfinite(place.mean)[:, None], d, 0.0) / _scatter(self.signals, i)[:, None]
-                )
+        for i, weight in enumerate(self.weights):
+            derived = [
+                weight * self._centred(np.broadcast_to(d[:, None], weight.shape), weight) for d in slopes[:, i].T
+            ]
+            parts.append(-np.stack([d.ravel() for d in derived], axis=-1))
         return np.concatenate(parts)
 
+    def rmse(self, x: Array) -> float:
+        """Root mean square of the unweighted residuals at a point. [K]"""
+        weight = np.concatenate([w.ravel() for w in self.weights])
+        residual = self.residuals(self.solution(x, derive=False)[0])
+        return float(np.sqrt(np.mean((residual[weight > 0] / weight[weight > 0]) ** 2)))
 
-def _scatter(signals: Signals, i: int) -> Array:
-    """Standard deviation over a place's sensors in each row, at least 0.1 K. [K]"""
-    cells = np.stack([signals.cells[c] for c in signals.places[i].columns], axis=1)
+    def _centred(self, series: Array, weight: Array) -> Array:
+        """Take each series' weighted mean away where it has an offset of its own."""
+        if not self.own_offsets:
+            return series
+        square = weight * weight
+        return np.asarray(series - (square * series).sum(axis=0) / np.maximum(square.sum(axis=0), 1e-12))
+
+
+def scatter_of(cells: Array, *, own_offsets: bool) -> Array:
+    """Return the standard deviation over a place's sensors in each row, at least `LEAST_SCATTER_K`. [K]
+
+    Parameters
+    ----------
+    cells
+        Readings (rows, sensors), NaN where missing. [°C]
+    own_offsets
+        Whether each sensor's constant departure from the mean of its face is taken away first.
+    """
     good = np.isfinite(cells)
     count = np.maximum(good.sum(axis=1), 1)
-    mean = np.where(good, cells, 0.0).sum(axis=1) / count
-    squares = (np.where(good, cells - mean[:, None], 0.0) ** 2).sum(axis=1) / count
-    return np.asarray(np.maximum(np.sqrt(squares), 0.1))
+    apart = np.where(good, cells - (np.where(good, cells, 0.0).sum(axis=1) / count)[:, None], 0.0)
+    if own_offsets:
+        apart = np.where(good, apart - apart.sum(axis=0) / np.maximum(good.sum(axis=0), 1), 0.0)
+    return np.asarray(np.maximum(np.sqrt((apart**2).sum(axis=1) / count), LEAST_SCATTER_K))
 
 
 def fit_as_paper(
@@ -120,12 +148,14 @@ def fit_as_paper(
     begun = time.perf_counter()
     problem = _prepare(model, run, moments, every)
     guesses = {**model.guesses, **(start or {})}
-    x = np.log([guesses[n] for n in problem.names])
+    low, high = problem.limits
+    x = np.clip(np.log([guesses[n] for n in problem.names]), low, high)
     count, converged = 0, True
     if method != "least_squares":
         rough = minimize(
             lambda v: float(np.sum(problem.residuals(problem.solution(v, derive=False)[0]) ** 2)),
-            x, method="Nelder-Mead", options={"xatol": STOP, "fatol": 1e-3, "maxfev": 1200},
+            x, method="Nelder-Mead", bounds=list(zip(low, high, strict=True)),
+            options={"xatol": STOP, "fatol": 1e-3, "maxfev": 1200},
         )  # fmt: skip
         x, count, converged = rough.x, int(rough.nfev), bool(rough.success)
     if method != "nelder_mead":
@@ -133,19 +163,14 @@ def fit_as_paper(
             lambda v: problem.residuals(problem.solution(v, derive=False)[0]),
             x,
             jac=lambda v: problem.jacobian(problem.solution(v, derive=True)[1]),
+            bounds=(low, high),
             xtol=STOP,
         )
         x, converged = polished.x, bool(polished.success)
         count += int(polished.nfev + polished.njev)
-    final = problem.residuals(problem.solution(x, derive=False)[0])
-    scale = (
-        0.3
-        if every
-        else np.concatenate([_scatter(problem.signals, i) for i in range(len(problem.signals.places))])
-    )
     return PaperFit(
         {n: float(np.exp(v)) for n, v in zip(problem.names, x, strict=True)},
-        float(np.sqrt(np.mean((final * scale) ** 2))),
+        problem.rmse(x),
         converged,
         count,
         time.perf_counter() - begun,
@@ -154,8 +179,24 @@ def fit_as_paper(
 
 def _prepare(model: ThermalModel, run: Run, moments: Moments, every: bool) -> _Fit:
     case = model.prepare(run, moments)
-    names = tuple(n for n in model.press.coefficient_names if not model.press.coefficient(n).fixed)
-    return _Fit(model, case, collect_signals(case.press, run, moments), names, every)
+    press = case.press
+    names = tuple(n for n in press.coefficient_names if not press.coefficient(n).fixed)
+    signals = collect_signals(press, run, moments)
+    if not names or not signals.places:
+        raise InputError(
+            f"{run.source or run.name}: nothing to fit: no free coefficient or no usable sensor column"
+        )
+    counted = rows_with_panel(case)[:, None] > 0
+    readings, weights = [], []
+    for place in signals.places:
+        cells = np.stack([signals.cells[c] for c in place.columns], axis=1)
+        series = cells if every else place.mean[:, None]
+        used = counted & np.isfinite(series)
+        readings.append(np.where(used, series, 0.0))
+        weights.append(used / scatter_of(cells, own_offsets=every)[:, None])
+    labels = tuple(p.label for p in signals.places)
+    columns = tuple(p.columns[0] for p in signals.places)
+    return _Fit(model, case, names, labels, columns, tuple(readings), tuple(weights), every)
 
 
 @dataclass(frozen=True)
@@ -188,6 +229,36 @@ class Reproduction:
     """Cost over its minimum, per residual."""
 
     @property
+    def slope_changes(self) -> tuple[int, int]:
+        """How often the cost's slope changes sign along the coefficient: adaptive solver, exact solver."""
+        rough, smooth = (int(np.sum(np.diff(np.sign(np.diff(y))) != 0)) for y in (self.adaptive, self.exact))
+        return rough, smooth
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the content of ``fit --reproduce-paper --json``."""
+        return {
+            "table": [
+                {
+                    "solver": c.solver,
+                    "slopes": c.slopes,
+                    "converged": c.converged,
+                    "runs": c.runs,
+                    "seconds": c.seconds,
+                    "solves": c.evaluations,
+                    "error": float(np.exp(c.error) - 1.0),
+                }
+                for c in self.table
+            ],
+            "cost_along": {
+                "coefficient": self.coefficient,
+                "relative": self.relative.tolist(),
+                "adaptive": self.adaptive.tolist(),
+                "exact": self.exact.tolist(),
+                "slope_changes": {"adaptive": self.slope_changes[0], "exact": self.slope_changes[1]},
+            },
+        }
+
+    @property
     def lines(self) -> list[str]:
         """The table as text."""
         rows = [f"{'solver':<10}{'slopes':<22}{'converged':>10}{'time [s]':>10}{'solves':>9}{'error':>9}"]
@@ -197,7 +268,7 @@ class Reproduction:
                 f"{c.solver:<10}{c.slopes:<22}{f'{c.converged} of {c.runs}':>10}"
                 f"{c.seconds:>10.2f}{c.evaluations:>9.0f}{error:>9}"
             )
-        turns = [int(np.sum(np.diff(np.sign(np.diff(y))) != 0)) for y in (self.adaptive, self.exact)]
+        turns = self.slope_changes
         span = 100 * float(self.relative[-1] - 1.0)
         rows.append(
             f"Cost along {self.coefficient} within ±{span:.1g} %: the slope changes sign "
@@ -228,7 +299,7 @@ def reproduce(
     for number, (run, moments, truth) in enumerate(measurements, start=1):
         problem = _prepare(model, run, moments, every=False)
         start = np.log([truth[n] for n in problem.names]) + rng.uniform(-np.log(3), np.log(3), len(problem.names))
-        lines = lines_of(model, problem.case, problem.names, tuple(p.label for p in problem.signals.places))
+        lines = lines_of(model, problem.case, problem.names, problem.labels)
         for solver in ("adaptive", "exact"):
             for slopes in ("finite differences", "exact sensitivities"):
                 outcome = _search(problem, lines if solver == "adaptive" else None, slopes, start)

@@ -9,26 +9,39 @@ from typing import Any
 import numpy as np
 from jinja2 import Environment, PackageLoader, select_autoescape
 
-from softsensor.campaign import CampaignFit
+from softsensor.campaign import CampaignFit, joint_interval
+from softsensor.dependence import Program
 from softsensor.figures import (
     coefficients_figure,
-    correlation_figure,
     normalised_figure,
-    plain,
     roughness_figure,
     run_figure,
+    strongest,
     svg,
 )
-from softsensor.fit_result import RunFit
+from softsensor.fit_result import RunFit, plain
 from softsensor.paper import Reproduction
+from softsensor.report_runs import details_of
 
 TEMPLATE = "fit_report.html"
+METHOD_WORDS = {
+    "least_squares": "gradient least squares",
+    "nelder_mead": "Nelder-Mead",
+    "nelder_mead_then_least_squares": "Nelder-Mead followed by weighted least squares",
+}
+"""The paper's procedures as a page names them."""
 STEPS = {"platen_temperature_C": 10.0, "pressure_N_cm2": 10.0, "press_time_s": 10.0}
 """Steps of the settings for which the page gives a change."""
 
 
-def fit_report(campaign: CampaignFit) -> str:
-    """Return the page as HTML text; it needs no other file."""
+def fit_report(campaign: CampaignFit, program: Program | None = None) -> str:
+    """Return the page as HTML text; it needs no other file.
+
+    Parameters
+    ----------
+    program
+        A press program never run, whose predicted coefficients the page shows too.
+    """
     pages = Environment(
         loader=PackageLoader("softsensor", "templates"), autoescape=select_autoescape(), trim_blocks=True
     )
@@ -44,8 +57,15 @@ def fit_report(campaign: CampaignFit) -> str:
         coefficients_svg=svg(coefficients_figure(campaign)),
         normalised_svg=svg(normalised_figure(campaign)) if len(campaign.runs) > 1 else "",
         run_figures=[(title, svg(run_figure(f))) for title, f in shown],
-        correlation_svg=svg(correlation_figure(shown[0][1])),
+        together=together(shown[0][1]),
         dependence=list(_dependence(campaign)),
+        program=_program(program),
+        details=[details_of(f, shapes) for f, shapes in zip(campaign.runs, campaign.profiles, strict=True)],
+        joint=list(_joint(campaign)),
+        shared=", ".join(campaign.shared),
+        priors=[f"{n}: {p.median:g} W/m²K, times or over {p.factor:g}" for n, p in campaign.press.priors.items()],
+        method=METHOD_WORDS.get(campaign.method.partition(":")[0], ""),
+        averages=campaign.method.endswith(":averages"),
     )
 
 
@@ -58,9 +78,12 @@ def finding(campaign: CampaignFit) -> str:
     rest = [n for n in names if n not in known]
     runs = "one run" if len(campaign.runs) == 1 else f"{len(campaign.runs)} runs"
     text = (
-        f"Fitted to {runs}, the simulation meets the sensors to {np.median(rmse):.2f} K (median; "
-        f"{np.median(first):.1f} K at the press file's guesses). "
+        f"Fitted to {runs}, the simulation meets the sensors to {np.median(rmse):.2f} K "
+        f"({'' if len(rmse) == 1 else 'median; '}{np.median(first):.1f} K at the press file's guesses). "
     )
+    if len(rmse) == 1:
+        text += f"Known from it: {', '.join(known) or 'none of the coefficients'}."
+        return text + (f" Not known: {', '.join(rest)}." if rest else "")
     text += f"Known from these runs: {', '.join(known) or 'none of the coefficients'}."
     return text + (f" Not from every run: {', '.join(rest)}." if rest else "")
 
@@ -68,7 +91,7 @@ def finding(campaign: CampaignFit) -> str:
 def _typical_and_worst(campaign: CampaignFit) -> list[tuple[str, RunFit]]:
     ordered = sorted(campaign.runs, key=lambda f: f.rmse_K)
     typical = ordered[len(ordered) // 2]
-    shown = [("A typical run", typical)]
+    shown = [("A typical run" if len(ordered) > 1 else "The run", typical)]
     if ordered[-1] is not typical:
         shown.append(("The run met worst", ordered[-1]))
     return shown
@@ -78,14 +101,42 @@ def _rows(campaign: CampaignFit) -> Iterator[dict[str, Any]]:
     for name, c in campaign.coefficients.items():
         yield {
             "name": name,
-            "mean": plain(c.mean, 4),
+            "mean": plain(c.mean, 4) if c.runs else "–",
             "sd": plain(c.sd, 2) if np.isfinite(c.sd) else "–",
-            "ci": f"{plain(c.ci95[0], 4)} – {plain(c.ci95[1], 4)}",
-            "bootstrap": f"{plain(c.bootstrap95[0], 4)} – {plain(c.bootstrap95[1], 4)}",
+            "ci": _span(c.ci95) if c.runs else "–",
+            "bootstrap": _span(c.bootstrap95) if c.runs else "–",
             "runs": f"{c.runs} of {len(campaign.runs)}",
             "median": plain(c.median, 4),
-            "spread": f"{100 * c.spread:.0f} %",
+            "median_ci": _span(c.median_ci95),
+            "spread": "shared" if name in campaign.shared else f"{100 * c.spread:.0f} %",
         }
+
+
+def _span(ends: tuple[float, float]) -> str:
+    return f"{plain(ends[0], 4)} – {plain(ends[1], 4)}"
+
+
+def _joint(campaign: CampaignFit) -> Iterator[dict[str, Any]]:
+    """By run: every coefficient with what it borrows, marked where it is much better known than alone."""
+    for f in campaign.runs:
+        cells = []
+        for name, e in campaign.borrowed[f.run].items():
+            low, high = joint_interval(e)
+            alone = f.coefficients[name]
+            better = alone.ci95[1] / alone.ci95[0] > (high / low) ** 1.5
+            text = f"{plain(e.value, 4)} ± {50.0 * (high - low) / e.value:.0f} %"
+            cells.append({"text": text, "sure": better or not alone.identifiable})
+        yield {"run": f.run, "cells": cells}
+
+
+def _program(program: Program | None) -> dict[str, Any] | None:
+    if program is None:
+        return None
+    rows = [
+        {"name": n, "value": plain(e.value, 4), "ci": _span(program.interval(n))}
+        for n, e in program.coefficients.items()
+    ]
+    return {"title": program.lines[0].removesuffix(":"), "rows": rows, "remarks": program.remarks}
 
 
 def _run_row(f: RunFit) -> dict[str, Any]:
@@ -117,6 +168,12 @@ def _unknown(campaign: CampaignFit) -> list[dict[str, str]]:
             common = Counter(reasons).most_common(1)[0][0]
             found.append({"name": name, "count": f"{len(reasons)} of {len(campaign.runs)}", "reason": common})
     return found
+
+
+def together(fitted: RunFit) -> str:
+    """Say which coefficient moves most with another unknown in a run."""
+    i, j, value = strongest(fitted)
+    return f"In {fitted.run} {fitted.names[i]} moves most with {fitted.names[j]} (correlation {value:+.2f})."
 
 
 def _is_verdict(fitted: RunFit, warning: str) -> bool:

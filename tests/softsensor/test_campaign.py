@@ -13,7 +13,7 @@ from daq.simulated.campaign_sensors import Nuisances
 from daq.simulated.physics_mesh import Plates
 from softsensor.campaign import fit_campaign
 from softsensor.campaign_joint import Knowledge, population
-from softsensor.dependence import fit_dependence
+from softsensor.dependence import Dependence, _regress, fit_dependence
 from softsensor.modelfile import parse_model
 
 PRESS = parse_press(press_toml())
@@ -86,7 +86,8 @@ def test_run_that_knows_nothing_takes_the_population():
     found = population(("h",), [*known, blind])
     mean, covariance = found.members[-1]
     assert mean[0] == pytest.approx(1.0, abs=0.01)
-    assert np.sqrt(covariance[0, 0]) == pytest.approx(found.spread[0], rel=0.05)
+    expected = found.spread[0] ** 2 + found.mean_covariance[0, 0]
+    assert covariance[0, 0] == pytest.approx(expected, rel=0.05)
     assert found.mean[0] == pytest.approx(1.0, abs=0.01)
 
 
@@ -158,3 +159,20 @@ def test_what_no_run_can_tell_stays_within_the_limits_of_the_press_file():
         assert table.lower <= c.ci95[0] <= c.mean <= c.ci95[1] <= table.upper
         assert table.lower <= model.coefficients[name].value <= table.upper
     assert found.coefficients["h_pp_c"].runs == 0
+
+
+def test_interval_of_a_program_holds_what_it_says_with_few_runs():
+    rng = np.random.default_rng(3)
+    inside = []
+    for _ in range(400):
+        x = np.column_stack([np.ones(8), *(rng.uniform(-1.7, 1.7, (2, 8)))])
+        beta, covariance, spread = _regress(x, rng.normal(0.0, 0.2, 8), np.full(8, 1e4))
+        zero, one = np.zeros(2), np.ones(2)
+        told = Dependence(
+            ("h",), ("pressure_N_cm2", "press_time_s"), zero, one, beta[None], covariance[None],
+            np.array([spread]), -2 * one, 2 * one, 8,
+        )  # fmt: skip
+        program = dict(zip(told.settings, rng.uniform(-1.0, 1.0, 2), strict=True))
+        low, high = told.program(program).interval("h")
+        inside.append(np.log(low) < rng.normal(0.0, 0.2) < np.log(high))
+    assert 0.92 < np.mean(inside) < 0.98

@@ -1,4 +1,4 @@
-"""Runs that share unknowns."""
+"""Runs fitted together: what a badly determined run borrows, and coefficients all runs share."""
 
 from dataclasses import replace
 
@@ -6,41 +6,115 @@ import numpy as np
 import pytest
 
 from daq.pressfile import parse_press
+from daq.records import InputError
 from daq.simulated.campaign import Plan, make_campaign
 from daq.simulated.campaign_pressfile import press_toml
-from softsensor.fit import fit_run
-from softsensor.fit_joint import fit_shared, minimise_together
+from daq.simulated.campaign_sensors import Nuisances
+from softsensor.campaign import fit_campaign, fit_runs
+from softsensor.fit_joint import fit_together
 from softsensor.fit_problem import minimise
 from softsensor.model import ThermalModel
 
 PRESS = parse_press(press_toml())
-PLAN = Plan(rate_hz=1.0, thickness_mm=(8.0, 16.0), effect_spread=0.0, press_time_s=(40.0, 60.0))
+NAMES = PRESS.coefficient_names
+PLAN = Plan(
+    rate_hz=1.0, thickness_mm=16.0, press_time_s=(20.0, 30.0), open_after_s=(30.0, 40.0), start_before_s=0.0
+)
 
 
-def test_edge_loss_shared_by_three_runs_is_recovered():
-    campaign = make_campaign(9, 3, {"edge_loss": {"W_m3K": 1500.0}}, PLAN)
-    model = ThermalModel.of(PRESS, ["edge_loss"])
-    runs = [(run, truth.moments) for run, truth in campaign]
-    table, found = fit_shared(model, runs, ["edge_loss.W_m3K"], start={"edge_loss.W_m3K": 300.0})
-    edge = table["edge_loss.W_m3K"]
-    assert found.converged
-    assert abs(edge.value - 1500.0) < 3.0 * edge.sd + 150.0
+def _until(run, end_s):
+    keep = run.time_s <= end_s
+    return replace(run, time_s=run.time_s[keep], columns={c: v[keep] for c, v in run.columns.items()})
 
 
-def test_joint_search_over_one_run_ends_where_its_own_search_ends():
-    run, truth = make_campaign(9, 1, plan=PLAN)[0]
-    problem = fit_run(ThermalModel(PRESS), run, truth.moments, verdicts=False).problem
-    alone = minimise(problem)
-    together = minimise_together([problem], ["h_pp_c", "h_wa"], decrease=1e-4)
-    i = [problem.names.index(n) for n in ("h_pp_c", "h_wa")]
-    assert together.x == pytest.approx(alone.x[i], abs=3e-3)
-    assert np.sqrt(np.diag(together.covariance)) == pytest.approx(np.sqrt(np.diag(alone.covariance))[i], rel=0.02)
+@pytest.fixture(scope="module")
+def cut_short():
+    """Five runs; the log of the last one ends a second after closing."""
+    campaign = make_campaign(19, 5, plan=replace(PLAN, coefficient_spread=0.12, nuisances=Nuisances.real_chain()))
+    runs = [run for run, _ in campaign]
+    runs[-1] = _until(runs[-1], campaign[-1][1].moments.closed_s + 1.2)
+    return campaign, fit_campaign(PRESS, runs)
 
 
-def test_twice_the_runs_know_a_shared_coefficient_better():
-    campaign = make_campaign(12, 2, plan=replace(PLAN, coefficient_spread=0.0))
-    runs = [(run, truth.moments) for run, truth in campaign]
-    model = ThermalModel(PRESS)
-    one, _ = fit_shared(model, runs[:1], ["h_ap"])
-    two, _ = fit_shared(model, runs, ["h_ap"])
-    assert two["h_ap"].sd / two["h_ap"].value < one["h_ap"].sd / one["h_ap"].value
+def test_run_that_ends_at_closing_borrows_what_it_cannot_know(cut_short):
+    campaign, found = cut_short
+    alone, truth = found.runs[-1].coefficients, campaign[-1][1].coefficients
+    for name in ("h_p_c", "h_wa"):
+        assert not alone[name].identifiable, name
+        joint = found.borrowed[found.runs[-1].run][name]
+        assert abs(np.log(joint.value / truth[name])) < 3.0 * joint.sd / joint.value, name
+        assert joint.sd / joint.value < 0.5, name
+        assert np.log(alone[name].ci95[1] / alone[name].ci95[0]) > 4.0 * joint.sd / joint.value, name
+
+
+def test_runs_that_know_a_coefficient_hardly_move_when_fitted_together(cut_short):
+    _, found = cut_short
+    for fitted in found.runs[:-1]:
+        own, joint = fitted.coefficients["h_pp_o"], found.borrowed[fitted.run]["h_pp_o"]
+        assert abs(np.log(joint.value / own.value)) < own.log_sd
+
+
+def test_every_run_stands_where_its_own_search_with_the_others_as_prior_ends(cut_short):
+    _, found = cut_short
+    people = found.population
+    for fitted, (mean, _) in zip(found.runs, people.members, strict=True):
+        unknowns = tuple(
+            replace(u, mean=people.mean[i], sd=people.spread[i] / fitted.spread)
+            for i, u in enumerate(fitted.problem.unknowns[: len(NAMES)])
+        )
+        assert fitted.problem.names[: len(NAMES)] == NAMES
+        problem = replace(fitted.problem, unknowns=(*unknowns, *fitted.problem.unknowns[len(NAMES) :]))
+        ended = minimise(problem, max_evaluations=60, decrease=1e-4).x[: len(NAMES)]
+        assert ended == pytest.approx(mean, abs=0.1)
+
+
+def test_shared_coefficient_is_one_value_known_better_than_by_any_run():
+    campaign = make_campaign(12, 3, plan=replace(PLAN, coefficient_spread=0.0))
+    runs = [run for run, _ in campaign]
+    found = fit_campaign(PRESS, runs, shared=["h_ap", "h_p_o"])
+    for name in ("h_ap", "h_p_o"):
+        values = [found.borrowed[run.name][name].value for run in runs]
+        assert max(values) / min(values) < 1.001
+        c, truth = found.coefficients[name], campaign[0][1].coefficients[name]
+        assert c.median_ci95[0] < truth < c.median_ci95[1]
+        half = np.log(c.median_ci95[1] / c.median_ci95[0]) / 2.0
+        for fitted in found.runs:
+            one = fitted.coefficients[name]
+            assert half < np.log(one.ci95[1] / one.ci95[0])
+    content = found.as_json()["campaign"]
+    assert content["h_ap"]["shared"]
+    assert not content["h_pp_c"]["shared"]
+
+
+def test_shared_name_that_is_no_coefficient_is_refused():
+    run, _ = make_campaign(12, 1, plan=PLAN)[0]
+    with pytest.raises(InputError, match="shared coefficient 'h_x': must be one of h_p_o"):
+        fit_campaign(PRESS, [run], shared=["h_x"])
+
+
+def test_prior_of_the_press_file_counts_once_however_many_runs_there_are():
+    """Runs that never close say nothing about the closed contact: only the prior speaks, and only once."""
+    text = press_toml() + "\n[priors.h_pp_c]\nmedian = 900.0\nfactor = 1.5\n"
+    press = parse_press(text)
+    campaign = make_campaign(5, 3, plan=replace(PLAN, closed_column=True, open_before_s=(12.0, 15.0)))
+    runs = [_until(run, truth.moments.closed_s - 1.5) for run, truth in campaign]
+    fits = fit_runs(ThermalModel(press), runs)
+    assert all(f.coefficients["h_pp_c"].verdict == "not identifiable" for f in fits)
+    assert all(f.coefficients["h_pp_c"].value == pytest.approx(900.0, rel=0.05) for f in fits)
+    people = fit_together(fits, NAMES, known={"h_pp_c": (900.0, float(np.log(1.5)))})
+    i = NAMES.index("h_pp_c")
+    assert np.exp(people.mean[i]) == pytest.approx(900.0, rel=0.05)
+    assert np.sqrt(people.mean_covariance[i, i]) == pytest.approx(np.log(1.5), rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("table", "says"),
+    [
+        ("[priors.h_x]\nmedian = 5.0\nfactor = 2.0\n", "priors.h_x: no such coefficient"),
+        ("[priors.h_wa]\nmedian = 5000.0\nfactor = 2.0\n", "outside the coefficient's limits 1..200"),
+        ("[priors.h_wa]\nmedian = 14.0\nfactor = 0.9\n", "priors.h_wa.factor = 0.9"),
+    ],
+)
+def test_wrong_prior_is_refused_by_name_value_and_limit(table, says):
+    with pytest.raises(InputError, match=says):
+        parse_press(f"{press_toml()}\n{table}")

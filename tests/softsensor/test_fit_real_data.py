@@ -55,6 +55,8 @@ def test_inert_board_is_met_with_the_heat_capacity_of_its_data_sheet():
     run = read_foreign(folder / "Black-Insulation_q50_Temp.csv", mapped)
     press = read_press(ROOT / "deploy/presses/inert_board.toml")
     model = ThermalModel(press)
+    assert press.layer[0].heat_capacity_J_kgK == pytest.approx(DATA_SHEET_HEAT_CAPACITY, rel=0.05)
+    assert fit_run(model, run, moments_of(run, press)).rmse_K <= 3.5
 
     def error(heat_capacity):
         given = replace(run, header={**run.header, "layer.board.heat_capacity_J_kgK": float(heat_capacity)})

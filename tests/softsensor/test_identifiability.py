@@ -80,8 +80,58 @@ def test_what_only_a_prior_says_is_not_called_identified(measured):
 def test_profile_rises_on_both_sides_of_an_identifiable_coefficient(measured):
     run, truth = measured
     fitted = fit_run(MODEL, run, truth.moments)
-    values, rise = profile(fitted, "h_pp_c", points=5)
-    assert np.all(np.diff(values) > 0)
-    assert rise[0] > 2.0
-    assert rise[-1] > 2.0
-    assert rise[2] < 0.2
+    shape = profile(fitted, "h_pp_c")
+    assert np.all(np.diff(shape.value) > 0)
+    assert shape.value[2] == pytest.approx(fitted.coefficients["h_pp_c"].value)
+    assert shape.rise[0] > shape.threshold
+    assert shape.rise[-1] > shape.threshold
+    assert shape.rise[2] == 0.0
+    assert np.all(np.diff(np.sign(np.diff(shape.rise))) >= 0)
+
+
+def test_value_at_a_limit_has_no_standard_deviation_and_a_one_sided_interval():
+    text = press_toml().replace(
+        "guess = 12.0\nlower = 1.0\nupper = 200.0", "guess = 4.0\nlower = 1.0\nupper = 6.0"
+    )
+    press = parse_press(text)
+    run, truth = make_campaign(11, 1, plan=PLAN)[0]
+    fitted = fit_run(ThermalModel(press), run, truth.moments)
+    c = fitted.coefficients["h_wa"]
+    assert truth.coefficients["h_wa"] > 6.0
+    assert c.value == pytest.approx(6.0)
+    assert np.isnan(c.sd)
+    assert fitted.as_json()["coefficients"]["h_wa"]["sd"] is None
+    assert c.ci95[1] == pytest.approx(6.0)
+    assert c.verdict != "identifiable"
+
+
+def test_remedy_speaks_of_the_run_at_hand(measured):
+    run, truth = measured
+    short = fit_run(MODEL, _until(run, truth.moments.opened_s + 6.0), truth.moments, priors={"h_ap": (10.0, 2.0)})
+    reason = short.coefficients["h_ap"].reason
+    assert not short.coefficients["h_ap"].identifiable
+    assert "6 s after opening here" in reason
+    assert "Log on for a minute after opening" in reason or "thermocouple" in reason or "instead of" in reason
+
+
+def test_override_of_a_limit_in_the_header_reaches_the_fit(measured):
+    run, truth = measured
+    held = replace(run, header={**run.header, "coefficients.h_ap.fixed": True, "coefficients.h_ap.guess": 11.0})
+    c = fit_run(MODEL, held, truth.moments).coefficients["h_ap"]
+    assert c.verdict == "fixed"
+    assert c.value == 11.0
+
+
+@pytest.mark.parametrize("moment", ["closed_s", "opened_s"])
+def test_moment_in_a_gap_is_searched_there_and_said(measured, moment):
+    run, truth = measured
+    at = getattr(truth.moments, moment)
+    keep = (run.time_s < at - 3.0) | (run.time_s > at + 6.0)
+    gap = replace(run, time_s=run.time_s[keep], columns={c: v[keep] for c, v in run.columns.items()})
+    late = float(gap.time_s[gap.time_s > at][0])
+    fitted = fit_run(MODEL, gap, replace(truth.moments, **{moment: late}))
+    assert abs(getattr(fitted, moment) - at) < 1.0
+    assert any("no rows from" in w for w in fitted.warnings)
+    for name in ("h_pp_c", "h_pp_o"):
+        c = fitted.coefficients[name]
+        assert abs(np.log(c.value / truth.coefficients[name])) < 4.0 * c.log_sd, name

@@ -1,5 +1,7 @@
 """The paper's procedures, and its difficulty reproduced on two virtual measurements."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -8,8 +10,11 @@ from daq.records import InputError
 from daq.simulated.campaign import Plan, make_campaign
 from daq.simulated.campaign_pressfile import press_toml
 from daq.simulated.campaign_sensors import Nuisances
+from softsensor.campaign import moments_of
+from softsensor.fit import fit_run
+from softsensor.identifiability import held_against
 from softsensor.model import ThermalModel
-from softsensor.paper import METHODS, fit_as_paper
+from softsensor.paper import METHODS, _prepare, fit_as_paper, scatter_of
 from softsensor.paper_campaign import reproduce_paper
 from softsensor.paper_ode import lines_of
 
@@ -51,6 +56,76 @@ def test_all_of_the_papers_methods_end_at_the_same_coefficients(measured):
         values = [f[name] for f in found]
         assert max(values) / min(values) < 1.02, name
         assert abs(np.log(values[0] / truth.coefficients[name])) < 0.25, name
+
+
+@pytest.mark.parametrize("closed_column", [True, False], ids=["limit switch", "detected"])
+@pytest.mark.parametrize("method", ["least_squares", "nelder_mead_then_least_squares:averages"])
+def test_papers_method_finds_the_contact_with_moments_a_real_run_has(method, closed_column):
+    plan = Plan(rate_hz=1.0, thickness_mm=16.0, press_time_s=(20.0, 25.0), closed_column=closed_column)
+    for run, truth in make_campaign(17, 2, plan=plan):
+        fitted = fit_run(MODEL, run, moments_of(run, MODEL.press), method=method)
+        contact = fitted.coefficients["h_pp_c"]
+        assert fitted.converged
+        assert abs(np.log(contact.value / truth.coefficients["h_pp_c"])) < 0.15
+        assert contact.ci95[0] < contact.value < contact.ci95[1]
+        assert fitted.rmse_K < fitted.initial_rmse_K
+
+
+def test_papers_method_takes_its_verdicts_from_the_run():
+    plan = Plan(rate_hz=2.0, thickness_mm=16.0, open_before_s=(15.0, 20.0), start_before_s=0.0, closed_column=True)
+    run, truth = make_campaign(11, 1, plan=plan)[0]
+    keep = run.time_s < truth.moments.closed_s - 1.0
+    short = replace(run, time_s=run.time_s[keep], columns={n: c[keep] for n, c in run.columns.items()})
+    fitted = fit_run(MODEL, short, moments_of(short, MODEL.press), method="least_squares")
+    assert fitted.coefficients["h_pp_c"].verdict == "not identifiable"
+    assert "while closed" in fitted.coefficients["h_pp_c"].reason
+    assert any(w.startswith("h_pp_c is not identifiable") for w in fitted.warnings)
+    assert fitted.coefficients["h_pp_o"].identifiable
+
+
+def test_search_that_ends_far_from_what_the_run_allows_is_not_called_converged(measured):
+    run, truth = measured
+    own = fit_run(MODEL, run, truth.moments)
+    worse = replace(own, rmse_K=3.0 * own.rmse_K)
+    told = held_against(worse, own)
+    assert not told.converged
+    assert any("stuck" in w and f"{own.rmse_K:.2f} K" in w for w in told.warnings)
+    far = replace(own.coefficients["h_pp_c"], value=5696.0, ci95=(5000.0, 6500.0))
+    told = held_against(replace(own, coefficients={**own.coefficients, "h_pp_c": far}), own)
+    assert any(w.startswith("h_pp_c = 5696 W/m²K lies outside what the run allows") for w in told.warnings)
+
+
+def test_slopes_of_the_papers_residuals_are_those_of_differences(measured):
+    run, truth = measured
+    for every in (False, True):
+        problem = _prepare(MODEL, run, truth.moments, every)
+        x = np.log([truth.coefficients[n] for n in problem.names]) + 0.1
+        jacobian = problem.jacobian(problem.solution(x, derive=True)[1])
+        for i in range(len(x)):
+            step = np.zeros(len(x))
+            step[i] = 1e-4
+            ends = [problem.residuals(problem.solution(x + s * step, derive=False)[0]) for s in (1.0, -1.0)]
+            assert jacobian[:, i] == pytest.approx(
+                (ends[0] - ends[1]) / 2e-4, abs=2e-3 * np.abs(jacobian[:, i]).max()
+            )
+
+
+def test_sensors_that_scatter_weigh_less():
+    rng = np.random.default_rng(3)
+    cells = 100.0 + np.concatenate([rng.normal(0, 0.3, (200, 7)), rng.normal(0, 2.0, (200, 7))])
+    scatter = scatter_of(cells, own_offsets=True)
+    assert np.median(scatter[:200]) == pytest.approx(0.3 * np.sqrt(6 / 7), rel=0.1)
+    assert np.median(scatter[200:]) == pytest.approx(2.0 * np.sqrt(6 / 7), rel=0.1)
+
+
+def test_a_run_the_model_cannot_meet_stays_within_the_limits(measured):
+    """Averages and gradient alone, from guesses far off and without the limits' help, once divided by zero."""
+    run, truth = measured
+    wild = {name: 1.5 for name in MODEL.press.coefficient_names} | {"h_pp_c": 49000.0}
+    found = fit_as_paper(MODEL, run, truth.moments, "least_squares", start=wild)
+    for name, value in found.values.items():
+        table = MODEL.press.coefficient(name)
+        assert 0.999 * table.lower <= value <= 1.001 * table.upper
 
 
 def test_unknown_method_is_refused_with_the_known_ones(measured):
