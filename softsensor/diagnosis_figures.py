@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from daq.records import Array
 from softsensor.diagnosis import Diagnosis
+from softsensor.diagnosis_search import Stage
 from softsensor.figures import COLOURS, INK, MUTED, STYLE
 
 PLAIN, EXTENDED = "#8a94a0", "#c2571a"
@@ -50,7 +51,7 @@ def run_figure(found: Diagnosis) -> Figure:
             ax.set_ylim(-reach, reach)
         axes[0, 0].set_ylabel("temperature [°C]")
         axes[1, 0].set_ylabel("measured − model [K]")
-        axes[0, -1].legend(loc="lower right", fontsize=7.5)
+        figure.legend(*axes[0, -1].get_legend_handles_labels(), loc="outside lower center", ncols=6, fontsize=7.5)
     return figure
 
 
@@ -77,18 +78,21 @@ def _shade(ax: Any, found: Diagnosis, run: int) -> None:
 
 
 def residual_figure(found: Diagnosis) -> Figure:
-    """Residuals of all runs over time since closing: grey before, coloured after; lines are means."""
-    signals = found.stages[0].data[0].digest.signals
+    """Residuals of all runs over time since closing, or since they began: grey before, coloured after."""
+    digests = [white.digest for white in found.stages[0].data]
+    signals = digests[0].signals
+    closes = any(np.isfinite(d.moments.closed_s) for d in digests)
+    span = (-20.0, 160.0) if closes else (0.0, max(float(d.time[-1] - d.time[0]) for d in digests))
     with rc_context(dict(STYLE)):
         figure = Figure(figsize=(10.0, 3.4), layout="constrained")
         axes = figure.subplots(1, len(signals), sharey=True, squeeze=False)[0]
         for ax, signal in zip(axes, signals, strict=True):
             ax.set_title(signal, color=MUTED)
-            _residual_lines(ax, found, 0, signal, PLAIN, "plain model")
+            _residual_lines(ax, found.stages[0], signal, span, (PLAIN, "plain model"))
             if len(found.stages) > 1:
-                _residual_lines(ax, found, -1, signal, EXTENDED, "extended model")
+                _residual_lines(ax, found.final, signal, span, (EXTENDED, "extended model"))
             ax.axhline(0.0, color=INK, lw=0.6)
-            ax.set_xlabel("time since closing [s]")
+            ax.set_xlabel("time since closing [s]" if closes else "time since the beginning [s]")
         axes[0].set_ylabel("measured − model [K]")
         every = np.concatenate([np.abs(r.misfit[np.isfinite(r.misfit)]) for r in found.stages[0].fit.runs])
         reach = 1.2 * max(float(np.percentile(every, 97)), 0.2)
@@ -99,10 +103,11 @@ def residual_figure(found: Diagnosis) -> Figure:
     return figure
 
 
-def _residual_lines(ax: Any, found: Diagnosis, stage: int, signal: str, colour: str, label: str) -> None:
-    grid = np.concatenate([np.arange(-20.0, 0.0, 2.0), np.geomspace(0.5, 160.0, 36)])
+def _residual_lines(ax: Any, stage: Stage, signal: str, span: tuple[float, float], drawn: tuple[str, str]) -> None:
+    colour, label = drawn
+    grid = np.concatenate([np.arange(span[0], 0.0, 2.0), np.geomspace(0.5, span[1], 60)])
     lines: list[Array] = []
-    for white, run in zip(found.stages[stage].data, found.stages[stage].fit.runs, strict=True):
+    for white, run in zip(stage.data, stage.fit.runs, strict=True):
         d = white.digest
         if signal not in d.signals:
             continue
@@ -116,7 +121,7 @@ def _residual_lines(ax: Any, found: Diagnosis, stage: int, signal: str, colour: 
     enough = np.isfinite(table).sum(axis=0) >= max(2, len(table) / 2)
     if enough.any():
         ax.plot(grid[enough], np.nanmean(table[:, enough], axis=0), lw=2.0, color=colour, label=label)
-    ax.set_xlim(-20.0, 160.0)
+    ax.set_xlim(*span)
 
 
 def votes_figure(found: Diagnosis) -> Figure | None:

@@ -11,7 +11,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from daq.records import Array
-from softsensor.diagnosis_search import Candidate, Stage, candidates_for, exchange, extend, large_in, search
+from softsensor.diagnosis_exchange import exchange, fit_alone
+from softsensor.diagnosis_search import (
+    Candidate,
+    Stage,
+    candidates_for,
+    core_errors,
+    extend,
+    search,
+)
 from softsensor.diagnosis_tests import max_t, paired_t
 
 ALPHA = 0.05
@@ -29,15 +37,17 @@ SURE_T = 2.2
 NEAR = 0.5
 """A candidate must reach this share of the best gain to stand in its set."""
 LARGEST_SET = 3
+"""Within a set a cause in the measuring chain that could stand alone comes first: it is settled with least effort,
+bends coefficients most, and leaves the core alone."""
 RIM_EFFECT, RIM_K, RIM_T = "edge_loss", 0.15, 3.0
 """Rim sensors that fall by so much against central ones, and so many standard errors, settle a set for it."""
 MOST_EFFECTS = 3
+AGREE = 0.6
+"""Share of the runs that must gain by a cause with numbers from the others."""
+CORE_RATIO, CORE_K = 1.5, 0.5
+"""Core thermocouples speak against a cause that is off by this factor and so much more than the best one."""
 FEW_STEP, FEW_TOTAL = 0.85, 0.5
 """With few runs each cause brings the held-out residual down to the first share, all together to the second."""
-STRONG, LENIENT = 40.0, 0.2
-"""Runs that differ much in what they can say (thin and thick panels) count as fewer in sign flips. A cause that
-saves so much misfit on runs left out, in two thirds of them, is named up to this p-value."""
-
 Progress = Callable[[str, float], None]
 """Called with what is being done and the share done."""
 
@@ -50,6 +60,17 @@ class Round:
     p_values: dict[str, float]
     chosen: Candidate | None
     set: tuple[str, ...]
+    without: tuple[Candidate | None, ...] = ()
+    """What would have been chosen without each run."""
+    voted: str = ""
+    """What all runs chose, before rim and cores were asked."""
+    refuted: tuple[str, ...] = ()
+    """Causes that the surfaces may like and core thermocouples speak against."""
+
+    @property
+    def name(self) -> str:
+        """Of the chosen cause, empty for none."""
+        return "" if self.chosen is None else self.chosen.effect.name
 
 
 def cool_rim(falls: Array) -> bool:
@@ -68,9 +89,10 @@ def search_all(
 
     `rim_is_cool`: rim sensors fall against central ones.
     """
-    stages, rounds = [base], []
-    for number in range(MOST_EFFECTS):
-        stage = stages[-1]
+    stages, looked_again = [base], False
+    rounds: list[Round] = []
+    while len(rounds) < MOST_EFFECTS:
+        stage, number = stages[-1], len(rounds)
         pool = [
             e
             for e in candidates_for(stage)
@@ -84,63 +106,104 @@ def search_all(
             done["n"] += 1
             tell(f"cause {number + 1}: {name}", 0.05 + 0.28 * (number + min(done["n"] / (size + 6), 1.0)))
 
-        found = _judge(stage, search(stage, pool, note))
-        if rim_is_cool:
-            found = _rim_decides(found)
+        found = _judge(stage, search(stage, pool, note), rim_is_cool)
         rounds.append(found)
         if found.chosen is None:
             break
         stages.append(extend(stage, found.chosen))
-        if number == 1:
-            first = rounds[0]
-            able = [
-                c for c in first.candidates if c.refined and _acceptable(base, c, first.p_values[c.effect.name])
-            ]
-            better = exchange(stages, able)
-            if better is not None:
+        if len(rounds) == 2 and not looked_again:
+            looked_again = True
+            again = _second_look(base, rounds[0], stages[-1], rim_is_cool)
+            if again.chosen is not None and again.name != rounds[0].name:
+                stages, rounds = [base, extend(base, again.chosen)], [again]
+                continue
+            refined = [c for c in again.candidates if c.refined]
+            able = [c for c in refined if _acceptable(base, c, again.p_values[c.effect.name])]
+            if better := exchange(stages, able, SMALLEST_SIZE):
                 stages = better
-                rounds = [_again(rounds[0], stages[1].effects[-1]), found]
-            stages, rounds = _without_shadow(stages, rounds)
+                rounds[0] = _exchanged(again, stages[1].effects[-1])
     return stages, rounds
 
 
-def _without_shadow(stages: list[Stage], rounds: list[Round]) -> tuple[list[Stage], list[Round]]:
-    """Drop a first cause that the second leaves nothing of: it only stood in for it."""
-    model = stages[-1].fit.layout.model
-    first, second = model.effects[0], model.effects[1].name
-    least = LEAST_LOAD if first.needs == "load" else SMALLEST_SIZE
-    alone = next((c for c in rounds[0].candidates if c.refined and c.effect.name == second), None)
-    if alone is None or large_in(stages[-1].fit, first, least):
-        return stages, rounds
-    return [stages[0], extend(stages[0], alone)], [replace(rounds[0], chosen=alone, set=(second,))]
+def _second_look(base: Stage, first: Round, both: Stage, rim_is_cool: bool) -> Round:
+    """Judge the first search again with its second cause fitted alone, from the size it has beside the first.
+
+    Where the plain model is far off, a cause's own fit may not find its way; found second, it shows how far it
+    gets by itself.
+    """
+    second = both.fit.layout.model.effects[-1]
+    better = fit_alone(base, second, both)
+    known = next((c for c in first.candidates if c.effect.name == second.name), None)
+    if known is None or (known.refined and known.gain >= better.gain):
+        return first
+    others = [c for c in first.candidates if c is not known]
+    return _judge(base, sorted([*others, better], key=lambda c: (-c.gain, c.effect.name)), rim_is_cool)
 
 
-def _rim_decides(found: Round) -> Round:
-    """Where the set holds a rim loss and the rim is seen to be cool, it is the rim loss."""
-    rim = next((c for c in found.candidates if c.effect.name == RIM_EFFECT), None)
-    if rim is None or RIM_EFFECT not in found.set:
-        return found
-    return replace(found, chosen=rim, set=(RIM_EFFECT,))
-
-
-def _again(first: Round, name: str) -> Round:
+def _exchanged(first: Round, name: str) -> Round:
     """Return the first round with the cause that a later one proved right."""
     chosen = next(c for c in first.candidates if c.effect.name == name)
-    return replace(first, chosen=chosen, set=(name,))
+    return replace(first, chosen=chosen, set=(name,), refuted=())
 
 
-def _judge(stage: Stage, found: list[Candidate]) -> Round:
-    scores = np.stack([c.score for c in found], axis=1)
-    p = dict(zip([c.effect.name for c in found], max_t(scores).tolist(), strict=True))
-    able = [c for c in found if c.refined and _acceptable(stage, c, p[c.effect.name])]
+def _judge(stage: Stage, found: list[Candidate], rim_is_cool: bool) -> Round:
+    runs = len(stage.data)
+    everyone, before = np.arange(runs), core_errors(stage.fit, stage.data)
+    p = _p_values(found, everyone)
+    if runs < 2:
+        return Round(found, p, None, (), (None,) * runs)
+    chosen = _choose(stage, found, p, everyone)
+    rests = [np.delete(everyone, r) for r in range(runs)]
+    without = [_choose(stage, found, _p_values(found, rest), rest) for rest in rests]
+    if chosen is None:
+        return Round(found, p, None, (), tuple(without))
+    near = [c for c in _rivals(found, chosen) if _not_told_apart(chosen.gains, c.gains)]
+    jury = [chosen, *sorted(near, key=lambda c: -c.gain)[: LARGEST_SET - 1]]
+    jury.sort(key=lambda c: not (c.effect.measuring and _acceptable(stage, c, p[c.effect.name])))
+    rim = [c for c in jury if c.effect.name == RIM_EFFECT]
+    jury = rim if rim and rim_is_cool else jury
+    cores = {c.effect.name: core_errors(c.fit, stage.data) for c in jury}
+    best = min(cores.values(), key=lambda e: float(np.nansum(e**2)))
+    kept = [c for c in jury if not refuted_by_cores(cores[c.effect.name], best)]
+    refuted = [
+        c.effect.name for c in found if c.refined and refuted_by_cores(core_errors(c.fit, stage.data), before)
+    ]
+    refuted += [c.effect.name for c in jury if c not in kept]
+    names = tuple(c.effect.name for c in kept)
+    return Round(found, p, kept[0], names, tuple(without), chosen.effect.name, tuple(refuted))
+
+
+def _p_values(found: Sequence[Candidate], runs: np.ndarray) -> dict[str, float]:
+    scores = np.stack([c.score[runs] for c in found], axis=1)
+    return dict(zip([c.effect.name for c in found], max_t(scores).tolist(), strict=True))
+
+
+def _choose(stage: Stage, found: Sequence[Candidate], p: dict[str, float], runs: np.ndarray) -> Candidate | None:
+    """Return the acceptable cause that saves most, judged by some of the runs only."""
+    some = stage.among(runs)
+    part = [c.among(stage, runs) for c in found if c.refined]
+    able = [c for c in part if _acceptable(some, c, p[c.effect.name])]
     if not able:
-        return Round(found, p, None, ())
-    chosen = max(able, key=lambda c: c.gain)
-    others = [c for c in found if c is not chosen and c.refined and c.gain > NEAR * chosen.gain]
-    others = [c for c in others if c.large_enough(SMALLEST_SIZE / 2) and c.gains.sum() > 0]
-    near = [c for c in others if _not_told_apart(chosen.gains, c.gains)]
-    near = sorted(near, key=lambda c: -c.gain)[: LARGEST_SET - 1]
-    return Round(found, p, chosen, (chosen.effect.name, *(c.effect.name for c in near)))
+        return None
+    best = max(able, key=lambda c: c.gain)
+    return next(c for c in found if c.effect.name == best.effect.name)
+
+
+def _rivals(found: Sequence[Candidate], chosen: Candidate) -> list[Candidate]:
+    near = [c for c in found if c is not chosen and c.refined and c.gain > NEAR * chosen.gain]
+    return [c for c in near if c.large_enough(SMALLEST_SIZE / 2) and c.gains.sum() > 0]
+
+
+def refuted_by_cores(errors: Array, better: Array) -> bool:
+    """Whether core thermocouples, which no fit has seen, speak against a model in every run that has one.
+
+    `errors` and `better`: how far a model and its rival are from them, NaN where none is (runs). [K]
+    """
+    known = np.isfinite(errors)
+    if known.sum() < 2:
+        return False
+    e, b = errors[known], better[known]
+    return bool(((e > CORE_RATIO * b) & (e > b + CORE_K)).all())
 
 
 def _not_told_apart(best: Array, other: Array) -> bool:
@@ -150,17 +213,15 @@ def _not_told_apart(best: Array, other: Array) -> bool:
 
 
 def _acceptable(stage: Stage, candidate: Candidate, p: float) -> bool:
-    runs = len(stage.data)
-    ratio = candidate.heldout_ratio(stage)
     size = LEAST_LOAD if candidate.effect.needs == "load" else SMALLEST_SIZE
-    if not candidate.large_enough(size) or candidate.gains.sum() <= 0:
+    if not candidate.large_enough(size) or candidate.gains.sum() <= 0 or candidate.too_large:
         return False
+    ratio = candidate.heldout_ratio(stage)
     seen = candidate.heldout_gain(stage) >= LEAST_GAIN_K and ratio <= 1 - LEAST_GAIN_SHARE
     if not seen and candidate.effect.needs != "closed":
         return False
-    if runs >= FEW_RUNS:
-        agree = float((candidate.gains > 0).mean())
-        return (p <= ALPHA and agree >= 0.6) or (
-            p <= LENIENT and agree >= 0.66 and float(candidate.gains.sum()) >= STRONG
-        )
-    return runs >= 2 and bool((candidate.gains > 0).all()) and candidate.heldout_ratio(stage) <= FEW_STEP
+    if refuted_by_cores(core_errors(candidate.fit, stage.data), core_errors(stage.fit, stage.data)):
+        return False
+    if len(stage.data) >= FEW_RUNS:
+        return p <= ALPHA and float((candidate.gains > 0).mean()) >= AGREE
+    return bool((candidate.gains > 0).all()) and ratio <= FEW_STEP

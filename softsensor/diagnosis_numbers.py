@@ -15,9 +15,12 @@ from softsensor.diagnosis_search import Stage
 from softsensor.effects import Effect
 from softsensor.evidence import Digest
 from softsensor.extension import CampaignFit, RunState
+from softsensor.extension_layout import is_shape
 
 MODEL_ERROR = 0.03
-"""Laws are simpler than nature: an interval is never narrower than this share of the size."""
+"""Laws are simpler than nature: no standard deviation below this share of the size, or of a shape's range."""
+CLOCK_ERROR_S = 0.04
+"""What no campaign can tell from a clock: skew within a scan, and where in its ramp a switch trips. [s]"""
 
 
 @dataclass(frozen=True)
@@ -70,7 +73,9 @@ def intervals(fit: CampaignFit, effect: Effect) -> dict[str, Interval]:
     for p in effect.parameters:
         i = names.index(effect.key(p.name))
         value = float(fit.theta[i])
-        sd = np.sqrt(max(covariance[i, i], robust[i, i]) + (MODEL_ERROR * (value - p.neutral)) ** 2)
+        law = MODEL_ERROR * (p.upper - p.lower if is_shape(p) else value - p.neutral)
+        law = max(law, CLOCK_ERROR_S) if effect.needs == "closed" else law
+        sd = np.sqrt(max(covariance[i, i], robust[i, i]) + law**2)
         half = quantile * float(sd)
         low, high = max(value - half, p.lower), min(value + half, p.upper)
         found[p.name] = Interval(_short(value), (_short(low), _short(high)))

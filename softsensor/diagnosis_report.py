@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-import numpy as np
 from jinja2 import Environment, PackageLoader, select_autoescape
 
 from softsensor.diagnosis import Diagnosis, Finding
 from softsensor.diagnosis_figures import residual_figure, run_figure, votes_figure
-from softsensor.diagnosis_words import core_cost, sentence
+from softsensor.diagnosis_words import core_sentence, plain, sentence
 from softsensor.effects import find_effect
 from softsensor.figures import svg
 
@@ -38,7 +37,7 @@ def diagnosis_report(found: Diagnosis) -> str:
         runs=len(found.stages[0].data),
         findings=[_finding(f) for f in found.findings],
         where=list(_where(found)),
-        cost=_cost(found),
+        cost=core_sentence(found),
         numbers=list(_numbers(found)),
         noise=f"{found.noise_floor_K:.2f}",
         candidates=[_candidate(c) for c in found.candidates[:8]],
@@ -63,9 +62,9 @@ def _finding(f: Finding) -> dict[str, Any]:
         "parameters": [
             {
                 "name": name,
-                "value": ", ".join(i.value) if isinstance(i.value, tuple) else f"{i.value:.3g}",
+                "value": ", ".join(i.value) if isinstance(i.value, tuple) else plain(i.value),
                 "unit": units.get(name, ""),
-                "between": "" if i.ci95 is None else f"{i.ci95[0]:.3g} to {i.ci95[1]:.3g}",
+                "between": "" if i.ci95 is None else f"{plain(i.ci95[0])} to {plain(i.ci95[1])}",
             }
             for name, i in f.parameters.items()
         ],
@@ -85,24 +84,6 @@ def _where(found: Diagnosis) -> Iterator[dict[str, str]]:
             "time": f"{row['from_s']:g} s – {until}",
             "residual": f"{row['residual_K']:+.2f} K",
         }
-
-
-def _cost(found: Diagnosis) -> str:
-    cost = core_cost(found)
-    if cost is None:
-        return (
-            "No cause was added, so the core estimate stays as it is. The surfaces alone do not prove the core: "
-            "a few sacrificial panels with a core thermocouple would."
-        )
-    hotter = "hotter" if cost.kelvin > 0 else "cooler"
-    text = (
-        f"When the press opens, the core is {abs(cost.kelvin):.1f} K {hotter} than the plain model says "
-        f"(± {cost.kelvin_sd:.1f} K from run to run)."
-    )
-    if np.isfinite(cost.seconds) and abs(cost.kelvin) > 0.2:
-        verb = "longer" if cost.seconds > 0 else "shorter"
-        text += f" For the core the plain model promised, press {abs(cost.seconds):.1f} s {verb} (median run)."
-    return text
 
 
 def _numbers(found: Diagnosis) -> Iterator[dict[str, str]]:

@@ -16,7 +16,16 @@ import numpy as np
 from daq.records import Array
 from softsensor.effects import Effect, catalogue
 from softsensor.evidence import Digest, Noise, Whitened
-from softsensor.extension import CampaignFit, Direction, RunState, direction, fit_campaign_model, held_out
+from softsensor.extension import (
+    LOUDEST,
+    CampaignFit,
+    Direction,
+    RunState,
+    direction,
+    fit_campaign_model,
+    held_out,
+    unstuck,
+)
 from softsensor.extension_layout import Population, free_coefficients, is_shape, lay_out
 from softsensor.model import ThermalModel
 
@@ -36,6 +45,12 @@ NEAR = 0.35
 """Candidates below this share of the best gain after the first rounds are dropped."""
 HOPELESS = 9.0
 """Sum of squares a candidate must promise, or save, to be worth more rounds."""
+LARGEST_SIZE = 5.0
+"""Of a physical effect's typical size; a larger one is something else. A measuring chain has no such limit."""
+LIMIT = 0.01
+"""An amplitude this close to a limit, as a share of its range, has reached it."""
+KEPT = 0.3
+"""A first fit that keeps less of what its secant promised is tried again from the guesses, if it is worth it."""
 KEEP = 5
 """Candidates fitted to convergence, at most."""
 
@@ -62,6 +77,11 @@ class Stage:
         """Names of the effects in the model."""
         return tuple(e.name for e in self.fit.layout.model.effects)
 
+    def among(self, runs: np.ndarray) -> Stage:
+        """Return the stage as some of its runs see it; the campaign's numbers stay."""
+        fit = replace(self.fit, runs=tuple(self.fit.runs[r] for r in runs))
+        return replace(self, fit=fit, data=tuple(self.data[r] for r in runs))
+
 
 @dataclass(frozen=True)
 class Candidate:
@@ -81,9 +101,29 @@ class Candidate:
     score: Array = field(default_factory=lambda: np.zeros(0))
     """Each run's say along the direction at the fitted size (runs)."""
 
+    def among(self, stage: Stage, runs: np.ndarray) -> Candidate:
+        """Return what some of the runs say for it."""
+        saved = sum(stage.fit.runs[r].cost - self.fit.runs[r].cost for r in runs)
+        others = tuple(self.others[r] for r in runs) if self.others else ()
+        fit = replace(self.fit, runs=tuple(self.fit.runs[r] for r in runs))
+        return replace(
+            self, fit=fit, gain=max(saved, 0.0), gains=self.gains[runs], others=others, score=self.score[runs]
+        )
+
     def large_enough(self, share: float) -> bool:
         """Whether some amplitude reaches a share of its typical size."""
         return large_in(self.fit, self.effect, share)
+
+    @property
+    def too_large(self) -> bool:
+        """Whether an amplitude has left what is physical: the data behave like this cause at most."""
+        for p in self.effect.parameters:
+            value, edge = self.fit.values[self.effect.key(p.name)], LIMIT * (p.upper - p.lower)
+            ends = [abs(value - limit) < edge for limit in (p.lower, p.upper) if limit != p.neutral]
+            huge = abs(value - p.neutral) > LARGEST_SIZE * abs(p.typical - p.neutral)
+            if not is_shape(p) and (any(ends) or (huge and not self.effect.measuring)):
+                return True
+        return False
 
     def heldout_ratio(self, stage: Stage) -> float:
         """Held-out misfit over the stage's, root mean square."""
@@ -103,6 +143,16 @@ def large_in(fit: CampaignFit, effect: Effect, share: float) -> bool:
         if not is_shape(p)
     ]
     return max(sizes, default=0.0) >= share
+
+
+def core_errors(fit: CampaignFit, data: Sequence[Whitened]) -> Array:
+    """Return how far a model is from core thermocouples, root mean square; NaN where none is (runs). [K]"""
+    found = np.full(len(data), np.nan)
+    for r, (run, d) in enumerate(zip(fit.runs, data, strict=True)):
+        errors = np.array([v - run.validation[c] for c, v in d.digest.cores.items()])
+        if np.isfinite(errors).any():
+            found[r] = float(np.sqrt(np.nanmean(errors**2)))
+    return found
 
 
 def rms(data: Sequence[Whitened], runs: Sequence[RunState]) -> float:
@@ -129,7 +179,7 @@ def settle(
     fit = fit_campaign_model(lay_out(model, digests, population, start or {}), data, etas, rounds=10)
     population = scatter(fit)
     layout = lay_out(model, digests, population, fit.values)
-    fit = fit_campaign_model(layout, data, [r.eta for r in fit.runs], rounds=6)
+    fit = unstuck(fit_campaign_model(layout, data, [r.eta for r in fit.runs], rounds=6), data)
     return Stage(fit, data, population, noise)
 
 
@@ -170,31 +220,8 @@ def extend(stage: Stage, candidate: Candidate) -> Stage:
     noise = Noise(n.slow * factor, n.fast * factor, n.white * factor)
     data, population = whiten_all(digests, noise), scatter(fit)
     layout = lay_out(fit.layout.model, digests, population, fit.values)
-    return Stage(fit_campaign_model(layout, data, [r.eta for r in fit.runs], rounds=6), data, population, noise)
-
-
-def exchange(stages: Sequence[Stage], first: Sequence[Candidate]) -> list[Stage] | None:
-    """Try others in the place of the first of two causes; None if it stays.
-
-    The first cause was chosen while the second was still unknown.
-    """
-    base, last = stages[0], stages[-1]
-    second = last.fit.layout.model.effects[1]
-    best: tuple[float, Stage, Stage] | None = None
-    for other in [c for c in first if c.refined and c.effect.name not in last.effects][:2]:
-        middle = extend(base, other)
-        middle = _resettled(middle, last)
-        probe = refine(middle, _probe(middle, second, *_best_secant(middle, second), rounds=4))
-        if probe.fit.cost < (best[0] if best else last.fit.cost - 10.0):
-            best = (probe.fit.cost, extend(base, other), Stage(probe.fit, last.data, last.population, last.noise))
-    return None if best is None else [base, best[1], best[2]]
-
-
-def _resettled(stage: Stage, like: Stage) -> Stage:
-    """Fit a stage's model with another's noise and spread, to compare costs."""
-    layout = lay_out(stage.fit.layout.model, [d.digest for d in like.data], like.population, stage.fit.values)
-    fit = fit_campaign_model(layout, like.data, [r.eta for r in stage.fit.runs], rounds=6)
-    return Stage(fit, like.data, like.population, like.noise)
+    fit = unstuck(fit_campaign_model(layout, data, [r.eta for r in fit.runs], rounds=6), data)
+    return Stage(fit, data, population, noise)
 
 
 def candidates_for(stage: Stage) -> list[Effect]:
@@ -228,13 +255,15 @@ def search(stage: Stage, effects: Iterable[Effect], progress: Progress | None = 
     for effect in effects:
         if progress is not None:
             progress(effect.name)
-        size, secant = _best_secant(stage, effect)
+        size, secant = best_secant(stage, effect)
         if secant.gain < HOPELESS and misfit < FAR_OFF and not effect.measuring:
             fit = stage.fit
             zeros = np.zeros(len(stage.data))
             probes.append(Candidate(effect, secant, fit, 0.0, zeros, refined=False, score=secant.says))
         else:
-            probes.append(_probe(stage, effect, size, secant, rounds=3))
+            probes.append(probe(stage, effect, size, secant, rounds=3))
+    most = max(c.gain for c in probes)
+    probes = [_from_guesses(stage, c) if c.direction.gain > max(most, HOPELESS) else c for c in probes]
     probes.sort(key=lambda c: -c.gain)
     best = probes[0].gain
     found = []
@@ -248,14 +277,16 @@ def search(stage: Stage, effects: Iterable[Effect], progress: Progress | None = 
     return sorted(found, key=lambda c: (-c.gain, c.effect.name))
 
 
-def _best_secant(stage: Stage, effect: Effect) -> tuple[float, Direction]:
+def best_secant(stage: Stage, effect: Effect) -> tuple[float, Direction]:
+    """Return the size and sign of an effect whose direction promises most, and the direction."""
     model = stage.fit.layout.model.extended(effect)
     options = [_secant(stage, model, effect, size) for size in _sizes(effect)]
     forward = [o for o in options if o[1].amplitude > 0] or options[:1]
     return max(forward, key=lambda o: o[1].gain)
 
 
-def _probe(stage: Stage, effect: Effect, size: float, secant: Direction, rounds: int) -> Candidate:
+def probe(stage: Stage, effect: Effect, size: float, secant: Direction, rounds: int) -> Candidate:
+    """Fit an effect on top of a stage from where its direction points, a few rounds."""
     model = stage.fit.layout.model.extended(effect)
     amplitude = float(np.clip(secant.amplitude, 0.02, 3.0))
     start = dict(stage.fit.values)
@@ -276,6 +307,27 @@ def _probe(stage: Stage, effect: Effect, size: float, secant: Direction, rounds:
     return Candidate(effect, secant, fit, gain, np.zeros(len(stage.data)), refined=False, score=score)
 
 
+def _from_guesses(stage: Stage, candidate: Candidate) -> Candidate:
+    """Fit again from the press file's guesses where a cause promises more than any fit has kept.
+
+    The plain fit has bent coefficients and moments so far to make up for it that no way leads back.
+    """
+    if candidate.gain > KEPT * candidate.direction.gain:
+        return candidate
+    layout = lay_out(
+        candidate.fit.layout.model, [d.digest for d in stage.data], stage.population, _kept_sizes(stage)
+    )
+    fit = fit_campaign_model(layout, stage.data, rounds=6, tolerance=1.0)
+    if fit.cost >= candidate.fit.cost:
+        return candidate
+    return replace(candidate, fit=fit, gain=max(stage.fit.cost - fit.cost, 0.0))
+
+
+def _kept_sizes(stage: Stage) -> dict[str, float]:
+    """Return the effects a stage has already, at their fitted sizes."""
+    return {key: stage.fit.values[key] for key in stage.fit.layout.effect_names}
+
+
 def switch_scores(stage: Stage) -> Array:
     """Return how far each run's fitted moments lie behind the limit switch, in standard deviations (runs).
 
@@ -288,7 +340,7 @@ def switch_scores(stage: Stage) -> Array:
             (e - u.centre) / u.sd for u, e in zip(unknowns, run.eta, strict=True) if u.name in SWITCHED and told
         ]
         scores.append(sum(rest) / max(len(rest), 1) ** 0.5)
-    return np.array(scores)
+    return np.asarray(np.clip(scores, -LOUDEST, LOUDEST), dtype=float)
 
 
 def _fresh_fits(stage: Stage, model: ThermalModel, effect: Effect, rounds: int) -> Iterator[CampaignFit]:

@@ -365,38 +365,3 @@ class Whitened:
         valid = self.digest.valid
         parts = [np.tensordot(inverse, values[valid[:, i], i], 1) for i, inverse in enumerate(self.inverses)]
         return np.concatenate(parts)
-
-
-def estimate_noise(digests: Sequence[Digest], residuals: Sequence[Array]) -> Noise:
-    """Size the noise by maximum likelihood of the residuals (bins, signals) of all runs.
-
-    Coordinate steps on a grid of standard deviations: few evaluations, and the same answer every time.
-    """
-    best = Noise()
-    score = _likelihood(digests, residuals, best)
-    for factor in (2.0, 2.0, 1.4, 1.4, 1.2):
-        for name in ("slow", "fast", "white"):
-            for direction in (factor, 1.0 / factor):
-                while True:
-                    value = float(np.clip(getattr(best, name) * direction, 0.01, 5.0))
-                    trial = replace(best, **{name: value})
-                    if trial == best:
-                        break
-                    new = _likelihood(digests, residuals, trial)
-                    if new <= score + 0.05:
-                        break
-                    best, score = trial, new
-    return best
-
-
-def _likelihood(digests: Sequence[Digest], residuals: Sequence[Array], noise: Noise) -> float:
-    total = 0.0
-    for digest, residual in zip(digests, residuals, strict=True):
-        for i in range(len(digest.signals)):
-            factor = whitener(digest, noise, i)
-            z = solve_triangular(factor, residual[digest.valid[:, i], i], lower=True, check_finite=False)
-            one = solve_triangular(factor, np.ones(len(z)), lower=True, check_finite=False)
-            z = z - one * (one @ z) / (one @ one)
-            z = np.clip(z, -4.0, 4.0)
-            total -= float(np.log(np.diag(factor)).sum()) + 0.5 * float(z @ z)
-    return total

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -23,6 +23,12 @@ from daq.records import Array
 from softsensor.evidence import Digest, Whitened
 from softsensor.extension_layout import Layout, Unknown, run_values, shared_cost, start_eta
 from softsensor.model import ThermalModel
+
+STUCK = 3.0
+"""A run whose misfit is so many times the usual one may sit in a side valley."""
+LOUDEST = 3.0
+"""Standard deviations a run can say at most: else a few thin panels, which see far more of a cause, drown the rest
+and leave sign flips nothing to count. An odd function of a score keeps the flips exact."""
 
 
 @dataclass(frozen=True)
@@ -185,6 +191,20 @@ def fit_campaign_model(
     return CampaignFit(layout, theta, tuple(runs), hessians, gradients, prior, converged)
 
 
+def unstuck(fit: CampaignFit, data: Sequence[Whitened]) -> CampaignFit:
+    """Fit again where single runs are far worse off than the others only because of where they began."""
+    misfits = np.array([r.cost / len(r.residual) for r in fit.runs])
+    etas, freed = [r.eta for r in fit.runs], False
+    for r in np.flatnonzero(misfits > STUCK * np.median(misfits)).tolist():
+        again = fit_run_to(fit.layout, r, data[r], fit.theta, start_eta(fit.layout, r, fit.theta), rounds=8)
+        if again.cost < 0.8 * fit.runs[r].cost:
+            etas[r], freed = again.eta, True
+    if not freed:
+        return fit
+    shared = tuple(replace(s, start=float(v)) for s, v in zip(fit.layout.shared, fit.theta, strict=True))
+    return fit_campaign_model(replace(fit.layout, shared=shared), data, etas, rounds=6)
+
+
 def _evaluate_all(layout: Layout, data: Sequence[Whitened], theta: Array, etas: Sequence[Array]) -> list[RunState]:
     return each_run(lambda r: evaluate(layout, r, data[r], theta, _within(layout.unknowns[r], etas[r])), len(data))
 
@@ -302,8 +322,9 @@ class Direction:
 
     @property
     def says(self) -> Array:
-        """Each run's score in units of its own standard deviation (runs)."""
-        return np.asarray(self.score / np.sqrt(self.power + 1e-3 * self.power.mean() + 1e-12))
+        """Each run's score in units of its own standard deviation, `LOUDEST` at most (runs)."""
+        own = self.score / np.sqrt(self.power + 1e-3 * self.power.mean() + 1e-12)
+        return np.asarray(np.clip(own, -LOUDEST, LOUDEST))
 
     @property
     def amplitude(self) -> float:

@@ -12,10 +12,13 @@ from daq.pressfile import Press, parse_press
 from daq.records import InputError, Run
 from daq.simulated.campaign import Plan, Truth, make_campaign, press_toml
 from softsensor.channels import faulty_channels, rim_falls
-from softsensor.diagnosis import Diagnosis, diagnose
+from softsensor.diagnosis import Diagnosis, diagnose, never_seen
+from softsensor.diagnosis_jury import Round, refuted_by_cores
 from softsensor.diagnosis_report import diagnosis_report
 from softsensor.diagnosis_tests import max_t, sign_patterns
+from softsensor.diagnosis_words import core_sentence, plain
 from softsensor.evidence import moments_of
+from softsensor.extension import held_out
 from softsensor.modelfile import parse_model
 
 SMALL = Plan(rate_hz=2.0, thickness_mm=(8.0, 16.0, 19.0))
@@ -95,6 +98,32 @@ def test_the_report_says_cause_cost_gain_and_next_measurement() -> None:
     for words in ("Heat leaves through the rim", "What it costs", "When the press opens", "Measure next"):
         assert words in page
     assert page.count("<svg") == 3
+
+
+def test_a_run_that_tipped_the_choice_is_predicted_without_the_cause() -> None:
+    found = diagnosed("edge_loss", 501, 7, 0.5)
+    plain, final = found.stages
+    tipped = Round([], {}, None, ("edge_loss",), (None,) * 7, "edge_loss")
+    expected = [r.cost for r in held_out(plain.fit, plain.data, rounds=2)]
+    assert [r.cost for r in never_seen([plain, final], [tipped])] == pytest.approx(expected)
+
+
+def test_core_thermocouples_refute_only_where_every_one_of_at_least_two_is_met_far_worse() -> None:
+    good = np.array([0.5, np.nan, 0.6])
+    assert refuted_by_cores(np.array([3.0, np.nan, 2.0]), good)
+    assert not refuted_by_cores(np.array([3.0, np.nan, 0.8]), good)
+    assert not refuted_by_cores(np.array([3.0, np.nan, np.nan]), np.array([0.5, np.nan, np.nan]))
+
+
+def test_a_named_cause_says_what_it_means_for_the_core() -> None:
+    said = core_sentence(diagnosed("edge_loss", 501, 7, 0.5))
+    assert "K cooler than the plain model says" in said
+    assert "Core thermocouples, which no fit has seen" in said
+    assert "core estimate stays as it is" in core_sentence(diagnosed(None, 41))
+
+
+def test_numbers_are_written_without_powers_of_ten_where_a_reader_needs_none() -> None:
+    assert [plain(v) for v in (11532.8, 0.04156, -2.5812, 1e-6)] == ["11500", "0.0416", "-2.58", "1e-06"]
 
 
 def test_two_runs_without_an_effect_are_too_few() -> None:

@@ -11,6 +11,8 @@ import pytest
 from daq.foreign import read_foreign, read_mapping
 from daq.pressfile import read_press
 from softsensor.diagnosis import diagnose
+from softsensor.diagnosis_figures import run_figure
+from softsensor.diagnosis_words import core_sentence
 
 ROOT = Path(__file__).resolve().parents[2]
 PYROLYSIS_C = 140.0
@@ -64,9 +66,45 @@ def test_dry_pine_gets_no_moisture_verdict():
     assert all("moisture_evaporation" not in f.set for f in found.findings)
 
 
+@cache
+def rig():
+    return diagnose(read_press(ROOT / "deploy/presses/rig.toml"), _runs("press_rig", "2309*.dat", "press_rig"))
+
+
 def test_press_rig_shows_the_load_and_no_sensor_offset():
-    runs = _runs("press_rig", "2309*.dat", "press_rig")
-    found = diagnose(read_press(ROOT / "deploy/presses/rig.toml"), runs)
+    found = rig()
     assert [f.set for f in found.findings] == [("contact_load",)]
     assert found.findings[0].parameters["exponent"].ci95[0] > 0.0
     assert found.extended.heldout_rmse_K < 0.75 * found.base.heldout_rmse_K
+
+
+def test_a_rig_without_a_panel_is_told_nothing_about_a_core_and_a_disc_how_its_core_ends():
+    assert "no panel in this rig" in core_sentence(rig())
+    assert "sacrificial" not in rig().next_measurement
+    assert core_sentence(moist()).startswith("At the end of a run, the core is ")
+
+
+@pytest.mark.parametrize("found", [moist, rig])
+def test_figure_of_a_measured_run_shows_readings_both_models_and_both_residuals(found):
+    axes = run_figure(found()).get_axes()
+    labels = {label for ax in axes for label in ax.get_legend_handles_labels()[1]}
+    assert {"measured (mean)", "plain model", "extended model", "plain", "extended"} <= labels
+    residuals = {line.get_label(): line.get_ydata() for ax in axes for line in ax.get_lines()}
+    assert np.nanstd(residuals["extended"]) < 0.75 * np.nanstd(residuals["plain"])
+
+
+@pytest.mark.campaign
+def test_moist_pine_is_named_moist_though_its_runs_go_on_to_charring():
+    found = diagnose(
+        read_press(ROOT / "deploy/presses/pine_disc.toml"), _runs("pine_gasification", "FSRI*.csv", "pine")
+    )
+    assert [f.name for f in found.findings] == ["moisture_evaporation"]
+
+
+@pytest.mark.campaign
+def test_dry_pine_that_goes_on_to_charring_is_called_unknown_and_not_moist():
+    found = diagnose(
+        read_press(ROOT / "deploy/presses/pine_disc.toml"), _runs("pine_gasification", "UMD*.csv", "pine")
+    )
+    assert found.verdict == "unknown_effect"
+    assert found.findings == ()
