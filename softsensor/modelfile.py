@@ -4,6 +4,9 @@
 {NAME: {"value", "sd"}}}], "covariance": {"names", "matrix"}}``. Coefficients are those of a typical
 run; ``sd`` is what a run may differ by, uncertainty of the mean included. The covariance is of the
 logarithms of the coefficients and of the effect parameters themselves, in the order of its names.
+
+Optional ``"adequacy": {"runs", "nothing", "unexplained_K", "causes": {NAME: {"chance", "size", "parameters",
+"absorbed"}}}`` says what the runs behind the model know about causes it leaves out, see `softsensor.adequacy`.
 """
 
 from __future__ import annotations
@@ -31,6 +34,32 @@ class Estimate:
 
 
 @dataclass(frozen=True)
+class Doubt:
+    """A cause the model leaves out, as the runs behind it see it."""
+
+    chance: float
+    """That it is at work and nothing else is."""
+    size: float
+    """In units of its typical size."""
+    parameters: Mapping[str, Estimate]
+    """What a further run would hold of it if it is; `sd` is what such a run may differ by."""
+    absorbed: Mapping[str, float]
+    """By how much coefficients' logarithms differ for its typical size from what the model without it says."""
+
+
+@dataclass(frozen=True)
+class Adequacy:
+    """How well the runs behind a model know that nothing is missing from it."""
+
+    runs: int
+    nothing: float
+    """Chance that nothing of the catalogue is missing."""
+    unexplained_K: float  # noqa: N815
+    """Residual that neither the model nor any single cause explains. [K]"""
+    causes: Mapping[str, Doubt]
+
+
+@dataclass(frozen=True)
 class ModelFile:
     """Coefficients and effects of one press, as a campaign found them."""
 
@@ -40,6 +69,8 @@ class ModelFile:
     effects: tuple[tuple[str, Mapping[str, Estimate]], ...] = ()
     names: tuple[str, ...] = ()
     covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    adequacy: Adequacy | None = None
+    """None: nobody looked."""
 
     @property
     def values(self) -> dict[str, float]:
@@ -57,31 +88,33 @@ class ModelFile:
         def table(estimates: Mapping[str, Estimate]) -> dict[str, Any]:
             return {name: {"value": e.value, "sd": e.sd} for name, e in estimates.items()}
 
-        return {
+        content = {
             "version": self.version,
             "press": self.press,
             "coefficients": table(self.coefficients),
             "effects": [{"name": name, "parameters": table(p)} for name, p in self.effects],
             "covariance": {"names": list(self.names), "matrix": np.asarray(self.covariance).tolist()},
         }
+        if self.adequacy is not None:
+            content["adequacy"] = {
+                "runs": self.adequacy.runs,
+                "nothing": self.adequacy.nothing,
+                "unexplained_K": self.adequacy.unexplained_K,
+                "causes": {
+                    name: {
+                        "chance": d.chance,
+                        "size": d.size,
+                        "parameters": table(d.parameters),
+                        "absorbed": dict(d.absorbed),
+                    }
+                    for name, d in self.adequacy.causes.items()
+                },
+            }
+        return content
 
 
 def parse_model(content: Any, source: str) -> ModelFile:
     """Check a model file's content. Raises InputError naming `source`, key and value."""
-
-    def estimates(table: Any, where: str) -> dict[str, Estimate]:
-        if not isinstance(table, dict):
-            raise InputError(f"{source}: {where} must be an object of NAME: {{value, sd}}")
-        found = {}
-        for name, entry in table.items():
-            try:
-                found[name] = Estimate(float(entry["value"]), float(entry.get("sd") or 0.0))
-            except (TypeError, KeyError, ValueError, AttributeError):
-                raise InputError(f"{source}: {where}.{name} = {entry!r}: needs numbers value and sd") from None
-            if not np.isfinite(found[name].value):
-                raise InputError(f"{source}: {where}.{name}.value is not finite")
-        return found
-
     if not isinstance(content, dict) or "coefficients" not in content:
         raise InputError(f"{source}: not a model file: key 'coefficients' is missing")
     effects = []
@@ -89,7 +122,7 @@ def parse_model(content: Any, source: str) -> ModelFile:
         if not isinstance(entry, dict) or "name" not in entry:
             raise InputError(f"{source}: effects.{i} has no name")
         effect = find_effect(str(entry["name"]))
-        table = estimates(entry.get("parameters", {}), f"effects.{i}.parameters")
+        table = _estimates(entry.get("parameters", {}), source, f"effects.{i}.parameters")
         if unknown := sorted(set(table) - {p.name for p in effect.parameters}):
             raise InputError(
                 f"{source}: effects.{i}.parameters.{unknown[0]}: {effect.name} has "
@@ -101,11 +134,42 @@ def parse_model(content: Any, source: str) -> ModelFile:
     return ModelFile(
         version=str(content.get("version", "")),
         press=str(content.get("press", "")),
-        coefficients=estimates(content["coefficients"], "coefficients"),
+        coefficients=_estimates(content["coefficients"], source, "coefficients"),
         effects=tuple(effects),
         names=tuple(names),
         covariance=np.array(matrix, dtype=float).reshape(len(names), len(names)),
+        adequacy=_adequacy(content["adequacy"], source) if content.get("adequacy") else None,
     )
+
+
+def _estimates(table: Any, source: str, where: str) -> dict[str, Estimate]:
+    if not isinstance(table, dict):
+        raise InputError(f"{source}: {where} must be an object of NAME: {{value, sd}}")
+    found = {}
+    for name, entry in table.items():
+        try:
+            found[name] = Estimate(float(entry["value"]), float(entry.get("sd") or 0.0))
+        except (TypeError, KeyError, ValueError, AttributeError):
+            raise InputError(f"{source}: {where}.{name} = {entry!r}: needs numbers value and sd") from None
+        if not np.isfinite(found[name].value):
+            raise InputError(f"{source}: {where}.{name}.value is not finite")
+    return found
+
+
+def _adequacy(entry: Any, source: str) -> Adequacy:
+    try:
+        causes = {
+            name: Doubt(
+                chance=float(d["chance"]),
+                size=float(d["size"]),
+                parameters=_estimates(d["parameters"], source, f"adequacy.causes.{name}.parameters"),
+                absorbed={key: float(shift) for key, shift in d["absorbed"].items()},
+            )
+            for name, d in entry["causes"].items()
+        }
+        return Adequacy(int(entry["runs"]), float(entry["nothing"]), float(entry["unexplained_K"]), causes)
+    except (TypeError, KeyError, ValueError, AttributeError) as error:
+        raise InputError(f"{source}: adequacy is not as `fit` writes it ({error}); leave the key out") from None
 
 
 def read_model(path: Path) -> ModelFile:

@@ -6,8 +6,6 @@ model is a candidate until one transaction promotes it, and the next night begin
 
 from __future__ import annotations
 
-import hashlib
-import json
 import logging
 import math
 import os
@@ -25,9 +23,10 @@ import numpy as np
 from daq.pressfile import Press
 from daq.records import InputError, Run
 from daq.store import RunRecord, RunStatus, Store, open_store
+from softsensor.adequacy import stored_adequacy
 from softsensor.modelfile import ModelFile, parse_model
 from softsensor.observer import LiveSensor
-from softsensor.recent import PRESS_FILE, combined_model
+from softsensor.recent import PRESS_FILE, combined_model, fingerprint
 from softsensor.service import fit_one
 
 LOG = logging.getLogger("kerntemp.refit")
@@ -37,13 +36,15 @@ DIAGNOSED_RUNS = 24
 SPLIT_FROM = 18
 """From this many runs on, the newest third takes no part in diagnosis and judges the result."""
 JUDGES = 12
-CORE_RUNS = 6
-"""Runs with a core thermocouple that are replayed through the live sensor with both models."""
+CORE_RUNS, CORE_SEARCHED = 6, 100
+"""Runs with a core thermocouple that are replayed through the live sensor with both models; looked for among the
+newest."""
 LEAST_SHARE = 0.02
 """Of the held-out residual, which an extended model must save."""
 CORE_TOLERANCE = 1.02
 FEWEST_RUNS = 3
 """Runs a first model needs."""
+SCHEDULER_WAIT_S = 10.0
 Say = Callable[[str], None]
 
 
@@ -142,13 +143,6 @@ def roll_back(store: Store, press: str, who: str = PROCESS) -> str:
 # --- fits -------------------------------------------------------------------------------------------
 
 
-def fingerprint(record: RunRecord, press: Press, model: ModelFile | None) -> str:
-    """Return what a fit rests on, as a short text that changes when any of it does."""
-    effects = model.as_json()["effects"] if model is not None else []
-    parts = [dict(record.header), record.first_scan, record.last_scan, press.model_dump(mode="json"), effects]
-    return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()[:16]
-
-
 def _finished_runs(store: Store, press: str) -> list[RunRecord]:
     """Return a press's finished runs, oldest first."""
     found: list[RunRecord] = []
@@ -215,7 +209,13 @@ def _on_dask(tasks: Sequence[Task], address: str) -> Iterator[tuple[str, dict[st
         raise InputError(
             f"Dask scheduler {address}: the package 'distributed' is missing; install kerntemp[dask]"
         ) from error
-    with Client(address) as client:
+    try:
+        client = Client(address, timeout=SCHEDULER_WAIT_S)
+    except (OSError, TimeoutError, ValueError) as error:
+        raise InputError(
+            f"Dask scheduler {address}: no answer in {SCHEDULER_WAIT_S:g} s; check [refit] dask and that it runs"
+        ) from error
+    with client:
         for future in completed(client.map(fit_stored, tasks, pure=False)):
             yield future.result()
 
@@ -257,7 +257,9 @@ def _judge(night: _Night, outcome: Outcome) -> Outcome:
     if night.base is not None and _same_effects(night.base, extended):
         return replace(outcome, reason="the diagnosis confirms it")
     candidate = replace(extended, version=_next_version(night), press=night.name)
-    reason, better = _compare(night, report, candidate, held or asked)
+    fits = _fits_with(night, candidate, (held or asked)[-JUDGES:])
+    candidate = replace(candidate, adequacy=stored_adequacy(list(fits.values())))
+    reason, better = _compare(night, report, candidate, fits)
     night.store.put_model(
         night.name,
         candidate.version,
@@ -301,17 +303,22 @@ def _next_version(night: _Night) -> str:
     return next(f"{day}-{i}" for i in range(1, 10_000) if f"{day}-{i}" not in taken)
 
 
+def _fits_with(night: _Night, candidate: ModelFile, runs: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """Fit the judging runs with a candidate's effects."""
+    night.say(f"{night.name}: {candidate.version} judged on {len(runs)} runs")
+    found = {}
+    for run in runs:
+        with suppress(InputError):
+            found[run] = fit_one(night.press, night.store.load_run(run), candidate)
+    return found
+
+
 def _compare(
-    night: _Night, report: Mapping[str, Any], candidate: ModelFile, judges: Sequence[str]
+    night: _Night, report: Mapping[str, Any], candidate: ModelFile, fits: Mapping[str, Mapping[str, Any]]
 ) -> tuple[str, bool]:
     """Say what the candidate gains on the judging runs, and whether that is enough."""
-    night.say(f"{night.name}: {candidate.version} judged on {len(judges)} runs")
-    before, after = [], []
-    for run in judges[-JUDGES:]:
-        with suppress(InputError):
-            fit = fit_one(night.press, night.store.load_run(run), candidate)
-            before.append(float(night.fits[run]["rmse_K"]))
-            after.append(float(fit["rmse_K"]))
+    before = [float(night.fits[run]["rmse_K"]) for run in fits]
+    after = [float(fit["rmse_K"]) for fit in fits.values()]
     old, new = np.array(before), np.array(after)
     if len(old) < FEWEST_RUNS:
         return "too few runs to judge by", False
@@ -337,7 +344,7 @@ def _core_rmse(night: _Night, candidate: ModelFile) -> tuple[float, float]:
     """Replay runs with a core thermocouple through the live sensor with both models."""
     errors: tuple[list[float], list[float]] = ([], [])
     count = 0
-    for record in reversed(night.records):
+    for record in night.records[: -CORE_SEARCHED - 1 : -1]:
         if count >= CORE_RUNS:
             break
         run = night.store.load_run(record.run)

@@ -9,15 +9,20 @@ that the band is a mixture: narrow while the faces agree with the plain model, w
 not. Evaporation, whose tangent at zero says little about its real size, has a filter of its own.
 
 When the belief moves far from where the model was linearised, or a moment of the press becomes known
-(always a little late), the stored scans are replayed from the start. Everything is a function of the
-scans so far: replay and live agree, and a run cut short gives the same rows.
+(always a little late), the stored scans are gone through again from the start, some blocks with each new
+scan, while the pass before goes on answering: no scan waits for it. Everything is a function of the scans so
+far: replay and live agree, and a run cut short gives the same rows.
+
+What is told as the core is what the model in force says (2026-11-21): a cause that is only suspected widens the
+band towards where it would put the core, and moves the number only once a diagnosis has put it into the model
+(or once the number would lie more than `TOLD_K` from what all hypotheses together expect).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -26,11 +31,12 @@ from daq.press_events import PressEventDetector
 from daq.pressfile import Press, panel_of, press_for_run
 from daq.records import Array, Moments, PressEvent, PressEventKind, PressState, Run
 from softsensor import observer_kernels as loops
-from softsensor.effects import find_effect
 from softsensor.modelfile import ModelFile
-from softsensor.observer_belief import QUIET_S, Driven, Member, Mixture, mix
-from softsensor.observer_priors import TIMING, Plan, panel_plan, plans_for
-from softsensor.observer_setup import Bench, Filter, make_filter, panel_bench, prepare_bench
+from softsensor.observer_belief import Mixture
+from softsensor.observer_outlook import Inside, Outlook, Wishes, look_ahead, look_inside
+from softsensor.observer_priors import TIMING
+from softsensor.observer_setup import Bench, prepare_bench
+from softsensor.observer_track import Known, Row, Track
 
 UNKNOWN_STATE = "press state unknown"
 NO_PLATENS = "platen reading missing"
@@ -42,8 +48,10 @@ MISFIT_LIMIT = 9.0
 """Mean squared normalised innovation over 10 s beyond which the model is not valid."""
 WIDEST_K = 25.0
 """Half-width of a band beyond which the core is not observable. [K]"""
-BLOCK_S, EAGER_S = 0.45, 4.0
-"""Scans are absorbed together over `BLOCK_S`, one by one for `EAGER_S` after a switch. [s]"""
+OUTLOOK_S = 2.0
+"""How often the sensor looks ahead. [s]"""
+BLOCKS_PER_S, LEAST_BLOCKS = 250, 25
+"""How fast a new pass over the stored scans catches up: blocks for each second of the run, and for each scan."""
 UNSEEN_WAIT_S, USUAL_WAIT_S = 30.0, 18.0
 """A panel nobody saw coming in is taken to lie in the open press from the first scan, but not longer than
 the first; else for the second, the usual time. [s]"""
@@ -67,25 +75,6 @@ class Estimate:
     """The cause the readings speak for, where one is likelier than nothing."""
 
 
-@dataclass(frozen=True)
-class _Row:
-    """One stored scan."""
-
-    time: float
-    outside: tuple[float, float]
-    level: Array
-    votes: Array
-
-
-@dataclass
-class _Known:
-    """What has been found out about the run's moments."""
-
-    moments: Moments = field(default_factory=Moments)
-    closed_sd: float = 0.15
-    opened_sd: float = 0.15
-
-
 class LiveSensor:
     """Feeds on scans and says what the core is doing.
 
@@ -104,19 +93,22 @@ class LiveSensor:
         self._header = dict(header)
         self._model = model
         self._detector = PressEventDetector(press)
-        self._known = _Known()
+        self._known = Known()
         self._bench: Bench | None = None
         self._state: PressState | None = None
         self._platens = [math.nan, math.nan]
         self._platens_seen = math.nan
-        self._rows: list[_Row] = []
-        self._done = 0
-        self._members: list[Member] = []
-        self._driven: Driven | None = None
-        self._points: list[Array] = []
-        self._mixture: Mixture | None = None
-        self._looked_at = -math.inf
         self._initial = math.nan
+        self._rows: list[Row] = []
+        self._track: Track | None = None
+        self._next: Track | None = None
+        """A pass that knows better and has not caught up yet."""
+        self._points: list[Array] = []
+        self._linearised = -math.inf
+        self._wishes = wishes_of(header)
+        self._inside: tuple[Mixture | None, Inside] | None = None
+        self._outlook = Outlook()
+        self._looked_ahead = -math.inf
 
     # --- one scan -----------------------------------------------------------------------------------
 
@@ -129,11 +121,69 @@ class LiveSensor:
         readings = np.array([values.get(c, math.nan) for c in bench.columns])
         level, votes = np.empty(len(bench.labels)), np.empty(len(bench.labels))
         loops.agree(self._consensus, readings, level, votes)
-        self._rows.append(_Row(time_s, (self._platens[0], self._platens[1]), level, votes))
-        plain = self._detector.pending is None
-        if stale or not self._members or (plain and self._extend() and self._relinearise(time_s)):
-            self._replay()
+        self._rows.append(Row(time_s, (self._platens[0], self._platens[1]), level, votes))
+        try:
+            self._take_in(bench, time_s, stale=stale)
+        except (ArithmeticError, np.linalg.LinAlgError):  # begin anew from what was known before the run
+            self._track = self._next = None
+            return Estimate(time_s, self._state, reason=NOT_VALID)
         return self._say(time_s)
+
+    def _take_in(self, bench: Bench, now: float, *, stale: bool) -> None:
+        """Bring the filters up to the newest scan, or a new pass of them nearer to it."""
+        rows = self._rows
+        if stale or (self._track is None and self._next is None):
+            self._begin(bench, None if self._track is None else self._points)
+        elif self._track is not None and self._detector.pending is None:
+            self._track.extend(rows, len(rows))
+            if self._next is None and self._due(now):
+                self._linearised = now
+                if (points := self._track.better_points()) is not None:
+                    self._begin(bench, points)
+        if self._next is not None:
+            step = now - rows[-2].time if len(rows) > 1 else 0.0
+            if self._next.extend(rows, max(LEAST_BLOCKS, round(BLOCKS_PER_S * step))):
+                self._track, self._next, self._linearised = self._next, None, now
+
+    def _begin(self, bench: Bench, points: Sequence[Array] | None) -> None:
+        """Begin a pass with what is known by now; the present one answers until it has caught up."""
+        known = replace(self._known, idle=self._state is PressState.IDLE)
+        self._next = Track(bench, self._model, known, points, self._rows[0].time, self._initial)
+        self._points = self._next.points
+
+    def _due(self, now: float) -> bool:
+        """Return whether it is time to ask if the filters are still linearised near enough."""
+        since = now - self._known.last_switch(now, self._rows[0].time)
+        return now - self._linearised >= max(0.7, 0.4 * since)
+
+    @property
+    def inside(self) -> Inside | None:
+        """Profile and heat of the panel at the newest scan; None without a panel or before it is known."""
+        track = self._track
+        if track is None or self._state is PressState.IDLE or not len(track.members[0].filter.profile):
+            return None
+        if self._inside is None or self._inside[0] is not track.mixture:
+            self._inside = track.mixture, look_inside(track.members[0])
+        return self._inside[1]
+
+    @property
+    def outlook(self) -> Outlook:
+        """What lies ahead for what the header wants of the core, as `look_ahead` last found it."""
+        return self._outlook.later(self._rows[-1].time - self._looked_ahead) if self._rows else self._outlook
+
+    def look_ahead(self) -> None:
+        """Work out what lies ahead, where that matters and the last look is `OUTLOOK_S` old. Takes some 10 ms."""
+        track = self._track
+        if track is None or not self._wishes.any or not math.isfinite(self._known.moments.closed_s):
+            return
+        now = self._rows[-1].time
+        if now - self._looked_ahead < OUTLOOK_S:
+            return
+        self._looked_ahead, self._outlook = now, Outlook()
+        if self._state is PressState.CLOSED or self._state is PressState.OPEN:
+            done = self._rows[track.done - 1].time
+            ahead = look_ahead(track, self._wishes, self._state, done, np.array(self._platens))
+            self._outlook = ahead.later(now - done)
 
     def _prepare(self, values: Mapping[str, float]) -> Bench:
         times = np.linspace(-2.0, 900.0, 24)  # close enough that no gap needs bridging
@@ -179,14 +229,15 @@ class LiveSensor:
             seen = bool(bench.columns) and at > first + 0.3
             if not bench.columns and time_s - first > UNSEEN_WAIT_S:
                 at, seen = max(first, time_s - USUAL_WAIT_S), True
-            known.moments = Moments(inserted_s=at if seen else math.nan)
+            known = replace(known, moments=Moments(inserted_s=at if seen else math.nan))
         elif event.kind is PressEventKind.CLOSED:
-            known.moments = replace(known.moments, closed_s=at, opened_s=math.nan, removed_s=math.nan)
-            known.closed_sd = sd
+            moments = replace(known.moments, closed_s=at, opened_s=math.nan, removed_s=math.nan)
+            known = replace(known, moments=moments, closed_sd=sd)
         elif event.kind is PressEventKind.OPENED:
-            known.moments, known.opened_sd = replace(known.moments, opened_s=at), sd
+            known = replace(known, moments=replace(known.moments, opened_s=at), opened_sd=sd)
         else:
-            known.moments = replace(known.moments, removed_s=at)
+            known = replace(known, moments=replace(known.moments, removed_s=at))
+        self._known = known
         for point in self._points:
             point[-len(TIMING) :] = 0.0
 
@@ -203,146 +254,25 @@ class LiveSensor:
             self._platens_seen = time_s
         return self._platens[0] == self._platens[0] and self._platens[1] == self._platens[1]
 
-    # --- filters ------------------------------------------------------------------------------------
-
-    def _replay(self) -> None:
-        """Start anew with what is known by now and take in all scans."""
-        bench = self._bench
-        if bench is None:
-            return
-        plans = plans_for(bench.press, self._model, self._known.closed_sd, self._known.opened_sd)
-        if [len(p) for p in self._points] != [len(plan.priors) for plan in plans]:
-            self._points = [np.zeros(len(plan.priors)) for plan in plans]
-        self._members = [self._start(bench, plan, at) for plan, at in zip(plans, self._points, strict=True)]
-        self._driven = self._start_driven(bench)
-        self._done = 0
-        self._extend()
-        self._looked_at = self._rows[-1].time
-
-    def _start(self, bench: Bench, plan: Plan, at: Array) -> Member:
-        made = self._filter(bench, plan, at)
-        return Member.fresh(bench, made, self._timing(bench, made), plan.suspects, plan.chance, plan.label)
-
-    def _start_driven(self, bench: Bench) -> Driven | None:
-        alone = panel_bench(bench) if bench.press.has_states else None
-        if alone is None:
-            return None
-        plan = panel_plan(self._model, alone[0].effects)
-        made = self._filter(alone[0], plan, np.zeros(len(plan.priors)))
-        return Driven.fresh(made, self._timing(bench, made), alone[1], self._initial)
-
-    def _filter(self, bench: Bench, plan: Plan, at: Array) -> Filter:
-        effects = tuple(dict.fromkeys([*bench.effects, *plan.effects]))
-        neutral = {e.key(p.name): p.neutral for e in map(find_effect, effects) for p in e.parameters}
-        return make_filter(bench, plan.priors, neutral, at, effects)
-
-    def _timing(self, bench: Bench, made: Filter) -> loops.Timing:
-        m = self._known.moments
-        closing, opening = (made.shift(t) if t in made.names else 0.0 for t in TIMING)
-        here = math.inf if self._state is PressState.IDLE and not math.isfinite(m.removed_s) else -math.inf
-
-        def known(moment: float, otherwise: float = math.inf) -> float:
-            return moment if math.isfinite(moment) else otherwise
-
-        units = made.timing_units
-        return loops.Timing(
-            start=self._rows[0].time,
-            inserted=known(m.inserted_s, here),
-            closed=known(m.closed_s) + closing,
-            opened=known(m.opened_s) + opening,
-            removed=known(m.removed_s),
-            ramp=m.ramp_s,
-            switching=bench.press.has_states,
-            closed_unit=units[0],
-            opened_unit=units[1],
-        )
-
-    def _relinearise(self, time_s: float) -> bool:
-        """Move the points of linearisation where the belief has gone far from them; return whether it has."""
-        since = time_s - self._last_switch(time_s)
-        if self._mixture is None or time_s - self._looked_at < max(0.7, 0.4 * since):
-            return False
-        self._looked_at = time_s
-        leading, start, moved = self._mixture.leading, 0, False
-        sure = bool(self._mixture.weights[leading] > 0.9)
-        for i, member in enumerate(self._members):
-            own = leading - start
-            inside = 0 <= own <= len(member.suspects)
-            point = member.better_point(own if inside else 0, sure and inside)
-            if point is not None:
-                self._points[i] = point
-                moved = True
-            start += 1 + len(member.suspects)
-        return moved
-
-    def _last_switch(self, now: float) -> float:
-        m = self._known.moments
-        moments = (m.inserted_s, m.closed_s, m.opened_s, m.removed_s, self._rows[0].time)
-        return max(moment for moment in moments if moment <= now)
-
-    # --- marching -----------------------------------------------------------------------------------
-
-    def _extend(self) -> bool:
-        """Take in the scans that make up complete blocks; return whether there were any."""
-        rows, before = self._rows, self._done
-        if self._done == 0:
-            self._block(0, 0)
-            self._done = 1
-        for i in range(self._done, len(rows)):
-            since = rows[i].time - rows[self._done - 1].time
-            if since >= BLOCK_S - 1e-6 or rows[i].time - self._last_switch(rows[i].time + 1.0) < EAGER_S:
-                self._block(self._done, i)
-                self._done = i + 1
-        if self._done == before:
-            return False
-        rise = float(self._members[0].filter.chain.level[0]) - self._initial
-        self._mixture = mix(self._members, rise if rise == rise else 0.0, self._driven)
-        return True
-
-    def _block(self, first: int, last: int) -> None:
-        """March over the scans `first` to `last` and correct by what they read."""
-        rows = self._rows
-        begin, end = rows[max(first - 1, 0)], rows[last]
-        elapsed = end.time - begin.time
-        if first == last:
-            level, votes = end.level, end.votes
-            moment = np.ones(len(level))
-        else:
-            block = rows[first : last + 1]
-            levels = np.array([r.level for r in block])
-            good = np.isfinite(levels)
-            count = np.maximum(good.sum(axis=0), 1)
-            times = np.array([[r.time] for r in block])
-            level = np.where(good.any(axis=0), np.where(good, levels, 0.0).sum(axis=0) / count, np.nan)
-            moment = (np.where(good, times, 0.0).sum(axis=0) / count - begin.time) / elapsed
-            votes = np.where(good, [r.votes for r in block], 0.0).sum(axis=0)
-        span, outside = np.array([begin.time, end.time]), np.array([begin.outside, end.outside])
-        quiet = not first or end.time - self._last_switch(end.time + 1.0) < QUIET_S
-        for member in self._members:
-            member.take(span, outside, level, moment, votes, quiet=quiet)
-        if self._driven is not None:
-            self._driven.take(span, end.level)
-
-    # --- rows ---------------------------------------------------------------------------------------
-
     def _say(self, time_s: float) -> Estimate:
-        mixture = self._mixture
+        track = self._track
+        mixture = track.mixture if track is not None else None
         if self._state is None:
             return Estimate(time_s, None, reason=UNKNOWN_STATE)
-        if mixture is None or time_s - self._platens_seen > BRIDGE_S:
+        if track is None or mixture is None or time_s - self._platens_seen > BRIDGE_S:
             return Estimate(time_s, self._state, reason=NO_PLATENS)
-        chain = self._members[0].filter.chain
-        ahead = float(chain.level[1]) * (time_s - self._rows[self._done - 1].time)
+        slope = float(track.members[0].filter.chain.level[1])
+        ahead = slope * (time_s - self._rows[track.done - 1].time)
         low, high = mixture.low + ahead, mixture.high + ahead
         reason = ""
-        if min(member.misfit for member in self._members) > MISFIT_LIMIT:
+        if min(member.misfit for member in track.members) > MISFIT_LIMIT:
             reason = NOT_VALID
         elif high - low > 2.0 * WIDEST_K:
             reason = f"{NOT_OBSERVABLE}: band wider than {WIDEST_K:g} K to either side"
         return Estimate(
             time_s=time_s,
             state=self._state,
-            core_C=mixture.mean + ahead,
+            core_C=mixture.told + ahead,
             core_sd_K=mixture.sd,
             core_low_C=low,
             core_high_C=high,
@@ -350,3 +280,13 @@ class LiveSensor:
             reason=reason,
             suspected=mixture.names[mixture.leading],
         )
+
+
+def wishes_of(header: Mapping[str, Any]) -> Wishes:
+    """Return what a run's header wants of the core."""
+
+    def number(key: str) -> float:
+        value = header.get(key)
+        return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else math.nan
+
+    return Wishes(number("setting.core_target_C"), number("setting.core_limit_C"))

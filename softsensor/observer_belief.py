@@ -9,7 +9,7 @@ import numpy as np
 
 from daq.records import Array
 from softsensor import observer_kernels as loops
-from softsensor.observer_priors import TIMING, Suspect
+from softsensor.observer_priors import TIMING, Plan, Suspect
 from softsensor.observer_setup import CHAIN_UNITS, Bench, Filter
 
 CHANNEL_K, OFFSET_K = 0.07, 0.3
@@ -20,13 +20,18 @@ ROUGH_S, ROUGH_MEMORY_S = 0.15, 3.0
 """How far the model may be off in time where readings jump, and for how long. [s]"""
 MARGIN_K, MARGIN_SHARE = 0.2, 0.006
 """What the model itself adds to the core: absolute (no start temperature is known better), and of its rise."""
+SHAPE_SHARE, SHAPE_K = 0.45, 6.0
+"""What a suspected cause does to the core is known to this share only, for its law may be another; and to so much
+at worst. [-, K]"""
+TOLD_K = 12.0
+"""What the model in force says is told no further than this from what all hypotheses together expect. [K]"""
+UNEXPLAINED, FULL_RISE_K = 1.5, 40.0
+"""What the faces leave unexplained counts so many times in the core, once it has risen so far. [-, K]"""
 GATE = 4.0
 """Innovations beyond this many standard deviations lose weight."""
 MISFIT_MEMORY_S, WORST_MEMORY_S = 10.0, 120.0
 MISFIT_USUAL, MISFIT_WEIGHT = 1.4, 5.0
 """A misfit beyond the first (sound runs stay below 0.8) speaks for a change, with this many nats a unit."""
-SURE = 0.9
-"""A hypothesis this likely moves the point of linearisation."""
 LOG_STEP, TIME_STEP_S, UNIT_STEP = 0.15, 0.06, 0.5
 """Linearise anew where a logarithm, a moment or any other parameter (in prior units) has moved this far."""
 JUMP_K, JUMPS_PER_S = 0.15, 5e-5
@@ -49,19 +54,13 @@ class Mixture:
     weights: Array
     means: Array
     sds: Array
+    told: float
+    """What the model in force says, or the faces alone where something has changed at once. [°C]"""
+    sd: float
+    """Root mean square distance of the core from what is told. [K]"""
     low: float
     high: float
     """Bounds of 95 %. [°C]"""
-
-    @property
-    def mean(self) -> float:
-        """[°C]"""
-        return float(self.weights @ self.means)
-
-    @property
-    def sd(self) -> float:
-        """[K]"""
-        return float(np.sqrt(self.weights @ (self.sds**2 + (self.means - self.mean) ** 2)))
 
     @property
     def leading(self) -> int:
@@ -84,8 +83,12 @@ class Member:
     cov: Array
     where: loops.Integers
     """Columns of the suspects."""
+    absent: Array
+    """Where each suspect lies if it is absent."""
     spikes: Array
     one_sided: Array
+    reach: tuple[Array, Array]
+    """Where the point of linearisation may lie (P), (P)."""
     fit: float = 0.0
     misfit: float = 0.3
     """Mean squared normalised innovation, the newest weighing most."""
@@ -95,33 +98,31 @@ class Member:
     """Logarithm of the odds that something changed at once since the start."""
 
     @staticmethod
-    def fresh(
-        bench: Bench,
-        made: Filter,
-        timing: loops.Timing,
-        suspects: tuple[Suspect, ...],
-        chance: float,
-        label: str,
-    ) -> Member:
+    def fresh(bench: Bench, made: Filter, timing: loops.Timing, plan: Plan) -> Member:
         """Start a belief at the prior."""
         m, p = len(bench.labels), len(made.names)
-        size = p + 2 + 2 * m
-        cov = np.eye(size)
+        x, cov = np.zeros(p + 2 + 2 * m), np.eye(p + 2 + 2 * m)
+        lean = plan.coupling
+        x[:p] = -lean @ plan.neutral
+        cov[:p, :p] += lean + lean.T + lean @ lean.T
         for a in range(m):
             channels = max(1, int((bench.place == a).sum()))
             cov[p + 2 + a, p + 2 + a] = OFFSET_K**2 / channels
             cov[p + 2 + m + a, p + 2 + m + a] = FACE_K**2
+        suspects = plan.suspects
         return Member(
             filter=made,
             suspects=suspects,
-            chances=np.array([chance, *(s.chance for s in suspects)]),
-            label=label,
+            chances=np.array([plan.chance, *(s.chance for s in suspects)]),
+            label=plan.label,
             timing=timing,
-            x=np.zeros(size),
+            x=x,
             cov=cov,
             where=np.array([made.names.index(s.parameter) for s in suspects], dtype=np.int64),
+            absent=np.array([s.absent for s in suspects]),
             spikes=np.array([s.spike for s in suspects]),
             one_sided=np.array([s.one_sided for s in suspects], dtype=bool),
+            reach=plan.reach,
         )
 
     def take(
@@ -152,37 +153,33 @@ class Member:
         full[:p] = readout
         shift, variance, evidence, sizes = np.empty(e + 1), np.empty(e + 1), np.empty(e + 1), np.empty(e)
         loops.blend(
-            self.x, self.cov, full, self.where, self.spikes, self.one_sided, shift, variance, evidence, sizes
-        )
+            self.x, self.cov, full, self.where, self.absent, self.spikes, self.one_sided,
+            shift, variance, evidence, sizes,
+        )  # fmt: skip
         centre = level + float(readout @ (self.x[:p] - self.filter.at))
         return np.log(self.chances) + evidence + self.fit, centre + shift, variance, sizes
 
-    def under(self, hypothesis: int) -> Array:
-        """Return the mean of all states under one hypothesis."""
+    @property
+    def unburdened(self) -> Array:
+        """Mean of all states if no suspect is at work."""
         if not self.suspects:
             return self.x
         own = self.cov[np.ix_(self.where, self.where)] + 1e-12 * np.eye(len(self.where))
         precision = np.linalg.inv(own)
-        pull = precision @ self.x[self.where]
-        tight = 1.0 / self.spikes**2 - 1.0
-        if hypothesis:
-            tight[hypothesis - 1] = 0.0
-        sizes = np.linalg.solve(precision + np.diag(tight), pull)
+        pull = precision @ self.x[self.where] + self.absent / self.spikes**2
+        sizes = np.linalg.solve(precision + np.diag(1.0 / self.spikes**2 - 1.0), pull)
         return np.asarray(self.x + self.cov[:, self.where] @ precision @ (sizes - self.x[self.where]))
 
-    def better_point(self, hypothesis: int, sure: bool) -> Array | None:
-        """Return where to linearise anew, or None where the old point will do."""
+    def better_point(self) -> Array | None:
+        """Return where to linearise anew, or None where the old point will do. Suspects stay absent."""
         f = self.filter
         p = len(f.names)
-        mean = self.under(hypothesis)[:p]
+        mean = self.unburdened[:p]
         target, far = f.at.copy(), False
         for i, (name, prior) in enumerate(zip(f.names, f.priors, strict=True)):
-            move = mean[i] - f.at[i]
             if i in self.where:
-                mine = hypothesis > 0 and self.where[hypothesis - 1] == i
-                move = mean[i] - f.at[i] if mine and sure else (-f.at[i] if sure else 0.0)
-                step = UNIT_STEP
-            elif prior.logarithmic:
+                continue
+            if prior.logarithmic:
                 step = LOG_STEP / prior.sd
             elif name in TIMING:
                 step = TIME_STEP_S / prior.sd
@@ -190,7 +187,7 @@ class Member:
                 step = UNIT_STEP
             else:
                 continue
-            target[i] = min(max(f.at[i] + move, -3.5), 3.5)
+            target[i] = min(max(mean[i], self.reach[0][i]), self.reach[1][i])
             far = far or abs(target[i] - f.at[i]) > step
         return target if far else None
 
@@ -248,22 +245,34 @@ def timing_inside(timing: loops.Timing, now: float) -> bool:
     return timing.inserted <= now <= timing.removed
 
 
-def mix(members: list[Member], rise: float, driven: Driven | None = None) -> Mixture:
+def mix(members: list[Member], rise: float, unexplained: float, driven: Driven | None = None) -> Mixture:
     """Blend what all hypotheses of all filters say about the core.
 
-    `rise` is how far the core has come from its start, in which the model's own error is counted. [K]
+    Parameters
+    ----------
+    rise
+        How far the core has come from its start, in which the model's own error is counted. [K]
+    unexplained
+        What the model leaves unexplained of the faces. [K]
     """
     names: list[str] = []
     parts: list[tuple[Array, Array, Array]] = []
-    margin = MARGIN_K**2 + (MARGIN_SHARE * rise) ** 2
+    told = math.nan
+    margin = (
+        MARGIN_K**2 + (MARGIN_SHARE * rise) ** 2 + (UNEXPLAINED * unexplained * min(rise / FULL_RISE_K, 1.0)) ** 2
+    )
     for member in members:
         chain = member.filter.chain
         log, means, variances, _ = member.blend(float(chain.level[0]), chain.d_level)
+        told = told if names else float(means[0])
+        variances = variances + np.minimum(SHAPE_SHARE * np.abs(means - told), SHAPE_K) ** 2
         parts.append((log, means, (variances + margin) * max(1.0, member.misfit)))
         names += [member.label, *(s.effect for s in member.suspects)]
     log, means, variances = (np.concatenate(column) for column in zip(*parts, strict=True))
     weights = np.exp(log - log.max())
     weights /= weights.sum()
+    expected = float(weights @ means)
+    told = min(max(told, expected - TOLD_K), expected + TOLD_K)
     worst = min(member.worst for member in members)
     odds = float(np.logaddexp(members[0].changed, MISFIT_WEIGHT * (worst - MISFIT_USUAL)))
     if odds > -6.0:
@@ -273,6 +282,7 @@ def mix(members: list[Member], rise: float, driven: Driven | None = None) -> Mix
         if driven is not None and driven.unseen_s < UNSEEN_S:
             gap = abs(float(driven.last.mean()) - driven.core[0])
             centre, variance = driven.core[0], driven.core[1] + margin
+        told += share * (centre - told)
         weights = np.concatenate([weights * (1.0 - share), share * np.array([1.0 - DOUBT, DOUBT])])
         means = np.append(means, [centre, centre])
         variances = np.append(variances, [variance, variance + (DOUBT_SHARE * gap) ** 2])
@@ -280,4 +290,5 @@ def mix(members: list[Member], rise: float, driven: Driven | None = None) -> Mix
     sds = np.sqrt(variances)
     low = loops.quantile(weights, means, sds, 0.025)
     high = loops.quantile(weights, means, sds, 0.975)
-    return Mixture(tuple(names), weights, means, sds, low, high)
+    sd = float(np.sqrt(weights @ (variances + (means - told) ** 2)))
+    return Mixture(tuple(names), weights, means, sds, told, sd, min(low, told), max(high, told))

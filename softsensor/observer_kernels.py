@@ -76,12 +76,14 @@ class Timing(NamedTuple):
     closed_unit: float
     """How many seconds one unit of the parameter for the closing time is."""
     opened_unit: float
+    longest: float
+    """Longest step. [s]"""
 
 
 @njit(cache=True)
 def step_length(t, end, timing):
     """Return the next step from `t`: fine around switches, growing after them, never across a window's begin."""
-    h = LONGEST_STEP_S
+    h = timing.longest
     for k in range(5):
         if k == 0:
             moment, half = timing.start, 0.0
@@ -409,11 +411,11 @@ def absorb(x, cov, row, innovation, noise, limit):
 
 
 @njit(cache=True)
-def blend(x, cov, readout, where, spike, one_sided, means, variances, evidence, sizes):
+def blend(x, cov, readout, where, absent, spike, one_sided, means, variances, evidence, sizes):
     """Split a joint belief into "nothing" and "one suspect at a time".
 
-    The joint belief took every suspect as N(0, 1). Each hypothesis narrows all suspects but its own to
-    the standard deviation `spike`; for Gaussians that is exact (Savage-Dickey).
+    The joint belief took every suspect as N(0, 1): at work. Each hypothesis narrows all suspects but its own
+    to N(absent, spike^2); for Gaussians that is exact (Savage-Dickey).
 
     Parameters
     ----------
@@ -421,8 +423,10 @@ def blend(x, cov, readout, where, spike, one_sided, means, variances, evidence, 
         Derivative of what is asked for by all states (N).
     where
         Columns of the suspects (E).
+    absent, spike
+        Where a suspect lies that is not at work, and how closely (E).
     one_sided
-        Whether a suspect can only be positive (E).
+        Whether a suspect can only lie above `absent` (E).
     means, variances
         Get the shift of what is asked for from its joint mean, and its variance (E + 1).
     evidence
@@ -451,32 +455,37 @@ def blend(x, cov, readout, where, spike, one_sided, means, variances, evidence, 
     slope = precision @ cross
     rest = variance - cross @ slope
     pull = precision @ mean
+    before = mean @ pull
     narrow = precision.copy()
+    base = 0.5 * (np.linalg.slogdet(precision)[1] - before)
     for a in range(e):
         narrow[a, a] += 1.0 / (spike[a] * spike[a]) - 1.0
+        pull[a] += absent[a] / (spike[a] * spike[a])
+        base -= math.log(spike[a]) + 0.5 * (absent[a] / spike[a]) ** 2
     inner = np.linalg.inv(narrow)
     still = inner @ pull
-    base = -np.sum(np.log(spike))
-    base += 0.5 * (np.linalg.slogdet(precision)[1] - np.linalg.slogdet(narrow)[1])
-    base += 0.5 * (pull @ still - mean @ pull)
+    base += 0.5 * (pull @ still - np.linalg.slogdet(narrow)[1])
     carried = inner @ slope
-    means[0] = slope @ (still - mean)
+    plain = slope @ (still - mean)
+    means[0] = plain
     variances[0] = max(rest + slope @ carried, 1e-12)
     evidence[0] = base
     for j in range(e):
         s = 1.0 / (spike[j] * spike[j]) - 1.0
+        t = absent[j] / (spike[j] * spike[j])
         d = 1.0 - s * inner[j, j]
         f = s / d
-        size = still[j] * (1.0 + f * inner[j, j])
+        lift = f * (still[j] - t * inner[j, j]) - t
+        size = still[j] + inner[j, j] * lift
         spread = inner[j, j] * (1.0 + f * inner[j, j])
-        evidence[1 + j] = base + math.log(spike[j]) - 0.5 * math.log(d) + 0.5 * f * still[j] * still[j]
-        shift = slope @ (still - mean) + f * carried[j] * still[j]
+        evidence[1 + j] = base + math.log(spike[j]) + 0.5 * (absent[j] / spike[j]) ** 2
+        evidence[1 + j] += 0.5 * (lift * still[j] - t * size) - 0.5 * math.log(d)
+        shift = plain + carried[j] * lift
         total = rest + slope @ carried + f * carried[j] * carried[j]
         if one_sided[j]:
             root = math.sqrt(spread)
-            z = size / root
-            mass, push, shrink = _half_normal(z)
-            evidence[1 + j] += math.log(2.0) + mass
+            mass, push, shrink = _half_normal((size - absent[j]) / root)
+            evidence[1 + j] += mass - _half_normal(-absent[j])[0]
             lever = carried[j] * (1.0 + f * inner[j, j]) / spread
             shift += lever * root * push
             total += lever * lever * spread * (shrink - 1.0)

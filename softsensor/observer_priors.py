@@ -9,14 +9,16 @@ campaigns with and without a hidden effect.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from daq.pressfile import Press
+from daq.records import Array
 from softsensor.effects import find_effect
-from softsensor.modelfile import ModelFile
+from softsensor.modelfile import Adequacy, ModelFile
+from softsensor.parameters import Parameter
 
 COEFFICIENT_SD = 0.7
 """Of the logarithm of a coefficient no fit has seen: a factor of two."""
@@ -44,17 +46,34 @@ class Suspect:
 
     parameter: str
     sd: float
-    """Size it has where it is present."""
+    """Size it has where it is present, and before a run has said more how much that size may differ."""
     one_sided: bool
     chance: float
     """That a run has it, before anything is known of the press."""
     spike: float = 0.03
     """What is left of it where it is absent, as a share of `sd`."""
+    centre: float | None = None
+    """Its size where it is present, as earlier runs tell; None: about its absence."""
 
     @property
     def effect(self) -> str:
         """Name in the catalogue."""
         return self.parameter.partition(".")[0]
+
+    @property
+    def neutral(self) -> float:
+        """Value of its parameter where it is absent."""
+        return _parameter(self.parameter).neutral
+
+    @property
+    def prior(self) -> Prior:
+        """Its parameter where it is present."""
+        return Prior(self.parameter, self.neutral if self.centre is None else self.centre, self.sd)
+
+    @property
+    def absent(self) -> float:
+        """Where it lies if it is absent, in units of its prior."""
+        return (self.neutral - self.prior.centre) / self.sd
 
 
 SUSPECTS = (
@@ -80,8 +99,19 @@ SKIN_SD = 500.0
 """Heat capacity on the panel's faces, as paper has. [J/m²K]"""
 LAG_SD, FOOTPRINT_SD = 0.3, 0.05
 TIMING = ("closed_s", "opened_s")
-EVAPORATION = ("moisture_evaporation.moisture_percent", "moisture_evaporation.temperature_C")
-EVAPORATION_CHANCE = 0.03
+WATER = Suspect("moisture_evaporation.moisture_percent", 3.0, True, 0.03)
+EVAPORATION_C = "moisture_evaporation.temperature_C"
+LARGEST_SHIFT = 1.0
+"""Of a coefficient's logarithm for a cause's typical size: beyond, contacts are no longer nearly linear."""
+OWN_FILTER, OWN_FILTERS = 0.2, 2
+"""A cause likelier than this gets a filter of its own, linearised where it is at work, up to so many."""
+FARTHEST = 3.5
+"""Prior standard deviations the point of linearisation may move from its start."""
+LEAST_CHANCE = 1e-3
+NO_MATTER = 0.25
+"""A size below this share of the usual one needs no filter of its own."""
+DIAGNOSED = 0.3
+"""Factor on the chances where a diagnosis has already found what it could."""
 
 
 @dataclass(frozen=True)
@@ -94,12 +124,60 @@ class Plan:
     """Of this filter with no suspect at work."""
     label: str
     """The cause this filter takes for granted, empty for none."""
+    hidden: Mapping[str, Mapping[str, float]]
+    """By effect: what coefficients' logarithms have taken upon themselves of its typical size."""
 
     @property
     def effects(self) -> tuple[str, ...]:
         """Catalogue names its parameters belong to."""
         names = (p.name.partition(".") for p in self.priors)
         return tuple(dict.fromkeys(n for n, dot, _ in names if dot and n != SKIN.partition(".")[0]))
+
+    @property
+    def start(self) -> Array:
+        """Where to linearise first: suspects absent, everything else as expected then."""
+        at = np.zeros(len(self.priors))
+        names = [p.name for p in self.priors]
+        for s in self.suspects:
+            at[names.index(s.parameter)] = s.absent
+        return at + self.coupling @ (at - self.neutral)
+
+    @property
+    def reach(self) -> tuple[Array, Array]:
+        """Where the point of linearisation must stay: near its start, and where effects are physical (P), (P)."""
+        start = self.start
+        low, high = start - FARTHEST, start + FARTHEST
+        for i, p in enumerate(self.priors):
+            if _sized(p.name):
+                own = _parameter(p.name)
+                inner = 0.02 * (own.upper - own.lower)
+                low[i] = max(low[i], (own.lower - p.centre) / p.sd)
+                high[i] = min(high[i], (own.upper - inner - p.centre) / p.sd)
+        return np.minimum(low, start), np.maximum(high, start)
+
+    @property
+    def neutral(self) -> Array:
+        """Where causes would be absent, in prior units; 0 for all else."""
+        return np.array(
+            [(_parameter(p.name).neutral - p.centre) / p.sd if _sized(p.name) else 0.0 for p in self.priors]
+        )
+
+    @property
+    def coupling(self) -> Array:
+        """How coefficients differ with the size of causes they were fitted without (P, P), in prior units."""
+        names = [p.name for p in self.priors]
+        lean = np.zeros((len(names), len(names)))
+        for j, p in enumerate(self.priors):
+            shifts = self.hidden.get(p.name.partition(".")[0]) if _sized(p.name) else None
+            if not shifts:
+                continue
+            own = _parameter(p.name)
+            for name, shift in shifts.items():
+                if name in names:
+                    i = names.index(name)
+                    limited = min(max(shift, -LARGEST_SHIFT), LARGEST_SHIFT)
+                    lean[i, j] = limited / (own.typical - own.neutral) * p.sd / self.priors[i].sd
+        return lean
 
 
 def spread_of(value: float, sd: float) -> float:
@@ -147,28 +225,62 @@ def nuisance_priors(press: Press, known: set[str], initial: bool) -> list[Prior]
     for parameter, sd in NUISANCES.items():
         effect = find_effect(parameter.partition(".")[0])
         if effect.name not in known and (press.has_states or effect.name == "resin_cure"):
-            priors.append(Prior(parameter, _neutral(parameter), sd))
+            priors.append(Prior(parameter, _parameter(parameter).neutral, sd))
     if "paper_layer" not in known:
         priors.append(Prior(SKIN, 0.0, SKIN_SD))
     return priors
 
 
 def plans_for(press: Press, model: ModelFile | None, closed_sd: float, opened_sd: float) -> list[Plan]:
-    """Return the filters to run side by side: the joint one, and one for evaporation if it is not diagnosed."""
+    """Return the filters to run side by side: the joint one, and one for each cause that needs its own."""
     own = {name for name, _ in model.effects} if model else set()
+    seen = model.adequacy if model else None
     common = coefficient_priors(press, model) + effect_priors(model)
     common += nuisance_priors(press, own, initial=True)
     timing = [Prior("closed_s", 0.0, closed_sd), Prior("opened_s", 0.0, opened_sd)] if press.has_states else []
-    suspects = tuple(s for s in SUSPECTS if press.panel_layers and s.effect not in own)
-    doubted = [Prior(s.parameter, _neutral(s.parameter), s.sd) for s in suspects]
-    wet = bool(press.panel_layers) and "moisture_evaporation" not in own
-    chance = 1.0 - sum(s.chance for s in suspects) - (EVAPORATION_CHANCE if wet else 0.0)
-    plans = [Plan((*common, *doubted, *timing), suspects, chance, "")]
-    if wet:
-        water = [Prior(EVAPORATION[0], 4.0, 2.0), Prior(EVAPORATION[1], 102.0, 3.0)]
-        firm = [Prior(s.parameter, 1.0, s.sd * s.spike) for s in suspects if s.parameter.endswith(".ratio")]
-        plans.append(Plan((*common, *water, *firm, *timing), (), EVAPORATION_CHANCE, "moisture_evaporation"))
+    suspects = tuple(_informed(s, seen, own) for s in SUSPECTS if press.panel_layers and s.effect not in own)
+    water = _informed(WATER, seen, own)
+    wet = water.chance if press.panel_layers and water.effect not in own and not _ruled_out(water) else 0.0
+    hidden = {name: d.absorbed for name, d in seen.causes.items()} if seen else {}
+    chance = max(1.0 - sum(s.chance for s in suspects) - wet, LEAST_CHANCE)
+    likely = sorted(
+        (s for s in suspects if s.centre is not None and s.chance > OWN_FILTER), key=lambda s: -s.chance
+    )
+    alone = likely[:OWN_FILTERS]
+    beside = tuple(s for s in suspects if s not in alone)
+    doubted = [*(s.prior for s in beside), *_firm(alone)]
+    plans = [Plan((*common, *doubted, *timing), beside, chance, "", hidden)]
+    for s in alone:
+        others = tuple(o for o in suspects if o is not s)
+        plans.append(Plan((*common, s.prior, *_firm(others), *timing), (), s.chance, s.effect, hidden))
+    if wet > LEAST_CHANCE:
+        content = Prior(WATER.parameter, 4.0, 2.0) if water.centre is None else water.prior
+        pair = (content, Prior(EVAPORATION_C, 102.0, 3.0))
+        plans.append(Plan((*common, *pair, *_firm(suspects), *timing), (), wet, WATER.effect, hidden))
     return plans
+
+
+def _informed(s: Suspect, seen: Adequacy | None, own: set[str]) -> Suspect:
+    """Return a suspect as the runs behind the model see it; in a model found by diagnosis it is less likely."""
+    if seen is None:
+        return replace(s, chance=s.chance * (DIAGNOSED if own else 1.0))
+    doubt = seen.causes.get(s.effect)
+    if doubt is None:
+        return replace(s, chance=LEAST_CHANCE)
+    known = doubt.parameters[s.parameter.partition(".")[2]]
+    least = s.spike * s.sd
+    sd = max(known.sd, least)
+    return replace(s, centre=known.value, sd=sd, spike=least / sd, chance=max(doubt.chance, LEAST_CHANCE))
+
+
+def _ruled_out(s: Suspect) -> bool:
+    """Return whether earlier runs leave no room for a size that matters."""
+    return s.centre is not None and s.chance < OWN_FILTER and s.centre + 2.0 * s.sd < NO_MATTER * WATER.sd
+
+
+def _firm(suspects: Sequence[Suspect]) -> list[Prior]:
+    """Return the panel's constants as the header knows them, for a filter that does not doubt them."""
+    return [Prior(s.parameter, s.neutral, s.sd * s.spike) for s in suspects if s.parameter.endswith(".ratio")]
 
 
 def panel_plan(model: ModelFile | None, effects: tuple[str, ...]) -> Plan:
@@ -179,9 +291,17 @@ def panel_plan(model: ModelFile | None, effects: tuple[str, ...]) -> Plan:
         for s in SUSPECTS
         if s.parameter.endswith(".ratio") and s.effect not in effects
     ]
-    return Plan((Prior("initial_K", 0.0, INITIAL_K / 2), *own, *firm), (), 1.0, "")
+    return Plan((Prior("initial_K", 0.0, INITIAL_K / 2), *own, *firm), (), 1.0, "", {})
 
 
-def _neutral(parameter: str) -> float:
-    effect = find_effect(parameter.partition(".")[0])
-    return next(p.neutral for p in effect.parameters if effect.key(p.name) == parameter)
+def _parameter(name: str) -> Parameter:
+    effect = find_effect(name.partition(".")[0])
+    return next(p for p in effect.parameters if effect.key(p.name) == name)
+
+
+def _sized(name: str) -> bool:
+    """Return whether a parameter is the size of a cause, absent at a neutral value."""
+    if "." not in name or name == SKIN:
+        return False
+    own = _parameter(name)
+    return own.typical != own.neutral

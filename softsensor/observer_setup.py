@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -16,8 +17,8 @@ from softsensor.effects import find_effect
 from softsensor.model import Build, ThermalModel
 from softsensor.observer_priors import FOOTPRINT_SD, LAG_SD, SKIN, TIMING, Prior
 
-_LONGEST_S = 900.0
-"""How long after closing factors on contacts are tabulated. [s]"""
+PROFILE = 11
+"""Points of a temperature profile."""
 
 
 @dataclass(frozen=True)
@@ -32,6 +33,13 @@ class Bench:
     labels: tuple[str, ...]
     effects: tuple[str, ...]
     """Every effect any filter uses; those with layers shape the mesh."""
+    cases: dict[tuple[str, ...], Case] = field(default_factory=dict, compare=False)
+    """Laid out once for each set of effects."""
+
+    @cached_property
+    def alone(self) -> tuple[Bench, tuple[int, int]] | None:
+        """The panel alone between its faces, and their places; None where they are not measured."""
+        return _panel_bench(self) if self.press.has_states else None
 
 
 @dataclass
@@ -54,6 +62,10 @@ class Filter:
     moving: loops.Integers
     heat: Array
     """Weights that sum the panel's heat (n). [J/m²K]"""
+    profile: Array
+    """Weights that read the temperature at even heights from lower to upper face (PROFILE, n)."""
+    start_C: float  # noqa: N815
+    """The panel's initial temperature as the header says. [°C]"""
 
     @property
     def timing_units(self) -> tuple[float, float]:
@@ -87,8 +99,7 @@ _IN_PANEL = (
 """Effects that act inside the panel."""
 
 
-def panel_bench(bench: Bench) -> tuple[Bench, tuple[int, int]] | None:
-    """Return a bench of the panel alone between its faces, and their places; None where they are not measured."""
+def _panel_bench(bench: Bench) -> tuple[Bench, tuple[int, int]] | None:
     layers = bench.press.panel_layers
     wanted = [f"{layer}.{side}" for layer in layers for side in ("bottom", "top")]
     if len(layers) != 1 or any(label not in bench.labels for label in wanted):
@@ -124,7 +135,10 @@ def make_filter(
         value = p.centre + at[i] * p.sd
         values[p.name] = float(np.exp(value)) if p.logarithmic else value
         units[i] = values[p.name] * p.sd if p.logarithmic else p.sd
-    case = model.prepare(bench.run, Moments(closed_s=0.0), max_step_s=60.0)
+    key = tuple(effects)
+    if key not in bench.cases:
+        bench.cases[key] = model.prepare(bench.run, Moments(closed_s=0.0), max_step_s=60.0)
+    case = bench.cases[key]
     build = model.build(case, {k: v for k, v in values.items() if k not in TIMING}, names)
     if len(units) != build.width:
         raise AssertionError(f"tangents have {build.width} rows for {len(names)} parameters")
@@ -188,7 +202,18 @@ def _arrays(bench: Bench, case: Case, build: Build, priors: Sequence[Prior], uni
         places=np.ascontiguousarray(places),
         moving=np.array([names.index(t) if t in names else -1 for t in TIMING], dtype=np.int64),
         heat=np.where(case.layout.wet, build.stack.c * case.mesh.dx, 0.0),
+        profile=_profile(bench, case),
+        start_C=case.panel.initial_temperature if case.panel is not None else float(state.t.mean()),
     )
+
+
+def _profile(bench: Bench, case: Case) -> Array:
+    """Return the weights of a profile through the panel, empty where there is none."""
+    layers = bench.press.panel_layers
+    if not layers or case.panel is None:
+        return np.zeros((0, len(case.mesh.dx)))
+    heights = np.linspace(0.0, case.panel.thickness, PROFILE)
+    return np.stack([case.mesh.place(layers[0], float(h)) for h in heights])
 
 
 CHAIN_UNITS = (LAG_SD, FOOTPRINT_SD)

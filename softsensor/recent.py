@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -10,6 +12,8 @@ from typing import Any
 import numpy as np
 
 from daq.pressfile import Press
+from daq.store import RunRecord
+from softsensor.adequacy import stored_adequacy
 from softsensor.modelfile import Estimate, ModelFile
 from softsensor.observer_priors import COEFFICIENT_SD, spread_of
 
@@ -49,9 +53,13 @@ def combined_model(press: Press, base: ModelFile | None, fits: Sequence[Mapping[
         estimate = _combined(known, press.coefficient(name).guess, list(_values(name, fits)))
         if estimate is not None:
             table[name] = estimate
+    seen = stored_adequacy(fits)
     if base is None:
-        return ModelFile(PRESS_FILE, press.name, table)
-    return replace(base, coefficients=table)
+        return ModelFile(PRESS_FILE, press.name, table, adequacy=seen)
+    before = base.adequacy
+    if before is not None and (seen is None or seen.runs < before.runs):
+        seen = before
+    return replace(base, coefficients=table, adequacy=seen)
 
 
 def _values(name: str, fits: Iterable[Mapping[str, Any]]) -> Iterable[tuple[float, float]]:
@@ -81,3 +89,10 @@ def _combined(known: Estimate | None, guess: float, found: list[tuple[float, flo
     sd = math.sqrt(spread**2 + 1.0 / (weights.sum() + own))
     value = math.exp(mean)
     return Estimate(value, value * math.sqrt(math.expm1(sd**2)))
+
+
+def fingerprint(record: RunRecord, press: Press, model: ModelFile | None) -> str:
+    """Return what a fit rests on, as a short text that changes when any of it does."""
+    effects = model.as_json()["effects"] if model is not None else []
+    parts = [dict(record.header), record.first_scan, record.last_scan, press.model_dump(mode="json"), effects]
+    return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()[:16]

@@ -14,18 +14,21 @@ import signal
 import threading
 import time
 from concurrent.futures import Future, ProcessPoolExecutor
-from dataclasses import dataclass, field
-from multiprocessing import get_context
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field
+from multiprocessing import get_context, parent_process
 from typing import Any, Literal
 
 from daq.config import Config, PressSettings
+from daq.notify import Notifier
 from daq.pressfile import Press, read_press
 from daq.records import InputError, PressState, Run, Scan
 from daq.store import RunRecord, RunStatus, Store, StoredEstimate, StoreUnavailable, open_store
 from softsensor.drift import RunValue, watch_all
 from softsensor.modelfile import ModelFile, parse_model
 from softsensor.observer import Estimate, LiveSensor
-from softsensor.recent import NEWEST_RUNS, PRESS_FILE, up_to_date
+from softsensor.recent import NEWEST_RUNS, PRESS_FILE, fingerprint, up_to_date
+from softsensor.warming import warm_up
 
 LOG = logging.getLogger("kerntemp.sense")
 PROCESS = "sense"
@@ -60,8 +63,13 @@ def sense(config: Config, *, stop: threading.Event | None = None) -> None:
         return
     with store, Fitter() as fitter:
         followers = [Follower(store, settings, press, fitter) for settings, press in presses]
-        _say(store, "info", f"following {', '.join(s.name for s, _ in presses)}")
-        trouble, beat = "", -1e9
+        for _, press in presses:
+            with suppress(InputError):  # a rig whose runs must say more: compiled when the first does
+                warm_up(press)
+        with suppress(StoreUnavailable):  # held for the moment: no reason to end
+            _say(store, "info", f"following {', '.join(s.name for s, _ in presses)}")
+        trouble, beat, notifier = "", -1e9, Notifier()
+        notifier.ready("following the store")
         while not stop.is_set():
             worked = False
             try:
@@ -69,16 +77,21 @@ def sense(config: Config, *, stop: threading.Event | None = None) -> None:
                     worked = follower.step(time.monotonic()) or worked
                 if time.monotonic() - beat > BEAT_S:
                     beat = time.monotonic()
-                    store.beat(PROCESS, _status(followers, "running"))
+                    status = _status(followers, "running")
+                    store.beat(PROCESS, status)
+                    notifier.alive(str(status["message"]))
                 trouble = ""
             except StoreUnavailable as error:
                 if str(error) != trouble:
                     LOG.warning("%s; trying again", error)
                 trouble = str(error)
+                notifier.alive(trouble)  # a store that is away is no reason to begin anew
                 stop.wait(0.5)
             if not worked:
                 stop.wait(POLL_S)
-        store.beat(PROCESS, _status(followers, "stopped"))
+        notifier.stopping()
+        with suppress(StoreUnavailable):
+            store.beat(PROCESS, _status(followers, "stopped"))
 
 
 def _stop_on_signals(stop: threading.Event) -> None:
@@ -131,7 +144,7 @@ class Fitter:
     """Fits runs in a worker process."""
 
     def __init__(self) -> None:
-        self._pool = ProcessPoolExecutor(1, mp_context=get_context("spawn"))
+        self._pool = ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=_end_with_parent)
         self._warm = self._pool.submit(_warm_up)
 
     def __enter__(self) -> Fitter:
@@ -145,6 +158,17 @@ class Fitter:
         return self._pool.submit(fit_one, press, run, model)
 
 
+def _end_with_parent() -> None:
+    """End this worker when the process that started it is gone, also where that was killed."""
+
+    def watch() -> None:
+        if parent := parent_process():
+            parent.join()
+            os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
 def _warm_up() -> None:
     """Load the solver before the first fit is due."""
     from softsensor import campaign
@@ -153,14 +177,20 @@ def _warm_up() -> None:
 
 
 def fit_one(press: Press, run: Run, model: ModelFile | None) -> dict[str, Any]:
-    """Fit one run as the live sensor does after a pressing. Raises InputError."""
+    """Fit one run as the live sensor does after a pressing, with what it says about causes left out.
+
+    Raises InputError.
+    """
+    from softsensor.adequacy import run_evidence
     from softsensor.campaign import moments_of
     from softsensor.fit import fit_run
     from softsensor.model import ThermalModel
 
     thermal = model.model(press) if model is not None else ThermalModel(press)
     start = dict(model.values) if model is not None else None
-    return fit_run(thermal, run, moments_of(run, press), start=start).as_json()
+    fitted = fit_run(thermal, run, moments_of(run, press), start=start)
+    evidence = run_evidence(fitted.problem, fitted.minimum.evaluation)
+    return fitted.as_json() | {"evidence": {name: e.as_json() for name, e in evidence.items()}}
 
 
 @dataclass
@@ -190,12 +220,18 @@ class Follower:
     message: str = "waiting for scans"
     update_us: float = 0.0
     _base_version: str = "?"
+    _rests_on: tuple[str, int] | None = None
+    """Promoted model and newest fit behind `model`."""
     _fits: dict[str, Future[dict[str, Any]]] = field(default_factory=dict)
     _looked: float = -1e9
     _idle_said: float = -1e9
     _model_looked: float = -1e9
     _due: set[str] = field(default_factory=set)
     _alarmed: set[tuple[str, str]] = field(default_factory=set)
+    _ended: list[RunRecord] = field(default_factory=list)
+    """Pressings that are over and have scans this process has not seen yet, oldest first."""
+    _unwritten: list[StoredEstimate] = field(default_factory=list)
+    """Said and not in the store yet: no scan goes through the sensor twice because the store was away."""
 
     @property
     def name(self) -> str:
@@ -205,7 +241,7 @@ class Follower:
     def step(self, now: float) -> bool:
         """Do what there is to do; return whether there was anything."""
         if self.last == -2:
-            self.last = self.store.newest_estimate_number(self.name)
+            self.last = self.store.last_scan_followed(self.name)
             if self.last == -1:
                 self.last = self.store.newest_scan_number(self.name)
         if now - self._model_looked > MODEL_S:
@@ -215,23 +251,38 @@ class Follower:
             self._looked = now
             self._look()
         self._collect()
+        self._write()
         batch = self.store.scans_after(self.name, self.last, BATCH)
         if not batch.scans:
             self.behind = 0
             return False
         self.behind = len(batch.scans)
         names = tuple(c.name for c in batch.channels)
-        if self.live is None or batch.scans[-1].number < self.live.record.first_scan:
-            self._look()
-        estimates = [self._estimate(scan, names) for scan in batch.scans]
-        self.store.append_estimates(self.name, [e for e in estimates if e is not None])
-        self.last = batch.scans[-1].number
+        if self.live is None or len(batch.scans) > 1 or batch.scans[-1].number < self.live.record.first_scan:
+            self._look()  # a pressing may have begun and ended among scans that came together
+        for scan in batch.scans:
+            self._turn(scan.number)
+            estimate = self._estimate(scan, names)
+            self._unwritten += [] if estimate is None else [estimate]
+            self.last = scan.number
+        self._write()
+        if self.live is not None and len(batch.scans) < BATCH:
+            self.live.sensor.look_ahead()  # after the estimates: nobody waits for it
         return True
+
+    def _write(self) -> None:
+        """Store what was said; where the store refuses, it is tried again at the next step."""
+        if self._unwritten:
+            self.store.append_estimates(self.name, self._unwritten)
+            self._unwritten = []
 
     # --- runs ---------------------------------------------------------------------------------------
 
     def _look(self) -> None:
         """Notice a new, changed or finished run."""
+        self._ended = self.store.ended_runs_after(self.name, self.last, BATCH)
+        if self._ended:
+            return
         record = self.store.open_run(self.name)
         live = self.live
         if live is not None and (record is None or record.run != live.record.run):
@@ -254,6 +305,21 @@ class Follower:
             self._due.add(record.run)
             self._submit(record.run)
 
+    def _turn(self, number: int) -> None:
+        """Begin and finish pressings that are over already where their scans begin and end."""
+        while self._ended and number > (self._ended[0].last_scan or 0):
+            self._leave(self._ended.pop(0).run)
+        if not self._ended or number < self._ended[0].first_scan:
+            return
+        if self.live is None or self.live.record.run != self._ended[0].run:
+            self._leave(self.live.record.run if self.live else "")
+            self._begin(self._ended[0], self.model.version if self.model else "")
+
+    def _leave(self, run: str) -> None:
+        if self.live is not None and self.live.record.run == run:
+            self._finish(self.live)
+            self.live = None
+
     def _begin(self, record: RunRecord, version: str) -> None:
         """Start a sensor and give it the run's scans so far."""
         before = self.live
@@ -261,6 +327,15 @@ class Follower:
         fitted = before is not None and before.record.run == record.run and before.fitted_open
         self.live = _Live(record, LiveSensor(self.press, record.header, self.model), version, fitted)
         self.problem = ""
+        try:
+            self._catch_up(record, said_before=same)
+        except StoreUnavailable:
+            self.live = None  # to begin again from the first scan, not in the middle
+            raise
+        self.message = f"following {record.run}"
+
+    def _catch_up(self, record: RunRecord, *, said_before: bool) -> None:
+        """Give the sensor the run's scans so far."""
         number = record.first_scan - 1
         while number < self.last:
             batch = self.store.scans_after(self.name, number, BATCH)
@@ -269,10 +344,9 @@ class Follower:
             if not scans:
                 break
             estimates = [self._estimate(scan, names) for scan in scans]
-            if not same:  # a new model does not rewrite what the old one said
+            if not said_before:  # a new model does not rewrite what the old one said
                 self.store.append_estimates(self.name, [e for e in estimates if e is not None])
             number = scans[-1].number
-        self.message = f"following {record.run}"
 
     def _estimate(self, scan: Scan, names: tuple[str, ...]) -> StoredEstimate | None:
         """Return what the sensor says at a scan; between pressings once a second."""
@@ -281,7 +355,7 @@ class Follower:
             if 0.0 <= scan.monotonic_s - self._idle_said < IDLE_S:
                 return None
             self._idle_said = scan.monotonic_s
-            return _stored(scan, Estimate(scan.monotonic_s, PressState.IDLE, reason=NO_PANEL), "")
+            return _stored(scan, Estimate(scan.monotonic_s, PressState.IDLE, reason=NO_PANEL), "", {})
         values = {
             name: value if quality.usable else float("nan")
             for name, value, quality in zip(names, scan.values, scan.qualities, strict=True)
@@ -294,7 +368,7 @@ class Follower:
             self.problem = str(error)
             said = Estimate(time_s, None, reason=self.problem)
         self.update_us += 0.02 * (1e6 * (time.perf_counter() - begun) - self.update_us)
-        return _stored(scan, said, live.model)
+        return _stored(scan, said, live.model, _details(live.sensor, said))
 
     # --- fits ---------------------------------------------------------------------------------------
 
@@ -319,10 +393,17 @@ class Follower:
             if error is not None:
                 _say(self.store, "warning", f"run {run} could not be fitted: {error}", self.name)
             else:
-                self.store.put_fit(run, future.result(), self._base_version)
+                self.store.put_fit(run, self._marked(run, future.result()), self._base_version)
                 self._model_looked = -1e9
                 self._watch()
             self._submit(run)
+
+    def _marked(self, run: str, fit: dict[str, Any]) -> dict[str, Any]:
+        """Return a fit of a whole run with what it rests on, so that the nightly job need not repeat it."""
+        record = self.store.run_record(run)
+        if record.status is RunStatus.OPEN or run in self._due:
+            return fit
+        return fit | {"fingerprint": fingerprint(record, self.press, self.model)}
 
     def _watch(self) -> None:
         """Write an alarm once for each coefficient that has left what is usual."""
@@ -338,6 +419,11 @@ class Follower:
     def _refresh_model(self) -> None:
         """Take the promoted model and the newest fits made with it."""
         active = self.store.active_model(self.name)
+        newest = self.store.coefficient_history(press=self.name, limit=1).items
+        rests_on = (active.version if active else "", newest[0].fit_number if newest else 0)
+        if rests_on == self._rests_on:
+            return
+        self._rests_on = rests_on
         base = parse_model(active.model, f"model {active.version}") if active is not None else None
         version = base.version if base is not None else PRESS_FILE
         runs = self.store.runs(press=self.name, limit=NEWEST_RUNS + 1).items
@@ -351,7 +437,22 @@ class Follower:
         self.model = up_to_date(self.press, base, good[:NEWEST_RUNS])
 
 
-def _stored(scan: Scan, said: Estimate, model: str) -> StoredEstimate:
+def _details(sensor: LiveSensor, said: Estimate) -> dict[str, Any]:
+    """Return what goes beside an estimate, without what is not known."""
+    found: dict[str, Any] = {"suspected": said.suspected} if said.suspected else {}
+    if said.state is not PressState.IDLE and said.state is not None and (inside := sensor.inside) is not None:
+        found["profile_C"] = [round(v, 1) for v in inside.profile_C.tolist()]
+        found["energy_kJ_m2"] = round(inside.energy_kJ_m2, 1)
+    outlook = sensor.outlook
+    for name, value in asdict(outlook).items():
+        if isinstance(value, float) and value == value:
+            found[name] = round(value, 1)
+    if outlook.warning:
+        found["warning"] = outlook.warning
+    return found
+
+
+def _stored(scan: Scan, said: Estimate, model: str, detail: dict[str, Any]) -> StoredEstimate:
     return StoredEstimate(
         number=scan.number,
         monotonic_s=scan.monotonic_s,
@@ -363,5 +464,5 @@ def _stored(scan: Scan, said: Estimate, model: str) -> StoredEstimate:
         valid=said.valid,
         reason=said.reason,
         model_version=model,
-        detail={"suspected": said.suspected} if said.suspected else None,
+        detail=detail or None,
     )

@@ -1,6 +1,12 @@
 """The nightly job: only what changed, nothing lost, the old model in place until a better one is proved."""
 
+import json
+import signal
+import subprocess
+import sys
+import time
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -10,8 +16,9 @@ from daq.simulated.campaign import Plan, make_campaign
 from daq.simulated.campaign_pressfile import press_toml
 from daq.store import open_store
 from softsensor import nightly
-from softsensor.modelfile import Estimate, ModelFile
+from softsensor.modelfile import Estimate, ModelFile, parse_model
 from softsensor.nightly import Task, fit_all, refit_press, roll_back
+from softsensor.nightly_report import write_report
 
 PRESS = parse_press(press_toml())
 PLAN = Plan(
@@ -122,3 +129,132 @@ def test_a_hidden_cause_is_named_and_the_better_model_promoted(store):
     assert outcome.promoted
     assert "edge_loss" in outcome.reason
     assert store.active_model("lab").model["effects"][0]["name"] == "edge_loss"
+
+
+def test_the_page_of_the_night_says_what_was_done(store, runs, tmp_path):
+    fill(store, runs[:3])
+    outcome = refit_press(store, "lab", PRESS, workers=1)
+    page = write_report(store, outcome, tmp_path / "reports").read_text(encoding="utf-8")
+    assert f"Model {outcome.version} was promoted" in page
+    assert "3 of 3 runs were fitted anew, 0 could not be" in page
+    assert all(run.name in page for run in runs[:3])
+    assert "h_pp_c" in page
+    assert [p.suffix for p in (tmp_path / "reports").iterdir()] == [".html"]
+
+
+def test_a_folder_that_cannot_be_written_is_named(store, runs, tmp_path):
+    fill(store, runs[:1])
+    (tmp_path / "reports").write_text("in the way", encoding="utf-8")
+    outcome = refit_press(store, "lab", PRESS, workers=1)
+    with pytest.raises(InputError, match=r"reports.*cannot write the report"):
+        write_report(store, outcome, tmp_path / "reports")
+
+
+CONFIG = """
+[store]
+url = "kerntemp.sqlite"
+[refit]
+workers = 1
+dask = "{dask}"
+[[press]]
+name = "lab"
+file = "press.toml"
+[[press.logger]]
+name = "x"
+profile = "m-7018"
+host = "127.0.0.1"
+channels = ["platen_top", "platen_bottom", "top_1", "bottom_1"]
+"""
+
+
+def configured(folder, dask=""):
+    (folder / "press.toml").write_text(press_toml(), encoding="utf-8")
+    (folder / "kerntemp.toml").write_text(CONFIG.format(dask=dask), encoding="utf-8")
+    return [sys.executable, "-m", "api", "refit", "--config", str(folder / "kerntemp.toml")]
+
+
+def values(fit):
+    return {name: c["value"] for name, c in fit["coefficients"].items()}
+
+
+@pytest.mark.campaign
+def test_killed_at_any_moment_it_leaves_the_old_model_and_goes_on_next_time(tmp_path):
+    plan = replace(PLAN, press_time_s=(40.0, 90.0))
+    pressings = [run for run, _ in make_campaign(53, 12, "edge_loss", plan)]
+    known = {n: Estimate(PRESS.coefficient(n).guess, 50.0) for n in PRESS.coefficient_names}
+    command = configured(tmp_path)
+    with open_store(str(tmp_path / "kerntemp.sqlite")) as store:
+        fill(store, pressings)
+        store.put_model("lab", "lab-old", ModelFile("lab-old", "lab", known).as_json())
+        store.promote_model("lab-old", "test")
+        fitted = []
+        for after in (0.3, 3.0, 4.5, 6.0, 8.0, 11.0):
+            job = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+            time.sleep(after)
+            job.send_signal(signal.SIGKILL)
+            job.wait()
+            active = store.active_model("lab")
+            parse_model(active.model, "model in force")
+            assert active.version == "lab-old" or store.diagnoses(press="lab").items
+            fitted.append(sum(store.fit(run.name) is not None for run in pressings))
+        assert fitted == sorted(fitted)  # what was fitted stays fitted
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+        assert "edge_loss" in [name for name, _ in parse_model(store.active_model("lab").model, "model").effects]
+        assert list((tmp_path / "reports").glob("lab-*.html"))
+
+
+@pytest.fixture
+def dask_address(tmp_path):
+    """A scheduler and a worker, each a process of its own."""
+    dask = str(Path(sys.executable).parent / "dask")
+    file = tmp_path / "scheduler.json"
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "cwd": tmp_path}
+    begin = [
+        dask,
+        "scheduler",
+        "--host",
+        "127.0.0.1",
+        "--port",
+        "0",
+        "--no-dashboard",
+        "--scheduler-file",
+        str(file),
+    ]
+    scheduler = subprocess.Popen(begin, **quiet)
+    deadline = time.monotonic() + 60.0
+    while not file.exists() and time.monotonic() < deadline:
+        time.sleep(0.1)
+    address = json.loads(file.read_text(encoding="utf-8"))["address"]
+    worker = subprocess.Popen([dask, "worker", address, "--nthreads", "1", "--no-dashboard"], **quiet)
+    yield address
+    for process in (worker, scheduler):
+        process.terminate()
+        process.wait(30)
+
+
+@pytest.mark.campaign
+def test_dask_workers_find_what_local_ones_find(tmp_path, runs, dask_address):
+    found = []
+    for name, address in (("local", ""), ("dask", dask_address)):
+        folder = tmp_path / name
+        folder.mkdir()
+        with open_store(str(folder / "kerntemp.sqlite")) as store:
+            fill(store, runs)
+            command = configured(folder, address)
+            done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+            assert done.returncode == 0, done.stderr
+            found.append({run.name: values(store.fit(run.name)) for run in runs})
+    local, dask = found
+    assert dask == {run: pytest.approx(table, rel=1e-9) for run, table in local.items()}
+
+
+@pytest.mark.campaign
+def test_a_dask_scheduler_that_is_not_there_is_named(tmp_path, runs):
+    command = configured(tmp_path, "tcp://127.0.0.1:9")
+    with open_store(str(tmp_path / "kerntemp.sqlite")) as store:
+        fill(store, runs[:3])
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "tcp://127.0.0.1:9" in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1

@@ -13,7 +13,9 @@ from daq.simulated.campaign_pressfile import press_toml
 from daq.simulated.physics import BASE_COEFFICIENTS
 from softsensor.effects import BUILT_IN
 from softsensor.modelfile import Estimate, ModelFile
-from softsensor.observer import NO_PLATENS, UNKNOWN_STATE, LiveSensor
+from softsensor.observer import NO_PLATENS, NOT_VALID, UNKNOWN_STATE, LiveSensor
+from softsensor.observer_priors import plans_for
+from softsensor.observer_track import Track
 
 PRESS = parse_press(press_toml())
 COEFFICIENTS = {name: Estimate(value, 0.2 * value) for name, value in BASE_COEFFICIENTS.items()}
@@ -174,6 +176,33 @@ def test_every_effect_may_stand_in_the_model(plain, effect):
     said = replay(plain[0][0], replace(MODEL, effects=((effect.name, table),)), rows=80)
     assert all(math.isfinite(e.core_C) for e in said if e.valid)
     assert np.mean([e.valid for e in said]) > 0.5
+
+
+def test_filters_that_break_down_begin_anew(plain, monkeypatch):
+    run = plain[0][0]
+    extend, broken = Track.extend, iter([False] * 60 + [True] + [False] * 10_000)
+
+    def breaking(self, rows, limit):
+        if next(broken):
+            raise ZeroDivisionError
+        return extend(self, rows, limit)
+
+    monkeypatch.setattr(Track, "extend", breaking)
+    said = replay(run, rows=120)
+    lost = [e for e in said if e.reason == NOT_VALID]
+    assert 1 <= len(lost) < 8
+    assert not any(e.valid for e in lost)
+    assert all(e.valid for e in said[-30:])
+
+
+def test_filters_are_linearised_only_where_effects_are_physical():
+    for plan in plans_for(PRESS, MODEL, 0.15, 0.15):
+        low, high = plan.reach
+        assert np.all(low <= plan.start)
+        assert np.all(plan.start <= high)
+        for i, prior in enumerate(plan.priors):
+            if prior.name == "contact_buildup.deficit":
+                assert prior.centre + high[i] * prior.sd < 0.98
 
 
 def test_a_rig_without_states_is_followed():

@@ -36,37 +36,40 @@ def test_updates_one_by_one_equal_conditioning_the_joint_gaussian(seed):
 @pytest.mark.parametrize("seed", range(5))
 def test_hypotheses_read_off_one_filter_equal_filters_run_for_each(seed):
     h, y, noise = problem(seed)
-    where, spike = np.array([1, 3, 4]), np.array([0.05, 0.1, 0.02])
+    where, spike, absent = np.array([1, 3, 4]), np.array([0.05, 0.1, 0.2]), np.array([0.0, -2.5, 1.2])
     readout = np.random.default_rng(seed + 100).standard_normal(h.shape[1])
     x, cov, fit = filtered(h, y, noise)
     means, variances, evidence, sizes = np.empty(4), np.empty(4), np.empty(4), np.empty(3)
     two_sided = np.zeros(3, dtype=bool)
-    loops.blend(x, cov, readout, where, spike, two_sided, means, variances, evidence, sizes)
+    loops.blend(x, cov, readout, where, absent, spike, two_sided, means, variances, evidence, sizes)
     for hypothesis in range(4):
-        scale = np.ones(h.shape[1])
-        scale[where] = spike
+        scale, centre = np.ones(h.shape[1]), np.zeros(h.shape[1])
+        scale[where], centre[where] = spike, absent
         if hypothesis:
-            scale[where[hypothesis - 1]] = 1.0
-        own_x, own_cov, own_fit = filtered(h * scale, y, noise)
-        assert readout @ x + means[hypothesis] == pytest.approx(readout @ (scale * own_x), abs=1e-6)
+            scale[where[hypothesis - 1]], centre[where[hypothesis - 1]] = 1.0, 0.0
+        own_x, own_cov, own_fit = filtered(h * scale, y - h @ centre, noise)
+        own_x = centre + scale * own_x
+        assert readout @ x + means[hypothesis] == pytest.approx(readout @ own_x, abs=1e-6)
         assert variances[hypothesis] == pytest.approx((readout * scale) @ own_cov @ (readout * scale), rel=1e-5)
         assert fit + evidence[hypothesis] == pytest.approx(own_fit, abs=1e-5)
         if hypothesis:
             assert sizes[hypothesis - 1] == pytest.approx(own_x[where[hypothesis - 1]], abs=1e-6)
 
 
-def test_a_cause_that_can_only_be_positive_counts_half_its_prior():
-    x, cov = np.array([0.8, 0.3]), np.array([[0.25, 0.1], [0.1, 0.5]])
+@pytest.mark.parametrize("absent", [0.0, -1.5])
+def test_a_cause_that_can_only_be_larger_counts_what_its_prior_leaves_above(absent):
+    x, cov = np.array([0.8 + absent, 0.3]), np.array([[0.25, 0.1], [0.1, 0.5]])
     readout, where, spike = np.array([0.4, 1.0]), np.array([0]), np.array([1e-3])
     out = [np.empty(2) for _ in range(3)]
     free = [np.empty(2) for _ in range(3)]
-    loops.blend(x, cov, readout, where, spike, np.array([True]), *out, np.empty(1))
-    loops.blend(x, cov, readout, where, spike, np.array([False]), *free, np.empty(1))
+    gone = np.array([absent])
+    loops.blend(x, cov, readout, where, gone, spike, np.array([True]), *out, np.empty(1))
+    loops.blend(x, cov, readout, where, gone, spike, np.array([False]), *free, np.empty(1))
     draws = np.random.default_rng(3).multivariate_normal(x, cov, 400_000)
-    positive = draws[draws[:, 0] > 0] @ readout - readout @ x
-    assert out[0][1] == pytest.approx(positive.mean(), abs=0.01)
-    assert out[1][1] == pytest.approx(positive.var(), abs=0.01)
-    assert out[2][1] - free[2][1] == pytest.approx(np.log(2 * norm.cdf(0.8 / 0.5)))
+    above = draws[draws[:, 0] > absent] @ readout - readout @ x
+    assert out[0][1] == pytest.approx(above.mean(), abs=0.01)
+    assert out[1][1] == pytest.approx(above.var(), abs=0.01)
+    assert out[2][1] - free[2][1] == pytest.approx(np.log(norm.cdf(0.8 / 0.5) / norm.cdf(-absent)))
 
 
 def test_quantiles_of_a_mixture_leave_their_share_below():
@@ -106,7 +109,7 @@ def test_a_loose_channel_loses_its_vote():
 
 
 def test_steps_end_where_they_should_and_are_fine_at_a_switch():
-    timing = loops.Timing(0.0, 2.0, 10.0, np.inf, np.inf, 0.5, True, 1.0, 1.0)
+    timing = loops.Timing(0.0, 2.0, 10.0, np.inf, np.inf, 0.5, True, 1.0, 1.0, 0.5)
     t, steps = 0.0, []
     while t < 30.0 - 1e-9:
         h = loops.step_length(t, 30.0, timing)

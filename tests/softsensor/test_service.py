@@ -1,8 +1,14 @@
 """The sense process on a store that fills as a recorder would fill it."""
 
+import os
+import signal
+import subprocess
+import sys
 import time
+from contextlib import suppress
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,10 +21,12 @@ from daq.records import Channel, PressState, Quality, Scan
 from daq.runkeeper import RunKeeper, RunNames, RunRules
 from daq.simulated.campaign import Plan, make_campaign
 from daq.simulated.campaign_pressfile import press_toml
-from daq.store import open_store
+from daq.store import NewRun, RunEnd, RunStatus, StoreUnavailable, open_store
 from softsensor.modelfile import Estimate, ModelFile
 from softsensor.recent import PRESS_FILE, combined_model, up_to_date
 from softsensor.service import Fitter, Follower
+from tests.daq.test_kills import is_zombie
+from tests.daq.test_recorder import wait_until
 
 PRESS = parse_press(press_toml())
 PLAN = Plan(
@@ -146,6 +154,20 @@ def test_every_scan_of_a_pressing_gets_its_estimate_and_the_pressing_its_fit(sto
     assert sense.model.version == f"{PRESS_FILE}+1"
 
 
+def test_an_estimate_carries_what_is_inside_and_what_lies_ahead(store, fitter, pressing):
+    header = dict(pressing[0].header) | {"setting.core_target_C": 60.0}
+    recorder = Recorder(store, pressing[0], {k: v for k, v in header.items() if k != "run"})
+    sense = follower(store, fitter)
+    while recorder.done < 80:
+        recorder.put(5)
+        drain(sense)
+    detail = store.estimates_after("lab", store.newest_estimate_number("lab") - 1)[-1].detail
+    assert len(detail["profile_C"]) == 11
+    assert detail["energy_kJ_m2"] > 100.0
+    assert detail["target_earliest_s"] <= detail["target_in_s"] <= detail["target_latest_s"]
+    assert 0.0 <= detail["open_in_s"] <= detail["target_in_s"]
+
+
 def test_a_restart_in_mid_press_agrees_with_the_uninterrupted_estimate(tmp_path, fitter, pressing):
     answers = []
     for name, restart in (("whole", None), ("restarted", 60)):
@@ -225,3 +247,130 @@ def test_a_fit_that_knows_nothing_changes_nothing():
     unknown = {"coefficients": {"h_pp_c": {"value": 5.0, "sd": 50.0, "identifiable": False}}}
     base = ModelFile("m", "lab", {"h_pp_c": Estimate(700.0, 70.0)})
     assert combined_model(PRESS, base, [unknown]).coefficients == base.coefficients
+
+
+class _Moody:
+    """A store that refuses some of what is written, as one does that another process holds."""
+
+    def __init__(self, store):
+        self._store, self.refusals, self._asked = store, 0, 0
+
+    def __getattr__(self, name):
+        return getattr(self._store, name)
+
+    def append_estimates(self, press, estimates):
+        self._asked += 1
+        if self._asked % 3 == 2:
+            self.refusals += 1
+            raise StoreUnavailable("store: database is locked")
+        self._store.append_estimates(press, estimates)
+
+
+def test_a_store_that_refuses_now_and_then_changes_no_estimate(tmp_path, fitter, pressing):
+    run, _ = pressing
+    said_to = []
+    for moody in (False, True):
+        with open_store(str(tmp_path / f"{moody}.sqlite")) as opened:
+            sense = follower(_Moody(opened) if moody else opened, fitter)
+            recorder = Recorder(opened, run)
+            while not recorder.finished:
+                recorder.put(20)
+                for _ in range(4):
+                    with suppress(StoreUnavailable):
+                        drain(sense)
+            said_to.append(said(opened))
+            if moody:
+                assert sense.store.refusals > 3
+    assert len(said_to[0]) > 100
+    assert repr(said_to[1]) == repr(said_to[0])
+
+
+def test_a_pressing_that_ended_while_the_process_was_away_gets_all_its_estimates(tmp_path, fitter, pressing):
+    run, _ = pressing
+    said_to = []
+    for away in (False, True):
+        with open_store(str(tmp_path / f"{away}.sqlite")) as opened:
+            recorder = Recorder(opened, run)
+            sense = follower(opened, fitter)
+            while not recorder.finished:
+                recorder.put(20)
+                if not away or recorder.done <= 60:
+                    drain(sense)
+            assert opened.open_run("lab") is None
+            sense = follower(opened, fitter) if away else sense
+            drain(sense)
+            record = opened.runs().items[0]
+            said_to.append(said(opened)[: record.last_scan - record.first_scan + 1])
+            assert len(said_to[-1]) == record.last_scan - record.first_scan + 1
+            wait = time.monotonic() + DEADLINE_S
+            while opened.fit(record.run) is None and time.monotonic() < wait:
+                drain(sense)
+            assert opened.fit(record.run) is not None
+    assert repr(said_to[1]) == repr(said_to[0])
+
+
+def test_however_many_pressings_ended_meanwhile_each_scan_of_them_gets_its_estimate(store, fitter, pressing):
+    run, _ = pressing
+    recorder = Recorder(store, run)
+    sense = follower(store, fitter)
+    drain(sense)
+    recorder.put(2)
+    drain(sense)
+    pattern = store.scans_after("lab", 0).scans[0]
+    header = {name: value for name, value in run.header.items() if name != "run"}
+    first, per, count = 2, 8, 30
+    for k in range(count):
+        numbers = range(first + k * per, first + (k + 1) * per)
+        scans = [replace(pattern, number=n, monotonic_s=pattern.monotonic_s + n / 4) for n in numbers]
+        begin = NewRun(f"lab-{k}", numbers[1], scans[1].utc, scans[1].monotonic_s, header)
+        end = RunEnd(begin.run, numbers[-2], scans[-2].utc, RunStatus.INTERRUPTED)
+        store.append_scans(recorder.key, scans, begin=begin, end=end)
+    drain(follower(store, fitter))
+    bare = [r.run for r in store.runs().items if len(store.estimates(r.run)) != per - 2]
+    assert len(store.runs().items) == count
+    assert not bare
+
+
+def test_a_kill_before_a_pressing_was_caught_up_with_leaves_no_scan_of_it_without_estimate(
+    store, fitter, pressing
+):
+    run, _ = pressing
+    recorder = Recorder(store, run)
+    recorder.put(40)
+    drain(follower(store, fitter))
+    record = store.open_run("lab")
+    store.interrupt_open_runs("lab")
+    with store.database.writing() as connection:
+        connection.exec_driver_sql(
+            f"DELETE FROM estimate WHERE number IN ({record.first_scan}, {record.first_scan + 1})"
+        )
+    assert store.last_scan_followed("lab") == record.first_scan - 1
+    drain(follower(store, fitter))
+    ended = store.run_record(record.run)
+    assert len(store.estimates(record.run)) == ended.last_scan - ended.first_scan + 1
+    assert store.last_scan_followed("lab") == store.newest_estimate_number("lab")
+
+
+FIT_WORKER = """
+import time
+from softsensor.service import Fitter
+if __name__ == "__main__":
+    with Fitter() as fitter:
+        fitter._warm.result()
+        print(*fitter._pool._processes, flush=True)
+        time.sleep(600)
+"""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="SIGKILL is POSIX")
+def test_the_fitting_worker_ends_when_its_process_is_killed(tmp_path):
+    script = tmp_path / "worker.py"
+    script.write_text(FIT_WORKER)
+    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}
+    with subprocess.Popen(
+        [sys.executable, str(script)], stdout=subprocess.PIPE, text=True, env=environment
+    ) as one:
+        worker = int(one.stdout.readline())
+        assert not is_zombie(worker)
+        os.kill(one.pid, signal.SIGKILL)
+    wait_until(lambda: is_zombie(worker), 20)

@@ -1,0 +1,106 @@
+"""What the sensor foresees against what then happens in the virtual press."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from daq.pressfile import parse_press
+from daq.records import PressState
+from daq.simulated.campaign import Plan, make_campaign
+from daq.simulated.campaign_places import solve_places
+from daq.simulated.campaign_pressfile import press_toml
+from daq.simulated.physics import BASE_COEFFICIENTS
+from softsensor.modelfile import Estimate, ModelFile
+from softsensor.observer import LiveSensor
+
+PRESS = parse_press(press_toml())
+MODEL = ModelFile("test", "lab", {n: Estimate(v, 0.15 * v) for n, v in BASE_COEFFICIENTS.items()})
+PLAN = Plan(
+    rate_hz=1.0, thickness_mm=16.0, start_before_s=5.0, closed_column=True,
+    press_time_s=(100.0, 101.0), open_before_s=(6.0, 8.0), open_after_s=(155.0, 156.0),
+)  # fmt: skip
+TARGET = 35.0
+
+
+@pytest.fixture(scope="module")
+def pressing():
+    return make_campaign(71, 1, None, PLAN)[0]
+
+
+def follow(run, **wishes):
+    """Feed a run and return, scan by scan: time, state, estimate, what is inside, what lies ahead."""
+    header = dict(run.header) | {f"setting.core_{name}_C": value for name, value in wishes.items()}
+    sensor = LiveSensor(PRESS, header, MODEL)
+    rows = []
+    for i, t in enumerate(run.time_s.tolist()):
+        said = sensor.update(t, {name: float(values[i]) for name, values in run.columns.items()})
+        sensor.look_ahead()
+        rows.append((t, said.state, said, sensor.inside, sensor.outlook))
+    return rows
+
+
+@pytest.fixture(scope="module")
+def followed(pressing):
+    return follow(pressing[0], target=TARGET, limit=60.0)
+
+
+def test_the_target_is_reached_when_the_sensor_said_it_would_be(pressing, followed):
+    run, truth = pressing
+    reached = float(run.time_s[np.argmax(truth.core_C >= TARGET)])
+    told = [
+        (t, o) for t, state, _, _, o in followed if state is PressState.CLOSED and reached - 40 < t < reached - 5
+    ]
+    assert len(told) > 30
+    assert max(abs(t + o.target_in_s - reached) for t, o in told) < 4.0
+    assert all(o.target_earliest_s <= o.target_in_s <= o.target_latest_s for _, o in told)
+    assert np.mean([t + o.target_earliest_s <= reached <= t + o.target_latest_s for t, o in told]) > 0.9
+
+
+def test_the_peak_after_opening_is_foreseen_at_the_opening(pressing, followed):
+    run, truth = pressing
+    told = next(o for t, _, _, _, o in followed if t > truth.moments.opened_s - 1.0)
+    later = truth.core_C[run.time_s > truth.moments.opened_s]
+    assert later.max() > 60.0
+    assert told.peak_C > 60.0
+    assert told.peak_C == pytest.approx(later.max(), abs=4.0)
+
+
+def test_opening_when_advised_lets_the_core_peak_at_the_target(pressing):
+    _, truth = pressing
+    advised = next(
+        t + o.open_in_s
+        for t, state, _, _, o in follow(pressing[0], target=70.0)
+        if state is PressState.CLOSED and t > 60
+    )
+    early = replace(truth.pressing, opened=advised, end=advised + 150.0)
+    core = solve_places(early, {}, 0.0, "fast").core(np.arange(0.0, early.end, 0.5))
+    assert core.max() == pytest.approx(70.0, abs=3.0)
+
+
+def test_a_limit_is_warned_of_before_it_is_passed(pressing, followed):
+    run, truth = pressing
+    passed = float(run.time_s[np.argmax(truth.core_C >= 60.0)])
+    warned = next(t for t, _, _, _, o in followed if o.warning)
+    assert warned < passed - 10.0
+
+
+def test_the_heat_taken_up_is_that_of_the_profile(pressing, followed):
+    run, _ = pressing
+    _, _, _, inside, _ = followed[80]
+    profile = inside.profile_C
+    assert len(profile) == 11
+    assert profile[0] > profile[5] < profile[-1]
+    capacity, start = 1550.0 * run.header["panel.density_kg_m3"], run.header["panel.initial_temperature_C"]
+    depth = np.linspace(0.0, 0.016, 11)
+    assert inside.energy_kJ_m2 == pytest.approx(np.trapezoid(profile - start, depth) * capacity / 1000.0, rel=0.04)
+
+
+def test_nothing_is_foreseen_where_nothing_is_wanted(pressing):
+    run, _ = pressing
+    sensor = LiveSensor(PRESS, run.header, MODEL)
+    for i, t in enumerate(run.time_s[:60].tolist()):
+        sensor.update(t, {name: float(values[i]) for name, values in run.columns.items()})
+        sensor.look_ahead()
+    assert np.isnan(sensor.outlook.target_in_s)
+    assert sensor.outlook.warning == ""
