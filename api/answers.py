@@ -7,28 +7,28 @@ import threading
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
-from statistics import median
-from typing import Any, Literal
+from typing import Any
 
+from api.channels import channels_now, faces_of
+from api.decimation import number_or_none
 from api.schemas import (
-    ChannelNow,
     CoefficientFit,
     CoefficientPoint,
     EstimateNow,
-    Faces,
     ModelSummary,
     Phase,
     PressNow,
+    RunDetail,
+    RunEdit,
     RunSummary,
     State,
     Target,
 )
 from daq.pressfile import parse_press
-from daq.records import Array, Channel, InputError, Quality, Scan
+from daq.records import InputError, Scan
 from daq.store.records import (
     CoefficientRecord,
     ModelRecord,
-    ProcessStatus,
     RunRecord,
     RunStatus,
     StoredEstimate,
@@ -42,30 +42,17 @@ STATE_AFTER: Mapping[str, State] = {
     "opened": "open",
     "removed": "idle",
 }
-TREND_S = 5.0
-"""How far back the rate of heating is taken from. [s]"""
+BESIDE = set(EstimateNow.model_fields) - set(StoredEstimate.__dataclass_fields__)
+"""What the sensor stores beside an estimate and the API hands on."""
 
+SILENT_S = 5.0
+"""An estimate this much older than the newest scan is no longer what the core is. [s]"""
+KEPT_RUNS = 64
+_HIGHEST: dict[tuple[str, str], tuple[int, float]] = {}
+_HIGHEST_LOCK = threading.Lock()
 KEPT_MODELS = 16
 _IN_USE: dict[tuple[object, ...], dict[str, float]] = {}
 _IN_USE_LOCK = threading.Lock()
-
-Role = Literal["platen", "top", "bottom", "core", "other"]
-_ROLES: tuple[Role, ...] = ("platen", "top", "bottom", "core")
-
-
-def number_or_none(value: float | None) -> float | None:
-    """Return a number JSON can carry: None for NaN and infinities."""
-    return None if value is None or not math.isfinite(value) else float(value)
-
-
-def column_values(values: Array) -> list[float | None]:
-    """Return a column for JSON, NaN as null, rounded to 0.1 mK."""
-    return [None if not math.isfinite(v) else round(v, 4) for v in values.tolist()]
-
-
-def role_of(channel: str) -> Role:
-    """Tell platen, face and core channels apart by the contract's column names."""
-    return next((role for role in _ROLES if channel.startswith(role)), "other")
 
 
 def phases_of(run: RunRecord) -> list[Phase]:
@@ -82,9 +69,13 @@ def phases_of(run: RunRecord) -> list[Phase]:
     return [Phase(state=state, from_s=at, to_s=end) for (at, state), end in zip(known, ends, strict=True)]
 
 
-def run_summary(store: Store, run: RunRecord) -> RunSummary:
-    """Return a run as lists show it."""
-    fit = store.fit(run.run)
+def run_summaries(store: Store, runs: Sequence[RunRecord]) -> list[RunSummary]:
+    """Return runs as lists show them."""
+    errors = store.fit_errors([run.run for run in runs])
+    return [_run_summary(store, run, errors) for run in runs]
+
+
+def _run_summary(store: Store, run: RunRecord, errors: Mapping[str, float | None]) -> RunSummary:
     duration = (run.ended_utc - run.started_utc).total_seconds() if run.ended_utc else None
     newest = run.last_scan if run.last_scan is not None else store.newest_scan_number(run.press)
     return RunSummary(
@@ -100,20 +91,31 @@ def run_summary(store: Store, run: RunRecord) -> RunSummary:
         platen_temperature_C=_header_number(run, "setting.platen_temperature_C"),
         closed_s=number_or_none(run.moments.closed_s),
         opened_s=number_or_none(run.moments.opened_s),
-        rmse_K=fit.get("rmse_K") if fit else None,
-        fitted=fit is not None,
+        rmse_K=errors.get(run.run),
+        fitted=run.run in errors,
     )
 
 
-def remarks_of(store: Store, run: RunRecord) -> list[str]:
-    """Return what people wrote about a run and changed in it."""
-    written = [run.remark] if run.remark else []
-    changes = [
-        f"{change.utc:%Y-%m-%d %H:%M} {change.who}: {change.field} {change.before!r} → {change.after!r}"
-        for change in store.run_changes(run.run)
-        if change.field != "remark"
-    ]
-    return written + changes
+def run_detail(store: Store, run: RunRecord) -> RunDetail:
+    """Return a run with everything known about it."""
+    return RunDetail(
+        **run_summaries(store, [run])[0].model_dump(),
+        header={key: _plain(value) for key, value in run.header.items()},
+        columns=list(store.load_run(run.run, from_s=0.0, to_s=0.0).columns),
+        phases=phases_of(run),
+        remark=run.remark,
+        changes=[
+            RunEdit(utc=c.utc, who=c.who, field=c.field, before=_plain(c.before), after=_plain(c.after))
+            for c in store.run_changes(run.run)
+        ],
+    )
+
+
+def _plain(value: object) -> Any:
+    """Return a header value as JSON carries it."""
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value if isinstance(value, str | int | float | bool | list | dict | None) else str(value)
 
 
 def _header_number(run: RunRecord, key: str) -> float | None:
@@ -135,6 +137,7 @@ def estimate_now(estimate: StoredEstimate, run: RunRecord | None, utc: datetime 
         core_high_C=number_or_none(estimate.core_high_celsius),
         valid=estimate.valid,
         reason=estimate.reason,
+        **{k: v for k, v in (estimate.detail or {}).items() if k in BESIDE},
     )
 
 
@@ -153,22 +156,46 @@ def state_of(events: Sequence[StoredPressEvent], run: RunRecord | None) -> State
     return STATE_AFTER.get(events[-1].kind, "unknown") if events else "idle"
 
 
-def target_of(run: RunRecord | None, recent: Sequence[StoredEstimate]) -> Target | None:
-    """Return the core temperature to reach (`setting.core_target_C`) and when, at the present rate."""
+def target_of(store: Store, run: RunRecord | None, estimate: EstimateNow | None) -> Target | None:
+    """Return the core temperature to reach (`setting.core_target_C`) and when, as the live sensor foresees it."""
     wanted = _header_number(run, "setting.core_target_C") if run else None
-    if wanted is None:
+    if run is None or wanted is None:
         return None
-    valid = [e for e in recent if e.valid and math.isfinite(e.core_celsius)]
-    if not valid:
-        return Target(temperature_C=wanted, reached=False, time_to_target_s=None)
-    last = valid[-1]
-    if any(e.core_celsius >= wanted for e in valid):
+    if highest_core(store, run) >= wanted:
         return Target(temperature_C=wanted, reached=True, time_to_target_s=0.0)
-    window = [e for e in valid if e.monotonic_s >= last.monotonic_s - TREND_S]
-    elapsed = last.monotonic_s - window[0].monotonic_s
-    rate = (last.core_celsius - window[0].core_celsius) / elapsed if elapsed > TREND_S / 5 else 0.0
-    left = (wanted - last.core_celsius) / rate if rate > 0.01 else None
-    return Target(temperature_C=wanted, reached=False, time_to_target_s=None if left is None else round(left, 1))
+    told = estimate is not None and estimate.valid and estimate.run == run.run
+    ahead = estimate.target_in_s if estimate and told else None
+    return Target(temperature_C=wanted, reached=False, time_to_target_s=ahead)
+
+
+def highest_core(store: Store, run: RunRecord) -> float:
+    """Return the highest core temperature predicted in an open run so far, -inf before the first."""
+    with _HIGHEST_LOCK:
+        last, highest = _HIGHEST.get((store.label, run.run), (run.first_scan - 1, -math.inf))
+        while estimates := store.estimates_after(run.press, last, 2000):
+            last = estimates[-1].number
+            known = [e.core_celsius for e in estimates if e.valid and math.isfinite(e.core_celsius)]
+            highest = max([highest, *known])
+        _HIGHEST[store.label, run.run] = (last, highest)
+        while len(_HIGHEST) > KEPT_RUNS:
+            del _HIGHEST[next(iter(_HIGHEST))]
+    return highest
+
+
+def newest_estimate(store: Store, press: str, run: RunRecord | None, scan: Scan) -> EstimateNow | None:
+    """Return the newest estimate, invalid where the live sensor has fallen silent while scans go on."""
+    number = store.newest_estimate_number(press)
+    found = store.estimates_after(press, number - 1, 1)
+    if not found:
+        return None
+    own = scan if number == scan.number else next(iter(store.scans_after(press, number - 1, 1).scans), None)
+    told = estimate_now(found[0], run_of_scan([run] if run else [], number), own.utc if own else None)
+    silent_s = (scan.utc - own.utc).total_seconds() if own else 0.0
+    if silent_s <= SILENT_S:
+        return told
+    return told.model_copy(
+        update={"valid": False, "reason": f"the live sensor has said nothing for {silent_s:.0f} s"}
+    )
 
 
 def press_now(store: Store, press: str, press_file: str, now: datetime) -> PressNow:
@@ -179,14 +206,9 @@ def press_now(store: Store, press: str, press_file: str, now: datetime) -> Press
     number = store.newest_scan_number(press)
     batch = store.scans_after(press, number - 1, 1)
     scan = batch.scans[-1] if batch.scans else None
-    recent = store.estimates_after(press, number - 200, 400)
+    estimate = newest_estimate(store, press, shown, scan) if scan else None
     time_s = scan.monotonic_s - run.zero_monotonic_s if run and scan else None
     closed_s = run.moments.closed_s if run else math.nan
-    estimate = None
-    if recent:
-        newest = recent[-1]
-        home = run_of_scan([shown] if shown else [], newest.number)
-        estimate = estimate_now(newest, home, scan.utc if scan else None)
     channels = channels_now(store, press, batch.channels, scan, now)
     return PressNow(
         press=press,
@@ -202,28 +224,9 @@ def press_now(store: Store, press: str, press_file: str, now: datetime) -> Press
         channels=channels,
         faces=faces_of(channels),
         estimate=estimate,
-        target=target_of(run, recent),
+        target=target_of(store, run, estimate),
         coefficients=coefficients_in_use(store, press, press_file),
         description=press_description(press_file),
-    )
-
-
-def faces_of(channels: Sequence[ChannelNow]) -> Faces:
-    """Return the median of the good sensors at platens and faces."""
-
-    def middle(start: str) -> float | None:
-        good = [
-            c.temperature_C
-            for c in channels
-            if c.name.startswith(start) and c.temperature_C is not None and Quality(c.quality).usable
-        ]
-        return round(median(good), 3) if good else None
-
-    return Faces(
-        platen_top_C=middle("platen_top"),
-        platen_bottom_C=middle("platen_bottom"),
-        top_C=middle("top"),
-        bottom_C=middle("bottom"),
     )
 
 
@@ -252,8 +255,9 @@ def _coefficients(store: Store, press: str, press_file: str, active: ModelRecord
     except InputError:
         return {}
     version = base.version if base else PRESS_FILE
-    found = [store.fit(run.run) for run in store.runs(press=press, limit=NEWEST_RUNS + 1).items]
-    fits = [fit for fit in found if fit is not None and fit.get("model_version") == version]
+    runs = [run.run for run in store.runs(press=press, limit=NEWEST_RUNS + 1).items]
+    found = store.fits(runs)
+    fits = [found[run] for run in runs if run in found and found[run]["model_version"] == version]
     model = up_to_date(described, base, fits[:NEWEST_RUNS])
     guesses = {name: described.coefficient(name).guess for name in described.coefficient_names}
     return guesses | ({name: e.value for name, e in model.coefficients.items()} if model else {})
@@ -269,71 +273,16 @@ def press_description(press_file: str) -> dict[str, Any]:
         return {"error": str(error)}
 
 
-def channels_now(
-    store: Store, press: str, channels: Sequence[Channel], scan: Scan | None, now: datetime
-) -> list[ChannelNow]:
-    """Return each channel's last value, and what the recorder says about its logger."""
-    reported = channel_reports(store.statuses(), press)
-    names = [channel.name for channel in channels or store.channels(press)]
-    values = dict(zip(names, scan.values, strict=True)) if scan else {}
-    qualities = dict(zip(names, scan.qualities, strict=True)) if scan else {}
-    return [
-        _channel(press, name, scan, values.get(name), qualities.get(name, Quality.MISSING), reported, now)
-        for name in names
-    ]
-
-
-def _channel(
-    press: str,
-    name: str,
-    scan: Scan | None,
-    value: float | None,
-    quality: Quality,
-    reported: Mapping[str, Mapping[str, Any]],
-    now: datetime,
-) -> ChannelNow:
-    report = reported.get(name, {})
-    last_good = report.get("last_good_utc")
-    if last_good is None and scan is not None and quality.usable:
-        last_good = scan.utc
-    counters = {k: int(v) for k, v in report.get("counters", {}).items() if isinstance(v, int | float)}
-    return ChannelNow(
-        press=press,
-        name=name,
-        logger=str(report.get("logger", "")),
-        role=role_of(name),
-        temperature_C=number_or_none(value),
-        quality=str(quality),
-        utc=scan.utc if scan else None,
-        last_good_utc=last_good,
-        age_s=round((now - scan.utc).total_seconds(), 3) if scan else None,
-        counters=counters,
-    )
-
-
-def channel_reports(statuses: Mapping[str, ProcessStatus], press: str) -> dict[str, Mapping[str, Any]]:
-    """Return what the recorder's heartbeat says about each channel of a press."""
-    reports: dict[str, Mapping[str, Any]] = {}
-    for status in statuses.values():
-        for logger in status.status.get("loggers", []):
-            if isinstance(logger, Mapping) and logger.get("press", press) == press:
-                for channel in logger.get("channels", []):
-                    reports[str(channel)] = {**logger, "logger": logger.get("name", "")}
-    return reports
-
-
-def coefficient_points(
-    store: Store, records: Sequence[CoefficientRecord], presses: Mapping[str, RunRecord]
-) -> list[CoefficientPoint]:
+def coefficient_points(store: Store, records: Sequence[CoefficientRecord]) -> list[CoefficientPoint]:
     """Group coefficients by run, in the order given."""
     grouped: dict[str, list[CoefficientRecord]] = {}
     for record in records:
         grouped.setdefault(record.run, []).append(record)
+    fits, records_of = store.fits(list(grouped)), store.run_records(list(grouped))
     points = []
     for run, entries in grouped.items():
-        fit = store.fit(run) or {}
+        fit, home = fits.get(run, {}), records_of[run]
         given = {name: CoefficientFit(**c) for name, c in fit.get("coefficients", {}).items()}
-        home = presses[run]
         points.append(
             CoefficientPoint(
                 run=run,

@@ -5,9 +5,11 @@ From the outside in: response compression, access (`api.gate`), entity tags, rou
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 
 from fastapi import FastAPI
@@ -18,13 +20,16 @@ from starlette.middleware.gzip import GZipMiddleware
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from api import problems
+from api.answers import utc_now
 from api.caching import EntityTags
 from api.gate import Gate
 from api.health import installed_version
 from api.live import MAX_LISTENERS, Hub
-from api.routes import models, press, runs, simulation, system
+from api.metrics import metrics_text
+from api.routes import edits, models, press, runs, simulation, system
 from api.schemas import Problem
 from api.tokens import Attempts, TokenFile
+from daq.store.records import StoreUnavailable
 from daq.store.store import Store
 
 PAGE = Path(__file__).parent / "page"
@@ -48,6 +53,7 @@ def create_app(store: Store, tokens: TokenFile, max_listeners: int = MAX_LISTENE
 
     @asynccontextmanager
     async def lifespan(_app: FastAPI) -> AsyncIterator[None]:
+        await asyncio.to_thread(_warm_up, store)
         yield
         hub.close()
 
@@ -62,7 +68,7 @@ def create_app(store: Store, tokens: TokenFile, max_listeners: int = MAX_LISTENE
         generate_unique_id_function=lambda route: route.name,
     )
     app.state.store, app.state.hub = store, hub
-    for router in (press.router, runs.router, simulation.router, models.router, system.router):
+    for router in (press.router, runs.router, edits.router, simulation.router, models.router, system.router):
         app.include_router(router, prefix="/api/v1")
     app.include_router(system.metrics_router)
     _add_page(app)
@@ -73,6 +79,14 @@ def create_app(store: Store, tokens: TokenFile, max_listeners: int = MAX_LISTENE
     app.add_middleware(GZipMiddleware, minimum_size=1000, compresslevel=5)
     app.add_middleware(_SecurityHeaders)
     return app
+
+
+def _warm_up(store: Store) -> None:
+    """Load now what the first reader would have to wait for."""
+    for module in ("softsensor.drift", "softsensor.modelfile", "softsensor.recent"):
+        import_module(module)
+    with suppress(StoreUnavailable):
+        metrics_text(store, utc_now())
 
 
 @dataclass

@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Sequence
+from typing import Annotated
 
 import typer
 
@@ -20,6 +21,7 @@ from api.commands.diagnosing import diagnose
 from api.commands.fitting import fit
 from api.commands.keeping import backup
 from api.commands.probing import probe
+from api.commands.publishing import publish
 from api.outputs import WorkFailed
 from daq.records import InputError
 
@@ -31,10 +33,35 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 
+
+@app.callback(invoke_without_command=True)
+def about(
+    context: typer.Context,
+    version: Annotated[bool, typer.Option("--version", help="Say the version and end.")] = False,
+    licences: Annotated[
+        bool, typer.Option("--licences", help="List what is shipped or installed with it, with its licence.")
+    ] = False,
+) -> None:
+    """Core temperature of pressed panels: log, predict live, fit, and find what the model gets wrong."""
+    if version:
+        from api.health import installed_version
+
+        sys.stdout.write(f"kerntemp {installed_version()}\n")
+    if licences:
+        from api.licences import licence_lines
+
+        sys.stdout.write("\n".join(licence_lines()) + "\n")
+    if version or licences:
+        raise typer.Exit
+    if context.invoked_subcommand is None:
+        context.fail("Missing command.")
+
+
 app.command("demo")(demo)
 app.command("record")(services.record)
 app.command("sense")(services.sense)
 app.command("serve")(services.serve)
+app.command("publish")(publish)
 app.command("refit")(services.refit)
 app.command("fit")(fit)
 app.command("diagnose")(diagnose)

@@ -1,7 +1,8 @@
-"""Fewer points for a chart without losing a peak in any column."""
+"""Numbers as JSON carries them, and fewer points for a chart without losing a peak in any column."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from itertools import pairwise
 
@@ -10,10 +11,20 @@ import numpy as np
 from daq.records import Array
 
 
+def number_or_none(value: float | None) -> float | None:
+    """Return a number JSON can carry: None for NaN and infinities."""
+    return None if value is None or not math.isfinite(value) else float(value)
+
+
+def column_values(values: Array) -> list[float | None]:
+    """Return a column for JSON, NaN as null, rounded to 0.1 mK."""
+    return [None if not math.isfinite(v) else round(v, 4) for v in values.tolist()]
+
+
 def decimate(
     time_s: Array, columns: Mapping[str, Array], max_points: int | None
 ) -> tuple[Array, dict[str, Array]]:
-    """Return at most `max_points` rows (at least 4) that span the same values.
+    """Return at most `max_points` rows (two at least) that span the same values.
 
     The rows are cut into equal buckets. Each gives two rows, at the times of its first and last
     row; every column puts its lowest and highest value of the bucket there, in the order in which
@@ -28,9 +39,9 @@ def decimate(
     (10, 5.0)
     """
     rows = len(time_s)
-    if max_points is None or rows <= max(max_points, 4):
+    if max_points is None or rows <= max(max_points, 2):
         return time_s, dict(columns)
-    buckets = max(max_points // 2, 2)
+    buckets = max(max_points // 2, 1)
     edges = np.linspace(0, rows, buckets + 1).astype(int)
     ends = np.stack([edges[:-1], edges[1:] - 1], axis=1).ravel()
     return time_s[ends], {name: _extremes(values, edges) for name, values in columns.items()}

@@ -20,14 +20,16 @@ from pathlib import Path
 from typing import Any
 
 from api.demo_press import press_of
-from api.demo_summary import Finding, compare, summary_lines
+from api.demo_summary import Finding, compare, gain_line, replayed, summary_lines
 from api.outputs import WorkFailed
+from daq.pressfile import read_press
 from daq.records import InputError
 from daq.runfile import toml_line, toml_value
 from daq.simulated.campaign_pressfile import press_toml
 from daq.simulated.press import Cycle, VirtualPress
 from daq.store.records import RunRecord, RunStatus
 from daq.store.store import Store, open_store
+from softsensor.modelfile import ModelFile, parse_model
 
 SERVICES = ("record", "sense")
 START_S = 120.0
@@ -42,6 +44,8 @@ SCANS_PER_S = 30.0
 """An accelerated demonstration scans at most about this often in real time."""
 TARGET_C = 40.0
 """What the demonstration's recipe asks of the core. [°C]"""
+JUDGED = 4
+"""Pressings on which a promoted model is held against what was told live."""
 
 
 @dataclass(frozen=True)
@@ -287,6 +291,17 @@ class _Demo:
             report = found[0].diagnosis if found else None
         for line in summary_lines(self.findings, self.plan.hide, report):
             self.say(line)
+        active = self.store.active_model("lab")
+        if self.plan.hide and active is not None and active.model.get("effects"):
+            self.say(gain_line(self.findings, list(self._replays(parse_model(active.model, active.version)))))
+
+    def _replays(self, model: ModelFile) -> Iterator[float]:
+        """Yield the core errors of the last pressings with a model. [K]"""
+        press = read_press(self.plan.folder / "press.toml")
+        for finding in self.findings[-JUDGED:]:
+            record = self.store.run_record(finding.run)
+            cycle = self._cycle(record, record.moments.closed_s)
+            yield replayed(self.store, press, model, record, cycle, self._virtual(record))
 
 
 _KERNTEMP = [sys.executable, "-m", "api"]

@@ -8,9 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from daq.pressfile import Press
 from daq.simulated.press import Cycle
 from daq.store.records import RunRecord, StoredEstimate
 from daq.store.store import Store
+from softsensor.modelfile import ModelFile
+from softsensor.observer import LiveSensor
 
 
 @dataclass(frozen=True)
@@ -84,6 +87,32 @@ def _core(
     error = (core - true)[there]
     inside = ((low <= true) & (true <= high))[there]
     return float(np.sqrt(np.mean(error**2))), float(np.abs(error).max()), float(inside.mean())
+
+
+def replayed(
+    store: Store, press: Press, model: ModelFile, record: RunRecord, cycle: Cycle, zero_virtual_s: float
+) -> float:
+    """Return the core error of a stored pressing taken through the live sensor again with another model. [K]"""
+    run = store.load_run(record.run)
+    hidden = set(press.sensors_of(run, "validation"))
+    columns = {name: values.tolist() for name, values in run.columns.items() if name not in hidden}
+    sensor = LiveSensor(press, record.header, model)
+    said = []
+    for i, time_s in enumerate(run.time_s.tolist()):
+        e = sensor.update(time_s, {name: values[i] for name, values in columns.items()})
+        bounds = (e.core_C, e.core_sd_K, e.core_low_C, e.core_high_C)
+        said.append((time_s, StoredEstimate(i, time_s, e.state or "unknown", *bounds, e.valid, e.reason, "")))
+    return _core(said, cycle, zero_virtual_s)[0]
+
+
+def gain_line(findings: Sequence[Finding], after: Sequence[float]) -> str:
+    """Say what a promoted model does for the core of the last pressings; `after` are their errors with it. [K]"""
+    before = [f.core_rmse_K for f in findings[-len(after) :]]
+    old, new = (float(np.sqrt(np.mean(np.square(errors)))) for errors in (before, after))
+    return (
+        f"Live core error on the last {len(after)} pressings: {old:.2f} K as it was told, "
+        f"{new:.2f} K with the promoted model"
+    )
 
 
 def summary_lines(

@@ -6,7 +6,9 @@ the gate stands before everything below ``/api`` and ``/metrics``.
 
 from __future__ import annotations
 
+import asyncio
 import ipaddress
+import logging
 from dataclasses import dataclass
 
 from starlette.datastructures import Headers
@@ -17,6 +19,9 @@ from api.tokens import Attempts, Token, TokenFile
 
 MAX_BODY_BYTES = 64 * 1024
 """No request of this API needs more."""
+BODY_S = 10.0
+"""A body has this long to arrive. [s]"""
+LOG = logging.getLogger("kerntemp.serve")
 LOOPBACK_NAMES = ("localhost", "127.0.0.1", "[::1]", "::1", "")
 
 
@@ -37,6 +42,7 @@ class Gate:
     app: ASGIApp
     tokens: TokenFile
     attempts: Attempts
+    body_s: float = BODY_S
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Let the request through or answer with a problem document."""
@@ -45,16 +51,26 @@ class Gate:
             return
         headers = Headers(scope=scope)
         refusal = self._refusal(scope, headers)
+        if refusal is None and scope["method"] not in ("GET", "HEAD"):
+            try:
+                async with asyncio.timeout(self.body_s):
+                    receive = await _whole_body(receive)
+            except TimeoutError:
+                refusal = 408, f"the body did not arrive within {self.body_s:g} s", _CLOSE
+            except _TooLargeError:
+                refusal = _TOO_LARGE
         if refusal is not None:
             status, detail, extra = refusal
             await problem_response(status, detail, scope["path"], extra)(scope, receive, send)
             return
-        await self.app(scope, _limited(receive), send)
+        await self.app(scope, receive, send)
 
     def _refusal(self, scope: Scope, headers: Headers) -> tuple[int, str, dict[str, str]] | None:
         length = headers.get("content-length", "0")
         if not length.isdigit() or int(length) > MAX_BODY_BYTES:
-            return 413, f"the body may have {MAX_BODY_BYTES} bytes at most", {"Connection": "close"}
+            return _TOO_LARGE
+        if "\0" in scope["path"] or b"%00" in scope["query_string"]:
+            return 422, "path and query: a NUL character belongs nowhere; leave it out", {}
         address = scope["client"][0] if scope.get("client") else ""
         local = is_loopback(address)
         presented = _bearer(headers)
@@ -70,11 +86,15 @@ class Gate:
         token = self.tokens.find(presented)
         if token is None:
             self.attempts.failed(address)
+            if self.attempts.exhausted(address):
+                LOG.warning("too many wrong tokens from %s; it has to wait", address)
             return 401, "this token is not valid; kerntemp token create makes one", _CHALLENGE
         scope["kerntemp.token"] = token
         return None
 
 
+_CLOSE = {"Connection": "close"}
+_TOO_LARGE = (413, f"the body may have {MAX_BODY_BYTES} bytes at most", _CLOSE)
 _CHALLENGE = {"WWW-Authenticate": 'Bearer realm="kerntemp"'}
 
 
@@ -99,15 +119,24 @@ def _names_this_machine(host: str) -> bool:
     return name in LOOPBACK_NAMES or is_loopback(name)
 
 
-def _limited(receive: Receive) -> Receive:
-    taken = 0
+class _TooLargeError(Exception):
+    """A body without a stated length grew beyond the limit."""
 
-    async def counted() -> Message:
-        nonlocal taken
+
+async def _whole_body(receive: Receive) -> Receive:
+    """Take the body in before anything works on it; returns a receive that hands it out once."""
+    body, more = bytearray(), True
+    while more:
         message = await receive()
-        taken += len(message.get("body", b""))
-        if taken > MAX_BODY_BYTES:
-            return {"type": "http.disconnect"}
-        return message
+        if message["type"] != "http.request":
+            break
+        body += message.get("body", b"")
+        more = message.get("more_body", False)
+        if len(body) > MAX_BODY_BYTES:
+            raise _TooLargeError
+    waiting: list[Message] = [{"type": "http.request", "body": bytes(body), "more_body": False}]
 
-    return counted
+    async def replay() -> Message:
+        return waiting.pop() if waiting else await receive()
+
+    return replay

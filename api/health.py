@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Mapping
 from datetime import datetime, timedelta
 from importlib.metadata import PackageNotFoundError, version
@@ -14,6 +13,7 @@ from daq.store.store import Store
 
 SILENT_S = 10.0
 """A process beats about once a second; one that is silent for this long is taken for dead. [s]"""
+KINDS = {"sqlite": "SQLite", "postgresql": "PostgreSQL"}
 EXPECTED = ("record", "sense")
 """The processes a working system has beside this one."""
 ALARM_AGE = timedelta(minutes=10)
@@ -35,7 +35,7 @@ def health_of(store: Store, now: datetime) -> Health:
         alarms = _recent_alarms(store, now)
         kept = _store_health(store)
     except StoreUnavailable as error:
-        empty = StoreHealth(kind=store.database.dialect, size_bytes=None, free_bytes=None, hours_left=None)
+        empty = StoreHealth(kind=KINDS[store.database.dialect], size_bytes=None, free_bytes=None, hours_left=None)
         return Health(
             status="down",
             version=installed_version(),
@@ -96,16 +96,16 @@ def _recent_alarms(store: Store, now: datetime) -> list[str]:
 
 
 def _store_health(store: Store) -> StoreHealth:
-    path = store.database.path
-    if path is None or not path.exists():
-        return StoreHealth(kind=store.database.dialect, size_bytes=None, free_bytes=None, hours_left=None)
-    beside = [path, path.with_name(path.name + "-wal"), path.with_name(path.name + "-shm")]
-    size = sum(part.stat().st_size for part in beside if part.exists())
-    free = shutil.disk_usage(path.parent).free
-    return StoreHealth(kind="SQLite", size_bytes=size, free_bytes=free, hours_left=_hours_left(store, size, free))
+    sizes = store.sizes()
+    return StoreHealth(
+        kind=KINDS[store.database.dialect],
+        size_bytes=sizes.bytes,
+        free_bytes=sizes.free_bytes,
+        hours_left=_hours_left(store, sizes.bytes, sizes.free_bytes),
+    )
 
 
-def _hours_left(store: Store, size: int, free: int) -> float | None:
+def _hours_left(store: Store, size: int, free: int | None) -> float | None:
     """At the present rate of scans and the store's mean size for one."""
     scans, per_second = 0, 0.0
     for press in store.presses():
@@ -115,6 +115,6 @@ def _hours_left(store: Store, size: int, free: int) -> float | None:
         if len(batch.scans) > 1:
             elapsed = (batch.scans[-1].utc - batch.scans[0].utc).total_seconds()
             per_second += (len(batch.scans) - 1) / elapsed if elapsed > 0 else 0.0
-    if scans < 100 or per_second == 0.0:
+    if free is None or scans < 100 or per_second == 0.0:
         return None
     return round(free / (size / scans * per_second * 3600.0), 1)

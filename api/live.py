@@ -12,15 +12,17 @@ import logging
 import math
 from collections.abc import AsyncIterator, Iterator
 from dataclasses import dataclass, field
+from datetime import datetime
 from typing import Any
 from urllib.parse import quote, unquote
 
 from starlette.responses import StreamingResponse
 from starlette.types import Receive, Scope, Send
 
-from api.answers import STATE_AFTER, estimate_now, number_or_none, run_of_scan
+from api.answers import STATE_AFTER, estimate_now, run_of_scan
+from api.decimation import number_or_none
 from daq.records import Channel, InputError, Quality, Scan
-from daq.store.records import RunRecord, StoreUnavailable
+from daq.store.records import RunRecord, ScanBatch, StoreUnavailable
 from daq.store.store import Store
 
 POLL_S = 0.05
@@ -29,6 +31,8 @@ PING_S = 10.0
 """A comment this often tells proxies and browsers that the stream lives. [s]"""
 CATCH_UP_SCANS = 2000
 """A listener that missed more gets the newest this many; the rest is in `samples`."""
+RUNS = 3
+"""So many runs of each press are looked through for the one a scan belongs to."""
 QUEUE_EVENTS = 2000
 """A listener that lags this far behind is let go; it comes back with Last-Event-ID."""
 MAX_LISTENERS = 200
@@ -57,6 +61,12 @@ class Position:
         )
         return f"{self.press_event}/{self.fit}/{quote(self.run, safe='')}/{presses}"
 
+    def check(self) -> None:
+        """Raise `ValueError` for numbers no list of the store can reach."""
+        numbers = (self.press_event, self.fit, *self.scans.values(), *self.estimates.values())
+        if not all(-1 <= number < 2**53 for number in numbers):
+            raise ValueError("out of range")
+
     @classmethod
     def parse(cls, text: str) -> Position:
         """Read an event id. Raises `InputError`."""
@@ -67,6 +77,7 @@ class Position:
                 name, scan, estimate = entry.rsplit(".", 2)
                 position.scans[unquote(name)] = int(scan)
                 position.estimates[unquote(name)] = int(estimate)
+            position.check()
         except ValueError as error:
             raise InputError(f"Last-Event-ID {text[:80]!r} is not an id of this stream; leave it out") from error
         return position
@@ -84,7 +95,7 @@ def newest_position(store: Store) -> Position:
     position.press_event = after
     fits = store.coefficient_history(limit=1).items
     position.fit = fits[0].fit_number if fits else 0
-    position.run = _run_state(store.runs(limit=3).items)
+    position.run = _run_state(_newest_runs(store))
     return position
 
 
@@ -93,7 +104,7 @@ def news(store: Store, position: Position, until: Position | None = None) -> Ite
 
     With `until`, stop where another listener already is.
     """
-    runs = store.runs(limit=3).items
+    runs = _newest_runs(store)
     for press in store.presses():
         yield from _scans(store, press, runs, position, until)
     for event in store.press_events(after=position.press_event):
@@ -124,6 +135,11 @@ def news(store: Store, position: Position, until: Position | None = None) -> Ite
     yield from _fits(store, position, until)
 
 
+def _newest_runs(store: Store) -> tuple[RunRecord, ...]:
+    """Return the newest runs of each press; one that is imported meanwhile belongs to none."""
+    return tuple(run for press in store.presses() for run in store.runs(press=press, limit=RUNS).items)
+
+
 def _run_state(runs: tuple[RunRecord, ...]) -> str:
     return ",".join(f"{run.number}{run.status.value[0]}" for run in runs)
 
@@ -144,13 +160,24 @@ def _scans(
         yield encode("scan", scan_event(press, batch.channels, scan, run_of_scan(runs, scan.number)), position)
     position.scans.setdefault(press, newest)
     after = max(position.estimates.get(press, newest), newest - CATCH_UP_SCANS)
-    for estimate in store.estimates_after(press, after, CATCH_UP_SCANS):
+    estimates = store.estimates_after(press, after, CATCH_UP_SCANS)
+    utc = _utc_of_scans(store, press, [estimate.number for estimate in estimates], batch)
+    for estimate in estimates:
         if estimate.number > last_estimate:
             break
         position.estimates[press] = estimate.number
-        now = estimate_now(estimate, run_of_scan(runs, estimate.number), None)
+        now = estimate_now(estimate, run_of_scan(runs, estimate.number), utc.get(estimate.number))
         yield encode("estimate", {"press": press, **now.model_dump(mode="json")}, position)
     position.estimates.setdefault(press, after)
+
+
+def _utc_of_scans(store: Store, press: str, numbers: list[int], batch: ScanBatch) -> dict[int, datetime]:
+    """Return when these scans were taken; those just read need no second look."""
+    utc = {scan.number: scan.utc for scan in batch.scans}
+    if any(number not in utc for number in numbers):
+        earlier = store.scans_after(press, numbers[0] - 1, CATCH_UP_SCANS)
+        utc |= {scan.number: scan.utc for scan in earlier.scans}
+    return utc
 
 
 def scan_event(press: str, channels: tuple[Channel, ...], scan: Scan, run: RunRecord | None) -> dict[str, Any]:
@@ -215,11 +242,13 @@ class Hub:
         """Whether no further listener is taken."""
         return self._closed or len(self._queues) >= self._max_listeners
 
-    async def join(self, last_event_id: str) -> Listener:
-        """Take a listener in: everything stored from now on comes, after what was missed."""
+    async def join(self, last_event_id: str) -> Listener | None:
+        """Take a listener in: what was missed, then everything stored from now on. None where it is full."""
         queue: asyncio.Queue[bytes | None] = asyncio.Queue(QUEUE_EVENTS)
         missed: list[bytes] = []
         async with self._lock:
+            if self.full:  # those that came at the same moment have been counted only now
+                return None
             if self._position is None:
                 self._position = await asyncio.to_thread(newest_position, self._store)
             if last_event_id:

@@ -1,23 +1,49 @@
-"""Numbers for Prometheus, read from the store when asked."""
+"""Numbers for Prometheus, read from the store when asked. Alarms and a dashboard: `deploy/monitoring`."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from datetime import datetime
+from typing import Any
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, generate_latest
 
 from api.answers import press_now
-from api.health import health_of
+from api.health import health_of, installed_version
+from api.schemas import Health, PressNow
 from daq.records import Quality
+from daq.store.records import StoreUnavailable
 from daq.store.store import Store
 
 STATES = ("idle", "open", "closed", "unknown")
 
 
 def metrics_text(store: Store, now: datetime) -> str:
-    """Return all metrics in the text format."""
+    """Return all metrics in the text format; without a store, only that there is none."""
     registry = CollectorRegistry()
-    health = health_of(store, now)
+    Gauge("kerntemp_info", "Version of Kerntemp", ["version"], registry=registry).labels(installed_version()).set(
+        1
+    )
+    up = Gauge("kerntemp_store_up", "1 while the store answers", registry=registry)
+    try:
+        health = health_of(store, now)
+        presses = {name: press_now(store, name, text, now) for name, text in store.presses().items()}
+        scans = {name: store.newest_scan_number(name) + 1 for name in presses}
+        models = {name: store.active_model(name) for name in presses}
+    except StoreUnavailable:
+        up.set(0)
+        return generate_latest(registry).decode()
+    up.set(health.status != "down")
+    _add_health(health, registry)
+    _add_presses(presses, scans, now, registry)
+    known = Gauge("kerntemp_model_info", "1 for the model in force", ["press", "version"], registry=registry)
+    for name, model in models.items():
+        if model is not None:
+            known.labels(name, model.version).set(1)
+    return generate_latest(registry).decode()
+
+
+def _add_health(health: Health, registry: CollectorRegistry) -> None:
     up = Gauge("kerntemp_process_up", "1 while the process beats", ["process"], registry=registry)
     age = Gauge("kerntemp_process_age_seconds", "Since its last beat", ["process"], registry=registry)
     for process in health.processes:
@@ -28,23 +54,47 @@ def metrics_text(store: Store, now: datetime) -> str:
     if health.store.size_bytes is not None and health.store.free_bytes is not None:
         Gauge("kerntemp_store_bytes", "Size of the store", registry=registry).set(health.store.size_bytes)
         Gauge("kerntemp_store_free_bytes", "Free on its disk", registry=registry).set(health.store.free_bytes)
-    _add_presses(store, now, registry)
-    return generate_latest(registry).decode()
+    told = {process.name: process.details for process in health.processes}
+    _add_recorder(told.get("record", {}), registry)
+    behind = Gauge("kerntemp_sense_behind_scans", "Scans without estimate yet", ["press"], registry=registry)
+    for press in told.get("sense", {}).get("presses", []):
+        behind.labels(press["press"]).set(press.get("behind_scans", 0))
 
 
-def _add_presses(store: Store, now: datetime, registry: CollectorRegistry) -> None:
+def _add_recorder(told: Mapping[str, Any], registry: CollectorRegistry) -> None:
+    """What the recorder's last sign of life says of loggers, late scans and what waits for the store."""
+    waiting = Gauge("kerntemp_record_waiting", "Scans and entries that wait for the store", registry=registry)
+    waiting.set(told.get("waiting", 0))
+    missed = Counter("kerntemp_missed_scans", "Scans due and not made", ["press"], registry=registry)
+    for press in told.get("presses", []):
+        missed.labels(press["press"]).inc(press.get("missed_ticks", 0))
+    label = ["press", "logger"]
+    up = Gauge("kerntemp_logger_up", "1 while the logger answers", label, registry=registry)
+    replies = Counter("kerntemp_logger_replies", "Replies by outcome", [*label, "outcome"], registry=registry)
+    for logger in told.get("loggers", []):
+        up.labels(logger["press"], logger["name"]).set(logger.get("state") != "lost")
+        for outcome, count in logger.get("counters", {}).items():
+            replies.labels(logger["press"], logger["name"], outcome).inc(count)
+
+
+def _add_presses(
+    presses: Mapping[str, PressNow], scans: Mapping[str, int], now: datetime, registry: CollectorRegistry
+) -> None:
     label = ["press"]
     state = Gauge("kerntemp_press_state", "1 for the state the press is in", ["press", "state"], registry=registry)
     core = Gauge("kerntemp_core_celsius", "Predicted core temperature", label, registry=registry)
     core_sd = Gauge("kerntemp_core_sd_kelvin", "Its standard deviation", label, registry=registry)
-    scans = Counter("kerntemp_scans", "Scans stored", label, registry=registry)
+    stored = Counter("kerntemp_scans", "Scans stored", label, registry=registry)
+    age = Gauge("kerntemp_scan_age_seconds", "Since the newest scan", label, registry=registry)
     channel = Gauge("kerntemp_channel_celsius", "Last good reading", ["press", "channel"], registry=registry)
     good = Gauge("kerntemp_channel_good", "1 while the channel is good", ["press", "channel"], registry=registry)
-    for name, press_file in store.presses().items():
-        press = press_now(store, name, press_file, now)
+    for name, press in presses.items():
         for candidate in STATES:
             state.labels(name, candidate).set(press.state == candidate)
-        scans.labels(name).inc(store.newest_scan_number(name) + 1)
+        stored.labels(name).inc(scans[name])
+        newest = max((c.utc for c in press.channels if c.utc is not None), default=None)
+        if newest is not None:
+            age.labels(name).set(max((now - newest).total_seconds(), 0.0))
         if press.estimate and press.estimate.valid and press.estimate.core_C is not None:
             core.labels(name).set(press.estimate.core_C)
             core_sd.labels(name).set(press.estimate.core_sd_K or 0.0)

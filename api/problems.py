@@ -67,6 +67,8 @@ def _invalid(request: Request, error: Exception) -> JSONResponse:
     if not isinstance(error, RequestValidationError):
         raise error
     found = [f"{'.'.join(str(part) for part in item['loc'])}: {item['msg']}" for item in error.errors()[:5]]
+    if found[0].startswith("body") and "json" not in request.headers.get("content-type", ""):
+        found.append("the body must be JSON, said so by Content-Type: application/json")
     return problem_response(422, "; ".join(found), request.url.path)
 
 

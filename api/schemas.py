@@ -69,6 +69,8 @@ class ChannelNow(_Answer):
     utc: datetime | None = None
     last_good_utc: datetime | None = None
     age_s: float | None = None
+    gaps_last_hour: int = 0
+    """Scans of the last hour in which it had no usable value."""
     counters: dict[str, int] = Field(default_factory=dict)
 
 
@@ -93,6 +95,24 @@ class EstimateNow(_Answer):
     core_high_C: float | None  # noqa: N815
     valid: bool
     reason: str = ""
+    suspected: str = ""
+    """The cause the readings speak for, where one is likelier than nothing."""
+    energy_kJ_m2: float | None = None  # noqa: N815
+    """Heat in the panel beyond its start."""
+    profile_C: list[float] | None = None  # noqa: N815
+    """Temperatures at even heights from the lower to the upper face."""
+    target_in_s: float | None = None
+    """Until the core reaches `setting.core_target_C` if the press stays as it is."""
+    target_earliest_s: float | None = None
+    target_latest_s: float | None = None
+    """Bounds of 95 %."""
+    open_in_s: float | None = None
+    """When to open so that the core's peak after opening just reaches the target."""
+    peak_C: float | None = None  # noqa: N815
+    """Highest core temperature still to come if the press is opened now, or is open."""
+    limit_in_s: float | None = None
+    """Until the core's upper bound passes `setting.core_limit_C`."""
+    warning: str = ""
 
 
 class Faces(_Answer):
@@ -110,7 +130,7 @@ class Target(_Answer):
     temperature_C: float  # noqa: N815
     reached: bool
     time_to_target_s: float | None
-    """At the present rate of heating; null while it cannot be said."""
+    """If the press stays as it is; null while it cannot be said."""
 
 
 class Phase(_Answer):
@@ -174,13 +194,25 @@ class RunList(_Answer):
     next_cursor: str | None
 
 
+class RunEdit(_Answer):
+    """One change somebody made to a run's remark or header."""
+
+    utc: datetime
+    who: str
+    field: str
+    before: Any = None
+    after: Any = None
+
+
 class RunDetail(RunSummary):
     """One pressing with everything known about it."""
 
     header: dict[str, Any]
     columns: list[str]
     phases: list[Phase]
-    remarks: list[str]
+    remark: str
+    changes: list[RunEdit]
+    """Oldest first."""
 
 
 class Samples(_Answer):
@@ -273,6 +305,27 @@ class CoefficientHistory(_Answer):
 
     items: list[CoefficientPoint]
     next_cursor: str | None
+
+
+class Drift(_Answer):
+    """A coefficient that has left what is usual and has not come back."""
+
+    press: str
+    coefficient: str
+    since_run: str
+    """The first run of the new behaviour."""
+    noticed_run: str
+    factor: float
+    """New level over the old one."""
+    chart: Literal["jump", "creep"]
+    sentence: str
+
+
+class DriftList(_Answer):
+    """Coefficients that drift; empty where all is as usual."""
+
+    items: list[Drift]
+    next_cursor: str | None = None
 
 
 class ModelSummary(_Answer):

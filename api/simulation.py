@@ -27,7 +27,7 @@ class Simulated:
     places: Mapping[str, Array]
     """Temperature at each sensor position, named as in ``at``. [°C]"""
     measured: Mapping[str, Array]
-    """Mean of the sensors at each position. [°C]"""
+    """Mean of the sensors at each position while the panel is in the press. [°C]"""
     rmse: Mapping[str, float]
     """Between the two, a constant offset removed. [K]"""
     core: Array
@@ -56,6 +56,8 @@ def simulate_run(
     solution = model.solve(case, values, fields=True)
     places = {label: solution.places[:, i] for i, label in enumerate(case.labels[:-1])}
     measured = {label: _measured(run, case.place_of, i) for i, label in enumerate(places)}
+    inside = run.time_s < (moments.removed_s if np.isfinite(moments.removed_s) else np.inf)
+    measured = {label: np.where(inside, values, np.nan) for label, values in measured.items()}
     rmse = {
         label: float(np.nanstd(measured[label] - places[label]))
         for label in places

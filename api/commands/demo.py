@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NoReturn
 
 import typer
 
@@ -28,7 +29,20 @@ def demo(
     check_effects(hidden)
     from api.demo import Plan, run_demo
 
+    end_in_order()
     run_demo(Plan(speed=speed, pressings=pressings, hide=hidden, port=port, seed=seed), data, _say)
+
+
+def end_in_order() -> None:
+    """Let a kill or a closed terminal end the other processes too, and Ctrl-C where a shell's `&` ignores it."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    for name in ("SIGTERM", "SIGHUP", "SIGBREAK"):
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), _end)
+
+
+def _end(number: int, _frame: object) -> NoReturn:
+    raise SystemExit(128 + number)
 
 
 def check_effects(names: tuple[str, ...]) -> None:

@@ -38,9 +38,10 @@ def diagnose(
         if json is not None:
             outputs[json] = as_json(found.as_json())
         if model is not None:
+            from softsensor.adequacy import checked_on
             from softsensor.modelfile import model_text
 
-            outputs[model] = model_text(found.model_file())
+            outputs[model] = model_text(checked_on(found.model_file(), described, loaded))
         if html is not None:
             from softsensor.diagnosis_report import diagnosis_report
 
@@ -51,16 +52,19 @@ def diagnose(
 
 
 def _lines(found: Diagnosis) -> Iterator[str]:
-    from softsensor.diagnosis_words import sentence
+    from softsensor.diagnosis_words import core_sentence, plain, sentence
 
     yield f"{found.verdict}: {sentence(found)}"
     for f in found.findings:
+        if f.name == "sensor_fault":
+            continue
         alternatives = f" (not told from {', '.join(f.set[1:])})" if len(f.set) > 1 else ""
         yield f"  {f.name}{alternatives}, p = {f.p_value:.2g}, saves {f.heldout_gain_K:.2f} K on runs left out"
         for name, i in f.parameters.items():
-            between = "" if i.ci95 is None else f" ({i.ci95[0]:.4g} to {i.ci95[1]:.4g})"
-            value = ", ".join(i.value) if isinstance(i.value, tuple) else f"{i.value:.4g}"
+            between = "" if i.ci95 is None else f" (95 %: {plain(i.ci95[0])} to {plain(i.ci95[1])})"
+            value = ", ".join(i.value) if isinstance(i.value, tuple) else plain(i.value)
             yield f"    {name} = {value}{between}"
     yield f"  residual {found.base.rmse_K:.3f} K, extended model {found.extended.rmse_K:.3f} K"
+    yield core_sentence(found)
     yield f"Next: {found.next_measurement}"
     yield from found.warnings

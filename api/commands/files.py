@@ -98,6 +98,8 @@ def export_runs(
             return
         if out is None:
             raise InputError("export needs --out: a file for one run, a folder for several")
+        for run in runs:
+            opened.run_record(run)
         targets = _targets(runs, out, kind)
         check_writable(*targets)
         contents: dict[Path, str | Callable[[Path], None]] = {}
@@ -114,12 +116,15 @@ def export_runs(
 
 
 def _targets(runs: list[str], out: Path, kind: str) -> dict[Path, str]:
+    """Return which file takes which run; the folder for several is made where there is none."""
     if len(runs) == 1 and not out.is_dir():
         if out.suffix.lower() not in (".csv", ".parquet", ".jsonl"):
             raise InputError(f"{out}: a run file ends in .csv or .parquet, event documents in .jsonl")
         return {out: runs[0]}
     if not out.is_dir():
-        raise InputError(f"{out}: several runs need a folder that exists")
+        if out.suffix or out.exists() or not out.absolute().parent.is_dir():
+            raise InputError(f"{out}: several runs need a folder; give the name of one in a folder that exists")
+        out.mkdir()
     return {out / f"{run}.{kind}": run for run in runs}
 
 

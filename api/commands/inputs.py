@@ -26,7 +26,10 @@ StoreUrl = Annotated[
     typer.Option("--store", metavar="URL", help="Path or postgresql:// URL of the store the ids belong to."),
 ]
 ConfigFile = Annotated[
-    Path | None, typer.Option("--config", metavar="FILE", help=f"Configuration; {CONFIG_NAME} here without.")
+    Path | None,
+    typer.Option(
+        "--config", metavar="FILE", envvar="KERNTEMP_CONFIG", help=f"Configuration; {CONFIG_NAME} here without."
+    ),
 ]
 
 

@@ -74,9 +74,10 @@ def serve(
 
 def refit(
     config: ConfigFile = None,
-    workers: Annotated[int | None, typer.Option(min=1, help="Local processes; one a core without.")] = None,
+    workers: Annotated[int | None, typer.Option(min=1, help="Local processes; see [refit] workers.")] = None,
     dask: Annotated[
-        str, typer.Option(metavar="ADDRESS", help="A Dask scheduler whose workers take the fits.")
+        str,
+        typer.Option(metavar="ADDRESS", help="A Dask scheduler whose workers take the fits; see [refit] dask."),
     ] = "",
     roll_back: Annotated[
         str, typer.Option("--roll-back", metavar="PRESS", help="Only go back to this press's model before.")
@@ -87,6 +88,7 @@ def refit(
     from daq.pressfile import read_press
     from daq.store.store import open_store
     from softsensor import nightly
+    from softsensor.nightly_report import write_report
 
     settings = load_config(config_path(config))
     with open_store(settings.store.url) as store:
@@ -100,9 +102,14 @@ def refit(
         for press in settings.press:
             with working(f"Refitting {press.name}"):
                 outcome = nightly.refit_press(
-                    store, press.name, read_press(press.file), workers=workers, dask=dask
+                    store,
+                    press.name,
+                    read_press(press.file),
+                    workers=workers or settings.refit.workers,
+                    dask=dask or settings.refit.dask,
                 )
-            sys.stdout.write(outcome.line + "\n")
+            page = write_report(store, outcome, settings.refit.reports)
+            sys.stdout.write(f"{outcome.line}\n{press.name}: report {page}\n")
             if outcome.failed:
                 failed.append(f"{press.name}: {outcome.failed} of {outcome.runs} runs could not be fitted")
     if failed:
@@ -125,7 +132,8 @@ def token(
     from daq.config import load_config
 
     path = config_path(config)
-    tokens = TokenFile(load_config(path).server.tokens or token_file_beside(path))
+    settings = load_config(path)
+    tokens = TokenFile(settings.server.tokens or token_file_beside(path))
     if action == "list":
         for kept in tokens.tokens():
             sys.stdout.write(f"{kept.id}  {kept.scope:5}  {kept.created_utc}  {kept.name}\n")
@@ -134,5 +142,19 @@ def token(
         raise InputError(f"kerntemp token {action}: needs a name")
     if action == "revoke":
         tokens.revoke(name)
+        _note_in_journal(settings.store.url, f"token {name} revoked")
     else:
         sys.stdout.write(tokens.create(name, scope) + "\n")
+        _note_in_journal(settings.store.url, f"token {name} created, scope {scope}")
+
+
+def _note_in_journal(url: str, sentence: str) -> None:
+    """Write down who may come in; a store that is not there yet or away is no reason to refuse the change."""
+    from daq.store.records import StoreUnavailable
+    from daq.store.store import open_store
+
+    try:
+        with open_store(url, create=False, busy_s=2.0) as store:
+            store.log("info", "token", sentence)
+    except (InputError, StoreUnavailable) as error:
+        sys.stderr.write(f"{sentence}; not noted in the journal: {error}\n")

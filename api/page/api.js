@@ -1,5 +1,6 @@
 // The API as the page sees it: JSON by fetch, events by EventSource. Paths are relative, so a proxy may add a prefix.
 const ROOT = "api/v1";
+const SILENT_MS = 25000; // the server says something every 10 s; a stream silent for longer has died unnoticed
 
 export class Refused extends Error {
   constructor(problem, status) {
@@ -25,6 +26,26 @@ export async function get(path, query, options = {}) {
 
 export async function post(path, body) {
   return request("POST", url(path), body === undefined ? {} : { body: JSON.stringify(body) });
+}
+
+export async function patch(path, body) {
+  return request("PATCH", url(path), { body: JSON.stringify(body) });
+}
+
+// A link cannot carry a token: with one, the file is fetched and handed over from memory.
+export async function download(event) {
+  if (!token.get()) return;
+  event.preventDefault();
+  const link = event.currentTarget;
+  const answer = await fetch(link.href, { headers: { Authorization: `Bearer ${token.get()}` } });
+  if (!answer.ok) throw new Refused(await answer.json(), answer.status);
+  const named = /filename="([^"]+)"/.exec(answer.headers.get("content-disposition") ?? "");
+  const address = URL.createObjectURL(await answer.blob());
+  const hidden = document.createElement("a");
+  hidden.href = address;
+  hidden.download = named ? named[1] : link.download;
+  hidden.click();
+  setTimeout(() => URL.revokeObjectURL(address), 10000);
 }
 
 async function request(method, target, options) {
@@ -58,7 +79,7 @@ export function follow(handlers, onState) {
         if (!answer.ok) throw new Error(`HTTP ${answer.status}`);
         onState("live");
         wait = 500;
-        await read(answer.body, (event) => {
+        await read(answer.body, control, (event) => {
           if (event.id) last = event.id;
           const handler = handlers[event.name];
           if (handler) handler(JSON.parse(event.data));
@@ -75,11 +96,12 @@ export function follow(handlers, onState) {
   return () => { stopped = true; if (control) control.abort(); };
 }
 
-async function read(body, deliver) {
+async function read(body, control, deliver) {
   const reader = body.pipeThrough(new TextDecoderStream()).getReader();
   let rest = "";
   for (;;) {
-    const { value, done } = await reader.read();
+    const silence = setTimeout(() => control.abort(), SILENT_MS);
+    const { value, done } = await reader.read().finally(() => clearTimeout(silence));
     if (done) return;
     rest += value.replaceAll("\r\n", "\n");
     let end;

@@ -2,6 +2,7 @@
 import { follow, get } from "./api.js";
 import { closeAll, redrawAll } from "./charts.js";
 import { el } from "./dom.js";
+import { sentence } from "./sentences.js";
 import { language, setLanguage, text } from "./text.js";
 import * as access from "./views/access.js";
 import * as coefficients from "./views/coefficients.js";
@@ -81,6 +82,7 @@ preferred.addEventListener("change", () => setTheme(chosenTheme()));
 document.getElementById("language").addEventListener("click", () => {
   setLanguage(language() === "de" ? "en" : "de");
   translate();
+  refreshHealth();
   show();
 });
 document.getElementById("press").addEventListener("change", (event) => { context.press = event.target.value; show(); });
@@ -107,7 +109,7 @@ async function refreshHealth() {
   try {
     const health = await get("/health");
     document.getElementById("version").textContent = `Kerntemp ${health.version}`;
-    const lines = health.alarms;
+    const lines = health.alarms.map(sentence);
     const alarms = document.getElementById("alarms");
     if (alarms.textContent !== lines.join("")) alarms.replaceChildren(...lines.map((line) => el("p", {}, `⚠ ${line}`)));
   } catch { /* the link state says it */ }

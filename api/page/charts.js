@@ -16,8 +16,8 @@ export function closeAll() {
 
 // series: [{name, colour (CSS variable), kind: "line"|"dots"|"thin"|"band-low"|"band-high", unit, digits}]
 export class TimeChart {
-  constructor(parent, { series, height = 320, label, yLabel = "°C", xLabel = null, phases = [], sync = null, yRange = null, xRange = null, xSteps = null, bandColour = "--core-band" }) {
-    Object.assign(this, { series, height, label, yLabel, xLabel, phases, sync, yRange, xRange, xSteps, bandColour });
+  constructor(parent, { series, height = 320, label, yLabel = "°C", xLabel = null, phases = [], sync = null, yRange = null, xRange = null, xSteps = null, whiskers = null }) {
+    Object.assign(this, { series, height, label, yLabel, xLabel, phases, sync, yRange, xRange, xSteps, whiskers });
     this.data = [[], ...series.map(() => [])];
     this.holder = el("div", { class: "chart", role: "img", "aria-label": label });
     this.tip = el("div", { class: "chart-tip", hidden: true });
@@ -59,8 +59,8 @@ export class TimeChart {
         { ...axis, label: this.yLabel, labelSize: 20, size: 46, values: (_, splits) => splits.map((v) => number(v, decimals(splits))) },
       ],
       series: [{}, ...this.series.map((s) => this.line(s))],
-      bands: high >= 0 && low >= 0 ? [{ series: [high + 1, low + 1], fill: style(this.bandColour) }] : [],
-      hooks: { drawClear: [(plot) => this.shade(plot)], setCursor: [(plot) => this.point(plot)] },
+      bands: high >= 0 && low >= 0 && !this.whiskers ? [{ series: [high + 1, low + 1], fill: style("--core-band") }] : [],
+      hooks: { drawClear: [(plot) => this.shade(plot)], draw: [(plot) => this.intervals(plot, low + 1, high + 1), (plot) => this.name(plot)], setCursor: [(plot) => this.point(plot)] },
     };
   }
 
@@ -69,7 +69,7 @@ export class TimeChart {
     if (s.kind === "band-low" || s.kind === "band-high") return { stroke: "transparent", width: 0, points: { show: false }, spanGaps: true };
     if (s.kind === "dots") return { stroke: colour, paths: () => null, points: { show: true, size: s.size ?? 3.5, fill: colour, stroke: colour, width: 0, space: 0 } };
     const width = { line: 2, thin: 1, core: 2.6 }[s.kind] ?? 1.5;
-    return { stroke: colour, width, dash: s.dash, alpha: s.kind === "thin" ? 0.75 : 1, points: { show: s.points ?? false }, spanGaps: s.spanGaps ?? false, gaps: longGaps };
+    return { stroke: colour, width, dash: s.dash, alpha: s.kind === "thin" ? 0.75 : 1, points: { show: s.points ?? false }, spanGaps: s.spanGaps ?? false, pxAlign: 0, gaps: this.whiskers ? everyGap : longGaps };
   }
 
   shade(plot) {
@@ -83,13 +83,54 @@ export class TimeChart {
       const to = phase.to_s === null ? bbox.left + bbox.width : plot.valToPos(phase.to_s, "x", true);
       ctx.fillStyle = style(phase.state === "closed" ? "--phase-closed" : "--phase-open");
       if (phase.state !== "idle") ctx.fillRect(from, bbox.top, to - from, bbox.height);
-      if (to - from > 60 && phase.state !== "idle") {
-        ctx.fillStyle = style("--faint");
-        ctx.textAlign = "left";
-        ctx.textBaseline = "alphabetic";
-        ctx.font = `${11 * devicePixelRatio}px system-ui, sans-serif`;
-        ctx.fillText(text(`state_${phase.state}`), Math.max(from, bbox.left) + 5, bbox.top + 13 * devicePixelRatio);
+    }
+    ctx.restore();
+  }
+
+  // One interval for each point, where points are few and stand for themselves.
+  intervals(plot, low, high) {
+    if (!this.whiskers) return;
+    const { ctx, bbox } = plot;
+    ctx.save();
+    ctx.beginPath();
+    ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height);
+    ctx.clip();
+    ctx.strokeStyle = style(this.whiskers);
+    ctx.lineWidth = 1.5 * devicePixelRatio;
+    ctx.beginPath();
+    this.data[0].forEach((x, i) => {
+      if (this.data[low][i] === null || this.data[high][i] === null) return;
+      const at = plot.valToPos(x, "x", true);
+      for (const end of [low, high]) {
+        const y = plot.valToPos(this.data[end][i], "y", true);
+        ctx.moveTo(at - 4 * devicePixelRatio, y);
+        ctx.lineTo(at + 4 * devicePixelRatio, y);
       }
+      ctx.moveTo(at, plot.valToPos(this.data[low][i], "y", true));
+      ctx.lineTo(at, plot.valToPos(this.data[high][i], "y", true));
+    });
+    ctx.stroke();
+    ctx.restore();
+  }
+
+  // Above grid and curves, on a patch of the card's colour.
+  name(plot) {
+    const { ctx, bbox } = plot;
+    const size = 11 * devicePixelRatio;
+    ctx.save();
+    ctx.font = `${size}px system-ui, sans-serif`;
+    ctx.textAlign = "left";
+    ctx.textBaseline = "top";
+    for (const phase of this.phases) {
+      const from = Math.max(plot.valToPos(phase.from_s, "x", true), bbox.left);
+      const to = phase.to_s === null ? bbox.left + bbox.width : plot.valToPos(phase.to_s, "x", true);
+      const label = text(`state_${phase.state}`);
+      const width = ctx.measureText(label).width;
+      if (phase.state === "idle" || to - from < width + 12 * devicePixelRatio) continue;
+      ctx.fillStyle = style("--card");
+      ctx.fillRect(from + 3 * devicePixelRatio, bbox.top + 2 * devicePixelRatio, width + 6 * devicePixelRatio, size + 4 * devicePixelRatio);
+      ctx.fillStyle = style("--faint");
+      ctx.fillText(label, from + 6 * devicePixelRatio, bbox.top + 4 * devicePixelRatio);
     }
     ctx.restore();
   }
@@ -142,9 +183,12 @@ function longGaps(plot, index, from, to, gaps) {
   return gaps.filter(([start, end]) => plot.posToVal(end, "x", true) - plot.posToVal(start, "x", true) > BRIDGE_S);
 }
 
+const everyGap = (plot, index, from, to, gaps) => gaps;
+
+// As many digits as tell the ticks' true values: 37.5 must not read 38.
 function decimals(splits) {
-  const step = splits.length > 1 ? Math.abs(splits[1] - splits[0]) : 1;
-  return step >= 1 ? 0 : step >= 0.1 ? 1 : 2;
+  const exact = [0, 1, 2].find((digits) => splits.every((v) => Math.abs(v - Number(v.toFixed(digits))) < 1e-9 * Math.max(1, Math.abs(v))));
+  return exact ?? 3;
 }
 
 export function key(items) {

@@ -40,6 +40,7 @@ export function clock(utc, withDate = true) {
 export function duration(seconds) {
   if (seconds === null || seconds === undefined) return "–";
   if (seconds < 100) return `${number(seconds, 1)} s`;
+  seconds = Math.round(seconds);
   const minutes = Math.floor(seconds / 60);
   if (minutes < 100) return `${minutes} min ${number(seconds - 60 * minutes, 0)} s`;
   return minutes < 2880 ? `${number(minutes / 60, 1)} h` : `${number(minutes / 1440, 1)} d`;
@@ -54,10 +55,10 @@ export function bytes(value) {
 }
 
 export function table(caption, heads, rows, options = {}) {
-  return el("div", { class: "scroll" }, el("table", { class: "list" },
+  const holder = el("div", { class: "scroll" }, el("table", { class: "list" },
     el("caption", { class: "unseen" }, caption),
     el("thead", {}, el("tr", {}, heads.map((head) =>
-      el("th", { scope: "col", class: head.class }, head.text ?? head)))),
+      el("th", { scope: "col", class: head.class }, head.unseen ? el("span", { class: "unseen" }, head.text) : head.text)))),
     el("tbody", {}, rows.map((row, i) => {
       const node = el("tr", {}, row.map((cell, j) => el("td", { class: heads[j].class }, cell ?? "–")));
       if (options.pick) {
@@ -66,4 +67,10 @@ export function table(caption, heads, rows, options = {}) {
       }
       return node;
     }))));
+  requestAnimationFrame(() => { // what scrolls must be reachable by the keyboard
+    if (holder.scrollWidth > holder.clientWidth) {
+      for (const [key, value] of Object.entries({ tabindex: "0", role: "region", "aria-label": caption })) holder.setAttribute(key, value);
+    }
+  });
+  return holder;
 }

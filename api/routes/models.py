@@ -5,9 +5,10 @@ from __future__ import annotations
 from fastapi import APIRouter
 
 from api.answers import coefficient_points, model_summary
+from api.drift import drift_of
 from api.problems import ProblemError, problem_responses
 from api.routes.common import Cursor, PageSize, PressName, StoreDep, Writer
-from api.schemas import CoefficientHistory, DiagnosisList, DiagnosisRecord, ModelDetail, ModelList
+from api.schemas import CoefficientHistory, DiagnosisList, DiagnosisRecord, DriftList, ModelDetail, ModelList
 from daq.records import InputError
 from daq.store.records import ModelRecord
 from daq.store.store import Store
@@ -21,8 +22,14 @@ def list_coefficients(
 ) -> CoefficientHistory:
     """Return the coefficients of each run's newest fit with their intervals, newest first."""
     page = store.coefficient_history(press=press, cursor=cursor, limit=limit)
-    runs = {name: store.run_record(name) for name in dict.fromkeys(record.run for record in page.items)}
-    return CoefficientHistory(items=coefficient_points(store, page.items, runs), next_cursor=page.next_cursor)
+    return CoefficientHistory(items=coefficient_points(store, page.items), next_cursor=page.next_cursor)
+
+
+@router.get("/coefficients/drift", operation_id="list_drift", summary="Coefficients that have left what is usual")
+def list_drift(store: StoreDep, press: PressName = None) -> DriftList:
+    """Return the changes the control charts over the fitted runs show now."""
+    chosen = store.presses() if press is None else [press]
+    return DriftList(items=[drift for name in chosen for drift in drift_of(store, name)])
 
 
 @router.get("/models", operation_id="list_models", summary="Model versions, newest first")

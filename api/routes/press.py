@@ -7,7 +7,8 @@ from typing import Annotated
 from fastapi import APIRouter, Header, Request
 from fastapi.responses import StreamingResponse
 
-from api.answers import channels_now, press_now, utc_now
+from api.answers import press_now, utc_now
+from api.channels import channels_now
 from api.live import EventStream, Hub
 from api.problems import ProblemError, problem_responses
 from api.routes.common import PressName, StoreDep
@@ -57,6 +58,7 @@ async def follow_live(
     hub = request.app.state.hub
     if not isinstance(hub, Hub):
         raise TypeError("the application was made without a hub")
-    if hub.full:
+    listener = None if hub.full else await hub.join(last_event_id)
+    if listener is None:
         raise ProblemError(503, "too many live listeners; try again later", {"Retry-After": "10"})
-    return EventStream(hub, await hub.join(last_event_id))
+    return EventStream(hub, listener)

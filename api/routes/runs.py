@@ -15,8 +15,8 @@ from fastapi import APIRouter, Query
 from fastapi.responses import FileResponse, JSONResponse, Response
 from starlette.background import BackgroundTask
 
-from api.answers import column_values, number_or_none, phases_of, remarks_of, run_summary
-from api.decimation import decimate
+from api.answers import run_detail, run_summaries
+from api.decimation import column_values, decimate, number_or_none
 from api.problems import ProblemError, problem_responses
 from api.routes.common import Cursor, PageSize, PressName, StoreDep, existing_run
 from api.schemas import Estimates, Fit, RunDetail, RunList, Samples
@@ -29,7 +29,7 @@ router = APIRouter(tags=["runs"], responses=problem_responses(404))
 MaxPoints = Annotated[
     int | None,
     Query(
-        ge=4, le=1_000_000, description="At most this many rows; each bucket keeps its lowest and highest value."
+        ge=2, le=1_000_000, description="At most this many rows; each bucket keeps its lowest and highest value."
     ),
 ]
 FromTime = Annotated[
@@ -62,21 +62,13 @@ def list_runs(
         cursor=cursor,
         limit=limit,
     )
-    return RunList(items=[run_summary(store, run) for run in page.items], next_cursor=page.next_cursor)
+    return RunList(items=run_summaries(store, page.items), next_cursor=page.next_cursor)
 
 
 @router.get("/runs/{run}", operation_id="get_run", summary="One run")
 def get_run(store: StoreDep, run: str) -> RunDetail:
-    """Return one run with its header, columns, phases and remarks."""
-    record = existing_run(store, run)
-    columns = list(store.load_run(run, from_s=0.0, to_s=0.0).columns)
-    return RunDetail(
-        **run_summary(store, record).model_dump(),
-        header={k: _plain(v) for k, v in record.header.items()},
-        columns=columns,
-        phases=phases_of(record),
-        remarks=remarks_of(store, record),
-    )
+    """Return one run with its header, columns, phases, remark and every change of them."""
+    return run_detail(store, existing_run(store, run))
 
 
 @router.get(
@@ -173,13 +165,6 @@ def _file_response(run: Run, kind: Literal["csv", "parquet"]) -> FileResponse:
     return FileResponse(
         path, media_type=MEDIA_TYPES[kind], filename=f"{name}.{kind}", background=BackgroundTask(folder.cleanup)
     )
-
-
-def _plain(value: object) -> object:
-    """Return a header value as JSON carries it."""
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value if isinstance(value, str | int | float | bool | list | dict | None) else str(value)
 
 
 def _aware(instant: datetime | None) -> datetime | None:

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 from fastapi import APIRouter, Response
 
-from api.answers import column_values, phases_of
-from api.decimation import decimate
+from api.answers import phases_of
+from api.decimation import column_values, decimate
 from api.problems import ProblemError, problem_responses
 from api.routes.common import StoreDep, existing_run
 from api.schemas import Simulation

@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from datetime import UTC, datetime, timedelta
+from functools import partial
 from pathlib import Path
 
 import httpx
@@ -142,11 +143,11 @@ def tokens(tmp_path_factory: pytest.TempPathFactory) -> TokenFile:
 
 
 @pytest.fixture(scope="module")
-def serve(store: Store, tokens: TokenFile) -> Iterator[Callable[..., str]]:
-    """Start servers over the store; returns their addresses."""
+def serve_any(tokens: TokenFile) -> Iterator[Callable[..., str]]:
+    """Start servers over any store; returns their addresses."""
     running: list[tuple[Server, threading.Thread]] = []
 
-    def start(**options: int) -> str:
+    def start(store: Store, **options: int) -> str:
         app = create_app(store, tokens, **options)
         server = Server(uvicorn.Config(app, port=0, log_level="warning", timeout_graceful_shutdown=1))
         running.append((server, server.run_in_thread()))
@@ -156,6 +157,12 @@ def serve(store: Store, tokens: TokenFile) -> Iterator[Callable[..., str]]:
     for server, thread in running:
         server.should_exit = True
         thread.join(10)
+
+
+@pytest.fixture(scope="module")
+def serve(store: Store, serve_any: Callable[..., str]) -> Callable[..., str]:
+    """Start servers over the store; returns their addresses."""
+    return partial(serve_any, store)
 
 
 @pytest.fixture(scope="module")

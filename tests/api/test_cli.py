@@ -1,6 +1,7 @@
 import json
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -109,6 +110,19 @@ def test_imported_runs_come_out_again_as_they_went_in(files, first, tmp_path, ca
     assert dict(after.header) == dict(before.header)
     for name, values in before.columns.items():
         np.testing.assert_array_equal(after.columns[name], values)
+
+
+def test_several_runs_are_exported_into_a_folder_that_is_made(files, tmp_path, campaign, capsys):
+    store, out = str(tmp_path / "kerntemp.sqlite"), tmp_path / "export"
+    paths = [str(path) for path in sorted(files.glob("*.csv"))[:2]]
+    assert main(["import", *paths, "--press", str(files / "press.toml"), "--store", store]) == 0
+    names = [Path(path).stem for path in paths]
+    assert main(["export", *names, "nobody", "--out", str(out), "--store", store]) == 2
+    assert not out.exists()
+    assert main(["export", *names, "--out", str(tmp_path / "no" / "x"), "--store", store]) == 2
+    assert "several runs need a folder" in capsys.readouterr().err
+    assert main(["export", *names, "--out", str(out), "--store", store]) == 0
+    assert {p.name for p in out.iterdir()} == {f"{name}.csv" for name in names} | {"SHA256SUMS"}
 
 
 def test_a_run_that_is_stored_already_stops_the_whole_import(files, first, tmp_path, capsys):

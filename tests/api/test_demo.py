@@ -1,4 +1,5 @@
 import re
+import signal
 import subprocess
 import sys
 import time
@@ -14,7 +15,7 @@ from daq.store.records import StoredEstimate
 
 
 def processes_mentioning(folder: str) -> int:
-    found = subprocess.run(["ps", "-eo", "args"], capture_output=True, text=True, check=False)
+    found = subprocess.run(["ps", "-ww", "-eo", "args"], capture_output=True, text=True, check=False)
     return sum(folder in line for line in found.stdout.splitlines())
 
 
@@ -39,6 +40,19 @@ def test_the_demonstration_ends_by_itself_with_a_summary_and_leaves_no_process_b
         while processes_mentioning(str(folder)) and time.monotonic() < deadline:
             time.sleep(0.1)
         assert processes_mentioning(str(folder)) == 0
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals; on Windows Ctrl-Break does the same")
+@pytest.mark.timeout(900)  # on a fresh machine the compiler runs first
+def test_a_demonstration_that_is_killed_ends_all_its_processes(tmp_path):
+    folder = tmp_path / "demo"
+    command = [sys.executable, "-m", "api", "demo", "--speed", "30", "--data", str(folder)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as running:
+        assert any(line.startswith("Page") for line in running.stdout)
+        assert processes_mentioning(str(folder)) > 3
+        running.terminate()
+        assert running.wait(60) == 128 + signal.SIGTERM
+    assert processes_mentioning(str(folder)) == 0
 
 
 def test_a_folder_that_holds_a_store_is_not_overwritten(tmp_path):
@@ -96,3 +110,20 @@ def test_the_summary_says_what_was_hidden_and_what_the_nightly_job_named():
         "Insulate the rim.",
     ):
         assert part in text
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("effect", ["vapour_convection", "edge_loss"])
+def test_the_nightly_job_names_what_is_hidden_and_halves_the_live_core_error(tmp_path, effect):
+    command = [sys.executable, "-m", "api", "demo", "--speed", "5", "--pressings", "14", "--hide", effect]
+    command += ["--port", "0", "--data", str(tmp_path / "data")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    told = done.stdout
+    assert f"Hidden in the virtual press: {effect}" in told
+    said = re.search(r"The nightly job says: (\w+), (.*)", told)
+    assert said is not None
+    assert effect in said[2]
+    gain = re.search(r"Live core error on the last 4 pressings: ([\d.]+) K .*, ([\d.]+) K", told)
+    assert gain is not None, told
+    assert float(gain[2]) <= 0.5 * float(gain[1])

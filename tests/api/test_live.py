@@ -134,6 +134,18 @@ def test_listeners_beyond_the_limit_are_refused_with_a_problem(serve):
             stream.close()
 
 
+def test_listeners_that_come_at_the_same_moment_are_counted_too(serve):
+    base = serve(max_listeners=5)
+    address = ("127.0.0.1", int(base.rpartition(":")[2]))
+    crowd = [socket.create_connection(address, timeout=20) for _ in range(60)]
+    for one in crowd:
+        one.sendall(f"GET {LIVE} HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n".encode())
+    answers = [one.recv(12)[9:12] for one in crowd]
+    for one in crowd:
+        one.close()
+    assert (answers.count(b"200"), answers.count(b"503")) == (5, 55)
+
+
 def test_an_id_of_another_stream_is_refused(client):
     answer = client.get(LIVE, headers={"Last-Event-ID": "yesterday"})
     assert answer.status_code == 422

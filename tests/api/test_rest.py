@@ -7,6 +7,7 @@ import pyarrow.parquet as pq
 import pytest
 
 RUN = "/api/v1/runs/lab-2026-03-04-01"
+JSON = {"Content-Type": "application/json"}
 
 
 def problem(answer: httpx.Response, status: int) -> dict[str, object]:
@@ -217,3 +218,76 @@ def test_the_figure_is_an_svg_that_names_the_run(client):
     root = ElementTree.fromstring(answer.text)
     assert root.tag.endswith("svg")
     assert any("lab-2026-03-04-01" in (text.text or "") for text in root.iter("{http://www.w3.org/2000/svg}text"))
+
+
+def test_what_people_write_down_is_kept_with_its_history(client, tokens, store):
+    writer = {"Authorization": f"Bearer {tokens.create('foreman', 'write')}"}
+    other = "/api/v1/runs/lab-2026-03-04-02"
+    before = client.get(other).json()["header"]["panel.density_kg_m3"]
+    changes = {"remark": "Plate had a dent.\nTop left.", "header": {"panel.density_kg_m3": 712.5, "order": "A-17"}}
+    changed = client.patch(other, json=changes, headers=writer).json()
+    assert changed["remark"] == "Plate had a dent.\nTop left."
+    assert changed["header"]["panel.density_kg_m3"] == 712.5
+    assert changed["header"]["order"] == "A-17"
+    assert [(c["who"], c["field"], c["before"], c["after"]) for c in changed["changes"]] == [
+        ("foreman", "panel.density_kg_m3", before, 712.5),
+        ("foreman", "order", None, "A-17"),
+        ("foreman", "remark", "", "Plate had a dent.\nTop left."),
+    ]
+    assert client.get("/api/v1/events").json()["items"][0]["process"] == "foreman"
+    removed = client.patch(other, json={"header": {"order": None}}, headers=writer).json()
+    assert "order" not in removed["header"]
+    same = client.patch(other, json=changes | {"header": {}}, headers=writer).json()
+    assert len(same["changes"]) == 4
+    assert client.get(other).json() == same
+
+
+def test_a_body_that_is_not_said_to_be_json_is_told_how(client, tokens):
+    writer = {"Authorization": f"Bearer {tokens.create('curl', 'write')}"}
+    answer = client.patch(RUN, data={"remark": "x"}, headers=writer)
+    assert "Content-Type: application/json" in str(problem(answer, 422)["detail"])
+
+
+def test_metadata_changes_only_with_a_token_that_may_write(client, tokens):
+    reader = {"Authorization": f"Bearer {tokens.create('visitor', 'read')}"}
+    problem(client.patch(RUN, json={"remark": "x"}), 401)
+    problem(client.patch(RUN, json={"remark": "x"}, headers=reader), 403)
+    assert client.get(RUN).json()["remark"] == ""
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"header": {"panel.thickness_mm": -5.0}}, "from 0.1 to 500"),
+        ({"header": {"panel.thickness_mm": "thick"}}, "must be a number"),
+        ({"header": {"panel.thickness_mm": None}}, "panel.thickness_mm is missing"),
+        ({"header": {"panel": 3}}, "header.panel"),
+        ({"header": {"layer.plate_top.colour": "blue"}}, "colour = 'blue': unknown key"),
+        ({"header": {"run": "other"}}, "header.run"),
+        ({"header": {"two words": 1}}, "header"),
+        ({"header": {"x": [1, 2]}}, "header.x"),
+        ({"header": {"x": 10**400}}, "header.x"),
+        ({"remark": "bell \u0007"}, "body.remark"),
+        ({"remark": "half \ud800"}, "remark"),
+        ({"remark": 5}, "remark"),
+        ({"remark": "x" * 4001}, "remark"),
+        ({"colour": "blue"}, "colour"),
+        ([], "body"),
+    ],
+)
+def test_metadata_that_could_not_be_used_is_refused_by_name_and_changes_nothing(client, tokens, changes, says):
+    writer = {"Authorization": f"Bearer {tokens.create('clerk', 'write')}"}
+    try:
+        answer = client.patch(RUN, content=json.dumps(changes), headers=writer | JSON)
+        assert says in str(problem(answer, 422)["detail"])
+        assert client.get(RUN).json()["changes"] == []
+    finally:
+        tokens.revoke("clerk")
+
+
+@pytest.mark.parametrize("points", [2, 3, 4, 7])
+def test_even_two_points_span_the_measured_values(client, campaign, points):
+    run, _ = campaign[0]
+    samples = client.get(f"{RUN}/samples", params={"max_points": points, "columns": "top_1"}).json()
+    assert 2 <= samples["rows"] <= points
+    assert max(samples["columns"]["top_1"]) == pytest.approx(max(run.columns["top_1"]), abs=1e-3)

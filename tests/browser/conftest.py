@@ -1,16 +1,22 @@
-"""The demonstration as a user starts it, and a real browser before its page."""
+"""The demonstration as a user starts it, a server over a store a test feeds, and a browser before the page."""
 
 from __future__ import annotations
 
 import signal
+import socket
 import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
+from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
 from playwright.sync_api import Browser, Page, expect, sync_playwright
+
+from daq.records import Channel, PressEvent, PressEventKind, Quality, Scan
+from daq.store.records import NewRun, RunEnd, StoredEstimate
+from daq.store.store import Store, open_store
 
 expect.set_options(timeout=30_000)
 CHROMIUM = next((p for p in ("/usr/bin/chromium", "/usr/bin/chromium-browser") if Path(p).exists()), None)
@@ -81,3 +87,94 @@ def open_page(browser: Browser, demo: str) -> Iterator[Callable[..., Page]]:
 def _same_host(url: str, address: str, complaints: list[str]) -> None:
     if not url.startswith((address, "data:", "blob:")):
         complaints.append(f"asked another host: {url}")
+
+
+LAB = Path(__file__).parents[2] / "deploy" / "presses" / "lab.toml"
+CHANNELS = tuple(
+    Channel(n)
+    for n in ("platen_top", "platen_bottom", *(f"{f}_{i}" for f in ("top", "bottom") for i in range(1, 8)))
+)
+KEYS = (PressEventKind.INSERTED, PressEventKind.CLOSED, PressEventKind.OPENED)
+
+
+class Feed:
+    """Stores pressings of 30 s at 10 Hz as fast as it is told to."""
+
+    def __init__(self, store: Store) -> None:
+        self.store = store
+        self.key = store.register_press("lab", CHANNELS, LAB.read_text(encoding="utf-8"))
+        self.number = self.key.next_number
+        self.stop = threading.Event()
+        self.pause_s = 0.1
+        self.period_s = 0.1
+
+    def pressing(self, scans: int = 300, batch: int = 1) -> None:
+        first, zero = self.number, 1000.0 + self.number * self.period_s
+        name = f"lab-{first:07d}"
+        for i in range(0, scans, batch):
+            rows = [self._scan(zero, i + k) for k in range(batch)]
+            due = [KEYS[j] for j in range(3) if i <= (j * scans) // 3 < i + batch]
+            events = [PressEvent(kind, rows[0].monotonic_s, rows[0].monotonic_s) for kind in due]
+            begin = NewRun(name, first, rows[0].utc, zero, {"panel.material": "MDF"}) if i == 0 else None
+            self.store.append_scans(self.key, rows, events, begin)
+            said = [
+                StoredEstimate(scan.number, scan.monotonic_s, "closed", 50.0, 1.0, 48.0, 52.0, True)
+                for scan in rows
+            ]
+            self.store.append_estimates("lab", said)
+            if self.stop.wait(self.pause_s):
+                break
+        self.store.append_scans(self.key, [], end=RunEnd(name, self.number - 1, datetime.now(UTC)))
+
+    def _scan(self, zero: float, i: int) -> Scan:
+        scan = Scan(
+            self.number, datetime.now(UTC), zero + self.period_s * i, (20.0 + 0.1 * i,) * 16, (Quality.GOOD,) * 16
+        )
+        self.number += 1
+        return scan
+
+
+def free_port() -> int:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        return int(taken.getsockname()[1])
+
+
+class Served:
+    """`kerntemp serve` that can be stopped and started again on the same port."""
+
+    def __init__(self, folder: Path) -> None:
+        self.port = free_port()
+        self.url = f"http://127.0.0.1:{self.port}/"
+        self.config = folder / "kerntemp.toml"
+        logger = (
+            'name = "x"\nprofile = "labjack-t7"\nhost = "127.0.0.1"\nchannels = ["platen_top", "platen_bottom"]'
+        )
+        self.config.write_text(
+            f'[[press]]\nname = "lab"\nfile = "{LAB.as_posix()}"\n[[press.logger]]\n{logger}\n', encoding="utf-8"
+        )
+
+    def start(self) -> None:
+        command = [sys.executable, "-m", "api", "serve", "--config", str(self.config), "--port", str(self.port)]
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        assert self.process.stdout.readline().startswith("kerntemp serves")
+
+    def end(self) -> None:
+        """Stop the server."""
+        self.process.terminate()
+        self.process.wait(20)
+        self.process.stdout.close()
+
+
+@pytest.fixture
+def served(tmp_path: Path, browser: Browser) -> Iterator[tuple[Served, Feed, Page]]:
+    store = open_store(str(tmp_path / "kerntemp.sqlite"))
+    feed, server = Feed(store), Served(tmp_path)
+    server.start()
+    page, complaints = browser.new_page(), []
+    page.on("pageerror", lambda error: complaints.append(str(error)))
+    yield server, feed, page
+    feed.stop.set()
+    page.close()
+    server.end()
+    store.close()
+    assert complaints == []

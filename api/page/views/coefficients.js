@@ -2,11 +2,14 @@
 import { get } from "../api.js";
 import { TimeChart } from "../charts.js";
 import { clock, el, figure, number, table } from "../dom.js";
+import { sentence as said } from "../sentences.js";
 import { text } from "../text.js";
+
+const LEARN_RUNS = 8; // the control charts judge from then on
 
 export async function show(place, context) {
   const press = context.presses.length > 1 ? context.press : "";
-  const [{ items }, presses] = await Promise.all([get("/coefficients", { press, limit: 500 }), get("/press")]);
+  const [{ items }, presses, drift] = await Promise.all([get("/coefficients", { press, limit: 500 }), get("/press"), get("/coefficients/drift", { press })]);
   if (!items.length) { place.append(el("div", { class: "card empty" }, el("h1", {}, text("nav_coefficients")), el("p", {}, text("no_fits")))); return null; }
   const history = [...items].reverse();
   const names = [...new Set(history.flatMap((item) => Object.keys(item.coefficients)))];
@@ -16,9 +19,9 @@ export async function show(place, context) {
   const used = presses.items.find((item) => item.press === context.press)?.coefficients ?? {};
   place.append(el("section", { class: "card" }, el("div", { class: "head" }, el("h1", {}, text("nav_coefficients")),
     el("label", { class: "row small" }, el("span", { class: "faint" }, text("against")), choice)),
-  el("p", { class: "faint" }, text("coefficients_hint"))), charts);
+  el("p", { class: "faint" }, `${text("coefficients_hint")} ${text("drift_hint")}`)), charts);
   const draw = () => {
-    charts.replaceChildren(...names.map((name) => card(name, history, choice.value, used[name])));
+    charts.replaceChildren(...names.map((name) => card(name, history, choice.value, used[name], drift.items.find((item) => item.coefficient === name))));
   };
   choice.addEventListener("change", draw);
   draw();
@@ -27,31 +30,53 @@ export async function show(place, context) {
   return null;
 }
 
-function card(name, history, axis, used) {
+function card(name, history, axis, used, drift) {
   const points = history.map((item, i) => ({ x: axis === "time" ? i + 1 : item.settings[axis], c: item.coefficients[name], item }))
     .filter((point) => point.c && point.x !== undefined).sort((a, b) => a.x - b.x);
   const holder = el("div", {});
-  const last = points.at(-1);
-  const values = points.flatMap((p) => (p.c.identifiable === false ? [p.c.value] : [p.c.value, ...(p.c.ci95 ?? []).filter((v) => v !== null)]));
-  const [low, high] = [Math.min(...values), Math.max(...values)];
-  const space = (high - low || Math.abs(high) || 1) * 0.15;
   const known = (p) => p.c.identifiable !== false;
+  const told = points.filter(known);
+  const last = told.at(-1);
+  const [low, high] = span(told.length ? told : points);
+  // What a run could not tell stays inside the picture, at its edge.
+  const inside = (value) => Math.min(Math.max(value, low), high);
   requestAnimationFrame(() => {
     if (!holder.isConnected) return;
     const chart = new TimeChart(holder, {
       series: [{ name: text("ci_low"), kind: "band-low" }, { name: text("ci_high"), kind: "band-high" },
-        { name, colour: "--accent", kind: "line", points: true, unit: "W/m²K", digits: 0 },
+        { name, colour: "--accent", kind: axis === "time" ? "line" : "dots", points: true, size: 7, unit: "W/m²K", digits: 0 },
         { name: text("not_identifiable"), colour: "--faint", kind: "dots", size: 8, unit: "W/m²K", digits: 0 }],
       height: 200, label: `${name} ${text("history")}`, yLabel: "W/m²K", xLabel: axis === "time" ? text("order_of_runs") : axis,
-      bandColour: "--accent-band", xSteps: axis === "time" ? [1, 2, 5, 10, 20, 50, 100, 200] : null,
-      yRange: [Math.max(low - space, 0), high + space], xRange: axis === "time" ? [0.5, Math.max(points.length, 2) + 0.5] : undefined,
+      whiskers: "--accent", xSteps: axis === "time" ? [1, 2, 5, 10, 20, 50, 100, 200] : null,
+      yRange: [low, high], xRange: axis === "time" ? [0.5, Math.max(points.length, 2) + 0.5] : undefined,
     });
     chart.tipHead = (x) => (axis === "time" ? points.find((p) => p.x === x)?.item.run ?? "" : `${axis} ${number(x, 0)}`);
     chart.set([points.map((p) => p.x), points.map((p) => (known(p) ? p.c.ci95?.[0] ?? null : null)), points.map((p) => (known(p) ? p.c.ci95?.[1] ?? null : null)),
-      points.map((p) => (known(p) ? p.c.value : null)), points.map((p) => (known(p) ? null : p.c.value))]);
+      points.map((p) => (known(p) ? p.c.value : null)), points.map((p) => (known(p) ? null : inside(p.c.value)))]);
   });
-  return el("section", { class: "card" }, el("div", { class: "head" }, el("h2", { style: "margin:0" }, name, " ", el("span", { class: "faint small" }, text(`c_${name}`) === `c_${name}` ? "" : text(`c_${name}`))),
-    el("span", { class: "num" }, last ? `${figure(last.c.value)} W/m²K` : "–", used ? el("span", { class: "faint small" }, ` · ${text("in_use")} ${figure(used)}`) : "")), holder);
+  const described = text(`c_${name}`) === `c_${name}` ? "" : text(`c_${name}`);
+  return el("section", { class: "card" }, el("div", { class: "head" }, el("h2", { style: "margin:0" }, name, " ", el("span", { class: "faint small" }, described)),
+    el("span", { class: "num" }, last ? `${figure(last.c.value)} W/m²K` : "–", used ? el("span", { class: "faint small" }, ` · ${text("in_use")} ${figure(used)}`) : "")),
+  el("p", { class: "row small", style: "margin:-.4rem 0 .4rem" }, driftPill(drift, told.length)), holder);
+}
+
+function driftPill(drift, runs) {
+  if (!drift) return el("span", { class: `pill ${runs > LEARN_RUNS ? "good" : ""}` }, `${text("drift")}: ${text(runs > LEARN_RUNS ? "steady" : "few_for_drift")}`);
+  const change = `${drift.factor >= 1 ? "+" : "−"}${number(Math.abs(100 * (drift.factor - 1)), 0)} %`;
+  const sentence = text(`drift_${drift.chart}`).replace("{change}", change).replace("{run}", drift.since_run);
+  return el("a", { class: "pill warn", href: `#/runs/${encodeURIComponent(drift.since_run)}`, title: drift.sentence }, `${text("drift")}: ${sentence}`);
+}
+
+// The values and most of their intervals: one wide interval must not flatten the others.
+function span(points) {
+  const values = points.map((p) => p.c.value);
+  let [low, high] = [Math.min(...values), Math.max(...values)];
+  const halves = points.map((p) => Math.max(...(p.c.ci95 ?? [p.c.value]).map((end) => Math.abs((end ?? p.c.value) - p.c.value)))).sort((a, b) => a - b);
+  const reach = Math.max(1.5 * (high - low), 1.1 * halves[Math.floor(halves.length / 2)]);
+  const ends = points.flatMap((p) => p.c.ci95 ?? []).filter((v) => v !== null && v >= low - reach && v <= high + reach);
+  [low, high] = [Math.min(low, ...ends), Math.max(high, ...ends)];
+  const space = (high - low || Math.abs(high) || 1) * 0.15;
+  return [Math.max(low - space, 0), high + space];
 }
 
 function latestCard(item) {
@@ -62,5 +87,5 @@ export function coefficientTable(coefficients) {
   return table(text("nav_coefficients"), [{ text: text("name") }, { text: "W/m²K", class: "right" }, { text: text("interval"), class: "right" }, { text: text("verdict") }],
     Object.entries(coefficients).map(([name, c]) => [name, el("span", { class: "num" }, figure(c.value)),
       el("span", { class: "num" }, c.ci95 ? `${figure(c.ci95[0])} … ${figure(c.ci95[1])}` : "–"),
-      c.identifiable === null || c.identifiable === undefined ? "–" : el("span", { class: `pill ${c.identifiable ? "good" : "warn"}`, title: c.reason ?? "" }, text(c.identifiable ? "identifiable" : "not_identifiable"))]));
+      c.identifiable === null || c.identifiable === undefined ? "–" : el("span", { class: `pill ${c.identifiable ? "good" : "warn"}`, title: said(c.reason ?? "") }, text(c.identifiable ? "identifiable" : "not_identifiable"))]));
 }

@@ -1,6 +1,7 @@
 // What the simulation gets wrong: the last diagnosis with cause, evidence and gain; model versions to promote or roll back.
 import { get, post } from "../api.js";
 import { clock, el, figure, number, table } from "../dom.js";
+import { effectName as name, sentence as said } from "../sentences.js";
 import { text } from "../text.js";
 
 export async function show(place, context) {
@@ -33,7 +34,7 @@ function drawDiagnosis(holder, record) {
       pair(text("heldout"), d.base?.heldout_rmse_K, d.extended?.heldout_rmse_K), pair(text("all_sensors"), d.base?.rmse_K, d.extended?.rmse_K), pair(text("core"), d.base?.core_rmse_K, d.extended?.core_rmse_K),
       gain !== null && d.effects.length ? el("div", {}, el("b", {}, `${number(100 * gain, 0)} %`), el("span", {}, text("gain"))) : null,
       d.noise_floor_K ? el("div", {}, el("b", {}, `${number(d.noise_floor_K, 2)} K`), el("span", {}, text("noise_floor"))) : null),
-    d.next_measurement ? el("p", { class: "next" }, el("b", {}, `${text("next_measurement")}: `), d.next_measurement) : null)];
+    d.next_measurement ? el("p", { class: "next" }, el("b", {}, `${text("next_measurement")}: `), said(d.next_measurement)) : null)];
   cards.push(el("div", { class: "pair" }, candidatesCard(d), whereCard(d)));
   holder.replaceChildren(...cards);
 }
@@ -44,10 +45,8 @@ function sentence(d) {
   return names.join(` + `);
 }
 
-const name = (effect) => { const key = `effect_${effect}`; return text(key) === key ? effect : text(key); };
-
 function effectBlock(effect) {
-  return el("div", {}, el("h3", {}, name(effect.name), " ", el("code", { class: "small faint" }, effect.name)),
+  return el("div", {}, el("h2", { class: "sub" }, name(effect.name), " ", el("code", { class: "small faint" }, effect.name)),
     table(name(effect.name), [{ text: text("parameter") }, { text: text("value"), class: "right" }, { text: text("interval"), class: "right" }],
       Object.entries(effect.parameters ?? {}).map(([parameter, p]) => [el("code", {}, parameter), el("span", { class: "num" }, Array.isArray(p.value) ? p.value.join(", ") : typeof p.value === "number" ? figure(p.value) : String(p.value ?? "–")),
         el("span", { class: "num" }, p.ci95 ? `${figure(p.ci95[0])} … ${figure(p.ci95[1])}` : "–")])),
@@ -90,11 +89,12 @@ function modelsCard(items) {
   };
   const current = items.findIndex((item) => item.current);
   return el("section", { class: "card" }, el("h2", {}, text("models")), items.length ? table(text("models"),
-    [{ text: text("version") }, { text: text("started"), class: "hide-narrow" }, { text: text("effects") }, { text: text("reason"), class: "hide-narrow" }, { text: "" }],
+    [{ text: text("version") }, { text: text("started"), class: "hide-narrow" }, { text: text("effects") }, { text: text("reason"), class: "hide-narrow" }, { text: text("promote"), unseen: true }],
     items.map((item, i) => {
       const button = el("button", { type: "button", class: "button" }, text(current >= 0 && i > current ? "roll_back" : "promote"));
       button.addEventListener("click", () => promote(item, button));
-      return [item.version, clock(item.utc), item.effects.length ? item.effects.map(name).join(", ") : text("plain_model"), item.reason || "–",
+      const version = item.status === "rejected" ? el("div", {}, item.version, " ", el("span", { class: "pill warn" }, text("model_rejected"))) : item.version;
+      return [version, clock(item.utc), item.effects.length ? item.effects.map(name).join(", ") : text("plain_model"), item.reason ? said(item.reason) : "–",
         item.current ? el("span", { class: "pill good" }, text("in_use")) : button];
     })) : el("p", { class: "faint" }, text("no_models")), message);
 }

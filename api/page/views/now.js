@@ -2,11 +2,14 @@
 import { announce } from "../app.js";
 import { get } from "../api.js";
 import { TimeChart, key } from "../charts.js";
-import { duration, el, number } from "../dom.js";
+import { clock, duration, el, number } from "../dom.js";
+import { effectName, sentence } from "../sentences.js";
 import { text } from "../text.js";
 import { sketch } from "./sketch.js";
 
 const KEEP_ROWS = 20000;
+const STALE_S = 5;
+const FACTS_MS = 400;
 const COLOURS = { platen: "--platen", top: "--top", bottom: "--bottom", core: "--measured", other: "--faint" };
 
 export async function show(place, context) {
@@ -17,8 +20,8 @@ export async function show(place, context) {
   context.on("press", (data) => live.press(data));
   context.on("run", (data) => live.run(data));
   context.on("link", (state) => { if (state === "live") live.load(); });
-  const timer = setInterval(() => live.poll(), 2000);
-  return () => { clearInterval(timer); live.closed = true; };
+  const timers = [setInterval(() => live.poll(), 2000), setInterval(() => live.now && live.showAge(), 1000)];
+  return () => { timers.forEach(clearInterval); live.closed = true; };
 }
 
 class LivePress {
@@ -37,6 +40,7 @@ class LivePress {
         this.place.replaceChildren(el("div", { class: "card empty" }, el("h1", {}, text("no_press")), el("p", {}, text("no_press_hint"))));
         return;
       }
+      this.hear();
       this.frame();
       await this.loadRun(this.now.run);
     } finally {
@@ -53,6 +57,7 @@ class LivePress {
       if (!fresh) { if (items.length) await this.load(); return; }
       if (this.closed) return;
       this.now = fresh;
+      this.hear();
       this.facts();
       this.tiles();
       if (fresh.run !== this.shown) await this.loadRun(fresh.run);
@@ -69,15 +74,18 @@ class LivePress {
     this.grid = el("div", { class: "channels", "data-testid": "channels" });
     this.title = el("h2", {});
     this.canvas = el("div", {});
+    this.warning = el("div", { class: "warning", role: "status", hidden: true });
+    this.old = el("p", { class: "pill warn", role: "status", hidden: true });
     this.keys = el("div", {});
     this.place.replaceChildren(
       el("div", { class: "split" },
-        el("section", { class: "card hero", "aria-labelledby": "core-title" },
+        this.hero = el("section", { class: "card hero", "aria-labelledby": "core-title" },
           el("div", { class: "row", style: "justify-content:space-between" }, el("h1", { id: "core-title" }, text("core_temperature")), this.state),
+          this.old,
+          this.warning,
           el("div", {}, this.core, this.band),
           el("div", { class: "bench", "aria-hidden": "true" }, this.meter),
-          this.sketch,
-          this.list),
+          el("div", { class: "beside" }, this.sketch, this.list)),
         el("section", { class: "card", "aria-label": text("running_pressing") },
           el("div", { class: "head" }, this.title), this.canvas, this.keys)),
       el("section", { class: "card" }, el("h2", {}, text("channels")), this.grid));
@@ -94,10 +102,13 @@ class LivePress {
     const rows = [
       [text("time_since_closing"), now.time_since_closing_s === null ? "–" : duration(now.time_since_closing_s)],
       [text("target"), target ? `${number(target.temperature_C, 0)} °C` : "–"],
-      [text("time_to_target"), !target ? "–" : target.reached ? text("reached") : duration(target.time_to_target_s)],
+      [text("time_to_target"), !target ? "–" : target.reached ? text("reached") : timeToTarget(now.estimate ?? {})],
+      ...ahead(now.state, now.estimate ?? {}),
       [text("run"), now.run ? el("a", { href: `#/runs/${encodeURIComponent(now.run)}` }, now.run) : "–"],
       [text("press"), now.press],
     ];
+    this.showAge();
+    this.showWarning();
     this.list.replaceChildren(...rows.flatMap(([name, value]) => [el("dt", {}, name), el("dd", {}, value)]));
     this.sketch.replaceChildren(sketch(now));
     const share = target && now.state !== "idle" && now.estimate?.core_C ? (now.estimate.core_C - 20) / (target.temperature_C - 20) : 0;
@@ -110,14 +121,34 @@ class LivePress {
     this.core.replaceChildren(valid ? number(estimate.core_C, 1) : "–", el("small", {}, "°C"));
     this.band.textContent = valid
       ? `${number(estimate.core_low_C, 1)} … ${number(estimate.core_high_C, 1)} °C · ${text("band95")}`
-      : this.now.state === "idle" ? text("no_panel") : estimate?.reason || text("no_estimate");
+      : this.now.state === "idle" ? text("no_panel") : sentence(estimate?.reason) || text("no_estimate");
+  }
+
+  showWarning() {
+    const { warning, suspected } = this.now.state === "idle" ? {} : this.now.estimate ?? {};
+    const lines = [warning && `⚠ ${sentence(warning)}`, suspected && `${text("suspected")}: ${effectName(suspected)}`].filter(Boolean);
+    if (this.warning.textContent !== lines.join("")) this.warning.replaceChildren(...lines.map((line) => el("p", {}, line)));
+    this.warning.hidden = !lines.length;
+  }
+
+  hear(age = Math.min(...this.now.channels.map((c) => c.age_s ?? Infinity))) {
+    Object.assign(this, { age, heard: performance.now() });
+  }
+
+  // Old numbers must not look like new ones.
+  showAge() {
+    const stale = this.now.channels.length > 0 && this.age + (performance.now() - this.heard) / 1000 > STALE_S;
+    this.hero.classList.toggle("stale", stale);
+    this.grid.classList.toggle("stale", stale);
+    this.old.hidden = !stale;
+    if (stale) this.old.textContent = text("stale_since").replace("{time}", clock(this.now.channels[0].utc));
   }
 
   tiles() {
     const nodes = this.now.channels.map((channel) => {
       const good = ["good", "simulated"].includes(channel.quality);
-      return el("div", { class: good ? "channel" : "channel bad", style: `--dot: var(${COLOURS[channel.role]})`, title: channel.quality },
-        el("span", { class: "name" }, channel.name),
+      return el("div", { class: good ? "channel" : "channel bad", style: `--dot: var(${COLOURS[channel.role]})` },
+        el("div", { class: "name" }, el("span", {}, channel.name), good ? el("span", { class: "quality" }, text(`quality_${channel.quality}`)) : ""),
         el("b", {}, good ? `${number(channel.temperature_C, 1)} °C` : text(`quality_${channel.quality}`)));
     });
     this.grid.replaceChildren(...nodes);
@@ -163,6 +194,8 @@ class LivePress {
         channel.quality = data.qualities[channel.name] ?? "good";
       }
     }
+    for (const channel of this.now.channels) channel.utc = data.utc;
+    this.hear(0);
     this.soon("tiles");
     if (data.run !== this.shown || !this.rows || data.time_s === null) return;
     const times = this.rows[0];
@@ -177,7 +210,10 @@ class LivePress {
   estimate(data) {
     if (data.press !== this.now?.press) return;
     this.now.estimate = data;
+    const closed = this.phases?.findLast((phase) => phase.state === "closed");
+    if (closed && data.run === this.shown && data.time_s !== null) this.now.time_since_closing_s = Math.max(data.time_s - closed.from_s, 0);
     this.soon("showCore");
+    if (performance.now() - (this.told ?? 0) > FACTS_MS) { this.told = performance.now(); this.soon("facts"); }
     if (data.run !== this.shown || !this.rows) return;
     const row = lastAt(this.rows[0], data.time_s);
     if (row < 0 || !data.valid) return;
@@ -211,6 +247,22 @@ class LivePress {
     this.work.add(name);
     requestAnimationFrame(() => { this.work.delete(name); if (!this.closed) this[name](); });
   }
+}
+
+const seconds = (value) => (value < 100 ? `${number(value, 0)} s` : duration(value));
+
+function timeToTarget({ target_in_s: middle, target_earliest_s: earliest, target_latest_s: latest }) {
+  if (middle === null || middle === undefined) return "–";
+  const known = [earliest, latest].every((value) => value !== null && value !== undefined);
+  return [seconds(middle), known ? el("span", { class: "faint range" }, ` ${number(earliest, 0)} … ${number(latest, 0)} s`) : ""];
+}
+
+// What the live sensor foresees beyond the target, where it says so.
+function ahead(state, estimate) {
+  if (state === "idle") return [];
+  const facts = [["open_in_s", "open_in", (v) => (v > 0 ? text("in_time").replace("{time}", seconds(v)) : text("at_once"))], ["peak_C", state === "closed" ? "peak_if" : "peak", (v) => `${number(v, 1)} °C`],
+    ["limit_in_s", "limit_in", seconds], ["energy_kJ_m2", "energy", (v) => `${number(v, 0)} kJ/m²`]];
+  return facts.filter(([key]) => estimate[key] !== null && estimate[key] !== undefined).map(([key, name, shown]) => [text(name), shown(estimate[key])]);
 }
 
 export function roleOf(name) {

@@ -1,11 +1,13 @@
 // Runs: filter and compare; one run measured against simulated, its residual, the profile through the panel, its fit.
-import { get, url } from "../api.js";
+import { download, get, url } from "../api.js";
 import { TimeChart, key } from "../charts.js";
 import { clock, duration, el, figure, number, table } from "../dom.js";
+import { sentence as said } from "../sentences.js";
 import { text } from "../text.js";
 import { coefficientTable } from "./coefficients.js";
+import { metadataCard } from "./metadata.js";
 import { roleOf } from "./now.js";
-import { drawProfile } from "./profile.js";
+import { profilePicture } from "./profile.js";
 
 const PALETTE = ["--core", "--bottom", "--top", "--good", "--accent", "--platen"];
 
@@ -43,7 +45,7 @@ async function list(place, context) {
     const mine = ++turn;
     const page = await get("/runs", {
       press: context.presses.length > 1 ? context.press : "", material: filter.material, status: filter.status, limit: 50, cursor: next ? cursor : "",
-      from: filter.from && `${filter.from}T00:00:00Z`, to: filter.to && `${filter.to}T23:59:59Z`,
+      from: midnight(filter.from, 0), to: midnight(filter.to, 1),
     });
     if (mine !== turn) return;
     items = next ? items.concat(page.items) : page.items;
@@ -55,7 +57,7 @@ async function list(place, context) {
   function draw() {
     if (!items.length) { body.replaceChildren(el("div", { class: "empty" }, text("no_runs"))); return; }
     body.replaceChildren(table(text("nav_runs"), [
-      { text: "" }, { text: text("run") }, { text: text("started"), class: "hide-narrow" }, { text: text("material") },
+      { text: text("compare"), unseen: true }, { text: text("run") }, { text: text("started"), class: "hide-narrow" }, { text: text("material") },
       { text: text("thickness"), class: "right hide-narrow" }, { text: text("platen"), class: "right hide-narrow" },
       { text: text("pressed"), class: "right" }, { text: text("rmse"), class: "right" }, { text: text("status"), class: "hide-narrow" },
     ], items.map((run) => [
@@ -84,6 +86,13 @@ async function list(place, context) {
   return null;
 }
 
+// The day as the reader's clock has it, like the times in the list.
+function midnight(day, later) {
+  if (!day) return "";
+  const [year, month, date] = day.split("-").map(Number);
+  return new Date(year, month - 1, date + later).toISOString();
+}
+
 function statusPill(status) {
   const tone = { open: "open", closed: "good", interrupted: "warn" }[status] ?? "";
   return el("span", { class: `pill ${tone}` }, text(`run_${status}`));
@@ -93,7 +102,7 @@ async function compare(place, ids) {
   place.append(el("section", { class: "card" }, el("div", { class: "head" }, el("h1", {}, `${text("compare")}: ${text("core_predicted")}`),
     el("a", { class: "button", href: "#/runs" }, text("back")))));
   const runs = await Promise.all(ids.slice(0, 6).map(async (id) => ({
-    id, detail: await get(`/runs/${encodeURIComponent(id)}`), estimates: await get(`/runs/${encodeURIComponent(id)}/estimates`, { max_points: 800 }),
+    id, detail: await get(`/runs/${encodeURIComponent(id)}`), estimates: await coreOf(`/runs/${encodeURIComponent(id)}`),
   })));
   const times = [...new Set(runs.flatMap(({ detail: d, estimates: e }) => e.time_s.map((t) => round(t - (d.closed_s ?? 0)))))].sort((a, b) => a - b);
   const at = new Map(times.map((t, i) => [t, i]));
@@ -120,6 +129,14 @@ async function compare(place, ids) {
   return null;
 }
 
+// The core as told live; of a run nobody followed live, as simulated with its fit.
+async function coreOf(path) {
+  const live = await get(`${path}/estimates`, { max_points: 800 });
+  if (live.rows) return live;
+  const { time_s, core_C } = await get(`${path}/simulation`).catch(() => ({ time_s: [], core_C: [] }));
+  return { time_s, core_C, valid: core_C.map((value) => value !== null) };
+}
+
 const round = (value) => Math.round(value * 10) / 10;
 
 async function detail(place, context, id) {
@@ -129,25 +146,25 @@ async function detail(place, context, id) {
     get(`${path}/samples`, { max_points: 3000 }), get(`${path}/estimates`, { max_points: 3000 }), get(`${path}/fit`).catch(() => null),
   ]);
   const waiting = el("section", { class: "card empty" }, text("simulating"));
-  place.append(headCard(run, path), measuredCard(run, samples, estimates), waiting, el("div", { class: "pair" }, fitCard(fit), headerCard(run)));
+  place.append(headCard(run, path), measuredCard(run, samples, estimates), waiting, el("div", { class: "pair" }, fitCard(fit), metadataCard(run, path)));
   get(`${path}/simulation`).then((simulation) => {
-    if (waiting.isConnected) waiting.replaceWith(simulationCard(run, simulation), profileCard(simulation));
+    if (waiting.isConnected) waiting.replaceWith(simulationCard(run, simulation), profileCard(run, simulation));
   }).catch((error) => waiting.replaceChildren(text("no_simulation"), el("p", { class: "small" }, error.message)));
   context.on("fit", (data) => { if (data.run === id && !fit) dispatchEvent(new HashChangeEvent("hashchange")); });
   return null;
 }
 
 function headCard(run, path) {
-  const link = (label, href) => el("a", { class: "button", href, download: "" }, label);
+  const link = (label, href, file) => el("a", { class: "button", href, download: file, onclick: download }, label);
   return el("section", { class: "card" },
     el("div", { class: "head" },
       el("div", { class: "row" }, el("h1", {}, `${text("run")} ${run.run}`), statusPill(run.status)),
-      el("div", { class: "row small" }, link("CSV", url(`${path}/samples`, { format: "csv" })), link("Parquet", url(`${path}/samples`, { format: "parquet" })),
-        link("SVG", url(`${path}/figure.svg`)), el("a", { class: "button", href: "#/runs" }, text("back")))),
+      el("div", { class: "row small" }, link("CSV", url(`${path}/samples`, { format: "csv" }), `${run.run}.csv`), link("Parquet", url(`${path}/samples`, { format: "parquet" }), `${run.run}.parquet`),
+        link("SVG", url(`${path}/figure.svg`), `${run.run}.svg`), el("a", { class: "button", href: "#/runs" }, text("back")))),
     el("p", { class: "faint" }, [run.material, run.thickness_mm && `${number(run.thickness_mm, 1)} mm`, run.platen_temperature_C && `${number(run.platen_temperature_C, 0)} °C`,
       run.closed_s !== null && run.opened_s !== null && `${text("pressed")} ${duration(run.opened_s - run.closed_s)}`, clock(run.started_utc), `${run.scans} ${text("scans")}`]
       .filter(Boolean).join(" · ")),
-    run.remarks.length ? el("ul", { class: "small" }, run.remarks.map((remark) => el("li", {}, remark))) : null);
+    run.remark ? el("p", { class: "next", style: "white-space:pre-line" }, run.remark) : null);
 }
 
 function measuredCard(run, samples, estimates) {
@@ -201,11 +218,8 @@ function calmRange(series) {
   return [-limit, limit];
 }
 
-function profileCard(simulation) {
-  const canvas = el("canvas", { class: "profile", role: "img", "aria-label": text("profile_label") });
-  const legend = el("p", { class: "small faint" });
-  later(canvas, () => drawProfile(canvas, legend, simulation));
-  return el("section", { class: "card" }, el("h2", {}, text("profile")), canvas, legend);
+function profileCard(run, simulation) {
+  return el("section", { class: "card" }, el("h2", {}, text("profile")), profilePicture(simulation, run.phases));
 }
 
 function fitCard(fit) {
@@ -214,12 +228,7 @@ function fitCard(fit) {
     el("span", { class: `pill ${fit.converged ? "good" : "warn"}` }, text(fit.converged ? "converged" : "not_converged"))),
   coefficientTable(fit.coefficients),
   el("p", { class: "small faint" }, `RMSE ${number(fit.initial_rmse_K, 2)} K → ${number(fit.rmse_K, 2)} K`),
-  fit.warnings.length ? el("ul", { class: "small" }, fit.warnings.map((warning) => el("li", {}, warning))) : null);
-}
-
-function headerCard(run) {
-  return el("section", { class: "card" }, el("h2", {}, text("metadata")), table(text("metadata"), [{ text: text("name") }, { text: text("value"), class: "right" }],
-    Object.entries(run.header).map(([name, value]) => [name, el("span", { class: "num" }, typeof value === "object" ? JSON.stringify(value) : String(value))])));
+  fit.warnings.length ? el("ul", { class: "small" }, fit.warnings.map((warning) => el("li", {}, said(warning)))) : null);
 }
 
 // Two time axes on one chart: their union, each series lifted onto it.

@@ -17,6 +17,7 @@ export function sketch(now) {
   const lift = 26;
   const gap = state === "closed" ? 0 : panel ? lift : lift + 20;
   const core = panel && estimate?.valid ? estimate.core_C : null;
+  const stops = core !== null && estimate.profile_C ? [...estimate.profile_C].reverse() : [faces.top_C, core ?? faces.bottom_C, faces.bottom_C];
   const top = state === "closed" ? 30 + lift : 30;
   const plate = 10;
   const height = 34;
@@ -26,8 +27,7 @@ export function sketch(now) {
   const svg = document.createElementNS("http://www.w3.org/2000/svg", "svg");
   svg.setAttribute("viewBox", "0 0 300 156");
   svg.style.cssText = "width:100%;display:block";
-  svg.innerHTML = `<defs><linearGradient id="panel" x1="0" y1="0" x2="0" y2="1"><stop offset="0" stop-color="${colour(faces.top_C)}"/>
-    <stop offset=".5" stop-color="${colour(core ?? faces.bottom_C)}"/><stop offset="1" stop-color="${colour(faces.bottom_C)}"/></linearGradient></defs>
+  svg.innerHTML = `<defs><linearGradient id="panel" x1="0" y1="0" x2="0" y2="1">${stops.map((value, i) => `<stop offset="${i / (stops.length - 1)}" stop-color="${colour(value)}"/>`).join("")}</linearGradient></defs>
     ${box(top - 26, 26, colour(faces.platen_top_C))}${name(top - 10, faces.platen_top_C)}
     <rect x="18" y="${top}" width="200" height="${plate - 2}" fill="var(--platen)"/>
     ${panel ? `<rect x="24" y="${top + plate + gap}" width="188" height="${height}" rx="1" fill="url(#panel)"/>${name(top + plate + gap + 9, faces.top_C)}

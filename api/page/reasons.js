@@ -1,0 +1,75 @@
+// Why a coefficient is not told by a run, and what a fit left out, in German: clause by clause
+// (softsensor/remedies.py, fit_result.py, residuals.py). A clause that is not known here leaves the whole in English.
+const CLAUSES = [
+  [/^it couples (.+) and (.+) while closed \((.+) s here\)$/, "er koppelt $1 und $2 bei geschlossener Presse (hier $3 s)"],
+  [/^it couples (.+) and (.+)$/, "er koppelt $1 und $2"],
+  [/^it acts at the face of (.+) while open \((.+) s before closing and (.+) s after opening here\)$/, "er wirkt an der Seite zu $1 bei offener Presse (hier $2 s vor dem Schließen und $3 s nach dem Öffnen)"],
+  [/^it acts at (.+) and (.+) while open \((.+) s before closing and (.+) s after opening here\)$/, "er wirkt zwischen $1 und $2 bei offener Presse (hier $3 s vor dem Schließen und $4 s nach dem Öffnen)"],
+  [/^it acts at a boundary$/, "er wirkt an einem Rand"],
+  [/^it is a parameter of an effect$/, "er gehört zu einem Effekt"],
+  [/^no reading of this run moves by more than (.+) K when it grows by e$/, "keine Messung dieser Pressung ändert sich um mehr als $1 K, wenn er um den Faktor e wächst"],
+  [/^anything above (.+) fits as well: its resistance, below (.+) m²K\/W, is too small to be seen$/, "alles über $1 passt ebenso: sein Widerstand, unter $2 m²K/W, ist zu klein, um gesehen zu werden"],
+  [/^it is known to a factor of (.+) only$/, "er ist nur auf einen Faktor $1 bekannt"],
+  [/^it moves together with (.+) \(correlation (.+)\)$/, "er ändert sich gemeinsam mit $1 (Korrelation $2)"],
+  [/^its effect of (.+) K drowns in the slow noise of the faces \((.+) K\)$/, "seine Wirkung von $1 K geht im langsamen Rauschen der Seiten ($2 K) unter"],
+  [/^Put a thermocouple on the face of (.+) towards (.+), or let all runs share (.+) \(--shared .+\)$/, "Setzen Sie einen Fühler auf die Seite von $1 zu $2, oder lassen Sie alle Pressungen $3 teilen (--shared $3)"],
+  [/^Put a thermocouple on the face of (.+) towards (.+)$/, "Setzen Sie einen Fühler auf die Seite von $1 zu $2"],
+  [/^Put a thermocouple next to that boundary, or go on until its temperature has changed more$/, "Setzen Sie einen Fühler an diesen Rand, oder messen Sie weiter, bis sich seine Temperatur stärker geändert hat"],
+  [/^Put a thermocouple next to that boundary$/, "Setzen Sie einen Fühler an diesen Rand"],
+  [/^Stay closed for longer than the (.+) s here$/, "Halten Sie länger geschlossen als hier $1 s"],
+  [/^Log a pressing that closes$/, "Zeichnen Sie eine Pressung auf, die schließt"],
+  [/^Change the temperatures faster, or further$/, "Ändern Sie die Temperaturen schneller oder weiter"],
+  [/^Leave the panel in the open press for a minute before closing instead of (.+) s$/, "Lassen Sie die Platte vor dem Schließen eine Minute statt $1 s in der offenen Presse"],
+  [/^Log on for a minute after opening instead of (.+) s$/, "Messen Sie nach dem Öffnen eine Minute weiter statt $1 s"],
+  [/^See the measurement that confirms the effect$/, "Siehe die Messung, die den Effekt bestätigt"],
+  [/^Check the channels at (.+) against a thermometer before the run \(kerntemp calibrate\)$/, "Prüfen Sie die Kanäle an $1 vor der Pressung gegen ein Thermometer (kerntemp calibrate)"],
+  [/^Calibrate the channels at (.+) at two temperatures$/, "Kalibrieren Sie die Kanäle an $1 bei zwei Temperaturen"],
+  [/^Log faster than the (.+) Hz here, and a limit switch as the column closed$/, "Messen Sie schneller als hier mit $1 Hz, und einen Endschalter als Spalte closed"],
+  [/^Start the record some seconds before the panel is laid in$/, "Beginnen Sie die Aufzeichnung einige Sekunden vor dem Einlegen"],
+  [/^Measure the panel's start temperature, and write it into the header$/, "Messen Sie die Anfangstemperatur der Platte und tragen Sie sie in den Kopf ein"],
+  [/^Calibrate the platen channel against the panel channels at one temperature \(kerntemp calibrate\)$/, "Kalibrieren Sie den Heizplattenkanal gegen die Plattenkanäle bei einer Temperatur (kerntemp calibrate)"],
+  [/^(\d+) single cells departed from their face and were left out$/, "$1 einzelne Werte wichen von ihrer Seite ab und blieben weg"],
+  [/^the search did not converge$/, "die Suche konvergierte nicht"],
+  [/^coefficients are where it stopped$/, "die Koeffizienten stehen, wo sie endete"],
+  [/^channel (.+) holds no usable value and is left out$/, "Kanal $1 hat keinen brauchbaren Wert und bleibt weg"],
+  [/^channel (.+) follows (.+): swapped\? It is left out$/, "Kanal $1 folgt $2: vertauscht? Er bleibt weg"],
+  [/^channel (.+) departs from its face by (.+) rms: loose or drifting$/, "Kanal $1 weicht um $2 (quadratisches Mittel) von seiner Seite ab: lose oder driftend"],
+  [/^it is left out$/, "er bleibt weg"],
+  [/^(\S+) = (.+) lies outside what the run allows, (.+) to (.+)$/, "$1 = $2 liegt außerhalb dessen, was die Pressung zulässt, $3 bis $4"],
+  [/^stuck: it ends (.+) K rms from the readings, at the guesses it was (.+) K, and the default method reaches (.+) K$/, "steckengeblieben: $1 K von den Messungen, mit den Schätzwerten waren es $2 K, und das übliche Verfahren erreicht $3 K"],
+  [/^fixed by the press file$/, "in der Pressendatei festgelegt"],
+  [/^first model, coefficients of (\d+) runs$/, "erstes Modell, Koeffizienten aus $1 Pressungen"],
+  [/^too few runs to judge by$/, "zu wenige Pressungen für ein Urteil"],
+  [/^worse on held-out runs$/, "schlechter auf ungesehenen Pressungen"],
+  [/^the gain is not significant$/, "der Gewinn ist nicht bedeutsam"],
+  [/^the core gets worse$/, "der Kern wird schlechter"],
+  [/^through the API$/, "über die API"],
+  [/^rolled back$/, "zurückgesetzt"],
+];
+const TOGETHER = /^(.+), or fit it from about (\d+) such runs together$/;
+const VERDICT = { "one-sided": "nur einseitig bestimmt", "not identifiable": "nicht bestimmbar" };
+
+const comma = (german) => german.replace(/(\d)\.(\d)/g, "$1,$2");
+
+function clause(english) {
+  const known = CLAUSES.find(([pattern]) => pattern.test(english));
+  if (known) return english.replace(known[0], known[1]);
+  const together = TOGETHER.exec(english);
+  const first = together && clause(together[1]);
+  return first ? `${first}, oder bestimmen Sie ihn aus etwa ${together[2]} solchen Pressungen gemeinsam` : null;
+}
+
+// The German of a fit's warning or of a model version's reason; null where a part of it is not known.
+export function reason(english, effectName) {
+  const gain = /^(.+): residual (\S+) -> (\S+) K on (\d+) runs(?:, core (\S+) -> (\S+) K live)?(?:; (.+))?$/.exec(english);
+  if (gain) {
+    const [, names, before, after, runs, coreBefore, coreAfter, but] = gain;
+    const end = but ? clause(but) : "";
+    if (end === null) return null;
+    return comma(`${names.split(" + ").map(effectName).join(" + ")}: Residuum ${before} → ${after} K auf ${runs} Pressungen${coreBefore ? `, Kern ${coreBefore} → ${coreAfter} K live` : ""}${end && `; ${end}`}`);
+  }
+  const told = /^(\S+) is (one-sided|not identifiable): (.+)$/.exec(english);
+  const parts = (told ? told[3] : english).replace(/\.$/, "").split(/(; |\. )/).map((part, i) => (i % 2 ? part : clause(part)));
+  if (parts.some((part) => part === null)) return null;
+  return comma(`${told ? `${told[1]} ist ${VERDICT[told[2]]}: ` : ""}${parts.join("")}`);
+}

@@ -1,0 +1,65 @@
+// What people know about a run: remark and header, changed with a token that may write, and the history of the changes.
+import { patch } from "../api.js";
+import { clock, el, table } from "../dom.js";
+import { text } from "../text.js";
+
+export function metadataCard(run, path) {
+  const card = el("section", { class: "card", "data-testid": "metadata" });
+  const read = () => {
+    const change = el("button", { type: "button", class: "button", onclick: edit }, text("change"));
+    card.replaceChildren(el("div", { class: "head" }, el("h2", {}, text("metadata")), change),
+      table(text("metadata"), [{ text: text("name") }, { text: text("value"), class: "right" }],
+        Object.entries(run.header).map(([name, value]) => [name, el("span", { class: "num" }, shown(value))])),
+      ...(run.changes.length ? [historyOf(run.changes)] : []));
+    return change;
+  };
+  const edit = () => card.replaceChildren(editor(run, path, () => read().focus(), () => dispatchEvent(new HashChangeEvent("hashchange"))));
+  read();
+  return card;
+}
+
+const shown = (value) => (value === null || value === undefined || value === "" ? "–" : typeof value === "object" ? JSON.stringify(value) : String(value));
+
+function historyOf(changes) {
+  return el("details", {}, el("summary", { class: "small" }, `${text("changes")} (${changes.length})`),
+    el("ul", { class: "small changes" }, [...changes].reverse().map((c) =>
+      el("li", {}, el("span", { class: "faint num" }, `${clock(c.utc)} · ${c.who}`), el("br"), `${c.field === "remark" ? text("remark") : c.field}: ${shown(c.before)} → ${shown(c.after)}`))));
+}
+
+function editor(run, path, cancel, done) {
+  const remark = el("textarea", { rows: 3, maxlength: 4000, id: "remark" });
+  remark.value = run.remark;
+  const simple = Object.entries(run.header).filter(([, value]) => typeof value !== "object");
+  const fields = simple.map(([name, value]) => ({ name, value, input: el("input", { type: "text", id: `header-${name}`, value: String(value) }) }));
+  const newName = el("input", { type: "text", placeholder: "setting.pressure_N_cm2", "aria-label": text("new_key") });
+  const newValue = el("input", { type: "text", "aria-label": text("value") });
+  const message = el("p", { class: "small bad-text", role: "alert" });
+  const form = el("form", { class: "stack edit" }, el("h2", {}, text("metadata")),
+    el("label", { for: "remark" }, text("remark")), remark,
+    el("div", { class: "fields" }, fields.map((f) => [el("label", { for: `header-${f.name}`, class: "small" }, f.name), f.input]).flat(), newName, newValue),
+    el("p", { class: "small faint" }, text("empty_removes")), message,
+    el("div", { class: "row" }, el("button", { class: "button primary" }, text("save")), el("button", { type: "button", class: "button", onclick: cancel }, text("cancel"))));
+  form.addEventListener("submit", async (event) => {
+    event.preventDefault();
+    const header = {};
+    for (const { name, value, input } of fields) {
+      if (input.value.trim() !== String(value)) header[name] = meant(input.value);
+    }
+    if (newName.value.trim()) header[newName.value.trim()] = meant(newValue.value);
+    try {
+      await patch(path, remark.value === run.remark ? { header } : { remark: remark.value, header });
+      done();
+    } catch (error) {
+      message.replaceChildren(error.message, error.status === 401 ? el("a", { href: "#/access" }, ` ${text("need_token")}`) : "");
+    }
+  });
+  return form;
+}
+
+// What somebody typed, as a run file would hold it.
+function meant(typed) {
+  const value = typed.trim();
+  if (value === "") return null;
+  if (value === "true" || value === "false") return value === "true";
+  return /^[+-]?\d+([.,]\d+)?([eE][+-]?\d+)?$/.test(value) ? Number(value.replace(",", ".")) : value;
+}

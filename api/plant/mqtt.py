@@ -1,0 +1,239 @@
+"""Live values, press events, estimates and model version over MQTT.
+
+Topics, each message JSON, quality of service 1, retained (so a newcomer sees the newest at once):
+
+=========================  ==================================================================
+``prefix/status``          ``{"state": "online" | "offline", "version", "utc"}``; offline is the last will
+``prefix/PRESS/scan``      every scan: ``temperatures_C`` and, where not good, ``qualities``
+``prefix/PRESS/estimate``  every estimate: ``core_C`` with ``core_low_C``, ``core_high_C`` (95 %), ``valid``
+``prefix/PRESS/event``     ``inserted``, ``closed``, ``opened``, ``removed``, and the ``state`` after it
+``prefix/PRESS/model``     the model version in force
+=========================  ==================================================================
+
+After an interruption everything stored meanwhile follows, in order. Where to go on is asked of the broker
+itself: its retained message carries the number that really arrived, so nothing is sent twice even if the
+answer to it was lost (2026-11-21; a number kept here alone would repeat what was in flight). A broker that
+forgot is continued from the position kept in the store. A broker that drops after it has stored a message and
+before it retains it could still see one twice: `number` tells.
+"""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from typing import Any
+
+import paho.mqtt.client as paho
+from paho.mqtt.enums import CallbackAPIVersion
+
+from api.health import installed_version
+from api.plant.following import KINDS, Following, Message, Place, model_body
+from daq.config import MqttSettings
+from daq.records import InputError
+from daq.store.store import Store
+
+QOS = 1
+KEEPALIVE_S = 15
+"""The broker tells the last will after one and a half times this. [s]"""
+ANSWER_S = 10.0
+"""Longest wait for the broker's answer. [s]"""
+POLL_S = 0.1
+"""How often the store is asked for news while there is none. [s]"""
+MODEL_S = 2.0
+
+
+class BrokerAway(ConnectionError):
+    """The broker does not answer: try again. The text says what to do."""
+
+
+class Broker:
+    """One connection to the broker: it ends with the first fault, and a new one is made."""
+
+    def __init__(self, settings: MqttSettings) -> None:
+        self._settings = settings
+        self._answered = threading.Event()
+        self._lost = threading.Event()
+        self._reason = ""
+        self._retained: dict[str, bytes] = {}
+        self._marker = threading.Event()
+        self._client = paho.Client(
+            CallbackAPIVersion.VERSION2, client_id=settings.client, reconnect_on_failure=False
+        )
+        if settings.user:
+            self._client.username_pw_set(settings.user, _password(settings))
+        if settings.tls:
+            self._client.tls_set(None if settings.certificates is None else str(settings.certificates))
+        self._client.on_connect = self._on_connect
+        self._client.on_disconnect = self._on_disconnect
+        self._client.on_message = self._on_message
+        self._client.will_set(self.topic("status"), _json({"state": "offline"}), QOS, retain=True)
+
+    def topic(self, *parts: str) -> str:
+        """Return a topic below the prefix."""
+        return "/".join((self._settings.prefix, *parts))
+
+    def open(self) -> None:
+        """Connect. Raises `BrokerAway`."""
+        where = f"{self._settings.host}:{self._settings.port}"
+        try:
+            self._client.connect(self._settings.host, self._settings.port, KEEPALIVE_S)
+        except (OSError, ValueError) as error:
+            raise BrokerAway(f"MQTT broker {where}: {error}; check that it runs and is reachable") from error
+        self._client.loop_start()
+        self._wait(self._answered, "connect")
+
+    def retained(self, presses: Mapping[str, str]) -> dict[Place, int]:
+        """Ask the broker for the number it really has of every list. Raises `BrokerAway`."""
+        marker = self.topic("status", self._settings.client)
+        topics = {self.topic(press, kind): (press, kind) for press in presses for kind in KINDS}
+        self._client.subscribe([(topic, QOS) for topic in (marker, *topics)])
+        self._client.publish(marker, b"", QOS)  # comes back after what was retained
+        self._wait(self._marker, "send what it retains")
+        self._client.unsubscribe([marker, *topics])
+        numbers = {place: _number(self._retained.get(topic)) for topic, place in topics.items()}
+        return {place: number for place, number in numbers.items() if number is not None}
+
+    def send(self, messages: list[tuple[str, bytes]]) -> None:
+        """Publish in order and wait until the broker has all of it. Raises `BrokerAway`."""
+        sent = [self._client.publish(topic, body, QOS, retain=True) for topic, body in messages]
+        deadline = time.monotonic() + ANSWER_S
+        for info in sent:
+            while info.rc != paho.MQTT_ERR_SUCCESS or not info.is_published():
+                if self._lost.is_set() or time.monotonic() > deadline or info.rc != paho.MQTT_ERR_SUCCESS:
+                    raise BrokerAway(self._complaint("take a message"))
+                info.wait_for_publish(0.05)
+
+    def close(self) -> None:
+        """Say goodbye and leave. A second call does no harm."""
+        self._client.disconnect()
+        self._client.loop_stop()
+
+    def _wait(self, event: threading.Event, what: str) -> None:
+        deadline = time.monotonic() + ANSWER_S
+        while not event.wait(0.05):
+            if self._lost.is_set() or time.monotonic() > deadline:
+                self._client.loop_stop()
+                raise BrokerAway(self._complaint(what))
+
+    def _complaint(self, what: str) -> str:
+        where = f"{self._settings.host}:{self._settings.port}"
+        return f"MQTT broker {where} did not {what}: {self._reason or 'no answer'}; trying again"
+
+    def _on_connect(self, client: Any, data: Any, flags: Any, reason: Any, properties: Any) -> None:
+        if reason.is_failure:
+            self._reason = f"refused, {reason}"
+            self._lost.set()
+        else:
+            self._answered.set()
+
+    def _on_disconnect(self, client: Any, data: Any, flags: Any, reason: Any, properties: Any) -> None:
+        self._reason = self._reason or f"connection lost, {reason}"
+        self._lost.set()
+
+    def _on_message(self, client: Any, data: Any, message: paho.MQTTMessage) -> None:
+        if message.retain:
+            self._retained[message.topic] = bytes(message.payload)
+        elif message.topic == self.topic("status", self._settings.client):
+            self._marker.set()
+
+
+class Publisher:
+    """Feeds one broker from the store until stopped; a broker that is away costs nothing."""
+
+    def __init__(self, store: Store, settings: MqttSettings, known: Mapping[Place, int]) -> None:
+        self.problem = ""
+        self.sent = 0
+        self._store, self._settings = store, settings
+        self._following = Following(store)
+        self._following.start(known)
+        self._guessed = set(self._following.position) - set(known)
+        self._models: dict[str, str] = {}
+        self._models_looked = -1e9
+
+    @property
+    def position(self) -> dict[Place, int]:
+        """What has arrived, to be kept and given back at the next start."""
+        return dict(self._following.position)
+
+    def run(self, stop: threading.Event) -> None:
+        """Connect, send, connect again, until stopped. Raises what the store raises."""
+        pause_s = 0.2
+        while not stop.is_set():
+            broker = Broker(self._settings)
+            try:
+                self._connect(broker)
+                pause_s = 0.2
+                while not stop.is_set():
+                    if not self._send_waiting(broker):
+                        stop.wait(POLL_S)
+                broker.send([(broker.topic("status"), _json({"state": "offline"}))])
+            except BrokerAway as error:
+                self.problem = str(error)
+                stop.wait(pause_s)
+                pause_s = min(2.0 * pause_s, 10.0)
+            finally:
+                broker.close()
+
+    def _connect(self, broker: Broker) -> None:
+        broker.open()
+        arrived = broker.retained(self._store.presses())
+        known = {place: number for place, number in self.position.items() if place not in self._guessed}
+        self._following.start({**self.position, **_further(known, arrived)})
+        self._guessed.clear()
+        self._models.clear()
+        online = {"state": "online", "version": installed_version(), "utc": datetime.now(UTC).isoformat()}
+        broker.send([(broker.topic("status"), _json(online))])
+        self.problem = ""
+
+    def _send_waiting(self, broker: Broker) -> bool:
+        waiting = self._following.waiting() + self._models_in_force()
+        if not waiting:
+            return False
+        broker.send([(broker.topic(m.press, m.kind), _json(m.body)) for m in waiting])
+        for message in waiting:
+            if message.kind in KINDS:
+                self._following.seen(message)
+            else:
+                self._models[message.press] = str(message.body["version"])
+        self.sent += len(waiting)
+        return True
+
+    def _models_in_force(self) -> list[Message]:
+        if time.monotonic() - self._models_looked < MODEL_S and self._models:
+            return []
+        self._models_looked = time.monotonic()
+        active = [self._store.active_model(press) for press in self._store.presses()]
+        return [
+            Message(model.press, "model", model.number, model_body(model))
+            for model in active
+            if model is not None and self._models.get(model.press) != model.version
+        ]
+
+
+def _further(known: Mapping[Place, int], arrived: Mapping[Place, int]) -> dict[Place, int]:
+    return {place: max(number, known.get(place, number)) for place, number in arrived.items()}
+
+
+def _number(retained: bytes | None) -> int | None:
+    try:
+        return int(json.loads(retained)["number"]) if retained else None
+    except (ValueError, TypeError, KeyError):
+        return None
+
+
+def _json(body: Mapping[str, Any]) -> bytes:
+    return json.dumps(body, ensure_ascii=False, allow_nan=False, separators=(",", ":")).encode()
+
+
+def _password(settings: MqttSettings) -> str:
+    if settings.password_file is None:
+        return ""
+    try:
+        return settings.password_file.read_text(encoding="utf-8").split("\n")[0]
+    except OSError as error:
+        raise InputError(
+            f"{settings.password_file}: cannot read the broker's password: {error.strerror}"
+        ) from error

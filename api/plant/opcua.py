@@ -1,0 +1,350 @@
+"""An OPC UA server with the present values of every press. Clients read and subscribe; nothing can be written.
+
+Node identifiers are strings of the namespace `NAMESPACE` and stay the same for ever: ``lab.core``,
+``lab.core_low``, ``lab.core_high``, ``lab.core_sd``, ``lab.state``, ``lab.run``, ``lab.model``, ``lab.event``, and
+``lab.channel.top_1`` for each channel. Temperatures carry `EngineeringUnits`; the source timestamp is the
+scan's. Press events come as OPC UA events of the press's node, too.
+
+=======================================  ===================================================
+status code                              meaning
+=======================================  ===================================================
+Good                                     measured, or predicted within its band
+UncertainLastUsableValue                 the logger repeats itself: the channel stands still
+BadSensorFailure                         thermocouple open
+BadOutOfRange                            above or below what the logger can measure
+BadNoCommunication                       the logger does not answer, or no scan for 5 s
+BadNoData                                no estimate: no panel, or the press's state is unknown
+BadWaitingForInitialData                 nothing yet
+=======================================  ===================================================
+
+Beyond loopback the server needs a certificate, and clients give a token of scope read as password
+(`kerntemp token create scada`); on loopback reading is free, as it is over REST.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import threading
+from dataclasses import dataclass, field
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+from asyncua import Node, Server, ua
+from asyncua.crypto.permission_rules import User, UserRole
+
+from api.answers import utc_now
+from api.gate import is_loopback
+from api.health import installed_version
+from api.tokens import TokenFile
+from daq.config import OpcuaSettings
+from daq.records import InputError, Quality
+from daq.store.records import StoredEstimate, StoredPressEvent, StoreUnavailable
+from daq.store.store import Store
+
+NAMESPACE = "urn:kerntemp:press"
+PERIOD_S = 0.1
+"""How often the store is asked. [s]"""
+OLD = timedelta(seconds=5)
+"""Values whose newest scan is older than this are no longer present values."""
+
+STATUS = {
+    Quality.GOOD: ua.StatusCodes.Good,
+    Quality.SIMULATED: ua.StatusCodes.Good,
+    Quality.STALE: ua.StatusCodes.UncertainLastUsableValue,
+    Quality.OPEN: ua.StatusCodes.BadSensorFailure,
+    Quality.OVER: ua.StatusCodes.BadOutOfRange,
+    Quality.UNDER: ua.StatusCodes.BadOutOfRange,
+    Quality.BAD_FRAME: ua.StatusCodes.BadNoCommunication,
+    Quality.MISSING: ua.StatusCodes.BadNoCommunication,
+}
+_CELSIUS = ("°C", "degree Celsius", 4408652)
+_KELVIN = ("K", "kelvin", 4932940)
+_ESTIMATES = {
+    "core": ("Predicted core temperature", _CELSIUS),
+    "core_low": ("Lower end of the 95 % band of the core temperature", _CELSIUS),
+    "core_high": ("Upper end of the 95 % band of the core temperature", _CELSIUS),
+    "core_sd": ("Standard deviation of the core temperature", _KELVIN),
+}
+_TEXTS = {
+    "state": "idle (no panel), open, closed or unknown",
+    "run": "The pressing being recorded, empty between two",
+    "model": "Model version the estimate comes from",
+    "reason": "Why there is no estimate, empty while there is one",
+    "event": "The last press event: inserted, closed, opened or removed",
+}
+
+
+class _Readers:
+    """Who may read: anybody on loopback, elsewhere holders of a token."""
+
+    def __init__(self, tokens: TokenFile, free: bool) -> None:
+        self._tokens, self._free = tokens, free
+
+    def get_user(
+        self, iserver: Any, username: str | None = None, password: Any = None, certificate: Any = None
+    ) -> User | None:
+        """Return the user, or None to refuse."""
+        given = password.decode("utf-8", "replace") if isinstance(password, bytes) else password
+        token = self._tokens.find(given) if given else None
+        if self._free or (token is not None and token.allows("read")):
+            return User(UserRole.User, username)
+        return None
+
+
+@dataclass
+class _Press:
+    """The nodes of one press and what they show."""
+
+    name: str
+    nodes: dict[str, Node] = field(default_factory=dict)
+    shown: dict[str, tuple[Any, ...]] = field(default_factory=dict)
+    events: Any = None
+    last_event: int = 0
+
+
+@dataclass(frozen=True)
+class Present:
+    """What the store says of one press now."""
+
+    utc: datetime | None
+    values: dict[str, tuple[float, Quality]]
+    estimate: StoredEstimate | None
+    run: str
+    events: tuple[StoredPressEvent, ...]
+    old: bool
+
+
+def check(settings: OpcuaSettings, tokens: TokenFile) -> None:
+    """Refuse what would not be safe. Raises `InputError`."""
+    if (settings.certificate is None) != (settings.key is None):
+        raise InputError("opcua.certificate and opcua.key belong together; give both or neither")
+    for path in (settings.certificate, settings.key):
+        if path is not None and not path.is_file():
+            raise InputError(f"{path}: no such file; give certificate and key as DER or PEM files")
+    if is_loopback(settings.host):
+        return
+    if settings.certificate is None:
+        raise InputError(
+            f"opcua.host = {settings.host}: beyond loopback a certificate is needed; give one and its key"
+        )
+    if not tokens.tokens():
+        raise InputError(
+            f"opcua.host = {settings.host}: beyond loopback clients need a token as password and there are none; "
+            "make one with kerntemp token create NAME --scope read"
+        )
+
+
+class PressServer:
+    """The server over one store."""
+
+    def __init__(self, store: Store, settings: OpcuaSettings, tokens: TokenFile) -> None:
+        self.problem = ""
+        self.address = ""
+        self._store, self._settings, self._tokens = store, settings, tokens
+        self._presses: dict[str, _Press] = {}
+
+    async def run(self, stop: threading.Event, started: threading.Event | None = None) -> None:
+        """Serve until stopped. Raises `InputError` where the port is taken."""
+        server = await self._prepared()
+        index = await server.register_namespace(NAMESPACE)
+        root = await server.nodes.objects.add_folder(ua.NodeId("presses", index), "Kerntemp")
+        try:
+            await server.start()
+        except OSError as error:
+            raise InputError(
+                f"cannot listen on {self._settings.host}:{self._settings.port}: {error.strerror}; set opcua.port"
+            ) from error
+        try:
+            self.address = _address(server, self._settings)
+            await self._refresh(server, root, index)
+            if started is not None:
+                started.set()
+            while not stop.is_set():
+                await asyncio.sleep(PERIOD_S)
+                await self._refresh(server, root, index)
+        finally:
+            await server.stop()
+
+    async def _prepared(self) -> Server:
+        free = is_loopback(self._settings.host)
+        server = Server(user_manager=_Readers(self._tokens, free))
+        server.product_uri, server.manufacturer_name = NAMESPACE, "Kerntemp"
+        await server.init()
+        await server.set_application_uri("urn:kerntemp:server")
+        server.allow_remote_admin(False)
+        server.set_endpoint(f"opc.tcp://{self._settings.host}:{self._settings.port}/kerntemp")
+        server.set_server_name(f"Kerntemp {installed_version()}")
+        tokens = [ua.UserNameIdentityToken, *([ua.AnonymousIdentityToken] if free else [])]
+        server.set_identity_tokens(tokens)
+        secure = [ua.SecurityPolicyType.Basic256Sha256_SignAndEncrypt]
+        if self._settings.certificate is not None and self._settings.key is not None:
+            await server.load_certificate(self._settings.certificate, _format(self._settings.certificate))
+            await server.load_private_key(self._settings.key, format=_format(self._settings.key))
+            server.set_security_policy([*secure, *([ua.SecurityPolicyType.NoSecurity] if free else [])])
+        else:
+            server.set_security_policy([ua.SecurityPolicyType.NoSecurity])
+        return server
+
+    async def _refresh(self, server: Server, root: Node, index: int) -> None:
+        try:
+            now = await asyncio.to_thread(self._read)
+            self.problem = ""
+        except StoreUnavailable as error:
+            self.problem = str(error)
+            now = {name: Present(None, {}, None, "", (), old=True) for name in self._presses}
+        for name, present in now.items():
+            if name not in self._presses:
+                self._presses[name] = await _make_press(server, root, index, name)
+                newest = await asyncio.to_thread(_newest_event, self._store, name)
+                self._presses[name].last_event = newest.number if newest else 0
+                if newest is not None:
+                    await self._show_event(server, self._presses[name], newest)
+            await self._show(server, self._presses[name], present, index)
+
+    def _read(self) -> dict[str, Present]:
+        found = {}
+        for name in self._store.presses():
+            batch = self._store.scans_after(name, self._store.newest_scan_number(name) - 1, 1)
+            scan = batch.scans[-1] if batch.scans else None
+            values = {}
+            if scan is not None:
+                names = (channel.name for channel in batch.channels)
+                values = dict(zip(names, zip(scan.values, scan.qualities, strict=True), strict=True))
+            estimates = self._store.estimates_after(name, self._store.newest_estimate_number(name) - 1, 1)
+            run = self._store.open_run(name)
+            shown = self._presses.get(name)
+            events = self._store.press_events(name, after=shown.last_event) if shown else []
+            found[name] = Present(
+                scan.utc if scan else None,
+                values,
+                estimates[-1] if estimates else None,
+                run.run if run else "",
+                tuple(events),
+                old=scan is None or utc_now() - scan.utc > OLD,
+            )
+        return found
+
+    async def _show(self, server: Server, press: _Press, present: Present, index: int) -> None:
+        for channel in present.values:
+            if f"channel.{channel}" not in press.nodes:
+                await _add_channel(server, press, channel, index)
+        for key, (value, code) in {**_estimate_values(present), **_channel_values(press, present)}.items():
+            await _write(server, press, key, value, code, present.utc)
+        for key, text in _texts(present).items():
+            await _write(server, press, key, text, ua.StatusCodes.Good, present.utc)
+        for event in present.events:
+            press.last_event = event.number
+            await self._show_event(server, press, event)
+            press.events.event.Message = ua.LocalizedText(event.kind)
+            press.events.event.Severity = 100
+            await press.events.trigger(message=event.kind)
+
+    async def _show_event(self, server: Server, press: _Press, event: StoredPressEvent) -> None:
+        await _write(server, press, "event", event.kind, ua.StatusCodes.Good, event.utc)
+
+
+def _format(path: Path) -> str:
+    """Tell PEM from DER by what is in the file."""
+    return "pem" if path.read_bytes().lstrip().startswith(b"-----BEGIN") else "der"
+
+
+def _address(server: Server, settings: OpcuaSettings) -> str:
+    sockets = server.bserver._server.sockets if server.bserver and server.bserver._server else ()  # noqa: SLF001
+    port = sockets[0].getsockname()[1] if sockets else settings.port
+    return f"opc.tcp://{settings.host}:{port}/kerntemp"
+
+
+def _newest_event(store: Store, press: str) -> StoredPressEvent | None:
+    newest: StoredPressEvent | None = None
+    while events := store.press_events(press, after=newest.number if newest else 0):
+        newest = events[-1]
+    return newest
+
+
+def _channel_values(press: _Press, present: Present) -> dict[str, tuple[float, int]]:
+    """Return value and status of every channel the press ever had; one that is gone has no communication."""
+    known = (key for key in press.nodes if key.startswith("channel."))
+    found = {}
+    for key in known:
+        value, quality = present.values.get(key.removeprefix("channel."), (math.nan, Quality.MISSING))
+        found[key] = (value, ua.StatusCodes.BadNoCommunication if present.old else STATUS[quality])
+    return found
+
+
+def _estimate_values(present: Present) -> dict[str, tuple[float, int]]:
+    said = present.estimate
+    if said is None or present.old or not said.valid:
+        code = ua.StatusCodes.BadNoData
+        if present.old:
+            code = ua.StatusCodes.BadNoCommunication if present.utc else ua.StatusCodes.BadWaitingForInitialData
+        return dict.fromkeys(_ESTIMATES, (math.nan, code))
+    values = (said.core_celsius, said.core_low_celsius, said.core_high_celsius, said.core_sd_kelvin)
+    return {key: (value, ua.StatusCodes.Good) for key, value in zip(_ESTIMATES, values, strict=True)}
+
+
+def _texts(present: Present) -> dict[str, str]:
+    said = present.estimate
+    if said is None or present.old:
+        return {"state": "unknown", "run": present.run, "model": "", "reason": "no scan for 5 s"}
+    return {"state": str(said.state), "run": present.run, "model": said.model_version, "reason": said.reason}
+
+
+async def _make_press(server: Server, root: Node, index: int, name: str) -> _Press:
+    home = await root.add_object(ua.NodeId(name, index), name)
+    press = _Press(name)
+    for key, (meaning, unit) in _ESTIMATES.items():
+        press.nodes[key] = await _add_number(home, index, f"{name}.{key}", key, meaning, unit)
+    for key, meaning in _TEXTS.items():
+        node = await home.add_variable(ua.NodeId(f"{name}.{key}", index), key, "", ua.VariantType.String)
+        await _describe(node, meaning)
+        press.nodes[key] = node
+    press.nodes["channels"] = await home.add_folder(ua.NodeId(f"{name}.channels", index), "channels")
+    press.events = await server.get_event_generator(emitting_node=home)
+    return press
+
+
+async def _add_channel(server: Server, press: _Press, channel: str, index: int) -> None:
+    place, meaning = f"{press.name}.channel.{channel}", f"Thermocouple {channel}"
+    node = await _add_number(press.nodes["channels"], index, place, channel, meaning, _CELSIUS)
+    press.nodes[f"channel.{channel}"] = node
+
+
+async def _add_number(
+    home: Node, index: int, place: str, name: str, meaning: str, unit: tuple[str, str, int]
+) -> Node:
+    node = await home.add_variable(ua.NodeId(place, index), name, math.nan, ua.VariantType.Double)
+    short, long, code = unit
+    units = ua.EUInformation(
+        NamespaceUri="http://www.opcfoundation.org/UA/units/un/cefact",
+        UnitId=code,
+        DisplayName=ua.LocalizedText(short),
+        Description=ua.LocalizedText(long),
+    )
+    await node.add_property(ua.NodeId(f"{place}.units", index), ua.QualifiedName("EngineeringUnits", 0), units)
+    await _describe(node, meaning)
+    return node
+
+
+async def _describe(node: Node, meaning: str) -> None:
+    text = ua.DataValue(ua.Variant(ua.LocalizedText(meaning)))
+    await node.write_attribute(ua.AttributeIds.Description, text)
+
+
+async def _write(
+    server: Server, press: _Press, key: str, value: float | str, code: int, utc: datetime | None
+) -> None:
+    """Write a value where it, its status or its time has changed."""
+    shown = ("nan" if value != value else value, code, utc)
+    if press.shown.get(key) == shown:
+        return
+    press.shown[key] = shown
+    kind = ua.VariantType.String if isinstance(value, str) else ua.VariantType.Double
+    data = ua.DataValue(
+        ua.Variant(value, kind),
+        StatusCode=ua.StatusCode(ua.UInt32(code)),
+        SourceTimestamp=utc,
+        ServerTimestamp=datetime.now(UTC),
+    )
+    await server.write_attribute_value(press.nodes[key].nodeid, data)

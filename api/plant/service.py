@@ -1,0 +1,157 @@
+"""`kerntemp publish`: MQTT and OPC UA in one process, which keeps nothing but its position in the store."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import os
+import signal
+import threading
+import time
+from collections.abc import Mapping
+from typing import Any
+
+from api.plant.following import Place
+from api.tokens import TokenFile
+from daq.config import Config
+from daq.notify import Notifier
+from daq.records import InputError
+from daq.store import Store, StoreUnavailable, open_store
+
+LOG = logging.getLogger("kerntemp.publish")
+PROCESS = "publish"
+BEAT_S = 1.0
+RETRY_S = 2.0
+
+
+def publish(config: Config, tokens: TokenFile, *, stop: threading.Event | None = None) -> None:
+    """Feed the plant's systems until stopped by `stop`, SIGTERM or SIGINT.
+
+    Raises
+    ------
+    InputError
+        Where neither ``[mqtt]`` nor ``[opcua]`` is configured, or one of them is wrong.
+    """
+    if config.mqtt is None and config.opcua is None:
+        raise InputError(f"{config.path}: neither [mqtt] nor [opcua]; add the one your plant reads")
+    stop = stop or threading.Event()
+    _stop_on_signals(stop)
+    store = _store_when_ready(config.store.url, stop)
+    if store is None:
+        return
+    with store:
+        _Feeds(config, tokens, store, stop).run()
+
+
+def _stop_on_signals(stop: threading.Event) -> None:
+    if threading.current_thread() is threading.main_thread():
+        for name in ("SIGTERM", "SIGINT", "SIGBREAK"):
+            if hasattr(signal, name):
+                signal.signal(getattr(signal, name), lambda *_: stop.set())
+
+
+def _store_when_ready(url: str, stop: threading.Event) -> Store | None:
+    said = False
+    while not stop.is_set():
+        try:
+            return open_store(url)
+        except StoreUnavailable as error:
+            if not said:
+                LOG.warning("%s; trying again", error)
+                said = True
+        stop.wait(RETRY_S)
+    return None
+
+
+class _Feeds:
+    """The feeds, each in a thread of its own, and the sign of life that carries their position."""
+
+    def __init__(self, config: Config, tokens: TokenFile, store: Store, stop: threading.Event) -> None:
+        self._config, self._tokens, self._store, self._stop = config, tokens, store, stop
+        self._known = _kept_position(store)
+        self._mqtt: Any = None
+        self._opcua: Any = None
+        self._failed: list[BaseException] = []
+
+    def run(self) -> None:
+        """Start the feeds and beat until stopped."""
+        work = [self._feed_mqtt] if self._config.mqtt else []
+        work += [self._serve_opcua] if self._config.opcua else []
+        threads = [threading.Thread(target=self._guarded, args=(w,), name=w.__name__, daemon=True) for w in work]
+        for thread in threads:
+            thread.start()
+        notifier = Notifier()
+        notifier.ready("feeding the plant's systems")
+        while not self._stop.wait(BEAT_S):
+            notifier.alive(self._beat("running"))
+        notifier.stopping()
+        for thread in threads:
+            thread.join(15.0)
+        self._beat("stopped")
+        if self._failed:
+            raise self._failed[0]
+
+    def _guarded(self, work: Any) -> None:
+        """Run a feed; a store that is away is asked again, any other fault ends the process."""
+        while not self._stop.is_set():
+            try:
+                work()
+            except StoreUnavailable as error:
+                LOG.warning("%s; trying again", error)
+                self._stop.wait(RETRY_S)
+            except BaseException as error:  # noqa: BLE001 - told by the main thread
+                self._failed.append(error)
+                self._stop.set()
+
+    def _feed_mqtt(self) -> None:
+        from api.plant.mqtt import Publisher
+
+        if self._config.mqtt is None:
+            return
+        known = self._mqtt.position if self._mqtt is not None else self._known
+        self._mqtt = Publisher(self._store, self._config.mqtt, known)
+        LOG.info("feeding MQTT broker %s:%d", self._config.mqtt.host, self._config.mqtt.port)
+        self._mqtt.run(self._stop)
+
+    def _serve_opcua(self) -> None:
+        from api.plant.opcua import PressServer, check
+
+        if self._config.opcua is None:
+            return
+        check(self._config.opcua, self._tokens)
+        self._opcua = PressServer(self._store, self._config.opcua, self._tokens)
+        asyncio.run(self._opcua.run(self._stop))
+
+    def _beat(self, state: str) -> str:
+        """Write a sign of life; return what it says."""
+        problems = [feed.problem for feed in (self._mqtt, self._opcua) if feed is not None and feed.problem]
+        position = self._mqtt.position if self._mqtt is not None else self._known
+        status: dict[str, Any] = {
+            "state": state,
+            "pid": os.getpid(),
+            "message": "; ".join(problems) or f"{self._mqtt.sent if self._mqtt else 0} messages sent",
+            "problems": problems,
+            "position": [[press, kind, number] for (press, kind), number in position.items()],
+        }
+        if self._opcua is not None:
+            status["opcua"] = self._opcua.address
+        try:
+            self._store.beat(PROCESS, status)
+        except StoreUnavailable as error:
+            LOG.info("no sign of life now: %s", error)
+        return str(status["message"])
+
+
+def _kept_position(store: Store) -> Mapping[Place, int]:
+    """Return how far an earlier process came."""
+    deadline = time.monotonic() + 60.0
+    while True:
+        try:
+            kept = store.statuses().get(PROCESS)
+            break
+        except StoreUnavailable:
+            if time.monotonic() > deadline:
+                raise
+            time.sleep(RETRY_S)
+    entries = kept.status.get("position", []) if kept is not None else []
+    return {(str(press), str(kind)): int(number) for press, kind, number in entries}

@@ -1,0 +1,100 @@
+"""What people write down about a run: remark and header keys, with every change kept."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from typing import Annotated, Any
+
+import numpy as np
+from fastapi import APIRouter
+from pydantic import BaseModel, ConfigDict, Field, StrictBool, StrictFloat, StrictInt
+
+from api.answers import run_detail
+from api.problems import ProblemError, problem_responses
+from api.routes.common import StoreDep, Writer, existing_run
+from api.schemas import RunDetail
+from daq.pressfile import panel_of, parse_press, press_for_run
+from daq.records import InputError, Run
+from daq.store.convert import header_of, header_text
+from daq.store.records import RunRecord
+from daq.store.store import Store
+
+router = APIRouter(tags=["runs"], responses=problem_responses(404))
+
+EXACT = 2**53
+"""Whole numbers up to here are the same in JSON, TOML and a float."""
+
+
+Words = Annotated[str, Field(max_length=4000, pattern=r"^[^\x00-\x08\x0b-\x1f\x7f-\x9f]*$")]
+"""Any text but control characters, which no database keeps and no reader sees; lines and tabs may be."""
+Key = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+(\.[A-Za-z0-9_-]+)*$", max_length=200)]
+Value = (
+    StrictBool
+    | Annotated[StrictInt, Field(ge=-EXACT, le=EXACT)]
+    | Annotated[StrictFloat, Field(allow_inf_nan=False)]
+    | Words
+)
+
+
+def _as_property_names(schema: dict[str, Any]) -> None:
+    """Say the keys' pattern so that a schema refuses other keys and client generators still see the values."""
+    [(pattern, value)] = schema.pop("patternProperties").items()
+    schema |= {"propertyNames": {"pattern": pattern, "maxLength": 200}, "additionalProperties": value}
+
+
+class RunChanges(BaseModel):
+    """What to change in a run; what is not named stays as it is."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    remark: Words | None = Field(None, description="Replaces the remark; an empty text removes it.")
+    header: dict[Key, Value | None] = Field(
+        default_factory=dict,
+        description="Header keys as in a run file, such as `panel.density_kg_m3`; null removes a key.",
+        max_length=100,
+        json_schema_extra=_as_property_names,
+    )
+
+
+@router.patch("/runs/{run}", operation_id="change_run", summary="Change a run's remark or metadata")
+def change_run(store: StoreDep, run: str, changes: RunChanges, who: Writer) -> RunDetail:
+    """Change what people know about a run; `changes` of the answer keeps what was there before, and by whom."""
+    record = existing_run(store, run)
+    known = {**record.header, "remark": record.remark}
+    wanted: dict[str, Any] = dict(changes.header)
+    if reserved := {"run", "remark"} & set(wanted):
+        raise ProblemError(422, f"header.{reserved.pop()}: not a header key that can change; see remark")
+    if changes.remark is not None:
+        wanted["remark"] = changes.remark
+    wanted = {key: value for key, value in wanted.items() if known.get(key) != value}
+    _check(store, record, {key: value for key, value in wanted.items() if key != "remark"})
+    if wanted:
+        store.annotate_run(run, wanted, who)
+        store.log("info", who, f"run {run}: {', '.join(wanted)} changed", record.press)
+    return run_detail(store, store.run_record(run))
+
+
+def _check(store: Store, record: RunRecord, wanted: Mapping[str, Any]) -> None:
+    """Refuse a header that could not be read again, or that press file and panel would not take."""
+    if not wanted:
+        return
+    merged = {**record.header, **wanted}
+    header = {key: value for key, value in merged.items() if value is not None}
+    parent = next((a for a in header for b in header if b.startswith(f"{a}.")), None)
+    try:
+        written = header_text(header)
+        unreadable = parent is not None or header_text(header_of(written)) != written
+    except tomllib.TOMLDecodeError:
+        unreadable = True
+    if unreadable:
+        raise ProblemError(422, f"header.{parent or next(iter(wanted))}: cannot be a value and hold keys at once")
+    imagined = Run(record.run, header, np.zeros(0), {}, source=f"run {record.run}")
+    text = store.presses().get(record.press, "")
+    if text:
+        press_for_run(parse_press(text, f"press {record.press}"), imagined)
+    try:
+        panel_of(imagined)
+    except InputError as error:
+        if any(key in str(error) for key in wanted):  # what was missing before may stay missing
+            raise

@@ -1,0 +1,156 @@
+"""`kerntemp fit` as a user calls it: what it prints, writes and refuses."""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+from api.cli import main
+from daq.runfile import write_run
+from daq.simulated.campaign import Plan, make_campaign
+from daq.simulated.campaign_pressfile import press_toml
+
+PROFILED = ("h_pp_c", "h_pp_o", "h_wa")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Eight short runs whose press time varies, and the press file."""
+    place = tmp_path_factory.mktemp("fit")
+    plan = Plan(rate_hz=1.0, thickness_mm=16.0, press_time_s=(20.0, 40.0), open_after_s=(30.0, 40.0))
+    for run, _ in make_campaign(6, 8, plan=plan):
+        write_run(run, place / f"{run.name}.csv")
+    (place / "press.toml").write_text(press_toml())
+    return place
+
+
+@pytest.fixture(scope="module")
+def fitted(folder):
+    """Everything `fit` writes, from one call."""
+    runs = [str(p) for p in sorted(folder.glob("*.csv"))]
+    out = [
+        "--json",
+        str(folder / "fit.json"),
+        "--html",
+        str(folder / "fit.html"),
+        "--svg",
+        str(folder / "figures"),
+    ]
+    assert main(["fit", *runs, "--press", str(folder / "press.toml"), "--program", "press_time_s=200", *out]) == 0
+    return folder
+
+
+def _error(capsys):
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 1, lines
+    return lines[0]
+
+
+def test_json_holds_profiles_and_correlations_of_every_run(fitted):
+    content = json.loads((fitted / "fit.json").read_text())
+    assert len(content["runs"]) == 8
+    for run in content["runs"]:
+        names = run["correlation"]["names"]
+        assert len(run["correlation"]["matrix"]) == len(names)
+        assert all(row[i] == pytest.approx(1.0) for i, row in enumerate(run["correlation"]["matrix"]))
+        for name in PROFILED:
+            shape = run["profiles"][name]
+            assert min(shape["rise"]) == 0.0
+            assert max(shape["rise"]) > shape["threshold"]
+            assert {"value", "sd", "ci95"} <= set(run["coefficients"][name]["joint"])
+
+
+def test_program_outside_those_seen_is_predicted_with_a_remark(fitted):
+    told = json.loads((fitted / "fit.json").read_text())["program"]
+    assert told["settings"] == {"press_time_s": 200.0}
+    assert "outside the programs seen" in told["remarks"][0]
+    for name in PROFILED:
+        c = told["coefficients"][name]
+        assert c["ci95"][0] < c["value"] < c["ci95"][1]
+    page = (fitted / "fit.html").read_text()
+    assert "A program never run" in page
+    assert "press_time_s = 200" in page
+
+
+def test_page_shows_profiles_and_what_runs_borrow_and_needs_nothing_from_elsewhere(fitted):
+    page = (fitted / "fit.html").read_text()
+    assert page.count('aria-label="profile of h_pp_c"') == 8
+    assert "borrows from the others" in page
+    assert not re.search(r'(src|href)="https?:', page)
+
+
+def test_every_figure_comes_as_svg(fitted):
+    names = {p.name for p in (fitted / "figures").iterdir()}
+    assert {"coefficients.svg", "coefficients_normalised.svg"} <= names
+    assert sum(name.startswith("measured_") for name in names) == 8
+    assert all((fitted / "figures" / name).read_text().lstrip().startswith("<?xml") for name in names)
+
+
+@pytest.mark.parametrize(
+    ("more", "says"),
+    [
+        (["--program", "platen_temperature_C=nan"], "must lie between 0 and 10000 °C"),
+        (["--program", "pressure_N_cm2=-3"], "must lie between 0 and 10000 N/cm²"),
+        (["--program", "speed=3"], "KEY one of platen_temperature_C"),
+        (["--shared", "h_x"], "--shared h_x: must be one of h_p_o"),
+        (["--method", "annealing"], "--method annealing: must be default"),
+        (["--averages"], "--averages goes with one of the paper's methods"),
+    ],
+)
+def test_wrong_option_is_refused_in_one_line_before_any_work(folder, more, says, capsys):
+    run = str(next(iter(sorted(folder.glob("*.csv")))))
+    assert main(["fit", run, "--press", str(folder / "press.toml"), *more]) == 2
+    assert says in _error(capsys)
+
+
+@pytest.mark.parametrize(
+    ("more", "says"),
+    [
+        (["--press", "press.toml"], "does not take --press"),
+        (["run.csv", "--model", "m.json"], "does not take RUN, --model"),
+        (["--method", "nelder_mead", "--program", "press_time_s=20"], "does not take --method, --program"),
+    ],
+)
+def test_reproduction_refuses_what_it_would_ignore(more, says, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["fit", "--reproduce-paper", *more]) == 2
+    assert says in _error(capsys)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_reproduction_keeps_its_table_and_the_cost_along_a_coefficient(tmp_path, monkeypatch, capsys):
+    from softsensor import paper_campaign
+
+    monkeypatch.setattr(paper_campaign.reproduce_paper, "__defaults__", (1, None))
+    out = [
+        "--json",
+        str(tmp_path / "p.json"),
+        "--html",
+        str(tmp_path / "p.html"),
+        "--svg",
+        str(tmp_path / "figures"),
+    ]
+    assert main(["fit", "--reproduce-paper", *out]) == 0
+    table = capsys.readouterr().out
+    assert "0 of 1" in table
+    content = json.loads((tmp_path / "p.json").read_text())
+    assert {(row["solver"], row["slopes"]) for row in content["table"]} == {
+        (solver, slopes)
+        for solver in ("adaptive", "exact")
+        for slopes in ("finite differences", "exact sensitivities")
+    }
+    cost = content["cost_along"]
+    assert len(cost["relative"]) == len(cost["adaptive"]) == len(cost["exact"])
+    assert cost["slope_changes"]["adaptive"] > 10
+    assert "<svg" in (tmp_path / "p.html").read_text()
+    assert "<svg" in (tmp_path / "figures" / "cost.svg").read_text()
+
+
+def test_folder_for_figures_that_is_a_file_is_refused(folder, capsys, tmp_path):
+    wrong = tmp_path / "file"
+    wrong.write_text("x")
+    run = str(next(iter(sorted(folder.glob("*.csv")))))
+    assert main(["fit", run, "--press", str(folder / "press.toml"), "--svg", str(wrong)]) == 2
+    assert f"{wrong}: is a file" in _error(capsys)
+    assert Path(wrong).read_text() == "x"

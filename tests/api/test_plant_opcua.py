@@ -1,0 +1,246 @@
+"""The OPC UA server, asked by a real client."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import pytest
+from asyncua import Client, ua
+
+from api.plant.opcua import NAMESPACE, PressServer, check
+from api.tokens import TokenFile
+from daq.config import OpcuaSettings
+from daq.records import Channel, InputError, PressEvent, PressEventKind, PressState, Quality, Scan
+from daq.store import NewRun, Store, StoredEstimate, open_store
+
+LAB = (Path(__file__).parents[2] / "deploy" / "presses" / "lab.toml").read_text()
+CHANNELS = tuple(Channel(name) for name in ("platen_top", "top_1", "top_2", "top_3"))
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Iterator[Store]:
+    with open_store(str(tmp_path / "plant.sqlite")) as opened:
+        yield opened
+
+
+@contextmanager
+def serving(store: Store, folder: Path, **settings: Any) -> Iterator[PressServer]:
+    tokens = TokenFile(folder / "tokens.json")
+    server = PressServer(store, OpcuaSettings(port=0, **settings), tokens)
+    stop, started = threading.Event(), threading.Event()
+    thread = threading.Thread(target=lambda: asyncio.run(server.run(stop, started)))
+    thread.start()
+    assert started.wait(10)
+    try:
+        yield server
+    finally:
+        stop.set()
+        thread.join(20)
+        assert not thread.is_alive()
+
+
+def write(store: Store, utc: datetime, *, valid: bool = True) -> datetime:
+    key = store.register_press("lab", CHANNELS, LAB)
+    values = (201.5, 99.25, math.nan, 99.0)
+    scan = Scan(
+        key.next_number,
+        utc,
+        10.0 + key.next_number,
+        values,
+        (Quality.GOOD, Quality.GOOD, Quality.OPEN, Quality.STALE),
+    )
+    begin = NewRun("lab-2026-03-04-01", 0, utc, 10.0) if key.next_number == 0 else None
+    store.append_scans(key, [scan], begin=begin)
+    core = 84.5 if valid else math.nan
+    said = StoredEstimate(
+        scan.number,
+        scan.monotonic_s,
+        PressState.CLOSED if valid else PressState.IDLE,
+        core,
+        0.5,
+        core - 1.0,
+        core + 1.0,
+        valid,
+        "" if valid else "no panel in the press",
+        "lab-7",
+    )
+    store.append_estimates("lab", [said])
+    return scan.utc
+
+
+async def read(server: PressServer, *keys: str) -> dict[str, ua.DataValue]:
+    async with Client(server.address) as client:
+        index = await client.get_namespace_index(NAMESPACE)
+        nodes = {key: client.get_node(ua.NodeId(f"lab.{key}", index)) for key in keys}
+        return {key: await node.read_data_value(raise_on_bad_status=False) for key, node in nodes.items()}
+
+
+def test_values_come_with_status_codes_units_and_the_time_of_their_scan(tmp_path, store):
+    utc = write(store, datetime.now(UTC))
+    with serving(store, tmp_path) as server:
+        found = asyncio.run(
+            read(
+                server,
+                "core",
+                "core_low",
+                "channel.top_1",
+                "channel.top_2",
+                "channel.top_3",
+                "state",
+                "model",
+                "run",
+            )
+        )
+        units = asyncio.run(read(server, "core.units", "core_sd.units", "channel.top_1.units"))
+    codes = {key: value.StatusCode.name for key, value in found.items()}
+    assert codes["core"] == codes["channel.top_1"] == "Good"
+    assert codes["channel.top_2"] == "BadSensorFailure"
+    assert codes["channel.top_3"] == "UncertainLastUsableValue"
+    assert found["core"].Value.Value == 84.5
+    assert found["core_low"].Value.Value == 83.5
+    assert found["channel.top_1"].Value.Value == 99.25
+    stamp = found["channel.top_1"].SourceTimestamp.replace(tzinfo=UTC)
+    assert abs(stamp - utc) < timedelta(milliseconds=1)
+    texts = {key: found[key].Value.Value for key in ("state", "model", "run")}
+    assert texts == {"state": "closed", "model": "lab-7", "run": "lab-2026-03-04-01"}
+    assert {key: unit.Value.Value.DisplayName.Text for key, unit in units.items()} == {
+        "core.units": "°C",
+        "core_sd.units": "K",
+        "channel.top_1.units": "°C",
+    }
+
+
+def test_without_a_panel_there_is_no_data_and_without_scans_no_communication(tmp_path, store):
+    write(store, datetime.now(UTC), valid=False)
+    with serving(store, tmp_path) as server:
+        found = asyncio.run(read(server, "core", "reason"))
+        assert found["core"].StatusCode.name == "BadNoData"
+        assert found["reason"].Value.Value == "no panel in the press"
+    with open_store(str(tmp_path / "old.sqlite")) as old:
+        write(old, datetime.now(UTC) - timedelta(seconds=30))
+        with serving(old, tmp_path) as server:
+            found = asyncio.run(read(server, "core", "channel.top_1"))
+    assert {value.StatusCode.name for value in found.values()} == {"BadNoCommunication"}
+
+
+def test_a_subscriber_is_told_of_new_values_and_press_events(tmp_path, store):
+    write(store, datetime.now(UTC))
+    values, events = [], []
+
+    class Handler:
+        def datachange_notification(self, node: Any, value: Any, data: Any) -> None:
+            values.append(value)
+
+        def event_notification(self, event: Any) -> None:
+            events.append(event.Message.Text)
+
+    async def follow(server: PressServer) -> None:
+        async with Client(server.address) as client:
+            index = await client.get_namespace_index(NAMESPACE)
+            subscription = await client.create_subscription(50, Handler())
+            await subscription.subscribe_data_change(client.get_node(ua.NodeId("lab.event", index)))
+            await subscription.subscribe_events(client.get_node(ua.NodeId("lab", index)))
+            key = store.register_press("lab", CHANNELS, LAB)
+            store.append_scans(key, [], [PressEvent(PressEventKind.CLOSED, 10.5, 10.9)])
+            async with asyncio.timeout(10):
+                while "closed" not in values or "closed" not in events:
+                    await asyncio.sleep(0.02)
+
+    with serving(store, tmp_path) as server:
+        asyncio.run(follow(server))
+    assert values[-1] == events[-1] == "closed"
+
+
+def test_nothing_can_be_written_from_outside(tmp_path, store):
+    write(store, datetime.now(UTC))
+
+    async def overwrite(server: PressServer) -> None:
+        async with Client(server.address) as client:
+            index = await client.get_namespace_index(NAMESPACE)
+            await client.get_node(ua.NodeId("lab.core", index)).write_value(20.0)
+
+    with (
+        serving(store, tmp_path) as server,
+        pytest.raises(ua.UaStatusCodeError, match=r"BadUserAccessDenied|NotWritable"),
+    ):
+        asyncio.run(overwrite(server))
+
+
+def certificate(folder: Path) -> tuple[Path, Path]:
+    from datetime import timedelta
+
+    from cryptography import x509
+    from cryptography.hazmat.primitives import hashes, serialization
+    from cryptography.hazmat.primitives.asymmetric import rsa
+    from cryptography.x509.oid import NameOID
+
+    key = rsa.generate_private_key(65537, 2048)
+    name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "press-pc")])
+    uri = x509.UniformResourceIdentifier("urn:kerntemp:server")
+    now = datetime.now(UTC)
+    usage = x509.KeyUsage(True, True, True, True, False, True, False, False, False)
+    signed = (
+        x509.CertificateBuilder()
+        .subject_name(name)
+        .issuer_name(name)
+        .public_key(key.public_key())
+        .serial_number(1)
+        .not_valid_before(now - timedelta(days=1))
+        .not_valid_after(now + timedelta(days=30))
+        .add_extension(x509.SubjectAlternativeName([uri, x509.DNSName("press-pc")]), False)
+        .add_extension(usage, False)
+        .sign(key, hashes.SHA256())
+    )
+    pem, plain = serialization.Encoding.PEM, serialization.NoEncryption()
+    (folder / "server.pem").write_bytes(signed.public_bytes(pem))
+    kept = key.private_bytes(pem, serialization.PrivateFormat.PKCS8, plain)
+    (folder / "server-key.pem").write_bytes(kept)
+    return folder / "server.pem", folder / "server-key.pem"
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning:asyncua", "ignore::DeprecationWarning:cryptography")
+def test_beyond_loopback_a_token_is_the_password_and_the_line_is_encrypted(tmp_path, store):
+    write(store, datetime.now(UTC))
+    tokens = TokenFile(tmp_path / "tokens.json")
+    token = tokens.create("scada", "read")
+    pem, key = certificate(tmp_path)
+    everywhere = {"host": "0.0.0.0", "certificate": pem, "key": key}
+
+    async def core(server: PressServer, password: str) -> float:
+        client = Client(server.address.replace("0.0.0.0", "127.0.0.1"))
+        client.application_uri = "urn:kerntemp:server"
+        client.set_user("scada")
+        client.set_password(password)
+        await client.set_security_string(f"Basic256Sha256,SignAndEncrypt,{pem},{key}")
+        async with client:
+            index = await client.get_namespace_index(NAMESPACE)
+            return float(await client.get_node(ua.NodeId("lab.core", index)).read_value())
+
+    async def unencrypted(server: PressServer) -> None:
+        async with Client(server.address.replace("0.0.0.0", "127.0.0.1")):
+            pass
+
+    with serving(store, tmp_path, **everywhere) as server:
+        assert asyncio.run(core(server, token)) == 84.5
+        with pytest.raises(ua.UaStatusCodeError):
+            asyncio.run(core(server, token[:-1] + "x"))
+        with pytest.raises(Exception, match=r"No matching endpoints|BadSecurity"):
+            asyncio.run(unencrypted(server))
+
+
+def test_unsafe_settings_are_refused_with_what_to_do(tmp_path):
+    tokens = TokenFile(tmp_path / "tokens.json")
+    with pytest.raises(InputError, match="beyond loopback a certificate is needed"):
+        check(OpcuaSettings(host="0.0.0.0"), tokens)
+    pem, key = certificate(tmp_path)
+    with pytest.raises(InputError, match="kerntemp token create NAME"):
+        check(OpcuaSettings(host="0.0.0.0", certificate=pem, key=key), tokens)
+    with pytest.raises(InputError, match="belong together"):
+        check(OpcuaSettings(certificate=pem), tokens)

@@ -1,0 +1,145 @@
+"""What is said of the press as it stands, where the live sensor, the run before or other presses could mislead."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+
+from api.answers import press_now
+from api.drift import drift_of
+from api.live import Position, news
+from daq.records import Channel, Quality, Scan
+from daq.store.records import NewRun, PressKey, RunEnd, StoredEstimate
+from daq.store.store import Store, open_store
+
+CHANNELS = tuple(Channel(name) for name in ("platen_top", "platen_bottom", "top_1", "bottom_1"))
+START = datetime(2026, 3, 4, 7, 0, tzinfo=UTC)
+TARGET = {"setting.core_target_C": 40.0}
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Iterator[Store]:
+    with open_store(str(tmp_path / "kerntemp.sqlite")) as opened:
+        yield opened
+
+
+def scan(number: int) -> Scan:
+    return Scan(
+        number, START + timedelta(seconds=number), 1000.0 + number, (200.0, 200.0, 90.0, 90.0), (Quality.GOOD,) * 4
+    )
+
+
+def estimate(number: int, core: float, **detail: float) -> StoredEstimate:
+    at = 1000.0 + number
+    return StoredEstimate(number, at, "closed", core, 1.0, core - 2, core + 2, True, detail=detail or None)
+
+
+def record(store: Store, key: PressKey, name: str, numbers: range, core: float, *, ended: bool) -> None:
+    """Store a run whose core stands at one temperature."""
+    first = scan(numbers[0])
+    rows = [scan(n) for n in numbers]
+    store.append_scans(key, rows, begin=NewRun(name, first.number, first.utc, first.monotonic_s, TARGET))
+    store.append_estimates(key.name, [estimate(n, core) for n in numbers])
+    if ended:
+        store.append_scans(key, [], end=RunEnd(name, numbers[-1], scan(numbers[-1]).utc))
+
+
+def now_of(store: Store, seconds: float = 0.0):
+    return press_now(store, "lab", "", START + timedelta(seconds=seconds))
+
+
+def test_the_run_before_does_not_count_as_having_reached_the_target(store):
+    key = store.register_press("lab", CHANNELS)
+    record(store, key, "one", range(20), 55.0, ended=True)
+    record(store, key, "two", range(20, 25), 25.0, ended=False)
+    target = now_of(store).target
+    assert (target.temperature_C, target.reached) == (40.0, False)
+
+
+def test_a_target_once_reached_stays_reached_though_the_core_cools_again(store):
+    key = store.register_press("lab", CHANNELS)
+    record(store, key, "one", range(5), 41.0, ended=False)
+    assert now_of(store).target.reached
+    for first in range(5, 1005, 250):
+        store.append_scans(key, [scan(n) for n in range(first, first + 250)])
+        store.append_estimates("lab", [estimate(n, 30.0) for n in range(first, first + 250)])
+    assert now_of(store).target.reached
+
+
+def test_the_time_to_the_target_is_what_the_live_sensor_said_last(store):
+    key = store.register_press("lab", CHANNELS)
+    record(store, key, "one", range(5), 30.0, ended=False)
+    store.append_scans(key, [scan(5)])
+    store.append_estimates("lab", [estimate(5, 31.0, target_in_s=17.5)])
+    assert now_of(store).target.time_to_target_s == 17.5
+
+
+def test_a_core_nobody_updates_any_more_is_not_shown_as_the_core_of_now(store):
+    key = store.register_press("lab", CHANNELS)
+    record(store, key, "one", range(5), 30.0, ended=False)
+    store.append_scans(key, [scan(n) for n in range(5, 8)])
+    fresh = now_of(store).estimate
+    assert (fresh.valid, fresh.utc) == (True, START + timedelta(seconds=4))
+    store.append_scans(key, [scan(n) for n in range(8, 30)])
+    stale = now_of(store)
+    assert not stale.estimate.valid
+    assert stale.estimate.reason == "the live sensor has said nothing for 25 s"
+    assert stale.estimate.utc == START + timedelta(seconds=4)
+    assert stale.target.time_to_target_s is None
+
+
+def test_an_estimate_between_pressings_carries_the_time_of_its_own_scan(store):
+    key = store.register_press("lab", CHANNELS)
+    store.append_scans(key, [scan(n) for n in range(30)])
+    behind = Position({"lab": 29}, {"lab": 9})
+    nothing = float("nan")
+    idle = [
+        StoredEstimate(n, 1000.0 + n, "idle", nothing, nothing, nothing, nothing, False, "no panel in the press")
+        for n in (10, 20)
+    ]
+    store.append_estimates("lab", idle)
+    sent = [line for event in news(store, behind) for line in event.decode().splitlines() if line[:5] == "data:"]
+    assert ['"utc":"2026-03-04T07:00:10Z"' in sent[0], '"utc":"2026-03-04T07:00:20Z"' in sent[1]] == [True, True]
+    assert len(sent) == 2
+
+
+def test_the_stream_knows_the_run_of_each_of_many_presses_and_beside_an_import(store, campaign):
+    names = [f"press-{i}" for i in range(6)]
+    for i, name in enumerate(names):
+        key = store.register_press(name, CHANNELS)
+        record(store, key, f"run-{i}", range(2), 25.0, ended=False)
+    store.import_runs([run for run, _ in campaign], "elsewhere")
+    behind = Position(dict.fromkeys(names, -1), dict.fromkeys(names, -1))
+    text = b"".join(news(store, behind)).decode()
+    for i, name in enumerate(names):
+        assert text.count(f'"press":"{name}","run":"run-{i}","number":') == 4, name  # two scans, two estimates
+
+
+def fit(value: float) -> dict[str, object]:
+    known = {"value": value, "sd": value / 30, "ci95": [0.9 * value, 1.1 * value], "identifiable": True}
+    steady = {"value": 40.0, "sd": 1.0, "ci95": [38.0, 42.0], "identifiable": True}
+    return {
+        "coefficients": {"h_pp_c": known, "h_pp_o": steady},
+        "rmse_K": 0.3,
+        "initial_rmse_K": 1.0,
+        "warnings": [],
+    }
+
+
+def test_a_coefficient_that_jumped_is_named_with_the_run_at_which_it_did(store):
+    key = store.register_press("lab", CHANNELS)
+    scatter = (1.0, -2.0, 3.0, 0.0, -1.0, 2.0, -3.0, 1.0, 0.0, -1.0, 2.0, 1.0)
+    for i, noise in enumerate(scatter):
+        record(store, key, f"run-{i:02}", range(5 * i, 5 * i + 5), 30.0, ended=True)
+        store.put_fit(f"run-{i:02}", fit(700.0 + 10 * noise))
+    assert drift_of(store, "lab") == []
+    for i in range(12, 18):
+        record(store, key, f"run-{i:02}", range(5 * i, 5 * i + 5), 30.0, ended=True)
+        store.put_fit(f"run-{i:02}", fit(490.0))
+    (drift,) = drift_of(store, "lab")
+    assert (drift.coefficient, drift.since_run) == ("h_pp_c", "run-12")
+    assert drift.factor == pytest.approx(0.7, abs=0.03)
+    assert "look at what was done to the press before it" in drift.sentence

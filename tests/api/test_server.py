@@ -1,0 +1,251 @@
+"""`kerntemp serve` as a process of its own: TLS, slow and greedy clients, tokens in the journal."""
+
+import json
+import socket
+import ssl
+import subprocess
+import sys
+import threading
+import time
+from contextlib import contextmanager
+from pathlib import Path
+
+import httpx
+import pytest
+import uvicorn
+
+from api.app import create_app
+from api.cli import main
+from api.gate import MAX_BODY_BYTES, Gate
+from api.server import Listening, Patience, make_server
+from api.tokens import Attempts
+from daq.records import InputError
+from daq.store.store import open_store
+
+LAB = Path(__file__).parents[2] / "deploy" / "presses" / "lab.toml"
+LOGGER = 'name = "x"\nprofile = "labjack-t7"\nhost = "127.0.0.1"\nchannels = ["platen_top", "platen_bottom"]\n'
+CHANGE = "/api/v1/runs/lab-2026-03-04-01"
+
+
+@pytest.fixture
+def plant(tmp_path):
+    """A folder with a configuration and an empty store."""
+    (tmp_path / "kerntemp.toml").write_text(
+        f'[[press]]\nname = "lab"\nfile = "{LAB.as_posix()}"\n[[press.logger]]\n{LOGGER}'
+    )
+    open_store(str(tmp_path / "kerntemp.sqlite")).close()
+    return tmp_path
+
+
+@contextmanager
+def served(plant, *options):
+    command = [sys.executable, "-m", "api", "serve", "--config", str(plant / "kerntemp.toml"), "--port", "0"]
+    with (plant / "serve.log").open("w") as log:
+        server = subprocess.Popen([*command, *options], stdout=subprocess.PIPE, stderr=log, text=True)
+    try:
+        yield server.stdout.readline().split()[-1]
+    finally:
+        server.terminate()
+        server.wait(20)
+        server.stdout.close()
+
+
+@pytest.fixture(scope="module")
+def certificate(tmp_path_factory):
+    """A certificate made here, as a plant would make one for its own network."""
+    folder = tmp_path_factory.mktemp("tls")
+    made = ["-keyout", str(folder / "key.pem"), "-out", str(folder / "cert.pem")]
+    subject = ["-subj", "/CN=127.0.0.1", "-addext", "subjectAltName=IP:127.0.0.1"]
+    command = ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "2", *subject, *made]
+    subprocess.run(command, check=True, capture_output=True)
+    return folder / "cert.pem", folder / "key.pem"
+
+
+def test_with_certificate_files_the_server_speaks_tls_only(plant, certificate):
+    cert, key = certificate
+    with served(plant, "--certificate", str(cert), "--key", str(key)) as address:
+        assert address.startswith("https://127.0.0.1:")
+        trusting = ssl.create_default_context(cafile=str(cert))
+        assert httpx.get(address + "api/v1/health", verify=trusting).status_code == 200
+        with pytest.raises(httpx.ConnectError, match="CERTIFICATE_VERIFY_FAILED"):
+            httpx.get(address)
+        with pytest.raises(httpx.RemoteProtocolError):
+            httpx.get(address.replace("https", "http"))
+
+
+def test_a_key_that_does_not_belong_to_the_certificate_is_told_at_the_start(certificate, tmp_path, tokens):
+    cert, key = certificate
+    with pytest.raises(InputError, match="belong together"):
+        Listening(certificate=cert).check(tokens)
+    with pytest.raises(InputError, match="no such file"):
+        Listening(certificate=cert, key=tmp_path / "none.pem").check(tokens)
+    broken = tmp_path / "key.pem"
+    broken.write_text(key.read_text()[:400])
+    with pytest.raises(InputError, match="give both as PEM"):
+        Listening(certificate=cert, key=broken).check(tokens)
+
+
+def test_tokens_are_noted_in_the_journal_by_name_and_shown_nowhere_else(plant, capsys):
+    config = ["--config", str(plant / "kerntemp.toml")]
+    assert main(["token", "create", "tablet", "--scope", "write", *config]) == 0
+    text = capsys.readouterr().out.strip()
+    with served(plant) as address:
+        wrong = text[:-1] + ("A" if text[-1] != "A" else "B")
+        change = address + "api/v1/models/1/promote"
+        for given, status in ((text, 404), (wrong, 401), *[(f"kt_guess{i}", 401) for i in range(9)], (text, 429)):
+            answer = httpx.post(change, headers={"Authorization": f"Bearer {given}"})
+            assert answer.status_code == status, answer.text
+    assert main(["token", "revoke", "tablet", *config]) == 0
+    with open_store(str(plant / "kerntemp.sqlite")) as store:
+        said = [entry.message for entry in store.journal().items]
+    assert said == ["token tablet revoked", "token tablet created, scope write"]
+    log = (plant / "serve.log").read_text()
+    assert "too many wrong tokens from 127.0.0.1" in log
+    secret = text.rpartition("_")[2]
+    kept = [path for path in plant.iterdir() if secret.encode() in path.read_bytes()]
+    assert kept == []
+
+
+@pytest.fixture
+def raw(client):
+    """A bare socket to the server."""
+    host, port = client.base_url.host, client.base_url.port
+    with socket.create_connection((host, port), timeout=10) as opened:
+        yield opened
+
+
+def answer_of(opened: socket.socket) -> tuple[int, dict[str, object]]:
+    received = b""
+    while b"\r\n\r\n" not in received or not received.rstrip().endswith(b"}"):
+        part = opened.recv(65536)
+        if not part:
+            break
+        received += part
+    head, _, body = received.partition(b"\r\n\r\n")
+    return int(head.split()[1]), json.loads(body)
+
+
+def test_a_body_of_unstated_length_is_refused_as_soon_as_it_is_too_long(raw):
+    raw.sendall(f"PATCH {CHANGE} HTTP/1.1\r\nHost: 127.0.0.1\r\nTransfer-Encoding: chunked\r\n\r\n".encode())
+    piece = b"4000\r\n" + b"x" * 0x4000 + b"\r\n"
+    for _ in range(MAX_BODY_BYTES // 0x4000 + 1):
+        raw.sendall(piece)
+    status, problem = answer_of(raw)
+    assert status == 413
+    assert "65536 bytes" in problem["detail"]
+
+
+@pytest.mark.parametrize(
+    ("head", "status"),
+    [
+        (f"PATCH {CHANGE} HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 99999999", 413),
+        ("GET /api/v1/runs/%00 HTTP/1.1\r\nHost: 127.0.0.1", 422),
+        ("GET /api/v1/runs?material=a%00b HTTP/1.1\r\nHost: 127.0.0.1", 422),
+        ("GET /api/v1/../../etc/passwd HTTP/1.1\r\nHost: 127.0.0.1", 404),
+        ("GET /api/v1/runs/..%2f..%2fetc%2fpasswd HTTP/1.1\r\nHost: 127.0.0.1", 404),
+        ("GET /static/..%2f..%2fdaq/config.py HTTP/1.1\r\nHost: 127.0.0.1", 404),
+        ("GET /static/%2fetc/passwd HTTP/1.1\r\nHost: 127.0.0.1", 404),
+        ("GET //api/v1/runs HTTP/1.1\r\nHost: 127.0.0.1", 404),
+        ("GET /api/v1/runs?limit=1e3 HTTP/1.1\r\nHost: 127.0.0.1", 422),
+        (f"GET {CHANGE}/samples?from=abc HTTP/1.1\r\nHost: 127.0.0.1", 422),
+        (f"GET {CHANGE}/samples?max_points=99999999999999999999 HTTP/1.1\r\nHost: 127.0.0.1", 422),
+        ("GET /api/v1/runs?cursor=99999999999999999999 HTTP/1.1\r\nHost: 127.0.0.1", 422),
+        (f"GET /api/v1/live HTTP/1.1\r\nHost: 127.0.0.1\r\nLast-Event-ID: {'9' * 30}/0//", 422),
+    ],
+)
+def test_hostile_requests_get_a_clear_refusal(raw, head, status):
+    raw.sendall(f"{head}\r\nConnection: close\r\n\r\n".encode())
+    found, problem = answer_of(raw)
+    assert found == status, problem
+    assert problem["status"] == status
+
+
+@contextmanager
+def running(server, sockets=None):
+    """A server in a thread until the block ends."""
+    thread = threading.Thread(target=server.run, args=(sockets,), daemon=True)
+    thread.start()
+    deadline = time.monotonic() + 20
+    while not server.started:
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    try:
+        yield server.servers[0].sockets[0].getsockname()[1]
+    finally:
+        server.should_exit = True
+        thread.join(20)
+
+
+def test_a_body_that_does_not_arrive_in_time_is_given_up(store, tokens):
+    impatient = Gate(create_app(store, tokens), tokens, Attempts(), body_s=0.2)
+    server = uvicorn.Server(uvicorn.Config(impatient, port=0, log_level="warning", lifespan="off"))
+    with running(server) as port, socket.create_connection(("127.0.0.1", port), timeout=10) as slow:
+        slow.sendall(f"PATCH {CHANGE} HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 50\r\n\r\n{{".encode())
+        status, problem = answer_of(slow)
+    assert status == 408
+    assert "did not arrive within 0.2 s" in problem["detail"]
+
+
+class Connection:
+    """What the server keeps of a connection, as far as patience looks at it."""
+
+    def __init__(self) -> None:
+        self.cycle = self.transport = None
+        self.transport = self
+        self.cut = False
+
+    def abort(self) -> None:
+        self.cut = True
+
+
+def test_who_asks_nothing_is_cut_off_and_who_asks_is_not():
+    now = [0.0]
+    patience = Patience(idle_s=20.0, now=lambda: now[0])
+    silent, busy, streaming = Connection(), Connection(), Connection()
+    streaming.cycle = type("Request", (), {"response_complete": False})()
+    for second in range(30):
+        now[0] = float(second)
+        busy.cycle = type("Request", (), {"response_complete": True})()
+        patience.look([silent, busy, streaming])
+        assert silent.cut == (second > 20)
+    assert not busy.cut
+    assert not streaming.cut
+
+
+def test_beyond_the_limit_the_oldest_idle_connections_go_first():
+    now = [0.0]
+    patience = Patience(most=2, now=lambda: now[0])
+    first, second, third = Connection(), Connection(), Connection()
+    for opened in ([first], [first, second], [first, second, third]):
+        now[0] += 1.0
+        patience.look(opened)
+    assert (first.cut, second.cut, third.cut) == (True, False, False)
+
+
+def test_connections_that_ask_nothing_lose_their_place_in_a_running_server(store, tokens):
+    listening = Listening(port=0, idle_s=0.5)
+    with running(make_server(store, tokens, listening), [listening.bind()]) as port:
+        silent = [socket.create_connection(("127.0.0.1", port), timeout=10) for _ in range(20)]
+        begun = socket.create_connection(("127.0.0.1", port), timeout=10)
+        begun.sendall(b"GET /api/v1/health HTTP/1.1\r\nHost:")
+        for opened in (*silent, begun):
+            with opened:
+                assert opened.recv(1) == b""
+        assert httpx.get(f"http://127.0.0.1:{port}/api/v1/health").status_code == 200
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="TCP_USER_TIMEOUT exists on Linux only")
+def test_a_client_that_takes_nothing_of_an_answer_is_cut_off(store, tokens):
+    listening = Listening(port=0, unread_s=0.5)
+    server = make_server(store, tokens, listening)
+    with running(server, [listening.bind()]) as port, socket.socket() as greedy:
+        greedy.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        greedy.connect(("127.0.0.1", port))
+        greedy.sendall(f"GET {CHANGE}/samples HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n".encode() * 300)
+        deadline = time.monotonic() + 20
+        answered = 0
+        while server.server_state.connections or not answered:
+            answered = server.server_state.total_requests
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        assert answered < 300

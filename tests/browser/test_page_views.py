@@ -1,0 +1,199 @@
+"""Every view with stored pressings: nothing for axe to find, metadata changed by hand, files taken by token."""
+
+from __future__ import annotations
+
+import re
+import threading
+from dataclasses import replace
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import pytest
+from playwright.sync_api import Page, expect
+
+from api.tokens import TokenFile
+from daq.pressfile import read_press
+from daq.simulated.campaign import Plan, make_campaign
+from softsensor.effects import BUILT_IN
+from softsensor.service import fit_one
+
+VIEWS = ("#/now", "#/runs", "#/runs/campaign-1", "#/coefficients", "#/diagnosis", "#/loggers", "#/access", "docs")
+LAB = Path(__file__).parents[2] / "deploy" / "presses" / "lab.toml"
+REASON = (
+    "edge_loss + paper_layer: residual 0.470 -> 0.468 K on 5 runs, core 1.20 -> 1.30 K live; the core gets worse"
+)
+EFFECT = {
+    "name": "moisture_evaporation",
+    "set": ["moisture_evaporation"],
+    "parameters": {"moisture_percent": {"value": 3.2, "ci95": [2.3, 4.0]}},
+    "p_value": 0.0005,
+    "heldout_gain_K": 0.58,
+    "explained_share": 0.98,
+}
+DIAGNOSIS = {
+    "verdict": "named",
+    "effects": [EFFECT],
+    "base": {"rmse_K": 1.05, "heldout_rmse_K": 1.06, "core_rmse_K": None},
+    "extended": {"rmse_K": 0.47, "heldout_rmse_K": 0.47, "core_rmse_K": None},
+    "noise_floor_K": 0.38,
+    "where": [{"signal": "panel.top", "state": "closed", "from_s": 8.0, "to_s": 16.0, "residual_K": 0.66}],
+    "candidates": [{"name": "moisture_evaporation", "score": 9.0, "p_value": 0.0005, "heldout_gain_K": 0.65}],
+    "next_measurement": "Weigh the panel before and after pressing, or press one dried to zero moisture.",
+}
+
+
+@pytest.fixture
+def plant(served) -> tuple[str, Page, str]:
+    """A server over a pressing with its fit, a diagnosis and two models; address, page, token that may write."""
+    server, feed, page = served
+    run, _ = make_campaign(7, 1, plan=Plan(rate_hz=2.0, closed_column=False, thickness_mm=16.0))[0]
+    store = feed.store
+    store.import_runs([replace(run, name="campaign-1")], "lab")
+    coefficient = {"value": 600.0, "sd": 20.0, "ci95": [560.0, 640.0], "identifiable": True}
+    fit = {"run": "campaign-1", "converged": True, "coefficients": {"h_pp_c": coefficient}, "warnings": []}
+    store.put_fit("campaign-1", fit | {"rmse_K": 0.3, "initial_rmse_K": 2.0}, "")
+    for version, status in (("1", "retired"), ("2", "promoted")):
+        store.put_model("lab", version, {"version": version, "effects": []}, status=status)
+    store.put_diagnosis("lab", DIAGNOSIS)
+    feed.pause_s = 0.0
+    feed.pressing(scans=60, batch=10)
+    token = TokenFile(server.config.parent / "kerntemp-tokens.json").create("foreman", "write")
+    return server.url, page, token
+
+
+def with_token(page: Page, token: str) -> None:
+    page.add_init_script(f"sessionStorage.setItem('kerntemp-token', {token!r})")
+
+
+def violations(page: Page) -> list[dict[str, Any]]:
+    found = page.evaluate("axe.run(document, {resultTypes: ['violations']})")["violations"]
+    return [{"rule": v["id"], "where": v["nodes"][0]["target"]} for v in found]
+
+
+@pytest.mark.parametrize(("width", "scheme"), [(1280, "light"), (375, "dark")])
+def test_axe_finds_nothing_that_would_keep_anybody_out(plant, browser, width, scheme):
+    address, _, _ = plant
+    axe = (resources.files("axe_playwright_python") / "axe.min.js").read_text(encoding="utf-8")
+    size = {"width": width, "height": 800}
+    context = browser.new_context(viewport=size, color_scheme=scheme, locale="en-GB", bypass_csp=True)
+    page, complaints = context.new_page(), []
+    page.on("pageerror", lambda error: complaints.append(str(error)))
+    for view in VIEWS:
+        page.goto(address + view)
+        expect(page.locator("main .card").first).to_be_visible()
+        page.wait_for_load_state("networkidle") if view == "docs" else page.wait_for_timeout(300)
+        page.evaluate(axe)
+        assert violations(page) == [], view
+        assert complaints == [], view
+    context.close()
+
+
+def test_a_remark_and_a_header_key_are_changed_by_hand_and_their_history_is_shown(plant):
+    address, page, token = plant
+    with_token(page, token)
+    page.goto(address + "#/runs/campaign-1")
+    card = page.get_by_test_id("metadata")
+    card.get_by_role("button", name="Change").click()
+    card.get_by_label("Remark").fill("Dent, top left.")
+    card.get_by_label("panel.thickness_mm").fill("-3")
+    card.get_by_role("button", name="Save").click()
+    expect(card.get_by_role("alert")).to_contain_text("from 0.1 to 500")
+    card.get_by_label("panel.thickness_mm").fill("15.8")
+    card.get_by_role("button", name="Save").click()
+    expect(page.locator("main")).to_contain_text("Dent, top left.")
+    page.get_by_test_id("metadata").get_by_text("Changes (2)").click()
+    expect(page.get_by_test_id("metadata")).to_contain_text("panel.thickness_mm: 16 → 15.8")
+    expect(page.get_by_test_id("metadata")).to_contain_text("foreman")
+
+
+def test_nothing_that_is_missing_is_written_as_null(plant):
+    address, page, _ = plant
+    for view in (*VIEWS[:-1], "#/runs/compare/campaign-1/lab-0000000"):
+        page.goto(address + view)
+        expect(page.locator("main .card").first).to_be_visible()
+        page.wait_for_timeout(500)
+        assert not re.search(r"\b(null|undefined|NaN)\b", page.locator("main").inner_text()), view
+
+
+def test_without_a_token_a_change_says_what_is_missing(plant):
+    address, page, _ = plant
+    page.goto(address + "#/runs/campaign-1")
+    card = page.get_by_test_id("metadata")
+    card.get_by_role("button", name="Change").click()
+    card.get_by_label("Remark").fill("x")
+    card.get_by_role("button", name="Save").click()
+    expect(card.get_by_role("alert")).to_contain_text("needs a token with scope write")
+    expect(card.get_by_role("link", name="Give an access token")).to_be_visible()
+
+
+def test_files_are_taken_with_the_token_of_the_tab(plant):
+    address, page, token = plant
+    with_token(page, token)
+    page.goto(address + "#/runs/campaign-1")
+    for kind in ("CSV", "Parquet"):
+        with page.expect_download() as download:
+            page.get_by_role("link", name=kind, exact=True).click()
+        assert download.value.suggested_filename == f"campaign-1.{kind.lower()}"
+        assert download.value.path().stat().st_size > 1000
+
+
+def test_a_model_version_is_rolled_back_by_hand(plant):
+    address, page, token = plant
+    with_token(page, token)
+    page.goto(address + "#/diagnosis")
+    expect(page.get_by_test_id("diagnosis")).to_contain_text("Moisture evaporates")
+    page.on("dialog", lambda dialog: dialog.accept())
+    page.get_by_role("button", name="Roll back to this").click()
+    expect(page.locator("tbody tr", has_text="in use").locator("td").first).to_have_text("1")
+
+
+def test_the_diagnosis_is_told_in_german_down_to_the_next_measurement(plant, browser):
+    address, _, _ = plant
+    context = browser.new_context(locale="de-DE")
+    page = context.new_page()
+    page.goto(address + "#/diagnosis")
+    expect(page.get_by_test_id("diagnosis")).to_contain_text("Feuchte verdampft")
+    expect(page.get_by_test_id("diagnosis")).to_contain_text("Wiegen Sie die Platte vor und nach dem Pressen")
+    context.close()
+
+
+def test_every_confirming_measurement_of_the_catalogue_has_its_german_sentence():
+    told = (Path(__file__).parents[2] / "api" / "page" / "sentences.js").read_text(encoding="utf-8")
+    for effect in BUILT_IN:
+        for sentence in effect.confirm.removesuffix(".").split(". "):
+            assert f'"{sentence}":' in told, f"{effect.name}: {sentence}"
+
+
+def test_what_a_real_fit_could_not_tell_is_said_in_german_to_the_last_clause(plant):
+    address, page, _ = plant
+    press = read_press(LAB)
+    run, truth = make_campaign(7, 1, plan=Plan(rate_hz=2.0, closed_column=False, thickness_mm=16.0))[0]
+    short = run.time_s < truth.moments.closed_s + 6.0
+    columns = {name: values[short] for name, values in run.columns.items()}
+    columns["top_3"] = columns["top_3"] * 0 + 55.0
+    said = fit_one(press, replace(run, time_s=run.time_s[short], columns=columns), None)["warnings"]
+    assert len(said) > 3
+    page.add_init_script("localStorage.setItem('kerntemp-language', 'de')")
+    page.goto(address)
+    for english in (*said, REASON, "first model, coefficients of 8 runs"):
+        german = page.evaluate("text => import('/static/sentences.js').then((m) => m.sentence(text))", english)
+        assert german != english
+        assert not re.search(r"\b(the|with|of|on|is|to|and)\b", german), german
+
+
+def test_a_core_nobody_updates_any_more_gives_way_to_the_reason(served):
+    server, feed, page = served
+    feed.pause_s = 0.01
+    said = feed.store.append_estimates
+    writer = threading.Thread(target=feed.pressing, args=(3000,), daemon=True)
+    writer.start()
+    page.goto(server.url + "#/now")
+    expect(page.get_by_test_id("core")).to_have_text("50.0°C")
+    feed.store.append_estimates = lambda *_: None
+    expect(page.get_by_test_id("band")).to_contain_text("the live sensor has said nothing for")
+    expect(page.get_by_test_id("core")).to_have_text("–°C")
+    feed.store.append_estimates = said
+    expect(page.get_by_test_id("core")).to_have_text("50.0°C")
+    feed.stop.set()
+    writer.join(20)
