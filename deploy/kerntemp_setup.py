@@ -1,0 +1,423 @@
+#!/usr/bin/env python3
+"""Kerntemp on a Debian press PC: install, update, roll back, uninstall; one command each, as root.
+
+    python3 kerntemp_setup.py install [kerntemp-1.0.0-py3-none-any.whl]
+    python3 kerntemp_setup.py update kerntemp-1.1.0-py3-none-any.whl
+    python3 kerntemp_setup.py rollback
+    python3 kerntemp_setup.py uninstall
+
+Without a wheel, the one is built that belongs to the source tree this file lies in. Every version has a folder of
+its own below /opt/kerntemp; `current` points at the one in force. The configuration in /etc/kerntemp and the data
+in /var/lib/kerntemp are never overwritten and never removed. An update backs the store up and checks the copy
+before anything changes; where the new version changes the store's schema, recording stops first, so that the
+copy holds every scan, and rolling back brings that copy back (what was recorded since then is kept beside it).
+
+`--root DIR` does all of it below DIR and leaves the machine alone. This file needs nothing but Python.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import tomllib
+import zipfile
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+UNITS = ("kerntemp.target", "kerntemp-record.service", "kerntemp-sense.service", "kerntemp-serve.service")
+TIMER = "kerntemp-refit.timer"
+EXTRAS = "plant,postgresql"
+KEPT_VERSIONS = 3
+HOME = Path(__file__).resolve().parent
+
+
+class Refused(Exception):
+    """It cannot be done now; nothing was changed. The text says what to do."""
+
+
+class Place:
+    """The folders of one installation."""
+
+    def __init__(self, root: Path, *, compiles: bool = True) -> None:
+        self.root = root
+        self.compiles = compiles
+        self.code = root / "opt/kerntemp"
+        self.current = self.code / "current"
+        self.history_file = self.code / "history.json"
+        self.settings = root / "etc/kerntemp"
+        self.config = self.settings / "kerntemp.toml"
+        self.data = root / "var/lib/kerntemp"
+        self.cache = root / "var/cache/kerntemp"
+        self.backups = self.data / "backups"
+        self.units = root / "etc/systemd/system"
+        self.rules = root / "etc/udev/rules.d/60-kerntemp.rules"
+        self.users = root / "etc/sysusers.d/kerntemp.conf"
+        self.command = root / "usr/local/bin/kerntemp"
+
+    @property
+    def live(self) -> bool:
+        """Whether this is the running system and not a folder."""
+        return self.root == Path("/") and Path("/run/systemd/system").is_dir()
+
+    @property
+    def history(self) -> list[dict[str, Any]]:
+        """What was installed, oldest first; the last entry is in force."""
+        return json.loads(self.history_file.read_text()) if self.history_file.exists() else []
+
+    @property
+    def store_url(self) -> str:
+        """The store, as the configuration says."""
+        try:
+            return str(tomllib.loads(self.config.read_text()).get("store", {}).get("url", ""))
+        except (OSError, tomllib.TOMLDecodeError) as error:
+            raise Refused(f"{self.config}: {error}; mend it first") from error
+
+    def remember(self, history: list[dict[str, Any]]) -> None:
+        """Keep the history."""
+        draft = self.history_file.with_suffix(".new")
+        draft.write_text(json.dumps(history, indent=1) + "\n")
+        draft.replace(self.history_file)
+
+    def shared(self, version: str) -> Path:
+        """The files a version brings beside its code."""
+        return self.code / version / "share/kerntemp"
+
+
+def say(line: str) -> None:
+    """Tell what is being done."""
+    sys.stdout.write(line + "\n")
+    sys.stdout.flush()
+
+
+def run(*command: str | Path, **options: Any) -> str:
+    """Run a command; raises `Refused` with its last line where it fails."""
+    done = subprocess.run([str(c) for c in command], capture_output=True, text=True, check=False, **options)
+    if done.returncode != 0:
+        told = [line for line in (done.stderr + done.stdout).splitlines() if line.strip()]
+        raise Refused(f"{Path(command[0]).name} failed: {told[-1] if told else f'status {done.returncode}'}")
+    return done.stdout.strip()
+
+
+def systemctl(place: Place, *words: str) -> None:
+    """Ask systemd, on the running system only."""
+    if place.live:
+        run("systemctl", *words)
+
+
+def as_service(place: Place, version: str, *command: str) -> str:
+    """Run a program of a version as the service's user, with its caches."""
+    line = [str(place.code / version / "bin" / command[0]), *command[1:]]
+    caches = {"NUMBA_CACHE_DIR": str(place.cache), "MPLCONFIGDIR": str(place.cache / "matplotlib")}
+    if place.root == Path("/"):
+        line = ["runuser", "-u", "kerntemp", "--", "env", *(f"{k}={v}" for k, v in caches.items()), *line]
+    return run(*line, cwd=place.data, env={**os.environ, **caches})
+
+
+# --- a version's code -----------------------------------------------------------------------------------
+
+
+def version_of(wheel: Path) -> str:
+    """Return the version a wheel says it is."""
+    try:
+        with zipfile.ZipFile(wheel) as archive:
+            name = next(n for n in archive.namelist() if n.endswith(".dist-info/METADATA"))
+            lines = archive.read(name).decode().splitlines()
+    except (OSError, zipfile.BadZipFile, StopIteration) as error:
+        raise Refused(f"{wheel}: not a wheel; give the file kerntemp-VERSION-py3-none-any.whl") from error
+    told = dict(line.split(": ", 1) for line in lines if line.startswith(("Name: ", "Version: ")))
+    if told.get("Name") != "kerntemp":
+        raise Refused(f"{wheel}: holds {told.get('Name')}, not kerntemp")
+    return told["Version"]
+
+
+def make_environment(folder: Path) -> None:
+    """Make an empty Python environment."""
+    try:
+        run(sys.executable, "-m", "venv", folder)
+    except Refused as refused:
+        raise Refused(f"{refused}; apt-get install python3-venv") from refused
+
+
+def built_wheel(folder: Path) -> Path:
+    """Build the wheel of the source tree this file lies in."""
+    source = HOME.parent
+    if not (source / "pyproject.toml").is_file():
+        raise Refused("no wheel given, and this file does not lie in Kerntemp's sources; give the wheel")
+    say(f"building the wheel of {source}")
+    make_environment(folder / "builder")
+    copied = folder / "source"
+    shutil.copytree(source, copied, ignore=shutil.ignore_patterns(".*", "*.egg-info", "build", "__pycache__"))
+    run(folder / "builder/bin/python", "-m", "pip", "wheel", "--quiet", "--no-deps", "-w", folder, copied)
+    return next(folder.glob("kerntemp-*.whl"))
+
+
+def put_version(place: Place, wheel: Path, wheels: Path | None) -> str:
+    """Install a version beside the others and try it; the ones that run do not notice."""
+    version = version_of(wheel)
+    target = place.code / version
+    if (target / "installed").exists():
+        raise Refused(f"version {version} is installed already; {target}")
+    shutil.rmtree(target, ignore_errors=True)
+    say(f"installing version {version} in {target}")
+    place.code.mkdir(parents=True, exist_ok=True)
+    try:
+        make_environment(target)
+        offline = ["--no-index", "--find-links", str(wheels)] if wheels else []
+        run(target / "bin/python", "-m", "pip", "install", "--quiet", *offline, f"{wheel}[{EXTRAS}]")
+        told = run(target / "bin/kerntemp", "--version")
+        if version not in told:
+            raise Refused(f"the installed program says {told!r}, expected {version}")
+    except Refused:
+        shutil.rmtree(target, ignore_errors=True)
+        raise
+    (target / "installed").write_text(datetime.now(UTC).isoformat() + "\n")
+    return version
+
+
+def warm_up(place: Place, version: str) -> None:
+    """Compile now what the first pressing would have to wait for."""
+    if place.compiles:
+        say("compiling the model; this takes about a minute once")
+        as_service(place, version, "python", "-m", "api.warmup")
+
+
+def schema_of(place: Place, version: str) -> int:
+    """Return the store's schema a version works with."""
+    question = "from daq.store.database import migrations; print(max(migrations()))"
+    # Isolated: not what lies in the folder from which the setup was called.
+    return int(run(place.code / version / "bin/python", "-I", "-c", question))
+
+
+def switch(place: Place, version: str) -> None:
+    """Put a version in force: its units, rules and command, then the link, in one step."""
+    shared = place.shared(version)
+    place.units.mkdir(parents=True, exist_ok=True)
+    for unit in (shared / "systemd").iterdir():
+        shutil.copyfile(unit, place.units / unit.name)
+    place.rules.parent.mkdir(parents=True, exist_ok=True)
+    shutil.copyfile(shared / "udev/60-kerntemp.rules", place.rules)
+    write_command(place)
+    draft = place.code / "current.new"
+    draft.unlink(missing_ok=True)
+    draft.symlink_to(version)
+    draft.replace(place.current)
+    systemctl(place, "daemon-reload")
+    if place.live:
+        run("udevadm", "control", "--reload")
+
+
+def write_command(place: Place) -> None:
+    """Write the command `kerntemp`: as the service's user where root calls, with the service's configuration."""
+    place.command.parent.mkdir(parents=True, exist_ok=True)
+    place.command.write_text(
+        "#!/bin/sh\n"
+        "# Kerntemp of this press PC: its version in force, its configuration, its user.\n"
+        f'export KERNTEMP_CONFIG="${{KERNTEMP_CONFIG:-{place.config}}}"\n'
+        f'export NUMBA_CACHE_DIR="{place.cache}" MPLCONFIGDIR="{place.cache}/matplotlib"\n'
+        'if [ "$(id -u)" = 0 ] && id kerntemp >/dev/null 2>&1; then\n'
+        f'    exec runuser -u kerntemp -- {place.current}/bin/kerntemp "$@"\n'
+        "fi\n"
+        f'exec {place.current}/bin/kerntemp "$@"\n'
+    )
+    place.command.chmod(0o755)
+
+
+# --- the machine ----------------------------------------------------------------------------------------
+
+
+def make_user(place: Place, version: str) -> int | None:
+    """Make the services' user; return its number where the user database is at hand."""
+    place.users.parent.mkdir(parents=True, exist_ok=True)
+    shutil.copyfile(place.shared(version) / "sysusers/kerntemp.conf", place.users)
+    run("systemd-sysusers", f"--root={place.root}", place.users.name)
+    entries = (place.root / "etc/passwd").read_text().splitlines()
+    return next((int(line.split(":")[2]) for line in entries if line.startswith("kerntemp:")), None)
+
+
+def make_folders(place: Place, version: str, user: int | None) -> None:
+    """Make configuration and data folders; what is there stays as it is."""
+    for folder in (place.settings, place.settings / "presses", place.data, place.backups, place.cache):
+        folder.mkdir(parents=True, exist_ok=True)
+    shared = place.shared(version)
+    for press in (shared / "presses").iterdir():
+        kept = place.settings / "presses" / press.name
+        if not kept.exists():
+            shutil.copyfile(press, kept)
+    if not place.config.exists():
+        place.config.write_text(first_configuration((shared / "kerntemp.toml").read_text(), place.data))
+    for path in (place.settings, *place.settings.rglob("*")):
+        path.chmod(0o750 if path.is_dir() else 0o640)
+        if user is not None and os.geteuid() == 0:
+            os.chown(path, 0, user)
+    for folder in (place.data, place.backups, place.cache):
+        folder.chmod(0o750)
+        if user is not None and os.geteuid() == 0:
+            os.chown(folder, user, user)
+
+
+def first_configuration(example: str, data: Path) -> str:
+    """Return the example with its data where services may write."""
+    store, tokens = f'url = "{data}/kerntemp.sqlite"', f'tokens = "{data}/kerntemp-tokens.json"'
+    buffer = f'buffer = "{data}/kerntemp-buffer.sqlite"'
+    example = example.replace('url = "kerntemp.sqlite"', f"{store}\n{buffer}\n#", 1)
+    return example.replace("[server]\n", f"[server]\n{tokens}\n", 1)
+
+
+def back_up(place: Place, version: str, why: str) -> str:
+    """Copy the store with a version's own program, which checks the copy; empty where there is none yet."""
+    target = place.backups / f"{why}-{datetime.now(UTC):%Y-%m-%dT%H%M%S}.sqlite"
+    if not place.store_url.startswith("postgres") and not Path(place.store_url).exists():
+        return ""
+    say(as_service(place, version, "kerntemp", "backup", str(target), "--config", str(place.config)))
+    return str(target)
+
+
+# --- the four commands ----------------------------------------------------------------------------------
+
+
+def install(place: Place, wheel: Path | None, wheels: Path | None) -> None:
+    """Install for the first time."""
+    if place.history:
+        raise Refused(f"version {place.history[-1]['version']} is installed; use update")
+    with tempfile.TemporaryDirectory(prefix="kerntemp-") as folder:
+        version = put_version(place, wheel or built_wheel(Path(folder)), wheels)
+    make_folders(place, version, make_user(place, version))
+    switch(place, version)
+    warm_up(place, version)
+    place.remember([{"version": version, "schema": schema_of(place, version), "backup": ""}])
+    systemctl(place, "enable", "--quiet", "kerntemp.target", TIMER)
+    say(f"Kerntemp {version} is installed.")
+    say(f"Next: edit {place.config}, then: kerntemp check && systemctl start kerntemp.target")
+
+
+def update(place: Place, wheel: Path | None, wheels: Path | None) -> None:
+    """Put a newer version in force; the one before stays for `rollback`."""
+    history = place.history
+    if not history:
+        raise Refused("nothing is installed; use install")
+    old = history[-1]["version"]
+    with tempfile.TemporaryDirectory(prefix="kerntemp-") as folder:
+        version = put_version(place, wheel or built_wheel(Path(folder)), wheels)
+    warm_up(place, version)
+    schema = schema_of(place, version)
+    migrates = schema != history[-1]["schema"]
+    if migrates:
+        say(f"the store's schema changes from {history[-1]['schema']} to {schema}: recording stops for the backup")
+        systemctl(place, "stop", "kerntemp.target")
+    backup = ""
+    try:
+        backup = back_up(place, old, f"before-{version}")
+        say(as_service(place, version, "kerntemp", "check", "--offline", "--config", str(place.config)))
+        switch(place, version)
+    except Refused:
+        if migrates and backup:
+            restore(place, old, Path(backup), version)
+        shutil.rmtree(place.code / version, ignore_errors=True)
+        systemctl(place, "restart", "kerntemp.target")
+        raise
+    place.remember([*history, {"version": version, "schema": schema, "backup": backup}])
+    restart(place)
+    drop_old_versions(place)
+    say(f"Kerntemp {version} is in force; python3 kerntemp_setup.py rollback goes back to {old}.")
+
+
+def rollback(place: Place) -> None:
+    """Go back to the version before, with its store where the schema has changed since."""
+    history = place.history
+    if len(history) < 2:
+        raise Refused("there is no version to go back to")
+    before, now = history[-2], history[-1]
+    if not (place.code / before["version"] / "installed").exists():
+        raise Refused(f"version {before['version']} is no longer in {place.code}; install its wheel with update")
+    systemctl(place, "stop", "kerntemp.target")
+    if before["schema"] != now["schema"] and now["backup"]:
+        restore(place, before["version"], Path(now["backup"]), now["version"])
+    switch(place, before["version"])
+    place.remember(history[:-1])
+    shutil.rmtree(place.code / now["version"], ignore_errors=True)
+    restart(place)
+    say(f"Kerntemp {before['version']} is in force again.")
+
+
+def restore(place: Place, version: str, backup: Path, newer: str) -> None:
+    """Put the store of before the update back; the newer one is kept beside it."""
+    if place.store_url.startswith("postgres"):
+        say("PostgreSQL: the copy goes into the database of store.url, which has to be a new, empty one")
+    else:
+        store = Path(place.store_url)
+        kept = store.parent / f"kerntemp-{newer}-{datetime.now(UTC):%Y-%m-%dT%H%M%S}.sqlite"
+        for ending in ("", "-wal", "-shm"):
+            path = store.with_name(store.name + ending)
+            if path.exists():
+                path.rename(kept.with_name(kept.name + ending))
+        say(f"what version {newer} recorded is kept in {kept}")
+    say(as_service(place, version, "kerntemp", "backup", str(backup), "--restore", "--config", str(place.config)))
+
+
+def restart(place: Place) -> None:
+    """Start what belongs to the target anew."""
+    systemctl(place, "restart", *UNITS[1:], TIMER, "kerntemp.target")
+    if (
+        place.live
+        and subprocess.run(["systemctl", "is-enabled", "--quiet", "kerntemp-publish"], check=False).returncode == 0
+    ):
+        run("systemctl", "restart", "kerntemp-publish")
+
+
+def drop_old_versions(place: Place) -> None:
+    """Keep the newest versions only."""
+    kept = {entry["version"] for entry in place.history[-KEPT_VERSIONS:]}
+    for folder in place.code.iterdir():
+        if (folder / "installed").exists() and folder.name not in kept and not folder.is_symlink():
+            shutil.rmtree(folder)
+
+
+def uninstall(place: Place) -> None:
+    """Remove the programs; configuration and data stay."""
+    if place.live:
+        subprocess.run(["systemctl", "disable", "--now", "--quiet", "kerntemp.target", TIMER], check=False)
+        subprocess.run(["systemctl", "stop", "kerntemp-*"], check=False)
+    for unit in place.units.glob("kerntemp*"):
+        unit.unlink()
+    for path in (place.rules, place.users, place.command):
+        path.unlink(missing_ok=True)
+    shutil.rmtree(place.code, ignore_errors=True)
+    shutil.rmtree(place.cache, ignore_errors=True)
+    systemctl(place, "daemon-reload")
+    say(f"Kerntemp is removed. Configuration and data are still in {place.settings} and {place.data}.")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Do one of the four commands."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("action", choices=("install", "update", "rollback", "uninstall"))
+    parser.add_argument("wheel", nargs="?", type=Path, help="kerntemp-VERSION-py3-none-any.whl")
+    parser.add_argument("--wheels", type=Path, help="folder with all wheels, for a machine without a network")
+    parser.add_argument("--no-warmup", action="store_true", help="let the first pressing wait for the compiler")
+    parser.add_argument("--root", type=Path, default=Path("/"), help="work below this folder")
+    given = parser.parse_args(arguments)
+    place = Place(given.root.resolve(), compiles=not given.no_warmup)
+    if os.geteuid() != 0:
+        sys.stderr.write("kerntemp_setup: needs root; use sudo\n")
+        return 2
+    wheel = given.wheel.resolve() if given.wheel else None
+    try:
+        if given.action in ("install", "update"):
+            {"install": install, "update": update}[given.action](place, wheel, given.wheels)
+        else:
+            {"rollback": rollback, "uninstall": uninstall}[given.action](place)
+    except Refused as refused:
+        sys.stderr.write(f"kerntemp_setup: {refused}\n")
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

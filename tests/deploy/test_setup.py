@@ -1,0 +1,360 @@
+"""Install, update, roll back and uninstall a really built wheel below a folder, and run its services by hand."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import re
+import shutil
+import signal
+import socket
+import sqlite3
+import subprocess
+import sys
+import time
+import tomllib
+from collections.abc import Iterator
+from contextlib import ExitStack, closing, contextmanager
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+from urllib.request import urlopen
+
+import pytest
+
+from daq.runfile import toml_value
+from daq.simulated.devices import simulated, wiring
+
+ROOT = Path(__file__).parents[2]
+SETUP = ROOT / "deploy" / "kerntemp_setup.py"
+SYSTEMD = ROOT / "deploy" / "systemd"
+SOURCES = ("api", "daq", "softsensor", "deploy", "pyproject.toml", "README.md")
+COLUMNS = (
+    "platen_top",
+    "platen_bottom",
+    *(f"top_{k}" for k in range(1, 8)),
+    *(f"bottom_{k}" for k in range(1, 8)),
+)
+root_only = pytest.mark.skipif(
+    os.name == "nt" or os.geteuid() != 0 or shutil.which("systemd-sysusers") is None,
+    reason="installing needs root and systemd-sysusers: run it on Debian as root",
+)
+
+
+@pytest.fixture(scope="module")
+def setup() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("kerntemp_setup", SETUP)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def built(folder: Path, version: str = "", migration: str = "") -> Path:
+    """Build the wheel of a copy of the sources, as another version if asked for."""
+    source = folder / f"source-{version or 'own'}"
+    source.mkdir()
+    for name in SOURCES:
+        origin = ROOT / name
+        if origin.is_dir():
+            shutil.copytree(origin, source / name, ignore=shutil.ignore_patterns("__pycache__"))
+        else:
+            shutil.copyfile(origin, source / name)
+    if version:
+        text = (source / "pyproject.toml").read_text(encoding="utf-8")
+        changed = re.sub(r'^version = ".*"$', f'version = "{version}"', text, count=1, flags=re.M)
+        (source / "pyproject.toml").write_text(changed, encoding="utf-8")
+    if migration:
+        steps = source / "daq" / "store" / "migrations"
+        newest = max(int(step.name[:4]) for step in steps.glob("*.sql"))
+        (steps / f"{newest + 1:04}_later.sql").write_text(migration)
+    command = [sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "--no-build-isolation", "-w", str(folder)]
+    subprocess.run([*command, str(source)], check=True, capture_output=True)
+    return next(folder.glob(f"kerntemp-{version or '*'}-py3-none-any.whl"))
+
+
+def set_up(root: Path, *words: str | Path) -> str:
+    command = [sys.executable, str(SETUP), *map(str, words), "--root", str(root), "--no-warmup"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def start_line(root: Path, unit: str) -> list[str]:
+    """Return a unit's ExecStart with its paths below the folder."""
+    text = (root / "etc/systemd/system" / unit).read_text()
+    line = next(x for x in text.splitlines() if x.startswith("ExecStart=")).removeprefix("ExecStart=")
+    return [word if not word.startswith("/") else f"{root}{word}" for word in line.split()]
+
+
+@contextmanager
+def running(root: Path, unit: str, *more: str) -> Iterator[tuple[subprocess.Popen[str], socket.socket]]:
+    """Run a service as its unit says; systemd's end of the line comes with it."""
+    place = str(root / f"{unit}.notify")
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as line:
+        line.bind(place)
+        line.settimeout(400)  # the live sensor compiles before it is ready
+        told = {"NOTIFY_SOCKET": place, "NUMBA_CACHE_DIR": str(root / "var/cache/kerntemp")}
+        environment = {k: v for k, v in os.environ.items() if not k.startswith("PYTHON")} | told
+        log = (root / f"{unit}.log").open("w")
+        service = subprocess.Popen(
+            [*start_line(root, unit), *more],
+            cwd=root / "var/lib/kerntemp",
+            env=environment,
+            stdout=subprocess.PIPE,
+            stderr=log,
+            text=True,
+            start_new_session=True,
+        )
+        try:
+            yield service, line
+            service.send_signal(signal.SIGTERM)
+            assert service.wait(40) in (0, -signal.SIGTERM), (root / f"{unit}.log").read_text()
+        finally:
+            if service.poll() is None:
+                os.killpg(service.pid, signal.SIGKILL)
+                service.wait()
+            assert service.stdout is not None
+            service.stdout.close()
+            log.close()
+    Path(place).unlink()
+
+
+def heard(line: socket.socket, sign: str) -> str:
+    while True:
+        message = line.recv(4096).decode()
+        if message.startswith(sign):
+            return message
+
+
+def wire(root: Path, stack: ExitStack) -> None:
+    """Give the installed configuration simulated loggers."""
+    first = stack.enter_context(simulated("exemys-rme1-tc", lambda now_s: [150.0] * 8, refresh_s=0))
+    second = stack.enter_context(simulated("exemys-rme1-tc", lambda now_s: [25.0] * 8, refresh_s=0))
+    path = root / "etc/kerntemp/kerntemp.toml"
+    text = path.read_text(encoding="utf-8")
+    head, _, rest = text.partition("[[press.logger]]")
+    tail = rest[rest.index("[server]") :]
+    for name, server, channels in (("one", first, COLUMNS[:8]), ("two", second, COLUMNS[8:])):
+        table = wiring("exemys-rme1-tc", server, name, channels)
+        head += "[[press.logger]]\n" + "".join(f"{k} = {toml_value(v)}\n" for k, v in table.items())
+    path.write_text(f"{head}\n{tail}", encoding="utf-8")
+
+
+def rows(store: Path) -> int:
+    with closing(sqlite3.connect(store)) as connection:
+        return int(connection.execute("SELECT count(*) FROM scan").fetchone()[0])
+
+
+def record_for_a_moment(root: Path) -> None:
+    with running(root, "kerntemp-record.service") as (_, line):
+        heard(line, "READY=1")
+        heard(line, "WATCHDOG=1")
+        heard(line, "WATCHDOG=1")
+
+
+@root_only
+@pytest.mark.campaign
+@pytest.mark.timeout(1200)
+def test_a_wheel_is_installed_updated_rolled_back_and_removed_and_the_data_stay(tmp_path):
+    root = tmp_path / "pc"
+    first = built(tmp_path)
+    own = first.name.split("-")[1]
+    second = built(tmp_path, "7.7.7", "ALTER TABLE run ADD COLUMN later TEXT;\n")
+    store = root / "var/lib/kerntemp/kerntemp.sqlite"
+    command = root / "usr/local/bin/kerntemp"
+
+    said = set_up(root, "install", first)
+    assert f"Kerntemp {own} is installed" in said
+    assert "kerntemp:x:" in (root / "etc/passwd").read_text()
+    assert (root / "etc/udev/rules.d/60-kerntemp.rules").is_file()
+    assert oct((root / "etc/kerntemp/kerntemp.toml").stat().st_mode)[-3:] == "640"
+    assert subprocess.run([command, "--version"], capture_output=True, text=True).stdout == f"kerntemp {own}\n"
+
+    with ExitStack() as stack:
+        wire(root, stack)
+        checked = subprocess.run([command, "check"], capture_output=True, text=True, check=False)
+        assert checked.returncode == 0, checked.stderr
+        record_for_a_moment(root)
+        assert rows(store) > 5
+        with running(root, "kerntemp-sense.service") as (_, line):
+            heard(line, "READY=1")
+            heard(line, "WATCHDOG=1")
+        with running(root, "kerntemp-serve.service", "--port", "0") as (page, line):
+            heard(line, "READY=1")
+            heard(line, "WATCHDOG=1")
+            assert page.stdout is not None
+            address = page.stdout.readline().split()[-1]
+            assert b"Kerntemp" in urlopen(address).read()
+            assert urlopen(f"{address}static/vendor/uPlot.iife.min.js").status == 200
+        configured = (root / "etc/kerntemp/kerntemp.toml").read_text()
+        before = rows(store)
+
+        said = set_up(root, "update", second)
+        assert "the store's schema changes" in said
+        assert "written and checked" in said
+        assert (root / "opt/kerntemp/current").readlink() == Path("7.7.7")
+        assert subprocess.run([command, "--version"], capture_output=True, text=True).stdout == "kerntemp 7.7.7\n"
+        assert (root / "etc/kerntemp/kerntemp.toml").read_text() == configured
+        with closing(sqlite3.connect(store)) as connection:
+            assert "later" in [row[1] for row in connection.execute("PRAGMA table_info(run)")]
+        record_for_a_moment(root)
+        after = rows(store)
+        assert after > before
+
+        said = set_up(root, "rollback")
+        assert f"Kerntemp {own} is in force again" in said
+        assert rows(store) == before
+        kept = next((root / "var/lib/kerntemp").glob("kerntemp-7.7.7-*.sqlite"))
+        assert rows(kept) == after
+        record_for_a_moment(root)
+        assert rows(store) > before
+
+    set_up(root, "uninstall")
+    assert not (root / "opt/kerntemp").exists()
+    assert not list((root / "etc/systemd/system").glob("kerntemp*"))
+    assert not command.exists()
+    assert rows(store) > before
+    assert (root / "etc/kerntemp/kerntemp.toml").read_text() == configured
+
+
+@root_only
+def test_what_cannot_be_done_is_refused_and_changes_nothing(tmp_path, setup, capsys):
+    broken = tmp_path / "kerntemp-1.0-py3-none-any.whl"
+    broken.write_bytes(b"no wheel")
+    for words, message in (
+        (["rollback"], "no version to go back to"),
+        (["update", str(broken)], "nothing is installed; use install"),
+        (["install", str(broken)], "not a wheel"),
+    ):
+        assert setup.main([*words, "--root", str(tmp_path / "pc")]) == 1
+        assert message in capsys.readouterr().err
+    assert not (tmp_path / "pc").exists()
+
+
+def test_the_first_configuration_keeps_data_and_tokens_where_services_may_write(setup, tmp_path):
+    example = (ROOT / "deploy" / "kerntemp.toml").read_text(encoding="utf-8")
+    text = setup.first_configuration(example, Path("/var/lib/kerntemp"))
+    tree: dict[str, Any] = tomllib.loads(text)
+    assert tree["store"] == {
+        "url": "/var/lib/kerntemp/kerntemp.sqlite",
+        "buffer": "/var/lib/kerntemp/kerntemp-buffer.sqlite",
+    }
+    assert tree["server"]["tokens"] == "/var/lib/kerntemp/kerntemp-tokens.json"
+
+
+# --- units and rules ------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def units(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The units with a program that exists, as `systemd-analyze` asks."""
+    folder = tmp_path_factory.mktemp("units")
+    for unit in SYSTEMD.iterdir():
+        text = unit.read_text(encoding="utf-8")
+        (folder / unit.name).write_text(text.replace("/opt/kerntemp/current/bin/kerntemp", "/bin/true"))
+    return folder
+
+
+def analyze(*words: str | Path) -> subprocess.CompletedProcess[str]:
+    tool = shutil.which("systemd-analyze")
+    if tool is None:
+        pytest.skip("no systemd-analyze is installed: apt-get install systemd")
+    return subprocess.run([tool, *map(str, words)], capture_output=True, text=True, check=False)
+
+
+def test_systemd_finds_nothing_wrong_with_the_units(units):
+    done = analyze("verify", *sorted(units.iterdir()))
+    assert done.returncode == 0
+    assert [line for line in done.stderr.splitlines() if "kerntemp" in line] == []
+
+
+@pytest.mark.parametrize("unit", sorted(p.name for p in SYSTEMD.glob("*.service")))
+def test_systemd_rates_each_service_as_hardened(units, unit):
+    done = analyze("security", "--offline=true", "--threshold=20", units / unit)
+    score = re.search(r"Overall exposure level for \S+: ([\d.]+)", done.stdout)
+    assert score is not None, done.stderr
+    assert done.returncode == 0, f"{unit}: {score.group(1)}, at most 2.0"
+
+
+def test_each_long_running_service_is_started_anew_within_limits_and_watched():
+    for unit in SYSTEMD.glob("kerntemp-*.service"):
+        text = unit.read_text(encoding="utf-8")
+        assert "User=kerntemp" in text
+        if "refit" in unit.name:
+            continue
+        assert "Restart=always" in text, unit.name
+        assert "StartLimitBurst=" in text, unit.name
+        assert "Type=notify" in text, unit.name
+        assert "WatchdogSec=" in text, unit.name
+
+
+def test_every_file_the_setup_needs_travels_in_the_wheel():
+    tables = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"][
+        "data-files"
+    ]
+    shipped = {path for patterns in tables.values() for pattern in patterns for path in ROOT.glob(pattern)}
+    folders = ("systemd", "udev", "sysusers", "monitoring", "presses", "mappings")
+    needed = {path for folder in folders for path in (ROOT / "deploy" / folder).iterdir()}
+    needed |= {ROOT / "deploy" / name for name in ("kerntemp.toml", "kerntemp_setup.py", "RUNBOOK.md")}
+    assert needed <= shipped
+
+
+def test_the_udev_rule_speaks_of_keys_that_exist_and_jumps_only_to_a_label_it_has():
+    text = (ROOT / "deploy" / "udev" / "60-kerntemp.rules").read_text(encoding="utf-8")
+    pair = re.compile(
+        r"^(ACTION|SUBSYSTEM|KERNEL|DRIVERS|GROUP|MODE|GOTO|LABEL|SYMLINK|(?:ENV|ATTR|IMPORT)\{[^}]+\})"
+        r'(==|!=|\+=|=)"([^"]*)"$'
+    )
+    keys = []
+    for line in (x for x in text.splitlines() if x and not x.startswith("#")):
+        for part in line.split(", "):
+            found = pair.match(part)
+            assert found is not None, part
+            keys.append(found.groups())
+    labels = {value for key, _, value in keys if key == "LABEL"}
+    assert {value for key, _, value in keys if key == "GOTO"} == labels
+    assert sum(key == "SYMLINK" for key, _, _ in keys) == 2
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the seal is Linux's")
+def test_the_recorder_runs_where_no_memory_may_be_written_and_then_run(tmp_path):
+    """What MemoryDenyWriteExecute forbids, forbidden by the kernel itself."""
+    sealed = (
+        "import ctypes, sys\n"
+        "if ctypes.CDLL(None, use_errno=True).prctl(65, 1, 0, 0, 0) != 0: sys.exit(77)\n"
+        "from api.cli import main\nsys.exit(main(sys.argv[1:]))\n"
+    )
+    with ExitStack() as stack:
+        one = stack.enter_context(simulated("exemys-rme1-tc", lambda now_s: [25.0] * 8, refresh_s=0))
+        two = stack.enter_context(simulated("adam-4118-ascii", lambda now_s: [25.0] * 8, refresh_s=0))
+        text = f'[store]\nurl = "s.sqlite"\n[[press]]\nname = "lab"\nfile = "{ROOT}/deploy/presses/lab.toml"\n'
+        for profile, server, columns in (
+            ("exemys-rme1-tc", one, COLUMNS[:8]),
+            ("adam-4118-ascii", two, COLUMNS[8:]),
+        ):
+            table = wiring(profile, server, profile, columns)
+            text += "[[press.logger]]\n" + "".join(f"{k} = {toml_value(v)}\n" for k, v in table.items())
+        (tmp_path / "kerntemp.toml").write_text(text)
+        config = str(tmp_path / "kerntemp.toml")
+        log = (tmp_path / "log").open("w")
+        service = subprocess.Popen(
+            [sys.executable, "-c", sealed, "record", "--config", config], cwd=ROOT, stderr=log
+        )
+        stack.callback(log.close)
+        deadline = time.monotonic() + 30
+        while service.poll() is None and _scans(tmp_path / "s.sqlite") < 6 and time.monotonic() < deadline:
+            time.sleep(0.1)
+        service.terminate()
+        if service.wait(30) == 77:
+            pytest.skip("this kernel has no such seal: Linux 6.3 or newer has")
+    assert service.returncode == 0, (tmp_path / "log").read_text()
+    assert _scans(tmp_path / "s.sqlite") > 5
+
+
+def _scans(store: Path) -> int:
+    try:
+        return rows(store) if store.exists() else 0
+    except sqlite3.Error:
+        return 0
