@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -24,15 +24,40 @@ class WorkFailed(Exception):
     """The input was right and the work failed all the same: one line, exit status 1."""
 
 
-def check_writable(*paths: Path | None) -> None:
-    """Refuse outputs that cannot be written before any work is done. Raises `InputError`."""
-    for path in paths:
-        if path is None:
-            continue
+def check_writable(*paths: Path | None, inputs: Iterable[Path] = ()) -> None:
+    """Refuse outputs that cannot be written, or would overwrite an input or one another, before any work is done.
+
+    Parameters
+    ----------
+    paths
+        What the command will write; None where it was not asked for.
+    inputs
+        Files it reads.
+
+    Raises
+    ------
+    InputError
+        Naming the path and what is wrong with it.
+    """
+    outputs = [path for path in paths if path is not None]
+    for path in outputs:
         if path.is_dir():
             raise InputError(f"{path}: is a folder; give a file name")
         if not path.absolute().parent.is_dir():
             raise InputError(f"{path}: no folder {path.absolute().parent}; make it first")
+    read = list(inputs)
+    for i, path in enumerate(outputs):
+        if any(_same_file(path, other) for other in read):
+            raise InputError(f"{path}: is read by this command and would be overwritten; give another name")
+        if any(_same_file(path, other) for other in outputs[:i]):
+            raise InputError(f"{path}: is given for two outputs; give each a name of its own")
+
+
+def _same_file(one: Path, other: Path) -> bool:
+    """Whether two paths lead to one file, through links too."""
+    if one.exists() and other.exists():
+        return one.samefile(other)
+    return one.resolve() == other.resolve()
 
 
 def write_all(contents: Mapping[Path, str | bytes | Callable[[Path], None]]) -> None:

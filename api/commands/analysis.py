@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from api.commands.inputs import ConfigFile, OneRun, PressFile, StoreUrl, load_run
+from api.commands.inputs import ConfigFile, OneRun, PressFile, StoreUrl, files_read, load_run
 from api.outputs import check_writable, working, write_all
 from daq.records import InputError
 
@@ -40,7 +40,7 @@ def simulate(
 
     if coefficients is not None and model is not None:
         raise InputError("--coefficients and --model exclude each other; give one")
-    check_writable(out)
+    check_writable(out, inputs=files_read(run, press, coefficients, model, store=store, config=config))
     described = read_press(press)
     loaded = load_run(run, store, config)
     with working(f"Simulating {loaded.name}"):
@@ -76,7 +76,7 @@ def predict(
     """Replay a run scan by scan through the live sensor, causally."""
     from daq.pressfile import read_press
 
-    check_writable(out)
+    check_writable(out, inputs=files_read(run, press, model, store=store, config=config))
     described = read_press(press)
     loaded = load_run(run, store, config)
     hidden = _hidden(loaded, without) | set(described.sensors_of(loaded, "validation"))

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from api.commands.fitting import HtmlOut, JsonOut, ModelOut
-from api.commands.inputs import ConfigFile, PressFile, Runs, StoreUrl, load_runs
+from api.commands.inputs import ConfigFile, PressFile, Runs, StoreUrl, files_read, load_runs
 from api.outputs import as_json, check_writable, working, write_all
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ def diagnose(
     """Say what the simulation gets wrong, why, what that costs, and what to measure next."""
     from daq.pressfile import read_press
 
-    check_writable(model, json, html)
+    check_writable(model, json, html, inputs=files_read(*runs, press, store=store, config=config))
     described = read_press(press)
     loaded = load_runs(runs, store, config)
     with working(f"Diagnosing {len(loaded)} runs", 100) as done:

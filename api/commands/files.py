@@ -10,7 +10,15 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from api.commands.inputs import ConfigFile, PressFile, StoreUrl, config_path, opened_store
+from api.commands.inputs import (
+    ConfigFile,
+    PressFile,
+    StoreUrl,
+    config_path,
+    files_read,
+    opened_store,
+    store_address,
+)
 from api.outputs import check_writable, working, write_all
 from daq.records import InputError
 
@@ -101,7 +109,7 @@ def export_runs(
         for run in runs:
             opened.run_record(run)
         targets = _targets(runs, out, kind)
-        check_writable(*targets)
+        check_writable(*targets, inputs=files_read(store=store_address(store, config), config=config))
         contents: dict[Path, str | Callable[[Path], None]] = {}
         for path, run in targets.items():
             loaded = opened.load_run(run)

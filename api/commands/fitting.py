@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from api.commands.inputs import ConfigFile, StoreUrl, load_runs
+from api.commands.inputs import ConfigFile, StoreUrl, files_read, load_runs
 from api.outputs import as_json, check_writable, working, write_all
 from daq.records import InputError
 
@@ -18,6 +18,14 @@ if TYPE_CHECKING:
     from daq.pressfile import Press
     from softsensor.campaign import CampaignFit
     from softsensor.dependence import Program
+
+
+def named_folder(text: str) -> Path:
+    """Return a folder by its name; an empty one would be the folder we are in. Raises `BadParameter`."""
+    if not text.strip():
+        raise typer.BadParameter("the folder's name is empty; give one, or . for the folder you are in")
+    return Path(text)
+
 
 Outputs = dict[Path, str | bytes | Callable[[Path], None]]
 FitRuns = Annotated[
@@ -57,7 +65,13 @@ ModelOut = Annotated[
 JsonOut = Annotated[Path | None, typer.Option("--json", metavar="OUT", help="Write everything as JSON here.")]
 HtmlOut = Annotated[Path | None, typer.Option("--html", metavar="OUT", help="Write a report to read here.")]
 SvgOut = Annotated[
-    Path | None, typer.Option("--svg", metavar="FOLDER", help="Write every figure into this folder as SVG.")
+    Path | None,
+    typer.Option(
+        "--svg",
+        metavar="FOLDER",
+        parser=named_folder,
+        help="Write every figure into this folder as SVG.",
+    ),
 ]
 
 
@@ -79,8 +93,8 @@ def fit(  # noqa: PLR0913 - one argument an option
     """Fit the heat transfer coefficients of each run and of the campaign."""
     from daq.pressfile import read_press
 
-    check_writable(model, json, html)
-    check_folder(svg)
+    check_writable(model, json, html, inputs=files_read(*(runs or ()), press, store=store, config=config))
+    check_folder(svg, model, json, html)
     if reproduce_paper:
         refuse_with_reproduce(
             {"RUN": runs, "--press": press, "--model": model, "--store": store, "--config": config}
@@ -95,7 +109,7 @@ def fit(  # noqa: PLR0913 - one argument an option
     described = read_press(press)
     check_shared(described, shared or [])
     loaded = load_runs(runs, store, config)
-    with working(f"Fitting {len(loaded)} runs", len(loaded)) as done:
+    with working(f"Fitting {runs_of(len(loaded))}", len(loaded)) as done:
         from softsensor.campaign import fit_campaign
 
         found = fit_campaign(
@@ -153,10 +167,16 @@ def refuse_with_reproduce(given: Mapping[str, object]) -> None:
         )
 
 
-def check_folder(folder: Path | None) -> None:
-    """Refuse a folder for figures that cannot be made before any work is done. Raises `InputError`."""
+def check_folder(folder: Path | None, *others: Path | None) -> None:
+    """Refuse a folder for figures that cannot be made, or other outputs that a figure in it might overwrite.
+
+    Raises `InputError`, before any work is done.
+    """
     if folder is None:
         return
+    for path in others:
+        if path is not None and path.suffix.lower() == ".svg" and path.absolute().parent == folder.absolute():
+            raise InputError(f"{path}: lies among the figures of --svg {folder}; give it another place or ending")
     if folder.exists() and not folder.is_dir():
         raise InputError(f"--svg {folder}: is a file; give a folder")
     check_writable(folder / "figure.svg" if folder.is_dir() else folder)
@@ -182,6 +202,8 @@ def parse_program(settings: list[str]) -> dict[str, float]:
     found: dict[str, float] = {}
     for setting in settings:
         key, _, value = setting.partition("=")
+        if key in found:
+            raise InputError(f"--program {setting}: {key} is given twice; a program has one value of it")
         if key not in SETTINGS:
             raise InputError(f"--program {setting}: must be KEY=VALUE with KEY one of {', '.join(SETTINGS)}")
         try:
@@ -201,8 +223,8 @@ def predict_program(found: CampaignFit, settings: dict[str, float]) -> Program |
     if found.dependence is None or (missing := [key for key in settings if key not in known]):
         unknown = ", ".join(missing if found.dependence is not None else settings)
         raise InputError(
-            f"--program: these {len(found.runs)} runs do not vary {unknown} enough; give at least 8 runs that do "
-            "(6 where only one setting varies)"
+            f"--program: {runs_of(len(found.runs))} cannot show what {unknown} does; give at least 8 runs that "
+            "differ in it (6 where only one setting varies)"
         )
     return found.dependence.program(settings)
 
@@ -239,6 +261,11 @@ def _reproduce(json: Path | None, html: Path | None, svg: Path | None) -> None:
         write_all(outputs)
     for line in found.lines:
         sys.stdout.write(line + "\n")
+
+
+def runs_of(number: int) -> str:
+    """Return how many runs, in words that agree."""
+    return "one run" if number == 1 else f"{number} runs"
 
 
 def count(done: Callable[[int], None]) -> Callable[[str], None]:

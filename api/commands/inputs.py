@@ -69,6 +69,16 @@ def opened_store(store: str | None, config: Path | None, *, create: bool = False
         yield opened
 
 
+def files_read(*given: Path | str | None, store: str | None, config: Path | None) -> list[Path]:
+    """Return which files a command reads: those among what was given, the configuration, a store in a file.
+
+    A run's id and the URL of a database server are no files.
+    """
+    kept = DEFAULT_STORE if store is None else store.removeprefix("sqlite:///")
+    named = (*given, config or CONFIG_NAME, kept)
+    return [Path(one) for one in named if one is not None and Path(one).is_file()]
+
+
 def load_runs(arguments: list[str], store: str | None, config: Path | None) -> list[Run]:
     """Read every run, from its file or from the store. Raises `InputError` naming the first that fails."""
     runs = [load_run(argument, store, config) for argument in arguments]

@@ -155,3 +155,51 @@ def test_without_a_store_named_runs_go_to_the_default_one_and_come_back_from_it(
     assert (tmp_path / "kerntemp-data" / "kerntemp.sqlite").exists()
     assert main(["export", campaign[0][0].name, "--out", "back.csv"]) == 0
     assert (tmp_path / "back.csv").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["fit", "RUN", "--press", "PRESS", "--json", "RUN"], "is read by this command"),
+        (["fit", "RUN", "--press", "PRESS", "--model", "PRESS"], "is read by this command"),
+        (["fit", "RUN", "--press", "PRESS", "--json", "x", "--html", "./x"], "is given for two outputs"),
+        (["fit", "RUN", "--press", "PRESS", "--html", "LINK"], "is read by this command"),
+        (
+            ["fit", "RUN", "--press", "PRESS", "--html", "f/coefficients.svg", "--svg", "f"],
+            "lies among the figures",
+        ),
+        (["fit", "--reproduce-paper", "--json", "x", "--html", "x"], "is given for two outputs"),
+        (["diagnose", "RUN", "--press", "PRESS", "--html", "x", "--model", "x"], "is given for two outputs"),
+        (["diagnose", "RUN", "--press", "PRESS", "--json", "RUN"], "is read by this command"),
+        (["simulate", "RUN", "--press", "PRESS", "--out", "RUN"], "is read by this command"),
+        (["simulate", "RUN", "--press", "PRESS", "--model", "M", "--out", "M"], "is read by this command"),
+        (["predict", "RUN", "--press", "PRESS", "--out", "PRESS"], "is read by this command"),
+        (["predict", "RUN", "--press", "PRESS", "--model", "M", "--out", "M"], "is read by this command"),
+    ],
+)
+def test_an_output_that_would_overwrite_an_input_or_another_output_is_refused(
+    arguments, says, files, first, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "f").mkdir()
+    given = {"RUN": tmp_path / "a.csv", "PRESS": tmp_path / "p.toml", "M": tmp_path / "m.json"}
+    given["RUN"].write_bytes(Path(first).read_bytes())
+    given["PRESS"].write_bytes((files / "press.toml").read_bytes())
+    given["M"].write_text('{"coefficients": {}}')
+    given["LINK"] = tmp_path / "link"
+    given["LINK"].symlink_to(given["RUN"])
+    before = {path: path.read_bytes() for path in given.values()}
+    assert main([str(given.get(a, a)) for a in arguments]) == 2
+    assert says in one_line(capsys)
+    assert {path: path.read_bytes() for path in given.values()} == before
+    assert {p.name for p in tmp_path.iterdir()} == {*(p.name for p in given.values()), "f"}
+
+
+def test_export_does_not_overwrite_the_store_it_reads(files, first, tmp_path, capsys):
+    store = tmp_path / "kept.csv"
+    assert main(["import", first, "--press", str(files / "press.toml"), "--store", str(store)]) == 0
+    held = store.read_bytes()
+    capsys.readouterr()
+    assert main(["export", Path(first).stem, "--out", str(store), "--store", str(store)]) == 2
+    assert "is read by this command" in one_line(capsys)
+    assert store.read_bytes() == held
