@@ -124,7 +124,12 @@ def candidates(problem: Problem) -> list[Effect]:
 
 
 def with_adequacy(model: ModelFile, fits: Sequence[RunFit]) -> ModelFile:
-    """Return a model file with what fitted runs, made with its effects, say about other causes."""
+    """Return a model file with what fitted runs, made with its effects, say about other causes.
+
+    A run that the model does not describe says nothing about them; where it describes none, all that is known
+    is how far off it is, and for that they count.
+    """
+    fits = [fit for fit in fits if fit.met] or fits
     seen = adequacy([run_evidence(fit.problem, fit.minimum.evaluation) for fit in fits])
     return replace(model, adequacy=seen)
 
@@ -138,7 +143,11 @@ def checked_on(model: ModelFile, press: Press, runs: Sequence[Run]) -> ModelFile
 
 
 def stored_adequacy(fits: Sequence[Mapping[str, Any]]) -> Adequacy | None:
-    """Return what stored fits (entries of ``fit --json``) say, None where none carries evidence."""
+    """Return what stored fits (entries of ``fit --json``) say, None where none carries evidence.
+
+    Runs the model does not describe count as in `with_adequacy`.
+    """
+    fits = [fit for fit in fits if fit.get("met", True)] or fits
     found = [fit["evidence"] for fit in fits if fit.get("evidence")]
     return adequacy([{name: RunEvidence.from_json(e) for name, e in run.items()} for run in found])
 

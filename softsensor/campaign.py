@@ -4,7 +4,7 @@ Two answers stand side by side. The paper's: mean, standard deviation and 95 % i
 in which a coefficient is identifiable (Student's t, and a bootstrap over runs). And the joint one: every
 run's coefficients are drawn from one log-normal population whose median and spread are estimated together
 with them, so that a run which hardly shows a coefficient borrows it from the others. The joint one is what a
-model file holds.
+model file holds. A run that the model does not describe (`RunFit.misfit`) is told and takes no part in either.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ class CampaignFit:
     coefficients: Mapping[str, CampaignCoefficient]
     population: Population
     borrowed: Mapping[str, Mapping[str, Estimate]]
-    """By run and coefficient: the run's value with what it borrows from the others."""
+    """By run and coefficient: the run's value with what it borrows from the others; only runs that are met."""
     dependence: Dependence | None
     """On platen temperature, pressure and press time, where they vary."""
     shared: tuple[str, ...] = ()
@@ -76,6 +76,29 @@ class CampaignFit:
     profiles: tuple[Mapping[str, Profile], ...] = ()
     """By run and coefficient; empty where they were not asked for."""
     method: str = "default"
+
+    @property
+    def met(self) -> tuple[RunFit, ...]:
+        """The runs that the model describes; all that is said of the campaign rests on them."""
+        return tuple(f for f in self.runs if f.met)
+
+    @property
+    def shortfall(self) -> str:
+        """What has to be said before all else: which runs the model does not describe; empty where none."""
+        left = [f for f in self.runs if not f.met]
+        if not left:
+            return ""
+        if len(self.runs) == 1:
+            return f"{left[0].misfit[:1].upper()}{left[0].misfit[1:]}. No coefficient is known from it."
+        named = ", ".join(f"{f.run} ({f.rmse_K:.1f} K left)" for f in left[:5])
+        named += f" and {len(left) - 5} more" if len(left) > 5 else ""
+        if not self.met:
+            return f"The model describes none of these runs: {named}. No coefficient is known from them."
+        rest = "It is" if len(left) == 1 else "They are"
+        return (
+            f"The model does not describe {len(left)} of {len(self.runs)} runs: {named}. "
+            f"{rest} left out of all that follows."
+        )
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of ``fit --json``."""
@@ -95,7 +118,7 @@ class CampaignFit:
         }
         runs = [f.as_json() for f in self.runs]
         for entry, fitted, shapes in zip(runs, self.runs, self.profiles, strict=True):
-            own = self.borrowed[fitted.run]
+            own = self.borrowed.get(fitted.run, {})
             for name, table in entry["coefficients"].items():
                 if name in own:
                     low, high = joint_interval(own[name])
@@ -232,15 +255,16 @@ def fit_campaign(
         raise InputError(f"shared coefficient {wrong[0]!r}: must be one of {', '.join(names)}")
     fits = fit_runs(model, runs, workers=workers, progress=progress, **options)
     workers = max(1, min(workers or os.cpu_count() or 1, len(runs)))
-    people = fit_together(fits, names, shared=shared, known=known_before(press), workers=workers)
-    coefficients = {n: _summary(press, n, i, fits, people, n in shared) for i, n in enumerate(names)}
+    met = [f for f in fits if f.met]
+    people = fit_together(met, names, shared=shared, known=known_before(press), workers=workers)
+    coefficients = {n: _summary(press, n, i, met, people, n in shared) for i, n in enumerate(names)}
     borrowed = {}
-    for f, (mean, covariance) in zip(fits, people.members, strict=True):
+    for f, (mean, covariance) in zip(met, people.members, strict=True):
         sd = np.sqrt(np.diag(covariance))
         values = np.exp(mean)
         borrowed[f.run] = {n: Estimate(float(values[i]), float(values[i] * sd[i])) for i, n in enumerate(names)}
-    alone = [information(f.problem, f.minimum.evaluation, f.spread, names) for f in fits]
-    dependence = fit_dependence(names, [f.problem.case.run for f in fits], fits, alone)
+    alone = [information(f.problem, f.minimum.evaluation, f.spread, names) for f in met]
+    dependence = fit_dependence(names, [f.problem.case.run for f in met], met, alone)
     shapes: list[Mapping[str, Profile]] = [{} for _ in fits]
     if profiles:
         with ThreadPoolExecutor(workers) as threads:

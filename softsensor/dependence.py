@@ -138,6 +138,8 @@ def fit_dependence(
     names: Sequence[str], runs: Sequence[Run], fits: Sequence[RunFit], knowledge: Sequence[Knowledge]
 ) -> Dependence | None:
     """Return the regression, or None where settings are missing, do not vary, or runs are few."""
+    if len(runs) <= FEWEST_RUNS:
+        return None
     table = {s: [_setting(run, s, f) for run, f in zip(runs, fits, strict=True)] for s in SETTINGS}
     used = [s for s, v in table.items() if None not in v and float(np.std(np.array(v, float))) >= SETTINGS[s][1]]
     if len(runs) < FEWEST_RUNS + len(used) or not used:

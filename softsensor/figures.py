@@ -80,9 +80,10 @@ def run_figure(fitted: RunFit) -> Figure:
         figure = Figure(figsize=(10.0, 5.6), layout="constrained")
         axes = figure.subplots(2, len(places), sharex=True, squeeze=False, height_ratios=[3, 1.25])
         better = f"{fitted.rmse_K:.2f} K rms, {fitted.initial_rmse_K:.1f} K before"
-        figure.suptitle(
-            f"{fitted.run}: the fit meets the sensors to {better}", x=0.01, ha="left", color=INK, weight="bold"
+        told = (
+            "the fit meets the sensors to" if fitted.met else "the model does not describe this run, it is off by"
         )
+        figure.suptitle(f"{fitted.run}: {told} {better}", x=0.01, ha="left", color=INK, weight="bold")
         for j, place in enumerate(places):
             colour = COLOURS[j % len(COLOURS)]
             _draw_place(axes[:, j], fitted, place, before[place.label], after[place.label], colour)
@@ -185,8 +186,8 @@ def coefficients_figure(campaign: CampaignFit) -> Figure:
 
 
 def _campaign_title(campaign: CampaignFit) -> str:
-    total = len(campaign.runs)
-    if total == 1:
+    total = len(campaign.met)
+    if len(campaign.runs) == 1:
         told = [n for n, c in campaign.coefficients.items() if c.runs]
         return f"Known from {campaign.runs[0].run}: {', '.join(told) or 'none of the coefficients'}"
     full = [n for n, c in campaign.coefficients.items() if c.runs == total]

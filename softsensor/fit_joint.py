@@ -49,13 +49,16 @@ def fit_together(
     Parameters
     ----------
     fits
-        The runs, each fitted alone, which settled its moments and its noise.
+        The runs, each fitted alone, which settled its moments and its noise; none gives what was known before.
     shared
         Coefficients with one value in all runs.
     known
         What was known of a coefficient before: median and standard deviation of the logarithm. Counts once.
     """
     names, same = tuple(names), tuple(shared)
+    if not fits:
+        blind = Knowledge(np.zeros((len(names), len(names))), np.zeros(len(names)), np.zeros(len(names)))
+        return replace(population(names, [blind], same=same, known=known), members=())
     members = [
         _Member(f, f.minimum.x, information(f.problem, f.minimum.evaluation, f.spread, names)) for f in fits
     ]

@@ -14,6 +14,16 @@ from daq.records import Array, Moments
 from softsensor.fit_problem import Evaluation, Minimum, Problem, Unknown
 from softsensor.fit_unknowns import is_parameter
 
+MISFIT_K, MISFIT_SHARE, MISFIT_NOISE = 1.0, 0.02, 5.0
+"""A model does not describe a run from which it leaves more than each of: so many kelvin, this share of the span
+of the readings, and so many times the noise of a channel.
+
+Choice (2026-11-21): a pressing spans 160 K, so 3.2 K. The causes of the catalogue at typical sizes leave 0.3 to
+2.9 K (a contact that builds up slowly more); a closing that is missed leaves 9 K.
+"""
+ASTRAY = 1.5
+"""Nor does it where the search ends so many times as far from the readings as it began, and above `MISFIT_K`."""
+
 
 @dataclass(frozen=True)
 class Coefficient:
@@ -65,6 +75,13 @@ class RunFit:
     """How much larger the whitened residuals are than the noise model says, at least 1."""
     quantile: float
     """Standard deviations to either end of a 95 % interval."""
+    misfit: str = ""
+    """Why this run says nothing about coefficients: the model does not describe it; empty where it does."""
+
+    @property
+    def met(self) -> bool:
+        """Whether the model describes the run."""
+        return not self.misfit
 
     @property
     def values(self) -> dict[str, float]:
@@ -111,6 +128,7 @@ class RunFit:
         return {
             "run": self.run,
             "converged": self.converged,
+            "met": self.met,
             "coefficients": table,
             "rmse_K": number(self.rmse_K),
             "rmse_closed_K": number(self.rmse_closed_K),
@@ -165,13 +183,17 @@ def run_fit(
         notes.append(f"{problem.signals.dropped} single cells departed from their face and were left out")
     if not best.converged:
         notes.append("the search did not converge; coefficients are where it stopped")
+    rmse = rms(residuals.values())
+    first = rms(channel_residuals(problem, initial)[0].values())
+    if misfit := misfit_of(problem, rmse, first):
+        notes.append(f"{misfit}. Check its header, the press file, and that its rows show insertion and closing")
     return RunFit(
         run=problem.case.run.name,
         coefficients=table,
-        rmse_K=rms(residuals.values()),
+        rmse_K=rmse,
         rmse_closed_K=rms(r[closed] for r in residuals.values()),
         rmse_raw_K=rms(r + offsets[c] for c, r in residuals.items()),
-        initial_rmse_K=rms(channel_residuals(problem, initial)[0].values()),
+        initial_rmse_K=first,
         converged=best.converged,
         seconds=time.perf_counter() - begun,
         closed_s=moments.closed_s + values.get("closed_s", 0.0),
@@ -186,7 +208,27 @@ def run_fit(
         evaluations=evaluations,
         spread=spread.factor,
         quantile=quantile,
+        misfit=misfit,
     )
+
+
+def misfit_of(problem: Problem, rmse: float, first: float) -> str:
+    """Say that a model does not describe a run, empty where it does.
+
+    Parameters
+    ----------
+    rmse, first
+        What is left where the search ended, and where it began. [K]
+    """
+    seen = [place.mean[problem.rows > 0] for place in problem.signals.places]
+    span = float(np.ptp(np.concatenate([s[np.isfinite(s)] for s in seen])))
+    noise = float(np.hypot(problem.noise.white_K, problem.noise.fast_K))
+    told = f"the model does not describe this run: {rmse:.1f} K left"
+    if rmse > max(MISFIT_K, MISFIT_SHARE * span, MISFIT_NOISE * noise):
+        return f"{told} of readings that span {span:.0f} K"
+    if rmse > max(MISFIT_K, ASTRAY * first):
+        return f"{told}, and {first:.1f} K at the values the search began with"
+    return ""
 
 
 def _coefficient(u: Unknown, x: float, sd: float, quantile: float) -> Coefficient:

@@ -64,6 +64,8 @@ def held_against(fitted: RunFit, own: RunFit) -> RunFit:
             f"{fitted.initial_rmse_K:.2f} K, and the default method reaches {own.rmse_K:.2f} K"
         )
         fitted = replace(fitted, converged=False)
+    if misfit := fitted.misfit or own.misfit:
+        return _unmet(replace(fitted, misfit=misfit, warnings=(*fitted.warnings, *notes)))
     return replace(fitted, coefficients=coefficients, warnings=(*fitted.warnings, *notes))
 
 
@@ -78,11 +80,25 @@ def verdict_notes(coefficients: Mapping[str, Coefficient]) -> list[str]:
 
 def judge(fitted: RunFit) -> RunFit:
     """Return the fit with every free coefficient's interval and verdict."""
+    if not fitted.met:
+        return _unmet(fitted)
     coefficients = dict(fitted.coefficients)
     for i, u in enumerate(fitted.problem.unknowns):
         if is_parameter(u.name):
             coefficients[u.name] = _judge_one(fitted, i, coefficients[u.name])
     return replace(fitted, coefficients=coefficients, warnings=(*fitted.warnings, *verdict_notes(coefficients)))
+
+
+def _unmet(fitted: RunFit) -> RunFit:
+    """Return a fit of a run the model does not describe: whatever value stands there, nothing is known."""
+    free = {u.name: (u.lower, u.upper) for u in fitted.problem.unknowns if is_parameter(u.name)}
+    told = {
+        name: Coefficient(
+            fitted.coefficients[name].value, float("nan"), limits, False, "not identifiable", fitted.misfit
+        )
+        for name, limits in free.items()
+    }
+    return replace(fitted, coefficients={**fitted.coefficients, **told})
 
 
 def _judge_one(fitted: RunFit, i: int, c: Coefficient) -> Coefficient:
@@ -206,7 +222,9 @@ def profile(fitted: RunFit, name: str, points: int = PROFILE_POINTS) -> Profile:
 
 
 def profiles_of(fitted: RunFit) -> dict[str, Profile]:
-    """Return the profile of every free coefficient of a run."""
+    """Return the profile of every free coefficient of a run; none where the model does not describe it."""
+    if not fitted.met:
+        return {}
     return {u.name: profile(fitted, u.name) for u in fitted.problem.unknowns if is_parameter(u.name)}
 
 

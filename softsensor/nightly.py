@@ -278,7 +278,8 @@ def _keep_or_begin(night: _Night, base: ModelFile, outcome: Outcome) -> Outcome:
     if night.base is not None:
         return outcome
     first = replace(base, version=_next_version(night), press=night.name)
-    reason = f"first model, coefficients of {len(night.fits)} runs"
+    met = sum(bool(fit.get("met", True)) for fit in night.fits.values())
+    reason = f"first model, coefficients of {met} runs"
     night.store.put_model(night.name, first.version, first.as_json(), reason=reason)
     night.store.promote_model(first.version, PROCESS, reason)
     return replace(outcome, version=first.version, promoted=True, reason=f"{reason}; {outcome.reason}")

@@ -70,14 +70,18 @@ def fit_report(campaign: CampaignFit, program: Program | None = None) -> str:
 
 
 def finding(campaign: CampaignFit) -> str:
-    """Say in one sentence what the campaign found."""
-    rmse = np.array([f.rmse_K for f in campaign.runs])
-    first = np.array([f.initial_rmse_K for f in campaign.runs])
+    """Say in a few words what the campaign found; first of all which runs the model does not describe."""
+    met = campaign.met
+    if not met:
+        return campaign.shortfall
+    rmse = np.array([f.rmse_K for f in met])
+    first = np.array([f.initial_rmse_K for f in met])
     names = list(campaign.coefficients)
-    known = [n for n in names if campaign.coefficients[n].runs >= max(1, 0.9 * len(campaign.runs))]
+    known = [n for n in names if campaign.coefficients[n].runs >= max(1, 0.9 * len(met))]
     rest = [n for n in names if n not in known]
-    runs = "one run" if len(campaign.runs) == 1 else f"{len(campaign.runs)} runs"
-    text = (
+    runs = "one run" if len(met) == 1 else f"{len(met)} runs"
+    text = f"{campaign.shortfall} " if campaign.shortfall else ""
+    text += (
         f"Fitted to {runs}, the simulation meets the sensors to {np.median(rmse):.2f} K "
         f"({'' if len(rmse) == 1 else 'median; '}{np.median(first):.1f} K at the press file's guesses). "
     )
@@ -89,11 +93,19 @@ def finding(campaign: CampaignFit) -> str:
 
 
 def _typical_and_worst(campaign: CampaignFit) -> list[tuple[str, RunFit]]:
-    ordered = sorted(campaign.runs, key=lambda f: f.rmse_K)
-    typical = ordered[len(ordered) // 2]
-    shown = [("A typical run" if len(ordered) > 1 else "The run", typical)]
-    if ordered[-1] is not typical:
-        shown.append(("The run met worst", ordered[-1]))
+    ordered = sorted(campaign.met, key=lambda f: f.rmse_K)
+    left = sorted((f for f in campaign.runs if not f.met), key=lambda f: -f.rmse_K)
+    shown = []
+    if ordered:
+        typical = ordered[len(ordered) // 2]
+        shown.append(("A typical run" if len(campaign.runs) > 1 else "The run", typical))
+        if ordered[-1] is not typical:
+            shown.append(("The run met worst", ordered[-1]))
+    if left:
+        told = "The run that the model does not describe"
+        shown.append(
+            (told if len(left) == 1 else "The worst of the runs that the model does not describe", left[0])
+        )
     return shown
 
 
@@ -118,7 +130,7 @@ def _span(ends: tuple[float, float]) -> str:
 
 def _joint(campaign: CampaignFit) -> Iterator[dict[str, Any]]:
     """By run: every coefficient with what it borrows, marked where it is much better known than alone."""
-    for f in campaign.runs:
+    for f in campaign.met:
         cells = []
         for name, e in campaign.borrowed[f.run].items():
             low, high = joint_interval(e)
@@ -147,14 +159,14 @@ def _run_row(f: RunFit) -> dict[str, Any]:
         half = 50.0 * (c.ci95[1] - c.ci95[0]) / c.value if c.value else float("nan")
         text = f"{plain(c.value, 4)} ± {half:.0f} %"
         if not c.identifiable:
-            text = f"{plain(c.ci95[0], 3)} – {plain(c.ci95[1], 3)}"
+            text = f"{plain(c.ci95[0], 3)} – {plain(c.ci95[1], 3)}" if f.met else "–"
         cells.append({"text": text, "known": c.identifiable, "why": c.reason})
     return {
         "run": f.run,
         "cells": cells,
         "rmse": f"{f.rmse_K:.2f}",
         "first": f"{f.initial_rmse_K:.1f}",
-        "converged": f.converged,
+        "remark": ", ".join(["not described"] * (not f.met) + ["not converged"] * (not f.converged)),
     }
 
 
@@ -162,11 +174,11 @@ def _unknown(campaign: CampaignFit) -> list[dict[str, str]]:
     """By coefficient: in how many runs it is not identifiable, and the reason given most often."""
     found = []
     for name in campaign.coefficients:
-        reasons = [f.coefficients[name].reason for f in campaign.runs if not f.coefficients[name].identifiable]
+        reasons = [f.coefficients[name].reason for f in campaign.met if not f.coefficients[name].identifiable]
         reasons = [r for r in reasons if r]
         if reasons:
             common = Counter(reasons).most_common(1)[0][0]
-            found.append({"name": name, "count": f"{len(reasons)} of {len(campaign.runs)}", "reason": common})
+            found.append({"name": name, "count": f"{len(reasons)} of {len(campaign.met)}", "reason": common})
     return found
 
 

@@ -282,14 +282,17 @@ def count(done: Callable[[int], None]) -> Callable[[str], None]:
 def _lines(found: CampaignFit) -> Iterator[str]:
     from softsensor.fit_result import plain
 
+    if found.shortfall:
+        yield found.shortfall
     names = list(found.coefficients)
     rows = [["run", *names, "RMSE", "from"]]
     for run in found.runs:
         cells = [
             f"{run.coefficients[n].value:.4g}{'' if run.coefficients[n].identifiable else '?'}" for n in names
         ]
-        stuck = "" if run.converged else " not converged"
-        rows.append([run.run, *cells, f"{run.rmse_K:.3f} K", f"{run.initial_rmse_K:.2f} K{stuck}"])
+        remark = "" if run.met else " not described"
+        remark += "" if run.converged else " not converged"
+        rows.append([run.run, *cells, f"{run.rmse_K:.3f} K", f"{run.initial_rmse_K:.2f} K{remark}"])
     summary = found.coefficients.values()
     known = [f"{c.mean:.4g}{'' if c.runs else '?'}" for c in summary]
     if len(found.runs) > 1:

@@ -1,0 +1,114 @@
+"""A run that the model does not describe says nothing about coefficients, and that is told before all else."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from daq.pressfile import parse_press
+from daq.simulated.campaign import Plan, make_campaign
+from daq.simulated.campaign_pressfile import press_toml
+from daq.simulated.campaign_sensors import Nuisances
+from softsensor.adequacy import stored_adequacy, with_adequacy
+from softsensor.campaign import fit_campaign
+from softsensor.modelfile import model_text, parse_model
+from softsensor.report import fit_report
+
+PRESS = parse_press(press_toml())
+NAMES = PRESS.coefficient_names
+PLAN = Plan(rate_hz=1.0, thickness_mm=16.0, press_time_s=(20.0, 40.0), open_after_s=(30.0, 40.0))
+
+
+def _half_missing(run, truth):
+    """Insertion and closing fall into one gap, and the readings come back late in the pressing."""
+    moments = truth.moments
+    keep = (run.time_s < moments.inserted_s - 0.5) | (run.time_s > moments.closed_s + 10.0)
+    return replace(run, time_s=run.time_s[keep], columns={n: c[keep] for n, c in run.columns.items()})
+
+
+@pytest.fixture(scope="module")
+def measured():
+    return make_campaign(6, 9, plan=replace(PLAN, nuisances=Nuisances.real_chain()))
+
+
+@pytest.fixture(scope="module")
+def found(measured):
+    """Nine runs, the fourth without its closing."""
+    runs = [_half_missing(run, truth) if i == 3 else run for i, (run, truth) in enumerate(measured)]
+    return fit_campaign(PRESS, runs, profiles=True)
+
+
+def test_run_whose_closing_is_missing_is_called_not_described(found):
+    bad = found.runs[3]
+    assert bad.rmse_K > 5.0
+    assert not bad.met
+    assert all(f.met for f in found.runs if f is not bad)
+    for name in NAMES:
+        c = bad.coefficients[name]
+        assert not c.identifiable
+        assert c.reason.startswith(f"the model does not describe this run: {bad.rmse_K:.1f} K left")
+        assert c.ci95 == (PRESS.coefficient(name).lower, PRESS.coefficient(name).upper)
+    assert sum("does not describe" in w for w in bad.warnings) == 1
+
+
+def test_campaign_without_the_run_is_the_same_campaign(found, measured):
+    others = fit_campaign(PRESS, [run for i, (run, _) in enumerate(measured) if i != 3])
+    for name in NAMES:
+        assert found.coefficients[name] == others.coefficients[name]
+    assert found.model_file().as_json() == others.model_file().as_json()
+    assert found.dependence.as_json() == others.dependence.as_json()
+    assert set(found.borrowed) == {f.run for f in others.runs}
+    assert with_adequacy(found.model_file(), found.runs).adequacy.runs == 8
+
+
+def test_report_and_json_say_it_before_all_else(found):
+    bad = found.runs[3]
+    page = fit_report(found)
+    told = f"The model does not describe 1 of 9 runs: {bad.run} ({bad.rmse_K:.1f} K left)."
+    assert page.partition('class="finding">')[2].startswith(told)
+    assert "Fitted to 8 runs" in page
+    assert f"{bad.run} (not described" in page
+    content = json.loads(json.dumps(found.as_json(), allow_nan=False))["runs"][3]
+    assert content["met"] is False
+    assert any("does not describe" in w for w in content["warnings"])
+    assert all(table["sd"] is None for table in content["coefficients"].values())
+    assert "joint" not in content["coefficients"]["h_wa"]
+
+
+def test_run_by_itself_gives_no_coefficient_and_a_model_file_of_guesses(found, measured):
+    alone = fit_campaign(PRESS, [_half_missing(*measured[3])], profiles=True)
+    assert alone.shortfall.startswith(f"The model does not describe this run: {alone.runs[0].rmse_K:.1f} K left")
+    assert alone.shortfall in fit_report(alone).replace("&#39;", "'")
+    model = parse_model(json.loads(model_text(with_adequacy(alone.model_file(), alone.runs))), "text")
+    for name in NAMES:
+        table, c = PRESS.coefficient(name), alone.coefficients[name]
+        assert c.runs == 0
+        assert c.median == pytest.approx(table.guess, rel=1e-3)
+        assert c.median_ci95 == pytest.approx((table.lower, table.upper))
+        assert model.coefficients[name].value == pytest.approx(table.guess, rel=1e-3)
+    assert model.adequacy.unexplained_K > 0.5
+
+
+def test_press_file_with_the_faces_exchanged_is_noticed(measured):
+    text = press_toml().replace('"top_*"', '"_"').replace('"bottom_*"', '"top_*"').replace('"_"', '"bottom_*"')
+    told = fit_campaign(parse_press(text), [run for run, _ in measured[:2]])
+    assert not told.met
+    assert told.shortfall.startswith("The model describes none of these runs")
+
+
+def test_causes_a_diagnosis_is_there_for_do_not_make_a_run_a_misfit():
+    hidden = {"moisture_evaporation": {"moisture_percent": 4.0, "temperature_C": 102.0}}
+    runs = [run for run, _ in make_campaign(7, 2, hidden, replace(PLAN, press_time_s=(50.0, 90.0)))]
+    fits = fit_campaign(PRESS, runs).runs
+    assert all(f.rmse_K > 0.8 for f in fits)
+    assert all(f.met for f in fits)
+
+
+def test_stored_fits_of_runs_not_described_carry_no_evidence():
+    cause = {"score": 5.0, "power": 20.0, "absorbed": {}, "rest_K": 0.1}
+    nothing = {"score": 0.0, "power": 0.0, "absorbed": {}, "rest_K": 0.1}
+    good = {"met": True, "evidence": {"": nothing, "edge_loss": cause}}
+    bad = {"met": False, "evidence": {"": {**nothing, "rest_K": 9.0}, "edge_loss": {**cause, "score": 500.0}}}
+    assert stored_adequacy([good, bad, good]) == stored_adequacy([good, good])
+    assert stored_adequacy([bad]).unexplained_K == pytest.approx(np.sqrt(0.1**2), abs=0.1)
