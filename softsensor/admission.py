@@ -9,7 +9,7 @@ import itertools
 
 import numpy as np
 
-from daq.pressfile import Boundary, Press
+from daq.pressfile import Boundary, Load, Press
 from daq.records import Array, BoundaryGap, BrokenTime, InputError, Moments, Nonphysical, Run
 
 MAX_BRIDGE_S = 10.0
@@ -71,6 +71,43 @@ def check_layers(press: Press, run: Run) -> None:
             f"{where}: header key ambient.temperature_C = {run.ambient_temperature:g}: must be a number from "
             f"{COLDEST_C:g} to {HOTTEST_C:g}"
         )
+
+
+def load_series(run: Run, load: Load) -> Array | None:
+    """Return a contact's load at every row, in the column's unit, None where the run holds none above 0.
+
+    Loads below a hundredth of the largest are taken as that: a contact never vanishes.
+    """
+    values = run.columns.get(load.column, np.zeros(0))
+    good = np.isfinite(values)
+    if not (values[good] > 0.0).any():
+        return None
+    smallest = max(float(np.nanmax(values)) * 0.01, 1e-6)
+    return np.maximum(np.interp(run.time_s, run.time_s[good], values[good]), smallest)
+
+
+def load_remarks(press: Press, run: Run) -> list[str]:
+    """Say of each load column that the run does not hold what is done instead.
+
+    Parameters
+    ----------
+    press
+        With the run's overrides applied.
+    """
+    lacking: dict[str, list[str]] = {}
+    for contact in press.contact:
+        if contact.load is not None and load_series(run, contact.load) is None:
+            lacking.setdefault(contact.load.column, []).append("-".join(contact.between))
+    told = []
+    for column, contacts in lacking.items():
+        lacks = (
+            "holds no value above 0" if column in run.columns else f"is missing (it has {', '.join(run.columns)})"
+        )
+        told.append(
+            f"{run.source or run.name}: load column {column!r} {lacks}: {' and '.join(contacts)} taken as "
+            f"independent of load; give the column, or take load out of the press file"
+        )
+    return told
 
 
 def boundary_series(run: Run, name: str, boundary: Boundary) -> Array:

@@ -20,7 +20,7 @@ from daq.records import (
     Panel,
     Run,
 )
-from softsensor.admission import boundary_series, check_layers, check_times
+from softsensor.admission import boundary_series, check_layers, check_times, load_series
 from softsensor.assembly import PAPER, PAPER_WIDTH, Layout, layer_constants, mask_cells
 from softsensor.conduction import Mesh, build_mesh
 from softsensor.effects.effect import Scene
@@ -303,21 +303,21 @@ def _press_face(press: Press, mesh: Mesh, label: str) -> Array:
 
 
 def _loads(press: Press, run: Run, edges: Array) -> dict[int, Array]:
-    """Pressure over its reference in each step, for contacts that have one in a column or the run's settings."""
+    """Pressure over its reference in each step, for contacts that have one in a column or the run's settings.
+
+    A contact without either is left out: an effect that follows the load passes it by.
+    """
     from softsensor.effects.contact_load import REFERENCE_PRESSURE
 
     loads: dict[int, Array] = {}
     pressure = run.setting("pressure_N_cm2")
     for m, contact in enumerate(press.contact):
-        if contact.load is not None and contact.load.column in run.columns:
-            values = run.columns[contact.load.column]
-            good = np.isfinite(values)
-            if not good.any():
-                continue
-            smallest = max(float(np.nanmax(values)) * 0.01, 1e-6)
-            series = np.maximum(np.interp(run.time_s, run.time_s[good], values[good]), smallest)
+        if contact.load is not None:
+            series = load_series(run, contact.load)
+            if series is None:
+                continue  # told by admission.load_remarks
             reference = contact.load.reference or float(np.median(series))
             loads[m] = step_means(run.time_s, series / reference, edges)[:, 0]
-        elif contact.load is None and pressure is not None and set(contact.between) & set(press.panel_layers):
+        elif pressure is not None and set(contact.between) & set(press.panel_layers):
             loads[m] = np.full(len(edges) - 1, pressure / REFERENCE_PRESSURE)
     return loads

@@ -46,8 +46,9 @@ from typing import Any
 
 import numpy as np
 
-from daq.pressfile import Press
+from daq.pressfile import Press, press_for_run
 from daq.records import Array, InputError, Moments, Run
+from softsensor.admission import load_remarks
 from softsensor.channels import ChannelFault, faulty_channels, recurring, rim_falls
 from softsensor.diagnosis_advice import next_measurement, notes
 from softsensor.diagnosis_jury import FEW_RUNS, FEW_TOTAL, Progress, Round, cool_rim, search_all
@@ -187,6 +188,10 @@ def diagnose(
     return _conclude(press, runs, faults, stages, rounds, began)
 
 
+def _lacking_loads(press: Press, runs: Sequence[Run]) -> list[str]:
+    return [remark for run in runs for remark in load_remarks(press_for_run(press, run), run)]
+
+
 def _digest(press: Press, run: Run, moments: Moments, faults: tuple[ChannelFault, ...]) -> Digest:
     excluded = frozenset(f.column for f in faults) | frozenset(f.partner for f in faults if f.partner)
     digest = digest_run(press, run, moments, excluded)
@@ -238,7 +243,7 @@ def _conclude(
         stages=tuple(stages),
         adequacy=left,
         rivals=_rivals(rounds),
-        warnings=notes(runs, faults, rounds),
+        warnings=(*notes(runs, faults, rounds), *_lacking_loads(press, runs)),
     )
 
 

@@ -32,8 +32,9 @@ from softsensor.fit_problem import (
     rows_with_panel,
     with_motion,
 )
+from softsensor.fit_remarks import remarks
 from softsensor.fit_result import RunFit, run_fit
-from softsensor.fit_unknowns import chain_priors, gaps_at_moments, known_before, neutral_values, parameter_unknown
+from softsensor.fit_unknowns import chain_priors, known_before, neutral_values, parameter_unknown
 from softsensor.identifiability import held_against, judge
 from softsensor.model import ThermalModel
 from softsensor.residuals import Noise, channel_noise, collect_signals, whiten
@@ -94,7 +95,7 @@ def fit_run(
     rough = _settle(problem)
     initial = rough.initial
     problem, best = rough.problem, rough.minimum
-    warnings = _remarks(problem, moments)
+    warnings = remarks(problem.case, problem.signals, moments)
     fitted = run_fit(problem, best, initial, warnings, begun, rough.evaluations)
     if not verdicts:
         return fitted
@@ -128,13 +129,6 @@ def make_problem(
     return Problem(model, case, signals, tuple(unknowns), values, FIRST_NOISE, rows_with_panel(case))
 
 
-def _remarks(problem: Problem, moments: Moments) -> list[str]:
-    """Say what is wrong with the record."""
-    signals = problem.signals
-    gaps = gaps_at_moments(problem.case.run.time_s, moments, signals.period_s)
-    return [f.sentence for f in signals.findings] + [g.sentence for g in gaps]
-
-
 def _fit_by_the_paper(problem: Problem, method: str, begun: float) -> RunFit:
     """Take the coefficients from one of the paper's procedures, and hold them against what the run can tell.
 
@@ -146,7 +140,7 @@ def _fit_by_the_paper(problem: Problem, method: str, begun: float) -> RunFit:
 
     name, _, sensors = method.partition(":")
     settled = _settle(problem)
-    warnings = _remarks(problem, problem.case.moments)
+    warnings = remarks(problem.case, problem.signals, problem.case.moments)
     own = judge(run_fit(settled.problem, settled.minimum, settled.initial, [], begun, settled.evaluations))
     run = problem.case.run
     found = fit_as_paper(problem.model, run, own.moments, name, every=sensors != "averages", start=problem.values)

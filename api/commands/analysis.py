@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -45,6 +46,8 @@ def simulate(
     loaded = load_run(run, store, config)
     with working(f"Simulating {loaded.name}"):
         from api.simulation import simulate_run
+        from daq.pressfile import press_for_run
+        from softsensor.admission import load_remarks
         from softsensor.model import ThermalModel
         from softsensor.modelfile import read_model
 
@@ -59,6 +62,8 @@ def simulate(
     columns: dict[str, Any] = {"time_s": result.time_s, "state": [str(s) for s in result.state]}
     columns |= dict(result.places) | {"core_C": result.core}
     write_all({out: _csv(columns)})
+    for remark in load_remarks(press_for_run(described, loaded), loaded):
+        sys.stderr.write(f"kerntemp: {remark}\n")
 
 
 def predict(

@@ -203,3 +203,12 @@ def test_export_does_not_overwrite_the_store_it_reads(files, first, tmp_path, ca
     assert main(["export", Path(first).stem, "--out", str(store), "--store", str(store)]) == 2
     assert "is read by this command" in one_line(capsys)
     assert store.read_bytes() == held
+
+
+def test_simulate_tells_of_a_load_column_the_run_lacks(files, first, tmp_path, capsys):
+    text = (files / "press.toml").read_text()
+    press, out = tmp_path / "press.toml", tmp_path / "out.csv"
+    press.write_text(text.replace('closed = "h_p_c"', 'closed = "h_p_c"\nload = { column = "kN" }', 1))
+    assert main(["simulate", first, "--press", str(press), "--out", str(out)]) == 0
+    assert "load column 'kN' is missing" in one_line(capsys)
+    assert out.exists()

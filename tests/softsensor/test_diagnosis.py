@@ -12,7 +12,7 @@ from daq.pressfile import Press, parse_press
 from daq.records import InputError, Run
 from daq.simulated.campaign import Plan, Truth, make_campaign, press_toml
 from softsensor.channels import faulty_channels, rim_falls
-from softsensor.diagnosis import Diagnosis, diagnose, never_seen
+from softsensor.diagnosis import Diagnosis, _lacking_loads, diagnose, never_seen
 from softsensor.diagnosis_jury import Round, refuted_by_cores
 from softsensor.diagnosis_report import diagnosis_report
 from softsensor.diagnosis_tests import max_t, sign_patterns
@@ -180,3 +180,10 @@ def test_each_sign_pattern_and_its_opposite_count_once() -> None:
     assert patterns.shape == (16, 5)
     assert (patterns[0] == 1.0).all()
     assert len(np.unique(np.concatenate([patterns, -patterns]), axis=0)) == 32
+
+
+def test_load_columns_a_run_lacks_are_among_the_remarks():
+    text = press_toml().replace('closed = "h_p_c"', 'closed = "h_p_c"\nload = { column = "kN" }', 1)
+    run, _ = make_campaign(5, 1)[0]
+    (said,) = _lacking_loads(parse_press(text), [run])
+    assert "load column 'kN' is missing" in said

@@ -1,0 +1,55 @@
+"""What to read about a run's record before trusting its coefficients: faults, gaps, contradictions."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from daq.records import Moments
+from softsensor.admission import load_remarks
+from softsensor.case import Case
+from softsensor.fit_unknowns import gaps_at_moments
+from softsensor.residuals import Signals
+
+APART_K = 5.0
+"""The panel's start temperature is known to some tenths; this far from the readings it is another panel's. [K]"""
+WARMED_K = 10.0
+"""Where the first row is the insertion, the cooler face may have warmed by as much already. [K]"""
+LEAD_S = 5.0
+"""Readings this short before the insertion are the panel's: before that, people handle its sensors. [s]"""
+
+
+def remarks(case: Case, signals: Signals, moments: Moments) -> list[str]:
+    """Say what is wrong with the record: channels, gaps where the press moved, start temperature, loads.
+
+    Parameters
+    ----------
+    moments
+        As detected, before a fit refines them.
+    """
+    gaps = gaps_at_moments(case.run.time_s, moments, signals.period_s)
+    told = [f.sentence for f in signals.findings] + [g.sentence for g in gaps]
+    return told + start_remarks(case, signals, moments) + load_remarks(case.press, case.run)
+
+
+def start_remarks(case: Case, signals: Signals, moments: Moments) -> list[str]:
+    """Say that the header's start temperature is not what the panel's channels read at the beginning."""
+    if case.panel is None or case.press.initial.kind != "steady":
+        return []
+    faces = [p for p in signals.places if p.label.partition("@")[0].partition(".")[0] in case.press.panel_layers]
+    t, told = signals.time_s, case.panel.initial_temperature
+    inserted = moments.inserted_s if np.isfinite(moments.inserted_s) else float(t[0])
+    lead = (t >= inserted - LEAD_S) & (t < inserted - 0.2 - 0.5 * signals.period_s)
+    levels = [p.mean[lead & np.isfinite(p.mean)] for p in faces]
+    read = [float(np.median(values)) for values in levels if len(values)]
+    if read:
+        level, upper, when = float(np.mean(read)), APART_K, "before the insertion"
+    else:
+        first = [p.mean[(t <= t[0] + signals.period_s) & np.isfinite(p.mean)] for p in faces]
+        level = min((float(values[0]) for values in first if len(values)), default=told)
+        upper, when = WARMED_K, "in the first row"
+    if told - APART_K <= level <= told + upper:
+        return []
+    return [
+        f"header key panel.initial_temperature_C = {told:g}, but the panel's channels read {level:.1f} °C {when}: "
+        "the coefficients rest on it; correct the header or the channels"
+    ]

@@ -1,0 +1,97 @@
+"""What a fit says about the record it was given: start temperature, loads."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from daq.pressfile import parse_press
+from daq.records import Moments
+from daq.simulated.campaign import Plan, make_campaign
+from daq.simulated.campaign_pressfile import press_toml
+from daq.simulated.campaign_sensors import Nuisances
+from softsensor.campaign import moments_of
+from softsensor.fit import make_problem
+from softsensor.fit_remarks import remarks
+from softsensor.model import ThermalModel
+
+PRESS = parse_press(press_toml())
+RIG = """
+[initial]
+kind = "uniform"
+temperature_C = 20.0
+[[layer]]
+name = "block"
+thickness_mm = 10.0
+conductivity_W_mK = 15.0
+density_kg_m3 = 8000.0
+heat_capacity_J_kgK = 500.0
+[boundary.bottom]
+kind = "measured"
+column = "hot"
+[[contact]]
+between = ["boundary.bottom", "block"]
+closed = "h"
+load = { column = "load_kN", reference = 10.0 }
+"""
+
+
+def _said(run, press=PRESS):
+    moments = moments_of(run, press)
+    problem = make_problem(ThermalModel(press), run, moments)
+    return remarks(problem.case, problem.signals, moments)
+
+
+def _run(start_before_s, rate_hz=1.0, seed=5, **header):
+    plan = Plan(rate_hz=rate_hz, start_before_s=start_before_s, nuisances=Nuisances.real_chain())
+    run, _ = make_campaign(seed, 1, plan=plan)[0]
+    return replace(run, header={**run.header, **{k.replace("__", "."): v for k, v in header.items()}})
+
+
+@pytest.mark.parametrize(("start_before_s", "when"), [(20.0, "before the insertion"), (0.0, "in the first row")])
+def test_start_temperature_that_is_not_the_channels_is_told(start_before_s, when):
+    said = _said(_run(start_before_s, panel__initial_temperature_C=40.0))
+    assert len(said) == 1
+    assert said[0].startswith("header key panel.initial_temperature_C = 40, but the panel's channels read")
+    assert when in said[0]
+
+
+@pytest.mark.parametrize("rate_hz", [10.0, 1.0, 0.5])
+@pytest.mark.parametrize("start_before_s", [20.0, 3.0, 0.0])
+def test_start_temperature_that_is_right_is_not_doubted(rate_hz, start_before_s):
+    for seed in (5, 6, 7):
+        assert not any("initial_temperature" in r for r in _said(_run(start_before_s, rate_hz, seed)))
+
+
+def test_start_temperature_of_a_run_with_channels_on_the_hot_side_only_is_not_doubted():
+    run = _run(0.0)
+    bottom = replace(run, columns={n: c for n, c in run.columns.items() if not n.startswith("top_")})
+    assert _said(bottom) == []
+
+
+@pytest.mark.parametrize(
+    ("load", "lacks"),
+    [(None, "is missing"), (0.0, "holds no value above 0"), (np.nan, "holds no value above 0")],
+)
+def test_load_column_that_holds_nothing_is_told_with_what_is_done_instead(make_rig, load, lacks):
+    t = np.arange(0.0, 60.0)
+    measured = {"hot": 20.0 + t} | ({} if load is None else {"load_kN": load})
+    model, run = make_rig(RIG, t, measured, {"a": '"block.top"'})
+    run = replace(run, columns={**run.columns, "a": 20.0 + 0.9 * t})
+    model = ThermalModel.of(model.press, ["contact_load"])
+    problem = make_problem(model, run, Moments(inserted_s=0.0), free=("h",))
+    (said,) = remarks(problem.case, problem.signals, Moments(inserted_s=0.0))
+    assert said.startswith(f"rig: load column 'load_kN' {lacks}")
+    assert "boundary.bottom-block taken as independent of load" in said
+    values = {"h": 300.0, "contact_load.exponent": 0.7}
+    without = ThermalModel(model.press)
+    plain = without.solve(without.prepare(run, Moments(inserted_s=0.0)), {"h": 300.0}).sensors
+    assert model.solve(problem.case, values).sensors == pytest.approx(plain)
+
+
+def test_load_that_is_there_is_not_talked_about(make_rig):
+    t = np.arange(0.0, 60.0)
+    model, run = make_rig(RIG, t, {"hot": 20.0 + t, "load_kN": 12.0}, {"a": '"block.top"'})
+    run = replace(run, columns={**run.columns, "a": 20.0 + 0.9 * t})
+    problem = make_problem(model, run, Moments(inserted_s=0.0))
+    assert remarks(problem.case, problem.signals, Moments(inserted_s=0.0)) == []
