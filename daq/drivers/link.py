@@ -21,6 +21,8 @@ CONNECT_TIMEOUT_S = 1.5
 """Longest wait for a TCP connection: short enough that rest + connect + set-up stay below 5 s."""
 _SERIAL_POLL_S = 0.02
 _SERIAL_STEP_S = 0.001
+_HELD_S, _HELD_STEP_S = 0.5, 0.02
+"""A held port is tried so long: a program that ends, or a child just forked, lets go of it soon. [s]"""
 
 
 class LinkLost(Exception):
@@ -58,10 +60,15 @@ class SerialPlace:
 
     def open(self) -> Link:
         """Open the port for us alone."""
-        try:
-            return _SerialLink(self)
-        except (OSError, ValueError) as error:
-            raise _not_opened(f"cannot open {self.port}", error) from error
+        deadline = time.monotonic() + _HELD_S
+        while True:
+            try:
+                return _SerialLink(self)
+            except (OSError, ValueError) as error:
+                lost = _not_opened(f"cannot open {self.port}", error)
+                if lost.cause != IN_USE or time.monotonic() > deadline:
+                    raise lost from error
+            time.sleep(_HELD_STEP_S)
 
     @property
     def key(self) -> str:
@@ -107,6 +114,7 @@ class SocketPlace:
 
 Place = SerialPlace | SocketPlace
 
+IN_USE, NO_PORT, NO_PERMISSION = "port in use", "no port", "no permission"
 _WHY_NOT: tuple[tuple[frozenset[int], str, str], ...] = (
     (
         frozenset({errno.ECONNREFUSED}),
@@ -118,13 +126,13 @@ _WHY_NOT: tuple[tuple[frozenset[int], str, str], ...] = (
         "unreachable",
         "nobody answers at this address; check power, cable and host",
     ),
-    (frozenset({errno.ENOENT, errno.ENXIO, errno.ENODEV}), "no port", "no such port; check adapter and name"),
+    (frozenset({errno.ENOENT, errno.ENXIO, errno.ENODEV}), NO_PORT, "no such port; check adapter and name"),
     (
         frozenset({errno.EACCES, errno.EPERM}),
-        "no permission",
+        NO_PERMISSION,
         "the user may not open it; add it to the port's group",
     ),
-    (frozenset({errno.EBUSY, errno.EAGAIN}), "port in use", "another program has it open; close that"),
+    (frozenset({errno.EBUSY, errno.EAGAIN}), IN_USE, "another program has it open; close that"),
 )
 
 

@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 from daq.drivers.bus import Bus, Patience, release_bus, share_bus
 from daq.drivers.calibration import corrector, read_calibrations
 from daq.drivers.dcon import DconDevice
-from daq.drivers.link import Place, SerialPlace, SocketPlace, socket_of
+from daq.drivers.link import IN_USE, Place, SerialPlace, SocketPlace, socket_of
 from daq.drivers.modbus_device import ModbusDevice
 from daq.drivers.polled import Device, PolledLogger
 from daq.drivers.profile import Profile, profile_for
@@ -78,7 +78,7 @@ class SuccessorLogger:
             try:
                 self._logger = open_logger(self._settings)
             except InputError as error:
-                raise NoReply(str(error), "port in use") from error
+                raise NoReply(str(error), IN_USE) from error
         return self._logger.read()
 
     def close(self) -> None:

@@ -16,7 +16,7 @@ from pydantic import ValidationError
 from daq.drivers import modbus
 from daq.drivers.bus import Bus, Patience
 from daq.drivers.decode import raw_values
-from daq.drivers.link import Place, SerialPlace, SocketPlace, socket_of
+from daq.drivers.link import IN_USE, NO_PERMISSION, NO_PORT, Place, SerialPlace, SocketPlace, socket_of
 from daq.drivers.opening import open_logger
 from daq.drivers.profile import REGISTERS, Field16, Profile, Scaling, check_profile, profile_names, profile_table
 from daq.drivers.protocol import NoReply, ReadFailure
@@ -127,6 +127,11 @@ def probe(
         Wait for each reply. [s]
     progress
         Told before each step what is tried.
+
+    Raises
+    ------
+    NoReply
+        Where the serial port does not open: in use, not there, not permitted.
     """
     place = _place(wire)
     stations = tuple(stations)
@@ -226,6 +231,8 @@ def _words(
                 take = modbus.rtu_reply(station, request, local_echo=local_echo)
             return modbus.registers(bus.exchange(frame, take, patience).payload)
         except NoReply as failure:
+            if failure.cause in (IN_USE, NO_PORT, NO_PERMISSION):
+                raise  # no device is asked as long as the port does not open
             if failure.cause == "refused":
                 continue
             return None

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-import pytest
+import threading
 
-from daq.drivers import LoggerSettings, open_logger
+import pytest
+import serial
+
+from daq.drivers import LoggerSettings, ReadFailure, open_logger
 from daq.drivers.probe import interpretations, probe
 from daq.records import InputError, Quality
 from daq.simulated.devices import kind_of, simulated, station
@@ -101,6 +104,27 @@ def test_a_silent_wire_proposes_nothing_and_says_why():
         report = probe(wire_of(server), profiles=["adam-4118-ascii", "sr630"], timeout_s=0.1)
     assert not report.proposals
     assert all(a.outcome.startswith("silent") for a in report.attempts)
+
+
+def test_a_port_that_does_not_open_is_said_at_once_and_not_taken_for_a_silent_wire(tmp_path):
+    pytest.importorskip("fcntl", reason="ports are always exclusive on Windows")
+    with (
+        simulated("adam-4118", room("adam-4118")) as server,
+        serial.Serial(server.port, exclusive=True),
+        pytest.raises(ReadFailure, match="port in use; another program has it open"),
+    ):
+        probe(wire_of(server))
+    with pytest.raises(ReadFailure, match="no such port"):
+        probe({"port": str(tmp_path / "ttyUSB9")})
+
+
+def test_a_port_that_another_program_is_just_letting_go_of_is_waited_for():
+    pytest.importorskip("fcntl", reason="ports are always exclusive on Windows")
+    with simulated("adam-4118", room("adam-4118"), refresh_s=0) as server:
+        holder = serial.Serial(server.port, exclusive=True)
+        threading.Timer(0.2, holder.close).start()
+        report = probe(wire_of(server), profiles=["adam-4118"])
+    assert report.proposals[0].settings["profile"] == "adam-4118"
 
 
 def test_registers_are_shown_under_every_reading_the_most_plausible_first():
