@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from api.demo_press import press_of
-from api.demo_summary import Finding, compare, gain_line, replayed, summary_lines
+from api.demo_summary import Finding, compare, gain_line, pace_lines, replayed, summary_lines
 from api.outputs import WorkFailed
 from daq.pressfile import read_press
 from daq.records import InputError
@@ -158,6 +158,8 @@ class _Demo:
         self.started = time.monotonic()
         self.findings: list[Finding] = []
         self._noted: set[str] = set()
+        self._pressed: set[int] = set()
+        """Which of the virtual press's pressings were found."""
         self._ended: dict[str, tuple[float, int]] = {}
         self.config = plan.folder / "kerntemp.toml"
 
@@ -232,16 +234,20 @@ class _Demo:
     def watch(self) -> None:
         """Play the operator until the pressings asked for are recorded and fitted."""
         deadline = time.monotonic() + START_S + 400.0 / self.plan.speed
-        while self.plan.pressings is None or len(self.findings) < self.plan.pressings:
+        while not self._enough:
             self.children.check()
-            for record in reversed(self.store.runs(limit=5).items):
+            for record in reversed(self.store.runs(limit=20).items):
                 self._note(record)
-                if self._finished(record):
+                if not self._enough and self._finished(record):
                     self._conclude(record)
                     deadline = time.monotonic() + START_S + 400.0 / self.plan.speed
             if time.monotonic() > deadline:
                 raise WorkFailed("no pressing was recorded for too long; the logs are beside the store")
             time.sleep(0.05)
+
+    @property
+    def _enough(self) -> bool:
+        return self.plan.pressings is not None and len(self.findings) >= self.plan.pressings
 
     def _note(self, record: RunRecord) -> None:
         """Write down what the operator knows of a pressing as soon as it runs."""
@@ -268,6 +274,7 @@ class _Demo:
         cycle = self._cycle(record, record.moments.closed_s)
         finding = compare(self.store, record, cycle, self._virtual(record))
         self.findings.append(finding)
+        self._pressed.add(cycle.number)
         self.say(finding.line)
 
     def _virtual(self, record: RunRecord) -> float:
@@ -290,6 +297,11 @@ class _Demo:
             found = self.store.diagnoses(limit=1).items
             report = found[0].diagnosis if found else None
         for line in summary_lines(self.findings, self.plan.hide, report):
+            self.say(line)
+        recorder = self.store.statuses()["record"].status
+        left_out = sum(int(press["missed_ticks"]) for press in recorder["presses"])
+        unseen = max(self._pressed, default=0) - len(self._pressed)
+        for line in pace_lines(self.findings, self.plan.speed, left_out, int(recorder["acknowledged"]), unseen):
             self.say(line)
         active = self.store.active_model("lab")
         if self.plan.hide and active is not None and active.model.get("effects"):

@@ -145,6 +145,28 @@ def summary_lines(
     return lines
 
 
+def pace_lines(findings: Sequence[Finding], speed: float, left_out: int, recorded: int, unseen: int) -> list[str]:
+    """Return a warning where the machine could not keep up with the speed asked for, else nothing.
+
+    Parameters
+    ----------
+    left_out, recorded
+        Scans of the recorder.
+    unseen
+        Pressings that took place and were not found.
+    """
+    unfitted = sum(f.rmse_after_K != f.rmse_after_K for f in findings)
+    troubles = [
+        f"{left_out} of {left_out + recorded} scans were left out" if left_out > 0.02 * recorded else "",
+        f"{unseen} pressings were not found" if unseen else "",
+        f"{unfitted} pressings waited in vain for their fit" if unfitted else "",
+    ]
+    told = ", ".join(filter(None, troubles))
+    if not told:
+        return []
+    return [f"This machine did not keep up with {speed:g} times real speed: {told}; give a lower --speed"]
+
+
 def _diagnosis_lines(hidden: Sequence[str], diagnosis: Mapping[str, Any] | None) -> list[str]:
     lines = [f"Hidden in the virtual press: {', '.join(hidden)}"]
     if diagnosis is None:

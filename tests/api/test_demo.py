@@ -3,13 +3,15 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from api.demo import Plan, run_demo
+from api.demo import Plan, _Demo, run_demo
 from api.demo_press import press_of
-from api.demo_summary import Finding, compare, summary_lines
+from api.demo_summary import Finding, compare, pace_lines, summary_lines
 from daq.records import InputError
 from daq.store.records import StoredEstimate
 
@@ -24,16 +26,17 @@ def test_the_demonstration_ends_by_itself_with_a_summary_and_leaves_no_process_b
     folder = tmp_path / "demo"
     command = [sys.executable, "-m", "api", "demo", "--speed", "30", "--pressings", "1", "--data", str(folder)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=880, check=False)
-    assert done.returncode == 0, done.stderr
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "Summary of 1 pressings" in done.stdout, done.stdout
     summary = done.stdout[done.stdout.index("Summary of 1 pressings") :]
     row = next(line for line in summary.splitlines() if "lab-" in line)
     closing, opening, before, after, core = map(
         float, re.findall(r"([+-]?\d+\.\d+) (?:s|K|->)", row.replace("->", "K ->"))[:5]
     )
-    assert abs(closing) < 0.5
-    assert abs(opening) < 0.5
-    assert after < before
-    assert core < 3.0
+    assert abs(closing) < 0.5, summary
+    assert abs(opening) < 0.5, summary
+    assert after < before, summary
+    assert core < 3.0, summary
     assert (folder / "kerntemp.sqlite").exists()
     if sys.platform != "win32":
         deadline = time.monotonic() + 10
@@ -90,6 +93,31 @@ def test_a_perfect_prediction_has_no_error_and_lies_inside_its_band(store):
     finding = compare(OnlyThese(), record, cycle, cycle.start)
     assert finding.core_worst_K < 1e-6
     assert finding.inside_band == 1.0
+
+
+def test_a_machine_that_does_not_keep_up_is_told_so():
+    sound = Finding("lab-1", 100, 0.02, -0.03, 4.0, 0.4, 0.5, 1.0, 0.97)
+    unfitted = replace(sound, rmse_after_K=float("nan"))
+    assert pace_lines([sound], 30.0, left_out=2, recorded=500, unseen=0) == []
+    (told,) = pace_lines([sound, unfitted], 30.0, left_out=50, recorded=450, unseen=1)
+    for part in ("50 of 500 scans", "1 pressings were not found", "1 pressings waited in vain", "30 times"):
+        assert part in told
+
+
+def test_more_pressings_that_finish_at_once_than_were_asked_for_are_not_counted(tmp_path, monkeypatch):
+    class Finished:
+        """Three pressings whose fits, long awaited, come at the same moment."""
+
+        def runs(self, limit):
+            return SimpleNamespace(items=[SimpleNamespace(run=f"lab-{k}") for k in (3, 2, 1)])
+
+    demo = _Demo(Plan(pressings=2), SimpleNamespace(check=lambda: None), print)
+    demo.store = Finished()
+    monkeypatch.setattr(demo, "_note", lambda record: None)
+    monkeypatch.setattr(demo, "_finished", lambda record: True)
+    monkeypatch.setattr(demo, "_conclude", lambda record: demo.findings.append(record.run))
+    demo.watch()
+    assert demo.findings == ["lab-1", "lab-2"]
 
 
 def test_the_summary_says_what_was_hidden_and_what_the_nightly_job_named():
