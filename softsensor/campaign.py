@@ -23,14 +23,15 @@ from daq.pressfile import Press
 from daq.records import Array, InputError, Moments, Run
 from softsensor.campaign_joint import Population, information
 from softsensor.dependence import Dependence, fit_dependence
-from softsensor.fit import fit_run, free_names, make_problem
+from softsensor.fit import fit_run, make_problem
 from softsensor.fit_joint import fit_together
 from softsensor.fit_problem import minimise
 from softsensor.fit_result import RunFit, number
-from softsensor.fit_unknowns import known_before
+from softsensor.fit_unknowns import free_names, known_before
 from softsensor.identifiability import Profile, profiles_of
 from softsensor.model import ThermalModel
 from softsensor.modelfile import Estimate, ModelFile
+from softsensor.remedies import Company
 
 BOOTSTRAPS = 4000
 PROCESSES_FROM = 40
@@ -253,7 +254,8 @@ def fit_campaign(
     names = free_names(press)
     if wrong := [n for n in shared if n not in names]:
         raise InputError(f"shared coefficient {wrong[0]!r}: must be one of {', '.join(names)}")
-    fits = fit_runs(model, runs, workers=workers, progress=progress, **options)
+    company = Company(len(runs), tuple(shared))
+    fits = fit_runs(model, runs, workers=workers, progress=progress, company=company, **options)
     workers = max(1, min(workers or os.cpu_count() or 1, len(runs)))
     met = [f for f in fits if f.met]
     people = fit_together(met, names, shared=shared, known=known_before(press), workers=workers)

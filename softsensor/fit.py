@@ -20,7 +20,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import minimize
 
-from daq.pressfile import Press
 from daq.records import Array, InputError, Moments, Run
 from softsensor.fit_problem import (
     STALLED,
@@ -34,9 +33,10 @@ from softsensor.fit_problem import (
 )
 from softsensor.fit_remarks import remarks
 from softsensor.fit_result import RunFit, run_fit
-from softsensor.fit_unknowns import chain_priors, known_before, neutral_values, parameter_unknown
+from softsensor.fit_unknowns import chain_priors, free_names, known_before, neutral_values, parameter_unknown
 from softsensor.identifiability import held_against, judge
 from softsensor.model import ThermalModel
+from softsensor.remedies import ALONE, Company
 from softsensor.residuals import Noise, channel_noise, collect_signals, whiten
 from softsensor.timing import TIMINGS
 
@@ -50,7 +50,7 @@ SLOW_PRIOR = ((np.log(0.15), 1.0), (np.log(30.0), 0.7))
 """Log-normal priors of the slow noise's size [K] and correlation time [s]."""
 
 
-def fit_run(
+def fit_run(  # noqa: PLR0913 - one argument a choice
     model: ThermalModel,
     run: Run,
     moments: Moments,
@@ -60,6 +60,7 @@ def fit_run(
     free: Sequence[str] | None = None,
     verdicts: bool = True,
     method: str = "default",
+    company: Company = ALONE,
 ) -> RunFit:
     """Fit one run.
 
@@ -82,6 +83,8 @@ def fit_run(
         ``default``, or one of the paper's (`softsensor.paper.METHODS`): coefficients by that procedure,
         every sensor with its own offset, or with ``:averages`` behind the name top and bottom averages;
         moments and verdicts from our own search, uncertainty from the curvature where the procedure ended.
+    company
+        The runs it is fitted together with, which decides what is worth advising.
 
     Raises
     ------
@@ -91,7 +94,7 @@ def fit_run(
     begun = time.perf_counter()
     problem = make_problem(model, run, moments, start=start, priors=priors, free=free)
     if method != "default":
-        return _fit_by_the_paper(problem, method, begun)
+        return _fit_by_the_paper(problem, method, begun, company)
     rough = _settle(problem)
     initial = rough.initial
     problem, best = rough.problem, rough.minimum
@@ -99,7 +102,7 @@ def fit_run(
     fitted = run_fit(problem, best, initial, warnings, begun, rough.evaluations)
     if not verdicts:
         return fitted
-    return replace(judge(fitted), seconds=time.perf_counter() - begun)
+    return replace(judge(fitted, company), seconds=time.perf_counter() - begun)
 
 
 def make_problem(
@@ -129,7 +132,7 @@ def make_problem(
     return Problem(model, case, signals, tuple(unknowns), values, FIRST_NOISE, rows_with_panel(case))
 
 
-def _fit_by_the_paper(problem: Problem, method: str, begun: float) -> RunFit:
+def _fit_by_the_paper(problem: Problem, method: str, begun: float, company: Company) -> RunFit:
     """Take the coefficients from one of the paper's procedures, and hold them against what the run can tell.
 
     The paper adjusts coefficients at known moments. A switch or a detector knows them to half a row, which
@@ -141,7 +144,8 @@ def _fit_by_the_paper(problem: Problem, method: str, begun: float) -> RunFit:
     name, _, sensors = method.partition(":")
     settled = _settle(problem)
     warnings = remarks(problem.case, problem.signals, problem.case.moments)
-    own = judge(run_fit(settled.problem, settled.minimum, settled.initial, [], begun, settled.evaluations))
+    rough = run_fit(settled.problem, settled.minimum, settled.initial, [], begun, settled.evaluations)
+    own = judge(rough, company)
     run = problem.case.run
     found = fit_as_paper(problem.model, run, own.moments, name, every=sensors != "averages", start=problem.values)
     problem = settled.problem
@@ -274,8 +278,3 @@ def _thin(problem: Problem) -> Array:
     rows = np.flatnonzero(use)
     step = max(1, round(1.0 / problem.signals.period_s), len(rows) // 400)
     return np.asarray(rows[::step])
-
-
-def free_names(press: Press) -> tuple[str, ...]:
-    """Coefficients a fit adjusts: all the press file does not fix."""
-    return tuple(n for n in press.coefficient_names if not press.coefficient(n).fixed)

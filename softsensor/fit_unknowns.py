@@ -76,6 +76,11 @@ def neutral_values(model: ThermalModel, press: Press) -> dict[str, float]:
     return {n: press.coefficient(n).guess for n in press.coefficient_names} | effects
 
 
+def free_names(press: Press) -> tuple[str, ...]:
+    """Coefficients a fit adjusts: all the press file does not fix."""
+    return tuple(n for n in press.coefficient_names if not press.coefficient(n).fixed)
+
+
 def known_before(press: Press) -> dict[str, tuple[float, float]]:
     """Return the press file's priors: median, and standard deviation of the logarithm."""
     return {name: (p.median, float(np.log(p.factor))) for name, p in press.priors.items()}

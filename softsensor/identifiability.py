@@ -20,7 +20,7 @@ from daq.records import Array
 from softsensor.fit_problem import MAX_MOVE, Problem, damped_step, free_of, minimise, normal_equations
 from softsensor.fit_result import Coefficient, RunFit
 from softsensor.fit_unknowns import is_parameter
-from softsensor.remedies import SEEN_K, Side, explain
+from softsensor.remedies import ALONE, SEEN_K, Company, Side, explain
 
 NARROW = 0.5
 """Half intervals of a logarithm below this are taken from the curvature: there the profile is a parabola."""
@@ -78,14 +78,14 @@ def verdict_notes(coefficients: Mapping[str, Coefficient]) -> list[str]:
     ]
 
 
-def judge(fitted: RunFit) -> RunFit:
-    """Return the fit with every free coefficient's interval and verdict."""
+def judge(fitted: RunFit, company: Company = ALONE) -> RunFit:
+    """Return the fit with every free coefficient's interval and verdict, and advice fit for its company."""
     if not fitted.met:
         return _unmet(fitted)
     coefficients = dict(fitted.coefficients)
     for i, u in enumerate(fitted.problem.unknowns):
         if is_parameter(u.name):
-            coefficients[u.name] = _judge_one(fitted, i, coefficients[u.name])
+            coefficients[u.name] = _judge_one(fitted, i, coefficients[u.name], company)
     return replace(fitted, coefficients=coefficients, warnings=(*fitted.warnings, *verdict_notes(coefficients)))
 
 
@@ -101,7 +101,7 @@ def _unmet(fitted: RunFit) -> RunFit:
     return replace(fitted, coefficients={**fitted.coefficients, **told})
 
 
-def _judge_one(fitted: RunFit, i: int, c: Coefficient) -> Coefficient:
+def _judge_one(fitted: RunFit, i: int, c: Coefficient, company: Company) -> Coefficient:
     u, best = fitted.problem.unknowns[i], fitted.minimum
     reach = fitted.quantile * float(np.sqrt(fitted.covariance[i, i]))
     low, high = (side[i] for side in fitted.problem.limits)
@@ -118,7 +118,7 @@ def _judge_one(fitted: RunFit, i: int, c: Coefficient) -> Coefficient:
         verdict = "not identifiable"
     else:
         verdict = "one-sided" if below.closed or above.closed else "not identifiable"
-    reason = explain(fitted, i, below, above)
+    reason = explain(fitted, i, below, above, company)
     return replace(c, ci95=interval, identifiable=False, verdict=verdict, reason=reason)
 
 

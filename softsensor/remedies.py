@@ -7,12 +7,15 @@ stays in the state in which the coefficient acts.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from daq.pressfile import Contact, Press
+from softsensor.effects import find_effect
 from softsensor.fit_result import RunFit
+from softsensor.fit_unknowns import free_names
 
 SEEN_K = 0.05
 """A coefficient that moves no reading by this much when it grows by e goes unseen. [K]"""
@@ -20,8 +23,13 @@ TOGETHER = 0.8
 """Correlation from which on another unknown is named as the reason."""
 WANTED = 0.3
 """Half interval of a logarithm worth having."""
-LONG_S = 20.0
-"""A state that lasts this long shows a coefficient where a thermocouple is near enough. [s]"""
+LONG_S, LONGEST_S = 20.0, 60.0
+"""A state that lasts the first shows a coefficient where a thermocouple is near enough; beyond the second, more
+time hardly helps. [s]"""
+FASTEST_HZ = 9.0
+"""Loggers of this pace are as fast as they come. [Hz]"""
+MANY = 50
+"""More runs than this are no advice."""
 
 
 @dataclass(frozen=True)
@@ -33,20 +41,34 @@ class Side:
     closed: bool
 
 
-def explain(fitted: RunFit, i: int, below: Side, above: Side) -> str:
+@dataclass(frozen=True)
+class Company:
+    """The runs a run is fitted together with, as far as advice goes."""
+
+    runs: int = 1
+    """Itself included."""
+    shared: tuple[str, ...] = ()
+    """Coefficients with one value in all of them."""
+
+
+ALONE = Company()
+
+
+def explain(fitted: RunFit, i: int, below: Side, above: Side, company: Company) -> str:
     """Say why a coefficient is not identifiable in this run, and which measurement would fix it."""
     u = fitted.problem.unknowns[i]
     largest = max(float(np.abs(d[:, i]).max()) for d in fitted.minimum.evaluation.derivative)
     role = role_of(fitted.problem.case.press, u.name, fitted)
     if largest < SEEN_K:
-        remedy = role.beside if role.seconds >= LONG_S else role.record
+        remedy = role.beside if role.beside and role.seconds >= LONG_S else role.record
         still = f"no reading of this run moves by more than {largest:.2g} K when it grows by e"
         return f"{role.words}; {still}. {remedy}."
     if role.closed and below.closed and not above.closed:
         least = u.value(below.x)
+        remedy = role.beside or "Thermocouples sit on both sides already: no reading depends on it any more"
         return (
             f"{role.words}; anything above {least:.3g} fits as well: its resistance, "
-            f"below {1.0 / least:.1g} m²K/W, is too small to be seen. {role.beside}."
+            f"below {1.0 / least:.1g} m²K/W, is too small to be seen. {remedy}."
         )
     text = role.words
     if below.closed and above.closed:
@@ -54,40 +76,65 @@ def explain(fitted: RunFit, i: int, below: Side, above: Side) -> str:
     partner, correlation = partner_of(fitted, i)
     if abs(correlation) > TOGETHER:
         text += f"; it moves together with {partner} (correlation {correlation:+.2f})"
-        return f"{text}. {apart(fitted, partner, role)}."
+        return f"{text}. {apart(fitted, partner, role, company)}."
     text += f"; its effect of {largest:.2g} K drowns in the slow noise of the faces"
     text += f" ({fitted.problem.noise.slow_K:.2g} K). {role.record}"
-    if fitted.minimum.held[i]:
-        return f"{text}."
-    return f"{text}, or fit it from about {repeats_for(fitted, i)} such runs together."
+    return f"{text}{_several(fitted, i, company)}."
 
 
-def apart(fitted: RunFit, partner: str, role: Role) -> str:
+def apart(fitted: RunFit, partner: str, role: Role, company: Company) -> str:
     """Return the measurement that tells a coefficient from the unknown it moves together with."""
     kind, _, label = partner.partition(":")
-    rate = 1.0 / fitted.problem.signals.period_s
-    timing = f"Log faster than the {rate:.2g} Hz here, and a limit switch as the column closed"
+    own = role.beside or role.record
+    if kind in ("skew", "closed_s", "opened_s", "ramp_s", "inserted_s"):
+        return _faster(fitted, kind) or own
     known = {
         "offset": f"Check the channels at {label} against a thermometer before the run (kerntemp calibrate)",
         "gain": f"Calibrate the channels at {label} at two temperatures",
-        "skew": timing,
-        "closed_s": timing,
-        "opened_s": timing,
-        "ramp_s": timing,
-        "inserted_s": "Start the record some seconds before the panel is laid in",
-        "initial_K": "Measure the panel's start temperature, and write it into the header",
+        "initial_K": own,
     }
     if kind.startswith("boundary_"):
         return "Calibrate the platen channel against the panel channels at one temperature (kerntemp calibrate)"
     if kind in known:
         return known[kind]
-    return f"{role.beside}, or let all runs share {partner} (--shared {partner})"
+    if company.runs > 1 and partner not in company.shared and partner in free_names(fitted.problem.case.press):
+        return f"{own}, or let all runs share {partner} (--shared {partner})"
+    return own
 
 
-def repeats_for(fitted: RunFit, i: int) -> int:
-    """Return how many runs like this one would know a logarithm to `WANTED`."""
-    sd = float(np.sqrt(fitted.covariance[i, i]))
-    return int(np.clip(np.ceil((fitted.quantile * sd / WANTED) ** 2), 2, 1000))
+def _faster(fitted: RunFit, kind: str) -> str:
+    """Return what makes moments known better, empty where the record has it all."""
+    rate = 1.0 / fitted.problem.signals.period_s
+    advice = [f"log faster than the {rate:.2g} Hz here"] if rate < FASTEST_HZ else []
+    if kind in ("closed_s", "opened_s") and "closed" not in fitted.problem.case.run.columns:
+        advice.append("log a limit switch as the column closed")
+    told = ", and ".join(advice)
+    return told[:1].upper() + told[1:]
+
+
+def _several(fitted: RunFit, i: int, company: Company) -> str:
+    """Return whether more such runs would do, as the end of a sentence."""
+    repeats = repeats_for(fitted, i)
+    if repeats is None:
+        return ""
+    if repeats <= company.runs:
+        return f", or take the joint estimate of these {company.runs} runs"
+    return f", or fit it from about {repeats} such runs together"
+
+
+def repeats_for(fitted: RunFit, i: int) -> int | None:
+    """Return how many runs like this one would know a logarithm to `WANTED`; None where more than `MANY`.
+
+    What was known of the coefficient before comes once however many runs there are, so it is left out.
+    """
+    variance = float(fitted.covariance[i, i]) / fitted.spread**2
+    if fitted.minimum.held[i] or variance <= 0.0:
+        return None
+    precision = 1.0 / variance - 1.0 / fitted.problem.unknowns[i].sd ** 2
+    if precision <= 0.0:
+        return None
+    repeats = np.ceil((fitted.quantile * fitted.spread / WANTED) ** 2 / precision)
+    return max(int(repeats), 2) if repeats <= MANY else None
 
 
 def partner_of(fitted: RunFit, i: int) -> tuple[str, float]:
@@ -106,7 +153,7 @@ class Role:
     record: str
     """The longer or other record that would show it."""
     beside: str
-    """The thermocouple that would show it."""
+    """The thermocouple that would show it, empty where it sits there already."""
     seconds: float
     """How long the run is in the state in which it acts. [s]"""
     closed: bool
@@ -123,23 +170,43 @@ def role_of(press: Press, name: str, fitted: RunFit) -> Role:
             return _open_role(contact, opened.index(name) if len(opened) == 2 else None, press, fitted)
     seconds = float(fitted.problem.rows.sum() * fitted.problem.signals.period_s)
     if "." in name:
-        told = "See the measurement that confirms the effect"
+        told = find_effect(name.partition(".")[0]).confirm.rstrip(".")
         return Role("it is a parameter of an effect", told, told, seconds, False)
-    beside = "Put a thermocouple next to that boundary"
-    record = f"{beside}, or go on until its temperature has changed more"
+    end = "bottom" if press.boundary.bottom.coefficient == name else "top"
+    layer = press.layer[0 if end == "bottom" else -1].name
+    beside = _thermocouple([(layer, end, f"boundary.{end}")], press, fitted)
+    longer = "go on until its temperature has changed more"
+    record = f"{beside}, or {longer}" if beside else longer.capitalize()
     return Role("it acts at a boundary", record, beside, seconds, False)
 
 
-def _beside(contact: Contact, press: Press, face: int | None) -> str:
-    """Name the face whose temperature would show a contact: of the body that air cools, else of a plate."""
-    own = [n for n in contact.between if n not in press.panel_layers and "." not in n]
-    layer = contact.between[face] if face is not None else next(iter(own), contact.between[0])
-    other = contact.between[1] if layer == contact.between[0] else contact.between[0]
-    return f"Put a thermocouple on the face of {layer} towards {other}"
+Face = tuple[str, str, str]
+"""A layer, its side (``top`` or ``bottom``), and what is on the other side."""
+
+
+def _thermocouple(faces: Sequence[Face], press: Press, fitted: RunFit) -> str:
+    """Return the thermocouple to add at one of some faces, empty where all have one.
+
+    A face whose channels the press file names and this run lacks comes first, then the first that has none.
+    """
+    used = {place.label for place in fitted.problem.signals.places}
+    named = {sensor.label for sensor in press.sensor if sensor.role == "fit"}
+    bare = [face for face in faces if f"{face[0]}.{face[1]}" not in used]
+    for layer, side, _ in bare:
+        if f"{layer}.{side}" in named:
+            return f"Log the channels at {layer}.{side} too, which this run lacks"
+    return f"Put a thermocouple on the face of {bare[0][0]} towards {bare[0][2]}" if bare else ""
+
+
+def _faces(contact: Contact, press: Press) -> list[Face]:
+    """Both faces of a contact, those of plates first; a boundary has none."""
+    below, above = contact.between
+    both = [(below, "top", above), (above, "bottom", below)]
+    return sorted((f for f in both if "." not in f[0]), key=lambda f: f[0] in press.panel_layers)
 
 
 def _closed_role(contact: Contact, press: Press, fitted: RunFit) -> Role:
-    pair, beside = " and ".join(contact.between), _beside(contact, press, None)
+    pair, beside = " and ".join(contact.between), _thermocouple(_faces(contact, press), press, fitted)
     share = fitted.minimum.evaluation.solution.closed_share
     seconds = float((share > 0.5).sum() * fitted.problem.signals.period_s)
     if not press.has_states:
@@ -156,7 +223,14 @@ def _open_role(contact: Contact, face: int | None, press: Press, fitted: RunFit)
     after = float((present > fitted.opened_s).sum() * period) if np.isfinite(fitted.opened_s) else 0.0
     place = " and ".join(contact.between) if face is None else f"the face of {contact.between[face]}"
     words = f"it acts at {place} while open ({before:.0f} s before closing and {after:.0f} s after opening here)"
-    record = f"Leave the panel in the open press for a minute before closing instead of {before:.0f} s"
-    if after < LONG_S or before > 60.0:
+    faces = _faces(contact, press)
+    if face is not None:
+        faces = [f for f in faces if f[0] == contact.between[face]]
+    beside = _thermocouple(faces, press, fitted)
+    if after < LONG_S or (after < LONGEST_S and before >= LONGEST_S):
         record = f"Log on for a minute after opening instead of {after:.0f} s"
-    return Role(words, record, _beside(contact, press, face), before + after, False)
+    elif before < LONGEST_S:
+        record = f"Leave the panel in the open press for a minute before closing instead of {before:.0f} s"
+    else:
+        record = beside or "Repeat the run with a hotter press: the open state is long enough"
+    return Role(words, record, beside, before + after, False)
