@@ -1,16 +1,19 @@
 #!/usr/bin/env python3
-"""Kerntemp on a Debian press PC: install, update, roll back, uninstall; one command each, as root.
+"""Kerntemp on a Debian press PC: install, update, roll back, uninstall, complete; one command each, as root.
 
     python3 kerntemp_setup.py install [kerntemp-1.0.0-py3-none-any.whl]
     python3 kerntemp_setup.py update kerntemp-1.1.0-py3-none-any.whl
     python3 kerntemp_setup.py rollback
     python3 kerntemp_setup.py uninstall
+    python3 kerntemp_setup.py complete
 
 Without a wheel, the one is built that belongs to the source tree this file lies in. Every version has a folder of
 its own below /opt/kerntemp; `current` points at the one in force. The configuration in /etc/kerntemp and the data
 in /var/lib/kerntemp are never overwritten and never removed. An update backs the store up and checks the copy
 before anything changes; where the new version changes the store's schema, recording stops first, so that the
 copy holds every scan, and rolling back brings that copy back (what was recorded since then is kept beside it).
+Dask comes along where the configuration names a scheduler (`[refit] dask`); `complete` brings it to the version
+in force where the configuration has come to name one since.
 
 `--root DIR` does all of it below DIR and leaves the machine alone. This file needs nothing but Python.
 """
@@ -74,8 +77,17 @@ class Place:
     @property
     def store_url(self) -> str:
         """The store, as the configuration says."""
+        return str(self._configured("store", "url"))
+
+    @property
+    def extras(self) -> str:
+        """What is installed beside the plain program; Dask where the configuration names a scheduler."""
+        wanted = self.config.exists() and self._configured("refit", "dask")
+        return f"{EXTRAS},dask" if wanted else EXTRAS
+
+    def _configured(self, table: str, key: str) -> Any:
         try:
-            return str(tomllib.loads(self.config.read_text()).get("store", {}).get("url", ""))
+            return tomllib.loads(self.config.read_text()).get(table, {}).get(key, "")
         except (OSError, tomllib.TOMLDecodeError) as error:
             raise Refused(f"{self.config}: {error}; mend it first") from error
 
@@ -169,8 +181,7 @@ def put_version(place: Place, wheel: Path, wheels: Path | None) -> str:
     place.code.mkdir(parents=True, exist_ok=True)
     try:
         make_environment(target)
-        offline = ["--no-index", "--find-links", str(wheels)] if wheels else []
-        run(target / "bin/python", "-m", "pip", "install", "--quiet", *offline, f"{wheel}[{EXTRAS}]")
+        put_packages(target, f"{wheel}[{place.extras}]", wheels)
         told = run(target / "bin/kerntemp", "--version")
         if version not in told:
             raise Refused(f"the installed program says {told!r}, expected {version}")
@@ -179,6 +190,12 @@ def put_version(place: Place, wheel: Path, wheels: Path | None) -> str:
         raise
     (target / "installed").write_text(datetime.now(UTC).isoformat() + "\n")
     return version
+
+
+def put_packages(target: Path, what: str, wheels: Path | None) -> None:
+    """Install into a version's environment, from the network or from a folder of wheels."""
+    offline = ["--no-index", "--find-links", str(wheels)] if wheels else []
+    run(target / "bin/python", "-m", "pip", "install", "--quiet", *offline, what)
 
 
 def warm_up(place: Place, version: str) -> None:
@@ -279,7 +296,7 @@ def back_up(place: Place, version: str, why: str) -> str:
     return str(target)
 
 
-# --- the four commands ----------------------------------------------------------------------------------
+# --- the commands ----------------------------------------------------------------------------------------
 
 
 def install(place: Place, wheel: Path | None, wheels: Path | None) -> None:
@@ -346,6 +363,16 @@ def rollback(place: Place) -> None:
     say(f"Kerntemp {before['version']} is in force again.")
 
 
+def complete(place: Place, wheels: Path | None) -> None:
+    """Bring to the version in force what the configuration has come to ask for."""
+    history = place.history
+    if not history:
+        raise Refused("nothing is installed; use install")
+    version = history[-1]["version"]
+    put_packages(place.code / version, f"kerntemp[{place.extras}]=={version}", wheels)
+    say(f"Kerntemp {version} has all that {place.config} asks for: {place.extras}.")
+
+
 def restore(place: Place, version: str, backup: Path, newer: str) -> None:
     """Put the store of before the update back; the newer one is kept beside it."""
     if place.store_url.startswith("postgres"):
@@ -395,9 +422,9 @@ def uninstall(place: Place) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Do one of the four commands."""
+    """Do one of the commands."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("action", choices=("install", "update", "rollback", "uninstall"))
+    parser.add_argument("action", choices=("install", "update", "rollback", "uninstall", "complete"))
     parser.add_argument("wheel", nargs="?", type=Path, help="kerntemp-VERSION-py3-none-any.whl")
     parser.add_argument("--wheels", type=Path, help="folder with all wheels, for a machine without a network")
     parser.add_argument("--no-warmup", action="store_true", help="let the first pressing wait for the compiler")
@@ -411,6 +438,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         if given.action in ("install", "update"):
             {"install": install, "update": update}[given.action](place, wheel, given.wheels)
+        elif given.action == "complete":
+            complete(place, given.wheels)
         else:
             {"rollback": rollback, "uninstall": uninstall}[given.action](place)
     except Refused as refused:

@@ -207,7 +207,8 @@ def _on_dask(tasks: Sequence[Task], address: str) -> Iterator[tuple[str, dict[st
         from dask.distributed import as_completed as completed
     except ImportError as error:
         raise InputError(
-            f"Dask scheduler {address}: the package 'distributed' is missing; install kerntemp[dask]"
+            f"Dask scheduler {address}: the package 'distributed' is missing; on a press PC "
+            "kerntemp_setup.py complete brings it, elsewhere pip install 'kerntemp[dask]'"
         ) from error
     try:
         client = Client(address, timeout=SCHEDULER_WAIT_S)

@@ -211,6 +211,15 @@ def test_a_wheel_is_installed_updated_rolled_back_and_removed_and_the_data_stay(
         record_for_a_moment(root)
         assert rows(store) > before
 
+    python = root / "opt/kerntemp/current/bin/python"
+    scheduler = 'dask = "tcp://scheduler.plant:8786"'
+    (root / "etc/kerntemp/kerntemp.toml").write_text(configured.replace("[refit]", f"[refit]\n{scheduler}\n#"))
+    assert subprocess.run([python, "-c", "import distributed"], capture_output=True).returncode == 1
+    assert "postgresql,dask" in set_up(root, "complete")
+    asked = [python, "-c", "from dask.distributed import Client; print(Client.__name__)"]
+    assert subprocess.run(asked, capture_output=True, text=True).stdout == "Client\n"
+    (root / "etc/kerntemp/kerntemp.toml").write_text(configured)
+
     set_up(root, "uninstall")
     assert not (root / "opt/kerntemp").exists()
     assert not list((root / "etc/systemd/system").glob("kerntemp*"))
@@ -242,6 +251,26 @@ def test_the_first_configuration_keeps_data_and_tokens_where_services_may_write(
         "buffer": "/var/lib/kerntemp/kerntemp-buffer.sqlite",
     }
     assert tree["server"]["tokens"] == "/var/lib/kerntemp/kerntemp-tokens.json"
+
+
+def test_dask_is_installed_where_the_configuration_names_a_scheduler(setup, tmp_path, monkeypatch, capsys):
+    place = setup.Place(tmp_path)
+    assert "dask" not in place.extras, "nothing is configured yet"
+    asked = []
+    monkeypatch.setattr(setup, "run", lambda *words, **_: asked.append([str(w) for w in words]) or "0.1.0")
+    place.settings.mkdir(parents=True)
+    place.code.mkdir(parents=True)
+    place.remember([{"version": "0.1.0", "schema": 1, "backup": ""}])
+    example = (ROOT / "deploy" / "kerntemp.toml").read_text(encoding="utf-8")
+    for text, brought in ((example, False), (example.replace("# dask =", "dask ="), True)):
+        place.config.write_text(text)
+        setup.complete(place, tmp_path / "wheels")
+        assert ("dask" in asked[-1][-1]) == brought, asked[-1]
+        assert asked[-1][:2] == [str(tmp_path / "opt/kerntemp/0.1.0/bin/python"), "-m"]
+        assert asked[-1][-1].endswith("]==0.1.0")
+    place.config.write_text("[refit\n")
+    with pytest.raises(setup.Refused, match="mend it first"):
+        setup.complete(place, None)
 
 
 # --- units and rules ------------------------------------------------------------------------------------
