@@ -12,7 +12,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -22,13 +22,13 @@ from daq.press_events import find_moments
 from daq.pressfile import Press
 from daq.records import Array, InputError, Moments, Run
 from softsensor.campaign_joint import Population, information
-from softsensor.dependence import Dependence, fit_dependence
+from softsensor.dependence import Dependence, Program, fit_dependence
 from softsensor.fit import fit_run, make_problem
 from softsensor.fit_joint import fit_together
 from softsensor.fit_problem import minimise
-from softsensor.fit_result import RunFit, number
+from softsensor.fit_result import Coefficient, RunFit, number
 from softsensor.fit_unknowns import free_names, known_before
-from softsensor.identifiability import Profile, profiles_of
+from softsensor.identifiability import WIDE, Profile, profiles_of
 from softsensor.model import ThermalModel
 from softsensor.modelfile import Estimate, ModelFile
 from softsensor.remedies import Company
@@ -51,7 +51,7 @@ class CampaignCoefficient:
     bootstrap95: tuple[float, float]
     """Of the mean, by a bootstrap over runs."""
     runs: int
-    """In which it is identifiable."""
+    """In which it is identifiable; where all share one value, all or none of those the model describes."""
     median: float
     """Of the population the runs are drawn from, estimated jointly."""
     median_ci95: tuple[float, float]
@@ -119,11 +119,8 @@ class CampaignFit:
         }
         runs = [f.as_json() for f in self.runs]
         for entry, fitted, shapes in zip(runs, self.runs, self.profiles, strict=True):
-            own = self.borrowed.get(fitted.run, {})
-            for name, table in entry["coefficients"].items():
-                if name in own:
-                    low, high = joint_interval(own[name])
-                    table["joint"] = {"value": own[name].value, "sd": own[name].sd, "ci95": [low, high]}
+            for name, (e, ends) in self.joint(fitted.run).items():
+                entry["coefficients"][name]["joint"] = {"value": e.value, "sd": e.sd, "ci95": list(ends)}
             entry["correlation"] = {
                 "names": list(fitted.names),
                 "matrix": [[number(v) for v in row] for row in np.round(fitted.correlation, 4)],
@@ -132,6 +129,22 @@ class CampaignFit:
                 entry["profiles"] = {name: shape.as_json() for name, shape in shapes.items()}
         depends = None if self.dependence is None else self.dependence.as_json()
         return {"runs": runs, "campaign": campaign, "dependence": depends}
+
+    def joint(self, run: str) -> dict[str, tuple[Estimate, tuple[float, float]]]:
+        """Return a run's coefficients as all runs together know them, with 95 % intervals; empty if not met."""
+        return {
+            name: (e, self.coefficients[name].median_ci95 if name in self.shared else joint_interval(e))
+            for name, e in self.borrowed.get(run, {}).items()
+        }
+
+    def program(self, settings: Mapping[str, float]) -> Program | None:
+        """Return what a press program never run would be like, None where the runs cannot tell."""
+        if self.dependence is None:
+            return None
+        tables = {n: self.press.coefficient(n) for n in self.coefficients}
+        limits = {n: (table.lower, table.upper) for n, table in tables.items()}
+        held = {n: (shared_estimate(c), c.median_ci95) for n, c in self.coefficients.items() if n in self.shared}
+        return self.dependence.program(settings).within(limits).holding(held)
 
     def model_file(self, version: str = "fit") -> ModelFile:
         """Return the model file of a typical run: medians, and what a run may differ by."""
@@ -235,7 +248,7 @@ def fit_campaign(
     model
         By default the plain model of the press.
     shared
-        Coefficients with one value in all runs.
+        Coefficients with one value in all runs; of no consequence for one run.
     profiles
         Whether to work out the profile of every coefficient in every run, for a report.
     progress
@@ -254,19 +267,23 @@ def fit_campaign(
     names = free_names(press)
     if wrong := [n for n in shared if n not in names]:
         raise InputError(f"shared coefficient {wrong[0]!r}: must be one of {', '.join(names)}")
-    company = Company(len(runs), tuple(shared))
+    shared = tuple(shared) if len(runs) > 1 else ()
+    company = Company(len(runs), shared)
     fits = fit_runs(model, runs, workers=workers, progress=progress, company=company, **options)
     workers = max(1, min(workers or os.cpu_count() or 1, len(runs)))
     met = [f for f in fits if f.met]
     people = fit_together(met, names, shared=shared, known=known_before(press), workers=workers)
     coefficients = {n: _summary(press, n, i, met, people, n in shared) for i, n in enumerate(names)}
+    same = {n: coefficients[n] for n in names if n in shared}
     borrowed = {}
     for f, (mean, covariance) in zip(met, people.members, strict=True):
         sd = np.sqrt(np.diag(covariance))
         values = np.exp(mean)
         borrowed[f.run] = {n: Estimate(float(values[i]), float(values[i] * sd[i])) for i, n in enumerate(names)}
-    alone = [information(f.problem, f.minimum.evaluation, f.spread, names) for f in met]
-    dependence = fit_dependence(names, [f.problem.case.run for f in met], met, alone)
+        borrowed[f.run] |= {n: shared_estimate(c) for n, c in same.items()}
+    varying = [n for n in names if n not in shared]
+    alone = [information(f.problem, f.minimum.evaluation, f.spread, varying) for f in met]
+    dependence = fit_dependence(varying, [f.problem.case.run for f in met], met, alone)
     shapes: list[Mapping[str, Profile]] = [{} for _ in fits]
     if profiles:
         with ThreadPoolExecutor(workers) as threads:
@@ -274,15 +291,35 @@ def fit_campaign(
     return CampaignFit(
         press,
         model,
-        tuple(fits),
+        tuple(_with_shared(f, same) for f in fits),
         coefficients,
         people,
         borrowed,
         dependence,
-        tuple(shared),
+        shared,
         tuple(shapes),
         options.get("method", "default"),
     )
+
+
+def shared_estimate(c: CampaignCoefficient) -> Estimate:
+    """Return a coefficient with one value in all runs: that value, and how well it is known."""
+    return Estimate(c.median, c.median * float(np.log(c.median_ci95[1] / c.median_ci95[0])) / (2.0 * 1.96))
+
+
+def _with_shared(fitted: RunFit, same: Mapping[str, CampaignCoefficient]) -> RunFit:
+    """Return a run's fit with the one value of each coefficient that all runs share, where it is described."""
+    if not fitted.met or not same:
+        return fitted
+    told = {}
+    for name, c in same.items():
+        e = shared_estimate(c)
+        reason = "one value in all runs, known from all of them together"
+        if not c.runs:
+            reason = "one value in all runs, and not even all of them together tell it"
+        told[name] = Coefficient(e.value, e.sd, c.median_ci95, c.runs > 0, "shared", reason, e.sd / e.value)
+    notes = tuple(w for w in fitted.warnings if not any(w.startswith(f"{name} is ") for name in same))
+    return replace(fitted, coefficients={**fitted.coefficients, **told}, warnings=notes)
 
 
 def _anchored(press: Press, name: str, middle: float, sd: float) -> tuple[float, float]:
@@ -307,10 +344,16 @@ def _summary(
     table = press.coefficient(name)
     middle, error = _anchored(press, name, float(people.mean[i]), float(np.sqrt(people.mean_covariance[i, i])))
     median = float(np.exp(middle))
-    reach = min(float(student.ppf(0.975, max(len(fits) - 1, 1))) * error, 50.0)
+    quantile = float(student.ppf(0.975, max(len(fits) - 1, 1)))
+    if shared and fits:  # no scatter between runs is estimated: the runs' own noise decides
+        quantile = max(f.quantile for f in fits)
+    reach = min(quantile * error, 50.0)
     interval = (max(median * float(np.exp(-reach)), table.lower), min(median * float(np.exp(reach)), table.upper))
     if shared:
-        return CampaignCoefficient(median, 0.0, interval, interval, n, median, interval, 0.0)
+        inside = interval[0] > table.lower and interval[1] < table.upper
+        known = inside and float(np.log(interval[1] / interval[0])) < WIDE
+        runs = len(fits) if known else 0
+        return CampaignCoefficient(median, 0.0, interval, interval, runs, median, interval, 0.0)
     if n >= 2:
         mean, sd = float(values.mean()), float(values.std(ddof=1))
         half = float(student.ppf(0.975, n - 1)) * sd / np.sqrt(n)

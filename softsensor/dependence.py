@@ -8,7 +8,7 @@ coefficients of a program never run before, with an interval that widens away fr
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -37,15 +37,40 @@ class Program:
     settings: Mapping[str, float]
     coefficients: Mapping[str, Estimate]
     """``sd`` is what a run of it may differ by."""
-    remarks: tuple[str, ...]
-    quantile: float
-    """Standard deviations to either end of a 95 % interval."""
+    intervals: Mapping[str, tuple[float, float]]
+    """Where 95 % of its runs should lie."""
+    remarks: tuple[str, ...] = ()
 
     def interval(self, name: str) -> tuple[float, float]:
         """Return where 95 % of its runs should lie."""
-        e = self.coefficients[name]
-        reach = float(np.exp(min(self.quantile * e.sd / e.value, 50.0)))
-        return e.value / reach, e.value * reach
+        return self.intervals[name]
+
+    def within(self, limits: Mapping[str, tuple[float, float]]) -> Program:
+        """Return it kept to what coefficients can be, with a remark where the trend leads out of that.
+
+        Parameters
+        ----------
+        limits
+            Of the press file, by coefficient. [W/m²K]
+        """
+        coefficients, intervals, remarks = dict(self.coefficients), dict(self.intervals), list(self.remarks)
+        for name, e in self.coefficients.items():
+            lower, upper = limits[name]
+            value = min(max(e.value, lower), upper)
+            low, high = (min(max(end, lower), upper) for end in self.intervals[name])
+            coefficients[name], intervals[name] = Estimate(value, e.sd * value / e.value), (low, high)
+            if value != e.value:
+                remarks.append(
+                    f"{name}: the trend leads to {e.value:.4g} W/m²K, beyond the press file's limit {value:g}: "
+                    "taken there; run one pressing of this program before relying on it"
+                )
+        return replace(self, coefficients=coefficients, intervals=intervals, remarks=tuple(remarks))
+
+    def holding(self, known: Mapping[str, tuple[Estimate, tuple[float, float]]]) -> Program:
+        """Return it with coefficients that no program changes: value and 95 % interval by name."""
+        own = {name: estimate for name, (estimate, _) in known.items()}
+        spans = {name: ends for name, (_, ends) in known.items()}
+        return replace(self, coefficients={**self.coefficients, **own}, intervals={**self.intervals, **spans})
 
     @property
     def lines(self) -> list[str]:
@@ -99,7 +124,12 @@ class Dependence:
                     f"{name} = {settings[name]:g} {unit} lies outside the programs seen, {low:.4g} to {high:.4g} "
                     f"{unit}: the trend is continued, run one pressing there before relying on it"
                 )
-        return Program(dict(settings), self.predict(settings), tuple(remarks), self.quantile)
+        coefficients = self.predict(settings)
+        intervals = {}
+        for name, e in coefficients.items():
+            reach = float(np.exp(min(self.quantile * e.sd / e.value, 50.0)))
+            intervals[name] = (e.value / reach, e.value * reach)
+        return Program(dict(settings), coefficients, intervals, tuple(remarks))
 
     def predict(self, program: Mapping[str, float]) -> dict[str, Estimate]:
         """Return the coefficients of a program; ``sd`` is what a run of it may differ by.
@@ -138,7 +168,7 @@ def fit_dependence(
     names: Sequence[str], runs: Sequence[Run], fits: Sequence[RunFit], knowledge: Sequence[Knowledge]
 ) -> Dependence | None:
     """Return the regression, or None where settings are missing, do not vary, or runs are few."""
-    if len(runs) <= FEWEST_RUNS:
+    if len(runs) <= FEWEST_RUNS or not names:
         return None
     table = {s: [_setting(run, s, f) for run, f in zip(runs, fits, strict=True)] for s in SETTINGS}
     used = [s for s, v in table.items() if None not in v and float(np.std(np.array(v, float))) >= SETTINGS[s][1]]

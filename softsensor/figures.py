@@ -21,6 +21,8 @@ from softsensor.residuals import Place
 INK, MUTED, GRID = "#1f2933", "#6b7785", "#e3e7ec"
 COLOURS = ("#c2571a", "#1f6fb2", "#2f8f6b", "#7a5ba8")
 """Of places, upper face first."""
+FEW_TICKS = 8
+"""Runs up to which each has its tick."""
 CLOSED_SHADE = "#f1f3f6"
 STYLE: Mapping[str, Any] = {
     "font.family": "DejaVu Sans",
@@ -198,7 +200,9 @@ def _campaign_title(campaign: CampaignFit) -> str:
 
 def _draw_coefficient(ax: Any, campaign: CampaignFit, name: str) -> None:
     c = campaign.coefficients[name]
-    ax.set_title(f"{name} = {plain(c.mean, 3)}" + (f" ± {plain(c.sd, 2)}" if np.isfinite(c.sd) else "") + " W/m²K")
+    shared = name in campaign.shared
+    spread = f" ± {plain(c.sd, 2)}" if np.isfinite(c.sd) and not shared else ""
+    ax.set_title(f"{name} = {plain(c.mean, 3)}{spread} W/m²K{', shared' if shared else ''}")
     if np.isfinite(c.sd):
         ax.axhspan(c.mean - c.sd, c.mean + c.sd, color="#dfeaf4", lw=0, zorder=0)
     ax.axhline(c.mean, color=COLOURS[1], lw=1.2, zorder=1)
@@ -214,7 +218,10 @@ def _draw_coefficient(ax: Any, campaign: CampaignFit, name: str) -> None:
             ax.plot([i], [c.mean], marker="x", ms=5, color=MUTED, zorder=2)
     ax.set_ylim(0.0, 1.15 * max(tops))
     ax.set_xlim(0.4, len(campaign.runs) + 0.6)
-    ax.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=8))
+    if len(campaign.runs) <= FEW_TICKS:
+        ax.set_xticks(range(1, len(campaign.runs) + 1))
+    else:
+        ax.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=FEW_TICKS))
 
 
 def normalised_figure(campaign: CampaignFit) -> Figure:

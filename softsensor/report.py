@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from jinja2 import Environment, PackageLoader, select_autoescape
 
-from softsensor.campaign import CampaignFit, joint_interval
+from softsensor.campaign import CampaignFit
 from softsensor.dependence import Program
 from softsensor.figures import (
     coefficients_figure,
@@ -114,7 +114,7 @@ def _rows(campaign: CampaignFit) -> Iterator[dict[str, Any]]:
         yield {
             "name": name,
             "mean": plain(c.mean, 4) if c.runs else "–",
-            "sd": plain(c.sd, 2) if np.isfinite(c.sd) else "–",
+            "sd": plain(c.sd, 2) if np.isfinite(c.sd) and name not in campaign.shared else "–",
             "ci": _span(c.ci95) if c.runs else "–",
             "bootstrap": _span(c.bootstrap95) if c.runs else "–",
             "runs": f"{c.runs} of {len(campaign.runs)}",
@@ -132,12 +132,12 @@ def _joint(campaign: CampaignFit) -> Iterator[dict[str, Any]]:
     """By run: every coefficient with what it borrows, marked where it is much better known than alone."""
     for f in campaign.met:
         cells = []
-        for name, e in campaign.borrowed[f.run].items():
-            low, high = joint_interval(e)
+        for name, (e, (low, high)) in campaign.joint(f.run).items():
             alone = f.coefficients[name]
             better = alone.ci95[1] / alone.ci95[0] > (high / low) ** 1.5
             text = f"{plain(e.value, 4)} ± {50.0 * (high - low) / e.value:.0f} %"
-            cells.append({"text": text, "sure": better or not alone.identifiable})
+            sure = better or not alone.identifiable
+            cells.append({"text": text, "sure": sure and name not in campaign.shared})
         yield {"run": f.run, "cells": cells}
 
 

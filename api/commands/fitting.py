@@ -226,7 +226,7 @@ def predict_program(found: CampaignFit, settings: dict[str, float]) -> Program |
             f"--program: {runs_of(len(found.runs))} cannot show what {unknown} does; give at least 8 runs that "
             "differ in it (6 where only one setting varies)"
         )
-    return found.dependence.program(settings)
+    return found.program(settings)
 
 
 def check_method(method: str, *, averages: bool) -> str:
@@ -297,7 +297,7 @@ def _lines(found: CampaignFit) -> Iterator[str]:
     known = [f"{c.mean:.4g}{'' if c.runs else '?'}" for c in summary]
     if len(found.runs) > 1:
         rows.append(["mean", *known, "", ""])
-        rows.append(["sd", *(f"± {c.sd:.2g}" if c.runs > 1 else "" for c in summary), "", ""])
+        rows.append(["sd", *(f"± {c.sd:.2g}" if c.runs > 1 and c.sd > 0.0 else "" for c in summary), "", ""])
         rows.append(["joint median", *(f"{c.median:.4g}" for c in summary), "", ""])
         ends = [f"{plain(c.median_ci95[0], 3)} to {plain(c.median_ci95[1], 3)}" for c in summary]
         rows.append(["95 %", *ends, "", ""])
@@ -312,7 +312,7 @@ def _lines(found: CampaignFit) -> Iterator[str]:
     if len(found.runs) > 1:
         yield "Mean and sd: over the runs that can tell. Joint median: all runs together, with its 95 % interval."
     if found.shared:
-        yield f"One value in all runs: {', '.join(found.shared)}."
+        yield f"One value in all runs, with one interval: {', '.join(found.shared)}."
     for run in found.runs:
         for warning in run.warnings:
             yield f"{run.run}: {warning}"

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from api.commands.fitting import _lines
 from daq.pressfile import parse_press
 from daq.records import InputError
 from daq.simulated.campaign import Plan, make_campaign
@@ -13,7 +14,9 @@ from daq.simulated.campaign_sensors import Nuisances
 from softsensor.campaign import fit_campaign, fit_runs
 from softsensor.fit_joint import fit_together
 from softsensor.fit_problem import minimise
+from softsensor.fit_result import plain
 from softsensor.model import ThermalModel
+from softsensor.report import fit_report
 
 PRESS = parse_press(press_toml())
 NAMES = PRESS.coefficient_names
@@ -118,3 +121,58 @@ def test_prior_of_the_press_file_counts_once_however_many_runs_there_are():
 def test_wrong_prior_is_refused_by_name_value_and_limit(table, says):
     with pytest.raises(InputError, match=says):
         parse_press(f"{press_toml()}\n{table}")
+
+
+@pytest.fixture(scope="module")
+def alike():
+    """Eight short runs of a press whose open plate-to-panel contact is the same in all."""
+    plan = replace(PLAN, coefficient_spread=0.0, nuisances=Nuisances.real_chain())
+    return fit_campaign(PRESS, [run for run, _ in make_campaign(12, 9, plan=plan)], shared=["h_pp_o", "h_ap"])
+
+
+def test_shared_coefficient_has_one_value_and_one_interval_wherever_it_is_shown(alike):
+    content = alike.as_json()
+    for name in alike.shared:
+        total = content["campaign"][name]
+        shown = {(total["median"], *total["median_ci95"]), (total["mean"], *total["ci95"])}
+        shown |= {(total["mean"], *total["bootstrap95"])}
+        for run in content["runs"]:
+            table = run["coefficients"][name]
+            shown |= {(table["value"], *table["ci95"]), (table["joint"]["value"], *table["joint"]["ci95"])}
+        assert len(shown) == 1, name
+        assert not any(w.startswith(f"{name} is ") for run in content["runs"] for w in run["warnings"])
+        assert content["runs"][0]["coefficients"][name]["verdict"] == "shared"
+
+
+def test_shared_coefficient_reads_the_same_on_the_page_and_on_the_terminal(alike):
+    page, lines = fit_report(alike), [line.split() for line in _lines(alike)]
+    names = list(alike.coefficients)
+    for name in alike.shared:
+        c = alike.coefficients[name]
+        half = 50.0 * (c.median_ci95[1] - c.median_ci95[0]) / c.median
+        cell = f"{plain(c.median, 4)} ± {half:.0f} %"
+        assert page.count(cell) == 2 * len(alike.runs), name
+        column = 1 + names.index(name)
+        told = [line[column].rstrip("?") for line in lines[1 : 1 + len(alike.runs)]]
+        assert set(told) == {f"{c.median:.4g}"}
+        assert lines[1 + len(alike.runs)][column] == f"{c.median:.4g}"
+
+
+def test_program_leaves_a_shared_coefficient_and_keeps_the_others_within_the_press_file(alike):
+    told = alike.program({"press_time_s": 9000.0})
+    for name in alike.shared:
+        c = alike.coefficients[name]
+        assert told.coefficients[name].value == c.median
+        assert told.interval(name) == c.median_ci95
+    for name in NAMES:
+        table, (low, high) = PRESS.coefficient(name), told.interval(name)
+        assert table.lower <= low <= told.coefficients[name].value <= high <= table.upper
+    assert any("beyond the press file's limit" in remark for remark in told.remarks)
+
+
+def test_one_run_shares_with_nobody():
+    run, _ = make_campaign(12, 1, plan=PLAN)[0]
+    alone, shared = fit_campaign(PRESS, [run]), fit_campaign(PRESS, [run], shared=["h_ap"])
+    assert shared.shared == ()
+    assert shared.coefficients["h_ap"].median_ci95 == alone.coefficients["h_ap"].median_ci95
+    assert shared.runs[0].coefficients["h_ap"] == alone.runs[0].coefficients["h_ap"]

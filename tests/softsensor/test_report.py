@@ -1,6 +1,7 @@
 """Figures and the page: self-contained, repeatable, and saying what was found."""
 
 import re
+from dataclasses import replace
 
 import pytest
 
@@ -37,3 +38,12 @@ def test_same_campaign_gives_the_same_picture(campaign):
 def test_figures_come_as_svg_and_png(campaign):
     assert "<svg" in svg(coefficients_figure(campaign))
     assert png(run_figure(campaign.runs[0]), dpi=50).startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize("runs", [1, 3])
+def test_every_run_of_a_few_has_its_tick_and_nothing_lies_between(campaign, runs):
+    few = replace(campaign, runs=campaign.runs[:runs])
+    axes = [ax for ax in coefficients_figure(few).axes if ax.axison]
+    assert len(axes) == len(few.coefficients)
+    for ax in axes:
+        assert ax.get_xticks().tolist() == list(range(1, runs + 1))
