@@ -133,7 +133,9 @@ class Database:
 
     def _make_engine(self, busy_s: float) -> Engine:
         if self.dialect == "postgresql":
-            return create_engine(self.url, pool_pre_ping=True, connect_args=_server_options(busy_s))
+            engine = create_engine(self.url, pool_pre_ping=True, connect_args=_server_options(busy_s))
+            event.listen(engine, "do_connect", _connect_patiently)
+            return engine
         engine = create_engine(self.url, connect_args={"timeout": busy_s})
         event.listen(engine, "connect", _prepare_sqlite)
         event.listen(engine, "begin", _begin_sqlite)
@@ -218,6 +220,13 @@ def _server_options(busy_s: float) -> dict[str, Any]:
         "tcp_user_timeout": 8000,
         "options": f"-c lock_timeout={int(1000 * busy_s)}",
     }
+
+
+def _connect_patiently(_dialect: Any, _record: Any, words: list[Any], options: dict[str, Any]) -> Any:
+    """Connect so that a call to a server that has stopped fails; the driver is there only with that extra."""
+    from daq.store.patience import PatientConnection
+
+    return PatientConnection.to(*words, **options)
 
 
 def _check_place(path: Path, create: bool) -> None:

@@ -3,6 +3,7 @@
 import os
 import select
 import shutil
+import signal
 import socket
 import subprocess
 import tempfile
@@ -12,11 +13,13 @@ from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 
+import psycopg
 import pytest
+from sqlalchemy import text
 from sqlalchemy.engine import make_url
 
 from daq.records import Channel
-from daq.store import NewRun, RunStatus, open_store
+from daq.store import NewRun, RunStatus, StoreUnavailable, open_store, patience
 from daq.store.outbox import Outbox
 from daq.store.parcels import Entry, Parcel
 from tests.daq.test_kills import herd
@@ -162,6 +165,84 @@ def own_server():
         control("stop", "-m", "immediate")
     finally:
         shutil.rmtree(data, ignore_errors=True)
+
+
+def every_process(url):
+    """The server's process numbers, its parent's last: it must not notice that a child has stopped."""
+    with psycopg.connect(url.replace("+psycopg", ""), autocommit=True) as connection:
+        folder = connection.execute("SHOW data_directory").fetchone()[0]
+    parent = int((Path(folder) / "postmaster.pid").read_text().split()[0])
+    return [*map(int, Path(f"/proc/{parent}/task/{parent}/children").read_text().split()), parent]
+
+
+@contextmanager
+def stopped(url):
+    """The server says nothing; the machine it runs on still confirms what it is sent."""
+    processes = every_process(url)
+    for process in reversed(processes):
+        os.kill(process, signal.SIGSTOP)
+    try:
+        yield
+    finally:
+        for process in processes:
+            with suppress(ProcessLookupError):
+                os.kill(process, signal.SIGCONT)
+
+
+def test_a_server_that_falls_silent_costs_seconds_and_a_slow_one_is_waited_for(tmp_path, monkeypatch):
+    monkeypatch.setattr(patience, "SILENT_S", 1.0)
+    with own_server() as (_, url), open_store(url, busy_s=2.0) as store:
+        with store.database.reading() as connection:
+            assert connection.execute(text("SELECT 1 FROM pg_sleep(1.4)")).scalar() == 1
+        key = store.register_press("lab", CHANNELS, "press file")
+        said, notes = [], Notes()
+        outbox = Outbox(
+            store, buffer=tmp_path / "b.sqlite", acknowledged=notes.note, say=lambda *words: said.append(words)
+        )
+        outbox.start()
+        for n in range(10):
+            outbox.put(parcel(key, n))
+        wait_until(lambda: outbox.written == 10)
+        with stopped(url):
+            for n in range(10, 3000):
+                outbox.put(parcel(key, n))
+            wait_until(lambda: outbox.written == 3000, 8)
+            assert outbox.waiting == 2990
+            with pytest.raises(StoreUnavailable, match="check that the database server runs"):
+                store.newest_scan_number("lab")
+        wait_until(lambda: outbox.waiting == 0)
+        outbox.close()
+        assert [s.number for s in all_scans(store)] == list(range(3000))
+        assert [level for level, _ in said] == ["alarm", "info"]
+        assert "connection" in said[0][1]
+        assert "check that the database server runs" in said[0][1]
+        assert f"scans wait in {tmp_path / 'b.sqlite'}, enough for" in said[0][1]
+
+
+@pytest.mark.campaign
+@pytest.mark.timeout(300)
+def test_a_server_that_stops_under_the_recorder_costs_no_scan_and_raises_the_alarm(tmp_path):
+    with own_server() as (_, url), herd(tmp_path, url) as one:
+        one.start("record")
+        for count in (1, 2, 3):
+            seen = len(one.acknowledged("record"))
+            wait_until(lambda: len(one.acknowledged("record")) > seen + 40, 60)  # noqa: B023
+            with stopped(url):
+                time.sleep(0.5)
+                seen, began = len(one.acknowledged("record")), time.monotonic()
+                wait_until(lambda: len(one.acknowledged("record")) > seen, 20)  # noqa: B023
+                print(f"scans go to the disk {time.monotonic() - began + 0.5:.1f} s after the server fell silent")
+                wait_until(lambda: len(one.acknowledged("record")) > seen + 1000, 60)  # noqa: B023
+            with open_store(url) as store:
+                balanced(one, store)
+                back = "takes data again"
+                wait_until(lambda: sum(back in e.message for e in store.journal().items) == count, 60)  # noqa: B023
+                alarms = [e.message for e in store.journal(level="alarm").items]
+        assert len(alarms) == 3
+        assert all(
+            "check that the database server runs" in m and "sqlite, enough for" in m and "connection" in m
+            for m in alarms
+        )
 
 
 @pytest.mark.campaign
