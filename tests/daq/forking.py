@@ -1,4 +1,4 @@
-"""A parent that has everything imported and forks recorder and sensor, so that a thousand kills take minutes.
+"""A parent that has everything imported and compiled and forks recorder and sensor, so that a thousand kills take minutes.
 
 ``python forking.py CONFIG NOTES`` reads ``record`` or ``sense`` from standard input, forks that process and
 answers with its number. What a child has had acknowledged by the store it appends to NOTES/record or
@@ -14,9 +14,11 @@ from concurrent.futures import Future
 from pathlib import Path
 
 from daq.config import load_config
+from daq.pressfile import read_press
 from daq.recorder import record
 from daq.store import Store
 from softsensor import service
+from softsensor.warming import warm_up
 
 
 def note(place, rows):
@@ -58,6 +60,8 @@ def run_sense(config, place):
 def main():
     config, notes = (Path(x) for x in sys.argv[1:])
     logging.basicConfig(level=logging.ERROR)
+    for press in load_config(config).press:  # or every sensor compiles anew, for longer than it lives
+        warm_up(read_press(press.file))
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)
     for line in sys.stdin:
         role = line.strip()
