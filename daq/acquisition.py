@@ -1,8 +1,8 @@
 """Scans from loggers: one thread a logger, one schedule that does not drift, and no logger waits for another.
 
 Every logger is asked at every tick. A scan takes what has arrived by then; a logger that has not answered
-leaves its channels empty with the reason as their quality. An answer that comes after its tick's scan is
-used in the next scan, once, while it is younger than one and a half periods.
+leaves its channels empty with the reason as their quality: what its last failure was, or ``late``. An answer
+that comes after its tick's scan is used in the next scan, once, while it is younger than one and a half periods.
 
 A scan's `utc` is when the replies came; its `monotonic_s` is when the values were converted on average, which
 is up to half a second earlier in modules that convert one input after the other (`timing.age_s` of a profile).
@@ -43,7 +43,7 @@ class LoggerThread:
         self._say = say
         self._retired = False
         self._answer: tuple[int, Reading] | None = None
-        self._failure = Quality.MISSING
+        self._failure = Quality.LATE
         self._good_s = time.monotonic()
         self.returned_s = time.monotonic()
         """When the driver last came back from its device, with an answer or the reason for none. [s]"""
@@ -80,7 +80,7 @@ class LoggerThread:
             return  # a broken driver has not come back: the watchdog may start the service anew
         else:
             self._answer = (number, reading)
-            self._failure = Quality.MISSING
+            self._failure = Quality.LATE
             self.counters["good"] += 1
             self.last_good_utc = datetime.now(UTC)
             self._good_s = time.monotonic()
@@ -168,6 +168,9 @@ class Scanner:
     def __init__(self, loggers: Sequence[LoggerThread], period_s: float, speed: float, first_number: int) -> None:
         self.loggers = tuple(loggers)
         self.missed_ticks = 0
+        self.left_out = 0
+        """Ticks that went by without a scan right before the newest one: this machine was too busy."""
+        self._skipped = 0
         self._ticks = Ticks(time.monotonic() + 0.05, period_s)
         self._speed = speed
         self._number = first_number
@@ -219,7 +222,8 @@ class Scanner:
         scan = self._assemble(self._ticks.at(self._tick) - _OLDEST_PERIODS * period)
         self._number += 1
         following = max(self._tick + 1, self._ticks.next_number())
-        self.missed_ticks += following - self._tick - 1
+        self.left_out, self._skipped = self._skipped, following - self._tick - 1
+        self.missed_ticks += self._skipped
         self._tick = following
         return scan
 
@@ -244,6 +248,11 @@ class Scanner:
         converted_s = max(at_s * self._speed - self._age_s, self._last_scan_s + 1e-4)
         self._last_scan_s = converted_s
         return Scan(self._number, utc, round(converted_s, 6), tuple(values), tuple(qualities))
+
+    @property
+    def period_s(self) -> float:
+        """The time from tick to tick. [s]"""
+        return self._ticks.period_s
 
     @property
     def _age_s(self) -> float:

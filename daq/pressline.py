@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import threading
 import time
 from collections.abc import Mapping, Sequence
@@ -30,6 +31,8 @@ _STALLED_AFTER_S = 5.0
 """No scan for so long beside the schedule's own pace is a standstill. [s]"""
 _STUCK_AFTER_S = 20.0
 """Longer than any wait for devices on one bus: a driver that is still in its read hangs. [s]"""
+LEFT_OUT_SAID_EVERY_S = 10.0
+"""Scans left out are journalled at once, then at most this often. [s]"""
 
 Level = Literal["info", "warning", "alarm"]
 
@@ -89,6 +92,9 @@ class PressLine:
         self._detector = PressEventDetector(press)
         self._held: dict[str, tuple[float, float]] = {}
         self._newest: Scan | None = None
+        self._left_out: list[tuple[float, int]] = []
+        """Scans before which ticks went by, by their times, and how many did: not in the journal yet."""
+        self._left_out_said_s = -math.inf
         self._fresh_s = time.monotonic()
         self._clock = ClockWatch(speed)
         self._changed: _Change | None = None
@@ -190,12 +196,14 @@ class PressLine:
                 LOG.exception("press %s: a fault in the recorder; recording goes on", self.settings.name)
                 if self._stop.wait(1.0):
                     break
+        self._say_left_out()
         end = self._keeper.stop()
         if end is not None:
             self._outbox.put(Parcel(self._key, end=end))
 
     def _take(self, scan: Scan) -> None:
         self._watch_clock(scan)
+        self._watch_schedule(scan)
         events = self._detector.update(scan.monotonic_s, self._usable(scan))
         changes = self._keeper.take(scan, events)
         self._newest, self._fresh_s = scan, time.monotonic()
@@ -239,6 +247,25 @@ class PressLine:
                 step_s=step,
                 scan=scan.number,
             )
+
+    def _watch_schedule(self, scan: Scan) -> None:
+        """Journal where scans begin and which ones were left out, so that none is missing without a word."""
+        if self._newest is None:
+            name, period_s = self.settings.name, self._scanner.period_s * self._speed
+            self._say("info", f"press {name}: scans begin", name, monotonic_s=scan.monotonic_s, period_s=period_s)
+        if self._scanner.left_out:
+            self._left_out.append((scan.monotonic_s, self._scanner.left_out))
+        if time.monotonic() - self._left_out_said_s > LEFT_OUT_SAID_EVERY_S:
+            self._say_left_out()
+
+    def _say_left_out(self) -> None:
+        if not self._left_out:
+            return
+        left_out, self._left_out = self._left_out, []
+        self._left_out_said_s = time.monotonic()
+        count = sum(count for _, count in left_out)
+        sentence = f"press {self.settings.name}: {count} scans left out, this machine was too busy"
+        self._say("info", sentence, self.settings.name, before_monotonic_s=left_out)
 
     def _logger_said(self, level: str, sentence: str, detail: Mapping[str, Any]) -> None:
         known: Level = "warning" if level == "warning" else "info"

@@ -48,6 +48,8 @@ class Quality(StrEnum):
     STALE = "stale"
     BAD_FRAME = "bad_frame"
     MISSING = "missing"
+    LATE = "late"
+    """Asked for, and not there when its scan had to be taken: a slow logger, or a busy machine."""
     SIMULATED = "simulated"
 
     @property
@@ -156,7 +158,7 @@ class Run:
     source: str = ""
     """Where it came from, for messages: a file path or ``store``."""
     texts: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    """Columns of remarks, one text a row: kept in files, used by nothing."""
+    """Columns of remarks, one text a row, kept in files; ``quality`` says why cells are missing."""
 
     def matching(self, patterns: Iterable[str]) -> tuple[str, ...]:
         """Return the columns that match shell-style patterns, in file order, each once."""

@@ -241,9 +241,11 @@ class Follower:
     def step(self, now: float) -> bool:
         """Do what there is to do; return whether there was anything."""
         if self.last == -2:
-            self.last = self.store.last_scan_followed(self.name)
-            if self.last == -1:
-                self.last = self.store.newest_scan_number(self.name)
+            last = self.store.last_scan_followed(self.name)
+            if last == -1:
+                last = self.store.newest_scan_number(self.name)
+            self._fit_what_was_left(last)
+            self.last = last
         if now - self._model_looked > MODEL_S:
             self._model_looked = now
             self._refresh_model()
@@ -374,7 +376,16 @@ class Follower:
 
     def _finish(self, live: _Live) -> None:
         """A run is over: fit all of it."""
-        record = self.store.run_record(live.record.run)
+        self._fit_whole(self.store.run_record(live.record.run))
+
+    def _fit_what_was_left(self, last: int) -> None:
+        """Fit those of the newest runs up to a scan that a process killed before this one has left."""
+        for record in reversed(self.store.runs(press=self.name, limit=NEWEST_RUNS).items):
+            seen = record.last_scan is not None and record.last_scan <= last
+            if seen and "fingerprint" not in (self.store.fit(record.run) or {}):
+                self._fit_whole(record)
+
+    def _fit_whole(self, record: RunRecord) -> None:
         if record.status is not RunStatus.OPEN and record.moments.closed_s == record.moments.closed_s:
             self._due.add(record.run)
             self._submit(record.run)
@@ -382,20 +393,23 @@ class Follower:
     def _submit(self, run: str) -> None:
         if run in self._fits or run not in self._due:
             return
-        self._due.discard(run)
         self._fits[run] = self.fitter.submit(self.press, self.store.load_run(run), self.model)
+        self._due.discard(run)
 
     def _collect(self) -> None:
         """Store finished fits and look at the control charts."""
         for run in [run for run, future in self._fits.items() if future.done()]:
-            future = self._fits.pop(run)
+            future = self._fits[run]  # kept until it is stored: the store may refuse now
             error = future.exception()
             if error is not None:
                 _say(self.store, "warning", f"run {run} could not be fitted: {error}", self.name)
             else:
                 self.store.put_fit(run, self._marked(run, future.result()), self._base_version)
                 self._model_looked = -1e9
+            del self._fits[run]
+            if error is None:
                 self._watch()
+        for run in tuple(self._due):
             self._submit(run)
 
     def _marked(self, run: str, fit: dict[str, Any]) -> dict[str, Any]:

@@ -62,6 +62,7 @@ const WORDS = {
   quality_stale: ["stale", "veraltet"],
   quality_bad_frame: ["bad frame", "Telegramm fehlerhaft"],
   quality_missing: ["missing", "fehlt"],
+  quality_late: ["late", "zu spät"],
   material: ["Material", "Material"],
   status: ["Status", "Status"],
   from: ["From", "Von"],

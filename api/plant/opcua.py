@@ -58,6 +58,7 @@ STATUS = {
     Quality.UNDER: ua.StatusCodes.BadOutOfRange,
     Quality.BAD_FRAME: ua.StatusCodes.BadNoCommunication,
     Quality.MISSING: ua.StatusCodes.BadNoCommunication,
+    Quality.LATE: ua.StatusCodes.BadTimeout,
 }
 _CELSIUS = ("°C", "degree Celsius", 4408652)
 _KELVIN = ("K", "kelvin", 4932940)

@@ -75,7 +75,7 @@ def measured(folder: Path, count: int) -> tuple[float, float, float, float]:
             time.sleep(1.5)
             left_out = (_missed(store) - missed) / (10.0 * elapsed * count)
             batch = [s for i in range(count) for s in store.scans_after(f"p{i}", first[i], 500).scans]
-            late = sum(q is Quality.MISSING for s in batch for q in s.qualities) / max(
+            late = sum(q is Quality.LATE for s in batch for q in s.qualities) / max(
                 sum(len(s.qualities) for s in batch), 1
             )
             rate = sum(b - a for a, b in zip(first, last, strict=True)) / elapsed / count

@@ -4,6 +4,7 @@ import math
 import threading
 import time
 from datetime import UTC, datetime, timedelta
+from itertools import pairwise
 from statistics import median
 
 import numpy as np
@@ -68,6 +69,26 @@ def test_a_slow_logger_leaves_gaps_and_the_fast_one_misses_nothing():
     answered = [s.values[2] for s in scans if not math.isnan(s.values[2])]
     assert 6 <= len(answered) <= 16
     assert len(set(answered)) == len(answered), "an answer was used twice"
+    assert {q for s in scans for q in s.qualities[2:]} == {Quality.GOOD, Quality.LATE}
+
+
+def test_a_scan_says_how_many_ticks_went_by_before_it():
+    told = []
+    stop = threading.Event()
+    scanner = Scanner([LoggerThread("a", Instrument("a"), lambda *what: None)], 0.05, 1.0, first_number=0)
+    scanner.start(stop)
+    scans = []
+    for number in range(12):
+        scans.append(scanner.scan(stop))
+        told.append(scanner.left_out)
+        if number == 5:
+            time.sleep(0.22)  # a machine that is too busy
+    stop.set()
+    scanner.join(2.0)
+    apart = [round((b.monotonic_s - a.monotonic_s) / 0.05) for a, b in pairwise(scans)]
+    assert told[7] >= 3, "the first scan afterwards is late itself, the next one has ticks before it"
+    assert sum(told) == told[7] == scanner.missed_ticks
+    assert sum(apart) == 11 + sum(told)
 
 
 @pytest.mark.parametrize(

@@ -160,6 +160,29 @@ def test_a_silent_logger_is_said_once_leaves_gaps_with_cause_and_does_not_distur
         assert last > first + 20
 
 
+@pytest.mark.skipif(os.name == "nt", reason="SIGSTOP is POSIX")
+def test_scans_left_out_stand_in_the_journal_with_their_place(tmp_path):
+    with plant(tmp_path, rate_hz=10.0) as made, open_store(made.url) as store:
+        command = [sys.executable, "-m", "daq.recorder", str(made.config)]
+        with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as recorder:
+            wait_until(lambda: store.newest_scan_number("lab") > 10)
+            recorder.send_signal(signal.SIGSTOP)
+            time.sleep(0.7)
+            recorder.send_signal(signal.SIGCONT)
+            number = store.newest_scan_number("lab")
+            wait_until(lambda: store.newest_scan_number("lab") > number + 10)
+            recorder.terminate()
+        scans = all_scans(store)
+        said = {e.message.partition(": ")[2]: e for e in store.journal(limit=100).items if e.press == "lab"}
+        (begin,) = [e for what, e in said.items() if what == "scans begin"]
+        told = [pair for what, e in said.items() if "left out" in what for pair in e.detail["before_monotonic_s"]]
+    assert begin.detail == {"monotonic_s": scans[0].monotonic_s, "period_s": 0.1}
+    assert set(at for at, _ in told) <= {s.monotonic_s for s in scans}
+    due = round((scans[-1].monotonic_s - scans[0].monotonic_s) / 0.1) + 1
+    assert sum(count for _, count in told) >= 5
+    assert len(scans) + sum(count for _, count in told) == pytest.approx(due, abs=1)
+
+
 def all_scans(store):
     scans, last = [], -1
     while batch := store.scans_after("lab", last, 5000).scans:

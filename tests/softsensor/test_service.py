@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
@@ -259,11 +260,22 @@ class _Moody:
         return getattr(self._store, name)
 
     def append_estimates(self, press, estimates):
+        self._now_and_then()
+        self._store.append_estimates(press, estimates)
+
+    def put_fit(self, run, fit, model_version):
+        self._now_and_then()
+        self._store.put_fit(run, fit, model_version)
+
+    def load_run(self, run):
+        self._now_and_then()
+        return self._store.load_run(run)
+
+    def _now_and_then(self):
         self._asked += 1
         if self._asked % 3 == 2:
             self.refusals += 1
             raise StoreUnavailable("store: database is locked")
-        self._store.append_estimates(press, estimates)
 
 
 def test_a_store_that_refuses_now_and_then_changes_no_estimate(tmp_path, fitter, pressing):
@@ -281,6 +293,11 @@ def test_a_store_that_refuses_now_and_then_changes_no_estimate(tmp_path, fitter,
             said_to.append(said(opened))
             if moody:
                 assert sense.store.refusals > 3
+            wait = time.monotonic() + DEADLINE_S
+            while "fingerprint" not in (opened.fit(opened.runs().items[0].run) or {}):
+                assert time.monotonic() < wait, "a fit was lost"
+                with suppress(StoreUnavailable):
+                    drain(sense)
     assert len(said_to[0]) > 100
     assert repr(said_to[1]) == repr(said_to[0])
 
@@ -349,6 +366,29 @@ def test_a_kill_before_a_pressing_was_caught_up_with_leaves_no_scan_of_it_withou
     ended = store.run_record(record.run)
     assert len(store.estimates(record.run)) == ended.last_scan - ended.first_scan + 1
     assert store.last_scan_followed("lab") == store.newest_estimate_number("lab")
+
+
+def test_a_pressing_whose_fit_a_kill_prevented_is_fitted_after_the_restart(store, pressing):
+    class Deaf:
+        """A worker that never comes to the fit."""
+
+        def submit(self, press, run, model):
+            return Future()
+
+    run, _ = pressing
+    follow(store, Deaf(), Recorder(store, run))
+    (record,) = store.runs().items
+    assert store.fit(record.run) is None
+    assert store.last_scan_followed("lab") >= record.last_scan
+    with Fitter() as fitter:
+        sense = follower(store, fitter)
+        wait = time.monotonic() + DEADLINE_S
+        while "fingerprint" not in (store.fit(record.run) or {}):
+            assert time.monotonic() < wait, "the pressing was left without a fit"
+            drain(sense)
+    again = follower(store, Deaf())
+    drain(again)
+    assert not again._fits, "what is fitted is not fitted anew at each start"
 
 
 FIT_WORKER = """

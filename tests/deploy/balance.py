@@ -1,0 +1,339 @@
+"""The balance of an endurance run: what was due, what is in the store, and by which stored cause the rest is not.
+
+The causes come from what the recorder and the live sensor themselves wrote: where scans begin after a start,
+which ticks were left out, each value's quality, each run's status and moments, the journal. What was broken on
+purpose is only held against them: where values stop without such a fault, or a recorder begins that nobody had
+killed, the store's word does not count. What neither explains is unaccounted for.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from daq.pressline import LEFT_OUT_SAID_EVERY_S
+from daq.records import Moments, Quality
+from daq.store import RunStatus, Store
+
+AFTER_S = 4.0
+"""A fault explains values that are missing until this long after its end: a driver rests between its tries. [s]"""
+BLIND_S = 3.0
+"""A face unseen this long, or scans this far apart, can hide a moment of the press. [s of the press]"""
+MARGIN_S = 10.0
+"""How far from a moment the scans lie that show it. [s of the press]"""
+AWAY = "recorder away"
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One fault, on the machine's monotonic clock. [s]"""
+
+    kind: str
+    begin_s: float
+    end_s: float
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What truly happened; all times on the scans' clock, monotonic seconds times speed."""
+
+    press: str
+    speed: float
+    rate_hz: float
+    faults: Sequence[Fault]
+    pressings: Mapping[int, Moments]
+    clock_steps: int
+
+    def during(self, kind: str, begin_s: float, end_s: float) -> bool:
+        """Whether a fault of a kind, with what it takes to recover, lies over a stretch."""
+        found = (f for f in self.faults if f.kind == kind)
+        return any(f.begin_s * self.speed <= end_s and begin_s <= (f.end_s + AFTER_S) * self.speed for f in found)
+
+
+@dataclass
+class Balance:
+    """What was due, what is there, and where the rest went."""
+
+    lines: list[str] = field(default_factory=list)
+    unaccounted: Counter[str] = field(default_factory=Counter)
+    grown_share: dict[str, float] = field(default_factory=dict)
+
+    def say(self, what: str, due: int, there: int, causes: Mapping[str, int], where: Sequence[Any] = ()) -> None:
+        """Add a line: due = there + by cause + unaccounted; `where` names the first places of the latter."""
+        rest = due - there - sum(causes.values())
+        self.unaccounted[what] = rest
+        named = "".join(f", {cause} {count}" for cause, count in sorted(causes.items()))
+        at = f" ({'; '.join(str(x) for x in where[:6])})" if rest and where else ""
+        self.lines.append(f"{what:18} due {due}, there {there}{named}, unaccounted {rest}{at}")
+
+    def weigh(self, name: str, sizes: Sequence[tuple[int, float, int]]) -> None:
+        """Add a line on the memory of the longest-lived process: after its first fifth, first half against second.
+
+        Parameters
+        ----------
+        sizes
+            Process id, machine's monotonic time [s], resident memory [bytes], as they were seen.
+        """
+        pid = Counter(pid for pid, _, _ in sizes).most_common(1)[0][0]
+        lived = [(at_s, size) for p, at_s, size in sizes if p == pid]
+        later = [size for _, size in lived[len(lived) // 5 :]]
+        if len(later) < 4:
+            self.lines.append(f"{'memory ' + name:18} no process lived long enough to say")
+            return
+        first, second = max(later[: len(later) // 2]) / 1e6, max(later[len(later) // 2 :]) / 1e6
+        self.grown_share[name] = second / first - 1.0
+        minutes = (lived[-1][0] - lived[0][0]) / 60.0
+        self.lines.append(
+            f"{'memory ' + name:18} {first:.1f} MB, later {second:.1f} MB ({second / first - 1:+.1%}), "
+            f"one process over {minutes:.0f} min"
+        )
+
+
+@dataclass(frozen=True)
+class _Scans:
+    """All scans of the press, as arrays, cut where a recorder began."""
+
+    numbers: Any
+    times: Any
+    """[s]"""
+    qualities: list[tuple[Quality, ...]]
+    columns: tuple[str, ...]
+    begins: Any
+    """Index of each recorder's first scan."""
+
+    @property
+    def sessions(self) -> list[slice]:
+        ends = [*self.begins[1:], len(self.times)]
+        return [slice(int(a), int(b)) for a, b in zip(self.begins, ends, strict=True)]
+
+
+def take_balance(store: Store, truth: Truth) -> Balance:
+    """Count everything."""
+    return _Count(store, truth).balance
+
+
+class _Count:
+    def __init__(self, store: Store, truth: Truth) -> None:
+        self.store, self.truth, self.balance = store, truth, Balance()
+        self.journal = _journal(store)
+        self.runs = _runs(store)
+        self.scans = self._load()
+        self.period_s = 1.0 / truth.rate_hz
+        self.blind = list(self._blind())
+        self._count_scans()
+        self._count_values()
+        self._count_pressings()
+        self._count_runs()
+        self._count_fits()
+        self._count_estimates()
+        steps = sum("clock of this machine was set" in e.message for e in self.journal)
+        self.balance.say("clock steps", truth.clock_steps, min(steps, truth.clock_steps), {})
+
+    def _load(self) -> _Scans:
+        begun = {e.detail["monotonic_s"] for e in self.journal if "scans begin" in e.message}
+        numbers, times, qualities = [], [], []
+        for scan in _scans(self.store, self.truth.press):
+            numbers.append(scan.number)
+            times.append(scan.monotonic_s)
+            qualities.append(scan.qualities)
+        begins = [i for i, at in enumerate(times) if i == 0 or at in begun]
+        columns = tuple(c.name for c in self.store.channels(self.truth.press))
+        return _Scans(np.array(numbers), np.array(times), qualities, columns, np.array(begins))
+
+    # --- scans and values ---------------------------------------------------------------------------
+
+    def _count_scans(self) -> None:
+        """Every tick of the schedule has its scan, or was journalled as left out, or no recorder was there."""
+        said = {at: count for e in self.journal if "left out" in e.message for at, count in _pairs(e)}
+        causes: Counter[str] = Counter()
+        scans, silent, where = self.scans, 0, []
+        for number, session in enumerate(scans.sessions):
+            times = scans.times[session]
+            left_out = np.cumsum([said.get(at, 0) for at in times.tolist()])
+            ahead = (times - times[0]) / self.period_s - np.arange(len(times)) - left_out
+            unsaid = round(float(np.median(ahead[-5:]) - np.median(ahead[:5])))
+            early = ahead[times < times[-1] - LEFT_OUT_SAID_EVERY_S * self.truth.speed]
+            killed = number + 1 < len(scans.sessions)
+            before = round(float(np.median(early[-5:]) - np.median(ahead[:5]))) if len(early) else 0
+            causes["left out, as journalled"] += int(left_out[-1])
+            if killed:
+                causes["left out in the 10 s before a kill, not journalled any more"] += unsaid - before
+            lost = before if killed else unsaid
+            silent += lost
+            where += [f"{lost} in the session from {times[0]:.1f} s"] if lost else []
+        for before_s, after_s, cause in self.blind:
+            if cause == AWAY:
+                ticks = round((after_s - before_s) / self.period_s) - 1
+                if self.truth.during("recorder killed", before_s, after_s):
+                    causes["recorder killed, away until it began anew"] += ticks
+                else:
+                    silent += ticks
+                    where.append(f"no recorder at {before_s:.1f} s")
+        there = len(scans.times)
+        self.balance.say("scans", there + sum(causes.values()) + silent, there, +causes, where)
+        self.balance.unaccounted["scan numbers"] = int((np.diff(scans.numbers) != 1).sum())
+        kills = sum(f.kind == "recorder killed" for f in self.truth.faults)
+        self.balance.say("recorder starts", kills + 1, len(scans.sessions), {})
+
+    def _count_values(self) -> None:
+        """Every value is good, or late, or its quality fits a fault that lies over it."""
+        causes: Counter[str] = Counter()
+        good, where = 0, []
+        due = 0
+        for at, qualities in zip(self.scans.times.tolist(), self.scans.qualities, strict=True):
+            due += len(qualities)
+            for quality in qualities:
+                if quality.usable:
+                    good += 1
+                elif quality is Quality.LATE:
+                    causes["late, as stored"] += 1
+                elif (kind := self._fault_of(quality, at)) is not None:
+                    causes[f"{quality.value}, {kind}"] += 1
+                else:
+                    where.append(f"{quality.value} at {at:.1f} s")
+        self.balance.say("values", due, good, causes, sorted(set(where)))
+
+    def _fault_of(self, quality: Quality, at_s: float) -> str | None:
+        # an ADAM in ASCII shows an open input as -0000, under range
+        kind = "sensor dead" if quality in (Quality.OPEN, Quality.UNDER) else "logger lost"
+        return kind if self.truth.during(kind, at_s - self.truth.speed, at_s) else None
+
+    # --- pressings, runs ------------------------------------------------------------------------------
+
+    def _blind(self) -> Iterator[tuple[float, float, str]]:
+        """Yield the stretches in which, by the stored scans, a moment of the press could not be seen."""
+        scans = self.scans
+        first = set(scans.begins.tolist())
+        for i, (before, after) in enumerate(pairwise(scans.times.tolist()), 1):
+            if i in first:
+                yield before, after, AWAY
+            elif after - before > BLIND_S:
+                yield before, after, "scans left out"
+        for face in ("platen", "top", "bottom"):
+            places = [i for i, name in enumerate(scans.columns) if name.startswith(face)]
+            since, why = None, ""
+            for at, qualities in zip(scans.times.tolist(), scans.qualities, strict=True):
+                if any(qualities[i].usable for i in places):
+                    if since is not None and at - since > BLIND_S:
+                        yield since, at, f"{face} sensors {why}"
+                    since, why = at, ""
+                else:
+                    why = qualities[places[0]].value
+
+    def _blind_over(self, begin_s: float, end_s: float) -> str | None:
+        found = [cause for a, b, cause in self.blind if a <= end_s and begin_s <= b]
+        return min(found, key=lambda cause: cause != AWAY) if found else None
+
+    def _span(self, run: Any) -> tuple[float, float]:
+        """Return the times of a run's first and last scan. [s]"""
+        first = self.scans.numbers[0]
+        times = self.scans.times
+        last = len(times) - 1 if run.last_scan is None else int(run.last_scan - first)
+        return float(times[int(run.first_scan - first)]), float(times[last])
+
+    def _run_over(self, begin_s: float, end_s: float) -> list[Any]:
+        return [r for r in self.runs if (span := self._span(r))[0] <= end_s and begin_s <= span[1]]
+
+    def _count_pressings(self) -> None:
+        """Every pressing is a finished run, or the store shows why not: nobody saw its insertion or closing."""
+        causes: Counter[str] = Counter()
+        closed, where = 0, []
+        for number, true in self.truth.pressings.items():
+            mine = self._run_over(true.closed_s, true.opened_s)
+            if any(r.status is RunStatus.CLOSED for r in mine):
+                closed += 1
+            elif mine and (why := self._blind_over(true.inserted_s - MARGIN_S, true.removed_s + MARGIN_S)):
+                causes[f"interrupted, {why}"] += 1
+            elif not mine and (why := self._blind_over(true.inserted_s - MARGIN_S, true.closed_s + MARGIN_S)):
+                causes[f"no run, {why} over insertion or closing"] += 1
+            else:
+                where.append(f"pressing {number} closing at {true.closed_s:.1f} s")
+        self.balance.say("pressings", len(self.truth.pressings), closed, causes, where)
+
+    def _count_runs(self) -> None:
+        """Every run holds one pressing, or the store shows why it holds none or two."""
+        causes: Counter[str] = Counter()
+        single, where = 0, []
+        last_s = max(true.removed_s for true in self.truth.pressings.values())
+        runs = [r for r in self.runs if self._span(r)[0] < last_s]
+        for run in runs:
+            begin_s, end_s = self._span(run)
+            held = sum(t.closed_s <= end_s and begin_s <= t.opened_s for t in self.truth.pressings.values())
+            if held == 1 and run.status is not RunStatus.OPEN:
+                single += 1
+            elif run.status is not RunStatus.OPEN and (
+                why := self._blind_over(begin_s - MARGIN_S, end_s + MARGIN_S)
+            ):
+                causes[f"{held} pressings in it, {why}"] += 1
+            else:
+                where.append(f"{run.run} {run.status.value}, {held} pressings")
+        self.balance.say("runs", len(runs), single, causes, where)
+
+    # --- what the live sensor made of them --------------------------------------------------------------
+
+    def _count_fits(self) -> None:
+        """Every run that ended has a fit of the whole, or its record or the journal says why not."""
+        said = " ".join(e.message for e in self.journal if "could not be fitted" in e.message)
+        causes: Counter[str] = Counter()
+        fitted, where = 0, []
+        ended = [r for r in self.runs if r.status is not RunStatus.OPEN]
+        for run in ended:
+            if "fingerprint" in (self.store.fit(run.run) or {}):
+                fitted += 1
+            elif run.moments.closed_s != run.moments.closed_s:
+                causes["closing not seen, as stored"] += 1
+            elif f"run {run.run} could not be fitted" in said:
+                causes["not possible, as journalled"] += 1
+            else:
+                where.append(f"{run.run} {run.status.value}")
+        self.balance.say("fits", len(ended), fitted, causes, where)
+
+    def _count_estimates(self) -> None:
+        """Every scan of every run has one estimate."""
+        due = there = doubled = 0
+        where = []
+        for run in self.runs:
+            if run.last_scan is None:
+                continue
+            numbers = [estimate.number for _, estimate in self.store.estimates(run.run)]
+            scans = run.last_scan - run.first_scan + 1
+            due += scans
+            there += len(set(numbers))
+            doubled += len(numbers) - len(set(numbers))
+            where += [f"{run.run} {len(numbers)} of {scans}"] if len(set(numbers)) != scans else []
+        self.balance.say("estimates of runs", due, there, {}, where)
+        self.balance.unaccounted["doubled estimates"] = doubled
+
+
+def _pairs(entry: Any) -> list[tuple[float, int]]:
+    return [(float(at), int(count)) for at, count in entry.detail["before_monotonic_s"]]
+
+
+def _scans(store: Store, press: str) -> Iterator[Any]:
+    last = -1
+    while batch := store.scans_after(press, last, 5000).scans:
+        yield from batch
+        last = batch[-1].number
+
+
+def _journal(store: Store) -> list[Any]:
+    entries: list[Any] = []
+    while more := store.journal_after(entries[-1].number if entries else 0):
+        entries += more
+    return entries
+
+
+def _runs(store: Store) -> list[Any]:
+    runs: list[Any] = []
+    cursor: str | None = None
+    while True:
+        page = store.runs(limit=500, cursor=cursor)
+        runs += page.items
+        cursor = page.next_cursor
+        if cursor is None:
+            return runs[::-1]
