@@ -1,10 +1,12 @@
 // The API as the page sees it: JSON by fetch, events by EventSource. Paths are relative, so a proxy may add a prefix.
+import { sentence } from "./sentences.js";
+
 const ROOT = "api/v1";
 const SILENT_MS = 25000; // the server says something every 10 s; a stream silent for longer has died unnoticed
 
 export class Refused extends Error {
   constructor(problem, status) {
-    super(problem.detail || problem.title || `HTTP ${status}`);
+    super(sentence(problem.detail || problem.title) || `HTTP ${status}`);
     this.status = status;
   }
 }

@@ -1,5 +1,7 @@
 // Why a coefficient is not told by a run, and what a fit left out, in German: clause by clause
 // (softsensor/remedies.py, fit_result.py, residuals.py). A clause that is not known here leaves the whole in English.
+import { endingInMeasurement } from "./measurements.js";
+
 const CLAUSES = [
   [/^it couples (.+) and (.+) while closed \((.+) s here\)$/, "er koppelt $1 und $2 bei geschlossener Presse (hier $3 s)"],
   [/^it couples (.+) and (.+)$/, "er koppelt $1 und $2"],
@@ -24,7 +26,16 @@ const CLAUSES = [
   [/^See the measurement that confirms the effect$/, "Siehe die Messung, die den Effekt bestätigt"],
   [/^Check the channels at (.+) against a thermometer before the run \(kerntemp calibrate\)$/, "Prüfen Sie die Kanäle an $1 vor der Pressung gegen ein Thermometer (kerntemp calibrate)"],
   [/^Calibrate the channels at (.+) at two temperatures$/, "Kalibrieren Sie die Kanäle an $1 bei zwei Temperaturen"],
-  [/^Log faster than the (.+) Hz here, and a limit switch as the column closed$/, "Messen Sie schneller als hier mit $1 Hz, und einen Endschalter als Spalte closed"],
+  [/^Log faster than the (.+) Hz here, and log a limit switch as the column closed$/, "Messen Sie schneller als hier mit $1 Hz, und zeichnen Sie einen Endschalter als Spalte closed auf"],
+  [/^Log faster than the (.+) Hz here$/, "Messen Sie schneller als hier mit $1 Hz"],
+  [/^Log a limit switch as the column closed$/, "Zeichnen Sie einen Endschalter als Spalte closed auf"],
+  [/^Log the channels at (.+) too, which this run lacks$/, "Zeichnen Sie auch die Kanäle an $1 auf, die dieser Pressung fehlen"],
+  [/^Thermocouples sit on both sides already: no reading depends on it any more$/, "Auf beiden Seiten sitzen schon Fühler: keine Messung hängt mehr von ihm ab"],
+  [/^Go on until its temperature has changed more$/, "Messen Sie weiter, bis sich seine Temperatur stärker geändert hat"],
+  [/^Repeat the run with a hotter press: the open state is long enough$/, "Wiederholen Sie die Pressung mit heißerer Presse: offen war sie lange genug"],
+  [/^the model does not describe this run: (.+) K left of readings that span (.+) K$/, "das Modell beschreibt diese Pressung nicht: $1 K bleiben bei Messungen, die $2 K überstreichen"],
+  [/^the model does not describe this run: (.+) K left, and (.+) K at the values the search began with$/, "das Modell beschreibt diese Pressung nicht: $1 K bleiben, und $2 K waren es mit den Anfangswerten"],
+  [/^Check its header, the press file, and that its rows show insertion and closing$/, "Prüfen Sie ihren Kopf, die Pressendatei, und ob ihre Zeilen Einlegen und Schließen zeigen"],
   [/^Start the record some seconds before the panel is laid in$/, "Beginnen Sie die Aufzeichnung einige Sekunden vor dem Einlegen"],
   [/^Measure the panel's start temperature, and write it into the header$/, "Messen Sie die Anfangstemperatur der Platte und tragen Sie sie in den Kopf ein"],
   [/^Calibrate the platen channel against the panel channels at one temperature \(kerntemp calibrate\)$/, "Kalibrieren Sie den Heizplattenkanal gegen die Plattenkanäle bei einer Temperatur (kerntemp calibrate)"],
@@ -46,7 +57,12 @@ const CLAUSES = [
   [/^through the API$/, "über die API"],
   [/^rolled back$/, "zurückgesetzt"],
 ];
-const TOGETHER = /^(.+), or fit it from about (\d+) such runs together$/;
+const ENDINGS = [
+  [/^(.+), or fit it from about (\d+) such runs together$/, (m) => `, oder bestimmen Sie ihn aus etwa ${m[2]} solchen Pressungen gemeinsam`],
+  [/^(.+), or take the joint estimate of these (\d+) runs$/, (m) => `, oder nehmen Sie die gemeinsame Schätzung dieser ${m[2]} Pressungen`],
+  [/^(.+), or let all runs share (\S+) \(--shared \S+\)$/, (m) => `, oder lassen Sie alle Pressungen ${m[2]} teilen (--shared ${m[2]})`],
+  [/^(.+), or go on until its temperature has changed more$/, () => ", oder messen Sie weiter, bis sich seine Temperatur stärker geändert hat"],
+];
 const VERDICT = { "one-sided": "nur einseitig bestimmt", "not identifiable": "nicht bestimmbar" };
 
 const comma = (german) => german.replace(/(\d)\.(\d)/g, "$1,$2");
@@ -54,9 +70,12 @@ const comma = (german) => german.replace(/(\d)\.(\d)/g, "$1,$2");
 function clause(english) {
   const known = CLAUSES.find(([pattern]) => pattern.test(english));
   if (known) return english.replace(known[0], known[1]);
-  const together = TOGETHER.exec(english);
-  const first = together && clause(together[1]);
-  return first ? `${first}, oder bestimmen Sie ihn aus etwa ${together[2]} solchen Pressungen gemeinsam` : null;
+  for (const [pattern, german] of ENDINGS) {
+    const found = pattern.exec(english);
+    const first = found && clause(found[1]);
+    if (first) return first + german(found);
+  }
+  return null;
 }
 
 // The German of a fit's warning or of a model version's reason; null where a part of it is not known.
@@ -69,7 +88,8 @@ export function reason(english, effectName) {
     return comma(`${names.split(" + ").map(effectName).join(" + ")}: Residuum ${before} → ${after} K auf ${runs} Pressungen${coreBefore ? `, Kern ${coreBefore} → ${coreAfter} K live` : ""}${end && `; ${end}`}`);
   }
   const told = /^(\S+) is (one-sided|not identifiable): (.+)$/.exec(english);
-  const parts = (told ? told[3] : english).replace(/\.$/, "").split(/(; |\. )/).map((part, i) => (i % 2 ? part : clause(part)));
+  const [head, measured] = endingInMeasurement((told ? told[3] : english).replace(/\.$/, ""));
+  const parts = head.split(/(; |\. )/).map((part, i) => (i % 2 ? part : clause(part)));
   if (parts.some((part) => part === null)) return null;
-  return comma(`${told ? `${told[1]} ist ${VERDICT[told[2]]}: ` : ""}${parts.join("")}`);
+  return comma(`${told ? `${told[1]} ist ${VERDICT[told[2]]}: ` : ""}${parts.join("")}${measured && `. ${measured}`}`);
 }

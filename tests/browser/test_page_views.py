@@ -7,6 +7,7 @@ import threading
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -15,7 +16,8 @@ from playwright.sync_api import Page, expect
 from api.tokens import TokenFile
 from daq.pressfile import read_press
 from daq.simulated.campaign import Plan, make_campaign
-from softsensor.effects import BUILT_IN
+from softsensor.diagnosis_advice import next_measurement
+from softsensor.effects import BUILT_IN, find_effect
 from softsensor.service import fit_one
 
 VIEWS = ("#/now", "#/runs", "#/runs/campaign-1", "#/coefficients", "#/diagnosis", "#/loggers", "#/access", "docs")
@@ -159,7 +161,7 @@ def test_the_diagnosis_is_told_in_german_down_to_the_next_measurement(plant, bro
 
 
 def test_every_confirming_measurement_of_the_catalogue_has_its_german_sentence():
-    told = (Path(__file__).parents[2] / "api" / "page" / "sentences.js").read_text(encoding="utf-8")
+    told = (Path(__file__).parents[2] / "api" / "page" / "measurements.js").read_text(encoding="utf-8")
     for effect in BUILT_IN:
         for sentence in effect.confirm.removesuffix(".").split(". "):
             assert f'"{sentence}":' in told, f"{effect.name}: {sentence}"
@@ -180,6 +182,64 @@ def test_what_a_real_fit_could_not_tell_is_said_in_german_to_the_last_clause(pla
         german = page.evaluate("text => import('/static/sentences.js').then((m) => m.sentence(text))", english)
         assert german != english
         assert not re.search(r"\b(the|with|of|on|is|to|and)\b", german), german
+
+
+SAID = (
+    "press lab: logger upper does not answer: 127.0.0.1:502 station 1: no reply in 0.3 s; check power, cable and "
+    "address; recording goes on without it, trying again",
+    "press lab: logger lower does not answer: cannot open /dev/kerntemp/bus: port in use; another program has it "
+    "open; close that; recording goes on without it, trying again",
+    "press lab: logger lower answers again",
+    "press lab: scans begin",
+    "press lab: 3 scans left out, this machine was too busy",
+    "store lab.sqlite: database is locked; another process holds it; close other programs that have the file "
+    "open; scans wait in memory, enough for 2.8 h",
+    "store lab.sqlite takes data again; everything kept is written",
+    "the changed configuration is in force",
+    "lab: logger upper: cannot connect to 192.168.0.21:502: unreachable; nobody answers at this address; check "
+    "power, cable and host",
+    "lab: 12 of 40 runs fitted, 0 could not be; diagnosis: no_effect; model m-1 stays: too few runs to judge by",
+    "a change needs a token with scope write; kerntemp token create makes one",
+    "token 'tablet' may read only; a change needs scope write",
+    "run 'x' does not exist; /api/v1/runs lists them",
+    "run campaign-1: header key panel.thickness_mm = 5000: must be a number from 0.1 to 500",
+    "h is not identifiable: it couples plate and panel while closed (60 s here); it moves together with closed_s "
+    "(correlation +0.93). Log faster than the 1 Hz here, and log a limit switch as the column closed.",
+    "h is not identifiable: it acts at the face of panel while open (5 s before closing and 70 s after opening "
+    "here); its effect of 0.1 K drowns in the slow noise of the faces (0.2 K). Log the channels at panel.top too, "
+    "which this run lacks, or take the joint estimate of these 8 runs.",
+    "edge_loss.W_m3K is not identifiable: it is a parameter of an effect; it is known to a factor of 3.0 only; it "
+    "moves together with h_ap (correlation +0.99). " + find_effect("heat_capacity_offset").confirm,
+    "the model does not describe this run: 9.1 K left of readings that span 120 K. Check its header, the press "
+    "file, and that its rows show insertion and closing",
+)
+"""What the journal, the alarms, refusals and fits say; the forms stand in daq, api and softsensor."""
+
+
+def test_what_the_plant_the_store_and_a_refusal_say_is_german_too(served):
+    server, _, page = served
+    page.add_init_script("localStorage.setItem('kerntemp-language', 'de')")
+    page.goto(server.url)
+    for english in (*SAID, *_next_measurements()):
+        german = page.evaluate("text => import('/static/sentences.js').then((m) => m.sentence(text))", english)
+        bare = re.sub(r"kerntemp [\w -]+|\bscans?_\w+", "", german)
+        assert not re.search(r"\b(the|with|is|to|and|of|from|check|press|logger|run)\b", bare), german
+
+
+def _next_measurements():
+    """Return every sentence a diagnosis may end with."""
+    effect = SimpleNamespace(name="edge_loss", set=("edge_loss", "open_radiation"))
+    alone = SimpleNamespace(name="edge_loss", set=("edge_loss",))
+    cases = [
+        ("too_few_runs", (), (None, None)),
+        ("ambiguous", (effect,), (None, None)),
+        ("unknown_effect", (), (None, None)),
+        ("no_effect", (), (2.5, 2.5)),
+        ("no_effect", (), (None, None)),
+        ("named", (alone,), (5.0, 0.8)),
+        ("named", (alone,), (None, None)),
+    ]
+    return [next_measurement(verdict, found, cores, 8, True) for verdict, found, cores in cases]
 
 
 def test_a_core_nobody_updates_any_more_gives_way_to_the_reason(served):
