@@ -1,4 +1,4 @@
-"""A parent that has everything imported and compiled and forks recorder and sensor, so that a thousand kills take minutes.
+"""A parent that has everything imported and forks recorder and sensor, so that a thousand kills take minutes.
 
 ``python forking.py CONFIG NOTES`` reads ``record`` or ``sense`` from standard input, forks that process and
 answers with its number. What a child has had acknowledged by the store it appends to NOTES/record or
