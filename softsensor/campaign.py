@@ -91,7 +91,7 @@ class CampaignFit:
             return ""
         if len(self.runs) == 1:
             return f"{left[0].misfit[:1].upper()}{left[0].misfit[1:]}. No coefficient is known from it."
-        named = ", ".join(f"{f.run} ({f.rmse_K:.1f} K left)" for f in left[:5])
+        named = ", ".join(f"{f.run} ({f.misfit.partition(': ')[2]})" for f in left[:5])
         named += f" and {len(left) - 5} more" if len(left) > 5 else ""
         if not self.met:
             return f"The model describes none of these runs: {named}. No coefficient is known from them."

@@ -17,6 +17,10 @@ WARMED_K = 10.0
 LEAD_S = 5.0
 """Readings this short before the insertion are the panel's: before that, people handle its sensors. [s]"""
 
+COLD_S, COLD_SHARE = 3.0, 0.03
+"""A face laid on a hot plate warms in so many seconds by a sixth of what the plate is hotter than the room; by
+less than this share it has not been laid there."""
+
 
 def remarks(case: Case, signals: Signals, moments: Moments) -> list[str]:
     """Say what is wrong with the record: channels, gaps where the press moved, start temperature, loads.
@@ -53,3 +57,25 @@ def start_remarks(case: Case, signals: Signals, moments: Moments) -> list[str]:
         f"header key panel.initial_temperature_C = {told:g}, but the panel's channels read {level:.1f} °C {when}: "
         "the coefficients rest on it; correct the header or the channels"
     ]
+
+
+def lost_insertion(case: Case, signals: Signals) -> str:
+    """Say that insertion and closing fall into one gap, so that nothing tells how long the panel lay open.
+
+    A detector that finds no insertion takes the first row. It is not there where the panel's lower face, which
+    lies on the hot plate from the insertion on, stays cold until the gap.
+    """
+    t, moments = signals.time_s, case.moments
+    gaps = {g.moment: g for g in gaps_at_moments(t, moments, signals.period_s)}
+    gap = gaps.get("closed_s")
+    if gap is None or not case.press.panel_layers:
+        return ""
+    told = f"insertion and closing fall into one gap of its rows, {gap.start:.1f} to {gap.end:.1f} s"
+    if "inserted_s" in gaps:
+        return told if gaps["inserted_s"].start == gap.start else ""
+    lower = next((p for p in signals.places if p.label == f"{case.press.panel_layers[0]}.bottom"), None)
+    if lower is None or moments.inserted_s > t[0] or gap.start - t[0] < COLD_S:
+        return ""
+    before = lower.mean[(t <= gap.start) & np.isfinite(lower.mean)]
+    hotter = float(np.max(case.outside[0])) - case.run.ambient_temperature
+    return told if len(before) > 1 and np.ptp(before) < COLD_SHARE * hotter else ""

@@ -12,6 +12,7 @@ from scipy.stats import t as student
 
 from daq.records import Array, Moments
 from softsensor.fit_problem import Evaluation, Minimum, Problem, Unknown
+from softsensor.fit_remarks import lost_insertion
 from softsensor.fit_unknowns import is_parameter
 
 MISFIT_K, MISFIT_SHARE, MISFIT_NOISE = 1.0, 0.02, 5.0
@@ -215,6 +216,9 @@ def run_fit(
 def misfit_of(problem: Problem, rmse: float, first: float) -> str:
     """Say that a model does not describe a run, empty where it does.
 
+    Where insertion and closing are both lost, moments are found that meet the readings, and coefficients with
+    them that are wrong.
+
     Parameters
     ----------
     rmse, first
@@ -223,6 +227,8 @@ def misfit_of(problem: Problem, rmse: float, first: float) -> str:
     seen = [place.mean[problem.rows > 0] for place in problem.signals.places]
     span = float(np.ptp(np.concatenate([s[np.isfinite(s)] for s in seen])))
     noise = float(np.hypot(problem.noise.white_K, problem.noise.fast_K))
+    if lost := lost_insertion(problem.case, problem.signals):
+        return f"the model does not describe this run: {lost}"
     told = f"the model does not describe this run: {rmse:.1f} K left"
     if rmse > max(MISFIT_K, MISFIT_SHARE * span, MISFIT_NOISE * noise):
         return f"{told} of readings that span {span:.0f} K"

@@ -28,7 +28,7 @@ LONG_S, LONGEST_S = 20.0, 60.0
 time hardly helps. [s]"""
 FASTEST_HZ = 9.0
 """Loggers of this pace are as fast as they come. [Hz]"""
-MANY = 50
+MANY = 30
 """More runs than this are no advice."""
 
 

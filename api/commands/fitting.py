@@ -290,6 +290,7 @@ def _lines(found: CampaignFit) -> Iterator[str]:
         cells = [
             f"{run.coefficients[n].value:.4g}{'' if run.coefficients[n].identifiable else '?'}" for n in names
         ]
+        cells = cells if run.met else ["–" for _ in names]
         remark = "" if run.met else " not described"
         remark += "" if run.converged else " not converged"
         rows.append([run.run, *cells, f"{run.rmse_K:.3f} K", f"{run.initial_rmse_K:.2f} K{remark}"])

@@ -20,11 +20,14 @@ NAMES = PRESS.coefficient_names
 PLAN = Plan(rate_hz=1.0, thickness_mm=16.0, press_time_s=(20.0, 40.0), open_after_s=(30.0, 40.0))
 
 
-def _half_missing(run, truth):
-    """Insertion and closing fall into one gap, and the readings come back late in the pressing."""
-    moments = truth.moments
-    keep = (run.time_s < moments.inserted_s - 0.5) | (run.time_s > moments.closed_s + 10.0)
+def _without(run, begin_s, end_s):
+    keep = (run.time_s < begin_s) | (run.time_s > end_s)
     return replace(run, time_s=run.time_s[keep], columns={n: c[keep] for n, c in run.columns.items()})
+
+
+def _late(run, truth):
+    """The record begins in the middle of the pressing."""
+    return _without(run, 0.0, truth.moments.closed_s + 10.0)
 
 
 @pytest.fixture(scope="module")
@@ -34,12 +37,12 @@ def measured():
 
 @pytest.fixture(scope="module")
 def found(measured):
-    """Nine runs, the fourth without its closing."""
-    runs = [_half_missing(run, truth) if i == 3 else run for i, (run, truth) in enumerate(measured)]
+    """Nine runs, the fourth begun too late."""
+    runs = [_late(run, truth) if i == 3 else run for i, (run, truth) in enumerate(measured)]
     return fit_campaign(PRESS, runs, profiles=True)
 
 
-def test_run_whose_closing_is_missing_is_called_not_described(found):
+def test_run_whose_record_begins_too_late_is_called_not_described(found):
     bad = found.runs[3]
     assert bad.rmse_K > 5.0
     assert not bad.met
@@ -65,7 +68,7 @@ def test_campaign_without_the_run_is_the_same_campaign(found, measured):
 def test_report_and_json_say_it_before_all_else(found):
     bad = found.runs[3]
     page = fit_report(found)
-    told = f"The model does not describe 1 of 9 runs: {bad.run} ({bad.rmse_K:.1f} K left)."
+    told = f"The model does not describe 1 of 9 runs: {bad.run} ({bad.rmse_K:.1f} K left of readings that span"
     assert page.partition('class="finding">')[2].startswith(told)
     assert "Fitted to 8 runs" in page
     assert f"{bad.run} (not described" in page
@@ -77,7 +80,7 @@ def test_report_and_json_say_it_before_all_else(found):
 
 
 def test_run_by_itself_gives_no_coefficient_and_a_model_file_of_guesses(found, measured):
-    alone = fit_campaign(PRESS, [_half_missing(*measured[3])], profiles=True)
+    alone = fit_campaign(PRESS, [_late(*measured[3])], profiles=True)
     assert alone.shortfall.startswith(f"The model does not describe this run: {alone.runs[0].rmse_K:.1f} K left")
     assert alone.shortfall in fit_report(alone).replace("&#39;", "'")
     model = parse_model(json.loads(model_text(with_adequacy(alone.model_file(), alone.runs))), "text")
@@ -112,3 +115,20 @@ def test_stored_fits_of_runs_not_described_carry_no_evidence():
     bad = {"met": False, "evidence": {"": {**nothing, "rest_K": 9.0}, "edge_loss": {**cause, "score": 500.0}}}
     assert stored_adequacy([good, bad, good]) == stored_adequacy([good, good])
     assert stored_adequacy([bad]).unexplained_K == pytest.approx(np.sqrt(0.1**2), abs=0.1)
+
+
+@pytest.mark.parametrize("switch", [True, False], ids=["limit switch", "detected"])
+def test_insertion_and_closing_in_one_gap_are_not_made_up(switch):
+    plan = replace(PLAN, start_before_s=10.0, closed_column=switch, nuisances=Nuisances.real_chain())
+    run, truth = make_campaign(6, 4, plan=plan)[3]
+    m = truth.moments
+    lost = fit_campaign(PRESS, [_without(run, m.inserted_s - 0.5, m.closed_s + 5.0)])
+    assert lost.shortfall.startswith(
+        "The model does not describe this run: insertion and closing fall into one gap"
+    )
+    assert not any(c.identifiable for c in lost.runs[0].coefficients.values())
+    inside = fit_campaign(PRESS, [_without(run, m.inserted_s + 4.5, m.closed_s + 5.0)])
+    assert inside.runs[0].met
+    first = run.time_s >= m.inserted_s
+    cut = replace(run, time_s=run.time_s[first], columns={n: c[first] for n, c in run.columns.items()})
+    assert fit_campaign(PRESS, [_without(cut, m.inserted_s + 4.5, m.closed_s + 5.0)]).runs[0].met
