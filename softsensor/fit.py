@@ -32,7 +32,7 @@ from softsensor.fit_problem import (
     with_motion,
 )
 from softsensor.fit_remarks import remarks
-from softsensor.fit_result import RunFit, run_fit
+from softsensor.fit_result import RunFit, channel_residuals, misfit_of, rms, run_fit
 from softsensor.fit_unknowns import chain_priors, free_names, known_before, neutral_values, parameter_unknown
 from softsensor.identifiability import held_against, judge
 from softsensor.model import ThermalModel
@@ -42,6 +42,10 @@ from softsensor.timing import TIMINGS
 
 FIRST_NOISE = Noise(slow_K=0.15, slow_s=30.0, fast_K=0.0, fast_s=10.0, white_K=1.0)
 """For the first steps, while the model is still far off."""
+COARSE_NOISE = replace(FIRST_NOISE, white_K=5.0)
+"""For a second search where the first ends far off. With 1 K a whole pressing that is met too cold counts, as a
+slow departure with outliers at its ends, for less than a closing that is met too steep; with 5 K it does not.
+"""
 BAD_LOSS = 1.0
 """Loss a value after the first search, with 1 K of noise assumed, above which other starts are tried."""
 OTHER_STARTS = (float(np.log(3.0)), -float(np.log(3.0)))
@@ -95,11 +99,9 @@ def fit_run(  # noqa: PLR0913 - one argument a choice
     problem = make_problem(model, run, moments, start=start, priors=priors, free=free)
     if method != "default":
         return _fit_by_the_paper(problem, method, begun, company)
-    rough = _settle(problem)
-    initial = rough.initial
-    problem, best = rough.problem, rough.minimum
-    warnings = remarks(problem.case, problem.signals, moments)
-    fitted = run_fit(problem, best, initial, warnings, begun, rough.evaluations)
+    found = _settle(problem)
+    warnings = remarks(found.problem.case, found.problem.signals, moments)
+    fitted = run_fit(found.problem, found.minimum, found.initial, warnings, begun, found.evaluations)
     if not verdicts:
         return fitted
     return replace(judge(fitted, company), seconds=time.perf_counter() - begun)
@@ -168,8 +170,27 @@ class _Settled:
     initial: Evaluation
     evaluations: int
 
+    def left(self, at: Evaluation) -> float:
+        """Return how far the prediction at a point is from the readings. [K]"""
+        return rms(channel_residuals(self.problem, at)[0].values())
+
+    @property
+    def rmse(self) -> float:
+        """Where the search ended. [K]"""
+        return self.left(self.minimum.evaluation)
+
 
 def _settle(problem: Problem) -> _Settled:
+    """Fit a run; where the model then does not describe it, once more from coarser noise, and keep the better."""
+    found = _search(problem)
+    if not misfit_of(found.problem, found.rmse, found.left(found.initial)):
+        return found
+    other = _search(replace(problem, noise=COARSE_NOISE))
+    better = min(found, other, key=lambda settled: settled.rmse)
+    return replace(better, evaluations=found.evaluations + other.evaluations)
+
+
+def _search(problem: Problem) -> _Settled:
     """Fit in three passes: roughly, with noise and grid corrected, and once more with noise re-estimated."""
     period = problem.signals.period_s
     moving = with_motion(problem, problem.start, 0.05 + timing(problem), min(0.1 + 0.4 * period, 1.0))

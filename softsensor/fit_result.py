@@ -20,7 +20,7 @@ MISFIT_K, MISFIT_SHARE, MISFIT_NOISE = 1.0, 0.02, 5.0
 of the readings, and so many times the noise of a channel.
 
 Choice (2026-11-21): a pressing spans 160 K, so 3.2 K. The causes of the catalogue at typical sizes leave 0.3 to
-2.9 K (a contact that builds up slowly more); a closing that is missed leaves 9 K.
+2.9 K; a closing that is missed leaves 9 K.
 """
 ASTRAY = 1.5
 """Nor does it where the search ends so many times as far from the readings as it began, and above `MISFIT_K`."""
