@@ -9,6 +9,7 @@ the press, and at the end compares what the system found with what the virtual p
 from __future__ import annotations
 
 import json
+import math
 import subprocess
 import sys
 import tempfile
@@ -44,6 +45,10 @@ SCANS_PER_S = 30.0
 """An accelerated demonstration scans at most about this often in real time."""
 TARGET_C = 40.0
 """What the demonstration's recipe asks of the core. [°C]"""
+LOGGERS_KEEP = 6
+"""Pressings in the memory of the loggers' process, which only looks at the present."""
+SHORTEST_CYCLE_S = 90.0
+"""From one panel's removal to the next one's, at least. [s]"""
 JUDGED = 4
 """Pressings on which a promoted model is held against what was told live."""
 
@@ -63,6 +68,16 @@ class Plan:
     def rate_hz(self) -> float:
         """Scans per second of run time. [Hz]"""
         return round(min(10.0, max(SCANS_PER_S / self.speed, 0.5)), 3)
+
+    @property
+    def patience_s(self) -> float:
+        """Longest wait for the next pressing, recorded and fitted. [s]"""
+        return START_S + 400.0 / self.speed
+
+    @property
+    def known_cycles(self) -> int:
+        """How many pressings the truth is kept of: those asked for, and those that go by meanwhile."""
+        return (self.pressings or 2) + 4 + math.ceil(self.patience_s * self.speed / SHORTEST_CYCLE_S)
 
 
 @dataclass
@@ -166,9 +181,8 @@ class _Demo:
     def start(self, ending: ExitStack) -> None:
         """Bring up loggers, recorder, sensor and page."""
         plan = self.plan
-        keep = 6 if plan.pressings is None else plan.pressings + 4
-        settings = {"hide": plan.hide, "keep": keep, "seed": plan.seed}
-        self.truth: VirtualPress = press_of(settings)
+        settings = {"hide": plan.hide, "keep": LOGGERS_KEEP, "seed": plan.seed}
+        self.truth: VirtualPress = press_of({**settings, "keep": plan.known_cycles})
         warming = self.children.start("warmup", [sys.executable, "-m", "api.warmup"], stdout=subprocess.DEVNULL)
         loggers = self._start_loggers({**settings, "speed": plan.speed})
         self._wait_for_warmup(warming)
@@ -233,14 +247,14 @@ class _Demo:
 
     def watch(self) -> None:
         """Play the operator until the pressings asked for are recorded and fitted."""
-        deadline = time.monotonic() + START_S + 400.0 / self.plan.speed
+        deadline = time.monotonic() + self.plan.patience_s
         while not self._enough:
             self.children.check()
             for record in reversed(self.store.runs(limit=20).items):
                 self._note(record)
                 if not self._enough and self._finished(record):
                     self._conclude(record)
-                    deadline = time.monotonic() + START_S + 400.0 / self.plan.speed
+                    deadline = time.monotonic() + self.plan.patience_s
             if time.monotonic() > deadline:
                 raise WorkFailed("no pressing was recorded for too long; the logs are beside the store")
             time.sleep(0.05)

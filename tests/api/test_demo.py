@@ -58,6 +58,14 @@ def test_a_demonstration_that_is_killed_ends_all_its_processes(tmp_path):
     assert processes_mentioning(str(folder)) == 0
 
 
+def test_a_pressing_fitted_late_on_a_busy_machine_can_still_be_held_against_the_truth():
+    plan = Plan(speed=30.0, pressings=1)
+    truth = press_of({"hide": [], "keep": plan.known_cycles, "seed": plan.seed})
+    first = truth.cycle(44.0)
+    truth.cycle(plan.patience_s * plan.speed)  # so far the press has gone on meanwhile
+    assert truth.cycle(44.0) is first
+
+
 def test_a_folder_that_holds_a_store_is_not_overwritten(tmp_path):
     (tmp_path / "kerntemp.sqlite").touch()
     with pytest.raises(InputError, match="holds a store already"):
