@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from api.commands.fitting import _lines
 from daq.pressfile import parse_press
 from daq.simulated.campaign import Plan, make_campaign
 from daq.simulated.campaign_pressfile import press_toml
@@ -72,6 +73,9 @@ def test_report_and_json_say_it_before_all_else(found):
     assert page.partition('class="finding">')[2].startswith(told)
     assert "Fitted to 8 runs" in page
     assert f"{bad.run} (not described" in page
+    lines = list(_lines(found))
+    assert lines[0].startswith(told)
+    assert next(line for line in lines if line.lstrip().startswith(bad.run)).split()[1:7] == ["–"] * 6
     content = json.loads(json.dumps(found.as_json(), allow_nan=False))["runs"][3]
     assert content["met"] is False
     assert any("does not describe" in w for w in content["warnings"])

@@ -37,7 +37,7 @@ def test_press_rig_is_met_to_four_tenths_of_a_kelvin_with_two_constant_contacts(
     assert len(errors) >= 6
     assert np.median(errors) <= 0.4
     assert max(errors) <= 0.65
-    assert all(fitted.converged for fitted in rig.runs)
+    assert all(fitted.converged and fitted.met for fitted in rig.runs)
 
 
 def test_contacts_of_the_press_rig_lie_where_its_author_found_them(rig):
@@ -56,7 +56,9 @@ def test_inert_board_is_met_with_the_heat_capacity_of_its_data_sheet():
     press = read_press(ROOT / "deploy/presses/inert_board.toml")
     model = ThermalModel(press)
     assert press.layer[0].heat_capacity_J_kgK == pytest.approx(DATA_SHEET_HEAT_CAPACITY, rel=0.05)
-    assert fit_run(model, run, moments_of(run, press)).rmse_K <= 3.5
+    fitted = fit_run(model, run, moments_of(run, press))
+    assert fitted.rmse_K <= 3.5
+    assert fitted.met
 
     def error(heat_capacity):
         given = replace(run, header={**run.header, "layer.board.heat_capacity_J_kgK": float(heat_capacity)})
