@@ -8,7 +8,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from daq.records import Array
+from daq.qualities import OTHERS, QUALITY, quality_text, row_faults
+from daq.records import Array, Quality, Run
 
 
 def number_or_none(value: float | None) -> float | None:
@@ -45,6 +46,22 @@ def decimate(
     edges = np.linspace(0, rows, buckets + 1).astype(int)
     ends = np.stack([edges[:-1], edges[1:] - 1], axis=1).ravel()
     return time_s[ends], {name: _extremes(values, edges) for name, values in columns.items()}
+
+
+def kept_qualities(run: Run, time_s: Array, columns: Mapping[str, Array]) -> dict[str, tuple[str, ...]]:
+    """Return a run's column of qualities at the rows that are left; a value that is shown is no missing one."""
+    faults = row_faults(run)
+    if faults is None or len(time_s) == len(run.time_s):
+        return dict(run.texts)
+    kept = []
+    for place, row in enumerate(np.searchsorted(run.time_s, time_s)):
+        shown = {name for name, values in columns.items() if values[place] == values[place]}
+        named = {n: q for n, q in faults[row].items() if q.usable or n not in shown}
+        rest = named.get(OTHERS, Quality.GOOD)
+        if not rest.usable:
+            named = {n: named.get(n, rest) for n in columns if n not in shown}
+        kept.append(quality_text(named))
+    return {QUALITY: tuple(kept)} if any(kept) else {}
 
 
 def _extremes(values: Array, edges: np.ndarray[tuple[int], np.dtype[np.int_]]) -> Array:

@@ -215,6 +215,17 @@ class RunDetail(RunSummary):
     """Oldest first."""
 
 
+class QualitySpan(_Answer):
+    """Consecutive rows in which values of a column were not simply good."""
+
+    column: str
+    """``*`` stands for every column that has no span of its own then."""
+    quality: str
+    from_s: float
+    to_s: float
+    rows: int
+
+
 class Samples(_Answer):
     """Temperatures of a run, column by column; decimated keeps each bucket's lowest and highest."""
 
@@ -223,6 +234,8 @@ class Samples(_Answer):
     decimated: bool
     time_s: list[float]
     columns: dict[str, list[float | None]]
+    quality: list[QualitySpan]
+    """Why values are missing, or simulated; of all rows, also where they are decimated."""
 
 
 class Estimates(_Answer):

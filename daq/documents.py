@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import uuid
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from datetime import date, time
 from typing import Any
 
@@ -43,6 +43,7 @@ def documents_of(run: Run, started_unix_s: float, units: dict[str, str] | None =
         }
         for name in run.columns
     }
+    remarks = {name: {"source": f"kerntemp:{name}", "dtype": "string", "shape": []} for name in run.texts}
     yield (
         "descriptor",
         {
@@ -50,13 +51,14 @@ def documents_of(run: Run, started_unix_s: float, units: dict[str, str] | None =
             "run_start": start,
             "time": started_unix_s,
             "name": "primary",
-            "data_keys": keys,
+            "data_keys": {**keys, **remarks},
             "configuration": {},
             "object_keys": {},
             "hints": {},
         },
     )
-    columns = {name: values.tolist() for name, values in run.columns.items()}
+    columns: dict[str, Sequence[Any]] = {name: values.tolist() for name, values in run.columns.items()}
+    columns |= run.texts
     for i, time_s in enumerate(run.time_s.tolist()):
         at = started_unix_s + time_s
         yield (

@@ -1,5 +1,7 @@
 """Run files in and out: CSV or Parquet, one row a scan, header keys in front. Nothing is lost either way.
 
+A text column ``quality`` says what deviates (`daq.qualities`); what it calls unusable is read as missing.
+
 Reading goes through pyarrow's parser; only where that objects does a slow pass look for the line and
 column to name. Writing goes to a temporary file beside the target and is renamed when it is complete.
 """
@@ -24,13 +26,14 @@ import pyarrow as pa
 import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
 
+from daq.qualities import QUALITY, faults_of, without_unusable
 from daq.records import Array, BrokenTime, InputError, Run
 
 TIME = "time_s"
 CLOSED = "closed"
 _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
-_FOREIGN_METADATA = ("pandas", "ARROW:", "huggingface", "geo")
-"""Schema metadata that other Parquet writers add; no header keys."""
+_FOREIGN_METADATA = ("pandas", "huggingface", "geo")
+"""Schema metadata that other Parquet writers add, as JSON objects; no header keys."""
 _MISSING = ("", "nan", "NaN", "NAN")
 
 
@@ -168,11 +171,12 @@ def _read_csv(path: Path, content: bytes) -> Run:
     body = content.removeprefix(b"\xef\xbb\xbf")[start:]
     head, _, rows = body.partition(b"\n")
     names = _column_names(f"{path}: line {line}", _decoded(path, line, head))
-    columns, texts = _fast_rows(rows, names), dict[str, tuple[str, ...]]()
-    if columns is None:
+    fast = _fast_rows(rows, names)
+    if fast is None:
         texts = _text_columns(rows, names)
-        columns = _slow_rows(path, rows, names, line + 1, texts)
-        names = [name for name in names if name not in texts]
+        fast = _slow_rows(path, rows, names, line + 1, texts), texts
+    columns, texts = fast
+    names = [name for name in names if name not in texts]
     if len(columns[0]) == 0:
         raise InputError(f"{path}: line {line}: no rows follow the header row; a run needs at least one scan")
     try:
@@ -243,24 +247,27 @@ def _check_names(names: Sequence[str], where: str) -> None:
             raise InputError(f"{where}: column {name!r} occurs twice (columns {first} and {number}); rename one")
 
 
-def _fast_rows(rows: bytes, names: list[str]) -> list[Array] | None:
-    """Parse all rows at once, or return None where a closer look is due."""
+def _fast_rows(rows: bytes, names: list[str]) -> tuple[list[Array], dict[str, tuple[str, ...]]] | None:
+    """Parse all rows at once, numbers and the text of qualities, or return None where a closer look is due."""
     if not rows.strip():
-        return [np.empty(0) for _ in names]
+        return [np.empty(0) for _ in names], {}
     try:
         table = pacsv.read_csv(
             pa.BufferReader(rows),
             read_options=pacsv.ReadOptions(column_names=names, use_threads=False, block_size=1 << 26),
             convert_options=pacsv.ConvertOptions(
-                column_types={n: pa.float64() for n in names},
+                column_types={n: pa.string() if n == QUALITY else pa.float64() for n in names},
                 null_values=list(_MISSING),
                 strings_can_be_null=True,
             ),
         )
     except pa.ArrowInvalid:
         return None
-    columns = [np.asarray(c.to_numpy(), float) for c in table.columns]
-    return None if any(np.isinf(c).any() for c in columns) else columns
+    texts = {n: tuple(t or "" for t in table[n].to_pylist()) for n in names if n == QUALITY}
+    if any(not any(cells) or faults_of(cell) is None for cells in texts.values() for cell in cells):
+        return None
+    columns = [np.asarray(table[n].to_numpy(), float) for n in names if n not in texts]
+    return None if any(np.isinf(c).any() for c in columns) else (columns, texts)
 
 
 def _number(cell: str) -> float | None:
@@ -286,7 +293,8 @@ def _text_columns(rows: bytes, names: list[str]) -> dict[str, tuple[str, ...]]:
     texts = {}
     for name, cells in zip(names, zip(*table, strict=True), strict=True):
         filled = [cell for cell in cells if cell.strip()]
-        if name not in (TIME, CLOSED) and filled and all(re.match("[^0-9.+-]", cell.strip()) for cell in filled):
+        worded = name == QUALITY or all(re.match("[^0-9.+-]", cell.strip()) for cell in filled)
+        if name not in (TIME, CLOSED) and filled and worded:
             texts[name] = tuple(cells)
     return {name: cells for name, cells in texts.items() if all(_number(cell) is None for cell in cells if cell)}
 
@@ -379,7 +387,8 @@ def _read_parquet(path: Path, content: bytes) -> Run:
         raise InputError(f"{path}: the table has no rows; a run needs at least one scan")
     _check_table(str(path), names, columns, first_line=1, unit="row")
     metadata = {k.decode(): v.decode() for k, v in (table.schema.metadata or {}).items()}
-    header = {k: _metadata_value(v) for k, v in metadata.items() if not k.startswith(_FOREIGN_METADATA)}
+    own = {k: v for k, v in metadata.items() if k not in _FOREIGN_METADATA or not v.startswith("{")}
+    header = {k: _metadata_value(v) for k, v in own.items()}
     return _run(path, header, names, columns, texts)
 
 
@@ -401,4 +410,4 @@ def _run(
 ) -> Run:
     table = dict(zip(names, columns, strict=True))
     time_s = table.pop(TIME)
-    return Run(str(header.get("run", path.stem)), header, time_s, table, str(path), texts)
+    return without_unusable(Run(str(header.get("run", path.stem)), header, time_s, table, str(path), texts))

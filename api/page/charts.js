@@ -15,9 +15,10 @@ export function closeAll() {
 }
 
 // series: [{name, colour (CSS variable), kind: "line"|"dots"|"thin"|"band-low"|"band-high", unit, digits}]
+// why(name, x): the cause, in words, of a value that is not there; null where there is none to tell.
 export class TimeChart {
-  constructor(parent, { series, height = 320, label, yLabel = "°C", xLabel = null, phases = [], sync = null, yRange = null, xRange = null, xSteps = null, whiskers = null }) {
-    Object.assign(this, { series, height, label, yLabel, xLabel, phases, sync, yRange, xRange, xSteps, whiskers });
+  constructor(parent, { series, height = 320, label, yLabel = "°C", xLabel = null, phases = [], sync = null, yRange = null, xRange = null, xSteps = null, whiskers = null, why = null }) {
+    Object.assign(this, { series, height, label, yLabel, xLabel, phases, sync, yRange, xRange, xSteps, whiskers, why });
     this.data = [[], ...series.map(() => [])];
     this.holder = el("div", { class: "chart", role: "img", "aria-label": label });
     this.tip = el("div", { class: "chart-tip", hidden: true });
@@ -138,14 +139,15 @@ export class TimeChart {
   point(plot) {
     const { left, idx } = plot.cursor;
     if (idx === null || idx === undefined || left < 0) { this.tip.hidden = true; return; }
-    const rows = this.series.map((s, i) => ({ s, value: this.data[i + 1][idx] }))
-      .filter(({ s, value }) => s.tip !== false && value !== null && value !== undefined && !s.kind.startsWith("band"))
+    const said = (s, value) => (value ?? null) === null ? this.why?.(s.name, this.data[0][idx]) : `${number(value, s.digits ?? 1)} ${s.unit ?? "°C"}`;
+    const rows = this.series.map((s, i) => ({ s, value: said(s, this.data[i + 1][idx]) }))
+      .filter(({ s, value }) => s.tip !== false && value && !s.kind.startsWith("band"))
       .slice(0, 20);
     if (!rows.length) { this.tip.hidden = true; return; }
     this.tip.replaceChildren(el("table", {},
       el("tr", {}, el("td", { class: "faint" }, this.tipHead ? this.tipHead(this.data[0][idx]) : `${number(this.data[0][idx], 1)} s`), el("td", {})),
       rows.map(({ s, value }) => el("tr", {}, el("td", {}, el("span", { style: `color:${style(s.colour) || s.colour}` }, "■ "), s.name),
-        el("td", {}, `${number(value, s.digits ?? 1)} ${s.unit ?? "°C"}`)))));
+        el("td", {}, value)))));
     this.tip.hidden = false;
     const place = left + 70;
     const width = this.tip.offsetWidth;

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import tempfile
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Literal
@@ -16,10 +16,11 @@ from fastapi.responses import FileResponse, JSONResponse, Response
 from starlette.background import BackgroundTask
 
 from api.answers import run_detail, run_summaries
-from api.decimation import column_values, decimate, number_or_none
+from api.decimation import column_values, decimate, kept_qualities, number_or_none
 from api.problems import ProblemError, problem_responses
 from api.routes.common import Cursor, PageSize, PressName, StoreDep, existing_run
-from api.schemas import Estimates, Fit, RunDetail, RunList, Samples
+from api.schemas import Estimates, Fit, QualitySpan, RunDetail, RunList, Samples
+from daq.qualities import spans_of
 from daq.records import InputError, Run
 from daq.runfile import write_run
 from daq.store.records import RunStatus, StoredEstimate
@@ -104,7 +105,7 @@ def get_samples(
     except InputError as error:
         raise ProblemError(404, str(error)) from error
     time_s, kept = decimate(whole.time_s, whole.columns, max_points)
-    shown = replace(whole, time_s=time_s, columns=kept)
+    shown = replace(whole, time_s=time_s, columns=kept, texts=kept_qualities(whole, time_s, kept))
     if format != "json":
         return _file_response(shown, format)
     samples = Samples(
@@ -113,6 +114,7 @@ def get_samples(
         decimated=len(time_s) < len(whole.time_s),
         time_s=time_s.tolist(),
         columns={name: column_values(values) for name, values in kept.items()},
+        quality=[QualitySpan(**asdict(span)) for span in spans_of(whole)],
     )
     return JSONResponse(samples.model_dump())
 

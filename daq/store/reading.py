@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from sqlalchemy import Connection, Row, Select, func, select
 
+from daq.qualities import QUALITY, quality_text
 from daq.records import Array, Channel, InputError, Moments, Quality, Run, Scan
 from daq.store.convert import header_of, known_utc, nan, qualities_of, readings_table, utc_of
 from daq.store.records import Page, RunRecord, RunStatus, ScanBatch, StoredPressEvent
@@ -131,7 +132,7 @@ def load_run(
     from_s: float | None = None,
     to_s: float | None = None,
 ) -> Run:
-    """Return a run with its data so far; cells that are not usable are NaN."""
+    """Return a run with its data so far; cells that are not usable are NaN, `texts` says why."""
     row = run_row(connection, run)
     zero = row.zero_monotonic_s
     query = select(SCAN.c.monotonic_s, SCAN.c.layout_id, SCAN.c.readings, SCAN.c.faults).where(
@@ -162,7 +163,14 @@ def load_run(
             raise InputError(f"run {run!r} has no column {unknown[0]!r}; it has {', '.join(table)}")
         table = {name: table[name] for name in columns}
     time_s = np.round(times - zero, 6) if zero else times
-    return Run(run, header_of(row.header_toml), time_s, table, source="store")
+    remarks = {} if QUALITY in table else _remarks(faults, columns)
+    return Run(run, header_of(row.header_toml), time_s, table, "store", remarks)
+
+
+def _remarks(faults: Sequence[str | None], columns: Sequence[str] | None) -> dict[str, tuple[str, ...]]:
+    """Return the column of qualities, or none where every value is good."""
+    words = {f: "" if f is None else quality_text(json.loads(f), columns) for f in set(faults)}
+    return {QUALITY: tuple(words[f] for f in faults)} if any(words.values()) else {}
 
 
 def _usable_values(channels: Sequence[Channel], texts: Sequence[str], faults: Sequence[str | None]) -> Array:

@@ -10,6 +10,7 @@ from typing import Any, Literal
 from sqlalchemy import Connection, func, insert, select, text, update
 from sqlalchemy.exc import IntegrityError
 
+from daq.qualities import row_faults
 from daq.records import Channel, InputError, PressEvent, Run, Scan
 from daq.store.convert import faults_json, header_of, header_text, null, readings_json, unix_of, utc_of
 from daq.store.records import NewRun, PressKey, RunEnd, RunStatus, StoreUnavailable
@@ -287,6 +288,7 @@ def import_run(connection: Connection, run: Run, press: str, press_file: str) ->
     number = key.next_number
     columns = zip(*(c.tolist() for c in run.columns.values()), strict=True) if run.columns else None
     cells = list(columns) if columns is not None else [()] * len(run.time_s)
+    faults = row_faults(run) or [{}] * len(cells)
     rows = [
         {
             "press_id": key.press_id,
@@ -295,9 +297,9 @@ def import_run(connection: Connection, run: Run, press: str, press_file: str) ->
             "monotonic_s": time_s,
             "layout_id": key.layout_id,
             "readings": readings_json(values),
-            "faults": None,
+            "faults": json.dumps(named, separators=(",", ":")) if named else None,
         }
-        for i, (time_s, values) in enumerate(zip(run.time_s.tolist(), cells, strict=True))
+        for i, (time_s, values, named) in enumerate(zip(run.time_s.tolist(), cells, faults, strict=True))
     ]
     if rows:
         connection.execute(insert(SCAN), rows)

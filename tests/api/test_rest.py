@@ -3,6 +3,7 @@ import json
 from xml.etree import ElementTree
 
 import httpx
+import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
@@ -63,6 +64,27 @@ def test_decimated_samples_keep_the_highest_and_lowest_value_of_every_column(cli
         shown = [v for v in samples["columns"][name] if v is not None]
         assert max(shown) == pytest.approx(max(run.columns[name]), abs=1e-3)
         assert min(shown) == pytest.approx(min(run.columns[name]), abs=1e-3)
+
+
+def test_samples_say_why_values_are_missing_also_where_they_are_decimated(client, store, campaign, tmp_path):
+    from daq.runfile import read_run
+
+    gaps = {name: np.flatnonzero(np.isnan(column)) for name, column in campaign[0][0].columns.items()}
+    rows = {name: len(places) for name, places in gaps.items() if len(places)}
+    assert rows, "the campaign has no missing value"
+    for points in (None, 40):
+        spans = client.get(f"{RUN}/samples", params={"max_points": points} if points else {}).json()["quality"]
+        assert {s["column"]: 0 for s in spans}.keys() == rows.keys()
+        assert {s["quality"] for s in spans} == {"open"}
+        for name, count in rows.items():
+            assert sum(s["rows"] for s in spans if s["column"] == name) == count
+    for points in (None, 40):
+        form = {"format": "csv"} | ({"max_points": points} if points else {})
+        (tmp_path / "x.csv").write_bytes(client.get(f"{RUN}/samples", params=form).content)
+        run = read_run(tmp_path / "x.csv")
+        for i, said in enumerate(run.texts.get("quality", ())):
+            missing = {name for name, column in run.columns.items() if np.isnan(column[i])}
+            assert set(said.split()) == {f"{name}=open" for name in missing}
 
 
 def test_samples_between_two_times_lie_between_them(client):

@@ -13,7 +13,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from daq.records import InputError, Run
+from daq.qualities import QualitySpan, quality_text, spans_of
+from daq.records import InputError, Quality, Run
 from daq.runfile import read_run, write_run
 
 GOOD = """# run = "2026-03-04-07"
@@ -38,7 +39,7 @@ values = st.recursive(
 )
 names = st.lists(
     st.text(string.ascii_letters + string.digits + '_@. ,"µ', min_size=1, max_size=8).filter(
-        lambda t: t == t.strip() and t not in ("time_s", "closed")
+        lambda t: t == t.strip() and t not in ("time_s", "closed", "quality")
     ),
     min_size=1,
     max_size=4,
@@ -54,7 +55,15 @@ def runs(draw):
     columns = {name: np.array(draw(st.lists(cells, min_size=rows, max_size=rows))) for name in draw(names)}
     columns["closed"] = np.array(draw(st.lists(st.sampled_from([0.0, 1.0, np.nan]), min_size=rows, max_size=rows)))
     header = {key: draw(values) for key in draw(keys) if key != "run"}
-    return Run(draw(st.text(string.ascii_letters, min_size=1)), header, np.array(times), columns)
+    qualities = st.dictionaries(st.sampled_from(["*", *columns]), st.sampled_from(Quality), max_size=3)
+    faults = draw(st.lists(qualities, min_size=rows, max_size=rows))
+    for row, named in enumerate(faults):
+        for name in columns:
+            if not named.get(name, named.get("*", Quality.GOOD)).usable:
+                columns[name][row] = np.nan
+    texts = {"quality": tuple(quality_text(named) for named in faults)} if any(faults) else {}
+    name = draw(st.text(string.ascii_letters, min_size=1))
+    return Run(name, header, np.array(times), columns, texts=texts)
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet"])
@@ -72,6 +81,37 @@ def test_reading_undoes_writing_to_the_last_bit(run, suffix):
     assert back.time_s.tobytes() == run.time_s.tobytes()
     for name, column in run.columns.items():
         np.testing.assert_array_equal(back.columns[name], column)
+    assert back.texts == run.texts
+
+
+def test_what_a_file_calls_unusable_is_not_used(tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_text(
+        "time_s,top_1,quality,top_2\n0,1,top_2=stale,2\n1,3,,4\n2,5,*=simulated,6\n3,7,*=over top_1=good,8\n"
+    )
+    run = read_run(path)
+    np.testing.assert_array_equal(run.columns["top_1"], [1, 3, 5, 7])
+    np.testing.assert_array_equal(run.columns["top_2"], [np.nan, 4, 6, np.nan])
+    assert list(spans_of(run)) == [
+        QualitySpan("*", Quality.SIMULATED, 2.0, 2.0, 1),
+        QualitySpan("*", Quality.OVER, 3.0, 3.0, 1),
+        QualitySpan("top_1", Quality.GOOD, 3.0, 3.0, 1),
+        QualitySpan("top_2", Quality.STALE, 0.0, 0.0, 1),
+    ]
+
+
+@pytest.mark.parametrize("cells", ["good,,fine", "1,2,3", "top_9=open,,", "top_1=odd,,"])
+def test_another_column_of_that_name_is_kept_as_it_is(tmp_path, cells):
+    path = tmp_path / "run.csv"
+    path.write_text("time_s,quality,top_1\n" + "".join(f"{i},{c},5\n" for i, c in enumerate(cells.split(","))))
+    run = read_run(path)
+    write_run(run, tmp_path / "again.csv")
+    again = read_run(tmp_path / "again.csv")
+    assert run.columns["top_1"].tolist() == [5, 5, 5]
+    assert not list(spans_of(run))
+    assert ("quality" in run.texts) != ("quality" in run.columns)
+    assert again.texts == run.texts
+    assert list(again.columns) in (["quality", "top_1"], ["top_1"])
 
 
 def test_a_run_file_gives_header_columns_and_missing_values(tmp_path):

@@ -78,6 +78,24 @@ def test_a_run_follows_its_life_and_comes_back_with_its_data(store):
     assert store.presses() == {"lab": "name"}
 
 
+def test_every_quality_comes_back_with_the_run_and_only_usable_values_do(store):
+    key = store.register_press("lab", CHANNELS, "name")
+    rows = [
+        Scan(n, BEGAN, n / 10, (200.0, 199.0, 21.0, 22.0), (G, quality, G, G)) for n, quality in enumerate(Quality)
+    ]
+    store.append_scans(key, rows, begin=NewRun("r", 0, BEGAN, 0.0))
+    run = store.load_run("r")
+    told = run.texts["quality"]
+    for i, quality in enumerate(Quality):
+        assert np.isfinite(run.columns["platen_bottom"][i]) == (quality in (Quality.GOOD, Quality.SIMULATED))
+        assert np.isfinite(run.columns["top_1"][i])
+        if quality not in (Quality.GOOD, Quality.SIMULATED):
+            assert told[i] == f"platen_bottom={quality}"
+    assert told[0] == ""
+    assert told[-1] == "*=simulated platen_top=good top_1=good bottom_1=good"
+    assert store.load_run("r", columns=["top_1"]).texts["quality"][1:3] == ("", "")
+
+
 def test_part_of_a_run_is_given_by_time_and_column(store):
     name = record_one_run(store)
     part = store.load_run(name, columns=["top_1"], from_s=1.0, to_s=2.0)
@@ -313,7 +331,7 @@ floats = st.floats(allow_infinity=False, allow_nan=True)
 
 
 @given(
-    rows=st.lists(st.tuples(floats, floats), min_size=1, max_size=8),
+    rows=st.lists(st.tuples(floats, floats, st.sampled_from([None, *Quality])), min_size=1, max_size=8),
     step=st.floats(1e-3, 1e3),
     note=st.text(string.printable, max_size=20),
     when=st.datetimes(timezones=st.just(UTC)),
@@ -321,7 +339,10 @@ floats = st.floats(allow_infinity=False, allow_nan=True)
 @settings(max_examples=25, deadline=None)
 def test_a_run_file_passes_through_the_store_to_the_last_bit(rows, step, note, when):
     columns = {name: np.array([row[i] for row in rows]) for i, name in enumerate(("top_1", "load"))}
-    run = Run("x", {"run": "x", "note": note, "when": when}, np.arange(len(rows)) * step, columns)
+    columns["top_1"][[q is not None and not q.usable for *_, q in rows]] = np.nan
+    remarks = tuple("" if q is None else f"top_1={q}" for *_, q in rows)
+    texts = {"quality": remarks} if any(remarks) else {}
+    run = Run("x", {"run": "x", "note": note, "when": when}, np.arange(len(rows)) * step, columns, texts=texts)
     with tempfile.TemporaryDirectory() as folder, open_store(f"{folder}/s.sqlite") as store:
         write_run(run, Path(folder) / "in.csv")
         store.import_run(read_run(Path(folder) / "in.csv"), "lab")

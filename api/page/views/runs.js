@@ -170,7 +170,7 @@ function headCard(run, path) {
 function measuredCard(run, samples, estimates) {
   const names = Object.keys(samples.columns).filter((name) => name !== "closed");
   const colour = { platen: "--platen", top: "--top", bottom: "--bottom", core: "--measured", other: "--faint" };
-  const series = [...names.map((name) => ({ name, colour: colour[roleOf(name)], kind: roleOf(name) === "core" ? "line" : "thin", spanGaps: true })),
+  const series = [...names.map((name) => ({ name, colour: colour[roleOf(name)], kind: roleOf(name) === "core" ? "line" : "thin" })),
     { name: "low", kind: "band-low" }, { name: "high", kind: "band-high" }, { name: text("core_predicted"), colour: "--core", kind: "core", spanGaps: true }];
   const { times, lift } = grid(samples.time_s, estimates.time_s);
   const ok = (values) => values.map((value, i) => (estimates.valid[i] ? value : null));
@@ -179,9 +179,28 @@ function measuredCard(run, samples, estimates) {
   const holder = el("div", {});
   const card = el("section", { class: "card" }, el("h2", {}, text("measured_and_core")), holder, key([
     { name: text("core_predicted"), colour: "--core" }, { name: text("band95"), class: "band" }, { name: text("sensors_top"), colour: "--top" },
-    { name: text("sensors_bottom"), colour: "--bottom" }, { name: text("platens"), colour: "--platen" }]));
-  later(holder, () => new TimeChart(holder, { series, height: 360, label: text("measured_and_core"), phases: run.phases, sync: "run" }).set(data));
+    { name: text("sensors_bottom"), colour: "--bottom" }, { name: text("platens"), colour: "--platen" }]), leftOut(samples.quality));
+  const why = (name, time) => samples.quality.find((span) => (span.column === name || span.column === "*") && span.from_s <= time && time <= span.to_s);
+  later(holder, () => new TimeChart(holder, { series, height: 360, label: text("measured_and_core"), phases: run.phases, sync: "run",
+    why: (name, time) => { const span = names.includes(name) && why(name, time); return span ? text(`quality_${span.quality}`) : null; } }).set(data));
   return card;
+}
+
+const MOST_LEFT_OUT = 12;
+
+// What was not simply measured, and why: one line for each channel and cause.
+function leftOut(spans) {
+  const causes = new Map();
+  for (const span of spans) {
+    const id = `${span.column} ${span.quality}`;
+    const known = causes.get(id) ?? { ...span, rows: 0 };
+    causes.set(id, { ...known, rows: known.rows + span.rows, from_s: Math.min(known.from_s, span.from_s), to_s: Math.max(known.to_s, span.to_s) });
+  }
+  const lines = [...causes.values()].sort((a, b) => b.rows - a.rows);
+  if (!lines.length) return null;
+  return el("div", { class: "small", "data-testid": "left-out" }, el("h3", {}, text("left_out")), el("ul", {},
+    lines.slice(0, MOST_LEFT_OUT).map((line) => el("li", {}, `${line.column === "*" ? text("all_channels") : line.column}: ${text(`quality_${line.quality}`)}, ${number(line.rows, 0)} ${text("scans")}, ${number(line.from_s, 1)} – ${number(line.to_s, 1)} s`)),
+    lines.length > MOST_LEFT_OUT ? el("li", {}, text("and_more").replace("{count}", lines.length - MOST_LEFT_OUT)) : null));
 }
 
 function simulationCard(run, simulation) {

@@ -1,0 +1,100 @@
+"""Qualities beside a run's values: a text column ``quality`` that names what deviates, row by row.
+
+A cell reads ``top_3=open bottom_1=stale``, is empty where every value is good, and ``*`` stands for every
+column it does not name (``*=simulated``). Values that are not usable are missing in the run's columns.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
+from itertools import groupby
+
+import numpy as np
+
+from daq.records import Quality, Run
+
+QUALITY = "quality"
+OTHERS = "*"
+_PART = re.compile(rf"(?:^| )(\S.*?)=({'|'.join(Quality)})(?= |$)")
+
+
+@dataclass(frozen=True)
+class QualitySpan:
+    """Consecutive rows in which a column's values were not simply good."""
+
+    column: str
+    """``*`` for every column that no other span names."""
+    quality: Quality
+    from_s: float
+    to_s: float
+    rows: int
+
+
+def quality_text(faults: Mapping[str, str], columns: Iterable[str] | None = None) -> str:
+    """Write what deviates in one row, of all columns or some.
+
+    >>> quality_text({"top_3": "open", "bottom_1": "stale"})
+    'top_3=open bottom_1=stale'
+    """
+    kept = None if columns is None else {OTHERS, *columns}
+    return " ".join(f"{name}={quality}" for name, quality in faults.items() if kept is None or name in kept)
+
+
+@lru_cache(maxsize=4096)
+def faults_of(text: str) -> Mapping[str, Quality] | None:
+    """Read what `quality_text` wrote; None where the text is something else.
+
+    >>> faults_of("top_3=open")
+    {'top_3': <Quality.OPEN: 'open'>}
+    """
+    found = {name: Quality(quality) for name, quality in _PART.findall(text)}
+    return found if quality_text(found) == text.strip() else None
+
+
+def row_faults(run: Run) -> list[Mapping[str, Quality]] | None:
+    """Return what deviates in each row; None where the run tells nothing about that.
+
+    A column of that name which holds other remarks, or names a column that is not there, is such a case.
+    """
+    texts = run.texts.get(QUALITY)
+    if texts is None:
+        return None
+    known = {OTHERS, *run.columns}
+    rows = [faults_of(text) for text in texts]
+    told = [faults for faults in rows if faults is not None and known.issuperset(faults)]
+    return told if len(told) == len(rows) else None
+
+
+def without_unusable(run: Run) -> Run:
+    """Take out the values that the run itself calls unusable."""
+    told = row_faults(run)
+    if told is None:
+        return run
+    columns = {name: np.array(values) for name, values in run.columns.items()}
+    for row, faults in enumerate(told):
+        rest = faults.get(OTHERS, Quality.GOOD)
+        for name in columns if faults else ():
+            if not faults.get(name, rest).usable:
+                columns[name][row] = np.nan
+    return replace(run, columns=columns)
+
+
+def spans_of(run: Run) -> Iterator[QualitySpan]:
+    """Yield what deviates in a run as spans of time, by column, each column's in order."""
+    told, times = row_faults(run) or [], run.time_s.tolist()
+    alike = [list(rows) for _, rows in groupby(range(len(told)), key=lambda row: run.texts[QUALITY][row])]
+    stretches = [(told[rows[0]], rows[0], rows[-1]) for rows in alike]
+    named = {name for faults, _, _ in stretches for name in faults}
+    for column in (name for name in (OTHERS, *run.columns) if name in named):
+        for quality, group in groupby(stretches, key=partial(_quality, column)):
+            parts = list(group)
+            first, last = parts[0][1], parts[-1][2]
+            if quality is not None:
+                yield QualitySpan(column, quality, times[first], times[last], last - first + 1)
+
+
+def _quality(column: str, stretch: tuple[Mapping[str, Quality], int, int]) -> Quality | None:
+    return stretch[0].get(column)
