@@ -8,6 +8,12 @@ import { language, text } from "./text.js";
 const PATTERNS = [
   [/^(\w+): never seen; start kerntemp \w+$/, "$1: noch nie gesehen; starten Sie kerntemp $1"],
   [/^(\w+): silent for (\d+) s; start kerntemp \w+$/, "$1: seit $2 s stumm; starten Sie kerntemp $1"],
+  [/^(.+): no reply in (.+) s; check power, cable and address$/, "$1: keine Antwort in $2 s; prüfen Sie Strom, Kabel und Adresse"],
+  [/^(.+): connection refused; the device is on but nothing listens there; check port$/, "$1: Verbindung abgewiesen; das Gerät ist an, aber dort hört nichts: prüfen Sie den Port"],
+  [/^(.+): unreachable; nobody answers at this address; check power, cable and host$/, "$1: nicht erreichbar; unter dieser Adresse antwortet niemand: prüfen Sie Strom, Kabel und Adresse"],
+  [/^(.+): no port; no such port; check adapter and name$/, "$1: diesen Anschluss gibt es nicht; prüfen Sie Adapter und Namen"],
+  [/^(.+): no permission; the user may not open it; add it to the port's group$/, "$1: keine Berechtigung; nehmen Sie den Benutzer in die Gruppe des Anschlusses auf"],
+  [/^(.+): port in use; another program has it open; close that$/, "$1: belegt; ein anderes Programm hat den Anschluss offen: schließen Sie es"],
   [/^logger (.+) answers again$/, "Messgerät $1 antwortet wieder"],
   [/^the clock of this machine was set by (.+) s; .*$/, "die Uhr dieses Rechners wurde um $1 s gestellt; Zeiten innerhalb einer Pressung sind nicht betroffen"],
   [/^(\w+) has changed by (.+) since run (.+) \(noticed at (.+)\): .*$/, "$1 hat sich seit Pressung $3 um $2 geändert (bemerkt bei $4): prüfen Sie, was davor an der Presse getan wurde"],

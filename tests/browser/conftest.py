@@ -159,9 +159,14 @@ class Served:
         assert self.process.stdout.readline().startswith("kerntemp serves")
 
     def end(self) -> None:
-        """Stop the server."""
+        """Stop the server, whatever a failed test left it in."""
+        self.process.send_signal(signal.SIGCONT)
         self.process.terminate()
-        self.process.wait(20)
+        try:
+            self.process.wait(20)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait(20)
         self.process.stdout.close()
 
 

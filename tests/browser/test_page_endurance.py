@@ -61,6 +61,19 @@ def test_when_the_line_goes_dead_old_readings_are_called_old_until_new_ones_come
     writer.join(20)
 
 
+def test_readings_shown_once_are_called_old_when_nothing_follows_them(served):
+    server, feed, page = served
+    writer = threading.Thread(target=feed.pressing, args=(3000,), daemon=True)
+    writer.start()
+    for never in ("**/api/v1/live", "**/samples*"):
+        page.route(never, lambda route: None)
+    page.goto(server.url + "#/now")
+    expect(page.get_by_test_id("core")).to_have_text("50.0°C")
+    expect(page.get_by_text("No new reading since")).to_be_visible()
+    feed.stop.set()
+    writer.join(20)
+
+
 PRESSINGS_A_DAY, SCANS = 600, 144
 
 

@@ -57,7 +57,7 @@ function channelCard(items) {
       el("span", { class: `pill ${["good", "simulated"].includes(c.quality) ? "good" : "bad"}` }, text(`quality_${c.quality}`)),
       el("span", { class: "num" }, clock(c.last_good_utc, false)), count(c.gaps_last_hour),
       ...Object.entries(COUNTED).map(([name, causes]) => count(of(c, causes), name === "readings")),
-      el("span", { title: others(c).map(([cause, n]) => `${cause}: ${n}`).join(", ") }, count(others(c).reduce((sum, [, n]) => sum + n, 0)))])) : el("p", { class: "faint" }, text("no_channels")));
+      el("span", { title: others(c).map(([cause, n]) => `${text(`cause_${cause.replaceAll(" ", "_")}`)}: ${n}`).join(", ") }, count(others(c).reduce((sum, [, n]) => sum + n, 0)))])) : el("p", { class: "faint" }, text("no_channels")));
 }
 
 const count = (value, usual = false) => el("span", { class: value && !usual ? "num warn-text" : "num" }, number(value, 0));

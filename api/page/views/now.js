@@ -14,14 +14,21 @@ const COLOURS = { platen: "--platen", top: "--top", bottom: "--bottom", core: "-
 
 export async function show(place, context) {
   const live = new LivePress(place, context);
-  await live.load();
   context.on("scan", (data) => live.scan(data));
   context.on("estimate", (data) => live.estimate(data));
   context.on("press", (data) => live.press(data));
   context.on("run", (data) => live.run(data));
   context.on("link", (state) => { if (state === "live") live.load(); });
+  // Readings age from when they are shown, also while what is asked for next never comes.
   const timers = [setInterval(() => live.poll(), 2000), setInterval(() => live.now && live.showAge(), 1000)];
-  return () => { timers.forEach(clearInterval); live.closed = true; };
+  const leave = () => { timers.forEach(clearInterval); live.closed = true; };
+  try {
+    await live.load();
+  } catch (error) {
+    leave();
+    throw error;
+  }
+  return leave;
 }
 
 class LivePress {
