@@ -39,7 +39,7 @@ COMPILE_S = 600.0
 """Longest wait for the compiler. [s]"""
 PATIENCE_S = 15.0
 """Longest wait for a process to end by itself. [s]"""
-FIT_S = 30.0
+FIT_S = 90.0
 """Longest wait for the last fit of a finished pressing. [s]"""
 SCANS_PER_S = 30.0
 """An accelerated demonstration scans at most about this often in real time."""
@@ -275,6 +275,8 @@ class _Demo:
     def _finished(self, record: RunRecord) -> bool:
         if record.status is RunStatus.OPEN or any(f.run == record.run for f in self.findings):
             return False
+        if record.moments.closed_s != record.moments.closed_s:
+            return True  # its closing was not seen: no fit will come
         newest = self._fit_number(record.run)
         since, before = self._ended.setdefault(record.run, (time.monotonic(), newest))
         return newest > before or time.monotonic() - since > FIT_S

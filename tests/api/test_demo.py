@@ -24,7 +24,7 @@ def processes_mentioning(folder: str) -> int:
 @pytest.mark.timeout(900)  # on a fresh machine the compiler runs first
 def test_the_demonstration_ends_by_itself_with_a_summary_and_leaves_no_process_behind(tmp_path):
     folder = tmp_path / "demo"
-    command = [sys.executable, "-m", "api", "demo", "--speed", "30", "--pressings", "1", "--data", str(folder)]
+    command = [sys.executable, "-m", "api", "demo", "--speed", "15", "--pressings", "1", "--data", str(folder)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=880, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "Summary of 1 pressings" in done.stdout, done.stdout

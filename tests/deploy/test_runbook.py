@@ -13,7 +13,7 @@ import subprocess
 import sys
 import textwrap
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -187,14 +187,23 @@ class PressPc:
         return done.stdout
 
     def press_a_panel(self) -> None:
-        """Let the loggers see a press at work until a run is over and fitted, and then one that stands."""
-        self.began_s = time.monotonic()
+        """Let the loggers see a press at work until a run is over, then one that stands until it is fitted.
+
+        A press that went on would give a slow machine ever more to refit.
+        """
         with open_store(str(self.folder / "var/lib/kerntemp/kerntemp.sqlite")) as store:
-            deadline = time.monotonic() + 150
-            while not any(store.fit(r.run) for r in store.runs(status=RunStatus.CLOSED).items):
-                assert time.monotonic() < deadline, "no pressing was recorded and fitted"
-                time.sleep(0.2)
-        self.stands_s = self.press.cycle(self._clock()).start + 1.0  # else a slow machine has ever more to refit
+            self._wait("the live sensor is not there", lambda: "sense" in store.statuses())
+            self.began_s = time.monotonic()
+            self._wait("no pressing was recorded", lambda: store.runs(status=RunStatus.CLOSED).items)
+            self.stands_s = self.press.cycle(self._clock()).start + 1.0
+            closed = store.runs(status=RunStatus.CLOSED).items
+            self._wait("no pressing was fitted", lambda: any(store.fit(r.run) for r in closed))
+
+    def _wait(self, else_: str, done: Callable[[], object]) -> None:
+        deadline = time.monotonic() + 150
+        while not done():
+            assert time.monotonic() < deadline, else_
+            time.sleep(0.2)
 
     def stop(self) -> None:
         for pid in self.folder.glob("*.pid"):
