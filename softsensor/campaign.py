@@ -36,6 +36,7 @@ from softsensor.remedies import Company
 BOOTSTRAPS = 4000
 PROCESSES_FROM = 40
 """Runs from which worker processes pay for their start; below that, threads (the kernels run without the GIL)."""
+GUESSES = "what stands for the campaign are the press file's guesses"
 
 
 @dataclass(frozen=True)
@@ -90,11 +91,13 @@ class CampaignFit:
         if not left:
             return ""
         if len(self.runs) == 1:
-            return f"{left[0].misfit[:1].upper()}{left[0].misfit[1:]}. No coefficient is known from it."
+            return f"{left[0].misfit[:1].upper()}{left[0].misfit[1:]}. No coefficient is known from it; {GUESSES}."
         named = ", ".join(f"{f.run} ({f.misfit.partition(': ')[2]})" for f in left[:5])
         named += f" and {len(left) - 5} more" if len(left) > 5 else ""
         if not self.met:
-            return f"The model describes none of these runs: {named}. No coefficient is known from them."
+            return (
+                f"The model describes none of these runs: {named}. No coefficient is known from them; {GUESSES}."
+            )
         rest = "It is" if len(left) == 1 else "They are"
         return (
             f"The model does not describe {len(left)} of {len(self.runs)} runs: {named}. "

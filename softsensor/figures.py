@@ -66,7 +66,7 @@ def _saved(figure: Figure, kind: str, **options: Any) -> bytes:
 def campaign_figures(campaign: CampaignFit) -> dict[str, str]:
     """Return every figure of a campaign as SVG text, by name: the runs, the coefficients, what moves together."""
     figures = {"coefficients": svg(coefficients_figure(campaign))}
-    if len(campaign.runs) > 1:
+    if len(campaign.met) > 1:
         figures["coefficients_normalised"] = svg(normalised_figure(campaign))
     for fitted in campaign.runs:
         figures[f"measured_{fitted.run}"] = svg(run_figure(fitted))
@@ -189,6 +189,8 @@ def coefficients_figure(campaign: CampaignFit) -> Figure:
 
 def _campaign_title(campaign: CampaignFit) -> str:
     total = len(campaign.met)
+    if not total:
+        return "No coefficient is known: the model does not describe what was measured"
     if len(campaign.runs) == 1:
         told = [n for n, c in campaign.coefficients.items() if c.runs]
         return f"Known from {campaign.runs[0].run}: {', '.join(told) or 'none of the coefficients'}"

@@ -240,6 +240,8 @@ def recentre(problem: Problem, x: Array) -> tuple[Problem, Array]:
         return problem, x
     moments = replace(case.moments, **{n: getattr(case.moments, n) + s for n, s in shifts.items()})
     moments = replace(moments, inserted_s=max(moments.inserted_s, float(case.run.time_s[0])))
+    if moments.inserted_s > moments.closed_s or moments.closed_s > moments.opened_s:
+        return problem, x  # a search far off may cross moments; it is not the record that is wrong
     case = problem.model.prepare(case.run, moments)
     unknowns, moved = [], x.copy()
     for i, u in enumerate(problem.unknowns):

@@ -13,6 +13,7 @@ from daq.simulated.campaign_pressfile import press_toml
 from daq.simulated.campaign_sensors import Nuisances
 from softsensor.adequacy import stored_adequacy, with_adequacy
 from softsensor.campaign import fit_campaign
+from softsensor.figures import _campaign_title
 from softsensor.modelfile import model_text, parse_model
 from softsensor.report import fit_report
 
@@ -102,6 +103,10 @@ def test_press_file_with_the_faces_exchanged_is_noticed(measured):
     told = fit_campaign(parse_press(text), [run for run, _ in measured[:2]])
     assert not told.met
     assert told.shortfall.startswith("The model describes none of these runs")
+    page = fit_report(told)
+    assert page.partition('class="finding">')[2].startswith("The model describes none of these runs")
+    assert _campaign_title(told).startswith("No coefficient is known")
+    assert next(_lines(told)) == told.shortfall
 
 
 def test_causes_a_diagnosis_is_there_for_do_not_make_a_run_a_misfit():
