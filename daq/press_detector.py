@@ -67,7 +67,7 @@ class PressEventDetector:
         self._seen = -math.inf
         self._since = -math.inf
         self._first = math.nan
-        self._bottom_high = -math.inf
+        self._by_bottom, self._face_high = True, -math.inf
         self._was_closed = False
         self._lag: Array | None = None
         self._lifted: tuple[float, float, float] | None = None
@@ -262,12 +262,15 @@ class PressEventDetector:
 
     def _removed(self, now: _Row) -> bool:
         """The lower face lost its plate, and then got cold or its sensors came off one by one."""
-        level = now.bottom if now.bottom == now.bottom else now.top
+        by_bottom = any(row.bottom == row.bottom for row in self._rows)
+        level = now.bottom if by_bottom else now.top
         if level != level:
-            return False
-        self._bottom_high = max(self._bottom_high, level)
+            return False  # the cool upper face is no stand-in for a lower sensor that blinks
+        if by_bottom is not self._by_bottom:
+            self._by_bottom, self._face_high = by_bottom, -math.inf
+        self._face_high = max(self._face_high, level)
         gap = _gap(now.plate, _ROOM_C)
-        if self._bottom_high > _ROOM_C + 0.25 * gap and level < _ROOM_C + 0.12 * gap:
+        if self._face_high > _ROOM_C + 0.25 * gap and level < _ROOM_C + 0.12 * gap:
             return True
         if self._lifted is None:
             if self._left_plate(now):
@@ -347,7 +350,7 @@ class PressEventDetector:
         self._was_closed = kind is PressEventKind.OPENED or (
             self._was_closed and kind is not PressEventKind.INSERTED
         )
-        self._bottom_high, self._lifted = -math.inf, None
+        self._face_high, self._lifted = -math.inf, None
         return PressEvent(kind, moment, noticed, source)
 
 
