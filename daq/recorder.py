@@ -12,6 +12,9 @@ what happened                  what is said (level), and what happens meanwhile
 server away, also at start     ``store ...: connection refused; check that the database server runs and is
                                reachable; scans wait in .../kerntemp-buffer.sqlite, enough for N h`` (alarm);
                                back-filled in order, then ``store ... takes data again`` (info)
+server silent                  ``connection given up: the server has been silent for 8 s and takes no other; check
+                               that the database server runs and is reachable; scans wait in ...`` or
+                               ``connection timeout expired; ...`` (alarm), within 15 s; then as above
 store locked                   ``database is locked; another process holds it; close other programs that have the
                                file open; scans wait in memory, enough for N h`` (alarm)
 disk full                      ``disk is full; free space on the disk; recording goes on by itself`` (alarm)
