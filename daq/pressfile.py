@@ -18,8 +18,12 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from daq.materials import MATERIALS, find_material
 from daq.records import InputError, Nonphysical, Panel, Run
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-Temperature = Annotated[float, Field(gt=-273.15, lt=5000, allow_inf_nan=False)]
+Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+"""No text and no ``true``."""
+Positive = Annotated[Number, Field(gt=0)]
+Temperature = Annotated[Number, Field(gt=-273.15, lt=5000)]
+Share = Annotated[Number, Field(ge=0, le=1)]
+Yes = Annotated[bool, Field(strict=True)]
 Property = Positive | tuple[tuple[Temperature, Positive], ...]
 """A number, or rows of temperature [°C] and value."""
 
@@ -39,7 +43,7 @@ class Layer(_Table):
     """``[[layer]]``, listed from bottom to top."""
 
     name: str = Field(min_length=1)
-    from_run: bool = False
+    from_run: Yes = False
     thickness_mm: Positive | None = None
     conductivity_W_mK: Property | None = None  # noqa: N815
     density_kg_m3: Positive | None = None
@@ -73,11 +77,11 @@ class Boundary(_Table):
 
     kind: Literal["measured", "flux", "air", "insulated"] = "insulated"
     column: str | None = None
-    incident_W_m2: float = Field(default=0.0, allow_inf_nan=False)  # noqa: N815
-    absorptivity: float = Field(default=1.0, ge=0, le=1)
-    emissivity: float = Field(default=0.0, ge=0, le=1)
+    incident_W_m2: Number = 0.0  # noqa: N815
+    absorptivity: Share = 1.0
+    emissivity: Share = 0.0
     coefficient: str | None = None
-    ambient_C: float | None = Field(default=None, gt=-273.15, lt=2000)  # noqa: N815
+    ambient_C: Number | None = Field(default=None, gt=-273.15, lt=2000)  # noqa: N815
     """None takes the run's ``ambient.temperature_C``."""
 
     @model_validator(mode="after")
@@ -102,7 +106,11 @@ class Load(_Table):
 
 
 class Contact(_Table):
-    """``[[contact]]``: names of the heat transfer coefficients between two neighbours."""
+    """``[[contact]]``: names of the heat transfer coefficients between two neighbours.
+
+    At an end with air or a flux the contact lies before the boundary's surface, in series with the boundary's
+    own coefficient; at an insulated end it passes nothing.
+    """
 
     between: tuple[str, str]
     closed: str
@@ -117,7 +125,7 @@ class Coefficient(_Table):
     guess: Positive = 100.0
     lower: Positive = 0.1
     upper: Positive = 100000.0
-    fixed: bool = False
+    fixed: Yes = False
 
     @model_validator(mode="after")
     def _ordered(self) -> Coefficient:
@@ -130,7 +138,7 @@ class Prior(_Table):
     """``[priors.NAME]``: what is known of a coefficient before any run is seen; log-normal."""
 
     median: Positive
-    factor: float = Field(gt=1.0, allow_inf_nan=False)
+    factor: Number = Field(gt=1.0)
     """Two in three values lie between median / factor and median x factor."""
 
 
@@ -138,7 +146,7 @@ class At(_Table):
     """A place inside a layer, measured from the layer's bottom."""
 
     layer: str
-    depth_mm: float = Field(ge=0)
+    depth_mm: Number = Field(ge=0)
 
 
 class Sensor(_Table):
@@ -148,7 +156,7 @@ class Sensor(_Table):
     at: str | At
     """``layer.bottom``, ``layer.middle``, ``layer.top``, or a depth."""
     role: Literal["fit", "validation"] = "fit"
-    position_mm: tuple[tuple[float, float], ...] | None = None
+    position_mm: tuple[tuple[Number, Number], ...] | None = None
 
     @property
     def label(self) -> str:
@@ -160,7 +168,7 @@ class Initial(_Table):
     """``[initial]``: the temperatures before the first row."""
 
     kind: Literal["steady", "sensors", "uniform"] = "steady"
-    temperature_C: float | None = Field(default=None, gt=-273.15, lt=2000)  # noqa: N815
+    temperature_C: Number | None = Field(default=None, gt=-273.15, lt=2000)  # noqa: N815
 
     @model_validator(mode="after")
     def _complete(self) -> Initial:
@@ -250,6 +258,7 @@ class Press(_Table):
             if contact.between in seen:
                 raise ValueError(f"contact.{i}.between = {list(contact.between)}: given twice")
             seen.add(contact.between)
+            self._check_parting(i, contact)
         if unused := sorted(set(self.coefficients) - set(self.coefficient_names)):
             raise ValueError(
                 f"coefficients.{unused[0]}: no contact or boundary uses it; "
@@ -260,6 +269,19 @@ class Press(_Table):
         for i, sensor in enumerate(self.sensor):
             self._check_place(i, sensor)
         return self
+
+    def _check_parting(self, i: int, contact: Contact) -> None:
+        for end in ("bottom", "top"):
+            kind = getattr(self.boundary, end).kind
+            if (
+                isinstance(contact.open, tuple)
+                and f"boundary.{end}" in contact.between
+                and kind in ("air", "flux")
+            ):
+                raise ValueError(
+                    f"contact.{i}.open = {list(contact.open)}: boundary.{end} is of kind {kind!r}, from which no "
+                    f"layer parts; give one name"
+                )
 
     def _check_prior(self, name: str, prior: Prior) -> None:
         if name not in self.coefficient_names:
@@ -334,6 +356,11 @@ def press_for_run(press: Press, run: Run) -> Press:
                 f"{run.source or run.name}: header key {key}: the press file has no such place"
             ) from error
     try:
+        used = Press.model_validate(tree | {"coefficients": {}, "priors": {}}).coefficient_names
+        for table in ("coefficients", "priors"):
+            # those of the press file that this run has no use for, since it names others
+            given = {key.split(".")[1] for key in overrides if key.startswith(f"{table}.")}
+            tree[table] = {name: x for name, x in tree.get(table, {}).items() if name in used or name in given}
         return Press.model_validate(tree)
     except ValidationError as error:
         raise InputError(f"{run.source or run.name}: header override: {explain(error)}") from error
@@ -403,8 +430,10 @@ def _set(tree: Any, keys: list[str], value: Any) -> None:
         if isinstance(tree, tuple | list):
             named = [item for item in tree if item.get("name") == key]
             tree = named[0] if named else tree[int(key)]
-        elif key not in tree and i > 0:
-            tree = tree.setdefault(key, {})
+        elif i > 0:
+            if not isinstance(tree.get(key), dict | tuple | list):
+                tree[key] = {}  # a table in place of a value, as a sensor's depth in place of its name
+            tree = tree[key]
         else:
             tree = (
                 tree.setdefault(key, {})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fnmatch
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
@@ -36,6 +37,10 @@ class BrokenTime(InputError):
 
 class BoundaryGap(InputError):
     """A measured boundary that is missing for longer than can be bridged."""
+
+
+class NoSteadyState(InputError):
+    """A stack whose steady temperatures before the first row do not exist, or cannot be found."""
 
 
 class Quality(StrEnum):
@@ -172,13 +177,21 @@ class Run:
 
     @property
     def ambient_temperature(self) -> float:
-        """Room temperature, 23 °C where the header is silent. [°C]"""
-        return float(self.header.get("ambient.temperature_C", 23.0))
+        """Room temperature, 23 °C where the header is silent. [°C] Raises `InputError` for a text."""
+        return self._number("ambient.temperature_C", 23.0)
 
     def setting(self, key: str) -> float | None:
-        """Return ``setting.<key>`` as a number, or None where the header is silent."""
-        value = self.header.get(f"setting.{key}")
-        return None if value is None else float(value)
+        """Return ``setting.<key>``, or None where the header is silent. Raises `InputError` for a text."""
+        full = f"setting.{key}"
+        return self._number(full, math.nan) if self.header.get(full) is not None else None
+
+    def _number(self, key: str, default: float) -> float:
+        value = self.header.get(key, default)
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise InputError(
+                f"{self.source or self.name}: header key {key} = {value!r}: must be a number; mend the header"
+            )
+        return float(value)
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -147,7 +147,7 @@ def fit_as_paper(
         raise InputError(f"method {method!r}: must be one of {', '.join(METHODS)}")
     begun = time.perf_counter()
     problem = _prepare(model, run, moments, every)
-    guesses = {**model.guesses, **(start or {})}
+    guesses = {**replace(model, press=problem.case.press).guesses, **(start or {})}
     low, high = problem.limits
     x = np.clip(np.log([guesses[n] for n in problem.names]), low, high)
     count, converged = 0, True

@@ -66,7 +66,7 @@ class Lines:
 
 def lines_of(model: ThermalModel, case: Case, names: tuple[str, ...], labels: tuple[str, ...]) -> Lines:
     """Return the equations of a case whose boundaries are measured and whose properties are constant."""
-    probe = {n: 1.0 + i for i, n in enumerate(model.press.coefficient_names)}
+    probe = {n: 1.0 + i for i, n in enumerate(case.press.coefficient_names)}
     stack = model.build(case, probe).stack
     spots = []
     for m, interface in enumerate(stack.interface):

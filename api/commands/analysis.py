@@ -37,32 +37,32 @@ def simulate(
     config: ConfigFile = None,
 ) -> None:
     """Simulate a run, open loop, from its platen temperatures."""
-    from daq.pressfile import read_press
+    from daq.pressfile import press_for_run, read_press
 
     if coefficients is not None and model is not None:
         raise InputError("--coefficients and --model exclude each other; give one")
     check_writable(out, inputs=files_read(run, press, coefficients, model, store=store, config=config))
     described = read_press(press)
     loaded = load_run(run, store, config)
+    own = press_for_run(described, loaded)
     with working(f"Simulating {loaded.name}"):
         from api.simulation import simulate_run
-        from daq.pressfile import press_for_run
         from softsensor.admission import load_remarks
         from softsensor.model import ThermalModel
         from softsensor.modelfile import read_model
 
         if model is not None:
             content = read_model(model)
+            _check_names((described, own), content.coefficients, str(model))
             thermal, values = content.model(described), content.values
-            _check_names(described, content.coefficients, str(model))
         else:
-            thermal = ThermalModel(described)
-            values = thermal.guesses | (_read_coefficients(coefficients, described) if coefficients else {})
+            given = _read_coefficients(coefficients, (described, own)) if coefficients else {}
+            thermal, values = ThermalModel(described), ThermalModel(own).guesses | given
         result = simulate_run(loaded, described, thermal, values)
     columns: dict[str, Any] = {"time_s": result.time_s, "state": [str(s) for s in result.state]}
     columns |= dict(result.places) | {"core_C": result.core}
     write_all({out: _csv(columns)})
-    for remark in load_remarks(press_for_run(described, loaded), loaded):
+    for remark in load_remarks(own, loaded):
         sys.stderr.write(f"kerntemp: {remark}\n")
 
 
@@ -134,7 +134,7 @@ def _hidden(run: Run, without: str) -> set[str]:
     return hidden
 
 
-def _read_coefficients(path: Path, press: Press) -> dict[str, float]:
+def _read_coefficients(path: Path, presses: tuple[Press, Press]) -> dict[str, float]:
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
@@ -146,14 +146,17 @@ def _read_coefficients(path: Path, press: Press) -> dict[str, float]:
     for name, value in content.items():
         if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < 1e9:
             raise InputError(f"{path}: {name} = {value!r}: must be a number above 0 in W/m²K")
-    _check_names(press, content, str(path))
+    _check_names(presses, content, str(path))
     return {name: float(value) for name, value in content.items()}
 
 
-def _check_names(press: Press, given: Mapping[str, Any], where: str) -> None:
-    if unknown := [name for name in given if name not in press.coefficient_names]:
-        known = ", ".join(press.coefficient_names)
-        raise InputError(f"{where}: {unknown[0]}: press {press.name!r} has no such coefficient; it has {known}")
+def _check_names(presses: tuple[Press, Press], given: Mapping[str, Any], where: str) -> None:
+    """Refuse a coefficient that neither the press file nor the run's own press has. Raises `InputError`."""
+    names = dict.fromkeys(name for press in presses for name in press.coefficient_names)
+    if unknown := [name for name in given if name not in names]:
+        raise InputError(
+            f"{where}: {unknown[0]}: press {presses[0].name!r} has no such coefficient; it has {', '.join(names)}"
+        )
 
 
 def _csv(columns: Mapping[str, Any]) -> str:

@@ -212,3 +212,38 @@ def test_simulate_tells_of_a_load_column_the_run_lacks(files, first, tmp_path, c
     assert main(["simulate", first, "--press", str(press), "--out", str(out)]) == 0
     assert "load column 'kN' is missing" in one_line(capsys)
     assert out.exists()
+
+
+def _core(arguments, folder):
+    out = folder / "out.csv"
+    assert main(["simulate", *arguments, "--out", str(out)]) == 0
+    return np.genfromtxt(out, delimiter=",", skip_header=1)[:, -1]
+
+
+def _with_header(first, folder, *lines):
+    own = folder / "own.csv"
+    own.write_text("".join(f"# {line}\n" for line in lines) + Path(first).read_text())
+    return str(own)
+
+
+def test_simulate_takes_a_coefficient_from_the_runs_header(files, first, tmp_path):
+    press, given = ["--press", str(files / "press.toml")], tmp_path / "given.json"
+    plain = _core([first, *press], tmp_path)
+    own = _core([_with_header(first, tmp_path, "coefficients.h_pp_c.guess = 100.0"), *press], tmp_path)
+    assert np.abs(own - plain).max() > 1.0
+    lines = 'contact.2.closed = "h_new"', "coefficients.h_new.guess = 100.0"
+    new = _core([_with_header(first, tmp_path, *lines), *press], tmp_path)
+    assert np.abs(new - plain).max() > 0.3
+    assert np.abs(new - own).max() > 0.3
+    given.write_text('{"h_new": 300.0}')
+    assert (
+        np.abs(_core([str(tmp_path / "own.csv"), *press, "--coefficients", str(given)], tmp_path) - new).max()
+        > 0.1
+    )
+
+
+def test_simulate_takes_another_kind_of_end_from_the_runs_header(files, first, tmp_path):
+    press = ["--press", str(files / "press.toml")]
+    plain = _core([first, *press], tmp_path)
+    air = 'boundary.top.kind = "air"', 'boundary.top.coefficient = "h_air"', "coefficients.h_air.guess = 15.0"
+    assert np.nanmax(_core([_with_header(first, tmp_path, *air), *press], tmp_path)) < np.nanmax(plain) - 3.0

@@ -63,6 +63,15 @@ def test_press_without_an_open_entry_has_one_state() -> None:
             PLATE + "[[sensor]]\ncolumns = ['a']\nat = { layer = 'plate', depth_mm = 11.0 }",
             "outside layer 'plate'",
         ),
+        (PLATE.replace("45.0", "true"), r"layer\.0\.conductivity_W_mK = True: .*valid number"),
+        (PLATE.replace("45.0", "'45'"), r"layer\.0\.conductivity_W_mK = '45': .*valid number"),
+        (PANEL + "[press]\narea_m2 = '2'", r"press\.area_m2 = '2': .*valid number"),
+        (
+            PANEL
+            + "[boundary.top]\nkind = 'air'\ncoefficient = 'h'\n"
+            + "[[contact]]\nbetween = ['panel', 'boundary.top']\nopen = ['a', 'b']\nclosed = 'c'",
+            r"contact\.0\.open = \['a', 'b'\]: boundary\.top is of kind 'air', from which no layer parts",
+        ),
     ],
 )
 def test_wrong_press_file_is_refused_with_key_and_value(text: str, said: str) -> None:
@@ -84,6 +93,22 @@ def test_run_overrides_values_of_the_press_by_dotted_key() -> None:
     assert own.layer[2].thickness_mm == 12.0
     assert own.coefficient("h_wa").guess == 5.0
     assert own.contact[0].closed == "h_p_o"
+
+
+def test_an_override_may_leave_a_coefficient_of_the_press_file_without_use() -> None:
+    own = press_for_run(
+        read_press(LAB),
+        run(contact__1__closed="h_new", contact__2__closed="h_new", coefficients__h_new__guess=200.0),
+    )
+    assert own.coefficient("h_new").guess == 200.0
+    assert "h_pp_c" not in own.coefficient_names
+    with pytest.raises(InputError, match=r"r\.csv: header override: coefficients\.h_nwe: no contact"):
+        press_for_run(read_press(LAB), run(coefficients__h_nwe__guess=200.0))
+
+
+def test_an_override_may_put_a_depth_in_place_of_a_named_place() -> None:
+    own = press_for_run(read_press(LAB), run(sensor__0__at__layer="panel", sensor__0__at__depth_mm=5.7))
+    assert own.sensor[0].label == "panel@5.7mm"
 
 
 def test_override_of_an_unknown_place_is_refused() -> None:
