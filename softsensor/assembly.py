@@ -45,6 +45,7 @@ class Layout:
     """Cells of the panel proper (n)."""
     interface: kernels.Integers
     parts: Flags
+    bare: Flags
     spots: tuple[tuple[int, int, int, str], ...]
     """Contact, state, kind (coupling, lower and upper face to air) and coefficient."""
     measured: Flags
@@ -87,6 +88,7 @@ class Layout:
             wet=wet,
             interface=np.array(interface, dtype=np.int64),
             parts=np.array(parts, dtype=bool),
+            bare=np.arange(len(interface)) >= len(press.contact),
             spots=tuple(spots),
             measured=np.array([b.kind == "measured" for b in (press.boundary.bottom, press.boundary.top)]),
             flux=flux,
@@ -125,6 +127,7 @@ class Layout:
             interface=self.interface,
             contact=contact,
             parts=self.parts,
+            bare=self.bare,
             emissivity=float(terms.emissivity),
             convection=float(terms.convection),
             wet=self.wet,
@@ -229,13 +232,20 @@ def _interfaces(press: Press, mesh: Mesh) -> list[int]:
 
 
 def _contacts(press: Press, mesh: Mesh) -> tuple[list[int], list[bool], list[tuple[int, int, int, str]]]:
-    """Where each coefficient acts, in which state; free ends come last."""
+    """Where each coefficient acts, in which state; ends without a contact come last.
+
+    A contact with an insulated end passes nothing; one with air or a flux lies before the boundary's surface,
+    whose own coefficient is that surface's to the air.
+    """
     spots: list[tuple[int, int, int, str]] = []
     interfaces = _interfaces(press, mesh)
     parts = [isinstance(c.open, tuple) for c in press.contact]
     panel = set(press.panel_layers)
     away = next((c.open[1] for c in press.contact if isinstance(c.open, tuple)), None)
+    ends = {"boundary.bottom": press.boundary.bottom, "boundary.top": press.boundary.top}
     for m, contact in enumerate(press.contact):
+        if any(end in contact.between and ends[end].kind == "insulated" for end in ends):
+            continue
         spots.append((m, 2, 0, contact.closed))
         if contact.open is None:
             spots.append((m, 1, 0, contact.closed))
@@ -249,12 +259,14 @@ def _contacts(press: Press, mesh: Mesh) -> tuple[list[int], list[bool], list[tup
                 spots.append((m, 0, plate_side, away))
         else:
             spots.append((m, 0, 0, contact.open if isinstance(contact.open, str) else contact.closed))
-    for j, boundary in zip((0, len(mesh.dx)), (press.boundary.bottom, press.boundary.top), strict=True):
-        if j not in interfaces and boundary.kind != "measured":
-            if boundary.coefficient is not None:
-                spots += [(len(interfaces), state, 0, boundary.coefficient) for state in range(3)]
+    for j, side, boundary in ((0, 1, press.boundary.bottom), (len(mesh.dx), 2, press.boundary.top)):
+        if boundary.kind == "measured":
+            continue
+        if j not in interfaces:
             interfaces.append(j)
             parts.append(False)
+        if boundary.coefficient is not None and boundary.kind != "insulated":
+            spots += [(interfaces.index(j), state, side, boundary.coefficient) for state in range(3)]
     return interfaces, parts, spots
 
 

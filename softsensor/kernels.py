@@ -35,6 +35,7 @@ from softsensor.kernels_terms import (
     RATE,
     ROWS,
     RSLOPE,
+    SLOPE,
     SRC,
     STAR,
     G,
@@ -74,9 +75,14 @@ class Stack(NamedTuple):
     interface: Integers
     """The interface of each contact (m)."""
     contact: Array
-    """By contact and state: coupling, lower face to air, upper face to air (m, 3, 3). [W/m²K]"""
+    """By contact and state: coupling, lower face to air, upper face to air (m, 3, 3). [W/m²K]
+
+    At an end that is not measured the face beyond is the boundary's surface: its value is the boundary's own.
+    """
     parts: NDArray[np.bool_]
     """Whether the neighbours of a contact part while open (m)."""
+    bare: NDArray[np.bool_]
+    """Whether it is no contact but an end of the stack that air and radiation act on at once (m)."""
     emissivity: float
     """Effective emissivity between parted neighbours while open."""
     convection: float
@@ -546,41 +552,48 @@ def _observe(places, t, s, out, d_out, row):
             d_out[q, row, a] = value
 
 
+SETTLED_K = 1e-10
+"""The search for a steady state ends when no temperature changes by more. [K]"""
+UNSETTLED_K = 1e-6
+"""It has failed if any still changes by more after `REST_ROUNDS`: rounding alone changes less. [K]"""
+REST_ROUNDS = 100
+
+
 @njit(cache=True)
 def rest(stack, tan, drive, held, held_t, d_held, state):
     """Set the state to the steady temperatures in the first step's conditions; held cells keep theirs.
 
     `held` (n) marks cells with a given temperature `held_t` and its tangents `d_held` (P, n).
+    Returns -1, or the cell that is tied to nothing, or n if the search did not settle.
     """
     p, n = state.s.shape
     r = stack.heat.shape[0]
     w, dw = np.zeros((ROWS, n + 1)), np.zeros((DROWS, p, n + 1))
     rate, drate = np.zeros((r, 2, n)), np.zeros((r, 2, p, n))
-    x, pivot = np.zeros(n), np.zeros(n)
+    x, through, pivot = np.zeros(n), np.zeros(n), np.zeros(n)
     first = np.int64(0)
     _copy(held_t, d_held, state.t, state.s)
     low = drive.boundary[0, 0, 0] if stack.measured[0] else stack.flux[0, 2]
     top = drive.boundary[0, 1, 0] if stack.measured[1] else stack.flux[1, 2]
-    for _ in range(30):
+    change = 0.0
+    for _ in range(REST_ROUNDS):
         _copy(state.t, state.s, w[STAR], dw[DSTAR])
         coefficients(stack, tan, drive, first, 1.0, state.done, state.s_done, w, dw, rate, drate)
-        g, loss, src, diag = w[G], w[LOSS], w[SRC], w[DIAG]
+        g, loss, src = w[G], w[LOSS], w[SRC]
         for j in range(1, n):
             if held[j - 1] != held[j]:
                 # the panel is not there yet: what touches it later rests without it
-                diag[j - 1] -= g[j]
-                diag[j] -= g[j]
                 g[j] = 0.0
                 for q in range(p):
                     dw[DG, q, j] = 0.0
+        untied = _rest_factor(g, loss, w[SLOPE], held, through, pivot)
+        if untied >= 0:
+            return untied
         for i in range(n):
             x[i] = loss[i] * stack.ambient + src[i]
         x[0] += g[0] * low
         x[n - 1] += g[n] * top
-        for i in range(n):
-            if held[i]:
-                x[i] = held_t[i]
-        _rest_solve(g, diag, held, pivot, x)
+        _rest_solve(through, pivot, held, held_t, x)
         change = 0.0
         for i in range(n):
             change = max(change, abs(x[i] - state.t[i]))
@@ -594,17 +607,15 @@ def rest(stack, tan, drive, held, held_t, d_held, state):
                 x[i] += dw[DG, q, i] * (below - t) + dw[DG, q, i + 1] * (above - t)
             x[0] += g[0] * drive.d_boundary[0, q]
             x[n - 1] += g[n] * drive.d_boundary[1, q]
-            for i in range(n):
-                if held[i]:
-                    x[i] = d_held[q, i]
-            _rest_solve(g, diag, held, pivot, x)
+            _rest_solve(through, pivot, held, d_held[q], x)
             for i in range(n):
                 change = max(change, 1e-3 * abs(x[i] - state.s[q, i]))
                 state.s[q, i] = x[i]
-        if change < 1e-10:
+        if change < SETTLED_K:
             break
     _copy(state.t, state.s, state.t_before, state.s_before)
     state.clock[0] = 0.0
+    return -1 if change < UNSETTLED_K else n
 
 
 @njit(cache=True)
@@ -619,21 +630,43 @@ def _copy(t, s, t_out, s_out):
 
 
 @njit(cache=True)
-def _rest_solve(g, diag, held, pivot, x):
-    """Solve K x = x in place; rows of held cells are the identity. A cell tied to nothing keeps 0."""
+def _rest_factor(g, loss, slope, held, through, pivot):
+    """Factor K; return a cell that is tied to nothing, or -1. Held cells stand alone.
+
+    `through` is what a cell passes on to the one above it, `pivot` its inverse pivot. A cell's pivot is its
+    conductance to the next and, in series with all below, to outside: no differences, so nothing cancels.
+    """
+    n = pivot.shape[0]
+    outside = 0.0
+    for i in range(n):
+        own = loss[i] + slope[i]
+        if i == 0:
+            own += g[0]
+        if i == n - 1:
+            own += g[n]
+        up = g[i + 1] if i < n - 1 else 0.0
+        outside = own + (outside * through[i - 1] if i > 0 else 0.0)
+        if held[i]:
+            outside, up = 1.0, 0.0
+        if up + outside <= 0.0:
+            return i
+        pivot[i] = 1.0 / (up + outside)
+        through[i] = up * pivot[i]
+    return -1
+
+
+@njit(cache=True)
+def _rest_solve(through, pivot, held, given, x):
+    """Solve K x = x in place; held cells get what is given."""
     n = x.shape[0]
     for i in range(n):
-        low = 0.0 if i == 0 or held[i] else g[i]
-        main = 1.0 if held[i] or diag[i] <= 0.0 else diag[i]
-        if low != 0.0:
-            up = 0.0 if held[i - 1] else g[i]
-            main -= low * up * pivot[i - 1]
-            x[i] += low * pivot[i - 1] * x[i - 1]
-        pivot[i] = 1.0 / main
+        if held[i]:
+            x[i] = given[i]
+        elif i > 0:
+            x[i] += through[i - 1] * x[i - 1]
     x[n - 1] *= pivot[n - 1]
     for i in range(n - 2, -1, -1):
-        up = 0.0 if held[i] else g[i + 1]
-        x[i] = (x[i] + up * x[i + 1]) * pivot[i]
+        x[i] = x[i] * pivot[i] + through[i] * x[i + 1]
 
 
 @njit(cache=True)

@@ -85,7 +85,7 @@ def lay_out(
             w[SRC, 0] = w[SLOPE, 0] * stack.ambient
             w[SRC, n - 1] = w[SLOPE, n - 1] * stack.ambient
             contacts(
-                stack.dx, stack.interface, stack.contact, tan.contact, stack.parts, stack.emissivity,
+                stack.dx, stack.interface, stack.contact, tan.contact, stack.parts, stack.bare, stack.emissivity,
                 tan.emissivity, stack.measured, stack.flux, tan.flux,
                 drive.weight[step], drive.d_weight[step], drive.factor[step], drive.d_factor[step], w, dw,
             )  # fmt: skip

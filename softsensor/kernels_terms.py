@@ -120,7 +120,7 @@ def joints(dx, measured, w, dw):
 
 @njit(cache=True)
 def contacts(
-    dx, interface, contact, d_contact, parts, emissivity, d_emissivity, measured, flux, d_flux,
+    dx, interface, contact, d_contact, parts, bare, emissivity, d_emissivity, measured, flux, d_flux,
     weight, d_weight, factor, d_factor, w, dw,
 ):  # fmt: skip
     """Replace joints that are contacts by coupling and losses to air, with tangents; fill the losses.
@@ -141,10 +141,10 @@ def contacts(
         j = interface[m]
         _contact_values(contact, d_contact, weight, d_weight, factor, d_factor, m, h, dh)
         if j == 0:
-            _end(dx, measured[0], flux[0], d_flux[0], w, dw, j, j, h, dh)
+            _end(dx, measured[0], flux[0], d_flux[0], bare[m], w, dw, j, j, h, dh)
             continue
         if j == n:
-            _end(dx, measured[1], flux[1], d_flux[1], w, dw, j - 1, j, h, dh)
+            _end(dx, measured[1], flux[1], d_flux[1], bare[m], w, dw, j - 1, j, h, dh)
             continue
         if parts[m] and radiates:
             share, a, b = weight[1], star[j - 1] + _ZERO_C, star[j] + _ZERO_C
@@ -202,39 +202,69 @@ def _inner(dx, w, dw, j, h, dh):
 
 
 @njit(cache=True)
-def _end(dx, measured, flux, d_flux, w, dw, i, j, h, dh):
-    """A boundary with a coefficient and radiation, in series with half a cell: cell i, interface j.
-
-    The face's own temperature x solves g (T - x) + h (T_a - x) + eps sigma (T_a^4 - x^4) + flux = 0.
-    """
+def _end(dx, measured, flux, d_flux, bare, w, dw, i, j, h, dh):
+    """An end of the stack: cell i, interface j, h (3) and dh (3, P) as in `_contact_values`."""
     g = 2.0 * w[COND, i] / dx[i]
+    outer = 1 if j == 0 else 2
     if measured:
-        w[G, j] = h[0] * g / (h[0] + g)
-        for q in range(dh.shape[1]):
-            dg = 2.0 * dw[DCOND, q, i] / dx[i]
-            dw[DG, q, j] = (g * g * dh[0, q] + h[0] * h[0] * dg) / (h[0] + g) ** 2
-        return
-    t, around, sigma = w[STAR, i] + _ZERO_C, flux[2] + _ZERO_C, flux[1] * _SIGMA
-    x = t
-    if sigma > 0.0:
-        for _ in range(30):
-            rest = g * (t - x) + h[0] * (around - x) + sigma * (around**4 - x**4) + flux[0]
-            move = rest / (g + h[0] + 4.0 * sigma * x**3)
-            x += move
-            if abs(move) < 1e-10 * x:
-                break
-    a = h[0] + sigma * (x * x + around * around) * (x + around)
-    bend = sigma * (3 * x * x + 2 * x * around + around * around)
-    share = g / (a + g)
-    w[G, j] = a * share
-    w[SRC, i] += flux[0] * share
+        _measured_end(dx, g, w, dw, i, j, 3 - outer, h, dh)
+    else:
+        _surface(dx, g, flux, d_flux, bare, w, dw, i, j, outer, h, dh)
+
+
+@njit(cache=True)
+def _measured_end(dx, g, w, dw, i, j, own, h, dh):
+    """A contact h[0] with a measured temperature; where they part, the face loses by h[own] to the air."""
+    total = g + h[0] + h[own]
+    joined, lost = g * h[0] / total, g * h[own] / total
+    w[G, j] = joined
+    w[LOSS, i] += lost
     for q in range(dh.shape[1]):
         dg = 2.0 * dw[DCOND, q, i] / dx[i]
-        dface = dg * (t - x) + g * dw[DSTAR, q, i] + dh[0, q] * (around - x) + d_flux[q]
-        da = dh[0, q] + bend * dface / (g + h[0] + 4.0 * sigma * x**3)
+        dtotal = dg + dh[0, q] + dh[own, q]
+        dw[DG, q, j] = (dg * h[0] + g * dh[0, q] - joined * dtotal) / total
+        dw[DLOSS, q, i] += (dg * h[own] + g * dh[own, q] - lost * dtotal) / total
+
+
+@njit(cache=True)
+def _surface(dx, g, flux, d_flux, bare, w, dw, i, j, outer, h, dh):
+    """A surface that air and radiation act on, behind half a cell and, unless bare, a contact h[0].
+
+    Its temperature x solves g (T - x) + h (T_a - x) + eps sigma (T_a^4 - x^4) + flux = 0 with h = h[outer]
+    at the cell's expected temperature; about it radiation is taken with its slope, so that steps of
+    any length settle.
+    """
+    half = g
+    if not bare:
+        if h[0] == 0.0:
+            return
+        g = half * h[0] / (half + h[0])
+    t, around, sigma = w[STAR, i] + _ZERO_C, flux[2] + _ZERO_C, flux[1] * _SIGMA
+    x = max(t, 1.0)
+    if sigma > 0.0:
+        for _ in range(100):
+            rest = g * (t - x) + h[outer] * (around - x) + sigma * (around**4 - x**4) + flux[0]
+            move = rest / (g + h[outer] + 4.0 * sigma * x**3)
+            x = max(x + move, 1.0)
+            if abs(move) < 1e-12 * x:
+                break
+    else:
+        x = (g * t + h[outer] * around + flux[0]) / (g + h[outer])
+    slope, bend = 4.0 * sigma * x**3, 12.0 * sigma * x**2
+    a = h[outer] + slope
+    power = flux[0] + sigma * (around**4 - x**4) + slope * (x - around)
+    share = g / (a + g)
+    w[G, j] = a * share
+    w[SRC, i] += power * share
+    for q in range(dh.shape[1]):
+        dg = 2.0 * dw[DCOND, q, i] / dx[i]
+        if not bare:
+            dg = (h[0] * h[0] * dg + half * half * dh[0, q]) / (half + h[0]) ** 2
+        move = (dg * (t - x) + g * dw[DSTAR, q, i] + dh[outer, q] * (around - x) + d_flux[q]) / (a + g)
+        da = dh[outer, q] + bend * move
+        dpower = d_flux[q] + bend * (x - around) * move
         dw[DG, q, j] = (g * g * da + a * a * dg) / (a + g) ** 2
-        dshare = (dg * a - g * da) / (a + g) ** 2
-        dw[DSRC, q, i] += d_flux[q] * share + flux[0] * dshare
+        dw[DSRC, q, i] += dpower * share + power * (dg * a - g * da) / (a + g) ** 2
 
 
 @njit(cache=True)
@@ -372,8 +402,8 @@ def switched(stack, tan, drive, step, h, done, d_done, w, dw, rate, drate):
     n, p = stack.dx.shape[0], dw.shape[1]
     exchange(stack.dx, stack.ambient, stack.exchange, tan.exchange, w, dw)
     contacts(
-        stack.dx, stack.interface, stack.contact, tan.contact, stack.parts, stack.emissivity, tan.emissivity,
-        stack.measured, stack.flux, tan.flux,
+        stack.dx, stack.interface, stack.contact, tan.contact, stack.parts, stack.bare, stack.emissivity,
+        tan.emissivity, stack.measured, stack.flux, tan.flux,
         drive.weight[step], drive.d_weight[step], drive.factor[step], drive.d_factor[step], w, dw,
     )  # fmt: skip
     for r in range(stack.heat.shape[0]):

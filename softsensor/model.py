@@ -44,7 +44,7 @@ from typing import Any, Literal
 import numpy as np
 
 from daq.pressfile import Press
-from daq.records import Array, InputError, Moments, Nonphysical, PressState, Run
+from daq.records import Array, InputError, Moments, Nonphysical, NoSteadyState, PressState, Run
 from softsensor import kernels
 from softsensor.assembly import initial_profile
 from softsensor.case import FINE_STEP_S, GROWTH, Case, Fineness, prepare_case
@@ -426,7 +426,23 @@ def _rest(
     still = kernels.Drive(
         np.ones(1), weight, np.zeros((1, 3, p)), one, np.zeros((1, contacts, p)), outside, drive.d_boundary
     )
-    kernels.rest(stack, d_stack, still, held, held_t, d_held, state)
+    cell = kernels.rest(stack, d_stack, still, held, held_t, d_held, state)
+    if cell >= 0:
+        _refuse_start(case, cell)
+
+
+def _refuse_start(case: Case, cell: int) -> None:
+    """Say why there is no steady start: the cell is tied to nothing, or, beyond the last, nothing settles."""
+    where = case.run.source or case.run.name
+    said = "its steady temperatures cannot be found: properties or radiation change too steeply with temperature"
+    if cell < len(case.mesh.dx):
+        layer = next(name for name in case.mesh.layer if cell in range(*case.mesh.cells(name).indices(cell + 1)))
+        alone = "" if case.panel is None else " while no panel is in"
+        said = f"layer {layer!r} is tied to no temperature{alone}, so it has no steady one"
+    raise NoSteadyState(
+        f'{where}: {said}; give [initial] kind = "uniform" with temperature_C, or "sensors", or mend the '
+        f"boundaries and contacts"
+    )
 
 
 def _first_profile(case: Case) -> Array:

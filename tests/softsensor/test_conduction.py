@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import brentq
 from scipy.special import erfc, erfcx
 
-from daq.records import Moments
+from daq.records import Moments, NoSteadyState
 from softsensor.conduction import build_mesh, graded_widths
 
 K, RHO, C = 0.12, 740.0, 1550.0
@@ -265,3 +265,93 @@ def test_place_reads_a_parabola_exactly_anywhere_in_its_layer():
     field[mesh.cells("panel")] = 3.0 + 2e3 * x - 5e4 * x**2
     for height in (0.0, 1e-5, 0.0057, 0.008, 0.016):
         assert mesh.place("panel", height) @ field == pytest.approx(3.0 + 2e3 * height - 5e4 * height**2, abs=1e-6)
+
+
+STEADY = '[initial]\nkind = "steady"\n'
+UNIFORM = '[initial]\nkind = "uniform"\ntemperature_C = 20.0\n'
+
+
+@pytest.mark.parametrize("flux", [1e3, 2e4, 6e4, 2e5, 1e7])
+def test_a_steady_start_that_radiates_begins_where_losses_equal_the_flux(make_rig, flux):
+    end = f'kind = "flux"\nincident_W_m2 = {flux}\nabsorptivity = 0.9\nemissivity = 0.9\ncoefficient = "h"'
+    toml = slab(10.0, 'kind = "insulated"', end + "\nambient_C = 20.0").replace(UNIFORM, STEADY)
+    model, run = make_rig(toml, np.arange(0.0, 5.1, 0.5), {}, {"a": '"slab.top"'})
+    solution = model.solve(model.prepare(run, NEVER), {"h": 10.0}, ("h",))
+
+    def settled(h):
+        return brentq(
+            lambda t: 0.9 * flux - 0.9 * 5.670374419e-8 * (t**4 - 293.15**4) - h * (t - 293.15), 200.0, 1e4
+        )
+
+    assert solution.column("a") == pytest.approx(settled(10.0) - 273.15, abs=1e-6)
+    slope = (settled(10.01) - settled(9.99)) / 0.02
+    assert solution.d_sensors["h"][:, 0] == pytest.approx(slope, rel=1e-5)
+
+
+def test_a_foil_that_radiates_settles_at_the_default_steps(make_rig):
+    end = 'kind = "flux"\nincident_W_m2 = 60000.0\nabsorptivity = 0.9\nemissivity = 0.9\nambient_C = 20.0'
+    toml = slab(0.001, end).replace(f"conductivity_W_mK = {K}", "conductivity_W_mK = 45.0")
+    model, run = make_rig(toml, np.arange(0.0, 60.1, 0.5), {}, {"a": '"slab.top"'})
+    foil = model.solve(model.prepare(run, NEVER), {}).column("a")
+    settled = (60000.0 / 5.670374419e-8 + 293.15**4) ** 0.25 - 273.15
+    assert np.abs(foil[run.time_s > 10.0] - settled).max() < 0.01
+    assert foil.max() < settled + 1.0
+
+
+def test_layers_tied_to_no_temperature_have_no_steady_start(make_rig):
+    time_s = np.arange(0.0, 5.1, 0.5)
+    model, run = make_rig(slab(10.0, 'kind = "insulated"').replace(UNIFORM, STEADY), time_s, {}, {})
+    with pytest.raises(NoSteadyState, match=r"rig: layer 'slab' is tied to no temperature, .* \[initial\] kind ="):
+        model.solve(model.prepare(run, NEVER), {})
+    absorbing = slab(10.0, 'kind = "flux"\nincident_W_m2 = 1000.0').replace(UNIFORM, STEADY)
+    model, run = make_rig(absorbing, time_s, {}, {})
+    with pytest.raises(NoSteadyState, match="'slab' is tied to no temperature"):
+        model.solve(model.prepare(run, NEVER), {})
+
+
+AIR = 'kind = "air"\ncoefficient = "h_air"\nambient_C = 180.0'
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_contact_before_air_resists_in_series_with_the_airs_own_coefficient(make_rig, method):
+    time_s, places = np.arange(0.0, 60.1, 0.5), {"a": '"slab.top"'}
+    both, run = make_rig(slab(16.0, MEASURED, AIR, CONTACT_ABOVE), time_s, {"hot": 60.0}, places)
+    one, _ = make_rig(slab(16.0, MEASURED, AIR), time_s, {"hot": 60.0}, places)
+    h, air = 40.0, 10.0
+    joined = h * air / (h + air)
+    found = both.solve(both.prepare(run, NEVER), {"h": h, "h_air": air}, ("h", "h_air"), method=method)
+    expected = one.solve(one.prepare(run, NEVER), {"h_air": joined}, ("h_air",), method=method)
+    assert np.abs(found.sensors - expected.sensors).max() < 1e-9
+    for name, share in (("h", (air / (h + air)) ** 2), ("h_air", (h / (h + air)) ** 2)):
+        assert np.abs(found.d_sensors[name] - share * expected.d_sensors["h_air"]).max() < 1e-9, name
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_contact_with_an_insulated_end_passes_nothing(make_rig, method):
+    model, run = make_rig(
+        slab(16.0, 'kind = "insulated"', contact=CONTACT_ABOVE), np.arange(0.0, 60.1, 0.5), {}, {}
+    )
+    warm = model.prepare(run, NEVER)
+    assert model.solve(warm, {"h": 500.0}, fields=True, method=method).fields == pytest.approx(20.0, abs=1e-9)
+
+
+def test_a_flux_passes_a_contact_whole(make_rig):
+    toml = slab(16.0, 'kind = "insulated"', 'kind = "flux"\nincident_W_m2 = 5000.0', CONTACT_ABOVE)
+    model, run = make_rig(toml, np.arange(0.0, 50.1, 0.5), {}, {})
+    case = model.prepare(run, NEVER)
+    fields = model.solve(case, {"h": 25.0}, fields=True).fields
+    assert (fields[-1] - fields[0]) @ case.mesh.dx * RHO * C == pytest.approx(5000.0 * 50.0, rel=1e-10)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_layer_parted_from_a_measured_end_loses_heat_to_the_air(make_rig, method):
+    time_s, places = np.arange(0.0, 40.1, 0.5), {"a": '"slab.top"'}
+    parted = '[[contact]]\nbetween = ["slab", "boundary.top"]\nopen = ["h_air", "h_other"]\nclosed = "h"\n'
+    model, run = make_rig(slab(16.0, MEASURED, MEASURED, parted), time_s, {"hot": 150.0}, places)
+    air, _ = make_rig(slab(16.0, MEASURED, AIR.replace("180", "23")), time_s, {"hot": 150.0}, places)
+    values = {"h": 700.0, "h_air": 12.0, "h_other": 10.0}
+    open_press = Moments(inserted_s=0.0, closed_s=100.0)
+    found = model.solve(model.prepare(run, open_press), values, ("h_air",), method=method)
+    expected = air.solve(air.prepare(run, NEVER), {"h_air": 12.0}, ("h_air",), method=method)
+    assert np.abs(found.sensors - expected.sensors).max() < 1e-6
+    assert np.abs(found.d_sensors["h_air"] - expected.d_sensors["h_air"]).max() < 1e-6
