@@ -6,11 +6,16 @@ Every refusal is an error of its own name (`daq.records`), a line that says file
 from __future__ import annotations
 
 import itertools
+import sys
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from daq.pressfile import Boundary, Load, Press
 from daq.records import Array, BoundaryGap, BrokenTime, InputError, Moments, Nonphysical, Run
+from softsensor.effects.effect import Effect
+from softsensor.timing import OPENING_RAMP_S
 
 MAX_BRIDGE_S = 10.0
 """Missing cells of a boundary column are bridged by a straight line up to this long. [s]"""
@@ -73,17 +78,100 @@ def check_layers(press: Press, run: Run) -> None:
         )
 
 
+def value_limits(
+    effects: Iterable[Effect], coefficients: Iterable[str], nuisances: Iterable[str]
+) -> dict[str, tuple[float, float]]:
+    """Return what each parameter of a model can be at all."""
+    largest = sys.float_info.max
+    own = {e.key(p.name): (max(p.least, -largest), min(p.most, largest)) for e in effects for p in e.parameters}
+    return dict.fromkeys(coefficients, (0.0, largest)) | own | dict.fromkeys(nuisances, (-largest, largest))
+
+
+def check_values(limits: Mapping[str, tuple[float, float]], values: Mapping[str, float]) -> None:
+    """Refuse a value that is no number or that no matter has, and one that belongs to nothing, by name."""
+    for name, value in values.items():
+        if name not in limits:
+            raise InputError(f"{name!r} is no parameter of this model; it has {list(limits)}")
+        least, most = limits[name]
+        try:
+            possible = least <= value <= most
+        except TypeError:
+            possible = False
+        if not possible:
+            words = [f"at least {least:g}"] * (least > -1e300) + [f"at most {most:g}"] * (most < 1e300)
+            raise Nonphysical(f"{name} = {value!r}: must be {', '.join(['a finite number', *words])}")
+
+
+def check_first_readings(
+    run: Run, layers: Sequence[str], place_of: Mapping[str, int], labels: Sequence[str]
+) -> None:
+    """Refuse a start from first readings where a layer from the run has none."""
+    for layer in layers:
+        inside = [c for c, place in place_of.items() if labels[place].startswith((f"{layer}.", f"{layer}@"))]
+        if not any(np.isfinite(run.columns[column]).any() for column in inside):
+            raise InputError(
+                f'{run.source or run.name}: [initial] kind = "sensors" needs a reading in layer {layer!r}, and '
+                f'{", ".join(inside) or "no column"} holds none; fill a column, or give kind = "steady" or '
+                f'"uniform"'
+            )
+
+
 def load_series(run: Run, load: Load) -> Array | None:
     """Return a contact's load at every row, in the column's unit, None where the run holds none above 0.
 
-    Loads below a hundredth of the largest are taken as that: a contact never vanishes.
+    Short gaps are bridged. Loads below a hundredth of the largest are taken as that: a contact never vanishes.
+
+    Raises
+    ------
+    BoundaryGap
+        Where the column is empty for more than `MAX_BRIDGE_S`.
+    Nonphysical
+        For a load that is not finite.
     """
-    values = run.columns.get(load.column, np.zeros(0))
-    good = np.isfinite(values)
-    if not (values[good] > 0.0).any():
+    column = load.column
+    values = run.columns.get(column, np.zeros(0))
+    if not (values > 0.0).any():
         return None
-    smallest = max(float(np.nanmax(values)) * 0.01, 1e-6)
+    where = run.source or run.name
+    endless = np.flatnonzero(np.isinf(values))
+    if len(endless):
+        raise Nonphysical(
+            f"{where}: load column {column!r} = {values[endless[0]]:g} at time_s = {run.time_s[endless[0]]:g}: "
+            f"must be a finite number; empty the cell"
+        )
+    hole = _worst_gap(run.time_s, np.isfinite(values))
+    if hole is not None:
+        raise BoundaryGap(
+            f"{where}: load column {column!r} is empty for {hole[1]:.1f} s around time_s = {hole[0]:g}; at most "
+            f"{MAX_BRIDGE_S:g} s of a load are bridged: cut the run there, or leave the column out"
+        )
+    good = np.isfinite(values)
+    smallest = max(float(values[good].max()) * 0.01, 1e-6)
     return np.maximum(np.interp(run.time_s, run.time_s[good], values[good]), smallest)
+
+
+def check_load(run: Run, load: Load, moments: Moments) -> None:
+    """Refuse a load that is not above 0 while the press is closed; an open press rests on nothing."""
+    values, t = run.columns[load.column], run.time_s
+    shut = (t > moments.closed_s + moments.ramp_s / 2) & ~(t > moments.opened_s - OPENING_RAMP_S / 2)
+    wrong = np.flatnonzero(shut & (values <= 0.0))
+    if len(wrong):
+        i = int(wrong[0])
+        raise Nonphysical(
+            f"{run.source or run.name}: load column {load.column!r} = {values[i]:g} at time_s = {t[i]:g}, where "
+            f"the press is closed: must be above 0; empty the cell, or mend the column's sign or zero"
+        )
+
+
+def setting_load(run: Run) -> float | None:
+    """Return the pressing's pressure of the run's settings [N/cm²]; refuse one that is not above 0."""
+    pressure = run.setting("pressure_N_cm2")
+    if pressure is not None and not 0.0 < pressure < np.inf:
+        raise Nonphysical(
+            f"{run.source or run.name}: header key setting.pressure_N_cm2 = {pressure:g}: must be a number above "
+            f"0 N/cm²; mend it, or leave it out where it is not known"
+        )
+    return pressure
 
 
 def load_remarks(press: Press, run: Run) -> list[str]:
@@ -122,34 +210,39 @@ def boundary_series(run: Run, name: str, boundary: Boundary) -> Array:
             f"(the run has {', '.join(list(run.columns)[:20])})"
         )
     values = run.columns[column]
-    good = np.isfinite(values)
-    if not good.any():
-        raise BoundaryGap(f"{where}: column {column!r} holds no value; boundary.{name} needs it")
-    impossible = np.flatnonzero(good & ~((values > COLDEST_C) & (values < HOTTEST_C)))
+    impossible = np.flatnonzero(~np.isnan(values) & ~((values > COLDEST_C) & (values < HOTTEST_C)))
     if len(impossible):
         i = int(impossible[0])
         raise Nonphysical(
             f"{where}: column {column!r} = {values[i]:g} °C at time_s = {run.time_s[i]:g}: boundary.{name} must "
             f"lie between {COLDEST_C:g} and {HOTTEST_C:g} °C; empty the cell"
         )
-    times = run.time_s[good]
-    holes = np.flatnonzero(~good)
-    if len(holes):
-        before = np.searchsorted(times, run.time_s[holes]) - 1
-        gap = np.where(
-            before < 0,
-            times[0] - run.time_s[0],
-            np.where(
-                before + 1 < len(times),
-                times[np.minimum(before + 1, len(times) - 1)] - times[np.maximum(before, 0)],
-                run.time_s[-1] - times[-1],
-            ),
+    good = np.isfinite(values)
+    if not good.any():
+        raise BoundaryGap(f"{where}: column {column!r} holds no value; boundary.{name} needs it")
+    hole = _worst_gap(run.time_s, good)
+    if hole is not None:
+        raise BoundaryGap(
+            f"{where}: column {column!r} is empty for {hole[1]:.1f} s around time_s = {hole[0]:g}; at most "
+            f"{MAX_BRIDGE_S:g} s of boundary.{name} are bridged: cut the run there"
         )
-        worst = int(np.argmax(gap))
-        if gap[worst] > MAX_BRIDGE_S:
-            raise BoundaryGap(
-                f"{where}: column {column!r} is empty for {gap[worst]:.1f} s around time_s = "
-                f"{run.time_s[holes[worst]]:g}; at most {MAX_BRIDGE_S:g} s of boundary.{name} are bridged: "
-                f"cut the run there"
-            )
-    return np.interp(run.time_s, times, values[good])
+    return np.interp(run.time_s, run.time_s[good], values[good])
+
+
+def _worst_gap(time_s: Array, good: NDArray[np.bool_]) -> tuple[float, float] | None:
+    """Return where the longest gap between good rows is and its length, None if it can be bridged. [s]"""
+    holes, times = np.flatnonzero(~good), time_s[good]
+    if not len(holes):
+        return None
+    before = np.searchsorted(times, time_s[holes]) - 1
+    gap = np.where(
+        before < 0,
+        times[0] - time_s[0],
+        np.where(
+            before + 1 < len(times),
+            times[np.minimum(before + 1, len(times) - 1)] - times[np.maximum(before, 0)],
+            time_s[-1] - times[-1],
+        ),
+    )
+    worst = int(np.argmax(gap))
+    return (float(time_s[holes[worst]]), float(gap[worst])) if gap[worst] > MAX_BRIDGE_S else None

@@ -48,6 +48,9 @@ def solve_many(
     order = sorted(range(len(cases)), key=lambda i: (len(cases[i].mesh.dx), len(cases[i].h)))
     groups = [order[i : i + LANES] for i in range(0, len(order), LANES)]
 
+    for case, own_values in zip(cases, each, strict=True):
+        model.check(case, own_values)
+
     def solve(group: list[int]) -> list[tuple[int, Solution]]:
         own = [(i, model.build(cases[i], each[i])) for i in group]
         linear = [(i, build) for i, build in own if not build.nonlinear]

@@ -20,7 +20,7 @@ from daq.records import (
     Panel,
     Run,
 )
-from softsensor.admission import boundary_series, check_layers, check_times, load_series
+from softsensor.admission import boundary_series, check_layers, check_load, check_times, load_series, setting_load
 from softsensor.assembly import PAPER, PAPER_WIDTH, Layout, layer_constants, mask_cells
 from softsensor.conduction import Mesh, build_mesh
 from softsensor.effects.effect import Scene
@@ -96,6 +96,8 @@ class Fineness:
     """Step around a switch. [s]"""
     growth: float = GROWTH
     """Of steps after it."""
+    closed_step_s: float = np.inf
+    """Longest step while the press is closed, where that is shorter. [s]"""
 
     def __post_init__(self) -> None:
         for name, value, lower, upper in (
@@ -116,11 +118,11 @@ def prepare_case(press: Press, run: Run, moments: Moments, *, paper: bool, finen
     BrokenTime
         For times that fall or rows missing for more than `admission.MAX_GAP_S`.
     BoundaryGap
-        For a measured boundary that is empty for more than `admission.MAX_BRIDGE_S`.
+        For a measured boundary or a load that is empty for more than `admission.MAX_BRIDGE_S`.
     OutsideLayer
         For a sensor outside its layer.
     Nonphysical
-        For properties of panel or layers, or temperatures outside, that no matter has.
+        For properties of panel or layers, temperatures outside, or loads that no matter has.
     InputError
         For a missing boundary column or panel constant, or moments that contradict each other.
     """
@@ -130,7 +132,8 @@ def prepare_case(press: Press, run: Run, moments: Moments, *, paper: bool, finen
     panel = panel_of(run) if press.panel_layers else None
     mesh = _mesh(press, panel, paper=paper, fineness=fineness.cells)
     fine, coarse = fineness.switch_step_s / fineness.cells, fineness.max_step_s / fineness.cells
-    edges = step_edges(run.time_s, moments, coarse, fine, fineness.growth)
+    closed = min(fineness.closed_step_s / fineness.cells, coarse)
+    edges = step_edges(run.time_s, moments, coarse, fine, fineness.growth, closed)
     start, has_states = float(run.time_s[0]), press.has_states
     ends = (press.boundary.bottom, press.boundary.top)
     series = [boundary_series(run, name, b) for name, b in zip(("bottom", "top"), ends, strict=True)]
@@ -141,7 +144,7 @@ def prepare_case(press: Press, run: Run, moments: Moments, *, paper: bool, finen
     weights = {sensor.label: _place(press, run, mesh, panel, sensor.at) for sensor in sensors.values()}
     middle = press.panel_layers[0] if press.panel_layers else press.layer[len(press.layer) // 2].name
     labels.append("core")
-    load = _loads(press, run, edges)
+    load = _loads(press, run, moments, edges)
     layout = Layout.of(press, mesh, panel, run.ambient_temperature)
     weights["core"] = _place(press, run, mesh, panel, f"{middle}.middle")
     return Case(
@@ -216,8 +219,12 @@ def snap(h: Array) -> Array:
     return np.asarray(h[first][group])
 
 
-def step_edges(time_s: Array, moments: Moments, max_step: float, fine: float, growth: float = GROWTH) -> Array:
+def step_edges(
+    time_s: Array, moments: Moments, max_step: float, fine: float, growth: float = GROWTH, closed: float = np.inf
+) -> Array:
     """Return step edges: fine around each switch, growing from step to step up to `max_step`. [s]
+
+    While the press is closed they grow up to `closed`, where that is less.
 
     Examples
     --------
@@ -239,12 +246,14 @@ def step_edges(time_s: Array, moments: Moments, max_step: float, fine: float, gr
     t, h = start, fine / 4
     spans = list(zip(switches[1::2], switches[2::2], strict=True))
     for begin, finish in [*spans, (end, end)]:
+        shut = moments.closed_s <= t and not moments.opened_s <= t
+        longest = min(max_step, closed) if shut else max_step
         while t < begin - 1e-9:
             t = min(t + h, begin)
             if begin - t < 0.25 * h:
                 t = begin
             edges.append(t)
-            h = min(h * growth, max_step)
+            h = min(h * growth, longest)
         if finish > t:
             inner = np.linspace(t, finish, max(1, round((finish - t) / fine)) + 1)[1:]
             edges += inner.tolist()
@@ -302,7 +311,7 @@ def _press_face(press: Press, mesh: Mesh, label: str) -> Array:
     return mesh.place(neighbour, height)
 
 
-def _loads(press: Press, run: Run, edges: Array) -> dict[int, Array]:
+def _loads(press: Press, run: Run, moments: Moments, edges: Array) -> dict[int, Array]:
     """Pressure over its reference in each step, for contacts that have one in a column or the run's settings.
 
     A contact without either is left out: an effect that follows the load passes it by.
@@ -310,12 +319,13 @@ def _loads(press: Press, run: Run, edges: Array) -> dict[int, Array]:
     from softsensor.effects.contact_load import REFERENCE_PRESSURE
 
     loads: dict[int, Array] = {}
-    pressure = run.setting("pressure_N_cm2")
+    pressure = setting_load(run)
     for m, contact in enumerate(press.contact):
         if contact.load is not None:
             series = load_series(run, contact.load)
             if series is None:
                 continue  # told by admission.load_remarks
+            check_load(run, contact.load, moments)
             reference = contact.load.reference or float(np.median(series))
             loads[m] = step_means(run.time_s, series / reference, edges)[:, 0]
         elif pressure is not None and set(contact.between) & set(press.panel_layers):

@@ -73,8 +73,8 @@ class Grid:
     """Temperature outside both ends at the step edges (steps + 1, 2). [°C]"""
     coarse: NDArray[np.int64]
     """The step edges tangents are carried on."""
-    spread: Reader
-    """Reads tangents off at all step edges."""
+    spread: Reader | None
+    """Reads tangents off at all step edges; None in a grid that is not fine."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,10 @@ class Modes:
 
 
 def exact_grid(case: Case, values: Mapping[str, float], *, fine: bool) -> Grid:
-    """Return a case's grid for the exact solver, remembered; `fine` if tangents are wanted."""
+    """Return a case's grid for the exact solver, remembered; `fine` if more than the rows' moments counts.
+
+    That is where tangents are wanted, or channels answer late or on a clock of their own.
+    """
     return _grid(_Key(case), tuple(float(values.get(name, 0.0)) for name in TIMINGS), fine)
 
 
@@ -119,7 +122,10 @@ def run_exact(grid: Grid, build: Any, places: Array, *, fields: bool = False) ->
             march.steady(span, *frozen[span])
         else:
             march.ramp(span)
-    return march.out, grid.spread(march.d_out[: len(build.names)]), march.fields
+    d_out = np.empty((0, *march.out.shape))
+    if build.names and grid.spread is not None:
+        d_out = grid.spread(march.d_out[: len(build.names)])
+    return march.out, d_out, march.fields
 
 
 class _March:
@@ -312,6 +318,7 @@ def _grid(key: _Key, shifts: tuple[float, ...], fine: bool) -> Grid:
         for switch in [start, *(last for _, last in ramps)]:
             after = switch + FIRST_STEP_S * (GROWTH ** np.arange(1, count + 1) - 1.0) / (GROWTH - 1.0)
             parts.append(after[after < end])
+        parts += [np.linspace(a, b, 5) for a, b in pairwise([start, *sum(sorted(ramps), ()), end]) if b > a]
     edges = np.unique(np.concatenate(parts))
     rows = np.isin(edges, times)
     close = np.flatnonzero(np.diff(edges) < 1e-7)
@@ -334,7 +341,8 @@ def _grid(key: _Key, shifts: tuple[float, ...], fine: bool) -> Grid:
     )
     coarse = _coarse(edges, ramps, start)
     spans = _spans(edges, ramps)
-    return Grid(whole, _sparse(case, edges, spans), spans, outside, coarse, _spread(edges, coarse, spans))
+    spread = _spread(edges, coarse, spans) if fine else None
+    return Grid(whole, _sparse(case, edges, spans), spans, outside, coarse, spread)
 
 
 def _spread(edges: Array, coarse: NDArray[np.int64], spans: tuple[Span, ...]) -> Reader:
@@ -345,7 +353,8 @@ def _spread(edges: Array, coarse: NDArray[np.int64], spans: tuple[Span, ...]) ->
         nodes, stop = coarse[a : b + 1], span.last + (1 if span is spans[-1] else 0)
         if len(nodes) < 4:
             raise InputError(
-                f"method = 'exact': less than four steps in {edges[span.last] - edges[span.first]:g} s"
+                f"method = 'exact': less than four steps in {edges[span.last] - edges[span.first]:g} s between "
+                f"two moments of the press; use the implicit solver"
             )
         part = Reader.at(edges[nodes], edges[span.first : stop])
         first.append(part.first + a)

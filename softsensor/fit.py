@@ -35,7 +35,7 @@ from softsensor.fit_remarks import remarks
 from softsensor.fit_result import RunFit, channel_residuals, misfit_of, rms, run_fit
 from softsensor.fit_unknowns import chain_priors, free_names, known_before, neutral_values, parameter_unknown
 from softsensor.identifiability import held_against, judge
-from softsensor.model import ThermalModel
+from softsensor.model import NUISANCES, ThermalModel
 from softsensor.remedies import ALONE, Company
 from softsensor.residuals import Noise, channel_noise, collect_signals, whiten
 from softsensor.timing import TIMINGS
@@ -127,7 +127,8 @@ def make_problem(
             f"{run.source or run.name}: no usable sensor column (the press file names {wanted}); a fit needs one"
         )
     names = free_names(case.press) if free is None else tuple(free)
-    values = {**neutral_values(model, case.press), **(start or {})}
+    values = neutral_values(model, case.press)
+    values |= {n: v for n, v in (start or {}).items() if n in values or n in NUISANCES}
     known = {**known_before(case.press), **(priors or {})}
     unknowns = [parameter_unknown(case.press, n, values[n], known.get(n)) for n in names]
     unknowns += chain_priors(case, signals)

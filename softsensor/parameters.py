@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import inf
 
 
 @dataclass(frozen=True)
@@ -20,6 +21,9 @@ class Parameter:
     source: str
     spread: float = 0.0
     """How much it differs between pressings, as a share of its value; 0 where all share one value."""
+    least: float = -inf
+    most: float = inf
+    """What can be at all, wider than the limits of a search: beyond, the equations mean nothing."""
 
     def check(self, value: float) -> None:
         """Raise ValueError when a value lies outside the limits."""

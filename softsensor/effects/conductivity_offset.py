@@ -17,7 +17,9 @@ EFFECT = Effect(
     symptom="Faces run off the simulation in proportion to the square root of time, in every state.",
     confirm="Measure k of this board, or press panels of different thickness.",
     parameters=(
-        Parameter("ratio", "true / nominal", 1.0, 1.15, 0.4, 2.5, "Wood Handbook: +-20 % between boards", 0.25),
+        Parameter(
+            "ratio", "true / nominal", 1.0, 1.15, 0.4, 2.5, "Wood Handbook: +-20 % between boards", 0.25, 0.01
+        ),
     ),
     terms=_terms,
     source="Wood Handbook, FPL-GTR-282, ch. 4: +-20 % about its rule for wood",

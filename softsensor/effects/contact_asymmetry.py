@@ -19,7 +19,9 @@ EFFECT = Effect(
     meaning="Upper and lower contact differ while the press is closed; the coefficient is their geometric mean.",
     symptom="After closing one face runs above the simulation and the other below.",
     confirm="Turn the panel over, or exchange the press plates.",
-    parameters=(Parameter("ratio", "upper / lower", 1.0, 0.7, 0.1, 10.0, "worn plates, one-sided paper"),),
+    parameters=(
+        Parameter("ratio", "upper / lower", 1.0, 0.7, 0.1, 10.0, "worn plates, one-sided paper", 0.0, 1e-3),
+    ),
     terms=_terms,
     source="two contact resistances in series with the panel; the split about their mean is assumed",
     core="Below 1 K in the middle; the hottest plane moves off it.",

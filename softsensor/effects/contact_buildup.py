@@ -32,8 +32,10 @@ EFFECT = Effect(
     symptom="The faces rise more slowly than simulated in the first seconds after closing, then catch up.",
     confirm="Repeat with bare panels and with twice the closing speed; log pressure.",
     parameters=(
-        Parameter("deficit", "-", 0.0, 0.6, 0.0, 0.98, "share of the contact still missing at closing"),
-        Parameter("time_constant_s", "s", 7.0, 7.0, 0.5, 40.0, "melting and flow within seconds"),
+        Parameter(
+            "deficit", "-", 0.0, 0.6, 0.0, 0.98, "share of the contact still missing at closing", 0.0, most=1.0
+        ),
+        Parameter("time_constant_s", "s", 7.0, 7.0, 0.5, 40.0, "melting and flow within seconds", 0.0, 1e-3),
     ),
     terms=_terms,
     source="Byrd, FPL 338 (1979): contact coefficients in press drying rise with time and moisture",

@@ -18,7 +18,9 @@ EFFECT = Effect(
     symptom="Faces take up more heat than simulated just after closing and less later.",
     confirm="Measure the density profile (X-ray), or press a panel with a core thermocouple.",
     parameters=(
-        Parameter("amplitude", "-", 0.0, 0.25, -0.8, 1.1, "faces 1.2 to 1.4 times the core, assumed", 0.25),
+        Parameter(
+            "amplitude", "-", 0.0, 0.25, -0.8, 1.1, "faces 1.2 to 1.4 times the core, assumed", 0.25, -1.2, 4.9
+        ),
     ),
     terms=_terms,
     source="boards are denser at their faces; the fourth-power shape is assumed",

@@ -7,6 +7,7 @@ in plain algebra (no ``abs``, no comparison of parameters).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -121,6 +122,8 @@ class Effect:
     """What it means for the core temperature."""
     nonlinear: bool = False
     """Whether its terms depend on temperature."""
+    closed_step_s: float = math.inf
+    """Longest step that bears its terms while the press is closed. [s]"""
     layers: bool = False
     """Whether it adds layers to the mesh (``Terms.paper``)."""
     needs: str = ""

@@ -16,7 +16,9 @@ EFFECT = Effect(
     meaning="The panel's density times heat capacity differs from the value in the run's header.",
     symptom="Faces run off the simulation in every state, least in thick panels early on.",
     confirm="Weigh and measure the panel; measure its heat capacity; press panels of different thickness.",
-    parameters=(Parameter("ratio", "true / nominal", 1.0, 1.15, 0.4, 2.5, "moisture and density spread", 0.25),),
+    parameters=(
+        Parameter("ratio", "true / nominal", 1.0, 1.15, 0.4, 2.5, "moisture and density spread", 0.25, 0.01),
+    ),
     terms=_terms,
     source="density and moisture of a board scatter about nominal; assumed",
     core="The core is cooler (ratio above 1) or hotter by about 1 K for every 5 %.",

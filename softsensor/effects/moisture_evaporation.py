@@ -28,7 +28,7 @@ EFFECT = Effect(
     symptom="Readings stop rising or lag behind near 85 to 115 °C and stay below the simulation afterwards.",
     confirm="Weigh the panel before and after pressing, or press one dried to zero moisture.",
     parameters=(
-        Parameter("moisture_percent", "% of dry mass", 0.0, 3.0, 0.0, 30.0, "board moisture 5 to 12 %", 0.25),
+        Parameter("moisture_percent", "% of dry mass", 0.0, 3.0, 0.0, 30.0, "board moisture 5 to 12 %", 0.25, 0.0),
         Parameter("temperature_C", "°C", 103.0, 103.0, 80.0, 130.0, "boiling point with pore pressure"),
     ),
     terms=_terms,

@@ -17,8 +17,8 @@ EFFECT = Effect(
     symptom="Faces answer later than simulated to closing, and the coefficient of the open press comes out low.",
     confirm="Press the same board bare.",
     parameters=(
-        Parameter("resistance_m2K_W", "m²K/W", 1e-6, 5e-4, 1e-6, 5e-3, "0.1-0.2 mm at 0.2-0.3 W/mK", 0.25),
-        Parameter("capacity_J_m2K", "J/m²K", 1.0, 500.0, 1.0, 5000.0, "130-260 g/m² at 1.5 kJ/kgK"),
+        Parameter("resistance_m2K_W", "m²K/W", 1e-6, 5e-4, 1e-6, 5e-3, "0.1-0.2 mm at 0.2-0.3 W/mK", 0.25, 1e-9),
+        Parameter("capacity_J_m2K", "J/m²K", 1.0, 500.0, 1.0, 5000.0, "130-260 g/m² at 1.5 kJ/kgK", 0.0, 1e-6),
     ),
     terms=_terms,
     source="decor papers of 60-120 g/m², impregnated to about 2.2 times",

@@ -34,7 +34,7 @@ EFFECT = Effect(
     symptom="The faces overshoot the simulation in the first 5 to 30 s after closing, then return.",
     confirm="Press the same panel a second time: cured resin gives no more heat.",
     parameters=(
-        Parameter("heat_kJ_m2", "kJ/m² per face", 0.0, 12.0, 0.0, 80.0, "80-130 g/m² x 50-150 J/g", 0.25),
+        Parameter("heat_kJ_m2", "kJ/m² per face", 0.0, 12.0, 0.0, 80.0, "80-130 g/m² x 50-150 J/g", 0.25, 0.0),
     ),
     terms=_terms,
     source="first-order Arrhenius law; rate and an activation energy of 70 to 100 kJ/mol are assumed",

@@ -16,7 +16,11 @@ EFFECT = Effect(
     meaning="While closed, the panel's thermocouples read a mixture of panel face and press face.",
     symptom="Readings jump upwards at closing and downwards at opening by a share of the contact's drop.",
     confirm="Use thinner wire, or put one thermocouple under a sheet of foil.",
-    parameters=(Parameter("weight", "of the press face", 0.0, 0.08, 0.0, 0.6, "wire 0.2 to 0.5 mm in the joint"),),
+    parameters=(
+        Parameter(
+            "weight", "of the press face", 0.0, 0.08, 0.0, 0.6, "wire 0.2 to 0.5 mm in the joint", 0.0, 0.0, 1.0
+        ),
+    ),
     terms=_terms,
     source="a wire in a joint holds the faces apart and takes a mean of both; the share is assumed",
     measuring=True,

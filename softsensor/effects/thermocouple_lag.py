@@ -16,7 +16,9 @@ EFFECT = Effect(
     meaning="The panel's thermocouples answer late.",
     symptom="Readings trail the simulation in proportion to their slope, most of all in the second after closing.",
     confirm="Dip one thermocouple into hot water and log its step response.",
-    parameters=(Parameter("time_constant_s", "s", 0.0, 0.5, 0.0, 10.0, "0.5 mm sheath 0.03 s, bare bead 0.5 s"),),
+    parameters=(
+        Parameter("time_constant_s", "s", 0.0, 0.5, 0.0, 10.0, "0.5 mm sheath 0.03 s, bare bead 0.5 s", 0.0, 0.0),
+    ),
     terms=_terms,
     source="first-order sensor; makers' response times in water",
     measuring=True,

@@ -7,7 +7,9 @@ import pytest
 
 from daq.pressfile import parse_press
 from daq.records import BoundaryGap, BrokenTime, InputError, Moments, Nonphysical, OutsideLayer, Run
+from softsensor.batch import solve_many
 from softsensor.case import step_edges, step_means
+from softsensor.effects import BUILT_IN
 from softsensor.model import ThermalModel
 
 
@@ -189,3 +191,136 @@ def test_step_means_keep_the_area_under_a_series():
     means = step_means(times, values, edges)
     assert np.sum(means[:, 0] * np.diff(edges)) == pytest.approx(np.trapezoid(values, times), abs=1e-12)
     assert means[:, 1].sum() == pytest.approx(values[-1] - values[0])
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "said"),
+    [
+        ("setting.pressure_N_cm2", "high", "must be a number; mend"),
+        ("ambient.temperature_C", "warm", "must be a number; mend"),
+        ("ambient.temperature_C", True, "must be a number; mend"),
+        ("setting.pressure_N_cm2", 0, "must be a number above 0 N/cm²"),
+        ("setting.pressure_N_cm2", -5.0, "must be a number above 0 N/cm²"),
+        ("setting.pressure_N_cm2", float("nan"), "must be a number above 0 N/cm²"),
+    ],
+)
+def test_a_header_key_that_is_no_sound_number_is_named(lab_press, make_run, moments, key, value, said):
+    with pytest.raises(InputError, match=rf"cycle: header key {re.escape(key)} = .*: {said}"):
+        prepared(lab_press, make_run(end=30.0, **{key: value}), moments)
+
+
+def test_an_infinite_boundary_is_refused_where_an_empty_one_is_bridged(lab_press, make_run, moments):
+    run = make_run(end=30.0)
+    run.columns["platen_top"][40] = np.inf
+    with pytest.raises(Nonphysical, match=r"'platen_top' = inf °C at time_s = 4"):
+        prepared(lab_press, run, moments)
+
+
+LOADED = """
+[[layer]]
+name = "panel"
+from_run = true
+[boundary.bottom]
+kind = "measured"
+column = "platen_bottom"
+[[contact]]
+between = ["boundary.bottom", "panel"]
+open = "h_o"
+closed = "h_c"
+load = { column = "kN" }
+"""
+
+
+@pytest.mark.parametrize(
+    ("rows", "value", "said"),
+    [
+        ((300, 450), np.nan, r"load column 'kN' is empty for 15\.\d s around time_s = .*at most 10 s"),
+        ((300, 301), np.inf, r"load column 'kN' = inf at time_s = 30: must be a finite number"),
+        ((300, 301), 0.0, r"load column 'kN' = 0 at time_s = 30, where the press is closed: must be above 0"),
+        ((300, 301), -2.0, r"load column 'kN' = -2 at time_s = 30, where the press is closed"),
+        ((300, 390), np.nan, None),
+        ((0, 100), 0.0, None),
+        ((0, 100), -0.1, None),
+    ],
+)
+def test_a_load_is_held_to_the_boundarys_rule_and_above_0_while_closed(make_run, moments, rows, value, said):
+    run = make_run(end=60.0)
+    run.columns["kN"] = np.full(len(run.time_s), 80.0)
+    run.columns["kN"][slice(*rows)] = value
+    if said is None:
+        assert np.isfinite(prepared(parse_press(LOADED), run, moments).load[0]).all()
+        return
+    with pytest.raises((BoundaryGap, Nonphysical), match=said):
+        prepared(parse_press(LOADED), run, moments)
+
+
+def test_a_start_from_first_readings_needs_one_in_the_panel(lab_press, make_run, moments, coefficients):
+    run = make_run(end=30.0, **{"initial.kind": "sensors"})
+    model = ThermalModel.of(lab_press)
+    with pytest.raises(InputError, match=r"\[initial\] kind = \"sensors\" .* 'panel', and top_1, .* holds none"):
+        model.solve(model.prepare(run, moments), coefficients)
+    run.columns["bottom_2"][:5] = 31.0
+    start = model.solve(model.prepare(run, moments), coefficients).column("bottom_2")[0]
+    assert start == pytest.approx(31.0, abs=0.5)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("conductivity_offset.ratio", 0.0),
+        ("heat_capacity_offset.ratio", -1.0),
+        ("contact_asymmetry.ratio", 0.0),
+        ("density_profile.amplitude", -3.0),
+        ("contact_buildup.deficit", 2.0),
+        ("contact_buildup.time_constant_s", 0.0),
+        ("paper_layer.resistance_m2K_W", -1e-4),
+        ("open_radiation.emissivity", -3.0),
+        ("moisture_evaporation.moisture_percent", float("nan")),
+        ("h_p_c", None),
+        ("h_p_c", "900"),
+        ("closed_s", float("inf")),
+    ],
+)
+def test_a_value_no_matter_has_is_refused_by_name(lab_press, make_run, moments, coefficients, name, value):
+    model = ThermalModel.of(lab_press, [name.partition(".")[0]] if "." in name else [])
+    case = model.prepare(make_run(end=30.0), moments)
+    with pytest.raises(Nonphysical, match=rf"{re.escape(name)} = .*: must be a finite number"):
+        model.solve(case, coefficients | {name: value})
+    with pytest.raises(Nonphysical, match=re.escape(name)):
+        solve_many(model, [case], coefficients | {name: value})
+
+
+def test_every_typical_value_and_limit_of_a_search_can_be():
+    for effect in BUILT_IN:
+        for p in effect.parameters:
+            assert p.least <= min(p.neutral, p.typical, p.lower), p
+            assert p.most >= max(p.neutral, p.typical, p.upper), p
+
+
+def test_a_misspelt_value_or_method_is_refused_by_name(lab_press, make_run, moments, coefficients):
+    model = ThermalModel.of(lab_press, ["edge_loss"])
+    case = model.prepare(make_run(end=30.0), moments)
+    with pytest.raises(InputError, match=r"'edge_loss\.W_m3k' is no parameter of this model; it has .*W_m3K"):
+        model.solve(case, coefficients | {"edge_loss.W_m3k": 500.0})
+    with pytest.raises(InputError, match="method = 'exakt': must be 'implicit' or 'exact'"):
+        model.solve(case, coefficients, method="exakt")
+
+
+def test_a_coefficient_only_the_header_names_is_its_guess_there(lab_press, make_run, moments, coefficients):
+    header = {"contact.2.closed": "h_new", "coefficients.h_new.guess": 250.0}
+    model, run = ThermalModel.of(lab_press), make_run(end=60.0, every=0.5, **header)
+    case = model.prepare(run, moments)
+    found = model.solve(case, coefficients).core
+    assert found == pytest.approx(model.solve(case, coefficients | {"h_new": 250.0}).core, abs=1e-12)
+    assert np.abs(found - model.solve(case, coefficients | {"h_new": 700.0}).core).max() > 0.05
+
+
+def test_an_insulated_end_in_the_header_insulates_the_laboratory_press(lab_press, make_run, moments, coefficients):
+    run = make_run(end=60.0, every=0.5, **{"boundary.top.kind": "insulated"})
+    model = ThermalModel.of(lab_press)
+    case = model.prepare(run, moments)
+    free = model.solve(case, coefficients, fields=True).fields[-1]
+    other = model.solve(case, coefficients | {"h_p_c": 5000.0}, fields=True).fields[-1]
+    top = case.mesh.cells("plate_top")
+    assert free[top].max() < 100.0, "nothing heats the upper plate but the panel"
+    assert np.abs(free - other)[top].max() < 1.0

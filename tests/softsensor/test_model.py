@@ -370,7 +370,8 @@ def test_neutral_effects_change_nothing(lab_press, make_run, coefficients, momen
         if effect.layers:
             continue
         model = ThermalModel(lab_press, (effect,))
-        solution = model.solve(model.prepare(run, moments, fineness=0.5), coefficients)
+        case = model.prepare(run, moments, fineness=0.5, max_step_s=0.5)  # the plain model's steps
+        solution = model.solve(case, coefficients)
         # nonlinear models renew their coefficients every step: the same to rounding
         assert np.abs(solution.sensors - expected).max() < 1e-6, effect.name
 
@@ -388,3 +389,44 @@ def test_a_missing_coefficient_is_named(lab_press, make_run, coefficients, momen
     del coefficients["h_wa"]
     with pytest.raises(InputError, match="coefficient h_wa is missing"):
         model.solve(model.prepare(make_run(end=30.0), moments), coefficients)
+
+
+@pytest.mark.parametrize(
+    ("effect", "value"), [("thermocouple_lag.time_constant_s", 0.5), ("clock_offset.seconds", 0.3)]
+)
+@pytest.mark.parametrize("every", [0.5, 2.0])
+def test_late_channels_read_the_same_with_and_without_tangents(
+    lab_press, make_run, coefficients, moments, effect, value, every
+):
+    model = ThermalModel.of(lab_press, [effect.partition(".")[0]])
+    case = model.prepare(make_run(end=120.0, every=every), moments)
+    values = coefficients | {effect: value}
+    plain, derived = (model.solve(case, values, n, method="exact").sensors for n in ((), ("h_pp_c",)))
+    assert np.abs(plain - derived).max() < 0.01
+
+
+@pytest.mark.parametrize(
+    ("every", "short"),
+    [(2.0, Moments(1.9, 6.4, 28.3, 41.4, ramp_s=0.8)), (0.5, Moments(0.0, 1.04, 14.36, ramp_s=0.5))],
+)
+@pytest.mark.parametrize("names", [(), ("h_p_c",)])
+def test_the_exact_solver_takes_moments_that_lie_close_together(
+    lab_press, make_run, coefficients, every, short, names
+):
+    model = ThermalModel.of(lab_press)
+    case = model.prepare(make_run(end=60.0, every=every), short)
+    exact = model.solve(case, coefficients, names, method="exact").core
+    assert np.abs(exact - model.solve(case, coefficients).core).max() < 0.01
+
+
+def test_steam_that_lifts_a_thin_panel_over_the_boiling_point_is_within_its_stated_error(
+    lab_press, make_run, coefficients
+):
+    moments = Moments(inserted_s=5.0, closed_s=15.3, opened_s=65.2, ramp_s=0.4)
+    run = make_run(end=70.0, every=0.25, **{"panel.thickness_mm": 8.0})
+    model = ThermalModel.of(lab_press, ["vapour_convection"])
+    values = coefficients | {"vapour_convection.W_m3K": 1.5e4}
+    found = model.solve(model.prepare(run, moments), values).core
+    fine = model.solve(model.prepare(run, moments, max_step_s=0.02), values).core
+    assert found.max() > 105.0
+    assert np.abs(found - fine).max() < 0.3
