@@ -110,9 +110,8 @@ def check_first_readings(
         inside = [c for c, place in place_of.items() if labels[place].startswith((f"{layer}.", f"{layer}@"))]
         if not any(np.isfinite(run.columns[column]).any() for column in inside):
             raise InputError(
-                f'{run.source or run.name}: [initial] kind = "sensors" needs a reading in layer {layer!r}, and '
-                f'{", ".join(inside) or "no column"} holds none; fill a column, or give kind = "steady" or '
-                f'"uniform"'
+                f'{run.source or run.name}: [initial] kind = "sensors" needs a reading in layer {layer!r}; empty '
+                f'are {", ".join(inside) or "all columns"}: fill one, or give kind = "steady" or "uniform"'
             )
 
 
@@ -126,27 +125,28 @@ def load_series(run: Run, load: Load) -> Array | None:
     BoundaryGap
         Where the column is empty for more than `MAX_BRIDGE_S`.
     Nonphysical
-        For a load that is not finite.
+        For a load that is not finite, or below 0 by more than a hundredth of the largest.
     """
     column = load.column
     values = run.columns.get(column, np.zeros(0))
     if not (values > 0.0).any():
         return None
     where = run.source or run.name
-    endless = np.flatnonzero(np.isinf(values))
-    if len(endless):
+    good = np.isfinite(values)
+    smallest = max(float(values[good].max(initial=0.0)) * 0.01, 1e-6)
+    wrong = np.flatnonzero(np.isinf(values) | (values < -smallest))
+    if len(wrong):
+        i = int(wrong[0])
         raise Nonphysical(
-            f"{where}: load column {column!r} = {values[endless[0]]:g} at time_s = {run.time_s[endless[0]]:g}: "
-            f"must be a finite number; empty the cell"
+            f"{where}: load column {column!r} = {values[i]:g} at time_s = {run.time_s[i]:g}: must be a finite "
+            f"number, not below 0; empty the cell, or mend the column's sign or zero"
         )
-    hole = _worst_gap(run.time_s, np.isfinite(values))
+    hole = _worst_gap(run.time_s, good)
     if hole is not None:
         raise BoundaryGap(
             f"{where}: load column {column!r} is empty for {hole[1]:.1f} s around time_s = {hole[0]:g}; at most "
             f"{MAX_BRIDGE_S:g} s of a load are bridged: cut the run there, or leave the column out"
         )
-    good = np.isfinite(values)
-    smallest = max(float(values[good].max()) * 0.01, 1e-6)
     return np.maximum(np.interp(run.time_s, run.time_s[good], values[good]), smallest)
 
 

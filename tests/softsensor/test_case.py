@@ -236,8 +236,10 @@ load = { column = "kN" }
     [
         ((300, 450), np.nan, r"load column 'kN' is empty for 15\.\d s around time_s = .*at most 10 s"),
         ((300, 301), np.inf, r"load column 'kN' = inf at time_s = 30: must be a finite number"),
+        ((0, 601), np.inf, r"load column 'kN' = inf at time_s = 0: must be a finite number"),
         ((300, 301), 0.0, r"load column 'kN' = 0 at time_s = 30, where the press is closed: must be above 0"),
-        ((300, 301), -2.0, r"load column 'kN' = -2 at time_s = 30, where the press is closed"),
+        ((300, 301), -0.5, r"load column 'kN' = -0.5 at time_s = 30, where the press is closed"),
+        ((0, 100), -2.0, r"load column 'kN' = -2 at time_s = 0: must be a finite number, not below 0"),
         ((300, 390), np.nan, None),
         ((0, 100), 0.0, None),
         ((0, 100), -0.1, None),
@@ -257,7 +259,9 @@ def test_a_load_is_held_to_the_boundarys_rule_and_above_0_while_closed(make_run,
 def test_a_start_from_first_readings_needs_one_in_the_panel(lab_press, make_run, moments, coefficients):
     run = make_run(end=30.0, **{"initial.kind": "sensors"})
     model = ThermalModel.of(lab_press)
-    with pytest.raises(InputError, match=r"\[initial\] kind = \"sensors\" .* 'panel', and top_1, .* holds none"):
+    with pytest.raises(
+        InputError, match=r"\[initial\] kind = \"sensors\" .* 'panel'; empty are top_1, .*: fill one"
+    ):
         model.solve(model.prepare(run, moments), coefficients)
     run.columns["bottom_2"][:5] = 31.0
     start = model.solve(model.prepare(run, moments), coefficients).column("bottom_2")[0]
