@@ -31,8 +31,8 @@ _STALLED_AFTER_S = 5.0
 """No scan for so long beside the schedule's own pace is a standstill. [s]"""
 _STUCK_AFTER_S = 20.0
 """Longer than any wait for devices on one bus: a driver that is still in its read hangs. [s]"""
-LEFT_OUT_SAID_EVERY_S = 10.0
-"""Scans left out are journalled at once, then at most this often. [s]"""
+LEFT_OUT_SAID_EVERY_S = 60.0
+"""Scans left out are journalled at once, then at most this often. [s of the press]"""
 
 Level = Literal["info", "warning", "alarm"]
 
@@ -255,14 +255,14 @@ class PressLine:
             self._say("info", f"press {name}: scans begin", name, monotonic_s=scan.monotonic_s, period_s=period_s)
         if self._scanner.left_out:
             self._left_out.append((scan.monotonic_s, self._scanner.left_out))
-        if time.monotonic() - self._left_out_said_s > LEFT_OUT_SAID_EVERY_S:
+        if self._left_out and scan.monotonic_s - self._left_out_said_s > LEFT_OUT_SAID_EVERY_S:
+            self._left_out_said_s = scan.monotonic_s
             self._say_left_out()
 
     def _say_left_out(self) -> None:
         if not self._left_out:
             return
         left_out, self._left_out = self._left_out, []
-        self._left_out_said_s = time.monotonic()
         count = sum(count for _, count in left_out)
         sentence = f"press {self.settings.name}: {count} scans left out, this machine was too busy"
         self._say("info", sentence, self.settings.name, before_monotonic_s=left_out)

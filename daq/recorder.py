@@ -34,7 +34,7 @@ clock set                      ``the clock of this machine was set by -3600.0 s;
 logger silent or unplugged     ``logger X does not answer: ...; recording goes on without it, trying again``
                                (warning), then ``logger X answers again`` (info)
 machine too busy               ``press lab: 3 scans left out, this machine was too busy`` (info), at most every
-                               10 s; the journal's detail says before which scans
+                               minute; the journal's detail says before which scans
 configuration changed          ``it takes effect between runs``, ``the changed configuration is in force`` (info)
 configuration wrong            file, key and value; ``recording goes on with the configuration before`` (warning)
 =============================  ==================================================================================

@@ -157,12 +157,12 @@ class _Count:
             left_out = np.cumsum([said.get(at, 0) for at in times.tolist()])
             ahead = (times - times[0]) / self.period_s - np.arange(len(times)) - left_out
             unsaid = round(float(np.median(ahead[-5:]) - np.median(ahead[:5])))
-            early = ahead[times < times[-1] - LEFT_OUT_SAID_EVERY_S * self.truth.speed]
+            early = ahead[times < times[-1] - LEFT_OUT_SAID_EVERY_S]
             killed = number + 1 < len(scans.sessions)
             before = round(float(np.median(early[-5:]) - np.median(ahead[:5]))) if len(early) else 0
             causes["left out, as journalled"] += int(left_out[-1])
             if killed:
-                causes["left out in the 10 s before a kill, not journalled any more"] += unsaid - before
+                causes["left out in the minute before a kill, not journalled any more"] += unsaid - before
             lost = before if killed else unsaid
             silent += lost
             where += [f"{lost} in the session from {times[0]:.1f} s"] if lost else []
