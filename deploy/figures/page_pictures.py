@@ -37,6 +37,8 @@ def take(browser: Browser, address: str, view: str, path: Path, **options: objec
     context = browser.new_context(**{"viewport": {"width": 1280, "height": 820}, "locale": "en-GB", **options})
     page = context.new_page()
     page.goto(address + view)
+    if view.startswith("#/runs/"):
+        page.get_by_test_id("simulation").wait_for(timeout=120_000)  # solved on the server first
     page.wait_for_timeout(2500)
     page.screenshot(path=path, full_page=view != "#/now")
     context.close()
