@@ -103,6 +103,8 @@ class LiveSensor:
         self._track: Track | None = None
         self._next: Track | None = None
         """A pass that knows better and has not caught up yet."""
+        self._overtaken = False
+        """Whether the present pass knows the press in a state it has left: faces would mislead it."""
         self._points: list[Array] = []
         self._linearised = -math.inf
         self._wishes = wishes_of(header)
@@ -134,8 +136,9 @@ class LiveSensor:
         rows = self._rows
         if stale or (self._track is None and self._next is None):
             self._begin(bench, None if self._track is None else self._points)
+            self._overtaken = stale
         elif self._track is not None and self._detector.pending is None:
-            self._track.extend(rows, len(rows))
+            self._track.extend(rows, len(rows), blind=self._overtaken)
             if self._next is None and self._due(now):
                 self._linearised = now
                 if (points := self._track.better_points()) is not None:
@@ -144,6 +147,7 @@ class LiveSensor:
             step = now - rows[-2].time if len(rows) > 1 else 0.0
             if self._next.extend(rows, max(LEAST_BLOCKS, round(BLOCKS_PER_S * step))):
                 self._track, self._next, self._linearised = self._next, None, now
+                self._overtaken = False
 
     def _begin(self, bench: Bench, points: Sequence[Array] | None) -> None:
         """Begin a pass with what is known by now; the present one answers until it has caught up."""
@@ -265,7 +269,7 @@ class LiveSensor:
         ahead = slope * (time_s - self._rows[track.done - 1].time)
         low, high = mixture.low + ahead, mixture.high + ahead
         reason = ""
-        if min(member.misfit for member in track.members) > MISFIT_LIMIT:
+        if min(member.misfit for member in track.members) > MISFIT_LIMIT and not mixture.by_faces:
             reason = NOT_VALID
         elif high - low > 2.0 * WIDEST_K:
             reason = f"{NOT_OBSERVABLE}: band wider than {WIDEST_K:g} K to either side"

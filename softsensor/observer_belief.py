@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections import deque
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -30,17 +31,21 @@ UNEXPLAINED, FULL_RISE_K = 1.5, 40.0
 GATE = 4.0
 """Innovations beyond this many standard deviations lose weight."""
 MISFIT_MEMORY_S, WORST_MEMORY_S = 10.0, 120.0
-MISFIT_USUAL, MISFIT_WEIGHT = 1.4, 5.0
-"""A misfit beyond the first (sound runs stay below 0.8) speaks for a change, with this many nats a unit."""
+MISFIT_USUAL, MISFIT_WEIGHT = 2.0, 5.0
+"""A misfit beyond the first (78 sound runs at 1 to 10 Hz had less) speaks for a change, so many nats a unit."""
 LOG_STEP, TIME_STEP_S, UNIT_STEP = 0.15, 0.06, 0.5
 """Linearise anew where a logarithm, a moment or any other parameter (in prior units) has moved this far."""
 JUMP_K, JUMPS_PER_S = 0.15, 5e-5
 """Innovations where something changes at once (a contact lapses, a door opens), and how often that is. [K, 1/s]"""
 QUIET_S = 2.5
 """So long after a switch innovations say nothing about changes. [s]"""
-DOUBT, DOUBT_SHARE = 0.3, 0.1
-"""After a change: chance that the panel itself changed, and how far the core may then be off, of its lag
-behind the faces."""
+DECIDE_S = 1.5
+"""What is odd about a reading waits so long for the press to have closed or opened; a core does not hurry. [s]"""
+DOUBT, DOUBT_SHARE, DOUBT_K = 0.3, 0.15, 1.0
+"""After a change: chance that the panel itself changed, and how far the core may then be off, of its rise since
+(a core cannot move at once), or where the faces are silent. [-, -, K]"""
+SURE = 0.9
+"""Chance beyond which a change counts as one."""
 _ERRORS = np.array([CHANNEL_K, ROUGH_S, ROUGH_MEMORY_S, JUMP_K])
 _SLOW = np.array([FACE_K, FACE_S])
 _UNITS = np.array(CHAIN_UNITS)
@@ -61,11 +66,18 @@ class Mixture:
     low: float
     high: float
     """Bounds of 95 %. [°C]"""
+    by_faces: bool = False
+    """Whether something has changed at once and the faces as measured tell the core, whatever the contacts do."""
 
     @property
     def leading(self) -> int:
         """The most likely hypothesis."""
         return int(np.argmax(self.weights))
+
+    @property
+    def changed(self) -> float:
+        """Chance that something changed at once."""
+        return float(sum(w for name, w in zip(self.names, self.weights, strict=True) if name == CHANGED))
 
 
 @dataclass
@@ -96,6 +108,8 @@ class Member:
     """Largest misfit away from switches, forgotten slowly."""
     changed: float = -50.0
     """Logarithm of the odds that something changed at once since the start."""
+    odd: deque[tuple[float, float, float, float]] = field(default_factory=deque)
+    """Blocks not yet counted in the three: end, length, mean square innovation, nats for a change. [s, s, -, -]"""
 
     @staticmethod
     def fresh(bench: Bench, made: Filter, timing: loops.Timing, plan: Plan) -> Member:
@@ -137,14 +151,16 @@ class Member:
         )  # fmt: skip
         if not quiet:  # just after a switch the filters differ by their linearisation, not by what they know
             self.fit += fit
+        elapsed = span[1] - span[0]
+        self.worst *= math.exp(-elapsed / WORST_MEMORY_S)
         if count and not quiet:
-            self.changed = float(np.logaddexp(self.changed, math.log(JUMPS_PER_S * (span[1] - span[0])) + jump))
-        elapsed = max(span[1] - span[0], 0.05)
-        if count and not quiet:
+            self.odd.append((span[1], max(elapsed, 0.05), squares / count, jump))
+        while self.odd and span[1] - self.odd[0][0] >= DECIDE_S:
+            _, elapsed, square, jump = self.odd.popleft()
+            self.changed = float(np.logaddexp(self.changed, math.log(JUMPS_PER_S * elapsed) + jump))
             keep = math.exp(-elapsed / MISFIT_MEMORY_S)
-            self.misfit = keep * self.misfit + (1.0 - keep) * squares / count
-        worst = self.worst * math.exp(-elapsed / WORST_MEMORY_S)
-        self.worst = worst if quiet else max(worst, self.misfit)
+            self.misfit = keep * self.misfit + (1.0 - keep) * square
+            self.worst = max(self.worst, self.misfit)
 
     def blend(self, level: float, readout: Array) -> tuple[Array, Array, Array, Array]:
         """Return by hypothesis log-weight, mean and variance of level + readout (x - at); and suspects' sizes."""
@@ -210,11 +226,13 @@ class Driven:
     last: Array
     """What the faces read last. [°C]"""
     unseen_s: float = 0.0
+    before_C: float = math.nan  # noqa: N815
+    """Core when last nothing had changed. [°C]"""
 
     @staticmethod
     def fresh(made: Filter, timing: loops.Timing, faces: tuple[int, int], start: float) -> Driven:
         """Start with both faces at the panel's initial temperature."""
-        return Driven(made, timing, faces, start, np.full(2, start))
+        return Driven(made, timing, faces, start, np.full(2, start), before_C=start)
 
     def take(self, span: Array, level: Array) -> None:
         """March over a block; a face that is silent keeps its last temperature."""
@@ -275,20 +293,22 @@ def mix(members: list[Member], rise: float, unexplained: float, driven: Driven |
     told = min(max(told, expected - TOLD_K), expected + TOLD_K)
     worst = min(member.worst for member in members)
     odds = float(np.logaddexp(members[0].changed, MISFIT_WEIGHT * (worst - MISFIT_USUAL)))
+    by_faces = False
     if odds > -6.0:
         share = 1.0 / (1.0 + math.exp(-odds))
         centre, variance = float(weights @ means), float(weights @ (variances + (means - weights @ means) ** 2))
-        gap = 10.0
+        doubt = DOUBT_K
         if driven is not None and driven.unseen_s < UNSEEN_S:
-            gap = abs(float(driven.last.mean()) - driven.core[0])
+            doubt = DOUBT_SHARE * abs(driven.core[0] - driven.before_C)
             centre, variance = driven.core[0], driven.core[1] + margin
+            by_faces = share > SURE
         told += share * (centre - told)
         weights = np.concatenate([weights * (1.0 - share), share * np.array([1.0 - DOUBT, DOUBT])])
         means = np.append(means, [centre, centre])
-        variances = np.append(variances, [variance, variance + (DOUBT_SHARE * gap) ** 2])
+        variances = np.append(variances, [variance, variance + doubt**2])
         names += [CHANGED, CHANGED]
     sds = np.sqrt(variances)
     low = loops.quantile(weights, means, sds, 0.025)
     high = loops.quantile(weights, means, sds, 0.975)
     sd = float(np.sqrt(weights @ (variances + (means - told) ** 2)))
-    return Mixture(tuple(names), weights, means, sds, told, sd, min(low, told), max(high, told))
+    return Mixture(tuple(names), weights, means, sds, told, sd, min(low, told), max(high, told), by_faces)

@@ -23,6 +23,10 @@ BLOCK_S, EAGER_S = 0.45, 4.0
 """Scans are absorbed together over `BLOCK_S`, one by one for `EAGER_S` after a switch. [s]"""
 
 
+EVEN = 0.5
+"""Chance of a change from which on the core is no longer counted as before it."""
+
+
 @dataclass(frozen=True)
 class Row:
     """One stored scan."""
@@ -87,6 +91,8 @@ class Track:
         self.done = 0
         """Scans taken in."""
         self.mixture: Mixture | None = None
+        self._sound = True
+        """Whether nothing has changed at once so far."""
 
     def _start(self, plan: Plan, at: Array) -> Member:
         made = _filter(self._bench, plan, at)
@@ -128,11 +134,14 @@ class Track:
         rise = float(self.members[0].filter.chain.level[0]) - self._initial
         return rise if rise == rise else 0.0
 
-    def extend(self, rows: Sequence[Row], limit: int) -> bool:
-        """Take in the scans that make up complete blocks, `limit` blocks at most; return whether all are in."""
+    def extend(self, rows: Sequence[Row], limit: int, *, blind: bool = False) -> bool:
+        """Take in the scans that make up complete blocks, `limit` blocks at most; return whether all are in.
+
+        `blind` foretells from the platens and leaves what the faces read alone.
+        """
         before = self.done
         if self.done == 0:
-            self._block(rows, 0, 0)
+            self._block(rows, 0, 0, blind=blind)
             self.done = 1
         for i in range(self.done, len(rows)):
             since = rows[i].time - rows[self.done - 1].time
@@ -141,14 +150,17 @@ class Track:
                 continue
             if limit == 0:
                 return False
-            self._block(rows, self.done, i)
+            self._block(rows, self.done, i, blind=blind)
             self.done = i + 1
             limit -= 1
         if self.done > before:
             self.mixture = mix(self.members, self.rise, self.unexplained, self.driven)
+            self._sound = self._sound and self.mixture.changed < EVEN
+            if self.driven is not None and self._sound:
+                self.driven.before_C = self.driven.core[0]
         return True
 
-    def _block(self, rows: Sequence[Row], first: int, last: int) -> None:
+    def _block(self, rows: Sequence[Row], first: int, last: int, *, blind: bool) -> None:
         """March over the scans `first` to `last` and correct by what they read."""
         begin, end = rows[max(first - 1, 0)], rows[last]
         elapsed = end.time - begin.time
@@ -166,8 +178,9 @@ class Track:
             votes = np.where(good, [r.votes for r in block], 0.0).sum(axis=0)
         span, outside = np.array([begin.time, end.time]), np.array([begin.outside, end.outside])
         quiet = not first or end.time - self._last_switch(end.time + 1.0) < QUIET_S
+        heard = np.full(len(level), np.nan) if blind else level
         for member in self.members:
-            member.take(span, outside, level, moment, votes, quiet=quiet)
+            member.take(span, outside, heard, moment, votes, quiet=quiet)
         if self.driven is not None:
             self.driven.take(span, end.level)
 

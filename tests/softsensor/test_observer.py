@@ -76,6 +76,19 @@ def test_closed_scans_are_valid(said):
     assert np.mean(closed) >= 0.95
 
 
+@pytest.mark.parametrize("rate", [1.0, 5.0])
+def test_the_band_does_not_jump_while_closing_and_opening_are_being_found(rate):
+    ((run, truth),) = make_campaign(11, 1, None, replace(PLAN, rate_hz=rate))
+    said = replay(run)
+    half = np.array([(e.core_high_C - e.core_low_C) / 2 for e in said])
+    core = np.array([e.core_C for e in said])
+    assert "sudden change" not in {e.suspected for e in said}
+    for moment in (truth.moments.closed_s, truth.moments.opened_s):
+        near = (run.time_s > moment - 3.0) & (run.time_s < moment + 4.0)
+        assert np.abs(np.diff(half[near])).max() < 1.0  # of 6 to 20 K before
+        assert np.abs(core[near] - truth.core_C[near]).max() < 0.6
+
+
 def test_a_run_cut_short_gives_the_same_rows(plain, said):
     run = plain[0][0]
     for rows in (25, len(run.time_s) // 2):
@@ -108,9 +121,20 @@ def test_a_diagnosed_cause_is_followed():
 
 def test_contact_lost_in_mid_press_does_not_deceive():
     ((run, truth),) = make_campaign(35, 1, "contact_lapse", PLAN)
-    error, inside, _ = compared(replay(run), truth.core_C)
+    said = replay(run)
+    error, inside, width = compared(said, truth.core_C)
     assert rms(error) < 1.5
     assert inside.mean() >= 0.85
+    assert width.mean() <= 8.0
+    assert np.mean([e.valid for e in said if e.state is PressState.CLOSED]) >= 0.95
+
+
+def test_the_core_does_not_move_at_once_when_the_contact_does():
+    ((run, _),) = make_campaign(35, 1, "contact_lapse", PLAN)
+    said = replay(run)
+    first = next(i for i, e in enumerate(said) if e.suspected == "sudden change")
+    before, after = ((e.core_high_C - e.core_low_C) / 2 for e in (said[first - 1], said[first]))
+    assert after < before + 0.5
 
 
 def test_platens_alone_give_the_core_within_two_kelvin():
@@ -182,10 +206,10 @@ def test_filters_that_break_down_begin_anew(plain, monkeypatch):
     run = plain[0][0]
     extend, broken = Track.extend, iter([False] * 60 + [True] + [False] * 10_000)
 
-    def breaking(self, rows, limit):
+    def breaking(self, rows, limit, **kind):
         if next(broken):
             raise ZeroDivisionError
-        return extend(self, rows, limit)
+        return extend(self, rows, limit, **kind)
 
     monkeypatch.setattr(Track, "extend", breaking)
     said = replay(run, rows=120)
