@@ -245,15 +245,16 @@ def put_model(
 
 
 def promote_model(connection: Connection, version: str, who: str, reason: str) -> None:
-    """Make a version the one the live sensor uses; the one before is retired."""
+    """Make a version the one the live sensor uses; the one before is retired.
+
+    The journal keeps who did it and why; the version's own reason, which is its evidence, stays.
+    """
     press = connection.execute(select(MODEL.c.press).where(MODEL.c.version == version)).scalar()
     if press is None:
         raise InputError(f"model version {version!r} is not in the store")
     current = (MODEL.c.press == press, MODEL.c.status == "promoted", MODEL.c.version != version)
     connection.execute(update(MODEL).where(*current).values(status="retired"))
-    connection.execute(
-        update(MODEL).where(MODEL.c.version == version).values(status="promoted", reason=reason or MODEL.c.reason)
-    )
+    connection.execute(update(MODEL).where(MODEL.c.version == version).values(status="promoted"))
     log(connection, "info", who, f"model {version} promoted", press, {"reason": reason})
 
 

@@ -24,6 +24,7 @@ def test_a_change_needs_a_token_that_may_write(client, tokens, store):
     answer = client.post(PROMOTE, headers=bearer(writer))
     assert answer.json()["current"] is True
     assert store.active_model("lab").version == "2"
+    assert answer.json()["reason"] == "extended"
     journal = [f"{entry.process} {entry.message} {entry.detail}" for entry in store.journal(limit=5).items]
     assert "writer" in journal[0]
     assert not any(writer in line for line in journal)

@@ -292,13 +292,15 @@ def test_the_newest_fit_of_a_run_counts_in_the_history(store):
 
 def test_one_model_of_a_press_is_active_and_its_history_stays(store):
     store.put_model("lab", "v1", {"coefficients": {}}, status="promoted", reason="first")
-    store.put_model("lab", "v2", {"coefficients": {"h": {"value": 1.0}}})
+    store.put_model("lab", "v2", {"coefficients": {"h": {"value": 1.0}}}, reason="residual 1.0 -> 0.4 K")
     assert store.active_model("lab").version == "v1"
     store.promote_model("v2", "eva", "better by 0.4 K")
     assert store.active_model("lab").version == "v2"
     assert store.model("v1").status == "retired"
     assert [m.version for m in store.models(press="lab").items] == ["v2", "v1"]
+    assert store.model("v2").reason == "residual 1.0 -> 0.4 K"
     assert store.journal().items[0].message == "model v2 promoted"
+    assert store.journal().items[0].detail == {"reason": "better by 0.4 K"}
     with pytest.raises(InputError, match="'v3' is not in the store"):
         store.promote_model("v3", "eva")
     with pytest.raises(InputError, match="versions never change"):
