@@ -1,6 +1,7 @@
 """The web application: routes over one store, the page, and what stands around them.
 
-From the outside in: response compression, access (`api.gate`), entity tags, routes.
+From the outside in: HEAD and refused encodings (`api.manners`), response compression, access (`api.gate`), entity
+tags, routes.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 
-from fastapi import FastAPI
+from fastapi import Depends, FastAPI
 from fastapi.responses import FileResponse
 from fastapi.staticfiles import StaticFiles
 from starlette.datastructures import MutableHeaders
@@ -25,8 +26,10 @@ from api.caching import EntityTags
 from api.gate import Gate
 from api.health import installed_version
 from api.live import MAX_LISTENERS, Hub
+from api.manners import Manners
 from api.metrics import metrics_text
 from api.routes import edits, models, press, runs, simulation, system
+from api.routes.common import only_known_queries
 from api.schemas import Problem
 from api.tokens import Attempts, TokenFile
 from daq.store.records import StoreUnavailable
@@ -69,7 +72,7 @@ def create_app(store: Store, tokens: TokenFile, max_listeners: int = MAX_LISTENE
     )
     app.state.store, app.state.hub = store, hub
     for router in (press.router, runs.router, edits.router, simulation.router, models.router, system.router):
-        app.include_router(router, prefix="/api/v1")
+        app.include_router(router, prefix="/api/v1", dependencies=[Depends(only_known_queries)])
     app.include_router(system.metrics_router)
     _add_page(app)
     problems.install(app)
@@ -78,6 +81,7 @@ def create_app(store: Store, tokens: TokenFile, max_listeners: int = MAX_LISTENE
     app.add_middleware(Gate, tokens=tokens, attempts=Attempts())
     app.add_middleware(GZipMiddleware, minimum_size=1000, compresslevel=5)
     app.add_middleware(_SecurityHeaders)
+    app.add_middleware(Manners)
     return app
 
 

@@ -9,6 +9,17 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 
+def entity_tag(content: bytes | bytearray) -> str:
+    """Return a weak entity tag: compressed or not, the content is the same."""
+    return f'W/"{hashlib.blake2b(content, digest_size=12).hexdigest()}"'
+
+
+def same_entity(if_none_match: str, tag: str) -> bool:
+    """Whether `If-None-Match` knows a tag, compared weakly (RFC 9110, 13.1.2)."""
+    known = {one.strip().removeprefix("W/") for one in if_none_match.split(",")}
+    return "*" in known or tag.removeprefix("W/") in known
+
+
 @dataclass
 class EntityTags:
     """Holds back JSON answers to GET until they are whole, tags them, and answers 304 where they match."""
@@ -25,7 +36,7 @@ class EntityTags:
 
 class _Tagged:
     def __init__(self, known: str, send: Send) -> None:
-        self._known = {tag.strip() for tag in known.split(",")}
+        self._known = known
         self._forward = send
         self._start: Message | None = None
         self._body = bytearray()
@@ -45,12 +56,12 @@ class _Tagged:
                 await self._finish(self._start)
 
     async def _finish(self, start: Message) -> None:
-        tag = f'W/"{hashlib.blake2b(self._body, digest_size=12).hexdigest()}"'
+        tag = entity_tag(self._body)
         headers = MutableHeaders(raw=start["headers"])
         headers["ETag"] = tag
         headers["Cache-Control"] = "no-cache"
         body = bytes(self._body)
-        if tag in self._known or "*" in self._known:
+        if same_entity(self._known, tag):
             start["status"] = 304
             body = b""
             del headers["content-length"]

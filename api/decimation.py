@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from itertools import pairwise
+from collections.abc import Mapping, Sequence
+from typing import TypeAlias
 
 import numpy as np
 
-from daq.qualities import OTHERS, QUALITY, quality_text, row_faults
-from daq.records import Array, Quality, Run
+from daq.records import Array
+
+Rows: TypeAlias = np.ndarray[tuple[int], np.dtype[np.int_]]
 
 
 def number_or_none(value: float | None) -> float | None:
@@ -22,54 +23,47 @@ def column_values(values: Array) -> list[float | None]:
     return [None if not math.isfinite(v) else round(v, 4) for v in values.tolist()]
 
 
-def decimate(
-    time_s: Array, columns: Mapping[str, Array], max_points: int | None
-) -> tuple[Array, dict[str, Array]]:
-    """Return at most `max_points` rows (two at least) that span the same values.
+def kept_rows(columns: Sequence[Array], rows: int, max_points: int | None) -> Rows:
+    """Return the numbers of at most `max_points` rows (two at least) that keep every column's peaks.
 
-    The rows are cut into equal buckets. Each gives two rows, at the times of its first and last
-    row; every column puts its lowest and highest value of the bucket there, in the order in which
-    they occurred. What is missing is skipped; a bucket without any value stays missing.
+    The rows are cut into buckets of one length. Of each bucket stay the rows with the lowest and the highest
+    value of each column, whole and at their own times, and the first row where a column has no value at all.
+    There are as many buckets as leave no more rows than asked for. Below two rows for each column even one
+    bucket has too many: then its rows are thinned evenly, and peaks may be lost.
 
     Examples
     --------
     >>> peak = np.zeros(100)
     >>> peak[37] = 5.0
-    >>> time_s, columns = decimate(np.arange(100.0), {"top_1": peak}, 10)
-    >>> len(time_s), float(columns["top_1"].max())
-    (10, 5.0)
+    >>> kept_rows([peak], 100, 10).tolist()
+    [0, 20, 37, 40, 60, 80]
     """
-    rows = len(time_s)
     if max_points is None or rows <= max(max_points, 2):
-        return time_s, dict(columns)
+        return np.arange(rows)
     buckets = max(max_points // 2, 1)
-    edges = np.linspace(0, rows, buckets + 1).astype(int)
-    ends = np.stack([edges[:-1], edges[1:] - 1], axis=1).ravel()
-    return time_s[ends], {name: _extremes(values, edges) for name, values in columns.items()}
-
-
-def kept_qualities(run: Run, time_s: Array, columns: Mapping[str, Array]) -> dict[str, tuple[str, ...]]:
-    """Return a run's column of qualities at the rows that are left; a value that is shown is no missing one."""
-    faults = row_faults(run)
-    if faults is None or len(time_s) == len(run.time_s):
-        return dict(run.texts)
-    kept = []
-    for place, row in enumerate(np.searchsorted(run.time_s, time_s)):
-        shown = {name for name, values in columns.items() if values[place] == values[place]}
-        named = {n: q for n, q in faults[row].items() if q.usable or n not in shown}
-        rest = named.get(OTHERS, Quality.GOOD)
-        if not rest.usable:
-            named = {n: named.get(n, rest) for n in columns if n not in shown}
-        kept.append(quality_text(named))
-    return {QUALITY: tuple(kept)} if any(kept) else {}
-
-
-def _extremes(values: Array, edges: np.ndarray[tuple[int], np.dtype[np.int_]]) -> Array:
-    kept = np.full(2 * (len(edges) - 1), np.nan)
-    for i, (start, stop) in enumerate(pairwise(edges)):
-        piece = values[start:stop]
-        good = np.flatnonzero(np.isfinite(piece))
-        if len(good):
-            ends = sorted((good[piece[good].argmin()], good[piece[good].argmax()]))
-            kept[2 * i : 2 * i + 2] = piece[ends]
+    while len(kept := _extreme_rows(columns, rows, buckets)) > max_points and buckets > 1:
+        buckets = max(min(buckets - 1, buckets * max_points // len(kept)), 1)
+    if len(kept) > max_points:
+        kept = kept[np.linspace(0, len(kept) - 1, max_points).astype(int)]
     return kept
+
+
+def decimate(
+    time_s: Array, columns: Mapping[str, Array], max_points: int | None
+) -> tuple[Array, dict[str, Array]]:
+    """Return times and columns at the rows that `kept_rows` chooses."""
+    kept = kept_rows(list(columns.values()), len(time_s), max_points)
+    return time_s[kept], {name: values[kept] for name, values in columns.items()}
+
+
+def _extreme_rows(columns: Sequence[Array], rows: int, buckets: int) -> Rows:
+    width = -(-rows // buckets)
+    starts = np.arange(0, rows, width)
+    kept = [starts[:0]]
+    for values in columns:
+        known = np.isfinite(values)
+        for worst, extreme in ((np.inf, np.argmin), (-np.inf, np.argmax)):  # missing is never an extreme
+            padded = np.full(len(starts) * width, worst)
+            padded[:rows] = np.where(known, values, worst)
+            kept.append(starts + extreme(padded.reshape(-1, width), axis=1))
+    return np.unique(np.concatenate(kept))

@@ -227,7 +227,7 @@ class QualitySpan(_Answer):
 
 
 class Samples(_Answer):
-    """Temperatures of a run, column by column; decimated keeps each bucket's lowest and highest."""
+    """Temperatures of a run, column by column; decimated rows are recorded ones."""
 
     run: str
     rows: int

@@ -5,6 +5,8 @@ from __future__ import annotations
 from typing import Annotated
 
 from fastapi import Depends, Query, Request
+from fastapi.routing import APIRoute
+from pydantic import AfterValidator
 
 from api.gate import token_of
 from api.problems import ProblemError
@@ -37,10 +39,24 @@ def get_writer(request: Request) -> str:
     return token.name
 
 
+def only_known_queries(request: Request) -> None:
+    """Refuse a query the route does not know: a misspelt filter would answer with everything."""
+    route = request.scope.get("route")
+    known = [p.alias for p in route.dependant.query_params] if isinstance(route, APIRoute) else []
+    for name in request.query_params:
+        if name not in known:
+            named = f"known here: {', '.join(known)}" if known else "none is known here"
+            raise ProblemError(422, f"query.{name}: unknown; {named}")
+
+
 StoreDep = Annotated[Store, Depends(get_store)]
 Writer = Annotated[str, Depends(get_writer)]
 PageSize = Annotated[int, Query(ge=1, le=MAX_PAGE, description="Items in one page.")]
-Cursor = Annotated[str | None, Query(description="`next_cursor` of the page before.", pattern="^[0-9]{1,18}$")]
+Cursor = Annotated[
+    str | None,
+    Query(description="`next_cursor` of the page before; empty for the first.", pattern="^[0-9]{0,18}$"),
+    AfterValidator(lambda cursor: cursor or None),
+]
 PressName = Annotated[str | None, Query(description="Only this press.", max_length=200)]
 
 

@@ -11,26 +11,32 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from fastapi import APIRouter, Query
+from fastapi import APIRouter, Header, Query
 from fastapi.responses import FileResponse, JSONResponse, Response
 from starlette.background import BackgroundTask
 
 from api.answers import run_detail, run_summaries
-from api.decimation import column_values, decimate, kept_qualities, number_or_none
+from api.caching import entity_tag, same_entity
+from api.decimation import column_values, kept_rows, number_or_none
+from api.health import installed_version
 from api.problems import ProblemError, problem_responses
 from api.routes.common import Cursor, PageSize, PressName, StoreDep, existing_run
 from api.schemas import Estimates, Fit, QualitySpan, RunDetail, RunList, Samples
 from daq.qualities import spans_of
 from daq.records import InputError, Run
 from daq.runfile import write_run
-from daq.store.records import RunStatus, StoredEstimate
+from daq.store.records import RunRecord, RunStatus, StoredEstimate
+from daq.store.store import Store
 
 router = APIRouter(tags=["runs"], responses=problem_responses(404))
 
 MaxPoints = Annotated[
     int | None,
     Query(
-        ge=2, le=1_000_000, description="At most this many rows; each bucket keeps its lowest and highest value."
+        ge=2,
+        le=1_000_000,
+        description="At most this many rows, each as it was recorded: of every stretch of time those with the "
+        "lowest and the highest value of each column. Every peak stays from two rows for each column on.",
     ),
 ]
 FromTime = Annotated[
@@ -96,24 +102,37 @@ def get_samples(
     from_s: FromTime = None,
     to_s: ToTime = None,
     max_points: MaxPoints = None,
+    if_none_match: Annotated[str, Header(include_in_schema=False)] = "",
 ) -> Response:
     """Return columns of a run between two times, decimated on request; CSV and Parquet are run files."""
-    existing_run(store, run)
+    record = existing_run(store, run)
     names = [name.strip() for name in columns.split(",") if name.strip()] if columns else None
+    if names == []:
+        raise ProblemError(422, f"columns = {columns!r} names no column; leave it out for all")
+    tag = ""
+    if format != "json":
+        tag = _file_tag(store, record, (format, names, from_s, to_s, max_points))
+        if same_entity(if_none_match, tag):
+            return Response(status_code=304, headers={"ETag": tag, "Cache-Control": "no-cache"})
     try:
         whole = store.load_run(run, names, from_s, to_s)
     except InputError as error:
         raise ProblemError(404, str(error)) from error
-    time_s, kept = decimate(whole.time_s, whole.columns, max_points)
-    shown = replace(whole, time_s=time_s, columns=kept, texts=kept_qualities(whole, time_s, kept))
+    kept = kept_rows(list(whole.columns.values()), len(whole.time_s), max_points)
+    shown = replace(
+        whole,
+        time_s=whole.time_s[kept],
+        columns={name: values[kept] for name, values in whole.columns.items()},
+        texts={name: tuple(values[i] for i in kept) for name, values in whole.texts.items()},
+    )
     if format != "json":
-        return _file_response(shown, format)
+        return _file_response(shown, format, tag)
     samples = Samples(
         run=run,
-        rows=len(time_s),
-        decimated=len(time_s) < len(whole.time_s),
-        time_s=time_s.tolist(),
-        columns={name: column_values(values) for name, values in kept.items()},
+        rows=len(kept),
+        decimated=len(kept) < len(whole.time_s),
+        time_s=shown.time_s.tolist(),
+        columns={name: column_values(values) for name, values in shown.columns.items()},
         quality=[QualitySpan(**asdict(span)) for span in spans_of(whole)],
     )
     return JSONResponse(samples.model_dump())
@@ -123,13 +142,13 @@ def get_samples(
 def get_estimates(
     store: StoreDep, run: str, from_s: FromTime = None, to_s: ToTime = None, max_points: MaxPoints = None
 ) -> Estimates:
-    """Return the live core temperature and its band; decimation takes rows at even steps."""
+    """Return the live core temperature and its band."""
     existing_run(store, run)
     low, high = (-math.inf if from_s is None else from_s), (math.inf if to_s is None else to_s)
     chosen = [(t, e) for t, e in store.estimates(run) if low <= t <= high]
     rows = len(chosen)
-    if max_points is not None and rows > max_points:
-        chosen = [chosen[i] for i in np.linspace(0, rows - 1, max_points).astype(int)]
+    bands = np.array([(e.core_celsius, e.core_low_celsius, e.core_high_celsius) for _, e in chosen])
+    chosen = [chosen[i] for i in kept_rows(list(bands.reshape(rows, 3).T), rows, max_points)]
     return _estimates(run, chosen, decimated=len(chosen) < rows)
 
 
@@ -158,15 +177,29 @@ def _estimates(run: str, chosen: Sequence[tuple[float, StoredEstimate]], *, deci
     )
 
 
-def _file_response(run: Run, kind: Literal["csv", "parquet"]) -> FileResponse:
+def _file_tag(store: Store, record: RunRecord, asked: tuple[object, ...]) -> str:
+    """Return the entity tag of a run file: the same as long as run, header and question are."""
+    newest = record.last_scan if record.last_scan is not None else store.newest_scan_number(record.press)
+    told = (installed_version(), record.run, record.first_scan, newest, str(record.status), record.moments)
+    return entity_tag(repr((*told, sorted(record.header.items()), record.remark, asked)).encode())
+
+
+def _file_response(run: Run, kind: Literal["csv", "parquet"], tag: str) -> FileResponse:
     """Answer with a run file; it is written beside the memory and streamed from there."""
     folder = tempfile.TemporaryDirectory(prefix="kerntemp-")
     path = Path(folder.name) / f"run.{kind}"
     write_run(run, path)
     name = "".join(c if c.isalnum() or c in "-_." else "_" for c in run.name) or "run"
-    return FileResponse(
-        path, media_type=MEDIA_TYPES[kind], filename=f"{name}.{kind}", background=BackgroundTask(folder.cleanup)
+    answer = FileResponse(
+        path,
+        media_type=MEDIA_TYPES[kind],
+        filename=f"{name}.{kind}",
+        headers={"ETag": tag, "Cache-Control": "no-cache"},
+        background=BackgroundTask(folder.cleanup),
+        stat_result=path.stat(),
     )
+    del answer.headers["last-modified"]  # of the file just written, not of the run
+    return answer
 
 
 def _aware(instant: datetime | None) -> datetime | None:

@@ -6,7 +6,7 @@ import threading
 from collections import OrderedDict
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from fastapi import APIRouter, Response
@@ -16,7 +16,7 @@ from api.decimation import column_values, decimate
 from api.problems import ProblemError, problem_responses
 from api.routes.common import StoreDep, existing_run
 from api.schemas import Simulation
-from daq.pressfile import parse_press
+from daq.pressfile import parse_press, press_for_run
 from daq.records import InputError
 from daq.store.records import ModelRecord, RunRecord
 from daq.store.store import Store
@@ -28,7 +28,7 @@ router = APIRouter(tags=["runs"], responses=problem_responses(404))
 
 SHOWN_POINTS = 1500
 KEPT = 32
-"""Simulations kept in memory; a run is simulated again when its data or fit change."""
+"""Simulations kept in memory; a run is simulated again when its data, header, press file or fit change."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,10 @@ class _Kept:
         """Return the simulation of a run as it stands, and the version of the model behind it."""
         known = _known(store, record)
         newest = record.last_scan if record.last_scan is not None else store.newest_scan_number(record.press)
-        key = (store.label, record.run, newest, known.version, tuple(sorted(known.values.items())))
+        fitted = (known.version, sorted(known.values.items()), known.closed_s, known.opened_s)
+        press_file = store.presses().get(record.press, "")
+        told = repr((newest, record.moments, sorted(record.header.items()), fitted))
+        key = (store.label, record.run, press_file, told)
         with self._lock:
             if key not in self._known:
                 self._known[key] = _simulate(store, record, known)
@@ -144,9 +147,12 @@ def _simulate(store: Store, record: RunRecord, known: _Known) -> Simulated:
         press = parse_press(text, f"press {record.press}")
         file = parse_model(known.model.model, f"model {known.model.version}") if known.model else None
         model = file.model(press) if file else ThermalModel(press)
-        values = model.guesses | (file.values if file else {}) | dict(known.values)
+        run = store.load_run(record.run)
+        guesses = replace(model, press=press_for_run(press, run)).guesses
+        given = (file.values if file else {}) | dict(known.values)
+        values = guesses | {name: value for name, value in given.items() if name in guesses}
         moments = {"closed_s": known.closed_s, "opened_s": known.opened_s}
         refined = {name: at for name, at in moments.items() if at is not None}
-        return simulate_run(store.load_run(record.run), press, model, values, refined)
+        return simulate_run(run, press, model, values, refined)
     except InputError as error:
         raise ProblemError(404, f"run {record.run!r} cannot be simulated: {error}") from error

@@ -284,6 +284,12 @@ def test_metadata_changes_only_with_a_token_that_may_write(client, tokens):
         ({"header": {"panel.thickness_mm": "thick"}}, "must be a number"),
         ({"header": {"panel.thickness_mm": None}}, "panel.thickness_mm is missing"),
         ({"header": {"panel": 3}}, "header.panel"),
+        (
+            {"header": {"setting.pressure_N_cm2": "high"}},
+            "header.setting.pressure_N_cm2 = 'high': must be a number",
+        ),
+        ({"header": {"setting.press_time_s": True}}, "header.setting.press_time_s"),
+        ({"header": {"ambient.temperature_C": "warm"}}, "header.ambient.temperature_C"),
         ({"header": {"layer.plate_top.colour": "blue"}}, "colour = 'blue': unknown key"),
         ({"header": {"run": "other"}}, "header.run"),
         ({"header": {"two words": 1}}, "header"),
@@ -305,6 +311,90 @@ def test_metadata_that_could_not_be_used_is_refused_by_name_and_changes_nothing(
         assert client.get(RUN).json()["changes"] == []
     finally:
         tokens.revoke("clerk")
+
+
+def test_a_change_that_leaves_no_panel_to_reckon_with_is_refused_with_the_reason(client, tokens):
+    writer = {"Authorization": f"Bearer {tokens.create('joiner', 'write')}"}
+    unknown = {"panel.material": "Unobtainium", "panel.density_kg_m3": None}
+    answer = client.patch(RUN, json={"header": unknown}, headers=writer)
+    assert "Unobtainium" in str(problem(answer, 422)["detail"])
+    answer = client.patch(RUN, json={"header": unknown | {"panel.initial_temperature_C": 5000}}, headers=writer)
+    problem(answer, 422)
+
+
+def test_the_simulation_and_the_figure_follow_a_change_of_the_header(client, tokens):
+    writer = {"Authorization": f"Bearer {tokens.create('weigher', 'write')}"}
+    other = "/api/v1/runs/lab-2026-03-04-02"
+    density = client.get(other).json()["header"]["panel.density_kg_m3"]
+    before = client.get(f"{other}/simulation").json(), client.get(f"{other}/figure.svg").text
+    client.patch(other, json={"header": {"panel.density_kg_m3": 0.5 * density}}, headers=writer)
+    after = client.get(f"{other}/simulation").json(), client.get(f"{other}/figure.svg").text
+    client.patch(other, json={"header": {"panel.density_kg_m3": density}}, headers=writer)
+    assert max(after[0]["core_C"]) > max(before[0]["core_C"]) + 2
+    assert after[1] != before[1]
+
+
+@pytest.mark.parametrize(
+    "path", ["/", "/docs", "/metrics", "/api/v1/health", "/api/v1/runs", RUN, f"{RUN}/figure.svg"]
+)
+def test_head_answers_like_get_without_the_body(client, path):
+    asked = client.head(path)
+    assert asked.status_code == 200
+    assert asked.content == b""
+    assert asked.headers["content-type"] == client.get(path).headers["content-type"]
+    assert client.head("/api/v1/runs/nothing").status_code == 404
+    assert client.head("/api/v1/live").status_code == 405
+
+
+def test_a_tag_is_known_with_and_without_its_sign_of_weakness(client):
+    strong = client.get(f"{RUN}/fit").headers["etag"].removeprefix("W/")
+    assert client.get(f"{RUN}/fit", headers={"If-None-Match": f'"x", {strong}'}).status_code == 304
+    assert client.get(f"{RUN}/fit", headers={"If-None-Match": '"x"'}).status_code == 200
+
+
+@pytest.mark.parametrize("form", ["csv", "parquet"])
+def test_a_run_file_is_not_sent_again_until_the_run_is_another(client, tokens, form):
+    other = "/api/v1/runs/lab-2026-03-04-02"
+    writer = {"Authorization": f"Bearer {tokens.create(f'clerk-{form}', 'write')}"}
+    asked = {"params": {"format": form}}
+    tag = client.get(f"{other}/samples", **asked).headers["etag"]
+    same = client.get(f"{other}/samples", **asked, headers={"If-None-Match": tag})
+    assert (same.status_code, same.content, same.headers["etag"]) == (304, b"", tag)
+    client.patch(other, json={"header": {"batch": form}}, headers=writer)
+    assert client.get(f"{other}/samples", **asked, headers={"If-None-Match": tag}).status_code == 200
+
+
+def test_who_refuses_gzip_gets_none(client):
+    answer = client.get(f"{RUN}/samples", headers={"Accept-Encoding": "gzip;q=0, identity"})
+    assert "content-encoding" not in answer.headers
+
+
+def test_a_misspelt_filter_is_refused_with_those_there_are(client):
+    detail = str(problem(client.get("/api/v1/runs?matrial=oak"), 422)["detail"])
+    assert detail.startswith("query.matrial")
+    assert "material" in detail
+    problem(client.get("/api/v1/models/1?full=1"), 422)
+    problem(client.get(f"{RUN}/samples", params={"columns": ","}), 422)
+    assert client.get("/api/v1/runs?cursor=").json() == client.get("/api/v1/runs").json()
+
+
+def test_decimated_values_stand_at_the_times_they_were_measured_at(client, campaign):
+    run, _ = campaign[0]
+    samples = client.get(f"{RUN}/samples", params={"max_points": 60}).json()
+    rows = np.searchsorted(run.time_s, np.asarray(samples["time_s"]) - 1e-6)
+    assert len(run.time_s) > 2 * samples["rows"] > 60
+    for name, values in samples["columns"].items():
+        shown = np.array([np.nan if v is None else v for v in values])
+        assert shown == pytest.approx(run.columns[name][rows], abs=1e-3, nan_ok=True), name
+
+
+def test_decimated_estimates_keep_the_highest_and_the_lowest(client):
+    whole = client.get(f"{RUN}/estimates").json()
+    thin = client.get(f"{RUN}/estimates", params={"max_points": 9}).json()
+    assert thin["rows"] <= 9
+    assert (max(thin["core_C"]), min(thin["core_C"])) == (max(whole["core_C"]), min(whole["core_C"]))
+    pairs = set(zip(whole["time_s"], whole["core_C"], strict=True))
+    assert set(zip(thin["time_s"], thin["core_C"], strict=True)) <= pairs
 
 
 @pytest.mark.parametrize("points", [2, 3, 4, 7])
