@@ -81,7 +81,7 @@ def draw(run: Run, table: np.ndarray, truth: np.ndarray) -> None:
         above.axvline(at, color="#5a6675", lw=0.8, ls=":")
         above.annotate(
             text,
-            (at, 0.02),
+            (at, 0.11),
             xycoords=("data", "axes fraction"),
             xytext=(3, 0),
             textcoords="offset points",
