@@ -19,7 +19,7 @@ import numpy as np
 from scipy.stats import t as student
 
 from daq.press_events import find_moments
-from daq.pressfile import Press
+from daq.pressfile import Press, press_for_run
 from daq.records import Array, InputError, Moments, Run
 from softsensor.campaign_joint import Population, information
 from softsensor.dependence import Dependence, Program, fit_dependence
@@ -262,7 +262,8 @@ def fit_campaign(
     Raises
     ------
     InputError
-        Without a run, for a run that cannot be fitted, or a shared name that is no free coefficient.
+        Without a run, for a run that cannot be fitted or whose header leaves a coefficient without use, or a
+        shared name that is no free coefficient.
     """
     if not runs:
         raise InputError("no run given; name at least one run file")
@@ -270,6 +271,12 @@ def fit_campaign(
     names = free_names(press)
     if wrong := [n for n in shared if n not in names]:
         raise InputError(f"shared coefficient {wrong[0]!r}: must be one of {', '.join(names)}")
+    for run in runs:
+        if gone := [n for n in names if n not in press_for_run(press, run).coefficient_names]:
+            raise InputError(
+                f"{run.source or run.name}: its header leaves coefficient {gone[0]!r} of the press file "
+                f"without use, and a campaign has it in every run; fit the run with a press file of its own"
+            )
     shared = tuple(shared) if len(runs) > 1 else ()
     company = Company(len(runs), shared)
     fits = fit_runs(model, runs, workers=workers, progress=progress, company=company, **options)

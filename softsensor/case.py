@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from numbers import Real
 
 import numpy as np
 
@@ -106,7 +107,7 @@ class Fineness:
             ("switch_step_s", self.switch_step_s, 1e-4, 60.0),
             ("growth", self.growth, 1.0, 10.0),
         ):
-            if not lower <= value <= upper:
+            if not isinstance(value, Real) or not lower <= value <= upper:
                 raise InputError(f"{name} = {value!r}: must be a number from {lower:g} to {upper:g}")
 
 

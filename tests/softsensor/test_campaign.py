@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from daq.pressfile import parse_press
+from daq.records import InputError
 from daq.simulated.campaign import Plan, make_campaign
 from daq.simulated.campaign_pressfile import press_toml
 from daq.simulated.campaign_sensors import Nuisances
@@ -176,3 +177,10 @@ def test_interval_of_a_program_holds_what_it_says_with_few_runs():
         low, high = told.program(program).interval("h")
         inside.append(np.log(low) < rng.normal(0.0, 0.2) < np.log(high))
     assert 0.92 < np.mean(inside) < 0.98
+
+
+def test_a_run_whose_header_leaves_a_coefficient_without_use_is_named():
+    run, _ = make_campaign(4, 1, plan=Plan(rate_hz=2.0, thickness_mm=16.0))[0]
+    header = {**run.header, "contact.1.closed": "h_new", "contact.2.closed": "h_new"}
+    with pytest.raises(InputError, match=r"its header leaves coefficient 'h_pp_c' .* without use"):
+        fit_campaign(PRESS, [replace(run, header=header)])

@@ -157,7 +157,8 @@ def test_moments_that_contradict_each_other_are_refused(lab_press, make_run):
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"fineness": 0.0}, {"max_step_s": -1.0}, {"switch_step_s": np.nan}, {"growth": 0.5}]
+    "wrong",
+    [{"fineness": 0.0}, {"fineness": "2"}, {"max_step_s": -1.0}, {"switch_step_s": np.nan}, {"growth": 0.5}],
 )
 def test_a_grid_that_cannot_be_is_refused(lab_press, make_run, moments, wrong):
     with pytest.raises(InputError, match=rf"{next(iter(wrong))} = .*must be a number from"):
