@@ -50,6 +50,9 @@ const CLAUSES = [
   [/^stuck: it ends (.+) K rms from the readings, at the guesses it was (.+) K, and the default method reaches (.+) K$/, "steckengeblieben: $1 K von den Messungen, mit den Schätzwerten waren es $2 K, und das übliche Verfahren erreicht $3 K"],
   [/^fixed by the press file$/, "in der Pressendatei festgelegt"],
   [/^first model, coefficients of (\d+) runs$/, "erstes Modell, Koeffizienten aus $1 Pressungen"],
+  [/^the diagnosis confirms it$/, "die Diagnose bestätigt es"],
+  [/^nothing changed$/, "nichts geändert"],
+  [/^(\d+) runs fitted, (\d+) are needed$/, "$1 Pressungen angepasst, $2 sind nötig"],
   [/^too few runs to judge by$/, "zu wenige Pressungen für ein Urteil"],
   [/^worse on held-out runs$/, "schlechter auf ungesehenen Pressungen"],
   [/^the gain is not significant$/, "der Gewinn ist nicht bedeutsam"],
@@ -80,7 +83,7 @@ function clause(english) {
 
 // The German of a fit's warning or of a model version's reason; null where a part of it is not known.
 export function reason(english, effectName) {
-  const gain = /^(.+): residual (\S+) -> (\S+) K on (\d+) runs(?:, core (\S+) -> (\S+) K live)?(?:; (.+))?$/.exec(english);
+  const gain = /^([\w+ ]+): residual (\S+) -> (\S+) K on (\d+) runs(?:, core (\S+) -> (\S+) K live)?(?:; (.+))?$/.exec(english);
   if (gain) {
     const [, names, before, after, runs, coreBefore, coreAfter, but] = gain;
     const end = but ? clause(but) : "";

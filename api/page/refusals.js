@@ -21,8 +21,8 @@ const STORE = {
   "create the database, or correct the URL": "legen Sie die Datenbank an, oder berichtigen Sie die URL",
 };
 const REQUESTS = [
-  [/^a change needs a token with scope write; kerntemp token create makes one$/, "eine Änderung braucht einen Schlüssel mit dem Recht write; kerntemp token create legt einen an"],
-  [/^token (.+) may read only; a change needs scope write$/, "Schlüssel $1 darf nur lesen; eine Änderung braucht das Recht write"],
+  [/^a change needs a token with scope write; kerntemp token create makes one$/, "eine Änderung braucht einen Schlüssel mit Schreibrecht; kerntemp token create legt einen an"],
+  [/^token (.+) may read only; a change needs scope write$/, "Schlüssel $1 darf nur lesen; eine Änderung braucht das Schreibrecht"],
   [/^reading from elsewhere needs a token: .*$/, "von anderswo zu lesen braucht einen Schlüssel"],
   [/^this token is not valid; kerntemp token create makes one$/, "dieser Schlüssel gilt nicht; kerntemp token create legt einen an"],
   [/^too many wrong tokens from this address; wait a minute$/, "zu viele falsche Schlüssel von dieser Adresse; warten Sie eine Minute"],
@@ -31,8 +31,12 @@ const REQUESTS = [
   [/^model (.+) does not exist; .*$/, "Modell $1 gibt es nicht"],
   [/^run (.+) has not been fitted; kerntemp refit fits it$/, "Pressung $1 ist nicht angepasst; kerntemp refit holt es nach"],
   [/^run (.+): its press was stored without a press file$/, "Pressung $1: ihre Presse wurde ohne Pressendatei gespeichert"],
-  [/^(?:run )?(.+): header key (.+) = (.+): must be a number from (.+) to (.+)$/, "Pressung $1: $2 = $3: muss eine Zahl von $4 bis $5 sein"],
-  [/^(?:run )?(.+): header key (\S+) is missing.*$/, "Pressung $1: $2 fehlt"],
+  [/^(?:run )?(\S+): header key (.+) = (.+): must be a number from (.+) to (.+)$/, "Pressung $1: $2 = $3: muss eine Zahl von $4 bis $5 sein"],
+  [/^(?:run )?(\S+): header key (\S+) is missing and material (.+) is not in the table \((.+)\).*$/, "Pressung $1: $2 fehlt, und Material $3 steht nicht in der Tabelle ($4)"],
+  [/^header\.(\S+) = (.+): must be a number$/, "$1 = $2: muss eine Zahl sein"],
+  [/^store: header key (\S+) is missing.*$/, "$1 fehlt im Kopf"],
+  [/^(?:run )?(\S+): header key (\S+) is missing.*$/, "Pressung $1: $2 fehlt"],
+  [/^(?:store: )?column '(.+)' is empty for (.+) s around time_s = (.+); at most (.+) s of (.+) are bridged: cut the run there$/, "Spalte $1 ist um $3 s herum $2 s lang leer; höchstens $4 s von $5 werden überbrückt: kürzen Sie die Pressung dort"],
   [/^header\.(.+): not a header key that can change; see remark$/, "$1 lässt sich so nicht ändern; siehe Bemerkung"],
   [/^header\.(.+): cannot be a value and hold keys at once$/, "$1 kann nicht zugleich ein Wert sein und Schlüssel enthalten"],
   [/^too many live listeners; try again later$/, "zu viele Zuhörer; versuchen Sie es später wieder"],
@@ -60,6 +64,7 @@ const PLANT = [
 
 // Patterns with sentences in them, each with what makes German of its parts.
 const WITHIN = [
+  [/^run (\S+) could not be fitted: (.+)$/, (m, again) => `Pressung ${m[1]} konnte nicht angepasst werden: ${again(m[2])}`],
   [/^cannot open (\S+): ([^;]+); (.+)$/, (m) => LINK[m[3]] && `${m[1]} lässt sich nicht öffnen: ${LINK[m[2]]}; ${LINK[m[3]]}`],
   [/^cannot connect to (\S+): ([^;]+); (.+)$/, (m) => LINK[m[3]] && `keine Verbindung zu ${m[1]}: ${LINK[m[2]]}; ${LINK[m[3]]}`],
   [/^store (.+) takes data again; everything kept is written$/, (m) => `Speicher ${m[1]} nimmt wieder Daten an; alles Aufgehobene ist geschrieben`],
@@ -70,6 +75,7 @@ const WITHIN = [
   [/^store (\S+): (?:.*?; )?([^:]+)$/, (m) => Object.entries(STORE).filter(([end]) => m[2].endsWith(end)).map(([, german]) => `Speicher ${m[1]}: ${german}`)[0]],
   [/^(\d+) of (\d+) runs fitted, (\d+) could not be; diagnosis: (\w+); model (.+) promoted: (.+)$/, (m, again, word) => `${m[1]} von ${m[2]} Pressungen angepasst, ${m[3]} nicht möglich; Diagnose: ${word(`verdict_${m[4]}`)}; Modell ${m[5]} eingesetzt: ${again(m[6])}`],
   [/^(\d+) of (\d+) runs fitted, (\d+) could not be; diagnosis: (\w+); model (.+) stays: (.+)$/, (m, again, word) => `${m[1]} von ${m[2]} Pressungen angepasst, ${m[3]} nicht möglich; Diagnose: ${word(`verdict_${m[4]}`)}; Modell ${m[5]} bleibt: ${again(m[6])}`],
+  [/^(\S+) rejected, (.+)$/, (m, again) => `${m[1]} abgelehnt, ${again(m[2])}`],
   [/^press ([^:]+): (.+)$/, (m, again) => `Presse ${m[1]}: ${again(m[2])}`],
   [/^logger ([^:]+): (.+)$/, (m, again) => `Messgerät ${m[1]}: ${again(m[2])}`],
   [/^(\S+(?: station \d+)?): (.+)$/, (m, again) => (again(m[2]) === m[2] ? undefined : `${m[1]}: ${again(m[2])}`)],

@@ -8,21 +8,15 @@ import { language, text } from "./text.js";
 const PATTERNS = [
   [/^(\w+): never seen; start kerntemp \w+$/, "$1: noch nie gesehen; starten Sie kerntemp $1"],
   [/^(\w+): silent for (\d+) s; start kerntemp \w+$/, "$1: seit $2 s stumm; starten Sie kerntemp $1"],
-  [/^(.+): no reply in (.+) s; check power, cable and address$/, "$1: keine Antwort in $2 s; prüfen Sie Strom, Kabel und Adresse"],
-  [/^(.+): connection refused; the device is on but nothing listens there; check port$/, "$1: Verbindung abgewiesen; das Gerät ist an, aber dort hört nichts: prüfen Sie den Port"],
-  [/^(.+): unreachable; nobody answers at this address; check power, cable and host$/, "$1: nicht erreichbar; unter dieser Adresse antwortet niemand: prüfen Sie Strom, Kabel und Adresse"],
-  [/^(.+): no port; no such port; check adapter and name$/, "$1: diesen Anschluss gibt es nicht; prüfen Sie Adapter und Namen"],
-  [/^(.+): no permission; the user may not open it; add it to the port's group$/, "$1: keine Berechtigung; nehmen Sie den Benutzer in die Gruppe des Anschlusses auf"],
-  [/^(.+): port in use; another program has it open; close that$/, "$1: belegt; ein anderes Programm hat den Anschluss offen: schließen Sie es"],
   [/^logger (.+) answers again$/, "Messgerät $1 antwortet wieder"],
   [/^the clock of this machine was set by (.+) s; .*$/, "die Uhr dieses Rechners wurde um $1 s gestellt; Zeiten innerhalb einer Pressung sind nicht betroffen"],
   [/^(\w+) has changed by (.+) since run (.+) \(noticed at (.+)\): .*$/, "$1 hat sich seit Pressung $3 um $2 geändert (bemerkt bei $4): prüfen Sie, was davor an der Presse getan wurde"],
   [/^run (.+) was interrupted; its data are kept$/, "Pressung $1 wurde unterbrochen; ihre Daten sind erhalten"],
-  [/^run (.+) could not be fitted: (.+)$/, "Pressung $1 konnte nicht angepasst werden: $2"],
   [/^run (.+): (.+) changed$/, "Pressung $1: $2 geändert"],
   [/^model (.+) promoted$/, "Modell $1 eingesetzt"],
   [/^the live sensor takes model (.+)$/, "der Live-Sensor nimmt Modell $1"],
-  [/^token (.+) created, scope (\w+)$/, "Schlüssel $1 angelegt, Recht $2"],
+  [/^token (.+) created, scope read$/, "Schlüssel $1 angelegt, darf lesen"],
+  [/^token (.+) created, scope write$/, "Schlüssel $1 angelegt, darf ändern"],
   [/^token (.+) revoked$/, "Schlüssel $1 zurückgezogen"],
   [/^recording (.+); while the store is away scans wait in memory, enough for (.+) h$/, "Aufzeichnung von $1; ist der Speicher nicht erreichbar, warten Messzeilen im Arbeitsspeicher, genug für $2 h"],
   [/^recording (.+); while the store is away scans wait in (.+), enough for (.+) h$/, "Aufzeichnung von $1; ist der Speicher nicht erreichbar, warten Messzeilen in $2, genug für $3 h"],
@@ -49,9 +43,15 @@ const PATTERNS = [
 
 export const effectName = (effect) => { const key = `effect_${effect.replaceAll(" ", "_")}`; return text(key) === key ? effect : text(key); };
 
+// A decimal point before a unit becomes a comma; addresses and versions keep theirs.
+const commas = (german) => german.replace(/(\d)\.(\d+)(?=\s?(?:[Khs]\b|°C|%|mm\b|min\b|W\/))/g, "$1,$2");
+
 export function sentence(english) {
-  if (language() !== "de" || !english) return english ?? "";
-  for (const [pattern, german] of PATTERNS) if (pattern.test(english)) return english.replace(pattern, german);
+  return language() !== "de" || !english ? english ?? "" : commas(german(english));
+}
+
+function german(english) {
+  for (const [pattern, told] of PATTERNS) if (pattern.test(english)) return english.replace(pattern, told);
   const lost = /^logger (.+) does not answer: (.+); recording goes on without it, trying again$/.exec(english);
   if (lost) return `Messgerät ${lost[1]} antwortet nicht: ${sentence(lost[2])}; die Aufzeichnung läuft ohne es weiter und versucht es wieder`;
   const why = reason(english, effectName);

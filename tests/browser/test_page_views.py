@@ -196,6 +196,13 @@ SAID = (
     "open; scans wait in memory, enough for 2.8 h",
     "store lab.sqlite takes data again; everything kept is written",
     "the changed configuration is in force",
+    "run lab-2026-11-21-341 could not be fitted: store: column 'platen_bottom' is empty for 69.0 s around "
+    "time_s = 0; at most 10 s of boundary.bottom are bridged: cut the run there",
+    "lab: 12 of 14 runs fitted, 2 could not be; diagnosis: unknown_effect; model lab-1 promoted: first model, "
+    "coefficients of 12 runs; nothing changed",
+    "lab: 3 of 3 runs fitted, 0 could not be; diagnosis: too_few_runs; model none stays: 3 runs fitted, "
+    "6 are needed",
+    f"lab: 9 of 9 runs fitted, 0 could not be; diagnosis: named; model lab-1 stays: lab-2 rejected, {REASON}",
     "lab: logger upper: cannot connect to 192.168.0.21:502: unreachable; nobody answers at this address; check "
     "power, cable and host",
     "lab: 12 of 40 runs fitted, 0 could not be; diagnosis: no_effect; model m-1 stays: too few runs to judge by",
@@ -257,3 +264,53 @@ def test_a_core_nobody_updates_any_more_gives_way_to_the_reason(served):
     expect(page.get_by_test_id("core")).to_have_text("50.0°C")
     feed.stop.set()
     writer.join(20)
+
+
+def test_the_skip_link_reaches_the_content_and_stays_in_the_view(plant):
+    address, page, _ = plant
+    page.goto(address + "#/runs")
+    expect(page.get_by_role("heading", name="Runs")).to_be_visible()
+    page.keyboard.press("Tab")
+    page.keyboard.press("Enter")
+    assert page.evaluate("document.activeElement.id") == "view"
+    assert page.url.endswith("#/runs")
+    page.evaluate("location.hash = '#view'")
+    expect(page.get_by_role("heading", name="Runs")).to_be_visible()
+
+
+def test_before_the_first_answer_the_page_is_loading_and_not_cut_off(served):
+    server, _, page = served
+    page.route("**/api/v1/press*", lambda _: None)  # never answered
+    page.goto(server.url)
+    expect(page.locator("#link")).to_have_text("connecting …")
+    shown = "getComputedStyle(document.querySelector('main .stack'), '::after').content"
+    assert page.evaluate(shown) == '"loading …"'
+
+
+def test_a_change_is_tried_from_the_api_page_with_a_body(plant):
+    address, page, token = plant
+    with_token(page, token)
+    page.goto(address + "docs")
+    entry = page.locator("details", has_text="PATCH /api/v1/runs/{run}").first
+    entry.locator("summary").click()
+    entry.get_by_label("run", exact=True).fill("campaign-1")
+    entry.get_by_label("body").fill('{"header": {"order": "A-17"}}')
+    entry.get_by_role("button", name="Try").click()
+    expect(entry.locator("pre")).to_contain_text('"order": "A-17"')
+
+
+def test_metadata_are_german_several_are_added_at_once_and_the_name_stays(plant):
+    address, page, token = plant
+    with_token(page, token)
+    page.add_init_script("localStorage.setItem('kerntemp-language', 'de')")
+    page.goto(address + "#/runs/campaign-1")
+    card = page.get_by_test_id("metadata")
+    card.get_by_role("button", name="Ändern").click()
+    expect(card.get_by_label("run", exact=True)).to_have_count(0)
+    for i, name in enumerate(("setting.speed_mm_s", "setting.batch")):
+        card.get_by_label("Neuer Name").nth(i).fill(name)
+        card.get_by_label("Wert").nth(i).fill("2,5")
+    card.get_by_role("button", name="Speichern").click()
+    expect(card).to_contain_text("setting.speed_mm_s2,5", use_inner_text=False)
+    expect(card).to_contain_text("setting.batch")
+    expect(page.get_by_test_id("simulation")).to_contain_text("Platte oben")
