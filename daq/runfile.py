@@ -66,7 +66,7 @@ def write_run(run: Run, path: Path) -> None:
         For a run that no run file can hold: times that do not rise, infinite values, impossible names.
     """
     path = Path(path)
-    header = {**run.header, "run": run.name} if str(run.header.get("run")) != run.name else dict(run.header)
+    header = {**run.header, "run": run.name} if str(run.header.get("run", "")) != run.name else dict(run.header)
     names = (TIME, *run.columns)
     columns = [np.asarray(run.time_s, float), *(np.asarray(c, float) for c in run.columns.values())]
     _check_names([*names, *run.texts], str(path))
