@@ -22,7 +22,7 @@ from starlette.types import Receive, Scope, Send
 from api.answers import STATE_AFTER, estimate_now, run_of_scan
 from api.decimation import number_or_none
 from daq.records import Channel, InputError, Quality, Scan
-from daq.store.records import RunRecord, ScanBatch, StoreUnavailable
+from daq.store.records import RunRecord, ScanBatch, StoredPressEvent, StoreUnavailable
 from daq.store.store import Store
 
 POLL_S = 0.05
@@ -31,6 +31,8 @@ PING_S = 10.0
 """A comment this often tells proxies and browsers that the stream lives. [s]"""
 CATCH_UP_SCANS = 2000
 """A listener that missed more gets the newest this many; the rest is in `samples`."""
+CATCH_UP_FITS = 20
+"""A listener that missed more gets the fits of the newest this many fitted runs; the rest is in `coefficients`."""
 RUNS = 3
 """So many runs of each press are looked through for the one a scan belongs to."""
 QUEUE_EVENTS = 2000
@@ -107,7 +109,7 @@ def news(store: Store, position: Position, until: Position | None = None) -> Ite
     runs = _newest_runs(store)
     for press in store.presses():
         yield from _scans(store, press, runs, position, until)
-    for event in store.press_events(after=position.press_event):
+    for event in _press_events(store, position.press_event):
         if until and event.number > until.press_event:
             break
         position.press_event = event.number
@@ -133,6 +135,12 @@ def news(store: Store, position: Position, until: Position | None = None) -> Ite
             }
             yield encode("run", data, position)
     yield from _fits(store, position, until)
+
+
+def _press_events(store: Store, after: int) -> Iterator[StoredPressEvent]:
+    while events := store.press_events(after=after):
+        yield from events
+        after = events[-1].number
 
 
 def _newest_runs(store: Store) -> tuple[RunRecord, ...]:
@@ -199,7 +207,9 @@ def _fits(store: Store, position: Position, until: Position | None) -> Iterator[
     if not newest or newest[0].fit_number <= position.fit:
         return
     end = until.fit if until else newest[0].fit_number
-    records = [r for r in store.coefficient_history(limit=20).items if position.fit < r.fit_number <= end]
+    records = [
+        r for r in store.coefficient_history(limit=CATCH_UP_FITS).items if position.fit < r.fit_number <= end
+    ]
     for number in sorted({record.fit_number for record in records}):
         run = next(record.run for record in records if record.fit_number == number)
         fit = store.fit(run) or {}

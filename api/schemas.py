@@ -42,7 +42,7 @@ class StoreHealth(_Answer):
     kind: str
     size_bytes: int | None
     free_bytes: int | None
-    hours_left: float | None
+    hours_left: float | None = Field(description="At the present rate; null until 10 min and 16 MB were recorded.")
 
 
 class Health(_Answer):

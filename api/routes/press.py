@@ -54,7 +54,11 @@ def list_channels(store: StoreDep, press: PressName = None) -> ChannelList:
 async def follow_live(
     request: Request, last_event_id: Annotated[str, Header(max_length=2000)] = ""
 ) -> EventStream:
-    """Stream events from now on; with `Last-Event-ID`, first those missed since."""
+    """Stream events from now on; with `Last-Event-ID`, first those missed since.
+
+    Missed are told all press events, of each press the newest 2000 scans and estimates, the newest 3 runs, and the
+    20 newest fits. Of what was longer ago `/runs/{run}/samples`, `/runs/{run}/estimates` and `/coefficients` tell.
+    """
     hub = request.app.state.hub
     if not isinstance(hub, Hub):
         raise TypeError("the application was made without a hub")

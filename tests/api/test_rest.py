@@ -7,6 +7,8 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from api.health import hours_left
+
 RUN = "/api/v1/runs/lab-2026-03-04-01"
 JSON = {"Content-Type": "application/json"}
 
@@ -158,6 +160,13 @@ def test_health_names_the_process_that_is_missing_and_the_alarm_that_stands(clie
     assert any("sense" in alarm for alarm in health["alarms"])
     assert "logger platens: no reply in 2 s" in health["alarms"]
     assert {p["name"]: p["alive"] for p in health["processes"]} == {"record": True, "sense": False}
+
+
+def test_how_long_the_disk_lasts_is_told_only_after_enough_was_recorded(client):
+    assert client.get("/api/v1/health").json()["store"]["hours_left"] is None  # 1500 scans so far
+    assert hours_left(17_000_000, 10**9, 5_999, 10.0) is None
+    assert hours_left(15_000_000, 10**9, 60_000, 10.0) is None
+    assert hours_left(18_000_000, 10**9, 60_000, 10.0) == pytest.approx(92.6)
 
 
 def test_metrics_speak_prometheus(client):
