@@ -288,6 +288,10 @@ class Follower:
         record = self.store.open_run(self.name)
         live = self.live
         if live is not None and (record is None or record.run != live.record.run):
+            # It may have ended between the two questions, with scans this process has not seen.
+            self._ended = self.store.ended_runs_after(self.name, self.last, BATCH)
+            if self._ended:
+                return
             self._finish(live)
             self.live = live = None
         if record is None:
@@ -380,9 +384,12 @@ class Follower:
 
     def _fit_what_was_left(self, last: int) -> None:
         """Fit those of the newest runs up to a scan that a process killed before this one has left."""
-        for record in reversed(self.store.runs(press=self.name, limit=NEWEST_RUNS).items):
+        records = self.store.runs(press=self.name, limit=HISTORY_RUNS).items
+        fits = self.store.fits([r.run for r in records])
+        said = {e.message.partition(" could not be fitted")[0] for e in self.store.journal(limit=500).items}
+        for record in reversed(records):
             seen = record.last_scan is not None and record.last_scan <= last
-            if seen and "fingerprint" not in (self.store.fit(record.run) or {}):
+            if seen and "fingerprint" not in fits.get(record.run, {}) and f"run {record.run}" not in said:
                 self._fit_whole(record)
 
     def _fit_whole(self, record: RunRecord) -> None:

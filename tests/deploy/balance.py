@@ -20,8 +20,9 @@ from daq.pressline import LEFT_OUT_SAID_EVERY_S
 from daq.records import Moments, Quality
 from daq.store import RunStatus, Store
 
-AFTER_S = 4.0
-"""A fault explains values that are missing until this long after its end: a driver rests between its tries. [s]"""
+AFTER_S = 6.0
+"""A fault explains values that are missing until this long after its end: a driver that rests between its tries is
+back within 5 s (`tests/daq/test_faults_outages.py`). [s]"""
 BLIND_S = 3.0
 """A face unseen this long, or scans this far apart, can hide a moment of the press. [s of the press]"""
 MARGIN_S = 10.0

@@ -368,6 +368,37 @@ def test_a_kill_before_a_pressing_was_caught_up_with_leaves_no_scan_of_it_withou
     assert store.last_scan_followed("lab") == store.newest_estimate_number("lab")
 
 
+def test_a_run_that_ends_between_two_questions_keeps_all_its_estimates(store, fitter, pressing):
+    class Overtaken:
+        """A store in which the recorder writes a run's end just before the open run is asked for."""
+
+        def __init__(self):
+            self.armed = False
+
+        def __getattr__(self, name):
+            return getattr(store, name)
+
+        def open_run(self, press):
+            if self.armed:
+                self.armed = False
+                recorder.put(1000)
+            return store.open_run(press)
+
+    run, _ = pressing
+    recorder, overtaken = Recorder(store, run), Overtaken()
+    sense = follower(overtaken, fitter)
+    while (live := store.open_run("lab")) is None or not live.moments.opened_s > 0.0:
+        recorder.put(1)
+        drain(sense)
+    overtaken.armed, later = True, time.monotonic() + 1000.0
+    while sense.step(later):
+        later += 1.0
+    assert not overtaken.armed
+    (record,) = store.runs().items
+    assert store.open_run("lab") is None
+    assert len(store.estimates(record.run)) == record.last_scan - record.first_scan + 1
+
+
 def test_a_pressing_whose_fit_a_kill_prevented_is_fitted_after_the_restart(store, pressing):
     class Deaf:
         """A worker that never comes to the fit."""
