@@ -17,7 +17,7 @@ let leave = null;
 let turn = 0;
 
 // What a view gets: the chosen press, and `on(event, handler)` for live events until the view is left.
-const context = { press: null, presses: [], on: (name, handler) => listeners[name].add(handler), live: "lost" };
+const context = { press: null, presses: [], on: (name, handler) => listeners[name].add(handler), live: "waiting" };
 const listeners = { scan: new Set(), estimate: new Set(), press: new Set(), run: new Set(), fit: new Set(), link: new Set() };
 
 async function show() {
@@ -34,7 +34,7 @@ async function show() {
   }
   document.querySelector(".tabs a[aria-current]")?.scrollIntoView({ block: "nearest", inline: "center" });
   document.title = `${text(`nav_${VIEWS[name] ? name : "now"}`)} · Kerntemp`;
-  const place = el("div", { class: "stack" });
+  const place = el("div", { class: "stack", "data-loading": text("loading") });
   main.replaceChildren(place);
   try {
     const done = await view.show(place, context, rest);
@@ -86,7 +86,12 @@ document.getElementById("language").addEventListener("click", () => {
   show();
 });
 document.getElementById("press").addEventListener("change", (event) => { context.press = event.target.value; show(); });
-addEventListener("hashchange", () => { show(); main.focus({ preventScroll: true }); });
+addEventListener("hashchange", () => {
+  if (location.hash && !location.hash.startsWith("#/")) return; // a place in this view, not another view
+  show();
+  main.focus({ preventScroll: true });
+});
+document.querySelector(".skip").addEventListener("click", (event) => { event.preventDefault(); main.focus(); });
 
 // One line for the screen reader when something happens, not for each scan.
 export function announce(message) {
@@ -121,7 +126,7 @@ function connect() {
     handlers[name] = (data) => { for (const handler of listeners[name]) handler(data); };
   }
   follow(handlers, async (state) => {
-    const back = state === "live" && context.live === "lost";
+    const back = state === "live" && context.live !== "live";
     context.live = state;
     showLink();
     if (back && !context.presses.length) { await refreshPresses(); if (context.presses.length) show(); }
@@ -131,6 +136,7 @@ function connect() {
 
 setTheme(chosenTheme());
 translate();
+main.replaceChildren(el("div", { class: "stack", "data-loading": text("loading") }));
 await refreshPresses();
 show();
 connect();

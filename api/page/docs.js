@@ -25,6 +25,9 @@ view.append(el("section", { class: "card" }, el("h2", {}, "schemas"), Object.ent
 
 function operationBlock({ path, method, operation }) {
   const fields = (operation.parameters ?? []).map((parameter) => ({ parameter, input: el("input", { type: "text", "aria-label": parameter.name, placeholder: parameter.required ? "required" : "" }) }));
+  const wanted = operation.requestBody?.content?.["application/json"]?.schema;
+  const body = wanted && el("textarea", { rows: 5, "aria-label": "body", style: "width:100%;font-family:monospace" });
+  if (body) body.value = "{}";
   const output = el("pre", { class: "small scroll", hidden: true, style: "max-height:22rem" });
   const run = async () => {
     let target = path.replace(/^\//, "");
@@ -35,7 +38,8 @@ function operationBlock({ path, method, operation }) {
       else if (parameter.in === "query") query.push(`${parameter.name}=${encodeURIComponent(input.value)}`);
     }
     const headers = token.get() ? { Authorization: `Bearer ${token.get()}` } : {};
-    const answer = await fetch(query.length ? `${target}?${query.join("&")}` : target, { method: method.toUpperCase(), headers });
+    if (body) headers["Content-Type"] = "application/json";
+    const answer = await fetch(query.length ? `${target}?${query.join("&")}` : target, { method: method.toUpperCase(), headers, body: body?.value });
     const content = (await answer.text()).slice(0, 20000);
     let shown = content;
     try { shown = JSON.stringify(JSON.parse(content), null, 2); } catch { /* not JSON */ }
@@ -50,6 +54,7 @@ function operationBlock({ path, method, operation }) {
     el("div", { class: "stack", style: "padding:.6rem 0 1rem 1rem" }, el("p", {}, operation.description ?? ""),
       fields.length ? el("table", { class: "list" }, fields.map(({ parameter, input }) =>
         el("tr", {}, el("td", {}, el("code", {}, parameter.name)), el("td", { class: "faint small" }, parameter.in), el("td", {}, kind(parameter.schema)), el("td", { class: "small" }, parameter.description ?? ""), el("td", {}, input)))) : "",
+      body ? el("div", {}, el("p", { class: "small" }, "body ", kind(wanted)), body) : "",
       el("ul", { class: "small" }, answers),
       path.endsWith("/live") ? "" : el("div", {}, el("button", { type: "button", class: "button", onclick: run }, "Try")), output));
 }

@@ -31,6 +31,14 @@ export function figure(value) {
   return number(value, size >= 100 ? 0 : size >= 10 ? 1 : size >= 0.1 ? 2 : 4);
 }
 
+// A number as it was written down, with the language's decimal sign.
+export const written = (value) => new Intl.NumberFormat(locale(), { maximumFractionDigits: 12, useGrouping: false }).format(value);
+
+// Date and time, that part only between each other.
+export function when(utc) {
+  return el("span", { class: "when" }, clock(utc).split(/(?<=,) /).map((part, i) => [i ? " " : "", el("span", { class: "num" }, part)]));
+}
+
 export function clock(utc, withDate = true) {
   if (!utc) return "–";
   const options = withDate ? { dateStyle: "short", timeStyle: "medium" } : { timeStyle: "medium" };
@@ -54,13 +62,14 @@ export function bytes(value) {
   return `${number(value, i ? 1 : 0)} ${units[i]}`;
 }
 
+// With `cards`, a narrow screen shows each row as a card, without what is nil.
 export function table(caption, heads, rows, options = {}) {
-  const holder = el("div", { class: "scroll" }, el("table", { class: "list" },
+  const holder = el("div", { class: "scroll" }, el("table", { class: options.cards ? "list cards" : "list" },
     el("caption", { class: "unseen" }, caption),
     el("thead", {}, el("tr", {}, heads.map((head) =>
       el("th", { scope: "col", class: head.class }, head.unseen ? el("span", { class: "unseen" }, head.text) : head.text)))),
     el("tbody", {}, rows.map((row, i) => {
-      const node = el("tr", {}, row.map((cell, j) => el("td", { class: heads[j].class }, cell ?? "–")));
+      const node = el("tr", {}, row.map((cell, j) => el("td", { class: [heads[j].class, options.cards && ["0", "–"].includes(cell?.textContent ?? cell) && "nil"].filter(Boolean).join(" ") || null, "data-label": options.cards && heads[j].text }, cell ?? "–")));
       if (options.pick) {
         node.className = "pick";
         node.addEventListener("click", (event) => { if (!event.target.closest("a,input,button")) options.pick(i); });

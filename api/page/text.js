@@ -13,6 +13,9 @@ const WORDS = {
   api_docs: ["API", "API"],
   access: ["Access", "Zugang"],
   link_live: ["live", "live"],
+  link_waiting: ["connecting …", "verbindet …"],
+  loading: ["loading …", "wird geladen …"],
+  no_answer: ["The server does not answer.", "Der Server antwortet nicht."],
   link_lost: ["no connection", "keine Verbindung"],
   could_not_load: ["This view could not be loaded.", "Diese Ansicht konnte nicht geladen werden."],
   need_token: ["Give an access token", "Zugangsschlüssel eingeben"],
@@ -274,6 +277,11 @@ export function setLanguage(value) {
 
 // The reader's own variant of the language, for dates and numbers: English may be en-GB.
 export const locale = () => navigator.languages.find((name) => name.startsWith(chosen)) ?? chosen;
+
+const PLACES = { "panel.top": "sensors_top", "panel.bottom": "sensors_bottom", core: "core_temperature" };
+
+// Where a sensor sits, in words; a place without any stands for itself.
+export const placeName = (place) => (PLACES[place] ? text(PLACES[place]) : place);
 
 // A key without an entry stands for itself.
 export const text = (key) => WORDS[key]?.[chosen === "de" ? 1 : 0] ?? key;

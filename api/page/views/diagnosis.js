@@ -2,7 +2,7 @@
 import { get, post } from "../api.js";
 import { clock, el, figure, number, table } from "../dom.js";
 import { effectName as name, sentence as said } from "../sentences.js";
-import { text } from "../text.js";
+import { placeName, text } from "../text.js";
 
 export async function show(place, context) {
   const press = context.presses.length > 1 ? context.press : "";
@@ -55,8 +55,10 @@ function effectBlock(effect) {
       effect.explained_share !== null && effect.explained_share !== undefined && `${text("explains")} ${number(100 * effect.explained_share, 0)} %`].filter(Boolean).join(" · ")));
 }
 
+const SHOWN_K = 0.0005; // less is written as 0.000
+
 function candidatesCard(d) {
-  const items = (d.candidates ?? []).slice(0, 10);
+  const items = (d.candidates ?? []).filter((c) => Math.abs(c.heldout_gain_K ?? 0) >= SHOWN_K).sort((a, b) => b.heldout_gain_K - a.heldout_gain_K).slice(0, 10);
   const best = Math.max(...items.map((c) => c.heldout_gain_K ?? 0), 1e-9);
   return el("section", { class: "card" }, el("h2", {}, text("evidence")), items.length ? el("div", { class: "bars" }, items.map((c) =>
     el("div", { class: `bar-row ${d.effects.some((e) => e.name === c.name) ? "first" : ""}` }, el("span", {}, name(c.name)), el("i", { style: `width:${Math.max(0, (100 * (c.heldout_gain_K ?? 0)) / best)}%` }),
@@ -66,7 +68,7 @@ function candidatesCard(d) {
 function whereCard(d) {
   return el("section", { class: "card" }, el("h2", {}, text("where")), d.where?.length ? table(text("where"),
     [{ text: text("signal") }, { text: text("state") }, { text: text("when"), class: "right" }, { text: text("residual_short"), class: "right" }],
-    d.where.slice(0, 8).map((w) => [w.signal, text(`state_${w.state}`), el("span", { class: "num" }, w.to_s === null ? `> ${number(w.from_s, 0)} s` : `${number(w.from_s, 0)} … ${number(w.to_s, 0)} s`), el("span", { class: "num" }, `${number(w.residual_K, 2)} K`)])) : el("p", { class: "faint" }, text("nowhere")));
+    d.where.slice(0, 8).map((w) => [placeName(w.signal), text(`state_${w.state}`), el("span", { class: "num" }, w.to_s === null ? `> ${number(w.from_s, 0)} s` : `${number(w.from_s, 0)} … ${number(w.to_s, 0)} s`), el("span", { class: "num" }, `${number(w.residual_K, 2)} K`)])) : el("p", { class: "faint" }, text("nowhere")));
 }
 
 function historyCard(items, choose) {

@@ -1,6 +1,6 @@
 // Loggers: each channel's last good time and faults, the processes, the store and how long its disk lasts.
 import { get } from "../api.js";
-import { bytes, clock, duration, el, number, table } from "../dom.js";
+import { bytes, clock, duration, el, number, table, when } from "../dom.js";
 import { sentence } from "../sentences.js";
 import { text } from "../text.js";
 
@@ -34,12 +34,12 @@ function processCard({ processes }) {
 }
 
 function clockCard(health, channels, events) {
-  const here = (Date.parse(health.utc) - Date.now()) / 1000;
+  const here = Math.round((Date.parse(health.utc) - Date.now()) / 100) / 10;
   const set = events.find((event) => event.message.startsWith("the clock of this machine was set"));
   const ages = channels.map((channel) => channel.age_s).filter((age) => age !== null);
   return el("section", { class: "card" }, el("h2", {}, text("clock")),
     el("dl", { class: "facts" }, [[text("newest_scan"), ages.length ? text("ago").replace("{time}", duration(Math.max(Math.min(...ages), 0))) : "–"],
-      [text("clock_here"), `${here >= 0 ? "+" : "−"}${number(Math.abs(here), 1)} s`],
+      [text("clock_here"), `${here > 0 ? "+" : here < 0 ? "−" : ""}${number(Math.abs(here), 1)} s`],
       [text("clock_set"), set ? `${clock(set.utc)} ${/by ([+-][\d.]+ s)/.exec(set.message)?.[1] ?? ""}` : text("clock_never")]].flatMap(([name, value]) => [el("dt", {}, name), el("dd", {}, value)])));
 }
 
@@ -57,12 +57,12 @@ function channelCard(items) {
       el("span", { class: `pill ${["good", "simulated"].includes(c.quality) ? "good" : "bad"}` }, text(`quality_${c.quality}`)),
       el("span", { class: "num" }, clock(c.last_good_utc, false)), count(c.gaps_last_hour),
       ...Object.entries(COUNTED).map(([name, causes]) => count(of(c, causes), name === "readings")),
-      el("span", { title: others(c).map(([cause, n]) => `${text(`cause_${cause.replaceAll(" ", "_")}`)}: ${n}`).join(", ") }, count(others(c).reduce((sum, [, n]) => sum + n, 0)))])) : el("p", { class: "faint" }, text("no_channels")));
+      el("span", { title: others(c).map(([cause, n]) => `${text(`cause_${cause.replaceAll(" ", "_")}`)}: ${n}`).join(", ") }, count(others(c).reduce((sum, [, n]) => sum + n, 0)))]), { cards: true }) : el("p", { class: "faint" }, text("no_channels")));
 }
 
 const count = (value, usual = false) => el("span", { class: value && !usual ? "num warn-text" : "num" }, number(value, 0));
 
 function eventCard(items) {
   return el("section", { class: "card" }, el("h2", {}, text("events")), items.length ? table(text("events"), [{ text: text("when") }, { text: text("process"), class: "hide-narrow" }, { text: text("what") }],
-    items.map((e) => [el("span", { class: "num" }, clock(e.utc)), e.process, el("span", {}, e.level === "info" ? "" : el("span", { class: `pill ${e.level === "alarm" ? "bad" : "warn"}` }, text(`level_${e.level}`)), " ", sentence(e.message))])) : el("p", { class: "faint" }, "–"));
+    items.map((e) => [when(e.utc), e.process, el("span", {}, e.level === "info" ? "" : el("span", { class: `pill ${e.level === "alarm" ? "bad" : "warn"}` }, text(`level_${e.level}`)), " ", sentence(e.message))])) : el("p", { class: "faint" }, "–"));
 }

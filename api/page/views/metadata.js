@@ -1,6 +1,6 @@
 // What people know about a run: remark and header, changed with a token that may write, and the history of the changes.
 import { patch } from "../api.js";
-import { clock, el, table } from "../dom.js";
+import { clock, el, table, written } from "../dom.js";
 import { text } from "../text.js";
 
 export function metadataCard(run, path) {
@@ -18,7 +18,7 @@ export function metadataCard(run, path) {
   return card;
 }
 
-const shown = (value) => (value === null || value === undefined || value === "" ? "–" : typeof value === "object" ? JSON.stringify(value) : String(value));
+const shown = (value) => (value === null || value === undefined || value === "" ? "–" : typeof value === "number" ? written(value) : typeof value === "object" ? JSON.stringify(value) : String(value));
 
 function historyOf(changes) {
   return el("details", {}, el("summary", { class: "small" }, `${text("changes")} (${changes.length})`),
@@ -29,23 +29,31 @@ function historyOf(changes) {
 function editor(run, path, cancel, done) {
   const remark = el("textarea", { rows: 3, maxlength: 4000, id: "remark" });
   remark.value = run.remark;
-  const simple = Object.entries(run.header).filter(([, value]) => typeof value !== "object");
-  const fields = simple.map(([name, value]) => ({ name, value, input: el("input", { type: "text", id: `header-${name}`, value: String(value) }) }));
-  const newName = el("input", { type: "text", placeholder: "setting.pressure_N_cm2", "aria-label": text("new_key") });
-  const newValue = el("input", { type: "text", "aria-label": text("value") });
+  const simple = Object.entries(run.header).filter(([name, value]) => name !== "run" && typeof value !== "object");
+  const fields = simple.map(([name, value]) => ({ name, value, input: el("input", { type: "text", id: `header-${name}`, value: value === "" ? "" : shown(value) }) }));
+  const added = [];
+  const grid = el("div", { class: "fields" }, fields.map((f) => [el("label", { for: `header-${f.name}`, class: "small" }, f.name), f.input]).flat());
+  const another = () => { // an empty line waits below the last one
+    const name = el("input", { type: "text", placeholder: "setting.pressure_N_cm2", "aria-label": text("new_key") });
+    const value = el("input", { type: "text", "aria-label": text("value") });
+    name.addEventListener("input", another, { once: true });
+    added.push({ name, value });
+    grid.append(name, value);
+  };
+  another();
   const message = el("p", { class: "small bad-text", role: "alert" });
   const form = el("form", { class: "stack edit" }, el("h2", {}, text("metadata")),
     el("label", { for: "remark" }, text("remark")), remark,
-    el("div", { class: "fields" }, fields.map((f) => [el("label", { for: `header-${f.name}`, class: "small" }, f.name), f.input]).flat(), newName, newValue),
+    grid,
     el("p", { class: "small faint" }, text("empty_removes")), message,
     el("div", { class: "row" }, el("button", { class: "button primary" }, text("save")), el("button", { type: "button", class: "button", onclick: cancel }, text("cancel"))));
   form.addEventListener("submit", async (event) => {
     event.preventDefault();
     const header = {};
     for (const { name, value, input } of fields) {
-      if (input.value.trim() !== String(value)) header[name] = meant(input.value);
+      if (input.value !== (value === "" ? "" : shown(value))) header[name] = meant(input.value);
     }
-    if (newName.value.trim()) header[newName.value.trim()] = meant(newValue.value);
+    for (const { name, value } of added) if (name.value.trim()) header[name.value.trim()] = meant(value.value);
     try {
       await patch(path, remark.value === run.remark ? { header } : { remark: remark.value, header });
       done();

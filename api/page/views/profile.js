@@ -114,7 +114,7 @@ function colourBar(ctx, low, high, box) {
   ctx.fillRect(left, box.y, 12, box.h);
   ctx.fillStyle = ink;
   ctx.textAlign = "left";
-  for (const value of ticks(low, high, 5)) ctx.fillText(`${number(value, 0)} °`, left + 17, box.y + box.h * (1 - (value - low) / (high - low || 1)));
+  for (const value of ticks(low, high, 5)) ctx.fillText(`${number(value, 0)} °C`, left + 17, box.y + box.h * (1 - (value - low) / (high - low || 1)));
 }
 
 function ticks(low, high, count) {

@@ -3,7 +3,7 @@ import { download, get, url } from "../api.js";
 import { TimeChart, key } from "../charts.js";
 import { clock, duration, el, figure, number, table } from "../dom.js";
 import { sentence as said } from "../sentences.js";
-import { text } from "../text.js";
+import { placeName, text } from "../text.js";
 import { coefficientTable } from "./coefficients.js";
 import { metadataCard } from "./metadata.js";
 import { roleOf } from "./now.js";
@@ -213,18 +213,18 @@ function simulationCard(run, simulation) {
   const shown = places.filter((name) => simulation.measured[name]?.some((value) => value !== null));
   const card = el("section", { class: "card", "data-testid": "simulation" },
     el("h2", {}, text("measured_simulated")), above, el("h3", {}, text("residual")), below, key([
-      ...shown.map((name, i) => ({ name: `${name} · RMSE ${number(simulation.rmse_K[name], 2)} K`, colour: colour(name, i) })),
+      ...shown.map((name, i) => ({ name: `${placeName(name)} · RMSE ${number(simulation.rmse_K[name], 2)} K`, colour: colour(name, i) })),
       { name: text("dots_measured"), colour: "--measured", class: "dots" }, { name: text("core_simulated"), colour: "--core" }]));
   const index = shown.map((name) => places.indexOf(name));
   later(above, () => {
     new TimeChart(above, {
-      series: [...shown.map((name, i) => ({ name: `${name} ${text("simulated")}`, colour: colour(name, i), kind: "line" })),
-        ...shown.map((name, i) => ({ name: `${name} ${text("measured")}`, colour: colour(name, i), kind: "dots" })),
+      series: [...shown.map((name, i) => ({ name: `${placeName(name)} ${text("simulated")}`, colour: colour(name, i), kind: "line" })),
+        ...shown.map((name, i) => ({ name: `${placeName(name)} ${text("measured")}`, colour: colour(name, i), kind: "dots" })),
         { name: text("core_simulated"), colour: "--core", kind: "core" }],
       height: 320, label: text("measured_simulated"), phases: run.phases, sync: "run",
     }).set([simulation.time_s, ...index.map((i) => simulation.positions[places[i]]), ...index.map((i) => simulation.measured[places[i]]), simulation.core_C]);
     new TimeChart(below, {
-      series: shown.map((name, i) => ({ name, colour: colour(name, i), kind: "line", unit: "K", digits: 2 })), height: 170, label: text("residual"), yLabel: "K", phases: run.phases, sync: "run", yRange: calmRange(index.map((i) => residual[i])),
+      series: shown.map((name, i) => ({ name: placeName(name), colour: colour(name, i), kind: "line", unit: "K", digits: 2 })), height: 170, label: text("residual"), yLabel: "K", phases: run.phases, sync: "run", yRange: calmRange(index.map((i) => residual[i])),
     }).set([simulation.time_s, ...index.map((i) => residual[i])]);
   });
   return card;
