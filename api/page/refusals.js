@@ -33,6 +33,8 @@ const REQUESTS = [
   [/^run (.+): its press was stored without a press file$/, "Pressung $1: ihre Presse wurde ohne Pressendatei gespeichert"],
   [/^(?:run )?(\S+): header key (.+) = (.+): must be a number from (.+) to (.+)$/, "Pressung $1: $2 = $3: muss eine Zahl von $4 bis $5 sein"],
   [/^(?:run )?(\S+): header key (\S+) is missing and material (.+) is not in the table \((.+)\).*$/, "Pressung $1: $2 fehlt, und Material $3 steht nicht in der Tabelle ($4)"],
+  [/^body\.header\.(.+)\.\[key\]: String should match pattern .*$/, "$1: ein Name hat nur Buchstaben, Ziffern, _ und -, mit Punkten dazwischen"],
+  [/^(?:run )?(\S+): header key (\S+): the press file has no such place$/, "Pressung $1: $2 gibt es in der Pressendatei nicht"],
   [/^header\.(\S+) = (.+): must be a number$/, "$1 = $2: muss eine Zahl sein"],
   [/^store: header key (\S+) is missing.*$/, "$1 fehlt im Kopf"],
   [/^(?:run )?(\S+): header key (\S+) is missing.*$/, "Pressung $1: $2 fehlt"],

@@ -196,6 +196,12 @@ SAID = (
     "open; scans wait in memory, enough for 2.8 h",
     "store lab.sqlite takes data again; everything kept is written",
     "the changed configuration is in force",
+    r"body.header.two words.[key]: String should match pattern '^[A-Za-z0-9_-]+(\.[A-Za-z0-9_-]+)*$'",
+    "run campaign-1: header key layer.lid.thickness_mm: the press file has no such place",
+    "header.setting.speed_mm_s = 'high': must be a number",
+    "run campaign-1: header key panel.density_kg_m3 is missing and material 'Unobtainium' is not in the table "
+    "(MDF, PB); add '# panel.density_kg_m3 = ...'",
+    "token tablet created, scope read",
     "run lab-2026-11-21-341 could not be fitted: store: column 'platen_bottom' is empty for 69.0 s around "
     "time_s = 0; at most 10 s of boundary.bottom are bridged: cut the run there",
     "lab: 12 of 14 runs fitted, 2 could not be; diagnosis: unknown_effect; model lab-1 promoted: first model, "
