@@ -31,7 +31,7 @@ from softsensor.fit_problem import (
     rows_with_panel,
     with_motion,
 )
-from softsensor.fit_remarks import remarks
+from softsensor.fit_remarks import remarks, without_spikes
 from softsensor.fit_result import RunFit, channel_residuals, misfit_of, rms, run_fit
 from softsensor.fit_unknowns import chain_priors, free_names, known_before, neutral_values, parameter_unknown
 from softsensor.identifiability import held_against, judge
@@ -46,6 +46,8 @@ COARSE_NOISE = replace(FIRST_NOISE, white_K=5.0)
 """For a second search where the first ends far off. With 1 K a whole pressing that is met too cold counts, as a
 slow departure with outliers at its ends, for less than a closing that is met too steep; with 5 K it does not.
 """
+SEARCH_AGAIN = 0.02
+"""Share of the readings' span: where more is left, the second search is made."""
 BAD_LOSS = 1.0
 """Loss a value after the first search, with 1 K of noise assumed, above which other starts are tried."""
 OTHER_STARTS = (float(np.log(3.0)), -float(np.log(3.0)))
@@ -96,11 +98,12 @@ def fit_run(  # noqa: PLR0913 - one argument a choice
         For a run without usable channels.
     """
     begun = time.perf_counter()
+    run, jumps = without_spikes(model.press, run)
     problem = make_problem(model, run, moments, start=start, priors=priors, free=free)
     if method != "default":
         return _fit_by_the_paper(problem, method, begun, company)
     found = _settle(problem)
-    warnings = remarks(found.problem.case, found.problem.signals, moments)
+    warnings = jumps + remarks(found.problem.case, found.problem.signals, moments)
     fitted = run_fit(found.problem, found.minimum, found.initial, warnings, begun, found.evaluations)
     if not verdicts:
         return fitted
@@ -182,9 +185,9 @@ class _Settled:
 
 
 def _settle(problem: Problem) -> _Settled:
-    """Fit a run; where the model then does not describe it, once more from coarser noise, and keep the better."""
+    """Fit a run; where much is left of it, once more from coarser noise, and keep the better."""
     found = _search(problem)
-    if not misfit_of(found.problem, found.rmse, found.left(found.initial)):
+    if not misfit_of(found.problem, found.rmse, found.left(found.initial), SEARCH_AGAIN):
         return found
     other = _search(replace(problem, noise=COARSE_NOISE))
     better = min(found, other, key=lambda settled: settled.rmse)

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-import numpy as np
+from dataclasses import replace
 
-from daq.records import Moments
+import numpy as np
+from scipy.ndimage import median_filter
+
+from daq.pressfile import Press
+from daq.records import Moments, Run
 from softsensor.admission import load_remarks
 from softsensor.case import Case
 from softsensor.fit_unknowns import gaps_at_moments
@@ -20,6 +24,43 @@ LEAD_S = 5.0
 COLD_S, COLD_SHARE = 3.0, 0.03
 """A face laid on a hot plate warms in so many seconds by a sixth of what the plate is hotter than the room; by
 less than this share it has not been laid there."""
+
+SPIKE_K, SPIKE_WINDOW, SPIKE_RATIO = 10.0, 5, 10.0
+"""A boundary cell so far from the median of the cells around it, and so many times as far as usual, was not the
+platen: tons of metal do not move by 10 K for one scan or two."""
+
+
+def without_spikes(press: Press, run: Run) -> tuple[Run, list[str]]:
+    """Leave out single cells of the measured boundaries that jump and come back; say so.
+
+    Face channels are held against their neighbours (`collect_signals`); a platen has one channel, and a single
+    cell of 150 K in it moves h_p_c by a third.
+
+    Parameters
+    ----------
+    press
+        With the run's overrides applied, or without: only its boundaries' columns are read.
+    run
+        Is not changed.
+    """
+    columns, told = dict(run.columns), []
+    ends = (press.boundary.bottom, press.boundary.top)
+    for name in dict.fromkeys(end.column for end in ends if end.column is not None):
+        if name not in columns:
+            continue
+        values = run.columns[name].copy()
+        there = np.flatnonzero(np.isfinite(values))
+        if len(there) < SPIKE_WINDOW:
+            continue
+        off = np.abs(values[there] - median_filter(values[there], SPIKE_WINDOW, mode="nearest"))
+        far = there[off > max(SPIKE_K, SPIKE_RATIO * float(np.median(off)))]
+        if len(far):
+            values[far] = np.nan
+            columns[name] = values
+            told.append(
+                f"channel {name}: {len(far)} single cells jump by more than {SPIKE_K:g} K and are left out"
+            )
+    return (replace(run, columns=columns) if told else run), told
 
 
 def remarks(case: Case, signals: Signals, moments: Moments) -> list[str]:

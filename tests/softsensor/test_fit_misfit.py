@@ -141,3 +141,25 @@ def test_insertion_and_closing_in_one_gap_are_not_made_up(switch):
     first = run.time_s >= m.inserted_s
     cut = replace(run, time_s=run.time_s[first], columns={n: c[first] for n, c in run.columns.items()})
     assert fit_campaign(PRESS, [_without(cut, m.inserted_s + 4.5, m.closed_s + 5.0)]).runs[0].met
+
+
+def test_a_spike_in_a_platen_channel_moves_no_coefficient_and_is_told(measured):
+    run, _ = measured[0]
+    spiked = run.columns["platen_top"].copy()
+    spiked[[20, 45]] += 150.0
+    spoiled = replace(run, columns=run.columns | {"platen_top": spiked})
+    sound, mended = fit_campaign(PRESS, [run, replace(spoiled, name="spiked")]).runs
+    assert any("platen_top: 2 single cells jump" in w for w in mended.warnings)
+    assert not any("single cells jump" in w for w in sound.warnings)
+    for name in ("h_p_c", "h_pp_c"):
+        log_change = np.log(mended.coefficients[name].value / sound.coefficients[name].value)
+        assert abs(log_change) < 0.02
+
+
+def test_white_noise_in_place_of_faces_is_no_description(measured):
+    run, _ = measured[0]
+    rng = np.random.default_rng(5)
+    faces = {c: rng.normal(100.0, 30.0, len(v)) for c, v in run.columns.items() if c.startswith(("top", "bottom"))}
+    (fitted,) = fit_campaign(PRESS, [replace(run, columns=run.columns | faces)]).runs
+    assert not fitted.met
+    assert not any(c.identifiable for c in fitted.coefficients.values())
