@@ -167,5 +167,5 @@ def serve(store: Store, serve_any: Callable[..., str]) -> Callable[..., str]:
 
 @pytest.fixture(scope="module")
 def client(serve: Callable[..., str]) -> Iterator[httpx.Client]:
-    with httpx.Client(base_url=serve(), timeout=20) as opened:
+    with httpx.Client(base_url=serve(), timeout=120) as opened:
         yield opened

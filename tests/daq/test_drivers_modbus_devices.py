@@ -16,7 +16,7 @@ from daq.simulated.devices import kind_of, simulated, station, wiring
 from daq.simulated.devices_converter import Converter, Switches
 from daq.simulated.devices_line import serve_serial
 
-FAST = {"timeout_s": 0.2, "drain_s": 0.05}
+FAST = {"timeout_s": 1.0, "drain_s": 0.05}
 STEP_K = {
     "adam-4118": 0.021,
     "adam-4018+": 0.005,
@@ -109,7 +109,7 @@ def test_unused_inputs_are_left_out():
 def test_a_wrong_address_is_met_with_silence():
     with (
         logger_on("adam-4118", lambda now_s: [20.0] * 8, address=7) as logger,
-        pytest.raises(NoReply, match=r"no reply in 0.2 s; check power, cable and address") as caught,
+        pytest.raises(NoReply, match=r"no reply in 1 s; check power, cable and address") as caught,
     ):
         logger.read()
     assert caught.value.cause == "silent"
