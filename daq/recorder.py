@@ -44,7 +44,6 @@ from __future__ import annotations
 
 import logging
 import os
-import signal
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -59,6 +58,7 @@ from daq.notify import Notifier
 from daq.pressfile import read_press
 from daq.pressline import Level, PressLine, Say
 from daq.records import InputError
+from daq.stopping import stop_on_signals
 from daq.store import Store, StoreUnavailable, open_store
 from daq.store.outbox import Outbox
 from daq.store.parcels import Entry, Parcel
@@ -86,7 +86,7 @@ def record(
         For what is wrong in press files, profiles or the store's address.
     """
     stop = stop or threading.Event()
-    _stop_on_signals(stop)
+    stop_on_signals(stop)
     for settings in config.press:
         read_press(settings.file)
     loggers = {settings.name: [open_logger(x) for x in settings.logger] for settings in config.press}
@@ -156,14 +156,6 @@ def _watch(
         if time.monotonic() - tidied > _TIDY_S:
             tidied = time.monotonic()
             _tidy(store, config.store.keep_idle_days, thinned)
-
-
-def _stop_on_signals(stop: threading.Event) -> None:
-    if threading.current_thread() is not threading.main_thread():
-        return
-    for name in ("SIGTERM", "SIGINT", "SIGBREAK"):
-        if hasattr(signal, name):
-            signal.signal(getattr(signal, name), lambda *_: stop.set())
 
 
 def _tidy(store: Store, keep_days: float, done: dict[int, int]) -> None:

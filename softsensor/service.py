@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import logging
 import os
-import signal
 import threading
 import time
 from concurrent.futures import Future, ProcessPoolExecutor
@@ -23,6 +22,7 @@ from daq.config import Config, PressSettings
 from daq.notify import Notifier
 from daq.pressfile import Press, read_press
 from daq.records import InputError, PressState, Run, Scan
+from daq.stopping import stop_on_signals
 from daq.store import RunRecord, RunStatus, Store, StoredEstimate, StoreUnavailable, open_store
 from softsensor.drift import RunValue, watch_all
 from softsensor.modelfile import ModelFile, parse_model
@@ -56,7 +56,7 @@ def sense(config: Config, *, stop: threading.Event | None = None) -> None:
         For what is wrong in press files or the store's address.
     """
     stop = stop or threading.Event()
-    _stop_on_signals(stop)
+    stop_on_signals(stop)
     presses = [(settings, read_press(settings.file)) for settings in config.press]
     store = _store_when_ready(config.store.url, stop)
     if store is None:
@@ -92,13 +92,6 @@ def sense(config: Config, *, stop: threading.Event | None = None) -> None:
         notifier.stopping()
         with suppress(StoreUnavailable):
             store.beat(PROCESS, _status(followers, "stopped"))
-
-
-def _stop_on_signals(stop: threading.Event) -> None:
-    if threading.current_thread() is threading.main_thread():
-        for name in ("SIGTERM", "SIGINT", "SIGBREAK"):
-            if hasattr(signal, name):
-                signal.signal(getattr(signal, name), lambda *_: stop.set())
 
 
 def _store_when_ready(url: str, stop: threading.Event) -> Store | None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import logging
 import os
-import signal
 import threading
 import time
 from collections.abc import Mapping
@@ -16,6 +15,7 @@ from api.tokens import TokenFile
 from daq.config import Config
 from daq.notify import Notifier
 from daq.records import InputError
+from daq.stopping import stop_on_signals
 from daq.store import Store, StoreUnavailable, open_store
 
 LOG = logging.getLogger("kerntemp.publish")
@@ -35,19 +35,12 @@ def publish(config: Config, tokens: TokenFile, *, stop: threading.Event | None =
     if config.mqtt is None and config.opcua is None:
         raise InputError(f"{config.path}: neither [mqtt] nor [opcua]; add the one your plant reads")
     stop = stop or threading.Event()
-    _stop_on_signals(stop)
+    stop_on_signals(stop)
     store = _store_when_ready(config.store.url, stop)
     if store is None:
         return
     with store:
         _Feeds(config, tokens, store, stop).run()
-
-
-def _stop_on_signals(stop: threading.Event) -> None:
-    if threading.current_thread() is threading.main_thread():
-        for name in ("SIGTERM", "SIGINT", "SIGBREAK"):
-            if hasattr(signal, name):
-                signal.signal(getattr(signal, name), lambda *_: stop.set())
 
 
 def _store_when_ready(url: str, stop: threading.Event) -> Store | None:
