@@ -134,7 +134,8 @@ def test_the_integrator_agrees_with_scipy_on_the_same_equations() -> None:
 
     v = np.concatenate((y.T, y.w, y.x))
     for a, b in ((0.0, 0.05), (0.05, 0.5), (0.5, 0.95), (0.95, 12.0)):
-        found = solve_ivp(rates, (a, b), v, "BDF", rtol=1e-6, atol=1e-5, args=(0.5 * (a + b),))
+        with np.errstate(invalid="ignore", over="ignore"):  # SciPy subtracts a row it never filled
+            found = solve_ivp(rates, (a, b), v, "BDF", rtol=1e-6, atol=1e-5, args=(0.5 * (a + b),))
         v = found.y[:, -1]
     s = solve(p)
     expected = v[mesh.stack.first], v[mesh.stack.last], v[mesh.stack.first + m // 2], v[n + m + 3], v[n + m + 4]

@@ -145,7 +145,10 @@ def test_press_cycle_agrees_with_tight_bdf_on_an_independent_right_hand_side(
     for a, b in zip(sorted(kinks), sorted(kinks)[1:], strict=False):
         rows = np.flatnonzero((run.time_s > a + 1e-9) & (run.time_s < b - 1e-9))
         at = np.append(run.time_s[rows], b)
-        found = solve_ivp(truth, (a, b), y, "BDF", at, rtol=1e-8, atol=1e-7, jac_sparsity=sparsity)
+        with np.errstate(
+            invalid="ignore", over="ignore"
+        ):  # SciPy subtracts a row it never filled, and does not use it
+            found = solve_ivp(truth, (a, b), y, "BDF", at, rtol=1e-8, atol=1e-7, jac_sparsity=sparsity)
         reference[rows], y = found.y[:n, :-1].T, found.y[:, -1]
         reference[np.abs(run.time_s - b) < 1e-9] = y[:n]
     fine = model.solve(_refined(model, run), values)
