@@ -23,7 +23,8 @@ from daq.notify import Notifier
 from daq.pressfile import Press, read_press
 from daq.records import InputError, PressState, Run, Scan
 from daq.stopping import stop_on_signals
-from daq.store import RunRecord, RunStatus, Store, StoredEstimate, StoreUnavailable, open_store
+from daq.store import RunRecord, RunStatus, Store, StoredEstimate, StoreUnavailable
+from daq.store.waiting import open_when_ready
 from softsensor.drift import RunValue, watch_all
 from softsensor.modelfile import ModelFile, parse_model
 from softsensor.observer import Estimate, LiveSensor
@@ -58,7 +59,7 @@ def sense(config: Config, *, stop: threading.Event | None = None) -> None:
     stop = stop or threading.Event()
     stop_on_signals(stop)
     presses = [(settings, read_press(settings.file)) for settings in config.press]
-    store = _store_when_ready(config.store.url, stop)
+    store = open_when_ready(config.store.url, stop, LOG)
     if store is None:
         return
     with store, Fitter() as fitter:
@@ -92,19 +93,6 @@ def sense(config: Config, *, stop: threading.Event | None = None) -> None:
         notifier.stopping()
         with suppress(StoreUnavailable):
             store.beat(PROCESS, _status(followers, "stopped"))
-
-
-def _store_when_ready(url: str, stop: threading.Event) -> Store | None:
-    said = False
-    while not stop.is_set():
-        try:
-            return open_store(url)
-        except StoreUnavailable as error:
-            if not said:
-                LOG.warning("%s; trying again", error)
-                said = True
-        stop.wait(2.0)
-    return None
 
 
 def _say(store: Store, level: Level, sentence: str, press: str | None = None, **detail: Any) -> None:

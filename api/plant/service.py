@@ -16,7 +16,8 @@ from daq.config import Config
 from daq.notify import Notifier
 from daq.records import InputError
 from daq.stopping import stop_on_signals
-from daq.store import Store, StoreUnavailable, open_store
+from daq.store import Store, StoreUnavailable
+from daq.store.waiting import open_when_ready
 
 LOG = logging.getLogger("kerntemp.publish")
 PROCESS = "publish"
@@ -36,24 +37,11 @@ def publish(config: Config, tokens: TokenFile, *, stop: threading.Event | None =
         raise InputError(f"{config.path}: neither [mqtt] nor [opcua]; add the one your plant reads")
     stop = stop or threading.Event()
     stop_on_signals(stop)
-    store = _store_when_ready(config.store.url, stop)
+    store = open_when_ready(config.store.url, stop, LOG)
     if store is None:
         return
     with store:
         _Feeds(config, tokens, store, stop).run()
-
-
-def _store_when_ready(url: str, stop: threading.Event) -> Store | None:
-    said = False
-    while not stop.is_set():
-        try:
-            return open_store(url)
-        except StoreUnavailable as error:
-            if not said:
-                LOG.warning("%s; trying again", error)
-                said = True
-        stop.wait(RETRY_S)
-    return None
 
 
 class _Feeds:
