@@ -78,7 +78,8 @@ def write_run(run: Run, path: Path) -> None:
         fields = [pa.field(n, pa.float64()) for n in names] + [pa.field(n, pa.string()) for n in run.texts]
         arrays = [pa.array(c, from_pandas=True) for c in columns] + [pa.array(t) for t in run.texts.values()]
         sink = io.BytesIO()
-        pq.write_table(pa.table(arrays, schema=pa.schema(fields, metadata=metadata)), sink)
+        table = pa.table(arrays, schema=pa.schema(fields, metadata=metadata))
+        pq.write_table(table, sink, write_page_checksum=True)
         _replace(path, sink.getvalue())
     else:
         _replace(path, _csv_text(header, names, columns, run.texts).encode())
@@ -364,10 +365,11 @@ def _check_table(
 
 def _read_parquet(path: Path, content: bytes) -> Run:
     try:
-        table = pq.read_table(pa.BufferReader(content))
+        table = pq.read_table(pa.BufferReader(content), page_checksum_verification=True)
     except (pa.ArrowInvalid, OSError) as error:
         reason = str(error).splitlines()[0]
-        raise InputError(f"{path}: not a readable Parquet file ({reason}); it may be cut short") from error
+        where = f"{path}: {_damaged_column(content)}"
+        raise InputError(f"{where}not a readable Parquet file ({reason}); it is cut short or damaged") from error
     names = list(table.column_names)
     _check_names(names, str(path))
     if TIME not in names:
@@ -390,6 +392,20 @@ def _read_parquet(path: Path, content: bytes) -> Run:
     own = {k: v for k, v in metadata.items() if k not in _FOREIGN_METADATA or not v.startswith("{")}
     header = {k: _metadata_value(v) for k, v in own.items()}
     return _run(path, header, names, columns, texts)
+
+
+def _damaged_column(content: bytes) -> str:
+    """Return which column of a Parquet file cannot be read, to begin a message with; empty where none can be."""
+    try:
+        file = pq.ParquetFile(pa.BufferReader(content), page_checksum_verification=True)
+    except (pa.ArrowInvalid, OSError):
+        return ""
+    for name in file.schema_arrow.names:
+        try:
+            file.read(columns=[name])
+        except (pa.ArrowInvalid, OSError):
+            return f"column {name}: "
+    return ""
 
 
 def _metadata_value(text: str) -> Any:

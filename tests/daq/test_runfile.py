@@ -278,3 +278,16 @@ def test_text_among_numbers_is_refused_by_line(tmp_path: Path) -> None:
     path.write_text("time_s,a,b\n0,1,x\n1,lost,y\n")
     with pytest.raises(InputError, match="line 3: column a: 'lost' is not a number"):
         read_run(path)
+
+
+@pytest.mark.parametrize("column", ["time_s", "top_1", "quality"])
+def test_a_parquet_file_with_one_wrong_bit_is_refused_by_column(tmp_path, column):
+    path = tmp_path / "x.parquet"
+    texts = {"quality": ("top_1=simulated", "") * 25}
+    write_run(Run("x", {}, np.arange(50.0) * 0.7, {"top_1": np.arange(50.0) / 7.0}, texts=texts), path)
+    sound = path.read_bytes()
+    place = pq.ParquetFile(path).metadata.row_group(0).column(["time_s", "top_1", "quality"].index(column))
+    middle = (place.dictionary_page_offset or place.data_page_offset) + place.total_compressed_size // 2
+    path.write_bytes(sound[:middle] + bytes([sound[middle] ^ 1]) + sound[middle + 1 :])
+    with pytest.raises(InputError, match=f"column {column}: not a readable Parquet file"):
+        read_run(path)
