@@ -38,6 +38,8 @@ class Switches:
     """Inputs switched off in the module's configuration."""
     flow_control: bool = False
     """XON/XOFF: the line is stopped while a scanning instrument works out its reply."""
+    answered_s: float = -math.inf
+    """When the inputs were last read out, on the machine's monotonic clock. [s]"""
 
 
 class Converter:
@@ -70,7 +72,9 @@ class Converter:
             if not self.switches.frozen or math.isinf(self._converted_s[0]):
                 self._convert()
             broken = self.switches.open_inputs
-            return tuple(math.nan if k in broken else v for k, v in enumerate(self._held))
+            shown = tuple(math.nan if k in broken else v for k, v in enumerate(self._held))
+            self.switches.answered_s = time.monotonic()
+            return shown
 
     def _convert(self) -> None:
         now = self._clock()

@@ -3,13 +3,18 @@
 The causes come from what the recorder and the live sensor themselves wrote: where scans begin after a start,
 which ticks were left out, each value's quality, each run's status and moments, the journal. What was broken on
 purpose is only held against them: where values stop without such a fault, or a recorder begins that nobody had
-killed, the store's word does not count. What neither explains is unaccounted for.
+killed or ended, the store's word does not count. What neither explains is unaccounted for.
+
+A scan carries what its loggers answered since the scan before, or once, late, an answer to the tick before; its
+stamp lies within a period and a half of its tick, or later where the machine was busy. Which of its answers were
+spoiled the simulated device knows: so a value not there is a fault's, if the fault overlaps the time from the
+second scan before to the second scan after.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
@@ -20,14 +25,16 @@ from daq.pressline import LEFT_OUT_SAID_EVERY_S
 from daq.records import Moments, Quality
 from daq.store import RunStatus, Store
 
-AFTER_S = 6.0
-"""A fault explains values that are missing until this long after its end: a driver that rests between its tries is
-back within 5 s (`tests/daq/test_faults_outages.py`). [s]"""
 BLIND_S = 3.0
 """A face unseen this long, or scans this far apart, can hide a moment of the press. [s of the press]"""
 MARGIN_S = 10.0
 """How far from a moment the scans lie that show it. [s of the press]"""
+NEIGHBOURS = 2
+"""How many scans before and after a value's own may hold its answer's moment."""
+SETTLED = 25
+"""Scans at each end of a recorder's life whose median tells its schedule."""
 AWAY = "recorder away"
+RESTARTED = "recorder ended in order"
 
 
 @dataclass(frozen=True)
@@ -36,24 +43,40 @@ class Fault:
 
     kind: str
     begin_s: float
+    """Of a logger: its last sound answer before."""
     end_s: float
+    """Of a logger: its first sound answers after."""
+    columns: tuple[str, ...] = ()
+    """What it spoils."""
+
+
+@dataclass(frozen=True)
+class Shift:
+    """Scans of one pace, from one number on."""
+
+    first_scan: int
+    speed: float
+    rate_hz: float
 
 
 @dataclass(frozen=True)
 class Truth:
-    """What truly happened; all times on the scans' clock, monotonic seconds times speed."""
+    """What truly happened; pressings on the plant's clock. [s of the press]"""
 
     press: str
-    speed: float
-    rate_hz: float
+    shifts: Sequence[Shift]
+    plant_s: Callable[[float], float]
+    """The plant's clock at a moment of the machine's monotonic one."""
     faults: Sequence[Fault]
     pressings: Mapping[int, Moments]
     clock_steps: int
 
-    def during(self, kind: str, begin_s: float, end_s: float) -> bool:
-        """Whether a fault of a kind, with what it takes to recover, lies over a stretch."""
-        found = (f for f in self.faults if f.kind == kind)
-        return any(f.begin_s * self.speed <= end_s and begin_s <= (f.end_s + AFTER_S) * self.speed for f in found)
+    def during(self, kind: str, begin_s: float, end_s: float, column: str = "") -> bool:
+        """Whether a fault of a kind lies over a stretch of the machine's monotonic clock, and spoils a column."""
+        return any(
+            f.kind == kind and f.begin_s <= end_s and begin_s <= f.end_s and (not column or column in f.columns)
+            for f in self.faults
+        )
 
 
 @dataclass
@@ -72,13 +95,15 @@ class Balance:
         at = f" ({'; '.join(str(x) for x in where[:6])})" if rest and where else ""
         self.lines.append(f"{what:18} due {due}, there {there}{named}, unaccounted {rest}{at}")
 
-    def weigh(self, name: str, sizes: Sequence[tuple[int, float, int]]) -> None:
+    def weigh(self, name: str, sizes: Sequence[tuple[int, float, int]], plant_s: Callable[[float], float]) -> None:
         """Add a line on the memory of the longest-lived process: after its first fifth, first half against second.
 
         Parameters
         ----------
         sizes
             Process id, machine's monotonic time [s], resident memory [bytes], as they were seen.
+        plant_s
+            The plant's clock at a moment of the machine's.
         """
         pid = Counter(pid for pid, _, _ in sizes).most_common(1)[0][0]
         lived = [(at_s, size) for p, at_s, size in sizes if p == pid]
@@ -91,7 +116,8 @@ class Balance:
         minutes = (lived[-1][0] - lived[0][0]) / 60.0
         self.lines.append(
             f"{'memory ' + name:18} {first:.1f} MB, later {second:.1f} MB ({second / first - 1:+.1%}), "
-            f"one process over {minutes:.0f} min"
+            f"one process over {minutes:.0f} min, {(plant_s(lived[-1][0]) - plant_s(lived[0][0])) / 3600.0:.1f} h "
+            "of the press"
         )
 
 
@@ -100,8 +126,14 @@ class _Scans:
     """All scans of the press, as arrays, cut where a recorder began."""
 
     numbers: Any
+    stamps: Any
+    """As stored: monotonic times the speed of its recorder. [s]"""
+    real_s: Any
+    """On the machine's monotonic clock. [s]"""
     times: Any
-    """[s]"""
+    """On the plant's clock. [s]"""
+    periods: Any
+    """From tick to tick. [s of the press]"""
     qualities: list[tuple[Quality, ...]]
     columns: tuple[str, ...]
     begins: Any
@@ -124,7 +156,6 @@ class _Count:
         self.journal = _journal(store)
         self.runs = _runs(store)
         self.scans = self._load()
-        self.period_s = 1.0 / truth.rate_hz
         self.blind = list(self._blind())
         self._count_scans()
         self._count_values()
@@ -137,14 +168,21 @@ class _Count:
 
     def _load(self) -> _Scans:
         begun = {e.detail["monotonic_s"] for e in self.journal if "scans begin" in e.message}
-        numbers, times, qualities = [], [], []
+        numbers, stamps, qualities = [], [], []
         for scan in _scans(self.store, self.truth.press):
             numbers.append(scan.number)
-            times.append(scan.monotonic_s)
+            stamps.append(scan.monotonic_s)
             qualities.append(scan.qualities)
-        begins = [i for i, at in enumerate(times) if i == 0 or at in begun]
+        begins = [i for i, at in enumerate(stamps) if i == 0 or at in begun]
         columns = tuple(c.name for c in self.store.channels(self.truth.press))
-        return _Scans(np.array(numbers), np.array(times), qualities, columns, np.array(begins))
+        firsts = [shift.first_scan for shift in self.truth.shifts]
+        which = np.searchsorted(firsts, numbers, side="right") - 1
+        real_s = np.array(stamps) / np.array([shift.speed for shift in self.truth.shifts])[which]
+        times = np.array([self.truth.plant_s(at) for at in real_s.tolist()])
+        periods = np.array([1.0 / shift.rate_hz for shift in self.truth.shifts])[which]
+        return _Scans(
+            np.array(numbers), np.array(stamps), real_s, times, periods, qualities, columns, np.array(begins)
+        )
 
     # --- scans and values ---------------------------------------------------------------------------
 
@@ -154,31 +192,33 @@ class _Count:
         causes: Counter[str] = Counter()
         scans, silent, where = self.scans, 0, []
         for number, session in enumerate(scans.sessions):
-            times = scans.times[session]
+            times, period_s = scans.stamps[session], scans.periods[session][0]
             left_out = np.cumsum([said.get(at, 0) for at in times.tolist()])
-            ahead = (times - times[0]) / self.period_s - np.arange(len(times)) - left_out
-            unsaid = round(float(np.median(ahead[-5:]) - np.median(ahead[:5])))
+            ahead = (times - times[0]) / period_s - np.arange(len(times)) - left_out
+            unsaid = _grown(ahead, ahead)
             early = ahead[times < times[-1] - LEFT_OUT_SAID_EVERY_S]
             killed = number + 1 < len(scans.sessions)
-            before = round(float(np.median(early[-5:]) - np.median(ahead[:5]))) if len(early) else 0
+            before = _grown(ahead, early)
             causes["left out, as journalled"] += int(left_out[-1])
             if killed:
                 causes["left out in the minute before a kill, not journalled any more"] += unsaid - before
             lost = before if killed else unsaid
             silent += lost
             where += [f"{lost} in the session from {times[0]:.1f} s"] if lost else []
-        for before_s, after_s, cause in self.blind:
-            if cause == AWAY:
-                ticks = round((after_s - before_s) / self.period_s) - 1
-                if self.truth.during("recorder killed", before_s, after_s):
-                    causes["recorder killed, away until it began anew"] += ticks
-                else:
-                    silent += ticks
-                    where.append(f"no recorder at {before_s:.1f} s")
+        for i in scans.begins[1:].tolist():
+            ticks = round((scans.times[i] - scans.times[i - 1]) / scans.periods[i]) - 1
+            between = float(scans.real_s[i - 1]), float(scans.real_s[i])
+            if self.truth.during("recorder killed", *between):
+                causes["recorder killed, away until it began anew"] += ticks
+            elif self.truth.during(RESTARTED, *between):
+                causes["recorder ended for another pace, away until it began anew"] += ticks
+            else:
+                silent += ticks
+                where.append(f"no recorder at {between[0]:.1f} s")
         there = len(scans.times)
         self.balance.say("scans", there + sum(causes.values()) + silent, there, +causes, where)
         self.balance.unaccounted["scan numbers"] = int((np.diff(scans.numbers) != 1).sum())
-        kills = sum(f.kind == "recorder killed" for f in self.truth.faults)
+        kills = sum(f.kind in ("recorder killed", RESTARTED) for f in self.truth.faults)
         self.balance.say("recorder starts", kills + 1, len(scans.sessions), {})
 
     def _count_values(self) -> None:
@@ -186,23 +226,26 @@ class _Count:
         causes: Counter[str] = Counter()
         good, where = 0, []
         due = 0
-        for at, qualities in zip(self.scans.times.tolist(), self.scans.qualities, strict=True):
+        real_s = self.scans.real_s.tolist()
+        for i, qualities in enumerate(self.scans.qualities):
             due += len(qualities)
-            for quality in qualities:
+            for column, quality in zip(self.scans.columns, qualities, strict=True):
                 if quality.usable:
                     good += 1
                 elif quality is Quality.LATE:
                     causes["late, as stored"] += 1
-                elif (kind := self._fault_of(quality, at)) is not None:
+                elif (kind := self._fault_of(quality, column, i, real_s)) is not None:
                     causes[f"{quality.value}, {kind}"] += 1
                 else:
-                    where.append(f"{quality.value} at {at:.1f} s")
+                    where.append(f"{column} {quality.value} at {real_s[i]:.3f} s")
         self.balance.say("values", due, good, causes, sorted(set(where)))
 
-    def _fault_of(self, quality: Quality, at_s: float) -> str | None:
+    def _fault_of(self, quality: Quality, column: str, i: int, real_s: Sequence[float]) -> str | None:
         # an ADAM in ASCII shows an open input as -0000, under range
         kind = "sensor dead" if quality in (Quality.OPEN, Quality.UNDER) else "logger lost"
-        return kind if self.truth.during(kind, at_s - self.truth.speed, at_s) else None
+        begin_s = real_s[max(i - NEIGHBOURS, 0)]
+        end_s = real_s[min(i + NEIGHBOURS, len(real_s) - 1)]
+        return kind if self.truth.during(kind, begin_s, end_s, column) else None
 
     # --- pressings, runs ------------------------------------------------------------------------------
 
@@ -213,7 +256,7 @@ class _Count:
         for i, (before, after) in enumerate(pairwise(scans.times.tolist()), 1):
             if i in first:
                 yield before, after, AWAY
-            elif after - before > BLIND_S:
+            elif after - before > max(BLIND_S, 1.5 * scans.periods[i]):
                 yield before, after, "scans left out"
         for face in ("platen", "top", "bottom"):
             places = [i for i, name in enumerate(scans.columns) if name.startswith(face)]
@@ -260,7 +303,7 @@ class _Count:
         """Every run holds one pressing, or the store shows why it holds none or two."""
         causes: Counter[str] = Counter()
         single, where = 0, []
-        last_s = max(true.removed_s for true in self.truth.pressings.values())
+        last_s = max((true.removed_s for true in self.truth.pressings.values()), default=0.0)
         runs = [r for r in self.runs if self._span(r)[0] < last_s]
         for run in runs:
             begin_s, end_s = self._span(run)
@@ -309,6 +352,11 @@ class _Count:
             where += [f"{run.run} {len(numbers)} of {scans}"] if len(set(numbers)) != scans else []
         self.balance.say("estimates of runs", due, there, {}, where)
         self.balance.unaccounted["doubled estimates"] = doubled
+
+
+def _grown(whole: Any, part: Any) -> int:
+    """Return how many ticks were lost from a recorder's first scans to the last ones of a part of its life."""
+    return round(float(np.median(part[-SETTLED:]) - np.median(whole[:SETTLED]))) if len(part) else 0
 
 
 def _pairs(entry: Any) -> list[tuple[float, int]]:

@@ -1,18 +1,23 @@
-"""Pressing after pressing with random faults, and at the end a balance: due, there, and by which cause not.
+"""Days of pressing with random faults, and at the end a balance: due, there, and by which cause not.
 
-    python -m tests.deploy.endurance --pressings 2016 --speed 20 --folder FOLDER
+    python -m tests.deploy.endurance --days 7 --pressings 70 --folder FOLDER
+
+A working day is so many pressings one after the other, about two minutes of the press each, then an idle press
+with hot platens until the next morning; the sixth and seventh day of a week are idle. Every second of these days
+is recorded: the press's time runs fast while it presses, faster while it is idle, and never jumps. The recorder is
+ended and begun anew where its pace changes, as `[clock] speed` asks for; idle hours have a rate of their own.
 
 What is real: the loggers' protocols over a socket and a serial line, `kerntemp record` and `kerntemp sense` as
-processes of their own, the store, SIGKILL. What is not: the press is simulated and its time runs `speed` times as
-fast; a pressing takes about two minutes of it instead of five; the clock is stepped inside the recorder's process.
-In the first half everything breaks; in the second half no process is killed, so that one of each lives long enough
-to show whether its memory stays flat. SIGTERM or Ctrl-C ends the pressing early, with the balance so far.
-`tests/deploy/balance.py` says how it is counted.
+processes of their own, the store, SIGKILL. What is not: the press is simulated; the clock is stepped inside the
+recorder's process. In the first half of the days everything breaks; in the second half no process is killed, so
+that each lives long enough to show whether its memory stays flat. SIGTERM or Ctrl-C ends it early, with the
+balance so far. `tests/deploy/balance.py` says how it is counted.
 """
 
 from __future__ import annotations
 
 import argparse
+import bisect
 import os
 import random
 import signal
@@ -24,7 +29,7 @@ import time
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import ExitStack, closing, suppress
-from dataclasses import fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +40,7 @@ from daq.simulated.devices import simulated, wiring
 from daq.simulated.devices_converter import Switches
 from daq.simulated.press import PressSettings, VirtualPress
 from daq.store import RunStatus, open_store
-from tests.deploy.balance import Balance, Fault, Truth, take_balance
+from tests.deploy.balance import RESTARTED, Balance, Fault, Shift, Truth, take_balance
 
 ROOT = Path(__file__).parents[2]
 UPPER = ("platen_top", "platen_bottom", *(f"top_{i}" for i in range(1, 8)))
@@ -59,36 +64,144 @@ sys.exit(main(sys.argv[1:]))
 """`kerntemp record` with a wall clock that a file sets forward and back."""
 
 
+@dataclass(frozen=True)
+class Pace:
+    """How fast the press's time runs, and how often it is recorded."""
+
+    speed: float
+    rate_hz: float
+    """Scans per second of the press's time."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is pressed when."""
+
+    days: int
+    pressings: int
+    """Of a working day."""
+    pressing: Pace
+    idle: Pace
+    day_s: float = 86400.0
+    """Length of a day. [s of the press]"""
+
+    def works_on(self, day: int) -> bool:
+        """Whether panels are pressed on a day; days count from 0."""
+        return day % 7 < 5
+
+
+class PlantClock:
+    """The press's time over the machine's monotonic clock: 0 until begun, at a changing pace, without a jump."""
+
+    def __init__(self) -> None:
+        self._knots: list[tuple[float, float, float]] = []
+
+    def __call__(self) -> float:
+        """Return the press's time now. [s]"""
+        return self.at(time.monotonic())
+
+    def at(self, real_s: float) -> float:
+        """Return the press's time at a moment of the monotonic clock. [s]"""
+        knots = self._knots
+        i = bisect.bisect(knots, real_s, key=lambda knot: knot[0]) - 1
+        if i < 0:
+            return 0.0 if not knots else (real_s - knots[0][0]) * knots[0][2]
+        since_s, then_s, speed = knots[i]
+        return then_s + (real_s - since_s) * speed
+
+    def run(self, speed: float) -> None:
+        """Go on at this many times real speed."""
+        now_s = time.monotonic()
+        self._knots = [*self._knots, (now_s, self.at(now_s) if self._knots else 0.0, speed)]
+
+
+class PacedPress:
+    """The virtual press over the plant's clock: so many pressings, then idle until told to go on."""
+
+    def __init__(self, seed: int) -> None:
+        self._press = VirtualPress(PressSettings(between_s=(12.0, 16.0), keep=8), seed)
+        self.ambient = self._press.ambient
+        self.pressed: dict[int, Moments] = {}
+        """Each pressing's true moments on the plant's clock. [s]"""
+        self._lock = threading.Lock()
+        self._newest = self._press.cycle(0.0)
+        self._late_s = 0.0
+        """Plant's clock minus the press's own."""
+        self._last = 0
+        self._held_s: float | None = 0.0
+
+    @property
+    def idle(self) -> bool:
+        """Whether all pressings asked for are over."""
+        return self._held_s is not None
+
+    def go_on(self, at_s: float, pressings: int) -> None:
+        """Press so many more panels from a moment of the plant's clock on."""
+        with self._lock:
+            self._late_s, self._held_s = at_s - self._own(at_s), None
+            self._last = self._newest.number + pressings - 1
+            self._keep()
+
+    def temperatures(self, at_s: float) -> dict[str, float]:
+        """Return what the thermocouples give. [°C]"""
+        with self._lock:
+            return self._press.temperatures(self._own(at_s))
+
+    def _own(self, at_s: float) -> float:
+        own_s = max(at_s - self._late_s, 0.0)
+        while self._held_s is None and own_s >= self._newest.end:
+            self._newest = self._press.cycle(self._newest.end)
+            if self._newest.number > self._last:
+                self._held_s = 0.5 * (self._newest.start + self._newest.moments.inserted_s)
+            else:
+                self._keep()
+        if self._held_s is None or own_s < self._held_s:
+            return own_s
+        # sensors hang free: this stretch of the press's time goes slowly to and fro
+        aside = (own_s - self._held_s) / _SLOWED % (2.0 * _TO_AND_FRO_S)
+        return self._held_s + _TO_AND_FRO_S - abs(aside - _TO_AND_FRO_S)
+
+    def _keep(self) -> None:
+        true, by_s = self._newest.moments, self._late_s
+        self.pressed[self._newest.number] = replace(
+            true,
+            inserted_s=true.inserted_s + by_s,
+            closed_s=true.closed_s + by_s,
+            opened_s=true.opened_s + by_s,
+            removed_s=true.removed_s + by_s,
+        )
+
+
+_TO_AND_FRO_S, _SLOWED = 0.3, 100.0
+
+
 class Endurance:
     """The plant, its processes, and the hand that breaks things."""
 
-    def __init__(self, folder: Path, speed: float, rate_hz: float, seed: int, pressings: int) -> None:
-        self.folder, self.speed, self.rate_hz, self.pressings = folder, speed, rate_hz, pressings
+    def __init__(self, folder: Path, plan: Plan, seed: int) -> None:
+        self.folder, self.plan = folder, plan
         self.chance = random.Random(seed)
-        self.press = VirtualPress(PressSettings(between_s=(12.0, 16.0), keep=8), seed)
+        self.clock = PlantClock()
+        self.press = PacedPress(seed)
         self.switches = {"upper": Switches(), "lower": Switches()}
         self.faults: list[Fault] = []
+        self.shifts: list[Shift] = []
+        self.waits: list[str] = []
+        """Kinds of faults still to come before any comes again."""
         self.children: dict[str, subprocess.Popen[bytes]] = {}
         self.memory: dict[str, list[tuple[int, float, int]]] = {"record": [], "sense": []}
         self.config, self.step_file = folder / "kerntemp.toml", folder / "step"
         self.url = str(folder / "plant.sqlite")
-        self.began_s = 0.0
         self.ended_s = 0.0
         """When the recorder was asked to end. [s of the press]"""
         self.steps = 0
-        self.pressed: dict[int, Moments] = {}
-        """Each pressing's true moments. [s of the press]"""
         self.stop = threading.Event()
-
-    def clock(self) -> float:
-        """Return the press's time. [s]"""
-        return (time.monotonic() - self.began_s) * self.speed if self.began_s else 0.0
 
     def inputs(self, columns: Sequence[str], count: int) -> Any:
         """Return what a logger's inputs read."""
 
         def temperatures(now_s: float) -> list[float]:
-            shown = self.press.temperatures(max(now_s, 0.0))
+            shown = self.press.temperatures(now_s)
             return [shown[name] for name in columns] + [self.press.ambient] * (count - len(columns))
 
         return temperatures
@@ -104,28 +217,38 @@ class Endurance:
                 wiring("labjack-t7", stack.enter_context(a), "upper", UPPER),
                 wiring("adam-4118-ascii", stack.enter_context(b), "lower", LOWER),
             ]
-            self._write(tables)
+            self.tables = tables
             stack.callback(self._kill_all)
             self.store = stack.enter_context(open_store(self.url))
-            for name in ("record", "sense"):
-                self._start(name)
-            self._wait_for_scans()
-            self.began_s = time.monotonic()
-            self._press_and_break()
+            self._write(self.plan.pressing)
+            self._start("sense")
+            self._record(self.plan.pressing)
+            self._wait_for("sense")
+            for day in range(self.plan.days):
+                self._day(day)
             self.ended_s = self.clock()
             self._end("record")
             self._let_sense_catch_up()
             self._end("sense")
             return self._balance()
 
-    def _write(self, tables: Sequence[dict[str, Any]]) -> None:
+    def _write(self, pace: Pace) -> None:
         (self.folder / "lab.toml").write_text(press_toml())
-        text = f'[store]\nurl = "plant.sqlite"\n[clock]\nspeed = {self.speed}\n[[press]]\nname = "lab"\n'
-        text += f'file = "lab.toml"\nrate_hz = {self.rate_hz}\n'
+        text = f'[store]\nurl = "plant.sqlite"\n[clock]\nspeed = {pace.speed}\n[[press]]\nname = "lab"\n'
+        text += f'file = "lab.toml"\nrate_hz = {pace.rate_hz}\n'
         text += 'header = { "panel.material" = "MDF", "panel.thickness_mm" = 16.0 }\n'
-        for table in tables:
+        for table in self.tables:
             text += "[[press.logger]]\n" + "".join(f"{k} = {toml_value(v)}\n" for k, v in table.items())
         self.config.write_text(text)
+
+    def _record(self, pace: Pace) -> None:
+        """Begin to record at a pace; the plant's clock takes it over with the first scan."""
+        last = self.store.newest_scan_number("lab") if self.shifts else -1
+        self._write(pace)
+        self.shifts.append(Shift(last + 1, pace.speed, pace.rate_hz))
+        self._start("record")
+        self._wait_for("record", last)
+        self.clock.run(pace.speed)
 
     def _start(self, name: str) -> None:
         words = [sys.executable, "-m", "api"]
@@ -148,39 +271,56 @@ class Endurance:
             if child.poll() is None:
                 self._kill(name)
 
-    def _wait_for_scans(self) -> None:
+    def _wait_for(self, name: str, last: int = -1) -> None:
+        """Wait for a process's first sign of life, of the recorder a scan after the last one."""
         deadline = time.monotonic() + 120
-        while self.store.newest_scan_number("lab") < 5 or "sense" not in self.store.statuses():
+        while name not in self.store.statuses() or (
+            name == "record" and self.store.newest_scan_number("lab") <= last
+        ):
             if time.monotonic() > deadline:
-                raise RuntimeError("no scans in 120 s; the logs are beside the store")
-            time.sleep(0.1)
+                raise RuntimeError(f"no sign of {name} in 120 s; the logs are beside the store")
+            time.sleep(0.02)
 
     # --- pressing and breaking ----------------------------------------------------------------------
 
-    def _press_and_break(self) -> None:
-        waits = list(FAULTS)
-        while self._pressing() <= self.pressings and not self.stop.is_set():
-            self._rest(self.chance.uniform(2.0, 10.0))
-            if not waits:
-                kinds = FAULTS if self._pressing() <= self.pressings / 2 else CALM_FAULTS
-                waits = [*kinds, self.chance.choice(kinds)]
-            kind = waits.pop(self.chance.randrange(len(waits)))
-            begin_s = time.monotonic()
-            self._break(kind)
-            self.faults.append(Fault(kind, begin_s, time.monotonic()))
-        self._rest(3.0)
+    def _day(self, day: int) -> None:
+        """Press, then stand idle until the next morning; what breaks, breaks in between."""
+        kinds = FAULTS if day < self.plan.days / 2 else CALM_FAULTS
+        if self.plan.works_on(day) and not self.stop.is_set():
+            self._change(self.plan.pressing)
+            self.press.go_on(self.clock(), self.plan.pressings)
+            while not self.press.idle and not self.stop.is_set():
+                self._rest(self.chance.uniform(2.0, 10.0))
+                self._one_of(kinds)
+        self._change(self.plan.idle)
+        while (left_s := (day + 1) * self.plan.day_s - self.clock()) > 0.0 and not self.stop.is_set():
+            rest_s = self.chance.uniform(10.0, 40.0)
+            if rest_s + _LONGEST_FAULT_S > left_s / self.plan.idle.speed:
+                self._rest(min(5.0, left_s / self.plan.idle.speed))
+            else:
+                self._rest(rest_s)
+                self._one_of(kinds)
 
-    def _pressing(self) -> int:
-        """Return the pressing under way, and keep its true moments."""
-        now = self.press.cycle(self.clock())
-        self.pressed |= {cycle.number: cycle.moments for cycle in self.press.cycles if cycle.number <= now.number}
-        return now.number
+    def _change(self, pace: Pace) -> None:
+        """End the recorder in order and begin it at another pace."""
+        now = self.shifts[-1]
+        if self.stop.is_set() or (now.speed, now.rate_hz) == (pace.speed, pace.rate_hz):
+            return
+        if pace.speed < now.speed:
+            self.clock.run(pace.speed)
+        begin_s = time.monotonic()
+        self._end("record")
+        self._record(pace)
+        self.faults.append(Fault(RESTARTED, begin_s, time.monotonic()))
+
+    def _one_of(self, kinds: Sequence[str]) -> None:
+        self.waits = [kind for kind in self.waits if kind in kinds] or [*kinds, self.chance.choice(kinds)]
+        self._break(self.waits.pop(self.chance.randrange(len(self.waits))))
 
     def _rest(self, for_s: float) -> None:
         end = time.monotonic() + for_s
         while time.monotonic() < end:
             time.sleep(0.25)
-            self._pressing()
             for name, child in self.children.items():
                 if child.poll() is not None:
                     raise RuntimeError(
@@ -188,27 +328,16 @@ class Endurance:
                     )
         for name, child in self.children.items():
             self.memory[name].append((child.pid, time.monotonic(), _resident(child.pid)))
-        (self.folder / "progress").write_text(f"pressing {self._pressing()}, {len(self.faults)} faults\n")
+        told = f"{self.clock() / 3600.0:.1f} h, pressing {max(self.press.pressed)}, {len(self.faults)} faults\n"
+        (self.folder / "progress").write_text(told)
 
     def _break(self, kind: str) -> None:
+        columns: tuple[str, ...] = ()
+        begin_s, end_s = time.monotonic(), 0.0
         if kind in ("recorder killed", "sensor process killed"):
-            name = "record" if kind.startswith("recorder") else "sense"
-            self._kill(name)
-            time.sleep(self.chance.uniform(0.2, 3.0))
-            before = self.store.newest_scan_number("lab")
-            self._start(name)
-            while name == "record" and self.store.newest_scan_number("lab") <= before:
-                time.sleep(0.05)
-        elif kind == "logger lost":
-            one = self.switches[self.chance.choice(("upper", "lower"))]
-            one.silent = True
-            time.sleep(self.chance.uniform(1.0, 8.0))
-            one.silent = False
-        elif kind == "sensor dead":
-            one = self.switches[self.chance.choice(("upper", "lower"))]
-            one.open_inputs.add(self.chance.randrange(2, 7))
-            time.sleep(self.chance.uniform(5.0, 20.0))
-            one.open_inputs.clear()
+            self._kill_and_start("record" if kind.startswith("recorder") else "sense")
+        elif kind in ("logger lost", "sensor dead"):
+            begin_s, end_s, columns = self._break_logger(kind)
         elif kind == "store away":
             with closing(sqlite3.connect(self.url, isolation_level=None)) as connection:
                 connection.execute("BEGIN IMMEDIATE")
@@ -219,6 +348,45 @@ class Endurance:
             moved = self.chance.choice((-3600.0, -45.0, 45.0, 3600.0))
             self.step_file.write_text(str(moved if self.steps % 2 else 0.0))
             time.sleep(1.0)
+        self.faults.append(Fault(kind, begin_s, end_s or time.monotonic(), columns))
+
+    def _kill_and_start(self, name: str) -> None:
+        self._kill(name)
+        time.sleep(self.chance.uniform(0.2, 3.0))
+        before = self.store.newest_scan_number("lab")
+        self._start(name)
+        while name == "record" and self.store.newest_scan_number("lab") <= before:
+            time.sleep(0.05)
+
+    def _break_logger(self, kind: str) -> tuple[float, float, tuple[str, ...]]:
+        """Return its last sound answer before and its second one after, on the monotonic clock, and the columns.
+
+        The first one after a silence may be to a question the recorder has given up.
+        """
+        name, columns = self.chance.choice((("upper", UPPER), ("lower", LOWER)))
+        switches = self.switches[name]
+        begin_s = switches.answered_s
+        if kind == "logger lost":
+            switches.silent = True
+            time.sleep(self.chance.uniform(1.0, 8.0))
+            switches.silent = False
+        else:
+            which = self.chance.randrange(2, 7)
+            columns = columns[which : which + 1]
+            switches.open_inputs.add(which)
+            time.sleep(self.chance.uniform(5.0, 20.0))
+            switches.open_inputs.clear()
+        for _ in range(2):
+            self._wait_for_answer(switches, time.monotonic())
+        return begin_s, switches.answered_s, columns
+
+    def _wait_for_answer(self, switches: Switches, after_s: float) -> None:
+        while switches.answered_s <= after_s:
+            if time.monotonic() > after_s + 30.0:
+                raise RuntimeError(
+                    f"a logger that is well again was not asked for 30 s; see {self.folder}/record.log"
+                )
+            time.sleep(0.002)
 
     def _end(self, name: str) -> None:
         child = self.children[name]
@@ -243,33 +411,27 @@ class Endurance:
             time.sleep(0.5)
 
     def _balance(self) -> Balance:
-        zero_s = self.began_s * self.speed
-        over = {n: t for n, t in self.pressed.items() if n <= self.pressings and t.removed_s < self.ended_s - 30.0}
-        truth = Truth(
-            "lab",
-            self.speed,
-            self.rate_hz,
-            self.faults,
-            {n: _moved(true, zero_s) for n, true in sorted(over.items())},
-            self.steps,
-        )
+        pressed = {n: true for n, true in self.press.pressed.items() if true.removed_s < self.ended_s - 30.0}
+        truth = Truth("lab", self.shifts, self.clock.at, self.faults, dict(sorted(pressed.items())), self.steps)
         balance = take_balance(self.store, truth)
-        kinds = Counter(fault.kind for fault in self.faults)
+        kinds = Counter(fault.kind for fault in self.faults if fault.kind != RESTARTED)
         named = ", ".join(f"{count} x {kind}" for kind, count in sorted(kinds.items()))
-        hours = self.ended_s / 3600.0
-        title = f"{hours:.1f} h of pressing, {len(over) / hours:.1f} an hour, at {self.speed:g} times real speed"
-        balance.lines[:0] = [f"{title}; faults: {named}"]
+        busy_s = sum(true.removed_s - true.inserted_s for true in pressed.values())
+        days, hours = divmod(self.ended_s / 3600.0, self.plan.day_s / 3600.0)
+        plan = self.plan
+        balance.lines[:0] = [
+            f"{days:.0f} days of {plan.day_s / 3600.0:g} h and {hours:.1f} h of the press recorded, "
+            f"{len(pressed)} pressings: a panel in the press for {busy_s / 3600.0:.1f} h; pressing days at "
+            f"{plan.pressing.speed:g} times real speed and {plan.pressing.rate_hz:g} Hz, idle hours at "
+            f"{plan.idle.speed:g} times and {plan.idle.rate_hz:g} Hz",
+            f"faults: {named}",
+        ]
         for name, seen in self.memory.items():
-            balance.weigh(name, seen)
+            balance.weigh(name, seen, self.clock.at)
         return balance
 
 
-def _moved(moments: Moments, by_s: float) -> Moments:
-    times = {f.name: getattr(moments, f.name) + by_s for f in fields(moments) if f.name in _MOMENTS}
-    return replace(moments, **times)
-
-
-_MOMENTS = ("inserted_s", "closed_s", "opened_s", "removed_s")
+_LONGEST_FAULT_S = 30.0
 
 
 def _resident(pid: int) -> int:
@@ -282,14 +444,17 @@ def _resident(pid: int) -> int:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run it and print the balance; 1 where something is not accounted for."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--pressings", type=int, default=2016, help="a week at one in five minutes")
-    parser.add_argument("--speed", type=float, default=20.0)
-    parser.add_argument("--rate", type=float, default=1.0, help="scans per second of the press's time")
+    parser.add_argument("--days", type=int, default=7)
+    parser.add_argument("--pressings", type=int, default=70, help="of a working day")
+    parser.add_argument("--speed", type=float, default=25.0, help="while panels are pressed")
+    parser.add_argument("--idle-speed", type=float, default=600.0)
+    parser.add_argument("--idle-rate", type=float, default=0.1, help="scans per second of the press's time")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--folder", type=Path, required=True)
     given = parser.parse_args(arguments)
     given.folder.mkdir(parents=True, exist_ok=True)
-    plant = Endurance(given.folder, given.speed, given.rate, given.seed, given.pressings)
+    pressing, idle = Pace(given.speed, 1.0), Pace(given.idle_speed, given.idle_rate)
+    plant = Endurance(given.folder, Plan(given.days, given.pressings, pressing, idle), given.seed)
     for ending in (signal.SIGTERM, signal.SIGINT):
         signal.signal(ending, lambda *_: plant.stop.set())
     balance = plant.run()
