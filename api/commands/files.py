@@ -57,7 +57,7 @@ def import_runs(
         raise InputError(f"two of the files hold run {twice!r}; give one a key '# run = ...' of its own")
     with opened_store(store, config, create=True) as opened:
         for run in runs:
-            _refuse_taken(opened, run.name)
+            _refuse_taken(opened, run)
         with working(f"Storing {len(runs)} runs"):
             opened.import_runs(runs, described.name, press.read_text(encoding="utf-8"))
     sys.stdout.write(f"{len(runs)} runs stored\n")
@@ -75,12 +75,14 @@ def _reader(mapping: Path | None) -> Callable[[Path], Run]:
     return lambda path: read_foreign(path, mapped)
 
 
-def _refuse_taken(store: Store, name: str) -> None:
+def _refuse_taken(store: Store, run: Run) -> None:
     try:
-        store.run_record(name)
+        store.run_record(run.name)
     except InputError:
         return
-    raise InputError(f"run {name!r} is in the store already; change the file's key 'run' to store it too")
+    raise InputError(
+        f"{run.source}: run {run.name!r} is in the store already; change the file's key 'run' to store it too"
+    )
 
 
 def export_runs(
@@ -97,6 +99,7 @@ def export_runs(
 ) -> None:
     """Write runs of the store as run files, or list what there is."""
     from daq.documents import json_lines
+    from daq.manifest import NAME as MANIFEST
     from daq.manifest import update_manifest
     from daq.runfile import write_run
 
@@ -112,15 +115,16 @@ def export_runs(
         check_writable(*targets, inputs=files_read(store=store_address(store, config), config=config))
         contents: dict[Path, str | Callable[[Path], None]] = {}
         for path, run in targets.items():
-            loaded = opened.load_run(run)
+            loaded = opened.run_for_file(run)
             if path.suffix.lower() == ".jsonl":
                 began = opened.run_record(run).started_utc.timestamp()
                 contents[path] = "".join(f"{line}\n" for line in json_lines(loaded, began))
             else:
                 contents[path] = partial(write_run, loaded)
         write_all(contents)
-        if out.is_dir():
-            update_manifest(out, targets)
+        folder = out if out.is_dir() else out.parent
+        if out.is_dir() or (folder / MANIFEST).is_file():
+            update_manifest(folder, targets)
 
 
 def _targets(runs: list[str], out: Path, kind: str) -> dict[Path, str]:

@@ -115,7 +115,8 @@ def get_samples(
         if same_entity(if_none_match, tag):
             return Response(status_code=304, headers={"ETag": tag, "Cache-Control": "no-cache"})
     try:
-        whole = store.load_run(run, names, from_s, to_s)
+        load = store.load_run if format == "json" else store.run_for_file
+        whole = load(run, names, from_s, to_s)
     except InputError as error:
         raise ProblemError(404, str(error)) from error
     kept = kept_rows(list(whole.columns.values()), len(whole.time_s), max_points)

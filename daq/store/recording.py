@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Any, Literal
@@ -13,10 +14,13 @@ from sqlalchemy.exc import IntegrityError
 from daq.qualities import row_faults
 from daq.records import Channel, InputError, PressEvent, Run, Scan
 from daq.store.convert import faults_json, header_of, header_text, null, readings_json, unix_of, utc_of
+from daq.store.origin import LATEST_UNIX_S, REMARK, columns_from_header
 from daq.store.records import NewRun, PressKey, RunEnd, RunStatus, StoreUnavailable
 from daq.store.schema import CONFIGURATION, LAYOUT, PRESS, PRESS_EVENT, RUN, RUN_CHANGE, SCAN
 
 Kind = Literal["recorded", "imported"]
+_NAME = re.compile(r"(?!\.{1,2}$)[^\x00-\x1f\x7f-\x9f/\\]{1,200}")
+"""A run's name is a file's name on export, part of a URL, and a cell of a list."""
 
 
 def register_press(
@@ -277,12 +281,14 @@ def unused_run_name(connection: Connection, press: str, when: datetime) -> str:
 
 
 def import_run(connection: Connection, run: Run, press: str, press_file: str) -> str:
-    """Store a run from elsewhere whole; raises `InputError` where its name is taken."""
+    """Store a run from elsewhere whole; raises `InputError` where its name is taken or no name."""
+    _check_name(run)
     if connection.execute(select(RUN.c.run).where(RUN.c.run == run.name)).first():
         raise InputError(
             f"{run.source or run.name}: run {run.name!r} is in the store already; "
             "nothing was imported; change the header key run"
         )
+    told = columns_from_header(run.header, run.source or run.name)
     channels = tuple(Channel(name, _unit(name)) for name in run.columns)
     key = register_press(connection, press, channels, press_file, "imported")
     number = key.next_number
@@ -304,21 +310,33 @@ def import_run(connection: Connection, run: Run, press: str, press_file: str) ->
     if rows:
         connection.execute(insert(SCAN), rows)
     now = unix_of(datetime.now(UTC))
+    lasted_s = min(float(run.time_s[-1] - run.time_s[0]), now) if rows else 0.0
+    started = told.get("started_unix_s", now - lasted_s)
     connection.execute(
         insert(RUN),
         {
             "run": run.name,
             "press_id": key.press_id,
             "status": RunStatus.CLOSED.value,
-            "started_unix_s": now,
-            "ended_unix_s": now,
+            "started_unix_s": started,
+            "ended_unix_s": min(started + lasted_s, LATEST_UNIX_S),
             "zero_monotonic_s": 0.0,
             "first_scan": number,
             "last_scan": number + len(rows) - 1,
-            **_header_columns({**run.header, "run": run.name}),
+            **_header_columns({k: v for k, v in {**run.header, "run": run.name}.items() if k != REMARK}),
+            **told,
         },
     )
     return run.name
+
+
+def _check_name(run: Run) -> None:
+    given = run.header.get("run", run.name)
+    if isinstance(given, list | bool) or not _NAME.fullmatch(run.name) or run.name != run.name.strip():
+        raise InputError(
+            f"{run.source or 'run'}: header key run = {given!r}: must be a name of 1 to 200 characters without "
+            "slashes, line breaks or blanks at its ends; nothing was imported"
+        )
 
 
 def _unit(column: str) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from types import TracebackType
@@ -11,6 +12,7 @@ from typing import Any, Literal
 from daq.records import Channel, PressEvent, Run, Scan
 from daq.store import reading, recording, results, upkeep
 from daq.store.database import BUSY_S, Database
+from daq.store.origin import header_for_file
 from daq.store.parcels import Parcel, in_rows
 from daq.store.records import (
     CoefficientRecord,
@@ -192,6 +194,18 @@ class Store:
         """Return a run with its data, of an open run those so far; unusable values are NaN."""
         with self.database.reading() as connection:
             return reading.load_run(connection, run, columns, from_s, to_s)
+
+    def run_for_file(
+        self,
+        run: str,
+        columns: Sequence[str] | None = None,
+        from_s: float | None = None,
+        to_s: float | None = None,
+    ) -> Run:
+        """Return a run as `load_run` does, its header with what a file carries on: start, life, remark."""
+        with self.database.reading() as connection:
+            loaded = reading.load_run(connection, run, columns, from_s, to_s)
+            return replace(loaded, header=header_for_file(reading.run_record(connection, run)))
 
     def run_changes(self, run: str) -> list[RunChange]:
         """Return the edits of a run's metadata, oldest first."""

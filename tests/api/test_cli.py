@@ -8,6 +8,7 @@ import pytest
 
 from api.cli import main
 from daq.runfile import read_run, write_run
+from daq.store import open_store
 
 
 @pytest.fixture(scope="module")
@@ -125,6 +126,21 @@ def test_several_runs_are_exported_into_a_folder_that_is_made(files, tmp_path, c
     assert {p.name for p in out.iterdir()} == {f"{name}.csv" for name in names} | {"SHA256SUMS"}
 
 
+def test_a_run_exported_anew_into_a_folder_with_sums_can_be_imported(files, first, tmp_path):
+    store, out = str(tmp_path / "kerntemp.sqlite"), tmp_path / "export"
+    press = ["--press", str(files / "press.toml"), "--store"]
+    assert main(["import", first, *press, store]) == 0
+    out.mkdir()
+    name = Path(first).stem
+    assert main(["export", name, "--out", str(out), "--store", store]) == 0
+    with open_store(store) as opened:
+        opened.annotate_run(name, {"remark": "edge chipped"}, "anna")
+    assert main(["export", name, "--out", str(out / f"{name}.csv"), "--store", store]) == 0
+    assert main(["import", str(out / f"{name}.csv"), *press, str(tmp_path / "other.sqlite")]) == 0
+    with open_store(str(tmp_path / "other.sqlite")) as opened:
+        assert opened.run_record(name).remark == "edge chipped"
+
+
 def test_a_run_that_is_stored_already_stops_the_whole_import(files, first, tmp_path, capsys):
     store = str(tmp_path / "kerntemp.sqlite")
     press = ["--press", str(files / "press.toml"), "--store", store]
@@ -132,7 +148,8 @@ def test_a_run_that_is_stored_already_stops_the_whole_import(files, first, tmp_p
     capsys.readouterr()
     paths = [str(path) for path in sorted(files.glob("*.csv"))]
     assert main(["import", *paths, *press]) == 2
-    assert "is in the store already" in one_line(capsys)
+    assert f"{first}: run " in (line := one_line(capsys))
+    assert "is in the store already" in line
     assert main(["export", "--store", store]) == 0
     assert len(capsys.readouterr().out.splitlines()) == 1
 

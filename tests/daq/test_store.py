@@ -479,3 +479,67 @@ def test_a_semicolon_ends_a_statement_only_at_a_line_end():
 
 def test_a_postgresql_url_gets_its_driver():
     assert store_url("postgresql://u@h/d").drivername == "postgresql+psycopg"
+
+
+def test_a_recorded_run_keeps_start_moments_life_and_remark_on_its_way_into_another_store(store, tmp_path):
+    name = record_one_run(store)
+    store.annotate_run(name, {"remark": 'edge chipped;\nsee photo 7, "left"'}, "anna")
+    before = store.run_record(name)
+    for suffix in ("csv", "parquet"):
+        write_run(store.run_for_file(name), tmp_path / f"a.{suffix}")
+        with open_store(str(tmp_path / f"{suffix}.sqlite")) as other:
+            other.import_run(read_run(tmp_path / f"a.{suffix}"), "lab")
+            after = other.run_record(name)
+            write_run(other.run_for_file(name), tmp_path / f"b.{suffix}")
+        for field in ("started_utc", "ended_utc", "status", "remark", "software_version"):
+            assert getattr(after, field) == getattr(before, field)
+        assert (after.moments.inserted_s, after.moments.closed_s) == pytest.approx((0.3, 1.5))
+        assert str(after.moments) == str(before.moments)
+        assert (tmp_path / f"b.{suffix}").read_bytes() == (tmp_path / f"a.{suffix}").read_bytes()
+
+
+def test_an_interrupted_run_stays_interrupted_and_a_file_of_an_open_one_becomes_so(store, tmp_path):
+    key = store.register_press("lab", CHANNELS)
+    store.append_scans(key, scans(0, 9), begin=NewRun("r", 2, BEGAN, 1000.2))
+    write_run(store.run_for_file("r"), tmp_path / "open.csv")
+    store.interrupt_open_runs("lab")
+    write_run(store.run_for_file("r"), tmp_path / "cut.csv")
+    for file in ("open.csv", "cut.csv"):
+        with open_store(str(tmp_path / f"{file}.sqlite")) as other:
+            other.import_run(read_run(tmp_path / file), "lab")
+            assert other.run_record("r").status is RunStatus.INTERRUPTED
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        ("recorded.started_utc", datetime(2026, 3, 4), "must be a time with its zone"),  # noqa: DTZ001
+        ("recorded.started_utc", 5, "must be a time with its zone"),
+        ("recorded.ended_utc", datetime(1, 1, 1, tzinfo=UTC), "between the years 1970 and 9999"),
+        ("recorded.closed_s", "soon", "must be a number of seconds"),
+        ("recorded.status", "lost", "one of closed, interrupted, open"),
+        ("remark", 7, "must be text"),
+        ("run", "", "must be a name"),
+        ("run", "../../etc/run", "without slashes"),
+        ("run", "a\\b", "without slashes"),
+        ("run", "..", "must be a name"),
+        ("run", "a\nb", "line breaks"),
+        ("run", "a\0b", "must be a name"),
+        ("run", " a", "blanks at its ends"),
+        ("run", ["a"], "must be a name"),
+    ],
+)
+def test_a_header_that_cannot_be_is_refused_by_key_and_nothing_is_stored(store, key, value, message):
+    run = Run(str(value) if key == "run" else "r", {key: value}, np.arange(3.0), {"top_1": np.ones(3)}, "r.csv")
+    with pytest.raises(InputError, match=f"r.csv: header key {key} = .*{message}"):
+        store.import_run(run, "lab")
+    assert store.contents().scans == 0
+    assert not store.presses()
+
+
+def test_a_file_of_unknown_date_and_endless_times_does_not_spoil_the_list_of_runs(store):
+    for name, last in (("a", 60.0), ("b", 1e300)):
+        store.import_run(Run(name, {}, np.array([0.0, last]), {"top_1": np.ones(2)}), "lab")
+    listed = {run.run: run for run in store.runs().items}
+    assert (listed["a"].ended_utc - listed["a"].started_utc).total_seconds() == pytest.approx(60.0)
+    assert listed["b"].started_utc.year == 1970
