@@ -24,6 +24,7 @@
 
 from __future__ import annotations
 
+import math
 import tomllib
 from collections import Counter
 from collections.abc import Mapping
@@ -33,6 +34,7 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from daq.drivers.settings import LoggerSettings
+from daq.press_wires import CLOSED, Wires
 from daq.pressfile import Press, explain, read_press
 from daq.records import InputError
 
@@ -60,15 +62,15 @@ class PressSettings(_Table):
     name: str = Field(min_length=1, pattern=r"^[A-Za-z0-9_-]+$")
     file: Path
     """The press file."""
-    rate_hz: Annotated[float, Field(ge=0.1, le=20)] = 10.0
+    rate_hz: Annotated[float, Field(ge=0.5, le=20)] = 10.0
     pre_trigger_s: Annotated[float, Field(ge=0, le=600)] = 5.0
     """A run begins this long before the panel's insertion."""
     post_removal_s: Annotated[float, Field(ge=0, le=600)] = 5.0
     """A run ends this long after the panel's removal."""
     longest_run_s: Annotated[float, Field(gt=0)] = 3600.0
     """A run that long is ended: the removal was missed."""
-    limit_switch: str = "closed"
-    """Column of a limit switch, where one is wired; it goes before the temperatures."""
+    limit_switch: str | None = Field(default=None, min_length=1)
+    """Column of a limit switch, 1 while the press is closed. None: what the press file says."""
     header: Mapping[str, HeaderValue] = Field(default_factory=dict)
     """Header keys every run of this press begins with: panel, ambient, settings."""
     logger: tuple[LoggerSettings, ...] = Field(min_length=1)
@@ -195,13 +197,35 @@ def load_config(path: Path) -> Config:
     except ValidationError as error:
         raise InputError(f"{path}: {explain(error)}") from error
     config = _absolute(config, path.resolve().parent)
-    for press in config.press:
-        check_columns(press, read_press(press.file), str(path))
-    return config
+    presses = []
+    for settings in config.press:
+        press = press_of(settings)
+        check_columns(settings, press, str(path))
+        presses.append(_resting(settings, press))
+    return config.model_copy(update={"press": tuple(presses)})
+
+
+def _resting(settings: PressSettings, press: Press) -> PressSettings:
+    """Let loggers that carry nothing but limit switch and pressure stand still for as long as they like."""
+    wires = {*Wires(press.press).columns}
+    loggers = tuple(
+        x.model_copy(update={"stale_after_s": x.stale_after_s or math.inf}) if wires.issuperset(x.columns) else x
+        for x in settings.logger
+    )
+    return settings.model_copy(update={"logger": loggers})
+
+
+def press_of(settings: PressSettings) -> Press:
+    """Read a press's file, with what the configuration says of its wires. Raises `InputError`."""
+    press = read_press(settings.file)
+    if settings.limit_switch is None:
+        return press
+    table = press.press.model_copy(update={"limit_switch": settings.limit_switch})
+    return press.model_copy(update={"press": table})
 
 
 def check_columns(settings: PressSettings, press: Press, where: str) -> None:
-    """Refuse a press whose measured boundaries no logger fills."""
+    """Refuse a press whose measured boundaries or wires no logger fills."""
     ends = (("bottom", press.boundary.bottom), ("top", press.boundary.top))
     for end, boundary in ends:
         if boundary.kind == "measured" and boundary.column not in settings.columns:
@@ -209,6 +233,20 @@ def check_columns(settings: PressSettings, press: Press, where: str) -> None:
                 f"{where}: press {settings.name}: no logger has channel {boundary.column!r}, which "
                 f"boundary.{end} of {settings.file} needs; add it to a logger's channels"
             )
+    table = press.press
+    named = {"limit_switch": table.limit_switch} if table.limit_switch != CLOSED else {}
+    named |= {"pressure": table.pressure.column} if table.pressure else {}
+    for key, column in named.items():
+        if column not in settings.columns:
+            raise InputError(
+                f"{where}: press {settings.name}: no logger has channel {column!r}, which {key} names; "
+                f"add it to a logger's channels, or remove {key}"
+            )
+    if named and CLOSED in settings.columns:
+        raise InputError(
+            f"{where}: press {settings.name}: channel {CLOSED!r} is written from {', '.join(named.values())}; "
+            f"give the logger's channel {CLOSED!r} another name"
+        )
 
 
 def _absolute(config: Config, folder: Path) -> Config:

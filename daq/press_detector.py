@@ -12,10 +12,10 @@ import numpy as np
 
 from daq.press_faces import HIGH_C, LOW_C, Face, columns_of
 from daq.press_moments import Placed, closing_moment, insertion_moment, opening_moment, usual_lag
+from daq.press_wires import Wires
 from daq.pressfile import Press
 from daq.records import Array, PressEvent, PressEventKind, PressState
 
-SWITCH = "closed"
 _MEMORY_S = 14.0
 _LOOK_BACK_S = 0.9
 """Changes are judged over about this time, at least one scan. [s]"""
@@ -63,6 +63,8 @@ class PressEventDetector:
         self._platen_names: tuple[str, ...] = ()
         self._state = PressState.OPEN if inserted else PressState.IDLE
         self._pending: tuple[PressEventKind, float] | None = None
+        self.wires = Wires(press.press)
+        """Limit switch and pressure channel, as the press file names them."""
         self._switch: bool | None = None
         self._seen = -math.inf
         self._since = -math.inf
@@ -72,7 +74,7 @@ class PressEventDetector:
         self._lag: Array | None = None
         self._lifted: tuple[float, float, float] | None = None
         self.disagreement: str | None = None
-        """Why switch and temperatures contradict each other, for the journal; None while they agree."""
+        """Why wire and temperatures contradict each other, for the journal; None while they agree."""
 
     @property
     def state(self) -> PressState | None:
@@ -94,9 +96,10 @@ class PressEventDetector:
     def update(self, time_s: float, values: Mapping[str, float]) -> list[PressEvent]:
         """Take one scan (unusable values NaN or left out); return what it brought to light."""
         self._append(time_s, values)
-        switch = values.get(SWITCH, math.nan)
-        if switch == switch:
-            return self._by_switch(time_s, switch > 0.5)
+        switch = self.wires.read(values)
+        if switch is not None:
+            return self._by_switch(time_s, switch)
+        self.disagreement = None
         if self._pending is not None:
             return self._place(time_s)
         kind = self._look()
@@ -131,18 +134,18 @@ class PressEventDetector:
         while self._rows[0].time < time_s - _MEMORY_S and len(self._rows) > 4:
             self._rows.popleft()
 
-    # --- limit switch ---------------------------------------------------------------------------
+    # --- limit switch, pressure channel ----------------------------------------------------------
 
     def _by_switch(self, time_s: float, closed: bool) -> list[PressEvent]:
-        """Closing and opening by the switch; insertion and removal still by temperatures."""
+        """Closing and opening by the wire; insertion and removal still by temperatures."""
         before, self._switch = self._switch, closed
         events: list[PressEvent] = []
         if closed and self._state is not PressState.CLOSED:
             if self._state is PressState.IDLE:
                 events.append(self._event(PressEventKind.INSERTED, time_s, time_s))
-            events.append(self._event(PressEventKind.CLOSED, time_s, time_s, "limit switch"))
+            events.append(self._event(PressEventKind.CLOSED, time_s, time_s, self.wires.told_by))
         elif not closed and self._state is PressState.CLOSED:
-            events.append(self._event(PressEventKind.OPENED, time_s, time_s, "limit switch"))
+            events.append(self._event(PressEventKind.OPENED, time_s, time_s, self.wires.told_by))
         elif self._pending is not None:
             events += self._place(time_s)
         elif before is not None:
@@ -159,10 +162,12 @@ class PressEventDetector:
         if time_s - self._since < 5.0 or row.plate - row.top != row.plate - row.top:
             return
         reach = (row.top - 25.0) / max(row.plate - 25.0, 30.0)
+        told_by = self.wires.told_by
+        wire = told_by.removeprefix("limit ")
         if closed and reach < 0.2:
-            self.disagreement = "the limit switch says closed, but the upper face is cold; check switch and panel"
+            self.disagreement = f"the {told_by} says closed, but the upper face is cold; check {wire} and panel"
         elif not closed and not self._was_closed and reach > 0.6 and self._state is PressState.OPEN:
-            self.disagreement = "the limit switch says open, but the upper face is hot; check it"
+            self.disagreement = f"the {told_by} says open, but the upper face is hot; check it"
 
     # --- temperatures ---------------------------------------------------------------------------
 

@@ -7,8 +7,9 @@ The faces decide, each by the median of its sensors, so that a loose, dead or no
 * opening: both faces, hot until then, start to fall at once;
 * removal: the lower face loses its plate and falls, or the faces are cold again.
 
-A limit switch, where one is logged, goes before the temperatures. The moment itself is placed between
-the scans by `daq.press_moments`, once enough scans have followed to tell, at most 0.9 s later.
+A limit switch or a pressure channel, where one is logged, goes before the temperatures
+(`daq.press_wires`). The moment itself is placed between the scans by `daq.press_moments`, once enough
+scans have followed to tell, at most 0.9 s later.
 `find_moments` runs the same machine over a whole run and then looks at each moment with both sides known.
 """
 
@@ -19,9 +20,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from daq.press_detector import SWITCH, Faces, PressEventDetector, place_moment
+from daq.press_detector import Faces, PressEventDetector, place_moment
 from daq.press_faces import columns_of, face_of
 from daq.press_moments import Placed, insertion_moment, usual_lag
+from daq.press_wires import CLOSED, closed_of
 from daq.pressfile import Press
 from daq.records import Array, Moments, PressEventKind, Run
 
@@ -31,17 +33,17 @@ __all__ = ["PressEventDetector", "columns_of", "find_moments"]
 def find_moments(run: Run, press: Press) -> Moments:
     """Return when a run's panel came, the press closed and opened, and the panel left. [s of the run]
 
-    The column ``closed`` decides where it holds values: closed from the time of its first 1, open from
-    the first 0 after it. Else the faces' temperatures do. A moment that did not happen is NaN; without
-    any panel column and without ``closed`` all are, and `source` says ``unknown``. In a press of one state
-    the panel is there from the first row.
+    The column ``closed``, or what the press file names instead, decides where it holds values: closed from
+    the time of its first 1, open from the first 0 after it. Else the faces' temperatures do. A moment that
+    did not happen is NaN; without any panel column and without such a wire all are, and `source` says
+    ``unknown``. In a press of one state the panel is there from the first row.
     """
     if not press.has_states:
         return Moments(inserted_s=float(run.time_s[0]), source="one state")
     columns = columns_of(press)
     names = tuple(run.columns)
     top_names, bottom_names = columns.of_face(names)
-    switch = run.closed
+    switch, told_by = closed_of(run, press) or (None, "")
     switched = switch is not None and bool(np.isfinite(switch).any())
     top, bottom = face_of(run, top_names), face_of(run, bottom_names)
     if not (np.isfinite(top).any() or np.isfinite(bottom).any() or switched):
@@ -53,7 +55,7 @@ def find_moments(run: Run, press: Press) -> Moments:
     source, ramp = "temperatures", Moments().ramp_s
     if switched and switch is not None:
         moments.update(_switch_moments(run.time_s, switch))
-        source = "limit switch"
+        source = told_by
     elif PressEventKind.CLOSED in placed:
         ramp = placed[PressEventKind.CLOSED].ramp
     nan = math.nan
@@ -88,7 +90,7 @@ def _coarse(
         values = {stand_in["top"]: float(top[i]), stand_in["bottom"]: float(bottom[i])}
         values |= {name: float(plate[i]) for name in columns.platens[:1]}
         if switch is not None:
-            values[SWITCH] = float(switch[i])
+            values[CLOSED] = float(switch[i])
         for event in detector.update(time_s, values):
             if event.kind is PressEventKind.INSERTED and PressEventKind.CLOSED in found:
                 return found

@@ -32,11 +32,36 @@ class _Table(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
+class Pressure(_Table):
+    """``press.pressure``: a channel whose pressure tells whether the press is closed."""
+
+    column: str = Field(min_length=1)
+    closed_above: Positive
+    """The press counts as closed from this value on, in the column's unit."""
+    open_below: Number | None = None
+    """And as open again below this one. None: half of `closed_above`."""
+    unit: str = ""
+
+    @property
+    def lower(self) -> float:
+        """The threshold for opening, in the column's unit."""
+        return 0.5 * self.closed_above if self.open_below is None else self.open_below
+
+    @model_validator(mode="after")
+    def _apart(self) -> Pressure:
+        if self.lower > self.closed_above:
+            raise ValueError(f"open_below = {self.lower:g} lies above closed_above = {self.closed_above:g}")
+        return self
+
+
 class PressTable(_Table):
     """``[press]``."""
 
     name: str = "press"
     area_m2: Positive = 1.0
+    limit_switch: str = Field(default="closed", min_length=1)
+    """Column of a limit switch, 1 while the press is closed; it goes before pressure and temperatures."""
+    pressure: Pressure | None = None
 
 
 class Layer(_Table):

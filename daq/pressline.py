@@ -14,9 +14,10 @@ from pathlib import Path
 from typing import Any, Literal, Protocol
 
 from daq.acquisition import ClockWatch, LoggerThread, Scanner
-from daq.config import PressSettings
+from daq.config import PressSettings, press_of
 from daq.drivers import DataLogger, LoggerSettings, SuccessorLogger
 from daq.press_events import PressEventDetector, columns_of
+from daq.press_wires import CLOSED, Wires
 from daq.pressfile import read_press
 from daq.records import Channel, PressEvent, Scan
 from daq.runkeeper import RunKeeper, RunNames, RunRules
@@ -31,6 +32,8 @@ _STALLED_AFTER_S = 5.0
 """No scan for so long beside the schedule's own pace is a standstill. [s]"""
 _STUCK_AFTER_S = 20.0
 """Longer than any wait for devices on one bus: a driver that is still in its read hangs. [s]"""
+_DISAGREEMENT_SAID_EVERY_S = 600.0
+"""A limit switch that contradicts the temperatures is journalled at once, then at most this often. [s]"""
 LEFT_OUT_SAID_EVERY_S = 60.0
 """Scans left out are journalled at once, then at most this often. [s of the press]"""
 
@@ -88,20 +91,19 @@ class PressLine:
     ) -> None:
         self.settings = settings
         self._outbox, self._stop, self._say, self._speed = outbox, stop, say, speed
-        press = read_press(settings.file)
-        self._detector = PressEventDetector(press)
+        self._detector = PressEventDetector(press_of(settings))
         self._held: dict[str, tuple[float, float]] = {}
         self._newest: Scan | None = None
         self._left_out: list[tuple[float, int]] = []
         """Scans before which ticks went by, by their times, and how many did: not in the journal yet."""
-        self._left_out_said_s = -math.inf
+        self._left_out_said_s = self._disagreed_s = -math.inf
         self._fresh_s = time.monotonic()
         self._clock = ClockWatch(speed)
         self._changed: _Change | None = None
         self._press_file = settings.file.read_text(encoding="utf-8")
         self._plans = tuple(plan_of(x) for x in settings.logger)
         threads = [self._thread_of(x, logger) for x, logger in zip(settings.logger, loggers, strict=True)]
-        channels = _channels(threads)
+        channels = _channels(threads, self._detector.wires)
         outbox.expect(channels)
         self._key, names = self._enter(store, channels)
         self._keeper = RunKeeper(self._rules(text), names, self._panel_places(channels))
@@ -144,7 +146,7 @@ class PressLine:
 
     def change(self, settings: PressSettings, text: str) -> None:
         """Take over changed settings between runs. Raises `InputError` for what is wrong in them."""
-        read_press(settings.file)
+        press_of(settings)
         plans = tuple(plan_of(x) for x in settings.logger)
         new = [p.settings for p in plans if p not in self._plans]
         self._changed = _Change(settings, text, plans, {x.name: SuccessorLogger(x) for x in new})
@@ -155,16 +157,16 @@ class PressLine:
             return
         change, self._changed = self._changed, None
         press_file = change.settings.file.read_text(encoding="utf-8")
-        if press_file != self._press_file:
+        if (press_file, change.settings.limit_switch) != (self._press_file, self.settings.limit_switch):
             self._press_file = press_file
-            self._detector = PressEventDetector(read_press(change.settings.file))
+            self._detector = PressEventDetector(press_of(change.settings))
         self.settings, self._plans = change.settings, change.plans
         kept = {x.name: x for x in self._scanner.loggers}
         threads = [
             self._thread_of(x, change.successors[x.name]) if x.name in change.successors else kept[x.name]
             for x in change.settings.logger
         ]
-        channels = _channels(threads)
+        channels = _channels(threads, self._detector.wires)
         if channels != self._key.channels:
             self._key = replace(self._key, layout_id=0, channels=channels)
             self._outbox.expect(channels)
@@ -205,6 +207,8 @@ class PressLine:
         self._watch_clock(scan)
         self._watch_schedule(scan)
         events = self._detector.update(scan.monotonic_s, self._usable(scan))
+        self._watch_wires(scan)
+        scan = self._with_closed(scan)
         changes = self._keeper.take(scan, events)
         self._newest, self._fresh_s = scan, time.monotonic()
         begins = [c for c in changes if c[0] is not None]
@@ -224,7 +228,8 @@ class PressLine:
     def _usable(self, scan: Scan) -> dict[str, float]:
         """Return the usable values, for a slow logger's channels the last ones for a moment longer."""
         now: dict[str, float] = {}
-        for channel, value, quality in zip(self._key.channels, scan.values, scan.qualities, strict=True):
+        columns = zip(self._key.channels, scan.values, scan.qualities, strict=False)  # without what wires add
+        for channel, value, quality in columns:
             if quality.usable and value == value:
                 self._held[channel.name] = (scan.monotonic_s, value)
                 now[channel.name] = value
@@ -232,6 +237,27 @@ class PressLine:
                 at, held = self._held.get(channel.name, (float("-inf"), float("nan")))
                 now[channel.name] = held if scan.monotonic_s - at <= self._hold_s else float("nan")
         return now
+
+    def _with_closed(self, scan: Scan) -> Scan:
+        """Add the column ``closed``, where a wire of another name or kind tells it."""
+        if len(self._key.channels) == len(scan.values):
+            return scan
+        names, wires = [c.name for c in self._key.channels[:-1]], self._detector.wires
+        told = [x for x in zip(names, scan.values, scan.qualities, strict=True) if x[0] in wires.columns]
+        usable = {name: value for name, value, quality in told if quality.usable}
+        closed = wires.read(usable)
+        qualities = [quality for name, _, quality in told if name in usable or not usable]
+        value = math.nan if closed is None else float(closed)
+        return replace(scan, values=(*scan.values, value), qualities=(*scan.qualities, qualities[0]))
+
+    def _watch_wires(self, scan: Scan) -> None:
+        """Journal that wire and temperatures contradict each other, now and then while they do."""
+        said = self._detector.disagreement
+        if said is None or scan.monotonic_s - self._disagreed_s < _DISAGREEMENT_SAID_EVERY_S:
+            return
+        self._disagreed_s = scan.monotonic_s
+        name = self.settings.name
+        self._say("warning", f"press {name}: {said}", name, scan=scan.number, run=self._keeper.open_run)
 
     @property
     def _hold_s(self) -> float:
@@ -313,7 +339,8 @@ class PressLine:
         return [{"press": self.settings.name, **x.report()} for x in self._scanner.loggers]
 
 
-def _channels(threads: Sequence[LoggerThread]) -> tuple[Channel, ...]:
-    """Return all channels; a limit switch is no temperature."""
+def _channels(threads: Sequence[LoggerThread], wires: Wires) -> tuple[Channel, ...]:
+    """Return all channels, last what wires of other names say as ``closed``; a wire is no temperature."""
     every = [c for thread in threads for c in thread.channels]
-    return tuple(Channel(c.name, "") if c.name == "closed" else c for c in every)
+    plain = tuple(Channel(c.name, wires.unit_of(c.name)) if c.name in wires.columns else c for c in every)
+    return plain if wires.columns == (CLOSED,) else (*plain, Channel(CLOSED, ""))

@@ -33,6 +33,8 @@ clock set                      ``the clock of this machine was set by -3600.0 s;
                                affected`` (warning)
 logger silent or unplugged     ``logger X does not answer: ...; recording goes on without it, trying again``
                                (warning), then ``logger X answers again`` (info)
+switch against temperatures    ``press lab: the limit switch says open, but the upper face is hot; check it``
+                               (warning), at most every 10 minutes; the switch decides
 machine too busy               ``press lab: 3 scans left out, this machine was too busy`` (info), at most every
                                minute; the journal's detail says before which scans
 configuration changed          ``it takes effect between runs``, ``the changed configuration is in force`` (info)
@@ -52,10 +54,9 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
-from daq.config import Config, load_config
+from daq.config import Config, load_config, press_of
 from daq.drivers import open_logger
 from daq.notify import Notifier
-from daq.pressfile import read_press
 from daq.pressline import Level, PressLine, Say
 from daq.records import InputError
 from daq.stopping import stop_on_signals
@@ -88,7 +89,7 @@ def record(
     stop = stop or threading.Event()
     stop_on_signals(stop)
     for settings in config.press:
-        read_press(settings.file)
+        press_of(settings)
     loggers = {settings.name: [open_logger(x) for x in settings.logger] for settings in config.press}
     with open_store(config.store.url, later=True) as store:
 

@@ -127,7 +127,7 @@ class PressEvent:
     noticed_s: float
     """The scan at which the detector could say so. [s]"""
     source: str = "temperatures"
-    """``temperatures`` or ``limit switch``."""
+    """``temperatures``, ``limit switch`` or ``pressure channel``."""
 
 
 @dataclass(frozen=True)
@@ -169,11 +169,6 @@ class Run:
         """Return the columns that match shell-style patterns, in file order, each once."""
         wanted = tuple(patterns)
         return tuple(c for c in self.columns if any(fnmatch.fnmatchcase(c, p) for p in wanted))
-
-    @property
-    def closed(self) -> Array | None:
-        """The limit switch, 0 or 1, where it was logged."""
-        return self.columns.get("closed")
 
     @property
     def ambient_temperature(self) -> float:

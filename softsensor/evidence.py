@@ -22,6 +22,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from daq.press_events import find_moments
+from daq.press_wires import WIRES, closed_of, without_wires
 from daq.pressfile import Press
 from daq.records import Array, Moments, Run
 from softsensor.case import Case
@@ -130,13 +131,12 @@ def moments_of(press: Press, run: Run) -> Moments:
     """
     if not press.has_states:
         return Moments(inserted_s=float(run.time_s[0]))
-    columns = {name: values for name, values in run.columns.items() if name != "closed"}
-    moments = find_moments(replace(run, columns=columns), press)
+    moments = find_moments(without_wires(run, press), press)
     switched = find_moments(run, press)
-    if switched.source != "limit switch":
+    if switched.source not in WIRES:
         return moments
     changes: dict[str, Any] = {}
-    told = switch_of(run) or (_NEVER, _NEVER)
+    told = switch_of(run, press) or (_NEVER, _NEVER)
     for name, (first, gap) in zip(("closed_s", "opened_s"), told, strict=True):
         seen, middle = getattr(moments, name), first - gap / 2
         changes[name] = (seen + middle) / 2 if abs(seen - middle) < 1.5 else middle
@@ -148,12 +148,13 @@ def moments_of(press: Press, run: Run) -> Moments:
 _NEVER = (float("nan"), 0.0)
 
 
-def switch_of(run: Run) -> tuple[tuple[float, float], tuple[float, float]] | None:
-    """Return when a limit switch was first seen closed and then open, and the scan gaps before. [s]"""
-    if run.closed is None:
+def switch_of(run: Run, press: Press) -> tuple[tuple[float, float], tuple[float, float]] | None:
+    """Return when a wire was first seen closed and then open, and the scan gaps before. [s]"""
+    told = closed_of(run, press)
+    if told is None:
         return None
-    known = np.isfinite(run.closed)
-    times, state = run.time_s[known], run.closed[known] > 0.5
+    known = np.isfinite(told[0])
+    times, state = run.time_s[known], told[0][known] > 0.5
     if not state.any():
         return None
     first = int(np.argmax(state))
@@ -208,7 +209,7 @@ def digest_run(press: Press, run: Run, moments: Moments, excluded: frozenset[str
     return Digest(
         run=run,
         moments=moments,
-        switch=switch_of(run) if case.press.has_states else None,
+        switch=switch_of(run, case.press) if case.press.has_states else None,
         period_s=period,
         signals=signals,
         channels=channels,

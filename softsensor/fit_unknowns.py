@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from daq.press_wires import WIRES
 from daq.pressfile import Press
 from daq.records import Array, InputError, Moments
 from softsensor.case import Case
@@ -140,7 +141,7 @@ def _moment_priors(case: Case, period: float) -> list[Unknown]:
     unknowns: list[Unknown] = []
     first, last = float(case.run.time_s[0]), float(case.run.time_s[-1])
     sd = min(0.1 + 0.4 * period, 1.0)
-    late = -0.5 * period if moments.source == "limit switch" else 0.0
+    late = -0.5 * period if moments.source in WIRES else 0.0
     gaps = {g.moment: g for g in gaps_at_moments(case.run.time_s, moments, period)}
 
     def moment(name: str, mean: float = 0.0) -> Unknown:

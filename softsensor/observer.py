@@ -28,6 +28,7 @@ from typing import Any
 import numpy as np
 
 from daq.press_events import PressEventDetector
+from daq.press_wires import WIRES
 from daq.pressfile import Press, panel_of, press_for_run
 from daq.records import Array, Moments, PressEvent, PressEventKind, PressState, Run
 from softsensor import observer_kernels as loops
@@ -194,6 +195,7 @@ class LiveSensor:
         columns = {name: np.full(len(times), v) for name, v in values.items()}
         run = Run("live", self._header, times, columns, "live")
         press = press_for_run(self._press, run)
+        self._detector = PressEventDetector(press)
         own = tuple(name for name, _ in self._model.effects) if self._model else ()
         bench = prepare_bench(press, run, own)
         count = len(bench.place)
@@ -226,7 +228,7 @@ class LiveSensor:
         """Keep a moment the detector found, and how well it is known."""
         at, sd, known = event.monotonic_s, 0.15, self._known
         first = self._rows[0].time if self._rows else time_s
-        if event.source == "limit switch":
+        if event.source in WIRES:
             before = self._rows[-1].time if self._rows else time_s
             at, sd = at - 0.5 * (time_s - before), 0.3 * (time_s - before) + 0.1
         if event.kind is PressEventKind.INSERTED:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from daq.press_wires import closed_of
 from daq.pressfile import Contact, Press
 from softsensor.effects import find_effect
 from softsensor.fit_result import RunFit
@@ -106,7 +107,8 @@ def _faster(fitted: RunFit, kind: str) -> str:
     """Return what makes moments known better, empty where the record has it all."""
     rate = 1.0 / fitted.problem.signals.period_s
     advice = [f"log faster than the {rate:.2g} Hz here"] if rate < FASTEST_HZ else []
-    if kind in ("closed_s", "opened_s") and "closed" not in fitted.problem.case.run.columns:
+    case = fitted.problem.case
+    if kind in ("closed_s", "opened_s") and closed_of(case.run, case.press) is None:
         advice.append("log a limit switch as the column closed")
     told = ", and ".join(advice)
     return told[:1].upper() + told[1:]

@@ -61,6 +61,8 @@ const PLANT = [
   [/^the device closed the connection$/, "das Gerät hat die Verbindung geschlossen"],
   [/^the limit switch says closed, but the upper face is cold; check switch and panel$/, "der Endschalter sagt zu, aber die Oberseite ist kalt; prüfen Sie Schalter und Platte"],
   [/^the limit switch says open, but the upper face is hot; check it$/, "der Endschalter sagt offen, aber die Oberseite ist heiß; prüfen Sie ihn"],
+  [/^the pressure channel says closed, but the upper face is cold; check (?:pressure )?channel and panel$/, "der Druckkanal sagt zu, aber die Oberseite ist kalt; prüfen Sie Druckkanal und Platte"],
+  [/^the pressure channel says open, but the upper face is hot; check it$/, "der Druckkanal sagt offen, aber die Oberseite ist heiß; prüfen Sie ihn"],
   [/^scan (\d+) is there already with other values; another recorder writes to this press: stop one of them$/, "Messzeile $1 ist mit anderen Werten schon da; ein zweiter Rekorder schreibt für diese Presse: beenden Sie einen"],
 ];
 

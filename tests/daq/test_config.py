@@ -1,10 +1,11 @@
 """The service configuration: checked at start, wrong keys named."""
 
+import math
 from pathlib import Path
 
 import pytest
 
-from daq.config import load_config
+from daq.config import load_config, press_of
 from daq.records import InputError
 
 PRESSES = Path(__file__).parents[2] / "deploy" / "presses"
@@ -55,6 +56,8 @@ def test_a_configuration_gives_paths_beside_itself_and_columns_in_order(folder):
     [
         (("rate_hz", "rate_Hz"), r"press.0.rate_Hz = 10.0: unknown key"),
         (("rate_hz = 10.0", "rate_hz = 200.0"), r"press.0.rate_hz = 200.0: .*less than or equal to 20"),
+        (("rate_hz = 10.0", "rate_hz = 0.4"), r"press.0.rate_hz = 0.4: .*greater than or equal to 0.5"),
+        (("rate_hz", 'limit_switch = "S7"\nrate_hz'), r"no logger has channel 'S7', which limit_switch names"),
         (('name = "lab"', 'name = "my lab"'), r"press.0.name = 'my lab'"),
         (('"top_1"', '"platen_top"'), r"names platen_top twice"),
         (('"platen_bottom"', '"top_2"'), r"no logger has channel 'platen_bottom', which boundary.bottom"),
@@ -71,6 +74,25 @@ def test_a_wrong_configuration_is_refused_by_key_and_value(folder, change, messa
     with pytest.raises(InputError, match=message) as caught:
         load_config(folder / "kerntemp.toml")
     assert "\n" not in str(caught.value)
+
+
+def test_a_wire_is_named_by_the_configuration_or_the_press_file_and_may_stand_still(folder):
+    text = GOOD.replace('"top_1"]', '"top_1", "S7"]')
+    (folder / "kerntemp.toml").write_text(text.replace("rate_hz", 'limit_switch = "S7"\nrate_hz'))
+    settings = load_config(folder / "kerntemp.toml").press[0]
+    assert press_of(settings).press.limit_switch == "S7"
+    assert settings.logger[0].stale_after_s is None
+    press = folder / "lab.toml"
+    pressure = 'pressure = { column = "bar", closed_above = 20.0 }\n'
+    press.write_text(press.read_text().replace("[press]\n", "[press]\n" + pressure))
+    with pytest.raises(InputError, match=r"no logger has channel 'bar', which pressure names; add it to a logger"):
+        load_config(folder / "kerntemp.toml")
+    own = '[[press.logger]]\nname = "p"\nprofile = "generic"\nhost = "h"\nchannels = ["bar"]\n'
+    (folder / "kerntemp.toml").write_text(text.replace("[server]", own + "[server]"))
+    assert load_config(folder / "kerntemp.toml").press[0].logger[1].stale_after_s == math.inf
+    (folder / "kerntemp.toml").write_text(text.replace("S7", "closed").replace("[server]", own + "[server]"))
+    with pytest.raises(InputError, match="channel 'closed' is written from bar; give the logger's channel"):
+        load_config(folder / "kerntemp.toml")
 
 
 def test_a_column_from_two_loggers_is_refused(folder):

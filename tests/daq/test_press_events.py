@@ -172,6 +172,66 @@ def test_a_limit_switch_goes_before_the_temperatures():
     assert events[1].monotonic_s == late.time_s[first]
 
 
+def wired(run, wire="", **columns):
+    """A run without `closed`, with other columns instead, and the press file that names them."""
+    kept = {n: c for n, c in run.columns.items() if n != "closed"}
+    press = parse_press(press_toml().replace("[press]\n", f"[press]\n{wire}\n"))
+    return Run("wired", run.header, run.time_s, {**kept, **columns}), press
+
+
+def test_a_limit_switch_of_any_name_goes_before_the_temperatures_live_and_in_files():
+    run, _ = one_run(closed_column=True)
+    late = np.roll(run.columns["closed"], 12)
+    first, last = np.flatnonzero(late)[[0, -1]]
+    named, press = wired(run, 'limit_switch = "S7"', S7=late)
+    found = find_moments(named, press)
+    assert (found.source, found.closed_s, found.opened_s) == (
+        "limit switch",
+        run.time_s[first],
+        run.time_s[last + 1],
+    )
+    assert [e.source for e in replay(named, PressEventDetector(press))] == [
+        "temperatures",
+        "limit switch",
+        "limit switch",
+    ]
+    named, press = wired(run, S7=late)
+    by_header = Run("own", {**run.header, "press.limit_switch": "S7"}, run.time_s, named.columns)
+    assert find_moments(named, press).source == "temperatures"
+    assert find_moments(by_header, press) == found
+
+
+def test_a_pressure_channel_closes_above_one_threshold_and_opens_below_another():
+    run, truth = one_run(closed_column=False)
+    m, t = truth.moments, run.time_s
+    bar = np.interp(
+        t, [m.closed_s, m.closed_s + 2, m.opened_s - 10, m.opened_s - 8, m.opened_s], [0, 90, 90, 14, 0]
+    )
+    bar += np.random.default_rng(1).normal(0.0, 1.0, len(t))
+    pressed, press = wired(run, 'pressure = { column = "bar", closed_above = 20.0, open_below = 8.0 }', bar=bar)
+    events = replay(pressed, PressEventDetector(press))
+    assert [e.kind.value for e in events] == IN_ORDER
+    assert [e.source for e in events[1:]] == ["pressure channel", "pressure channel"]
+    assert events[1].monotonic_s == pytest.approx(m.closed_s + 0.44, abs=0.15)
+    assert bar[np.searchsorted(t, events[2].monotonic_s)] < 8.0
+    assert events[2].monotonic_s > m.opened_s - 8.0
+    found = find_moments(pressed, press)
+    assert found.source == "pressure channel"
+    assert [found.closed_s, found.opened_s] == [e.monotonic_s for e in events[1:]]
+
+
+def test_where_the_switch_is_silent_the_pressure_decides_and_where_both_are_the_temperatures():
+    run, truth = one_run(closed_column=True)
+    nothing = np.full(len(run.time_s), np.nan)
+    wire = 'limit_switch = "S7"\npressure = { column = "bar", closed_above = 20.0 }'
+    told, press = wired(run, wire, S7=nothing, bar=90.0 * run.columns["closed"])
+    assert find_moments(told, press).source == "pressure channel"
+    silent, press = wired(run, wire, S7=nothing, bar=nothing)
+    events = replay(silent, PressEventDetector(press))
+    assert [(e.kind.value, e.source) for e in events] == [(kind, "temperatures") for kind in IN_ORDER]
+    assert events[1].monotonic_s == pytest.approx(truth.moments.closed_s, abs=0.1)
+
+
 def test_a_switch_that_contradicts_the_temperatures_is_reported():
     run, truth = one_run(closed_column=False)
     stuck = Run("stuck", {}, run.time_s, {**run.columns, "closed": np.zeros(len(run.time_s))})

@@ -133,6 +133,46 @@ def test_pressings_are_recorded_as_runs_with_their_moments_and_start_temperature
         assert store.statuses()["record"].status["state"] == "stopped"
 
 
+def test_a_pressure_channel_and_a_stuck_switch_go_before_the_temperatures_and_disagreement_is_journalled(tmp_path):
+    speed, stuck = 10.0, threading.Event()
+
+    def wires(now_s):
+        at = max(now_s, 0.0)
+        m = made.press.cycle(at).moments
+        told = m.closed_s + 3.0 <= at < m.opened_s + 3.0
+        return [0.0 if stuck.is_set() else 90.0 * told, 0.0] + [20.0] * 14
+
+    with plant(tmp_path, speed=speed, rate_hz=2.0) as made, open_store(made.url) as store:
+        with simulated("generic", wires, clock=made.clock, refresh_s=0.0) as server:
+            table = wiring("generic", server, "wires", ("bar",))
+            press = made.folder / "lab.toml"
+            made.config.write_text(
+                made.config.read_text()
+                + "[[press.logger]]\n"
+                + "".join(f"{k} = {toml_value(v)}\n" for k, v in table.items())
+            )
+            pressure = 'pressure = { column = "bar", closed_above = 20.0, unit = "bar" }\n'
+            press.write_text(press.read_text().replace("[press]\n", "[press]\n" + pressure))
+            with recording(made):
+                wait_until(lambda: len(store.runs(status=RunStatus.CLOSED).items) >= 1, 120)
+                stuck.set()
+                wait_until(lambda: store.journal(press="lab", level="warning").items, 120)
+                time.sleep(3.0)
+        kept = store.runs(status=RunStatus.CLOSED).items[-1]
+        run = store.load_run(kept.run)
+        events = store.press_events("lab")
+        said = [e.message for e in store.journal(press="lab", level="warning").items]
+    assert [(e.kind, e.source) for e in events[1:3]] == [
+        ("closed", "pressure channel"),
+        ("opened", "pressure channel"),
+    ]
+    assert said == ["press lab: the pressure channel says open, but the upper face is hot; check it"]
+    pressed, closed = run.columns["bar"] > 20.0, run.columns["closed"]
+    assert {0.0, 1.0} == set(closed[np.isfinite(closed)])
+    assert np.array_equal(closed[np.isfinite(closed)] > 0.5, pressed[np.isfinite(closed)])
+    assert kept.moments.closed_s == pytest.approx(run.time_s[np.nanargmax(closed)], abs=0.01)
+
+
 def test_a_silent_logger_is_said_once_leaves_gaps_with_cause_and_does_not_disturb_the_other(tmp_path):
     with plant(tmp_path, rate_hz=10.0) as made, open_store(made.url) as store:
         with recording(made):

@@ -124,8 +124,7 @@ def test_a_run_file_gives_header_columns_and_missing_values(tmp_path):
     assert list(run.columns) == ["platen_top", "top_1", "bottom_1", "closed"]
     assert run.time_s.tolist() == [0.0, 0.5, 1.1]
     assert np.isnan(run.columns["top_1"][1])
-    assert run.closed is not None
-    assert run.closed.tolist() == [0, 0, 1]
+    assert run.columns["closed"].tolist() == [0, 0, 1]
     assert run.source == str(path)
 
 

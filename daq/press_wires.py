@@ -1,0 +1,80 @@
+"""What a wire tells of the press: a limit switch, or a pressure channel with two thresholds.
+
+Both go before the temperatures, the switch before the pressure, scan by scan: where a wire says nothing
+(its logger is silent), the next one decides. The press file names them (``press.limit_switch``,
+``press.pressure``), a run's header or ``[[press]]`` of the configuration may name them anew.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from daq.pressfile import Press, PressTable, press_for_run
+from daq.records import Array, Run
+
+CLOSED = "closed"
+"""The column of a run file that says whether the press is closed, 0 or 1."""
+LIMIT_SWITCH, PRESSURE_CHANNEL = "limit switch", "pressure channel"
+WIRES = (LIMIT_SWITCH, PRESSURE_CHANNEL)
+
+
+class Wires:
+    """Whether the press is closed by its wires, scan by scan; the pressure's state is remembered."""
+
+    def __init__(self, table: PressTable) -> None:
+        self.switches = tuple(dict.fromkeys((table.limit_switch, CLOSED)))
+        self.pressure = table.pressure
+        self.told_by = LIMIT_SWITCH
+        """Which wire spoke last."""
+        self._pressed: bool | None = None
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """The columns a wire may fill."""
+        return self.switches if self.pressure is None else (*self.switches, self.pressure.column)
+
+    def unit_of(self, column: str) -> str:
+        """Return a wire's unit, none for a switch."""
+        pressure = self.pressure
+        return pressure.unit if pressure is not None and column == pressure.column else ""
+
+    def read(self, values: Mapping[str, float]) -> bool | None:
+        """Return whether a scan says closed; None where no wire has a value."""
+        for name in self.switches:
+            value = values.get(name, math.nan)
+            if value == value:
+                self.told_by = LIMIT_SWITCH
+                return value > 0.5
+        if self.pressure is None:
+            return None
+        value = values.get(self.pressure.column, math.nan)
+        if value != value:
+            return None
+        self.told_by = PRESSURE_CHANNEL
+        limit = self.pressure.closed_above if not self._pressed else self.pressure.lower
+        self._pressed = value > limit
+        return self._pressed
+
+
+def closed_of(run: Run, press: Press) -> tuple[Array, str] | None:
+    """Return 0 or 1 a row by the run's wires, NaN where they say nothing, and which wire spoke.
+
+    None where no wire is logged.
+    """
+    wires = Wires(press_for_run(press, run).press)
+    names = [name for name in wires.columns if name in run.columns]
+    if not names:
+        return None
+    rows = zip(*(run.columns[name].tolist() for name in names), strict=True)
+    told = [wires.read(dict(zip(names, row, strict=True))) for row in rows]
+    return np.array([math.nan if x is None else float(x) for x in told]), wires.told_by
+
+
+def without_wires(run: Run, press: Press) -> Run:
+    """Return the run as the temperatures alone show it."""
+    wires = Wires(press_for_run(press, run).press).columns
+    return replace(run, columns={name: values for name, values in run.columns.items() if name not in wires})
