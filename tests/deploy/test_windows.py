@@ -163,7 +163,9 @@ def test_record_sense_and_serve_start_and_work_without_them(tmp_path):
             stack.callback(child.kill)
             children[name] = child
         assert "kerntemp serves" in children["serve"].stdout.readline(), (tmp_path / "serve.log").read_text()
-        deadline = time.monotonic() + 40
+        deadline = (
+            time.monotonic() + 400
+        )  # the first live sensor of a fresh clone compiles, on a busy machine for minutes
         while not _works(tmp_path / "s.sqlite"):
             for name, child in children.items():
                 assert child.poll() is None, (tmp_path / f"{name}.log").read_text()
