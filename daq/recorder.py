@@ -27,6 +27,8 @@ store of a newer version       ``made by a newer version (schema X, this version
                                another store``: at start exit status 2; behind a server that came back, an alarm
 file damaged                   ``the file is damaged; restore the newest backup with kerntemp backup --restore``
 recorder was killed            ``run ... was interrupted; its data are kept`` (warning), recording goes on
+second recorder, same machine  ``press lab: another recorder writes it into ...; stop that one first`` or ``buffer
+                               ...: another recorder uses it``: exit status 2, the first is not disturbed
 two recorders on one press     ``scan N is there already with other values; another recorder writes to this
                                press: stop one of them`` (alarm)
 clock set                      ``the clock of this machine was set by -3600.0 s; times within a run are not
@@ -37,6 +39,8 @@ switch against temperatures    ``press lab: the limit switch says open, but the 
                                (warning), at most every 10 minutes; the switch decides
 machine too busy               ``press lab: 3 scans left out, this machine was too busy`` (info), at most every
                                minute; the journal's detail says before which scans
+calibration file not made yet  ``logger X: values are not corrected, X.toml is not there yet; kerntemp calibrate
+                               --write makes it`` (warning); it is taken over once it is there
 configuration changed          ``it takes effect between runs``, ``the changed configuration is in force`` (info)
 configuration wrong            file, key and value; ``recording goes on with the configuration before`` (warning)
 =============================  ==================================================================================
@@ -61,6 +65,7 @@ from daq.pressline import Level, PressLine, Say
 from daq.records import InputError
 from daq.stopping import stop_on_signals
 from daq.store import Store, StoreUnavailable, open_store
+from daq.store.alone import alone
 from daq.store.outbox import Outbox
 from daq.store.parcels import Entry, Parcel
 
@@ -84,14 +89,14 @@ def record(
     Raises
     ------
     InputError
-        For what is wrong in press files, profiles or the store's address.
+        For what is wrong in press files, profiles or the store's address, or where another recorder is at it.
     """
     stop = stop or threading.Event()
     stop_on_signals(stop)
     for settings in config.press:
         press_of(settings)
     loggers = {settings.name: [open_logger(x) for x in settings.logger] for settings in config.press}
-    with open_store(config.store.url, later=True) as store:
+    with open_store(config.store.url, later=True) as store, alone(_own_places(config, store)):
 
         def say(level: Level, sentence: str, press: str | None = None, **detail: Any) -> None:
             _log(level, sentence)
@@ -128,6 +133,20 @@ def record(
             outbox.beat(PROCESS, _status(lines, outbox, "stopped"))
             say("info", "recording ends")
             outbox.close()
+
+
+def _own_places(config: Config, store: Store) -> dict[Path, str]:
+    """Return what no other recorder may use meanwhile, and what to say to a second one."""
+    if (path := store.database.path) is not None:
+        said = "another recorder writes it into {}; stop that one first"
+        return {
+            path.with_name(f"{path.name}.{p.name}"): f"press {p.name}: {said.format(path)}" for p in config.press
+        }
+    if (buffer := config.store.buffer) is None:
+        return {}
+    return {
+        buffer: f"buffer {buffer}: another recorder uses it; stop that one, or give each its own as store.buffer"
+    }
 
 
 def _watch(

@@ -410,6 +410,21 @@ def test_a_recorder_on_postgresql_stores_the_same(tmp_path, postgresql_url):
         assert np.median(np.diff(run.time_s)) == pytest.approx(0.5, rel=0.05)
 
 
+def test_a_second_recorder_is_sent_away_and_does_not_disturb_the_first(tmp_path, store_url):
+    with plant(tmp_path, speed=20.0, rate_hz=2.0, store=store_url) as made, open_store(store_url) as store:
+        with recording(made):
+            wait_until(lambda: store.open_run("lab") is not None, 60)
+            run = store.open_run("lab").run
+            command = [sys.executable, "-m", "daq.recorder", str(made.config)]
+            second = subprocess.run(command, capture_output=True, text=True, timeout=60)
+            assert second.returncode
+            assert "another recorder" in second.stderr.splitlines()[-1]
+            assert not second.stdout
+            wait_until(lambda: store.run_record(run).status is not RunStatus.OPEN, 60)
+            assert store.run_record(run).status is RunStatus.CLOSED
+        assert not any("interrupted" in e.message for e in store.journal(limit=500).items)
+
+
 def test_two_presses_in_one_process_do_not_wait_for_each_other(tmp_path, store_url):
     off = Switches()
     with plant(tmp_path, rate_hz=10.0, store=store_url) as made, open_store(store_url) as store:

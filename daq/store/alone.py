@@ -1,0 +1,69 @@
+"""One recorder a press and one a buffer file: the operating system holds a lock while the process lives.
+
+A second recorder would end the first one's open run as interrupted, take its scan numbers, and empty its buffer.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import IO
+
+from daq.records import InputError
+
+PATIENCE_S = 5.0
+"""A recorder that is just ending, or was just killed, is waited for. [s]"""
+
+if sys.platform == "win32":
+    import msvcrt
+
+    def _lock(file: IO[bytes]) -> None:
+        msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
+
+else:
+    import fcntl
+
+    def _lock(file: IO[bytes]) -> None:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+@contextmanager
+def alone(places: Mapping[Path, str]) -> Iterator[None]:
+    """Hold what must have one user; of each place its file and what to say where another process holds it.
+
+    A place where no file can be made (disk full or read-only) is not held: that must not stop recording.
+
+    Raises
+    ------
+    InputError
+        With what is to be said, after `PATIENCE_S`.
+    """
+    with ExitStack() as held:
+        for place, complaint in places.items():
+            try:
+                file = held.enter_context(lock_file(place).open("ab"))
+            except OSError:
+                continue
+            _wait_for(file, complaint)
+        yield
+
+
+def lock_file(place: Path) -> Path:
+    """Return the hidden file beside a place whose lock stands for it."""
+    return place.with_name(f".{place.name}.lock")
+
+
+def _wait_for(file: IO[bytes], complaint: str) -> None:
+    deadline = time.monotonic() + PATIENCE_S
+    while True:
+        try:
+            _lock(file)
+        except OSError as error:
+            if time.monotonic() > deadline:
+                raise InputError(complaint) from error
+            time.sleep(0.05)
+        else:
+            return
