@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import json
 import uuid
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import date, time
-from typing import Any
+from typing import Any, Literal
 
 from daq.records import Run
 
@@ -18,9 +18,12 @@ _NAMESPACE = uuid.UUID("6d6f7264-6b65-726e-7465-6d7000000001")
 """The same run gives the same identifiers."""
 
 Document = tuple[str, dict[str, Any]]
+ExitStatus = Literal["success", "abort"] | None
 
 
-def documents_of(run: Run, started_unix_s: float, units: dict[str, str] | None = None) -> Iterator[Document]:
+def documents_of(
+    run: Run, started_unix_s: float, units: Mapping[str, str] | None = None, ended: ExitStatus = "success"
+) -> Iterator[Document]:
     """Yield name and content of each document of a run.
 
     Parameters
@@ -28,7 +31,9 @@ def documents_of(run: Run, started_unix_s: float, units: dict[str, str] | None =
     started_unix_s
         When the run's time was 0. [s since 1970]
     units
-        Of each column; ``C`` where none is given, none for ``closed``.
+        Of the columns, as far as they are known: a wrong unit is worse than none.
+    ended
+        How: ``abort`` for a run that was interrupted; None for one that goes on, which has no stop document yet.
     """
     units = units or {}
     start = _identifier(run.name, "start")
@@ -39,7 +44,7 @@ def documents_of(run: Run, started_unix_s: float, units: dict[str, str] | None =
             "source": f"kerntemp:{name}",
             "dtype": "number",
             "shape": [],
-            "units": units.get(name, "" if name == "closed" else "C"),
+            **({"units": units[name]} if units.get(name) else {}),
         }
         for name in run.columns
     }
@@ -73,21 +78,25 @@ def documents_of(run: Run, started_unix_s: float, units: dict[str, str] | None =
                 "filled": {},
             },
         )
+    if ended is None:
+        return
     yield (
         "stop",
         {
             "uid": _identifier(run.name, "stop"),
             "run_start": start,
             "time": started_unix_s + float(run.time_s[-1]),
-            "exit_status": "success",
+            "exit_status": ended,
             "num_events": {"primary": len(run.time_s)},
         },
     )
 
 
-def json_lines(run: Run, started_unix_s: float) -> Iterator[str]:
+def json_lines(
+    run: Run, started_unix_s: float, units: Mapping[str, str] | None = None, ended: ExitStatus = "success"
+) -> Iterator[str]:
     """Yield one line ``["event", {...}]`` a document; a missing value is null."""
-    for name, content in documents_of(run, started_unix_s):
+    for name, content in documents_of(run, started_unix_s, units, ended):
         if name == "event":
             content["data"] = {k: None if v != v else v for k, v in content["data"].items()}
         yield json.dumps([name, content], ensure_ascii=False)

@@ -24,6 +24,7 @@ from daq.records import InputError
 
 if TYPE_CHECKING:
     from daq.config import PressSettings
+    from daq.documents import ExitStatus
     from daq.records import Run
     from daq.store.store import Store
 
@@ -117,14 +118,18 @@ def export_runs(
         for path, run in targets.items():
             loaded = opened.run_for_file(run)
             if path.suffix.lower() == ".jsonl":
-                began = opened.run_record(run).started_utc.timestamp()
-                contents[path] = "".join(f"{line}\n" for line in json_lines(loaded, began))
+                kept = opened.run_record(run)
+                lines = json_lines(loaded, kept.started_utc.timestamp(), opened.units_of(run), _END[kept.status])
+                contents[path] = "".join(f"{line}\n" for line in lines)
             else:
                 contents[path] = partial(write_run, loaded)
         write_all(contents)
         folder = out if out.is_dir() else out.parent
         if out.is_dir() or (folder / MANIFEST).is_file():
             update_manifest(folder, targets)
+
+
+_END: dict[str, ExitStatus] = {"closed": "success", "interrupted": "abort", "open": None}
 
 
 def _targets(runs: list[str], out: Path, kind: str) -> dict[Path, str]:
@@ -172,7 +177,7 @@ def check(
 
 
 def _read_loggers(press: PressSettings) -> list[str]:
-    from daq.drivers import BadFrame, NoReply, open_logger
+    from daq.drivers import BadFrame, NoReply, open_logger, uncorrected
 
     failed = []
     for settings in press.logger:
@@ -189,4 +194,6 @@ def _read_loggers(press: PressSettings) -> list[str]:
             for channel, value, quality in zip(logger.channels, reading.values, reading.qualities, strict=True)
         )
         sys.stdout.write(f"{press.name}, {settings.name}: {shown} °C\n")
+        if sentence := uncorrected(settings):
+            sys.stdout.write(f"{press.name}, {sentence}\n")
     return failed

@@ -167,6 +167,16 @@ def load_run(
     return Run(run, header_of(row.header_toml), time_s, table, "store", remarks)
 
 
+def units_of(connection: Connection, run: str) -> dict[str, str]:
+    """Return the unit of each column of a run, as far as it is known."""
+    row = run_row(connection, run)
+    own = [SCAN.c.press_id == row.press_id, SCAN.c.number >= row.first_scan]
+    if row.last_scan is not None:
+        own.append(SCAN.c.number <= row.last_scan)
+    layouts = connection.execute(select(SCAN.c.layout_id).where(*own).distinct()).scalars()
+    return {c.name: c.unit for layout in layouts for c in layout_channels(connection, layout) if c.unit}
+
+
 def _remarks(faults: Sequence[str | None], columns: Sequence[str] | None) -> dict[str, tuple[str, ...]]:
     """Return the column of qualities, or none where every value is good."""
     words = {f: "" if f is None else quality_text(json.loads(f), columns) for f in set(faults)}

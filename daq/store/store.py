@@ -207,6 +207,11 @@ class Store:
             loaded = reading.load_run(connection, run, columns, from_s, to_s)
             return replace(loaded, header=header_for_file(reading.run_record(connection, run)))
 
+    def units_of(self, run: str) -> dict[str, str]:
+        """Return the unit of each column of a run, as far as it is known."""
+        with self.database.reading() as connection:
+            return reading.units_of(connection, run)
+
     def run_changes(self, run: str) -> list[RunChange]:
         """Return the edits of a run's metadata, oldest first."""
         with self.database.reading() as connection:

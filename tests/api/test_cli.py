@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from api.cli import main
+from daq.records import Run
 from daq.runfile import read_run, write_run
 from daq.store import open_store
 
@@ -139,6 +140,25 @@ def test_a_run_exported_anew_into_a_folder_with_sums_can_be_imported(files, firs
     assert main(["import", str(out / f"{name}.csv"), *press, str(tmp_path / "other.sqlite")]) == 0
     with open_store(str(tmp_path / "other.sqlite")) as opened:
         assert opened.run_record(name).remark == "edge chipped"
+
+
+def test_event_documents_of_a_stored_run_carry_units_and_how_it_ended(tmp_path):
+    url, columns = str(tmp_path / "s.sqlite"), {"top_1": np.ones(3), "position_mm": np.ones(3)}
+    with open_store(url) as opened:
+        for name, life in (("cut", "interrupted"), ("whole", "closed"), ("live", "open")):
+            opened.import_run(Run(name, {"recorded.status": life}, np.arange(3.0), columns), "lab")
+        with opened.database.writing() as connection:
+            connection.exec_driver_sql("UPDATE run SET status = 'open' WHERE run = 'live'")
+    last = {}
+    for name in ("cut", "whole", "live"):
+        assert main(["export", name, "--out", str(tmp_path / f"{name}.jsonl"), "--store", url]) == 0
+        documents = [json.loads(line) for line in (tmp_path / f"{name}.jsonl").read_text().splitlines()]
+        last[name] = (documents[-1][0], documents[-1][1].get("exit_status"))
+        assert {k: v.get("units") for k, v in documents[1][1]["data_keys"].items()} == {
+            "top_1": "C",
+            "position_mm": None,
+        }
+    assert last == {"cut": ("stop", "abort"), "whole": ("stop", "success"), "live": ("event", None)}
 
 
 def test_a_run_that_is_stored_already_stops_the_whole_import(files, first, tmp_path, capsys):

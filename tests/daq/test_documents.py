@@ -45,3 +45,21 @@ def test_lines_of_json_say_null_for_a_missing_value_and_are_the_same_each_time()
     assert json.loads(lines[3])[1]["data"]["top_1"] is None
     assert json.loads(lines[0])[1]["header"]["panel:material"] == "MDF"
     assert lines == list(json_lines(RUN, 0.0))
+
+
+def test_a_column_has_the_unit_it_is_known_to_have_and_else_none():
+    run = Run("r", {}, np.arange(2.0), {"top_1": np.ones(2), "position_mm": np.ones(2), "load": np.ones(2)})
+    documents = list(documents_of(run, 0.0, {"top_1": "C", "load": ""}))
+    keys = documents[1][1]["data_keys"]
+    assert {name: key.get("units") for name, key in keys.items()} == {
+        "top_1": "C",
+        "position_mm": None,
+        "load": None,
+    }
+    for name, content in documents:
+        event_model.schema_validators[event_model.DocumentNames[name]].validate(content)
+
+
+def test_an_interrupted_run_says_so_and_one_that_goes_on_has_no_stop_yet():
+    assert list(documents_of(RUN, 0.0, ended="abort"))[-1][1]["exit_status"] == "abort"
+    assert [name for name, _ in documents_of(RUN, 0.0, ended=None)][-1] == "event"
