@@ -1,4 +1,4 @@
-"""What was exported, with SHA-256 sums: ``SHA256SUMS`` beside the files, as ``sha256sum --check`` reads it."""
+"""What was exported or backed up, with its SHA-256: ``SHA256SUMS`` beside it, as ``sha256sum --check`` reads it."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ def check_listed(path: Path) -> None:
     Raises
     ------
     InputError
-        For a file changed since it was exported, or a manifest that cannot be read.
+        For a file changed since it was written, or a manifest that cannot be read.
     """
     if not path.is_file():
         return
     expected = _listed(path.parent).get(path.name)
     if expected is not None and expected != _sum(path):
         raise InputError(
-            f"{path}: changed or damaged since it was exported; export it again, or take it out of "
-            f"{path.parent / NAME}"
+            f"{path}: changed or damaged since it was written; write it again, or, to use it as it is, take it "
+            f"out of {path.parent / NAME}"
         )
 
 

@@ -1,7 +1,8 @@
 """Looking after a store: backup while recording, verified restore, thinning of idle scans, sizes.
 
 A backup is always one SQLite file, also of a PostgreSQL store: it opens anywhere, and restoring it into
-either engine is the same copy. It is checked before it gets its name, so a file that is there is whole.
+either engine is the same copy. It is checked before it gets its name, so a file that is there is whole; its sum
+goes into ``SHA256SUMS`` beside it, since SQLite itself does not notice a wrong bit within a value.
 """
 
 from __future__ import annotations
@@ -17,8 +18,9 @@ from pathlib import Path
 
 from sqlalchemy import Connection, Table, delete, func, insert, select, text
 
+from daq.manifest import check_listed, update_manifest
 from daq.records import InputError
-from daq.store.database import Database
+from daq.store.database import Database, migrations
 from daq.store.records import StoreUnavailable
 from daq.store.schema import (
     COEFFICIENT,
@@ -102,7 +104,8 @@ def back_up(database: Database, target: Path) -> Contents:
             _make_single_file(part)
         contents = verify(part)
         part.replace(target)
-    except sqlite3.Error as error:
+        update_manifest(target.parent, [target])
+    except (sqlite3.Error, OSError) as error:
         raise StoreUnavailable(f"backup {target}: {error}; check the disk and its space") from error
     finally:
         for leftover in (part, part.with_name(part.name + "-wal"), part.with_name(part.name + "-shm")):
@@ -155,12 +158,12 @@ def _continue_numbers(connection: Connection, table: Table) -> None:
 
 
 def verify(path: Path) -> Contents:
-    """Check a store file: sound pages, sound references, every closed run with all its scans' numbers in order.
+    """Check a store file: the sum it was written with, sound pages and references, closed runs with both ends.
 
     Raises
     ------
     InputError
-        For a file that is damaged or no store.
+        For a file that is damaged, no store, or made by a newer version.
     """
     if not path.is_file():
         raise InputError(f"backup {path}: does not exist")
@@ -178,8 +181,13 @@ def verify(path: Path) -> Contents:
             short = connection.execute(_RUNS_WITHOUT_ENDS).fetchone()
     except sqlite3.Error as error:
         raise InputError(f"backup {path}: not a sound store: {error}; take another backup") from error
+    if schema > (known := max(migrations())):
+        raise InputError(
+            f"backup {path}: made by a newer version (schema {schema}, this one knows {known}); update Kerntemp"
+        )
     if short is not None:
         raise InputError(f"backup {path}: run {short[0]} lacks its first or last scan; take another backup")
+    check_listed(path)
     return Contents(schema, *counts)
 
 

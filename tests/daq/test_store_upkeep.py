@@ -104,6 +104,28 @@ def test_a_damaged_backup_is_refused(tmp_path):
         verify(tmp_path / "d.sqlite")
 
 
+def test_a_backup_with_one_wrong_digit_is_refused(tmp_path):
+    with open_store(str(tmp_path / "s.sqlite")) as store:
+        fill(store)
+        store.back_up(tmp_path / "b.sqlite")
+    verify(tmp_path / "b.sqlite")
+    sound = (tmp_path / "b.sqlite").read_bytes()
+    place = sound.index(b"[200.0,") + 3
+    (tmp_path / "b.sqlite").write_bytes(sound[:place] + b"9" + sound[place + 1 :])
+    for use in (verify, lambda path: restore(path, str(tmp_path / "again.sqlite"))):
+        with pytest.raises(InputError, match="changed or damaged since it was written"):
+            use(tmp_path / "b.sqlite")
+    assert not (tmp_path / "again.sqlite").exists()
+
+
+def test_a_backup_of_a_newer_version_is_refused_by_its_own_name(tmp_path):
+    with open_store(str(tmp_path / "b.sqlite")) as store, store.database.writing() as connection:
+        connection.exec_driver_sql("UPDATE schema_version SET version = 99")
+    with pytest.raises(InputError, match=r"backup .*b.sqlite: made by a newer version \(schema 99"):
+        restore(tmp_path / "b.sqlite", str(tmp_path / "again.sqlite"))
+    assert not (tmp_path / "again.sqlite").exists()
+
+
 def test_a_backup_with_a_run_that_lost_scans_is_refused(tmp_path):
     with open_store(str(tmp_path / "s.sqlite")) as store:
         fill(store)
@@ -159,7 +181,7 @@ def test_export_sums_are_those_of_the_standard_and_find_a_changed_file(tmp_path)
     (tmp_path / "a.csv").write_text("abd")
     (tmp_path / "c.csv").write_text("not listed")
     check_listed(tmp_path / "c.csv")
-    with pytest.raises(InputError, match=r"a\.csv: changed or damaged since it was exported"):
+    with pytest.raises(InputError, match=r"a\.csv: changed or damaged since it was written"):
         check_listed(tmp_path / "a.csv")
 
 
