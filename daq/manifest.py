@@ -1,4 +1,4 @@
-"""What was exported or backed up, with its SHA-256: ``SHA256SUMS`` beside it, as ``sha256sum --check`` reads it."""
+"""What was exported or backed up, with SHA-256 sums: ``SHA256SUMS`` beside it, for ``sha256sum --check``."""
 
 from __future__ import annotations
 

@@ -21,6 +21,8 @@ from daq.store.schema import CONFIGURATION, LAYOUT, PRESS, PRESS_EVENT, RUN, RUN
 Kind = Literal["recorded", "imported"]
 _NAME = re.compile(r"(?!\.{1,2}$)[^\x00-\x1f\x7f-\x9f/\\]{1,200}")
 """A run's name is a file's name on export, part of a URL, and a cell of a list."""
+_PASSWORD = re.compile(r"(://[^\s:/@\"']*:)[^\s\"']+@")
+"""A password in a URL does not belong into every backup."""
 
 
 def register_press(
@@ -197,6 +199,7 @@ def software_version() -> str:
 def _configuration(connection: Connection, content: str) -> int | None:
     if not content:
         return None
+    content = _PASSWORD.sub(r"\1***@", content)
     found = connection.execute(
         select(CONFIGURATION.c.configuration_id).where(CONFIGURATION.c.text == content)
     ).scalar()

@@ -143,10 +143,10 @@ def put_fit(connection: Connection, run: str, fit: Mapping[str, Any], model_vers
         {
             "fit_id": fit_id,
             "name": name,
-            "value": null(value.get("value")),
-            "sd": null(value.get("sd")),
-            "low": null((value.get("ci95") or (None, None))[0]),
-            "high": null((value.get("ci95") or (None, None))[1]),
+            "value_w_m2k": null(value.get("value")),
+            "sd_w_m2k": null(value.get("sd")),
+            "low_w_m2k": null((value.get("ci95") or (None, None))[0]),
+            "high_w_m2k": null((value.get("ci95") or (None, None))[1]),
             "identifiable": int(bool(value.get("identifiable", True))),
         }
         for name, value in fit.get("coefficients", {}).items()
@@ -204,10 +204,10 @@ def coefficient_history(
             r.run,
             known_utc(r.started_unix_s),
             r.name,
-            nan(r.value),
-            nan(r.sd),
-            nan(r.low),
-            nan(r.high),
+            nan(r.value_w_m2k),
+            nan(r.sd_w_m2k),
+            nan(r.low_w_m2k),
+            nan(r.high_w_m2k),
             bool(r.identifiable),
             r.model_version,
         )

@@ -118,10 +118,10 @@ COEFFICIENT = _table(
     "fit_id name",
     fit_id=BigInteger,
     name=Text,
-    value=Double,
-    sd=Double,
-    low=Double,
-    high=Double,
+    value_w_m2k=Double,
+    sd_w_m2k=Double,
+    low_w_m2k=Double,
+    high_w_m2k=Double,
     identifiable=BigInteger,
 )
 MODEL = _table(

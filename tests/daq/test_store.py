@@ -373,6 +373,70 @@ def test_people_find_runs_and_scans_by_plain_sql(store):
         assert str(overview["started_utc"]).startswith("2026-03-04")
 
 
+def test_people_find_events_estimates_coefficients_and_models_of_a_run_with_units_and_times(store):
+    name = record_one_run(store)
+    store.append_estimates("lab", [StoredEstimate(20, 1002.0, PressState.CLOSED, 61.0, 0.5, 60.0, 62.0, True)])
+    fitted = {"value": 700.0, "sd": 9.0, "ci95": [680.0, 720.0], "identifiable": True}
+    store.put_fit(name, {"converged": True, "coefficients": {"h_pp_c": fitted}}, "v1")
+    store.put_model("lab", "v1", {"effects": []}, status="promoted", reason="first")
+    store.log("alarm", "record", "disk is full", "lab")
+
+    def told(view):
+        with store.database.reading() as connection:
+            return [dict(row) for row in connection.execute(text(f"SELECT * FROM {view}")).mappings()]
+
+    [said] = told("run_estimate")
+    assert (said["run"], said["core_celsius"]) == (name, 61.0)
+    assert said["time_s"] == pytest.approx(0.5)
+    assert [(e["run"], e["kind"]) for e in told("run_event")] == [(name, "inserted"), (name, "closed")]
+    assert [e["time_s"] for e in told("run_event")] == pytest.approx([0.3, 1.5])
+    [row] = told("coefficient_history")
+    assert (row["run"], row["name"], row["value_w_m2k"], row["high_w_m2k"]) == (name, "h_pp_c", 700.0, 720.0)
+    assert str(row["started_utc"]).startswith("2026-03-04")
+    [model] = told("model_overview")
+    assert (model["version"], model["status"]) == ("v1", "promoted")
+    assert abs(datetime.fromisoformat(str(model["created_utc"]).rstrip("Z")).year - datetime.now(UTC).year) <= 1
+    assert [line["message"] for line in told("journal")] == ["disk is full"]
+
+
+def test_a_server_keeps_what_the_migrations_say_of_tables_and_columns(postgresql_url):
+    with open_store(postgresql_url) as store:
+        found = inspect(store.database.engine)
+        assert found.get_table_comment("scan")["text"].startswith("Raw data. Never changed")
+        comments = {c["name"]: c["comment"] for c in found.get_columns("scan")}
+        assert comments["unix_s"] == "UTC, seconds since 1970; empty for imported files"
+        assert comments["number"] is None
+        with store.database.reading() as connection:
+            said = connection.execute(text("SELECT obj_description('coefficient_history'::regclass)")).scalar()
+        assert "95 % interval" in said
+
+
+def test_a_store_of_the_first_schema_is_brought_up_to_date_with_its_data(store_url, monkeypatch):
+    steps = migrations()
+    monkeypatch.setattr("daq.store.database.migrations", lambda: {1: steps[1]})
+    with open_store(store_url) as store:
+        name = record_one_run(store)
+        with store.database.writing() as connection:
+            for row in (
+                f"INSERT INTO fit VALUES (1, '{name}', 0.0, 'v1', 1, 0.3, '{{}}')",
+                "INSERT INTO coefficient VALUES (1, 'h_pp_c', 700.0, 9.0, 680.0, 720.0, 1)",
+            ):
+                connection.exec_driver_sql(row)
+    monkeypatch.undo()
+    with open_store(store_url) as store:
+        [kept] = store.coefficient_history().items
+        assert (kept.value, kept.sd, kept.low, kept.high) == (700.0, 9.0, 680.0, 720.0)
+        assert len(store.load_run(name).time_s) == 37
+        assert store.contents().schema == max(steps)
+
+
+def test_the_password_of_a_store_is_not_kept_with_each_run(store):
+    key = store.register_press("lab", CHANNELS)
+    settings_ = '[store]\nurl = "postgresql://kerntemp:ge:h@im@db.plant/kerntemp"\n[[press]]\nname = "lab"\n'
+    store.append_scans(key, scans(0, 3), begin=NewRun("r", 0, BEGAN, 1000.0, {}, settings_))
+    assert store.configuration_of("r") == settings_.replace("ge:h@im", "***")
+
+
 def test_the_tables_are_as_the_code_sees_them(store):
     found = inspect(store.database.engine)
     for table in METADATA.tables.values():

@@ -73,7 +73,8 @@ def double(store, there, wanted):
             runs.append(run)
             fit = {"fit_id": first_fit + k, "run": run["run"], "created_unix_s": 0.0, "model_version": ""}
             fits.append(fit | {"converged": 1, "rmse_kelvin": 0.3, "fit_json": "{}"})
-            value = {"fit_id": first_fit + k, "value": 700.0, "sd": 9.0, "low": 680.0, "high": 720.0}
+            value = {"fit_id": first_fit + k, "value_w_m2k": 700.0, "sd_w_m2k": 9.0, "low_w_m2k": 680.0}
+            value["high_w_m2k"] = 720.0
             coefficients += [value | {"name": name, "identifiable": 1} for name in COEFFICIENTS]
         for table, content in ((RUN, runs), (FIT, fits), (COEFFICIENT, coefficients)):
             connection.execute(insert(table), content)

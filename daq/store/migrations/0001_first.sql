@@ -166,14 +166,14 @@ CREATE TABLE status (
 
 -- Runs for people: names and times instead of numbers.
 CREATE VIEW run_overview AS
-SELECT run.run, press.name AS press, press.kind, run.status, {utc_started} AS started_utc,
+SELECT run.run, press.name AS press, press.kind, run.status, {utc run.started_unix_s} AS started_utc,
        run.inserted_s, run.closed_s, run.opened_s, run.removed_s,
        run.panel_material, run.panel_thickness_mm, run.remark, run.software_version
 FROM run JOIN press ON press.press_id = run.press_id;
 
 -- Scans of runs; give a run: SELECT * FROM run_scan WHERE run = '...' ORDER BY time_s
 CREATE VIEW run_scan AS
-SELECT run.run, scan.number, scan.monotonic_s - run.zero_monotonic_s AS time_s, {utc_scan} AS utc,
+SELECT run.run, scan.number, scan.monotonic_s - run.zero_monotonic_s AS time_s, {utc scan.unix_s} AS utc,
        layout.columns_json AS columns, scan.readings, scan.faults
 FROM run
 JOIN scan ON scan.press_id = run.press_id AND scan.number >= run.first_scan
