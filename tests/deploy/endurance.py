@@ -273,12 +273,12 @@ class Endurance:
 
     def _wait_for(self, name: str, last: int = -1) -> None:
         """Wait for a process's first sign of life, of the recorder a scan after the last one."""
-        deadline = time.monotonic() + 120
+        deadline = time.monotonic() + 300
         while name not in self.store.statuses() or (
             name == "record" and self.store.newest_scan_number("lab") <= last
         ):
             if time.monotonic() > deadline:
-                raise RuntimeError(f"no sign of {name} in 120 s; the logs are beside the store")
+                raise RuntimeError(f"no sign of {name} in 300 s; the logs are beside the store")
             time.sleep(0.02)
 
     # --- pressing and breaking ----------------------------------------------------------------------
