@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -25,6 +26,7 @@ from daq.records import InputError
 if TYPE_CHECKING:
     from daq.config import PressSettings
     from daq.documents import ExitStatus
+    from daq.pressfile import Press
     from daq.records import Run
     from daq.store.store import Store
 
@@ -52,6 +54,7 @@ def import_runs(
         runs = []
         for number, path in enumerate(files, 1):
             runs.append(read(path))
+            _refuse_nonsense(runs[-1], described)
             done(number)
     names = [run.name for run in runs]
     if twice := next((name for name in names if names.count(name) > 1), None):
@@ -74,6 +77,23 @@ def _reader(mapping: Path | None) -> Callable[[Path], Run]:
 
     mapped = read_mapping(mapping)
     return lambda path: read_foreign(path, mapped)
+
+
+_SOME_PANEL = {
+    "panel.thickness_mm": 16.0,
+    "panel.density_kg_m3": 740.0,
+    "panel.conductivity_W_mK": 0.12,
+    "panel.heat_capacity_J_kgK": 1550.0,
+    "panel.initial_temperature_C": 20.0,
+}
+
+
+def _refuse_nonsense(run: Run, press: Press) -> None:
+    """Refuse header values that cannot be; keys that are missing may be added later."""
+    from daq.pressfile import panel_of, press_for_run
+
+    press_for_run(press, run)
+    panel_of(replace(run, header={**_SOME_PANEL, **run.header}))
 
 
 def _refuse_taken(store: Store, run: Run) -> None:

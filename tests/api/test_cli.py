@@ -161,6 +161,28 @@ def test_event_documents_of_a_stored_run_carry_units_and_how_it_ended(tmp_path):
     assert last == {"cut": ("stop", "abort"), "whole": ("stop", "success"), "live": ("event", None)}
 
 
+@pytest.mark.parametrize(
+    ("key", "says"),
+    [
+        ("panel.thickness_mm = -16.0", "header key panel.thickness_mm = -16.0: must be a number from"),
+        ('panel.density_kg_m3 = "dense"', "header key panel.density_kg_m3 = 'dense': must be a number from"),
+        ("layer.nowhere.thickness_mm = 3.0", "header key layer.nowhere.thickness_mm: the press file has no such"),
+        ('run = "../../run"', "header key run = '../../run': must be a name"),
+    ],
+)
+def test_a_header_that_cannot_be_stops_the_whole_import(files, first, tmp_path, capsys, key, says):
+    name = key.partition(" ")[0]
+    lines = [line for line in Path(first).read_text().splitlines() if not line.startswith(f"# {name} ")]
+    wrong = tmp_path / "wrong.csv"
+    wrong.write_text("\n".join([f"# {key}", *lines]) + "\n")
+    store = str(tmp_path / "kerntemp.sqlite")
+    assert main(["import", first, str(wrong), "--press", str(files / "press.toml"), "--store", store]) == 2
+    assert f"wrong.csv: {says}" in one_line(capsys)
+    if Path(store).exists():
+        with open_store(store) as opened:
+            assert not opened.runs().items
+
+
 def test_a_run_that_is_stored_already_stops_the_whole_import(files, first, tmp_path, capsys):
     store = str(tmp_path / "kerntemp.sqlite")
     press = ["--press", str(files / "press.toml"), "--store", store]
