@@ -124,6 +124,10 @@ class Database:
             reason = str(error.orig if isinstance(error, DatabaseError) else error)
             if "not a database" in reason:
                 raise InputError(f"store {self.label}: not an SQLite file; give another path") from error
+            if "cannot contain NUL" in reason:
+                raise InputError(
+                    f"store {self.label}: a text holds a NUL character, which a server cannot keep; remove it"
+                ) from error
             if isinstance(error, sqlite3.DatabaseError) or "malformed" in reason:
                 raise StoreUnavailable(f"store {self.label}: {_advice(reason)}") from error
             raise

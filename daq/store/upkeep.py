@@ -17,6 +17,7 @@ from datetime import datetime
 from pathlib import Path
 
 from sqlalchemy import Connection, Table, delete, func, insert, select, text
+from sqlalchemy.exc import ProgrammingError
 
 from daq.manifest import check_listed, update_manifest
 from daq.records import InputError
@@ -77,7 +78,7 @@ class Sizes:
     bytes: int
     bytes_per_scan: float
     free_bytes: int | None
-    """None for a server, whose disk is its own affair."""
+    """None for a server elsewhere, or one that does not tell this user where its data are."""
 
 
 def back_up(database: Database, target: Path) -> Contents:
@@ -325,7 +326,20 @@ def sizes_of(database: Database) -> Sizes:
         scans = sum(int(connection.execute(query).scalar() or 0) + 1 for query in newest)
         if database.path is None:
             size = int(connection.execute(text("SELECT pg_database_size(current_database())")).scalar_one())
-            return Sizes(size, size / max(scans, 1), None)
+            return Sizes(size, size / max(scans, 1), _free_of_server(database, connection))
     beside = [database.path, *(database.path.with_name(database.path.name + s) for s in ("-wal", "-shm"))]
     size = sum(p.stat().st_size for p in beside if p.exists())
     return Sizes(size, size / max(scans, 1), shutil.disk_usage(database.path.parent).free)
+
+
+def _free_of_server(database: Database, connection: Connection) -> int | None:
+    """Return what is free where a server on this machine keeps its data."""
+    host = database.url.host or ""
+    if host not in ("", "localhost", "127.0.0.1", "::1"):
+        return None
+    try:
+        with connection.begin_nested():
+            folder = connection.execute(text("SHOW data_directory")).scalar_one()
+        return shutil.disk_usage(folder).free
+    except (ProgrammingError, OSError):
+        return None

@@ -1,12 +1,15 @@
 """Backup, restore, thinning and export sums: nothing of a run is ever lost by looking after it."""
 
 import math
+import secrets
+import shutil
 import sqlite3
 import threading
 from datetime import UTC, datetime, timedelta
 
 import numpy as np
 import pytest
+from sqlalchemy import make_url, text
 
 from daq.manifest import NAME, check_listed, update_manifest
 from daq.records import Channel, InputError, PressState, Quality, Run, Scan
@@ -166,6 +169,35 @@ def test_sizes_tell_what_a_scan_costs(store_url):
         sizes = store.sizes()
         assert sizes.bytes > 50_000
         assert sizes.bytes_per_scan == pytest.approx(sizes.bytes / 700)
+
+
+def test_a_server_on_this_machine_tells_how_much_room_it_has_and_one_that_may_not_does_not(postgresql_url):
+    with open_store(postgresql_url) as store:
+        with store.database.reading() as connection:
+            folder = connection.execute(text("SHOW data_directory")).scalar_one()
+        assert store.sizes().free_bytes == pytest.approx(shutil.disk_usage(folder).free, rel=0.2)
+        name = f"kt_reader_{secrets.token_hex(4)}"
+        with store.database.writing() as connection:
+            connection.exec_driver_sql(f"CREATE ROLE {name} LOGIN")
+            connection.exec_driver_sql(f"GRANT SELECT ON ALL TABLES IN SCHEMA public TO {name}")
+        try:
+            url = make_url(postgresql_url).set(username=name).render_as_string(hide_password=False)
+            with open_store(url) as reader:
+                assert reader.sizes().free_bytes is None
+                assert reader.sizes().bytes > 0
+        finally:
+            with store.database.writing() as connection:
+                connection.exec_driver_sql(f"DROP OWNED BY {name}")
+                connection.exec_driver_sql(f"DROP ROLE {name}")
+
+
+def test_a_text_that_a_server_cannot_keep_is_told_in_words(postgresql_url):
+    with open_store(postgresql_url) as store:
+        run = Run("r", {"panel.material": "a\0b"}, np.arange(3.0), {"top_1": np.arange(3.0)})
+        with pytest.raises(InputError, match="holds a NUL character"):
+            store.import_run(run, "lab")
+        with pytest.raises(InputError, match="holds a NUL character"):
+            store.run_record("a\0b")
 
 
 def test_export_sums_are_those_of_the_standard_and_find_a_changed_file(tmp_path):
