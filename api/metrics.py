@@ -47,7 +47,8 @@ def _add_health(health: Health, registry: CollectorRegistry) -> None:
     up = Gauge("kerntemp_process_up", "1 while the process beats", ["process"], registry=registry)
     age = Gauge("kerntemp_process_age_seconds", "Since its last beat", ["process"], registry=registry)
     for process in health.processes:
-        up.labels(process.name).set(process.alive)
+        if process.state != "done":  # a job that came to its end is not down
+            up.labels(process.name).set(process.alive)
         if process.age_s is not None:
             age.labels(process.name).set(process.age_s)
     Gauge("kerntemp_alarms", "Alarms that stand", registry=registry).set(len(health.alarms))

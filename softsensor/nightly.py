@@ -12,7 +12,7 @@ import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import lru_cache
 from multiprocessing import get_context
@@ -62,6 +62,10 @@ class Outcome:
     """The model in force afterwards, empty where there is none."""
     promoted: bool
     reason: str
+    unfit: Mapping[str, str] = field(default_factory=dict)
+    """Runs that cannot be fitted, by name, with the fingerprint of what was tried: not tried again as they are."""
+    newly_unfit: int = 0
+    """How many of them were tried in this job."""
 
     @property
     def line(self) -> str:
@@ -108,27 +112,49 @@ def refit_press(
     version = base.version if base is not None else PRESS_FILE
     records = _finished_runs(store, name)
     done = _stored_fits(store, records, press, base)
-    due = [r.run for r in records if r.run not in done]
-    say(f"{name}: {len(due)} of {len(records)} runs to fit")
-    failed = 0
-    url = store.database.url.render_as_string(hide_password=False)
     marks = {r.run: fingerprint(r, press, base) for r in records}
+    unfit = {run: mark for run, mark in _unfit(store, name).items() if marks.get(run) == mark and run not in done}
+    due = [r.run for r in records if r.run not in done and r.run not in unfit]
+    say(f"{name}: {len(due)} of {len(records)} runs to fit")
+    known = len(unfit)
+    url = store.database.url.render_as_string(hide_password=False)
     tasks = [Task(url, press, run, base) for run in due]
     for run, fit, error in fit_all(tasks, workers, dask):
         if error:
-            failed += 1
+            unfit[run] = marks[run]
             store.log("warning", PROCESS, f"run {run} could not be fitted: {error}", name)
             continue
         done[run] = {**fit, "fingerprint": marks[run]}
         store.put_fit(run, done[run], version)
+    new = len(unfit) - known
     outcome = Outcome(
-        name, len(records), len(due) - failed, failed, "not asked", version, False, "nothing changed"
+        name,
+        len(records),
+        len(due) - new,
+        len(unfit),
+        "not asked",
+        base.version if base else "",
+        False,
+        "nothing changed",
+        unfit,
+        new,
     )
-    outcome = replace(outcome, version=base.version if base else "")
     if due or base is None or not store.diagnoses(press=name, limit=1).items:
         outcome = _judge(_Night(store, name, press, base, records, done, say), outcome)
     store.log("info", PROCESS, outcome.line, name)
     return outcome
+
+
+def sign_off(store: Store, outcomes: Sequence[Outcome]) -> None:
+    """Leave the job's sign of life: when it last came to its end, and which runs the next one need not try."""
+    told = {"state": "done", "message": "; ".join(o.line for o in outcomes)}
+    store.beat(PROCESS, {**told, "unfit": {o.press: dict(o.unfit) for o in outcomes}})
+
+
+def _unfit(store: Store, press: str) -> dict[str, str]:
+    """Return the runs that jobs before could not fit, with the fingerprints of what they tried."""
+    before = store.statuses().get(PROCESS)
+    return {} if before is None else dict(before.status.get("unfit", {}).get(press, {}))
 
 
 def roll_back(store: Store, press: str, who: str = PROCESS) -> str:

@@ -98,7 +98,7 @@ def refit(
                 f"{name}: model {nightly.roll_back(store, name, 'kerntemp refit')} is in force again\n"
             )
             return
-        failed = []
+        failed, outcomes = [], []
         for press in settings.press:
             with working(f"Refitting {press.name}"):
                 outcome = nightly.refit_press(
@@ -110,8 +110,10 @@ def refit(
                 )
             page = write_report(store, outcome, settings.refit.reports)
             sys.stdout.write(f"{outcome.line}\n{press.name}: report {page}\n")
-            if outcome.failed:
-                failed.append(f"{press.name}: {outcome.failed} of {outcome.runs} runs could not be fitted")
+            outcomes.append(outcome)
+            if outcome.newly_unfit:
+                failed.append(f"{press.name}: {outcome.newly_unfit} of {outcome.runs} runs could not be fitted")
+        nightly.sign_off(store, outcomes)
     if failed:
         raise WorkFailed("; ".join(failed) + "; the journal names them")
 

@@ -36,6 +36,7 @@ def store(tmp_path):
         told = {"press": "lab", "missed_ticks": 3}
         opened.beat("record", {"state": "running", "waiting": 4, "presses": [told], "loggers": [logger]})
         opened.beat("sense", {"state": "running", "presses": [{"press": "lab", "behind_scans": 5}]})
+        opened.beat("refit", {"state": "done", "message": "lab: 1 of 1 runs fitted"})
         opened.put_model("lab", "lab-1", {"effects": []})
         opened.promote_model("lab-1", "test")
         yield opened
@@ -67,6 +68,8 @@ def test_metrics_tell_loggers_late_scans_and_the_model_in_base_units(store):
     assert found["kerntemp_channel_good[('channel', 'top_1'), ('press', 'lab')]"] == 0
     assert found["kerntemp_model_info[('press', 'lab'), ('version', 'lab-1')]"] == 1
     assert found["kerntemp_store_up[]"] == 1
+    assert "kerntemp_process_age_seconds[('process', 'refit')]" in found
+    assert "kerntemp_process_up[('process', 'refit')]" not in found, "a job that is over is not down"
 
 
 def test_without_a_store_the_metrics_say_so_instead_of_failing(store):

@@ -80,18 +80,37 @@ def test_a_job_killed_among_the_fits_goes_on_where_it_was(store, runs, monkeypat
     assert refit_press(store, "lab", PRESS, workers=1).fitted == 1
 
 
-def test_a_run_that_cannot_be_fitted_does_not_stop_the_others(store, runs):
-    blind = replace(
-        runs[0],
+def without_panel_sensors(run):
+    return replace(
+        run,
         name="blind",
-        header=dict(runs[0].header) | {"run": "blind"},
-        columns={n: v for n, v in runs[0].columns.items() if not n.startswith(("top", "bottom"))},
+        header=dict(run.header) | {"run": "blind"},
+        columns={n: v for n, v in run.columns.items() if not n.startswith(("top", "bottom"))},
     )
-    fill(store, [blind, *runs[1:3]])
+
+
+def test_a_run_that_cannot_be_fitted_does_not_stop_the_others(store, runs):
+    fill(store, [without_panel_sensors(runs[0]), *runs[1:3]])
     outcome = refit_press(store, "lab", PRESS, workers=1)
     assert (outcome.fitted, outcome.failed) == (2, 1)
     assert outcome.verdict == "too_few_runs"
     assert any("blind" in entry.message for entry in store.journal().items)
+
+
+def test_a_run_that_cannot_be_fitted_is_named_once_and_tried_again_when_it_has_changed(store, runs):
+    def nightly_job():
+        outcome = refit_press(store, "lab", PRESS, workers=1)
+        nightly.sign_off(store, [outcome])
+        return outcome
+
+    fill(store, [without_panel_sensors(runs[0])])
+    first, second = nightly_job(), nightly_job()
+    assert (first.failed, first.newly_unfit) == (1, 1)
+    assert (second.failed, second.newly_unfit) == (1, 0)
+    assert sum("could not be fitted" in entry.message for entry in store.journal().items) == 1
+    assert store.statuses()["refit"].status["state"] == "done"
+    store.annotate_run("blind", {"panel.density_kg_m3": 700.0}, "tester")
+    assert nightly_job().newly_unfit == 1
 
 
 @pytest.mark.campaign

@@ -29,7 +29,7 @@ const named = (state) => (text(`process_${state}`) === `process_${state}` ? stat
 
 function processCard({ processes }) {
   return el("section", { class: "card" }, el("h2", {}, text("processes")), table(text("processes"), [{ text: text("name") }, { text: text("status") }, { text: text("last_sign"), class: "right" }],
-    processes.map((p) => [el("div", {}, p.name, p.message ? el("p", { class: "small faint" }, sentence(p.message)) : ""), el("span", { class: `pill ${p.alive ? "good" : "bad"}` }, p.alive ? named(p.state) : text("silent")),
+    processes.map((p) => [el("div", {}, p.name, p.message ? el("p", { class: "small faint" }, sentence(p.message)) : ""), el("span", { class: `pill ${p.alive || p.state === "done" ? "good" : "bad"}` }, p.alive || p.state === "done" ? named(p.state) : text("silent")),
       el("span", { class: "num" }, p.age_s === null ? "–" : text("ago").replace("{time}", duration(p.age_s)))])));
 }
 
