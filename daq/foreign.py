@@ -10,8 +10,9 @@
     missing = ["", "---"]
 
     [time]
-    column = "Zeit"
+    column = "Zeit"                  # or ["Datum", "Uhrzeit"]: read as one text with a blank between
     format = "%d.%m.%Y %H:%M:%S"     # or "seconds", "minutes", "hours", "milliseconds", "clock" (hh:mm:ss)
+    zone = "Europe/Berlin"           # of times that do not say theirs: keeps the start and the hour set back
     from_zero = true
     repeated = "first"               # rows whose time does not rise: "refuse" or keep the "first"
 
@@ -43,9 +44,10 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal
+from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from daq.pressfile import explain
 from daq.records import Array, InputError, Run
@@ -74,11 +76,26 @@ class FileTable(_Table):
 class TimeTable(_Table):
     """``[time]``: what the time column holds."""
 
-    column: str
+    column: str | tuple[str, ...]
     format: str = "seconds"
+    zone: str = ""
+    """Of dates and times that do not tell their own; without, they are only counted from the first row."""
     from_zero: bool = True
     """Count from the first row; instants always do."""
     repeated: Literal["refuse", "first"] = "refuse"
+
+    @field_validator("zone")
+    @classmethod
+    def _known_zone(cls, zone: str) -> str:
+        try:
+            return zone and ZoneInfo(zone).key
+        except (ZoneInfoNotFoundError, ValueError, OSError) as error:
+            raise ValueError("must be a time zone such as Europe/Berlin") from error
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """The columns whose cells, joined by blanks, tell the time."""
+        return (self.column,) if isinstance(self.column, str) else self.column
 
 
 class ColumnTable(_Table):
@@ -161,7 +178,7 @@ def read_foreign(path: Path, mapped: Mapped) -> Run:
         for column in mapped.column
         if column.to in places
     }
-    header: dict[str, Any] = {"run": path.stem, **mapped.header}
+    header: dict[str, Any] = {"run": path.stem, **_start(path, keep[0][0], names, mapped), **mapped.header}
     for variant in mapped.variant:
         if fnmatch.fnmatchcase(path.name, variant.match):
             header |= variant.header
@@ -213,9 +230,11 @@ def _cells(path: Path, lines: list[tuple[int, str]], file: FileTable) -> tuple[l
 
 def _places(path: Path, names: list[str], mapped: Mapped) -> dict[str, int]:
     wanted = {c.to: c for c in mapped.column}
-    missing = [c.source for c in wanted.values() if c.source not in names and not c.optional]
-    if mapped.time.column not in names:
-        missing.insert(0, mapped.time.column)
+    missing = [c for c in mapped.time.columns if c not in names]
+    missing += [c.source for c in wanted.values() if c.source not in names and not c.optional]
+    used = (*mapped.time.columns, *(c.source for c in wanted.values()))
+    if twice := next((name for name in used if names.count(name) > 1), None):
+        raise InputError(f"{path}: column {twice!r} of the mapping is in the file twice; rename one there")
     if missing:
         raise InputError(
             f"{path}: column {missing[0]!r} of the mapping is not in the file; it has {', '.join(names)}"
@@ -225,12 +244,13 @@ def _places(path: Path, names: list[str], mapped: Mapped) -> dict[str, int]:
 
 def _rows_in_order(path: Path, rows: list[_Row], names: list[str], mapped: Mapped) -> list[tuple[_Row, float]]:
     """Return the rows with their times, which rise."""
-    place = names.index(mapped.time.column)
+    places = [names.index(column) for column in mapped.time.columns]
     kept: list[tuple[_Row, float]] = []
     start, days, before = math.nan, 0.0, -math.inf
     clock = mapped.time.format == "clock"
     for row in rows:
-        time_s = _time(path, row, row.cells[place], mapped)
+        cell = " ".join(row.cells[place] for place in places)
+        time_s = _time(path, row, cell, mapped, before)
         if clock and time_s + days < before - 0.5 * _DAY_S:
             days += _DAY_S
         time_s += days
@@ -238,7 +258,7 @@ def _rows_in_order(path: Path, rows: list[_Row], names: list[str], mapped: Mappe
             if mapped.time.repeated == "first":
                 continue
             raise InputError(
-                f"{path}: line {row.line}: column {mapped.time.column}: {row.cells[place]!r} does not rise; "
+                f"{path}: line {row.line}: column {' + '.join(mapped.time.columns)}: {cell!r} does not rise; "
                 'sort the rows, or set time.repeated = "first"'
             )
         before = time_s
@@ -249,7 +269,7 @@ def _rows_in_order(path: Path, rows: list[_Row], names: list[str], mapped: Mappe
     return kept
 
 
-def _time(path: Path, row: _Row, cell: str, mapped: Mapped) -> float:
+def _time(path: Path, row: _Row, cell: str, mapped: Mapped, before: float = -math.inf) -> float:
     layout = mapped.time.format
     try:
         if layout in _SECONDS:
@@ -257,12 +277,31 @@ def _time(path: Path, row: _Row, cell: str, mapped: Mapped) -> float:
         if layout == "clock":
             hours, minutes, seconds = cell.split(":")
             return 3600.0 * int(hours) + 60.0 * int(minutes) + float(_plain(seconds, mapped.file))
-        moment = datetime.fromisoformat(cell) if layout == "iso" else datetime.strptime(cell, layout)  # noqa: DTZ007
+        moment = _moment(cell, layout)
     except ValueError as error:
+        named = " + ".join(mapped.time.columns)
         raise InputError(
-            f"{path}: line {row.line}: column {mapped.time.column}: {cell!r} is not {layout!r}; set time.format"
+            f"{path}: line {row.line}: column {named}: {cell!r} is not {layout!r}; set time.format"
         ) from error
-    return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
+    if moment.tzinfo:
+        return moment.timestamp()
+    local = moment.replace(tzinfo=ZoneInfo(mapped.time.zone) if mapped.time.zone else UTC)
+    again = local.replace(fold=1)  # the hour that comes twice when clocks are set back
+    return (again if local.timestamp() <= before else local).timestamp()
+
+
+def _moment(cell: str, layout: str) -> datetime:
+    return datetime.fromisoformat(cell) if layout == "iso" else datetime.strptime(cell, layout)  # noqa: DTZ007
+
+
+def _start(path: Path, row: _Row, names: list[str], mapped: Mapped) -> dict[str, Any]:
+    """Return the header key of when the file begins, where the file or the mapping tells the zone."""
+    if mapped.time.format in _SECONDS or mapped.time.format == "clock":
+        return {}
+    cell = " ".join(row.cells[names.index(column)] for column in mapped.time.columns)
+    if not mapped.time.zone and _moment(cell, mapped.time.format).tzinfo is None:
+        return {}
+    return {"recorded.started_utc": datetime.fromtimestamp(_time(path, row, cell, mapped), UTC)}
 
 
 def _plain(cell: str, file: FileTable) -> str:

@@ -2,6 +2,7 @@
 
 import os
 from contextlib import suppress
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -122,6 +123,28 @@ def test_times_are_understood_in_many_ways(tmp_path, layout, cells, expected):
     )
     run = read_foreign(tmp_path / "a.csv", read_mapping(tmp_path / "m.toml"))
     np.testing.assert_allclose(run.time_s, expected, atol=1e-5)
+
+
+def test_date_and_time_in_two_columns_over_the_hour_that_comes_twice(tmp_path):
+    (tmp_path / "night.csv").write_text(
+        "Datum;Uhrzeit;T1\n25.10.2026;02:59:58;20,5\n25.10.2026;02:59:59;20,6\n25.10.2026;02:00:00;20,7\n"
+        "25.10.2026;02:00:01;20,8\n25.10.2026;03:00:00;20,9\n"
+    )
+    mapping = (
+        '[file]\ndelimiter = ";"\ndecimal = ","\n[time]\ncolumn = ["Datum", "Uhrzeit"]\n'
+        'format = "%d.%m.%Y %H:%M:%S"\nzone = "Europe/Berlin"\n[[column]]\nfrom = "T1"\nto = "top_1"\n'
+    )
+    (tmp_path / "m.toml").write_text(mapping)
+    run = read_foreign(tmp_path / "night.csv", read_mapping(tmp_path / "m.toml"))
+    assert run.time_s.tolist() == [0.0, 1.0, 2.0, 3.0, 3602.0]
+    assert run.header["recorded.started_utc"] == datetime(2026, 10, 25, 0, 59, 58, tzinfo=UTC)
+    (tmp_path / "m.toml").write_text(mapping.replace("Europe/Berlin", "Europe/Bärlin"))
+    with pytest.raises(InputError, match=r"time.zone = 'Europe/Bärlin'.*such as Europe/Berlin"):
+        read_mapping(tmp_path / "m.toml")
+    (tmp_path / "m.toml").write_text(mapping)
+    (tmp_path / "night.csv").write_text("Datum;Uhrzeit;T1;T1\n25.10.2026;02:59:58;20,5;7\n")
+    with pytest.raises(InputError, match="column 'T1' of the mapping is in the file twice"):
+        read_foreign(tmp_path / "night.csv", read_mapping(tmp_path / "m.toml"))
 
 
 def measured(pattern, count):
