@@ -15,7 +15,7 @@ from typing import Any, Literal, Protocol
 
 from daq.acquisition import ClockWatch, LoggerThread, Scanner
 from daq.config import PressSettings, press_of
-from daq.drivers import DataLogger, LoggerSettings, SuccessorLogger
+from daq.drivers import DataLogger, LoggerSettings, SuccessorLogger, uncorrected
 from daq.press_events import PressEventDetector, columns_of
 from daq.press_wires import CLOSED, Wires
 from daq.pressfile import read_press
@@ -124,6 +124,8 @@ class PressLine:
         return self._outbox.later_key(name, channels, self._press_file), RunNames(name, None)
 
     def _thread_of(self, settings: LoggerSettings, logger: DataLogger) -> LoggerThread:
+        if sentence := uncorrected(settings):
+            self._logger_said("warning", sentence, {"logger": settings.name})
         return LoggerThread(settings.name, logger, self._logger_said)
 
     @property

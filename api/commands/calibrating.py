@@ -6,6 +6,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Annotated
 
@@ -16,9 +17,10 @@ from api.outputs import WorkFailed
 from daq.records import InputError
 
 if TYPE_CHECKING:
+    from daq.config import PressSettings
     from daq.drivers import DataLogger, LoggerSettings
     from daq.drivers.commissioning import RoomCheck, Warmed
-    from daq.records import Reading
+    from daq.records import Channel, Reading
 
 READINGS = 10
 
@@ -44,32 +46,68 @@ def calibrate(
         raise InputError("calibrate: --write needs --room")
     from daq.config import load_config
 
-    loggers = [one for press in load_config(config_path(config)).press for one in press.logger]
-    if write and (without := [one.name for one in loggers if one.calibration is None]):
+    loaded = load_config(config_path(config))
+    benches = [bench for press in loaded.press for bench in _benches(press)]
+    if write and not any(bench.settings.calibration for bench in benches):
         raise InputError(
-            f"calibrate --write: logger {without[0]} has no calibration file; give it one in the configuration"
+            f"calibrate --write: no logger of {loaded.path} has a calibration file; "
+            f'give one the name of a file to make, such as calibration = "{benches[0].settings.name}.toml"'
         )
     if room is not None:
-        _room(loggers, room, period_s, write=write)
+        _room(benches, room, period_s, write=write)
     else:
-        _warm(loggers, wait_s, period_s)
+        _warm(benches, wait_s, period_s)
 
 
-def _room(loggers: list[LoggerSettings], reference: float, period_s: float, *, write: bool) -> None:
+@dataclass(frozen=True)
+class _Bench:
+    """A logger with sensors to hold against a thermometer."""
+
+    settings: LoggerSettings
+    wires: frozenset[str]
+    """Columns that are no temperatures: limit switch, pressure."""
+
+    def read(self, logger: DataLogger, period_s: float) -> tuple[list[Channel], list[Reading]]:
+        """Return its temperature channels and some readings of them."""
+        from daq.drivers import ReadFailure
+        from daq.drivers.commissioning import collect
+
+        try:
+            readings = collect(logger, READINGS, period_s=period_s)
+        except ReadFailure as failure:
+            raise WorkFailed(str(failure)) from failure
+        kept = [k for k, channel in enumerate(logger.channels) if channel.name not in self.wires]
+        parts = [
+            replace(r, values=tuple(r.values[k] for k in kept), qualities=tuple(r.qualities[k] for k in kept))
+            for r in readings
+        ]
+        return [logger.channels[k] for k in kept], parts
+
+
+def _benches(press: PressSettings) -> list[_Bench]:
+    from daq.config import press_of
+    from daq.press_wires import Wires
+
+    wires = frozenset(Wires(press_of(press).press).columns)
+    return [_Bench(logger, wires) for logger in press.logger if not wires.issuperset(logger.columns)]
+
+
+def _room(benches: list[_Bench], reference: float, period_s: float, *, write: bool) -> None:
     from daq.drivers.commissioning import check_at_room_temperature
 
-    checks = {}
-    with _opened(loggers) as opened:
-        for settings, logger in opened:
-            found = check_at_room_temperature(logger.channels, _readings(logger, period_s), reference)
-            checks[settings.name] = found
+    checks = []
+    with _opened(benches) as opened:
+        for bench, logger in opened:
+            found = check_at_room_temperature(*bench.read(logger, period_s), reference)
+            checks.append(found)
             for check in found:
                 sys.stdout.write(_line(check) + "\n")
     if write:
-        _write(loggers, checks, reference)
-    bad = [f"{c.channel} {c.verdict}" for found in checks.values() for c in found if c.verdict != "ok"]
+        for bench, found in zip(benches, checks, strict=True):
+            _write(bench.settings, found, reference)
+    bad = [f"{c.channel} {c.verdict}" for found in checks for c in found if c.verdict != "ok"]
     if bad:
-        raise WorkFailed(f"{len(bad)} of {sum(map(len, checks.values()))} channels fail: {', '.join(bad)}")
+        raise WorkFailed(f"{len(bad)} of {sum(map(len, checks))} channels fail: {', '.join(bad)}")
 
 
 def _line(check: RoomCheck) -> str:
@@ -81,41 +119,42 @@ def _line(check: RoomCheck) -> str:
     )
 
 
-def _write(loggers: list[LoggerSettings], checks: dict[str, tuple[RoomCheck, ...]], reference: float) -> None:
+def _write(settings: LoggerSettings, checks: tuple[RoomCheck, ...], reference: float) -> None:
     """Add what still remains to the correction in force, so that the file says the whole of it."""
     from daq.drivers.calibration import append_calibrations, in_force, read_calibrations
     from daq.drivers.commissioning import offsets_from_room
 
+    path = settings.calibration
+    if path is None:
+        name = settings.name
+        sys.stdout.write(f'{name}: offsets not kept; give it the name of a file, calibration = "{name}.toml"\n')
+        return
     today = datetime.now(UTC).date()
-    for settings in loggers:
-        path = settings.calibration
-        if path is None:
-            continue
-        history = read_calibrations(path) if path.exists() else ()
-        entries = []
-        for entry in offsets_from_room(checks[settings.name], today, f"room at {reference:g} °C"):
-            old = in_force(history, entry.channel, today)
-            gain, offset = (old.gain, old.offset_K) if old else (1.0, 0.0)
-            entries.append(entry.model_copy(update={"gain": gain, "offset_K": round(offset + entry.offset_K, 3)}))
-        append_calibrations(path, entries)
-        sys.stdout.write(f"{path}: {len(entries)} entries of {today} added\n")
+    history = read_calibrations(path) if path.exists() else ()
+    entries = []
+    for entry in offsets_from_room(checks, today, f"room at {reference:g} °C"):
+        old = in_force(history, entry.channel, today)
+        gain, offset = (old.gain, old.offset_K) if old else (1.0, 0.0)
+        entries.append(entry.model_copy(update={"gain": gain, "offset_K": round(offset + entry.offset_K, 3)}))
+    append_calibrations(path, entries)
+    sys.stdout.write(f"{path}: {len(entries)} entries of {today} added\n")
 
 
-def _warm(loggers: list[LoggerSettings], wait_s: float | None, period_s: float) -> None:
+def _warm(benches: list[_Bench], wait_s: float | None, period_s: float) -> None:
     from daq.drivers.commissioning import warmed_channel
 
-    with _opened(loggers) as opened:
-        before = [_readings(logger, period_s) for _, logger in opened]
+    with _opened(benches) as opened:
+        before = [bench.read(logger, period_s)[1] for bench, logger in opened]
         sys.stdout.write("Hold one thermocouple between two fingers now.\n")
         sys.stdout.flush()
         if wait_s is None:
             typer.prompt("Press Enter after some ten seconds", default="", show_default=False)
         else:
             time.sleep(wait_s)
-        found = [
-            (settings, warmed_channel(logger.channels, earlier, _readings(logger, period_s)))
-            for (settings, logger), earlier in zip(opened, before, strict=True)
-        ]
+        found = []
+        for (bench, logger), earlier in zip(opened, before, strict=True):
+            channels, later = bench.read(logger, period_s)
+            found.append((bench.settings, warmed_channel(channels, earlier, later)))
     clear = [(settings, warmed) for settings, warmed in found if warmed.channel is not None]
     if len(clear) != 1:
         rises = ", ".join(f"{s.name}: {_rises(w)}" for s, w in found)
@@ -128,26 +167,14 @@ def _rises(warmed: Warmed) -> str:
     return f"largest {warmed.rise_kelvin:.1f} K, next {warmed.next_rise_kelvin:.1f} K"
 
 
-def _readings(logger: DataLogger, period_s: float) -> tuple[Reading, ...]:
-    from daq.drivers import ReadFailure
-    from daq.drivers.commissioning import collect
-
-    try:
-        return collect(logger, READINGS, period_s=period_s)
-    except ReadFailure as failure:
-        raise WorkFailed(str(failure)) from failure
-
-
 @contextmanager
-def _opened(loggers: list[LoggerSettings]) -> Iterator[list[tuple[LoggerSettings, DataLogger]]]:
+def _opened(benches: list[_Bench]) -> Iterator[list[tuple[_Bench, DataLogger]]]:
     from daq.drivers import open_logger
 
-    opened: list[tuple[LoggerSettings, DataLogger]] = []
+    opened: list[tuple[_Bench, DataLogger]] = []
     try:
-        for settings in loggers:
-            present = settings.calibration is None or settings.calibration.exists()
-            usable = settings if present else settings.model_copy(update={"calibration": None})
-            opened.append((settings, open_logger(usable)))
+        for bench in benches:
+            opened.append((bench, open_logger(bench.settings)))
         yield opened
     finally:
         for _, logger in opened:

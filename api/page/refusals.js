@@ -62,6 +62,7 @@ const PLANT = [
   [/^the limit switch says closed, but the upper face is cold; check switch and panel$/, "der Endschalter sagt zu, aber die Oberseite ist kalt; prüfen Sie Schalter und Platte"],
   [/^the limit switch says open, but the upper face is hot; check it$/, "der Endschalter sagt offen, aber die Oberseite ist heiß; prüfen Sie ihn"],
   [/^the pressure channel says closed, but the upper face is cold; check (?:pressure )?channel and panel$/, "der Druckkanal sagt zu, aber die Oberseite ist kalt; prüfen Sie Druckkanal und Platte"],
+  [/^values are not corrected, (.+) is not there yet; kerntemp calibrate --write makes it$/, "die Werte sind nicht berichtigt, $1 gibt es noch nicht; kerntemp calibrate --write legt die Datei an"],
   [/^the pressure channel says open, but the upper face is hot; check it$/, "der Druckkanal sagt offen, aber die Oberseite ist heiß; prüfen Sie ihn"],
   [/^scan (\d+) is there already with other values; another recorder writes to this press: stop one of them$/, "Messzeile $1 ist mit anderen Werten schon da; ein zweiter Rekorder schreibt für diese Presse: beenden Sie einen"],
 ];

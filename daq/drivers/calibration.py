@@ -69,6 +69,7 @@ def append_calibrations(path: Path, entries: Iterable[Calibration]) -> None:
     """Add entries to the file's end, or leave it as it was."""
     before = path.read_text(encoding="utf-8") if path.exists() else ""
     text = before + "".join(_written(entry) for entry in entries)
+    path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_suffix(path.suffix + ".part")
     partial.write_text(text, encoding="utf-8")
     partial.replace(path)

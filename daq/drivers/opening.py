@@ -21,8 +21,9 @@ from daq.records import Channel, InputError, Reading
 def open_logger(settings: LoggerSettings) -> DataLogger:
     """Return the logger these settings describe.
 
-    Reads profile and calibration files, so what is wrong there is raised now as InputError. The
-    port is opened by the first `read`: a logger that is off does not keep others from starting.
+    Reads profile and calibration files, so what is wrong there is raised now as InputError; a calibration
+    file that is not there yet corrects nothing (`uncorrected` says so). The port is opened by the first
+    `read`: a logger that is off does not keep others from starting.
     """
     profile = profile_for(settings)
     bus = share_bus(place_of(settings, profile), numbered=_numbered(settings, profile))
@@ -35,7 +36,7 @@ def open_logger(settings: LoggerSettings) -> DataLogger:
 
 def _on_bus(settings: LoggerSettings, profile: Profile, bus: Bus) -> PolledLogger:
     correct = None
-    if settings.calibration is not None:
+    if settings.calibration is not None and not uncorrected(settings):
         today = datetime.now(UTC).date()
         correct = corrector(read_calibrations(settings.calibration), settings.channels, today)
     return PolledLogger(
@@ -46,6 +47,16 @@ def _on_bus(settings: LoggerSettings, profile: Profile, bus: Bus) -> PolledLogge
         correct=correct,
         simulated=settings.simulated,
         release=release_bus,
+    )
+
+
+def uncorrected(settings: LoggerSettings) -> str:
+    """Return the sentence for a calibration file that nobody has made yet, else nothing."""
+    if settings.calibration is None or settings.calibration.exists():
+        return ""
+    return (
+        f"logger {settings.name}: values are not corrected, {settings.calibration} is not there yet; "
+        "kerntemp calibrate --write makes it"
     )
 
 

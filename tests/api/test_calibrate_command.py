@@ -50,6 +50,50 @@ def test_offsets_at_room_temperature_are_written_once_and_correct_the_next_check
         assert "bottom_7         21.00 °C,  +0.00 K off" in capsys.readouterr().out
 
 
+def test_a_limit_switch_and_a_pressure_are_not_held_against_the_thermometer(tmp_path, capsys):
+    with workshop(tmp_path, lambda now_s: [ROOM_C] * 14 + [0.0, 350.0]) as config:
+        text = config.read_text().replace('"bottom_6", "bottom_7"', '"S7", "bar"')
+        press = tmp_path / "lab.toml"
+        wires = 'limit_switch = "S7"\npressure = { column = "bar", closed_above = 50.0 }\n'
+        press.write_text(PRESS_FILE.read_text().replace("[press]\n", f"[press]\n{wires}"))
+        config.write_text(text.replace(PRESS_FILE.as_posix(), press.as_posix()))
+        call = ["calibrate", "--config", str(config), "--room", str(ROOM_C), "--period", "0", "--write"]
+        assert main(call) == 0
+    out = capsys.readouterr().out
+    assert "S7" not in out
+    assert "bar" not in out
+    kept = {c.channel for c in read_calibrations(tmp_path / "lower.toml")}
+    assert kept == {"platen_bottom", *(f"bottom_{k}" for k in range(1, 6))}
+
+
+def test_offsets_are_kept_for_the_loggers_that_name_a_file_and_the_others_are_told(tmp_path, capsys):
+    with workshop(tmp_path, lambda now_s: [ROOM_C + 0.5] * 16) as config:
+        config.write_text(config.read_text().replace('calibration = "lower.toml"\n', ""))
+        call = ["calibrate", "--config", str(config), "--room", str(ROOM_C), "--period", "0", "--write"]
+        assert main(call) == 0
+        out = capsys.readouterr().out
+        assert 'lower: offsets not kept; give it the name of a file, calibration = "lower.toml"' in out
+        assert len(read_calibrations(tmp_path / "upper.toml")) == 8
+        config.write_text(config.read_text().replace('calibration = "upper.toml"\n', ""))
+        assert main(call) == 2
+        assert "no logger of" in capsys.readouterr().err
+
+
+def test_a_calibration_file_may_be_named_before_it_is_made(tmp_path, capsys):
+    with workshop(tmp_path, lambda now_s: [ROOM_C + 1.0] * 16) as config:
+        config.write_text(config.read_text().replace('"upper.toml"', '"calibrations/upper.toml"'))
+        assert main(["check", "--config", str(config)]) == 0
+        out = capsys.readouterr().out
+        assert "platen_top 22.0" in out
+        assert "logger upper: values are not corrected, " in out
+        assert main(["calibrate", "--config", str(config), "--room", str(ROOM_C), "--period", "0", "--write"]) == 0
+        capsys.readouterr()
+        assert main(["check", "--config", str(config)]) == 0
+    out = capsys.readouterr().out
+    assert "platen_top 21.0" in out
+    assert "not corrected" not in out
+
+
 def test_a_channel_too_far_off_is_named_and_not_calibrated_away(tmp_path, capsys):
     with workshop(tmp_path, lambda now_s: [ROOM_C] * 15 + [ROOM_C + 8.0]) as config:
         call = ["calibrate", "--config", str(config), "--room", str(ROOM_C), "--period", "0", "--write"]
