@@ -29,7 +29,10 @@ def probe(
     stations: Annotated[str, typer.Option(help="Addresses to try, such as 1-4,9.")] = "1",
     timeout: Annotated[float, typer.Option(min=0.05, max=10.0, help="Wait for a reply. [s]")] = 0.3,
 ) -> None:
-    """Find out what logger is on a wire, with the sensors at room temperature."""
+    """Find out what logger is on a wire, with the sensors at room temperature.
+
+    No device at hand? "python -m daq.simulated.devices_serve adam-4118" puts a simulated one on a wire to try.
+    """
     if (port is None) == (host is None):
         raise InputError("probe: give either --port or --host")
     given = {"port": port, "host": host, "tcp_port": tcp_port, "transport": transport}

@@ -11,13 +11,17 @@ import math
 import re
 
 from daq.drivers.bus import Bus, Patience
-from daq.drivers.decode import Sample, limited
+from daq.drivers.decode import Sample, limited, out_of_range
 from daq.drivers.lines import decoded, line_reply
 from daq.drivers.profile import Ascii, Profile
 from daq.drivers.protocol import BadFrame, NoReply
 from daq.records import InputError, Quality
 
-_OPEN, _OVER, _UNDER = "+888888", "+9999", "-0000"
+_CODES = {
+    Quality.OPEN: re.compile(r"\+888888"),
+    Quality.OVER: re.compile(r"\+9{4}\.?9*"),
+    Quality.UNDER: re.compile(r"-0{4}\.?0*|-9{4}\.?9*"),
+}
 _NUMBER = re.compile(r"[+-]\d+\.\d*")
 _CHECKSUM_BIT = 0x40
 
@@ -34,10 +38,16 @@ def checksum(text: str) -> str:
 def values_of(payload: str, inputs: int, width: int) -> list[tuple[float, Quality]]:
     """Return value and quality of every input from what follows ``>``, or raise BadFrame.
 
+    A code may stand without its blanks. Where nothing is missing, every value has its place by counting;
+    else by its sign. A text that is neither value nor code spoils them all: nobody knows what else is wrong.
+
     >>> values_of("+0025.1+888888       ", 3, 7)[0]
     (25.1, <Quality.GOOD: 'good'>)
     """
-    cells = re.findall(rf" {{{width}}}|[+-][0-9.]+", payload)
+    if len(payload) == inputs * width:
+        cells = [payload[k : k + width] for k in range(0, len(payload), width)]
+    else:
+        cells = re.findall(rf" {{{width}}}|[+-][0-9.]+", payload)
     if "".join(cells) != payload or len(cells) != inputs:
         raise BadFrame(f"{payload[:70]!r} is not {inputs} values", "wrong shape")
     return [_value(cell, width) for cell in cells]
@@ -46,9 +56,9 @@ def values_of(payload: str, inputs: int, width: int) -> list[tuple[float, Qualit
 def _value(cell: str, width: int) -> tuple[float, Quality]:
     if not cell.strip():
         return math.nan, Quality.MISSING
-    codes = {_OPEN: Quality.OPEN, _OVER: Quality.OVER, _UNDER: Quality.UNDER}
-    if cell in codes:
-        return math.nan, codes[cell]
+    for quality, code in _CODES.items():
+        if code.fullmatch(cell.strip()):
+            return math.nan, quality
     if len(cell) != width or not _NUMBER.fullmatch(cell):
         raise BadFrame(f"{cell!r} is no value", "wrong shape")
     return float(cell), Quality.GOOD
@@ -94,8 +104,9 @@ class DconDevice:
             payload, requested_s, received_s = self._ask(f"#{self._at}", ">")
             flags = self._flags()
         pairs = values_of(payload, self._profile.inputs, self._ascii.width)
+        profile = self._profile
         judged = [
-            limited(self._profile, value, Quality.OVER if flag and quality is Quality.GOOD else quality)
+            limited(profile, value, out_of_range(profile, value) if flag and quality is Quality.GOOD else quality)
             for (value, quality), flag in zip(pairs, flags, strict=True)
         ]
         return Sample(tuple(v for v, _ in judged), tuple(q for _, q in judged), requested_s, received_s)

@@ -70,30 +70,55 @@ def decode(
     if profile.values is None:
         raise ValueError(f"profile {profile.name} has no register values")
     raw = raw_values(words, profile.values, profile.inputs)
-    status = _status(profile, words, flags)
-    qualities = [_judge(profile, r, s) for r, s in zip(raw, status, strict=True)]
     physical = [r * scaling.factor + scaling.offset for r in raw]
     celsius = _celsius(profile, physical, words, cold_junction)
-    pairs = [limited(profile, v, q) for v, q in zip(celsius, qualities, strict=True)]
+    half_count = 0.5 * abs(scaling.factor) if profile.values.unit == "C" else 0.0
+    status = _status(profile, words, flags, celsius, half_count)
+    qualities = [_judge(profile, r, s) for r, s in zip(raw, status, strict=True)]
+    pairs = [limited(profile, v, q, half_count) for v, q in zip(celsius, qualities, strict=True)]
     return tuple(v for v, _ in pairs), tuple(q for _, q in pairs)
 
 
-def limited(profile: Profile, celsius: float, quality: Quality) -> tuple[float, Quality]:
-    """Return value and quality, the value NaN where it is none, outside the limits over or under."""
+def limited(profile: Profile, celsius: float, quality: Quality, half_count: float = 0.0) -> tuple[float, Quality]:
+    """Return value and quality, the value NaN where it is none, outside the limits over or under.
+
+    A device that clips shows the limit itself, to half a count. [K]
+    """
     if quality in _NO_VALUE:
         return math.nan, quality
     if math.isnan(celsius):
         return math.nan, Quality.MISSING
-    if celsius > profile.limits.upper_C:
-        return math.nan, Quality.OVER
-    if celsius < profile.limits.lower_C:
-        return math.nan, Quality.UNDER
+    if (end := _beyond(profile, celsius, half_count if profile.limits.clips else -1e-9)) is not Quality.GOOD:
+        return math.nan, end
     return celsius, quality
 
 
-def _status(profile: Profile, words: Sequence[int], flags: Sequence[bool] | None) -> list[Quality]:
-    if profile.status_bits and flags is not None:
-        return [profile.status_bits.quality if flag else Quality.GOOD for flag in flags[: profile.inputs]]
+def out_of_range(profile: Profile, celsius: float, half_count: float = 0.0) -> Quality:
+    """Return what a flag of open or out of range means for a value: over or under at an end, else open."""
+    end = _beyond(profile, celsius, half_count)
+    return Quality.OPEN if end is Quality.GOOD else end
+
+
+def _beyond(profile: Profile, celsius: float, reach: float) -> Quality:
+    if celsius >= profile.limits.upper_C - reach:
+        return Quality.OVER
+    return Quality.UNDER if celsius <= profile.limits.lower_C + reach else Quality.GOOD
+
+
+def _status(
+    profile: Profile,
+    words: Sequence[int],
+    flags: Sequence[bool] | None,
+    celsius: Sequence[float],
+    half_count: float,
+) -> list[Quality]:
+    bits = profile.status_bits
+    if bits and flags is not None:
+        told = [
+            out_of_range(profile, value, half_count) if bits.quality == "range" else bits.quality
+            for value in celsius
+        ]
+        return [quality if flag else Quality.GOOD for quality, flag in zip(told, flags, strict=False)]
     if profile.status_codes:
         codes = profile.status_codes
         found = words[codes.at : codes.at + profile.inputs]
@@ -124,7 +149,9 @@ def _celsius(
         return list(physical)
     millivolt = np.array(physical) * (1e-3 if unit == "uV" else 1.0)
     cold = _cold_junction(profile, millivolt, words, cold_junction)
-    return [float(v) for v in thermocouple.compensated(millivolt, cold)]
+    found = thermocouple.compensated(millivolt, cold)
+    beyond = np.isnan(found) & np.isfinite(cold) & np.isfinite(millivolt)  # no temperature gives that
+    return [float(v) for v in np.where(beyond, np.copysign(np.inf, millivolt), found)]
 
 
 def _cold_junction(profile: Profile, millivolt: Array, words: Sequence[int], setting: float | None) -> float:

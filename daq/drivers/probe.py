@@ -77,8 +77,8 @@ class Attempt:
     plausible: float = 0.0
     settings: Mapping[str, Any] = field(default_factory=dict)
     """The settings table that was tried, without channels and waits."""
-    identified: bool = False
-    """The device confirmed what it is: name or thermocouple types were checked."""
+    identified: int = 0
+    """How many registers or replies confirmed what the device is: its name, or thermocouple types."""
 
 
 @dataclass(frozen=True)
@@ -285,7 +285,7 @@ def _attempt(
     hits = sum(low <= v <= high for v, q in zip(reading.values, reading.qualities, strict=True) if q.usable)
     share = hits / profile.inputs
     outcome = "fits" if share >= _ENOUGH else "not at room temperature"
-    identified = bool(profile.checks) or profile.protocol in ("scpi", "sr630")
+    identified = sum(c.count for c in profile.checks) + (profile.protocol in ("scpi", "sr630"))
     return Attempt(
         profile.name,
         scaling,
@@ -311,7 +311,7 @@ def _table(name: str, wire: Mapping[str, Any], station: int | None, scaling: str
     return table
 
 
-def _rank(attempt: Attempt) -> tuple[bool, float, bool]:
+def _rank(attempt: Attempt) -> tuple[bool, float, int]:
     return (attempt.outcome == "fits", attempt.plausible, attempt.identified)
 
 

@@ -125,7 +125,8 @@ class StatusBits(_Table):
 
     function: Literal[1, 2]
     address: int = Field(ge=0, le=65535)
-    quality: Quality = Quality.OPEN
+    quality: Quality | Literal["range"] = Quality.OPEN
+    """``range``: out of range, over or under as the value stands; open where it stands inside."""
 
 
 class StatusCodes(_Table):
@@ -193,6 +194,8 @@ class Limits(_Table):
 
     lower_C: float = -270.0  # noqa: N815
     upper_C: float = 1372.0  # noqa: N815
+    clips: bool = False
+    """Outside, the device goes on showing the end itself: a value there is none."""
 
 
 class Profile(_Table):

@@ -64,7 +64,7 @@ KINDS: Mapping[str, Kind] = {
         8,
         0.8,
         "serial",
-        _modbus(modbus.encode_m7019r_engineering),
+        _modbus(modbus.encode_m7018_engineering),
         {"scaling": "engineering", "baud": 9600, "address": 1},
     ),
     "m-7019r": Kind(

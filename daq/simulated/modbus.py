@@ -11,6 +11,8 @@ import struct
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from daq.simulated.devices_converter import Converter
 from daq.thermocouple import voltage
 
@@ -39,10 +41,10 @@ def _clipped(value: float, low: int, high: int) -> int:
     return int(min(max(round(value), low), high)) & 0xFFFF
 
 
-def _signed(values: Sequence[float], per_degree: float, broken: int, at: int = 0) -> Words:
-    return {
-        at + k: broken if math.isnan(v) else _clipped(v * per_degree, -32768, 32767) for k, v in enumerate(values)
-    }
+def _signed(
+    values: Sequence[float], per_degree: float, broken: int, at: int = 0, ends: tuple[int, int] = (-32768, 32767)
+) -> Words:
+    return {at + k: broken if math.isnan(v) else _clipped(v * per_degree, *ends) for k, v in enumerate(values)}
 
 
 def _broken(values: Sequence[float], at: int = 0) -> Bits:
@@ -61,24 +63,30 @@ def encode_adam_4018_hundredth(values: Sequence[float], written: Mapping[int, in
     return Image(_signed(values, 100, 0x7FFF), _broken(values))
 
 
-def encode_m7019r_engineering(values: Sequence[float], written: Mapping[int, int]) -> Image:
-    """Tenths; a broken wire reads 7FFF."""
-    return _icp_das(_signed(values, 10, 0x7FFF), values)
+def encode_m7018_engineering(values: Sequence[float], written: Mapping[int, int]) -> Image:
+    """Tenths, ending at -270 and 1372 °C; a broken wire reads 7FFF (M-7018R); one type code for all inputs."""
+    words = _signed(values, 10, 0x7FFF, ends=(-2700, 13720)) | {486: _TYPE_K}
+    return _icp_das(words, {})
 
 
 def encode_m7019r_hex(values: Sequence[float], written: Mapping[int, int]) -> Image:
-    """Type K full scale 1372 °C on 7FFF; a broken wire reads 7FFF."""
-    return _icp_das(_signed(values, 32767 / 1372, 0x7FFF), values)
+    """-270 to 1372 °C on E6D0 to 7FFF; a broken wire reads 7FFF; a type code and a status bit for each input."""
+    words = _signed(values, 32767 / 1372, 0x7FFF, ends=(0xE6D0 - 0x10000, 0x7FFF))
+    return _icp_das(
+        words | {256 + k: _TYPE_K for k in range(8)},
+        {128 + k: not -270.0 <= v <= 1372.0 for k, v in enumerate(values)},
+    )
 
 
-def _icp_das(words: Words, values: Sequence[float]) -> Image:
-    words |= {128: round(COLD_JUNCTION_C * 100), 486: _TYPE_K} | {256 + k: _TYPE_K for k in range(8)}
-    return Image(words, _broken(values, at=128) | {256: True, RESET_FLAG: True})
+def _icp_das(words: Words, bits: Bits) -> Image:
+    return Image(words | {128: round(COLD_JUNCTION_C * 100)}, bits | {256: True, RESET_FLAG: True})
 
 
 def encode_smtc(values: Sequence[float], written: Mapping[int, int]) -> Image:
     """Hundredths, then bare microvolts against the terminals."""
-    microvolt = [float(v) for v in 1000 * (voltage(list(values)) - voltage(COLD_JUNCTION_C))]
+    inside = np.clip(values, -270.0, 1372.0)  # what lies outside no junction shows, but a wrong wire does
+    emf = voltage(inside) + 0.04 * (np.array(values) - inside)
+    microvolt = [float(v) for v in 1000 * (emf - voltage(COLD_JUNCTION_C))]
     return Image(_signed(values, 100, 0x7FFF) | _signed(microvolt, 1, 0x7FFF, at=8))
 
 

@@ -163,6 +163,33 @@ def test_adam_cells_are_read_by_their_vendor_meaning():
 
 
 @pytest.mark.parametrize(
+    ("cell", "quality"),
+    [
+        ("+9999  ", Quality.OVER),
+        ("  +9999", Quality.OVER),
+        ("+9999.9", Quality.OVER),
+        ("-0000  ", Quality.UNDER),
+        ("-0000.0", Quality.UNDER),
+        ("-9999.9", Quality.UNDER),
+        ("+888888", Quality.OPEN),
+        ("       ", Quality.MISSING),
+        ("-0000.1", Quality.GOOD),
+        ("+0000.0", Quality.GOOD),
+    ],
+)
+def test_a_code_costs_its_own_input_only_however_it_is_padded(cell, quality):
+    found = values_of(f"+0025.1{cell}-0012.3", 3, 7)
+    assert [q for _, q in found] == [Quality.GOOD, quality, Quality.GOOD]
+    assert (found[0][0], found[2][0]) == (25.1, -12.3)
+
+
+@pytest.mark.parametrize("payload", ["+0025.1+9999 -0012.3", "+0025.1 +9999-0012.3 ", "+0025.1+00 1.0-0012.3"])
+def test_a_line_whose_values_have_no_sure_place_is_refused_whole(payload):
+    with pytest.raises(BadFrame):
+        values_of(payload, 3, 7)
+
+
+@pytest.mark.parametrize(
     "payload", ["+0025.1", "+0025.1+00", "+0025.1+0025,1", "0025.10+0025.1", "+0025.1+025.12."]
 )
 def test_a_line_that_is_not_the_expected_number_of_values_is_refused(payload):

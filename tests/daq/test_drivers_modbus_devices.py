@@ -55,7 +55,7 @@ def test_every_input_reads_its_own_temperature_within_the_resolution(profile):
     assert reading.requested_s < reading.received_s
 
 
-@pytest.mark.parametrize("profile", ["adam-4118", "adam-4018+", "m-7018", "m-7019r", "generic"])
+@pytest.mark.parametrize("profile", ["adam-4118", "adam-4018+", "m-7018", "m-7019r", "labjack-t7", "generic"])
 def test_a_broken_thermocouple_is_reported_open_and_has_no_value(profile):
     switches = Switches(open_inputs={3})
     with logger_on(profile, lambda now_s: [30.0] * kind_of(profile).inputs, switches=switches) as logger:
@@ -65,13 +65,33 @@ def test_a_broken_thermocouple_is_reported_open_and_has_no_value(profile):
     assert all(q is Quality.GOOD for k, q in enumerate(reading.qualities) if k != 3)
 
 
-@pytest.mark.parametrize("profile", ["adam-6018+", "labjack-t7", "exemys-rme1-tc", "sequent-smtc"])
+@pytest.mark.parametrize("profile", ["adam-6018+", "exemys-rme1-tc", "sequent-smtc"])
 def test_devices_without_a_code_for_open_still_give_no_usable_value(profile):
     switches = Switches(open_inputs={0, 3})
     with logger_on(profile, lambda now_s: [30.0] * kind_of(profile).inputs, switches=switches) as logger:
         reading = logger.read()
     assert not any(reading.qualities[k].usable for k in (0, 3))
     assert all(math.isnan(reading.values[k]) for k in (0, 3))
+
+
+@pytest.mark.parametrize(
+    ("profile", "hot"),
+    [
+        ("m-7018", Quality.OVER),
+        ("m-7019r", Quality.OPEN),
+        ("exemys-rme1-tc", Quality.OVER),
+        ("sequent-smtc", Quality.OVER),
+    ],
+)
+def test_beyond_the_ends_of_type_k_a_device_is_under_or_over_range(profile, hot):
+    # a full-scale code of an M-7019R is also its code for a broken wire: the more serious one counts
+    with logger_on(profile, lambda now_s: [-300.0, 1400.0, -271.0, -268.0, 1371.0] + [20.0] * 3) as logger:
+        reading = logger.read()
+    assert (reading.qualities[0], reading.qualities[2]) == (Quality.UNDER, Quality.UNDER)
+    assert reading.qualities[1] is hot
+    assert all(math.isnan(v) for v in reading.values[:3])
+    if profile != "sequent-smtc":  # 1 K is less than the microvolt it reads near -270 C
+        assert reading.values[3:5] == pytest.approx((-268.0, 1371.0), abs=STEP_K[profile])
 
 
 def test_adam_type_k_ends_at_zero_so_frost_reads_under_range():

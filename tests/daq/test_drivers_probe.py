@@ -29,7 +29,7 @@ def wire_of(server, **more):
     ("profile", "family"),
     [
         ("adam-4118", {"adam-4118"}),
-        ("m-7019r", {"m-7019r", "m-7018"}),
+        ("m-7019r", {"m-7019r"}),
         ("adam-4118-ascii", {"adam-4118-ascii", "m-7019r-dcon"}),
         ("exemys-rme1-tc", {"exemys-rme1-tc"}),
         ("adam-6018+", {"adam-6018+"}),

@@ -152,6 +152,37 @@ def test_an_error_code_that_is_also_a_temperature_counts_only_with_its_status_bi
     assert math.isnan(values[1])
 
 
+@pytest.mark.parametrize(
+    ("profile", "scaling", "raw", "flag", "quality"),
+    [
+        ("m-7018", "hex", 0xE6D0, None, Quality.UNDER),
+        ("m-7018", "hex", 0xE6D1, None, Quality.GOOD),
+        ("m-7018", "engineering", -2700 & 0xFFFF, None, Quality.UNDER),
+        ("m-7018", "engineering", 13720, None, Quality.OVER),
+        ("m-7018", "engineering", 13719, None, Quality.GOOD),
+        ("m-7018", "hex", 13720, None, Quality.GOOD),
+        ("m-7019r", "hex", 0xE6D0, True, Quality.UNDER),
+        ("m-7019r", "hex", 0x7FFF, True, Quality.OPEN),
+        ("m-7019r", "engineering", 13720, True, Quality.OVER),
+        ("m-7019r", "engineering", 250, True, Quality.OPEN),
+        ("adam-4118", "fullscale", 0xFFFF, False, Quality.OVER),
+        ("adam-4118", "fullscale", 0x0000, False, Quality.UNDER),
+        ("adam-4018+", "hundredth", 0xFFFF, True, Quality.OPEN),
+    ],
+)
+def test_codes_and_range_ends_of_a_device_say_which_way_it_is_out_of_range(profile, scaling, raw, flag, quality):
+    flags = None if flag is None else (flag,) * 8
+    found = read(check_profile(profile_table(profile), profile), (raw,) * 8, flags, scaling)
+    assert set(found[1]) == {quality}
+    assert math.isnan(found[0][0]) is (quality is not Quality.GOOD)
+
+
+def test_a_labjack_input_in_error_is_open():
+    words = [0xC61C, 0x3C00] * 16
+    _, qualities = read(check_profile(profile_table("labjack-t7"), "x"), words)
+    assert set(qualities) == {Quality.OPEN}
+
+
 def test_status_registers_name_their_codes_and_an_unknown_code_is_no_value():
     profile = check_profile(profile_table("exemys-rme1-tc"), "x")
     words = (200,) * 8 + (0, 1, 2, 9, 0, 0, 0, 0)
