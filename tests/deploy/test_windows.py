@@ -116,8 +116,8 @@ def test_no_module_needs_what_only_posix_has(path):
     assert posix_only(path.read_text(encoding="utf-8")) == []
 
 
-BLOCKED = POSIX_MODULES - {"resource"}
-"""`resource` is asked for behind a look at the platform, which this process cannot change."""
+BLOCKED = POSIX_MODULES - {"resource", "fcntl"}
+"""These two are asked for behind a look at the platform, which this process cannot change."""
 WITHOUT_POSIX = f"""
 import builtins, os, signal, sys
 real = builtins.__import__
