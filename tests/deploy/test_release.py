@@ -80,7 +80,8 @@ def test_each_thing_that_is_shipped_names_its_licence():
 
 @pytest.mark.campaign
 @pytest.mark.timeout(900)
-def test_installed_alone_it_says_its_version_and_serves_its_page(wheel, tmp_path):
+def test_installed_alone_it_says_its_version_and_serves_its_page(wheel, tmp_path, monkeypatch):
+    monkeypatch.delenv("PYTHONPATH", raising=False)
     subprocess.run([sys.executable, "-m", "venv", str(tmp_path / "venv")], check=True)
     python = tmp_path / "venv" / ("Scripts" if sys.platform == "win32" else "bin") / "python"
     subprocess.run([python, "-m", "pip", "install", "-q", str(wheel)], check=True)
