@@ -36,7 +36,7 @@ from softsensor.modelfile import ModelFile
 from softsensor.observer_belief import Mixture
 from softsensor.observer_outlook import Inside, Outlook, Wishes, look_ahead, look_inside
 from softsensor.observer_priors import TIMING
-from softsensor.observer_setup import Bench, prepare_bench
+from softsensor.observer_setup import Bench, fresh_consensus, prepare_bench
 from softsensor.observer_track import Known, Row, Track
 
 UNKNOWN_STATE = "press state unknown"
@@ -122,15 +122,27 @@ class LiveSensor:
         if not self._note_platens(bench, time_s, values):
             return Estimate(time_s, self._state, reason=NO_PLATENS)
         readings = np.array([values.get(c, math.nan) for c in bench.columns])
-        level, votes = np.empty(len(bench.labels)), np.empty(len(bench.labels))
-        loops.agree(self._consensus, readings, level, votes)
-        self._rows.append(Row(time_s, (self._platens[0], self._platens[1]), level, votes))
+        self._rows.append(self._agreed(bench, time_s, (self._platens[0], self._platens[1]), readings))
         try:
             self._take_in(bench, time_s, stale=stale)
         except (ArithmeticError, np.linalg.LinAlgError):  # begin anew from what was known before the run
             self._track = self._next = None
             return Estimate(time_s, self._state, reason=NOT_VALID)
         return self._say(time_s)
+
+    def _agreed(self, bench: Bench, time_s: float, outside: tuple[float, float], readings: Array) -> Row:
+        """Bring a scan's channels to one value a face."""
+        level, votes = np.empty(len(bench.labels)), np.empty(len(bench.labels))
+        loops.agree(self._consensus, readings, level, votes)
+        return Row(time_s, outside, level, votes, readings)
+
+    def _listen_anew(self, bench: Bench, since: float) -> None:
+        """Forget what the channels were like before the panel lay in the press, and go through the scans since."""
+        self._consensus = fresh_consensus(bench)
+        rows = self._rows
+        for i, row in enumerate(rows):
+            if row.time >= since:
+                rows[i] = self._agreed(bench, row.time, row.outside, row.readings)
 
     def _take_in(self, bench: Bench, now: float, *, stale: bool) -> None:
         """Bring the filters up to the newest scan, or a new pass of them nearer to it."""
@@ -198,14 +210,7 @@ class LiveSensor:
         self._detector = PressEventDetector(press)
         own = tuple(name for name, _ in self._model.effects) if self._model else ()
         bench = prepare_bench(press, run, own)
-        count = len(bench.place)
-        self._consensus = loops.Consensus(
-            place=bench.place,
-            shift=np.zeros(count),
-            scatter=np.full(count, 0.04),
-            seen=np.zeros(count),
-            level=np.full(len(bench.labels), np.nan),
-        )
+        self._consensus = fresh_consensus(bench)
         if press.panel_layers:
             self._initial = panel_of(run).initial_temperature
         self._bench = bench
@@ -236,6 +241,8 @@ class LiveSensor:
             if not bench.columns and time_s - first > UNSEEN_WAIT_S:
                 at, seen = max(first, time_s - USUAL_WAIT_S), True
             known = replace(known, moments=Moments(inserted_s=at if seen else math.nan))
+            if seen:
+                self._listen_anew(bench, at)
         elif event.kind is PressEventKind.CLOSED:
             moments = replace(known.moments, closed_s=at, opened_s=math.nan, removed_s=math.nan)
             known = replace(known, moments=moments, closed_sd=sd)

@@ -86,6 +86,18 @@ def prepare_bench(press: Press, run: Run, effects: Sequence[str]) -> Bench:
     return Bench(press, run, tuple(sensors), place, labels, tuple(effects))
 
 
+def fresh_consensus(bench: Bench) -> loops.Consensus:
+    """Return what is known of a run's channels before the first reading."""
+    count = len(bench.place)
+    return loops.Consensus(
+        place=bench.place,
+        shift=np.zeros(count),
+        scatter=np.full(count, 0.04),
+        seen=np.zeros(count),
+        level=np.full(len(bench.labels), np.nan),
+    )
+
+
 _IN_PANEL = (
     "moisture_evaporation",
     "vapour_convection",

@@ -12,7 +12,7 @@ import numpy as np
 from daq.records import Array, Moments
 from softsensor import observer_kernels as loops
 from softsensor.effects import find_effect
-from softsensor.observer_belief import QUIET_S, Driven, Member, Mixture, mix
+from softsensor.observer_belief import QUIET_S, Driven, Member, Mixture, mix, timing_inside
 from softsensor.observer_priors import TIMING, Plan, panel_plan, plans_for
 from softsensor.observer_setup import Bench, Filter, make_filter
 
@@ -35,6 +35,8 @@ class Row:
     outside: tuple[float, float]
     level: Array
     votes: Array
+    readings: Array
+    """Of the single channels. [°C]"""
 
 
 @dataclass(frozen=True)
@@ -165,11 +167,11 @@ class Track:
         begin, end = rows[max(first - 1, 0)], rows[last]
         elapsed = end.time - begin.time
         if first == last:
-            level, votes = end.level, end.votes
+            level, votes = self._heard(end), end.votes
             moment = np.ones(len(level))
         else:
             block = rows[first : last + 1]
-            levels = np.array([r.level for r in block])
+            levels = np.array([self._heard(r) for r in block])
             good = np.isfinite(levels)
             count = np.maximum(good.sum(axis=0), 1)
             times = np.array([[r.time] for r in block])
@@ -183,6 +185,11 @@ class Track:
             member.take(span, outside, heard, moment, votes, quiet=quiet)
         if self.driven is not None:
             self.driven.take(span, end.level)
+
+    def _heard(self, row: Row) -> Array:
+        """Return what the faces read, NaN while no panel is in the press: sensors tell of hands and air then."""
+        inside = timing_inside(self.members[0].timing, row.time)
+        return row.level if inside else np.full(len(row.level), np.nan)
 
     def _last_switch(self, now: float) -> float:
         return self._known.last_switch(now, self._first)

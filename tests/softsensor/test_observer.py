@@ -170,6 +170,24 @@ def test_some_channels_scattered_gaps_and_a_dead_sensor_do_no_harm(plain):
     assert inside.mean() >= 0.9
 
 
+def test_what_sensors_read_before_the_panel_lies_in_the_press_does_not_count(plain):
+    run, truth = plain[0]
+    before = run.time_s < truth.pressing.inserted - 0.2
+    assert before.sum() > 5
+    columns = dict(run.columns)
+    for face in ("top", "bottom"):  # hands that carry it, here first and there later
+        for number, (height, at_s) in enumerate([(0, 3), (10, 0), (0, 0), (12, 0), (6, 2), (5, 3), (8, 3)], 1):
+            name = f"{face}_{number}"
+            warm = height * np.exp(-(((run.time_s - at_s) / 2.0) ** 2))
+            columns[name] = np.where(before, columns[name] + warm, columns[name])
+    said = replay(replace(run, columns=columns))
+    there = [i for i, e in enumerate(said) if e.state is not PressState.IDLE]
+    error = np.array([said[i].core_C - truth.core_C[i] for i in there])
+    half = np.array([(said[i].core_high_C - said[i].core_low_C) / 2 for i in there])
+    assert (np.abs(error) < half).mean() >= 0.9
+    assert np.abs(error[:20]).max() < 0.5
+
+
 def test_missing_platens_are_bridged_for_ten_seconds_and_no_longer(plain):
     run = plain[0][0]
     late = run.time_s > 30.0
