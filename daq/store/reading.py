@@ -7,13 +7,13 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from sqlalchemy import Connection, Row, Select, func, select
+from sqlalchemy import ColumnElement, Connection, Row, Select, and_, func, select
 
 from daq.qualities import QUALITY, quality_text
 from daq.records import Array, Channel, InputError, Moments, Quality, Run, Scan
 from daq.store.convert import header_of, known_utc, nan, qualities_of, readings_table, utc_of
 from daq.store.records import Page, RunRecord, RunStatus, ScanBatch, StoredPressEvent
-from daq.store.schema import CONFIGURATION, LAYOUT, PRESS, PRESS_EVENT, RUN, SCAN
+from daq.store.schema import CONFIGURATION, LAYOUT, PRESS, PRESS_EVENT, RUN, SCAN, SCAN_REMARK
 
 _USABLE = {q.value for q in Quality if q.usable}
 _ROWS = 500
@@ -136,14 +136,8 @@ def load_run(
     row = run_row(connection, run)
     zero = row.zero_monotonic_s
     query = select(SCAN.c.monotonic_s, SCAN.c.layout_id, SCAN.c.readings, SCAN.c.faults).where(
-        SCAN.c.press_id == row.press_id, SCAN.c.number >= row.first_scan
+        *_scans_of(row, from_s, to_s)
     )
-    if row.last_scan is not None:
-        query = query.where(SCAN.c.number <= row.last_scan)
-    if from_s is not None:
-        query = query.where(SCAN.c.monotonic_s >= from_s + zero)
-    if to_s is not None:
-        query = query.where(SCAN.c.monotonic_s <= to_s + zero)
     found: tuple[list[Any], ...] = ([], [], [], [])
     for rows in connection.execute(query.order_by(SCAN.c.number)).partitions(_ROWS):
         for column, cells in zip(found, zip(*rows, strict=True), strict=True):
@@ -165,6 +159,34 @@ def load_run(
     time_s = np.round(times - zero, 6) if zero else times
     remarks = {} if QUALITY in table else _remarks(faults, columns)
     return Run(run, header_of(row.header_toml), time_s, table, "store", remarks)
+
+
+def remarks_of(
+    connection: Connection, run: str, from_s: float | None = None, to_s: float | None = None
+) -> dict[str, tuple[str, ...]]:
+    """Return the text columns an imported run came with, but for its qualities."""
+    beside = SCAN.outerjoin(
+        SCAN_REMARK,
+        and_(SCAN_REMARK.c.press_id == SCAN.c.press_id, SCAN_REMARK.c.number == SCAN.c.number),
+    )
+    query = select(SCAN_REMARK.c.texts_json).select_from(beside).order_by(SCAN.c.number)
+    found = connection.execute(query.where(*_scans_of(run_row(connection, run), from_s, to_s))).scalars()
+    rows: list[dict[str, str]] = [json.loads(text or "{}") for text in found]
+    names = dict.fromkeys(name for row in rows for name in row)
+    return {name: tuple(row.get(name, "") for row in rows) for name in names}
+
+
+def _scans_of(row: Row[Any], from_s: float | None, to_s: float | None) -> list[ColumnElement[bool]]:
+    """Return what picks a run's scans, or those of a stretch of it. [s of the run]"""
+    zero = row.zero_monotonic_s
+    chosen = [SCAN.c.press_id == row.press_id, SCAN.c.number >= row.first_scan]
+    if row.last_scan is not None:
+        chosen.append(SCAN.c.number <= row.last_scan)
+    if from_s is not None:
+        chosen.append(SCAN.c.monotonic_s >= from_s + zero)
+    if to_s is not None:
+        chosen.append(SCAN.c.monotonic_s <= to_s + zero)
+    return chosen
 
 
 def units_of(connection: Connection, run: str) -> dict[str, str]:

@@ -11,12 +11,12 @@ from typing import Any, Literal
 from sqlalchemy import Connection, func, insert, select, text, update
 from sqlalchemy.exc import IntegrityError
 
-from daq.qualities import row_faults
+from daq.qualities import QUALITY, row_faults
 from daq.records import Channel, InputError, PressEvent, Run, Scan
 from daq.store.convert import faults_json, header_of, header_text, null, readings_json, unix_of, utc_of
 from daq.store.origin import LATEST_UNIX_S, REMARK, columns_from_header
 from daq.store.records import NewRun, PressKey, RunEnd, RunStatus, StoreUnavailable
-from daq.store.schema import CONFIGURATION, LAYOUT, PRESS, PRESS_EVENT, RUN, RUN_CHANGE, SCAN
+from daq.store.schema import CONFIGURATION, LAYOUT, PRESS, PRESS_EVENT, RUN, RUN_CHANGE, SCAN, SCAN_REMARK
 
 Kind = Literal["recorded", "imported"]
 _NAME = re.compile(r"(?!\.{1,2}$)[^\x00-\x1f\x7f-\x9f/\\]{1,200}")
@@ -312,6 +312,9 @@ def import_run(connection: Connection, run: Run, press: str, press_file: str) ->
     ]
     if rows:
         connection.execute(insert(SCAN), rows)
+    if remarks := _remarks(run):
+        told_at = [{"press_id": key.press_id, "number": number + i, "texts_json": t} for i, t in remarks.items()]
+        connection.execute(insert(SCAN_REMARK), told_at)
     now = unix_of(datetime.now(UTC))
     lasted_s = min(float(run.time_s[-1] - run.time_s[0]), now) if rows else 0.0
     started = told.get("started_unix_s", now - lasted_s)
@@ -331,6 +334,14 @@ def import_run(connection: Connection, run: Run, press: str, press_file: str) ->
         },
     )
     return run.name
+
+
+def _remarks(run: Run) -> dict[int, str]:
+    """Return by row what its text columns say, but for qualities that are kept as such."""
+    columns = {n: texts for n, texts in run.texts.items() if n != QUALITY or row_faults(run) is None}
+    rows = (dict(zip(columns, texts, strict=True)) for texts in zip(*columns.values(), strict=True))
+    said = ({name: text for name, text in row.items() if text} for row in rows)
+    return {i: json.dumps(texts, ensure_ascii=False) for i, texts in enumerate(said) if texts}
 
 
 def _check_name(run: Run) -> None:

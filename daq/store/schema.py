@@ -37,6 +37,7 @@ SCAN = _table(
     readings=Text,
     faults=Text,
 )
+SCAN_REMARK = _table("scan_remark", "press_id number", press_id=BigInteger, number=BigInteger, texts_json=Text)
 CONFIGURATION = _table(
     "configuration", "configuration_id", configuration_id=BigInteger, text=Text, created_unix_s=Double
 )

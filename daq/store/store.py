@@ -202,10 +202,12 @@ class Store:
         from_s: float | None = None,
         to_s: float | None = None,
     ) -> Run:
-        """Return a run as `load_run` does, its header with what a file carries on: start, life, remark."""
+        """Return a run as `load_run` does, with what a file carries on: start, life, remark, texts."""
         with self.database.reading() as connection:
             loaded = reading.load_run(connection, run, columns, from_s, to_s)
-            return replace(loaded, header=header_for_file(reading.run_record(connection, run)))
+            said = reading.remarks_of(connection, run, from_s, to_s) if columns is None else {}
+            header = header_for_file(reading.run_record(connection, run))
+            return replace(loaded, header=header, texts={**loaded.texts, **said})
 
     def units_of(self, run: str) -> dict[str, str]:
         """Return the unit of each column of a run, as far as it is known."""

@@ -607,3 +607,29 @@ def test_a_file_of_unknown_date_and_endless_times_does_not_spoil_the_list_of_run
     listed = {run.run: run for run in store.runs().items}
     assert (listed["a"].ended_utc - listed["a"].started_utc).total_seconds() == pytest.approx(60.0)
     assert listed["b"].started_utc.year == 1970
+
+
+def test_what_a_file_says_in_words_beside_its_rows_goes_through_the_store(tmp_path):
+    file = tmp_path / "r.csv"
+    file.write_text(
+        '# run = "r"\n# panel.material = "MDF"\n# panel.thickness_mm = 16.0\n'
+        "time_s,platen_top,note,quality,top_1\n"
+        '0,200,,,20\n1,200,door open,top_1=open,\n2,200,,,21\n3,200,"leans, slightly",,22\n'
+    )
+    run = read_run(file)
+    with open_store(str(tmp_path / "s.sqlite")) as store:
+        store.import_run(run, "lab")
+        back = store.run_for_file("r")
+        later = store.run_for_file("r", from_s=2.0)
+    assert back.texts == run.texts
+    assert back.texts["note"] == ("", "door open", "", "leans, slightly")
+    assert later.texts["note"] == ("", "leans, slightly")
+    write_run(back, tmp_path / "back.csv")
+    assert read_run(tmp_path / "back.csv").texts == run.texts
+
+
+def test_a_column_called_quality_that_holds_other_words_is_kept_as_words(tmp_path):
+    run = Run("r", {"run": "r"}, np.arange(2.0), {"top_1": np.ones(2)}, texts={"quality": ("fine", "")})
+    with open_store(str(tmp_path / "s.sqlite")) as store:
+        store.import_run(run, "lab")
+        assert store.run_for_file("r").texts == run.texts
