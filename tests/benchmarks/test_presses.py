@@ -100,6 +100,7 @@ def _cpu_s(pid: int) -> float:
 
 
 @pytest.mark.benchmark
+@pytest.mark.timeout(1800)
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="reads Linux's /proc")
 def test_presses_at_10_hz_until_a_scan_is_late(tmp_path):
     print("\npresses   scans/s and press   left out   values late   recorder's CPU")
