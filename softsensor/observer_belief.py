@@ -19,9 +19,14 @@ FACE_K, FACE_S = 0.15, 25.0
 """Slow error common to a face, and how fast it is forgotten. [K, s]"""
 ROUGH_S, ROUGH_MEMORY_S = 0.15, 3.0
 """How far the model may be off in time where readings jump, and for how long. [s]"""
-MARGIN_K, MARGIN_SHARE = 0.2, 0.006
-"""What the model itself adds to the core: absolute (no start temperature is known better), and of its rise."""
-SHAPE_SHARE, SHAPE_K = 0.45, 6.0
+MARGIN_K, MARGIN_SHARE = 0.1, 0.003
+"""What the model itself adds to the core: absolute (what header and logger round to), and of its rise (mesh,
+steps). Start temperature and panel constants are not in it: they are parameters of the filter."""
+TRUST = 0.1
+"""Share of a log-likelihood that counts between causes (a power posterior). Their laws, and the linear answers to
+them, are off for seconds on end, so that blocks of 0.45 s do not speak independently: taken in full, one pressing
+would swear to one cause now and to another a minute later, with a narrow band about each."""
+SHAPE_SHARE, SHAPE_K = 0.45, 4.5
 """What a suspected cause does to the core is known to this share only, for its law may be another; and to so much
 at worst. [-, K]"""
 TOLD_K = 12.0
@@ -173,7 +178,7 @@ class Member:
             shift, variance, evidence, sizes,
         )  # fmt: skip
         centre = level + float(readout @ (self.x[:p] - self.filter.at))
-        return np.log(self.chances) + evidence + self.fit, centre + shift, variance, sizes
+        return np.log(self.chances) + TRUST * (evidence + self.fit), centre + shift, variance, sizes
 
     @property
     def unburdened(self) -> Array:
