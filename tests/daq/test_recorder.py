@@ -173,6 +173,25 @@ def test_a_pressure_channel_and_a_stuck_switch_go_before_the_temperatures_and_di
     assert kept.moments.closed_s == pytest.approx(run.time_s[np.nanargmax(closed)], abs=0.01)
 
 
+def test_a_calibration_file_that_is_made_while_recording_is_taken_over(tmp_path):
+    with plant(tmp_path, rate_hz=5.0) as made, open_store(made.url) as store:
+        named = made.config.read_text().replace('name = "upper"', 'name = "upper"\ncalibration = "upper.toml"')
+        made.config.write_text(named)
+
+        def platen():
+            (scan,) = store.scans_after("lab", store.newest_scan_number("lab") - 1).scans
+            return scan.values[0]
+
+        with recording(made):
+            wait_until(lambda: store.newest_scan_number("lab") > 5)
+            before = platen()
+            entry = '[[calibration]]\nchannel = "platen_top"\ndate = 2026-01-01\noffset_K = -40.0\n'
+            (tmp_path / "upper.toml").write_text(entry)
+            wait_until(lambda: abs(platen() - before + 40.0) < 5.0)
+        (warning,) = store.journal(press="lab", level="warning").items
+    assert warning.message.startswith("press lab: logger upper: values are not corrected, ")
+
+
 def test_a_silent_logger_is_said_once_leaves_gaps_with_cause_and_does_not_disturb_the_other(tmp_path):
     with plant(tmp_path, rate_hz=10.0) as made, open_store(made.url) as store:
         with recording(made):
