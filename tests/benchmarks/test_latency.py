@@ -58,18 +58,27 @@ def start(folder, name, *options):
 
 
 def listen(address, seconds):
-    """Return when each estimate came, and the instant of its scan, both on the wall clock, from the first on."""
-    heard = []
+    """Return when each estimate came and the instant of its scan, from the first on; and opening to refit. [s]"""
+    heard, refits, kind, opened = [], [], "", None
     with httpx.stream("GET", f"{address}/api/v1/live", timeout=30.0) as answer:
         answer.raise_for_status()
         for line in answer.iter_lines():
-            if line.startswith("data:") and '"core_C"' in line:
-                utc = json.loads(line[5:])["utc"]
-                if utc is not None:
-                    heard.append((time.time(), datetime.fromisoformat(utc).timestamp()))
+            name, _, rest = line.partition(":")
+            if name == "event":
+                kind = rest.strip()
+            elif name == "data" and kind in ("estimate", "press", "fit"):
+                data, now = json.loads(rest), time.time()
+                utc = datetime.fromisoformat(data["utc"]).timestamp() if data.get("utc") else None
+                if kind == "estimate" and data["core_C"] is not None and utc is not None:
+                    heard.append((now, utc))
+                elif kind == "press" and data["event"] == "opened":
+                    opened = utc
+                elif kind == "fit" and opened is not None:
+                    refits.append(now - opened)
+                    opened = None
             if heard and heard[-1][0] > heard[0][0] + seconds:
-                return heard
-    return heard
+                break
+    return heard, refits
 
 
 def test_from_a_loggers_reply_to_a_listener(tmp_path, capsys):
@@ -91,7 +100,7 @@ def test_from_a_loggers_reply_to_a_listener(tmp_path, capsys):
             stack.callback(child.communicate)
             stack.callback(child.terminate)
         address = child.stdout.readline().split()[-1].rstrip("/")
-        heard = listen(address, MEASURED_S)
+        heard, refits = listen(address, MEASURED_S)
     assert len(heard) > 0.3 * RATE_HZ * MEASURED_S
     spent = []
     for came, scanned in heard:
@@ -106,3 +115,5 @@ def test_from_a_loggers_reply_to_a_listener(tmp_path, capsys):
     with capsys.disabled():
         print(f"\nreply to listener at {RATE_HZ:g} Hz [ms]: {shares}; {len(ms)} estimates")
         print(f"one commit of this disk [ms]: {disk}")
+        print(f"opening to the listener's word of the refit [s]: {', '.join(f'{r:.2f}' for r in refits)}")
+    assert refits

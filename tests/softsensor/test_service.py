@@ -155,6 +155,24 @@ def test_every_scan_of_a_pressing_gets_its_estimate_and_the_pressing_its_fit(sto
     assert sense.model.version == f"{PRESS_FILE}+1"
 
 
+def test_a_pressing_is_refitted_when_the_press_opens_not_only_when_the_panel_is_gone(store, fitter, pressing):
+    recorder = Recorder(store, pressing[0])
+    sense = follower(store, fitter)
+    while not recorder.finished:
+        recorder.put(2)
+        drain(sense)
+        record = store.open_run("lab")
+        if record is not None and np.isfinite(record.moments.opened_s):
+            break
+    run = store.open_run("lab").run
+    deadline = time.monotonic() + DEADLINE_S
+    while store.fit(run) is None and time.monotonic() < deadline:
+        drain(sense)
+    assert store.fit(run)["coefficients"]["h_pp_c"]["value"] > 0.0
+    assert store.open_run("lab").run == run
+    assert "fingerprint" not in store.fit(run)  # the night or the run's end looks at all of it
+
+
 def test_an_estimate_carries_what_is_inside_and_what_lies_ahead(store, fitter, pressing):
     header = dict(pressing[0].header) | {"setting.core_target_C": 60.0}
     recorder = Recorder(store, pressing[0], {k: v for k, v in header.items() if k != "run"})
