@@ -1,4 +1,7 @@
-"""The tables as SQLAlchemy sees them. The migrations make them; a test holds the two together."""
+"""The tables as SQLAlchemy sees them, each after those it refers to: copies of a store go in this order.
+
+The migrations make them; a test holds the two together.
+"""
 
 from __future__ import annotations
 

@@ -23,39 +23,8 @@ from daq.manifest import check_listed, update_manifest
 from daq.records import InputError
 from daq.store.database import Database, migrations
 from daq.store.records import StoreUnavailable
-from daq.store.schema import (
-    COEFFICIENT,
-    CONFIGURATION,
-    DIAGNOSIS,
-    ESTIMATE,
-    EVENT,
-    FIT,
-    LAYOUT,
-    MODEL,
-    PRESS,
-    PRESS_EVENT,
-    RUN,
-    RUN_CHANGE,
-    SCAN,
-    STATUS,
-)
+from daq.store.schema import ESTIMATE, FIT, METADATA, MODEL, PRESS, RUN, SCAN
 
-_IN_ORDER = (
-    PRESS,
-    LAYOUT,
-    CONFIGURATION,
-    RUN,
-    RUN_CHANGE,
-    SCAN,
-    PRESS_EVENT,
-    ESTIMATE,
-    FIT,
-    COEFFICIENT,
-    MODEL,
-    DIAGNOSIS,
-    EVENT,
-    STATUS,
-)
 _BATCH = 20_000
 Progress = Callable[[int], None]
 
@@ -136,12 +105,12 @@ def _make_single_file(path: Path) -> None:
 
 def _copy_tables(source: Connection, target: Database) -> None:
     with target.writing() as connection:
-        for table in _IN_ORDER:
+        for table in METADATA.tables.values():
             rows = source.execution_options(stream_results=True).execute(select(table)).mappings()
             for batch in rows.partitions(_BATCH):
                 connection.execute(insert(table), [dict(row) for row in batch])
         if target.dialect == "postgresql":
-            for table in _IN_ORDER:
+            for table in METADATA.tables.values():
                 _continue_numbers(connection, table)
     if target.path is not None:
         with target.engine.connect() as connection:
@@ -208,19 +177,29 @@ def restore(backup: Path, url: str) -> Contents:
     InputError
         For a damaged backup, or a place that holds data.
     """
-    contents = verify(backup)
+    verify(backup)
     with closing(Database(url)) as target, tempfile.TemporaryDirectory(prefix="kerntemp-restore-") as folder:
         with target.reading() as connection:
             if connection.execute(select(func.count()).select_from(PRESS)).scalar():
                 raise InputError(f"store {target.label}: holds data; restore only into a new place")
         working = Path(folder) / "backup.sqlite"  # opening a store writes beside it; the backup stays untouched
         shutil.copyfile(backup, working)
-        with closing(Database(str(working))) as source, source.reading() as rows:
-            _copy_tables(rows, target)
-        found = contents_of(target)
-    if found != contents:
-        raise StoreUnavailable(f"store {target.label}: holds {found} after restoring, the backup {contents}")
-    return found
+        with closing(Database(str(working))) as source:  # an older backup comes up to date here
+            with source.reading() as rows:
+                _copy_tables(rows, target)
+            expected, found = _rows_of(source), _rows_of(target)
+        if found != expected:
+            raise StoreUnavailable(f"store {target.label}: holds {found} after restoring, the backup {expected}")
+        return contents_of(target)
+
+
+def _rows_of(database: Database) -> dict[str, int]:
+    """Return how many rows each table has."""
+    with database.reading() as connection:
+        return {
+            name: int(connection.execute(select(func.count()).select_from(table)).scalar_one())
+            for name, table in METADATA.tables.items()
+        }
 
 
 def contents_of(database: Database) -> Contents:

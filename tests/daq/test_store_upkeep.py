@@ -5,6 +5,7 @@ import secrets
 import shutil
 import sqlite3
 import threading
+from contextlib import closing
 from datetime import UTC, datetime, timedelta
 
 import numpy as np
@@ -14,6 +15,7 @@ from sqlalchemy import make_url, text
 from daq.manifest import NAME, check_listed, update_manifest
 from daq.records import Channel, InputError, PressState, Quality, Run, Scan
 from daq.store import NewRun, RunEnd, StoredEstimate, open_store
+from daq.store.database import migrations, statements
 from daq.store.upkeep import restore, verify
 
 BEGAN = datetime(2026, 3, 4, 7, 0, tzinfo=UTC)
@@ -89,6 +91,50 @@ def test_a_backup_restores_into_a_server_where_recording_goes_on(tmp_path, postg
         assert store.import_run(Run("two", {}, np.arange(3.0), {"top_1": np.arange(3.0)}), "lab") == "two"
     with pytest.raises(InputError, match="holds data; restore only into a new place"):
         restore(tmp_path / "backup.sqlite", postgresql_url)
+
+
+def test_restoring_leaves_no_table_out(store_url, tmp_path):
+    words = {"note": ("door open", "")}
+    with open_store(store_url) as store:
+        fill(store)
+        store.import_run(Run("told", {}, np.arange(2.0), {"top_1": np.ones(2)}, texts=words), "lab")
+        store.annotate_run("one", {"remark": "seen"}, "eva")
+        store.put_diagnosis("lab", {"verdict": "no_effect"})
+        store.beat("record", {})
+        store.back_up(tmp_path / "b.sqlite")
+    restore(tmp_path / "b.sqlite", str(tmp_path / "again.sqlite"))
+    with open_store(str(tmp_path / "again.sqlite")) as again:
+        assert again.run_for_file("told").texts == words
+    with closing(sqlite3.connect(tmp_path / "b.sqlite")) as made:
+        tables = [r[0] for r in made.execute("SELECT name FROM sqlite_master WHERE type = 'table'")]
+        before = {t: made.execute(f"SELECT count(*) FROM {t}").fetchone()[0] for t in tables}
+    with closing(sqlite3.connect(tmp_path / "again.sqlite")) as made:
+        assert {t: made.execute(f"SELECT count(*) FROM {t}").fetchone()[0] for t in tables} == before
+
+
+@pytest.mark.parametrize("schema", [1, 2])
+def test_a_backup_of_an_older_version_is_restored_and_brought_up_to_date(schema, store_url, tmp_path):
+    old = {number: step for number, step in migrations().items() if number <= schema}
+    with closing(sqlite3.connect(tmp_path / "old.sqlite")) as made:
+        for number in sorted(old):
+            for statement in statements(old[number], "sqlite"):
+                made.execute(statement)
+        made.execute("CREATE TABLE schema_version (version INTEGER NOT NULL)")
+        made.execute(f"INSERT INTO schema_version VALUES ({schema})")
+        made.execute("INSERT INTO press VALUES (1, 'lab', 'imported', '', 0)")
+        made.execute('INSERT INTO channel_layout VALUES (1, 1, \'[["top_1", "C"]]\', 0)')
+        made.execute("INSERT INTO scan VALUES (1, 0, NULL, 0, 1, '[20.5]', NULL)")
+        made.execute(
+            "INSERT INTO run (run, press_id, status, started_unix_s, zero_monotonic_s, first_scan, last_scan, "
+            "header_toml, software_version) VALUES ('r', 1, 'closed', 0, 0, 0, 0, '', '1')"
+        )
+        made.execute("INSERT INTO fit VALUES (1, 'r', 0, 'v1', 1, 0.5, '{}')")
+        made.execute("INSERT INTO coefficient VALUES (1, 'h_pp_c', 700, 10, 680, 720, 1)")
+        made.commit()
+    assert restore(tmp_path / "old.sqlite", store_url).schema == max(migrations())
+    with open_store(store_url) as store:
+        assert store.load_run("r").columns["top_1"].tolist() == [20.5]
+        assert store.coefficient_history().items[0].value == 700.0
 
 
 def test_a_damaged_backup_is_refused(tmp_path):
