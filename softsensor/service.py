@@ -263,16 +263,13 @@ class Follower:
 
     def _look(self) -> None:
         """Notice a new, changed or finished run."""
+        # In this order: a run that ends between the two questions is in the answer to the second.
+        record = self.store.open_run(self.name)
         self._ended = self.store.ended_runs_after(self.name, self.last, BATCH)
         if self._ended:
             return
-        record = self.store.open_run(self.name)
         live = self.live
         if live is not None and (record is None or record.run != live.record.run):
-            # It may have ended between the two questions, with scans this process has not seen.
-            self._ended = self.store.ended_runs_after(self.name, self.last, BATCH)
-            if self._ended:
-                return
             self._finish(live)
             self.live = live = None
         if record is None:
@@ -296,6 +293,8 @@ class Follower:
         """Begin and finish pressings that are over already where their scans begin and end."""
         while self._ended and number > (self._ended[0].last_scan or 0):
             self._leave(self._ended.pop(0).run)
+            if not self._ended:
+                self._look()  # the next pressing may have begun among these scans, and end before they are through
         if not self._ended or number < self._ended[0].first_scan:
             return
         if self.live is None or self.live.record.run != self._ended[0].run:

@@ -366,6 +366,29 @@ def test_however_many_pressings_ended_meanwhile_each_scan_of_them_gets_its_estim
     assert not bare
 
 
+def test_a_run_that_begins_among_scans_that_came_together_and_ends_meanwhile_keeps_its_estimates(
+    store, fitter, pressing
+):
+    """One run is over, the next one open, and the recorder ends that one while the sensor is at their scans."""
+    run, _ = pressing
+    recorder = Recorder(store, run)
+    sense = follower(store, fitter)
+    recorder.put(2)
+    drain(sense)
+    pattern = store.scans_after("lab", 0).scans[0]
+    header = {name: value for name, value in run.header.items() if name != "run"}
+    scans = [replace(pattern, number=n, monotonic_s=pattern.monotonic_s + n / 4) for n in range(2, 18)]
+    for name, first, last in (("lab-a", 3, 8), ("lab-b", 11, None)):
+        begin = NewRun(name, first, scans[first - 2].utc, scans[first - 2].monotonic_s, header)
+        end = None if last is None else RunEnd(name, last, scans[last - 2].utc, RunStatus.CLOSED)
+        store.append_scans(recorder.key, [s for s in scans if (s.number < 9) == (name == "lab-a")], (), begin, end)
+    sense.step(sense._looked)
+    assert sense.last == 17
+    store.interrupt_open_runs("lab")
+    drain(sense)
+    assert [len(store.estimates(name)) for name in ("lab-a", "lab-b")] == [6, 7]
+
+
 def test_a_kill_before_a_pressing_was_caught_up_with_leaves_no_scan_of_it_without_estimate(
     store, fitter, pressing
 ):
