@@ -400,7 +400,7 @@ class Endurance:
         while time.monotonic() < deadline:
             last = self.store.statuses()["sense"].status["presses"][0]["last_scan"]
             ended = [r for r in self.store.runs(limit=20).items if r.status is not RunStatus.OPEN]
-            said = " ".join(e.message for e in self.store.journal(limit=100).items)
+            said = " ".join(e.message for e in self.store.journal(level="warning", limit=100).items)
             fitted = all(
                 "fingerprint" in (self.store.fit(r.run) or {}) or f"run {r.run} could not be fitted" in said
                 for r in ended
