@@ -50,7 +50,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from daq.pressfile import explain
-from daq.records import Array, InputError, Run
+from daq.records import COLDEST_C, HOTTEST_C, Array, InputError, Run
 
 _DELIMITERS = {"tab": "\t", "space": " "}
 _SECONDS = {"milliseconds": 1e-3, "seconds": 1.0, "minutes": 60.0, "hours": 3600.0}
@@ -160,8 +160,8 @@ def read_mapping(path: Path) -> Mapped:
     return mapped
 
 
-def read_foreign(path: Path, mapped: Mapped) -> Run:
-    """Read a foreign file as a run.
+def read_foreign(path: Path, mapped: Mapped, temperatures: Sequence[str] = ()) -> Run:
+    """Read a foreign file as a run; in columns that match `temperatures` only a temperature can stand.
 
     Raises
     ------
@@ -173,11 +173,12 @@ def read_foreign(path: Path, mapped: Mapped) -> Run:
     names, rows = _cells(path, lines, mapped.file)
     places = _places(path, names, mapped)
     keep = _rows_in_order(path, rows, names, mapped)
-    columns = {
-        column.to: np.array([_value(path, row, places[column.to], column, mapped.file) for row, _ in keep])
-        for column in mapped.column
-        if column.to in places
-    }
+    columns: dict[str, Array] = {}
+    for column in (c for c in mapped.column if c.to in places):
+        values = np.array([_value(path, row, places[column.to], column, mapped.file) for row, _ in keep])
+        if any(fnmatch.fnmatchcase(column.to, pattern) for pattern in temperatures):
+            _refuse_impossible(path, column, values, [row.line for row, _ in keep])
+        columns[column.to] = values
     header: dict[str, Any] = {"run": path.stem, **_start(path, keep[0][0], names, mapped), **mapped.header}
     for variant in mapped.variant:
         if fnmatch.fnmatchcase(path.name, variant.match):
@@ -213,12 +214,16 @@ def _lines(path: Path, file: FileTable) -> list[tuple[int, str]]:
 
 def _cells(path: Path, lines: list[tuple[int, str]], file: FileTable) -> tuple[list[str], list[_Row]]:
     delimiter = _DELIMITERS.get(file.delimiter, file.delimiter)
-    reader = csv.reader((text for _, text in lines), delimiter=delimiter, skipinitialspace=delimiter == " ")
-    table = [[cell.strip() for cell in cells] for cells in reader]
-    if delimiter == " ":
-        table = [[cell for cell in cells if cell] for cells in table]
-    names = table[0]
-    rows = [_Row(line, cells) for (line, _), cells in zip(lines[1:], table[1:], strict=True)]
+    texts = (f"{text}\n" for _, text in lines)  # a quoted cell may hold several lines
+    reader = csv.reader(texts, delimiter=delimiter, skipinitialspace=delimiter == " ", strict=True)
+    table: list[_Row] = []
+    while (at := reader.line_num) < len(lines):
+        try:
+            cells = [cell.strip() for cell in next(reader)]
+        except csv.Error as error:
+            raise InputError(f"{path}: line {lines[at][0]}: {error}; check its quotation marks") from error
+        table.append(_Row(lines[at][0], [cell for cell in cells if cell] if delimiter == " " else cells))
+    names, rows = list(table[0].cells), table[1:]
     for row in rows:
         if len(row.cells) < len(names) and not all(not c for c in names[len(row.cells) :]):
             named = f"line {lines[0][0]} names {len(names)} columns"
@@ -331,6 +336,15 @@ def _value(path: Path, row: _Row, place: int, column: ColumnTable, file: FileTab
     if column.unit == "F":
         return round((value - 32.0) / 1.8, 9)
     return value
+
+
+def _refuse_impossible(path: Path, column: ColumnTable, values: Array, lines: Sequence[int]) -> None:
+    bad = np.flatnonzero((values <= COLDEST_C) | (values >= HOTTEST_C))
+    if len(bad):
+        raise InputError(
+            f"{path}: line {lines[bad[0]]}: column {column.source}: {values[bad[0]]:g} C is no temperature; must "
+            f"lie between {COLDEST_C:g} and {HOTTEST_C:g} C; give the column's unit, or set its lower and upper"
+        )
 
 
 def _first(path: Path, key: str, values: Array, source: HeaderFrom) -> float:

@@ -7,7 +7,7 @@ column it does not name (``*=simulated``). Values that are not usable are missin
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from itertools import groupby
@@ -19,6 +19,10 @@ from daq.records import Quality, Run
 QUALITY = "quality"
 OTHERS = "*"
 _PART = re.compile(rf"(?:^| )(\S.*?)=({'|'.join(Quality)})(?= |$)")
+
+_PAIR = re.compile(r"([^\s;,=]+)=([^\s;,=]*)")
+_QUALITIES = tuple(str(quality.value) for quality in Quality)
+_FORM = "write column=quality, with one blank between two of them; rename a column that holds other words"
 
 
 @dataclass(frozen=True)
@@ -66,6 +70,30 @@ def row_faults(run: Run) -> list[Mapping[str, Quality]] | None:
     rows = [faults_of(text) for text in texts]
     told = [faults for faults in rows if faults is not None and known.issuperset(faults)]
     return told if len(told) == len(rows) else None
+
+
+def wrong_quality(texts: Sequence[str], columns: Collection[str]) -> tuple[int, str] | None:
+    """Return the first row whose cell does not read as qualities of these columns, and why; None for none.
+
+    A column that nowhere says ``COLUMN=`` or ``=QUALITY`` holds other words, and nothing of it is wrong.
+
+    >>> wrong_quality(["", "top_9=open"], ["top_1"])
+    (1, "'top_9=open' names column 'top_9', which is not there; correct the name")
+    """
+    pairs = {text: _PAIR.findall(text) for text in set(texts)}
+    if not any(name in columns or quality in _QUALITIES for found in pairs.values() for name, quality in found):
+        return None
+    for row, text in enumerate(texts):
+        faults = faults_of(text)
+        unknown = [name for name in faults or () if name not in (OTHERS, *columns)]
+        if faults is not None and not unknown:
+            continue
+        if odd := [quality for _, quality in pairs[text] if quality not in _QUALITIES]:
+            return row, f"{text!r}: {odd[0]!r} is no quality; they are {', '.join(_QUALITIES)}"
+        if faults is None or any("=" in name for name in unknown):
+            return row, f"{text!r}: {_FORM}"
+        return row, f"{text!r} names column {unknown[0]!r}, which is not there; correct the name"
+    return None
 
 
 def without_unusable(run: Run) -> Run:

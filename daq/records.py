@@ -16,6 +16,10 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
+COLDEST_C, HOTTEST_C = -273.15, 2000.0
+"""Between these lies every temperature in a press or a furnace. [°C]"""
+
+
 class InputError(ValueError):
     """What the user gave is wrong: the text names file, line or key, value, limit and remedy.
 

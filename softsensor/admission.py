@@ -13,7 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.pressfile import Boundary, Load, Press
-from daq.records import Array, BoundaryGap, BrokenTime, InputError, Moments, Nonphysical, Run
+from daq.records import (
+    COLDEST_C,
+    HOTTEST_C,
+    Array,
+    BoundaryGap,
+    BrokenTime,
+    InputError,
+    Moments,
+    Nonphysical,
+    Run,
+)
 from softsensor.effects.effect import Effect
 from softsensor.timing import OPENING_RAMP_S
 
@@ -28,7 +38,6 @@ LIMITS = {
     "heat_capacity_J_kgK": (50.0, 15000.0),
 }
 """What a layer of the press file can be, from gases to diamond, lead and water; panels have narrower ones."""
-COLDEST_C, HOTTEST_C = -273.15, 2000.0
 
 
 def check_times(press: Press, run: Run, moments: Moments) -> None:

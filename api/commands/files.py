@@ -47,7 +47,7 @@ def import_runs(
     from daq.pressfile import read_press
 
     described = read_press(press)
-    read = _reader(mapping)
+    read = _reader(mapping, described)
     for path in files:
         check_listed(path)
     with working(f"Reading {len(files)} run files", len(files)) as done:
@@ -67,16 +67,18 @@ def import_runs(
     sys.stdout.write(f"{len(runs)} runs stored\n")
 
 
-def _reader(mapping: Path | None) -> Callable[[Path], Run]:
+def _reader(mapping: Path | None, press: Press) -> Callable[[Path], Run]:
     """Return what reads a file: ours, or a foreign logger's by its mapping."""
+    boundaries = (press.boundary.bottom.column, press.boundary.top.column)
+    temperatures = [*filter(None, boundaries), *(column for sensor in press.sensor for column in sensor.columns)]
     if mapping is None:
         from daq.runfile import read_run
 
-        return read_run
+        return partial(read_run, temperatures=temperatures)
     from daq.foreign import read_foreign, read_mapping
 
     mapped = read_mapping(mapping)
-    return lambda path: read_foreign(path, mapped)
+    return lambda path: read_foreign(path, mapped, temperatures)
 
 
 _SOME_PANEL = {

@@ -183,6 +183,22 @@ def test_a_header_that_cannot_be_stops_the_whole_import(files, first, tmp_path, 
             assert not opened.runs().items
 
 
+@pytest.mark.parametrize(("value", "is_temperature"), [("1e308", False), ("-9999", False), ("1100", True)])
+def test_a_reading_that_is_no_temperature_stops_the_import(files, first, tmp_path, capsys, value, is_temperature):
+    lines = Path(first).read_text().splitlines()
+    header = next(i for i, line in enumerate(lines) if line.startswith("time_s"))
+    cells = lines[header + 3].split(",")
+    cells[lines[header].split(",").index("top_2")] = value
+    lines[header + 3] = ",".join(cells)
+    wrong, store = tmp_path / "wrong.csv", str(tmp_path / "kerntemp.sqlite")
+    wrong.write_text("\n".join(lines) + "\n")
+    done = main(["import", str(wrong), "--press", str(files / "press.toml"), "--store", store])
+    assert done == (0 if is_temperature else 2)
+    if not is_temperature:
+        said = one_line(capsys)
+        assert f"wrong.csv: line {header + 4}: column top_2: {float(value):g} is no temperature; must lie" in said
+
+
 def test_a_run_that_is_stored_already_stops_the_whole_import(files, first, tmp_path, capsys):
     store = str(tmp_path / "kerntemp.sqlite")
     press = ["--press", str(files / "press.toml"), "--store", store]

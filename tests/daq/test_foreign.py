@@ -214,3 +214,32 @@ def test_every_measured_time_series_at_hand_is_explained_by_a_mapping():
                 yield len(read_foreign(path, mapping).time_s)
 
     assert not [path.name for path in tables if max(rows(path), default=0) < 100]
+
+
+def test_a_quoted_cell_of_several_lines_moves_no_line_number(tmp_path):
+    mapped = _mapping(tmp_path, '[time]\ncolumn = "t"\n[[column]]\nfrom = "a"\nto = "top_1"\n')
+    file = tmp_path / "x.csv"
+    file.write_text('t,a,note\n0,1,"door\nopen"\n1,2,\n')
+    assert read_foreign(file, mapped).columns["top_1"].tolist() == [1, 2]
+    file.write_text('t,a,note\n0,1,"door\nopen"\n1,hot,\n')
+    with pytest.raises(InputError, match="line 4: column a: 'hot' is not a number"):
+        read_foreign(file, mapped)
+    file.write_text('t,a,note\n0,1,"door\n1,2,\n')
+    with pytest.raises(InputError, match=r"line 2: .*check its quotation marks"):
+        read_foreign(file, mapped)
+
+
+def test_what_is_no_temperature_is_refused_by_line_unless_the_mapping_calls_it_missing(tmp_path):
+    text = '[time]\ncolumn = "t"\n[[column]]\nfrom = "a"\nto = "top_1"\n[[column]]\nfrom = "p"\nto = "load_N"\n'
+    file = tmp_path / "x.csv"
+    file.write_text("t,a,p\n0,20,50000\n1,-9999,60000\n")
+    with pytest.raises(InputError, match=r"line 3: column a: -9999 C is no temperature; .* set its lower"):
+        read_foreign(file, _mapping(tmp_path, text), ["top_*"])
+    run = read_foreign(file, _mapping(tmp_path, text.replace('"top_1"', '"top_1"\nlower = -50')), ["top_*"])
+    assert np.isnan(run.columns["top_1"][1])
+    assert run.columns["load_N"].tolist() == [50000, 60000]
+
+
+def _mapping(tmp_path, text):
+    (tmp_path / "m.toml").write_text(text)
+    return read_mapping(tmp_path / "m.toml")

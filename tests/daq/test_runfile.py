@@ -100,7 +100,7 @@ def test_what_a_file_calls_unusable_is_not_used(tmp_path):
     ]
 
 
-@pytest.mark.parametrize("cells", ["good,,fine", "1,2,3", "top_9=open,,", "top_1=odd,,"])
+@pytest.mark.parametrize("cells", ["good,,fine", "1,2,3", "T=200 steady,,", "x = 3,,"])
 def test_another_column_of_that_name_is_kept_as_it_is(tmp_path, cells):
     path = tmp_path / "run.csv"
     path.write_text("time_s,quality,top_1\n" + "".join(f"{i},{c},5\n" for i, c in enumerate(cells.split(","))))
@@ -112,6 +112,78 @@ def test_another_column_of_that_name_is_kept_as_it_is(tmp_path, cells):
     assert ("quality" in run.texts) != ("quality" in run.columns)
     assert again.texts == run.texts
     assert list(again.columns) in (["quality", "top_1"], ["top_1"])
+
+
+@pytest.mark.parametrize(
+    ("cell", "message"),
+    [
+        ("top_1=ajar", "'ajar' is no quality; they are good, open, over, "),
+        ("top_9=open", "names column 'top_9', which is not there"),
+        ("top_1=open;platen_top=stale", "write column=quality, with one blank between two of them"),
+        ("top_1=open  platen_top=stale", "write column=quality, with one blank"),
+        ("broken", "write column=quality"),
+    ],
+)
+def test_a_quality_that_cannot_be_read_is_refused_by_line_and_column(tmp_path, cell, message):
+    texts = ("", "top_1=open", cell)
+    rows = "".join(f"{i},200,20,{text}\n" for i, text in enumerate(texts))
+    (tmp_path / "x.csv").write_text("time_s,platen_top,top_1,quality\n" + rows)
+    with pytest.raises(InputError, match=f"line 4: column quality: '{cell}'.*{message}"):
+        read_run(tmp_path / "x.csv")
+    table = {"time_s": [0.0, 1.0, 2.0], "platen_top": [200.0] * 3, "top_1": [20.0] * 3, "quality": texts}
+    pq.write_table(pa.table(table), tmp_path / "x.parquet")
+    with pytest.raises(InputError, match=f"row 3: column quality: '{cell}'.*{message}"):
+        read_run(tmp_path / "x.parquet")
+
+
+@pytest.mark.parametrize("quality", ["top_1=open", "", "fine"])
+@pytest.mark.parametrize("damaged", ["2,200", "2,200,20,,,", "2"])
+def test_a_row_with_a_wrong_number_of_cells_is_named_whatever_else_the_file_says(tmp_path, quality, damaged):
+    path = tmp_path / "x.csv"
+    path.write_text(
+        f"time_s,platen_top,top_1,quality\n0,200,20,{quality}\n1,200,20,{quality}\n{damaged}\n3,1,1,\n"
+    )
+    with pytest.raises(InputError, match=f"line 4: {damaged.count(',') + 1} cells, but the header row has 4"):
+        read_run(path)
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+def test_words_of_several_lines_and_times_of_day_beside_a_row_are_kept(tmp_path, suffix):
+    said = {
+        "note": ("door\nopen", "", 'said "go"\r\n, then', "x\ry"),
+        "utc": ("2026-03-04T07:00:00Z", "2026-03-04T07:00:01Z", "", ""),
+        "clock": ("7:00", "", "7:01", "7:02"),
+    }
+    run = Run("x", {"run": "x"}, np.arange(4.0), {"top_1": np.arange(4.0)}, texts=said)
+    write_run(run, tmp_path / f"x{suffix}")
+    back = read_run(tmp_path / f"x{suffix}")
+    assert back.texts == said
+    assert back.columns["top_1"].tolist() == [0, 1, 2, 3]
+
+
+def test_lines_are_counted_where_a_cell_holds_several(tmp_path):
+    path = tmp_path / "x.csv"
+    path.write_text('time_s,top_1,note\n0,1,"a\nb"\n\n0,1,c\n')
+    with pytest.raises(InputError, match=r"line 5: time_s = 0\.0 does not rise \(line 2: 0\.0\)"):
+        read_run(path)
+    path.write_text('time_s,top_1,note\n0,1,"a\nb"\n1,hot,c\n2,3,\n')
+    with pytest.raises(InputError, match=r"line 4: column top_1: 'hot' is not a number"):
+        read_run(path)
+    path.write_text('time_s,top_1,note\n0,1,a\n1,2,"b\n2,3,\n')
+    with pytest.raises(InputError, match=r"line 3: .*check its quotation marks"):
+        read_run(path)
+
+
+@pytest.mark.parametrize("value", [1e308, 1e6, -300.0, -273.15])
+def test_what_is_no_temperature_is_refused_where_only_one_can_stand(tmp_path, value):
+    load = np.array([1e6, 1e7])
+    run = Run("x", {}, np.array([-5.0, 0.0]), {"top_1": np.array([20.0, value]), "load_N": load})
+    for suffix, place in ((".csv", "line 4"), (".parquet", "row 2")):
+        path = tmp_path / f"x{suffix}"
+        write_run(run, path)
+        assert read_run(path, ["core_*"]).time_s.tolist() == [-5.0, 0.0]
+        with pytest.raises(InputError, match=f"{place}: column top_1: .* is no temperature; must lie"):
+            read_run(path, ["top_*", "core_*"])
 
 
 def test_a_run_file_gives_header_columns_and_missing_values(tmp_path):
