@@ -215,7 +215,9 @@ class Endurance:
             b = simulated("adam-4118-ascii", lower, refresh_s=0.1, switches=self.switches["lower"], **made)
             tables = [
                 wiring("labjack-t7", stack.enter_context(a), "upper", UPPER),
-                wiring("adam-4118-ascii", stack.enter_context(b), "lower", LOWER),
+                # a module of its own answers within 0.3 s; this one shares the processor with everything else
+                wiring("adam-4118-ascii", stack.enter_context(b), "lower", LOWER)
+                | {"timeout_s": 1.0, "drain_s": 0.3},
             ]
             self.tables = tables
             stack.callback(self._kill_all)
