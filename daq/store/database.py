@@ -119,6 +119,7 @@ class Database:
         try:
             yield
         except (OperationalError, InterfaceError) as error:
+            self._refuse_own_view(error)
             raise StoreUnavailable(f"store {self.label}: {_advice(str(error.orig))}") from error
         except (DatabaseError, sqlite3.DatabaseError) as error:
             reason = str(error.orig if isinstance(error, DatabaseError) else error)
@@ -128,9 +129,20 @@ class Database:
                 raise InputError(
                     f"store {self.label}: a text holds a NUL character, which a server cannot keep; remove it"
                 ) from error
+            self._refuse_own_view(error)
             if isinstance(error, sqlite3.DatabaseError) or "malformed" in reason:
                 raise StoreUnavailable(f"store {self.label}: {_advice(reason)}") from error
             raise
+
+    def _refuse_own_view(self, error: Exception) -> None:
+        """Say which view somebody made on ours keeps the schema from being brought up to date."""
+        named = r"error in view (\S+?):|DETAIL: +(?:materialized )?view (\S+) depends"
+        found = re.search(named, str(error))
+        if found:
+            raise InputError(
+                f"store {self.label}: view {found[1] or found[2]} is not Kerntemp's and stands on one that this "
+                "version changes; drop it, start again, and make it anew"
+            ) from error
 
     def close(self) -> None:
         """Release all connections."""

@@ -479,6 +479,23 @@ def test_a_migration_that_fails_half_way_leaves_the_store_as_it_was(store_url, m
         assert columns[-1] == "shift"
 
 
+def test_a_view_of_somebody_elses_that_stops_a_migration_is_named(store_url, monkeypatch):
+    good = migrations()
+    monkeypatch.setattr("daq.store.database.migrations", lambda: {1: good[1]})
+    with open_store(store_url) as store, store.database.writing() as connection:
+        connection.execute(text("CREATE VIEW mine AS SELECT run, value FROM coefficient_history"))
+    monkeypatch.setattr("daq.store.database.migrations", lambda: good)
+    with pytest.raises(InputError, match=r"view mine is not Kerntemp's .* drop it, start again") as caught:
+        open_store(store_url)
+    assert "\n" not in str(caught.value)
+    monkeypatch.setattr("daq.store.database.migrations", lambda: {1: good[1]})
+    with open_store(store_url) as store, store.database.writing() as connection:
+        connection.execute(text("DROP VIEW mine"))
+    monkeypatch.setattr("daq.store.database.migrations", lambda: good)
+    with open_store(store_url) as store:
+        assert "value_w_m2k" in {c["name"] for c in inspect(store.database.engine).get_columns("coefficient")}
+
+
 def test_sqlite_writes_ahead_and_syncs_fully(tmp_path):
     with open_store(str(tmp_path / "s.sqlite")) as store, store.database.reading() as connection:
         assert connection.execute(text("PRAGMA journal_mode")).scalar() == "wal"
