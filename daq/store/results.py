@@ -185,35 +185,41 @@ def coefficient_history(
     """Return the coefficients of the newest fit of each run, newest fit first; `limit` counts fits."""
     newer = FIT.alias("newer")
     superseded = select(newer.c.fit_id).where(newer.c.run == FIT.c.run, newer.c.fit_id > FIT.c.fit_id)
-    query = select(FIT.c.fit_id).where(~superseded.exists()).order_by(FIT.c.fit_id.desc()).limit(limit + 1)
+    query = (
+        select(FIT.c.fit_id, FIT.c.run, FIT.c.model_version, RUN.c.started_unix_s)
+        .join(RUN, RUN.c.run == FIT.c.run)
+        .where(~superseded.exists())
+        .order_by(FIT.c.fit_id.desc())
+        .limit(limit + 1)
+    )
     if cursor is not None:
         query = query.where(FIT.c.fit_id < cursor_number(cursor))
     if press is not None:
-        query = query.join(RUN, RUN.c.run == FIT.c.run).where(RUN.c.press_id.in_(_press_ids(press)))
-    fits = list(connection.execute(query).scalars())
+        query = query.where(RUN.c.press_id.in_(_press_ids(press)))
+    fits = connection.execute(query).all()
+    page = {fit.fit_id: fit for fit in fits[:limit]}
     rows = connection.execute(
-        select(COEFFICIENT, FIT.c.run, FIT.c.model_version, RUN.c.started_unix_s)
-        .join(FIT, FIT.c.fit_id == COEFFICIENT.c.fit_id)
-        .join(RUN, RUN.c.run == FIT.c.run)
-        .where(COEFFICIENT.c.fit_id.in_(fits[:limit]))
+        select(COEFFICIENT)
+        .where(COEFFICIENT.c.fit_id.between(min(page, default=0), max(page, default=0)))  # a server's own guess
+        .where(COEFFICIENT.c.fit_id.in_(page))  # of the list alone is to go through the whole table
         .order_by(COEFFICIENT.c.fit_id.desc(), COEFFICIENT.c.name)
     ).all()
     items = tuple(
         CoefficientRecord(
             r.fit_id,
-            r.run,
-            known_utc(r.started_unix_s),
+            page[r.fit_id].run,
+            known_utc(page[r.fit_id].started_unix_s),
             r.name,
             nan(r.value_w_m2k),
             nan(r.sd_w_m2k),
             nan(r.low_w_m2k),
             nan(r.high_w_m2k),
             bool(r.identifiable),
-            r.model_version,
+            page[r.fit_id].model_version,
         )
         for r in rows
     )
-    return Page(items, str(fits[limit - 1]) if len(fits) > limit else None)
+    return Page(items, str(fits[limit - 1].fit_id) if len(fits) > limit else None)
 
 
 def _press_ids(press: str) -> Any:
