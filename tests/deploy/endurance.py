@@ -279,8 +279,8 @@ class Endurance:
         while name not in self.store.statuses() or (
             name == "record" and self.store.newest_scan_number("lab") <= last
         ):
-            if time.monotonic() > deadline:
-                raise RuntimeError(f"no sign of {name} in 300 s; the logs are beside the store")
+            if time.monotonic() > deadline or self.children[name].poll() is not None:
+                raise RuntimeError(f"{name} has ended, or gave no sign in 300 s; the logs are beside the store")
             time.sleep(0.02)
 
     # --- pressing and breaking ----------------------------------------------------------------------
@@ -449,8 +449,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--days", type=int, default=7)
     parser.add_argument("--pressings", type=int, default=70, help="of a working day")
     parser.add_argument("--speed", type=float, default=25.0, help="while panels are pressed")
-    parser.add_argument("--idle-speed", type=float, default=600.0)
-    parser.add_argument("--idle-rate", type=float, default=0.1, help="scans per second of the press's time")
+    parser.add_argument("--idle-speed", type=float, default=400.0)
+    parser.add_argument("--idle-rate", type=float, default=0.5, help="scans per second of the press's time")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--folder", type=Path, required=True)
     given = parser.parse_args(arguments)

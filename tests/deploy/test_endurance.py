@@ -20,7 +20,7 @@ from tests.deploy.endurance import FAULTS, Endurance, Pace, PacedPress, Plan, Pl
 @pytest.mark.timeout(900)
 @pytest.mark.skipif(os.name == "nt", reason="SIGKILL is POSIX")
 def test_after_every_kind_of_fault_nothing_is_unaccounted_for(tmp_path):
-    plan = Plan(3, 9, Pace(15.0, 1.0), Pace(120.0, 0.1), day_s=3600.0)
+    plan = Plan(3, 9, Pace(15.0, 1.0), Pace(120.0, 0.5), day_s=3600.0)
     plant = Endurance(tmp_path, plan, seed=3)
     balance = plant.run()
     told = "\n".join(balance.lines)
