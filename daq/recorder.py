@@ -138,15 +138,15 @@ def record(
 def _own_places(config: Config, store: Store) -> dict[Path, str]:
     """Return what no other recorder may use meanwhile, and what to say to a second one."""
     if (path := store.database.path) is not None:
+        path = path.resolve()  # a link leads to the same file
         said = "another recorder writes it into {}; stop that one first"
         return {
             path.with_name(f"{path.name}.{p.name}"): f"press {p.name}: {said.format(path)}" for p in config.press
         }
     if (buffer := config.store.buffer) is None:
         return {}
-    return {
-        buffer: f"buffer {buffer}: another recorder uses it; stop that one, or give each its own as store.buffer"
-    }
+    said = "another recorder uses it; stop that one, or give each its own as store.buffer"
+    return {buffer.resolve(): f"buffer {buffer}: {said}"}
 
 
 def _watch(
