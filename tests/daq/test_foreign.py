@@ -1,12 +1,14 @@
 """Files of foreign loggers: explained by a mapping, tried on measured ones."""
 
 import os
+import tomllib
 from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 import pytest
+from packaging.requirements import Requirement
 
 from daq.foreign import read_foreign, read_mapping
 from daq.press_events import find_moments
@@ -214,6 +216,13 @@ def test_every_measured_time_series_at_hand_is_explained_by_a_mapping():
                 yield len(read_foreign(path, mapping).time_s)
 
     assert not [path.name for path in tables if max(rows(path), default=0) < 100]
+
+
+def test_time_zones_come_with_the_installation_where_the_system_has_none():
+    wanted = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    windows = {"sys_platform": "win32", "platform_system": "Windows", "os_name": "nt"}
+    installed = [Requirement(text) for text in wanted["dependencies"]]
+    assert "tzdata" in {one.name for one in installed if one.marker is None or one.marker.evaluate(windows)}
 
 
 def test_a_quoted_cell_of_several_lines_moves_no_line_number(tmp_path):
