@@ -1,14 +1,17 @@
 """Runs as bluesky event-model documents: start, descriptor, one event a scan, stop.
 
 Laboratories that keep their data in that world read a run with their own tools. Times are UTC seconds; the
-run's header goes into the start document as it is, the channels' units into the descriptor.
+run's header goes into the start document, the channels' units into the descriptor. Names have a colon where
+a dot or slash is not allowed there.
 """
 
 from __future__ import annotations
 
 import json
+import math
+import re
 import uuid
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import date, time
 from typing import Any, Literal
 
@@ -38,9 +41,13 @@ def documents_of(
     units = units or {}
     start = _identifier(run.name, "start")
     descriptor = _identifier(run.name, "descriptor")
-    yield "start", {"uid": start, "time": started_unix_s, "scan_id": 1, "run": run.name, "header": _plain(run)}
+    yield (
+        "start",
+        {"uid": start, "time": started_unix_s, "scan_id": 1, "run": run.name, "header": _plain(run.header)},
+    )
+    names = dict(zip([*run.columns, *run.texts], _names([*run.columns, *run.texts]), strict=True))
     keys = {
-        name: {
+        names[name]: {
             "source": f"kerntemp:{name}",
             "dtype": "number",
             "shape": [],
@@ -48,7 +55,7 @@ def documents_of(
         }
         for name in run.columns
     }
-    remarks = {name: {"source": f"kerntemp:{name}", "dtype": "string", "shape": []} for name in run.texts}
+    remarks = {names[name]: {"source": f"kerntemp:{name}", "dtype": "string", "shape": []} for name in run.texts}
     yield (
         "descriptor",
         {
@@ -62,8 +69,8 @@ def documents_of(
             "hints": {},
         },
     )
-    columns: dict[str, Sequence[Any]] = {name: values.tolist() for name, values in run.columns.items()}
-    columns |= run.texts
+    columns: dict[str, Sequence[Any]] = {names[name]: values.tolist() for name, values in run.columns.items()}
+    columns |= {names[name]: texts for name, texts in run.texts.items()}
     for i, time_s in enumerate(run.time_s.tolist()):
         at = started_unix_s + time_s
         yield (
@@ -106,9 +113,23 @@ def _identifier(run: str, part: str) -> str:
     return str(uuid.uuid5(_NAMESPACE, f"{run}/{part}"))
 
 
-def _plain(run: Run) -> dict[str, Any]:
-    """Return the header with times as text; a dot in a key is a colon here, where dots are not allowed."""
-    return {
-        key.replace(".", ":"): value.isoformat() if isinstance(value, date | time) else value
-        for key, value in run.header.items()
-    }
+def _plain(value: Any) -> Any:
+    """Return a header value as JSON knows it: times and infinities as text, the keys of tables as names."""
+    if isinstance(value, Mapping):
+        return dict(zip(_names(value), map(_plain, value.values()), strict=True))
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return [_plain(each) for each in value]
+    if isinstance(value, date | time):
+        return value.isoformat()
+    return repr(value) if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _names(given: Iterable[str]) -> list[str]:
+    """Return each name with a colon for a dot or slash, which are not allowed here, and none of them twice."""
+    names: list[str] = []
+    for name in given:
+        free = re.sub("[./]", ":", name)
+        while free in names:
+            free += "_"
+        names.append(free)
+    return names

@@ -1,9 +1,11 @@
 """Event-model documents, checked with that model's own library."""
 
 import json
+from datetime import UTC, datetime
 
 import event_model
 import numpy as np
+import pytest
 
 from daq.documents import documents_of, json_lines
 from daq.records import Run
@@ -63,3 +65,28 @@ def test_a_column_has_the_unit_it_is_known_to_have_and_else_none():
 def test_an_interrupted_run_says_so_and_one_that_goes_on_has_no_stop_yet():
     assert list(documents_of(RUN, 0.0, ended="abort"))[-1][1]["exit_status"] == "abort"
     assert [name for name, _ in documents_of(RUN, 0.0, ended=None)][-1] == "event"
+
+
+def test_names_and_header_values_that_the_model_does_not_allow_are_told_in_its_way():
+    began = datetime(2026, 3, 4, 7, tzinfo=UTC)
+    header = {"shifts": [began, 2], "panel": {"lot.number": 7}, "limit": float("inf"), "a": "1", "note": "x/y"}
+    columns = {"Temp. oben": np.ones(2), "load kg/m2": np.ones(2), "Temp: oben": np.zeros(2)}
+    run = Run("r", header, np.arange(2.0), columns, texts={"said.by": ("eva", "")})
+    documents = list(documents_of(run, 0.0, {"load kg/m2": "kg/m2"}))
+    for name, content in documents:
+        event_model.schema_validators[event_model.DocumentNames[name]].validate(content)
+    told = documents[0][1]["header"]
+    assert told == {
+        "shifts": [began.isoformat(), 2],
+        "panel": {"lot:number": 7},
+        "limit": "inf",
+        "a": "1",
+        "note": "x/y",
+    }
+    keys = documents[1][1]["data_keys"]
+    assert list(keys) == ["Temp: oben", "load kg:m2", "Temp: oben_", "said:by"]
+    assert keys["load kg:m2"]["source"] == "kerntemp:load kg/m2"
+    assert keys["load kg:m2"]["units"] == "kg/m2"
+    assert documents[2][1]["data"] == {"Temp: oben": 1.0, "load kg:m2": 1.0, "Temp: oben_": 0.0, "said:by": "eva"}
+    for line in json_lines(run, 0.0):
+        json.loads(line, parse_constant=lambda word: pytest.fail(f"{word} is not JSON"))
