@@ -52,8 +52,9 @@ class StoreSettings(_Table):
     """File path (relative to the configuration), ``sqlite:///path`` or ``postgresql://user@host/name``."""
     buffer: Path | None = None
     """Local file that takes the scans while a database server is away. None: beside the configuration."""
-    keep_idle_days: Annotated[float, Field(gt=0)] = 30.0
-    """Scans outside every run are thinned after this many days. Runs are never touched."""
+    keep_idle_days: Annotated[float, Field(ge=1)] = 30.0
+    """Scans outside every run are thinned after this many days. Runs are never touched: a day is longer than
+    what a run takes in from before its insertion, and than its row waits behind its scans in a back-fill."""
 
 
 class PressSettings(_Table):

@@ -63,6 +63,10 @@ def test_a_configuration_gives_paths_beside_itself_and_columns_in_order(folder):
         (('"platen_bottom"', '"top_2"'), r"no logger has channel 'platen_bottom', which boundary.bottom"),
         (("lab.toml", "none.toml"), r"none.toml: cannot read the press file: No such file"),
         (("port = 9000", "port = 90000"), r"server.port = 90000"),
+        (
+            ("[store]", "[store]\nkeep_idle_days = 0.5"),
+            r"store.keep_idle_days = 0.5: .*greater than or equal to 1",
+        ),
         (("[server]", "[sever]"), r"sever: unknown key"),
         (("[server]", "server]"), r"not valid TOML: .*line 17"),
         (('host = "127.0.0.1"\n', ""), r"press.0.logger.0: give either port"),
