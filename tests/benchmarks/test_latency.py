@@ -58,7 +58,10 @@ def start(folder, name, *options):
 
 
 def listen(address, seconds):
-    """Return when each estimate came and the instant of its scan, from the first on; and opening to refit. [s]"""
+    """Return when each estimate came and the instant of its scan, from the first on; and opening to refit. [s]
+
+    Scans before the insertion was found are left out: their estimates are made when the pressing begins.
+    """
     heard, refits, kind, opened = [], [], "", None
     with httpx.stream("GET", f"{address}/api/v1/live", timeout=30.0) as answer:
         answer.raise_for_status()
@@ -69,7 +72,7 @@ def listen(address, seconds):
             elif name == "data" and kind in ("estimate", "press", "fit"):
                 data, now = json.loads(rest), time.time()
                 utc = datetime.fromisoformat(data["utc"]).timestamp() if data.get("utc") else None
-                if kind == "estimate" and data["core_C"] is not None and utc is not None:
+                if kind == "estimate" and data["state"] in ("open", "closed") and utc is not None:
                     heard.append((now, utc))
                 elif kind == "press" and data["event"] == "opened":
                     opened = utc
