@@ -7,9 +7,10 @@ The method and why it is so:
    own coefficients, moments, start temperature, platen errors and sensor offsets, with priors learned
    from the campaign (`extension`). What these can absorb is no evidence for a cause.
 3. Every candidate of the catalogue is fitted for real on top, all of that following it. A score along a
-   finite-size secant gives each run's say, three standard deviations at most; signs of whole runs are
-   flipped for the p-value, with the maximum over candidates (`diagnosis_tests`). The facts this project
-   started from name samples tested as if independent as the classic error: 84 to 100 % false names.
+   finite-size secant gives each run's say, three standard deviations at most, and so does what it gains by
+   numbers from the others; signs of whole runs are flipped for the p-value, with the maximum over candidates
+   and both (`diagnosis_tests`). The facts this project started from name samples tested as if independent as
+   the classic error: 84 to 100 % false names.
 4. The best candidate is named if its p-value holds, if runs left out gain by it, if its size is physical
    and core thermocouples do not speak against it. Candidates that the runs do not tell from it form its
    `set`; core thermocouples, which no fit sees, make it smaller. Within a set the measuring chain comes first.

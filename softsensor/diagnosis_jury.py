@@ -21,11 +21,14 @@ from softsensor.diagnosis_search import (
     search,
 )
 from softsensor.diagnosis_tests import max_t, paired_t
+from softsensor.extension import LOUDEST
 
 ALPHA = 0.05
 """For a name; the size and held-out conditions on top make false names rarer than this."""
 FEW_RUNS = 6
 """Below this sign flips cannot reach `ALPHA`."""
+TWO_LOOKS = 8
+"""Below so many runs there are too few flips to pay for asking gains as well as scores."""
 LEAST_GAIN_K, LEAST_GAIN_SHARE = 0.005, 0.02
 """A cause must save this much on runs left out: kelvins, and share of the residual."""
 SMALLEST_SIZE = 0.25
@@ -42,8 +45,9 @@ bends coefficients most, and leaves the core alone."""
 RIM_EFFECT, RIM_K, RIM_T = "edge_loss", 0.15, 3.0
 """Rim sensors that fall by so much against central ones, and so many standard errors, settle a set for it."""
 MOST_EFFECTS = 3
-AGREE = 0.6
-"""Share of the runs that must gain by a cause with numbers from the others."""
+AGREE, SAYS = 0.6, 4.0
+"""Share of the runs that must gain by a cause with numbers from the others, of those that say anything: whose
+sum of squares changes by more than the second, two standard deviations of one number."""
 CORE_RATIO, CORE_K = 1.5, 0.5
 """Core thermocouples speak against a cause that is off by this factor and so much more than the best one."""
 FEW_STEP, FEW_TOTAL = 0.85, 0.5
@@ -174,8 +178,18 @@ def _judge(stage: Stage, found: list[Candidate], rim_is_cool: bool) -> Round:
 
 
 def _p_values(found: Sequence[Candidate], runs: np.ndarray) -> dict[str, float]:
-    scores = np.stack([c.score[runs] for c in found], axis=1)
-    return dict(zip([c.effect.name for c in found], max_t(scores).tolist(), strict=True))
+    """Return each candidate's p-value: by what runs say along its direction, or by what they gain left out.
+
+    The direction starts at the plain model's fit; where that is far off, most runs have bent away from it, and
+    only their gains show that they agree. Both are flipped together, so that looking twice is paid for. A clock
+    shows in the switch alone: its gains may come from anything that moves with the moments.
+    """
+    says = [c.score[runs] for c in found]
+    if len(runs) >= TWO_LOOKS:
+        loudest = LOUDEST**2
+        says += [np.clip(c.gains[runs], -loudest, loudest) * (c.effect.needs != "closed") for c in found]
+    p = max_t(np.stack(says, axis=1)).reshape(-1, len(found)).min(axis=0)
+    return dict(zip([c.effect.name for c in found], p.tolist(), strict=True))
 
 
 def _choose(stage: Stage, found: Sequence[Candidate], p: dict[str, float], runs: np.ndarray) -> Candidate | None:
@@ -212,6 +226,12 @@ def _not_told_apart(best: Array, other: Array) -> bool:
     return paired_t(best, other) < SURE_T
 
 
+def agreed(gains: Array) -> bool:
+    """Whether most of the runs that say anything gain by a cause, with numbers from the others (runs)."""
+    speaking = gains[np.abs(gains) > SAYS]
+    return len(speaking) > 0 and float((speaking > 0).mean()) >= AGREE
+
+
 def _acceptable(stage: Stage, candidate: Candidate, p: float) -> bool:
     size = LEAST_LOAD if candidate.effect.needs == "load" else SMALLEST_SIZE
     if not candidate.large_enough(size) or candidate.gains.sum() <= 0 or candidate.too_large:
@@ -223,5 +243,5 @@ def _acceptable(stage: Stage, candidate: Candidate, p: float) -> bool:
     if refuted_by_cores(core_errors(candidate.fit, stage.data), core_errors(stage.fit, stage.data)):
         return False
     if len(stage.data) >= FEW_RUNS:
-        return p <= ALPHA and float((candidate.gains > 0).mean()) >= AGREE
+        return p <= ALPHA and agreed(candidate.gains)
     return bool((candidate.gains > 0).all()) and ratio <= FEW_STEP
