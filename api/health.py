@@ -10,6 +10,7 @@ from typing import Any
 from api.schemas import Health, ProcessHealth, StoreHealth
 from daq.store.records import ProcessStatus, StoreUnavailable
 from daq.store.store import Store
+from daq.store.upkeep import Sizes
 
 SILENT_S = 10.0
 """A process beats about once a second; one that is silent for this long is taken for dead. [s]"""
@@ -104,21 +105,21 @@ def _store_health(store: Store) -> StoreHealth:
         kind=KINDS[store.database.dialect],
         size_bytes=sizes.bytes,
         free_bytes=sizes.free_bytes,
-        hours_left=_hours_left(store, sizes.bytes, sizes.free_bytes),
+        hours_left=_hours_left(store, sizes),
     )
 
 
-def _hours_left(store: Store, size: int, free: int | None) -> float | None:
-    """At the present rate of scans and the store's mean size for one."""
-    scans, per_second = 0, 0.0
+def _hours_left(store: Store, sizes: Sizes) -> float | None:
+    """At the present rate of scans and the store's mean size for one, imported or recorded."""
+    per_second = 0.0
     for press in store.presses():
-        newest = store.newest_scan_number(press)
-        batch = store.scans_after(press, newest - 20, 20)
-        scans += newest + 1
+        batch = store.scans_after(press, store.newest_scan_number(press) - 20, 20)
         if len(batch.scans) > 1:
             elapsed = (batch.scans[-1].utc - batch.scans[0].utc).total_seconds()
             per_second += (len(batch.scans) - 1) / elapsed if elapsed > 0 else 0.0
-    return None if free is None else hours_left(size, free, scans, per_second)
+    if sizes.free_bytes is None:
+        return None
+    return hours_left(sizes.bytes, sizes.free_bytes, round(sizes.bytes / sizes.bytes_per_scan), per_second)
 
 
 def hours_left(size_bytes: int, free_bytes: int, scans: int, scans_per_s: float) -> float | None:

@@ -1,5 +1,6 @@
 import io
 import json
+from datetime import UTC, datetime, timedelta
 from xml.etree import ElementTree
 
 import httpx
@@ -7,7 +8,9 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from api.health import hours_left
+from api.health import health_of, hours_left
+from daq.records import Channel, Quality, Run, Scan
+from daq.store import open_store
 
 RUN = "/api/v1/runs/lab-2026-03-04-01"
 JSON = {"Content-Type": "application/json"}
@@ -168,6 +171,25 @@ def test_how_long_the_disk_lasts_is_told_only_after_enough_was_recorded(client):
     assert hours_left(17_000_000, 10**9, 5_999, 10.0) is None
     assert hours_left(15_000_000, 10**9, 60_000, 10.0) is None
     assert hours_left(18_000_000, 10**9, 60_000, 10.0) == pytest.approx(92.6)
+
+
+def test_imported_runs_do_not_shorten_how_long_the_disk_lasts(tmp_path):
+    channels = tuple(Channel(f"top_{i}") for i in range(40))
+    table = np.round(np.random.default_rng(0).normal(100.0, 30.0, (60_000, 40)), 2)
+    began = datetime(2026, 3, 4, tzinfo=UTC)
+    with open_store(str(tmp_path / "s.sqlite")) as store:
+        columns = {c.name: table[:, i] for i, c in enumerate(channels)}
+        store.import_run(Run("old", {}, np.arange(60_000.0), columns), "lab")
+        key = store.register_press("lab", channels)
+        good = (Quality.GOOD,) * 40
+        rows = table[:7000].tolist()
+        store.append_scans(
+            key, [Scan(i, began + timedelta(seconds=i / 10), i / 10, tuple(x), good) for i, x in enumerate(rows)]
+        )
+        sizes = store.sizes()
+        told = health_of(store, began).store.hours_left
+        expected = store.sizes().free_bytes / (sizes.bytes / 67_000 * 10.0 * 3600.0)
+    assert told == pytest.approx(expected, rel=0.05)
 
 
 def test_metrics_speak_prometheus(client):
