@@ -26,6 +26,8 @@ _HAND_C = 38.0
 _ROOM_C = 25.0
 _BLIND_S = 3.0
 """Without a usable sensor this long, the state is unknown. [s]"""
+_CHANGE_S = 15.0
+"""A press opened for so long without a sensor to look at may hold another panel. [s]"""
 _SPREAD_K = 25.0
 """Sensors of one face that part by this much have been taken off the panel. [K]"""
 
@@ -65,6 +67,8 @@ class PressEventDetector:
         self._pending: tuple[PressEventKind, float] | None = None
         self.wires = Wires(press.press)
         """Limit switch and pressure channel, as the press file names them."""
+        self.closed_by_wire: bool | None = None
+        """What a wire says at the newest scan; None where none does."""
         self._switch: bool | None = None
         self._seen = -math.inf
         self._since = -math.inf
@@ -96,7 +100,7 @@ class PressEventDetector:
     def update(self, time_s: float, values: Mapping[str, float]) -> list[PressEvent]:
         """Take one scan (unusable values NaN or left out); return what it brought to light."""
         self._append(time_s, values)
-        switch = self.wires.read(values)
+        self.closed_by_wire = switch = self.wires.read(time_s, values)
         if switch is not None:
             return self._by_switch(time_s, switch)
         self.disagreement = None
@@ -140,12 +144,8 @@ class PressEventDetector:
         """Closing and opening by the wire; insertion and removal still by temperatures."""
         before, self._switch = self._switch, closed
         events: list[PressEvent] = []
-        if closed and self._state is not PressState.CLOSED:
-            if self._state is PressState.IDLE:
-                events.append(self._event(PressEventKind.INSERTED, time_s, time_s))
-            events.append(self._event(PressEventKind.CLOSED, time_s, time_s, self.wires.told_by))
-        elif not closed and self._state is PressState.CLOSED:
-            events.append(self._event(PressEventKind.OPENED, time_s, time_s, self.wires.told_by))
+        if closed is not (self._state is PressState.CLOSED):
+            events = self._switched(time_s, closed)
         elif self._pending is not None:
             events += self._place(time_s)
         elif before is not None:
@@ -155,6 +155,32 @@ class PressEventDetector:
                 events += self._place(time_s)
         self._compare(time_s, closed)
         return events
+
+    def _switched(self, time_s: float, closed: bool) -> list[PressEvent]:
+        """Return the wire's closing or opening, and the panel's coming or going where it must be concluded."""
+        kind = PressEventKind.CLOSED if closed else PressEventKind.OPENED
+        around: list[PressEventKind] = []
+        if closed and self._unseen_change(time_s):
+            around.append(PressEventKind.REMOVED)
+        if closed and (around or self._state is PressState.IDLE):
+            around.append(PressEventKind.INSERTED)
+        self._pending = None
+        events = [self._event(x, time_s, time_s) for x in around]
+        events.append(self._event(kind, time_s, time_s, self.wires.told_by))
+        if not closed and self._nothing_hot(self._rows[-1]):
+            events.append(self._event(PressEventKind.REMOVED, time_s, time_s))
+        return events
+
+    def _unseen_change(self, time_s: float) -> bool:
+        """Whether the pressed panel may have gone for another one while no sensor showed it."""
+        opened = self._state is PressState.OPEN and self._was_closed
+        return opened and time_s - self._since > _CHANGE_S and time_s - self._seen > _BLIND_S
+
+    def _nothing_hot(self, row: _Row) -> bool:
+        """Whether the sensors, as far as there are any, lie in no press: it was closed with nothing in it."""
+        limit = _ROOM_C + 0.12 * _gap(row.plate, _ROOM_C)
+        faces = [face for face in (row.top, row.bottom) if face == face]
+        return bool(faces) and max(faces) < limit
 
     def _compare(self, time_s: float, closed: bool) -> None:
         row = self._rows[-1]
@@ -276,6 +302,9 @@ class PressEventDetector:
         self._face_high = max(self._face_high, level)
         gap = _gap(now.plate, _ROOM_C)
         if self._face_high > _ROOM_C + 0.25 * gap and level < _ROOM_C + 0.12 * gap:
+            return True
+        if self._was_closed and self._switch is not None and self._nothing_hot(now):
+            self._lifted = (now.time, level, self._spread(now))
             return True
         if self._lifted is None:
             if self._left_plate(now):

@@ -23,7 +23,7 @@ import numpy as np
 from daq.press_detector import Faces, PressEventDetector, place_moment
 from daq.press_faces import columns_of, face_of
 from daq.press_moments import Placed, insertion_moment, usual_lag
-from daq.press_wires import CLOSED, closed_of
+from daq.press_wires import CLOSED, SILENT_S, closed_of
 from daq.pressfile import Press
 from daq.records import Array, Moments, PressEventKind, Run
 
@@ -34,9 +34,10 @@ def find_moments(run: Run, press: Press) -> Moments:
     """Return when a run's panel came, the press closed and opened, and the panel left. [s of the run]
 
     The column ``closed``, or what the press file names instead, decides where it holds values: closed from
-    the time of its first 1, open from the first 0 after it. Else the faces' temperatures do. A moment that
-    did not happen is NaN; without any panel column and without such a wire all are, and `source` says
-    ``unknown``. In a press of one state the panel is there from the first row.
+    the time of its first 1, open from the first 0 after it. Else the faces' temperatures do, also for a
+    moment that lies where the column is empty for longer than `SILENT_S`. A moment that did not happen is
+    NaN; without any panel column and without such a wire all are, and `source` says ``unknown``. In a press
+    of one state the panel is there from the first row.
     """
     if not press.has_states:
         return Moments(inserted_s=float(run.time_s[0]), source="one state")
@@ -54,7 +55,7 @@ def find_moments(run: Run, press: Press) -> Moments:
     moments = {kind: placed[kind].middle if kind in placed else at for kind, at in found.items()}
     source, ramp = "temperatures", Moments().ramp_s
     if switched and switch is not None:
-        moments.update(_switch_moments(run.time_s, switch))
+        moments.update(_switch_moments(run.time_s, switch, moments))
         source = told_by
     elif PressEventKind.CLOSED in placed:
         ramp = placed[PressEventKind.CLOSED].ramp
@@ -150,14 +151,25 @@ def _refined(
     return {kind: value for kind, value in placed.items() if value is not None}
 
 
-def _switch_moments(times: Array, switch: Array) -> dict[PressEventKind, float]:
-    """Return closing and opening by the contract's rule."""
-    known = np.isfinite(switch)
-    t, s = times[known], switch[known] > 0.5
-    moments = {PressEventKind.CLOSED: math.nan, PressEventKind.OPENED: math.nan}
-    if s.any():
-        first = int(np.argmax(s))
-        moments[PressEventKind.CLOSED] = float(t[first])
-        if not s[first:].all():
-            moments[PressEventKind.OPENED] = float(t[first + int(np.argmin(s[first:]))])
-    return moments
+def _switch_moments(
+    times: Array, switch: Array, seen: Mapping[PressEventKind, float]
+) -> dict[PressEventKind, float]:
+    """Return closing and opening by the contract's rule; as `seen` where the switch was silent meanwhile."""
+    rows = np.flatnonzero(np.isfinite(switch))
+    closed = switch[rows] > 0.5
+    first = int(np.argmax(closed)) if closed.any() else len(rows)
+    last = first + int(np.argmin(closed[first:])) if not closed[first:].all() else len(rows)
+
+    def moment(kind: PressEventKind, place: int) -> float:
+        before = int(rows[place - 1]) if place > 0 else -1
+        row = int(rows[place]) if place < len(rows) else len(times)
+        begin = float(times[before]) if before >= 0 else -math.inf
+        end = float(times[row]) if row < len(times) else math.inf
+        by_switch, by_faces = (end if end < math.inf else math.nan), seen.get(kind, math.nan)
+        silent = row - before > 1 and end - begin > SILENT_S
+        return by_faces if silent and begin < by_faces <= end else by_switch
+
+    return {
+        PressEventKind.CLOSED: moment(PressEventKind.CLOSED, first),
+        PressEventKind.OPENED: moment(PressEventKind.OPENED, last),
+    }

@@ -1,8 +1,9 @@
 """What a wire tells of the press: a limit switch, or a pressure channel with two thresholds.
 
 Both go before the temperatures, the switch before the pressure, scan by scan: where a wire says nothing
-(its logger is silent), the next one decides. The press file names them (``press.limit_switch``,
-``press.pressure``), a run's header or ``[[press]]`` of the configuration may name them anew.
+(its logger is silent), the next one decides. A contact that bounces counts from its first touch. The press
+file names them (``press.limit_switch``, ``press.pressure``), a run's header may name them anew, ``[[press]]``
+of the configuration the switch.
 """
 
 from __future__ import annotations
@@ -20,6 +21,10 @@ CLOSED = "closed"
 """The column of a run file that says whether the press is closed, 0 or 1."""
 LIMIT_SWITCH, PRESSURE_CHANNEL = "limit switch", "pressure channel"
 WIRES = (LIMIT_SWITCH, PRESSURE_CHANNEL)
+SILENT_S = 5.0
+"""What happens while a wire says nothing for longer is told by the temperatures. [s]"""
+_BOUNCE_S = 1.0
+"""A change undone sooner is a contact that bounces: a press takes 0.2 to 1 s to close. [s]"""
 
 
 class Wires:
@@ -31,6 +36,8 @@ class Wires:
         self.told_by = LIMIT_SWITCH
         """Which wire spoke last."""
         self._pressed: bool | None = None
+        self._told: bool | None = None
+        self._changed_s = -math.inf
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -42,8 +49,18 @@ class Wires:
         pressure = self.pressure
         return pressure.unit if pressure is not None and column == pressure.column else ""
 
-    def read(self, values: Mapping[str, float]) -> bool | None:
+    def read(self, time_s: float, values: Mapping[str, float]) -> bool | None:
         """Return whether a scan says closed; None where no wire has a value."""
+        closed = self._read(values)
+        if closed is None or closed is self._told:
+            return closed
+        if time_s - self._changed_s < _BOUNCE_S:
+            return self._told
+        self._changed_s = -math.inf if self._told is None else time_s
+        self._told = closed
+        return closed
+
+    def _read(self, values: Mapping[str, float]) -> bool | None:
         for name in self.switches:
             value = values.get(name, math.nan)
             if value == value:
@@ -70,7 +87,8 @@ def closed_of(run: Run, press: Press) -> tuple[Array, str] | None:
     if not names:
         return None
     rows = zip(*(run.columns[name].tolist() for name in names), strict=True)
-    told = [wires.read(dict(zip(names, row, strict=True))) for row in rows]
+    times = run.time_s.tolist()
+    told = [wires.read(t, dict(zip(names, row, strict=True))) for t, row in zip(times, rows, strict=True)]
     return np.array([math.nan if x is None else float(x) for x in told]), wires.told_by
 
 

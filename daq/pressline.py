@@ -244,12 +244,11 @@ class PressLine:
         """Add the column ``closed``, where a wire of another name or kind tells it."""
         if len(self._key.channels) == len(scan.values):
             return scan
-        names, wires = [c.name for c in self._key.channels[:-1]], self._detector.wires
-        told = [x for x in zip(names, scan.values, scan.qualities, strict=True) if x[0] in wires.columns]
-        usable = {name: value for name, value, quality in told if quality.usable}
-        closed = wires.read(usable)
-        qualities = [quality for name, _, quality in told if name in usable or not usable]
-        value = math.nan if closed is None else float(closed)
+        columns, closed = self._detector.wires.columns, self._detector.closed_by_wire
+        named = zip(self._key.channels, scan.qualities, strict=False)
+        told = [quality for channel, quality in named if channel.name in columns]
+        qualities = [quality for quality in told if quality.usable] or told
+        value = math.nan if closed is None or not qualities[0].usable else float(closed)
         return replace(scan, values=(*scan.values, value), qualities=(*scan.qualities, qualities[0]))
 
     def _watch_wires(self, scan: Scan) -> None:

@@ -14,6 +14,7 @@ one offset a place.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -22,7 +23,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from daq.press_events import find_moments
-from daq.press_wires import WIRES, closed_of, without_wires
+from daq.press_wires import SILENT_S, WIRES, closed_of, without_wires
 from daq.pressfile import Press
 from daq.records import Array, Moments, Run
 from softsensor.case import Case
@@ -139,7 +140,9 @@ def moments_of(press: Press, run: Run) -> Moments:
     told = switch_of(run, press) or (_NEVER, _NEVER)
     for name, (first, gap) in zip(("closed_s", "opened_s"), told, strict=True):
         seen, middle = getattr(moments, name), first - gap / 2
-        changes[name] = (seen + middle) / 2 if abs(seen - middle) < 1.5 else middle
+        told_in_time = math.isfinite(middle) and gap <= SILENT_S
+        otherwise = middle if told_in_time else getattr(switched, name)
+        changes[name] = (seen + middle) / 2 if abs(seen - middle) < 1.5 else otherwise
     if not abs(moments.inserted_s - switched.inserted_s) < 5.0 or not moments.inserted_s < switched.closed_s:
         changes["inserted_s"] = switched.inserted_s
     return replace(moments, **changes)

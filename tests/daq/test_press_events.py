@@ -14,6 +14,7 @@ from daq.records import PressEventKind, PressState, Run
 from daq.simulated.campaign import Plan, make_campaign, press_toml
 from daq.simulated.campaign_sensors import CHANNELS, Nuisances
 from daq.simulated.press import PressSettings, VirtualPress
+from softsensor.evidence import moments_of
 
 PRESS = parse_press(press_toml())
 FACES = [f"{face}_{i}" for face in ("top", "bottom") for i in range(1, 8)]
@@ -241,6 +242,75 @@ def test_a_switch_that_contradicts_the_temperatures_is_reported():
         if truth.moments.closed_s + 15 < t < truth.moments.opened_s - 1:
             said.add(detector.disagreement)
     assert said == {"the limit switch says open, but the upper face is hot; check it"}
+
+
+def kinds(events):
+    return [e.kind.value for e in events]
+
+
+def test_a_limit_switch_that_bounces_tells_each_moment_once():
+    run, _ = one_run(closed_column=True)
+    clean = run.columns["closed"]
+    first, last = np.flatnonzero(clean)[[0, -1]]
+    bouncing = clean.copy()
+    bouncing[[first + 1, first + 3]] = 0.0
+    bouncing[[last + 2, last + 4]] = 1.0
+    named, press = wired(run, 'limit_switch = "S7"', S7=bouncing)
+    found = find_moments(named, press)
+    assert (found.closed_s, found.opened_s) == (run.time_s[first], run.time_s[last + 1])
+    assert kinds(replay(named, PressEventDetector(press))) == IN_ORDER
+
+
+def after_idle(run, seconds, closed):
+    """The run after some seconds of idle scans; the switch was closed in a part of them."""
+    idle = np.arange(0.0, seconds, 0.1)
+    rng = np.random.default_rng(4)
+    columns = {n: np.concatenate([c[0] + rng.normal(0, 0.03, len(idle)), c]) for n, c in run.columns.items()}
+    columns["closed"][: len(idle)] = (idle > closed[0]) & (idle < closed[1])
+    return Run("later", run.header, np.concatenate([idle, seconds + run.time_s - run.time_s[0]]), columns)
+
+
+@pytest.mark.parametrize("blind", [False, True])
+def test_a_press_closed_with_nothing_in_it_leaves_the_next_panel_its_own_insertion(blind):
+    run, truth = one_run(closed_column=True)
+    later = after_idle(run, 100.0, (20.0, 60.0))
+    if blind:
+        for name in FACES:
+            later.columns[name][later.time_s < 80.0] = np.nan
+    events = replay(later)
+    assert kinds(events) == ["inserted", "closed", "opened", "removed", *IN_ORDER]
+    assert events[3].monotonic_s == pytest.approx(80.0 if blind else 60.0, abs=0.2)
+    inserted = 100.0 + truth.moments.inserted_s - run.time_s[0]
+    assert events[4].monotonic_s == pytest.approx(inserted, abs=0.3)
+
+
+def test_pressings_without_any_panel_sensor_are_told_apart_by_the_switch():
+    run, _ = one_run(closed_column=True)
+    columns = {n: np.concatenate([c, c]) for n, c in run.columns.items() if n not in FACES}
+    times = np.concatenate([run.time_s, run.time_s + run.time_s[-1] + 0.1])
+    events = replay(Run("blind", run.header, times, columns))
+    one = ["inserted", "closed", "opened"]
+    assert kinds(events) == [*one, "removed", *one]
+
+
+def test_a_switch_that_comes_late_or_is_lost_leaves_the_other_moment_to_the_temperatures():
+    run, truth = one_run(closed_column=True)
+    m, t, switch = truth.moments, run.time_s, run.columns["closed"]
+    middle = 0.5 * (m.closed_s + m.opened_s)
+    for silent in (t < middle, t > middle):
+        named, press = wired(run, 'limit_switch = "S7"', S7=np.where(silent, np.nan, switch))
+        for found in (find_moments(named, press), moments_of(press, named)):
+            assert found.closed_s == pytest.approx(m.closed_s, abs=0.12)
+            assert found.opened_s == pytest.approx(m.opened_s, abs=0.12)
+
+
+@pytest.mark.parametrize("after_s", [0.3, 0.5, 0.7, 0.9])
+def test_a_switch_that_comes_back_while_a_closing_is_being_placed_tells_it_once(after_s):
+    run, truth = one_run(closed_column=True, seed=7)
+    back = truth.moments.closed_s + after_s
+    silent = (run.time_s > back - 5.0) & (run.time_s < back)
+    named, press = wired(run, 'limit_switch = "S7"', S7=np.where(silent, np.nan, run.columns["closed"]))
+    assert kinds(replay(named, PressEventDetector(press))) == IN_ORDER
 
 
 @pytest.mark.parametrize("face", ["top", "bottom"])
