@@ -53,11 +53,7 @@ class ModbusDevice:
                 time.sleep(self._profile.timing.setup_s)
         for check in self._profile.checks:
             request = modbus.Request(check.function, check.address, check.count)
-            payload = self._ask(request).payload
-            if check.function in (1, 2):
-                found = tuple(int(b) for b in modbus.bits(payload, check.count))
-            else:
-                found = modbus.registers(payload)
+            found = _words(request, self._ask(request).payload)
             expected = check.expect * check.count if len(check.expect) == 1 else check.expect
             if found != expected:
                 raise NoReply(
@@ -69,11 +65,11 @@ class ModbusDevice:
     def sample(self) -> Sample:
         """Fetch all inputs once."""
         with self.bus.lock:
-            reply = self._ask(next(self._blocks))
+            request = next(self._blocks)
+            reply = self._ask(request)
             flags = self._flags()
-        values, qualities = decode(
-            self._profile, self._scaling, modbus.registers(reply.payload), flags, self._cold_junction
-        )
+        words = _words(request, reply.payload)
+        values, qualities = decode(self._profile, self._scaling, words, flags, self._cold_junction)
         return Sample(values, qualities, reply.requested_s, reply.received_s)
 
     def _flags(self) -> tuple[bool, ...] | None:
@@ -100,6 +96,13 @@ class ModbusDevice:
         inputs = (0,) if write.stride is None else self._used
         stride = write.stride or 0
         return [modbus.Request(function, write.address + k * stride, len(data) // 2, data) for k in inputs]
+
+
+def _words(request: modbus.Request, payload: bytes) -> tuple[int, ...]:
+    """Return registers, or bits as 0 and 1."""
+    if request.function in (1, 2):
+        return tuple(int(bit) for bit in modbus.bits(payload, request.count))
+    return modbus.registers(payload)
 
 
 def _hex(found: tuple[int, ...]) -> str:

@@ -63,7 +63,8 @@ class Timing(_Table):
 class Block(_Table):
     """The one Modbus read that fetches all values."""
 
-    function: Literal[3, 4]
+    function: Literal[1, 2, 3, 4]
+    """3, 4: registers; 1, 2: bits, such as a limit switch on a digital input, each a value of 0 or 1."""
     address: int = Field(ge=0, le=65535)
     """Zero-based, as on the wire."""
     count: int = Field(ge=1, le=125)
@@ -237,13 +238,24 @@ class Profile(_Table):
             end = self.values.at + (self.inputs - 1) * self.values.step + REGISTERS[self.values.format]
             if end > self.block.count:
                 raise ValueError(f"block.count = {self.block.count}, but {self.inputs} values end at {end}")
-        for check in self.checks:
-            if self.block and (check.function, check.count) == (self.block.function, self.block.count):
+        if self.block and self.values and self.block.function in (1, 2) and REGISTERS[self.values.format] > 1:
+            raise ValueError(
+                f"values.format = {self.values.format!r}: block.function 1 and 2 bring bits; give 'u16'"
+            )
+        other = [(f"check {x.what!r}", x.function, x.count) for x in self.checks]
+        other += [("status_bits", self.status_bits.function, self.inputs)] if self.status_bits else []
+        for what, function, count in other:
+            if self.block and _shape(function, count) == _shape(self.block.function, self.block.count):
                 raise ValueError(
-                    f"check {check.what!r} has the shape of the value read; a late reply could be mistaken "
+                    f"{what} has the shape of the value read; a late reply could be mistaken "
                     "for values: read it in parts"
                 )
         return self
+
+
+def _shape(function: int, count: int) -> tuple[int, int]:
+    """Return how a reply begins: its function and how many bytes follow."""
+    return function, (count + 7) // 8 if function in (1, 2) else 2 * count
 
 
 def profile_names() -> tuple[str, ...]:

@@ -238,3 +238,26 @@ def test_an_icp_module_tells_its_first_reading_after_power_on():
     assert module.answer(ask) is None
     switches.silent = False
     assert [module.answer(ask)[3] for _ in range(2)] == [1, 0]
+
+
+@pytest.mark.parametrize(("scaling", "told"), [("unit", 1.0), ("inverted", 0.0)])
+@pytest.mark.parametrize("transport", ["serial", "tcp"])
+def test_a_limit_switch_on_a_digital_input_is_a_channel_of_0_and_1_either_way_round(transport, scaling, told):
+    switches = Switches()
+    override = {
+        "inputs": 8,
+        "block": {"function": 1, "address": 0, "count": 8},
+        "values": {"format": "u16"},
+        "scalings": {"inverted": {"scale": -1.0, "offset": 1.0}},
+    }
+    with simulated("adam-4118", lambda now_s: [20.0] * 8, transport=transport, switches=switches) as server:
+        table = wiring("adam-4118", server, "inputs", ("", "", "", "S7")) | FAST
+        table |= {"profile": "generic", "address": 1, "scaling": scaling, "override": override}
+        table |= {"baud": 9600} if transport == "serial" else {}
+        logger = open_logger(LoggerSettings(**table))
+        with contextlib.closing(logger):
+            open_ = logger.read()
+            switches.open_inputs.add(3)
+            closed = logger.read()
+    assert (open_.values, closed.values) == ((1.0 - told,), (told,))
+    assert set(open_.qualities + closed.qualities) == {Quality.GOOD}

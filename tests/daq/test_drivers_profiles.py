@@ -116,6 +116,14 @@ def test_a_check_with_the_shape_of_the_value_read_is_refused():
         generic(checks=twin)
 
 
+def test_status_bits_with_the_shape_of_a_block_of_bits_are_refused_and_so_are_wide_values_of_bits():
+    block = {"function": 2, "address": 0, "count": 2}
+    with pytest.raises(InputError, match="status_bits has the shape of the value read"):
+        generic(block=block, status_bits={"function": 2, "address": 16})
+    with pytest.raises(InputError, match=r"values.format = 'f32': block.function 1 and 2 bring bits"):
+        generic(block={**block, "count": 8}, values={"format": "f32"})
+
+
 def test_values_must_fit_into_the_block():
     with pytest.raises(InputError, match=r"block.count = 2, but 2 values end at 4"):
         generic(values={"format": "f32"})
