@@ -222,7 +222,10 @@ def press_of(settings: PressSettings) -> Press:
     if settings.limit_switch is None:
         return press
     table = press.press.model_copy(update={"limit_switch": settings.limit_switch})
-    return press.model_copy(update={"press": table})
+    press = press.model_copy(update={"press": table})
+    if said := press.misnamed_wire:
+        raise InputError(f"{settings.file}: {said}")
+    return press
 
 
 def check_columns(settings: PressSettings, press: Press, where: str) -> None:

@@ -293,7 +293,25 @@ class Press(_Table):
             self._check_prior(name, prior)
         for i, sensor in enumerate(self.sensor):
             self._check_place(i, sensor)
+        if said := self.misnamed_wire:
+            raise ValueError(said)
         return self
+
+    @property
+    def misnamed_wire(self) -> str:
+        """Why limit switch or pressure channel would be taken for something else; empty where they are not."""
+        table = self.press
+        pressure = table.pressure.column if table.pressure else ""
+        if pressure == table.limit_switch:
+            return f"press.pressure.column = {pressure!r}: is the limit switch already; name another column"
+        known = [pattern for sensor in self.sensor for pattern in sensor.columns]
+        known += [b.column for b in (self.boundary.bottom, self.boundary.top) if b.column]
+        for key, name in (("limit_switch", table.limit_switch), ("pressure.column", pressure)):
+            if taken := [x for x in known if fnmatch.fnmatchcase(name, x)]:
+                return (
+                    f"press.{key} = {name!r}: would be read as a temperature, by {taken[0]!r}; rename the channel"
+                )
+        return ""
 
     def _check_parting(self, i: int, contact: Contact) -> None:
         for end in ("bottom", "top"):

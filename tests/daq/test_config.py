@@ -80,6 +80,28 @@ def test_a_wrong_configuration_is_refused_by_key_and_value(folder, change, messa
     assert "\n" not in str(caught.value)
 
 
+def test_a_wire_named_like_a_sensor_is_refused_since_a_face_would_take_it_in(folder):
+    text = GOOD.replace('"top_1"]', '"top_1", "top_end"]')
+    (folder / "kerntemp.toml").write_text(text.replace("rate_hz", 'limit_switch = "top_end"\nrate_hz'))
+    with pytest.raises(
+        InputError, match=r"press.limit_switch = 'top_end': would be read as a temperature, by 'top_\*'"
+    ):
+        load_config(folder / "kerntemp.toml")
+    press = (folder / "lab.toml").read_text()
+    for wires, said in (
+        (
+            'pressure = { column = "bottom_bar", closed_above = 2 }',
+            "press.pressure.column = 'bottom_bar': would be",
+        ),
+        ('limit_switch = "platen_top"', "press.limit_switch = 'platen_top': would be read as a temperature"),
+        ('pressure = { column = "closed", closed_above = 2 }', "is the limit switch already"),
+    ):
+        (folder / "lab.toml").write_text(press.replace("[press]\n", f"[press]\n{wires}\n"))
+        (folder / "kerntemp.toml").write_text(GOOD)
+        with pytest.raises(InputError, match=said):
+            load_config(folder / "kerntemp.toml")
+
+
 def test_a_wire_is_named_by_the_configuration_or_the_press_file_and_may_stand_still(folder):
     text = GOOD.replace('"top_1"]', '"top_1", "S7"]')
     (folder / "kerntemp.toml").write_text(text.replace("rate_hz", 'limit_switch = "S7"\nrate_hz'))
