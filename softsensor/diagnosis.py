@@ -51,7 +51,7 @@ from daq.pressfile import Press, press_for_run
 from daq.records import Array, InputError, Moments, Run
 from softsensor.admission import load_remarks
 from softsensor.channels import ChannelFault, faulty_channels, recurring, rim_falls
-from softsensor.diagnosis_advice import next_measurement, notes
+from softsensor.diagnosis_advice import next_measurement, notes, rim_notes
 from softsensor.diagnosis_jury import FEW_RUNS, FEW_TOTAL, Progress, Round, cool_rim, search_all
 from softsensor.diagnosis_model import model_of
 from softsensor.diagnosis_numbers import Errors, Interval, intervals, measure_errors
@@ -167,10 +167,12 @@ def diagnose(
     Raises
     ------
     InputError
-        For no run, or one that does not fit the press.
+        For no run, one that does not fit the press, or a candidate the catalogue does not hold.
     """
     began = time.perf_counter()
     tell = progress or (lambda what, share: None)
+    for name in effects or ():
+        find_effect(name)
     if not runs:
         raise InputError("no runs to diagnose; give at least one run file")
     runs = sorted(runs, key=lambda r: r.name)
@@ -186,7 +188,7 @@ def diagnose(
     ]
     stages, rounds = search_all(base, effects, tell, cool_rim(np.array(rim)))
     tell("what is left", 0.9)
-    return _conclude(press, runs, faults, stages, rounds, began)
+    return _conclude(press, runs, faults, stages, rounds, began, np.array(rim))
 
 
 def _lacking_loads(press: Press, runs: Sequence[Run]) -> list[str]:
@@ -211,6 +213,7 @@ def _conclude(
     stages: list[Stage],
     rounds: list[Round],
     began: float,
+    rim: Array,
 ) -> Diagnosis:
     digests = [d.digest for d in stages[0].data]
     before = pockets(digests, [r.misfit for r in stages[0].fit.runs])
@@ -244,7 +247,7 @@ def _conclude(
         stages=tuple(stages),
         adequacy=left,
         rivals=_rivals(rounds),
-        warnings=(*notes(runs, faults, rounds), *_lacking_loads(press, runs)),
+        warnings=(*notes(runs, faults, rounds), *rim_notes(rim), *_lacking_loads(press, runs)),
     )
 
 
@@ -343,7 +346,7 @@ def _where(before: list[Pocket], plain: Adequacy, left: Adequacy, unexplained: b
     rows = [p for p in before if not p.shared and _stands_out(p)]
     rows.sort(key=lambda p: (-abs(p.mean), p.signal, p.phase, p.from_s))
     found = [_pocket_row(p) for p in rows[:8]]
-    if unexplained and left.worst is not None and not left.worst.shared:
+    if unexplained and left.worst is not None:
         row = _pocket_row(left.worst)
         found = [row, *(r for r in found if r != row)]
     return tuple(found)

@@ -5,14 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from daq.records import Run
+import numpy as np
+
+from daq.records import Array, Run
 from softsensor.channels import ChannelFault
-from softsensor.diagnosis_jury import FEW_RUNS, Round
+from softsensor.diagnosis_jury import FEW_RUNS, Round, cool_rim
 from softsensor.effects import find_effect
 
 if TYPE_CHECKING:
     from softsensor.diagnosis import Finding
 
+SACRIFICE = "two or three sacrificial panels with a core thermocouple would settle the core temperature"
 CORE_OFF_K = 1.0
 """A core error that is worth telling where faces show nothing. [K]"""
 
@@ -44,9 +47,11 @@ def next_measurement(
         return "None needed; a core thermocouple in one sacrificial panel a month would confirm the core."
     if core_K > CORE_OFF_K and extended_K < 0.5 * core_K:
         return f"None needed: core thermocouples confirm it ({core_K:.1f} K off before, {extended_K:.1f} K after)."
-    sentence = find_effect(findings[0].name).confirm
-    if panel and not core_K and not find_effect(findings[0].name).measuring:
-        sentence += " Two or three sacrificial panels with a core thermocouple would settle the core temperature."
+    effect = find_effect(findings[0].name)
+    sentence = effect.confirm
+    asks_already = "core thermocouple" in sentence or "in its middle" in sentence
+    if panel and not core_K and not effect.measuring and not asks_already:
+        sentence = f"{sentence.rstrip('.')}; {SACRIFICE}."
     return sentence
 
 
@@ -70,3 +75,11 @@ def notes(
     refuted = dict.fromkeys(name for r in rounds for name in r.refuted)
     found_notes += [f"core thermocouples speak against {name}, though the faces would fit" for name in refuted]
     return tuple(found_notes)
+
+
+def rim_notes(falls: Array) -> tuple[str, ...]:
+    """Say by how much rim sensors fall against central ones, where they do beyond chance (runs). [K]"""
+    if not cool_rim(falls):
+        return ()
+    size = -float(np.nanmean(falls))
+    return (f"rim sensors fall by {size:.1f} K against central ones in the course of a run: heat leaves there",)

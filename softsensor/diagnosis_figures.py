@@ -118,7 +118,7 @@ def _residual_lines(ax: Any, stage: Stage, signal: str, span: tuple[float, float
         line = np.interp(grid, d.time[good] - start, values[good], left=np.nan, right=np.nan)
         lines.append(line)
     table = np.array(lines)
-    enough = np.isfinite(table).sum(axis=0) >= max(2, len(table) / 2)
+    enough = np.isfinite(table).sum(axis=0) >= max(min(2, len(table)), len(table) / 2)
     if enough.any():
         ax.plot(grid[enough], np.nanmean(table[:, enough], axis=0), lw=2.0, color=colour, label=label)
     ax.set_xlim(*span)

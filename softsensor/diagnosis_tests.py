@@ -27,6 +27,8 @@ SINCE_S = (0.0, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 1e9)
 """Edges of the bins of time since the last event. [s]"""
 SHARES = 6
 """The pressing is also cut into so many equal shares, for what follows the program and not the clock."""
+SURE = 0.05
+"""A pocket whose adjusted p-value is above this, and above the least one, may be off by chance."""
 PHASES = ("open", "closed", "opened")
 
 
@@ -132,6 +134,7 @@ class Adequacy:
     energy: float
     """Mean square of the common pattern, what chance makes of it taken out. [K²]"""
     worst: Pocket | None
+    """Of the pockets whose mean is beyond chance, the one that is most kelvins off."""
 
 
 def adequacy(found: Sequence[Pocket]) -> Adequacy:
@@ -142,7 +145,8 @@ def adequacy(found: Sequence[Pocket]) -> Adequacy:
     p = max_t(means)
     plain = [q for q in found if not q.shared]
     energy = float(np.mean([_common_energy(q.means) for q in plain])) if plain else 0.0
-    worst = found[int(np.argmin(p))]
+    sure = [q for q, level in zip(found, p, strict=True) if level <= max(SURE, float(p.min())) and not q.shared]
+    worst = max(sure, key=lambda q: abs(q.mean), default=None)
     return Adequacy(float(p.min()), max(energy, 0.0), worst)
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from softsensor.diagnosis import Diagnosis
+from softsensor.diagnosis_jury import FEW_RUNS
 from softsensor.effects import find_effect
 
 FAR_OFF = 2.0
@@ -53,7 +54,7 @@ def sentence(found: Diagnosis) -> str:
     if found.verdict == "too_few_runs":
         off = found.base.rmse_K > FAR_OFF * found.noise_floor_K
         much = f", and {found.base.rmse_K:.2f} K off, {found.noise_floor_K:.2f} K of it noise" if off else ""
-        return f"{runs} run{'s' if runs > 1 else ''}{much}: too few to tell a cause from chance."
+        return f"{_count(runs)}{much}: too few to tell a cause from chance."
     names = ", then ".join(_readable(f.name) for f in found.findings)
     if found.verdict == "no_effect":
         return (
@@ -77,8 +78,15 @@ def sentence(found: Diagnosis) -> str:
         )
     causes = [find_effect(f.name).meaning for f in found.findings if f not in faults]
     if not causes:
+        if runs < FEW_RUNS:
+            too_few = f"{_count(runs)} {'is' if runs == 1 else 'are'} too few"
+            return f"{said[0]} {too_few} to tell any other cause from chance."
         return f"{said[0]} Without, the plain model explains these {runs} runs to {found.base.rmse_K:.2f} K."
     return f"{' '.join(said + causes)} With it the residual falls {_fall(found)}."
+
+
+def _count(runs: int) -> str:
+    return f"{runs} run{'s' if runs > 1 else ''}"
 
 
 def core_sentence(found: Diagnosis) -> str:

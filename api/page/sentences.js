@@ -60,7 +60,7 @@ function german(english) {
   if (refused) return refused;
   const told = /^To tell (.+?): (.+)$/.exec(english);
   if (told) return `Um ${told[1].split(" from ").map(effectName).join(" von ")} zu unterscheiden: ${sentence(told[2])}`;
-  const parts = english.split(/\.\s+|\.$/).filter(Boolean);
+  const parts = english.split(/\.\s+|\.$|; (?=two or three sacrificial)/).filter(Boolean);
   const known = parts.map((part) => measurement(part));
   return known.every(Boolean) ? `${known.join(". ")}.` : english;
 }

@@ -14,12 +14,15 @@ from daq.pressfile import Press, parse_press
 from daq.records import InputError, Run
 from daq.simulated.campaign import Plan, Truth, make_campaign, press_toml
 from softsensor.channels import faulty_channels, rim_falls
-from softsensor.diagnosis import Diagnosis, _lacking_loads, diagnose, never_seen
+from softsensor.diagnosis import Diagnosis, Finding, _lacking_loads, diagnose, never_seen
+from softsensor.diagnosis_advice import next_measurement, rim_notes
+from softsensor.diagnosis_figures import residual_figure
 from softsensor.diagnosis_jury import Round, _p_values, agreed, refuted_by_cores
 from softsensor.diagnosis_report import diagnosis_report
 from softsensor.diagnosis_search import Candidate
-from softsensor.diagnosis_tests import max_t, sign_patterns
-from softsensor.diagnosis_words import core_sentence, plain
+from softsensor.diagnosis_tests import Pocket, adequacy, max_t, sign_patterns
+from softsensor.diagnosis_words import core_sentence, plain, sentence
+from softsensor.effects import BUILT_IN
 from softsensor.evidence import moments_of
 from softsensor.extension import held_out
 from softsensor.modelfile import parse_model
@@ -152,6 +155,40 @@ def test_the_order_of_the_runs_does_not_matter() -> None:
 def test_no_runs_are_refused_with_what_to_do() -> None:
     with pytest.raises(InputError, match="give at least one run file"):
         diagnose(press(), [])
+
+
+def test_a_candidate_the_catalogue_does_not_hold_is_refused_and_not_called_no_effect() -> None:
+    with pytest.raises(InputError, match="moisture_evaporatoin"):
+        diagnose(press(), [run for run, _ in campaign(None, 41, 1)], effects=["moisture_evaporatoin"])
+
+
+@pytest.mark.parametrize("name", [e.name for e in BUILT_IN])
+def test_the_next_measurement_is_one_sentence(name: str) -> None:
+    finding = Finding(name, (name,), {}, 0.01, 1.0, 1.0)
+    told = next_measurement("named", (finding,), (None, None), 12, True)
+    assert told.endswith(".")
+    assert ". " not in told
+
+
+def test_one_run_with_a_loose_sensor_says_that_it_is_too_few_and_draws_its_residual() -> None:
+    found = diagnosed("sensor_fault", 21, 1)
+    assert sentence(found).endswith("1 run is too few to tell any other cause from chance.")
+    drawn = [line.get_label() for ax in residual_figure(found).get_axes() for line in ax.get_lines()]
+    assert "plain model" in drawn
+
+
+def test_what_is_left_is_told_where_it_is_most_kelvins_off_and_not_where_it_is_surest() -> None:
+    rng = np.random.default_rng(8)
+    surest = Pocket("panel.top", "closed", 0.0, 1.0, False, np.full(12, -0.03))
+    largest = Pocket("panel.top", "opened", 8.0, 16.0, False, -0.4 + 0.15 * rng.standard_normal(12))
+    chance = Pocket("panel.bottom", "opened", 8.0, 16.0, False, 3.0 * np.resize([1.0, -1.0, 0.9], 12))
+    assert adequacy([surest, largest, chance]).worst is largest
+
+
+def test_rim_sensors_that_fall_are_told_with_their_kelvins() -> None:
+    assert "1.2 K" in rim_notes(np.array([-1.3, -1.1, -1.2, np.nan]))[0]
+    assert rim_notes(np.array([-0.1, 0.1, 0.0])) == ()
+    assert rim_notes(np.full(3, np.nan)) == ()
 
 
 @pytest.mark.parametrize("seed", [21, 22, 23])
