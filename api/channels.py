@@ -107,13 +107,14 @@ def channels_now(
 ) -> list[ChannelNow]:
     """Return each channel's last value, and what the recorder says about its logger."""
     reported = channel_reports(store.statuses(), press)
-    names = [channel.name for channel in channels or store.channels(press)]
+    known = channels or store.channels(press)
+    names = [channel.name for channel in known]
     values = dict(zip(names, scan.values, strict=True)) if scan else {}
     qualities = dict(zip(names, scan.qualities, strict=True)) if scan else {}
     watch = _watch_of(store, press, scan.number) if scan else _Watch()
     items = []
-    for name in names:
-        report = reported.get(name, {})
+    for name, unit in ((channel.name, channel.unit) for channel in known):
+        report, value = reported.get(name, {}), number_or_none(values.get(name))
         counters = {k: int(v) for k, v in report.get("counters", {}).items() if isinstance(v, int | float)}
         items.append(
             ChannelNow(
@@ -121,7 +122,9 @@ def channels_now(
                 name=name,
                 logger=str(report.get("logger", "")),
                 role=role_of(name),
-                temperature_C=number_or_none(values.get(name)),
+                unit="°C" if unit == "C" else unit,
+                value=value,
+                temperature_C=value if unit == "C" else None,
                 quality=str(qualities.get(name, Quality.MISSING)),
                 utc=scan.utc if scan else None,
                 last_good_utc=watch.last_good.get(name),

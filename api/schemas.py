@@ -64,7 +64,10 @@ class ChannelNow(_Answer):
     logger: str = ""
     unit: str = "°C"
     role: Literal["platen", "top", "bottom", "core", "other"] = "other"
+    value: float | None = None
+    """In `unit`: a pressure in its own, a limit switch as 0 or 1."""
     temperature_C: float | None = None  # noqa: N815
+    """The same where it is a temperature."""
     quality: str = "missing"
     utc: datetime | None = None
     last_good_utc: datetime | None = None

@@ -34,6 +34,9 @@ export function figure(value) {
 // A number as it was written down, with the language's decimal sign.
 export const written = (value) => new Intl.NumberFormat(locale(), { maximumFractionDigits: 12, useGrouping: false }).format(value);
 
+// A channel's last value with its unit; a limit switch is 0 or 1.
+export const reading = (channel) => `${number(channel.value, channel.unit ? 1 : 0)} ${channel.unit}`.trim();
+
 // Date and time, that part only between each other.
 export function when(utc) {
   return el("span", { class: "when" }, clock(utc).split(/(?<=,) /).map((part, i) => [i ? " " : "", el("span", { class: "num" }, part)]));

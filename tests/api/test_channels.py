@@ -56,3 +56,17 @@ def test_gaps_are_counted_on_from_the_last_look_and_forgotten_after_an_hour(plan
     write(range(120, 4000), broken=range(0))
     _, mended = looked_at(store)
     assert (mended.last_good_utc, mended.gaps_last_hour) == (START + timedelta(seconds=3999), 0)
+
+
+def test_a_pressure_and_a_limit_switch_are_told_in_their_own_units_and_not_as_temperatures(tmp_path):
+    with open_store(str(tmp_path / "kerntemp.sqlite")) as store:
+        key = store.register_press("lab", (Channel("top_1"), Channel("bar", "bar"), Channel("closed", "")))
+        scan = Scan(0, START, 0.0, (20.0, 90.0, 1.0), (Quality.GOOD,) * 3)
+        store.append_scans(key, [scan])
+        batch = store.scans_after("lab", -1, 1)
+        told = channels_now(store, "lab", batch.channels, batch.scans[0], START)
+    assert [(c.value, c.unit, c.temperature_C) for c in told] == [
+        (20.0, "°C", 20.0),
+        (90.0, "bar", None),
+        (1.0, "", None),
+    ]

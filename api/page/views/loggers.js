@@ -1,6 +1,6 @@
 // Loggers: each channel's last good time and faults, the processes, the store and how long its disk lasts.
 import { get } from "../api.js";
-import { bytes, clock, duration, el, number, table, when } from "../dom.js";
+import { bytes, clock, duration, el, number, reading, table, when } from "../dom.js";
 import { sentence } from "../sentences.js";
 import { text } from "../text.js";
 
@@ -53,7 +53,7 @@ function channelCard(items) {
   return el("section", { class: "card", "data-testid": "loggers" }, el("h1", {}, text("nav_loggers")), items.length ? table(text("channels"),
     [{ text: text("channel") }, { text: text("logger") }, { text: text("temperature"), class: "right" }, { text: text("quality") }, { text: text("last_good"), class: "right" }, { text: text("gaps"), class: "right" },
       ...Object.keys(COUNTED).map((name) => ({ text: text(name), class: "right" })), { text: text("other_faults"), class: "right" }],
-    items.map((c) => [c.name, c.logger || "–", el("span", { class: "num" }, c.temperature_C === null ? "–" : `${number(c.temperature_C, 1)} °C`),
+    items.map((c) => [c.name, c.logger || "–", el("span", { class: "num" }, c.value === null ? "–" : reading(c)),
       el("span", { class: `pill ${["good", "simulated"].includes(c.quality) ? "good" : "bad"}` }, text(`quality_${c.quality}`)),
       el("span", { class: "num" }, clock(c.last_good_utc, false)), count(c.gaps_last_hour),
       ...Object.entries(COUNTED).map(([name, causes]) => count(of(c, causes), name === "readings")),

@@ -2,7 +2,7 @@
 import { announce } from "../app.js";
 import { get } from "../api.js";
 import { TimeChart, key } from "../charts.js";
-import { clock, duration, el, number } from "../dom.js";
+import { clock, duration, el, number, reading } from "../dom.js";
 import { effectName, sentence } from "../sentences.js";
 import { text } from "../text.js";
 import { sketch } from "./sketch.js";
@@ -156,7 +156,7 @@ class LivePress {
       const good = ["good", "simulated"].includes(channel.quality);
       return el("div", { class: good ? "channel" : "channel bad", style: `--dot: var(${COLOURS[channel.role]})` },
         el("div", { class: "name" }, el("span", {}, channel.name), good ? el("span", { class: "quality" }, text(`quality_${channel.quality}`)) : ""),
-        el("b", {}, good ? `${number(channel.temperature_C, 1)} °C` : text(`quality_${channel.quality}`)));
+        el("b", {}, good ? reading(channel) : text(`quality_${channel.quality}`)));
     });
     this.grid.replaceChildren(...nodes);
   }
@@ -197,7 +197,7 @@ class LivePress {
     if (data.press !== this.now?.press) return;
     for (const channel of this.now.channels) {
       if (channel.name in data.temperatures_C) {
-        channel.temperature_C = data.temperatures_C[channel.name];
+        channel.value = data.temperatures_C[channel.name];
         channel.quality = data.qualities[channel.name] ?? "good";
       }
     }
