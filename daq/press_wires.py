@@ -86,10 +86,24 @@ def closed_of(run: Run, press: Press) -> tuple[Array, str] | None:
     names = [name for name in wires.columns if name in run.columns]
     if not names:
         return None
-    rows = zip(*(run.columns[name].tolist() for name in names), strict=True)
+    switches = {name: _without_blips(run.time_s, run.columns[name]) for name in names if name in wires.switches}
+    rows = zip(*(switches.get(name, run.columns[name]).tolist() for name in names), strict=True)
     times = run.time_s.tolist()
     told = [wires.read(t, dict(zip(names, row, strict=True))) for t, row in zip(times, rows, strict=True)]
     return np.array([math.nan if x is None else float(x) for x in told]), wires.told_by
+
+
+def _without_blips(times: Array, column: Array) -> Array:
+    """Return a switch without single rows that all others within a second contradict, three or more a side."""
+    clean, known = column.copy(), np.flatnonzero(np.isfinite(column))
+    t, closed = times[known], column[known] > 0.5
+    alone = np.flatnonzero((closed[1:-1] != closed[:-2]) & (closed[1:-1] != closed[2:])) + 1
+    for i in alone.tolist():
+        first, end = np.searchsorted(t, t[i] - _BOUNCE_S), np.searchsorted(t, t[i] + _BOUNCE_S, side="right")
+        others = np.count_nonzero(closed[first:end] != closed[i])
+        if min(i - first, end - 1 - i) >= 3 and others == end - first - 1:
+            clean[known[i]] = float(not closed[i])
+    return clean
 
 
 def without_wires(run: Run, press: Press) -> Run:

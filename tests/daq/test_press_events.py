@@ -261,6 +261,19 @@ def test_a_limit_switch_that_bounces_tells_each_moment_once():
     assert kinds(replay(named, PressEventDetector(press))) == IN_ORDER
 
 
+@pytest.mark.parametrize("share", [0.1, 0.7])
+def test_a_single_row_in_which_the_switch_slips_is_no_movement_of_the_press_in_a_file(share):
+    run, _ = one_run(closed_column=True)
+    clean = run.columns["closed"]
+    first, last = np.flatnonzero(clean)[[0, -1]]
+    slip = int(share * last) if share > 0.5 else int(share * first)
+    slipping = clean.copy()
+    slipping[slip] = 1.0 - clean[slip]
+    named, press = wired(run, 'limit_switch = "S7"', S7=slipping)
+    found = find_moments(named, press)
+    assert (found.closed_s, found.opened_s) == (run.time_s[first], run.time_s[last + 1])
+
+
 def after_idle(run, seconds, closed):
     """The run after some seconds of idle scans; the switch was closed in a part of them."""
     idle = np.arange(0.0, seconds, 0.1)
