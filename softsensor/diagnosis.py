@@ -16,7 +16,8 @@ The method and why it is so:
    `set`; core thermocouples, which no fit sees, make it smaller. Within a set the measuring chain comes first.
 5. The same again on top of the extended model, for a second and third cause. A second cause is then tried
    alone, since where the plain model is far off a cause may not have found its way, and others are tried
-   in the place of the first (`diagnosis_exchange`).
+   in the place of the first (`diagnosis_exchange`). Where what is left is negligible, a further cause must
+   save more: over many runs the least fault of the first one's law is sure.
 6. Residuals of all runs are averaged by place and time since the last event. What common pattern remains
    vetoes: a model that explains less than four fifths of it, or leaves more than a few tenths of a kelvin,
    is not the cause, however significant, and the verdict is `unknown_effect`, with where and when. Faults
@@ -60,7 +61,7 @@ from softsensor.diagnosis_search import (
     rms,
     settle_base,
 )
-from softsensor.diagnosis_tests import Adequacy, Pocket, adequacy, paired_t, pockets
+from softsensor.diagnosis_tests import NEGLIGIBLE_K, Adequacy, Pocket, adequacy, paired_t, pockets
 from softsensor.effects import find_effect
 from softsensor.evidence import Digest, digest_run, moments_of
 from softsensor.extension import RunState, held_out
@@ -71,9 +72,9 @@ ALPHA_ADEQUACY = 0.025
 """For something left; with so few runs that flips cannot reach it, the least they can."""
 EXPLAINED = 0.8
 """Share of the common residual pattern a named cause must explain."""
-NEGLIGIBLE_K, SMALL_K = 0.06, 0.2
-"""A common pattern (rms over pockets) below the first is no finding. One named cause may leave the second, two
-half of it, three a third: what takes many causes to explain is rather one outside the catalogue. [K]"""
+SMALL_K = 0.2
+"""Of a common pattern (rms over pockets) one named cause may leave so much, two half of it, three a third: what
+takes many causes to explain is rather one outside the catalogue. [K]"""
 
 
 @dataclass(frozen=True)
@@ -197,13 +198,7 @@ def _lacking_loads(press: Press, runs: Sequence[Run]) -> list[str]:
 
 def _digest(press: Press, run: Run, moments: Moments, faults: tuple[ChannelFault, ...]) -> Digest:
     excluded = frozenset(f.column for f in faults) | frozenset(f.partner for f in faults if f.partner)
-    digest = digest_run(press, run, moments, excluded)
-    if not digest.signals:
-        raise InputError(
-            f"{run.source or run.name}: no usable panel channel; the press file's sensors name "
-            f"{', '.join(p for s in press.sensor for p in s.columns)}"
-        )
-    return digest
+    return digest_run(press, run, moments, excluded)
 
 
 def _conclude(

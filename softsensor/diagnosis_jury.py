@@ -20,7 +20,7 @@ from softsensor.diagnosis_search import (
     extend,
     search,
 )
-from softsensor.diagnosis_tests import max_t, paired_t
+from softsensor.diagnosis_tests import NEGLIGIBLE_K, adequacy, max_t, paired_t, pockets
 from softsensor.extension import LOUDEST
 
 ALPHA = 0.05
@@ -31,6 +31,10 @@ TWO_LOOKS = 8
 """Below so many runs there are too few flips to pay for asking gains as well as scores."""
 LEAST_GAIN_K, LEAST_GAIN_SHARE = 0.005, 0.02
 """A cause must save this much on runs left out: kelvins, and share of the residual."""
+FURTHER_GAIN_K = 0.015
+"""The same for a further cause where what all runs have in common is negligible already: with many runs the least
+fault of the first cause's law is sure, and would be given the names of causes that are not there. Not asked of the
+measuring chain, which bends coefficients while hardly a kelvin shows. [K]"""
 SMALLEST_SIZE = 0.25
 """Of an effect's typical size; below it a candidate is not a cause but a nuisance."""
 LEAST_LOAD = 0.02
@@ -151,19 +155,19 @@ def _exchanged(first: Round, name: str) -> Round:
 
 
 def _judge(stage: Stage, found: list[Candidate], rim_is_cool: bool) -> Round:
-    runs = len(stage.data)
+    runs, least = len(stage.data), least_gain(stage)
     everyone, before = np.arange(runs), core_errors(stage.fit, stage.data)
     p = _p_values(found, everyone)
     if runs < 2:
         return Round(found, p, None, (), (None,) * runs)
-    chosen = _choose(stage, found, p, everyone)
+    chosen = _choose(stage, found, p, everyone, least)
     rests = [np.delete(everyone, r) for r in range(runs)]
-    without = [_choose(stage, found, _p_values(found, rest), rest) for rest in rests]
+    without = [_choose(stage, found, _p_values(found, rest), rest, least) for rest in rests]
     if chosen is None:
         return Round(found, p, None, (), tuple(without))
     near = [c for c in _rivals(found, chosen) if _not_told_apart(chosen.gains, c.gains)]
     jury = [chosen, *sorted(near, key=lambda c: -c.gain)[: LARGEST_SET - 1]]
-    jury.sort(key=lambda c: not (c.effect.measuring and _acceptable(stage, c, p[c.effect.name])))
+    jury.sort(key=lambda c: not (c.effect.measuring and _acceptable(stage, c, p[c.effect.name], least)))
     rim = [c for c in jury if c.effect.name == RIM_EFFECT]
     jury = rim if rim and rim_is_cool else jury
     cores = {c.effect.name: core_errors(c.fit, stage.data) for c in jury}
@@ -192,11 +196,21 @@ def _p_values(found: Sequence[Candidate], runs: np.ndarray) -> dict[str, float]:
     return dict(zip([c.effect.name for c in found], p.tolist(), strict=True))
 
 
-def _choose(stage: Stage, found: Sequence[Candidate], p: dict[str, float], runs: np.ndarray) -> Candidate | None:
+def least_gain(stage: Stage) -> float:
+    """Return what a cause on top of a stage must save on runs left out. [K]"""
+    if not stage.effects:
+        return LEAST_GAIN_K
+    left = adequacy(pockets([d.digest for d in stage.data], [r.misfit for r in stage.fit.runs]))
+    return FURTHER_GAIN_K if left.energy < NEGLIGIBLE_K**2 else LEAST_GAIN_K
+
+
+def _choose(
+    stage: Stage, found: Sequence[Candidate], p: dict[str, float], runs: np.ndarray, least: float
+) -> Candidate | None:
     """Return the acceptable cause that saves most, judged by some of the runs only."""
     some = stage.among(runs)
     part = [c.among(stage, runs) for c in found if c.refined]
-    able = [c for c in part if _acceptable(some, c, p[c.effect.name])]
+    able = [c for c in part if _acceptable(some, c, p[c.effect.name], least)]
     if not able:
         return None
     best = max(able, key=lambda c: c.gain)
@@ -232,12 +246,13 @@ def agreed(gains: Array) -> bool:
     return len(speaking) > 0 and float((speaking > 0).mean()) >= AGREE
 
 
-def _acceptable(stage: Stage, candidate: Candidate, p: float) -> bool:
+def _acceptable(stage: Stage, candidate: Candidate, p: float, least: float = LEAST_GAIN_K) -> bool:
     size = LEAST_LOAD if candidate.effect.needs == "load" else SMALLEST_SIZE
     if not candidate.large_enough(size) or candidate.gains.sum() <= 0 or candidate.too_large:
         return False
     ratio = candidate.heldout_ratio(stage)
-    seen = candidate.heldout_gain(stage) >= LEAST_GAIN_K and ratio <= 1 - LEAST_GAIN_SHARE
+    least = LEAST_GAIN_K if candidate.effect.measuring else least
+    seen = candidate.heldout_gain(stage) >= least and ratio <= 1 - LEAST_GAIN_SHARE
     if not seen and candidate.effect.needs != "closed":
         return False
     if refuted_by_cores(core_errors(candidate.fit, stage.data), core_errors(stage.fit, stage.data)):

@@ -27,6 +27,8 @@ SINCE_S = (0.0, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 1e9)
 """Edges of the bins of time since the last event. [s]"""
 SHARES = 6
 """The pressing is also cut into so many equal shares, for what follows the program and not the clock."""
+NEGLIGIBLE_K = 0.06
+"""A common pattern (rms over pockets) below this is no finding. [K]"""
 SURE = 0.05
 """A pocket whose adjusted p-value is above this, and above the least one, may be off by chance."""
 PHASES = ("open", "closed", "opened")

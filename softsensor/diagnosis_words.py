@@ -14,6 +14,10 @@ FAR_OFF = 2.0
 """Times the noise from which a residual is called more than noise, whatever can be told of its cause."""
 
 
+NOT_EXPLAINED = 1.5
+"""Times the noise from which a plain model without a named cause is not said to explain the runs."""
+
+
 @dataclass(frozen=True)
 class CoreCost:
     """What the plain model's error means at the core when the press opens, over runs."""
@@ -56,6 +60,11 @@ def sentence(found: Diagnosis) -> str:
         much = f", and {found.base.rmse_K:.2f} K off, {found.noise_floor_K:.2f} K of it noise" if off else ""
         return f"{_count(runs)}{much}: too few to tell a cause from chance."
     names = ", then ".join(_readable(f.name) for f in found.findings)
+    if found.verdict == "no_effect" and found.base.rmse_K > NOT_EXPLAINED * found.noise_floor_K:
+        return (
+            f"No cause is common to these {runs} runs, yet the plain model is {found.base.rmse_K:.2f} K off and "
+            f"noise alone is {found.noise_floor_K:.2f} K: what is missing differs from run to run."
+        )
     if found.verdict == "no_effect":
         return (
             f"The plain model explains these {runs} runs to {found.base.rmse_K:.2f} K; "

@@ -25,7 +25,7 @@ from scipy.linalg import solve_triangular
 from daq.press_events import find_moments
 from daq.press_wires import SILENT_S, WIRES, closed_of, without_wires
 from daq.pressfile import Press
-from daq.records import Array, Moments, Run
+from daq.records import Array, InputError, Moments, Run
 from softsensor.case import Case
 from softsensor.model import Solution, ThermalModel
 from softsensor.readout import Reader
@@ -168,11 +168,19 @@ def switch_of(run: Run, press: Press) -> tuple[tuple[float, float], tuple[float,
 
 
 def digest_run(press: Press, run: Run, moments: Moments, excluded: frozenset[str] = frozenset()) -> Digest:
-    """Boil a run down. `excluded` channels are left out. Raises InputError as `ThermalModel.prepare` does."""
+    """Boil a run down. `excluded` channels are left out.
+
+    Raises InputError as `ThermalModel.prepare` does, and where no panel channel is left.
+    """
     plain = ThermalModel(press)
     case = plain.prepare(run, moments, max_step_s=STEP_S)
     fit = {c: s.label for c, s in case.press.sensors_of(run).items() if c not in excluded}
     fit = {c: label for c, label in fit.items() if np.isfinite(run.columns[c]).sum() > 0.3 * len(run.time_s)}
+    if not fit:
+        raise InputError(
+            f"{run.source or run.name}: no usable panel channel; the press file's sensors name "
+            f"{', '.join(p for s in press.sensor for p in s.columns)}"
+        )
     signals = tuple(dict.fromkeys(fit.values()))
     channels = {s: tuple(c for c, label in fit.items() if label == s) for s in signals}
     series, offset_sd = _signal_series(run, signals, channels)

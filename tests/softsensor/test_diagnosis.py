@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from functools import cache
 from types import SimpleNamespace
 from typing import cast
@@ -17,7 +18,15 @@ from softsensor.channels import faulty_channels, rim_falls
 from softsensor.diagnosis import Diagnosis, Finding, _lacking_loads, diagnose, never_seen
 from softsensor.diagnosis_advice import next_measurement, rim_notes
 from softsensor.diagnosis_figures import residual_figure
-from softsensor.diagnosis_jury import Round, _p_values, agreed, refuted_by_cores
+from softsensor.diagnosis_jury import (
+    FURTHER_GAIN_K,
+    LEAST_GAIN_K,
+    Round,
+    _p_values,
+    agreed,
+    least_gain,
+    refuted_by_cores,
+)
 from softsensor.diagnosis_report import diagnosis_report
 from softsensor.diagnosis_search import Candidate
 from softsensor.diagnosis_tests import Pocket, adequacy, max_t, sign_patterns
@@ -162,6 +171,31 @@ def test_a_candidate_the_catalogue_does_not_hold_is_refused_and_not_called_no_ef
         diagnose(press(), [run for run, _ in campaign(None, 41, 1)], effects=["moisture_evaporatoin"])
 
 
+def test_runs_with_platens_only_are_refused_by_file_and_columns() -> None:
+    run, _ = campaign(None, 41, 1)[0]
+    bare = replace(
+        run, columns={n: v for n, v in run.columns.items() if n.startswith("platen")} | closed_rows(run)
+    )
+    with pytest.raises(InputError, match=r"no usable panel channel; the press file's sensors name top_\*"):
+        diagnose(press(), [bare])
+
+
+def closed_rows(run: Run) -> dict[str, np.ndarray]:
+    return {"closed": ((run.time_s > 30.0) & (run.time_s < 60.0)).astype(float)}
+
+
+def test_a_further_cause_must_save_more_once_what_is_left_is_negligible() -> None:
+    plain, final = diagnosed("edge_loss", 501, 7, 0.5).stages
+    assert least_gain(plain) == LEAST_GAIN_K
+    assert least_gain(final) == FURTHER_GAIN_K > LEAST_GAIN_K
+
+
+@pytest.mark.campaign
+def test_moisture_in_many_runs_gets_no_second_and_third_name() -> None:
+    found = diagnose(press(), [run for run, _ in make_campaign(915007, 24, "moisture_evaporation")])
+    assert [f.set for f in found.findings] == [("moisture_evaporation",)]
+
+
 @pytest.mark.parametrize("name", [e.name for e in BUILT_IN])
 def test_the_next_measurement_is_one_sentence(name: str) -> None:
     finding = Finding(name, (name,), {}, 0.01, 1.0, 1.0)
@@ -175,6 +209,13 @@ def test_one_run_with_a_loose_sensor_says_that_it_is_too_few_and_draws_its_resid
     assert sentence(found).endswith("1 run is too few to tell any other cause from chance.")
     drawn = [line.get_label() for ax in residual_figure(found).get_axes() for line in ax.get_lines()]
     assert "plain model" in drawn
+
+
+def test_a_residual_well_above_the_noise_is_not_called_explained() -> None:
+    found = diagnosed(None, 41)
+    assert sentence(found).startswith("The plain model explains these 7 runs")
+    off = replace(found, base=replace(found.base, rmse_K=2.0 * found.noise_floor_K))
+    assert "differs from run to run" in sentence(off)
 
 
 def test_what_is_left_is_told_where_it_is_most_kelvins_off_and_not_where_it_is_surest() -> None:
