@@ -232,7 +232,7 @@ def _conclude(
         base=base,
         extended=extended,
         noise_floor_K=_rounded(extended.noise_K),
-        where=_where(before, plain, left, unexplained),
+        where=_where(before, left, unexplained, any(np.isfinite(d.moments.closed_s) for d in digests)),
         candidates=_candidate_rows(rounds, stages),
         next_measurement=next_measurement(
             verdict, findings, (base.core_rmse_K, extended.core_rmse_K), len(runs), bool(press.panel_layers)
@@ -336,13 +336,13 @@ def _verdict(
     return "too_few_runs" if runs < FEW_RUNS else "no_effect"
 
 
-def _where(before: list[Pocket], plain: Adequacy, left: Adequacy, unexplained: bool) -> tuple[dict[str, Any], ...]:
+def _where(before: list[Pocket], left: Adequacy, unexplained: bool, closes: bool) -> tuple[dict[str, Any], ...]:
     """Where the plain simulation is wrong: the largest common residuals, latest bins cut at the data."""
     rows = [p for p in before if not p.shared and _stands_out(p)]
     rows.sort(key=lambda p: (-abs(p.mean), p.signal, p.phase, p.from_s))
-    found = [_pocket_row(p) for p in rows[:8]]
+    found = [_pocket_row(p, closes) for p in rows[:8]]
     if unexplained and left.worst is not None:
-        row = _pocket_row(left.worst)
+        row = _pocket_row(left.worst, closes)
         found = [row, *(r for r in found if r != row)]
     return tuple(found)
 
@@ -354,11 +354,12 @@ def _stands_out(p: Pocket) -> bool:
     return bool(abs(p.mean) > max(NEGLIGIBLE_K, 2.5 * float(np.std(values, ddof=1)) / np.sqrt(len(values))))
 
 
-def _pocket_row(p: Pocket) -> dict[str, Any]:
+def _pocket_row(p: Pocket, closes: bool) -> dict[str, Any]:
     state = "closed" if p.phase == "closed" else "open"
     to = None if p.to_s > 1e8 else p.to_s
     row = {"signal": p.signal, "state": state, "from_s": p.from_s, "to_s": to, "residual_K": _rounded(p.mean)}
-    return row | {"phase": {"open": "before closing", "closed": "closed", "opened": "after opening"}[p.phase]}
+    first = "before closing" if closes else "since the run began"
+    return row | {"phase": {"open": first, "closed": "closed", "opened": "after opening"}[p.phase]}
 
 
 def _candidate_rows(rounds: list[Round], stages: list[Stage]) -> tuple[dict[str, Any], ...]:

@@ -84,6 +84,10 @@ def test_a_rig_without_a_panel_is_told_nothing_about_a_core_and_a_disc_how_its_c
     assert core_sentence(moist()).startswith("At the end of a run, the core is ")
 
 
+def test_a_rig_that_never_closes_is_not_told_about_its_closing():
+    assert {row["phase"] for row in moist().where} == {"since the run began"}
+
+
 @pytest.mark.parametrize("found", [moist, rig])
 def test_figure_of_a_measured_run_shows_readings_both_models_and_both_residuals(found):
     axes = run_figure(found()).get_axes()
