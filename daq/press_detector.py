@@ -223,6 +223,11 @@ class PressEventDetector:
                 return row
         return self._rows[0] if len(self._rows) > 1 else None
 
+    def _bottom_before(self, seconds: float) -> _Row | None:
+        """Return the newest row at least `seconds` before the newest that shows the lower face."""
+        limit = self._rows[-1].time - seconds
+        return next((r for r in reversed(self._rows) if r.time <= limit and r.bottom == r.bottom), None)
+
     def _closed(self, now: _Row, then: _Row) -> bool:
         """The upper face jumps towards the plate (the lower one, where no upper sensor works)."""
         if now.top == now.top and then.top == then.top:
@@ -328,8 +333,8 @@ class PressEventDetector:
         """Whether the lower face falls against its trend."""
         if now.bottom != now.bottom or now.time - self._since < 4.0:
             return False
-        then, early = self._row_before(max(2.5, self._look_back)), self._row_before(6.5)
-        if then is None or early is None or then.bottom != then.bottom or early.bottom != early.bottom:
+        then, early = self._bottom_before(max(2.5, self._look_back)), self._bottom_before(6.5)
+        if then is None or early is None:
             return False
         if then.time - early.time < 2.0 or early.time < self._since + 0.5:
             return False

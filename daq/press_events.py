@@ -96,7 +96,8 @@ def _coarse(
             if event.kind is PressEventKind.INSERTED and PressEventKind.CLOSED in found:
                 return found
             if event.kind is PressEventKind.OPENED or event.kind not in found:
-                found[event.kind] = event.noticed_s
+                left = event.kind is PressEventKind.REMOVED  # sure only once the sensors are cold
+                found[event.kind] = event.monotonic_s if left else event.noticed_s
     if detector.left_plate_s is not None and times[-1] - detector.left_plate_s < 15.0:
         found[PressEventKind.REMOVED] = detector.left_plate_s  # the run ends with the panel's removal
     return found

@@ -470,6 +470,21 @@ def test_a_run_that_ends_soon_after_the_removal_knows_it():
     assert found.removed_s == pytest.approx(moments.removed_s, abs=3.0)
 
 
+@pytest.mark.parametrize("seed", range(4, 10))
+def test_a_run_that_goes_on_until_the_sensors_are_cold_knows_when_the_panel_left(seed):
+    virtual = VirtualPress(PressSettings(), seed)
+    moments = virtual.cycle(0.0).moments
+    times = np.arange(moments.inserted_s - 5, moments.removed_s + 12, 0.67)
+    scans = [virtual.temperatures(t) for t in times.tolist()]
+    columns = {name: np.array([s[name] for s in scans]) for name in CHANNELS}
+    found = find_moments(Run("whole", {}, times, columns), PRESS)
+    assert found.removed_s == pytest.approx(moments.removed_s, abs=2.0)
+    lost = (times - moments.removed_s + 4.5) % 6.0 < 2.0  # the lower face's logger comes and goes
+    columns |= {name: np.where(lost, np.nan, v) for name, v in columns.items() if name.startswith("bottom_")}
+    found = find_moments(Run("gappy", {}, times, columns), PRESS)
+    assert found.removed_s == pytest.approx(moments.removed_s, abs=3.0)
+
+
 def test_insertion_of_a_run_that_never_closes_is_kept():
     run, truth = make_campaign(4, 1, plan=Plan(rate_hz=2.0, closed_column=False))[0]
     keep = run.time_s < truth.moments.closed_s - 1.0
