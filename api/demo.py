@@ -337,7 +337,7 @@ _KERNTEMP = [sys.executable, "-m", "api"]
 
 
 def _write_configuration(path: Path, plan: Plan, loggers: Mapping[str, Any], press: VirtualPress) -> None:
-    (path.parent / "press.toml").write_text(press_toml(), encoding="utf-8")
+    (path.parent / "press.toml").write_text(press_toml(positions=True), encoding="utf-8")
     panel = press.panel
     header = {
         "panel.material": panel.material,

@@ -159,7 +159,8 @@ class VirtualPress:
         if before is not None:
             physical.pop("initial_press_state", None)
         pressing = with_outside(replace(pressing, effects=physical), self.outside)
-        places = solve_places(pressing, self.outside, plates=None if before is None else before.plates)
+        plates = None if before is None else before.plates
+        places = solve_places(pressing, self.outside, rim_contrast=1.0, plates=plates)
         chain = Chain(
             self.settings.nuisances,
             run_effects.get("clock_offset", {}).get("seconds", 0.0),

@@ -110,6 +110,17 @@ def test_a_hidden_effect_changes_the_core_and_not_the_moments() -> None:
     assert np.nanmax(b.core_C - a.core_C) > 1.0
 
 
+def test_a_rim_loss_is_seen_most_by_the_sensors_at_the_rim() -> None:
+    press = VirtualPress(PressSettings(hide=("edge_loss",), nuisances=PERFECT), seed=21)
+    m = press.cycle(0.0).moments
+    late = readings(press, np.arange(m.opened_s + 5.0, m.removed_s, 1.0))
+    centre, rim = late["top_1"], (late["top_6"] + late["top_7"]) / 2
+    assert (centre - rim).mean() > 0.5
+    plain = VirtualPress(PressSettings(nuisances=PERFECT), seed=21)
+    row = plain.temperatures(m.opened_s + 10.0)
+    assert row["top_1"] == pytest.approx(row["top_7"], abs=1e-9)
+
+
 def test_loggers_in_several_threads_read_the_same_press() -> None:
     press, alone = VirtualPress(seed=14), VirtualPress(seed=14)
     times = [float(t) for t in np.arange(0.0, 500.0, 2.7)]
