@@ -22,10 +22,10 @@ the model file: error of the core, and of the true faces, root mean square.
     pairs, 24 runs            with it, both found 8 of 8, once with a third set without truth in it
 
 After that run came one rule more: where what is left is negligible, a further cause saves 15 mK on runs left out
-(`FURTHER_GAIN_K`). The change before (gains of runs left out count besides scores; runs that say nothing have no vote) was made on two of
-sixty campaigns, first seed 90000, three an effect: before it 55 of 60 right, with it 57, and none wrong; also
-20 of 20 without an effect and 7 of 7 outside. Before it, first seed 70000: 18 of 20; with each run's own contacts
-fitted, faces fell in 16 of 17; processor time of 24 runs 2.2 times that of 12.
+(`FURTHER_GAIN_K`). The change before (gains of runs left out count besides scores; runs that say nothing have no
+vote) was made on two of sixty campaigns, first seed 90000, three an effect: before it 55 of 60 right, with it 57,
+and none wrong; also 20 of 20 without an effect and 7 of 7 outside. Before it, first seed 70000: 18 of 20; with
+each run's own contacts fitted, faces fell in 16 of 17; processor time of 24 runs 2.2 times that of 12.
 """
 
 import json
