@@ -179,8 +179,7 @@ def test_a_calibration_file_that_is_made_while_recording_is_taken_over(tmp_path)
         made.config.write_text(named)
 
         def platen():
-            (scan,) = store.scans_after("lab", store.newest_scan_number("lab") - 1).scans
-            return scan.values[0]
+            return store.scans_after("lab", store.newest_scan_number("lab") - 1).scans[-1].values[0]
 
         with recording(made):
             wait_until(lambda: store.newest_scan_number("lab") > 5)
