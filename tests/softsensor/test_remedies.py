@@ -48,7 +48,9 @@ def test_moments_are_told_better_by_what_the_record_lacks(fitted):
     assert _advice(fitted, "inserted_s") == "Log faster than the 2 Hz here"
     assert limit in _advice(fitted, "closed_s")
     case = fitted.problem.case
-    switched = replace(case, run=replace(case.run, columns={**case.run.columns, "closed": np.ones(len(case.run.time_s))}))
+    switched = replace(
+        case, run=replace(case.run, columns={**case.run.columns, "closed": np.ones(len(case.run.time_s))})
+    )
     has = replace(fitted, problem=replace(fitted.problem, case=switched))
     assert limit not in _advice(has, "closed_s")
     signals = replace(has.problem.signals, time_s=0.1 * np.arange(len(case.run.time_s)))
