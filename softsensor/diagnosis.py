@@ -61,7 +61,7 @@ from softsensor.diagnosis_search import (
     rms,
     settle_base,
 )
-from softsensor.diagnosis_tests import NEGLIGIBLE_K, Adequacy, Pocket, adequacy, paired_t, pockets
+from softsensor.diagnosis_tests import NEGLIGIBLE_K, Adequacy, Pocket, adequacy, paired_t
 from softsensor.effects import find_effect
 from softsensor.evidence import Digest, digest_run, moments_of
 from softsensor.extension import RunState, held_out
@@ -211,9 +211,9 @@ def _conclude(
     rim: Array,
 ) -> Diagnosis:
     digests = [d.digest for d in stages[0].data]
-    before = pockets(digests, [r.misfit for r in stages[0].fit.runs])
+    before = stages[0].pockets()
     plain = adequacy(before)
-    tests = [adequacy(pockets([d.digest for d in s.data], [r.misfit for r in s.fit.runs])) for s in stages]
+    tests = [plain, *(adequacy(s.pockets()) for s in stages[1:])]
     shares = [float(np.clip(1.0 - t.energy / plain.energy, 0.0, 1.0)) if plain.energy > 0 else 0.0 for t in tests]
     left = tests[-1]
     unexplained = _unexplained(left, shares[-1], len(stages) - 1, len(runs))

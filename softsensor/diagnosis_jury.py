@@ -20,7 +20,7 @@ from softsensor.diagnosis_search import (
     extend,
     search,
 )
-from softsensor.diagnosis_tests import NEGLIGIBLE_K, adequacy, max_t, paired_t, pockets
+from softsensor.diagnosis_tests import NEGLIGIBLE_K, adequacy, max_t, paired_t
 from softsensor.extension import LOUDEST
 
 ALPHA = 0.05
@@ -200,8 +200,7 @@ def least_gain(stage: Stage) -> float:
     """Return what a cause on top of a stage must save on runs left out. [K]"""
     if not stage.effects:
         return LEAST_GAIN_K
-    left = adequacy(pockets([d.digest for d in stage.data], [r.misfit for r in stage.fit.runs]))
-    return FURTHER_GAIN_K if left.energy < NEGLIGIBLE_K**2 else LEAST_GAIN_K
+    return FURTHER_GAIN_K if adequacy(stage.pockets()).energy < NEGLIGIBLE_K**2 else LEAST_GAIN_K
 
 
 def _choose(

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from daq.records import Array
+from softsensor.diagnosis_tests import Pocket, pockets
 from softsensor.effects import Effect, catalogue
 from softsensor.evidence import Digest, Noise, Whitened
 from softsensor.extension import (
@@ -76,6 +77,10 @@ class Stage:
     def effects(self) -> tuple[str, ...]:
         """Names of the effects in the model."""
         return tuple(e.name for e in self.fit.layout.model.effects)
+
+    def pockets(self) -> list[Pocket]:
+        """Average what the fit leaves over places and stretches of time."""
+        return pockets([d.digest for d in self.data], [r.misfit for r in self.fit.runs])
 
     def among(self, runs: np.ndarray) -> Stage:
         """Return the stage as some of its runs see it; the campaign's numbers stay."""

@@ -460,23 +460,24 @@ def test_unusual_pressings_are_found_too_and_none_is_taken_for_removed(hidden, p
         assert [e.kind.value for e in replay(run)] == IN_ORDER
 
 
-def test_a_run_that_ends_soon_after_the_removal_knows_it():
-    virtual = VirtualPress(PressSettings(), 4)
+def whole_pressing(seed, after_s, apart_s):
+    """Return times and readings from before a panel's insertion until after its removal, and the truth."""
+    virtual = VirtualPress(PressSettings(), seed)
     moments = virtual.cycle(0.0).moments
-    times = np.arange(moments.inserted_s - 5, moments.removed_s + 5, 0.1)
+    times = np.arange(moments.inserted_s - 5, moments.removed_s + after_s, apart_s)
     scans = [virtual.temperatures(t) for t in times.tolist()]
-    columns = {name: np.array([s[name] for s in scans]) for name in CHANNELS}
+    return times, {name: np.array([s[name] for s in scans]) for name in CHANNELS}, moments
+
+
+def test_a_run_that_ends_soon_after_the_removal_knows_it():
+    times, columns, moments = whole_pressing(4, 5, 0.1)
     found = find_moments(Run("whole", {}, times, columns), PRESS)
     assert found.removed_s == pytest.approx(moments.removed_s, abs=3.0)
 
 
 @pytest.mark.parametrize("seed", range(4, 10))
 def test_a_run_that_goes_on_until_the_sensors_are_cold_knows_when_the_panel_left(seed):
-    virtual = VirtualPress(PressSettings(), seed)
-    moments = virtual.cycle(0.0).moments
-    times = np.arange(moments.inserted_s - 5, moments.removed_s + 12, 0.67)
-    scans = [virtual.temperatures(t) for t in times.tolist()]
-    columns = {name: np.array([s[name] for s in scans]) for name in CHANNELS}
+    times, columns, moments = whole_pressing(seed, 12, 0.67)
     found = find_moments(Run("whole", {}, times, columns), PRESS)
     assert found.removed_s == pytest.approx(moments.removed_s, abs=2.0)
     lost = (times - moments.removed_s + 4.5) % 6.0 < 2.0  # the lower face's logger comes and goes
