@@ -15,6 +15,7 @@ const VIEWS = { now, runs, coefficients, diagnosis, loggers, access };
 const main = document.getElementById("view");
 let leave = null;
 let turn = 0;
+let unanswered = false; // the view is not there because nobody answered: it is asked for again, not left to a reload
 
 // What a view gets: the chosen press, and `on(event, handler)` for live events until the view is left.
 const context = { press: null, presses: [], on: (name, handler) => listeners[name].add(handler), live: "waiting" };
@@ -26,6 +27,7 @@ async function show() {
   const mine = ++turn;
   if (leave) leave();
   leave = null;
+  unanswered = false;
   closeAll();
   for (const handlers of Object.values(listeners)) handlers.clear();
   for (const link of document.querySelectorAll(".tabs a")) {
@@ -42,6 +44,7 @@ async function show() {
     else if (done) done();
   } catch (error) {
     if (mine !== turn) return;
+    unanswered = error.status === 0 || error.status >= 500;
     const help = error.status === 401 ? el("p", {}, el("a", { href: "#/access" }, text("need_token"))) : "";
     place.replaceChildren(el("div", { class: "card empty" }, el("p", {}, text("could_not_load")), el("p", { class: "small" }, error.message), help));
   }
@@ -109,6 +112,14 @@ async function refreshPresses() {
   } catch { context.presses = []; }
 }
 
+// What the server owed when it went away, once it answers again.
+async function askAgain() {
+  if (!unanswered && context.presses.length) return;
+  const without = !context.presses.length;
+  await refreshPresses();
+  if (unanswered || (without && context.presses.length)) await show();
+}
+
 async function refreshHealth() {
   if (document.hidden) return;
   try {
@@ -117,6 +128,7 @@ async function refreshHealth() {
     const lines = health.alarms.map(sentence);
     const alarms = document.getElementById("alarms");
     if (alarms.textContent !== lines.join("")) alarms.replaceChildren(...lines.map((line) => el("p", {}, `⚠ ${line}`)));
+    await askAgain();
   } catch { /* the link state says it */ }
 }
 
@@ -129,7 +141,7 @@ function connect() {
     const back = state === "live" && context.live !== "live";
     context.live = state;
     showLink();
-    if (back && !context.presses.length) { await refreshPresses(); if (context.presses.length) show(); }
+    if (back) await askAgain();
     for (const handler of listeners.link) handler(state);
   });
 }

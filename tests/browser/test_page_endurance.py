@@ -27,6 +27,16 @@ def test_an_open_page_goes_on_by_itself_after_the_server_was_restarted(served):
     writer.join(20)
 
 
+def test_a_view_that_nobody_answered_comes_by_itself_once_the_server_answers(served):
+    server, feed, page = served
+    feed.pressing(3)
+    page.route("**/api/v1/press", lambda route: route.abort())
+    page.goto(server.url + "#/now")
+    expect(page.locator("main")).to_contain_text("could not be loaded")
+    page.unroute("**/api/v1/press")
+    expect(page.get_by_test_id("channels").locator(".channel b").first).to_be_visible()
+
+
 def test_on_a_slow_network_the_page_comes_up_and_stays_live(served):
     server, feed, page = served
     session = page.context.new_cdp_session(page)
