@@ -28,6 +28,8 @@ _BLIND_S = 3.0
 """Without a usable sensor this long, the state is unknown. [s]"""
 _CHANGE_S = 15.0
 """A press opened for so long without a sensor to look at may hold another panel. [s]"""
+_WARMED_K = 2.0
+"""An upper face that stands or falls comes to no plate; one in the open press warms by more in 9 s. [K]"""
 _SPREAD_K = 25.0
 """Sensors of one face that part by this much have been taken off the panel. [K]"""
 
@@ -289,7 +291,11 @@ class PressEventDetector:
         return self._together(now, then, self._bottom_names, 0.5 * share * gap)
 
     def _upper_only(self, now: _Row, then: _Row) -> bool:
-        return now.top == now.top and now.top > 1.3 * _HAND_C and then.top == then.top
+        """Where no sensor of the lower face is heard, not only for a scan, the upper one has warmed."""
+        early = self._row_before(9.0) or then
+        if self._bottom_before(0.0) is not None or not now.top > 1.3 * _HAND_C:
+            return False
+        return now.top > then.top and now.top - early.top > _WARMED_K
 
     def _together(self, now: _Row, then: _Row, names: Sequence[str], least: float) -> bool:
         """Whether most sensors of a face rose from `then` to `now`, not a few that a hand touched."""

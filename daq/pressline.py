@@ -6,6 +6,7 @@ import logging
 import math
 import threading
 import time
+from collections import deque
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -36,6 +37,8 @@ _DISAGREEMENT_SAID_EVERY_S = 600.0
 """A limit switch that contradicts the temperatures is journalled at once, then at most this often. [s]"""
 LEFT_OUT_SAID_EVERY_S = 60.0
 """Scans left out are journalled at once, then at most this often. [s of the press]"""
+_TOO_MANY_LEFT_OUT = 0.05
+"""Of the scans of the last minute; single ones go missing wherever a machine is busy for a moment."""
 
 Level = Literal["info", "warning", "alarm"]
 
@@ -97,6 +100,8 @@ class PressLine:
         self._left_out: list[tuple[float, int]] = []
         """Scans before which ticks went by, by their times, and how many did: not in the journal yet."""
         self._left_out_said_s = self._disagreed_s = -math.inf
+        self._gone_by: deque[tuple[float, int]] = deque(maxlen=1000)
+        """When ticks went by lately, and how many. [s]"""
         self._fresh_s = time.monotonic()
         self._clock = ClockWatch(speed)
         self._changed: _Change | None = None
@@ -282,6 +287,7 @@ class PressLine:
             self._say("info", f"press {name}: scans begin", name, monotonic_s=scan.monotonic_s, period_s=period_s)
         if self._scanner.left_out:
             self._left_out.append((scan.monotonic_s, self._scanner.left_out))
+            self._gone_by.append((time.monotonic(), self._scanner.left_out))
         if self._left_out and scan.monotonic_s - self._left_out_said_s > LEFT_OUT_SAID_EVERY_S:
             self._left_out_said_s = scan.monotonic_s
             self._say_left_out()
@@ -320,6 +326,11 @@ class PressLine:
         ]
         if self._detector.disagreement:
             said.append(f"{self.settings.name}: {self._detector.disagreement}")
+        since_s = time.monotonic() - 60.0
+        gone_by = sum(count for at_s, count in tuple(self._gone_by) if at_s > since_s)
+        if gone_by * self._period_s > _TOO_MANY_LEFT_OUT * 60.0:
+            what = f"{gone_by} scans left out in the last minute"
+            said.append(f"{self.settings.name}: {what}, this machine is too busy")
         return said
 
     def report(self) -> dict[str, Any]:

@@ -38,7 +38,8 @@ logger silent or unplugged     ``logger X does not answer: ...; recording goes o
 switch against temperatures    ``press lab: the limit switch says open, but the upper face is hot; check it``
                                (warning), at most every 10 minutes; the switch decides
 machine too busy               ``press lab: 3 scans left out, this machine was too busy`` (info), at most every
-                               minute; the journal's detail says before which scans
+                               minute; the journal's detail says before which scans; from one in twenty on, or
+                               with 1000 scans waiting to be written, a problem in /health
 calibration file not made yet  ``logger X: values are not corrected, X.toml is not there yet; kerntemp calibrate
                                --write makes it`` (warning); it is taken over once it is there
 configuration changed          ``it takes effect between runs``, ``the changed configuration is in force`` (info)
@@ -74,6 +75,8 @@ PROCESS = "record"
 _BEAT_S = 1.0
 _GATHER_S = 0.1
 """An accelerated recorder gathers scans this long for one commit. [s]"""
+_MANY_WAITING = 1000
+"""More scans than this wait only where the store is away or this machine does not keep up."""
 _TIDY_S = 600.0
 """How often old idle scans are thinned. [s]"""
 
@@ -130,7 +133,7 @@ def record(
             stop.set()
             for line in lines:
                 line.join()
-            outbox.beat(PROCESS, _status(lines, outbox, "stopped"))
+            outbox.beat(store.beats_as(PROCESS), _status(lines, outbox, "stopped"))
             say("info", "recording ends")
             outbox.close()
 
@@ -166,7 +169,7 @@ def _watch(
     thinned: dict[int, int] = {}
     while not stop.wait(_BEAT_S):
         status = _status(lines, outbox, "running")
-        outbox.beat(PROCESS, status)
+        outbox.beat(store.beats_as(PROCESS), status)
         stalled = [s for line in lines if (s := line.stalled())]
         if stalled:
             notifier.status("; ".join(stalled))
@@ -198,7 +201,7 @@ class _ConfigWatch:
             named += [logger.calibration] if logger.calibration else []
             named += [Path(logger.profile)] if logger.profile.endswith(".toml") else []
         files = [self._config.path, *named]
-        return tuple(f.stat().st_mtime_ns if f is not None and f.exists() else 0 for f in files)
+        return tuple(0 if f is None else _changed_ns(f) for f in files)
 
     def look(self, lines: Sequence[PressLine]) -> None:
         """Hand a changed configuration to the presses; a wrong one is told once and left."""
@@ -210,7 +213,7 @@ class _ConfigWatch:
             self._refuse_what_needs_a_start(fresh)
             for line in lines:
                 line.change(fresh.press_named(line.settings.name), fresh.text)
-        except InputError as error:
+        except (InputError, OSError) as error:  # also a folder that may not be read, a share that is away
             self._say("warning", f"{error}; recording goes on with the configuration before")
             return
         self._config = fresh
@@ -233,6 +236,14 @@ class _ConfigWatch:
             raise InputError(f"{fresh.path}: changed {' and '.join(changed)}: start kerntemp record anew for that")
 
 
+def _changed_ns(file: Path) -> int:
+    """Return when a file was changed, 0 where it is not there or cannot be looked at. [ns]"""
+    try:
+        return file.stat().st_mtime_ns
+    except OSError:
+        return 0
+
+
 def _log(level: Level, sentence: str) -> None:
     LOG.log({"info": logging.INFO, "warning": logging.WARNING}.get(level, logging.ERROR), "%s", sentence)
 
@@ -241,6 +252,8 @@ def _status(lines: Sequence[PressLine], outbox: Outbox, state: str) -> dict[str,
     problems = [p for line in lines for p in line.problems()]
     if outbox.trouble:
         problems.append(f"{outbox.trouble} ({outbox.waiting} waiting)")
+    elif outbox.waiting > _MANY_WAITING:
+        problems.append(f"{outbox.waiting} scans wait to be written, this machine is too busy")
     if outbox.lost:
         problems.append(f"{outbox.lost} scans lost: the store was away for longer than there was room")
     return {

@@ -5,7 +5,7 @@ from __future__ import annotations
 import fnmatch
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from enum import StrEnum
 from typing import Any
@@ -168,6 +168,16 @@ class Run:
     """Where it came from, for messages: a file path or ``store``."""
     texts: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     """Columns of remarks, one text a row, kept in files; ``quality`` says why cells are missing."""
+
+    def at_rows(self, rows: NDArray[np.integer] | slice) -> Run:
+        """Return the run with these rows alone: their indices, or a slice of them."""
+        kept = np.arange(len(self.time_s))[rows]
+        return replace(
+            self,
+            time_s=self.time_s[kept],
+            columns={name: values[kept] for name, values in self.columns.items()},
+            texts={name: tuple(values[i] for i in kept) for name, values in self.texts.items()},
+        )
 
     def matching(self, patterns: Iterable[str]) -> tuple[str, ...]:
         """Return the columns that match shell-style patterns, in file order, each once."""

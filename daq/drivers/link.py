@@ -18,7 +18,7 @@ import serial
 from daq.records import InputError
 
 CONNECT_TIMEOUT_S = 1.5
-"""Longest wait for a TCP connection: short enough that rest + connect + set-up stay below 5 s."""
+"""Longest wait for a TCP connection: short enough that rest, connect and set-up stay below `FOUND_AGAIN_S`."""
 _SERIAL_POLL_S = 0.02
 _SERIAL_STEP_S = 0.001
 _HELD_S, _HELD_STEP_S = 0.5, 0.02

@@ -14,9 +14,11 @@ from daq.records import Channel, Quality, Reading
 
 _FAILURES_BEFORE_REST = 3
 _FIRST_REST_S = 0.25
-_LONGEST_REST_S = 1.5
-"""A silent module costs its bus a timeout and a drain each time: ask it rarely, yet find it again
-within 5 s."""
+FOUND_AGAIN_S = 5.0
+"""A device that answers again is read again within this time. [s]"""
+_LONGEST_REST_S = 0.3 * FOUND_AGAIN_S
+"""A silent module costs its bus a timeout and a drain each time: ask it rarely, yet leave time for a
+question under way, for connecting and for set-up. [s]"""
 
 _STANDSTILLS_KEPT = 100
 _LONGEST_STANDSTILL = 10

@@ -92,6 +92,11 @@ def draw_effect(name: str, rng: np.random.Generator, scale: float = 1.0) -> dict
     return {key: value if key in keep else scale * value for key, value in drawn.items()}
 
 
+def usual_effect(name: str) -> dict[str, float]:
+    """Return the parameters of an effect of the contract in the middle of its size range."""
+    return {key: 0.5 * (low + high) for key, (low, high) in SIZES[name].items()}
+
+
 def for_run(name: str, parameters: Parameters, rng: np.random.Generator, spread: float = 0.25) -> dict[str, float]:
     """Return what an effect amounts to in one run: causes in the panel differ from panel to panel."""
     factor = max(0.2, 1.0 + spread * rng.standard_normal())

@@ -20,7 +20,7 @@ from daq.records import Array, Moments, Panel, PressState
 from daq.simulated.campaign_places import solve_places
 from daq.simulated.campaign_platens import Controller, draw_controller, draw_platens
 from daq.simulated.campaign_sensors import CHANNELS, FACES, PLATENS, Chain, Fault, Nuisances, draw_fault, measure
-from daq.simulated.effects import CHAIN_EFFECTS, draw_effect, draw_outside, for_run, split_names, with_outside
+from daq.simulated.effects import CHAIN_EFFECTS, draw_outside, for_run, split_names, usual_effect, with_outside
 from daq.simulated.physics import BASE_COEFFICIENTS, Platen, Pressing
 from daq.simulated.press_hands import Between, wander
 
@@ -93,8 +93,8 @@ class VirtualPress:
         self.ambient = float(rng.uniform(20.0, 25.0))
         self._controller: Controller = draw_controller(rng)
         inside, outer = split_names(self.settings.hide)
-        self.effects: Mapping[str, Mapping[str, float]] = {n: draw_effect(n, rng) for n in inside}
-        """What is hidden, as drawn."""
+        self.effects: Mapping[str, Mapping[str, float]] = {n: usual_effect(n) for n in inside}
+        """What is hidden, at its usual size."""
         self.outside: Mapping[str, Mapping[str, float]] = {n: draw_outside(n, rng) for n in outer}
         self.faults: tuple[Fault, ...] = (draw_fault(rng, 60.0),) if "sensor_fault" in inside else ()
         self._lock = threading.Lock()

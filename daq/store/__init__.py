@@ -17,6 +17,7 @@ from daq.store.records import (
     StoredEstimate,
     StoredPressEvent,
     StoreUnavailable,
+    every,
 )
 from daq.store.store import Store, open_store
 
@@ -38,5 +39,6 @@ __all__ = [
     "StoreUnavailable",
     "StoredEstimate",
     "StoredPressEvent",
+    "every",
     "open_store",
 ]

@@ -159,6 +159,7 @@ class Outbox:
                 self._write(batch)
                 del self._waiting[: len(batch)]
                 self._acknowledge(batch)
+                self._show()
         except Exception as error:  # noqa: BLE001 - the thread must outlive whatever the engine raises
             self._refused(error)
         else:
@@ -166,7 +167,12 @@ class Outbox:
             if self.trouble:
                 self.trouble = ""
                 self._say("info", f"store {self._store.label} takes data again; everything kept is written")
-        if self._beat is not None and not self.trouble:
+        if not self.trouble:
+            self._show()
+
+    def _show(self) -> None:
+        """Write the newest sign of life, also among much that waits: who is busy must not be taken for dead."""
+        if self._beat is not None:
             beat, self._beat = self._beat, None
             with suppress(StoreUnavailable):
                 self._store.beat(*beat)
@@ -225,6 +231,7 @@ class Outbox:
         while self._buffer is not None and (rows := self._buffer.oldest(_BATCH)):
             self._write([item for _, item in rows])
             self._buffer.remove(rows[-1][0])
+            self._show()
             if self._take():
                 self._queue.put(None)
             self._keep()

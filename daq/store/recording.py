@@ -283,8 +283,11 @@ def unused_run_name(connection: Connection, press: str, when: datetime) -> str:
     return f"{prefix}{max(numbers, default=0) + 1:02d}"
 
 
-def import_run(connection: Connection, run: Run, press: str, press_file: str) -> str:
-    """Store a run from elsewhere whole; raises `InputError` where its name is taken or no name."""
+def import_run(connection: Connection, run: Run, press: str, press_file: str, ago_s: float = 0.0) -> str:
+    """Store a run from elsewhere whole; raises `InputError` where its name is taken or no name.
+
+    Where the file does not say when it was, it is taken to have ended `ago_s` before now.
+    """
     _check_name(run)
     if connection.execute(select(RUN.c.run).where(RUN.c.run == run.name)).first():
         raise InputError(
@@ -315,7 +318,7 @@ def import_run(connection: Connection, run: Run, press: str, press_file: str) ->
     if remarks := _remarks(run):
         told_at = [{"press_id": key.press_id, "number": number + i, "texts_json": t} for i, t in remarks.items()]
         connection.execute(insert(SCAN_REMARK), told_at)
-    now = unix_of(datetime.now(UTC))
+    now = max(unix_of(datetime.now(UTC)) - ago_s, 0.0)
     lasted_s = min(float(run.time_s[-1] - run.time_s[0]), now) if rows else 0.0
     started = told.get("started_unix_s", now - lasted_s)
     connection.execute(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
 from enum import StrEnum
@@ -202,3 +202,20 @@ class Page(Generic[T]):
 
     items: tuple[T, ...]
     next_cursor: str | None
+
+
+def every(page_at: Callable[[str | None], Page[T]]) -> Iterator[T]:
+    """Yield a whole list, page by page.
+
+    Parameters
+    ----------
+    page_at
+        Returns the page at a cursor, None for the first.
+    """
+    cursor: str | None = None
+    while True:
+        page = page_at(cursor)
+        yield from page.items
+        cursor = page.next_cursor
+        if cursor is None:
+            return

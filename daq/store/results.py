@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Any, Literal
 
-from sqlalchemy import Connection, Row, Table, func, insert, select, update
+from sqlalchemy import ColumnElement, Connection, Row, Table, func, insert, or_, select, update
 from sqlalchemy.dialects import postgresql, sqlite
 
 from daq.records import InputError, PressState
@@ -182,50 +182,81 @@ def _newest_fits(columns: Sequence[Any], runs: Sequence[str]) -> Any:
 def coefficient_history(
     connection: Connection, press: str | None, cursor: str | None, limit: int
 ) -> Page[CoefficientRecord]:
-    """Return the coefficients of the newest fit of each run, newest fit first; `limit` counts fits."""
-    newer = FIT.alias("newer")
-    superseded = select(newer.c.fit_id).where(newer.c.run == FIT.c.run, newer.c.fit_id > FIT.c.fit_id)
+    """Return the coefficients of the newest fit of each run, the run pressed last first; `limit` counts runs.
+
+    A cursor is the number of the last run of the page before. Runs that say the same start come as stored.
+    """
+    newest = select(func.max(FIT.c.fit_id)).where(FIT.c.run == RUN.c.run).scalar_subquery()
+    fitted = select(FIT.c.fit_id).where(FIT.c.run == RUN.c.run)
     query = (
-        select(FIT.c.fit_id, FIT.c.run, FIT.c.model_version, RUN.c.started_unix_s)
-        .join(RUN, RUN.c.run == FIT.c.run)
-        .where(~superseded.exists())
-        .order_by(FIT.c.fit_id.desc())
+        select(RUN.c.run_number, RUN.c.run, RUN.c.started_unix_s, newest.label("fit_id"))
+        .where(fitted.exists())
+        .order_by(RUN.c.started_unix_s.desc(), RUN.c.run_number.desc())
         .limit(limit + 1)
     )
     if cursor is not None:
-        query = query.where(FIT.c.fit_id < cursor_number(cursor))
+        number = cursor_number(cursor)
+        start = select(RUN.c.started_unix_s).where(RUN.c.run_number == number).scalar_subquery()
+        earlier = or_(RUN.c.started_unix_s < start, RUN.c.run_number < number)
+        query = query.where(RUN.c.started_unix_s <= start, earlier)
     if press is not None:
-        query = query.where(RUN.c.press_id.in_(_press_ids(press)))
-    fits = connection.execute(query).all()
-    page = {fit.fit_id: fit for fit in fits[:limit]}
+        query = query.where(_beside_order(press))
+    found = connection.execute(query).all()
+    page = {run.fit_id: (run.run, known_utc(run.started_unix_s)) for run in found[:limit]}
     rows = connection.execute(
-        select(COEFFICIENT)
-        .where(COEFFICIENT.c.fit_id.between(min(page, default=0), max(page, default=0)))  # a server's own guess
-        .where(COEFFICIENT.c.fit_id.in_(page))  # of the list alone is to go through the whole table
-        .order_by(COEFFICIENT.c.fit_id.desc(), COEFFICIENT.c.name)
+        select(COEFFICIENT, FIT.c.model_version)
+        .join(FIT, FIT.c.fit_id == COEFFICIENT.c.fit_id)
+        .where(*_of_fits(page))
+        .order_by(COEFFICIENT.c.fit_id, COEFFICIENT.c.name)
     ).all()
-    items = tuple(
-        CoefficientRecord(
-            r.fit_id,
-            page[r.fit_id].run,
-            known_utc(page[r.fit_id].started_unix_s),
-            r.name,
-            nan(r.value_w_m2k),
-            nan(r.sd_w_m2k),
-            nan(r.low_w_m2k),
-            nan(r.high_w_m2k),
-            bool(r.identifiable),
-            page[r.fit_id].model_version,
-        )
-        for r in rows
-    )
-    return Page(items, str(fits[limit - 1].fit_id) if len(fits) > limit else None)
+    told: dict[int, list[CoefficientRecord]] = {fit: [] for fit in page}
+    for r in rows:
+        values = (nan(r.value_w_m2k), nan(r.sd_w_m2k), nan(r.low_w_m2k), nan(r.high_w_m2k))
+        own = CoefficientRecord(r.fit_id, *page[r.fit_id], r.name, *values, bool(r.identifiable), r.model_version)
+        told[r.fit_id].append(own)
+    items = tuple(record for records in told.values() for record in records)
+    return Page(items, str(found[limit - 1].run_number) if len(found) > limit else None)
+
+
+def _of_fits(fits: Collection[int]) -> list[ColumnElement[bool]]:
+    """Return the condition for coefficients of these fits.
+
+    Of the list alone, a server's own guess is to go through the whole table; a span says more where it is narrow.
+    """
+    low, high = min(fits, default=0), max(fits, default=0)
+    narrow = high - low < 4 * len(fits)
+    return [COEFFICIENT.c.fit_id.in_(fits), *([COEFFICIENT.c.fit_id.between(low, high)] if narrow else [])]
+
+
+def newest_fit_number(connection: Connection, press: str | None) -> int:
+    """Return the number of the fit stored last, 0 where there is none."""
+    query = select(FIT.c.fit_id).order_by(FIT.c.fit_id.desc()).limit(1)
+    if press is not None:
+        query = query.join(RUN, RUN.c.run == FIT.c.run).where(_beside_order(press))
+    return int(connection.execute(query).scalar() or 0)
+
+
+def fits_after(connection: Connection, number: int, limit: int) -> tuple[tuple[int, str], ...]:
+    """Return number and run of the newest fits of runs stored after fit `number`, oldest first."""
+    newer = FIT.alias("newer")
+    superseded = select(newer.c.fit_id).where(newer.c.run == FIT.c.run, newer.c.fit_id > FIT.c.fit_id)
+    query = select(FIT.c.fit_id, FIT.c.run).where(FIT.c.fit_id > number, ~superseded.exists())
+    rows = connection.execute(query.order_by(FIT.c.fit_id.desc()).limit(limit)).all()
+    return tuple((row.fit_id, row.run) for row in reversed(rows))
 
 
 def _press_ids(press: str) -> Any:
     from daq.store.schema import PRESS
 
     return select(PRESS.c.press_id).where(PRESS.c.name == press)
+
+
+def _beside_order(press: str) -> ColumnElement[bool]:
+    """Return the condition for runs of a press, where an order is asked for and few rows of it.
+
+    An expression: the index by press would be taken instead of the order's, and all of the press sorted.
+    """
+    return (RUN.c.press_id + 0).in_(_press_ids(press))
 
 
 def put_model(

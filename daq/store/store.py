@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime
+from itertools import accumulate
 from pathlib import Path
+from socket import gethostname
 from types import TracebackType
 from typing import Any, Literal
 
@@ -127,9 +129,16 @@ class Store:
             return recording.import_run(connection, run, press, press_file)
 
     def import_runs(self, runs: Sequence[Run], press: str, press_file: str = "") -> list[str]:
-        """Store several runs, all or none; returns their names."""
+        """Store several runs, all or none; returns their names. Those of unknown date end one after the other."""
+        took = (
+            1e-3 + (float(run.time_s[-1] - run.time_s[0]) if len(run.time_s) else 0.0) for run in reversed(runs)
+        )
+        ago_s = list(accumulate(took, initial=1e-3))[-2::-1]
         with self.database.writing() as connection:
-            return [recording.import_run(connection, run, press, press_file) for run in runs]
+            return [
+                recording.import_run(connection, run, press, press_file, ago)
+                for run, ago in zip(runs, ago_s, strict=True)
+            ]
 
     def annotate_run(self, run: str, changes: Mapping[str, Any], who: str) -> None:
         """Change header keys (``panel.density_kg_m3``) or ``remark``; None removes a key. History is kept."""
@@ -295,9 +304,19 @@ class Store:
     def coefficient_history(
         self, *, press: str | None = None, cursor: str | None = None, limit: int = 200
     ) -> Page[CoefficientRecord]:
-        """Return the coefficients of each run's newest fit, newest first; `limit` counts runs."""
+        """Return the coefficients of each run's newest fit, the run pressed last first; `limit` counts runs."""
         with self.database.reading() as connection:
             return results.coefficient_history(connection, press, cursor, limit)
+
+    def newest_fit_number(self, press: str | None = None) -> int:
+        """Return the number of the fit stored last, 0 where there is none."""
+        with self.database.reading() as connection:
+            return results.newest_fit_number(connection, press)
+
+    def fits_after(self, number: int, limit: int = 200) -> tuple[tuple[int, str], ...]:
+        """Return number and run of the newest fits stored after fit `number`, oldest first, for followers."""
+        with self.database.reading() as connection:
+            return results.fits_after(connection, number, limit)
 
     def put_model(
         self,
@@ -380,6 +399,10 @@ class Store:
         """Write a process's sign of life, about once a second."""
         with self.database.writing() as connection:
             results.beat(connection, process, status)
+
+    def beats_as(self, process: str) -> str:
+        """Return the name of a process of this machine; with the host where several machines meet in one store."""
+        return process if self.database.path is not None else f"{process}@{gethostname()}"
 
     def statuses(self) -> dict[str, ProcessStatus]:
         """Return the newest sign of life of each process."""

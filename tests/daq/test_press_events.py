@@ -326,6 +326,31 @@ def test_a_switch_that_comes_back_while_a_closing_is_being_placed_tells_it_once(
     assert kinds(replay(named, PressEventDetector(press))) == IN_ORDER
 
 
+@pytest.mark.parametrize("blinks", [True, False])
+def test_an_upper_face_that_only_falls_is_no_insertion_when_the_lower_one_is_not_heard(blinks):
+    """A recorder that begins in mid-press: faces hot, then the press opens and late scans lack the lower face."""
+    detector = PressEventDetector(PRESS)
+    found = []
+    for t in np.arange(0.0, 45.0, 1.0).tolist():
+        cooling = 1.0 - math.exp(-max(t - 10.0, 0.0) / 12.0)
+        values = {"platen_top": 200.0, "platen_bottom": 199.0}
+        values |= {f"top_{k}": 185.0 - 80.0 * cooling for k in range(1, 4)}
+        lost = t % 4 == 0 if blinks else True
+        values |= {f"bottom_{k}": math.nan if lost else 184.0 - 35.0 * cooling for k in range(1, 4)}
+        found += detector.update(t, values)
+    assert found == []
+    assert detector.state is PressState.IDLE
+
+
+def test_an_upper_face_that_warms_alone_still_shows_the_panel():
+    detector = PressEventDetector(PRESS)
+    found = []
+    for t in np.arange(0.0, 45.0, 1.0).tolist():
+        values = {"platen_top": 200.0, "platen_bottom": 199.0, "top_1": 22.0 + 1.2 * max(t - 5.0, 0.0)}
+        found += detector.update(t, values)
+    assert [event.kind for event in found] == [PressEventKind.INSERTED]
+
+
 @pytest.mark.parametrize("face", ["top", "bottom"])
 def test_one_face_alone_still_shows_closing_and_opening(face):
     run, truth = one_run()

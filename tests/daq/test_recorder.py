@@ -1,7 +1,9 @@
 """The recorder against simulated loggers on real sockets and serial lines, and killed while it works."""
 
+import errno
 import os
 import random
+import re
 import signal
 import subprocess
 import sys
@@ -11,18 +13,21 @@ import tomllib
 from contextlib import contextmanager
 from datetime import datetime, timedelta
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from daq.config import load_config
-from daq.recorder import record
+from daq.recorder import _ConfigWatch, _status, record
 from daq.runfile import toml_value
 from daq.simulated.campaign import press_toml
 from daq.simulated.devices import simulated, wiring
 from daq.simulated.devices_converter import Switches
 from daq.simulated.press import PressSettings, VirtualPress
 from daq.store import RunStatus, open_store
+from daq.store.outbox import Outbox
+from daq.store.parcels import Entry
 
 UPPER = ("platen_top", "platen_bottom", *(f"top_{i}" for i in range(1, 8)))
 LOWER = tuple(f"bottom_{i}" for i in range(1, 8))
@@ -205,10 +210,11 @@ def test_a_silent_logger_is_said_once_leaves_gaps_with_cause_and_does_not_distur
             last = store.newest_scan_number("lab")
         batch = store.scans_after("lab", first, 20)
         names = [c.name for c in batch.channels]
-        for scan in batch.scans:
-            qualities = dict(zip(names, scan.qualities, strict=True))
-            assert qualities["top_1"] == "good"
-            assert qualities["bottom_1"] == "missing"
+        qualities = [dict(zip(names, scan.qualities, strict=True)) for scan in batch.scans]
+        assert {q["bottom_1"] for q in qualities} == {"missing"}
+        # A busy machine answers one scan late; a logger that waits 0.3 s for the other would be late in most.
+        assert {q["top_1"] for q in qualities} <= {"good", "late"}
+        assert sum(q["top_1"] == "good" for q in qualities) >= 0.75 * len(qualities)
         gaps = np.diff([s.monotonic_s for s in batch.scans])
         assert np.median(gaps) == pytest.approx(0.1, abs=0.02)
         assert any("lower" in problem for problem in said["problems"])
@@ -225,20 +231,31 @@ def test_scans_left_out_stand_in_the_journal_with_their_place(tmp_path):
         with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as recorder:
             wait_until(lambda: store.newest_scan_number("lab") > 10)
             recorder.send_signal(signal.SIGSTOP)
-            time.sleep(0.7)
+            time.sleep(3.5)
             recorder.send_signal(signal.SIGCONT)
             number = store.newest_scan_number("lab")
-            wait_until(lambda: store.newest_scan_number("lab") > number + 10)
+            wait_until(lambda: store.newest_scan_number("lab") > number + 20)
             recorder.terminate()
         scans = all_scans(store)
+        (problem,) = store.statuses()["record"].status["problems"]
         said = {e.message.partition(": ")[2]: e for e in store.journal(limit=100).items if e.press == "lab"}
         (begin,) = [e for what, e in said.items() if what == "scans begin"]
         told = [pair for what, e in said.items() if "left out" in what for pair in e.detail["before_monotonic_s"]]
     assert begin.detail == {"monotonic_s": scans[0].monotonic_s, "period_s": 0.1}
     assert set(at for at, _ in told) <= {s.monotonic_s for s in scans}
     due = round((scans[-1].monotonic_s - scans[0].monotonic_s) / 0.1) + 1
-    assert sum(count for _, count in told) >= 5
+    assert sum(count for _, count in told) >= 30
+    assert re.fullmatch(r"lab: \d\d scans left out in the last minute, this machine is too busy", problem)
     assert len(scans) + sum(count for _, count in told) == pytest.approx(due, abs=1)
+
+
+def test_scans_that_wait_though_the_store_is_there_are_a_problem(tmp_path):
+    with open_store(str(tmp_path / "s.sqlite")) as store:
+        outbox = Outbox(store)
+        for waiting, problems in ((1000, []), (1001, ["1001 scans wait to be written, this machine is too busy"])):
+            while outbox.waiting < waiting:
+                outbox.put(Entry("info", "record", "hello"))
+            assert _status([], outbox, "running")["problems"] == problems
 
 
 def all_scans(store):
@@ -291,6 +308,52 @@ class SettableClock(datetime):
     @classmethod
     def now(cls, tz=None):
         return datetime.now(tz) + cls.set_by
+
+
+@pytest.mark.parametrize("hidden", ["kerntemp.toml", "lab.toml", "upper.toml"])
+def test_a_folder_that_cannot_be_read_leaves_the_configuration_as_it_was(tmp_path, monkeypatch, hidden):
+    made, said = Plant(tmp_path, 1.0, 10.0), []
+    upper = simulated("labjack-t7", made.inputs(UPPER), clock=made.clock)
+    with upper as a:
+        wired = wiring("labjack-t7", a, "upper", UPPER) | {"calibration": "upper.toml"}
+        made.write(wired)
+    (tmp_path / "upper.toml").write_text("")
+    watch = _ConfigWatch(load_config(made.config), lambda level, sentence, *_: said.append((level, sentence)))
+    watch.look([])
+    assert said == []
+    reached = Path.stat, Path.read_text
+
+    def refused(which):
+        def ask(path, *args, **options):
+            if path.name == hidden:
+                raise PermissionError(errno.EACCES, "Permission denied", str(path))
+            return which(path, *args, **options)
+
+        return ask
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Path, "stat", refused(reached[0]))
+        patched.setattr(Path, "read_text", refused(reached[1]))
+        lines = [ReadingLine(tmp_path / hidden)]
+        watch.look(lines)
+        watch.look(lines)
+    ((level, sentence),) = said
+    assert level == "warning"
+    assert hidden in sentence
+    assert "Permission denied" in sentence
+    assert sentence.endswith("recording goes on with the configuration before")
+    watch.look([])
+    assert said[1:] == [("info", "configuration changed; it takes effect between runs")]
+
+
+class ReadingLine:
+    """A press that looks at a file of its own when it takes a configuration over."""
+
+    def __init__(self, file):
+        self.file, self.settings = file, SimpleNamespace(name="lab")
+
+    def change(self, *_):
+        self.file.read_text()
 
 
 def test_a_clock_set_back_and_forth_is_journalled_and_costs_no_scan_and_no_order(tmp_path, monkeypatch):
@@ -475,7 +538,7 @@ def test_two_presses_in_one_process_do_not_wait_for_each_other(tmp_path, store_u
                 before = [store.newest_scan_number(press) for press in ("lab", "second")]
                 time.sleep(2.0)
                 after = [store.newest_scan_number(press) for press in ("lab", "second")]
-                status = store.statuses()["record"].status
+                status = store.statuses()[store.beats_as("record")].status
         paces = [(b - a) / 2.0 for a, b in zip(before, after, strict=True)]
         assert paces == pytest.approx([10.0, 5.0], rel=0.3)
         assert [(p["press"], p["rate_hz"]) for p in status["presses"]] == [("lab", 10.0), ("second", 5.0)]

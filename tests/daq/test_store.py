@@ -277,17 +277,44 @@ def test_the_newest_fit_of_a_run_counts_in_the_history(store):
     assert store.run_record(names[0])
     page = store.coefficient_history(limit=2, press="lab")
     assert [(c.run, c.name, c.value) for c in page.items] == [
-        (names[0], "h_pp_c", 650.0),
-        (names[0], "h_wa", 650.0),
         (names[2], "h_pp_c", 700.0),
         (names[2], "h_wa", 700.0),
+        (names[1], "h_pp_c", 700.0),
+        (names[1], "h_wa", 700.0),
     ]
     rest = store.coefficient_history(limit=2, cursor=page.next_cursor)
-    assert [c.run for c in rest.items] == [names[1]] * 2
+    assert [(c.run, c.value) for c in rest.items] == [(names[0], 650.0)] * 2
+    assert store.newest_fit_number("lab") == store.newest_fit_number() == rest.items[0].fit_number
+    assert store.newest_fit_number("other") == 0
+    assert [run for _, run in store.fits_after(0, limit=2)] == [names[2], names[0]]
     assert rest.next_cursor is None
     assert store.coefficient_history(press="other").items == ()
     store.put_fit(names[2], {**fit_json(names[2], 1.0), "rmse_K": float("nan")})
     assert store.fit_errors([names[0], names[2], "no such run"]) == {names[0]: 0.3, names[2]: None}
+
+
+def test_the_history_goes_by_when_runs_were_pressed_in_whatever_order_they_came_and_were_fitted(store):
+    for i, minute in enumerate((3, 1, 4, 1, 5, 2)):  # two in one minute: as they came
+        name, header = f"run-{i}", {"recorded.started_utc": datetime(2026, 3, 4, 7, minute, tzinfo=UTC)}
+        store.import_run(Run(name, header, np.array([0.0, 60.0]), {"top_1": np.ones(2)}), "lab")
+    for i in (4, 0, 5, 2, 1, 3, 0):
+        store.put_fit(f"run-{i}", fit_json(f"run-{i}", 700.0))
+    told, cursor = [], None
+    while cursor is not None or not told:
+        page = store.coefficient_history(press="lab", limit=2, cursor=cursor)
+        told += [c.run for c in page.items if c.name == "h_wa"]
+        cursor = page.next_cursor
+    assert told == ["run-4", "run-2", "run-0", "run-5", "run-3", "run-1"]
+
+
+def test_files_of_unknown_date_that_are_imported_together_count_as_pressed_one_after_the_other(store):
+    files = [
+        Run(n, {}, np.array([0.0, s]), {"top_1": np.ones(2)}) for n, s in (("a", 60.0), ("b", 900.0), ("c", 5.0))
+    ]
+    store.import_runs(files, "lab")
+    a, b, c = (store.run_record(name) for name in "abc")
+    assert a.started_utc < a.ended_utc <= b.started_utc < b.ended_utc <= c.started_utc
+    assert c.ended_utc <= datetime.now(UTC)
 
 
 def test_one_model_of_a_press_is_active_and_its_history_stays(store):

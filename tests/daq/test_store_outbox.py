@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from daq.records import Channel, PressEvent, PressEventKind, Quality, Scan
 from daq.store import NewRun, RunEnd, StoreUnavailable, open_store
+from daq.store.buffer import Buffer
 from daq.store.outbox import Outbox
 from daq.store.parcels import Entry, Parcel, decode, encode
 
@@ -62,6 +63,32 @@ def test_everything_put_is_written_in_order_and_acknowledged_after(store_url):
         assert store.journal().items[0].message == "hello"
         assert store.statuses()["record"].status == {"x": 1}
         assert outbox.waiting == 0
+
+
+@pytest.mark.parametrize("buffered", [False, True], ids=["in memory", "in the buffer file"])
+def test_while_much_waits_to_be_written_the_recorder_gives_signs_of_life(tmp_path, monkeypatch, buffered):
+    alive = []
+    with open_store(str(tmp_path / "s.sqlite")) as store:
+        key = store.register_press("lab", CHANNELS)
+        much = [parcel(key, n) for n in range(1200)]
+        if buffered:
+            Buffer(tmp_path / "b.sqlite").append(much)
+        outbox = Outbox(store, buffer=tmp_path / "b.sqlite" if buffered else None)
+        write = store.write_parcels
+
+        def watched(parcels):
+            alive.append("record" in store.statuses())
+            write(parcels)
+
+        monkeypatch.setattr(store, "write_parcels", watched)
+        for item in () if buffered else much:
+            outbox.put(item)
+        outbox.beat("record", {"x": 1})
+        outbox.start()
+        wait_until(lambda: outbox.waiting == 0)
+        outbox.close()
+        assert numbers(store) == list(range(1200))
+    assert alive[:3] == [False, True, True]
 
 
 def test_a_locked_store_makes_scans_wait_says_so_once_and_loses_none(tmp_path):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from sqlalchemy import func, insert, literal, select
 
+from api.server import settle_memory
 from daq.records import Channel, Quality, Scan
 from daq.store import NewRun, RunEnd, open_store
 from daq.store.outbox import Outbox
@@ -139,6 +140,7 @@ def cost_of_questions(store, url, there):
 def test_cost_of_questions_as_the_store_grows(store_url):
     """Scale by KERNTEMP_BENCH_RUNS, default 200 runs of 3,000 scans; the full size is 10,000 runs."""
     most = int(os.environ.get("KERNTEMP_BENCH_RUNS", "200"))
+    settle_memory()  # as `kerntemp serve` does
     print(HEAD)
     with open_store(store_url) as store:
         there = max(most // 100, 2)
