@@ -35,7 +35,9 @@ from pathlib import Path
 from typing import Any
 
 UNITS = ("kerntemp.target", "kerntemp-record.service", "kerntemp-sense.service", "kerntemp-serve.service")
+RECORD = UNITS[1]
 TIMER = "kerntemp-refit.timer"
+PUBLISH = "kerntemp-publish.service"
 EXTRAS = "plant,postgresql"
 KEPT_VERSIONS = 3
 HOME = Path(__file__).resolve().parent
@@ -73,11 +75,6 @@ class Place:
     def history(self) -> list[dict[str, Any]]:
         """What was installed, oldest first; the last entry is in force."""
         return json.loads(self.history_file.read_text()) if self.history_file.exists() else []
-
-    @property
-    def store_url(self) -> str:
-        """The store, as the configuration says."""
-        return str(self._configured("store", "url"))
 
     @property
     def extras(self) -> str:
@@ -124,12 +121,13 @@ def systemctl(place: Place, *words: str) -> None:
 
 
 def as_service(place: Place, version: str, *command: str) -> str:
-    """Run a program of a version as the service's user, with its caches."""
+    """Run a program of a version as the service's user, with its home and caches."""
     line = [str(place.code / version / "bin" / command[0]), *command[1:]]
-    caches = {"NUMBA_CACHE_DIR": str(place.cache), "MPLCONFIGDIR": str(place.cache / "matplotlib")}
+    own = {"NUMBA_CACHE_DIR": place.cache, "MPLCONFIGDIR": place.cache / "matplotlib", "HOME": place.data}
+    told = {name: str(path) for name, path in own.items()}
     if place.root == Path("/"):
-        line = ["runuser", "-u", "kerntemp", "--", "env", *(f"{k}={v}" for k, v in caches.items()), *line]
-    return run(*line, cwd=place.data, env={**os.environ, **caches})
+        line = ["runuser", "-u", "kerntemp", "--", "env", *(f"{k}={v}" for k, v in told.items()), *line]
+    return run(*line, cwd=place.data, env={**os.environ, **told})
 
 
 # --- a version's code -----------------------------------------------------------------------------------
@@ -171,10 +169,13 @@ def built_wheel(folder: Path) -> Path:
 
 
 def put_version(place: Place, wheel: Path, wheels: Path | None) -> str:
-    """Install a version beside the others and try it; the ones that run do not notice."""
+    """Install a version beside the others and try it; the ones that run do not notice.
+
+    What a setup that failed has left of this version is made anew.
+    """
     version = version_of(wheel)
     target = place.code / version
-    if (target / "installed").exists():
+    if (target / "installed").exists() and version in {entry["version"] for entry in place.history}:
         raise Refused(f"version {version} is installed already; {target}")
     shutil.rmtree(target, ignore_errors=True)
     say(f"installing version {version} in {target}")
@@ -212,38 +213,53 @@ def schema_of(place: Place, version: str) -> int:
     return int(run(place.code / version / "bin/python", "-I", "-c", question))
 
 
+def store_file(place: Place, version: str) -> Path | None:
+    """Return the file the services keep their store in, as a version reads the configuration; None: PostgreSQL."""
+    question = (
+        "import sys; from pathlib import Path; from daq.config import load_config; "
+        "from daq.store.database import store_url; url = store_url(load_config(Path(sys.argv[1])).store.url); "
+        "print(url.database if url.get_backend_name() == 'sqlite' else '')"
+    )
+    told = as_service(place, version, "python", "-I", "-c", question, str(place.config))
+    return place.data / told if told else None
+
+
 def switch(place: Place, version: str) -> None:
-    """Put a version in force: its units, rules and command, then the link, in one step."""
+    """Put a version in force: units, rules and command, then the link; on a full disk nothing of it."""
     shared = place.shared(version)
-    place.units.mkdir(parents=True, exist_ok=True)
-    for unit in (shared / "systemd").iterdir():
-        shutil.copyfile(unit, place.units / unit.name)
-    place.rules.parent.mkdir(parents=True, exist_ok=True)
-    shutil.copyfile(shared / "udev/60-kerntemp.rules", place.rules)
-    write_command(place)
-    draft = place.code / "current.new"
-    draft.unlink(missing_ok=True)
-    draft.symlink_to(version)
-    draft.replace(place.current)
+    new = {place.units / unit.name: unit.read_bytes() for unit in (shared / "systemd").iterdir()}
+    new |= {place.rules: (shared / "udev/60-kerntemp.rules").read_bytes(), place.command: command_of(place)}
+    drafts = {target: target.with_name(f".{target.name}.new") for target in (*new, place.current)}
+    try:
+        for target, content in new.items():
+            target.parent.mkdir(parents=True, exist_ok=True)
+            drafts[target].write_bytes(content)
+        drafts[place.command].chmod(0o755)
+        drafts[place.current].unlink(missing_ok=True)
+        drafts[place.current].symlink_to(version)
+    except OSError:
+        for draft in drafts.values():
+            draft.unlink(missing_ok=True)
+        raise
+    for target, draft in drafts.items():
+        draft.replace(target)
     systemctl(place, "daemon-reload")
     if place.live:
         run("udevadm", "control", "--reload")
 
 
-def write_command(place: Place) -> None:
-    """Write the command `kerntemp`: as the service's user where root calls, with the service's configuration."""
-    place.command.parent.mkdir(parents=True, exist_ok=True)
-    place.command.write_text(
+def command_of(place: Place) -> bytes:
+    """Return the command `kerntemp`: as the service's user where root calls, with the service's configuration."""
+    return (
         "#!/bin/sh\n"
         "# Kerntemp of this press PC: its version in force, its configuration, its user.\n"
         f'export KERNTEMP_CONFIG="${{KERNTEMP_CONFIG:-{place.config}}}"\n'
         f'export NUMBA_CACHE_DIR="{place.cache}" MPLCONFIGDIR="{place.cache}/matplotlib"\n'
         'if [ "$(id -u)" = 0 ] && id kerntemp >/dev/null 2>&1; then\n'
-        f'    exec runuser -u kerntemp -- {place.current}/bin/kerntemp "$@"\n'
+        f'    HOME="{place.data}" exec runuser -u kerntemp -- {place.current}/bin/kerntemp "$@"\n'
         "fi\n"
         f'exec {place.current}/bin/kerntemp "$@"\n'
-    )
-    place.command.chmod(0o755)
+    ).encode()
 
 
 # --- the machine ----------------------------------------------------------------------------------------
@@ -280,17 +296,19 @@ def make_folders(place: Place, version: str, user: int | None) -> None:
 
 
 def first_configuration(example: str, data: Path) -> str:
-    """Return the example with its data where services may write."""
+    """Return the example with all that services write where they may."""
     store, tokens = f'url = "{data}/kerntemp.sqlite"', f'tokens = "{data}/kerntemp-tokens.json"'
     buffer = f'buffer = "{data}/kerntemp-buffer.sqlite"'
     example = example.replace('url = "kerntemp.sqlite"', f"{store}\n{buffer}\n#", 1)
+    example = example.replace('reports = "reports"', f'reports = "{data}/reports"', 1)
     return example.replace("[server]\n", f"[server]\n{tokens}\n", 1)
 
 
 def back_up(place: Place, version: str, why: str) -> str:
     """Copy the store with a version's own program, which checks the copy; empty where there is none yet."""
     target = place.backups / f"{why}-{datetime.now(UTC):%Y-%m-%dT%H%M%S}.sqlite"
-    if not place.store_url.startswith("postgres") and not Path(place.store_url).exists():
+    store = store_file(place, version)
+    if store is not None and not store.exists():
         return ""
     say(as_service(place, version, "kerntemp", "backup", str(target), "--config", str(place.config)))
     return str(target)
@@ -325,6 +343,7 @@ def update(place: Place, wheel: Path | None, wheels: Path | None) -> None:
     warm_up(place, version)
     schema = schema_of(place, version)
     migrates = schema != history[-1]["schema"]
+    store_file(place, version)  # reads the whole configuration: what the new version refuses in it stops nothing
     if migrates:
         say(f"the store's schema changes from {history[-1]['schema']} to {schema}: recording stops for the backup")
         systemctl(place, "stop", "kerntemp.target")
@@ -333,16 +352,28 @@ def update(place: Place, wheel: Path | None, wheels: Path | None) -> None:
         backup = back_up(place, old, f"before-{version}")
         say(as_service(place, version, "kerntemp", "check", "--offline", "--config", str(place.config)))
         switch(place, version)
-    except Refused:
-        if migrates and backup:
-            restore(place, old, Path(backup), version)
-        shutil.rmtree(place.code / version, ignore_errors=True)
-        systemctl(place, "restart", "kerntemp.target")
+        place.remember([*history, {"version": version, "schema": schema, "backup": backup}])
+    except (Refused, OSError):
+        undo(place, old, version, backup if migrates else "")
         raise
-    place.remember([*history, {"version": version, "schema": schema, "backup": backup}])
-    restart(place)
+    restart(place, f"version {version} is in force, but not all of it runs; rollback goes back to {old}")
     drop_old_versions(place)
     say(f"Kerntemp {version} is in force; python3 kerntemp_setup.py rollback goes back to {old}.")
+
+
+def undo(place: Place, version: str, newer: str, backup: str) -> None:
+    """Let the version before an update that failed run again, with its store where a copy is given."""
+    try:
+        if backup:
+            restore(place, version, backup, newer)
+    except Refused as refused:  # the update's own failure is the news
+        say(f"the store is still version {newer}'s: {refused}")
+    try:
+        if place.current.readlink() != Path(version):
+            switch(place, version)
+    finally:
+        shutil.rmtree(place.code / newer, ignore_errors=True)
+        systemctl(place, "restart", "kerntemp.target")
 
 
 def rollback(place: Place) -> None:
@@ -353,13 +384,20 @@ def rollback(place: Place) -> None:
     before, now = history[-2], history[-1]
     if not (place.code / before["version"] / "installed").exists():
         raise Refused(f"version {before['version']} is no longer in {place.code}; install its wheel with update")
+    migrated = before["schema"] != now["schema"]
+    if migrated and now["backup"]:
+        say(as_service(place, before["version"], "kerntemp", "backup", now["backup"], "--verify"))
     systemctl(place, "stop", "kerntemp.target")
-    if before["schema"] != now["schema"] and now["backup"]:
-        restore(place, before["version"], Path(now["backup"]), now["version"])
-    switch(place, before["version"])
+    try:
+        if migrated:
+            restore(place, before["version"], now["backup"], now["version"])
+        switch(place, before["version"])
+    except (Refused, OSError):
+        systemctl(place, "start", "kerntemp.target")
+        raise
     place.remember(history[:-1])
     shutil.rmtree(place.code / now["version"], ignore_errors=True)
-    restart(place)
+    restart(place, f"version {before['version']} is in force again, but not all of it runs")
     say(f"Kerntemp {before['version']} is in force again.")
 
 
@@ -373,29 +411,54 @@ def complete(place: Place, wheels: Path | None) -> None:
     say(f"Kerntemp {version} has all that {place.config} asks for: {place.extras}.")
 
 
-def restore(place: Place, version: str, backup: Path, newer: str) -> None:
-    """Put the store of before the update back; the newer one is kept beside it."""
-    if place.store_url.startswith("postgres"):
+def restore(place: Place, version: str, backup: str, newer: str) -> None:
+    """Put the store of before the update back, none where there was none; the newer one is kept beside it.
+
+    Raises `Refused` before anything has changed.
+    """
+    store = store_file(place, version)
+    words = ["kerntemp", "backup", backup, "--restore"]
+    if store is None:
         say("PostgreSQL: the copy goes into the database of store.url, which has to be a new, empty one")
-    else:
-        store = Path(place.store_url)
-        kept = store.parent / f"kerntemp-{newer}-{datetime.now(UTC):%Y-%m-%dT%H%M%S}.sqlite"
-        for ending in ("", "-wal", "-shm"):
-            path = store.with_name(store.name + ending)
-            if path.exists():
-                path.rename(kept.with_name(kept.name + ending))
-        say(f"what version {newer} recorded is kept in {kept}")
-    say(as_service(place, version, "kerntemp", "backup", str(backup), "--restore", "--config", str(place.config)))
+        say(as_service(place, version, *words, "--config", str(place.config)))
+        return
+    draft = store.with_name(f"{store.name}.restored")
+    move(draft, None)
+    if backup:
+        try:
+            say(as_service(place, version, *words, "--store", str(draft)))
+        except Refused:
+            move(draft, None)
+            raise
+    kept = store.parent / f"kerntemp-{newer}-{datetime.now(UTC):%Y-%m-%dT%H%M%S}.sqlite"
+    move(store, kept)
+    move(draft, store)
+    say(f"what version {newer} recorded is kept in {kept}")
 
 
-def restart(place: Place) -> None:
-    """Start what belongs to the target anew."""
-    systemctl(place, "restart", *UNITS[1:], TIMER, "kerntemp.target")
-    if (
-        place.live
-        and subprocess.run(["systemctl", "is-enabled", "--quiet", "kerntemp-publish"], check=False).returncode == 0
-    ):
-        run("systemctl", "restart", "kerntemp-publish")
+def move(store: Path, target: Path | None) -> None:
+    """Rename an SQLite file, where it is there, with what belongs to it; None removes it."""
+    for ending in ("", "-wal", "-shm"):
+        path = store.with_name(store.name + ending)
+        if target is None:
+            path.unlink(missing_ok=True)
+        elif path.exists():
+            path.rename(target.with_name(target.name + ending))
+
+
+def restart(place: Place, otherwise: str) -> None:
+    """Start what belongs to the target anew; where that fails, say `otherwise` how things stand.
+
+    The recorder goes first and alone: in one step with the others it would wait for the live sensor to stop.
+    """
+    try:
+        systemctl(place, "restart", RECORD)
+        systemctl(place, "restart", *(unit for unit in UNITS[1:] if unit != RECORD), TIMER, "kerntemp.target")
+        publishes = ["systemctl", "is-enabled", "--quiet", PUBLISH]
+        if place.live and subprocess.run(publishes, check=False).returncode == 0:
+            run("systemctl", "restart", PUBLISH)
+    except Refused as refused:
+        raise Refused(f"{otherwise}: {refused}") from refused
 
 
 def drop_old_versions(place: Place) -> None:
@@ -407,12 +470,16 @@ def drop_old_versions(place: Place) -> None:
 
 
 def uninstall(place: Place) -> None:
-    """Remove the programs; configuration and data stay."""
+    """Remove the programs; configuration, drop-ins of the units and data stay."""
     if place.live:
-        subprocess.run(["systemctl", "disable", "--now", "--quiet", "kerntemp.target", TIMER], check=False)
+        enabled = ("kerntemp.target", TIMER, PUBLISH)
+        subprocess.run(["systemctl", "disable", "--now", "--quiet", *enabled], check=False)
         subprocess.run(["systemctl", "stop", "kerntemp-*"], check=False)
-    for unit in place.units.glob("kerntemp*"):
-        unit.unlink()
+    for unit in (*place.units.glob("*.wants/kerntemp*"), *place.units.glob("kerntemp*")):
+        if not unit.is_dir() or unit.is_symlink():
+            unit.unlink()
+    for folder in place.units.glob("kerntemp*.wants"):
+        shutil.rmtree(folder)
     for path in (place.rules, place.users, place.command):
         path.unlink(missing_ok=True)
     shutil.rmtree(place.code, ignore_errors=True)
@@ -435,6 +502,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stderr.write("kerntemp_setup: needs root; use sudo\n")
         return 2
     wheel = given.wheel.resolve() if given.wheel else None
+    os.environ.pop("PYTHONPATH", None)  # the programs installed find their own code, not the caller's
     try:
         if given.action in ("install", "update"):
             {"install": install, "update": update}[given.action](place, wheel, given.wheels)
@@ -442,7 +510,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             complete(place, given.wheels)
         else:
             {"rollback": rollback, "uninstall": uninstall}[given.action](place)
-    except Refused as refused:
+    except (Refused, OSError) as refused:
         sys.stderr.write(f"kerntemp_setup: {refused}\n")
         return 1
     return 0

@@ -2,13 +2,15 @@
 
 The causes come from what the recorder and the live sensor themselves wrote: where scans begin after a start,
 which ticks were left out, each value's quality, each run's status and moments, the journal. What was broken on
-purpose is only held against them: where values stop without such a fault, or a recorder begins that nobody had
-killed or ended, the store's word does not count. What neither explains is unaccounted for.
+purpose is only held against them: where values stop without such a fault, a recorder begins that nobody had
+killed or ended, or scans stop before it was, the store's word does not count. What neither explains is unaccounted
+for.
 
 A scan carries what its loggers answered since the scan before, or once, late, an answer to the tick before; its
 stamp lies within a period and a half of its tick, or later where the machine was busy. Which of its answers were
 spoiled the simulated device knows: so a value not there is a fault's, if the fault overlaps the time from the
-second scan before to the second scan after.
+second scan before to the second scan after. A logger that was lost is then still to be found again, connected
+and set up: until its first good value its driver may take the time it promises, and no longer.
 """
 
 from __future__ import annotations
@@ -22,8 +24,9 @@ from typing import Any
 import numpy as np
 
 from daq.pressline import LEFT_OUT_SAID_EVERY_S
-from daq.records import Moments, Quality
-from daq.store import RunStatus, Store
+from daq.records import Quality
+from daq.store import RunStatus, Store, every
+from tests.deploy.truth import KILLED, RESTARTED, STAMP_S, Truth
 
 BLIND_S = 3.0
 """A face unseen this long, or scans this far apart, can hide a moment of the press. [s of the press]"""
@@ -33,50 +36,11 @@ NEIGHBOURS = 2
 """How many scans before and after a value's own may hold its answer's moment."""
 SETTLED = 25
 """Scans at each end of a recorder's life whose median tells its schedule."""
+MOST_GROWN = 0.2
+"""Memory that grows by more than this share is not flat."""
 AWAY = "recorder away"
-RESTARTED = "recorder ended in order"
-
-
-@dataclass(frozen=True)
-class Fault:
-    """One fault, on the machine's monotonic clock. [s]"""
-
-    kind: str
-    begin_s: float
-    """Of a logger: its last sound answer before."""
-    end_s: float
-    """Of a logger: its first sound answers after."""
-    columns: tuple[str, ...] = ()
-    """What it spoils."""
-
-
-@dataclass(frozen=True)
-class Shift:
-    """Scans of one pace, from one number on."""
-
-    first_scan: int
-    speed: float
-    rate_hz: float
-
-
-@dataclass(frozen=True)
-class Truth:
-    """What truly happened; pressings on the plant's clock. [s of the press]"""
-
-    press: str
-    shifts: Sequence[Shift]
-    plant_s: Callable[[float], float]
-    """The plant's clock at a moment of the machine's monotonic one."""
-    faults: Sequence[Fault]
-    pressings: Mapping[int, Moments]
-    clock_steps: int
-
-    def during(self, kind: str, begin_s: float, end_s: float, column: str = "") -> bool:
-        """Whether a fault of a kind lies over a stretch of the machine's monotonic clock, and spoils a column."""
-        return any(
-            f.kind == kind and f.begin_s <= end_s and begin_s <= f.end_s and (not column or column in f.columns)
-            for f in self.faults
-        )
+NO_FIT = ("could not be fitted", "has no panel sensors")
+"""What the journal says of a run that has no fit."""
 
 
 @dataclass
@@ -86,6 +50,12 @@ class Balance:
     lines: list[str] = field(default_factory=list)
     unaccounted: Counter[str] = field(default_factory=Counter)
     grown_share: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def sound(self) -> bool:
+        """Whether nothing is unaccounted for, and memory was seen long enough to be called flat."""
+        flat = [self.grown_share.get(name, np.inf) < MOST_GROWN for name in ("record", "sense")]
+        return all(flat) and not any(self.unaccounted.values())
 
     def say(self, what: str, due: int, there: int, causes: Mapping[str, int], where: Sequence[Any] = ()) -> None:
         """Add a line: due = there + by cause + unaccounted; `where` names the first places of the latter."""
@@ -134,6 +104,8 @@ class _Scans:
     """On the plant's clock. [s]"""
     periods: Any
     """From tick to tick. [s of the press]"""
+    ticks_s: Any
+    """From tick to tick, on the machine's clock. [s]"""
     qualities: list[tuple[Quality, ...]]
     columns: tuple[str, ...]
     begins: Any
@@ -164,7 +136,7 @@ class _Count:
         self._count_fits()
         self._count_estimates()
         steps = sum("clock of this machine was set" in e.message for e in self.journal)
-        self.balance.say("clock steps", truth.clock_steps, min(steps, truth.clock_steps), {})
+        self.balance.say("clock steps", truth.clock_steps, steps, {})
 
     def _load(self) -> _Scans:
         begun = {e.detail["monotonic_s"] for e in self.journal if "scans begin" in e.message}
@@ -177,12 +149,12 @@ class _Count:
         columns = tuple(c.name for c in self.store.channels(self.truth.press))
         firsts = [shift.first_scan for shift in self.truth.shifts]
         which = np.searchsorted(firsts, numbers, side="right") - 1
-        real_s = np.array(stamps) / np.array([shift.speed for shift in self.truth.shifts])[which]
+        speeds = np.array([shift.speed for shift in self.truth.shifts])[which]
+        real_s = np.array(stamps) / speeds
         times = np.array([self.truth.plant_s(at) for at in real_s.tolist()])
         periods = np.array([1.0 / shift.rate_hz for shift in self.truth.shifts])[which]
-        return _Scans(
-            np.array(numbers), np.array(stamps), real_s, times, periods, qualities, columns, np.array(begins)
-        )
+        numbers, stamps, begins = np.array(numbers), np.array(stamps), np.array(begins)
+        return _Scans(numbers, stamps, real_s, times, periods, periods / speeds, qualities, columns, begins)
 
     # --- scans and values ---------------------------------------------------------------------------
 
@@ -207,19 +179,24 @@ class _Count:
             where += [f"{lost} in the session from {times[0]:.1f} s"] if lost else []
         for i in scans.begins[1:].tolist():
             ticks = round((scans.times[i] - scans.times[i - 1]) / scans.periods[i]) - 1
-            between = float(scans.real_s[i - 1]), float(scans.real_s[i])
-            if self.truth.during("recorder killed", *between):
-                causes["recorder killed, away until it began anew"] += ticks
-            elif self.truth.during(RESTARTED, *between):
-                causes["recorder ended for another pace, away until it began anew"] += ticks
-            else:
-                silent += ticks
-                where.append(f"no recorder at {between[0]:.1f} s")
+            last_s, next_s = float(scans.real_s[i - 1]), float(scans.real_s[i])
+            end, until_s = self.truth.wrote_until(last_s, next_s) or ("", next_s)
+            lost = ticks if not end else self._unwritten(i - 1, until_s)
+            causes[f"{end}, away until it began anew"] += ticks - lost
+            silent += lost
+            where += [f"{lost} from {last_s:.1f} s on, before the recorder went"] if lost else []
+        if lost := self._unwritten(-1, self.truth.ended_s - STAMP_S):
+            silent += lost
+            where.append(f"{lost} from {scans.real_s[-1]:.1f} s to the end")
         there = len(scans.times)
         self.balance.say("scans", there + sum(causes.values()) + silent, there, +causes, where)
         self.balance.unaccounted["scan numbers"] = int((np.diff(scans.numbers) != 1).sum())
-        kills = sum(f.kind in ("recorder killed", RESTARTED) for f in self.truth.faults)
+        kills = sum(f.kind in (KILLED, RESTARTED) for f in self.truth.faults)
         self.balance.say("recorder starts", kills + 1, len(scans.sessions), {})
+
+    def _unwritten(self, i: int, until_s: float) -> int:
+        """Return how many ticks there were from a scan to a moment of the machine's clock."""
+        return max(0, int((until_s - self.scans.real_s[i]) / self.scans.ticks_s[i]))
 
     def _count_values(self) -> None:
         """Every value is good, or late, or its quality fits a fault that lies over it."""
@@ -227,15 +204,19 @@ class _Count:
         good, where = 0, []
         due = 0
         real_s = self.scans.real_s.tolist()
+        good_s: dict[str, float] = {}
         for i, qualities in enumerate(self.scans.qualities):
             due += len(qualities)
             for column, quality in zip(self.scans.columns, qualities, strict=True):
                 if quality.usable:
                     good += 1
+                    good_s[column] = real_s[i]
                 elif quality is Quality.LATE:
                     causes["late, as stored"] += 1
                 elif (kind := self._fault_of(quality, column, i, real_s)) is not None:
                     causes[f"{quality.value}, {kind}"] += 1
+                elif self.truth.finding_again(column, real_s[i], good_s.get(column, -np.inf)):
+                    causes[f"{quality.value}, logger not found again yet"] += 1
                 else:
                     where.append(f"{column} {quality.value} at {real_s[i]:.3f} s")
         self.balance.say("values", due, good, causes, sorted(set(where)))
@@ -322,7 +303,7 @@ class _Count:
 
     def _count_fits(self) -> None:
         """Every run that ended has a fit of the whole, or its record or the journal says why not."""
-        said = " ".join(e.message for e in self.journal if "could not be fitted" in e.message)
+        said = " ".join(e.message for e in self.journal)
         causes: Counter[str] = Counter()
         fitted, where = 0, []
         ended = [r for r in self.runs if r.status is not RunStatus.OPEN]
@@ -331,7 +312,7 @@ class _Count:
                 fitted += 1
             elif run.moments.closed_s != run.moments.closed_s:
                 causes["closing not seen, as stored"] += 1
-            elif f"run {run.run} could not be fitted" in said:
+            elif any(f"run {run.run} {why}" in said for why in NO_FIT):
                 causes["not possible, as journalled"] += 1
             else:
                 where.append(f"{run.run} {run.status.value}")
@@ -378,11 +359,4 @@ def _journal(store: Store) -> list[Any]:
 
 
 def _runs(store: Store) -> list[Any]:
-    runs: list[Any] = []
-    cursor: str | None = None
-    while True:
-        page = store.runs(limit=500, cursor=cursor)
-        runs += page.items
-        cursor = page.next_cursor
-        if cursor is None:
-            return runs[::-1]
+    return list(every(lambda cursor: store.runs(limit=500, cursor=cursor)))[::-1]

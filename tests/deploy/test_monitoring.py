@@ -6,12 +6,13 @@ import json
 import re
 import shutil
 import subprocess
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
+from api.health import health_of
 from api.metrics import metrics_text
 from daq.records import Channel, PressState, Quality, Scan
 from daq.store import Store, StoredEstimate, open_store
@@ -70,6 +71,64 @@ def test_metrics_tell_loggers_late_scans_and_the_model_in_base_units(store):
     assert found["kerntemp_store_up[]"] == 1
     assert "kerntemp_process_age_seconds[('process', 'refit')]" in found
     assert "kerntemp_process_up[('process', 'refit')]" not in found, "a job that is over is not down"
+
+
+def test_before_the_nightly_job_ever_came_to_its_end_its_age_counts_from_the_journals_first_line(tmp_path):
+    with open_store(str(tmp_path / "plant.sqlite")) as store:
+        store.log("info", "record", "recording lab")
+        later = store.journal().items[0].utc + timedelta(hours=51)
+        assert 'kerntemp_process_age_seconds{process="refit"} 183600.0' in metrics_text(store, later)
+        assert (
+            "refit: the nightly job has not come to its end for 51 h; see its log"
+            in health_of(store, later).alarms
+        )
+
+
+def test_a_press_that_is_no_longer_recorded_keeps_no_alarm_standing(store):
+    week = timedelta(days=7)
+    for after, told in ((week, True), (week + timedelta(seconds=1), False)):
+        text = metrics_text(store, NOW + after)
+        assert ("kerntemp_scan_age_seconds{" in text) == told
+        assert ("kerntemp_channel_good{" in text) == told
+    assert 'kerntemp_scans_total{press="lab"} 1.0' in text
+
+
+def test_of_several_machines_in_one_database_each_has_its_own_sign_of_life(postgresql_url, monkeypatch):
+    with open_store(postgresql_url) as store:
+        for host, state in (("north", "answers"), ("south", "lost")):
+            monkeypatch.setattr("daq.store.store.gethostname", lambda host=host: host)
+            logger = {"press": host, "name": "top", "state": state}
+            told = {"press": host, "missed_ticks": 3}
+            status = {"state": "running", "waiting": 4, "presses": [told], "loggers": [logger]}
+            store.beat(store.beats_as("record"), status)
+            store.beat(store.beats_as("sense"), {"state": "running", "presses": []})
+        now = datetime.now(UTC)
+        assert health_of(store, now).alarms == []
+        text = metrics_text(store, now)
+        assert 'kerntemp_logger_up{logger="top",press="north"} 1.0' in text
+        assert 'kerntemp_logger_up{logger="top",press="south"} 0.0' in text
+        assert "kerntemp_record_waiting 8.0" in text
+        later = now + timedelta(seconds=20)
+        store.beat("record@north", {"state": "running"})
+        with store.database.writing() as connection:
+            connection.exec_driver_sql("UPDATE status SET unix_s = unix_s + 20 WHERE process <> 'record@south'")
+        (alarm,) = health_of(store, later).alarms
+        assert alarm.startswith("record@south: silent for")
+        assert [p.name for p in health_of(store, now + timedelta(days=8)).processes] == [
+            "record@north",
+            "sense@south",
+        ]
+
+
+def test_health_says_in_words_what_stands_behind_the_alarms(tmp_path, monkeypatch):
+    monkeypatch.setattr("api.health.LEAST_FREE_BYTES", 10**18)
+    with open_store(str(tmp_path / "plant.sqlite")) as store:
+        store.beat("record", {"state": "running"})
+        store.beat("sense", {"state": "running", "presses": [{"press": "lab", "behind_scans": 700}]})
+        assert health_of(store, datetime.now(UTC)).alarms == [
+            "lab: 700 scans behind, this machine is too busy",
+            "less than 2 GB left on the store's disk",
+        ]
 
 
 def test_without_a_store_the_metrics_say_so_instead_of_failing(store):

@@ -13,8 +13,10 @@ import subprocess
 import sys
 import time
 import tomllib
+import zipfile
 from collections.abc import Iterator
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager, redirect_stderr, redirect_stdout
+from io import StringIO
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -22,8 +24,10 @@ from urllib.request import urlopen
 
 import pytest
 
+from api.cli import main
 from daq.runfile import toml_value
 from daq.simulated.devices import simulated, wiring
+from daq.store import open_store
 
 ROOT = Path(__file__).parents[2]
 SETUP = ROOT / "deploy" / "kerntemp_setup.py"
@@ -76,7 +80,8 @@ def built(folder: Path, version: str = "", migration: str = "") -> Path:
 
 def set_up(root: Path, *words: str | Path) -> str:
     command = [sys.executable, str(SETUP), *map(str, words), "--root", str(root), "--no-warmup"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    callers = {**os.environ, "PYTHONPATH": str(ROOT)}  # which the programs installed must not take over
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=callers)
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
 
@@ -242,6 +247,203 @@ def test_what_cannot_be_done_is_refused_and_changes_nothing(tmp_path, setup, cap
     assert not (tmp_path / "pc").exists()
 
 
+def test_after_a_setup_that_failed_while_compiling_the_same_one_goes_through(setup, tmp_path, monkeypatch):
+    wheel = tmp_path / "kerntemp-7.7.9-py3-none-any.whl"
+    with zipfile.ZipFile(wheel, "w") as archive:
+        archive.writestr("kerntemp-7.7.9.dist-info/METADATA", "Name: kerntemp\nVersion: 7.7.9\n")
+    place = setup.Place(tmp_path / "pc")
+    made = []
+
+    def environment(folder):
+        made.append(folder)
+        (folder / "share/kerntemp/presses").mkdir(parents=True)
+        (folder / "share/kerntemp/kerntemp.toml").write_text("")
+
+    def compiling(*_):
+        if len(made) == 1:
+            raise setup.Refused("out of memory while compiling")
+
+    monkeypatch.setattr(setup, "make_environment", environment)
+    monkeypatch.setattr(setup, "run", lambda *_, **__: "7.7.9")
+    monkeypatch.setattr(setup, "warm_up", compiling)
+    for name, does in (("make_user", None), ("switch", None), ("schema_of", 3)):
+        monkeypatch.setattr(setup, name, lambda *_, does=does: does)
+    with pytest.raises(setup.Refused, match="out of memory"):
+        setup.install(place, wheel, None)
+    setup.install(place, wheel, None)
+    assert [entry["version"] for entry in place.history] == ["7.7.9"]
+    with pytest.raises(setup.Refused, match="installed already"):
+        setup.put_version(place, wheel, None)
+    assert len(made) == 2
+
+
+@pytest.fixture
+def updated(setup, tmp_path, monkeypatch):
+    """A folder with two versions, both this one, the later with another schema; what systemd is asked."""
+    place = setup.Place(tmp_path)
+    for folder in (place.code / "1.0.0", place.code / "2.0.0", place.settings, place.backups):
+        folder.mkdir(parents=True)
+        (folder / "installed").touch()
+    asked = []
+
+    def here(place, version, program, *words):
+        if program == "python":
+            return setup.run(sys.executable, *words, cwd=place.data)
+        with redirect_stdout(StringIO()) as out, redirect_stderr(StringIO()) as err:
+            status = main(list(words))
+        if status:
+            raise setup.Refused(err.getvalue())
+        return out.getvalue()
+
+    monkeypatch.setattr(setup, "as_service", here)
+    monkeypatch.setattr(setup, "systemctl", lambda _, *words: asked.append(words))
+    monkeypatch.setattr(setup, "switch", lambda *_: None)
+
+    def update(url):
+        example = (ROOT / "deploy" / "kerntemp.toml").read_text(encoding="utf-8")
+        example = example.replace('file = "presses', f'file = "{ROOT}/deploy/presses')
+        place.config.write_text(example.replace('url = "kerntemp.sqlite"', f'url = "{url}"'))
+        store = setup.store_file(place, "1.0.0")
+        with open_store(str(store)) as opened:
+            opened.log("info", "test", "before the update")
+        backup = setup.back_up(place, "1.0.0", "before-2.0.0")
+        with open_store(str(store)) as opened:
+            opened.log("info", "test", "after the update")
+        first, second = ({"version": f"{n}.0.0", "schema": n, "backup": backup if n == 2 else ""} for n in (1, 2))
+        place.remember([first, second])
+        return store, backup
+
+    return place, update, asked
+
+
+def journalled(store: Path) -> list[str]:
+    with closing(sqlite3.connect(f"file:{store}?mode=ro", uri=True)) as connection:
+        return [row[0] for row in connection.execute("SELECT message FROM event ORDER BY event_id")]
+
+
+@pytest.mark.parametrize("url", ["{0}/data.sqlite", "sqlite:///{0}/data.sqlite", "data.sqlite"])
+def test_a_store_is_backed_up_and_put_back_however_its_place_is_written(setup, updated, url, tmp_path):
+    place, update, _ = updated
+    store, backup = update(url.format(tmp_path))
+    assert store == (place.settings if url == "data.sqlite" else tmp_path) / "data.sqlite"
+    assert journalled(Path(backup)) == ["before the update"]
+    setup.rollback(place)
+    assert journalled(store) == ["before the update"]
+    (kept,) = store.parent.glob("kerntemp-2.0.0-*.sqlite")
+    assert journalled(kept) == ["before the update", "after the update"]
+    assert [entry["version"] for entry in place.history] == ["1.0.0"]
+
+
+@pytest.mark.parametrize("lost", [True, False], ids=["the copy is gone", "the disk is full"])
+def test_a_rollback_that_cannot_restore_changes_nothing_and_recording_goes_on(setup, updated, monkeypatch, lost):
+    place, update, asked = updated
+    store, backup = update("data.sqlite")
+    whole = setup.as_service
+
+    def without_room(place, version, *words):
+        if "--restore" in words:
+            Path(words[-1]).touch()
+            raise setup.Refused("disk is full")
+        return whole(place, version, *words)
+
+    if lost:
+        Path(backup).unlink()
+    else:
+        monkeypatch.setattr(setup, "as_service", without_room)
+    with pytest.raises(setup.Refused, match="does not exist" if lost else "disk is full"):
+        setup.rollback(place)
+    assert asked == ([] if lost else [("stop", "kerntemp.target"), ("start", "kerntemp.target")])
+    assert [path.name for path in store.parent.glob("*.sqlite*")] == ["data.sqlite"]
+    assert journalled(store) == ["before the update", "after the update"]
+    assert len(place.history) == 2
+
+
+def test_an_update_that_meets_a_full_disk_leaves_the_version_before_its_store_and_its_units_at_work(
+    setup, updated, monkeypatch, tmp_path
+):
+    place, update, asked = updated
+    store, _ = update("data.sqlite")
+    monkeypatch.undo()
+    monkeypatch.setattr(setup, "systemctl", lambda _, *words: asked.append(words))
+    for version in ("1.0.0", "2.0.0"):
+        for name in ("systemd/kerntemp-record.service", "udev/60-kerntemp.rules"):
+            file = place.shared(version) / name
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_text(version)
+    setup.switch(place, "1.0.0")
+    place.remember(place.history[:1])
+    asked.clear()
+    copy = tmp_path / "copy.sqlite"
+    copy.write_text("the store of before")
+    write = Path.write_bytes
+
+    def full(path, content):
+        if "udev" in str(path):
+            raise OSError(28, "No space left on device", str(path))
+        return write(path, content)
+
+    monkeypatch.setattr(setup, "put_version", lambda *_: "2.0.0")
+    monkeypatch.setattr(setup, "warm_up", lambda *_: None)
+    monkeypatch.setattr(setup, "schema_of", lambda *_: 2)
+    monkeypatch.setattr(setup, "back_up", lambda *_: str(copy))
+    monkeypatch.setattr(setup, "store_file", lambda *_: store)
+    monkeypatch.setattr(
+        setup, "as_service", lambda _, __, *words: shutil.copy(copy, words[-1]) if "--restore" in words else ""
+    )
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(OSError, match="No space left"):
+        setup.update(place, tmp_path / "some.whl", None)
+    assert asked == [("stop", "kerntemp.target"), ("restart", "kerntemp.target")]
+    assert place.current.readlink() == Path("1.0.0")
+    assert {file.read_text() for file in (place.rules, *place.units.iterdir())} == {"1.0.0"}
+    assert store.read_text() == "the store of before"
+    assert [entry["version"] for entry in place.history] == ["1.0.0"]
+    assert not (place.code / "2.0.0").exists()
+
+
+def test_services_that_do_not_come_up_are_told_with_the_version_in_force(setup, updated, monkeypatch):
+    place, _, asked = updated
+
+    def failing(_, *words):
+        asked.append(words)
+        if "kerntemp-sense.service" in words:
+            raise setup.Refused("systemctl failed: see its log")
+
+    monkeypatch.setattr(setup, "systemctl", failing)
+    with pytest.raises(
+        setup.Refused, match=r"^version 2 is in force, but.*rollback.*: systemctl failed: see its log$"
+    ):
+        setup.restart(place, "version 2 is in force, but not all of it runs; rollback goes back to 1")
+    assert asked[0] == ("restart", "kerntemp-record.service")  # alone: it need not wait for the live sensor's end
+
+
+def test_a_configuration_that_the_new_version_refuses_stops_nothing(setup, updated, monkeypatch):
+    place, update, asked = updated
+    update("data.sqlite")
+    place.remember(place.history[:1])
+    for name, does in (("put_version", "2.0.0"), ("warm_up", None), ("schema_of", 2)):
+        monkeypatch.setattr(setup, name, lambda *_, does=does: does)
+    place.config.write_text(place.config.read_text() + "[later]\n")
+    with pytest.raises(setup.Refused, match="later"):
+        setup.update(place, place.data, None)
+    assert asked == []
+
+
+def test_uninstall_leaves_no_unit_enabled_and_the_drop_ins_of_whoever_runs_the_machine(setup, tmp_path):
+    place = setup.Place(tmp_path)
+    other, override = place.units / "other.service", place.units / "kerntemp-record.service.d" / "override.conf"
+    enabled = (place.units / "multi-user.target.wants", place.units / "kerntemp.target.wants")
+    for folder in (*enabled, override.parent):
+        folder.mkdir(parents=True)
+    for file in (other, override, *(place.units / unit.name for unit in SYSTEMD.iterdir())):
+        file.write_text("[Service]\n")
+    (enabled[0] / "kerntemp.target").symlink_to(place.units / "kerntemp.target")
+    (enabled[1] / setup.PUBLISH).symlink_to(place.units / setup.PUBLISH)
+    setup.uninstall(place)
+    assert {path for path in place.units.rglob("*") if not path.is_dir()} == {other, override}
+    assert not enabled[1].exists()
+
+
 def test_the_first_configuration_keeps_data_and_tokens_where_services_may_write(setup, tmp_path):
     example = (ROOT / "deploy" / "kerntemp.toml").read_text(encoding="utf-8")
     text = setup.first_configuration(example, Path("/var/lib/kerntemp"))
@@ -251,6 +453,7 @@ def test_the_first_configuration_keeps_data_and_tokens_where_services_may_write(
         "buffer": "/var/lib/kerntemp/kerntemp-buffer.sqlite",
     }
     assert tree["server"]["tokens"] == "/var/lib/kerntemp/kerntemp-tokens.json"
+    assert tree["refit"]["reports"] == "/var/lib/kerntemp/reports"
 
 
 def test_dask_is_installed_where_the_configuration_names_a_scheduler(setup, tmp_path, monkeypatch, capsys):
