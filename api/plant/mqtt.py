@@ -14,7 +14,8 @@ After an interruption everything stored meanwhile follows, in order. Where to go
 itself: its retained message carries the number that really arrived, so nothing is sent twice even if the
 answer to it was lost (2026-11-21; a number kept here alone would repeat what was in flight). A broker that
 forgot is continued from the position kept in the store. A broker that drops after it has stored a message and
-before it retains it could still see one twice: `number` tells.
+before it retains it could still see one twice: `number` tells. What the live sensor fills in afterwards, for
+the seconds of an idle press before an insertion it had not seen yet, is in the store alone.
 """
 
 from __future__ import annotations
@@ -43,6 +44,7 @@ ANSWER_S = 10.0
 POLL_S = 0.1
 """How often the store is asked for news while there is none. [s]"""
 MODEL_S = 2.0
+_KEPT_SIGNS = str.maketrans({"#": "%23", "+": "%2B", "\0": "%00"})
 
 
 class BrokerAway(ConnectionError):
@@ -72,8 +74,8 @@ class Broker:
         self._client.will_set(self.topic("status"), _json({"state": "offline"}), QOS, retain=True)
 
     def topic(self, *parts: str) -> str:
-        """Return a topic below the prefix."""
-        return "/".join((self._settings.prefix, *parts))
+        """Return a topic below the prefix; signs that MQTT keeps for itself as ``%23`` and ``%2B``."""
+        return "/".join((self._settings.prefix, *(part.translate(_KEPT_SIGNS) for part in parts)))
 
     def open(self) -> None:
         """Connect. Raises `BrokerAway`."""

@@ -2,8 +2,9 @@
 
 Node identifiers are strings of the namespace `NAMESPACE` and stay the same for ever: ``lab.core``,
 ``lab.core_low``, ``lab.core_high``, ``lab.core_sd``, ``lab.state``, ``lab.run``, ``lab.model``, ``lab.event``, and
-``lab.channel.top_1`` for each channel. Temperatures carry `EngineeringUnits`; the source timestamp is the
-scan's. Press events come as OPC UA events of the press's node, too.
+``lab.channel.top_1`` for each channel. Temperatures carry `EngineeringUnits`, a pressure channel its own; the
+source timestamp is that of the scan a value belongs to. Press events come as OPC UA events of the press's node,
+too.
 
 =======================================  ===================================================
 status code                              meaning
@@ -13,7 +14,8 @@ UncertainLastUsableValue                 the logger repeats itself: the channel 
 BadSensorFailure                         thermocouple open
 BadOutOfRange                            above or below what the logger can measure
 BadNoCommunication                       the logger does not answer, or no scan for 5 s
-BadNoData                                no estimate: no panel, or the press's state is unknown
+BadNoData                                no estimate: no panel, the press's state is unknown, or the live
+                                         sensor has said nothing for 5 s
 BadWaitingForInitialData                 nothing yet
 =======================================  ===================================================
 
@@ -34,12 +36,12 @@ from typing import Any
 from asyncua import Node, Server, ua
 from asyncua.crypto.permission_rules import User, UserRole
 
-from api.answers import utc_now
+from api.answers import last_word, state_of, utc_now
 from api.gate import is_loopback
 from api.health import installed_version
 from api.tokens import TokenFile
 from daq.config import OpcuaSettings
-from daq.records import InputError, Quality
+from daq.records import Channel, InputError, Quality
 from daq.store.records import StoredEstimate, StoredPressEvent, StoreUnavailable
 from daq.store.store import Store
 
@@ -62,6 +64,8 @@ STATUS = {
 }
 _CELSIUS = ("°C", "degree Celsius", 4408652)
 _KELVIN = ("K", "kelvin", 4932940)
+_NO_CODE = -1
+"""OPC UA's number for a unit outside its list."""
 _ESTIMATES = {
     "core": ("Predicted core temperature", _CELSIUS),
     "core_low": ("Lower end of the 95 % band of the core temperature", _CELSIUS),
@@ -110,8 +114,13 @@ class Present:
     """What the store says of one press now."""
 
     utc: datetime | None
+    """Of the newest scan."""
+    channels: tuple[Channel, ...]
     values: dict[str, tuple[float, Quality]]
     estimate: StoredEstimate | None
+    estimate_utc: datetime | None
+    """Of the scan the estimate belongs to."""
+    state: str
     run: str
     events: tuple[StoredPressEvent, ...]
     old: bool
@@ -150,7 +159,7 @@ class PressServer:
         """Serve until stopped. Raises `InputError` where the port is taken."""
         server = await self._prepared()
         index = await server.register_namespace(NAMESPACE)
-        root = await server.nodes.objects.add_folder(ua.NodeId("presses", index), "Kerntemp")
+        root = await server.nodes.objects.add_folder(ua.NodeId(1, index), "Kerntemp")  # no press has this name
         try:
             await server.start()
         except OSError as error:
@@ -194,7 +203,7 @@ class PressServer:
             self.problem = ""
         except StoreUnavailable as error:
             self.problem = str(error)
-            now = {name: Present(None, {}, None, "", (), old=True) for name in self._presses}
+            now = {name: Present(None, (), {}, None, None, "unknown", "", (), old=True) for name in self._presses}
         for name, present in now.items():
             if name not in self._presses:
                 self._presses[name] = await _make_press(server, root, index, name)
@@ -213,14 +222,18 @@ class PressServer:
             if scan is not None:
                 names = (channel.name for channel in batch.channels)
                 values = dict(zip(names, zip(scan.values, scan.qualities, strict=True), strict=True))
-            estimates = self._store.estimates_after(name, self._store.newest_estimate_number(name) - 1, 1)
+            said = last_word(self._store, name, scan) if scan is not None else None
+            estimate, estimate_utc = said or (None, None)
             run = self._store.open_run(name)
             shown = self._presses.get(name)
             events = self._store.press_events(name, after=shown.last_event) if shown else []
             found[name] = Present(
                 scan.utc if scan else None,
+                tuple(batch.channels),
                 values,
-                estimates[-1] if estimates else None,
+                estimate,
+                estimate_utc,
+                state_of(self._store.press_events(name, since_scan=run.first_scan) if run else [], run),
                 run.run if run else "",
                 tuple(events),
                 old=scan is None or utc_now() - scan.utc > OLD,
@@ -228,11 +241,13 @@ class PressServer:
         return found
 
     async def _show(self, server: Server, press: _Press, present: Present, index: int) -> None:
-        for channel in present.values:
-            if f"channel.{channel}" not in press.nodes:
-                await _add_channel(server, press, channel, index)
-        for key, (value, code) in {**_estimate_values(present), **_channel_values(press, present)}.items():
+        for channel in present.channels:
+            if f"channel.{channel.name}" not in press.nodes:
+                await _add_channel(press, channel, index)
+        for key, (value, code) in _channel_values(press, present).items():
             await _write(server, press, key, value, code, present.utc)
+        for key, (value, code) in _estimate_values(present).items():
+            await _write(server, press, key, value, code, present.estimate_utc or present.utc)
         for key, text in _texts(present).items():
             await _write(server, press, key, text, ua.StatusCodes.Good, present.utc)
         for event in present.events:
@@ -287,9 +302,13 @@ def _estimate_values(present: Present) -> dict[str, tuple[float, int]]:
 
 def _texts(present: Present) -> dict[str, str]:
     said = present.estimate
-    if said is None or present.old:
-        return {"state": "unknown", "run": present.run, "model": "", "reason": "no scan for 5 s"}
-    return {"state": str(said.state), "run": present.run, "model": said.model_version, "reason": said.reason}
+    reason = said.reason if said is not None else "the live sensor has said nothing yet"
+    return {
+        "state": "unknown" if present.old else present.state,
+        "run": present.run,
+        "model": said.model_version if said is not None and not present.old else "",
+        "reason": "no scan for 5 s" if present.old else reason,
+    }
 
 
 async def _make_press(server: Server, root: Node, index: int, name: str) -> _Press:
@@ -306,10 +325,15 @@ async def _make_press(server: Server, root: Node, index: int, name: str) -> _Pre
     return press
 
 
-async def _add_channel(server: Server, press: _Press, channel: str, index: int) -> None:
-    place, meaning = f"{press.name}.channel.{channel}", f"Thermocouple {channel}"
-    node = await _add_number(press.nodes["channels"], index, place, channel, meaning, _CELSIUS)
-    press.nodes[f"channel.{channel}"] = node
+async def _add_channel(press: _Press, channel: Channel, index: int) -> None:
+    warm = channel.unit == "C"
+    meaning = f"Thermocouple {channel.name}" if warm else f"Wire {channel.name}, 1 for closed"
+    unit = _CELSIUS if warm else (channel.unit, channel.unit, _NO_CODE)
+    if not warm and channel.unit:
+        meaning = f"Pressure {channel.name}"
+    place = f"{press.name}.channel.{channel.name}"
+    node = await _add_number(press.nodes["channels"], index, place, channel.name, meaning, unit)
+    press.nodes[f"channel.{channel.name}"] = node
 
 
 async def _add_number(

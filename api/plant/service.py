@@ -37,6 +37,7 @@ def publish(config: Config, tokens: TokenFile, *, stop: threading.Event | None =
         raise InputError(f"{config.path}: neither [mqtt] nor [opcua]; add the one your plant reads")
     stop = stop or threading.Event()
     stop_on_signals(stop)
+    logging.getLogger("asyncua").setLevel(logging.WARNING)  # it tells every request of every client
     store = open_when_ready(config.store.url, stop, LOG)
     if store is None:
         return

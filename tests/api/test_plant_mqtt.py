@@ -227,6 +227,17 @@ def test_scans_estimates_events_and_model_arrive_with_units_quality_and_time(sto
     listener.close()
 
 
+def test_a_press_whose_name_no_topic_can_hold_is_published_beside_the_others(store, broker):
+    recorder, listener = Recorder(store), Listener(broker.port)
+    odd = store.register_press('Presse "Nord" +#1', CHANNELS, LAB.read_text())
+    with publishing(store, broker.port):
+        wait_until(lambda: listener.got.get("plant/status"))
+        recorder.scans(1)
+        store.append_scans(odd, [recorder.scan(0)])
+        wait_until(lambda: listener.numbers("scan") and listener.got.get('plant/Presse "Nord" %2B%231/scan'))
+    listener.close()
+
+
 def test_a_newcomer_sees_the_newest_of_everything_at_once(store, broker):
     recorder = Recorder(store)
     with publishing(store, broker.port) as publisher:

@@ -21,9 +21,7 @@ from daq.records import Channel, InputError, PressEvent, PressEventKind, PressSt
 from daq.store import NewRun, Store, StoredEstimate, open_store
 
 LAB = (Path(__file__).parents[2] / "deploy" / "presses" / "lab.toml").read_text()
-CHANNELS = tuple(Channel(name) for name in ("platen_top", "top_1", "top_2", "top_3"))
-
-
+CHANNELS = (*(Channel(name) for name in ("platen_top", "top_1", "top_2", "top_3")), Channel("bar", "bar"))
 AHEAD = timedelta(seconds=60)
 """Scans stamped so far ahead are not yet called old when a busy machine gets round to serving them."""
 
@@ -41,29 +39,32 @@ def serving(store: Store, folder: Path, **settings: Any) -> Iterator[PressServer
     stop, started = threading.Event(), threading.Event()
     thread = threading.Thread(target=lambda: asyncio.run(server.run(stop, started)))
     thread.start()
-    assert started.wait(10)
     try:
+        assert started.wait(60)
         yield server
     finally:
         stop.set()
-        thread.join(20)
+        thread.join(60)
         assert not thread.is_alive()
 
 
-def write(store: Store, utc: datetime, *, valid: bool = True) -> datetime:
+def write(store: Store, utc: datetime, *, valid: bool = True, said: bool = True) -> datetime:
     key = store.register_press("lab", CHANNELS, LAB)
-    values = (201.5, 99.25, math.nan, 99.0)
+    values = (201.5, 99.25, math.nan, 99.0, 42.0)
     scan = Scan(
         key.next_number,
         utc,
         10.0 + key.next_number,
         values,
-        (Quality.GOOD, Quality.GOOD, Quality.OPEN, Quality.STALE),
+        (Quality.GOOD, Quality.GOOD, Quality.OPEN, Quality.STALE, Quality.GOOD),
     )
-    begin = NewRun("lab-2026-03-04-01", 0, utc, 10.0) if key.next_number == 0 else None
-    store.append_scans(key, [scan], begin=begin)
+    first = key.next_number == 0
+    begin = NewRun("lab-2026-03-04-01", 0, utc, 10.0) if first else None
+    store.append_scans(key, [scan], [PressEvent(PressEventKind.INSERTED, 10.0, 10.4)] if first else (), begin)
+    if not said:
+        return scan.utc
     core = 84.5 if valid else math.nan
-    said = StoredEstimate(
+    estimate = StoredEstimate(
         scan.number,
         scan.monotonic_s,
         PressState.CLOSED if valid else PressState.IDLE,
@@ -75,7 +76,7 @@ def write(store: Store, utc: datetime, *, valid: bool = True) -> datetime:
         "" if valid else "no panel in the press",
         "lab-7",
     )
-    store.append_estimates("lab", [said])
+    store.append_estimates("lab", [estimate])
     return scan.utc
 
 
@@ -102,7 +103,9 @@ def test_values_come_with_status_codes_units_and_the_time_of_their_scan(tmp_path
                 "run",
             )
         )
-        units = asyncio.run(read(server, "core.units", "core_sd.units", "channel.top_1.units"))
+        units = asyncio.run(
+            read(server, "core.units", "core_sd.units", "channel.top_1.units", "channel.bar.units")
+        )
     codes = {key: value.StatusCode.name for key, value in found.items()}
     assert codes["core"] == codes["channel.top_1"] == "Good"
     assert codes["channel.top_2"] == "BadSensorFailure"
@@ -113,12 +116,33 @@ def test_values_come_with_status_codes_units_and_the_time_of_their_scan(tmp_path
     stamp = found["channel.top_1"].SourceTimestamp.replace(tzinfo=UTC)
     assert abs(stamp - utc) < timedelta(milliseconds=1)
     texts = {key: found[key].Value.Value for key in ("state", "model", "run")}
-    assert texts == {"state": "closed", "model": "lab-7", "run": "lab-2026-03-04-01"}
+    assert texts == {"state": "open", "model": "lab-7", "run": "lab-2026-03-04-01"}
     assert {key: unit.Value.Value.DisplayName.Text for key, unit in units.items()} == {
         "core.units": "°C",
         "core_sd.units": "K",
         "channel.top_1.units": "°C",
+        "channel.bar.units": "bar",
     }
+
+
+def test_a_core_of_a_silent_live_sensor_is_no_data_while_the_press_goes_on(tmp_path, store):
+    before = write(store, datetime.now(UTC) + AHEAD)
+    after = write(store, before + timedelta(seconds=25), said=False)
+    with serving(store, tmp_path) as server:
+        found = asyncio.run(read(server, "core", "core_high", "channel.top_1", "state", "reason"))
+    codes = [found[key].StatusCode.name for key in ("core", "core_high", "channel.top_1")]
+    assert codes == ["BadNoData", "BadNoData", "Good"]
+    for key, utc in (("core", before), ("channel.top_1", after)):
+        assert abs(found[key].SourceTimestamp.replace(tzinfo=UTC) - utc) < timedelta(milliseconds=1)
+    assert found["reason"].Value.Value == "the live sensor has said nothing for 25 s"
+    assert found["state"].Value.Value == "open"
+
+
+def test_a_press_may_have_any_name(tmp_path, store):
+    write(store, datetime.now(UTC) + AHEAD)
+    store.register_press("presses", [Channel("top_1")], LAB)
+    with serving(store, tmp_path) as server:
+        assert asyncio.run(read(server, "core"))["core"].Value.Value == 84.5
 
 
 def test_without_a_panel_there_is_no_data_and_without_scans_no_communication(tmp_path, store):
@@ -153,7 +177,7 @@ def test_a_subscriber_is_told_of_new_values_and_press_events(tmp_path, store):
             await subscription.subscribe_events(client.get_node(ua.NodeId("lab", index)))
             key = store.register_press("lab", CHANNELS, LAB)
             store.append_scans(key, [], [PressEvent(PressEventKind.CLOSED, 10.5, 10.9)])
-            async with asyncio.timeout(10):
+            async with asyncio.timeout(60):
                 while "closed" not in values or "closed" not in events:
                     await asyncio.sleep(0.02)
 
