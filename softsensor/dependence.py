@@ -18,6 +18,7 @@ from daq.records import Array, Run
 from softsensor.campaign_joint import Knowledge
 from softsensor.fit_result import RunFit
 from softsensor.modelfile import Estimate
+from softsensor.parameters import plain
 
 SETTINGS: Mapping[str, tuple[str, float]] = {
     "platen_temperature_C": ("°C", 2.0),
@@ -61,8 +62,8 @@ class Program:
             coefficients[name], intervals[name] = Estimate(value, e.sd * value / e.value), (low, high)
             if value != e.value:
                 remarks.append(
-                    f"{name}: the trend leads to {e.value:.4g} W/m²K, beyond the press file's limit {value:g}: "
-                    "taken there; run one pressing of this program before relying on it"
+                    f"{name}: the trend leads to {plain(e.value, 4)} W/m²K, beyond the press file's limit "
+                    f"{value:g}: taken there; run one pressing of this program before relying on it"
                 )
         return replace(self, coefficients=coefficients, intervals=intervals, remarks=tuple(remarks))
 
@@ -79,7 +80,7 @@ class Program:
         rows = [f"Predicted for {told} (95 % of runs):"]
         for name, e in self.coefficients.items():
             low, high = self.interval(name)
-            rows.append(f"  {name} = {e.value:.4g} W/m²K ({low:.4g} to {high:.4g})")
+            rows.append(f"  {name} = {plain(e.value, 4)} W/m²K ({plain(low, 4)} to {plain(high, 4)})")
         return rows + [f"Remark: {r}" for r in self.remarks]
 
     def as_json(self) -> dict[str, Any]:

@@ -31,9 +31,9 @@ Held-out numbers: each run is predicted with shared numbers fitted to the others
 others would have chosen without it (`never_seen`). The choice is judged again without the run's say; sizes
 of noise and scatter, and starting points of fits, come from all runs.
 
-With fewer than six runs no p-value can fall below 0.05 by flipping. A cause is then named only if
-every single run, by numbers from the others, gains by it, the held-out residual at least halves by all that
-is named, and every candidate outside the set loses in every run; else the verdict is `too_few_runs`.
+With fewer than six runs no p-value can fall below 0.05 by flipping. A cause is then named only if it is the only
+one found, every single run, by numbers from the others, gains by it, the held-out residual at least halves,
+and every candidate outside the set loses in every run; else the verdict is `too_few_runs`.
 
 What cannot be told: an exponent of pressure of 0.5 to 1 over 280 to 400 N/cm2 in twelve runs whose contacts
 scatter by 12 to 30 %; even the true contacts would show it in 28 % of campaigns (96 runs: 93 %).
@@ -53,7 +53,7 @@ from daq.records import Array, InputError, Moments, Run
 from softsensor.admission import load_remarks
 from softsensor.channels import ChannelFault, faulty_channels, recurring, rim_falls
 from softsensor.diagnosis_advice import next_measurement, notes, rim_notes
-from softsensor.diagnosis_jury import FEW_RUNS, FEW_TOTAL, Progress, Round, cool_rim, search_all
+from softsensor.diagnosis_jury import FEW_EFFECTS, FEW_RUNS, FEW_TOTAL, Progress, Round, cool_rim, search_all
 from softsensor.diagnosis_model import model_of
 from softsensor.diagnosis_numbers import Errors, Interval, intervals, measure_errors
 from softsensor.diagnosis_search import (
@@ -62,6 +62,7 @@ from softsensor.diagnosis_search import (
     settle_base,
 )
 from softsensor.diagnosis_tests import NEGLIGIBLE_K, Adequacy, Pocket, adequacy, paired_t
+from softsensor.diagnosis_where import MOST, stretches, where_row
 from softsensor.effects import find_effect
 from softsensor.evidence import Digest, digest_run, moments_of
 from softsensor.extension import RunState, held_out
@@ -83,12 +84,15 @@ class Finding:
 
     name: str
     set: tuple[str, ...]
+    """With the causes these runs cannot tell from it; one that is named beside it is no alternative to it."""
     parameters: dict[str, Interval]
     p_value: float
     heldout_gain_K: float  # noqa: N815
     explained_share: float
     against: tuple[tuple[str, float], ...] = ()
     """Runners-up outside the set and by how many standard errors the runs prefer the name."""
+    votes: tuple[int, int] | None = None
+    """Of how many runs, each left out in turn, how many are met better with it; first of the two those."""
 
 
 @dataclass(frozen=True)
@@ -210,14 +214,13 @@ def _conclude(
     began: float,
     rim: Array,
 ) -> Diagnosis:
-    digests = [d.digest for d in stages[0].data]
-    before = stages[0].pockets()
-    plain = adequacy(before)
+    plain = adequacy(stages[0].pockets())
     tests = [plain, *(adequacy(s.pockets()) for s in stages[1:])]
     shares = [float(np.clip(1.0 - t.energy / plain.energy, 0.0, 1.0)) if plain.energy > 0 else 0.0 for t in tests]
     left = tests[-1]
     unexplained = _unexplained(left, shares[-1], len(stages) - 1, len(runs))
-    if len(stages) > 1 and len(runs) < FEW_RUNS and _heldout_ratio(stages) > FEW_TOTAL:
+    several = len(stages) > 1 + FEW_EFFECTS
+    if len(stages) > 1 and len(runs) < FEW_RUNS and (several or _heldout_ratio(stages) > FEW_TOTAL):
         stages = stages[:1]
     kept = 1 if unexplained and max(shares[:2]) < EXPLAINED else len(stages)
     stages = stages[:kept]
@@ -225,14 +228,14 @@ def _conclude(
     base = measure_errors(stages[0], held_out(stages[0].fit, stages[0].data, rounds=2))
     extended = measure_errors(stages[-1], never_seen(stages, rounds)) if kept > 1 else base
     findings = _with_gains(findings, base, extended)
-    verdict = _verdict(findings, unexplained, len(runs), rounds, plain)
+    verdict = _verdict(findings, unexplained, len(runs))
     return Diagnosis(
         verdict=verdict,
         findings=findings,
         base=base,
         extended=extended,
         noise_floor_K=_rounded(extended.noise_K),
-        where=_where(before, left, unexplained, any(np.isfinite(d.moments.closed_s) for d in digests)),
+        where=_where(stages[0], left.worst if unexplained and kept > 1 else None),
         candidates=_candidate_rows(rounds, stages),
         next_measurement=next_measurement(
             verdict, findings, (base.core_rmse_K, extended.core_rmse_K), len(runs), bool(press.panel_layers)
@@ -294,7 +297,9 @@ def _findings(stages: list[Stage], rounds: list[Round], shares: list[float]) -> 
         name = final.effects[i - 1]
         chosen = round_.chosen
         against: list[tuple[str, float]] = []
+        votes = None
         if chosen is not None:
+            votes = (int((chosen.gains > 0.0).sum()), len(chosen.gains))
             against = [
                 (c.effect.name, round(paired_t(chosen.gains, c.gains), 2))
                 for c in round_.candidates
@@ -303,15 +308,26 @@ def _findings(stages: list[Stage], rounds: list[Round], shares: list[float]) -> 
         found.append(
             Finding(
                 name=name,
-                set=round_.set,
+                set=_alternatives(round_, final.effects),
                 parameters=intervals(final.fit, find_effect(name)),
                 p_value=_rounded(round_.p_values.get(name, 1.0)),
                 heldout_gain_K=0.0,
                 explained_share=_rounded(max(shares[i] - shares[i - 1], 0.0)),
                 against=tuple(against),
+                votes=votes,
             )
         )
     return tuple(found)
+
+
+def _alternatives(round_: Round, named: Sequence[str]) -> tuple[str, ...]:
+    """Return the set of a search without what is named beside its cause and gained no more alone.
+
+    Needed beside the cause, it cannot stand in its place; nor can the cause then be spared beside it.
+    """
+    most = round_.chosen.gain if round_.chosen else 0.0
+    weaker = {c.effect.name for c in round_.candidates if c is not round_.chosen and c.gain <= most}
+    return tuple(n for n in round_.set if n not in weaker.intersection(named))
 
 
 def _with_gains(findings: tuple[Finding, ...], base: Errors, extended: Errors) -> tuple[Finding, ...]:
@@ -324,9 +340,7 @@ def _with_gains(findings: tuple[Finding, ...], base: Errors, extended: Errors) -
     )
 
 
-def _verdict(
-    findings: tuple[Finding, ...], unexplained: bool, runs: int, rounds: list[Round], plain: Adequacy
-) -> str:
+def _verdict(findings: tuple[Finding, ...], unexplained: bool, runs: int) -> str:
     if unexplained:
         return "unknown_effect"
     if any(len(f.set) > 1 for f in findings):
@@ -336,30 +350,11 @@ def _verdict(
     return "too_few_runs" if runs < FEW_RUNS else "no_effect"
 
 
-def _where(before: list[Pocket], left: Adequacy, unexplained: bool, closes: bool) -> tuple[dict[str, Any], ...]:
-    """Where the plain simulation is wrong: the largest common residuals, latest bins cut at the data."""
-    rows = [p for p in before if not p.shared and _stands_out(p)]
-    rows.sort(key=lambda p: (-abs(p.mean), p.signal, p.phase, p.from_s))
-    found = [_pocket_row(p, closes) for p in rows[:8]]
-    if unexplained and left.worst is not None:
-        row = _pocket_row(left.worst, closes)
-        found = [row, *(r for r in found if r != row)]
-    return tuple(found)
-
-
-def _stands_out(p: Pocket) -> bool:
-    values = p.means[np.isfinite(p.means)]
-    if len(values) < 2:
-        return abs(p.mean) > 3 * NEGLIGIBLE_K
-    return bool(abs(p.mean) > max(NEGLIGIBLE_K, 2.5 * float(np.std(values, ddof=1)) / np.sqrt(len(values))))
-
-
-def _pocket_row(p: Pocket, closes: bool) -> dict[str, Any]:
-    state = "closed" if p.phase == "closed" else "open"
-    to = None if p.to_s > 1e8 else p.to_s
-    row = {"signal": p.signal, "state": state, "from_s": p.from_s, "to_s": to, "residual_K": _rounded(p.mean)}
-    first = "before closing" if closes else "since the run began"
-    return row | {"phase": {"open": first, "closed": "closed", "opened": "after opening"}[p.phase]}
+def _where(plain: Stage, left: Pocket | None) -> tuple[dict[str, Any], ...]:
+    """Where the plain simulation is wrong, most kelvins first; before that what the causes leave, if told."""
+    digests = [d.digest for d in plain.data]
+    found = stretches(digests, [r.misfit for r in plain.fit.runs])[:MOST]
+    return tuple(where_row(p, digests) for p in ([left] if left else []) + found)
 
 
 def _candidate_rows(rounds: list[Round], stages: list[Stage]) -> tuple[dict[str, Any], ...]:

@@ -11,6 +11,7 @@ from daq.records import Array, Run
 from softsensor.channels import ChannelFault
 from softsensor.diagnosis_jury import FEW_RUNS, Round, cool_rim
 from softsensor.effects import find_effect
+from softsensor.vocabulary import readable
 
 if TYPE_CHECKING:
     from softsensor.diagnosis import Finding
@@ -35,7 +36,8 @@ def next_measurement(
         )
     several = next((f for f in findings if len(f.set) > 1), None)
     if several is not None:
-        return f"To tell {' from '.join(several.set)}: {_first_lower(find_effect(several.set[0]).confirm)}"
+        names = " from ".join(name.replace("_", " ") for name in several.set)
+        return f"To tell {names}: {_first_lower(find_effect(several.set[0]).confirm)}"
     if verdict == "unknown_effect":
         return "Press three sacrificial panels with a core thermocouple and look at the times and places listed."
     if not findings and core_K > CORE_OFF_K:
@@ -73,7 +75,9 @@ def notes(
         name = where[0][0] if len(where) == 1 else f"{len(where)} of {len(runs)} runs"
         found_notes.append(f"{name}: {column} is {kind} ({worst:.1f} K rms) and was left out")
     refuted = dict.fromkeys(name for r in rounds for name in r.refuted)
-    found_notes += [f"core thermocouples speak against {name}, though the faces would fit" for name in refuted]
+    found_notes += [
+        f"core thermocouples speak against {readable(name)}, though the faces would fit" for name in refuted
+    ]
     return tuple(found_notes)
 
 

@@ -11,9 +11,15 @@ from matplotlib.figure import Figure
 from daq.records import Array
 from softsensor.diagnosis import Diagnosis
 from softsensor.diagnosis_search import Stage
+from softsensor.diagnosis_tests import inside
+from softsensor.diagnosis_where import stretches, where_row
+from softsensor.diagnosis_words import temperatures
 from softsensor.figures import COLOURS, INK, MUTED, STYLE
+from softsensor.vocabulary import place_words, readable
 
 PLAIN, EXTENDED = "#8a94a0", "#c2571a"
+MARKED = 3
+"""Stretches shaded where the plain model is most kelvins off."""
 
 
 def run_figure(found: Diagnosis) -> Figure:
@@ -29,9 +35,10 @@ def run_figure(found: Diagnosis) -> Figure:
         figure.suptitle(_run_title(found, worst), x=0.01, ha="left", color=INK, weight="bold")
         for j, signal in enumerate(digest.signals):
             top, low = axes[0, j], axes[1, j]
-            top.set_title(signal, color=MUTED)
+            top.set_title(place_words(signal), color=MUTED)
             _shade(top, found, worst)
             _shade(low, found, worst)
+            _mark(low, found, worst, signal)
             for c in digest.channels[signal]:
                 top.plot(digest.run.time_s, digest.run.columns[c], ".", ms=1.2, color="#b9c2cc", zorder=1)
             top.plot(digest.time, digest.y[:, j], ".", ms=3.5, color=INK, label="measured (mean)", zorder=2)
@@ -68,13 +75,37 @@ def _run_title(found: Diagnosis, run: int) -> str:
 
 
 def _names(found: Diagnosis) -> str:
-    return " and ".join(n.replace("_", " ") for n in found.final.effects)
+    return " and ".join(readable(n) for n in found.final.effects)
 
 
 def _shade(ax: Any, found: Diagnosis, run: int) -> None:
     m = found.stages[0].data[run].digest.moments
     if np.isfinite(m.closed_s) and np.isfinite(m.opened_s):
         ax.axvspan(m.closed_s, m.opened_s, color="#eef2f6", zorder=0, lw=0)
+
+
+def _mark(ax: Any, found: Diagnosis, run: int, signal: str) -> None:
+    """Shade where the plain model is most kelvins off in all runs, with what this run measured there."""
+    plain = found.stages[0]
+    digest = plain.data[run].digest
+    worst = stretches([white.digest for white in plain.data], [r.misfit for r in plain.fit.runs])[:MARKED]
+    for line, p in enumerate(p for p in worst if p.signal == signal):
+        rows = inside(digest, p.phase, p.from_s, p.to_s)
+        if rows.any():
+            times, half = digest.time[rows], digest.width[rows] / 2
+            ax.axvspan(times[0] - half[0], times[-1] + half[-1], color="#f6e3d7", zorder=0.5, lw=0)
+            at = (float(times.mean()), 0.97 - 0.13 * line)
+            told = temperatures(where_row(p, [digest]))
+            ax.text(
+                *at,
+                told,
+                transform=ax.get_xaxis_transform(),
+                ha="center",
+                va="top",
+                size=6.5,
+                bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.0},
+                zorder=5,
+            )
 
 
 def residual_figure(found: Diagnosis) -> Figure:
@@ -87,7 +118,7 @@ def residual_figure(found: Diagnosis) -> Figure:
         figure = Figure(figsize=(10.0, 3.4), layout="constrained")
         axes = figure.subplots(1, len(signals), sharey=True, squeeze=False)[0]
         for ax, signal in zip(axes, signals, strict=True):
-            ax.set_title(signal, color=MUTED)
+            ax.set_title(place_words(signal), color=MUTED)
             _residual_lines(ax, found.stages[0], signal, span, (PLAIN, "plain model"))
             if len(found.stages) > 1:
                 _residual_lines(ax, found.final, signal, span, (EXTENDED, "extended model"))
@@ -135,14 +166,18 @@ def votes_figure(found: Diagnosis) -> Figure | None:
         colours = (EXTENDED, *COLOURS[1:], MUTED)
         for k, (name, gains) in enumerate(rivals):
             x = np.arange(len(gains)) + 0.8 * (k - (len(rivals) - 1) / 2) / len(rivals)
-            label = name.replace("_", " ")
+            label = readable(name)
             ax.bar(x, gains, width=0.8 / len(rivals), color=colours[k % len(colours)], label=label)
         names = [white.digest.run.name for white in found.stages[0].data]
         ax.set_xticks(range(len(names)), names, rotation=35, ha="right", fontsize=7.5)
         ax.set_yscale("symlog", linthresh=10.0)
-        ax.set_ylabel("misfit saved [σ²]")
-        ax.legend(fontsize=7.5, ncols=3, loc="lower right")
+        ax.set_axisbelow(True)
+        ax.yaxis.set_major_formatter("{x:g}")
+        ax.set_ylabel("misfit saved [variances of the noise]")
+        figure.legend(*ax.get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=7.5)
         for_it = int((rivals[0][1] > 0).sum())
-        title = f"{for_it} of {len(names)} runs, each left out in turn, are met better with {rivals[0][0]}"
-        figure.suptitle(title.replace("_", " "), x=0.01, ha="left", color=INK, weight="bold")
+        title = (
+            f"{for_it} of {len(names)} runs, each left out in turn, are met better with {readable(rivals[0][0])}"
+        )
+        figure.suptitle(title, x=0.01, ha="left", color=INK, weight="bold")
     return figure

@@ -48,14 +48,17 @@ LARGEST_SET = 3
 bends coefficients most, and leaves the core alone."""
 RIM_EFFECT, RIM_K, RIM_T = "edge_loss", 0.15, 3.0
 """Rim sensors that fall by so much against central ones, and so many standard errors, settle a set for it."""
-MOST_EFFECTS = 3
+MOST_EFFECTS, FEW_EFFECTS = 3, 1
+"""With few runs nothing vetoes what two or three causes explain together, as faults outside the catalogue. They
+are looked for all the same: a second one shows where the first was wrong."""
 AGREE, SAYS = 0.6, 4.0
 """Share of the runs that must gain by a cause with numbers from the others, of those that say anything: whose
 sum of squares changes by more than the second, two standard deviations of one number."""
 CORE_RATIO, CORE_K = 1.5, 0.5
 """Core thermocouples speak against a cause that is off by this factor and so much more than the best one."""
 FEW_STEP, FEW_TOTAL = 0.85, 0.5
-"""With few runs each cause brings the held-out residual down to the first share, all together to the second."""
+"""With few runs a cause brings the held-out residual down to the first share of the fitted one before, and to the
+second of the held-out one."""
 Progress = Callable[[str, float], None]
 """Called with what is being done and the share done."""
 

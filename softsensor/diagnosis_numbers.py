@@ -86,14 +86,15 @@ def measure_errors(stage: Stage, others: Sequence[RunState]) -> Errors:
     """Return errors of a stage: of the fit, and of each run by numbers from the others.
 
     A channel's error is made of what its place's mean is off and its own scatter about that mean; both
-    are weighted by time. Offsets are constant, so they come out of the first and stay in `raw`.
+    are weighted by time. Offsets are constant, so they come out of the first and stay in `raw`. The moment of the
+    insertion is fitted as those of closing and opening are, so what it shifts is no error.
     """
     squares: list[tuple[float, float, float, float]] = []
     cores: list[Array] = []
     for run, other, white in zip(stage.fit.runs, others, stage.data, strict=True):
         d = white.digest
-        own = _squares(d, run.misfit + run.shift)
-        held = _squares(d, other.misfit + other.shift)
+        own = _squares(d, run.misfit + run.offsets[: len(d.signals)])
+        held = _squares(d, other.misfit)
         squares.append((*own, held[0], _scatter(d)))
         cores += _core_errors(d, run)
     table = np.array([s[:4] for s in squares])
@@ -110,7 +111,7 @@ def measure_errors(stage: Stage, others: Sequence[RunState]) -> Errors:
 
 
 def _squares(digest: Digest, misfit: Array) -> tuple[float, float]:
-    """Time-weighted mean squares of the places' misfit, without and with its mean."""
+    """Time-weighted mean squares of the places' misfit, without its mean and with it."""
     without, with_mean, total = 0.0, 0.0, 0.0
     for i, signal in enumerate(digest.signals):
         good = digest.valid[:, i]

@@ -9,9 +9,18 @@ from jinja2 import Environment, PackageLoader, select_autoescape
 
 from softsensor.diagnosis import Diagnosis, Finding
 from softsensor.diagnosis_figures import residual_figure, run_figure, votes_figure
-from softsensor.diagnosis_words import core_sentence, plain, sentence
+from softsensor.diagnosis_words import (
+    chance,
+    core_sentence,
+    sentence,
+    sureness,
+    temperatures,
+    unsigned_zero,
+    worth,
+)
 from softsensor.effects import find_effect
 from softsensor.figures import svg
+from softsensor.vocabulary import parameters_told, place_words, readable
 
 TEMPLATE = "diagnosis_report.html"
 TITLES = {
@@ -28,14 +37,14 @@ def diagnosis_report(found: Diagnosis) -> str:
     pages = Environment(
         loader=PackageLoader("softsensor", "templates"), autoescape=select_autoescape(), trim_blocks=True
     )
-    votes = votes_figure(found)
+    votes, runs = votes_figure(found), len(found.stages[0].data)
     return pages.get_template(TEMPLATE).render(
         press=found.final.fit.layout.model.press.name,
         title=TITLES[found.verdict],
         verdict=found.verdict,
         sentence=sentence(found),
-        runs=len(found.stages[0].data),
-        findings=[_finding(f) for f in found.findings],
+        runs=runs,
+        findings=[_finding(found, f) for f in found.findings],
         where=list(_where(found)),
         cost=core_sentence(found),
         numbers=list(_numbers(found)),
@@ -49,29 +58,22 @@ def diagnosis_report(found: Diagnosis) -> str:
     )
 
 
-def _finding(f: Finding) -> dict[str, Any]:
+def _finding(found: Diagnosis, f: Finding) -> dict[str, Any]:
     effect = find_effect(f.name)
-    units = {p.name: p.unit for p in effect.parameters}
     return {
-        "name": _readable(f.name),
-        "others": [{"name": _readable(n), "confirm": find_effect(n).confirm} for n in f.set[1:]],
+        "name": readable(f.name),
+        "label": f.name,
+        "others": [{"name": readable(n), "confirm": find_effect(n).confirm} for n in f.set[1:]],
         "meaning": effect.meaning,
         "symptom": effect.symptom,
         "core": effect.core,
         "confirm": effect.confirm,
-        "parameters": [
-            {
-                "name": name,
-                "value": ", ".join(i.value) if isinstance(i.value, tuple) else plain(i.value),
-                "unit": units.get(name, ""),
-                "between": "" if i.ci95 is None else f"{plain(i.ci95[0])} to {plain(i.ci95[1])}",
-            }
-            for name, i in f.parameters.items()
-        ],
-        "p": f"{f.p_value:.2g}",
-        "gain": f"{f.heldout_gain_K:.2f}",
+        "parameters": parameters_told(f.name, {name: i.as_json() for name, i in f.parameters.items()}),
+        "worth": worth(found, f),
+        "is_fault": f.name == "sensor_fault",
+        "sureness": sureness(f, len(found.stages[0].data)),
         "share": f"{100 * min(f.explained_share, 1.0):.0f}",
-        "against": [{"name": _readable(n), "t": f"{t:.1f}"} for n, t in f.against],
+        "against": [{"name": readable(n), "t": f"{t:.1f}"} for n, t in f.against],
     }
 
 
@@ -79,9 +81,11 @@ def _where(found: Diagnosis) -> Iterator[dict[str, str]]:
     for row in found.where:
         until = "to the end" if row["to_s"] is None else f"{row['to_s']:g} s"
         yield {
-            "signal": row["signal"],
+            "signal": place_words(row["signal"]),
+            "label": row["signal"],
             "phase": row["phase"],
             "time": f"{row['from_s']:g} s – {until}",
+            "measured": temperatures(row),
             "residual": f"{row['residual_K']:+.2f} K",
         }
 
@@ -102,12 +106,9 @@ def _numbers(found: Diagnosis) -> Iterator[dict[str, str]]:
 
 def _candidate(row: dict[str, Any]) -> dict[str, str]:
     return {
-        "name": _readable(row["name"]),
+        "name": readable(row["name"]),
+        "label": row["name"],
         "score": f"{row['score']:.0f}",
-        "p": f"{row['p_value']:.2g}",
-        "gain": f"{row['heldout_gain_K']:.2f}",
+        "p": chance(row["p_value"]),
+        "gain": unsigned_zero(f"{row['heldout_gain_K']:.2f}"),
     }
-
-
-def _readable(name: str) -> str:
-    return name.replace("_", " ")

@@ -32,6 +32,8 @@ NEGLIGIBLE_K = 0.06
 SURE = 0.05
 """A pocket whose adjusted p-value is above this, and above the least one, may be off by chance."""
 PHASES = ("open", "closed", "opened")
+MARGINS_S = {"open": 0.3, "closed": 0.2, "opened": 0.0}
+"""Bins so shortly before a phase ends may hold some of the next. [s]"""
 
 
 def sign_patterns(runs: int) -> Array:
@@ -92,38 +94,61 @@ class Pocket:
 
 def pockets(digests: Sequence[Digest], residuals: Sequence[Array]) -> list[Pocket]:
     """Average residuals (bins, signals) over pockets that at least half of the runs share."""
-    signals = tuple(dict.fromkeys(s for d in digests for s in d.signals))
-    residuals = [r * d.trust for d, r in zip(digests, residuals, strict=True)]
+    residuals = trusted(digests, residuals)
     stretches = [(phase, a, b, False) for phase in PHASES for a, b in pairwise(SINCE_S)]
     stretches += [("closed", i / SHARES, (i + 1) / SHARES, True) for i in range(SHARES)]
-    found = []
-    for signal in signals:
-        for phase, a, b, shared in stretches:
-            means = np.array(
-                [_mean_in(d, r, signal, phase, a, b, shared) for d, r in zip(digests, residuals, strict=True)]
-            )
-            if np.isfinite(means).sum() >= max(2, (len(digests) + 1) // 2):
-                found.append(Pocket(signal, phase, a, b, shared, means))
-    return found
+    found = [pocket(digests, residuals, signal, *where) for signal in signals_of(digests) for where in stretches]
+    return [p for p in found if np.isfinite(p.means).sum() >= max(2, (len(digests) + 1) // 2)]
 
 
-def _mean_in(d: Digest, residual: Array, signal: str, phase: str, a: float, b: float, shared: bool) -> float:
-    if signal not in d.signals:
-        return float("nan")
+def signals_of(digests: Sequence[Digest]) -> tuple[str, ...]:
+    """Return the places any run has sensors at."""
+    return tuple(dict.fromkeys(s for d in digests for s in d.signals))
+
+
+def trusted(digests: Sequence[Digest], residuals: Sequence[Array]) -> list[Array]:
+    """Return residuals (bins, signals), steep moments counting less."""
+    return [r * d.trust for d, r in zip(digests, residuals, strict=True)]
+
+
+def pocket(
+    digests: Sequence[Digest],
+    residuals: Sequence[Array],
+    signal: str,
+    phase: str,
+    from_s: float,
+    to_s: float,
+    shared: bool = False,
+) -> Pocket:
+    """Average residuals (bins, signals) of every run over one stretch of time at one place."""
+    means = [
+        _mean_in(d, r, signal, inside(d, phase, from_s, to_s, shared))
+        for d, r in zip(digests, residuals, strict=True)
+    ]
+    return Pocket(signal, phase, from_s, to_s, shared, np.array(means))
+
+
+def inside(d: Digest, phase: str, from_s: float, to_s: float, shared: bool = False) -> np.ndarray:
+    """Return which bins lie in a stretch of a phase (bins)."""
+    begin, end = phase_of(d, phase)
+    since = d.time - begin
+    if shared:
+        since = since / (end - begin)
+    return np.asarray((since >= from_s) & (since < to_s) & (d.time < end - MARGINS_S[phase]))
+
+
+def phase_of(d: Digest, phase: str) -> tuple[float, float]:
+    """Return when a phase began and ended; infinite where it did not. [s of the run]"""
     m = d.moments
     closed = m.closed_s if np.isfinite(m.closed_s) else np.inf
     opened = m.opened_s if np.isfinite(m.opened_s) else np.inf
-    if phase == "open":
-        begin, end = float(d.time[0]), closed - 0.3
-    elif phase == "closed":
-        begin, end = closed, opened - 0.2
-    else:
-        begin, end = opened, np.inf
-    since = d.time - begin
-    if shared:
-        since = since / (opened - closed)
-    inside = (since >= a) & (since < b) & (d.time < end)
-    values = residual[inside, d.signals.index(signal)]
+    return {"open": (float(d.time[0]), closed), "closed": (closed, opened), "opened": (opened, np.inf)}[phase]
+
+
+def _mean_in(d: Digest, residual: Array, signal: str, rows: np.ndarray) -> float:
+    if signal not in d.signals:
+        return float("nan")
+    values = residual[rows, d.signals.index(signal)]
     values = values[np.isfinite(values)]
     return float(values.mean()) if len(values) else float("nan")
 

@@ -13,9 +13,10 @@ from matplotlib.ticker import MaxNLocator
 
 from daq.records import Array
 from softsensor.campaign import CampaignFit
-from softsensor.fit_result import RunFit, plain
+from softsensor.fit_result import RunFit
 from softsensor.fit_unknowns import is_parameter
 from softsensor.paper import Reproduction
+from softsensor.parameters import plain
 from softsensor.residuals import Place
 
 INK, MUTED, GRID = "#1f2933", "#6b7785", "#e3e7ec"

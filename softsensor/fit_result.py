@@ -147,17 +147,6 @@ def number(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def plain(value: float, digits: int) -> str:
-    """Return a number with so many significant digits and no exponent.
-
-    Examples
-    --------
-    >>> plain(247.3, 2), plain(0.01234, 3), plain(68437.0, 3)
-    ('250', '0.0123', '68400')
-    """
-    return f"{float(f'{value:.{digits}g}'):.10g}"
-
-
 def run_fit(
     problem: Problem, best: Minimum, initial: Evaluation, warnings: Sequence[str], begun: float, evaluations: int
 ) -> RunFit:

@@ -20,6 +20,7 @@ from daq.records import Array
 from softsensor.fit_problem import MAX_MOVE, Problem, damped_step, free_of, minimise, normal_equations
 from softsensor.fit_result import Coefficient, RunFit
 from softsensor.fit_unknowns import is_parameter
+from softsensor.parameters import plain
 from softsensor.remedies import ALONE, SEEN_K, Company, Side, explain
 
 NARROW = 0.5
@@ -51,7 +52,10 @@ def held_against(fitted: RunFit, own: RunFit) -> RunFit:
         if told.verdict == "fixed":
             continue
         if c.ci95[1] < low or c.ci95[0] > high:
-            notes.append(f"{name} = {c.value:.4g} W/m²K lies outside what the run allows, {low:.4g} to {high:.4g}")
+            notes.append(
+                f"{name} = {plain(c.value, 4)} W/m²K lies outside what the run allows, "
+                f"{plain(low, 4)} to {plain(high, 4)}"
+            )
         ends = c.ci95 if told.identifiable else (min(low, c.value), max(high, c.value))
         coefficients[name] = replace(
             c, ci95=ends, identifiable=told.identifiable, verdict=told.verdict, reason=told.reason

@@ -17,6 +17,7 @@ from daq.pressfile import Contact, Press
 from softsensor.effects import find_effect
 from softsensor.fit_result import RunFit
 from softsensor.fit_unknowns import free_names
+from softsensor.parameters import plain
 
 SEEN_K = 0.05
 """A coefficient that moves no reading by this much when it grows by e goes unseen. [K]"""
@@ -62,14 +63,14 @@ def explain(fitted: RunFit, i: int, below: Side, above: Side, company: Company) 
     role = role_of(fitted.problem.case.press, u.name, fitted)
     if largest < SEEN_K:
         remedy = role.beside if role.beside and role.seconds >= LONG_S else role.record
-        still = f"no reading of this run moves by more than {largest:.2g} K when it grows by e"
+        still = f"no reading of this run moves by more than {plain(largest, 2)} K when it grows by e"
         return f"{role.words}; {still}. {remedy}."
     if role.closed and below.closed and not above.closed:
         least = u.value(below.x)
         remedy = role.beside or "Thermocouples sit on both sides already: no reading depends on it any more"
         return (
-            f"{role.words}; anything above {least:.3g} fits as well: its resistance, "
-            f"below {1.0 / least:.1g} m²K/W, is too small to be seen. {remedy}."
+            f"{role.words}; anything above {plain(least)} fits as well: its resistance, "
+            f"below {plain(1.0 / least, 1)} m²K/W, is too small to be seen. {remedy}."
         )
     text = role.words
     if below.closed and above.closed:
@@ -78,8 +79,8 @@ def explain(fitted: RunFit, i: int, below: Side, above: Side, company: Company) 
     if abs(correlation) > TOGETHER:
         text += f"; it moves together with {partner} (correlation {correlation:+.2f})"
         return f"{text}. {apart(fitted, partner, role, company)}."
-    text += f"; its effect of {largest:.2g} K drowns in the slow noise of the faces"
-    text += f" ({fitted.problem.noise.slow_K:.2g} K). {role.record}"
+    text += f"; its effect of {plain(largest, 2)} K drowns in the slow noise of the faces"
+    text += f" ({plain(fitted.problem.noise.slow_K, 2)} K). {role.record}"
     return f"{text}{_several(fitted, i, company)}."
 
 
@@ -106,7 +107,7 @@ def apart(fitted: RunFit, partner: str, role: Role, company: Company) -> str:
 def _faster(fitted: RunFit, kind: str) -> str:
     """Return what makes moments known better, empty where the record has it all."""
     rate = 1.0 / fitted.problem.signals.period_s
-    advice = [f"log faster than the {rate:.2g} Hz here"] if rate < FASTEST_HZ else []
+    advice = [f"log faster than the {plain(rate, 2)} Hz here"] if rate < FASTEST_HZ else []
     case = fitted.problem.case
     if kind in ("closed_s", "opened_s") and closed_of(case.run, case.press) is None:
         advice.append("log a limit switch as the column closed")

@@ -19,8 +19,9 @@ from softsensor.figures import (
     strongest,
     svg,
 )
-from softsensor.fit_result import RunFit, plain
+from softsensor.fit_result import RunFit
 from softsensor.paper import Reproduction
+from softsensor.parameters import plain
 from softsensor.report_runs import details_of
 
 TEMPLATE = "fit_report.html"

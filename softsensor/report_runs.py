@@ -13,8 +13,9 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from daq.records import Array
-from softsensor.fit_result import RunFit, plain
+from softsensor.fit_result import RunFit
 from softsensor.identifiability import Profile
+from softsensor.parameters import plain
 
 WIDTH, HEIGHT = 150.0, 84.0
 """Of one profile. [px]"""

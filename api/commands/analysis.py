@@ -79,7 +79,7 @@ def predict(
     config: ConfigFile = None,
 ) -> None:
     """Replay a run scan by scan through the live sensor, causally."""
-    from daq.pressfile import read_press
+    from daq.pressfile import press_for_run, read_press
 
     check_writable(out, inputs=files_read(run, press, model, store=store, config=config))
     described = read_press(press)
@@ -91,7 +91,10 @@ def predict(
         from softsensor.observer import LiveSensor
 
         _check_run(described, loaded, seen)
-        sensor = LiveSensor(described, loaded.header, read_model(model) if model is not None else None)
+        known = read_model(model) if model is not None else None
+        if known is not None:
+            _check_names((described, press_for_run(described, loaded)), known.coefficients, str(model))
+        sensor = LiveSensor(described, loaded.header, known)
         rows = []
         for i, time_s in enumerate(loaded.time_s.tolist()):
             rows.append(sensor.update(time_s, {name: float(values[i]) for name, values in seen.items()}))

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from api.commands.fitting import HtmlOut, JsonOut, ModelOut
-from api.commands.inputs import ConfigFile, PressFile, Runs, StoreUrl, files_read, load_runs
+from api.commands.inputs import ConfigFile, PressFile, Runs, StoreUrl, Until, files_read, load_runs, rows_until
 from api.outputs import as_json, check_writable, working, write_all
 
 if TYPE_CHECKING:
@@ -21,6 +21,7 @@ def diagnose(
     model: ModelOut = None,
     json: JsonOut = None,
     html: HtmlOut = None,
+    until: Until = None,
     store: StoreUrl = None,
     config: ConfigFile = None,
 ) -> None:
@@ -30,6 +31,8 @@ def diagnose(
     check_writable(model, json, html, inputs=files_read(*runs, press, store=store, config=config))
     described = read_press(press)
     loaded = load_runs(runs, store, config)
+    if until is not None:
+        loaded = [rows_until(run, until) for run in loaded]
     with working(f"Diagnosing {len(loaded)} runs", 100) as done:
         from softsensor.diagnosis import diagnose as look
 
@@ -52,19 +55,21 @@ def diagnose(
 
 
 def _lines(found: Diagnosis) -> Iterator[str]:
-    from softsensor.diagnosis_words import core_sentence, plain, sentence
+    from softsensor.diagnosis_words import core_sentence, sentence, sureness, where_sentence, worth
+    from softsensor.vocabulary import parameters_told
 
+    runs = len(found.stages[0].data)
     yield f"{found.verdict}: {sentence(found)}"
     for f in found.findings:
         if f.name == "sensor_fault":
             continue
         alternatives = f" (not told from {', '.join(f.set[1:])})" if len(f.set) > 1 else ""
-        yield f"  {f.name}{alternatives}, p = {f.p_value:.2g}, saves {f.heldout_gain_K:.2f} K on runs left out"
-        for name, i in f.parameters.items():
-            between = "" if i.ci95 is None else f" (95 %: {plain(i.ci95[0])} to {plain(i.ci95[1])})"
-            value = ", ".join(i.value) if isinstance(i.value, tuple) else plain(i.value)
-            yield f"    {name} = {value}{between}"
+        yield f"  {f.name}{alternatives}: {worth(found, f)}; {sureness(f, runs)}"
+        for p in parameters_told(f.name, {name: i.as_json() for name, i in f.parameters.items()}):
+            yield f"    {p.line}"
     yield f"  residual {found.base.rmse_K:.3f} K, extended model {found.extended.rmse_K:.3f} K"
+    if found.where:
+        yield where_sentence(found)
     yield core_sentence(found)
     yield f"Next: {found.next_measurement}"
     yield from found.warnings

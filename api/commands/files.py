@@ -168,17 +168,13 @@ def _targets(runs: list[str], out: Path, kind: str) -> dict[Path, str]:
 
 
 def _list_runs(store: Store) -> None:
-    cursor: str | None = None
-    while True:
-        page = store.runs(cursor=cursor, limit=500)
-        for run in page.items:
-            material = run.header.get("panel.material", "")
-            sys.stdout.write(
-                f"{run.run}\t{run.started_utc:%Y-%m-%dT%H:%M:%SZ}\t{run.status}\t{run.press}\t{material}\n"
-            )
-        cursor = page.next_cursor
-        if cursor is None:
-            return
+    from daq.store import every
+
+    for run in every(lambda cursor: store.runs(cursor=cursor, limit=500)):
+        material = run.header.get("panel.material", "")
+        sys.stdout.write(
+            f"{run.run}\t{run.started_utc:%Y-%m-%dT%H:%M:%SZ}\t{run.status}\t{run.press}\t{material}\n"
+        )
 
 
 def check(

@@ -280,7 +280,7 @@ def count(done: Callable[[int], None]) -> Callable[[str], None]:
 
 
 def _lines(found: CampaignFit) -> Iterator[str]:
-    from softsensor.fit_result import plain
+    from softsensor.parameters import plain
 
     if found.shortfall:
         yield found.shortfall
@@ -288,18 +288,19 @@ def _lines(found: CampaignFit) -> Iterator[str]:
     rows = [["run", *names, "RMSE", "from"]]
     for run in found.runs:
         cells = [
-            f"{run.coefficients[n].value:.4g}{'' if run.coefficients[n].identifiable else '?'}" for n in names
+            f"{plain(run.coefficients[n].value, 4)}{'' if run.coefficients[n].identifiable else '?'}"
+            for n in names
         ]
         cells = cells if run.met else ["–" for _ in names]
         remark = "" if run.met else " not described"
         remark += "" if run.converged else " not converged"
         rows.append([run.run, *cells, f"{run.rmse_K:.3f} K", f"{run.initial_rmse_K:.2f} K{remark}"])
     summary = found.coefficients.values()
-    known = [f"{c.mean:.4g}{'' if c.runs else '?'}" for c in summary]
+    known = [f"{plain(c.mean, 4)}{'' if c.runs else '?'}" for c in summary]
     if len(found.runs) > 1:
         rows.append(["mean", *known, "", ""])
-        rows.append(["sd", *(f"± {c.sd:.2g}" if c.runs > 1 and c.sd > 0.0 else "" for c in summary), "", ""])
-        rows.append(["joint median", *(f"{c.median:.4g}" for c in summary), "", ""])
+        rows.append(["sd", *(f"± {plain(c.sd, 2)}" if c.runs > 1 and c.sd > 0.0 else "" for c in summary), "", ""])
+        rows.append(["joint median", *(f"{plain(c.median, 4)}" for c in summary), "", ""])
         ends = [f"{plain(c.median_ci95[0], 3)} to {plain(c.median_ci95[1], 3)}" for c in summary]
         rows.append(["95 %", *ends, "", ""])
     else:

@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+import numpy as np
 import typer
 
 from daq.records import InputError, Run
@@ -34,9 +35,14 @@ ConfigFile = Annotated[
 
 
 def config_path(given: Path | None) -> Path:
-    """Return the configuration to use. Raises `InputError` where there is none."""
+    """Return the configuration to use. Raises `InputError` where there is none, or it is not ours to read."""
     path = given or Path(CONFIG_NAME)
-    if not path.is_file():
+    try:
+        there = path.is_file()
+    except PermissionError as error:
+        said = "no permission to read it; put sudo before the command, or give another --config"
+        raise InputError(f"{path}: {said}") from error
+    if not there:
         raise InputError(f"{path}: no such configuration; write one (README: Connect a logger) or give --config")
     return path
 
@@ -50,6 +56,12 @@ def store_address(store: str | None, config: Path | None) -> str:
     from daq.config import load_config
 
     return load_config(config_path(config)).store.url
+
+
+Until = Annotated[
+    float | None,
+    typer.Option("--until", metavar="SECONDS", help="Leave out the rows of each run after this moment of time_s."),
+]
 
 
 @contextmanager
@@ -86,6 +98,23 @@ def load_runs(arguments: list[str], store: str | None, config: Path | None) -> l
     if twice := next((name for name in names if names.count(name) > 1), None):
         raise InputError(f"run {twice!r} is given twice; each run counts once")
     return runs
+
+
+def rows_until(run: Run, last_s: float) -> Run:
+    """Return a run without the rows after a moment of its `time_s`.
+
+    Raises
+    ------
+    InputError
+        Where fewer than two rows are left.
+    """
+    rows = int(np.searchsorted(run.time_s, last_s, side="right"))
+    if rows < 2:
+        raise InputError(
+            f"{run.source or run.name}: --until {last_s:g} leaves {rows} of {len(run.time_s)} rows; the first is "
+            f"at time_s = {run.time_s[0]:g}: give a later moment"
+        )
+    return run.at_rows(slice(rows))
 
 
 def load_run(argument: str, store: str | None, config: Path | None) -> Run:

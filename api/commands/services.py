@@ -65,7 +65,7 @@ def serve(
     listening = Listening(host or server.host, server.port if port is None else port, certificate, key)
     listening.check(tokens)
     address = store or (settings.store.url if settings else "")
-    with open_store(address, create=store is None) as opened:
+    with open_store(address, create=store is None, later=True) as opened:
         bound = listening.bind()
         sys.stdout.write(f"kerntemp serves {address_of(bound, tls=certificate is not None)}\n")
         sys.stdout.flush()
@@ -87,7 +87,7 @@ def refit(
     from daq.config import load_config
     from daq.pressfile import read_press
     from daq.store.store import open_store
-    from softsensor import nightly
+    from softsensor import nightly, nightly_judge
     from softsensor.nightly_report import write_report
 
     settings = load_config(config_path(config))
@@ -108,9 +108,14 @@ def refit(
                     workers=workers or settings.refit.workers,
                     dask=dask or settings.refit.dask,
                 )
-            page = write_report(store, outcome, settings.refit.reports)
-            sys.stdout.write(f"{outcome.line}\n{press.name}: report {page}\n")
+            sys.stdout.write(f"{outcome.line}\n")
             outcomes.append(outcome)
+            try:
+                page = write_report(store, outcome, settings.refit.reports)
+                sys.stdout.write(f"{press.name}: report {page}\n")
+            except InputError as error:  # its work is in the store; the other presses wait for theirs
+                store.log("warning", nightly_judge.PROCESS, str(error), press.name)
+                failed.append(str(error))
             if outcome.newly_unfit:
                 failed.append(f"{press.name}: {outcome.newly_unfit} of {outcome.runs} runs could not be fitted")
         nightly.sign_off(store, outcomes)

@@ -18,11 +18,22 @@ EFFECT = Effect(
     confirm="Measure k of this board, or press panels of different thickness.",
     parameters=(
         Parameter(
-            "ratio", "true / nominal", 1.0, 1.15, 0.4, 2.5, "Wood Handbook: +-20 % between boards", 0.25, 0.01
+            "ratio",
+            "true / nominal",
+            1.0,
+            1.15,
+            0.4,
+            2.5,
+            "Wood Handbook: +-20 % between boards",
+            0.25,
+            0.01,
+            meaning="conductivity of the panel",
+            told=(1.0, "times nominal"),
         ),
     ),
     terms=_terms,
     source="Wood Handbook, FPL-GTR-282, ch. 4: +-20 % about its rule for wood",
     core="The core is hotter (ratio above 1) or cooler by about 1 K for every 5 %.",
     needs="panel",
+    called="conductivity other than nominal",
 )

@@ -18,7 +18,16 @@ EFFECT = Effect(
     confirm="Measure k at 25 and 100 °C (guarded hot plate), or press a panel with a core thermocouple.",
     parameters=(
         Parameter(
-            "per_100_K", "of the value at 20 °C", 0.0, 0.2, -0.5, 1.5, "Wood Handbook: 2-3 % per 10 K", 0.25
+            "per_100_K",
+            "of the value at 20 °C",
+            0.0,
+            0.2,
+            -0.5,
+            1.5,
+            "Wood Handbook: 2-3 % per 10 K",
+            0.25,
+            meaning="rise of the conductivity per 100 K",
+            told=(100.0, "% of the value at 20 °C"),
         ),
     ),
     terms=_terms,
@@ -26,4 +35,5 @@ EFFECT = Effect(
     core="With a rising conductivity the core is 1 to 4 K hotter than simulated.",
     nonlinear=True,
     needs="panel",
+    called="conductivity that changes with temperature",
 )

@@ -24,9 +24,21 @@ EFFECT = Effect(
     meaning="The contact between press and panel improves with pressure.",
     symptom="Residuals after closing change sign between runs at low and at high pressure.",
     confirm="Press the same kind of panel at three pressures.",
-    parameters=(Parameter("exponent", "-", 0.0, 0.7, -1.0, 2.0, "0.95 for metal contacts; saturates for paper"),),
+    parameters=(
+        Parameter(
+            "exponent",
+            "-",
+            0.0,
+            0.7,
+            -1.0,
+            2.0,
+            "0.95 for metal contacts; saturates for paper",
+            meaning="the contact grows with the pressure to the power of",
+        ),
+    ),
     terms=_terms,
     source="power law, assumed; rough metal joints are known to follow about p^0.95",
     core="Below 1 K; it matters when the pressure is changed.",
     needs="load",
+    called="contact that depends on pressure",
 )

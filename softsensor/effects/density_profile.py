@@ -19,11 +19,23 @@ EFFECT = Effect(
     confirm="Measure the density profile (X-ray), or press a panel with a core thermocouple.",
     parameters=(
         Parameter(
-            "amplitude", "-", 0.0, 0.25, -0.8, 1.1, "faces 1.2 to 1.4 times the core, assumed", 0.25, -1.2, 4.9
+            "amplitude",
+            "-",
+            0.0,
+            0.25,
+            -0.8,
+            1.1,
+            "faces 1.2 to 1.4 times the core, assumed",
+            0.25,
+            -1.2,
+            4.9,
+            meaning="faces denser than the middle by",
+            told=(100.0, "% of the mean"),
         ),
     ),
     terms=_terms,
     source="boards are denser at their faces; the fourth-power shape is assumed",
     core="The core is 1 to 3 K off, since its layers hold less heat and conduct less.",
     needs="panel",
+    called="faces denser than the middle",
 )

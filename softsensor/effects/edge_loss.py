@@ -17,10 +17,22 @@ EFFECT = Effect(
     symptom="Long pressings settle below the simulation; rim sensors read lower than centre ones.",
     confirm="Insulate the rim, or compare sensors at the rim with sensors in the middle.",
     parameters=(
-        Parameter("W_m3K", "W/m³K", 0.0, 1200.0, 0.0, 2.0e4, "10 W/m²K over the rim of a small panel", 0.0, 0.0),
+        Parameter(
+            "W_m3K",
+            "W/m³K",
+            0.0,
+            1200.0,
+            0.0,
+            2.0e4,
+            "10 W/m²K over the rim of a small panel",
+            0.0,
+            0.0,
+            meaning="heat lost at the rim, per volume and kelvin above ambient",
+        ),
     ),
     terms=_terms,
     source="fin equation, Incropera & DeWitt, sec. 3.6",
     core="The core is 2 to 4 K cooler than simulated in a long pressing.",
     needs="panel",
+    called="heat lost at the rim",
 )

@@ -128,6 +128,8 @@ class Effect:
     """Whether it adds layers to the mesh (``Terms.paper``)."""
     needs: str = ""
     """What a run must offer for the effect to be testable: ``closed``, ``load``, ``panel`` or empty."""
+    called: str = ""
+    """What it is called in the middle of a sentence; its name with spaces where empty."""
 
     @property
     def neutral(self) -> dict[str, float]:

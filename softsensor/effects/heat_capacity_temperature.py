@@ -18,7 +18,16 @@ EFFECT = Effect(
     confirm="Measure c at 20 to 100 °C (DSC), or press a panel with a core thermocouple.",
     parameters=(
         Parameter(
-            "per_100_K", "of the value at 20 °C", 0.0, 0.2, -0.5, 1.5, "dry wood about +0.3 % per K, assumed", 0.25
+            "per_100_K",
+            "of the value at 20 °C",
+            0.0,
+            0.2,
+            -0.5,
+            1.5,
+            "dry wood about +0.3 % per K, assumed",
+            0.25,
+            meaning="rise of the heat capacity per 100 K",
+            told=(100.0, "% of the value at 20 °C"),
         ),
     ),
     terms=_terms,
@@ -26,4 +35,5 @@ EFFECT = Effect(
     core="With a rising heat capacity the core is 1 to 2 K cooler than simulated.",
     nonlinear=True,
     needs="panel",
+    called="heat capacity that changes with temperature",
 )

@@ -18,7 +18,18 @@ EFFECT = Effect(
     confirm="Hold a sheet of aluminium foil between panel and upper plate before closing.",
     parameters=(
         Parameter(
-            "emissivity", "effective", 0.0, 0.4, 0.0, 1.0, "MDF 0.9 against steel 0.1 to 0.8", 0.0, 0.0, 1.0
+            "emissivity",
+            "effective",
+            0.0,
+            0.4,
+            0.0,
+            1.0,
+            "MDF 0.9 against steel 0.1 to 0.8",
+            0.0,
+            0.0,
+            1.0,
+            meaning="effective emissivity of press and panel",
+            told=(1.0, ""),
         ),
     ),
     terms=_terms,
@@ -26,4 +37,5 @@ EFFECT = Effect(
     core="Below 0.2 K.",
     nonlinear=True,
     needs="panel",
+    called="radiation in the open press",
 )

@@ -20,4 +20,5 @@ EFFECT = Effect(
     source="comparison of each channel with the median of its face",
     measuring=True,
     core="None: the channel is left out.",
+    called="a faulty sensor",
 )

@@ -18,7 +18,18 @@ EFFECT = Effect(
     confirm="Use thinner wire, or put one thermocouple under a sheet of foil.",
     parameters=(
         Parameter(
-            "weight", "of the press face", 0.0, 0.08, 0.0, 0.6, "wire 0.2 to 0.5 mm in the joint", 0.0, 0.0, 1.0
+            "weight",
+            "of the press face",
+            0.0,
+            0.08,
+            0.0,
+            0.6,
+            "wire 0.2 to 0.5 mm in the joint",
+            0.0,
+            0.0,
+            1.0,
+            meaning="share of the press face in the reading",
+            told=(100.0, "%"),
         ),
     ),
     terms=_terms,
@@ -26,4 +37,5 @@ EFFECT = Effect(
     measuring=True,
     core="Below 0.1 K, but it bends the contact coefficients.",
     needs="panel",
+    called="panel sensors that read a mixture",
 )

@@ -17,10 +17,22 @@ EFFECT = Effect(
     symptom="Readings trail the simulation in proportion to their slope, most of all in the second after closing.",
     confirm="Dip one thermocouple into hot water and log its step response.",
     parameters=(
-        Parameter("time_constant_s", "s", 0.0, 0.5, 0.0, 10.0, "0.5 mm sheath 0.03 s, bare bead 0.5 s", 0.0, 0.0),
+        Parameter(
+            "time_constant_s",
+            "s",
+            0.0,
+            0.5,
+            0.0,
+            10.0,
+            "0.5 mm sheath 0.03 s, bare bead 0.5 s",
+            0.0,
+            0.0,
+            meaning="time constant of the panel sensors",
+        ),
     ),
     terms=_terms,
     source="first-order sensor; makers' response times in water",
     measuring=True,
     core="None by itself, but it bends the contact coefficients by a factor of up to 3.",
+    called="panel sensors that answer late",
 )

@@ -10,7 +10,7 @@ from daq.pressfile import parse_press
 from daq.simulated.campaign import Plan, make_campaign
 from daq.simulated.campaign_pressfile import press_toml
 from daq.store import open_store
-from softsensor.nightly import Task, fit_all
+from softsensor.nightly_fits import Task, fit_all
 
 PRESS = parse_press(press_toml())
 PLAN = Plan(rate_hz=2.0)

@@ -1,7 +1,6 @@
 """Real runs of other laboratories: moisture in moist pine and not in dry, the load in a press rig."""
 
 import os
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -10,9 +9,13 @@ import pytest
 
 from daq.foreign import read_foreign, read_mapping
 from daq.pressfile import read_press
-from softsensor.diagnosis import diagnose
+from softsensor.diagnosis import _where, diagnose
 from softsensor.diagnosis_figures import run_figure
-from softsensor.diagnosis_words import core_sentence
+from softsensor.diagnosis_report import diagnosis_report
+from softsensor.diagnosis_search import settle_base
+from softsensor.diagnosis_words import core_sentence, sureness, temperatures, where_sentence
+from softsensor.evidence import digest_run, moments_of
+from softsensor.model import ThermalModel
 
 ROOT = Path(__file__).resolve().parents[2]
 PYROLYSIS_C = 140.0
@@ -29,15 +32,20 @@ def _runs(folder, pattern, mapping):
 
 def _before_charring(run):
     hot = np.flatnonzero(run.columns["bottom_1"] > PYROLYSIS_C)
-    rows = slice(0, hot[0] if len(hot) else len(run.time_s))
-    columns = {name: values[rows] for name, values in run.columns.items()}
-    return replace(run, time_s=run.time_s[rows], columns=columns)
+    return run.at_rows(slice(hot[0] if len(hot) else None))
+
+
+def pine_disc():
+    return read_press(ROOT / "deploy/presses/pine_disc.toml")
+
+
+def moist_runs():
+    return _runs("pine_gasification", "FSRI*.csv", "pine")
 
 
 @cache
 def moist():
-    runs = [_before_charring(r) for r in _runs("pine_gasification", "FSRI*.csv", "pine")]
-    return diagnose(read_press(ROOT / "deploy/presses/pine_disc.toml"), runs)
+    return diagnose(pine_disc(), [_before_charring(r) for r in moist_runs()])
 
 
 def test_moist_pine_is_named_moist():
@@ -60,9 +68,38 @@ def test_residual_of_moist_pine_sits_where_water_boils():
         assert abs(np.nanmean(residual[(back > 40.0) & (back < 75.0)])) < 2.0
 
 
+def cooler_than_told(where):
+    """Of the stretches told, those in which the plain model is far too warm."""
+    return [row for row in where if row["residual_K"] < -5.0]
+
+
+def test_stretches_told_of_moist_pine_lie_where_water_boils():
+    rows = cooler_than_told(moist().where)
+    assert rows
+    assert all(85.0 < row["low_C"] < row["high_C"] < 115.0 for row in rows)
+    assert f"where it measured {rows[0]['low_C']:.0f} to {rows[0]['high_C']:.0f} °C" in where_sentence(moist())
+    assert f"{temperatures(rows[0])}</td>" in diagnosis_report(moist())
+
+
+def test_stretch_where_water_boils_is_told_first_though_runs_go_on_to_charring():
+    plain = settle_base(
+        ThermalModel(pine_disc()), [digest_run(pine_disc(), r, moments_of(pine_disc(), r)) for r in moist_runs()]
+    )
+    first = _where(plain, None)[0]
+    assert first["residual_K"] < -20.0
+    assert 85.0 < first["low_C"] < 115.0
+    assert first["to_s"] - first["from_s"] < 100.0
+
+
+def test_two_named_runs_are_told_with_what_two_can_show():
+    assert moist().findings[0].p_value == 0.5
+    assert "2 runs cannot show less than 0.5; named because" in sureness(moist().findings[0], 2)
+    assert "2 runs cannot show less than 0.5; named because" in diagnosis_report(moist())
+
+
 def test_dry_pine_gets_no_moisture_verdict():
     runs = [_before_charring(r) for r in _runs("pine_gasification", "UMD*.csv", "pine")]
-    found = diagnose(read_press(ROOT / "deploy/presses/pine_disc.toml"), runs)
+    found = diagnose(pine_disc(), runs)
     assert all("moisture_evaporation" not in f.set for f in found.findings)
 
 
@@ -99,16 +136,12 @@ def test_figure_of_a_measured_run_shows_readings_both_models_and_both_residuals(
 
 @pytest.mark.campaign
 def test_moist_pine_is_named_moist_though_its_runs_go_on_to_charring():
-    found = diagnose(
-        read_press(ROOT / "deploy/presses/pine_disc.toml"), _runs("pine_gasification", "FSRI*.csv", "pine")
-    )
+    found = diagnose(pine_disc(), moist_runs())
     assert [f.name for f in found.findings] == ["moisture_evaporation"]
 
 
 @pytest.mark.campaign
 def test_dry_pine_that_goes_on_to_charring_is_called_unknown_and_not_moist():
-    found = diagnose(
-        read_press(ROOT / "deploy/presses/pine_disc.toml"), _runs("pine_gasification", "UMD*.csv", "pine")
-    )
+    found = diagnose(pine_disc(), _runs("pine_gasification", "UMD*.csv", "pine"))
     assert found.verdict == "unknown_effect"
     assert found.findings == ()

@@ -1,6 +1,7 @@
 """The catalogue: every entry passes the same contract; users add their own; examples run."""
 
 import os
+import re
 import subprocess
 import sys
 from dataclasses import fields
@@ -46,11 +47,13 @@ def test_the_catalogue_holds_the_contract_names_and_parameters():
 
 @by_name
 def test_every_effect_says_what_it_means_and_how_to_confirm_it(effect):
-    for text in (effect.meaning, effect.symptom, effect.confirm, effect.source, effect.core):
+    for text in (effect.meaning, effect.symptom, effect.confirm, effect.source, effect.core, effect.called):
         assert len(text) > 5
     for parameter in effect.parameters:
         assert parameter.unit
         assert parameter.source
+        assert len(parameter.meaning) > 5
+        assert not re.search(r"_|^-$", parameter.scale[1])
         assert parameter.lower <= parameter.neutral <= parameter.upper
         assert parameter.lower <= parameter.typical <= parameter.upper
 

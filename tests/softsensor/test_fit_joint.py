@@ -14,8 +14,8 @@ from daq.simulated.campaign_sensors import Nuisances
 from softsensor.campaign import fit_campaign, fit_runs
 from softsensor.fit_joint import fit_together
 from softsensor.fit_problem import minimise
-from softsensor.fit_result import plain
 from softsensor.model import ThermalModel
+from softsensor.parameters import plain
 from softsensor.report import fit_report
 
 PRESS = parse_press(press_toml())
