@@ -10,11 +10,19 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.stats import norm
 from scipy.stats import t as student
 
+from daq.records import InputError
+
+if TYPE_CHECKING:
+    from daq.store import Store
+
+CHARTED_RUNS = 200
+"""Runs the charts look back on."""
 LEARN_RUNS = 8
 """Runs that say what is usual, where no model does."""
 SPREAD_FLOOR = 0.05
@@ -24,6 +32,8 @@ EWMA_WEIGHT, EWMA_LIMIT = 0.25, 3.2
 CUSUM_SLACK, CUSUM_LIMIT = 0.6, 5.0
 """In standard deviations of one run: half the shift to be found, and the alarm. A false alarm every
 thousand runs or so (Montgomery, Introduction to Statistical Quality Control, ch. 9)."""
+SUDDEN = 2.5
+"""A run beyond this many standard deviations is no creep."""
 OUTLIER = 4.0
 """One run beyond this many standard deviations counts as this many."""
 
@@ -109,16 +119,30 @@ def _chart(name: str, runs: Sequence[RunValue], logs: np.ndarray, z: np.ndarray,
             smooth_from = i
         first, chart = -1, ""
         if high > CUSUM_LIMIT or low > CUSUM_LIMIT:
-            first, chart = (high_from if high > low else low_from), "cusum"
+            first, chart = _jump(logs, start, high_from if high > low else low_from, i), "cusum"
         elif abs(smooth) > EWMA_LIMIT * scale:
-            first, chart = smooth_from, "ewma"
+            first, chart = (_jump(logs, start, smooth_from, i) if abs(z[i]) > SUDDEN else smooth_from), "ewma"
         if first < 0:
             alarm = None
         elif alarm is None or alarm.run != runs[first].run:
             before_it = logs[:first] if first else logs[:1]
             factor = math.exp(float(np.mean(logs[first : i + 1]) - np.mean(before_it)))
-            alarm = Alarm(name, runs[first].run, runs[i].run, factor, chart)
+            noticed = runs[i].run if alarm is None else alarm.noticed
+            alarm = Alarm(name, runs[first].run, noticed, factor, chart)
     return alarm
+
+
+def _jump(logs: np.ndarray, start: int, begun: int, noticed: int) -> int:
+    """Return the first run of the new level: where two means fit the runs up to the alarm best.
+
+    The sum may have begun to rise by luck before the jump; it is looked for from there on.
+    """
+    options = range(max(begun, start, 1), noticed + 1)
+
+    def left(k: int) -> float:
+        return float(logs[:k].var() * k + logs[k : noticed + 1].var() * (noticed + 1 - k))
+
+    return min(options, key=left)
 
 
 def watch_all(
@@ -127,3 +151,31 @@ def watch_all(
     """Return the alarms of all coefficients."""
     found = (watch(name, values, (usual or {}).get(name)) for name, values in history.items())
     return [alarm for alarm in found if alarm is not None]
+
+
+def alarms_of(store: Store, press: str) -> list[Alarm]:
+    """Return the alarms that stand over a press's newest runs, in the order in which they were pressed.
+
+    Only fits made with the effects of the model in force count: beside other effects a coefficient means another
+    thing, and the press would be blamed for what a promotion has changed.
+    """
+    active = store.active_model(press)
+    in_force = _effects(active.model) if active is not None else frozenset()
+    fitted = store.coefficient_history(press=press, limit=CHARTED_RUNS).items
+    effects = {version: _effects_of(store, version) for version in {c.model_version for c in fitted}}
+    history: dict[str, list[RunValue]] = {}
+    for c in reversed(fitted):
+        if c.identifiable and effects[c.model_version] == in_force:
+            history.setdefault(c.name, []).append(RunValue(c.run, c.value, c.sd))
+    return watch_all(history)
+
+
+def _effects_of(store: Store, version: str) -> frozenset[str]:
+    try:
+        return _effects(store.model(version).model)
+    except InputError:  # made with the press file alone, before there was a model
+        return frozenset()
+
+
+def _effects(model: Mapping[str, Any]) -> frozenset[str]:
+    return frozenset(str(effect["name"]) for effect in model.get("effects", ()))

@@ -131,10 +131,14 @@ def parse_model(content: Any, source: str) -> ModelFile:
         effects.append((effect.name, table))
     covariance = content.get("covariance") or {}
     names, matrix = (covariance.get("names", ()), covariance.get("matrix", ())) if covariance else ((), ())
+    coefficients = _estimates(content["coefficients"], source, "coefficients")
+    for name, estimate in coefficients.items():
+        if estimate.value <= 0.0:
+            raise InputError(f"{source}: coefficients.{name}.value = {estimate.value:g}: must be above 0 W/m²K")
     return ModelFile(
         version=str(content.get("version", "")),
         press=str(content.get("press", "")),
-        coefficients=_estimates(content["coefficients"], source, "coefficients"),
+        coefficients=coefficients,
         effects=tuple(effects),
         names=tuple(names),
         covariance=np.array(matrix, dtype=float).reshape(len(names), len(names)),

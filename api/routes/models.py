@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from fastapi import APIRouter
 
-from api.answers import coefficient_points, model_summary
+from api.answers import coefficient_points, model_summary, parameter_words
 from api.drift import drift_of
 from api.problems import ProblemError, problem_responses
 from api.routes.common import Cursor, PageSize, PressName, StoreDep, Writer
@@ -20,7 +20,7 @@ router = APIRouter(tags=["model"], responses=problem_responses())
 def list_coefficients(
     store: StoreDep, press: PressName = None, cursor: Cursor = None, limit: PageSize = 100
 ) -> CoefficientHistory:
-    """Return the coefficients of each run's newest fit with their intervals, newest first."""
+    """Return the coefficients of each run's newest fit with their intervals, the run pressed last first."""
     page = store.coefficient_history(press=press, cursor=cursor, limit=limit)
     return CoefficientHistory(items=coefficient_points(store, page.items), next_cursor=page.next_cursor)
 
@@ -78,6 +78,7 @@ def list_diagnoses(
             utc=d.created_utc,
             verdict=d.verdict,
             diagnosis=dict(d.diagnosis),
+            parameters=parameter_words(e["name"] for e in d.diagnosis.get("effects", ())),
         )
         for d in page.items
     ]

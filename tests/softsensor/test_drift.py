@@ -21,6 +21,17 @@ def test_a_jump_names_the_run_at_which_the_press_changed():
     assert "h_pp_c has changed" in alarm.sentence
 
 
+def test_a_plain_jump_names_its_very_run_nearly_always():
+    rng = np.random.default_rng(3)
+    named = []
+    for _ in range(60):
+        logs = 0.08 * rng.standard_normal(24)
+        logs[15:] -= np.log(2.0)
+        alarm = watch("h", history(logs))
+        named.append(alarm is not None and alarm.run == "run-015")
+    assert np.mean(named) >= 0.9
+
+
 def test_creeping_wear_is_noticed():
     rng = np.random.default_rng(2)
     logs = np.log(700.0) + 0.12 * rng.standard_normal(120) - 0.006 * np.arange(120)

@@ -39,6 +39,7 @@ def test_a_model_file_names_its_effects_to_the_thermal_model(lab_press):
         ({"coefficients": None}, "coefficients must be an object"),
         ({"coefficients": {"h_wa": 12.0}}, r"coefficients\.h_wa = 12\.0: needs numbers value and sd"),
         ({"coefficients": {"h_wa": {"value": "nan"}}}, r"coefficients\.h_wa\.value is not finite"),
+        ({"coefficients": {"h_wa": {"value": -3.0}}}, r"coefficients\.h_wa\.value = -3: must be above 0"),
         ({"effects": [{"parameters": {}}]}, r"effects\.0 has no name"),
         ({"effects": [{"name": "draft"}]}, "effect 'draft' is not in the catalogue"),
         (

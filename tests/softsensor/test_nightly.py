@@ -1,6 +1,7 @@
 """The nightly job: only what changed, nothing lost, the old model in place until a better one is proved."""
 
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -8,17 +9,22 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from api.cli import main
 from daq.pressfile import parse_press
 from daq.records import InputError
 from daq.simulated.campaign import Plan, make_campaign
 from daq.simulated.campaign_pressfile import press_toml
 from daq.store import open_store
-from softsensor import nightly
+from softsensor import nightly, nightly_fits, nightly_judge
 from softsensor.modelfile import Estimate, ModelFile, parse_model
-from softsensor.nightly import Task, fit_all, refit_press, roll_back
+from softsensor.nightly import refit_press, roll_back
+from softsensor.nightly_fits import Task, fit_all
+from softsensor.nightly_judge import surely_less
 from softsensor.nightly_report import write_report
+from softsensor.recent import combined_model, fingerprint
 
 PRESS = parse_press(press_toml())
 PLAN = Plan(
@@ -35,7 +41,7 @@ def store(tmp_path):
 
 def fill(store, runs):
     for run in runs:
-        store.import_run(run, "lab", "press file")
+        store.import_run(run, "lab", press_toml())
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +69,7 @@ def test_runs_are_fitted_once_and_a_first_model_is_promoted(store, runs):
 
 def test_a_job_killed_among_the_fits_goes_on_where_it_was(store, runs, monkeypatch):
     fill(store, runs[:3])
-    whole = nightly.fit_stored
+    whole = nightly_fits.fit_stored
     left = [2]
 
     def dying(task):
@@ -73,7 +79,7 @@ def test_a_job_killed_among_the_fits_goes_on_where_it_was(store, runs, monkeypat
         return whole(task)
 
     with monkeypatch.context() as patched:
-        patched.setattr(nightly, "fit_stored", dying)
+        patched.setattr(nightly_fits, "fit_stored", dying)
         with pytest.raises(KeyboardInterrupt):
             refit_press(store, "lab", PRESS, workers=1)
     assert store.active_model("lab") is None
@@ -89,12 +95,26 @@ def without_panel_sensors(run):
     )
 
 
+def without_platens(run):
+    return replace(run, columns={n: v for n, v in run.columns.items() if not n.startswith("platen")})
+
+
 def test_a_run_that_cannot_be_fitted_does_not_stop_the_others(store, runs):
-    fill(store, [without_panel_sensors(runs[0]), *runs[1:3]])
+    fill(store, [without_platens(runs[0]), *runs[1:3]])
     outcome = refit_press(store, "lab", PRESS, workers=1)
     assert (outcome.fitted, outcome.failed) == (2, 1)
     assert outcome.verdict == "too_few_runs"
-    assert any("blind" in entry.message for entry in store.journal().items)
+    assert any(runs[0].name in entry.message for entry in store.journal(level="warning").items)
+
+
+def test_a_pressing_without_panel_sensors_as_in_production_is_no_failure(store, runs):
+    fill(store, [without_panel_sensors(runs[0]), runs[1]])
+    for fitted in (1, 0):
+        outcome = refit_press(store, "lab", PRESS, workers=1)
+        nightly.sign_off(store, [outcome])
+        assert (outcome.fitted, outcome.failed, outcome.newly_unfit) == (fitted, 0, 0)
+        assert f"{fitted} of 2 runs fitted, 0 could not be, 1 have no panel sensors" in outcome.line
+    assert not store.journal(level="warning").items
 
 
 def test_a_run_that_cannot_be_fitted_is_named_once_and_tried_again_when_it_has_changed(store, runs):
@@ -103,13 +123,13 @@ def test_a_run_that_cannot_be_fitted_is_named_once_and_tried_again_when_it_has_c
         nightly.sign_off(store, [outcome])
         return outcome
 
-    fill(store, [without_panel_sensors(runs[0])])
+    fill(store, [without_platens(runs[0])])
     first, second = nightly_job(), nightly_job()
     assert (first.failed, first.newly_unfit) == (1, 1)
     assert (second.failed, second.newly_unfit) == (1, 0)
     assert sum("could not be fitted" in entry.message for entry in store.journal().items) == 1
     assert store.statuses()["refit"].status["state"] == "done"
-    store.annotate_run("blind", {"panel.density_kg_m3": 700.0}, "tester")
+    store.annotate_run(runs[0].name, {"panel.density_kg_m3": 700.0}, "tester")
     assert nightly_job().newly_unfit == 1
 
 
@@ -134,6 +154,36 @@ def test_the_model_before_comes_back_by_one_call(store, runs):
         store.promote_model(version, "test")
     assert roll_back(store, "lab") == "lab-1"
     assert store.active_model("lab").version == "lab-1"
+    with pytest.raises(InputError, match="no earlier model"):
+        roll_back(store, "lab")  # not forward again
+    store.promote_model("lab-2", "test")
+    store.promote_model("lab-1", "test")  # an old one by hand
+    assert [roll_back(store, "lab"), roll_back(store, "lab")] == ["lab-2", "lab-1"]
+
+
+def test_fits_that_no_finished_job_has_judged_are_judged_whoever_made_them(store, runs, monkeypatch):
+    judged = []
+
+    def judge(night, outcome):
+        judged.append(sorted(night.fits))
+        return nightly_judge._keep_or_begin(night, combined_model(PRESS, None, list(night.fits.values())), outcome)
+
+    monkeypatch.setattr(nightly, "judge", judge)
+    fill(store, runs[:3])
+    refit_press(store, "lab", PRESS, workers=1)  # killed before its end: no sign-off
+    night = refit_press(store, "lab", PRESS, workers=1)
+    nightly.sign_off(store, [night])
+    refit_press(store, "lab", PRESS, workers=1)
+    assert [len(runs) for runs in judged] == [3, 3]
+    fill(store, runs[3:])
+    base = parse_model(store.active_model("lab").model, "model")
+    fit = nightly_judge.fit_one(PRESS, runs[3], base)  # as the live sensor leaves it after a pressing
+    store.put_fit(
+        runs[3].name, {**fit, "fingerprint": fingerprint(store.run_record(runs[3].name), PRESS, base)}, "x"
+    )
+    last = refit_press(store, "lab", PRESS, workers=1)
+    assert last.fitted == 0
+    assert [len(runs) for runs in judged] == [3, 3, 4]
 
 
 def test_there_is_nothing_before_the_first_model(store):
@@ -141,23 +191,126 @@ def test_there_is_nothing_before_the_first_model(store):
         roll_back(store, "lab")
 
 
+def test_a_model_somebody_has_gone_back_from_is_not_promoted_again_at_night(store, runs, monkeypatch):
+    fill(store, runs)
+    table = {n: Estimate(PRESS.coefficient(n).guess, 10.0) for n in PRESS.coefficient_names}
+    plain = ModelFile("lab-1", "lab", table)
+    rim = replace(plain, version="lab-2", effects=(("edge_loss", {"W_m3K": Estimate(1000.0, 100.0)}),))
+    for model in (plain, rim):
+        store.put_model("lab", model.version, model.as_json())
+        store.promote_model(model.version, "test")
+    report = {"verdict": "named", "base": {}, "extended": {}}
+    monkeypatch.setattr(nightly_judge, "_diagnose", lambda night, asked: (report, rim))
+    monkeypatch.setattr(nightly_judge, "_compare", lambda *_, **__: nightly_judge._Comparison("better", True, {}))
+    monkeypatch.setattr(nightly_judge, "_fits_with", lambda *_: {})
+    roll_back(store, "lab")
+    outcome = refit_press(store, "lab", PRESS, workers=1)
+    assert not outcome.promoted
+    assert "like lab-2, which was rolled back" in outcome.reason
+    assert store.active_model("lab").version == "lab-1"
+    assert store.models(press="lab").items[0].status == "candidate"
+
+
+def test_an_effect_the_diagnosis_no_longer_finds_goes_unless_it_still_helps(store, runs, monkeypatch):
+    fill(store, runs)
+    table = {n: Estimate(PRESS.coefficient(n).guess, 10.0) for n in PRESS.coefficient_names}
+    plain = ModelFile("", "lab", table)
+    rim = replace(plain, version="lab-1", effects=(("edge_loss", {"W_m3K": Estimate(1000.0, 100.0)}),))
+    store.put_model("lab", "lab-1", rim.as_json())
+    store.promote_model("lab-1", "test")
+    report = {"verdict": "no_effect", "base": {}, "extended": {}}
+    monkeypatch.setattr(nightly_judge, "_diagnose", lambda night, asked: (report, plain))
+    outcome = refit_press(store, "lab", PRESS, workers=1)
+    assert outcome.promoted
+    assert outcome.reason.startswith("without edge_loss: residual ")
+    model = store.active_model("lab").model
+    assert (model["effects"], model["basis"]["judged_runs"]) == ([], [run.name for run in runs])
+    assert model["basis"]["rmse_K"]["after"] < 1.02 * model["basis"]["rmse_K"]["before"]
+
+    fits = {run.name: {"rmse_K": 0.3} for run in runs}
+    night = nightly_judge.Night(store, "lab", PRESS, rim, [], fits, print)
+    worse = {name: {"rmse_K": 0.3 + 0.1 * i} for i, name in enumerate(fits, 1)}
+    kept = nightly_judge._compare(night, report, plain, worse, apart=True, fewer=("edge_loss",))
+    assert not kept.better
+    assert kept.reason.endswith("; what it leaves out still helps")
+
+
+@pytest.mark.parametrize(
+    ("core", "says"),
+    [
+        (nightly_judge._Core(0.5, float("nan"), True), "the core is valid in fewer scans"),
+        (nightly_judge._Core(0.5, float("nan"), False), "the core gets worse"),
+        (nightly_judge._Core(0.5, 0.6, False), "the core gets worse"),
+        (nightly_judge._Core(0.5, 0.3, False), "core 0.50 -> 0.30 K live"),
+    ],
+)
+def test_a_core_that_gets_worse_or_silent_is_no_gain(core, says, monkeypatch):
+    rim = ModelFile("lab-2", "lab", {}, (("edge_loss", {"W_m3K": Estimate(1000.0, 100.0)}),))
+    monkeypatch.setattr(nightly_judge, "_core_rmse", lambda *_: core)
+    before, after = ({f"run-{i}": {"rmse_K": rmse} for i in range(6)} for rmse in (0.4, 0.3))
+    night = nightly_judge.Night(None, "lab", PRESS, None, [], before, print)
+    found = nightly_judge._compare(night, {}, rim, after, apart=True)
+    assert found.reason.endswith(says)
+    assert found.better is (core.after_K < core.before_K)
+
+
+def test_a_promotion_alone_asks_no_second_diagnosis(store, runs, monkeypatch):
+    fill(store, runs)
+    asked = []
+
+    def diagnose(night, names):
+        asked.append(names)
+        table = {n: Estimate(PRESS.coefficient(n).guess, 10.0) for n in PRESS.coefficient_names}
+        rim = (("edge_loss", {"W_m3K": Estimate(1000.0, 100.0)}),)
+        return {"verdict": "named", "base": {}, "extended": {}}, ModelFile("", "lab", table, rim)
+
+    monkeypatch.setattr(nightly_judge, "_diagnose", diagnose)
+    monkeypatch.setattr(nightly_judge, "_compare", lambda *_, **__: nightly_judge._Comparison("better", True, {}))
+    monkeypatch.setattr(nightly_judge, "_fits_with", lambda *_: {})
+    nights = []
+    for _ in range(2):
+        nights.append(refit_press(store, "lab", PRESS, workers=1))
+        nightly.sign_off(store, nights[-1:])
+    assert [night.promoted for night in nights] == [True, False]
+    assert len(asked) == 1
+
+
 @pytest.mark.campaign
 def test_a_hidden_cause_is_named_and_the_better_model_promoted(store):
     fill(store, [run for run, _ in make_campaign(52, 12, "edge_loss", replace(PLAN, press_time_s=(40.0, 90.0)))])
     outcome = refit_press(store, "lab", PRESS)
     assert outcome.promoted
-    assert "edge_loss" in outcome.reason
+    assert re.match(r"edge_loss: .* on 12 runs of the diagnosis, .* K on runs left out in turn", outcome.reason)
     assert store.active_model("lab").model["effects"][0]["name"] == "edge_loss"
+
+
+RIM = {
+    "verdict": "named",
+    "effects": [
+        {
+            "name": "edge_loss",
+            "set": ["edge_loss"],
+            "parameters": {"W_m3K": {"value": 11000.0, "ci95": [9900.0, 12100.0]}},
+            "worth": "saves 0.48 of 0.71 K on runs left out",
+        }
+    ],
+    "next_measurement": "Insulate the rim.",
+}
 
 
 def test_the_page_of_the_night_says_what_was_done(store, runs, tmp_path):
     fill(store, runs[:3])
     outcome = refit_press(store, "lab", PRESS, workers=1)
+    store.put_diagnosis("lab", RIM)
     page = write_report(store, outcome, tmp_path / "reports").read_text(encoding="utf-8")
     assert f"Model {outcome.version} was promoted" in page
-    assert "3 of 3 runs were fitted anew, 0 could not be" in page
+    assert "3 of 3 runs fitted, 0 could not be." in page
     assert all(run.name in page for run in runs[:3])
-    assert "h_pp_c" in page
+    assert 'title="h_pp_c">plate – panel, closed' in page
+    assert page.count("W/m²K") == len(PRESS.coefficient_names)
+    assert "<b>heat lost at the rim</b>: saves 0.48 of 0.71 K on runs left out." in page
+    assert re.search(r'title="W_m3K">heat lost at the rim, [^<]*: <b>11000</b> W/m³K', page)
+    assert not re.search(r"\d\.?\de[+-]\d\d", page)  # 110, not 1.1e+02
     assert [p.suffix for p in (tmp_path / "reports").iterdir()] == [".html"]
 
 
@@ -194,6 +347,23 @@ def configured(folder, dask=""):
 
 def values(fit):
     return {name: c["value"] for name, c in fit["coefficients"].items()}
+
+
+def test_a_report_that_cannot_be_written_keeps_no_press_from_its_night(tmp_path, capsys):
+    configured(tmp_path)
+    config = tmp_path / "kerntemp.toml"
+    text = config.read_text(encoding="utf-8")
+    table = text[text.index("[[press]]") :]
+    config.write_text(text + table.replace('"lab"', '"north"'), encoding="utf-8")
+    (tmp_path / "reports").write_text("in the way", encoding="utf-8")
+    assert main(["refit", "--config", str(config)]) == 1
+    told = capsys.readouterr().err
+    with open_store(str(tmp_path / "kerntemp.sqlite")) as store:
+        assert nightly_judge.PROCESS in store.statuses(), "the job came to its end"
+        warnings = store.journal(level="warning").items
+    for press in ("lab", "north"):
+        assert any(entry.press == press and "cannot write the report" in entry.message for entry in warnings)
+        assert f"{press}-" in told
 
 
 @pytest.mark.campaign
@@ -269,6 +439,17 @@ def test_dask_workers_find_what_local_ones_find(tmp_path, runs, dask_address):
 
 
 @pytest.mark.campaign
+def test_a_dask_scheduler_without_workers_is_named_instead_of_waited_for(store, monkeypatch):
+    from dask.distributed import LocalCluster
+
+    monkeypatch.setattr(nightly_fits, "WORKERS_WAIT_S", 0.5)
+    with LocalCluster(n_workers=0, dashboard_address=None, processes=False) as cluster:
+        task = Task("", PRESS, "run", None)
+        with pytest.raises(InputError, match=r"no worker in 0\.5 s; start dask worker"):
+            list(fit_all([task], dask=cluster.scheduler_address))
+
+
+@pytest.mark.campaign
 def test_a_dask_scheduler_that_is_not_there_is_named(tmp_path, runs):
     command = configured(tmp_path, "tcp://127.0.0.1:9")
     with open_store(str(tmp_path / "kerntemp.sqlite")) as store:
@@ -277,3 +458,21 @@ def test_a_dask_scheduler_that_is_not_there_is_named(tmp_path, runs):
     assert done.returncode == 2
     assert "tcp://127.0.0.1:9" in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("after", "sure"),
+    [
+        ([0.4, 0.42, 0.38, 0.41, 0.4, 0.8], True),  # the last run gains more than the others together
+        ([0.4, 0.5, 0.4, 0.6, 0.5, 3.0], False),
+        ([0.5, 0.5, 0.5, 0.5, 0.5, 2.0], False),
+    ],
+)
+def test_a_gain_counts_where_most_runs_share_it_however_much_one_of_them_leaves_over(after, sure):
+    assert surely_less(np.array([0.5, 0.5, 0.5, 0.5, 0.5, 2.0]), np.array(after)) is sure
+
+
+def test_three_runs_need_a_clearer_gain_than_twelve():
+    ratios = np.array([0.95, 0.8, 0.65])
+    assert not surely_less(np.ones(3), ratios)
+    assert surely_less(np.ones(12), np.tile(ratios, 4))
