@@ -31,13 +31,15 @@ from daq.press_events import PressEventDetector
 from daq.press_wires import WIRES
 from daq.pressfile import Press, panel_of, press_for_run
 from daq.records import Array, Moments, PressEvent, PressEventKind, PressState, Run
-from softsensor import observer_kernels as loops
 from softsensor.modelfile import ModelFile
 from softsensor.observer_belief import Mixture
+from softsensor.observer_blocks import Scans
+from softsensor.observer_kernels_blocks import last_switch
 from softsensor.observer_outlook import Inside, Outlook, Wishes, look_ahead, look_inside
-from softsensor.observer_priors import TIMING
-from softsensor.observer_setup import Bench, fresh_consensus, prepare_bench
-from softsensor.observer_track import Known, Row, Track
+from softsensor.observer_priors import INITIAL_K, TIMING
+from softsensor.observer_setup import Bench, fresh_consensus, prepare_bench, with_platens
+from softsensor.observer_track import Known, Track
+from softsensor.observer_trust import DOUBTED_K, Stillness, contradiction, start_error
 
 UNKNOWN_STATE = "press state unknown"
 NO_PLATENS = "platen reading missing"
@@ -53,6 +55,15 @@ OUTLOOK_S = 2.0
 """How often the sensor looks ahead. [s]"""
 BLOCKS_PER_S, LEAST_BLOCKS = 250, 25
 """How fast a new pass over the stored scans catches up: blocks for each second of the run, and for each scan."""
+PLACED_S = 0.15
+"""Standard deviation of a moment found in the temperatures, where scans are dense. [s]"""
+LONGEST_HOLE_S, MISSED_K = 7.0, 25.0
+"""A press that closed in a longer gap has pressed for a time nobody knows; where both faces have moved by more in
+a gap and no closing was found, one was missed. [s, K]"""
+LATE_S = 2.0
+"""Platens may be unknown for so long while a panel lies in the press for the first time. [s]"""
+REOPENED_S = 3.0
+"""A press open for less than this has stayed closed: a bouncing switch, or steam let out. [s]"""
 UNSEEN_WAIT_S, USUAL_WAIT_S = 30.0, 18.0
 """A panel nobody saw coming in is taken to lie in the open press from the first scan, but not longer than
 the first; else for the second, the usual time. [s]"""
@@ -98,9 +109,15 @@ class LiveSensor:
         self._bench: Bench | None = None
         self._state: PressState | None = None
         self._platens = [math.nan, math.nan]
-        self._platens_seen = math.nan
+        self._platens_seen = [math.nan, math.nan]
         self._initial = math.nan
-        self._rows: list[Row] = []
+        self._scans = Scans(0, 0)
+        self._begins_s = math.nan
+        """When the panel came to lie in the press, until that has been held against the header. [s]"""
+        self._lies_since = math.inf
+        """When the panel came to lie in the press. [s]"""
+        self._doubt = ""
+        """Why the run cannot be as the header says, empty while it may be."""
         self._track: Track | None = None
         self._next: Track | None = None
         """A pass that knows better and has not caught up yet."""
@@ -118,60 +135,81 @@ class LiveSensor:
     def update(self, time_s: float, values: Mapping[str, float]) -> Estimate:
         """Take a scan (missing values NaN or left out) and say what the core is doing now."""
         bench = self._bench or self._prepare(values)
+        readings = np.array([values.get(c, math.nan) for c in self._measured])
+        frozen = self._still.frozen(time_s, readings)
+        if frozen:
+            values = {name: math.nan if name in self._measured else value for name, value in values.items()}
+            readings[:] = math.nan
         stale = self._detect(bench, time_s, values)
         if not self._note_platens(bench, time_s, values):
             return Estimate(time_s, self._state, reason=NO_PLATENS)
-        readings = np.array([values.get(c, math.nan) for c in bench.columns])
-        self._rows.append(self._agreed(bench, time_s, (self._platens[0], self._platens[1]), readings))
+        if not len(self._scans):
+            self._bench = bench = with_platens(bench, self._platens)
+            if self._state is not PressState.IDLE and time_s - self._lies_since > LATE_S:
+                self._doubt = "platen temperatures were missing when the panel came to lie in the press"
+        outside = self._platens[0], self._platens[1]
+        self._scans.append(time_s, outside, readings[len(bench.platens) :], self._consensus)
+        stale = self._still.silence(self._scans, frozen=frozen) or stale
+        self._check_start()
         try:
             self._take_in(bench, time_s, stale=stale)
+            if self._track is not None:
+                self._scans.foretell(self._track.read)
         except (ArithmeticError, np.linalg.LinAlgError):  # begin anew from what was known before the run
             self._track = self._next = None
             return Estimate(time_s, self._state, reason=NOT_VALID)
         return self._say(time_s)
 
-    def _agreed(self, bench: Bench, time_s: float, outside: tuple[float, float], readings: Array) -> Row:
-        """Bring a scan's channels to one value a face."""
-        level, votes = np.empty(len(bench.labels)), np.empty(len(bench.labels))
-        loops.agree(self._consensus, readings, level, votes)
-        return Row(time_s, outside, level, votes, readings)
-
-    def _listen_anew(self, bench: Bench, since: float) -> None:
-        """Forget what the channels were like before the panel lay in the press, and go through the scans since."""
-        self._consensus = fresh_consensus(bench)
-        rows = self._rows
-        for i, row in enumerate(rows):
-            if row.time >= since:
-                rows[i] = self._agreed(bench, row.time, row.outside, row.readings)
+    def _check_start(self) -> None:
+        """Once the panel is known to lie in the press, hold its faces then against the header."""
+        at = self._begins_s
+        if at != at:
+            return
+        self._begins_s = math.nan
+        row = max(int(np.searchsorted(self._scans.time, at, "right")) - 1, 0)
+        level = self._scans.level[row]
+        self._doubt = self._doubt or contradiction(level, self._initial)
+        if abs(off := start_error(level, self._initial)) > DOUBTED_K:
+            self._known = replace(self._known, initial_sd=math.hypot(INITIAL_K, off))
 
     def _take_in(self, bench: Bench, now: float, *, stale: bool) -> None:
         """Bring the filters up to the newest scan, or a new pass of them nearer to it."""
-        rows = self._rows
+        scans = self._scans
         if stale or (self._track is None and self._next is None):
             self._begin(bench, None if self._track is None else self._points)
             self._overtaken = stale
         elif self._track is not None and self._detector.pending is None:
-            self._track.extend(rows, len(rows), blind=self._overtaken)
-            if self._next is None and self._due(now):
+            self._track.extend(scans, len(scans), blind=self._overtaken)
+            if self._next is None and self._due(self._track, now):
                 self._linearised = now
                 if (points := self._track.better_points()) is not None:
                     self._begin(bench, points)
         if self._next is not None:
-            step = now - rows[-2].time if len(rows) > 1 else 0.0
-            if self._next.extend(rows, max(LEAST_BLOCKS, round(BLOCKS_PER_S * step))):
+            step = now - float(scans.time[-2]) if len(scans) > 1 else 0.0
+            if self._next.extend(scans, max(LEAST_BLOCKS, round(BLOCKS_PER_S * step))):
                 self._track, self._next, self._linearised = self._next, None, now
                 self._overtaken = False
 
     def _begin(self, bench: Bench, points: Sequence[Array] | None) -> None:
         """Begin a pass with what is known by now; the present one answers until it has caught up."""
         known = replace(self._known, idle=self._state is PressState.IDLE)
-        self._next = Track(bench, self._model, known, points, self._rows[0].time, self._initial)
+        self._next = Track(bench, self._model, known, points, self._first, self._initial)
         self._points = self._next.points
 
-    def _due(self, now: float) -> bool:
+    def _due(self, track: Track, now: float) -> bool:
         """Return whether it is time to ask if the filters are still linearised near enough."""
-        since = now - self._known.last_switch(now, self._rows[0].time)
+        since = now - float(last_switch(track.switches, now))
         return now - self._linearised >= max(0.7, 0.4 * since)
+
+    @property
+    def _first(self) -> float:
+        """Time of the first scan. [s]"""
+        return float(self._scans.time[0])
+
+    @property
+    def _now(self) -> float:
+        """Time of the newest scan. [s]"""
+        return float(self._scans.time[-1])
 
     @property
     def inside(self) -> Inside | None:
@@ -186,19 +224,19 @@ class LiveSensor:
     @property
     def outlook(self) -> Outlook:
         """What lies ahead for what the header wants of the core, as `look_ahead` last found it."""
-        return self._outlook.later(self._rows[-1].time - self._looked_ahead) if self._rows else self._outlook
+        return self._outlook.later(self._now - self._looked_ahead) if len(self._scans) else self._outlook
 
     def look_ahead(self) -> None:
         """Work out what lies ahead, where that matters and the last look is `OUTLOOK_S` old. Takes some 10 ms."""
         track = self._track
         if track is None or not self._wishes.any or not math.isfinite(self._known.moments.closed_s):
             return
-        now = self._rows[-1].time
+        now = self._now
         if now - self._looked_ahead < OUTLOOK_S:
             return
         self._looked_ahead, self._outlook = now, Outlook()
         if self._state is PressState.CLOSED or self._state is PressState.OPEN:
-            done = self._rows[track.done - 1].time
+            done = float(self._scans.time[track.done - 1])
             ahead = look_ahead(track, self._wishes, self._state, done, np.array(self._platens))
             self._outlook = ahead.later(now - done)
 
@@ -211,6 +249,9 @@ class LiveSensor:
         own = tuple(name for name, _ in self._model.effects) if self._model else ()
         bench = prepare_bench(press, run, own)
         self._consensus = fresh_consensus(bench)
+        self._scans = Scans(len(bench.labels), len(bench.columns))
+        self._measured = (*bench.platens, *bench.columns)
+        self._still = Stillness(bench.place, len(bench.labels), len(bench.platens))
         if press.panel_layers:
             self._initial = panel_of(run).initial_temperature
         self._bench = bench
@@ -229,21 +270,39 @@ class LiveSensor:
             self._note(bench, event, time_s)
         return bool(events)
 
+    def _placed(self, event: PressEvent, time_s: float) -> tuple[float, float]:
+        """Return when a moment was, and how well that is known: a hole or a wire places it less well."""
+        at = event.monotonic_s
+        if event.source in WIRES:
+            between = time_s - (self._now if len(self._scans) else time_s)
+            return at - 0.5 * between, 0.3 * between + 0.1
+        if (hole := self._scans.hole(at, time_s)) is not None:
+            return 0.5 * (hole[0] + hole[1]), 0.3 * (hole[1] - hole[0])
+        return at, PLACED_S
+
     def _note(self, bench: Bench, event: PressEvent, time_s: float) -> None:
         """Keep a moment the detector found, and how well it is known."""
-        at, sd, known = event.monotonic_s, 0.15, self._known
-        first = self._rows[0].time if self._rows else time_s
-        if event.source in WIRES:
-            before = self._rows[-1].time if self._rows else time_s
-            at, sd = at - 0.5 * (time_s - before), 0.3 * (time_s - before) + 0.1
+        known, (at, sd) = self._known, self._placed(event, time_s)
+        first = self._first if len(self._scans) else time_s
         if event.kind is PressEventKind.INSERTED:
             seen = bool(bench.columns) and at > first + 0.3
             if not bench.columns and time_s - first > UNSEEN_WAIT_S:
                 at, seen = max(first, time_s - USUAL_WAIT_S), True
             known = replace(known, moments=Moments(inserted_s=at if seen else math.nan))
+            self._begins_s, self._doubt, self._lies_since = at, "", at
             if seen:
-                self._listen_anew(bench, at)
+                # forget what the channels were like before the panel lay in the press
+                self._consensus = fresh_consensus(bench)
+                self._scans.agree_anew(at, self._consensus)
+        elif event.kind is PressEventKind.CLOSED and at - known.moments.opened_s < REOPENED_S:
+            known = replace(known, moments=replace(known.moments, opened_s=math.nan))
         elif event.kind is PressEventKind.CLOSED:
+            if not len(self._scans):
+                self._doubt = "the run begins in the closed press"
+            elif math.isfinite(known.moments.opened_s) and not bench.columns:
+                self._doubt = "the press has closed again on the same panel"
+            if sd > 0.3 * LONGEST_HOLE_S:
+                self._doubt = "the press closed while nothing was heard of it for long"
             moments = replace(known.moments, closed_s=at, opened_s=math.nan, removed_s=math.nan)
             known = replace(known, moments=moments, closed_sd=sd)
         elif event.kind is PressEventKind.OPENED:
@@ -256,15 +315,10 @@ class LiveSensor:
 
     def _note_platens(self, bench: Bench, time_s: float, values: Mapping[str, float]) -> bool:
         """Keep both boundary temperatures, held where missing; return whether both are known at all."""
-        good = True
         for side, boundary in enumerate((bench.press.boundary.bottom, bench.press.boundary.top)):
             value = values.get(boundary.column or "", math.nan) if boundary.kind == "measured" else 0.0
             if value == value:
-                self._platens[side] = value
-            else:
-                good = False
-        if good:
-            self._platens_seen = time_s
+                self._platens[side], self._platens_seen[side] = value, time_s
         return self._platens[0] == self._platens[0] and self._platens[1] == self._platens[1]
 
     def _say(self, time_s: float) -> Estimate:
@@ -272,13 +326,19 @@ class LiveSensor:
         mixture = track.mixture if track is not None else None
         if self._state is None:
             return Estimate(time_s, None, reason=UNKNOWN_STATE)
-        if track is None or mixture is None or time_s - self._platens_seen > BRIDGE_S:
+        if track is None or mixture is None or time_s - min(self._platens_seen) > BRIDGE_S:
             return Estimate(time_s, self._state, reason=NO_PLATENS)
         slope = float(track.members[0].filter.chain.level[1])
-        ahead = slope * (time_s - self._rows[track.done - 1].time)
+        ahead = slope * (time_s - float(self._scans.time[track.done - 1]))
         low, high = mixture.low + ahead, mixture.high + ahead
-        reason = ""
-        if min(member.misfit for member in track.members) > MISFIT_LIMIT and not mixture.by_faces:
+        reason, doubt = "", self._doubt
+        if self._state is PressState.IDLE and not math.isfinite(self._known.moments.removed_s):
+            doubt = contradiction(self._scans.level[-1], self._initial)
+        if not math.isfinite(self._known.moments.closed_s) and track.missed_K > MISSED_K:
+            doubt = doubt or "both faces have leapt while they were not heard"
+        if doubt:
+            reason = f"{NOT_VALID}: {doubt}"
+        elif min(member.misfit for member in track.members) > MISFIT_LIMIT and not mixture.by_faces:
             reason = NOT_VALID
         elif high - low > 2.0 * WIDEST_K:
             reason = f"{NOT_OBSERVABLE}: band wider than {WIDEST_K:g} K to either side"

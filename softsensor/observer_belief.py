@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from daq.records import Array
 from softsensor import observer_kernels as loops
+from softsensor.observer_blocks import Blocks
+from softsensor.observer_kernels_blocks import HOLE_S, drive
 from softsensor.observer_priors import TIMING, Plan, Suspect
 from softsensor.observer_setup import CHAIN_UNITS, Bench, Filter
 
@@ -43,8 +46,6 @@ LOG_STEP, TIME_STEP_S, UNIT_STEP = 0.15, 0.06, 0.5
 """Linearise anew where a logarithm, a moment or any other parameter (in prior units) has moved this far."""
 JUMP_K, JUMPS_PER_S = 0.15, 5e-5
 """Innovations where something changes at once (a contact lapses, a door opens), and how often that is. [K, 1/s]"""
-QUIET_S = 2.5
-"""So long after a switch innovations say nothing about changes. [s]"""
 DECIDE_S = 1.5
 """What is odd about a reading waits so long for the press to have closed or opened; a core does not hurry. [s]"""
 DOUBT, DOUBT_SHARE, DOUBT_K = 0.3, 0.15, 1.0
@@ -145,25 +146,32 @@ class Member:
             reach=plan.reach,
         )
 
-    def take(
-        self, span: Array, outside: Array, level: Array, moment: Array, votes: Array, *, quiet: bool = False
-    ) -> None:
-        """March over a block of scans and correct by what the faces read; `quiet` just after a switch."""
+    def take(self, blocks: Blocks) -> None:
+        """March over blocks of scans and correct by what the faces read."""
         f = self.filter
-        fit, squares, count, jump = loops.take(
+        said = np.empty((len(blocks.quiet), 4))
+        loops.take(
             f.stack, f.tangents, f.d_boundary, f.state, f.nonlinear, f.factors, f.chain, f.places,
-            self.timing, f.moving, span, outside, self.x, self.cov, f.at,
-            level, moment, votes, _ERRORS, _UNITS, GATE, _SLOW,
+            self.timing, f.moving, blocks.span, blocks.outside, self.x, self.cov, f.at,
+            blocks.level, blocks.moment, blocks.votes, _ERRORS, _UNITS, GATE, _SLOW, said,
         )  # fmt: skip
+        for (begin, end), quiet, told in zip(
+            blocks.span.tolist(), blocks.quiet.tolist(), said.tolist(), strict=True
+        ):
+            self._count(begin, end, told, quiet=quiet)
+
+    def _count(self, begin: float, end: float, told: Sequence[float], *, quiet: bool) -> None:
+        """Keep how well a block was foretold: log-likelihood, squares, their number, nats for a change."""
+        fit, squares, count, jump = told
         if not quiet:  # just after a switch the filters differ by their linearisation, not by what they know
             self.fit += fit
-        elapsed = span[1] - span[0]
+        elapsed = end - begin
         self.worst *= math.exp(-elapsed / WORST_MEMORY_S)
         if count and not quiet:
-            self.odd.append((span[1], max(elapsed, 0.05), squares / count, jump))
-        while self.odd and span[1] - self.odd[0][0] >= DECIDE_S:
+            self.odd.append((end, max(elapsed, 0.05), squares / count, jump))
+        while self.odd and end - self.odd[0][0] >= DECIDE_S:
             _, elapsed, square, jump = self.odd.popleft()
-            self.changed = float(np.logaddexp(self.changed, math.log(JUMPS_PER_S * elapsed) + jump))
+            self.changed = _either(self.changed, math.log(JUMPS_PER_S * elapsed) + jump)
             keep = math.exp(-elapsed / MISFIT_MEMORY_S)
             self.misfit = keep * self.misfit + (1.0 - keep) * square
             self.worst = max(self.worst, self.misfit)
@@ -215,8 +223,8 @@ class Member:
 
 
 CHANGED = "sudden change"
-UNSEEN_S = 3.0
-"""Without a face this long, the faces no longer drive the panel. [s]"""
+UNHEARD_K = 10.0
+"""A face that has moved by more while it was silent has driven the panel in a way nobody knows. [K]"""
 _MILD = ("open_radiation.emissivity", "initial_press_state.offset_K", "resin_cure.heat_kJ_m2", "skin.J_m2K")
 
 
@@ -231,31 +239,28 @@ class Driven:
     start_C: float  # noqa: N815
     last: Array
     """What the faces read last. [°C]"""
-    unseen_s: float = 0.0
+    unheard: Array
+    """For how long a face has been silent, largest jump of one face and of both after that. [s, K, K]"""
     before_C: float = math.nan  # noqa: N815
     """Core when last nothing had changed. [°C]"""
 
     @staticmethod
     def fresh(made: Filter, timing: loops.Timing, faces: tuple[int, int], start: float) -> Driven:
         """Start with both faces at the panel's initial temperature."""
-        return Driven(made, timing, faces, start, np.full(2, start), before_C=start)
+        return Driven(made, timing, faces, start, np.full(2, start), np.zeros(3), before_C=start)
 
-    def take(self, span: Array, level: Array) -> None:
-        """March over a block; a face that is silent keeps its last temperature."""
-        now = self.last.copy()
-        if timing_inside(self.timing, span[1]):
-            for side, place in enumerate(self.faces):
-                if level[place] == level[place]:
-                    now[side] = level[place]
-        seen = all(level[place] == level[place] for place in self.faces)
-        self.unseen_s = 0.0 if seen else self.unseen_s + span[1] - span[0]
-        if span[1] > span[0]:
-            f = self.filter
-            loops.march(
-                f.stack, f.tangents, f.d_boundary, f.state, f.nonlinear, f.factors, f.chain, f.places,
-                self.timing, span, np.stack([self.last, now]), f.moving,
-            )  # fmt: skip
-        self.last = now
+    def take(self, blocks: Blocks) -> None:
+        """March over blocks of scans; a face that is silent keeps its last temperature."""
+        f = self.filter
+        drive(
+            f.stack, f.tangents, f.d_boundary, f.state, f.nonlinear, f.factors, f.chain, f.places,
+            self.timing, f.moving, blocks.span, blocks.newest, self.faces, self.last, self.unheard,
+        )  # fmt: skip
+
+    @property
+    def knows(self) -> bool:
+        """Whether both faces have been heard whenever they moved."""
+        return bool(self.unheard[0] < HOLE_S and self.unheard[1] < UNHEARD_K)
 
     @property
     def core(self) -> tuple[float, float]:
@@ -264,9 +269,10 @@ class Driven:
         return float(chain.level[0]), float(chain.d_level @ chain.d_level)
 
 
-def timing_inside(timing: loops.Timing, now: float) -> bool:
-    """Return whether a panel is in the press."""
-    return timing.inserted <= now <= timing.removed
+def _either(a: float, b: float) -> float:
+    """Return the logarithm of the sum of two numbers given by theirs."""
+    high = max(a, b)
+    return high + math.log1p(math.exp(min(a, b) - high))
 
 
 def mix(members: list[Member], rise: float, unexplained: float, driven: Driven | None = None) -> Mixture:
@@ -298,13 +304,13 @@ def mix(members: list[Member], rise: float, unexplained: float, driven: Driven |
     expected = float(weights @ means)
     told = min(max(told, expected - TOLD_K), expected + TOLD_K)
     worst = min(member.worst for member in members)
-    odds = float(np.logaddexp(members[0].changed, MISFIT_WEIGHT * (worst - MISFIT_USUAL)))
+    odds = _either(members[0].changed, MISFIT_WEIGHT * (worst - MISFIT_USUAL))
     by_faces = False
     if odds > -6.0:
         share = 1.0 / (1.0 + math.exp(-odds))
         centre, variance = float(weights @ means), float(weights @ (variances + (means - weights @ means) ** 2))
         doubt = DOUBT_K
-        if driven is not None and driven.unseen_s < UNSEEN_S:
+        if driven is not None and driven.knows:
             doubt = DOUBT_SHARE * abs(driven.core[0] - driven.before_C)
             centre, variance = driven.core[0], driven.core[1] + margin
             by_faces = share > SURE

@@ -594,21 +594,23 @@ def absorb_faces(x, cov, at, chain, read_before, d_before, level, moment, votes,
 @njit(cache=True)
 def take(
     stack, tangents, d_boundary, state, nonlinear, factors, chain, places, timing, moving,
-    span, outside, x, cov, at, level, moment, votes, errors, units, limit, slow,
+    span, outside, x, cov, at, level, moment, votes, errors, units, limit, slow, said,
 ):  # fmt: skip
-    """March over a block of scans and correct by what the faces read: `march`, `drift`, `absorb_faces` in one.
+    """March over blocks of scans and correct by what the faces read: `march`, `drift`, `absorb_faces` for each.
 
-    `slow` are standard deviation and time constant of the faces' slow error. [K, s]
+    `slow` are standard deviation and time constant of the faces' slow error [K, s]; `said` (K, 4) gets by block
+    what `absorb_faces` returns.
     """
-    elapsed = span[1] - span[0]
-    read_before, d_before = chain.read.copy(), chain.d_read.copy()
-    places_read = chain.read.shape[0]
-    if elapsed > 0.0:
-        march(
-            stack, tangents, d_boundary, state, nonlinear, factors, chain, places, timing, span, outside, moving
+    for k in range(span.shape[0]):
+        elapsed = span[k, 1] - span[k, 0]
+        read_before, d_before = chain.read.copy(), chain.d_read.copy()
+        if elapsed > 0.0:
+            march(
+                stack, tangents, d_boundary, state, nonlinear, factors, chain, places, timing,
+                span[k], outside[k], moving,
+            )  # fmt: skip
+            keep = math.exp(-elapsed / slow[1])
+            drift(x, cov, x.shape[0] - chain.read.shape[0], keep, slow[0] * slow[0])
+        said[k, 0], said[k, 1], said[k, 2], said[k, 3] = absorb_faces(
+            x, cov, at, chain, read_before, d_before, level[k], moment[k], votes[k], elapsed, errors, units, limit
         )  # fmt: skip
-        keep = math.exp(-elapsed / slow[1])
-        drift(x, cov, x.shape[0] - places_read, keep, slow[0] * slow[0])
-    return absorb_faces(
-        x, cov, at, chain, read_before, d_before, level, moment, votes, elapsed, errors, units, limit
-    )  # fmt: skip

@@ -14,6 +14,7 @@ import numpy as np
 from daq.records import Array, PressState
 from softsensor import kernels
 from softsensor import observer_kernels as loops
+from softsensor.kernels_terms import properties
 from softsensor.observer_belief import Member, mix
 from softsensor.observer_setup import Filter
 from softsensor.observer_track import Track
@@ -28,6 +29,7 @@ FLAT_K = 0.05
 """A core this far below its highest has passed its peak. [K]"""
 NOTICE_S = 20.0
 """A limit is warned of this long before it may be passed. [s]"""
+_GAUSS = np.polynomial.legendre.leggauss(4)
 
 
 @dataclass(frozen=True)
@@ -82,9 +84,21 @@ class Inside:
 def look_inside(member: Member) -> Inside:
     """Return profile and heat as the model in force sees them."""
     field = _field(member)
-    f = member.filter
-    energy = float(f.heat @ field) - float(f.heat.sum()) * f.start_C
-    return Inside(f.profile @ field, energy / 1000.0)
+    return Inside(member.filter.profile @ field, heat_taken_up(member.filter, field) / 1000.0)
+
+
+def heat_taken_up(f: Filter, field: Array) -> float:
+    """Return the heat that takes the panel from its start to `field` (n), rho c(T) integrated. [J/m²]"""
+    s = f.stack
+    none, value = np.empty((0, len(field))), np.empty(len(field))
+    mean = np.zeros(len(field))
+    for at, weight in zip(*_GAUSS, strict=True):
+        star = f.start_C + 0.5 * (1.0 + at) * (field - f.start_C)
+        properties(
+            s.dx, s.c, s.c_slope, s.c_table, s.table_x, s.table_y, none, none, star, none, value, none
+        )  # fmt: skip
+        mean += 0.5 * weight * value
+    return float((mean * (field - f.start_C))[s.wet].sum())
 
 
 def _field(member: Member) -> Array:

@@ -110,8 +110,6 @@ FARTHEST = 3.5
 LEAST_CHANCE = 1e-3
 NO_MATTER = 0.25
 """A size below this share of the usual one needs no filter of its own."""
-DIAGNOSED = 0.3
-"""Factor on the chances where a diagnosis has already found what it could."""
 
 
 @dataclass(frozen=True)
@@ -186,13 +184,18 @@ def spread_of(value: float, sd: float) -> float:
 
 
 def coefficient_priors(press: Press, model: ModelFile | None) -> list[Prior]:
-    """Return the coefficients: from the model file, else the press file's guesses within a factor of two."""
+    """Return the coefficients: from the model file, else the press file's guesses within a factor of two.
+
+    Within a factor of two as well where nobody has looked what causes the model leaves out: its coefficients may
+    have taken one upon themselves, and how far they then are off, their own `sd` does not say.
+    """
+    least = COEFFICIENT_SD if model is None or model.adequacy is None else COEFFICIENT_FLOOR
     priors = []
     for name in press.coefficient_names:
         table = press.coefficient(name)
         known = model.coefficients.get(name) if model is not None else None
         value = table.guess if known is None else known.value
-        sd = COEFFICIENT_SD if known is None else max(spread_of(value, known.sd), COEFFICIENT_FLOOR)
+        sd = COEFFICIENT_SD if known is None else max(spread_of(value, known.sd), least)
         if table.fixed:
             sd = 0.01
         priors.append(Prior(name, float(np.log(value)), sd, logarithmic=True))
@@ -214,9 +217,9 @@ def effect_priors(model: ModelFile | None) -> list[Prior]:
     return priors
 
 
-def nuisance_priors(press: Press, known: set[str], initial: bool) -> list[Prior]:
+def nuisance_priors(press: Press, known: set[str], initial_sd: float) -> list[Prior]:
     """Return what else bends the faces' readings, but for effects the model in force already holds."""
-    priors = [Prior("initial_K", 0.0, INITIAL_K)] if initial else []
+    priors = [Prior("initial_K", 0.0, initial_sd)]
     for side, boundary in (("bottom", press.boundary.bottom), ("top", press.boundary.top)):
         if boundary.kind == "measured":
             priors.append(Prior(f"boundary_{side}_K", 0.0, PLATEN_K))
@@ -231,15 +234,20 @@ def nuisance_priors(press: Press, known: set[str], initial: bool) -> list[Prior]
     return priors
 
 
-def plans_for(press: Press, model: ModelFile | None, closed_sd: float, opened_sd: float) -> list[Plan]:
-    """Return the filters to run side by side: the joint one, and one for each cause that needs its own."""
+def plans_for(
+    press: Press, model: ModelFile | None, closed_sd: float, opened_sd: float, initial_sd: float = INITIAL_K
+) -> list[Plan]:
+    """Return the filters to run side by side: the joint one, and one for each cause that needs its own.
+
+    The standard deviations are those of both moments and of the start temperature in the header. [s, s, K]
+    """
     own = {name for name, _ in model.effects} if model else set()
     seen = model.adequacy if model else None
     common = coefficient_priors(press, model) + effect_priors(model)
-    common += nuisance_priors(press, own, initial=True)
+    common += nuisance_priors(press, own, initial_sd)
     timing = [Prior("closed_s", 0.0, closed_sd), Prior("opened_s", 0.0, opened_sd)] if press.has_states else []
-    suspects = tuple(_informed(s, seen, own) for s in SUSPECTS if press.panel_layers and s.effect not in own)
-    water = _informed(WATER, seen, own)
+    suspects = tuple(_informed(s, seen) for s in SUSPECTS if press.panel_layers and s.effect not in own)
+    water = _informed(WATER, seen)
     wet = water.chance if press.panel_layers and water.effect not in own and not _ruled_out(water) else 0.0
     hidden = {name: d.absorbed for name, d in seen.causes.items()} if seen else {}
     chance = max(1.0 - sum(s.chance for s in suspects) - wet, LEAST_CHANCE)
@@ -260,10 +268,10 @@ def plans_for(press: Press, model: ModelFile | None, closed_sd: float, opened_sd
     return plans
 
 
-def _informed(s: Suspect, seen: Adequacy | None, own: set[str]) -> Suspect:
-    """Return a suspect as the runs behind the model see it; in a model found by diagnosis it is less likely."""
+def _informed(s: Suspect, seen: Adequacy | None) -> Suspect:
+    """Return a suspect as the runs behind the model see it; where nobody has looked, as with no model at all."""
     if seen is None:
-        return replace(s, chance=s.chance * (DIAGNOSED if own else 1.0))
+        return s
     doubt = seen.causes.get(s.effect)
     if doubt is None:
         return replace(s, chance=LEAST_CHANCE)
@@ -283,7 +291,7 @@ def _firm(suspects: Sequence[Suspect]) -> list[Prior]:
     return [Prior(s.parameter, s.neutral, s.sd * s.spike) for s in suspects if s.parameter.endswith(".ratio")]
 
 
-def panel_plan(model: ModelFile | None, effects: tuple[str, ...]) -> Plan:
+def panel_plan(model: ModelFile | None, effects: tuple[str, ...], initial_sd: float = INITIAL_K) -> Plan:
     """Return the filter of the panel alone: start temperature, constants, and the effects inside it."""
     own = [p for p in effect_priors(model) if p.name.partition(".")[0] in effects]
     firm = [
@@ -291,7 +299,7 @@ def panel_plan(model: ModelFile | None, effects: tuple[str, ...]) -> Plan:
         for s in SUSPECTS
         if s.parameter.endswith(".ratio") and s.effect not in effects
     ]
-    return Plan((Prior("initial_K", 0.0, INITIAL_K / 2), *own, *firm), (), 1.0, "", {})
+    return Plan((Prior("initial_K", 0.0, initial_sd / 2), *own, *firm), (), 1.0, "", {})
 
 
 def _parameter(name: str) -> Parameter:

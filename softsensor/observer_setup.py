@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -35,6 +35,14 @@ class Bench:
     """Every effect any filter uses; those with layers shape the mesh."""
     cases: dict[tuple[str, ...], Case] = field(default_factory=dict, compare=False)
     """Laid out once for each set of effects."""
+    profiles: dict[tuple[str, ...], Array] = field(default_factory=dict, compare=False)
+    """Weights that read a profile, of these cases (`PROFILE`, n)."""
+
+    @cached_property
+    def platens(self) -> tuple[str, ...]:
+        """Columns of the measured boundary temperatures."""
+        ends = (self.press.boundary.bottom, self.press.boundary.top)
+        return tuple(end.column for end in ends if end.kind == "measured" and end.column is not None)
 
     @cached_property
     def alone(self) -> tuple[Bench, tuple[int, int]] | None:
@@ -60,18 +68,16 @@ class Filter:
     places: Array
     """Weights of the chain's outputs: places, press faces opposite them, core (2 M + 1, n)."""
     moving: loops.Integers
-    heat: Array
-    """Weights that sum the panel's heat (n). [J/m²K]"""
     profile: Array
     """Weights that read the temperature at even heights from lower to upper face (PROFILE, n)."""
     start_C: float  # noqa: N815
     """The panel's initial temperature as the header says. [°C]"""
 
     @property
-    def timing_units(self) -> tuple[float, float]:
-        """Seconds for one unit of closing and opening time."""
+    def timing_units(self) -> tuple[float, ...]:
+        """Seconds for one unit of each of `TIMING`."""
         found = {p.name: p.sd for p in self.priors}
-        return found.get("closed_s", 1.0), found.get("opened_s", 1.0)
+        return tuple(found.get(name, 1.0) for name in TIMING)
 
     def shift(self, name: str) -> float:
         """Return where a parameter is linearised, as a difference to its prior's centre."""
@@ -84,6 +90,18 @@ def prepare_bench(press: Press, run: Run, effects: Sequence[str]) -> Bench:
     labels = tuple(dict.fromkeys(s.label for s in sensors.values()))
     place = np.array([labels.index(s.label) for s in sensors.values()], dtype=np.int64)
     return Bench(press, run, tuple(sensors), place, labels, tuple(effects))
+
+
+def with_platens(bench: Bench, platens: Sequence[float]) -> Bench:
+    """Return the bench with boundary temperatures (bottom, top) where the first scan had none. [°C]"""
+    ends = (bench.press.boundary.bottom, bench.press.boundary.top)
+    known = {
+        end.column: np.full(len(bench.run.time_s), t) for end, t in zip(ends, platens, strict=True) if end.column
+    }
+    columns = {
+        name: known[name] if name in known and np.isnan(v[0]) else v for name, v in bench.run.columns.items()
+    }
+    return replace(bench, run=replace(bench.run, columns=columns), cases={}, profiles={})
 
 
 def fresh_consensus(bench: Bench) -> loops.Consensus:
@@ -150,6 +168,7 @@ def make_filter(
     key = tuple(effects)
     if key not in bench.cases:
         bench.cases[key] = model.prepare(bench.run, Moments(closed_s=0.0), max_step_s=60.0)
+        bench.profiles[key] = _profile(bench, bench.cases[key])
     case = bench.cases[key]
     build = model.build(case, {k: v for k, v in values.items() if k not in TIMING}, names)
     if len(units) != build.width:
@@ -158,10 +177,12 @@ def make_filter(
         inside = np.flatnonzero(case.layout.wet)
         for i in (inside[0], inside[-1]):
             build.tangents.c[names.index(SKIN), i] += 1.0 / case.mesh.dx[i]
-    return _arrays(bench, case, build, priors, units, at)
+    return _arrays(bench, case, build, priors, units, at, bench.profiles[key])
 
 
-def _arrays(bench: Bench, case: Case, build: Build, priors: Sequence[Prior], units: Array, at: Array) -> Filter:
+def _arrays(
+    bench: Bench, case: Case, build: Build, priors: Sequence[Prior], units: Array, at: Array, profile: Array
+) -> Filter:
     """Bring tangents to prior units and lay out the measuring chain."""
     names = tuple(p.name for p in priors)
     p, m = len(names), len(bench.labels)
@@ -213,8 +234,7 @@ def _arrays(bench: Bench, case: Case, build: Build, priors: Sequence[Prior], uni
         chain=chain,
         places=np.ascontiguousarray(places),
         moving=np.array([names.index(t) if t in names else -1 for t in TIMING], dtype=np.int64),
-        heat=np.where(case.layout.wet, build.stack.c * case.mesh.dx, 0.0),
-        profile=_profile(bench, case),
+        profile=profile,
         start_C=case.panel.initial_temperature if case.panel is not None else float(state.t.mean()),
     )
 

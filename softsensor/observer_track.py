@@ -12,31 +12,16 @@ import numpy as np
 from daq.records import Array, Moments
 from softsensor import observer_kernels as loops
 from softsensor.effects import find_effect
-from softsensor.observer_belief import QUIET_S, Driven, Member, Mixture, mix, timing_inside
-from softsensor.observer_priors import TIMING, Plan, panel_plan, plans_for
+from softsensor.observer_belief import Driven, Member, Mixture, mix
+from softsensor.observer_blocks import Blocks, Scans, cut
+from softsensor.observer_priors import INITIAL_K, TIMING, Plan, panel_plan, plans_for
 from softsensor.observer_setup import Bench, Filter, make_filter
 
 if TYPE_CHECKING:
     from softsensor.modelfile import ModelFile
 
-BLOCK_S, EAGER_S = 0.45, 4.0
-"""Scans are absorbed together over `BLOCK_S`, one by one for `EAGER_S` after a switch. [s]"""
-
-
 EVEN = 0.5
 """Chance of a change from which on the core is no longer counted as before it."""
-
-
-@dataclass(frozen=True)
-class Row:
-    """One stored scan."""
-
-    time: float
-    outside: tuple[float, float]
-    level: Array
-    votes: Array
-    readings: Array
-    """Of the single channels. [°C]"""
 
 
 @dataclass(frozen=True)
@@ -46,13 +31,15 @@ class Known:
     moments: Moments = field(default_factory=Moments)
     closed_sd: float = 0.15
     opened_sd: float = 0.15
+    initial_sd: float = INITIAL_K
+    """Of the header's start temperature. [K]"""
     idle: bool = False
     """Whether the press stands empty."""
 
-    def last_switch(self, now: float, first: float) -> float:
-        """Return the newest moment up to `now`; `first` is the run's first scan. [s]"""
+    def switches(self, first: float) -> Array:
+        """Return when the press moved, NaN where it has not; `first` is the run's first scan. [s]"""
         m = self.moments
-        return max(t for t in (m.inserted_s, m.closed_s, m.opened_s, m.removed_s, first) if t <= now)
+        return np.array([first, m.inserted_s, m.closed_s, m.opened_s, m.removed_s])
 
 
 class Track:
@@ -82,9 +69,10 @@ class Track:
         initial: float,
     ) -> None:
         self._bench, self._known, self._first, self._initial = bench, known, first, initial
+        self.switches = known.switches(first)
         seen = model.adequacy if model is not None else None
         self.unexplained = seen.unexplained_K if seen is not None else 0.0
-        plans = plans_for(bench.press, model, known.closed_sd, known.opened_sd)
+        plans = plans_for(bench.press, model, known.closed_sd, known.opened_sd, known.initial_sd)
         if points is None or [len(p) for p in points] != [len(plan.priors) for plan in plans]:
             points = [plan.start for plan in plans]
         self.points = list(points)
@@ -104,7 +92,7 @@ class Track:
         alone = self._bench.alone
         if alone is None:
             return None
-        plan = panel_plan(model, alone[0].effects)
+        plan = panel_plan(model, alone[0].effects, self._known.initial_sd)
         made = _filter(alone[0], plan, np.zeros(len(plan.priors)))
         return Driven.fresh(made, self._timing(made), alone[1], self._initial)
 
@@ -131,68 +119,41 @@ class Track:
         )
 
     @property
+    def missed_K(self) -> float:  # noqa: N802
+        """By how much both faces moved while they were not heard, at most. [K]"""
+        return 0.0 if self.driven is None else float(self.driven.unheard[2])
+
+    @property
+    def read(self) -> Array:
+        """What the model says the faces read (M). [°C]"""
+        return self.members[0].filter.chain.read
+
+    @property
     def rise(self) -> float:
         """How far the core has come from its start, 0 where that is not known. [K]"""
         rise = float(self.members[0].filter.chain.level[0]) - self._initial
         return rise if rise == rise else 0.0
 
-    def extend(self, rows: Sequence[Row], limit: int, *, blind: bool = False) -> bool:
+    def extend(self, scans: Scans, limit: int, *, blind: bool = False) -> bool:
         """Take in the scans that make up complete blocks, `limit` blocks at most; return whether all are in.
 
         `blind` foretells from the platens and leaves what the faces read alone.
         """
-        before = self.done
-        if self.done == 0:
-            self._block(rows, 0, 0, blind=blind)
-            self.done = 1
-        for i in range(self.done, len(rows)):
-            since = rows[i].time - rows[self.done - 1].time
-            fresh = rows[i].time - self._last_switch(rows[i].time + 1.0) < EAGER_S
-            if since < BLOCK_S - 1e-6 and not fresh:
-                continue
-            if limit == 0:
-                return False
-            self._block(rows, self.done, i, blind=blind)
-            self.done = i + 1
-            limit -= 1
-        if self.done > before:
-            self.mixture = mix(self.members, self.rise, self.unexplained, self.driven)
-            self._sound = self._sound and self.mixture.changed < EVEN
-            if self.driven is not None and self._sound:
-                self.driven.before_C = self.driven.core[0]
-        return True
-
-    def _block(self, rows: Sequence[Row], first: int, last: int, *, blind: bool) -> None:
-        """March over the scans `first` to `last` and correct by what they read."""
-        begin, end = rows[max(first - 1, 0)], rows[last]
-        elapsed = end.time - begin.time
-        if first == last:
-            level, votes = self._heard(end), end.votes
-            moment = np.ones(len(level))
-        else:
-            block = rows[first : last + 1]
-            levels = np.array([self._heard(r) for r in block])
-            good = np.isfinite(levels)
-            count = np.maximum(good.sum(axis=0), 1)
-            times = np.array([[r.time] for r in block])
-            level = np.where(good.any(axis=0), np.where(good, levels, 0.0).sum(axis=0) / count, np.nan)
-            moment = (np.where(good, times, 0.0).sum(axis=0) / count - begin.time) / elapsed
-            votes = np.where(good, [r.votes for r in block], 0.0).sum(axis=0)
-        span, outside = np.array([begin.time, end.time]), np.array([begin.outside, end.outside])
-        quiet = not first or end.time - self._last_switch(end.time + 1.0) < QUIET_S
-        heard = np.full(len(level), np.nan) if blind else level
-        for member in self.members:
-            member.take(span, outside, heard, moment, votes, quiet=quiet)
-        if self.driven is not None:
-            self.driven.take(span, end.level)
-
-    def _heard(self, row: Row) -> Array:
-        """Return what the faces read, NaN while no panel is in the press: sensors tell of hands and air then."""
-        inside = timing_inside(self.members[0].timing, row.time)
-        return row.level if inside else np.full(len(row.level), np.nan)
-
-    def _last_switch(self, now: float) -> float:
-        return self._known.last_switch(now, self._first)
+        ends, whole = cut(scans, self.done, self.switches, limit)
+        if len(ends):
+            timing = self.members[0].timing
+            blocks = Blocks.of(scans, self.done, ends, timing, self.switches, blind=blind)
+            for member in self.members:
+                member.take(blocks)
+            if self.driven is not None:
+                self.driven.take(blocks)
+            self.done = int(ends[-1]) + 1
+            if whole:
+                self.mixture = mix(self.members, self.rise, self.unexplained, self.driven)
+                self._sound = self._sound and self.mixture.changed < EVEN
+                if self.driven is not None and self._sound:
+                    self.driven.before_C = self.driven.core[0]
+        return whole
 
     def better_points(self) -> list[Array] | None:
         """Return where to linearise anew, None where the belief is still near enough."""

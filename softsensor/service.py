@@ -18,6 +18,8 @@ from dataclasses import asdict, dataclass, field
 from multiprocessing import get_context, parent_process
 from typing import Any, Literal
 
+import numpy as np
+
 from daq.config import Config, PressSettings
 from daq.notify import Notifier
 from daq.pressfile import Press, read_press
@@ -25,7 +27,7 @@ from daq.records import InputError, PressState, Run, Scan
 from daq.stopping import stop_on_signals
 from daq.store import RunRecord, RunStatus, Store, StoredEstimate, StoreUnavailable
 from daq.store.waiting import open_when_ready
-from softsensor.drift import RunValue, watch_all
+from softsensor.drift import alarms_of
 from softsensor.modelfile import ModelFile, parse_model
 from softsensor.observer import Estimate, LiveSensor
 from softsensor.recent import NEWEST_RUNS, PRESS_FILE, fingerprint, up_to_date
@@ -79,7 +81,7 @@ def sense(config: Config, *, stop: threading.Event | None = None) -> None:
                 if time.monotonic() - beat > BEAT_S:
                     beat = time.monotonic()
                     status = _status(followers, "running")
-                    store.beat(PROCESS, status)
+                    store.beat(store.beats_as(PROCESS), status)
                     notifier.alive(str(status["message"]))
                 trouble = ""
             except StoreUnavailable as error:
@@ -92,7 +94,7 @@ def sense(config: Config, *, stop: threading.Event | None = None) -> None:
                 stop.wait(POLL_S)
         notifier.stopping()
         with suppress(StoreUnavailable):
-            store.beat(PROCESS, _status(followers, "stopped"))
+            store.beat(store.beats_as(PROCESS), _status(followers, "stopped"))
 
 
 def _say(store: Store, level: Level, sentence: str, press: str | None = None, **detail: Any) -> None:
@@ -155,6 +157,11 @@ def _warm_up() -> None:
     from softsensor import campaign
 
     LOG.debug("fitter ready: %s", campaign.__name__)
+
+
+def heard(press: Press, run: Run) -> bool:
+    """Whether any panel sensor of a run has a value: without one, as in production, nothing can be fitted."""
+    return any(bool(np.isfinite(run.columns[name]).any()) for name in press.sensors_of(run))
 
 
 def fit_one(press: Press, run: Run, model: ModelFile | None) -> dict[str, Any]:
@@ -366,10 +373,11 @@ class Follower:
         """Fit those of the newest runs up to a scan that a process killed before this one has left."""
         records = self.store.runs(press=self.name, limit=HISTORY_RUNS).items
         fits = self.store.fits([r.run for r in records])
-        said = {e.message.partition(" could not be fitted")[0] for e in self.store.journal(limit=500).items}
+        said = [e.message for e in self.store.journal(limit=500).items]
         for record in reversed(records):
             seen = record.last_scan is not None and record.last_scan <= last
-            if seen and "fingerprint" not in fits.get(record.run, {}) and f"run {record.run}" not in said:
+            told = any(message.startswith(f"run {record.run} ") for message in said)
+            if seen and "fingerprint" not in fits.get(record.run, {}) and not told:
                 self._fit_whole(record)
 
     def _fit_whole(self, record: RunRecord) -> None:
@@ -380,8 +388,12 @@ class Follower:
     def _submit(self, run: str) -> None:
         if run in self._fits or run not in self._due:
             return
-        self._fits[run] = self.fitter.submit(self.press, self.store.load_run(run), self.model)
+        loaded = self.store.load_run(run)
         self._due.discard(run)
+        if heard(self.press, loaded):
+            self._fits[run] = self.fitter.submit(self.press, loaded, self.model)
+        elif self.store.run_record(run).status is not RunStatus.OPEN:
+            _say(self.store, "info", f"run {run} has no panel sensors: nothing to fit", self.name)
 
     def _collect(self) -> None:
         """Store finished fits and look at the control charts."""
@@ -408,11 +420,7 @@ class Follower:
 
     def _watch(self) -> None:
         """Write an alarm once for each coefficient that has left what is usual."""
-        history: dict[str, list[RunValue]] = {}
-        for c in self.store.coefficient_history(press=self.name, limit=HISTORY_RUNS).items:
-            if c.identifiable:
-                history.setdefault(c.name, []).append(RunValue(c.run, c.value, c.sd))
-        for alarm in watch_all({name: values[::-1] for name, values in history.items()}):
+        for alarm in alarms_of(self.store, self.name):
             if (alarm.coefficient, alarm.run) not in self._alarmed:
                 self._alarmed.add((alarm.coefficient, alarm.run))
                 _say(self.store, "warning", alarm.sentence, self.name, **alarm.__dict__)
@@ -420,8 +428,7 @@ class Follower:
     def _refresh_model(self) -> None:
         """Take the promoted model and the newest fits made with it."""
         active = self.store.active_model(self.name)
-        newest = self.store.coefficient_history(press=self.name, limit=1).items
-        rests_on = (active.version if active else "", newest[0].fit_number if newest else 0)
+        rests_on = (active.version if active else "", self.store.newest_fit_number(self.name))
         if rests_on == self._rests_on:
             return
         self._rests_on = rests_on
@@ -439,8 +446,13 @@ class Follower:
 
 
 def _details(sensor: LiveSensor, said: Estimate) -> dict[str, Any]:
-    """Return what goes beside an estimate, without what is not known."""
+    """Return what goes beside an estimate, without what is not known.
+
+    Outlook, profile and heat come out of the same belief as the core: where that is not valid, none is told.
+    """
     found: dict[str, Any] = {"suspected": said.suspected} if said.suspected else {}
+    if not said.valid:
+        return found
     if said.state is not PressState.IDLE and said.state is not None and (inside := sensor.inside) is not None:
         found["profile_C"] = [round(v, 1) for v in inside.profile_C.tolist()]
         found["energy_kJ_m2"] = round(inside.energy_kJ_m2, 1)

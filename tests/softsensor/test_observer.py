@@ -120,6 +120,15 @@ def test_one_pressing_does_not_settle_which_of_several_causes_is_at_work():
     assert width.mean() <= 4.0
 
 
+def test_a_model_nobody_asked_what_it_leaves_out_gives_no_narrower_band_than_no_model(plain):
+    sure = {name: Estimate(e.value, 0.01 * e.value) for name, e in COEFFICIENTS.items()}
+    run, truth = plain[1]
+    _, _, blind = compared(replay(run, None), truth.core_C)
+    _, inside, width = compared(replay(run, ModelFile("typed in", "lab", sure)), truth.core_C)
+    assert width.mean() > 0.9 * blind.mean()
+    assert inside.mean() >= 0.9
+
+
 def test_a_diagnosed_cause_is_followed():
     ((run, truth),) = make_campaign(
         34, 1, {"vapour_convection": {"W_m3K": 1.5e4}}, replace(PLAN, effect_spread=0.1)
@@ -209,6 +218,16 @@ def test_missing_platens_are_bridged_for_ten_seconds_and_no_longer(plain):
     gone = [e for e in said if e.time_s > 40.5]
     assert all(e.valid for e in bridged)
     assert {(e.valid, e.reason) for e in gone} == {(False, NO_PLATENS)}
+
+
+def test_the_loss_of_platens_that_come_in_turns_is_noticed_too(plain):
+    run = plain[0][0]
+    odd, late = np.arange(len(run.time_s)) % 2 == 1, run.time_s > 30.0
+    turns = {"platen_top": ~odd & ~late, "platen_bottom": odd & ~late}
+    columns = dict(run.columns) | {n: np.where(heard, run.columns[n], np.nan) for n, heard in turns.items()}
+    said = replay(replace(run, columns=columns), rows=90)
+    assert all(e.valid for e in said if 30.0 < e.time_s < 39.0)
+    assert {(e.valid, e.reason) for e in said if e.time_s > 40.5} == {(False, NO_PLATENS)}
 
 
 def test_a_slow_logger_is_enough(plain):

@@ -1,6 +1,7 @@
 """What the sensor foresees against what then happens in the virtual press."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from daq.simulated.campaign_pressfile import press_toml
 from daq.simulated.physics import BASE_COEFFICIENTS
 from softsensor.modelfile import Estimate, ModelFile
 from softsensor.observer import LiveSensor
+from softsensor.observer_outlook import heat_taken_up
 
 PRESS = parse_press(press_toml())
 MODEL = ModelFile("test", "lab", {n: Estimate(v, 0.15 * v) for n, v in BASE_COEFFICIENTS.items()})
@@ -104,3 +106,15 @@ def test_nothing_is_foreseen_where_nothing_is_wanted(pressing):
         sensor.look_ahead()
     assert np.isnan(sensor.outlook.target_in_s)
     assert sensor.outlook.warning == ""
+
+
+def test_the_heat_taken_up_counts_a_heat_capacity_that_grows_with_temperature():
+    cells, nothing = np.arange(4), np.zeros((1, 2))
+    stack = SimpleNamespace(
+        dx=np.full(4, 0.004), c=np.full(4, 1.1e6), c_slope=np.full(4, 0.003), c_table=np.full(4, -1),
+        table_x=nothing, table_y=nothing, wet=cells > 0,
+    )  # fmt: skip
+    field = np.array([200.0, 120.0, 60.0, 120.0])
+    made = SimpleNamespace(stack=stack, start_C=20.0)
+    per_cell = 0.004 * 1.1e6 * ((field - 20.0) + 0.003 / 2 * (field - 20.0) ** 2)
+    assert heat_taken_up(made, field) == pytest.approx(per_cell[1:].sum(), rel=1e-9)

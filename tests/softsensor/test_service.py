@@ -24,8 +24,9 @@ from daq.simulated.campaign import Plan, make_campaign
 from daq.simulated.campaign_pressfile import press_toml
 from daq.store import NewRun, RunEnd, RunStatus, StoreUnavailable, open_store
 from softsensor.modelfile import Estimate, ModelFile
+from softsensor.observer import LiveSensor
 from softsensor.recent import PRESS_FILE, combined_model, up_to_date
-from softsensor.service import Fitter, Follower
+from softsensor.service import Fitter, Follower, _details
 from tests.daq.test_kills import is_zombie
 from tests.daq.test_recorder import wait_until
 
@@ -185,6 +186,21 @@ def test_an_estimate_carries_what_is_inside_and_what_lies_ahead(store, fitter, p
     assert detail["energy_kJ_m2"] > 100.0
     assert detail["target_earliest_s"] <= detail["target_in_s"] <= detail["target_latest_s"]
     assert 0.0 <= detail["open_in_s"] <= detail["target_in_s"]
+
+
+def test_beside_a_core_that_is_not_valid_nothing_is_foreseen(pressing):
+    run, _ = pressing
+    wrong = {"panel.initial_temperature_C": run.header["panel.initial_temperature_C"] + 20.0}
+    sensor = LiveSensor(PRESS, dict(run.header) | wrong | {"setting.core_target_C": 60.0})
+    told = []
+    for i, t in enumerate(run.time_s[:60].tolist()):
+        said = sensor.update(t, {name: float(values[i]) for name, values in run.columns.items()})
+        sensor.look_ahead()
+        if said.state is PressState.CLOSED:
+            told.append((said.valid, set(_details(sensor, said)) - {"suspected"}))
+    assert len(told) > 20
+    assert np.isfinite(sensor.outlook.target_in_s)  # it was worked out, of a belief that cannot be
+    assert all(not valid and not beside for valid, beside in told)
 
 
 def test_a_restart_in_mid_press_agrees_with_the_uninterrupted_estimate(tmp_path, fitter, pressing):

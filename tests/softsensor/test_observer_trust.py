@@ -1,0 +1,159 @@
+"""Runs that are not what they say: the live sensor must not answer them with a wrong core in a narrow band."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from daq.pressfile import parse_press
+from daq.records import PressState
+from daq.simulated.campaign import Plan, make_campaign
+from daq.simulated.campaign_pressfile import press_toml
+from daq.simulated.physics import BASE_COEFFICIENTS
+from softsensor.modelfile import Estimate, ModelFile
+from softsensor.observer import NO_PLATENS, NOT_VALID, LiveSensor
+from softsensor.observer_trust import contradiction
+
+PRESS = parse_press(press_toml())
+MODEL = ModelFile("test", "lab", {name: Estimate(value, 0.2 * value) for name, value in BASE_COEFFICIENTS.items()})
+PLAN = Plan(
+    rate_hz=2.0, thickness_mm=16.0, start_before_s=6.0, closed_column=True,
+    press_time_s=(40.0, 60.0), open_before_s=(6.0, 12.0), open_after_s=(35.0, 45.0),
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def pressing():
+    return make_campaign(21, 1, None, PLAN)[0]
+
+
+def replay(run):
+    sensor = LiveSensor(PRESS, run.header, MODEL)
+    return [
+        sensor.update(t, {name: float(values[i]) for name, values in run.columns.items()})
+        for i, t in enumerate(run.time_s.tolist())
+    ]
+
+
+def with_columns(run, chosen, change):
+    columns = {n: change(v) if n.startswith(chosen) else v for n, v in run.columns.items()}
+    return replace(run, columns=columns)
+
+
+def held_from(run, at_s, until_s=np.inf):
+    """Repeat what was read last before a moment."""
+    still = (run.time_s >= at_s) & (run.time_s < until_s)
+    last = int(np.argmax(still)) - 1
+    return lambda values: np.where(still, values[max(last, 0)], values)
+
+
+def told_wrong(said, core):
+    """Return the share of valid rows whose band misses the truth."""
+    rows = [not e.core_low_C <= c <= e.core_high_C for e, c in zip(said, core, strict=True) if e.valid]
+    return float(np.mean(rows)) if rows else 0.0
+
+
+def test_platens_that_come_a_few_scans_late_are_waited_for(pressing):
+    run, truth = pressing
+    late = run.time_s < 3.0
+    said = replay(with_columns(run, "platen_top", lambda v: np.where(late, np.nan, v)))
+    assert {(e.valid, e.reason) for e in said[: int(late.sum())]} == {(False, NO_PLATENS)}
+    assert np.mean([e.valid for e in said[int(late.sum()) :]]) > 0.95
+    assert told_wrong(said, truth.core_C) < 0.1
+
+
+def test_platens_that_come_when_the_panel_has_long_lain_there_leave_the_core_unknown(pressing):
+    run, truth = pressing
+    late = run.time_s < truth.moments.closed_s + 5.0
+    said = replay(with_columns(run, "platen", lambda v: np.where(late, np.nan, v)))
+    assert not any(e.valid for e in said)
+    assert said[-1].reason.startswith(NOT_VALID)
+
+
+@pytest.mark.parametrize("wire", [True, False])
+@pytest.mark.parametrize("after_s", [2.0, 20.0])
+def test_a_run_that_begins_in_mid_press_is_not_answered(pressing, wire, after_s):
+    run, truth = pressing
+    kept = run.time_s > truth.moments.closed_s + after_s
+    columns = {n: v[kept] for n, v in run.columns.items() if wire or n != "closed"}
+    said = replay(replace(run, time_s=run.time_s[kept], columns=columns))
+    assert told_wrong(said, truth.core_C[kept]) == 0.0
+    assert np.mean([e.valid for e in said]) < 0.1
+
+
+def test_a_start_temperature_that_all_sensors_contradict_is_not_believed(pressing):
+    run, _ = pressing
+    wrong = run.header["panel.initial_temperature_C"] + 10.0
+    said = replay(replace(run, header=dict(run.header) | {"panel.initial_temperature_C": wrong}))
+    closed = [e for e in said if e.state is PressState.CLOSED]
+    assert {e.valid for e in closed} == {False}
+    assert f"start at {wrong:.0f} °C" in closed[0].reason
+
+
+@pytest.mark.parametrize("off", [-4.0, 3.0])
+def test_a_start_temperature_that_is_a_little_off_is_put_right_by_the_sensors(pressing, off):
+    run, truth = pressing
+    wrong = run.header["panel.initial_temperature_C"] + off
+    said = replay(replace(run, header=dict(run.header) | {"panel.initial_temperature_C": wrong}))
+    there = [i for i, e in enumerate(said) if e.valid and e.state is not PressState.IDLE]
+    assert len(there) > 100
+    assert max(abs(said[i].core_C - truth.core_C[i]) for i in there) < 1.0
+    assert np.mean([said[i].core_low_C <= truth.core_C[i] <= said[i].core_high_C for i in there]) > 0.95
+
+
+def test_a_lower_face_that_warms_already_is_no_contradiction():
+    assert contradiction(np.array([21.0, 45.0]), 20.0) == ""
+    assert contradiction(np.array([np.nan, np.nan]), 20.0) == ""
+    assert contradiction(np.array([60.0, 104.0]), 20.0) == (
+        "sensors read 60 °C where the header has the panel start at 20 °C"
+    )
+
+
+@pytest.mark.parametrize("face", ["top_", "bottom_", ("top_", "bottom_")])
+def test_a_face_that_repeats_itself_while_the_panel_warms_does_not_count(pressing, face):
+    run, truth = pressing
+    said = replay(with_columns(run, face, held_from(run, 2.0)))
+    assert told_wrong(said, truth.core_C) < 0.05
+    assert np.mean([e.valid for e in said]) > 0.9
+
+
+def test_a_logger_that_stands_still_over_the_closing_is_a_gap(pressing):
+    run, truth = pressing
+    begun = truth.moments.closed_s - 1.0
+    frozen = held_from(run, begun, begun + 20.0)
+    said = replay(with_columns(run, ("top_", "bottom_", "platen"), frozen))
+    assert told_wrong(said, truth.core_C) < 0.05
+    silent = [e for e in said if begun + 15.0 < e.time_s < begun + 19.0]
+    assert {(e.valid, e.reason) for e in silent} == {(False, NO_PLATENS)}
+
+
+def test_a_switch_that_opens_for_a_moment_with_no_sensor_on_the_panel_leaves_the_press_closed(pressing):
+    run, truth = pressing
+    middle = (truth.moments.closed_s + truth.moments.opened_s) / 2
+    slip = (run.time_s > middle) & (run.time_s < middle + 1.5)
+    columns = {n: v for n, v in run.columns.items() if not n.startswith(("top_", "bottom_"))}
+    columns["closed"] = np.where(slip, 0.0, columns["closed"])
+    said = replay(replace(run, columns=columns))
+    assert told_wrong(said, truth.core_C) < 0.15
+
+
+@pytest.mark.parametrize(("before_s", "after_s"), [(2.0, 2.0), (3.0, 0.4), (0.5, 4.0), (10.0, 10.0), (2.0, 18.0)])
+def test_a_gap_in_the_log_around_the_closing_does_not_deceive(before_s, after_s):
+    ((run, truth),) = make_campaign(910801, 1, None, replace(PLAN, closed_column=False, thickness_mm=8.0))
+    since = run.time_s - truth.moments.closed_s
+    kept = (since < -before_s) | (since > after_s)
+    columns = {n: v[kept] for n, v in run.columns.items()}
+    said = replay(replace(run, time_s=run.time_s[kept], columns=columns))
+    assert told_wrong(said, truth.core_C[kept]) < 0.1
+    if before_s + after_s < 6.0:
+        assert np.mean([e.valid for e in said]) > 0.9
+
+
+def test_a_closing_that_went_unheard_leaves_the_core_unknown(pressing):
+    run, truth = pressing
+    since = run.time_s - truth.moments.closed_s
+    unheard = (since > -2.0) & (since < 15.0)
+    deaf = with_columns(run, ("top_", "bottom_"), lambda v: np.where(unheard, np.nan, v))
+    said = replay(replace(deaf, columns={n: v for n, v in deaf.columns.items() if n != "closed"}))
+    assert told_wrong(said, truth.core_C) == 0.0
+    assert not any(e.valid for e in said if e.time_s > truth.moments.closed_s + 16.0)
