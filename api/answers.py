@@ -6,6 +6,7 @@ import math
 import threading
 import time
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Any
 
@@ -16,6 +17,7 @@ from api.schemas import (
     CoefficientPoint,
     EstimateNow,
     ModelSummary,
+    ParameterWords,
     Phase,
     PressNow,
     RunDetail,
@@ -44,6 +46,8 @@ STATE_AFTER: Mapping[str, State] = {
 }
 BESIDE = set(EstimateNow.model_fields) - set(StoredEstimate.__dataclass_fields__)
 """What the sensor stores beside an estimate and the API hands on."""
+BESIDE_DOUBT = {"suspected"}
+"""What of it stands beside an estimate that is not valid: outlook, profile and heat rest on that estimate."""
 
 SILENT_S = 5.0
 """An estimate this much older than the newest scan is no longer what the core is. [s]"""
@@ -125,6 +129,7 @@ def _header_number(run: RunRecord, key: str) -> float | None:
 
 def estimate_now(estimate: StoredEstimate, run: RunRecord | None, utc: datetime | None) -> EstimateNow:
     """Return one estimate as the API shows it; its time counts from the run's first row."""
+    handed_on = BESIDE if estimate.valid else BESIDE_DOUBT
     return EstimateNow(
         run=run.run if run else None,
         number=estimate.number,
@@ -137,7 +142,7 @@ def estimate_now(estimate: StoredEstimate, run: RunRecord | None, utc: datetime 
         core_high_C=number_or_none(estimate.core_high_celsius),
         valid=estimate.valid,
         reason=estimate.reason,
-        **{k: v for k, v in (estimate.detail or {}).items() if k in BESIDE},
+        **{k: v for k, v in (estimate.detail or {}).items() if k in handed_on},
     )
 
 
@@ -182,20 +187,30 @@ def highest_core(store: Store, run: RunRecord) -> float:
     return highest
 
 
-def newest_estimate(store: Store, press: str, run: RunRecord | None, scan: Scan) -> EstimateNow | None:
-    """Return the newest estimate, invalid where the live sensor has fallen silent while scans go on."""
+def last_word(store: Store, press: str, scan: Scan) -> tuple[StoredEstimate, datetime | None] | None:
+    """Return the newest estimate with the time of its own scan, None before the first.
+
+    It is not valid, and says why, where the live sensor has fallen silent while scans go on to `scan`.
+    """
     number = store.newest_estimate_number(press)
     found = store.estimates_after(press, number - 1, 1)
     if not found:
         return None
     own = scan if number == scan.number else next(iter(store.scans_after(press, number - 1, 1).scans), None)
-    told = estimate_now(found[0], run_of_scan([run] if run else [], number), own.utc if own else None)
     silent_s = (scan.utc - own.utc).total_seconds() if own else 0.0
-    if silent_s <= SILENT_S:
-        return told
-    return told.model_copy(
-        update={"valid": False, "reason": f"the live sensor has said nothing for {silent_s:.0f} s"}
-    )
+    told = found[0]
+    if silent_s > SILENT_S:
+        told = replace(told, valid=False, reason=f"the live sensor has said nothing for {silent_s:.0f} s")
+    return told, own.utc if own else None
+
+
+def newest_estimate(store: Store, press: str, run: RunRecord | None, scan: Scan) -> EstimateNow | None:
+    """Return what the live sensor said last as the API shows it."""
+    said = last_word(store, press, scan)
+    if said is None:
+        return None
+    told, utc = said
+    return estimate_now(told, run_of_scan([run] if run else [], told.number), utc)
 
 
 def press_now(store: Store, press: str, press_file: str, now: datetime) -> PressNow:
@@ -233,8 +248,8 @@ def press_now(store: Store, press: str, press_file: str, now: datetime) -> Press
 def coefficients_in_use(store: Store, press: str, press_file: str) -> dict[str, float]:
     """Return what the live sensor starts from: the promoted model and the newest fits, else the guesses."""
     active = store.active_model(press)
-    newest = store.coefficient_history(press=press, limit=1).items
-    key = (store.label, press, press_file, active.version if active else "", newest[0].fit_number if newest else 0)
+    newest = store.newest_fit_number(press)
+    key = (store.label, press, press_file, active.version if active else "", newest)
     with _IN_USE_LOCK:
         if key not in _IN_USE:
             _IN_USE[key] = _coefficients(store, press, press_file, active)
@@ -316,6 +331,18 @@ def model_summary(model: ModelRecord) -> ModelSummary:
         effects=[str(effect.get("name", effect)) for effect in model.model.get("effects", [])],
         reason=model.reason,
     )
+
+
+def parameter_words(effects: Iterable[str]) -> dict[str, ParameterWords]:
+    """Return how people are told the parameters of some effects, by full name."""
+    from softsensor.effects import catalogue
+
+    known = (effect for effect in map(catalogue().get, effects) if effect is not None)
+    return {
+        effect.key(p.name): ParameterWords(words=p.words, factor=p.scale[0], unit=p.scale[1])
+        for effect in known
+        for p in effect.parameters
+    }
 
 
 def utc_now() -> datetime:

@@ -320,9 +320,14 @@ class _Demo:
         unseen = max(self._pressed, default=0) - len(self._pressed)
         for line in pace_lines(self.findings, self.plan.speed, left_out, int(recorder["acknowledged"]), unseen):
             self.say(line)
+        if not self.plan.hide:
+            return
         active = self.store.active_model("lab")
-        if self.plan.hide and active is not None and active.model.get("effects"):
+        if active is not None and active.model.get("effects"):
             self.say(gain_line(self.findings, list(self._replays(parse_model(active.model, active.version)))))
+        for left in self.store.models(press="lab").items:
+            if left.status in ("rejected", "candidate"):
+                self.say(f"Model {left.version} was not promoted: {left.reason}")
 
     def _replays(self, model: ModelFile) -> Iterator[float]:
         """Yield the core errors of the last pressings with a model. [K]"""

@@ -20,6 +20,13 @@ EXPECTED = ("record", "sense")
 SEEN_S, SEEN_BYTES = 600.0, 16_000_000
 """How long the disk lasts is told after this much recording: before, the cost of a scan is that of empty tables
 and of the write-ahead log (4 MB), and the figure many times too small."""
+IN_USE_S = 7 * 86400.0
+"""A press or a machine unheard of for longer is taken for one that is no longer there: no alarm stands. [s]"""
+MANY_BEHIND = 600
+"""Scans without an estimate, a minute of them at 10 Hz: the live sensor does not keep up, or compiles."""
+LEAST_FREE_BYTES = 2_000_000_000
+REFIT_OVERDUE_S = 180_000.0
+"""Two nights and two hours. [s]"""
 ALARM_AGE = timedelta(minutes=10)
 """Alarms of the journal older than this are history."""
 
@@ -48,9 +55,12 @@ def health_of(store: Store, now: datetime) -> Health:
             processes=[],
             alarms=[str(error)],
         )
-    names = [*EXPECTED, *(name for name in sorted(statuses) if name not in EXPECTED)]
-    processes = [_process(name, statuses.get(name), now) for name in names]
+    processes = [_process(name, statuses.get(name), now) for name in _names(statuses, now)]
     alarms = [*_process_alarms(processes), *alarms]
+    if kept.free_bytes is not None and kept.free_bytes < LEAST_FREE_BYTES:
+        alarms.append("less than 2 GB left on the store's disk")
+    if (age_s := refit_age_s(store, statuses, now)) is not None and age_s > REFIT_OVERDUE_S:
+        alarms.append(f"refit: the nightly job has not come to its end for {age_s / 3600.0:.0f} h; see its log")
     return Health(
         status="degraded" if alarms else "ok",
         version=installed_version(),
@@ -59,6 +69,25 @@ def health_of(store: Store, now: datetime) -> Health:
         processes=processes,
         alarms=list(dict.fromkeys(alarms)),
     )
+
+
+def kind_of(process: str) -> str:
+    """Return what a process does: its name without the host.
+
+    >>> kind_of("record@press-pc-2")
+    'record'
+    """
+    return process.partition("@")[0]
+
+
+def _names(statuses: Mapping[str, ProcessStatus], now: datetime) -> list[str]:
+    """Return the processes to tell of: the expected ones of every machine there lately, then the others."""
+    names = []
+    for expected in EXPECTED:
+        known = sorted((n for n in statuses if kind_of(n) == expected), key=lambda n: statuses[n].utc)
+        lately = [n for n in known if (now - statuses[n].utc).total_seconds() < IN_USE_S]
+        names += sorted(lately) or known[-1:] or [expected]
+    return [*names, *(n for n in sorted(statuses) if kind_of(n) not in EXPECTED)]
 
 
 def _process(name: str, status: ProcessStatus | None, now: datetime) -> ProcessHealth:
@@ -81,12 +110,29 @@ def _process(name: str, status: ProcessStatus | None, now: datetime) -> ProcessH
 def _process_alarms(processes: list[ProcessHealth]) -> list[str]:
     alarms = []
     for process in processes:
-        if process.name in EXPECTED and not process.alive:
+        if kind_of(process.name) in EXPECTED and not process.alive:
             seen = "never seen" if process.age_s is None else f"silent for {process.age_s:.0f} s"
-            alarms.append(f"{process.name}: {seen}; start kerntemp {process.name}")
+            alarms.append(f"{process.name}: {seen}; start kerntemp {kind_of(process.name)}")
         elif process.alive:
             alarms += _problems(process.details)
+        if kind_of(process.name) == "sense":
+            alarms += [
+                f"{press['press']}: {behind} scans behind, this machine is too busy"
+                for press in process.details.get("presses", [])
+                if (behind := press.get("behind_scans", 0)) > MANY_BEHIND
+            ]
     return alarms
+
+
+def refit_age_s(store: Store, statuses: Mapping[str, ProcessStatus], now: datetime) -> float | None:
+    """Return how long ago the nightly job came to its end or, before it ever did, the journal began. [s]"""
+    if "refit" in statuses:
+        since = statuses["refit"].utc
+    elif first := store.journal_after(0, 1):
+        since = first[0].utc
+    else:
+        return None
+    return max((now - since).total_seconds(), 0.0)
 
 
 def _problems(details: Mapping[str, Any]) -> list[str]:

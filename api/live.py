@@ -95,8 +95,7 @@ def newest_position(store: Store) -> Position:
     while events := store.press_events(after=after):
         after = events[-1].number
     position.press_event = after
-    fits = store.coefficient_history(limit=1).items
-    position.fit = fits[0].fit_number if fits else 0
+    position.fit = store.newest_fit_number()
     position.run = _run_state(_newest_runs(store))
     return position
 
@@ -203,15 +202,9 @@ def scan_event(press: str, channels: tuple[Channel, ...], scan: Scan, run: RunRe
 
 
 def _fits(store: Store, position: Position, until: Position | None) -> Iterator[bytes]:
-    newest = store.coefficient_history(limit=1).items
-    if not newest or newest[0].fit_number <= position.fit:
-        return
-    end = until.fit if until else newest[0].fit_number
-    records = [
-        r for r in store.coefficient_history(limit=CATCH_UP_FITS).items if position.fit < r.fit_number <= end
-    ]
-    for number in sorted({record.fit_number for record in records}):
-        run = next(record.run for record in records if record.fit_number == number)
+    for number, run in store.fits_after(position.fit, CATCH_UP_FITS):
+        if until and number > until.fit:
+            break
         fit = store.fit(run) or {}
         position.fit = number
         data = {

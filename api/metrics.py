@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import datetime
 from typing import Any
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, generate_latest
 
 from api.answers import press_now
-from api.health import health_of, installed_version
+from api.health import IN_USE_S, health_of, installed_version, kind_of, refit_age_s
 from api.schemas import Health, PressNow
 from daq.records import Quality
 from daq.store.records import StoreUnavailable
@@ -30,11 +30,12 @@ def metrics_text(store: Store, now: datetime) -> str:
         presses = {name: press_now(store, name, text, now) for name, text in store.presses().items()}
         scans = {name: store.newest_scan_number(name) + 1 for name in presses}
         models = {name: store.active_model(name) for name in presses}
+        refit_s = refit_age_s(store, store.statuses(), now)
     except StoreUnavailable:
         up.set(0)
         return generate_latest(registry).decode()
     up.set(health.status != "down")
-    _add_health(health, registry)
+    _add_health(health, refit_s, registry)
     _add_presses(presses, scans, now, registry)
     known = Gauge("kerntemp_model_info", "1 for the model in force", ["press", "version"], registry=registry)
     for name, model in models.items():
@@ -43,7 +44,7 @@ def metrics_text(store: Store, now: datetime) -> str:
     return generate_latest(registry).decode()
 
 
-def _add_health(health: Health, registry: CollectorRegistry) -> None:
+def _add_health(health: Health, refit_s: float | None, registry: CollectorRegistry) -> None:
     up = Gauge("kerntemp_process_up", "1 while the process beats", ["process"], registry=registry)
     age = Gauge("kerntemp_process_age_seconds", "Since its last beat", ["process"], registry=registry)
     for process in health.processes:
@@ -51,28 +52,30 @@ def _add_health(health: Health, registry: CollectorRegistry) -> None:
             up.labels(process.name).set(process.alive)
         if process.age_s is not None:
             age.labels(process.name).set(process.age_s)
+    if refit_s is not None:
+        age.labels("refit").set(refit_s)  # also before it ever came to its end
     Gauge("kerntemp_alarms", "Alarms that stand", registry=registry).set(len(health.alarms))
     if health.store.size_bytes is not None and health.store.free_bytes is not None:
         Gauge("kerntemp_store_bytes", "Size of the store", registry=registry).set(health.store.size_bytes)
         Gauge("kerntemp_store_free_bytes", "Free on its disk", registry=registry).set(health.store.free_bytes)
-    told = {process.name: process.details for process in health.processes}
-    _add_recorder(told.get("record", {}), registry)
+    told = [(kind_of(process.name), process.details) for process in health.processes]
+    _add_recorders([details for kind, details in told if kind == "record"], registry)
     behind = Gauge("kerntemp_sense_behind_scans", "Scans without estimate yet", ["press"], registry=registry)
-    for press in told.get("sense", {}).get("presses", []):
+    for press in (p for kind, details in told if kind == "sense" for p in details.get("presses", [])):
         behind.labels(press["press"]).set(press.get("behind_scans", 0))
 
 
-def _add_recorder(told: Mapping[str, Any], registry: CollectorRegistry) -> None:
-    """What the recorder's last sign of life says of loggers, late scans and what waits for the store."""
+def _add_recorders(told: Sequence[Mapping[str, Any]], registry: CollectorRegistry) -> None:
+    """What the recorders' last signs of life say of loggers, late scans and what waits for the store."""
     waiting = Gauge("kerntemp_record_waiting", "Scans and entries that wait for the store", registry=registry)
-    waiting.set(told.get("waiting", 0))
+    waiting.set(sum(recorder.get("waiting", 0) for recorder in told))
     missed = Counter("kerntemp_missed_scans", "Scans due and not made", ["press"], registry=registry)
-    for press in told.get("presses", []):
+    for press in (p for recorder in told for p in recorder.get("presses", [])):
         missed.labels(press["press"]).inc(press.get("missed_ticks", 0))
     label = ["press", "logger"]
     up = Gauge("kerntemp_logger_up", "1 while the logger answers", label, registry=registry)
     replies = Counter("kerntemp_logger_replies", "Replies by outcome", [*label, "outcome"], registry=registry)
-    for logger in told.get("loggers", []):
+    for logger in (x for recorder in told for x in recorder.get("loggers", [])):
         up.labels(logger["press"], logger["name"]).set(logger.get("state") != "lost")
         for outcome, count in logger.get("counters", {}).items():
             replies.labels(logger["press"], logger["name"], outcome).inc(count)
@@ -94,8 +97,11 @@ def _add_presses(
             state.labels(name, candidate).set(press.state == candidate)
         stored.labels(name).inc(scans[name])
         newest = max((c.utc for c in press.channels if c.utc is not None), default=None)
+        age_s = 0.0 if newest is None else max((now - newest).total_seconds(), 0.0)
+        if age_s > IN_USE_S:
+            continue
         if newest is not None:
-            age.labels(name).set(max((now - newest).total_seconds(), 0.0))
+            age.labels(name).set(age_s)
         if press.estimate and press.estimate.valid and press.estimate.core_C is not None:
             core.labels(name).set(press.estimate.core_C)
             core_sd.labels(name).set(press.estimate.core_sd_K or 0.0)

@@ -85,7 +85,10 @@ class ChannelList(_Answer):
 
 
 class EstimateNow(_Answer):
-    """The core temperature the live sensor predicts; low and high bound 95 %."""
+    """The core temperature the live sensor predicts; low and high bound 95 %.
+
+    What rests on it (heat, profile, outlook, warning) is empty while it is not valid.
+    """
 
     run: str | None
     number: int | None
@@ -369,6 +372,14 @@ class ModelDetail(ModelSummary):
     model: dict[str, Any]
 
 
+class ParameterWords(_Answer):
+    """How people are told an effect's parameter: in words, times a factor, in a unit."""
+
+    words: str
+    factor: float
+    unit: str
+
+
 class DiagnosisRecord(_Answer):
     """What the simulation gets wrong, as `kerntemp diagnose --json` reports it, and when it was found."""
 
@@ -377,6 +388,8 @@ class DiagnosisRecord(_Answer):
     utc: datetime
     verdict: str
     diagnosis: dict[str, Any]
+    parameters: dict[str, ParameterWords]
+    """Of the named effects, by full name (`edge_loss.W_m3K`); an effect no longer installed is not there."""
 
 
 class DiagnosisList(_Answer):

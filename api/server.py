@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import logging
 import socket
 import ssl
@@ -149,6 +150,12 @@ def allow_many_files() -> None:
         resource.setrlimit(resource.RLIMIT_NOFILE, (enough, hard))
 
 
+def settle_memory() -> None:
+    """Take what the program is made of out of the garbage collector's passes: one over all of it costs 50 ms."""
+    gc.collect()
+    gc.freeze()
+
+
 def address_of(bound: socket.socket, *, tls: bool) -> str:
     """Return the address a person can open."""
     host, port = bound.getsockname()[:2]
@@ -180,4 +187,6 @@ def run_server(store: Store, tokens: TokenFile, listening: Listening, bound: soc
     """Serve until interrupted or terminated."""
     logging.getLogger("uvicorn.access").disabled = True
     allow_many_files()
-    make_server(store, tokens, listening).run(sockets=[bound])
+    server = make_server(store, tokens, listening)
+    settle_memory()
+    server.run(sockets=[bound])

@@ -57,7 +57,7 @@ export class TimeChart {
       },
       axes: [
         { ...axis, label: this.xLabel ?? text("time_axis"), labelSize: 20, size: 34, ...(this.xSteps ? { incrs: this.xSteps } : {}), values: (_, splits) => splits.map((v) => number(v, Number.isInteger(v) ? 0 : 1)) },
-        { ...axis, label: this.yLabel, labelSize: 20, size: 46, values: (_, splits) => splits.map((v) => number(v, decimals(splits))) },
+        { ...axis, label: this.yLabel, labelSize: 20, size: (_, values) => Math.max(46, 14 + 7 * Math.max(...(values ?? [""]).map((v) => v.length))), values: (_, splits) => splits.map((v) => number(v, decimals(splits))) },
       ],
       series: [{}, ...this.series.map((s) => this.line(s))],
       bands: high >= 0 && low >= 0 && !this.whiskers ? [{ series: [high + 1, low + 1], fill: style("--core-band") }] : [],

@@ -31,6 +31,9 @@ export function figure(value) {
   return number(value, size >= 100 ? 0 : size >= 10 ? 1 : size >= 0.1 ? 2 : 4);
 }
 
+// Three significant digits and no thousands separator, for parameters from 0.00001 to 100000.
+export const plain = (value) => new Intl.NumberFormat(locale(), { maximumSignificantDigits: 3, useGrouping: false }).format(value);
+
 // A number as it was written down, with the language's decimal sign.
 export const written = (value) => new Intl.NumberFormat(locale(), { maximumFractionDigits: 12, useGrouping: false }).format(value);
 

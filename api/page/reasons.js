@@ -59,6 +59,7 @@ const CLAUSES = [
   [/^the core gets worse$/, "der Kern wird schlechter"],
   [/^through the API$/, "über die API"],
   [/^rolled back$/, "zurückgesetzt"],
+  [/^like (.+), which was rolled back$/, "wie $1, von dem zurückgegangen wurde"],
 ];
 const ENDINGS = [
   [/^(.+), or fit it from about (\d+) such runs together$/, (m) => `, oder bestimmen Sie ihn aus etwa ${m[2]} solchen Pressungen gemeinsam`],

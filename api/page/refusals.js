@@ -49,6 +49,11 @@ const REQUESTS = [
 const PLANT = [
   [/^scans begin$/, "Messzeilen beginnen"],
   [/^(\d+) scans left out, this machine was too busy$/, "$1 Messzeilen ausgelassen, dieser Rechner war überlastet"],
+  [/^(\d+) scans left out in the last minute, this machine is too busy$/, "$1 Messzeilen in der letzten Minute ausgelassen, dieser Rechner ist überlastet"],
+  [/^(\d+) scans wait to be written, this machine is too busy$/, "$1 Messzeilen warten auf das Speichern, dieser Rechner ist überlastet"],
+  [/^(\d+) scans behind, this machine is too busy$/, "$1 Messzeilen im Rückstand, dieser Rechner ist überlastet"],
+  [/^less than 2 GB left on the store's disk$/, "weniger als 2 GB frei auf der Platte des Speichers"],
+  [/^the nightly job has not come to its end for (\d+) h; see its log$/, "der nächtliche Lauf ist seit $1 h nicht zu Ende gekommen; siehe sein Protokoll"],
   [/^(\d+) scans lost: the store was away for longer than there was room$/, "$1 Messzeilen verloren: der Speicher war länger weg, als Platz war"],
   [/^the changed configuration is in force$/, "die geänderte Konfiguration gilt"],
   [/^configuration changed; it takes effect between runs$/, "Konfiguration geändert; sie gilt zwischen zwei Pressungen"],
@@ -69,6 +74,7 @@ const PLANT = [
 
 // Patterns with sentences in them, each with what makes German of its parts.
 const WITHIN = [
+  [/^run (\S+) has no panel sensors: nothing to fit$/, "Pressung $1 hat keine Fühler in der Platte: nichts anzupassen"],
   [/^run (\S+) could not be fitted: (.+)$/, (m, again) => `Pressung ${m[1]} konnte nicht angepasst werden: ${again(m[2])}`],
   [/^cannot open (\S+): ([^;]+); (.+)$/, (m) => LINK[m[3]] && `${m[1]} lässt sich nicht öffnen: ${LINK[m[2]]}; ${LINK[m[3]]}`],
   [/^cannot connect to (\S+): ([^;]+); (.+)$/, (m) => LINK[m[3]] && `keine Verbindung zu ${m[1]}: ${LINK[m[2]]}; ${LINK[m[3]]}`],

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import tempfile
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Literal
@@ -119,19 +119,13 @@ def get_samples(
         whole = load(run, names, from_s, to_s)
     except InputError as error:
         raise ProblemError(404, str(error)) from error
-    kept = kept_rows(list(whole.columns.values()), len(whole.time_s), max_points)
-    shown = replace(
-        whole,
-        time_s=whole.time_s[kept],
-        columns={name: values[kept] for name, values in whole.columns.items()},
-        texts={name: tuple(values[i] for i in kept) for name, values in whole.texts.items()},
-    )
+    shown = whole.at_rows(kept_rows(list(whole.columns.values()), len(whole.time_s), max_points))
     if format != "json":
         return _file_response(shown, format, tag)
     samples = Samples(
         run=run,
-        rows=len(kept),
-        decimated=len(kept) < len(whole.time_s),
+        rows=len(shown.time_s),
+        decimated=len(shown.time_s) < len(whole.time_s),
         time_s=shown.time_s.tolist(),
         columns={name: column_values(values) for name, values in shown.columns.items()},
         quality=[QualitySpan(**asdict(span)) for span in spans_of(whole)],

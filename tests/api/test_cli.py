@@ -1,12 +1,15 @@
 import json
+import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from api.cli import main
+from api.commands.inputs import load_run, rows_until
 from daq.records import Run
 from daq.runfile import read_run, write_run
 from daq.store import open_store
@@ -70,6 +73,22 @@ def test_a_wrong_call_or_input_is_one_line_and_exit_status_2(arguments, says, ca
     assert main(arguments) == 2
     assert says in one_line(capsys)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(os.name == "nt", reason="POSIX permissions")
+def test_a_configuration_that_others_may_not_read_is_refused_with_what_to_do(capsys, tmp_path):
+    config = tmp_path / "etc" / "kerntemp.toml"
+    config.parent.mkdir()
+    config.write_text("")
+    config.parent.chmod(0)
+    user = os.geteuid()
+    os.seteuid(65534 if user == 0 else user)
+    try:
+        assert main(["check", "--config", str(config)]) == 2
+    finally:
+        os.seteuid(user)
+        config.parent.chmod(0o700)
+    assert "put sudo before the command" in one_line(capsys)
 
 
 def test_simulate_writes_one_column_a_sensor_position_and_the_core(files, first, tmp_path, campaign):
@@ -268,6 +287,16 @@ def test_an_output_that_would_overwrite_an_input_or_another_output_is_refused(
     assert says in one_line(capsys)
     assert {path: path.read_bytes() for path in given.values()} == before
     assert {p.name for p in tmp_path.iterdir()} == {*(p.name for p in given.values()), "f"}
+
+
+def test_a_run_is_diagnosed_up_to_a_moment_and_not_where_nothing_is_left(files, first, capsys):
+    run = load_run(first, None, None)
+    moment = float(run.time_s[20])
+    cut = rows_until(replace(run, texts={"quality": ("",) * len(run.time_s)}), moment)
+    assert cut.time_s[-1] == moment
+    assert {len(v) for v in (*cut.columns.values(), *cut.texts.values())} == {21}
+    assert main(["diagnose", first, "--press", str(files / "press.toml"), "--until", "-50"]) == 2
+    assert "--until -50 leaves 0 of" in one_line(capsys)
 
 
 def test_export_does_not_overwrite_the_store_it_reads(files, first, tmp_path, capsys):

@@ -1,5 +1,7 @@
 """`kerntemp predict`: causal, whatever comes later in the file."""
 
+import json
+
 import pytest
 
 from api.cli import main
@@ -35,3 +37,13 @@ def test_a_run_file_cut_off_at_a_scan_gives_the_same_rows_up_to_it(files, share)
     cut.write_text("\n".join(lines[: first + rows]) + "\n", encoding="utf-8")
     assert predicted(folder, cut) == whole[: rows + 1]
     assert len(whole) == len(lines) - first + 1
+
+
+def test_a_model_with_a_coefficient_the_press_does_not_have_is_refused(files, capsys):
+    folder, path = files
+    model, out = folder / "model.json", folder / "never.csv"
+    model.write_text(json.dumps({"coefficients": {"h_zz": {"value": 100.0, "sd": 10.0}}}), encoding="utf-8")
+    words = ["predict", str(path), "--press", str(folder / "press.toml"), "--model", str(model), "--out", str(out)]
+    assert main(words) == 2
+    assert "model.json: h_zz: press 'lab' has no such coefficient" in capsys.readouterr().err
+    assert not out.exists()

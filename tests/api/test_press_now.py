@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -77,6 +78,23 @@ def test_the_time_to_the_target_is_what_the_live_sensor_said_last(store):
     assert now_of(store).target.time_to_target_s == 17.5
 
 
+def test_an_estimate_that_is_not_valid_hands_on_no_outlook(store):
+    key = store.register_press("lab", CHANNELS)
+    record(store, key, "one", range(5), 30.0, ended=False)
+    store.append_scans(key, [scan(5)])
+    ahead = {"target_in_s": 17.5, "open_in_s": 9.0, "peak_C": 81.0, "energy_kJ_m2": 700.0, "profile_C": [99.0]}
+    beside = {**ahead, "warning": "core will peak at 81 °C", "suspected": "edge_loss"}
+    said = replace(estimate(5, 31.0), detail=beside)
+    store.append_estimates("lab", [said])
+    told = now_of(store)
+    assert {name: getattr(told.estimate, name) for name in beside} == beside
+    store.append_estimates("lab", [replace(said, valid=False, reason="model not valid")])
+    told = now_of(store)
+    assert {getattr(told.estimate, name) for name in set(ahead) - {"profile_C"}} == {None}
+    assert (told.estimate.profile_C, told.estimate.warning, told.estimate.suspected) == (None, "", "edge_loss")
+    assert told.target.time_to_target_s is None
+
+
 def test_a_core_nobody_updates_any_more_is_not_shown_as_the_core_of_now(store):
     key = store.register_press("lab", CHANNELS)
     record(store, key, "one", range(5), 30.0, ended=False)
@@ -135,11 +153,27 @@ def test_a_coefficient_that_jumped_is_named_with_the_run_at_which_it_did(store):
     for i, noise in enumerate(scatter):
         record(store, key, f"run-{i:02}", range(5 * i, 5 * i + 5), 30.0, ended=True)
         store.put_fit(f"run-{i:02}", fit(700.0 + 10 * noise))
+    values = {f"run-{i:02}": 700.0 + 10 * noise for i, noise in enumerate(scatter)}
     assert drift_of(store, "lab") == []
     for i in range(12, 18):
         record(store, key, f"run-{i:02}", range(5 * i, 5 * i + 5), 30.0, ended=True)
         store.put_fit(f"run-{i:02}", fit(490.0))
+        values[f"run-{i:02}"] = 490.0
     (drift,) = drift_of(store, "lab")
+    for i in (7, 12, 3, 16, 0, 9, 14, 5, 17, 1, 10, 13, 4, 8, 15, 2, 11, 6):  # fitted anew, as workers finish
+        store.put_fit(f"run-{i:02}", fit(values[f"run-{i:02}"]))
+    assert drift_of(store, "lab") == [drift]
     assert (drift.coefficient, drift.since_run) == ("h_pp_c", "run-12")
     assert drift.factor == pytest.approx(0.7, abs=0.03)
     assert "look at what was done to the press before it" in drift.sentence
+
+    lag = {"effects": [{"name": "thermocouple_lag", "parameters": {}}]}
+    store.put_model("lab", "lab-9", lag)
+    for i in range(12, 18):
+        store.put_fit(f"run-{i:02}", fit(490.0), "lab-9")
+    assert drift_of(store, "lab") == []  # with another effect the coefficient means another thing
+    store.promote_model("lab-9", "test")
+    assert drift_of(store, "lab") == []
+    for i in range(12):
+        store.put_fit(f"run-{i:02}", fit(values[f"run-{i:02}"]), "lab-9")
+    assert drift_of(store, "lab") == [drift]

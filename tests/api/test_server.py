@@ -61,6 +61,17 @@ def certificate(tmp_path_factory):
     return folder / "cert.pem", folder / "key.pem"
 
 
+def test_the_page_is_there_before_its_database_and_says_that_it_is_away(plant):
+    config = plant / "kerntemp.toml"
+    config.write_text('[store]\nurl = "postgresql://x@127.0.0.1:9/none"\n' + config.read_text())
+    with served(plant) as address, httpx.Client(base_url=address, timeout=30) as client:
+        health = client.get("/api/v1/health").json()
+        assert (health["status"], health["store"]["kind"]) == ("down", "PostgreSQL")
+        assert "check that the database server runs" in health["alarms"][0]
+        assert client.get("/").status_code == 200
+        assert "kerntemp_store_up 0.0" in client.get("/metrics").text
+
+
 def test_with_certificate_files_the_server_speaks_tls_only(plant, certificate):
     cert, key = certificate
     with served(plant, "--certificate", str(cert), "--key", str(key)) as address:

@@ -49,6 +49,7 @@ def test_loggers_show_sixteen_good_channels_and_both_processes(open_page):
     expect(
         page.locator("tbody tr", has_text="labjack").or_(page.locator("tbody tr", has_text="top_7"))
     ).to_have_count(1)
+    expect(page.get_by_role("columnheader", name="Value")).to_be_visible()  # of a limit switch, too
     channels = page.get_by_test_id("loggers").locator("tbody tr")
     expect(channels).to_have_count(16)
     good: set[str] = set()

@@ -54,11 +54,14 @@ function card(name, history, axis, used, drift) {
     chart.set([points.map((p) => p.x), points.map((p) => (known(p) ? p.c.ci95?.[0] ?? null : null)), points.map((p) => (known(p) ? p.c.ci95?.[1] ?? null : null)),
       points.map((p) => (known(p) ? p.c.value : null)), points.map((p) => (known(p) ? null : inside(p.c.value)))]);
   });
-  const described = text(`c_${name}`) === `c_${name}` ? "" : text(`c_${name}`);
+  const described = bodies(name);
   return el("section", { class: "card" }, el("div", { class: "head" }, el("h2", { style: "margin:0" }, name, " ", el("span", { class: "faint small" }, described)),
-    el("span", { class: "num" }, last ? `${figure(last.c.value)} W/m²K` : "–", used ? el("span", { class: "faint small" }, ` · ${text("in_use")} ${figure(used)}`) : "")),
+    el("span", { class: "num" }, last ? `${figure(last.c.value)} W/m²K` : used ? "" : "–", used ? el("span", { class: "faint small" }, `${last ? " · " : ""}${text("in_use")} ${figure(used)} W/m²K`) : "")),
   el("p", { class: "row small", style: "margin:-.4rem 0 .4rem" }, driftPill(drift, told.length)), holder);
 }
+
+// Which bodies a coefficient couples; empty for a press of one's own.
+const bodies = (name) => (text(`c_${name}`) === `c_${name}` ? "" : text(`c_${name}`));
 
 function driftPill(drift, runs) {
   if (!drift) return el("span", { class: `pill ${runs > LEARN_RUNS ? "good" : ""}` }, `${text("drift")}: ${text(runs > LEARN_RUNS ? "steady" : "few_for_drift")}`);
@@ -85,7 +88,7 @@ function latestCard(item) {
 
 export function coefficientTable(coefficients) {
   return table(text("nav_coefficients"), [{ text: text("name") }, { text: "W/m²K", class: "right" }, { text: text("interval"), class: "right" }, { text: text("verdict") }],
-    Object.entries(coefficients).map(([name, c]) => [name, el("span", { class: "num" }, figure(c.value)),
+    Object.entries(coefficients).map(([name, c]) => [el("span", {}, name, " ", el("span", { class: "faint small hide-narrow" }, bodies(name))), el("span", { class: "num" }, figure(c.value)),
       el("span", { class: "num" }, c.ci95 ? `${figure(c.ci95[0])} … ${figure(c.ci95[1])}` : "–"),
       c.identifiable === null || c.identifiable === undefined ? "–" : el("span", { class: `pill ${c.identifiable ? "good" : "warn"}`, title: said(c.reason ?? "") }, text(c.identifiable ? "identifiable" : "not_identifiable"))]));
 }

@@ -1,6 +1,7 @@
 // What the simulation gets wrong: the last diagnosis with cause, evidence and gain; model versions to promote or roll back.
 import { get, post } from "../api.js";
-import { clock, el, figure, number, table } from "../dom.js";
+import { clock, el, number, table } from "../dom.js";
+import { told } from "../parameters.js";
 import { effectName as name, sentence as said } from "../sentences.js";
 import { placeName, text } from "../text.js";
 
@@ -29,10 +30,10 @@ function drawDiagnosis(holder, record) {
   const cards = [el("section", { class: "card", "data-testid": "diagnosis" },
     el("div", { class: "row" }, el("span", { class: `pill ${tone}` }, text(`verdict_${d.verdict}`)), el("span", { class: "faint small" }, clock(record.utc))),
     el("p", { class: "verdict" }, sentence(d)),
-    ...d.effects.map((effect) => effectBlock(effect)),
+    ...d.effects.map((effect) => effectBlock(effect, record.parameters)),
     el("div", { class: "gain" },
       pair(text("heldout"), d.base?.heldout_rmse_K, d.extended?.heldout_rmse_K), pair(text("all_sensors"), d.base?.rmse_K, d.extended?.rmse_K), pair(text("core"), d.base?.core_rmse_K, d.extended?.core_rmse_K),
-      gain !== null && d.effects.length ? el("div", {}, el("b", {}, `${number(100 * gain, 0)} %`), el("span", {}, text("gain"))) : null,
+      gain >= 0.005 && d.effects.length ? el("div", {}, el("b", {}, `${number(100 * gain, 0)} %`), el("span", {}, text("gain"))) : null,
       d.noise_floor_K ? el("div", {}, el("b", {}, `${number(d.noise_floor_K, 2)} K`), el("span", {}, text("noise_floor"))) : null),
     d.next_measurement ? el("p", { class: "next" }, el("b", {}, `${text("next_measurement")}: `), said(d.next_measurement)) : null)];
   cards.push(el("div", { class: "pair" }, candidatesCard(d), whereCard(d)));
@@ -45,31 +46,42 @@ function sentence(d) {
   return names.join(` + `);
 }
 
-function effectBlock(effect) {
+function effectBlock(effect, words) {
+  const parameters = Object.entries(effect.parameters ?? {}).map(([key, p]) => [key, told(key, p, words?.[`${effect.name}.${key}`])]);
+  const worth = effect.worth ? said(effect.worth) : `${text("heldout_gain")} ${kelvins(effect.heldout_gain_K, 2)} K`;
   return el("div", {}, el("h2", { class: "sub" }, name(effect.name), " ", el("code", { class: "small faint" }, effect.name)),
-    table(name(effect.name), [{ text: text("parameter") }, { text: text("value"), class: "right" }, { text: text("interval"), class: "right" }],
-      Object.entries(effect.parameters ?? {}).map(([parameter, p]) => [el("code", {}, parameter), el("span", { class: "num" }, Array.isArray(p.value) ? p.value.join(", ") : typeof p.value === "number" ? figure(p.value) : String(p.value ?? "–")),
-        el("span", { class: "num" }, p.ci95 ? `${figure(p.ci95[0])} … ${figure(p.ci95[1])}` : "–")])),
-    el("p", { class: "small faint" }, [effect.p_value !== null && effect.p_value !== undefined && `p = ${effect.p_value < 1e-4 ? effect.p_value.toExponential(1) : number(effect.p_value, 4)}`,
-      effect.heldout_gain_K !== null && effect.heldout_gain_K !== undefined && `${text("heldout_gain")} ${number(effect.heldout_gain_K, 3)} K`,
-      effect.explained_share !== null && effect.explained_share !== undefined && `${text("explains")} ${number(100 * effect.explained_share, 0)} %`].filter(Boolean).join(" · ")));
+    parameters.length ? table(name(effect.name), [{ text: text("parameter") }, { text: text("value"), class: "right" }, { text: text("interval"), class: "right" }],
+      parameters.map(([key, p]) => [el("span", { title: key }, p.words), el("span", { class: "num" }, `${p.value} ${p.unit}`.trim()), el("span", { class: "num" }, p.interval)])) : null,
+    el("p", {}, `${worth.slice(0, 1).toUpperCase()}${worth.slice(1)}.`),
+    el("p", { class: "small faint" }, [effect.explained_share >= 0.005 && effect.name !== "sensor_fault" && `${text("explains")} ${number(100 * Math.min(effect.explained_share, 1), 0)} %`,
+      Number.isFinite(effect.p_value) && `${text("luck")}: ${chance(effect.p_value)}`].filter(Boolean).join(" · ")));
 }
 
-const SHOWN_K = 0.0005; // less is written as 0.000
+const chance = (p) => (p < 1e-4 ? `p < ${number(1e-4, 4)}` : `p = ${number(p, 4)}`);
+
+// Kelvins without the sign of a zero.
+const kelvins = (value, digits) => number(Math.abs(value) < 0.5 * 10 ** -digits ? 0 : value, digits);
+
+const SHOWN_K = 0.005; // less is written as 0.00
 
 function candidatesCard(d) {
   const items = (d.candidates ?? []).filter((c) => Math.abs(c.heldout_gain_K ?? 0) >= SHOWN_K).sort((a, b) => b.heldout_gain_K - a.heldout_gain_K).slice(0, 10);
   const best = Math.max(...items.map((c) => c.heldout_gain_K ?? 0), 1e-9);
   return el("section", { class: "card" }, el("h2", {}, text("evidence")), items.length ? el("div", { class: "bars" }, items.map((c) =>
     el("div", { class: `bar-row ${d.effects.some((e) => e.name === c.name) ? "first" : ""}` }, el("span", {}, name(c.name)), el("i", { style: `width:${Math.max(0, (100 * (c.heldout_gain_K ?? 0)) / best)}%` }),
-      el("span", { class: "num right" }, `${number(c.heldout_gain_K, 3)} K`)))) : el("p", { class: "faint" }, "–"));
+      el("span", { class: "num right" }, `${kelvins(c.heldout_gain_K, 2)} K`)))) : el("p", { class: "faint" }, text("no_gain")));
 }
 
 function whereCard(d) {
-  return el("section", { class: "card" }, el("h2", {}, text("where")), d.where?.length ? table(text("where"),
-    [{ text: text("signal") }, { text: text("state") }, { text: text("when"), class: "right" }, { text: text("residual_short"), class: "right" }],
-    d.where.slice(0, 8).map((w) => [placeName(w.signal), text(`state_${w.state}`), el("span", { class: "num" }, w.to_s === null ? `> ${number(w.from_s, 0)} s` : `${number(w.from_s, 0)} … ${number(w.to_s, 0)} s`), el("span", { class: "num" }, `${number(w.residual_K, 2)} K`)])) : el("p", { class: "faint" }, text("nowhere")));
+  const heads = [{ text: text("place") }, { text: text("off_by"), class: "right" }, { text: text("state") }, { text: text("since_it_began"), class: "right" }, { text: text("measured_there"), class: "right" }];
+  const span = (from, to, unit) => `${number(from, 0)}${to === from ? "" : ` … ${number(to, 0)}`} ${unit}`;
+  return el("section", { class: "card" }, el("h2", {}, text("where")), d.where?.length ? table(text("where"), heads,
+    d.where.slice(0, 8).map((w) => [el("span", { title: w.signal }, placeName(w.signal)), el("span", { class: "num" }, `${w.residual_K > 0 ? "+" : ""}${number(w.residual_K, 2)} K`),
+      w.phase ? phaseName(w.phase) : text(`state_${w.state}`), el("span", { class: "num" }, w.to_s === null ? `> ${number(w.from_s, 0)} s` : span(w.from_s, w.to_s, "s")),
+      el("span", { class: "num" }, Number.isFinite(w.low_C) ? span(Math.round(w.low_C), Math.round(w.high_C), "°C") : "–")]), { cards: true }) : el("p", { class: "faint" }, text("nowhere")));
 }
+
+const phaseName = (phase) => text(`phase_${phase.replaceAll(" ", "_")}`);
 
 function historyCard(items, choose) {
   return el("section", { class: "card" }, el("h2", {}, text("earlier")), table(text("earlier"), [{ text: text("started") }, { text: text("verdict") }, { text: text("cause") }],

@@ -51,7 +51,7 @@ function channelCard(items) {
   const named = Object.values(COUNTED).flat();
   const others = (c) => Object.entries(c.counters).filter(([cause]) => !named.includes(cause));
   return el("section", { class: "card", "data-testid": "loggers" }, el("h1", {}, text("nav_loggers")), items.length ? table(text("channels"),
-    [{ text: text("channel") }, { text: text("logger") }, { text: text("temperature"), class: "right" }, { text: text("quality") }, { text: text("last_good"), class: "right" }, { text: text("gaps"), class: "right" },
+    [{ text: text("channel") }, { text: text("logger") }, { text: text("value"), class: "right" }, { text: text("quality") }, { text: text("last_good"), class: "right" }, { text: text("gaps"), class: "right" },
       ...Object.keys(COUNTED).map((name) => ({ text: text(name), class: "right" })), { text: text("other_faults"), class: "right" }],
     items.map((c) => [c.name, c.logger || "–", el("span", { class: "num" }, c.value === null ? "–" : reading(c)),
       el("span", { class: `pill ${["good", "simulated"].includes(c.quality) ? "good" : "bad"}` }, text(`quality_${c.quality}`)),

@@ -18,7 +18,7 @@ export async function show(place, context) {
   context.on("estimate", (data) => live.estimate(data));
   context.on("press", (data) => live.press(data));
   context.on("run", (data) => live.run(data));
-  context.on("link", (state) => { if (state === "live") live.load(); });
+  context.on("link", (state) => { if (state === "live") live.load().catch(() => {}); }); // the next poll asks again
   // Readings age from when they are shown, also while what is asked for next never comes.
   const timers = [setInterval(() => live.poll(), 2000), setInterval(() => live.now && live.showAge(), 1000)];
   const leave = () => { timers.forEach(clearInterval); live.closed = true; };
@@ -109,8 +109,8 @@ class LivePress {
     const rows = [
       [text("time_since_closing"), now.time_since_closing_s === null ? "–" : duration(now.time_since_closing_s)],
       [text("target"), target ? `${number(target.temperature_C, 0)} °C` : "–"],
-      [text("time_to_target"), !target ? "–" : target.reached ? text("reached") : timeToTarget(now.estimate ?? {})],
-      ...ahead(now.state, now.estimate ?? {}),
+      [text("time_to_target"), !target ? "–" : target.reached ? text("reached") : timeToTarget(believed(now.estimate))],
+      ...ahead(now.state, believed(now.estimate)),
       [text("run"), now.run ? el("a", { href: `#/runs/${encodeURIComponent(now.run)}` }, now.run) : "–"],
       [text("press"), now.press],
     ];
@@ -118,7 +118,8 @@ class LivePress {
     this.showWarning();
     this.list.replaceChildren(...rows.flatMap(([name, value]) => [el("dt", {}, name), el("dd", {}, value)]));
     this.sketch.replaceChildren(sketch(now));
-    const share = target && now.state !== "idle" && now.estimate?.core_C ? (now.estimate.core_C - 20) / (target.temperature_C - 20) : 0;
+    const { core_C: core } = believed(now.estimate);
+    const share = target && now.state !== "idle" && core ? (core - 20) / (target.temperature_C - 20) : 0;
     this.meter.style.width = `${Math.max(0, Math.min(1, share)) * 100}%`;
   }
 
@@ -132,7 +133,9 @@ class LivePress {
   }
 
   showWarning() {
-    const { warning, suspected } = this.now.state === "idle" ? {} : this.now.estimate ?? {};
+    const estimate = this.now.state === "idle" ? null : this.now.estimate;
+    const { warning } = believed(estimate);
+    const suspected = estimate?.suspected;
     const lines = [warning && `⚠ ${sentence(warning)}`, suspected && `${text("suspected")}: ${effectName(suspected)}`].filter(Boolean);
     if (this.warning.textContent !== lines.join("")) this.warning.replaceChildren(...lines.map((line) => el("p", {}, line)));
     this.warning.hidden = !lines.length;
@@ -168,7 +171,7 @@ class LivePress {
       get(`/runs/${encodeURIComponent(run)}/samples`, { max_points: 4000 }),
       get(`/runs/${encodeURIComponent(run)}/estimates`, { max_points: 4000 }),
       get(`/runs/${encodeURIComponent(run)}`),
-    ]);
+    ]).catch((error) => { this.shown = undefined; throw error; }); // so that the next poll asks again
     if (this.closed || this.shown !== run) return;
     this.columns = Object.keys(samples.columns).filter((name) => name !== "closed");
     this.phases = detail.phases;
@@ -255,6 +258,9 @@ class LivePress {
     requestAnimationFrame(() => { this.work.delete(name); if (!this.closed) this[name](); });
   }
 }
+
+// What may be shown as a number: an estimate that is not valid foresees nothing either.
+const believed = (estimate) => (estimate?.valid ? estimate : {});
 
 const seconds = (value) => (value < 100 ? `${number(value, 0)} s` : duration(value));
 
