@@ -36,10 +36,19 @@ from softsensor.observer_belief import Mixture
 from softsensor.observer_blocks import Scans
 from softsensor.observer_kernels_blocks import last_switch
 from softsensor.observer_outlook import Inside, Outlook, Wishes, look_ahead, look_inside
-from softsensor.observer_priors import INITIAL_K, TIMING
+from softsensor.observer_priors import INITIAL_K
 from softsensor.observer_setup import Bench, fresh_consensus, prepare_bench, with_platens
 from softsensor.observer_track import Known, Track
-from softsensor.observer_trust import DOUBTED_K, Stillness, contradiction, start_error
+from softsensor.observer_trust import (
+    DOUBTED_K,
+    LONGEST_WAIT_S,
+    Coming,
+    Stillness,
+    coming,
+    contradiction,
+    first_error,
+    start_error,
+)
 
 UNKNOWN_STATE = "press state unknown"
 NO_PLATENS = "platen reading missing"
@@ -64,9 +73,10 @@ LATE_S = 2.0
 """Platens may be unknown for so long while a panel lies in the press for the first time. [s]"""
 REOPENED_S = 3.0
 """A press open for less than this has stayed closed: a bouncing switch, or steam let out. [s]"""
-UNSEEN_WAIT_S, USUAL_WAIT_S = 30.0, 18.0
-"""A panel nobody saw coming in is taken to lie in the open press from the first scan, but not longer than
-the first; else for the second, the usual time. [s]"""
+UNHEARD_S = 3.0
+"""In an idle press whose lower face is unheard for longer a panel may lie and warm. [s]"""
+FOUND_LATER = 2
+"""So many of `TIMING`, closing and opening, become known after the filters have begun."""
 
 
 @dataclass(frozen=True)
@@ -112,8 +122,10 @@ class LiveSensor:
         self._platens_seen = [math.nan, math.nan]
         self._initial = math.nan
         self._scans = Scans(0, 0)
-        self._begins_s = math.nan
-        """When the panel came to lie in the press, until that has been held against the header. [s]"""
+        self._came: Coming | None = None
+        """When the panel came to lie in the press, until its start has been held against the header."""
+        self._lower_heard = -math.inf
+        """When the lower face was heard last. [s]"""
         self._lies_since = math.inf
         """When the panel came to lie in the press. [s]"""
         self._doubt = ""
@@ -150,7 +162,8 @@ class LiveSensor:
         outside = self._platens[0], self._platens[1]
         self._scans.append(time_s, outside, readings[len(bench.platens) :], self._consensus)
         stale = self._still.silence(self._scans, frozen=frozen) or stale
-        self._check_start()
+        stale = self._check_start(bench) or stale
+        self._listen(bench, time_s)
         try:
             self._take_in(bench, time_s, stale=stale)
             if self._track is not None:
@@ -160,17 +173,27 @@ class LiveSensor:
             return Estimate(time_s, self._state, reason=NOT_VALID)
         return self._say(time_s)
 
-    def _check_start(self) -> None:
-        """Once the panel is known to lie in the press, hold its faces then against the header."""
-        at = self._begins_s
-        if at != at:
-            return
-        self._begins_s = math.nan
-        row = max(int(np.searchsorted(self._scans.time, at, "right")) - 1, 0)
-        level = self._scans.level[row]
-        self._doubt = self._doubt or contradiction(level, self._initial)
-        if abs(off := start_error(level, self._initial)) > DOUBTED_K:
-            self._known = replace(self._known, initial_sd=math.hypot(INITIAL_K, off))
+    def _check_start(self, bench: Bench) -> bool:
+        """Hold the faces first heard of a panel in the press against the header; return whether it is doubted."""
+        if self._came is None:
+            return False
+        scans, closed = self._scans, self._known.moments.closed_s
+        closed = closed if math.isfinite(closed) else math.inf
+        error = first_error(scans.time, scans.level, bench.lower, self._initial, self._came, closed)
+        if error is None:
+            return False
+        off, certain = error
+        self._came = None
+        self._doubt = self._doubt or contradiction(certain, self._initial)
+        if abs(off) <= DOUBTED_K:
+            return False
+        self._known = replace(self._known, initial_sd=math.hypot(INITIAL_K, off))
+        return True
+
+    def _listen(self, bench: Bench, time_s: float) -> None:
+        """Note whether the lower face is heard, which alone tells at once that a panel comes."""
+        if bench.lower >= 0 and math.isfinite(self._scans.level[-1, bench.lower]):
+            self._lower_heard = time_s
 
     def _take_in(self, bench: Bench, now: float, *, stale: bool) -> None:
         """Bring the filters up to the newest scan, or a new pass of them nearer to it."""
@@ -266,8 +289,12 @@ class LiveSensor:
         self._state = self._detector.state
         if not bench.columns and self._state is PressState.IDLE:
             self._state = PressState.OPEN
+        closed = next((e.monotonic_s for e in events if e.kind is PressEventKind.CLOSED), math.inf)
         for event in events:
-            self._note(bench, event, time_s)
+            if event.kind is PressEventKind.INSERTED:
+                self._note_coming(bench, event.monotonic_s, time_s, closed)
+            else:
+                self._note(bench, event, time_s)
         return bool(events)
 
     def _placed(self, event: PressEvent, time_s: float) -> tuple[float, float]:
@@ -283,18 +310,7 @@ class LiveSensor:
     def _note(self, bench: Bench, event: PressEvent, time_s: float) -> None:
         """Keep a moment the detector found, and how well it is known."""
         known, (at, sd) = self._known, self._placed(event, time_s)
-        first = self._first if len(self._scans) else time_s
-        if event.kind is PressEventKind.INSERTED:
-            seen = bool(bench.columns) and at > first + 0.3
-            if not bench.columns and time_s - first > UNSEEN_WAIT_S:
-                at, seen = max(first, time_s - USUAL_WAIT_S), True
-            known = replace(known, moments=Moments(inserted_s=at if seen else math.nan))
-            self._begins_s, self._doubt, self._lies_since = at, "", at
-            if seen:
-                # forget what the channels were like before the panel lay in the press
-                self._consensus = fresh_consensus(bench)
-                self._scans.agree_anew(at, self._consensus)
-        elif event.kind is PressEventKind.CLOSED and at - known.moments.opened_s < REOPENED_S:
+        if event.kind is PressEventKind.CLOSED and at - known.moments.opened_s < REOPENED_S:
             known = replace(known, moments=replace(known.moments, opened_s=math.nan))
         elif event.kind is PressEventKind.CLOSED:
             if not len(self._scans):
@@ -311,7 +327,28 @@ class LiveSensor:
             known = replace(known, moments=replace(known.moments, removed_s=at))
         self._known = known
         for point in self._points:
-            point[-len(TIMING) :] = 0.0
+            point[-FOUND_LATER:] = 0.0
+
+    def _note_coming(self, bench: Bench, at: float, time_s: float, closed: float) -> None:
+        """Keep when the panel came, as the detector has it; `closed` where only the closing showed it. [s]"""
+        scans, came = self._scans, Coming(at)
+        if len(scans):
+            unseen = not bench.columns
+            if not unseen or time_s - self._first > LONGEST_WAIT_S:
+                came = coming(scans.time, scans.level, bench.lower, self._initial, at, closed)
+            else:
+                came = Coming(self._first)
+        seen = len(scans) > 0 and came.at > self._first + 0.3
+        self._known = replace(
+            self._known,
+            moments=Moments(inserted_s=came.at if seen else math.nan),
+            inserted_sd=came.sd if seen else 0.0,
+        )
+        self._came, self._doubt, self._lies_since, self._points = came, "", came.at, []
+        if seen:
+            # forget what the channels were like before the panel lay in the press
+            self._consensus = fresh_consensus(bench)
+            scans.agree_anew(came.at, self._consensus)
 
     def _note_platens(self, bench: Bench, time_s: float, values: Mapping[str, float]) -> bool:
         """Keep both boundary temperatures, held where missing; return whether both are known at all."""
@@ -332,14 +369,17 @@ class LiveSensor:
         ahead = slope * (time_s - float(self._scans.time[track.done - 1]))
         low, high = mixture.low + ahead, mixture.high + ahead
         reason, doubt = "", self._doubt
-        if self._state is PressState.IDLE and not math.isfinite(self._known.moments.removed_s):
-            doubt = contradiction(self._scans.level[-1], self._initial)
+        waiting = self._state is PressState.IDLE and not math.isfinite(self._known.moments.removed_s)
+        if waiting:
+            doubt = contradiction(start_error(self._scans.level[-1], self._initial), self._initial)
         if not math.isfinite(self._known.moments.closed_s) and track.missed_K > MISSED_K:
             doubt = doubt or "both faces have leapt while they were not heard"
         if doubt:
             reason = f"{NOT_VALID}: {doubt}"
         elif min(member.misfit for member in track.members) > MISFIT_LIMIT and not mixture.by_faces:
             reason = NOT_VALID
+        elif waiting and time_s - self._lower_heard > UNHEARD_S:
+            reason = f"{NOT_OBSERVABLE}: no sensor of the lower face shows whether a panel lies in the press"
         elif high - low > 2.0 * WIDEST_K:
             reason = f"{NOT_OBSERVABLE}: band wider than {WIDEST_K:g} K to either side"
         return Estimate(

@@ -42,8 +42,9 @@ GATE = 4.0
 MISFIT_MEMORY_S, WORST_MEMORY_S = 10.0, 120.0
 MISFIT_USUAL, MISFIT_WEIGHT = 2.0, 5.0
 """A misfit beyond the first (78 sound runs at 1 to 10 Hz had less) speaks for a change, so many nats a unit."""
-LOG_STEP, TIME_STEP_S, UNIT_STEP = 0.15, 0.06, 0.5
-"""Linearise anew where a logarithm, a moment or any other parameter (in prior units) has moved this far."""
+LOG_STEP, TIME_STEP_S, TIME_STEP, UNIT_STEP = 0.15, 0.06, 0.2, 0.5
+"""Linearise anew where a logarithm, a moment (both in seconds and in prior units) or any other parameter (in prior
+units) has moved this far."""
 JUMP_K, JUMPS_PER_S = 0.15, 5e-5
 """Innovations where something changes at once (a contact lapses, a door opens), and how often that is. [K, 1/s]"""
 DECIDE_S = 1.5
@@ -212,7 +213,7 @@ class Member:
             if prior.logarithmic:
                 step = LOG_STEP / prior.sd
             elif name in TIMING:
-                step = TIME_STEP_S / prior.sd
+                step = max(TIME_STEP_S / prior.sd, TIME_STEP)
             elif "." in name and name not in _MILD:
                 step = UNIT_STEP
             else:
@@ -275,7 +276,9 @@ def _either(a: float, b: float) -> float:
     return high + math.log1p(math.exp(min(a, b) - high))
 
 
-def mix(members: list[Member], rise: float, unexplained: float, driven: Driven | None = None) -> Mixture:
+def mix(
+    members: list[Member], rise: float, unexplained: float, driven: Driven | None = None, start: float = 0.0
+) -> Mixture:
     """Blend what all hypotheses of all filters say about the core.
 
     Parameters
@@ -284,13 +287,14 @@ def mix(members: list[Member], rise: float, unexplained: float, driven: Driven |
         How far the core has come from its start, in which the model's own error is counted. [K]
     unexplained
         What the model leaves unexplained of the faces. [K]
+    start
+        How far the core's start may be from the faces', where only they tell it. [K]
     """
     names: list[str] = []
     parts: list[tuple[Array, Array, Array]] = []
     told = math.nan
-    margin = (
-        MARGIN_K**2 + (MARGIN_SHARE * rise) ** 2 + (UNEXPLAINED * unexplained * min(rise / FULL_RISE_K, 1.0)) ** 2
-    )
+    margin = MARGIN_K**2 + start**2 + (MARGIN_SHARE * rise) ** 2
+    margin += (UNEXPLAINED * unexplained * min(rise / FULL_RISE_K, 1.0)) ** 2
     for member in members:
         chain = member.filter.chain
         log, means, variances, _ = member.blend(float(chain.level[0]), chain.d_level)

@@ -129,11 +129,12 @@ class Blocks:
 
     @staticmethod
     def of(
-        scans: Scans, done: int, ends: loops.Integers, timing: loops.Timing, moments: Array, *, blind: bool
+        scans: Scans, done: int, ends: loops.Integers, lies: tuple[float, float], moments: Array, *, blind: bool
     ) -> Blocks:
         """Gather the scans from `done` on into blocks whose last scans are `ends`.
 
-        `moments` are those at which the press moved [s]; `blind` leaves what the faces read alone.
+        `lies` is from when to when the panel lies in the press, and its faces count; `moments` are those at which
+        the press moved [s]; `blind` leaves what the faces read alone.
         """
         count, places = len(ends), scans.level.shape[1]
         made = Blocks(
@@ -141,8 +142,8 @@ class Blocks:
             np.empty((count, places)), scans.level[ends], np.empty(count, dtype=np.bool_),
         )  # fmt: skip
         compiled.gather(
-            scans.time, scans.outside, scans.level, scans.votes, done, ends, timing.inserted, timing.removed,
-            moments, blind, made.span, made.outside, made.level, made.moment, made.votes, made.quiet,
+            scans.time, scans.outside, scans.level, scans.votes, done, ends, *lies, moments, blind,
+            made.span, made.outside, made.level, made.moment, made.votes, made.quiet,
         )  # fmt: skip
         return made
 

@@ -73,8 +73,9 @@ class Timing(NamedTuple):
     ramp: float
     switching: bool
     """Whether opening and closing changes anything."""
+    inserted_unit: float
+    """How many seconds one unit of the parameter for the insertion is; so for the next two moments."""
     closed_unit: float
-    """How many seconds one unit of the parameter for the closing time is."""
     opened_unit: float
     longest: float
     """Longest step. [s]"""
@@ -136,7 +137,7 @@ def _mean_rise(a, b, middle, length):
 
 @njit(cache=True)
 def _set_weights(weight, d_weight, k, a, b, timing, moving):
-    """Fill a step's shares of idle, open, closed and their derivatives by closing and opening time."""
+    """Fill a step's shares of idle, open, closed and their derivatives by the moments."""
     if not timing.switching:
         weight[k, 2] = 1.0
         return
@@ -146,14 +147,18 @@ def _set_weights(weight, d_weight, k, a, b, timing, moving):
     weight[k, 0] = 1.0 - present
     weight[k, 1] = max(present - closed, 0.0)
     weight[k, 2] = closed
-    if moving[0] >= 0 and math.isfinite(timing.closed):
+    if moving[0] >= 0 and math.isfinite(timing.inserted):
+        change = _share(a, timing.inserted, _HANDLING_S) - _share(b, timing.inserted, _HANDLING_S)
+        d_weight[k, 1, moving[0]] = change / (b - a) * timing.inserted_unit
+        d_weight[k, 0, moving[0]] = -d_weight[k, 1, moving[0]]
+    if moving[1] >= 0 and math.isfinite(timing.closed):
         change = _share(a, timing.closed, timing.ramp) - _share(b, timing.closed, timing.ramp)
-        d_weight[k, 2, moving[0]] = change / (b - a) * timing.closed_unit
-        d_weight[k, 1, moving[0]] = -d_weight[k, 2, moving[0]]
-    if moving[1] >= 0 and math.isfinite(timing.opened):
-        change = _share(b, timing.opened, _OPENING_S) - _share(a, timing.opened, _OPENING_S)
-        d_weight[k, 2, moving[1]] = change / (b - a) * timing.opened_unit
+        d_weight[k, 2, moving[1]] = change / (b - a) * timing.closed_unit
         d_weight[k, 1, moving[1]] = -d_weight[k, 2, moving[1]]
+    if moving[2] >= 0 and math.isfinite(timing.opened):
+        change = _share(b, timing.opened, _OPENING_S) - _share(a, timing.opened, _OPENING_S)
+        d_weight[k, 2, moving[2]] = change / (b - a) * timing.opened_unit
+        d_weight[k, 1, moving[2]] = -d_weight[k, 2, moving[2]]
 
 
 @njit(cache=True)
@@ -242,8 +247,8 @@ def _delay(chain, a, y, row, h, p):
 def march(stack, tangents, d_boundary, state, nonlinear, factors, chain, places, timing, span, outside, moving):
     """Take the model from ``span[0]`` to ``span[1]`` with platens straight from outside[0] to outside[1].
 
-    `places` are the weights of the chain's outputs; `moving` the columns of closing and opening time, -1
-    where they are no parameters.
+    `places` are the weights of the chain's outputs; `moving` the columns of the moments of insertion, closing and
+    opening, -1 where they are no parameters.
     """
     p, n = state.s.shape
     lengths = np.empty(400)
@@ -560,6 +565,10 @@ def absorb_faces(x, cov, at, chain, read_before, d_before, level, moment, votes,
     n = x.shape[0]
     row = np.zeros(n)
     fit, squares, count, jump = 0.0, 0.0, 0.0, 0.0
+    coldest = -1
+    for a in range(m):
+        if math.isfinite(level[a]) and (coldest < 0 or level[a] < level[coldest]):
+            coldest = a
     for a in range(m):
         if not math.isfinite(level[a]):
             continue
@@ -576,7 +585,7 @@ def absorb_faces(x, cov, at, chain, read_before, d_before, level, moment, votes,
         row[p + 2 + a] = 1.0
         row[p + 2 + m + a] = 1.0
         value += x[p + 2 + a] + x[p + 2 + m + a]
-        if elapsed <= 0.0 and abs(level[a] - value) > 1.0:
+        if elapsed <= 0.0 and (a != coldest or level[a] - value > 1.0):
             continue  # the first scan of a run may lie at the insertion, when a face is already warming
         rough = errors[1] * slope
         noise = errors[0] ** 2 / max(votes[a], 0.2) + 3e-4

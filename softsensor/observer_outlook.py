@@ -239,7 +239,7 @@ def _bare(member: Member, opening: float) -> Member:
     factors = f.factors._replace(d_total=f.factors.d_total[:, :, :0].copy())
     made: Filter = replace(
         f, state=state, tangents=_without(f.tangents), chain=chain, factors=factors,
-        d_boundary=f.d_boundary[:, :0].copy(), moving=np.full(2, -1, dtype=np.int64),
+        d_boundary=f.d_boundary[:, :0].copy(), moving=np.full_like(f.moving, -1),
     )  # fmt: skip
     timing = member.timing._replace(longest=STRIDE_S)
     if member.timing.opened > opening:

@@ -98,7 +98,8 @@ SKIN = "skin.J_m2K"
 SKIN_SD = 500.0
 """Heat capacity on the panel's faces, as paper has. [J/m²K]"""
 LAG_SD, FOOTPRINT_SD = 0.3, 0.05
-TIMING = ("closed_s", "opened_s")
+TIMING = ("inserted_s", "closed_s", "opened_s")
+"""Moments of the press as parameters: shifts of what the detector found. [s]"""
 WATER = Suspect("moisture_evaporation.moisture_percent", 3.0, True, 0.03)
 EVAPORATION_C = "moisture_evaporation.temperature_C"
 LARGEST_SHIFT = 1.0
@@ -114,7 +115,7 @@ NO_MATTER = 0.25
 
 @dataclass(frozen=True)
 class Plan:
-    """What one filter is to be made of. The last priors are those of `TIMING`, where the press has states."""
+    """What one filter is to be made of. Where the press has states, the last priors are those of `TIMING`."""
 
     priors: tuple[Prior, ...]
     suspects: tuple[Suspect, ...]
@@ -235,17 +236,19 @@ def nuisance_priors(press: Press, known: set[str], initial_sd: float) -> list[Pr
 
 
 def plans_for(
-    press: Press, model: ModelFile | None, closed_sd: float, opened_sd: float, initial_sd: float = INITIAL_K
+    press: Press, model: ModelFile | None, moments_sd: Sequence[float], initial_sd: float = INITIAL_K
 ) -> list[Plan]:
     """Return the filters to run side by side: the joint one, and one for each cause that needs its own.
 
-    The standard deviations are those of both moments and of the start temperature in the header. [s, s, K]
+    The standard deviations are those of the moments of `TIMING`, 0 for one that is no parameter, and of the start
+    temperature in the header. [s, K]
     """
     own = {name for name, _ in model.effects} if model else set()
     seen = model.adequacy if model else None
     common = coefficient_priors(press, model) + effect_priors(model)
     common += nuisance_priors(press, own, initial_sd)
-    timing = [Prior("closed_s", 0.0, closed_sd), Prior("opened_s", 0.0, opened_sd)] if press.has_states else []
+    moments = zip(TIMING, moments_sd, strict=True) if press.has_states else ()
+    timing = [Prior(name, 0.0, sd) for name, sd in moments if sd > 0.0]
     suspects = tuple(_informed(s, seen) for s in SUSPECTS if press.panel_layers and s.effect not in own)
     water = _informed(WATER, seen)
     wet = water.chance if press.panel_layers and water.effect not in own and not _ruled_out(water) else 0.0

@@ -45,6 +45,12 @@ class Bench:
         return tuple(end.column for end in ends if end.kind == "measured" and end.column is not None)
 
     @cached_property
+    def lower(self) -> int:
+        """Place of the panel's lower face, -1 where no sensor of it is known."""
+        lower = [f"{layer}.bottom" for layer in self.press.panel_layers]
+        return next((i for i, label in enumerate(self.labels) if label in lower), -1)
+
+    @cached_property
     def alone(self) -> tuple[Bench, tuple[int, int]] | None:
         """The panel alone between its faces, and their places; None where they are not measured."""
         return _panel_bench(self) if self.press.has_states else None

@@ -20,6 +20,14 @@ from softsensor.observer_setup import Bench, Filter, make_filter
 if TYPE_CHECKING:
     from softsensor.modelfile import ModelFile
 
+LEAST_WAIT_S = 0.5
+"""A panel lies in the press for so long at least before it closes. [s]"""
+UNSURE = 2.0
+"""Faces count from so many standard deviations after an insertion nobody saw: sooner they rise with the root of
+time, and a straight line through that would be sure of a moment it cannot know."""
+UNEVEN_K = 0.5
+"""A panel's faces follow the air of the hall before its core does: where they contradict the header, they tell the
+core's start no better than this. [K]"""
 EVEN = 0.5
 """Chance of a change from which on the core is no longer counted as before it."""
 
@@ -29,12 +37,19 @@ class Known:
     """What has been found out about the run's moments."""
 
     moments: Moments = field(default_factory=Moments)
+    inserted_sd: float = 0.0
+    """0: as well as the faces show it. [s]"""
     closed_sd: float = 0.15
     opened_sd: float = 0.15
     initial_sd: float = INITIAL_K
     """Of the header's start temperature. [K]"""
     idle: bool = False
     """Whether the press stands empty."""
+
+    @property
+    def moments_sd(self) -> tuple[float, float, float]:
+        """Standard deviations of the moments of `TIMING`. [s]"""
+        return self.inserted_sd, self.closed_sd, self.opened_sd
 
     def switches(self, first: float) -> Array:
         """Return when the press moved, NaN where it has not; `first` is the run's first scan. [s]"""
@@ -72,7 +87,8 @@ class Track:
         self.switches = known.switches(first)
         seen = model.adequacy if model is not None else None
         self.unexplained = seen.unexplained_K if seen is not None else 0.0
-        plans = plans_for(bench.press, model, known.closed_sd, known.opened_sd, known.initial_sd)
+        self.uneven = UNEVEN_K if known.initial_sd > INITIAL_K else 0.0
+        plans = plans_for(bench.press, model, known.moments_sd, known.initial_sd)
         if points is None or [len(p) for p in points] != [len(plan.priors) for plan in plans]:
             points = [plan.start for plan in plans]
         self.points = list(points)
@@ -98,23 +114,24 @@ class Track:
 
     def _timing(self, made: Filter) -> loops.Timing:
         m = self._known.moments
-        closing, opening = (made.shift(t) if t in made.names else 0.0 for t in TIMING)
+        coming, closing, opening = (made.shift(t) if t in made.names else 0.0 for t in TIMING)
         here = math.inf if self._known.idle and not math.isfinite(m.removed_s) else -math.inf
 
         def known(moment: float, otherwise: float = math.inf) -> float:
             return moment if math.isfinite(moment) else otherwise
 
-        units = made.timing_units
+        units, closed = made.timing_units, known(m.closed_s) + closing
         return loops.Timing(
             start=self._first,
-            inserted=known(m.inserted_s, here),
-            closed=known(m.closed_s) + closing,
+            inserted=min(known(m.inserted_s, here) + coming, closed - LEAST_WAIT_S),
+            closed=closed,
             opened=known(m.opened_s) + opening,
             removed=known(m.removed_s),
             ramp=m.ramp_s,
             switching=self._bench.press.has_states,
-            closed_unit=units[0],
-            opened_unit=units[1],
+            inserted_unit=units[0],
+            closed_unit=units[1],
+            opened_unit=units[2],
             longest=loops.LONGEST_STEP_S,
         )
 
@@ -142,14 +159,15 @@ class Track:
         ends, whole = cut(scans, self.done, self.switches, limit)
         if len(ends):
             timing = self.members[0].timing
-            blocks = Blocks.of(scans, self.done, ends, timing, self.switches, blind=blind)
+            lies = timing.inserted + UNSURE * self._known.inserted_sd, timing.removed
+            blocks = Blocks.of(scans, self.done, ends, lies, self.switches, blind=blind)
             for member in self.members:
                 member.take(blocks)
             if self.driven is not None:
                 self.driven.take(blocks)
             self.done = int(ends[-1]) + 1
             if whole:
-                self.mixture = mix(self.members, self.rise, self.unexplained, self.driven)
+                self.mixture = mix(self.members, self.rise, self.unexplained, self.driven, self.uneven)
                 self._sound = self._sound and self.mixture.changed < EVEN
                 if self.driven is not None and self._sound:
                     self.driven.before_C = self.driven.core[0]

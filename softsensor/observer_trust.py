@@ -1,4 +1,4 @@
-"""Whether what a run says of itself can be true: how it begins, and readings that stand still.
+"""Whether what a run says of itself can be true: how it begins, how its panel came, and readings that stand still.
 
 A sensor that believes a wrong header, a run that begins in mid-press or a logger that repeats itself tells a wrong
 core within a narrow band; here such a run is told from a sound one before its numbers are used.
@@ -7,6 +7,7 @@ core within a narrow band; here such a run is told from a sound one before its n
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,10 +20,22 @@ if TYPE_CHECKING:
     from softsensor.observer_blocks import Scans
 
 START_K = 6.0
-"""A face this far from the header's start temperature, with the other one farther, is no fresh panel's: a face in
+"""Faces of which the colder one is this far from the header's start temperature are no fresh panel's: a face in
 the open press warms by so much in 1.5 s at most, where it does not touch a plate. [K]"""
 DOUBTED_K = 1.0
 """From here on the header's start temperature is known no better than it is off. [K]"""
+SPARSE_S, COLD_C, COLD_K = 2.2, 38.0, 5.0
+"""A lower face unheard for longer before it is hot hides when the panel came; it counts as cold up to so much, or
+so much above the header's start temperature. [s, °C, K]"""
+SLOPE_S = 1.3
+"""So long a face is watched for its slope. [s]"""
+UPPER_K, UPPER_S = 3.0, 3.0
+"""Where the upper face of a panel in the open press warms by so much, it does within about a second; a hand that
+held it or a slow sensor leave the moment open by so much. [K, s]"""
+USUAL_WAIT_S, WAIT_S, LONGEST_WAIT_S = 18.0, 9.0, 30.0
+"""How long a panel nobody saw coming lies in the open press: usually, with what spread, at most. [s]"""
+PLATE_K_ROOT_S, AIR_K_ROOT_S = 50.0, 6.0
+"""By how much a face in the open press warms at most, on the plate and under it. [K/√s]"""
 FROZEN_S, FROZEN_K = 3.0, 3.0
 """A face that stands still to the last digit for so long has fallen silent where its model moves by so much; a
 logger whose channels all do has. [s, K]"""
@@ -30,23 +43,106 @@ FEWEST_CHANNELS = 6
 """A logger with fewer channels may well repeat itself."""
 
 
-def contradiction(level: Array, start_C: float) -> str:
-    """Say why faces that read `level` (M) are not those of a panel at its start; empty where they may be. [°C]
-
-    Every face with a reading must be far off: the lower one warms from the first moment on.
-    """
-    off = start_error(level, start_C)
+def contradiction(off: float, start_C: float) -> str:
+    """Say why faces so far off are not those of a panel that starts so; empty where they may be. [K, °C]"""
     if abs(off) <= START_K:
         return ""
     return f"sensors read {start_C + off:.0f} °C where the header has the panel start at {start_C:.0f} °C"
 
 
 def start_error(level: Array, start_C: float) -> float:
-    """Return how far the face nearer to the header's start temperature is off it, 0 if none is heard. [K]"""
+    """Return how far the colder face is off the header's start temperature, 0 if none is heard. [K]
+
+    `level` is what the faces read (M). Hands and the lower plate warm a face, nothing cools it.
+    """
     off = level[np.isfinite(level)] - start_C
-    if not len(off) or not math.isfinite(start_C):
-        return 0.0
-    return float(off[np.abs(off).argmin()])
+    return float(off.min()) if len(off) and math.isfinite(start_C) else 0.0
+
+
+@dataclass(frozen=True)
+class Coming:
+    """When the panel came to lie in the press."""
+
+    at: float
+    """[s]"""
+    sd: float = 0.0
+    """0 where the lower face shows it. [s]"""
+
+
+def coming(time: Array, level: Array, lower: int, start_C: float, at: float, closed: float) -> Coming:
+    """Place an insertion that the lower face does not show, since its sensors were silent or are missing.
+
+    It lies after the last cold reading of the lower face and before its first hot one or the closing. In between,
+    a lower face first heard on the plate tells by its slope how long it has lain there (temperatures rise with the
+    root of time: age = rise / (2 slope)); else an upper face that warms well before the closing tells it, else the
+    usual wait.
+
+    Parameters
+    ----------
+    time, level
+        Scans so far (N) and what the faces read (N, M). [s, °C]
+    lower
+        Place of the lower face, -1 for none.
+    start_C
+        The panel's start temperature. [°C]
+    at
+        When the detector has it. [s]
+    closed
+        When the press closed, infinite where it has not. [s]
+    """
+    silent = np.full(len(time), math.nan)
+    low = level[:, lower] if lower >= 0 else silent
+    high = next((level[:, m] for m in range(level.shape[1]) if m != lower), silent)
+    cold = low < max(COLD_C, start_C + COLD_K)
+    begins = float(time[cold].max(initial=-math.inf))
+    hot = np.isfinite(low) & ~cold & (time > begins) & (time < closed)
+    ends = min(float(time[hot].min(initial=math.inf)), closed, float(time[-1]))
+    if ends - begins <= SPARSE_S:
+        return Coming(at)
+    earliest, found = max(begins, ends - LONGEST_WAIT_S), Coming(ends - USUAL_WAIT_S, WAIT_S)
+    there = hot & (time < ends + SLOPE_S)
+    resting = time[(high < start_C + UPPER_K) & (time < ends)]
+    if there.sum() > 1 and (age := _age(time[there], low[there] - start_C)) < USUAL_WAIT_S:
+        found = Coming(ends - age, 0.3 + 0.35 * age)
+    elif len(resting) and earliest < resting[-1] < ends - SLOPE_S:
+        found = Coming(float(resting[-1]), UPPER_S)
+    return Coming(min(max(found.at, earliest), ends), min(found.sd, (ends - earliest) / math.sqrt(12.0)))
+
+
+def _age(time: Array, rise: Array) -> float:
+    """Return for how long a face has lain on the plate at its first reading, as its rise and slope tell. [s]"""
+    slope, middle = np.polyfit(time - time.mean(), rise, 1)
+    if slope <= 0.0 or middle <= 0.0:
+        return math.inf
+    return max(float(middle / (2.0 * slope) - (time.mean() - time[0])), 0.0)
+
+
+def first_error(
+    time: Array, level: Array, lower: int, start_C: float, came: Coming, closed: float
+) -> tuple[float, float] | None:
+    """Return how far off the header's start a panel was when first heard, and what of it is certain. [K]
+
+    Certain is what a face heard some time after the panel came cannot have warmed since. Of the faces heard the
+    one that may have warmed least counts, of such alike the colder one. None before a face is heard.
+    Arguments as of `coming`.
+    """
+    begin = max(int(np.searchsorted(time, came.at, "right")) - 1, 0)
+    errors = []
+    for m in range(level.shape[1]):
+        heard = begin + np.flatnonzero(np.isfinite(level[begin:, m]))
+        if not len(heard):
+            continue
+        if time[heard[0]] > closed:
+            errors.append((math.inf, 0.0))
+            continue
+        since, off = float(time[heard[0]]) - came.at, float(level[heard[0], m]) - start_C
+        rate = PLATE_K_ROOT_S if m == lower else AIR_K_ROOT_S
+        warmed = rate * math.sqrt(since + came.sd) if since > 0.0 else 0.0
+        errors.append((warmed, off))
+    if not errors:
+        return None
+    warmed, off = min(errors)
+    return off, off if off < 0.0 else max(off - warmed, 0.0)
 
 
 class Stillness:

@@ -35,6 +35,7 @@ const PATTERNS = [
   [/^model not valid: the press closed while nothing was heard of it for long$/, "Modell nicht gültig: die Presse schloss, während lange nichts gemessen wurde"],
   [/^model not valid: both faces have leapt while they were not heard$/, "Modell nicht gültig: beide Seiten sind gesprungen, während sie nicht gemessen wurden"],
   [/^model not valid: platen temperatures were missing when the panel came to lie in the press$/, "Modell nicht gültig: die Heizplattenmessung fehlte, als die Platte eingelegt wurde"],
+  [/^core not observable: no sensor of the lower face shows whether a panel lies in the press$/, "Kern nicht bestimmbar: kein Fühler der Unterseite zeigt, ob eine Platte in der Presse liegt"],
   [/^core not observable: band wider than (.+) K to either side$/, "Kern nicht bestimmbar: Band breiter als $1 K zu jeder Seite"],
   [/^press state unknown$/, "Pressenzustand unbekannt"],
   [/^core will peak at (.+) °C, above the limit of (.+) °C$/, "der Kern erreicht noch $1 °C, über der Grenze von $2 °C"],

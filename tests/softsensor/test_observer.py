@@ -269,7 +269,7 @@ def test_filters_that_break_down_begin_anew(plain, monkeypatch):
 
 
 def test_filters_are_linearised_only_where_effects_are_physical():
-    for plan in plans_for(PRESS, MODEL, 0.15, 0.15):
+    for plan in plans_for(PRESS, MODEL, (0.0, 0.15, 0.15)):
         low, high = plan.reach
         assert np.all(low <= plan.start)
         assert np.all(plan.start <= high)

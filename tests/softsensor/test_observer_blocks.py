@@ -5,7 +5,7 @@ import numpy as np
 from softsensor import observer_kernels as loops
 from softsensor.observer_blocks import Blocks, Scans, cut
 
-TIMING = loops.Timing(0.0, -np.inf, 10.0, np.inf, np.inf, 0.5, True, 1.0, 1.0, 0.5)
+ALWAYS = (-np.inf, np.inf)
 MOMENTS = np.array([0.0, np.nan, 10.0, np.nan, np.nan])
 
 
@@ -52,8 +52,10 @@ def test_cutting_in_parts_cuts_at_the_same_scans():
 def test_a_block_holds_the_mean_of_what_was_heard_and_when():
     nan = np.nan
     kept = scans([5.0, 5.1, 5.2, 5.4], [[30.0, nan], [31.0, nan], [nan, nan], [34.0, nan]])
-    made = Blocks.of(kept, 1, np.array([3]), TIMING, MOMENTS, blind=False)
+    made = Blocks.of(kept, 1, np.array([3]), ALWAYS, MOMENTS, blind=False)
     assert np.allclose(made.span, [[5.0, 5.4]])
     assert np.allclose(made.level, [[32.5, nan]], equal_nan=True)
     assert np.isclose(made.moment[0, 0], (5.25 - 5.0) / 0.4)
-    assert np.isnan(Blocks.of(kept, 1, np.array([3]), TIMING, MOMENTS, blind=True).level).all()
+    assert np.isnan(Blocks.of(kept, 1, np.array([3]), ALWAYS, MOMENTS, blind=True).level).all()
+    late = Blocks.of(kept, 1, np.array([3]), (5.15, np.inf), MOMENTS, blind=False)
+    assert np.allclose(late.level, [[34.0, nan]], equal_nan=True)

@@ -109,7 +109,7 @@ def test_a_loose_channel_loses_its_vote():
 
 
 def test_steps_end_where_they_should_and_are_fine_at_a_switch():
-    timing = loops.Timing(0.0, 2.0, 10.0, np.inf, np.inf, 0.5, True, 1.0, 1.0, 0.5)
+    timing = loops.Timing(0.0, 2.0, 10.0, np.inf, np.inf, 0.5, True, 1.0, 1.0, 1.0, 0.5)
     t, steps = 0.0, []
     while t < 30.0 - 1e-9:
         h = loops.step_length(t, 30.0, timing)
@@ -118,3 +118,21 @@ def test_steps_end_where_they_should_and_are_fine_at_a_switch():
     assert t == pytest.approx(30.0)
     assert max(h for at, h in steps if 9.8 < at < 10.2) <= 0.11
     assert max(h for _, h in steps) <= 0.66
+
+
+@pytest.mark.parametrize("moment", ["inserted", "closed", "opened"])
+@pytest.mark.parametrize("begin", [1.95, 9.9, 19.9])
+def test_shares_of_a_step_answer_to_the_moments_as_their_derivatives_say(moment, begin):
+    timing = loops.Timing(0.0, 2.0, 10.0, 20.0, np.inf, 0.5, True, 3.0, 0.2, 0.4, 0.5)
+    unit = {"inserted": 3.0, "closed": 0.2, "opened": 0.4}[moment]
+    moving = np.arange(3)
+
+    def shares(shift):
+        weight, d_weight = np.zeros((1, 3)), np.zeros((1, 3, 3))
+        moved = timing._replace(**{moment: getattr(timing, moment) + shift})
+        loops._set_weights(weight, d_weight, 0, begin, begin + 0.08, moved, moving)
+        return weight[0], d_weight[0, :, ["inserted", "closed", "opened"].index(moment)]
+
+    expected = (shares(1e-5)[0] - shares(-1e-5)[0]) / 2e-5 * unit
+    assert np.allclose(shares(0.0)[1], expected, atol=1e-6)
+    assert shares(0.0)[0].sum() == pytest.approx(1.0)

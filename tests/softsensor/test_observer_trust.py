@@ -11,8 +11,8 @@ from daq.simulated.campaign import Plan, make_campaign
 from daq.simulated.campaign_pressfile import press_toml
 from daq.simulated.physics import BASE_COEFFICIENTS
 from softsensor.modelfile import Estimate, ModelFile
-from softsensor.observer import NO_PLATENS, NOT_VALID, LiveSensor
-from softsensor.observer_trust import contradiction
+from softsensor.observer import NO_PLATENS, NOT_OBSERVABLE, NOT_VALID, LiveSensor
+from softsensor.observer_trust import Coming, coming, contradiction, first_error, start_error
 
 PRESS = parse_press(press_toml())
 MODEL = ModelFile("test", "lab", {name: Estimate(value, 0.2 * value) for name, value in BASE_COEFFICIENTS.items()})
@@ -102,9 +102,10 @@ def test_a_start_temperature_that_is_a_little_off_is_put_right_by_the_sensors(pr
 
 
 def test_a_lower_face_that_warms_already_is_no_contradiction():
-    assert contradiction(np.array([21.0, 45.0]), 20.0) == ""
-    assert contradiction(np.array([np.nan, np.nan]), 20.0) == ""
-    assert contradiction(np.array([60.0, 104.0]), 20.0) == (
+    assert start_error(np.array([21.0, 45.0]), 20.0) == 1.0
+    assert start_error(np.array([np.nan, np.nan]), 20.0) == 0.0
+    assert contradiction(1.0, 20.0) == ""
+    assert contradiction(start_error(np.array([60.0, 104.0]), 20.0), 20.0) == (
         "sensors read 60 °C where the header has the panel start at 20 °C"
     )
 
@@ -157,3 +158,108 @@ def test_a_closing_that_went_unheard_leaves_the_core_unknown(pressing):
     said = replay(replace(deaf, columns={n: v for n, v in deaf.columns.items() if n != "closed"}))
     assert told_wrong(said, truth.core_C) == 0.0
     assert not any(e.valid for e in said if e.time_s > truth.moments.closed_s + 16.0)
+
+
+# --- a panel nobody saw coming -----------------------------------------------------------------------
+
+TIME = np.arange(0.0, 40.0, 0.5)
+
+
+def faces(came_at, heard_from, start=20.0, closed=30.0):
+    """Upper and lower face of a panel that comes at a time: the lower one rises with the root of time (N, 2)."""
+    since = np.maximum(TIME - came_at, 0.0)
+    lower = np.where(closed > TIME, start + 25.0 * np.sqrt(since), 150.0)
+    upper = np.where(closed > TIME, start, 140.0)
+    table = np.column_stack([upper, lower])
+    table[heard_from > TIME, 1] = np.nan
+    return table
+
+
+def test_a_lower_face_heard_before_the_panel_came_leaves_its_moment_to_the_detector():
+    assert coming(TIME, faces(10.0, 0.0), 1, 20.0, 10.2, np.inf) == Coming(10.2)
+
+
+@pytest.mark.parametrize("late_s", [3.0, 6.0])
+def test_a_lower_face_first_heard_on_the_plate_tells_how_long_it_has_lain_there(late_s):
+    seen = 10.0 + late_s + 2.0 > TIME
+    came = coming(TIME[seen], faces(10.0, 10.0 + late_s)[seen], 1, 20.0, 10.0 + late_s, np.inf)
+    assert came.at == pytest.approx(10.0, abs=0.3)
+    assert 0.3 * late_s < came.sd < 0.5 * late_s
+
+
+def test_without_a_lower_face_the_usual_wait_is_taken_within_what_the_log_allows():
+    came = coming(TIME, faces(10.0, np.inf), 1, 20.0, 29.0, 30.0)
+    assert (came.at, came.sd) == (12.0, pytest.approx(30.0 / np.sqrt(12.0)))
+    cold_until_25 = np.where(TIME <= 25.0, 21.0, np.nan)
+    came = coming(TIME, np.column_stack([faces(10.0, 0.0)[:, 0], cold_until_25]), 1, 20.0, 29.0, 30.0)
+    assert came.at == 25.0
+    assert came.sd == pytest.approx(5.0 / np.sqrt(12.0))
+
+
+def test_an_upper_face_that_warms_in_the_open_press_tells_when_the_panel_came():
+    warming = faces(10.0, np.inf)
+    warming[:, 0] += np.where(TIME < 30.0, 6.0 * np.sqrt(np.maximum(TIME - 15.0, 0.0)), 0.0)
+    came = coming(TIME, warming, 1, 20.0, 29.0, 30.0)
+    assert came.at == pytest.approx(15.0, abs=0.5)
+    assert came.sd == 3.0
+
+
+def test_the_start_is_judged_by_the_face_that_may_have_warmed_least():
+    plugged = faces(10.0, 12.0)
+    plugged[TIME < 12.0] = np.nan
+    off, certain = first_error(TIME, plugged, 1, 20.0, Coming(10.0), 30.0)
+    assert (off, certain) == (0.0, 0.0)
+    off, certain = first_error(TIME, plugged, 1, 40.0, Coming(10.0), 30.0)
+    assert (off, certain) == (-20.0, -20.0)
+    off, certain = first_error(TIME, plugged, 1, 0.0, Coming(10.0), 30.0)
+    assert off == 20.0
+    assert 10.0 < certain < 20.0
+    assert first_error(TIME[:20], plugged[:20], 1, 20.0, Coming(9.0), 30.0) is None
+
+
+def fallen_silent(run, chosen, until_s):
+    return with_columns(run, chosen, lambda values: np.where(run.time_s < until_s, np.nan, values))
+
+
+@pytest.mark.parametrize(
+    ("chosen", "since", "after_s"),
+    [
+        ("bottom_", "closed_s", np.inf),
+        ("bottom_", "closed_s", 20.0),
+        ("bottom_", "closed_s", 2.0),
+        (("top_", "bottom_"), "inserted_s", 1.0),
+        (("top_", "bottom_"), "inserted_s", 4.0),
+    ],
+    ids=["no lower sensors", "20 s after closing", "2 s after closing", "plugged in", "plugged in late"],
+)
+@pytest.mark.parametrize("number", [0, 1, 2])
+def test_sensors_that_join_late_or_never_leave_the_core_known(number, chosen, since, after_s):
+    plan = replace(PLAN, closed_column=False, start_before_s=10.0, open_before_s=(8.0, 28.0))
+    run, truth = make_campaign(22, 3, None, plan)[number]
+    late = fallen_silent(run, chosen, getattr(truth.moments, since) + after_s)
+    said = replay(replace(late, columns={n: v for n, v in late.columns.items() if np.isfinite(v).any()}))
+    closed = [e for e in said if e.state is PressState.CLOSED]
+    assert np.mean([e.valid for e in closed]) > 0.95
+    assert told_wrong(said, truth.core_C) < 0.1
+
+
+@pytest.mark.parametrize("off", [-20.0, -9.0, -3.0, 3.0, 9.0, 20.0])
+@pytest.mark.parametrize("after_s", [0.0, 4.0])
+def test_a_start_temperature_that_sensors_plugged_in_with_the_panel_contradict_is_not_believed(off, after_s):
+    plan = replace(PLAN, closed_column=False, start_before_s=10.0, open_before_s=(15.0, 25.0))
+    ((run, truth),) = make_campaign(23, 1, None, plan)
+    plugged = fallen_silent(run, ("top_", "bottom_"), truth.moments.inserted_s + after_s)
+    wrong = dict(run.header) | {"panel.initial_temperature_C": run.header["panel.initial_temperature_C"] + off}
+    said = replay(replace(plugged, header=wrong))
+    there = [i for i, e in enumerate(said) if e.state in (PressState.OPEN, PressState.CLOSED) and e.valid]
+    assert np.mean([not said[i].core_low_C <= truth.core_C[i] <= said[i].core_high_C for i in there] or [0]) < 0.1
+    if abs(off) == 3.0:
+        assert len(there) > 100
+
+
+def test_an_idle_press_whose_lower_face_is_unheard_is_not_said_to_be_empty(pressing):
+    run, truth = pressing
+    said = replay(replace(run, columns={n: v for n, v in run.columns.items() if not n.startswith("bottom_")}))
+    idle = [e for e in said if e.state is PressState.IDLE and 3.5 < e.time_s < truth.moments.closed_s]
+    assert idle
+    assert all(not e.valid and e.reason.startswith(NOT_OBSERVABLE) for e in idle)
