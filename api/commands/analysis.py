@@ -18,6 +18,7 @@ from daq.records import InputError
 if TYPE_CHECKING:
     from daq.pressfile import Press
     from daq.records import Run
+    from softsensor.modelfile import ModelFile
 
 OutCsv = Annotated[Path, typer.Option("--out", metavar="CSV", help="Where to write the table.")]
 Model = Annotated[
@@ -53,7 +54,7 @@ def simulate(
 
         if model is not None:
             content = read_model(model)
-            _check_names((described, own), content.coefficients, str(model))
+            _check_model((described, own), content, model)
             thermal, values = content.model(described), content.values
         else:
             given = _read_coefficients(coefficients, (described, own)) if coefficients else {}
@@ -93,7 +94,7 @@ def predict(
         _check_run(described, loaded, seen)
         known = read_model(model) if model is not None else None
         if known is not None:
-            _check_names((described, press_for_run(described, loaded)), known.coefficients, str(model))
+            _check_model((described, press_for_run(described, loaded)), known, model)
         sensor = LiveSensor(described, loaded.header, known)
         rows = []
         for i, time_s in enumerate(loaded.time_s.tolist()):
@@ -124,6 +125,16 @@ def _check_run(press: Press, run: Run, seen: Mapping[str, Any]) -> None:
             )
     if own.panel_layers:
         panel_of(run)
+
+
+def _check_model(presses: tuple[Press, Press], model: ModelFile, path: Path | None) -> None:
+    """Refuse coefficients the press does not have, raising `InputError`; warn of another press's model."""
+    _check_names(presses, model.coefficients, str(path))
+    if model.press not in ("", presses[0].name):
+        sys.stderr.write(
+            f"kerntemp: {path} is of press {model.press!r}, the press file is of {presses[0].name!r}: "
+            "coefficients of another press make a wrong core look certain; fit this press's own runs\n"
+        )
 
 
 def _hidden(run: Run, without: str) -> set[str]:

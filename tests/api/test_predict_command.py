@@ -47,3 +47,14 @@ def test_a_model_with_a_coefficient_the_press_does_not_have_is_refused(files, ca
     assert main(words) == 2
     assert "model.json: h_zz: press 'lab' has no such coefficient" in capsys.readouterr().err
     assert not out.exists()
+
+
+def test_a_model_of_another_press_is_warned_of(files, capsys):
+    folder, path = files
+    model, out = folder / "other.json", folder / "other.csv"
+    for press, warned in (("lab", False), ("", False), ("hall-2", True)):
+        content = {"press": press, "coefficients": {"h_p_c": {"value": 1200.0, "sd": 100.0}}}
+        model.write_text(json.dumps(content), encoding="utf-8")
+        words = ["predict", str(path), "--press", str(folder / "press.toml"), "--model", str(model)]
+        assert main([*words, "--out", str(out)]) == 0
+        assert ("is of press 'hall-2', the press file is of 'lab'" in capsys.readouterr().err) is warned
