@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections import deque
-from collections.abc import Mapping, Sequence
+from bisect import bisect_right
+from collections.abc import Mapping
 from dataclasses import dataclass
-from statistics import median
+from typing import NamedTuple
 
 import numpy as np
 
-from daq.press_faces import HIGH_C, LOW_C, Face, columns_of
+from daq.press_faces import HIGH_C, LOW_C, Face, columns_of, middle
 from daq.press_moments import Placed, closing_moment, insertion_moment, opening_moment, usual_lag
 from daq.press_wires import Wires
 from daq.pressfile import Press
@@ -34,13 +34,15 @@ _SPREAD_K = 25.0
 """Sensors of one face that part by this much have been taken off the panel. [K]"""
 
 
-@dataclass(frozen=True)
-class _Row:
+class _Row(NamedTuple):
+    """A scan: the faces' medians, the plate, and the usable sensors of each face."""
+
     time: float
     top: float
     bottom: float
     plate: float
-    values: Mapping[str, float]
+    tops: Mapping[str, float]
+    bottoms: Mapping[str, float]
 
 
 class PressEventDetector:
@@ -59,7 +61,9 @@ class PressEventDetector:
     def __init__(self, press: Press, inserted: bool | None = None, *, placing: bool = True) -> None:
         self._columns = columns_of(press)
         self._placing = placing
-        self._rows: deque[_Row] = deque()
+        self._rows: list[_Row] = []
+        self._times: list[float] = []
+        """Of the rows. [s]"""
         self._top, self._bottom = Face(), Face()
         self._names: tuple[str, ...] = ()
         self._top_names: tuple[str, ...] = ()
@@ -124,21 +128,16 @@ class PressEventDetector:
         top = {n: v for n in self._top_names if LOW_C < (v := values[n]) < HIGH_C}
         bottom = {n: v for n in self._bottom_names if LOW_C < (v := values[n]) < HIGH_C}
         platens = [v for n in self._platen_names if (v := values[n]) == v]
-        plate = median(platens) if platens else (self._rows[-1].plate if self._rows else math.nan)
-        row = _Row(
-            time_s,
-            self._top.update(top, elapsed),
-            self._bottom.update(bottom, elapsed),
-            plate,
-            {**top, **bottom},
-        )
+        plate = middle(platens) if platens else (self._rows[-1].plate if self._rows else math.nan)
+        levels = self._top.update(top, elapsed), self._bottom.update(bottom, elapsed)
         if top or bottom:
             self._seen = time_s
         if self._first != self._first:
             self._first = time_s
-        self._rows.append(row)
-        while self._rows[0].time < time_s - _MEMORY_S and len(self._rows) > 4:
-            self._rows.popleft()
+        self._rows.append(_Row(time_s, *levels, plate, top, bottom))
+        self._times.append(time_s)
+        while self._times[0] < time_s - _MEMORY_S and len(self._times) > 4:
+            del self._rows[0], self._times[0]
 
     # --- limit switch, pressure channel ----------------------------------------------------------
 
@@ -219,16 +218,15 @@ class PressEventDetector:
 
     def _row_before(self, seconds: float) -> _Row | None:
         """Return the newest row at least `seconds` before the newest, or the first where all are younger."""
-        limit = self._rows[-1].time - seconds
-        for row in reversed(self._rows):
-            if row.time <= limit:
-                return row
+        rows = bisect_right(self._times, self._times[-1] - seconds)
+        if rows:
+            return self._rows[rows - 1]
         return self._rows[0] if len(self._rows) > 1 else None
 
     def _bottom_before(self, seconds: float) -> _Row | None:
         """Return the newest row at least `seconds` before the newest that shows the lower face."""
-        limit = self._rows[-1].time - seconds
-        return next((r for r in reversed(self._rows) if r.time <= limit and r.bottom == r.bottom), None)
+        rows = bisect_right(self._times, self._times[-1] - seconds)
+        return next((r for r in self._rows[rows - 1 :: -1] if r.bottom == r.bottom), None) if rows else None
 
     def _closed(self, now: _Row, then: _Row) -> bool:
         """The upper face jumps towards the plate (the lower one, where no upper sensor works)."""
@@ -236,7 +234,7 @@ class PressEventDetector:
             gap = _gap(now.plate, then.top)
             if gap < 25.0 or now.top - then.top < max(6.0, 0.11 * gap) or now.top < _HAND_C:
                 return False
-            return self._together(now, then, self._top_names, 0.11 * gap)
+            return _together(now.tops, then.tops, 0.11 * gap)
         if self._state is PressState.IDLE or now.bottom != now.bottom or then.bottom != then.bottom:
             return False
         gap = _gap(now.plate, then.bottom)
@@ -257,19 +255,19 @@ class PressEventDetector:
         top, bottom = then.top - now.top, then.bottom - now.bottom
         if top == top and bottom == bottom:
             both = top > 1.8 and bottom > 0.35 and bottom > 0.2 * top
-            return both or top > 25.0 or any(self._sank(now, s) for s in (self._look_back, 3.0, 6.0))
+            earlier = (then, self._row_before(3.0), self._row_before(6.0))
+            return both or top > 25.0 or any(self._sank(now, row) for row in earlier)
         fall = top if top == top else bottom
         return fall > (3.0 if top == top else 2.0)
 
-    def _sank(self, now: _Row, seconds: float) -> bool:
+    def _sank(self, now: _Row, then: _Row | None) -> bool:
         """Whether the upper face fell further than a worse contact could let it: it follows the plate then."""
-        then = self._row_before(seconds)
         if then is None or then.time < self._since + 1.0:
             return False
         fall = (then.top - now.top) - max(then.plate - now.plate, 0.0)
         if not (fall > 4.0 and fall > 1.7 * max(then.plate - then.top, 0.0) + 2.5):
             return False
-        falls = [then.values[n] - now.values[n] for n in self._top_names if n in now.values and n in then.values]
+        falls = [then.tops[n] - value for n, value in now.tops.items() if n in then.tops]
         return 2 * sum(f > 0.0 for f in falls) >= len(falls)  # else only the bridge over a lost sensor fades
 
     def _inserted(self, now: _Row, then: _Row) -> bool:
@@ -288,7 +286,7 @@ class PressEventDetector:
             return False
         if now.top - then.top > 0.5 * rise:
             return False
-        return self._together(now, then, self._bottom_names, 0.5 * share * gap)
+        return _together(now.bottoms, then.bottoms, 0.5 * share * gap)
 
     def _upper_only(self, now: _Row, then: _Row) -> bool:
         """Where no sensor of the lower face is heard, not only for a scan, the upper one has warmed."""
@@ -296,11 +294,6 @@ class PressEventDetector:
         if self._bottom_before(0.0) is not None or not now.top > 1.3 * _HAND_C:
             return False
         return now.top > then.top and now.top - early.top > _WARMED_K
-
-    def _together(self, now: _Row, then: _Row, names: Sequence[str], least: float) -> bool:
-        """Whether most sensors of a face rose from `then` to `now`, not a few that a hand touched."""
-        rises = [now.values[n] - then.values[n] for n in names if n in now.values and n in then.values]
-        return not rises or sum(r > 0.4 * least for r in rises) >= 0.7 * len(rises)
 
     def _removed(self, now: _Row) -> bool:
         """The lower face lost its plate, and then got cold or its sensors came off one by one."""
@@ -330,7 +323,7 @@ class PressEventDetector:
 
     def _spread(self, now: _Row) -> float:
         """Return how far the lower face's sensors lie apart, without the two most extreme where there are many."""
-        values = sorted(v for n, v in now.values.items() if n in self._bottom_names)
+        values = sorted(now.bottoms.values())
         if len(values) < 2:
             return 0.0
         return values[-2] - values[1] if len(values) >= 4 else values[-1] - values[0]
@@ -348,7 +341,7 @@ class PressEventDetector:
         fall = then.bottom + trend * (now.time - then.time) - now.bottom
         if not (fall > 3.0 and then.bottom - now.bottom > 2.5 and now.bottom > _HAND_C):
             return False
-        return self._together(then, now, self._bottom_names, 5.0)
+        return _together(then.bottoms, now.bottoms, 5.0)
 
     # --- the moment -----------------------------------------------------------------------------
 
@@ -372,7 +365,7 @@ class PressEventDetector:
     def _moment(self, kind: PressEventKind, noticed: float) -> float:
         if not self._placing:
             return noticed
-        times = np.array([r.time for r in self._rows])
+        times = np.array(self._times)
         top, bottom = np.array([r.top for r in self._rows]), np.array([r.bottom for r in self._rows])
         after = self._since + 1.0 if kind is PressEventKind.OPENED else -math.inf
         placed = place_moment(kind, Faces(times, top, bottom, self._rows[-1].plate), noticed, after, self._lag)
@@ -397,6 +390,12 @@ class PressEventDetector:
         )
         self._face_high, self._lifted = -math.inf, None
         return PressEvent(kind, moment, noticed, source)
+
+
+def _together(now: Mapping[str, float], then: Mapping[str, float], least: float) -> bool:
+    """Whether most sensors of a face rose from `then` to `now`, not a few that a hand touched."""
+    rises = [value - then[name] for name, value in now.items() if name in then]
+    return not rises or sum(r > 0.4 * least for r in rises) >= 0.7 * len(rises)
 
 
 def _gap(plate: float, face: float) -> float:

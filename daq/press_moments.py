@@ -12,6 +12,7 @@ Carslaw & Jaeger, Conduction of Heat in Solids, 2nd ed., Secs. 2.7 (contact) and
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -115,17 +116,28 @@ def closing_moment(
     times, face = times[near], face[near]
     base = level + slope * (times - noticed)
     distance = np.maximum(plate - base, 1.0)
-    place = np.rint((times[None, :] - onsets[:, None]) / STEP_S).astype(int)
-    place = np.clip(place, 0, int(_REACH_S / STEP_S))
-    error = sigma + 0.5 / float(np.median(distance))
+    share = (face - base) / distance
+    counts, sums = _by_place(times, onsets, share)
+    error = sigma + 0.5 / float(np.median(distance)) if len(distance) else math.inf  # the prior alone tells
     lag = no_lag() if lag is None else lag
     prior = ((np.log(_CONTACTS / _TYPICAL_CONTACT) / _CONTACT_SPREAD) ** 2)[:, None, None]
     prior = prior + (((_CLOSING_RAMPS_S - _TYPICAL_RAMP_S) / _RAMP_SPREAD_S) ** 2)[:, None]
     misfit = np.full((len(LAGS_S), *prior.shape[:2], len(onsets)), 1e9)
     for i in np.flatnonzero(lag < lag.min() + 20.0):
-        model = _contact_table()[i][..., place]  # contact, ramp, onset, row
-        misfit[i] = np.sum(((model - (face - base) / distance) / error) ** 2, axis=-1) + prior + lag[i]
+        model = _contact_table()[i]  # contact, ramp, time since the onset
+        squares = (model * model) @ counts - 2.0 * (model @ sums) + share @ share
+        misfit[i] = squares / error**2 + prior + lag[i]
     return _posterior(misfit, onsets, _CLOSING_RAMPS_S, lag)
+
+
+def _by_place(times: Array, onsets: Array, values: Array) -> tuple[Array, Array]:
+    """Return how many rows lie so many steps after each onset, and the sum of their values (steps, onsets)."""
+    place = np.rint((times[:, None] - onsets) / STEP_S).astype(int)
+    shape = (int(_REACH_S / STEP_S) + 1, len(onsets))
+    cell = np.ravel_multi_index((np.clip(place, 0, shape[0] - 1), np.arange(shape[1])), shape).ravel()
+    counts = np.bincount(cell, minlength=shape[0] * shape[1]).astype(float)
+    sums = np.bincount(cell, np.repeat(values, shape[1]), minlength=len(counts))
+    return counts.reshape(shape), np.asarray(sums, dtype=float).reshape(shape)
 
 
 def _posterior(misfit: Array, onsets: Array, ramps: Array, lag: Array) -> Placed:
@@ -133,9 +145,11 @@ def _posterior(misfit: Array, onsets: Array, ramps: Array, lag: Array) -> Placed
     weight = np.exp(-0.5 * (misfit - misfit.min()))
     weight /= weight.sum()
     by_lag = weight.reshape(len(LAGS_S), -1).sum(axis=1)
+    weight = weight.reshape(-1, len(ramps), len(onsets)).sum(axis=0)
+    ramp = float(weight.sum(axis=1) @ ramps)
     return Placed(
-        middle=float(np.sum(weight * (onsets + 0.5 * ramps[:, None]))),
-        ramp=float(np.sum(weight * ramps[:, None])),
+        middle=float(weight.sum(axis=0) @ onsets) + 0.5 * ramp,
+        ramp=ramp,
         lag_misfit=-2.0 * np.log(np.maximum(by_lag, 1e-30)) - lag,
     )
 
@@ -234,9 +248,9 @@ def _misfit(times: Array, face: Array, shape: NDArray[np.float64], size: float, 
     bent = shape - (shape @ q) @ q.T
     trust = (sigma / (0.6 * size)) ** 2 if np.isfinite(size) else 0.0
     aim = size if np.isfinite(size) else 0.0
-    power = np.maximum(np.einsum("...n,...n->...", bent, bent) + trust, 1e-9)
-    found = (bent @ rest + trust * aim) / power
+    square, along = np.einsum("...n,...n->...", bent, bent), bent @ rest
+    found = (along + trust * aim) / np.maximum(square + trust, 1e-9)
     if np.isfinite(size):
         found = np.where(np.sign(found) == np.sign(size), found, 0.0)
-    off = np.sum((rest - found[..., None] * bent) ** 2, axis=-1) + trust * (found - aim) ** 2
+    off = rest @ rest - 2.0 * found * along + found**2 * square + trust * (found - aim) ** 2
     return np.asarray(off / sigma**2)
