@@ -42,7 +42,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, reduce
+from itertools import accumulate
 from math import isfinite
 from typing import Any, Literal
 
@@ -54,7 +55,7 @@ from softsensor import kernels
 from softsensor.admission import check_first_readings, check_values, value_limits
 from softsensor.assembly import initial_profile
 from softsensor.case import FINE_STEP_S, GROWTH, Case, Fineness, prepare_case
-from softsensor.effects import Effect, Terms, find_effect
+from softsensor.effects import Conversion, Effect, Terms, find_effect
 from softsensor.exact import exact_grid, run_exact
 from softsensor.readout import Derivatives, Reader
 from softsensor.timing import Clock
@@ -210,14 +211,10 @@ class ThermalModel:
         for name in values:
             if not isfinite(values[name]):
                 raise Nonphysical(f"{name} = {values[name]:g}: must be a finite number")
-        terms = self._terms(case, values)
-        own = {e.key(q.name) for e in self.effects for q in e.parameters}
+        parts = self._parts(case, values)
+        terms = _part(reduce(_merge, parts, Terms()), imaginary=False)
         late = any(e.nonlinear or terms.closed_contact for e in self.effects)
-        d_terms = {
-            name: self._terms(case, values, name)
-            for name in tangents
-            if name in own or (name == "closed_s" and late)
-        }
+        d_terms = self._derived(case, values, parts, tangents, late=late)
         p = -(-len(tangents) // 4) * 4
         layout = case.layout
         stack = layout.stack(case.mesh, terms, values, case.ambient)
@@ -304,22 +301,45 @@ class ThermalModel:
         terms = self._terms(case, values)
         return bool(terms.lag != 0.0 or terms.clock != 0.0)
 
-    def _terms(self, case: Case, values: Mapping[str, float], by: str | None = None) -> Terms:
-        """Merge the effects' terms; with `by`, their derivative by that parameter."""
-        if not self.effects:
-            return Terms() if by is None else _part(Terms(), imaginary=True)
-        closed: complex = case.moments.closed_s + values.get("closed_s", 0.0)
-        if by == "closed_s":
-            closed += 1j * _TINY
-        scene = replace(case.scene, closed_s=closed)
-        merged = Terms()
-        for effect in self.effects:
-            own: dict[str, Any] = {p.name: values.get(effect.key(p.name), p.neutral) for p in effect.parameters}
-            for p in effect.parameters:
-                if effect.key(p.name) == by:
-                    own[p.name] += 1j * _TINY
-            merged = _merge(merged, effect.terms(scene, own))
-        return _part(merged, imaginary=by is not None)
+    def _terms(self, case: Case, values: Mapping[str, float]) -> Terms:
+        """Merge the effects' terms."""
+        return _part(reduce(_merge, self._parts(case, values), Terms()), imaginary=False)
+
+    def _parts(self, case: Case, values: Mapping[str, float], shift: complex = 0.0) -> list[Terms]:
+        """Return each effect's terms, with the moment of closing shifted. [s]"""
+        scene = replace(case.scene, closed_s=case.moments.closed_s + values.get("closed_s", 0.0) + shift)
+        return [effect.terms(scene, _own(effect, values)) for effect in self.effects]
+
+    def _derived(
+        self, case: Case, values: Mapping[str, float], parts: list[Terms], by: Iterable[str], *, late: bool
+    ) -> dict[str, Terms]:
+        """Return the derivatives of the merged terms by those parameters that they depend on.
+
+        `parts` are the effects' terms; a parameter changes those of its own effect only, and the moment of
+        closing, if `late`, those of all.
+        """
+        owners = {e.key(p.name): (i, p.name) for i, e in enumerate(self.effects) for p in e.parameters}
+        scene = replace(case.scene, closed_s=case.moments.closed_s + values.get("closed_s", 0.0))
+        before = list(accumulate(parts, _merge, initial=Terms()))
+        after = list(accumulate(reversed(parts), lambda a, b: _merge(b, a), initial=Terms()))[::-1]
+        derived = {}
+        for name in by:
+            if name in owners:
+                i, own = owners[name]
+                here = _own(self.effects[i], values)
+                moved = self.effects[i].terms(scene, here | {own: here[own] + 1j * _TINY})
+                merged = _merge(_merge(before[i], moved), after[i + 1])
+            elif name == "closed_s" and late:
+                merged = reduce(_merge, self._parts(case, values, 1j * _TINY), Terms())
+            else:
+                continue
+            derived[name] = _part(merged, imaginary=True)
+        return derived
+
+
+def _own(effect: Effect, values: Mapping[str, float]) -> dict[str, Any]:
+    """Return an effect's parameters by their short names."""
+    return {p.name: values.get(effect.key(p.name), p.neutral) for p in effect.parameters}
 
 
 def _merge(a: Terms, b: Terms) -> Terms:
@@ -349,7 +369,7 @@ def _part(terms: Terms, *, imaginary: bool) -> Terms:
     """Take the real part of terms, or their derivative from the imaginary one."""
 
     def take(x: Any) -> Any:
-        return np.imag(x) / _TINY if imaginary else np.real(x)
+        return x.imag / _TINY if imaginary else x.real
 
     return Terms(
         conductivity=take(terms.conductivity),
@@ -361,7 +381,7 @@ def _part(terms: Terms, *, imaginary: bool) -> Terms:
         emissivity=take(terms.emissivity),
         convection=take(terms.convection),
         conversions=tuple(
-            replace(c, heat=take(c.heat), a=take(c.a), b=take(c.b), c=take(c.c)) for c in terms.conversions
+            Conversion(take(c.heat), c.kind, take(c.a), take(c.b), take(c.c)) for c in terms.conversions
         ),
         paper=None if terms.paper is None else (take(terms.paper[0]), take(terms.paper[1])),
         plates_offset=take(terms.plates_offset),
