@@ -11,6 +11,7 @@ import numpy as np
 
 from daq.records import Array
 from softsensor import observer_kernels as loops
+from softsensor import observer_kernels_mixture as mixture
 from softsensor.observer_blocks import Blocks
 from softsensor.observer_kernels_blocks import HOLE_S, drive
 from softsensor.observer_priors import TIMING, Plan, Suspect
@@ -94,10 +95,10 @@ class Member:
 
     filter: Filter
     suspects: tuple[Suspect, ...]
-    chances: Array
-    """Of "nothing" (or of this filter's own cause), then of each suspect."""
-    label: str
-    """What the first hypothesis is called."""
+    hypotheses: tuple[str, ...]
+    """What "nothing" (or this filter's own cause) is called, then each suspect."""
+    log_chances: Array
+    """Logarithm of what each hypothesis is given beforehand."""
     timing: loops.Timing
     x: Array
     cov: Array
@@ -135,8 +136,8 @@ class Member:
         return Member(
             filter=made,
             suspects=suspects,
-            chances=np.array([plan.chance, *(s.chance for s in suspects)]),
-            label=plan.label,
+            hypotheses=(plan.label, *(s.effect for s in suspects)),
+            log_chances=np.log([plan.chance, *(s.chance for s in suspects)]),
             timing=timing,
             x=x,
             cov=cov,
@@ -176,19 +177,6 @@ class Member:
             keep = math.exp(-elapsed / MISFIT_MEMORY_S)
             self.misfit = keep * self.misfit + (1.0 - keep) * square
             self.worst = max(self.worst, self.misfit)
-
-    def blend(self, level: float, readout: Array) -> tuple[Array, Array, Array, Array]:
-        """Return by hypothesis log-weight, mean and variance of level + readout (x - at); and suspects' sizes."""
-        p, e = len(self.filter.names), len(self.suspects)
-        full = np.zeros(len(self.x))
-        full[:p] = readout
-        shift, variance, evidence, sizes = np.empty(e + 1), np.empty(e + 1), np.empty(e + 1), np.empty(e)
-        loops.blend(
-            self.x, self.cov, full, self.where, self.absent, self.spikes, self.one_sided,
-            shift, variance, evidence, sizes,
-        )  # fmt: skip
-        centre = level + float(readout @ (self.x[:p] - self.filter.at))
-        return np.log(self.chances) + TRUST * (evidence + self.fit), centre + shift, variance, sizes
 
     @property
     def unburdened(self) -> Array:
@@ -291,40 +279,30 @@ def mix(
         How far the core's start may be from the faces', where only they tell it. [K]
     """
     names: list[str] = []
-    parts: list[tuple[Array, Array, Array]] = []
-    told = math.nan
     margin = MARGIN_K**2 + start**2 + (MARGIN_SHARE * rise) ** 2
     margin += (UNEXPLAINED * unexplained * min(rise / FULL_RISE_K, 1.0)) ** 2
+    log, means, variances = np.empty((3, 2 + sum(len(member.hypotheses) for member in members)))
+    told = math.nan
     for member in members:
-        chain = member.filter.chain
-        log, means, variances, _ = member.blend(float(chain.level[0]), chain.d_level)
-        told = told if names else float(means[0])
-        variances = variances + np.minimum(SHAPE_SHARE * np.abs(means - told), SHAPE_K) ** 2
-        parts.append((log, means, (variances + margin) * max(1.0, member.misfit)))
-        names += [member.label, *(s.effect for s in member.suspects)]
-    log, means, variances = (np.concatenate(column) for column in zip(*parts, strict=True))
-    weights = np.exp(log - log.max())
-    weights /= weights.sum()
-    expected = float(weights @ means)
-    told = min(max(told, expected - TOLD_K), expected + TOLD_K)
+        chain, own = member.filter.chain, slice(len(names), len(names) + len(member.hypotheses))
+        told = mixture.weigh(
+            member.x, member.cov, member.filter.at, chain.level[0], chain.d_level,
+            member.where, member.absent, member.spikes, member.one_sided, member.log_chances,
+            (member.fit, TRUST), (SHAPE_SHARE, SHAPE_K), told, log[own], means[own], variances[own],
+        )  # fmt: skip
+        variances[own] = (variances[own] + margin) * max(1.0, member.misfit)
+        names += member.hypotheses
     worst = min(member.worst for member in members)
     odds = _either(members[0].changed, MISFIT_WEIGHT * (worst - MISFIT_USUAL))
-    by_faces = False
+    share, by_faces = 0.0, False
+    core, doubt = (math.nan, math.nan), DOUBT_K
     if odds > -6.0:
         share = 1.0 / (1.0 + math.exp(-odds))
-        centre, variance = float(weights @ means), float(weights @ (variances + (means - weights @ means) ** 2))
-        doubt = DOUBT_K
         if driven is not None and driven.knows:
-            doubt = DOUBT_SHARE * abs(driven.core[0] - driven.before_C)
-            centre, variance = driven.core[0], driven.core[1] + margin
+            core = driven.core[0], driven.core[1] + margin
+            doubt = DOUBT_SHARE * abs(core[0] - driven.before_C)
             by_faces = share > SURE
-        told += share * (centre - told)
-        weights = np.concatenate([weights * (1.0 - share), share * np.array([1.0 - DOUBT, DOUBT])])
-        means = np.append(means, [centre, centre])
-        variances = np.append(variances, [variance, variance + doubt**2])
         names += [CHANGED, CHANGED]
-    sds = np.sqrt(variances)
-    low = loops.quantile(weights, means, sds, 0.025)
-    high = loops.quantile(weights, means, sds, 0.975)
-    sd = float(np.sqrt(weights @ (variances + (means - told) ** 2)))
-    return Mixture(tuple(names), weights, means, sds, told, sd, min(low, told), max(high, told), by_faces)
+    weights, means, sds = log[: len(names)], means[: len(names)], variances[: len(names)]
+    told, sd, low, high = mixture.pool(weights, means, sds, told, TOLD_K, share, core, (DOUBT, doubt))
+    return Mixture(tuple(names), weights, means, sds, told, sd, low, high, by_faces)

@@ -4,14 +4,28 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from softsensor import kernels, kernels_modal, kernels_terms, observer_kernels, observer_kernels_blocks
+from softsensor import (
+    kernels,
+    kernels_modal,
+    kernels_terms,
+    observer_kernels,
+    observer_kernels_blocks,
+    observer_kernels_mixture,
+)
 from softsensor.modelfile import Estimate, ModelFile
 from softsensor.observer import LiveSensor
 from softsensor.readout import Reader
 from softsensor.timing import ramp
 from softsensor.warming import warm_up
 
-MODULES = (kernels, kernels_modal, kernels_terms, observer_kernels_blocks, observer_kernels)
+MODULES = (
+    kernels,
+    kernels_modal,
+    kernels_terms,
+    observer_kernels_blocks,
+    observer_kernels_mixture,
+    observer_kernels,
+)
 
 
 def test_no_scan_of_a_live_run_waits_for_a_compiler_once_warmed_up(lab_press, make_run, coefficients, moments):

@@ -6,6 +6,7 @@ from scipy.optimize import brentq
 from scipy.stats import multivariate_normal, norm
 
 from softsensor import observer_kernels as loops
+from softsensor import observer_kernels_mixture as mixture
 
 
 def problem(seed, states=6, readings=9):
@@ -77,6 +78,24 @@ def test_quantiles_of_a_mixture_leave_their_share_below():
     for share in (0.025, 0.5, 0.975):
         exact = brentq(lambda v, p=share: weights @ norm.cdf((v - means) / sds) - p, -50, 50)
         assert loops.quantile(weights, means, sds, share) == pytest.approx(exact, abs=2e-3)
+
+
+@pytest.mark.parametrize("core", [(4.0, 0.3), (np.nan, np.nan)])
+def test_what_may_have_changed_at_once_takes_its_share_of_the_mixture(core):
+    log, means, variances = np.log([7.0, 2.0, 1.0]), np.array([0.0, 5.0, -3.0]), np.array([0.3, 1.0, 4.0])
+    out = [np.append(column, [np.nan, np.nan]) for column in (log, means, variances)]
+    told, sd, low, high = mixture.pool(*out, 0.0, 12.0, 0.25, core, (0.4, 2.0))
+    rng = np.random.default_rng(5)
+    usual = rng.choice(3, 1_000_000, p=[0.7, 0.2, 0.1])
+    draws = rng.normal(means[usual], np.sqrt(variances[usual]))
+    centre, variance = core if np.isfinite(core[0]) else (draws.mean(), draws.var())
+    doubted = rng.random(len(draws)) < 0.4
+    faces = rng.normal(centre, np.sqrt(variance + np.where(doubted, 4.0, 0.0)))
+    draws = np.where(rng.random(len(draws)) < 0.25, faces, draws)
+    assert out[0] == pytest.approx([0.525, 0.15, 0.075, 0.15, 0.1])
+    assert told == pytest.approx(0.25 * centre, abs=0.01)
+    assert sd == pytest.approx(np.sqrt(np.mean((draws - told) ** 2)), rel=0.01)
+    assert (low, high) == pytest.approx(np.quantile(draws, [0.025, 0.975]), abs=0.05)
 
 
 def consensus(channels):
