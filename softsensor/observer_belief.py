@@ -181,13 +181,7 @@ class Member:
     @property
     def unburdened(self) -> Array:
         """Mean of all states if no suspect is at work."""
-        if not self.suspects:
-            return self.x
-        own = self.cov[np.ix_(self.where, self.where)] + 1e-12 * np.eye(len(self.where))
-        precision = np.linalg.inv(own)
-        pull = precision @ self.x[self.where] + self.absent / self.spikes**2
-        sizes = np.linalg.solve(precision + np.diag(1.0 / self.spikes**2 - 1.0), pull)
-        return np.asarray(self.x + self.cov[:, self.where] @ precision @ (sizes - self.x[self.where]))
+        return np.asarray(mixture.unburdened(self.x, self.cov, self.where, self.absent, self.spikes))
 
     def better_point(self) -> Array | None:
         """Return where to linearise anew, or None where the old point will do. Suspects stay absent."""

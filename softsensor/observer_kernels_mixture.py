@@ -1,4 +1,4 @@
-"""The live sensor's compiled loops that read a mixture off the beliefs of all filters."""
+"""The live sensor's compiled loops that read off beliefs: one mixture of all filters, and the panel inside."""
 
 from __future__ import annotations
 
@@ -8,6 +8,9 @@ import numpy as np
 from numba import njit
 
 from softsensor import observer_kernels as loops
+from softsensor.kernels_terms import properties
+
+_NODES, _SHARES = np.polynomial.legendre.leggauss(4)
 
 
 @njit(cache=True)
@@ -97,3 +100,47 @@ def pool(log, means, variances, told, most, share, core, doubt):
         variances[j] = math.sqrt(variances[j])
     low, high = loops.quantile(log, means, variances, 0.025), loops.quantile(log, means, variances, 0.975)
     return told, math.sqrt(square), min(low, told), max(high, told)
+
+
+@njit(cache=True)
+def unburdened(x, cov, where, absent, spikes):
+    """Return the mean of all states (N) if no suspect is at work; arguments as in `observer_kernels.blend`."""
+    e = where.shape[0]
+    if e == 0:
+        return x.copy()
+    own, lever, mean = np.empty((e, e)), np.empty((x.shape[0], e)), np.empty(e)
+    for a in range(e):
+        mean[a] = x[where[a]]
+        lever[:, a] = cov[:, where[a]]
+        for b in range(e):
+            own[a, b] = cov[where[a], where[b]]
+        own[a, a] += 1e-12
+    precision = np.linalg.solve(own, np.eye(e))
+    pull, narrow = precision @ mean, precision.copy()
+    for a in range(e):
+        pull[a] += absent[a] / spikes[a] ** 2
+        narrow[a, a] += 1.0 / spikes[a] ** 2 - 1.0
+    return x + lever @ (precision @ (np.linalg.solve(narrow, pull) - mean))
+
+
+@njit(cache=True)
+def cells(x, cov, where, absent, spikes, at, t, s):
+    """Return the cells' temperatures (n) if no suspect is at work; `t` (n) and `s` (P, n) are the model's. [°C]"""
+    p = at.shape[0]
+    return t + (unburdened(x, cov, where, absent, spikes)[:p] - at) @ s[:p]
+
+
+@njit(cache=True)
+def heat(dx, c, c_slope, c_table, table_x, table_y, wet, start, field):
+    """Return the heat that takes the wet cells from `start` to `field` (n), rho c(T) integrated. [J/m²]"""
+    n = field.shape[0]
+    none, value, star = np.empty((0, n)), np.empty(n), np.empty(n)
+    total = 0.0
+    for k in range(_NODES.shape[0]):
+        for i in range(n):
+            star[i] = start + 0.5 * (1.0 + _NODES[k]) * (field[i] - start)
+        properties(dx, c, c_slope, c_table, table_x, table_y, none, none, star, none, value, none)
+        for i in range(n):
+            if wet[i]:
+                total += 0.5 * _SHARES[k] * value[i] * (field[i] - start)
+    return total

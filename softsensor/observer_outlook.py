@@ -14,7 +14,7 @@ import numpy as np
 from daq.records import Array, PressState
 from softsensor import kernels
 from softsensor import observer_kernels as loops
-from softsensor.kernels_terms import properties
+from softsensor import observer_kernels_mixture as mixture
 from softsensor.observer_belief import Member, mix
 from softsensor.observer_setup import Filter
 from softsensor.observer_track import Track
@@ -29,7 +29,6 @@ FLAT_K = 0.05
 """A core this far below its highest has passed its peak. [K]"""
 NOTICE_S = 20.0
 """A limit is warned of this long before it may be passed. [s]"""
-_GAUSS = np.polynomial.legendre.leggauss(4)
 
 
 @dataclass(frozen=True)
@@ -90,22 +89,13 @@ def look_inside(member: Member) -> Inside:
 def heat_taken_up(f: Filter, field: Array) -> float:
     """Return the heat that takes the panel from its start to `field` (n), rho c(T) integrated. [J/m²]"""
     s = f.stack
-    none, value = np.empty((0, len(field))), np.empty(len(field))
-    mean = np.zeros(len(field))
-    for at, weight in zip(*_GAUSS, strict=True):
-        star = f.start_C + 0.5 * (1.0 + at) * (field - f.start_C)
-        properties(
-            s.dx, s.c, s.c_slope, s.c_table, s.table_x, s.table_y, none, none, star, none, value, none
-        )  # fmt: skip
-        mean += 0.5 * weight * value
-    return float((mean * (field - f.start_C))[s.wet].sum())
+    return float(mixture.heat(s.dx, s.c, s.c_slope, s.c_table, s.table_x, s.table_y, s.wet, f.start_C, field))
 
 
 def _field(member: Member) -> Array:
     """Cell temperatures under "nothing is missing" (n). [°C]"""
-    f = member.filter
-    p = len(f.names)
-    return np.asarray(f.state.t + (member.unburdened[:p] - f.at) @ f.state.s[:p])
+    f, b = member.filter, member
+    return np.asarray(mixture.cells(b.x, b.cov, b.where, b.absent, b.spikes, f.at, f.state.t, f.state.s))
 
 
 def look_ahead(track: Track, wishes: Wishes, state: PressState, now: float, outside: Array) -> Outlook:

@@ -2,7 +2,8 @@
 
 Numba keeps compiled code beside the modules (or under ``NUMBA_CACHE_DIR`` where they cannot be written): the
 first call after an installation takes tens of seconds, later processes load it in one or two. It looks only at
-the date of the file a function stands in: after a change in ``kernels_terms`` touch ``kernels`` as well.
+the date of the file a function stands in: after a change in ``kernels_terms`` touch ``kernels`` as well, after
+one in ``observer_kernels`` those beside it.
 """
 
 from __future__ import annotations
@@ -36,3 +37,4 @@ def warm_up(press: Press) -> None:
         warmth = 20.0 if second < _INSERTED_S else 30.0 if second < _CLOSED_S else 120.0
         values = dict.fromkeys(inside, warmth) | dict.fromkeys(outside, 180.0)
         sensor.update(float(second), values | {"closed": float(_CLOSED_S <= second < _OPENED_S)})
+        _ = sensor.inside  # has loops of its own

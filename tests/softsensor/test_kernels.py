@@ -42,6 +42,7 @@ def test_no_scan_of_a_live_run_waits_for_a_compiler_once_warmed_up(lab_press, ma
         for i, time_s in enumerate(run.time_s.tolist()):
             values = {name: float(x[i]) for name, x in run.columns.items()}
             sensor.update(time_s, values | {"top_1": 80.0, "bottom_1": 79.0, "closed": float(20 <= time_s < 45)})
+            _ = sensor.inside
     assert compiled() == before
 
 
