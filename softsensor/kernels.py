@@ -168,9 +168,10 @@ def march(stack, tan, drive, state, places, nonlinear, out, d_out, fields):
     """
     p, n = state.s.shape
     r = stack.heat.shape[0]
-    w, dw = np.zeros((ROWS, n + 1)), np.zeros((DROWS, p, n + 1))
+    # empty where the first step fills everything: most calls of the live sensor are for one step
+    w, dw = np.zeros((ROWS, n + 1)), np.empty((DROWS, p, n + 1))
     rate, drate = np.zeros((r, 2, n)), np.zeros((r, 2, p, n))
-    scratch, d_scratch = np.zeros((8, n)), np.zeros((2, p, n))
+    scratch, d_scratch = np.zeros((8, n)), np.empty((2, p, n))
     busy = np.zeros(n, np.int64)
     steps = drive.h.shape[0]
     step = np.int64(0)  # a plain 0 would be a type of its own, and all that takes it be compiled twice

@@ -282,60 +282,84 @@ def exchange(dx, ambient, rate, d_rate, w, dw):
 
 
 @njit(cache=True)
+def stretches(heat, d_heat, ends):
+    """List where a conversion acts, stretch by stretch: first cell and the one after the last. Return how many.
+
+    Some act in two cells only, and everywhere else there is nothing to differentiate.
+    """
+    p, n = d_heat.shape
+    size = np.abs(heat)
+    for q in range(p):
+        dh = d_heat[q]
+        for i in range(n):
+            size[i] += abs(dh[i])
+    count, inside = 0, False
+    for i in range(n):
+        if inside and size[i] == 0.0:
+            ends[count, 1] = i
+            count += 1
+        elif size[i] != 0.0 and not inside:
+            ends[count, 0] = i
+        inside = size[i] != 0.0
+    if inside:
+        ends[count, 1] = n
+        count += 1
+    return count
+
+
+@njit(cache=True)
 def conversion(dx, heat, law, d_heat, d_law, done, d_done, h, w, dw, rate, drate):
     """Add the heat of one conversion, dZ/dt = (1 - Z) r(T), taken as the step's mean.
 
     With r frozen over the step its mean is (1 - Z) (1 - exp(-h r)) / h, linear in T about `star`;
-    a source that grows with temperature is taken at `star` alone.
+    a source that grows with temperature is taken at `star` alone. `rate` and `drate` come as zeros, or from the
+    step before.
     """
     n, p = dx.shape[0], dw.shape[1]
     star, value, slope = w[STAR], rate[RATE], rate[RSLOPE]
+    ends = np.empty((n, 2), np.uint64)  # an index that cannot be negative vectorises
+    count = stretches(heat, d_heat, ends)
     part = np.zeros((4, n))
-    active = np.zeros(n, np.bool_)
-    for i in range(n):
-        active[i] = heat[i] != 0.0
-        for q in range(p):
-            active[i] = active[i] or d_heat[q, i] != 0.0
     # value and slope are linear in the tangents of: the fraction left, the rate (through left * kept),
     # and the rate's slope; both of the last are linear in those of T, a, b, c
     by_law = np.zeros((6, n))
-    for i in range(n):
-        value[i] = 0.0
-        slope[i] = 0.0
-        if not active[i]:
-            continue
-        t = star[i]
-        first, second = _rate(law[0], law[1], law[2], law[3], t)
-        if first[0] == 0.0:
-            continue
-        gone = -np.expm1(-h * first[0])
-        stiff = 0.0 if heat[i] > 0.0 else 1.0
-        left, kept, share = 1.0 - done[i], 1.0 - gone, gone / h
-        slope[i] = stiff * left * kept * first[1]
-        value[i] = left * share - slope[i] * t
-        w[SRC, i] += heat[i] * dx[i] * value[i]
-        w[SLOPE, i] -= heat[i] * dx[i] * slope[i]
-        part[0, i] = -stiff * kept * first[1]
-        part[1, i] = stiff * left * kept * (second[0] - h * first[1] * first[1])
-        part[2, i] = -share
-        part[3, i] = left * kept * first[1] - slope[i]
-        for a in range(3):
-            by_law[a, i] = left * kept * first[2 + a]
-            by_law[3 + a, i] = stiff * left * kept * (second[1 + a] - h * first[1] * first[2 + a])
+    for k in range(count):
+        for i in range(ends[k, 0], ends[k, 1]):
+            value[i] = 0.0
+            slope[i] = 0.0
+            t = star[i]
+            first, second = _rate(law[0], law[1], law[2], law[3], t)
+            if first[0] == 0.0:
+                continue
+            gone = -np.expm1(-h * first[0])
+            stiff = 0.0 if heat[i] > 0.0 else 1.0
+            left, kept, share = 1.0 - done[i], 1.0 - gone, gone / h
+            slope[i] = stiff * left * kept * first[1]
+            value[i] = left * share - slope[i] * t
+            w[SRC, i] += heat[i] * dx[i] * value[i]
+            w[SLOPE, i] -= heat[i] * dx[i] * slope[i]
+            part[0, i] = -stiff * kept * first[1]
+            part[1, i] = stiff * left * kept * (second[0] - h * first[1] * first[1])
+            part[2, i] = -share
+            part[3, i] = left * kept * first[1] - slope[i]
+            for a in range(3):
+                by_law[a, i] = left * kept * first[2 + a]
+                by_law[3 + a, i] = stiff * left * kept * (second[1 + a] - h * first[1] * first[2 + a])
     by_done, by_star, of_done, of_star = part[0], part[1], part[2], part[3]
     for q in range(p):
         st, dz, dh = dw[DSTAR, q], d_done[q], d_heat[q]
         dvalue, dslope, dsrc, dk = drate[RATE, q], drate[RSLOPE, q], dw[DSRC, q], dw[DSLOPE, q]
         da, db, dc = d_law[1, q], d_law[2, q], d_law[3, q]
-        for i in range(n):
-            ds = by_done[i] * dz[i] + by_star[i] * st[i]
-            dv = of_done[i] * dz[i] + of_star[i] * st[i]
-            ds += by_law[3, i] * da + by_law[4, i] * db + by_law[5, i] * dc
-            dv += by_law[0, i] * da + by_law[1, i] * db + by_law[2, i] * dc - ds * star[i]
-            dslope[i] = ds
-            dvalue[i] = dv
-            dsrc[i] += dx[i] * (dh[i] * value[i] + heat[i] * dv)
-            dk[i] -= dx[i] * (dh[i] * slope[i] + heat[i] * ds)
+        for k in range(count):
+            for i in range(ends[k, 0], ends[k, 1]):
+                ds = by_done[i] * dz[i] + by_star[i] * st[i]
+                dv = of_done[i] * dz[i] + of_star[i] * st[i]
+                ds += by_law[3, i] * da + by_law[4, i] * db + by_law[5, i] * dc
+                dv += by_law[0, i] * da + by_law[1, i] * db + by_law[2, i] * dc - ds * star[i]
+                dslope[i] = ds
+                dvalue[i] = dv
+                dsrc[i] += dx[i] * (dh[i] * value[i] + heat[i] * dv)
+                dk[i] -= dx[i] * (dh[i] * slope[i] + heat[i] * ds)
 
 
 @njit(cache=True)
@@ -360,6 +384,8 @@ def steam(dx, wet, factor, d_factor, w, dw):
             over = star[i] - 100.0
             w[SRC, i] -= factor * dx[i] * over * (1.0 if over > 0.0 else ratio)
     for q in range(p):
+        if factor == 0.0 and d_factor[q] == 0.0:
+            continue
         dhot = 0.0
         dcold = 0.0
         for i in range(n):

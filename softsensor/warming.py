@@ -2,8 +2,8 @@
 
 Numba keeps compiled code beside the modules (or under ``NUMBA_CACHE_DIR`` where they cannot be written): the
 first call after an installation takes tens of seconds, later processes load it in one or two. It looks only at
-the date of the file a function stands in: after a change in ``kernels_terms`` touch ``kernels`` as well, after
-one in ``observer_kernels`` those beside it.
+the file a function stands in, and at its text, not its date: after a change in ``kernels_terms`` remove what it
+keeps of the modules above it (``*.nbi``), else they go on with the old code.
 """
 
 from __future__ import annotations
