@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache, cached_property
 
 import numpy as np
 
@@ -132,7 +133,7 @@ class Plan:
         names = (p.name.partition(".") for p in self.priors)
         return tuple(dict.fromkeys(n for n, dot, _ in names if dot and n != SKIN.partition(".")[0]))
 
-    @property
+    @cached_property
     def start(self) -> Array:
         """Where to linearise first: suspects absent, everything else as expected then."""
         at = np.zeros(len(self.priors))
@@ -141,7 +142,7 @@ class Plan:
             at[names.index(s.parameter)] = s.absent
         return at + self.coupling @ (at - self.neutral)
 
-    @property
+    @cached_property
     def reach(self) -> tuple[Array, Array]:
         """Where the point of linearisation must stay: near its start, and where effects are physical (P), (P)."""
         start = self.start
@@ -154,14 +155,14 @@ class Plan:
                 high[i] = min(high[i], (own.upper - inner - p.centre) / p.sd)
         return np.minimum(low, start), np.maximum(high, start)
 
-    @property
+    @cached_property
     def neutral(self) -> Array:
         """Where causes would be absent, in prior units; 0 for all else."""
         return np.array(
             [(_parameter(p.name).neutral - p.centre) / p.sd if _sized(p.name) else 0.0 for p in self.priors]
         )
 
-    @property
+    @cached_property
     def coupling(self) -> Array:
         """How coefficients differ with the size of causes they were fitted without (P, P), in prior units."""
         names = [p.name for p in self.priors]
@@ -305,6 +306,7 @@ def panel_plan(model: ModelFile | None, effects: tuple[str, ...], initial_sd: fl
     return Plan((Prior("initial_K", 0.0, initial_sd / 2), *own, *firm), (), 1.0, "", {})
 
 
+@cache
 def _parameter(name: str) -> Parameter:
     effect = find_effect(name.partition(".")[0])
     return next(p for p in effect.parameters if effect.key(p.name) == name)

@@ -90,7 +90,7 @@ class Track:
         self.uneven = UNEVEN_K if known.initial_sd > INITIAL_K else 0.0
         plans = plans_for(bench.press, model, known.moments_sd, known.initial_sd)
         if points is None or [len(p) for p in points] != [len(plan.priors) for plan in plans]:
-            points = [plan.start for plan in plans]
+            points = [plan.start.copy() for plan in plans]
         self.points = list(points)
         self.members = [self._start(plan, at) for plan, at in zip(plans, points, strict=True)]
         self.driven = self._start_driven(model)
