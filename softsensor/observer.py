@@ -335,7 +335,9 @@ class LiveSensor:
         if len(scans):
             unseen = not bench.columns
             if not unseen or time_s - self._first > LONGEST_WAIT_S:
-                came = coming(scans.time, scans.level, bench.lower, self._initial, at, closed)
+                removed = self._known.moments.removed_s
+                empty = removed if math.isfinite(removed) else -math.inf
+                came = coming(scans.time, scans.level, bench.lower, self._initial, at, closed, empty)
             else:
                 came = Coming(self._first)
         seen = len(scans) > 0 and came.at > self._first + 0.3

@@ -69,7 +69,9 @@ class Coming:
     """0 where the lower face shows it. [s]"""
 
 
-def coming(time: Array, level: Array, lower: int, start_C: float, at: float, closed: float) -> Coming:
+def coming(
+    time: Array, level: Array, lower: int, start_C: float, at: float, closed: float, empty: float = -math.inf
+) -> Coming:
     """Place an insertion that the lower face does not show, since its sensors were silent or are missing.
 
     It lies after the last cold reading of the lower face and before its first hot one or the closing. In between,
@@ -89,18 +91,25 @@ def coming(time: Array, level: Array, lower: int, start_C: float, at: float, clo
         When the detector has it. [s]
     closed
         When the press closed, infinite where it has not. [s]
+    empty
+        When the panel before was taken out. [s]
     """
+    time, level = time[time > empty], level[time > empty]
     silent = np.full(len(time), math.nan)
     low = level[:, lower] if lower >= 0 else silent
+    heard = time[np.isfinite(low) & (time < at)]
+    if math.isfinite(empty) and np.diff([empty, *heard, at]).max() <= SPARSE_S:
+        return Coming(at)  # hot as it may be from the panel before, the face has been watched all along
     high = next((level[:, m] for m in range(level.shape[1]) if m != lower), silent)
     cold = low < max(COLD_C, start_C + COLD_K)
     begins = float(time[cold].max(initial=-math.inf))
     hot = np.isfinite(low) & ~cold & (time > begins) & (time < closed)
-    ends = min(float(time[hot].min(initial=math.inf)), closed, float(time[-1]))
+    joined = time[hot][np.diff(time[hot], prepend=-math.inf) > SPARSE_S]
+    ends = min(float(joined[-1]) if len(joined) else math.inf, closed, float(time.max(initial=empty)))
     if ends - begins <= SPARSE_S:
         return Coming(at)
-    earliest, found = max(begins, ends - LONGEST_WAIT_S), Coming(ends - USUAL_WAIT_S, WAIT_S)
-    there = hot & (time < ends + SLOPE_S)
+    earliest, found = max(begins, empty, ends - LONGEST_WAIT_S), Coming(ends - USUAL_WAIT_S, WAIT_S)
+    there = hot & (time >= ends) & (time < ends + SLOPE_S)
     resting = time[(high < start_C + UPPER_K) & (time < ends)]
     if there.sum() > 1 and (age := _age(time[there], low[there] - start_C)) < USUAL_WAIT_S:
         found = Coming(ends - age, 0.3 + 0.35 * age)

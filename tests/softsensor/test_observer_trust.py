@@ -179,6 +179,16 @@ def test_a_lower_face_heard_before_the_panel_came_leaves_its_moment_to_the_detec
     assert coming(TIME, faces(10.0, 0.0), 1, 20.0, 10.2, np.inf) == Coming(10.2)
 
 
+def test_a_lower_face_still_hot_from_the_panel_before_but_heard_all_along_leaves_it_to_the_detector_too():
+    hot = faces(10.0, 0.0)
+    hot[TIME < 10.0, 1] = 60.0
+    assert coming(TIME, hot, 1, 20.0, 10.2, np.inf, empty=2.0) == Coming(10.2)
+    hot[(TIME > 4.0) & (TIME < 12.0), 1] = np.nan
+    came = coming(TIME[TIME < 14.0], hot[TIME < 14.0], 1, 20.0, 12.5, np.inf, empty=2.0)
+    assert came.at == pytest.approx(10.0, abs=0.3)
+    assert 0.3 < came.sd < 1.5
+
+
 @pytest.mark.parametrize("late_s", [3.0, 6.0])
 def test_a_lower_face_first_heard_on_the_plate_tells_how_long_it_has_lain_there(late_s):
     seen = 10.0 + late_s + 2.0 > TIME
