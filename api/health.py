@@ -17,6 +17,8 @@ SILENT_S = 10.0
 KINDS = {"sqlite": "SQLite", "postgresql": "PostgreSQL"}
 EXPECTED = ("record", "sense")
 """The processes a working system has beside this one."""
+WANTED = ("publish",)
+"""Processes a system may do without; one that ran lately and was not stopped in order is missed."""
 SEEN_S, SEEN_BYTES = 600.0, 16_000_000
 """How long the disk lasts is told after this much recording: before, the cost of a scan is that of empty tables
 and of the write-ahead log (4 MB), and the figure many times too small."""
@@ -107,10 +109,18 @@ def _process(name: str, status: ProcessStatus | None, now: datetime) -> ProcessH
     )
 
 
+def is_missed(process: ProcessHealth) -> bool:
+    """Return whether a process that should run gives no sign of life; one of `WANTED` may be switched off."""
+    if process.alive or kind_of(process.name) in EXPECTED:
+        return not process.alive
+    lately = process.age_s is not None and process.age_s < IN_USE_S
+    return kind_of(process.name) in WANTED and lately and process.state != "stopped"
+
+
 def _process_alarms(processes: list[ProcessHealth]) -> list[str]:
     alarms = []
     for process in processes:
-        if kind_of(process.name) in EXPECTED and not process.alive:
+        if is_missed(process):
             seen = "never seen" if process.age_s is None else f"silent for {process.age_s:.0f} s"
             alarms.append(f"{process.name}: {seen}; start kerntemp {kind_of(process.name)}")
         elif process.alive:

@@ -9,7 +9,7 @@ from typing import Any
 from prometheus_client import CollectorRegistry, Counter, Gauge, generate_latest
 
 from api.answers import press_now
-from api.health import IN_USE_S, health_of, installed_version, kind_of, refit_age_s
+from api.health import IN_USE_S, WANTED, health_of, installed_version, is_missed, kind_of, refit_age_s
 from api.schemas import Health, PressNow
 from daq.records import Quality
 from daq.store.records import StoreUnavailable
@@ -48,7 +48,8 @@ def _add_health(health: Health, refit_s: float | None, registry: CollectorRegist
     up = Gauge("kerntemp_process_up", "1 while the process beats", ["process"], registry=registry)
     age = Gauge("kerntemp_process_age_seconds", "Since its last beat", ["process"], registry=registry)
     for process in health.processes:
-        if process.state != "done":  # a job that came to its end is not down
+        switched_off = kind_of(process.name) in WANTED and not process.alive and not is_missed(process)
+        if process.state != "done" and not switched_off:  # a job that came to its end is not down
             up.labels(process.name).set(process.alive)
         if process.age_s is not None:
             age.labels(process.name).set(process.age_s)

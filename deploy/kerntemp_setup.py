@@ -449,16 +449,26 @@ def move(store: Path, target: Path | None) -> None:
 def restart(place: Place, otherwise: str) -> None:
     """Start what belongs to the target anew; where that fails, say `otherwise` how things stand.
 
-    The recorder goes first and alone: in one step with the others it would wait for the live sensor to stop.
+    The recorder goes first and alone: in one step with the others it would wait for the live sensor to stop. The
+    target is started, for a restart of it would restart all that is part of it once more, a nightly job under way
+    too. A service that fails keeps none of the others at the version before.
     """
-    try:
-        systemctl(place, "restart", RECORD)
-        systemctl(place, "restart", *(unit for unit in UNITS[1:] if unit != RECORD), TIMER, "kerntemp.target")
-        publishes = ["systemctl", "is-enabled", "--quiet", PUBLISH]
-        if place.live and subprocess.run(publishes, check=False).returncode == 0:
-            run("systemctl", "restart", PUBLISH)
-    except Refused as refused:
-        raise Refused(f"{otherwise}: {refused}") from refused
+    steps = [
+        ("restart", RECORD),
+        ("restart", *(unit for unit in UNITS[1:] if unit != RECORD), TIMER),
+        ("start", "kerntemp.target"),
+    ]
+    publishes = ["systemctl", "is-enabled", "--quiet", PUBLISH]
+    if place.live and subprocess.run(publishes, check=False).returncode == 0:
+        steps.append(("restart", PUBLISH))
+    refusals = []
+    for step in steps:
+        try:
+            systemctl(place, *step)
+        except Refused as refused:
+            refusals.append(str(refused))
+    if refusals:
+        raise Refused(f"{otherwise}: {'; '.join(refusals)}")
 
 
 def drop_old_versions(place: Place) -> None:

@@ -8,7 +8,8 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from api.health import health_of, hours_left
+from api.health import health_of, hours_left, is_missed
+from api.schemas import ProcessHealth
 from daq.records import Channel, Quality, Run, Scan
 from daq.store import open_store
 
@@ -164,6 +165,24 @@ def test_health_names_the_process_that_is_missing_and_the_alarm_that_stands(clie
     assert any("sense" in alarm for alarm in health["alarms"])
     assert "logger platens: no reply in 2 s" in health["alarms"]
     assert {p["name"]: p["alive"] for p in health["processes"]} == {"record": True, "sense": False}
+
+
+@pytest.mark.parametrize(
+    ("kind", "age_s", "state", "missed"),
+    [
+        ("record", 60.0, "stopped", True),
+        ("publish", 2.0, "running", False),
+        ("publish", 60.0, "running", True),
+        ("publish", 60.0, "stopped", False),
+        ("publish", 8 * 86400.0, "running", False),
+        ("publish", None, "silent", False),
+        ("refit", 60.0, "running", False),
+    ],
+)
+def test_a_process_that_died_is_missed_but_not_a_feed_that_was_switched_off(kind, age_s, state, missed):
+    alive = age_s is not None and age_s < 10.0
+    process = ProcessHealth(name=f"{kind}@pc", alive=alive, state=state, message="", utc=None, age_s=age_s)
+    assert is_missed(process) is missed
 
 
 def test_how_long_the_disk_lasts_is_told_only_after_enough_was_recorded(client):

@@ -415,6 +415,20 @@ def test_services_that_do_not_come_up_are_told_with_the_version_in_force(setup, 
     ):
         setup.restart(place, "version 2 is in force, but not all of it runs; rollback goes back to 1")
     assert asked[0] == ("restart", "kerntemp-record.service")  # alone: it need not wait for the live sensor's end
+    assert ("restart", "kerntemp-sense.service", "kerntemp-serve.service", setup.TIMER) in asked
+    assert asked[-1] == ("start", "kerntemp.target")  # a restart of it would restart the recorder again
+
+
+def test_no_unit_is_restarted_twice_by_an_update(setup, updated, monkeypatch):
+    place, _, asked = updated
+    monkeypatch.setattr(setup, "systemctl", lambda _, *words: asked.append(words))
+    setup.restart(place, "")
+    parts = [f.name for f in SYSTEMD.iterdir() if "PartOf=kerntemp.target" in f.read_text(encoding="utf-8")]
+    restarted = [unit for verb, *units in asked if verb == "restart" for unit in units]
+    if "kerntemp.target" in restarted:
+        restarted += parts
+    assert len(restarted) == len(set(restarted))
+    assert "kerntemp-record.service" in parts
 
 
 def test_a_configuration_that_the_new_version_refuses_stops_nothing(setup, updated, monkeypatch):
