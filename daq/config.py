@@ -65,7 +65,7 @@ class PressSettings(_Table):
     """The press file."""
     rate_hz: Annotated[float, Field(ge=0.5, le=20)] = 10.0
     pre_trigger_s: Annotated[float, Field(ge=0, le=600)] = 5.0
-    """A run begins this long before the panel's insertion."""
+    """A run begins this long before the panel's insertion; at least 35 s where no sensor showed it."""
     post_removal_s: Annotated[float, Field(ge=0, le=600)] = 5.0
     """A run ends this long after the panel's removal."""
     longest_run_s: Annotated[float, Field(gt=0)] = 3600.0

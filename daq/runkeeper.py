@@ -20,6 +20,11 @@ _SETTLED_S, _SETTLED_SCANS = 3.0, 3
 """The panel's start temperature is what its sensors showed in the last scans before the insertion."""
 
 
+UNSEEN_S = 35.0
+"""A run whose panel no sensor showed coming, since none was heard or only the closing told of it, begins this long
+before: longer than a panel usually waits in the open press. [s]"""
+
+
 @dataclass(frozen=True)
 class RunRules:
     """How runs are cut from the scans of a press."""
@@ -88,7 +93,7 @@ class RunKeeper:
         changes: list[tuple[NewRun | None, RunEnd | None]] = []
         for event in events:
             if event.kind is PressEventKind.INSERTED:
-                begin = self._begin(event)
+                begin = self._begin(event, at_closing=any(e.kind is PressEventKind.CLOSED for e in events))
                 if begin is None:
                     continue
                 if self.open_run is not None:
@@ -127,9 +132,15 @@ class RunKeeper:
         self._last = max(last_scan, self._first)
         return RunEnd(run, self._last, scan.utc, status)
 
-    def _begin(self, event: PressEvent) -> NewRun | None:
-        """Return the run an insertion begins; None where no scan is free for it."""
+    def _begin(self, event: PressEvent, *, at_closing: bool) -> NewRun | None:
+        """Return the run an insertion begins; None where no scan is free for it.
+
+        `at_closing` says that the insertion was only concluded from the closing.
+        """
         early = event.monotonic_s - self.rules.pre_trigger_s
+        before = [s.panel_celsius for s in self._recent if early <= s.monotonic_s < event.monotonic_s - 0.2]
+        if at_closing or not any(level == level for level in before):
+            early = event.monotonic_s - max(self.rules.pre_trigger_s, UNSEEN_S)
         taken = self._first if self.open_run is not None else self._last
         free = [s for s in self._recent if s.number > taken]
         if not free:
@@ -151,6 +162,6 @@ class RunKeeper:
         usable = [scan.values[i] for i in self._places if scan.qualities[i].usable]
         level = median(usable) if usable else float("nan")
         self._recent.append(_Seen(scan.number, scan.monotonic_s, scan, level))
-        keep = self.rules.pre_trigger_s + self.rules.post_removal_s + 60.0
+        keep = max(self.rules.pre_trigger_s, UNSEEN_S) + self.rules.post_removal_s + 60.0
         while self._recent[0].monotonic_s < scan.monotonic_s - keep:
             self._recent.popleft()

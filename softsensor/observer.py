@@ -38,15 +38,17 @@ from softsensor.observer_kernels_blocks import last_switch
 from softsensor.observer_outlook import Inside, Outlook, Wishes, look_ahead, look_inside
 from softsensor.observer_priors import INITIAL_K
 from softsensor.observer_setup import Bench, fresh_consensus, prepare_bench, with_platens
-from softsensor.observer_track import Known, Track
+from softsensor.observer_track import LEAST_WAIT_S, Known, Track
 from softsensor.observer_trust import (
     DOUBTED_K,
     LONGEST_WAIT_S,
     Coming,
+    Seen,
     Stillness,
     coming,
     contradiction,
     first_error,
+    is_hot,
     start_error,
 )
 
@@ -75,6 +77,14 @@ REOPENED_S = 3.0
 """A press open for less than this has stayed closed: a bouncing switch, or steam let out. [s]"""
 UNHEARD_S = 3.0
 """In an idle press whose lower face is unheard for longer a panel may lie and warm. [s]"""
+NOTICED_S = 2.0
+"""After so long on the hot plate a panel is noticed, or its sensors came late. [s]"""
+OTHER_K = 40.0
+"""Faces colder than foretold by so much after the opening are another panel's. [K]"""
+UNCLEAR_S = 1.5
+"""A coming better known than this and before the first scan is taken to be with it. [s]"""
+CHANGED_S = 15.0
+"""In a press opened for so long another panel may lie, where no sensor shows that it is the same. [s]"""
 FOUND_LATER = 2
 """So many of `TIMING`, closing and opening, become known after the filters have begun."""
 
@@ -124,8 +134,12 @@ class LiveSensor:
         self._scans = Scans(0, 0)
         self._came: Coming | None = None
         """When the panel came to lie in the press, until its start has been held against the header."""
-        self._lower_heard = -math.inf
-        """When the lower face was heard last. [s]"""
+        self._judged = 0
+        """By how many faces."""
+        self._lower_heard = self._face_heard = -math.inf
+        """When the lower face was heard last, and any. [s]"""
+        self._hot_since = math.inf
+        """Since when the lower face is too hot for a panel that is not in the press. [s]"""
         self._lies_since = math.inf
         """When the panel came to lie in the press. [s]"""
         self._doubt = ""
@@ -174,26 +188,46 @@ class LiveSensor:
         return self._say(time_s)
 
     def _check_start(self, bench: Bench) -> bool:
-        """Hold the faces first heard of a panel in the press against the header; return whether it is doubted."""
-        if self._came is None:
+        """Hold each face, when first heard in the press, against the header; return whether that is doubted."""
+        if self._came is None or not bench.columns:
             return False
-        scans, closed = self._scans, self._known.moments.closed_s
-        closed = closed if math.isfinite(closed) else math.inf
-        error = first_error(scans.time, scans.level, bench.lower, self._initial, self._came, closed)
-        if error is None:
+        closed = self._known.moments.closed_s
+        error = first_error(
+            self._seen(bench), self._initial, self._came, closed if math.isfinite(closed) else math.inf
+        )
+        if error.faces == len(bench.labels) or math.isfinite(closed):
+            self._came = None
+        if error.faces == self._judged:
             return False
-        off, certain = error
-        self._came = None
-        self._doubt = self._doubt or contradiction(certain, self._initial)
-        if abs(off) <= DOUBTED_K:
+        self._judged = error.faces
+        self._doubt = self._doubt or contradiction(error.certain, self._initial)
+        if abs(error.off) <= DOUBTED_K:
             return False
-        self._known = replace(self._known, initial_sd=math.hypot(INITIAL_K, off))
+        self._known = replace(self._known, initial_sd=math.hypot(INITIAL_K, error.off))
         return True
 
+    def _seen(self, bench: Bench) -> Seen:
+        return Seen(self._scans.time, self._scans.level, bench.lower)
+
     def _listen(self, bench: Bench, time_s: float) -> None:
-        """Note whether the lower face is heard, which alone tells at once that a panel comes."""
-        if bench.lower >= 0 and math.isfinite(self._scans.level[-1, bench.lower]):
+        """Note which faces are heard: nothing else tells that a panel has come, is there, or has gone."""
+        level = self._scans.level[-1]
+        low = float(level[bench.lower]) if bench.lower >= 0 else math.nan
+        if np.isfinite(level).any():
+            self._face_heard = time_s
+        if math.isfinite(low):
             self._lower_heard = time_s
+        if not is_hot(low, self._initial):
+            self._hot_since = math.inf
+        elif self._hot_since > time_s:
+            self._hot_since = time_s
+        moments = self._known.moments
+        if not math.isfinite(moments.opened_s) or math.isfinite(moments.removed_s):
+            return
+        if time_s - moments.opened_s > CHANGED_S and time_s - self._face_heard > UNHEARD_S:
+            self._doubt = "for long no sensor has shown whether the panel still lies in the open press"
+        elif self._track is not None and (self._track.read - level > OTHER_K).any():
+            self._doubt = "faces far colder than those of the panel that was pressed; another one may lie there"
 
     def _take_in(self, bench: Bench, now: float, *, stale: bool) -> None:
         """Bring the filters up to the newest scan, or a new pass of them nearer to it."""
@@ -331,22 +365,27 @@ class LiveSensor:
 
     def _note_coming(self, bench: Bench, at: float, time_s: float, closed: float) -> None:
         """Keep when the panel came, as the detector has it; `closed` where only the closing showed it. [s]"""
-        scans, came = self._scans, Coming(at)
-        if len(scans):
-            unseen = not bench.columns
-            if not unseen or time_s - self._first > LONGEST_WAIT_S:
-                removed = self._known.moments.removed_s
-                empty = removed if math.isfinite(removed) else -math.inf
-                came = coming(scans.time, scans.level, bench.lower, self._initial, at, closed, empty)
-            else:
-                came = Coming(self._first)
+        scans, came, doubt = self._scans, Coming(at), ""
+        if len(scans) and not bench.columns and time_s - self._first <= LONGEST_WAIT_S:
+            came = Coming(self._first)
+        elif len(scans):
+            opened = self._known.moments.opened_s
+            opened = opened if math.isfinite(opened) else -math.inf
+            came = coming(self._seen(bench), self._initial, at, closed, time_s, opened)
+            warm = bench.lower >= 0 and is_hot(float(scans.level[0, bench.lower]), self._initial)
+            if warm and came.at < self._first - UNCLEAR_S:
+                doubt = "the run begins with the panel on the hot plate"
+            if came.sd > UNCLEAR_S:  # before the first scan it could not be carried on
+                came = replace(came, at=max(came.at, self._first + LEAST_WAIT_S))
         seen = len(scans) > 0 and came.at > self._first + 0.3
         self._known = replace(
             self._known,
             moments=Moments(inserted_s=came.at if seen else math.nan),
             inserted_sd=came.sd if seen else 0.0,
+            initial_sd=INITIAL_K,
         )
-        self._came, self._doubt, self._lies_since, self._points = came, "", came.at, []
+        self._came, self._judged, self._lies_since = came, 0, came.at
+        self._doubt, self._points = doubt, []
         if seen:
             # forget what the channels were like before the panel lay in the press
             self._consensus = fresh_consensus(bench)
@@ -382,6 +421,10 @@ class LiveSensor:
             reason = NOT_VALID
         elif waiting and time_s - self._lower_heard > UNHEARD_S:
             reason = f"{NOT_OBSERVABLE}: no sensor of the lower face shows whether a panel lies in the press"
+        elif (waiting and time_s - self._hot_since > NOTICED_S) or (
+            self._overtaken and self._known.inserted_sd > 0.0
+        ):
+            reason = f"{NOT_OBSERVABLE}: nothing has shown when the panel came"
         elif high - low > 2.0 * WIDEST_K:
             reason = f"{NOT_OBSERVABLE}: band wider than {WIDEST_K:g} K to either side"
         return Estimate(

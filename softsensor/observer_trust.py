@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from daq.records import Array
 from softsensor import observer_kernels as loops
@@ -27,8 +28,8 @@ DOUBTED_K = 1.0
 SPARSE_S, COLD_C, COLD_K = 2.2, 38.0, 5.0
 """A lower face unheard for longer before it is hot hides when the panel came; it counts as cold up to so much, or
 so much above the header's start temperature. [s, °C, K]"""
-SLOPE_S = 1.3
-"""So long a face is watched for its slope. [s]"""
+SLOPE_S, RAMP_S = 1.3, 0.6
+"""So long a face is watched for its slope, and not so near before the closing, whose ramp heats it. [s]"""
 UPPER_K, UPPER_S = 3.0, 3.0
 """Where the upper face of a panel in the open press warms by so much, it does within about a second; a hand that
 held it or a slow sensor leave the moment open by so much. [K, s]"""
@@ -60,6 +61,26 @@ def start_error(level: Array, start_C: float) -> float:
 
 
 @dataclass(frozen=True)
+class Seen:
+    """What the faces have read so far."""
+
+    time: Array
+    """When each scan was taken (N). [s]"""
+    level: Array
+    """What each face read, NaN where nothing did (N, M). [°C]"""
+    lower: int
+    """Place of the lower face, -1 for none."""
+
+    def since(self, begin: float) -> tuple[Array, Array, Array]:
+        """Return times and what lower and upper face read after a time, NaN where there is no such face."""
+        late = self.time > begin
+        time, level = self.time[late], self.level[late]
+        silent = np.full(len(time), math.nan)
+        low = level[:, self.lower] if self.lower >= 0 else silent
+        return time, low, next((level[:, m] for m in range(level.shape[1]) if m != self.lower), silent)
+
+
+@dataclass(frozen=True)
 class Coming:
     """When the panel came to lie in the press."""
 
@@ -69,46 +90,42 @@ class Coming:
     """0 where the lower face shows it. [s]"""
 
 
-def coming(
-    time: Array, level: Array, lower: int, start_C: float, at: float, closed: float, empty: float = -math.inf
-) -> Coming:
+def coming(scans: Seen, start_C: float, at: float, closed: float, now: float, opened: float = -math.inf) -> Coming:
     """Place an insertion that the lower face does not show, since its sensors were silent or are missing.
 
-    It lies after the last cold reading of the lower face and before its first hot one or the closing. In between,
-    a lower face first heard on the plate tells by its slope how long it has lain there (temperatures rise with the
-    root of time: age = rise / (2 slope)); else an upper face that warms well before the closing tells it, else the
-    usual wait.
+    It lies after the last cold reading of the lower face, or the last one of the panel before, and before its
+    first hot one or the closing. In between, a lower face first heard on the plate tells by its slope how long it
+    has lain there (temperatures rise with the root of time: age = rise / (2 slope)); else an upper face that warms
+    well before the closing tells it, else the usual wait.
 
     Parameters
     ----------
-    time, level
-        Scans so far (N) and what the faces read (N, M). [s, °C]
-    lower
-        Place of the lower face, -1 for none.
+    scans
+        What the faces have read so far.
     start_C
         The panel's start temperature. [°C]
     at
         When the detector has it. [s]
     closed
         When the press closed, infinite where it has not. [s]
-    empty
-        When the panel before was taken out. [s]
+    now
+        Time of the scan at which it was found. [s]
+    opened
+        When the press opened on the panel before. [s]
     """
-    time, level = time[time > empty], level[time > empty]
-    silent = np.full(len(time), math.nan)
-    low = level[:, lower] if lower >= 0 else silent
+    time, low, high = scans.since(opened)
     heard = time[np.isfinite(low) & (time < at)]
-    if math.isfinite(empty) and np.diff([empty, *heard, at]).max() <= SPARSE_S:
+    watched = _unbroken(opened, heard)
+    if at - watched <= SPARSE_S:
         return Coming(at)  # hot as it may be from the panel before, the face has been watched all along
-    high = next((level[:, m] for m in range(level.shape[1]) if m != lower), silent)
-    cold = low < max(COLD_C, start_C + COLD_K)
-    begins = float(time[cold].max(initial=-math.inf))
-    hot = np.isfinite(low) & ~cold & (time > begins) & (time < closed)
+    hot, cold = is_hot(low, start_C), np.isfinite(low) & ~is_hot(low, start_C)
+    begins = max(float(time[cold].max(initial=-math.inf)), watched)
+    hot &= (time > begins) & (time < closed - RAMP_S)
     joined = time[hot][np.diff(time[hot], prepend=-math.inf) > SPARSE_S]
-    ends = min(float(joined[-1]) if len(joined) else math.inf, closed, float(time.max(initial=empty)))
+    ends = min(float(joined[-1]) if len(joined) else math.inf, closed, now)
     if ends - begins <= SPARSE_S:
         return Coming(at)
-    earliest, found = max(begins, empty, ends - LONGEST_WAIT_S), Coming(ends - USUAL_WAIT_S, WAIT_S)
+    earliest, found = max(begins, ends - LONGEST_WAIT_S), Coming(ends - USUAL_WAIT_S, WAIT_S)
     there = hot & (time >= ends) & (time < ends + SLOPE_S)
     resting = time[(high < start_C + UPPER_K) & (time < ends)]
     if there.sum() > 1 and (age := _age(time[there], low[there] - start_C)) < USUAL_WAIT_S:
@@ -116,6 +133,20 @@ def coming(
     elif len(resting) and earliest < resting[-1] < ends - SLOPE_S:
         found = Coming(float(resting[-1]), UPPER_S)
     return Coming(min(max(found.at, earliest), ends), min(found.sd, (ends - earliest) / math.sqrt(12.0)))
+
+
+def is_hot(face_C: Array | float, start_C: float) -> NDArray[np.bool_]:
+    """Return whether a face is too hot for hand and room; False where it is unheard. [°C]"""
+    return np.asarray(face_C) >= max(COLD_C, start_C + COLD_K)
+
+
+def _unbroken(begin: float, heard: Array) -> float:
+    """Return until when a face was heard without a gap from a time on. [s]"""
+    if not math.isfinite(begin):
+        return -math.inf
+    breaks = np.flatnonzero(np.diff(heard, prepend=begin) > SPARSE_S)
+    chain = heard[: breaks[0]] if len(breaks) else heard
+    return float(chain[-1]) if len(chain) else begin
 
 
 def _age(time: Array, rise: Array) -> float:
@@ -126,32 +157,36 @@ def _age(time: Array, rise: Array) -> float:
     return max(float(middle / (2.0 * slope) - (time.mean() - time[0])), 0.0)
 
 
-def first_error(
-    time: Array, level: Array, lower: int, start_C: float, came: Coming, closed: float
-) -> tuple[float, float] | None:
-    """Return how far off the header's start a panel was when first heard, and what of it is certain. [K]
+@dataclass(frozen=True)
+class StartError:
+    """How far off the header's start temperature a panel was when first heard. [K]"""
 
-    Certain is what a face heard some time after the panel came cannot have warmed since. Of the faces heard the
-    one that may have warmed least counts, of such alike the colder one. None before a face is heard.
-    Arguments as of `coming`.
+    off: float
+    certain: float
+    """What of it is certain: a face heard some time after the panel came may have warmed since."""
+    faces: int
+    """How many faces it rests on."""
+
+
+def first_error(scans: Seen, start_C: float, came: Coming, closed: float) -> StartError:
+    """Judge by each face when first heard; that counts which may have warmed least, of such alike the colder one.
+
+    A face that is colder than the header says proves it wrong, whatever the others do. Arguments as of `coming`.
     """
-    begin = max(int(np.searchsorted(time, came.at, "right")) - 1, 0)
+    begin = max(int(np.searchsorted(scans.time, came.at, "right")) - 1, 0)
     errors = []
-    for m in range(level.shape[1]):
-        heard = begin + np.flatnonzero(np.isfinite(level[begin:, m]))
-        if not len(heard):
+    for m in range(scans.level.shape[1]):
+        heard = begin + np.flatnonzero(np.isfinite(scans.level[begin:, m]))
+        if not len(heard) or scans.time[heard[0]] > closed:
             continue
-        if time[heard[0]] > closed:
-            errors.append((math.inf, 0.0))
-            continue
-        since, off = float(time[heard[0]]) - came.at, float(level[heard[0], m]) - start_C
-        rate = PLATE_K_ROOT_S if m == lower else AIR_K_ROOT_S
-        warmed = rate * math.sqrt(since + came.sd) if since > 0.0 else 0.0
+        since, off = float(scans.time[heard[0]]) - came.at, float(scans.level[heard[0], m]) - start_C
+        rate = PLATE_K_ROOT_S if m == scans.lower else AIR_K_ROOT_S
+        warmed = rate * math.sqrt(since + came.sd) if since > 0.0 and off > 0.0 else 0.0
         errors.append((warmed, off))
     if not errors:
-        return None
+        return StartError(0.0, 0.0, 0)
     warmed, off = min(errors)
-    return off, off if off < 0.0 else max(off - warmed, 0.0)
+    return StartError(off, off if off < 0.0 else max(off - warmed, 0.0), len(errors))
 
 
 class Stillness:

@@ -12,7 +12,7 @@ from daq.simulated.campaign_pressfile import press_toml
 from daq.simulated.physics import BASE_COEFFICIENTS
 from softsensor.modelfile import Estimate, ModelFile
 from softsensor.observer import NO_PLATENS, NOT_OBSERVABLE, NOT_VALID, LiveSensor
-from softsensor.observer_trust import Coming, coming, contradiction, first_error, start_error
+from softsensor.observer_trust import Coming, Seen, StartError, coming, contradiction, first_error, start_error
 
 PRESS = parse_press(press_toml())
 MODEL = ModelFile("test", "lab", {name: Estimate(value, 0.2 * value) for name, value in BASE_COEFFICIENTS.items()})
@@ -176,15 +176,15 @@ def faces(came_at, heard_from, start=20.0, closed=30.0):
 
 
 def test_a_lower_face_heard_before_the_panel_came_leaves_its_moment_to_the_detector():
-    assert coming(TIME, faces(10.0, 0.0), 1, 20.0, 10.2, np.inf) == Coming(10.2)
+    assert coming(Seen(TIME, faces(10.0, 0.0), 1), 20.0, 10.2, np.inf, 40.0) == Coming(10.2)
 
 
 def test_a_lower_face_still_hot_from_the_panel_before_but_heard_all_along_leaves_it_to_the_detector_too():
     hot = faces(10.0, 0.0)
     hot[TIME < 10.0, 1] = 60.0
-    assert coming(TIME, hot, 1, 20.0, 10.2, np.inf, empty=2.0) == Coming(10.2)
+    assert coming(Seen(TIME, hot, 1), 20.0, 10.2, np.inf, 40.0, opened=2.0) == Coming(10.2)
     hot[(TIME > 4.0) & (TIME < 12.0), 1] = np.nan
-    came = coming(TIME[TIME < 14.0], hot[TIME < 14.0], 1, 20.0, 12.5, np.inf, empty=2.0)
+    came = coming(Seen(TIME[TIME < 14.0], hot[TIME < 14.0], 1), 20.0, 12.5, np.inf, 14.0, opened=2.0)
     assert came.at == pytest.approx(10.0, abs=0.3)
     assert 0.3 < came.sd < 1.5
 
@@ -192,16 +192,16 @@ def test_a_lower_face_still_hot_from_the_panel_before_but_heard_all_along_leaves
 @pytest.mark.parametrize("late_s", [3.0, 6.0])
 def test_a_lower_face_first_heard_on_the_plate_tells_how_long_it_has_lain_there(late_s):
     seen = 10.0 + late_s + 2.0 > TIME
-    came = coming(TIME[seen], faces(10.0, 10.0 + late_s)[seen], 1, 20.0, 10.0 + late_s, np.inf)
+    came = coming(Seen(TIME[seen], faces(10.0, 10.0 + late_s)[seen], 1), 20.0, 10.0 + late_s, np.inf, 39.0)
     assert came.at == pytest.approx(10.0, abs=0.3)
     assert 0.3 * late_s < came.sd < 0.5 * late_s
 
 
 def test_without_a_lower_face_the_usual_wait_is_taken_within_what_the_log_allows():
-    came = coming(TIME, faces(10.0, np.inf), 1, 20.0, 29.0, 30.0)
+    came = coming(Seen(TIME, faces(10.0, np.inf), 1), 20.0, 29.0, 30.0, 31.0)
     assert (came.at, came.sd) == (12.0, pytest.approx(30.0 / np.sqrt(12.0)))
     cold_until_25 = np.where(TIME <= 25.0, 21.0, np.nan)
-    came = coming(TIME, np.column_stack([faces(10.0, 0.0)[:, 0], cold_until_25]), 1, 20.0, 29.0, 30.0)
+    came = coming(Seen(TIME, np.column_stack([faces(10.0, 0.0)[:, 0], cold_until_25]), 1), 20.0, 29.0, 30.0, 31.0)
     assert came.at == 25.0
     assert came.sd == pytest.approx(5.0 / np.sqrt(12.0))
 
@@ -209,7 +209,7 @@ def test_without_a_lower_face_the_usual_wait_is_taken_within_what_the_log_allows
 def test_an_upper_face_that_warms_in_the_open_press_tells_when_the_panel_came():
     warming = faces(10.0, np.inf)
     warming[:, 0] += np.where(TIME < 30.0, 6.0 * np.sqrt(np.maximum(TIME - 15.0, 0.0)), 0.0)
-    came = coming(TIME, warming, 1, 20.0, 29.0, 30.0)
+    came = coming(Seen(TIME, warming, 1), 20.0, 29.0, 30.0, 31.0)
     assert came.at == pytest.approx(15.0, abs=0.5)
     assert came.sd == 3.0
 
@@ -217,14 +217,31 @@ def test_an_upper_face_that_warms_in_the_open_press_tells_when_the_panel_came():
 def test_the_start_is_judged_by_the_face_that_may_have_warmed_least():
     plugged = faces(10.0, 12.0)
     plugged[TIME < 12.0] = np.nan
-    off, certain = first_error(TIME, plugged, 1, 20.0, Coming(10.0), 30.0)
-    assert (off, certain) == (0.0, 0.0)
-    off, certain = first_error(TIME, plugged, 1, 40.0, Coming(10.0), 30.0)
-    assert (off, certain) == (-20.0, -20.0)
-    off, certain = first_error(TIME, plugged, 1, 0.0, Coming(10.0), 30.0)
-    assert off == 20.0
-    assert 10.0 < certain < 20.0
-    assert first_error(TIME[:20], plugged[:20], 1, 20.0, Coming(9.0), 30.0) is None
+    seen = Seen(TIME, plugged, 1)
+    assert first_error(seen, 20.0, Coming(10.0), 30.0) == StartError(0.0, 0.0, 2)
+    assert first_error(seen, 40.0, Coming(10.0), 30.0) == StartError(-20.0, -20.0, 2)
+    found = first_error(seen, 0.0, Coming(10.0), 30.0)
+    assert found.off == 20.0
+    assert 10.0 < found.certain < 20.0
+    assert first_error(Seen(TIME[:20], plugged[:20], 1), 20.0, Coming(9.0), 30.0).faces == 0
+    plugged[(TIME >= 12.0) & (TIME < 15.0), 0] = np.nan  # the upper face joins later and is colder than the header
+    assert first_error(seen, 25.0, Coming(10.0), 30.0) == StartError(-5.0, -5.0, 2)
+
+
+def test_the_ramp_of_the_closing_is_no_slope_of_the_waiting_panel():
+    joined = faces(4.0, 29.0)
+    ramp = (TIME >= 29.5) & (TIME < 30.5)
+    joined[ramp, 1] += 40.0
+    came = coming(Seen(TIME, joined, 1), 20.0, 29.0, 30.0, 31.0)
+    assert (came.at, came.sd) == (11.0, pytest.approx(30.0 / np.sqrt(12.0)))
+
+
+def test_rows_that_are_missing_hide_when_the_panel_came():
+    there = (TIME < 9.0) | (TIME > 25.0)
+    came = coming(Seen(TIME[TIME < 9.0], faces(10.0, 0.0)[TIME < 9.0], 1), 20.0, 25.5, np.inf, 25.5)
+    assert there.sum() > 10
+    assert 8.5 <= came.at < 20.0
+    assert came.sd > 4.0
 
 
 def fallen_silent(run, chosen, until_s):
@@ -273,3 +290,22 @@ def test_an_idle_press_whose_lower_face_is_unheard_is_not_said_to_be_empty(press
     idle = [e for e in said if e.state is PressState.IDLE and 3.5 < e.time_s < truth.moments.closed_s]
     assert idle
     assert all(not e.valid and e.reason.startswith(NOT_OBSERVABLE) for e in idle)
+
+
+def test_a_press_open_for_long_with_no_sensor_heard_may_hold_another_panel(pressing):
+    run, truth = pressing
+    columns = {n: v for n, v in run.columns.items() if not n.startswith(("top_", "bottom_"))}
+    said = replay(replace(run, columns=columns))
+    opened = truth.moments.opened_s
+    assert any(e.valid for e in said if opened + 2.0 < e.time_s < opened + 14.0)
+    assert not any(e.valid for e in said if e.time_s > opened + 17.0)
+
+
+def test_a_run_that_begins_with_the_panel_long_on_the_plate_is_not_answered():
+    plan = replace(PLAN, closed_column=False, start_before_s=10.0, open_before_s=(20.0, 25.0))
+    ((run, truth),) = make_campaign(24, 1, None, plan)
+    late = run.time_s > truth.moments.inserted_s + 10.0
+    said = replay(replace(run, time_s=run.time_s[late], columns={n: v[late] for n, v in run.columns.items()}))
+    closed = [e for e in said if e.state is PressState.CLOSED]
+    assert closed
+    assert not any(e.valid for e in closed)
