@@ -1,23 +1,28 @@
 """Every command of the runbook, in its order, on a press PC of simulated loggers.
 
 `systemctl` and `sudo` stand in here: the one starts what the units name, as this machine has no running systemd.
-The setup's commands run in `test_setup.py`, below a folder.
+The setup's commands run in `test_setup.py`, below a folder. Of commands in the middle of sentences, Dask's run; of
+the others the units and extras they name must be there.
 """
 
 from __future__ import annotations
 
+import fnmatch
 import os
 import re
+import socket
 import stat
 import subprocess
 import sys
 import textwrap
 import time
+import tomllib
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
+from distributed import Client
 
 from daq.runfile import toml_value
 from daq.simulated.campaign import press_toml
@@ -281,3 +286,60 @@ def test_the_service_wrapper_the_runbook_shows_for_windows_is_well_formed_xml():
 
     (text,) = re.findall(r"^```xml\n(.*?)^```", RUNBOOK.read_text(encoding="utf-8"), flags=re.M | re.S)
     assert ElementTree.fromstring(text).findtext("arguments").startswith("record --config")
+
+
+def inline() -> list[str]:
+    """Return what stands in grey in the sentences and is a command of the shell, parted at semicolons."""
+    text = re.sub(r"^ *```sh\n.*?^ *```", "", RUNBOOK.read_text(encoding="utf-8"), flags=re.M | re.S)
+    found = [part.strip() for code in re.findall(r"`([^`\n]+)`", text) for part in code.split(";")]
+    return [
+        line for line in found if line.split()[0] in ("systemctl", "journalctl", "pip", "dask") and " " in line
+    ]
+
+
+@pytest.mark.parametrize("line", [line for line in inline() if line.startswith(("systemctl", "journalctl"))])
+def test_units_named_in_a_sentence_are_there(line):
+    units = re.findall(r"kerntemp[-\w.*]*", line)
+    known = [path.name for path in (ROOT / "deploy" / "systemd").iterdir()]
+    assert units
+    for unit in units:
+        pattern = unit.strip("'") if "." in unit or "*" in unit else f"{unit}.service"
+        assert any(fnmatch.fnmatchcase(name, pattern) for name in known), unit
+
+
+@pytest.mark.parametrize("line", [line for line in inline() if line.startswith("pip")])
+def test_extras_named_in_a_sentence_are_there(line):
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"][
+        "optional-dependencies"
+    ]
+    assert set(re.search(r"\[([\w,]+)\]", line).group(1).split(",")) <= set(extras)
+
+
+@posix_only
+def test_the_scheduler_and_workers_of_the_runbook_come_up():
+    scheduler, worker = (
+        next(line for line in inline() if line.startswith(f"dask {kind}")) for kind in ("sch", "work")
+    )
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+    program = str(Path(sys.executable).parent / "dask")
+    words = [
+        *scheduler.split()[1:],
+        "--host",
+        "127.0.0.1",
+        "--port",
+        str(port),
+        "--dashboard-address",
+        "127.0.0.1:0",
+    ]
+    address = f"tcp://127.0.0.1:{port}"
+    with subprocess.Popen([program, *words], stderr=subprocess.DEVNULL) as first:
+        line = re.sub(r"tcp://\S+", address, worker).split()[1:]
+        with subprocess.Popen([program, *line, "--no-dashboard"], stderr=subprocess.DEVNULL) as second:
+            try:
+                with Client(address, timeout="60s") as client:
+                    client.wait_for_workers(1, timeout=60)
+                    assert list(client.nthreads().values()) == [1]
+            finally:
+                second.terminate()
+                first.terminate()
