@@ -11,12 +11,20 @@ stamp lies within a period and a half of its tick, or later where the machine wa
 spoiled the simulated device knows: so a value not there is a fault's, if the fault overlaps the time from the
 second scan before to the second scan after. A logger that was lost is then still to be found again, connected
 and set up: until its first good value its driver may take the time it promises, and no longer.
+
+A good value is held against what the thermocouples truly gave around its scan, and none may come from a logger
+that was silent or a sensor that was dead. A late value is believed without a fault only while most of its
+channel's values come in time. The press's moments, the state and the core temperature of the estimates are held
+against the simulated press; the moments where nobody could see them are left to what hid them.
 """
 
 from __future__ import annotations
 
+import bisect
+import itertools
+import re
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
@@ -24,7 +32,8 @@ from typing import Any
 import numpy as np
 
 from daq.pressline import LEFT_OUT_SAID_EVERY_S
-from daq.records import Quality
+from daq.records import Moments, PressEventKind, PressState, Quality
+from daq.simulated.physics import BASE_COEFFICIENTS
 from daq.store import RunStatus, Store, every
 from tests.deploy.truth import KILLED, RESTARTED, STAMP_S, Truth
 
@@ -36,6 +45,18 @@ NEIGHBOURS = 2
 """How many scans before and after a value's own may hold its answer's moment."""
 SETTLED = 25
 """Scans at each end of a recorder's life whose median tells its schedule."""
+EDGE, JITTER_TICKS = 3, 1.5
+"""The outermost of these scans, and how far stamps of the same schedule may lie apart."""
+MOST_LATE, LATE_OVER = 0.5, 500
+"""So often in so many scans a channel may be late; more often only by as many ticks as were left out there."""
+OFF_K, OVERSHOOT = 3.0, 0.5
+"""How far a good value may lie outside the true ones around its scan: so much, and a share of their range. [K]"""
+WAY_S = 0.5
+"""How long an answer from before or after a fault may be on its way into a scan. [s]"""
+MOMENT_S = 3.0
+"""How far a moment of the press may lie from the true one. [s of the press]"""
+CORE_K = 10.0
+"""How far outside its own band an estimate may lie: the start temperature is read from sensors in the air. [K]"""
 MOST_GROWN = 0.2
 """Memory that grows by more than this share is not flat."""
 AWAY = "recorder away"
@@ -107,6 +128,12 @@ class _Scans:
     ticks_s: Any
     """From tick to tick, on the machine's clock. [s]"""
     qualities: list[tuple[Quality, ...]]
+    values: Any
+    """As stored, a row each scan. [°C]"""
+    good: Any
+    """Whether a value says to be."""
+    left_out: Any
+    """Ticks journalled as left out before each."""
     columns: tuple[str, ...]
     begins: Any
     """Index of each recorder's first scan."""
@@ -129,52 +156,77 @@ class _Count:
         self.runs = _runs(store)
         self.scans = self._load()
         self.blind = list(self._blind())
+        self.changes = list(_changes(truth.pressings.values()))
         self._count_scans()
         self._count_values()
+        self.true_core = self._count_readings()
         self._count_pressings()
         self._count_runs()
+        self._count_moments()
         self._count_fits()
         self._count_estimates()
+        self._count_cores()
         steps = sum("clock of this machine was set" in e.message for e in self.journal)
         self.balance.say("clock steps", truth.clock_steps, steps, {})
 
     def _load(self) -> _Scans:
+        said = {at: count for e in self.journal if "left out" in e.message for at, count in _pairs(e)}
         begun = {e.detail["monotonic_s"] for e in self.journal if "scans begin" in e.message}
-        numbers, stamps, qualities = [], [], []
+        numbers, stamps, qualities, values, good = [], [], [], [], []
         for scan in _scans(self.store, self.truth.press):
             numbers.append(scan.number)
             stamps.append(scan.monotonic_s)
             qualities.append(scan.qualities)
+            values.append(np.array(scan.values, np.float32))
+            good.append([quality.usable for quality in scan.qualities])
         begins = [i for i, at in enumerate(stamps) if i == 0 or at in begun]
         columns = tuple(c.name for c in self.store.channels(self.truth.press))
-        firsts = [shift.first_scan for shift in self.truth.shifts]
-        which = np.searchsorted(firsts, numbers, side="right") - 1
+        which = self._shifts_of(numbers)
         speeds = np.array([shift.speed for shift in self.truth.shifts])[which]
         real_s = np.array(stamps) / speeds
         times = np.array([self.truth.plant_s(at) for at in real_s.tolist()])
         periods = np.array([1.0 / shift.rate_hz for shift in self.truth.shifts])[which]
         numbers, stamps, begins = np.array(numbers), np.array(stamps), np.array(begins)
-        return _Scans(numbers, stamps, real_s, times, periods, periods / speeds, qualities, columns, begins)
+        return _Scans(
+            numbers,
+            stamps,
+            real_s,
+            times,
+            periods,
+            periods / speeds,
+            qualities,
+            np.array(values),
+            np.array(good),
+            np.array([said.get(at, 0) for at in stamps.tolist()]),
+            columns,
+            begins,
+        )
+
+    def _shifts_of(self, numbers: Sequence[int]) -> Any:
+        firsts = [shift.first_scan for shift in self.truth.shifts]
+        return np.searchsorted(firsts, numbers, side="right") - 1
+
+    def _plant_s(self, stamp_s: float, scan_number: int) -> float:
+        """Return a stored time near a scan on the plant's clock. [s]"""
+        shift = self.truth.shifts[int(self._shifts_of([scan_number])[0])]
+        return self.truth.plant_s(stamp_s / shift.speed)
 
     # --- scans and values ---------------------------------------------------------------------------
 
     def _count_scans(self) -> None:
         """Every tick of the schedule has its scan, or was journalled as left out, or no recorder was there."""
-        said = {at: count for e in self.journal if "left out" in e.message for at, count in _pairs(e)}
         causes: Counter[str] = Counter()
         scans, silent, where = self.scans, 0, []
         for number, session in enumerate(scans.sessions):
             times, period_s = scans.stamps[session], scans.periods[session][0]
-            left_out = np.cumsum([said.get(at, 0) for at in times.tolist()])
+            left_out = np.cumsum(scans.left_out[session])
             ahead = (times - times[0]) / period_s - np.arange(len(times)) - left_out
-            unsaid = _grown(ahead, ahead)
-            early = ahead[times < times[-1] - LEFT_OUT_SAID_EVERY_S]
-            killed = number + 1 < len(scans.sessions)
-            before = _grown(ahead, early)
+            lost = _grown(ahead)
             causes["left out, as journalled"] += int(left_out[-1])
-            if killed:
-                causes["left out in the minute before a kill, not journalled any more"] += unsaid - before
-            lost = before if killed else unsaid
+            if number + 1 < len(scans.sessions) and self._ending(session.stop - 1) == KILLED:
+                early = _grown(ahead[times < times[-1] - LEFT_OUT_SAID_EVERY_S])
+                causes["left out in the minute before a kill, not journalled any more"] += lost - early
+                lost = early
             silent += lost
             where += [f"{lost} in the session from {times[0]:.1f} s"] if lost else []
         for i in scans.begins[1:].tolist():
@@ -194,32 +246,80 @@ class _Count:
         kills = sum(f.kind in (KILLED, RESTARTED) for f in self.truth.faults)
         self.balance.say("recorder starts", kills + 1, len(scans.sessions), {})
 
+    def _ending(self, i: int) -> str | None:
+        """Return how the recorder ended after a scan."""
+        end = self.truth.wrote_until(float(self.scans.real_s[i]), float(self.scans.real_s[i + 1]))
+        return end[0] if end else None
+
     def _unwritten(self, i: int, until_s: float) -> int:
         """Return how many ticks there were from a scan to a moment of the machine's clock."""
         return max(0, int((until_s - self.scans.real_s[i]) / self.scans.ticks_s[i]))
 
     def _count_values(self) -> None:
-        """Every value is good, or late, or its quality fits a fault that lies over it."""
+        """Every value is good, or its quality fits a fault that lies over it, or it is late now and then."""
         causes: Counter[str] = Counter()
         good, where = 0, []
         due = 0
+        late = np.zeros_like(self.scans.good)
         real_s = self.scans.real_s.tolist()
         good_s: dict[str, float] = {}
         for i, qualities in enumerate(self.scans.qualities):
             due += len(qualities)
-            for column, quality in zip(self.scans.columns, qualities, strict=True):
+            for k, (column, quality) in enumerate(zip(self.scans.columns, qualities, strict=True)):
                 if quality.usable:
                     good += 1
                     good_s[column] = real_s[i]
-                elif quality is Quality.LATE:
-                    causes["late, as stored"] += 1
                 elif (kind := self._fault_of(quality, column, i, real_s)) is not None:
                     causes[f"{quality.value}, {kind}"] += 1
                 elif self.truth.finding_again(column, real_s[i], good_s.get(column, -np.inf)):
                     causes[f"{quality.value}, logger not found again yet"] += 1
+                elif quality is Quality.LATE:
+                    late[i, k] = True
                 else:
                     where.append(f"{column} {quality.value} at {real_s[i]:.3f} s")
-        self.balance.say("values", due, good, causes, sorted(set(where)))
+        worst = 0.0
+        for part in itertools.chain.from_iterable(_parts(session) for session in self.scans.sessions):
+            worst = max(worst, late[part].mean(axis=0).max())
+            believed = late[part].sum(axis=0) <= MOST_LATE * len(part) + self.scans.left_out[part].sum()
+            causes["late, machine busy"] += int(late[part][:, believed].sum())
+            names = np.array(self.scans.columns)[~believed]
+            where += [f"{name} mostly late from {real_s[part[0]]:.3f} s on" for name in names]
+        self.balance.say("values", due, good, +causes, sorted(set(where)))
+        self.balance.lines.append(
+            f"{'late':18} without a fault {late.sum() / max(due, 1):.1%} of all values, "
+            f"at most {worst:.0%} of a channel's in {LATE_OVER} scans"
+        )
+
+    def _count_readings(self) -> Any:
+        """Every good value is near what its thermocouple gave, and was answered; return the true core too. [°C]"""
+        scans = self.scans
+        true, core = np.empty_like(scans.values), np.empty(len(scans.times))
+        between = np.empty_like(true)
+        """A scan's true values, and those halfway to it from the scan before."""
+        before_s = float(scans.times[0])
+        for i, at_s in enumerate(scans.times.tolist()):
+            gave_before = self.truth.temperatures(0.5 * (before_s + at_s))
+            gave = self.truth.temperatures(at_s)
+            true[i], between[i] = [gave[n] for n in scans.columns], [gave_before[n] for n in scans.columns]
+            core[i] = self.truth.core(at_s)
+            before_s = at_s
+        low, high = np.minimum(true, between), np.maximum(true, between)
+        for bound, of in ((low, np.minimum), (high, np.maximum)):
+            own = bound.copy()
+            for k in range(1, NEIGHBOURS + 1):
+                bound[k:] = of(bound[k:], own[:-k])
+                bound[:-k] = of(bound[:-k], own[k:])
+        spare = OFF_K + OVERSHOOT * (high - low)
+        right = (scans.values >= low - spare) & (scans.values <= high + spare)
+        for fault in self.truth.faults:
+            first, last = np.searchsorted(scans.real_s, (fault.begin_s + WAY_S, fault.end_s - WAY_S))
+            right[first:last, [name in fault.columns for name in scans.columns]] = False
+        where = [
+            f"{scans.columns[k]} {scans.values[i, k]:.1f} for {true[i, k]:.1f} °C at {scans.real_s[i]:.3f} s"
+            for i, k in np.argwhere(scans.good & ~right)[:6]
+        ]
+        self.balance.say("good values right", int(scans.good.sum()), int((scans.good & right).sum()), {}, where)
+        return core
 
     def _fault_of(self, quality: Quality, column: str, i: int, real_s: Sequence[float]) -> str | None:
         # an ADAM in ASCII shows an open input as -0000, under range
@@ -284,11 +384,10 @@ class _Count:
         """Every run holds one pressing, or the store shows why it holds none or two."""
         causes: Counter[str] = Counter()
         single, where = 0, []
-        last_s = max((true.removed_s for true in self.truth.pressings.values()), default=0.0)
-        runs = [r for r in self.runs if self._span(r)[0] < last_s]
+        runs = self._runs_due()
         for run in runs:
             begin_s, end_s = self._span(run)
-            held = sum(t.closed_s <= end_s and begin_s <= t.opened_s for t in self.truth.pressings.values())
+            held = len(self._held(run))
             if held == 1 and run.status is not RunStatus.OPEN:
                 single += 1
             elif run.status is not RunStatus.OPEN and (
@@ -299,6 +398,67 @@ class _Count:
                 where.append(f"{run.run} {run.status.value}, {held} pressings")
         self.balance.say("runs", len(runs), single, causes, where)
 
+    def _runs_due(self) -> list[Any]:
+        """Return the runs that begin before the last pressing of all was over."""
+        last_s = max((true.removed_s for true in self.truth.pressings.values()), default=0.0)
+        return [r for r in self.runs if self._span(r)[0] < last_s]
+
+    def _held(self, run: Any) -> list[Moments]:
+        """Return the pressings a run lies over."""
+        begin_s, end_s = self._span(run)
+        return [t for t in self.truth.pressings.values() if t.closed_s <= end_s and begin_s <= t.opened_s]
+
+    def _count_moments(self) -> None:
+        """Every pressing has its four events, every run of one pressing its four moments, at the true times."""
+        found: dict[str, list[float]] = {kind: [] for kind in PressEventKind}
+        for event in _events(self.store, self.truth.press):
+            found[event.kind].append(self._plant_s(event.monotonic_s, event.scan_number))
+        pressings = list(self.truth.pressings.values())
+        matched = self._say_moments("press events", [(true, found) for true in pressings])
+        last_s = max((true.removed_s for true in pressings), default=0.0) + MOMENT_S
+        strange = [
+            f"{kind} at {at_s:.1f} s"
+            for kind, times in found.items()
+            for at_s in times
+            if at_s < last_s and (kind, at_s) not in matched
+            if not self._blind_over(at_s - MARGIN_S, at_s + MARGIN_S)
+        ]
+        self.balance.unaccounted["press events of no pressing"] = len(strange)
+        if strange:
+            self.balance.lines.append(f"{'':18} of no pressing {len(strange)} ({'; '.join(strange[:6])})")
+        due = []
+        for run in self._runs_due():
+            held = self._held(run)
+            if len(held) == 1:
+                own = {kind: run.zero_monotonic_s + at_s for kind, at_s in _moments(run.moments)}
+                due.append((held[0], {kind: [self._plant_s(at_s, run.first_scan)] for kind, at_s in own.items()}))
+        self._say_moments("moments of runs", due)
+
+    def _say_moments(
+        self, what: str, due: Sequence[tuple[Moments, Mapping[str, Sequence[float]]]]
+    ) -> set[tuple[str, float]]:
+        """Hold true moments against those found of their kind, and return which of these are right.
+
+        What hid a pressing's moment explains that its later ones were not looked for either.
+        """
+        causes: Counter[str] = Counter()
+        where, matched = [], set()
+        for true, found in due:
+            hidden = None
+            for kind, true_s in _moments(true):
+                hidden = self._blind_over(true_s - MARGIN_S, true_s + MARGIN_S) or hidden
+                at_s = min(found[kind], key=lambda at_s, true_s=true_s: abs(at_s - true_s), default=np.nan)
+                if abs(at_s - true_s) <= MOMENT_S:
+                    matched.add((kind, at_s))
+                    hidden = None
+                elif hidden:
+                    causes[f"not seen, {hidden}"] += 1
+                else:
+                    where.append(f"{kind.value} {true_s:.1f} s, found {at_s:.1f} s")
+        all_due = 4 * len(due)
+        self.balance.say(what, all_due, all_due - len(where) - sum(causes.values()), causes, where)
+        return matched
+
     # --- what the live sensor made of them --------------------------------------------------------------
 
     def _count_fits(self) -> None:
@@ -307,9 +467,16 @@ class _Count:
         causes: Counter[str] = Counter()
         fitted, where = 0, []
         ended = [r for r in self.runs if r.status is not RunStatus.OPEN]
+        kept: Counter[str] = Counter(
+            row.run
+            for row in every(lambda cursor: self.store.coefficient_history(cursor=cursor))
+            if row.name in BASE_COEFFICIENTS and np.isfinite(row.value)
+        )
+        whole: list[str] = []
         for run in ended:
-            if "fingerprint" in (self.store.fit(run.run) or {}):
+            if _whole(self.store.fit(run.run) or {}):
                 fitted += 1
+                whole.append(run.run)
             elif run.moments.closed_s != run.moments.closed_s:
                 causes["closing not seen, as stored"] += 1
             elif any(f"run {run.run} {why}" in said for why in NO_FIT):
@@ -317,6 +484,9 @@ class _Count:
             else:
                 where.append(f"{run.run} {run.status.value}")
         self.balance.say("fits", len(ended), fitted, causes, where)
+        each = len(BASE_COEFFICIENTS)
+        where = [f"{run} {kept[run]}" for run in whole if kept[run] != each]
+        self.balance.say("coefficients", each * fitted, sum(min(kept[run], each) for run in whole), {}, where)
 
     def _count_estimates(self) -> None:
         """Every scan of every run has one estimate."""
@@ -334,10 +504,88 @@ class _Count:
         self.balance.say("estimates of runs", due, there, {}, where)
         self.balance.unaccounted["doubled estimates"] = doubled
 
+    def _count_cores(self) -> None:
+        """Every estimate tells the true state, and a core near the true one or why it has none."""
+        causes: Counter[str] = Counter()
+        due = right = 0
+        where = []
+        for run in self._runs_due():
+            held = len(self._held(run))
+            for time_s, estimate in self.store.estimates(run.run):
+                due += 1
+                why = self._judged(estimate)
+                if why is None and held != 1:
+                    causes[f"wrong, {held} pressings in the run"] += 1
+                elif why is None:
+                    core = f"{estimate.core_celsius:.1f} °C {estimate.reason}"
+                    where.append(f"{run.run} {time_s:.1f} s {estimate.state} {core}")
+                elif why:
+                    causes[why] += 1
+                else:
+                    right += 1
+        self.balance.say("estimates right", due, right, causes, where)
 
-def _grown(whole: Any, part: Any) -> int:
-    """Return how many ticks were lost from a recorder's first scans to the last ones of a part of its life."""
-    return round(float(np.median(part[-SETTLED:]) - np.median(whole[:SETTLED]))) if len(part) else 0
+    def _judged(self, estimate: Any) -> str | None:
+        """Return why an estimate has no core, empty where its core is right, None where it is neither."""
+        i = int(estimate.number - self.scans.numbers[0])
+        near = float(self.scans.times[i]) - MARGIN_S, float(self.scans.times[i]) + MARGIN_S
+        true, blind = self.true_core[i], self._blind_over(*near)
+        if estimate.state not in self._states(*near) and not blind:
+            return None
+        if not estimate.valid:
+            return re.split(r"[:\d]", estimate.reason)[0].strip() or None
+        if np.isnan(true):
+            return "" if np.isfinite(estimate.core_celsius) else None
+        near_band = estimate.core_low_celsius - CORE_K <= true <= estimate.core_high_celsius + CORE_K
+        return "" if near_band else None
+
+    def _states(self, begin_s: float, end_s: float) -> set[PressState]:
+        """Return what the press truly did in a stretch of time."""
+        first, end = (bisect.bisect(self.changes, at_s, key=lambda change: change[0]) for at_s in (begin_s, end_s))
+        return {state for _, state in self.changes[first - 1 : end]}
+
+
+def _grown(ahead: Any) -> int:
+    """Return how many ticks were lost over scans that are so many ticks ahead of their count."""
+    if not len(ahead):
+        return 0
+    first, last = np.median(ahead[:SETTLED]), np.median(ahead[-SETTLED:])
+    edges = first - np.median(ahead[:EDGE]), np.median(ahead[-EDGE:]) - last
+    return round(float(last - first + sum(lost for lost in edges if lost > JITTER_TICKS)))
+
+
+def _parts(session: slice) -> list[Any]:
+    """Return the places of a recorder's scans, in parts of at most `LATE_OVER`."""
+    places = np.arange(session.start, session.stop)
+    return np.array_split(places, -(-len(places) // LATE_OVER))
+
+
+def _whole(fit: Mapping[str, Any]) -> bool:
+    """Whether a stored fit is that of the whole run, with all that it found."""
+    rest_K = fit.get("rmse_K")
+    named = fit.get("coefficients", {}).keys() >= BASE_COEFFICIENTS.keys()
+    return "fingerprint" in fit and named and rest_K is not None
+
+
+def _moments(of: Moments) -> list[tuple[PressEventKind, float]]:
+    return [(kind, getattr(of, f"{kind.value}_s")) for kind in PressEventKind]
+
+
+def _changes(pressings: Iterable[Moments]) -> Iterator[tuple[float, PressState]]:
+    """Yield from when on the press truly was in which state. [s of the press]"""
+    yield -np.inf, PressState.IDLE
+    for true in pressings:
+        yield true.inserted_s, PressState.OPEN
+        yield true.closed_s, PressState.CLOSED
+        yield true.opened_s, PressState.OPEN
+        yield true.removed_s, PressState.IDLE
+
+
+def _events(store: Store, press: str) -> list[Any]:
+    events: list[Any] = []
+    while more := store.press_events(press, events[-1].number if events else 0):
+        events += more
+    return events
 
 
 def _pairs(entry: Any) -> list[tuple[float, int]]:

@@ -1,6 +1,9 @@
 """Days of pressing with random faults, and at the end a balance: due, there, and by which cause not.
 
     python -m tests.deploy.endurance --days 7 --pressings 70 --folder FOLDER
+    python -m tests.deploy.endurance --again --folder FOLDER
+
+The second line only counts again what the first one left.
 
 A working day is so many pressings one after the other, about two minutes of the press each, then an idle press
 with hot platens until the next morning; the sixth and seventh day of a week are idle. Every second of these days
@@ -17,7 +20,6 @@ balance so far. `tests/deploy/balance.py` says how it is counted.
 from __future__ import annotations
 
 import argparse
-import bisect
 import os
 import random
 import signal
@@ -29,19 +31,17 @@ import time
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import ExitStack, closing, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from daq.records import Moments
 from daq.runfile import toml_value
 from daq.simulated.campaign import press_toml
 from daq.simulated.devices import simulated, wiring
 from daq.simulated.devices_converter import Switches
-from daq.simulated.press import PressSettings, VirtualPress
 from daq.store import RunStatus, open_store
 from tests.deploy.balance import NO_FIT, Balance, take_balance
-from tests.deploy.truth import RESTARTED, Fault, Shift, Truth
+from tests.deploy.truth import RESTARTED, Fault, PacedPress, PlantClock, Record, Shift
 
 ROOT = Path(__file__).parents[2]
 UPPER = ("platen_top", "platen_bottom", *(f"top_{i}" for i in range(1, 8)))
@@ -91,96 +91,11 @@ class Plan:
         return day % 7 < 5
 
 
-class PlantClock:
-    """The press's time over the machine's monotonic clock: 0 until begun, at a changing pace, without a jump."""
-
-    def __init__(self) -> None:
-        self._knots: list[tuple[float, float, float]] = []
-
-    def __call__(self) -> float:
-        """Return the press's time now. [s]"""
-        return self.at(time.monotonic())
-
-    def at(self, real_s: float) -> float:
-        """Return the press's time at a moment of the monotonic clock. [s]"""
-        knots = self._knots
-        i = bisect.bisect(knots, real_s, key=lambda knot: knot[0]) - 1
-        if i < 0:
-            return 0.0 if not knots else (real_s - knots[0][0]) * knots[0][2]
-        since_s, then_s, speed = knots[i]
-        return then_s + (real_s - since_s) * speed
-
-    def run(self, speed: float) -> None:
-        """Go on at this many times real speed."""
-        now_s = time.monotonic()
-        self._knots = [*self._knots, (now_s, self.at(now_s) if self._knots else 0.0, speed)]
-
-
-class PacedPress:
-    """The virtual press over the plant's clock: so many pressings, then idle until told to go on."""
-
-    def __init__(self, seed: int) -> None:
-        self._press = VirtualPress(PressSettings(between_s=(12.0, 16.0), keep=8), seed)
-        self.ambient = self._press.ambient
-        self.pressed: dict[int, Moments] = {}
-        """Each pressing's true moments on the plant's clock. [s]"""
-        self._lock = threading.Lock()
-        self._newest = self._press.cycle(0.0)
-        self._late_s = 0.0
-        """Plant's clock minus the press's own."""
-        self._last = 0
-        self._held_s: float | None = 0.0
-
-    @property
-    def idle(self) -> bool:
-        """Whether all pressings asked for are over."""
-        return self._held_s is not None
-
-    def go_on(self, at_s: float, pressings: int) -> None:
-        """Press so many more panels from a moment of the plant's clock on."""
-        with self._lock:
-            self._late_s, self._held_s = at_s - self._own(at_s), None
-            self._last = self._newest.number + pressings - 1
-            self._keep()
-
-    def temperatures(self, at_s: float) -> dict[str, float]:
-        """Return what the thermocouples give. [°C]"""
-        with self._lock:
-            return self._press.temperatures(self._own(at_s))
-
-    def _own(self, at_s: float) -> float:
-        own_s = max(at_s - self._late_s, 0.0)
-        while self._held_s is None and own_s >= self._newest.end:
-            self._newest = self._press.cycle(self._newest.end)
-            if self._newest.number > self._last:
-                self._held_s = 0.5 * (self._newest.start + self._newest.moments.inserted_s)
-            else:
-                self._keep()
-        if self._held_s is None or own_s < self._held_s:
-            return own_s
-        # sensors hang free: this stretch of the press's time goes slowly to and fro
-        aside = (own_s - self._held_s) / _SLOWED % (2.0 * _TO_AND_FRO_S)
-        return self._held_s + _TO_AND_FRO_S - abs(aside - _TO_AND_FRO_S)
-
-    def _keep(self) -> None:
-        true, by_s = self._newest.moments, self._late_s
-        self.pressed[self._newest.number] = replace(
-            true,
-            inserted_s=true.inserted_s + by_s,
-            closed_s=true.closed_s + by_s,
-            opened_s=true.opened_s + by_s,
-            removed_s=true.removed_s + by_s,
-        )
-
-
-_TO_AND_FRO_S, _SLOWED = 0.3, 100.0
-
-
 class Endurance:
     """The plant, its processes, and the hand that breaks things."""
 
     def __init__(self, folder: Path, plan: Plan, seed: int) -> None:
-        self.folder, self.plan = folder, plan
+        self.folder, self.plan, self.seed = folder, plan, seed
         self.chance = random.Random(seed)
         self.clock = PlantClock()
         self.press = PacedPress(seed)
@@ -194,9 +109,7 @@ class Endurance:
         self.config, self.step_file = folder / "kerntemp.toml", folder / "step"
         self.url = str(folder / "plant.sqlite")
         self.ended_s = 0.0
-        """When the recorder was last asked to end. [s of the press]"""
-        self.ended_real_s = 0.0
-        """The same on the machine's monotonic clock. [s]"""
+        """When the recorder was last asked to end, on the machine's monotonic clock. [s]"""
         self.steps = 0
         self.stop = threading.Event()
 
@@ -231,7 +144,7 @@ class Endurance:
             self._wait_for("sense")
             for day in range(self.plan.days):
                 self._day(day)
-            self.ended_s, self.ended_real_s = self.clock(), time.monotonic()
+            self.ended_s = time.monotonic()
             self._end("record")
             self._let_sense_catch_up()
             self._end("sense")
@@ -418,19 +331,19 @@ class Endurance:
             time.sleep(0.5)
 
     def _balance(self) -> Balance:
-        pressed = {n: true for n, true in self.press.pressed.items() if true.removed_s < self.ended_s - 30.0}
-        true = dict(sorted(pressed.items()))
-        truth = Truth("lab", self.shifts, self.clock.at, self.faults, true, self.steps, self.ended_real_s)
-        balance = take_balance(self.store, truth)
+        mornings, knots = self.press.mornings, self.clock.knots
+        kept = Record(self.seed, mornings, knots, self.shifts, self.faults, self.steps, self.ended_s)
+        kept.write(self.folder / "truth.json")
+        balance = take_balance(self.store, truth := kept.truth())
         kinds = Counter(fault.kind for fault in self.faults if fault.kind != RESTARTED)
         named = ", ".join(f"{count} x {kind}" for kind, count in sorted(kinds.items()))
-        busy_s = sum(true.removed_s - true.inserted_s for true in pressed.values())
-        days, hours = divmod(self.ended_s / 3600.0, self.plan.day_s / 3600.0)
+        busy_s = sum(true.removed_s - true.inserted_s for true in truth.pressings.values())
+        days, hours = divmod(self.clock.at(self.ended_s) / 3600.0, self.plan.day_s / 3600.0)
         plan = self.plan
         balance.lines[:0] = [
             f"{days:.0f} days of {plan.day_s / 3600.0:g} h and {hours:.1f} h of the press recorded, "
-            f"{len(pressed)} pressings: a panel in the press for {busy_s / 3600.0:.1f} h; pressing days at "
-            f"{plan.pressing.speed:g} times real speed and {plan.pressing.rate_hz:g} Hz, idle hours at "
+            f"{len(truth.pressings)} pressings: a panel in the press for {busy_s / 3600.0:.1f} h; pressing days "
+            f"at {plan.pressing.speed:g} times real speed and {plan.pressing.rate_hz:g} Hz, idle hours at "
             f"{plan.idle.speed:g} times and {plan.idle.rate_hz:g} Hz",
             f"faults: {named}",
         ]
@@ -459,7 +372,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--idle-rate", type=float, default=0.5, help="scans per second of the press's time")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--folder", type=Path, required=True)
+    parser.add_argument("--again", action="store_true", help="only take the balance of a finished run again")
     given = parser.parse_args(arguments)
+    if given.again:
+        with open_store(str(given.folder / "plant.sqlite")) as store:
+            balance = take_balance(store, Record.read(given.folder / "truth.json").truth())
+        sys.stdout.write("\n".join(balance.lines) + "\n")
+        return int(any(balance.unaccounted.values()))
     given.folder.mkdir(parents=True, exist_ok=True)
     pressing, idle = Pace(given.speed, 1.0), Pace(given.idle_speed, given.idle_rate)
     plant = Endurance(given.folder, Plan(given.days, given.pressings, pressing, idle), given.seed)

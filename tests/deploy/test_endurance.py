@@ -5,6 +5,7 @@ The quick tests hold what counts to account: the plant's clock, the idle press, 
 
 from __future__ import annotations
 
+import math
 import os
 from datetime import UTC, datetime, timedelta
 
@@ -14,8 +15,8 @@ from daq.drivers.polled import FOUND_AGAIN_S
 from daq.records import Channel, Quality, Scan
 from daq.store import open_store
 from tests.deploy.balance import take_balance
-from tests.deploy.endurance import FAULTS, Endurance, Pace, PacedPress, Plan, PlantClock
-from tests.deploy.truth import KILLED, RESTARTED, Fault, Shift, Truth
+from tests.deploy.endurance import FAULTS, Endurance, Pace, Plan
+from tests.deploy.truth import KILLED, RESTARTED, Fault, PacedPress, PlantClock, Shift, Truth
 
 
 @pytest.mark.campaign
@@ -64,9 +65,16 @@ def test_the_press_stands_idle_after_the_panels_asked_for_and_goes_on_where_it_s
     assert 40_000.0 < press.pressed[3].closed_s < 40_100.0
 
 
+def plant(faults, ended_s):
+    """Return the truth of a press of ten times real speed that stands at 20 °C, without a panel."""
+    still = dict.fromkeys(("platen_top", "top_1", "bottom_1"), 20.0)
+    clock, shifts = PlantClock([(0.0, 0.0, 10.0)]), [Shift(0, 10.0, 1.0)]
+    return Truth("lab", shifts, clock.at, faults, {}, 0, ended_s, lambda at_s: still, lambda at_s: math.nan)
+
+
 def balance_of(tmp_path, fault, missing, scans=80):
     """Count scans of 100 ms, 10 s of the press each second, in which `bottom_1` has no value at some times. [s]"""
-    truth = Truth("lab", [Shift(0, 10.0, 1.0)], lambda real_s: real_s * 10.0, [fault], {}, 0, 100.0)
+    truth = plant([fault], 100.0)
     begin = datetime(2026, 3, 4, tzinfo=UTC)
     with open_store(str(tmp_path / "s.sqlite")) as store:
         key = store.register_press("lab", [Channel(name) for name in ("platen_top", "top_1", "bottom_1")])
@@ -124,14 +132,12 @@ def test_a_lost_logger_explains_a_value_until_its_driver_has_found_it_again_but_
 )
 def test_scans_that_were_due_before_the_recorder_went_are_its_own_loss(tmp_path, faults, until_s, unaccounted):
     """Scans of 100 ms from 90 s to a moment, then from a new recorder on, which comes 2.3 s after 110 s."""
-    truth = Truth("lab", [Shift(0, 10.0, 1.0)], lambda real_s: real_s * 10.0, faults, {}, 0, 115.0)
-    balance = taken(tmp_path, truth, [(90.0, until_s), (112.3, 115.0)])
+    balance = taken(tmp_path, plant(faults, 115.0), [(90.0, until_s), (112.3, 115.0)])
     assert balance.unaccounted["scans"] == pytest.approx(unaccounted, abs=1 if unaccounted else 0), balance.lines
 
 
 def test_scans_that_stop_while_the_recorder_is_at_work_are_unaccounted_for(tmp_path):
-    truth = Truth("lab", [Shift(0, 10.0, 1.0)], lambda real_s: real_s * 10.0, [], {}, 0, 120.0)
-    assert taken(tmp_path, truth, [(90.0, 115.0)]).unaccounted["scans"] == pytest.approx(48, abs=1)
+    assert taken(tmp_path, plant([], 120.0), [(90.0, 115.0)]).unaccounted["scans"] == pytest.approx(48, abs=1)
 
 
 def taken(folder, truth, sessions):
