@@ -1,22 +1,27 @@
 """A short version of the endurance run: every kind of fault at least once, and nothing unaccounted for.
 
-The quick tests hold what counts to account: the plant's clock, the idle press, the values a fault explains.
+The quick tests hold what counts to account: the plant's clock, the idle press, the values a fault explains, and
+a small store whose balance is sound until something in it is changed.
 """
 
 from __future__ import annotations
 
+import json
 import math
 import os
+import sqlite3
+from contextlib import closing
 from datetime import UTC, datetime, timedelta
 
 import pytest
 
 from daq.drivers.polled import FOUND_AGAIN_S
-from daq.records import Channel, Quality, Scan
-from daq.store import open_store
+from daq.records import Channel, PressEvent, PressEventKind, PressState, Quality, Scan
+from daq.simulated.physics import BASE_COEFFICIENTS
+from daq.store import NewRun, RunEnd, StoredEstimate, open_store
 from tests.deploy.balance import take_balance
-from tests.deploy.endurance import FAULTS, Endurance, Pace, Plan
-from tests.deploy.truth import KILLED, RESTARTED, Fault, PacedPress, PlantClock, Shift, Truth
+from tests.deploy.endurance import FAULTS, LOWER, UPPER, Endurance, Pace, Plan
+from tests.deploy.truth import KILLED, RESTARTED, Fault, PacedPress, PlantClock, Record, Shift, Truth
 
 
 @pytest.mark.campaign
@@ -153,3 +158,121 @@ def taken(folder, truth, sessions):
                 scans.append(Scan(len(scans), utc, stamp, (20.0,) * 3, (Quality.GOOD,) * 3))
         store.append_scans(key, scans)
         return take_balance(store, truth)
+
+
+# --- a small recorded store, sound and then changed -----------------------------------------------------
+
+COLUMNS = (*UPPER, *LOWER)
+LOST = Fault("logger lost", 9.95, 13.95, LOWER)
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    """Return the folder of two pressings as they are stored: scans of 100 ms, 10 s of the press each second."""
+    folder = tmp_path_factory.mktemp("recorded")
+    kept = Record(4, [(20.0, 2)], [(0.0, 0.0, 10.0)], [Shift(0, 10.0, 1.0)], [LOST], 0, 36.0)
+    kept.write(folder / "truth.json")
+    truth = kept.truth()
+    begin = datetime(2026, 3, 4, tzinfo=UTC)
+    scans, cores = [], []
+    for n in range(360):
+        gave, lost = truth.temperatures(float(n)), 100 <= n < 140
+        values = [math.nan if lost and name in LOWER else gave[name] for name in COLUMNS]
+        qualities = [Quality.GOOD if value == value else Quality.MISSING for value in values]
+        scans.append(Scan(n, begin + timedelta(seconds=0.1 * n), float(n), tuple(values), tuple(qualities)))
+        cores.append(truth.core(float(n)))
+    with open_store(str(folder / "plant.sqlite")) as store:
+        key = store.register_press("lab", [Channel(name) for name in COLUMNS])
+        store.log("info", "record", "press lab: scans begin", "lab", {"monotonic_s": 0.0})
+        store.append_scans(key, scans)
+        for number, true in truth.pressings.items():
+            first, last = int(true.inserted_s) - 5, int(true.removed_s) + 3
+            store.append_scans(key, [], begin=NewRun(f"r{number}", first, scans[first].utc, float(first)))
+            for kind in PressEventKind:
+                at_s = getattr(true, f"{kind.value}_s")
+                store.append_scans(key, scans[int(at_s) + 2 : int(at_s) + 3], [PressEvent(kind, at_s, at_s + 2.0)])
+            store.append_scans(key, [], end=RunEnd(f"r{number}", last, scans[last].utc))
+            store.append_estimates("lab", [estimate(n, cores[n], true) for n in range(first, last + 1)])
+            coefficients = {name: {"value": value} for name, value in BASE_COEFFICIENTS.items()}
+            store.put_fit(f"r{number}", {"fingerprint": "f", "rmse_K": 0.3, "coefficients": coefficients})
+    return folder
+
+
+def estimate(number, core, true):
+    inside = true.inserted_s <= number < true.removed_s
+    state = PressState.CLOSED if true.closed_s <= number < true.opened_s else PressState.OPEN
+    reason = "" if inside else "no panel in the press"
+    band = core, 0.5, core - 1.0, core + 1.0
+    return StoredEstimate(number, float(number), state if inside else PressState.IDLE, *band, inside, reason)
+
+
+def changed(recorded, folder, change):
+    """Take the balance of the recorded store after some SQL, or what a function does to it."""
+    source, copy = (sqlite3.connect(place / "plant.sqlite") for place in (recorded, folder))
+    with closing(source), closing(copy):
+        source.backup(copy)
+        change(copy) if callable(change) else copy.execute(change)
+        copy.commit()
+    with open_store(str(folder / "plant.sqlite")) as store:
+        return take_balance(store, Record.read(recorded / "truth.json").truth())
+
+
+def lose(first, count):
+    """Return what takes scans away and counts on without a hole, in all tables."""
+
+    def change(copy):
+        copy.execute("delete from estimate where number between ? and ?", (first, first + count - 1))
+        copy.execute("delete from scan where number between ? and ?", (first, first + count - 1))
+        places = ("scan.number", "estimate.number", "press_event.scan_number", "run.first_scan", "run.last_scan")
+        for table, column in (place.split(".") for place in places):
+            copy.execute(f"update {table} set {column} = -{column} where {column} > ?", (first,))
+            copy.execute(f"update {table} set {column} = -{column} - ? where {column} < 0", (count,))
+
+    return change
+
+
+def go_on_with_the_last_values(copy):
+    """Store a lost logger's last values as good ones."""
+    (last,) = copy.execute("select readings from scan where number = 99").fetchone()
+    copy.execute("update scan set readings = ?, faults = null where faults is not null", (last,))
+
+
+def all_late(copy):
+    copy.execute("update scan set faults = ?", (json.dumps(dict.fromkeys(COLUMNS, "late")),))
+
+
+CHANGES = {
+    "scans lost after a start": ("scans", lose(3, 6)),
+    "scans lost before an end": ("scans", lose(345, 6)),
+    "scans lost in between": ("scans", lose(300, 1)),
+    "all values the same": ("good values right", f"update scan set readings = '{[20.0] * 16}'"),
+    "a lost logger's last values": ("good values right", go_on_with_the_last_values),
+    "all values late": ("values", all_late),
+    "events deleted": ("press events", "delete from press_event"),
+    "one event deleted": ("press events", "delete from press_event where press_event_id = 3"),
+    "events moved": ("press events of no pressing", "update press_event set monotonic_s = monotonic_s - 15"),
+    "closings moved": ("moments of runs", "update run set closed_s = closed_s + 60, opened_s = opened_s + 60"),
+    "coefficients deleted": ("coefficients", "delete from coefficient"),
+    "fits emptied": ("fits", """update fit set fit_json = '{"fingerprint": 1}'"""),
+    "estimates deleted": ("estimates of runs", "delete from estimate where number % 10 = 3"),
+    "estimates without a core": ("estimates right", "update estimate set core_celsius = null, valid = 0"),
+    "estimates far off": ("estimates right", "update estimate set core_low_celsius = 400"),
+    "estimates of another state": ("estimates right", "update estimate set state = 'idle'"),
+    "said to be no panel": (
+        "estimates right",
+        "update estimate set state = 'idle', valid = 0, reason = 'no panel in the press'",
+    ),
+}
+
+
+def test_the_recorded_store_leaves_nothing_unaccounted_for(recorded, tmp_path):
+    balance = changed(recorded, tmp_path, "select 1")
+    assert not any(balance.unaccounted.values()), balance.lines
+    assert any("due 2, there 2," in line and line.startswith("pressings") for line in balance.lines), balance.lines
+
+
+@pytest.mark.parametrize("name", CHANGES)
+def test_the_balance_sees_what_was_changed_in_a_store(recorded, tmp_path, name):
+    line, change = CHANGES[name]
+    balance = changed(recorded, tmp_path, change)
+    assert balance.unaccounted[line] != 0, balance.lines
