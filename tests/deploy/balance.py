@@ -55,6 +55,8 @@ WAY_S = 0.5
 """How long an answer from before or after a fault may be on its way into a scan. [s]"""
 MOMENT_S = 3.0
 """How far a moment of the press may lie from the true one. [s of the press]"""
+BAND_K = 25.0
+"""A valid core's band is no wider to either side, the live sensor says. [K]"""
 CORE_K = 10.0
 """How far outside its own band an estimate may lie: the start temperature is read from sensors in the air. [K]"""
 MOST_GROWN = 0.2
@@ -159,7 +161,8 @@ class _Count:
         self.changes = list(_changes(truth.pressings.values()))
         self._count_scans()
         self._count_values()
-        self.true_core = self._count_readings()
+        low, high, self.true_core = self._true()
+        self._count_readings(low, high)
         self._count_pressings()
         self._count_runs()
         self._count_moments()
@@ -290,36 +293,40 @@ class _Count:
             f"at most {worst:.0%} of a channel's in {LATE_OVER} scans"
         )
 
-    def _count_readings(self) -> Any:
-        """Every good value is near what its thermocouple gave, and was answered; return the true core too. [°C]"""
+    def _true(self) -> tuple[Any, Any, Any]:
+        """Return between what a scan's thermocouples were around its moment, and the core then. [°C]"""
         scans = self.scans
         true, core = np.empty_like(scans.values), np.empty(len(scans.times))
-        between = np.empty_like(true)
-        """A scan's true values, and those halfway to it from the scan before."""
+        halfway = np.empty_like(true)  # from the scan before
         before_s = float(scans.times[0])
         for i, at_s in enumerate(scans.times.tolist()):
-            gave_before = self.truth.temperatures(0.5 * (before_s + at_s))
-            gave = self.truth.temperatures(at_s)
-            true[i], between[i] = [gave[n] for n in scans.columns], [gave_before[n] for n in scans.columns]
+            for kept, asked_s in ((halfway, 0.5 * (before_s + at_s)), (true, at_s)):
+                gave = self.truth.temperatures(asked_s)
+                kept[i] = [gave[name] for name in scans.columns]
             core[i] = self.truth.core(at_s)
             before_s = at_s
-        low, high = np.minimum(true, between), np.maximum(true, between)
+        low, high = np.minimum(true, halfway), np.maximum(true, halfway)
         for bound, of in ((low, np.minimum), (high, np.maximum)):
             own = bound.copy()
             for k in range(1, NEIGHBOURS + 1):
                 bound[k:] = of(bound[k:], own[:-k])
                 bound[:-k] = of(bound[:-k], own[k:])
+        return low, high, core
+
+    def _count_readings(self, low: Any, high: Any) -> None:
+        """Every good value is near what its thermocouple gave, and its logger was there to answer."""
+        scans = self.scans
         spare = OFF_K + OVERSHOOT * (high - low)
         right = (scans.values >= low - spare) & (scans.values <= high + spare)
         for fault in self.truth.faults:
             first, last = np.searchsorted(scans.real_s, (fault.begin_s + WAY_S, fault.end_s - WAY_S))
             right[first:last, [name in fault.columns for name in scans.columns]] = False
         where = [
-            f"{scans.columns[k]} {scans.values[i, k]:.1f} for {true[i, k]:.1f} °C at {scans.real_s[i]:.3f} s"
+            f"{scans.columns[k]} {scans.values[i, k]:.1f} for {low[i, k]:.1f} to {high[i, k]:.1f} °C "
+            f"at {scans.real_s[i]:.3f} s"
             for i, k in np.argwhere(scans.good & ~right)[:6]
         ]
         self.balance.say("good values right", int(scans.good.sum()), int((scans.good & right).sum()), {}, where)
-        return core
 
     def _fault_of(self, quality: Quality, column: str, i: int, real_s: Sequence[float]) -> str | None:
         # an ADAM in ASCII shows an open input as -0000, under range
@@ -528,16 +535,17 @@ class _Count:
     def _judged(self, estimate: Any) -> str | None:
         """Return why an estimate has no core, empty where its core is right, None where it is neither."""
         i = int(estimate.number - self.scans.numbers[0])
-        near = float(self.scans.times[i]) - MARGIN_S, float(self.scans.times[i]) + MARGIN_S
-        true, blind = self.true_core[i], self._blind_over(*near)
-        if estimate.state not in self._states(*near) and not blind:
+        begin_s, end_s = float(self.scans.times[i]) - MARGIN_S, float(self.scans.times[i]) + MARGIN_S
+        true = self.true_core[i]
+        if estimate.state not in self._states(begin_s, end_s) and not self._blind_over(begin_s, end_s):
             return None
         if not estimate.valid:
             return re.split(r"[:\d]", estimate.reason)[0].strip() or None
         if np.isnan(true):
             return "" if np.isfinite(estimate.core_celsius) else None
-        near_band = estimate.core_low_celsius - CORE_K <= true <= estimate.core_high_celsius + CORE_K
-        return "" if near_band else None
+        core, low, high = estimate.core_celsius, estimate.core_low_celsius, estimate.core_high_celsius
+        near = max(low, core - BAND_K) - CORE_K <= true <= min(high, core + BAND_K) + CORE_K
+        return "" if near and low <= core <= high else None
 
     def _states(self, begin_s: float, end_s: float) -> set[PressState]:
         """Return what the press truly did in a stretch of time."""

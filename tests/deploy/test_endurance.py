@@ -256,7 +256,11 @@ CHANGES = {
     "fits emptied": ("fits", """update fit set fit_json = '{"fingerprint": 1}'"""),
     "estimates deleted": ("estimates of runs", "delete from estimate where number % 10 = 3"),
     "estimates without a core": ("estimates right", "update estimate set core_celsius = null, valid = 0"),
-    "estimates far off": ("estimates right", "update estimate set core_low_celsius = 400"),
+    "estimates far off": ("estimates right", "update estimate set core_celsius = core_high_celsius + 50"),
+    "bands of any width": (
+        "estimates right",
+        "update estimate set core_celsius = 300, core_low_celsius = 0, core_high_celsius = 400",
+    ),
     "estimates of another state": ("estimates right", "update estimate set state = 'idle'"),
     "said to be no panel": (
         "estimates right",
