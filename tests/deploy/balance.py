@@ -283,7 +283,8 @@ class _Count:
         worst = 0.0
         for part in itertools.chain.from_iterable(_parts(session) for session in self.scans.sessions):
             worst = max(worst, late[part].mean(axis=0).max())
-            believed = late[part].sum(axis=0) <= MOST_LATE * len(part) + self.scans.left_out[part].sum()
+            few = max(MOST_LATE * len(part), SETTLED)  # a recorder ended at once may have seen late answers alone
+            believed = late[part].sum(axis=0) <= few + self.scans.left_out[part].sum()
             causes["late, machine busy"] += int(late[part][:, believed].sum())
             names = np.array(self.scans.columns)[~believed]
             where += [f"{name} mostly late from {real_s[part[0]]:.3f} s on" for name in names]
