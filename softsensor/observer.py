@@ -83,6 +83,8 @@ OTHER_K = 40.0
 """Faces colder than foretold by so much after the opening are another panel's. [K]"""
 UNCLEAR_S = 1.5
 """A coming better known than this and before the first scan is taken to be with it. [s]"""
+HOTTEST_START_C = 80.0
+"""A start temperature above was read from a panel that has been pressed: a recorder begun in between. [°C]"""
 CHANGED_S = 15.0
 """In a press opened for so long another panel may lie, where no sensor shows that it is the same. [s]"""
 FOUND_LATER = 2
@@ -377,6 +379,8 @@ class LiveSensor:
                 doubt = "the run begins with the panel on the hot plate"
             if came.sd > UNCLEAR_S:  # before the first scan it could not be carried on
                 came = replace(came, at=max(came.at, self._first + LEAST_WAIT_S))
+        if self._initial > HOTTEST_START_C:
+            doubt = f"no fresh panel starts at {self._initial:.0f} °C, as the header has it"
         seen = len(scans) > 0 and came.at > self._first + 0.3
         self._known = replace(
             self._known,

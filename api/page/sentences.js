@@ -40,6 +40,7 @@ const PATTERNS = [
   [/^model not valid: the run begins with the panel on the hot plate$/, "Modell nicht gültig: die Aufzeichnung beginnt mit der Platte auf der heißen Heizplatte"],
   [/^model not valid: for long no sensor has shown whether the panel still lies in the open press$/, "Modell nicht gültig: seit Langem zeigt kein Fühler, ob die Platte noch in der offenen Presse liegt"],
   [/^model not valid: faces far colder than those of the panel that was pressed; another one may lie there$/, "Modell nicht gültig: die Flächen sind viel kälter als die der gepressten Platte; es kann eine andere dort liegen"],
+  [/^model not valid: no fresh panel starts at (.+) °C, as the header has it$/, "Modell nicht gültig: keine frische Platte beginnt bei $1 °C, wie es in den Kopfdaten steht"],
   [/^core not observable: band wider than (.+) K to either side$/, "Kern nicht bestimmbar: Band breiter als $1 K zu jeder Seite"],
   [/^press state unknown$/, "Pressenzustand unbekannt"],
   [/^core will peak at (.+) °C, above the limit of (.+) °C$/, "der Kern erreicht noch $1 °C, über der Grenze von $2 °C"],

@@ -309,3 +309,14 @@ def test_a_run_that_begins_with_the_panel_long_on_the_plate_is_not_answered():
     closed = [e for e in said if e.state is PressState.CLOSED]
     assert closed
     assert not any(e.valid for e in closed)
+
+
+def test_a_start_temperature_read_from_a_pressed_panel_is_not_believed(pressing):
+    run, truth = pressing
+    columns = {n: v for n, v in run.columns.items() if not n.startswith(("top_", "bottom_"))}
+    said = replay(replace(run, header=dict(run.header) | {"panel.initial_temperature_C": 157.0}, columns=columns))
+    closed = [e for e in said if truth.moments.closed_s + 1.0 < e.time_s < truth.moments.opened_s]
+    assert len(closed) > 50
+    assert {(e.valid, e.reason) for e in closed} == {
+        (False, f"{NOT_VALID}: no fresh panel starts at 157 °C, as the header has it")
+    }
