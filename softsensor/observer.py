@@ -48,7 +48,7 @@ from softsensor.observer_trust import (
     coming,
     contradiction,
     first_error,
-    is_hot,
+    hot_from,
     start_error,
 )
 
@@ -140,8 +140,8 @@ class LiveSensor:
         """By how many faces."""
         self._lower_heard = self._face_heard = -math.inf
         """When the lower face was heard last, and any. [s]"""
-        self._hot_since = math.inf
-        """Since when the lower face is too hot for a panel that is not in the press. [s]"""
+        self._hot_since, self._hot_C = math.inf, math.inf
+        """Since when the lower face is too hot for a panel that is not in the press, and what that is. [s, °C]"""
         self._lies_since = math.inf
         """When the panel came to lie in the press. [s]"""
         self._doubt = ""
@@ -213,22 +213,19 @@ class LiveSensor:
 
     def _listen(self, bench: Bench, time_s: float) -> None:
         """Note which faces are heard: nothing else tells that a panel has come, is there, or has gone."""
-        level = self._scans.level[-1]
-        low = float(level[bench.lower]) if bench.lower >= 0 else math.nan
-        if np.isfinite(level).any():
+        level = self._scans.level[-1].tolist()
+        low = level[bench.lower] if bench.lower >= 0 else math.nan
+        if any(face == face for face in level):
             self._face_heard = time_s
-        if math.isfinite(low):
+        if low == low:
             self._lower_heard = time_s
-        if not is_hot(low, self._initial):
-            self._hot_since = math.inf
-        elif self._hot_since > time_s:
-            self._hot_since = time_s
+        self._hot_since = min(self._hot_since, time_s) if low >= self._hot_C else math.inf
         moments = self._known.moments
         if not math.isfinite(moments.opened_s) or math.isfinite(moments.removed_s):
             return
         if time_s - moments.opened_s > CHANGED_S and time_s - self._face_heard > UNHEARD_S:
             self._doubt = "for long no sensor has shown whether the panel still lies in the open press"
-        elif self._track is not None and (self._track.read - level > OTHER_K).any():
+        elif self._track is not None and (self._track.read - self._scans.level[-1] > OTHER_K).any():
             self._doubt = "faces far colder than those of the panel that was pressed; another one may lie there"
 
     def _take_in(self, bench: Bench, now: float, *, stale: bool) -> None:
@@ -313,6 +310,7 @@ class LiveSensor:
         self._still = Stillness(bench.place, len(bench.labels), len(bench.platens))
         if press.panel_layers:
             self._initial = panel_of(run).initial_temperature
+            self._hot_C = hot_from(self._initial)
         self._bench = bench
         return bench
 
@@ -374,7 +372,7 @@ class LiveSensor:
             opened = self._known.moments.opened_s
             opened = opened if math.isfinite(opened) else -math.inf
             came = coming(self._seen(bench), self._initial, at, closed, time_s, opened)
-            warm = bench.lower >= 0 and is_hot(float(scans.level[0, bench.lower]), self._initial)
+            warm = bench.lower >= 0 and scans.level[0, bench.lower] >= self._hot_C
             if warm and came.at < self._first - UNCLEAR_S:
                 doubt = "the run begins with the panel on the hot plate"
             if came.sd > UNCLEAR_S:  # before the first scan it could not be carried on

@@ -6,6 +6,7 @@ import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -78,7 +79,7 @@ class Mixture:
     by_faces: bool = False
     """Whether something has changed at once and the faces as measured tell the core, whatever the contacts do."""
 
-    @property
+    @cached_property
     def leading(self) -> int:
         """The most likely hypothesis."""
         return int(np.argmax(self.weights))

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.records import Array
 from softsensor import observer_kernels as loops
@@ -118,7 +117,7 @@ def coming(scans: Seen, start_C: float, at: float, closed: float, now: float, op
     watched = _unbroken(opened, heard)
     if at - watched <= SPARSE_S:
         return Coming(at)  # hot as it may be from the panel before, the face has been watched all along
-    hot, cold = is_hot(low, start_C), np.isfinite(low) & ~is_hot(low, start_C)
+    hot, cold = low >= hot_from(start_C), low < hot_from(start_C)
     begins = max(float(time[cold].max(initial=-math.inf)), watched)
     hot &= (time > begins) & (time < closed - RAMP_S)
     joined = time[hot][np.diff(time[hot], prepend=-math.inf) > SPARSE_S]
@@ -135,9 +134,9 @@ def coming(scans: Seen, start_C: float, at: float, closed: float, now: float, op
     return Coming(min(max(found.at, earliest), ends), min(found.sd, (ends - earliest) / math.sqrt(12.0)))
 
 
-def is_hot(face_C: Array | float, start_C: float) -> NDArray[np.bool_]:
-    """Return whether a face is too hot for hand and room; False where it is unheard. [°C]"""
-    return np.asarray(face_C) >= max(COLD_C, start_C + COLD_K)
+def hot_from(start_C: float) -> float:
+    """Return the temperature from which on a face is too hot for hand and room. [°C]"""
+    return max(COLD_C, start_C + COLD_K)
 
 
 def _unbroken(begin: float, heard: Array) -> float:
