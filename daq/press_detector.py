@@ -21,12 +21,12 @@ _LOOK_BACK_S = 0.9
 """Changes are judged over about this time, at least one scan. [s]"""
 _SETTLE_S = 0.65
 """Scans awaited after a closing or opening is plain, to place it. [s]"""
-_HAND_C = 38.0
+HAND_C = 38.0
 """Hands and room never bring a sensor above this. [°C]"""
 _ROOM_C = 25.0
-_BLIND_S = 3.0
+BLIND_S = 3.0
 """Without a usable sensor this long, the state is unknown. [s]"""
-_CHANGE_S = 15.0
+CHANGE_S = 15.0
 """A press opened for so long without a sensor to look at may hold another panel. [s]"""
 _WARMED_K = 2.0
 """An upper face that stands or falls comes to no plate; one in the open press warms by more in 9 s. [K]"""
@@ -89,7 +89,7 @@ class PressEventDetector:
     @property
     def state(self) -> PressState | None:
         """What the press is doing; None where nothing usable has been seen for 3 s."""
-        if self._switch is None and (not self._rows or self._rows[-1].time - self._seen > _BLIND_S):
+        if self._switch is None and (not self._rows or self._rows[-1].time - self._seen > BLIND_S):
             return None
         return self._state
 
@@ -175,7 +175,7 @@ class PressEventDetector:
     def _unseen_change(self, time_s: float) -> bool:
         """Whether the pressed panel may have gone for another one while no sensor showed it."""
         opened = self._state is PressState.OPEN and self._was_closed
-        return opened and time_s - self._since > _CHANGE_S and time_s - self._seen > _BLIND_S
+        return opened and time_s - self._since > CHANGE_S and time_s - self._seen > BLIND_S
 
     def _nothing_hot(self, row: _Row) -> bool:
         """Whether the sensors, as far as there are any, lie in no press: it was closed with nothing in it."""
@@ -232,7 +232,7 @@ class PressEventDetector:
         """The upper face jumps towards the plate (the lower one, where no upper sensor works)."""
         if now.top == now.top and then.top == then.top:
             gap = _gap(now.plate, then.top)
-            if gap < 25.0 or now.top - then.top < max(6.0, 0.11 * gap) or now.top < _HAND_C:
+            if gap < 25.0 or now.top - then.top < max(6.0, 0.11 * gap) or now.top < HAND_C:
                 return False
             return _together(now.tops, then.tops, 0.11 * gap)
         if self._state is PressState.IDLE or now.bottom != now.bottom or then.bottom != then.bottom:
@@ -275,9 +275,9 @@ class PressEventDetector:
         if now.bottom != now.bottom or then.bottom != then.bottom:
             return self._upper_only(now, then)
         early = self._row_before(9.0) or then
-        if now.bottom < _HAND_C:
+        if now.bottom < HAND_C:
             return False
-        return self._jumped(now, then, 0.04) or (early.bottom < _HAND_C and self._jumped(now, early, 0.08))
+        return self._jumped(now, then, 0.04) or (early.bottom < HAND_C and self._jumped(now, early, 0.08))
 
     def _jumped(self, now: _Row, then: _Row, share: float) -> bool:
         """Whether the lower face alone rose by a share of its distance to the plate."""
@@ -291,7 +291,7 @@ class PressEventDetector:
     def _upper_only(self, now: _Row, then: _Row) -> bool:
         """Where no sensor of the lower face is heard, not only for a scan, the upper one has warmed."""
         early = self._row_before(9.0) or then
-        if self._bottom_before(0.0) is not None or not now.top > 1.3 * _HAND_C:
+        if self._bottom_before(0.0) is not None or not now.top > 1.3 * HAND_C:
             return False
         return now.top > then.top and now.top - early.top > _WARMED_K
 
@@ -339,7 +339,7 @@ class PressEventDetector:
             return False
         trend = (then.bottom - early.bottom) / (then.time - early.time)
         fall = then.bottom + trend * (now.time - then.time) - now.bottom
-        if not (fall > 3.0 and then.bottom - now.bottom > 2.5 and now.bottom > _HAND_C):
+        if not (fall > 3.0 and then.bottom - now.bottom > 2.5 and now.bottom > HAND_C):
             return False
         return _together(then.bottoms, now.bottoms, 5.0)
 

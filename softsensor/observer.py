@@ -27,6 +27,7 @@ from typing import Any
 
 import numpy as np
 
+from daq.press_detector import BLIND_S, CHANGE_S
 from daq.press_events import PressEventDetector
 from daq.press_wires import WIRES
 from daq.pressfile import Press, panel_of, press_for_run
@@ -75,8 +76,6 @@ LATE_S = 2.0
 """Platens may be unknown for so long while a panel lies in the press for the first time. [s]"""
 REOPENED_S = 3.0
 """A press open for less than this has stayed closed: a bouncing switch, or steam let out. [s]"""
-UNHEARD_S = 3.0
-"""In an idle press whose lower face is unheard for longer a panel may lie and warm. [s]"""
 NOTICED_S = 2.0
 """After so long on the hot plate a panel is noticed, or its sensors came late. [s]"""
 OTHER_K = 40.0
@@ -85,8 +84,6 @@ UNCLEAR_S = 1.5
 """A coming better known than this and before the first scan is taken to be with it. [s]"""
 HOTTEST_START_C = 80.0
 """A start temperature above was read from a panel that has been pressed: a recorder begun in between. [°C]"""
-CHANGED_S = 15.0
-"""In a press opened for so long another panel may lie, where no sensor shows that it is the same. [s]"""
 FOUND_LATER = 2
 """So many of `TIMING`, closing and opening, become known after the filters have begun."""
 
@@ -223,7 +220,7 @@ class LiveSensor:
         moments = self._known.moments
         if not math.isfinite(moments.opened_s) or math.isfinite(moments.removed_s):
             return
-        if time_s - moments.opened_s > CHANGED_S and time_s - self._face_heard > UNHEARD_S:
+        if time_s - moments.opened_s > CHANGE_S and time_s - self._face_heard > BLIND_S:
             self._doubt = "for long no sensor has shown whether the panel still lies in the open press"
         elif self._track is not None and (self._track.read - self._scans.level[-1] > OTHER_K).any():
             self._doubt = "faces far colder than those of the panel that was pressed; another one may lie there"
@@ -421,7 +418,7 @@ class LiveSensor:
             reason = f"{NOT_VALID}: {doubt}"
         elif min(member.misfit for member in track.members) > MISFIT_LIMIT and not mixture.by_faces:
             reason = NOT_VALID
-        elif waiting and time_s - self._lower_heard > UNHEARD_S:
+        elif waiting and time_s - self._lower_heard > BLIND_S:
             reason = f"{NOT_OBSERVABLE}: no sensor of the lower face shows whether a panel lies in the press"
         elif (waiting and time_s - self._hot_since > NOTICED_S) or (
             self._overtaken and self._known.inserted_sd > 0.0

@@ -8,25 +8,22 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from daq.press_detector import HAND_C
 from daq.records import Array
 from softsensor import observer_kernels as loops
+from softsensor.observer_blocks import SPARSE_S, Scans
 from softsensor.observer_kernels_blocks import note_moves
-
-if TYPE_CHECKING:
-    from softsensor.observer_blocks import Scans
 
 START_K = 6.0
 """Faces of which the colder one is this far from the header's start temperature are no fresh panel's: a face in
 the open press warms by so much in 1.5 s at most, where it does not touch a plate. [K]"""
 DOUBTED_K = 1.0
 """From here on the header's start temperature is known no better than it is off. [K]"""
-SPARSE_S, COLD_C, COLD_K = 2.2, 38.0, 5.0
-"""A lower face unheard for longer before it is hot hides when the panel came; it counts as cold up to so much, or
-so much above the header's start temperature. [s, °C, K]"""
+COLD_K = 5.0
+"""A lower face counts as cold up to what hands and room bring it to, or so much above the header's start. [K]"""
 SLOPE_S, RAMP_S = 1.3, 0.6
 """So long a face is watched for its slope, and not so near before the closing, whose ramp heats it. [s]"""
 UPPER_K, UPPER_S = 3.0, 3.0
@@ -136,7 +133,7 @@ def coming(scans: Seen, start_C: float, at: float, closed: float, now: float, op
 
 def hot_from(start_C: float) -> float:
     """Return the temperature from which on a face is too hot for hand and room. [°C]"""
-    return max(COLD_C, start_C + COLD_K)
+    return max(HAND_C, start_C + COLD_K)
 
 
 def _unbroken(begin: float, heard: Array) -> float:
