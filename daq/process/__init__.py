@@ -1,0 +1,1 @@
+"""What every long-running process needs: its configuration, its signs of life, its end."""

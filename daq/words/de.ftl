@@ -1,0 +1,1678 @@
+### Die Worte von Kerntemp auf Deutsch.
+### Grammar: projectfluent.org. A message's name says where it belongs and what it means; its variables are the
+### arguments of `say` in the code. Numbers: NUMBER($x, maximumFractionDigits: 1) rounds.
+### Sections follow the rooms; keep each in alphabetical order.
+
+## general
+
+at-column = Spalte { $column }: { $what }
+at-key = { $key }: { $what }
+at-key-value = { $key } = { $value }: { $what }
+at-line = Zeile { NUMBER($line) }: { $what }
+at-place = { $place }: { $what }
+fault-and-more = { $first }; { $rest }
+file-cannot-read = { $what } ist nicht lesbar: { $reason }
+file-cannot-write = lässt sich nicht schreiben: { $reason }
+file-changed = seit dem Schreiben verändert oder beschädigt; neu schreiben oder, um sie so zu verwenden, aus { $manifest } streichen
+file-of-calibrations = die Kalibrierdatei
+file-of-configuration = die Konfiguration
+file-of-mapping = die Zuordnung
+file-of-press = die Pressendatei
+file-of-profile = das Profil
+file-of-run = die Laufdatei
+key-empty = ist leer; mindestens einen Eintrag angeben
+key-missing = fehlt; bitte ergänzen
+key-no-bool = muss true oder false sein
+key-no-list = muss eine Liste in Klammern sein
+key-no-number = muss eine gültige Zahl sein
+key-no-table = muss eine Tabelle sein
+key-no-text = muss ein Text in Anführungszeichen sein
+key-no-whole-number = muss eine gültige ganze Zahl sein
+key-not-finite = muss eine endliche Zahl sein
+key-one-of = muss { $known } sein
+key-unknown = unbekannter Schlüssel; entfernen oder Schreibweise prüfen
+key-unknown-meant = unbekannter Schlüssel; gemeint ist wohl { $meant }
+limit-greater-than = muss größer als { NUMBER($limit, maximumFractionDigits: 6) } sein
+limit-greater-than-equal = muss mindestens { NUMBER($limit, maximumFractionDigits: 6) } sein
+limit-less-than = muss kleiner als { NUMBER($limit, maximumFractionDigits: 6) } sein
+limit-less-than-equal = darf höchstens { NUMBER($limit, maximumFractionDigits: 6) } sein
+list-of-names = { $names }
+place-line = Zeile { NUMBER($line) }
+place-row = Reihe { NUMBER($row) }
+plain-text = { $text }
+toml-integer-too-long = eine ganze Zahl mit mehr als { NUMBER($digits) } Ziffern; kürzen oder, wenn es ein Text ist, in Anführungszeichen setzen
+toml-invalid = kein gültiges TOML: { $reason }
+toml-too-deep = Tabellen oder Listen mehr als { NUMBER($deepest) } Ebenen tief verschachtelt; flacher schreiben
+
+## daq.drivers: loggers, wires, calibration
+
+calibration-entry = Eintrag { NUMBER($number) }: { $what }
+calibration-gain-outside = { $channel }: Verstärkung { NUMBER($gain, minimumFractionDigits: 3, maximumFractionDigits: 3) } liegt außerhalb von { NUMBER($smallest) }..{ NUMBER($largest) }; Verdrahtung prüfen
+calibration-other-tables = nur Tabellen [[calibration]] sind bekannt, gefunden: { $found }
+calibration-points-close = { $channel }: Anzeigen { NUMBER($low, maximumFractionDigits: 2) } und { NUMBER($high, maximumFractionDigits: 2) } °C liegen näher als { NUMBER($apart_K) } K beieinander; Punkte weiter auseinander wählen
+cause-babble = die Leitung schweigt nie
+cause-busy = beschäftigt
+cause-closed = geschlossen
+cause-connection-refused = Verbindung abgelehnt
+cause-crc = Prüfsumme falsch
+cause-driver-fault = Fehler im Treiber
+cause-echo = Echo falsch
+cause-garbage = Datenmüll
+cause-no-permission = keine Berechtigung
+cause-no-port = kein Anschluss
+cause-out-of-step = Antworten versetzt
+cause-port-in-use = Anschluss belegt
+cause-port-lost = Anschluss verloren
+cause-refused = abgelehnt
+cause-silent = stumm
+cause-surplus = überzählige Bytes
+cause-truncated = abgebrochen
+cause-unreachable = nicht erreichbar
+cause-wrong-id = falsche Station oder Nummer
+cause-wrong-shape = falsche Form
+connection-closed = das Gerät hat die Verbindung geschlossen
+connection-lost = Verbindung verloren: { $reason }
+line-babbles = { $place }: die Leitung schweigt nie
+logger-channels-twice = channels nennt { $names } zweimal
+logger-check-differs = { $place } Station { NUMBER($station) }: { $what } liefert { $found }, Profil { $profile } erwartet { $expected }
+logger-closed = das Messgerät ist geschlossen
+logger-needs-address = die Adresse dieses Geräts ist nicht gesichert bekannt; address angeben
+logger-needs-baud = Messgerät { $logger }: die Baudrate dieses Geräts ist nicht gesichert bekannt; baud angeben
+logger-needs-cold-junction = das Gerät liefert Spannungen; cold_junction_C angeben
+logger-no-answer-yet = noch keine Antwort
+logger-no-channels = channels nennt keine Spalte
+logger-no-reply = { $place }: keine Antwort in { NUMBER($timeout_s) } s; Strom, Kabel und Adresse prüfen
+logger-of-profile = Messgerät { $logger } ({ $profile })
+logger-other-name = { $place }: das Gerät nennt sich { $found }, erwartet { $expected }
+logger-port-or-host = entweder port (etwa "/dev/ttyUSB0") oder host (etwa "192.168.0.21") angeben
+logger-refuses-set-up = { $place }: das Gerät lehnt die Einstellung ab: { $fault }
+logger-rtu-on-host = transport = "rtu" braucht port; über ein Netz "rtu_over_tcp" verwenden
+logger-scaling =
+    { $given ->
+        [yes] Skalierung '{ $scaling }' ist unbekannt; zur Wahl stehen: { $known }
+       *[no] die Skalierung dieses Geräts ist nicht gesichert bekannt; zur Wahl stehen: { $known }
+    }
+logger-tcp-on-port = transport = "tcp" braucht host statt port
+logger-tcp-port-alone = tcp_port braucht host
+logger-too-many-channels = { NUMBER($channels) } Kanäle, das Gerät hat { NUMBER($inputs) } Eingänge
+logger-uncorrected = Messgerät { $logger }: Werte sind nicht korrigiert, { $file } gibt es noch nicht; kerntemp calibrate --write legt sie an
+modbus-busy =
+    { $exception ->
+        [4] das Gerät antwortet mit Ausnahme 4 (Gerätefehler)
+        [5] das Gerät antwortet mit Ausnahme 5 (angenommen, noch in Arbeit)
+        [6] das Gerät antwortet mit Ausnahme 6 (beschäftigt)
+        [10] das Gateway antwortet mit Ausnahme 10 (kein Weg zum Gerät)
+        [11] das Gateway antwortet mit Ausnahme 11 (das Gerät antwortet nicht)
+       *[other] das Gerät antwortet mit Ausnahme { NUMBER($exception) }
+    }
+modbus-refused =
+    { $exception ->
+        [1] das Gerät lehnt die Anfrage ab: Ausnahme 1 (unzulässige Funktion); das Profil passt nicht
+        [2] das Gerät lehnt die Anfrage ab: Ausnahme 2 (unzulässige Adresse); das Profil passt nicht
+        [3] das Gerät lehnt die Anfrage ab: Ausnahme 3 (unzulässiger Wert); das Profil passt nicht
+       *[other] das Gerät lehnt die Anfrage ab: Ausnahme { NUMBER($exception) }; das Profil passt nicht
+    }
+module-checksum =
+    { $is_on ->
+        [on] hat seine Prüfsumme eingeschaltet; checksum entsprechend setzen
+       *[off] hat seine Prüfsumme ausgeschaltet; checksum entsprechend setzen
+    }
+module-format = schreibt keine technischen Einheiten; im Modul Datenformat 0 einstellen
+module-name = nennt sich { $found }, das Profil erwartet { $expected }
+module-refused = { $place } Modul { $address } { $why }
+module-unknown-command = kennt { $command } nicht
+port-cannot-connect = keine Verbindung zu { $place }
+port-cannot-open = { $place } lässt sich nicht öffnen
+port-lost = Anschluss verloren: { $reason }
+port-no-socket = Anschluss { $port }: socket://host:port schreiben, etwa socket://192.168.0.50:4001
+port-not-opened = { $what }: { $cause }; { $remedy }
+port-remedy-connection-refused = das Gerät ist an, aber dort hört nichts; Port prüfen
+port-remedy-no-permission = der Benutzer darf ihn nicht öffnen; in die Gruppe des Anschlusses aufnehmen
+port-remedy-no-port = kein solcher Anschluss; Adapter und Namen prüfen
+port-remedy-port-in-use = ein anderes Programm hat ihn offen; dieses schließen
+port-remedy-unreachable = unter dieser Adresse antwortet niemand; Strom, Kabel und host prüfen
+port-two-settings = { $port }: zwei Messgeräte an einem Anschluss verlangen verschiedene Einstellungen: { $first }, { $second }
+probe-fits = passt
+probe-needs-place = probe: entweder --port oder --host angeben
+probe-not-at-room-temperature = nicht auf Raumtemperatur
+probe-reads-registers = lese Register von Station { NUMBER($station) }, Funktion { NUMBER($function) }
+probe-tries-profile = versuche { $profile }
+profile-bits-wide = values.format = '{ $format }': block.function 1 und 2 liefern Bits; 'u16' angeben
+profile-block-short = block.count = { NUMBER($count) }, aber { NUMBER($inputs) } Werte enden bei { NUMBER($end) }
+profile-check = Prüfung { $what }
+profile-needs-tables = Protokoll { $protocol } braucht die Tabelle { $tables }
+profile-not-established = { $key } ist für dieses Gerät nicht gesichert bekannt; als override.{ $key } angeben
+profile-same-shape = { $what } hat die Form der Messwertabfrage; eine späte Antwort könnte für Messwerte gehalten werden: in Teilen lesen
+profile-scale-or-code = entweder scale oder full_code und full_value angeben
+profile-table-missing = Profil { $profile } hat keine Tabelle { $table }
+profile-unknown = kein solches Profil; bekannt sind { $known }, oder den Pfad einer .toml angeben
+profile-unknown-meant = kein solches Profil; gemeint ist wohl { $meant }, oder den Pfad einer .toml angeben
+profile-with-scaling = { $profile } mit Skalierung { $scaling }
+registers-float = Gleitkomma
+registers-full-scale = { $full } = { NUMBER($celsius) } °C
+registers-hundredths = Hundertstel
+registers-low-word-first = { $meaning }, niederes Wort zuerst
+registers-tenths = Zehntel
+registers-whole-degrees = ganze Grad
+reply-checksum = Prüfsumme falsch
+reply-echo = das lokale Echo weicht vom Gesendeten ab
+reply-endless = kein Zeilenende in { NUMBER($bytes) } Bytes
+reply-field-count = { NUMBER($fields) } Felder für { NUMBER($channels) } Kanäle
+reply-no-configuration = { $reply } ist keine Konfiguration
+reply-no-modbus = der Datenstrom enthält kein Modbus-Telegramm
+reply-no-open-mask = { $reply } ist keine Maske offener Eingänge
+reply-no-status = { $reply } ist kein Status
+reply-no-text = Antwort { $reply } enthält Bytes, die kein Text sind
+reply-no-value = { $reply } ist kein Messwert
+reply-other-channels = Kanäle { $found }, gefragt { $asked }
+reply-other-head = Antwort beginnt mit { $found }, erwartet { $expected }
+reply-other-lead = Antwort { $reply } auf { $command } beginnt nicht mit { $lead }
+reply-other-station = Antwort von Station { NUMBER($found) }, gefragt { NUMBER($asked) }
+reply-out-of-step = { $reply } an der Stelle des Gerätenamens: Antworten versetzt
+reply-surplus =
+    { $bytes ->
+        [one] ein Byte nach dem Ende der Antwort
+       *[other] { NUMBER($bytes) } Bytes nach dem Ende der Antwort
+    }
+reply-to-others = { $place }: es kamen nur Antworten an andere
+reply-truncated =
+    { $bytes ->
+        [one] { $place }: Antwort bricht nach einem Byte ab
+       *[other] { $place }: Antwort bricht nach { NUMBER($bytes) } Bytes ab
+    }
+reply-value-count = { $reply } sind nicht { NUMBER($values) } Messwerte
+room-check-no-value = kein Wert
+room-check-noisy = unruhig
+room-check-off = daneben
+room-check-ok = in Ordnung
+room-check-too-few =
+    { $readings ->
+        [one] Prüfung bei Raumtemperatur: eine Messung; mindestens 2 aufnehmen
+       *[other] Prüfung bei Raumtemperatur: { NUMBER($readings) } Messungen; mindestens 2 aufnehmen
+    }
+simulated-no-device = kein simuliertes Gerät '{ $profile }'; vorhanden: { $known }
+simulated-no-effect = Effekt '{ $name }': unbekannt; bekannt sind { $known }
+simulated-no-fault = Fehler '{ $name }': unbekannt; bekannt sind { $known }
+simulated-no-input = --open { $given }: { $profile } hat die Eingänge 0 bis { NUMBER($last) }
+
+## daq.press and daq.files: press file, run file, mapping, header
+
+foreign-cell-count = { NUMBER($cells) } Zellen, aber Zeile { NUMBER($line) } nennt { NUMBER($columns) } Spalten
+foreign-column-missing = Spalte '{ $column }' der Zuordnung steht nicht in der Datei; vorhanden: { $found }
+foreign-column-twice = Spalte '{ $column }' der Zuordnung steht zweimal in der Datei; dort eine umbenennen
+foreign-encoding-unknown = file.encoding = '{ $encoding }' ist unbekannt; utf-8 oder cp1252 versuchen
+foreign-encoding-wrong = kein { $encoding }-Text bei Byte { NUMBER($byte) }; file.encoding setzen
+foreign-header-empty = header_from.{ $key }: Spalte '{ $column }' enthält keinen Wert; den Schlüssel in [header] angeben
+foreign-no-number = { $cell } ist keine Zahl mit Dezimalzeichen '{ $decimal }'; file.decimal setzen oder in file.missing aufnehmen
+foreign-no-rows = auf Zeile { NUMBER($line) }, die die Spalten nennt, folgen keine Reihen
+foreign-no-temperature = { $value } °C ist keine Temperatur; sie muss zwischen { NUMBER($coldest) } und { NUMBER($hottest) } °C liegen; die Einheit der Spalte angeben oder lower und upper setzen
+foreign-time-falls = { $cell } steigt nicht; Reihen sortieren oder time.repeated = "first" setzen
+foreign-time-format = { $cell } ist nicht '{ $format }'; time.format setzen
+foreign-too-short =
+    { $lines ->
+        [one] hat eine Zeile, aber file.header_line = { NUMBER($header_line) }
+       *[other] hat { NUMBER($lines) } Zeilen, aber file.header_line = { NUMBER($header_line) }
+    }
+frame-without-rows = { $run }: die Tabelle hat keine Zeilen; eine Pressung braucht mindestens eine Messzeile
+frame-without-times = { $run }: die Tabelle hat keine Zeiten; geben Sie eine Spalte oder einen Index time_s in Sekunden an, oder einen Index aus Zeitpunkten (Spalten sind { $columns })
+header-far-from-table = Kopfschlüssel { $key } = { NUMBER($value) } { $unit } liegt weit von den { NUMBER($table) } { $unit } der Werkstofftabelle für { $material }; bitte prüfen
+header-key-meant = Kopfschlüssel { $key } ist unbekannt; gemeint ist wohl { $meant }
+header-key-twice = Kopfschlüssel { $key } ist zweimal angegeben; einen behalten
+header-key-unknown = Kopfschlüssel { $key } ist unbekannt; er wird aufbewahrt, aber nicht verwendet
+header-line-no-toml = '# { $text }' ist kein 'Schlüssel = Wert' in TOML ({ $reason }); Text in Anführungszeichen setzen, eine Bemerkung mit '##' beginnen
+header-missing = Kopfschlüssel { $key } fehlt; '# { $key } = ...' ergänzen
+header-missing-material = Kopfschlüssel { $key } fehlt und Werkstoff '{ $material }' steht nicht in der Tabelle ({ $known }); '# { $key } = ...' ergänzen
+header-no-number = Kopfschlüssel { $key } = { $value }: muss eine Zahl sein; den Kopf berichtigen
+header-no-such-place = Kopfschlüssel { $key }: diese Stelle gibt es in der Pressendatei nicht
+header-number-outside = Kopfschlüssel { $key } = { $value }: muss eine Zahl von { NUMBER($lower) } bis { NUMBER($upper) } { $unit } sein
+header-override = Überschreibung im Kopf: { $what }
+header-sd-not-positive = { $key } = { $value }: eine Standardabweichung muss eine positive Zahl sein
+header-section = '# { $text }': Abschnitte werden nicht gelesen; '# panel.key = value' schreiben
+header-value-kind = Kopfwert { $value }: eine Laufdatei enthält Text, Zahlen, true/false, Zeiten und Listen
+manifest-line = nicht 'SHA-256-Summe, zwei Leerzeichen, Datei'; die Zeile entfernen
+mapping-header-source = header_from.{ $key }.column = '{ $column }': keine [[column]] führt dorthin
+mapping-no-zone = muss eine Zeitzone wie Europe/Berlin sein
+mapping-target-twice = column.to = '{ $column }' kommt zweimal vor; jede Spalte der Laufdatei hat eine Quelle
+press-boundary-needs-coefficient = kind = "air" braucht coefficient, den Namen des Wärmeübergangskoeffizienten
+press-boundary-needs-column = kind = "measured" braucht column, die Spalte der Laufdatei mit der Temperatur
+press-coefficient-unused = { $name }: kein Kontakt und kein Rand verwendet ihn; verwendet werden { $used }
+press-contact-cannot-part = { $boundary } ist von der Art '{ $kind }', von der sich keine Schicht trennt; einen Namen angeben
+press-contact-no-neighbours = keine Nachbarn, von unten nach oben genannt; möglich sind { $possible }
+press-contact-twice = zweimal angegeben
+press-depth-outside = außerhalb der Schicht '{ $layer }', die { NUMBER($thickness_mm) } mm dick ist
+press-guess-outside = guess = { NUMBER($guess) } liegt außerhalb von lower..upper = { NUMBER($lower) }..{ NUMBER($upper) }
+press-initial-needs = kind = "uniform" braucht temperature_C
+press-layer-needs = braucht { $keys } (oder from_run = true)
+press-layer-surplus = from_run = true nimmt die Kennwerte aus der Pressung; { $keys } entfernen
+press-layer-twice = Schichten brauchen verschiedene Namen; { $names } kommt zweimal vor
+press-no-place = muss SCHICHT.bottom, SCHICHT.middle, SCHICHT.top oder {"{"} layer = SCHICHT, depth_mm = ... {"}"} sein
+press-no-such-layer = diese Schicht gibt es nicht
+press-open-above-closed = open_below = { NUMBER($open) } liegt über closed_above = { NUMBER($closed) }
+press-prior-outside = außerhalb der Grenzen des Koeffizienten { NUMBER($lower) }..{ NUMBER($upper) }
+press-prior-unknown = { $name }: diesen Koeffizienten gibt es nicht; verwendet werden { $used }
+press-sd-of-nothing = { $key }.sd: daneben steht keine Zahl { $key }
+press-table-not-rising = eine Tabelle braucht mindestens eine Zeile, mit steigenden Temperaturen
+press-wire-as-temperature = würde als Temperatur gelesen, wegen '{ $pattern }'; den Kanal umbenennen
+press-wire-twice = ist schon der Endschalter; eine andere Spalte nennen
+quality-form = { $text }: Spalte=Qualität schreiben, mit einem Leerzeichen zwischen zweien; eine Spalte mit anderen Worten umbenennen
+quality-no-such-column = { $text } nennt Spalte { $column }, die es nicht gibt; den Namen berichtigen
+quality-unknown = { $text }: { $quality } ist keine Qualität; es gibt { $known }
+run-cell-count =
+    { $cells ->
+        [one] 1 Zelle, aber die Kopfzeile hat { NUMBER($columns) } Spalten; einen fehlenden Wert als leere Zelle schreiben
+       *[other] { NUMBER($cells) } Zellen, aber die Kopfzeile hat { NUMBER($columns) } Spalten; einen fehlenden Wert als leere Zelle schreiben
+    }
+run-closed-value = { NUMBER($value) } muss 0 (offen) oder 1 (geschlossen) sein
+run-column-length = Spalte '{ $column }' ist nicht so lang wie time_s
+run-column-twice = Spalte '{ $column }' kommt zweimal vor (Spalten { NUMBER($first) } und { NUMBER($second) }); eine umbenennen
+run-column-type = Typ { $type } ist keine Zahl; als float64 speichern
+run-column-unnamed = Spalte { NUMBER($number) } hat keinen brauchbaren Namen ({ $name }); jeder Spalte einen Namen geben
+run-file-empty = die Datei ist leer; eine Laufdatei hat Zeilen '# Schlüssel = Wert', eine Kopfzeile und Reihen
+run-header-row-numbers = die Kopfzeile fehlt: dort stehen Zahlen; sie beginnt mit time_s, ...
+run-no-commas = die Zellen sind nicht durch Kommas getrennt; Komma und Punkt verwenden oder mit einer Zuordnung einlesen
+run-no-header-row = die Kopfzeile fehlt; sie beginnt mit time_s, ...
+run-no-number = { $cell } ist keine Zahl; einen fehlenden Wert leer lassen
+run-no-parquet = keine lesbare Parquet-Datei ({ $reason }); sie ist abgeschnitten oder beschädigt
+run-no-rows = auf die Kopfzeile folgen keine Reihen; eine Pressung braucht mindestens eine Messzeile
+run-no-temperature = { $value } ist keine Temperatur; sie muss zwischen { NUMBER($coldest) } und { NUMBER($hottest) } °C liegen; einen fehlenden Wert leer lassen
+run-no-time = Spalte time_s fehlt; vorhanden: { $found }
+run-not-utf8 = kein UTF-8-Text; die Datei als UTF-8 speichern
+run-quotation = { $reason }; Anführungszeichen und Zeilenenden prüfen
+run-table-empty = die Tabelle hat keine Reihen; eine Pressung braucht mindestens eine Messzeile
+run-time-falls = time_s = { $time } steigt nicht ({ $place }: { $before }); Reihen sortieren, doppelte entfernen
+run-time-missing = die Zeit fehlt; jede Reihe braucht eine
+run-value-infinite = unendlich; muss eine Zahl sein
+told-by-limit-switch = Endschalter
+told-by-one-state = Presse mit einem Zustand
+told-by-pressure-channel = Druckkanal
+told-by-temperatures = Temperaturen
+told-by-truth = virtuelle Presse
+told-by-unknown = unbekannt
+wire-closed-face-cold = { $wire } meldet geschlossen, aber die obere Seite ist kalt; { $wire } und Platte prüfen
+wire-open-face-hot = { $wire } meldet offen, aber die obere Seite ist heiß; prüfen
+
+## daq.process: configuration
+
+config-closed-twice = Kanal '{ $channel }' wird aus { $wires } geschrieben; dem Kanal '{ $channel }' des Messgeräts einen anderen Namen geben
+config-column-twice = zwei Messgeräte füllen Spalte '{ $column }'; jede Spalte kommt von einem Eingang
+config-header = { $file }: Presse { $press }
+config-logger-twice = zwei Messgeräte heißen '{ $logger }'; jedem einen eigenen Namen geben
+config-no-boundary-channel = kein Messgerät hat den Kanal '{ $channel }', den boundary.{ $end } von { $file } braucht; bei den Kanälen eines Messgeräts ergänzen
+config-no-such-press = Presse '{ $press }' steht nicht in der Konfiguration; vorhanden: { $known }
+config-no-wire-channel = kein Messgerät hat den Kanal '{ $channel }', den { $key } nennt; bei den Kanälen eines Messgeräts ergänzen oder { $key } entfernen
+config-press-twice = zwei Pressen heißen '{ $press }'; jeder einen eigenen Namen geben
+
+## daq.recording: journal of the recorder
+
+buffer-used-already = Puffer { $file }: ein anderer Rekorder benutzt ihn; diesen beenden oder jedem einen eigenen als store.buffer geben
+clock-set = Die Uhr dieses Rechners wurde um { $sign }{ NUMBER($seconds, minimumFractionDigits: 1, maximumFractionDigits: 1) } s verstellt; die Zeiten innerhalb einer Pressung bleiben richtig
+configuration-changed = Konfiguration geändert; sie gilt ab der nächsten Pause zwischen zwei Pressungen
+configuration-in-force = Die geänderte Konfiguration gilt jetzt
+configuration-needs-start = { $file }: geändert: { $changed }; dafür kerntemp record neu starten
+configuration-refused = { $why }; die Aufzeichnung läuft mit der bisherigen Konfiguration weiter
+driver-stuck = { $press }: der Treiber des Messgeräts { $logger } ist aus einer Abfrage nicht zurückgekehrt
+idle-not-thinned = Messwerte aus dem Leerlauf werden jetzt nicht ausgedünnt: { $why }
+logger-back = Messgerät { $logger } antwortet wieder
+logger-lost = Messgerät { $logger } antwortet nicht: { $why }; die Aufzeichnung läuft ohne es weiter, neue Versuche folgen
+logger-problem = { $press }: Messgerät { $logger }: { $why }
+needs-start-clock = [clock]
+needs-start-presses = die Liste der Pressen
+needs-start-store = [store]
+of-press = Presse { $press }: { $what }
+press-recorded-already = Presse { $press }: ein anderer Rekorder schreibt sie in { $store }; diesen zuerst beenden
+press-stalled = { $press }: seit { NUMBER($seconds, maximumFractionDigits: 0) } s keine neue Messzeile
+problem-of-press = { $press }: { $what }
+recording-now = zeichnet { $presses } auf
+recording-begins = zeichnet { $presses } auf; wenn der Datenspeicher fehlt, warten Messzeilen: { $where }
+recording-ends = Aufzeichnung beendet
+run-interrupted = Pressung { $run } wurde unterbrochen; ihre Daten sind erhalten
+scans-begin = Presse { $press }: Messzeilen beginnen
+scans-left-out = Presse { $press }: { $count ->
+        [one] eine Messzeile
+       *[other] { $count } Messzeilen
+    } ausgelassen, dieser Rechner war überlastet
+scans-left-out-lately = { $press }: { $count ->
+        [one] eine Messzeile
+       *[other] { $count } Messzeilen
+    } in der letzten Minute ausgelassen, dieser Rechner ist überlastet
+scans-lost = { $count ->
+        [one] eine Messzeile
+       *[other] { $count } Messzeilen
+    } verloren: der Datenspeicher war länger weg, als Platz da war
+scans-not-written = { $count } Messzeilen sind noch nicht geschrieben, dieser Rechner ist überlastet
+scans-recorded = { $count } Messzeilen aufgezeichnet
+store-trouble = { $why } ({ $count } warten)
+
+## daq.store: the store
+
+backup-damaged = Sicherung { $file }: beschädigt: { $error }; eine andere Sicherung nehmen
+backup-exists = Sicherung { $file }: gibt es schon; einen neuen Namen geben, Sicherungen werden nie überschrieben
+backup-failed = Sicherung { $file }: { $error }; Datenträger und freien Platz prüfen
+backup-missing = Sicherung { $file }: gibt es nicht
+backup-newer = Sicherung { $file }: von einer neueren Version angelegt (Schema { $schema }, diese kennt { $known }); Kerntemp aktualisieren
+backup-no-folder = Sicherung { $file }: den Ordner { $folder } gibt es nicht; ihn anlegen
+backup-rows-missing = Sicherung { $file }: beschädigt: Zeilen verweisen auf Zeilen, die fehlen
+backup-run-short = Sicherung { $file }: der Pressung { $run } fehlt die erste oder letzte Messzeile; eine andere Sicherung nehmen
+backup-unsound = Sicherung { $file }: kein heiler Datenspeicher: { $error }; eine andere Sicherung nehmen
+buffer-damaged = Puffer { $file } ist beschädigt ({ $error }): als { $aside } beiseitegelegt; { $kept } Einträge waren lesbar und bleiben, { $lost } sind verloren; die Aufzeichnung läuft weiter
+buffer-emptied = Puffer { $file }: jemand hat ihn gelöscht; { $count } Einträge darin sind verloren; die Aufzeichnung läuft weiter
+buffer-gone = Puffer { $file } ist weg ({ $error }): neu angelegt; { $lost } Einträge darin sind verloren; die Aufzeichnung läuft weiter
+buffer-refuses = Puffer { $file }: { $error }; auf seinem Datenträger Platz schaffen
+buffer-row-unreadable = Puffer { $file }: ein Eintrag ist nicht lesbar ({ $error }); er liegt nun in { $aside }
+buffer-sum-wrong = Prüfsumme falsch
+buffer-unusable = Puffer { $file }: { $error }; seinen Ordner prüfen oder eine andere Datei als buffer in [store] angeben
+event-twice = Presse { $press }: { $kind } ist bei Messzeile { $scan } schon zu einem anderen Zeitpunkt vermerkt; das zweite wird nicht als Ereignis gespeichert
+events-lost = Presse { $press }: { $count } Ereignisse verloren: der Datenspeicher war länger weg, als Platz da war
+item-set-aside = Presse { $press }: der Datenspeicher nimmt { $what } nicht an: { $why }; beiseitegelegt in { $aside }, alles andere ist geschrieben
+left-unwritten = { $count } Einträge sind nicht geschrieben: Datenspeicher { $store } nimmt sie nicht an; sie gehen mit dem Ende dieses Prozesses verloren
+line-set-aside = Der Datenspeicher nimmt eine Zeile des Journals nicht an; sie liegt in { $aside }
+model-promoted = Modell { $version } in Kraft gesetzt
+model-rolled-back = zurückgenommen
+model-through-api = über die API
+model-version-missing = Modellversion '{ $version }' ist nicht im Datenspeicher
+model-version-taken = Modellversion '{ $version }' ist schon im Datenspeicher; Versionen ändern sich nie
+restore-differs = Datenspeicher { $store }: enthält nach dem Einspielen { $found }, die Sicherung { $expected }
+run-end-without-run = Das Ende der Pressung { $run } bei Messzeile { $scan } findet keine solche Pressung im Datenspeicher; ihre Messzeilen sind erhalten
+run-renamed = Pressung { $run } ist schon im Datenspeicher; diese Pressung wird als { $name } gespeichert
+scans-given-up = Der Datenspeicher ist zu lange weg: die ältesten wartenden Messzeilen werden verworfen; Puffer: { $where }
+scans-wait = { $why }; Messzeilen warten: { $where }
+set-aside-begin = den Beginn der Pressung { $run } mit allen Kopfdaten
+set-aside-scans = eine Messzeile mit ihren Ereignissen
+store-back = Datenspeicher { $store } nimmt wieder Daten an; alles Aufgehobene ist geschrieben
+store-column-missing = Pressung '{ $run }' hat keine Spalte '{ $column }'; sie hat { $columns }
+store-cursor = Cursor '{ $cursor }': gehört nicht zu dieser Liste; next_cursor der Seite davor nehmen
+store-damaged = Datenspeicher { $store }: die Datei ist beschädigt: { $error }; das Lesbare sichern, dann die neueste heile Sicherung mit kerntemp backup --restore einspielen
+store-file-gone = Datenspeicher { $store }: die Datei wurde gelöscht oder verschoben; ein laufendes kerntemp record legt sie wieder an, sonst die neueste Sicherung einspielen
+store-foreign-view = Datenspeicher { $store }: die Sicht { $view } ist nicht von Kerntemp und steht auf einer, die diese Version ändert; sie löschen, neu starten und neu anlegen
+store-header-wrong = { $file }: Kopfzeile { $key } = { $value }: muss { $wanted } sein; berichtigen oder weglassen
+store-is-folder = Datenspeicher { $store }: ist ein Ordner; den Pfad einer Datei darin angeben
+store-missing = Datenspeicher { $store }: gibt es nicht; kerntemp record starten oder den richtigen Pfad angeben
+store-newer = Datenspeicher { $store }: von einer neueren Version angelegt (Schema { $schema }, diese Version kennt { $known }); Kerntemp aktualisieren oder einen anderen Datenspeicher angeben
+store-no-folder = Datenspeicher { $store }: den Ordner { $folder } gibt es nicht; ihn anlegen
+store-not-empty = Datenspeicher { $store }: enthält schon Daten; nur an einem neuen Ort einspielen
+store-not-sqlite = Datenspeicher { $store }: keine SQLite-Datei; einen anderen Pfad angeben
+store-nul = Datenspeicher { $store }: ein Text enthält ein NUL-Zeichen, das der Server nicht aufnimmt; es entfernen
+store-refuses = Datenspeicher { $store }: { $reason }
+store-refuses-remedy = Datenspeicher { $store }: { $reason }; { $remedy }
+store-remedy-damaged = die Datei ist beschädigt; die neueste Sicherung mit kerntemp backup --restore einspielen
+store-remedy-database = die Datenbank anlegen oder die URL berichtigen
+store-remedy-disk-failed = der Datenträger hat versagt; ihn und seinen Platz prüfen, bei beschädigter Datei die neueste Sicherung einspielen
+store-remedy-folder = prüfen, ob es den Ordner gibt, ob er beschreibbar ist und sein Datenträger nicht nur lesbar eingehängt ist
+store-remedy-full = Platz auf dem Datenträger schaffen; die Aufzeichnung geht dann von selbst weiter
+store-remedy-lock-timeout = eine andere Sitzung hält eine Tabelle fest; sie beenden
+store-remedy-locked = ein anderer Prozess hält sie fest; andere Programme schließen, die die Datei offen haben
+store-remedy-password = Benutzer und Passwort in der URL prüfen
+store-remedy-read-only = keine Schreibrechte; Eigentümer und Einhängung der Datei und ihres Ordners prüfen
+store-remedy-server = prüfen, ob der Datenbankserver läuft und erreichbar ist
+store-rescued = Datenspeicher { $store }: die Datei wurde gelöscht, verschoben oder ausgetauscht; alles ist an ihrem Platz neu geschrieben, die Aufzeichnung läuft dort weiter
+store-rescued-beside = Datenspeicher { $store }: an seinen Platz wurde ein anderer gelegt; dieser liegt nun unter { $aside }, der aufgezeichnete ist neu geschrieben, die Aufzeichnung läuft dort weiter
+store-run-missing = Pressung '{ $run }' ist nicht im Datenspeicher; kerntemp export listet die Pressungen, eine Datei braucht ihren Pfad
+store-run-name = { $file }: Kopfzeile run = { $name }: muss ein Name aus 1 bis 200 Zeichen sein, ohne Schrägstriche, Zeilenumbrüche und Leerzeichen am Rand; nichts wurde importiert
+store-run-renamed = Pressung '{ $run }': der Name einer Pressung lässt sich nicht ändern
+store-run-taken = { $file }: Pressung '{ $run }' ist schon im Datenspeicher; nichts wurde importiert; die Kopfzeile run ändern
+store-scan-taken = Presse { $press }: Messzeile { $scan } ist schon mit anderen Werten da; ein anderer Rekorder schreibt für diese Presse: einen der beiden beenden
+store-trying-again = { $why }; neue Versuche folgen
+store-url-at = Das Passwort in der URL des Datenspeichers enthält ein @: als %40 schreiben
+store-url-no-file = Datenspeicher-URL '{ $url }': im Datenspeicher treffen sich Prozesse, er braucht einen Dateipfad
+store-url-unsupported = Datenspeicher-URL '{ $url }': { $engine } wird nicht unterstützt; einen Dateipfad oder postgresql://... angeben
+store-url-wrong = Datenspeicher-URL '{ $url }': keine URL; einen Dateipfad oder postgresql://benutzer@rechner/name angeben
+thread-failed = { $thread }: { $why }; wird neu gestartet
+unexpected-error = unerwarteter Fehler ({ $kind }: { $error }); bitte melden
+waits-in-buffer = in { $file }, Platz für { NUMBER($hours, maximumFractionDigits: 0) } h
+waits-in-memory = im Arbeitsspeicher, Platz für { NUMBER($hours, minimumFractionDigits: 1, maximumFractionDigits: 1) } h
+wanted-one-of = eines von { $names }
+wanted-seconds = eine Zahl in Sekunden
+wanted-text = ein Text
+wanted-time = eine Zeit mit Zeitzone zwischen den Jahren 1970 und 9999, wie 2026-03-04T07:00:00Z
+writer-dead = Der Schreiber zum Datenspeicher läuft nicht
+writer-stalled = Der Schreiber zum Datenspeicher steht seit { NUMBER($seconds, maximumFractionDigits: 0) } s
+
+## softsensor.effects: the catalogue of effects
+
+body-air = Luft
+body-panel = Platte
+body-plate = Pressblech
+body-platen = Heizplatte
+body-plate-lower = unteres Pressblech
+body-plate-upper = oberes Pressblech
+body-platen-lower = untere Heizplatte
+body-platen-upper = obere Heizplatte
+coupling-always = { $one } – { $other }
+coupling-and = { $first } und { $second }
+coupling-closed = { $one } – { $other }, geschlossen
+coupling-open = { $one } – { $other }, offen
+coupling-surroundings-bottom = Unterseite – Umgebung
+coupling-surroundings-top = Oberseite – Umgebung
+place-bottom = { $body }, Unterseite
+place-depth = { $body }, { NUMBER($depth_mm, maximumFractionDigits: 4) } mm über der Unterseite
+place-middle = { $body }, Mitte
+place-top = { $body }, Oberseite
+effect-clock_offset-called = Uhren, die voneinander abweichen
+effect-clock_offset-confirmed-by = Berühren Sie einen Heizplatten- und einen Plattenfühler gleichzeitig mit einem Lötkolben und vergleichen Sie.
+effect-clock_offset-core = Für sich keine, aber sie verfälscht die Kontaktkoeffizienten.
+effect-clock_offset-meaning = Die Plattenkanäle tragen spätere (oder frühere) Zeiten als die Heizplattenkanäle und der Endschalter.
+effect-clock_offset-symptom = Jeder Knick der Plattenmessung kommt um dieselbe Zeit zu spät, beim Schließen wie beim Öffnen.
+effect-conductivity_offset-called = andere Wärmeleitfähigkeit als angegeben
+effect-conductivity_offset-confirmed-by = Messen Sie die Wärmeleitfähigkeit dieser Platte, oder pressen Sie verschiedene Dicken.
+effect-conductivity_offset-core = Der Kern ist heißer (Verhältnis über 1) oder kühler, etwa 1 K je 5 %.
+effect-conductivity_offset-meaning = Die Wärmeleitfähigkeit der Platte weicht vom Wert in den Kopfdaten ab.
+effect-conductivity_offset-symptom = Die Seiten laufen in jedem Zustand mit der Wurzel der Zeit von der Simulation weg.
+effect-conductivity_temperature-called = Wärmeleitfähigkeit, die von der Temperatur abhängt
+effect-conductivity_temperature-confirmed-by = Messen Sie die Wärmeleitfähigkeit bei 25 und 100 °C (Zweiplattengerät), oder pressen Sie eine Platte mit Kernfühler.
+effect-conductivity_temperature-core = Steigt die Wärmeleitfähigkeit, ist der Kern 1 bis 4 K heißer als simuliert.
+effect-conductivity_temperature-meaning = Die Platte leitet Wärme heiß anders als bei Raumtemperatur.
+effect-conductivity_temperature-symptom = Gegen Ende der Pressung und nach dem Öffnen laufen die Seiten von der Simulation weg, bei dicken Platten stärker.
+effect-contact_asymmetry-called = ungleicher Kontakt oben und unten
+effect-contact_asymmetry-confirmed-by = Drehen Sie die Platte um, oder tauschen Sie die Pressbleche.
+effect-contact_asymmetry-core = In der Mitte unter 1 K; die heißeste Ebene wandert aus der Mitte.
+effect-contact_asymmetry-meaning = Oberer und unterer Kontakt sind in der geschlossenen Presse verschieden; der Koeffizient ist ihr geometrisches Mittel.
+effect-contact_asymmetry-symptom = Nach dem Schließen liegt eine Seite über der Simulation, die andere darunter.
+effect-contact_buildup-called = Kontakt, der sich nach dem Schließen aufbaut
+effect-contact_buildup-confirmed-by = Wiederholen Sie mit unbeschichteten Platten und doppelter Schließgeschwindigkeit; zeichnen Sie den Druck auf.
+effect-contact_buildup-core = Klein, einige Zehntel Kelvin, aber er verfälscht die Koeffizienten bis zum Faktor 1,8.
+effect-contact_buildup-meaning = Der Kontakt zwischen Presse und Platte wächst nach dem Schließen noch einige Sekunden (das Harz schmilzt und fließt).
+effect-contact_buildup-symptom = In den ersten Sekunden nach dem Schließen steigen die Seiten langsamer als simuliert, dann holen sie auf.
+effect-contact_load-called = Kontakt, der vom Druck abhängt
+effect-contact_load-confirmed-by = Pressen Sie gleiche Platten mit drei Drücken.
+effect-contact_load-core = Unter 1 K; wichtig, wenn der Druck geändert wird.
+effect-contact_load-meaning = Der Kontakt zwischen Presse und Platte wird mit dem Druck besser.
+effect-contact_load-symptom = Die Abweichungen nach dem Schließen haben bei niedrigem und hohem Druck verschiedenes Vorzeichen.
+effect-density_profile-called = Deckschichten dichter als die Mitte
+effect-density_profile-confirmed-by = Messen Sie das Dichteprofil (Röntgen), oder pressen Sie eine Platte mit Kernfühler.
+effect-density_profile-core = Der Kern liegt 1 bis 3 K daneben, weil seine Schichten weniger Wärme speichern und schlechter leiten.
+effect-density_profile-meaning = Die Deckschichten der Platte sind dichter als ihre Mitte; Dichte und Wärmeleitfähigkeit folgen 1 + a (z^4 - 0,2).
+effect-density_profile-symptom = Die Seiten nehmen gleich nach dem Schließen mehr Wärme auf als simuliert und später weniger.
+effect-edge_loss-called = Wärmeverlust am Rand
+effect-edge_loss-confirmed-by = Dämmen Sie den Rand, oder vergleichen Sie Fühler am Rand mit solchen in der Mitte.
+effect-edge_loss-core = In einer langen Pressung ist der Kern 2 bis 4 K kühler als simuliert.
+effect-edge_loss-meaning = Wärme geht über den Rand der Platte verloren.
+effect-edge_loss-symptom = Lange Pressungen bleiben unter der Simulation; Fühler am Rand zeigen weniger als solche in der Mitte.
+effect-entry-not-an-effect = Entry Point { $name } = { $value }: kein softsensor.effects.Effect
+effect-exists-already = Entry Point { $name }: einen Effekt { $effect } gibt es schon
+effect-heat_capacity_offset-called = andere Wärmekapazität als angegeben
+effect-heat_capacity_offset-confirmed-by = Wiegen und vermessen Sie die Platte; messen Sie ihre Wärmekapazität; pressen Sie verschiedene Dicken.
+effect-heat_capacity_offset-core = Der Kern ist kühler (Verhältnis über 1) oder heißer, etwa 1 K je 5 %.
+effect-heat_capacity_offset-meaning = Dichte mal Wärmekapazität der Platte weicht vom Wert in den Kopfdaten ab.
+effect-heat_capacity_offset-symptom = Die Seiten laufen in jedem Zustand von der Simulation weg, bei dicken Platten zu Beginn am wenigsten.
+effect-heat_capacity_temperature-called = Wärmekapazität, die von der Temperatur abhängt
+effect-heat_capacity_temperature-confirmed-by = Messen Sie die Wärmekapazität von 20 bis 100 °C (DSC), oder pressen Sie eine Platte mit Kernfühler.
+effect-heat_capacity_temperature-core = Steigt die Wärmekapazität, ist der Kern 1 bis 2 K kühler als simuliert.
+effect-heat_capacity_temperature-meaning = Die Platte braucht heiß mehr Wärme je Kelvin als bei Raumtemperatur.
+effect-heat_capacity_temperature-symptom = Nach dem Öffnen kühlen die Seiten langsamer ab als simuliert, während das Aufheizen passt.
+effect-initial_press_state-called = Pressbleche noch nicht auf Ruhetemperatur
+effect-initial_press_state-confirmed-by = Warten Sie zwei Minuten zwischen Pressungen, oder kleben Sie einen Fühler auf ein Pressblech.
+effect-initial_press_state-core = Unter 0,5 K.
+effect-initial_press_state-meaning = Die Pressbleche sind noch kühler (oder wärmer) als in Ruhe, wenn die Platte eingelegt wird.
+effect-initial_press_state-symptom = Die untere Seite weicht vom Einlegen an ab, und die Abweichung klingt binnen einer Minute ab.
+effect-moisture_evaporation-called = verdampfende Feuchte
+effect-moisture_evaporation-confirmed-by = Wiegen Sie die Platte vor und nach dem Pressen, oder pressen Sie eine darrtrockene.
+effect-moisture_evaporation-core = Sobald Dampf entsteht, wird der Kern langsamer heiß als simuliert und bleibt mehrere Kelvin darunter.
+effect-moisture_evaporation-meaning = In der Platte verdampft Wasser, entweicht und nimmt seine Verdampfungswärme mit.
+effect-moisture_evaporation-symptom = Die Messung steigt nahe 85 bis 115 °C nicht weiter oder bleibt zurück und liegt danach unter der Simulation.
+effect-not-in-catalogue = Effekt { $name } steht nicht im Katalog; bekannt sind { $known }
+effect-open_radiation-called = Strahlung in der offenen Presse
+effect-open_radiation-confirmed-by = Halten Sie vor dem Schließen Aluminiumfolie zwischen Platte und oberes Blech.
+effect-open_radiation-core = Unter 0,2 K.
+effect-open_radiation-meaning = In der offenen Presse strahlt das heiße obere Blech auf die Platte.
+effect-open_radiation-symptom = Die obere Seite ist in der offenen Presse wärmer als simuliert, vor dem Schließen und nach dem Öffnen.
+effect-paper_layer-called = eine dämmende Papierschicht
+effect-paper_layer-confirmed-by = Pressen Sie dieselbe Platte unbeschichtet.
+effect-paper_layer-core = Einige Zehntel Kelvin.
+effect-paper_layer-meaning = Das imprägnierte Papier auf beiden Seiten dämmt und speichert Wärme.
+effect-paper_layer-symptom = Die Seiten antworten später als simuliert auf das Schließen, und der Koeffizient der offenen Presse fällt zu klein aus.
+effect-platen_offset-called = eine Heizplattenmessung, die danebenliegt
+effect-platen_offset-confirmed-by = Vergleichen Sie die Heizplattenfühler bei Betriebstemperatur mit einem kalibrierten.
+effect-platen_offset-core = Etwa 0,3 K je Kelvin.
+effect-platen_offset-meaning = Die Heizplattenfühler zeigen immer gleich viel zu wenig (positiv) oder zu viel (negativ).
+effect-platen_offset-symptom = In einer langen Pressung enden beide Seiten neben der Simulation, im Verhältnis zur aufgenommenen Wärme.
+effect-resin_cure-called = Wärme des aushärtenden Harzes
+effect-resin_cure-confirmed-by = Pressen Sie dieselbe Platte ein zweites Mal: ausgehärtetes Harz gibt keine Wärme mehr ab.
+effect-resin_cure-core = Klein: einige Zehntel Kelvin.
+effect-resin_cure-meaning = Das Harz gibt beim Aushärten an beiden Seiten Reaktionswärme ab.
+effect-resin_cure-symptom = In den ersten 5 bis 30 s nach dem Schließen schießen die Seiten über die Simulation hinaus und kehren dann zurück.
+effect-sensor_fault-called = ein gestörter Fühler
+effect-sensor_fault-confirmed-by = Prüfen Sie die genannten Fühler: Befestigung, Polung, Steckplatz.
+effect-sensor_fault-core = Keine: der Kanal wird weggelassen.
+effect-sensor_fault-meaning = Einzelne Kanäle sind lose, driften oder sind vertauscht.
+effect-sensor_fault-symptom = Ein Kanal weicht von seinen Nachbarn auf derselben Seite ab.
+effect-thermocouple_footprint-called = Plattenfühler, die eine Mischung messen
+effect-thermocouple_footprint-confirmed-by = Nehmen Sie dünneren Draht, oder legen Sie einen Fühler unter Folie.
+effect-thermocouple_footprint-core = Unter 0,1 K, aber sie verfälschen die Kontaktkoeffizienten.
+effect-thermocouple_footprint-meaning = In der geschlossenen Presse messen die Plattenfühler eine Mischung aus Plattenseite und Pressblech.
+effect-thermocouple_footprint-symptom = Die Messung springt beim Schließen hinauf und beim Öffnen hinab, um einen Teil des Temperatursprungs am Kontakt.
+effect-thermocouple_lag-called = Plattenfühler, die spät antworten
+effect-thermocouple_lag-confirmed-by = Tauchen Sie einen Fühler in heißes Wasser und zeichnen Sie die Sprungantwort auf.
+effect-thermocouple_lag-core = Für sich keine, aber sie verfälschen die Kontaktkoeffizienten bis zum Faktor 3.
+effect-thermocouple_lag-meaning = Die Plattenfühler antworten spät.
+effect-thermocouple_lag-symptom = Die Messung hinkt der Simulation um so mehr nach, je steiler sie ist, am meisten in der Sekunde nach dem Schließen.
+effect-vapour_convection-called = Dampf, der Wärme trägt
+effect-vapour_convection-confirmed-by = Pressen Sie eine Opferplatte mit Fühler in der Mitte.
+effect-vapour_convection-core = Der Kern ist heißer als simuliert, meist um 2 bis 7 K.
+effect-vapour_convection-meaning = In der geschlossenen Presse trägt Dampf Wärme aus Schichten über 100 °C in kühlere.
+effect-vapour_convection-symptom = Die Seiten brauchen in der geschlossenen Presse mehr Wärme als simuliert; der Kern eilt um Kelvin voraus.
+effect-without-words = Effekt { $name }: englische Worte fehlen für { $lacking }; geben Sie sie in seinen `words`
+parameter-amount = { $value } { $unit }
+parameter-interval = { NUMBER($low, maximumSignificantDigits: 3) } bis { NUMBER($high, maximumSignificantDigits: 3) }
+parameter-told = { $words } ({ $name }): { $amount }
+parameter-told-within = { $told } (95 %: { $between })
+parameter-clock_offset-seconds = Plattenkanäle später als Heizplattenkanäle um
+parameter-conductivity_offset-ratio = Wärmeleitfähigkeit der Platte
+parameter-conductivity_temperature-per_100_K = Anstieg der Wärmeleitfähigkeit je 100 K
+parameter-contact_asymmetry-ratio = oberer Kontakt
+parameter-contact_buildup-deficit = beim Schließen noch fehlender Anteil des Kontakts
+parameter-contact_buildup-time_constant_s = Zeitkonstante seines Anstiegs
+parameter-contact_load-exponent = Exponent der Druckabhängigkeit des Kontakts
+parameter-density_profile-amplitude = Deckschichten dichter als die Mitte um
+parameter-edge_loss-W_m3K = am Rand verlorene Wärme je Volumen und Kelvin über Umgebung
+parameter-heat_capacity_offset-ratio = Wärmekapazität der Platte
+parameter-heat_capacity_temperature-per_100_K = Anstieg der Wärmekapazität je 100 K
+parameter-initial_press_state-offset_K = Bleche zu Beginn über ihrer Ruhetemperatur um
+parameter-moisture_evaporation-moisture_percent = Wasser, das verdampft
+parameter-moisture_evaporation-temperature_C = Temperatur, ab der es verdampft
+parameter-open_radiation-emissivity = wirksamer Emissionsgrad von Presse und Platte
+parameter-paper_layer-capacity_J_m2K = Wärmekapazität des Papiers
+parameter-paper_layer-resistance_m2K_W = Wärmewiderstand des Papiers
+parameter-platen_offset-bottom_K = untere Heizplatte heißer als gemessen um
+parameter-platen_offset-top_K = obere Heizplatte heißer als gemessen um
+parameter-resin_cure-heat_kJ_m2 = Reaktionswärme des Harzes
+parameter-thermocouple_footprint-weight = Anteil der Presse an der Messung
+parameter-thermocouple_lag-time_constant_s = Zeitkonstante der Plattenfühler
+parameter-vapour_convection-W_m3K = vom Dampf getragene Wärme je Volumen und Kelvin über 100 °C
+unit-kilojoule-per-face = kJ/m² je Seite
+unit-percent-of-dry-mass = % der Trockenmasse
+unit-percent-of-mean = % des Mittels
+unit-percent-of-value-at-20-degrees = % des Werts bei 20 °C
+unit-times-nominal = mal Nennwert
+unit-times-the-lower-contact = mal der untere
+
+## softsensor.heat: the model and what a run must offer
+
+all-columns = alle Spalten
+boundary-column-missing = { $run }: die Spalte '{ $column }' fehlt; boundary.{ $end } braucht sie (die Pressung hat { $columns })
+boundary-empty = { $run }: die Spalte '{ $column }' enthält keinen Wert; boundary.{ $end } braucht sie
+boundary-gap = { $run }: die Spalte '{ $column }' ist { NUMBER($seconds, minimumFractionDigits: 1, maximumFractionDigits: 1) } s lang leer um time_s = { $time }; höchstens { NUMBER($most, maximumFractionDigits: 6) } s von boundary.{ $end } werden überbrückt: teilen Sie die Laufdatei dort
+boundary-impossible = { $run }: Spalte '{ $column }' = { $value } °C bei time_s = { $time }: boundary.{ $end } muss zwischen { NUMBER($lower, maximumFractionDigits: 6) } und { NUMBER($upper, maximumFractionDigits: 6) } °C liegen; leeren Sie die Zelle
+coefficient-missing = Koeffizient { $name } fehlt; geben Sie alle an: { $all }
+coefficient-negative = { $name } = { $value } W/m²K: muss eine endliche Zahl sein, mindestens 0
+header-ambient-impossible = { $run }: Kopfdaten ambient.temperature_C = { $value }: muss eine Zahl von { NUMBER($lower, maximumFractionDigits: 6) } bis { NUMBER($upper, maximumFractionDigits: 6) } sein
+header-pressure-impossible = { $run }: Kopfdaten setting.pressure_N_cm2 = { $value }: muss eine Zahl über 0 N/cm² sein; berichtigen Sie sie, oder lassen Sie sie weg, wo sie nicht bekannt ist
+layer-from-run-without-panel = Schicht '{ $layer }' nimmt ihre Werte aus der Pressung, und es gibt keine Platte
+layer-incomplete = Schicht '{ $layer }': Dichte oder Dicke fehlt
+layer-value-impossible = { $run }: layer.{ $number }.{ $key } = { $value } ('{ $layer }'): muss eine Zahl von { NUMBER($lower, maximumFractionDigits: 6) } bis { NUMBER($upper, maximumFractionDigits: 6) } sein; berichtigen Sie die Pressendatei
+load-column-empty = { $run }: Druckspalte '{ $column }' enthält keinen Wert über 0: { $contacts } wird als unabhängig vom Druck gerechnet; geben Sie die Spalte an, oder nehmen Sie load aus der Pressendatei
+load-column-missing = { $run }: Druckspalte '{ $column }' fehlt (vorhanden: { $columns }): { $contacts } wird als unabhängig vom Druck gerechnet; geben Sie die Spalte an, oder nehmen Sie load aus der Pressendatei
+load-gap = { $run }: Druckspalte '{ $column }' ist { NUMBER($seconds, minimumFractionDigits: 1, maximumFractionDigits: 1) } s lang leer um time_s = { $time }; höchstens { NUMBER($most, maximumFractionDigits: 6) } s eines Drucks werden überbrückt: teilen Sie die Laufdatei dort, oder lassen Sie die Spalte weg
+load-impossible = { $run }: Druckspalte '{ $column }' = { $value } bei time_s = { $time }: muss eine endliche Zahl sein, nicht unter 0; leeren Sie die Zelle, oder berichtigen Sie Vorzeichen oder Nullpunkt der Spalte
+load-zero-while-closed = { $run }: Druckspalte '{ $column }' = { $value } bei time_s = { $time }, wo die Presse geschlossen ist: muss über 0 liegen; leeren Sie die Zelle, oder berichtigen Sie Vorzeichen oder Nullpunkt der Spalte
+model-file-adequacy = { $file }: adequacy ist nicht, wie `fit` es schreibt ({ $error }); lassen Sie den Schlüssel weg
+model-file-coefficient-not-positive = { $file }: coefficients.{ $name }.value = { $value }: muss über 0 W/m²K liegen
+model-file-effect-unnamed = { $file }: effects.{ $number } hat keinen Namen
+model-file-no-coefficients = { $file }: keine Modelldatei: der Schlüssel 'coefficients' fehlt
+model-file-no-json = { $file }: keine Modelldatei in JSON: { $error }
+model-file-no-numbers = { $file }: { $place } = { $value }: braucht die Zahlen value und sd
+model-file-no-table = { $file }: { $place } muss ein Objekt aus NAME: {"{"}value, sd{"}"} sein
+model-file-not-finite = { $file }: { $place }.value ist nicht endlich
+model-file-parameter-unknown = { $file }: effects.{ $number }.parameters.{ $name }: { $effect } hat { $known }
+model-file-unreadable = { $file }: die Modelldatei ist nicht zu lesen: { $error }
+parameter-unknown = '{ $name }' ist kein Parameter dieses Modells; es hat { $known }
+run-moments-out-of-order = { $run }: { $later } = { $late } liegt vor { $earlier } = { $early }; prüfen Sie die Spalte closed
+run-ramp-impossible = { $run }: ramp_s = { $value }: das Schließen dauert eine endliche Zeit, mindestens 0 s
+run-rows-missing = { $run }: keine Zeile während { NUMBER($seconds, minimumFractionDigits: 1, maximumFractionDigits: 1) } s nach time_s = { $time }; höchstens { NUMBER($most, maximumFractionDigits: 6) } s eines gemessenen Rands werden überbrückt: teilen Sie die Laufdatei dort
+run-times-fall = { $run }: time_s = { $time } folgt auf { $before } (Zeile { $row }): Zeiten müssen steigen; berichtigen Sie die Zeile
+run-too-short =
+  { $run }: die Spalte time_s hat { NUMBER($rows) } { $rows ->
+    [one] Zeile
+   *[other] Zeilen
+  }; eine Pressung braucht mindestens zwei
+sensor-outside-layer = { $run }: ein Fühler bei depth_mm = { NUMBER($depth_mm, maximumFractionDigits: 6) } liegt außerhalb der Schicht '{ $layer }', die in dieser Pressung { NUMBER($thickness_mm, maximumFractionDigits: 6) } mm dick ist; berichtigen Sie seine Tiefe oder die Dicke
+solve-exact-contact-changes = method = 'exact': ein Kontakt ändert sich in der geschlossenen Presse; nehmen Sie den impliziten Löser
+solve-exact-moments-too-near = method = 'exact': weniger als vier Schritte in { NUMBER($seconds, maximumFractionDigits: 6) } s zwischen zwei Bewegungen der Presse; nehmen Sie den impliziten Löser
+solve-exact-not-linear = method = 'exact': { $what } ist nicht linear; nehmen Sie den impliziten Löser
+solve-table-or-radiation = eine Stoffwerttabelle oder Strahlung
+solve-unknown-method = method = { $method }: muss 'implicit' oder 'exact' sein
+solve-value-out-of-range = { $name } = { $value }: muss eine Zahl von { NUMBER($lower, maximumFractionDigits: 6) } bis { NUMBER($upper, maximumFractionDigits: 6) } sein
+start-layer-without-reading = { $run }: [initial] kind = "sensors" braucht eine Messung in der Schicht '{ $layer }'; leer sind { $columns }: füllen Sie eine, oder geben Sie kind = "steady" oder "uniform" an
+start-no-readings = { $run }: [initial] kind = "sensors" braucht eine Messung; alle Plattenkanäle sind leer
+start-not-steady = { $run }: { $why }; geben Sie [initial] kind = "uniform" mit temperature_C an, oder "sensors", oder berichtigen Sie Ränder und Kontakte
+start-not-steady-steep = die Ruhetemperaturen sind nicht zu finden: Stoffwerte oder Strahlung ändern sich zu steil mit der Temperatur
+start-not-steady-untied = Schicht '{ $layer }' hängt an keiner Temperatur und hat darum keine Ruhetemperatur
+start-not-steady-untied-without-panel = Schicht '{ $layer }' hängt ohne Platte an keiner Temperatur und hat darum keine Ruhetemperatur
+value-at-least = { $name } = { $value }: muss eine endliche Zahl sein, mindestens { NUMBER($least, maximumFractionDigits: 6) }
+value-at-most = { $name } = { $value }: muss eine endliche Zahl sein, höchstens { NUMBER($most, maximumFractionDigits: 6) }
+value-between = { $name } = { $value }: muss eine endliche Zahl sein, mindestens { NUMBER($least, maximumFractionDigits: 6) }, höchstens { NUMBER($most, maximumFractionDigits: 6) }
+value-not-finite = { $name } = { $value }: muss eine endliche Zahl sein
+
+## softsensor.signals: channels
+
+channel-drifting = Kanal { $column } driftet von seiner Seite weg, um { NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K (RMS), und bleibt weg
+channel-empty = Kanal { $column } hat keinen brauchbaren Wert und bleibt weg
+channel-loose = Kanal { $column } weicht um { NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K (RMS) von seiner Seite ab: Der Fühler ist womöglich lose und bleibt weg
+channel-swapped = Kanal { $column } folgt { $place }: vertauscht? Er bleibt weg
+run-no-panel-channel = { $run }: kein brauchbarer Plattenkanal; die Fühler der Pressendatei nennen { $named }
+run-press-state-unknown = { $run }: Pressenzustand unbekannt: keine Plattenspalte und keine Spalte 'closed'; ergänzen Sie eine davon, oder nehmen Sie eine Pressendatei ohne offene Kontakte
+
+## softsensor.fitting: fits, warnings, what to measure
+
+fit-cells-dropped =
+    { $count ->
+        [one] { $count } einzelner Wert wich von seiner Seite ab und blieb weg
+       *[other] { $count } einzelne Werte wichen von ihrer Seite ab und blieben weg
+    }
+fit-cells-jump =
+    { $count ->
+        [one] Kanal { $column }: { $count } einzelner Wert springt um mehr als { $kelvin } K und bleibt weg
+       *[other] Kanal { $column }: { $count } einzelne Werte springen um mehr als { $kelvin } K und bleiben weg
+    }
+fit-coefficient-unknown = { $name } ist { $verdict }: { $reason }
+fit-coefficient-unused = { $run }: Durch ihre Kopfdaten bleibt der Koeffizient '{ $name }' der Pressendatei ungenutzt; eine Versuchsreihe braucht jeden Koeffizienten in jeder Pressung; passen Sie diese Pressung einzeln an
+fit-fixed = in der Pressendatei festgelegt
+fit-gap-at-moment =
+    keine Zeilen von { NUMBER($begin, minimumFractionDigits: 1, maximumFractionDigits: 1) } s bis { NUMBER($end, minimumFractionDigits: 1, maximumFractionDigits: 1) } s; in diese Lücke fällt { $moment ->
+        [inserted_s] das Einlegen
+        [closed_s] das Schließen
+       *[opened_s] das Öffnen
+    }. Der Zeitpunkt wird in der Lücke gesucht, und die Koeffizienten sind entsprechend ungenauer bekannt
+fit-misfit-astray = Residuum { NUMBER($rmse, minimumFractionDigits: 1, maximumFractionDigits: 1) } K nach der Anpassung, { NUMBER($first, minimumFractionDigits: 1, maximumFractionDigits: 1) } K davor
+fit-misfit-lost-insertion = Einlegen und Schließen fallen in eine Lücke ihrer Zeilen, { NUMBER($begin, minimumFractionDigits: 1, maximumFractionDigits: 1) } bis { NUMBER($end, minimumFractionDigits: 1, maximumFractionDigits: 1) } s
+fit-misfit-span = { NUMBER($rmse, minimumFractionDigits: 1, maximumFractionDigits: 1) } K bleiben bei Messwerten, die { NUMBER($span, maximumFractionDigits: 0) } K überstreichen
+fit-no-run = keine Pressung angegeben; nennen Sie mindestens eine Datei
+fit-no-such-method = Verfahren '{ $method }': erlaubt sind { $methods }
+fit-no-such-parameter = Parameter '{ $name }': Der Effekt { $effect } hat kein '{ $key }'
+fit-no-such-shared = gemeinsamer Koeffizient '{ $name }': erlaubt sind { $names }
+fit-not-converged = die Suche konvergierte nicht; die Koeffizienten stehen, wo sie endete
+fit-not-described = das Modell beschreibt diese Pressung nicht: { $misfit }
+fit-not-described-check = das Modell beschreibt diese Pressung nicht: { $misfit }. Prüfen Sie ihren Kopf, die Pressendatei, und ob ihre Zeilen Einlegen und Schließen zeigen
+fit-nothing-to-fit = { $run }: nichts anzupassen: kein freier Koeffizient oder keine brauchbare Fühlerspalte
+fit-or-joint = Oder nehmen Sie die gemeinsame Schätzung dieser { $runs } Pressungen.
+fit-or-runs = Oder bestimmen Sie ihn aus etwa { $runs } solchen Pressungen gemeinsam.
+fit-or-share = Oder lassen Sie alle Pressungen { $name } teilen (--shared { $name }).
+fit-outside-allowed = { $name } = { NUMBER($value, maximumSignificantDigits: 4) } W/m²K liegt außerhalb dessen, was die Pressung zulässt, { NUMBER($low, maximumSignificantDigits: 4) } bis { NUMBER($high, maximumSignificantDigits: 4) }
+fit-program = Vorhergesagt für { $settings } (95 % der Pressungen):
+fit-program-beyond-limit = { $name }: Der Trend führt zu { NUMBER($value, maximumSignificantDigits: 4) } W/m²K, jenseits der Grenze { $limit } der Pressendatei, die genommen wird; fahren Sie eine Pressung mit diesem Programm, bevor Sie sich darauf verlassen
+fit-program-coefficient = {"  "}{ $name } = { NUMBER($value, maximumSignificantDigits: 4) } W/m²K ({ NUMBER($low, maximumSignificantDigits: 4) } bis { NUMBER($high, maximumSignificantDigits: 4) })
+fit-program-outside = { $name } = { $value } { $unit } liegt außerhalb der bisher gefahrenen Programme, { NUMBER($low, maximumSignificantDigits: 4) } bis { NUMBER($high, maximumSignificantDigits: 4) } { $unit }: Der Trend wird fortgesetzt; fahren Sie dort eine Pressung, bevor Sie sich darauf verlassen
+fit-program-remark = Hinweis: { $remark }
+fit-reason = { $role } { $why } { $remedy }
+fit-remedy-both-sides = Beide Seiten tragen schon Fühler; kein Messwert hängt von ihm ab.
+fit-remedy-calibrate-channels = Kalibrieren Sie die Kanäle an { $place } bei zwei Temperaturen.
+fit-remedy-calibrate-platen = Kalibrieren Sie den Heizplattenkanal gegen die Plattenkanäle bei einer Temperatur (kerntemp calibrate).
+fit-remedy-change = Ändern Sie die Temperaturen schneller oder weiter.
+fit-remedy-channels = Zeichnen Sie auch die Kanäle an { $place } auf, die dieser Pressung fehlen.
+fit-remedy-check-channels = Prüfen Sie die Kanäle an { $place } vor der Pressung gegen ein Thermometer (kerntemp calibrate).
+fit-remedy-faster = Messen Sie schneller als mit den { NUMBER($hertz, maximumSignificantDigits: 2) } Hz dieser Pressung.
+fit-remedy-faster-and-switch = Messen Sie schneller als mit den { NUMBER($hertz, maximumSignificantDigits: 2) } Hz dieser Pressung, und zeichnen Sie einen Endschalter als Spalte closed auf.
+fit-remedy-go-on = Messen Sie weiter ({ $boundary }), bis sich die Temperatur dort stärker geändert hat.
+fit-remedy-hotter = Wiederholen Sie die Pressung mit heißerer Presse; eine längere Offenzeit hilft nicht.
+fit-remedy-leave-open = Lassen Sie die Platte vor dem Schließen eine Minute statt { NUMBER($seconds, maximumFractionDigits: 0) } s in der offenen Presse.
+fit-remedy-log-on = Messen Sie nach dem Öffnen eine Minute weiter statt { NUMBER($seconds, maximumFractionDigits: 0) } s.
+fit-remedy-pressing = Zeichnen Sie eine Pressung auf, bei der die Presse schließt.
+fit-remedy-stay-closed = Halten Sie die Presse länger geschlossen als die { NUMBER($seconds, maximumFractionDigits: 0) } s dieser Pressung.
+fit-remedy-switch = Zeichnen Sie einen Endschalter als Spalte closed auf.
+fit-remedy-thermocouple = Setzen Sie einen Fühler auf diese Seite: { $layer }, angrenzend { $other }.
+fit-role-boundary = Er wirkt hier: { $boundary }.
+fit-role-closed = Er koppelt { $below } und { $above } bei geschlossener Presse ({ NUMBER($seconds, maximumFractionDigits: 0) } s in dieser Pressung).
+fit-role-effect = Er gehört zu einem Effekt.
+fit-role-joined = Er koppelt { $below } und { $above }.
+fit-role-open = Er koppelt { $below } und { $above } bei offener Presse ({ NUMBER($before, maximumFractionDigits: 0) } s vor dem Schließen und { NUMBER($after, maximumFractionDigits: 0) } s nach dem Öffnen in dieser Pressung).
+fit-role-open-face = Er wirkt an einer freien Seite ({ $layer }) bei offener Presse ({ NUMBER($before, maximumFractionDigits: 0) } s vor dem Schließen und { NUMBER($after, maximumFractionDigits: 0) } s nach dem Öffnen in dieser Pressung).
+fit-shared = ein Wert in allen Pressungen, aus allen gemeinsam bekannt
+fit-shared-unknown = ein Wert in allen Pressungen, und auch aus allen gemeinsam nicht bekannt
+fit-shortfall-all =
+    { $more ->
+        [0] Das Modell beschreibt keine dieser Pressungen: { $runs }. Kein Koeffizient ist aus ihnen bekannt; für die Versuchsreihe stehen die Schätzwerte der Pressendatei.
+       *[other] Das Modell beschreibt keine dieser Pressungen: { $runs } und { $more } weitere. Kein Koeffizient ist aus ihnen bekannt; für die Versuchsreihe stehen die Schätzwerte der Pressendatei.
+    }
+fit-shortfall-one = Das Modell beschreibt diese Pressung nicht: { $misfit }. Kein Koeffizient ist aus ihr bekannt; für die Versuchsreihe stehen die Schätzwerte der Pressendatei.
+fit-shortfall-run = { $run } ({ $misfit })
+fit-shortfall-some =
+    Das Modell beschreibt { $count } von { $total } Pressungen nicht: { $runs }{ $more ->
+        [0] .
+       *[other] {" "}und { $more } weitere.
+    } { $count ->
+        [one] Sie bleibt bei allem Folgenden weg.
+       *[other] Sie bleiben bei allem Folgenden weg.
+    }
+fit-start-before-insertion = Kopfzeile panel.initial_temperature_C = { $header }, aber die Plattenkanäle zeigen { NUMBER($read, minimumFractionDigits: 1, maximumFractionDigits: 1) } °C vor dem Einlegen: Die Koeffizienten beruhen darauf; berichtigen Sie den Kopf oder die Kanäle
+fit-start-in-first-row = Kopfzeile panel.initial_temperature_C = { $header }, aber die Plattenkanäle zeigen { NUMBER($read, minimumFractionDigits: 1, maximumFractionDigits: 1) } °C in der ersten Zeile: Die Koeffizienten beruhen darauf; berichtigen Sie den Kopf oder die Kanäle
+fit-stuck = steckengeblieben: Das Verfahren endet { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K (RMS) von den Messwerten; mit den Schätzwerten waren es { NUMBER($first, minimumFractionDigits: 2, maximumFractionDigits: 2) } K, und das übliche Verfahren erreicht { NUMBER($own, minimumFractionDigits: 2, maximumFractionDigits: 2) } K
+fit-two-sentences = { $first } { $second }
+fit-unknown-closing = dem Zeitpunkt des Schließens
+fit-unknown-gain = der Verstärkung der Kanäle an { $place }
+fit-unknown-insertion = dem Zeitpunkt des Einlegens
+fit-unknown-offset = dem Versatz der Kanäle an { $place }
+fit-unknown-opening = dem Zeitpunkt des Öffnens
+fit-unknown-platen-bottom = dem Fehler des unteren Heizplattenkanals
+fit-unknown-platen-top = dem Fehler des oberen Heizplattenkanals
+fit-unknown-ramp = der Schließzeit der Presse
+fit-unknown-skew =
+    { $place ->
+        [all] der Verzögerung der Plattenkanäle
+       *[other] der Verzögerung der Kanäle an { $place }
+    }
+fit-unknown-start = der Anfangstemperatur der Platte
+fit-verdict-fixed = festgelegt
+fit-verdict-identifiable = bestimmbar
+fit-verdict-not-identifiable = nicht bestimmbar
+fit-verdict-one-sided = nur nach einer Seite begrenzt
+fit-verdict-shared = gemeinsam
+fit-why-noise = Seine Wirkung von { NUMBER($kelvin, maximumSignificantDigits: 2) } K geht im langsamen Rauschen der Seiten ({ NUMBER($noise, maximumSignificantDigits: 2) } K) unter.
+fit-why-resistance = Jeder Wert über { NUMBER($least, maximumSignificantDigits: 3) } W/m²K passt ebenso: Sein Widerstand, unter { NUMBER($resistance, maximumSignificantDigits: 1) } m²K/W, ist zu klein, um gesehen zu werden.
+fit-why-together = Er ist mit { $partner } korreliert (Korrelation { NUMBER($correlation, minimumFractionDigits: 2, maximumFractionDigits: 2) }).
+fit-why-unseen = Kein Messwert dieser Pressung ändert sich um mehr als { NUMBER($kelvin, maximumSignificantDigits: 2) } K, wenn er um den Faktor 2,7 wächst.
+fit-why-wide = Er ist nur auf einen Faktor { NUMBER($factor, minimumFractionDigits: 1, maximumFractionDigits: 1) } bekannt.
+
+## softsensor.diagnosis: verdicts, causes, what to measure next
+
+core-largest-shift = Im Verlauf einer Pressung ist er bis zu { NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K { $change ->
+        [hotter] heißer
+       *[cooler] kühler
+    }.
+core-no-panel = In diesem Aufbau liegt keine Platte, über einen Kern ist also nichts zu sagen.
+core-not-proven = Fühler an den Seiten können den Kern nicht bestätigen; pressen Sie einige Platten mit Kernfühler.
+core-off = Kernfühler, die keine Anpassung gesehen hat, liegen { NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K daneben.
+core-press-time = Für die Kerntemperatur, die das einfache Modell versprach, pressen Sie { NUMBER($seconds, minimumFractionDigits: 1, maximumFractionDigits: 1) } s { $change ->
+        [longer] länger
+       *[shorter] kürzer
+    } (mittlere Pressung).
+core-shift = { $at ->
+        [opening] Beim Öffnen der Presse
+       *[end] Am Ende einer Pressung
+    } ist der Kern { NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K { $change ->
+        [hotter] heißer
+       *[cooler] kühler
+    }, als das einfache Modell sagt (± { NUMBER($sd, minimumFractionDigits: 1, maximumFractionDigits: 1) } K von Pressung zu Pressung).
+core-thermocouples = Kernfühler, die keine Anpassung gesehen hat, liegen { NUMBER($before, minimumFractionDigits: 1, maximumFractionDigits: 1) } K neben dem einfachen und { NUMBER($after, minimumFractionDigits: 1, maximumFractionDigits: 1) } K neben dem erweiterten Modell.
+core-unchanged = Es kam keine Ursache hinzu, die Kernschätzung bleibt also, wie sie ist.
+diagnosis-no-runs = keine Pressungen für die Diagnose; geben Sie mindestens eine Laufdatei an
+gain-hardly = { $causes ->
+        [one] Damit
+       *[other] Mit ihnen
+    } ändert sich das Residuum kaum: { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } und { NUMBER($after, minimumFractionDigits: 2, maximumFractionDigits: 2) } K auf ausgelassenen Pressungen.
+gain-more-is-missing = Rauschen allein macht { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K, es fehlt also noch etwas, das diese Pressungen nicht benennen können.
+gain-residual-falls = { $causes ->
+        [one] Damit
+       *[other] Mit ihnen
+    } fällt das Residuum auf ausgelassenen Pressungen von { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } auf { NUMBER($after, minimumFractionDigits: 2, maximumFractionDigits: 2) } K.
+measured-at = { $at } °C
+measured-between = { $low } bis { $high } °C
+next-confirm-and-core = Um den Kern zu kennen, pressen Sie zwei oder drei Opferplatten mit Kernfühler; um die Ursache zu bestätigen: { $confirm }
+next-constants = Messen Sie Wärmeleitfähigkeit und Wärmekapazität der Platte: die Seiten passen, aber die Kernfühler liegen { NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K daneben, es stimmt also etwas nicht, das die Seiten nicht zeigen.
+next-look-there = Pressen Sie drei Opferplatten mit Kernfühler und sehen Sie sich die aufgeführten Zeiten und Stellen an.
+next-more-runs = Pressen Sie mindestens { $more ->
+        [one] eine weitere Platte
+       *[other] { $more } weitere Platten
+    }, mit verschiedenen Presszeiten und möglichst Dicken: unter { $least } Pressungen ist eine Ursache nicht vom Zufall zu unterscheiden.
+next-none = Keine nötig; ein Kernfühler in einer Opferplatte im Monat würde den Kern bestätigen.
+next-none-confirmed = Keine nötig: Kernfühler bestätigen es (vorher { NUMBER($before, minimumFractionDigits: 1, maximumFractionDigits: 1) } K daneben, nachher { NUMBER($after, minimumFractionDigits: 1, maximumFractionDigits: 1) } K).
+next-tell-apart = Um diese Ursachen zu unterscheiden ({ $causes }): { $confirm }
+note-channel = { $run }: { $column } ist { $kind ->
+        [swapped] vertauscht
+        [drifting] gedriftet
+       *[loose] lose
+    } ({ NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K RMS) und wurde weggelassen
+note-channel-in-runs = { $count } von { $runs } Pressungen: { $column } ist { $kind ->
+        [swapped] vertauscht
+        [drifting] gedriftet
+       *[loose] lose
+    } ({ NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K RMS) und wurde weggelassen
+note-refuted-by-cores = Kernfühler schließen diese Ursache aus, obwohl die Seiten passen würden: { $cause }
+note-rim-falls = Fühler am Rand fallen im Verlauf einer Pressung um { NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K gegen die in der Mitte: dort geht Wärme verloren
+p-value = p = { NUMBER($p, maximumSignificantDigits: 2) }
+p-value-below = p < { NUMBER($p, maximumSignificantDigits: 1) }
+p-value-few-runs = { $chance } ({ $runs } { $runs ->
+        [one] Pressung kann
+       *[other] Pressungen können
+    } nicht weniger als { NUMBER($least, maximumSignificantDigits: 2) } zeigen; benannt, weil jede ausgelassene Pressung damit besser passt und das übrige Residuum sich mindestens halbiert)
+phase-after-opening = nach dem Öffnen
+phase-before-closing = vor dem Schließen
+phase-closed = geschlossen
+phase-since-run-began = seit Beginn der Pressung
+verdict-cannot-tell = Diese Pressungen können folgende Ursachen nicht unterscheiden: { $causes }.
+verdict-differs-from-run-to-run = Diese { $runs } Pressungen haben keine Ursache gemeinsam, und doch liegt das einfache Modell { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K daneben, bei { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K Rauschen: was fehlt, ist von Pressung zu Pressung verschieden.
+verdict-faulty-channels = Lose, gedriftet oder vertauscht und weggelassen: { $columns }.
+verdict-few-runs = { $runs } { $runs ->
+        [one] Pressung ist
+       *[other] Pressungen sind
+    } zu wenig, um eine Ursache vom Zufall zu unterscheiden.
+verdict-few-runs-for-others = { $runs } { $runs ->
+        [one] Pressung ist
+       *[other] Pressungen sind
+    } zu wenig, um eine andere Ursache vom Zufall zu unterscheiden.
+verdict-few-runs-off = { $runs } { $runs ->
+        [one] Pressung ist
+       *[other] Pressungen sind
+    } zu wenig, um eine Ursache vom Zufall zu unterscheiden; das einfache Modell liegt { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K daneben, davon sind { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K Rauschen.
+verdict-found-but = Ursachen benannt, aber ein Teil des Residuums bleibt unerklärt: { $causes }.
+verdict-left = Alle Pressungen haben ein Residuum gemeinsam, das keine Ursache des Katalogs erklärt.
+verdict-left-at = Alle Pressungen haben ein Residuum gemeinsam, das keine Ursache des Katalogs erklärt: { $stretch }.
+verdict-plain-model-explains = Das einfache Modell erklärt diese { $runs } Pressungen auf { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K; Rauschen allein macht { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K.
+verdict-plain-model-explains-the-rest = Ohne sie erklärt das einfache Modell diese { $runs } Pressungen auf { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K.
+where-further = Dann: { $stretch }.
+where-most = Am weitesten daneben: { $stretch }.
+where-stretch = { NUMBER($kelvin, minimumFractionDigits: 2, maximumFractionDigits: 2) } K { $side ->
+        [above] über
+       *[below] unter
+    } dem einfachen Modell gemessen, { $place }, von { $begin } bis { $end } s ({ $phase }), bei { $temperatures }
+where-stretch-to-the-end = { NUMBER($kelvin, minimumFractionDigits: 2, maximumFractionDigits: 2) } K { $side ->
+        [above] über
+       *[below] unter
+    } dem einfachen Modell gemessen, { $place }, ab { $begin } s ({ $phase }), bei { $temperatures }
+worth-core = der Kern ist { $at ->
+        [opening] beim Öffnen der Presse
+       *[end] am Ende einer Pressung
+    } { NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K { $change ->
+        [hotter] heißer
+       *[cooler] kühler
+    }
+worth-faulty-channel = durch Vergleich mit den Kanälen daneben gefunden und weggelassen
+worth-hardly = senkt das Residuum auf ausgelassenen Pressungen kaum ({ NUMBER($gain, minimumFractionDigits: 2, maximumFractionDigits: 2) } von { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } K); benannt, weil { $better } von { $runs } Pressungen, jede einmal ausgelassen, damit besser passen; es { $moved }, und { $core }
+worth-hardly-without-panel = senkt das Residuum auf ausgelassenen Pressungen kaum ({ NUMBER($gain, minimumFractionDigits: 2, maximumFractionDigits: 2) } von { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } K); benannt, weil { $better } von { $runs } Pressungen, jede einmal ausgelassen, damit besser passen; es { $moved }
+worth-moves = { $change ->
+        [raises] hebt
+       *[lowers] senkt
+    } { $coefficient } ({ $bodies }) um { NUMBER($percent, maximumFractionDigits: 0) } %
+worth-moves-nothing = ändert keinen Koeffizienten über den Zufall hinaus
+worth-saves = senkt das Residuum um { NUMBER($gain, minimumFractionDigits: 2, maximumFractionDigits: 2) } von { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } K auf ausgelassenen Pressungen
+
+## softsensor.live: why the core is not valid
+
+core-may-pass-limit-soon = der Kern kann in { NUMBER($seconds, maximumFractionDigits: 0) } s { NUMBER($limit_C, maximumFractionDigits: 1) } °C überschreiten: Presse öffnen
+core-will-pass-limit = der Kern wird bis auf { NUMBER($peak_C, maximumFractionDigits: 0) } °C steigen, über die Grenze von { NUMBER($limit_C, maximumFractionDigits: 1) } °C
+core-will-pass-limit-even-if-opened = der Kern wird { NUMBER($peak_C, maximumFractionDigits: 0) } °C erreichen, selbst wenn die Presse jetzt öffnet, über der Grenze von { NUMBER($limit_C, maximumFractionDigits: 1) } °C
+reason-band-too-wide = Kern nicht bestimmbar: das Band ist breiter als ±{ NUMBER($limit_K, maximumFractionDigits: 0) } K
+reason-calculation-failed = die Rechnung ist fehlgeschlagen und wird neu gestartet
+reason-faces-jumped-during-a-gap = die Temperatur beider Seiten ist während einer Messlücke gesprungen
+reason-faces-too-cold-for-this-panel = die Seiten sind viel kälter als die der gepressten Platte; es kann eine andere Platte dort liegen
+reason-insertion-not-seen = Kern nicht bestimmbar: nichts hat gezeigt, wann die Platte eingelegt wurde
+reason-live-sensor-silent = der Softsensor hat seit { NUMBER($silent_s, maximumFractionDigits: 0) } s keine Schätzung geliefert
+reason-no-estimate-yet = der Softsensor hat noch keine Schätzung geliefert
+reason-no-panel-in-the-press = keine Platte in der Presse
+reason-no-reading-of-the-lower-face = Kern nicht bestimmbar: kein Fühler der Unterseite zeigt, ob eine Platte in der Presse liegt
+reason-no-scans = seit { NUMBER($silent_s, maximumFractionDigits: 0) } s keine Messzeile
+reason-panel-not-seen-in-the-open-press = seit Langem zeigt kein Fühler, ob die Platte noch in der offenen Presse liegt
+reason-platen-reading-missing = Heizplattentemperatur fehlt
+reason-platen-reading-missing-at-insertion = die Heizplattentemperaturen fehlten, als die Platte eingelegt wurde
+reason-press-closed-again-on-the-same-panel = die Presse hat sich über derselben Platte noch einmal geschlossen
+reason-press-closed-during-a-gap = die Presse schloss während einer langen Messlücke
+reason-press-state-unknown = Pressenzustand unbekannt
+reason-readings-contradict-the-model = die Fühler der Platte widersprechen dem Modell
+reason-run-begins-in-the-closed-press = die Aufzeichnung beginnt in der geschlossenen Presse
+reason-run-begins-with-the-panel-on-the-hot-plate = die Aufzeichnung beginnt mit der Platte auf der heißen Heizplatte
+reason-run-refused = der Pressung kann nicht gefolgt werden: { $problem }
+reason-start-temperature-contradicted = die Fühler zeigen { NUMBER($measured_C, maximumFractionDigits: 0) } °C, laut Kopfdaten beginnt die Platte bei { NUMBER($header_C, maximumFractionDigits: 0) } °C
+reason-start-temperature-too-high = laut Kopfdaten beginnt die Platte bei { NUMBER($header_C, maximumFractionDigits: 0) } °C; so heiß ist keine frische Platte
+
+## softsensor.jobs: services and nights
+
+coefficient-has-changed = { $coefficient } hat sich seit Pressung { $run } geändert (bemerkt bei { $noticed }): jetzt { NUMBER($percent, maximumFractionDigits: 0) } % des früheren Werts; prüfen, was davor an der Presse gemacht wurde
+dask-no-answer = Dask-Scheduler { $address }: keine Antwort in { $seconds } s; [refit] dask prüfen, und ob er läuft
+dask-no-worker = Dask-Scheduler { $address }: kein Worker in { $seconds } s; dask worker { $address } starten
+dask-package-missing = Dask-Scheduler { $address }: das Paket 'distributed' fehlt; auf einem Pressen-PC bringt es kerntemp_setup.py complete, sonst pip install 'kerntemp[dask]'
+model-none-before = Presse { $press }: kein früheres Modell, zu dem man zurückkehren könnte
+night-against-core-silenced = der Kern ist in weniger Messzeilen gültig
+night-against-core-worse = der Kern wird schlechter
+night-against-left-out-worse = schlechter auf ausgelassenen Pressungen
+night-against-not-significant = der Gewinn ist nicht signifikant
+night-against-still-helps = ein Effekt, der wegfiele, verbessert die Anpassung noch
+night-compared =
+    { $kind ->
+        [with] { $effects }
+        [without] ohne { $without }
+       *[both] { $effects } ohne { $without }
+    }: Residuum { NUMBER($before, minimumFractionDigits: 3, maximumFractionDigits: 3) } -> { NUMBER($after, minimumFractionDigits: 3, maximumFractionDigits: 3) } K auf { $apart ->
+        [yes] { $runs } unbeteiligten Pressungen
+       *[no] { $runs } Pressungen der Diagnose
+    }{ $left_out }{ $core }{ $against }
+night-compared-against = { "; " }{ $what }
+night-compared-core = { ", " }Kern { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } -> { NUMBER($after, minimumFractionDigits: 2, maximumFractionDigits: 2) } K im Betrieb
+night-compared-left-out = { ", " }{ NUMBER($before, minimumFractionDigits: 3, maximumFractionDigits: 3) } -> { NUMBER($after, minimumFractionDigits: 3, maximumFractionDigits: 3) } K auf reihum ausgelassenen Pressungen
+night-diagnosis-confirms = die Diagnose bestätigt es
+night-first-model = erstes Modell, Koeffizienten aus { $runs } Pressungen
+night-first-model-although = erstes Modell, Koeffizienten aus { $runs } Pressungen; { $although }
+night-fits =
+    { $fitted } von { $runs } Pressungen ausgewertet, { $failed } nicht auswertbar{ $blind ->
+        [0] { "" }
+       *[other] , { $blind } ohne Fühler an der Platte
+    }
+night-left-to-you = { $version } wird nicht von selbst in Kraft gesetzt; entscheiden Sie selbst: { $reason }
+night-like-rolled-back = { $reason }; wie { $version }, das zurückgenommen wurde
+night-nothing-changed = nichts hat sich geändert
+night-outcome =
+    { $press }: { $fits }; Diagnose: { $verdict ->
+        [not_asked] nicht gefragt
+        [no_effect] nichts fehlt
+        [named] Ursache benannt
+        [ambiguous] Ursachen, die sich nicht unterscheiden lassen
+        [unknown_effect] eine unbekannte Ursache bleibt
+        [too_few_runs] zu wenige Pressungen
+       *[other] { $verdict }
+    }; { $model ->
+        [promoted] Modell { $version } in Kraft gesetzt
+        [stays] Modell { $version } bleibt
+       *[none] noch kein Modell
+    }: { $reason }
+night-rejected = { $version } abgelehnt: { $reason }
+night-too-few-runs = { $runs } Pressungen ausgewertet, { $needed } sind nötig
+night-too-few-to-judge = zu wenige Pressungen für ein Urteil
+press-problem = { $press }: { $problem }
+run-fit-killed = Pressung { $run } konnte nicht ausgewertet werden: der Rechenprozess wurde zweimal abgebrochen; vermutlich fehlt Arbeitsspeicher
+run-not-fitted = Pressung { $run } konnte nicht ausgewertet werden: { $why }
+run-nothing-to-fit = Pressung { $run } hat keine Fühler an der Platte: nichts auszuwerten
+sense-following = folgt { $presses }
+sense-follows-run = folgt Pressung { $run }
+sense-takes-model = der Softsensor nimmt Modell { $version }
+sense-waiting = wartet auf Messungen
+
+## softsensor.report: figures and pages
+
+figure-adaptive = Löser mit angepassten Schritten
+figure-coefficient = { $name } = { NUMBER($mean, maximumSignificantDigits: 3) } W/m²K
+figure-coefficient-shared = { $name } = { NUMBER($mean, maximumSignificantDigits: 3) } W/m²K, gemeinsam
+figure-coefficient-spread = { $name } = { NUMBER($mean, maximumSignificantDigits: 3) } ± { NUMBER($sd, maximumSignificantDigits: 2) } W/m²K
+figure-core = Kern, { $model }
+figure-core-measured = Kern, gemessen
+figure-correlation = Korrelation
+figure-cost = Kosten je Messwert über ihrem Minimum
+figure-dots-and-lines = Punkte: gemessen, Linien: simuliert
+figure-exact = exakter Löser
+figure-extended = erweitert
+figure-fit = { $run }: das angepasste Modell liegt { NUMBER($fit, minimumFractionDigits: 2, maximumFractionDigits: 2) } K (RMS) neben den Fühlern ({ NUMBER($guesses, minimumFractionDigits: 1, maximumFractionDigits: 1) } K mit den Schätzwerten der Pressendatei)
+figure-from-best = { $name }, Abweichung vom besten Wert [%]
+figure-known-from-run = Bekannt aus { $run }: { $known }
+figure-known-from-runs = { $runs } Pressungen: aus jeder bekannt { $known }; Streuung von Pressung zu Pressung bis { NUMBER($percent, maximumFractionDigits: 0) } %
+figure-largest = { $sign }{ NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K bei { NUMBER($at, minimumFractionDigits: 1, maximumFractionDigits: 1) } s
+figure-mean = gemessen (Mittel)
+figure-measured = gemessen
+figure-measured-mean = gemessen, Mittel aus { $channels } Fühlern ± ihre Streuung
+figure-measured-minus-model = gemessen − Modell [K]
+figure-misfit-saved = Abnahme der Abweichung [Varianzen des Rauschens]
+figure-model = Modell, { $model }
+figure-moves-with = { $run }: { $one } ändert sich am meisten mit { $other } (Korrelation { $sign }{ NUMBER($size, minimumFractionDigits: 2, maximumFractionDigits: 2) })
+figure-normalised = Bezogen auf das Mittel: { $name } schwankt am meisten von Pressung zu Pressung ({ NUMBER($percent, maximumFractionDigits: 0) } %)
+figure-not-described = { $run }: das Modell beschreibt diese Pressung nicht, es liegt { NUMBER($fit, minimumFractionDigits: 2, maximumFractionDigits: 2) } K (RMS) daneben ({ NUMBER($guesses, minimumFractionDigits: 1, maximumFractionDigits: 1) } K mit den Schätzwerten der Pressendatei)
+figure-nothing-known = Kein Koeffizient ist bekannt: das Modell beschreibt das Gemessene nicht
+figure-over-mean = Wert / Mittel
+figure-plain = einfach
+figure-residuals = Was alle Pressungen gemeinsam haben, fehlt dem Modell
+figure-roughness = Angepasste Schritte machen die Kosten rau: Differenzen messen die Schritte, nicht die Steigung
+figure-run = Pressung
+figure-since-beginning = Zeit seit Beginn [s]
+figure-since-closing = Zeit seit dem Schließen [s]
+figure-temperature = Temperatur [°C]
+figure-time = Zeit [s]
+figure-votes = { $better } von { $runs } Pressungen, jede einmal ausgelassen, passen mit dieser Ursache besser: { $cause }
+figure-with-fit = Modell mit angepassten Koeffizienten
+figure-with-guesses = Modell mit den Schätzwerten der Pressendatei
+figure-worst-run = { $run }, die am schlechtesten passende Pressung: das einfache Modell liegt { NUMBER($rms, minimumFractionDigits: 2, maximumFractionDigits: 2) } K daneben (RMS der Mittel je Stelle)
+figure-worst-run-extended = { $run }: { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } K daneben mit dem einfachen Modell, { NUMBER($after, minimumFractionDigits: 2, maximumFractionDigits: 2) } K mit { $causes }
+kelvin-off = { NUMBER($kelvin, minimumFractionDigits: 2, maximumFractionDigits: 2) } K
+kelvin-signed = { $sign }{ NUMBER($kelvin, minimumFractionDigits: 2, maximumFractionDigits: 2) } K
+known-all = alle Koeffizienten
+known-none = keiner der Koeffizienten
+night-back = Zurück zur vorigen Version:
+night-cannot-write = { $path }: der Bericht kann nicht geschrieben werden: { $why }; siehe [refit] reports
+night-diagnosis = Diagnose
+night-drift = { $coefficient }: { $said }
+night-drifts = Drift
+night-effects = Effekte
+night-fitted-with = angepasst mit
+night-in-force = Modell in Kraft
+night-no-diagnosis = Noch keine.
+night-no-drift = Jeder Koeffizient ist, wo er immer war.
+night-no-effects = keine
+night-no-model = Es gibt noch kein Modell: { $reason }.
+night-not-fitted = nicht angepasst
+night-parameters = Parameter
+night-promoted = Modell { $version } wurde in Kraft gesetzt: { $reason }.
+night-residual = Residuum der Seiten
+night-runs = Neueste Pressungen
+night-spread = eine Pressung kann abweichen um
+night-started = Beginn
+night-status = Stand
+night-status-candidate = Kandidat
+night-status-promoted = in Kraft gesetzt
+night-status-rejected = abgelehnt
+night-status-retired = abgelöst
+night-stays = Modell { $version } bleibt in Kraft: { $reason }.
+night-title = Nächtliche Anpassung der Presse „{ $press }“
+night-unit = Einheit
+night-verdict = Urteil:
+night-version = Version
+night-versions = Versionen
+night-warnings = Warnungen im Journal
+night-why = warum
+night-with-guesses = mit den Schätzwerten der Pressendatei
+report-95-bootstrap = 95 % (Bootstrap)
+report-95-of-mean = 95 % des Mittels (t)
+report-95-of-runs = 95 % seiner Pressungen
+report-at-core = Am Kern: { $core }
+report-bold-better = Fett: gemeinsam viel besser bekannt als einzeln.
+report-bold-excludes = Fett: das 95-%-Intervall schließt „keine Änderung“ aus.
+report-candidates = Alle Kandidaten
+report-cannot-tell = Diese Pressungen können die Ursachen nicht unterscheiden. Was es könnte:
+report-cause = Ursache
+report-chance = Wahrscheinlichkeit, dass es Zufall ist
+report-change = Änderung des Koeffizienten
+report-coefficient = Koeffizient
+report-coefficients = { $runs ->
+        [0] Koeffizienten
+        [one] Koeffizienten
+       *[other] Über alle Pressungen
+    }
+report-cost = Was es kostet
+report-count-of = { $count } von { $total }
+report-dependence = Abhängigkeit vom Pressprogramm
+report-diagnosis-basis = Presse „{ $press }“, { $runs } { $runs ->
+        [one] Pressung
+       *[other] Pressungen
+    }, Urteil
+report-diagnosis-of = { $verdict } – Presse { $press }
+report-error-core = Fehler des Kerns gegen Kernfühler
+report-every-run = Jede Pressung für sich
+report-every-run-joint = Jede Pressung mit dem, was sie von den anderen übernimmt
+report-extended-model = erweitertes Modell
+report-fit-of = Wärmeübergangskoeffizienten der Presse „{ $press }“
+report-fitted = Angepasst an { $runs ->
+        [one] eine Pressung
+       *[other] { $runs } Pressungen
+    } liegt das Modell { NUMBER($fit, minimumFractionDigits: 2, maximumFractionDigits: 2) } K neben den Fühlern ({ $runs ->
+        [one] { "" }
+       *[other] Median;{ " " }
+    }{ NUMBER($guesses, minimumFractionDigits: 1, maximumFractionDigits: 1) } K mit den Schätzwerten der Pressendatei).
+report-from-on = { $begin } s – bis zum Ende
+report-from-to = { $begin } s – { $end } s
+report-gain = Was gewonnen ist
+report-how = Wie das gefunden wurde
+report-how-averages = Die Werte einzelner Pressungen stammen aus dem Verfahren des Aufsatzes, { $method } auf Mittelwerten der oberen und unteren Fühler; Zeitpunkte, Urteile und gemeinsame Schätzungen aus unserem eigenen:
+report-how-channels = Die Werte einzelner Pressungen stammen aus dem Verfahren des Aufsatzes, { $method } auf jedem Fühler mit eigenem Versatz; Zeitpunkte, Urteile und gemeinsame Schätzungen aus unserem eigenen:
+report-how-fitted = Levenberg–Marquardt im Logarithmus der Koeffizienten. Schließen, Öffnen und Schließrampe, Starttemperatur, Heizplatten- und Fühlerfehler werden in den Grenzen angepasst, in denen eine Messkette falsch sein kann, und verbreitern die Intervalle. Residuen gelten als zeitlich korreliert, ihre Größe wird aus jeder Pressung geschätzt. Ob ein Koeffizient bestimmbar ist, zeigt das Profil der Likelihood dieser Pressung.
+report-how-model = Geschichtete Wärmeleitung mit einem Übergangskoeffizienten zwischen Nachbarn für jeden Pressenzustand, implizit gelöst mit exakten Ableitungen.
+report-hundredths = { NUMBER($value, minimumFractionDigits: 2, maximumFractionDigits: 2) }
+report-joint-median = gemeinsamer Median
+report-known = { $runs ->
+        [one] Aus ihr bekannt
+       *[other] Aus diesen Pressungen bekannt
+    }: { $known }.
+report-known-to = { NUMBER($value, maximumSignificantDigits: 4) } ± { NUMBER($percent, maximumFractionDigits: 0) } %
+report-legend-coefficients = Punkte: einzelne Pressungen mit 95-%-Intervallen. Linie und Band: Mittel und σ. Kreuz: eine Pressung, in der der Koeffizient nicht bestimmbar ist, beim Mittel gezeichnet.
+report-legend-every-run = ± das halbe 95-%-Intervall. Kursiv: in dieser Pressung nicht bestimmbar; das Intervall, das die Daten offen lassen. Nicht beschrieben: das Modell passt nicht zur Pressung, aus ihr wird also nichts gelesen.
+report-legend-measured = Fehlerbalken: Standardabweichung über die Fühler einer Seite. Grau gestrichelt: das Modell mit den Schätzwerten der Pressendatei. Getönt: Presse geschlossen. Residuen ohne den konstanten Versatz jeder Seite, ihr Band die Streuung der Fühler; wo sich die Presse bewegt, verlassen sie das Bild, und der größte Wert steht dabei.
+report-legend-normalised = Punkte: einzelne Pressungen bezogen auf das Mittel, in ihrer Reihenfolge. Balken: ± σ.
+report-legend-profile = Ein Profil zeigt, wie viel schlechter das Modell zur Pressung passt, je weiter ein Koeffizient verschoben wird, während alle anderen Unbekannten folgen; wo es unter der Linie bleibt, passt der Wert ebenso gut (95 %). Ein Profil, das die Linie auf einer Seite nicht schneidet, ist dort offen.
+report-legend-run = Punkte: Messwerte. Grau: das einfache Modell mit den eigenen Koeffizienten dieser Pressung. Orange: mit der Ursache. Gestrichelt: Kern. Getönt: Presse geschlossen; darunter, wo das einfache Modell am weitesten danebenliegt, und was dort gemessen wurde.
+report-mean = Mittel
+report-mean-note = Mittel und σ über die Pressungen, in denen der Koeffizient bestimmbar ist. Gemeinsamer Median und wahre Streuung: alle Pressungen zusammen geschätzt als Ziehungen aus einer lognormalen Gesamtheit, ohne den Fehler der einzelnen Schätzung.
+report-measured-against-simulated = Gemessen gegen simuliert
+report-measured-minus-plain = gemessen − einfaches Modell
+report-measured-there = dort gemessen
+report-method-least_squares = kleinste Quadrate mit Gradienten
+report-method-nelder_mead = Nelder-Mead
+report-method-nelder_mead_then_least_squares = Nelder-Mead und danach gewichtete kleinste Quadrate
+report-misfit-saved = Abnahme der Abweichung, in Varianzen des Rauschens
+report-next = Als Nächstes messen
+report-no-cause = Keine Ursache des Katalogs wurde benannt.
+report-no-core = kein Kernfühler
+report-noise-alone = Rauschen der Fühler allein: { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K. Die Seiten können passen, während der Kern falsch ist: nur Kernfühler beweisen den Kern.
+report-not-converged = nicht konvergiert
+report-not-described = nicht beschrieben
+report-not-known = { $runs ->
+        [one] Nicht bekannt
+       *[other] Nicht aus jeder Pressung
+    }: { $names }.
+report-not-varied = nicht verändert
+report-notes = Hinweise
+report-notes-on-runs = Hinweise zu einzelnen Pressungen
+report-number = { NUMBER($value, maximumSignificantDigits: 4) }
+report-number-2 = { NUMBER($value, maximumSignificantDigits: 2) }
+report-number-3 = { NUMBER($value, maximumSignificantDigits: 3) }
+report-paper = Warum kleinste Quadrate mit Gradienten stecken blieben, und warum das nicht sein muss
+report-paper-converged = konvergiert
+report-paper-error = Fehler gegen die Wahrheit
+report-paper-note = Angepasste Schritte: LSODA mit den Voreinstellungen von scipy auf demselben Netz; seine exakten Ableitungen werden neben den Temperaturen vom selben Löser integriert. Konvergiert: die niedrigsten Kosten, die eines der vier fand, auf 2 %. Fehler: Median über die Messungen vom größten Fehler unter den Koeffizienten, die jede Pressung zeigt. Dass die Schwierigkeit des Aufsatzes diese Ursache hatte, ist eine Vermutung; dass diese Ursache dafür genügt, zeigt die Tabelle.
+report-paper-slopes = Steigungen
+report-paper-solver = Löser
+report-paper-solves = Lösungen
+report-paper-time = Zeit je Messung [s]
+report-paper-what = Dieselben virtuellen Messungen, dieselben Startwerte (bis zum Faktor 3 daneben), derselbe Optimierer mit seinen Voreinstellungen; nur der Löser und die Art, Steigungen zu bekommen, unterscheiden sich.
+report-per-10-degrees = je 10 °C Heizplattentemperatur
+report-per-10-newton = je 10 N/cm² Druck
+report-per-10-seconds = je 10 s Presszeit
+report-percent = { NUMBER($percent, minimumFractionDigits: 1, maximumFractionDigits: 1) } %
+report-place = Stelle
+report-plain-model = einfaches Modell
+report-predicted = vorhergesagt
+report-preferred = Gegenüber dieser Ursache ziehen die Pressungen sie um { NUMBER($t, maximumFractionDigits: 1) } Standardfehler vor: { $cause }.
+report-prior = { $name }: { NUMBER($median, maximumSignificantDigits: 6) } W/m²K, mal oder durch { NUMBER($factor, maximumSignificantDigits: 6) }.
+report-priors-note = Vorwissen aus der Pressendatei:
+report-profile-of = Profil von { $name }
+report-profiles = Profile und Korrelationen jeder Pressung
+report-program = Ein nie gefahrenes Programm
+report-program-of = Vorhergesagt für { $settings } (95 % der Pressungen)
+report-residual-fitted = Residuum aller Fühler, angepasste Pressungen
+report-residual-kelvin = Residuum [K]
+report-residual-left-out = Residuum auf unbeteiligten Pressungen
+report-run = Pressung
+report-run-not-described = { $runs ->
+        [one] Die Pressung, die das Modell nicht beschreibt
+       *[other] Die schlechteste der Pressungen, die das Modell nicht beschreibt
+    }
+report-runs = Pressungen
+report-runs-that-know-it = Pressungen, die ihn kennen
+report-saved-left-out = gespart auf ausgelassenen Pressungen
+report-setting = { $name } = { $value } { $unit }
+report-shared = gemeinsam
+report-shared-note = In allen Pressungen war ein Wert verlangt: { $names }.
+report-since-state-began = seit seinem Beginn
+report-slope = { NUMBER($percent, minimumFractionDigits: 1, maximumFractionDigits: 1) } % ({ NUMBER($low, minimumFractionDigits: 1, maximumFractionDigits: 1) } … { NUMBER($high, minimumFractionDigits: 1, maximumFractionDigits: 1) })
+report-span = { NUMBER($low, maximumSignificantDigits: 4) } – { NUMBER($high, maximumSignificantDigits: 4) }
+report-span-3 = { NUMBER($low, maximumSignificantDigits: 3) } – { NUMBER($high, maximumSignificantDigits: 3) }
+report-state = Zustand
+report-symptom = Anzeichen: { $symptom }
+report-tenths = { NUMBER($value, minimumFractionDigits: 1, maximumFractionDigits: 1) }
+report-true-spread = wahre Streuung
+report-typical-run = { $runs ->
+        [one] Die Pressung
+       *[other] Eine typische Pressung
+    }
+report-unknown = Was diese Pressungen nicht bestimmen können, und welche Messung es könnte
+report-value = Wert
+report-verdict-ambiguous = Ursache eingegrenzt
+report-verdict-named = Ursache benannt
+report-verdict-no_effect = Kein Effekt gefunden
+report-verdict-too_few_runs = Zu wenige Pressungen
+report-verdict-unknown_effect = Etwas Unbekanntes
+report-what-is-wrong = Was falsch ist
+report-why = Warum
+report-why-and-remedy = warum, und welche Messung hilft
+report-with-guesses-kelvin = mit Schätzwerten [K]
+report-worst-run = Die am schlechtesten passende Pressung
+report-worth = erklärt { NUMBER($percent, maximumFractionDigits: 0) } % dessen, was die Pressungen gemeinsam haben, und { $worth }. Die Wahrscheinlichkeit, dass das Zufall ist, aus dem Vertauschen der Vorzeichen ganzer Pressungen: { $sureness }
+
+## api: refusals of the server, access, health
+
+api-address-taken = { $host }:{ $port } ist nicht frei: { $why }; wählen Sie mit --port einen anderen Port
+api-body-late = die Anfrage kam nicht innerhalb von { $seconds } s an
+api-body-not-json = die Anfrage muss JSON sein, mit Content-Type: application/json
+api-body-too-large = die Anfrage darf höchstens { $bytes } Bytes haben
+api-certificate-missing = { $path }: diese Datei gibt es nicht; geben Sie Zertifikat und Schlüssel als PEM-Dateien an
+api-certificate-needs-key = --certificate und --key gehören zusammen; geben Sie beide an oder keins
+api-certificate-unusable = { $certificate }, { $key }: { $why }; geben Sie beide als PEM an, den Schlüssel ohne Passwort
+api-change-needs-token = eine Änderung braucht ein Zugangstoken mit Schreibrecht; kerntemp token create legt eines an
+api-columns-empty = columns = { $columns } nennt keine Spalte; columns für alle Spalten weglassen
+api-field-invalid = { $field }: { $why }
+api-field-name-invalid = { $field }: ein Name hat nur Buchstaben, Ziffern, _ und -, mit Punkten dazwischen
+api-header-key-fixed = { $key } lässt sich so nicht ändern; siehe Bemerkung
+api-header-key-twice = { $key } kann nicht zugleich ein Wert sein und Schlüssel enthalten
+api-header-not-a-number = { $key } = { $value }: muss eine Zahl sein
+api-instant-without-zone = { $instant } hat keine Zeitzone; hängen Sie Z oder einen Zeitversatz wie +01:00 an
+api-last-event-id-unknown = Last-Event-ID { $id } gehört nicht zu diesem Strom; lassen Sie sie weg
+api-model-unknown = Modell { $version } gibt es nicht; /api/v1/models zählt sie auf
+api-no-such-language = Sprache { $language } ist nicht vorhanden; es gibt { $languages }
+api-nul-character = Pfad und Abfrage: ein NUL-Zeichen gehört nirgendwohin; lassen Sie es weg
+api-only-loopback-names = ohne Zugangstoken wird hier nur unter einem Namen dieses Rechners geantwortet
+api-query-unknown = query.{ $name }: unbekannt; bekannt sind hier: { $known }
+api-query-unknown-of-none = query.{ $name }: unbekannt; hier ist keine bekannt
+api-reading-needs-token = von anderswo zu lesen braucht ein Zugangstoken: Authorization: Bearer ...
+api-request-invalid = { $problems }
+api-run-changed = Pressung { $run }: { $fields } geändert
+api-run-not-fitted = Pressung { $run } ist nicht angepasst; kerntemp refit holt es nach
+api-run-not-simulated = Pressung { $run } lässt sich nicht simulieren: { $why }
+api-run-unknown = Pressung { $run } gibt es nicht; /api/v1/runs zählt sie auf
+api-run-without-press-file = Pressung { $run }: ihre Presse wurde ohne Pressendatei gespeichert
+api-server-failed = der Server ist daran gescheitert; siehe sein Protokoll
+api-token-exists = das Zugangstoken { $name } gibt es schon; ziehen Sie es erst zurück oder wählen Sie einen anderen Namen
+api-token-invalid = dieses Zugangstoken gilt nicht; kerntemp token create legt eines an
+api-token-reads-only = Zugangstoken { $name } darf nur lesen; eine Änderung braucht das Schreibrecht
+api-token-unknown = das Zugangstoken { $name } gibt es nicht; es gibt: { $known }
+api-token-unknown-of-none = das Zugangstoken { $name } gibt es nicht; es gibt noch keines
+api-tokens-needed = server.host = { $host }: wer von anderswo liest, braucht ein Zugangstoken, und es gibt keines; legen Sie eines an mit kerntemp token create NAME --scope read, oder lauschen Sie auf 127.0.0.1
+api-tokens-unreadable = { $path }: die Zugangstoken sind nicht lesbar: { $why }; entfernen Sie die Datei und legen Sie neue an
+api-too-many-listeners = zu viele Zuhörer; versuchen Sie es später wieder
+api-too-many-wrong-tokens = zu viele falsche Zugangstoken von dieser Adresse; weitere falsche werden eine Minute lang verzögert beantwortet
+health-disk-nearly-full = weniger als { $gigabytes } GB frei auf dem Datenträger des Datenspeichers
+health-never-seen = noch nie gesehen
+health-nightly-job-overdue = refit: der nächtliche Lauf ist seit { NUMBER($hours, maximumFractionDigits: 0) } h nicht zu Ende gekommen; siehe sein Protokoll
+health-process-never-seen = { $process }: noch nie gesehen; starten Sie kerntemp { $command }
+health-process-silent = { $process }: seit { NUMBER($seconds, maximumFractionDigits: 0) } s stumm; starten Sie kerntemp { $command }
+health-process-silent-for-hours = { $process }: seit { NUMBER($hours, maximumFractionDigits: 0) } h stumm; starten Sie kerntemp { $command }
+health-scans-behind = { $press }: { $scans } Messzeilen im Rückstand, dieser Rechner ist überlastet
+
+## api.commands: the command line
+
+diagnosed-cause = { $name }: { $worth }; { $sureness }
+diagnosed-causes = { $name } (nicht zu unterscheiden von { $others }): { $worth }; { $sureness }
+diagnosed-next = Als Nächstes: { $sentence }
+diagnosed-residual = Residuum { NUMBER($base, minimumFractionDigits: 3, maximumFractionDigits: 3) } K, erweitertes Modell { NUMBER($extended, minimumFractionDigits: 3, maximumFractionDigits: 3) } K
+terminal-averages-need-method = --averages gehört zu einem der Verfahren der Arbeit; geben Sie auch --method an
+terminal-backup-contents = { $runs } Pressungen, { $scans } Messzeilen, { $fits } Anpassungen, { $models } Modelle
+terminal-backup-one-only = --verify und --restore: geben Sie eins davon an; das Einspielen prüft die Kopie zuerst
+terminal-backup-restored = { $file } eingespielt und verglichen: { $contents }
+terminal-backup-sound = { $file } ist in Ordnung: { $contents }
+terminal-backup-written = { $file } geschrieben und geprüft: { $contents }
+terminal-calibrate-added = { $path }: { $entries } Einträge vom { $day } ergänzt
+terminal-calibrate-needs-mode = calibrate: geben Sie entweder --room mit der Anzeige des Thermometers an oder --warm
+terminal-calibrate-no-file = calibrate --write: kein Messgerät in { $config } hat eine Kalibrierdatei; geben Sie einem den Namen einer Datei, etwa calibration = "{ $logger }.toml"
+terminal-calibrate-not-kept = { $logger }: Versatz nicht aufgehoben; geben Sie ihm den Namen einer Datei, calibration = "{ $logger }.toml"
+terminal-calibrate-write-needs-room = calibrate: --write braucht --room
+terminal-channel-verdict = { $channel } { $verdict }
+terminal-channels-fail = { $bad } von { $all } Kanälen bestehen die Prüfung nicht: { $names }
+terminal-check-failed = { $path }: { $failures }; prüfen Sie Strom, Kabel und Adresse
+terminal-check-logger-failed = Presse { $press }, Messgerät { $logger }: { $why }
+terminal-check-store-opens = Datenspeicher { $store }: lässt sich öffnen
+terminal-check-well-formed = { $path }: wohlgeformt
+terminal-coefficient-not-positive = { $path }: { $name } = { $value }: muss eine Zahl über 0 in W/m²K sein
+terminal-coefficient-unknown = { $where }: { $name }: die Presse „{ $press }“ hat keinen solchen Koeffizienten; sie hat { $known }
+terminal-coefficients-no-object = { $path }: muss ein Objekt {"{"}NAME: Wert{"}"} sein
+terminal-coefficients-not-json = { $path }: kein JSON: { $why }
+terminal-coefficients-or-model = --coefficients und --model schließen einander aus; geben Sie eins an
+terminal-coefficients-unreadable = { $path }: die Koeffizienten sind nicht lesbar: { $why }
+terminal-config-missing = { $path }: diese Konfiguration gibt es nicht; schreiben Sie eine (siehe Runbook, Connect a logger) oder geben Sie --config an
+terminal-config-no-permission = { $path }: keine Leseberechtigung; setzen Sie sudo vor den Befehl, oder geben Sie ein anderes --config an
+terminal-demo-folder-taken = --data { $folder }: enthält schon einen Datenspeicher; geben Sie einen neuen Ordner an, oder entfernen Sie ihn
+terminal-export-needs-out = export braucht --out: eine Datei für eine Pressung, einen Ordner für mehrere
+terminal-file-among-figures = { $path }: liegt unter den Bildern von --svg { $folder }; geben Sie einen anderen Ort oder eine andere Endung an
+terminal-fit-from = anfangs
+terminal-fit-joint-median = gemeinsamer Median
+terminal-fit-mean = Mittel
+terminal-fit-run = Pressung
+terminal-fit-sd = Streuung
+terminal-fit-legend = W/m²K; ? steht hinter einem Wert, den die Pressung, beim Mittelwert jede Pressung, offen lässt. Nicht angepasst: was die Pressendatei festlegt.
+terminal-fit-legend-campaign = Mittel und Streuung: über die Pressungen, die den Koeffizienten bestimmen. Gemeinsamer Median: alle Pressungen zusammen, mit 95-%-Intervall.
+terminal-fit-needs-runs = fit braucht Laufdateien und --press DATEI (oder nur --reproduce-paper)
+terminal-fit-shared = Ein Wert in allen Pressungen, mit einem Intervall: { $names }.
+terminal-folder-for-several = { $path }: mehrere Pressungen brauchen einen Ordner; nennen Sie einen in einem Ordner, den es gibt
+terminal-folder-is-a-file = --svg { $folder }: ist eine Datei; geben Sie einen Ordner an
+terminal-folder-name-empty = der Name des Ordners ist leer; geben Sie einen an, oder . für den jetzigen
+terminal-hide-unknown = --hide: { $why }
+terminal-hold-one-now = Halten Sie jetzt einen Fühler zwischen zwei Fingern.
+terminal-import-run-twice = zwei der Dateien enthalten die Pressung „{ $run }“; geben Sie einer einen eigenen Schlüssel '# run = ...'
+terminal-imported = { $runs ->
+    [one] { $runs } Pressung gespeichert
+   *[other] { $runs } Pressungen gespeichert
+}
+terminal-interrupted = abgebrochen
+terminal-language-unknown = KERNTEMP_LANGUAGE = { $language }: diese Sprache ist nicht vorhanden; es gibt { $languages }
+terminal-method-unknown = --method { $method }: muss eins von { $known } sein
+terminal-model-in-force-again = { $press }: Modell { $version } gilt wieder
+terminal-model-of-another-press = { $path } gehört zur Presse „{ $other }“, die Pressendatei zu „{ $press }“: Koeffizienten einer anderen Presse lassen einen falschen Kern sicher aussehen; passen Sie die Pressungen dieser Presse selbst an
+terminal-needs-package = kerntemp publish braucht { $package }: installieren Sie kerntemp[plant]
+terminal-no-channel-rose = kein Kanal stieg eindeutig ({ $rises }); halten Sie eine Messstelle länger, und nur diese
+terminal-no-store-here = kein Datenspeicher: weder { $config } noch { $store } ist hier; geben Sie --store oder --config an
+terminal-not-noted = { $said }; nicht im Journal vermerkt: { $why }
+terminal-output-is-input = { $path }: wird von diesem Befehl gelesen und würde überschrieben; geben Sie einen anderen Namen an
+terminal-output-no-folder = { $path }: den Ordner { $folder } gibt es nicht; legen Sie ihn erst an
+terminal-output-not-a-file = { $path }: ist ein Ordner; geben Sie einen Dateinamen an
+terminal-output-twice = { $path }: ist für zwei Ausgaben angegeben; geben Sie jeder einen eigenen Namen
+terminal-output-unwritable = { $path }: kann nicht geschrieben werden: { $why }
+terminal-press-enter = Drücken Sie nach etwa zehn Sekunden Enter
+terminal-probe-answers = { $place }: Modbus antwortet von den Stationen { $stations }
+terminal-probe-answers-none = { $place }: keine Station antwortet auf Modbus
+terminal-probe-for-configuration = für kerntemp.toml; benennen Sie die Kanäle
+terminal-probe-nothing-known = { $place }: nichts Bekanntes liest hier Raumtemperatur; prüfen Sie Strom, Kabel, Adresse und Baudrate
+terminal-probe-reads-as-well = ebenso gut lesbar: { $profiles }; sehen Sie auf das Typenschild
+terminal-probe-registers = Station { $station }, Funktion { $function }: Register ab 0, gelesen als
+terminal-program-cannot-tell =
+    { $runs ->
+        [one] --program: eine Pressung kann nicht zeigen, was { $settings } bewirkt; geben Sie mindestens 8 Pressungen an, die sich darin unterscheiden (6, wenn sich nur eine Einstellung ändert)
+       *[other] --program: { $runs } Pressungen können nicht zeigen, was { $settings } bewirkt; geben Sie mindestens 8 Pressungen an, die sich darin unterscheiden (6, wenn sich nur eine Einstellung ändert)
+    }
+terminal-program-key-twice = --program { $setting }: { $key } ist zweimal angegeben; ein Programm hat einen Wert davon
+terminal-program-no-number = --program { $setting }: „{ $value }“ ist keine Zahl
+terminal-program-out-of-range = --program { $setting }: muss zwischen 0 und { $most } { $unit } liegen
+terminal-program-unknown-key = --program { $setting }: muss KEY=WERT sein, mit KEY eins von { $known }
+terminal-progress-copying = { $store } wird kopiert
+terminal-progress-diagnosing = { $runs ->
+    [one] Diagnose von { $runs } Pressung
+   *[other] Diagnose von { $runs } Pressungen
+}
+terminal-progress-fitting = { $runs ->
+    [one] { $runs } Pressung wird angepasst
+   *[other] { $runs } Pressungen werden angepasst
+}
+terminal-progress-predicting = Vorhersage von { $run }
+terminal-progress-reading = { $files ->
+    [one] { $files } Datei wird gelesen
+   *[other] { $files } Dateien werden gelesen
+}
+terminal-progress-refitting = { $press } wird neu angepasst
+terminal-progress-reproducing = { $runs } virtuelle Messungen, jede auf vier Weisen
+terminal-progress-restoring = { $file } wird eingespielt
+terminal-progress-simulating = Simulation von { $run }
+terminal-progress-storing = { $runs ->
+    [one] { $runs } Pressung wird gespeichert
+   *[other] { $runs } Pressungen werden gespeichert
+}
+terminal-refit-failed = { $failures }; das Journal nennt sie
+terminal-refit-report = { $press }: Bericht { $page }
+terminal-refit-unfit = { $press }: { $failed } von { $runs } Pressungen konnten nicht angepasst werden
+terminal-reproduce-alone = --reproduce-paper macht seine eigenen Messungen und nimmt { $surplus } nicht an; es geht mit --json, --html und --svg
+terminal-rise = { $logger }: größter { NUMBER($rise, minimumFractionDigits: 1, maximumFractionDigits: 1) } K, nächster { NUMBER($next, minimumFractionDigits: 1, maximumFractionDigits: 1) } K
+terminal-room-check = { $channel } { $mean } °C, { $deviation } K daneben, Rauschen { $noise } K: { $verdict }
+terminal-room-no-value = { $channel } { $verdict } ({ $quality })
+terminal-rose = { $channel } ({ $logger }) stieg um { NUMBER($rise, minimumFractionDigits: 1, maximumFractionDigits: 1) } K
+terminal-run-file-ending = { $path }: eine Laufdatei endet auf .csv oder .parquet, Ereignisdokumente auf .jsonl
+terminal-run-neither-file-nor-stored = { $run }: diese Datei gibt es nicht, und keinen Datenspeicher zum Nachsehen; geben Sie eine Datei, --store oder --config an
+terminal-run-twice = die Pressung „{ $run }“ ist zweimal angegeben; jede zählt einmal
+terminal-serves = kerntemp ist erreichbar unter { $address }
+terminal-shared-none-free = --shared { $name }: die Pressendatei legt alle Koeffizienten fest
+terminal-shared-unknown = --shared { $name }: muss eins von { $known } sein
+terminal-stations-no-numbers = --stations '{ $text }': geben Sie Zahlen und Bereiche an, etwa 1-4,9
+terminal-stations-out-of-range = --stations '{ $text }': Adressen liegen zwischen 0 und 255
+terminal-token-needs-name = kerntemp token { $action }: braucht einen Namen
+terminal-unexpected = { $kind }: { $why } (KERNTEMP_TRACEBACK=1 zeigt, wo)
+terminal-until-leaves-too-little = { $run }: --until { $until } lässt { $rows } von { $all } Zeilen; die erste ist bei time_s = { $first }: geben Sie einen späteren Zeitpunkt an
+terminal-without-matches-none = --without { $pattern }: die Pressung „{ $run }“ hat keine; sie hat { $columns }
+token-created = Zugangstoken { $name } angelegt, { $scope ->
+    [write] darf ändern
+   *[read] darf lesen
+}
+token-revoked = Zugangstoken { $name } zurückgezogen
+
+## api.plant: feeds
+
+plant-address-taken = { $host }:{ $port } ist nicht frei: { $why }; setzen Sie opcua.port
+plant-broker-not-connected = der MQTT-Broker { $where } hat die Verbindung nicht angenommen: { $why }; es wird weiter versucht
+plant-broker-not-subscribed = der MQTT-Broker { $where } hat nicht zurückgeschickt, was er aufhebt: { $why }; es wird weiter versucht
+plant-broker-not-taking = der MQTT-Broker { $where } hat eine Nachricht nicht angenommen: { $why }; es wird weiter versucht
+plant-broker-silent = keine Antwort
+plant-broker-unreachable = MQTT-Broker { $where }: { $why }; prüfen Sie, ob er läuft und erreichbar ist
+plant-server-fault = OPC-UA-Server: { $why }{ $left_out ->
+    [0] {""}
+   *[other] ; { NUMBER($left_out) } weitere dieser Art seit der letzten Zeile
+}
+plant-client-fault = OPC-UA-Client { $address }: { $why }{ $left_out ->
+    [0] {""}
+   *[other] ; { NUMBER($left_out) } weitere dieser Art seit der letzten Zeile
+}
+plant-certificate-missing = { $path }: diese Datei gibt es nicht; geben Sie Zertifikat und Schlüssel als DER- oder PEM-Dateien an
+plant-certificate-needed = opcua.host = { $host }: für Zugriffe von anderswo ist ein Zertifikat nötig; geben Sie eins mit seinem Schlüssel an
+plant-certificate-needs-key = opcua.certificate und opcua.key gehören zusammen; geben Sie beide an oder keins
+plant-messages-sent = { $messages ->
+    [one] { $messages } Nachricht gesendet
+   *[other] { $messages } Nachrichten gesendet
+}
+plant-nothing-configured = { $path }: weder [mqtt] noch [opcua]; ergänzen Sie, was Ihr Werk liest
+plant-password-unreadable = { $path }: das Passwort des Brokers ist nicht lesbar: { $why }
+plant-tokens-needed = opcua.host = { $host }: wer von anderswo liest, braucht ein Zugangstoken als Passwort, und es gibt keines; legen Sie eines an mit kerntemp token create NAME --scope read
+
+## api.demo: the demonstration
+
+demo-begins = Eine virtuelle Presse mit { NUMBER($speed) }-facher Geschwindigkeit, { $pressings ->
+    [one] { $pressings } Pressung
+   *[other] { $pressings } Pressungen
+}.
+demo-begins-without-end = Eine virtuelle Presse mit { NUMBER($speed) }-facher Geschwindigkeit, bis Strg-C.
+demo-column-band = im Band
+demo-column-band-unit = von 95 %
+demo-column-closing = Schließen
+demo-column-core = Kernfehler
+demo-column-core-unit = live, RMS
+demo-column-found = gefunden-wahr
+demo-column-opening = Öffnen
+demo-column-run = Pressung
+demo-column-scans = Messzeilen
+demo-column-surface = Residuum der Seiten
+demo-column-surface-unit = vor -> nach Anpassung
+demo-column-worst = größter
+demo-compiling = Erster Start: das Übersetzen des Modells dauert etwa eine Minute ...
+demo-did-not-start = { $process } ist nicht gestartet: { $why }
+demo-ended = { $process } endete mit Status { $status }: { $why }
+demo-gain = Kernfehler der letzten { $runs } Pressungen: { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } K wie live ausgegeben, { NUMBER($after, minimumFractionDigits: 2, maximumFractionDigits: 2) } K mit dem in Kraft gesetzten Modell
+demo-heldout = Fehler auf unbeteiligten Pressungen: { $plain } K mit dem einfachen Modell, { $extended } K mit dem erweiterten
+demo-hidden = In der virtuellen Presse versteckt: { $effects }
+demo-loggers = Messgeräte     { $places }
+demo-named = Nächtlicher Lauf: Urteil „{ $verdict }“, { $causes }
+demo-named-none = Nächtlicher Lauf: Urteil „{ $verdict }“, keine Ursache benannt
+demo-next = Nächste Messung: { $what }
+demo-night = Nächtlicher Lauf: alle Pressungen werden neu angepasst, und gesucht wird, was das Modell falsch macht ...
+demo-no-diagnosis = Der nächtliche Lauf hat keine Diagnose geschrieben.
+demo-no-message = keine Meldung
+demo-no-pressing = zu lange wurde keine Pressung aufgezeichnet; die Protokolle liegen neben dem Datenspeicher
+demo-no-sign-of-life = { $seconds } s lang kein Lebenszeichen von { $processes }
+demo-not-fitted = { $runs ->
+    [one] { $runs } Pressung wartete vergeblich auf ihre Anpassung
+   *[other] { $runs } Pressungen warteten vergeblich auf ihre Anpassung
+}
+demo-not-found = { $runs ->
+    [one] { $runs } Pressung wurde nicht gefunden
+   *[other] { $runs } Pressungen wurden nicht gefunden
+}
+demo-not-promoted = Modell { $version } wurde nicht in Kraft gesetzt: { $why }
+demo-page = Seite          { $address }
+demo-pressing = Pressung { $run }: { $scans } Messzeilen, Schließen { $closing } s und Öffnen { $opening } s daneben, Seiten { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } -> { NUMBER($after, minimumFractionDigits: 2, maximumFractionDigits: 2) } K, Kern { NUMBER($core, minimumFractionDigits: 2, maximumFractionDigits: 2) } K daneben
+demo-scans-left-out = { $left_out } von { $all } Messzeilen wurden ausgelassen
+demo-store = Datenspeicher  { $path }
+demo-stored = Gespeicherte Pressungen: { $runs }, gespeicherte Messzeilen: { $scans }
+demo-summary = Zusammenfassung von { $runs ->
+    [one] { $runs } Pressung
+   *[other] { $runs } Pressungen
+} an der virtuellen Presse
+demo-too-slow = Dieser Rechner hielt mit { NUMBER($speed) }-facher Geschwindigkeit nicht Schritt: { $troubles }; geben Sie ein kleineres --speed an
+demo-warming-up-failed = das Übersetzen des Modells ist gescheitert: { $why }
+
+## page: the page
+
+page-access = Zugang
+page-access-hint = Lesen auf diesem Rechner braucht kein Zugangstoken, von anderswo und für jede Änderung schon: 'kerntemp token create'.
+page-against = Über
+page-ago = vor { $time }
+page-all = alle
+page-all-channels = alle übrigen Kanäle
+page-all-sensors = alle Fühler: einfach → erweitert
+page-and-more = und { $count } weitere
+page-api-docs = API
+page-at-once = jetzt
+page-back = Zurück
+page-band95 = 95-%-Band
+page-c-h_ap = Presse – Luft
+page-c-h_p_c = Heizplatte – Blech, geschlossen
+page-c-h_p_o = Heizplatte – Blech, offen
+page-c-h_pp_c = Blech – Platte, geschlossen
+page-c-h_pp_o = Blech – Platte, offen
+page-c-h_wa = Platte – Luft
+page-cancel = Abbrechen
+page-cause = Ursache
+page-change = Ändern
+page-changes = Änderungen
+page-channel = Kanal
+page-channels = Kanäle
+page-chart-now-label = Temperaturen der Pressung über der Zeit, mit vorhergesagtem Kern und 95-%-Band
+page-choose-press = Presse
+page-ci-high = oben
+page-ci-low = unten
+page-clock = Uhr
+page-clock-here = Gegen diesen Bildschirm
+page-clock-never = nicht seit Beginn
+page-clock-set = Zuletzt gestellt
+page-coefficients-hint = Wärmeübergangskoeffizienten, nach jeder Pressung neu angepasst, mit 95-%-Intervallen. Graue Punkte: aus dieser Pressung nicht bestimmbar.
+page-compare = Vergleichen
+page-converged = konvergiert
+page-core = Kern: einfach → erweitert
+page-core-predicted = Kern, vorhergesagt
+page-core-simulated = Kern, simuliert
+page-core-temperature = Kerntemperatur
+page-could-not-load = Diese Ansicht konnte nicht geladen werden.
+page-crc-errors = CRC-Fehler
+page-dots-measured = Punkte: gemessen, Mittel der Fühler
+page-drift = Drift
+page-drift-creep = kriecht um { $change } seit { $run }
+page-drift-hint = Regelkarten (CUSUM und EWMA) überwachen jeden Koeffizienten von Pressung zu Pressung.
+page-drift-jump = Sprung um { $change } bei { $run }
+page-earlier = Frühere Diagnosen
+page-suspected-sudden-change = eine plötzliche Änderung an Presse oder Fühler
+page-effects = Effekte
+page-empty-removes = Ein leerer Wert entfernt die Zeile. Wer was ändert, wird festgehalten.
+page-energy = Aufgenommene Wärme
+page-events = Ereignisse
+page-evidence = Belege: Gewinn auf ungesehenen Pressungen je Ursache
+page-explains = erklärt
+page-few-for-drift = zu wenige Pressungen für eine Regelkarte
+page-fit = Anpassung
+page-free = Frei auf dem Datenträger
+page-from = Von
+page-gain = weniger Fehler auf ungesehenen Pressungen
+page-gaps = Lücken, letzte Stunde
+page-health-degraded = eingeschränkt
+page-health-down = ausgefallen
+page-health-ok = alles gut
+page-heldout = ungesehene Pressungen: einfach → erweitert
+page-heldout-gain = Gewinn auf ungesehenen Pressungen
+page-history = Verlauf
+page-hours-left = Reicht für
+page-identifiable = bestimmbar
+page-in-time = in { $time }
+page-in-use = in Gebrauch
+page-interval = 95-%-Intervall
+page-isotherm = weiß: 100 °C
+page-kind = Art
+page-language = Sprache
+page-last-fit = Letzte Anpassung
+page-last-good = Zuletzt gut
+page-last-pressing = Letzte Pressung
+page-last-sign = Letztes Lebenszeichen
+page-left-out = Fehlende oder simulierte Messwerte
+page-level-alarm = Alarm
+page-level-warning = Warnung
+page-limit-in = Grenze in
+page-link-live = live
+page-link-lost = keine Verbindung
+page-link-waiting = verbindet …
+page-loading = wird geladen …
+page-logger = Messgerät
+page-luck = Wahrscheinlichkeit, dass es Zufall ist
+page-material = Material
+page-measured = gemessen
+page-measured-and-core = Gemessen, und der Kern wie live vorhergesagt
+page-measured-simulated = Gemessen gegen simuliert
+page-measured-there = Dort gemessen
+page-metadata = Metadaten
+page-model-rejected = abgelehnt
+page-models = Modellversionen
+page-more = Mehr
+page-name = Name
+page-nav-access = Zugang
+page-nav-coefficients = Koeffizienten
+page-nav-diagnosis = Was die Simulation falsch macht
+page-nav-loggers = Messgeräte
+page-nav-now = Presse jetzt
+page-nav-runs = Pressungen
+page-need-token = Zugangstoken eingeben
+page-new-key = Neuer Name
+page-newest-scan = Neueste Messzeile
+page-next-measurement = Nächste Messung
+page-no-answer = Der Server antwortet nicht.
+page-no-channels = Noch kein Kanal.
+page-no-diagnosis = Noch keine Diagnose.
+page-no-diagnosis-hint = Der nächtliche Lauf 'kerntemp refit' schreibt eine, sobald genug Pressungen vorliegen.
+page-no-estimate = Noch keine Vorhersage
+page-no-fit = Noch nicht angepasst.
+page-no-fits = Noch keine angepasste Pressung.
+page-no-gain = Keine Ursache senkt den Fehler auf ungesehenen Pressungen.
+page-no-models = Noch keine Modellversion.
+page-no-panel = Keine Platte in der Presse
+page-no-press = Noch keine Presse
+page-no-press-hint = Starten Sie 'kerntemp record' mit einer Konfiguration oder sehen Sie 'kerntemp demo' an.
+page-no-runs = Keine Pressungen gefunden.
+page-no-simulation = Keine Simulation zu dieser Pressung.
+page-noise-floor = Rauschgrenze
+page-not-converged = nicht konvergiert
+page-not-identifiable = nicht bestimmbar
+page-nowhere = Nirgends über dem Rauschen.
+page-off-by = Abweichung
+page-open-in = Öffnen möglich
+page-or = oder
+page-order-of-runs = Reihenfolge der Pressungen
+page-other-faults = Andere Fehler
+page-parameter = Parameter
+page-peak = Höchstwert danach
+page-peak-if = Höchstwert bei Öffnen jetzt
+page-place = Stelle
+page-plain-model = einfaches Modell
+page-platen = Heizplatten
+page-platens = Heizplatten
+page-press = Presse
+page-pressed = Gepresst
+page-process = Prozess
+page-process-done = fertig
+page-process-running = läuft
+page-process-starting = startet
+page-process-stopped = beendet
+page-processes = Prozesse
+page-profile = Temperatur durch die Platte
+page-profile-axes = Zeit nach rechts, Unterseite unten, Oberseite oben
+page-profile-label = Bild der Temperatur über Dicke und Zeit
+page-promote = In Kraft setzen
+page-promote-question = Modellversion { $version } für die Live-Vorhersage in Kraft setzen?
+page-quality = Güte
+page-quality-bad_frame = Telegramm fehlerhaft
+page-quality-good = gut
+page-quality-late = zu spät
+page-quality-missing = fehlt
+page-quality-open = Drahtbruch
+page-quality-over = über Bereich
+page-quality-simulated = simuliert
+page-quality-stale = veraltet
+page-quality-under = unter Bereich
+page-reached = erreicht
+page-readings = Messungen
+page-reason = Grund
+page-reconnects = Neuverbindungen
+page-remark = Bemerkung
+page-residual = Residuum: gemessen minus simuliert
+page-rmse = RMSE der Anpassung
+page-roll-back = Hierauf zurück
+page-run = Pressung
+page-run-closed = vollständig
+page-run-interrupted = unterbrochen
+page-run-open = läuft
+page-running-pressing = Laufende Pressung
+page-save = Speichern
+page-scans = Messzeilen
+page-sensors-bottom = Platte unten
+page-sensors-top = Platte oben
+page-sentence-no_effect = Das einfache Modell erklärt diese Pressungen bis auf das Rauschen.
+page-sentence-too_few_runs = Zu wenige Pressungen für eine Diagnose.
+page-sentence-unknown_effect = Etwas bleibt unerklärt, das der Katalog nicht kennt.
+page-silent = stumm
+page-simulated = simuliert
+page-simulating = Diese Pressung wird simuliert …
+page-since-it-began = Seit Beginn
+page-size = Größe
+page-skip = Zum Inhalt
+page-stale-since = Keine neue Messung seit { $time }
+page-started = Zeit
+page-state = Zustand
+page-state-closed = geschlossen
+page-state-idle = leer
+page-state-open = offen
+page-state-unknown = unbekannt
+page-status = Status
+page-steady = stetig
+page-store = Datenspeicher
+page-suspected = Vermutete Ursache
+page-target = Ziel
+page-theme = Hell oder dunkel
+page-thickness = Dicke
+page-time-axis = Zeit [s]
+page-time-from-closing = Zeit ab dem Schließen [s]
+page-time-since-closing = Seit dem Schließen
+page-time-to-target = Zeit bis zum Ziel
+page-timeouts = Zeitüberschreitungen
+page-to = Bis
+page-token = Zugangstoken
+page-token-gone = Entfernt.
+page-token-kept = Bleibt bis zum Schließen des Tabs.
+page-use-token = Für diesen Tab verwenden
+page-value = Wert
+page-verdict = Urteil
+page-verdict-ambiguous = mehrdeutig
+page-verdict-named = Ursache benannt
+page-verdict-no_effect = kein Effekt
+page-verdict-too_few_runs = zu wenige Pressungen
+page-verdict-unknown_effect = unbekannter Effekt
+page-version = Version
+page-views = Ansichten
+page-waiting-for-pressing = Warten auf die erste Pressung
+page-what = Was
+page-when = Wann
+page-where = Wo das einfache Modell falsch liegt

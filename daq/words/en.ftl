@@ -1,0 +1,1659 @@
+### The words of Kerntemp in English.
+### Grammar: projectfluent.org. A message's name says where it belongs and what it means; its variables are the
+### arguments of `say` in the code. Numbers: NUMBER($x, maximumFractionDigits: 1) rounds.
+### Sections follow the rooms; keep each in alphabetical order.
+
+## general
+
+at-column = column { $column }: { $what }
+at-key = { $key }: { $what }
+at-key-value = { $key } = { $value }: { $what }
+at-line = line { NUMBER($line) }: { $what }
+at-place = { $place }: { $what }
+fault-and-more = { $first }; { $rest }
+file-cannot-read = cannot read { $what }: { $reason }
+file-cannot-write = cannot write: { $reason }
+file-changed = changed or damaged since it was written; write it again, or, to use it as it is, take it out of { $manifest }
+file-of-calibrations = the calibration file
+file-of-configuration = the configuration
+file-of-mapping = the mapping
+file-of-press = the press file
+file-of-profile = the profile
+file-of-run = the run file
+key-empty = is empty; give at least one
+key-missing = is missing; add it
+key-no-bool = must be true or false
+key-no-list = must be a list in brackets
+key-no-number = must be a valid number
+key-no-table = must be a table
+key-no-text = must be a text in quotes
+key-no-whole-number = must be a valid number without decimals
+key-not-finite = must be a finite number
+key-one-of = must be { $known }
+key-unknown = unknown key; remove it or check its spelling
+key-unknown-meant = unknown key; did you mean { $meant }?
+limit-greater-than = must be greater than { NUMBER($limit, maximumFractionDigits: 6) }
+limit-greater-than-equal = must be greater than or equal to { NUMBER($limit, maximumFractionDigits: 6) }
+limit-less-than = must be less than { NUMBER($limit, maximumFractionDigits: 6) }
+limit-less-than-equal = must be less than or equal to { NUMBER($limit, maximumFractionDigits: 6) }
+list-of-names = { $names }
+place-line = line { NUMBER($line) }
+place-row = row { NUMBER($row) }
+plain-text = { $text }
+toml-integer-too-long = a whole number with more than { NUMBER($digits) } digits; shorten it, or put it in quotes if it is a text
+toml-invalid = not valid TOML: { $reason }
+toml-too-deep = tables or lists more than { NUMBER($deepest) } deep within one another; flatten them
+
+## daq.drivers: loggers, wires, calibration
+
+calibration-entry = entry { NUMBER($number) }: { $what }
+calibration-gain-outside = { $channel }: gain { NUMBER($gain, minimumFractionDigits: 3, maximumFractionDigits: 3) } lies outside { NUMBER($smallest) }..{ NUMBER($largest) }; check the wiring
+calibration-other-tables = only [[calibration]] tables are known, got { $found }
+calibration-points-close = { $channel }: readings { NUMBER($low, maximumFractionDigits: 2) } and { NUMBER($high, maximumFractionDigits: 2) } C lie closer than { NUMBER($apart_K) } K; take points further apart
+cause-babble = the line never falls silent
+cause-busy = busy
+cause-closed = closed
+cause-connection-refused = connection refused
+cause-crc = wrong checksum
+cause-driver-fault = fault in the driver
+cause-echo = wrong echo
+cause-garbage = garbage
+cause-no-permission = no permission
+cause-no-port = no port
+cause-out-of-step = out of step
+cause-port-in-use = port in use
+cause-port-lost = port lost
+cause-refused = refused
+cause-silent = silent
+cause-surplus = bytes too many
+cause-truncated = truncated
+cause-unreachable = unreachable
+cause-wrong-id = wrong station or number
+cause-wrong-shape = wrong shape
+connection-closed = the device closed the connection
+connection-lost = connection lost: { $reason }
+line-babbles = { $place }: the line never falls silent
+logger-channels-twice = channels names { $names } twice
+logger-check-differs = { $place } station { NUMBER($station) }: { $what } reads { $found }, profile { $profile } expects { $expected }
+logger-closed = the logger is closed
+logger-needs-address = address is not established for this device; give address
+logger-needs-baud = logger { $logger }: baud is not established for this device; give baud
+logger-needs-cold-junction = the device reports voltages; give cold_junction_C
+logger-no-answer-yet = no answer yet
+logger-no-channels = channels names no column
+logger-no-reply = { $place }: no reply in { NUMBER($timeout_s) } s; check power, cable and address
+logger-of-profile = logger { $logger } ({ $profile })
+logger-other-name = { $place }: the instrument calls itself { $found }, expected { $expected }
+logger-port-or-host = give either port (such as "/dev/ttyUSB0") or host (such as "192.168.0.21")
+logger-refuses-set-up = { $place }: the instrument refuses the set-up: { $fault }
+logger-rtu-on-host = transport = "rtu" needs port; over a network use "rtu_over_tcp"
+logger-scaling =
+    { $given ->
+        [yes] scaling '{ $scaling }' is unknown; choose one of: { $known }
+       *[no] scaling is not established for this device; choose one of: { $known }
+    }
+logger-tcp-on-port = transport = "tcp" needs host instead of port
+logger-tcp-port-alone = tcp_port needs host
+logger-too-many-channels = { NUMBER($channels) } channels, the device has { NUMBER($inputs) } inputs
+logger-uncorrected = logger { $logger }: values are not corrected, { $file } is not there yet; kerntemp calibrate --write makes it
+modbus-busy =
+    { $exception ->
+        [4] the device answers exception 4 (device failure)
+        [5] the device answers exception 5 (acknowledged, still working)
+        [6] the device answers exception 6 (busy)
+        [10] the gateway answers exception 10 (no path to the device)
+        [11] the gateway answers exception 11 (the device does not answer)
+       *[other] the device answers exception { NUMBER($exception) }
+    }
+modbus-refused =
+    { $exception ->
+        [1] the device refuses the request: exception 1 (illegal function); the profile does not fit it
+        [2] the device refuses the request: exception 2 (illegal address); the profile does not fit it
+        [3] the device refuses the request: exception 3 (illegal value); the profile does not fit it
+       *[other] the device refuses the request: exception { NUMBER($exception) }; the profile does not fit it
+    }
+module-checksum =
+    { $is_on ->
+        [on] has its checksum on; set checksum to match
+       *[off] has its checksum off; set checksum to match
+    }
+module-format = does not write engineering units; set data format 0 in the module
+module-name = calls itself { $found }, the profile expects { $expected }
+module-refused = { $place } module { $address } { $why }
+module-unknown-command = does not know { $command }
+port-cannot-connect = cannot connect to { $place }
+port-cannot-open = cannot open { $place }
+port-lost = port lost: { $reason }
+port-no-socket = port { $port }: write socket://host:port, such as socket://192.168.0.50:4001
+port-not-opened = { $what }: { $cause }; { $remedy }
+port-remedy-connection-refused = the device is on but nothing listens there; check port
+port-remedy-no-permission = the user may not open it; add it to the port's group
+port-remedy-no-port = no such port; check adapter and name
+port-remedy-port-in-use = another program has it open; close that
+port-remedy-unreachable = nobody answers at this address; check power, cable and host
+port-two-settings = { $port }: two loggers on one port ask for different settings: { $first }, { $second }
+probe-fits = fits
+probe-needs-place = probe: give either --port or --host
+probe-not-at-room-temperature = not at room temperature
+probe-reads-registers = reading registers of station { NUMBER($station) }, function { NUMBER($function) }
+probe-tries-profile = trying { $profile }
+profile-bits-wide = values.format = '{ $format }': block.function 1 and 2 bring bits; give 'u16'
+profile-block-short = block.count = { NUMBER($count) }, but { NUMBER($inputs) } values end at { NUMBER($end) }
+profile-check = check { $what }
+profile-needs-tables = protocol { $protocol } needs the table { $tables }
+profile-not-established = { $key } is not established for this device; give it as override.{ $key }
+profile-same-shape = { $what } has the shape of the value read; a late reply could be mistaken for values: read it in parts
+profile-scale-or-code = give either scale, or full_code and full_value
+profile-table-missing = profile { $profile } has no table { $table }
+profile-unknown = no such profile; known are { $known }, or give the path of a .toml
+profile-unknown-meant = no such profile; did you mean { $meant }? Or give the path of a .toml
+profile-with-scaling = { $profile } with scaling { $scaling }
+registers-float = float
+registers-full-scale = { $full } = { NUMBER($celsius) } C
+registers-hundredths = hundredths
+registers-low-word-first = { $meaning }, low word first
+registers-tenths = tenths
+registers-whole-degrees = whole degrees
+reply-checksum = checksum is wrong
+reply-echo = the local echo differs from what was sent
+reply-endless = no end of line in { NUMBER($bytes) } bytes
+reply-field-count = { NUMBER($fields) } fields for { NUMBER($channels) } channels
+reply-no-configuration = { $reply } is no configuration
+reply-no-modbus = the stream holds no Modbus frame
+reply-no-open-mask = { $reply } is no mask of open inputs
+reply-no-status = { $reply } is no status
+reply-no-text = reply { $reply } holds bytes that are no text
+reply-no-value = { $reply } is no value
+reply-other-channels = channels { $found }, asked { $asked }
+reply-other-head = reply begins { $found }, expected { $expected }
+reply-other-lead = reply { $reply } to { $command } does not begin { $lead }
+reply-other-station = reply of station { NUMBER($found) }, asked { NUMBER($asked) }
+reply-out-of-step = { $reply } in the place of the instrument's name: replies out of step
+reply-surplus =
+    { $bytes ->
+        [one] one byte after the end of the reply
+       *[other] { NUMBER($bytes) } bytes after the end of the reply
+    }
+reply-to-others = { $place }: only replies to others came
+reply-truncated =
+    { $bytes ->
+        [one] { $place }: reply breaks off after one byte
+       *[other] { $place }: reply breaks off after { NUMBER($bytes) } bytes
+    }
+reply-value-count = { $reply } is not { NUMBER($values) } values
+room-check-no-value = no value
+room-check-noisy = noisy
+room-check-off = off
+room-check-ok = ok
+room-check-too-few =
+    { $readings ->
+        [one] room temperature check: one reading; take at least 2
+       *[other] room temperature check: { NUMBER($readings) } readings; take at least 2
+    }
+simulated-no-device = no simulated device '{ $profile }'; there are { $known }
+simulated-no-effect = effect '{ $name }': unknown; known are { $known }
+simulated-no-fault = fault '{ $name }': unknown; known are { $known }
+simulated-no-input = --open { $given }: { $profile } has inputs 0 to { NUMBER($last) }
+
+## daq.press and daq.files: press file, run file, mapping, header
+
+foreign-cell-count = { NUMBER($cells) } cells, but line { NUMBER($line) } names { NUMBER($columns) } columns
+foreign-column-missing = column '{ $column }' of the mapping is not in the file; it has { $found }
+foreign-column-twice = column '{ $column }' of the mapping is in the file twice; rename one there
+foreign-encoding-unknown = file.encoding = '{ $encoding }' is unknown; try utf-8 or cp1252
+foreign-encoding-wrong = not { $encoding } text at byte { NUMBER($byte) }; set file.encoding
+foreign-header-empty = header_from.{ $key }: column '{ $column }' holds no value; give the key in [header]
+foreign-no-number = { $cell } is not a number with decimal '{ $decimal }'; set file.decimal, or list it in file.missing
+foreign-no-rows = no rows follow line { NUMBER($line) }, which names the columns
+foreign-no-temperature = { $value } C is no temperature; must lie between { NUMBER($coldest) } and { NUMBER($hottest) } C; give the column's unit, or set its lower and upper
+foreign-time-falls = { $cell } does not rise; sort the rows, or set time.repeated = "first"
+foreign-time-format = { $cell } is not '{ $format }'; set time.format
+foreign-too-short =
+    { $lines ->
+        [one] has one line, but file.header_line = { NUMBER($header_line) }
+       *[other] has { NUMBER($lines) } lines, but file.header_line = { NUMBER($header_line) }
+    }
+frame-without-rows = { $run }: the table has no rows; a run needs at least one scan
+frame-without-times = { $run }: the table has no times; give a column or an index time_s in seconds, or an index of instants (columns are { $columns })
+header-far-from-table = header key { $key } = { NUMBER($value) } { $unit } lies far from the { NUMBER($table) } { $unit } of { $material } in the material table; check it
+header-key-meant = header key { $key } is not known; did you mean { $meant }?
+header-key-twice = header key { $key } is given twice; keep one
+header-key-unknown = header key { $key } is not known; it is kept, and nothing uses it
+header-line-no-toml = '# { $text }' is not 'key = value' in TOML ({ $reason }); put text in quotes, start a remark with '##'
+header-missing = header key { $key } is missing; add '# { $key } = ...'
+header-missing-material = header key { $key } is missing and material '{ $material }' is not in the table ({ $known }); add '# { $key } = ...'
+header-no-number = header key { $key } = { $value }: must be a number; mend the header
+header-no-such-place = header key { $key }: the press file has no such place
+header-number-outside = header key { $key } = { $value }: must be a number from { NUMBER($lower) } to { NUMBER($upper) } { $unit }
+header-override = header override: { $what }
+header-sd-not-positive = { $key } = { $value }: a standard deviation must be a positive number
+header-section = '# { $text }': sections are not read; write '# panel.key = value'
+header-value-kind = header value { $value }: a run file holds text, numbers, true/false, times and lists
+manifest-line = not 'SHA-256 sum, two spaces, file'; remove the line
+mapping-header-source = header_from.{ $key }.column = '{ $column }': no [[column]] maps to it
+mapping-no-zone = must be a time zone such as Europe/Berlin
+mapping-target-twice = column.to = '{ $column }' occurs twice; each column of the run file has one source
+press-boundary-needs-coefficient = kind = "air" needs coefficient, the name of its heat transfer coefficient
+press-boundary-needs-column = kind = "measured" needs column, the run file column with its temperature
+press-coefficient-unused = { $name }: no contact or boundary uses it; used are { $used }
+press-contact-cannot-part = { $boundary } is of kind '{ $kind }', from which no layer parts; give one name
+press-contact-no-neighbours = not neighbours, listed from bottom to top; possible are { $possible }
+press-contact-twice = given twice
+press-depth-outside = outside layer '{ $layer }', which is { NUMBER($thickness_mm) } mm thick
+press-guess-outside = guess = { NUMBER($guess) } lies outside lower..upper = { NUMBER($lower) }..{ NUMBER($upper) }
+press-initial-needs = kind = "uniform" needs temperature_C
+press-layer-needs = needs { $keys } (or from_run = true)
+press-layer-surplus = from_run = true takes its constants from the run; remove { $keys }
+press-layer-twice = layer names must differ; { $names } occurs twice
+press-no-place = must be LAYER.bottom, LAYER.middle, LAYER.top or {"{"} layer = LAYER, depth_mm = ... {"}"}
+press-no-such-layer = no such layer
+press-open-above-closed = open_below = { NUMBER($open) } lies above closed_above = { NUMBER($closed) }
+press-prior-outside = outside the coefficient's limits { NUMBER($lower) }..{ NUMBER($upper) }
+press-prior-unknown = { $name }: no such coefficient; used are { $used }
+press-sd-of-nothing = { $key }.sd: there is no number { $key } beside it
+press-table-not-rising = a table needs at least one row, its temperatures rising
+press-wire-as-temperature = would be read as a temperature, by '{ $pattern }'; rename the channel
+press-wire-twice = is the limit switch already; name another column
+quality-form = { $text }: write column=quality, with one blank between two of them; rename a column that holds other words
+quality-no-such-column = { $text } names column { $column }, which is not there; correct the name
+quality-unknown = { $text }: { $quality } is no quality; they are { $known }
+run-cell-count =
+    { $cells ->
+        [one] 1 cell, but the header row has { NUMBER($columns) } columns; leave a missing value as an empty cell
+       *[other] { NUMBER($cells) } cells, but the header row has { NUMBER($columns) } columns; leave a missing value as an empty cell
+    }
+run-closed-value = { NUMBER($value) } must be 0 (open) or 1 (closed)
+run-column-length = column '{ $column }' has another length than time_s
+run-column-twice = column '{ $column }' occurs twice (columns { NUMBER($first) } and { NUMBER($second) }); rename one
+run-column-type = type { $type } is not a number; store it as float64
+run-column-unnamed = column { NUMBER($number) } has no usable name ({ $name }); give every column a name
+run-file-empty = the file is empty; a run file has '# key = value' lines, a header row, rows
+run-header-row-numbers = the header row is missing: found numbers; it starts with time_s, ...
+run-no-commas = cells are not separated by commas; use comma and dot, or import with a mapping
+run-no-header-row = the header row is missing; it starts with time_s, ...
+run-no-number = { $cell } is not a number; leave a missing value empty
+run-no-parquet = not a readable Parquet file ({ $reason }); it is cut short or damaged
+run-no-rows = no rows follow the header row; a run needs at least one scan
+run-no-temperature = { $value } is no temperature; must lie between { NUMBER($coldest) } and { NUMBER($hottest) } C; leave a missing value empty
+run-no-time = column time_s is missing; found { $found }
+run-not-utf8 = not UTF-8 text; save the file as UTF-8
+run-quotation = { $reason }; check its quotation marks and line ends
+run-table-empty = the table has no rows; a run needs at least one scan
+run-time-falls = time_s = { $time } does not rise ({ $place }: { $before }); sort the rows, remove doubled ones
+run-time-missing = the time is missing; every row needs one
+run-value-infinite = infinite; must be a number
+told-by-limit-switch = limit switch
+told-by-one-state = press of one state
+told-by-pressure-channel = pressure channel
+told-by-temperatures = temperatures
+told-by-truth = virtual press
+told-by-unknown = unknown
+wire-closed-face-cold = the { $wire } says closed, but the upper face is cold; check the { $wire } and the panel
+wire-open-face-hot = the { $wire } says open, but the upper face is hot; check it
+
+## daq.process: configuration
+
+config-closed-twice = channel '{ $channel }' is written from { $wires }; give the logger's channel '{ $channel }' another name
+config-column-twice = two loggers fill column '{ $column }'; each column comes from one input
+config-header = { $file }: press { $press }
+config-logger-twice = two loggers are called '{ $logger }'; give each its own name
+config-no-boundary-channel = no logger has channel '{ $channel }', which boundary.{ $end } of { $file } needs; add it to a logger's channels
+config-no-such-press = press '{ $press }' is not in the configuration; it has { $known }
+config-no-wire-channel = no logger has channel '{ $channel }', which { $key } names; add it to a logger's channels, or remove { $key }
+config-press-twice = two presses are called '{ $press }'; give each its own name
+
+## daq.recording: journal of the recorder
+
+buffer-used-already = buffer { $file }: another recorder uses it; stop that one, or give each its own as store.buffer
+clock-set = the clock of this machine was set by { $sign }{ NUMBER($seconds, minimumFractionDigits: 1, maximumFractionDigits: 1) } s; times within a run are not affected
+configuration-changed = configuration changed; it takes effect between runs
+configuration-in-force = the changed configuration is in force
+configuration-needs-start = { $file }: changed { $changed }: start kerntemp record anew for that
+configuration-refused = { $why }; recording goes on with the configuration before
+driver-stuck = { $press }: the driver of logger { $logger } has not returned from a read
+idle-not-thinned = idle scans are not thinned now: { $why }
+logger-back = logger { $logger } answers again
+logger-lost = logger { $logger } does not answer: { $why }; recording goes on without it, trying again
+logger-problem = { $press }: logger { $logger }: { $why }
+needs-start-clock = [clock]
+needs-start-presses = the list of presses
+needs-start-store = [store]
+of-press = press { $press }: { $what }
+press-recorded-already = press { $press }: another recorder writes it into { $store }; stop that one first
+press-stalled = { $press }: no fresh scan for { NUMBER($seconds, maximumFractionDigits: 0) } s
+problem-of-press = { $press }: { $what }
+recording-now = recording { $presses }
+recording-begins = recording { $presses }; while the store is away scans wait in { $where }
+recording-ends = recording ends
+run-interrupted = run { $run } was interrupted; its data are kept
+scans-begin = press { $press }: scans begin
+scans-left-out = press { $press }: { $count ->
+        [one] one scan
+       *[other] { $count } scans
+    } left out, this machine was too busy
+scans-left-out-lately = { $press }: { $count ->
+        [one] one scan
+       *[other] { $count } scans
+    } left out in the last minute, this machine is too busy
+scans-lost = { $count ->
+        [one] one scan
+       *[other] { $count } scans
+    } lost: the store was away for longer than there was room
+scans-not-written = { $count } scans wait to be written, this machine is too busy
+scans-recorded = { $count } scans recorded
+store-trouble = { $why } ({ $count } waiting)
+
+## daq.store: the store
+
+backup-damaged = backup { $file }: damaged: { $error }; take another backup
+backup-exists = backup { $file }: exists already; give a new name, backups are never overwritten
+backup-failed = backup { $file }: { $error }; check the disk and its space
+backup-missing = backup { $file }: does not exist
+backup-newer = backup { $file }: made by a newer version (schema { $schema }, this one knows { $known }); update Kerntemp
+backup-no-folder = backup { $file }: folder { $folder } does not exist; create it
+backup-rows-missing = backup { $file }: damaged: rows refer to rows that are not there
+backup-run-short = backup { $file }: run { $run } lacks its first or last scan; take another backup
+backup-unsound = backup { $file }: not a sound store: { $error }; take another backup
+buffer-damaged = buffer { $file } is damaged ({ $error }): set aside as { $aside }; { $kept } entries could be read and go on, { $lost } are lost; recording goes on
+buffer-emptied = buffer { $file }: somebody deleted it; { $count } entries in it are lost; recording goes on
+buffer-gone = buffer { $file } is gone ({ $error }): made anew; { $lost } entries in it are lost; recording goes on
+buffer-refuses = buffer { $file }: { $error }; free space on its disk
+buffer-row-unreadable = buffer { $file }: an entry cannot be read ({ $error }); it is set aside in { $aside }
+buffer-sum-wrong = its checksum is wrong
+buffer-unusable = buffer { $file }: { $error }; check its folder, or give another file as buffer of [store]
+event-twice = press { $press }: { $kind } is noted for scan { $scan } already at another moment; the second one is not kept as an event
+events-lost = press { $press }: { $count } press events lost: the store was away for longer than there was room
+item-set-aside = press { $press }: the store does not take { $what }: { $why }; set aside in { $aside }, everything else is written
+left-unwritten = { $count } entries are not written: store { $store } does not take them; they are lost with the end of this process
+line-set-aside = the store does not take a line of the journal; it is set aside in { $aside }
+model-promoted = model { $version } promoted
+model-rolled-back = rolled back
+model-through-api = through the API
+model-version-missing = model version '{ $version }' is not in the store
+model-version-taken = model version '{ $version }' is in the store already; versions never change
+restore-differs = store { $store }: holds { $found } after restoring, the backup { $expected }
+run-end-without-run = the end of run { $run } at scan { $scan } finds no such run in the store; its scans are kept
+run-renamed = run { $run } is in the store already; this pressing is stored as { $name }
+scans-given-up = the store has been away for too long: the oldest waiting scans are dropped; buffer: { $where }
+scans-wait = { $why }; scans wait in { $where }
+set-aside-begin = the beginning of run { $run } with all of its header
+set-aside-scans = a scan with its events
+store-back = store { $store } takes data again; everything kept is written
+store-column-missing = run '{ $run }' has no column '{ $column }'; it has { $columns }
+store-cursor = cursor '{ $cursor }': not a cursor of this list; take next_cursor of the page before
+store-damaged = store { $store }: the file is damaged: { $error }; take a backup of what can be read, then restore the newest sound one with kerntemp backup --restore
+store-file-gone = store { $store }: the file was deleted or moved; a running kerntemp record puts it back, else restore the newest backup
+store-foreign-view = store { $store }: view { $view } is not Kerntemp's and stands on one that this version changes; drop it, start again, and make it anew
+store-header-wrong = { $file }: header key { $key } = { $value }: must be { $wanted }; correct it or remove the key
+store-is-folder = store { $store }: is a folder; give the path of a file in it
+store-missing = store { $store }: does not exist; start kerntemp record, or give the right path
+store-newer = store { $store }: made by a newer version (schema { $schema }, this version knows { $known }); update Kerntemp or give another store
+store-no-folder = store { $store }: folder { $folder } does not exist; create it
+store-not-empty = store { $store }: holds data; restore only into a new place
+store-not-sqlite = store { $store }: not an SQLite file; give another path
+store-nul = store { $store }: a text holds a NUL character, which a server cannot keep; remove it
+store-refuses = store { $store }: { $reason }
+store-refuses-remedy = store { $store }: { $reason }; { $remedy }
+store-remedy-damaged = the file is damaged; restore the newest backup with kerntemp backup --restore
+store-remedy-database = create the database, or correct the URL
+store-remedy-disk-failed = the disk failed; check it and its space, restore the newest backup if the file is hurt
+store-remedy-folder = check that the folder exists, may be written, and its disk is not mounted read-only
+store-remedy-full = free space on the disk; recording goes on by itself
+store-remedy-lock-timeout = another session holds a table; end it
+store-remedy-locked = another process holds it; close other programs that have the file open
+store-remedy-password = check user and password in the URL
+store-remedy-read-only = no permission to write; check owner and mount of the file and its folder
+store-remedy-server = check that the database server runs and is reachable
+store-rescued = store { $store }: the file was deleted, moved or exchanged; all of it is written anew to its place and recording goes on there
+store-rescued-beside = store { $store }: another store was put in its place; that one is set aside as { $aside }, all of the recorded one is written anew and recording goes on there
+store-run-missing = run '{ $run }' is not in the store; kerntemp export lists runs, a file needs its path
+store-run-name = { $file }: header key run = { $name }: must be a name of 1 to 200 characters without slashes, line breaks or blanks at its ends; nothing was imported
+store-run-renamed = run '{ $run }': the name of a run cannot change
+store-run-taken = { $file }: run '{ $run }' is in the store already; nothing was imported; change the header key run
+store-scan-taken = press { $press }: scan { $scan } is there already with other values; another recorder writes to this press: stop one of them
+store-trying-again = { $why }; trying again
+store-url-at = the password in the store's url holds an @: write it as %40
+store-url-no-file = store url '{ $url }': processes meet in the store, so it needs a file path
+store-url-unsupported = store url '{ $url }': { $engine } is not supported; give a file path or postgresql://...
+store-url-wrong = store url '{ $url }': not a URL; give a file path or postgresql://user@host/name
+thread-failed = { $thread }: { $why }; it is restarted
+unexpected-error = unexpected fault ({ $kind }: { $error }); please report it
+waits-in-buffer = { $file }, enough for { NUMBER($hours, maximumFractionDigits: 0) } h
+waits-in-memory = memory, enough for { NUMBER($hours, minimumFractionDigits: 1, maximumFractionDigits: 1) } h
+wanted-one-of = one of { $names }
+wanted-seconds = a number of seconds
+wanted-text = text
+wanted-time = a time with its zone between the years 1970 and 9999, as 2026-03-04T07:00:00Z
+writer-dead = the writer to the store does not run
+writer-stalled = the writer to the store has not moved for { NUMBER($seconds, maximumFractionDigits: 0) } s
+
+## softsensor.effects: the catalogue of effects
+
+body-air = air
+body-panel = panel
+body-plate = plate
+body-platen = platen
+body-plate-lower = lower plate
+body-plate-upper = upper plate
+body-platen-lower = lower platen
+body-platen-upper = upper platen
+coupling-always = { $one } – { $other }
+coupling-and = { $first } and { $second }
+coupling-closed = { $one } – { $other }, closed
+coupling-open = { $one } – { $other }, open
+coupling-surroundings-bottom = bottom face – surroundings
+coupling-surroundings-top = top face – surroundings
+place-bottom = { $body }, bottom face
+place-depth = { $body }, { NUMBER($depth_mm, maximumFractionDigits: 4) } mm from its bottom
+place-middle = { $body }, middle
+place-top = { $body }, top face
+effect-clock_offset-called = clocks that differ
+effect-clock_offset-confirmed-by = Touch a platen and a panel thermocouple at once with a soldering iron and compare.
+effect-clock_offset-core = None by itself, but it biases the contact coefficients.
+effect-clock_offset-meaning = The panel channels are stamped later (or earlier) than the platen channels and the limit switch.
+effect-clock_offset-symptom = Every kink of the panel readings comes late by the same time, at closing and at opening.
+effect-conductivity_offset-called = conductivity other than nominal
+effect-conductivity_offset-confirmed-by = Measure k of this board, or press panels of different thickness.
+effect-conductivity_offset-core = The core is hotter (ratio above 1) or cooler by about 1 K for every 5 %.
+effect-conductivity_offset-meaning = The panel's conductivity differs from the value in the run's header.
+effect-conductivity_offset-symptom = Faces run off the simulation in proportion to the square root of time, in every state.
+effect-conductivity_temperature-called = conductivity that changes with temperature
+effect-conductivity_temperature-confirmed-by = Measure k at 25 and 100 °C (guarded hot plate), or press a panel with a core thermocouple.
+effect-conductivity_temperature-core = With a rising conductivity the core is 1 to 4 K hotter than simulated.
+effect-conductivity_temperature-meaning = The panel conducts heat differently when hot than at room temperature.
+effect-conductivity_temperature-symptom = Late in the pressing and after opening the faces drift off the simulation, more so for thick panels.
+effect-contact_asymmetry-called = upper and lower contact that differ
+effect-contact_asymmetry-confirmed-by = Turn the panel over, or exchange the press plates.
+effect-contact_asymmetry-core = Below 1 K in the middle; the hottest plane moves off it.
+effect-contact_asymmetry-meaning = Upper and lower contact differ while the press is closed; the coefficient is their geometric mean.
+effect-contact_asymmetry-symptom = After closing one face runs above the simulation and the other below.
+effect-contact_buildup-called = contact that grows after closing
+effect-contact_buildup-confirmed-by = Repeat with bare panels and with twice the closing speed; log pressure.
+effect-contact_buildup-core = Small, some tenths of a kelvin, but it biases the coefficients by a factor of up to 1.8.
+effect-contact_buildup-meaning = The contact between press and panel grows for some seconds after closing (resin melts and flows).
+effect-contact_buildup-symptom = The faces rise more slowly than simulated in the first seconds after closing, then catch up.
+effect-contact_load-called = contact that depends on pressure
+effect-contact_load-confirmed-by = Press the same kind of panel at three pressures.
+effect-contact_load-core = Below 1 K; it matters when the pressure is changed.
+effect-contact_load-meaning = The contact between press and panel improves with pressure.
+effect-contact_load-symptom = Residuals after closing change sign between runs at low and at high pressure.
+effect-density_profile-called = faces denser than the middle
+effect-density_profile-confirmed-by = Measure the density profile (X-ray), or press a panel with a core thermocouple.
+effect-density_profile-core = The core is 1 to 3 K off, since its layers hold less heat and conduct less.
+effect-density_profile-meaning = The panel's faces are denser than its middle; density and conductivity follow 1 + a (z^4 - 0.2).
+effect-density_profile-symptom = Faces take up more heat than simulated just after closing and less later.
+effect-edge_loss-called = heat lost at the rim
+effect-edge_loss-confirmed-by = Insulate the rim, or compare sensors at the rim with sensors in the middle.
+effect-edge_loss-core = The core is 2 to 4 K cooler than simulated in a long pressing.
+effect-edge_loss-meaning = Heat leaves through the rim of the panel.
+effect-edge_loss-symptom = Long pressings settle below the simulation; rim sensors read lower than centre ones.
+effect-entry-not-an-effect = entry point { $name } = { $value }: not a softsensor.effects.Effect
+effect-exists-already = entry point { $name }: there is an effect called { $effect } already
+effect-heat_capacity_offset-called = heat capacity other than nominal
+effect-heat_capacity_offset-confirmed-by = Weigh and measure the panel; measure its heat capacity; press panels of different thickness.
+effect-heat_capacity_offset-core = The core is cooler (ratio above 1) or hotter by about 1 K for every 5 %.
+effect-heat_capacity_offset-meaning = The panel's density times heat capacity differs from the value in the run's header.
+effect-heat_capacity_offset-symptom = Faces run off the simulation in every state, least in thick panels early on.
+effect-heat_capacity_temperature-called = heat capacity that changes with temperature
+effect-heat_capacity_temperature-confirmed-by = Measure c at 20 to 100 °C (DSC), or press a panel with a core thermocouple.
+effect-heat_capacity_temperature-core = With a rising heat capacity the core is 1 to 2 K cooler than simulated.
+effect-heat_capacity_temperature-meaning = The panel needs more heat per kelvin when hot than at room temperature.
+effect-heat_capacity_temperature-symptom = The faces cool more slowly after opening than simulated while heating up fits.
+effect-initial_press_state-called = plates not yet back at rest temperature
+effect-initial_press_state-confirmed-by = Wait two minutes between pressings, or tape a thermocouple to a press plate.
+effect-initial_press_state-core = Below 0.5 K.
+effect-initial_press_state-meaning = The press plates are still cooler (or warmer) than at rest when the panel comes in.
+effect-initial_press_state-symptom = The lower face is off from the moment of insertion, and the deviation fades within a minute.
+effect-moisture_evaporation-called = evaporating moisture
+effect-moisture_evaporation-confirmed-by = Weigh the panel before and after pressing, or press one dried to zero moisture.
+effect-moisture_evaporation-core = The core heats more slowly than simulated once steam forms: several kelvin too low.
+effect-moisture_evaporation-meaning = Water evaporates in the panel, leaves it, and takes latent heat along.
+effect-moisture_evaporation-symptom = Readings stop rising or lag behind near 85 to 115 °C and stay below the simulation afterwards.
+effect-not-in-catalogue = effect { $name } is not in the catalogue; known are { $known }
+effect-open_radiation-called = radiation in the open press
+effect-open_radiation-confirmed-by = Hold a sheet of aluminium foil between panel and upper plate before closing.
+effect-open_radiation-core = Below 0.2 K.
+effect-open_radiation-meaning = While the press is open, the hot upper plate radiates onto the panel.
+effect-open_radiation-symptom = The upper face is warmer than simulated in the open press, before closing and after opening.
+effect-paper_layer-called = an insulating paper layer
+effect-paper_layer-confirmed-by = Press the same board bare.
+effect-paper_layer-core = Some tenths of a kelvin.
+effect-paper_layer-meaning = The impregnated paper on both faces resists and stores heat.
+effect-paper_layer-symptom = Faces answer later than simulated to closing, and the coefficient of the open press comes out low.
+effect-platen_offset-called = a platen reading that is off
+effect-platen_offset-confirmed-by = Compare the platen thermocouples with a calibrated one at working temperature.
+effect-platen_offset-core = About 0.3 K for each kelvin.
+effect-platen_offset-meaning = The platen thermocouples read too low (positive) or too high (negative) by a constant.
+effect-platen_offset-symptom = Both faces end off the simulation in a long pressing, in proportion to the heat taken up.
+effect-resin_cure-called = heat of the curing resin
+effect-resin_cure-confirmed-by = Press the same panel a second time: cured resin gives no more heat.
+effect-resin_cure-core = Small: some tenths of a kelvin.
+effect-resin_cure-meaning = The resin releases reaction heat at both faces while it cures.
+effect-resin_cure-symptom = The faces overshoot the simulation in the first 5 to 30 s after closing, then return.
+effect-sensor_fault-called = a faulty sensor
+effect-sensor_fault-confirmed-by = Check the named thermocouples: fixing, polarity, plug position.
+effect-sensor_fault-core = None: the channel is left out.
+effect-sensor_fault-meaning = Single channels are loose, drifting or swapped.
+effect-sensor_fault-symptom = One channel departs from its neighbours on the same face.
+effect-thermocouple_footprint-called = panel sensors that read a mixture
+effect-thermocouple_footprint-confirmed-by = Use thinner wire, or put one thermocouple under a sheet of foil.
+effect-thermocouple_footprint-core = Below 0.1 K, but it biases the contact coefficients.
+effect-thermocouple_footprint-meaning = While closed, the panel's thermocouples read a mixture of panel face and press face.
+effect-thermocouple_footprint-symptom = Readings jump upwards at closing and downwards at opening by a share of the contact's drop.
+effect-thermocouple_lag-called = panel sensors that answer late
+effect-thermocouple_lag-confirmed-by = Dip one thermocouple into hot water and log its step response.
+effect-thermocouple_lag-core = None by itself, but it biases the contact coefficients by a factor of up to 3.
+effect-thermocouple_lag-meaning = The panel's thermocouples answer late.
+effect-thermocouple_lag-symptom = Readings trail the simulation in proportion to their slope, most of all in the second after closing.
+effect-vapour_convection-called = steam that carries heat
+effect-vapour_convection-confirmed-by = Press one sacrificial panel with a thermocouple in its middle.
+effect-vapour_convection-core = The core is hotter than simulated, typically by 2 to 7 K.
+effect-vapour_convection-meaning = While the press is closed, steam carries heat from layers above 100 °C into cooler ones.
+effect-vapour_convection-symptom = The surfaces need more heat than simulated while closed; the core runs ahead by kelvins.
+effect-without-words = effect { $name }: no English words for { $lacking }; give them in its `words`
+parameter-amount = { $value } { $unit }
+parameter-interval = { NUMBER($low, maximumSignificantDigits: 3) } to { NUMBER($high, maximumSignificantDigits: 3) }
+parameter-told = { $words } ({ $name }): { $amount }
+parameter-told-within = { $told } (95 %: { $between })
+parameter-clock_offset-seconds = panel channels later than platen channels by
+parameter-conductivity_offset-ratio = conductivity of the panel
+parameter-conductivity_temperature-per_100_K = rise of the conductivity per 100 K
+parameter-contact_asymmetry-ratio = upper contact
+parameter-contact_buildup-deficit = share of the contact still missing at closing
+parameter-contact_buildup-time_constant_s = time constant of its growth
+parameter-contact_load-exponent = the contact grows with the pressure to the power of
+parameter-density_profile-amplitude = faces denser than the middle by
+parameter-edge_loss-W_m3K = heat lost at the rim, per volume and kelvin above ambient
+parameter-heat_capacity_offset-ratio = heat capacity of the panel
+parameter-heat_capacity_temperature-per_100_K = rise of the heat capacity per 100 K
+parameter-initial_press_state-offset_K = plates at the start, above their steady temperature by
+parameter-moisture_evaporation-moisture_percent = water that evaporates
+parameter-moisture_evaporation-temperature_C = temperature from which it evaporates
+parameter-open_radiation-emissivity = effective emissivity of press and panel
+parameter-paper_layer-capacity_J_m2K = heat capacity of the paper
+parameter-paper_layer-resistance_m2K_W = thermal resistance of the paper
+parameter-platen_offset-bottom_K = lower platen hotter than its reading by
+parameter-platen_offset-top_K = upper platen hotter than its reading by
+parameter-resin_cure-heat_kJ_m2 = reaction heat of the resin
+parameter-thermocouple_footprint-weight = share of the press face in the reading
+parameter-thermocouple_lag-time_constant_s = time constant of the panel sensors
+parameter-vapour_convection-W_m3K = heat carried by steam, per volume and kelvin above 100 °C
+unit-kilojoule-per-face = kJ/m² per face
+unit-percent-of-dry-mass = % of dry mass
+unit-percent-of-mean = % of the mean
+unit-percent-of-value-at-20-degrees = % of the value at 20 °C
+unit-times-nominal = times nominal
+unit-times-the-lower-contact = times the lower one
+
+## softsensor.heat: the model and what a run must offer
+
+all-columns = all columns
+boundary-column-missing = { $run }: column '{ $column }' is missing; boundary.{ $end } needs it (the run has { $columns })
+boundary-empty = { $run }: column '{ $column }' holds no value; boundary.{ $end } needs it
+boundary-gap = { $run }: column '{ $column }' is empty for { NUMBER($seconds, minimumFractionDigits: 1, maximumFractionDigits: 1) } s around time_s = { $time }; at most { NUMBER($most, maximumFractionDigits: 6) } s of boundary.{ $end } are bridged: cut the run there
+boundary-impossible = { $run }: column '{ $column }' = { $value } °C at time_s = { $time }: boundary.{ $end } must lie between { NUMBER($lower, maximumFractionDigits: 6) } and { NUMBER($upper, maximumFractionDigits: 6) } °C; empty the cell
+coefficient-missing = coefficient { $name } is missing; give all of { $all }
+coefficient-negative = { $name } = { $value } W/m²K: must be a finite number, at least 0
+header-ambient-impossible = { $run }: header key ambient.temperature_C = { $value }: must be a number from { NUMBER($lower, maximumFractionDigits: 6) } to { NUMBER($upper, maximumFractionDigits: 6) }
+header-pressure-impossible = { $run }: header key setting.pressure_N_cm2 = { $value }: must be a number above 0 N/cm²; mend it, or leave it out where it is not known
+layer-from-run-without-panel = layer '{ $layer }' takes its constants from the run, and there is no panel
+layer-incomplete = layer '{ $layer }' lacks density or thickness
+layer-value-impossible = { $run }: layer.{ $number }.{ $key } = { $value } ('{ $layer }'): must be a number from { NUMBER($lower, maximumFractionDigits: 6) } to { NUMBER($upper, maximumFractionDigits: 6) }; mend the press file
+load-column-empty = { $run }: load column '{ $column }' holds no value above 0: { $contacts } taken as independent of load; give the column, or take load out of the press file
+load-column-missing = { $run }: load column '{ $column }' is missing (it has { $columns }): { $contacts } taken as independent of load; give the column, or take load out of the press file
+load-gap = { $run }: load column '{ $column }' is empty for { NUMBER($seconds, minimumFractionDigits: 1, maximumFractionDigits: 1) } s around time_s = { $time }; at most { NUMBER($most, maximumFractionDigits: 6) } s of a load are bridged: cut the run there, or leave the column out
+load-impossible = { $run }: load column '{ $column }' = { $value } at time_s = { $time }: must be a finite number, not below 0; empty the cell, or mend the column's sign or zero
+load-zero-while-closed = { $run }: load column '{ $column }' = { $value } at time_s = { $time }, where the press is closed: must be above 0; empty the cell, or mend the column's sign or zero
+model-file-adequacy = { $file }: adequacy is not as `fit` writes it ({ $error }); leave the key out
+model-file-coefficient-not-positive = { $file }: coefficients.{ $name }.value = { $value }: must be above 0 W/m²K
+model-file-effect-unnamed = { $file }: effects.{ $number } has no name
+model-file-no-coefficients = { $file }: not a model file: key 'coefficients' is missing
+model-file-no-json = { $file }: not a JSON model file: { $error }
+model-file-no-numbers = { $file }: { $place } = { $value }: needs numbers value and sd
+model-file-no-table = { $file }: { $place } must be an object of NAME: {"{"}value, sd{"}"}
+model-file-not-finite = { $file }: { $place }.value is not finite
+model-file-parameter-unknown = { $file }: effects.{ $number }.parameters.{ $name }: { $effect } has { $known }
+model-file-unreadable = { $file }: cannot read the model file: { $error }
+parameter-unknown = '{ $name }' is no parameter of this model; it has { $known }
+run-moments-out-of-order = { $run }: { $later } = { $late } lies before { $earlier } = { $early }; check column closed
+run-ramp-impossible = { $run }: ramp_s = { $value }: closing takes a finite time, at least 0 s
+run-rows-missing = { $run }: no row for { NUMBER($seconds, minimumFractionDigits: 1, maximumFractionDigits: 1) } s after time_s = { $time }; at most { NUMBER($most, maximumFractionDigits: 6) } s of a measured boundary are bridged: cut the run there
+run-times-fall = { $run }: time_s = { $time } follows { $before } (row { $row }): times must rise; mend the row
+run-too-short =
+  { $run }: column time_s has { NUMBER($rows) } { $rows ->
+    [one] row
+   *[other] rows
+  }; a run needs at least two
+sensor-outside-layer = { $run }: a sensor at depth_mm = { NUMBER($depth_mm, maximumFractionDigits: 6) } lies outside layer '{ $layer }', { NUMBER($thickness_mm, maximumFractionDigits: 6) } mm thick in this run; mend its place or the thickness
+solve-exact-contact-changes = method = 'exact': a contact changes while the press is closed; use the implicit solver
+solve-exact-moments-too-near = method = 'exact': less than four steps in { NUMBER($seconds, maximumFractionDigits: 6) } s between two moments of the press; use the implicit solver
+solve-exact-not-linear = method = 'exact': { $what } is not linear; use the implicit solver
+solve-table-or-radiation = a property table or radiation
+solve-unknown-method = method = { $method }: must be 'implicit' or 'exact'
+solve-value-out-of-range = { $name } = { $value }: must be a number from { NUMBER($lower, maximumFractionDigits: 6) } to { NUMBER($upper, maximumFractionDigits: 6) }
+start-layer-without-reading = { $run }: [initial] kind = "sensors" needs a reading in layer '{ $layer }'; empty are { $columns }: fill one, or give kind = "steady" or "uniform"
+start-no-readings = { $run }: [initial] kind = "sensors" needs a reading; all panel columns are empty
+start-not-steady = { $run }: { $why }; give [initial] kind = "uniform" with temperature_C, or "sensors", or mend the boundaries and contacts
+start-not-steady-steep = its steady temperatures cannot be found: properties or radiation change too steeply with temperature
+start-not-steady-untied = layer '{ $layer }' is tied to no temperature, so it has no steady one
+start-not-steady-untied-without-panel = layer '{ $layer }' is tied to no temperature while no panel is in, so it has no steady one
+value-at-least = { $name } = { $value }: must be a finite number, at least { NUMBER($least, maximumFractionDigits: 6) }
+value-at-most = { $name } = { $value }: must be a finite number, at most { NUMBER($most, maximumFractionDigits: 6) }
+value-between = { $name } = { $value }: must be a finite number, at least { NUMBER($least, maximumFractionDigits: 6) }, at most { NUMBER($most, maximumFractionDigits: 6) }
+value-not-finite = { $name } = { $value }: must be a finite number
+
+## softsensor.signals: channels
+
+channel-drifting = channel { $column } drifts away from its face, by { NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K rms, and is left out
+channel-empty = channel { $column } holds no usable value and is left out
+channel-loose = channel { $column } departs from its face by { NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K rms: it may be loose, and is left out
+channel-swapped = channel { $column } follows { $place }: was it swapped? It is left out
+run-no-panel-channel = { $run }: no usable panel channel; the press file's sensors name { $named }
+run-press-state-unknown = { $run }: press state unknown: no panel column and no column 'closed'; add one of them, or take a press file without open contacts
+
+## softsensor.fitting: fits, warnings, what to measure
+
+fit-cells-dropped =
+    { $count ->
+        [one] { $count } single cell departed from its face and was left out
+       *[other] { $count } single cells departed from their face and were left out
+    }
+fit-cells-jump =
+    { $count ->
+        [one] channel { $column }: { $count } single cell jumps by more than { $kelvin } K and is left out
+       *[other] channel { $column }: { $count } single cells jump by more than { $kelvin } K and are left out
+    }
+fit-coefficient-unknown = { $name } is { $verdict }: { $reason }
+fit-coefficient-unused = { $run }: its header leaves coefficient '{ $name }' of the press file without use; a campaign needs every coefficient in every run; fit this run separately
+fit-fixed = fixed by the press file
+fit-gap-at-moment =
+    no rows from { NUMBER($begin, minimumFractionDigits: 1, maximumFractionDigits: 1) } s to { NUMBER($end, minimumFractionDigits: 1, maximumFractionDigits: 1) } s, where { $moment ->
+        [inserted_s] the insertion
+        [closed_s] the closing
+       *[opened_s] the opening
+    } falls: its moment is searched in the gap, and the coefficients are less well known for it
+fit-misfit-astray = residual { NUMBER($rmse, minimumFractionDigits: 1, maximumFractionDigits: 1) } K after the fit, { NUMBER($first, minimumFractionDigits: 1, maximumFractionDigits: 1) } K before it
+fit-misfit-lost-insertion = insertion and closing fall into one gap of its rows, { NUMBER($begin, minimumFractionDigits: 1, maximumFractionDigits: 1) } to { NUMBER($end, minimumFractionDigits: 1, maximumFractionDigits: 1) } s
+fit-misfit-span = { NUMBER($rmse, minimumFractionDigits: 1, maximumFractionDigits: 1) } K left of readings that span { NUMBER($span, maximumFractionDigits: 0) } K
+fit-no-run = no run given; name at least one run file
+fit-no-such-method = method '{ $method }': must be one of { $methods }
+fit-no-such-parameter = parameter '{ $name }': effect { $effect } has no '{ $key }'
+fit-no-such-shared = shared coefficient '{ $name }': must be one of { $names }
+fit-not-converged = the search did not converge; the coefficients are where it stopped
+fit-not-described = the model does not describe this run: { $misfit }
+fit-not-described-check = the model does not describe this run: { $misfit }. Check its header, the press file, and that its rows show insertion and closing
+fit-nothing-to-fit = { $run }: nothing to fit: no free coefficient or no usable sensor column
+fit-or-joint = Or take the joint estimate of these { $runs } runs.
+fit-or-runs = Or fit it from about { $runs } such runs together.
+fit-or-share = Or let all runs share { $name } (--shared { $name }).
+fit-outside-allowed = { $name } = { NUMBER($value, maximumSignificantDigits: 4) } W/m²K lies outside what the run allows, { NUMBER($low, maximumSignificantDigits: 4) } to { NUMBER($high, maximumSignificantDigits: 4) }
+fit-program = Predicted for { $settings } (95 % of runs):
+fit-program-beyond-limit = { $name }: the trend leads to { NUMBER($value, maximumSignificantDigits: 4) } W/m²K, beyond the press file's limit { $limit }, which is taken; run one pressing of this program before relying on it
+fit-program-coefficient = {"  "}{ $name } = { NUMBER($value, maximumSignificantDigits: 4) } W/m²K ({ NUMBER($low, maximumSignificantDigits: 4) } to { NUMBER($high, maximumSignificantDigits: 4) })
+fit-program-outside = { $name } = { $value } { $unit } lies outside the programs run so far, { NUMBER($low, maximumSignificantDigits: 4) } to { NUMBER($high, maximumSignificantDigits: 4) } { $unit }: the trend is continued; run one pressing there before relying on it
+fit-program-remark = Remark: { $remark }
+fit-reason = { $role } { $why } { $remedy }
+fit-remedy-both-sides = Both faces already carry thermocouples; no reading depends on it.
+fit-remedy-calibrate-channels = Calibrate the channels at { $place } at two temperatures.
+fit-remedy-calibrate-platen = Calibrate the platen channel against the panel channels at one temperature (kerntemp calibrate).
+fit-remedy-change = Change the temperatures faster, or further.
+fit-remedy-channels = Log the channels at { $place } too, which this run lacks.
+fit-remedy-check-channels = Check the channels at { $place } against a thermometer before the run (kerntemp calibrate).
+fit-remedy-faster = Log faster than the { NUMBER($hertz, maximumSignificantDigits: 2) } Hz of this run.
+fit-remedy-faster-and-switch = Log faster than the { NUMBER($hertz, maximumSignificantDigits: 2) } Hz of this run, and log a limit switch as the column closed.
+fit-remedy-go-on = Measure at { $boundary } until its temperature has changed more.
+fit-remedy-hotter = Repeat the run with a hotter press; a longer open time would not help.
+fit-remedy-leave-open = Leave the panel in the open press for a minute before closing instead of { NUMBER($seconds, maximumFractionDigits: 0) } s.
+fit-remedy-log-on = Log on for a minute after opening instead of { NUMBER($seconds, maximumFractionDigits: 0) } s.
+fit-remedy-pressing = Log a pressing that closes.
+fit-remedy-stay-closed = Keep the press closed for longer than the { NUMBER($seconds, maximumFractionDigits: 0) } s of this run.
+fit-remedy-switch = Log a limit switch as the column closed.
+fit-remedy-thermocouple = Put a thermocouple on the face of { $layer } towards { $other }.
+fit-role-boundary = It acts here: { $boundary }.
+fit-role-closed = It couples { $below } and { $above } while the press is closed ({ NUMBER($seconds, maximumFractionDigits: 0) } s in this run).
+fit-role-effect = It is a parameter of an effect.
+fit-role-joined = It couples { $below } and { $above }.
+fit-role-open = It acts between { $below } and { $above } while the press is open ({ NUMBER($before, maximumFractionDigits: 0) } s before closing and { NUMBER($after, maximumFractionDigits: 0) } s after opening in this run).
+fit-role-open-face = It acts at the face of { $layer } while the press is open ({ NUMBER($before, maximumFractionDigits: 0) } s before closing and { NUMBER($after, maximumFractionDigits: 0) } s after opening in this run).
+fit-shared = one value in all runs, known from all of them together
+fit-shared-unknown = one value in all runs, and not known even from all of them together
+fit-shortfall-all =
+    { $more ->
+        [0] The model describes none of these runs: { $runs }. No coefficient is known from them; what stands for the campaign are the press file's guesses.
+       *[other] The model describes none of these runs: { $runs } and { $more } more. No coefficient is known from them; what stands for the campaign are the press file's guesses.
+    }
+fit-shortfall-one = The model does not describe this run: { $misfit }. No coefficient is known from it; what stands for the campaign are the press file's guesses.
+fit-shortfall-run = { $run } ({ $misfit })
+fit-shortfall-some =
+    The model does not describe { $count } of { $total } runs: { $runs }{ $more ->
+        [0] .
+       *[other] {" "}and { $more } more.
+    } { $count ->
+        [one] It is left out of all that follows.
+       *[other] They are left out of all that follows.
+    }
+fit-start-before-insertion = header key panel.initial_temperature_C = { $header }, but the panel's channels read { NUMBER($read, minimumFractionDigits: 1, maximumFractionDigits: 1) } °C before the insertion: the coefficients rest on it; correct the header or the channels
+fit-start-in-first-row = header key panel.initial_temperature_C = { $header }, but the panel's channels read { NUMBER($read, minimumFractionDigits: 1, maximumFractionDigits: 1) } °C in the first row: the coefficients rest on it; correct the header or the channels
+fit-stuck = stuck: the procedure ends { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K rms from the readings; at the guesses it was { NUMBER($first, minimumFractionDigits: 2, maximumFractionDigits: 2) } K, and the default method reaches { NUMBER($own, minimumFractionDigits: 2, maximumFractionDigits: 2) } K
+fit-two-sentences = { $first } { $second }
+fit-unknown-closing = the moment of closing
+fit-unknown-gain = the gain of the channels at { $place }
+fit-unknown-insertion = the moment of insertion
+fit-unknown-offset = the offset of the channels at { $place }
+fit-unknown-opening = the moment of opening
+fit-unknown-platen-bottom = the error of the lower platen channel
+fit-unknown-platen-top = the error of the upper platen channel
+fit-unknown-ramp = the time the press takes to close
+fit-unknown-skew =
+    { $place ->
+        [all] the delay of the panel channels
+       *[other] the delay of the channels at { $place }
+    }
+fit-unknown-start = the panel's start temperature
+fit-verdict-fixed = fixed
+fit-verdict-identifiable = identifiable
+fit-verdict-not-identifiable = not identifiable
+fit-verdict-one-sided = bounded on one side only
+fit-verdict-shared = shared
+fit-why-noise = Its effect of { NUMBER($kelvin, maximumSignificantDigits: 2) } K drowns in the slow noise of the faces ({ NUMBER($noise, maximumSignificantDigits: 2) } K).
+fit-why-resistance = Any value above { NUMBER($least, maximumSignificantDigits: 3) } W/m²K fits as well: its resistance, below { NUMBER($resistance, maximumSignificantDigits: 1) } m²K/W, is too small to be seen.
+fit-why-together = It is correlated with { $partner } (correlation { NUMBER($correlation, minimumFractionDigits: 2, maximumFractionDigits: 2) }).
+fit-why-unseen = No reading of this run moves by more than { NUMBER($kelvin, maximumSignificantDigits: 2) } K when it grows by a factor of 2.7.
+fit-why-wide = It is known to a factor of { NUMBER($factor, minimumFractionDigits: 1, maximumFractionDigits: 1) } only.
+
+## softsensor.diagnosis: verdicts, causes, what to measure next
+
+core-largest-shift = In the course of a run it is up to { NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K { $change ->
+        [hotter] hotter
+       *[cooler] cooler
+    }.
+core-no-panel = There is no panel in this rig, so nothing is said about a core.
+core-not-proven = Face sensors cannot confirm the core; press a few panels with a core thermocouple.
+core-off = Core thermocouples, which no fit has seen, are { NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K off it.
+core-press-time = For the core temperature that the plain model promised, press { NUMBER($seconds, minimumFractionDigits: 1, maximumFractionDigits: 1) } s { $change ->
+        [longer] longer
+       *[shorter] shorter
+    } (median run).
+core-shift = { $at ->
+        [opening] When the press opens
+       *[end] At the end of a run
+    }, the core is { NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K { $change ->
+        [hotter] hotter
+       *[cooler] cooler
+    } than the plain model says (± { NUMBER($sd, minimumFractionDigits: 1, maximumFractionDigits: 1) } K from run to run).
+core-thermocouples = Core thermocouples, which no fit has seen, are { NUMBER($before, minimumFractionDigits: 1, maximumFractionDigits: 1) } K off the plain model and { NUMBER($after, minimumFractionDigits: 1, maximumFractionDigits: 1) } K off the extended one.
+core-unchanged = No cause was added, so the core estimate stays as it is.
+diagnosis-no-runs = no runs to diagnose; give at least one run file
+gain-hardly = With { $causes ->
+        [one] it
+       *[other] them
+    } the residual hardly changes: { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } and { NUMBER($after, minimumFractionDigits: 2, maximumFractionDigits: 2) } K on runs left out.
+gain-more-is-missing = Noise alone is { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K, so more is missing that these runs cannot name.
+gain-residual-falls = With { $causes ->
+        [one] it
+       *[other] them
+    } the residual falls from { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } to { NUMBER($after, minimumFractionDigits: 2, maximumFractionDigits: 2) } K on runs left out.
+measured-at = { $at } °C
+measured-between = { $low } to { $high } °C
+next-confirm-and-core = To know the core, press two or three sacrificial panels with a core thermocouple; to confirm the cause: { $confirm }
+next-constants = Measure the panel's conductivity and heat capacity: the faces fit, but core thermocouples are off by { NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K, so something is wrong that faces do not show.
+next-look-there = Press three sacrificial panels with a core thermocouple and look at the times and places listed.
+next-more-runs = Press at least { $more } more { $more ->
+        [one] panel
+       *[other] panels
+    }, with different press times and, if possible, thicknesses: below { $least } runs a cause cannot be told from chance.
+next-none = None needed; a core thermocouple in one sacrificial panel a month would confirm the core.
+next-none-confirmed = None needed: core thermocouples confirm it ({ NUMBER($before, minimumFractionDigits: 1, maximumFractionDigits: 1) } K off before, { NUMBER($after, minimumFractionDigits: 1, maximumFractionDigits: 1) } K after).
+next-tell-apart = To tell these causes apart ({ $causes }): { $confirm }
+note-channel = { $run }: { $column } is { $kind } ({ NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K rms) and was left out
+note-channel-in-runs = { $count } of { $runs } runs: { $column } is { $kind } ({ NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K rms) and was left out
+note-refuted-by-cores = core thermocouples rule out { $cause }, though the faces would fit
+note-rim-falls = rim sensors fall by { NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K against central ones in the course of a run: heat leaves there
+p-value = p = { NUMBER($p, maximumSignificantDigits: 2) }
+p-value-below = p < { NUMBER($p, maximumSignificantDigits: 1) }
+p-value-few-runs = { $chance } ({ $runs } { $runs ->
+        [one] run
+       *[other] runs
+    } cannot show less than { NUMBER($least, maximumSignificantDigits: 2) }; named because every left-out run fits better and the remaining residual at least halves)
+phase-after-opening = after opening
+phase-before-closing = before closing
+phase-closed = closed
+phase-since-run-began = since the run began
+verdict-cannot-tell = These runs cannot tell the following causes apart: { $causes }.
+verdict-differs-from-run-to-run = No cause is common to these { $runs } runs, yet the plain model is { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K off and noise alone is { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K: what is missing differs from run to run.
+verdict-faulty-channels = Loose, drifting or swapped, and left out: { $columns }.
+verdict-few-runs = { $runs } { $runs ->
+        [one] run is
+       *[other] runs are
+    } too few to tell a cause from chance.
+verdict-few-runs-for-others = { $runs } { $runs ->
+        [one] run is
+       *[other] runs are
+    } too few to tell any other cause from chance.
+verdict-few-runs-off = { $runs } { $runs ->
+        [one] run is
+       *[other] runs are
+    } too few to tell a cause from chance; the plain model is { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K off, of which { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K is noise.
+verdict-found-but = Causes named, but part of the residual is still unexplained: { $causes }.
+verdict-left = All runs share a residual that no cause of the catalogue explains.
+verdict-left-at = All runs share a residual that no cause of the catalogue explains: { $stretch }.
+verdict-plain-model-explains = The plain model explains these { $runs } runs to { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K; noise alone is { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K.
+verdict-plain-model-explains-the-rest = Without them, the plain model explains these { $runs } runs to { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K.
+where-further = Next: { $stretch }.
+where-most = Furthest off: { $stretch }.
+where-stretch = measured { NUMBER($kelvin, minimumFractionDigits: 2, maximumFractionDigits: 2) } K { $side } the plain model at { $place }, from { $begin } to { $end } s ({ $phase }), where it measured { $temperatures }
+where-stretch-to-the-end = measured { NUMBER($kelvin, minimumFractionDigits: 2, maximumFractionDigits: 2) } K { $side } the plain model at { $place }, from { $begin } s on ({ $phase }), where it measured { $temperatures }
+worth-core = the core is { NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K { $change ->
+        [hotter] hotter
+       *[cooler] cooler
+    } { $at ->
+        [opening] when the press opens
+       *[end] at the end of a run
+    }
+worth-faulty-channel = found by comparison with the channels beside it, and left out
+worth-hardly = hardly lowers the residual on runs left out ({ NUMBER($gain, minimumFractionDigits: 2, maximumFractionDigits: 2) } of { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } K); named because { $better } of { $runs } runs, each left out in turn, fit better with it; it { $moved }, and { $core }
+worth-hardly-without-panel = hardly lowers the residual on runs left out ({ NUMBER($gain, minimumFractionDigits: 2, maximumFractionDigits: 2) } of { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } K); named because { $better } of { $runs } runs, each left out in turn, fit better with it; it { $moved }
+worth-moves = { $change } { $coefficient } ({ $bodies }) by { NUMBER($percent, maximumFractionDigits: 0) } %
+worth-moves-nothing = moves no coefficient beyond chance
+worth-saves = lowers the residual by { NUMBER($gain, minimumFractionDigits: 2, maximumFractionDigits: 2) } of { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } K on runs left out
+
+## softsensor.live: why the core is not valid
+
+core-may-pass-limit-soon = the core may pass { NUMBER($limit_C, maximumFractionDigits: 1) } °C in { NUMBER($seconds, maximumFractionDigits: 0) } s: open the press
+core-will-pass-limit = the core will peak at { NUMBER($peak_C, maximumFractionDigits: 0) } °C, above the limit of { NUMBER($limit_C, maximumFractionDigits: 1) } °C
+core-will-pass-limit-even-if-opened = the core will peak at { NUMBER($peak_C, maximumFractionDigits: 0) } °C even if the press is opened now, above the limit of { NUMBER($limit_C, maximumFractionDigits: 1) } °C
+reason-band-too-wide = core not observable: the band is wider than ±{ NUMBER($limit_K, maximumFractionDigits: 0) } K
+reason-calculation-failed = the calculation failed and is being restarted
+reason-faces-jumped-during-a-gap = both faces jumped in temperature during a gap in the readings
+reason-faces-too-cold-for-this-panel = the faces are far colder than those of the panel that was pressed; another panel may lie there
+reason-insertion-not-seen = core not observable: nothing has shown when the panel was inserted
+reason-live-sensor-silent = the live sensor has given no estimate for { NUMBER($silent_s, maximumFractionDigits: 0) } s
+reason-no-estimate-yet = the live sensor has given no estimate yet
+reason-no-panel-in-the-press = no panel in the press
+reason-no-reading-of-the-lower-face = core not observable: no sensor of the lower face shows whether a panel lies in the press
+reason-no-scans = no scan for { NUMBER($silent_s, maximumFractionDigits: 0) } s
+reason-panel-not-seen-in-the-open-press = for a long time no sensor has shown whether the panel still lies in the open press
+reason-platen-reading-missing = platen reading missing
+reason-platen-reading-missing-at-insertion = the platen readings were missing when the panel was inserted
+reason-press-closed-again-on-the-same-panel = the press has closed again on the same panel
+reason-press-closed-during-a-gap = the press closed during a long gap in the readings
+reason-press-state-unknown = press state unknown
+reason-readings-contradict-the-model = the panel's sensors contradict the model
+reason-run-begins-in-the-closed-press = the run begins in the closed press
+reason-run-begins-with-the-panel-on-the-hot-plate = the run begins with the panel on the hot plate
+reason-run-refused = the run cannot be followed: { $problem }
+reason-start-temperature-contradicted = sensors read { NUMBER($measured_C, maximumFractionDigits: 0) } °C, but the header has the panel start at { NUMBER($header_C, maximumFractionDigits: 0) } °C
+reason-start-temperature-too-high = the header has the panel start at { NUMBER($header_C, maximumFractionDigits: 0) } °C; no fresh panel is so hot
+
+## softsensor.jobs: services and nights
+
+coefficient-has-changed = { $coefficient } has changed since run { $run } (noticed at { $noticed }): it is { NUMBER($percent, maximumFractionDigits: 0) } % of what it was; look at what was done to the press before it
+dask-no-answer = Dask scheduler { $address }: no answer in { $seconds } s; check [refit] dask and that it runs
+dask-no-worker = Dask scheduler { $address }: no worker in { $seconds } s; start dask worker { $address }
+dask-package-missing = Dask scheduler { $address }: the package 'distributed' is missing; on a press PC kerntemp_setup.py complete brings it, elsewhere pip install 'kerntemp[dask]'
+model-none-before = press { $press }: no earlier model to go back to
+night-against-core-silenced = the core is valid in fewer scans
+night-against-core-worse = the core gets worse
+night-against-left-out-worse = worse on held-out runs
+night-against-not-significant = the gain is not significant
+night-against-still-helps = an effect it would drop still improves the fit
+night-compared =
+    { $kind ->
+        [with] { $effects }
+        [without] without { $without }
+       *[both] { $effects } without { $without }
+    }: residual { NUMBER($before, minimumFractionDigits: 3, maximumFractionDigits: 3) } -> { NUMBER($after, minimumFractionDigits: 3, maximumFractionDigits: 3) } K on { $apart ->
+        [yes] { $runs } runs that took no part
+       *[no] { $runs } runs of the diagnosis
+    }{ $left_out }{ $core }{ $against }
+night-compared-against = { "; " }{ $what }
+night-compared-core = { ", " }core { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } -> { NUMBER($after, minimumFractionDigits: 2, maximumFractionDigits: 2) } K live
+night-compared-left-out = { ", " }{ NUMBER($before, minimumFractionDigits: 3, maximumFractionDigits: 3) } -> { NUMBER($after, minimumFractionDigits: 3, maximumFractionDigits: 3) } K on runs left out in turn
+night-diagnosis-confirms = the diagnosis confirms it
+night-first-model = first model, coefficients of { $runs } runs
+night-first-model-although = first model, coefficients of { $runs } runs; { $although }
+night-fits =
+    { $fitted } of { $runs } runs fitted, { $failed } could not be{ $blind ->
+        [0] { "" }
+        [one] , { $blind } has no panel sensors
+       *[other] , { $blind } have no panel sensors
+    }
+night-left-to-you = { $version } is not promoted automatically; decide on it yourself: { $reason }
+night-like-rolled-back = { $reason }; like { $version }, which was rolled back
+night-nothing-changed = nothing changed
+night-outcome =
+    { $press }: { $fits }; diagnosis: { $verdict ->
+        [not_asked] not asked
+        [no_effect] nothing is missing
+        [named] cause named
+        [ambiguous] causes that cannot be told apart
+        [unknown_effect] an unknown cause remains
+        [too_few_runs] too few runs
+       *[other] { $verdict }
+    }; { $model ->
+        [promoted] model { $version } promoted
+        [stays] model { $version } stays
+       *[none] no model yet
+    }: { $reason }
+night-rejected = { $version } rejected: { $reason }
+night-too-few-runs = { $runs } runs fitted, { $needed } are needed
+night-too-few-to-judge = too few runs to judge by
+press-problem = { $press }: { $problem }
+run-fit-killed = run { $run } could not be fitted: its worker process was killed twice; memory may be short
+run-not-fitted = run { $run } could not be fitted: { $why }
+run-nothing-to-fit = run { $run } has no panel sensors: nothing to fit
+sense-following = following { $presses }
+sense-follows-run = following run { $run }
+sense-takes-model = the live sensor takes model { $version }
+sense-waiting = waiting for scans
+
+## softsensor.report: figures and pages
+
+figure-adaptive = adaptive solver
+figure-coefficient = { $name } = { NUMBER($mean, maximumSignificantDigits: 3) } W/m²K
+figure-coefficient-shared = { $name } = { NUMBER($mean, maximumSignificantDigits: 3) } W/m²K, shared
+figure-coefficient-spread = { $name } = { NUMBER($mean, maximumSignificantDigits: 3) } ± { NUMBER($sd, maximumSignificantDigits: 2) } W/m²K
+figure-core = core, { $model }
+figure-core-measured = core, measured
+figure-correlation = correlation
+figure-cost = cost per reading above its minimum
+figure-dots-and-lines = dots: measured, lines: simulated
+figure-exact = exact solver
+figure-extended = extended
+figure-fit = { $run }: the fitted model is { NUMBER($fit, minimumFractionDigits: 2, maximumFractionDigits: 2) } K rms off the sensors ({ NUMBER($guesses, minimumFractionDigits: 1, maximumFractionDigits: 1) } K with the press file's guesses)
+figure-from-best = { $name } from its best value [%]
+figure-known-from-run = Known from { $run }: { $known }
+figure-known-from-runs = { $runs } runs: { $known } known from every run; spread from run to run up to { NUMBER($percent, maximumFractionDigits: 0) } %
+figure-largest = { $sign }{ NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K at { NUMBER($at, minimumFractionDigits: 1, maximumFractionDigits: 1) } s
+figure-mean = measured (mean)
+figure-measured = measured
+figure-measured-mean = measured, mean of { $channels } sensors ± their scatter
+figure-measured-minus-model = measured − model [K]
+figure-misfit-saved = misfit reduction [variances of the noise]
+figure-model = { $model } model
+figure-moves-with = { $run }: { $one } moves most with { $other } (correlation { $sign }{ NUMBER($size, minimumFractionDigits: 2, maximumFractionDigits: 2) })
+figure-normalised = Relative to the mean: { $name } differs most from run to run ({ NUMBER($percent, maximumFractionDigits: 0) } %)
+figure-not-described = { $run }: the model does not describe this run, it is { NUMBER($fit, minimumFractionDigits: 2, maximumFractionDigits: 2) } K rms off ({ NUMBER($guesses, minimumFractionDigits: 1, maximumFractionDigits: 1) } K with the press file's guesses)
+figure-nothing-known = No coefficient is known: the model does not describe what was measured
+figure-over-mean = value / mean
+figure-plain = plain
+figure-residuals = What all runs have in common is what the model lacks
+figure-roughness = Adaptive steps make the cost rough: differences measure the steps, not the slope
+figure-run = run
+figure-since-beginning = time since the beginning [s]
+figure-since-closing = time since closing [s]
+figure-temperature = temperature [°C]
+figure-time = time [s]
+figure-votes = { $better } of { $runs } runs, each left out in turn, fit better with this cause: { $cause }
+figure-with-fit = model with fitted coefficients
+figure-with-guesses = model with the press file's guesses
+figure-worst-run = { $run }, the worst fit of all runs: the plain model is { NUMBER($rms, minimumFractionDigits: 2, maximumFractionDigits: 2) } K off (rms of place means)
+figure-worst-run-extended = { $run }: { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } K off with the plain model, { NUMBER($after, minimumFractionDigits: 2, maximumFractionDigits: 2) } K with { $causes }
+kelvin-off = { NUMBER($kelvin, minimumFractionDigits: 2, maximumFractionDigits: 2) } K
+kelvin-signed = { $sign }{ NUMBER($kelvin, minimumFractionDigits: 2, maximumFractionDigits: 2) } K
+known-all = all coefficients
+known-none = none of the coefficients
+night-back = Back to the version before:
+night-cannot-write = { $path }: cannot write the report: { $why }; see [refit] reports
+night-diagnosis = Diagnosis
+night-drift = { $coefficient }: { $said }
+night-drifts = Drift
+night-effects = effects
+night-fitted-with = fitted with
+night-in-force = Model in force
+night-no-diagnosis = None yet.
+night-no-drift = Every coefficient is where it used to be.
+night-no-effects = none
+night-no-model = There is no model yet: { $reason }.
+night-not-fitted = not fitted
+night-parameters = parameter
+night-promoted = Model { $version } was promoted: { $reason }.
+night-residual = surface residual
+night-runs = Newest runs
+night-spread = a run may differ by
+night-started = started
+night-status = status
+night-status-candidate = candidate
+night-status-promoted = promoted
+night-status-rejected = rejected
+night-status-retired = retired
+night-stays = Model { $version } stays in force: { $reason }.
+night-title = Nightly refit of press “{ $press }”
+night-unit = unit
+night-verdict = Verdict:
+night-version = version
+night-versions = Versions
+night-warnings = Warnings in the journal
+night-why = why
+night-with-guesses = with the press file's guesses
+report-95-bootstrap = 95 % (bootstrap)
+report-95-of-mean = 95 % of the mean (t)
+report-95-of-runs = 95 % of its runs
+report-at-core = At the core: { $core }
+report-bold-better = Bold: much better known together than alone.
+report-bold-excludes = Bold: the 95 % interval excludes no change.
+report-candidates = All candidates
+report-cannot-tell = These runs cannot tell the causes apart. What would:
+report-cause = cause
+report-chance = chance that it is luck
+report-change = change of the coefficient
+report-coefficient = coefficient
+report-coefficients = { $runs ->
+        [0] Coefficients
+        [one] Coefficients
+       *[other] Over the campaign
+    }
+report-cost = What it costs
+report-count-of = { $count } of { $total }
+report-dependence = Dependence on the press program
+report-diagnosis-basis = Press “{ $press }”, { $runs } { $runs ->
+        [one] run
+       *[other] runs
+    }, verdict
+report-diagnosis-of = { $verdict } – press { $press }
+report-error-core = error of the core against core thermocouples
+report-every-run = Every run by itself
+report-every-run-joint = Every run with what it borrows from the others
+report-extended-model = extended model
+report-fit-of = Heat transfer coefficients of press “{ $press }”
+report-fitted = Fitted to { $runs ->
+        [one] one run
+       *[other] { $runs } runs
+    }, the model is { NUMBER($fit, minimumFractionDigits: 2, maximumFractionDigits: 2) } K off the sensors ({ $runs ->
+        [one] { "" }
+       *[other] median;{ " " }
+    }{ NUMBER($guesses, minimumFractionDigits: 1, maximumFractionDigits: 1) } K with the press file's guesses).
+report-from-on = { $begin } s – to the end
+report-from-to = { $begin } s – { $end } s
+report-gain = What is gained
+report-how = How this was found
+report-how-averages = The values of single runs come from the paper's procedure, { $method } on averages of the upper and lower sensors; moments, verdicts and the joint estimates from our own:
+report-how-channels = The values of single runs come from the paper's procedure, { $method } on every sensor with its own offset; moments, verdicts and the joint estimates from our own:
+report-how-fitted = Levenberg–Marquardt in the logarithm of the coefficients. Closing, opening and the closing ramp, the start temperature, platen and sensor errors are adjusted within what a measuring chain may be wrong by, and widen the intervals. Residuals are treated as correlated in time, their level estimated from each run. Whether a coefficient is identifiable is read from the profile of the likelihood of that run.
+report-how-model = Layered heat conduction with a contact coefficient between neighbours for each press state, solved implicitly with exact sensitivities.
+report-hundredths = { NUMBER($value, minimumFractionDigits: 2, maximumFractionDigits: 2) }
+report-joint-median = joint median
+report-known = { $runs ->
+        [one] Known from it
+       *[other] Known from these runs
+    }: { $known }.
+report-known-to = { NUMBER($value, maximumSignificantDigits: 4) } ± { NUMBER($percent, maximumFractionDigits: 0) } %
+report-legend-coefficients = Dots: single runs with 95 % intervals. Line and band: mean and σ. Cross: a run in which the coefficient is not identifiable, drawn at the mean.
+report-legend-every-run = ± half the 95 % interval. Italics: not identifiable in that run; the interval that the data leave open. Not described: the model does not fit the run, so nothing is read from it.
+report-legend-measured = Error bars: standard deviation over the sensors of a face. Grey dashes: the model with the press file's guesses. Shaded: press closed. Residuals without each face's constant offset, their band the scatter of the face's sensors; where the press moves they leave the picture, and the largest is written in.
+report-legend-normalised = Dots: single runs over the mean, in their order. Bars: ± σ.
+report-legend-profile = A profile shows how much worse the model fits the run the further a coefficient is moved while all other unknowns follow; where it stays below the line the value fits as well (95 %). A profile that does not cross the line on a side is open there.
+report-legend-run = Dots: readings. Grey: the plain model with this run's own coefficients. Orange: with the cause added. Dashed: core. Shaded: press closed; below, where the plain model is most kelvins off, and what was measured there.
+report-mean = mean
+report-mean-note = Mean and σ over the runs in which the coefficient is identifiable. Joint median and true spread: all runs estimated together as draws from one log-normal population, the error of each single estimate taken out.
+report-measured-against-simulated = Measured against simulated
+report-measured-minus-plain = measured − plain model
+report-measured-there = measured there
+report-method-least_squares = gradient least squares
+report-method-nelder_mead = Nelder-Mead
+report-method-nelder_mead_then_least_squares = Nelder-Mead followed by weighted least squares
+report-misfit-saved = misfit reduction, in variances of the noise
+report-next = Measure next
+report-no-cause = No cause of the catalogue was named.
+report-no-core = no core thermocouple
+report-noise-alone = Noise of the sensors alone: { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K. Surfaces can fit while the core is wrong: only core thermocouples prove the core.
+report-not-converged = not converged
+report-not-described = not described
+report-not-known = { $runs ->
+        [one] Not known
+       *[other] Not from every run
+    }: { $names }.
+report-not-varied = not varied
+report-notes = Notes
+report-notes-on-runs = Notes on single runs
+report-number = { NUMBER($value, maximumSignificantDigits: 4) }
+report-number-2 = { NUMBER($value, maximumSignificantDigits: 2) }
+report-number-3 = { NUMBER($value, maximumSignificantDigits: 3) }
+report-paper = Why gradient least squares got stuck, and why it need not
+report-paper-converged = converged
+report-paper-error = error against the truth
+report-paper-note = Adaptive: LSODA at scipy's default tolerances on the same mesh; its exact sensitivities are integrated beside the temperatures by the same solver. Converged: the lowest cost any of the four found, within 2 %. Error: median over the measurements of the largest error among the coefficients every run shows. That the paper's trouble had this cause is a hypothesis; that this cause is enough for it is what the table shows.
+report-paper-slopes = slopes
+report-paper-solver = solver
+report-paper-solves = solves
+report-paper-time = time a measurement [s]
+report-paper-what = The same virtual measurements, the same starts (off by up to a factor of 3), the same optimiser at its defaults; only the solver and the way to get slopes differ.
+report-per-10-degrees = per 10 °C platen temperature
+report-per-10-newton = per 10 N/cm² pressure
+report-per-10-seconds = per 10 s press time
+report-percent = { NUMBER($percent, minimumFractionDigits: 1, maximumFractionDigits: 1) } %
+report-place = place
+report-plain-model = plain model
+report-predicted = predicted
+report-preferred = The runs prefer it to { $cause } by { NUMBER($t, maximumFractionDigits: 1) } standard errors.
+report-prior = { $name }: { NUMBER($median, maximumSignificantDigits: 6) } W/m²K, times or over { NUMBER($factor, maximumSignificantDigits: 6) }.
+report-priors-note = Priors from the press file:
+report-profile-of = profile of { $name }
+report-profiles = Profiles and correlations of every run
+report-program = A program never run
+report-program-of = Predicted for { $settings } (95 % of runs)
+report-residual-fitted = residual of all sensors, fitted runs
+report-residual-kelvin = rmse [K]
+report-residual-left-out = residual on runs that took no part
+report-run = run
+report-run-not-described = { $runs ->
+        [one] The run that the model does not describe
+       *[other] The worst of the runs that the model does not describe
+    }
+report-runs = runs
+report-runs-that-know-it = runs that know it
+report-saved-left-out = saved on runs left out
+report-setting = { $name } = { $value } { $unit }
+report-shared = shared
+report-shared-note = One value was asked for in all runs: { $names }.
+report-since-state-began = since it began
+report-slope = { NUMBER($percent, minimumFractionDigits: 1, maximumFractionDigits: 1) } % ({ NUMBER($low, minimumFractionDigits: 1, maximumFractionDigits: 1) } … { NUMBER($high, minimumFractionDigits: 1, maximumFractionDigits: 1) })
+report-span = { NUMBER($low, maximumSignificantDigits: 4) } – { NUMBER($high, maximumSignificantDigits: 4) }
+report-span-3 = { NUMBER($low, maximumSignificantDigits: 3) } – { NUMBER($high, maximumSignificantDigits: 3) }
+report-state = state
+report-symptom = Symptom: { $symptom }
+report-tenths = { NUMBER($value, minimumFractionDigits: 1, maximumFractionDigits: 1) }
+report-true-spread = true spread
+report-typical-run = { $runs ->
+        [one] The run
+       *[other] A typical run
+    }
+report-unknown = What these runs cannot determine, and which measurement would
+report-value = value
+report-verdict-ambiguous = Cause narrowed down
+report-verdict-named = Cause named
+report-verdict-no_effect = No effect found
+report-verdict-too_few_runs = Too few runs
+report-verdict-unknown_effect = Something unknown
+report-what-is-wrong = What is wrong
+report-why = Why
+report-why-and-remedy = why, and which measurement fixes it
+report-with-guesses-kelvin = with guesses [K]
+report-worst-run = The run with the worst fit
+report-worth = explains { NUMBER($percent, maximumFractionDigits: 0) } % of what the runs have in common and { $worth }. The chance that this is luck, by flipping signs of whole runs: { $sureness }
+
+## api: refusals of the server, access, health
+
+api-address-taken = cannot listen on { $host }:{ $port }: { $why }; choose another port with --port
+api-body-late = the body did not arrive within { $seconds } s
+api-body-not-json = the body must be JSON, declared by Content-Type: application/json
+api-body-too-large = the body may have { $bytes } bytes at most
+api-certificate-missing = { $path }: no such file; give certificate and key as PEM files
+api-certificate-needs-key = --certificate and --key belong together; give both or neither
+api-certificate-unusable = { $certificate }, { $key }: { $why }; give both as PEM, the key without password
+api-change-needs-token = a change needs a token with scope write; kerntemp token create makes one
+api-columns-empty = columns = { $columns } names no column; leave it out for all
+api-field-invalid = { $field }: { $why }
+api-field-name-invalid = { $field }: a name has letters, digits, _ and - only, with dots between them
+api-header-key-fixed = header.{ $key }: cannot be changed as a header key; see remark
+api-header-key-twice = header.{ $key }: cannot be a value and hold keys at once
+api-header-not-a-number = header.{ $key } = { $value }: must be a number
+api-instant-without-zone = { $instant } has no time zone; end it with Z or an offset
+api-last-event-id-unknown = Last-Event-ID { $id } is not an id of this stream; leave it out
+api-model-unknown = model { $version } does not exist; /api/v1/models lists them
+api-no-such-language = there are no words in { $language }; there are { $languages }
+api-nul-character = path and query: a NUL character belongs nowhere; leave it out
+api-only-loopback-names = without a token only a loopback host name is answered here
+api-query-unknown = query.{ $name }: unknown; known here: { $known }
+api-query-unknown-of-none = query.{ $name }: unknown; none is known here
+api-reading-needs-token = reading from elsewhere needs a token: Authorization: Bearer ...
+api-request-invalid = { $problems }
+api-run-changed = run { $run }: { $fields } changed
+api-run-not-fitted = run { $run } has not been fitted; kerntemp refit fits it
+api-run-not-simulated = run { $run } cannot be simulated: { $why }
+api-run-unknown = run { $run } does not exist; /api/v1/runs lists them
+api-run-without-press-file = run { $run }: its press was stored without a press file
+api-server-failed = the server failed at this; see its log
+api-token-exists = token { $name } exists; revoke it first or choose another name
+api-token-invalid = this token is not valid; kerntemp token create makes one
+api-token-reads-only = token { $name } may read only; a change needs scope write
+api-token-unknown = token { $name } does not exist; there are: { $known }
+api-token-unknown-of-none = token { $name } does not exist; there is none yet
+api-tokens-needed = server.host = { $host }: beyond loopback readers need tokens and there are none; make one with kerntemp token create NAME --scope read, or listen on 127.0.0.1
+api-tokens-unreadable = { $path }: cannot read the tokens: { $why }; remove the file and make new ones
+api-too-many-listeners = too many live listeners; try again later
+api-too-many-wrong-tokens = too many wrong tokens from this address; further wrong ones are answered slowly for a minute
+health-disk-nearly-full = less than { $gigabytes } GB left on the store's disk
+health-never-seen = never seen
+health-nightly-job-overdue = refit: the nightly job has not finished for { NUMBER($hours, maximumFractionDigits: 0) } h; see its log
+health-process-never-seen = { $process }: never seen; start kerntemp { $command }
+health-process-silent = { $process }: silent for { NUMBER($seconds, maximumFractionDigits: 0) } s; start kerntemp { $command }
+health-process-silent-for-hours = { $process }: silent for { NUMBER($hours, maximumFractionDigits: 0) } h; start kerntemp { $command }
+health-scans-behind = { $press }: { $scans } scans behind, this machine is too busy
+
+## api.commands: the command line
+
+diagnosed-cause = { $name }: { $worth }; { $sureness }
+diagnosed-causes = { $name } (not told apart from { $others }): { $worth }; { $sureness }
+diagnosed-next = Next: { $sentence }
+diagnosed-residual = residual { NUMBER($base, minimumFractionDigits: 3, maximumFractionDigits: 3) } K, extended model { NUMBER($extended, minimumFractionDigits: 3, maximumFractionDigits: 3) } K
+terminal-averages-need-method = --averages goes with one of the paper's methods; give --method too
+terminal-backup-contents = { $runs } runs, { $scans } scans, { $fits } fits, { $models } models
+terminal-backup-one-only = --verify and --restore: give one of them; restoring checks the copy first
+terminal-backup-restored = { $file } restored and compared: { $contents }
+terminal-backup-sound = { $file } is sound: { $contents }
+terminal-backup-written = { $file } written and checked: { $contents }
+terminal-calibrate-added = { $path }: { $entries } entries of { $day } added
+terminal-calibrate-needs-mode = calibrate: give either --room with the thermometer's reading or --warm
+terminal-calibrate-no-file = calibrate --write: no logger of { $config } has a calibration file; give one the name of a file to make, such as calibration = "{ $logger }.toml"
+terminal-calibrate-not-kept = { $logger }: offsets not kept; give it the name of a file, calibration = "{ $logger }.toml"
+terminal-calibrate-write-needs-room = calibrate: --write needs --room
+terminal-channel-verdict = { $channel } { $verdict }
+terminal-channels-fail = { $bad } of { $all } channels fail the check: { $names }
+terminal-check-failed = { $path }: { $failures }; check power, cable and address
+terminal-check-logger-failed = press { $press }, logger { $logger }: { $why }
+terminal-check-store-opens = store { $store }: opens
+terminal-check-well-formed = { $path }: well formed
+terminal-coefficient-not-positive = { $path }: { $name } = { $value }: must be a number above 0 in W/m²K
+terminal-coefficient-unknown = { $where }: { $name }: press '{ $press }' has no such coefficient; it has { $known }
+terminal-coefficients-no-object = { $path }: must be an object {"{"}NAME: value{"}"}
+terminal-coefficients-not-json = { $path }: not JSON: { $why }
+terminal-coefficients-or-model = --coefficients and --model exclude each other; give one
+terminal-coefficients-unreadable = { $path }: cannot read the coefficients: { $why }
+terminal-config-missing = { $path }: no such configuration; write one (see the runbook, Connect a logger) or give --config
+terminal-config-no-permission = { $path }: no permission to read it; put sudo before the command, or give another --config
+terminal-demo-folder-taken = --data { $folder }: holds a store already; give a new folder, or remove it
+terminal-export-needs-out = export needs --out: a file for one run, a folder for several
+terminal-file-among-figures = { $path }: lies among the figures of --svg { $folder }; give it another place or ending
+terminal-fit-from = from
+terminal-fit-joint-median = joint median
+terminal-fit-mean = mean
+terminal-fit-run = run
+terminal-fit-sd = sd
+terminal-fit-legend = W/m²K; ? marks a value that the run, or for a mean every run, leaves undetermined. Not fitted: what the press file fixes.
+terminal-fit-legend-campaign = Mean and sd: over the runs that determine the coefficient. Joint median: all runs together, with its 95 % interval.
+terminal-fit-needs-runs = fit needs run files and --press FILE (or --reproduce-paper alone)
+terminal-fit-shared = One value in all runs, with one interval: { $names }.
+terminal-folder-for-several = { $path }: several runs need a folder; give the name of one in a folder that exists
+terminal-folder-is-a-file = --svg { $folder }: is a file; give a folder
+terminal-folder-name-empty = the folder's name is empty; give one, or . for the folder you are in
+terminal-hide-unknown = --hide: { $why }
+terminal-hold-one-now = Hold one thermocouple between two fingers now.
+terminal-import-run-twice = two of the files hold run '{ $run }'; give one a key '# run = ...' of its own
+terminal-imported = { $runs ->
+    [one] { $runs } run stored
+   *[other] { $runs } runs stored
+}
+terminal-interrupted = interrupted
+terminal-language-unknown = KERNTEMP_LANGUAGE = { $language }: there are words in { $languages }
+terminal-method-unknown = --method { $method }: must be one of { $known }
+terminal-model-in-force-again = { $press }: model { $version } is in force again
+terminal-model-of-another-press = { $path } is of press '{ $other }', the press file is of '{ $press }': coefficients of another press make a wrong core look certain; fit this press's own runs
+terminal-needs-package = kerntemp publish needs { $package }: install kerntemp[plant]
+terminal-no-channel-rose = no single channel rose clearly ({ $rises }); hold one junction longer, alone
+terminal-no-store-here = no store: neither { $config } nor { $store } is here; give --store or --config
+terminal-not-noted = { $said }; not noted in the journal: { $why }
+terminal-output-is-input = { $path }: is read by this command and would be overwritten; give another name
+terminal-output-no-folder = { $path }: no folder { $folder }; make it first
+terminal-output-not-a-file = { $path }: is a folder; give a file name
+terminal-output-twice = { $path }: is given for two outputs; give each a name of its own
+terminal-output-unwritable = { $path }: cannot write: { $why }
+terminal-press-enter = Press Enter after some ten seconds
+terminal-probe-answers = { $place }: Modbus answers from stations { $stations }
+terminal-probe-answers-none = { $place }: no station answers Modbus
+terminal-probe-for-configuration = for kerntemp.toml; name the channels
+terminal-probe-nothing-known = { $place }: nothing known reads room temperature here; check power, cable, address and baud rate
+terminal-probe-reads-as-well = reads just as well: { $profiles }; look at the device's label
+terminal-probe-registers = station { $station }, function { $function }: registers from 0, read as
+terminal-program-cannot-tell =
+    { $runs ->
+        [one] --program: one run cannot show what { $settings } does; give at least 8 runs that differ in it (6 where only one setting varies)
+       *[other] --program: { $runs } runs cannot show what { $settings } does; give at least 8 runs that differ in it (6 where only one setting varies)
+    }
+terminal-program-key-twice = --program { $setting }: { $key } is given twice; a program has one value of it
+terminal-program-no-number = --program { $setting }: '{ $value }' is no number
+terminal-program-out-of-range = --program { $setting }: must lie between 0 and { $most } { $unit }
+terminal-program-unknown-key = --program { $setting }: must be KEY=VALUE with KEY one of { $known }
+terminal-progress-copying = Copying { $store }
+terminal-progress-diagnosing = { $runs ->
+    [one] Diagnosing { $runs } run
+   *[other] Diagnosing { $runs } runs
+}
+terminal-progress-fitting = { $runs ->
+    [one] Fitting { $runs } run
+   *[other] Fitting { $runs } runs
+}
+terminal-progress-predicting = Predicting { $run }
+terminal-progress-reading = { $files ->
+    [one] Reading { $files } run file
+   *[other] Reading { $files } run files
+}
+terminal-progress-refitting = Refitting { $press }
+terminal-progress-reproducing = { $runs } virtual measurements, four ways each
+terminal-progress-restoring = Restoring { $file }
+terminal-progress-simulating = Simulating { $run }
+terminal-progress-storing = { $runs ->
+    [one] Storing { $runs } run
+   *[other] Storing { $runs } runs
+}
+terminal-refit-failed = { $failures }; the journal names them
+terminal-refit-report = { $press }: report { $page }
+terminal-refit-unfit = { $press }: { $failed } of { $runs } runs could not be fitted
+terminal-reproduce-alone = --reproduce-paper makes its own measurements and does not take { $surplus }; it goes with --json, --html and --svg
+terminal-rise = { $logger }: largest { NUMBER($rise, minimumFractionDigits: 1, maximumFractionDigits: 1) } K, next { NUMBER($next, minimumFractionDigits: 1, maximumFractionDigits: 1) } K
+terminal-room-check = { $channel } { $mean } °C, { $deviation } K off, noise { $noise } K: { $verdict }
+terminal-room-no-value = { $channel } { $verdict } ({ $quality })
+terminal-rose = { $channel } ({ $logger }) rose by { NUMBER($rise, minimumFractionDigits: 1, maximumFractionDigits: 1) } K
+terminal-run-file-ending = { $path }: a run file ends in .csv or .parquet, event documents in .jsonl
+terminal-run-neither-file-nor-stored = { $run }: no such file, and no store to look in; give a file, --store or --config
+terminal-run-twice = run '{ $run }' is given twice; each run counts once
+terminal-serves = kerntemp serves { $address }
+terminal-shared-none-free = --shared { $name }: the press file fixes all coefficients
+terminal-shared-unknown = --shared { $name }: must be one of { $known }
+terminal-stations-no-numbers = --stations '{ $text }': give numbers and ranges, such as 1-4,9
+terminal-stations-out-of-range = --stations '{ $text }': addresses lie between 0 and 255
+terminal-token-needs-name = kerntemp token { $action }: needs a name
+terminal-unexpected = { $kind }: { $why } (KERNTEMP_TRACEBACK=1 shows where)
+terminal-until-leaves-too-little = { $run }: --until { $until } leaves { $rows } of { $all } rows; the first is at time_s = { $first }: give a later moment
+terminal-without-matches-none = --without { $pattern }: run '{ $run }' has none; it has { $columns }
+token-created = token { $name } created, scope { $scope }
+token-revoked = token { $name } revoked
+
+## api.plant: feeds
+
+plant-address-taken = cannot listen on { $host }:{ $port }: { $why }; set opcua.port
+plant-broker-not-connected = MQTT broker { $where } did not accept the connection: { $why }; trying again
+plant-broker-not-subscribed = MQTT broker { $where } did not send back what it keeps: { $why }; trying again
+plant-broker-not-taking = MQTT broker { $where } did not take a message: { $why }; trying again
+plant-broker-silent = no answer
+plant-broker-unreachable = MQTT broker { $where }: { $why }; check that it runs and is reachable
+plant-server-fault = OPC UA server: { $why }{ $left_out ->
+    [0] {""}
+   *[other] ; { NUMBER($left_out) } more like it since the last line
+}
+plant-client-fault = OPC UA client { $address }: { $why }{ $left_out ->
+    [0] {""}
+   *[other] ; { NUMBER($left_out) } more like it since the last line
+}
+plant-certificate-missing = { $path }: no such file; give certificate and key as DER or PEM files
+plant-certificate-needed = opcua.host = { $host }: beyond loopback a certificate is needed; give one and its key
+plant-certificate-needs-key = opcua.certificate and opcua.key belong together; give both or neither
+plant-messages-sent = { $messages ->
+    [one] { $messages } message sent
+   *[other] { $messages } messages sent
+}
+plant-nothing-configured = { $path }: neither [mqtt] nor [opcua]; add the one your plant reads
+plant-password-unreadable = { $path }: cannot read the broker's password: { $why }
+plant-tokens-needed = opcua.host = { $host }: beyond loopback clients need a token as password and there are none; make one with kerntemp token create NAME --scope read
+
+## api.demo: the demonstration
+
+demo-begins = A virtual press at { NUMBER($speed) } times real speed, { $pressings ->
+    [one] { $pressings } pressing
+   *[other] { $pressings } pressings
+}.
+demo-begins-without-end = A virtual press at { NUMBER($speed) } times real speed, until Ctrl-C.
+demo-column-band = in band
+demo-column-band-unit = of 95 %
+demo-column-closing = closing
+demo-column-core = core error
+demo-column-core-unit = live, rms
+demo-column-found = found-true
+demo-column-opening = opening
+demo-column-run = run
+demo-column-scans = scans
+demo-column-surface = surface residual
+demo-column-surface-unit = before -> after fit
+demo-column-worst = worst
+demo-compiling = First start: compiling the model takes about a minute ...
+demo-did-not-start = { $process } did not start: { $why }
+demo-ended = { $process } ended with status { $status }: { $why }
+demo-gain = Live core error on the last { $runs } pressings: { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } K as it was reported, { NUMBER($after, minimumFractionDigits: 2, maximumFractionDigits: 2) } K with the promoted model
+demo-heldout = Error on pressings that took no part: { $plain } K with the plain model, { $extended } K with the extended one
+demo-hidden = Hidden in the virtual press: { $effects }
+demo-loggers = Loggers  { $places }
+demo-named = Nightly job: verdict “{ $verdict }”, { $causes }
+demo-named-none = Nightly job: verdict “{ $verdict }”, no cause named
+demo-next = Next measurement: { $what }
+demo-night = Nightly job: refitting all runs and looking for what the model gets wrong ...
+demo-no-diagnosis = The nightly job wrote no diagnosis.
+demo-no-message = no message
+demo-no-pressing = no pressing was recorded for too long; the logs are beside the store
+demo-no-sign-of-life = no sign of life from { $processes } in { $seconds } s
+demo-not-fitted = { $runs ->
+    [one] { $runs } pressing waited in vain for its fit
+   *[other] { $runs } pressings waited in vain for their fit
+}
+demo-not-found = { $runs ->
+    [one] { $runs } pressing was not found
+   *[other] { $runs } pressings were not found
+}
+demo-not-promoted = Model { $version } was not promoted: { $why }
+demo-page = Page     { $address }
+demo-pressing = Pressing { $run }: { $scans } scans, closing { $closing } s and opening { $opening } s off, surface { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } -> { NUMBER($after, minimumFractionDigits: 2, maximumFractionDigits: 2) } K, core { NUMBER($core, minimumFractionDigits: 2, maximumFractionDigits: 2) } K off
+demo-scans-left-out = { $left_out } of { $all } scans were left out
+demo-store = Store    { $path }
+demo-stored = Runs stored: { $runs }, scans stored: { $scans }
+demo-summary = Summary of { $runs ->
+    [one] { $runs } pressing
+   *[other] { $runs } pressings
+} on the virtual press
+demo-too-slow = This machine did not keep up with { NUMBER($speed) } times real speed: { $troubles }; give a lower --speed
+demo-warming-up-failed = warming up failed: { $why }
+
+## page: the page
+
+page-access = Access
+page-access-hint = Reading on this machine needs no token. From elsewhere, and for every change, a token does: 'kerntemp token create'.
+page-against = Against
+page-ago = { $time } ago
+page-all = all
+page-all-channels = all other channels
+page-all-sensors = all sensors: plain → extended
+page-and-more = and { $count } more
+page-api-docs = API
+page-at-once = now
+page-back = Back
+page-band95 = 95 % band
+page-c-h_ap = press – air
+page-c-h_p_c = platen – plate, closed
+page-c-h_p_o = platen – plate, open
+page-c-h_pp_c = plate – panel, closed
+page-c-h_pp_o = plate – panel, open
+page-c-h_wa = panel – air
+page-cancel = Cancel
+page-cause = Cause
+page-change = Change
+page-changes = Changes
+page-channel = Channel
+page-channels = Channels
+page-chart-now-label = Temperatures of the pressing over time, with the predicted core and its 95 % band
+page-choose-press = Press
+page-ci-high = high
+page-ci-low = low
+page-clock = Clock
+page-clock-here = Against this screen
+page-clock-never = not since recording
+page-clock-set = Last set
+page-coefficients-hint = Heat transfer coefficients refitted after each pressing, with 95 % intervals. Grey dots: not identifiable from that pressing.
+page-compare = Compare
+page-converged = converged
+page-core = core: plain → extended
+page-core-predicted = Core, predicted
+page-core-simulated = Core, simulated
+page-core-temperature = Core temperature
+page-could-not-load = This view could not be loaded.
+page-crc-errors = CRC errors
+page-dots-measured = dots: measured, mean of the sensors
+page-drift = Drift
+page-drift-creep = creeping by { $change } since { $run }
+page-drift-hint = Control charts (CUSUM and EWMA) watch each coefficient from run to run.
+page-drift-jump = jumped by { $change } at { $run }
+page-earlier = Earlier diagnoses
+page-suspected-sudden-change = a sudden change at the press or a sensor
+page-effects = Effects
+page-empty-removes = An empty value removes the line. Who changes what is kept.
+page-energy = Heat taken up
+page-events = Events
+page-evidence = Evidence: gain on unseen pressings by cause
+page-explains = explains
+page-few-for-drift = too few pressings for a drift chart
+page-fit = Fit
+page-free = Free on disk
+page-from = From
+page-gain = less error on unseen pressings
+page-gaps = Gaps, last hour
+page-health-degraded = degraded
+page-health-down = down
+page-health-ok = all well
+page-heldout = unseen pressings: plain → extended
+page-heldout-gain = gain on unseen pressings
+page-history = history
+page-hours-left = Lasts for
+page-identifiable = identifiable
+page-in-time = in { $time }
+page-in-use = in use
+page-interval = 95 % interval
+page-isotherm = white: 100 °C
+page-kind = Kind
+page-language = Language
+page-last-fit = Last fit
+page-last-good = Last good
+page-last-pressing = Last pressing
+page-last-sign = Last sign of life
+page-left-out = Missing or simulated readings
+page-level-alarm = alarm
+page-level-warning = warning
+page-limit-in = Limit in
+page-link-live = live
+page-link-lost = no connection
+page-link-waiting = connecting …
+page-loading = loading …
+page-logger = Logger
+page-luck = chance that it is luck
+page-material = Material
+page-measured = measured
+page-measured-and-core = Measured, and the core as predicted live
+page-measured-simulated = Measured against simulated
+page-measured-there = Measured there
+page-metadata = Metadata
+page-model-rejected = rejected
+page-models = Model versions
+page-more = More
+page-name = Name
+page-nav-access = Access
+page-nav-coefficients = Coefficients
+page-nav-diagnosis = What the simulation gets wrong
+page-nav-loggers = Loggers
+page-nav-now = Press now
+page-nav-runs = Runs
+page-need-token = Give an access token
+page-new-key = New name
+page-newest-scan = Newest scan
+page-next-measurement = Next measurement
+page-no-answer = The server does not answer.
+page-no-channels = No channel yet.
+page-no-diagnosis = No diagnosis yet.
+page-no-diagnosis-hint = The nightly job 'kerntemp refit' writes one as soon as there are enough pressings.
+page-no-estimate = No prediction yet
+page-no-fit = Not fitted yet.
+page-no-fits = No fitted pressing yet.
+page-no-gain = No cause lowers the error on unseen pressings.
+page-no-models = No model version yet.
+page-no-panel = No panel in the press
+page-no-press = No press yet
+page-no-press-hint = Start 'kerntemp record' with a configuration, or watch 'kerntemp demo'.
+page-no-runs = No pressings match.
+page-no-simulation = No simulation for this pressing.
+page-noise-floor = noise floor
+page-not-converged = not converged
+page-not-identifiable = not identifiable
+page-nowhere = Nowhere beyond the noise.
+page-off-by = Off by
+page-open-in = May be opened
+page-or = or
+page-order-of-runs = order of pressings
+page-other-faults = Other faults
+page-parameter = Parameter
+page-peak = Peak still ahead
+page-peak-if = Peak if opened now
+page-place = Place
+page-plain-model = plain model
+page-platen = Platens
+page-platens = Platens
+page-press = Press
+page-pressed = Pressed
+page-process = Process
+page-process-done = done
+page-process-running = running
+page-process-starting = starting
+page-process-stopped = stopped
+page-processes = Processes
+page-profile = Temperature through the panel
+page-profile-axes = Time to the right, bottom face below, top face above
+page-profile-label = Picture of the temperature through the thickness over time
+page-promote = Promote
+page-promote-question = Use model version { $version } for the live prediction?
+page-quality = Quality
+page-quality-bad_frame = bad frame
+page-quality-good = good
+page-quality-late = late
+page-quality-missing = missing
+page-quality-open = open wire
+page-quality-over = over range
+page-quality-simulated = simulated
+page-quality-stale = stale
+page-quality-under = under range
+page-reached = reached
+page-readings = Readings
+page-reason = Reason
+page-reconnects = Reconnects
+page-remark = Remark
+page-residual = Residual: measured minus simulated
+page-rmse = Fit RMSE
+page-roll-back = Roll back to this
+page-run = Pressing
+page-run-closed = complete
+page-run-interrupted = interrupted
+page-run-open = running
+page-running-pressing = Running pressing
+page-save = Save
+page-scans = scans
+page-sensors-bottom = Panel, bottom
+page-sensors-top = Panel, top
+page-sentence-no_effect = The plain model explains these pressings down to the noise.
+page-sentence-too_few_runs = Too few pressings for a diagnosis.
+page-sentence-unknown_effect = Something the catalogue does not know remains unexplained.
+page-silent = silent
+page-simulated = simulated
+page-simulating = Simulating this pressing …
+page-since-it-began = Since it began
+page-size = Size
+page-skip = Skip to content
+page-stale-since = No new reading since { $time }
+page-started = Time
+page-state = State
+page-state-closed = closed
+page-state-idle = no panel
+page-state-open = open
+page-state-unknown = unknown
+page-status = Status
+page-steady = steady
+page-store = Store
+page-suspected = Suspected cause
+page-target = Target
+page-theme = Light or dark
+page-thickness = Thickness
+page-time-axis = Time [s]
+page-time-from-closing = Time from closing [s]
+page-time-since-closing = Since closing
+page-time-to-target = Time to target
+page-timeouts = Timeouts
+page-to = To
+page-token = Access token
+page-token-gone = Removed.
+page-token-kept = Kept until this tab is closed.
+page-use-token = Use for this tab
+page-value = Value
+page-verdict = Verdict
+page-verdict-ambiguous = ambiguous
+page-verdict-named = cause named
+page-verdict-no_effect = no effect
+page-verdict-too_few_runs = too few runs
+page-verdict-unknown_effect = unknown effect
+page-version = Version
+page-views = Views
+page-waiting-for-pressing = Waiting for the first pressing
+page-what = What
+page-when = When
+page-where = Where the plain model is wrong

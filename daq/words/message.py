@@ -1,0 +1,194 @@
+"""A message, a code with its arguments, and the catalogues that put it into words: one file a language, read once.
+
+A message needs the catalogues for its English text, a catalogue needs messages for its arguments: one module holds
+both. fluent is imported with the first catalogue, so nothing is slower to start for it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from importlib import resources
+from numbers import Integral, Real
+from types import MappingProxyType
+from typing import Any, TypeAlias, Union
+
+Argument: TypeAlias = Union[str, int, float, "Message", tuple["Argument", ...]]
+"""Texts are shown as they are (names, columns, paths), numbers in the language's way, messages in its words."""
+ENGLISH = "en"
+"""The language of logs, of SQL and of whoever asks for none; every message has it."""
+
+
+@dataclass(frozen=True)
+class Message:
+    """Something to be said, without its words."""
+
+    code: str
+    """A message's name in the catalogues, such as ``logger-lost``."""
+    arguments: Mapping[str, Argument] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Freeze the arguments; lists become tuples."""
+        frozen = {name: _frozen(value) for name, value in self.arguments.items()}
+        object.__setattr__(self, "arguments", MappingProxyType(frozen))
+
+    def __str__(self) -> str:
+        """Return it in English."""
+        return words(self)
+
+    def __format__(self, specification: str) -> str:
+        """Format it as its English text."""
+        return format(str(self), specification)
+
+    def __hash__(self) -> int:
+        """Hash by code and arguments."""
+        return hash((self.code, tuple(sorted(self.arguments.items(), key=lambda item: item[0]))))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle as code and arguments."""
+        return Message, (self.code, dict(self.arguments))
+
+    def to_json(self) -> dict[str, Any]:
+        """Return it as JSON carries it: ``{"code", "arguments"}``, messages within likewise."""
+        return {"code": self.code, "arguments": {name: _plain(value) for name, value in self.arguments.items()}}
+
+    @staticmethod
+    def from_json(data: Mapping[str, Any]) -> Message:
+        """Undo `to_json`."""
+        return Message(str(data["code"]), {name: _rebuilt(value) for name, value in data["arguments"].items()})
+
+
+def say(code: str, **arguments: Argument) -> Message:
+    """Return the message of a code; a test holds every call against all catalogues.
+
+    Examples
+    --------
+    >>> str(say("list-of-names", names=("top_1", "top_2")))
+    'top_1, top_2'
+    """
+    return Message(code, arguments)
+
+
+def spoken(said: object) -> Message:
+    """Return what an exception or a text says as a message; a plain text becomes one that shows it as it is."""
+    inner = said.args[0] if isinstance(said, BaseException) and len(said.args) == 1 else said
+    return inner if isinstance(inner, Message) else Message("plain-text", {"text": str(inner)})
+
+
+class Catalogue:
+    """The words of one language."""
+
+    def __init__(self, language: str, text: str) -> None:
+        from fluent.runtime import FluentBundle, FluentResource
+        from fluent.runtime.types import fluent_number
+
+        self.language = language
+        self.text = text
+        self.learnt: dict[str, str] = {}
+        """Words that came later (`learn`), by code."""
+        self._bundle = FluentBundle([language], use_isolating=False)
+        self._resource, self._number = FluentResource, fluent_number
+        self._bundle.add_resource(FluentResource(text))
+
+    def entries(self) -> dict[str, str]:
+        """Return the pattern of every code, in the catalogue's own syntax."""
+        from fluent.syntax import FluentParser, FluentSerializer, ast
+
+        serializer = FluentSerializer()
+        return {
+            entry.id.name: serializer.serialize_entry(entry).partition("=")[2].strip("\n")
+            for entry in FluentParser().parse(self.text).body
+            if isinstance(entry, ast.Message)
+        }
+
+    def learn(self, entries: Mapping[str, str]) -> None:
+        """Take in words by code, each a pattern of one line, as an effect of one's own brings them.
+
+        A code that is known keeps its words.
+        """
+        new = {code: pattern for code, pattern in entries.items() if not self.has(code)}
+        lines = (f"{code} = {pattern}" for code, pattern in new.items())
+        self._bundle.add_resource(self._resource("\n".join(lines)))
+        self.learnt |= new
+
+    def has(self, code: str) -> bool:
+        """Return whether this language has words for a code."""
+        return self._bundle.has_message(code)
+
+    def words(self, message: Message) -> str:
+        """Return a message in this language, in English where this one lacks it.
+
+        A code that no language knows, from a newer version's store say, is shown with its arguments.
+        """
+        if not self.has(message.code):
+            if self.language != ENGLISH:
+                return catalogue(ENGLISH).words(message)
+            shown = ", ".join(f"{name} = {self._argument(value)}" for name, value in message.arguments.items())
+            return f"{message.code}: {shown}" if shown else message.code
+        pattern = self._bundle.get_message(message.code).value
+        if pattern is None:
+            return message.code
+        arguments = {name: self._argument(value) for name, value in message.arguments.items()}
+        text, _ = self._bundle.format_pattern(pattern, arguments)
+        return str(text)
+
+    def _argument(self, value: Argument) -> Any:
+        if isinstance(value, Message):
+            return self.words(value)
+        if isinstance(value, tuple):
+            return ", ".join(str(self._argument(one)) for one in value)
+        if isinstance(value, int | float) and math.isfinite(value):
+            return self._number(value, useGrouping=False)
+        return str(value)
+
+
+def languages() -> tuple[str, ...]:
+    """Return the languages there are words for, English first."""
+    found = {file.name.removesuffix(".ftl") for file in _folder().iterdir() if file.name.endswith(".ftl")}
+    return (ENGLISH, *sorted(found - {ENGLISH}))
+
+
+@cache
+def catalogue(language: str) -> Catalogue:
+    """Return the words of a language. Raises `KeyError` for one that has no file."""
+    if language not in languages():
+        raise KeyError(language)
+    return Catalogue(language, (_folder() / f"{language}.ftl").read_text(encoding="utf-8"))
+
+
+def words(said: Message | str, language: str = ENGLISH) -> str:
+    """Return a message in a language; a plain text as it is."""
+    return said if isinstance(said, str) else catalogue(language).words(said)
+
+
+def sentences(said: Iterable[Message | str], language: str = ENGLISH) -> str:
+    """Return messages that are whole sentences one after the other in a language."""
+    return " ".join(words(one, language) for one in said)
+
+
+def _frozen(value: Any) -> Argument:
+    if isinstance(value, list | tuple):
+        return tuple(_frozen(one) for one in value)
+    if isinstance(value, str | Message):
+        return value
+    if isinstance(value, bool) or not isinstance(value, Real):
+        return str(value)
+    return int(value) if isinstance(value, Integral) else float(value)
+
+
+def _plain(value: Argument) -> Any:
+    if isinstance(value, Message):
+        return value.to_json()
+    return [_plain(one) for one in value] if isinstance(value, tuple) else value
+
+
+def _rebuilt(value: Any) -> Argument:
+    if isinstance(value, Mapping):
+        return Message.from_json(value)
+    return tuple(_rebuilt(one) for one in value) if isinstance(value, list) else value
+
+
+def _folder() -> Any:
+    return resources.files("daq.words")

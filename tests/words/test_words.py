@@ -1,0 +1,128 @@
+"""All codes in all languages: whatever the code says has its words, and the words fit its arguments."""
+
+import ast
+import pickle
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fluent.syntax import FluentParser
+from fluent.syntax import ast as fluent
+
+from daq.words import Message, say, spoken
+from daq.words.message import catalogue, languages, words
+
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGES = ("daq", "softsensor", "api")
+
+
+def said_in_the_code():
+    """Every `say("code", name=...)` as (file:line, code, argument names, whether more come by `**`)."""
+    for package in PACKAGES:
+        for file in sorted((ROOT / package).rglob("*.py")):
+            text = file.read_text(encoding="utf-8")
+            if not re.search(r"^\s*from daq\.words(\.message)? import .*\bsay\b", text, re.MULTILINE):
+                continue
+            for node in ast.walk(ast.parse(text)):
+                if not isinstance(node, ast.Call) or getattr(node.func, "id", "") != "say":
+                    continue
+                if node.args and isinstance(node.args[0], ast.Constant):
+                    names = {keyword.arg for keyword in node.keywords if keyword.arg}
+                    more = any(keyword.arg is None for keyword in node.keywords)
+                    yield f"{file.relative_to(ROOT)}:{node.lineno}", node.args[0].value, names, more
+
+
+def patterns(language):
+    """Every message of a catalogue by its code."""
+    body = FluentParser().parse(catalogue(language).text).body
+    assert not [entry.content for entry in body if isinstance(entry, fluent.Junk)]
+    found = [entry for entry in body if isinstance(entry, fluent.Message)]
+    codes = [entry.id.name for entry in found]
+    assert len(codes) == len(set(codes)), (
+        f"twice in {language}: {sorted({c for c in codes if codes.count(c) > 1})}"
+    )
+    return {entry.id.name: entry for entry in found}
+
+
+def variables(node):
+    """Every `$name` below a node of a pattern."""
+    if isinstance(node, fluent.VariableReference):
+        return {node.id.name}
+    inner = node.__dict__.values() if isinstance(node, fluent.BaseNode) else node if isinstance(node, list) else ()
+    return set().union(*(variables(one) for one in inner if isinstance(one, fluent.BaseNode | list)), set())
+
+
+@pytest.mark.parametrize("language", languages())
+def test_every_code_that_is_said_has_words_whose_variables_are_its_arguments(language):
+    known = patterns(language)
+    wrong = []
+    for where, code, names, more in said_in_the_code():
+        if code not in known:
+            wrong.append(f"{where}: {code} has no words in {language}")
+        elif not more and (lacking := variables(known[code]) - names):
+            wrong.append(f"{where}: {code} in {language} wants {sorted(lacking)}")
+    assert not wrong, "\n".join(wrong)
+
+
+@pytest.mark.parametrize("language", [one for one in languages() if one != "en"])
+def test_a_language_has_the_words_of_all_codes_with_the_same_variables(language):
+    english, other = patterns("en"), patterns(language)
+    assert sorted(english) == sorted(other)
+    assert not [c for c in english if variables(other[c]) - variables(english[c])]
+
+
+def test_no_words_are_kept_that_nobody_says():
+    """A code stands in the sources as a word of its own: said there, or as the value of an enumeration."""
+    sources = "\n".join(
+        file.read_text(encoding="utf-8")
+        for package in PACKAGES
+        for ending in ("*.py", "*.js", "*.html")
+        for file in (ROOT / package).rglob(ending)
+        if "vendor" not in file.parts
+    )
+    used = set(re.findall(r"[a-z][a-z0-9_]*(?:-[a-z0-9_]+)+", sources))
+    prefixes = tuple(sorted(set(re.findall(r"[\"'`]([a-z][a-z0-9_]*(?:-[a-z0-9_]+)*-)(?=[{$\"'])", sources))))
+    unused = [c for c in patterns("en") if c not in used and not (prefixes and c.startswith(prefixes))]
+    assert not unused, f"in the catalogue, never said: {unused}"
+
+
+def test_there_are_english_and_german():
+    assert languages()[0] == "en"
+    assert "de" in languages()
+
+
+def test_a_message_within_a_message_is_put_into_the_same_language():
+    inner = say("plain-text", text="top_1")
+    assert words(say("plain-text", text=inner), "de") == "top_1"
+
+
+def test_numbers_keep_no_thousands_separator_and_take_the_languages_comma():
+    assert words(Message("plain-text", {"text": 12345.5}), "en") == "12345.5"
+    assert words(Message("plain-text", {"text": 12345.5}), "de") == "12345,5"
+
+
+def test_numbers_of_a_table_are_numbers_like_any_other():
+    message = Message("plain-text", {"text": np.int64(1200), "x": np.float32(0.5)})
+    assert words(message, "en") == "1200"
+    assert message.to_json()["arguments"] == {"text": 1200, "x": 0.5}
+
+
+def test_a_message_is_the_same_after_json_and_pickle():
+    message = Message("a", {"names": ("x", "y"), "n": 3, "inner": say("plain-text", text="z")})
+    assert Message.from_json(message.to_json()) == message
+    assert pickle.loads(pickle.dumps(message)) == message
+    assert hash(Message.from_json(message.to_json())) == hash(message)
+
+
+def test_an_exception_says_its_message_in_english_and_keeps_it_for_the_face():
+    error = ValueError(say("plain-text", text="no press"))
+    assert str(error) == "no press"
+    assert spoken(error).code == "plain-text"
+    assert spoken(ValueError("typed by hand")) == say("plain-text", text="typed by hand")
+
+
+def test_a_code_of_a_newer_version_is_shown_with_its_arguments():
+    assert (
+        words(Message("from-the-future", {"press": "lab", "n": 2}), "de") == "from-the-future: press = lab, n = 2"
+    )
