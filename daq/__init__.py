@@ -1,0 +1,37 @@
+"""From the wire to the store: loggers, press events, run files, recorder.
+
+What ``__all__`` lists is stable, typed and documented; everything else may change. Nothing is imported
+before it is used.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from daq.face import StoreTables as StoreTables
+    from daq.face import find_moments as find_moments
+    from daq.face import open_store as open_store
+    from daq.files.frames import frame_of as frame_of
+    from daq.files.frames import run_of as run_of
+    from daq.records import InputError as InputError
+    from daq.records import Run as Run
+
+__all__ = ["InputError", "Run", "StoreTables", "find_moments", "frame_of", "open_store", "run_of"]
+_HOMES = {
+    "InputError": "daq.records",
+    "Run": "daq.records",
+    "frame_of": "daq.files.frames",
+    "run_of": "daq.files.frames",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Load a public name on first use (PEP 562)."""
+    if name not in __all__:
+        raise AttributeError(f"module 'daq' has no attribute {name!r}; it has {', '.join(__all__)}")
+    return getattr(import_module(_HOMES.get(name, "daq.face")), name)
+
+
+def __dir__() -> list[str]:
+    """List the public names."""
+    return sorted(__all__)

@@ -10,26 +10,41 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+TABLE_SD = 0.2
+"""Standard deviation between boards sold under one name, as a share. (Wood Handbook, ch. 4: +-20 %)"""
+
+_FSRI_MDF, _FSRI_OSB = "measured: FSRI_MDF", "measured: FSRI_OSB"
+_TRADE = "middle of the trade's range"
+_WOOD_HANDBOOK = "at 8 % moisture and 50 °C, Wood Handbook, ch. 4"
+
+
+@dataclass(frozen=True)
+class Constant:
+    """One property of a material."""
+
+    value: float
+    source: str
+    relative_sd: float = TABLE_SD
+
 
 @dataclass(frozen=True)
 class Material:
     """Room-temperature constants of one kind of board."""
 
-    density: float
+    density: Constant
     """[kg/m³]"""
-    conductivity: float
+    conductivity: Constant
     """Through the thickness. [W/mK]"""
-    heat_capacity: float
+    heat_capacity: Constant
     """[J/kgK]"""
-    source: str
 
 
 MATERIALS = {
-    "MDF": Material(740.0, 0.12, 1550.0, "k, rho: FSRI_MDF; c at 8 % moisture and 50 C, Wood Handbook rule"),
-    "HDF": Material(880.0, 0.14, 1550.0, "middle of the trade's range"),
-    "particleboard": Material(680.0, 0.12, 1550.0, "middle of the trade's range"),
-    "OSB": Material(598.0, 0.119, 1576.0, "FSRI_OSB"),
-    "plywood": Material(550.0, 0.12, 1600.0, "middle of the trade's range"),
+    "MDF": Material(Constant(740.0, _FSRI_MDF), Constant(0.12, _FSRI_MDF), Constant(1550.0, _WOOD_HANDBOOK)),
+    "HDF": Material(Constant(880.0, _TRADE), Constant(0.14, _TRADE), Constant(1550.0, _TRADE)),
+    "particleboard": Material(Constant(680.0, _TRADE), Constant(0.12, _TRADE), Constant(1550.0, _TRADE)),
+    "OSB": Material(Constant(598.0, _FSRI_OSB), Constant(0.119, _FSRI_OSB), Constant(1576.0, _FSRI_OSB)),
+    "plywood": Material(Constant(550.0, _TRADE), Constant(0.12, _TRADE), Constant(1600.0, _TRADE)),
 }
 """By the name a run's header gives in ``panel.material``; case does not matter."""
 

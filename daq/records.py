@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.words import Message, say
+
 Array = NDArray[np.float64]
 
 
@@ -75,6 +77,30 @@ class PressState(StrEnum):
     CLOSED = "closed"
 
 
+class EventSource(StrEnum):
+    """What told of a moment of the press."""
+
+    TEMPERATURES = "temperatures"
+    LIMIT_SWITCH = "limit switch"
+    PRESSURE_CHANNEL = "pressure channel"
+    ONE_STATE = "one state"
+    """A press that never opens: there was nothing to find."""
+    UNKNOWN = "unknown"
+    """No column tells."""
+    TRUTH = "truth"
+    """The virtual press knows its own moments."""
+
+    @property
+    def is_wire(self) -> bool:
+        """Whether a wire told, which knows the moment to a scan."""
+        return self in (EventSource.LIMIT_SWITCH, EventSource.PRESSURE_CHANNEL)
+
+    @property
+    def message(self) -> Message:
+        """The source in words."""
+        return say(f"told-by-{self.value.replace(' ', '-')}")
+
+
 class PressEventKind(StrEnum):
     """The four moments of a pressing, in the order they happen."""
 
@@ -130,8 +156,7 @@ class PressEvent:
     """When it happened, as well as the scans tell. [s]"""
     noticed_s: float
     """The scan at which the detector could say so. [s]"""
-    source: str = "temperatures"
-    """``temperatures``, ``limit switch`` or ``pressure channel``."""
+    source: EventSource = EventSource.TEMPERATURES
 
 
 @dataclass(frozen=True)
@@ -197,9 +222,8 @@ class Run:
     def _number(self, key: str, default: float) -> float:
         value = self.header.get(key, default)
         if isinstance(value, bool) or not isinstance(value, int | float):
-            raise InputError(
-                f"{self.source or self.name}: header key {key} = {value!r}: must be a number; mend the header"
-            )
+            said = say("header-no-number", key=key, value=repr(value))
+            raise InputError(say("at-place", place=self.source or self.name, what=said))
         return float(value)
 
 
@@ -216,4 +240,4 @@ class Moments:
     opened_s: float = float("nan")
     removed_s: float = float("nan")
     ramp_s: float = 0.5
-    source: str = "temperatures"
+    source: EventSource = EventSource.TEMPERATURES

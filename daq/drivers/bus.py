@@ -8,8 +8,9 @@ suspect in the same way.
 
 A reply later than timeout and drain together would still be taken for the next one of the same
 module, with the right channels but an older moment; where a device reads the same registers by two
-functions (``block.alternate``) even that is refused. TCP needs no silence: replies carry the
-transaction number, and a stream out of step is closed and opened anew.
+functions (``block.alternate``) even that is refused. On TCP replies carry the transaction number,
+and a stream out of step is closed and opened anew; there, too, what waits before a request is thrown away, since
+a reply that came first may carry the very number that is next.
 
 Decided 2026-11-21, against pymodbus and minimalmodbus, which hand out the late reply
 (``tests/daq/test_faults_libraries.py`` shows it).
@@ -20,11 +21,12 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from daq.drivers.link import Link, LinkLost, Place
-from daq.drivers.protocol import BadFrame, NoReply, ReadFailure
+from daq.drivers.protocol import BadFrame, Cause, NoReply, ReadFailure
 from daq.records import InputError
+from daq.words import Message, say, spoken
 
 TakeReply = Callable[[bytearray], bytes | None]
 """Looks at what has arrived: the payload when complete, None to wait for more, BadFrame otherwise.
@@ -33,8 +35,14 @@ May remove from the front what is known to belong to an older request.
 """
 
 _SILENCES_BEFORE_RECONNECT = {True: 2, False: 5}
+"""Unanswered requests after which a socket, or a serial port, is opened anew. Set by hand, 2026-11."""
 _LONGEST_DRAIN = 8
 """A line that will not fall silent within so many drain times is babbling."""
+
+
+_REST_OF_FRAME_S = 0.02
+"""Segments of one frame follow one another on a network within this: one turn of a plant's network is some ms,
+Nagle's and delayed acknowledgements aside. Set by hand, 2026-11. [s]"""
 
 
 @dataclass(frozen=True)
@@ -47,7 +55,7 @@ class Exchange:
 
 
 @dataclass(frozen=True)
-class Patience:
+class LineTiming:
     """How long one station may take, and the silence it needs around its frames."""
 
     timeout_s: float
@@ -79,39 +87,39 @@ class Bus:
             self._transaction = self._transaction % 0xFFFF + 1
             return self._transaction
 
-    def exchange(self, request: bytes, take: TakeReply, patience: Patience) -> Exchange:
+    def exchange(self, request: bytes, take: TakeReply, timing: LineTiming) -> Exchange:
         """Send one request and return its reply, or raise NoReply or BadFrame."""
         with self.lock:
-            link = self._opened(patience)
+            link = self._opened(timing)
             try:
-                self._settle(link, patience)
+                self._settle(link, timing)
                 link.write(request)
-                result = self._await(link, take, patience, time.monotonic())
+                result = self._await(link, take, timing, time.monotonic())
             except LinkLost as error:
                 self._drop()
-                raise NoReply(f"{self.place}: {error}", "port lost") from error
+                raise NoReply(self._said(error), Cause.PORT_LOST) from error
             except ReadFailure as failure:
-                self._suspect(failure, patience)
+                self._suspect(failure, timing)
                 raise
             self._silences = 0
             return result
 
-    def send(self, data: bytes, patience: Patience) -> None:
+    def send(self, data: bytes, timing: LineTiming) -> None:
         """Send a command that has no reply."""
         with self.lock:
-            link = self._opened(patience)
+            link = self._opened(timing)
             try:
-                self._settle(link, patience)
+                self._settle(link, timing)
                 link.write(data)
             except LinkLost as error:
                 self._drop()
-                raise NoReply(f"{self.place}: {error}", "port lost") from error
+                raise NoReply(self._said(error), Cause.PORT_LOST) from error
             self._last_byte_s = time.monotonic()
 
-    def open(self, patience: Patience) -> int:
+    def open(self, timing: LineTiming) -> int:
         """Open the link if it is not, and return its generation."""
         with self.lock:
-            self._opened(patience)
+            self._opened(timing)
             return self.generation
 
     def reconnect(self) -> None:
@@ -123,16 +131,16 @@ class Bus:
         """Release the port."""
         self.reconnect()
 
-    def _opened(self, patience: Patience) -> Link:
+    def _opened(self, timing: LineTiming) -> Link:
         if self._link is None:
             try:
                 self._link = self.place.open()
             except LinkLost as error:
-                raise NoReply(str(error), error.cause) from error
+                raise NoReply(spoken(error), error.cause) from error
             self.generation += 1
             self._silences = 0
             if not self.numbered:
-                self._owe(patience)
+                self._owe(timing)
         return self._link
 
     def _drop(self) -> None:
@@ -140,43 +148,43 @@ class Bus:
             self._link.close()
             self._link = None
 
-    def _owe(self, patience: Patience) -> None:
-        self._drain_s = max(self._drain_s, patience.drain_s)
+    def _owe(self, timing: LineTiming) -> None:
+        self._drain_s = max(self._drain_s, timing.drain_s)
         self._quiet_until = max(self._quiet_until, time.monotonic() + self._drain_s)
 
-    def _suspect(self, failure: ReadFailure, patience: Patience) -> None:
-        if isinstance(failure, NoReply) and failure.cause == "silent":
+    def _suspect(self, failure: ReadFailure, timing: LineTiming) -> None:
+        if isinstance(failure, NoReply) and failure.cause is Cause.SILENT:
             self._silences += 1
-        in_step = failure.cause in ("busy", "refused")
+        in_step = failure.cause in (Cause.BUSY, Cause.REFUSED)
         if in_step:
             return
         if not self.numbered:
-            self._owe(patience)
+            self._owe(timing)
         lost_step = self.numbered and isinstance(failure, BadFrame)
         if lost_step or self._silences >= _SILENCES_BEFORE_RECONNECT[self.place.is_socket]:
             self._drop()
 
-    def _settle(self, link: Link, patience: Patience) -> None:
-        """Listen until the line owes no more silence."""
-        if self.numbered:
-            return
+    def _settle(self, link: Link, timing: LineTiming) -> None:
+        """Listen until the line owes no more silence: what waits before a request answers an older one."""
         if link.read(0.0):
-            self._owe(patience)
-        give_up = time.monotonic() + _LONGEST_DRAIN * max(self._drain_s, patience.drain_s)
+            self._owe(timing if not self.numbered else replace(timing, drain_s=_REST_OF_FRAME_S))
+        give_up = time.monotonic() + _LONGEST_DRAIN * max(self._drain_s, timing.drain_s)
         while (now := time.monotonic()) < self._quiet_until:
             if now > give_up:
-                raise BadFrame(f"{self.place}: the line never falls silent", "babble")
+                raise BadFrame(say("line-babbles", place=str(self.place)), Cause.BABBLE)
             if link.read(self._quiet_until - now):
                 self._quiet_until = time.monotonic() + self._drain_s
         self._drain_s = 0.0
-        rest = self._last_byte_s + patience.turnaround_s - time.monotonic()
+        if self.numbered:
+            return
+        rest = self._last_byte_s + timing.turnaround_s - time.monotonic()
         if rest > 0 and link.read(rest):
-            self._owe(patience)
-            self._settle(link, patience)
+            self._owe(timing)
+            self._settle(link, timing)
 
-    def _await(self, link: Link, take: TakeReply, patience: Patience, requested_s: float) -> Exchange:
+    def _await(self, link: Link, take: TakeReply, timing: LineTiming, requested_s: float) -> Exchange:
         buffer = bytearray()
-        deadline = requested_s + patience.timeout_s
+        deadline = requested_s + timing.timeout_s
         while (left := deadline - time.monotonic()) > 0:
             data = link.read(left)
             if not data:
@@ -187,12 +195,13 @@ class Bus:
             if payload is not None:
                 return Exchange(payload, requested_s, self._last_byte_s)
         if buffer:
-            raise BadFrame(f"{self.place}: reply breaks off after {len(buffer)} bytes", "truncated")
+            raise BadFrame(say("reply-truncated", place=str(self.place), bytes=len(buffer)), Cause.TRUNCATED)
         if self._last_byte_s > requested_s:
-            raise BadFrame(f"{self.place}: only replies to others came", "wrong id")
-        raise NoReply(
-            f"{self.place}: no reply in {patience.timeout_s:g} s; check power, cable and address", "silent"
-        )
+            raise BadFrame(say("reply-to-others", place=str(self.place)), Cause.WRONG_ID)
+        raise NoReply(say("logger-no-reply", place=str(self.place), timeout_s=timing.timeout_s), Cause.SILENT)
+
+    def _said(self, lost: LinkLost) -> Message:
+        return say("at-place", place=str(self.place), what=spoken(lost))
 
 
 _SHARED: dict[str, tuple[Bus, int]] = {}
@@ -204,9 +213,7 @@ def share_bus(place: Place, *, numbered: bool) -> Bus:
     with _SHARED_LOCK:
         bus, users = _SHARED.get(place.key, (Bus(place, numbered=numbered), 0))
         if bus.place != place or bus.numbered != numbered:
-            raise InputError(
-                f"{place.key}: two loggers on one port ask for different settings: {bus.place!r}, {place!r}"
-            )
+            raise InputError(say("port-two-settings", port=place.key, first=repr(bus.place), second=repr(place)))
         _SHARED[place.key] = (bus, users + 1)
         return bus
 

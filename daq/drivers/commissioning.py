@@ -10,13 +10,14 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import date
-from typing import Literal
+from enum import StrEnum
 
 import numpy as np
 
 from daq.drivers.calibration import Calibration
 from daq.drivers.protocol import DataLogger, ReadFailure
 from daq.records import Channel, InputError, Quality, Reading
+from daq.words import Message, say
 
 OFF_K = 2.5
 """Type K class 1 is good to 1.5 K at room temperature; a logger adds about 1 K."""
@@ -26,12 +27,26 @@ WARM_K = 2.0
 """Fingers warm a bare junction by several kelvin; less is draught."""
 
 
+class RoomVerdict(StrEnum):
+    """What a channel is worth at room temperature."""
+
+    OK = "ok"
+    OFF = "off"
+    NOISY = "noisy"
+    NO_VALUE = "no value"
+
+    @property
+    def message(self) -> Message:
+        """The verdict in words."""
+        return say(f"room-check-{self.value.replace(' ', '-')}")
+
+
 @dataclass(frozen=True)
 class RoomCheck:
     """One channel at room temperature."""
 
     channel: str
-    verdict: Literal["ok", "off", "noisy", "no value"]
+    verdict: RoomVerdict
     mean_celsius: float
     deviation_kelvin: float
     """Reading minus reference."""
@@ -88,7 +103,7 @@ def check_at_room_temperature(
         What the thermometer says. [°C]
     """
     if len(readings) < 2:
-        raise InputError(f"room temperature check: {len(readings)} readings; take at least 2")
+        raise InputError(say("room-check-too-few", readings=len(readings)))
     return tuple(_checked(c.name, k, readings, reference_celsius) for k, c in enumerate(channels))
 
 
@@ -97,14 +112,14 @@ def _checked(name: str, k: int, readings: Sequence[Reading], reference: float) -
     values = np.array([r.values[k] for r in readings if r.qualities[k].usable])
     if bad or values.size < 2:
         quality = bad[0] if bad else Quality.MISSING
-        return RoomCheck(name, "no value", math.nan, math.nan, math.nan, quality)
+        return RoomCheck(name, RoomVerdict.NO_VALUE, math.nan, math.nan, math.nan, quality)
     mean, noise = float(values.mean()), float(values.std(ddof=1))
     deviation = mean - reference
-    verdict: Literal["ok", "off", "noisy"] = "ok"
+    verdict = RoomVerdict.OK
     if abs(deviation) > OFF_K:
-        verdict = "off"
+        verdict = RoomVerdict.OFF
     elif noise > NOISY_K:
-        verdict = "noisy"
+        verdict = RoomVerdict.NOISY
     return RoomCheck(name, verdict, mean, deviation, noise, Quality.GOOD)
 
 
@@ -116,7 +131,7 @@ def offsets_from_room(checks: Sequence[RoomCheck], day: date, reference: str) ->
     return tuple(
         Calibration(channel=c.channel, date=day, offset_K=round(-c.deviation_kelvin, 3), reference=reference)
         for c in checks
-        if c.verdict == "ok"
+        if c.verdict is RoomVerdict.OK
     )
 
 

@@ -10,12 +10,13 @@ from __future__ import annotations
 import math
 import re
 
-from daq.drivers.bus import Bus, Patience
+from daq.drivers.bus import Bus, LineTiming
 from daq.drivers.decode import Sample, limited, out_of_range
 from daq.drivers.lines import decoded, line_reply
 from daq.drivers.profile import Ascii, Profile
-from daq.drivers.protocol import BadFrame, NoReply
+from daq.drivers.protocol import BadFrame, Cause, NoReply
 from daq.records import InputError, Quality
+from daq.words import Message, say
 
 _CODES = {
     Quality.OPEN: re.compile(r"\+888888"),
@@ -49,7 +50,7 @@ def values_of(payload: str, inputs: int, width: int) -> list[tuple[float, Qualit
     else:
         cells = re.findall(rf" {{{width}}}|[+-][0-9.]+", payload)
     if "".join(cells) != payload or len(cells) != inputs:
-        raise BadFrame(f"{payload[:70]!r} is not {inputs} values", "wrong shape")
+        raise BadFrame(say("reply-value-count", reply=repr(payload[:70]), values=inputs), Cause.WRONG_SHAPE)
     return [_value(cell, width) for cell in cells]
 
 
@@ -60,7 +61,7 @@ def _value(cell: str, width: int) -> tuple[float, Quality]:
         if code.fullmatch(cell.strip()):
             return math.nan, quality
     if len(cell) != width or not _NUMBER.fullmatch(cell):
-        raise BadFrame(f"{cell!r} is no value", "wrong shape")
+        raise BadFrame(say("reply-no-value", reply=repr(cell)), Cause.WRONG_SHAPE)
     return float(cell), Quality.GOOD
 
 
@@ -68,12 +69,12 @@ class DconDevice:
     """One module at its two-digit address."""
 
     def __init__(
-        self, bus: Bus, profile: Profile, *, station: int, patience: Patience, with_checksum: bool
+        self, bus: Bus, profile: Profile, *, station: int, timing: LineTiming, with_checksum: bool
     ) -> None:
         if profile.ascii is None:
-            raise InputError(f"profile {profile.name} has no table ascii")
+            raise InputError(say("profile-table-missing", profile=profile.name, table="ascii"))
         self.bus = bus
-        self.patience = patience
+        self.timing = timing
         self._profile = profile
         self._ascii: Ascii = profile.ascii
         self._at = f"{station:02X}"
@@ -83,20 +84,16 @@ class DconDevice:
         """Make sure the module writes engineering units, with the checksum as set here."""
         answer, _, _ = self._ask(f"${self._at}2", f"!{self._at}")
         if not re.fullmatch(r"[0-9A-F]{6}", answer):
-            raise BadFrame(f"{answer!r} is no configuration", "wrong shape")
+            raise BadFrame(say("reply-no-configuration", reply=repr(answer)), Cause.WRONG_SHAPE)
         flags = int(answer[4:], 16)
         if bool(flags & _CHECKSUM_BIT) != self._with_checksum:
-            raise self._refused(
-                f"has its checksum {'on' if flags & _CHECKSUM_BIT else 'off'}; set checksum to match"
-            )
+            raise self._refused(say("module-checksum", is_on="on" if flags & _CHECKSUM_BIT else "off"))
         if flags & 0x03:
-            raise self._refused("does not write engineering units; set data format 0 in the module")
+            raise self._refused(say("module-format"))
         if self._ascii.name:
             name, _, _ = self._ask(f"${self._at}M", f"!{self._at}")
             if self._ascii.name not in name:
-                raise self._refused(
-                    f"calls itself {name!r}, profile {self._profile.name} expects {self._ascii.name}"
-                )
+                raise self._refused(say("module-name", found=repr(name), expected=self._ascii.name))
 
     def sample(self) -> Sample:
         """Fetch all inputs, then the status that belongs to them."""
@@ -118,7 +115,7 @@ class DconDevice:
             return [False] * inputs
         answer, _, _ = self._ask(f"${self._at}B", f"!{self._at}")
         if not re.fullmatch(rf"[0-9A-F]{{1,{math.ceil(inputs / 4)}}}", answer):
-            raise BadFrame(f"{answer!r} is no status", "wrong shape")
+            raise BadFrame(say("reply-no-status", reply=repr(answer)), Cause.WRONG_SHAPE)
         return [bool(int(answer, 16) >> k & 1) for k in range(inputs)]
 
     def _ask(self, command: str, lead: str) -> tuple[str, float, float]:
@@ -129,7 +126,7 @@ class DconDevice:
             line = take(buffer)
             return None if line is None else self._checked(line, command, lead)
 
-        reply = self.bus.exchange(f"{command}{guard}\r".encode("ascii"), checked, self.patience)
+        reply = self.bus.exchange(f"{command}{guard}\r".encode("ascii"), checked, self.timing)
         return reply.payload.decode("ascii"), reply.requested_s, reply.received_s
 
     def _checked(self, line: bytes, command: str, lead: str) -> bytes:
@@ -137,12 +134,15 @@ class DconDevice:
         if self._with_checksum:
             text, guard = text[:-2], text[-2:]
             if checksum(text) != guard:
-                raise BadFrame("checksum is wrong", "crc")
+                raise BadFrame(say("reply-checksum"), Cause.CRC)
         if text.startswith("?"):
-            raise self._refused(f"does not know {command}")
+            raise self._refused(say("module-unknown-command", command=command))
         if not text.startswith(lead):
-            raise BadFrame(f"reply {text[:20]!r} to {command} does not begin {lead!r}", "wrong shape")
+            raise BadFrame(
+                say("reply-other-lead", reply=repr(text[:20]), command=command, lead=repr(lead)), Cause.WRONG_SHAPE
+            )
         return text.removeprefix(lead).encode("ascii")
 
-    def _refused(self, why: str) -> NoReply:
-        return NoReply(f"{self.bus.place} module {self._at} {why}", "refused")
+    def _refused(self, why: Message) -> NoReply:
+        said = say("module-refused", place=str(self.bus.place), address=self._at, why=why)
+        return NoReply(said, Cause.REFUSED)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from daq.drivers.bus import TakeReply
-from daq.drivers.protocol import BadFrame
+from daq.drivers.protocol import BadFrame, Cause
+from daq.words import say
 
 
 def line_reply(end: bytes, *, longest: int = 4096) -> TakeReply:
@@ -11,12 +12,12 @@ def line_reply(end: bytes, *, longest: int = 4096) -> TakeReply:
 
     def take(buffer: bytearray) -> bytes | None:
         if len(buffer) > longest:
-            raise BadFrame(f"no end of line in {len(buffer)} bytes", "garbage")
+            raise BadFrame(say("reply-endless", bytes=len(buffer)), Cause.GARBAGE)
         text, found, rest = bytes(buffer).partition(end)
         if not found:
             return None
         if rest.strip(b"\r\n"):
-            raise BadFrame(f"{len(rest)} bytes after the end of the reply", "surplus")
+            raise BadFrame(say("reply-surplus", bytes=len(rest)), Cause.SURPLUS)
         return text
 
     return take
@@ -25,5 +26,5 @@ def line_reply(end: bytes, *, longest: int = 4096) -> TakeReply:
 def decoded(line: bytes) -> str:
     """Return a line as text, or raise BadFrame where a byte is no printable ASCII."""
     if any(not 32 <= byte < 127 for byte in line):
-        raise BadFrame(f"reply {line[:40]!r} holds bytes that are no text", "garbage")
+        raise BadFrame(say("reply-no-text", reply=repr(line[:40])), Cause.GARBAGE)
     return line.decode("ascii")

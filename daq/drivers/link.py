@@ -15,12 +15,14 @@ from typing import Any, Protocol
 
 import serial
 
+from daq.drivers.protocol import Cause
 from daq.records import InputError
+from daq.words import Message, say
 
 CONNECT_TIMEOUT_S = 1.5
 """Longest wait for a TCP connection: short enough that rest, connect and set-up stay below `FOUND_AGAIN_S`."""
-_SERIAL_POLL_S = 0.02
-_SERIAL_STEP_S = 0.001
+_SERIAL_POLL_S, _SERIAL_STEP_S = 0.02, 0.001
+"""How long one read waits for a byte, and the pause between looks when less is left. Set by hand, 2026-11. [s]"""
 _HELD_S, _HELD_STEP_S = 0.5, 0.02
 """A held port is tried so long: a program that ends, or a child just forked, lets go of it soon. [s]"""
 
@@ -28,10 +30,9 @@ _HELD_S, _HELD_STEP_S = 0.5, 0.02
 class LinkLost(Exception):
     """The port or the connection is gone; open it anew."""
 
-    def __init__(self, message: str, cause: str = "port lost") -> None:
+    def __init__(self, message: Message, cause: Cause = Cause.PORT_LOST) -> None:
         super().__init__(message)
         self.cause = cause
-        """For counting: ``port lost``, or why it does not open."""
 
 
 class Link(Protocol):
@@ -65,8 +66,8 @@ class SerialPlace:
             try:
                 return _SerialLink(self)
             except (OSError, ValueError) as error:
-                lost = _not_opened(f"cannot open {self.port}", error)
-                if lost.cause != IN_USE or time.monotonic() > deadline:
+                lost = _not_opened(say("port-cannot-open", place=self.port), error)
+                if lost.cause is not Cause.IN_USE or time.monotonic() > deadline:
                     raise lost from error
             time.sleep(_HELD_STEP_S)
 
@@ -96,7 +97,7 @@ class SocketPlace:
         try:
             return _SocketLink(socket.create_connection((self.host, self.tcp_port), CONNECT_TIMEOUT_S))
         except OSError as error:
-            raise _not_opened(f"cannot connect to {self}", error) from error
+            raise _not_opened(say("port-cannot-connect", place=str(self)), error) from error
 
     @property
     def key(self) -> str:
@@ -114,37 +115,25 @@ class SocketPlace:
 
 Place = SerialPlace | SocketPlace
 
-IN_USE, NO_PORT, NO_PERMISSION = "port in use", "no port", "no permission"
-_WHY_NOT: tuple[tuple[frozenset[int], str, str], ...] = (
-    (
-        frozenset({errno.ECONNREFUSED}),
-        "connection refused",
-        "the device is on but nothing listens there; check port",
-    ),
-    (
-        frozenset({errno.EHOSTUNREACH, errno.ENETUNREACH, errno.ETIMEDOUT}),
-        "unreachable",
-        "nobody answers at this address; check power, cable and host",
-    ),
-    (frozenset({errno.ENOENT, errno.ENXIO, errno.ENODEV}), NO_PORT, "no such port; check adapter and name"),
-    (
-        frozenset({errno.EACCES, errno.EPERM}),
-        NO_PERMISSION,
-        "the user may not open it; add it to the port's group",
-    ),
-    (frozenset({errno.EBUSY, errno.EAGAIN}), IN_USE, "another program has it open; close that"),
-)
+NEVER_OPENED = (Cause.IN_USE, Cause.NO_PORT, Cause.NO_PERMISSION)
+"""The port itself does not open: asking another device on it is of no use."""
+_WHY_NOT: dict[int | None, Cause] = {
+    errno.ECONNREFUSED: Cause.CONNECTION_REFUSED,
+    **dict.fromkeys((errno.EHOSTUNREACH, errno.ENETUNREACH, errno.ETIMEDOUT), Cause.UNREACHABLE),
+    **dict.fromkeys((errno.ENOENT, errno.ENXIO, errno.ENODEV), Cause.NO_PORT),
+    **dict.fromkeys((errno.EACCES, errno.EPERM), Cause.NO_PERMISSION),
+    **dict.fromkeys((errno.EBUSY, errno.EAGAIN), Cause.IN_USE),
+}
 
 
-def _not_opened(what: str, error: OSError | ValueError) -> LinkLost:
+def _not_opened(what: Message, error: OSError | ValueError) -> LinkLost:
     """Return why a place does not open, each cause by its own name, with what to do."""
     number = error.errno if isinstance(error, OSError) else None
-    if isinstance(error, TimeoutError):
-        number = errno.ETIMEDOUT
-    for numbers, cause, remedy in _WHY_NOT:
-        if number in numbers:
-            return LinkLost(f"{what}: {cause}; {remedy}", cause)
-    return LinkLost(f"{what}: {error}")
+    cause = _WHY_NOT.get(errno.ETIMEDOUT if isinstance(error, TimeoutError) else number)
+    if cause is None:
+        return LinkLost(say("at-place", place=what, what=str(error)))
+    remedy = say(f"port-remedy-{cause.value.replace(' ', '-')}")
+    return LinkLost(say("port-not-opened", what=what, cause=cause.message, remedy=remedy), cause)
 
 
 def socket_of(port: str) -> SocketPlace | None:
@@ -156,8 +145,8 @@ def socket_of(port: str) -> SocketPlace | None:
     if not port.startswith("socket://"):
         return None
     host, _, number = port.removeprefix("socket://").rpartition(":")
-    if not host or not number.isdigit():
-        raise InputError(f"port {port!r}: write socket://host:port, such as socket://192.168.0.50:4001")
+    if not host or not (number.isascii() and number.isdigit()):
+        raise InputError(say("port-no-socket", port=repr(port)))
     return SocketPlace(host, int(number))
 
 
@@ -171,7 +160,7 @@ class _SocketLink:
         try:
             self._socket.sendall(data)
         except OSError as error:
-            raise LinkLost(f"connection lost: {error}") from error
+            raise LinkLost(say("connection-lost", reason=str(error))) from error
 
     def read(self, wait_s: float) -> bytes:
         try:
@@ -180,9 +169,9 @@ class _SocketLink:
                 return b""
             data = self._socket.recv(4096)
         except (OSError, ValueError) as error:
-            raise LinkLost(f"connection lost: {error}") from error
+            raise LinkLost(say("connection-lost", reason=str(error))) from error
         if not data:
-            raise LinkLost("the device closed the connection")
+            raise LinkLost(say("connection-closed"))
         return data
 
     def close(self) -> None:
@@ -209,7 +198,7 @@ class _SerialLink:
             self._port.write(data)
             self._port.flush()
         except (OSError, TypeError, ValueError) as error:
-            raise LinkLost(f"port lost: {error}") from error
+            raise LinkLost(say("port-lost", reason=str(error))) from error
 
     def read(self, wait_s: float) -> bytes:
         deadline = time.monotonic() + wait_s
@@ -226,7 +215,7 @@ class _SerialLink:
                 elif first := self._port.read(1):
                     return bytes(first) + bytes(self._port.read(self._port.in_waiting))
         except (OSError, TypeError, ValueError) as error:
-            raise LinkLost(f"port lost: {error}") from error
+            raise LinkLost(say("port-lost", reason=str(error))) from error
 
     def close(self) -> None:
         self._port.close()

@@ -10,16 +10,13 @@ import struct
 from dataclasses import dataclass
 
 from daq.drivers.bus import TakeReply
-from daq.drivers.protocol import BadFrame, NoReply
+from daq.drivers.protocol import BadFrame, Cause, NoReply
+from daq.words import say
 
-BUSY = {
-    5: "acknowledged, still working",
-    6: "busy",
-    4: "device failure",
-    10: "gateway path",
-    11: "gateway target",
-}
-REFUSED = {1: "illegal function", 2: "illegal address", 3: "illegal value"}
+BUSY = (4, 5, 6, 10, 11)
+"""Exception codes of a device that may have data later; the others mean that the request does not fit it.
+
+Source: MODBUS Application Protocol Specification V1.1b3, section 7."""
 
 
 def crc16(data: bytes | bytearray) -> int:
@@ -80,11 +77,8 @@ def _payload(pdu: bytes, request: Request) -> bytes:
 
 def _raise_exception(code: int) -> None:
     if code in BUSY:
-        raise NoReply(f"device answers exception {code} ({BUSY[code]})", "busy")
-    reason = REFUSED.get(code, "unknown")
-    raise NoReply(
-        f"device refuses the request: exception {code} ({reason}); the profile does not fit it", "refused"
-    )
+        raise NoReply(say("modbus-busy", exception=code), Cause.BUSY)
+    raise NoReply(say("modbus-refused", exception=code), Cause.REFUSED)
 
 
 def rtu_frame(station: int, request: Request) -> bytes:
@@ -103,7 +97,7 @@ def rtu_reply(station: int, request: Request, *, local_echo: bool = False) -> Ta
     def take(buffer: bytearray) -> bytes | None:
         nonlocal echo
         if not echo.startswith(bytes(buffer[: len(echo)])):
-            raise BadFrame("the local echo differs from what was sent", "echo")
+            raise BadFrame(say("reply-echo"), Cause.ECHO)
         if len(buffer) < len(echo):
             return None
         del buffer[: len(echo)]
@@ -133,18 +127,17 @@ def _take_rtu(frame: bytes, station: int, request: Request) -> bytes | None:
     if len(frame) < 5 or _foreign_size(bytearray(frame), station):
         return None
     if frame[0] != station:
-        raise BadFrame(f"reply of station {frame[0]}, asked {station}", "wrong id")
+        raise BadFrame(say("reply-other-station", found=frame[0], asked=station), Cause.WRONG_ID)
     is_exception = frame[1] == request.function | 0x80
     size = 5 if is_exception else 1 + request.reply_size + 2
     if not is_exception and not frame[1:].startswith(request.reply_head[: len(frame) - 1]):
-        head = request.reply_head.hex(" ")
-        raise BadFrame(f"reply begins {frame[1:3].hex(' ')}, expected {head}", "wrong shape")
+        raise _other_head(frame[1:3], request)
     if len(frame) < size:
         return None
     if len(frame) > size:
-        raise BadFrame(f"{len(frame) - size} bytes after the end of the reply", "surplus")
+        raise BadFrame(say("reply-surplus", bytes=len(frame) - size), Cause.SURPLUS)
     if crc16(frame[:-2]) != struct.unpack("<H", frame[-2:])[0]:
-        raise BadFrame("checksum is wrong", "crc")
+        raise BadFrame(say("reply-checksum"), Cause.CRC)
     if is_exception:
         _raise_exception(frame[2])
     return _payload(frame[1:-2], request)
@@ -162,13 +155,13 @@ def tcp_reply(transaction: int, station: int, request: Request) -> TakeReply:
         while len(buffer) >= 8:
             number, protocol, length = struct.unpack(">HHH", buffer[:6])
             if protocol != 0 or not 3 <= length <= 254:
-                raise BadFrame("the stream holds no Modbus frame", "garbage")
+                raise BadFrame(say("reply-no-modbus"), Cause.GARBAGE)
             if len(buffer) < 6 + length:
                 return None
             frame = bytes(buffer[: 6 + length])
             if number == transaction:
                 if len(buffer) > len(frame):
-                    raise BadFrame(f"{len(buffer) - len(frame)} bytes after the end of the reply", "surplus")
+                    raise BadFrame(say("reply-surplus", bytes=len(buffer) - len(frame)), Cause.SURPLUS)
                 return _check_tcp(frame, station, request)
             del buffer[: 6 + length]
         return None
@@ -179,12 +172,17 @@ def tcp_reply(transaction: int, station: int, request: Request) -> TakeReply:
 def _check_tcp(frame: bytes, station: int, request: Request) -> bytes:
     pdu = frame[7:]
     if frame[6] != station:
-        raise BadFrame(f"reply of station {frame[6]}, asked {station}", "wrong id")
+        raise BadFrame(say("reply-other-station", found=frame[6], asked=station), Cause.WRONG_ID)
     if pdu[0] == request.function | 0x80 and len(pdu) == 2:
         _raise_exception(pdu[1])
     if len(pdu) != request.reply_size or not pdu.startswith(request.reply_head):
-        raise BadFrame(f"reply begins {pdu[:2].hex(' ')}, expected {request.reply_head.hex(' ')}", "wrong shape")
+        raise _other_head(pdu[:2], request)
     return _payload(pdu, request)
+
+
+def _other_head(found: bytes, request: Request) -> BadFrame:
+    expected = request.reply_head.hex(" ")
+    return BadFrame(say("reply-other-head", found=found.hex(" "), expected=expected), Cause.WRONG_SHAPE)
 
 
 def registers(payload: bytes) -> tuple[int, ...]:

@@ -7,11 +7,12 @@ import struct
 import time
 
 from daq.drivers import modbus
-from daq.drivers.bus import Bus, Exchange, Patience, TakeReply
+from daq.drivers.bus import Bus, Exchange, LineTiming, TakeReply
 from daq.drivers.decode import Sample, decode
 from daq.drivers.profile import Profile, Scaling, Write
-from daq.drivers.protocol import NoReply
+from daq.drivers.protocol import Cause, NoReply
 from daq.records import InputError
+from daq.words import say
 
 _PACK = {"s16": ">h", "u16": ">H", "s32": ">i", "u32": ">I", "f32": ">f"}
 
@@ -25,16 +26,16 @@ class ModbusDevice:
         profile: Profile,
         *,
         station: int,
-        patience: Patience,
+        timing: LineTiming,
         scaling: Scaling,
         used: tuple[int, ...],
         cold_junction: float | None = None,
         local_echo: bool = False,
     ) -> None:
         if profile.block is None:
-            raise InputError(f"profile {profile.name} has no block of registers")
+            raise InputError(say("profile-table-missing", profile=profile.name, table="block"))
         self.bus = bus
-        self.patience = patience
+        self.timing = timing
         self._profile = profile
         self._station = station
         self._scaling = scaling
@@ -56,11 +57,16 @@ class ModbusDevice:
             found = _words(request, self._ask(request).payload)
             expected = check.expect * check.count if len(check.expect) == 1 else check.expect
             if found != expected:
-                raise NoReply(
-                    f"{self.bus.place} station {self._station}: {check.what} reads {_hex(found)}, "
-                    f"profile {self._profile.name} expects {_hex(expected)}",
-                    "refused",
+                said = say(
+                    "logger-check-differs",
+                    place=str(self.bus.place),
+                    station=self._station,
+                    what=check.what,
+                    found=_hex(found),
+                    profile=self._profile.name,
+                    expected=_hex(expected),
                 )
+                raise NoReply(said, Cause.REFUSED)
 
     def sample(self) -> Sample:
         """Fetch all inputs once."""
@@ -80,7 +86,7 @@ class ModbusDevice:
         return modbus.bits(self._ask(request).payload, self._profile.inputs)
 
     def _ask(self, request: modbus.Request) -> Exchange:
-        return self.bus.exchange(*self._framed(request), self.patience)
+        return self.bus.exchange(*self._framed(request), self.timing)
 
     def _framed(self, request: modbus.Request) -> tuple[bytes, TakeReply]:
         if not self.bus.numbered:

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 from datetime import UTC, datetime
 
-from daq.drivers.bus import Bus, Patience, release_bus, share_bus
+from daq.drivers.bus import Bus, LineTiming, release_bus, share_bus
 from daq.drivers.calibration import corrector, read_calibrations
 from daq.drivers.dcon import DconDevice
-from daq.drivers.link import IN_USE, Place, SerialPlace, SocketPlace, socket_of
+from daq.drivers.link import Place, SerialPlace, SocketPlace, socket_of
 from daq.drivers.modbus_device import ModbusDevice
 from daq.drivers.polled import Device, PolledLogger
 from daq.drivers.profile import Profile, profile_for
-from daq.drivers.protocol import DataLogger, NoReply
+from daq.drivers.protocol import Cause, DataLogger, NoReply
 from daq.drivers.scpi import ScpiDevice
 from daq.drivers.settings import LoggerSettings
 from daq.drivers.sr630 import Sr630Device
 from daq.records import Channel, InputError, Reading
+from daq.words import Message, say, spoken
 
 
 def open_logger(settings: LoggerSettings) -> DataLogger:
@@ -50,14 +51,11 @@ def _on_bus(settings: LoggerSettings, profile: Profile, bus: Bus) -> PolledLogge
     )
 
 
-def uncorrected(settings: LoggerSettings) -> str:
-    """Return the sentence for a calibration file that nobody has made yet, else nothing."""
+def uncorrected(settings: LoggerSettings) -> Message | None:
+    """Return what is to be said of a calibration file that nobody has made yet; None where there is one."""
     if settings.calibration is None or settings.calibration.exists():
-        return ""
-    return (
-        f"logger {settings.name}: values are not corrected, {settings.calibration} is not there yet; "
-        "kerntemp calibrate --write makes it"
-    )
+        return None
+    return say("logger-uncorrected", logger=settings.name, file=str(settings.calibration))
 
 
 def _numbered(settings: LoggerSettings, profile: Profile) -> bool:
@@ -89,7 +87,7 @@ class SuccessorLogger:
             try:
                 self._logger = open_logger(self._settings)
             except InputError as error:
-                raise NoReply(str(error), IN_USE) from error
+                raise NoReply(spoken(error), Cause.IN_USE) from error
         return self._logger.read()
 
     def close(self) -> None:
@@ -107,7 +105,7 @@ def place_of(settings: LoggerSettings, profile: Profile) -> Place:
     line = profile.serial
     baud = settings.baud or (line.baud if line else None)
     if settings.port is None or baud is None:
-        raise InputError(f"logger {settings.name}: baud is not established for this device; give baud")
+        raise InputError(say("logger-needs-baud", logger=settings.name))
     return SerialPlace(
         settings.port,
         baud,
@@ -122,15 +120,15 @@ def _transport(settings: LoggerSettings) -> str:
     return settings.transport or ("tcp" if settings.host else "rtu")
 
 
-def patience_of(settings: LoggerSettings, profile: Profile) -> Patience:
+def line_timing_of(settings: LoggerSettings, profile: Profile) -> LineTiming:
     """Return the waits that hold for this logger."""
     timeout_s = settings.timeout_s or profile.timing.response_s
     drain_s = settings.drain_s or profile.timing.drain_s or max(timeout_s, profile.timing.response_s)
-    return Patience(timeout_s, drain_s, profile.timing.turnaround_s)
+    return LineTiming(timeout_s, drain_s, profile.timing.turnaround_s)
 
 
 def _device(settings: LoggerSettings, profile: Profile, bus: Bus) -> Device:
-    patience = patience_of(settings, profile)
+    timing = line_timing_of(settings, profile)
     station = settings.address if settings.address is not None else profile.address
     used = tuple(k for k, name in enumerate(settings.channels) if name)
     if profile.protocol == "modbus":
@@ -138,7 +136,7 @@ def _device(settings: LoggerSettings, profile: Profile, bus: Bus) -> Device:
             bus,
             profile,
             station=station or 0,
-            patience=patience,
+            timing=timing,
             scaling=profile.scalings[settings.scaling or profile.scaling or ""],
             used=used,
             cold_junction=settings.cold_junction_C,
@@ -146,7 +144,7 @@ def _device(settings: LoggerSettings, profile: Profile, bus: Bus) -> Device:
         )
     if profile.protocol == "dcon":
         guarded = bool(settings.checksum)
-        return DconDevice(bus, profile, station=station or 0, patience=patience, with_checksum=guarded)
+        return DconDevice(bus, profile, station=station or 0, timing=timing, with_checksum=guarded)
     if profile.protocol == "scpi":
-        return ScpiDevice(bus, profile, patience=patience, used=used)
-    return Sr630Device(bus, profile, patience=patience, used=used)
+        return ScpiDevice(bus, profile, timing=timing, used=used)
+    return Sr630Device(bus, profile, timing=timing, used=used)

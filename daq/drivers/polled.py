@@ -7,13 +7,14 @@ from collections import deque
 from collections.abc import Callable
 from typing import Protocol
 
-from daq.drivers.bus import Bus, Patience
+from daq.drivers.bus import Bus, LineTiming
 from daq.drivers.decode import Sample
-from daq.drivers.protocol import NoReply, ReadFailure
+from daq.drivers.protocol import Cause, NoReply, ReadFailure
 from daq.records import Channel, Quality, Reading
+from daq.words import say, spoken
 
-_FAILURES_BEFORE_REST = 3
-_FIRST_REST_S = 0.25
+_FAILURES_BEFORE_REST, _FIRST_REST_S = 3, 0.25
+"""Failures in a row after which a device rests, and for how long; doubled each time. By hand, 2026-11. [1, s]"""
 FOUND_AGAIN_S = 5.0
 """A device that answers again is read again within this time. [s]"""
 _LONGEST_REST_S = 0.3 * FOUND_AGAIN_S
@@ -32,7 +33,7 @@ class Device(Protocol):
     """A station on a bus: what differs between protocols."""
 
     bus: Bus
-    patience: Patience
+    timing: LineTiming
 
     def set_up(self) -> None:
         """Prepare the device and make sure it is the right one."""
@@ -89,7 +90,7 @@ class PolledLogger:
         self._ready_for = 0
         self._failures = 0
         self._rest_until = 0.0
-        self._rests_for = NoReply("no answer yet", "silent")
+        self._rests_for = NoReply(say("logger-no-answer-yet"), Cause.SILENT)
 
     @property
     def channels(self) -> tuple[Channel, ...]:
@@ -102,10 +103,10 @@ class PolledLogger:
         Raises NoReply (silence: try again) or BadFrame (noise: drop it).
         """
         if self._release is None:
-            raise NoReply("the logger is closed", "closed")
+            raise NoReply(say("logger-closed"), Cause.CLOSED)
         left = self._rest_until - time.monotonic()
         if left > 0:
-            raise NoReply(str(self._rests_for), self._rests_for.cause)
+            raise NoReply(spoken(self._rests_for), self._rests_for.cause)
         try:
             with self._device.bus.lock:
                 self._get_ready()
@@ -123,13 +124,13 @@ class PolledLogger:
             self._release = None
 
     def _get_ready(self) -> None:
-        generation = self._device.bus.open(self._device.patience)
+        generation = self._device.bus.open(self._device.timing)
         if self._ready_for != generation:
             self._device.set_up()
             self._ready_for = self._device.bus.generation
 
     def _failed(self, failure: ReadFailure) -> None:
-        if not isinstance(failure, NoReply) or failure.cause == "busy":
+        if not isinstance(failure, NoReply) or failure.cause is Cause.BUSY:
             return
         self._failures += 1
         self._rests_for = failure

@@ -14,27 +14,31 @@ from typing import Any
 from pydantic import ValidationError
 
 from daq.drivers import modbus
-from daq.drivers.bus import Bus, Patience
+from daq.drivers.bus import Bus, LineTiming
 from daq.drivers.decode import raw_values
-from daq.drivers.link import IN_USE, NO_PERMISSION, NO_PORT, Place, SerialPlace, SocketPlace, socket_of
+from daq.drivers.link import NEVER_OPENED, Place, SerialPlace, SocketPlace, socket_of
 from daq.drivers.opening import open_logger
 from daq.drivers.profile import REGISTERS, Field16, Profile, Scaling, check_profile, profile_names, profile_table
-from daq.drivers.protocol import NoReply, ReadFailure
+from daq.drivers.protocol import Cause, NoReply, ReadFailure
 from daq.drivers.settings import LoggerSettings
 from daq.records import InputError, Quality
+from daq.tables import explained
+from daq.words import Message, say, spoken
 
 ROOM_C = (5.0, 45.0)
+"""Where loggers are set up: from an unheated hall in winter to one beside a hot press in summer. [°C]"""
 USUAL_ROOM_C = 22.0
+"""Orders readings that fit as well: an office in winter, a hall in summer. [°C]"""
 _ENOUGH = 0.5
 """Share of inputs that must read room temperature: some may have no thermocouple yet."""
-_SCALINGS: Mapping[str, tuple[str, Scaling]] = {
-    "tenths": ("s16", Scaling(scale=0.1)),
-    "hundredths": ("s16", Scaling(scale=0.01)),
-    "whole degrees": ("s16", Scaling(scale=1.0)),
-    "7FFF = 1370 C": ("s16", Scaling(full_code=32767, full_value=1370.0)),
-    "7FFF = 1372 C": ("s16", Scaling(full_code=32767, full_value=1372.0)),
-    "FFFF = 1370 C": ("u16", Scaling(full_code=65535, full_value=1370.0)),
-    "float": ("f32", Scaling(scale=1.0)),
+_SCALINGS: Mapping[Message, tuple[str, Scaling]] = {
+    say("registers-tenths"): ("s16", Scaling(scale=0.1)),
+    say("registers-hundredths"): ("s16", Scaling(scale=0.01)),
+    say("registers-whole-degrees"): ("s16", Scaling(scale=1.0)),
+    say("registers-full-scale", full="7FFF", celsius=1370): ("s16", Scaling(full_code=32767, full_value=1370.0)),
+    say("registers-full-scale", full="7FFF", celsius=1372): ("s16", Scaling(full_code=32767, full_value=1372.0)),
+    say("registers-full-scale", full="FFFF", celsius=1370): ("u16", Scaling(full_code=65535, full_value=1370.0)),
+    say("registers-float"): ("f32", Scaling(scale=1.0)),
 }
 
 
@@ -42,7 +46,7 @@ _SCALINGS: Mapping[str, tuple[str, Scaling]] = {
 class Interpretation:
     """Registers read one way."""
 
-    meaning: str
+    meaning: Message
     format: str
     word_order: str
     scale: float
@@ -70,8 +74,9 @@ class Attempt:
     profile: str
     scaling: str | None
     station: int | None
-    outcome: str
-    """``fits``, ``not at room temperature``, or why it failed."""
+    outcome: Message
+    """That it fits, that it reads no room temperature, or why it failed."""
+    fits: bool = False
     values: tuple[float, ...] = ()
     qualities: tuple[Quality, ...] = ()
     plausible: float = 0.0
@@ -86,7 +91,7 @@ class Proposal:
     """A settings table for kerntemp.toml, its channels still to be named."""
 
     settings: Mapping[str, Any]
-    ambiguous_with: tuple[str, ...] = ()
+    ambiguous_with: tuple[Message | str, ...] = ()
     """Other profiles that read just as well: only the label on the device can tell."""
 
 
@@ -110,7 +115,7 @@ def probe(
     stations: Iterable[int] = (1,),
     profiles: Iterable[str] | None = None,
     timeout_s: float = 0.3,
-    progress: Callable[[str], None] = lambda line: None,
+    progress: Callable[[Message], None] = lambda line: None,
 ) -> ProbeReport:
     """Find out what is on a wire.
 
@@ -138,7 +143,7 @@ def probe(
     blocks, answering = _registers(wire, place, stations, timeout_s, progress)
     attempts: list[Attempt] = []
     for name in profiles or [n for n in profile_names() if n != "generic"]:
-        progress(f"trying {name}")
+        progress(say("probe-tries-profile", profile=name))
         attempts += _tried(name, wire, answering, stations, timeout_s)
     attempts.sort(key=_rank, reverse=True)
     places: tuple[int | None, ...] = answering or (*stations, None)
@@ -152,7 +157,7 @@ def interpretations(words: Sequence[int], room: tuple[float, float] = ROOM_C) ->
     """Return every plausible way to read registers, the most plausible first.
 
     >>> best = interpretations((213, 208, 0x7FFF, 210))[0]
-    >>> best.meaning, best.plausible
+    >>> str(best.meaning), best.plausible
     ('tenths', 0.75)
     """
     found = []
@@ -164,7 +169,7 @@ def interpretations(words: Sequence[int], room: tuple[float, float] = ROOM_C) ->
                 continue
             values = tuple(r * scaling.factor for r in raw_values(words, layout, inputs))
             share = sum(room[0] <= v <= room[1] for v in values) / inputs
-            title = f"{meaning}, low word first" if order == "little" else meaning
+            title = say("registers-low-word-first", meaning=meaning) if order == "little" else meaning
             found.append(Interpretation(title, form, order, scaling.factor, values, share))
     return tuple(sorted(found, key=lambda i: i.plausible, reverse=True))
 
@@ -173,7 +178,7 @@ def _place(wire: Mapping[str, Any]) -> Place:
     if wire.get("host"):
         return SocketPlace(str(wire["host"]), int(wire.get("tcp_port") or 502))
     if not wire.get("port"):
-        raise InputError("probe: give --port or --host")
+        raise InputError(say("probe-needs-place"))
     if socket := socket_of(str(wire["port"])):
         return socket
     return SerialPlace(
@@ -193,17 +198,17 @@ def _registers(
     place: Place,
     stations: tuple[int, ...],
     timeout_s: float,
-    progress: Callable[[str], None],
+    progress: Callable[[Message], None],
 ) -> tuple[list[RegisterBlock], tuple[int, ...]]:
     """Return the first registers of each station, and the stations that answered, be it with a refusal."""
     bus = Bus(place, numbered=_is_tcp(wire))
-    patience = Patience(timeout_s, min(timeout_s, 0.3), 0.005)
+    timing = LineTiming(timeout_s, min(timeout_s, 0.3), 0.005)
     blocks, answering = [], set()
     try:
         for station in stations:
             for function in (3, 4):
-                progress(f"reading registers of station {station}, function {function}")
-                words = _words(bus, patience, station, function, local_echo=bool(wire.get("local_echo")))
+                progress(say("probe-reads-registers", station=station, function=function))
+                words = _words(bus, timing, station, function, local_echo=bool(wire.get("local_echo")))
                 if words is not None:
                     answering.add(station)
                 if words:
@@ -214,7 +219,7 @@ def _registers(
 
 
 def _words(
-    bus: Bus, patience: Patience, station: int, function: int, *, local_echo: bool
+    bus: Bus, timing: LineTiming, station: int, function: int, *, local_echo: bool
 ) -> tuple[int, ...] | None:
     """Return the first 16 registers, or 8, none where the station refuses; None where it does not answer."""
     for count in (16, 8):
@@ -229,11 +234,11 @@ def _words(
             else:
                 frame = modbus.rtu_frame(station, request)
                 take = modbus.rtu_reply(station, request, local_echo=local_echo)
-            return modbus.registers(bus.exchange(frame, take, patience).payload)
+            return modbus.registers(bus.exchange(frame, take, timing).payload)
         except NoReply as failure:
-            if failure.cause in (IN_USE, NO_PORT, NO_PERMISSION):
+            if failure.cause in NEVER_OPENED:
                 raise  # no device is asked as long as the port does not open
-            if failure.cause == "refused":
+            if failure.cause is Cause.REFUSED:
                 continue
             return None
         except ReadFailure:
@@ -274,23 +279,25 @@ def _attempt(
     try:
         logger = open_logger(LoggerSettings.model_validate(settings | trial | {"drain_s": min(timeout_s, 0.3)}))
     except ValidationError as error:
-        raise InputError(f"probe: {error.errors()[0]['msg']}") from None
+        raise InputError(say("at-place", place="probe", what=explained(error, LoggerSettings))) from None
     try:
         reading = logger.read()
     except ReadFailure as failure:
-        return Attempt(profile.name, scaling, station, f"{failure.cause}: {failure}", settings=settings)
+        why = say("at-place", place=failure.cause.message, what=spoken(failure))
+        return Attempt(profile.name, scaling, station, why, settings=settings)
     finally:
         logger.close()
     low, high = ROOM_C
     hits = sum(low <= v <= high for v, q in zip(reading.values, reading.qualities, strict=True) if q.usable)
     share = hits / profile.inputs
-    outcome = "fits" if share >= _ENOUGH else "not at room temperature"
+    fits = share >= _ENOUGH
     identified = sum(c.count for c in profile.checks) + (profile.protocol in ("scpi", "sr630"))
     return Attempt(
         profile.name,
         scaling,
         station,
-        outcome,
+        say("probe-fits") if fits else say("probe-not-at-room-temperature"),
+        fits,
         reading.values,
         reading.qualities,
         share,
@@ -312,7 +319,7 @@ def _table(name: str, wire: Mapping[str, Any], station: int | None, scaling: str
 
 
 def _rank(attempt: Attempt) -> tuple[bool, float, int]:
-    return (attempt.outcome == "fits", attempt.plausible, attempt.identified)
+    return (attempt.fits, attempt.plausible, attempt.identified)
 
 
 def _from_usual_room(attempt: Attempt) -> int:
@@ -336,7 +343,7 @@ def _proposed(
     blocks: Sequence[RegisterBlock],
 ) -> Proposal | None:
     """Return what reads one station best, or a generic map of its registers."""
-    fitting = [a for a in attempts if a.outcome == "fits" and a.station == station]
+    fitting = [a for a in attempts if a.fits and a.station == station]
     if fitting:
         equal = [a for a in fitting if _rank(a) == _rank(fitting[0])]
         best = min(equal, key=_from_usual_room)
@@ -349,9 +356,11 @@ def _proposed(
     return None
 
 
-def _called(rival: Attempt, best: Attempt) -> str:
+def _called(rival: Attempt, best: Attempt) -> Message | str:
     """Return a rival by its profile, or by its scaling where that is all that differs."""
-    return rival.profile if rival.profile != best.profile else f"{rival.profile} with scaling {rival.scaling}"
+    if rival.profile != best.profile:
+        return rival.profile
+    return say("profile-with-scaling", profile=rival.profile, scaling=rival.scaling or "")
 
 
 def _generic(wire: Mapping[str, Any], block: RegisterBlock, reading: Interpretation) -> dict[str, Any]:

@@ -8,7 +8,6 @@ it out and the logger's settings must give it (``scaling``, ``baud``, ``override
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
@@ -18,6 +17,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from daq.drivers.settings import LoggerSettings
 from daq.records import InputError, Quality
+from daq.tables import at, explained, load_toml, nearest
+from daq.words import Message, say
 
 Format = Literal["s16", "u16", "s32", "u32", "f32"]
 Order = Literal["big", "little"]
@@ -101,7 +102,7 @@ class Scaling(_Table):
     def _one_way(self) -> Scaling:
         by_code = self.full_code is not None and self.full_value is not None
         if (self.scale is None) == (not by_code):
-            raise ValueError("give either scale, or full_code and full_value")
+            raise ValueError(say("profile-scale-or-code"))
         return self
 
     @property
@@ -233,23 +234,22 @@ class Profile(_Table):
     def _complete(self) -> Profile:
         needed = {"modbus": ("block", "values"), "dcon": ("ascii",), "scpi": ("scpi",), "sr630": ()}
         if missing := [key for key in needed[self.protocol] if getattr(self, key) is None]:
-            raise ValueError(f"protocol {self.protocol} needs the table {', '.join(missing)}")
+            raise ValueError(say("profile-needs-tables", protocol=self.protocol, tables=tuple(missing)))
         if self.block and self.values:
             end = self.values.at + (self.inputs - 1) * self.values.step + REGISTERS[self.values.format]
             if end > self.block.count:
-                raise ValueError(f"block.count = {self.block.count}, but {self.inputs} values end at {end}")
+                raise ValueError(say("profile-block-short", count=self.block.count, inputs=self.inputs, end=end))
         if self.block and self.values and self.block.function in (1, 2) and REGISTERS[self.values.format] > 1:
-            raise ValueError(
-                f"values.format = {self.values.format!r}: block.function 1 and 2 bring bits; give 'u16'"
-            )
-        other = [(f"check {x.what!r}", x.function, x.count) for x in self.checks]
-        other += [("status_bits", self.status_bits.function, self.inputs)] if self.status_bits else []
+            raise ValueError(say("profile-bits-wide", format=self.values.format))
+        other = [(say("profile-check", what=repr(x.what)), x.function, x.count) for x in self.checks]
+        other += (
+            [(say("plain-text", text="status_bits"), self.status_bits.function, self.inputs)]
+            if self.status_bits
+            else []
+        )
         for what, function, count in other:
             if self.block and _shape(function, count) == _shape(self.block.function, self.block.count):
-                raise ValueError(
-                    f"{what} has the shape of the value read; a late reply could be mistaken "
-                    "for values: read it in parts"
-                )
+                raise ValueError(say("profile-same-shape", what=what))
         return self
 
 
@@ -268,19 +268,13 @@ def profile_names() -> tuple[str, ...]:
 
 def profile_table(name: str) -> dict[str, Any]:
     """Return a profile file as it stands: one of the package's by name, or a user's by path."""
-    if name.endswith(".toml"):
-        path = Path(name)
-        where = name
-    else:
-        where = f"profile {name}"
-        path = Path(str(resources.files("daq.drivers") / "profiles" / f"{name}.toml"))
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        known = ", ".join(profile_names())
-        raise InputError(f"{where}: no such profile; known are {known}, or give the path of a .toml") from None
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise InputError(f"{where}: {error}") from error
+    own = name.endswith(".toml")
+    path = Path(name) if own else Path(str(resources.files("daq.drivers") / "profiles" / f"{name}.toml"))
+    if not path.exists():
+        meant, known = nearest(name, profile_names()) or "", profile_names()
+        said = say("profile-unknown-meant", meant=meant) if meant else say("profile-unknown", known=known)
+        raise InputError(at(name, said))
+    return load_toml(path, say("file-of-profile"))
 
 
 def merged(table: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
@@ -297,38 +291,38 @@ def merged(table: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, An
     return result
 
 
-def check_profile(table: Mapping[str, Any], where: str) -> Profile:
+def check_profile(table: Mapping[str, Any], where: Message | str) -> Profile:
     """Validate a profile table, or raise InputError with one line."""
     try:
         return Profile.model_validate(dict(table))
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"])
-        if first["type"] == "missing":
-            what = "is not established for this device; give it as override." + key
-        else:
-            what = f"{first['msg']} (got {first['input']!r})" if key else str(first["msg"])
-        raise InputError(f"{where}: {key + ' ' if key else ''}{what}") from None
+        missing = first["type"] == "missing"
+        said = say("profile-not-established", key=key) if missing else explained(error, Profile)
+        raise InputError(at(where, said)) from None
 
 
 def profile_for(settings: LoggerSettings) -> Profile:
     """Return the profile of one logger: the file, with the settings' overrides laid over it."""
-    where = f"logger {settings.name} ({settings.profile})"
+    where = say("logger-of-profile", logger=settings.name, profile=settings.profile)
     profile = check_profile(merged(profile_table(settings.profile), settings.override), where)
     if len(settings.channels) > profile.inputs:
-        raise InputError(f"{where}: {len(settings.channels)} channels, the device has {profile.inputs} inputs")
+        said = say("logger-too-many-channels", channels=len(settings.channels), inputs=profile.inputs)
+        raise InputError(at(where, said))
     chosen = settings.scaling or profile.scaling
     if profile.protocol == "modbus" and chosen not in profile.scalings:
-        known = ", ".join(profile.scalings) or "none; give override.scalings"
-        said = f"scaling {chosen!r} is unknown" if chosen else "scaling is not established for this device"
-        raise InputError(f"{where}: {said}; choose scaling = one of: {known}")
+        given = "yes" if chosen else "no"
+        raise InputError(
+            at(where, say("logger-scaling", given=given, scaling=chosen or "", known=tuple(profile.scalings)))
+        )
     wired = settings.port is not None and not settings.port.startswith("socket://")
     if wired and not (settings.baud or profile.serial):
-        raise InputError(f"{where}: baud is not established for this device; give baud")
+        raise InputError(say("logger-needs-baud", logger=settings.name))
     needs_address = profile.protocol in ("modbus", "dcon")
     if needs_address and settings.address is None and profile.address is None:
-        raise InputError(f"{where}: address is not established for this device; give address")
+        raise InputError(at(where, say("logger-needs-address")))
     cold = profile.cold_junction
     if cold and cold.kind == "setting" and settings.cold_junction_C is None:
-        raise InputError(f"{where}: the device reports voltages; give cold_junction_C")
+        raise InputError(at(where, say("logger-needs-cold-junction")))
     return profile

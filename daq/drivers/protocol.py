@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from enum import StrEnum
 from typing import ClassVar, Protocol
 
 from daq.records import Channel, Quality, Reading
+from daq.words import Message, say
 
 
 class DataLogger(Protocol):
@@ -24,15 +26,51 @@ class DataLogger(Protocol):
         """Release the port. A second call does no harm."""
 
 
+class Cause(StrEnum):
+    """Why a reading did not come about: what the bus acts upon, what is counted, and what a gap keeps."""
+
+    SILENT = "silent"
+    BUSY = "busy"
+    """The device answers that it has no data now."""
+    REFUSED = "refused"
+    """The device answers, and is not what the settings say it is."""
+    CLOSED = "closed"
+    """The logger was closed by us."""
+    PORT_LOST = "port lost"
+    """An open port or connection broke."""
+    CONNECTION_REFUSED = "connection refused"
+    UNREACHABLE = "unreachable"
+    NO_PORT = "no port"
+    NO_PERMISSION = "no permission"
+    IN_USE = "port in use"
+    BABBLE = "babble"
+    """The line never falls silent."""
+    TRUNCATED = "truncated"
+    GARBAGE = "garbage"
+    SURPLUS = "surplus"
+    """Bytes after the end of the reply."""
+    WRONG_ID = "wrong id"
+    """Another station's reply, or another request's."""
+    WRONG_SHAPE = "wrong shape"
+    CRC = "crc"
+    ECHO = "echo"
+    """The local echo differs from what was sent."""
+    OUT_OF_STEP = "out of step"
+
+    @property
+    def message(self) -> Message:
+        """The cause in words."""
+        return say(f"cause-{self.value.replace(' ', '-')}")
+
+
 class ReadFailure(Exception):
     """A reading that did not come about; the recorder stores a gap with this cause."""
 
     quality: ClassVar[Quality]
 
-    def __init__(self, message: str, cause: str) -> None:
+    def __init__(self, message: Message | str, cause: Cause | str) -> None:
         super().__init__(message)
-        self.cause = cause
-        """One or two words for counting and for the gap: ``silent``, ``busy``, ``crc`` ..."""
+        self.cause = Cause(cause)
 
 
 class NoReply(ReadFailure):

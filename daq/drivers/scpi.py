@@ -6,12 +6,13 @@ import math
 import re
 import time
 
-from daq.drivers.bus import Bus, Exchange, Patience
+from daq.drivers.bus import Bus, Exchange, LineTiming
 from daq.drivers.decode import Sample, limited
 from daq.drivers.lines import decoded, line_reply
 from daq.drivers.profile import Profile, Scpi
-from daq.drivers.protocol import BadFrame, NoReply
+from daq.drivers.protocol import BadFrame, Cause, NoReply
 from daq.records import InputError, Quality
+from daq.words import say
 
 _OVERLOAD = 9.9e36
 """The instrument says 9.9E37 for an overload; with the open check on that is a broken wire."""
@@ -21,11 +22,11 @@ _NUMBER = re.compile(r"[+-]?\d+\.\d+E[+-]\d{2}")
 class ScpiDevice:
     """One instrument; scans the channels in use."""
 
-    def __init__(self, bus: Bus, profile: Profile, *, patience: Patience, used: tuple[int, ...]) -> None:
+    def __init__(self, bus: Bus, profile: Profile, *, timing: LineTiming, used: tuple[int, ...]) -> None:
         if profile.scpi is None:
-            raise InputError(f"profile {profile.name} has no table scpi")
+            raise InputError(say("profile-table-missing", profile=profile.name, table="scpi"))
         self.bus = bus
-        self.patience = patience
+        self.timing = timing
         self._profile = profile
         self._scpi: Scpi = profile.scpi
         self._used = used
@@ -38,9 +39,8 @@ class ScpiDevice:
         name = decoded(self._query("*IDN?").payload)
         if self._scpi.model not in name:
             raise NoReply(
-                f"{self.bus.place}: instrument calls itself {name!r}, profile {self._profile.name} expects "
-                f"{self._scpi.model}",
-                "refused",
+                say("logger-other-name", place=str(self.bus.place), found=repr(name), expected=self._scpi.model),
+                Cause.REFUSED,
             )
         channels = f"(@{','.join(str(c) for c in self._channels)})"
         for command in (
@@ -58,16 +58,23 @@ class ScpiDevice:
             self._send(command)
         fault = decoded(self._query("SYST:ERR?").payload)
         if not fault.startswith(("+0", "0")):
-            raise NoReply(f"{self.bus.place}: instrument refuses the set-up: {fault}", "refused")
+            raise NoReply(say("logger-refuses-set-up", place=str(self.bus.place), fault=fault), Cause.REFUSED)
 
     def sample(self) -> Sample:
         """Scan once."""
         reply = self._query("READ?")
         fields = decoded(reply.payload).split(",")
         if len(fields) != 2 * len(self._channels):
-            raise BadFrame(f"{len(fields)} fields for {len(self._channels)} channels", "wrong shape")
+            raise BadFrame(
+                say("reply-field-count", fields=len(fields), channels=len(self._channels)), Cause.WRONG_SHAPE
+            )
         if fields[1::2] != [str(c) for c in self._channels]:
-            raise BadFrame(f"channels {fields[1::2]}, asked {self._channels}", "wrong shape")
+            raise BadFrame(
+                say(
+                    "reply-other-channels", found=tuple(fields[1::2]), asked=tuple(str(c) for c in self._channels)
+                ),
+                Cause.WRONG_SHAPE,
+            )
         values = [math.nan] * self._profile.inputs
         qualities = [Quality.MISSING] * self._profile.inputs
         for k, text in zip(self._used, fields[::2], strict=True):
@@ -76,13 +83,13 @@ class ScpiDevice:
 
     def _value(self, text: str) -> tuple[float, Quality]:
         if not _NUMBER.fullmatch(text):
-            raise BadFrame(f"{text[:20]!r} is no value", "wrong shape")
+            raise BadFrame(say("reply-no-value", reply=repr(text[:20])), Cause.WRONG_SHAPE)
         value = float(text)
         return limited(self._profile, value, Quality.OPEN if abs(value) > _OVERLOAD else Quality.GOOD)
 
     def _send(self, command: str) -> None:
-        self.bus.send(f"{command}\n".encode("ascii"), self.patience)
+        self.bus.send(f"{command}\n".encode("ascii"), self.timing)
         time.sleep(self._profile.timing.setup_s)
 
     def _query(self, command: str) -> Exchange:
-        return self.bus.exchange(f"{command}\n".encode("ascii"), line_reply(b"\n"), self.patience)
+        return self.bus.exchange(f"{command}\n".encode("ascii"), line_reply(b"\n"), self.timing)

@@ -8,6 +8,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from daq.words import say
+
 Seconds = Annotated[float, Field(gt=0, le=600, allow_inf_nan=False)]
 
 
@@ -64,18 +66,18 @@ class LoggerSettings(BaseModel):
     @model_validator(mode="after")
     def _wired(self) -> LoggerSettings:
         if (self.port is None) == (self.host is None):
-            raise ValueError('give either port (such as "/dev/ttyUSB0") or host (such as "192.168.0.21")')
+            raise ValueError(say("logger-port-or-host"))
         if self.tcp_port is not None and self.host is None:
-            raise ValueError("tcp_port needs host")
+            raise ValueError(say("logger-tcp-port-alone"))
         if self.port is not None and self.transport == "tcp":
-            raise ValueError('transport = "tcp" needs host instead of port')
+            raise ValueError(say("logger-tcp-on-port"))
         if self.host is not None and self.transport == "rtu":
-            raise ValueError('transport = "rtu" needs port; over a network use "rtu_over_tcp"')
+            raise ValueError(say("logger-rtu-on-host"))
         names = Counter(name for name in self.channels if name)
         if not names:
-            raise ValueError("channels names no column")
+            raise ValueError(say("logger-no-channels"))
         if twice := [name for name, count in names.items() if count > 1]:
-            raise ValueError(f"channels names {', '.join(twice)} twice")
+            raise ValueError(say("logger-channels-twice", names=tuple(twice)))
         return self
 
     def relative_to(self, folder: Path) -> LoggerSettings:

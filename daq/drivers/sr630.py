@@ -9,12 +9,13 @@ from __future__ import annotations
 import re
 import time
 
-from daq.drivers.bus import Bus, Exchange, Patience
+from daq.drivers.bus import Bus, Exchange, LineTiming
 from daq.drivers.decode import Sample, limited
 from daq.drivers.lines import decoded, line_reply
 from daq.drivers.profile import Profile
-from daq.drivers.protocol import BadFrame, NoReply
+from daq.drivers.protocol import BadFrame, Cause, NoReply
 from daq.records import Quality
+from daq.words import say
 
 _NUMBER = re.compile(r"[+-]?\d{1,4}\.\d{1,4}(E[+-]?\d{1,2})?")
 _MODEL = "SR630"
@@ -23,18 +24,18 @@ _MODEL = "SR630"
 class Sr630Device:
     """The instrument with its sixteen inputs."""
 
-    def __init__(self, bus: Bus, profile: Profile, *, patience: Patience, used: tuple[int, ...]) -> None:
+    def __init__(self, bus: Bus, profile: Profile, *, timing: LineTiming, used: tuple[int, ...]) -> None:
         self.bus = bus
-        self.patience = patience
+        self.timing = timing
         self._profile = profile
         self._used = used
 
     def set_up(self) -> None:
         """Make sure it is an SR630 and that it reads Celsius."""
-        self.bus.send(b"\r", self.patience)  # ends half a command that somebody else left in its buffer
+        self.bus.send(b"\r", self.timing)  # ends half a command that somebody else left in its buffer
         self._in_step()
         for k in self._used:
-            self.bus.send(f"UNIT {k + 1},CENT\r".encode("ascii"), self.patience)
+            self.bus.send(f"UNIT {k + 1},CENT\r".encode("ascii"), self.timing)
             time.sleep(self._profile.timing.setup_s)
 
     def sample(self) -> Sample:
@@ -45,7 +46,7 @@ class Sr630Device:
             flags = decoded(self._query("OPEN?").payload).strip()
             self._in_step()
         if not re.fullmatch(r"\d{1,5}", flags):
-            raise BadFrame(f"{flags!r} is no mask of open inputs", "wrong shape")
+            raise BadFrame(say("reply-no-open-mask", reply=repr(flags)), Cause.WRONG_SHAPE)
         values = [float("nan")] * inputs
         qualities = [Quality.MISSING] * inputs
         for k, reply in replies.items():
@@ -58,16 +59,19 @@ class Sr630Device:
     def _in_step(self) -> None:
         name = decoded(self._query("*IDN?").payload)
         if re.fullmatch(r"[\s\d.+\-E]*", name):
-            raise BadFrame(f"{name!r} in the place of the instrument's name: replies out of step", "out of step")
+            raise BadFrame(say("reply-out-of-step", reply=repr(name)), Cause.OUT_OF_STEP)
         if _MODEL not in name:
-            raise NoReply(f"{self.bus.place}: instrument calls itself {name!r}, expected {_MODEL}", "refused")
+            raise NoReply(
+                say("logger-other-name", place=str(self.bus.place), found=repr(name), expected=_MODEL),
+                Cause.REFUSED,
+            )
 
     def _query(self, command: str) -> Exchange:
-        return self.bus.exchange(f"{command}\r".encode("ascii"), line_reply(b"\r\n"), self.patience)
+        return self.bus.exchange(f"{command}\r".encode("ascii"), line_reply(b"\r\n"), self.timing)
 
 
 def _number(reply: Exchange) -> float:
     text = decoded(reply.payload).strip()
     if not _NUMBER.fullmatch(text):
-        raise BadFrame(f"{text[:20]!r} is no temperature", "wrong shape")
+        raise BadFrame(say("reply-no-value", reply=repr(text[:20])), Cause.WRONG_SHAPE)
     return float(text)

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.records import Array, Moments, Panel, Run
-from daq.runfile import write_run
+from daq.files.run_file import write_run
+from daq.records import Array, EventSource, Moments, Panel, Run
 from daq.simulated.campaign_places import solve_places
 from daq.simulated.campaign_platens import Controller, draw_controller, draw_platens
 from daq.simulated.campaign_pressfile import press_toml
@@ -25,8 +25,8 @@ from daq.simulated.campaign_sensors import (
     measure,
 )
 from daq.simulated.effects import CHAIN_EFFECTS, draw_effect, draw_outside, for_run, split_names, with_outside
-from daq.simulated.physics import BASE_COEFFICIENTS, Pressing
-from daq.simulated.physics_mesh import Accuracy, Plates
+from daq.simulated.physics_mesh import Accuracy
+from daq.simulated.physics_pressing import BASE_COEFFICIENTS, Plates, Pressing
 
 Effects = Mapping[str, Mapping[str, float]]
 
@@ -236,7 +236,7 @@ def _make_run(press: _Press, seed: int, number: int) -> tuple[Run, Truth]:
     name = f"{press.name}-{number + 1:02d}"
     run = Run(name, _header(press, pressing, name, setpoint, rng), times, columns, "virtual press")
     moments = Moments(
-        pressing.inserted, pressing.closed, pressing.opened, float("nan"), pressing.closing_ramp, "truth"
+        pressing.inserted, pressing.closed, pressing.opened, float("nan"), pressing.closing_ramp, EventSource.TRUTH
     )
     return run, Truth(
         coefficients=pressing.coefficients,

@@ -10,8 +10,9 @@ import numpy as np
 from daq.records import Array
 from daq.simulated.campaign_platens import KNOT_S
 from daq.simulated.campaign_sensors import FACES, POSITIONS_MM, RIM_SHAPE
-from daq.simulated.physics import Platen, Pressing, Solution, solve
+from daq.simulated.physics import Solution, solve
 from daq.simulated.physics_mesh import Accuracy
+from daq.simulated.physics_pressing import Platen, Pressing
 
 Curve = Callable[[Array], Array]
 HEATER_LOSS_K = 40.0

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from daq.records import Array
-from daq.simulated.physics import Platen
+from daq.simulated.physics_pressing import Platen
 
 KNOT_S = 0.5
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from daq.simulated.campaign_sensors import POSITIONS_MM
-from daq.simulated.physics_mesh import Plates
+from daq.simulated.physics_pressing import Plates
 
 
 def press_toml(positions: bool = False, plates: Plates | None = None) -> str:

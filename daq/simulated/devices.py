@@ -17,6 +17,7 @@ from daq.simulated import modbus
 from daq.simulated.ascii import AdamModule, Monitor, ScanningMeter
 from daq.simulated.devices_converter import Converter, Switches, Temperatures
 from daq.simulated.devices_line import Server, Station, serve_serial, serve_tcp
+from daq.words import say
 
 Transport = Literal["serial", "tcp", "rtu_over_tcp"]
 
@@ -170,7 +171,7 @@ def simulated(
 def kind_of(profile: str) -> Kind:
     """Return what is simulated under this profile's name."""
     if profile not in KINDS:
-        raise InputError(f"no simulated device {profile!r}; there are {', '.join(sorted(KINDS))}")
+        raise InputError(say("simulated-no-device", profile=profile, known=tuple(sorted(KINDS))))
     return KINDS[profile]
 
 

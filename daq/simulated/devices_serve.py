@@ -17,6 +17,7 @@ from typing import Any
 from daq.records import InputError
 from daq.simulated.devices import KINDS, kind_of, simulated, wiring
 from daq.simulated.devices_converter import Switches
+from daq.words import say
 
 
 def room(inputs: int) -> Any:
@@ -51,7 +52,8 @@ def main(arguments: Sequence[str] | None = None, stop: threading.Event | None = 
     given = parser.parse_args(arguments)
     inputs = kind_of(given.profile).inputs
     if any(not 0 <= k < inputs for k in given.open):
-        raise InputError(f"--open {given.open}: {given.profile} has inputs 0 to {inputs - 1}")
+        said = say("simulated-no-input", given=str(given.open), profile=given.profile, last=inputs - 1)
+        raise InputError(said)
     switches = Switches(open_inputs=set(given.open))
     with simulated(
         given.profile,

@@ -13,7 +13,8 @@ from types import MappingProxyType
 import numpy as np
 
 from daq.records import InputError
-from daq.simulated.physics import Outside, Pressing
+from daq.simulated.physics_pressing import Outside, Pressing
+from daq.words import say
 
 Parameters = Mapping[str, float]
 
@@ -78,7 +79,7 @@ def draw_effect(name: str, rng: np.random.Generator, scale: float = 1.0) -> dict
     offsets take either sign on each side, sensor faults are drawn later, run by run.
     """
     if name not in SIZES:
-        raise InputError(f"effect {name!r}: unknown; known are {', '.join([*SIZES, *OUTSIDE])}")
+        raise InputError(say("simulated-no-effect", name=name, known=(*SIZES, *OUTSIDE)))
     drawn = {key: float(rng.uniform(*limits)) for key, limits in SIZES[name].items()}
     if name.endswith("_offset") and "ratio" in drawn:
         sign = 1.0 if rng.random() < 0.5 else -1.0
@@ -133,7 +134,7 @@ def draw_outside(name: str, rng: np.random.Generator, scale: float = 1.0) -> dic
         return {"factor": 1.0 - scale * rng.uniform(0.7, 0.9), "after_s": rng.uniform(4.0, 10.0)}
     if name == "steam_burst":
         return {"per_s": scale * rng.uniform(0.04, 0.12), "lasts_s": rng.uniform(2.0, 4.0)}
-    raise InputError(f"fault {name!r}: unknown; known are {', '.join(OUTSIDE)}")
+    raise InputError(say("simulated-no-fault", name=name, known=tuple(OUTSIDE)))
 
 
 def with_outside(pressing: Pressing, faults: Mapping[str, Parameters]) -> Pressing:
@@ -177,5 +178,5 @@ def split_names(names: Sequence[str]) -> tuple[list[str], list[str]]:
     """Return catalogue names and outside names of a list; raise InputError for any other."""
     for name in names:
         if name not in SIZES and name not in OUTSIDE:
-            raise InputError(f"effect {name!r}: unknown; known are {', '.join([*SIZES, *OUTSIDE])}")
+            raise InputError(say("simulated-no-effect", name=name, known=(*SIZES, *OUTSIDE)))
     return [n for n in names if n in SIZES], [n for n in names if n in OUTSIDE]

@@ -15,108 +15,18 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from typing import Literal
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq.records import Array, Panel
 from daq.simulated import physics_kernel as kernel
-from daq.simulated.physics_mesh import LOAD_REFERENCE, Accuracy, Plates, build_knobs, build_mesh, first_state
+from daq.simulated.physics_mesh import Accuracy, build_knobs, build_mesh, first_state
+from daq.simulated.physics_pressing import Outside, Pressing
 
-BASE_COEFFICIENTS: Mapping[str, float] = {
-    "h_p_o": 800.0,
-    "h_p_c": 900.0,
-    "h_pp_o": 40.0,
-    "h_pp_c": 700.0,
-    "h_wa": 12.0,
-    "h_ap": 10.0,
-}
-"""Heat transfer coefficients of the laboratory press. [W/m²K]"""
-
-NEVER = 1e9
-"""Later than any run. [s]"""
 _STEPPING = {"fast": (1e-3, 0.5), "accurate": (1e-5, 0.1)}
 """Local error of a step [K] and longest step [s]."""
-
-
-@dataclass(frozen=True)
-class Platen:
-    """A platen's true temperature: a smooth curve through evenly spaced knots."""
-
-    start: float
-    step: float
-    values: Array
-
-    def at(self, times: Array) -> Array:
-        """Return the temperature at any times inside the knots. [°C]"""
-        return np.asarray(kernel.platen_curve(times, self.start, self.step, self.values))
-
-
-def constant_platen(temperature: float, end: float = 1e4) -> Platen:
-    """Return a platen that stays at one temperature."""
-    return Platen(0.0, end, np.full(2, temperature))
-
-
-@dataclass(frozen=True)
-class Outside:
-    """Faults outside the catalogue; the defaults do nothing. Times in s of the run."""
-
-    lapse_drop: float = 0.0
-    """The upper contact loses this share between `lapse_from` and `lapse_to`."""
-    lapse_from: float = NEVER
-    lapse_to: float = 2 * NEVER
-    split_resistance: float = 0.0
-    """A delamination inside the panel opens within 2 s. [m²K/W]"""
-    split_depth: float = 0.0
-    """From the lower face. [m]"""
-    split_from: float = NEVER
-    draught: float = 1.0
-    """Panel-air and plate-air coefficients are multiplied by this from `draught_from` on."""
-    draught_from: float = NEVER
-    lift: float = 1.0
-    """The open contact to the lower plate is multiplied by this from `lift_from` on."""
-    lift_from: float = NEVER
-    wet_heat: float = 0.0
-    """Heat that condensing steam releases near the upper face and takes back later. [J/m²]"""
-    wet_release: float = NEVER
-    wet_return: float = NEVER
-    wet_width: float = 1.5
-    flash_rate: float = 0.0
-    """Layers above 100 °C lose this share of the excess a second while pent-up steam bursts out. [1/s]"""
-    flash_from: float = NEVER
-    flash_to: float = 2 * NEVER
-
-
-@dataclass(frozen=True)
-class Pressing:
-    """Everything that decides one pressing. SI units, times in s of the run."""
-
-    panel: Panel
-    ambient: float
-    platen_bottom: Platen
-    platen_top: Platen
-    start: float
-    end: float
-    inserted: float
-    closed: float = NEVER
-    """Middle of the closing ramp."""
-    opened: float = 2 * NEVER
-    """Middle of the opening ramp."""
-    removed: float = 3 * NEVER
-    closing_ramp: float = 0.5
-    opening_ramp: float = 0.3
-    coefficients: Mapping[str, float] = field(default_factory=lambda: dict(BASE_COEFFICIENTS))
-    effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    """Physical effects by the contract's names, and thermocouple lag and footprint."""
-    outside: Outside = Outside()
-    plates: Plates = field(default_factory=Plates)
-    pressure: float = LOAD_REFERENCE
-    """[N/cm²]"""
-    vapour_law: Literal["proportional", "uniform"] = "proportional"
-    """How steam spreads over the cooler layers; a second law keeps tests from leaning on the first."""
-    drying_law: Literal["equilibrium", "kinetic"] = "equilibrium"
 
 
 @dataclass(frozen=True)

@@ -4,22 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 
 from daq.records import Array
 from daq.simulated.physics_kernel import Knobs, Stack, State
-
-if TYPE_CHECKING:
-    from daq.simulated.physics import Pressing
+from daq.simulated.physics_pressing import LOAD_REFERENCE, Pressing
 
 Accuracy = Literal["fast", "accurate"]
 
 LATENT_HEAT = 2.4e6
 """Of bound water in wood near 100 °C, with the heat of sorption. [J/kg]"""
-LOAD_REFERENCE = 350.0
-"""[N/cm²]"""
 CURE_ACTIVATION = 85e3
 """[J/mol]"""
 CURE_RATE_150 = 0.08
@@ -33,26 +29,6 @@ DRYING_TIME = 0.5
 """How fast water follows its equilibrium. [s]"""
 WET_DEPTH, WET_WIDTH = 1.5e-3, 0.5e-3
 """Where steam of a wet spot condenses, below the upper face. [m]"""
-
-
-@dataclass(frozen=True)
-class Plates:
-    """Both press plates: steel, 10 mm, unless another press is meant. SI units."""
-
-    thickness: float = 0.010
-    conductivity: float = 45.0
-    density: float = 7850.0
-    heat_capacity: float = 490.0
-
-    @property
-    def stored(self) -> float:
-        """Heat capacity per volume. [J/m³K]"""
-        return self.density * self.heat_capacity
-
-    @property
-    def resistance(self) -> float:
-        """[m²K/W]"""
-        return self.thickness / self.conductivity
 
 
 _PANEL_NODES = {"fast": (5e-6, 1.06, 0.15e-3), "accurate": (4e-6, 1.03, 0.06e-3)}

@@ -16,12 +16,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from daq.records import Array, Moments, Panel, PressState
+from daq.records import Array, EventSource, Moments, Panel, PressState
 from daq.simulated.campaign_places import solve_places
 from daq.simulated.campaign_platens import Controller, draw_controller, draw_platens
 from daq.simulated.campaign_sensors import CHANNELS, FACES, PLATENS, Chain, Fault, Nuisances, draw_fault, measure
 from daq.simulated.effects import CHAIN_EFFECTS, draw_outside, for_run, split_names, usual_effect, with_outside
-from daq.simulated.physics import BASE_COEFFICIENTS, Platen, Pressing
+from daq.simulated.physics_pressing import BASE_COEFFICIENTS, Platen, Pressing
 from daq.simulated.press_hands import Between, wander
 
 GRID_S = 0.05
@@ -177,7 +177,7 @@ class VirtualPress:
             start + pressing.opened,
             start + pressing.end,
             pressing.closing_ramp,
-            "truth",
+            EventSource.TRUTH,
         )
         return Cycle(
             number=number,

@@ -1,117 +1,284 @@
-"""A local file that keeps parcels while the store is away, durably and in order."""
+"""A local file that keeps write batches while the store is away, durably and in order.
+
+A file that turns out to be damaged or gone is set aside under another name, what can be read of it goes on in a
+fresh one, and an alarm says so: the buffer is a help, and must never stop recording to a store that is well.
+"""
 
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import sqlite3
-from collections.abc import Iterator, MutableMapping, Sequence
+import zlib
+from collections.abc import Callable, Iterator, MutableMapping, Sequence
 from contextlib import closing, suppress
+from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from daq.records import InputError
-from daq.store.parcels import Entry, Parcel, decode, encode
+from daq.store.write_batch import Entry, WriteBatch, decode, encode
+from daq.words import Message, say, spoken
 
+Result = TypeVar("Result")
 _OVERHEAD = 1.3
-"""A file and its journal take so many bytes for a byte of content."""
+"""A file and its journal take so many bytes for a byte of content, as measured with 10,000 scans (2026-11)."""
+_TYPICAL_BYTES = 700.0
+"""What a write batch of some 16 channels takes as JSON, until a larger one is seen."""
 _TABLES = """
 CREATE TABLE IF NOT EXISTS parcel (number INTEGER PRIMARY KEY, content TEXT NOT NULL);
 CREATE TABLE IF NOT EXISTS session (session INTEGER PRIMARY KEY, content TEXT NOT NULL);
 """
+_MOST_MISSES = 5000
+"""So many row numbers in a row that cannot be read are taken for the end: a page holds some five rows."""
+_PASSING = ("disk is full", "database is locked", "readonly", "read-only")
+"""Signs of errors that pass by themselves or by a person's doing; the file is sound."""
+_OLDEST = "SELECT number, content FROM parcel WHERE number > ? ORDER BY number LIMIT ?"
+
+Row = tuple[int, str]
 
 
 class Buffer:
-    """Parcels and journal lines on the local disk, oldest first.
+    """Write batches and journal lines on the local disk, oldest first.
+
+    `alarm` is called with what happened to a damaged file.
 
     Raises
     ------
     InputError
-        Where the file cannot be made or is none of ours.
+        Where the file cannot be made.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, alarm: Callable[[Message], None] = lambda message: None) -> None:
         self.path = path
-        self._bytes = 700.0
+        self._alarm = alarm
+        self._bytes = _TYPICAL_BYTES
+        self._count = self._handled = 0
+        self._known: dict[int, dict[str, Any]] = {}
         try:
-            with closing(self._open()) as connection:
-                connection.executescript(_TABLES)
-                self._count = int(connection.execute("SELECT count(*) FROM parcel").fetchone()[0])
-        except sqlite3.Error as error:
-            raise InputError(
-                f"buffer {path}: {error}; check its folder, or give another file as buffer of [store]"
-            ) from error
-        self.sessions: MutableMapping[int, dict[str, Any]] = _Sessions(self)
+            self._count = self._do(_count)
+            self._known = self._do(_notes) if self._count else self._do(_forget_notes)
+        except (sqlite3.Error, OSError) as error:
+            raise InputError(say("buffer-unusable", file=str(path), error=str(error))) from error
+        self.sessions: MutableMapping[int, dict[str, Any]] = _Sessions(self, self._known)
 
     def __len__(self) -> int:
         return self._count
 
-    def _open(self) -> sqlite3.Connection:
-        connection = sqlite3.connect(self.path, isolation_level=None, timeout=5.0)
-        connection.execute("PRAGMA journal_mode=WAL")
-        connection.execute("PRAGMA synchronous=FULL")
-        return connection
-
-    def append(self, items: Sequence[Parcel | Entry]) -> None:
+    def append(self, items: Sequence[WriteBatch | Entry]) -> None:
         """Keep items durably, all or none."""
-        texts = [(encode(item),) for item in items]
-        with closing(self._open()) as connection:
+        texts = [_sealed(encode(item)) for item in items]
+
+        def insert(connection: sqlite3.Connection) -> None:
             connection.execute("BEGIN IMMEDIATE")
             try:
-                connection.executemany("INSERT INTO parcel (content) VALUES (?)", texts)
+                newest = connection.execute("SELECT max(number) FROM parcel").fetchone()[0] or 0
+                rows = enumerate(texts, max(newest, self._handled) + 1)  # numbers never come twice
+                connection.executemany("INSERT INTO parcel VALUES (?, ?)", rows)
                 connection.execute("COMMIT")
             except sqlite3.Error:
                 with suppress(sqlite3.Error):
                     connection.execute("ROLLBACK")
                 raise
-        self._count += len(texts)
-        self.expect(max(len(t) for (t,) in texts))
 
-    def oldest(self, limit: int) -> list[tuple[int, Parcel | Entry]]:
-        """Return the first items with their row numbers."""
-        if not self._count:
-            return []
-        with closing(self._open()) as connection:
-            rows = connection.execute("SELECT number, content FROM parcel ORDER BY number LIMIT ?", (limit,))
-            return [(number, decode(content)) for number, content in rows]
+        self._do(insert)
+        self._count += len(texts)
+        self.expect(max(len(text) for text in texts))
+
+    def oldest(self, limit: int) -> list[tuple[int, WriteBatch | Entry]]:
+        """Return the first items with their row numbers; one that cannot be read is set aside and told."""
+        while self._count:
+            rows: list[Row] = self._do(lambda c: c.execute(_OLDEST, (self._handled, limit)).fetchall())
+            if not rows:
+                if self._count:
+                    self._alarm(say("buffer-emptied", file=str(self.path), count=self._count))
+                self._count = 0
+                return []
+            if read := [(number, item) for number, text in rows if (item := self._item(text)) is not None]:
+                return read
+            self.remove(rows[-1][0])
+        return []
 
     def remove(self, last: int) -> None:
-        """Forget everything up to a row."""
-        with closing(self._open()) as connection:
-            self._count -= connection.execute("DELETE FROM parcel WHERE number <= ?", (last,)).rowcount
+        """Forget everything up to a row, for this process also where the disk takes no more changes."""
+        before, self._handled = self._handled, last
+        count = "SELECT count(*) FROM parcel WHERE number > ? AND number <= ?"
+        self._count -= int(self._do(lambda c: c.execute(count, (before, last)).fetchone()[0]))
+        with suppress(sqlite3.Error):
+            self._do(lambda c: c.execute("DELETE FROM parcel WHERE number <= ?", (last,)).rowcount)
 
-    def expect(self, parcel_bytes: int) -> None:
-        """Reckon with parcels of this size from now on."""
-        self._bytes = max(self._bytes, float(parcel_bytes))
+    def expect(self, batch_bytes: int) -> None:
+        """Reckon with write batches of this size from now on."""
+        self._bytes = max(self._bytes, float(batch_bytes))
 
     def hours_left(self, per_second: float) -> float:
-        """Return how long the disk takes scans at this rate. [h]"""
-        return shutil.disk_usage(self.path.parent).free / (_OVERHEAD * self._bytes * per_second) / 3600.0
+        """Return how long the disk takes scans at this rate, 0 where its folder is gone. [h]"""
+        try:
+            free = shutil.disk_usage(self.path.parent).free
+        except OSError:
+            return 0.0
+        return free / (_OVERHEAD * self._bytes * per_second) / 3600.0
 
     def note(self, session: int, content: dict[str, Any] | None) -> None:
         """Keep what is known of a session; None forgets it."""
-        with closing(self._open()) as connection:
-            if content is None:
-                connection.execute("DELETE FROM session WHERE session = ?", (session,))
-            else:
-                row = (session, json.dumps(content))
-                connection.execute("INSERT OR REPLACE INTO session VALUES (?, ?)", row)
+        self._do(lambda c: _note(c, session, content))
 
-    def notes(self) -> dict[int, dict[str, Any]]:
-        """Return what is known of all sessions."""
+    def set_aside(self, text: str, why: str) -> Path:
+        """Keep what the store does not take, or what cannot be read, as a line of a file beside the buffer."""
+        return set_aside(self.path, text, why)
+
+    def _item(self, text: str) -> WriteBatch | Entry | None:
+        try:
+            return decode(_opened(text))
+        except (ValueError, KeyError, TypeError, IndexError) as error:
+            aside = self.set_aside(text, str(error))
+            self._alarm(say("buffer-row-unreadable", file=str(self.path), aside=str(aside), error=spoken(error)))
+            return None
+
+    def _do(self, work: Callable[[sqlite3.Connection], Result]) -> Result:
+        """Work with the file; a damaged one is replaced first."""
+        try:
+            with closing(self._open()) as connection:
+                return work(connection)
+        except sqlite3.Error as error:
+            if any(sign in str(error) for sign in _PASSING):
+                raise
+            self._renew(error)
         with closing(self._open()) as connection:
-            return {key: json.loads(content) for key, content in connection.execute("SELECT * FROM session")}
+            return work(connection)
+
+    def _open(self) -> sqlite3.Connection:
+        connection = sqlite3.connect(self.path, isolation_level=None, timeout=5.0)
+        try:
+            connection.execute("PRAGMA journal_mode=WAL")
+            connection.execute("PRAGMA synchronous=FULL")
+            connection.executescript(_TABLES)
+        except sqlite3.Error:
+            connection.close()
+            raise
+        return connection
+
+    def _renew(self, error: sqlite3.Error) -> None:
+        """Set the file aside and go on with what can be read of it."""
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        expected, aside = self._count, _moved_aside(self.path)
+        rows, notes = _salvaged(aside) if aside.exists() else ([], {})
+        rows = [row for row in rows if row[0] > self._handled]
+        with closing(self._open()) as connection:
+            connection.execute("BEGIN IMMEDIATE")
+            connection.executemany("INSERT INTO parcel VALUES (?, ?)", rows)
+            for session, content in {**notes, **self._known}.items():
+                _note(connection, session, content)
+            connection.execute("COMMIT")
+        self._known.update({**notes, **self._known})
+        self._count = len(rows)
+        gaps = rows[-1][0] - rows[0][0] + 1 - len(rows) if rows else 0
+        lost = max(expected - len(rows), gaps)
+        if aside.exists():
+            said = {"file": str(self.path), "aside": str(aside), "error": str(error)}
+            self._alarm(say("buffer-damaged", kept=len(rows), lost=lost, **said))
+        else:
+            self._alarm(say("buffer-gone", file=str(self.path), error=str(error), lost=lost))
+
+
+def set_aside(beside: Path, text: str, why: str) -> Path:
+    """Append a text to the file of what was set aside, durably; returns that file."""
+    path = beside.with_name(f"{beside.name}.set-aside.jsonl")
+    line = json.dumps({"utc": datetime.now(UTC).isoformat(), "why": why, "content": text})
+    with path.open("a", encoding="utf-8") as file:
+        file.write(line + "\n")
+        file.flush()
+        os.fsync(file.fileno())
+    return path
+
+
+def _sealed(text: str) -> str:
+    """Return a text with its sum before it: SQLite itself does not notice a wrong bit within a value."""
+    return f"{zlib.crc32(text.encode()):08x}{text}"
+
+
+def _opened(text: str) -> str:
+    """Undo `_sealed`; files of older versions carry no sums."""
+    if text.startswith("{"):
+        return text
+    if _sealed(text[8:]) != text:
+        raise ValueError(say("buffer-sum-wrong"))
+    return text[8:]
+
+
+def _count(connection: sqlite3.Connection) -> int:
+    return int(connection.execute("SELECT count(*) FROM parcel").fetchone()[0])
+
+
+def _note(connection: sqlite3.Connection, session: int, content: dict[str, Any] | None) -> None:
+    if content is None:
+        connection.execute("DELETE FROM session WHERE session = ?", (session,))
+    else:
+        connection.execute("INSERT OR REPLACE INTO session VALUES (?, ?)", (session, json.dumps(content)))
+
+
+def _notes(connection: sqlite3.Connection) -> dict[int, dict[str, Any]]:
+    return {key: json.loads(content) for key, content in connection.execute("SELECT * FROM session")}
+
+
+def _forget_notes(connection: sqlite3.Connection) -> dict[int, dict[str, Any]]:
+    """Sessions with nothing left are forgotten at the start."""
+    connection.execute("DELETE FROM session")
+    return {}
+
+
+def _moved_aside(path: Path) -> Path:
+    stamp = f"{datetime.now(UTC):%Y%m%dT%H%M%S}"
+    tried = (path.with_name(f"{path.name}.damaged-{stamp}{f'-{n}' if n else ''}") for n in range(1000))
+    aside = next(one for one in tried if not one.exists())
+    for ending in ("", "-wal"):
+        with suppress(FileNotFoundError):
+            Path(f"{path}{ending}").rename(f"{aside}{ending}")
+    with suppress(FileNotFoundError):
+        Path(f"{path}-shm").unlink()
+    return aside
+
+
+def _salvaged(path: Path) -> tuple[list[Row], dict[int, dict[str, Any]]]:
+    """Return the rows and sessions of a damaged file that can be read."""
+    rows: list[Row] = []
+    notes: dict[int, dict[str, Any]] = {}
+    try:
+        connection = sqlite3.connect(path, isolation_level=None)
+    except sqlite3.Error:
+        return rows, notes
+    with closing(connection):
+        with suppress(sqlite3.Error):
+            connection.execute("PRAGMA writable_schema=ON")  # also reads a file that is shorter than it says
+        with suppress(sqlite3.Error, ValueError):
+            notes = _notes(connection)
+        rows += _readable_rows(connection)
+    return rows, notes
+
+
+def _readable_rows(connection: sqlite3.Connection) -> Iterator[Row]:
+    """Yield the rows of a table some of whose pages cannot be read: a page after a bad one is found by number."""
+    last, misses = 0, 0
+    while misses < _MOST_MISSES:
+        try:
+            for number, text in connection.execute(
+                "SELECT number, content FROM parcel WHERE number > ? ORDER BY number", (last,)
+            ):
+                if isinstance(text, str):
+                    yield number, text
+                last, misses = number, 0
+        except (sqlite3.Error, UnicodeDecodeError):
+            last, misses = last + 1, misses + 1
+        else:
+            return
 
 
 class _Sessions(MutableMapping[int, dict[str, Any]]):
-    """The sessions of a buffer: read once, written through. Those with nothing left are forgotten at the start."""
+    """The sessions of a buffer, written through."""
 
-    def __init__(self, buffer: Buffer) -> None:
-        self._buffer = buffer
-        if not len(buffer):
-            for session in buffer.notes():
-                buffer.note(session, None)
-        self._known = buffer.notes()
+    def __init__(self, buffer: Buffer, known: dict[int, dict[str, Any]]) -> None:
+        self._buffer, self._known = buffer, known
 
     def __getitem__(self, session: int) -> dict[str, Any]:
         return self._known[session]

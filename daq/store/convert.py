@@ -13,8 +13,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.csv as pacsv
 
+from daq.files.run_file import flat_keys, toml_line
 from daq.records import Array, Channel, Quality
-from daq.runfile import flat_keys, toml_line
 
 MANY = 100
 """From so many scans on their values are parsed column by column, seven times faster than as JSON."""

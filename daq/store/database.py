@@ -21,8 +21,11 @@ from sqlalchemy import Connection, Engine, create_engine, event, text
 from sqlalchemy.engine import URL, make_url
 from sqlalchemy.exc import ArgumentError, DatabaseError, InterfaceError, NoSuchModuleError, OperationalError
 
+from daq.address import hidden, secrets_of
 from daq.records import InputError
+from daq.store.file_rescue import Identity, hold, identity_of, rescue
 from daq.store.records import StoreUnavailable
+from daq.words import Message, say
 
 BUSY_S = 10.0
 """How long a writer waits for another process's transaction. [s]"""
@@ -52,7 +55,7 @@ class Database:
 
     def __init__(self, url: str, *, create: bool = True, busy_s: float = BUSY_S, later: bool = False) -> None:
         self.url = store_url(url)
-        self.label = self.url.render_as_string(hide_password=True)
+        self.label = self.url.set(query={}).render_as_string(hide_password=True)
         self.path = Path(self.url.database) if self.dialect == "sqlite" and self.url.database else None
         if self.path:
             self.label = str(self.path)
@@ -61,6 +64,9 @@ class Database:
         self._busy_s = busy_s
         self._prepared = False
         self._preparing = threading.Lock()
+        self._identity: Identity | None = None
+        """The file that is open; its name may stand for another one by now."""
+        self._held: sqlite3.Connection | None = None
         if later:
             return
         try:
@@ -86,7 +92,50 @@ class Database:
                 if self.path:
                     _switch_to_wal(self.engine, self._busy_s)
                 self._migrate()
+            self._identity = identity_of(self.path) if self.path else None
             self._prepared = True
+
+    def hold_on(self) -> None:
+        """Keep an SQLite file reachable whatever becomes of its name: for the one process that may rescue it."""
+        if self.path is not None and self._prepared and not self.moved:
+            with self.translated():
+                self._held = hold(self.path)
+
+    @property
+    def held(self) -> bool:
+        """Whether a rescue is possible."""
+        return self._held is not None
+
+    @property
+    def moved(self) -> bool:
+        """Whether the file was deleted, moved or exchanged since it was opened."""
+        return self.path is not None and self._prepared and identity_of(self.path) != self._identity
+
+    def rescue(self) -> Path | None:
+        """Put all of the lost file where it belongs and go on there; returns where another store was put aside."""
+        if self.path is None or self._held is None:
+            return None
+        try:
+            aside = rescue(self._held, self.path)
+        except (sqlite3.Error, OSError) as error:
+            raise StoreUnavailable(_advice(self, str(error))) from error
+        self._open_anew()
+        self.hold_on()
+        return aside
+
+    def _open_anew(self) -> None:
+        self.engine.dispose(close=False)
+        self.engine, self._prepared = self._make_engine(self._busy_s), False
+        self.prepare()
+
+    def _check_file(self) -> None:
+        """Open the file anew where another process rescued it; never make an empty one in its place."""
+        if not self._prepared:
+            self.prepare()
+        elif self.moved:
+            if self.path is None or self._held is not None or not self.path.exists():
+                raise StoreUnavailable(say("store-file-gone", store=self.label))
+            self._open_anew()
 
     @property
     def dialect(self) -> str:
@@ -96,16 +145,14 @@ class Database:
     @contextmanager
     def reading(self) -> Iterator[Connection]:
         """Open a transaction that only reads: one consistent state of the store."""
-        if not self._prepared:
-            self.prepare()
+        self._check_file()
         with self.translated(), self.engine.connect() as connection, connection.begin():
             yield connection
 
     @contextmanager
     def writing(self) -> Iterator[Connection]:
         """Open a transaction that writes: committed durably when the block ends, or not at all."""
-        if not self._prepared:
-            self.prepare()
+        self._check_file()
         with (
             self.translated(),
             self.engine.connect().execution_options(writes=True) as connection,
@@ -120,18 +167,16 @@ class Database:
             yield
         except (OperationalError, InterfaceError) as error:
             self._refuse_own_view(error)
-            raise StoreUnavailable(f"store {self.label}: {_advice(str(error.orig))}") from error
+            raise StoreUnavailable(_advice(self, str(error.orig))) from error
         except (DatabaseError, sqlite3.DatabaseError) as error:
             reason = str(error.orig if isinstance(error, DatabaseError) else error)
             if "not a database" in reason:
-                raise InputError(f"store {self.label}: not an SQLite file; give another path") from error
+                raise InputError(say("store-not-sqlite", store=self.label)) from error
             if "cannot contain NUL" in reason:
-                raise InputError(
-                    f"store {self.label}: a text holds a NUL character, which a server cannot keep; remove it"
-                ) from error
+                raise InputError(say("store-nul", store=self.label)) from error
             self._refuse_own_view(error)
             if isinstance(error, sqlite3.DatabaseError) or "malformed" in reason:
-                raise StoreUnavailable(f"store {self.label}: {_advice(reason)}") from error
+                raise StoreUnavailable(_advice(self, reason)) from error
             raise
 
     def _refuse_own_view(self, error: Exception) -> None:
@@ -139,19 +184,20 @@ class Database:
         named = r"error in view (\S+?):|DETAIL: +(?:materialized )?view (\S+) depends"
         found = re.search(named, str(error))
         if found:
-            raise InputError(
-                f"store {self.label}: view {found[1] or found[2]} is not Kerntemp's and stands on one that this "
-                "version changes; drop it, start again, and make it anew"
-            ) from error
+            view = found[1] or found[2]
+            raise InputError(say("store-foreign-view", store=self.label, view=view)) from error
 
     def close(self) -> None:
-        """Release all connections."""
+        """Release all connections, the one that holds on to the file too while its name still stands for it."""
         self.engine.dispose()
+        if self._held is not None and not self.moved:
+            self._held.close()
+            self._held = None
 
     def _make_engine(self, busy_s: float) -> Engine:
         if self.dialect == "postgresql":
             engine = create_engine(self.url, pool_pre_ping=True, connect_args=_server_options(busy_s))
-            event.listen(engine, "do_connect", _connect_patiently)
+            event.listen(engine, "do_connect", _connect_watched)
             return engine
         engine = create_engine(self.url, connect_args={"timeout": busy_s})
         event.listen(engine, "connect", _prepare_sqlite)
@@ -169,10 +215,7 @@ class Database:
                 connection.execute(text("SELECT pg_advisory_xact_lock(7305160112)"))
             version = self._version(connection)
             if version > newest:
-                raise InputError(
-                    f"store {self.label}: made by a newer version (schema {version}, this version knows "
-                    f"{newest}); update Kerntemp or give another store"
-                )
+                raise InputError(say("store-newer", store=self.label, schema=version, known=newest))
             for number in range(version + 1, newest + 1):
                 for statement in statements(steps[number], self.dialect):
                     connection.exec_driver_sql(statement)
@@ -230,16 +273,19 @@ def store_url(url: str) -> URL:
     try:
         parsed = make_url(url)
         backend = parsed.get_backend_name()
-    except (ArgumentError, NoSuchModuleError) as error:
-        raise InputError(
-            f"store url {url!r}: not a URL; give a file path or postgresql://user@host/name"
-        ) from error
+    except (ArgumentError, NoSuchModuleError, ValueError):
+        raise InputError(say("store-url-wrong", url=hidden(url))) from None  # the cause quotes the URL
     if backend in ("postgresql", "postgres"):
-        return parsed.set(drivername="postgresql+psycopg")
+        if "@" in (parsed.host or ""):
+            raise InputError(say("store-url-at"))
+        given = parsed.set(drivername="postgresql+psycopg")
+        if isinstance(password := parsed.query.get("password"), str):  # SQLAlchemy hides only its own field
+            given = given.set(password=password).difference_update_query(["password"])
+        return given
     if backend != "sqlite":
-        raise InputError(f"store url {url!r}: {backend} is not supported; give a file path or postgresql://...")
+        raise InputError(say("store-url-unsupported", url=hidden(url), engine=backend))
     if not parsed.database or parsed.database == ":memory:":
-        raise InputError(f"store url {url!r}: processes meet in the store, so it needs a file path")
+        raise InputError(say("store-url-no-file", url=hidden(url)))
     return parsed
 
 
@@ -255,20 +301,20 @@ def _server_options(busy_s: float) -> dict[str, Any]:
     }
 
 
-def _connect_patiently(_dialect: Any, _record: Any, words: list[Any], options: dict[str, Any]) -> Any:
+def _connect_watched(_dialect: Any, _record: Any, words: list[Any], options: dict[str, Any]) -> Any:
     """Connect so that a call to a server that has stopped fails; the driver is there only with that extra."""
-    from daq.store.patience import PatientConnection
+    from daq.store.connection_watchdog import WatchedConnection
 
-    return PatientConnection.to(*words, **options)
+    return WatchedConnection.to(*words, **options)
 
 
 def _check_place(path: Path, create: bool) -> None:
     if path.is_dir():
-        raise InputError(f"store {path}: is a folder; give the path of a file in it")
+        raise InputError(say("store-is-folder", store=str(path)))
     if not path.exists() and not create:
-        raise InputError(f"store {path}: does not exist; start kerntemp record, or give the right path")
+        raise InputError(say("store-missing", store=str(path)))
     if not path.parent.is_dir():
-        raise InputError(f"store {path}: folder {path.parent} does not exist; create it")
+        raise InputError(say("store-no-folder", store=str(path), folder=str(path.parent)))
 
 
 def _prepare_sqlite(connection: Any, _record: Any) -> None:
@@ -303,22 +349,29 @@ def _switch_to_wal(engine: Engine, busy_s: float) -> None:
             raw.close()
 
 
-def _advice(reason: str) -> str:
+_REMEDIES = {
+    "lock timeout": "store-remedy-lock-timeout",
+    "database is locked": "store-remedy-locked",
+    "disk is full": "store-remedy-full",
+    "readonly database": "store-remedy-read-only",
+    "unable to open": "store-remedy-folder",
+    "disk I/O error": "store-remedy-disk-failed",
+    "malformed": "store-remedy-damaged",
+    "connection": "store-remedy-server",
+    "server closed": "store-remedy-server",
+    "password": "store-remedy-password",
+    "does not exist": "store-remedy-database",
+}
+"""What to do about an engine's own words, by a sign in them; the first that fits."""
+
+
+def _advice(database: Database, reason: str) -> Message:
+    """Return what the engine says, without the secrets of the address, and what to do about it."""
+    store = database.label
+    for secret in secrets_of(database.url.render_as_string(hide_password=False)):
+        reason = reason.replace(secret, "***")
     reason = reason.strip().splitlines()[0] if reason.strip() else "no reason given"
-    known = {
-        "lock timeout": "another session holds a table; end it",
-        "database is locked": "another process holds it; close other programs that have the file open",
-        "disk is full": "free space on the disk; recording goes on by itself",
-        "readonly database": "no permission to write; check owner and mount of the file and its folder",
-        "unable to open": "check that the folder exists, may be written, and its disk is not mounted read-only",
-        "disk I/O error": "the disk failed; check it and its space, restore the newest backup if the file is hurt",
-        "malformed": "the file is damaged; restore the newest backup with kerntemp backup --restore",
-        "connection": "check that the database server runs and is reachable",
-        "server closed": "check that the database server runs and is reachable",
-        "password": "check user and password in the URL",
-        "does not exist": "create the database, or correct the URL",
-    }
-    for sign, remedy in known.items():
-        if sign in reason:
-            return f"{reason}; {remedy}"
-    return reason
+    remedy = next((code for sign, code in _REMEDIES.items() if sign in reason), None)
+    if remedy is None:
+        return say("store-refuses", store=store, reason=reason)
+    return say("store-refuses-remedy", store=store, reason=reason, remedy=Message(remedy))

@@ -13,6 +13,7 @@ from typing import Any
 
 from daq.records import InputError
 from daq.store.records import RunRecord
+from daq.words import Message, say
 
 LATEST_UNIX_S = 253402300799.0
 """The last second of the year 9999; no calendar here goes further."""
@@ -50,7 +51,7 @@ def columns_from_header(header: Mapping[str, Any], where: str) -> dict[str, Any]
         columns[column] = taken(header[key])
         if columns[column] is None:
             raise InputError(
-                f"{where}: header key {key} = {header[key]!r}: must be {wanted}; correct it or remove the key"
+                say("store-header-wrong", file=where, key=key, value=repr(header[key]), wanted=wanted)
             )
     return columns
 
@@ -75,12 +76,12 @@ def _life(value: Any) -> str | None:
 
 
 _LIVES = {"closed": "closed", "interrupted": "interrupted", "open": "interrupted"}
-_TIME = "a time with its zone between the years 1970 and 9999, as 2026-03-04T07:00:00Z"
-_KEYS: Mapping[str, tuple[str, Callable[[Any], Any], str]] = {
+_TIME = say("wanted-time")
+_KEYS: Mapping[str, tuple[str, Callable[[Any], Any], Message]] = {
     STARTED: ("started_unix_s", _unix_s, _TIME),
     "recorded.ended_utc": ("ended_unix_s", _unix_s, _TIME),
-    "recorded.status": ("status", _life, f"one of {', '.join(_LIVES)}"),
-    **{f"recorded.{name}": (name, _seconds, "a number of seconds") for name in _MOMENTS},
-    "recorded.software_version": ("software_version", _text, "text"),
-    REMARK: (REMARK, _text, "text"),
+    "recorded.status": ("status", _life, say("wanted-one-of", names=tuple(_LIVES))),
+    **{f"recorded.{name}": (name, _seconds, say("wanted-seconds")) for name in _MOMENTS},
+    "recorded.software_version": ("software_version", _text, say("wanted-text")),
+    REMARK: (REMARK, _text, say("wanted-text")),
 }

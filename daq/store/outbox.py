@@ -8,32 +8,41 @@ it was put; what a lost acknowledgement may have written already is not written 
 
 from __future__ import annotations
 
-import queue
 import sqlite3
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
-from daq.records import Channel, Quality, Scan
-from daq.store.admission import Admission, Notes, session_key
-from daq.store.buffer import Buffer
+from daq.records import Channel, InputError, Quality, Scan
+from daq.store.buffer import Buffer, set_aside
 from daq.store.convert import known_utc
-from daq.store.parcels import Entry, Parcel, encode
 from daq.store.records import PressKey, StoreUnavailable
+from daq.store.session_placement import Notes, SessionPlacement, session_key
 from daq.store.store import Store
+from daq.store.write_batch import Entry, WriteBatch, encode, in_parts
+from daq.supervision import SupervisedThread, unexpected
+from daq.words import Message, say, spoken
 
 Level = Literal["info", "warning", "alarm"]
 _FIRST_RETRY_S, _LONGEST_RETRY_S = 1.0, 10.0
+"""A store that refuses is tried again after this, doubled each time up to the second. Set by hand, 2026-11. [s]"""
 _MOST_WAITING = 200_000
-"""Parcels kept in memory while the store is away and there is no buffer: 5 h at 10 Hz and one press."""
-_BATCH = 500
+"""Write batches kept in memory while the store is away and there is no buffer: 5 h at 10 Hz and one press."""
+_AT_ONCE = 500
+"""Items in one transaction: some 0.1 s of writing, so that others wait no longer."""
+_IDLE_S = 0.25
+"""How often the writer looks whether it is to go on. [s]"""
+_STALLED_AFTER_S = 60.0
+"""Longer than any wait the engine allows (watchdog 11 s, another's transaction 10 s, a buffer's lock 5 s). [s]"""
 
 
 class Outbox:
-    """Writes parcels and journal lines in the order they were put."""
+    """Writes batches and journal lines in the order they were put."""
 
     def __init__(
         self,
@@ -42,40 +51,54 @@ class Outbox:
         buffer: Path | None = None,
         per_second: float = 10.0,
         gather_s: float = 0.0,
-        acknowledged: Callable[[Parcel], None] | None = None,
-        say: Callable[[Level, str], None] | None = None,
+        acknowledged: Callable[[WriteBatch], None] | None = None,
+        journal: Callable[[Level, Message], None] | None = None,
     ) -> None:
-        self.trouble = ""
-        """Why the store refuses now; empty while it does not."""
+        self.trouble: Message | None = None
+        """Why the store refuses now; None while it does not."""
         self.lost = 0
         self.written = 0
         self._store = store
-        self._buffer = None if buffer is None else Buffer(buffer)
+        self._untold: deque[Message] = deque()
+        """Alarms of the buffer, told by the thread."""
+        self._buffer = None if buffer is None else Buffer(buffer, self._untold.append)
+        self._aside = buffer or store.database.path
         self._notes: Notes = {} if self._buffer is None else self._buffer.sessions
-        self._admission = Admission(store, self._notes)
+        self._placement = SessionPlacement(store, self._notes)
         self._per_second = per_second
         self._gather_s = gather_s
-        self._acknowledged = acknowledged or (lambda parcel: None)
-        self._say = say or (lambda level, sentence: None)
-        self._queue: queue.Queue[Parcel | Entry | None] = queue.Queue()
+        self._acknowledged = acknowledged or (lambda batch: None)
+        self._journal = journal or (lambda level, message: None)
+        self._inbox: deque[WriteBatch | Entry] = deque()
+        self._news = threading.Event()
         self._beat: tuple[str, Mapping[str, Any]] | None = None
-        self._waiting: list[Parcel | Entry] = []
+        self._waiting: list[WriteBatch | Entry] = []
         self._retry_s, self._retry_at = _FIRST_RETRY_S, 0.0
-        self._buffer_trouble = ""
-        self._thread = threading.Thread(target=self._work, name="outbox", daemon=True)
-        self._closed = False
+        self._buffer_trouble = False
+        self._moved_s = time.monotonic()
+        self._thread = SupervisedThread("writer", self._work, lambda fault: self._journal("alarm", fault))
+        self._closed = self._thinned = False
 
     def start(self) -> None:
         """Begin to write."""
+        self._moved_s = time.monotonic()
         self._thread.start()
 
-    def put(self, item: Parcel | Entry) -> None:
+    def put(self, item: WriteBatch | Entry) -> None:
         """Hand something over; returns at once."""
-        self._queue.put(item)
+        self._inbox.append(item)
+        self._news.set()
 
     def beat(self, process: str, status: Mapping[str, Any]) -> None:
         """Hand over a sign of life; only the newest is written."""
         self._beat = (process, status)
+
+    def stalled(self) -> Message | None:
+        """Return why the writer must not count as alive; None while it works or waits for a store that is away."""
+        if self._thread.fault is not None or not self._thread.alive:
+            return self._thread.fault or say("writer-dead")
+        still_s = time.monotonic() - self._moved_s
+        return say("writer-stalled", seconds=still_s) if still_s > _STALLED_AFTER_S else None
 
     def later_key(self, press: str, channels: Sequence[Channel], press_file: str) -> PressKey:
         """Return a key to record with before the store can give one; the store's is found when it is due."""
@@ -84,7 +107,7 @@ class Outbox:
     @property
     def waiting(self) -> int:
         """How many items are not written yet."""
-        return len(self._waiting) + self._queue.qsize() + (len(self._buffer) if self._buffer else 0)
+        return len(self._waiting) + len(self._inbox) + (len(self._buffer) if self._buffer else 0)
 
     @property
     def behind(self) -> bool:
@@ -92,11 +115,11 @@ class Outbox:
         return self._buffer is not None and len(self._buffer) > 0
 
     @property
-    def capacity(self) -> str:
+    def capacity(self) -> Message:
         """Where scans wait while the store is away, and how long there is room."""
         if self._buffer is None or self._buffer_trouble:
-            return f"memory, enough for {self.hours_left:.1f} h"
-        return f"{self._buffer.path}, enough for {self.hours_left:.0f} h"
+            return say("waits-in-memory", hours=self.hours_left)
+        return say("waits-in-buffer", file=str(self._buffer.path), hours=self.hours_left)
 
     @property
     def hours_left(self) -> float:
@@ -111,103 +134,161 @@ class Outbox:
             self._buffer.expect(len(encode(_example(channels))))
 
     def close(self, longest_s: float = 10.0) -> None:
-        """Write what is left, or give up after `longest_s`."""
+        """Write what is left, or give up after `longest_s`: what is not written then is told."""
         self._closed = True
-        self._queue.put(None)
+        self._news.set()
         self._thread.join(longest_s)
+        if left := len(self._waiting) + len(self._inbox):
+            self._journal("alarm", say("left-unwritten", count=left, store=self._store.label))
 
     def _work(self) -> None:
         ended = False
         while not ended:
-            ended = self._fetch()
-            if not ended and self.trouble and time.monotonic() < self._retry_at:
+            self._news.wait(_IDLE_S)
+            self._news.clear()
+            ended = self._closed  # what was put before closing is taken below
+            if self._gather_s and not ended:
+                time.sleep(self._gather_s)
+            self._moved_s = time.monotonic()
+            self._take()
+            if self.trouble and not ended and time.monotonic() < self._retry_at:
                 self._keep()
             elif self._waiting or self._beat or self.behind:
                 self._deliver()
-            if self.trouble and not ended and self._closed:
-                ended = self._queue.empty()
 
-    def _fetch(self) -> bool:
-        """Wait for something to be put and move it to the waiting list; True at the end."""
-        try:
-            first = self._queue.get(timeout=0.25)
-        except queue.Empty:
-            return False
-        if self._gather_s and first is not None and not self._closed:
-            time.sleep(self._gather_s)
-        return first is None or self._take(first)
-
-    def _take(self, first: Parcel | Entry | None = None) -> bool:
-        """Move all that was put to the waiting list; True at the end."""
-        if first is not None:
-            self._waiting.append(first)
-        with suppress(queue.Empty):
-            while (item := self._queue.get_nowait()) is not None:
-                self._waiting.append(item)
-            return True
+    def _take(self) -> None:
+        """Move all that was put to the waiting list, and tell what the buffer went through."""
+        while self._inbox:
+            self._waiting.append(self._inbox[0])
+            self._inbox.popleft()
+        while self._untold:
+            self._journal("alarm", self._untold[0])
+            self._untold.popleft()
         if len(self._waiting) > _MOST_WAITING:
-            surplus = len(self._waiting) - _MOST_WAITING
-            del self._waiting[:surplus]
-            self.lost += surplus
-        return False
+            self._thin_out()
+
+    def _thin_out(self) -> None:
+        """Give up the oldest scans beyond the room in memory; runs, events and journal lines stay."""
+        surplus, kept = len(self._waiting) - _MOST_WAITING, []
+        for item in self._waiting[:surplus]:
+            if isinstance(item, WriteBatch):
+                self.lost += len(item.scans)
+                item = replace(item, scans=())
+            if isinstance(item, Entry) or item.begin or item.end:
+                kept.append(item)
+            elif item.events:
+                self._journal("alarm", say("events-lost", press=item.key.name, count=len(item.events)))
+        if not self._thinned:
+            self._journal("alarm", say("scans-given-up", where=self.capacity))
+        self._thinned = True
+        self._waiting[:surplus] = kept
+
+    def _watch_file(self) -> None:
+        """Bring a file that was deleted, moved or exchanged back to its place, with all it holds."""
+        database = self._store.database
+        if database.moved and database.held:
+            aside = database.rescue()
+            said = {"store": self._store.label, "aside": str(aside)}
+            self._journal("alarm", Message("store-rescued-beside" if aside else "store-rescued", said))
+        if database.path is not None and not database.held:
+            database.hold_on()
 
     def _deliver(self) -> None:
         try:
+            self._watch_file()
             self._drain()
             while self._waiting:
-                batch = self._waiting[:_BATCH]
-                self._write(batch)
-                del self._waiting[: len(batch)]
-                self._acknowledge(batch)
+                items = self._waiting[:_AT_ONCE]
+                self._write(items)
+                del self._waiting[: len(items)]
+                self._acknowledge(items)
                 self._show()
         except Exception as error:  # noqa: BLE001 - the thread must outlive whatever the engine raises
             self._refused(error)
         else:
-            self._retry_s = _FIRST_RETRY_S
+            self._retry_s, self._thinned = _FIRST_RETRY_S, False
+            self._thread.worked()
             if self.trouble:
-                self.trouble = ""
-                self._say("info", f"store {self._store.label} takes data again; everything kept is written")
+                self.trouble = None
+                self._journal("info", say("store-back", store=self._store.label))
         if not self.trouble:
             self._show()
 
     def _show(self) -> None:
         """Write the newest sign of life, also among much that waits: who is busy must not be taken for dead."""
+        self._moved_s = time.monotonic()
         if self._beat is not None:
             beat, self._beat = self._beat, None
             with suppress(StoreUnavailable):
                 self._store.beat(*beat)
 
     def _refused(self, error: Exception) -> None:
-        reason = str(error)
-        if not isinstance(error, StoreUnavailable):
-            reason = f"{type(error).__name__}: {error}"
+        foreseen = isinstance(error, StoreUnavailable | InputError | sqlite3.Error | OSError)
+        reason = spoken(error) if foreseen else unexpected(error)
+        if not foreseen:
+            self._thread.failed(error)
         if not self.trouble:
-            self._say("alarm", f"{reason}; scans wait in {self.capacity}")
+            self._journal("alarm", say("scans-wait", why=reason, where=self.capacity))
         self.trouble = reason
         self._retry_at = time.monotonic() + self._retry_s
         self._retry_s = min(2.0 * self._retry_s, _LONGEST_RETRY_S)
         self._keep()
 
-    def _write(self, batch: Sequence[Parcel | Entry]) -> None:
-        ready: list[Parcel] = []
-        for parcel in (item for item in batch if isinstance(item, Parcel)):
-            if self._admission.waits_for_place(parcel):
-                self._store.write_parcels(ready)
-                ready = []
-                for run in self._admission.place(parcel.key).interrupted:
-                    said = f"run {run} was interrupted; its data are kept"
-                    self._store.log("warning", "record", said, parcel.key.name)
-            ready.append(self._admission.moved(parcel))
-        self._store.write_parcels(ready)
-        for entry in (item for item in batch if isinstance(item, Entry)):
-            at = known_utc(entry.unix_s)
-            self._store.log(entry.level, entry.process, entry.message, entry.press, entry.detail, at)
+    def _write(self, items: Sequence[WriteBatch | Entry]) -> None:
+        """Write all of it; what the store does not take, though it takes other things, is set aside."""
+        try:
+            self._write_together(items)
+        except StoreUnavailable:
+            raise
+        except Exception as error:  # noqa: BLE001 - whatever the engine has against one of them
+            self._store.try_to_write()
+            parts = [p for x in items for p in (in_parts(x) if isinstance(x, WriteBatch) else ((x,),))]
+            if sum(self._write_one_of(tries) for tries in parts) == 0:
+                self._thread.failed(error)  # it was none of them
 
-    def _acknowledge(self, batch: Sequence[Parcel | Entry]) -> None:
-        for parcel in batch:
-            if isinstance(parcel, Parcel):
-                self.written += len(parcel.scans)
-                self._acknowledged(parcel)
+    def _write_one_of(self, tries: Sequence[WriteBatch | Entry]) -> int:
+        """Write the first of these that the store takes; return how many before it were set aside and told."""
+        for refused, item in enumerate(tries):
+            try:
+                self._write_together([item])
+            except StoreUnavailable:
+                raise
+            except Exception as error:  # noqa: BLE001
+                self._store.try_to_write()
+                self._put_aside(item, error)
+            else:
+                return refused
+        return len(tries)
+
+    def _put_aside(self, item: WriteBatch | Entry, error: Exception) -> None:
+        if self._aside is None:
+            raise error
+        why = spoken(error) if isinstance(error, InputError) else unexpected(error)
+        aside = set_aside(self._aside, encode(item), str(why))
+        if isinstance(item, Entry):
+            if item.message.code != "line-set-aside":  # or one that tells of itself would never end
+                said = say("line-set-aside", aside=str(aside))
+                self.put(Entry("alarm", item.process, said, unix_s=item.unix_s))
+            return
+        what = say("set-aside-begin", run=item.begin.run) if item.begin else say("set-aside-scans")
+        self._journal("alarm", say("item-set-aside", press=item.key.name, what=what, why=why, aside=str(aside)))
+
+    def _write_together(self, items: Sequence[WriteBatch | Entry]) -> None:
+        ready: list[WriteBatch] = []
+        for batch in (item for item in items if isinstance(item, WriteBatch)):
+            if self._placement.waits_for_place(batch):
+                self._store.write_batches(ready)
+                ready = []
+                for run in self._placement.place(batch.key).interrupted:
+                    self._store.log("warning", "record", say("run-interrupted", run=run), batch.key.name)
+            ready.append(self._placement.moved(batch))
+        self._store.write_batches(ready, [item for item in items if isinstance(item, Entry)])
+
+    def _acknowledge(self, items: Sequence[WriteBatch | Entry]) -> None:
+        for item in items:
+            if isinstance(item, WriteBatch):
+                self.written += len(item.scans)
+                self._acknowledged(item)
 
     def _keep(self) -> None:
         """Move what waits from memory to the buffer."""
@@ -215,31 +296,39 @@ class Outbox:
             return
         try:
             self._buffer.append(self._waiting)
-        except sqlite3.Error as error:
-            if not self._buffer_trouble:
-                self._buffer_trouble = f"buffer {self._buffer.path}: {error}"
-                self._say(
-                    "alarm", f"{self._buffer_trouble}; free space on its disk; scans wait in {self.capacity}"
-                )
+        except (sqlite3.Error, OSError) as error:
+            self._tell_of_buffer(error)
             return
-        self._buffer_trouble = ""
+        self._buffer_trouble = False
         kept, self._waiting = self._waiting, []
         self._acknowledge(kept)
 
+    def _tell_of_buffer(self, error: Exception) -> None:
+        if not self._buffer_trouble and self._buffer is not None:
+            self._buffer_trouble = True
+            why = say("buffer-refuses", file=str(self._buffer.path), error=str(error))
+            self._journal("alarm", say("scans-wait", why=why, where=self.capacity))
+
     def _drain(self) -> None:
         """Write the buffer's content; what is put meanwhile goes behind it, durably."""
-        while self._buffer is not None and (rows := self._buffer.oldest(_BATCH)):
+        while self._buffer is not None and self.behind:
+            try:
+                rows = self._buffer.oldest(_AT_ONCE)
+            except (sqlite3.Error, OSError) as error:  # a store that is well does not wait for its buffer
+                self._tell_of_buffer(error)
+                return
+            if not rows:
+                return
             self._write([item for _, item in rows])
             self._buffer.remove(rows[-1][0])
             self._show()
-            if self._take():
-                self._queue.put(None)
+            self._take()
             self._keep()
 
 
-def _example(channels: Sequence[Channel]) -> Parcel:
-    """Return a parcel as large as they come."""
+def _example(channels: Sequence[Channel]) -> WriteBatch:
+    """Return a write batch as large as they come."""
     key = PressKey(1, "press-name", 1, tuple(channels), 10**8)
     now = known_utc(time.time())
     scan = Scan(10**8, now, 1e6 / 7.0, (1e3 / 7.0,) * len(channels), (Quality.GOOD,) * len(channels))
-    return Parcel(key, (scan,))
+    return WriteBatch(key, (scan,))

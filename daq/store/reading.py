@@ -7,13 +7,14 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from sqlalchemy import ColumnElement, Connection, Row, Select, and_, func, select
+from sqlalchemy import ColumnElement, Connection, Row, Select, Table, and_, func, select
 
-from daq.qualities import QUALITY, quality_text
+from daq.files.qualities import QUALITY, quality_text
 from daq.records import Array, Channel, InputError, Moments, Quality, Run, Scan
 from daq.store.convert import header_of, known_utc, nan, qualities_of, readings_table, utc_of
 from daq.store.records import Page, RunRecord, RunStatus, ScanBatch, StoredPressEvent
 from daq.store.schema import CONFIGURATION, LAYOUT, PRESS, PRESS_EVENT, RUN, SCAN, SCAN_REMARK
+from daq.words import say
 
 _USABLE = {q.value for q in Quality if q.usable}
 _ROWS = 500
@@ -52,9 +53,7 @@ def cursor_number(cursor: str) -> int:
     try:
         return int(cursor)
     except ValueError as error:
-        raise InputError(
-            f"cursor {cursor!r}: not a cursor of this list; take next_cursor of the page before"
-        ) from error
+        raise InputError(say("store-cursor", cursor=cursor)) from error
 
 
 def _runs_query() -> Select[Any]:
@@ -65,7 +64,7 @@ def run_row(connection: Connection, run: str) -> Row[Any]:
     """Return a run's row with its press; raises `InputError` where there is none."""
     row = connection.execute(_runs_query().where(RUN.c.run == run)).first()
     if row is None:
-        raise InputError(f"run {run!r} is not in the store; kerntemp export lists runs, a file needs its path")
+        raise InputError(say("store-run-missing", run=run))
     return row
 
 
@@ -154,7 +153,7 @@ def load_run(
             table.setdefault(channel.name, np.full(len(times), np.nan))[chosen] = values[:, i]
     if columns is not None:
         if unknown := [c for c in columns if c not in table]:
-            raise InputError(f"run {run!r} has no column {unknown[0]!r}; it has {', '.join(table)}")
+            raise InputError(say("store-column-missing", run=run, column=unknown[0], columns=tuple(table)))
         table = {name: table[name] for name in columns}
     time_s = np.round(times - zero, 6) if zero else times
     remarks = {} if QUALITY in table else _remarks(faults, columns)
@@ -327,3 +326,25 @@ def configuration_of(connection: Connection, run: str) -> str:
         .where(RUN.c.run == run)
     )
     return str(connection.execute(query).scalar() or "")
+
+
+def newest_first(
+    connection: Connection,
+    table: Table,
+    key: str,
+    press: str | None,
+    cursor: str | None,
+    limit: int,
+    level: str | None = None,
+) -> tuple[list[Row[Any]], str | None]:
+    """Return a page of a table's rows, newest first, and the cursor of the next."""
+    column = table.c[key]
+    query = select(table, column.label("row_number")).order_by(column.desc()).limit(limit + 1)
+    if press is not None:
+        query = query.where(table.c.press == press)
+    if level is not None:
+        query = query.where(table.c.level == level)
+    if cursor is not None:
+        query = query.where(column < cursor_number(cursor))
+    rows = list(connection.execute(query).all())
+    return rows[:limit], str(rows[limit - 1].row_number) if len(rows) > limit else None

@@ -8,21 +8,25 @@ from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Any, Literal
 
-from sqlalchemy import Connection, func, insert, select, text, update
+from sqlalchemy import Connection, and_, func, insert, select, text, update
 from sqlalchemy.exc import IntegrityError
 
-from daq.qualities import QUALITY, row_faults
+from daq.files.qualities import QUALITY, row_faults
 from daq.records import Channel, InputError, PressEvent, Run, Scan
 from daq.store.convert import faults_json, header_of, header_text, null, readings_json, unix_of, utc_of
+from daq.store.journal import log
 from daq.store.origin import LATEST_UNIX_S, REMARK, columns_from_header
 from daq.store.records import NewRun, PressKey, RunEnd, RunStatus, StoreUnavailable
 from daq.store.schema import CONFIGURATION, LAYOUT, PRESS, PRESS_EVENT, RUN, RUN_CHANGE, SCAN, SCAN_REMARK
+from daq.words import say
 
+PROCESS = "record"
+"""Who the journal says found out what a write brings to light."""
 Kind = Literal["recorded", "imported"]
 _NAME = re.compile(r"(?!\.{1,2}$)[^\x00-\x1f\x7f-\x9f/\\]{1,200}")
 """A run's name is a file's name on export, part of a URL, and a cell of a list."""
-_PASSWORD = re.compile(r"(://[^\s:/@\"']*:)[^\s\"']+@")
-"""A password in a URL does not belong into every backup."""
+_PASSWORD = re.compile(r"(://[^\s:/@\"']*:)[^\"'\n]+@|([?&](?:ssl)?password=)[^&\"'\n]+")
+"""A password in a URL does not belong into every backup: in case the text comes from elsewhere."""
 
 
 def register_press(
@@ -73,18 +77,16 @@ def _make_view(
     connection: Connection, name: str, press_id: int, layout_id: int, channels: Sequence[Channel]
 ) -> None:
     """Make ``scan_of_<press>``: the newest layout's scans under real channel names, for any SQL tool."""
-    view = _quoted("scan_of_" + "".join(c if c.isalnum() else "_" for c in name))
+    view = _quoted(_view_name(connection, name, press_id))
     if connection.dialect.name == "sqlite":
         values = [f"json_extract(readings, '$[{i}]')" for i in range(len(channels))]
         utc = "strftime('%Y-%m-%dT%H:%M:%fZ', unix_s, 'unixepoch')"
     else:
         values = [f"(readings::json ->> {i})::double precision" for i in range(len(channels))]
         utc = "to_timestamp(unix_s) AT TIME ZONE 'UTC'"
-    named = [
-        f"{value} AS {_quoted(c.name + ('_celsius' if c.unit == 'C' else ''))}"
-        for c, value in zip(channels, values, strict=True)
-    ]
-    columns = ", ".join(["number", f"{utc} AS utc", "monotonic_s", *named, "faults"])
+    titles = _told_apart([c.name + ("_celsius" if c.unit == "C" else "") for c in channels])
+    named = [f"{value} AS {_quoted(title)}" for title, value in zip(titles, values, strict=True)]
+    columns = ", ".join([*_OWN_COLUMNS[:1], f"{utc} AS utc", "monotonic_s", *named, "faults"])
     connection.execute(text(f"DROP VIEW IF EXISTS {view}"))
     body = f"CREATE VIEW {view} AS SELECT {columns} FROM scan"
     connection.exec_driver_sql(
@@ -92,6 +94,42 @@ def _make_view(
         if connection.dialect.name == "postgresql"
         else f"{body} WHERE press_id = {press_id} AND layout_id = {layout_id}"
     )
+
+
+_OWN_COLUMNS = ("number", "utc", "monotonic_s", "faults")
+_LONGEST_NAME = 63
+"""A server cuts longer names off without a word. [bytes] (PostgreSQL, NAMEDATALEN - 1)"""
+
+
+def _view_name(connection: Connection, press: str, press_id: int) -> str:
+    """Return the name of a press's view; of presses that differ in signs alone the first has the plain one."""
+    recorded = select(PRESS.c.press_id, PRESS.c.name).where(PRESS.c.kind == "recorded").order_by(PRESS.c.press_id)
+    plain = _cut(_plain(press))
+    rows = connection.execute(recorded).all()
+    alike = [row.press_id for row in rows if _cut(_plain(row.name)).casefold() == plain.casefold()]
+    return plain if press_id in alike[:1] else _cut(_plain(press), f"_{press_id}")
+
+
+def _plain(press: str) -> str:
+    return "scan_of_" + "".join(c if c.isalnum() else "_" for c in press)
+
+
+def _told_apart(names: Sequence[str]) -> list[str]:
+    """Return names that differ from one another and from the view's own columns for every engine."""
+    taken, told = set(_OWN_COLUMNS), []
+    for place, name in enumerate(names):
+        short = _cut(name)
+        if short.casefold() in taken:
+            short = _cut(name, f"_{place}")
+        taken.add(short.casefold())
+        told.append(short)
+    return told
+
+
+def _cut(name: str, ending: str = "") -> str:
+    """Return a name with an ending, no longer than an engine keeps."""
+    room = _LONGEST_NAME - len(ending.encode())
+    return name.encode()[:room].decode("utf-8", "ignore") + ending
 
 
 def _quoted(name: str) -> str:
@@ -113,11 +151,7 @@ def append(
     for event in events:
         _append_event(connection, key, event, scans[-1].number if scans else key.next_number)
     if end is not None:
-        connection.execute(
-            update(RUN)
-            .where(RUN.c.run == end.run, RUN.c.status == RunStatus.OPEN.value)
-            .values(status=end.status.value, last_scan=end.last_scan, ended_unix_s=unix_of(end.ended_utc))
-        )
+        _end_run(connection, key, end)
 
 
 def _append_scans(connection: Connection, key: PressKey, scans: Sequence[Scan]) -> None:
@@ -150,27 +184,76 @@ def _append_unless_there(connection: Connection, key: PressKey, rows: list[dict[
         if there is None:
             connection.execute(insert(SCAN), row)
         elif there["monotonic_s"] != row["monotonic_s"] or there["readings"] != row["readings"]:
-            raise StoreUnavailable(
-                f"press {key.name}: scan {row['number']} is there already with other values; "
-                "another recorder writes to this press: stop one of them"
-            )
+            raise StoreUnavailable(say("store-scan-taken", press=key.name, scan=row["number"]))
 
 
 def _begin_run(connection: Connection, key: PressKey, new: NewRun) -> None:
-    if connection.execute(select(RUN.c.run).where(RUN.c.run == new.run)).first():
+    """Open a run, under the next free name where its own is taken; one that is there already stays as it is."""
+    same = (
+        RUN.c.press_id == key.press_id,
+        RUN.c.first_scan == new.first_scan,
+        RUN.c.zero_monotonic_s == new.zero_monotonic_s,
+    )
+    if connection.execute(select(RUN.c.run).where(*same)).first():
         return
+    name = _free_name(connection, new.run)
+    if name != new.run:
+        log(connection, "warning", PROCESS, say("run-renamed", run=new.run, name=name), key.name, None)
     connection.execute(
         insert(RUN),
         {
-            "run": new.run,
+            "run": name,
             "press_id": key.press_id,
             "status": RunStatus.OPEN.value,
             "started_unix_s": unix_of(new.started_utc),
             "zero_monotonic_s": new.zero_monotonic_s,
             "first_scan": new.first_scan,
             "configuration_id": _configuration(connection, new.configuration),
-            **_header_columns({**new.header, "run": new.run}),
+            **_header_columns({**new.header, "run": name}),
         },
+    )
+
+
+def _free_name(connection: Connection, name: str) -> str:
+    """Return a run's name or, where it is taken, one that is free."""
+    while connection.execute(select(RUN.c.run).where(RUN.c.run == name)).first():
+        prefix, dash, number = name.rpartition("-")
+        if not (dash and number.isdecimal()):
+            prefix, number = name, "1"
+        name = f"{prefix}-{_next_free(connection, prefix + '-', int(number)):02d}"
+    return name
+
+
+def _next_free(connection: Connection, prefix: str, number: int) -> int:
+    """Return a number above `number` and above all that runs of this prefix have."""
+    taken = connection.execute(select(RUN.c.run).where(RUN.c.run.startswith(prefix, autoescape=True))).scalars()
+    endings = [name.removeprefix(prefix) for name in taken]
+    return max([number, *(int(ending) for ending in endings if ending.isdecimal())]) + 1
+
+
+def _end_run(connection: Connection, key: PressKey, end: RunEnd) -> None:
+    """Close a run, also one taken for interrupted meanwhile; an end without its run is an alarm."""
+    which = RUN.c.run == end.run
+    if end.first_scan is not None:
+        which = and_(RUN.c.press_id == key.press_id, RUN.c.first_scan == end.first_scan)
+    newest = select(RUN.c.run, RUN.c.status).where(which).order_by(RUN.c.run_number.desc())
+    row = connection.execute(newest).first()
+    if row is None:
+        log(
+            connection,
+            "alarm",
+            PROCESS,
+            say("run-end-without-run", run=end.run, scan=end.last_scan),
+            key.name,
+            None,
+        )
+        return
+    if row.status == RunStatus.CLOSED.value:
+        return
+    connection.execute(
+        update(RUN)
+        .where(RUN.c.run == row.run)
+        .values(status=end.status.value, last_scan=end.last_scan, ended_unix_s=unix_of(end.ended_utc))
     )
 
 
@@ -199,7 +282,7 @@ def software_version() -> str:
 def _configuration(connection: Connection, content: str) -> int | None:
     if not content:
         return None
-    content = _PASSWORD.sub(r"\1***@", content)
+    content = _PASSWORD.sub(lambda m: f"{m[1]}***@" if m[1] else f"{m[2]}***", content)
     found = connection.execute(
         select(CONFIGURATION.c.configuration_id).where(CONFIGURATION.c.text == content)
     ).scalar()
@@ -209,12 +292,15 @@ def _configuration(connection: Connection, content: str) -> int | None:
 
 
 def _append_event(connection: Connection, key: PressKey, event: PressEvent, number: int) -> None:
-    there = select(PRESS_EVENT.c.press_event_id).where(
+    there = select(PRESS_EVENT.c.monotonic_s).where(
         PRESS_EVENT.c.press_id == key.press_id,
         PRESS_EVENT.c.scan_number == number,
         PRESS_EVENT.c.kind == event.kind.value,
     )
-    if connection.execute(there).first():
+    if (same := connection.execute(there).first()) is not None:
+        if same.monotonic_s != event.monotonic_s:
+            said = say("event-twice", kind=event.kind.value, scan=number, press=key.name)
+            log(connection, "alarm", PROCESS, said, key.name, {"monotonic_s": event.monotonic_s})
         return
     before = (
         select(SCAN.c.unix_s)
@@ -278,9 +364,7 @@ def interrupt_open_runs(connection: Connection, press: str) -> list[str]:
 def unused_run_name(connection: Connection, press: str, when: datetime) -> str:
     """Return ``press-date-NN`` with the next free number of the day."""
     prefix = f"{press}-{when:%Y-%m-%d}-"
-    taken = connection.execute(select(RUN.c.run).where(RUN.c.run >= prefix, RUN.c.run < prefix + "~")).scalars()
-    numbers = [int(name.removeprefix(prefix)) for name in taken if name.removeprefix(prefix).isdigit()]
-    return f"{prefix}{max(numbers, default=0) + 1:02d}"
+    return f"{prefix}{_next_free(connection, prefix, 0):02d}"
 
 
 def import_run(connection: Connection, run: Run, press: str, press_file: str, ago_s: float = 0.0) -> str:
@@ -290,10 +374,7 @@ def import_run(connection: Connection, run: Run, press: str, press_file: str, ag
     """
     _check_name(run)
     if connection.execute(select(RUN.c.run).where(RUN.c.run == run.name)).first():
-        raise InputError(
-            f"{run.source or run.name}: run {run.name!r} is in the store already; "
-            "nothing was imported; change the header key run"
-        )
+        raise InputError(say("store-run-taken", file=run.source or run.name, run=run.name))
     told = columns_from_header(run.header, run.source or run.name)
     channels = tuple(Channel(name, _unit(name)) for name in run.columns)
     key = register_press(connection, press, channels, press_file, "imported")
@@ -350,10 +431,7 @@ def _remarks(run: Run) -> dict[int, str]:
 def _check_name(run: Run) -> None:
     given = run.header.get("run", run.name)
     if isinstance(given, list | bool) or not _NAME.fullmatch(run.name) or run.name != run.name.strip():
-        raise InputError(
-            f"{run.source or 'run'}: header key run = {given!r}: must be a name of 1 to 200 characters without "
-            "slashes, line breaks or blanks at its ends; nothing was imported"
-        )
+        raise InputError(say("store-run-name", file=run.source or "run", name=repr(given)))
 
 
 def _unit(column: str) -> str:
@@ -364,10 +442,10 @@ def annotate_run(connection: Connection, run: str, changes: Mapping[str, Any], w
     """Change header keys or the remark of a run; what was there before is kept. None removes a key."""
     row = connection.execute(select(RUN.c.header_toml, RUN.c.remark).where(RUN.c.run == run)).first()
     if row is None:
-        raise InputError(f"run {run!r} is not in the store")
+        raise InputError(say("store-run-missing", run=run))
     header, remark = header_of(row.header_toml), row.remark
     if "run" in changes:
-        raise InputError(f"run {run!r}: the name of a run cannot change")
+        raise InputError(say("store-run-renamed", run=run))
     now = unix_of(datetime.now(UTC))
     for field, after in changes.items():
         before = remark if field == "remark" else header.get(field)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from enum import StrEnum
 from typing import Any, Generic, Literal, TypeVar
 
 from daq.records import Channel, Moments, PressState, Scan
+from daq.words import Message
 
 T = TypeVar("T")
 
@@ -23,6 +24,15 @@ class RunStatus(StrEnum):
     OPEN = "open"
     CLOSED = "closed"
     INTERRUPTED = "interrupted"
+
+
+class ModelStatus(StrEnum):
+    """What has become of a model version."""
+
+    CANDIDATE = "candidate"
+    PROMOTED = "promoted"
+    RETIRED = "retired"
+    REJECTED = "rejected"
 
 
 @dataclass(frozen=True)
@@ -42,6 +52,7 @@ class NewRun:
     """A run to open: its first scan may lie back in time (pre-trigger)."""
 
     run: str
+    """The name it would like; the store gives the next free one where that is taken."""
     first_scan: int
     started_utc: datetime
     zero_monotonic_s: float
@@ -58,6 +69,8 @@ class RunEnd:
     last_scan: int
     ended_utc: datetime
     status: RunStatus = RunStatus.CLOSED
+    first_scan: int | None = None
+    """What a run of a press is known by, whatever its name; None: its name is the one it has in the store."""
 
 
 @dataclass(frozen=True)
@@ -158,7 +171,7 @@ class ModelRecord:
     version: str
     press: str
     created_utc: datetime
-    status: Literal["candidate", "promoted", "retired", "rejected"]
+    status: ModelStatus
     reason: str
     model: Mapping[str, Any]
 
@@ -183,7 +196,8 @@ class JournalEntry:
     level: Literal["info", "warning", "alarm"]
     process: str
     press: str | None
-    message: str
+    message: Message
+    """Lines of older versions are `plain-text`."""
     detail: Mapping[str, Any] | None
 
 
@@ -194,6 +208,20 @@ class ProcessStatus:
     process: str
     utc: datetime
     status: Mapping[str, Any]
+
+
+def in_status(problems: Sequence[Message], else_: Message) -> dict[str, Any]:
+    """Return how a sign of life says what is wrong, or else how it goes: in English, and as codes for the faces.
+
+    ``message`` and ``problems`` are texts; ``message_codes`` and ``problem_codes`` hold `Message.to_json` of each.
+    """
+    said = problems or [else_]
+    return {
+        "message": "; ".join(map(str, said)),
+        "message_codes": [one.to_json() for one in said],
+        "problems": [str(one) for one in problems],
+        "problem_codes": [one.to_json() for one in problems],
+    }
 
 
 @dataclass(frozen=True)

@@ -5,26 +5,26 @@ from __future__ import annotations
 import json
 from collections.abc import Collection, Mapping, Sequence
 from datetime import UTC, datetime
-from typing import Any, Literal
+from typing import Any
 
 from sqlalchemy import ColumnElement, Connection, Row, Table, func, insert, or_, select, update
 from sqlalchemy.dialects import postgresql, sqlite
 
 from daq.records import InputError, PressState
 from daq.store.convert import known_utc, nan, null, to_json, unix_of
-from daq.store.reading import cursor_number, recorded_id, run_row
+from daq.store.journal import log
+from daq.store.reading import cursor_number, newest_first, recorded_id, run_row
 from daq.store.records import (
     CoefficientRecord,
     DiagnosisRecord,
-    JournalEntry,
     ModelRecord,
+    ModelStatus,
     Page,
     ProcessStatus,
     StoredEstimate,
 )
-from daq.store.schema import COEFFICIENT, DIAGNOSIS, ESTIMATE, EVENT, FIT, MODEL, RUN, STATUS
-
-ModelStatus = Literal["candidate", "promoted", "retired", "rejected"]
+from daq.store.schema import COEFFICIENT, DIAGNOSIS, ESTIMATE, FIT, MODEL, RUN, STATUS
+from daq.words import Message, say
 
 
 def _now() -> float:
@@ -269,35 +269,39 @@ def put_model(
 ) -> int:
     """Keep a model version; raises `InputError` where the version exists."""
     if connection.execute(select(MODEL.c.version).where(MODEL.c.version == version)).first():
-        raise InputError(f"model version {version!r} is in the store already; versions never change")
+        raise InputError(say("model-version-taken", version=version))
     row = {
         "version": version,
         "press": press,
         "created_unix_s": _now(),
-        "status": status,
+        "status": ModelStatus(status).value,
         "reason": reason,
         "model_json": to_json(model),
     }
     return _key(connection, MODEL, row)
 
 
-def promote_model(connection: Connection, version: str, who: str, reason: str) -> None:
+def promote_model(connection: Connection, version: str, who: str, reason: Message | str) -> None:
     """Make a version the one the live sensor uses; the one before is retired.
 
     The journal keeps who did it and why; the version's own reason, which is its evidence, stays.
     """
     press = connection.execute(select(MODEL.c.press).where(MODEL.c.version == version)).scalar()
     if press is None:
-        raise InputError(f"model version {version!r} is not in the store")
-    current = (MODEL.c.press == press, MODEL.c.status == "promoted", MODEL.c.version != version)
-    connection.execute(update(MODEL).where(*current).values(status="retired"))
-    connection.execute(update(MODEL).where(MODEL.c.version == version).values(status="promoted"))
-    log(connection, "info", who, f"model {version} promoted", press, {"reason": reason})
+        raise InputError(say("model-version-missing", version=version))
+    current = (MODEL.c.press == press, MODEL.c.status == ModelStatus.PROMOTED.value, MODEL.c.version != version)
+    connection.execute(update(MODEL).where(*current).values(status=ModelStatus.RETIRED.value))
+    connection.execute(update(MODEL).where(MODEL.c.version == version).values(status=ModelStatus.PROMOTED.value))
+    detail: dict[str, Any] = {"reason": str(reason)}
+    if isinstance(reason, Message):
+        detail["reason_said"] = reason.to_json()
+    log(connection, "info", who, say("model-promoted", version=version), press, detail)
 
 
 def active_model(connection: Connection, press: str) -> ModelRecord | None:
     """Return the promoted model of a press, or None."""
-    row = connection.execute(select(MODEL).where(MODEL.c.press == press, MODEL.c.status == "promoted")).first()
+    promoted = MODEL.c.press == press, MODEL.c.status == ModelStatus.PROMOTED.value
+    row = connection.execute(select(MODEL).where(*promoted)).first()
     return None if row is None else _model(row)
 
 
@@ -305,19 +309,19 @@ def model(connection: Connection, version: str) -> ModelRecord:
     """Return one version; raises `InputError` where there is none."""
     row = connection.execute(select(MODEL).where(MODEL.c.version == version)).first()
     if row is None:
-        raise InputError(f"model version {version!r} is not in the store")
+        raise InputError(say("model-version-missing", version=version))
     return _model(row)
 
 
 def models(connection: Connection, press: str | None, cursor: str | None, limit: int) -> Page[ModelRecord]:
     """Return a page of model versions, newest first."""
-    rows, following = _newest_first(connection, MODEL, "model_number", press, cursor, limit)
+    rows, following = newest_first(connection, MODEL, "model_number", press, cursor, limit)
     return Page(tuple(_model(row) for row in rows), following)
 
 
 def _model(r: Row[Any]) -> ModelRecord:
     created, content = known_utc(r.created_unix_s), json.loads(r.model_json)
-    return ModelRecord(r.model_number, r.version, r.press, created, r.status, r.reason, content)
+    return ModelRecord(r.model_number, r.version, r.press, created, ModelStatus(r.status), r.reason, content)
 
 
 def put_diagnosis(connection: Connection, press: str, diagnosis: Mapping[str, Any]) -> int:
@@ -333,7 +337,7 @@ def put_diagnosis(connection: Connection, press: str, diagnosis: Mapping[str, An
 
 def diagnoses(connection: Connection, press: str | None, cursor: str | None, limit: int) -> Page[DiagnosisRecord]:
     """Return a page of diagnoses, newest first."""
-    rows, following = _newest_first(connection, DIAGNOSIS, "diagnosis_id", press, cursor, limit)
+    rows, following = newest_first(connection, DIAGNOSIS, "diagnosis_id", press, cursor, limit)
     items = tuple(
         DiagnosisRecord(
             r.diagnosis_id, r.press, known_utc(r.created_unix_s), r.verdict, json.loads(r.diagnosis_json)
@@ -341,67 +345,6 @@ def diagnoses(connection: Connection, press: str | None, cursor: str | None, lim
         for r in rows
     )
     return Page(items, following)
-
-
-def log(
-    connection: Connection,
-    level: str,
-    process: str,
-    message: str,
-    press: str | None,
-    detail: Mapping[str, Any] | None,
-    utc: datetime | None = None,
-) -> None:
-    """Add a line to the journal, of now or of the moment given."""
-    row = {
-        "unix_s": _now() if utc is None else unix_of(utc),
-        "level": level,
-        "process": process,
-        "press": press,
-        "message": message,
-        "detail_json": None if detail is None else to_json(detail),
-    }
-    connection.execute(insert(EVENT), row)
-
-
-def journal(
-    connection: Connection, press: str | None, level: str | None, cursor: str | None, limit: int
-) -> Page[JournalEntry]:
-    """Return a page of the journal, newest first."""
-    rows, following = _newest_first(connection, EVENT, "event_id", press, cursor, limit, level)
-    return Page(tuple(_entry(r) for r in rows), following)
-
-
-def journal_after(connection: Connection, after: int, limit: int) -> tuple[JournalEntry, ...]:
-    """Return the journal lines that follow row `after`, oldest first."""
-    query = select(EVENT).where(EVENT.c.event_id > after).order_by(EVENT.c.event_id).limit(limit)
-    return tuple(_entry(r) for r in connection.execute(query).all())
-
-
-def _entry(r: Row[Any]) -> JournalEntry:
-    detail = None if r.detail_json is None else json.loads(r.detail_json)
-    return JournalEntry(r.event_id, known_utc(r.unix_s), r.level, r.process, r.press, r.message, detail)
-
-
-def _newest_first(
-    connection: Connection,
-    table: Table,
-    key: str,
-    press: str | None,
-    cursor: str | None,
-    limit: int,
-    level: str | None = None,
-) -> tuple[list[Row[Any]], str | None]:
-    column = table.c[key]
-    query = select(table, column.label("row_number")).order_by(column.desc()).limit(limit + 1)
-    if press is not None:
-        query = query.where(table.c.press == press)
-    if level is not None:
-        query = query.where(table.c.level == level)
-    if cursor is not None:
-        query = query.where(column < cursor_number(cursor))
-    rows = list(connection.execute(query).all())
-    return rows[:limit], str(rows[limit - 1].row_number) if len(rows) > limit else None
 
 
 def beat(connection: Connection, process: str, status: Mapping[str, Any]) -> None:

@@ -158,5 +158,6 @@ EVENT = _table(
     press=Text,
     message=Text,
     detail_json=Text,
+    message_json=Text,
 )
 STATUS = _table("status", "process", process=Text, unix_s=Double, status_json=Text)

@@ -11,16 +11,19 @@ from socket import gethostname
 from types import TracebackType
 from typing import Any, Literal
 
+from sqlalchemy import text
+
 from daq.records import Channel, PressEvent, Run, Scan
-from daq.store import reading, recording, results, upkeep
+from daq.store import journal, reading, recording, results, upkeep
+from daq.store.convert import known_utc
 from daq.store.database import BUSY_S, Database
 from daq.store.origin import header_for_file
-from daq.store.parcels import Parcel, in_rows
 from daq.store.records import (
     CoefficientRecord,
     DiagnosisRecord,
     JournalEntry,
     ModelRecord,
+    ModelStatus,
     NewRun,
     Page,
     PressKey,
@@ -33,6 +36,8 @@ from daq.store.records import (
     StoredEstimate,
     StoredPressEvent,
 )
+from daq.store.write_batch import Entry, WriteBatch, in_rows
+from daq.words import Message
 
 
 def open_store(url: str, *, create: bool = True, busy_s: float = BUSY_S, later: bool = False) -> Store:
@@ -100,13 +105,21 @@ class Store:
         with self.database.writing() as connection:
             recording.append(connection, key, scans, events, begin, end)
 
-    def write_parcels(self, parcels: Sequence[Parcel]) -> None:
-        """Write several parcels of `append_scans` in one commit."""
-        if not parcels:
+    def write_batches(self, batches: Sequence[WriteBatch], lines: Sequence[Entry] = ()) -> None:
+        """Write several batches of `append_scans` and journal lines in one commit."""
+        if not batches and not lines:
             return
         with self.database.writing() as connection:
-            for p in in_rows(parcels):
+            for p in in_rows(batches):
                 recording.append(connection, p.key, p.scans, p.events, p.begin, p.end)
+            for line in lines:
+                at = known_utc(line.unix_s)
+                journal.log(connection, line.level, line.process, line.message, line.press, line.detail, at)
+
+    def try_to_write(self) -> None:
+        """Raise what keeps anything from being written now."""
+        with self.database.writing() as connection:
+            connection.execute(text("SELECT 1"))
 
     def layout_of(self, press_id: int, press: str, channels: Sequence[Channel]) -> int:
         """Return the number of a press's layout with these channels, made where it is new."""
@@ -324,14 +337,14 @@ class Store:
         version: str,
         model: Mapping[str, Any],
         *,
-        status: results.ModelStatus = "candidate",
+        status: ModelStatus = ModelStatus.CANDIDATE,
         reason: str = "",
     ) -> int:
         """Keep a model version (the JSON of the model file); raises `InputError` where it exists."""
         with self.database.writing() as connection:
             return results.put_model(connection, press, version, model, status, reason)
 
-    def promote_model(self, version: str, who: str, reason: str = "") -> None:
+    def promote_model(self, version: str, who: str, reason: Message | str = "") -> None:
         """Make a version the live sensor's; the one before is retired; the journal says who did it."""
         with self.database.writing() as connection:
             results.promote_model(connection, version, who, reason)
@@ -369,14 +382,14 @@ class Store:
         self,
         level: Literal["info", "warning", "alarm"],
         process: str,
-        message: str,
+        message: Message | str,
         press: str | None = None,
         detail: Mapping[str, Any] | None = None,
         utc: datetime | None = None,
     ) -> None:
         """Add a line to the journal: changes of state, losses, who did what. `utc`: when, where not now."""
         with self.database.writing() as connection:
-            results.log(connection, level, process, message, press, detail, utc)
+            journal.log(connection, level, process, message, press, detail, utc)
 
     def journal(
         self,
@@ -388,12 +401,12 @@ class Store:
     ) -> Page[JournalEntry]:
         """Return a page of the journal, newest first."""
         with self.database.reading() as connection:
-            return results.journal(connection, press, level, cursor, limit)
+            return journal.journal(connection, press, level, cursor, limit)
 
     def journal_after(self, after: int, limit: int = 1000) -> tuple[JournalEntry, ...]:
         """Return journal lines after row `after`, oldest first, for followers."""
         with self.database.reading() as connection:
-            return results.journal_after(connection, after, limit)
+            return journal.journal_after(connection, after, limit)
 
     def beat(self, process: str, status: Mapping[str, Any]) -> None:
         """Write a process's sign of life, about once a second."""

@@ -19,11 +19,12 @@ from pathlib import Path
 from sqlalchemy import Connection, Table, delete, func, insert, select, text
 from sqlalchemy.exc import ProgrammingError
 
-from daq.manifest import check_listed, update_manifest
+from daq.files.manifest import check_listed, update_manifest
 from daq.records import InputError
 from daq.store.database import Database, migrations
 from daq.store.records import StoreUnavailable
 from daq.store.schema import ESTIMATE, FIT, METADATA, MODEL, PRESS, RUN, SCAN
+from daq.words import say
 
 _BATCH = 20_000
 Progress = Callable[[int], None]
@@ -76,7 +77,7 @@ def back_up(database: Database, target: Path) -> Contents:
         part.replace(target)
         update_manifest(target.parent, [target])
     except (sqlite3.Error, OSError) as error:
-        raise StoreUnavailable(f"backup {target}: {error}; check the disk and its space") from error
+        raise StoreUnavailable(say("backup-failed", file=str(target), error=str(error))) from error
     finally:
         for leftover in (part, part.with_name(part.name + "-wal"), part.with_name(part.name + "-shm")):
             with suppress(OSError):
@@ -86,9 +87,9 @@ def back_up(database: Database, target: Path) -> Contents:
 
 def _check_target(target: Path) -> None:
     if target.exists():
-        raise InputError(f"backup {target}: exists already; give a new name, backups are never overwritten")
+        raise InputError(say("backup-exists", file=str(target)))
     if not target.parent.is_dir():
-        raise InputError(f"backup {target}: folder {target.parent} does not exist; create it")
+        raise InputError(say("backup-no-folder", file=str(target), folder=str(target.parent)))
 
 
 def _copy_file(source: Path, target: Path) -> None:
@@ -136,13 +137,13 @@ def verify(path: Path) -> Contents:
         For a file that is damaged, no store, or made by a newer version.
     """
     if not path.is_file():
-        raise InputError(f"backup {path}: does not exist")
+        raise InputError(say("backup-missing", file=str(path)))
     try:
         with closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as connection:
             if (sound := connection.execute("PRAGMA integrity_check(1)").fetchone()[0]) != "ok":
-                raise InputError(f"backup {path}: damaged: {sound}; take another backup")
+                raise InputError(say("backup-damaged", file=str(path), error=sound))
             if connection.execute("PRAGMA foreign_key_check").fetchone() is not None:
-                raise InputError(f"backup {path}: damaged: rows refer to rows that are not there")
+                raise InputError(say("backup-rows-missing", file=str(path)))
             schema = connection.execute("SELECT version FROM schema_version").fetchone()[0]
             counts = [
                 connection.execute(f"SELECT count(*) FROM {table}").fetchone()[0]
@@ -150,13 +151,11 @@ def verify(path: Path) -> Contents:
             ]
             short = connection.execute(_RUNS_WITHOUT_ENDS).fetchone()
     except sqlite3.Error as error:
-        raise InputError(f"backup {path}: not a sound store: {error}; take another backup") from error
+        raise InputError(say("backup-unsound", file=str(path), error=str(error))) from error
     if schema > (known := max(migrations())):
-        raise InputError(
-            f"backup {path}: made by a newer version (schema {schema}, this one knows {known}); update Kerntemp"
-        )
+        raise InputError(say("backup-newer", file=str(path), schema=schema, known=known))
     if short is not None:
-        raise InputError(f"backup {path}: run {short[0]} lacks its first or last scan; take another backup")
+        raise InputError(say("backup-run-short", file=str(path), run=short[0]))
     check_listed(path)
     return Contents(schema, *counts)
 
@@ -181,7 +180,7 @@ def restore(backup: Path, url: str) -> Contents:
     with closing(Database(url)) as target, tempfile.TemporaryDirectory(prefix="kerntemp-restore-") as folder:
         with target.reading() as connection:
             if connection.execute(select(func.count()).select_from(PRESS)).scalar():
-                raise InputError(f"store {target.label}: holds data; restore only into a new place")
+                raise InputError(say("store-not-empty", store=target.label))
         working = Path(folder) / "backup.sqlite"  # opening a store writes beside it; the backup stays untouched
         shutil.copyfile(backup, working)
         with closing(Database(str(working))) as source:  # an older backup comes up to date here
@@ -189,7 +188,9 @@ def restore(backup: Path, url: str) -> Contents:
                 _copy_tables(rows, target)
             expected, found = _rows_of(source), _rows_of(target)
         if found != expected:
-            raise StoreUnavailable(f"store {target.label}: holds {found} after restoring, the backup {expected}")
+            raise StoreUnavailable(
+                say("restore-differs", store=target.label, found=str(found), expected=str(expected))
+            )
         return contents_of(target)
 
 

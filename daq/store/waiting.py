@@ -7,8 +7,10 @@ import threading
 
 from daq.store.records import StoreUnavailable
 from daq.store.store import Store, open_store
+from daq.words import say, spoken
 
 RETRY_S = 2.0
+"""How often a store that is away is tried. Set by hand, 2026-11. [s]"""
 
 
 def open_when_ready(url: str, stop: threading.Event, log: logging.Logger) -> Store | None:
@@ -19,7 +21,7 @@ def open_when_ready(url: str, stop: threading.Event, log: logging.Logger) -> Sto
             return open_store(url)
         except StoreUnavailable as error:
             if not said:
-                log.warning("%s; trying again", error)
+                log.warning("%s", say("store-trying-again", why=spoken(error)))
                 said = True
         stop.wait(RETRY_S)
     return None

@@ -5,16 +5,19 @@ A second recorder would end the first one's open run as interrupted, take its sc
 
 from __future__ import annotations
 
+import socket
 import sys
 import time
-from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import IO
 
 from daq.records import InputError
+from daq.words import Message
 
-PATIENCE_S = 5.0
+WAIT_S = 5.0
 """A recorder that is just ending, or was just killed, is waited for. [s]"""
 
 if sys.platform == "win32":
@@ -31,7 +34,7 @@ else:
 
 
 @contextmanager
-def alone(places: Mapping[Path, str]) -> Iterator[None]:
+def only_user(places: Mapping[Path, Message]) -> Iterator[None]:
     """Hold what must have one user; of each place its file and what to say where another process holds it.
 
     A place where no file can be made (disk full or read-only) is not held: that must not stop recording.
@@ -39,7 +42,7 @@ def alone(places: Mapping[Path, str]) -> Iterator[None]:
     Raises
     ------
     InputError
-        With what is to be said, after `PATIENCE_S`.
+        With what is to be said, after `WAIT_S`.
     """
     with ExitStack() as held:
         for place, complaint in places.items():
@@ -47,7 +50,28 @@ def alone(places: Mapping[Path, str]) -> Iterator[None]:
                 file = held.enter_context(lock_file(place).open("ab"))
             except OSError:
                 continue
-            _wait_for(file, complaint)
+            _wait_for(partial(_lock, file), complaint)
+        yield
+
+
+@contextmanager
+def only_user_of_file(path: Path, presses: Mapping[str, Message]) -> Iterator[None]:
+    """Hold a file's presses against users who reach the same file by another name, a hard link; Linux only.
+
+    Raises
+    ------
+    InputError
+        With what is to be said of a press, after `WAIT_S`.
+    """
+    with ExitStack() as held:
+        if sys.platform == "linux":
+            with suppress(OSError):
+                path.touch()  # a file that is not there yet has no identity to hold
+                found = path.stat()
+                for press, complaint in presses.items():
+                    address = f"\0kerntemp-record-{found.st_dev}-{found.st_ino}-{press}"
+                    name = held.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM))
+                    _wait_for(partial(name.bind, address), complaint)
         yield
 
 
@@ -56,11 +80,11 @@ def lock_file(place: Path) -> Path:
     return place.with_name(f".{place.name}.lock")
 
 
-def _wait_for(file: IO[bytes], complaint: str) -> None:
-    deadline = time.monotonic() + PATIENCE_S
+def _wait_for(lock: Callable[[], None], complaint: Message) -> None:
+    deadline = time.monotonic() + WAIT_S
     while True:
         try:
-            _lock(file)
+            lock()
         except OSError as error:
             if time.monotonic() > deadline:
                 raise InputError(complaint) from error

@@ -17,13 +17,15 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import Any
+from typing import Any, Literal
 
 from daq.drivers import DataLogger, ReadFailure
 from daq.records import Quality, Reading, Scan
+from daq.supervision import SupervisedThread, unexpected
+from daq.words import Message, say, spoken
 
-Say = Callable[[str, str, Mapping[str, Any]], None]
-"""Level, sentence, detail: for state changes only."""
+Journal = Callable[[Literal["info", "warning", "alarm"], Message, Mapping[str, Any]], None]
+"""Level, message, detail: for state changes only."""
 _OLDEST_PERIODS = 1.5
 _LOST_AFTER_S = 3.0
 """A logger without an answer this long is called lost. [s]"""
@@ -32,15 +34,16 @@ _LOST_AFTER_S = 3.0
 class LoggerThread:
     """Asks one logger at every tick and keeps its newest answer."""
 
-    def __init__(self, name: str, logger: DataLogger, say: Say) -> None:
+    def __init__(self, name: str, logger: DataLogger, journal: Journal) -> None:
         self.name = name
         self.channels = logger.channels
         self.counters: Counter[str] = Counter()
         self.last_good_utc: datetime | None = None
         self.lost = False
-        self.message = ""
+        self.trouble: Message | None = None
+        """Why the newest reading did not come about."""
         self._logger = logger
-        self._say = say
+        self._journal = journal
         self._retired = False
         self._answer: tuple[int, Reading] | None = None
         self._failure = Quality.LATE
@@ -48,15 +51,25 @@ class LoggerThread:
         self.returned_s = time.monotonic()
         """When the driver last came back from its device, with an answer or the reason for none. [s]"""
         self._arrived: Callable[[], None] = lambda: None
+        self._thread: SupervisedThread | None = None
 
     def start(
         self, ticks: Callable[[], Ticks], arrived: Callable[[], None], stop: threading.Event
-    ) -> threading.Thread:
+    ) -> SupervisedThread:
         """Read in a thread of its own, by the schedule in force, until `stop`."""
         self._arrived = arrived
-        thread = threading.Thread(target=self._work, args=(ticks, stop), name=self.name, daemon=True)
-        thread.start()
-        return thread
+
+        def alarm(fault: Message) -> None:
+            self._journal("alarm", fault, {"logger": self.name})
+
+        self._thread = SupervisedThread(f"logger {self.name}", lambda: self._work(ticks, stop), alarm)
+        self._thread.start()
+        return self._thread
+
+    @property
+    def fault(self) -> Message | None:
+        """What ended this logger's thread, until it reads again."""
+        return None if self._thread is None else self._thread.fault
 
     def retire(self) -> None:
         """Read no more; the port is released by the next tick at the latest."""
@@ -68,15 +81,17 @@ class LoggerThread:
             self._read(number)
             self._arrived()
             number = max(number + 1, ticks().next_number())
+            if self._thread is not None:
+                self._thread.worked()
         self._logger.close()
 
     def _read(self, number: int) -> None:
         try:
             reading = self._logger.read()
         except ReadFailure as failure:
-            self._failed(str(failure), failure.cause, failure.quality)
+            self._failed(spoken(failure), failure.cause, failure.quality)
         except Exception as error:  # noqa: BLE001 - a fault in one driver must not end its thread
-            self._failed(f"{type(error).__name__}: {error}", "driver fault", Quality.MISSING)
+            self._failed(unexpected(error), "driver fault", Quality.MISSING)
             return  # a broken driver has not come back: the watchdog may start the service anew
         else:
             self._answer = (number, reading)
@@ -84,20 +99,20 @@ class LoggerThread:
             self.counters["good"] += 1
             self.last_good_utc = datetime.now(UTC)
             self._good_s = time.monotonic()
-            self.message = ""
+            self.trouble = None
             if self.lost:
                 self.lost = False
-                self._say("info", f"logger {self.name} answers again", {"logger": self.name})
+                self._journal("info", say("logger-back", logger=self.name), {"logger": self.name})
         self.returned_s = time.monotonic()
 
-    def _failed(self, message: str, cause: str, quality: Quality) -> None:
+    def _failed(self, why: Message, cause: str, quality: Quality) -> None:
         self.counters[cause] += 1
-        self.message, self._failure = message, quality
+        self.trouble, self._failure = why, quality
         if not self.lost and time.monotonic() - self._good_s > _LOST_AFTER_S:
             self.lost = True
-            self._say(
+            self._journal(
                 "warning",
-                f"logger {self.name} does not answer: {message}; recording goes on without it, trying again",
+                say("logger-lost", logger=self.name, why=why),
                 {"logger": self.name, "cause": cause},
             )
 
@@ -118,7 +133,8 @@ class LoggerThread:
             "name": self.name,
             "channels": [c.name for c in self.channels],
             "state": "lost" if self.lost else "answers",
-            "message": self.message,
+            "message": str(self.trouble or ""),
+            "message_code": None if self.trouble is None else self.trouble.to_json(),
             "last_good_utc": None if self.last_good_utc is None else self.last_good_utc.isoformat(),
             "counters": dict(self.counters),
         }
@@ -178,7 +194,7 @@ class Scanner:
         self._last_s = -math.inf
         self._last_scan_s = -math.inf
         self._arrived = threading.Condition()
-        self._threads: list[threading.Thread] = []
+        self._threads: list[SupervisedThread] = []
 
     def start(self, stop: threading.Event) -> None:
         """Start the loggers' threads."""
@@ -194,7 +210,7 @@ class Scanner:
         for logger in before:
             if logger not in loggers:
                 logger.retire()
-        self._threads = [t for t in self._threads if t.is_alive()] + [
+        self._threads = [t for t in self._threads if t.alive] + [
             x.start(lambda: self._ticks, self._notify, stop) for x in loggers if x not in before
         ]
 

@@ -7,6 +7,8 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from daq.records import InputError
+from daq.tables import at
+from daq.words import say
 
 NAME = "SHA256SUMS"
 
@@ -32,10 +34,7 @@ def check_listed(path: Path) -> None:
         return
     expected = _listed(path.parent).get(path.name)
     if expected is not None and expected != _sum(path):
-        raise InputError(
-            f"{path}: changed or damaged since it was written; write it again, or, to use it as it is, take it "
-            f"out of {path.parent / NAME}"
-        )
+        raise InputError(at(path, say("file-changed", manifest=str(path.parent / NAME))))
 
 
 def _listed(folder: Path) -> dict[str, str]:
@@ -46,7 +45,7 @@ def _listed(folder: Path) -> dict[str, str]:
     for number, line in enumerate(manifest.read_text(encoding="utf-8").split("\n"), start=1):
         value, mark, name = line.partition("  ")
         if line and (not mark or len(value) != 64):
-            raise InputError(f"{manifest}: line {number}: not 'SHA-256 sum, two spaces, file'; remove the line")
+            raise InputError(at(manifest, say("manifest-line"), line=number))
         if line:
             sums[name] = value
     return sums

@@ -15,6 +15,7 @@ from itertools import groupby
 import numpy as np
 
 from daq.records import Quality, Run
+from daq.words import Message, say
 
 QUALITY = "quality"
 OTHERS = "*"
@@ -22,7 +23,6 @@ _PART = re.compile(rf"(?:^| )(\S.*?)=({'|'.join(Quality)})(?= |$)")
 
 _PAIR = re.compile(r"([^\s;,=]+)=([^\s;,=]*)")
 _QUALITIES = tuple(str(quality.value) for quality in Quality)
-_FORM = "write column=quality, with one blank between two of them; rename a column that holds other words"
 
 
 @dataclass(frozen=True)
@@ -72,12 +72,13 @@ def row_faults(run: Run) -> list[Mapping[str, Quality]] | None:
     return told if len(told) == len(rows) else None
 
 
-def wrong_quality(texts: Sequence[str], columns: Collection[str]) -> tuple[int, str] | None:
+def wrong_quality(texts: Sequence[str], columns: Collection[str]) -> tuple[int, Message] | None:
     """Return the first row whose cell does not read as qualities of these columns, and why; None for none.
 
     A column that nowhere says ``COLUMN=`` or ``=QUALITY`` holds other words, and nothing of it is wrong.
 
-    >>> wrong_quality(["", "top_9=open"], ["top_1"])
+    >>> row, said = wrong_quality(["", "top_9=open"], ["top_1"])
+    >>> row, str(said)
     (1, "'top_9=open' names column 'top_9', which is not there; correct the name")
     """
     pairs = {text: _PAIR.findall(text) for text in set(texts)}
@@ -89,10 +90,10 @@ def wrong_quality(texts: Sequence[str], columns: Collection[str]) -> tuple[int, 
         if faults is not None and not unknown:
             continue
         if odd := [quality for _, quality in pairs[text] if quality not in _QUALITIES]:
-            return row, f"{text!r}: {odd[0]!r} is no quality; they are {', '.join(_QUALITIES)}"
+            return row, say("quality-unknown", text=repr(text), quality=repr(odd[0]), known=_QUALITIES)
         if faults is None or any("=" in name for name in unknown):
-            return row, f"{text!r}: {_FORM}"
-        return row, f"{text!r} names column {unknown[0]!r}, which is not there; correct the name"
+            return row, say("quality-form", text=repr(text))
+        return row, say("quality-no-such-column", text=repr(text), column=repr(unknown[0]))
     return None
 
 

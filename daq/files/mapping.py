@@ -38,7 +38,6 @@ from __future__ import annotations
 import csv
 import fnmatch
 import math
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -49,8 +48,10 @@ from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
-from daq.pressfile import explain
+from daq.press.header import check_header
 from daq.records import COLDEST_C, HOTTEST_C, Array, InputError, Run
+from daq.tables import at, explained, load_toml, reason_of
+from daq.words import say
 
 _DELIMITERS = {"tab": "\t", "space": " "}
 _SECONDS = {"milliseconds": 1e-3, "seconds": 1.0, "minutes": 60.0, "hours": 3600.0}
@@ -90,7 +91,7 @@ class TimeTable(_Table):
         try:
             return zone and ZoneInfo(zone).key
         except (ZoneInfoNotFoundError, ValueError, OSError) as error:
-            raise ValueError("must be a time zone such as Europe/Berlin") from error
+            raise ValueError(say("mapping-no-zone")) from error
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -142,21 +143,15 @@ def read_mapping(path: Path) -> Mapped:
     """Read and check a mapping. Raises `InputError` naming key, value and what is allowed."""
     path = Path(path)
     try:
-        mapped = Mapped.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(
-            f"{path}: cannot read the mapping: {getattr(error, 'strerror', None) or error}"
-        ) from error
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{path}: not valid TOML: {error}") from error
+        mapped = Mapped.model_validate(load_toml(path, say("file-of-mapping")))
     except ValidationError as error:
-        raise InputError(f"{path}: {explain(error)}") from error
+        raise InputError(at(path, explained(error, Mapped))) from error
     targets = [c.to for c in mapped.column]
     if twice := next((t for t in targets if targets.count(t) > 1), None):
-        raise InputError(f"{path}: column.to = {twice!r} occurs twice; each column of the run file has one source")
+        raise InputError(at(path, say("mapping-target-twice", column=twice)))
     for key, source in mapped.header_from.items():
         if source.column not in targets:
-            raise InputError(f"{path}: header_from.{key}.column = {source.column!r}: no [[column]] maps to it")
+            raise InputError(at(path, say("mapping-header-source", key=key, column=source.column)))
     return mapped
 
 
@@ -185,6 +180,7 @@ def read_foreign(path: Path, mapped: Mapped, temperatures: Sequence[str] = ()) -
             header |= variant.header
     for key, source in mapped.header_from.items():
         header.setdefault(key, _first(path, key, columns.get(source.column, np.empty(0)), source))
+    check_header(header, path)
     times = np.array([time_s for _, time_s in keep])
     return Run(str(header["run"]), header, times, columns, str(path))
 
@@ -199,14 +195,17 @@ def _lines(path: Path, file: FileTable) -> list[tuple[int, str]]:
     try:
         text = path.read_text(encoding=file.encoding)
     except LookupError as error:
-        raise InputError(f"{path}: file.encoding = {file.encoding!r} is unknown; try utf-8 or cp1252") from error
+        raise InputError(at(path, say("foreign-encoding-unknown", encoding=file.encoding))) from error
     except UnicodeDecodeError as error:
-        raise InputError(f"{path}: not {file.encoding} text at byte {error.start}; set file.encoding") from error
+        said = say("foreign-encoding-wrong", encoding=file.encoding, byte=error.start)
+        raise InputError(at(path, said)) from error
     except OSError as error:
-        raise InputError(f"{path}: cannot read: {error.strerror or error}") from error
+        raise InputError(
+            at(path, say("file-cannot-read", what=say("file-of-run"), reason=reason_of(error)))
+        ) from error
     numbered = list(enumerate(text.split("\n"), start=1))
     if len(numbered) < file.header_line:
-        raise InputError(f"{path}: has {len(numbered)} lines, but file.header_line = {file.header_line}")
+        raise InputError(at(path, say("foreign-too-short", lines=len(numbered), header_line=file.header_line)))
     first = file.header_line + file.units_lines
     kept = [(n, t) for n, t in numbered[first:] if t.strip() and not (file.comment and t.startswith(file.comment))]
     return [numbered[file.header_line - 1], *kept]
@@ -217,19 +216,19 @@ def _cells(path: Path, lines: list[tuple[int, str]], file: FileTable) -> tuple[l
     texts = (f"{text}\n" for _, text in lines)  # a quoted cell may hold several lines
     reader = csv.reader(texts, delimiter=delimiter, skipinitialspace=delimiter == " ", strict=True)
     table: list[_Row] = []
-    while (at := reader.line_num) < len(lines):
+    while (done := reader.line_num) < len(lines):
         try:
             cells = [cell.strip() for cell in next(reader)]
         except csv.Error as error:
-            raise InputError(f"{path}: line {lines[at][0]}: {error}; check its quotation marks") from error
-        table.append(_Row(lines[at][0], [cell for cell in cells if cell] if delimiter == " " else cells))
+            raise InputError(at(path, say("run-quotation", reason=str(error)), line=lines[done][0])) from error
+        table.append(_Row(lines[done][0], [cell for cell in cells if cell] if delimiter == " " else cells))
     names, rows = list(table[0].cells), table[1:]
     for row in rows:
         if len(row.cells) < len(names) and not all(not c for c in names[len(row.cells) :]):
-            named = f"line {lines[0][0]} names {len(names)} columns"
-            raise InputError(f"{path}: line {row.line}: {len(row.cells)} cells, but {named}")
+            said = say("foreign-cell-count", cells=len(row.cells), line=lines[0][0], columns=len(names))
+            raise InputError(at(path, said, line=row.line))
     if not rows:
-        raise InputError(f"{path}: no rows follow line {lines[0][0]}, which names the columns")
+        raise InputError(at(path, say("foreign-no-rows", line=lines[0][0])))
     return names, rows
 
 
@@ -239,11 +238,9 @@ def _places(path: Path, names: list[str], mapped: Mapped) -> dict[str, int]:
     missing += [c.source for c in wanted.values() if c.source not in names and not c.optional]
     used = (*mapped.time.columns, *(c.source for c in wanted.values()))
     if twice := next((name for name in used if names.count(name) > 1), None):
-        raise InputError(f"{path}: column {twice!r} of the mapping is in the file twice; rename one there")
+        raise InputError(at(path, say("foreign-column-twice", column=twice)))
     if missing:
-        raise InputError(
-            f"{path}: column {missing[0]!r} of the mapping is not in the file; it has {', '.join(names)}"
-        )
+        raise InputError(at(path, say("foreign-column-missing", column=missing[0], found=tuple(names))))
     return {to: names.index(c.source) for to, c in wanted.items() if c.source in names}
 
 
@@ -262,10 +259,8 @@ def _rows_in_order(path: Path, rows: list[_Row], names: list[str], mapped: Mappe
         if time_s <= before:
             if mapped.time.repeated == "first":
                 continue
-            raise InputError(
-                f"{path}: line {row.line}: column {' + '.join(mapped.time.columns)}: {cell!r} does not rise; "
-                'sort the rows, or set time.repeated = "first"'
-            )
+            named = " + ".join(mapped.time.columns)
+            raise InputError(at(path, say("foreign-time-falls", cell=repr(cell)), line=row.line, column=named))
         before = time_s
         instants = mapped.time.format not in _SECONDS
         if start != start:
@@ -279,15 +274,16 @@ def _time(path: Path, row: _Row, cell: str, mapped: Mapped, before: float = -mat
     try:
         if layout in _SECONDS:
             return float(_plain(cell, mapped.file)) * _SECONDS[layout]
+        if any(sign.isdigit() and not sign.isascii() for sign in cell):
+            raise ValueError(cell)
         if layout == "clock":
             hours, minutes, seconds = cell.split(":")
             return 3600.0 * int(hours) + 60.0 * int(minutes) + float(_plain(seconds, mapped.file))
         moment = _moment(cell, layout)
     except ValueError as error:
         named = " + ".join(mapped.time.columns)
-        raise InputError(
-            f"{path}: line {row.line}: column {named}: {cell!r} is not {layout!r}; set time.format"
-        ) from error
+        said = say("foreign-time-format", cell=repr(cell), format=layout)
+        raise InputError(at(path, said, line=row.line, column=named)) from error
     if moment.tzinfo:
         return moment.timestamp()
     local = moment.replace(tzinfo=ZoneInfo(mapped.time.zone) if mapped.time.zone else UTC)
@@ -310,7 +306,9 @@ def _start(path: Path, row: _Row, names: list[str], mapped: Mapped) -> dict[str,
 
 
 def _plain(cell: str, file: FileTable) -> str:
-    """Return a number with a decimal point and without thousands marks."""
+    """Return a number with a decimal point and without thousands marks, its digits 0 to 9."""
+    if not cell.isascii():
+        raise ValueError(cell)
     if file.decimal == ",":
         if "." in cell and "," not in cell:
             raise ValueError(cell)
@@ -325,10 +323,8 @@ def _value(path: Path, row: _Row, place: int, column: ColumnTable, file: FileTab
     try:
         value = float(_plain(cell, file)) * column.scale + column.offset
     except ValueError as error:
-        raise InputError(
-            f"{path}: line {row.line}: column {column.source}: {cell!r} is not a number with decimal "
-            f"{file.decimal!r}; set file.decimal, or list it in file.missing"
-        ) from error
+        said = say("foreign-no-number", cell=repr(cell), decimal=file.decimal)
+        raise InputError(at(path, said, line=row.line, column=column.source)) from error
     if not column.lower <= value <= column.upper or not math.isfinite(value):
         return math.nan
     if column.unit == "K":
@@ -341,16 +337,13 @@ def _value(path: Path, row: _Row, place: int, column: ColumnTable, file: FileTab
 def _refuse_impossible(path: Path, column: ColumnTable, values: Array, lines: Sequence[int]) -> None:
     bad = np.flatnonzero((values <= COLDEST_C) | (values >= HOTTEST_C))
     if len(bad):
-        raise InputError(
-            f"{path}: line {lines[bad[0]]}: column {column.source}: {values[bad[0]]:g} C is no temperature; must "
-            f"lie between {COLDEST_C:g} and {HOTTEST_C:g} C; give the column's unit, or set its lower and upper"
-        )
+        found = f"{values[bad[0]]:g}"
+        said = say("foreign-no-temperature", value=found, coldest=COLDEST_C, hottest=HOTTEST_C)
+        raise InputError(at(path, said, line=lines[bad[0]], column=column.source))
 
 
 def _first(path: Path, key: str, values: Array, source: HeaderFrom) -> float:
     good = values[np.isfinite(values)]
     if not len(good):
-        raise InputError(
-            f"{path}: header_from.{key}: column {source.column!r} holds no value; give the key in [header]"
-        )
+        raise InputError(at(path, say("foreign-header-empty", key=key, column=source.column)))
     return round(float(good[0]) * source.scale, source.digits)

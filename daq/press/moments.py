@@ -24,18 +24,25 @@ from scipy.signal import lfilter
 from daq.records import Array
 
 STEP_S = 0.02
+"""Of the grids of onset and time: small beside a scan at 20 Hz. Set by hand, 2026-11. [s]"""
 _CONTACTS = np.geomspace(0.3, 8.0, 15)
 """Contact coefficient over the panel's effusivity; 700 W/m²K on MDF gives 1.9. [1/√s]"""
 _CLOSING_RAMPS_S = np.linspace(0.1, 1.2, 12)
+"""A press closes in 0.2 to 1 s (contract, section 2). [s]"""
 _OPENING_RAMPS_S = (0.05, 0.15, 0.25, 0.35, 0.45, 0.55)
+"""It opens more quickly than it closes. Set by hand, 2026-11. [s]"""
 _TYPICAL_CONTACT, _CONTACT_SPREAD = 1.9, 0.5
+"""The paper's 700 W/m²K on MDF; its logarithm's spread covers 420 to 1150 W/m²K. [1/√s, 1]"""
 _TYPICAL_RAMP_S, _RAMP_SPREAD_S = 0.6, 0.3
+"""The middle of 0.2 to 1 s, and half the range. [s]"""
 LAGS_S = np.array([0.0, 0.15, 0.3, 0.5, 0.75, 1.0])
+"""Lags of a sensor that are tried. Set by hand, 2026-11. [s]"""
 _LAG_SCALE_S = 0.25
 """A thermocouple taped between two bodies may lag up to a second, but mostly does not. [s]"""
 _SQRT_KELVIN = 2.0 / (np.sqrt(np.pi) * 370.0)
 """Rise of a face per flux and root of time; 370 is the effusivity of MDF. [K m²/W/√s]"""
 _REACH_S = 4.0
+"""How long after the ramp a face is compared: √(a t) is 0.6 mm in MDF then, so any panel is a half space. [s]"""
 
 
 @cache

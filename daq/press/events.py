@@ -8,7 +8,7 @@ The faces decide, each by the median of its sensors, so that a loose, dead or no
 * removal: the lower face loses its plate and falls, or the faces are cold again.
 
 A limit switch or a pressure channel, where one is logged, goes before the temperatures
-(`daq.press_wires`). The moment itself is placed between the scans by `daq.press_moments`, once enough
+(`daq.press.wires`). The moment itself is placed between the scans by `daq.press.moments`, once enough
 scans have followed to tell, at most 0.9 s later.
 `find_moments` runs the same machine over a whole run and then looks at each moment with both sides known.
 """
@@ -20,14 +20,19 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from daq.press_detector import Faces, PressEventDetector, place_moment
-from daq.press_faces import columns_of, face_of
-from daq.press_moments import Placed, insertion_moment, usual_lag
-from daq.press_wires import CLOSED, SILENT_S, closed_of
-from daq.pressfile import Press
-from daq.records import Array, Moments, PressEventKind, Run
+from daq.press.detector import Faces, PressEventDetector, place_moment
+from daq.press.faces import columns_of, face_of
+from daq.press.moments import Placed, insertion_moment, usual_lag
+from daq.press.press_file import Press
+from daq.press.wires import CLOSED, SILENT_S, closed_of
+from daq.records import Array, EventSource, Moments, PressEventKind, Run
 
 __all__ = ["PressEventDetector", "columns_of", "find_moments"]
+
+_CONCLUDED_S = 1.1
+"""An insertion nobody saw is put 1 s before the closing: one so near was none. [s]"""
+_SCAN_S = 0.35
+"""Between the scans of a stored run the machine looks at: enough to notice; all place the moment. [s]"""
 
 
 def find_moments(run: Run, press: Press) -> Moments:
@@ -40,36 +45,34 @@ def find_moments(run: Run, press: Press) -> Moments:
     of one state the panel is there from the first row.
     """
     if not press.has_states:
-        return Moments(inserted_s=float(run.time_s[0]), source="one state")
+        return Moments(inserted_s=float(run.time_s[0]), source=EventSource.ONE_STATE)
     columns = columns_of(press)
     names = tuple(run.columns)
     top_names, bottom_names = columns.of_face(names)
-    switch, told_by = closed_of(run, press) or (None, "")
+    switch, told_by = closed_of(run, press) or (None, EventSource.UNKNOWN)
     switched = switch is not None and bool(np.isfinite(switch).any())
     top, bottom = face_of(run, top_names), face_of(run, bottom_names)
     if not (np.isfinite(top).any() or np.isfinite(bottom).any() or switched):
-        return Moments(source="unknown")
+        return Moments(source=EventSource.UNKNOWN)
     plate = face_of(run, tuple(n for n in names if n in columns.platens))
     found = _coarse(run.time_s, top, bottom, plate, switch if switched else None, press)
     placed = _refined(found, run.time_s, top, bottom, plate)
     moments = {kind: placed[kind].middle if kind in placed else at for kind, at in found.items()}
-    source, ramp = "temperatures", Moments().ramp_s
+    source, ramp = EventSource.TEMPERATURES, Moments().ramp_s
     if switched and switch is not None:
         moments.update(_switch_moments(run.time_s, switch, moments))
         source = told_by
     elif PressEventKind.CLOSED in placed:
         ramp = placed[PressEventKind.CLOSED].ramp
-    nan = math.nan
-    closed = moments.get(PressEventKind.CLOSED, nan)
-    inserted = moments.get(PressEventKind.INSERTED, nan)
-    unseen = not math.isfinite(inserted) or closed - inserted <= 1.1
-    if unseen:  # the machine saw none before the closing
+    closed = moments.get(PressEventKind.CLOSED, math.nan)
+    inserted = moments.get(PressEventKind.INSERTED, math.nan)
+    if not math.isfinite(inserted) or closed - inserted <= _CONCLUDED_S:
         inserted = _slow_insertion(run.time_s, bottom, closed)
     return Moments(
         inserted_s=max(inserted, float(run.time_s[0])),
         closed_s=closed,
-        opened_s=moments.get(PressEventKind.OPENED, nan),
-        removed_s=moments.get(PressEventKind.REMOVED, nan),
+        opened_s=moments.get(PressEventKind.OPENED, math.nan),
+        removed_s=moments.get(PressEventKind.REMOVED, math.nan),
         ramp_s=ramp,
         source=source,
     )
@@ -85,7 +88,7 @@ def _coarse(
     found: dict[PressEventKind, float] = {}
     last = -math.inf
     for i, time_s in enumerate(times.tolist()):
-        if time_s - last < 0.35 and (switch is None or i == 0 or switch[i] == switch[i - 1]):
+        if time_s - last < _SCAN_S and (switch is None or i == 0 or switch[i] == switch[i - 1]):
             continue
         last = time_s
         values = {stand_in["top"]: float(top[i]), stand_in["bottom"]: float(bottom[i])}

@@ -38,7 +38,9 @@ class RunRules:
 
 
 class RunNames:
-    """Names ``press-2026-03-04-07``: numbers count up within a UTC day.
+    """The names runs would like, ``press-2026-03-04-07``: numbers count up within a UTC day.
+
+    The store gives the next free one where a name is taken: the clock was set back, a run was imported.
 
     Where nobody could tell the next free number (the store is away), runs are named by their time of day:
     ``press-2026-03-04-t071523``.
@@ -69,6 +71,10 @@ class _Seen:
     panel_celsius: float
 
 
+Change = tuple[NewRun | None, RunEnd | None]
+"""A run that begins, or one that ends."""
+
+
 class RunKeeper:
     """Follows one press and says when its runs begin and end."""
 
@@ -87,10 +93,10 @@ class RunKeeper:
         """Cut the next runs by other rules, from scans with other columns."""
         self.rules, self._places = rules, tuple(panel_places)
 
-    def take(self, scan: Scan, events: Sequence[PressEvent]) -> list[tuple[NewRun | None, RunEnd | None]]:
+    def take(self, scan: Scan, events: Sequence[PressEvent]) -> list[Change]:
         """Return what begins and ends with this scan, in order."""
         self._remember(scan)
-        changes: list[tuple[NewRun | None, RunEnd | None]] = []
+        changes: list[Change] = []
         for event in events:
             if event.kind is PressEventKind.INSERTED:
                 begin = self._begin(event, at_closing=any(e.kind is PressEventKind.CLOSED for e in events))
@@ -130,7 +136,7 @@ class RunKeeper:
     def _end(self, last_scan: int, scan: Scan, status: RunStatus) -> RunEnd:
         run, self.open_run = self.open_run or "", None
         self._last = max(last_scan, self._first)
-        return RunEnd(run, self._last, scan.utc, status)
+        return RunEnd(run, self._last, scan.utc, status, self._first)
 
     def _begin(self, event: PressEvent, *, at_closing: bool) -> NewRun | None:
         """Return the run an insertion begins; None where no scan is free for it.

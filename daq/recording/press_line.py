@@ -7,24 +7,27 @@ import math
 import threading
 import time
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal, Protocol
 
-from daq.acquisition import ClockWatch, LoggerThread, Scanner
-from daq.config import PressSettings, press_of
 from daq.drivers import DataLogger, LoggerSettings, SuccessorLogger, uncorrected
-from daq.press_events import PressEventDetector, columns_of
-from daq.press_wires import CLOSED, Wires
-from daq.pressfile import read_press
-from daq.records import Channel, PressEvent, Scan
-from daq.runkeeper import RunKeeper, RunNames, RunRules
+from daq.press.events import PressEventDetector, columns_of
+from daq.press.header import doubts
+from daq.press.press_file import read_press
+from daq.press.wires import CLOSED, Wires
+from daq.process.config import PressSettings, press_of
+from daq.recording.acquisition import ClockWatch, LoggerThread, Scanner
+from daq.recording.run_keeper import Change, RunKeeper, RunNames, RunRules
+from daq.records import Channel, PressEvent, Quality, Scan
 from daq.store import PressKey, Store, StoreUnavailable
 from daq.store.outbox import Outbox
-from daq.store.parcels import Parcel
+from daq.store.write_batch import WriteBatch
+from daq.supervision import SupervisedThread
+from daq.words import Message, say
 
 LOG = logging.getLogger("kerntemp.record")
 _HOLD_S = 1.5
@@ -43,11 +46,11 @@ _TOO_MANY_LEFT_OUT = 0.05
 Level = Literal["info", "warning", "alarm"]
 
 
-class Say(Protocol):
-    """Tells the log and the journal."""
+class Journal(Protocol):
+    """Writes to log and journal."""
 
-    def __call__(self, level: Level, sentence: str, press: str | None = None, **detail: Any) -> None:
-        """Say a sentence with its details."""
+    def __call__(self, level: Level, message: Message, press: str | None = None, **detail: Any) -> None:
+        """Write a message with its details."""
 
 
 @dataclass(frozen=True)
@@ -89,11 +92,11 @@ class PressLine:
         store: Store,
         outbox: Outbox,
         speed: float,
-        say: Say,
+        journal: Journal,
         stop: threading.Event,
     ) -> None:
         self.settings = settings
-        self._outbox, self._stop, self._say, self._speed = outbox, stop, say, speed
+        self._outbox, self._stop, self._journal, self._speed = outbox, stop, journal, speed
         self._detector = PressEventDetector(press_of(settings))
         self._held: dict[str, tuple[float, float]] = {}
         self._newest: Scan | None = None
@@ -113,7 +116,13 @@ class PressLine:
         self._key, names = self._enter(store, channels)
         self._keeper = RunKeeper(self._rules(text), names, self._panel_places(channels))
         self._scanner = Scanner(threads, self._period_s, speed, self._key.next_number)
-        self._thread = threading.Thread(target=self._work, name=f"press {settings.name}", daemon=True)
+        self._handed_over = -1
+        """The newest scan that is on its way to the store."""
+        self._thread = SupervisedThread(
+            f"press {settings.name}", self._work, lambda fault: journal("alarm", fault, settings.name)
+        )
+        for doubt in doubts(settings.header):
+            self._journal("warning", say("of-press", press=settings.name, what=doubt), settings.name)
 
     def _enter(self, store: Store, channels: tuple[Channel, ...]) -> tuple[PressKey, RunNames]:
         """Take a place in the store, at once or, where it is away or behind, later."""
@@ -124,14 +133,14 @@ class PressLine:
                 key = store.register_press(name, channels, self._press_file)
                 names = RunNames(name, store.unused_run_name(name, datetime.now(UTC)))
                 for run in interrupted:
-                    self._say("warning", f"run {run} was interrupted; its data are kept", name)
+                    self._journal("warning", say("run-interrupted", run=run), name)
                 return key, names
         return self._outbox.later_key(name, channels, self._press_file), RunNames(name, None)
 
     def _thread_of(self, settings: LoggerSettings, logger: DataLogger) -> LoggerThread:
-        if sentence := uncorrected(settings):
-            self._logger_said("warning", sentence, {"logger": settings.name})
-        return LoggerThread(settings.name, logger, self._logger_said)
+        if lacking := uncorrected(settings):
+            self._of_logger("warning", lacking, {"logger": settings.name})
+        return LoggerThread(settings.name, logger, self._of_logger)
 
     @property
     def _period_s(self) -> float:
@@ -179,7 +188,7 @@ class PressLine:
             self._outbox.expect(channels)
         self._keeper.change(self._rules(change.text), self._panel_places(channels))
         self._scanner.change(threads, self._period_s, self._stop)
-        self._say("info", "the changed configuration is in force", self.settings.name)
+        self._journal("info", say("configuration-in-force"), self.settings.name)
 
     # --- the thread -------------------------------------------------------------------------------------
 
@@ -194,21 +203,20 @@ class PressLine:
         self._scanner.join(5.0)
 
     def _work(self) -> None:
-        while True:
+        while (scan := self._scanner.scan(self._stop)) is not None:
             try:
-                scan = self._scanner.scan(self._stop)
-                if scan is None:
-                    break
                 self._take(scan)
                 self._take_over()
-            except Exception:
-                LOG.exception("press %s: a fault in the recorder; recording goes on", self.settings.name)
-                if self._stop.wait(1.0):
-                    break
-        self._say_left_out()
+            except Exception as error:  # noqa: BLE001 - scans are stored whatever becomes of runs
+                self._thread.failed(error)
+                if scan.number > self._handed_over:
+                    self._outbox.put(WriteBatch(self._key, (self._bare(scan),)))
+            else:
+                self._thread.worked()
+        self._journal_left_out()
         end = self._keeper.stop()
         if end is not None:
-            self._outbox.put(Parcel(self._key, end=end))
+            self._outbox.put(WriteBatch(self._key, end=end))
 
     def _take(self, scan: Scan) -> None:
         self._watch_clock(scan)
@@ -218,15 +226,17 @@ class PressLine:
         scan = self._with_closed(scan)
         changes = self._keeper.take(scan, events)
         self._newest, self._fresh_s = scan, time.monotonic()
-        begins = [c for c in changes if c[0] is not None]
-        first = begins[0][0] if begins else None
-        for begin, end in changes:
-            if end is not None and (begin is None and first is not None and end.last_scan < first.first_scan):
-                self._outbox.put(Parcel(self._key, end=end))
-        ends = [end for _, end in changes if end is not None and (first is None or end.run == first.run)]
-        self._outbox.put(Parcel(self._key, (scan,), tuple(events), first, ends[0] if ends else None))
+        for batch in tuple(in_order(self._key, scan, events, changes)):
+            self._outbox.put(batch)
+        self._handed_over = scan.number
         for event in events:
             self._tell(event)
+
+    def _bare(self, scan: Scan) -> Scan:
+        """Return a scan without what is worked out of it."""
+        lacking = len(self._key.channels) - len(scan.values)
+        values, qualities = (math.nan,) * lacking, (Quality.MISSING,) * lacking
+        return replace(scan, values=(*scan.values, *values), qualities=(*scan.qualities, *qualities))
 
     def _tell(self, event: PressEvent) -> None:
         run = self._keeper.open_run
@@ -258,12 +268,13 @@ class PressLine:
 
     def _watch_wires(self, scan: Scan) -> None:
         """Journal that wire and temperatures contradict each other, now and then while they do."""
-        said = self._detector.disagreement
-        if said is None or scan.monotonic_s - self._disagreed_s < _DISAGREEMENT_SAID_EVERY_S:
+        disagreement = self._detector.disagreement
+        if disagreement is None or scan.monotonic_s - self._disagreed_s < _DISAGREEMENT_SAID_EVERY_S:
             return
         self._disagreed_s = scan.monotonic_s
         name = self.settings.name
-        self._say("warning", f"press {name}: {said}", name, scan=scan.number, run=self._keeper.open_run)
+        said = say("of-press", press=name, what=disagreement)
+        self._journal("warning", said, name, scan=scan.number, run=self._keeper.open_run)
 
     @property
     def _hold_s(self) -> float:
@@ -272,9 +283,9 @@ class PressLine:
     def _watch_clock(self, scan: Scan) -> None:
         step = self._clock.step(scan)
         if step is not None:
-            self._say(
+            self._journal(
                 "warning",
-                f"the clock of this machine was set by {step:+.1f} s; times within a run are not affected",
+                say("clock-set", sign="+" if step > 0 else "-", seconds=abs(step)),
                 self.settings.name,
                 step_s=step,
                 scan=scan.number,
@@ -284,53 +295,56 @@ class PressLine:
         """Journal where scans begin and which ones were left out, so that none is missing without a word."""
         if self._newest is None:
             name, period_s = self.settings.name, self._scanner.period_s * self._speed
-            self._say("info", f"press {name}: scans begin", name, monotonic_s=scan.monotonic_s, period_s=period_s)
+            begin = say("scans-begin", press=name)
+            self._journal("info", begin, name, monotonic_s=scan.monotonic_s, period_s=period_s)
         if self._scanner.left_out:
             self._left_out.append((scan.monotonic_s, self._scanner.left_out))
             self._gone_by.append((time.monotonic(), self._scanner.left_out))
         if self._left_out and scan.monotonic_s - self._left_out_said_s > LEFT_OUT_SAID_EVERY_S:
             self._left_out_said_s = scan.monotonic_s
-            self._say_left_out()
+            self._journal_left_out()
 
-    def _say_left_out(self) -> None:
+    def _journal_left_out(self) -> None:
         if not self._left_out:
             return
         left_out, self._left_out = self._left_out, []
         count = sum(count for _, count in left_out)
-        sentence = f"press {self.settings.name}: {count} scans left out, this machine was too busy"
-        self._say("info", sentence, self.settings.name, before_monotonic_s=left_out)
+        said = say("scans-left-out", press=self.settings.name, count=count)
+        self._journal("info", said, self.settings.name, before_monotonic_s=left_out)
 
-    def _logger_said(self, level: str, sentence: str, detail: Mapping[str, Any]) -> None:
-        known: Level = "warning" if level == "warning" else "info"
-        self._say(known, f"press {self.settings.name}: {sentence}", self.settings.name, **detail)
+    def _of_logger(self, level: Level, message: Message, detail: Mapping[str, Any]) -> None:
+        name = self.settings.name
+        self._journal(level, say("of-press", press=name, what=message), name, **detail)
 
     # --- how it is --------------------------------------------------------------------------------------
 
-    def stalled(self) -> str:
-        """Return why this press must not count as alive; empty while fresh scans come.
+    def stalled(self) -> Message | None:
+        """Return why this press must not count as alive; None while fresh scans come.
 
         A device that is off is no standstill: its driver comes back with that news, and goes on asking.
         """
+        if faults := [x for x in (self._thread.fault, *(y.fault for y in self._scanner.loggers)) if x]:
+            return faults[0]
         now_s, periods_s = time.monotonic(), 2.0 / self.settings.rate_hz
         if now_s - self._fresh_s > _STALLED_AFTER_S + periods_s:
-            return f"{self.settings.name}: no fresh scan for {now_s - self._fresh_s:.0f} s"
+            return say("press-stalled", press=self.settings.name, seconds=now_s - self._fresh_s)
         stuck = [x.name for x in self._scanner.loggers if now_s - x.returned_s > _STUCK_AFTER_S + periods_s]
-        return f"{self.settings.name}: the driver of logger {stuck[0]} does not come back" if stuck else ""
+        return say("driver-stuck", press=self.settings.name, logger=stuck[0]) if stuck else None
 
-    def problems(self) -> list[str]:
-        """Return what is wrong now, in sentences."""
+    def problems(self) -> list[Message]:
+        """Return what is wrong now."""
+        name = self.settings.name
         said = [
-            f"{self.settings.name}: logger {x.name}: {x.message or 'no answer yet'}"
+            say("logger-problem", press=name, logger=x.name, why=x.trouble)
             for x in self._scanner.loggers
-            if x.lost
+            if x.lost and x.trouble
         ]
         if self._detector.disagreement:
-            said.append(f"{self.settings.name}: {self._detector.disagreement}")
+            said.append(say("problem-of-press", press=name, what=self._detector.disagreement))
         since_s = time.monotonic() - 60.0
         gone_by = sum(count for at_s, count in tuple(self._gone_by) if at_s > since_s)
         if gone_by * self._period_s > _TOO_MANY_LEFT_OUT * 60.0:
-            what = f"{gone_by} scans left out in the last minute"
-            said.append(f"{self.settings.name}: {what}, this machine is too busy")
+            said.append(say("scans-left-out-lately", press=name, count=gone_by))
         return said
 
     def report(self) -> dict[str, Any]:
@@ -356,3 +370,22 @@ def _channels(threads: Sequence[LoggerThread], wires: Wires) -> tuple[Channel, .
     every = [c for thread in threads for c in thread.channels]
     plain = tuple(Channel(c.name, wires.unit_of(c.name)) if c.name in wires.columns else c for c in every)
     return plain if wires.columns == (CLOSED,) else (*plain, Channel(CLOSED, ""))
+
+
+def in_order(
+    key: PressKey, scan: Scan, events: Sequence[PressEvent], changes: Sequence[Change]
+) -> Iterator[WriteBatch]:
+    """Yield a scan and all it brought about as the store must learn of it.
+
+    An end that makes room for a new run goes before; the scan takes what follows; a batch holds one of each.
+    """
+    begins = next((i for i, (begin, _) in enumerate(changes) if begin is not None), 0)
+    for _, end in changes[:begins]:
+        yield WriteBatch(key, end=end)
+    begin, end = changes[begins] if changes else (None, None)
+    rest = list(changes[begins + 1 :])
+    if begin is not None and rest and rest[0][0] is None:
+        _, end = rest.pop(0)
+    yield WriteBatch(key, (scan,), tuple(events), begin, end)
+    for begin, end in rest:
+        yield WriteBatch(key, begin=begin, end=end)

@@ -1,4 +1,4 @@
-"""The causal machine: scans in, press events out; see `daq.press_events` for what it looks at."""
+"""The causal machine: scans in, press events out; see `daq.press.events` for what it looks at."""
 
 from __future__ import annotations
 
@@ -10,20 +10,54 @@ from typing import NamedTuple
 
 import numpy as np
 
-from daq.press_faces import HIGH_C, LOW_C, Face, columns_of, middle
-from daq.press_moments import Placed, closing_moment, insertion_moment, opening_moment, usual_lag
-from daq.press_wires import Wires
-from daq.pressfile import Press
-from daq.records import Array, PressEvent, PressEventKind, PressState
+from daq.press.faces import HIGH_C, LOW_C, Face, columns_of, middle
+from daq.press.moments import Placed, closing_moment, insertion_moment, opening_moment, usual_lag
+from daq.press.press_file import Press
+from daq.press.wires import Wires
+from daq.records import Array, EventSource, PressEvent, PressEventKind, PressState
+from daq.words import Message, say
+
+# Thresholds without another source were set by hand, 2026-11-21, between what hands and noise do to a sensor and
+# what a plate does to a face (tens of kelvins a second); tests/daq/test_press_events.py holds what they find.
 
 _MEMORY_S = 14.0
+"""How far the machine looks back at most: an insertion is placed by so long a rise. [s]"""
 _LOOK_BACK_S = 0.9
 """Changes are judged over about this time, at least one scan. [s]"""
 _SETTLE_S = 0.65
 """Scans awaited after a closing or opening is plain, to place it. [s]"""
+_SETTLE_PANEL_S = 0.2
+"""And after an insertion or removal, whose kinks are long in the past by then. [s]"""
 HAND_C = 38.0
-"""Hands and room never bring a sensor above this. [°C]"""
+"""Hands and room never bring a sensor above this: skin stays below 37 °C. [°C]"""
 _ROOM_C = 25.0
+"""A usual room beside a press: hot and cold are told as shares of the way from here to the plate. [°C]"""
+_USUAL_GAP_K = 150.0
+"""How much hotter a plate is than a face where no platen is logged. [K]"""
+_LEAST_GAP_K = 25.0
+"""A face so near the plate's temperature shows neither insertion nor closing. [K]"""
+_COLD_SHARE, _COOLING_SHARE, _HOT_SHARE = 0.12, 0.3, 0.25
+"""Of the way from room to plate: below the first a face lies in no press, below the second one that left its plate
+is gone, above the third a face was in the press."""
+_CLOSING_K, _CLOSING_SHARE = 6.0, 0.11
+"""The upper face jumps by both, the share of its distance to the plate, when the press closes. [K]"""
+_LOWER_GAP_K, _LOWER_CLOSING_K, _LOWER_CLOSING_SHARE = 15.0, 5.0, 0.2
+"""The same of the lower face, which lies on its plate already and rises beforehand. [K]"""
+_INSERTION_K, _INSERTION_SHARE, _SLOW_INSERTION_SHARE = 4.0, 0.04, 0.08
+"""The lower face jumps by so much within the look-back, or by the larger share within `_SLOW_S`. [K]"""
+_SLOW_S = 9.0
+"""A panel on a plate that conducts badly warms over this. [s]"""
+_OPENING_AFTER_S = 1.5
+"""No press opens sooner after it closed. [s]"""
+_OPENING_TOP_K, _OPENING_BOTTOM_K, _OPENING_RATIO = 1.8, 0.35, 0.2
+"""Both faces fall, the lower by a share of the upper. [K]"""
+_PLAIN_FALL_K = 25.0
+"""The upper face alone falls by so much: nothing but an opening does that. [K]"""
+_ONE_FACE_TOP_K, _ONE_FACE_BOTTOM_K = 3.0, 2.0
+"""Where one face is heard: its fall. [K]"""
+_TOP_COLD_SHARE, _TOP_HOT_SHARE = 0.2, 0.6
+"""Of the way from room to plate: an upper face below the first contradicts a wire that says closed, above the
+second one that says open."""
 BLIND_S = 3.0
 """Without a usable sensor this long, the state is unknown. [s]"""
 CHANGE_S = 15.0
@@ -83,7 +117,7 @@ class PressEventDetector:
         self._was_closed = False
         self._lag: Array | None = None
         self._lifted: tuple[float, float, float] | None = None
-        self.disagreement: str | None = None
+        self.disagreement: Message | None = None
         """Why wire and temperatures contradict each other, for the journal; None while they agree."""
 
     @property
@@ -179,7 +213,7 @@ class PressEventDetector:
 
     def _nothing_hot(self, row: _Row) -> bool:
         """Whether the sensors, as far as there are any, lie in no press: it was closed with nothing in it."""
-        limit = _ROOM_C + 0.12 * _gap(row.plate, _ROOM_C)
+        limit = _ROOM_C + _COLD_SHARE * _gap(row.plate, _ROOM_C)
         faces = [face for face in (row.top, row.bottom) if face == face]
         return bool(faces) and max(faces) < limit
 
@@ -188,13 +222,12 @@ class PressEventDetector:
         self.disagreement = None
         if time_s - self._since < 5.0 or row.plate - row.top != row.plate - row.top:
             return
-        reach = (row.top - 25.0) / max(row.plate - 25.0, 30.0)
-        told_by = self.wires.told_by
-        wire = told_by.removeprefix("limit ")
-        if closed and reach < 0.2:
-            self.disagreement = f"the {told_by} says closed, but the upper face is cold; check {wire} and panel"
-        elif not closed and not self._was_closed and reach > 0.6 and self._state is PressState.OPEN:
-            self.disagreement = f"the {told_by} says open, but the upper face is hot; check it"
+        reach = (row.top - _ROOM_C) / max(row.plate - _ROOM_C, 30.0)
+        wire = self.wires.told_by.message
+        if closed and reach < _TOP_COLD_SHARE:
+            self.disagreement = say("wire-closed-face-cold", wire=wire)
+        elif not closed and not self._was_closed and reach > _TOP_HOT_SHARE and self._state is PressState.OPEN:
+            self.disagreement = say("wire-open-face-hot", wire=wire)
 
     # --- temperatures ---------------------------------------------------------------------------
 
@@ -232,14 +265,16 @@ class PressEventDetector:
         """The upper face jumps towards the plate (the lower one, where no upper sensor works)."""
         if now.top == now.top and then.top == then.top:
             gap = _gap(now.plate, then.top)
-            if gap < 25.0 or now.top - then.top < max(6.0, 0.11 * gap) or now.top < HAND_C:
+            least = max(_CLOSING_K, _CLOSING_SHARE * gap)
+            if gap < _LEAST_GAP_K or now.top - then.top < least or now.top < HAND_C:
                 return False
-            return _together(now.tops, then.tops, 0.11 * gap)
+            return _together(now.tops, then.tops, _CLOSING_SHARE * gap)
         if self._state is PressState.IDLE or now.bottom != now.bottom or then.bottom != then.bottom:
             return False
         gap = _gap(now.plate, then.bottom)
         expected = self._slope_before(then) * (now.time - then.time)
-        return gap > 15.0 and now.bottom - then.bottom - max(expected, 0.0) > max(5.0, 0.2 * gap)
+        least = max(_LOWER_CLOSING_K, _LOWER_CLOSING_SHARE * gap)
+        return gap > _LOWER_GAP_K and now.bottom - then.bottom - max(expected, 0.0) > least
 
     def _slope_before(self, then: _Row) -> float:
         """Return how fast the lower face moved in the 2 s before a row. [K/s]"""
@@ -250,15 +285,15 @@ class PressEventDetector:
 
     def _opened(self, now: _Row, then: _Row) -> bool:
         """Both faces fall at once; the lower may stay where panel and plates had become equally hot."""
-        if now.time - self._since < 1.5:
+        if now.time - self._since < _OPENING_AFTER_S:
             return False
         top, bottom = then.top - now.top, then.bottom - now.bottom
         if top == top and bottom == bottom:
-            both = top > 1.8 and bottom > 0.35 and bottom > 0.2 * top
+            both = top > _OPENING_TOP_K and bottom > _OPENING_BOTTOM_K and bottom > _OPENING_RATIO * top
             earlier = (then, self._row_before(3.0), self._row_before(6.0))
-            return both or top > 25.0 or any(self._sank(now, row) for row in earlier)
+            return both or top > _PLAIN_FALL_K or any(self._sank(now, row) for row in earlier)
         fall = top if top == top else bottom
-        return fall > (3.0 if top == top else 2.0)
+        return fall > (_ONE_FACE_TOP_K if top == top else _ONE_FACE_BOTTOM_K)
 
     def _sank(self, now: _Row, then: _Row | None) -> bool:
         """Whether the upper face fell further than a worse contact could let it: it follows the plate then."""
@@ -274,15 +309,17 @@ class PressEventDetector:
         """The lower face leaves hand and room temperature, all its sensors together, the upper stays."""
         if now.bottom != now.bottom or then.bottom != then.bottom:
             return self._upper_only(now, then)
-        early = self._row_before(9.0) or then
+        early = self._row_before(_SLOW_S) or then
         if now.bottom < HAND_C:
             return False
-        return self._jumped(now, then, 0.04) or (early.bottom < HAND_C and self._jumped(now, early, 0.08))
+        if self._jumped(now, then, _INSERTION_SHARE):
+            return True
+        return early.bottom < HAND_C and self._jumped(now, early, _SLOW_INSERTION_SHARE)
 
     def _jumped(self, now: _Row, then: _Row, share: float) -> bool:
         """Whether the lower face alone rose by a share of its distance to the plate."""
         gap, rise = _gap(now.plate, then.bottom), now.bottom - then.bottom
-        if not (gap > 25.0 and rise > max(4.0, share * gap)):
+        if not (gap > _LEAST_GAP_K and rise > max(_INSERTION_K, share * gap)):
             return False
         if now.top - then.top > 0.5 * rise:
             return False
@@ -290,7 +327,7 @@ class PressEventDetector:
 
     def _upper_only(self, now: _Row, then: _Row) -> bool:
         """Where no sensor of the lower face is heard, not only for a scan, the upper one has warmed."""
-        early = self._row_before(9.0) or then
+        early = self._row_before(_SLOW_S) or then
         if self._bottom_before(0.0) is not None or not now.top > 1.3 * HAND_C:
             return False
         return now.top > then.top and now.top - early.top > _WARMED_K
@@ -305,7 +342,7 @@ class PressEventDetector:
             self._by_bottom, self._face_high = by_bottom, -math.inf
         self._face_high = max(self._face_high, level)
         gap = _gap(now.plate, _ROOM_C)
-        if self._face_high > _ROOM_C + 0.25 * gap and level < _ROOM_C + 0.12 * gap:
+        if self._face_high > _ROOM_C + _HOT_SHARE * gap and level < _ROOM_C + _COLD_SHARE * gap:
             return True
         if self._was_closed and self._switch is not None and self._nothing_hot(now):
             self._lifted = (now.time, level, self._spread(now))
@@ -319,7 +356,7 @@ class PressEventDetector:
             self._lifted = None
             return False
         self._lifted = (moment, min(level, lowest), spread)
-        return level < _ROOM_C + 0.3 * gap or self._spread(now) > spread + _SPREAD_K
+        return level < _ROOM_C + _COOLING_SHARE * gap or self._spread(now) > spread + _SPREAD_K
 
     def _spread(self, now: _Row) -> float:
         """Return how far the lower face's sensors lie apart, without the two most extreme where there are many."""
@@ -351,7 +388,7 @@ class PressEventDetector:
             return []
         kind, noticed = self._pending
         step = self._rows[-1].time - self._rows[-2].time if len(self._rows) > 1 else 0.0
-        settle = _SETTLE_S if kind in (PressEventKind.CLOSED, PressEventKind.OPENED) else 0.2
+        settle = _SETTLE_S if kind in (PressEventKind.CLOSED, PressEventKind.OPENED) else _SETTLE_PANEL_S
         if time_s - noticed + step <= settle:
             return []
         self._pending = None
@@ -376,7 +413,11 @@ class PressEventDetector:
         return max(placed.middle, self._first)
 
     def _event(
-        self, kind: PressEventKind, moment: float, noticed: float, source: str = "temperatures"
+        self,
+        kind: PressEventKind,
+        moment: float,
+        noticed: float,
+        source: EventSource = EventSource.TEMPERATURES,
     ) -> PressEvent:
         self._state = {
             PressEventKind.INSERTED: PressState.OPEN,
@@ -400,7 +441,7 @@ def _together(now: Mapping[str, float], then: Mapping[str, float], least: float)
 
 def _gap(plate: float, face: float) -> float:
     """Return how much hotter the plate is; with no platen column, what a press usually has."""
-    return plate - face if plate == plate else 150.0
+    return plate - face if plate == plate else _USUAL_GAP_K
 
 
 @dataclass(frozen=True)

@@ -8,15 +8,17 @@ from __future__ import annotations
 
 import fnmatch
 import itertools
-import tomllib
+import math
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
-from daq.materials import MATERIALS, find_material
-from daq.records import InputError, Nonphysical, Panel, Run
+from daq.records import InputError, Run
+from daq.tables import at, explained, read_toml, reason_of
+from daq.words import Message, say, spoken
 
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 """No text and no ``true``."""
@@ -28,8 +30,33 @@ Property = Positive | tuple[tuple[Temperature, Positive], ...]
 """A number, or rows of temperature [°C] and value."""
 
 
+SD = ".sd"
+"""Ends the key of a number's standard deviation, beside the number's own."""
+_SD_LINE = re.compile(r"^([ \t]*(?:[\w-]+\.)*)([\w-]+)\.sd(?=[ \t]*=)", re.MULTILINE | re.ASCII)
+"""``KEY.sd = ...`` beside ``KEY = ...``: TOML has no such pair, unless the key stands in quotes."""
+
+
 class _Table(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
+
+    sd: tuple[tuple[str, Positive], ...] = Field(default=(), exclude_if=lambda given: not given)
+    """Standard deviations of the table's numbers, by key. Kept; nothing uses them yet."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _gather_sd(cls, given: Any) -> Any:
+        """Take ``KEY.sd`` out of the keys. Raises `ValueError` where KEY is no number of this table."""
+        if not isinstance(given, Mapping) or not any(str(key).endswith(SD) for key in given):
+            return given
+        table = {key: value for key, value in given.items() if not key.endswith(SD)}
+        own = {key.removesuffix(SD): value for key, value in given.items() if key.endswith(SD)}
+        numbers = [key for key, value in table.items() if isinstance(value, int | float) and value is not True]
+        for key, value in own.items():
+            if key not in numbers or key not in cls.model_fields:
+                raise ValueError(say("press-sd-of-nothing", key=key))
+            if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 < value < math.inf:
+                raise ValueError(say("header-sd-not-positive", key=f"{key}{SD}", value=repr(value)))
+        return table | {"sd": (*table.get("sd", ()), *own.items())}
 
 
 class Pressure(_Table):
@@ -50,7 +77,7 @@ class Pressure(_Table):
     @model_validator(mode="after")
     def _apart(self) -> Pressure:
         if self.lower > self.closed_above:
-            raise ValueError(f"open_below = {self.lower:g} lies above closed_above = {self.closed_above:g}")
+            raise ValueError(say("press-open-above-closed", open=self.lower, closed=self.closed_above))
         return self
 
 
@@ -80,7 +107,7 @@ class Layer(_Table):
         if isinstance(value, tuple):
             temperatures = [row[0] for row in value]
             if not value or any(b <= a for a, b in itertools.pairwise(temperatures)):
-                raise ValueError("a table needs at least one row, its temperatures rising")
+                raise ValueError(say("press-table-not-rising"))
         return value
 
     @model_validator(mode="after")
@@ -91,9 +118,9 @@ class Layer(_Table):
         }
         if self.from_run:
             if surplus := [key for key, value in given.items() if value is not None]:
-                raise ValueError(f"from_run = true takes its constants from the run; remove {', '.join(surplus)}")
+                raise ValueError(say("press-layer-surplus", keys=tuple(surplus)))
         elif missing := [key for key, value in given.items() if value is None]:
-            raise ValueError(f"needs {', '.join(missing)} (or from_run = true)")
+            raise ValueError(say("press-layer-needs", keys=tuple(missing)))
         return self
 
 
@@ -112,9 +139,9 @@ class Boundary(_Table):
     @model_validator(mode="after")
     def _complete(self) -> Boundary:
         if self.kind == "measured" and self.column is None:
-            raise ValueError('kind = "measured" needs column, the run file column with its temperature')
+            raise ValueError(say("press-boundary-needs-column"))
         if self.kind == "air" and self.coefficient is None:
-            raise ValueError('kind = "air" needs coefficient, the name of its heat transfer coefficient')
+            raise ValueError(say("press-boundary-needs-coefficient"))
         return self
 
 
@@ -155,7 +182,7 @@ class Coefficient(_Table):
     @model_validator(mode="after")
     def _ordered(self) -> Coefficient:
         if not self.lower <= self.guess <= self.upper:
-            raise ValueError(f"guess = {self.guess:g} lies outside lower..upper = {self.lower:g}..{self.upper:g}")
+            raise ValueError(say("press-guess-outside", guess=self.guess, lower=self.lower, upper=self.upper))
         return self
 
 
@@ -198,7 +225,7 @@ class Initial(_Table):
     @model_validator(mode="after")
     def _complete(self) -> Initial:
         if self.kind == "uniform" and self.temperature_C is None:
-            raise ValueError('kind = "uniform" needs temperature_C')
+            raise ValueError(say("press-initial-needs"))
         return self
 
 
@@ -271,23 +298,21 @@ class Press(_Table):
     def _consistent(self) -> Press:
         names = [layer.name for layer in self.layer]
         if doubled := {n for n in names if names.count(n) > 1}:
-            raise ValueError(f"layer names must differ; {sorted(doubled)} occurs twice")
+            raise ValueError(say("press-layer-twice", names=tuple(sorted(doubled))))
         neighbours = list(itertools.pairwise(self.chain))
         seen: set[tuple[str, str]] = set()
         for i, contact in enumerate(self.contact):
             if contact.between not in neighbours:
-                raise ValueError(
-                    f"contact.{i}.between = {list(contact.between)}: not neighbours, listed from bottom to top; "
-                    f"possible are {[list(n) for n in neighbours]}"
-                )
+                possible = tuple(str(list(n)) for n in neighbours)
+                found = say("press-contact-no-neighbours", possible=possible)
+                raise ValueError(_of(f"contact.{i}.between", list(contact.between), found))
             if contact.between in seen:
-                raise ValueError(f"contact.{i}.between = {list(contact.between)}: given twice")
+                raise ValueError(_of(f"contact.{i}.between", list(contact.between), say("press-contact-twice")))
             seen.add(contact.between)
             self._check_parting(i, contact)
         if unused := sorted(set(self.coefficients) - set(self.coefficient_names)):
             raise ValueError(
-                f"coefficients.{unused[0]}: no contact or boundary uses it; "
-                f"used are {list(self.coefficient_names)}"
+                say("press-coefficient-unused", name=f"coefficients.{unused[0]}", used=self.coefficient_names)
             )
         for name, prior in self.priors.items():
             self._check_prior(name, prior)
@@ -298,20 +323,18 @@ class Press(_Table):
         return self
 
     @property
-    def misnamed_wire(self) -> str:
-        """Why limit switch or pressure channel would be taken for something else; empty where they are not."""
+    def misnamed_wire(self) -> Message | None:
+        """Why limit switch or pressure channel would be taken for something else; None where they are not."""
         table = self.press
         pressure = table.pressure.column if table.pressure else ""
         if pressure == table.limit_switch:
-            return f"press.pressure.column = {pressure!r}: is the limit switch already; name another column"
+            return _of("press.pressure.column", pressure, say("press-wire-twice"))
         known = [pattern for sensor in self.sensor for pattern in sensor.columns]
         known += [b.column for b in (self.boundary.bottom, self.boundary.top) if b.column]
         for key, name in (("limit_switch", table.limit_switch), ("pressure.column", pressure)):
             if taken := [x for x in known if fnmatch.fnmatchcase(name, x)]:
-                return (
-                    f"press.{key} = {name!r}: would be read as a temperature, by {taken[0]!r}; rename the channel"
-                )
-        return ""
+                return _of(f"press.{key}", name, say("press-wire-as-temperature", pattern=taken[0]))
+        return None
 
     def _check_parting(self, i: int, contact: Contact) -> None:
         for end in ("bottom", "top"):
@@ -321,38 +344,33 @@ class Press(_Table):
                 and f"boundary.{end}" in contact.between
                 and kind in ("air", "flux")
             ):
-                raise ValueError(
-                    f"contact.{i}.open = {list(contact.open)}: boundary.{end} is of kind {kind!r}, from which no "
-                    f"layer parts; give one name"
-                )
+                found = say("press-contact-cannot-part", boundary=f"boundary.{end}", kind=kind)
+                raise ValueError(_of(f"contact.{i}.open", list(contact.open), found))
 
     def _check_prior(self, name: str, prior: Prior) -> None:
         if name not in self.coefficient_names:
-            raise ValueError(f"priors.{name}: no such coefficient; used are {list(self.coefficient_names)}")
+            raise ValueError(say("press-prior-unknown", name=f"priors.{name}", used=self.coefficient_names))
         table = self.coefficient(name)
         if not table.lower <= prior.median <= table.upper:
-            raise ValueError(
-                f"priors.{name}.median = {prior.median:g}: outside the coefficient's limits "
-                f"{table.lower:g}..{table.upper:g}"
-            )
+            found = say("press-prior-outside", lower=table.lower, upper=table.upper)
+            raise ValueError(_of(f"priors.{name}.median", prior.median, found))
 
     def _check_place(self, i: int, sensor: Sensor) -> None:
         if isinstance(sensor.at, At):
             layer = next((x for x in self.layer if x.name == sensor.at.layer), None)
             if layer is None:
-                raise ValueError(f"sensor.{i}.at.layer = {sensor.at.layer!r}: no such layer")
+                raise ValueError(_of(f"sensor.{i}.at.layer", sensor.at.layer, say("press-no-such-layer")))
             if layer.thickness_mm is not None and sensor.at.depth_mm > layer.thickness_mm:
-                raise ValueError(
-                    f"sensor.{i}.at.depth_mm = {sensor.at.depth_mm:g}: outside layer {layer.name!r}, "
-                    f"which is {layer.thickness_mm:g} mm thick"
-                )
+                found = say("press-depth-outside", layer=layer.name, thickness_mm=layer.thickness_mm)
+                raise ValueError(_of(f"sensor.{i}.at.depth_mm", sensor.at.depth_mm, found))
             return
         layer_name, _, place = sensor.at.rpartition(".")
         if layer_name not in {x.name for x in self.layer} or place not in ("bottom", "middle", "top"):
-            raise ValueError(
-                f"sensor.{i}.at = {sensor.at!r}: must be LAYER.bottom, LAYER.middle, LAYER.top "
-                f"or {{ layer = LAYER, depth_mm = ... }}"
-            )
+            raise ValueError(_of(f"sensor.{i}.at", sensor.at, say("press-no-place")))
+
+
+def _of(key: str, value: object, what: Message) -> Message:
+    return say("at-key-value", key=key, value=repr(value), what=what)
 
 
 def parse_press(text: str, source: str = "press file") -> Press:
@@ -364,11 +382,11 @@ def parse_press(text: str, source: str = "press file") -> Press:
         Naming `source`, line or key, value and what is allowed.
     """
     try:
-        return Press.model_validate(tomllib.loads(text))
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{source}: not valid TOML: {error}") from error
+        return Press.model_validate(read_toml(_SD_LINE.sub(r'\1"\2.sd"', text)))
     except ValidationError as error:
-        raise InputError(f"{source}: {explain(error)}") from error
+        raise InputError(at(source, explained(error, Press))) from error
+    except InputError as error:
+        raise InputError(at(source, spoken(error))) from error
 
 
 def read_press(path: Path) -> Press:
@@ -376,7 +394,8 @@ def read_press(path: Path) -> Press:
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot read the press file: {_reason(error)}") from error
+        said = say("file-cannot-read", what=say("file-of-press"), reason=reason_of(error))
+        raise InputError(at(path, said)) from error
     return parse_press(text, str(path))
 
 
@@ -393,11 +412,10 @@ def press_for_run(press: Press, run: Run) -> Press:
     tree = press.model_dump(exclude_unset=True)
     for key, value in overrides.items():
         try:
-            _set(tree, key.split("."), value)
+            _set(tree, key.removesuffix(SD).split("."), value, SD if key.endswith(SD) else "")
         except (KeyError, IndexError, ValueError, TypeError) as error:
-            raise InputError(
-                f"{run.source or run.name}: header key {key}: the press file has no such place"
-            ) from error
+            said = say("header-no-such-place", key=key)
+            raise InputError(at(run.source or run.name, said)) from error
     try:
         used = Press.model_validate(tree | {"coefficients": {}, "priors": {}}).coefficient_names
         for table in ("coefficients", "priors"):
@@ -406,68 +424,11 @@ def press_for_run(press: Press, run: Run) -> Press:
             tree[table] = {name: x for name, x in tree.get(table, {}).items() if name in used or name in given}
         return Press.model_validate(tree)
     except ValidationError as error:
-        raise InputError(f"{run.source or run.name}: header override: {explain(error)}") from error
+        said = say("header-override", what=explained(error, Press))
+        raise InputError(at(run.source or run.name, said)) from error
 
 
-def panel_of(run: Run) -> Panel:
-    """Return the panel a run's header describes, completed from the material table.
-
-    Raises
-    ------
-    InputError
-        For a missing or nonphysical key.
-    """
-    header, where = run.header, run.source or run.name
-    material = str(header.get("panel.material", ""))
-    known = find_material(material) if material else None
-
-    def number(key: str, default: float | None, lower: float, upper: float) -> float:
-        value = header.get(f"panel.{key}", default)
-        if value is None:
-            unknown = known is None and key in ("density_kg_m3", "conductivity_W_mK", "heat_capacity_J_kgK")
-            listed = f" and material {material!r} is not in the table ({', '.join(MATERIALS)})" if unknown else ""
-            raise InputError(f"{where}: header key panel.{key} is missing{listed}; add '# panel.{key} = ...'")
-        if isinstance(value, bool) or not isinstance(value, int | float) or not lower <= value <= upper:
-            raise Nonphysical(
-                f"{where}: header key panel.{key} = {value!r}: must be a number from {lower:g} to {upper:g}"
-            )
-        return float(value)
-
-    moisture = header.get("panel.moisture_percent")
-    return Panel(
-        material=material,
-        thickness=number("thickness_mm", None, 0.1, 500.0) / 1000.0,
-        density=number("density_kg_m3", known.density if known else None, 5.0, 25000.0),
-        conductivity=number("conductivity_W_mK", known.conductivity if known else None, 0.005, 500.0),
-        heat_capacity=number("heat_capacity_J_kgK", known.heat_capacity if known else None, 50.0, 10000.0),
-        initial_temperature=number("initial_temperature_C", None, -60.0, 400.0),
-        moisture_percent=None if moisture is None else number("moisture_percent", None, 0.0, 200.0),
-    )
-
-
-def explain(error: ValidationError) -> str:
-    """Say in one line what is wrong: key, value, limit."""
-    lines = []
-    items = error.errors()
-    own = [item for item in items if item["type"] != "too_short"]
-    for item in (own or items)[:3]:
-        key = ".".join(
-            str(p) for p in item["loc"] if not str(p).startswith(("function-", "constrained-", "tuple["))
-        )
-        message = item["msg"].removeprefix("Value error, ")
-        if item["type"] == "extra_forbidden":
-            message = "unknown key; remove it or check its spelling"
-        value = item.get("input")
-        shown = f" = {value!r}" if isinstance(value, str | int | float | bool) else ""
-        lines.append(f"{key}{shown}: {message}" if key else message)
-    return "; ".join(dict.fromkeys(lines))
-
-
-def _reason(error: Exception) -> str:
-    return getattr(error, "strerror", None) or str(error)
-
-
-def _set(tree: Any, keys: list[str], value: Any) -> None:
+def _set(tree: Any, keys: list[str], value: Any, ending: str = "") -> None:
     """Put `value` at a dotted place in nested tables, choosing list items by name or number."""
     for i, key in enumerate(keys[:-1]):
         if isinstance(tree, tuple | list):
@@ -485,4 +446,4 @@ def _set(tree: Any, keys: list[str], value: Any) -> None:
             )
     if not isinstance(tree, dict):
         raise TypeError
-    tree[keys[-1]] = value
+    tree[keys[-1] + ending] = value

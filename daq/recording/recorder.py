@@ -26,6 +26,12 @@ room used up                   ``N scans lost: the store was away for longer tha
 store of a newer version       ``made by a newer version (schema X, this version knows Y); update Kerntemp or give
                                another store``: at start exit status 2; behind a server that came back, an alarm
 file damaged                   ``the file is damaged; restore the newest backup with kerntemp backup --restore``
+thread failed unexpectedly     ``writer: unexpected fault: ...; it is restarted`` (alarm); no watchdog meanwhile
+buffer damaged or gone         ``buffer ... is damaged (...): set aside as ...; N entries could be read, M
+                               are lost; recording goes on`` (alarm)
+entry no store takes           ``the store does not take ...; set aside in ....set-aside.jsonl, everything else is
+                               written`` (alarm)
+name of a run taken            ``run ... is in the store already; this pressing is stored as ...`` (warning)
 recorder was killed            ``run ... was interrupted; its data are kept`` (warning), recording goes on
 second recorder, same machine  ``press lab: another recorder writes it into ...; stop that one first`` or ``buffer
                                ...: another recorder uses it``: exit status 2, the first is not disturbed
@@ -53,22 +59,28 @@ import logging
 import os
 import threading
 import time
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from daq.config import Config, load_config, press_of
 from daq.drivers import open_logger
-from daq.notify import Notifier
-from daq.pressline import Level, PressLine, Say
+from daq.process.config import Config, load_config, press_of
+from daq.process.notify import Notifier
+from daq.process.stopping import stop_on_signals
+from daq.recording.press_line import Journal, Level, PressLine
 from daq.records import InputError
-from daq.stopping import stop_on_signals
 from daq.store import Store, StoreUnavailable, open_store
-from daq.store.alone import alone
+from daq.store.file_rescue import damage_of
 from daq.store.outbox import Outbox
-from daq.store.parcels import Entry, Parcel
+from daq.store.process_lock import only_user, only_user_of_file
+from daq.store.records import in_status
+from daq.store.write_batch import Entry, WriteBatch
+from daq.supervision import SupervisedThread, unexpected
+from daq.words import Message, say, spoken
 
 LOG = logging.getLogger("kerntemp.record")
 PROCESS = "record"
@@ -77,6 +89,10 @@ _GATHER_S = 0.1
 """An accelerated recorder gathers scans this long for one commit. [s]"""
 _MANY_WAITING = 1000
 """More scans than this wait only where the store is away or this machine does not keep up."""
+_PAGES_S = 30.0
+"""How often the file of an SQLite store is read through, where it is small. [s]"""
+_PAGES_REST = 50.0
+"""So many times as long as reading it took it is left alone: 2 % of a disk's time."""
 _TIDY_S = 600.0
 """How often old idle scans are thinned. [s]"""
 
@@ -85,7 +101,7 @@ def record(
     config: Config,
     *,
     stop: threading.Event | None = None,
-    acknowledged: Callable[[Parcel], None] | None = None,
+    acknowledged: Callable[[WriteBatch], None] | None = None,
 ) -> None:
     """Record until stopped by `stop`, SIGTERM or SIGINT.
 
@@ -99,11 +115,11 @@ def record(
     for settings in config.press:
         press_of(settings)
     loggers = {settings.name: [open_logger(x) for x in settings.logger] for settings in config.press}
-    with open_store(config.store.url, later=True) as store, alone(_own_places(config, store)):
+    with open_store(config.store.url, later=True) as store, _sole_recorder(config, store):
 
-        def say(level: Level, sentence: str, press: str | None = None, **detail: Any) -> None:
-            _log(level, sentence)
-            outbox.put(Entry(level, PROCESS, sentence, press, detail or None))
+        def journal(level: Level, message: Message, press: str | None = None, **detail: Any) -> None:
+            _log(level, message)
+            outbox.put(Entry(level, PROCESS, message, press, detail or None))
 
         outbox = Outbox(
             store,
@@ -111,88 +127,115 @@ def record(
             per_second=sum(settings.rate_hz for settings in config.press) * config.clock.speed,
             gather_s=_GATHER_S if config.clock.speed > 1 else 0.0,
             acknowledged=acknowledged,
-            say=say,
+            journal=journal,
         )
 
         speed = config.clock.speed
         lines = [
-            PressLine(settings, config.text, loggers[settings.name], store, outbox, speed, say, stop)
+            PressLine(settings, config.text, loggers[settings.name], store, outbox, speed, journal, stop)
             for settings in config.press
         ]
         outbox.start()
         for line in lines:
             line.start()
-        names = ", ".join(settings.name for settings in config.press)
-        say("info", f"recording {names}; while the store is away scans wait in {outbox.capacity}")
+        if (path := store.database.path) is not None:
+            said = partial(journal, "alarm")
+            SupervisedThread("pages", lambda: watch_pages(path, stop, journal), said).start()
+        presses = tuple(settings.name for settings in config.press)
+        journal("info", say("recording-begins", presses=presses, where=outbox.capacity))
         notifier = Notifier()
-        notifier.ready(f"recording {names}")
+        notifier.ready(str(say("recording-now", presses=presses)))
         try:
-            _watch(config, store, lines, outbox, notifier, say, stop)
+            _Recording(config, store, lines, outbox, notifier, journal).watch(stop)
         finally:
             notifier.stopping()
             stop.set()
             for line in lines:
                 line.join()
             outbox.beat(store.beats_as(PROCESS), _status(lines, outbox, "stopped"))
-            say("info", "recording ends")
+            journal("info", say("recording-ends"))
             outbox.close()
 
 
-def _own_places(config: Config, store: Store) -> dict[Path, str]:
-    """Return what no other recorder may use meanwhile, and what to say to a second one."""
-    if (path := store.database.path) is not None:
-        path = path.resolve()  # a link leads to the same file
-        said = "another recorder writes it into {}; stop that one first"
-        return {
-            path.with_name(f"{path.name}.{p.name}"): f"press {p.name}: {said.format(path)}" for p in config.press
-        }
-    if (buffer := config.store.buffer) is None:
-        return {}
-    said = "another recorder uses it; stop that one, or give each its own as store.buffer"
-    return {buffer.resolve(): f"buffer {buffer}: {said}"}
+@contextmanager
+def _sole_recorder(config: Config, store: Store) -> Iterator[None]:
+    """Hold what no other recorder may use meanwhile; a second one is refused."""
+    with ExitStack() as held:
+        if (path := store.database.path) is not None:
+            path = path.resolve()  # a link leads to the same file
+            refusals = {p.name: say("press-recorded-already", press=p.name, store=str(path)) for p in config.press}
+            held.enter_context(only_user({path.with_name(f"{path.name}.{p}"): r for p, r in refusals.items()}))
+            held.enter_context(only_user_of_file(path, refusals))
+        elif (buffer := config.store.buffer) is not None:
+            held.enter_context(only_user({buffer.resolve(): say("buffer-used-already", file=str(buffer))}))
+        yield
 
 
-def _watch(
-    config: Config,
-    store: Store,
-    lines: Sequence[PressLine],
-    outbox: Outbox,
-    notifier: Notifier,
-    say: Say,
-    stop: threading.Event,
-) -> None:
-    """Until stopped: signs of life, changes of the configuration, thinning of old idle scans.
+@dataclass(frozen=True)
+class _Recording:
+    """What a recorder consists of."""
 
-    The watchdog is fed only while every press has fresh scans and every logger's driver comes back.
-    """
-    watch, tidied = _ConfigWatch(config, say), time.monotonic()
-    thinned: dict[int, int] = {}
-    while not stop.wait(_BEAT_S):
-        status = _status(lines, outbox, "running")
-        outbox.beat(store.beats_as(PROCESS), status)
-        stalled = [s for line in lines if (s := line.stalled())]
+    config: Config
+    store: Store
+    lines: Sequence[PressLine]
+    outbox: Outbox
+    notifier: Notifier
+    journal: Journal
+
+    def watch(self, stop: threading.Event) -> None:
+        """Until stopped: signs of life, changes of the configuration, thinning of old idle scans."""
+        watch, tidied, told = _ConfigWatch(self.config, self.journal), time.monotonic(), None
+        thinned: dict[int, int] = {}
+        while not stop.wait(_BEAT_S):
+            try:
+                self._give_sign_of_life()
+                watch.look(self.lines)
+                if time.monotonic() - tidied > _TIDY_S:
+                    tidied = time.monotonic()
+                    _tidy(self.store, self.config.store.keep_idle_days, thinned)
+                told = None
+            except Exception as error:  # noqa: BLE001 - who watches must not die of what it sees
+                fault = say("thread-failed", thread="watch", why=unexpected(error))
+                if fault != told:
+                    self.journal("alarm", fault)
+                told = fault
+
+    def _give_sign_of_life(self) -> None:
+        """Feed the watchdog only while presses have fresh scans, drivers come back and the writer works."""
+        found = [*(line.stalled() for line in self.lines), self.outbox.stalled()]
+        stalled = [why for why in found if why is not None]
+        status = _status(self.lines, self.outbox, "running", stalled)
+        self.outbox.beat(self.store.beats_as(PROCESS), status)
         if stalled:
-            notifier.status("; ".join(stalled))
+            self.notifier.status("; ".join(map(str, stalled)))
         else:
-            notifier.alive(status["message"])
-        watch.look(lines)
-        if time.monotonic() - tidied > _TIDY_S:
-            tidied = time.monotonic()
-            _tidy(store, config.store.keep_idle_days, thinned)
+            self.notifier.alive(status["message"])
 
 
 def _tidy(store: Store, keep_days: float, done: dict[int, int]) -> None:
     try:
         store.thin_idle(datetime.now(UTC) - timedelta(days=keep_days), done=done)
     except StoreUnavailable as error:
-        LOG.info("idle scans are not thinned now: %s", error)
+        LOG.info("%s", say("idle-not-thinned", why=spoken(error)))
+
+
+def watch_pages(path: Path, stop: threading.Event, journal: Journal) -> None:
+    """Until stopped: read the store's file through, and tell when its pages are damaged."""
+    told, pause_s = "", _PAGES_S
+    while not stop.wait(pause_s):
+        began = time.monotonic()
+        found = damage_of(path)
+        pause_s = max(_PAGES_S, _PAGES_REST * (time.monotonic() - began))
+        if found and found != told:
+            journal("alarm", say("store-damaged", store=str(path), error=found))
+        told = found
 
 
 class _ConfigWatch:
     """Notices a changed configuration or file it names; each press takes it over between its runs."""
 
-    def __init__(self, config: Config, say: Say) -> None:
-        self._config, self._say = config, say
+    def __init__(self, config: Config, journal: Journal) -> None:
+        self._config, self._journal = config, journal
         self._seen = self._stamp()
 
     def _stamp(self) -> tuple[int, ...]:
@@ -214,26 +257,26 @@ class _ConfigWatch:
             for line in lines:
                 line.change(fresh.press_named(line.settings.name), fresh.text)
         except (InputError, OSError) as error:  # also a folder that may not be read, a share that is away
-            self._say("warning", f"{error}; recording goes on with the configuration before")
+            self._journal("warning", say("configuration-refused", why=spoken(error)))
             return
         self._config = fresh
         self._seen = self._stamp()
-        self._say("info", "configuration changed; it takes effect between runs")
+        self._journal("info", say("configuration-changed"))
 
     def _refuse_what_needs_a_start(self, fresh: Config) -> None:
         """Refuse what cannot change under way, before any press has taken anything over."""
         now, then = self._config, fresh
         changed = [
-            what
+            Message(what)
             for what, differs in (
-                ("[store]", (now.store.url, now.store.buffer) != (then.store.url, then.store.buffer)),
-                ("[clock]", now.clock != then.clock),
-                ("the list of presses", [p.name for p in now.press] != [p.name for p in then.press]),
+                ("needs-start-store", (now.store.url, now.store.buffer) != (then.store.url, then.store.buffer)),
+                ("needs-start-clock", now.clock != then.clock),
+                ("needs-start-presses", [p.name for p in now.press] != [p.name for p in then.press]),
             )
             if differs
         ]
         if changed:
-            raise InputError(f"{fresh.path}: changed {' and '.join(changed)}: start kerntemp record anew for that")
+            raise InputError(say("configuration-needs-start", file=str(fresh.path), changed=tuple(changed)))
 
 
 def _changed_ns(file: Path) -> int:
@@ -244,26 +287,27 @@ def _changed_ns(file: Path) -> int:
         return 0
 
 
-def _log(level: Level, sentence: str) -> None:
-    LOG.log({"info": logging.INFO, "warning": logging.WARNING}.get(level, logging.ERROR), "%s", sentence)
+def _log(level: Level, message: Message) -> None:
+    LOG.log({"info": logging.INFO, "warning": logging.WARNING}.get(level, logging.ERROR), "%s", message)
 
 
-def _status(lines: Sequence[PressLine], outbox: Outbox, state: str) -> dict[str, Any]:
-    problems = [p for line in lines for p in line.problems()]
+def _status(
+    lines: Sequence[PressLine], outbox: Outbox, state: str, stalled: Sequence[Message] = ()
+) -> dict[str, Any]:
+    problems = [*stalled, *(p for line in lines for p in line.problems())]
     if outbox.trouble:
-        problems.append(f"{outbox.trouble} ({outbox.waiting} waiting)")
+        problems.append(say("store-trouble", why=outbox.trouble, count=outbox.waiting))
     elif outbox.waiting > _MANY_WAITING:
-        problems.append(f"{outbox.waiting} scans wait to be written, this machine is too busy")
+        problems.append(say("scans-not-written", count=outbox.waiting))
     if outbox.lost:
-        problems.append(f"{outbox.lost} scans lost: the store was away for longer than there was room")
+        problems.append(say("scans-lost", count=outbox.lost))
     return {
         "state": state,
         "pid": os.getpid(),
-        "message": "; ".join(problems) or f"{outbox.written} scans recorded",
-        "problems": problems,
+        **in_status(problems, say("scans-recorded", count=outbox.written)),
         "acknowledged": outbox.written,
         "waiting": outbox.waiting,
-        "room_for_waiting": outbox.capacity,
+        "room_for_waiting": str(outbox.capacity),
         "room_for_waiting_hours": round(outbox.hours_left, 1),
         "presses": [line.report() for line in lines],
         "loggers": [report for line in lines for report in line.logger_reports()],
@@ -271,17 +315,17 @@ def _status(lines: Sequence[PressLine], outbox: Outbox, state: str) -> dict[str,
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Record by a configuration file, printing each commit: ``python -m daq.recorder kerntemp.toml``."""
+    """Record by a configuration file, printing each commit: ``python -m daq.recording.recorder kerntemp.toml``."""
     import sys
 
     given = list(sys.argv[1:] if arguments is None else arguments)
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s")
     config = load_config(Path(given[0] if given else "kerntemp.toml"))
 
-    def acknowledged(parcel: Parcel) -> None:
-        if parcel.scans:
+    def acknowledged(batch: WriteBatch) -> None:
+        if batch.scans:
             with suppress(OSError):
-                sys.stdout.write(f"{parcel.key.name} {parcel.scans[-1].number}\n")
+                sys.stdout.write(f"{batch.key.name} {batch.scans[-1].number}\n")
                 sys.stdout.flush()
 
     record(config, acknowledged=acknowledged)

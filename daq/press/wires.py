@@ -14,13 +14,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from daq.pressfile import Press, PressTable, press_for_run
-from daq.records import Array, Run
+from daq.press.press_file import Press, PressTable, press_for_run
+from daq.records import Array, EventSource, Run
 
 CLOSED = "closed"
 """The column of a run file that says whether the press is closed, 0 or 1."""
-LIMIT_SWITCH, PRESSURE_CHANNEL = "limit switch", "pressure channel"
-WIRES = (LIMIT_SWITCH, PRESSURE_CHANNEL)
 SILENT_S = 5.0
 """What happens while a wire says nothing for longer is told by the temperatures. [s]"""
 _BOUNCE_S = 1.0
@@ -33,7 +31,7 @@ class Wires:
     def __init__(self, table: PressTable) -> None:
         self.switches = tuple(dict.fromkeys((table.limit_switch, CLOSED)))
         self.pressure = table.pressure
-        self.told_by = LIMIT_SWITCH
+        self.told_by = EventSource.LIMIT_SWITCH
         """Which wire spoke last."""
         self._pressed: bool | None = None
         self._told: bool | None = None
@@ -64,20 +62,20 @@ class Wires:
         for name in self.switches:
             value = values.get(name, math.nan)
             if value == value:
-                self.told_by = LIMIT_SWITCH
+                self.told_by = EventSource.LIMIT_SWITCH
                 return value > 0.5
         if self.pressure is None:
             return None
         value = values.get(self.pressure.column, math.nan)
         if value != value:
             return None
-        self.told_by = PRESSURE_CHANNEL
+        self.told_by = EventSource.PRESSURE_CHANNEL
         limit = self.pressure.closed_above if not self._pressed else self.pressure.lower
         self._pressed = value > limit
         return self._pressed
 
 
-def closed_of(run: Run, press: Press) -> tuple[Array, str] | None:
+def closed_of(run: Run, press: Press) -> tuple[Array, EventSource] | None:
     """Return 0 or 1 a row by the run's wires, NaN where they say nothing, and which wire spoke.
 
     None where no wire is logged.

@@ -38,65 +38,60 @@ def documents_of(
     ended
         How: ``abort`` for a run that was interrupted; None for one that goes on, which has no stop document yet.
     """
-    units = units or {}
     start = _identifier(run.name, "start")
-    descriptor = _identifier(run.name, "descriptor")
-    yield (
-        "start",
-        {"uid": start, "time": started_unix_s, "scan_id": 1, "run": run.name, "header": _plain(run.header)},
-    )
-    names = dict(zip([*run.columns, *run.texts], _names([*run.columns, *run.texts]), strict=True))
-    keys = {
-        names[name]: {
-            "source": f"kerntemp:{name}",
-            "dtype": "number",
-            "shape": [],
-            **({"units": units[name]} if units.get(name) else {}),
-        }
-        for name in run.columns
-    }
-    remarks = {names[name]: {"source": f"kerntemp:{name}", "dtype": "string", "shape": []} for name in run.texts}
-    yield (
-        "descriptor",
-        {
-            "uid": descriptor,
-            "run_start": start,
-            "time": started_unix_s,
-            "name": "primary",
-            "data_keys": {**keys, **remarks},
-            "configuration": {},
-            "object_keys": {},
-            "hints": {},
-        },
-    )
-    columns: dict[str, Sequence[Any]] = {names[name]: values.tolist() for name, values in run.columns.items()}
-    columns |= {names[name]: texts for name, texts in run.texts.items()}
-    for i, time_s in enumerate(run.time_s.tolist()):
-        at = started_unix_s + time_s
-        yield (
-            "event",
-            {
-                "uid": _identifier(run.name, f"event {i}"),
-                "descriptor": descriptor,
-                "time": at,
-                "seq_num": i + 1,
-                "data": {name: values[i] for name, values in columns.items()},
-                "timestamps": dict.fromkeys(columns, at),
-                "filled": {},
-            },
-        )
+    told = {"uid": start, "time": started_unix_s, "scan_id": 1, "run": run.name, "header": _plain(run.header)}
+    yield "start", told
+    yield "descriptor", _descriptor(run, start, started_unix_s, units or {})
+    yield from _events(run, started_unix_s)
     if ended is None:
         return
-    yield (
-        "stop",
-        {
-            "uid": _identifier(run.name, "stop"),
-            "run_start": start,
-            "time": started_unix_s + float(run.time_s[-1]),
-            "exit_status": ended,
-            "num_events": {"primary": len(run.time_s)},
-        },
-    )
+    stop = {
+        "uid": _identifier(run.name, "stop"),
+        "run_start": start,
+        "time": started_unix_s + float(run.time_s[-1]),
+        "exit_status": ended,
+        "num_events": {"primary": len(run.time_s)},
+    }
+    yield "stop", stop
+
+
+def _descriptor(run: Run, start: str, started_unix_s: float, units: Mapping[str, str]) -> dict[str, Any]:
+    """Return the document that says what the columns are."""
+    keys: dict[str, dict[str, Any]] = {}
+    for column, name in zip([*run.columns, *run.texts], _names([*run.columns, *run.texts]), strict=True):
+        kind = "number" if column in run.columns else "string"
+        keys[name] = {"source": f"kerntemp:{column}", "dtype": kind, "shape": []}
+        if column in run.columns and units.get(column):
+            keys[name]["units"] = units[column]
+    return {
+        "uid": _identifier(run.name, "descriptor"),
+        "run_start": start,
+        "time": started_unix_s,
+        "name": "primary",
+        "data_keys": keys,
+        "configuration": {},
+        "object_keys": {},
+        "hints": {},
+    }
+
+
+def _events(run: Run, started_unix_s: float) -> Iterator[Document]:
+    """Yield one document a scan."""
+    columns: dict[str, Sequence[Any]] = {name: values.tolist() for name, values in run.columns.items()}
+    columns = dict(zip(_names([*columns, *run.texts]), [*columns.values(), *run.texts.values()], strict=True))
+    descriptor = _identifier(run.name, "descriptor")
+    for i, time_s in enumerate(run.time_s.tolist()):
+        at = started_unix_s + time_s
+        event = {
+            "uid": _identifier(run.name, f"event {i}"),
+            "descriptor": descriptor,
+            "time": at,
+            "seq_num": i + 1,
+            "data": {name: values[i] for name, values in columns.items()},
+            "timestamps": dict.fromkeys(columns, at),
+            "filled": {},
+        }
+        yield "event", event
 
 
 def json_lines(

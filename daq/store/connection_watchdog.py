@@ -1,4 +1,4 @@
-"""A PostgreSQL connection that does not wait for ever on a server that has stopped.
+"""A connection watchdog: no call waits for ever on a PostgreSQL server that has stopped.
 
 Neither `statement_timeout` nor `tcp_user_timeout` helps there: the one is kept by the server, the other
 watches the network, and a stopped server's machine still confirms every packet. So a wait without any sign
@@ -20,7 +20,7 @@ SILENT_S = 8.0
 _INTERVAL_S = 0.1
 
 
-class PatientConnection(psycopg.Connection[Any]):
+class WatchedConnection(psycopg.Connection[Any]):
     """A connection whose calls end with `OperationalError` once the server takes no connections any more.
 
     That is after `SILENT_S` and the connection timeout, 11 s together.
@@ -30,7 +30,7 @@ class PatientConnection(psycopg.Connection[Any]):
     """Psycopg's arguments that led here."""
 
     @classmethod
-    def to(cls, *words: Any, **options: Any) -> PatientConnection:
+    def to(cls, *words: Any, **options: Any) -> WatchedConnection:
         """Connect with psycopg's own arguments."""
         made = cls.connect(*words, **options)
         made.how = {"conninfo": words[0] if words else "", **options}

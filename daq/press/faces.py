@@ -9,13 +9,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.pressfile import At, Press
+from daq.press.press_file import At, Press
 from daq.records import Array, Run
 
 RATTLE_S = 10.0
-"""How long a sensor's restlessness is remembered. [s]"""
+"""How long a sensor's restlessness is remembered: longer than a closing, shorter than a pressing. [s]"""
 LOW_C, HIGH_C = -60.0, 500.0
-"""A panel's sensor outside this is broken. [°C]"""
+"""A panel's sensor outside this is broken: colder than any hall, hotter than charred wood. [°C]"""
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,8 @@
 """Scans recorded before the store could say where they belong: they get press, numbers and layout when it can.
 
 A recorder that starts while the store is away (or while an older buffer is still to be written) numbers its
-scans from 0 under a session of its own, a negative press number. When the session's first parcel is due, the
-press is registered and the session's place is noted, durably and once; every parcel is moved to that place,
+scans from 0 under a session of its own, a negative press number. When the session's first batch is due, the
+press is registered and the session's place is noted, durably and once; every batch is moved to that place,
 also by a later process that finds the session in the buffer. So a kill at any moment doubles and loses nothing.
 """
 
@@ -14,9 +14,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from daq.records import Channel
-from daq.store.parcels import Parcel
-from daq.store.records import PressKey
+from daq.store.records import PressKey, RunEnd
 from daq.store.store import Store
+from daq.store.write_batch import WriteBatch
 
 Notes = MutableMapping[int, dict[str, Any]]
 """What is known of each session; a buffer keeps it durably."""
@@ -40,20 +40,20 @@ class Place:
     """Runs that a crash before this session left open."""
 
 
-class Admission:
-    """Moves parcels to their place in the store."""
+class SessionPlacement:
+    """Moves write batches to their place in the store."""
 
     def __init__(self, store: Store, notes: Notes) -> None:
         self._store, self._notes = store, notes
         self._layouts: dict[tuple[int, tuple[Channel, ...]], int] = {}
 
-    def waits_for_place(self, parcel: Parcel) -> bool:
-        """Whether this is the first parcel of a session: all before it must be written before it is placed."""
-        return parcel.key.press_id < 0 and "press_id" not in self._notes[parcel.key.press_id]
+    def waits_for_place(self, batch: WriteBatch) -> bool:
+        """Whether this is the first batch of a session: all before it must be written before it is placed."""
+        return batch.key.press_id < 0 and "press_id" not in self._note(batch.key)
 
     def place(self, key: PressKey) -> Place:
         """Find a session's place in the store; noted before anything is written there."""
-        note = self._notes[key.press_id]
+        note = self._note(key)
         if "press_id" in note:
             return Place(note["press_id"], note["shift"])
         interrupted = self._store.interrupt_open_runs(key.name)
@@ -63,23 +63,28 @@ class Admission:
         self._notes[key.press_id] = {**note, "press_id": place.press_id, "shift": place.shift}
         return place
 
-    def moved(self, parcel: Parcel) -> Parcel:
-        """Return the parcel as the store takes it."""
-        key, shift = parcel.key, 0
+    def _note(self, key: PressKey) -> dict[str, Any]:
+        """Return what is known of a session; one whose note a damaged buffer lost begins anew."""
+        unknown = {"channels": [[c.name, c.unit] for c in key.channels], "press_file": ""}
+        return self._notes.get(key.press_id, unknown)
+
+    def moved(self, batch: WriteBatch) -> WriteBatch:
+        """Return the batch as the store takes it."""
+        key, shift = batch.key, 0
         if key.press_id < 0:
             place = self.place(key)
             key, shift = replace(key, press_id=place.press_id), place.shift
         if key.layout_id == 0:
             key = replace(key, layout_id=self._layout(key))
-        if key is parcel.key:
-            return parcel
-        begin, end = parcel.begin, parcel.end
-        return Parcel(
+        if key is batch.key:
+            return batch
+        begin, end = batch.begin, batch.end
+        return WriteBatch(
             key,
-            tuple(replace(scan, number=scan.number + shift) for scan in parcel.scans),
-            parcel.events,
+            tuple(replace(scan, number=scan.number + shift) for scan in batch.scans),
+            batch.events,
             None if begin is None else replace(begin, first_scan=begin.first_scan + shift),
-            None if end is None else replace(end, last_scan=end.last_scan + shift),
+            None if end is None else _shifted(end, shift),
         )
 
     def _layout(self, key: PressKey) -> int:
@@ -87,3 +92,8 @@ class Admission:
         if known not in self._layouts:
             self._layouts[known] = self._store.layout_of(key.press_id, key.name, key.channels)
         return self._layouts[known]
+
+
+def _shifted(end: RunEnd, shift: int) -> RunEnd:
+    first = None if end.first_scan is None else end.first_scan + shift
+    return replace(end, last_scan=end.last_scan + shift, first_scan=first)

@@ -1,0 +1,102 @@
+"""A store from Python: its runs, scans, estimates, coefficients and events as pandas tables. Reading only."""
+
+from __future__ import annotations
+
+import types
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from daq.files.frames import frame_of, run_of
+from daq.press.events import find_moments as find_run_moments
+from daq.press.press_file import Press, read_press
+from daq.records import Moments, Run
+from daq.store.records import every
+from daq.store.store import Store
+from daq.store.store import open_store as open_database
+
+HISTORY_ROWS = 200
+"""Rows asked of the store at a time."""
+
+
+@dataclass(frozen=True)
+class StoreTables:
+    """An open store. Close it, or use it in a ``with`` statement."""
+
+    store: Store
+
+    def runs(self, press: str | None = None) -> pd.DataFrame:
+        """Return one row a run, newest first, with the keys of its header."""
+        found = every(lambda cursor: self.store.runs(press=press, cursor=cursor, limit=HISTORY_ROWS))
+        rows = [
+            {"run": r.run, "press": r.press, "status": str(r.status), "started_utc": r.started_utc}
+            | {"closed_s": r.moments.closed_s, "opened_s": r.moments.opened_s, "remark": r.remark}
+            | {key: value for key, value in r.header.items() if key != "run"}
+            for r in found
+        ]
+        return _table(rows, "run")
+
+    def samples(self, run: str) -> pd.DataFrame:
+        """Return a run's scans, indexed by ``time_s``, its header in ``attrs``. Raises `InputError`."""
+        return frame_of(self.store.load_run(run))
+
+    def estimates(self, run: str) -> pd.DataFrame:
+        """Return what the live sensor said of a run, indexed by ``time_s``."""
+        rows = [
+            {"time_s": time_s, "state": str(e.state), "core_C": e.core_celsius, "core_sd_K": e.core_sd_kelvin}
+            | {"core_low_C": e.core_low_celsius, "core_high_C": e.core_high_celsius}
+            | {"valid": e.valid, "reason": e.reason, "model_version": e.model_version}
+            for time_s, e in self.store.estimates(run)
+        ]
+        return _table(rows, "time_s")
+
+    def coefficients(self, press: str | None = None) -> pd.DataFrame:
+        """Return one row a run and coefficient of its newest fit: value, sd, 95 % interval. [W/m²K]"""
+        found = every(lambda at: self.store.coefficient_history(press=press, cursor=at, limit=HISTORY_ROWS))
+        rows = [
+            {"run": c.run, "started_utc": c.started_utc, "coefficient": c.name, "value": c.value, "sd": c.sd}
+            | {"low": c.low, "high": c.high, "identifiable": c.identifiable, "model_version": c.model_version}
+            for c in found
+        ]
+        return _table(rows, "run")
+
+    def events(self, press: str | None = None) -> pd.DataFrame:
+        """Return the journal, newest first: what was lost, changed, promoted, alarmed."""
+        found = every(lambda cursor: self.store.journal(press=press, cursor=cursor, limit=HISTORY_ROWS))
+        rows = [
+            {"utc": e.utc, "level": e.level, "process": e.process, "press": e.press}
+            | {"code": e.message.code, "message": str(e.message)}
+            for e in found
+        ]
+        return _table(rows, "utc")
+
+    def close(self) -> None:
+        """Let go of the database. A second call does no harm."""
+        self.store.close()
+
+    def __enter__(self) -> StoreTables:
+        """Enter a ``with`` statement."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: types.TracebackType | None
+    ) -> None:
+        """Close it."""
+        self.close()
+
+
+def open_store(url: str | Path) -> StoreTables:
+    """Open a store by its file or its ``postgresql://`` address. Raises `InputError` or `StoreUnavailable`."""
+    return StoreTables(open_database(str(url)))
+
+
+def find_moments(run: Run | pd.DataFrame, press: Press | Path | str) -> Moments:
+    """Return when the press closed and opened in a run, and when the panel came and went. [s of the run]"""
+    described = press if isinstance(press, Press) else read_press(Path(press))
+    return find_run_moments(run_of(run) if isinstance(run, pd.DataFrame) else run, described)
+
+
+def _table(rows: list[dict[str, Any]], index: str) -> pd.DataFrame:
+    return pd.DataFrame(rows).set_index(index) if rows else pd.DataFrame(columns=[index]).set_index(index)

@@ -1,0 +1,1 @@
+"""Files in and out: run files, mappings of other loggers, documents, manifests."""

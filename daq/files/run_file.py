@@ -1,0 +1,323 @@
+"""Run files in and out: CSV or Parquet, one row a scan, header keys in front. Nothing is lost either way.
+
+A text column ``quality`` says what deviates (`daq.files.qualities`); what it calls unusable is read as missing.
+
+Writing goes to a temporary file beside the target and is renamed when it is complete.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import re
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from datetime import date, datetime, time
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from daq.files.qualities import without_unusable
+from daq.files.run_rows import (
+    CLOSED,
+    TIME,
+    Rows,
+    RowText,
+    check_names,
+    check_rows,
+    decoded,
+    escaped,
+    number_in,
+    read_rows,
+    unescaped,
+)
+from daq.press.header import check_header
+from daq.records import Array, InputError, Run
+from daq.tables import at, read_toml, reason_of
+from daq.words import say, spoken
+
+_BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
+_FOREIGN_METADATA = ("pandas", "huggingface", "geo")
+"""Schema metadata that other Parquet writers add, as JSON objects; no header keys."""
+
+
+_BYTE_ORDER_MARK = b"\xef\xbb\xbf"
+_MOST_BLANKS = 1 << 16
+"""A file that begins with more blanks and empty lines than that is empty. [bytes]"""
+_LONGEST_LINE = 1 << 24
+"""Of a header; beyond that it is no run file. [bytes]"""
+_ROWS_AT_ONCE = 1 << 16
+"""Rows written, or read from Parquet, in one piece."""
+
+
+def read_run(path: Path, temperatures: Sequence[str] = ()) -> Run:
+    """Read a run file, CSV or Parquet.
+
+    Parameters
+    ----------
+    temperatures
+        Patterns of columns in which only a temperature can stand.
+
+    Raises
+    ------
+    InputError
+        Naming file, line, column, value and what would be right.
+    """
+    path = Path(path)
+    try:
+        with path.open("rb") as file:
+            begin = file.read(_MOST_BLANKS)
+            if not begin.strip():
+                raise InputError(at(path, say("run-file-empty")))
+            if begin.startswith(b"PAR1") or path.suffix.lower() in (".parquet", ".pq"):
+                return _read_parquet(path, temperatures)
+            file.seek(len(_BYTE_ORDER_MARK) if begin.startswith(_BYTE_ORDER_MARK) else 0)
+            header, names, rows = _read_header(path, file)
+        return _run(path, header, read_rows(rows, names, temperatures))
+    except OSError as error:
+        said = say("file-cannot-read", what=say("file-of-run"), reason=reason_of(error))
+        raise InputError(at(path, said)) from error
+
+
+def write_run(run: Run, path: Path) -> None:
+    """Write a run file, Parquet where the suffix says so, else CSV. An existing file is replaced at once.
+
+    Raises
+    ------
+    InputError
+        For a run that no run file can hold: times that do not rise, infinite values, impossible names.
+    """
+    path = Path(path)
+    header = {**run.header, "run": run.name} if str(run.header.get("run", "")) != run.name else dict(run.header)
+    names = (TIME, *run.columns)
+    columns = [np.asarray(run.time_s, float), *(np.asarray(c, float) for c in run.columns.values())]
+    check_names(str(path), [*names, *run.texts])
+    if odd := [n for n, c in zip(names, columns, strict=True) if len(c) != len(run.time_s)]:
+        raise InputError(at(path, say("run-column-length", column=odd[0])))
+    check_rows(str(path), Rows(dict(zip(names, columns, strict=True)), {}))
+    if path.suffix.lower() in (".parquet", ".pq"):
+        metadata = {key: toml_value(value) for key, value in flat_keys(header)}
+        fields = [pa.field(n, pa.float64()) for n in names] + [pa.field(n, pa.string()) for n in run.texts]
+        arrays = [pa.array(c, from_pandas=True) for c in columns] + [pa.array(t) for t in run.texts.values()]
+        table = pa.table(arrays, schema=pa.schema(fields, metadata=metadata))
+        _replace(path, lambda file: pq.write_table(table, file, write_page_checksum=True))
+    else:
+        pieces = _csv_pieces(header, names, columns, run.texts)
+        _replace(path, lambda file: file.writelines(piece.encode() for piece in pieces))
+
+
+def toml_line(key: str, value: Any) -> str:
+    """Write one header key as TOML.
+
+    >>> toml_line("panel.thickness_mm", 16.0)
+    'panel.thickness_mm = 16.0'
+    """
+    parts = [part if _BARE_KEY.fullmatch(part) else _quoted(part) for part in key.split(".")]
+    return f"{'.'.join(parts)} = {toml_value(value)}"
+
+
+def toml_value(value: Any) -> str:
+    """Write one header value as TOML; raises `InputError` for what TOML cannot hold."""
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return _quoted(value)
+    if isinstance(value, int):
+        return str(value)
+    if isinstance(value, float):
+        return repr(value)
+    if isinstance(value, datetime | date | time):
+        return value.isoformat()
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(toml_line(k, v) for k, v in value.items()) + "}"
+    if isinstance(value, Sequence):
+        return "[" + ", ".join(toml_value(v) for v in value) + "]"
+    raise InputError(say("header-value-kind", value=repr(value)))
+
+
+def _quoted(text: str) -> str:
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def flat_keys(tree: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Walk nested tables as dotted keys; None is left out."""
+    for key, value in tree.items():
+        if isinstance(value, Mapping):
+            yield from flat_keys(value, f"{prefix}{key}.")
+        elif value is not None:
+            yield f"{prefix}{key}", value
+
+
+def _csv_pieces(
+    header: Mapping[str, Any],
+    names: Sequence[str],
+    columns: Sequence[Array],
+    texts: Mapping[str, tuple[str, ...]],
+) -> Iterator[str]:
+    """Yield the text of a run file, some rows at a time."""
+    for key, value in flat_keys(header):
+        yield f"# {_AFTER_COMMA.sub(_in_digits, toml_line(key, value))}\n"
+    yield ",".join(_csv_cell(escaped(name)) for name in (*names, *texts)) + "\n"
+    for start in range(0, len(columns[0]), _ROWS_AT_ONCE):
+        rows = slice(start, start + _ROWS_AT_ONCE)
+        cells = [["" if v != v else repr(v).removesuffix(".0") for v in c[rows].tolist()] for c in columns]
+        words = [[_csv_cell(escaped(text)) for text in column[rows]] for column in texts.values()]
+        yield "".join(",".join(row) + "\n" for row in zip(*cells, *words, strict=True))
+
+
+_AFTER_COMMA = re.compile(r"(?<=[,;])[=@+-]")
+"""A spreadsheet cuts a header line at its commas, and would compute what then begins like a formula."""
+
+
+def _in_digits(found: re.Match[str]) -> str:
+    """Return a character as TOML writes it within quotes, by its number."""
+    return f"\\u{ord(found[0]):04x}"
+
+
+def _csv_cell(text: str) -> str:
+    """Quote what needs it, line breaks of either kind too."""
+    return '"' + text.replace('"', '""') + '"' if re.search('[,"\r\n]', text) else text
+
+
+def _replace(path: Path, write: Callable[[BinaryIO], object]) -> None:
+    """Put what `write` writes at `path` whole or not at all."""
+    try:
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    except OSError as error:
+        raise InputError(at(path, say("file-cannot-write", reason=reason_of(error)))) from error
+    temporary = Path(name)
+    try:
+        with os.fdopen(handle, "wb") as file:
+            write(file)
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.chmod(0o644)
+        temporary.replace(path)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
+
+
+def _read_header(path: Path, file: BinaryIO) -> tuple[dict[str, Any], list[str], RowText]:
+    """Return the keys, the columns' names, and where the rows begin."""
+    header: dict[str, Any] = {}
+    line = 1
+    while found := file.readline(_LONGEST_LINE):
+        raw = found.strip()
+        if raw and not raw.startswith(b"#"):
+            names = _column_names(path, line, decoded(str(path), line, found.removesuffix(b"\n")))
+            return header, names, RowText(path, file.tell(), line + 1)
+        for key, value in flat_keys(_header_line(path, line, raw)):
+            if key in header:
+                raise InputError(at(path, say("header-key-twice", key=key), line=line))
+            header[key] = value
+        line += 1
+    raise InputError(at(path, say("run-no-header-row"), line=line))
+
+
+def _header_line(path: Path, line: int, raw: bytes) -> dict[str, Any]:
+    text = decoded(str(path), line, raw).removeprefix("#").strip()
+    try:
+        parsed = read_toml(text)
+    except InputError as error:
+        said = say("header-line-no-toml", text=text[:60], reason=spoken(error))
+        raise InputError(at(path, said, line=line)) from error
+    if text.startswith("["):
+        raise InputError(at(path, say("header-section", text=text[:60]), line=line))
+    return parsed
+
+
+def _column_names(path: Path, line: int, text: str) -> list[str]:
+    names = [unescaped(cell.strip()) for cell in next(csv.reader([text.strip()]))]
+    if len(names) == 1 and any(mark in text for mark in ";\t"):
+        raise InputError(at(path, say("run-no-commas"), line=line))
+    check_names(say("at-place", place=str(path), what=say("place-line", line=line)), names)
+    if all(number_in(name) is not None for name in names):
+        raise InputError(at(path, say("run-header-row-numbers"), line=line))
+    if TIME not in names:
+        raise InputError(at(path, say("run-no-time", found=tuple(names[:8])), line=line))
+    return names
+
+
+def _read_parquet(path: Path, temperatures: Sequence[str]) -> Run:
+    try:
+        with pq.ParquetFile(path, page_checksum_verification=True) as file:
+            kinds = _parquet_kinds(path, file.schema_arrow)
+            rows = _parquet_rows(file, kinds)
+            written = file.schema_arrow.metadata or {}
+    except (pa.ArrowInvalid, OSError) as error:
+        said = say("run-no-parquet", reason=str(error).splitlines()[0])
+        raise InputError(at(path, said, column=_damaged_column(path))) from error
+    if not len(rows.columns[TIME]):
+        raise InputError(at(path, say("run-table-empty")))
+    check_rows(str(path), rows, temperatures=temperatures)
+    metadata = {k.decode(): v.decode() for k, v in written.items()}
+    own = {k: v for k, v in metadata.items() if k not in _FOREIGN_METADATA or not v.startswith("{")}
+    return _run(path, {k: _metadata_value(v) for k, v in own.items()}, rows)
+
+
+def _parquet_kinds(path: Path, schema: pa.Schema) -> dict[str, bool]:
+    """Return by column whether it holds numbers, else texts. Raises `InputError` for any other."""
+    check_names(str(path), schema.names)
+    if TIME not in schema.names:
+        raise InputError(at(path, say("run-no-time", found=tuple(schema.names[:8]))))
+    kinds = {}
+    for name, kind in zip(schema.names, schema.types, strict=True):
+        number = pa.types.is_floating(kind) or pa.types.is_integer(kind) or kind == pa.bool_()
+        if not number and (not pa.types.is_string(kind) or name in (TIME, CLOSED)):
+            raise InputError(at(path, say("run-column-type", type=str(kind)), column=name))
+        kinds[name] = number
+    return kinds
+
+
+def _parquet_rows(file: pq.ParquetFile, kinds: Mapping[str, bool]) -> Rows:
+    """Read the rows piece by piece."""
+    columns = {name: np.empty(file.metadata.num_rows) for name, number in kinds.items() if number}
+    texts: dict[str, list[str]] = {name: [] for name, number in kinds.items() if not number}
+    known: dict[str, str] = {}
+    rows = 0
+    for piece in file.iter_batches(_ROWS_AT_ONCE):
+        for name, column in columns.items():
+            values = piece[name].cast(pa.float64()).to_numpy(zero_copy_only=False)
+            column[rows : rows + len(piece)] = values
+        rows += len(piece)
+        for name, kept in texts.items():
+            kept += [known.setdefault(cell or "", cell or "") for cell in piece[name].to_pylist()]
+    return Rows(columns, {name: tuple(kept) for name, kept in texts.items()})
+
+
+def _damaged_column(path: Path) -> str | None:
+    """Return which column of a Parquet file cannot be read; None where that cannot be told."""
+    try:
+        file = pq.ParquetFile(path, page_checksum_verification=True)
+    except (pa.ArrowInvalid, OSError):
+        return None
+    with file:
+        for name in file.schema_arrow.names:
+            try:
+                file.read(columns=[name])
+            except (pa.ArrowInvalid, OSError):
+                return str(name)
+    return None
+
+
+def _metadata_value(text: str) -> Any:
+    """Read a metadata value: TOML, or the plain text another writer put there."""
+    try:
+        value = read_toml(f"value = {text}")
+    except InputError:
+        return text
+    return value["value"] if len(value) == 1 else text
+
+
+def _run(path: Path, header: dict[str, Any], rows: Rows) -> Run:
+    table = dict(rows.columns)
+    time_s = table.pop(TIME)
+    check_header(header, path)
+    return without_unusable(Run(str(header.get("run", path.stem)), header, time_s, table, str(path), rows.texts))

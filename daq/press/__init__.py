@@ -1,0 +1,1 @@
+"""The press file, and the moments at which the press closes and opens."""

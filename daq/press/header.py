@@ -1,0 +1,181 @@
+"""A run's header: the keys there are, the limits of their numbers, and the panel they describe.
+
+One set of limits for import, `check`, a change by the API and the recorder. A key that nothing knows but that
+looks like a slip of typing is refused with the one that was meant; any other is kept, and `doubts` says so.
+``KEY.sd`` beside a number is its standard deviation.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from daq.materials import MATERIALS, find_material
+from daq.press.press_file import SD, Press
+from daq.records import InputError, Nonphysical, Panel, Run
+from daq.tables import at, nearest
+from daq.words import Message, say
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Between which values a header's number can be one."""
+
+    lower: float
+    upper: float
+    unit: str
+    source: str
+
+
+_ROOM = "coldest inhabited place (Oymyakon, -68 °C); a room at 100 °C is no room"
+_MATTER = "no solid at room temperature lies outside (aerogel, osmium, diamond composites aside)"
+_HAND = "set by hand, 2026-11: far beyond any press we know"
+LIMITS: Mapping[str, Limits] = {
+    "panel.thickness_mm": Limits(0.1, 500.0, "mm", _HAND),
+    "panel.density_kg_m3": Limits(5.0, 25000.0, "kg/m³", _MATTER),
+    "panel.conductivity_W_mK": Limits(0.005, 500.0, "W/mK", _MATTER),
+    "panel.heat_capacity_J_kgK": Limits(50.0, 10000.0, "J/kgK", _MATTER),
+    "panel.moisture_percent": Limits(0.0, 200.0, "%", "green wood holds at most twice its dry mass"),
+    "panel.initial_temperature_C": Limits(-60.0, 400.0, "°C", "wood chars above 400 °C"),
+    "ambient.temperature_C": Limits(-70.0, 100.0, "°C", _ROOM),
+    "setting.platen_temperature_C": Limits(-70.0, 2000.0, "°C", "as a reading of a thermocouple"),
+    "setting.pressure_N_cm2": Limits(0.0, 100000.0, "N/cm²", _HAND),
+    "setting.press_time_s": Limits(0.0, 1e6, "s", _HAND),
+    "setting.core_target_C": Limits(-70.0, 2000.0, "°C", "as a reading of a thermocouple"),
+    "setting.core_limit_C": Limits(-70.0, 2000.0, "°C", "as a reading of a thermocouple"),
+}
+_TEXTS = ("run", "remark", "panel.material")
+_RECORDED = "recorded"
+"""What a recorder wrote of a run: `daq.store.origin` knows these keys."""
+_TABLES = tuple(name for name in Press.model_fields if name != "sd")
+_FREE = (_RECORDED, "setting", *_TABLES)
+"""First parts of keys that need no warning: a plant's own settings, and overrides, which the press file checks."""
+_ROOTS = ("panel", "ambient", "setting", *_TABLES)
+_FAR = 2.0
+"""Standard deviations from the material table beyond which a constant is doubted: one sound board in twenty."""
+
+
+def check_header(header: Mapping[str, Any], place: object) -> None:
+    """Refuse a header whose numbers cannot be, or whose keys are mistyped.
+
+    Raises
+    ------
+    InputError
+        Naming `place`, key, value and limit, or the key that was meant.
+    """
+    for key, value in header.items():
+        if (meant := _meant(key)) is not None:
+            raise InputError(at(place, say("header-key-meant", key=key, meant=meant)))
+        if key.endswith(SD):
+            _check_sd(key, value, place)
+        elif key in LIMITS and value is not None:
+            checked_number(key, value, place)
+
+
+def checked_number(key: str, value: object, place: object) -> float:
+    """Return a header's number. Raises `Nonphysical` for what is none, or lies outside its limits."""
+    limits = LIMITS[key]
+    number = math.nan if isinstance(value, bool) or not isinstance(value, int | float) else float(value)
+    if not limits.lower <= number <= limits.upper:
+        said = say(
+            "header-number-outside",
+            key=key,
+            value=repr(value),
+            lower=limits.lower,
+            upper=limits.upper,
+            unit=limits.unit,
+        )
+        raise Nonphysical(at(place, said))
+    return number
+
+
+def doubts(header: Mapping[str, Any]) -> tuple[Message, ...]:
+    """Return what is to be asked about a header that is taken: keys nobody knows, constants far from the table."""
+    return (*_unknown(header), *_far(header))
+
+
+def panel_of(run: Run) -> Panel:
+    """Return the panel a run's header describes, completed from the material table.
+
+    Raises
+    ------
+    InputError
+        For a missing or nonphysical key.
+    """
+    header, where = run.header, run.source or run.name
+    material = str(header.get("panel.material", ""))
+    known = find_material(material) if material else None
+
+    def number(key: str, listed: str = "") -> float:
+        """Return a number of the header, or of the material table where `listed` names its constant."""
+        full = f"panel.{key}"
+        value = header.get(full, getattr(known, listed).value if known and listed else None)
+        if value is not None:
+            return checked_number(full, value, where)
+        said = say("header-missing", key=full)
+        if listed and known is None:
+            said = say("header-missing-material", key=full, material=material, known=tuple(MATERIALS))
+        raise InputError(at(where, said))
+
+    moisture = header.get("panel.moisture_percent")
+    return Panel(
+        material=material,
+        thickness=number("thickness_mm") / 1000.0,
+        density=number("density_kg_m3", "density"),
+        conductivity=number("conductivity_W_mK", "conductivity"),
+        heat_capacity=number("heat_capacity_J_kgK", "heat_capacity"),
+        initial_temperature=number("initial_temperature_C"),
+        moisture_percent=None if moisture is None else number("moisture_percent"),
+    )
+
+
+def _meant(key: str) -> str | None:
+    """Return the key that a mistyped one was meant to be; None for one that is known, free or of its own."""
+    base = key.removesuffix(SD)
+    root, _, rest = base.partition(".")
+    if base in LIMITS or base in _TEXTS or root == _RECORDED or root in _TABLES:
+        return None
+    if (near := nearest(base, (*LIMITS, *_TEXTS))) is not None:
+        return near
+    near_root = nearest(root, _ROOTS) if rest and root not in _ROOTS else None
+    return near_root and f"{near_root}.{rest}"
+
+
+def _check_sd(key: str, value: object, place: object) -> None:
+    number = math.nan if isinstance(value, bool) or not isinstance(value, int | float) else float(value)
+    if not 0.0 < number < math.inf:
+        raise InputError(at(place, say("header-sd-not-positive", key=key, value=repr(value))))
+
+
+def _unknown(header: Mapping[str, Any]) -> Iterator[Message]:
+    for key in header:
+        base = key.removesuffix(SD)
+        if base not in LIMITS and base not in _TEXTS and base.partition(".")[0] not in _FREE:
+            yield say("header-key-unknown", key=key)
+
+
+def _far(header: Mapping[str, Any]) -> Iterator[Message]:
+    material = str(header.get("panel.material", ""))
+    known = find_material(material)
+    table = (
+        {}
+        if known is None
+        else {
+            "panel.density_kg_m3": known.density,
+            "panel.conductivity_W_mK": known.conductivity,
+            "panel.heat_capacity_J_kgK": known.heat_capacity,
+        }
+    )
+    for key, constant in table.items():
+        value = header.get(key)
+        if isinstance(value, int | float) and abs(value / constant.value - 1.0) > _FAR * constant.relative_sd:
+            yield say(
+                "header-far-from-table",
+                key=key,
+                value=float(value),
+                material=material,
+                table=constant.value,
+                unit=LIMITS[key].unit,
+            )

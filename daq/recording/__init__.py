@@ -1,0 +1,1 @@
+"""The recorder: scans from loggers, one line a press, runs that begin and end."""

@@ -1,0 +1,59 @@
+"""The journal: alarms, losses, changes of state, who did what. Each function works in one transaction."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from typing import Any
+
+from sqlalchemy import Connection, Row, insert, select
+
+from daq.store.convert import known_utc, to_json, unix_of
+from daq.store.reading import newest_first
+from daq.store.records import JournalEntry, Page
+from daq.store.schema import EVENT
+from daq.words import Message, spoken
+
+
+def log(
+    connection: Connection,
+    level: str,
+    process: str,
+    message: Message | str,
+    press: str | None,
+    detail: Mapping[str, Any] | None,
+    utc: datetime | None = None,
+) -> None:
+    """Add a line to the journal, of now or of the moment given."""
+    said = spoken(message)
+    row = {
+        "unix_s": unix_of(utc or datetime.now(UTC)),
+        "level": level,
+        "process": process,
+        "press": press,
+        "message": str(said),
+        "message_json": to_json(said.to_json()),
+        "detail_json": None if detail is None else to_json(detail),
+    }
+    connection.execute(insert(EVENT), row)
+
+
+def journal(
+    connection: Connection, press: str | None, level: str | None, cursor: str | None, limit: int
+) -> Page[JournalEntry]:
+    """Return a page of the journal, newest first."""
+    rows, following = newest_first(connection, EVENT, "event_id", press, cursor, limit, level)
+    return Page(tuple(_entry(r) for r in rows), following)
+
+
+def journal_after(connection: Connection, after: int, limit: int) -> tuple[JournalEntry, ...]:
+    """Return the journal lines that follow row `after`, oldest first."""
+    query = select(EVENT).where(EVENT.c.event_id > after).order_by(EVENT.c.event_id).limit(limit)
+    return tuple(_entry(r) for r in connection.execute(query).all())
+
+
+def _entry(r: Row[Any]) -> JournalEntry:
+    detail = None if r.detail_json is None else json.loads(r.detail_json)
+    said = spoken(r.message) if r.message_json is None else Message.from_json(json.loads(r.message_json))
+    return JournalEntry(r.event_id, known_utc(r.unix_s), r.level, r.process, r.press, said, detail)

@@ -1,0 +1,71 @@
+"""Threads that are watched: an unexpected exception begins their work anew, and whoever asks learns of it."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable
+
+from daq.words import Message, say, spoken
+
+LOG = logging.getLogger("kerntemp.record")
+RESTART_S = 1.0
+"""Between an exception and the next try: a fault that stays must not fill the journal or a core. [s]"""
+
+
+def unexpected(error: BaseException) -> Message:
+    """Return what an exception that nobody foresaw says."""
+    return say("unexpected-error", kind=type(error).__name__, error=spoken(error))
+
+
+class SupervisedThread:
+    """Does its work until it returns; an exception is told once and begins the work anew."""
+
+    def __init__(self, name: str, work: Callable[[], None], journal: Callable[[Message], None]) -> None:
+        self.fault: Message | None = None
+        """Why the work last ended, until it has gone well again."""
+        self._work, self._journal = work, journal
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+        self._ending = threading.Event()
+
+    def start(self) -> None:
+        """Begin."""
+        self._thread.start()
+
+    def join(self, longest_s: float) -> None:
+        """Wait for the end; work that fails now is not begun anew."""
+        self._ending.set()
+        self._thread.join(longest_s)
+
+    @property
+    def alive(self) -> bool:
+        """Whether it works."""
+        return self._thread.is_alive()
+
+    def worked(self) -> None:
+        """Note that all is well."""
+        self.fault = None
+
+    def failed(self, error: BaseException) -> None:
+        """Note an exception and tell it, once for each that differs from the one before."""
+        fault = say("thread-failed", thread=self._thread.name, why=unexpected(error))
+        known, self.fault = self.fault, fault
+        if known == fault:
+            return
+        try:
+            LOG.error("%s", fault, exc_info=error)
+            self._journal(fault)
+        except Exception:
+            LOG.exception("journal")
+
+    def _run(self) -> None:
+        last = False
+        while not last:
+            last = self._ending.is_set()
+            try:
+                self._work()
+            except BaseException as error:  # noqa: BLE001 - whatever it is, the work must go on
+                self.failed(error)
+                self._ending.wait(RESTART_S)
+            else:
+                return

@@ -1,0 +1,195 @@
+"""Tables that people write: TOML read within limits, unknown keys met with the nearest known one, faults in words.
+
+One place for what configuration, press file, mapping, profile, calibration file and run header have in common.
+"""
+
+from __future__ import annotations
+
+import difflib
+import re
+import tomllib
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, get_args
+
+from pydantic import BaseModel, ValidationError
+
+from daq.records import InputError
+from daq.words import Message, say, spoken
+
+DEEPEST = 16
+"""Tables and lists within one another. Ours reach 5; Python's own reader gives up near 1000. (By hand, 2026-11)"""
+MOST_DIGITS = 300
+"""Of a whole number: longer ones are no number to a computer. (The largest of 64 bits is 1.8e308, IEEE 754)"""
+_LONG_NUMBER = re.compile(rf"[0-9][0-9_]{{{MOST_DIGITS},}}")
+_DIGITS = re.compile(r"_?[0-9]+")
+_TYPING_SLIPS = 2
+"""Letters by which a mistyped key differs, at most: one swapped pair, or one wrong and one missing."""
+
+
+def at(place: object, what: Message, *, line: int | None = None, column: str | None = None) -> Message:
+    """Return a message with the place it is about: a file or a port, and its line and column where known."""
+    if column is not None:
+        what = say("at-column", column=column, what=what)
+    if line is not None:
+        what = say("at-line", line=line, what=what)
+    return say("at-place", place=place if isinstance(place, Message) else str(place), what=what)
+
+
+def read_toml(text: str) -> dict[str, Any]:
+    """Return the tables of a TOML text. Raises `InputError` with the reason, without the file."""
+    try:
+        tree = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(say("toml-invalid", reason=str(error))) from error
+    except ValueError as error:  # Python converts no integer of more than 4300 digits
+        raise InputError(_too_long(text)) from error
+    except RecursionError as error:
+        raise InputError(say("toml-too-deep", deepest=DEEPEST)) from error
+    for depth, value in _values(tree):
+        if depth > DEEPEST:
+            raise InputError(say("toml-too-deep", deepest=DEEPEST))
+        if isinstance(value, int) and abs(value) >= 10**MOST_DIGITS:
+            raise InputError(_too_long(text))
+    return tree
+
+
+def load_toml(path: Path, what: Message) -> dict[str, Any]:
+    """Read a TOML file. Raises `InputError` naming it; `what` says which kind of file it should be."""
+    try:
+        return read_toml(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(at(path, say("file-cannot-read", what=what, reason=reason_of(error)))) from error
+    except InputError as error:
+        raise InputError(at(path, spoken(error))) from error
+
+
+def reason_of(error: Exception) -> str:
+    """Return why the system did not do it, in its own words."""
+    return getattr(error, "strerror", None) or str(error)
+
+
+def nearest(key: str, known: Iterable[str]) -> str | None:
+    """Return the known key that `key` was most likely meant to be: a slip of typing away, or without its unit.
+
+    Keys that differ in digits alone are two keys.
+
+    >>> known = ("panel.thickness_mm", "panel.density_kg_m3", "setting.platen_temperature_C")
+    >>> nearest("panel.thicknes_mm", known), nearest("panel.density", known), nearest("panel.supplier", known)
+    ('panel.thickness_mm', 'panel.density_kg_m3', None)
+    >>> nearest("setting.platen_temperature_top_C", known)
+    """
+    spelt = {one.lower(): one for one in known if one != key}
+    low = key.lower()
+    for close in difflib.get_close_matches(low, spelt, n=3, cutoff=0.6):
+        letters, others = _DIGITS.sub("", low), _DIGITS.sub("", close)
+        if (letters != others or low == close) and _slips(low, close) <= min(_TYPING_SLIPS, len(letters) // 4):
+            return spelt[close]
+    return next((full for short, full in spelt.items() if short.startswith(f"{low}_")), None)
+
+
+def unknown_key(key: str, known: Iterable[str]) -> Message:
+    """Return what is said of a key that is refused, with the key that was meant where one is near."""
+    meant = nearest(key, known)
+    return say("key-unknown") if meant is None else say("key-unknown-meant", meant=meant)
+
+
+def explained(error: ValidationError, model: type[BaseModel]) -> Message:
+    """Return in one line what is wrong with a table: key, value, limit, and the key that was meant."""
+    items = error.errors()
+    own = [item for item in items if item["type"] != "too_short"]
+    found = dict.fromkeys(_fault(item, model) for item in (own or items)[:3])
+    return _joined(tuple(found))
+
+
+def _joined(faults: tuple[Message, ...]) -> Message:
+    first, *rest = faults
+    return first if not rest else say("fault-and-more", first=first, rest=_joined(tuple(rest)))
+
+
+def _fault(item: Any, model: type[BaseModel]) -> Message:
+    loc = [str(p) for p in item["loc"] if not str(p).startswith(("function-", "constrained-", "tuple["))]
+    key, value, kind = ".".join(loc), item.get("input"), item["type"]
+    why = _why(item, model, loc)
+    if not key:
+        return why
+    if kind != "missing" and isinstance(value, str | int | float | bool):
+        return say("at-key-value", key=key, value=repr(value), what=why)
+    return say("at-key", key=key, what=why)
+
+
+def _why(item: Any, model: type[BaseModel], loc: list[str]) -> Message:
+    given, kind = item.get("ctx") or {}, item["type"]
+    if kind == "value_error":
+        return spoken(given["error"])
+    if kind == "extra_forbidden":
+        return unknown_key(loc[-1], fields_at(model, loc[:-1]))
+    limit = next((given[name] for name in ("gt", "ge", "lt", "le") if name in given), None)
+    if limit is not None:
+        return say(f"limit-{kind.replace('_', '-')}", limit=float(limit))
+    if kind == "literal_error":
+        return say("key-one-of", known=str(given["expected"]))
+    if code := _KINDS.get(kind):
+        return say(code)
+    return say("plain-text", text=item["msg"])
+
+
+_KINDS = {
+    "missing": "key-missing",
+    "float_type": "key-no-number",
+    "float_parsing": "key-no-number",
+    "int_type": "key-no-whole-number",
+    "int_parsing": "key-no-whole-number",
+    "int_from_float": "key-no-whole-number",
+    "finite_number": "key-not-finite",
+    "string_type": "key-no-text",
+    "bool_type": "key-no-bool",
+    "bool_parsing": "key-no-bool",
+    "string_too_short": "key-empty",
+    "too_short": "key-empty",
+    "model_type": "key-no-table",
+    "dict_type": "key-no-table",
+    "tuple_type": "key-no-list",
+}
+"""What pydantic finds wrong, by its own name, to the code of ours; anything else is said in its English."""
+
+
+def fields_at(model: type[BaseModel], path: Iterable[str]) -> tuple[str, ...]:
+    """Return the keys a table may hold, by its place in the tables of a model; empty where the keys are free."""
+    here: type[BaseModel] | None = model
+    for key in path:
+        if here is None:
+            return ()
+        names = {field.alias or name: field.annotation for name, field in here.model_fields.items()}
+        if key in names:
+            here = _model_in(names[key])  # a number or a free name stays in the table it chooses from
+    return () if here is None else tuple(field.alias or name for name, field in here.model_fields.items())
+
+
+def _model_in(annotation: Any) -> type[BaseModel] | None:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    return next((found for part in get_args(annotation) if (found := _model_in(part))), None)
+
+
+def _slips(one: str, other: str) -> int:
+    """Return by how many letters two keys differ."""
+    changes = difflib.SequenceMatcher(None, one, other, autojunk=False).get_opcodes()
+    return sum(max(i2 - i1, j2 - j1) for tag, i1, i2, j1, j2 in changes if tag != "equal")
+
+
+def _values(tree: Mapping[str, Any]) -> Iterator[tuple[int, Any]]:
+    """Yield depth and value of everything in nested tables and lists, without recursion."""
+    waiting: list[tuple[int, Any]] = [(0, tree)]
+    while waiting:
+        depth, value = waiting.pop()
+        yield depth, value
+        inner = value.values() if isinstance(value, Mapping) else value if isinstance(value, list) else ()
+        if depth <= DEEPEST:
+            waiting += [(depth + 1, one) for one in inner]
+
+
+def _too_long(text: str) -> Message:
+    found = _LONG_NUMBER.search(text)
+    line = text.count("\n", 0, found.start()) + 1 if found else 1
+    return say("at-line", line=line, what=say("toml-integer-too-long", digits=MOST_DIGITS))
