@@ -1,4 +1,8 @@
-"""The catalogue: one short module an effect. Users add theirs through the entry point group below."""
+"""The catalogue: one short module an effect. Users add theirs through the entry point group below.
+
+All that is known of an effect stands in its own module; the diagnosis, the live sensor, reports and pages read it
+there. Words of the built-in effects stand in the catalogues of `daq.words`, those of one's own in its `words`.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +10,8 @@ from functools import cache
 from importlib.metadata import entry_points
 
 from daq.records import InputError
+from daq.words import message as words
+from daq.words import say
 from softsensor.effects import (
     clock_offset,
     conductivity_offset,
@@ -28,7 +34,7 @@ from softsensor.effects import (
     thermocouple_lag,
     vapour_convection,
 )
-from softsensor.effects.effect import Conversion, Effect, Scene, Terms, on_panel
+from softsensor.effects.effect import Conversion, Effect, Live, Need, Role, Scene, Terms, on_panel
 
 ENTRY_POINTS = "kerntemp.effects"
 """A package that declares an entry point of this group, naming an `Effect`, adds to the catalogue."""
@@ -62,16 +68,44 @@ BUILT_IN: tuple[Effect, ...] = tuple(
 
 @cache
 def catalogue() -> dict[str, Effect]:
-    """Return every effect by name: the built-in ones, then those of installed packages."""
+    """Return every effect by name: the built-in ones, then those of installed packages with their words.
+
+    Raises InputError for an entry point that names no effect, one whose name is taken, or one without words.
+    """
     effects = {effect.name: effect for effect in BUILT_IN}
     for point in entry_points(group=ENTRY_POINTS):
         effect = point.load()
         if not isinstance(effect, Effect):
-            raise InputError(f"entry point {point.name} = {point.value}: not a softsensor.effects.Effect")
+            raise InputError(say("effect-entry-not-an-effect", name=point.name, value=point.value))
         if effect.name in effects:
-            raise InputError(f"entry point {point.name}: an effect called {effect.name!r} exists already")
+            raise InputError(say("effect-exists-already", name=point.name, effect=effect.name))
+        learn_words(effect)
         effects[effect.name] = effect
     return effects
+
+
+SPOKEN = ("called", "meaning", "symptom", "confirmed-by", "core")
+"""What is said of every effect; each parameter is said beside it."""
+
+
+def learn_words(effect: Effect) -> None:
+    """Make the words of an effect of one's own known in every language that it brings.
+
+    Raises InputError where English words are missing: other languages fall back to them.
+    """
+    wanted = {what: f"effect-{effect.name}-{what}" for what in SPOKEN}
+    wanted |= {f"parameter-{p.name}": f"parameter-{effect.name}-{p.name}" for p in effect.parameters}
+    if lacking := sorted(set(wanted) - set(effect.words.get(words.ENGLISH, {}))):
+        raise InputError(say("effect-without-words", name=effect.name, lacking=tuple(lacking)))
+    for language in set(words.languages()) & set(effect.words):
+        own = effect.words[language]
+        words.catalogue(language).learn({code: own[what] for what, code in wanted.items() if what in own})
+
+
+def words_of_own_effects(language: str) -> dict[str, str]:
+    """Return the words that installed effects bring, by code, for pages that read the catalogues by themselves."""
+    catalogue()
+    return dict(words.catalogue(language).learnt)
 
 
 def find_effect(name: str) -> Effect:
@@ -79,7 +113,7 @@ def find_effect(name: str) -> Effect:
     try:
         return catalogue()[name]
     except KeyError:
-        raise InputError(f"effect {name!r} is not in the catalogue; known are {', '.join(catalogue())}") from None
+        raise InputError(say("effect-not-in-catalogue", name=repr(name), known=tuple(catalogue()))) from None
 
 
 __all__ = [
@@ -87,9 +121,14 @@ __all__ = [
     "ENTRY_POINTS",
     "Conversion",
     "Effect",
+    "Live",
+    "Need",
+    "Role",
     "Scene",
     "Terms",
     "catalogue",
     "find_effect",
+    "learn_words",
     "on_panel",
+    "words_of_own_effects",
 ]

@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 from typing import Any
 
-from softsensor.effects.effect import Effect, Scene, Terms
-from softsensor.parameters import Parameter
+from softsensor.effects.effect import Effect, Live, Need, Role, Scene, Terms
+from softsensor.effects.parameters import Parameter
 
 
 def _terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
@@ -13,26 +13,21 @@ def _terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
 
 EFFECT = Effect(
     name="clock_offset",
-    meaning="The panel channels are stamped later (or earlier) than the platen channels and the limit switch.",
-    symptom="Every kink of the panel readings comes late by the same time, at closing and at opening.",
-    confirm="Touch a platen and a panel thermocouple at once with a soldering iron and compare.",
     parameters=(
         Parameter(
-            "seconds",
-            "s, > 0: panel later",
-            0.0,
-            0.3,
-            -3.0,
-            3.0,
-            "two loggers, two clocks",
-            meaning="panel channels later than platen channels by",
+            name="seconds",
+            unit="s, > 0: panel later",
+            neutral=0.0,
+            typical=0.3,
+            lower=-3.0,
+            upper=3.0,
+            source="two loggers, two clocks",
             told=(1.0, "s"),
         ),
     ),
     terms=_terms,
     source="channel skew of multiplexed loggers",
+    live=Live(Role.OF_THE_RUN),
     measuring=True,
-    core="None by itself, but it bends the contact coefficients.",
-    needs="closed",
-    called="clocks that differ",
+    needs=Need.SWITCH,
 )

@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 from typing import Any
 
-from softsensor.effects.effect import Effect, Scene, Terms, on_panel
-from softsensor.parameters import Parameter
+from softsensor.effects.effect import Effect, Live, Need, Role, Scene, Terms, on_panel
+from softsensor.effects.parameters import Parameter
 
 
 def _terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
@@ -13,27 +13,24 @@ def _terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
 
 EFFECT = Effect(
     name="conductivity_temperature",
-    meaning="The panel conducts heat differently when hot than at room temperature.",
-    symptom="Late in the pressing and after opening the faces drift off the simulation, more so for thick panels.",
-    confirm="Measure k at 25 and 100 °C (guarded hot plate), or press a panel with a core thermocouple.",
     parameters=(
         Parameter(
-            "per_100_K",
-            "of the value at 20 °C",
-            0.0,
-            0.2,
-            -0.5,
-            1.5,
-            "Wood Handbook: 2-3 % per 10 K",
-            0.25,
-            meaning="rise of the conductivity per 100 K",
-            told=(100.0, "% of the value at 20 °C"),
+            name="per_100_K",
+            unit="of the value at 20 °C",
+            neutral=0.0,
+            typical=0.2,
+            lower=-0.5,
+            upper=1.5,
+            source="Wood Handbook: 2-3 % per 10 K",
+            spread=0.25,
+            told=(100.0, "unit-percent-of-value-at-20-degrees"),
         ),
     ),
     terms=_terms,
     source="Wood Handbook, FPL-GTR-282, ch. 4: conductivity of wood rises by 2 to 3 % per 10 K",
-    core="With a rising conductivity the core is 1 to 4 K hotter than simulated.",
+    chance=0.03,
+    live=Live(Role.HYPOTHESIS),
     nonlinear=True,
-    needs="panel",
-    called="conductivity that changes with temperature",
+    needs=Need.PANEL,
+    confirmed_in_core=True,
 )

@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 from typing import Any
 
-from softsensor.effects.effect import Effect, Scene, Terms
-from softsensor.parameters import Parameter
+from softsensor.effects.effect import Effect, Live, Need, Role, Scene, Terms
+from softsensor.effects.parameters import Parameter
 
 
 def _terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
@@ -16,27 +16,22 @@ def _terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
 
 EFFECT = Effect(
     name="contact_asymmetry",
-    meaning="Upper and lower contact differ while the press is closed; the coefficient is their geometric mean.",
-    symptom="After closing one face runs above the simulation and the other below.",
-    confirm="Turn the panel over, or exchange the press plates.",
     parameters=(
         Parameter(
-            "ratio",
-            "upper / lower",
-            1.0,
-            0.7,
-            0.1,
-            10.0,
-            "worn plates, one-sided paper",
-            0.0,
-            1e-3,
-            meaning="upper contact",
-            told=(1.0, "times the lower one"),
+            name="ratio",
+            unit="upper / lower",
+            neutral=1.0,
+            typical=0.7,
+            lower=0.1,
+            upper=10.0,
+            source="worn plates, one-sided paper",
+            least=0.001,
+            told=(1.0, "unit-times-the-lower-contact"),
         ),
     ),
     terms=_terms,
     source="two contact resistances in series with the panel; the split about their mean is assumed",
-    core="Below 1 K in the middle; the hottest plane moves off it.",
-    needs="panel",
-    called="upper and lower contact that differ",
+    chance=0.45,
+    live=Live(Role.SCATTER, with_states=True),
+    needs=Need.PANEL,
 )

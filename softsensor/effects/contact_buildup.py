@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from softsensor.effects.effect import Effect, Scene, Terms
-from softsensor.parameters import Parameter
+from softsensor.effects.effect import Effect, Live, Need, Role, Scene, Terms
+from softsensor.effects.parameters import Parameter
 
 
 def _terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
@@ -28,39 +28,32 @@ def _terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
 
 EFFECT = Effect(
     name="contact_buildup",
-    meaning="The contact between press and panel grows for some seconds after closing (resin melts and flows).",
-    symptom="The faces rise more slowly than simulated in the first seconds after closing, then catch up.",
-    confirm="Repeat with bare panels and with twice the closing speed; log pressure.",
     parameters=(
         Parameter(
-            "deficit",
-            "-",
-            0.0,
-            0.6,
-            0.0,
-            0.98,
-            "share of the contact still missing at closing",
-            0.0,
+            name="deficit",
+            unit="-",
+            neutral=0.0,
+            typical=0.6,
+            lower=0.0,
+            upper=0.98,
+            source="share of the contact still missing at closing",
             most=1.0,
-            meaning="share of the contact still missing at closing",
             told=(100.0, "%"),
         ),
         Parameter(
-            "time_constant_s",
-            "s",
-            7.0,
-            7.0,
-            0.5,
-            40.0,
-            "melting and flow within seconds",
-            0.0,
-            1e-3,
-            meaning="time constant of its growth",
+            name="time_constant_s",
+            unit="s",
+            neutral=7.0,
+            typical=7.0,
+            lower=0.5,
+            upper=40.0,
+            source="melting and flow within seconds",
+            least=0.001,
         ),
     ),
     terms=_terms,
     source="Byrd, FPL 338 (1979): contact coefficients in press drying rise with time and moisture",
-    core="Small, some tenths of a kelvin, but it bends the coefficients by a factor of up to 1.8.",
-    needs="panel",
-    called="contact that grows after closing",
+    chance=0.25,
+    live=Live(Role.SCATTER, with_states=True),
+    needs=Need.PANEL,
 )

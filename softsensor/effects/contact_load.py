@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from softsensor.effects.effect import Effect, Scene, Terms
-from softsensor.parameters import Parameter
+from softsensor.effects.effect import Effect, Need, Scene, Terms
+from softsensor.effects.parameters import Parameter
 
 REFERENCE_PRESSURE = 350.0
 """Where h_ref holds when the pressure comes from the run's settings. [N/cm²]
@@ -21,24 +21,18 @@ def _terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
 
 EFFECT = Effect(
     name="contact_load",
-    meaning="The contact between press and panel improves with pressure.",
-    symptom="Residuals after closing change sign between runs at low and at high pressure.",
-    confirm="Press the same kind of panel at three pressures.",
     parameters=(
         Parameter(
-            "exponent",
-            "-",
-            0.0,
-            0.7,
-            -1.0,
-            2.0,
-            "0.95 for metal contacts; saturates for paper",
-            meaning="the contact grows with the pressure to the power of",
+            name="exponent",
+            unit="-",
+            neutral=0.0,
+            typical=0.7,
+            lower=-1.0,
+            upper=2.0,
+            source="0.95 for metal contacts; saturates for paper",
         ),
     ),
     terms=_terms,
     source="power law, assumed; rough metal joints are known to follow about p^0.95",
-    core="Below 1 K; it matters when the pressure is changed.",
-    needs="load",
-    called="contact that depends on pressure",
+    needs=Need.LOAD,
 )

@@ -10,13 +10,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from enum import StrEnum
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq.records import Array, Panel
-from softsensor.parameters import Parameter
+from daq.words import Message, say
+from softsensor.effects.parameters import Parameter
 
 Numbers = NDArray[Any]
 """Float or complex arrays."""
@@ -102,39 +104,117 @@ class Terms:
     """Panel channels later than platen channels. [s]"""
 
 
+class Need(StrEnum):
+    """What a run must offer for an effect to be testable."""
+
+    NOTHING = ""
+    PANEL = "panel"
+    SWITCH = "closed"
+    LOAD = "load"
+
+
+class Role(StrEnum):
+    """How the live sensor carries an effect that the model in force leaves out."""
+
+    NONE = "none"
+    """Not at all."""
+    HYPOTHESIS = "hypothesis"
+    """It acts inside the panel and moves the core by kelvins: hypotheses with and without it, in one filter."""
+    OWN_FILTER = "own-filter"
+    """The same with a filter of its own: where the effect is absent, its terms have no slope to follow."""
+    SCATTER = "scatter"
+    """It bends the faces' readings and hardly moves the core: a Gaussian about its absence."""
+    OF_THE_RUN = "of-the-run"
+    """Every run has unknowns of its own in its place (platens' offsets, moments, channels left out)."""
+
+
+@dataclass(frozen=True)
+class Live:
+    """An effect in the live sensor."""
+
+    role: Role = Role.NONE
+    absent: float = 0.03
+    """What is left of a hypothesis where it is absent, as a share of its typical size."""
+    one_sided: bool = False
+    """Whether its first parameter is above neutral where it is present, though a search may look below too."""
+    with_states: bool = False
+    """Carried only where the press opens and closes."""
+    straight: bool = False
+    """Whether readings follow it in a straight line, so that its filter need not be linearised anew."""
+
+
 @dataclass(frozen=True)
 class Effect:
-    """One cause the plain model leaves out, of physics or of the measuring chain."""
+    """One cause the plain model leaves out, of physics or of the measuring chain.
+
+    All that is known of it stands here. Its words stand in the catalogues of `daq.words`, under
+    ``effect-NAME-called``, ``-meaning``, ``-symptom``, ``-confirmed-by``, ``-core`` and
+    ``parameter-NAME-PARAMETER``; an effect of one's own brings them in `words`.
+    """
 
     name: str
-    meaning: str
-    """One sentence for the operator."""
-    symptom: str
-    """What the residuals show when the model lacks it."""
-    confirm: str
-    """The measurement that would settle it."""
     parameters: tuple[Parameter, ...]
+    """Its size first; then what says how it goes."""
     terms: Callable[[Scene, Mapping[str, Any]], Terms]
     source: str
+    chance: float = 0.0
+    """That a pressing has it at its typical size, before anything is known of the press. Set by hand, 2026-11, so
+    that the live sensor's band holds what it promises on virtual campaigns."""
+    live: Live = Live()
+    words: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    """By language: ``called``, ``meaning``, ``symptom``, ``confirmed-by``, ``core`` and ``parameter-NAME``."""
     measuring: bool = False
     """A fault or property of the measuring chain; settled before physics."""
-    core: str = ""
-    """What it means for the core temperature."""
     nonlinear: bool = False
     """Whether its terms depend on temperature."""
     closed_step_s: float = math.inf
     """Longest step that bears its terms while the press is closed. [s]"""
     layers: bool = False
     """Whether it adds layers to the mesh (``Terms.paper``)."""
-    needs: str = ""
-    """What a run must offer for the effect to be testable: ``closed``, ``load``, ``panel`` or empty."""
-    called: str = ""
-    """What it is called in the middle of a sentence; its name with spaces where empty."""
+    needs: Need = Need.NOTHING
+    confirmed_in_core: bool = False
+    """Whether the measurement that would settle it is a thermocouple in the core."""
+    at_the_rim: bool = False
+    """Whether sensors at the rim show it before those in the middle."""
+
+    @property
+    def called(self) -> Message:
+        """What it is called in the middle of a sentence."""
+        return say(f"effect-{self.name}-called")
+
+    @property
+    def meaning(self) -> Message:
+        """One sentence for the operator."""
+        return say(f"effect-{self.name}-meaning")
+
+    @property
+    def symptom(self) -> Message:
+        """What the residuals show when the model lacks it."""
+        return say(f"effect-{self.name}-symptom")
+
+    @property
+    def confirm(self) -> Message:
+        """The measurement that would settle it."""
+        return say(f"effect-{self.name}-confirmed-by")
+
+    @property
+    def core(self) -> Message:
+        """What it means for the core temperature."""
+        return say(f"effect-{self.name}-core")
+
+    def parameter_called(self, parameter: str) -> Message:
+        """Return what a parameter is, in words an operator knows."""
+        return say(f"parameter-{self.name}-{parameter}")
 
     @property
     def neutral(self) -> dict[str, float]:
         """The parameter values at which the effect is absent."""
         return {p.name: p.neutral for p in self.parameters}
+
+    @property
+    def scatter_sd(self) -> float:
+        """Standard deviation of its size over all pressings, those without it included."""
+        return math.sqrt(self.chance) * self.parameters[0].size
 
     def key(self, parameter: str) -> str:
         """Return the parameter's full name, as in ``edge_loss.W_m3K``."""

@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 from typing import Any
 
-from softsensor.effects.effect import Effect, Scene, Terms, on_panel
-from softsensor.parameters import Parameter
+from softsensor.effects.effect import Effect, Live, Need, Role, Scene, Terms, on_panel
+from softsensor.effects.parameters import Parameter
 
 
 def _terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
@@ -13,27 +13,23 @@ def _terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
 
 EFFECT = Effect(
     name="heat_capacity_offset",
-    meaning="The panel's density times heat capacity differs from the value in the run's header.",
-    symptom="Faces run off the simulation in every state, least in thick panels early on.",
-    confirm="Weigh and measure the panel; measure its heat capacity; press panels of different thickness.",
     parameters=(
         Parameter(
-            "ratio",
-            "true / nominal",
-            1.0,
-            1.15,
-            0.4,
-            2.5,
-            "moisture and density spread",
-            0.25,
-            0.01,
-            meaning="heat capacity of the panel",
-            told=(1.0, "times nominal"),
+            name="ratio",
+            unit="true / nominal",
+            neutral=1.0,
+            typical=1.15,
+            lower=0.4,
+            upper=2.5,
+            source="moisture and density spread",
+            spread=0.25,
+            least=0.01,
+            told=(1.0, "unit-times-nominal"),
         ),
     ),
     terms=_terms,
     source="density and moisture of a board scatter about nominal; assumed",
-    core="The core is cooler (ratio above 1) or hotter by about 1 K for every 5 %.",
-    needs="panel",
-    called="heat capacity other than nominal",
+    chance=0.035,
+    live=Live(Role.HYPOTHESIS, absent=0.06),
+    needs=Need.PANEL,
 )

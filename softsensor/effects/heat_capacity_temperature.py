@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 from typing import Any
 
-from softsensor.effects.effect import Effect, Scene, Terms, on_panel
-from softsensor.parameters import Parameter
+from softsensor.effects.effect import Effect, Live, Need, Role, Scene, Terms, on_panel
+from softsensor.effects.parameters import Parameter
 
 
 def _terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
@@ -13,27 +13,24 @@ def _terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
 
 EFFECT = Effect(
     name="heat_capacity_temperature",
-    meaning="The panel needs more heat per kelvin when hot than at room temperature.",
-    symptom="The faces cool more slowly after opening than simulated while heating up fits.",
-    confirm="Measure c at 20 to 100 °C (DSC), or press a panel with a core thermocouple.",
     parameters=(
         Parameter(
-            "per_100_K",
-            "of the value at 20 °C",
-            0.0,
-            0.2,
-            -0.5,
-            1.5,
-            "dry wood about +0.3 % per K, assumed",
-            0.25,
-            meaning="rise of the heat capacity per 100 K",
-            told=(100.0, "% of the value at 20 °C"),
+            name="per_100_K",
+            unit="of the value at 20 °C",
+            neutral=0.0,
+            typical=0.2,
+            lower=-0.5,
+            upper=1.5,
+            source="dry wood about +0.3 % per K, assumed",
+            spread=0.25,
+            told=(100.0, "unit-percent-of-value-at-20-degrees"),
         ),
     ),
     terms=_terms,
     source="heat capacity of wood rises with temperature; straight line assumed",
-    core="With a rising heat capacity the core is 1 to 2 K cooler than simulated.",
+    chance=0.02,
+    live=Live(Role.HYPOTHESIS),
     nonlinear=True,
-    needs="panel",
-    called="heat capacity that changes with temperature",
+    needs=Need.PANEL,
+    confirmed_in_core=True,
 )

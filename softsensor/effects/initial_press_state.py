@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 from typing import Any
 
-from softsensor.effects.effect import Effect, Scene, Terms
-from softsensor.parameters import Parameter
+from softsensor.effects.effect import Effect, Live, Role, Scene, Terms
+from softsensor.effects.parameters import Parameter
 
 
 def _terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
@@ -13,24 +13,20 @@ def _terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
 
 EFFECT = Effect(
     name="initial_press_state",
-    meaning="The press plates are still cooler (or warmer) than at rest when the panel comes in.",
-    symptom="The lower face is off from the moment of insertion, and the deviation fades within a minute.",
-    confirm="Wait two minutes between pressings, or tape a thermocouple to a press plate.",
     parameters=(
         Parameter(
-            "offset_K",
-            "K",
-            0.0,
-            -7.0,
-            -60.0,
-            60.0,
-            "plates take 15 to 60 s to recover",
-            0.25,
-            meaning="plates at the start, above their steady temperature by",
+            name="offset_K",
+            unit="K",
+            neutral=0.0,
+            typical=-7.0,
+            lower=-60.0,
+            upper=60.0,
+            source="plates take 15 to 60 s to recover",
+            spread=0.25,
         ),
     ),
     terms=_terms,
     source="thermal memory of the plates: thickness x rho c / h",
-    core="Below 0.5 K.",
-    called="plates that remember the pressing before",
+    chance=0.5,
+    live=Live(Role.SCATTER, with_states=True, straight=True),
 )

@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 from typing import Any
 
-from softsensor.effects.effect import Conversion, Effect, Scene, Terms, on_panel
-from softsensor.parameters import Parameter
+from softsensor.effects.effect import Conversion, Effect, Live, Need, Role, Scene, Terms, on_panel
+from softsensor.effects.parameters import Parameter
 
 LATENT_HEAT = 2.4e6
 """Heat of vaporisation at 100 °C (2.26 MJ/kg) plus sorption heat below 10 % moisture. [J/kg]"""
@@ -24,37 +24,35 @@ def _terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
 
 EFFECT = Effect(
     name="moisture_evaporation",
-    meaning="Water evaporates in the panel, leaves it, and takes latent heat along.",
-    symptom="Readings stop rising or lag behind near 85 to 115 °C and stay below the simulation afterwards.",
-    confirm="Weigh the panel before and after pressing, or press one dried to zero moisture.",
     parameters=(
         Parameter(
-            "moisture_percent",
-            "% of dry mass",
-            0.0,
-            3.0,
-            0.0,
-            30.0,
-            "board moisture 5 to 12 %",
-            0.25,
-            0.0,
-            meaning="water that evaporates",
+            name="moisture_percent",
+            unit="% of dry mass",
+            neutral=0.0,
+            typical=3.0,
+            lower=0.0,
+            upper=30.0,
+            source="board moisture 5 to 12 %",
+            spread=0.25,
+            least=0,
+            told=(1.0, "unit-percent-of-dry-mass"),
+            sd=2.0,
         ),
         Parameter(
-            "temperature_C",
-            "°C",
-            103.0,
-            103.0,
-            80.0,
-            130.0,
-            "boiling point with pore pressure",
-            meaning="temperature from which it evaporates",
+            name="temperature_C",
+            unit="°C",
+            neutral=103.0,
+            typical=103.0,
+            lower=80.0,
+            upper=130.0,
+            source="boiling point with pore pressure",
+            sd=3.0,
         ),
     ),
     terms=_terms,
     source="plateau of hot-pressed mats near 100 °C; rate and softness of the onset are assumed",
-    core="The core heats more slowly than simulated once steam forms: several kelvin too low.",
+    chance=0.03,
+    live=Live(Role.OWN_FILTER),
     nonlinear=True,
-    needs="panel",
-    called="evaporating moisture",
+    needs=Need.PANEL,
 )

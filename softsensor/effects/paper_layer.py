@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 from typing import Any
 
-from softsensor.effects.effect import Effect, Scene, Terms
-from softsensor.parameters import Parameter
+from softsensor.effects.effect import Effect, Live, Need, Role, Scene, Terms
+from softsensor.effects.parameters import Parameter
 
 
 def _terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
@@ -13,39 +13,33 @@ def _terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
 
 EFFECT = Effect(
     name="paper_layer",
-    meaning="The impregnated paper on both faces resists and stores heat.",
-    symptom="Faces answer later than simulated to closing, and the coefficient of the open press comes out low.",
-    confirm="Press the same board bare.",
     parameters=(
         Parameter(
-            "resistance_m2K_W",
-            "m²K/W",
-            1e-6,
-            5e-4,
-            1e-6,
-            5e-3,
-            "0.1-0.2 mm at 0.2-0.3 W/mK",
-            0.25,
-            1e-9,
-            meaning="thermal resistance of the paper",
+            name="resistance_m2K_W",
+            unit="m²K/W",
+            neutral=1e-6,
+            typical=5e-4,
+            lower=1e-6,
+            upper=5e-3,
+            source="0.1-0.2 mm at 0.2-0.3 W/mK",
+            spread=0.25,
+            least=1e-09,
         ),
         Parameter(
-            "capacity_J_m2K",
-            "J/m²K",
-            1.0,
-            500.0,
-            1.0,
-            5000.0,
-            "130-260 g/m² at 1.5 kJ/kgK",
-            0.0,
-            1e-6,
-            meaning="heat capacity of the paper",
+            name="capacity_J_m2K",
+            unit="J/m²K",
+            neutral=1.0,
+            typical=500.0,
+            lower=1.0,
+            upper=5000.0,
+            source="130-260 g/m² at 1.5 kJ/kgK",
+            least=1e-06,
         ),
     ),
     terms=_terms,
     source="decor papers of 60-120 g/m², impregnated to about 2.2 times",
-    core="Some tenths of a kelvin.",
+    chance=1.0,
+    live=Live(Role.SCATTER),
     layers=True,
-    needs="panel",
-    called="an insulating paper layer",
+    needs=Need.PANEL,
 )

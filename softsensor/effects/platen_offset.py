@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 from typing import Any
 
-from softsensor.effects.effect import Effect, Scene, Terms
-from softsensor.parameters import Parameter
+from softsensor.effects.effect import Effect, Live, Role, Scene, Terms
+from softsensor.effects.parameters import Parameter
 
 
 def _terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
@@ -13,36 +13,30 @@ def _terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
 
 EFFECT = Effect(
     name="platen_offset",
-    meaning="The platen thermocouples read too low (positive) or too high (negative) by a constant.",
-    symptom="Both faces end off the simulation in a long pressing, in proportion to the heat taken up.",
-    confirm="Compare the platen thermocouples with a calibrated one at working temperature.",
     parameters=(
         Parameter(
-            "top_K",
-            "K, true minus reading",
-            0.0,
-            3.0,
-            -15.0,
-            15.0,
-            "class 1: 1.5 K, plus mounting",
-            meaning="upper platen hotter than its reading by",
+            name="top_K",
+            unit="K, true minus reading",
+            neutral=0.0,
+            typical=3.0,
+            lower=-15.0,
+            upper=15.0,
+            source="class 1: 1.5 K, plus mounting",
             told=(1.0, "K"),
         ),
         Parameter(
-            "bottom_K",
-            "K, true minus reading",
-            0.0,
-            3.0,
-            -15.0,
-            15.0,
-            "class 1: 1.5 K, plus mounting",
-            meaning="lower platen hotter than its reading by",
+            name="bottom_K",
+            unit="K, true minus reading",
+            neutral=0.0,
+            typical=3.0,
+            lower=-15.0,
+            upper=15.0,
+            source="class 1: 1.5 K, plus mounting",
             told=(1.0, "K"),
         ),
     ),
     terms=_terms,
     source="IEC 60584-1 tolerance classes",
+    live=Live(Role.OF_THE_RUN),
     measuring=True,
-    core="About 0.3 K for each kelvin.",
-    called="a platen reading that is off",
 )

@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from softsensor.effects.effect import Conversion, Effect, Scene, Terms
-from softsensor.parameters import Parameter
+from softsensor.effects.effect import Conversion, Effect, Live, Need, Role, Scene, Terms
+from softsensor.effects.parameters import Parameter
 
 RATE_140 = 0.06
 """Rate at 140 °C; at the 165 °C of a closed press most of the resin cures within 10 to 20 s. [1/s]"""
@@ -30,27 +30,24 @@ def _terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
 
 EFFECT = Effect(
     name="resin_cure",
-    meaning="The resin releases reaction heat at both faces while it cures.",
-    symptom="The faces overshoot the simulation in the first 5 to 30 s after closing, then return.",
-    confirm="Press the same panel a second time: cured resin gives no more heat.",
     parameters=(
         Parameter(
-            "heat_kJ_m2",
-            "kJ/m² per face",
-            0.0,
-            12.0,
-            0.0,
-            80.0,
-            "80-130 g/m² x 50-150 J/g",
-            0.25,
-            0.0,
-            meaning="reaction heat of the resin",
+            name="heat_kJ_m2",
+            unit="kJ/m² per face",
+            neutral=0.0,
+            typical=12.0,
+            lower=0.0,
+            upper=80.0,
+            source="80-130 g/m² x 50-150 J/g",
+            spread=0.25,
+            least=0,
+            told=(1.0, "unit-kilojoule-per-face"),
         ),
     ),
     terms=_terms,
     source="first-order Arrhenius law; rate and an activation energy of 70 to 100 kJ/mol are assumed",
-    core="Small: some tenths of a kelvin.",
+    chance=0.7,
+    live=Live(Role.SCATTER, straight=True),
     nonlinear=True,
-    needs="panel",
-    called="heat of the curing resin",
+    needs=Need.PANEL,
 )

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from softsensor.effects.effect import Effect, Scene, Terms
+from softsensor.effects.effect import Effect, Live, Role, Scene, Terms
 
 
 def _terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
@@ -12,13 +12,9 @@ def _terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
 
 EFFECT = Effect(
     name="sensor_fault",
-    meaning="Single channels are loose, drifting or swapped.",
-    symptom="One channel departs from its neighbours on the same face.",
-    confirm="Check the named thermocouples: fixing, polarity, plug position.",
     parameters=(),
     terms=_terms,
     source="comparison of each channel with the median of its face",
+    live=Live(Role.OF_THE_RUN),
     measuring=True,
-    core="None: the channel is left out.",
-    called="a faulty sensor",
 )

@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 from typing import Any
 
-from softsensor.effects.effect import Effect, Scene, Terms
-from softsensor.parameters import Parameter
+from softsensor.effects.effect import Effect, Live, Need, Role, Scene, Terms
+from softsensor.effects.parameters import Parameter
 
 
 def _terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
@@ -13,29 +13,24 @@ def _terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
 
 EFFECT = Effect(
     name="thermocouple_footprint",
-    meaning="While closed, the panel's thermocouples read a mixture of panel face and press face.",
-    symptom="Readings jump upwards at closing and downwards at opening by a share of the contact's drop.",
-    confirm="Use thinner wire, or put one thermocouple under a sheet of foil.",
     parameters=(
         Parameter(
-            "weight",
-            "of the press face",
-            0.0,
-            0.08,
-            0.0,
-            0.6,
-            "wire 0.2 to 0.5 mm in the joint",
-            0.0,
-            0.0,
-            1.0,
-            meaning="share of the press face in the reading",
+            name="weight",
+            unit="of the press face",
+            neutral=0.0,
+            typical=0.08,
+            lower=0.0,
+            upper=0.6,
+            source="wire 0.2 to 0.5 mm in the joint",
+            least=0,
+            most=1.0,
             told=(100.0, "%"),
         ),
     ),
     terms=_terms,
     source="a wire in a joint holds the faces apart and takes a mean of both; the share is assumed",
+    chance=0.4,
+    live=Live(Role.SCATTER),
     measuring=True,
-    core="Below 0.1 K, but it bends the contact coefficients.",
-    needs="panel",
-    called="panel sensors that read a mixture",
+    needs=Need.PANEL,
 )

@@ -1,0 +1,69 @@
+"""A physical number with its unit, limits and source, and how people are told it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from decimal import Decimal
+from math import inf, isfinite
+
+from daq.words import Message, say
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter of an effect."""
+
+    name: str
+    unit: str
+    neutral: float
+    """The value at which the effect is absent."""
+    typical: float
+    """A physical size to try first; differences to `neutral` of this size are what a diagnosis tests."""
+    lower: float
+    upper: float
+    source: str
+    spread: float = 0.0
+    """How much it differs between pressings, as a share of its value; 0 where all share one value."""
+    least: float = -inf
+    most: float = inf
+    """What can be at all, wider than the limits of a search: beyond, the equations mean nothing."""
+    sd: float = 0.0
+    """How far it may lie from `typical` where the effect is present; 0: as far as from `neutral`."""
+    told: tuple[float, str] | None = None
+    """Factor and unit people are told it with, such as (100, "%"), a unit in words by its code in the catalogues
+    (``unit-times-nominal``); None: the value itself with `unit`."""
+
+    @property
+    def size(self) -> float:
+        """Typical size: how far `typical` lies from `neutral`."""
+        return abs(self.typical - self.neutral)
+
+    @property
+    def one_sided(self) -> bool:
+        """Whether it cannot lie below neutral."""
+        return self.lower >= self.neutral
+
+    @property
+    def factor(self) -> float:
+        """Factor people are told it with."""
+        return 1.0 if self.told is None else self.told[0]
+
+    @property
+    def told_unit(self) -> Message:
+        """Unit people are told it with; no text where `unit` is a dash."""
+        unit = self.unit.strip("-") if self.told is None else self.told[1]
+        return Message(unit) if unit.startswith("unit-") else say("plain-text", text=unit)
+
+
+def plain(value: float, digits: int = 3) -> str:
+    """Return a number with so many significant digits and no exponent.
+
+    Examples
+    --------
+    >>> plain(247.3, 2), plain(0.01234), plain(68437.0), plain(1.1e-6), plain(float("nan"))
+    ('250', '0.0123', '68400', '0.0000011', 'nan')
+    """
+    if not isfinite(value):
+        return f"{value:g}"
+    text = f"{Decimal(f'{value:.{digits}g}'):f}"
+    return text.rstrip("0").rstrip(".") if "." in text else text

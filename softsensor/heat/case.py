@@ -1,0 +1,349 @@
+"""One run made ready for the solver: mesh, step grid, outside temperatures, places of the sensors.
+
+Everything that does not depend on coefficients or effect parameters is worked out here once, so that
+a fit can solve the same case a hundred times.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from numbers import Real
+
+import numpy as np
+
+from daq.press.header import panel_of
+from daq.press.press_file import At, Press, press_for_run
+from daq.records import (
+    Array,
+    InputError,
+    Moments,
+    OutsideLayer,
+    Panel,
+    Run,
+)
+from daq.words import say
+from softsensor.effects.contact_load import REFERENCE_PRESSURE
+from softsensor.effects.effect import Scene
+from softsensor.heat.assembly import PAPER, PAPER_WIDTH, Layout, layer_constants, mask_cells
+from softsensor.heat.mesh import Mesh, build_mesh
+from softsensor.heat.readout import Reader
+from softsensor.heat.run_checks import (
+    boundary_series,
+    check_layers,
+    check_load,
+    check_times,
+    load_series,
+    setting_load,
+)
+from softsensor.heat.timing import OPENING_RAMP_S, Clock
+
+__all__ = ["Case", "mask_cells", "prepare_case", "snap", "step_edges", "step_means"]
+
+FINE_STEP_S = 0.03
+"""Step around a switch. [s]"""
+GROWTH = 1.13
+"""Of steps after it."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """A run, its press with the run's overrides, and the grids to solve it on."""
+
+    run: Run
+    press: Press
+    panel: Panel | None
+    mesh: Mesh
+    moments: Moments
+    edges: Array
+    """Step edges (steps + 1). [s of the run]"""
+    boundary: Array
+    """Measured boundary temperature: mean and change in each step (steps, 2, 2). [°C, K]"""
+    first_boundary: tuple[float, float]
+    outside: Array
+    """Measured boundary temperatures at the run's rows (rows, 2). [°C]"""
+    load: Mapping[int, Array]
+    """Pressure over reference in each step, by contact."""
+    columns: tuple[str, ...]
+    """Panel channels in the run that sensors of role ``fit`` or ``validation`` name."""
+    labels: tuple[str, ...]
+    """Distinct places, named as in ``at``; the last is the core."""
+    place_of: Mapping[str, int]
+    """Place number of each column."""
+    places: Array
+    """Weights that read the places off the cells (m, n)."""
+    press_face: Array
+    """Weights that read the press face opposite each place, zero rows where there is none (m, n)."""
+    h: Array
+    """Step lengths (steps). [s]"""
+    unchanged: Array
+    """Factor 1 on every contact in each step, not to be changed (steps, contacts)."""
+    ambient: float
+    """[°C]"""
+    layout: Layout
+    """What no parameter changes."""
+    scene: Scene
+    """What effects may look at; its closing moment is the case's own."""
+    step_clock: Clock
+    """Shares of the states averaged over steps."""
+    edge_clock: Clock
+    """Shares at step edges."""
+    row_clock: Clock
+    """Shares at the run's rows."""
+    reader: Reader
+    """Reads step edges off at the run's rows."""
+    slope_reader: Reader
+    """Reads slopes in time off at the run's rows."""
+
+
+@dataclass(frozen=True)
+class Fineness:
+    """How finely a run is laid out."""
+
+    cells: float = 1.0
+    """2 halves cells and steps."""
+    max_step_s: float = 0.5
+    switch_step_s: float = FINE_STEP_S
+    """Step around a switch. [s]"""
+    growth: float = GROWTH
+    """Of steps after it."""
+    closed_step_s: float = np.inf
+    """Longest step while the press is closed, where that is shorter. [s]"""
+
+    def __post_init__(self) -> None:
+        for name, value, lower, upper in (
+            ("fineness", self.cells, 0.05, 50.0),
+            ("max_step_s", self.max_step_s, 1e-4, 3600.0),
+            ("switch_step_s", self.switch_step_s, 1e-4, 60.0),
+            ("growth", self.growth, 1.0, 10.0),
+        ):
+            if not isinstance(value, Real) or not lower <= value <= upper:
+                raise InputError(
+                    say("solve-value-out-of-range", name=name, value=repr(value), lower=lower, upper=upper)
+                )
+
+
+def prepare_case(press: Press, run: Run, moments: Moments, *, paper: bool, fineness: Fineness) -> Case:
+    """Check a run against a press and lay out its grids.
+
+    Raises
+    ------
+    BrokenTime
+        For times that fall or rows missing for more than `heat.run_checks.MAX_GAP_S`.
+    BoundaryGap
+        For a measured boundary or a load that is empty for more than `heat.run_checks.MAX_BRIDGE_S`.
+    OutsideLayer
+        For a sensor outside its layer.
+    Nonphysical
+        For properties of panel or layers, temperatures outside, or loads that no matter has.
+    InputError
+        For a missing boundary column or panel constant, or moments that contradict each other.
+    """
+    press = press_for_run(press, run)
+    check_times(press, run, moments)
+    check_layers(press, run)
+    panel = panel_of(run) if press.panel_layers else None
+    mesh = _mesh(press, panel, paper=paper, fineness=fineness.cells)
+    fine, coarse = fineness.switch_step_s / fineness.cells, fineness.max_step_s / fineness.cells
+    closed = min(fineness.closed_step_s / fineness.cells, coarse)
+    edges = step_edges(run.time_s, moments, coarse, fine, fineness.growth, closed)
+    start, has_states = float(run.time_s[0]), press.has_states
+    ends = (press.boundary.bottom, press.boundary.top)
+    series = [boundary_series(run, name, b) for name, b in zip(("bottom", "top"), ends, strict=True)]
+    boundary = np.stack([step_means(run.time_s, s, edges) for s in series], axis=1)
+    fit = press.sensors_of(run)
+    sensors = fit | press.sensors_of(run, "validation")
+    labels = list(dict.fromkeys(sensor.label for sensor in sensors.values()))
+    weights = {sensor.label: _place(press, run, mesh, panel, sensor.at) for sensor in sensors.values()}
+    middle = press.panel_layers[0] if press.panel_layers else press.layer[len(press.layer) // 2].name
+    labels.append("core")
+    load = _loads(press, run, moments, edges)
+    layout = Layout.of(press, mesh, panel, run.ambient_temperature)
+    weights["core"] = _place(press, run, mesh, panel, f"{middle}.middle")
+    return Case(
+        run=run,
+        press=press,
+        panel=panel,
+        mesh=mesh,
+        moments=moments,
+        edges=edges,
+        boundary=boundary,
+        first_boundary=(float(series[0][0]), float(series[1][0])),
+        outside=np.stack(series, axis=1),
+        load=load,
+        columns=tuple(sensors),
+        labels=tuple(labels),
+        place_of={column: labels.index(sensor.label) for column, sensor in sensors.items()},
+        places=np.stack([weights[label] for label in labels]),
+        press_face=np.stack([_press_face(press, mesh, label) for label in labels]),
+        h=snap(np.diff(edges)),
+        unchanged=np.ones((len(edges) - 1, len(layout.interface))),
+        ambient=run.ambient_temperature,
+        layout=layout,
+        scene=_scene(press, mesh, panel, layout, moments, edges, load, run.ambient_temperature),
+        step_clock=Clock.of(moments, edges, start, mean=True, has_states=has_states),
+        edge_clock=Clock.of(moments, edges, start, mean=False, has_states=has_states),
+        row_clock=Clock.of(moments, run.time_s, start, mean=False, has_states=has_states),
+        reader=Reader.at(edges, run.time_s),
+        slope_reader=Reader.at(edges, run.time_s, slope=True),
+    )
+
+
+def _scene(
+    press: Press,
+    mesh: Mesh,
+    panel: Panel | None,
+    layout: Layout,
+    moments: Moments,
+    edges: Array,
+    load: Mapping[int, Array],
+    ambient: float,
+) -> Scene:
+    z = np.zeros(len(mesh.dx))
+    faces = None
+    if layout.wet.any():
+        inside = np.flatnonzero(layout.wet)
+        height = np.cumsum(mesh.dx[inside]) - mesh.dx[inside] / 2
+        z[inside] = 2.0 * height / mesh.dx[inside].sum() - 1.0
+        faces = (int(inside[0]), int(inside[-1]))
+    touching = tuple(m for m, c in enumerate(press.contact) if set(c.between) & set(press.panel_layers))
+    return Scene(
+        dx=mesh.dx,
+        panel_cells=layout.wet,
+        plate_cells=~layout.panel,
+        z=z,
+        face_cells=faces,
+        panel=panel,
+        panel_contacts=touching,
+        contacts=len(press.contact),
+        step_start=edges[:-1],
+        step_end=edges[1:],
+        closed_s=moments.closed_s,
+        load=load,
+        ambient=ambient,
+    )
+
+
+def snap(h: Array) -> Array:
+    """Return steps with those that differ only by rounding made equal, so that steps keep their factors."""
+    same = np.abs(np.diff(h)) < 1e-9 * h[1:]
+    group = np.concatenate([[0], np.cumsum(~same)])
+    first = np.concatenate([[0], np.flatnonzero(~same) + 1])
+    return np.asarray(h[first][group])
+
+
+def step_edges(
+    time_s: Array, moments: Moments, max_step: float, fine: float, growth: float = GROWTH, closed: float = np.inf
+) -> Array:
+    """Return step edges: fine around each switch, growing from step to step up to `max_step`. [s]
+
+    While the press is closed they grow up to `closed`, where that is less.
+
+    Examples
+    --------
+    >>> edges = step_edges(np.array([0.0, 20.0]), Moments(inserted_s=0.0, closed_s=8.0), 0.5, 0.04)
+    >>> bool(np.diff(edges).max() <= 1.25 * 0.5), bool(np.diff(edges)[np.searchsorted(edges, 8.0)] < 0.05)
+    (True, True)
+    """
+    start, end = float(time_s[0]), float(time_s[-1])
+    switches = [start]
+    for moment, half in (
+        (moments.inserted_s, 0.3),
+        (moments.closed_s, moments.ramp_s / 2 + 0.4),
+        (moments.opened_s, OPENING_RAMP_S / 2 + 0.4),
+        (moments.removed_s, 0.3),
+    ):
+        if start < moment < end:
+            switches += [max(start, moment - half), min(end, moment + half)]
+    edges = [start]
+    t, h = start, fine / 4
+    spans = list(zip(switches[1::2], switches[2::2], strict=True))
+    for begin, finish in [*spans, (end, end)]:
+        shut = moments.closed_s <= t and not moments.opened_s <= t
+        longest = min(max_step, closed) if shut else max_step
+        while t < begin - 1e-9:
+            t = min(t + h, begin)
+            if begin - t < 0.25 * h:
+                t = begin
+            edges.append(t)
+            h = min(h * growth, longest)
+        if finish > t:
+            inner = np.linspace(t, finish, max(1, round((finish - t) / fine)) + 1)[1:]
+            edges += inner.tolist()
+            t, h = finish, fine
+    return np.array(edges) if len(edges) > 3 else np.linspace(start, end, 4)
+
+
+def _mesh(press: Press, panel: Panel | None, *, paper: bool, fineness: float) -> Mesh:
+    layers: list[tuple[str, float, float]] = []
+    for layer in press.layer:
+        thickness, k, c = layer_constants(press, layer.name, panel)
+        body = (layer.name, thickness, k / c)
+        if paper and layer.from_run:
+            layers += [(PAPER[0], PAPER_WIDTH, 0.0), body, (PAPER[1], PAPER_WIDTH, 0.0)]
+        else:
+            layers.append(body)
+    return build_mesh(layers, fineness)
+
+
+def step_means(time_s: Array, values: Array, edges: Array) -> Array:
+    """Return the mean over each step and change across it of a series joined by straight lines (steps, 2)."""
+    area = np.concatenate([[0.0], np.cumsum(np.diff(time_s) * (values[1:] + values[:-1]) / 2)])
+    at = np.interp(edges, time_s, values)
+    i = np.clip(np.searchsorted(time_s, edges, side="right") - 1, 0, max(len(time_s) - 2, 0))
+    total = area[i] + (edges - time_s[i]) * (values[i] + at) / 2
+    return np.stack([np.diff(total) / np.diff(edges), np.diff(at)], axis=1)
+
+
+def _place(press: Press, run: Run, mesh: Mesh, panel: Panel | None, at: str | At) -> Array:
+    layer_name = at.layer if isinstance(at, At) else at.rpartition(".")[0]
+    thickness = layer_constants(press, layer_name, panel)[0]
+    if isinstance(at, At):
+        height = at.depth_mm / 1000.0
+        if height > thickness * (1 + 1e-9):
+            raise OutsideLayer(
+                say(
+                    "sensor-outside-layer",
+                    run=run.source or run.name,
+                    depth_mm=at.depth_mm,
+                    layer=layer_name,
+                    thickness_mm=thickness * 1000,
+                )
+            )
+    else:
+        height = {"bottom": 0.0, "middle": 0.5, "top": 1.0}[at.rpartition(".")[2]] * thickness
+    return mesh.place(layer_name, height)
+
+
+def _press_face(press: Press, mesh: Mesh, label: str) -> Array:
+    """Weights of the press face that touches a panel face while closed, zero for any other place."""
+    names = [layer.name for layer in press.layer]
+    layer_name, _, place = label.rpartition(".")
+    if layer_name not in press.panel_layers or place not in ("bottom", "top"):
+        return np.zeros(len(mesh.dx))
+    i = names.index(layer_name) + (1 if place == "top" else -1)
+    if not 0 <= i < len(names):
+        return np.zeros(len(mesh.dx))
+    neighbour = names[i]
+    height = 0.0 if place == "top" else float(mesh.dx[mesh.cells(neighbour)].sum())
+    return mesh.place(neighbour, height)
+
+
+def _loads(press: Press, run: Run, moments: Moments, edges: Array) -> dict[int, Array]:
+    """Pressure over its reference in each step, for contacts that have one in a column or the run's settings.
+
+    A contact without either is left out: an effect that follows the load passes it by.
+    """
+    loads: dict[int, Array] = {}
+    pressure = setting_load(run)
+    for m, contact in enumerate(press.contact):
+        if contact.load is not None:
+            series = load_series(run, contact.load)
+            if series is None:
+                continue  # `load_remarks` says so
+            check_load(run, contact.load, moments)
+            reference = contact.load.reference or float(np.median(series))
+            loads[m] = step_means(run.time_s, series / reference, edges)[:, 0]
+        elif pressure is not None and set(contact.between) & set(press.panel_layers):
+            loads[m] = np.full(len(edges) - 1, pressure / REFERENCE_PRESSURE)
+    return loads

@@ -1,0 +1,198 @@
+"""The model file: coefficients, effects and their uncertainty, as JSON.
+
+``{"version", "press", "coefficients": {NAME: {"value", "sd"}}, "effects": [{"name", "parameters":
+{NAME: {"value", "sd"}}}], "covariance": {"names", "matrix"}}``. Coefficients are those of a typical
+run; ``sd`` is what a run may differ by, uncertainty of the mean included. The covariance is of the
+logarithms of the coefficients and of the effect parameters themselves, in the order of its names.
+
+Optional ``"adequacy": {"runs", "nothing", "unexplained_K", "causes": {NAME: {"chance", "size", "parameters",
+"absorbed"}}}`` says what the runs behind the model know about causes it leaves out, see
+`softsensor.diagnosis.missing_causes`.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from daq.press.press_file import Press
+from daq.records import Array, InputError
+from daq.words import say
+from softsensor.effects import find_effect
+from softsensor.heat.model import ThermalModel
+
+
+@dataclass(frozen=True)
+class FittedValue:
+    """A value and its standard deviation."""
+
+    value: float
+    sd: float
+
+
+@dataclass(frozen=True)
+class MissingCause:
+    """A cause the model leaves out, as the runs behind it see it."""
+
+    chance: float
+    """That it is at work and nothing else is."""
+    size: float
+    """In units of its typical size."""
+    parameters: Mapping[str, FittedValue]
+    """What a further run would hold of it if it is; `sd` is what such a run may differ by."""
+    absorbed: Mapping[str, float]
+    """By how much coefficients' logarithms differ for its typical size from what the model without it says."""
+
+
+@dataclass(frozen=True)
+class MissingCauses:
+    """How well the runs behind a model know that nothing is missing from it."""
+
+    runs: int
+    nothing: float
+    """Chance that nothing of the catalogue is missing."""
+    unexplained_K: float  # noqa: N815
+    """Residual that neither the model nor any single cause explains. [K]"""
+    causes: Mapping[str, MissingCause]
+
+
+@dataclass(frozen=True)
+class ModelFile:
+    """Coefficients and effects of one press, as a campaign found them."""
+
+    version: str
+    press: str
+    coefficients: Mapping[str, FittedValue]
+    effects: tuple[tuple[str, Mapping[str, FittedValue]], ...] = ()
+    names: tuple[str, ...] = ()
+    covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    missing: MissingCauses | None = None
+    """None: nobody looked."""
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Every parameter's value by its full name."""
+        own = {f"{name}.{key}": e.value for name, table in self.effects for key, e in table.items()}
+        return {name: e.value for name, e in self.coefficients.items()} | own
+
+    def model(self, press: Press) -> ThermalModel:
+        """Return the thermal model of a press with this file's effects."""
+        return ThermalModel(press, tuple(find_effect(name) for name, _ in self.effects))
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the file's content."""
+
+        def table(estimates: Mapping[str, FittedValue]) -> dict[str, Any]:
+            return {name: {"value": e.value, "sd": e.sd} for name, e in estimates.items()}
+
+        content = {
+            "version": self.version,
+            "press": self.press,
+            "coefficients": table(self.coefficients),
+            "effects": [{"name": name, "parameters": table(p)} for name, p in self.effects],
+            "covariance": {"names": list(self.names), "matrix": np.asarray(self.covariance).tolist()},
+        }
+        if self.missing is not None:
+            content["adequacy"] = {
+                "runs": self.missing.runs,
+                "nothing": self.missing.nothing,
+                "unexplained_K": self.missing.unexplained_K,
+                "causes": {
+                    name: {
+                        "chance": d.chance,
+                        "size": d.size,
+                        "parameters": table(d.parameters),
+                        "absorbed": dict(d.absorbed),
+                    }
+                    for name, d in self.missing.causes.items()
+                },
+            }
+        return content
+
+
+def parse_model(content: Any, source: str) -> ModelFile:
+    """Check a model file's content. Raises InputError naming `source`, key and value."""
+    if not isinstance(content, dict) or "coefficients" not in content:
+        raise InputError(say("model-file-no-coefficients", file=source))
+    effects = []
+    for i, entry in enumerate(content.get("effects", [])):
+        if not isinstance(entry, dict) or "name" not in entry:
+            raise InputError(say("model-file-effect-unnamed", file=source, number=i))
+        effect = find_effect(str(entry["name"]))
+        table = _estimates(entry.get("parameters", {}), source, f"effects.{i}.parameters")
+        if unknown := sorted(set(table) - {p.name for p in effect.parameters}):
+            known, own = tuple(p.name for p in effect.parameters), effect.name
+            raise InputError(
+                say(
+                    "model-file-parameter-unknown", file=source, number=i, name=unknown[0], effect=own, known=known
+                )
+            )
+        effects.append((effect.name, table))
+    covariance = content.get("covariance") or {}
+    names, matrix = (covariance.get("names", ()), covariance.get("matrix", ())) if covariance else ((), ())
+    coefficients = _estimates(content["coefficients"], source, "coefficients")
+    for name, estimate in coefficients.items():
+        if estimate.value <= 0.0:
+            value = f"{estimate.value:g}"
+            raise InputError(say("model-file-coefficient-not-positive", file=source, name=name, value=value))
+    return ModelFile(
+        version=str(content.get("version", "")),
+        press=str(content.get("press", "")),
+        coefficients=coefficients,
+        effects=tuple(effects),
+        names=tuple(names),
+        covariance=np.array(matrix, dtype=float).reshape(len(names), len(names)),
+        missing=_missing_causes(content["adequacy"], source) if content.get("adequacy") else None,
+    )
+
+
+def _estimates(table: Any, source: str, where: str) -> dict[str, FittedValue]:
+    if not isinstance(table, dict):
+        raise InputError(say("model-file-no-table", file=source, place=where))
+    found = {}
+    for name, entry in table.items():
+        try:
+            found[name] = FittedValue(float(entry["value"]), float(entry.get("sd") or 0.0))
+        except (TypeError, KeyError, ValueError, AttributeError):
+            place, value = f"{where}.{name}", repr(entry)
+            raise InputError(say("model-file-no-numbers", file=source, place=place, value=value)) from None
+        if not np.isfinite(found[name].value):
+            raise InputError(say("model-file-not-finite", file=source, place=f"{where}.{name}"))
+    return found
+
+
+def _missing_causes(entry: Any, source: str) -> MissingCauses:
+    try:
+        causes = {
+            name: MissingCause(
+                chance=float(d["chance"]),
+                size=float(d["size"]),
+                parameters=_estimates(d["parameters"], source, f"adequacy.causes.{name}.parameters"),
+                absorbed={key: float(shift) for key, shift in d["absorbed"].items()},
+            )
+            for name, d in entry["causes"].items()
+        }
+        return MissingCauses(int(entry["runs"]), float(entry["nothing"]), float(entry["unexplained_K"]), causes)
+    except (TypeError, KeyError, ValueError, AttributeError) as error:
+        raise InputError(say("model-file-adequacy", file=source, error=str(error))) from None
+
+
+def read_model(path: Path) -> ModelFile:
+    """Read a model file. Raises InputError."""
+    try:
+        return parse_model(json.loads(path.read_text(encoding="utf-8")), str(path))
+    except OSError as error:
+        why = str(error.strerror)
+        raise InputError(say("model-file-unreadable", file=str(path), error=why)) from error
+    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise InputError(say("model-file-no-json", file=str(path), error=str(error))) from error
+
+
+def model_text(model: ModelFile) -> str:
+    """Return the text of a model file."""
+    return json.dumps(model.as_json(), indent=2) + "\n"

@@ -1,0 +1,258 @@
+"""What a run must offer to be solved: rising times, possible temperatures and properties, whole boundaries.
+
+Every refusal is an error of its own name (`daq.records`), a line that says file, place, value, limit and remedy.
+"""
+
+from __future__ import annotations
+
+import itertools
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.press.press_file import Boundary, Load, Press
+from daq.records import (
+    COLDEST_C,
+    HOTTEST_C,
+    Array,
+    BoundaryGap,
+    BrokenTime,
+    InputError,
+    Moments,
+    Nonphysical,
+    Run,
+)
+from daq.words import Argument, Message, say
+from softsensor.effects.effect import Effect
+from softsensor.heat.timing import OPENING_RAMP_S
+
+MAX_BRIDGE_S = 10.0
+"""Missing cells of a boundary column are bridged by a straight line up to this long; the live sensor, which cannot
+know what comes, holds the last reading as long. Set by hand, 2026-11. [s]"""
+MAX_GAP_S = 60.0
+"""Missing rows are bridged up to this long. [s]"""
+LIMITS = {
+    "thickness_mm": (0.001, 10000.0),
+    "conductivity_W_mK": (0.005, 5000.0),
+    "density_kg_m3": (0.5, 25000.0),
+    "heat_capacity_J_kgK": (50.0, 15000.0),
+}
+"""What a layer of the press file can be, from gases to diamond, lead and water; panels have narrower ones."""
+
+
+def check_times(press: Press, run: Run, moments: Moments) -> None:
+    """Refuse times that do not rise, long gaps, and moments out of order."""
+    where, t = run.source or run.name, run.time_s
+    if len(t) < 2:
+        raise BrokenTime(say("run-too-short", run=where, rows=len(t)))
+    steps = np.diff(t)
+    wrong = np.flatnonzero(~(np.isfinite(steps) & (steps > 0)))
+    if len(wrong):
+        i = int(wrong[0])
+        time, before = f"{t[i + 1]:g}", f"{t[i]:g}"
+        raise BrokenTime(say("run-times-fall", run=where, time=time, before=before, row=i + 2))
+    measured = "measured" in (press.boundary.bottom.kind, press.boundary.top.kind)
+    i = int(np.argmax(steps))
+    if measured and steps[i] > MAX_GAP_S:
+        seconds = float(steps[i])
+        raise BrokenTime(say("run-rows-missing", run=where, seconds=seconds, time=f"{t[i]:g}", most=MAX_GAP_S))
+    order = ("inserted_s", "closed_s", "opened_s", "removed_s")
+    known = [(name, value) for name in order if np.isfinite(value := getattr(moments, name))]
+    for (before, early), (after, late) in itertools.pairwise(known):
+        if late < early:
+            times = {"late": f"{late:g}", "early": f"{early:g}"}
+            raise InputError(say("run-moments-out-of-order", run=where, later=after, earlier=before, **times))
+    if not 0.0 <= moments.ramp_s < np.inf:
+        raise InputError(say("run-ramp-impossible", run=where, value=f"{moments.ramp_s:g}"))
+
+
+def check_layers(press: Press, run: Run) -> None:
+    """Refuse properties of layers, and an ambient, that no matter has."""
+    where = run.source or run.name
+    for i, layer in enumerate(press.layer):
+        for key, (lower, upper) in LIMITS.items():
+            given = getattr(layer, key)
+            for value in [y for _, y in given] if isinstance(given, tuple) else [given]:
+                if value is not None and not lower <= value <= upper:
+                    place: dict[str, Argument] = {"number": i, "key": key, "layer": layer.name}
+                    place |= {"value": f"{value:g}", "lower": lower, "upper": upper}
+                    raise Nonphysical(say("layer-value-impossible", run=where, **place))
+    if not COLDEST_C < run.ambient_temperature < HOTTEST_C:
+        value = f"{run.ambient_temperature:g}"
+        raise Nonphysical(
+            say("header-ambient-impossible", run=where, value=value, lower=COLDEST_C, upper=HOTTEST_C)
+        )
+
+
+def value_limits(
+    effects: Iterable[Effect], coefficients: Iterable[str], nuisances: Iterable[str]
+) -> dict[str, tuple[float, float]]:
+    """Return what each parameter of a model can be at all."""
+    largest = sys.float_info.max
+    own = {e.key(p.name): (max(p.least, -largest), min(p.most, largest)) for e in effects for p in e.parameters}
+    return dict.fromkeys(coefficients, (0.0, largest)) | own | dict.fromkeys(nuisances, (-largest, largest))
+
+
+def check_values(limits: Mapping[str, tuple[float, float]], values: Mapping[str, float]) -> None:
+    """Refuse a value that is no number or that no matter has, and one that belongs to nothing, by name."""
+    for name, value in values.items():
+        if name not in limits:
+            raise InputError(say("parameter-unknown", name=name, known=tuple(limits)))
+        least, most = limits[name]
+        try:
+            possible = least <= value <= most
+        except TypeError:
+            possible = False
+        if not possible:
+            raise Nonphysical(_limited(name, repr(value), least, most))
+
+
+def _limited(name: str, value: str, least: float, most: float) -> Message:
+    """Say what a value must be; limits as large as numbers can be are none."""
+    given = {"name": name, "value": value}
+    if least <= -sys.float_info.max:
+        return (
+            say("value-not-finite", **given)
+            if most >= sys.float_info.max
+            else say("value-at-most", most=most, **given)
+        )
+    if most >= sys.float_info.max:
+        return say("value-at-least", least=least, **given)
+    return say("value-between", least=least, most=most, **given)
+
+
+def check_first_readings(
+    run: Run, layers: Sequence[str], place_of: Mapping[str, int], labels: Sequence[str]
+) -> None:
+    """Refuse a start from first readings where a layer from the run has none."""
+    for layer in layers:
+        inside = [c for c, place in place_of.items() if labels[place].startswith((f"{layer}.", f"{layer}@"))]
+        if not any(np.isfinite(run.columns[column]).any() for column in inside):
+            empty = tuple(inside) or say("all-columns")
+            raise InputError(
+                say("start-layer-without-reading", run=run.source or run.name, layer=layer, columns=empty)
+            )
+
+
+def load_series(run: Run, load: Load) -> Array | None:
+    """Return a contact's load at every row, in the column's unit, None where the run holds none above 0.
+
+    Short gaps are bridged. Loads below a hundredth of the largest are taken as that: a contact never vanishes.
+
+    Raises
+    ------
+    BoundaryGap
+        Where the column is empty for more than `MAX_BRIDGE_S`.
+    Nonphysical
+        For a load that is not finite, or below 0 by more than a hundredth of the largest.
+    """
+    column = load.column
+    values = run.columns.get(column, np.zeros(0))
+    if not (values > 0.0).any():
+        return None
+    where = run.source or run.name
+    good = np.isfinite(values)
+    smallest = max(float(values[good].max(initial=0.0)) * 0.01, 1e-6)
+    wrong = np.flatnonzero(np.isinf(values) | (values < -smallest))
+    if len(wrong):
+        i = int(wrong[0])
+        value, time = f"{values[i]:g}", f"{run.time_s[i]:g}"
+        raise Nonphysical(say("load-impossible", run=where, column=column, value=value, time=time))
+    hole = _worst_gap(run.time_s, good)
+    if hole is not None:
+        gap: dict[str, Argument] = {"time": f"{hole[0]:g}", "seconds": hole[1], "most": MAX_BRIDGE_S}
+        raise BoundaryGap(say("load-gap", run=where, column=column, **gap))
+    return np.maximum(np.interp(run.time_s, run.time_s[good], values[good]), smallest)
+
+
+def check_load(run: Run, load: Load, moments: Moments) -> None:
+    """Refuse a load that is not above 0 while the press is closed; an open press rests on nothing."""
+    values, t = run.columns[load.column], run.time_s
+    shut = (t > moments.closed_s + moments.ramp_s / 2) & ~(t > moments.opened_s - OPENING_RAMP_S / 2)
+    wrong = np.flatnonzero(shut & (values <= 0.0))
+    if len(wrong):
+        i = int(wrong[0])
+        at = {"column": load.column, "value": f"{values[i]:g}", "time": f"{t[i]:g}"}
+        raise Nonphysical(say("load-zero-while-closed", run=run.source or run.name, **at))
+
+
+def setting_load(run: Run) -> float | None:
+    """Return the pressing's pressure of the run's settings [N/cm²]; refuse one that is not above 0."""
+    pressure = run.setting("pressure_N_cm2")
+    if pressure is not None and not 0.0 < pressure < np.inf:
+        where = run.source or run.name
+        raise Nonphysical(say("header-pressure-impossible", run=where, value=f"{pressure:g}"))
+    return pressure
+
+
+def load_remarks(press: Press, run: Run) -> list[Message]:
+    """Say of each load column that the run does not hold what is done instead.
+
+    Parameters
+    ----------
+    press
+        With the run's overrides applied.
+    """
+    lacking: dict[str, list[str]] = {}
+    for contact in press.contact:
+        if contact.load is not None and load_series(run, contact.load) is None:
+            lacking.setdefault(contact.load.column, []).append("-".join(contact.between))
+    told: list[Message] = []
+    for column, contacts in lacking.items():
+        which: dict[str, Argument] = {"run": run.source or run.name, "column": column, "contacts": tuple(contacts)}
+        if column in run.columns:
+            told.append(say("load-column-empty", **which))
+        else:
+            told.append(say("load-column-missing", columns=tuple(run.columns), **which))
+    return told
+
+
+def boundary_series(run: Run, name: str, boundary: Boundary) -> Array:
+    """Return a measured boundary's temperature at every row, short gaps bridged."""
+    if boundary.kind != "measured":
+        return np.zeros(len(run.time_s))
+    column = boundary.column or ""
+    where = run.source or run.name
+    if column not in run.columns:
+        columns = tuple(run.columns)[:20]
+        raise InputError(say("boundary-column-missing", run=where, column=column, end=name, columns=columns))
+    values = run.columns[column]
+    impossible = np.flatnonzero(~np.isnan(values) & ~((values > COLDEST_C) & (values < HOTTEST_C)))
+    if len(impossible):
+        i = int(impossible[0])
+        at: dict[str, Argument] = {
+            "value": f"{values[i]:g}",
+            "time": f"{run.time_s[i]:g}",
+            "lower": COLDEST_C,
+            "upper": HOTTEST_C,
+        }
+        raise Nonphysical(say("boundary-impossible", run=where, column=column, end=name, **at))
+    good = np.isfinite(values)
+    if not good.any():
+        raise BoundaryGap(say("boundary-empty", run=where, column=column, end=name))
+    hole = _worst_gap(run.time_s, good)
+    if hole is not None:
+        gap: dict[str, Argument] = {"time": f"{hole[0]:g}", "seconds": hole[1], "most": MAX_BRIDGE_S}
+        raise BoundaryGap(say("boundary-gap", run=where, column=column, end=name, **gap))
+    return np.interp(run.time_s, run.time_s[good], values[good])
+
+
+def _worst_gap(time_s: Array, good: NDArray[np.bool_]) -> tuple[float, float] | None:
+    """Return where the longest gap between good rows is and its length, None if it can be bridged. [s]"""
+    holes, times = np.flatnonzero(~good), time_s[good]
+    if not len(holes):
+        return None
+    before = np.searchsorted(times, time_s[holes]) - 1
+    gap = np.where(
+        before < 0,
+        times[0] - time_s[0],
+        np.where(
+            before + 1 < len(times),
+            times[np.minimum(before + 1, len(times) - 1)] - times[np.maximum(before, 0)],
+            time_s[-1] - times[-1],
+        ),
+    )
+    worst = int(np.argmax(gap))
+    return (float(time_s[holes[worst]]), float(gap[worst])) if gap[worst] > MAX_BRIDGE_S else None

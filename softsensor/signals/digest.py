@@ -1,0 +1,316 @@
+"""Runs boiled down to what a diagnosis weighs: place means in bins, their noise, and what a run may vary.
+
+The channels of one place (a face) say the same thing but for an offset each, so their mean is kept, and
+it is averaged over bins that are narrow after each event (insertion, closing, opening) and grow from
+there: some 80 numbers a place and run. The noise of such a mean is not white: two Ornstein-Uhlenbeck
+processes (seconds and half a minute) and a white part, sized by maximum likelihood over the campaign,
+plus what a timing error of some hundredths of a second makes of a steep slope. Whitening with their
+covariance takes the place of an AR(1) filter, which would need even sampling.
+
+What differs from run to run without being a cause is fitted in every run with a prior: coefficients
+about the campaign's own level, closing and opening moment, ramp, start temperature, platen errors,
+one offset a place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from daq.press.press_file import Press
+from daq.records import Array, InputError, Moments, Run
+from daq.words import say
+from softsensor.heat.case import Case
+from softsensor.heat.model import Solution, ThermalModel
+from softsensor.heat.readout import Reader
+from softsensor.heat.timing import Clock
+from softsensor.signals.instrument import FACE_SLOW_S, INSERTED_S, MEAN_FAST_S, SCAN_LATE_S, SCAN_SKEW_S
+from softsensor.signals.moments import Switch, switch_of
+from softsensor.signals.robust import nan_mean, nan_median
+
+GROWTH = 1.15
+"""Each bin after an event is this much wider than the one before."""
+FIRST_BIN_S, WIDEST_BIN_S = 0.2, 4.0
+"""Narrowest bin, after an event, and widest in a run of up to 8 min. Set by hand, 2026-11. [s]"""
+SAMPLES = 4
+"""The model is read at up to so many times within a bin."""
+PLAIN_K = 0.1
+"""Where a slope times the timing error exceeds this, residuals count less. [K]"""
+STEP_S = 1.5
+"""The solver's longest step; 5 mK off at most against a third of it. [s]"""
+TIMING_S = SCAN_LATE_S
+"""Errors of the time axis that no nuisance covers: scan skew, jitter, shape of a ramp. [s]"""
+UNSURE_S = 1.5
+"""After an insertion found in the temperatures, so much is left out: its moment enters linearly only. [s]"""
+
+
+@dataclass(frozen=True)
+class MeanNoise:
+    """Standard deviations of a place's mean. [K]"""
+
+    slow: float
+    """Over `FACE_SLOW_S`."""
+    fast: float
+    """Over `MEAN_FAST_S`."""
+    white: float
+    """Of each row."""
+
+
+@dataclass(frozen=True)
+class Digest:
+    """One run boiled down."""
+
+    run: Run
+    moments: Moments
+    switch: Switch | None
+    period_s: float
+    signals: tuple[str, ...]
+    """Places with sensors of role ``fit``, as named in ``at``."""
+    channels: Mapping[str, tuple[str, ...]]
+    """Channels that went into each signal."""
+    offset_sd: Array
+    """Prior of each signal's offset (signals). [K]"""
+    insertion_sd: float
+    """How well the moment of insertion is known. [s]"""
+    time: Array
+    """Bin middles (bins). [s of the run]"""
+    width: Array
+    samples: Array
+    """Times at which the model is read (samples). [s of the run]"""
+    first_sample: np.ndarray
+    """Index of each bin's first sample (bins)."""
+    y: Array
+    """Means (bins, signals), NaN where nothing was read. [°C]"""
+    slope: Array
+    """Of `y`. [K/s]"""
+    cores: Mapping[str, Array]
+    """Validation channels by bin. [°C]"""
+    core_place: Mapping[str, str]
+    cases: Mapping[bool, Case]
+    """Ready to solve, without and with paper layers."""
+
+    @property
+    def valid(self) -> np.ndarray:
+        """Which bins of which signals hold a value (bins, signals)."""
+        return np.isfinite(self.y)
+
+    @property
+    def trust(self) -> Array:
+        """Weights of residuals in kelvin: small where a timing error turns a steep slope into one."""
+        return np.asarray(PLAIN_K / np.hypot(PLAIN_K, 2.0 * TIMING_S * self.slope))
+
+    def bins(self, rows: Array) -> Array:
+        """Average rows at the sample times (samples, ...) over the bins (bins, ...)."""
+        count = np.diff(np.append(self.first_sample, len(self.samples)))
+        total = np.add.reduceat(rows, self.first_sample, axis=0)
+        return np.asarray(total / count.reshape(-1, *([1] * (rows.ndim - 1))))
+
+    def solve(self, model: ThermalModel, values: Mapping[str, float], tangents: Sequence[str] = ()) -> Solution:
+        """Run a model over the case."""
+        paper = any(e.layers for e in model.effects)
+        return model.solve(self.cases[paper], values, tangents)
+
+    def observed(self, solution: Solution) -> Array:
+        """Return the model's signals by bin (bins, signals)."""
+        return self.bins(solution.sensors[:, : len(self.signals)])
+
+    def observed_tangent(self, solution: Solution, name: str) -> Array:
+        """Return the derivative of the signals by a parameter (bins, signals)."""
+        return self.bins(solution.d_sensors[name][:, : len(self.signals)])
+
+
+def digest_run(press: Press, run: Run, moments: Moments, excluded: frozenset[str] = frozenset()) -> Digest:
+    """Boil a run down. `excluded` channels are left out.
+
+    Raises InputError as `ThermalModel.prepare` does, and where no panel channel is left.
+    """
+    plain = ThermalModel(press)
+    case = plain.prepare(run, moments, max_step_s=STEP_S)
+    fit = {c: s.label for c, s in case.press.sensors_of(run).items() if c not in excluded}
+    fit = {c: label for c, label in fit.items() if np.isfinite(run.columns[c]).sum() > 0.3 * len(run.time_s)}
+    if not fit:
+        named = tuple(p for s in press.sensor for p in s.columns)
+        raise InputError(say("run-no-panel-channel", run=run.source or run.name, named=named))
+    signals = tuple(dict.fromkeys(fit.values()))
+    channels = {s: tuple(c for c, label in fit.items() if label == s) for s in signals}
+    series, offset_sd = _signal_series(run, signals, channels)
+    period = float(np.median(np.diff(run.time_s))) if len(run.time_s) > 1 else 1.0
+    rows, group = _group_rows(run.time_s, moments, period)
+    first_row = np.flatnonzero(np.diff(np.append(-1, group)))
+    y = _nan_means(series[rows], first_row)
+    time = _nan_means(run.time_s[rows][:, None], first_row)[:, 0]
+    last = np.append(first_row[1:], len(rows)) - 1
+    start, end = run.time_s[rows[first_row]], run.time_s[rows[last]]
+    samples, first_sample = _sample_times(start, end, last - first_row + 1)
+    validation = {
+        c: s.label
+        for c, s in case.press.sensors_of(run, "validation").items()
+        if np.isfinite(run.columns[c]).any()
+    }
+    cores = {c: _nan_means(run.columns[c][rows][:, None], first_row)[:, 0] for c in validation}
+    slope = np.stack([_slope(time, y[:, i]) for i in range(len(signals))], axis=1)
+    lean = _lean(run, samples, series, signals, validation)
+    places = {s: s for s in signals} | validation
+    cases = {False: _sampled(case, lean, moments, places)}
+    if press.panel_layers:
+        cases[True] = _sampled(_papered(press, run, moments), lean, moments, places)
+    return Digest(
+        run=run,
+        moments=moments,
+        switch=switch_of(run, case.press) if case.press.has_states else None,
+        period_s=period,
+        signals=signals,
+        channels=channels,
+        offset_sd=offset_sd,
+        insertion_sd=INSERTED_S if moments.inserted_s > run.time_s[0] else SCAN_SKEW_S,
+        time=time,
+        width=np.maximum(end - start + period, period),
+        samples=samples,
+        first_sample=first_sample,
+        y=y,
+        slope=slope,
+        cores=cores,
+        core_place=validation,
+        cases=cases,
+    )
+
+
+def _sampled(case: Case, lean: Run, moments: Moments, places: Mapping[str, str]) -> Case:
+    """Return a case that is read at the sample times of `lean`, whose columns lie at `places`."""
+    samples, start = lean.time_s, float(case.run.time_s[0])
+    return replace(
+        case,
+        run=lean,
+        row_clock=Clock.of(moments, samples, start, mean=False, has_states=case.press.has_states),
+        reader=Reader.at(case.edges, samples),
+        slope_reader=Reader.at(case.edges, samples, slope=True),
+        columns=tuple(places),
+        place_of={column: case.labels.index(place) for column, place in places.items()},
+    )
+
+
+def _papered(press: Press, run: Run, moments: Moments) -> Case:
+    from softsensor.effects import find_effect
+
+    return ThermalModel(press, (find_effect("paper_layer"),)).prepare(run, moments, max_step_s=STEP_S)
+
+
+def _lean(run: Run, samples: Array, series: Array, signals: tuple[str, ...], validation: Mapping[str, str]) -> Run:
+    columns = {s: np.interp(samples, run.time_s, _filled(series[:, i])) for i, s in enumerate(signals)}
+    for c in validation:
+        columns[c] = np.interp(samples, run.time_s, _filled(run.columns[c]))
+    return Run(run.name, run.header, samples, columns, run.source)
+
+
+def _filled(values: Array) -> Array:
+    good = np.flatnonzero(np.isfinite(values))
+    return np.interp(np.arange(len(values)), good, values[good])
+
+
+def _signal_series(
+    run: Run, signals: tuple[str, ...], channels: Mapping[str, tuple[str, ...]]
+) -> tuple[Array, Array]:
+    """Mean over each place's channels, their constant offsets taken out first, and the mean's offset prior."""
+    series = np.full((len(run.time_s), len(signals)), np.nan)
+    offset_sd = np.full(len(signals), 1.0)
+    for i, signal in enumerate(signals):
+        values = np.stack([run.columns[c] for c in channels[signal]], axis=1)
+        middle = nan_median(values)
+        offsets = np.array([np.nanmedian(v - middle) if np.isfinite(v).any() else 0.0 for v in values.T])
+        series[:, i] = nan_mean(values - offsets + offsets.mean())
+        if len(offsets) >= 3:
+            offset_sd[i] = np.sqrt(np.var(offsets, ddof=1) / len(offsets) + 0.1**2)
+    return series, offset_sd
+
+
+def _nan_means(values: Array, first: np.ndarray) -> Array:
+    good = np.isfinite(values)
+    count = np.add.reduceat(good, first, axis=0)
+    total = np.add.reduceat(np.where(good, values, 0.0), first, axis=0)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+def _group_rows(time_s: Array, moments: Moments, period: float) -> tuple[np.ndarray, np.ndarray]:
+    """Rows with the panel in the press, and the bin each belongs to."""
+    start = moments.inserted_s if np.isfinite(moments.inserted_s) else time_s[0]
+    start = max(float(start), float(time_s[0]))
+    if start > time_s[0]:
+        start = min(start + UNSURE_S, float(time_s[-1]))
+    end = moments.removed_s - 0.3 if np.isfinite(moments.removed_s) else time_s[-1]
+    edges = [start]
+    inner = [m for m in (moments.closed_s, moments.opened_s) if np.isfinite(m) and start < m < end]
+    stops = [m - 0.5 for m in inner] + [float(end) + period]
+    widest = max(WIDEST_BIN_S, (float(end) - start) / 120.0)
+    for stop in stops:
+        width = max(FIRST_BIN_S, period)
+        while edges[-1] < stop - 1e-9:
+            step = width if edges[-1] + 1.6 * width < stop else stop - edges[-1]
+            edges.append(edges[-1] + step)
+            width = min(width * GROWTH, widest)
+        if stop != stops[-1]:
+            fine = max(FIRST_BIN_S, period)
+            for _ in range(max(1, round(0.5 / fine))):
+                edges.append(edges[-1] + fine)
+    rows = np.flatnonzero((time_s >= start) & (time_s <= end))
+    group = np.searchsorted(np.array(edges), time_s[rows], side="right")
+    return rows, group
+
+
+def _sample_times(start: Array, end: Array, count: np.ndarray) -> tuple[Array, np.ndarray]:
+    """Spread up to `SAMPLES` reading times evenly over each bin's rows."""
+    times: list[float] = []
+    first: list[int] = []
+    for a, b, n in zip(start, end, count, strict=True):
+        first.append(len(times))
+        m = min(int(n), SAMPLES)
+        if m == int(n) or n == 1:
+            times += np.linspace(a, b, m).tolist()
+        else:
+            step = (b - a) / (n - 1) * n / m
+            times += (a - (b - a) / (n - 1) / 2 + step * (np.arange(m) + 0.5)).tolist()
+    return np.array(times), np.array(first)
+
+
+def _slope(time: Array, y: Array) -> Array:
+    good = np.isfinite(y)
+    slope = np.zeros(len(y))
+    if good.sum() > 2:
+        slope[good] = np.gradient(y[good], time[good])
+    return slope
+
+
+def whitener(digest: Digest, noise: MeanNoise, signal: int) -> Array:
+    """Return the Cholesky factor of a signal's covariance over its valid bins."""
+    good = digest.valid[:, signal]
+    t, w = digest.time[good], digest.width[good]
+    gap = np.abs(t[:, None] - t[None, :])
+    cov = noise.slow**2 * np.exp(-gap / FACE_SLOW_S) + noise.fast**2 * np.exp(-gap / MEAN_FAST_S)
+    rows = np.maximum(w / digest.period_s, 1.0)
+    cov[np.diag_indices_from(cov)] += noise.white**2 / rows + (TIMING_S * digest.slope[good, signal]) ** 2 + 1e-6
+    return np.linalg.cholesky(cov)
+
+
+@dataclass(frozen=True)
+class Whitened:
+    """A digest with its noise: turns differences (bins, signals, ...) into independent unit noise."""
+
+    digest: Digest
+    noise: MeanNoise
+    inverses: tuple[Array, ...]
+    """Of the covariances' Cholesky factors, by signal."""
+
+    @staticmethod
+    def of(digest: Digest, noise: MeanNoise) -> Whitened:
+        """Factor the covariances."""
+        factors = (whitener(digest, noise, i) for i in range(len(digest.signals)))
+        inverses = (solve_triangular(f, np.eye(len(f)), lower=True, check_finite=False) for f in factors)
+        return Whitened(digest, noise, tuple(inverses))
+
+    def __call__(self, values: Array) -> Array:
+        """Return the whitened valid entries, signal after signal (entries, ...)."""
+        valid = self.digest.valid
+        parts = [np.tensordot(inverse, values[valid[:, i], i], 1) for i, inverse in enumerate(self.inverses)]
+        return np.concatenate(parts)

@@ -1,0 +1,54 @@
+"""How the channels of a face differ among themselves: their scatter, and a rim that falls behind the middle."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from daq.press.press_file import Press
+from daq.records import Moments, Run
+from softsensor.signals.robust import nan_mean
+
+
+def place_scatter(run: Run, channels: Sequence[str], rows: np.ndarray) -> float:
+    """Return how single channels scatter about their place's mean, offsets removed. [K]"""
+    if len(channels) < 2:
+        return float("nan")
+    values = np.stack([run.columns[c][rows] for c in channels], axis=1)
+    rest = values - nan_mean(values)[:, None]
+    rest = rest - np.nanmean(rest, axis=0)
+    return float(np.sqrt(np.nanmean(rest**2) * len(channels) / (len(channels) - 1)))
+
+
+def rim_falls(press: Press, run: Run, moments: Moments, excluded: frozenset[str]) -> float:
+    """Return by how much rim sensors fall against central ones in the course of a run; NaN without places. [K]
+
+    Constant offsets drop out: the last quarter of the run is compared with its first tenth. Sensors count as
+    rim beyond four fifths of the largest distance from the middle of all places, as central within three.
+    """
+    rows = _panel_rows(run, moments)
+    changes = []
+    for sensor in press.sensor:
+        columns = run.matching(sensor.columns)
+        if sensor.role != "fit" or sensor.position_mm is None or len(columns) != len(sensor.position_mm):
+            continue
+        places = np.array(sensor.position_mm)
+        away = np.abs(places - (places.max(axis=0) + places.min(axis=0)) / 2).max(axis=1)
+        far, near = away >= 0.8 * away.max(), away <= 0.6 * away.max()
+        groups = []
+        for group in (far, near):
+            chosen = [c for c, inside in zip(columns, group, strict=True) if inside and c not in excluded]
+            if chosen:
+                groups.append(nan_mean(np.stack([run.columns[c][rows] for c in chosen], axis=1)))
+        if len(groups) == 2:
+            gap = groups[0] - groups[1]
+            n = len(gap)
+            changes.append(float(np.nanmean(gap[-n // 4 :]) - np.nanmean(gap[: max(n // 10, 1)])))
+    return float(np.mean(changes)) if changes else float("nan")
+
+
+def _panel_rows(run: Run, moments: Moments) -> np.ndarray:
+    start = moments.inserted_s if np.isfinite(moments.inserted_s) else run.time_s[0]
+    end = moments.removed_s - 0.5 if np.isfinite(moments.removed_s) else run.time_s[-1]
+    return (run.time_s >= start) & (run.time_s <= end)

@@ -1,0 +1,97 @@
+"""What sensors, logger, platens and the material's scatter are taken to be: one place for every stack.
+
+Fit, diagnosis and live sensor read the same numbers here; where one of them means something else, the name says
+what. Standard deviations unless said otherwise. "By hand" is a judgement of the month given, not a measurement.
+Ramps of the press's motion stand in `softsensor.heat.timing`, sizes and chances of effects with each effect.
+"""
+
+from __future__ import annotations
+
+import math
+
+# Thermocouples and logger
+
+CHANNEL_K, CHANNEL_GAIN = 0.3, 0.0015
+"""Offset and gain of a panel channel, differing from channel to channel and run to run. [K, -]
+
+Thermocouples of one reel on one logger, not calibrated one by one: a fifth of IEC 60584-1's class 1 limit (1.5 K).
+The virtual press draws its channels with the same two numbers (`daq.simulated.campaign_sensors`)."""
+PLATEN_K = 0.25
+"""Offset of a platen channel from run to run: sensor and its place in the platen. By hand, 2026-11. [K]
+
+The fit of a single run takes this number too, and so leaves out what all runs share (`PLATEN_CLASS_K`): what a
+platen is off beyond it goes to the coefficients, until a campaign finds it."""
+PLATEN_CLASS_K = 0.75
+"""Offset of a platen channel that all runs share: class 1 of IEC 60584-1 allows 1.5 K, here two deviations. [K]
+
+A campaign looks for it as the effect ``platen_offset``; the live sensor bears it on top of `PLATEN_K`."""
+PLATEN_ALONE_K = math.hypot(PLATEN_K, PLATEN_CLASS_K)
+"""Both together: all a platen channel may be off. The live sensor's number, whose band must hold in a run. [K]"""
+CHANNEL_WHITE_K = 0.07
+"""White noise of one reading of a panel channel: a logger's step of 0.1 K (0.03) and its own 0.05 to 0.1. [K]"""
+FACE_SLOW_K, FACE_SLOW_S = 0.15, 30.0
+"""Error that all channels of a face share, and how fast it is forgotten: 0.1 to 0.2 K over about half a minute.
+The live sensor takes them as they are; for the fit they start the search and are the centre of a prior. [K, s]"""
+SECOND_SLOW_K = 0.2
+"""The same for a fit's second search, before it estimates the slow noise: the upper end of that range. By hand,
+2026-11; why not `FACE_SLOW_K` is not recorded. [K]"""
+MEAN_SLOW_K, MEAN_FAST_K, MEAN_FAST_S, MEAN_WHITE_K = 0.12, 0.06, 6.0, 0.03
+"""The diagnosis' noise of a face's mean before its runs have shown it: slow (over `FACE_SLOW_S`), fast, and white
+per row. [K, K, s, K]
+
+By hand, 2026-11. A fit and the live sensor start from `FACE_SLOW_K`; why the diagnosis starts lower is not
+recorded. It scales all three together, to what a campaign leaves."""
+ROUNDING_K2 = 3e-4
+"""Variance that no number of channels averages out: rounding to 0.06 K (width/√12)². Only the live sensor adds it
+to `CHANNEL_WHITE_K`; a fit estimates its white noise from the readings, rounding within. [K²]"""
+CHANNEL_FAST_S = 10.0
+"""How fast a channel forgets its own faster noise, where a run's readings do not tell (3 to 40 s). By hand. [s]"""
+
+# Timing
+
+MOMENT_S, MOMENT_ROWS, MOMENT_LIMIT_S = 0.1, 0.4, 1.0
+"""A moment found in the temperatures, for fit and diagnosis: at least, per row, at most. [s, rows, s]"""
+LIVE_MOMENT_S = 0.15
+"""The same for the live sensor where scans are dense: about `moment_sd` at 10 Hz, and not made wider for slower
+ones, whose gaps it treats on their own. By hand, 2026-11. [s]"""
+INSERTED_S = 0.4
+"""An insertion found in the temperatures, for the diagnosis; a fit takes `moment_sd`. By hand, 2026-11. [s]"""
+SWITCH_S = 0.06
+"""How far a limit switch may lie off the middle of the ramp, beyond the scan it is known to. [s]
+
+It trips somewhere in a ramp of 0.2 to 1 s near its end; by hand, 2026-11."""
+RAMP_S, RAMP_SD_S, RAMP_LIMITS_S = 0.6, 0.25, (0.1, 1.2)
+"""How long closing takes: a press takes 0.2 to 1 s (contract, section 2); mean and deviation of that range. [s]"""
+SCAN_LATE_S, SCAN_LATE_ROWS, SCAN_APART_ROWS = 0.02, 0.07, 0.12
+"""How late panel channels are read: at least, and per row all of them, and one face after the other. [s, rows]
+
+A scan takes up to half the time to the next, so its middle comes 0 to a quarter of a row late: 0.07 is that
+range's standard deviation. A delay common to all channels shows only against the platens."""
+SCAN_SKEW_S = 0.06
+"""Of an insertion at the first row: the length of a scan. [s]"""
+
+# Panels and pressings
+
+START_K = 0.3
+"""The panel's start temperature in the header against the true one: a handheld sensor, an uneven panel. [K]"""
+GUESS_LOG = 0.7
+"""Of the logarithm of a coefficient of which only the press file's guess is known: a factor of two."""
+SPREAD_LOG = 0.15
+"""Of the logarithm of a coefficient from pressing to pressing, before runs have shown it: 12 to 30 % were seen."""
+FREE_SPREAD_LOG = 0.4
+"""The same for the diagnosis' first fit, wider than what was seen so that it is free. By hand, 2026-11."""
+SEEN_SPREAD_LOG = 0.12
+"""The same at least in a diagnosis, whatever its runs show: the least of what was seen."""
+LEAST_SPREAD_LOG = 0.05
+"""The same at least for fits and live sensor, whatever a few runs show: smaller scatter is luck."""
+
+
+def moment_sd(period_s: float) -> float:
+    """Return how well a moment found in the temperatures is known, with a row every `period_s`. [s]
+
+    Examples
+    --------
+    >>> round(moment_sd(0.1), 3), round(moment_sd(1.0), 3)
+    (0.14, 0.5)
+    """
+    return min(MOMENT_S + MOMENT_ROWS * period_s, MOMENT_LIMIT_S)

@@ -1,0 +1,270 @@
+"""A run's channels made ready for a fit: grouped by place, screened, and whitened.
+
+Channels at the same place see the same temperature, so what a run says about the heat lies in the mean
+of each place; what tells the channels apart (offset, gain, noise) lies in their deviations from it.
+The noise of a place's mean is modelled as two first-order processes, one common to the face and one
+from the channels, plus white noise; a Kalman filter turns it into independent residuals of variance 1,
+with uneven and missing rows treated exactly. Testing samples as if they were independent would make
+intervals three to ten times too narrow here (noise correlated over 10 to 30 s at up to 10 rows a second).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from daq.press.press_file import Press
+from daq.records import Array, Moments, Run
+from softsensor.signals.instrument import CHANNEL_FAST_S
+from softsensor.signals.robust import nan_median
+from softsensor.signals.screen import ChannelFault, Flags, faces_of, faulty_channels, quiet_rows
+
+OUTLIER_K = 1.0
+"""A single cell that departs from its face by more than this and by 6 standard deviations is dropped. [K]"""
+
+
+@dataclass(frozen=True)
+class Place:
+    """Channels at one place of the stack, and their mean."""
+
+    label: str
+    columns: tuple[str, ...]
+    mean: Array
+    """Mean of the good channels, differences between their offsets removed (rows). [°C]"""
+    count: Array
+    """Channels behind each row's mean, 0 where there is none (rows)."""
+
+
+@dataclass(frozen=True)
+class Signals:
+    """A run's good channels, by place."""
+
+    time_s: Array
+    places: tuple[Place, ...]
+    cells: Mapping[str, Array]
+    """Values of each good channel, NaN where missing or dropped (rows). [°C]"""
+    findings: tuple[ChannelFault, ...]
+    dropped: int
+    """Single cells left out."""
+
+    @property
+    def period_s(self) -> float:
+        """Median time from row to row. [s]"""
+        return float(np.median(np.diff(self.time_s))) if len(self.time_s) > 1 else 1.0
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Standard deviations and correlation times of the residuals."""
+
+    slow_K: float  # noqa: N815
+    """Common to a place. [K]"""
+    slow_s: float
+    fast_K: float  # noqa: N815
+    """Of each channel. [K]"""
+    fast_s: float
+    white_K: float  # noqa: N815
+    """Of each reading. [K]"""
+
+
+def collect_signals(press: Press, run: Run, moments: Moments, *, screen: bool = True) -> Signals:
+    """Group a run's fit channels by place and leave out what cannot be believed.
+
+    Parameters
+    ----------
+    press
+        With the run's overrides applied.
+    screen
+        False keeps every channel that holds values, as the paper does.
+    """
+    usable, empty = faces_of(press, run)
+    findings = empty + (faulty_channels(press, run, moments) if screen else ())
+    bad = {f.column for f in findings}
+    cells: dict[str, Array] = {}
+    places, dropped = [], 0
+    for label, columns in usable.items():
+        good = [c for c in columns if c not in bad]
+        if not good:
+            continue
+        values = np.stack([run.columns[c] for c in good], axis=1)
+        values, lost = _drop_outliers(values) if screen else (values, 0)
+        dropped += lost
+        places.append(_mean(label, tuple(good), values))
+        cells |= {c: values[:, i] for i, c in enumerate(good)}
+    return Signals(run.time_s, tuple(places), cells, findings, dropped)
+
+
+def _drop_outliers(values: Array) -> tuple[Array, int]:
+    """Drop single cells far from their face (spikes); slow departures are left to the screen."""
+    if values.shape[1] < 3:
+        return values, 0
+    relative = values - nan_median(values)[:, None]
+    column = nan_median(relative.T)
+    relative = relative - column[None, :]
+    typical = 1.4826 * nan_median(np.abs(relative).T)
+    row = 1.4826 * nan_median(np.abs(relative))
+    limit = np.maximum(np.maximum(6.0 * typical[None, :], 6.0 * row[:, None]), OUTLIER_K)
+    far = np.abs(relative) > limit
+    return np.where(far, np.nan, values), int(far.sum())
+
+
+def _mean(label: str, columns: tuple[str, ...], values: Array) -> Place:
+    good = np.isfinite(values)
+    offset = np.zeros(len(columns))
+    if len(columns) > 1:
+        relative = values - nan_median(values)[:, None]
+        offset = np.nan_to_num(nan_median(relative.T))
+        offset -= offset.mean()
+    count = good.sum(axis=1).astype(float)
+    total = np.where(good, values - offset, 0.0).sum(axis=1)
+    mean = np.where(count > 0, total / np.maximum(count, 1.0), np.nan)
+    return Place(label, columns, mean, count)
+
+
+def channel_noise(signals: Signals, moments: Moments, before: Noise) -> Noise:
+    """Return the noise with its channel part estimated from deviations within each place.
+
+    Autocovariances near lags of 0, 2 and 6 s give white level, channel level and correlation time.
+    A place with a single channel has no deviations; its white level follows from second differences.
+    """
+    quiet = quiet_rows(signals.time_s, moments)
+    period = signals.period_s
+    near, far = max(1, round(2.0 / period)), max(2, round(6.0 / period))
+    sums, weights = np.zeros(3), np.zeros(3)
+    single = []
+    for place in signals.places:
+        values = np.stack([signals.cells[c] for c in place.columns], axis=1)[quiet]
+        n = values.shape[1]
+        if n < 3:
+            single.append(_white_level(values))
+            continue
+        deviation = values - place.mean[quiet][:, None]
+        deviation = deviation - nan_median(deviation.T)
+        deviation = _without_gain(deviation, place.mean[quiet]) * np.sqrt(n / (n - 1.0))
+        for i, lag in enumerate((0, near, far)):
+            product = deviation[lag:] * deviation[: max(len(deviation) - lag, 0)]
+            ok = np.isfinite(product)
+            sums[i] += product[ok].sum()
+            weights[i] += ok.sum()
+    if weights[0] < 20:
+        white = float(np.median(single)) if single else before.white_K
+        return replace(before, white_K=max(white, 1e-3), fast_K=0.0)
+    c0, c1, c2 = sums / np.maximum(weights, 1.0)
+    if weights[2] < 20:
+        return replace(before, white_K=max(float(np.sqrt(c0)), 1e-3), fast_K=0.0)
+    apart = (far - near) * period
+    tau = CHANNEL_FAST_S if c2 <= 0 or c1 <= c2 else float(np.clip(apart / np.log(c1 / c2), 3.0, 40.0))
+    fast = float(np.clip(c1 * np.exp(near * period / tau), 0.0, c0))
+    white = max(c0 - fast, (0.1 * np.sqrt(c0)) ** 2, 1e-6)
+    return replace(before, fast_K=float(np.sqrt(fast)), fast_s=tau, white_K=float(np.sqrt(white)))
+
+
+def _without_gain(deviation: Array, mean: Array) -> Array:
+    spread = mean - np.nanmean(mean)
+    out = deviation.copy()
+    for i in range(deviation.shape[1]):
+        ok = np.isfinite(deviation[:, i]) & np.isfinite(spread)
+        variance = float(spread[ok] @ spread[ok])
+        if variance > 0:
+            out[:, i] -= float(spread[ok] @ deviation[ok, i]) / variance * spread
+    return out
+
+
+def _white_level(values: Array) -> float:
+    second = np.diff(values, n=2, axis=0)
+    second = np.abs(second[np.isfinite(second)])
+    return 1.4826 * float(np.median(second)) / np.sqrt(6.0) if len(second) else 0.05
+
+
+def _whiten(
+    time_s: Array,
+    series: Array,
+    variance: Array,
+    ok: Flags,
+    slow: float,
+    slow_s: float,
+    fast: float,
+    fast_s: float,
+) -> tuple[Array, float]:
+    """Filter the columns of `series` with the gains of one noise model; see `whiten`."""
+    rows, m = series.shape
+    out = np.zeros((rows, m))
+    a, b = np.zeros(m), np.zeros(m)
+    p11, p12, p22 = slow, 0.0, fast
+    log_det = 0.0
+    last = time_s[0]
+    before, fa, fb = -1.0, 1.0, 1.0
+    for k in range(rows):
+        dt = time_s[k] - last
+        last = time_s[k]
+        if abs(dt - before) > 1e-9:
+            fa, fb = np.exp(-dt / slow_s), np.exp(-dt / fast_s)
+            before = dt
+        p11 = fa * fa * p11 + slow * (1.0 - fa * fa)
+        p22 = fb * fb * p22 + fast * (1.0 - fb * fb)
+        p12 = fa * fb * p12
+        for j in range(m):
+            a[j] *= fa
+            b[j] *= fb
+        if not ok[k]:
+            continue
+        s = p11 + 2.0 * p12 + p22 + variance[k]
+        k1, k2 = (p11 + p12) / s, (p12 + p22) / s
+        root = 1.0 / np.sqrt(s)
+        for j in range(m):
+            v = series[k, j] - a[j] - b[j]
+            out[k, j] = v * root
+            a[j] += k1 * v
+            b[j] += k2 * v
+        q11, q22 = p11 + p12, p12 + p22
+        p11 -= k1 * q11
+        p12 -= k1 * q22
+        p22 -= k2 * q22
+        log_det += np.log(s)
+    return out, log_det
+
+
+_filter: Callable[..., Any] = njit(cache=True, nogil=True)(_whiten)
+
+
+def whiten(time_s: Array, series: Array, variance: Array, noise: Noise, count: float) -> tuple[Array, float]:
+    """Turn series with a place's coloured noise into independent ones of variance 1.
+
+    Parameters
+    ----------
+    series
+        Residuals and derivatives of a place's mean (rows, columns); rows where the first column is not
+        finite give zeros.
+    variance
+        White part by row (rows). [K²]
+    count
+        Channels of the place.
+
+    Returns
+    -------
+    The whitened series (rows, columns) and the logarithm of the covariance's determinant.
+
+    Examples
+    --------
+    >>> t = np.arange(200.0)
+    >>> white, _ = whiten(t, np.ones((200, 1)), np.full(200, 1e-4), Noise(0.2, 30.0, 0.0, 10.0, 0.1), 7)
+    >>> float(round(white[0, 0], 2)), bool(abs(white[50:]).max() < 1.0)
+    (4.99, True)
+    """
+    ok = np.isfinite(series[:, 0])
+    fast = noise.fast_K**2 / max(count, 1.0)
+    out, log_det = _filter(
+        np.ascontiguousarray(time_s),
+        np.ascontiguousarray(series),
+        np.ascontiguousarray(variance),
+        ok,
+        noise.slow_K**2,
+        noise.slow_s,
+        fast,
+        noise.fast_s,
+    )
+    return out, float(log_det)

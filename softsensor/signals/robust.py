@@ -1,0 +1,24 @@
+"""Means and medians over channels of which some may be missing."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from daq.records import Array
+
+
+def nan_mean(values: Array) -> Array:
+    """Mean over the last axis of what is there; NaN where nothing is."""
+    good = np.isfinite(values)
+    count = good.sum(axis=-1)
+    total = np.where(good, values, 0.0).sum(axis=-1)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+def nan_median(values: Array) -> Array:
+    """Median over the last axis of what is there; NaN where nothing is."""
+    ordered = np.sort(values, axis=-1)
+    count = np.isfinite(values).sum(axis=-1)
+    low = np.take_along_axis(ordered, np.maximum((count - 1) // 2, 0)[..., None], axis=-1)[..., 0]
+    high = np.take_along_axis(ordered, np.minimum(count // 2, values.shape[-1] - 1)[..., None], axis=-1)[..., 0]
+    return np.where(count > 0, (low + high) / 2, np.nan)
