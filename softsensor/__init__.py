@@ -1,0 +1,39 @@
+"""The thermal model of a press, its fit, its diagnosis and the live sensor.
+
+What ``__all__`` lists is stable, typed and documented; everything else may change. Nothing is imported
+before it is used.
+
+>>> import softsensor
+>>> run = softsensor.read_run("deploy/samples/2026-03-04-01.csv")
+>>> simulated = softsensor.simulate(run, "deploy/presses/lab.toml")
+>>> list(simulated.frame().columns)
+['state', 'panel.top', 'panel.bottom', 'core_C']
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from softsensor.face import diagnose as diagnose
+    from softsensor.face import fit as fit
+    from softsensor.face import predict as predict
+    from softsensor.face import read_model as read_model
+    from softsensor.face import read_press as read_press
+    from softsensor.face import read_run as read_run
+    from softsensor.face import simulate as simulate
+    from softsensor.live.sensor import LiveSensor as LiveSensor
+
+__all__ = ["LiveSensor", "diagnose", "fit", "predict", "read_model", "read_press", "read_run", "simulate"]
+_HOMES = {"LiveSensor": "softsensor.live.sensor"}
+
+
+def __getattr__(name: str) -> Any:
+    """Load a public name on first use (PEP 562)."""
+    if name not in __all__:
+        raise AttributeError(f"module 'softsensor' has no attribute {name!r}; it has {', '.join(__all__)}")
+    return getattr(import_module(_HOMES.get(name, "softsensor.face")), name)
+
+
+def __dir__() -> list[str]:
+    """List the public names."""
+    return sorted(__all__)

@@ -1,0 +1,1 @@
+"""What the simulation gets wrong: candidates, tests, selection, the extended model."""

@@ -1,0 +1,87 @@
+"""What to measure next, and what else a reader should know, as messages."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from daq.records import Array, Run
+from daq.words import Message, say
+from softsensor.diagnosis.decision import FEW_RUNS, Verdict
+from softsensor.diagnosis.finding import Finding
+from softsensor.diagnosis.selection import Round, cool_rim
+from softsensor.effects import find_effect
+from softsensor.effects.vocabulary import called
+from softsensor.signals.screen import ChannelFault
+
+CORE_OFF_K = 1.0
+"""A core error worth a measurement where faces show nothing: the first core thermocouples of a rig are themselves
+0.1 to 0.75 K off (facts, decision.md). [K]"""
+
+
+@dataclass(frozen=True)
+class AdviceBasis:
+    """What the advice rests on beside the findings."""
+
+    runs: int
+    panel: bool
+    """Whether there is a panel to sacrifice."""
+    core_K: float | None = None  # noqa: N815
+    """Error of the core by the plain model, None without a core thermocouple."""
+    extended_core_K: float | None = None  # noqa: N815
+
+
+def next_measurement(verdict: Verdict, findings: Sequence[Finding], seen: AdviceBasis) -> Message:
+    """Return one sentence: the measurement that would help most."""
+    core_K, extended_K = seen.core_K or 0.0, seen.extended_core_K or 0.0
+    if verdict is Verdict.TOO_FEW_RUNS:
+        return say("next-more-runs", more=max(FEW_RUNS + 1 - seen.runs, 1), least=FEW_RUNS)
+    several = next((f for f in findings if len(f.set) > 1), None)
+    if several is not None:
+        causes = tuple(map(called, several.set))
+        return say("next-tell-apart", causes=causes, confirm=find_effect(several.set[0]).confirm)
+    if verdict is Verdict.UNKNOWN_EFFECT:
+        return say("next-look-there")
+    if not findings:
+        return say("next-constants", kelvin=core_K) if core_K > CORE_OFF_K else say("next-none")
+    if core_K > CORE_OFF_K and extended_K < 0.5 * core_K:
+        return say("next-none-confirmed", before=core_K, after=extended_K)
+    effect = find_effect(findings[0].name)
+    if seen.panel and not core_K and not effect.measuring and not effect.confirmed_in_core:
+        return say("next-confirm-and-core", confirm=effect.confirm)
+    return effect.confirm
+
+
+def notes(
+    runs: Sequence[Run], faults: Sequence[tuple[ChannelFault, ...]], rounds: Sequence[Round]
+) -> tuple[Message, ...]:
+    """Return one line a faulty channel, however many runs it spoils, and one a cause that cores speak against."""
+    spoilt: dict[tuple[str, str], list[tuple[str, float]]] = {}
+    for run, found in zip(runs, faults, strict=True):
+        for f in found:
+            spoilt.setdefault((f.column, f.kind), []).append((run.name, f.departure_K))
+    said = []
+    for (column, kind), where in sorted(spoilt.items()):
+        worst = max(size for _, size in where)
+        if len(where) == 1:
+            said.append(say("note-channel", run=where[0][0], column=column, kind=kind, kelvin=worst))
+        else:
+            said.append(
+                say(
+                    "note-channel-in-runs",
+                    count=len(where),
+                    runs=len(runs),
+                    column=column,
+                    kind=kind,
+                    kelvin=worst,
+                )
+            )
+    refuted = dict.fromkeys(name for r in rounds for name in r.refuted)
+    return (*said, *(say("note-refuted-by-cores", cause=called(name)) for name in refuted))
+
+
+def rim_notes(falls: Array) -> tuple[Message, ...]:
+    """Say by how much rim sensors fall against central ones, where they do beyond chance (runs). [K]"""
+    return (say("note-rim-falls", kelvin=-float(np.nanmean(falls))),) if cool_rim(falls) else ()

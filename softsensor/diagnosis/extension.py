@@ -1,0 +1,359 @@
+"""Models of a whole campaign: a base or extended model fitted to all runs at once, each with its own nuisances.
+
+Least squares over runs r with effect parameters theta and campaign levels psi shared and eta_r of the run's
+own (log coefficients, moments, start temperature, platen errors, sensor offsets, and for causes that lie
+in the panel how much of them this panel has):
+
+    sum_r |W (y_r - f(theta, eta_r))|^2 + |(eta_r - psi) / s|^2 + |prior(theta)|^2
+
+Gauss-Newton with exact derivatives; eta_r is eliminated run by run (variable projection), so the cost is
+linear in runs and a step solves for theta and psi only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from daq.records import Array
+from softsensor.diagnosis.extension_unknowns import RunUnknown, Unknowns, run_values, shared_cost, start_eta
+from softsensor.heat.model import ThermalModel
+from softsensor.signals.digest import Digest, Whitened
+
+STUCK = 3.0
+"""A run whose misfit is so many times the usual one may sit in a side valley. By hand, 2026-11."""
+SCORE_LIMIT = 3.0
+"""Standard deviations a run can say at most: else a few thin panels, which see far more of a cause, drown the rest
+and leave sign flips nothing to count. An odd function of a score keeps the flips exact."""
+
+
+@dataclass(frozen=True)
+class RunState:
+    """One run at one point of the fit."""
+
+    eta: Array
+    residual: Array
+    """Whitened data and prior rows."""
+    jacobian: Array
+    """Of the residual by eta, offsets last."""
+    shared_jacobian: Array
+    offsets: Array
+    """Of each signal [K], and of the insertion [s]."""
+    misfit: Array
+    """Data minus model minus offsets (bins, signals). [K]"""
+    model: Array
+    """(bins, signals). [°C]"""
+    core: Array
+    """(bins). [°C]"""
+    validation: Mapping[str, Array]
+    """Model at validation channels (bins). [°C]"""
+    shift: Array
+    """What offsets and insertion moment took out (bins, signals). [K]"""
+
+    @property
+    def cost(self) -> float:
+        """Sum of squares."""
+        return float(self.residual @ self.residual)
+
+
+@dataclass(frozen=True)
+class SharedFit:
+    """A layout fitted to all runs."""
+
+    layout: Unknowns
+    theta: Array
+    runs: tuple[RunState, ...]
+    hessians: tuple[Array, ...]
+    """By run: of half the cost by the shared numbers, the run's own eliminated."""
+    gradients: tuple[Array, ...]
+    prior_hessian: Array
+    converged: bool
+
+    @property
+    def cost(self) -> float:
+        """Sum of squares over runs and of the shared priors."""
+        return sum(r.cost for r in self.runs) + shared_cost(self.layout, self.theta)
+
+    @property
+    def covariance(self) -> Array:
+        """Of the shared numbers, as the curvature says."""
+        return np.asarray(np.linalg.pinv(sum(self.hessians) + self.prior_hessian, hermitian=True))
+
+    @property
+    def values(self) -> dict[str, float]:
+        """The shared numbers by name."""
+        return {s.name: float(v) for s, v in zip(self.layout.shared, self.theta, strict=True)}
+
+
+def evaluate(
+    layout: Unknowns, run: int, data: Whitened, theta: Array, eta: Array, *, tangents: bool = True
+) -> RunState:
+    """Solve one run and set up its least-squares rows; offsets are solved for on the way."""
+    digest, unknowns = data.digest, layout.unknowns[run]
+    values = run_values(layout, run, theta, eta)
+    own = [u.name for u in unknowns if not u.share_of]
+    names = tuple(dict.fromkeys([*own, *layout.effect_names])) if tangents else ()
+    solution = digest.solve(layout.model, values, names)
+    model = digest.observed(solution)
+    extra = _linear_rows(digest, model)
+    offset_rows, count = data(extra), extra.shape[-1]
+    prior = 1.0 / np.append(digest.offset_sd, digest.insertion_sd)
+    plain = data(np.where(digest.valid, digest.y - model, 0.0))
+    normal = offset_rows.T @ offset_rows + np.diag(prior**2)
+    offsets: Array = np.asarray(np.linalg.solve(normal, offset_rows.T @ plain), dtype=np.float64)
+    shared = {s.name: i for i, s in enumerate(layout.shared)}
+    centre = np.array([u.centre + (theta[shared[u.shared]] if u.shared in shared else 0.0) for u in unknowns])
+    sd = np.array([u.sd for u in unknowns])
+    residual = np.concatenate([plain - offset_rows @ offsets, (centre - eta) / sd, -offsets * prior])
+    shift = extra @ offsets
+    misfit = digest.y - model - shift
+    core = digest.bins(solution.core[:, None])[:, 0]
+    validation = {c: digest.bins(solution.column(c)[:, None])[:, 0] for c in digest.cores}
+    if not tangents:
+        empty = np.zeros((len(residual), 0))
+        return RunState(eta, residual, empty, empty, offsets, misfit, model, core, validation, shift)
+    n, k, m = len(plain), len(unknowns), len(shared)
+    jacobian = np.zeros((len(residual), k + count))
+    outer = np.zeros((len(residual), m))
+    raw = np.stack([digest.observed_tangent(solution, name) for name in names], axis=-1)
+    rows = dict(zip(names, data(raw).T, strict=True))
+    for key in layout.effect_names:
+        outer[:n, shared[key]] = rows[key]
+    for j, u in enumerate(unknowns):
+        if key := u.share_of:
+            size = theta[shared[key]] - layout.shared[shared[key]].centre
+            jacobian[:n, j] = rows[key] * size
+            outer[:n, shared[key]] = rows[key] * max(1.0 + eta[j], 0.0)
+        else:
+            jacobian[:n, j] = rows[u.name] * (np.exp(eta[j]) if u.log else 1.0)
+        jacobian[n + j, j] = 1.0 / sd[j]
+        if u.shared in shared:
+            outer[n + j, shared[u.shared]] = -1.0 / sd[j]
+    jacobian[:n, k:] = offset_rows
+    jacobian[n + k :, k:] = np.diag(prior)
+    return RunState(eta, residual, jacobian, outer, offsets, misfit, model, core, validation, shift)
+
+
+def _linear_rows(digest: Digest, model: Array) -> Array:
+    """What enters linearly: an offset for each signal, and the insertion a moment later (bins, signals, n)."""
+    bins, count = model.shape
+    rows = np.zeros((bins, count, count + 1))
+    for i in range(count):
+        rows[:, i, i] = 1.0
+    before = digest.time < digest.moments.closed_s - 0.3
+    if before.sum() > 2:
+        rows[before, :, count] = -np.gradient(model[before], digest.time[before], axis=0)
+    return rows
+
+
+def fit_campaign_model(
+    layout: Unknowns,
+    data: Sequence[Whitened],
+    etas: Sequence[Array] | None = None,
+    *,
+    rounds: int = 12,
+    tolerance: float = 0.3,
+) -> SharedFit:
+    """Minimise the cost over everything. `etas` are starts; steps that do not help are halved."""
+    theta = np.array([s.start for s in layout.shared])
+    lower, upper = np.array([s.lower for s in layout.shared]), np.array([s.upper for s in layout.shared])
+    theta = np.clip(theta, lower, upper)
+    own = [start_eta(layout, r, theta) for r in range(len(data))] if etas is None else list(etas)
+    runs = each_run(lambda r: evaluate(layout, r, data[r], theta, own[r]), len(data))
+    cost = sum(r.cost for r in runs) + shared_cost(layout, theta)
+    converged, damping = False, 0.0
+    for _ in range(rounds):
+        accepted = False
+        for _ in range(6):
+            step, own_steps = _step(layout, theta, runs, damping)
+            new_theta = np.clip(theta + step, lower, upper)
+            new = _evaluate_all(layout, data, new_theta, [r.eta + s for r, s in zip(runs, own_steps, strict=True)])
+            new_cost = sum(r.cost for r in new) + shared_cost(layout, new_theta)
+            if new_cost < cost:
+                accepted = True
+                break
+            damping = max(10.0 * damping, 0.3)
+        if not accepted:
+            converged = True
+            break
+        damping = damping / 10.0 if damping > 0.05 else 0.0
+        gain, cost, theta, runs = cost - new_cost, new_cost, new_theta, new
+        if gain < tolerance + 1e-4 * cost * (damping == 0.0):
+            converged = True
+            break
+    hessians, gradients = zip(*(_reduced(r) for r in runs), strict=True)
+    prior = np.diag(1.0 / np.array([s.sd for s in layout.shared]) ** 2)
+    return SharedFit(layout, theta, tuple(runs), hessians, gradients, prior, converged)
+
+
+def unstuck(fit: SharedFit, data: Sequence[Whitened]) -> SharedFit:
+    """Fit again where single runs are far worse off than the others only because of where they began."""
+    misfits = np.array([r.cost / len(r.residual) for r in fit.runs])
+    etas, freed = [r.eta for r in fit.runs], False
+    for r in np.flatnonzero(misfits > STUCK * np.median(misfits)).tolist():
+        again = fit_run_to(fit.layout, r, data[r], fit.theta, start_eta(fit.layout, r, fit.theta), rounds=8)
+        if again.cost < 0.8 * fit.runs[r].cost:
+            etas[r], freed = again.eta, True
+    if not freed:
+        return fit
+    shared = tuple(replace(s, start=float(v)) for s, v in zip(fit.layout.shared, fit.theta, strict=True))
+    return fit_campaign_model(replace(fit.layout, shared=shared), data, etas, rounds=6)
+
+
+def _evaluate_all(
+    layout: Unknowns, data: Sequence[Whitened], theta: Array, etas: Sequence[Array]
+) -> list[RunState]:
+    return each_run(lambda r: evaluate(layout, r, data[r], theta, _within(layout.unknowns[r], etas[r])), len(data))
+
+
+_POOL = ThreadPoolExecutor(2, thread_name_prefix="runs")
+
+
+def each_run(work: Callable[[int], RunState], count: int) -> list[RunState]:
+    """Do something for each run on two threads; the solver lets go of the interpreter meanwhile."""
+    return list(_POOL.map(work, range(count)))
+
+
+def _within(unknowns: Sequence[RunUnknown], eta: Array) -> Array:
+    return np.clip(eta, [u.lower for u in unknowns], [u.upper for u in unknowns])
+
+
+def _reduced(run: RunState) -> tuple[Array, Array]:
+    """Hessian and gradient of half the cost by the shared numbers, the run's own numbers following."""
+    q, _ = np.linalg.qr(run.jacobian)
+    outer = run.shared_jacobian - q @ (q.T @ run.shared_jacobian)
+    rest = run.residual - q @ (q.T @ run.residual)
+    return outer.T @ outer, -outer.T @ rest
+
+
+def _step(
+    layout: Unknowns, theta: Array, runs: Sequence[RunState], damping: float = 0.0
+) -> tuple[Array, list[Array]]:
+    """Gauss-Newton step of everything; shared numbers at a limit stay there if the step leads outwards."""
+    centre = np.array([s.centre for s in layout.shared])
+    sd = np.array([s.sd for s in layout.shared])
+    lower = np.array([s.lower for s in layout.shared])
+    upper = np.array([s.upper for s in layout.shared])
+    normal = np.diag(1.0 / sd**2)
+    right = -(theta - centre) / sd**2
+    factors = []
+    for unknowns, run in zip(layout.unknowns, runs, strict=True):
+        rows = np.zeros((len(unknowns), run.jacobian.shape[1]))
+        rows[:, : len(unknowns)] = np.diag([np.sqrt(damping) / u.sd for u in unknowns])
+        q, triangle = np.linalg.qr(np.concatenate([run.jacobian, rows]))
+        q = q[: len(run.residual)]
+        outer = run.shared_jacobian - q @ (q.T @ run.shared_jacobian)
+        normal += run.shared_jacobian.T @ outer
+        right += outer.T @ run.residual
+        factors.append((q, triangle))
+    normal += 0.01 * damping * np.diag(np.diag(normal))
+    step = bounded_step(normal, right, theta, lower, upper, np.array([s.step for s in layout.shared]))
+    own = []
+    for run, (q, triangle) in zip(runs, factors, strict=True):
+        target = q.T @ (run.residual - run.shared_jacobian @ step)
+        own.append(solve_triangular(triangle, target)[: len(run.eta)])
+    return step, [np.clip(s, -1.2, 1.2) for s in own]
+
+
+def bounded_step(normal: Array, right: Array, theta: Array, lower: Array, upper: Array, limit: Array) -> Array:
+    """Solve for a step that stays within limits: numbers that would cross one move up to it and are held."""
+    free = np.ones(len(theta), dtype=bool)
+    step = np.zeros(len(theta))
+    for _ in range(len(theta)):
+        inner = np.flatnonzero(free)
+        rest = right[inner] - normal[np.ix_(inner, np.flatnonzero(~free))] @ step[~free]
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(normal)[inner], 1e-300))
+        scaled = normal[np.ix_(inner, inner)] * scale[:, None] * scale[None, :]
+        step[inner] = scale * np.linalg.lstsq(scaled, scale * rest, rcond=1e-13)[0]
+        crossing = inner[(theta + step)[inner] < lower[inner] - 1e-12 * np.abs(lower[inner])]
+        crossing = np.append(crossing, inner[(theta + step)[inner] > upper[inner] + 1e-12 * np.abs(upper[inner])])
+        if not len(crossing):
+            break
+        free[crossing] = False
+        step[crossing] = np.clip((theta + step)[crossing], lower[crossing], upper[crossing]) - theta[crossing]
+    return step * min(1.0, float(np.min(limit / np.maximum(np.abs(step), 1e-300))))
+
+
+def held_out(fit: SharedFit, data: Sequence[Whitened], rounds: int = 2) -> list[RunState]:
+    """Return each run fitted with shared numbers from the other runs only.
+
+    One Newton step of the others' cost gives their optimum; the run's own numbers are then refitted.
+    """
+    total = sum(fit.hessians) + fit.prior_hessian
+    lower = np.array([s.lower for s in fit.layout.shared])
+    upper = np.array([s.upper for s in fit.layout.shared])
+
+    def leave(r: int) -> RunState:
+        shift = np.linalg.lstsq(total - fit.hessians[r], fit.gradients[r], rcond=1e-12)[0]
+        theta = np.clip(fit.theta + shift, lower, upper)
+        return fit_run_to(fit.layout, r, data[r], theta, fit.runs[r].eta, rounds)
+
+    return each_run(leave, len(data))
+
+
+def fit_run_to(layout: Unknowns, run: int, data: Whitened, theta: Array, eta: Array, rounds: int = 3) -> RunState:
+    """Fit one run's own numbers at given shared ones."""
+    state = evaluate(layout, run, data, theta, eta)
+    for _ in range(rounds):
+        q, upper = np.linalg.qr(state.jacobian)
+        step = np.clip(solve_triangular(upper, q.T @ state.residual)[: len(state.eta)], -1.2, 1.2)
+        new = evaluate(layout, run, data, theta, _within(layout.unknowns[run], state.eta + step))
+        if new.cost >= state.cost - 0.02:
+            return new if new.cost < state.cost else state
+        state = new
+    return state
+
+
+@dataclass(frozen=True)
+class Direction:
+    """What an effect of one finite size would do to the whitened, projected data of each run."""
+
+    score: Array
+    """Direction times residual (runs)."""
+    power: Array
+    """Direction squared (runs)."""
+    rows: tuple[Array, ...]
+    """Projected directions."""
+    own: tuple[Array, ...]
+    """What the run's own numbers do to make up for a unit of the direction (eta)."""
+
+    @property
+    def scores(self) -> Array:
+        """Each run's score in units of its own standard deviation, `SCORE_LIMIT` at most (runs)."""
+        own = self.score / np.sqrt(self.power + 1e-3 * self.power.mean() + 1e-12)
+        return np.asarray(np.clip(own, -SCORE_LIMIT, SCORE_LIMIT))
+
+    @property
+    def amplitude(self) -> float:
+        """Least-squares amplitude in units of the size."""
+        return float(self.score.sum() / max(self.power.sum(), 1e-12))
+
+    @property
+    def gain(self) -> float:
+        """Sum of squares this amplitude would save."""
+        return float(self.score.sum() ** 2 / max(self.power.sum(), 1e-12))
+
+
+def direction(
+    fit: SharedFit, data: Sequence[Whitened], model: ThermalModel, values: Mapping[str, float]
+) -> Direction:
+    """Return the direction of an extended model with the given effect parameters, seen from a fit."""
+    score, power, rows, own = [], [], [], []
+    for r, (run, d) in enumerate(zip(fit.runs, data, strict=True)):
+        base = run_values(fit.layout, r, fit.theta, run.eta)
+        moved = d.digest.observed(d.digest.solve(model, base | dict(values))) - run.model
+        row = np.zeros(len(run.residual))
+        white = d(moved)
+        row[: len(white)] = white
+        q, triangle = np.linalg.qr(run.jacobian)
+        along = q.T @ row
+        row = row - q @ along
+        own.append(-solve_triangular(triangle, along)[: len(run.eta)])
+        score.append(float(row @ run.residual))
+        power.append(float(row @ row))
+        rows.append(row)
+    return Direction(np.array(score), np.array(power), tuple(rows), tuple(own))

@@ -1,0 +1,436 @@
+"""The search for a cause: the base model settled on all runs, then every candidate fitted for real.
+
+Candidates are not ranked by a linear score alone: a secant of the wrong size leaves a remainder that
+the next candidate then explains (facts measured with a prototype: up to 100 % spurious second names).
+Every candidate starts from its secant, takes a few Gauss-Newton rounds together with all coefficients
+and nuisances, and those that keep up with the best go on to convergence (successive halving).
+
+Its numbers were set by hand in 2026-11, while campaigns of the virtual press were read. Only `LARGEST_SIZE` and
+`LIMIT` decide on a name (`Claim.unphysical`); the others say how much work a candidate is worth.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from daq.records import Array
+from softsensor.diagnosis.extension import (
+    SCORE_LIMIT,
+    Direction,
+    RunState,
+    SharedFit,
+    direction,
+    fit_campaign_model,
+    held_out,
+    unstuck,
+)
+from softsensor.diagnosis.extension_unknowns import RunSpread, free_coefficients, is_shape, lay_out
+from softsensor.diagnosis.sign_flips import Pocket, pockets
+from softsensor.effects import Effect, Need, catalogue
+from softsensor.heat.model import ThermalModel
+from softsensor.signals.digest import Digest, MeanNoise, Whitened
+from softsensor.signals.instrument import (
+    FREE_SPREAD_LOG,
+    MEAN_FAST_K,
+    MEAN_SLOW_K,
+    MEAN_WHITE_K,
+    SEEN_SPREAD_LOG,
+)
+
+PROBE = 0.5
+"""Secants are taken at this share of an effect's typical size."""
+COARSEST = 3.0
+"""The search works with the noise up to so many times larger where the base model is far off."""
+SPREAD_LIMITS = (SEEN_SPREAD_LOG, FREE_SPREAD_LOG)
+"""Of the logarithm of coefficients between runs."""
+START_NOISE = MeanNoise(MEAN_SLOW_K, MEAN_FAST_K, MEAN_WHITE_K)
+FRESH_SIZES = (1.3, -1.0)
+"""Effects of the measuring chain are also tried from these sizes, in typical ones."""
+FAR_OFF = 1.15
+"""Cost per reading above which every candidate is fitted, whatever its secant promises."""
+SWITCHED = ("closed_s", "opened_s")
+NEAR = 0.35
+"""Candidates below this share of the best gain after the first rounds are dropped."""
+HOPELESS = 9.0
+"""Sum of squares a candidate must promise, or save, to be worth more rounds."""
+LARGEST_SIZE = 5.0
+"""Of a physical effect's typical size; a larger one is something else. A measuring chain has no such limit."""
+LIMIT = 0.01
+"""An amplitude this close to a limit, as a share of its range, has reached it."""
+KEPT = 0.3
+"""A first fit that keeps less of what its secant promised is tried again from the guesses, if it is worth it."""
+KEEP = 5
+"""Candidates fitted to convergence, at most."""
+
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class SettledModel:
+    """A model settled on the campaign: what the next candidate has to beat."""
+
+    fit: SharedFit
+    data: tuple[Whitened, ...]
+    population: RunSpread
+    noise: MeanNoise
+
+    @property
+    def misfit(self) -> float:
+        """Cost over the number of readings; about 1 where noise is all that is left."""
+        count = sum(int(d.digest.valid.sum()) for d in self.data)
+        return sum(r.cost for r in self.fit.runs) / max(count, 1)
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Names of the effects in the model."""
+        return tuple(e.name for e in self.fit.layout.model.effects)
+
+    def pockets(self) -> list[Pocket]:
+        """Average what the fit leaves over places and stretches of time."""
+        return pockets([d.digest for d in self.data], [r.misfit for r in self.fit.runs])
+
+    def among(self, runs: np.ndarray) -> SettledModel:
+        """Return the stage as some of its runs see it; the campaign's numbers stay."""
+        fit = replace(self.fit, runs=tuple(self.fit.runs[r] for r in runs))
+        return replace(self, fit=fit, data=tuple(self.data[r] for r in runs))
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One more effect, fitted."""
+
+    effect: Effect
+    direction: Direction
+    """Secant from the stage's fit."""
+    fit: SharedFit
+    gain: float
+    """Sum of squares saved."""
+    gains: Array
+    """Sum of squares each run saves with shared numbers from the other runs (runs)."""
+    refined: bool
+    others: tuple[RunState, ...] = ()
+    """Each run by numbers from the others."""
+    score: Array = field(default_factory=lambda: np.zeros(0))
+    """Each run's score along the direction at the fitted size (runs)."""
+
+    def among(self, stage: SettledModel, runs: np.ndarray) -> Candidate:
+        """Return what some of the runs say for it."""
+        saved = sum(stage.fit.runs[r].cost - self.fit.runs[r].cost for r in runs)
+        others = tuple(self.others[r] for r in runs) if self.others else ()
+        fit = replace(self.fit, runs=tuple(self.fit.runs[r] for r in runs))
+        return replace(
+            self, fit=fit, gain=max(saved, 0.0), gains=self.gains[runs], others=others, score=self.score[runs]
+        )
+
+    @property
+    def size(self) -> float:
+        """Of its largest amplitude, in typical sizes."""
+        return size_in(self.fit, self.effect)
+
+    @property
+    def too_large(self) -> bool:
+        """Whether an amplitude has left what is physical: the data behave like this cause at most."""
+        for p in self.effect.parameters:
+            value, edge = self.fit.values[self.effect.key(p.name)], LIMIT * (p.upper - p.lower)
+            ends = [abs(value - limit) < edge for limit in (p.lower, p.upper) if limit != p.neutral]
+            huge = abs(value - p.neutral) > LARGEST_SIZE * abs(p.typical - p.neutral)
+            if not is_shape(p) and (any(ends) or (huge and not self.effect.measuring)):
+                return True
+        return False
+
+    def heldout_ratio(self, stage: SettledModel) -> float:
+        """Held-out misfit over the stage's, root mean square."""
+        return rms(stage.data, self.others) / rms(stage.data, stage.fit.runs) if self.others else 1.0
+
+    def heldout_gain(self, stage: SettledModel) -> float:
+        """Held-out misfit of the places saved. [K]"""
+        return rms(stage.data, stage.fit.runs) - rms(stage.data, self.others) if self.others else 0.0
+
+
+def size_in(fit: SharedFit, effect: Effect) -> float:
+    """Return the size of an effect's largest amplitude in a fit, in typical sizes."""
+    values = fit.values
+    sizes = [
+        abs(values[effect.key(p.name)] - p.neutral) / abs(p.typical - p.neutral)
+        for p in effect.parameters
+        if not is_shape(p)
+    ]
+    return max(sizes, default=0.0)
+
+
+def core_errors(fit: SharedFit, data: Sequence[Whitened]) -> Array:
+    """Return how far a model is from core thermocouples, root mean square; NaN where none is (runs). [K]"""
+    found = np.full(len(data), np.nan)
+    for r, (run, d) in enumerate(zip(fit.runs, data, strict=True)):
+        errors = np.array([v - run.validation[c] for c, v in d.digest.cores.items()])
+        if np.isfinite(errors).any():
+            found[r] = float(np.sqrt(np.nanmean(errors**2)))
+    return found
+
+
+def rms(data: Sequence[Whitened], runs: Sequence[RunState]) -> float:
+    """Return the root mean square of the places' misfit, steep moments counting less. [K]"""
+    squares = [np.nanmean((r.misfit * d.digest.trust) ** 2) for d, r in zip(data, runs, strict=True)]
+    return float(np.sqrt(np.mean(squares)))
+
+
+def whiten_all(digests: Sequence[Digest], noise: MeanNoise) -> tuple[Whitened, ...]:
+    """Return every digest with its noise."""
+    return tuple(Whitened.of(d, noise) for d in digests)
+
+
+def settle(
+    model: ThermalModel,
+    digests: Sequence[Digest],
+    noise: MeanNoise,
+    start: Mapping[str, float] | None = None,
+    etas: Sequence[Array] | None = None,
+) -> SettledModel:
+    """Fit a model to all runs, learn how coefficients scatter, and fit again."""
+    data = whiten_all(digests, noise)
+    population = RunSpread({})
+    fit = fit_campaign_model(lay_out(model, digests, population, start or {}), data, etas, rounds=10)
+    population = scatter(fit)
+    layout = lay_out(model, digests, population, fit.values)
+    fit = unstuck(fit_campaign_model(layout, data, [r.eta for r in fit.runs], rounds=6), data)
+    return SettledModel(fit, data, population, noise)
+
+
+def scatter(fit: SharedFit) -> RunSpread:
+    """Return how the coefficients scatter from run to run."""
+    names = free_coefficients(fit.layout.model)
+    logs = np.array([r.eta[: len(names)] for r in fit.runs])
+    if len(logs) < 2:
+        return RunSpread({})
+    sd = np.clip(np.std(logs, axis=0, ddof=1), *SPREAD_LIMITS)
+    return RunSpread(dict(zip(names, sd.tolist(), strict=True)))
+
+
+def coarse(stage: SettledModel) -> MeanNoise:
+    """Return noise as large as the stage's misfit suggests, up to `COARSEST` times."""
+    factor = float(np.clip(np.sqrt(stage.misfit), 1.0 / COARSEST, COARSEST))
+    factor = 1.0 if 0.6 < factor < 1.1 else factor
+    n = stage.noise
+    return MeanNoise(n.slow * factor, n.fast * factor, n.white * factor)
+
+
+def settle_base(model: ThermalModel, digests: Sequence[Digest]) -> SettledModel:
+    """Fit the plain model; where it is far off, with the noise as large as that suggests."""
+    stage = settle(model, digests, START_NOISE)
+    noise = coarse(stage)
+    if noise == stage.noise:
+        return stage
+    return settle(model, digests, noise, stage.fit.values, [r.eta for r in stage.fit.runs])
+
+
+def extend(stage: SettledModel, candidate: Candidate) -> SettledModel:
+    """Take a candidate in: fit again with the spread and noise it leaves."""
+    fit = candidate.fit
+    digests = [d.digest for d in stage.data]
+    cost, count = sum(r.cost for r in fit.runs), sum(int(d.valid.sum()) for d in digests)
+    factor = float(np.clip(np.sqrt(cost / max(count, 1)), 1.0 / COARSEST, 1.0))
+    n = stage.noise
+    noise = MeanNoise(n.slow * factor, n.fast * factor, n.white * factor)
+    data, population = whiten_all(digests, noise), scatter(fit)
+    layout = lay_out(fit.layout.model, digests, population, fit.values)
+    fit = unstuck(fit_campaign_model(layout, data, [r.eta for r in fit.runs], rounds=6), data)
+    return SettledModel(fit, data, population, noise)
+
+
+def candidates_for(stage: SettledModel) -> list[Effect]:
+    """Return the catalogue's effects these runs can say something about."""
+    digests = [d.digest for d in stage.data]
+    press = stage.fit.layout.model.press
+    loads = [d.cases[False].load for d in digests]
+    found = []
+    for effect in catalogue().values():
+        if not effect.parameters:
+            continue
+        if effect.needs == Need.PANEL and not press.panel_layers:
+            continue
+        if effect.needs == Need.SWITCH and not any(d.switch is not None for d in digests):
+            continue
+        if effect.needs == Need.LOAD and not _varies(loads):
+            continue
+        found.append(effect)
+    return found
+
+
+def _varies(loads: Sequence[Mapping[int, Array]]) -> bool:
+    values = [v for load in loads for series in load.values() for v in (series.min(), series.max())]
+    return bool(values) and max(values) > 1.05 * min(values)
+
+
+def search(stage: SettledModel, effects: Iterable[Effect], progress: Progress | None = None) -> list[Candidate]:
+    """Fit every candidate on top of a stage; best first."""
+    probes = []
+    misfit = stage.misfit
+    for effect in effects:
+        if progress is not None:
+            progress(effect.name)
+        size, secant = best_secant(stage, effect)
+        if secant.gain < HOPELESS and misfit < FAR_OFF and not effect.measuring:
+            fit = stage.fit
+            zeros = np.zeros(len(stage.data))
+            probes.append(Candidate(effect, secant, fit, 0.0, zeros, refined=False, score=secant.scores))
+        else:
+            probes.append(probe(stage, effect, size, secant, rounds=3))
+    most = max(c.gain for c in probes)
+    probes = [_from_guesses(stage, c) if c.direction.gain > max(most, HOPELESS) else c for c in probes]
+    probes.sort(key=lambda c: -c.gain)
+    best = probes[0].gain
+    found = []
+    for i, candidate in enumerate(probes):
+        keeps_up = candidate.gain > max(NEAR * best, HOPELESS)
+        if i < KEEP and keeps_up:
+            if progress is not None:
+                progress(f"{candidate.effect.name}, refined")
+            candidate = refine(stage, candidate)
+        found.append(candidate)
+    return sorted(found, key=lambda c: (-c.gain, c.effect.name))
+
+
+def best_secant(stage: SettledModel, effect: Effect) -> tuple[float, Direction]:
+    """Return the size and sign of an effect whose direction promises most, and the direction."""
+    model = stage.fit.layout.model.extended(effect)
+    options = [_secant(stage, model, effect, size) for size in _sizes(effect)]
+    forward = [o for o in options if o[1].amplitude > 0] or options[:1]
+    return max(forward, key=lambda o: o[1].gain)
+
+
+def probe(stage: SettledModel, effect: Effect, size: float, secant: Direction, rounds: int) -> Candidate:
+    """Fit an effect on top of a stage from where its direction points, a few rounds."""
+    model = stage.fit.layout.model.extended(effect)
+    amplitude = float(np.clip(secant.amplitude, 0.02, 3.0))
+    start = dict(stage.fit.values)
+    for p in effect.parameters:
+        reach = 1.0 if is_shape(p) else amplitude * size
+        start[effect.key(p.name)] = float(np.clip(p.neutral + reach * (p.typical - p.neutral), p.lower, p.upper))
+    digests = [d.digest for d in stage.data]
+    layout = lay_out(model, digests, stage.population, start)
+    etas = [
+        _grown(layout.unknowns[i], r.eta + amplitude * o)
+        for i, (r, o) in enumerate(zip(stage.fit.runs, secant.own, strict=True))
+    ]
+    fit = fit_campaign_model(layout, stage.data, etas, rounds=rounds, tolerance=1.0)
+    if effect.needs == Need.SWITCH or (effect.measuring and stage.misfit > FAR_OFF):
+        fit = min([fit, *_fresh_fits(stage, model, effect, rounds + 1)], key=lambda f: f.cost)
+    gain = max(stage.fit.cost - fit.cost, 0.0)
+    score = switch_scores(stage) if effect.needs == Need.SWITCH else secant.scores
+    return Candidate(effect, secant, fit, gain, np.zeros(len(stage.data)), refined=False, score=score)
+
+
+def _from_guesses(stage: SettledModel, candidate: Candidate) -> Candidate:
+    """Fit again from the press file's guesses where a cause promises more than any fit has kept.
+
+    The plain fit has bent coefficients and moments so far to make up for it that no way leads back.
+    """
+    if candidate.gain > KEPT * candidate.direction.gain:
+        return candidate
+    layout = lay_out(
+        candidate.fit.layout.model, [d.digest for d in stage.data], stage.population, _kept_sizes(stage)
+    )
+    fit = fit_campaign_model(layout, stage.data, rounds=6, tolerance=1.0)
+    if fit.cost >= candidate.fit.cost:
+        return candidate
+    return replace(candidate, fit=fit, gain=max(stage.fit.cost - fit.cost, 0.0))
+
+
+def _kept_sizes(stage: SettledModel) -> dict[str, float]:
+    """Return the effects a stage has already, at their fitted sizes."""
+    return {key: stage.fit.values[key] for key in stage.fit.layout.effect_names}
+
+
+def switch_scores(stage: SettledModel) -> Array:
+    """Return how far each run's fitted moments lie behind the limit switch, in standard deviations (runs).
+
+    Moments make up for a clock offset completely, so nothing of it is left in the temperatures.
+    """
+    scores = []
+    for unknowns, run, d in zip(stage.fit.layout.unknowns, stage.fit.runs, stage.data, strict=True):
+        known = d.digest.switch is not None
+        rest = [
+            (e - u.centre) / u.sd for u, e in zip(unknowns, run.eta, strict=True) if u.name in SWITCHED and known
+        ]
+        scores.append(sum(rest) / max(len(rest), 1) ** 0.5)
+    return np.asarray(np.clip(scores, -SCORE_LIMIT, SCORE_LIMIT), dtype=float)
+
+
+def _fresh_fits(stage: SettledModel, model: ThermalModel, effect: Effect, rounds: int) -> Iterator[SharedFit]:
+    """Fit from full sizes with the moments back at their priors.
+
+    What the measuring chain does to a switch, the plain fit has made up for with moments and contacts;
+    from there the way back is uphill at first.
+    """
+    digests = [d.digest for d in stage.data]
+    for size in FRESH_SIZES:
+        if size < 0 and all(p.lower >= p.neutral for p in effect.parameters):
+            continue
+        start = dict(stage.fit.values)
+        for p in effect.parameters:
+            value = p.neutral + size * (p.typical - p.neutral)
+            start[effect.key(p.name)] = float(np.clip(value, p.lower, p.upper))
+        if effect.needs == Need.SWITCH:
+            start |= {effect.key(p.name): _behind_the_switch(stage) for p in effect.parameters}
+        layout = lay_out(model, digests, stage.population, start)
+        etas = []
+        for unknowns, run in zip(layout.unknowns, stage.fit.runs, strict=True):
+            eta = _grown(unknowns, run.eta)
+            timing = [j for j, u in enumerate(unknowns) if u.name in ("closed_s", "opened_s", "ramp_s")]
+            eta[timing] = [unknowns[j].centre for j in timing]
+            etas.append(eta)
+        yield fit_campaign_model(layout, stage.data, etas, rounds=rounds, tolerance=1.0)
+
+
+def _behind_the_switch(stage: SettledModel) -> float:
+    """Return how far the fitted moments lie behind the limit switch's, mean over runs. [s]"""
+    rest = [
+        e - u.centre
+        for unknowns, run, d in zip(stage.fit.layout.unknowns, stage.fit.runs, stage.data, strict=True)
+        for u, e in zip(unknowns, run.eta, strict=True)
+        if u.name in SWITCHED and d.digest.switch is not None
+    ]
+    return float(np.mean(rest)) if rest else 0.0
+
+
+def _grown(unknowns: Sequence[object], eta: Array) -> Array:
+    """Extend a run's numbers by zeros for the unknowns a further effect brings at the end."""
+    return np.concatenate([eta, np.zeros(len(unknowns) - len(eta))])
+
+
+def refine(stage: SettledModel, candidate: Candidate, rounds: int = 8) -> Candidate:
+    """Fit a candidate to convergence and find out what it gains on runs left out."""
+    etas = [r.eta for r in candidate.fit.runs]
+    layout = replace(
+        candidate.fit.layout,
+        shared=tuple(
+            replace(s, start=float(v))
+            for s, v in zip(candidate.fit.layout.shared, candidate.fit.theta, strict=True)
+        ),
+    )
+    fit = fit_campaign_model(layout, stage.data, etas, rounds=rounds, tolerance=0.5)
+    others = held_out(fit, stage.data, rounds=1)
+    gains = np.array([a.cost - b.cost for a, b in zip(stage.fit.runs, others, strict=True)])
+    values = {key: fit.values[key] for key in layout.effect_names}
+    if candidate.effect.needs == Need.SWITCH:
+        score = switch_scores(stage)
+    else:
+        score = direction(stage.fit, stage.data, layout.model, values).scores
+    gain = max(stage.fit.cost - fit.cost, 0.0)
+    return replace(candidate, fit=fit, gain=gain, gains=gains, refined=True, others=tuple(others), score=score)
+
+
+def _sizes(effect: Effect) -> tuple[float, ...]:
+    one_sided = any(p.lower >= p.neutral for p in effect.parameters if not is_shape(p))
+    return (PROBE,) if one_sided else (PROBE, -PROBE)
+
+
+def _secant(stage: SettledModel, model: ThermalModel, effect: Effect, size: float) -> tuple[float, Direction]:
+    values = {
+        effect.key(p.name): p.typical if is_shape(p) else p.neutral + size * (p.typical - p.neutral)
+        for p in effect.parameters
+    }
+    return size, direction(stage.fit, stage.data, model, values)

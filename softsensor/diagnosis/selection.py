@@ -1,0 +1,213 @@
+"""Model selection: cause after cause is fitted, claimed and decided on (`decision`), until the rule stops."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from daq.records import Array
+from softsensor.diagnosis.decision import (
+    FEW_RUNS,
+    MOST_CAUSES,
+    SMALLEST_SIZE,
+    Claim,
+    Decision,
+    Evidence,
+    Step,
+    decide,
+    objection,
+    strongest,
+)
+from softsensor.diagnosis.exchange import exchange, fit_alone
+from softsensor.diagnosis.extension import SCORE_LIMIT
+from softsensor.diagnosis.search import Candidate, SettledModel, candidates_for, core_errors, extend, search
+from softsensor.diagnosis.sign_flips import max_t, pattern_test
+from softsensor.effects import Need
+
+TWO_LOOKS = FEW_RUNS + 2
+"""Below so many runs there are too few flips to pay for asking gains as well as scores. Set by hand."""
+RIM_K, RIM_T = 0.15, 3.0
+"""Rim sensors that fall by so much against central ones, and so many standard errors, speak for a loss at the rim.
+Set by hand; means over virtual runs without one stay within 0.15 K. [K], [1]"""
+Progress = Callable[[str, float], None]
+"""Called with what is being done and the share done."""
+
+
+@dataclass(frozen=True)
+class Round:
+    """One search: what was found, and how sure."""
+
+    candidates: list[Candidate]
+    p_values: dict[str, float]
+    chosen: Candidate | None
+    set: tuple[str, ...]
+    without: tuple[Candidate | None, ...] = ()
+    """What would have been chosen without each run."""
+    voted: str = ""
+    """What all runs chose, before rim and cores were asked."""
+    refuted: tuple[str, ...] = ()
+    """Causes that the surfaces may like and core thermocouples speak against."""
+
+    @property
+    def name(self) -> str:
+        """Of the chosen cause, empty for none."""
+        return "" if self.chosen is None else self.chosen.effect.name
+
+
+def cool_rim(falls: Array) -> bool:
+    """Whether rim sensors fall against central ones in the runs, beyond chance."""
+    known = falls[np.isfinite(falls)]
+    if len(known) < 2:
+        return False
+    error = float(np.std(known, ddof=1)) / np.sqrt(len(known))
+    return bool(known.mean() < -RIM_K and known.mean() < -RIM_T * error)
+
+
+def search_all(
+    base: SettledModel, effects: Sequence[str] | None, tell: Progress, rim_is_cool: bool
+) -> tuple[list[SettledModel], list[Round]]:
+    """Search cause after cause; return the fits, plain model first, and what each search found.
+
+    `rim_is_cool`: rim sensors fall against central ones.
+    """
+    stages, rounds, looked_again = [base], list[Round](), False
+    while len(rounds) < MOST_CAUSES:
+        stage = stages[-1]
+        pool = [
+            e
+            for e in candidates_for(stage)
+            if (effects is None or e.name in effects) and e.name not in stage.effects
+        ]
+        if not pool:
+            break
+        found = search(stage, pool, _counted(tell, len(rounds), len(pool)))
+        rounds.append(judge(stage, found, rim_is_cool, [r.set for r in rounds]))
+        chosen = rounds[-1].chosen
+        if chosen is None:
+            break
+        stages.append(extend(stage, chosen))
+        if len(rounds) == 2 and not looked_again:
+            looked_again = True
+            stages, rounds = _second_look(stages, rounds, rim_is_cool)
+    return stages, rounds
+
+
+def _counted(tell: Progress, causes: int, size: int) -> Callable[[str], None]:
+    """Return what reports each candidate of a search by its name and the share done."""
+    done = 0
+
+    def note(name: str) -> None:
+        nonlocal done
+        done += 1
+        tell(f"cause {causes + 1}: {name}", 0.05 + 0.28 * (causes + min(done / (size + 6), 1.0)))
+
+    return note
+
+
+def _second_look(
+    stages: list[SettledModel], rounds: list[Round], rim_is_cool: bool
+) -> tuple[list[SettledModel], list[Round]]:
+    """Judge the first search again once a second cause is known; return where the search goes on from.
+
+    The second cause is fitted alone, from the size it has beside the first, since where the plain model is far off
+    a cause's own fit may not have found its way. Then others are tried in the place of the first.
+    """
+    base, second = stages[0], stages[-1].fit.layout.model.effects[-1]
+    first = rounds[0]
+    better = fit_alone(base, second, stages[-1])
+    known = next((c for c in first.candidates if c.effect.name == second.name), None)
+    if known is not None and not (known.refined and known.gain >= better.gain):
+        candidates = [c for c in first.candidates if c is not known] + [better]
+        first = judge(base, sorted(candidates, key=lambda c: (-c.gain, c.effect.name)), rim_is_cool, ())
+        if first.chosen is not None and first.name != rounds[0].name:
+            return [base, extend(base, first.chosen)], [first]
+    evidence = evidence_of(base, first.candidates, first.p_values)
+    claims = {claim.name: claim for claim in evidence.claims}
+    able = [c for c in first.candidates if c.refined and objection(claims[c.effect.name], evidence) is None]
+    if exchanged := exchange(stages, able, SMALLEST_SIZE):
+        name = exchanged[1].effects[-1]
+        chosen = next(c for c in first.candidates if c.effect.name == name)
+        return exchanged, [replace(first, chosen=chosen, set=(name,), refuted=()), *rounds[1:]]
+    return stages, rounds
+
+
+def judge(
+    stage: SettledModel, found: Sequence[Candidate], rim_is_cool: bool, sets: Sequence[tuple[str, ...]]
+) -> Round:
+    """Decide on a search, with all runs and without each of them. `sets`: of the causes the stage has already."""
+    everyone = np.arange(len(stage.data))
+    p = p_values(found, everyone)
+    evidence = replace(evidence_of(stage, found, p), rim_is_cool=rim_is_cool, sets=tuple(sets))
+    decision = decide(evidence)
+    named = {c.effect.name: c for c in found}
+    if decision.step is Step.ONE_RUN:
+        return Round(list(found), p, None, (), (None,))
+    without = []
+    for rest in (np.delete(everyone, r) for r in everyone):
+        claims = claims_of(stage, found, p_values(found, rest), rest)
+        best = strongest(replace(evidence, runs=len(rest), claims=claims, core_K=evidence.core_K[rest]))
+        without.append(None if best is None else named[best.name])
+    return _round(list(found), p, tuple(without), decision)
+
+
+def _round(
+    found: list[Candidate], p: dict[str, float], without: tuple[Candidate | None, ...], decision: Decision
+) -> Round:
+    if decision.step is not Step.CAUSE_NAMED:
+        return Round(found, p, None, (), without)
+    chosen = next(c for c in found if c.effect.name == decision.set[0])
+    return Round(found, p, chosen, decision.set, without, decision.strongest, decision.refuted)
+
+
+def evidence_of(stage: SettledModel, found: Sequence[Candidate], p: dict[str, float]) -> Evidence:
+    """Return what a search on top of a stage has shown."""
+    everyone = np.arange(len(stage.data))
+    return Evidence(
+        runs=len(everyone),
+        left=pattern_test(stage.pockets()),
+        core_K=core_errors(stage.fit, stage.data),
+        claims=claims_of(stage, found, p, everyone),
+    )
+
+
+def claims_of(
+    stage: SettledModel, found: Sequence[Candidate], p: dict[str, float], runs: np.ndarray
+) -> tuple[Claim, ...]:
+    """Return what the candidates fitted to convergence have to show, as some of the runs see them."""
+    some = stage.among(runs)
+    return tuple(claim_of(some, c.among(stage, runs), p[c.effect.name]) for c in found if c.refined)
+
+
+def claim_of(stage: SettledModel, candidate: Candidate, p: float) -> Claim:
+    """Return what a candidate has to show against the stage it was fitted on top of."""
+    return Claim(
+        name=candidate.effect.name,
+        measuring=candidate.effect.measuring,
+        needs=candidate.effect.needs,
+        at_the_rim=candidate.effect.at_the_rim,
+        size=candidate.size,
+        unphysical=candidate.too_large,
+        p_value=p,
+        saved=candidate.gain,
+        saves=candidate.gains,
+        heldout_gain_K=candidate.heldout_gain(stage),
+        heldout_ratio=candidate.heldout_ratio(stage),
+        core_K=core_errors(candidate.fit, stage.data),
+    )
+
+
+def p_values(found: Sequence[Candidate], runs: np.ndarray) -> dict[str, float]:
+    """Return each candidate's p-value: by the runs' scores along its direction, or by what they gain left out.
+
+    The direction starts at the plain model's fit; where that is far off, most runs have bent away from it, and
+    only their gains show that they agree. Both are flipped together, so that looking twice is paid for. A clock
+    shows in the switch alone: its gains may come from anything that moves with the moments.
+    """
+    scores = [c.score[runs] for c in found]
+    if len(runs) >= TWO_LOOKS:
+        limit = SCORE_LIMIT**2
+        scores += [np.clip(c.gains[runs], -limit, limit) * (c.effect.needs != Need.SWITCH) for c in found]
+    p = max_t(np.stack(scores, axis=1)).reshape(-1, len(found)).min(axis=0)
+    return dict(zip([c.effect.name for c in found], p.tolist(), strict=True))

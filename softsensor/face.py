@@ -1,0 +1,295 @@
+"""Kerntemp from Python: read a run, fit, diagnose, predict, simulate; results as pandas tables and figures.
+
+Everything here takes what is at hand: a run as a file's path, a table or a `Run`; a press as a file's path or a
+`Press`; a model as a file's path, a `ModelFile`, or the result of a fit or a diagnosis. Errors are those of the
+command line. What it hands out is frozen.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import pandas as pd
+
+from daq.files.frames import run_of
+from daq.files.mapping import read_foreign, read_mapping
+from daq.files.run_file import read_run as read_run_file
+from daq.press.press_file import Press
+from daq.press.press_file import read_press as read_press_file
+from daq.records import Run
+from softsensor.diagnosis.finding import Diagnosis
+from softsensor.diagnosis.verdict import diagnose as diagnose_runs
+from softsensor.fitting.campaign import CampaignFit, fit_campaign
+from softsensor.fitting.simulated_run import Simulated, simulate_run
+from softsensor.heat.model import ThermalModel
+from softsensor.heat.model_file import ModelFile
+from softsensor.heat.model_file import read_model as read_model_file
+from softsensor.live.replay import Replay, replay
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+AnyRun: TypeAlias = Run | pd.DataFrame | Path | str
+AnyPress: TypeAlias = Press | Path | str
+
+
+@dataclass(frozen=True, repr=False)
+class FitResult:
+    """Coefficients of each run and of the campaign."""
+
+    campaign: CampaignFit
+
+    def frame(self) -> pd.DataFrame:
+        """Return one row a run and coefficient: value, sd and 95 % interval [W/m²K], and whether it is known."""
+        rows = [
+            {"run": run.run, "coefficient": name, "value": c.value, "sd": c.sd}
+            | {"low": c.ci95[0], "high": c.ci95[1], "identifiable": c.identifiable, "rmse_K": run.rmse_K}
+            for run in self.campaign.runs
+            for name, c in run.coefficients.items()
+        ]
+        return pd.DataFrame(rows).set_index(["run", "coefficient"])
+
+    def plot(self) -> list[Axes]:
+        """Draw the coefficients over the runs; return the axes."""
+        from softsensor.report.fit_figures import coefficients_figure
+
+        return list(coefficients_figure(self.campaign).axes)
+
+    def model(self) -> ModelFile:
+        """Return the campaign's model, as ``fit --model`` writes it."""
+        from softsensor.diagnosis.missing_causes import with_missing_causes
+
+        return with_missing_causes(self.campaign.model_file(), self.campaign.runs)
+
+    def to_json(self) -> str:
+        """Return what ``fit --json`` writes."""
+        return json.dumps(self.campaign.as_json())
+
+    def __repr__(self) -> str:
+        """Show the campaign's coefficients and each run's error."""
+        names = list(self.campaign.coefficients)
+        errors = ", ".join(f"{run.run} {run.rmse_K:.2f} K" for run in self.campaign.runs[:8])
+        more = f" and {len(self.campaign.runs) - 8} more" if len(self.campaign.runs) > 8 else ""
+        table = self.frame()["value"].unstack("coefficient")[names].describe().loc[["mean", "std"]]
+        return f"{len(self.campaign.runs)} runs fitted: {errors}{more}\n{table.to_string(float_format='%.4g')}"
+
+    def _repr_html_(self) -> str:
+        return str(self.frame().to_html(float_format="%.4g", max_rows=24))
+
+
+@dataclass(frozen=True, repr=False)
+class DiagnosisResult:
+    """What the simulation gets wrong, the causes, and what knowing them is worth."""
+
+    diagnosis: Diagnosis
+
+    @cached_property
+    def content(self) -> Mapping[str, Any]:
+        """What ``diagnose --json`` writes, as a mapping."""
+        return self.diagnosis.as_json()
+
+    @property
+    def verdict(self) -> str:
+        """``no_effect``, ``named``, ``ambiguous``, ``unknown_effect`` or ``too_few_runs``."""
+        return str(self.content["verdict"])
+
+    def frame(self) -> pd.DataFrame:
+        """Return one row a parameter of each named cause: value and 95 % interval."""
+        columns = ["effect", "parameter", "value", "low", "high", "p_value", "heldout_gain_K"]
+        rows = []
+        for effect in self.content["effects"]:
+            for name, told in effect["parameters"].items():
+                low, high = told["ci95"] if isinstance(told, Mapping) and told.get("ci95") else (None, None)
+                value = told["value"] if isinstance(told, Mapping) else told
+                entry = (effect["name"], name, value, low, high, effect["p_value"], effect["heldout_gain_K"])
+                rows.append(dict(zip(columns, entry, strict=True)))
+        return pd.DataFrame(rows, columns=columns).set_index(["effect", "parameter"])
+
+    def plot(self) -> list[Axes]:
+        """Draw one run under both models with its residuals; return the axes."""
+        from softsensor.report.diagnosis_figures import run_figure
+
+        return list(run_figure(self.diagnosis).axes)
+
+    def model(self) -> ModelFile:
+        """Return the extended model."""
+        return self.diagnosis.model_file()
+
+    def to_json(self) -> str:
+        """Return what ``diagnose --json`` writes."""
+        return json.dumps(self.content)
+
+    def __repr__(self) -> str:
+        """Show verdict, causes, error before and after, and what to measure next."""
+        before, after = self.content["base"]["heldout_rmse_K"], self.content["extended"]["heldout_rmse_K"]
+        lines = [f"{self.verdict}: {', '.join(e['name'] for e in self.content['effects']) or 'no cause named'}"]
+        if len(self.frame()):
+            lines.append(self.frame().to_string(float_format="%.4g"))
+        lines.append(f"residual on runs left out [K]: {before} before, {after} after")
+        return "\n".join([*lines, str(self.content["next_measurement"])])
+
+    def _repr_html_(self) -> str:
+        return f"<p><b>{self.verdict}</b></p>{self.frame().to_html(float_format='%.4g')}"
+
+
+@dataclass(frozen=True, repr=False)
+class Prediction:
+    """The core as the live sensor would have said it, scan by scan."""
+
+    replayed: Replay
+
+    def frame(self) -> pd.DataFrame:
+        """Return the columns of ``predict --out``, indexed by ``time_s``."""
+        return pd.DataFrame(self.replayed.columns()).set_index("time_s")
+
+    def plot(self) -> list[Axes]:
+        """Draw the core with its 95 % band, and a measured core where the run has one; return the axes."""
+        table, run = self.frame(), self.replayed.run
+        ax = _axes("Core as predicted live, with its 95 % band")
+        sure = table["valid"] == 1
+        ax.fill_between(table.index, table["core_low_C"], table["core_high_C"], where=sure, alpha=0.25, lw=0)
+        ax.plot(table.index[sure], table["core_C"][sure], label="predicted")
+        for name in run.matching(["core_*"]):
+            ax.plot(run.time_s, run.columns[name], ".", ms=2, label=f"{name}, measured")
+        ax.legend(frameon=False)
+        return [ax]
+
+    def to_json(self) -> str:
+        """Return the table as JSON, a list a column; null where there is no value."""
+        return str(self.frame().reset_index().to_json(orient="columns", index=False))
+
+    def __repr__(self) -> str:
+        """Show the first and the last scans."""
+        return f"{self.replayed.run.name}\n{self.frame().to_string(max_rows=12, float_format='%.2f')}"
+
+    def _repr_html_(self) -> str:
+        return str(self.frame().to_html(max_rows=24, float_format="%.2f"))
+
+
+@dataclass(frozen=True, repr=False)
+class Simulation:
+    """A run as the model has it, open loop from its platen temperatures."""
+
+    run: Run
+    simulated: Simulated
+
+    def frame(self) -> pd.DataFrame:
+        """Return the columns of ``simulate --out``, indexed by ``time_s``. [°C]"""
+        state = [str(state) for state in self.simulated.state]
+        columns = {"state": state, **self.simulated.places, "core_C": self.simulated.core}
+        return pd.DataFrame(columns, index=pd.Index(self.simulated.time_s, name="time_s"))
+
+    def plot(self) -> list[Axes]:
+        """Draw every place, measured as dots and simulated as lines; return the axes."""
+        ax = _axes("Measured (dots) and simulated (lines)")
+        for place, values in self.simulated.places.items():
+            (line,) = ax.plot(self.simulated.time_s, values, label=place)
+            ax.plot(self.simulated.time_s, self.simulated.measured[place], ".", ms=2, color=line.get_color())
+        ax.plot(self.simulated.time_s, self.simulated.core, label="core", color="black")
+        ax.legend(frameon=False)
+        return [ax]
+
+    def to_json(self) -> str:
+        """Return the table as JSON, a list a column."""
+        return str(self.frame().reset_index().to_json(orient="columns", index=False))
+
+    def __repr__(self) -> str:
+        """Show the error at each place, and the first and last rows."""
+        errors = ", ".join(f"{place} {value:.2f} K" for place, value in self.simulated.rmse.items())
+        return f"{self.run.name}: {errors}\n{self.frame().to_string(max_rows=8, float_format='%.2f')}"
+
+    def _repr_html_(self) -> str:
+        return str(self.frame().to_html(max_rows=24, float_format="%.2f"))
+
+
+AnyModel: TypeAlias = ModelFile | FitResult | DiagnosisResult | Path | str
+
+
+def read_run(source: AnyRun, *, mapping: Path | str | None = None, header: Mapping[str, Any] | None = None) -> Run:
+    """Return a run from a CSV or Parquet file, a pandas table, or another logger's file.
+
+    Parameters
+    ----------
+    mapping
+        The TOML file that explains another logger's columns, units and times.
+    header
+        Keys of a table's header beside its ``attrs``: panel, ambient, settings.
+
+    Raises
+    ------
+    InputError
+        Naming file, line or column, value, limit and what to do.
+    """
+    if isinstance(source, Run):
+        return source
+    if isinstance(source, pd.DataFrame):
+        return run_of(source, header)
+    if mapping is not None:
+        return read_foreign(Path(source), read_mapping(Path(mapping)))
+    return read_run_file(Path(source))
+
+
+def read_press(path: AnyPress) -> Press:
+    """Return the press that a press file describes. Raises `InputError`."""
+    return path if isinstance(path, Press) else read_press_file(Path(path))
+
+
+def read_model(model: AnyModel) -> ModelFile:
+    """Return a model from its file, or out of the result of a fit or a diagnosis. Raises `InputError`."""
+    if isinstance(model, FitResult | DiagnosisResult):
+        return model.model()
+    return model if isinstance(model, ModelFile) else read_model_file(Path(model))
+
+
+def fit(runs: AnyRun | Sequence[AnyRun], press: AnyPress, *, profiles: bool = False) -> FitResult:
+    """Fit the heat transfer coefficients of each run and of all together.
+
+    Parameters
+    ----------
+    profiles
+        Work out the likelihood's profile of each coefficient too, for the JSON; it takes longer.
+    """
+    return FitResult(fit_campaign(read_press(press), _runs(runs), profiles=profiles))
+
+
+def diagnose(runs: AnyRun | Sequence[AnyRun], press: AnyPress) -> DiagnosisResult:
+    """Say what the simulation of these runs gets wrong, why, and what knowing it is worth."""
+    return DiagnosisResult(diagnose_runs(read_press(press), _runs(runs)))
+
+
+def predict(
+    run: AnyRun, press: AnyPress, model: AnyModel | None = None, *, without: Sequence[str] = ()
+) -> Prediction:
+    """Replay a run through the live sensor, causally; `without` names columns (patterns) that it does not see."""
+    loaded = read_run(run)
+    known = None if model is None else read_model(model)
+    return Prediction(replay(read_press(press), loaded, known, loaded.matching(without)))
+
+
+def simulate(run: AnyRun, press: AnyPress, model: AnyModel | Mapping[str, float] | None = None) -> Simulation:
+    """Simulate a run, open loop, with a model, or coefficients by name beside the press file's guesses."""
+    loaded, described = read_run(run), read_press(press)
+    if model is None or isinstance(model, Mapping):
+        thermal = ThermalModel(described)
+        return Simulation(loaded, simulate_run(loaded, described, thermal, {**thermal.guesses, **(model or {})}))
+    content = read_model(model)
+    return Simulation(loaded, simulate_run(loaded, described, content.model(described), content.values))
+
+
+def _runs(runs: AnyRun | Sequence[AnyRun]) -> list[Run]:
+    if isinstance(runs, Run | pd.DataFrame | Path | str):
+        return [read_run(runs)]
+    return [read_run(run) for run in runs]
+
+
+def _axes(title: str) -> Any:
+    from matplotlib.figure import Figure
+
+    ax = Figure(figsize=(8.0, 4.0), layout="constrained").add_subplot()
+    ax.set(title=title, xlabel="time [s]", ylabel="temperature [°C]")
+    return ax

@@ -1,0 +1,1 @@
+"""Coefficients from runs: one run, a campaign, what is identifiable, and what to measure."""

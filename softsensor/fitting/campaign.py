@@ -1,0 +1,366 @@
+"""Coefficients of a campaign: mean and spread over its runs, jointly estimated, and what they depend on.
+
+Two answers stand side by side. The paper's: mean, standard deviation and 95 % interval of the mean over the runs
+in which a coefficient is identifiable (Student's t, and a bootstrap over runs). And the joint one: every
+run's coefficients are drawn from one log-normal population whose median and spread are estimated together
+with them, so that a run which hardly shows a coefficient borrows it from the others. The joint one is what a
+model file holds. A run that the model does not describe (`RunFit.misfit`) is told and takes no part in either.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.stats import t as student
+
+from daq.press.press_file import Press, press_for_run
+from daq.records import Array, InputError, Run
+from daq.words import Message, say
+from softsensor.fitting.dependence import Dependence, Program, fit_dependence
+from softsensor.fitting.experiment_advice import Company
+from softsensor.fitting.identifiability import WIDE, Profile, is_verdict_on, profiles_of
+from softsensor.fitting.joint import fit_together
+from softsensor.fitting.one_run import fit_run, make_problem
+from softsensor.fitting.population import Population, information
+from softsensor.fitting.problem import minimise
+from softsensor.fitting.result import Coefficient, Identifiability, RunFit, number
+from softsensor.fitting.unknowns import free_names, known_before
+from softsensor.heat.model import ThermalModel
+from softsensor.heat.model_file import FittedValue, ModelFile
+from softsensor.signals.moments import moments_of
+
+BOOTSTRAPS = 4000
+"""Resamplings: ends of a 95 % interval then vary by some 2 % of it."""
+PROCESSES_FROM = 40
+"""Runs from which worker processes pay for their start; below that, threads (the kernels run without the GIL)."""
+NAMED_RUNS = 5
+"""Runs a finding names; more are counted."""
+
+
+@dataclass(frozen=True)
+class CampaignCoefficient:
+    """One coefficient over a campaign."""
+
+    mean: float
+    """Over the runs in which it is identifiable; the population's median where there are none."""
+    sd: float
+    """From run to run, estimation error included; NaN below two runs, 0 where all share one value."""
+    ci95: tuple[float, float]
+    """Of the mean, by Student's t."""
+    bootstrap95: tuple[float, float]
+    """Of the mean, by a bootstrap over runs."""
+    runs: int
+    """In which it is identifiable; where all share one value, all or none of those the model describes."""
+    median: float
+    """Of the population the runs are drawn from, estimated jointly."""
+    median_ci95: tuple[float, float]
+    spread: float
+    """Of the logarithm from run to run, estimation error taken out."""
+
+
+@dataclass(frozen=True)
+class CampaignFit:
+    """What a campaign says about a press."""
+
+    press: Press
+    model: ThermalModel
+    runs: tuple[RunFit, ...]
+    coefficients: Mapping[str, CampaignCoefficient]
+    population: Population
+    borrowed: Mapping[str, Mapping[str, FittedValue]]
+    """By run and coefficient: the run's value with what it borrows from the others; only runs that are met."""
+    dependence: Dependence | None
+    """On platen temperature, pressure and press time, where they vary."""
+    shared: tuple[str, ...] = ()
+    """Coefficients with one value in all runs."""
+    profiles: tuple[Mapping[str, Profile], ...] = ()
+    """By run and coefficient; empty where they were not asked for."""
+    method: str = "default"
+
+    @property
+    def met(self) -> tuple[RunFit, ...]:
+        """The runs that the model describes; all that is said of the campaign rests on them."""
+        return tuple(f for f in self.runs if f.met)
+
+    @property
+    def shortfall(self) -> Message | None:
+        """What has to be said before all else: which runs the model does not describe; None where it does all."""
+        left = [(f.run, f.misfit) for f in self.runs if f.misfit is not None]
+        if not left:
+            return None
+        if len(self.runs) == 1:
+            return say("fit-shortfall-one", misfit=left[0][1])
+        named = tuple(say("fit-shortfall-run", run=run, misfit=why) for run, why in left[:NAMED_RUNS])
+        more = len(left) - len(named)
+        if not self.met:
+            return say("fit-shortfall-all", runs=named, more=more)
+        return say("fit-shortfall-some", count=len(left), total=len(self.runs), runs=named, more=more)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the content of ``fit --json``."""
+        campaign = {
+            name: {
+                "mean": number(c.mean),
+                "sd": number(c.sd),
+                "ci95": [number(v) for v in c.ci95],
+                "bootstrap95": [number(v) for v in c.bootstrap95],
+                "runs": c.runs,
+                "median": number(c.median),
+                "median_ci95": [number(v) for v in c.median_ci95],
+                "spread": number(c.spread),
+                "shared": name in self.shared,
+            }
+            for name, c in self.coefficients.items()
+        }
+        runs = [f.as_json() for f in self.runs]
+        for entry, fitted, shapes in zip(runs, self.runs, self.profiles, strict=True):
+            for name, (e, ends) in self.joint(fitted.run).items():
+                entry["coefficients"][name]["joint"] = {"value": e.value, "sd": e.sd, "ci95": list(ends)}
+            entry["correlation"] = {
+                "names": list(fitted.names),
+                "matrix": [[number(v) for v in row] for row in np.round(fitted.correlation, 4)],
+            }
+            if shapes:
+                entry["profiles"] = {name: shape.as_json() for name, shape in shapes.items()}
+        depends = None if self.dependence is None else self.dependence.as_json()
+        return {"runs": runs, "campaign": campaign, "dependence": depends}
+
+    def joint(self, run: str) -> dict[str, tuple[FittedValue, tuple[float, float]]]:
+        """Return a run's coefficients as all runs together know them, with 95 % intervals; empty if not met."""
+        return {
+            name: (e, self.coefficients[name].median_ci95 if name in self.shared else joint_interval(e))
+            for name, e in self.borrowed.get(run, {}).items()
+        }
+
+    def program(self, settings: Mapping[str, float]) -> Program | None:
+        """Return what a press program never run would be like, None where the runs cannot tell."""
+        if self.dependence is None:
+            return None
+        tables = {n: self.press.coefficient(n) for n in self.coefficients}
+        limits = {n: (table.lower, table.upper) for n, table in tables.items()}
+        held = {n: (shared_estimate(c), c.median_ci95) for n, c in self.coefficients.items() if n in self.shared}
+        return self.dependence.program(settings).within(limits).holding(held)
+
+    def model_file(self, version: str = "fit") -> ModelFile:
+        """Return the model file of a typical run: medians, and what a run may differ by."""
+        p = self.population
+        total = p.mean_covariance + np.diag(p.spread**2)
+        table: dict[str, FittedValue] = {}
+        shrink = np.ones(len(p.names))
+        for i, name in enumerate(p.names):
+            middle, sd = _anchored(self.press, name, float(p.mean[i]), float(np.sqrt(total[i, i])))
+            shrink[i] = sd / float(np.sqrt(total[i, i]))
+            table[name] = FittedValue(float(np.exp(middle)), float(np.exp(middle)) * sd)
+        total = total * np.outer(shrink, shrink)
+        for name in self.press.coefficient_names:
+            if name not in table:
+                table[name] = FittedValue(self.press.coefficient(name).guess, 0.0)
+        ordered = {n: table[n] for n in self.press.coefficient_names}
+        return ModelFile(version, self.press.name, ordered, (), p.names, total)
+
+
+def joint_interval(estimate: FittedValue) -> tuple[float, float]:
+    """Return the 95 % interval of a run's value as the joint fit knows it."""
+    reach = float(np.exp(min(1.96 * estimate.sd / estimate.value, 50.0)))
+    return estimate.value / reach, estimate.value * reach
+
+
+def fit_runs(
+    model: ThermalModel,
+    runs: Sequence[Run],
+    *,
+    workers: int | None = None,
+    progress: Callable[[str], None] | None = None,
+    **options: Any,
+) -> list[RunFit]:
+    """Fit every run on all cores, in order; `options` are those of `fit_run`."""
+    workers = max(1, min(workers or os.cpu_count() or 1, len(runs)))
+    tasks = [_Task(model, run, options) for run in runs]
+    _compile(tasks[0])
+    if workers == 1:
+        return _collect(map(_fit, tasks), progress)
+    if len(runs) < PROCESSES_FROM:
+        with ThreadPoolExecutor(workers) as threads:
+            return _collect(threads.map(_fit, tasks), progress)
+    with ProcessPoolExecutor(workers) as processes:
+        return _collect(processes.map(_fit, tasks, chunksize=4), progress)
+
+
+@dataclass(frozen=True)
+class _Task:
+    model: ThermalModel
+    run: Run
+    options: Mapping[str, Any]
+
+
+def _compile(task: _Task) -> None:
+    """Have the kernels compiled before the first run, whose time would otherwise hold that."""
+    problem = make_problem(task.model, task.run, moments_of(task.run, task.model.press))
+    minimise(problem, max_evaluations=1)
+
+
+def _fit(task: _Task) -> RunFit:
+    return fit_run(task.model, task.run, moments_of(task.run, task.model.press), **task.options)
+
+
+def _collect(fits: Iterable[RunFit], progress: Callable[[str], None] | None) -> list[RunFit]:
+    done = []
+    for fitted in fits:
+        done.append(fitted)
+        if progress is not None:
+            progress(fitted.run)
+    return done
+
+
+def fit_campaign(
+    press: Press,
+    runs: Sequence[Run],
+    *,
+    model: ThermalModel | None = None,
+    shared: Sequence[str] = (),
+    profiles: bool = False,
+    workers: int | None = None,
+    progress: Callable[[str], None] | None = None,
+    **options: Any,
+) -> CampaignFit:
+    """Fit a campaign: every run, then all together as draws from one population.
+
+    Parameters
+    ----------
+    model
+        By default the plain model of the press.
+    shared
+        Coefficients with one value in all runs; of no consequence for one run.
+    profiles
+        Whether to work out the profile of every coefficient in every run, for a report.
+    progress
+        Called with a run's name when it is done.
+    options
+        Of `fit_run`, such as ``start`` with the values of a model's effects.
+
+    Raises
+    ------
+    InputError
+        Without a run, for a run that cannot be fitted or whose header leaves a coefficient without use, or a
+        shared name that is no free coefficient.
+    """
+    if not runs:
+        raise InputError(say("fit-no-run"))
+    model = model or ThermalModel(press)
+    names = free_names(press)
+    if wrong := [n for n in shared if n not in names]:
+        raise InputError(say("fit-no-such-shared", name=wrong[0], names=names))
+    for run in runs:
+        if gone := [n for n in names if n not in press_for_run(press, run).coefficient_names]:
+            raise InputError(say("fit-coefficient-unused", run=run.source or run.name, name=gone[0]))
+    shared = tuple(shared) if len(runs) > 1 else ()
+    company = Company(len(runs), shared)
+    fits = fit_runs(model, runs, workers=workers, progress=progress, company=company, **options)
+    workers = max(1, min(workers or os.cpu_count() or 1, len(runs)))
+    met = [f for f in fits if f.met]
+    people = fit_together(met, names, shared=shared, known=known_before(press), workers=workers)
+    coefficients = {n: _summary(press, n, i, met, people, n in shared) for i, n in enumerate(names)}
+    same = {n: coefficients[n] for n in names if n in shared}
+    borrowed = {}
+    for f, (mean, covariance) in zip(met, people.members, strict=True):
+        sd = np.sqrt(np.diag(covariance))
+        values = np.exp(mean)
+        borrowed[f.run] = {n: FittedValue(float(values[i]), float(values[i] * sd[i])) for i, n in enumerate(names)}
+        borrowed[f.run] |= {n: shared_estimate(c) for n, c in same.items()}
+    varying = [n for n in names if n not in shared]
+    alone = [information(f.problem, f.minimum.evaluation, f.spread, varying) for f in met]
+    dependence = fit_dependence(varying, [f.problem.case.run for f in met], met, alone)
+    shapes: list[Mapping[str, Profile]] = [{} for _ in fits]
+    if profiles:
+        with ThreadPoolExecutor(workers) as threads:
+            shapes = list(threads.map(profiles_of, fits))
+    return CampaignFit(
+        press,
+        model,
+        tuple(_with_shared(f, same) for f in fits),
+        coefficients,
+        people,
+        borrowed,
+        dependence,
+        shared,
+        tuple(shapes),
+        options.get("method", "default"),
+    )
+
+
+def shared_estimate(c: CampaignCoefficient) -> FittedValue:
+    """Return a coefficient with one value in all runs: that value, and how well it is known."""
+    return FittedValue(c.median, c.median * float(np.log(c.median_ci95[1] / c.median_ci95[0])) / (2.0 * 1.96))
+
+
+def _with_shared(fitted: RunFit, same: Mapping[str, CampaignCoefficient]) -> RunFit:
+    """Return a run's fit with the one value of each coefficient that all runs share, where it is described."""
+    if not fitted.met or not same:
+        return fitted
+    told = {}
+    for name, c in same.items():
+        e = shared_estimate(c)
+        reason = say("fit-shared" if c.runs else "fit-shared-unknown")
+        told[name] = Coefficient(
+            e.value, e.sd, c.median_ci95, c.runs > 0, Identifiability.SHARED, reason, e.sd / e.value
+        )
+    notes = tuple(w for w in fitted.warnings if not is_verdict_on(w, same))
+    return replace(fitted, coefficients={**fitted.coefficients, **told}, warnings=notes)
+
+
+def _anchored(press: Press, name: str, middle: float, sd: float) -> tuple[float, float]:
+    """Return the logarithm of a coefficient and its error, joined with what the press file allows.
+
+    The limits count as 95 % of a log-normal about the guess: no more than a hint where runs speak, and
+    all there is where none does.
+    """
+    table = press.coefficient(name)
+    prior = max(float(np.log(table.upper / table.lower)) / 4.0, 1e-3)
+    weight = prior**2 / (prior**2 + sd**2)
+    joined = weight * middle + (1.0 - weight) * float(np.log(table.guess))
+    limited = float(np.clip(joined, np.log(table.lower), np.log(table.upper)))
+    return limited, sd * float(np.sqrt(weight))
+
+
+def _summary(
+    press: Press, name: str, i: int, fits: Sequence[RunFit], people: Population, shared: bool
+) -> CampaignCoefficient:
+    values = np.array([f.coefficients[name].value for f in fits if f.coefficients[name].identifiable])
+    n = len(values)
+    table = press.coefficient(name)
+    middle, error = _anchored(press, name, float(people.mean[i]), float(np.sqrt(people.mean_covariance[i, i])))
+    median = float(np.exp(middle))
+    quantile = float(student.ppf(0.975, max(len(fits) - 1, 1)))
+    if shared and fits:  # no scatter between runs is estimated: the runs' own noise decides
+        quantile = max(f.quantile for f in fits)
+    reach = min(quantile * error, 50.0)
+    interval = (max(median * float(np.exp(-reach)), table.lower), min(median * float(np.exp(reach)), table.upper))
+    if shared:
+        inside = interval[0] > table.lower and interval[1] < table.upper
+        known = inside and float(np.log(interval[1] / interval[0])) < WIDE
+        runs = len(fits) if known else 0
+        return CampaignCoefficient(median, 0.0, interval, interval, runs, median, interval, 0.0)
+    if n >= 2:
+        mean, sd = float(values.mean()), float(values.std(ddof=1))
+        half = float(student.ppf(0.975, n - 1)) * sd / np.sqrt(n)
+        ci = (max(mean - half, min(table.lower, values.min())), min(mean + half, max(table.upper, values.max())))
+        bootstrap = _bootstrap(values)
+    else:
+        mean, sd = (float(values[0]) if n else median), float("nan")
+        single = next((f.coefficients[name].ci95 for f in fits if f.coefficients[name].identifiable), interval)
+        ci = bootstrap = single
+    spread = float(people.spread[i])
+    return CampaignCoefficient(mean, sd, ci, bootstrap, n, median, interval, spread)
+
+
+def _bootstrap(values: Array) -> tuple[float, float]:
+    """Percentile interval of the mean over resampled runs; the same runs give the same interval."""
+    rng = np.random.default_rng(20261121)
+    means = values[rng.integers(0, len(values), (BOOTSTRAPS, len(values)))].mean(axis=1)
+    low, high = np.percentile(means, [2.5, 97.5])
+    return float(low), float(high)

@@ -1,0 +1,307 @@
+"""Coefficients of one run, with what is known about them.
+
+The default: Levenberg-Marquardt in the logarithm of the coefficients with exact sensitivities, every
+sensor with its own offset, nuisances with the priors a real measuring chain deserves (`chain_priors`),
+correlated noise whitened, single bad cells and loose channels left out. The paper's own procedures can be
+had by name (`softsensor.fitting.paper.procedures`).
+
+Choices (2026-11-21). Limits come from the press file. A coefficient nobody can know from the run is not
+guessed: `softsensor.fitting.identifiability` says so from the profile of the likelihood at hand. The residuals'
+noise level is estimated from the run itself (restricted likelihood), so intervals widen where the model
+fits badly.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import minimize
+
+from daq.records import Array, InputError, Moments, Run
+from daq.words import say
+from softsensor.fitting.experiment_advice import ALONE, Company
+from softsensor.fitting.identifiability import held_against, judge
+from softsensor.fitting.problem import (
+    STALLED,
+    Evaluation,
+    Minimum,
+    Problem,
+    grid_correction,
+    minimise,
+    rows_with_panel,
+    with_motion,
+)
+from softsensor.fitting.remarks import remarks, without_spikes
+from softsensor.fitting.result import RunFit, channel_residuals, misfit_of, rms, run_fit
+from softsensor.fitting.unknowns import chain_priors, free_names, known_before, neutral_values, parameter_unknown
+from softsensor.heat.model import NUISANCES, ThermalModel
+from softsensor.heat.timing import TIMINGS
+from softsensor.signals.instrument import CHANNEL_FAST_S, FACE_SLOW_K, FACE_SLOW_S, SECOND_SLOW_K, moment_sd
+from softsensor.signals.places import Noise, channel_noise, collect_signals, whiten
+
+FIRST_NOISE = Noise(slow_K=FACE_SLOW_K, slow_s=FACE_SLOW_S, fast_K=0.0, fast_s=CHANNEL_FAST_S, white_K=1.0)
+"""For the first steps, while the model is still far off."""
+COARSE_NOISE = replace(FIRST_NOISE, white_K=5.0)
+"""For a second search where the first ends far off. With 1 K a whole pressing that is met too cold counts, as a
+slow departure with outliers at its ends, for less than a closing that is met too steep; with 5 K it does not.
+"""
+SEARCH_AGAIN = 0.02
+"""Share of the readings' span: where more is left, the second search is made."""
+BAD_LOSS = 1.0
+"""Loss a value after the first search, with 1 K of noise assumed, above which other starts are tried."""
+OTHER_STARTS = (float(np.log(3.0)), -float(np.log(3.0)))
+"""Shifts of the logarithms for further starts."""
+SLOW_PRIOR = ((np.log(FACE_SLOW_K), 1.0), (np.log(FACE_SLOW_S), 0.7))
+"""Log-normal priors of the slow noise's size [K] and correlation time [s]."""
+
+
+def fit_run(  # noqa: PLR0913 - one argument a choice
+    model: ThermalModel,
+    run: Run,
+    moments: Moments,
+    *,
+    start: Mapping[str, float] | None = None,
+    priors: Mapping[str, tuple[float, float]] | None = None,
+    free: Sequence[str] | None = None,
+    verdicts: bool = True,
+    method: str = "default",
+    company: Company = ALONE,
+) -> RunFit:
+    """Fit one run.
+
+    Parameters
+    ----------
+    model
+        The press and the effects its model takes into account.
+    moments
+        When the press closed and opened, as detected; the fit refines them.
+    start
+        Values of parameters: where to start, or for effect parameters that are not `free`, their value.
+    priors
+        Log-normal priors of coefficients: median and standard deviation of the logarithm; of effect
+        parameters: mean and standard deviation. They go before the press file's own.
+    free
+        Parameters to adjust; by default every coefficient the press file does not fix.
+    verdicts
+        False skips the profiles, for callers that only want the numbers.
+    method
+        ``default``, or one of the paper's (`fitting.paper.procedures.METHODS`): coefficients by that procedure,
+        every sensor with its own offset, or with ``:averages`` behind the name top and bottom averages;
+        moments and verdicts from our own search, uncertainty from the curvature where the procedure ended.
+    company
+        The runs it is fitted together with, which decides what is worth advising.
+
+    Raises
+    ------
+    InputError
+        For a run without usable channels.
+    """
+    begun = time.perf_counter()
+    run, jumps = without_spikes(model.press, run)
+    problem = make_problem(model, run, moments, start=start, priors=priors, free=free)
+    if method != "default":
+        return _fit_by_the_paper(problem, method, begun, company)
+    found = _settle(problem)
+    warnings = jumps + remarks(found.problem.case, found.problem.signals, moments)
+    fitted = run_fit(found.problem, found.minimum, found.initial, warnings, begun, found.evaluations)
+    if not verdicts:
+        return fitted
+    return replace(judge(fitted, company), seconds=time.perf_counter() - begun)
+
+
+def make_problem(
+    model: ThermalModel,
+    run: Run,
+    moments: Moments,
+    *,
+    start: Mapping[str, float] | None = None,
+    priors: Mapping[str, tuple[float, float]] | None = None,
+    free: Sequence[str] | None = None,
+    screen: bool = True,
+    fineness: float = 1.0,
+) -> Problem:
+    """Lay out a run for fitting: channels, unknowns, priors. Raises InputError."""
+    case = model.prepare(run, moments, fineness=fineness)
+    signals = collect_signals(case.press, run, moments, screen=screen)
+    if not signals.places:
+        named = tuple(p for s in case.press.sensor if s.role == "fit" for p in s.columns)
+        raise InputError(say("run-no-panel-channel", run=run.source or run.name, named=named))
+    names = free_names(case.press) if free is None else tuple(free)
+    values = neutral_values(model, case.press)
+    values |= {n: v for n, v in (start or {}).items() if n in values or n in NUISANCES}
+    known = {**known_before(case.press), **(priors or {})}
+    unknowns = [parameter_unknown(case.press, n, values[n], known.get(n)) for n in names]
+    unknowns += chain_priors(case, signals)
+    return Problem(model, case, signals, tuple(unknowns), values, FIRST_NOISE, rows_with_panel(case))
+
+
+def _fit_by_the_paper(problem: Problem, method: str, begun: float, company: Company) -> RunFit:
+    """Take the coefficients from one of the paper's procedures, and hold them against what the run can tell.
+
+    The paper adjusts coefficients at known moments. A switch or a detector knows them to half a row, which
+    at a row a second is worth a factor in the closed contact, so they come from our own search. Verdicts come
+    from the profile about our own minimum, for what a run shows does not depend on who searches it.
+    """
+    from softsensor.fitting.paper.procedures import fit_as_paper
+
+    name, _, sensors = method.partition(":")
+    settled = _settle(problem)
+    warnings = remarks(problem.case, problem.signals, problem.case.moments)
+    rough = run_fit(settled.problem, settled.minimum, settled.initial, [], begun, settled.evaluations)
+    own = judge(rough, company)
+    run = problem.case.run
+    found = fit_as_paper(problem.model, run, own.moments, name, every=sensors != "averages", start=problem.values)
+    problem = settled.problem
+    x = np.zeros(len(problem.unknowns))
+    for i, u in enumerate(problem.unknowns):
+        if u.name in found.values:
+            x[i] = u.inside(found.values[u.name])
+        elif u.name in TIMINGS:
+            x[i] = settled.minimum.x[i]
+    problem = replace(problem, noise=slow_noise(problem, problem.evaluate(x)))
+    there = replace(minimise(problem, x, max_evaluations=1), converged=found.converged)
+    fitted = run_fit(problem, there, settled.initial, warnings, begun, found.evaluations)
+    return replace(held_against(fitted, own), seconds=time.perf_counter() - begun)
+
+
+@dataclass(frozen=True)
+class _Settled:
+    problem: Problem
+    minimum: Minimum
+    initial: Evaluation
+    evaluations: int
+
+    def left(self, at: Evaluation) -> float:
+        """Return how far the prediction at a point is from the readings. [K]"""
+        return rms(channel_residuals(self.problem, at)[0].values())
+
+    @property
+    def rmse(self) -> float:
+        """Where the search ended. [K]"""
+        return self.left(self.minimum.evaluation)
+
+
+def _settle(problem: Problem) -> _Settled:
+    """Fit a run; where much is left of it, once more from coarser noise, and keep the better."""
+    found = _search(problem)
+    if not misfit_of(found.problem, found.rmse, found.left(found.initial), SEARCH_AGAIN):
+        return found
+    other = _search(replace(problem, noise=COARSE_NOISE))
+    better = min(found, other, key=lambda settled: settled.rmse)
+    return replace(better, evaluations=found.evaluations + other.evaluations)
+
+
+def _search(problem: Problem) -> _Settled:
+    """Fit in three passes: roughly, with noise and grid corrected, and once more with noise re-estimated."""
+    period = problem.signals.period_s
+    moving = with_motion(problem, problem.start, 0.05 + timing(problem), moment_sd(period))
+    problem = replace(problem, blur=moving.blur)
+    initial = problem.evaluate(problem.start)
+    rough = _roughly(problem)
+    count = rough.evaluations + 1
+    problem, x = recentre(problem, rough.x)
+    problem = replace(problem, correction=grid_correction(problem, x))
+    problem = with_motion(problem, x, timing(problem), 0.1 * period)
+    noise = channel_noise(problem.signals, problem.case.moments, problem.noise)
+    problem = replace(problem, noise=replace(noise, slow_K=SECOND_SLOW_K, slow_s=FACE_SLOW_S))
+    best = minimise(problem, x, max_evaluations=15, decrease=0.05)
+    problem = with_motion(problem, best.x, timing(problem), 0.1 * period)
+    problem = replace(problem, noise=slow_noise(problem, best.evaluation))
+    best = minimise(problem, best.x, max_evaluations=25)
+    return _Settled(problem, best, initial, count + best.evaluations)
+
+
+def _roughly(problem: Problem) -> Minimum:
+    """Search from the given start, and from further ones where that ends badly or at a limit."""
+    best = minimise(problem, max_evaluations=25, decrease=0.05)
+    count = best.evaluations
+    logs = np.array([u.scale == "log" for u in problem.unknowns])
+    for shift in OTHER_STARTS:
+        values = float(np.count_nonzero(best.evaluation.z))
+        if best.converged and best.evaluation.loss < BAD_LOSS * values and not best.held[logs].any():
+            break
+        other = minimise(problem, problem.start + np.where(logs, shift, 0.0), max_evaluations=25, decrease=0.05)
+        count += other.evaluations
+        if other.evaluation.loss < best.evaluation.loss - STALLED:
+            best = other
+    return replace(best, evaluations=count)
+
+
+def timing(problem: Problem) -> float:
+    """Return how well row times are known: channels are read one after the other. [s]"""
+    return 0.005 + 0.02 * problem.signals.period_s
+
+
+def recentre(problem: Problem, x: Array) -> tuple[Problem, Array]:
+    """Lay the run out again about refined moments, so that fine steps sit where the press switches."""
+    values = problem.merged(x)
+    case = problem.case
+    shifts = {n: values.get(n, 0.0) for n in ("closed_s", "opened_s", "ramp_s", "inserted_s")}
+    if all(abs(s) < 0.1 for s in shifts.values()):
+        return problem, x
+    moments = replace(case.moments, **{n: getattr(case.moments, n) + s for n, s in shifts.items()})
+    moments = replace(moments, inserted_s=max(moments.inserted_s, float(case.run.time_s[0])))
+    if moments.inserted_s > moments.closed_s or moments.closed_s > moments.opened_s:
+        return problem, x  # a search far off may cross moments; it is not the record that is wrong
+    case = problem.model.prepare(case.run, moments)
+    unknowns, moved = [], x.copy()
+    for i, u in enumerate(problem.unknowns):
+        if shift := shifts.get(u.name, 0.0):
+            u = replace(
+                u,
+                start=u.start - shift,
+                lower=u.lower - shift,
+                upper=u.upper - shift,
+                mean=u.mean - shift / u.size,
+            )
+            moved[i] -= shift / u.size
+        unknowns.append(u)
+    return replace(problem, case=case, unknowns=tuple(unknowns)), moved
+
+
+def slow_noise(problem: Problem, at: Evaluation) -> Noise:
+    """Return the noise with its slow part by restricted maximum likelihood on rows a second apart."""
+    thin = _thin(problem)
+    mean, precision = problem.precision
+    pull = precision * (mean - at.x)
+
+    def loss(guess: Array) -> float:
+        noise = replace(problem.noise, slow_K=float(np.exp(guess[0])), slow_s=float(np.exp(guess[1])))
+        matrix, right = np.diag(precision), pull.copy()
+        total = 0.0
+        for i, place in enumerate(problem.signals.places):
+            series = np.column_stack([at.residual[i], at.derivative[i]])[thin]
+            white, log_det = whiten(
+                problem.signals.time_s[thin], series, problem.variance(i)[thin], noise, len(place.columns)
+            )
+            total += log_det + float(white[:, 0] @ white[:, 0])
+            matrix = matrix + white[:, 1:].T @ white[:, 1:]
+            right = right + white[:, 1:].T @ white[:, 0]
+        matrix = matrix + 1e-6 * np.eye(len(matrix))
+        total += float(np.linalg.slogdet(matrix)[1]) - float(right @ np.linalg.solve(matrix, right))
+        total += sum(float((g - m) / s) ** 2 for g, (m, s) in zip(guess, SLOW_PRIOR, strict=True))
+        return 0.5 * total
+
+    best = minimize(
+        loss,
+        [m for m, _ in SLOW_PRIOR],
+        method="Nelder-Mead",
+        options={"xatol": 0.05, "fatol": 0.05, "maxfev": 50},
+    ).x
+    best = np.clip(best, np.log([1e-3, 2.0]), np.log([50.0, 600.0]))
+    return replace(problem.noise, slow_K=float(np.exp(best[0])), slow_s=float(np.exp(best[1])))
+
+
+def _thin(problem: Problem) -> Array:
+    """Rows about a second apart, none near a switch."""
+    t, moments = problem.signals.time_s, problem.case.moments
+    use = problem.rows > 0
+    for moment in (moments.closed_s, moments.opened_s):
+        if np.isfinite(moment):
+            use &= (t < moment - 1.0) | (t > moment + 1.5)
+    rows = np.flatnonzero(use)
+    step = max(1, round(1.0 / problem.signals.period_s), len(rows) // 400)
+    return np.asarray(rows[::step])

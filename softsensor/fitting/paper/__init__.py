@@ -1,0 +1,1 @@
+"""The paper's procedures by name, and why its gradient search got stuck."""

@@ -1,0 +1,410 @@
+"""Least squares between a model and measured runs: unknowns, priors, whitened residuals, derivatives.
+
+What a fit adjusts are `Unknown`s: coefficients in the logarithm, effect parameters on their own scale,
+and nuisances (moments, start temperature, boundary and channel errors) that carry priors. A `Problem` is one
+run; `minimise` finds its unknowns by Levenberg-Marquardt with exact sensitivities, Huber weights and limits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from typing import Literal
+
+import numpy as np
+from numba import njit
+
+from daq.records import Array
+from softsensor.effects import clock_offset
+from softsensor.heat.case import Case
+from softsensor.heat.model import Solution, ThermalModel, state_weights
+from softsensor.heat.timing import HANDLING_RAMP_S, OPENING_RAMP_S
+from softsensor.signals.places import Noise, Signals, whiten
+
+HUBER = 3.0
+"""Whitened residuals beyond this count in proportion, not squared."""
+SLOPE = clock_offset.EFFECT.key("seconds")
+"""The model's derivative by this parameter is minus the slope of what the channels read."""
+SWITCH_TIMING_S = 0.025
+"""How well the press's motion is described by straight ramps: as a delay, while it closes or opens. [s]"""
+SWITCH_EDGE_S = 0.2
+"""Rows this close to a ramp count as part of it. [s]"""
+STALLED = 0.05
+"""A search that stalls this close to the minimum (0.3 standard deviations) has found it."""
+EVERYWHERE = "all"
+"""In place of a place: the unknown is common to all channels."""
+MAX_MOVE = 2.0
+"""Largest change of a logarithm or of a scaled parameter in one step."""
+
+
+class PlaceUnknown(StrEnum):
+    """What a fit adjusts of the channels at a place."""
+
+    OFFSET = "offset"
+    GAIN = "gain"
+    SKEW = "skew"
+    """How late they are read."""
+
+    def at(self, place: str) -> str:
+        """Return the unknown's name."""
+        return f"{self}:{place}"
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """One number a fit adjusts."""
+
+    name: str
+    """A coefficient, ``effect.parameter``, a nuisance of the model, or ``offset|gain|skew:PLACE``."""
+    start: float
+    lower: float
+    upper: float
+    scale: Literal["log", "linear"] = "linear"
+    size: float = 1.0
+    """Unit of the internal variable where linear."""
+    mean: float = 0.0
+    """Of the prior, in the internal variable."""
+    sd: float = float("inf")
+    """Of the prior, in the internal variable; infinite: no prior."""
+
+    def inside(self, value: float) -> float:
+        """Return the internal variable of a value."""
+        return float(np.log(value)) if self.scale == "log" else value / self.size
+
+    def value(self, x: float) -> float:
+        """Return the value of an internal variable."""
+        return float(np.exp(x)) if self.scale == "log" else x * self.size
+
+    def slope(self, x: float) -> float:
+        """Return the derivative of the value by the internal variable."""
+        return float(np.exp(x)) if self.scale == "log" else self.size
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Whitened residuals and their derivatives at one point."""
+
+    x: Array
+    z: Array
+    """Whitened residuals (rows of all places)."""
+    jacobian: Array
+    """Whitened derivatives of the prediction (rows, unknowns)."""
+    weight: Array
+    """Huber weights (rows)."""
+    loss: float
+    """Half of minus two log likelihood, priors included, up to a constant."""
+    solution: Solution
+    residual: tuple[Array, ...]
+    """By place: mean of the channels minus prediction, nuisances applied (rows). [K]"""
+    derivative: tuple[Array, ...]
+    """By place: of the prediction by the internal variables (rows, unknowns). [K]"""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One run to be fitted."""
+
+    model: ThermalModel
+    case: Case
+    signals: Signals
+    unknowns: tuple[Unknown, ...]
+    values: Mapping[str, float]
+    """Every coefficient and effect parameter; the unknowns among them are overridden."""
+    noise: Noise
+    rows: Array
+    """1 where a row counts: a panel is in the press."""
+    correction: tuple[Array, ...] = ()
+    """By place: prediction on a finer grid minus this grid's, worked out once (rows). [K]"""
+    slope: tuple[Array, ...] = ()
+    """By place: how fast the prediction rises, taken once near the solution (rows). [K/s]"""
+    blur: tuple[Array, ...] = ()
+    """By place: what timing leaves unknown of each row (rows). [K]"""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the unknowns."""
+        return tuple(u.name for u in self.unknowns)
+
+    @property
+    def start(self) -> Array:
+        """Internal variables at the unknowns' start values."""
+        return np.array([u.inside(u.start) for u in self.unknowns])
+
+    @property
+    def limits(self) -> tuple[Array, Array]:
+        """Limits of the internal variables."""
+        return (
+            np.array([u.inside(u.lower) for u in self.unknowns]),
+            np.array([u.inside(u.upper) for u in self.unknowns]),
+        )
+
+    @property
+    def precision(self) -> tuple[Array, Array]:
+        """Means of the priors and their inverse variances, 0 where there is none."""
+        return np.array([u.mean for u in self.unknowns]), np.array([1.0 / u.sd**2 for u in self.unknowns])
+
+    def merged(self, x: Array) -> dict[str, float]:
+        """Return every parameter's value at a point."""
+        own = {u.name: u.value(v) for u, v in zip(self.unknowns, x, strict=True) if ":" not in u.name}
+        return {**self.values, **own}
+
+    def predict(self, x: Array) -> Solution:
+        """Solve the model at a point, with the derivatives by its unknowns."""
+        wanted = [u.name for u in self.unknowns if ":" not in u.name]
+        return self.model.solve(self.case, self.merged(x), wanted)
+
+    def evaluate(self, x: Array) -> Evaluation:
+        """Return residuals, derivatives and loss at a point."""
+        solution = self.predict(x)
+        z, jacobian, residuals, derivatives = [], [], [], []
+        for i in range(len(self.signals.places)):
+            residual, derivative = self._place(i, x, solution)
+            white = self._whitened(i, residual, derivative)
+            z.append(white[:, 0])
+            jacobian.append(white[:, 1:])
+            residuals.append(residual)
+            derivatives.append(derivative)
+        stacked = np.concatenate(z)
+        far = np.abs(stacked)
+        inner = far <= HUBER
+        mean, precision = self.precision
+        pull = x - mean
+        loss = 0.5 * float(
+            np.where(inner, stacked * stacked, HUBER * (2.0 * far - HUBER)).sum() + pull @ (precision * pull)
+        )
+        return Evaluation(
+            x=x,
+            z=stacked,
+            jacobian=np.concatenate(jacobian),
+            weight=np.where(inner, 1.0, HUBER / np.maximum(far, 1e-300)),
+            loss=loss,
+            solution=solution,
+            residual=tuple(residuals),
+            derivative=tuple(derivatives),
+        )
+
+    def variance(self, i: int) -> Array:
+        """Return the white part of a place's variance (rows). [K²]"""
+        place = self.signals.places[i]
+        variance = self.noise.white_K**2 / np.maximum(place.count, 1.0)
+        if self.blur:
+            variance = variance + self.blur[i] ** 2
+        return np.asarray(variance)
+
+    def whiten(self, i: int, series: Array) -> Array:
+        """Whiten series of a place's mean as this problem's residuals are (rows, columns)."""
+        place = self.signals.places[i]
+        counted = np.where((self.rows > 0) & np.isfinite(place.mean), series[:, 0], np.nan)
+        series = np.nan_to_num(series)
+        series[:, 0] = counted
+        return whiten(self.signals.time_s, series, self.variance(i), self.noise, len(place.columns))[0]
+
+    def _whitened(self, i: int, residual: Array, derivative: Array) -> Array:
+        return self.whiten(i, np.column_stack([residual, derivative]))
+
+    def _place(self, i: int, x: Array, solution: Solution) -> tuple[Array, Array]:
+        """Residual of a place's mean and the prediction's derivatives by the internal variables."""
+        place = self.signals.places[i]
+        column = solution.columns.index(place.columns[0])
+        predicted = solution.sensors[:, column]
+        if self.correction:
+            predicted = predicted + self.correction[i]
+        derivative = np.zeros((len(predicted), len(self.unknowns)))
+        added = np.zeros(len(predicted))
+        for j, u in enumerate(self.unknowns):
+            if ":" not in u.name:
+                derivative[:, j] = solution.d_sensors[u.name][:, column] * u.slope(x[j])
+                continue
+            kind, _, label = u.name.partition(":")
+            if label not in (place.label, EVERYWHERE):
+                continue
+            if kind == PlaceUnknown.OFFSET:
+                derivative[:, j] = u.size
+            elif kind == PlaceUnknown.GAIN:
+                derivative[:, j] = (predicted - self.case.ambient) * u.size
+            elif self.slope:
+                derivative[:, j] = -self.slope[i] * u.size
+            added += derivative[:, j] * x[j]
+        return place.mean - predicted - added, derivative
+
+
+def rows_with_panel(case: Case) -> Array:
+    """Return 1 for each row with a panel in the press, all ones where there is none or nothing opens (rows)."""
+    if not case.press.has_states:
+        return np.ones(len(case.run.time_s))
+    idle = state_weights(case, case.run.time_s, {})[0][:, 0]
+    rows = (idle < 0.5).astype(float)
+    return rows if rows.any() else np.ones(len(rows))
+
+
+def with_clock(model: ThermalModel) -> ThermalModel:
+    """Return the model with a clock offset of 0 in it, whose derivative is the readings' slope."""
+    if any(e.name == clock_offset.EFFECT.name for e in model.effects):
+        return model
+    return model.extended(clock_offset.EFFECT)
+
+
+def with_motion(problem: Problem, x: Array, timing_s: float, reach_s: float = 0.0) -> Problem:
+    """Return the problem with slopes and blur taken at a point.
+
+    Rows are blurred by their slope times `timing_s`; while the press moves, when straight ramps stand for
+    whatever it really does, by `SWITCH_TIMING_S` of the whole change across the ramp; `reach_s` is how far
+    the moment may still wander.
+    """
+    t, moments = problem.signals.time_s, problem.case.moments
+    values = problem.merged(x)
+    solution = with_clock(problem.model).solve(problem.case, values, (SLOPE,))
+    closing = (moments.closed_s + values.get("closed_s", 0.0), moments.ramp_s + values.get("ramp_s", 0.0))
+    opening = (moments.opened_s + values.get("opened_s", 0.0), OPENING_RAMP_S)
+    inserting = (moments.inserted_s + values.get("inserted_s", 0.0), HANDLING_RAMP_S)
+    slope, blur = [], []
+    for place in problem.signals.places:
+        column = problem.case.columns.index(place.columns[0])
+        slope.append(-solution.d_sensors[SLOPE][:, column])
+        own = np.abs(slope[-1]) * timing_s
+        for moment, ramp in (inserting, closing, opening):
+            edge = ramp / 2 + SWITCH_EDGE_S + reach_s
+            moving = np.abs(t - moment) < edge
+            around = solution.sensors[np.abs(t - moment) < edge + max(1.0, 1.1 * problem.signals.period_s), column]
+            if moving.any() and problem.case.press.has_states:
+                steepest = float(np.ptp(around)) / max(ramp, 0.2)
+                own = np.where(moving, np.maximum(own, SWITCH_TIMING_S * steepest), own)
+        blur.append(own)
+    return replace(problem, slope=tuple(slope), blur=tuple(blur))
+
+
+def grid_correction(problem: Problem, x: Array, fineness: float = 2.0) -> tuple[Array, ...]:
+    """Return what a finer grid adds to the prediction at a point (rows). [K]
+
+    The grid's error hardly depends on the unknowns, so one fine solution corrects all coarse ones.
+    """
+    case, values = problem.case, problem.merged(x)
+    fine = problem.model.prepare(case.run, case.moments, fineness=fineness)
+    difference = problem.model.solve(fine, values).sensors - problem.model.solve(case, values).sensors
+    return tuple(difference[:, case.columns.index(p.columns[0])] for p in problem.signals.places)
+
+
+@dataclass(frozen=True)
+class Minimum:
+    """Where a search ended."""
+
+    evaluation: Evaluation
+    converged: bool
+    evaluations: int
+    covariance: Array
+    """Of the internal variables, priors included, zero where a limit holds one."""
+    held: Array
+    """Which unknowns a limit holds (unknowns)."""
+    trace: tuple[float, ...] = field(default_factory=tuple)
+
+    @property
+    def x(self) -> Array:
+        """Internal variables."""
+        return self.evaluation.x
+
+
+def normal_equations(problem: Problem, at: Evaluation) -> tuple[Array, Array]:
+    """Return the Gauss-Newton matrix and the descent direction's right-hand side, priors included."""
+    mean, precision = problem.precision
+    matrix, right = _gram(at.jacobian, at.weight, at.z)
+    return matrix + np.diag(precision), right - precision * (at.x - mean)
+
+
+def _gram_of(jacobian: Array, weight: Array, z: Array) -> tuple[Array, Array]:
+    """Return J'WJ and J'Wz, in one pass and one thread (a threaded BLAS loses to its own overhead here)."""
+    rows, p = jacobian.shape
+    matrix, right = np.zeros((p, p)), np.zeros(p)
+    for k in range(rows):
+        if z[k] == 0.0:
+            continue
+        for i in range(p):
+            w = weight[k] * jacobian[k, i]
+            right[i] += w * z[k]
+            for j in range(i + 1):
+                matrix[i, j] += w * jacobian[k, j]
+    for i in range(p):
+        for j in range(i):
+            matrix[j, i] = matrix[i, j]
+    return matrix, right
+
+
+_gram: Callable[..., tuple[Array, Array]] = njit(cache=True, nogil=True, fastmath=True)(_gram_of)
+
+
+def minimise(
+    problem: Problem, x: Array | None = None, *, max_evaluations: int = 40, decrease: float = 5e-3
+) -> Minimum:
+    """Find a run's unknowns; stop when the next step promises less than `decrease` of loss."""
+    lower, upper = problem.limits
+    at = problem.evaluate(np.clip(problem.start if x is None else x, lower, upper))
+    damping, count, converged = 1e-3, 1, False
+    trace = [at.loss]
+    while count < max_evaluations:
+        matrix, right = normal_equations(problem, at)
+        free = free_of(at.x, right, lower, upper)
+        step, promise = damped_step(matrix, right, free, damping)
+        if promise < decrease:
+            converged = True
+            break
+        trial = np.clip(at.x + step, lower, upper)
+        new = problem.evaluate(trial)
+        count += 1
+        if np.isfinite(new.loss) and new.loss < at.loss:
+            damping = max(damping * 0.2, 1e-9)
+            at = new
+            trace.append(at.loss)
+        else:
+            damping *= 8.0
+        if promise < STALLED and (damping > 1e4 or (len(trace) > 4 and trace[-4] - trace[-1] < STALLED)):
+            converged = True
+            break
+    matrix, right = normal_equations(problem, at)
+    free = free_of(at.x, right, lower, upper)
+    return Minimum(at, converged, count, covariance_of(matrix, free), np.logical_not(free), tuple(trace))
+
+
+def free_of(x: Array, right: Array, lower: Array, upper: Array) -> Array:
+    """Unknowns that no limit holds against the descent direction."""
+    edge = 1e-9
+    held = ((x <= lower + edge) & (right <= 0)) | ((x >= upper - edge) & (right >= 0))
+    return np.logical_not(held)
+
+
+def damped_step(matrix: Array, right: Array, free: Array, damping: float) -> tuple[Array, float]:
+    """Return a damped step and the decrease of loss an undamped one promises."""
+    step = np.zeros(len(right))
+    index = np.flatnonzero(free)
+    if not len(index):
+        return step, 0.0
+    inner = matrix[np.ix_(index, index)]
+    diagonal = np.maximum(np.diag(inner), 1e-12)
+    full = solve_scaled(inner, right[index])
+    damped = full if damping < 1e-8 else solve_scaled(inner + np.diag(damping * diagonal), right[index])
+    step[index] = np.clip(damped, -MAX_MOVE, MAX_MOVE)
+    return step, 0.5 * float(right[index] @ full)
+
+
+def solve_scaled(matrix: Array, right: Array) -> Array:
+    """Solve for a positive matrix whose rows may be of very different size."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-12))
+    scaled = matrix * scale[:, None] * scale[None, :] + 1e-12 * np.eye(len(matrix))
+    return np.asarray(scale * np.linalg.solve(scaled, scale * right))
+
+
+def covariance_of(matrix: Array, free: Array) -> Array:
+    """Invert over the unknowns that no limit holds; zero for the others."""
+    covariance = np.zeros_like(matrix)
+    index = np.flatnonzero(free)
+    if len(index):
+        covariance[np.ix_(index, index)] = inverse(matrix[np.ix_(index, index)])
+    return covariance
+
+
+def inverse(matrix: Array) -> Array:
+    """Invert a positive matrix, scaled so that units do not matter; flat directions get a huge variance."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-12))
+    scaled = matrix * scale[:, None] * scale[None, :]
+    values, vectors = np.linalg.eigh(scaled)
+    inverted = (vectors / np.maximum(values, 1e-10)) @ vectors.T
+    return np.asarray(inverted * scale[:, None] * scale[None, :])

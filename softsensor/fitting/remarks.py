@@ -1,0 +1,119 @@
+"""What to read about a run's record before trusting its coefficients: faults, gaps, contradictions."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.ndimage import median_filter
+
+from daq.press.press_file import Press
+from daq.records import Moments, Run
+from daq.words import Message, say, spoken
+from softsensor.fitting.unknowns import gaps_at_moments
+from softsensor.heat.case import Case
+from softsensor.heat.run_checks import load_remarks
+from softsensor.signals.places import Signals
+
+APART_K = 5.0
+"""The panel's start temperature is known to some tenths; this far from the readings it is another panel's. [K]"""
+WARMED_K = 10.0
+"""Where the first row is the insertion, the cooler face may have warmed by as much already. [K]"""
+LEAD_S = 5.0
+"""Readings this short before the insertion are the panel's: before that, people handle its sensors. [s]"""
+
+COLD_S, COLD_SHARE = 3.0, 0.03
+"""A face laid on a hot plate warms in so many seconds by a sixth of what the plate is hotter than the room; by
+less than this share it has not been laid there."""
+
+SPIKE_K, SPIKE_WINDOW, SPIKE_RATIO = 10.0, 5, 10.0
+"""A boundary cell so far from the median of the cells around it, and so many times as far as usual, was not the
+platen: tons of metal do not move by 10 K for one scan or two."""
+
+
+def without_spikes(press: Press, run: Run) -> tuple[Run, list[Message]]:
+    """Leave out single cells of the measured boundaries that jump and come back; say so.
+
+    Face channels are held against their neighbours (`collect_signals`); a platen has one channel, and a single
+    cell of 150 K in it moves h_p_c by a third.
+
+    Parameters
+    ----------
+    press
+        With the run's overrides applied, or without: only its boundaries' columns are read.
+    run
+        Is not changed.
+    """
+    columns, said = dict(run.columns), []
+    ends = (press.boundary.bottom, press.boundary.top)
+    for name in dict.fromkeys(end.column for end in ends if end.column is not None):
+        if name not in columns:
+            continue
+        values = run.columns[name].copy()
+        there = np.flatnonzero(np.isfinite(values))
+        if len(there) < SPIKE_WINDOW:
+            continue
+        off = np.abs(values[there] - median_filter(values[there], SPIKE_WINDOW, mode="nearest"))
+        far = there[off > max(SPIKE_K, SPIKE_RATIO * float(np.median(off)))]
+        if len(far):
+            values[far] = np.nan
+            columns[name] = values
+            said.append(say("fit-cells-jump", column=name, count=len(far), kelvin=SPIKE_K))
+    return (replace(run, columns=columns) if said else run), said
+
+
+def remarks(case: Case, signals: Signals, moments: Moments) -> list[Message]:
+    """Say what is wrong with the record: channels, gaps where the press moved, start temperature, loads.
+
+    Parameters
+    ----------
+    moments
+        As detected, before a fit refines them.
+    """
+    gaps = gaps_at_moments(case.run.time_s, moments, signals.period_s)
+    record = [f.said for f in signals.findings] + [g.said for g in gaps]
+    loads = [spoken(remark) for remark in load_remarks(case.press, case.run)]
+    return record + start_remarks(case, signals, moments) + loads
+
+
+def start_remarks(case: Case, signals: Signals, moments: Moments) -> list[Message]:
+    """Say that the header's start temperature is not what the panel's channels read at the beginning."""
+    if case.panel is None or case.press.initial.kind != "steady":
+        return []
+    faces = [p for p in signals.places if p.label.partition("@")[0].partition(".")[0] in case.press.panel_layers]
+    t, start = signals.time_s, case.panel.initial_temperature
+    inserted = moments.inserted_s if np.isfinite(moments.inserted_s) else float(t[0])
+    lead = (t >= inserted - LEAD_S) & (t < inserted - 0.2 - 0.5 * signals.period_s)
+    levels = [p.mean[lead & np.isfinite(p.mean)] for p in faces]
+    read = [float(np.median(values)) for values in levels if len(values)]
+    if read:
+        level, upper, code = float(np.mean(read)), APART_K, "fit-start-before-insertion"
+    else:
+        first = [p.mean[(t <= t[0] + signals.period_s) & np.isfinite(p.mean)] for p in faces]
+        level = min((float(values[0]) for values in first if len(values)), default=start)
+        upper, code = WARMED_K, "fit-start-in-first-row"
+    if start - APART_K <= level <= start + upper:
+        return []
+    return [say(code, header=start, read=level)]
+
+
+def lost_insertion(case: Case, signals: Signals) -> Message | None:
+    """Say that insertion and closing fall into one gap, so that nothing tells how long the panel lay open.
+
+    A detector that finds no insertion takes the first row. It is not there where the panel's lower face, which
+    lies on the hot plate from the insertion on, stays cold until the gap.
+    """
+    t, moments = signals.time_s, case.moments
+    gaps = {g.moment: g for g in gaps_at_moments(t, moments, signals.period_s)}
+    gap = gaps.get("closed_s")
+    if gap is None or not case.press.panel_layers:
+        return None
+    lost = say("fit-misfit-lost-insertion", begin=gap.start, end=gap.end)
+    if "inserted_s" in gaps:
+        return lost if gaps["inserted_s"].start == gap.start else None
+    lower = next((p for p in signals.places if p.label == f"{case.press.panel_layers[0]}.bottom"), None)
+    if lower is None or moments.inserted_s > t[0] or gap.start - t[0] < COLD_S:
+        return None
+    before = lower.mean[(t <= gap.start) & np.isfinite(lower.mean)]
+    hotter = float(np.max(case.outside[0])) - case.run.ambient_temperature
+    return lost if len(before) > 1 and np.ptp(before) < COLD_SHARE * hotter else None

@@ -1,0 +1,96 @@
+"""A run simulated from its platen temperatures: what command, page and notebook show of it."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+
+import numpy as np
+
+from daq.press.press_file import Press
+from daq.records import Array, PressState, Run
+from softsensor.heat.model import ThermalModel, states
+from softsensor.signals.moments import moments_of
+
+PROFILE_ROWS, PROFILE_DEPTHS = 160, 41
+"""Times and depths of the temperature profile handed out, at most and exactly: enough for a picture."""
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """What the model says about a run, place by place."""
+
+    time_s: Array
+    state: tuple[PressState, ...]
+    places: Mapping[str, Array]
+    """Temperature at each sensor position, named as in ``at``. [°C]"""
+    measured: Mapping[str, Array]
+    """Mean of the sensors at each position while the panel is in the press. [°C]"""
+    rmse: Mapping[str, float]
+    """Between the two, a constant offset removed. [K]"""
+    core: Array
+    """[°C]"""
+    profile_time_s: Array
+    profile_depth_mm: Array
+    profile: Array
+    """Temperature through the panel (times, depths). [°C]"""
+
+
+def simulate_run(
+    run: Run,
+    press: Press,
+    model: ThermalModel,
+    values: Mapping[str, float],
+    refined: Mapping[str, float] = MappingProxyType({}),
+) -> Simulated:
+    """Solve the model over a run, open loop; `refined` moments go before those found. Raises `InputError`."""
+    moments = moments_of(run, press)
+    moments = replace(
+        moments,
+        closed_s=refined.get("closed_s", moments.closed_s),
+        opened_s=refined.get("opened_s", moments.opened_s),
+    )
+    case = model.prepare(run, moments)
+    solution = model.solve(case, values, fields=True)
+    places = {label: solution.places[:, i] for i, label in enumerate(case.labels[:-1])}
+    measured = {label: _measured(run, case.place_of, i) for i, label in enumerate(places)}
+    inside = run.time_s < (moments.removed_s if np.isfinite(moments.removed_s) else np.inf)
+    measured = {label: np.where(inside, values, np.nan) for label, values in measured.items()}
+    rmse = {
+        label: float(np.nanstd(measured[label] - places[label]))
+        for label in places
+        if np.isfinite(measured[label]).any()
+    }
+    depths, chosen, profile = np.zeros(0), np.zeros(0), np.zeros((0, 0))
+    if case.press.panel_layers:
+        layer = case.press.panel_layers[0]
+        cells = case.mesh.cells(layer)
+        centres = case.mesh.centres(layer)
+        width = case.mesh.dx[cells].sum()
+        depths = np.linspace(0.0, width, PROFILE_DEPTHS)
+        rows = np.unique(np.linspace(0, len(case.edges) - 1, PROFILE_ROWS).astype(int))
+        chosen = case.edges[rows]
+        profile = np.stack([np.interp(depths, centres, solution.fields[row, cells]) for row in rows])
+    return Simulated(
+        run.time_s,
+        tuple(states(case)),
+        places,
+        measured,
+        rmse,
+        solution.core,
+        chosen,
+        depths * 1000.0,
+        profile,
+    )
+
+
+def _measured(run: Run, place_of: Mapping[str, int], place: int) -> Array:
+    """Mean of a place's sensors, each moved onto their median: one that drops out makes no step."""
+    columns = [run.columns[name] for name, at in place_of.items() if at == place]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # rows without any value are NaN, as they should be
+        middle = np.nanmedian(columns, axis=0)
+        offsets = np.nan_to_num([np.nanmedian(values - middle) for values in columns])
+        return np.asarray(np.nanmean(np.stack(columns) - offsets[:, None], axis=0))

@@ -1,0 +1,1 @@
+"""What runs beside the store and the clock: the live service, the refit, the night."""

@@ -1,0 +1,106 @@
+"""Fits of single runs in a worker process, as the live sensor wants them after each pressing."""
+
+from __future__ import annotations
+
+import logging
+import os
+import threading
+from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from multiprocessing import get_context, parent_process
+from typing import Any
+
+import numpy as np
+
+from daq.press.press_file import Press
+from daq.records import Run
+from softsensor.heat.model_file import ModelFile
+
+LOG = logging.getLogger("kerntemp.sense")
+TRIES = 2
+"""Workers a fit is given: one may be killed for what others use of the memory, two hardly."""
+
+
+class Fitter:
+    """Fits runs in a worker process, one after the other; a worker that is killed is replaced."""
+
+    def __init__(self) -> None:
+        # The worker is given one fit at a time: those that wait are not lost with the one that kills it.
+        self._queue = ThreadPoolExecutor(1, thread_name_prefix="fits")
+        self._closed = False
+        self._pool = new_workers(1)
+        self._warm = self._pool.submit(_warm_up)
+
+    def __enter__(self) -> Fitter:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._closed = True
+        self._queue.shutdown(wait=False, cancel_futures=True)
+        self._pool.shutdown(wait=False, cancel_futures=True)
+
+    def submit(self, press: Press, run: Run, model: ModelFile | None) -> Future[dict[str, Any]]:
+        """Fit a run with the effects of a model; the result is an entry of ``fit --json``.
+
+        The future raises `BrokenProcessPool` where the fit's worker was killed, and the next one's too.
+        """
+        return self._queue.submit(self._fit, press, run, model)
+
+    def _fit(self, press: Press, run: Run, model: ModelFile | None) -> dict[str, Any]:
+        tries = 0
+        while True:
+            tries += 1
+            try:
+                return self._pool.submit(fit_one, press, run, model).result()
+            except BrokenProcessPool:
+                if self._closed:
+                    raise
+                self._pool.shutdown(wait=False)
+                self._pool = new_workers(1)
+                if tries == TRIES:
+                    raise
+
+
+def new_workers(count: int) -> ProcessPoolExecutor:
+    """Return worker processes that end with this one."""
+    return ProcessPoolExecutor(count, mp_context=get_context("spawn"), initializer=_end_with_parent)
+
+
+def _end_with_parent() -> None:
+    """End this worker when the process that started it is gone, also where that was killed."""
+
+    def watch() -> None:
+        if parent := parent_process():
+            parent.join()
+            os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+def _warm_up() -> None:
+    """Load the solver before the first fit is due."""
+    from softsensor.fitting import campaign
+
+    LOG.debug("fitter ready: %s", campaign.__name__)
+
+
+def has_panel_readings(press: Press, run: Run) -> bool:
+    """Whether any panel sensor of a run has a value: without one, as in production, nothing can be fitted."""
+    return any(bool(np.isfinite(run.columns[name]).any()) for name in press.sensors_of(run))
+
+
+def fit_one(press: Press, run: Run, model: ModelFile | None) -> dict[str, Any]:
+    """Fit one run as the live sensor does after a pressing, with what it says about causes left out.
+
+    Raises InputError.
+    """
+    from softsensor.diagnosis.missing_causes import run_evidence
+    from softsensor.fitting.one_run import fit_run
+    from softsensor.heat.model import ThermalModel
+    from softsensor.signals.moments import moments_of
+
+    thermal = model.model(press) if model is not None else ThermalModel(press)
+    start = dict(model.values) if model is not None else None
+    fitted = fit_run(thermal, run, moments_of(run, press), start=start)
+    evidence = run_evidence(fitted.problem, fitted.minimum.evaluation)
+    return fitted.as_json() | {"evidence": {name: e.as_json() for name, e in evidence.items()}}

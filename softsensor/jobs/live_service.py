@@ -1,0 +1,375 @@
+"""The `sense` process: follows the store, runs the live sensor, refits each pressing.
+
+It keeps nothing of its own. After a restart, or when the run's header or the promoted model changes, the
+scans of the open run are taken from the store again; the live sensor is a function of the scans, so that
+gives the estimates an uninterrupted process would have given. Fits run in a worker process, so that no
+estimate waits for one.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import os
+import threading
+import time
+from contextlib import suppress
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+from daq.press.press_file import Press, read_press
+from daq.process.config import Config, PressSettings
+from daq.process.notify import Notifier
+from daq.process.stopping import stop_on_signals
+from daq.records import InputError, PressState, Scan
+from daq.store import RunRecord, Store, StoredEstimate, StoreUnavailable
+from daq.store.records import in_status
+from daq.store.waiting import open_when_ready
+from daq.words import Message, say, spoken
+from softsensor.heat.model_file import ModelFile, parse_model
+from softsensor.jobs.fitter import Fitter
+from softsensor.jobs.model_in_force import NEWEST_RUNS, PRESS_FILE, up_to_date
+from softsensor.jobs.run_fits import RunFits, journal
+from softsensor.jobs.warm_up import warm_up
+from softsensor.live.sensor import Estimate, LiveSensor
+from softsensor.live.validity import Invalid, InvalidReason
+
+LOG = logging.getLogger("kerntemp.sense")
+PROCESS = "sense"
+POLL_S = 0.02
+"""How often the store is asked for new scans. [s]"""
+LOOK_S = 0.25
+"""How often for a new run, a changed header, press events. [s]"""
+BEAT_S = 1.0
+"""How often the process gives a sign of life. [s]"""
+MODEL_S = 1.0
+"""How often for a promoted model. [s]"""
+BATCH = 400
+"""Scans taken from the store at once: 40 s at 10 Hz."""
+IDLE_S = 1.0
+"""Between pressings an estimate is written this often. [s]"""
+
+
+def sense(config: Config, *, stop: threading.Event | None = None) -> None:
+    """Follow all presses of a configuration until stopped by `stop`, SIGTERM or SIGINT.
+
+    Raises
+    ------
+    InputError
+        For what is wrong in press files or the store's address.
+    """
+    stop = stop or threading.Event()
+    stop_on_signals(stop)
+    presses = [(settings, read_press(settings.file)) for settings in config.press]
+    store = open_when_ready(config.store.url, stop, LOG)
+    if store is None:
+        return
+    with store, Fitter() as fitter:
+        followers = [
+            Follower(store, settings, press, RunFits(store, settings.name, press, fitter))
+            for settings, press in presses
+        ]
+        for _, press in presses:
+            with suppress(InputError):  # a rig whose runs must say more: compiled when the first does
+                warm_up(press)
+        with suppress(StoreUnavailable):  # held for the moment: no reason to end
+            journal(store, "info", say("sense-following", presses=tuple(s.name for s, _ in presses)))
+        notifier = Notifier()
+        notifier.ready("following the store")
+        _follow(store, followers, stop, notifier)
+        notifier.stopping()
+        with suppress(StoreUnavailable):
+            store.beat(store.beats_as(PROCESS), _status(followers, "stopped"))
+
+
+def _follow(store: Store, followers: list[Follower], stop: threading.Event, notifier: Notifier) -> None:
+    """Let the followers work until stopped; a store that is away is waited for."""
+    trouble, beat = "", -math.inf
+    while not stop.is_set():
+        worked = False
+        try:
+            for follower in followers:
+                worked = follower.step(time.monotonic()) or worked
+            if time.monotonic() - beat > BEAT_S:
+                beat = time.monotonic()
+                status = _status(followers, "running")
+                store.beat(store.beats_as(PROCESS), status)
+                notifier.alive(str(status["message"]))
+            trouble = ""
+        except StoreUnavailable as error:
+            if str(error) != trouble:
+                LOG.warning("%s; trying again", error)
+            trouble = str(error)
+            notifier.alive(trouble)  # a store that is away is no reason to begin anew
+            stop.wait(0.5)
+        if not worked:
+            stop.wait(POLL_S)
+
+
+def _status(followers: list[Follower], state: str) -> dict[str, Any]:
+    problems = [
+        say("press-problem", press=f.settings.name, problem=f.problem) for f in followers if f.problem is not None
+    ]
+    going = (
+        followers[0].message
+        if len(followers) == 1
+        else say("list-of-names", names=tuple(f.message for f in followers))
+    )
+    return {
+        "state": state,
+        "pid": os.getpid(),
+        **in_status(problems, going),
+        "presses": [
+            {
+                "press": f.settings.name,
+                "run": f.live.record.run if f.live else None,
+                "last_scan": f.last,
+                "behind_scans": f.behind,
+                "model_version": f.model.version if f.model else "",
+                "update_us": round(f.update_us, 1),
+            }
+            for f in followers
+        ],
+    }
+
+
+@dataclass
+class _Live:
+    """The run being pressed and its sensor."""
+
+    record: RunRecord
+    sensor: LiveSensor
+    model: str
+    fitted_open: bool = False
+
+
+@dataclass
+class Follower:
+    """One press: its open run, its sensor, its fits."""
+
+    store: Store
+    settings: PressSettings
+    press: Press
+    fits: RunFits
+    last: int = -2
+    """Newest scan taken; -2 before the first step."""
+    behind: int = 0
+    live: _Live | None = None
+    model: ModelFile | None = None
+    problem: Message | None = None
+    message: Message = field(default_factory=lambda: say("sense-waiting"))
+    update_us: float = 0.0
+    _base_version: str = "?"
+    _rests_on: tuple[str, int] | None = None
+    """Promoted model and newest fit behind `model`."""
+    _looked: float = -1e9
+    _idle_said: float = -1e9
+    _model_looked: float = -1e9
+    _ended: list[RunRecord] = field(default_factory=list)
+    """Pressings that are over and have scans this process has not seen yet, oldest first."""
+    _unwritten: list[StoredEstimate] = field(default_factory=list)
+    """Said and not in the store yet: no scan goes through the sensor twice because the store was away."""
+
+    @property
+    def name(self) -> str:
+        """The press."""
+        return self.settings.name
+
+    def step(self, now: float) -> bool:
+        """Do what there is to do; return whether there was anything."""
+        if self.last == -2:
+            last = self.store.last_scan_followed(self.name)
+            if last == -1:
+                last = self.store.newest_scan_number(self.name)
+            self.fits.take_up_what_was_left(last, self.model)
+            self.last = last
+        if now - self._model_looked > MODEL_S:
+            self._model_looked = now
+            self._refresh_model()
+        if now - self._looked > LOOK_S:
+            self._looked = now
+            self._look()
+        if self.fits.collect(self._base_version, self.model):
+            self._model_looked = -1e9
+        self._write()
+        batch = self.store.scans_after(self.name, self.last, BATCH)
+        if not batch.scans:
+            self.behind = 0
+            return False
+        self.behind = len(batch.scans)
+        names = tuple(c.name for c in batch.channels)
+        if self.live is None or len(batch.scans) > 1 or batch.scans[-1].number < self.live.record.first_scan:
+            self._look()  # a pressing may have begun and ended among scans that came together
+        for scan in batch.scans:
+            self._turn(scan.number)
+            estimate = self._estimate(scan, names)
+            self._unwritten += [] if estimate is None else [estimate]
+            self.last = scan.number
+        self._write()
+        if self.live is not None and len(batch.scans) < BATCH:
+            self.live.sensor.look_ahead()  # after the estimates: nobody waits for it
+        return True
+
+    def _write(self) -> None:
+        """Store what was said; where the store refuses, it is tried again at the next step."""
+        if self._unwritten:
+            self.store.append_estimates(self.name, self._unwritten)
+            self._unwritten = []
+
+    # --- runs ---------------------------------------------------------------------------------------
+
+    def _look(self) -> None:
+        """Notice a new, changed or finished run."""
+        # In this order: a run that ends between the two questions is in the answer to the second.
+        record = self.store.open_run(self.name)
+        self._ended = self.store.ended_runs_after(self.name, self.last, BATCH)
+        if self._ended:
+            return
+        live = self.live
+        if live is not None and (record is None or record.run != live.record.run):
+            self._finish(live)
+            self.live = live = None
+        if record is None:
+            self.message = Invalid(InvalidReason.NO_PANEL).message
+            return
+        version = self.model.version if self.model else ""
+        if live is None or live.record.header != record.header or live.model != version:
+            self._begin(record, version)
+        elif live.record.moments != record.moments:
+            self.live = live = _Live(record, live.sensor, live.model, live.fitted_open)
+        if (
+            self.live is not None
+            and not self.live.fitted_open
+            and record.moments.opened_s == record.moments.opened_s
+        ):
+            self.live.fitted_open = True
+            self.fits.submit(record.run, self.model)
+
+    def _turn(self, number: int) -> None:
+        """Begin and finish pressings that are over already where their scans begin and end."""
+        while self._ended and number > (self._ended[0].last_scan or 0):
+            self._leave(self._ended.pop(0).run)
+            if not self._ended:
+                self._look()  # the next pressing may have begun among these scans, and end before they are through
+        if not self._ended or number < self._ended[0].first_scan:
+            return
+        if self.live is None or self.live.record.run != self._ended[0].run:
+            self._leave(self.live.record.run if self.live else "")
+            self._begin(self._ended[0], self.model.version if self.model else "")
+
+    def _leave(self, run: str) -> None:
+        if self.live is not None and self.live.record.run == run:
+            self._finish(self.live)
+            self.live = None
+
+    def _begin(self, record: RunRecord, version: str) -> None:
+        """Start a sensor and give it the run's scans so far."""
+        before = self.live
+        same = before is not None and before.record.header == record.header
+        fitted = before is not None and before.record.run == record.run and before.fitted_open
+        self.live = _Live(record, LiveSensor(self.press, record.header, self.model), version, fitted)
+        self.problem = None
+        try:
+            self._catch_up(record, said_before=same)
+        except StoreUnavailable:
+            self.live = None  # to begin again from the first scan, not in the middle
+            raise
+        self.message = say("sense-follows-run", run=record.run)
+
+    def _catch_up(self, record: RunRecord, *, said_before: bool) -> None:
+        """Give the sensor the run's scans so far."""
+        number = record.first_scan - 1
+        while number < self.last:
+            batch = self.store.scans_after(self.name, number, BATCH)
+            names = tuple(c.name for c in batch.channels)
+            scans = [s for s in batch.scans if s.number <= self.last]
+            if not scans:
+                break
+            estimates = [self._estimate(scan, names) for scan in scans]
+            if not said_before:  # a new model does not rewrite what the old one said
+                self.store.append_estimates(self.name, [e for e in estimates if e is not None])
+            number = scans[-1].number
+
+    def _estimate(self, scan: Scan, names: tuple[str, ...]) -> StoredEstimate | None:
+        """Return what the sensor says at a scan; between pressings once a second."""
+        live = self.live
+        if live is None or scan.number < live.record.first_scan:
+            if 0.0 <= scan.monotonic_s - self._idle_said < IDLE_S:
+                return None
+            self._idle_said = scan.monotonic_s
+            return _stored(
+                scan, Estimate(scan.monotonic_s, PressState.IDLE, invalid=Invalid(InvalidReason.NO_PANEL)), "", {}
+            )
+        values = {
+            name: value if quality.usable else float("nan")
+            for name, value, quality in zip(names, scan.values, scan.qualities, strict=True)
+        }
+        time_s = round(scan.monotonic_s - live.record.zero_monotonic_s, 6)
+        begun = time.perf_counter()
+        try:
+            said = live.sensor.update(time_s, values)
+        except InputError as error:
+            self.problem = spoken(error)
+            said = Estimate(time_s, None, invalid=Invalid(InvalidReason.RUN_REFUSED, {"problem": self.problem}))
+        self.update_us += 0.02 * (1e6 * (time.perf_counter() - begun) - self.update_us)
+        return _stored(scan, said, live.model, _details(live.sensor, said))
+
+    def _finish(self, live: _Live) -> None:
+        """A run is over: fit all of it."""
+        self.fits.submit_whole(self.store.run_record(live.record.run), self.model)
+
+    def _refresh_model(self) -> None:
+        """Take the promoted model and the newest fits made with it."""
+        active = self.store.active_model(self.name)
+        rests_on = (active.version if active else "", self.store.newest_fit_number(self.name))
+        if rests_on == self._rests_on:
+            return
+        self._rests_on = rests_on
+        base = parse_model(active.model, f"model {active.version}") if active is not None else None
+        version = base.version if base is not None else PRESS_FILE
+        runs = self.store.runs(press=self.name, limit=NEWEST_RUNS + 1).items
+        busy = self.live.record.run if self.live else ""
+        fits = [self.store.fit(r.run) for r in runs if r.run != busy]
+        good = [f for f in fits if f is not None and f.get("model_version") == version]
+        if version != self._base_version:
+            if self._base_version != "?":
+                journal(self.store, "info", say("sense-takes-model", version=version), self.name)
+            self._base_version = version
+        self.model = up_to_date(self.press, base, good[:NEWEST_RUNS])
+
+
+def _details(sensor: LiveSensor, said: Estimate) -> dict[str, Any]:
+    """Return what goes beside an estimate, without what is not known.
+
+    Forecast, profile and heat come out of the same estimate as the core: where that is not valid, none is given.
+    """
+    found: dict[str, Any] = {"suspected": said.suspected} if said.suspected else {}
+    if said.invalid is not None:
+        return found | ({"reason_arguments": said.invalid.stored} if said.invalid.arguments else {})
+    if said.state is not PressState.IDLE and said.state is not None and (inside := sensor.inside) is not None:
+        found["profile_C"] = [round(v, 1) for v in inside.profile_C.tolist()]
+        found["energy_kJ_m2"] = round(inside.energy_kJ_m2, 1)
+    forecast = sensor.forecast
+    for one in fields(forecast):
+        value = getattr(forecast, one.name)
+        if isinstance(value, float) and value == value:
+            found[one.name] = round(value, 1)
+    if forecast.warning is not None:
+        found |= {"warning": str(forecast.warning), "warning_said": forecast.warning.to_json()}
+    return found
+
+
+def _stored(scan: Scan, said: Estimate, model: str, detail: dict[str, Any]) -> StoredEstimate:
+    return StoredEstimate(
+        number=scan.number,
+        monotonic_s=scan.monotonic_s,
+        state=said.state if said.state is not None else "unknown",
+        core_celsius=said.core_C,
+        core_sd_kelvin=said.core_sd_K,
+        core_low_celsius=said.core_low_C,
+        core_high_celsius=said.core_high_C,
+        valid=said.valid,
+        reason="" if said.reason is None else said.reason.value,
+        model_version=model,
+        detail=detail or None,
+    )

@@ -1,0 +1,394 @@
+"""A night's judgement: what the runs say is missing, a candidate with it, and whether it is better.
+
+Nothing is promoted that has not been held against the model in force on the same runs and, where there is a core
+thermocouple, on the same scans of the core.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from enum import StrEnum
+from typing import Any
+
+import numpy as np
+from scipy.stats import t as student
+
+from daq.press.press_file import Press
+from daq.records import Array, InputError, Run
+from daq.store import RunRecord, Store
+from daq.store.records import ModelStatus
+from daq.words import Message, say
+from softsensor.diagnosis.decision import Verdict
+from softsensor.diagnosis.missing_causes import stored_missing_causes
+from softsensor.heat.model_file import ModelFile, parse_model
+from softsensor.jobs.fitter import fit_one
+from softsensor.jobs.model_in_force import combined_model
+from softsensor.live.sensor import LiveSensor
+
+PROCESS = "refit"
+DIAGNOSED_RUNS = 24
+"""The newest runs a diagnosis looks at."""
+SPLIT_FROM = 18
+"""From this many runs on, the newest third takes no part in diagnosis and judges the result."""
+JUDGES = 12
+"""Runs at most that judge a candidate: each costs a fit. Set by hand, 2026-11."""
+CORE_RUNS, CORE_SEARCHED = 6, 100
+"""Runs with a core thermocouple that are replayed through the live sensor with both models; looked for among the
+newest."""
+LEAST_SHARE = 0.02
+"""Of the held-out residual, which an extended model must save."""
+CORE_TOLERANCE = 1.02
+"""Factor by which a candidate may let the error of the live core grow, and 0.05 K more. Set by hand, 2026-11."""
+LEAST_VALID = 0.9
+"""Of the scans with a core thermocouple that the model in force predicts: a candidate must dare as many."""
+NOTHING_CHANGED = say("night-nothing-changed")
+NOT_ASKED = "not_asked"
+"""Instead of a verdict, where the runs are those of the night before."""
+FEWEST_RUNS = 3
+"""Runs a first model needs."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What the job did for one press."""
+
+    press: str
+    runs: int
+    fitted: int
+    failed: int
+    version: str
+    """The model in force afterwards, empty where there is none."""
+    verdict: str = NOT_ASKED
+    """Of the diagnosis, or why there was none."""
+    promoted: bool = False
+    reason: Message = NOTHING_CHANGED
+    unfit: Mapping[str, str] = field(default_factory=dict)
+    """Runs that cannot be fitted, by name, with the fingerprint of what was tried: not tried again as they are."""
+    newly_unfit: int = 0
+    """How many of them were tried in this job."""
+    blind: Mapping[str, str] = field(default_factory=dict)
+    """Runs without panel sensors, likewise: in production that is how it is meant, so nothing has failed."""
+    basis: str = ""
+    """Fingerprint of the runs that were judged: the next job judges again as soon as there are others."""
+
+    @property
+    def fits_line(self) -> Message:
+        """What became of the runs."""
+        blind = len(self.blind)
+        return say("night-fits", fitted=self.fitted, runs=self.runs, failed=self.failed, blind=blind)
+
+    @property
+    def line(self) -> Message:
+        """One line for terminal and journal."""
+        return say(
+            "night-outcome",
+            press=self.press,
+            fits=self.fits_line,
+            verdict=self.verdict,
+            model="promoted" if self.promoted else "stays" if self.version else "none",
+            version=self.version,
+            reason=self.reason,
+        )
+
+
+@dataclass(frozen=True)
+class Night:
+    """What a night's judgement rests on."""
+
+    store: Store
+    name: str
+    press: Press
+    base: ModelFile | None
+    records: Sequence[RunRecord]
+    fits: Mapping[str, Mapping[str, Any]]
+
+    def runs(self, names: Sequence[str]) -> list[Run]:
+        """Return stored runs by name."""
+        return [self.store.load_run(name) for name in names]
+
+
+def judge(night: Night, outcome: Outcome) -> Outcome:
+    """Diagnose, make a candidate, and promote it if runs that took no part are the better for it.
+
+    A candidate with fewer effects than the model in force, where the diagnosis no longer finds them, need not
+    be better: it is promoted unless those effects still help.
+    """
+    good = [r.run for r in night.records if r.run in night.fits]
+    if len(good) < FEWEST_RUNS:
+        return replace(
+            outcome,
+            verdict=Verdict.TOO_FEW_RUNS,
+            reason=say("night-too-few-runs", runs=len(good), needed=FEWEST_RUNS),
+        )
+    held = good[-min(JUDGES, len(good) // 3) :] if len(good) >= SPLIT_FROM else []
+    asked = [run for run in good if run not in held][-DIAGNOSED_RUNS:]
+    base = combined_model(night.press, night.base, [night.fits[run] for run in good])
+    report, extended = _diagnose(night, asked)
+    night.store.put_diagnosis(night.name, {**report, "runs": asked})
+    outcome = replace(outcome, verdict=str(report["verdict"]))
+    fewer = _leaves_out(night.base, extended) if outcome.verdict in (Verdict.NO_EFFECT, Verdict.NAMED) else ()
+    if not extended.effects and not fewer:
+        return _keep_or_begin(night, base, outcome)
+    if night.base is not None and _same_effects(night.base, extended):
+        return replace(outcome, reason=say("night-diagnosis-confirms"))
+    candidate = replace(extended, version=_next_version(night), press=night.name)
+    fits = _fits_with(night, candidate, (held or asked)[-JUDGES:])
+    candidate = replace(candidate, missing=stored_missing_causes(list(fits.values())))
+    found = _compare(night, report, candidate, fits, apart=bool(held), fewer=fewer)
+    found = replace(found, figures={"diagnosed_runs": asked, **found.figures})
+    outcome = _promote_or_leave(night, candidate, found, outcome)
+    return outcome if found.better else _keep_or_begin(night, base, outcome)
+
+
+def _promote_or_leave(night: Night, candidate: ModelFile, found: _Comparison, outcome: Outcome) -> Outcome:
+    """Store a candidate, and promote it if it is better and no one has gone back from a model like it."""
+    unwanted = _rolled_back(night, candidate) if found.better else ""
+    reason = say("night-like-rolled-back", reason=found.reason, version=unwanted) if unwanted else found.reason
+    night.store.put_model(
+        night.name,
+        candidate.version,
+        {**candidate.as_json(), "basis": {**found.figures, "reason": reason.to_json()}},
+        status=ModelStatus.CANDIDATE if found.better else ModelStatus.REJECTED,
+        reason=str(reason),
+    )
+    if not found.better:
+        return replace(outcome, reason=say("night-rejected", version=candidate.version, reason=reason))
+    if unwanted:
+        return replace(outcome, reason=say("night-left-to-you", version=candidate.version, reason=reason))
+    night.store.promote_model(candidate.version, PROCESS, reason)
+    return replace(outcome, version=candidate.version, promoted=True, reason=reason)
+
+
+def _leaves_out(old: ModelFile | None, new: ModelFile) -> tuple[str, ...]:
+    """Return the effects of the model in force that a new one does without, none where it has others instead."""
+    before = {name for name, _ in old.effects} if old is not None else set()
+    after = {name for name, _ in new.effects}
+    return tuple(sorted(before - after)) if after < before else ()
+
+
+def _keep_or_begin(night: Night, base: ModelFile, outcome: Outcome) -> Outcome:
+    """Leave the promoted model; where there is none yet, begin with the runs' coefficients."""
+    if night.base is not None:
+        return outcome
+    first = replace(base, version=_next_version(night), press=night.name)
+    described = sum(bool(fit.get("met", True)) for fit in night.fits.values())
+    reason = say("night-first-model", runs=described)
+    if outcome.reason != NOTHING_CHANGED:
+        reason = say("night-first-model-although", runs=described, although=outcome.reason)
+    content = {**first.as_json(), "basis": {"fitted_runs": list(night.fits), "reason": reason.to_json()}}
+    night.store.put_model(night.name, first.version, content, reason=str(reason))
+    night.store.promote_model(first.version, PROCESS, reason)
+    return replace(outcome, version=first.version, promoted=True, reason=reason)
+
+
+def _same_effects(old: ModelFile, new: ModelFile) -> bool:
+    """Return whether two models hold the same effects at about the same size."""
+    if {name for name, _ in old.effects} != {name for name, _ in new.effects}:
+        return False
+    before = dict(old.effects)
+    return all(
+        abs(estimate.value - before[name][key].value) <= 2.0 * math.hypot(estimate.sd, before[name][key].sd)
+        for name, table in new.effects
+        for key, estimate in table.items()
+        if key in before[name]
+    )
+
+
+def _rolled_back(night: Night, candidate: ModelFile) -> str:
+    """Return the version of a model like the candidate that somebody has gone back from, empty where none is."""
+    active = night.store.active_model(night.name)
+    newer = (
+        m for m in night.store.models(press=night.name, limit=200).items if active and m.number > active.number
+    )
+    same = (
+        m.version
+        for m in newer
+        if m.status is ModelStatus.RETIRED and _same_effects(parse_model(m.model, m.version), candidate)
+    )
+    return next(same, "")
+
+
+def _next_version(night: Night) -> str:
+    taken = {m.version for m in night.store.models(press=night.name, limit=200).items}
+    day = f"{night.name}-{datetime.now(UTC):%Y-%m-%d}"
+    return next(f"{day}-{i}" for i in range(1, 10_000) if f"{day}-{i}" not in taken)
+
+
+def _fits_with(night: Night, candidate: ModelFile, runs: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """Fit the judging runs with a candidate's effects."""
+    found = {}
+    for run in runs:
+        with suppress(InputError):
+            found[run] = fit_one(night.press, night.store.load_run(run), candidate)
+    return found
+
+
+@dataclass(frozen=True)
+class _Comparison:
+    """A candidate against the model in force."""
+
+    reason: Message
+    better: bool
+    figures: Mapping[str, Any]
+    """What the version says of itself: runs it was judged on and residuals with the model before and with it."""
+
+
+def _compare(
+    night: Night,
+    report: Mapping[str, Any],
+    candidate: ModelFile,
+    fits: Mapping[str, Mapping[str, Any]],
+    *,
+    apart: bool,
+    fewer: Sequence[str] = (),
+) -> _Comparison:
+    """Say what the candidate gains on the judging runs, and whether that is enough.
+
+    Where there are too few runs to keep the judging ones apart from the diagnosis, that is said, and what the
+    diagnosis gained on runs it left out in turn. `fewer` effects than before need no gain, only no loss.
+    """
+    old, new = (np.array([float(f[run]["rmse_K"]) for run in fits]) for f in (night.fits, fits))
+    left_out = [float((report.get(k) or {}).get("heldout_rmse_K") or math.nan) for k in ("base", "extended")]
+    figures: dict[str, Any] = {
+        "judged_runs": list(fits),
+        "judged_runs_took_part": not apart,
+        "rmse_K": {"before": _mean(old), "after": _mean(new)},
+    }
+    if math.isfinite(left_out[0]) and not fewer:
+        figures["heldout_rmse_K"] = {"before": left_out[0], "after": left_out[1]}
+    if len(old) < FEWEST_RUNS:
+        return _Comparison(say("night-too-few-to-judge"), False, figures)
+    core = _core_rmse(night, candidate)
+    if core is not None:
+        figures["core_rmse_K"] = {"before": core.before_K, "after": core.after_K}
+    in_turn = not apart and "heldout_rmse_K" in figures
+    against = _against(old, new, left_out, core, fewer=bool(fewer))
+    reason = say(
+        "night-compared",
+        effects=" + ".join(name for name, _ in candidate.effects),
+        without=" + ".join(fewer),
+        kind="both" if candidate.effects and fewer else "without" if fewer else "with",
+        before=_mean(old),
+        after=_mean(new),
+        runs=len(old),
+        apart="yes" if apart else "no",
+        left_out=_change("night-compared-left-out", *left_out) if in_turn else "",
+        core=_change("night-compared-core", core.before_K, core.after_K) if core is not None else "",
+        against="" if against is None else say("night-compared-against", what=Message(f"night-against-{against}")),
+    )
+    return _Comparison(reason, against is None, figures)
+
+
+class Against(StrEnum):
+    """What speaks against a candidate."""
+
+    STILL_HELPS = "still-helps"
+    LEFT_OUT_WORSE = "left-out-worse"
+    NOT_SIGNIFICANT = "not-significant"
+    CORE_SILENCED = "core-silenced"
+    CORE_WORSE = "core-worse"
+
+
+def _against(
+    old: Array, new: Array, left_out: Sequence[float], core: _Core | None, *, fewer: bool
+) -> Against | None:
+    """Return what speaks against a candidate, None where nothing does: the first that applies.
+
+    Residuals of the judging runs with the model before and with the candidate, and of runs left out in turn. [K]
+    """
+    share = float(1.0 - np.mean(new) / np.mean(old))
+    if fewer:
+        if share < -LEAST_SHARE and surely_less(new, old):
+            return Against.STILL_HELPS
+    elif left_out[1] > left_out[0]:
+        return Against.LEFT_OUT_WORSE
+    elif share < LEAST_SHARE or not surely_less(old, new):
+        return Against.NOT_SIGNIFICANT
+    if core is not None and core.silenced:
+        return Against.CORE_SILENCED
+    if core is not None and not core.after_K <= CORE_TOLERANCE * core.before_K + 0.05:
+        return Against.CORE_WORSE
+    return None
+
+
+def _change(code: str, before: float, after: float) -> Message:
+    return Message(code, {"before": before, "after": after})
+
+
+def _mean(values: Array) -> float:
+    return float(np.mean(values)) if len(values) else math.nan
+
+
+def surely_less(old: Array, new: Array) -> bool:
+    """Return whether residuals of the same runs have fallen: Student's one-sided test of their ratio, at 5 %. [K]
+
+    Of the ratio, since one run that leaves much over would else decide alone how certain the rest is.
+    """
+    fell = np.log(np.maximum(old, 1e-9)) - np.log(np.maximum(new, 1e-9))
+    error = max(float(fell.std(ddof=1)) / math.sqrt(len(fell)), 1e-9)
+    return float(fell.mean()) / error > float(student.ppf(0.95, len(fell) - 1))
+
+
+@dataclass(frozen=True)
+class _Core:
+    """Root mean square error of the core before and with the candidate, where both are valid. [K]"""
+
+    before_K: float  # noqa: N815
+    after_K: float  # noqa: N815
+    silenced: bool
+    """The candidate calls many scans not valid that the model before predicts."""
+
+
+def _core_rmse(night: Night, candidate: ModelFile) -> _Core | None:
+    """Replay runs with a core thermocouple through the live sensor with both models; None where there is none."""
+    errors = list(_core_errors(night, candidate))
+    if not errors:
+        return None
+    before, after = (np.concatenate(runs) for runs in zip(*errors, strict=True))
+    both = np.isfinite(before) & np.isfinite(after)
+    if not np.isfinite(before).any():
+        return None
+    silenced = int(both.sum()) < LEAST_VALID * int(np.isfinite(before).sum())
+    old, new = (math.sqrt(_mean(errors[both] ** 2)) if both.any() else math.nan for errors in (before, after))
+    return _Core(old, new, silenced)
+
+
+def _core_errors(night: Night, candidate: ModelFile) -> Iterator[tuple[Array, Array]]:
+    """Yield both models' errors of the core scan by scan, NaN where there is no truth or no valid core. [K]"""
+    count = 0
+    for record in night.records[: -CORE_SEARCHED - 1 : -1]:
+        if count >= CORE_RUNS:
+            break
+        run = night.store.load_run(record.run)
+        truth = [c for c in night.press.sensors_of(run, "validation") if np.isfinite(run.columns[c]).any()]
+        if not truth:
+            continue
+        count += 1
+        columns = np.ma.masked_invalid(np.stack([run.columns[c] for c in truth]))
+        core = columns.mean(axis=0).filled(np.nan)
+        yield tuple(_errors(night.press, run, model, core) for model in (night.base, candidate))  # type: ignore[misc]
+
+
+def _errors(press: Press, run: Run, model: ModelFile | None, core: Array) -> Array:
+    sensor = LiveSensor(press, run.header, model)
+    names = list(run.columns)
+    table = np.stack([run.columns[n] for n in names], axis=1).tolist()
+    said = (
+        sensor.update(t, dict(zip(names, row, strict=True)))
+        for t, row in zip(run.time_s.tolist(), table, strict=True)
+    )
+    predicted: Array = np.array([e.core_C if e.valid else math.nan for e in said])
+    return predicted - core
+
+
+def _diagnose(night: Night, runs: Sequence[str]) -> tuple[dict[str, Any], ModelFile]:
+    """Ask what the plain model gets wrong on these runs."""
+    from softsensor.diagnosis.summary import as_stored
+    from softsensor.diagnosis.verdict import diagnose
+
+    found = diagnose(night.press, night.runs(runs))
+    return as_stored(found), found.model_file()

@@ -1,0 +1,112 @@
+"""The fits of one press's runs: due, under way, stored, and what the control charts say of them."""
+
+from __future__ import annotations
+
+import logging
+from concurrent.futures import Future
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from daq.press.press_file import Press
+from daq.store import RunRecord, RunStatus, Store
+from daq.words import Message, say, spoken
+from softsensor.heat.model_file import ModelFile
+from softsensor.jobs.drift import alarms_of
+from softsensor.jobs.fitter import Fitter, has_panel_readings
+from softsensor.jobs.model_in_force import fingerprint
+
+LOG = logging.getLogger("kerntemp.sense")
+PROCESS = "sense"
+LEFT_RUNS, LEFT_LINES = 200, 500
+"""Newest runs that are looked through for a fit a killed process has left, and lines of the journal about them."""
+NO_FIT = ("run-not-fitted", "run-nothing-to-fit", "run-fit-killed")
+"""What the journal says of a run that has no fit."""
+
+
+def journal(
+    store: Store,
+    level: Literal["info", "warning", "alarm"],
+    said: Message,
+    press: str | None = None,
+    **detail: Any,
+) -> None:
+    """Write a line to the journal and to the log."""
+    LOG.log(logging.INFO if level == "info" else logging.WARNING, "%s", said)
+    store.log(level, PROCESS, said, press, detail or None)
+
+
+@dataclass
+class RunFits:
+    """Fits of one press's runs. A fit that the store refuses is kept until it takes it."""
+
+    store: Store
+    name: str
+    """The press."""
+    press: Press
+    fitter: Fitter
+    _under_way: dict[str, Future[dict[str, Any]]] = field(default_factory=dict)
+    _due: set[str] = field(default_factory=set)
+    _alarmed: set[tuple[str, str]] = field(default_factory=set)
+
+    def take_up_what_was_left(self, last: int, model: ModelFile | None) -> None:
+        """Fit those of the newest runs up to a scan that a process killed before this one has left."""
+        records = self.store.runs(press=self.name, limit=LEFT_RUNS).items
+        fits = self.store.fits([r.run for r in records])
+        lines = [entry.message for entry in self.store.journal(limit=LEFT_LINES).items]
+        given_up = {line.arguments["run"] for line in lines if line.code in NO_FIT}
+        for record in reversed(records):
+            seen = record.last_scan is not None and record.last_scan <= last
+            if seen and "fingerprint" not in fits.get(record.run, {}) and record.run not in given_up:
+                self.submit_whole(record, model)
+
+    def submit_whole(self, record: RunRecord, model: ModelFile | None) -> None:
+        """Fit a run that is over, if the press has closed in it."""
+        if record.status is not RunStatus.OPEN and record.moments.closed_s == record.moments.closed_s:
+            self.submit(record.run, model)
+
+    def submit(self, run: str, model: ModelFile | None) -> None:
+        """Fit a run as soon as no fit of it is under way."""
+        self._due.add(run)
+        if run in self._under_way:
+            return
+        loaded = self.store.load_run(run)
+        self._due.discard(run)
+        if has_panel_readings(self.press, loaded):
+            self._under_way[run] = self.fitter.submit(self.press, loaded, model)
+        elif self.store.run_record(run).status is not RunStatus.OPEN:
+            journal(self.store, "info", say("run-nothing-to-fit", run=run), self.name)
+
+    def collect(self, version: str, model: ModelFile | None) -> bool:
+        """Store finished fits, made with a model's effects, and look at the control charts; return whether any."""
+        stored = False
+        for run in [run for run, future in self._under_way.items() if future.done()]:
+            future = self._under_way[run]  # kept until it is stored: the store may refuse now
+            error = future.exception()
+            if isinstance(error, BrokenProcessPool):
+                journal(self.store, "alarm", say("run-fit-killed", run=run), self.name)
+            elif error is not None:
+                journal(self.store, "warning", say("run-not-fitted", run=run, why=spoken(error)), self.name)
+            else:
+                self.store.put_fit(run, self._marked(run, future.result(), model), version)
+                stored = True
+            del self._under_way[run]
+            if error is None:
+                self._watch()
+        for run in tuple(self._due):
+            self.submit(run, model)
+        return stored
+
+    def _marked(self, run: str, fit: dict[str, Any], model: ModelFile | None) -> dict[str, Any]:
+        """Return a fit of a whole run with what it rests on, so that the nightly job need not repeat it."""
+        record = self.store.run_record(run)
+        if record.status is RunStatus.OPEN or run in self._due:
+            return fit
+        return fit | {"fingerprint": fingerprint(record, self.press, model)}
+
+    def _watch(self) -> None:
+        """Write an alarm once for each coefficient that has left what is usual."""
+        for alarm in alarms_of(self.store, self.name):
+            if (alarm.coefficient, alarm.run) not in self._alarmed:
+                self._alarmed.add((alarm.coefficient, alarm.run))
+                journal(self.store, "warning", alarm.message, self.name, **alarm.__dict__)

@@ -1,0 +1,41 @@
+"""Compile what the live sensor runs on, or load it, before the first scan needs it.
+
+Numba keeps compiled code beside the modules (or under ``NUMBA_CACHE_DIR`` where they cannot be written): the
+first call after an installation takes tens of seconds, later processes load it in one or two. It looks only at
+the file a function stands in, and at its text, not its date: after a change in ``heat.step_terms`` remove what it
+keeps of the modules above it (``*.nbi``), else they go on with the old code.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from daq.press.press_file import Press
+from softsensor.live.sensor import LiveSensor
+
+_HEADER: Mapping[str, object] = {
+    "panel.material": "MDF",
+    "panel.thickness_mm": 10.0,
+    "panel.initial_temperature_C": 20.0,
+}
+_INSERTED_S, _CLOSED_S, _OPENED_S, _END_S = 2, 6, 12, 18
+"""When the made-up press moves: long enough apart for the detector to believe it. [s]"""
+
+
+def warm_up(press: Press) -> None:
+    """Take a live sensor of this press through a short made-up pressing, so that no later one has to wait.
+
+    Raises
+    ------
+    InputError
+        For a press whose runs need more than a panel's material, thickness and temperature.
+    """
+    ends = (press.boundary.bottom, press.boundary.top)
+    outside = [end.column for end in ends if end.column is not None]
+    inside = [pattern.replace("*", "1") for sensor in press.sensor for pattern in sensor.columns]
+    sensor = LiveSensor(press, _HEADER, None)
+    for second in range(_END_S):
+        warmth = 20.0 if second < _INSERTED_S else 30.0 if second < _CLOSED_S else 120.0
+        values = dict.fromkeys(inside, warmth) | dict.fromkeys(outside, 180.0)
+        sensor.update(float(second), values | {"closed": float(_CLOSED_S <= second < _OPENED_S)})
+        _ = sensor.inside  # has loops of its own

@@ -1,0 +1,149 @@
+"""Scans as the live sensor keeps them, and the blocks its filters take them in by.
+
+The filters take in a block at a time: scans one by one just after the press has moved, together over half a
+second else. A pass over stored scans takes many blocks in one call of a compiled loop.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from daq.records import Array
+from softsensor.live import block_steps as compiled
+from softsensor.live.block_steps import Blocks, Counted, Rows
+from softsensor.live.channel_steps import SOUND_K2, Channels, Integers, robust_mean
+
+SPARSE_S, BESIDE_S = 2.2, 0.5
+"""Faces unread for longer leave a moment in or so near beside the gap unknown: it may lie anywhere in it. [s]"""
+_ROOM = 1024
+"""Scans there is room for at first."""
+
+
+class Scans:
+    """A run's scans so far, in arrays that grow.
+
+    Parameters
+    ----------
+    place
+        Face of each panel channel (K).
+    faces
+        How many faces have sensors (M).
+    """
+
+    def __init__(self, place: Integers, faces: int) -> None:
+        self._place, self._faces, self._count = place, faces, 0
+        self._channels = fresh_channels(place, faces)
+        self._time, self._outside = np.empty(_ROOM), np.empty((_ROOM, 2))
+        self._level, self._votes = np.empty((_ROOM, faces)), np.empty((_ROOM, faces))
+        self._readings = np.empty((_ROOM, len(place)))
+        self._expected = np.full((_ROOM, faces), np.nan)
+
+    def __len__(self) -> int:
+        return self._count
+
+    def append(self, time_s: float, outside: tuple[float, float], readings: Array) -> None:
+        """Keep a scan: boundary temperatures, single channels, and their robust mean. [s, °C]"""
+        i = self._count
+        if i == len(self._time):
+            self._time, self._outside = _doubled(self._time), _doubled(self._outside)
+            self._level, self._votes = _doubled(self._level), _doubled(self._votes)
+            self._readings, self._expected = _doubled(self._readings), _doubled(self._expected)
+        self._time[i], self._outside[i], self._readings[i] = time_s, outside, readings
+        robust_mean(self._channels, self._readings[i], self._level[i], self._votes[i])
+        self._expected[i] = np.nan
+        self._count = i + 1
+
+    def average_anew(self, since_s: float) -> None:
+        """Forget what the channels were like, and average those of scans from a time on again."""
+        self._channels = fresh_channels(self._place, self._faces)
+        for i in np.flatnonzero(self.time >= since_s).tolist():
+            robust_mean(self._channels, self._readings[i], self._level[i], self._votes[i])
+
+    def gap(self, at_s: float, now_s: float) -> tuple[float, float] | None:
+        """Return between which times no face was read, where a moment lies in or beside such a gap. [s]"""
+        read = np.append(self.time[np.isfinite(self.level).any(axis=1)], now_s)
+        begins, ends = read[:-1], read[1:]
+        near = (begins < at_s + BESIDE_S) & (ends > at_s - BESIDE_S) & (ends - begins > SPARSE_S)
+        if not near.any():
+            return None
+        k = int(np.argmax(np.where(near, ends - begins, 0.0)))
+        return float(begins[k]), float(ends[k])
+
+    def expect(self, read: Array) -> None:
+        """Keep what the model says the faces read at the newest scan (M). [°C]"""
+        self._expected[self._count - 1] = read
+
+    def expected_move(self, face: int, since_s: float) -> float:
+        """Return how far the model says a face has moved since a time, 0 where it says nothing. [K]"""
+        first = int(np.searchsorted(self.time, since_s - 1e-9))
+        course = self._expected[first : self._count, face]
+        known = course[np.isfinite(course)]
+        return float(np.ptp(known)) if len(known) else 0.0
+
+    def silence(self, face: int, since_s: float) -> None:
+        """Forget what a face has read after a time."""
+        self._level[int(np.searchsorted(self.time, since_s + 1e-9)) : self._count, face] = np.nan
+
+    @property
+    def time(self) -> Array:
+        """When each was taken (N). [s]"""
+        return self._time[: self._count]
+
+    @property
+    def now(self) -> float:
+        """Time of the newest. [s]"""
+        return float(self._time[self._count - 1])
+
+    @property
+    def outside(self) -> Array:
+        """Boundary temperatures, bottom and top (N, 2). [°C]"""
+        return self._outside[: self._count]
+
+    @property
+    def level(self) -> Array:
+        """What each face reads, NaN where nothing does (N, M). [°C]"""
+        return self._level[: self._count]
+
+    @property
+    def rows(self) -> Rows:
+        """All of it, as the compiled loops take it."""
+        n = self._count
+        return Rows(self._time[:n], self._outside[:n], self._level[:n], self._votes[:n])
+
+
+def fresh_channels(place: Integers, faces: int) -> Channels:
+    """Return what is known of panel channels before the first reading, given the face of each (K)."""
+    count = len(place)
+    return Channels(place, np.zeros(count), np.full(count, SOUND_K2), np.zeros(count), np.full(faces, np.nan))
+
+
+def _doubled(array: Array) -> Array:
+    return np.concatenate([array, np.empty_like(array)])
+
+
+def blocks_of(rows: Rows, done: int, ends: Integers, counted: Counted) -> Blocks:
+    """Gather the scans from `done` on into blocks whose last scans are `ends`."""
+    count, places = len(ends), rows.level.shape[1]
+    made = Blocks(
+        np.empty((count, 2)), np.empty((count, 2, 2)), np.empty((count, places)), np.empty((count, places)),
+        np.empty((count, places)), rows.level[ends], np.empty(count, dtype=np.bool_),
+    )  # fmt: skip
+    compiled.gather(rows, done, ends, counted, made)
+    return made
+
+
+def cut(scans: Scans, done: int, moments: Array, limit: int) -> tuple[Integers, bool]:
+    """Return the last scans of the blocks that are complete, and whether those are all.
+
+    Parameters
+    ----------
+    done
+        Scans taken in before.
+    moments
+        When the press moved, and the first scan. [s]
+    limit
+        Blocks at most; a run's first scan is a block that does not count.
+    """
+    ends = np.empty(min(limit, len(scans) - done) + 1, dtype=np.int64)
+    count, whole = compiled.cut(scans.time, done, moments, limit, ends)
+    return ends[:count], whole

@@ -1,0 +1,241 @@
+"""The live sensor's forecast: with the platens as they are now and the press as it stands.
+
+The whole Gaussian mixture is marched on, so the band of a time to come holds what the core's band holds, and
+grows as it must.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from daq.records import Array, PressState
+from daq.words import Message, say
+from softsensor.heat import implicit_steps as kernels
+from softsensor.live.kalman import KalmanFilter
+from softsensor.live.march_steps import Chain, march
+from softsensor.live.mixture import mix
+from softsensor.live.passes import Pass
+
+HORIZON_S, EVERY_S = 240.0, 4.0
+"""How far ahead is looked, and at how many times. [s]"""
+STRIDE_S = 2.0
+"""Longest step of a look ahead. [s]"""
+AFTER_S = 150.0
+"""After opening, the core's peak is looked for so long. [s]"""
+FLAT_K = 0.05
+"""A core this far below its highest has passed its peak. [K]"""
+NOTICE_S = 20.0
+"""A limit is warned of this long before it may be passed. [s]"""
+
+
+@dataclass(frozen=True)
+class Wishes:
+    """What the operator wants of the core, from the run's header; NaN: nothing."""
+
+    target_C: float = math.nan  # noqa: N815
+    """``setting.core_target_C``"""
+    limit_C: float = math.nan  # noqa: N815
+    """``setting.core_limit_C``"""
+
+    @property
+    def any(self) -> bool:
+        """Whether there is anything to look ahead for."""
+        return self.target_C == self.target_C or self.limit_C == self.limit_C
+
+
+def wishes_of(header: Mapping[str, Any]) -> Wishes:
+    """Return what a run's header wants of the core."""
+
+    def number(key: str) -> float:
+        value = header.get(key)
+        return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else math.nan
+
+    return Wishes(number("setting.core_target_C"), number("setting.core_limit_C"))
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """What lies ahead; NaN where it does not happen within `HORIZON_S`."""
+
+    target_in_s: float = math.nan
+    """Until the core reaches the target if the press stays as it is, 0 if it has."""
+    target_earliest_s: float = math.nan
+    target_latest_s: float = math.nan
+    """Bounds of 95 %."""
+    open_in_s: float = math.nan
+    """When to open so that the core's peak after opening just reaches the target."""
+    peak_C: float = math.nan  # noqa: N815
+    """Highest core temperature still to come if the press is opened now, or is open."""
+    limit_in_s: float = math.nan
+    """Until the core's upper bound passes the limit."""
+    warning: Message | None = None
+
+    def later(self, seconds: float) -> Forecast:
+        """Return the same forecast some seconds on."""
+        names = ("target_in_s", "target_earliest_s", "target_latest_s", "open_in_s", "limit_in_s")
+        left = {name: getattr(self, name) - seconds for name in names}
+        return replace(self, **{name: v if v != v else max(v, 0.0) for name, v in left.items()})
+
+
+def look_ahead(run: Pass, wishes: Wishes, state: PressState, now: float, outside: Array) -> Forecast:
+    """Return what lies ahead of a press that stays open or closed.
+
+    Parameters
+    ----------
+    now
+        Time to which the pass has come. [s]
+    outside
+        Boundary temperatures, bottom and top. [°C]
+    """
+    plain = run.filters[0]
+    peak = _peak(plain, now, now, outside)
+    if state is PressState.OPEN:
+        over = peak > wishes.limit_C
+        return Forecast(
+            peak_C=peak, warning=say("core-will-pass-limit", peak_C=peak, limit_C=wishes.limit_C) if over else None
+        )
+    ahead, reported, low, high = _course(run, wishes, now, outside)
+    until = _crossing(ahead, reported, wishes.target_C)
+    found = Forecast(
+        target_in_s=until,
+        target_earliest_s=_crossing(ahead, high, wishes.target_C),
+        target_latest_s=_crossing(ahead, low, wishes.target_C),
+        open_in_s=_opening(plain, now, outside, wishes.target_C, until),
+        peak_C=peak,
+        limit_in_s=_crossing(ahead, high, wishes.limit_C),
+    )
+    return replace(found, warning=_warning(found, wishes.limit_C))
+
+
+def _warning(found: Forecast, limit_C: float) -> Message | None:
+    """Return what the operator of a closed press must know."""
+    if found.peak_C > limit_C:
+        return say("core-will-pass-limit-even-if-opened", peak_C=found.peak_C, limit_C=limit_C)
+    if found.limit_in_s < NOTICE_S:
+        return say("core-may-pass-limit-soon", limit_C=limit_C, seconds=found.limit_in_s)
+    return None
+
+
+def _course(run: Pass, wishes: Wishes, now: float, outside: Array) -> tuple[Array, Array, Array, Array]:
+    """Return times ahead and the core then, as far as it matters: as reported, and its bounds. [s, °C]"""
+    copies = [_copy(one) for one in run.filters]
+    start = copies[0].core_C - run.rise
+    ahead = np.arange(0.0, HORIZON_S + EVERY_S / 2, EVERY_S)
+    rows: list[tuple[float, float, float]] = []
+    platens = np.stack([outside, outside])
+    for k in range(len(ahead)):
+        if k:
+            for copy in copies:
+                _march(copy, now + ahead[k - 1], now + ahead[k], platens)
+        mixture = mix(copies, run.margin(copies[0].core_C - start))
+        rows.append((mixture.core_C, mixture.low_C, mixture.high_C))
+        if not (mixture.low_C < wishes.target_C or mixture.high_C < wishes.limit_C):
+            break
+    reported, low, high = np.array(rows).T
+    return ahead[: len(rows)], reported, low, high
+
+
+def _crossing(ahead: Array, course: Array, level: float) -> float:
+    """Return when a course first reaches a level, NaN where it does not. [s]"""
+    if not math.isfinite(level):
+        return math.nan
+    over = np.flatnonzero(course >= level)
+    if not len(over):
+        return math.nan
+    k = int(over[0])
+    if k == 0:
+        return 0.0
+    share = (level - course[k - 1]) / (course[k] - course[k - 1])
+    return float(ahead[k - 1] + share * (ahead[k] - ahead[k - 1]))
+
+
+def _opening(one: KalmanFilter, now: float, outside: Array, target: float, until: float) -> float:
+    """Return how long to stay closed so that the peak after opening reaches the target. [s]"""
+    if not math.isfinite(until):
+        return math.nan
+    early, late = 0.0, until
+    if _peak(one, now, now, outside) >= target:
+        return 0.0
+    while late - early > 0.5:
+        middle = 0.5 * (early + late)
+        if _peak(one, now, now + middle, outside) >= target:
+            late = middle
+        else:
+            early = middle
+    return late
+
+
+def _peak(one: KalmanFilter, now: float, opening: float, outside: Array) -> float:
+    """Return the highest core temperature still to come if the press opens at a time. [°C]"""
+    bare = _bare(one, opening)
+    platens = np.stack([outside, outside])
+    if opening > now:
+        _march(bare, now, opening, platens)
+    highest, at = bare.core_C, opening
+    while at < opening + AFTER_S:
+        _march(bare, at, at + EVERY_S, platens)
+        at += EVERY_S
+        core = bare.core_C
+        if core < highest - FLAT_K:
+            break
+        highest = max(highest, core)
+    return highest
+
+
+def _copy(one: KalmanFilter) -> KalmanFilter:
+    model = one.linearised.model
+    state = kernels.State(*(a.copy() for a in model.state))
+    made = replace(
+        one.linearised, model=model._replace(state=state, chain=_chain(model.chain, model.chain.d_true))
+    )
+    return replace(one, linearised=made, timing=one.timing._replace(longest=STRIDE_S))
+
+
+def _chain(chain: Chain, like: Array) -> Chain:
+    q = like.shape[1]
+    return chain._replace(
+        true=chain.true.copy(),
+        d_true=chain.d_true[:, :q].copy(),
+        read=chain.read.copy(),
+        d_read=chain.d_read[:, :q].copy(),
+        level=chain.level.copy(),
+        d_level=chain.d_level[: q - 2].copy(),
+    )
+
+
+def _bare(one: KalmanFilter, opening: float) -> KalmanFilter:
+    """Return a copy without tangents, at the estimate's own cell temperatures."""
+    model = one.linearised.model
+    s = model.state
+    state = s._replace(
+        t=one.cells, t_before=s.t_before.copy(), done=s.done.copy(), clock=s.clock.copy(),
+        s=s.s[:0].copy(), s_before=s.s_before[:0].copy(), s_done=s.s_done[:, :0].copy(),
+    )  # fmt: skip
+    bare = model._replace(
+        tangents=_without(model.tangents),
+        d_boundary=model.d_boundary[:, :0].copy(),
+        factors=model.factors._replace(d_total=model.factors.d_total[:, :, :0].copy()),
+        moving=np.full_like(model.moving, -1),
+        state=state,
+        chain=_chain(model.chain, np.empty((len(model.chain.true), 2))),
+    )
+    timing = one.timing._replace(longest=STRIDE_S, opened=min(one.timing.opened, opening))
+    return replace(one, linearised=replace(one.linearised, model=bare), timing=timing)
+
+
+def _without(tangents: kernels.Tangents) -> kernels.Tangents:
+    """Return tangents by no parameter at all."""
+    t = tangents
+    return kernels.Tangents(
+        t.k[:0], t.k_slope[:0], t.c[:0], t.c_slope[:0], t.exchange[:0], t.contact[..., :0].copy(),
+        t.emissivity[:0], t.convection[:0], t.flux[:, :0].copy(), t.heat[:, :0].copy(), t.law[:, :0].copy(),
+    )  # fmt: skip
+
+
+def _march(one: KalmanFilter, begin: float, end: float, platens: Array) -> None:
+    march(one.linearised.model, one.timing, np.array([begin, end]), platens)

@@ -1,0 +1,177 @@
+"""One Kalman filter of the live sensor and how well it has done; the panel alone between its faces as measured."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from daq.records import Array
+from softsensor.live import mixture_steps as mixtures
+from softsensor.live.block_steps import HOLE_S, Blocks, FacesRead, march_between_faces
+from softsensor.live.kalman_steps import StateEstimate, filter_blocks
+from softsensor.live.march_steps import Timing
+from softsensor.live.mixture_steps import Hypotheses
+from softsensor.live.priors import TIMING, FilterPlan, is_straight
+from softsensor.live.setup import Linearised, RunSetup
+from softsensor.signals.instrument import CHANNEL_K, FACE_SLOW_K
+
+MISFIT_MEMORY_S, WORST_MEMORY_S = 10.0, 120.0
+"""How long a misfit, and the worst one so far, are remembered. Set by hand, 2026-11. [s]"""
+LOG_STEP, TIME_STEP_S, TIME_STEP, UNIT_STEP = 0.15, 0.06, 0.2, 0.5
+"""Linearise anew where a logarithm, a moment (both in seconds and in prior units) or any other parameter (in prior
+units) has moved this far."""
+JUMPS_PER_S = 5e-5
+"""How often something changes at once (a contact lapses, a door opens): once in 5 h of pressing. [1/s]"""
+DECIDE_S = 1.5
+"""What is odd about a reading waits so long for the press to have closed or opened; a core does not hurry. [s]"""
+UNREAD_K = 10.0
+"""A face that has moved by more while it was silent has driven the panel in a way nobody knows. [K]"""
+
+
+@dataclass
+class KalmanFilter:
+    """A state estimate, what it is linearised about, and how well it has done. Arrays change in place."""
+
+    linearised: Linearised
+    names: tuple[str, ...]
+    """What "no cause" (or this filter's own) is called, then each suspected cause."""
+    hypotheses: Hypotheses
+    timing: Timing
+    estimate: StateEstimate
+    reach: tuple[Array, Array]
+    """Where the point of linearisation may lie (P), (P)."""
+    fit: float = 0.0
+    misfit: float = 0.3
+    """Mean squared normalised innovation, the newest weighing most."""
+    worst: float = 0.0
+    """Largest misfit away from switches, forgotten slowly."""
+    changed: float = -50.0
+    """Logarithm of the odds that something changed at once since the start."""
+    odd: deque[tuple[float, float, float, float]] = field(default_factory=deque)
+    """Blocks not yet counted in the three: end, length, mean square innovation, nats for a change. [s, s, -, -]"""
+
+    @staticmethod
+    def at_prior(setup: RunSetup, made: Linearised, timing: Timing, plan: FilterPlan) -> KalmanFilter:
+        """Start at the prior."""
+        m, p = len(setup.labels), len(made.names)
+        x, cov = np.zeros(p + 2 + 2 * m), np.eye(p + 2 + 2 * m)
+        lean = plan.coupling
+        x[:p] = -lean @ plan.neutral
+        cov[:p, :p] += lean + lean.T + lean @ lean.T
+        for a in range(m):
+            channels = max(1, int((setup.place == a).sum()))
+            cov[p + 2 + a, p + 2 + a] = CHANNEL_K**2 / channels
+            cov[p + 2 + m + a, p + 2 + m + a] = FACE_SLOW_K**2
+        causes = plan.causes
+        return KalmanFilter(
+            linearised=made,
+            names=(plan.label, *(c.effect for c in causes)),
+            hypotheses=Hypotheses(
+                column=np.array([made.names.index(c.parameter) for c in causes], dtype=np.int64),
+                absent=np.array([c.absent for c in causes]),
+                width=np.array([c.width for c in causes]),
+                one_sided=np.array([c.one_sided for c in causes], dtype=bool),
+                log_prior=np.log([plan.chance, *(c.chance for c in causes)]),
+            ),
+            timing=timing,
+            estimate=StateEstimate(x, cov, made.at),
+            reach=plan.reach,
+        )
+
+    def take(self, blocks: Blocks) -> None:
+        """March over blocks of scans and correct by what the faces read."""
+        scores = np.empty((len(blocks.quiet), 4))
+        filter_blocks(self.linearised.model, self.timing, self.estimate, blocks, scores)
+        for (begin, end), quiet, score in zip(
+            blocks.span.tolist(), blocks.quiet.tolist(), scores.tolist(), strict=True
+        ):
+            self._count(begin, end, score, quiet=quiet)
+
+    def _count(self, begin: float, end: float, score: list[float], *, quiet: bool) -> None:
+        """Keep how well a block was expected: log-likelihood, squares, their number, nats for a change."""
+        fit, squares, count, jump = score
+        if not quiet:  # just after a switch the filters differ by their linearisation, not by what they know
+            self.fit += fit
+        elapsed = end - begin
+        self.worst *= math.exp(-elapsed / WORST_MEMORY_S)
+        if count and not quiet:
+            self.odd.append((end, max(elapsed, 0.05), squares / count, jump))
+        while self.odd and end - self.odd[0][0] >= DECIDE_S:
+            _, elapsed, square, jump = self.odd.popleft()
+            self.changed = log_sum(self.changed, math.log(JUMPS_PER_S * elapsed) + jump)
+            keep = math.exp(-elapsed / MISFIT_MEMORY_S)
+            self.misfit = keep * self.misfit + (1.0 - keep) * square
+            self.worst = max(self.worst, self.misfit)
+
+    @property
+    def core_C(self) -> float:  # noqa: N802
+        """Core where the model is linearised. [°C]"""
+        return float(self.linearised.model.chain.level[0])
+
+    @property
+    def cells(self) -> Array:
+        """Temperatures of the cells if no suspected cause is at work (n). [°C]"""
+        return np.asarray(mixtures.cells(self.estimate, self.hypotheses, self.linearised.model.state))
+
+    def better_point(self) -> Array | None:
+        """Return where to linearise anew, or None where the old point will do. Suspected causes stay absent."""
+        own = self.linearised
+        mean = mixtures.without_causes(self.estimate, self.hypotheses)
+        target, far = own.at.copy(), False
+        for i, (name, prior) in enumerate(zip(own.names, own.priors, strict=True)):
+            if i in self.hypotheses.column:
+                continue
+            if prior.logarithmic:
+                step = LOG_STEP / prior.sd
+            elif name in TIMING:
+                step = max(TIME_STEP_S / prior.sd, TIME_STEP)
+            elif "." in name and not is_straight(name):
+                step = UNIT_STEP
+            else:
+                continue
+            target[i] = min(max(mean[i], self.reach[0][i]), self.reach[1][i])
+            far = far or abs(target[i] - own.at[i]) > step
+        return target if far else None
+
+
+@dataclass
+class BetweenFaces:
+    """The panel alone, between its faces as they are measured: right whatever the contacts do."""
+
+    linearised: Linearised
+    timing: Timing
+    faces: tuple[int, int]
+    """Places of the lower and the upper face."""
+    read: FacesRead
+    before_C: float  # noqa: N815
+    """Core when last nothing had changed. [°C]"""
+
+    @staticmethod
+    def at_start(made: Linearised, timing: Timing, faces: tuple[int, int], start_C: float) -> BetweenFaces:
+        """Start with both faces at the panel's initial temperature."""
+        read = FacesRead(np.full(2, start_C), np.zeros(1), np.zeros(2))
+        return BetweenFaces(made, timing, faces, read, start_C)
+
+    def take(self, blocks: Blocks) -> None:
+        """March over blocks of scans; a face that is silent keeps its last temperature."""
+        march_between_faces(self.linearised.model, self.timing, blocks, self.faces, self.read)
+
+    @property
+    def knows(self) -> bool:
+        """Whether both faces have been read whenever they moved."""
+        return bool(self.read.silent_s[0] < HOLE_S and self.read.jumped_K[0] < UNREAD_K)
+
+    @property
+    def core(self) -> tuple[float, float]:
+        """Mean and variance. [°C, K²]"""
+        chain = self.linearised.model.chain
+        return float(chain.level[0]), float(chain.d_level @ chain.d_level)
+
+
+def log_sum(a: float, b: float) -> float:
+    """Return the logarithm of the sum of two numbers given by theirs."""
+    high = max(a, b)
+    return high + math.log1p(math.exp(min(a, b) - high))

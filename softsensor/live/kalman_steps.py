@@ -1,0 +1,169 @@
+"""The live sensor's Kalman filter in compiled loops: predict over a block, correct by what the faces read.
+
+The states x are the model's parameters in units of their prior's standard deviation (P), lag and footprint of the
+measuring chain (2), and each face's constant offset and slow bias (2 M) in K: x ~ N(0, I) but for the last.
+
+    predict    x = F x,  P = F P F' + Q      only the slow biases change: F = keep, Q = FACE_SLOW_K² (1 - keep²)
+    update     S = h P h' + R,  K = P h' / S,  x += K (y - h x),  P -= K S K'      one face at a time
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from softsensor.effects import thermocouple_footprint, thermocouple_lag
+from softsensor.live.march_steps import march
+from softsensor.signals.instrument import CHANNEL_WHITE_K, FACE_SLOW_K, FACE_SLOW_S, ROUNDING_K2
+
+Array = NDArray[np.float64]
+ROUGH_S, ROUGH_MEMORY_S = 0.15, 3.0
+"""How far the model may be off in time where readings jump, and for how long. [s]"""
+JUMP_K = 0.15
+"""Innovations where something changes at once (a contact lapses, a door opens). [K]"""
+GATE = 4.0
+"""Innovations beyond this many standard deviations lose weight."""
+LAG_S, FOOTPRINT = thermocouple_lag.EFFECT.scatter_sd, thermocouple_footprint.EFFECT.scatter_sd
+"""Prior standard deviation of the two parameters of the measuring chain. [s, -]"""
+
+
+class StateEstimate(NamedTuple):
+    """A Gaussian over the states, and where the model is linearised; mean and covariance change in place."""
+
+    mean: Array
+    """(N)"""
+    covariance: Array
+    """(N, N)"""
+    at: Array
+    """In prior units (P)."""
+
+
+@njit(cache=True)
+def predict_biases(estimate, first, keep, variance):
+    """Let the slow biases of the faces, states `first` and on, decay and be renewed: P = F P F' + Q."""
+    x, P = estimate.mean, estimate.covariance
+    n = x.shape[0]
+    for a in range(first, n):
+        x[a] *= keep
+        for b in range(n):
+            P[a, b] *= keep
+        for b in range(n):
+            P[b, a] *= keep
+        P[a, a] += variance * (1.0 - keep * keep)
+
+
+@njit(cache=True, fastmath=True)
+def kalman_update(estimate, h, innovation, R, gate):
+    """Correct by one reading; beyond `gate` standard deviations it loses weight, beyond twice all.
+
+    Parameters
+    ----------
+    h
+        Derivative of the reading by the states (N).
+    innovation
+        Reading minus what was expected. [K]
+    R
+        Variance of the reading's noise. [K²]
+
+    Returns
+    -------
+    The log-likelihood and the squared normalised innovation, both bounded by the gate.
+    """
+    x, P = estimate.mean, estimate.covariance
+    n = x.shape[0]
+    Ph = np.empty(n)
+    S = R
+    for a in range(n):
+        value = 0.0
+        for b in range(n):
+            value += P[a, b] * h[b]
+        Ph[a] = value
+        S += h[a] * value
+    square = innovation * innovation / S
+    fit = -0.5 * min(square, gate * gate) - 0.5 * math.log(S)
+    if square > gate * gate:
+        S = abs(innovation) * math.sqrt(S) / gate
+    if square > 4.0 * gate * gate:
+        S *= math.sqrt(square) / (2.0 * gate)
+    move = innovation / S
+    for a in range(n):
+        x[a] += Ph[a] * move
+        K = Ph[a] / S
+        for b in range(n):
+            P[a, b] -= K * Ph[b]
+    return fit, square
+
+
+@njit(cache=True)
+def expected_reading(model, before, estimate, face, share, h):
+    """Return what a face should read in the mean of a block, and fill its derivative `h` by the states (N). [°C]
+
+    `before` is the measuring chain at the block's begin: readings (M) and derivatives (M, Q). `share` is the
+    readings' mean time in the block.
+    """
+    read_before, d_before = before
+    x, at, chain = estimate.mean, estimate.at, model.chain
+    m, p, a, u = chain.read.shape[0], at.shape[0], face, share
+    value = u * chain.read[a] + (1.0 - u) * read_before[a]
+    h[:] = 0.0
+    for q in range(p):
+        h[q] = u * chain.d_read[a, q] + (1.0 - u) * d_before[a, q]
+        value += h[q] * (x[q] - at[q])
+    for q in range(2):
+        unit = LAG_S if q == 0 else FOOTPRINT
+        h[p + q] = unit * (u * chain.d_read[a, p + q] + (1.0 - u) * d_before[a, p + q])
+        value += h[p + q] * x[p + q]
+    h[p + 2 + a] = 1.0
+    h[p + 2 + m + a] = 1.0
+    return value + (x[p + 2 + a] + x[p + 2 + m + a])
+
+
+@njit(cache=True)
+def update_by_faces(model, before, estimate, blocks, k, score):
+    """Correct by what the faces read in block `k`; write into `score` (4) how well that was expected.
+
+    The score: log-likelihood, sum of squared normalised innovations, number of readings, and the logarithm of how
+    much likelier the readings are if something changed at once (heavy tails of `JUMP_K`).
+    """
+    level, elapsed = blocks.level[k], blocks.span[k, 1] - blocks.span[k, 0]
+    m = level.shape[0]
+    h = np.zeros(estimate.mean.shape[0])
+    score[:] = 0.0
+    coldest = -1
+    for a in range(m):
+        if math.isfinite(level[a]) and (coldest < 0 or level[a] < level[coldest]):
+            coldest = a
+    for a in range(m):
+        if not math.isfinite(level[a]):
+            continue
+        value = expected_reading(model, before, estimate, a, blocks.moment[k, a], h)
+        if elapsed <= 0.0 and (a != coldest or level[a] - value > 1.0):
+            continue  # the first scan of a run may lie at the insertion, when a face is already warming
+        slope = (model.chain.read[a] - before[0][a]) / elapsed if elapsed > 0.0 else 0.0
+        rough = ROUGH_S * slope
+        noise = CHANNEL_WHITE_K**2 / max(blocks.votes[k, a], 0.2) + ROUNDING_K2
+        noise += rough * rough * max(1.0, ROUGH_MEMORY_S / max(elapsed, 0.02))
+        fit, square = kalman_update(estimate, h, level[a] - value, noise, GATE)
+        wide = (level[a] - value) / JUMP_K
+        log_spread = -2.0 * (fit + 0.5 * min(square, GATE * GATE))
+        score[0] += fit
+        score[1] += min(square, 25.0)
+        score[2] += 1.0
+        score[3] += 0.5 * min(square, 200.0) + 0.5 * log_spread - math.log(1.25 * JUMP_K * (1.0 + wide * wide))
+
+
+@njit(cache=True)
+def filter_blocks(model, timing, estimate, blocks, scores):
+    """March over blocks of scans and correct by what the faces read; `scores` (K, 4) as in `update_by_faces`."""
+    for k in range(blocks.span.shape[0]):
+        elapsed = blocks.span[k, 1] - blocks.span[k, 0]
+        before = model.chain.read.copy(), model.chain.d_read.copy()
+        if elapsed > 0.0:
+            march(model, timing, blocks.span[k], blocks.outside[k])
+            first = estimate.mean.shape[0] - model.chain.read.shape[0]
+            predict_biases(estimate, first, math.exp(-elapsed / FACE_SLOW_S), FACE_SLOW_K * FACE_SLOW_K)
+        update_by_faces(model, before, estimate, blocks, k, scores[k])

@@ -1,0 +1,329 @@
+"""The live sensor's march: compiled loops from platen temperatures to what the panel's thermocouples read.
+
+Parameters are counted in units of their prior's standard deviation. The last axis of a tangent array runs over the
+thermal parameters (P) and then, where a measuring chain is involved, over its two: lag and footprint (Q = P + 2).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from softsensor.heat import implicit_steps as kernels
+from softsensor.heat.timing import HANDLING_RAMP_S, OPENING_RAMP_S
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+LONGEST_STEP_S = 0.5
+"""Longest step of a march: a block's length, so that a settled block takes one. [s]"""
+_SWITCH_STEP_S, _SETTLING_S, _GROWTH = 0.08, 0.35, 0.15
+"""Step around a ramp, how long beyond it such steps last, and how steps grow after. By hand, 2026-11. [s, s, -]"""
+
+
+class Factors(NamedTuple):
+    """Factor on closed contacts over the time since closing, integrated: a step's mean is a difference."""
+
+    edges: Array
+    """[s since closing]"""
+    total: Array
+    """(edges, contacts)"""
+    d_total: Array
+    """(edges, contacts, P)"""
+
+
+class Chain(NamedTuple):
+    """From temperatures at places to what the panel's thermocouples read; changed in place."""
+
+    opposite: NDArray[np.bool_]
+    """Whether a press face lies opposite each place while closed (M)."""
+    lag: float
+    """[s]"""
+    footprint: float
+    true: Array
+    """Before the lag (M)."""
+    d_true: Array
+    """(M, Q)"""
+    read: Array
+    """After the lag (M)."""
+    d_read: Array
+    """(M, Q)"""
+    level: Array
+    """Core now, and its slope (2). [°C, K/s]"""
+    d_level: Array
+    """(P)"""
+
+
+class Timing(NamedTuple):
+    """When things happen; infinite where they do not (yet). [s]"""
+
+    start: float
+    inserted: float
+    closed: float
+    opened: float
+    removed: float
+    ramp: float
+    switching: bool
+    """Whether opening and closing changes anything."""
+    inserted_unit: float
+    """How many seconds one unit of the parameter for the insertion is; so for the next two moments."""
+    closed_unit: float
+    opened_unit: float
+    longest: float
+    """Longest step. [s]"""
+
+
+class LinearModel(NamedTuple):
+    """The thermal model linearised about one set of parameters; `state` and `chain` change in place."""
+
+    stack: kernels.Stack
+    tangents: kernels.Tangents
+    d_boundary: Array
+    """Derivatives of the boundary temperatures (2, P)."""
+    nonlinear: bool
+    factors: Factors
+    places: Array
+    """Weights of the outputs: sensors' places, press faces opposite them, core (2 M + 1, n)."""
+    moving: Integers
+    """Columns of the moments of insertion, closing and opening, -1 where they are no parameters (3)."""
+    state: kernels.State
+    chain: Chain
+
+
+@njit(cache=True)
+def step_length(t, end, timing):
+    """Return the next step from `t`: fine around switches, growing after them, never across a window's begin."""
+    h = timing.longest
+    for k in range(5):
+        if k == 0:
+            moment, half = timing.start, 0.0
+        elif k == 1:
+            moment, half = timing.inserted, HANDLING_RAMP_S
+        elif k == 2:
+            moment, half = timing.closed, timing.ramp / 2 + _SETTLING_S
+        elif k == 3:
+            moment, half = timing.opened, OPENING_RAMP_S / 2 + _SETTLING_S
+        else:
+            moment, half = timing.removed, HANDLING_RAMP_S
+        if not math.isfinite(moment):
+            continue
+        if t < moment - half - 1e-9:
+            h = min(h, moment - half - t)
+        elif t < moment + half - 1e-9:
+            h = min(h, _SWITCH_STEP_S)
+        else:
+            h = min(h, 0.5 * _SWITCH_STEP_S + _GROWTH * (t - moment - half))
+    left = end - t
+    if left <= 1.3 * h:
+        return left
+    return min(h, 0.5 * left) if left < 2.0 * h else h
+
+
+@njit(cache=True)
+def _area(edge, middle, length):
+    """Integral up to `edge` of a rise from 0 to 1 about `middle`."""
+    x = (edge - middle) / length + 0.5
+    if x <= 0.0:
+        return 0.0
+    if x >= 1.0:
+        return edge - middle
+    return length * x * x / 2
+
+
+@njit(cache=True)
+def _share(edge, middle, length):
+    return min(max((edge - middle) / length + 0.5, 0.0), 1.0)
+
+
+@njit(cache=True)
+def _mean_rise(a, b, middle, length):
+    if middle == -math.inf:
+        return 1.0
+    if middle == math.inf:
+        return 0.0
+    return (_area(b, middle, length) - _area(a, middle, length)) / (b - a)
+
+
+@njit(cache=True)
+def set_shares(drive, k, a, b, timing, moving):
+    """Fill a step's shares of idle, open, closed and their derivatives by the moments."""
+    weight, d_weight = drive.weight, drive.d_weight
+    if not timing.switching:
+        weight[k, 2] = 1.0
+        return
+    present = _mean_rise(a, b, timing.inserted, HANDLING_RAMP_S) - _mean_rise(
+        a, b, timing.removed, HANDLING_RAMP_S
+    )
+    closed = _mean_rise(a, b, timing.closed, timing.ramp) - _mean_rise(a, b, timing.opened, OPENING_RAMP_S)
+    closed = min(max(closed, 0.0), 1.0)
+    weight[k, 0] = 1.0 - present
+    weight[k, 1] = max(present - closed, 0.0)
+    weight[k, 2] = closed
+    if moving[0] >= 0 and math.isfinite(timing.inserted):
+        change = _share(a, timing.inserted, HANDLING_RAMP_S) - _share(b, timing.inserted, HANDLING_RAMP_S)
+        d_weight[k, 1, moving[0]] = change / (b - a) * timing.inserted_unit
+        d_weight[k, 0, moving[0]] = -d_weight[k, 1, moving[0]]
+    if moving[1] >= 0 and math.isfinite(timing.closed):
+        change = _share(a, timing.closed, timing.ramp) - _share(b, timing.closed, timing.ramp)
+        d_weight[k, 2, moving[1]] = change / (b - a) * timing.closed_unit
+        d_weight[k, 1, moving[1]] = -d_weight[k, 2, moving[1]]
+    if moving[2] >= 0 and math.isfinite(timing.opened):
+        change = _share(b, timing.opened, OPENING_RAMP_S) - _share(a, timing.opened, OPENING_RAMP_S)
+        d_weight[k, 2, moving[2]] = change / (b - a) * timing.opened_unit
+        d_weight[k, 1, moving[2]] = -d_weight[k, 2, moving[2]]
+
+
+@njit(cache=True)
+def _set_factors(drive, k, a, b, factors, closed):
+    """Fill the mean factors on closed contacts over a step."""
+    factor, d_factor = drive.factor, drive.d_factor
+    if not math.isfinite(closed):
+        return
+    last = factors.edges.shape[0] - 1
+    low = min(max(a - closed, factors.edges[0]), factors.edges[last] - 1.0)
+    high = min(low + (b - a), factors.edges[last])
+    i = min(max(np.searchsorted(factors.edges, low) - 1, 0), last - 1)
+    j = min(max(np.searchsorted(factors.edges, high) - 1, 0), last - 1)
+    u = (low - factors.edges[i]) / (factors.edges[i + 1] - factors.edges[i])
+    v = (high - factors.edges[j]) / (factors.edges[j + 1] - factors.edges[j])
+    for m in range(factors.total.shape[1]):
+        first = factors.total[i, m] + u * (factors.total[i + 1, m] - factors.total[i, m])
+        second = factors.total[j, m] + v * (factors.total[j + 1, m] - factors.total[j, m])
+        factor[k, m] = (second - first) / (high - low)
+        for q in range(factors.d_total.shape[2]):
+            d_first = factors.d_total[i, m, q] * (1 - u) + u * factors.d_total[i + 1, m, q]
+            d_second = factors.d_total[j, m, q] * (1 - v) + v * factors.d_total[j + 1, m, q]
+            d_factor[k, m, q] = (d_second - d_first) / (high - low)
+
+
+@njit(cache=True)
+def sense(chain, out, d_out, k, h, closed):
+    """Bring the measuring chain to output row `k`, `h` seconds after the last (0: settled).
+
+    The outputs are the sensors' places, the press faces opposite them, and the core.
+    """
+    m = chain.read.shape[0]
+    p = chain.d_level.shape[0]
+    after = out[k, 2 * m]
+    chain.level[1] = (after - chain.level[0]) / h if h > 0.0 else 0.0
+    chain.level[0] = after
+    for q in range(p):
+        chain.d_level[q] = d_out[q, k, 2 * m]
+    row = np.empty(p + 2)
+    for a in range(m):
+        y = out[k, a]
+        for q in range(p):
+            row[q] = d_out[q, k, a]
+        row[p] = 0.0
+        row[p + 1] = 0.0
+        if chain.opposite[a] and closed > 0.0:
+            w = chain.footprint * closed
+            gap = out[k, m + a] - y
+            row[p + 1] = closed * gap
+            if w != 0.0:
+                y += w * gap
+                for q in range(p):
+                    row[q] += w * (d_out[q, k, m + a] - row[q])
+        _delay(chain, a, y, row, h)
+
+
+@njit(cache=True)
+def _delay(chain, a, y, row, h):
+    """First-order lag with the input straight over the step, and its derivative by the time constant."""
+    tau = chain.lag
+    q_all = row.shape[0]
+    p = q_all - 2
+    old = chain.read[a]
+    before = chain.true[a]
+    if h <= 0.0:
+        chain.read[a] = y
+        chain.d_read[a] = row
+    elif tau < 2e-3:
+        chain.read[a] = y
+        for q in range(q_all):
+            chain.d_read[a, q] = row[q]
+        chain.d_read[a, p] = -(y - before) / h
+    else:
+        x = h / tau
+        e = math.exp(-x)
+        r = (1.0 - e) / x
+        dr = (e * (1.0 + x) - 1.0) / (x * x) if x > 1e-4 else -0.5 + x / 3.0
+        chain.read[a] = old * e + before * (r - e) + y * (1.0 - r)
+        for q in range(q_all):
+            chain.d_read[a, q] = chain.d_read[a, q] * e + chain.d_true[a, q] * (r - e) + row[q] * (1.0 - r)
+        chain.d_read[a, p] += (-old * e + before * (dr + e) - y * dr) * (-x / tau)
+    chain.true[a] = y
+    for q in range(q_all):
+        chain.d_true[a, q] = row[q]
+
+
+@njit(cache=True)
+def march(model, timing, span, outside):
+    """Take the model from ``span[0]`` to ``span[1]`` with platens straight from outside[0] to outside[1]."""
+    drive = _drive(model, timing, span, outside)
+    p, n = model.state.s.shape
+    steps, outputs = drive.h.shape[0], model.places.shape[0]
+    out, d_out = np.empty((steps + 1, outputs)), np.empty((p, steps + 1, outputs))
+    record = kernels.Record(model.places, out, d_out, np.empty((0, n)))
+    kernels.march(model.stack, model.tangents, drive, model.state, record, model.nonlinear)
+    t = span[0]
+    for k in range(steps):
+        t += drive.h[k]
+        sense(model.chain, out, d_out, k + 1, drive.h[k], _closed(t, timing))
+
+
+@njit(cache=True)
+def _drive(model, timing, span, outside):
+    """Cut a span into steps, each with its press state, contact factors and platens."""
+    p = model.state.s.shape[0]
+    lengths = np.empty(400)
+    t, steps = span[0], 0
+    while span[1] - t > 1e-9 and steps < 400:
+        lengths[steps] = step_length(t, span[1], timing)
+        t += lengths[steps]
+        steps += 1
+    h = lengths[:steps].copy()
+    contacts = model.factors.total.shape[1]
+    drive = kernels.Drive(
+        h, np.zeros((steps, 3)), np.zeros((steps, 3, p)), np.ones((steps, contacts)),
+        np.zeros((steps, contacts, p)), np.zeros((steps, 2, 2)), model.d_boundary,
+    )  # fmt: skip
+    t = span[0]
+    for k in range(steps):
+        for side in range(2):
+            slope = (outside[1, side] - outside[0, side]) / (span[1] - span[0])
+            drive.boundary[k, side, 0] = outside[0, side] + slope * (t + 0.5 * h[k] - span[0])
+            drive.boundary[k, side, 1] = slope * h[k]
+        set_shares(drive, k, t, t + h[k], timing, model.moving)
+        _set_factors(drive, k, t, t + h[k], model.factors, timing.closed)
+        t += h[k]
+    return drive
+
+
+@njit(cache=True)
+def _closed(t, timing):
+    """Return how far the press is closed at a time, from 0 to 1."""
+    if not timing.switching:
+        return 1.0
+    closed = _share(t, timing.closed, timing.ramp) if math.isfinite(timing.closed) else 0.0
+    if math.isfinite(timing.opened):
+        closed -= _share(t, timing.opened, OPENING_RAMP_S)
+    return closed
+
+
+@njit(cache=True)
+def settle(state, chain, places):
+    """Bring the measuring chain to rest at the state's temperatures."""
+    p, n = state.s.shape
+    m = places.shape[0]
+    out, d_out = np.zeros((1, m)), np.zeros((p, 1, m))
+    for a in range(m):
+        for i in range(n):
+            out[0, a] += places[a, i] * state.t[i]
+            for q in range(p):
+                d_out[q, 0, a] += places[a, i] * state.s[q, i]
+    sense(chain, out, d_out, 0, 0.0, 0.0)

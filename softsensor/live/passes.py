@@ -1,0 +1,275 @@
+"""Passes of the live sensor's filters over a run's scans, each with what was known of its moments at the time.
+
+While a pass that knows better goes through the stored scans, the one before goes on answering.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from daq.records import Array, Moments, PressEventKind, PressState
+from softsensor.live.block_steps import Counted, last_switch
+from softsensor.live.blocks import Scans, blocks_of, cut
+from softsensor.live.inside import Inside, look_inside
+from softsensor.live.kalman import BetweenFaces, KalmanFilter
+from softsensor.live.march_steps import LONGEST_STEP_S, Chain, Timing
+from softsensor.live.mixture import Mixture, mix, model_variance
+from softsensor.live.priors import TIMING, panel_plan, plans_for
+from softsensor.live.setup import Linearised, RunSetup, linearise
+from softsensor.signals.instrument import LIVE_MOMENT_S, START_K
+
+if TYPE_CHECKING:
+    from softsensor.heat.model_file import ModelFile
+
+LEAST_WAIT_S = 0.5
+"""A panel lies in the press for so long at least before it closes. [s]"""
+UNSURE = 2.0
+"""Faces count from so many standard deviations after an insertion nobody saw: sooner they rise with the root of
+time, and a straight line through that would be sure of a moment it cannot know."""
+UNEVEN_K = 0.5
+"""A panel's faces follow the air of the hall before its core does: where they contradict the header, they tell the
+core's start no better than this. [K]"""
+BLOCKS_PER_S, LEAST_BLOCKS = 250, 25
+"""How fast a new pass over the stored scans catches up: blocks for each second of the run, and for each scan."""
+FOUND_LATER = 2
+"""So many of `TIMING`, closing and opening, become known after the filters have begun."""
+EVEN = 0.5
+"""Chance of a change from which on the core is no longer counted as before it."""
+
+
+@dataclass(frozen=True)
+class Known:
+    """What has been found out about the run's moments."""
+
+    moments: Moments = field(default_factory=Moments)
+    inserted_sd: float = 0.0
+    """0: as well as the faces show it. [s]"""
+    closed_sd: float = LIVE_MOMENT_S
+    opened_sd: float = LIVE_MOMENT_S
+    initial_sd: float = START_K
+    """Of the header's start temperature. [K]"""
+    idle: bool = False
+    """Whether the press stands empty."""
+
+    @property
+    def moments_sd(self) -> tuple[float, float, float]:
+        """Standard deviations of the moments of `TIMING`. [s]"""
+        return self.inserted_sd, self.closed_sd, self.opened_sd
+
+    def switches(self, first: float) -> Array:
+        """Return when the press moved, NaN where it has not; `first` is the run's first scan. [s]"""
+        m = self.moments
+        return np.array([first, m.inserted_s, m.closed_s, m.opened_s, m.removed_s])
+
+
+class Pass:
+    """Filters side by side, and how far they have come.
+
+    Parameters
+    ----------
+    setup, model
+        The press with the run's overrides, and the model in force.
+    known
+        The run's moments as known when the pass began.
+    points
+        Where to linearise; None starts from the priors.
+    first
+        Time of the first scan. [s]
+    """
+
+    def __init__(
+        self, setup: RunSetup, model: ModelFile | None, known: Known, points: Sequence[Array] | None, first: float
+    ) -> None:
+        self._setup, self._known, self._first = setup, known, first
+        self.switches = known.switches(first)
+        missing = model.missing if model is not None else None
+        self._unexplained = missing.unexplained_K if missing is not None else 0.0
+        self._uneven = UNEVEN_K if known.initial_sd > START_K else 0.0
+        plans = plans_for(setup.press, model, known.moments_sd, known.initial_sd)
+        if points is None or [len(p) for p in points] != [len(plan.priors) for plan in plans]:
+            points = [plan.start.copy() for plan in plans]
+        self.points = list(points)
+        made = [linearise(setup, plan, at) for plan, at in zip(plans, points, strict=True)]
+        self.filters = [
+            KalmanFilter.at_prior(setup, one, self._timing(one), plan)
+            for one, plan in zip(made, plans, strict=True)
+        ]
+        self.between = self._between_faces(model)
+        self.done = 0
+        """Scans taken in."""
+        self.mixture: Mixture | None = None
+        self._inside: tuple[Mixture | None, Inside] | None = None
+        self._sound = True
+        """Whether nothing has changed at once so far."""
+
+    def _between_faces(self, model: ModelFile | None) -> BetweenFaces | None:
+        alone = self._setup.alone
+        if alone is None:
+            return None
+        plan = panel_plan(model, alone[0].effects, self._known.initial_sd)
+        made = linearise(alone[0], plan, np.zeros(len(plan.priors)))
+        return BetweenFaces.at_start(made, self._timing(made), alone[1], self._setup.start_C)
+
+    def _timing(self, made: Linearised) -> Timing:
+        m = self._known.moments
+        insertion, closing, opening = (made.shift(t) if t in made.names else 0.0 for t in TIMING)
+        here = math.inf if self._known.idle and not math.isfinite(m.removed_s) else -math.inf
+
+        def known(moment: float, otherwise: float = math.inf) -> float:
+            return moment if math.isfinite(moment) else otherwise
+
+        units, closed = made.timing_units, known(m.closed_s) + closing
+        return Timing(
+            start=self._first,
+            inserted=min(known(m.inserted_s, here) + insertion, closed - LEAST_WAIT_S),
+            closed=closed,
+            opened=known(m.opened_s) + opening,
+            removed=known(m.removed_s),
+            ramp=m.ramp_s,
+            switching=self._setup.press.has_states,
+            inserted_unit=units[0],
+            closed_unit=units[1],
+            opened_unit=units[2],
+            longest=LONGEST_STEP_S,
+        )
+
+    @property
+    def missed_K(self) -> float:  # noqa: N802
+        """By how much both faces moved while they were not read, at most. [K]"""
+        return 0.0 if self.between is None else float(self.between.read.jumped_K[1])
+
+    @property
+    def misfit(self) -> float:
+        """Mean squared normalised innovation of the filter that does best."""
+        return min(f.misfit for f in self.filters)
+
+    @property
+    def chain(self) -> Chain:
+        """The measuring chain of the filter whose cause is none: what faces read and the core."""
+        return self.filters[0].linearised.model.chain
+
+    @property
+    def rise(self) -> float:
+        """How far the core has come from its start, 0 where that is not known. [K]"""
+        rise = self.filters[0].core_C - self._setup.start_C
+        return rise if rise == rise else 0.0
+
+    @property
+    def inside(self) -> Inside | None:
+        """Profile and heat of the panel, None without one."""
+        if not len(self.filters[0].linearised.profile):
+            return None
+        if self._inside is None or self._inside[0] is not self.mixture:
+            self._inside = self.mixture, look_inside(self.filters[0])
+        return self._inside[1]
+
+    def margin(self, rise: float, *, by_faces: bool = False) -> float:
+        """Return what the model itself adds to the core's variance after so much rise. [K²]"""
+        return model_variance(rise, self._unexplained, self._uneven if by_faces else 0.0)
+
+    def extend(self, scans: Scans, limit: int, *, blind: bool = False) -> bool:
+        """Take in the scans that make up complete blocks, `limit` blocks at most; return whether all are in.
+
+        `blind` predicts from the platens and leaves what the faces read alone.
+        """
+        ends, whole = cut(scans, self.done, self.switches, limit)
+        if len(ends):
+            timing = self.filters[0].timing
+            inserted = timing.inserted + UNSURE * self._known.inserted_sd
+            counted = Counted(inserted, timing.removed, self.switches, blind)
+            blocks = blocks_of(scans.rows, self.done, ends, counted)
+            for one in (*self.filters, self.between):
+                if one is not None:
+                    one.take(blocks)
+            self.done = int(ends[-1]) + 1
+            if whole:
+                self.mixture = mix(self.filters, self.margin(self.rise, by_faces=True), self.between)
+                self._sound = self._sound and self.mixture.changed < EVEN
+                if self.between is not None and self._sound:
+                    self.between.before_C = self.between.core[0]
+        return whole
+
+    def better_points(self) -> list[Array] | None:
+        """Return where to linearise anew, None where the old points are still near enough."""
+        better = [one.better_point() for one in self.filters]
+        if all(point is None for point in better):
+            return None
+        return [old if new is None else new for old, new in zip(self.points, better, strict=True)]
+
+
+class KnowsPress(Protocol):
+    """Who follows the press."""
+
+    state: PressState | None
+    known: Known
+
+    @property
+    def pending(self) -> bool:
+        """Whether a moment is in view that is not yet believed."""
+
+
+class Passes:
+    """The pass that answers, and one that knows better and has not caught up yet.
+
+    Parameters
+    ----------
+    model
+        The model in force.
+    """
+
+    def __init__(self, model: ModelFile | None) -> None:
+        self.current: Pass | None = None
+        self.overtaken = False
+        """Whether the present pass knows the press in a state it has left: faces would mislead it."""
+        self._model = model
+        self._next: Pass | None = None
+        self._points: list[Array] = []
+        self._linearised_s = -math.inf
+
+    def forget(self, moments: Sequence[PressEventKind]) -> None:
+        """Forget where to linearise what these moments of the press have changed."""
+        if PressEventKind.INSERTED in moments:
+            self._points = []
+        if moments:
+            for point in self._points:
+                point[-FOUND_LATER:] = 0.0
+
+    def drop(self) -> None:
+        """Begin anew, from what was known before the run, at the next scan."""
+        self.current = self._next = None
+
+    def advance(self, setup: RunSetup, scans: Scans, press: KnowsPress, *, stale: bool) -> None:
+        """Bring the filters up to the newest scan, or a new pass of them nearer to it."""
+        now = scans.now
+        if stale or (self.current is None and self._next is None):
+            self._begin(setup, scans, press, None if self.current is None else self._points)
+            self.overtaken = stale
+        elif self.current is not None and not press.pending:
+            self.current.extend(scans, len(scans), blind=self.overtaken)
+            if self._next is None and self._due(self.current, now):
+                self._linearised_s = now
+                if (points := self.current.better_points()) is not None:
+                    self._begin(setup, scans, press, points)
+        if self._next is not None:
+            step = now - float(scans.time[-2]) if len(scans) > 1 else 0.0
+            if self._next.extend(scans, max(LEAST_BLOCKS, round(BLOCKS_PER_S * step))):
+                self.current, self._next, self._linearised_s = self._next, None, now
+                self.overtaken = False
+        if self.current is not None:
+            scans.expect(self.current.chain.read)
+
+    def _begin(self, setup: RunSetup, scans: Scans, press: KnowsPress, points: Sequence[Array] | None) -> None:
+        """Begin a pass with what is known by now; the present one answers until it has caught up."""
+        known = replace(press.known, idle=press.state is PressState.IDLE)
+        self._next = Pass(setup, self._model, known, points, float(scans.time[0]))
+        self._points = self._next.points
+
+    def _due(self, current: Pass, now: float) -> bool:
+        """Return whether it is time to ask if the filters are still linearised near enough."""
+        since = now - float(last_switch(current.switches, now))
+        return now - self._linearised_s >= max(0.7, 0.4 * since)

@@ -1,0 +1,84 @@
+"""A stored run through the live sensor, scan by scan and causally: what it would have said."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
+
+from daq.press.header import panel_of
+from daq.press.press_file import Press, press_for_run
+from daq.records import InputError, Run
+from daq.words import say
+from softsensor.heat.model_file import ModelFile
+from softsensor.live.sensor import Estimate, LiveSensor
+
+NUMBERS = ("core_C", "core_sd_K", "core_low_C", "core_high_C")
+
+
+@dataclass(frozen=True)
+class Replay:
+    """What the live sensor said at every scan of a run."""
+
+    run: Run
+    estimates: tuple[Estimate, ...]
+
+    def columns(self) -> dict[str, list[float] | list[int] | list[str]]:
+        """Return it as the columns of ``predict --out``."""
+        rows = self.estimates
+        return {
+            "time_s": [row.time_s for row in rows],
+            "state": ["unknown" if row.state is None else str(row.state) for row in rows],
+            **{name: [float(getattr(row, name)) for row in rows] for name in NUMBERS},
+            "valid": [int(row.valid) for row in rows],
+            "reason": ["" if row.invalid is None else row.invalid.line for row in rows],
+        }
+
+
+def replay(
+    press: Press,
+    run: Run,
+    model: ModelFile | None = None,
+    hidden: Collection[str] = (),
+    progress: Callable[[int], None] = lambda scans: None,
+) -> Replay:
+    """Feed a run to a live sensor, scan by scan; row i rests on nothing later than scan i.
+
+    Parameters
+    ----------
+    hidden
+        Columns it does not see; validation columns, a core's, it never sees.
+    progress
+        Is given the number of scans done.
+
+    Raises
+    ------
+    InputError
+        Where the run lacks what this press cannot predict without: a platen's column, or the panel.
+    """
+    unseen = {*hidden, *press.sensors_of(run, "validation")}
+    seen = {name: values.tolist() for name, values in run.columns.items() if name not in unseen}
+    _check(press, run, seen)
+    sensor = LiveSensor(press, run.header, model)
+    estimates = []
+    for i, time_s in enumerate(run.time_s.tolist()):
+        estimates.append(sensor.update(time_s, {name: values[i] for name, values in seen.items()}))
+        progress(i + 1)
+    return Replay(run, tuple(estimates))
+
+
+def _check(press: Press, run: Run, seen: Collection[str]) -> None:
+    own = press_for_run(press, run)
+    for end in ("bottom", "top"):
+        boundary = getattr(own.boundary, end)
+        if boundary.kind == "measured" and boundary.column not in seen:
+            raise InputError(
+                say(
+                    "boundary-column-missing",
+                    run=run.source or run.name,
+                    column=str(boundary.column),
+                    end=end,
+                    columns=tuple(seen),
+                )
+            )
+    if own.panel_layers:
+        panel_of(run)

@@ -1,0 +1,212 @@
+"""The live sensor: core temperature with a band one can trust, scan by scan.
+
+Method (decided 2026-11, see also `live.priors`). The thermal model marches with the platens; forward
+tangents say how faces and core answer to every uncertain parameter. A Kalman filter over these parameters
+(coefficients, start temperature, platen offsets, moments, biases of the readings, and causes the model in
+force leaves out) is corrected by one robust mean a face. The state estimate is a joint Gaussian; "no cause is
+missing" and "this cause is missing" are hypotheses it is conditioned on (`live.mixture_steps.condition`), so
+that the band is a Gaussian mixture: narrow while the faces agree with the plain model, wide or moved when they do
+not. Evaporation, whose tangent at zero says little about its real size, has a filter of its own.
+
+When the estimate moves far from where the model was linearised, or a moment of the press becomes known
+(always a little late), the stored scans are gone through again from the start, some blocks with each new
+scan, while the pass before goes on answering: no scan waits for it. Everything is a function of the scans so
+far: replay and live agree, and a run cut short gives the same rows.
+
+What is reported as the core is what the model in force says (2026-11-21): a cause that is only suspected widens
+the band towards where it would put the core, and moves the number only once a diagnosis has put it into the model
+(or once the number would lie more than `REPORTED_K` from what all hypotheses together expect).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from daq.press.press_file import Press, press_for_run
+from daq.records import PressState, Run
+from softsensor.heat.model_file import ModelFile
+from softsensor.live.blocks import Scans
+from softsensor.live.consistency import Stillness
+from softsensor.live.following import PressFollower
+from softsensor.live.forecast import Forecast, look_ahead, wishes_of
+from softsensor.live.inside import Inside
+from softsensor.live.mixture import Mixture
+from softsensor.live.passes import Pass, Passes
+from softsensor.live.platens import HeldPlatens
+from softsensor.live.setup import RunSetup, set_up, with_platens
+from softsensor.live.validity import Invalid, InvalidReason
+
+MISFIT_LIMIT = 9.0
+"""Mean squared normalised innovation over 10 s beyond which the model is not valid: three deviations, for 10 s."""
+WIDEST_K = 25.0
+"""Half-width of a band beyond which the core is not observable. Set by hand, 2026-11. [K]"""
+FORECAST_S = 2.0
+"""How often the sensor looks ahead. [s]"""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What the live sensor says at one scan."""
+
+    time_s: float
+    state: PressState | None
+    """None: unknown."""
+    core_C: float = math.nan  # noqa: N815
+    core_sd_K: float = math.nan  # noqa: N815
+    core_low_C: float = math.nan  # noqa: N815
+    core_high_C: float = math.nan  # noqa: N815
+    """Low and high bound 95 %."""
+    invalid: Invalid | None = None
+    """Why it is not to be believed; None: it is valid."""
+    suspected: str = ""
+    """The cause the readings point to, where one is likelier than none."""
+
+    @property
+    def valid(self) -> bool:
+        """Whether the core is to be believed."""
+        return self.invalid is None
+
+    @property
+    def reason(self) -> InvalidReason | None:
+        """Why it is not valid, without the arguments."""
+        return None if self.invalid is None else self.invalid.reason
+
+
+@dataclass
+class _Followed:
+    """What follows a run from its first scan on."""
+
+    setup: RunSetup
+    scans: Scans
+    press: PressFollower
+    passes: Passes
+    platens: HeldPlatens
+    still: Stillness
+
+
+class LiveSensor:
+    """Takes scans and says what the core is doing.
+
+    Parameters
+    ----------
+    press
+        The press file.
+    header
+        The run's header: panel, ambient, settings.
+    model
+        Coefficients and effects from earlier runs; None starts from the press file's guesses.
+    """
+
+    def __init__(self, press: Press, header: Mapping[str, Any], model: ModelFile | None = None) -> None:
+        self._press, self._header, self._model = press, dict(header), model
+        self._run: _Followed | None = None
+        self._wishes = wishes_of(header)
+        self._forecast, self._forecast_s = Forecast(), -math.inf
+
+    def update(self, time_s: float, values: Mapping[str, float]) -> Estimate:
+        """Take a scan (missing values NaN or left out) and say what the core is doing now."""
+        run = self._run = self._run or self._begin(values)
+        measured = (*run.setup.platens, *run.setup.columns)
+        readings = np.array([values.get(c, math.nan) for c in measured])
+        frozen = run.still.frozen(time_s, readings)
+        if frozen:
+            values = {name: math.nan if name in measured else value for name, value in values.items()}
+            readings[:] = math.nan
+        moments = run.press.detect(time_s, values)
+        run.passes.forget(moments)
+        if not run.platens.note(time_s, values):
+            return Estimate(time_s, run.press.state, invalid=Invalid(InvalidReason.PLATEN_READING_MISSING))
+        if not len(run.scans):
+            run.setup = with_platens(run.setup, run.platens.values)
+            run.press.note_first_platens(time_s)
+        run.scans.append(time_s, run.platens.values, readings[len(run.setup.platens) :])
+        silenced = run.still.silence(run.scans, frozen=frozen)
+        disagrees = run.press.check_start()
+        current = run.passes.current
+        run.press.receive(time_s, None if current is None else current.chain.read)
+        try:
+            run.passes.advance(run.setup, run.scans, run.press, stale=bool(moments) or silenced or disagrees)
+        except (ArithmeticError, np.linalg.LinAlgError):
+            run.passes.drop()
+            return Estimate(time_s, run.press.state, invalid=Invalid(InvalidReason.CALCULATION_FAILED))
+        return self._estimate(run, time_s)
+
+    @property
+    def inside(self) -> Inside | None:
+        """Profile and heat of the panel at the newest scan; None without a panel or before it is known."""
+        current = self._run.passes.current if self._run is not None else None
+        if self._run is None or current is None or self._run.press.state is PressState.IDLE:
+            return None
+        return current.inside
+
+    @property
+    def forecast(self) -> Forecast:
+        """What lies ahead for what the header wants of the core, as `look_ahead` last found it."""
+        if self._run is None or not len(self._run.scans):
+            return self._forecast
+        return self._forecast.later(self._run.scans.now - self._forecast_s)
+
+    def look_ahead(self) -> None:
+        """Work out what lies ahead, where that matters and the last look is `FORECAST_S` old. Takes some 10 ms."""
+        run = self._run
+        current = run.passes.current if run is not None else None
+        if run is None or current is None or not self._wishes.any:
+            return
+        if not math.isfinite(run.press.known.moments.closed_s) or run.scans.now - self._forecast_s < FORECAST_S:
+            return
+        now, state = run.scans.now, run.press.state
+        self._forecast_s, self._forecast = now, Forecast()
+        if state is PressState.CLOSED or state is PressState.OPEN:
+            done = float(run.scans.time[current.done - 1])
+            found = look_ahead(current, self._wishes, state, done, np.array(run.platens.values))
+            self._forecast = found.later(now - done)
+
+    def _begin(self, values: Mapping[str, float]) -> _Followed:
+        """Lay out what follows a run whose first scan has these columns. Raises InputError."""
+        times = np.linspace(-2.0, 900.0, 24)  # close enough that no gap needs bridging
+        columns = {name: np.full(len(times), v) for name, v in values.items()}
+        run = Run("live", self._header, times, columns, "live")
+        effects = tuple(name for name, _ in self._model.effects) if self._model else ()
+        setup = set_up(press_for_run(self._press, run), run, effects)
+        scans = Scans(setup.place, len(setup.labels))
+        still = Stillness(setup.place, len(setup.labels), len(setup.platens))
+        return _Followed(
+            setup, scans, PressFollower(setup, scans), Passes(self._model), HeldPlatens(setup.press), still
+        )
+
+    def _estimate(self, run: _Followed, time_s: float) -> Estimate:
+        state, current = run.press.state, run.passes.current
+        if state is None:
+            return Estimate(time_s, None, invalid=Invalid(InvalidReason.PRESS_STATE_UNKNOWN))
+        if current is None or current.mixture is None or run.platens.lost(time_s):
+            return Estimate(time_s, state, invalid=Invalid(InvalidReason.PLATEN_READING_MISSING))
+        mixture = current.mixture
+        ahead = float(current.chain.level[1]) * (time_s - float(run.scans.time[current.done - 1]))
+        return Estimate(
+            time_s=time_s,
+            state=state,
+            core_C=mixture.core_C + ahead,
+            core_sd_K=mixture.sd_K,
+            core_low_C=mixture.low_C + ahead,
+            core_high_C=mixture.high_C + ahead,
+            invalid=_why_invalid(run, current, mixture, time_s),
+            suspected=mixture.leading,
+        )
+
+
+def _why_invalid(run: _Followed, current: Pass, mixture: Mixture, time_s: float) -> Invalid | None:
+    """Return why the core is not to be believed, None where it is: the first that applies."""
+    if (invalid := run.press.contradicted(current.missed_K)) is not None:
+        return invalid
+    if current.misfit > MISFIT_LIMIT and not mixture.by_faces:
+        return Invalid(InvalidReason.READINGS_CONTRADICT_MODEL)
+    if (invalid := run.press.unseen(time_s, overtaken=run.passes.overtaken)) is not None:
+        return invalid
+    if mixture.high_C - mixture.low_C > 2.0 * WIDEST_K:
+        return Invalid(InvalidReason.BAND_TOO_WIDE, {"limit_K": WIDEST_K})
+    return None

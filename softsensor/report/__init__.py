@@ -1,0 +1,1 @@
+"""The only rooms that draw: figures and pages of fits, diagnoses and nights."""

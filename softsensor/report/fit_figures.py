@@ -1,0 +1,335 @@
+"""Figures of a fit: measured against simulated, coefficients over a campaign. Titles say the finding."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from daq.records import Array
+from daq.words import Message, say
+from daq.words.message import ENGLISH, words
+from softsensor.effects.vocabulary import place_words
+from softsensor.fitting.campaign import CampaignFit
+from softsensor.fitting.paper.procedures import Reproduction
+from softsensor.fitting.result import RunFit
+from softsensor.fitting.unknowns import is_parameter
+from softsensor.signals.places import Place
+
+INK, MUTED, GRID = "#1f2933", "#6b7785", "#e3e7ec"
+COLOURS = ("#c2571a", "#1f6fb2", "#2f8f6b", "#7a5ba8")
+"""Of places, upper face first."""
+Put = Callable[[Message | str], str]
+"""Puts a message into the language of a figure."""
+FEW_TICKS = 8
+"""Runs up to which each has its tick."""
+CLOSED_SHADE = "#f1f3f6"
+STYLE: Mapping[str, Any] = {
+    "font.family": "DejaVu Sans",
+    "font.size": 9.0,
+    "axes.edgecolor": MUTED,
+    "axes.labelcolor": INK,
+    "axes.titlesize": 10.5,
+    "axes.titleweight": "bold",
+    "axes.titlecolor": INK,
+    "axes.titlelocation": "left",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.color": GRID,
+    "grid.linewidth": 0.6,
+    "xtick.color": MUTED,
+    "ytick.color": MUTED,
+    "legend.frameon": False,
+    "svg.hashsalt": "kerntemp",
+    "svg.fonttype": "path",
+}
+
+
+def svg(figure: Figure) -> str:
+    """Return a figure as SVG text, the same for the same figure."""
+    return _saved(figure, "svg").decode()
+
+
+def png(figure: Figure, dpi: int = 130) -> bytes:
+    """Return a figure as PNG."""
+    return _saved(figure, "png", dpi=dpi)
+
+
+def _saved(figure: Figure, kind: str, **options: Any) -> bytes:
+    buffer = io.BytesIO()
+    with rc_context(dict(STYLE)):
+        figure.savefig(buffer, format=kind, metadata={"Date": None} if kind == "svg" else None, **options)
+    return buffer.getvalue()
+
+
+def campaign_figures(campaign: CampaignFit, language: str = ENGLISH) -> dict[str, str]:
+    """Return every figure of a campaign as SVG text, by name: the runs, the coefficients, what moves together."""
+    figures = {"coefficients": svg(coefficients_figure(campaign, language))}
+    if len(campaign.met) > 1:
+        figures["coefficients_normalised"] = svg(normalised_figure(campaign, language))
+    for fitted in campaign.runs:
+        figures[f"measured_{fitted.run}"] = svg(run_figure(fitted, language))
+        figures[f"correlation_{fitted.run}"] = svg(correlation_figure(fitted, language))
+    return figures
+
+
+def run_figure(fitted: RunFit, language: str = ENGLISH) -> Figure:
+    """Measured faces with error bars, simulated with guesses and with the fit, residuals below."""
+    put = partial(words, language=language)
+    places = _ordered(fitted.problem.signals.places)[:4]
+    after, before = _predictions(fitted)
+    with rc_context(dict(STYLE)):
+        figure = Figure(figsize=(10.0, 5.6), layout="constrained")
+        axes = figure.subplots(2, len(places), sharex=True, squeeze=False, height_ratios=[3, 1.25])
+        off = {"fit": fitted.rmse_K, "guesses": fitted.initial_rmse_K}
+        code = "figure-fit" if fitted.met else "figure-not-described"
+        title = Message(code, {"run": fitted.run, **off})
+        figure.suptitle(put(title), x=0.01, ha="left", color=INK, weight="bold")
+        for j, place in enumerate(places):
+            colour = COLOURS[j % len(COLOURS)]
+            _draw_measured(axes[0, j], fitted, place, put)
+            _draw_simulated(axes[0, j], fitted, (before[place.label], after[place.label]), (colour, put))
+            _draw_residual(axes[1, j], fitted, (place.mean - after[place.label], place), (colour, put))
+            axes[0, j].legend(loc="best", fontsize=8)
+        limit = 1.1 * max(abs(v) for ax in axes[1] for v in ax.get_ylim())
+        for ax in axes[1]:
+            ax.set_ylim(-limit, limit)
+            ax.set_xlabel(put(say("figure-time")))
+        axes[0, 0].set_ylabel(put(say("figure-temperature")))
+        axes[1, 0].set_ylabel(put(say("figure-measured-minus-model")))
+    return figure
+
+
+def _ordered(places: Sequence[Place]) -> list[Place]:
+    return sorted(places, key=lambda p: p.label.endswith("bottom"))
+
+
+def _predictions(fitted: RunFit) -> tuple[dict[str, Array], dict[str, Array]]:
+    """By place, simulated at the fit and at the press file's guesses."""
+    problem = fitted.problem
+    guesses = dict(problem.values) | {
+        n: problem.case.press.coefficient(n).guess for n in problem.case.press.coefficient_names
+    }
+    first = problem.model.solve(problem.case, guesses)
+    fit = fitted.minimum.evaluation.solution
+    after, before = {}, {}
+    for i, place in enumerate(problem.signals.places):
+        column = fit.columns.index(place.columns[0])
+        after[place.label] = fit.sensors[:, column] + (problem.correction[i] if problem.correction else 0.0)
+        before[place.label] = first.sensors[:, column]
+    return after, before
+
+
+def _draw_measured(ax: Any, fitted: RunFit, place: Place, put: Put) -> None:
+    signals = fitted.problem.signals
+    cells = np.stack([signals.cells[c] for c in place.columns], axis=1)
+    picked = np.flatnonzero(np.isfinite(place.mean) & (fitted.problem.rows > 0))
+    picked = picked[:: max(1, len(picked) // 60)]
+    spread = np.array([np.nanstd(cells[k]) if np.isfinite(cells[k]).sum() > 1 else 0.0 for k in picked])
+    many = len(place.columns) > 1
+    label = say("figure-measured-mean", channels=len(place.columns)) if many else say("figure-measured")
+    times, means = signals.time_s[picked], place.mean[picked]
+    ax.errorbar(times, means, spread, fmt="o", ms=2.6, lw=0.8, color=INK, label=put(label), zorder=3)
+    ax.set_title(put(place_words(place.label)))
+
+
+def _draw_simulated(ax: Any, fitted: RunFit, simulated: tuple[Array, Array], drawn: tuple[str, Put]) -> None:
+    """Draw what guesses and fit make of a place (rows), in the rows that were fitted."""
+    (guesses, fit), (colour, put), t = simulated, drawn, fitted.problem.signals.time_s
+    present = np.where(fitted.problem.rows > 0, 1.0, np.nan)
+    label = put(say("figure-with-guesses"))
+    ax.plot(t, guesses * present, ls=(0, (4, 3)), lw=1.2, color=MUTED, label=label, zorder=2)
+    ax.plot(t, fit * present, lw=1.6, color=colour, label=put(say("figure-with-fit")), zorder=4)
+    _shade_closed(ax, fitted)
+
+
+def _shade_closed(ax: Any, fitted: RunFit) -> None:
+    if np.isfinite(fitted.closed_s):
+        end = fitted.opened_s if np.isfinite(fitted.opened_s) else fitted.problem.signals.time_s[-1]
+        ax.axvspan(fitted.closed_s, end, color=CLOSED_SHADE, zorder=0, lw=0)
+
+
+def _draw_residual(ax: Any, fitted: RunFit, off: tuple[Array, Place], drawn: tuple[str, Put]) -> None:
+    """Draw the residual of a place (rows), its constant offset taken out, and the scatter of its sensors."""
+    (difference, place), (colour, put), t = off, drawn, fitted.problem.signals.time_s
+    _shade_closed(ax, fitted)
+    residual = np.where(fitted.problem.rows > 0, difference, np.nan)
+    residual = residual - float(np.nanmean(residual))
+    band = _scatter(np.stack([fitted.problem.signals.cells[c] for c in place.columns], axis=1))
+    ax.fill_between(t, residual - band, residual + band, color=colour, alpha=0.18, lw=0)
+    ax.plot(t, residual, lw=0.9, color=colour)
+    ax.axhline(0.0, color=MUTED, lw=0.8)
+    calm = np.abs(residual[np.isfinite(residual)])
+    reach = max(0.5, 1.3 * float(np.percentile(calm, 98.5))) if len(calm) else 1.0
+    ax.set_ylim(-reach, reach)
+    if len(calm) and calm.max() > reach:
+        k = int(np.nanargmax(np.abs(residual)))
+        sign = "−" if residual[k] < 0 else "+"
+        largest = put(say("figure-largest", sign=sign, kelvin=abs(float(residual[k])), at=float(t[k])))
+        at = {"transform": ax.transAxes, "ha": "right", "va": "top"}
+        ax.text(0.99, 0.96, largest, **at, fontsize=7.5, color=MUTED)
+
+
+def _scatter(cells: Array) -> Array:
+    """Standard deviation over channels in each row, their own offsets removed. [K]"""
+    good = np.isfinite(cells)
+    offsets = np.where(good, cells, 0.0).sum(axis=0) / np.maximum(good.sum(axis=0), 1)
+    centred = np.where(good, cells - offsets, 0.0)
+    count = np.maximum(good.sum(axis=1), 1)
+    mean = centred.sum(axis=1) / count
+    squares = (np.where(good, centred - mean[:, None], 0.0) ** 2).sum(axis=1)
+    return np.asarray(np.sqrt(squares / count))
+
+
+def coefficients_figure(campaign: CampaignFit, language: str = ENGLISH) -> Figure:
+    """Every run's coefficients with their intervals, mean and spread: one panel each."""
+    put = partial(words, language=language)
+    names = list(campaign.coefficients)
+    columns = min(3, max(len(names), 1))
+    rows = -(-len(names) // columns)
+    with rc_context(dict(STYLE)):
+        figure = Figure(figsize=(10.0, 2.4 * rows + 0.5), layout="constrained")
+        axes = figure.subplots(rows, columns, squeeze=False)
+        figure.suptitle(put(_campaign_title(campaign)), x=0.01, ha="left", color=INK, weight="bold")
+        for ax, name in zip(axes.flat, names, strict=False):
+            _draw_coefficient(ax, campaign, name, put)
+        for ax in axes.flat[len(names) :]:
+            ax.set_axis_off()
+        for ax in axes[-1]:
+            ax.set_xlabel(put(say("figure-run")))
+    return figure
+
+
+def _campaign_title(campaign: CampaignFit) -> Message:
+    total, coefficients = len(campaign.met), campaign.coefficients
+    if not total:
+        return say("figure-nothing-known")
+    known = tuple(n for n, c in coefficients.items() if c.runs == total)
+    which = known_names(known, len(coefficients))
+    if len(campaign.runs) == 1:
+        return say("figure-known-from-run", run=campaign.runs[0].run, known=which)
+    worst = max(c.spread for c in coefficients.values())
+    return say("figure-known-from-runs", runs=total, known=which, percent=100 * worst)
+
+
+def known_names(known: tuple[str, ...], of: int) -> Message:
+    """Say which coefficients are known, of so many."""
+    if not known:
+        return say("known-none")
+    return say("known-all") if len(known) == of else say("list-of-names", names=known)
+
+
+def _draw_coefficient(ax: Any, campaign: CampaignFit, name: str, put: Put) -> None:
+    c = campaign.coefficients[name]
+    shared = name in campaign.shared
+    if shared:
+        title = say("figure-coefficient-shared", name=name, mean=c.mean)
+    elif np.isfinite(c.sd):
+        title = say("figure-coefficient-spread", name=name, mean=c.mean, sd=c.sd)
+    else:
+        title = say("figure-coefficient", name=name, mean=c.mean)
+    ax.set_title(put(title))
+    if np.isfinite(c.sd):
+        ax.axhspan(c.mean - c.sd, c.mean + c.sd, color="#dfeaf4", lw=0, zorder=0)
+    ax.axhline(c.mean, color=COLOURS[1], lw=1.2, zorder=1)
+    tops = [c.mean]
+    for i, f in enumerate(campaign.runs, start=1):
+        one = f.coefficients[name]
+        if one.identifiable:
+            low, high = one.ci95
+            bars = [[max(one.value - low, 0.0)], [max(high - one.value, 0.0)]]
+            ax.errorbar([i], [one.value], bars, fmt="o", ms=3.4, lw=1.0, color=INK, zorder=3)
+            tops.append(min(high, 3.0 * c.mean))
+        else:
+            ax.plot([i], [c.mean], marker="x", ms=5, color=MUTED, zorder=2)
+    ax.set_ylim(0.0, 1.15 * max(tops))
+    ax.set_xlim(0.4, len(campaign.runs) + 0.6)
+    if len(campaign.runs) <= FEW_TICKS:
+        ax.set_xticks(range(1, len(campaign.runs) + 1))
+    else:
+        ax.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=FEW_TICKS))
+
+
+def normalised_figure(campaign: CampaignFit, language: str = ENGLISH) -> Figure:
+    """All coefficients over their means, side by side: which differ from run to run, and how much."""
+    put = partial(words, language=language)
+    names = list(campaign.coefficients)
+    with rc_context(dict(STYLE)):
+        figure = Figure(figsize=(10.0, 3.3), layout="constrained")
+        ax = figure.subplots()
+        spreads = {n: c.spread for n, c in campaign.coefficients.items()}
+        most = max(spreads, key=lambda n: spreads[n])
+        title = say("figure-normalised", name=most, percent=100 * spreads[most])
+        figure.suptitle(put(title), x=0.01, ha="left", color=INK, weight="bold")
+        for j, name in enumerate(names):
+            c = campaign.coefficients[name]
+            values = [
+                f.coefficients[name].value / c.mean for f in campaign.runs if f.coefficients[name].identifiable
+            ]
+            places = j + np.linspace(-0.28, 0.28, len(values)) if len(values) > 1 else np.array([float(j)])
+            ax.plot(places[: len(values)], values, "o", ms=3.2, color=INK, alpha=0.75, zorder=3)
+            if np.isfinite(c.sd):
+                ax.errorbar([j], [1.0], [c.sd / c.mean], fmt="_", ms=26, lw=7, color=COLOURS[1], alpha=0.3)
+        ax.axhline(1.0, color=MUTED, lw=0.8)
+        ax.set_xticks(range(len(names)), names)
+        ax.set_ylabel(put(say("figure-over-mean")))
+        ax.set_ylim(0.0, max(2.0, ax.get_ylim()[1]))
+    return figure
+
+
+def strongest(fitted: RunFit) -> tuple[int, int, float]:
+    """Return the coefficient and the other unknown that move together most, and their correlation."""
+    matrix = np.abs(fitted.correlation) * (1.0 - np.eye(len(fitted.names)))
+    rows = [i for i, name in enumerate(fitted.names) if is_parameter(name)]
+    row, j = np.unravel_index(np.argmax(matrix[rows]), matrix[rows].shape)
+    i = rows[int(row)]
+    return i, int(j), float(fitted.correlation[i, j])
+
+
+def moves_with(fitted: RunFit) -> Message:
+    """Say which coefficient moves most with another unknown in a run."""
+    i, j, value = strongest(fitted)
+    sign = "−" if value < 0 else "+"
+    return say(
+        "figure-moves-with", run=fitted.run, one=fitted.names[i], other=fitted.names[j], sign=sign, size=abs(value)
+    )
+
+
+def correlation_figure(fitted: RunFit, language: str = ENGLISH) -> Figure:
+    """Which unknowns of a run move together."""
+    put = partial(words, language=language)
+    names = list(fitted.names)
+    matrix = np.where(np.eye(len(names)) > 0, np.nan, fitted.correlation)
+    with rc_context(dict(STYLE)):
+        figure = Figure(figsize=(7.4, 6.2), layout="constrained")
+        ax = figure.subplots()
+        image = ax.imshow(matrix, cmap="RdBu_r", vmin=-1, vmax=1)
+        ax.set_xticks(range(len(names)), names, rotation=90)
+        ax.set_yticks(range(len(names)), names)
+        ax.grid(False)
+        ax.set_title(put(moves_with(fitted)))
+        figure.colorbar(image, ax=ax, shrink=0.7, label=put(say("figure-correlation")))
+    return figure
+
+
+def roughness_figure(found: Reproduction, language: str = ENGLISH) -> Figure:
+    """Draw the cost along one coefficient for an adaptive and for the exact solver."""
+    put = partial(words, language=language)
+    percent = 100.0 * (found.relative - 1.0)
+    with rc_context(dict(STYLE)):
+        figure = Figure(figsize=(8.0, 3.6), layout="constrained")
+        ax = figure.subplots()
+        figure.suptitle(put(say("figure-roughness")), x=0.01, ha="left", color=INK, weight="bold")
+        ax.plot(percent, found.adaptive, "o-", ms=2.5, lw=0.9, color=COLOURS[0], label=put(say("figure-adaptive")))
+        ax.plot(percent, found.exact, lw=1.8, color=COLOURS[1], label=put(say("figure-exact")))
+        ax.set_xlabel(put(say("figure-from-best", name=found.coefficient)))
+        ax.set_ylabel(put(say("figure-cost")))
+        ax.legend()
+    return figure

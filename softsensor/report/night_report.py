@@ -1,0 +1,172 @@
+"""The nightly job's page: what was fitted, what drifts, what the diagnosis said, which model is in force."""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from daq.press.press_file import parse_press
+from daq.records import InputError
+from daq.words import Message, say
+from daq.words.message import ENGLISH
+from softsensor.effects import catalogue, find_effect
+from softsensor.effects.parameters import plain
+from softsensor.effects.vocabulary import called, coefficient_words, parameters_told
+from softsensor.jobs.night_record import NightRecord
+from softsensor.report.page import kelvins, page
+
+
+def night_report(night: NightRecord, language: str = ENGLISH) -> str:
+    """Return the page as HTML text; it needs no other file."""
+    bodies = _bodies(night.press_file)
+    return page(
+        "nightly_report.html",
+        language,
+        press=night.outcome.press,
+        written=f"{night.written:%Y-%m-%d %H:%M} UTC",
+        outcome=_outcome(night),
+        fits=night.outcome.fits_line,
+        models=[_version(m.version, m.status, m.model, m.reason) for m in night.models],
+        in_force=_in_force(night.in_force or {}, bodies),
+        diagnosis=_found(night.diagnosis),
+        alarms=[say("night-drift", coefficient=bodies(a.coefficient), said=a.message) for a in night.alarms],
+        runs=[_run(r.run, f"{r.started_utc:%Y-%m-%d %H:%M}", fit) for r, fit in night.runs],
+        failures=[entry.message for entry in night.failures],
+    )
+
+
+def write_report(night: NightRecord, folder: Path, language: str = ENGLISH) -> Path:
+    """Write the page as ``PRESS-DATE.html`` and return where; a page of the same night is replaced as a whole.
+
+    Raises
+    ------
+    InputError
+        Where the folder cannot be written.
+    """
+    path = folder / f"{night.outcome.press}-{night.written:%Y-%m-%d}.html"
+    part = path.with_suffix(f".{os.getpid()}.part")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        part.write_text(night_report(night, language), encoding="utf-8")
+        part.replace(path)
+    except OSError as error:
+        why = error.strerror or type(error).__name__
+        raise InputError(say("night-cannot-write", path=str(path), why=why)) from error
+    return path
+
+
+def _outcome(night: NightRecord) -> Message:
+    outcome = night.outcome
+    reason = _reason(outcome.reason)
+    if outcome.promoted:
+        return say("night-promoted", version=outcome.version, reason=reason)
+    if outcome.version:
+        return say("night-stays", version=outcome.version, reason=reason)
+    return say("night-no-model", reason=reason)
+
+
+def _reason(reason: Message | str) -> Message | str:
+    """Return why; a store of a version older than codes (before 2026-11-22) holds a text with effects by name."""
+    if isinstance(reason, Message):
+        return reason
+    known = catalogue()
+    return re.sub(r"\b[a-z]+(?:_[a-z]+)+\b", lambda m: str(called(m[0])) if m[0] in known else m[0], reason)
+
+
+def _version(version: str, status: str, model: Mapping[str, Any], reason: Message | str) -> dict[str, Any]:
+    effects = tuple(called(effect["name"]) for effect in model.get("effects", ()))
+    return {
+        "version": version,
+        "status": Message(f"night-status-{status}"),
+        "effects": say("list-of-names", names=effects) if effects else say("night-no-effects"),
+        "reason": Message.from_json(kept)
+        if (kept := (model.get("basis") or {}).get("reason"))
+        else _reason(reason),
+    }
+
+
+def _run(name: str, started: str, fit: Mapping[str, Any] | None) -> dict[str, Any]:
+    if not fit:
+        return {"run": name, "started": started, "rmse": "–", "guesses": "–", "with": say("night-not-fitted")}
+    rmse, guesses = kelvins(fit["rmse_K"]), kelvins(fit["initial_rmse_K"])
+    return {"run": name, "started": started, "rmse": rmse, "guesses": guesses, "with": fit["model_version"]}
+
+
+def _in_force(model: Mapping[str, Any], bodies: Callable[[str], Message | str]) -> list[dict[str, Any]]:
+    """Return every parameter of the model in force with its spread and unit."""
+    rows = [_row(name, bodies(name), (1.0, "W/m²K"), e) for name, e in model.get("coefficients", {}).items()]
+    for table in model.get("effects", []):
+        effect = find_effect(table["name"])
+        known = {p.name: p for p in effect.parameters}
+        for name, entry in table.get("parameters", {}).items():
+            scale = (known[name].factor, known[name].told_unit)
+            row = _row(effect.key(name), effect.parameter_called(name), scale, entry)
+            rows.append(row | {"short": effect.called})
+    return rows
+
+
+def _bodies(press_file: str) -> Callable[[str], Message | str]:
+    """Return what calls a coefficient by the bodies it couples, as the press file kept in the store has them."""
+    try:
+        described = parse_press(press_file)
+    except InputError:  # kept by an earlier version, or by hand: short names will do
+        return lambda name: name
+
+    def words(name: str) -> Message | str:
+        said = coefficient_words(described, name)
+        return said if str(said) else name
+
+    return words
+
+
+def _row(
+    name: str, words: Message | str, scale: tuple[float, Message | str], entry: Mapping[str, float]
+) -> dict[str, Any]:
+    factor, unit = scale
+    value, sd = with_spread(factor * float(entry["value"]), factor * float(entry.get("sd") or 0.0))
+    short = "" if words == name else name
+    return {"name": name, "words": words, "short": short, "value": value, "sd": sd, "unit": unit}
+
+
+def _found(diagnosis: Mapping[str, Any] | None) -> dict[str, Any] | None:
+    """Return the newest diagnosis in words."""
+    if diagnosis is None:
+        return None
+    return {
+        "verdict": Message(f"report-verdict-{diagnosis['verdict']}"),
+        "next": _said(diagnosis, "next_measurement"),
+        "effects": [
+            {
+                "name": say("list-of-names", names=tuple(called(n) for n in e["set"])),
+                "worth": _said(e, "worth"),
+                "parameters": parameters_told(e["name"], e["parameters"]),
+            }
+            for e in diagnosis.get("effects", ())
+        ],
+    }
+
+
+def _said(content: Mapping[str, Any], key: str) -> Message | str:
+    """Return a sentence of a stored diagnosis, the English text where an earlier version stored no code."""
+    said = content.get(f"{key}_said")
+    return Message.from_json(said) if said else str(content.get(key, ""))
+
+
+def with_spread(value: float, sd: float) -> tuple[str, str]:
+    """Return a value and its standard deviation as text, both to the deviation's second digit, without exponents.
+
+    Examples
+    --------
+    >>> with_spread(712.43, 110.2), with_spread(0.2034, 0.0312), with_spread(17043.0, 1234.0)
+    (('710', '110'), ('0.203', '0.031'), ('17000', '1200'))
+    >>> with_spread(0.00042, 0.0)
+    ('0.00042', '–')
+    """
+    if not (sd > 0.0 and math.isfinite(sd)):
+        return plain(value, 4), "–"
+    digits = 1 - math.floor(math.log10(float(f"{sd:.2g}")))
+    return f"{round(value, digits):.{max(digits, 0)}f}", f"{round(sd, digits):.{max(digits, 0)}f}"

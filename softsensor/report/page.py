@@ -1,0 +1,46 @@
+"""Pages that need no other file: templates filled in one language."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+from jinja2 import Environment, PackageLoader, select_autoescape
+
+from daq.words import Message, say
+from daq.words.message import ENGLISH, sentences, words
+
+
+def page(template: str, language: str = ENGLISH, **content: Any) -> str:
+    """Return a template as HTML text. Messages among its content are put into words, wherever they are shown.
+
+    In a template `say` makes a message of a code and its arguments, `together` one text of several sentences.
+
+    Raises
+    ------
+    KeyError
+        For a language that has no words.
+    """
+    pages = Environment(
+        loader=PackageLoader("softsensor", "templates"),
+        autoescape=select_autoescape(),
+        trim_blocks=True,
+        finalize=lambda value: words(value, language) if isinstance(value, Message) else value,
+    )
+    pages.globals |= {"say": say, "together": partial(sentences, language=language), "language": language}
+    pages.filters["capital"] = lambda text: _capital(words(text, language))
+    return pages.get_template(template).render(**content)
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+def kelvins(value: float) -> Message:
+    """Return a residual or an error, to a hundredth. [K]"""
+    return say("kelvin-off", kelvin=round(value, 2) + 0.0)
+
+
+def signed_kelvins(value: float) -> Message:
+    """Return a difference with its sign, to a hundredth. [K]"""
+    return say("kelvin-signed", sign="−" if value < 0 else "+", kelvin=abs(value))
