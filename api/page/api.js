@@ -1,13 +1,12 @@
 // The API as the page sees it: JSON by fetch, events by EventSource. Paths are relative, so a proxy may add a prefix.
-import { sentence } from "./sentences.js";
-import { text as word } from "./text.js";
+import { said, text as word } from "./words.js";
 
 const ROOT = "api/v1";
 const SILENT_MS = 25000; // the server says something every 10 s; a stream silent for longer has died unnoticed
 
 export class Refused extends Error {
   constructor(problem, status) {
-    super(sentence(problem.detail || problem.title) || `HTTP ${status}`);
+    super(said(problem.detail_said, problem.detail || problem.title) || `HTTP ${status}`);
     this.status = status;
   }
 }
@@ -56,7 +55,7 @@ async function request(method, target, options) {
   if (token.get()) headers.Authorization = `Bearer ${token.get()}`;
   if (options.body) headers["Content-Type"] = "application/json";
   const answer = await fetch(target, { method, headers, body: options.body, signal: options.signal }).catch((error) => {
-    throw error.name === "AbortError" ? error : new Refused({ detail: word("no_answer") }, 0);
+    throw error.name === "AbortError" ? error : new Refused({ detail: word("page-no-answer") }, 0);
   });
   if (answer.status === 204) return null;
   const text = await answer.text();

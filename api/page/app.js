@@ -2,14 +2,13 @@
 import { follow, get } from "./api.js";
 import { closeAll, redrawAll } from "./charts.js";
 import { el } from "./dom.js";
-import { sentence } from "./sentences.js";
-import { language, setLanguage, text } from "./text.js";
 import * as access from "./views/access.js";
 import * as coefficients from "./views/coefficients.js";
 import * as diagnosis from "./views/diagnosis.js";
 import * as loggers from "./views/loggers.js";
 import * as now from "./views/now.js";
 import * as runs from "./views/runs.js";
+import { chooseLanguage, language, languages, loadWords, nameOf, said, text } from "./words.js";
 
 const VIEWS = { now, runs, coefficients, diagnosis, loggers, access };
 const main = document.getElementById("view");
@@ -35,8 +34,8 @@ async function show() {
     else link.removeAttribute("aria-current");
   }
   document.querySelector(".tabs a[aria-current]")?.scrollIntoView({ block: "nearest", inline: "center" });
-  document.title = `${text(`nav_${VIEWS[name] ? name : "now"}`)} · Kerntemp`;
-  const place = el("div", { class: "stack", "data-loading": text("loading") });
+  document.title = `${text(`page-nav-${VIEWS[name] ? name : "now"}`)} · Kerntemp`;
+  const place = el("div", { class: "stack", "data-loading": text("page-loading") });
   main.replaceChildren(place);
   try {
     const done = await view.show(place, context, rest);
@@ -45,8 +44,8 @@ async function show() {
   } catch (error) {
     if (mine !== turn) return;
     unanswered = error.status === 0 || error.status >= 500;
-    const help = error.status === 401 ? el("p", {}, el("a", { href: "#/access" }, text("need_token"))) : "";
-    place.replaceChildren(el("div", { class: "card empty" }, el("p", {}, text("could_not_load")), el("p", { class: "small" }, error.message), help));
+    const help = error.status === 401 ? el("p", {}, el("a", { href: "#/access" }, text("page-need-token"))) : "";
+    place.replaceChildren(el("div", { class: "card empty" }, el("p", {}, text("page-could-not-load")), el("p", { class: "small" }, error.message), help));
   }
 }
 
@@ -54,18 +53,15 @@ function translate() {
   document.documentElement.lang = language();
   for (const node of document.querySelectorAll("[data-text]")) node.textContent = text(node.dataset.text);
   for (const node of document.querySelectorAll("[data-label]")) node.setAttribute("aria-label", text(node.dataset.label));
-  const other = language() === "de" ? "en" : "de";
-  const button = document.getElementById("language");
-  button.textContent = other.toUpperCase();
-  button.setAttribute("aria-label", other === "de" ? "Deutsch" : "English");
-  button.setAttribute("lang", other);
+  const options = languages().map((one) => el("option", { value: one, lang: one, selected: one === language() }, nameOf(one)));
+  document.getElementById("language").replaceChildren(...options);
   showLink();
 }
 
 function showLink() {
   const link = document.getElementById("link");
   link.className = `link ${context.live}`;
-  link.textContent = text(`link_${context.live}`);
+  link.textContent = text(`page-link-${context.live}`);
 }
 
 function setTheme(theme) {
@@ -82,8 +78,8 @@ document.getElementById("theme").addEventListener("click", () => {
   setTheme(chosenTheme());
 });
 preferred.addEventListener("change", () => setTheme(chosenTheme()));
-document.getElementById("language").addEventListener("click", () => {
-  setLanguage(language() === "de" ? "en" : "de");
+document.getElementById("language").addEventListener("change", async (event) => {
+  await chooseLanguage(event.target.value);
   translate();
   refreshHealth();
   show();
@@ -95,11 +91,6 @@ addEventListener("hashchange", () => {
   main.focus({ preventScroll: true });
 });
 document.querySelector(".skip").addEventListener("click", (event) => { event.preventDefault(); main.focus(); });
-
-// One line for the screen reader when something happens, not for each scan.
-export function announce(message) {
-  document.getElementById("announce").textContent = message;
-}
 
 async function refreshPresses() {
   try {
@@ -125,7 +116,7 @@ async function refreshHealth() {
   try {
     const health = await get("/health");
     document.getElementById("version").textContent = `Kerntemp ${health.version}`;
-    const lines = health.alarms.map(sentence);
+    const lines = health.alarms.map((alarm, i) => said(health.alarms_said[i], alarm));
     const alarms = document.getElementById("alarms");
     if (alarms.textContent !== lines.join("")) alarms.replaceChildren(...lines.map((line) => el("p", {}, `⚠ ${line}`)));
     await askAgain();
@@ -147,8 +138,12 @@ function connect() {
 }
 
 setTheme(chosenTheme());
+while (!(await loadWords())) {
+  document.getElementById("unanswered").hidden = false;
+  await new Promise((resolve) => setTimeout(resolve, 2000));
+}
 translate();
-main.replaceChildren(el("div", { class: "stack", "data-loading": text("loading") }));
+main.replaceChildren(el("div", { class: "stack", "data-loading": text("page-loading") }));
 await refreshPresses();
 show();
 connect();

@@ -1,6 +1,6 @@
 // Charts on uPlot: temperatures over time with the core's band and the press phases behind them.
 import { el, number } from "./dom.js";
-import { text } from "./text.js";
+import { text } from "./words.js";
 
 const style = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 const open = new Set();
@@ -56,7 +56,7 @@ export class TimeChart {
         y: this.yRange ? { range: this.yRange } : {},
       },
       axes: [
-        { ...axis, label: this.xLabel ?? text("time_axis"), labelSize: 20, size: 34, ...(this.xSteps ? { incrs: this.xSteps } : {}), values: (_, splits) => splits.map((v) => number(v, Number.isInteger(v) ? 0 : 1)) },
+        { ...axis, label: this.xLabel ?? text("page-time-axis"), labelSize: 20, size: 34, ...(this.xSteps ? { incrs: this.xSteps } : {}), values: (_, splits) => splits.map((v) => number(v, Number.isInteger(v) ? 0 : 1)) },
         { ...axis, label: this.yLabel, labelSize: 20, size: (_, values) => Math.max(46, 14 + 7 * Math.max(...(values ?? [""]).map((v) => v.length))), values: (_, splits) => splits.map((v) => number(v, decimals(splits))) },
       ],
       series: [{}, ...this.series.map((s) => this.line(s))],
@@ -125,7 +125,7 @@ export class TimeChart {
     for (const phase of this.phases) {
       const from = Math.max(plot.valToPos(phase.from_s, "x", true), bbox.left);
       const to = phase.to_s === null ? bbox.left + bbox.width : plot.valToPos(phase.to_s, "x", true);
-      const label = text(`state_${phase.state}`);
+      const label = text(`page-state-${phase.state}`);
       const width = ctx.measureText(label).width;
       if (phase.state === "idle" || to - from < width + 12 * devicePixelRatio) continue;
       ctx.fillStyle = style("--card");

@@ -1,5 +1,5 @@
 // Small helpers to build the page: elements, numbers, times in the chosen language.
-import { locale } from "./text.js";
+import { locale } from "./words.js";
 
 export function el(tag, attributes = {}, ...children) {
   const node = document.createElement(tag);

@@ -2,24 +2,23 @@
 import { get } from "../api.js";
 import { TimeChart } from "../charts.js";
 import { clock, el, figure, number, table } from "../dom.js";
-import { sentence as said } from "../sentences.js";
-import { text } from "../text.js";
+import { has, said, text } from "../words.js";
 
 const LEARN_RUNS = 8; // the control charts judge from then on
 
 export async function show(place, context) {
   const press = context.presses.length > 1 ? context.press : "";
   const [{ items }, presses, drift] = await Promise.all([get("/coefficients", { press, limit: 500 }), get("/press"), get("/coefficients/drift", { press })]);
-  if (!items.length) { place.append(el("div", { class: "card empty" }, el("h1", {}, text("nav_coefficients")), el("p", {}, text("no_fits")))); return null; }
+  if (!items.length) { place.append(el("div", { class: "card empty" }, el("h1", {}, text("page-nav-coefficients")), el("p", {}, text("page-no-fits")))); return null; }
   const history = [...items].reverse();
   const names = [...new Set(history.flatMap((item) => Object.keys(item.coefficients)))];
   const axes = ["time", ...new Set(history.flatMap((item) => Object.keys(item.settings)))];
-  const choice = el("select", { "aria-label": text("against") }, axes.map((name) => el("option", { value: name }, name === "time" ? text("order_of_runs") : name)));
+  const choice = el("select", { "aria-label": text("page-against") }, axes.map((name) => el("option", { value: name }, name === "time" ? text("page-order-of-runs") : name)));
   const charts = el("div", { class: "pair" });
   const used = presses.items.find((item) => item.press === context.press)?.coefficients ?? {};
-  place.append(el("section", { class: "card" }, el("div", { class: "head" }, el("h1", {}, text("nav_coefficients")),
-    el("label", { class: "row small" }, el("span", { class: "faint" }, text("against")), choice)),
-  el("p", { class: "faint" }, `${text("coefficients_hint")} ${text("drift_hint")}`)), charts);
+  place.append(el("section", { class: "card" }, el("div", { class: "head" }, el("h1", {}, text("page-nav-coefficients")),
+    el("label", { class: "row small" }, el("span", { class: "faint" }, text("page-against")), choice)),
+  el("p", { class: "faint" }, `${text("page-coefficients-hint")} ${text("page-drift-hint")}`)), charts);
   const draw = () => {
     charts.replaceChildren(...names.map((name) => card(name, history, choice.value, used[name], drift.items.find((item) => item.coefficient === name))));
   };
@@ -43,10 +42,10 @@ function card(name, history, axis, used, drift) {
   requestAnimationFrame(() => {
     if (!holder.isConnected) return;
     const chart = new TimeChart(holder, {
-      series: [{ name: text("ci_low"), kind: "band-low" }, { name: text("ci_high"), kind: "band-high" },
+      series: [{ name: text("page-ci-low"), kind: "band-low" }, { name: text("page-ci-high"), kind: "band-high" },
         { name, colour: "--accent", kind: axis === "time" ? "line" : "dots", points: true, size: 7, unit: "W/m²K", digits: 0 },
-        { name: text("not_identifiable"), colour: "--faint", kind: "dots", size: 8, unit: "W/m²K", digits: 0 }],
-      height: 200, label: `${name} ${text("history")}`, yLabel: "W/m²K", xLabel: axis === "time" ? text("order_of_runs") : axis,
+        { name: text("page-not-identifiable"), colour: "--faint", kind: "dots", size: 8, unit: "W/m²K", digits: 0 }],
+      height: 200, label: `${name} ${text("page-history")}`, yLabel: "W/m²K", xLabel: axis === "time" ? text("page-order-of-runs") : axis,
       whiskers: "--accent", xSteps: axis === "time" ? [1, 2, 5, 10, 20, 50, 100, 200] : null,
       yRange: [low, high], xRange: axis === "time" ? [0.5, Math.max(points.length, 2) + 0.5] : undefined,
     });
@@ -56,18 +55,18 @@ function card(name, history, axis, used, drift) {
   });
   const described = bodies(name);
   return el("section", { class: "card" }, el("div", { class: "head" }, el("h2", { style: "margin:0" }, name, " ", el("span", { class: "faint small" }, described)),
-    el("span", { class: "num" }, last ? `${figure(last.c.value)} W/m²K` : used ? "" : "–", used ? el("span", { class: "faint small" }, `${last ? " · " : ""}${text("in_use")} ${figure(used)} W/m²K`) : "")),
+    el("span", { class: "num" }, last ? `${figure(last.c.value)} W/m²K` : used ? "" : "–", used ? el("span", { class: "faint small" }, `${last ? " · " : ""}${text("page-in-use")} ${figure(used)} W/m²K`) : "")),
   el("p", { class: "row small", style: "margin:-.4rem 0 .4rem" }, driftPill(drift, told.length)), holder);
 }
 
 // Which bodies a coefficient couples; empty for a press of one's own.
-const bodies = (name) => (text(`c_${name}`) === `c_${name}` ? "" : text(`c_${name}`));
+const bodies = (name) => (has(`page-c-${name}`) ? text(`page-c-${name}`) : "");
 
 function driftPill(drift, runs) {
-  if (!drift) return el("span", { class: `pill ${runs > LEARN_RUNS ? "good" : ""}` }, `${text("drift")}: ${text(runs > LEARN_RUNS ? "steady" : "few_for_drift")}`);
+  if (!drift) return el("span", { class: `pill ${runs > LEARN_RUNS ? "good" : ""}` }, `${text("page-drift")}: ${text(runs > LEARN_RUNS ? "page-steady" : "page-few-for-drift")}`);
   const change = `${drift.factor >= 1 ? "+" : "−"}${number(Math.abs(100 * (drift.factor - 1)), 0)} %`;
-  const sentence = text(`drift_${drift.chart}`).replace("{change}", change).replace("{run}", drift.since_run);
-  return el("a", { class: "pill warn", href: `#/runs/${encodeURIComponent(drift.since_run)}`, title: drift.sentence }, `${text("drift")}: ${sentence}`);
+  const sentence = text(`page-drift-${drift.chart}`, { change, run: drift.since_run });
+  return el("a", { class: "pill warn", href: `#/runs/${encodeURIComponent(drift.since_run)}`, title: said(drift.sentence_said, drift.sentence) }, `${text("page-drift")}: ${sentence}`);
 }
 
 // The values and most of their intervals: one wide interval must not flatten the others.
@@ -83,12 +82,12 @@ function span(points) {
 }
 
 function latestCard(item) {
-  return el("section", { class: "card" }, el("h2", {}, `${text("last_fit")}: `, el("a", { href: `#/runs/${encodeURIComponent(item.run)}` }, item.run), ` · ${clock(item.utc)}`), coefficientTable(item.coefficients));
+  return el("section", { class: "card" }, el("h2", {}, `${text("page-last-fit")}: `, el("a", { href: `#/runs/${encodeURIComponent(item.run)}` }, item.run), ` · ${clock(item.utc)}`), coefficientTable(item.coefficients));
 }
 
 export function coefficientTable(coefficients) {
-  return table(text("nav_coefficients"), [{ text: text("name") }, { text: "W/m²K", class: "right" }, { text: text("interval"), class: "right" }, { text: text("verdict") }],
+  return table(text("page-nav-coefficients"), [{ text: text("page-name") }, { text: "W/m²K", class: "right" }, { text: text("page-interval"), class: "right" }, { text: text("page-verdict") }],
     Object.entries(coefficients).map(([name, c]) => [el("span", {}, name, " ", el("span", { class: "faint small hide-narrow" }, bodies(name))), el("span", { class: "num" }, figure(c.value)),
       el("span", { class: "num" }, c.ci95 ? `${figure(c.ci95[0])} … ${figure(c.ci95[1])}` : "–"),
-      c.identifiable === null || c.identifiable === undefined ? "–" : el("span", { class: `pill ${c.identifiable ? "good" : "warn"}`, title: said(c.reason ?? "") }, text(c.identifiable ? "identifiable" : "not_identifiable"))]));
+      c.identifiable === null || c.identifiable === undefined ? "–" : el("span", { class: `pill ${c.identifiable ? "good" : "warn"}`, title: said(c.reason_said, c.reason) }, text(c.identifiable ? "page-identifiable" : "page-not-identifiable"))]));
 }

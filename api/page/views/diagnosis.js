@@ -1,16 +1,14 @@
 // What the simulation gets wrong: the last diagnosis with cause, evidence and gain; model versions to promote or roll back.
 import { get, post } from "../api.js";
-import { clock, el, number, table } from "../dom.js";
-import { told } from "../parameters.js";
-import { effectName as name, sentence as said } from "../sentences.js";
-import { placeName, text } from "../text.js";
+import { clock, el, number, plain, table } from "../dom.js";
+import { capital, effectName as name, has, placeName, said, text } from "../words.js";
 
 export async function show(place, context) {
   const press = context.presses.length > 1 ? context.press : "";
   const [diagnoses, models] = await Promise.all([get("/diagnoses", { press, limit: 20 }), get("/models", { press })]);
-  place.append(el("div", { class: "row" }, el("h1", {}, text("nav_diagnosis"))));
+  place.append(el("div", { class: "row" }, el("h1", {}, text("page-nav-diagnosis"))));
   if (!diagnoses.items.length) {
-    place.append(el("div", { class: "card empty" }, el("p", {}, text("no_diagnosis")), el("p", { class: "small" }, text("no_diagnosis_hint"))));
+    place.append(el("div", { class: "card empty" }, el("p", {}, text("page-no-diagnosis")), el("p", { class: "small" }, text("page-no-diagnosis-hint"))));
   } else {
     const holder = el("div", { class: "stack" });
     place.append(holder);
@@ -28,33 +26,44 @@ function drawDiagnosis(holder, record) {
   const pair = (label, base, extended) => (base === null || base === undefined ? null
     : el("div", {}, el("b", {}, `${number(base, 2)} → ${number(extended, 2)} K`), el("span", {}, label)));
   const cards = [el("section", { class: "card", "data-testid": "diagnosis" },
-    el("div", { class: "row" }, el("span", { class: `pill ${tone}` }, text(`verdict_${d.verdict}`)), el("span", { class: "faint small" }, clock(record.utc))),
+    el("div", { class: "row" }, el("span", { class: `pill ${tone}` }, text(`page-verdict-${d.verdict}`)), el("span", { class: "faint small" }, clock(record.utc))),
     el("p", { class: "verdict" }, sentence(d)),
     ...d.effects.map((effect) => effectBlock(effect, record.parameters)),
     el("div", { class: "gain" },
-      pair(text("heldout"), d.base?.heldout_rmse_K, d.extended?.heldout_rmse_K), pair(text("all_sensors"), d.base?.rmse_K, d.extended?.rmse_K), pair(text("core"), d.base?.core_rmse_K, d.extended?.core_rmse_K),
-      gain >= 0.005 && d.effects.length ? el("div", {}, el("b", {}, `${number(100 * gain, 0)} %`), el("span", {}, text("gain"))) : null,
-      d.noise_floor_K ? el("div", {}, el("b", {}, `${number(d.noise_floor_K, 2)} K`), el("span", {}, text("noise_floor"))) : null),
-    d.next_measurement ? el("p", { class: "next" }, el("b", {}, `${text("next_measurement")}: `), said(d.next_measurement)) : null)];
+      pair(text("page-heldout"), d.base?.heldout_rmse_K, d.extended?.heldout_rmse_K), pair(text("page-all-sensors"), d.base?.rmse_K, d.extended?.rmse_K), pair(text("page-core"), d.base?.core_rmse_K, d.extended?.core_rmse_K),
+      gain >= 0.005 && d.effects.length ? el("div", {}, el("b", {}, `${number(100 * gain, 0)} %`), el("span", {}, text("page-gain"))) : null,
+      d.noise_floor_K ? el("div", {}, el("b", {}, `${number(d.noise_floor_K, 2)} K`), el("span", {}, text("page-noise-floor"))) : null),
+    d.next_measurement ? el("p", { class: "next" }, el("b", {}, `${text("page-next-measurement")}: `), said(d.next_measurement_said, d.next_measurement)) : null)];
   cards.push(el("div", { class: "pair" }, candidatesCard(d), whereCard(d)));
   holder.replaceChildren(...cards);
 }
 
 function sentence(d) {
-  if (!d.effects.length) return text(`sentence_${d.verdict}`);
-  const names = d.effects.map((effect) => effect.set && effect.set.length > 1 ? effect.set.map(name).join(` ${text("or")} `) : name(effect.name));
+  if (!d.effects.length) return has(`page-sentence-${d.verdict}`) ? text(`page-sentence-${d.verdict}`) : "";
+  const names = d.effects.map((effect) => effect.set && effect.set.length > 1 ? effect.set.map(name).join(` ${text("page-or")} `) : name(effect.name));
   return names.join(` + `);
 }
 
 function effectBlock(effect, words) {
   const parameters = Object.entries(effect.parameters ?? {}).map(([key, p]) => [key, told(key, p, words?.[`${effect.name}.${key}`])]);
-  const worth = effect.worth ? said(effect.worth) : `${text("heldout_gain")} ${kelvins(effect.heldout_gain_K, 2)} K`;
+  const worth = effect.worth ? said(effect.worth_said, effect.worth) : `${text("page-heldout-gain")} ${kelvins(effect.heldout_gain_K, 2)} K`;
   return el("div", {}, el("h2", { class: "sub" }, name(effect.name), " ", el("code", { class: "small faint" }, effect.name)),
-    parameters.length ? table(name(effect.name), [{ text: text("parameter") }, { text: text("value"), class: "right" }, { text: text("interval"), class: "right" }],
+    parameters.length ? table(name(effect.name), [{ text: text("page-parameter") }, { text: text("page-value"), class: "right" }, { text: text("page-interval"), class: "right" }],
       parameters.map(([key, p]) => [el("span", { title: key }, p.words), el("span", { class: "num" }, `${p.value} ${p.unit}`.trim()), el("span", { class: "num" }, p.interval)])) : null,
-    el("p", {}, `${worth.slice(0, 1).toUpperCase()}${worth.slice(1)}.`),
-    el("p", { class: "small faint" }, [effect.explained_share >= 0.005 && effect.name !== "sensor_fault" && `${text("explains")} ${number(100 * Math.min(effect.explained_share, 1), 0)} %`,
-      Number.isFinite(effect.p_value) && `${text("luck")}: ${chance(effect.p_value)}`].filter(Boolean).join(" · ")));
+    el("p", {}, `${capital(worth)}.`),
+    el("p", { class: "small faint" }, [effect.explained_share >= 0.005 && effect.name !== "sensor_fault" && `${text("page-explains")} ${number(100 * Math.min(effect.explained_share, 1), 0)} %`,
+      Number.isFinite(effect.p_value) && `${text("page-luck")}: ${chance(effect.p_value)}`].filter(Boolean).join(" · ")));
+}
+
+// A parameter's words, value and interval; without words its short name stands for itself.
+function told(short, parameter, words) {
+  const value = (v) => (typeof v === "number" ? plain(v * (words?.factor ?? 1)) : String(v ?? "–"));
+  return {
+    words: words ? said(words.words_said, words.words) : short.replaceAll("_", " "),
+    value: Array.isArray(parameter.value) ? parameter.value.join(", ") : value(parameter.value),
+    unit: words ? said(words.unit_said, words.unit) : "",
+    interval: parameter.ci95 ? `${value(parameter.ci95[0])} … ${value(parameter.ci95[1])}` : "–",
+  };
 }
 
 const chance = (p) => (p < 1e-4 ? `p < ${number(1e-4, 4)}` : `p = ${number(p, 4)}`);
@@ -67,31 +76,29 @@ const SHOWN_K = 0.005; // less is written as 0.00
 function candidatesCard(d) {
   const items = (d.candidates ?? []).filter((c) => Math.abs(c.heldout_gain_K ?? 0) >= SHOWN_K).sort((a, b) => b.heldout_gain_K - a.heldout_gain_K).slice(0, 10);
   const best = Math.max(...items.map((c) => c.heldout_gain_K ?? 0), 1e-9);
-  return el("section", { class: "card" }, el("h2", {}, text("evidence")), items.length ? el("div", { class: "bars" }, items.map((c) =>
+  return el("section", { class: "card" }, el("h2", {}, text("page-evidence")), items.length ? el("div", { class: "bars" }, items.map((c) =>
     el("div", { class: `bar-row ${d.effects.some((e) => e.name === c.name) ? "first" : ""}` }, el("span", {}, name(c.name)), el("i", { style: `width:${Math.max(0, (100 * (c.heldout_gain_K ?? 0)) / best)}%` }),
-      el("span", { class: "num right" }, `${kelvins(c.heldout_gain_K, 2)} K`)))) : el("p", { class: "faint" }, text("no_gain")));
+      el("span", { class: "num right" }, `${kelvins(c.heldout_gain_K, 2)} K`)))) : el("p", { class: "faint" }, text("page-no-gain")));
 }
 
 function whereCard(d) {
-  const heads = [{ text: text("place") }, { text: text("off_by"), class: "right" }, { text: text("state") }, { text: text("since_it_began"), class: "right" }, { text: text("measured_there"), class: "right" }];
+  const heads = [{ text: text("page-place") }, { text: text("page-off-by"), class: "right" }, { text: text("page-state") }, { text: text("page-since-it-began"), class: "right" }, { text: text("page-measured-there"), class: "right" }];
   const span = (from, to, unit) => `${number(from, 0)}${to === from ? "" : ` … ${number(to, 0)}`} ${unit}`;
-  return el("section", { class: "card" }, el("h2", {}, text("where")), d.where?.length ? table(text("where"), heads,
+  return el("section", { class: "card" }, el("h2", {}, text("page-where")), d.where?.length ? table(text("page-where"), heads,
     d.where.slice(0, 8).map((w) => [el("span", { title: w.signal }, placeName(w.signal)), el("span", { class: "num" }, `${w.residual_K > 0 ? "+" : ""}${number(w.residual_K, 2)} K`),
-      w.phase ? phaseName(w.phase) : text(`state_${w.state}`), el("span", { class: "num" }, w.to_s === null ? `> ${number(w.from_s, 0)} s` : span(w.from_s, w.to_s, "s")),
-      el("span", { class: "num" }, Number.isFinite(w.low_C) ? span(Math.round(w.low_C), Math.round(w.high_C), "°C") : "–")]), { cards: true }) : el("p", { class: "faint" }, text("nowhere")));
+      w.phase ? said(w.phase_said, w.phase) : text(`page-state-${w.state}`), el("span", { class: "num" }, w.to_s === null ? `> ${number(w.from_s, 0)} s` : span(w.from_s, w.to_s, "s")),
+      el("span", { class: "num" }, Number.isFinite(w.low_C) ? span(Math.round(w.low_C), Math.round(w.high_C), "°C") : "–")]), { cards: true }) : el("p", { class: "faint" }, text("page-nowhere")));
 }
 
-const phaseName = (phase) => text(`phase_${phase.replaceAll(" ", "_")}`);
-
 function historyCard(items, choose) {
-  return el("section", { class: "card" }, el("h2", {}, text("earlier")), table(text("earlier"), [{ text: text("started") }, { text: text("verdict") }, { text: text("cause") }],
-    items.map((item) => [el("button", { type: "button", class: "quiet", onclick: () => { choose(item); scrollTo({ top: 0 }); } }, clock(item.utc)), text(`verdict_${item.diagnosis.verdict}`), sentence(item.diagnosis)])));
+  return el("section", { class: "card" }, el("h2", {}, text("page-earlier")), table(text("page-earlier"), [{ text: text("page-started") }, { text: text("page-verdict") }, { text: text("page-cause") }],
+    items.map((item) => [el("button", { type: "button", class: "quiet", onclick: () => { choose(item); scrollTo({ top: 0 }); } }, clock(item.utc)), text(`page-verdict-${item.diagnosis.verdict}`), sentence(item.diagnosis)])));
 }
 
 function modelsCard(items) {
   const message = el("p", { class: "small", role: "status" });
   const promote = async (item, button) => {
-    if (!confirm(text("promote_question").replace("{version}", item.version))) return;
+    if (!confirm(text("page-promote-question", { version: item.version }))) return;
     button.disabled = true;
     try {
       await post(`/models/${encodeURIComponent(item.version)}/promote`);
@@ -102,13 +109,13 @@ function modelsCard(items) {
     }
   };
   const current = items.findIndex((item) => item.current);
-  return el("section", { class: "card" }, el("h2", {}, text("models")), items.length ? table(text("models"),
-    [{ text: text("version") }, { text: text("started"), class: "hide-narrow" }, { text: text("effects") }, { text: text("reason"), class: "hide-narrow" }, { text: text("promote"), unseen: true }],
+  return el("section", { class: "card" }, el("h2", {}, text("page-models")), items.length ? table(text("page-models"),
+    [{ text: text("page-version") }, { text: text("page-started"), class: "hide-narrow" }, { text: text("page-effects") }, { text: text("page-reason"), class: "hide-narrow" }, { text: text("page-promote"), unseen: true }],
     items.map((item, i) => {
-      const button = el("button", { type: "button", class: "button" }, text(current >= 0 && i > current ? "roll_back" : "promote"));
+      const button = el("button", { type: "button", class: "button" }, text(current >= 0 && i > current ? "page-roll-back" : "page-promote"));
       button.addEventListener("click", () => promote(item, button));
-      const version = item.status === "rejected" ? el("div", {}, item.version, " ", el("span", { class: "pill warn" }, text("model_rejected"))) : item.version;
-      return [version, clock(item.utc), item.effects.length ? item.effects.map(name).join(", ") : text("plain_model"), item.reason ? said(item.reason) : "–",
-        item.current ? el("span", { class: "pill good" }, text("in_use")) : button];
-    })) : el("p", { class: "faint" }, text("no_models")), message);
+      const version = item.status === "rejected" ? el("div", {}, item.version, " ", el("span", { class: "pill warn" }, text("page-model-rejected"))) : item.version;
+      return [version, clock(item.utc), item.effects.length ? item.effects.map(name).join(", ") : text("page-plain-model"), item.reason ? said(item.reason_said, item.reason) : "–",
+        item.current ? el("span", { class: "pill good" }, text("page-in-use")) : button];
+    })) : el("p", { class: "faint" }, text("page-no-models")), message);
 }

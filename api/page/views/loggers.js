@@ -1,8 +1,7 @@
 // Loggers: each channel's last good time and faults, the processes, the store and how long its disk lasts.
 import { get } from "../api.js";
 import { bytes, clock, duration, el, number, reading, table, when } from "../dom.js";
-import { sentence } from "../sentences.js";
-import { text } from "../text.js";
+import { has, said, text } from "../words.js";
 
 export async function show(place) {
   const holder = el("div", { class: "stack" });
@@ -20,49 +19,49 @@ export async function show(place) {
 }
 
 function storeCard({ store, status }) {
-  return el("section", { class: "card" }, el("div", { class: "head" }, el("h2", { style: "margin:0" }, text("store")), el("span", { class: `pill ${{ ok: "good", degraded: "warn", down: "bad" }[status]}` }, text(`health_${status}`))),
-    el("dl", { class: "facts" }, [[text("kind"), store.kind], [text("size"), bytes(store.size_bytes)], [text("free"), bytes(store.free_bytes)],
-      [text("hours_left"), store.hours_left === null ? "–" : duration(store.hours_left * 3600)]].flatMap(([name, value]) => [el("dt", {}, name), el("dd", {}, value)])));
+  return el("section", { class: "card" }, el("div", { class: "head" }, el("h2", { style: "margin:0" }, text("page-store")), el("span", { class: `pill ${{ ok: "good", degraded: "warn", down: "bad" }[status]}` }, text(`page-health-${status}`))),
+    el("dl", { class: "facts" }, [[text("page-kind"), store.kind], [text("page-size"), bytes(store.size_bytes)], [text("page-free"), bytes(store.free_bytes)],
+      [text("page-hours-left"), store.hours_left === null ? "–" : duration(store.hours_left * 3600)]].flatMap(([name, value]) => [el("dt", {}, name), el("dd", {}, value)])));
 }
 
-const named = (state) => (text(`process_${state}`) === `process_${state}` ? state : text(`process_${state}`));
+const named = (state) => (has(`page-process-${state}`) ? text(`page-process-${state}`) : state);
 
 function processCard({ processes }) {
-  return el("section", { class: "card" }, el("h2", {}, text("processes")), table(text("processes"), [{ text: text("name") }, { text: text("status") }, { text: text("last_sign"), class: "right" }],
-    processes.map((p) => [el("div", {}, p.name, p.message ? el("p", { class: "small faint" }, sentence(p.message)) : ""), el("span", { class: `pill ${p.alive || p.state === "done" ? "good" : "bad"}` }, p.alive || p.state === "done" ? named(p.state) : text("silent")),
-      el("span", { class: "num" }, p.age_s === null ? "–" : text("ago").replace("{time}", duration(p.age_s)))])));
+  return el("section", { class: "card" }, el("h2", {}, text("page-processes")), table(text("page-processes"), [{ text: text("page-name") }, { text: text("page-status") }, { text: text("page-last-sign"), class: "right" }],
+    processes.map((p) => [el("div", {}, p.name, p.message ? el("p", { class: "small faint" }, p.message_said.map((one) => said(one)).join("; ") || p.message) : ""), el("span", { class: `pill ${p.alive || p.state === "done" ? "good" : "bad"}` }, p.alive || p.state === "done" ? named(p.state) : text("page-silent")),
+      el("span", { class: "num" }, p.age_s === null ? "–" : text("page-ago", { time: duration(p.age_s) }))])));
 }
 
 function clockCard(health, channels, events) {
   const here = Math.round((Date.parse(health.utc) - Date.now()) / 100) / 10;
-  const set = events.find((event) => event.message.startsWith("the clock of this machine was set"));
+  const set = events.find((event) => event.message_said.code === "clock-set");
   const ages = channels.map((channel) => channel.age_s).filter((age) => age !== null);
-  return el("section", { class: "card" }, el("h2", {}, text("clock")),
-    el("dl", { class: "facts" }, [[text("newest_scan"), ages.length ? text("ago").replace("{time}", duration(Math.max(Math.min(...ages), 0))) : "–"],
-      [text("clock_here"), `${here > 0 ? "+" : here < 0 ? "−" : ""}${number(Math.abs(here), 1)} s`],
-      [text("clock_set"), set ? `${clock(set.utc)} ${/by ([+-][\d.]+ s)/.exec(set.message)?.[1] ?? ""}` : text("clock_never")]].flatMap(([name, value]) => [el("dt", {}, name), el("dd", {}, value)])));
+  return el("section", { class: "card" }, el("h2", {}, text("page-clock")),
+    el("dl", { class: "facts" }, [[text("page-newest-scan"), ages.length ? text("page-ago", { time: duration(Math.max(Math.min(...ages), 0)) }) : "–"],
+      [text("page-clock-here"), `${here > 0 ? "+" : here < 0 ? "−" : ""}${number(Math.abs(here), 1)} s`],
+      [text("page-clock-set"), set ? `${clock(set.utc)} ${set.message_said.arguments.sign}${number(set.message_said.arguments.seconds, 1)} s` : text("page-clock-never")]].flatMap(([name, value]) => [el("dt", {}, name), el("dd", {}, value)])));
 }
 
 // Drivers count many causes; the ones with a name of their own here are those a technician asks for.
-const COUNTED = { readings: ["good"], timeouts: ["silent"], reconnects: ["port lost", "closed"], crc_errors: ["crc"] };
+const COUNTED = { "page-readings": ["good"], "page-timeouts": ["silent"], "page-reconnects": ["port lost", "closed"], "page-crc-errors": ["crc"] };
 
 function channelCard(items) {
   const of = (c, causes) => causes.reduce((sum, cause) => sum + (c.counters[cause] ?? 0), 0);
   const named = Object.values(COUNTED).flat();
   const others = (c) => Object.entries(c.counters).filter(([cause]) => !named.includes(cause));
-  return el("section", { class: "card", "data-testid": "loggers" }, el("h1", {}, text("nav_loggers")), items.length ? table(text("channels"),
-    [{ text: text("channel") }, { text: text("logger") }, { text: text("value"), class: "right" }, { text: text("quality") }, { text: text("last_good"), class: "right" }, { text: text("gaps"), class: "right" },
-      ...Object.keys(COUNTED).map((name) => ({ text: text(name), class: "right" })), { text: text("other_faults"), class: "right" }],
+  return el("section", { class: "card", "data-testid": "loggers" }, el("h1", {}, text("page-nav-loggers")), items.length ? table(text("page-channels"),
+    [{ text: text("page-channel") }, { text: text("page-logger") }, { text: text("page-value"), class: "right" }, { text: text("page-quality") }, { text: text("page-last-good"), class: "right" }, { text: text("page-gaps"), class: "right" },
+      ...Object.keys(COUNTED).map((name) => ({ text: text(name), class: "right" })), { text: text("page-other-faults"), class: "right" }],
     items.map((c) => [c.name, c.logger || "–", el("span", { class: "num" }, c.value === null ? "–" : reading(c)),
-      el("span", { class: `pill ${["good", "simulated"].includes(c.quality) ? "good" : "bad"}` }, text(`quality_${c.quality}`)),
+      el("span", { class: `pill ${["good", "simulated"].includes(c.quality) ? "good" : "bad"}` }, text(`page-quality-${c.quality}`)),
       el("span", { class: "num" }, clock(c.last_good_utc, false)), count(c.gaps_last_hour),
-      ...Object.entries(COUNTED).map(([name, causes]) => count(of(c, causes), name === "readings")),
-      el("span", { title: others(c).map(([cause, n]) => `${text(`cause_${cause.replaceAll(" ", "_")}`)}: ${n}`).join(", ") }, count(others(c).reduce((sum, [, n]) => sum + n, 0)))]), { cards: true }) : el("p", { class: "faint" }, text("no_channels")));
+      ...Object.entries(COUNTED).map(([name, causes]) => count(of(c, causes), name === "page-readings")),
+      el("span", { title: others(c).map(([cause, n]) => `${text(`cause-${cause.replaceAll(" ", "-")}`)}: ${n}`).join(", ") }, count(others(c).reduce((sum, [, n]) => sum + n, 0)))]), { cards: true }) : el("p", { class: "faint" }, text("page-no-channels")));
 }
 
 const count = (value, usual = false) => el("span", { class: value && !usual ? "num warn-text" : "num" }, number(value, 0));
 
 function eventCard(items) {
-  return el("section", { class: "card" }, el("h2", {}, text("events")), items.length ? table(text("events"), [{ text: text("when") }, { text: text("process"), class: "hide-narrow" }, { text: text("what") }],
-    items.map((e) => [when(e.utc), e.process, el("span", {}, e.level === "info" ? "" : el("span", { class: `pill ${e.level === "alarm" ? "bad" : "warn"}` }, text(`level_${e.level}`)), " ", sentence(e.message))])) : el("p", { class: "faint" }, "–"));
+  return el("section", { class: "card" }, el("h2", {}, text("page-events")), items.length ? table(text("page-events"), [{ text: text("page-when") }, { text: text("page-process"), class: "hide-narrow" }, { text: text("page-what") }],
+    items.map((e) => [when(e.utc), e.process, el("span", {}, e.level === "info" ? "" : el("span", { class: `pill ${e.level === "alarm" ? "bad" : "warn"}` }, text(`page-level-${e.level}`)), " ", said(e.message_said, e.message))])) : el("p", { class: "faint" }, "–"));
 }

@@ -1,14 +1,14 @@
 // What people know about a run: remark and header, changed with a token that may write, and the history of the changes.
 import { patch } from "../api.js";
 import { clock, el, table, written } from "../dom.js";
-import { text } from "../text.js";
+import { text } from "../words.js";
 
 export function metadataCard(run, path) {
   const card = el("section", { class: "card", "data-testid": "metadata" });
   const read = () => {
-    const change = el("button", { type: "button", class: "button", onclick: edit }, text("change"));
-    card.replaceChildren(el("div", { class: "head" }, el("h2", {}, text("metadata")), change),
-      table(text("metadata"), [{ text: text("name") }, { text: text("value"), class: "right" }],
+    const change = el("button", { type: "button", class: "button", onclick: edit }, text("page-change"));
+    card.replaceChildren(el("div", { class: "head" }, el("h2", {}, text("page-metadata")), change),
+      table(text("page-metadata"), [{ text: text("page-name") }, { text: text("page-value"), class: "right" }],
         Object.entries(run.header).map(([name, value]) => [name, el("span", { class: "num" }, shown(value))])),
       ...(run.changes.length ? [historyOf(run.changes)] : []));
     return change;
@@ -21,9 +21,9 @@ export function metadataCard(run, path) {
 const shown = (value) => (value === null || value === undefined || value === "" ? "–" : typeof value === "number" ? written(value) : typeof value === "object" ? JSON.stringify(value) : String(value));
 
 function historyOf(changes) {
-  return el("details", {}, el("summary", { class: "small" }, `${text("changes")} (${changes.length})`),
+  return el("details", {}, el("summary", { class: "small" }, `${text("page-changes")} (${changes.length})`),
     el("ul", { class: "small changes" }, [...changes].reverse().map((c) =>
-      el("li", {}, el("span", { class: "faint num" }, `${clock(c.utc)} · ${c.who}`), el("br"), `${c.field === "remark" ? text("remark") : c.field}: ${shown(c.before)} → ${shown(c.after)}`))));
+      el("li", {}, el("span", { class: "faint num" }, `${clock(c.utc)} · ${c.who}`), el("br"), `${c.field === "remark" ? text("page-remark") : c.field}: ${shown(c.before)} → ${shown(c.after)}`))));
 }
 
 function editor(run, path, cancel, done) {
@@ -34,19 +34,19 @@ function editor(run, path, cancel, done) {
   const added = [];
   const grid = el("div", { class: "fields" }, fields.map((f) => [el("label", { for: `header-${f.name}`, class: "small" }, f.name), f.input]).flat());
   const another = () => { // an empty line waits below the last one
-    const name = el("input", { type: "text", placeholder: "setting.pressure_N_cm2", "aria-label": text("new_key") });
-    const value = el("input", { type: "text", "aria-label": text("value") });
+    const name = el("input", { type: "text", placeholder: "setting.pressure_N_cm2", "aria-label": text("page-new-key") });
+    const value = el("input", { type: "text", "aria-label": text("page-value") });
     name.addEventListener("input", another, { once: true });
     added.push({ name, value });
     grid.append(name, value);
   };
   another();
   const message = el("p", { class: "small bad-text", role: "alert" });
-  const form = el("form", { class: "stack edit" }, el("h2", {}, text("metadata")),
-    el("label", { for: "remark" }, text("remark")), remark,
+  const form = el("form", { class: "stack edit" }, el("h2", {}, text("page-metadata")),
+    el("label", { for: "remark" }, text("page-remark")), remark,
     grid,
-    el("p", { class: "small faint" }, text("empty_removes")), message,
-    el("div", { class: "row" }, el("button", { class: "button primary" }, text("save")), el("button", { type: "button", class: "button", onclick: cancel }, text("cancel"))));
+    el("p", { class: "small faint" }, text("page-empty-removes")), message,
+    el("div", { class: "row" }, el("button", { class: "button primary" }, text("page-save")), el("button", { type: "button", class: "button", onclick: cancel }, text("page-cancel"))));
   form.addEventListener("submit", async (event) => {
     event.preventDefault();
     const header = {};
@@ -58,7 +58,7 @@ function editor(run, path, cancel, done) {
       await patch(path, remark.value === run.remark ? { header } : { remark: remark.value, header });
       done();
     } catch (error) {
-      message.replaceChildren(error.message, error.status === 401 ? el("a", { href: "#/access" }, ` ${text("need_token")}`) : "");
+      message.replaceChildren(error.message, error.status === 401 ? el("a", { href: "#/access" }, ` ${text("page-need-token")}`) : "");
     }
   });
   return form;

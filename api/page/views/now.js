@@ -1,10 +1,10 @@
 // Press now: the core temperature large, the running pressing as a chart, every channel with its quality.
-import { announce } from "../app.js";
+import { announce } from "../announce.js";
 import { get } from "../api.js";
+import { roleOf } from "../channels.js";
 import { TimeChart, key } from "../charts.js";
 import { clock, duration, el, number, reading } from "../dom.js";
-import { effectName, sentence } from "../sentences.js";
-import { text } from "../text.js";
+import { effectName, said, text } from "../words.js";
 import { sketch } from "./sketch.js";
 
 const KEEP_ROWS = 20000;
@@ -44,7 +44,7 @@ class LivePress {
       this.now = items.find((item) => item.press === this.context.press) ?? items[0] ?? null;
       if (this.closed) return;
       if (!this.now) {
-        this.place.replaceChildren(el("div", { class: "card empty" }, el("h1", {}, text("no_press")), el("p", {}, text("no_press_hint"))));
+        this.place.replaceChildren(el("div", { class: "card empty" }, el("h1", {}, text("page-no-press")), el("p", {}, text("page-no-press-hint"))));
         return;
       }
       this.hear();
@@ -87,15 +87,15 @@ class LivePress {
     this.place.replaceChildren(
       el("div", { class: "split" },
         this.hero = el("section", { class: "card hero", "aria-labelledby": "core-title" },
-          el("div", { class: "row", style: "justify-content:space-between" }, el("h1", { id: "core-title" }, text("core_temperature")), this.state),
+          el("div", { class: "row", style: "justify-content:space-between" }, el("h1", { id: "core-title" }, text("page-core-temperature")), this.state),
           this.old,
           this.warning,
           el("div", {}, this.core, this.band),
           el("div", { class: "bench", "aria-hidden": "true" }, this.meter),
           el("div", { class: "beside" }, this.sketch, this.list)),
-        el("section", { class: "card", "aria-label": text("running_pressing") },
+        el("section", { class: "card", "aria-label": text("page-running-pressing") },
           el("div", { class: "head" }, this.title), this.canvas, this.keys)),
-      el("section", { class: "card" }, el("h2", {}, text("channels")), this.grid));
+      el("section", { class: "card" }, el("h2", {}, text("page-channels")), this.grid));
     this.facts();
     this.tiles();
   }
@@ -103,16 +103,16 @@ class LivePress {
   facts() {
     const { now } = this;
     this.state.className = `pill ${now.state}`;
-    this.state.textContent = text(`state_${now.state}`);
+    this.state.textContent = text(`page-state-${now.state}`);
     this.showCore(now.estimate);
     const target = now.target;
     const rows = [
-      [text("time_since_closing"), now.time_since_closing_s === null ? "–" : duration(now.time_since_closing_s)],
-      [text("target"), target ? `${number(target.temperature_C, 0)} °C` : "–"],
-      [text("time_to_target"), !target ? "–" : target.reached ? text("reached") : timeToTarget(believed(now.estimate))],
+      [text("page-time-since-closing"), now.time_since_closing_s === null ? "–" : duration(now.time_since_closing_s)],
+      [text("page-target"), target ? `${number(target.temperature_C, 0)} °C` : "–"],
+      [text("page-time-to-target"), !target ? "–" : target.reached ? text("page-reached") : timeToTarget(believed(now.estimate))],
       ...ahead(now.state, believed(now.estimate)),
-      [text("run"), now.run ? el("a", { href: `#/runs/${encodeURIComponent(now.run)}` }, now.run) : "–"],
-      [text("press"), now.press],
+      [text("page-run"), now.run ? el("a", { href: `#/runs/${encodeURIComponent(now.run)}` }, now.run) : "–"],
+      [text("page-press"), now.press],
     ];
     this.showAge();
     this.showWarning();
@@ -128,15 +128,15 @@ class LivePress {
     this.core.className = valid ? "core" : "core invalid";
     this.core.replaceChildren(valid ? number(estimate.core_C, 1) : "–", el("small", {}, "°C"));
     this.band.textContent = valid
-      ? `${number(estimate.core_low_C, 1)} … ${number(estimate.core_high_C, 1)} °C · ${text("band95")}`
-      : this.now.state === "idle" ? text("no_panel") : sentence(estimate?.reason) || text("no_estimate");
+      ? `${number(estimate.core_low_C, 1)} … ${number(estimate.core_high_C, 1)} °C · ${text("page-band95")}`
+      : this.now.state === "idle" ? text("page-no-panel") : reasonOf(estimate) || text("page-no-estimate");
   }
 
   showWarning() {
     const estimate = this.now.state === "idle" ? null : this.now.estimate;
-    const { warning } = believed(estimate);
+    const { warning, warning_said: warningSaid } = believed(estimate);
     const suspected = estimate?.suspected;
-    const lines = [warning && `⚠ ${sentence(warning)}`, suspected && `${text("suspected")}: ${effectName(suspected)}`].filter(Boolean);
+    const lines = [warning && `⚠ ${said(warningSaid, warning)}`, suspected && `${text("page-suspected")}: ${effectName(suspected)}`].filter(Boolean);
     if (this.warning.textContent !== lines.join("")) this.warning.replaceChildren(...lines.map((line) => el("p", {}, line)));
     this.warning.hidden = !lines.length;
   }
@@ -151,22 +151,22 @@ class LivePress {
     this.hero.classList.toggle("stale", stale);
     this.grid.classList.toggle("stale", stale);
     this.old.hidden = !stale;
-    if (stale) this.old.textContent = text("stale_since").replace("{time}", clock(this.now.channels[0].utc));
+    if (stale) this.old.textContent = text("page-stale-since", { time: clock(this.now.channels[0].utc) });
   }
 
   tiles() {
     const nodes = this.now.channels.map((channel) => {
       const good = ["good", "simulated"].includes(channel.quality);
       return el("div", { class: good ? "channel" : "channel bad", style: `--dot: var(${COLOURS[channel.role]})` },
-        el("div", { class: "name" }, el("span", {}, channel.name), good ? el("span", { class: "quality" }, text(`quality_${channel.quality}`)) : ""),
-        el("b", {}, good ? reading(channel) : text(`quality_${channel.quality}`)));
+        el("div", { class: "name" }, el("span", {}, channel.name), good ? el("span", { class: "quality" }, text(`page-quality-${channel.quality}`)) : ""),
+        el("b", {}, good ? reading(channel) : text(`page-quality-${channel.quality}`)));
     });
     this.grid.replaceChildren(...nodes);
   }
 
   async loadRun(run) {
     this.shown = run;
-    if (!run) { this.title.textContent = text("waiting_for_pressing"); return; }
+    if (!run) { this.title.textContent = text("page-waiting-for-pressing"); return; }
     const [samples, estimates, detail] = await Promise.all([
       get(`/runs/${encodeURIComponent(run)}/samples`, { max_points: 4000 }),
       get(`/runs/${encodeURIComponent(run)}/estimates`, { max_points: 4000 }),
@@ -183,17 +183,17 @@ class LivePress {
     const roles = Object.fromEntries(this.now.channels.map((channel) => [channel.name, channel.role]));
     const series = this.columns.map((name) => ({ name, colour: COLOURS[roles[name] ?? roleOf(name)], kind: roles[name] === "core" ? "line" : "thin" }));
     series.push({ name: "low", kind: "band-low" }, { name: "high", kind: "band-high" },
-      { name: text("core_predicted"), colour: "--core", kind: "core", spanGaps: true });
+      { name: text("page-core-predicted"), colour: "--core", kind: "core", spanGaps: true });
     if (this.chart) this.chart.close();
     this.canvas.replaceChildren();
-    this.chart = new TimeChart(this.canvas, { series, height: Math.max(300, Math.min(460, innerHeight * 0.5)), label: text("chart_now_label"), phases: this.phases });
+    this.chart = new TimeChart(this.canvas, { series, height: Math.max(300, Math.min(460, innerHeight * 0.5)), label: text("page-chart-now-label"), phases: this.phases });
     this.chart.set(this.rows, this.phases);
     const running = this.now.run_status === "open";
-    this.title.textContent = `${text(running ? "running_pressing" : "last_pressing")} ${this.shown}`;
+    this.title.textContent = `${text(running ? "page-running-pressing" : "page-last-pressing")} ${this.shown}`;
     this.keys.replaceChildren(key([
-      { name: text("core_predicted"), colour: "--core" }, { name: text("band95"), class: "band" },
-      { name: text("sensors_top"), colour: "--top" }, { name: text("sensors_bottom"), colour: "--bottom" },
-      { name: text("platens"), colour: "--platen" }]));
+      { name: text("page-core-predicted"), colour: "--core" }, { name: text("page-band95"), class: "band" },
+      { name: text("page-sensors-top"), colour: "--top" }, { name: text("page-sensors-bottom"), colour: "--bottom" },
+      { name: text("page-platens"), colour: "--platen" }]));
   }
 
   scan(data) {
@@ -236,7 +236,7 @@ class LivePress {
 
   press(data) {
     if (data.press !== this.now?.press) return;
-    announce(`${text("press")}: ${text(`state_${data.state}`)}`);
+    announce(`${text("page-press")}: ${text(`page-state-${data.state}`)}`);
     this.poll();
     if (data.run && data.run === this.shown) {
       get(`/runs/${encodeURIComponent(data.run)}`).then((detail) => {
@@ -259,6 +259,11 @@ class LivePress {
   }
 }
 
+// Why there is no core: a code in plain words, whose words the catalogue has with hyphens.
+function reasonOf(estimate) {
+  return estimate?.reason && said({ code: `reason-${estimate.reason.replaceAll(" ", "-")}`, arguments: estimate.reason_arguments }, estimate.reason);
+}
+
 // What may be shown as a number: an estimate that is not valid foresees nothing either.
 const believed = (estimate) => (estimate?.valid ? estimate : {});
 
@@ -273,13 +278,9 @@ function timeToTarget({ target_in_s: middle, target_earliest_s: earliest, target
 // What the live sensor foresees beyond the target, where it says so.
 function ahead(state, estimate) {
   if (state === "idle") return [];
-  const facts = [["open_in_s", "open_in", (v) => (v > 0 ? text("in_time").replace("{time}", seconds(v)) : text("at_once"))], ["peak_C", state === "closed" ? "peak_if" : "peak", (v) => `${number(v, 1)} °C`],
-    ["limit_in_s", "limit_in", seconds], ["energy_kJ_m2", "energy", (v) => `${number(v, 0)} kJ/m²`]];
+  const facts = [["open_in_s", "page-open-in", (v) => (v > 0 ? text("page-in-time", { time: seconds(v) }) : text("page-at-once"))], ["peak_C", state === "closed" ? "page-peak-if" : "page-peak", (v) => `${number(v, 1)} °C`],
+    ["limit_in_s", "page-limit-in", seconds], ["energy_kJ_m2", "page-energy", (v) => `${number(v, 0)} kJ/m²`]];
   return facts.filter(([key]) => estimate[key] !== null && estimate[key] !== undefined).map(([key, name, shown]) => [text(name), shown(estimate[key])]);
-}
-
-export function roleOf(name) {
-  return name.startsWith("platen") ? "platen" : name.startsWith("top") ? "top" : name.startsWith("bottom") ? "bottom" : name.startsWith("core") ? "core" : "other";
 }
 
 function merge(samples, estimates, columns) {

@@ -1,6 +1,6 @@
 // Temperature through the panel over time as a picture: time to the right, height upwards, colour the temperature.
 import { el, number } from "../dom.js";
-import { text } from "../text.js";
+import { text } from "../words.js";
 
 // Inferno, nine stops: dark to bright stays readable in grey and for colour-blind eyes.
 const STOPS = [[0, 0, 4], [31, 12, 72], [85, 15, 109], [136, 34, 106], [186, 54, 85], [227, 89, 51], [249, 140, 10], [249, 201, 50], [252, 255, 164]];
@@ -9,7 +9,7 @@ const MARGIN = { left: 66, right: 74, top: 14, bottom: 44 };
 const BOILING_C = 100;
 
 export function profilePicture(simulation, phases) {
-  const canvas = el("canvas", { class: "profile", role: "img", "aria-label": text("profile_label") });
+  const canvas = el("canvas", { class: "profile", role: "img", "aria-label": text("page-profile-label") });
   const legend = el("p", { class: "small faint" });
   const holder = el("div", {}, canvas, legend);
   const draw = () => { if (canvas.isConnected && canvas.clientWidth) drawProfile(canvas, legend, simulation, phases); };
@@ -36,7 +36,7 @@ function drawProfile(canvas, legend, { profile_time_s: times, profile_depth_mm: 
   moments(ctx, phases, x, box);
   axes(ctx, times, depths, x, y, box);
   colourBar(ctx, low, high, box);
-  legend.textContent = `${text("profile_axes")} · ${number(low, 0)} … ${number(high, 0)} °C${high > BOILING_C ? ` · ${text("isotherm")}` : ""}`;
+  legend.textContent = `${text("page-profile-axes")} · ${number(low, 0)} … ${number(high, 0)} °C${high > BOILING_C ? ` · ${text("page-isotherm")}` : ""}`;
 }
 
 // One pixel for each time and height of an even grid; the browser smooths between them.
@@ -73,7 +73,7 @@ function moments(ctx, phases, x, box) {
   ctx.font = "11px system-ui, sans-serif";
   ctx.textBaseline = "top";
   for (const phase of phases.filter((p) => p.state === "closed")) {
-    for (const [at, name] of [[phase.from_s, "state_closed"], [phase.to_s, "state_open"]]) {
+    for (const [at, name] of [[phase.from_s, "page-state-closed"], [phase.to_s, "page-state-open"]]) {
       if (at === null) continue;
       ctx.strokeStyle = ctx.fillStyle = "rgba(255, 255, 255, .9)";
       ctx.beginPath();
@@ -93,7 +93,7 @@ function axes(ctx, times, depths, x, y, box) {
   ctx.textAlign = "center";
   ctx.textBaseline = "top";
   for (const t of ticks(times[0], times.at(-1), Math.max(box.w / 90, 3))) ctx.fillText(number(t, 0), x(t), box.y + box.h + 7);
-  ctx.fillText(text("time_axis"), box.x + box.w / 2, box.y + box.h + 26);
+  ctx.fillText(text("page-time-axis"), box.x + box.w / 2, box.y + box.h + 26);
   ctx.textAlign = "right";
   ctx.textBaseline = "middle";
   for (const depth of ticks(0, depths.at(-1), 4)) ctx.fillText(number(depth, 0), box.x - 8, y(depth));

@@ -2,11 +2,10 @@
 import { download, get, url } from "../api.js";
 import { TimeChart, key } from "../charts.js";
 import { clock, duration, el, figure, number, table } from "../dom.js";
-import { sentence as said } from "../sentences.js";
-import { placeName, text } from "../text.js";
+import { language, placeName, said, text } from "../words.js";
+import { roleOf } from "../channels.js";
 import { coefficientTable } from "./coefficients.js";
 import { metadataCard } from "./metadata.js";
-import { roleOf } from "./now.js";
 import { profilePicture } from "./profile.js";
 
 const PALETTE = ["--core", "--bottom", "--top", "--good", "--accent", "--platen"];
@@ -23,21 +22,21 @@ async function list(place, context) {
   let items = [];
   let cursor = null;
   const body = el("div", {});
-  const more = el("button", { type: "button", class: "button", onclick: () => load(true) }, text("more"));
-  const compareLink = el("a", { class: "button", href: "#/runs", "aria-disabled": "true" }, text("compare"));
+  const more = el("button", { type: "button", class: "button", onclick: () => load(true) }, text("page-more"));
+  const compareLink = el("a", { class: "button", href: "#/runs", "aria-disabled": "true" }, text("page-compare"));
   const field = (name, label, control) => {
     control.addEventListener("input", () => { filter[name] = control.value; load(false); });
     return el("label", { class: "row small" }, el("span", { class: "faint" }, label), control);
   };
-  const statuses = el("select", {}, el("option", { value: "" }, text("all")),
-    ["open", "closed", "interrupted"].map((value) => el("option", { value }, text(`run_${value}`))));
+  const statuses = el("select", {}, el("option", { value: "" }, text("page-all")),
+    ["open", "closed", "interrupted"].map((value) => el("option", { value }, text(`page-run-${value}`))));
   place.append(el("section", { class: "card" },
-    el("div", { class: "head" }, el("h1", {}, text("nav_runs")),
+    el("div", { class: "head" }, el("h1", {}, text("page-nav-runs")),
       el("div", { class: "row" },
-        field("material", text("material"), el("input", { type: "search", size: 8 })),
-        field("status", text("status"), statuses),
-        field("from", text("from"), el("input", { type: "date" })),
-        field("to", text("to"), el("input", { type: "date" })), compareLink)),
+        field("material", text("page-material"), el("input", { type: "search", size: 8 })),
+        field("status", text("page-status"), statuses),
+        field("from", text("page-from"), el("input", { type: "date" })),
+        field("to", text("page-to"), el("input", { type: "date" })), compareLink)),
     body, el("div", { class: "row", style: "justify-content:center;margin-top:.8rem" }, more)));
 
   let turn = 0;
@@ -55,13 +54,13 @@ async function list(place, context) {
   }
 
   function draw() {
-    if (!items.length) { body.replaceChildren(el("div", { class: "empty" }, text("no_runs"))); return; }
-    body.replaceChildren(table(text("nav_runs"), [
-      { text: text("compare"), unseen: true }, { text: text("run") }, { text: text("started"), class: "hide-narrow" }, { text: text("material") },
-      { text: text("thickness"), class: "right hide-narrow" }, { text: text("platen"), class: "right hide-narrow" },
-      { text: text("pressed"), class: "right" }, { text: text("rmse"), class: "right" }, { text: text("status"), class: "hide-narrow" },
+    if (!items.length) { body.replaceChildren(el("div", { class: "empty" }, text("page-no-runs"))); return; }
+    body.replaceChildren(table(text("page-nav-runs"), [
+      { text: text("page-compare"), unseen: true }, { text: text("page-run") }, { text: text("page-started"), class: "hide-narrow" }, { text: text("page-material") },
+      { text: text("page-thickness"), class: "right hide-narrow" }, { text: text("page-platen"), class: "right hide-narrow" },
+      { text: text("page-pressed"), class: "right" }, { text: text("page-rmse"), class: "right" }, { text: text("page-status"), class: "hide-narrow" },
     ], items.map((run) => [
-      el("input", { type: "checkbox", checked: chosen.has(run.run), "aria-label": `${text("compare")} ${run.run}`, onchange: (event) => pick(run.run, event.target.checked) }),
+      el("input", { type: "checkbox", checked: chosen.has(run.run), "aria-label": `${text("page-compare")} ${run.run}`, onchange: (event) => pick(run.run, event.target.checked) }),
       el("a", { href: `#/runs/${encodeURIComponent(run.run)}` }, run.run),
       el("span", { class: "num" }, clock(run.started_utc)), run.material || "–",
       el("span", { class: "num" }, run.thickness_mm === null ? "–" : `${number(run.thickness_mm, 1)} mm`),
@@ -78,7 +77,7 @@ async function list(place, context) {
     compareLink.setAttribute("aria-disabled", String(!usable));
     compareLink.className = usable ? "button primary" : "button";
     compareLink.href = usable ? `#/runs/compare/${[...chosen].map(encodeURIComponent).join("/")}` : "#/runs";
-    compareLink.textContent = chosen.size ? `${text("compare")} (${chosen.size})` : text("compare");
+    compareLink.textContent = chosen.size ? `${text("page-compare")} (${chosen.size})` : text("page-compare");
   }
 
   await load(false);
@@ -95,12 +94,12 @@ function midnight(day, later) {
 
 function statusPill(status) {
   const tone = { open: "open", closed: "good", interrupted: "warn" }[status] ?? "";
-  return el("span", { class: `pill ${tone}` }, text(`run_${status}`));
+  return el("span", { class: `pill ${tone}` }, text(`page-run-${status}`));
 }
 
 async function compare(place, ids) {
-  place.append(el("section", { class: "card" }, el("div", { class: "head" }, el("h1", {}, `${text("compare")}: ${text("core_predicted")}`),
-    el("a", { class: "button", href: "#/runs" }, text("back")))));
+  place.append(el("section", { class: "card" }, el("div", { class: "head" }, el("h1", {}, `${text("page-compare")}: ${text("page-core-predicted")}`),
+    el("a", { class: "button", href: "#/runs" }, text("page-back")))));
   const runs = await Promise.all(ids.slice(0, 6).map(async (id) => ({
     id, detail: await get(`/runs/${encodeURIComponent(id)}`), estimates: await coreOf(`/runs/${encodeURIComponent(id)}`),
   })));
@@ -114,14 +113,14 @@ async function compare(place, ids) {
   const holder = el("div", {});
   place.firstChild.append(holder, key(runs.map(({ id }, i) => ({ name: id, colour: PALETTE[i] }))));
   const chart = new TimeChart(holder, {
-    series: runs.map(({ id }, i) => ({ name: id, colour: PALETTE[i], kind: "line", spanGaps: true })), height: 420, label: text("compare"), xLabel: text("time_from_closing"),
+    series: runs.map(({ id }, i) => ({ name: id, colour: PALETTE[i], kind: "line", spanGaps: true })), height: 420, label: text("page-compare"), xLabel: text("page-time-from-closing"),
   });
   chart.set(data);
   const facts = await Promise.all(runs.map(({ id }) => get(`/runs/${encodeURIComponent(id)}/fit`).catch(() => null)));
   const names = [...new Set(facts.flatMap((fit) => (fit ? Object.keys(fit.coefficients) : [])))];
   if (names.length) {
-    place.append(el("section", { class: "card" }, el("h2", {}, text("nav_coefficients")), table(text("nav_coefficients"),
-      [{ text: text("run") }, ...names.map((name) => ({ text: name, class: "right" })), { text: text("rmse"), class: "right" }],
+    place.append(el("section", { class: "card" }, el("h2", {}, text("page-nav-coefficients")), table(text("page-nav-coefficients"),
+      [{ text: text("page-run") }, ...names.map((name) => ({ text: name, class: "right" })), { text: text("page-rmse"), class: "right" }],
       facts.map((fit, i) => [el("a", { href: `#/runs/${encodeURIComponent(runs[i].id)}` }, runs[i].id),
         ...names.map((name) => el("span", { class: "num" }, fit?.coefficients[name] ? figure(fit.coefficients[name].value) : "–")),
         el("span", { class: "num" }, fit?.rmse_K ? `${number(fit.rmse_K, 2)} K` : "–")]))));
@@ -145,11 +144,11 @@ async function detail(place, context, id) {
   const [samples, estimates, fit] = await Promise.all([
     get(`${path}/samples`, { max_points: 3000 }), get(`${path}/estimates`, { max_points: 3000 }), get(`${path}/fit`).catch(() => null),
   ]);
-  const waiting = el("section", { class: "card empty" }, text("simulating"));
+  const waiting = el("section", { class: "card empty" }, text("page-simulating"));
   place.append(headCard(run, path), measuredCard(run, samples, estimates), waiting, el("div", { class: "pair" }, fitCard(fit), metadataCard(run, path)));
   get(`${path}/simulation`).then((simulation) => {
     if (waiting.isConnected) waiting.replaceWith(simulationCard(run, simulation), profileCard(run, simulation));
-  }).catch((error) => waiting.replaceChildren(text("no_simulation"), el("p", { class: "small" }, error.message)));
+  }).catch((error) => waiting.replaceChildren(text("page-no-simulation"), el("p", { class: "small" }, error.message)));
   context.on("fit", (data) => { if (data.run === id && !fit) dispatchEvent(new HashChangeEvent("hashchange")); });
   return null;
 }
@@ -158,11 +157,11 @@ function headCard(run, path) {
   const link = (label, href, file) => el("a", { class: "button", href, download: file, onclick: download }, label);
   return el("section", { class: "card" },
     el("div", { class: "head" },
-      el("div", { class: "row" }, el("h1", {}, `${text("run")} ${run.run}`), statusPill(run.status)),
+      el("div", { class: "row" }, el("h1", {}, `${text("page-run")} ${run.run}`), statusPill(run.status)),
       el("div", { class: "row small" }, link("CSV", url(`${path}/samples`, { format: "csv" }), `${run.run}.csv`), link("Parquet", url(`${path}/samples`, { format: "parquet" }), `${run.run}.parquet`),
-        link("SVG", url(`${path}/figure.svg`), `${run.run}.svg`), el("a", { class: "button", href: "#/runs" }, text("back")))),
+        link("SVG", url(`${path}/figure.svg`, { language: language() }), `${run.run}.svg`), el("a", { class: "button", href: "#/runs" }, text("page-back")))),
     el("p", { class: "faint" }, [run.material, run.thickness_mm && `${number(run.thickness_mm, 1)} mm`, run.platen_temperature_C && `${number(run.platen_temperature_C, 0)} °C`,
-      run.closed_s !== null && run.opened_s !== null && `${text("pressed")} ${duration(run.opened_s - run.closed_s)}`, clock(run.started_utc), `${run.scans} ${text("scans")}`]
+      run.closed_s !== null && run.opened_s !== null && `${text("page-pressed")} ${duration(run.opened_s - run.closed_s)}`, clock(run.started_utc), `${run.scans} ${text("page-scans")}`]
       .filter(Boolean).join(" · ")),
     run.remark ? el("p", { class: "next", style: "white-space:pre-line" }, run.remark) : null);
 }
@@ -171,18 +170,18 @@ function measuredCard(run, samples, estimates) {
   const names = Object.keys(samples.columns).filter((name) => name !== "closed");
   const colour = { platen: "--platen", top: "--top", bottom: "--bottom", core: "--measured", other: "--faint" };
   const series = [...names.map((name) => ({ name, colour: colour[roleOf(name)], kind: roleOf(name) === "core" ? "line" : "thin" })),
-    { name: "low", kind: "band-low" }, { name: "high", kind: "band-high" }, { name: text("core_predicted"), colour: "--core", kind: "core", spanGaps: true }];
+    { name: "low", kind: "band-low" }, { name: "high", kind: "band-high" }, { name: text("page-core-predicted"), colour: "--core", kind: "core", spanGaps: true }];
   const { times, lift } = grid(samples.time_s, estimates.time_s);
   const ok = (values) => values.map((value, i) => (estimates.valid[i] ? value : null));
   const data = [times, ...names.map((name) => lift(samples.time_s, samples.columns[name])), lift(estimates.time_s, ok(estimates.core_low_C)),
     lift(estimates.time_s, ok(estimates.core_high_C)), lift(estimates.time_s, ok(estimates.core_C))];
   const holder = el("div", {});
-  const card = el("section", { class: "card" }, el("h2", {}, text("measured_and_core")), holder, key([
-    { name: text("core_predicted"), colour: "--core" }, { name: text("band95"), class: "band" }, { name: text("sensors_top"), colour: "--top" },
-    { name: text("sensors_bottom"), colour: "--bottom" }, { name: text("platens"), colour: "--platen" }]), leftOut(samples.quality));
+  const card = el("section", { class: "card" }, el("h2", {}, text("page-measured-and-core")), holder, key([
+    { name: text("page-core-predicted"), colour: "--core" }, { name: text("page-band95"), class: "band" }, { name: text("page-sensors-top"), colour: "--top" },
+    { name: text("page-sensors-bottom"), colour: "--bottom" }, { name: text("page-platens"), colour: "--platen" }]), leftOut(samples.quality));
   const why = (name, time) => samples.quality.find((span) => (span.column === name || span.column === "*") && span.from_s <= time && time <= span.to_s);
-  later(holder, () => new TimeChart(holder, { series, height: 360, label: text("measured_and_core"), phases: run.phases, sync: "run",
-    why: (name, time) => { const span = names.includes(name) && why(name, time); return span ? text(`quality_${span.quality}`) : null; } }).set(data));
+  later(holder, () => new TimeChart(holder, { series, height: 360, label: text("page-measured-and-core"), phases: run.phases, sync: "run",
+    why: (name, time) => { const span = names.includes(name) && why(name, time); return span ? text(`page-quality-${span.quality}`) : null; } }).set(data));
   return card;
 }
 
@@ -198,9 +197,9 @@ function leftOut(spans) {
   }
   const lines = [...causes.values()].sort((a, b) => b.rows - a.rows);
   if (!lines.length) return null;
-  return el("div", { class: "small", "data-testid": "left-out" }, el("h3", {}, text("left_out")), el("ul", {},
-    lines.slice(0, MOST_LEFT_OUT).map((line) => el("li", {}, `${line.column === "*" ? text("all_channels") : line.column}: ${text(`quality_${line.quality}`)}, ${number(line.rows, 0)} ${text("scans")}, ${number(line.from_s, 1)} – ${number(line.to_s, 1)} s`)),
-    lines.length > MOST_LEFT_OUT ? el("li", {}, text("and_more").replace("{count}", lines.length - MOST_LEFT_OUT)) : null));
+  return el("div", { class: "small", "data-testid": "left-out" }, el("h3", {}, text("page-left-out")), el("ul", {},
+    lines.slice(0, MOST_LEFT_OUT).map((line) => el("li", {}, `${line.column === "*" ? text("page-all-channels") : line.column}: ${text(`page-quality-${line.quality}`)}, ${number(line.rows, 0)} ${text("page-scans")}, ${number(line.from_s, 1)} – ${number(line.to_s, 1)} s`)),
+    lines.length > MOST_LEFT_OUT ? el("li", {}, text("page-and-more", { count: lines.length - MOST_LEFT_OUT })) : null));
 }
 
 function simulationCard(run, simulation) {
@@ -212,19 +211,19 @@ function simulationCard(run, simulation) {
   const below = el("div", {});
   const shown = places.filter((name) => simulation.measured[name]?.some((value) => value !== null));
   const card = el("section", { class: "card", "data-testid": "simulation" },
-    el("h2", {}, text("measured_simulated")), above, el("h3", {}, text("residual")), below, key([
+    el("h2", {}, text("page-measured-simulated")), above, el("h3", {}, text("page-residual")), below, key([
       ...shown.map((name, i) => ({ name: `${placeName(name)} · RMSE ${number(simulation.rmse_K[name], 2)} K`, colour: colour(name, i) })),
-      { name: text("dots_measured"), colour: "--measured", class: "dots" }, { name: text("core_simulated"), colour: "--core" }]));
+      { name: text("page-dots-measured"), colour: "--measured", class: "dots" }, { name: text("page-core-simulated"), colour: "--core" }]));
   const index = shown.map((name) => places.indexOf(name));
   later(above, () => {
     new TimeChart(above, {
-      series: [...shown.map((name, i) => ({ name: `${placeName(name)} ${text("simulated")}`, colour: colour(name, i), kind: "line" })),
-        ...shown.map((name, i) => ({ name: `${placeName(name)} ${text("measured")}`, colour: colour(name, i), kind: "dots" })),
-        { name: text("core_simulated"), colour: "--core", kind: "core" }],
-      height: 320, label: text("measured_simulated"), phases: run.phases, sync: "run",
+      series: [...shown.map((name, i) => ({ name: `${placeName(name)} ${text("page-simulated")}`, colour: colour(name, i), kind: "line" })),
+        ...shown.map((name, i) => ({ name: `${placeName(name)} ${text("page-measured")}`, colour: colour(name, i), kind: "dots" })),
+        { name: text("page-core-simulated"), colour: "--core", kind: "core" }],
+      height: 320, label: text("page-measured-simulated"), phases: run.phases, sync: "run",
     }).set([simulation.time_s, ...index.map((i) => simulation.positions[places[i]]), ...index.map((i) => simulation.measured[places[i]]), simulation.core_C]);
     new TimeChart(below, {
-      series: shown.map((name, i) => ({ name: placeName(name), colour: colour(name, i), kind: "line", unit: "K", digits: 2 })), height: 170, label: text("residual"), yLabel: "K", phases: run.phases, sync: "run", yRange: calmRange(index.map((i) => residual[i])),
+      series: shown.map((name, i) => ({ name: placeName(name), colour: colour(name, i), kind: "line", unit: "K", digits: 2 })), height: 170, label: text("page-residual"), yLabel: "K", phases: run.phases, sync: "run", yRange: calmRange(index.map((i) => residual[i])),
     }).set([simulation.time_s, ...index.map((i) => residual[i])]);
   });
   return card;
@@ -238,16 +237,16 @@ function calmRange(series) {
 }
 
 function profileCard(run, simulation) {
-  return el("section", { class: "card" }, el("h2", {}, text("profile")), profilePicture(simulation, run.phases));
+  return el("section", { class: "card" }, el("h2", {}, text("page-profile")), profilePicture(simulation, run.phases));
 }
 
 function fitCard(fit) {
-  if (!fit) return el("section", { class: "card" }, el("h2", {}, text("fit")), el("p", { class: "faint" }, text("no_fit")));
-  return el("section", { class: "card" }, el("div", { class: "head" }, el("h2", {}, text("fit")),
-    el("span", { class: `pill ${fit.converged ? "good" : "warn"}` }, text(fit.converged ? "converged" : "not_converged"))),
+  if (!fit) return el("section", { class: "card" }, el("h2", {}, text("page-fit")), el("p", { class: "faint" }, text("page-no-fit")));
+  return el("section", { class: "card" }, el("div", { class: "head" }, el("h2", {}, text("page-fit")),
+    el("span", { class: `pill ${fit.converged ? "good" : "warn"}` }, text(fit.converged ? "page-converged" : "page-not-converged"))),
   coefficientTable(fit.coefficients),
   el("p", { class: "small faint" }, `RMSE ${number(fit.initial_rmse_K, 2)} K → ${number(fit.rmse_K, 2)} K`),
-  fit.warnings.length ? el("ul", { class: "small" }, fit.warnings.map((warning) => el("li", {}, said(warning)))) : null);
+  fit.warnings.length ? el("ul", { class: "small" }, fit.warnings.map((warning, i) => el("li", {}, said(fit.warnings_said?.[i], warning)))) : null);
 }
 
 // Two time axes on one chart: their union, each series lifted onto it.
@@ -263,6 +262,6 @@ function grid(...axes) {
 }
 
 // Runs once the element stands in the page and has a width.
-export function later(node, work) {
+function later(node, work) {
   requestAnimationFrame(() => { if (node.isConnected) work(); else setTimeout(() => { if (node.isConnected) work(); }, 50); });
 }

@@ -1,0 +1,64 @@
+// What the page says: codes put into words by the catalogue of the reader's language (api/v1/messages), the same one
+// that Python reads. To add a language, add its file to daq/words.
+const { FluentBundle, FluentNumber, FluentResource } = globalThis.FluentBundle; // vendor/fluent-bundle.js
+
+const KEPT = "kerntemp-language";
+let catalogue = { language: "en", languages: ["en"], bundle: new FluentBundle("en") };
+
+export const language = () => catalogue.language;
+export const languages = () => catalogue.languages;
+
+// The reader's own variant of the language, for dates and numbers: English may be en-GB.
+export const locale = () => variantOf(catalogue.language);
+const variantOf = (chosen) => navigator.languages.find((name) => name.startsWith(chosen)) ?? chosen;
+
+// The name of a language in itself: "Deutsch".
+export const nameOf = (chosen) => new Intl.DisplayNames([chosen], { type: "language" }).of(chosen);
+
+// Fetches the words of a language, by default of the one this browser prefers; false if nobody answers.
+export async function loadWords(chosen = localStorage.getItem(KEPT) ?? navigator.language.split("-")[0]) {
+  const answer = await fetch(`api/v1/messages/${encodeURIComponent(chosen)}`).catch(() => null);
+  if (answer?.status === 404 && chosen !== "en") return loadWords("en");
+  if (!answer?.ok) return false;
+  const told = await answer.json();
+  const bundle = new FluentBundle(variantOf(told.language), { useIsolating: false });
+  bundle.addResource(new FluentResource(Object.entries(told.messages).map(([code, pattern]) => `${code} = ${pattern}`).join("\n")));
+  catalogue = { ...told, bundle };
+  return true;
+}
+
+export async function chooseLanguage(chosen) {
+  if (await loadWords(chosen)) localStorage.setItem(KEPT, chosen);
+}
+
+export const has = (code) => catalogue.bundle.hasMessage(code);
+
+// The words of a code; one without any, of a newer server say, is shown with its arguments.
+export function text(code, values = {}) {
+  const pattern = catalogue.bundle.getMessage(code)?.value;
+  const shown = Object.fromEntries(Object.entries(values).map(([name, value]) => [name, argument(value)]));
+  if (pattern) return catalogue.bundle.formatPattern(pattern, shown, []);
+  return [code, Object.entries(values).map(([name, value]) => `${name} = ${value}`).join(", ")].filter(Boolean).join(": ");
+}
+
+// A message of the server in the reader's language; the server's own English where it came without one.
+export const said = (message, english = "") => (message && has(message.code) ? text(message.code, message.arguments) : english ?? "");
+
+function argument(value) {
+  if (Array.isArray(value)) return value.map((one) => (one?.code ? said(one, one.code) : String(one))).join(", ");
+  if (value?.code) return text(value.code, value.arguments);
+  return typeof value === "number" ? new FluentNumber(value, { useGrouping: false }) : String(value);
+}
+
+const PLACES = { "panel.top": "page-sensors-top", "panel.bottom": "page-sensors-bottom", core: "page-core-temperature" };
+
+// Where a sensor sits, in words; a place without any stands for itself.
+export const placeName = (place) => (PLACES[place] ? text(PLACES[place]) : place);
+
+// What an effect is called, as a heading or in a list; one without words stands for itself.
+export function effectName(effect) {
+  const code = [`effect-${effect}-called`, `page-suspected-${effect.replaceAll(" ", "-")}`].find(has);
+  return code ? capital(text(code)) : effect;
+}
+
+export const capital = (words) => words.slice(0, 1).toUpperCase() + words.slice(1);
