@@ -3,6 +3,7 @@
 Commands import what they need when they run, so that `kerntemp --help` answers at once.
 Exit status: 0 done, 1 the work failed, 2 the input or the call is wrong; then one line on
 standard error says what is wrong and what to do, and nothing has been written.
+KERNTEMP_LANGUAGE chooses the language of what is said; it is read here, once.
 """
 
 from __future__ import annotations
@@ -14,7 +15,8 @@ from typing import Annotated
 
 import typer
 
-from api.commands import analysis, files, services
+from api.commands import files, services
+from api.commands import simulating as analysis
 from api.commands.calibrating import calibrate
 from api.commands.demo import demo
 from api.commands.diagnosing import diagnose
@@ -22,8 +24,10 @@ from api.commands.fitting import fit
 from api.commands.keeping import backup
 from api.commands.probing import probe
 from api.commands.publishing import publish
-from api.outputs import WorkFailed
+from api.outputs import WorkFailed, in_words, speak
 from daq.records import InputError
+from daq.words import say, spoken
+from daq.words.message import ENGLISH, languages
 
 app = typer.Typer(
     name="kerntemp",
@@ -44,11 +48,11 @@ def about(
 ) -> None:
     """Core temperature of pressed panels: log, predict live, fit, and find what the model gets wrong."""
     if version:
-        from api.health import installed_version
+        from api.answers.health import installed_version
 
         sys.stdout.write(f"kerntemp {installed_version()}\n")
     if licences:
-        from api.licences import licence_lines
+        from api.commands.licences import licence_lines
 
         sys.stdout.write("\n".join(licence_lines()) + "\n")
     if version or licences:
@@ -83,23 +87,32 @@ _UsageError: type[Exception] = typer.BadParameter.__mro__[1]
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit status."""
     try:
+        _choose_language(os.environ.get("KERNTEMP_LANGUAGE", ENGLISH))
         status = app(args=arguments, prog_name="kerntemp", standalone_mode=False)
     except (InputError, _UsageError, WorkFailed) as error:
         return _complain(error, 1 if isinstance(error, WorkFailed) else 2)
     except (KeyboardInterrupt, typer.Abort):
-        return _complain(KeyboardInterrupt("interrupted"), 130)
+        return _complain(KeyboardInterrupt(say("terminal-interrupted")), 130)
     except BrokenPipeError:
         sys.stdout = open(os.devnull, "w")  # noqa: SIM115, PTH123 - the reader of our output has gone
         return 0
     except Exception as error:
         if "KERNTEMP_TRACEBACK" in os.environ:
             raise
-        text = f"{type(error).__name__}: {error} (KERNTEMP_TRACEBACK=1 shows where)"
-        return _complain(WorkFailed(text), 1)
+        said = say("terminal-unexpected", kind=type(error).__name__, why=str(error))
+        return _complain(WorkFailed(said), 1)
     return status if isinstance(status, int) else 0
 
 
+def _choose_language(language: str) -> None:
+    known = language in languages()
+    speak(language if known else ENGLISH)
+    if not known:
+        raise InputError(say("terminal-language-unknown", language=language, languages=languages()))
+
+
 def _complain(error: BaseException, status: int) -> int:
-    text = str(getattr(error, "format_message", error.__str__)())
+    usage = getattr(error, "format_message", None)  # of the command line library, in English
+    text = str(usage()) if usage else in_words(spoken(error))
     sys.stderr.write("kerntemp: " + " ".join(text.split()) + "\n")
     return status

@@ -7,6 +7,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 from uuid import uuid4
@@ -15,9 +16,38 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from daq.records import InputError
+from daq.words import Message, say
+from daq.words.message import ENGLISH, words
 
+_LANGUAGE = ContextVar("language of the terminal", default=ENGLISH)
 PATIENCE_S = 2.0
 """Work that takes longer than this shows progress on a terminal."""
+
+
+def speak(language: str) -> None:
+    """Choose the language of all that this process says at the terminal; once, where it starts."""
+    _LANGUAGE.set(language)
+
+
+def spoken_language() -> str:
+    """Return the terminal's language, which reports written from it have too."""
+    return _LANGUAGE.get()
+
+
+def in_words(*said: Message | str) -> str:
+    """Return messages in the terminal's language, one after the other; a plain text as it is."""
+    return " ".join(words(one, _LANGUAGE.get()) for one in said)
+
+
+def tell(said: Message | str) -> None:
+    """Write a line to standard output, at once."""
+    sys.stdout.write(in_words(said) + "\n")
+    sys.stdout.flush()
+
+
+def warn(said: Message | str) -> None:
+    """Write a line to standard error, with the program's name."""
+    sys.stderr.write(f"kerntemp: {in_words(said)}\n")
 
 
 class WorkFailed(Exception):
@@ -42,15 +72,15 @@ def check_writable(*paths: Path | None, inputs: Iterable[Path] = ()) -> None:
     outputs = [path for path in paths if path is not None]
     for path in outputs:
         if path.is_dir():
-            raise InputError(f"{path}: is a folder; give a file name")
+            raise InputError(say("terminal-output-not-a-file", path=str(path)))
         if not path.absolute().parent.is_dir():
-            raise InputError(f"{path}: no folder {path.absolute().parent}; make it first")
+            raise InputError(say("terminal-output-no-folder", path=str(path), folder=str(path.absolute().parent)))
     read = list(inputs)
     for i, path in enumerate(outputs):
         if any(_same_file(path, other) for other in read):
-            raise InputError(f"{path}: is read by this command and would be overwritten; give another name")
+            raise InputError(say("terminal-output-is-input", path=str(path)))
         if any(_same_file(path, other) for other in outputs[:i]):
-            raise InputError(f"{path}: is given for two outputs; give each a name of its own")
+            raise InputError(say("terminal-output-twice", path=str(path)))
 
 
 def _same_file(one: Path, other: Path) -> bool:
@@ -79,7 +109,8 @@ def write_all(contents: Mapping[Path, str | bytes | Callable[[Path], None]]) -> 
         for draft, path in finished.items():
             draft.replace(path)
     except OSError as error:
-        raise WorkFailed(f"{error.filename}: cannot write: {error.strerror}") from error
+        said = say("terminal-output-unwritable", path=str(error.filename), why=str(error.strerror))
+        raise WorkFailed(said) from error
     finally:
         for draft in finished:
             draft.unlink(missing_ok=True)
@@ -91,7 +122,7 @@ def as_json(value: Any) -> str:
 
 
 @contextmanager
-def working(what: str, total: int | None = None) -> Iterator[Callable[[int], None]]:
+def working(what: Message, total: int | None = None) -> Iterator[Callable[[int], None]]:
     """Show `what` with elapsed time and a bar once it takes longer than 2 s, on a terminal only.
 
     Yields a function that takes how much is done.
@@ -107,7 +138,7 @@ def working(what: str, total: int | None = None) -> Iterator[Callable[[int], Non
         console=Console(stderr=True),
         transient=True,
     )
-    task = bar.add_task(what, total=total)
+    task = bar.add_task(in_words(what), total=total)
     timer = threading.Timer(PATIENCE_S, bar.start)
     timer.daemon = True
     timer.start()

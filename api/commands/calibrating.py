@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,13 +12,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from api.commands.inputs import ConfigFile, config_path
-from api.outputs import WorkFailed
+from api.outputs import WorkFailed, in_words, tell
 from daq.records import InputError
+from daq.words import Message, say, spoken
 
 if TYPE_CHECKING:
-    from daq.config import PressSettings
     from daq.drivers import DataLogger, LoggerSettings
     from daq.drivers.commissioning import RoomCheck, Warmed
+    from daq.process.config import PressSettings
     from daq.records import Channel, Reading
 
 READINGS = 10
@@ -41,26 +41,24 @@ def calibrate(
 ) -> None:
     """Check calibration at room temperature (--room) or channels for swaps (--warm); stop `record` first."""
     if (room is None) == (not warm):
-        raise InputError("calibrate: give either --room with the thermometer's reading or --warm")
+        raise InputError(say("terminal-calibrate-needs-mode"))
     if write and room is None:
-        raise InputError("calibrate: --write needs --room")
-    from daq.config import load_config
+        raise InputError(say("terminal-calibrate-write-needs-room"))
+    from daq.process.config import load_config
 
     loaded = load_config(config_path(config))
-    benches = [bench for press in loaded.press for bench in _benches(press)]
-    if write and not any(bench.settings.calibration for bench in benches):
-        raise InputError(
-            f"calibrate --write: no logger of {loaded.path} has a calibration file; "
-            f'give one the name of a file to make, such as calibration = "{benches[0].settings.name}.toml"'
-        )
+    loggers = [one for press in loaded.press for one in _loggers_of(press)]
+    if write and not any(one.settings.calibration for one in loggers):
+        first = loggers[0].settings.name
+        raise InputError(say("terminal-calibrate-no-file", config=str(loaded.path), logger=first))
     if room is not None:
-        _room(benches, room, period_s, write=write)
+        _room(loggers, room, period_s, write=write)
     else:
-        _warm(benches, wait_s, period_s)
+        _warm(loggers, wait_s, period_s)
 
 
 @dataclass(frozen=True)
-class _Bench:
+class _Calibrated:
     """A logger with sensors to hold against a thermometer."""
 
     settings: LoggerSettings
@@ -75,7 +73,7 @@ class _Bench:
         try:
             readings = collect(logger, READINGS, period_s=period_s)
         except ReadFailure as failure:
-            raise WorkFailed(str(failure)) from failure
+            raise WorkFailed(spoken(failure)) from failure
         kept = [k for k, channel in enumerate(logger.channels) if channel.name not in self.wires]
         parts = [
             replace(r, values=tuple(r.values[k] for k in kept), qualities=tuple(r.qualities[k] for k in kept))
@@ -84,38 +82,50 @@ class _Bench:
         return [logger.channels[k] for k in kept], parts
 
 
-def _benches(press: PressSettings) -> list[_Bench]:
-    from daq.config import press_of
-    from daq.press_wires import Wires
+def _loggers_of(press: PressSettings) -> list[_Calibrated]:
+    from daq.press.wires import Wires
+    from daq.process.config import press_of
 
     wires = frozenset(Wires(press_of(press).press).columns)
-    return [_Bench(logger, wires) for logger in press.logger if not wires.issuperset(logger.columns)]
+    return [_Calibrated(logger, wires) for logger in press.logger if not wires.issuperset(logger.columns)]
 
 
-def _room(benches: list[_Bench], reference: float, period_s: float, *, write: bool) -> None:
-    from daq.drivers.commissioning import check_at_room_temperature
+def _room(loggers: list[_Calibrated], reference: float, period_s: float, *, write: bool) -> None:
+    from daq.drivers.commissioning import RoomVerdict, check_at_room_temperature
 
     checks = []
-    with _opened(benches) as opened:
-        for bench, logger in opened:
-            found = check_at_room_temperature(*bench.read(logger, period_s), reference)
+    with _opened(loggers) as opened:
+        for one, logger in opened:
+            found = check_at_room_temperature(*one.read(logger, period_s), reference)
             checks.append(found)
             for check in found:
-                sys.stdout.write(_line(check) + "\n")
+                tell(_line(check))
     if write:
-        for bench, found in zip(benches, checks, strict=True):
-            _write(bench.settings, found, reference)
-    bad = [f"{c.channel} {c.verdict}" for found in checks for c in found if c.verdict != "ok"]
+        for one, found in zip(loggers, checks, strict=True):
+            _write(one.settings, found, reference)
+    bad = [
+        say("terminal-channel-verdict", channel=c.channel, verdict=c.verdict.message)
+        for found in checks
+        for c in found
+        if c.verdict is not RoomVerdict.OK
+    ]
     if bad:
-        raise WorkFailed(f"{len(bad)} of {sum(map(len, checks))} channels fail: {', '.join(bad)}")
+        raise WorkFailed(say("terminal-channels-fail", bad=len(bad), all=sum(map(len, checks)), names=tuple(bad)))
 
 
-def _line(check: RoomCheck) -> str:
-    if check.verdict == "no value":
-        return f"{check.channel:14} no value ({check.quality})"
-    return (
-        f"{check.channel:14} {check.mean_celsius:7.2f} °C, {check.deviation_kelvin:+6.2f} K off, "
-        f"noise {check.noise_kelvin:.2f} K: {check.verdict}"
+def _line(check: RoomCheck) -> Message:
+    from daq.drivers.commissioning import RoomVerdict
+
+    name, verdict = f"{check.channel:14}", check.verdict.message
+    if check.verdict is RoomVerdict.NO_VALUE:
+        return say("terminal-room-no-value", channel=name, verdict=verdict, quality=str(check.quality))
+    return say(
+        "terminal-room-check",
+        channel=name,
+        mean=f"{check.mean_celsius:7.2f}",
+        deviation=f"{check.deviation_kelvin:+6.2f}",
+        noise=f"{check.noise_kelvin:.2f}",
+        verdict=verdict,
     )
 
 
@@ -126,8 +136,7 @@ def _write(settings: LoggerSettings, checks: tuple[RoomCheck, ...], reference: f
 
     path = settings.calibration
     if path is None:
-        name = settings.name
-        sys.stdout.write(f'{name}: offsets not kept; give it the name of a file, calibration = "{name}.toml"\n')
+        tell(say("terminal-calibrate-not-kept", logger=settings.name))
         return
     today = datetime.now(UTC).date()
     history = read_calibrations(path) if path.exists() else ()
@@ -137,44 +146,43 @@ def _write(settings: LoggerSettings, checks: tuple[RoomCheck, ...], reference: f
         gain, offset = (old.gain, old.offset_K) if old else (1.0, 0.0)
         entries.append(entry.model_copy(update={"gain": gain, "offset_K": round(offset + entry.offset_K, 3)}))
     append_calibrations(path, entries)
-    sys.stdout.write(f"{path}: {len(entries)} entries of {today} added\n")
+    tell(say("terminal-calibrate-added", path=str(path), entries=len(entries), day=str(today)))
 
 
-def _warm(benches: list[_Bench], wait_s: float | None, period_s: float) -> None:
+def _warm(loggers: list[_Calibrated], wait_s: float | None, period_s: float) -> None:
     from daq.drivers.commissioning import warmed_channel
 
-    with _opened(benches) as opened:
-        before = [bench.read(logger, period_s)[1] for bench, logger in opened]
-        sys.stdout.write("Hold one thermocouple between two fingers now.\n")
-        sys.stdout.flush()
+    with _opened(loggers) as opened:
+        before = [one.read(logger, period_s)[1] for one, logger in opened]
+        tell(say("terminal-hold-one-now"))
         if wait_s is None:
-            typer.prompt("Press Enter after some ten seconds", default="", show_default=False)
+            typer.prompt(in_words(say("terminal-press-enter")), default="", show_default=False)
         else:
             time.sleep(wait_s)
         found = []
-        for (bench, logger), earlier in zip(opened, before, strict=True):
-            channels, later = bench.read(logger, period_s)
-            found.append((bench.settings, warmed_channel(channels, earlier, later)))
+        for (one, logger), earlier in zip(opened, before, strict=True):
+            channels, later = one.read(logger, period_s)
+            found.append((one.settings, warmed_channel(channels, earlier, later)))
     clear = [(settings, warmed) for settings, warmed in found if warmed.channel is not None]
     if len(clear) != 1:
-        rises = ", ".join(f"{s.name}: {_rises(w)}" for s, w in found)
-        raise WorkFailed(f"no single channel rose clearly ({rises}); hold one junction longer, alone")
+        raise WorkFailed(say("terminal-no-channel-rose", rises=tuple(_rise(s, w) for s, w in found)))
     settings, warmed = clear[0]
-    sys.stdout.write(f"{warmed.channel} ({settings.name}) rose by {warmed.rise_kelvin:.1f} K\n")
+    tell(say("terminal-rose", channel=str(warmed.channel), logger=settings.name, rise=warmed.rise_kelvin))
 
 
-def _rises(warmed: Warmed) -> str:
-    return f"largest {warmed.rise_kelvin:.1f} K, next {warmed.next_rise_kelvin:.1f} K"
+def _rise(settings: LoggerSettings, warmed: Warmed) -> Message:
+    rises = {"rise": warmed.rise_kelvin, "next": warmed.next_rise_kelvin}
+    return say("terminal-rise", logger=settings.name, **rises)
 
 
 @contextmanager
-def _opened(benches: list[_Bench]) -> Iterator[list[tuple[_Bench, DataLogger]]]:
+def _opened(loggers: list[_Calibrated]) -> Iterator[list[tuple[_Calibrated, DataLogger]]]:
     from daq.drivers import open_logger
 
-    opened: list[tuple[_Bench, DataLogger]] = []
+    opened: list[tuple[_Calibrated, DataLogger]] = []
     try:
-        for bench in benches:
-            opened.append((bench, open_logger(bench.settings)))
+        for one in loggers:
+            opened.append((one, open_logger(one.settings)))
         yield opened
     finally:
         for _, logger in opened:

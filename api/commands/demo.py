@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import signal
-import sys
 from pathlib import Path
 from typing import Annotated, NoReturn
 
 import typer
 
+from api.outputs import tell
 from daq.records import InputError
+from daq.words import say, spoken
 
 
 def demo(
@@ -27,10 +28,11 @@ def demo(
     """Run logging, live sensor, refits and page on a virtual press."""
     hidden = tuple(name.strip() for name in hide.split(",") if name.strip())
     check_effects(hidden)
-    from api.demo import Plan, run_demo
+    check_port(port)
+    from api.demo.demonstration import Plan, run_demo
 
     end_in_order()
-    run_demo(Plan(speed=speed, pressings=pressings, hide=hidden, port=port, seed=seed), data, _say)
+    run_demo(Plan(speed=speed, pressings=pressings, hide=hidden, port=port, seed=seed), data, tell)
 
 
 def end_in_order() -> None:
@@ -52,9 +54,12 @@ def check_effects(names: tuple[str, ...]) -> None:
     try:
         split_names(names)
     except InputError as error:
-        raise InputError(f"--hide: {error}") from error
+        raise InputError(say("terminal-hide-unknown", why=spoken(error))) from error
 
 
-def _say(line: str) -> None:
-    sys.stdout.write(line + "\n")
-    sys.stdout.flush()
+def check_port(port: int) -> None:
+    """Look for a taken port before warming up, which may take a minute. Raises `InputError`."""
+    if port:
+        from api.http.server import Listening
+
+        Listening(port=port).bind().close()

@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING
 
 from api.commands.fitting import HtmlOut, JsonOut, ModelOut
 from api.commands.inputs import ConfigFile, PressFile, Runs, StoreUrl, Until, files_read, load_runs, rows_until
-from api.outputs import as_json, check_writable, working, write_all
+from api.outputs import as_json, check_writable, in_words, spoken_language, working, write_all
+from daq.words import say
 
 if TYPE_CHECKING:
-    from softsensor.diagnosis import Diagnosis
+    from softsensor.diagnosis.finding import Diagnosis
 
 
 def diagnose(
@@ -26,50 +27,52 @@ def diagnose(
     config: ConfigFile = None,
 ) -> None:
     """Say what the simulation gets wrong, why, what that costs, and what to measure next."""
-    from daq.pressfile import read_press
+    from daq.press.press_file import read_press
 
     check_writable(model, json, html, inputs=files_read(*runs, press, store=store, config=config))
     described = read_press(press)
     loaded = load_runs(runs, store, config)
     if until is not None:
         loaded = [rows_until(run, until) for run in loaded]
-    with working(f"Diagnosing {len(loaded)} runs", 100) as done:
-        from softsensor.diagnosis import diagnose as look
+    with working(say("terminal-progress-diagnosing", runs=len(loaded)), 100) as done:
+        from softsensor.diagnosis.verdict import diagnose as look
 
         found = look(described, loaded, progress=lambda _what, share: done(round(100 * share)))
         outputs: dict[Path, str | bytes | Callable[[Path], None]] = {}
         if json is not None:
             outputs[json] = as_json(found.as_json())
         if model is not None:
-            from softsensor.adequacy import checked_on
-            from softsensor.modelfile import model_text
+            from softsensor.diagnosis.missing_causes import checked_on
+            from softsensor.heat.model_file import model_text
 
             outputs[model] = model_text(checked_on(found.model_file(), described, loaded))
         if html is not None:
-            from softsensor.diagnosis_report import diagnosis_report
+            from softsensor.report.diagnosis_report import diagnosis_report
 
-            outputs[html] = diagnosis_report(found)
+            outputs[html] = diagnosis_report(found, spoken_language())
         write_all(outputs)
     for line in _lines(found):
         sys.stdout.write(line + "\n")
 
 
 def _lines(found: Diagnosis) -> Iterator[str]:
-    from softsensor.diagnosis_words import core_sentence, sentence, sureness, where_sentence, worth
-    from softsensor.vocabulary import parameters_told
+    from softsensor.diagnosis.summary import core_said, sureness, verdict_said, where_said, worth
+    from softsensor.effects.vocabulary import parameters_told
 
     runs = len(found.stages[0].data)
-    yield f"{found.verdict}: {sentence(found)}"
+    yield f"{found.verdict}: {in_words(*verdict_said(found))}"
     for f in found.findings:
-        if f.name == "sensor_fault":
+        if f.of_channels:
             continue
-        alternatives = f" (not told from {', '.join(f.set[1:])})" if len(f.set) > 1 else ""
-        yield f"  {f.name}{alternatives}: {worth(found, f)}; {sureness(f, runs)}"
+        said = say("diagnosed-cause", name=f.name, worth=worth(found, f), sureness=sureness(f, runs))
+        if len(f.set) > 1:
+            said = say("diagnosed-causes", others=f.set[1:], **said.arguments)
+        yield f"  {in_words(said)}"
         for p in parameters_told(f.name, {name: i.as_json() for name, i in f.parameters.items()}):
-            yield f"    {p.line}"
-    yield f"  residual {found.base.rmse_K:.3f} K, extended model {found.extended.rmse_K:.3f} K"
+            yield f"    {in_words(p.line)}"
+    yield f"  {in_words(say('diagnosed-residual', base=found.base.rmse_K, extended=found.extended.rmse_K))}"
     if found.where:
-        yield where_sentence(found)
-    yield core_sentence(found)
-    yield f"Next: {found.next_measurement}"
-    yield from found.warnings
+        yield in_words(*where_said(found))
+    yield in_words(*core_said(found))
+    yield in_words(say("diagnosed-next", sentence=found.next_measurement))
+    yield from map(in_words, found.warnings)

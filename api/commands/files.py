@@ -18,15 +18,17 @@ from api.commands.inputs import (
     config_path,
     files_read,
     opened_store,
+    say_doubts,
     store_address,
 )
-from api.outputs import check_writable, working, write_all
+from api.outputs import check_writable, tell, working, write_all
 from daq.records import InputError
+from daq.words import Message, say, spoken
 
 if TYPE_CHECKING:
-    from daq.config import PressSettings
-    from daq.documents import ExitStatus
-    from daq.pressfile import Press
+    from daq.files.documents import ExitStatus
+    from daq.press.press_file import Press
+    from daq.process.config import PressSettings
     from daq.records import Run
     from daq.store.store import Store
 
@@ -43,28 +45,29 @@ def import_runs(
     ] = None,
 ) -> None:
     """Store run files: all of them, or none where one is wrong."""
-    from daq.manifest import check_listed
-    from daq.pressfile import read_press
+    from daq.files.manifest import check_listed
+    from daq.press.press_file import read_press
 
     described = read_press(press)
     read = _reader(mapping, described)
     for path in files:
         check_listed(path)
-    with working(f"Reading {len(files)} run files", len(files)) as done:
+    with working(say("terminal-progress-reading", files=len(files)), len(files)) as done:
         runs = []
         for number, path in enumerate(files, 1):
             runs.append(read(path))
             _refuse_nonsense(runs[-1], described)
             done(number)
+    say_doubts(run.header for run in runs)
     names = [run.name for run in runs]
     if twice := next((name for name in names if names.count(name) > 1), None):
-        raise InputError(f"two of the files hold run {twice!r}; give one a key '# run = ...' of its own")
+        raise InputError(say("terminal-import-run-twice", run=twice))
     with opened_store(store, config, create=True) as opened:
         for run in runs:
             _refuse_taken(opened, run)
-        with working(f"Storing {len(runs)} runs"):
+        with working(say("terminal-progress-storing", runs=len(runs))):
             opened.import_runs(runs, described.name, press.read_text(encoding="utf-8"))
-    sys.stdout.write(f"{len(runs)} runs stored\n")
+    tell(say("terminal-imported", runs=len(runs)))
 
 
 def _reader(mapping: Path | None, press: Press) -> Callable[[Path], Run]:
@@ -72,10 +75,10 @@ def _reader(mapping: Path | None, press: Press) -> Callable[[Path], Run]:
     boundaries = (press.boundary.bottom.column, press.boundary.top.column)
     temperatures = [*filter(None, boundaries), *(column for sensor in press.sensor for column in sensor.columns)]
     if mapping is None:
-        from daq.runfile import read_run
+        from daq.files.run_file import read_run
 
         return partial(read_run, temperatures=temperatures)
-    from daq.foreign import read_foreign, read_mapping
+    from daq.files.mapping import read_foreign, read_mapping
 
     mapped = read_mapping(mapping)
     return lambda path: read_foreign(path, mapped, temperatures)
@@ -92,7 +95,8 @@ _SOME_PANEL = {
 
 def _refuse_nonsense(run: Run, press: Press) -> None:
     """Refuse header values that cannot be; keys that are missing may be added later."""
-    from daq.pressfile import panel_of, press_for_run
+    from daq.press.header import panel_of
+    from daq.press.press_file import press_for_run
 
     press_for_run(press, run)
     panel_of(replace(run, header={**_SOME_PANEL, **run.header}))
@@ -103,9 +107,7 @@ def _refuse_taken(store: Store, run: Run) -> None:
         store.run_record(run.name)
     except InputError:
         return
-    raise InputError(
-        f"{run.source}: run {run.name!r} is in the store already; change the file's key 'run' to store it too"
-    )
+    raise InputError(say("store-run-taken", file=run.source or run.name, run=run.name))
 
 
 def export_runs(
@@ -121,17 +123,17 @@ def export_runs(
     config: ConfigFile = None,
 ) -> None:
     """Write runs of the store as run files, or list what there is."""
-    from daq.documents import json_lines
-    from daq.manifest import NAME as MANIFEST
-    from daq.manifest import update_manifest
-    from daq.runfile import write_run
+    from daq.files.documents import json_lines
+    from daq.files.manifest import NAME as MANIFEST
+    from daq.files.manifest import update_manifest
+    from daq.files.run_file import write_run
 
     with opened_store(store, config) as opened:
         if not runs:
             _list_runs(opened)
             return
         if out is None:
-            raise InputError("export needs --out: a file for one run, a folder for several")
+            raise InputError(say("terminal-export-needs-out"))
         for run in runs:
             opened.run_record(run)
         targets = _targets(runs, out, kind)
@@ -158,11 +160,11 @@ def _targets(runs: list[str], out: Path, kind: str) -> dict[Path, str]:
     """Return which file takes which run; the folder for several is made where there is none."""
     if len(runs) == 1 and not out.is_dir():
         if out.suffix.lower() not in (".csv", ".parquet", ".jsonl"):
-            raise InputError(f"{out}: a run file ends in .csv or .parquet, event documents in .jsonl")
+            raise InputError(say("terminal-run-file-ending", path=str(out)))
         return {out: runs[0]}
     if not out.is_dir():
         if out.suffix or out.exists() or not out.absolute().parent.is_dir():
-            raise InputError(f"{out}: several runs need a folder; give the name of one in a folder that exists")
+            raise InputError(say("terminal-folder-for-several", path=str(out)))
         out.mkdir()
     return {out / f"{run}.{kind}": run for run in runs}
 
@@ -182,19 +184,20 @@ def check(
     offline: Annotated[bool, typer.Option("--offline", help="Do not read the loggers.")] = False,
 ) -> None:
     """Check the configuration, the store and, unless --offline, read every logger once."""
-    from daq.config import load_config
+    from daq.process.config import load_config
 
     path = config_path(config)
     settings = load_config(path)
-    sys.stdout.write(f"{path}: well formed\n")
+    tell(say("terminal-check-well-formed", path=str(path)))
+    say_doubts(press.header for press in settings.press)
     with opened_store(None, path, create=True) as store:
-        sys.stdout.write(f"store {store.label}: opens\n")
+        tell(say("terminal-check-store-opens", store=store.label))
     failed = [] if offline else [line for press in settings.press for line in _read_loggers(press)]
     if failed:
-        raise InputError(f"{path}: {'; '.join(failed)}; check power, cable and address")
+        raise InputError(say("terminal-check-failed", path=str(path), failures=tuple(failed)))
 
 
-def _read_loggers(press: PressSettings) -> list[str]:
+def _read_loggers(press: PressSettings) -> list[Message]:
     from daq.drivers import BadFrame, NoReply, open_logger, uncorrected
 
     failed = []
@@ -203,7 +206,8 @@ def _read_loggers(press: PressSettings) -> list[str]:
         try:
             reading = logger.read()
         except (NoReply, BadFrame) as error:
-            failed.append(f"press {press.name}, logger {settings.name}: {error}")
+            why = spoken(error)
+            failed.append(say("terminal-check-logger-failed", press=press.name, logger=settings.name, why=why))
             continue
         finally:
             logger.close()

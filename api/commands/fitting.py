@@ -11,22 +11,29 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from api.commands.inputs import ConfigFile, StoreUrl, files_read, load_runs
-from api.outputs import as_json, check_writable, working, write_all
+from api.outputs import as_json, check_writable, in_words, spoken_language, working, write_all
 from daq.records import InputError
+from daq.words import say
 
 if TYPE_CHECKING:
-    from daq.pressfile import Press
-    from softsensor.campaign import CampaignFit
-    from softsensor.dependence import Program
+    from daq.press.press_file import Press
+    from softsensor.fitting.campaign import CampaignFit
+    from softsensor.fitting.dependence import Program
+
+
+HEADS = ("run", "from", "mean", "sd", "joint-median")
+"""What begins the rows and columns of the table at the terminal, by their codes ``terminal-fit-…``."""
 
 
 def named_folder(text: str) -> Path:
     """Return a folder by its name; an empty one would be the folder we are in. Raises `BadParameter`."""
     if not text.strip():
-        raise typer.BadParameter("the folder's name is empty; give one, or . for the folder you are in")
+        raise typer.BadParameter(in_words(say("terminal-folder-name-empty")))
     return Path(text)
 
 
+MOST_OF_A_SETTING = 1e4
+"""No thickness, pressure or temperature of a press program reaches it, in the unit of its key."""
 Outputs = dict[Path, str | bytes | Callable[[Path], None]]
 FitRuns = Annotated[
     list[str] | None, typer.Argument(metavar="RUN...", help="Run files, or ids of runs in the store.")
@@ -91,7 +98,7 @@ def fit(  # noqa: PLR0913 - one argument an option
     reproduce_paper: Reproduce = False,
 ) -> None:
     """Fit the heat transfer coefficients of each run and of the campaign."""
-    from daq.pressfile import read_press
+    from daq.press.press_file import read_press
 
     check_writable(model, json, html, inputs=files_read(*(runs or ()), press, store=store, config=config))
     check_folder(svg, model, json, html)
@@ -103,14 +110,14 @@ def fit(  # noqa: PLR0913 - one argument an option
         _reproduce(json, html, svg)
         return
     if not runs or press is None:
-        raise InputError("fit needs run files and --press FILE (or --reproduce-paper alone)")
+        raise InputError(say("terminal-fit-needs-runs"))
     chosen = check_method(method, averages=averages)
     settings = parse_program(program or [])
     described = read_press(press)
     check_shared(described, shared or [])
     loaded = load_runs(runs, store, config)
-    with working(f"Fitting {runs_of(len(loaded))}", len(loaded)) as done:
-        from softsensor.campaign import fit_campaign
+    with working(say("terminal-progress-fitting", runs=len(loaded)), len(loaded)) as done:
+        from softsensor.fitting.campaign import fit_campaign
 
         found = fit_campaign(
             described,
@@ -123,10 +130,10 @@ def fit(  # noqa: PLR0913 - one argument an option
         told = predict_program(found, settings)
         write_all(contents(found, told, model=model, json=json, html=html, svg=svg))
     for line in _lines(found):
-        sys.stdout.write(line + "\n")
+        sys.stdout.write(f"{line}\n")
     if told is not None:
-        for line in told.lines:
-            sys.stdout.write(line + "\n")
+        for row in told.lines:
+            sys.stdout.write(f"{in_words(row)}\n")
 
 
 def contents(
@@ -143,28 +150,25 @@ def contents(
     if json is not None:
         outputs[json] = as_json(found.as_json() | ({"program": told.as_json()} if told else {}))
     if model is not None:
-        from softsensor.adequacy import with_adequacy
-        from softsensor.modelfile import model_text
+        from softsensor.diagnosis.missing_causes import with_missing_causes
+        from softsensor.heat.model_file import model_text
 
-        outputs[model] = model_text(with_adequacy(found.model_file(), found.runs))
+        outputs[model] = model_text(with_missing_causes(found.model_file(), found.runs))
     if html is not None:
-        from softsensor.report import fit_report
+        from softsensor.report.fit_report import fit_report
 
-        outputs[html] = fit_report(found, told)
+        outputs[html] = fit_report(found, told, spoken_language())
     if svg is not None:
-        from softsensor.figures import campaign_figures
+        from softsensor.report.fit_figures import campaign_figures
 
-        outputs |= into(svg, campaign_figures(found))
+        outputs |= into(svg, campaign_figures(found, spoken_language()))
     return outputs
 
 
 def refuse_with_reproduce(given: Mapping[str, object]) -> None:
     """Raise `InputError` for arguments that the reproduction of the paper would ignore."""
     if surplus := [name for name, value in given.items() if value]:
-        raise InputError(
-            f"--reproduce-paper makes its own measurements and does not take {', '.join(surplus)}; "
-            "it goes with --json, --html and --svg"
-        )
+        raise InputError(say("terminal-reproduce-alone", surplus=tuple(surplus)))
 
 
 def check_folder(folder: Path | None, *others: Path | None) -> None:
@@ -176,9 +180,9 @@ def check_folder(folder: Path | None, *others: Path | None) -> None:
         return
     for path in others:
         if path is not None and path.suffix.lower() == ".svg" and path.absolute().parent == folder.absolute():
-            raise InputError(f"{path}: lies among the figures of --svg {folder}; give it another place or ending")
+            raise InputError(say("terminal-file-among-figures", path=str(path), folder=str(folder)))
     if folder.exists() and not folder.is_dir():
-        raise InputError(f"--svg {folder}: is a file; give a folder")
+        raise InputError(say("terminal-folder-is-a-file", folder=str(folder)))
     check_writable(folder / "figure.svg" if folder.is_dir() else folder)
 
 
@@ -192,26 +196,28 @@ def check_shared(press: Press, shared: list[str]) -> None:
     """Raise `InputError` for a shared coefficient that the press file does not leave free."""
     free = [n for n in press.coefficient_names if not press.coefficient(n).fixed]
     if wrong := [name for name in shared if name not in free]:
-        raise InputError(f"--shared {wrong[0]}: must be one of {', '.join(free) or 'none, all are fixed'}")
+        none_free = say("terminal-shared-none-free", name=wrong[0])
+        raise InputError(say("terminal-shared-unknown", name=wrong[0], known=tuple(free)) if free else none_free)
 
 
 def parse_program(settings: list[str]) -> dict[str, float]:
     """Read ``KEY=VALUE`` settings. Raises `InputError` naming a wrong one."""
-    from softsensor.dependence import SETTINGS
+    from softsensor.fitting.dependence import SETTINGS
 
     found: dict[str, float] = {}
     for setting in settings:
         key, _, value = setting.partition("=")
         if key in found:
-            raise InputError(f"--program {setting}: {key} is given twice; a program has one value of it")
+            raise InputError(say("terminal-program-key-twice", setting=setting, key=key))
         if key not in SETTINGS:
-            raise InputError(f"--program {setting}: must be KEY=VALUE with KEY one of {', '.join(SETTINGS)}")
+            raise InputError(say("terminal-program-unknown-key", setting=setting, known=tuple(SETTINGS)))
         try:
             found[key] = float(value)
         except ValueError:
-            raise InputError(f"--program {setting}: {value!r} is no number") from None
-        if not 0.0 < found[key] < 1e4:
-            raise InputError(f"--program {setting}: must lie between 0 and 10000 {SETTINGS[key][0]}")
+            raise InputError(say("terminal-program-no-number", setting=setting, value=value)) from None
+        if not 0.0 < found[key] < MOST_OF_A_SETTING:
+            most, unit = MOST_OF_A_SETTING, SETTINGS[key][0]
+            raise InputError(say("terminal-program-out-of-range", setting=setting, most=most, unit=unit))
     return found
 
 
@@ -221,51 +227,43 @@ def predict_program(found: CampaignFit, settings: dict[str, float]) -> Program |
         return None
     known = found.dependence.settings if found.dependence is not None else ()
     if found.dependence is None or (missing := [key for key in settings if key not in known]):
-        unknown = ", ".join(missing if found.dependence is not None else settings)
-        raise InputError(
-            f"--program: {runs_of(len(found.runs))} cannot show what {unknown} does; give at least 8 runs that "
-            "differ in it (6 where only one setting varies)"
-        )
+        unknown = tuple(missing if found.dependence is not None else settings)
+        raise InputError(say("terminal-program-cannot-tell", runs=len(found.runs), settings=unknown))
     return found.program(settings)
 
 
 def check_method(method: str, *, averages: bool) -> str:
     """Return the method's full name; refuse an unknown one before any work."""
-    from softsensor.paper import METHODS
+    from softsensor.fitting.paper.procedures import METHODS
 
     if method not in ("default", *METHODS):
-        raise InputError(f"--method {method}: must be default, {', '.join(METHODS)}")
+        raise InputError(say("terminal-method-unknown", method=method, known=("default", *METHODS)))
     if averages and method == "default":
-        raise InputError("--averages goes with one of the paper's methods; give --method too")
+        raise InputError(say("terminal-averages-need-method"))
     return f"{method}:averages" if averages else method
 
 
 def _reproduce(json: Path | None, html: Path | None, svg: Path | None) -> None:
     """Compare solvers and slopes on virtual measurements; print the table, and keep it where asked."""
-    from softsensor.paper_campaign import MEASUREMENTS, reproduce_paper
+    from softsensor.fitting.paper.virtual_runs import MEASUREMENTS, reproduce_paper
 
-    with working(f"{MEASUREMENTS} virtual measurements, four ways each", MEASUREMENTS) as done:
+    with working(say("terminal-progress-reproducing", runs=MEASUREMENTS), MEASUREMENTS) as done:
         found = reproduce_paper(progress=done)
         outputs: Outputs = {}
         if json is not None:
             outputs[json] = as_json(found.as_json())
         if html is not None:
-            from softsensor.report import paper_report
+            from softsensor.report.fit_report import paper_report
 
-            outputs[html] = paper_report(found)
+            outputs[html] = paper_report(found, spoken_language())
         if svg is not None:
-            from softsensor.figures import roughness_figure
-            from softsensor.figures import svg as picture
+            from softsensor.report.fit_figures import roughness_figure
+            from softsensor.report.fit_figures import svg as picture
 
-            outputs |= into(svg, {"cost": picture(roughness_figure(found))})
+            outputs |= into(svg, {"cost": picture(roughness_figure(found, spoken_language()))})
         write_all(outputs)
     for line in found.lines:
         sys.stdout.write(line + "\n")
-
-
-def runs_of(number: int) -> str:
-    """Return how many runs, in words that agree."""
-    return "one run" if number == 1 else f"{number} runs"
 
 
 def count(done: Callable[[int], None]) -> Callable[[str], None]:
@@ -280,41 +278,42 @@ def count(done: Callable[[int], None]) -> Callable[[str], None]:
 
 
 def _lines(found: CampaignFit) -> Iterator[str]:
-    from softsensor.parameters import plain
+    from softsensor.effects.parameters import plain
 
     if found.shortfall:
-        yield found.shortfall
+        yield in_words(found.shortfall)
     names = list(found.coefficients)
-    rows = [["run", *names, "RMSE", "from"]]
+    heads = {name: in_words(say(f"terminal-fit-{name}")) for name in HEADS}
+    rows = [[heads["run"], *names, "RMSE", heads["from"]]]
     for run in found.runs:
         cells = [
             f"{plain(run.coefficients[n].value, 4)}{'' if run.coefficients[n].identifiable else '?'}"
             for n in names
         ]
         cells = cells if run.met else ["–" for _ in names]
-        remark = "" if run.met else " not described"
-        remark += "" if run.converged else " not converged"
+        remark = "" if run.met else f" {in_words(say('report-not-described'))}"
+        remark += "" if run.converged else f" {in_words(say('report-not-converged'))}"
         rows.append([run.run, *cells, f"{run.rmse_K:.3f} K", f"{run.initial_rmse_K:.2f} K{remark}"])
     summary = found.coefficients.values()
     known = [f"{plain(c.mean, 4)}{'' if c.runs else '?'}" for c in summary]
     if len(found.runs) > 1:
-        rows.append(["mean", *known, "", ""])
-        rows.append(["sd", *(f"± {plain(c.sd, 2)}" if c.runs > 1 and c.sd > 0.0 else "" for c in summary), "", ""])
-        rows.append(["joint median", *(f"{plain(c.median, 4)}" for c in summary), "", ""])
-        ends = [f"{plain(c.median_ci95[0], 3)} to {plain(c.median_ci95[1], 3)}" for c in summary]
-        rows.append(["95 %", *ends, "", ""])
+        rows.append([heads["mean"], *known, "", ""])
+        rows.append(
+            [heads["sd"], *(f"± {plain(c.sd, 2)}" if c.runs > 1 and c.sd > 0.0 else "" for c in summary), "", ""]
+        )
+        rows.append([heads["joint-median"], *(f"{plain(c.median, 4)}" for c in summary), "", ""])
+        spans = [c.median_ci95 for c in summary]
     else:
         spans = [found.runs[0].coefficients[n].ci95 for n in names]
-        ends = [f"{plain(low, 3)} to {plain(high, 3)}" for low, high in spans]
-        rows.append(["95 %", *ends, "", ""])
+    rows.append(["95 %", *(f"{plain(low, 3)} … {plain(high, 3)}" for low, high in spans), "", ""])
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
     for row in rows:
         yield "  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
-    yield "W/m²K; ? marks what the run, or no run, can tell. Not fitted: what the press file fixes."
+    yield in_words(say("terminal-fit-legend"))
     if len(found.runs) > 1:
-        yield "Mean and sd: over the runs that can tell. Joint median: all runs together, with its 95 % interval."
+        yield in_words(say("terminal-fit-legend-campaign"))
     if found.shared:
-        yield f"One value in all runs, with one interval: {', '.join(found.shared)}."
+        yield in_words(say("terminal-fit-shared", names=found.shared))
     for run in found.runs:
         for warning in run.warnings:
-            yield f"{run.run}: {warning}"
+            yield f"{run.run}: {in_words(warning)}"

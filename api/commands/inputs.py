@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import typer
 
+from api.outputs import warn
 from daq.records import InputError, Run
+from daq.words import say
 
 if TYPE_CHECKING:
     from daq.store.store import Store
@@ -40,10 +42,9 @@ def config_path(given: Path | None) -> Path:
     try:
         there = path.is_file()
     except PermissionError as error:
-        said = "no permission to read it; put sudo before the command, or give another --config"
-        raise InputError(f"{path}: {said}") from error
+        raise InputError(say("terminal-config-no-permission", path=str(path))) from error
     if not there:
-        raise InputError(f"{path}: no such configuration; write one (README: Connect a logger) or give --config")
+        raise InputError(say("terminal-config-missing", path=str(path)))
     return path
 
 
@@ -53,7 +54,7 @@ def store_address(store: str | None, config: Path | None) -> str:
         return store
     if config is None and not Path(CONFIG_NAME).is_file():
         return str(DEFAULT_STORE)
-    from daq.config import load_config
+    from daq.process.config import load_config
 
     return load_config(config_path(config)).store.url
 
@@ -74,9 +75,7 @@ def opened_store(store: str | None, config: Path | None, *, create: bool = False
         if create:
             DEFAULT_STORE.parent.mkdir(exist_ok=True)
         elif not DEFAULT_STORE.is_file():
-            raise InputError(
-                f"no store: neither {CONFIG_NAME} nor {DEFAULT_STORE} is here; give --store or --config"
-            )
+            raise InputError(say("terminal-no-store-here", config=CONFIG_NAME, store=str(DEFAULT_STORE)))
     with open_store(address, create=create) as opened:
         yield opened
 
@@ -96,8 +95,17 @@ def load_runs(arguments: list[str], store: str | None, config: Path | None) -> l
     runs = [load_run(argument, store, config) for argument in arguments]
     names = [run.name for run in runs]
     if twice := next((name for name in names if names.count(name) > 1), None):
-        raise InputError(f"run {twice!r} is given twice; each run counts once")
+        raise InputError(say("terminal-run-twice", run=twice))
+    say_doubts(run.header for run in runs)
     return runs
+
+
+def say_doubts(headers: Iterable[Mapping[str, Any]]) -> None:
+    """Say on standard error, once each, what is doubtful in headers."""
+    from daq.press.header import doubts
+
+    for doubt in dict.fromkeys(doubt for header in headers for doubt in doubts(header)):
+        warn(doubt)
 
 
 def rows_until(run: Run, last_s: float) -> Run:
@@ -110,10 +118,8 @@ def rows_until(run: Run, last_s: float) -> Run:
     """
     rows = int(np.searchsorted(run.time_s, last_s, side="right"))
     if rows < 2:
-        raise InputError(
-            f"{run.source or run.name}: --until {last_s:g} leaves {rows} of {len(run.time_s)} rows; the first is "
-            f"at time_s = {run.time_s[0]:g}: give a later moment"
-        )
+        kept = {"rows": rows, "all": len(run.time_s), "first": float(run.time_s[0])}
+        raise InputError(say("terminal-until-leaves-too-little", run=run.source or run.name, until=last_s, **kept))
     return run.at_rows(slice(rows))
 
 
@@ -121,10 +127,10 @@ def load_run(argument: str, store: str | None, config: Path | None) -> Run:
     """Read one run: what exists as a file or ends like one is a file, all else an id in the store."""
     path = Path(argument)
     if path.exists() or path.suffix.lower() in (".csv", ".parquet"):
-        from daq.runfile import read_run
+        from daq.files.run_file import read_run
 
         return read_run(path)
     if store is None and config is None and not Path(CONFIG_NAME).is_file() and not DEFAULT_STORE.is_file():
-        raise InputError(f"{argument}: no such file, and no store to look in; give a file, --store or --config")
+        raise InputError(say("terminal-run-neither-file-nor-stored", run=argument))
     with opened_store(store, config) as opened:
         return opened.load_run(argument)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from api.commands.inputs import ConfigFile, StoreUrl, opened_store, store_address
-from api.outputs import WorkFailed, working
+from api.outputs import WorkFailed, in_words, tell, working
+from daq.words import Message, say, spoken
 
 
 def backup(
@@ -23,17 +23,21 @@ def backup(
     from daq.store import StoreUnavailable, upkeep
 
     if verify and restore:
-        raise typer.BadParameter("--verify and --restore: give one of them; restoring checks the copy first")
+        raise typer.BadParameter(in_words(say("terminal-backup-one-only")))
     try:
         if verify:
-            contents, done = upkeep.verify(file), "is sound"
+            contents, done = upkeep.verify(file), "sound"
         elif restore:
-            with working(f"Restoring {file}"):
-                contents, done = upkeep.restore(file, store_address(store, config)), "restored and compared"
+            with working(say("terminal-progress-restoring", file=str(file))):
+                contents, done = upkeep.restore(file, store_address(store, config)), "restored"
         else:
-            with opened_store(store, config) as opened, working(f"Copying {opened.label}"):
-                contents, done = opened.back_up(file), "written and checked"
+            with (
+                opened_store(store, config) as opened,
+                working(say("terminal-progress-copying", store=opened.label)),
+            ):
+                contents, done = opened.back_up(file), "written"
     except StoreUnavailable as error:
-        raise WorkFailed(str(error)) from error
-    held = f"{contents.runs} runs, {contents.scans} scans, {contents.fits} fits, {contents.models} models"
-    sys.stdout.write(f"{file} {done}: {held}\n")
+        raise WorkFailed(spoken(error)) from error
+    numbers = {"runs": contents.runs, "scans": contents.scans, "fits": contents.fits, "models": contents.models}
+    held = say("terminal-backup-contents", **numbers)
+    tell(Message(f"terminal-backup-{done}", {"file": str(file), "contents": held}))

@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from api.outputs import WorkFailed
+from api.outputs import WorkFailed, in_words
 from daq.records import InputError
+from daq.words import say, spoken
 
 if TYPE_CHECKING:
     from daq.drivers.probe import ProbeReport
+    from daq.words import Message
 
 SHOWN_ATTEMPTS = 6
 SHOWN_READINGS = 8
@@ -34,7 +36,7 @@ def probe(
     No device at hand? "python -m daq.simulated.devices_serve adam-4118" puts a simulated one on a wire to try.
     """
     if (port is None) == (host is None):
-        raise InputError("probe: give either --port or --host")
+        raise InputError(say("probe-needs-place"))
     given = {"port": port, "host": host, "tcp_port": tcp_port, "transport": transport}
     wire = {key: value for key, value in given.items() if value is not None}
     if port is not None:
@@ -45,18 +47,16 @@ def probe(
     try:
         report = probing.probe(wire, stations=_stations(stations), timeout_s=timeout, progress=_tell)
     except ReadFailure as error:
-        raise WorkFailed(str(error)) from error
+        raise WorkFailed(spoken(error)) from error
     for line in _lines(report):
         sys.stdout.write(line + "\n")
     if not report.proposals:
-        raise WorkFailed(
-            f"{report.place}: nothing known reads room temperature here; check power, cable, address and baud rate"
-        )
+        raise WorkFailed(say("terminal-probe-nothing-known", place=report.place))
 
 
-def _tell(line: str) -> None:
+def _tell(line: Message) -> None:
     if sys.stderr.isatty():
-        sys.stderr.write(line + "\n")
+        sys.stderr.write(f"{line}\n")
 
 
 def _stations(text: str) -> list[int]:
@@ -64,18 +64,19 @@ def _stations(text: str) -> list[int]:
     for part in filter(None, (p.strip() for p in text.split(","))):
         first, _, last = part.partition("-")
         if not first.isdigit() or (last and not last.isdigit()):
-            raise InputError(f"--stations {text!r}: give numbers and ranges, such as 1-4,9")
+            raise InputError(say("terminal-stations-no-numbers", text=text))
         found += range(int(first), int(last or first) + 1)
     if not found or max(found) > 255:
-        raise InputError(f"--stations {text!r}: addresses lie between 0 and 255")
+        raise InputError(say("terminal-stations-out-of-range", text=text))
     return found
 
 
 def _lines(report: ProbeReport) -> Iterable[str]:
-    answered = ", ".join(str(s) for s in report.stations) or "none"
-    yield f"{report.place}: Modbus answers from stations {answered}"
+    answers = say("terminal-probe-answers", place=report.place, stations=tuple(map(str, report.stations)))
+    yield in_words(answers if report.stations else say("terminal-probe-answers-none", place=report.place))
     for block in report.registers:
-        yield f"  station {block.station}, function {block.function}: registers from 0, read as"
+        place = {"station": block.station, "function": block.function}
+        yield f"  {in_words(say('terminal-probe-registers', **place))}"
         for reading in block.interpretations[:SHOWN_READINGS]:
             values = " ".join(f"{v:.5g}" for v in reading.values)
             yield f"    {reading.meaning:26} {reading.plausible:4.0%} at room temperature: {values}"
@@ -87,14 +88,14 @@ def _lines(report: ProbeReport) -> Iterable[str]:
     for proposal in report.proposals:
         yield ""
         if proposal.ambiguous_with:
-            yield f"# reads just as well: {', '.join(proposal.ambiguous_with)}; look at the device's label"
-        yield "# for kerntemp.toml; name the channels"
+            yield f"# {in_words(say('terminal-probe-reads-as-well', profiles=tuple(proposal.ambiguous_with)))}"
+        yield f"# {in_words(say('terminal-probe-for-configuration'))}"
         yield "[[press.logger]]"
         yield from _toml(proposal.settings)
 
 
 def _toml(table: Mapping[str, Any]) -> Iterable[str]:
-    from daq.runfile import toml_line
+    from daq.files.run_file import toml_line
 
     for key, value in table.items():
         yield toml_line(key, value)

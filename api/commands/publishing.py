@@ -5,12 +5,13 @@ from __future__ import annotations
 from api.commands.inputs import ConfigFile, config_path
 from api.commands.services import log_to_stderr, token_file_beside
 from daq.records import InputError
+from daq.words import say
 
 
 def publish(config: ConfigFile = None) -> None:
     """Feed an MQTT broker ([mqtt]) and run an OPC UA server ([opcua]), without end."""
-    from api.tokens import TokenFile
-    from daq.config import load_config
+    from api.http.tokens import TokenFile
+    from daq.process.config import load_config
 
     path = config_path(config)
     settings = load_config(path)
@@ -22,6 +23,6 @@ def publish(config: ConfigFile = None) -> None:
         if settings.opcua is not None:
             import asyncua  # noqa: F401
     except ModuleNotFoundError as error:
-        raise InputError(f"kerntemp publish needs {error.name}: install kerntemp[plant]") from error
+        raise InputError(say("terminal-needs-package", package=str(error.name))) from error
     log_to_stderr()
     run(settings, TokenFile(settings.server.tokens or token_file_beside(path)))

@@ -5,13 +5,18 @@ from __future__ import annotations
 import logging
 import sys
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from api.commands.inputs import CONFIG_NAME, ConfigFile, StoreUrl, config_path
-from api.outputs import WorkFailed, working
+from api.outputs import WorkFailed, in_words, spoken_language, tell, working
 from daq.records import InputError
+from daq.words import Message, say, spoken
+
+if TYPE_CHECKING:
+    from daq.store.store import Store
+    from softsensor.jobs.night_judgement import Outcome
 
 Host = Annotated[str | None, typer.Option("--host", help="Address to listen on; the configuration's without.")]
 Port = Annotated[
@@ -21,8 +26,8 @@ Port = Annotated[
 
 def record(config: ConfigFile = None) -> None:
     """Log all presses of the configuration, without end."""
-    from daq.config import load_config
-    from daq.recorder import record as run
+    from daq.process.config import load_config
+    from daq.recording.recorder import record as run
 
     settings = load_config(config_path(config))
     log_to_stderr()
@@ -31,8 +36,8 @@ def record(config: ConfigFile = None) -> None:
 
 def sense(config: ConfigFile = None) -> None:
     """Run the live sensor on all presses of the configuration, without end."""
-    from daq.config import load_config
-    from softsensor.service import sense as run
+    from daq.process.config import load_config
+    from softsensor.jobs.live_service import sense as run
 
     settings = load_config(config_path(config))
     log_to_stderr()
@@ -53,9 +58,9 @@ def serve(
     store: StoreUrl = None,
 ) -> None:
     """Serve REST and the page; on loopback only unless tokens exist."""
-    from api.server import Listening, address_of, run_server
-    from api.tokens import TokenFile
-    from daq.config import ServerSettings, load_config
+    from api.http.server import Listening, address_of, run_server
+    from api.http.tokens import TokenFile
+    from daq.process.config import ServerSettings, load_config
     from daq.store.store import open_store
 
     path = Path(CONFIG_NAME) if store is not None and config is None else config_path(config)
@@ -67,8 +72,7 @@ def serve(
     address = store or (settings.store.url if settings else "")
     with open_store(address, create=store is None, later=True) as opened:
         bound = listening.bind()
-        sys.stdout.write(f"kerntemp serves {address_of(bound, tls=certificate is not None)}\n")
-        sys.stdout.flush()
+        tell(say("terminal-serves", address=address_of(bound, tls=certificate is not None)))
         run_server(opened, tokens, listening, bound)
 
 
@@ -84,23 +88,21 @@ def refit(
     ] = "",
 ) -> None:
     """Refit all runs, diagnose, extend, and promote or reject a model version: the nightly job."""
-    from daq.config import load_config
-    from daq.pressfile import read_press
+    from daq.press.press_file import read_press
+    from daq.process.config import load_config
     from daq.store.store import open_store
-    from softsensor import nightly, nightly_judge
-    from softsensor.nightly_report import write_report
+    from softsensor.jobs import night as nightly
 
     settings = load_config(config_path(config))
     with open_store(settings.store.url) as store:
         if roll_back:
             name = settings.press_named(roll_back).name
-            sys.stdout.write(
-                f"{name}: model {nightly.roll_back(store, name, 'kerntemp refit')} is in force again\n"
-            )
+            version = nightly.roll_back(store, name, "kerntemp refit")
+            tell(say("terminal-model-in-force-again", press=name, version=version))
             return
         failed, outcomes = [], []
         for press in settings.press:
-            with working(f"Refitting {press.name}"):
+            with working(say("terminal-progress-refitting", press=press.name)):
                 outcome = nightly.refit_press(
                     store,
                     press.name,
@@ -108,19 +110,31 @@ def refit(
                     workers=workers or settings.refit.workers,
                     dask=dask or settings.refit.dask,
                 )
-            sys.stdout.write(f"{outcome.line}\n")
+            tell(outcome.line)
             outcomes.append(outcome)
-            try:
-                page = write_report(store, outcome, settings.refit.reports)
-                sys.stdout.write(f"{press.name}: report {page}\n")
-            except InputError as error:  # its work is in the store; the other presses wait for theirs
-                store.log("warning", nightly_judge.PROCESS, str(error), press.name)
-                failed.append(str(error))
-            if outcome.newly_unfit:
-                failed.append(f"{press.name}: {outcome.newly_unfit} of {outcome.runs} runs could not be fitted")
+            failed += _report(store, outcome, settings.refit.reports)
         nightly.sign_off(store, outcomes)
     if failed:
-        raise WorkFailed("; ".join(failed) + "; the journal names them")
+        raise WorkFailed(say("terminal-refit-failed", failures=tuple(failed)))
+
+
+def _report(store: Store, outcome: Outcome, folder: Path) -> list[Message]:
+    """Write the page of a press's night; return what went wrong, in this and in its fits."""
+    from softsensor.jobs.night_judgement import PROCESS
+    from softsensor.jobs.night_record import night_record
+    from softsensor.report.night_report import write_report
+
+    failed = []
+    try:
+        page = write_report(night_record(store, outcome), folder, spoken_language())
+        tell(say("terminal-refit-report", press=outcome.press, page=str(page)))
+    except InputError as error:  # its work is in the store; the other presses wait for theirs
+        store.log("warning", PROCESS, spoken(error), outcome.press)
+        failed.append(spoken(error))
+    if outcome.newly_unfit:
+        unfit = {"failed": outcome.newly_unfit, "runs": outcome.runs}
+        failed.append(say("terminal-refit-unfit", press=outcome.press, **unfit))
+    return failed
 
 
 def token_file_beside(config: Path) -> Path:
@@ -135,8 +149,8 @@ def token(
     config: ConfigFile = None,
 ) -> None:
     """Make, list and revoke access tokens; a new one is shown once."""
-    from api.tokens import TokenFile
-    from daq.config import load_config
+    from api.http.tokens import TokenFile
+    from daq.process.config import load_config
 
     path = config_path(config)
     settings = load_config(path)
@@ -146,22 +160,22 @@ def token(
             sys.stdout.write(f"{kept.id}  {kept.scope:5}  {kept.created_utc}  {kept.name}\n")
         return
     if not name:
-        raise InputError(f"kerntemp token {action}: needs a name")
+        raise InputError(say("terminal-token-needs-name", action=action))
     if action == "revoke":
         tokens.revoke(name)
-        _note_in_journal(settings.store.url, f"token {name} revoked")
+        _note_in_journal(settings.store.url, say("token-revoked", name=name))
     else:
         sys.stdout.write(tokens.create(name, scope) + "\n")
-        _note_in_journal(settings.store.url, f"token {name} created, scope {scope}")
+        _note_in_journal(settings.store.url, say("token-created", name=name, scope=scope))
 
 
-def _note_in_journal(url: str, sentence: str) -> None:
+def _note_in_journal(url: str, said: Message) -> None:
     """Write down who may come in; a store that is not there yet or away is no reason to refuse the change."""
     from daq.store.records import StoreUnavailable
     from daq.store.store import open_store
 
     try:
         with open_store(url, create=False, busy_s=2.0) as store:
-            store.log("info", "token", sentence)
+            store.log("info", "token", said)
     except (InputError, StoreUnavailable) as error:
-        sys.stderr.write(f"{sentence}; not noted in the journal: {error}\n")
+        sys.stderr.write(in_words(say("terminal-not-noted", said=said, why=spoken(error))) + "\n")

@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from typing import Any
 
-from api.answers import STATE_AFTER
-from api.decimation import number_or_none
+from api.answers.decimation import number_or_none
+from api.answers.records import STATE_AFTER
 from daq.records import Channel, Quality, Scan
 from daq.store.records import ModelRecord, StoredEstimate, StoredPressEvent
 from daq.store.store import Store
@@ -31,7 +31,7 @@ Place = tuple[str, str]
 
 
 @dataclass(frozen=True)
-class Message:
+class Outgoing:
     """One message: `number` is its place in the list of its press and kind."""
 
     press: str
@@ -59,7 +59,7 @@ class Following:
                 arrived = known.get(place, newest)
                 self.position[place] = max(arrived, newest - MOST_BEHIND) if arrived <= newest else newest
 
-    def waiting(self) -> list[Message]:
+    def waiting(self) -> list[Outgoing]:
         """Return the next messages of every list, oldest first within each."""
         for press in self.store.presses():
             if (press, "scan") not in self.position:  # a press that was recorded for the first time
@@ -67,7 +67,7 @@ class Following:
         read = {"scan": self._scans, "estimate": self._estimates, "event": self._events}
         return [m for (press, kind), number in list(self.position.items()) for m in read[kind](press, number)]
 
-    def seen(self, message: Message) -> None:
+    def seen(self, message: Outgoing) -> None:
         """Note that a message has arrived."""
         self.position[message.press, message.kind] = message.number
 
@@ -81,21 +81,21 @@ class Following:
             newest = events[-1].number
         return newest
 
-    def _scans(self, press: str, after: int) -> list[Message]:
+    def _scans(self, press: str, after: int) -> list[Outgoing]:
         batch = self.store.scans_after(press, after, BATCH)
         for scan in batch.scans:
             self._times[press, scan.number] = scan.utc
         while len(self._times) > REMEMBERED:
             self._times.popitem(last=False)
-        return [Message(press, "scan", s.number, scan_body(press, batch.channels, s)) for s in batch.scans]
+        return [Outgoing(press, "scan", s.number, scan_body(press, batch.channels, s)) for s in batch.scans]
 
-    def _estimates(self, press: str, after: int) -> list[Message]:
+    def _estimates(self, press: str, after: int) -> list[Outgoing]:
         found = self.store.estimates_after(press, after, BATCH)
-        return [Message(press, "estimate", e.number, estimate_body(press, e, self._utc(press, e))) for e in found]
+        return [Outgoing(press, "estimate", e.number, estimate_body(press, e, self._utc(press, e))) for e in found]
 
-    def _events(self, press: str, after: int) -> list[Message]:
+    def _events(self, press: str, after: int) -> list[Outgoing]:
         found = self.store.press_events(press, after=after, limit=BATCH)
-        return [Message(press, "event", e.number, event_body(e)) for e in found]
+        return [Outgoing(press, "event", e.number, event_body(e)) for e in found]
 
     def _utc(self, press: str, estimate: StoredEstimate) -> datetime | None:
         known = self._times.get((press, estimate.number))
@@ -118,7 +118,7 @@ def scan_body(press: str, channels: tuple[Channel, ...], scan: Scan) -> dict[str
 
 
 def estimate_body(press: str, estimate: StoredEstimate, utc: datetime | None) -> dict[str, Any]:
-    """Return one estimate; low and high bound 95 %, and `reason` says why `valid` is false."""
+    """Return one estimate; low and high bound 95 %, and the code `reason` says why `valid` is false."""
     return {
         "press": press,
         "number": estimate.number,
@@ -130,6 +130,7 @@ def estimate_body(press: str, estimate: StoredEstimate, utc: datetime | None) ->
         "core_high_C": number_or_none(estimate.core_high_celsius),
         "valid": estimate.valid,
         "reason": estimate.reason,
+        "reason_arguments": (estimate.detail or {}).get("reason_arguments", {}),
         "model_version": estimate.model_version,
     }
 

@@ -30,11 +30,12 @@ from typing import Any
 import paho.mqtt.client as paho
 from paho.mqtt.enums import CallbackAPIVersion
 
-from api.health import installed_version
-from api.plant.following import KINDS, Following, Message, Place, model_body
-from daq.config import MqttSettings
+from api.answers.health import installed_version
+from api.plant.following import KINDS, Following, Outgoing, Place, model_body
+from daq.process.config import MqttSettings
 from daq.records import InputError
 from daq.store.store import Store
+from daq.words import Message, say, spoken
 
 QOS = 1
 KEEPALIVE_S = 15
@@ -83,9 +84,9 @@ class Broker:
         try:
             self._client.connect(self._settings.host, self._settings.port, KEEPALIVE_S)
         except (OSError, ValueError) as error:
-            raise BrokerAway(f"MQTT broker {where}: {error}; check that it runs and is reachable") from error
+            raise BrokerAway(say("plant-broker-unreachable", where=where, why=str(error))) from error
         self._client.loop_start()
-        self._wait(self._answered, "connect")
+        self._wait(self._answered, "plant-broker-not-connected")
 
     def retained(self, presses: Mapping[str, str]) -> dict[Place, int]:
         """Ask the broker for the number it really has of every list. Raises `BrokerAway`."""
@@ -93,7 +94,7 @@ class Broker:
         topics = {self.topic(press, kind): (press, kind) for press in presses for kind in KINDS}
         self._client.subscribe([(topic, QOS) for topic in (marker, *topics)])
         self._client.publish(marker, b"", QOS)  # comes back after what was retained
-        self._wait(self._marker, "send what it retains")
+        self._wait(self._marker, "plant-broker-not-subscribed")
         self._client.unsubscribe([marker, *topics])
         numbers = {place: _number(self._retained.get(topic)) for topic, place in topics.items()}
         return {place: number for place, number in numbers.items() if number is not None}
@@ -105,7 +106,7 @@ class Broker:
         for info in sent:
             while info.rc != paho.MQTT_ERR_SUCCESS or not info.is_published():
                 if self._lost.is_set() or time.monotonic() > deadline or info.rc != paho.MQTT_ERR_SUCCESS:
-                    raise BrokerAway(self._complaint("take a message"))
+                    raise BrokerAway(self._complaint("plant-broker-not-taking"))
                 info.wait_for_publish(0.05)
 
     def close(self) -> None:
@@ -113,16 +114,16 @@ class Broker:
         self._client.disconnect()
         self._client.loop_stop()
 
-    def _wait(self, event: threading.Event, what: str) -> None:
+    def _wait(self, event: threading.Event, code: str) -> None:
         deadline = time.monotonic() + ANSWER_S
         while not event.wait(0.05):
             if self._lost.is_set() or time.monotonic() > deadline:
                 self._client.loop_stop()
-                raise BrokerAway(self._complaint(what))
+                raise BrokerAway(self._complaint(code))
 
-    def _complaint(self, what: str) -> str:
+    def _complaint(self, code: str) -> Message:
         where = f"{self._settings.host}:{self._settings.port}"
-        return f"MQTT broker {where} did not {what}: {self._reason or 'no answer'}; trying again"
+        return Message(code, {"where": where, "why": self._reason or say("plant-broker-silent")})
 
     def _on_connect(self, client: Any, data: Any, flags: Any, reason: Any, properties: Any) -> None:
         if reason.is_failure:
@@ -146,7 +147,7 @@ class Publisher:
     """Feeds one broker from the store until stopped; a broker that is away costs nothing."""
 
     def __init__(self, store: Store, settings: MqttSettings, known: Mapping[Place, int]) -> None:
-        self.problem = ""
+        self.problem: Message | None = None
         self.sent = 0
         self._store, self._settings = store, settings
         self._following = Following(store)
@@ -173,7 +174,7 @@ class Publisher:
                         stop.wait(POLL_S)
                 broker.send([(broker.topic("status"), _json({"state": "offline"}))])
             except BrokerAway as error:
-                self.problem = str(error)
+                self.problem = spoken(error)
                 stop.wait(pause_s)
                 pause_s = min(2.0 * pause_s, 10.0)
             finally:
@@ -188,7 +189,7 @@ class Publisher:
         self._models.clear()
         online = {"state": "online", "version": installed_version(), "utc": datetime.now(UTC).isoformat()}
         broker.send([(broker.topic("status"), _json(online))])
-        self.problem = ""
+        self.problem = None
 
     def _send_waiting(self, broker: Broker) -> bool:
         waiting = self._following.waiting() + self._models_in_force()
@@ -203,13 +204,13 @@ class Publisher:
         self.sent += len(waiting)
         return True
 
-    def _models_in_force(self) -> list[Message]:
+    def _models_in_force(self) -> list[Outgoing]:
         if time.monotonic() - self._models_looked < MODEL_S and self._models:
             return []
         self._models_looked = time.monotonic()
         active = [self._store.active_model(press) for press in self._store.presses()]
         return [
-            Message(model.press, "model", model.number, model_body(model))
+            Outgoing(model.press, "model", model.number, model_body(model))
             for model in active
             if model is not None and self._models.get(model.press) != model.version
         ]
@@ -236,6 +237,5 @@ def _password(settings: MqttSettings) -> str:
     try:
         return settings.password_file.read_text(encoding="utf-8").split("\n")[0]
     except OSError as error:
-        raise InputError(
-            f"{settings.password_file}: cannot read the broker's password: {error.strerror}"
-        ) from error
+        given = {"path": str(settings.password_file), "why": str(error.strerror)}
+        raise InputError(say("plant-password-unreadable", **given)) from error

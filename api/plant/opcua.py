@@ -26,6 +26,7 @@ Beyond loopback the server needs a certificate, and clients give a token of scop
 from __future__ import annotations
 
 import asyncio
+import logging
 import math
 import threading
 from dataclasses import dataclass, field
@@ -36,15 +37,19 @@ from typing import Any
 from asyncua import Node, Server, ua
 from asyncua.crypto.permission_rules import User, UserRole
 
-from api.answers import last_word, state_of, utc_now
-from api.gate import is_loopback
-from api.health import installed_version
-from api.tokens import TokenFile
-from daq.config import OpcuaSettings
+from api.answers.health import installed_version
+from api.answers.records import last_word, state_of, utc_now
+from api.http.gate import is_loopback
+from api.http.tokens import TokenFile
+from api.plant.client_log import LIBRARY, clients_told_sparingly
+from daq.process.config import OpcuaSettings
 from daq.records import Channel, InputError, Quality
 from daq.store.records import StoredEstimate, StoredPressEvent, StoreUnavailable
 from daq.store.store import Store
+from daq.words import Message, say, spoken
+from softsensor.live.validity import Invalid, InvalidReason, reason_message
 
+LOG = logging.getLogger("kerntemp.publish")
 NAMESPACE = "urn:kerntemp:press"
 PERIOD_S = 0.1
 """How often the store is asked. [s]"""
@@ -91,11 +96,15 @@ class _Readers:
         self, iserver: Any, username: str | None = None, password: Any = None, certificate: Any = None
     ) -> User | None:
         """Return the user, or None to refuse."""
-        given = password.decode("utf-8", "replace") if isinstance(password, bytes) else password
-        token = self._tokens.find(given) if given else None
-        if self._free or (token is not None and token.allows("read")):
+        if self._free:
             return User(UserRole.User, username)
-        return None
+        given = password.decode("utf-8", "replace") if isinstance(password, bytes) else password
+        try:
+            token = self._tokens.find(given) if given else None
+        except InputError as error:
+            logging.getLogger(LIBRARY).warning("%s", error)  # among what clients meet: told sparingly
+            return None
+        return User(UserRole.User, username) if token is not None and token.allows("read") else None
 
 
 @dataclass
@@ -129,43 +138,42 @@ class Present:
 def check(settings: OpcuaSettings, tokens: TokenFile) -> None:
     """Refuse what would not be safe. Raises `InputError`."""
     if (settings.certificate is None) != (settings.key is None):
-        raise InputError("opcua.certificate and opcua.key belong together; give both or neither")
+        raise InputError(say("plant-certificate-needs-key"))
     for path in (settings.certificate, settings.key):
         if path is not None and not path.is_file():
-            raise InputError(f"{path}: no such file; give certificate and key as DER or PEM files")
+            raise InputError(say("plant-certificate-missing", path=str(path)))
     if is_loopback(settings.host):
         return
     if settings.certificate is None:
-        raise InputError(
-            f"opcua.host = {settings.host}: beyond loopback a certificate is needed; give one and its key"
-        )
+        raise InputError(say("plant-certificate-needed", host=settings.host))
     if not tokens.tokens():
-        raise InputError(
-            f"opcua.host = {settings.host}: beyond loopback clients need a token as password and there are none; "
-            "make one with kerntemp token create NAME --scope read"
-        )
+        raise InputError(say("plant-tokens-needed", host=settings.host))
 
 
 class PressServer:
     """The server over one store."""
 
     def __init__(self, store: Store, settings: OpcuaSettings, tokens: TokenFile) -> None:
-        self.problem = ""
+        self.problem: Message | None = None
         self.address = ""
         self._store, self._settings, self._tokens = store, settings, tokens
         self._presses: dict[str, _Press] = {}
 
     async def run(self, stop: threading.Event, started: threading.Event | None = None) -> None:
         """Serve until stopped. Raises `InputError` where the port is taken."""
+        with clients_told_sparingly(LOG):
+            await self._serve(stop, started)
+
+    async def _serve(self, stop: threading.Event, started: threading.Event | None) -> None:
         server = await self._prepared()
         index = await server.register_namespace(NAMESPACE)
         root = await server.nodes.objects.add_folder(ua.NodeId(1, index), "Kerntemp")  # no press has this name
         try:
             await server.start()
         except OSError as error:
-            raise InputError(
-                f"cannot listen on {self._settings.host}:{self._settings.port}: {error.strerror}; set opcua.port"
-            ) from error
+            host, port = self._settings.host, self._settings.port
+            said = say("plant-address-taken", host=host, port=port, why=str(error.strerror))
+            raise InputError(said) from error
         try:
             self.address = _address(server, self._settings)
             await self._refresh(server, root, index)
@@ -200,9 +208,9 @@ class PressServer:
     async def _refresh(self, server: Server, root: Node, index: int) -> None:
         try:
             now = await asyncio.to_thread(self._read)
-            self.problem = ""
+            self.problem = None
         except StoreUnavailable as error:
-            self.problem = str(error)
+            self.problem = spoken(error)
             now = {name: Present(None, (), {}, None, None, "unknown", "", (), old=True) for name in self._presses}
         for name, present in now.items():
             if name not in self._presses:
@@ -302,12 +310,17 @@ def _estimate_values(present: Present) -> dict[str, tuple[float, int]]:
 
 def _texts(present: Present) -> dict[str, str]:
     said = present.estimate
-    reason = said.reason if said is not None else "the live sensor has said nothing yet"
+    if present.old:
+        reason = Invalid(InvalidReason.NO_SCANS, {"silent_s": OLD.total_seconds()}).message
+    elif said is None:
+        reason = Invalid(InvalidReason.NO_ESTIMATE_YET).message
+    else:
+        reason = reason_message(said.reason, (said.detail or {}).get("reason_arguments"))
     return {
         "state": "unknown" if present.old else present.state,
         "run": present.run,
         "model": said.model_version if said is not None and not present.old else "",
-        "reason": "no scan for 5 s" if present.old else reason,
+        "reason": str(reason),
     }
 
 

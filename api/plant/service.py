@@ -10,14 +10,16 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
+from api.http.tokens import TokenFile
 from api.plant.following import Place
-from api.tokens import TokenFile
-from daq.config import Config
-from daq.notify import Notifier
+from daq.process.config import Config
+from daq.process.notify import Notifier
+from daq.process.stopping import stop_on_signals
 from daq.records import InputError
-from daq.stopping import stop_on_signals
 from daq.store import Store, StoreUnavailable
+from daq.store.records import in_status
 from daq.store.waiting import open_when_ready
+from daq.words import say
 
 LOG = logging.getLogger("kerntemp.publish")
 PROCESS = "publish"
@@ -34,7 +36,7 @@ def publish(config: Config, tokens: TokenFile, *, stop: threading.Event | None =
         Where neither ``[mqtt]`` nor ``[opcua]`` is configured, or one of them is wrong.
     """
     if config.mqtt is None and config.opcua is None:
-        raise InputError(f"{config.path}: neither [mqtt] nor [opcua]; add the one your plant reads")
+        raise InputError(say("plant-nothing-configured", path=str(config.path)))
     stop = stop or threading.Event()
     stop_on_signals(stop)
     logging.getLogger("asyncua").setLevel(logging.WARNING)  # it tells every request of every client
@@ -111,8 +113,7 @@ class _Feeds:
         status: dict[str, Any] = {
             "state": state,
             "pid": os.getpid(),
-            "message": "; ".join(problems) or f"{self._mqtt.sent if self._mqtt else 0} messages sent",
-            "problems": problems,
+            **in_status(problems, say("plant-messages-sent", messages=self._mqtt.sent if self._mqtt else 0)),
             "position": [[press, kind, number] for (press, kind), number in position.items()],
         }
         if self._opcua is not None:

@@ -1,0 +1,1 @@
+"""What the store holds, as the API says it: plain functions, no web framework."""

@@ -1,0 +1,219 @@
+"""Whether the system does its work: processes by their heartbeats, the store by its size."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from datetime import datetime, timedelta
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any, Literal
+
+from api.answers.schemas import Health, ProcessHealth, Said, StoreHealth
+from api.answers.words import said_of
+from daq.store.records import ProcessStatus, StoreUnavailable
+from daq.store.store import Store
+from daq.store.upkeep import Sizes
+from daq.words import Message, say, spoken
+
+SILENT_S = 10.0
+"""A process beats about once a second; one that is silent for this long is taken for dead. [s]"""
+KINDS = {"sqlite": "SQLite", "postgresql": "PostgreSQL"}
+EXPECTED = ("record", "sense")
+"""The processes a working system has beside this one."""
+WANTED = ("publish",)
+"""Processes a system may do without; one that ran lately and was not stopped in order is missed."""
+SEEN_S, SEEN_BYTES = 600.0, 16_000_000
+"""How long the disk lasts is told after this much recording: before, the cost of a scan is that of empty tables
+and of the write-ahead log (4 MB), and the figure many times too small."""
+LONG_S = 7200.0
+"""A silence longer than this is counted in hours. [s]"""
+IN_USE_S = 7 * 86400.0
+"""A press or a machine unheard of for longer is taken for one that is no longer there: no alarm stands. [s]"""
+MANY_BEHIND = 600
+"""Scans without an estimate, a minute of them at 10 Hz: the live sensor does not keep up, or compiles."""
+LEAST_FREE_BYTES = 2_000_000_000
+"""Some five days at 10 Hz and 400 bytes a scan (the example of `hours_left`): time to act."""
+REFIT_OVERDUE_S = 180_000.0
+"""Two nights and two hours. [s]"""
+ALARM_AGE = timedelta(minutes=10)
+"""Alarms of the journal older than this are history."""
+
+
+def installed_version() -> str:
+    """Return the version of the installed project, ``0`` in a bare source tree."""
+    try:
+        return version("kerntemp")
+    except PackageNotFoundError:
+        return "0"
+
+
+def health_of(store: Store, now: datetime) -> Health:
+    """Return the health document; a store that does not answer is part of it, not an error."""
+    try:
+        statuses = store.statuses()
+        alarms = _recent_alarms(store, now)
+        kept = _store_health(store)
+    except StoreUnavailable as error:
+        empty = StoreHealth(kind=KINDS[store.database.dialect], size_bytes=None, free_bytes=None, hours_left=None)
+        return _health("down", now, empty, [], [spoken(error)])
+    processes = [_process(name, statuses.get(name), now) for name in _names(statuses, now)]
+    alarms = [*_process_alarms(processes), *alarms]
+    if kept.free_bytes is not None and kept.free_bytes < LEAST_FREE_BYTES:
+        alarms.append(say("health-disk-nearly-full", gigabytes=LEAST_FREE_BYTES // 10**9))
+    if (age_s := refit_age_s(store, statuses, now)) is not None and age_s > REFIT_OVERDUE_S:
+        alarms.append(say("health-nightly-job-overdue", hours=age_s / 3600.0))
+    return _health("degraded" if alarms else "ok", now, kept, processes, alarms)
+
+
+def _health(
+    status: Literal["ok", "degraded", "down"],
+    now: datetime,
+    store: StoreHealth,
+    processes: list[ProcessHealth],
+    alarms: Sequence[Message],
+) -> Health:
+    told = {str(alarm): said_of(alarm) for alarm in alarms}
+    return Health(
+        status=status,
+        version=installed_version(),
+        utc=now,
+        store=store,
+        processes=processes,
+        alarms=list(told),
+        alarms_said=list(told.values()),
+    )
+
+
+def kind_of(process: str) -> str:
+    """Return what a process does: its name without the host.
+
+    >>> kind_of("record@press-pc-2")
+    'record'
+    """
+    return process.partition("@")[0]
+
+
+def _names(statuses: Mapping[str, ProcessStatus], now: datetime) -> list[str]:
+    """Return the processes to tell of: the expected ones of every machine there lately, then the others."""
+    names = []
+    for expected in EXPECTED:
+        known = sorted((n for n in statuses if kind_of(n) == expected), key=lambda n: statuses[n].utc)
+        lately = [n for n in known if (now - statuses[n].utc).total_seconds() < IN_USE_S]
+        names += sorted(lately) or known[-1:] or [expected]
+    return [*names, *(n for n in sorted(statuses) if kind_of(n) not in EXPECTED)]
+
+
+def _process(name: str, status: ProcessStatus | None, now: datetime) -> ProcessHealth:
+    if status is None:
+        unseen = say("health-never-seen")
+        return ProcessHealth(
+            name=name,
+            alive=False,
+            state="silent",
+            message=str(unseen),
+            message_said=[said_of(unseen)],
+            utc=None,
+            age_s=None,
+        )
+    age_s = max((now - status.utc).total_seconds(), 0.0)
+    told = status.status
+    ended = told.get("state") in ("stopped", "done")
+    return ProcessHealth(
+        name=name,
+        alive=age_s < SILENT_S and not ended,
+        state=str(told.get("state", "running")),
+        message=str(told.get("message", "")),
+        message_said=[Said(**said) for said in told.get("message_codes", ())],
+        utc=status.utc,
+        age_s=round(age_s, 3),
+        details=dict(told),
+    )
+
+
+def is_missed(process: ProcessHealth) -> bool:
+    """Return whether a process that should run gives no sign of life; one of `WANTED` may be switched off."""
+    if process.alive or kind_of(process.name) in EXPECTED:
+        return not process.alive
+    lately = process.age_s is not None and process.age_s < IN_USE_S
+    return kind_of(process.name) in WANTED and lately and process.state != "stopped"
+
+
+def _process_alarms(processes: list[ProcessHealth]) -> list[Message]:
+    alarms = []
+    for process in processes:
+        if is_missed(process):
+            alarms.append(_missed(process))
+        elif process.alive:
+            alarms += _problems(process.details)
+        if kind_of(process.name) == "sense":
+            alarms += [
+                say("health-scans-behind", press=press["press"], scans=behind)
+                for press in process.details.get("presses", [])
+                if (behind := press.get("behind_scans", 0)) > MANY_BEHIND
+            ]
+    return alarms
+
+
+def refit_age_s(store: Store, statuses: Mapping[str, ProcessStatus], now: datetime) -> float | None:
+    """Return how long ago the nightly job came to its end or, before it ever did, the journal began. [s]"""
+    if "refit" in statuses:
+        since = statuses["refit"].utc
+    elif first := store.journal_after(0, 1):
+        since = first[0].utc
+    else:
+        return None
+    return max((now - since).total_seconds(), 0.0)
+
+
+def _missed(process: ProcessHealth) -> Message:
+    command = kind_of(process.name)
+    if process.age_s is None:
+        return say("health-process-never-seen", process=process.name, command=command)
+    if process.age_s > LONG_S:
+        hours = process.age_s / 3600.0
+        return say("health-process-silent-for-hours", process=process.name, hours=hours, command=command)
+    return say("health-process-silent", process=process.name, seconds=process.age_s, command=command)
+
+
+def _problems(details: Mapping[str, Any]) -> list[Message]:
+    return [Message.from_json(problem) for problem in details.get("problem_codes", ())]
+
+
+def _recent_alarms(store: Store, now: datetime) -> list[Message]:
+    entries = store.journal(level="alarm", limit=10).items
+    return [entry.message for entry in entries if now - entry.utc < ALARM_AGE]
+
+
+def _store_health(store: Store) -> StoreHealth:
+    sizes = store.sizes()
+    return StoreHealth(
+        kind=KINDS[store.database.dialect],
+        size_bytes=sizes.bytes,
+        free_bytes=sizes.free_bytes,
+        hours_left=_hours_left(store, sizes),
+    )
+
+
+def _hours_left(store: Store, sizes: Sizes) -> float | None:
+    """At the present rate of scans and the store's mean size for one, imported or recorded."""
+    per_second = 0.0
+    for press in store.presses():
+        batch = store.scans_after(press, store.newest_scan_number(press) - 20, 20)
+        if len(batch.scans) > 1:
+            elapsed = (batch.scans[-1].utc - batch.scans[0].utc).total_seconds()
+            per_second += (len(batch.scans) - 1) / elapsed if elapsed > 0 else 0.0
+    if sizes.free_bytes is None:
+        return None
+    return hours_left(sizes.bytes, sizes.free_bytes, round(sizes.bytes / sizes.bytes_per_scan), per_second)
+
+
+def hours_left(size_bytes: int, free_bytes: int, scans: int, scans_per_s: float) -> float | None:
+    """Return how long the disk lasts, None before enough was recorded to tell. [h]
+
+    Examples
+    --------
+    >>> hours_left(20_000_000, 1_000_000_000, 50_000, 10.0)
+    69.4
+    """
+    if size_bytes < SEEN_BYTES or scans_per_s == 0.0 or scans / scans_per_s < SEEN_S:
+        return None
+    return round(free_bytes / (size_bytes / scans * scans_per_s * 3600.0), 1)

@@ -1,0 +1,371 @@
+"""From the store's records to the API's answers: plain functions, no web framework."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from datetime import UTC, datetime
+from typing import Any
+
+from api.answers.channels import channels_now, faces_of
+from api.answers.decimation import number_or_none
+from api.answers.schemas import (
+    CoefficientFit,
+    CoefficientPoint,
+    EstimateNow,
+    ModelSummary,
+    ParameterWords,
+    Phase,
+    PressNow,
+    RunDetail,
+    RunEdit,
+    RunSummary,
+    Said,
+    State,
+    Target,
+)
+from api.answers.words import said_of
+from daq.press.press_file import parse_press
+from daq.records import InputError, Scan
+from daq.store.records import (
+    CoefficientRecord,
+    ModelRecord,
+    ModelStatus,
+    RunRecord,
+    RunStatus,
+    StoredEstimate,
+    StoredPressEvent,
+)
+from daq.store.store import Store
+from daq.words import spoken
+from softsensor.live.validity import InvalidReason
+
+STATE_AFTER: Mapping[str, State] = {
+    "inserted": "open",
+    "closed": "closed",
+    "opened": "open",
+    "removed": "idle",
+}
+BESIDE = set(EstimateNow.model_fields) - set(StoredEstimate.__dataclass_fields__)
+"""What the sensor stores beside an estimate and the API hands on."""
+BESIDE_INVALID = {"suspected", "reason_arguments"}
+"""What of it stands beside an estimate that is not valid: forecast, profile and heat rest on that estimate."""
+
+SILENT_S = 5.0
+"""An estimate this much older than the newest scan is no longer what the core is. [s]"""
+KEPT_RUNS = 64
+_HIGHEST: dict[tuple[str, str], tuple[int, float]] = {}
+_HIGHEST_LOCK = threading.Lock()
+KEPT_MODELS = 16
+_IN_USE: dict[tuple[object, ...], dict[str, float]] = {}
+_IN_USE_LOCK = threading.Lock()
+
+
+def phases_of(run: RunRecord) -> list[Phase]:
+    """Return what the press did during a run, as the recorder found it live."""
+    moments = run.moments
+    steps: list[tuple[float, State]] = [
+        (moments.inserted_s, "open"),
+        (moments.closed_s, "closed"),
+        (moments.opened_s, "open"),
+        (moments.removed_s, "idle"),
+    ]
+    known = [(at, state) for at, state in steps if math.isfinite(at)]
+    ends = [*(at for at, _ in known[1:]), None][: len(known)]
+    return [Phase(state=state, from_s=at, to_s=end) for (at, state), end in zip(known, ends, strict=True)]
+
+
+def run_summaries(store: Store, runs: Sequence[RunRecord]) -> list[RunSummary]:
+    """Return runs as lists show them."""
+    errors = store.fit_errors([run.run for run in runs])
+    return [_run_summary(store, run, errors) for run in runs]
+
+
+def _run_summary(store: Store, run: RunRecord, errors: Mapping[str, float | None]) -> RunSummary:
+    duration = (run.ended_utc - run.started_utc).total_seconds() if run.ended_utc else None
+    newest = run.last_scan if run.last_scan is not None else store.newest_scan_number(run.press)
+    return RunSummary(
+        run=run.run,
+        press=run.press,
+        status=str(run.status),
+        started_utc=run.started_utc,
+        ended_utc=run.ended_utc,
+        duration_s=duration,
+        scans=max(newest - run.first_scan + 1, 0),
+        material=str(run.header.get("panel.material", "")),
+        thickness_mm=_header_number(run, "panel.thickness_mm"),
+        platen_temperature_C=_header_number(run, "setting.platen_temperature_C"),
+        closed_s=number_or_none(run.moments.closed_s),
+        opened_s=number_or_none(run.moments.opened_s),
+        rmse_K=errors.get(run.run),
+        fitted=run.run in errors,
+    )
+
+
+def run_detail(store: Store, run: RunRecord) -> RunDetail:
+    """Return a run with everything known about it."""
+    return RunDetail(
+        **run_summaries(store, [run])[0].model_dump(),
+        header={key: _plain(value) for key, value in run.header.items()},
+        columns=list(store.load_run(run.run, from_s=0.0, to_s=0.0).columns),
+        phases=phases_of(run),
+        remark=run.remark,
+        changes=[
+            RunEdit(utc=c.utc, who=c.who, field=c.field, before=_plain(c.before), after=_plain(c.after))
+            for c in store.run_changes(run.run)
+        ],
+    )
+
+
+def _plain(value: object) -> Any:
+    """Return a header value as JSON carries it."""
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value if isinstance(value, str | int | float | bool | list | dict | None) else str(value)
+
+
+def _header_number(run: RunRecord, key: str) -> float | None:
+    value = run.header.get(key)
+    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
+
+
+def estimate_now(estimate: StoredEstimate, run: RunRecord | None, utc: datetime | None) -> EstimateNow:
+    """Return one estimate as the API shows it; its time counts from the run's first row."""
+    handed_on = BESIDE if estimate.valid else BESIDE_INVALID
+    return EstimateNow(
+        run=run.run if run else None,
+        number=estimate.number,
+        utc=utc,
+        time_s=round(estimate.monotonic_s - run.zero_monotonic_s, 6) if run else None,
+        state=str(estimate.state),
+        core_C=number_or_none(estimate.core_celsius),
+        core_sd_K=number_or_none(estimate.core_sd_kelvin),
+        core_low_C=number_or_none(estimate.core_low_celsius),
+        core_high_C=number_or_none(estimate.core_high_celsius),
+        valid=estimate.valid,
+        reason=estimate.reason,
+        **{k: v for k, v in (estimate.detail or {}).items() if k in handed_on},
+    )
+
+
+def run_of_scan(runs: Iterable[RunRecord], number: int) -> RunRecord | None:
+    """Return the run a scan belongs to."""
+    for run in runs:
+        if run.first_scan <= number and (run.last_scan is None or number <= run.last_scan):
+            return run
+    return None
+
+
+def state_of(events: Sequence[StoredPressEvent], run: RunRecord | None) -> State:
+    """Return the press's state: what its last event of the open run left it in."""
+    if run is None or run.status is not RunStatus.OPEN:
+        return "idle"
+    return STATE_AFTER.get(events[-1].kind, "unknown") if events else "idle"
+
+
+def target_of(store: Store, run: RunRecord | None, estimate: EstimateNow | None) -> Target | None:
+    """Return the core temperature to reach (`setting.core_target_C`) and when, as the live sensor foresees it."""
+    wanted = _header_number(run, "setting.core_target_C") if run else None
+    if run is None or wanted is None:
+        return None
+    if highest_core(store, run) >= wanted:
+        return Target(temperature_C=wanted, reached=True, time_to_target_s=0.0)
+    told = estimate is not None and estimate.valid and estimate.run == run.run
+    ahead = estimate.target_in_s if estimate and told else None
+    return Target(temperature_C=wanted, reached=False, time_to_target_s=ahead)
+
+
+def highest_core(store: Store, run: RunRecord) -> float:
+    """Return the highest core temperature predicted in an open run so far, -inf before the first."""
+    with _HIGHEST_LOCK:
+        last, highest = _HIGHEST.get((store.label, run.run), (run.first_scan - 1, -math.inf))
+        while estimates := store.estimates_after(run.press, last, 2000):
+            last = estimates[-1].number
+            known = [e.core_celsius for e in estimates if e.valid and math.isfinite(e.core_celsius)]
+            highest = max([highest, *known])
+        _HIGHEST[store.label, run.run] = (last, highest)
+        while len(_HIGHEST) > KEPT_RUNS:
+            del _HIGHEST[next(iter(_HIGHEST))]
+    return highest
+
+
+def last_word(store: Store, press: str, scan: Scan) -> tuple[StoredEstimate, datetime | None] | None:
+    """Return the newest estimate with the time of its own scan, None before the first.
+
+    It is not valid, and says why, where the live sensor has fallen silent while scans go on to `scan`.
+    """
+    number = store.newest_estimate_number(press)
+    found = store.estimates_after(press, number - 1, 1)
+    if not found:
+        return None
+    own = scan if number == scan.number else next(iter(store.scans_after(press, number - 1, 1).scans), None)
+    silent_s = (scan.utc - own.utc).total_seconds() if own else 0.0
+    told = found[0]
+    if silent_s > SILENT_S:
+        detail = {"reason_arguments": {"silent_s": round(silent_s)}}
+        told = replace(told, valid=False, reason=InvalidReason.LIVE_SENSOR_SILENT.value, detail=detail)
+    return told, own.utc if own else None
+
+
+def newest_estimate(store: Store, press: str, run: RunRecord | None, scan: Scan) -> EstimateNow | None:
+    """Return what the live sensor said last as the API shows it."""
+    said = last_word(store, press, scan)
+    if said is None:
+        return None
+    told, utc = said
+    return estimate_now(told, run_of_scan([run] if run else [], told.number), utc)
+
+
+def press_now(store: Store, press: str, press_file: str, now: datetime) -> PressNow:
+    """Return one press as it stands."""
+    run = store.open_run(press)
+    shown = run or next(iter(store.runs(press=press, limit=1).items), None)
+    events = store.press_events(press, since_scan=run.first_scan) if run else []
+    number = store.newest_scan_number(press)
+    batch = store.scans_after(press, number - 1, 1)
+    scan = batch.scans[-1] if batch.scans else None
+    estimate = newest_estimate(store, press, shown, scan) if scan else None
+    time_s = scan.monotonic_s - run.zero_monotonic_s if run and scan else None
+    closed_s = run.moments.closed_s if run else math.nan
+    channels = channels_now(store, press, batch.channels, scan, now)
+    return PressNow(
+        press=press,
+        state=state_of(events, run),
+        since_utc=events[-1].utc if events else None,
+        run=shown.run if shown else None,
+        run_status=str(shown.status) if shown else None,
+        time_s=None if time_s is None else round(time_s, 3),
+        time_since_closing_s=round(time_s - closed_s, 3)
+        if time_s is not None and math.isfinite(closed_s)
+        else None,
+        phases=phases_of(shown) if shown else [],
+        channels=channels,
+        faces=faces_of(channels),
+        estimate=estimate,
+        target=target_of(store, run, estimate),
+        coefficients=coefficients_in_use(store, press, press_file),
+        description=press_description(press_file),
+    )
+
+
+def coefficients_in_use(store: Store, press: str, press_file: str) -> dict[str, float]:
+    """Return what the live sensor starts from: the promoted model and the newest fits, else the guesses."""
+    active = store.active_model(press)
+    newest = store.newest_fit_number(press)
+    key = (store.label, press, press_file, active.version if active else "", newest)
+    with _IN_USE_LOCK:
+        if key not in _IN_USE:
+            _IN_USE[key] = _coefficients(store, press, press_file, active)
+            while len(_IN_USE) > KEPT_MODELS:
+                del _IN_USE[next(iter(_IN_USE))]
+        return _IN_USE[key]
+
+
+def _coefficients(store: Store, press: str, press_file: str, active: ModelRecord | None) -> dict[str, float]:
+    from softsensor.heat.model_file import parse_model
+    from softsensor.jobs.model_in_force import NEWEST_RUNS, PRESS_FILE, up_to_date
+
+    if not press_file:
+        return {}
+    try:
+        described = parse_press(press_file)
+        base = parse_model(active.model, f"model {active.version}") if active else None
+    except InputError:
+        return {}
+    version = base.version if base else PRESS_FILE
+    runs = [run.run for run in store.runs(press=press, limit=NEWEST_RUNS + 1).items]
+    found = store.fits(runs)
+    fits = [found[run] for run in runs if run in found and found[run]["model_version"] == version]
+    model = up_to_date(described, base, fits[:NEWEST_RUNS])
+    guesses = {name: described.coefficient(name).guess for name in described.coefficient_names}
+    return guesses | ({name: e.value for name, e in model.coefficients.items()} if model else {})
+
+
+def press_description(press_file: str) -> dict[str, Any]:
+    """Return the press file as JSON, empty where none was kept."""
+    if not press_file:
+        return {}
+    try:
+        return parse_press(press_file).model_dump(mode="json")
+    except InputError as error:
+        return {"error": str(error), "error_said": spoken(error).to_json()}
+
+
+def coefficient_points(store: Store, records: Sequence[CoefficientRecord]) -> list[CoefficientPoint]:
+    """Group coefficients by run, in the order given."""
+    grouped: dict[str, list[CoefficientRecord]] = {}
+    for record in records:
+        grouped.setdefault(record.run, []).append(record)
+    fits, records_of = store.fits(list(grouped)), store.run_records(list(grouped))
+    points = []
+    for run, entries in grouped.items():
+        fit, home = fits.get(run, {}), records_of[run]
+        given = {name: CoefficientFit(**c) for name, c in fit.get("coefficients", {}).items()}
+        points.append(
+            CoefficientPoint(
+                run=run,
+                press=home.press,
+                utc=entries[0].started_utc,
+                coefficients=given,
+                rmse_K=fit.get("rmse_K"),
+                initial_rmse_K=fit.get("initial_rmse_K"),
+                settings=_settings(home),
+            )
+        )
+    return points
+
+
+def _settings(run: RunRecord) -> dict[str, float]:
+    return {
+        key: float(value)
+        for key, value in run.header.items()
+        if key.startswith("setting.") and isinstance(value, int | float) and not isinstance(value, bool)
+    }
+
+
+def model_summary(model: ModelRecord) -> ModelSummary:
+    """Return a model version as lists show it."""
+    return ModelSummary(
+        version=model.version,
+        press=model.press,
+        utc=model.created_utc,
+        status=model.status.value,
+        current=model.status is ModelStatus.PROMOTED,
+        effects=[str(effect.get("name", effect)) for effect in model.model.get("effects", [])],
+        reason=model.reason,
+        reason_said=_why(model),
+    )
+
+
+def _why(model: ModelRecord) -> Said | None:
+    """Return why a version is what it is, as a text where an earlier version wrote it."""
+    kept = (model.model.get("basis") or {}).get("reason")
+    if kept:
+        return Said(**kept)
+    return said_of(spoken(model.reason)) if model.reason else None
+
+
+def parameter_words(effects: Iterable[str]) -> dict[str, ParameterWords]:
+    """Return how people are told the parameters of some effects, by full name."""
+    from softsensor.effects import catalogue
+
+    found = {}
+    for effect in (catalogue()[name] for name in effects if name in catalogue()):
+        for p in effect.parameters:
+            called, unit = effect.parameter_called(p.name), p.told_unit
+            found[effect.key(p.name)] = ParameterWords(
+                words=str(called),
+                words_said=said_of(called),
+                factor=p.factor,
+                unit=str(unit),
+                unit_said=said_of(unit),
+            )
+    return found
+
+
+def utc_now() -> datetime:
+    """Return the present instant."""
+    return datetime.fromtimestamp(time.time(), UTC)

@@ -1,0 +1,453 @@
+"""What the API says, one class per answer. Units stand in field names, instants are UTC, missing is null."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+State = Literal["idle", "open", "closed", "unknown"]
+
+
+class _Answer(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
+
+class Said(_Answer):
+    """A message without its words: `/messages/{language}` has what its code says, with these arguments in it."""
+
+    code: str
+    arguments: dict[str, Any] = Field(default_factory=dict)
+    """Texts, numbers, lists of them, and messages again."""
+
+
+class Messages(_Answer):
+    """The words of all messages in one language."""
+
+    language: str
+    languages: list[str]
+    """All there are words for, English first."""
+    messages: dict[str, str]
+    """What each code says, in the syntax of Project Fluent."""
+
+
+class Problem(_Answer):
+    """A problem document (RFC 9457): every error has this form."""
+
+    type: str = "about:blank"
+    title: str
+    status: int
+    detail: str = ""
+    detail_said: Said
+    instance: str = ""
+
+
+class ProcessHealth(_Answer):
+    """One of the long-running processes, as its last heartbeat tells."""
+
+    name: str
+    alive: bool
+    state: str
+    message: str = ""
+    message_said: list[Said] = Field(default_factory=list)
+    """The same as messages; empty where a process of an older version speaks."""
+    utc: datetime | None
+    age_s: float | None
+    details: dict[str, Any] = Field(default_factory=dict)
+
+
+class StoreHealth(_Answer):
+    """The store: how big it is and how long the disk lasts."""
+
+    kind: str
+    size_bytes: int | None
+    free_bytes: int | None
+    hours_left: float | None = Field(description="At the present rate; null until 10 min and 16 MB were recorded.")
+
+
+class Health(_Answer):
+    """Whether the system does its work."""
+
+    status: Literal["ok", "degraded", "down"]
+    version: str
+    utc: datetime
+    store: StoreHealth
+    processes: list[ProcessHealth]
+    alarms: list[str]
+    alarms_said: list[Said]
+    """The same, item by item."""
+
+
+class ChannelNow(_Answer):
+    """One channel: its last value and how its logger has behaved."""
+
+    press: str
+    name: str
+    logger: str = ""
+    unit: str = "°C"
+    role: Literal["platen", "top", "bottom", "core", "other"] = "other"
+    value: float | None = None
+    """In `unit`: a pressure in its own, a limit switch as 0 or 1."""
+    temperature_C: float | None = None  # noqa: N815
+    """The same where it is a temperature."""
+    quality: str = "missing"
+    utc: datetime | None = None
+    last_good_utc: datetime | None = None
+    age_s: float | None = None
+    gaps_last_hour: int = 0
+    """Scans of the last hour in which it had no usable value."""
+    counters: dict[str, int] = Field(default_factory=dict)
+
+
+class ChannelList(_Answer):
+    """All channels of all presses."""
+
+    items: list[ChannelNow]
+    next_cursor: str | None = None
+
+
+class EstimateNow(_Answer):
+    """The core temperature the live sensor predicts; low and high bound 95 %.
+
+    What rests on it (heat, profile, forecast, warning) is empty while it is not valid.
+    """
+
+    run: str | None
+    number: int | None
+    utc: datetime | None
+    time_s: float | None
+    state: str
+    core_C: float | None  # noqa: N815
+    core_sd_K: float | None  # noqa: N815
+    core_low_C: float | None  # noqa: N815
+    core_high_C: float | None  # noqa: N815
+    valid: bool
+    reason: str = ""
+    """Why it is not valid: a code in plain words, empty where it is; the catalogues hold its words."""
+    reason_arguments: dict[str, Any] = {}
+    suspected: str = ""
+    """The cause the readings point to, where one is likelier than none."""
+    energy_kJ_m2: float | None = None  # noqa: N815
+    """Heat in the panel beyond its start."""
+    profile_C: list[float] | None = None  # noqa: N815
+    """Temperatures at even heights from the lower to the upper face."""
+    target_in_s: float | None = None
+    """Until the core reaches `setting.core_target_C` if the press stays as it is."""
+    target_earliest_s: float | None = None
+    target_latest_s: float | None = None
+    """Bounds of 95 %."""
+    open_in_s: float | None = None
+    """When to open so that the core's peak after opening just reaches the target."""
+    peak_C: float | None = None  # noqa: N815
+    """Highest core temperature still to come if the press is opened now, or is open."""
+    limit_in_s: float | None = None
+    """Until the core's upper bound passes `setting.core_limit_C`."""
+    warning: str = ""
+    warning_said: Said | None = None
+
+
+class Faces(_Answer):
+    """Median of the good sensors at each place."""
+
+    platen_top_C: float | None  # noqa: N815
+    platen_bottom_C: float | None  # noqa: N815
+    top_C: float | None  # noqa: N815
+    bottom_C: float | None  # noqa: N815
+
+
+class Target(_Answer):
+    """The core temperature this pressing is to reach, and when."""
+
+    temperature_C: float  # noqa: N815
+    reached: bool
+    time_to_target_s: float | None
+    """If the press stays as it is; null while it cannot be said."""
+
+
+class Phase(_Answer):
+    """The press was in one state from one moment of the run to another."""
+
+    state: State
+    from_s: float
+    to_s: float | None
+
+
+class PressNow(_Answer):
+    """One press as it stands."""
+
+    press: str
+    state: State
+    since_utc: datetime | None
+    run: str | None
+    run_status: str | None
+    time_s: float | None
+    time_since_closing_s: float | None
+    phases: list[Phase]
+    channels: list[ChannelNow]
+    faces: Faces
+    estimate: EstimateNow | None
+    target: Target | None
+    coefficients: dict[str, float]
+    description: dict[str, Any]
+    """The press file as the recorder used it."""
+
+
+class PressList(_Answer):
+    """Every press the store knows."""
+
+    items: list[PressNow]
+    next_cursor: str | None = None
+
+
+class RunSummary(_Answer):
+    """One pressing in a list."""
+
+    run: str
+    press: str
+    status: str
+    started_utc: datetime | None
+    ended_utc: datetime | None
+    duration_s: float | None
+    scans: int
+    material: str
+    thickness_mm: float | None
+    platen_temperature_C: float | None  # noqa: N815
+    closed_s: float | None
+    opened_s: float | None
+    rmse_K: float | None  # noqa: N815
+    fitted: bool
+
+
+class RunList(_Answer):
+    """One page of runs, newest first."""
+
+    items: list[RunSummary]
+    next_cursor: str | None
+
+
+class RunEdit(_Answer):
+    """One change somebody made to a run's remark or header."""
+
+    utc: datetime
+    who: str
+    field: str
+    before: Any = None
+    after: Any = None
+
+
+class RunDetail(RunSummary):
+    """One pressing with everything known about it."""
+
+    header: dict[str, Any]
+    columns: list[str]
+    phases: list[Phase]
+    remark: str
+    changes: list[RunEdit]
+    """Oldest first."""
+
+
+class QualitySpan(_Answer):
+    """Consecutive rows in which values of a column were not simply good."""
+
+    column: str
+    """``*`` stands for every column that has no span of its own then."""
+    quality: str
+    from_s: float
+    to_s: float
+    rows: int
+
+
+class Samples(_Answer):
+    """Temperatures of a run, column by column; decimated rows are recorded ones."""
+
+    run: str
+    rows: int
+    decimated: bool
+    time_s: list[float]
+    columns: dict[str, list[float | None]]
+    quality: list[QualitySpan]
+    """Why values are missing, or simulated; of all rows, also where they are decimated."""
+
+
+class Estimates(_Answer):
+    """What the live sensor said during the run, scan by scan."""
+
+    run: str
+    rows: int
+    decimated: bool
+    time_s: list[float]
+    state: list[str]
+    core_C: list[float | None]  # noqa: N815
+    core_sd_K: list[float | None]  # noqa: N815
+    core_low_C: list[float | None]  # noqa: N815
+    core_high_C: list[float | None]  # noqa: N815
+    valid: list[bool]
+
+
+class Simulation(_Answer):
+    """The run simulated from its platen temperatures with its fitted coefficients."""
+
+    run: str
+    model_version: str | None
+    time_s: list[float]
+    positions: dict[str, list[float | None]]
+    """One curve for each sensor position of the press file, such as ``panel.top``. [°C]"""
+    measured: dict[str, list[float | None]]
+    """The mean of the good sensors at each position. [°C]"""
+    core_C: list[float | None]  # noqa: N815
+    rmse_K: dict[str, float]  # noqa: N815
+    """Between the two at each position, a constant offset removed."""
+    profile_time_s: list[float]
+    profile_depth_mm: list[float]
+    profile_C: list[list[float]]  # noqa: N815
+    """Temperature through the panel: one row for each time, one value for each depth."""
+
+
+class CoefficientFit(_Answer):
+    """One heat transfer coefficient. [W/m²K]"""
+
+    model_config = ConfigDict(extra="allow")
+
+    value: float
+    sd: float | None = None
+    ci95: tuple[float | None, float | None] | None = None
+    identifiable: bool | None = None
+    reason: str | None = None
+    """Why the run cannot tell it, and what would."""
+    reason_said: Said | None = None
+
+
+class Fit(_Answer):
+    """The coefficients of one run, as `kerntemp fit --json` reports them."""
+
+    model_config = ConfigDict(extra="allow")
+
+    run: str
+    converged: bool
+    coefficients: dict[str, CoefficientFit]
+    rmse_K: float | None = None  # noqa: N815
+    rmse_closed_K: float | None = None  # noqa: N815
+    initial_rmse_K: float | None = None  # noqa: N815
+    seconds: float | None = None
+    closed_s: float | None = None
+    opened_s: float | None = None
+    warnings: list[str] = Field(default_factory=list)
+    warnings_said: list[Said] = Field(default_factory=list)
+
+
+class CoefficientPoint(_Answer):
+    """One run's coefficients in the history."""
+
+    run: str
+    press: str
+    utc: datetime | None
+    coefficients: dict[str, CoefficientFit]
+    rmse_K: float | None  # noqa: N815
+    initial_rmse_K: float | None  # noqa: N815
+    settings: dict[str, float]
+    """The run's `setting.*` keys that are numbers."""
+
+
+class CoefficientHistory(_Answer):
+    """Coefficients over time, newest first."""
+
+    items: list[CoefficientPoint]
+    next_cursor: str | None
+
+
+class Drift(_Answer):
+    """A coefficient that has left what is usual and has not come back."""
+
+    press: str
+    coefficient: str
+    since_run: str
+    """The first run of the new behaviour."""
+    noticed_run: str
+    factor: float
+    """New level over the old one."""
+    chart: Literal["jump", "creep"]
+    sentence: str
+    sentence_said: Said
+
+
+class DriftList(_Answer):
+    """Coefficients that drift; empty where all is as usual."""
+
+    items: list[Drift]
+    next_cursor: str | None = None
+
+
+class ModelSummary(_Answer):
+    """A version of the model."""
+
+    version: str
+    press: str
+    utc: datetime | None
+    status: Literal["candidate", "promoted", "retired", "rejected"]
+    current: bool
+    effects: list[str]
+    reason: str = ""
+    reason_said: Said | None = None
+
+
+class ModelList(_Answer):
+    """Model versions, newest first."""
+
+    items: list[ModelSummary]
+    next_cursor: str | None = None
+
+
+class ModelDetail(ModelSummary):
+    """A model version with its file."""
+
+    model: dict[str, Any]
+
+
+class ParameterWords(_Answer):
+    """How people are told an effect's parameter: in words, times a factor, in a unit."""
+
+    words: str
+    words_said: Said
+    factor: float
+    unit: str
+    unit_said: Said
+
+
+class DiagnosisRecord(_Answer):
+    """What the simulation gets wrong, as `kerntemp diagnose --json` reports it, and when it was found."""
+
+    id: str
+    press: str
+    utc: datetime
+    verdict: str
+    diagnosis: dict[str, Any]
+    parameters: dict[str, ParameterWords]
+    """Of the named effects, by full name (`edge_loss.W_m3K`); an effect no longer installed is not there."""
+
+
+class DiagnosisList(_Answer):
+    """Diagnoses, newest first."""
+
+    items: list[DiagnosisRecord]
+    next_cursor: str | None
+
+
+class EventRecord(_Answer):
+    """A line of the journal: an alarm, a loss, a change of state, a change and who made it."""
+
+    id: str
+    utc: datetime
+    level: Literal["info", "warning", "alarm"]
+    process: str
+    press: str | None
+    message: str
+    message_said: Said
+    details: dict[str, Any] = Field(default_factory=dict)
+
+
+class EventList(_Answer):
+    """Events, newest first."""
+
+    items: list[EventRecord]
+    next_cursor: str | None

@@ -1,0 +1,160 @@
+"""`simulate` and `predict`: one run in, one table out."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from api.commands.inputs import ConfigFile, OneRun, PressFile, StoreUrl, files_read, load_runs
+from api.outputs import check_writable, warn, working, write_all
+from daq.records import InputError
+from daq.words import say
+
+if TYPE_CHECKING:
+    from daq.press.press_file import Press
+    from daq.records import Run
+    from softsensor.heat.model_file import ModelFile
+
+OutCsv = Annotated[Path, typer.Option("--out", metavar="CSV", help="Where to write the table.")]
+Model = Annotated[
+    Path | None, typer.Option("--model", metavar="FILE", help="A model file, as `fit` and `diagnose` write it.")
+]
+
+
+def simulate(
+    run: OneRun,
+    press: PressFile,
+    out: OutCsv,
+    coefficients: Annotated[
+        Path | None, typer.Option("--coefficients", metavar="JSON", help="A flat {NAME: value}.")
+    ] = None,
+    model: Model = None,
+    store: StoreUrl = None,
+    config: ConfigFile = None,
+) -> None:
+    """Simulate a run, open loop, from its platen temperatures."""
+    from daq.press.press_file import press_for_run, read_press
+
+    if coefficients is not None and model is not None:
+        raise InputError(say("terminal-coefficients-or-model"))
+    check_writable(out, inputs=files_read(run, press, coefficients, model, store=store, config=config))
+    described = read_press(press)
+    (loaded,) = load_runs([run], store, config)
+    own = press_for_run(described, loaded)
+    with working(say("terminal-progress-simulating", run=loaded.name)):
+        from softsensor.fitting.simulated_run import simulate_run
+        from softsensor.heat.model import ThermalModel
+        from softsensor.heat.model_file import read_model
+        from softsensor.heat.run_checks import load_remarks
+
+        if model is not None:
+            content = read_model(model)
+            _check_model((described, own), content, model)
+            thermal, values = content.model(described), content.values
+        else:
+            given = _read_coefficients(coefficients, (described, own)) if coefficients else {}
+            thermal, values = ThermalModel(described), ThermalModel(own).guesses | given
+        result = simulate_run(loaded, described, thermal, values)
+    columns: dict[str, Any] = {"time_s": result.time_s, "state": [str(s) for s in result.state]}
+    columns |= dict(result.places) | {"core_C": result.core}
+    write_all({out: _csv(columns)})
+    for remark in load_remarks(own, loaded):
+        warn(remark)
+
+
+def predict(
+    run: OneRun,
+    press: PressFile,
+    out: OutCsv,
+    model: Model = None,
+    without: Annotated[
+        str,
+        typer.Option("--without", metavar="COLUMNS", help="Columns to hide, comma between; patterns allowed."),
+    ] = "",
+    store: StoreUrl = None,
+    config: ConfigFile = None,
+) -> None:
+    """Replay a run scan by scan through the live sensor, causally."""
+    from daq.press.press_file import press_for_run, read_press
+
+    check_writable(out, inputs=files_read(run, press, model, store=store, config=config))
+    described = read_press(press)
+    (loaded,) = load_runs([run], store, config)
+    with working(say("terminal-progress-predicting", run=loaded.name), len(loaded.time_s)) as done:
+        from softsensor.heat.model_file import read_model
+        from softsensor.live.replay import replay
+
+        known = read_model(model) if model is not None else None
+        if known is not None:
+            _check_model((described, press_for_run(described, loaded)), known, model)
+        columns = replay(described, loaded, known, _hidden(loaded, without), done).columns()
+    write_all({out: _csv(columns)})
+
+
+def _check_model(presses: tuple[Press, Press], model: ModelFile, path: Path | None) -> None:
+    """Refuse coefficients the press does not have, raising `InputError`; warn of another press's model."""
+    _check_names(presses, model.coefficients, str(path))
+    if model.press not in ("", presses[0].name):
+        warn(say("terminal-model-of-another-press", path=str(path), other=model.press, press=presses[0].name))
+
+
+def _hidden(run: Run, without: str) -> set[str]:
+    """Return the columns a comma-separated list of patterns names. Raises `InputError` where one names none."""
+    hidden: set[str] = set()
+    for pattern in filter(None, (part.strip() for part in without.split(","))):
+        found = run.matching([pattern])
+        if not found:
+            raise InputError(
+                say("terminal-without-matches-none", pattern=pattern, run=run.name, columns=tuple(run.columns))
+            )
+        hidden |= set(found)
+    return hidden
+
+
+def _read_coefficients(path: Path, presses: tuple[Press, Press]) -> dict[str, float]:
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        said = say("terminal-coefficients-unreadable", path=str(path), why=str(error.strerror))
+        raise InputError(said) from error
+    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise InputError(say("terminal-coefficients-not-json", path=str(path), why=str(error))) from error
+    if not isinstance(content, dict):
+        raise InputError(say("terminal-coefficients-no-object", path=str(path)))
+    for name, value in content.items():
+        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < 1e9:
+            wrong = {"name": str(name), "value": repr(value)}
+            raise InputError(say("terminal-coefficient-not-positive", path=str(path), **wrong))
+    _check_names(presses, content, str(path))
+    return {name: float(value) for name, value in content.items()}
+
+
+def _check_names(presses: tuple[Press, Press], given: Mapping[str, Any], where: str) -> None:
+    """Refuse a coefficient that neither the press file nor the run's own press has. Raises `InputError`."""
+    names = dict.fromkeys(name for press in presses for name in press.coefficient_names)
+    if unknown := [name for name in given if name not in names]:
+        press, known = presses[0].name, tuple(names)
+        said = say("terminal-coefficient-unknown", where=where, name=unknown[0], press=press, known=known)
+        raise InputError(said)
+
+
+def _csv(columns: Mapping[str, Any]) -> str:
+    """Return a table as CSV; a value that is missing is an empty cell."""
+    rows = zip(*columns.values(), strict=True)
+    lines = [",".join(columns)]
+    lines += [",".join(_cell(value) for value in row) for row in rows]
+    return "\n".join(lines) + "\n"
+
+
+def _cell(value: Any) -> str:
+    if isinstance(value, str):
+        return f'"{value}"' if "," in value or '"' in value else value
+    if isinstance(value, int):
+        return str(value)
+    number = float(value)
+    return repr(round(number, 6)) if math.isfinite(number) else ""

@@ -1,0 +1,1 @@
+"""`kerntemp demo`: the whole system on a virtual press."""

@@ -1,0 +1,73 @@
+"""The virtual press behind its simulated loggers, as a process of its own: ``python -m api.demo.press``.
+
+It reads one JSON line of settings, writes one JSON line with the loggers' wiring, and waits between
+two pressings until a second line names the moment of the machine's monotonic clock at which virtual
+time 0 is; from there it runs `speed` times as fast. It ends with its standard input, so that it never
+outlives whoever started it.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from contextlib import ExitStack
+from typing import Any
+
+from daq.simulated.devices import simulated, wiring
+from daq.simulated.press import PressSettings, VirtualPress
+
+FAST_MODE_S = 0.1
+"""An ADAM-4118 in its fast mode converts its eight inputs in about this time. [s]"""
+WAITING_S = 4.0
+"""While it waits, the press goes to and fro in the first seconds before a pressing. [s]"""
+TCP_CHANNELS = ("platen_top", "platen_bottom", *(f"top_{i}" for i in range(1, 8)))
+SERIAL_CHANNELS = tuple(f"bottom_{i}" for i in range(1, 8))
+AMBIENT_INPUT = ("",)
+"""The modules' unused inputs."""
+
+
+def press_of(settings: dict[str, Any]) -> VirtualPress:
+    """Return the virtual press of these settings; two of the same settings agree at all times."""
+    return VirtualPress(PressSettings(hide=tuple(settings["hide"]), keep=settings["keep"]), settings["seed"])
+
+
+def main() -> int:
+    """Serve both loggers until standard input ends."""
+    settings = json.loads(sys.stdin.readline())
+    press = press_of(settings)
+    speed = float(settings["speed"])
+    started: list[float] = []
+
+    def clock() -> float:
+        now = time.monotonic()
+        return (now - started[0]) * speed if started else abs(now % (2 * WAITING_S) - WAITING_S)
+
+    def inputs(channels: tuple[str, ...]) -> Any:
+        def temperatures(at_s: float) -> list[float]:
+            now = press.temperatures(max(at_s, 0.0))
+            return [now[name] if name else press.ambient for name in channels]
+
+        return temperatures
+
+    with ExitStack() as lines:
+        over_tcp = TCP_CHANNELS + AMBIENT_INPUT * (16 - len(TCP_CHANNELS))
+        over_serial = SERIAL_CHANNELS + AMBIENT_INPUT * (8 - len(SERIAL_CHANNELS))
+        daq = lines.enter_context(simulated("labjack-t7", inputs(over_tcp), clock=clock, refresh_s=0.0))
+        adam = lines.enter_context(
+            simulated("adam-4118-ascii", inputs(over_serial), clock=clock, refresh_s=FAST_MODE_S)
+        )
+        tables = [
+            wiring("labjack-t7", daq, "platens and top", TCP_CHANNELS),
+            wiring("adam-4118-ascii", adam, "bottom", SERIAL_CHANNELS),
+        ]
+        sys.stdout.write(json.dumps({"loggers": tables, "ambient_C": press.ambient}) + "\n")
+        sys.stdout.flush()
+        if told := sys.stdin.readline():
+            started.append(float(json.loads(told)["started_monotonic_s"]))
+        sys.stdin.read()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

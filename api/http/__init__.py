@@ -1,0 +1,1 @@
+"""The web application: routes, live events, access, errors, metrics."""

@@ -1,0 +1,150 @@
+"""The web application: routes over one store, the page, and what stands around them.
+
+From the outside in: HEAD and refused encodings (`http_compatibility`), response compression, access (`gate`),
+entity tags, routes.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager, suppress
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+
+from fastapi import Depends, FastAPI
+from fastapi.responses import FileResponse
+from fastapi.staticfiles import StaticFiles
+from starlette.datastructures import MutableHeaders
+from starlette.middleware.gzip import GZipMiddleware
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from api.answers.health import installed_version
+from api.answers.records import utc_now
+from api.answers.schemas import Problem
+from api.answers.words import messages_of
+from api.http import problems
+from api.http.caching import EntityTags
+from api.http.gate import Gate
+from api.http.http_compatibility import HttpCompatibility
+from api.http.live import MAX_LISTENERS, Hub
+from api.http.metrics import metrics_text
+from api.http.routes import edits, messages, models, press, runs, simulation, system
+from api.http.routes.common import only_known_queries
+from api.http.tokens import Attempts, TokenFile
+from daq.store.records import StoreUnavailable
+from daq.store.store import Store
+from daq.words.message import ENGLISH
+
+PAGE = Path(__file__).parents[1] / "page"
+DESCRIPTION = """Temperatures, core estimates, runs, coefficients and diagnoses of pressed panels.
+
+Reading is free on loopback; from elsewhere it needs `Authorization: Bearer` with a token of scope `read`.
+Every change needs scope `write`. Lists come in pages: hand `next_cursor` back as `cursor` until it is null.
+Errors are problem documents (RFC 9457). Units stand in the field names; instants are UTC; missing is null.
+"""
+SECURITY_HEADERS = {
+    "Content-Security-Policy": "default-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data:; "
+    "frame-ancestors 'none'; base-uri 'none'; form-action 'self'",
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+}
+
+
+def create_app(store: Store, tokens: TokenFile, max_listeners: int = MAX_LISTENERS) -> FastAPI:
+    """Make the application that serves `store`; the caller closes the store."""
+    hub = Hub(store, max_listeners)
+
+    @asynccontextmanager
+    async def lifespan(_app: FastAPI) -> AsyncIterator[None]:
+        await asyncio.to_thread(_warm_up, store)
+        yield
+        hub.close()
+
+    app = FastAPI(
+        title="Kerntemp",
+        version=installed_version(),
+        description=DESCRIPTION,
+        docs_url=None,
+        redoc_url=None,
+        openapi_url="/api/v1/openapi.json",
+        lifespan=lifespan,
+        generate_unique_id_function=lambda route: route.name,
+    )
+    app.state.store, app.state.hub = store, hub
+    for router in (
+        press.router,
+        runs.router,
+        edits.router,
+        simulation.router,
+        models.router,
+        messages.router,
+        system.router,
+    ):
+        app.include_router(router, prefix="/api/v1", dependencies=[Depends(only_known_queries)])
+    app.include_router(system.metrics_router)
+    _add_page(app)
+    problems.install(app)
+    _describe_problems(app)
+    _stand_around(app, tokens)
+    return app
+
+
+def _stand_around(app: FastAPI, tokens: TokenFile) -> None:
+    """Put around the routes what the module's docstring names; the last added is the outermost."""
+    app.add_middleware(EntityTags)
+    app.add_middleware(Gate, tokens=tokens, attempts=Attempts())
+    app.add_middleware(GZipMiddleware, minimum_size=1000, compresslevel=5)
+    app.add_middleware(_SecurityHeaders)
+    app.add_middleware(HttpCompatibility)
+
+
+def _warm_up(store: Store) -> None:
+    """Load now what the first reader would have to wait for."""
+    for module in ("softsensor.jobs.drift", "softsensor.heat.model_file", "softsensor.jobs.model_in_force"):
+        import_module(module)
+    messages_of(ENGLISH)
+    with suppress(StoreUnavailable):
+        metrics_text(store, utc_now())
+
+
+@dataclass
+class _SecurityHeaders:
+    """Adds to every answer what browsers need to be careful."""
+
+    app: ASGIApp
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        async def careful(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                headers = MutableHeaders(raw=message["headers"])
+                for name, value in SECURITY_HEADERS.items():
+                    headers.setdefault(name, value)
+            await send(message)
+
+        await self.app(scope, receive, careful)
+
+
+def _add_page(app: FastAPI) -> None:
+    """Serve the page at ``/`` and the API's own pages; nothing comes from another host."""
+
+    @app.get("/", include_in_schema=False)
+    def page() -> FileResponse:
+        return FileResponse(PAGE / "index.html", headers={"Cache-Control": "no-cache"})
+
+    @app.get("/docs", include_in_schema=False)
+    def docs() -> FileResponse:
+        return FileResponse(PAGE / "docs.html", headers={"Cache-Control": "no-cache"})
+
+    app.mount("/static", StaticFiles(directory=PAGE), name="static")
+
+
+def _describe_problems(app: FastAPI) -> None:
+    """Add the schema the error answers refer to, which no route returns by itself."""
+    described = app.openapi()
+    described["components"]["schemas"]["Problem"] = Problem.model_json_schema()
+    described["components"].setdefault("securitySchemes", {})["token"] = {"type": "http", "scheme": "bearer"}
+    described["security"] = [{}, {"token": []}]
+    for schema in ("HTTPValidationError", "ValidationError"):
+        described["components"]["schemas"].pop(schema, None)

@@ -1,0 +1,113 @@
+"""Numbers for Prometheus, read from the store when asked. Alarms and a dashboard: `deploy/monitoring`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from datetime import datetime
+from typing import Any
+
+from prometheus_client import CollectorRegistry, Counter, Gauge, generate_latest
+
+from api.answers.health import IN_USE_S, WANTED, health_of, installed_version, is_missed, kind_of, refit_age_s
+from api.answers.records import press_now
+from api.answers.schemas import Health, PressNow
+from daq.records import Quality
+from daq.store.records import StoreUnavailable
+from daq.store.store import Store
+
+STATES = ("idle", "open", "closed", "unknown")
+
+
+def metrics_text(store: Store, now: datetime) -> str:
+    """Return all metrics in the text format; without a store, only that there is none."""
+    registry = CollectorRegistry()
+    Gauge("kerntemp_info", "Version of Kerntemp", ["version"], registry=registry).labels(installed_version()).set(
+        1
+    )
+    up = Gauge("kerntemp_store_up", "1 while the store answers", registry=registry)
+    try:
+        health = health_of(store, now)
+        presses = {name: press_now(store, name, text, now) for name, text in store.presses().items()}
+        scans = {name: store.newest_scan_number(name) + 1 for name in presses}
+        models = {name: store.active_model(name) for name in presses}
+        refit_s = refit_age_s(store, store.statuses(), now)
+    except StoreUnavailable:
+        up.set(0)
+        return generate_latest(registry).decode()
+    up.set(health.status != "down")
+    _add_health(health, refit_s, registry)
+    _add_presses(presses, scans, now, registry)
+    known = Gauge("kerntemp_model_info", "1 for the model in force", ["press", "version"], registry=registry)
+    for name, model in models.items():
+        if model is not None:
+            known.labels(name, model.version).set(1)
+    return generate_latest(registry).decode()
+
+
+def _add_health(health: Health, refit_s: float | None, registry: CollectorRegistry) -> None:
+    up = Gauge("kerntemp_process_up", "1 while the process beats", ["process"], registry=registry)
+    age = Gauge("kerntemp_process_age_seconds", "Since its last beat", ["process"], registry=registry)
+    for process in health.processes:
+        switched_off = kind_of(process.name) in WANTED and not process.alive and not is_missed(process)
+        if process.state != "done" and not switched_off:  # a job that came to its end is not down
+            up.labels(process.name).set(process.alive)
+        if process.age_s is not None:
+            age.labels(process.name).set(process.age_s)
+    if refit_s is not None:
+        age.labels("refit").set(refit_s)  # also before it ever came to its end
+    Gauge("kerntemp_alarms", "Alarms that stand", registry=registry).set(len(health.alarms))
+    if health.store.size_bytes is not None and health.store.free_bytes is not None:
+        Gauge("kerntemp_store_bytes", "Size of the store", registry=registry).set(health.store.size_bytes)
+        Gauge("kerntemp_store_free_bytes", "Free on its disk", registry=registry).set(health.store.free_bytes)
+    told = [(kind_of(process.name), process.details) for process in health.processes]
+    _add_recorders([details for kind, details in told if kind == "record"], registry)
+    behind = Gauge("kerntemp_sense_behind_scans", "Scans without estimate yet", ["press"], registry=registry)
+    for press in (p for kind, details in told if kind == "sense" for p in details.get("presses", [])):
+        behind.labels(press["press"]).set(press.get("behind_scans", 0))
+
+
+def _add_recorders(told: Sequence[Mapping[str, Any]], registry: CollectorRegistry) -> None:
+    """What the recorders' last signs of life say of loggers, late scans and what waits for the store."""
+    waiting = Gauge("kerntemp_record_waiting", "Scans and entries that wait for the store", registry=registry)
+    waiting.set(sum(recorder.get("waiting", 0) for recorder in told))
+    missed = Counter("kerntemp_missed_scans", "Scans due and not made", ["press"], registry=registry)
+    for press in (p for recorder in told for p in recorder.get("presses", [])):
+        missed.labels(press["press"]).inc(press.get("missed_ticks", 0))
+    label = ["press", "logger"]
+    up = Gauge("kerntemp_logger_up", "1 while the logger answers", label, registry=registry)
+    replies = Counter("kerntemp_logger_replies", "Replies by outcome", [*label, "outcome"], registry=registry)
+    for logger in (x for recorder in told for x in recorder.get("loggers", [])):
+        up.labels(logger["press"], logger["name"]).set(logger.get("state") != "lost")
+        for outcome, count in logger.get("counters", {}).items():
+            replies.labels(logger["press"], logger["name"], outcome).inc(count)
+
+
+def _add_presses(
+    presses: Mapping[str, PressNow], scans: Mapping[str, int], now: datetime, registry: CollectorRegistry
+) -> None:
+    label = ["press"]
+    state = Gauge("kerntemp_press_state", "1 for the state the press is in", ["press", "state"], registry=registry)
+    core = Gauge("kerntemp_core_celsius", "Predicted core temperature", label, registry=registry)
+    core_sd = Gauge("kerntemp_core_sd_kelvin", "Its standard deviation", label, registry=registry)
+    stored = Counter("kerntemp_scans", "Scans stored", label, registry=registry)
+    age = Gauge("kerntemp_scan_age_seconds", "Since the newest scan", label, registry=registry)
+    channel = Gauge("kerntemp_channel_celsius", "Last good reading", ["press", "channel"], registry=registry)
+    good = Gauge("kerntemp_channel_good", "1 while the channel is good", ["press", "channel"], registry=registry)
+    for name, press in presses.items():
+        for candidate in STATES:
+            state.labels(name, candidate).set(press.state == candidate)
+        stored.labels(name).inc(scans[name])
+        newest = max((c.utc for c in press.channels if c.utc is not None), default=None)
+        age_s = 0.0 if newest is None else max((now - newest).total_seconds(), 0.0)
+        if age_s > IN_USE_S:
+            continue
+        if newest is not None:
+            age.labels(name).set(age_s)
+        if press.estimate and press.estimate.valid and press.estimate.core_C is not None:
+            core.labels(name).set(press.estimate.core_C)
+            core_sd.labels(name).set(press.estimate.core_sd_K or 0.0)
+        for item in press.channels:
+            usable = Quality(item.quality).usable
+            good.labels(name, item.name).set(usable)
+            if usable and item.temperature_C is not None:
+                channel.labels(name, item.name).set(item.temperature_C)

@@ -1,0 +1,69 @@
+"""What every route needs: the store, the page size, and leave to change something."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import Depends, Query, Request
+from fastapi.routing import APIRoute
+from pydantic import AfterValidator
+
+from api.http.gate import token_of
+from api.http.problems import ProblemError
+from daq.records import InputError
+from daq.store.records import RunRecord
+from daq.store.store import Store
+from daq.words import say
+
+MAX_PAGE = 500
+
+
+def get_store(request: Request) -> Store:
+    """Return the store this application serves."""
+    store = request.app.state.store
+    if not isinstance(store, Store):
+        raise TypeError("the application was made without a store")
+    return store
+
+
+def get_writer(request: Request) -> str:
+    """Return who makes a change. Refuses without a token of scope write."""
+    token = token_of(request.scope)
+    if token is None:
+        raise ProblemError(
+            401,
+            say("api-change-needs-token"),
+            {"WWW-Authenticate": 'Bearer realm="kerntemp"'},
+        )
+    if not token.allows("write"):
+        raise ProblemError(403, say("api-token-reads-only", name=token.name))
+    return token.name
+
+
+def only_known_queries(request: Request) -> None:
+    """Refuse a query the route does not know: a misspelt filter would answer with everything."""
+    route = request.scope.get("route")
+    known = [p.alias for p in route.dependant.query_params] if isinstance(route, APIRoute) else []
+    for name in request.query_params:
+        if name not in known:
+            of_none = say("api-query-unknown-of-none", name=name)
+            raise ProblemError(422, say("api-query-unknown", name=name, known=tuple(known)) if known else of_none)
+
+
+StoreDep = Annotated[Store, Depends(get_store)]
+Writer = Annotated[str, Depends(get_writer)]
+PageSize = Annotated[int, Query(ge=1, le=MAX_PAGE, description="Items in one page.")]
+Cursor = Annotated[
+    str | None,
+    Query(description="`next_cursor` of the page before; empty for the first.", pattern="^[0-9]{0,18}$"),
+    AfterValidator(lambda cursor: cursor or None),
+]
+PressName = Annotated[str | None, Query(description="Only this press.", max_length=200)]
+
+
+def existing_run(store: Store, run: str) -> RunRecord:
+    """Return a run's record or refuse with 404."""
+    try:
+        return store.run_record(run)
+    except InputError as error:
+        raise ProblemError(404, say("api-run-unknown", run=run)) from error

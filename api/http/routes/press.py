@@ -1,0 +1,69 @@
+"""The press as it stands: state, channels, estimate, and the live stream."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import APIRouter, Header, Request
+from fastapi.responses import StreamingResponse
+
+from api.answers.channels import channels_now
+from api.answers.records import press_now, utc_now
+from api.answers.schemas import ChannelList, PressList
+from api.http.live import EventStream, Hub
+from api.http.problems import ProblemError, problem_responses
+from api.http.routes.common import PressName, StoreDep
+from daq.words import say
+
+router = APIRouter(tags=["press"], responses=problem_responses())
+
+
+@router.get("/press", operation_id="list_presses", summary="Every press as it stands")
+def list_presses(store: StoreDep, press: PressName = None) -> PressList:
+    """Return state, running pressing, channels, estimate and target of each press."""
+    now = utc_now()
+    known = store.presses()
+    chosen = known if press is None else {name: text for name, text in known.items() if name == press}
+    return PressList(items=[press_now(store, name, text, now) for name, text in chosen.items()])
+
+
+@router.get("/channels", operation_id="list_channels", summary="Every channel and how its logger behaves")
+def list_channels(store: StoreDep, press: PressName = None) -> ChannelList:
+    """Return the last value, its quality and the logger's counters of each channel."""
+    now = utc_now()
+    items = []
+    for name in store.presses():
+        if press in (None, name):
+            batch = store.scans_after(name, store.newest_scan_number(name) - 1, 1)
+            scan = batch.scans[-1] if batch.scans else None
+            items += channels_now(store, name, batch.channels, scan, now)
+    return ChannelList(items=items)
+
+
+@router.get(
+    "/live",
+    operation_id="follow_live",
+    summary="Follow scans, estimates, press events, runs and fits",
+    response_class=StreamingResponse,
+    responses={
+        200: {
+            "description": "Server-Sent Events named `scan`, `estimate`, `press`, `run`, `fit`; data is JSON",
+            "content": {"text/event-stream": {"schema": {"type": "string"}}},
+        }
+    },
+)
+async def follow_live(
+    request: Request, last_event_id: Annotated[str, Header(max_length=2000)] = ""
+) -> EventStream:
+    """Stream events from now on; with `Last-Event-ID`, first those missed since.
+
+    Missed are told all press events, of each press the newest 2000 scans and estimates, the newest 3 runs, and the
+    20 newest fits. Of what was longer ago `/runs/{run}/samples`, `/runs/{run}/estimates` and `/coefficients` tell.
+    """
+    hub = request.app.state.hub
+    if not isinstance(hub, Hub):
+        raise TypeError("the application was made without a hub")
+    listener = None if hub.full else await hub.join(last_event_id)
+    if listener is None:
+        raise ProblemError(503, say("api-too-many-listeners"), {"Retry-After": "10"})
+    return EventStream(hub, listener)

@@ -1,0 +1,165 @@
+"""A run against the model: simulated curves, residual, the profile through the panel, and a figure."""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Annotated
+
+from fastapi import APIRouter, Query, Response
+
+from api.answers.decimation import column_values, decimate
+from api.answers.records import phases_of
+from api.answers.schemas import Simulation
+from api.http.problems import ProblemError, problem_responses
+from api.http.routes.common import StoreDep, existing_run
+from daq.press.press_file import parse_press, press_for_run
+from daq.records import InputError
+from daq.store.records import ModelRecord, RunRecord
+from daq.store.store import Store
+from daq.words import say, spoken
+from daq.words.message import ENGLISH, languages
+
+if TYPE_CHECKING:
+    from softsensor.fitting.simulated_run import Simulated
+
+router = APIRouter(tags=["runs"], responses=problem_responses(404))
+
+SHOWN_POINTS = 1500
+KEPT = 32
+"""Simulations kept in memory; a run is simulated again when its data, header, press file or fit change."""
+
+
+@dataclass(frozen=True)
+class _Known:
+    """What a run is simulated with: its own fit and the model it was fitted with, else the model in force."""
+
+    version: str | None
+    model: ModelRecord | None
+    values: Mapping[str, float]
+    """Coefficients of the run's fit, empty without one."""
+    closed_s: float | None = None
+    opened_s: float | None = None
+    """As the fit refined them."""
+
+
+class _Kept:
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._known: OrderedDict[tuple[object, ...], Simulated] = OrderedDict()
+
+    def get(self, store: Store, record: RunRecord) -> tuple[Simulated, str | None]:
+        """Return the simulation of a run as it stands, and the version of the model behind it."""
+        known = _known(store, record)
+        newest = record.last_scan if record.last_scan is not None else store.newest_scan_number(record.press)
+        fitted = (known.version, sorted(known.values.items()), known.closed_s, known.opened_s)
+        press_file = store.presses().get(record.press, "")
+        told = repr((newest, record.moments, sorted(record.header.items()), fitted))
+        key = (store.label, record.run, press_file, told)
+        with self._lock:
+            if key not in self._known:
+                self._known[key] = _simulate(store, record, known)
+                while len(self._known) > KEPT:
+                    self._known.popitem(last=False)
+            self._known.move_to_end(key)
+            return self._known[key], known.version
+
+
+_KEPT = _Kept()
+
+
+@router.get(
+    "/runs/{run}/simulation", operation_id="get_simulation", summary="The run simulated with its coefficients"
+)
+def get_simulation(store: StoreDep, run: str) -> Simulation:
+    """Return simulated and measured temperatures at each sensor position, and the profile over time."""
+    simulated, version = _KEPT.get(store, existing_run(store, run))
+    table = {f"s {k}": v for k, v in simulated.places.items()}
+    table |= {f"m {k}": v for k, v in simulated.measured.items()} | {"core": simulated.core}
+    time_s, kept = decimate(simulated.time_s, table, SHOWN_POINTS)
+    return Simulation(
+        run=run,
+        model_version=version,
+        time_s=[round(t, 3) for t in time_s.tolist()],
+        positions={k: column_values(kept[f"s {k}"]) for k in simulated.places},
+        measured={k: column_values(kept[f"m {k}"]) for k in simulated.places},
+        core_C=column_values(kept["core"]),
+        rmse_K={k: round(v, 4) for k, v in simulated.rmse.items()},
+        profile_time_s=[round(t, 3) for t in simulated.profile_time_s.tolist()],
+        profile_depth_mm=[round(d, 3) for d in simulated.profile_depth_mm.tolist()],
+        profile_C=[[round(v, 2) for v in row] for row in simulated.profile.tolist()],
+    )
+
+
+@router.get(
+    "/runs/{run}/figure.svg",
+    operation_id="get_figure",
+    summary="The run as a picture",
+    response_class=Response,
+    responses={200: {"content": {"image/svg+xml": {"schema": {"type": "string"}}}}},
+)
+def get_figure(
+    store: StoreDep, run: str, language: Annotated[str, Query(description="Of the words in it.")] = ENGLISH
+) -> Response:
+    """Return measured against simulated temperatures and the residual, as SVG."""
+    from api.answers.figure import Curves, run_figure
+
+    if language not in languages():
+        raise ProblemError(404, say("api-no-such-language", language=language, languages=languages()))
+    record = existing_run(store, run)
+    simulated, _ = _KEPT.get(store, record)
+    last = float(simulated.time_s[-1])
+    phases = [(p.state, p.from_s, last if p.to_s is None else p.to_s) for p in phases_of(record)]
+    material = str(record.header.get("panel.material", ""))
+    picture = run_figure(
+        Curves(
+            title=f"{record.run}  {material}",
+            time_s=simulated.time_s,
+            simulated=simulated.places,
+            measured=simulated.measured,
+            core=simulated.core,
+            phases=phases,
+        ),
+        language,
+    )
+    return Response(picture, media_type="image/svg+xml")
+
+
+def _known(store: Store, record: RunRecord) -> _Known:
+    active = store.active_model(record.press)
+    fit = store.fit(record.run)
+    if fit is None:
+        return _Known(active.version if active else None, active, {})
+    version = fit.get("model_version") or None
+    behind = active if active and active.version == version else None
+    if behind is None and version:
+        with suppress(InputError):
+            behind = store.model(version)
+    values = {name: float(c["value"]) for name, c in fit.get("coefficients", {}).items()}
+    return _Known(version, behind, values, fit.get("closed_s"), fit.get("opened_s"))
+
+
+def _simulate(store: Store, record: RunRecord, known: _Known) -> Simulated:
+    from softsensor.fitting.simulated_run import simulate_run
+    from softsensor.heat.model import ThermalModel
+    from softsensor.heat.model_file import parse_model
+
+    text = store.presses().get(record.press, "")
+    if not text:
+        raise ProblemError(404, say("api-run-without-press-file", run=record.run))
+    try:
+        press = parse_press(text, f"press {record.press}")
+        file = parse_model(known.model.model, f"model {known.model.version}") if known.model else None
+        model = file.model(press) if file else ThermalModel(press)
+        run = store.load_run(record.run)
+        guesses = replace(model, press=press_for_run(press, run)).guesses
+        given = (file.values if file else {}) | dict(known.values)
+        values = guesses | {name: value for name, value in given.items() if name in guesses}
+        moments = {"closed_s": known.closed_s, "opened_s": known.opened_s}
+        refined = {name: at for name, at in moments.items() if at is not None}
+        return simulate_run(run, press, model, values, refined)
+    except InputError as error:
+        raise ProblemError(404, say("api-run-not-simulated", run=record.run, why=spoken(error))) from error

@@ -1,0 +1,188 @@
+"""`kerntemp serve`: the web server, safe by default."""
+
+from __future__ import annotations
+
+import gc
+import logging
+import socket
+import ssl
+import sys
+import time
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import uvicorn
+
+from api.http.app import create_app
+from api.http.gate import is_loopback
+from api.http.tokens import TokenFile
+from daq.process.notify import Notifier
+from daq.records import InputError
+from daq.store.store import Store
+from daq.words import say
+
+GRACE_S = 3
+"""Requests still running at the end get this long. [s]"""
+IDLE_S = 20.0
+"""A connection that asks nothing, or only begins to ask, is closed after this time. [s]"""
+UNREAD_S = 60.0
+"""A client that takes nothing of what is sent to it is cut off after this time. [s]"""
+MAX_CONNECTIONS = 2000
+FILES = 8192
+"""Open files to ask the system for: connections, more that are being refused, and the store's own."""
+
+
+@dataclass(frozen=True)
+class Listening:
+    """Where and how to listen."""
+
+    host: str = "127.0.0.1"
+    port: int = 8765
+    certificate: Path | None = None
+    """TLS certificate chain, PEM."""
+    key: Path | None = None
+    idle_s: float = IDLE_S
+    unread_s: float = UNREAD_S
+
+    def check(self, tokens: TokenFile) -> None:
+        """Refuse what would not be safe or cannot work. Raises `InputError`."""
+        if not is_loopback(self.host) and not tokens.tokens():
+            raise InputError(say("api-tokens-needed", host=self.host))
+        if (self.certificate is None) != (self.key is None):
+            raise InputError(say("api-certificate-needs-key"))
+        for path in (self.certificate, self.key):
+            if path is not None and not path.is_file():
+                raise InputError(say("api-certificate-missing", path=str(path)))
+        if self.certificate is not None and self.key is not None:
+            try:
+                ssl.create_default_context(ssl.Purpose.CLIENT_AUTH).load_cert_chain(
+                    self.certificate, self.key, password=lambda: ""
+                )
+            except (ssl.SSLError, OSError) as error:
+                given = {"certificate": str(self.certificate), "key": str(self.key)}
+                raise InputError(say("api-certificate-unusable", why=str(error), **given)) from error
+
+    def bind(self) -> socket.socket:
+        """Take the port now, so that a taken one is told in one line. Raises `InputError`."""
+        family = socket.AF_INET6 if ":" in self.host else socket.AF_INET
+        # Named TCP, or asyncio would leave Nagle's algorithm on and every answer would wait 40 ms.
+        taken = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
+        taken.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        if sys.platform == "linux":  # connections inherit it
+            taken.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, int(1000 * self.unread_s))
+        try:
+            taken.bind((self.host, self.port))
+            taken.listen(2048)
+        except OSError as error:
+            taken.close()
+            said = say("api-address-taken", host=self.host, port=self.port, why=str(error.strerror))
+            raise InputError(said) from error
+        return taken
+
+
+@dataclass
+class ConnectionWatchdog:
+    """Closes connections that ask nothing for too long, or at once the oldest of them where there are too many."""
+
+    idle_s: float = IDLE_S
+    most: int = MAX_CONNECTIONS
+    now: Callable[[], float] = time.monotonic
+    _waiting: dict[Any, tuple[object, float]] = field(default_factory=dict)
+
+    def look(self, connections: Collection[Any]) -> None:
+        """Look at the server's connections, about once a second."""
+        waiting = {}
+        for connection in connections:
+            request = connection.cycle
+            if request is not None and not request.response_complete:
+                continue
+            before, since = self._waiting.get(connection, (request, self.now()))
+            if before is not request:
+                since = self.now()
+            waiting[connection] = (request, since)
+        self._waiting = waiting
+        too_many = len(connections) - self.most
+        for place, connection in enumerate(sorted(waiting, key=lambda c: waiting[c][1])):
+            if place < too_many or self.now() - waiting[connection][1] > self.idle_s:
+                connection.transport.abort()
+
+
+class _Server(uvicorn.Server):
+    """Lets idle connections go, and ends the live streams before it waits for requests to finish."""
+
+    def __init__(self, config: uvicorn.Config, watchdog: ConnectionWatchdog) -> None:
+        super().__init__(config)
+        self._watchdog = watchdog
+        self._notifier = Notifier()
+
+    async def on_tick(self, counter: int) -> bool:
+        if counter % 10 == 0:
+            self._watchdog.look(list(self.server_state.connections))
+        if counter % 50 == 0:
+            self._notifier.alive(f"{len(self.server_state.connections)} connections")
+        return await super().on_tick(counter)
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        await super().startup(sockets)
+        self._notifier.ready("serving")
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        self._notifier.stopping()
+        self.config.app.state.hub.close()  # type: ignore[union-attr]
+        await super().shutdown(sockets)
+
+
+def allow_many_files() -> None:
+    """Raise the process's limit of open files, which is 1024 by default on most systems."""
+    if sys.platform == "win32":
+        return
+    import resource
+
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    enough = FILES if hard == resource.RLIM_INFINITY else min(FILES, hard)
+    if soft != resource.RLIM_INFINITY and soft < enough:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (enough, hard))
+
+
+def settle_memory() -> None:
+    """Take what the program is made of out of the garbage collector's passes: one over all of it costs 50 ms."""
+    gc.collect()
+    gc.freeze()
+
+
+def address_of(bound: socket.socket, *, tls: bool) -> str:
+    """Return the address a person can open."""
+    host, port = bound.getsockname()[:2]
+    shown = f"[{host}]" if ":" in host else host
+    return f"{'https' if tls else 'http'}://{shown}:{port}/"
+
+
+def make_server(store: Store, tokens: TokenFile, listening: Listening) -> uvicorn.Server:
+    """Return a server over `store`; its ``run`` takes the sockets that `Listening.bind` made."""
+    config = uvicorn.Config(
+        create_app(store, tokens),
+        host=listening.host,
+        port=listening.port,
+        log_level="warning",
+        access_log=False,
+        server_header=False,
+        http="h11",
+        timeout_graceful_shutdown=GRACE_S,
+        timeout_keep_alive=20,
+        limit_concurrency=MAX_CONNECTIONS,
+        h11_max_incomplete_event_size=32 * 1024,
+        ssl_certfile=str(listening.certificate) if listening.certificate else None,
+        ssl_keyfile=str(listening.key) if listening.key else None,
+    )
+    return _Server(config, ConnectionWatchdog(listening.idle_s))
+
+
+def run_server(store: Store, tokens: TokenFile, listening: Listening, bound: socket.socket) -> None:
+    """Serve until interrupted or terminated."""
+    logging.getLogger("uvicorn.access").disabled = True
+    allow_many_files()
+    server = make_server(store, tokens, listening)
+    settle_memory()
+    server.run(sockets=[bound])
