@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 import uvicorn
 
-from api.app import create_app
-from api.tokens import TokenFile
+from api.http.app import create_app
+from api.http.tokens import TokenFile
 from daq.records import Channel, PressEvent, PressEventKind, Quality, Run, Scan
 from daq.simulated.campaign import Plan, Truth, make_campaign
 from daq.store.records import NewRun, RunEnd, StoredEstimate

@@ -1,13 +1,14 @@
 import json
 import stat
 import sys
+import time
 
 import httpx
 import pytest
 
-from api.gate import is_loopback
-from api.server import Listening, address_of
-from api.tokens import ATTEMPTS, Attempts, TokenFile
+from api.http.gate import SLOWED_S, is_loopback
+from api.http.server import Listening, address_of
+from api.http.tokens import ATTEMPTS, Attempts, TokenFile
 from daq.records import InputError
 
 PROMOTE = "/api/v1/models/2/promote"
@@ -25,7 +26,7 @@ def test_a_change_needs_a_token_that_may_write(client, tokens, store):
     assert answer.json()["current"] is True
     assert store.active_model("lab").version == "2"
     assert answer.json()["reason"] == "extended"
-    journal = [f"{entry.process} {entry.message} {entry.detail}" for entry in store.journal(limit=5).items]
+    journal = [f"{entry.process} {entry.message!s} {entry.detail}" for entry in store.journal(limit=5).items]
     assert "writer" in journal[0]
     assert not any(writer in line for line in journal)
 
@@ -37,6 +38,52 @@ def test_a_wrong_token_is_refused_and_too_many_of_them_have_to_wait(serve):
     answer = httpx.get(base + "/api/v1/runs", headers=bearer("kt_wrong"))
     assert answer.status_code == 429
     assert answer.headers["retry-after"] == "60"
+
+
+def test_wrong_tokens_shut_nobody_out_who_has_a_valid_one(serve, tokens):
+    base = serve()
+    valid = tokens.create("tablet", "read")
+    for i in range(ATTEMPTS):
+        assert httpx.get(base + "/api/v1/runs", headers=bearer(f"kt_guess{i}")).status_code == 401
+    asked = time.monotonic()
+    assert httpx.get(base + "/api/v1/runs", headers=bearer("kt_guess")).status_code == 429
+    assert time.monotonic() - asked >= SLOWED_S
+    assert httpx.get(base + "/api/v1/runs", headers=bearer(valid)).status_code == 200
+
+
+@pytest.mark.parametrize(
+    "damaged",
+    [
+        b"",
+        b"\xff\xfe",
+        b"null",
+        b'["x"]',
+        b'{"a": 1}',
+        b'[{"id": "1", "name": "x"}]',
+        b"[" * 100_000,
+        b'[{"id": "1", "name": "x", "scope": "read", "sha256": 7, "created_utc": ""}]',
+        '[{"id": "1", "name": "x", "scope": "read", "sha256": "é", "created_utc": ""}]'.encode(),
+        b'[{"id": "1", "name": "x", "scope": "all", "sha256": "%s", "created_utc": ""}]' % (b"0" * 64),
+    ],
+)
+def test_a_damaged_token_file_is_named_with_what_to_do(client, tokens, damaged, tmp_path):
+    kept = tokens.path.read_bytes() if tokens.path.exists() else None
+    tokens.path.write_bytes(damaged)
+    try:
+        answer = client.get("/api/v1/runs", headers=bearer("kt_any"))
+        assert client.get("/api/v1/runs").status_code == 200, "reading on loopback needs no token"
+    finally:
+        tokens.path.unlink() if kept is None else tokens.path.write_bytes(kept)
+    assert answer.status_code == 503
+    assert answer.headers["content-type"] == "application/problem+json"
+    detail = answer.json()["detail"]
+    assert str(tokens.path) in detail
+    assert "remove the file and make new ones" in detail
+    own = TokenFile(tmp_path / "tokens.json")
+    own.path.write_bytes(damaged)
+    for command in (own.tokens, lambda: own.create("x", "read"), lambda: own.revoke("x")):
+        with pytest.raises(InputError, match="remove the file and make new ones"):
+            command()
 
 
 def test_a_foreign_host_name_is_refused_so_that_no_other_page_reads_along(client):

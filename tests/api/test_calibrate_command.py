@@ -98,7 +98,7 @@ def test_a_channel_too_far_off_is_named_and_not_calibrated_away(tmp_path, capsys
     with workshop(tmp_path, lambda now_s: [ROOM_C] * 15 + [ROOM_C + 8.0]) as config:
         call = ["calibrate", "--config", str(config), "--room", str(ROOM_C), "--period", "0", "--write"]
         assert main(call) == 1
-    assert "1 of 16 channels fail: bottom_7 off" in capsys.readouterr().err
+    assert "1 of 16 channels fail the check: bottom_7 off" in capsys.readouterr().err
     assert "bottom_7" not in (tmp_path / "lower.toml").read_text()
 
 

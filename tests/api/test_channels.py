@@ -2,7 +2,7 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 
-from api.channels import channels_now
+from api.answers.channels import channels_now
 from daq.records import Channel, Quality, Scan
 from daq.store.store import open_store
 

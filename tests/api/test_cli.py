@@ -10,8 +10,8 @@ import pytest
 
 from api.cli import main
 from api.commands.inputs import load_run, rows_until
+from daq.files.run_file import read_run, write_run
 from daq.records import Run
-from daq.runfile import read_run, write_run
 from daq.store import open_store
 
 
@@ -202,6 +202,17 @@ def test_a_header_that_cannot_be_stops_the_whole_import(files, first, tmp_path, 
             assert not opened.runs().items
 
 
+def test_what_is_doubtful_in_the_headers_of_imported_runs_is_said_once_and_kept(files, tmp_path, capsys):
+    paths = []
+    for path in sorted(files.glob("*.csv"))[:2]:
+        (tmp_path / path.name).write_text('# panel.supplier = "north"\n' + path.read_text())
+        paths.append(str(tmp_path / path.name))
+    store = str(tmp_path / "kerntemp.sqlite")
+    assert main(["import", *paths, "--press", str(files / "press.toml"), "--store", store]) == 0
+    assert capsys.readouterr().err.count("panel.supplier is not known; it is kept") == 1
+    assert load_run(Path(paths[0]).stem, store, None).header["panel.supplier"] == "north"
+
+
 @pytest.mark.parametrize(("value", "is_temperature"), [("1e308", False), ("-9999", False), ("1100", True)])
 def test_a_reading_that_is_no_temperature_stops_the_import(files, first, tmp_path, capsys, value, is_temperature):
     lines = Path(first).read_text().splitlines()
@@ -351,3 +362,12 @@ def test_simulate_takes_another_kind_of_end_from_the_runs_header(files, first, t
     plain = _core([first, *press], tmp_path)
     air = 'boundary.top.kind = "air"', 'boundary.top.coefficient = "h_air"', "coefficients.h_air.guess = 15.0"
     assert np.nanmax(_core([_with_header(first, tmp_path, *air), *press], tmp_path)) < np.nanmax(plain) - 3.0
+
+
+def test_the_language_of_the_terminal_is_chosen_by_its_name(capsys, monkeypatch):
+    monkeypatch.setenv("KERNTEMP_LANGUAGE", "de")
+    assert main(["probe"]) == 2
+    assert capsys.readouterr().err == "kerntemp: probe: entweder --port oder --host angeben\n"
+    monkeypatch.setenv("KERNTEMP_LANGUAGE", "tlh")
+    assert main(["probe"]) == 2
+    assert capsys.readouterr().err == "kerntemp: KERNTEMP_LANGUAGE = tlh: there are words in en, de\n"

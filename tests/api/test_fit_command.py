@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from api.cli import main
-from daq.runfile import write_run
+from daq.files.run_file import write_run
 from daq.simulated.campaign import Plan, make_campaign
 from daq.simulated.campaign_pressfile import press_toml
 
@@ -64,7 +64,7 @@ def test_json_holds_profiles_and_correlations_of_every_run(fitted):
 def test_program_outside_those_seen_is_predicted_with_a_remark(fitted):
     told = json.loads((fitted / "fit.json").read_text())["program"]
     assert told["settings"] == {"press_time_s": 200.0}
-    assert "outside the programs seen" in told["remarks"][0]
+    assert "outside the programs run so far" in told["remarks"][0]
     for name in PROFILED:
         c = told["coefficients"][name]
         assert c["ci95"][0] <= c["value"] <= c["ci95"][1]
@@ -97,7 +97,7 @@ def test_every_figure_comes_as_svg(fitted):
         (["--program", "press_time_s=20"], "--program: one run cannot show what press_time_s does"),
         (["--svg", ""], "'--svg': the folder's name is empty"),
         (["--shared", "h_x"], "--shared h_x: must be one of h_p_o"),
-        (["--method", "annealing"], "--method annealing: must be default"),
+        (["--method", "annealing"], "--method annealing: must be one of default"),
         (["--averages"], "--averages goes with one of the paper's methods"),
     ],
 )
@@ -123,7 +123,7 @@ def test_reproduction_refuses_what_it_would_ignore(more, says, capsys, tmp_path,
 
 
 def test_reproduction_keeps_its_table_and_the_cost_along_a_coefficient(tmp_path, monkeypatch, capsys):
-    from softsensor import paper_campaign
+    from softsensor.fitting.paper import virtual_runs as paper_campaign
 
     monkeypatch.setattr(paper_campaign.reproduce_paper, "__defaults__", (1, None))
     out = [

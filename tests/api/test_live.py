@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 import httpx
 import pytest
 
-from api.live import Position
+from api.http.live import Position
 from daq.records import Channel, InputError, PressEvent, PressEventKind, Quality, Scan
 from daq.store.records import NewRun, PressKey
 

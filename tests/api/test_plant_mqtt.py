@@ -23,7 +23,7 @@ import pytest
 from paho.mqtt.enums import CallbackAPIVersion
 
 from api.plant.mqtt import Publisher
-from daq.config import MqttSettings
+from daq.process.config import MqttSettings
 from daq.records import Channel, PressEvent, PressEventKind, PressState, Quality, Scan
 from daq.store import PressKey, Store, StoredEstimate, open_store
 
@@ -279,7 +279,7 @@ def test_a_broker_that_came_back_empty_gets_what_was_stored_meanwhile(store, bro
         relay.cut(hold=True)
         broker.kill()
         recorder.scans(700)
-        wait_until(lambda: "MQTT broker 127.0.0.1" in publisher.problem)
+        wait_until(lambda: "MQTT broker 127.0.0.1" in str(publisher.problem))
         broker.start()
         listener = Listener(broker.port)
         relay.restore()

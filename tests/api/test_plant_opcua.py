@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import math
+import socket
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,9 +16,10 @@ from typing import Any
 import pytest
 from asyncua import Client, ua
 
-from api.plant.opcua import NAMESPACE, PressServer, check
-from api.tokens import TokenFile
-from daq.config import OpcuaSettings
+from api.http.tokens import TokenFile
+from api.plant.client_log import ClientLog
+from api.plant.opcua import NAMESPACE, PressServer, _Readers, check
+from daq.process.config import OpcuaSettings
 from daq.records import Channel, InputError, PressEvent, PressEventKind, PressState, Quality, Scan
 from daq.store import NewRun, Store, StoredEstimate, open_store
 
@@ -134,7 +137,7 @@ def test_a_core_of_a_silent_live_sensor_is_no_data_while_the_press_goes_on(tmp_p
     assert codes == ["BadNoData", "BadNoData", "Good"]
     for key, utc in (("core", before), ("channel.top_1", after)):
         assert abs(found[key].SourceTimestamp.replace(tzinfo=UTC) - utc) < timedelta(milliseconds=1)
-    assert found["reason"].Value.Value == "the live sensor has said nothing for 25 s"
+    assert found["reason"].Value.Value == "the live sensor has given no estimate for 25 s"
     assert found["state"].Value.Value == "open"
 
 
@@ -272,3 +275,54 @@ def test_unsafe_settings_are_refused_with_what_to_do(tmp_path):
         check(OpcuaSettings(host="0.0.0.0", certificate=pem, key=key), tokens)
     with pytest.raises(InputError, match="belong together"):
         check(OpcuaSettings(certificate=pem), tokens)
+
+
+HOSTILE = (
+    b"",
+    b"GET / HTTP/1.1\r\n\r\n",
+    b"HELF\xff\xff\xff\xff" + b"x" * 40,
+    b"HELF\x08\x00\x00\x00",
+    b"MSGF\x18\x00\x00\x00" + b"\x01" * 16,
+    b"OPNF\x20\x00\x00\x00" + b"\xff" * 24,
+    b"\x00" * 64,
+)
+
+
+def test_hostile_clients_leave_few_lines_and_no_traceback(store: Store, tmp_path: Path, caplog: Any) -> None:
+    write(store, datetime.now(UTC) + AHEAD)
+    with caplog.at_level(logging.WARNING), serving(store, tmp_path) as server:
+        host, _, port = server.address.removeprefix("opc.tcp://").partition("/")[0].partition(":")
+        for _ in range(20):
+            for sent in HOSTILE:
+                with socket.create_connection((host, int(port)), 10) as client:
+                    client.sendall(sent)
+                    client.shutdown(socket.SHUT_WR)
+                    while client.recv(4096):
+                        pass
+        assert asyncio.run(read(server, "core"))["core"].Value.Value == 84.5
+    lines = [record.getMessage() for record in caplog.records]
+    about_clients = [line for line in lines if line.startswith("OPC UA client 127.0.0.1: ")]
+    assert 1 <= len(about_clients) <= len(HOSTILE), lines
+    assert len(lines) <= len(about_clients) + 3, "what the server says of itself"
+    assert not any(record.exc_info for record in caplog.records)
+    assert not any("\n" in line for line in lines)
+
+
+def test_a_line_about_clients_comes_again_after_a_minute_and_counts_those_left_out(caplog: Any) -> None:
+    now = [0.0]
+    log = ClientLog(logging.getLogger("kerntemp.publish"), lambda: now[0])
+    record = logging.LogRecord("asyncua", logging.WARNING, "x.py", 1, "bad\nheader", None, None)
+    with caplog.at_level(logging.WARNING):
+        for _ in range(5):
+            log.emit(record)
+        now[0] = 61.0
+        log.emit(record)
+    first, second = (entry.getMessage() for entry in caplog.records)
+    assert first.endswith("bad header")
+    assert second.endswith("; 4 more like it since the last line")
+
+
+def test_a_damaged_token_file_lets_nobody_in_and_breaks_nothing(tmp_path: Path) -> None:
+    (tmp_path / "tokens.json").write_text("{")
+    assert _Readers(TokenFile(tmp_path / "tokens.json"), False).get_user(None, "x", "kt_any") is None
+    assert _Readers(TokenFile(tmp_path / "tokens.json"), True).get_user(None, "x", "kt_any") is not None

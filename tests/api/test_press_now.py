@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from api.answers import press_now
-from api.drift import drift_of
-from api.live import Position, news
+from api.answers.drift import drift_of
+from api.answers.records import press_now
+from api.http.live import Position, news
 from daq.records import Channel, Quality, Scan
 from daq.store.records import NewRun, PressKey, RunEnd, StoredEstimate
 from daq.store.store import Store, open_store
@@ -88,7 +88,7 @@ def test_an_estimate_that_is_not_valid_hands_on_no_outlook(store):
     store.append_estimates("lab", [said])
     told = now_of(store)
     assert {name: getattr(told.estimate, name) for name in beside} == beside
-    store.append_estimates("lab", [replace(said, valid=False, reason="model not valid")])
+    store.append_estimates("lab", [replace(said, valid=False, reason="calculation failed")])
     told = now_of(store)
     assert {getattr(told.estimate, name) for name in set(ahead) - {"profile_C"}} == {None}
     assert (told.estimate.profile_C, told.estimate.warning, told.estimate.suspected) == (None, "", "edge_loss")
@@ -104,7 +104,8 @@ def test_a_core_nobody_updates_any_more_is_not_shown_as_the_core_of_now(store):
     store.append_scans(key, [scan(n) for n in range(8, 30)])
     stale = now_of(store)
     assert not stale.estimate.valid
-    assert stale.estimate.reason == "the live sensor has said nothing for 25 s"
+    assert stale.estimate.reason == "live sensor silent"
+    assert stale.estimate.reason_arguments == {"silent_s": 25}
     assert stale.estimate.utc == START + timedelta(seconds=4)
     assert stale.target.time_to_target_s is None
 

@@ -8,10 +8,12 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from api.health import health_of, hours_left, is_missed
-from api.schemas import ProcessHealth
+from api.answers.health import health_of, hours_left, is_missed
+from api.answers.schemas import ProcessHealth
 from daq.records import Channel, Quality, Run, Scan
 from daq.store import open_store
+from daq.words import Message
+from daq.words.message import languages
 
 RUN = "/api/v1/runs/lab-2026-03-04-01"
 JSON = {"Content-Type": "application/json"}
@@ -21,9 +23,22 @@ def problem(answer: httpx.Response, status: int) -> dict[str, object]:
     assert answer.status_code == status, answer.text
     assert answer.headers["content-type"] == "application/problem+json"
     document = answer.json()
-    assert set(document) == {"type", "title", "status", "detail", "instance"}
+    assert set(document) == {"type", "title", "status", "detail", "detail_said", "instance"}
+    assert str(Message.from_json(document["detail_said"])) == document["detail"]
     assert document["status"] == status
     return document
+
+
+def test_the_catalogue_of_words_is_handed_out_in_each_language_and_tagged(client):
+    for language in languages():
+        answer = client.get(f"/api/v1/messages/{language}")
+        told = answer.json()
+        assert (told["language"], told["languages"]) == (language, list(languages()))
+        assert "$language" in told["messages"]["api-no-such-language"]
+        again = client.get(f"/api/v1/messages/{language}", headers={"If-None-Match": answer.headers["etag"]})
+        assert again.status_code == 304
+    refused = problem(client.get("/api/v1/messages/tlh"), 404)
+    assert refused["detail"] == "there are no words in tlh; there are en, de"
 
 
 def test_runs_come_newest_first_in_pages_whose_cursor_leads_to_the_next(client):
@@ -73,7 +88,7 @@ def test_decimated_samples_keep_the_highest_and_lowest_value_of_every_column(cli
 
 
 def test_samples_say_why_values_are_missing_also_where_they_are_decimated(client, store, campaign, tmp_path):
-    from daq.runfile import read_run
+    from daq.files.run_file import read_run
 
     gaps = {name: np.flatnonzero(np.isnan(column)) for name, column in campaign[0][0].columns.items()}
     rows = {name: len(places) for name, places in gaps.items() if len(places)}
@@ -100,7 +115,7 @@ def test_samples_between_two_times_lie_between_them(client):
 
 
 def test_a_downloaded_csv_is_a_run_file_that_reads_back_as_the_stored_run(client, store, tmp_path):
-    from daq.runfile import read_run
+    from daq.files.run_file import read_run
 
     answer = client.get(f"{RUN}/samples", params={"format": "csv"})
     assert answer.headers["content-type"].startswith("text/csv")
@@ -211,7 +226,8 @@ def test_imported_runs_do_not_shorten_how_long_the_disk_lasts(tmp_path):
     assert told == pytest.approx(expected, rel=0.05)
 
 
-def test_metrics_speak_prometheus(client):
+def test_metrics_speak_prometheus(client, store):
+    store.beat("record", {"state": "running"})  # that of the fixture may be old on a busy machine
     text = client.get("/metrics").text
     assert 'kerntemp_process_up{process="record"} 1.0' in text
     assert 'kerntemp_press_state{press="lab",state="open"} 1.0' in text
@@ -242,6 +258,18 @@ def test_every_refusal_is_a_problem_document_that_says_what_is_wrong(client, pat
 
 def test_a_method_that_is_not_offered_is_a_problem_too(client):
     problem(client.delete("/api/v1/runs"), 405)
+
+
+def test_a_refused_method_names_those_the_path_has(client):
+    methods = {"get", "post", "put", "patch", "delete"}
+    for path, offered in client.get("/api/v1/openapi.json").json()["paths"].items():
+        has = {method.upper() for method in offered.keys() & methods}
+        has |= {"HEAD"} if "GET" in has and path != "/api/v1/live" else set()
+        for method in sorted(methods - offered.keys()):
+            refused = client.request(method, path.replace("{", "").replace("}", ""))
+            assert refused.status_code == 405, path
+            assert set(refused.headers["allow"].split(", ")) == has, path
+    assert client.delete("/static/index.html").headers["allow"] == "GET, HEAD"
 
 
 def test_an_answer_that_has_not_changed_is_not_sent_again(client):
@@ -293,6 +321,13 @@ def test_the_figure_is_an_svg_that_names_the_run(client):
     assert any("lab-2026-03-04-01" in (text.text or "") for text in root.iter("{http://www.w3.org/2000/svg}text"))
 
 
+def test_the_figure_speaks_the_language_that_is_asked_for(client):
+    assert "temperature [°C]" in client.get(f"{RUN}/figure.svg").text
+    german = client.get(f"{RUN}/figure.svg?language=de").text
+    assert all(said in german for said in ("Temperatur [°C]", "Platte, Oberseite", "geschlossen"))
+    assert client.get(f"{RUN}/figure.svg?language=xx").status_code == 404
+
+
 def test_what_people_write_down_is_kept_with_its_history(client, tokens, store):
     writer = {"Authorization": f"Bearer {tokens.create('foreman', 'write')}"}
     other = "/api/v1/runs/lab-2026-03-04-02"
@@ -342,6 +377,9 @@ def test_metadata_changes_only_with_a_token_that_may_write(client, tokens):
         ({"header": {"setting.press_time_s": True}}, "header.setting.press_time_s"),
         ({"header": {"ambient.temperature_C": "warm"}}, "header.ambient.temperature_C"),
         ({"header": {"layer.plate_top.colour": "blue"}}, "colour = 'blue': unknown key"),
+        ({"header": {"ambient.temperature_C": -500.0}}, "ambient.temperature_C = -500.0: must be a number from"),
+        ({"header": {"panel.thicknes_mm": 16.0}}, "did you mean panel.thickness_mm"),
+        ({"header": {"panel.thickness_mm.sd": 0}}, "a standard deviation must be a positive number"),
         ({"header": {"run": "other"}}, "header.run"),
         ({"header": {"two words": 1}}, "header"),
         ({"header": {"x": [1, 2]}}, "header.x"),

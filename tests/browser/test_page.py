@@ -72,7 +72,7 @@ def test_the_page_speaks_german_and_goes_dark(open_page):
     page = open_page("#/now", locale="de-DE", color_scheme="dark")
     expect(page.locator("h1")).to_have_text("Kerntemperatur")
     assert page.locator("html").get_attribute("data-theme") == "dark"
-    page.get_by_role("button", name="English").click()
+    page.get_by_label("Sprache").select_option(label="English")
     expect(page.locator("h1")).to_have_text("Core temperature")
 
 
