@@ -13,12 +13,12 @@ import sys
 from concurrent.futures import Future
 from pathlib import Path
 
-from daq.config import load_config
-from daq.pressfile import read_press
-from daq.recorder import record
+from daq.press.press_file import read_press
+from daq.process.config import load_config
+from daq.recording.recorder import record
 from daq.store import Store
-from softsensor import service
-from softsensor.warming import warm_up
+from softsensor.jobs import live_service as service
+from softsensor.jobs.warm_up import warm_up
 
 
 def note(place, rows):
@@ -26,8 +26,8 @@ def note(place, rows):
 
 
 def run_record(config, place):
-    def acknowledged(parcel):
-        note(place, [(s.monotonic_s, s.values[0] if s.values[0] == s.values[0] else None) for s in parcel.scans])
+    def acknowledged(batch):
+        note(place, [(s.monotonic_s, s.values[0] if s.values[0] == s.values[0] else None) for s in batch.scans])
 
     record(load_config(config), acknowledged=acknowledged)
 

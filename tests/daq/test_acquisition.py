@@ -10,8 +10,8 @@ from statistics import median
 import numpy as np
 import pytest
 
-from daq.acquisition import ClockWatch, LoggerThread, Scanner, Ticks
 from daq.drivers import BadFrame, LoggerSettings, NoReply, open_logger
+from daq.recording.acquisition import ClockWatch, LoggerThread, Scanner, Ticks
 from daq.records import Channel, Quality, Reading, Scan
 from daq.simulated.devices import simulated, wiring
 

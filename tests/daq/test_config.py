@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from daq.config import load_config, press_of
+from daq.process.config import load_config, press_of
 from daq.records import InputError
 
 PRESSES = Path(__file__).parents[2] / "deploy" / "presses"

@@ -7,7 +7,7 @@ import event_model
 import numpy as np
 import pytest
 
-from daq.documents import documents_of, json_lines
+from daq.files.documents import documents_of, json_lines
 from daq.records import Run
 
 RUN = Run(

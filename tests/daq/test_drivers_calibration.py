@@ -75,7 +75,10 @@ def test_of_two_calibrations_on_one_day_the_later_entry_is_in_force_and_both_are
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ('[[calibration]]\nchannel = "a"\ndate = 2026-01-01\noffset = 1.0\n', "entry 1: offset: Extra"),
+        (
+            '[[calibration]]\nchannel = "a"\ndate = 2026-01-01\noffset = 1.0\n',
+            "entry 1: offset = 1.0: unknown key; did you mean offset_K",
+        ),
         ('[[calibration]]\nchannel = "a"\ndate = 2026-01-01\noffset_K = 99.0\n', "offset_K.*50"),
         ('[[calibration]]\nchannel = "a"\n', "entry 1: date"),
         ("x = 1\n", "only .*calibration"),

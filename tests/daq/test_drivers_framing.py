@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import struct
+import time
 
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
+from daq.drivers.bus import Bus, LineTiming
 from daq.drivers.dcon import checksum, values_of
 from daq.drivers.lines import decoded, line_reply
 from daq.drivers.modbus import Request, bits, crc16, registers, rtu_frame, rtu_reply, tcp_frame, tcp_reply
@@ -199,3 +201,49 @@ def test_a_line_that_is_not_the_expected_number_of_values_is_refused(payload):
 
 def test_the_dcon_checksum_is_that_of_the_manual():
     assert checksum("$012") == "B7"
+
+
+class Wire:
+    """A link and its place: bytes that wait, and what each request is answered with."""
+
+    is_socket, key = True, "wire"
+
+    def __init__(self, waiting, replies):
+        self.waiting, self.replies, self.closed = list(waiting), list(replies), 0
+
+    def open(self):
+        return self
+
+    def write(self, data):
+        self.waiting.append(self.replies.pop(0))
+
+    def read(self, wait_s):
+        return self.waiting.pop(0) if self.waiting else b""
+
+    def close(self):
+        self.closed += 1
+
+    def __str__(self):
+        return self.key
+
+
+def test_what_waits_on_a_network_before_a_request_is_thrown_away_whatever_number_it_carries():
+    early, sound = good_tcp([9] * 8, 1), good_tcp([1] * 8, 1)
+    wire = Wire([early[:5], early[5:]], [sound])
+    bus = Bus(wire, numbered=True)
+    number = bus.next_transaction()
+    timing = LineTiming(timeout_s=1.0, drain_s=0.5)
+    begun = time.monotonic()
+    reply = bus.exchange(tcp_frame(number, STATION, READ), tcp_reply(number, STATION, READ), timing)
+    assert registers(reply.payload) == (1,) * 8
+    assert wire.closed == 0
+    assert time.monotonic() - begun < 0.4
+
+
+def test_a_network_device_that_never_falls_silent_is_refused_and_its_connection_closed():
+    wire = Wire([], [])
+    wire.read = lambda wait_s: b"\x00"
+    bus = Bus(wire, numbered=True)
+    with pytest.raises(BadFrame, match="never falls silent"):
+        bus.exchange(b"", tcp_reply(1, STATION, READ), LineTiming(timeout_s=0.1, drain_s=0.02))
+    assert wire.closed == 1

@@ -58,14 +58,14 @@ def test_the_scaling_in_doubt_of_the_adam_4018_is_settled_by_room_temperature():
     with simulated("adam-4018+", room("adam-4018+"), refresh_s=0) as server:
         report = probe(wire_of(server), profiles=["adam-4018+"])
     assert report.proposals[0].settings["scaling"] == "hundredth"
-    assert {a.scaling: a.outcome for a in report.attempts if a.station == 1}["fullscale"] != "fits"
+    assert not {a.scaling: a.fits for a in report.attempts if a.station == 1}["fullscale"]
 
 
 def test_two_scalings_that_both_look_like_a_room_are_both_named_the_likelier_first():
     with simulated("m-7018", room("m-7018"), refresh_s=0) as server:
         (proposal,) = probe(wire_of(server), profiles=["m-7018"]).proposals
     assert proposal.settings["scaling"] == "engineering"
-    assert proposal.ambiguous_with == ("m-7018 with scaling hex",)
+    assert tuple(map(str, proposal.ambiguous_with)) == ("m-7018 with scaling hex",)
 
 
 def test_an_unknown_device_gets_a_generic_map_from_its_registers():
@@ -96,14 +96,14 @@ def test_each_module_on_a_bus_is_proposed_at_its_own_address():
         ("m-7019r", 3),
     ]
     assert {block.station for block in report.registers} == {2, 3}
-    assert any("station 1" in line for line in said)
+    assert any("station 1" in str(line) for line in said)
 
 
 def test_a_silent_wire_proposes_nothing_and_says_why():
     with simulated("adam-4118", room("adam-4118"), switches=Switches(silent=True)) as server:
         report = probe(wire_of(server), profiles=["adam-4118-ascii", "sr630"], timeout_s=0.1)
     assert not report.proposals
-    assert all(a.outcome.startswith("silent") for a in report.attempts)
+    assert all(str(a.outcome).startswith("silent") for a in report.attempts)
 
 
 def test_a_port_that_does_not_open_is_said_at_once_and_not_taken_for_a_silent_wire(tmp_path):
@@ -130,7 +130,7 @@ def test_a_port_that_another_program_is_just_letting_go_of_is_waited_for():
 def test_registers_are_shown_under_every_reading_the_most_plausible_first():
     floats = [0x41A8, 0x0000, 0x41B0, 0x0000]
     best = interpretations(floats)[0]
-    assert (best.meaning, best.values) == ("float", (21.0, 22.0))
+    assert (str(best.meaning), best.values) == ("float", (21.0, 22.0))
     swapped = interpretations([0x0000, 0x41A8])[0]
     assert swapped.word_order == "little"
 

@@ -8,7 +8,7 @@ from pymodbus.client import ModbusSerialClient
 from pymodbus.exceptions import ModbusException
 
 from daq.drivers import ReadFailure
-from daq.drivers.bus import Bus, Patience
+from daq.drivers.bus import Bus, LineTiming
 from daq.drivers.link import SerialPlace
 from daq.drivers.modbus import Request, registers, rtu_frame, rtu_reply
 from daq.simulated.devices_line import serve_serial
@@ -71,12 +71,12 @@ def test_pymodbus_hands_out_the_late_reply_of_another_request(line):
 
 def test_our_bus_gives_the_late_request_up_and_reads_the_next_ones_right(line):
     bus = Bus(SerialPlace(line.place["port"], 9600), numbered=False)
-    patience = Patience(TIMEOUT_S, 1.5 * TIMEOUT_S)
+    timing = LineTiming(TIMEOUT_S, 1.5 * TIMEOUT_S)
     got = []
     for start in (0, 8, 16):
         request = Request(3, start, 8)
         try:
-            reply = bus.exchange(rtu_frame(1, request), rtu_reply(1, request), patience)
+            reply = bus.exchange(rtu_frame(1, request), rtu_reply(1, request), timing)
             got.append(registers(reply.payload)[0])
         except ReadFailure as failure:
             got.append(failure.cause)

@@ -1,6 +1,5 @@
 """Files of foreign loggers: explained by a mapping, tried on measured ones."""
 
-import os
 import tomllib
 from contextlib import suppress
 from datetime import UTC, datetime
@@ -10,14 +9,22 @@ import numpy as np
 import pytest
 from packaging.requirements import Requirement
 
-from daq.foreign import read_foreign, read_mapping
-from daq.press_events import find_moments
-from daq.pressfile import press_for_run, read_press
+from daq.files.mapping import read_foreign, read_mapping
+from daq.files.run_file import read_run, write_run
+from daq.press.events import find_moments
+from daq.press.press_file import press_for_run, read_press
 from daq.records import InputError
-from daq.runfile import read_run, write_run
-
-ROOT = Path(__file__).parents[2]
-DATA = Path(os.environ.get("KERNTEMP_DATA", ROOT.parent / "shared" / "data"))
+from tests.measured import (
+    COPPER_DISC,
+    DRY_DISCS,
+    INERT_BOARD,
+    MOIST_DISCS_40_KW,
+    PINE_SLABS,
+    PMMA_25_KW,
+    PRESS_RIG,
+    ROOT,
+    measured,
+)
 
 GERMAN = """Messung;Presse 2
 Zeit;Platte oben;Fläche oben 1;Kraft
@@ -149,33 +156,24 @@ def test_date_and_time_in_two_columns_over_the_hour_that_comes_twice(tmp_path):
         read_foreign(tmp_path / "night.csv", read_mapping(tmp_path / "m.toml"))
 
 
-def measured(pattern, count):
-    found = sorted(DATA.glob(pattern))
-    if not found:
-        pytest.skip(f"the measured files are not here: no {pattern} in {DATA}; set KERNTEMP_DATA")
-    assert len(found) == count
-    return found
-
-
 @pytest.mark.parametrize(
-    ("mapping", "press", "pattern", "count", "sensors"),
+    ("mapping", "press", "names", "sensors"),
     [
-        ("press_rig", "rig", "press_rig/*.dat", 6, {"T_Inco1", "T_Inco2"}),
+        ("press_rig", "rig", PRESS_RIG, {"T_Inco1", "T_Inco2"}),
         (
             "inert_board",
             "inert_board",
-            "inert_board/Black-Insulation*.csv",
-            1,
+            INERT_BOARD,
             {"depth_5_72mm", "depth_11_44mm", "depth_17_16mm"},
         ),
-        ("pine_slab", "pine_slab", "pine_gasification/TIFP*.csv", 6, {"bottom_1"}),
-        ("pine", "pine_disc", "pine_gasification/*CAPA*.csv", 8, {"bottom_1"}),
+        ("pine_slab", "pine_slab", PINE_SLABS, {"bottom_1"}),
+        ("pine", "pine_disc", (*MOIST_DISCS_40_KW, *DRY_DISCS), {"bottom_1"}),
     ],
 )
-def test_measured_files_are_read_whole_and_fit_their_press_file(mapping, press, pattern, count, sensors, tmp_path):
+def test_measured_files_are_read_whole_and_fit_their_press_file(mapping, press, names, sensors, tmp_path):
     explained = read_mapping(ROOT / "deploy" / "mappings" / f"{mapping}.toml")
     rig = read_press(ROOT / "deploy" / "presses" / f"{press}.toml")
-    for path in measured(pattern, count):
+    for path in measured(names):
         run = read_foreign(path, explained)
         assert set(rig.sensors_of(run)) == sensors
         for boundary in (rig.boundary.bottom, rig.boundary.top):
@@ -190,7 +188,7 @@ def test_measured_files_are_read_whole_and_fit_their_press_file(mapping, press, 
 
 
 def test_the_rig_is_driven_by_two_thermocouples_and_pressed_with_245_kilopascals():
-    path = measured("press_rig/230918-1117-med2.dat", 1)[0]
+    path = measured(["press_rig/230918-1117-med2.dat"])[0]
     run = read_foreign(path, read_mapping(ROOT / "deploy" / "mappings" / "press_rig.toml"))
     # the bar is 16.25 mm thick; 5.2 kg weigh 51 N
     assert np.max(run.columns["load"]) == pytest.approx(5.2 * 9.81 / (np.pi / 4 * 0.01625**2) / 1000, rel=0.01)
@@ -201,14 +199,14 @@ def test_the_rig_is_driven_by_two_thermocouples_and_pressed_with_245_kilopascals
 
 def test_pmma_discs_are_read_with_their_thickness():
     explained = read_mapping(ROOT / "deploy" / "mappings" / "pmma.toml")
-    thick = {p.stem[-2:]: read_foreign(p, explained) for p in measured("inert_board/MaCFP-PMMA*.csv", 3)}
+    thick = {p.stem[-2:]: read_foreign(p, explained) for p in measured(PMMA_25_KW)}
     assert {k: r.header["panel.thickness_mm"] for k, r in thick.items()} == {"R1": 6.26, "R2": 6.15, "R3": 5.8}
 
 
-def test_every_measured_time_series_at_hand_is_explained_by_a_mapping():
+def test_every_named_time_series_is_explained_by_a_mapping():
     mappings = [read_mapping(path) for path in sorted((ROOT / "deploy" / "mappings").glob("*.toml"))]
-    found = measured("*/*.csv", 20) + measured("*/*.dat", 6)
-    tables = [path for path in found if path.parent.name != "panel_properties"]
+    discs = (*MOIST_DISCS_40_KW, *DRY_DISCS)
+    tables = measured((*PRESS_RIG, *INERT_BOARD, *COPPER_DISC, *PMMA_25_KW, *PINE_SLABS, *discs))
 
     def rows(path):
         for mapping in mappings:
@@ -252,3 +250,11 @@ def test_what_is_no_temperature_is_refused_by_line_unless_the_mapping_calls_it_m
 def _mapping(tmp_path, text):
     (tmp_path / "m.toml").write_text(text)
     return read_mapping(tmp_path / "m.toml")
+
+
+@pytest.mark.parametrize(("time", "cell"), [("0", "٢١"), ("٠", "21")])
+def test_digits_of_another_script_are_no_numbers_in_a_foreign_file(tmp_path, time, cell):
+    (tmp_path / "a.csv").write_text(f"t,x\n{time},{cell}\n1,22\n")
+    (tmp_path / "m.toml").write_text('[time]\ncolumn = "t"\n[[column]]\nfrom = "x"\nto = "x"\n')
+    with pytest.raises(InputError, match=r"line 2: column [tx]: '[٢١٠]+' is not"):
+        read_foreign(tmp_path / "a.csv", read_mapping(tmp_path / "m.toml"))

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-import daq.pressline
-import daq.recorder
-from daq.config import load_config
-from daq.notify import Notifier
+import daq.recording.press_line
+import daq.recording.recorder
+from daq.process.config import load_config
+from daq.process.notify import Notifier
 from daq.records import Channel, Quality, Reading
 from daq.simulated.campaign import press_toml
 
@@ -81,11 +81,11 @@ def recorded(folder: Path, instrument, monkeypatch):
         '[[press]]\nname = "lab"\nfile = "lab.toml"\n[[press.logger]]\nname = "only"\nprofile = "labjack-t7"\n'
         'host = "127.0.0.1"\nchannels = ["platen_top", "platen_bottom"]\n'
     )
-    monkeypatch.setattr(daq.recorder, "open_logger", lambda settings: instrument)
-    monkeypatch.setattr(daq.pressline, "_STUCK_AFTER_S", 1.0)
+    monkeypatch.setattr(daq.recording.recorder, "open_logger", lambda settings: instrument)
+    monkeypatch.setattr(daq.recording.press_line, "_STUCK_AFTER_S", 1.0)
     stop = threading.Event()
     work = threading.Thread(
-        target=daq.recorder.record, args=(load_config(folder / "kerntemp.toml"),), kwargs={"stop": stop}
+        target=daq.recording.recorder.record, args=(load_config(folder / "kerntemp.toml"),), kwargs={"stop": stop}
     )
     work.start()
     try:
@@ -110,7 +110,7 @@ def test_the_recorder_feeds_the_watchdog_only_while_its_drivers_come_back(system
         said = messages_until(systemd, "WATCHDOG=1")
         assert said[0] == "READY=1\nSTATUS=recording lab"
         instrument.hangs.set()
-        hung = messages_until(systemd, "the driver of logger only does not come back")
+        hung = messages_until(systemd, "the driver of logger only has not returned from a read")
         assert "WATCHDOG" not in hung[-1]
         assert "WATCHDOG" not in systemd.recv(4096).decode()
         instrument.freed.set()

@@ -7,14 +7,14 @@ import pytest
 from scipy.signal import lfilter
 from scipy.special import erfc
 
-from daq.press_events import PressEventDetector, find_moments
-from daq.press_moments import closing_moment, opening_moment
-from daq.pressfile import parse_press
+from daq.press.events import PressEventDetector, find_moments
+from daq.press.moments import closing_moment, opening_moment
+from daq.press.press_file import parse_press
 from daq.records import PressEventKind, PressState, Run
 from daq.simulated.campaign import Plan, make_campaign, press_toml
 from daq.simulated.campaign_sensors import CHANNELS, Nuisances
 from daq.simulated.press import PressSettings, VirtualPress
-from softsensor.evidence import moments_of
+from softsensor.signals.moments import moments_seen
 
 PRESS = parse_press(press_toml())
 FACES = [f"{face}_{i}" for face in ("top", "bottom") for i in range(1, 8)]
@@ -240,7 +240,7 @@ def test_a_switch_that_contradicts_the_temperatures_is_reported():
     for i, t in enumerate(run.time_s.tolist()):
         detector.update(t, {name: float(c[i]) for name, c in stuck.columns.items()})
         if truth.moments.closed_s + 15 < t < truth.moments.opened_s - 1:
-            said.add(detector.disagreement)
+            said.add(str(detector.disagreement))
     assert said == {"the limit switch says open, but the upper face is hot; check it"}
 
 
@@ -312,7 +312,7 @@ def test_a_switch_that_comes_late_or_is_lost_leaves_the_other_moment_to_the_temp
     middle = 0.5 * (m.closed_s + m.opened_s)
     for silent in (t < middle, t > middle):
         named, press = wired(run, 'limit_switch = "S7"', S7=np.where(silent, np.nan, switch))
-        for found in (find_moments(named, press), moments_of(press, named)):
+        for found in (find_moments(named, press), moments_seen(named, press)):
             assert found.closed_s == pytest.approx(m.closed_s, abs=0.12)
             assert found.opened_s == pytest.approx(m.opened_s, abs=0.12)
 

@@ -3,7 +3,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.pressfile import panel_of, parse_press, press_for_run, read_press
+from daq.press.header import panel_of
+from daq.press.press_file import parse_press, press_for_run, read_press
 from daq.records import InputError, Run
 
 LAB = Path(__file__).parents[2] / "deploy" / "presses" / "lab.toml"

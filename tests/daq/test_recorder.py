@@ -18,16 +18,17 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from daq.config import load_config
-from daq.recorder import _ConfigWatch, _status, record
-from daq.runfile import toml_value
+from daq.files.run_file import toml_value
+from daq.process.config import load_config
+from daq.recording.recorder import _ConfigWatch, _status, record
 from daq.simulated.campaign import press_toml
 from daq.simulated.devices import simulated, wiring
 from daq.simulated.devices_converter import Switches
 from daq.simulated.press import PressSettings, VirtualPress
 from daq.store import RunStatus, open_store
 from daq.store.outbox import Outbox
-from daq.store.parcels import Entry
+from daq.store.write_batch import Entry
+from daq.words import say
 
 UPPER = ("platen_top", "platen_bottom", *(f"top_{i}" for i in range(1, 8)))
 LOWER = tuple(f"bottom_{i}" for i in range(1, 8))
@@ -166,7 +167,7 @@ def test_a_pressure_channel_and_a_stuck_switch_go_before_the_temperatures_and_di
         kept = store.runs(status=RunStatus.CLOSED).items[-1]
         run = store.load_run(kept.run)
         events = store.press_events("lab")
-        said = [e.message for e in store.journal(press="lab", level="warning").items]
+        said = [str(e.message) for e in store.journal(press="lab", level="warning").items]
     assert [(e.kind, e.source) for e in events[1:3]] == [
         ("closed", "pressure channel"),
         ("opened", "pressure channel"),
@@ -193,7 +194,7 @@ def test_a_calibration_file_that_is_made_while_recording_is_taken_over(tmp_path)
             (tmp_path / "upper.toml").write_text(entry)
             wait_until(lambda: abs(platen() - before + 40.0) < 5.0)
         (warning,) = store.journal(press="lab", level="warning").items
-    assert warning.message.startswith("press lab: logger upper: values are not corrected, ")
+    assert str(warning.message).startswith("press lab: logger upper: values are not corrected, ")
 
 
 def test_a_silent_logger_is_said_once_leaves_gaps_with_cause_and_does_not_disturb_the_other(tmp_path):
@@ -201,12 +202,12 @@ def test_a_silent_logger_is_said_once_leaves_gaps_with_cause_and_does_not_distur
         with recording(made):
             wait_until(lambda: store.newest_scan_number("lab") > 10)
             made.lower.silent = True
-            wait_until(lambda: any("does not answer" in e.message for e in store.journal().items), 20)
+            wait_until(lambda: any("does not answer" in str(e.message) for e in store.journal().items), 20)
             first = store.newest_scan_number("lab")
             wait_until(lambda: store.newest_scan_number("lab") > first + 20)
             said = store.statuses()["record"].status
             made.lower.silent = False
-            wait_until(lambda: any("answers again" in e.message for e in store.journal().items), 20)
+            wait_until(lambda: any("answers again" in str(e.message) for e in store.journal().items), 20)
             last = store.newest_scan_number("lab")
         batch = store.scans_after("lab", first, 20)
         names = [c.name for c in batch.channels]
@@ -219,7 +220,7 @@ def test_a_silent_logger_is_said_once_leaves_gaps_with_cause_and_does_not_distur
         assert np.median(gaps) == pytest.approx(0.1, abs=0.02)
         assert any("lower" in problem for problem in said["problems"])
         assert [r["state"] for r in said["loggers"]] == ["answers", "lost"]
-        warnings = [e for e in store.journal(level="warning").items if "logger lower" in e.message]
+        warnings = [e for e in store.journal(level="warning").items if "logger lower" in str(e.message)]
         assert len(warnings) == 1
         assert last > first + 20
 
@@ -227,7 +228,7 @@ def test_a_silent_logger_is_said_once_leaves_gaps_with_cause_and_does_not_distur
 @pytest.mark.skipif(os.name == "nt", reason="SIGSTOP is POSIX")
 def test_scans_left_out_stand_in_the_journal_with_their_place(tmp_path):
     with plant(tmp_path, rate_hz=10.0) as made, open_store(made.url) as store:
-        command = [sys.executable, "-m", "daq.recorder", str(made.config)]
+        command = [sys.executable, "-m", "daq.recording.recorder", str(made.config)]
         with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as recorder:
             wait_until(lambda: store.newest_scan_number("lab") > 10)
             recorder.send_signal(signal.SIGSTOP)
@@ -238,7 +239,7 @@ def test_scans_left_out_stand_in_the_journal_with_their_place(tmp_path):
             recorder.terminate()
         scans = all_scans(store)
         (problem,) = store.statuses()["record"].status["problems"]
-        said = {e.message.partition(": ")[2]: e for e in store.journal(limit=100).items if e.press == "lab"}
+        said = {str(e.message).partition(": ")[2]: e for e in store.journal(limit=100).items if e.press == "lab"}
         (begin,) = [e for what, e in said.items() if what == "scans begin"]
         told = [pair for what, e in said.items() if "left out" in what for pair in e.detail["before_monotonic_s"]]
     assert begin.detail == {"monotonic_s": scans[0].monotonic_s, "period_s": 0.1}
@@ -254,7 +255,7 @@ def test_scans_that_wait_though_the_store_is_there_are_a_problem(tmp_path):
         outbox = Outbox(store)
         for waiting, problems in ((1000, []), (1001, ["1001 scans wait to be written, this machine is too busy"])):
             while outbox.waiting < waiting:
-                outbox.put(Entry("info", "record", "hello"))
+                outbox.put(Entry("info", "record", say("plain-text", text="hello")))
             assert _status([], outbox, "running")["problems"] == problems
 
 
@@ -273,13 +274,13 @@ def test_a_changed_configuration_is_taken_over_between_runs_without_losing_a_sca
             under_way = store.open_run("lab").run
             text = made.config.read_text()
             made.config.write_text(text.replace("speed = 20.0", "speed = 10.0"))
-            wait_until(lambda: any("start kerntemp record anew" in e.message for e in store.journal().items))
+            wait_until(lambda: any("start kerntemp record anew" in str(e.message) for e in store.journal().items))
             made.config.write_text(text.replace("rate_hz = 1.0", "rate_hz = 99"))
-            wait_until(lambda: any("rate_hz" in e.message for e in store.journal().items))
+            wait_until(lambda: any("rate_hz" in str(e.message) for e in store.journal().items))
             changed = text.replace('"MDF"', '"OSB"').replace("rate_hz = 1.0", "rate_hz = 2.0")
             made.config.write_text(changed.replace('"bottom_7"', '""'))
-            wait_until(lambda: any("takes effect between runs" in e.message for e in store.journal().items))
-            assert not any("is in force" in e.message for e in store.journal().items)
+            wait_until(lambda: any("takes effect between runs" in str(e.message) for e in store.journal().items))
+            assert not any("is in force" in str(e.message) for e in store.journal().items)
             wait_until(lambda: (now := store.open_run("lab")) is not None and now.run != under_way, 60)
             wait_until(lambda: len(store.load_run(store.open_run("lab").run).time_s) > 30, 60)
         runs = {r.run: r.header["panel.material"] for r in store.runs().items}
@@ -318,7 +319,7 @@ def test_a_folder_that_cannot_be_read_leaves_the_configuration_as_it_was(tmp_pat
         wired = wiring("labjack-t7", a, "upper", UPPER) | {"calibration": "upper.toml"}
         made.write(wired)
     (tmp_path / "upper.toml").write_text("")
-    watch = _ConfigWatch(load_config(made.config), lambda level, sentence, *_: said.append((level, sentence)))
+    watch = _ConfigWatch(load_config(made.config), lambda level, message, *_: said.append((level, str(message))))
     watch.look([])
     assert said == []
     reached = Path.stat, Path.read_text
@@ -357,7 +358,7 @@ class ReadingLine:
 
 
 def test_a_clock_set_back_and_forth_is_journalled_and_costs_no_scan_and_no_order(tmp_path, monkeypatch):
-    monkeypatch.setattr("daq.acquisition.datetime", SettableClock)
+    monkeypatch.setattr("daq.recording.acquisition.datetime", SettableClock)
     with plant(tmp_path) as made, open_store(made.url) as store:
         with recording(made):
             for hours in (-1, 2):
@@ -366,7 +367,7 @@ def test_a_clock_set_back_and_forth_is_journalled_and_costs_no_scan_and_no_order
                 monkeypatch.setattr(SettableClock, "set_by", timedelta(hours=hours))
             seen = len(all_scans(store))
             wait_until(lambda: len(all_scans(store)) > seen + 10)
-        said = [e.message for e in store.journal().items if "clock of this machine" in e.message]
+        said = [str(e.message) for e in store.journal().items if "clock of this machine" in str(e.message)]
         scans = all_scans(store)
     set_by = sorted(float(m.split("set by ")[1].split(" s")[0]) for m in said)
     assert set_by == pytest.approx([-3600, 10800], abs=1)
@@ -392,7 +393,7 @@ def test_a_calibration_that_changes_is_in_force_between_runs_and_kept_with_them(
             raw = newest()
             (tmp_path / "upper.toml").write_text(entry.format(1, "0.0") + entry.format(2, "30.0"))
             wait_until(lambda: newest() > raw + 20.0, 60)
-            assert any("is in force" in e.message for e in store.journal().items)
+            assert any("is in force" in str(e.message) for e in store.journal().items)
             wait_until(lambda: store.open_run("lab") is not None, 60)
             kept = store.configuration_of(store.open_run("lab").run)
         assert "date = 2026-01-02" in kept
@@ -401,7 +402,7 @@ def test_a_calibration_that_changes_is_in_force_between_runs_and_kept_with_them(
 
 
 def start(made, **options):
-    command = [sys.executable, "-m", "daq.recorder", str(made.config)]
+    command = [sys.executable, "-m", "daq.recording.recorder", str(made.config)]
     where = {"cwd": Path(__file__).parents[2], "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
     return subprocess.Popen(command, text=True, **where, **options)
 
@@ -463,7 +464,7 @@ def test_killed_in_mid_run_the_recorder_loses_nothing_acknowledged_and_resumes(t
             wait_until(lambda: store.run_record(run).status is RunStatus.INTERRUPTED, 60)
             assert len(store.load_run(run).time_s) > 5
             acknowledged_until_killed(child, 0.2)
-            assert any(f"run {run} was interrupted" in e.message for e in store.journal().items)
+            assert any(f"run {run} was interrupted" in str(e.message) for e in store.journal().items)
         check_store_after_kill(made.url, last)
 
 
@@ -498,26 +499,28 @@ def test_a_second_recorder_is_sent_away_and_does_not_disturb_the_first(tmp_path,
         with recording(made):
             wait_until(lambda: store.open_run("lab") is not None, 60)
             run = store.open_run("lab").run
-            command = [sys.executable, "-m", "daq.recorder", str(made.config)]
+            command = [sys.executable, "-m", "daq.recording.recorder", str(made.config)]
             second = subprocess.run(command, capture_output=True, text=True, timeout=60)
             assert second.returncode
             assert "another recorder" in second.stderr.splitlines()[-1]
             assert not second.stdout
             wait_until(lambda: store.run_record(run).status is not RunStatus.OPEN, 60)
             assert store.run_record(run).status is RunStatus.CLOSED
-        assert not any("interrupted" in e.message for e in store.journal(limit=500).items)
+        assert not any("interrupted" in str(e.message) for e in store.journal(limit=500).items)
 
 
 @pytest.mark.skipif(os.name == "nt", reason="a link needs rights there")
-def test_a_second_recorder_that_comes_by_a_link_is_sent_away_too(tmp_path):
+@pytest.mark.parametrize("link", [Path.symlink_to, Path.hardlink_to])
+def test_a_second_recorder_that_comes_by_a_link_is_sent_away_too(tmp_path, link):
     with plant(tmp_path, speed=20.0, rate_hz=2.0) as made, recording(made):
         other = tmp_path / "other"
         other.mkdir()
-        (other / "linked.sqlite").symlink_to(made.url)
+        wait_until(Path(made.url).exists)
+        link(other / "linked.sqlite", made.url)
         text = made.config.read_text()
         assert made.url in text
         (tmp_path / "second.toml").write_text(text.replace(made.url, str(other / "linked.sqlite")))
-        command = [sys.executable, "-m", "daq.recorder", str(tmp_path / "second.toml")]
+        command = [sys.executable, "-m", "daq.recording.recorder", str(tmp_path / "second.toml")]
         second = subprocess.run(command, capture_output=True, text=True, timeout=60)
         assert second.returncode
         assert "another recorder" in second.stderr.splitlines()[-1]
@@ -534,7 +537,9 @@ def test_two_presses_in_one_process_do_not_wait_for_each_other(tmp_path, store_u
             with recording(made):
                 wait_until(lambda: store.newest_scan_number("second") > 5)
                 off.silent = True
-                wait_until(lambda: any("logger alone does not answer" in e.message for e in store.journal().items))
+                wait_until(
+                    lambda: any("logger alone does not answer" in str(e.message) for e in store.journal().items)
+                )
                 before = [store.newest_scan_number(press) for press in ("lab", "second")]
                 time.sleep(2.0)
                 after = [store.newest_scan_number(press) for press in ("lab", "second")]

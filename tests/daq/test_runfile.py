@@ -1,8 +1,12 @@
 """Run files: what is written comes back, what is wrong is named by line and column."""
 
+import csv
 import string
+import subprocess
+import sys
 import tempfile
 import time
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -13,10 +17,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from daq.qualities import QualitySpan, quality_text, spans_of
+from daq.files.qualities import QualitySpan, quality_text, spans_of
+from daq.files.run_file import read_run, write_run
 from daq.records import InputError, Quality, Run
-from daq.runfile import read_run, write_run
 
+ROOT = Path(__file__).resolve().parents[2]
 GOOD = """# run = "2026-03-04-07"
 # panel.material = "MDF"
 # panel.thickness_mm = 16.0
@@ -143,7 +148,7 @@ def test_a_row_with_a_wrong_number_of_cells_is_named_whatever_else_the_file_says
     path.write_text(
         f"time_s,platen_top,top_1,quality\n0,200,20,{quality}\n1,200,20,{quality}\n{damaged}\n3,1,1,\n"
     )
-    with pytest.raises(InputError, match=f"line 4: {damaged.count(',') + 1} cells, but the header row has 4"):
+    with pytest.raises(InputError, match=f"line 4: {damaged.count(',') + 1} cells?, but the header row has 4"):
         read_run(path)
 
 
@@ -362,3 +367,57 @@ def test_a_parquet_file_with_one_wrong_bit_is_refused_by_column(tmp_path, column
     path.write_bytes(sound[:middle] + bytes([sound[middle] ^ 1]) + sound[middle + 1 :])
     with pytest.raises(InputError, match=f"column {column}: not a readable Parquet file"):
         read_run(path)
+
+
+@pytest.mark.parametrize("cell", ["٢١", "２１", "2١", "१"])
+def test_digits_of_another_script_are_no_numbers_and_no_remark_either(tmp_path, cell):
+    path = tmp_path / "x.csv"
+    path.write_text(f"time_s,top_1\n0,{cell}\n1,{cell}\n")
+    with pytest.raises(InputError, match=f"line 2: column top_1: '{cell}' is not a number"):
+        read_run(path)
+
+
+@pytest.mark.parametrize("text", ["=2+3", "+2", "-x", "@cmd", "\t=1", "'=2", "''=2", "'tis", "steady", ""])
+def test_a_text_that_a_spreadsheet_would_compute_is_written_behind_an_apostrophe_and_read_back_the_same(
+    tmp_path, text
+):
+    run = Run("x", {"run": "x", "remark": f"a,{text};{text}"}, np.arange(2.0), {"top_1": np.arange(2.0)})
+    run = replace(run, texts={"note": (text, "fine"), "=SUM(A1)": ("a", "b")})
+    write_run(run, tmp_path / "x.csv")
+    with (tmp_path / "x.csv").open(newline="", encoding="utf-8") as file:
+        cells = [cell for row in csv.reader(file) for cell in row]
+    assert not [cell for cell in cells if cell.startswith(("=", "@", "+", "\t"))]
+    back = read_run(tmp_path / "x.csv")
+    assert (back.texts, back.header) == (run.texts, run.header)
+
+
+READS = """
+import resource, sys
+from pathlib import Path
+from daq.files.run_file import read_run
+import daq.press.press_file
+warm = read_run(Path(sys.argv[1]))
+before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+run = read_run(Path(sys.argv[2]))
+after = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+print(after - before, len(run.time_s), len(run.columns))
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="kilobytes of the system's own count")
+@pytest.mark.parametrize("kind", ["numbers", "remarks", "parquet"])
+def test_reading_a_long_run_takes_little_more_memory_than_the_run(tmp_path, kind):
+    rows = 300_000
+    values = np.random.default_rng(1).normal(100.0, 20.0, (15, rows)).round(2)
+    columns = {f"top_{i + 1}": column for i, column in enumerate(values)}
+    texts = {"note": ("calm",) * rows} if kind == "remarks" else {}
+    path = tmp_path / ("x.parquet" if kind == "parquet" else "x.csv")
+    write_run(Run("x", {}, np.arange(rows) / 10, columns, texts=texts), path)
+    small = tmp_path / f"small{path.suffix}"
+    write_run(Run("s", {}, np.arange(3.0), {"top_1": np.arange(3.0)}, texts={k: ("a",) * 3 for k in texts}), small)
+    told = subprocess.run(
+        [sys.executable, "-c", READS, small, path], capture_output=True, text=True, check=True, cwd=ROOT
+    )
+    grown_kb, *shape = (int(part) for part in told.stdout.split())
+    assert shape == [rows, 15]
+    assert grown_kb * 1024 < 2.2 * 16 * 8 * rows

@@ -5,8 +5,8 @@ from datetime import UTC, datetime, timedelta
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from daq.recording.run_keeper import RunKeeper, RunNames, RunRules
 from daq.records import PressEvent, PressEventKind, Quality, Scan
-from daq.runkeeper import RunKeeper, RunNames, RunRules
 from daq.store import RunStatus
 
 BEGAN = datetime(2026, 3, 4, 23, 59, 0, tzinfo=UTC)

@@ -19,12 +19,13 @@ from sqlalchemy import text
 from sqlalchemy.engine import make_url
 
 from daq.records import Channel
-from daq.store import NewRun, RunStatus, StoreUnavailable, open_store, patience
+from daq.store import NewRun, RunStatus, StoreUnavailable, connection_watchdog, open_store
 from daq.store.outbox import Outbox
-from daq.store.parcels import Entry, Parcel
+from daq.store.write_batch import Entry, WriteBatch
+from daq.words import say
 from tests.daq.test_kills import herd
 from tests.daq.test_recorder import all_scans, wait_until
-from tests.daq.test_store_outbox import BEGAN, CHANNELS, G, Notes, parcel
+from tests.daq.test_store_outbox import BEGAN, CHANNELS, G, Notes, batch
 
 
 class Gate:
@@ -102,12 +103,12 @@ def test_a_recorder_started_and_killed_while_the_server_is_away_loses_nothing(po
         wait_until(lambda: len(one.acknowledged("record")) > count + 40, 60)
         gate.open()
         with open_store(postgresql_url) as store:
-            wait_until(lambda: any("takes data again" in e.message for e in store.journal().items), 60)
+            wait_until(lambda: any("takes data again" in str(e.message) for e in store.journal().items), 60)
             one.kill("record")
             one.start("record")
             balanced(one, store)
             assert len(store.runs(status=RunStatus.OPEN).items) <= 1
-            said = [e.message for e in store.journal(limit=200).items]
+            said = [str(e.message) for e in store.journal(limit=200).items]
             assert any(
                 "kerntemp-buffer.sqlite, enough for" in m and "check that the database server" in m for m in said
             )
@@ -190,22 +191,22 @@ def stopped(url):
 
 
 def test_a_server_that_falls_silent_costs_seconds_and_a_slow_one_is_waited_for(tmp_path, monkeypatch):
-    monkeypatch.setattr(patience, "SILENT_S", 1.0)
+    monkeypatch.setattr(connection_watchdog, "SILENT_S", 1.0)
     with own_server() as (_, url), open_store(url, busy_s=2.0) as store:
         with store.database.reading() as connection:
             assert connection.execute(text("SELECT 1 FROM pg_sleep(1.4)")).scalar() == 1
         key = store.register_press("lab", CHANNELS, "press file")
         said, notes = [], Notes()
         outbox = Outbox(
-            store, buffer=tmp_path / "b.sqlite", acknowledged=notes.note, say=lambda *words: said.append(words)
+            store, buffer=tmp_path / "b.sqlite", acknowledged=notes.note, journal=lambda *words: said.append(words)
         )
         outbox.start()
         for n in range(10):
-            outbox.put(parcel(key, n))
+            outbox.put(batch(key, n))
         wait_until(lambda: outbox.written == 10)
         with stopped(url):
             for n in range(10, 3000):
-                outbox.put(parcel(key, n))
+                outbox.put(batch(key, n))
             wait_until(lambda: outbox.written == 3000, 8)
             assert outbox.waiting == 2990
             with pytest.raises(StoreUnavailable, match="check that the database server runs"):
@@ -214,9 +215,9 @@ def test_a_server_that_falls_silent_costs_seconds_and_a_slow_one_is_waited_for(t
         outbox.close()
         assert [s.number for s in all_scans(store)] == list(range(3000))
         assert [level for level, _ in said] == ["alarm", "info"]
-        assert "connection" in said[0][1]
-        assert "check that the database server runs" in said[0][1]
-        assert f"scans wait in {tmp_path / 'b.sqlite'}, enough for" in said[0][1]
+        assert "connection" in str(said[0][1])
+        assert "check that the database server runs" in str(said[0][1])
+        assert f"scans wait in {tmp_path / 'b.sqlite'}, enough for" in str(said[0][1])
 
 
 @pytest.mark.campaign
@@ -236,8 +237,8 @@ def test_a_server_that_stops_under_the_recorder_costs_no_scan_and_raises_the_ala
             with open_store(url) as store:
                 balanced(one, store)
                 back = "takes data again"
-                wait_until(lambda: sum(back in e.message for e in store.journal().items) == count, 60)  # noqa: B023
-                alarms = [e.message for e in store.journal(level="alarm").items]
+                wait_until(lambda: sum(back in str(e.message) for e in store.journal().items) == count, 60)  # noqa: B023
+                alarms = [str(e.message) for e in store.journal(level="alarm").items]
         assert len(alarms) == 3
         assert all(
             "check that the database server runs" in m and "sqlite, enough for" in m and "connection" in m
@@ -258,22 +259,24 @@ def test_a_server_that_is_restarted_under_the_recorder_costs_no_scan(tmp_path):
         wait_until(lambda: len(one.acknowledged("record")) > count + 40, 60)
         with open_store(url) as store:
             balanced(one, store)
-            wait_until(lambda: any("takes data again" in e.message for e in store.journal(limit=200).items), 60)
+            wait_until(
+                lambda: any("takes data again" in str(e.message) for e in store.journal(limit=200).items), 60
+            )
 
 
 def test_a_session_gets_its_place_once_in_order_behind_what_a_killed_one_left(store_url, tmp_path):
     with open_store(store_url) as store:
-        store.append_scans(store.register_press("lab", CHANNELS), parcel(None, 0).scans)
+        store.append_scans(store.register_press("lab", CHANNELS), batch(None, 0).scans)
         first = Outbox(store, buffer=tmp_path / "b.sqlite")
         key = first.later_key("lab", CHANNELS, "press file")
         begin = NewRun("lab-2026-03-04-t070000", 3, BEGAN, 0.0)
         for n in range(5):
-            first.put(Parcel(key, parcel(key, n).scans, (), begin if n == 4 else None))
+            first.put(WriteBatch(key, batch(key, n).scans, (), begin if n == 4 else None))
         wider = (*CHANNELS, Channel("top_2"))
         second_key = first.later_key("lab", wider, "press file")
         for n in range(5):
-            scan = parcel(second_key, n).scans[0]
-            first.put(Parcel(second_key, (replace(scan, values=(*scan.values, 21.0), qualities=(G, G, G)),)))
+            scan = batch(second_key, n).scans[0]
+            first.put(WriteBatch(second_key, (replace(scan, values=(*scan.values, 21.0), qualities=(G, G, G)),)))
         notes = Notes()
         first._take()
         first._keep()
@@ -292,7 +295,7 @@ def test_a_session_gets_its_place_once_in_order_behind_what_a_killed_one_left(st
 def test_what_a_session_said_is_timed_when_it_was_said(store_url, tmp_path):
     with open_store(store_url) as store:
         outbox = Outbox(store, buffer=tmp_path / "b.sqlite")
-        outbox.put(Entry("warning", "record", "long ago", unix_s=BEGAN.timestamp()))
+        outbox.put(Entry("warning", "record", say("plain-text", text="long ago"), unix_s=BEGAN.timestamp()))
         outbox._take()
         outbox._keep()
         outbox.start()

@@ -8,14 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.pressfile import panel_of, parse_press, read_press
+from daq.files.run_file import read_run
+from daq.press.header import panel_of
+from daq.press.press_file import parse_press, read_press
 from daq.records import InputError
-from daq.runfile import read_run
 from daq.simulated.campaign import Plan, make_campaign, write_campaign
 from daq.simulated.campaign_pressfile import press_toml
 from daq.simulated.campaign_sensors import CHANNELS, FACES, Nuisances
 from daq.simulated.effects import OUTSIDE, SIZES, draw_effect, draw_outside
-from daq.simulated.physics_mesh import Plates
+from daq.simulated.physics_pressing import Plates
 
 LAB = Path(__file__).parents[2] / "deploy" / "presses" / "lab.toml"
 SEEDS = range(20, 26)

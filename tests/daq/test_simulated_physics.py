@@ -10,14 +10,9 @@ from scipy.integrate import solve_ivp
 from scipy.special import erfcx
 
 from daq.simulated import physics_kernel as kernel
-from daq.simulated.physics import (
-    Outside,
-    Pressing,
-    constant_platen,
-    nominal_panel,
-    solve,
-)
-from daq.simulated.physics_mesh import LATENT_HEAT, Plates, build_knobs, build_mesh, first_state
+from daq.simulated.physics import nominal_panel, solve
+from daq.simulated.physics_mesh import LATENT_HEAT, build_knobs, build_mesh, first_state
+from daq.simulated.physics_pressing import Outside, Plates, Pressing, constant_platen
 
 TIMES = np.arange(5.0, 139.0, 0.1)
 NOTHING = 1e-9

@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from daq.pressfile import panel_of
+from daq.press.header import panel_of
 from daq.records import InputError, PressState, Run
 from daq.simulated.campaign_sensors import CHANNELS, Nuisances
 from daq.simulated.press import PressSettings, VirtualPress

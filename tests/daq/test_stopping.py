@@ -5,7 +5,7 @@ import sys
 
 ASKED_INSIDE_THE_EVENT = """
 import signal, threading
-from daq.stopping import stop_on_signals
+from daq.process.stopping import stop_on_signals
 stop = threading.Event()
 stop_on_signals(stop)
 with stop._cond:

@@ -13,12 +13,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sqlalchemy import inspect, text
 
+from daq.files.run_file import read_run, write_run
 from daq.records import Channel, InputError, PressEvent, PressEventKind, PressState, Quality, Run, Scan
-from daq.runfile import read_run, write_run
 from daq.store import NewRun, RunEnd, RunStatus, StoredEstimate, StoreUnavailable, open_store
 from daq.store.convert import MANY, readings_json, readings_table
 from daq.store.database import migrations, statements, store_url
 from daq.store.schema import METADATA
+from daq.words import say
 
 CHANNELS = tuple(Channel(name) for name in ("platen_top", "platen_bottom", "top_1", "bottom_1"))
 BEGAN = datetime(2026, 3, 4, 7, 0, tzinfo=UTC)
@@ -326,7 +327,7 @@ def test_one_model_of_a_press_is_active_and_its_history_stays(store):
     assert store.model("v1").status == "retired"
     assert [m.version for m in store.models(press="lab").items] == ["v2", "v1"]
     assert store.model("v2").reason == "residual 1.0 -> 0.4 K"
-    assert store.journal().items[0].message == "model v2 promoted"
+    assert store.journal().items[0].message == say("model-promoted", version="v2")
     assert store.journal().items[0].detail == {"reason": "better by 0.4 K"}
     with pytest.raises(InputError, match="'v3' is not in the store"):
         store.promote_model("v3", "eva")
@@ -340,8 +341,8 @@ def test_diagnoses_journal_and_status_are_kept(store):
     assert store.diagnoses(press="lab").items[0].diagnosis == {"verdict": "named", "seconds": None}
     store.log("warning", "record", "press-left silent", "lab", {"since": "07:00"})
     store.log("info", "serve", "started")
-    assert [e.message for e in store.journal(level="warning").items] == ["press-left silent"]
-    assert [e.message for e in store.journal_after(0)] == ["press-left silent", "started"]
+    assert [str(e.message) for e in store.journal(level="warning").items] == ["press-left silent"]
+    assert [str(e.message) for e in store.journal_after(0)] == ["press-left silent", "started"]
     store.beat("record", {"scans": 1})
     store.beat("record", {"scans": 2})
     assert store.statuses()["record"].status == {"scans": 2}
@@ -400,6 +401,23 @@ def test_people_find_runs_and_scans_by_plain_sql(store):
         assert str(overview["started_utc"]).startswith("2026-03-04")
 
 
+def test_channels_and_presses_that_an_engine_takes_for_the_same_are_told_apart(store):
+    long = "t" * 70
+    channels = (*map(Channel, (long + "1", long + "2", "T1", "t1")), Channel("number", ""))
+    for press in ("hall-1", "hall_1", "Hall-1"):
+        key = store.register_press(press, channels)
+        values = (1.0, 2.0, 3.0, 4.0, float(key.press_id))
+        store.append_scans(key, [Scan(0, BEGAN, 1.0, values, (Quality.GOOD,) * 5)])
+    with store.database.reading() as connection:
+        views = [name for name in inspect(store.database.engine).get_view_names() if name.startswith("scan_of_")]
+        assert len(views) == 3
+        rows = [connection.execute(text(f'SELECT * FROM "{view}"')).one() for view in sorted(views)]
+    for row in rows:
+        assert sorted(row[3:7]) == [1.0, 2.0, 3.0, 4.0]
+        assert len(set(row._fields)) == len(row._fields)
+    assert len({row[7] for row in rows}) == 3
+
+
 def test_people_find_events_estimates_coefficients_and_models_of_a_run_with_units_and_times(store):
     name = record_one_run(store)
     store.append_estimates("lab", [StoredEstimate(20, 1002.0, PressState.CLOSED, 61.0, 0.5, 60.0, 62.0, True)])
@@ -455,6 +473,25 @@ def test_a_store_of_the_first_schema_is_brought_up_to_date_with_its_data(store_u
         assert (kept.value, kept.sd, kept.low, kept.high) == (700.0, 9.0, 680.0, 720.0)
         assert len(store.load_run(name).time_s) == 37
         assert store.contents().schema == max(steps)
+
+
+def test_journal_lines_of_older_versions_are_kept_as_texts_and_promotions_get_their_code(store_url, monkeypatch):
+    steps = migrations()
+    monkeypatch.setattr("daq.store.database.migrations", lambda: {n: sql for n, sql in steps.items() if n < 4})
+    odd = 'v"2\\'
+    with open_store(store_url) as store, store.database.writing() as connection:
+        for message in (f"model {odd} promoted", "press-left silent"):
+            row = text("INSERT INTO event (unix_s, level, process, message) VALUES (0.0, 'info', 'x', :message)")
+            connection.execute(row, {"message": message})
+    monkeypatch.undo()
+    with open_store(store_url) as store:
+        store.log("info", "x", say("run-interrupted", run="r"))
+        said = [e.message for e in store.journal_after(0)]
+    assert said == [
+        say("model-promoted", version=odd),
+        say("plain-text", text="press-left silent"),
+        say("run-interrupted", run="r"),
+    ]
 
 
 def test_the_password_of_a_store_is_not_kept_with_each_run(store):

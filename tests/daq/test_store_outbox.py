@@ -14,16 +14,17 @@ from daq.records import Channel, PressEvent, PressEventKind, Quality, Scan
 from daq.store import NewRun, RunEnd, StoreUnavailable, open_store
 from daq.store.buffer import Buffer
 from daq.store.outbox import Outbox
-from daq.store.parcels import Entry, Parcel, decode, encode
+from daq.store.write_batch import Entry, WriteBatch, decode, encode
+from daq.words import say
 
 BEGAN = datetime(2026, 3, 4, 7, 0, tzinfo=UTC)
 CHANNELS = (Channel("platen_top"), Channel("top_1"))
 G = Quality.GOOD
 
 
-def parcel(key, number):
+def batch(key, number):
     scan = Scan(number, BEGAN + timedelta(seconds=number / 10), 100 + number / 10, (200.0, 20.0 + number), (G, G))
-    return Parcel(key, (scan,))
+    return WriteBatch(key, (scan,))
 
 
 def wait_until(condition, longest_s=20.0):
@@ -40,8 +41,8 @@ class Notes:
     def note(self, item):
         self.acknowledged += [s.number for s in item.scans]
 
-    def say(self, level, sentence):
-        self.said.append((level, sentence))
+    def journal(self, level, message):
+        self.said.append((level, str(message)))
 
 
 def numbers(store):
@@ -55,12 +56,12 @@ def test_everything_put_is_written_in_order_and_acknowledged_after(store_url):
         outbox = Outbox(store, acknowledged=notes.note)
         outbox.start()
         for n in range(200):
-            outbox.put(parcel(key, n))
-        outbox.put(Entry("info", "record", "hello"))
+            outbox.put(batch(key, n))
+        outbox.put(Entry("info", "record", say("plain-text", text="hello")))
         outbox.beat("record", {"x": 1})
         outbox.close()
         assert numbers(store) == notes.acknowledged == list(range(200))
-        assert store.journal().items[0].message == "hello"
+        assert str(store.journal().items[0].message) == "hello"
         assert store.statuses()["record"].status == {"x": 1}
         assert outbox.waiting == 0
 
@@ -70,17 +71,17 @@ def test_while_much_waits_to_be_written_the_recorder_gives_signs_of_life(tmp_pat
     alive = []
     with open_store(str(tmp_path / "s.sqlite")) as store:
         key = store.register_press("lab", CHANNELS)
-        much = [parcel(key, n) for n in range(1200)]
+        much = [batch(key, n) for n in range(1200)]
         if buffered:
             Buffer(tmp_path / "b.sqlite").append(much)
         outbox = Outbox(store, buffer=tmp_path / "b.sqlite" if buffered else None)
-        write = store.write_parcels
+        write = store.write_batches
 
-        def watched(parcels):
+        def watched(batches, lines=()):
             alive.append("record" in store.statuses())
-            write(parcels)
+            write(batches, lines)
 
-        monkeypatch.setattr(store, "write_parcels", watched)
+        monkeypatch.setattr(store, "write_batches", watched)
         for item in () if buffered else much:
             outbox.put(item)
         outbox.beat("record", {"x": 1})
@@ -95,14 +96,14 @@ def test_a_locked_store_makes_scans_wait_says_so_once_and_loses_none(tmp_path):
     notes, path = Notes(), tmp_path / "s.sqlite"
     with open_store(str(path), busy_s=0.05) as store:
         key = store.register_press("lab", CHANNELS)
-        outbox = Outbox(store, acknowledged=notes.note, say=notes.say)
+        outbox = Outbox(store, acknowledged=notes.note, journal=notes.journal)
         outbox.start()
-        outbox.put(parcel(key, 0))
+        outbox.put(batch(key, 0))
         wait_until(lambda: notes.acknowledged == [0])
         other = sqlite3.connect(path, isolation_level=None)
         other.execute("BEGIN IMMEDIATE")
         for n in range(1, 50):
-            outbox.put(parcel(key, n))
+            outbox.put(batch(key, n))
         wait_until(lambda: outbox.trouble)
         assert notes.acknowledged == [0]
         other.execute("ROLLBACK")
@@ -142,14 +143,14 @@ def test_a_server_that_goes_away_is_replaced_by_a_local_buffer_and_filled_in_ord
     buffer = tmp_path / "buffer.sqlite"
     with open_store(postgresql_url, busy_s=2) as store:
         key = store.register_press("lab", CHANNELS)
-        outbox = Outbox(store, buffer=buffer, acknowledged=notes.note, say=notes.say)
+        outbox = Outbox(store, buffer=buffer, acknowledged=notes.note, journal=notes.journal)
         outbox.start()
-        outbox.put(parcel(key, 0))
+        outbox.put(batch(key, 0))
         wait_until(lambda: notes.acknowledged == [0])
         server.stop()
         try:
             for n in range(1, 60):
-                outbox.put(parcel(key, n))
+                outbox.put(batch(key, n))
                 time.sleep(0.002)
             wait_until(lambda: len(notes.acknowledged) == 60)
             with sqlite3.connect(buffer) as kept:
@@ -158,7 +159,7 @@ def test_a_server_that_goes_away_is_replaced_by_a_local_buffer_and_filled_in_ord
             assert "enough for" in notes.said[0][1]
         finally:
             server.start()
-        outbox.put(parcel(key, 60))
+        outbox.put(batch(key, 60))
         wait_until(lambda: outbox.waiting == 0 and len(notes.acknowledged) == 61, 30)
         outbox.close()
         assert numbers(store) == list(range(61))
@@ -175,7 +176,7 @@ def test_what_a_killed_recorder_left_in_the_buffer_is_written_by_the_next(postgr
         try:
             first.start()
             for n in range(30):
-                first.put(parcel(key, n))
+                first.put(batch(key, n))
             wait_until(lambda: len(notes.acknowledged) == 30)
             first.close()
         finally:
@@ -183,7 +184,7 @@ def test_what_a_killed_recorder_left_in_the_buffer_is_written_by_the_next(postgr
         second = Outbox(store, buffer=tmp_path / "b.sqlite")
         assert second.waiting == 30
         second.start()
-        second.put(parcel(key, 30))
+        second.put(batch(key, 30))
         wait_until(lambda: second.waiting == 0)
         second.close()
         assert numbers(store) == list(range(31))
@@ -205,15 +206,15 @@ def test_a_full_disk_makes_scans_wait_and_recording_goes_on_when_there_is_room(s
     notes = Notes()
     with open_store(str(small_disk / "s.sqlite"), busy_s=0.2) as store:
         key = store.register_press("lab", CHANNELS)
-        outbox = Outbox(store, acknowledged=notes.note, say=notes.say)
+        outbox = Outbox(store, acknowledged=notes.note, journal=notes.journal)
         outbox.start()
-        outbox.put(parcel(key, 0))
+        outbox.put(batch(key, 0))
         wait_until(lambda: notes.acknowledged)
         with (small_disk / "ballast").open("wb", buffering=0) as ballast, suppress(OSError):
             while ballast.write(b"x" * 4096) == 4096:
                 pass
         for n in range(1, 3000):
-            outbox.put(parcel(key, n))
+            outbox.put(batch(key, n))
         wait_until(lambda: outbox.trouble)
         assert "free space on the disk" in notes.said[0][1]
         assert store.newest_scan_number("lab") == max(notes.acknowledged)
@@ -231,15 +232,15 @@ def test_a_disk_that_turns_read_only_makes_scans_wait_until_it_is_mended(small_d
 
     with open_store(str(small_disk / "s.sqlite"), busy_s=0.2) as store:
         key = store.register_press("lab", CHANNELS)
-        outbox = Outbox(store, acknowledged=notes.note, say=notes.say)
+        outbox = Outbox(store, acknowledged=notes.note, journal=notes.journal)
         outbox.start()
-        outbox.put(parcel(key, 0))
+        outbox.put(batch(key, 0))
         wait_until(lambda: notes.acknowledged)
         store.database.close()  # the kernel refuses to remount while a file is open for writing
         remount("ro")
         try:
             for n in range(1, 30):
-                outbox.put(parcel(key, n))
+                outbox.put(batch(key, n))
             wait_until(lambda: outbox.trouble)
             assert notes.said[0][0] == "alarm"
             assert "its disk is not mounted read-only" in notes.said[0][1]
@@ -273,11 +274,11 @@ values = st.floats(allow_nan=False, allow_infinity=False)
     note=st.text(max_size=10),
 )
 @settings(max_examples=60, deadline=None)
-def test_a_buffered_parcel_comes_back_as_it_was(reading, moment, note):
+def test_a_buffered_write_batch_comes_back_as_it_was(reading, moment, note):
     channels = (Channel("top_1"), Channel("closed", ""))
     from daq.store import PressKey
 
-    item = Parcel(
+    item = WriteBatch(
         PressKey(3, "lab", 4, channels, 17),
         (Scan(17, BEGAN, moment, tuple(v for v, _ in reading), tuple(q for _, q in reading)),),
         (PressEvent(PressEventKind.CLOSED, moment, 1.0, "limit switch"),),
@@ -285,5 +286,5 @@ def test_a_buffered_parcel_comes_back_as_it_was(reading, moment, note):
         RunEnd("q", 11, BEGAN),
     )
     assert decode(encode(item)) == item
-    entry = Entry("warning", "record", note, "lab", {"step_s": 1.0})
+    entry = Entry("warning", "record", say("plain-text", text=note), "lab", {"step_s": 1.0})
     assert decode(encode(entry)) == entry

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from sqlalchemy import func, insert, literal, select
 
-from api.server import settle_memory
+from api.http.server import settle_memory
 from daq.records import Channel, Quality, Scan
 from daq.store import NewRun, RunEnd, open_store
 from daq.store.outbox import Outbox
-from daq.store.parcels import Parcel
 from daq.store.schema import COEFFICIENT, FIT, RUN, SCAN
+from daq.store.write_batch import WriteBatch
 
 BEGAN = datetime(2026, 3, 4, 7, 0, tzinfo=UTC)
 CHANNELS = tuple(Channel(f"c{i}") for i in range(16))
@@ -83,12 +83,12 @@ def double(store, there, wanted):
 
 
 def back_fill_rate(store, there):
-    """Return scans a second through the outbox, each scan a parcel of its own as the recorder puts them."""
+    """Return scans a second through the outbox, each scan a batch of its own as the recorder puts them."""
     key = store.register_press("second", CHANNELS)
     table = np.round(np.random.default_rng(there).normal(100, 5, (6000, 16)), 1).tolist()
     outbox = Outbox(store)
     for scan in batch_of(key.next_number // PER_RUN, table):
-        outbox.put(Parcel(key, (scan,)))
+        outbox.put(WriteBatch(key, (scan,)))
     began = time.perf_counter()
     outbox.start()
     while outbox.waiting:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from sqlalchemy import make_url, text
 
-from daq.manifest import NAME, check_listed, update_manifest
+from daq.files.manifest import NAME, check_listed, update_manifest
 from daq.records import Channel, InputError, PressState, Quality, Run, Scan
 from daq.store import NewRun, RunEnd, StoredEstimate, open_store
 from daq.store.database import migrations, statements

@@ -1,0 +1,160 @@
+"""A run's header: mistyped keys, numbers that cannot be, standard deviations, doubts."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from daq.files.run_file import read_run, write_run
+from daq.press.header import check_header, doubts, panel_of
+from daq.press.press_file import parse_press, press_for_run, read_press
+from daq.process.config import load_config
+from daq.records import InputError, Run
+from daq.store.convert import header_of, header_text
+
+LAB = Path(__file__).resolve().parents[2] / "deploy" / "presses" / "lab.toml"
+ROWS = "time_s,platen_top,top_1\n0,200,20\n1,200,21\n"
+
+
+def file_with(folder, *lines):
+    path = folder / "x.csv"
+    path.write_text("".join(f"# {line}\n" for line in lines) + ROWS)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("line", "meant"),
+    [
+        ("boundry.top.incident_W_m2 = 60000", "boundary.top.incident_W_m2"),
+        ("panel.thicknes_mm = 16.0", "panel.thickness_mm"),
+        ("panel.thickness = 16.0", "panel.thickness_mm"),
+        ("panel.thicknes_mm.sd = 0.1", "panel.thickness_mm"),
+        ("pannel.density_kg_m3 = 700", "panel.density_kg_m3"),
+        ("setting.platen_temprature_C = 200", "setting.platen_temperature_C"),
+        ("ambiant.temperature_C = 20", "ambient.temperature_C"),
+        ("remarks = 'x'", "remark"),
+    ],
+)
+def test_a_mistyped_header_key_is_refused_with_the_one_that_was_meant(tmp_path, line, meant):
+    with pytest.raises(InputError, match=rf"x\.csv: header key .* did you mean {meant}\?"):
+        read_run(file_with(tmp_path, line))
+
+
+@pytest.mark.parametrize(
+    ("value", "said"),
+    [
+        (4301 * "9", "a whole number with more than 300 digits"),
+        (3000 * "[" + 3000 * "]", "more than 16 deep"),
+        (3000 * "{a=" + "1" + 3000 * "}", "more than 16 deep"),
+    ],
+)
+def test_numbers_and_nesting_that_would_kill_the_reader_are_refused_by_line(tmp_path, value, said):
+    with pytest.raises(InputError, match=rf"x\.csv: line 1: .*{said}"):
+        read_run(file_with(tmp_path, f"x = {value}"))
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        'recorded.started_utc = "2026-03-04T07:00:00Z"',
+        'remark = "x"',
+        "setting.feed_m_min = 3.0",
+        "setting.platen_temperature_top_C = 200",
+        "setting.press_time_2_s = 30.0",
+        "boundary.top.incident_W_m2 = 60000",
+        "panel.thickness_mm.sd = 0.1",
+    ],
+)
+def test_keys_of_today_and_of_a_plants_own_settings_are_read_without_a_word(tmp_path, line):
+    run = read_run(file_with(tmp_path, line))
+    assert doubts(run.header) == ()
+    write_run(run, tmp_path / "again.csv")
+    assert read_run(tmp_path / "again.csv").header == {**run.header, "run": "x"}
+
+
+def test_a_key_that_nothing_knows_is_kept_exported_and_doubted_once(tmp_path):
+    run = read_run(file_with(tmp_path, 'panel.supplier = "north"', "shift = 2"))
+    assert [str(said) for said in doubts(run.header)] == [
+        "header key panel.supplier is not known; it is kept, and nothing uses it",
+        "header key shift is not known; it is kept, and nothing uses it",
+    ]
+    write_run(run, tmp_path / "again.csv")
+    assert read_run(tmp_path / "again.csv").header["panel.supplier"] == "north"
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        'panel.thickness_mm = "sixteen"',
+        "panel.thickness_mm = -3",
+        "panel.thickness_mm = nan",
+        "panel.thickness_mm = true",
+        "panel.density_kg_m3 = inf",
+        "ambient.temperature_C = -500",
+        "ambient.temperature_C = 500",
+        "panel.moisture_percent = -1.0",
+        'setting.platen_temperature_C = "hot"',
+    ],
+)
+def test_a_number_that_cannot_be_is_refused_in_file_and_configuration_with_its_limits(tmp_path, line):
+    key, _, value = line.partition(" = ")
+    said = rf"header key {key} = .*: must be a number from .* to .*"
+    with pytest.raises(InputError, match=rf"x\.csv: {said}"):
+        read_run(file_with(tmp_path, line))
+    config = tmp_path / "kerntemp.toml"
+    config.write_text(
+        f'[[press]]\nname = "lab"\nfile = "{LAB}"\nheader = {{ "{key}" = {value} }}\n'
+        '[[press.logger]]\nname = "a"\n'
+        'profile = "adam-6018+"\nhost = "h"\nchannels = ["platen_top", "platen_bottom"]\n'
+    )
+    with pytest.raises(InputError, match=rf"kerntemp\.toml: press lab: {said}"):
+        load_config(config)
+
+
+def test_a_density_far_from_the_material_table_is_doubted_and_a_near_one_is_not():
+    far = doubts({"panel.material": "MDF", "panel.density_kg_m3": 400})
+    assert [str(said) for said in far] == [
+        "header key panel.density_kg_m3 = 400 kg/m³ lies far from the 740 kg/m³ of MDF in the material table; "
+        "check it"
+    ]
+    assert not doubts({"panel.material": "MDF", "panel.density_kg_m3": 650})
+    assert not doubts({"panel.material": "cork", "panel.density_kg_m3": 400})
+
+
+@pytest.mark.parametrize("value", [0, -1.0, float("nan"), "small", True])
+def test_a_standard_deviation_is_a_positive_number_in_header_and_press_file(value):
+    with pytest.raises(InputError, match="a standard deviation must be a positive number"):
+        check_header({"panel.conductivity_W_mK.sd": value}, "x.csv")
+    toml = {float: repr, int: repr, str: lambda x: f'"{x}"', bool: lambda x: "true"}[type(value)](value)
+    with pytest.raises(InputError, match="a standard deviation must be a positive number"):
+        parse_press(LAB.read_text().replace("guess = 700.0", f"guess = 700.0\nguess.sd = {toml}"))
+
+
+def test_a_standard_deviation_beside_a_number_of_the_press_file_is_kept_also_through_an_override():
+    text = LAB.read_text()
+    press = parse_press(text.replace("thickness_mm = 10.0", "thickness_mm = 10.0\nthickness_mm.sd = 0.05", 1))
+    assert press.layer[0].sd == (("thickness_mm", 0.05),)
+    assert read_press(LAB).layer[0].sd == ()
+    assert "sd" not in press.layer[1].model_dump()
+    header = {"layer.plate_top.thickness_mm": 12.0, "layer.plate_top.thickness_mm.sd": 0.2}
+    own = press_for_run(press, Run("r", header, np.arange(2.0), {}))
+    assert own.layer[0].sd == (("thickness_mm", 0.05),)
+    assert own.layer[2].sd == (("thickness_mm", 0.2),)
+    with pytest.raises(InputError, match=r"colour\.sd: there is no number colour beside it"):
+        parse_press(text.replace("area_m2", "colour.sd = 1.0\narea_m2"))
+
+
+def test_the_header_of_a_run_of_today_makes_the_panel_it_made():
+    header = {"panel.material": "MDF", "panel.thickness_mm": 16.0, "panel.initial_temperature_C": 20.0}
+    panel = panel_of(Run("r", header, np.arange(2.0), {}))
+    assert (panel.density, panel.conductivity, panel.heat_capacity) == (740.0, 0.12, 1550.0)
+
+
+def test_a_standard_deviation_beside_its_number_goes_through_file_and_store_unchanged(tmp_path):
+    run = read_run(file_with(tmp_path, "panel.thickness_mm = 16.0", "panel.thickness_mm.sd = 0.1"))
+    assert header_of(header_text(run.header)) == run.header
+    for ending in (".csv", ".parquet"):
+        write_run(run, tmp_path / f"again{ending}")
+        assert read_run(tmp_path / f"again{ending}").header["panel.thickness_mm.sd"] == 0.1

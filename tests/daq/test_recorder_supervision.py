@@ -1,0 +1,162 @@
+"""Nobody dies unseen: an error at any call in any thread of the recorder is told, and recording goes on."""
+
+import inspect
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections import defaultdict
+from pathlib import Path
+
+import pytest
+
+from daq.process.config import load_config
+from daq.process.notify import Notifier
+from daq.recording import acquisition, press_line, recorder, run_keeper
+from daq.store import journal, open_store, outbox, recording, session_placement, store, write_batch
+from daq.words import say
+from tests.daq.test_recorder import plant, wait_until
+from tests.daq.test_recorder import recording as recording_by
+
+MODULES = (
+    acquisition,
+    press_line,
+    recorder,
+    run_keeper,
+    outbox,
+    session_placement,
+    store,
+    write_batch,
+    recording,
+    journal,
+)
+ONCE = {"__init__", "start", "close", "join", "main", "record", "expect", "later_key", "stop", "retire"}
+"""Called when a recorder begins or ends, not while it records."""
+
+
+class Injected(Exception):
+    """What nobody foresaw."""
+
+
+class Injector:
+    """Wraps every function of the recorder; raises once where and in which thread it is told to."""
+
+    def __init__(self, monkeypatch):
+        self.seen = defaultdict(set)
+        self.armed = None
+        for module in MODULES:
+            for owner in (module, *(c for _, c in inspect.getmembers(module, inspect.isclass))):
+                if owner is module or owner.__module__ == module.__name__:
+                    for name, value in list(vars(owner).items()):
+                        own = inspect.isfunction(value) and value.__module__ == module.__name__
+                        if own and name not in ONCE and not inspect.isgeneratorfunction(value):
+                            label = f"{module.__name__}.{value.__qualname__}"
+                            monkeypatch.setattr(owner, name, self.wrapped(label, value))
+
+    def wrapped(self, label, function):
+        def wrapper(*words, **options):
+            thread = threading.current_thread().name.split()[0]
+            self.seen[thread].add(label)
+            if self.armed == (thread, label):
+                self.armed = None
+                raise Injected(label)
+            return function(*words, **options)
+
+        return wrapper
+
+
+def all_numbers(opened):
+    numbers, last = [], -1
+    while more := opened.scans_after("lab", last, 5000).scans:
+        numbers += [scan.number for scan in more]
+        last = numbers[-1]
+    return numbers
+
+
+@pytest.mark.timeout(600)
+def test_an_error_at_any_call_in_any_thread_is_told_and_recording_goes_on(tmp_path, monkeypatch):
+    monkeypatch.setattr("daq.supervision.RESTART_S", 0.02)
+    monkeypatch.setattr(outbox, "_FIRST_RETRY_S", 0.02)
+    monkeypatch.setattr(recorder, "_BEAT_S", 0.1)
+    with plant(tmp_path, speed=20.0, rate_hz=1.0) as made, open_store(made.url) as opened:
+        injector = Injector(monkeypatch)
+        untold = []
+
+        def alarms():
+            return [str(e.message) for e in opened.journal(level="alarm", limit=200).items]
+
+        with recording_by(made):
+            wait_until(lambda: opened.runs().items and len(opened.press_events("lab")) >= 4, 60)
+            threads = [name for name in injector.seen if name in ("writer", "press", "logger", "Thread-1")]
+            assert {"writer", "press", "logger"} <= set(threads)
+            tried = 0
+            for thread in ("writer", "press", "logger"):
+                for label in sorted(injector.seen[thread]):
+                    said, newest = len(alarms()), opened.newest_scan_number("lab")
+                    injector.armed = (thread, label)
+                    deadline = time.monotonic() + 3.0
+                    while injector.armed and time.monotonic() < deadline:
+                        time.sleep(0.01)
+                    if injector.armed:
+                        injector.armed = None  # not called again in so short a time
+                        continue
+                    tried += 1
+                    wait_until(lambda: opened.newest_scan_number("lab") > newest + 2, 20)  # noqa: B023
+                    at = time.monotonic() + 3.0
+                    while len(alarms()) == said and time.monotonic() < at:
+                        time.sleep(0.02)
+                    lost = label in "".join(alarms())
+                    if len(alarms()) == said and not lost and "read" not in label:
+                        untold.append((thread, label))
+        assert tried > 40
+        print(f"{tried} calls")
+        assert not untold, untold
+        numbers = all_numbers(opened)
+        missing = sorted(set(range(numbers[-1] + 1)) - set(numbers))
+        assert len(missing) <= 12, "a fault in the scanner costs its own scan at most"
+
+
+def test_while_the_writer_fails_the_watchdog_is_not_fed_and_health_says_why(tmp_path, monkeypatch):
+    fed = []
+    monkeypatch.setattr(Notifier, "alive", lambda self, status: fed.append(time.monotonic()))
+    monkeypatch.setattr(recorder, "_BEAT_S", 0.05)
+    broken = threading.Event()
+    take = outbox.Outbox._take
+
+    def taking(self):
+        if broken.is_set():
+            raise Injected("the writer")
+        take(self)
+
+    monkeypatch.setattr(outbox.Outbox, "_take", taking)
+    with plant(tmp_path) as made, open_store(made.url) as opened, recording_by(made):
+        wait_until(lambda: opened.newest_scan_number("lab") > 5 and fed)
+        broken.set()
+        time.sleep(0.3)
+        count = len(fed)
+        time.sleep(0.5)
+        assert len(fed) == count
+        broken.clear()
+        wait_until(lambda: len(fed) > count)
+        (alarm,) = [e.message for e in opened.journal(level="alarm").items]
+        inner = say("unexpected-error", kind="Injected", error=say("plain-text", text="the writer"))
+        assert alarm == say("thread-failed", thread="writer", why=inner)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="SIGHUP is POSIX")
+def test_a_closed_terminal_does_not_end_the_recorder(tmp_path):
+    with plant(tmp_path) as made, open_store(made.url) as opened:
+        command = [sys.executable, "-m", "daq.recording.recorder", str(made.config)]
+        where = {"cwd": Path(__file__).parents[2], "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+        with subprocess.Popen(command, **where) as child:
+            try:
+                wait_until(lambda: opened.newest_scan_number("lab") > 2)
+                child.send_signal(signal.SIGHUP)
+                newest = opened.newest_scan_number("lab")
+                wait_until(lambda: opened.newest_scan_number("lab") > newest + 5)
+                assert child.poll() is None
+            finally:
+                child.terminate()
+        assert load_config(made.config).press

@@ -1,0 +1,114 @@
+"""Damage beside a healthy store, and items no store takes: recording goes on, and all of it is told."""
+
+import json
+import random
+import sqlite3
+from contextlib import closing
+from dataclasses import replace
+
+import pytest
+
+from daq.store import NewRun, open_store
+from daq.store.buffer import Buffer
+from daq.store.outbox import Outbox
+from daq.store.write_batch import Entry
+from daq.words import say
+from tests.daq.test_store_outbox import BEGAN, CHANNELS, Notes, batch, numbers, wait_until
+
+
+def spoil(path, offset, count, with_):
+    with path.open("r+b") as file:
+        file.seek(offset)
+        file.write(with_ * count)
+
+
+def filled(path, count, key):
+    buffer = Buffer(path)
+    buffer.append([batch(key, n) for n in range(count)])
+    with closing(sqlite3.connect(path)) as connection:
+        connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+    return buffer
+
+
+DAMAGE = {
+    "garbage": lambda path: path.write_bytes(random.Random(1).randbytes(60_000)),
+    "a torn page": lambda path: spoil(path, 4096 * 9, 4096, b"\xa5"),
+    "a flipped bit in a value": lambda path: spoil(path, path.read_bytes().rfind(b"200.0"), 1, b"3"),
+    "cut short": lambda path: path.write_bytes(path.read_bytes()[:40_000]),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGE)
+@pytest.mark.parametrize("running", [False, True], ids=["at start", "while running"])
+def test_a_damaged_buffer_is_set_aside_and_recording_goes_on_into_the_store(tmp_path, damage, running):
+    path, notes = tmp_path / "b.sqlite", Notes()
+    with open_store(str(tmp_path / "s.sqlite")) as store:
+        key = store.register_press("lab", CHANNELS)
+        filled(path, 300, key)
+        if not running:
+            DAMAGE[damage](path)
+        outbox = Outbox(store, buffer=path, acknowledged=notes.note, journal=notes.journal)
+        if running:
+            DAMAGE[damage](path)
+        outbox.start()
+        for n in range(300, 330):
+            outbox.put(batch(key, n))
+        wait_until(lambda: outbox.waiting == 0 and notes.acknowledged[-1:] == [329])
+        outbox.close()
+        kept = numbers(store)
+        assert set(range(300, 330)) <= set(kept)
+        assert len(kept) >= (30 if damage == "garbage" else 100)
+        assert all(s.values[0] == 200.0 for s in store.scans_after("lab", -1, 1000).scans)
+    alarms = [text for level, text in notes.said if level == "alarm"]
+    assert alarms
+    assert all(str(path) in text for text in alarms)
+    named = [one for one in tmp_path.iterdir() if ".damaged-" in one.name or one.name.endswith(".jsonl")]
+    assert any(str(one) in text for one in named for text in alarms)
+
+
+def test_a_buffer_whose_folder_is_removed_is_made_anew_and_told(tmp_path):
+    folder, notes = tmp_path / "buffer", Notes()
+    folder.mkdir()
+    with open_store(str(tmp_path / "s.sqlite")) as store:
+        key = store.register_press("lab", CHANNELS)
+        filled(folder / "b.sqlite", 50, key)
+        outbox = Outbox(store, buffer=folder / "b.sqlite", acknowledged=notes.note, journal=notes.journal)
+        for file in folder.iterdir():
+            file.unlink()
+        folder.rmdir()
+        outbox.start()
+        for n in range(50, 80):
+            outbox.put(batch(key, n))
+        wait_until(lambda: outbox.waiting == 0 and len(notes.acknowledged) == 30)
+        outbox.close()
+        assert numbers(store) == list(range(50, 80))
+    (alarm,) = [text for level, text in notes.said if level == "alarm"]
+    assert str(folder / "b.sqlite") in alarm
+    assert "50 entries in it are lost" in alarm
+
+
+def test_a_header_and_a_journal_line_no_store_takes_are_set_aside_and_all_else_is_written(store_url, tmp_path):
+    notes = Notes()
+    with open_store(store_url) as store:
+        key = store.register_press("lab", CHANNELS)
+        outbox = Outbox(store, buffer=tmp_path / "b.sqlite", acknowledged=notes.note, journal=notes.journal)
+        begin = NewRun("lab-1", 0, BEGAN, 100.0, {"panel.material": "M\0DF", "panel.thickness_mm": 16.0})
+        outbox.put(replace(batch(key, 0), begin=begin))
+        outbox.put(Entry("info", "record", say("plain-text", text="half \ud800 of a character")))
+        for n in range(1, 20):
+            outbox.put(batch(key, n))
+        outbox.start()
+        wait_until(lambda: outbox.waiting == 0 and len(notes.acknowledged) == 20)
+        outbox.close()
+        assert numbers(store) == list(range(20))
+        (run,) = store.runs().items
+        assert (run.run, run.header["panel.thickness_mm"]) == ("lab-1", 16.0)
+        lines = [e.message.code for e in store.journal().items]
+    said = [text for level, text in notes.said if level == "alarm"]
+    aside = tmp_path / "b.sqlite.set-aside.jsonl"
+    kept = [json.loads(line)["content"] for line in aside.read_text().splitlines()] if aside.exists() else []
+    if "postgresql" in store_url:
+        assert any("M\\\\u0000DF" in text for text in kept)
+        assert any("lab-1" in text and str(aside) in text for text in said)
+    assert any("half" in text for text in kept)
+    assert "line-set-aside" in lines

@@ -1,0 +1,75 @@
+"""Tables that people write: limits on what is read, and the key that was meant."""
+
+from __future__ import annotations
+
+import pytest
+
+from daq.press.press_file import parse_press
+from daq.process.config import Config, load_config
+from daq.records import InputError
+from daq.tables import fields_at, nearest, read_toml
+
+PANEL = '[[layer]]\nname = "panel"\nfrom_run = true\n'
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("a = 1\nb = " + 4301 * "9", r"line 2: a whole number with more than 300 digits"),
+        ("x = 1\n\nb = " + 301 * "9", r"line 3: a whole number with more than 300 digits"),
+        ("a = " + 3000 * "[" + 3000 * "]", "more than 16 deep within one another"),
+        ("a = " + 3000 * "{a=" + "1" + 3000 * "}", "more than 16 deep within one another"),
+        (".".join(3000 * "a") + " = 1", "more than 16 deep within one another"),
+        ("a = " + 20 * "[" + 20 * "]", "more than 16 deep within one another"),
+        ("a =", "not valid TOML"),
+    ],
+)
+def test_numbers_and_nesting_that_would_kill_the_reader_are_refused_in_press_file_and_configuration(
+    tmp_path, text, said
+):
+    with pytest.raises(InputError, match=said):
+        read_toml(text)
+    with pytest.raises(InputError, match=f"^press file: .*{said}"):
+        parse_press(text)
+    path = tmp_path / "kerntemp.toml"
+    path.write_text(text)
+    with pytest.raises(InputError, match=f"kerntemp.toml: .*{said}"):
+        load_config(path)
+
+
+def test_a_large_whole_number_and_a_longer_text_are_read():
+    assert read_toml(f'a = {2**99}\nb = "{4301 * "9"}"')["a"] == 2**99
+
+
+@pytest.mark.parametrize(
+    ("key", "meant"),
+    [
+        ("thicknes_mm", "thickness_mm"),
+        ("Thickness_mm", "thickness_mm"),
+        ("thikcness_mm", "thickness_mm"),
+        ("thickness", "thickness_mm"),
+        ("thickness_m", "thickness_mm"),
+        ("supplier", None),
+        ("platen_temperature_top_C", None),
+        ("step_2", None),
+    ],
+)
+def test_a_slip_of_typing_finds_the_key_that_was_meant_and_another_key_finds_none(key, meant):
+    assert nearest(key, ("thickness_mm", "density_kg_m3", "platen_temperature_C", "step_1")) == meant
+
+
+def test_a_refused_key_of_press_file_and_configuration_names_the_one_that_was_meant(tmp_path):
+    with pytest.raises(
+        InputError, match=r"layer\.0\.thicknes_mm = 3\.0: unknown key; did you mean thickness_mm\?"
+    ):
+        parse_press(PANEL + "thicknes_mm = 3.0")
+    with pytest.raises(InputError, match=r"boundry: unknown key; did you mean boundary\?"):
+        parse_press(PANEL + '[boundry.top]\nkind = "insulated"')
+    with pytest.raises(InputError, match=r"press\.colour = 'red': unknown key; remove it"):
+        parse_press(PANEL + '[press]\ncolour = "red"')
+
+
+def test_the_keys_of_a_table_are_found_by_its_place_through_lists_and_names():
+    assert "channels" in fields_at(Config, ["press", "0", "logger", "1"])
+    assert "rate_hz" in fields_at(Config, ["press", "0"])
+    assert "keep_idle_days" in fields_at(Config, ["store"])
