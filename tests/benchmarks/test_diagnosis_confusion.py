@@ -37,14 +37,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from api.simulation import simulate_run
-from daq.pressfile import parse_press
+from daq.press.press_file import parse_press
 from daq.simulated.campaign import Plan, make_campaign, press_toml
 from daq.simulated.effects import OUTSIDE, SIZES
-from softsensor.diagnosis import diagnose
-from softsensor.diagnosis_model import model_of
+from softsensor.diagnosis.extended_model import model_of
+from softsensor.diagnosis.extension_unknowns import is_shape
+from softsensor.diagnosis.verdict import diagnose
 from softsensor.effects import find_effect
-from softsensor.extension_layout import is_shape
+from softsensor.fitting.simulated_run import simulate_run
 
 pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(8 * 3600)]
 

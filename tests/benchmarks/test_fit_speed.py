@@ -6,11 +6,11 @@ import time
 import numpy as np
 import pytest
 
-from daq.pressfile import parse_press
+from daq.press.press_file import parse_press
 from daq.simulated.campaign import Plan, make_campaign
 from daq.simulated.campaign_pressfile import press_toml
 from daq.simulated.campaign_sensors import Nuisances
-from softsensor.campaign import fit_campaign
+from softsensor.fitting.campaign import fit_campaign
 
 PRESS = parse_press(press_toml())
 RUNS = 20

@@ -18,7 +18,7 @@ import httpx
 import numpy as np
 import pytest
 
-from daq.runfile import toml_value
+from daq.files.run_file import toml_value
 from daq.simulated.campaign import press_toml
 from daq.simulated.campaign_sensors import CHANNELS
 from daq.simulated.devices import simulated, wiring

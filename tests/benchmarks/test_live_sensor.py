@@ -19,20 +19,20 @@ import numpy as np
 import pytest
 
 from api.cli import main
-from daq.press_events import find_moments
-from daq.pressfile import parse_press
+from daq.press.events import find_moments
+from daq.press.press_file import parse_press
 from daq.simulated.campaign import Plan, make_campaign, write_campaign
 from daq.simulated.campaign_pressfile import press_toml
 from daq.simulated.effects import SIZES
-from daq.simulated.physics import BASE_COEFFICIENTS
-from softsensor.adequacy import with_adequacy
-from softsensor.campaign import fit_campaign
-from softsensor.model import ThermalModel
-from softsensor.modelfile import Estimate, ModelFile, read_model
-from softsensor.observer import LiveSensor
+from daq.simulated.physics_pressing import BASE_COEFFICIENTS
+from softsensor.diagnosis.missing_causes import with_missing_causes
+from softsensor.fitting.campaign import fit_campaign
+from softsensor.heat.model import ThermalModel
+from softsensor.heat.model_file import FittedValue, ModelFile, read_model
+from softsensor.live.sensor import LiveSensor
 
 PRESS = parse_press(press_toml())
-MODEL = ModelFile("bench", "lab", {n: Estimate(v, 0.2 * v) for n, v in BASE_COEFFICIENTS.items()})
+MODEL = ModelFile("bench", "lab", {n: FittedValue(v, 0.2 * v) for n, v in BASE_COEFFICIENTS.items()})
 PLAN = Plan(rate_hz=2.0, thickness_mm=16.0, closed_column=False)
 FITTED, PREDICTED, SEED = 8, 3, 7100
 MOVING = (
@@ -205,7 +205,7 @@ class Earlier:
     def __init__(self, campaign):
         self.campaign = campaign
         fits = fit_campaign(PRESS, [run for run, _ in campaign])
-        self.model = with_adequacy(fits.model_file(), fits.runs)
+        self.model = with_missing_causes(fits.model_file(), fits.runs)
 
 
 METHODS = {"live sensor": live, "open loop": open_loop, "lumped filter": lumped, "table of times": table_of_times}

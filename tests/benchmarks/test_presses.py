@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from daq.files.run_file import toml_value
 from daq.records import Quality
-from daq.runfile import toml_value
 from daq.store import open_store
 
 ROOT = Path(__file__).parents[2]

@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import pytest
 
-from daq.pressfile import parse_press
+from daq.press.press_file import parse_press
 from daq.simulated.campaign import Plan, make_campaign
 from daq.simulated.campaign_pressfile import press_toml
 from daq.store import open_store
-from softsensor.nightly_fits import Task, fit_all
+from softsensor.jobs.night_fits import Task, fit_all
 
 PRESS = parse_press(press_toml())
 PLAN = Plan(rate_hz=2.0)
@@ -37,10 +37,10 @@ def test_refitting_many_runs_on_two_processes(tmp_path, capsys, count):
         tasks = [Task(store.database.url.render_as_string(), PRESS, name, None) for name in names]
         begun, before = time.perf_counter(), cpu_s()
         failed = 0
-        for run, fit, error in fit_all(tasks, 2):
-            failed += bool(error)
-            if not error:
-                store.put_fit(run, fit, "press file")
+        for one in fit_all(tasks, 2):
+            failed += one.fit is None
+            if one.fit is not None:
+                store.put_fit(one.run, one.fit, "press file")
         wall, cpu = time.perf_counter() - begun, cpu_s() - before
     with capsys.disabled():
         print(f"\n{count:5d} runs: {wall:6.1f} s, {1e3 * wall / count:4.0f} ms each; {cpu:6.1f} s of CPU")

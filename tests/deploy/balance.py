@@ -31,9 +31,9 @@ from typing import Any
 
 import numpy as np
 
-from daq.pressline import LEFT_OUT_SAID_EVERY_S
+from daq.recording.press_line import LEFT_OUT_SAID_EVERY_S
 from daq.records import Moments, PressEventKind, PressState, Quality
-from daq.simulated.physics import BASE_COEFFICIENTS
+from daq.simulated.physics_pressing import BASE_COEFFICIENTS
 from daq.store import RunStatus, Store, every
 from tests.deploy.truth import KILLED, RESTARTED, STAMP_S, Truth
 
@@ -169,12 +169,12 @@ class _Count:
         self._count_fits()
         self._count_estimates()
         self._count_cores()
-        steps = sum("clock of this machine was set" in e.message for e in self.journal)
+        steps = sum("clock of this machine was set" in str(e.message) for e in self.journal)
         self.balance.say("clock steps", truth.clock_steps, steps, {})
 
     def _load(self) -> _Scans:
-        said = {at: count for e in self.journal if "left out" in e.message for at, count in _pairs(e)}
-        begun = {e.detail["monotonic_s"] for e in self.journal if "scans begin" in e.message}
+        said = {at: count for e in self.journal if "left out" in str(e.message) for at, count in _pairs(e)}
+        begun = {e.detail["monotonic_s"] for e in self.journal if "scans begin" in str(e.message)}
         numbers, stamps, qualities, values, good = [], [], [], [], []
         for scan in _scans(self.store, self.truth.press):
             numbers.append(scan.number)
@@ -471,7 +471,7 @@ class _Count:
 
     def _count_fits(self) -> None:
         """Every run that ended has a fit of the whole, or its record or the journal says why not."""
-        said = " ".join(e.message for e in self.journal)
+        said = " ".join(str(e.message) for e in self.journal)
         causes: Counter[str] = Counter()
         fitted, where = 0, []
         ended = [r for r in self.runs if r.status is not RunStatus.OPEN]

@@ -35,7 +35,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from daq.runfile import toml_value
+from daq.files.run_file import toml_value
 from daq.simulated.campaign import press_toml
 from daq.simulated.devices import simulated, wiring
 from daq.simulated.devices_converter import Switches
@@ -51,7 +51,7 @@ CALM_FAULTS = tuple(kind for kind in FAULTS if "killed" not in kind)
 STEPPING = """
 import datetime as real, sys
 from pathlib import Path
-import daq.acquisition as acquisition
+import daq.recording.acquisition as acquisition
 place = Path(sys.argv.pop(1))
 class Stepped(real.datetime):
     @classmethod
@@ -319,7 +319,7 @@ class Endurance:
         while time.monotonic() < deadline:
             last = self.store.statuses()["sense"].status["presses"][0]["last_scan"]
             ended = [r for r in self.store.runs(limit=20).items if r.status is not RunStatus.OPEN]
-            said = " ".join(e.message for e in self.store.journal(limit=200).items)
+            said = " ".join(str(e.message) for e in self.store.journal(limit=200).items)
             fitted = all(
                 "fingerprint" in (self.store.fit(r.run) or {})
                 or any(f"run {r.run} {why}" in said for why in NO_FIT)

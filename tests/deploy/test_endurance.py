@@ -17,7 +17,7 @@ import pytest
 
 from daq.drivers.polled import FOUND_AGAIN_S
 from daq.records import Channel, PressEvent, PressEventKind, PressState, Quality, Scan
-from daq.simulated.physics import BASE_COEFFICIENTS
+from daq.simulated.physics_pressing import BASE_COEFFICIENTS
 from daq.store import NewRun, RunEnd, StoredEstimate, open_store
 from tests.deploy.balance import take_balance
 from tests.deploy.endurance import FAULTS, LOWER, UPPER, Endurance, Pace, Plan

@@ -11,11 +11,11 @@ from urllib.request import urlopen
 
 import numpy as np
 
-from api.server import Listening, address_of, make_server
-from api.tokens import TokenFile
-from daq.config import load_config
-from daq.recorder import record
-from daq.runfile import toml_value
+from api.http.server import Listening, address_of, make_server
+from api.http.tokens import TokenFile
+from daq.files.run_file import toml_value
+from daq.process.config import load_config
+from daq.recording.recorder import record
 from daq.simulated.campaign import press_toml
 from daq.simulated.devices import simulated, wiring
 from daq.simulated.press import PressSettings, VirtualPress

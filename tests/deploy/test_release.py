@@ -13,7 +13,7 @@ from urllib.request import urlopen
 import pytest
 from packaging.requirements import Requirement
 
-from api.licences import licences
+from api.commands.licences import licences
 
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -48,6 +48,8 @@ def test_the_wheel_holds_every_module_and_data_file_of_the_packages(wheel):
     assert needed - held == set()
     assert "api/page/vendor/uPlot.iife.min.js" in held
     assert "api/page/vendor/LICENSE.uPlot.txt" in held
+    assert "api/page/vendor/fluent-bundle.js" in held
+    assert "api/page/vendor/LICENSE.fluent-bundle.txt" in held
     assert any(name.endswith("share/kerntemp/kerntemp_setup.py") for name in held)
     assert not [name for name in held if name.startswith(("tests/", "build/"))]
 
@@ -63,8 +65,8 @@ def test_the_version_stands_in_one_place(wheel):
         if pattern.search(path.read_text(encoding="utf-8"))
     ]
     assert others == []
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    assert f"- {version}:" in readme.partition("## Changes")[2], "the change list does not know this version"
+    changes = (ROOT / "deploy" / "guide" / "changes.md").read_text(encoding="utf-8")
+    assert f"\n## {version}\n" in changes, "the change list does not know this version"
 
 
 def test_each_thing_that_is_shipped_names_its_licence():
@@ -75,6 +77,7 @@ def test_each_thing_that_is_shipped_names_its_licence():
     assert [item.name for item in found.values() if not item.licence] == []
     done = subprocess.run([sys.executable, "-m", "api", "--licences"], cwd=ROOT, capture_output=True, text=True)
     assert "uPlot" in done.stdout
+    assert "@fluent/bundle" in done.stdout
     own = next(line for line in done.stdout.splitlines() if line.startswith("kerntemp "))
     assert own.endswith("not stated") == ("license" not in PROJECT)
     assert all(item.licence in done.stdout for item in found.values())

@@ -24,7 +24,7 @@ from pathlib import Path
 import pytest
 from distributed import Client
 
-from daq.runfile import toml_value
+from daq.files.run_file import toml_value
 from daq.simulated.campaign import press_toml
 from daq.simulated.devices import simulated, wiring
 from daq.simulated.press import PressSettings, VirtualPress
@@ -273,7 +273,7 @@ def test_the_setups_commands_are_those_the_setup_knows():
 def test_the_configuration_the_runbook_shows_for_the_plant_is_well_formed(tmp_path):
     import tomllib
 
-    from daq.config import MqttSettings, OpcuaSettings
+    from daq.process.config import MqttSettings, OpcuaSettings
 
     (text,) = re.findall(r"^```toml\n(.*?)^```", RUNBOOK.read_text(encoding="utf-8"), flags=re.M | re.S)
     tree = tomllib.loads(textwrap.dedent(text))

@@ -25,7 +25,7 @@ from urllib.request import urlopen
 import pytest
 
 from api.cli import main
-from daq.runfile import toml_value
+from daq.files.run_file import toml_value
 from daq.simulated.devices import simulated, wiring
 from daq.store import open_store
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from daq.runfile import toml_value
+from daq.files.run_file import toml_value
 from daq.simulated.devices import simulated, wiring
 from daq.store import StoreUnavailable, open_store
 

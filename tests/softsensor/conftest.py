@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.pressfile import Press, parse_press, read_press
+from daq.press.press_file import Press, parse_press, read_press
 from daq.records import Moments, Run
-from softsensor.model import ThermalModel
+from softsensor.heat.model import ThermalModel
 
 LAB_PRESS = Path(__file__).parents[2] / "deploy" / "presses" / "lab.toml"
 BOARD = {

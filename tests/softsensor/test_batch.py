@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.pressfile import parse_press
+from daq.press.press_file import parse_press
 from daq.records import InputError, Moments, Run
-from softsensor.batch import solve_many
-from softsensor.kernels_batch import LANES
-from softsensor.model import ThermalModel
+from softsensor.heat.batch import solve_many
+from softsensor.heat.batch_steps import LANES
+from softsensor.heat.model import ThermalModel
 
 WINDOW = Path(__file__).parents[2] / "deploy" / "examples" / "press_window" / "core_at_opening.py"
 

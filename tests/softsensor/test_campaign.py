@@ -6,16 +6,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from daq.pressfile import parse_press
+from daq.press.press_file import parse_press
 from daq.records import InputError
 from daq.simulated.campaign import Plan, make_campaign
 from daq.simulated.campaign_pressfile import press_toml
 from daq.simulated.campaign_sensors import Nuisances
-from daq.simulated.physics_mesh import Plates
-from softsensor.campaign import fit_campaign
-from softsensor.campaign_joint import Knowledge, population
-from softsensor.dependence import Dependence, _regress, fit_dependence
-from softsensor.modelfile import parse_model
+from daq.simulated.physics_pressing import Plates
+from softsensor.fitting.campaign import fit_campaign
+from softsensor.fitting.dependence import Dependence, _regress, fit_dependence
+from softsensor.fitting.population import Knowledge, population
+from softsensor.heat.model_file import parse_model
 
 PRESS = parse_press(press_toml())
 

@@ -5,12 +5,12 @@ import re
 import numpy as np
 import pytest
 
-from daq.pressfile import parse_press
+from daq.press.press_file import parse_press
 from daq.records import BoundaryGap, BrokenTime, InputError, Moments, Nonphysical, OutsideLayer, Run
-from softsensor.batch import solve_many
-from softsensor.case import step_edges, step_means
 from softsensor.effects import BUILT_IN
-from softsensor.model import ThermalModel
+from softsensor.heat.batch import solve_many
+from softsensor.heat.case import step_edges, step_means
+from softsensor.heat.model import ThermalModel
 
 
 def prepared(press, run, moments):
@@ -168,7 +168,7 @@ def test_a_grid_that_cannot_be_is_refused(lab_press, make_run, moments, wrong):
 def test_a_tangent_the_model_does_not_have_is_refused(lab_press, make_run, moments, coefficients):
     model = ThermalModel.of(lab_press)
     case = model.prepare(make_run(end=30.0), moments)
-    with pytest.raises(InputError, match=r"'h_pp' is no parameter of this model; it has .*'h_pp_c'"):
+    with pytest.raises(InputError, match=r"'h_pp' is no parameter of this model; it has .*h_pp_c"):
         model.solve(case, coefficients, ("h_pp",))
 
 

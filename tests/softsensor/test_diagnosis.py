@@ -13,32 +13,30 @@ from typing import cast
 import numpy as np
 import pytest
 
-from daq.pressfile import Press, parse_press
+from daq.press.press_file import Press, parse_press
 from daq.records import InputError, Moments, Run
 from daq.simulated.campaign import Plan, Truth, make_campaign, press_toml
-from softsensor.channels import faulty_channels, rim_falls
-from softsensor.diagnosis import Diagnosis, Finding, _alternatives, _lacking_loads, diagnose, never_seen
-from softsensor.diagnosis_advice import next_measurement, rim_notes
-from softsensor.diagnosis_figures import residual_figure
-from softsensor.diagnosis_jury import (
-    FURTHER_GAIN_K,
-    LEAST_GAIN_K,
-    Round,
-    _p_values,
-    agreed,
-    least_gain,
-    refuted_by_cores,
-)
-from softsensor.diagnosis_numbers import measure_errors
-from softsensor.diagnosis_report import diagnosis_report
-from softsensor.diagnosis_search import Candidate
-from softsensor.diagnosis_tests import Pocket, adequacy, max_t, sign_patterns
-from softsensor.diagnosis_where import stretches, where_row
-from softsensor.diagnosis_words import core_sentence, sentence, sureness, worth
+from daq.words import Message
+from daq.words.message import catalogue, sentences, words
+from softsensor.diagnosis.advice import AdviceBasis, next_measurement, rim_notes
+from softsensor.diagnosis.decision import NEGLIGIBLE_K, Verdict, agreed, refuted_by_cores
+from softsensor.diagnosis.extension import held_out
+from softsensor.diagnosis.finding import Diagnosis, Finding
+from softsensor.diagnosis.numbers import measure_errors
+from softsensor.diagnosis.search import Candidate
+from softsensor.diagnosis.selection import Round, evidence_of, p_values
+from softsensor.diagnosis.sign_flips import Pocket, max_t, pattern_test, sign_patterns
+from softsensor.diagnosis.summary import as_stored, core_said, sureness, verdict_said, worth
+from softsensor.diagnosis.verdict import _alternatives, _lacking_loads, diagnose, never_seen
+from softsensor.diagnosis.where import stretches, where_row
 from softsensor.effects import BUILT_IN
-from softsensor.evidence import Digest, moments_of
-from softsensor.extension import held_out
-from softsensor.modelfile import parse_model
+from softsensor.heat.model_file import parse_model
+from softsensor.report.diagnosis_figures import residual_figure
+from softsensor.report.diagnosis_report import diagnosis_report
+from softsensor.signals.digest import Digest
+from softsensor.signals.faces import rim_falls
+from softsensor.signals.moments import moments_seen
+from softsensor.signals.screen import faulty_channels
 
 SMALL = Plan(rate_hz=2.0, thickness_mm=(8.0, 16.0, 19.0))
 
@@ -101,6 +99,16 @@ def test_the_answer_holds_every_key_of_the_contract_and_is_plain_json() -> None:
     assert {"rmse_K", "heldout_rmse_K", "core_rmse_K"} <= content["base"].keys()
     assert {"signal", "state", "from_s", "to_s", "residual_K"} <= content["where"][0].keys()
     assert {"name", "score", "p_value", "heldout_gain_K"} <= content["candidates"][0].keys()
+    assert content["next_measurement"] == str(Message.from_json(content["next_measurement_said"]))
+    assert content["warnings"] == [str(Message.from_json(one)) for one in content["warnings_said"]]
+    assert content["where"][0]["phase"] == str(Message.from_json(content["where"][0]["phase_said"]))
+
+
+def test_a_stored_diagnosis_carries_what_a_cause_is_worth_as_a_sentence_and_as_a_code() -> None:
+    (effect,) = as_stored(diagnosed("edge_loss", 501, 7, 0.5))["effects"]
+    assert effect["worth"].startswith("lowers the residual by ")
+    assert effect["worth_said"]["code"] == "worth-saves"
+    assert words(Message.from_json(effect["worth_said"]), "de").startswith("senkt das Residuum um ")
 
 
 def test_the_model_file_carries_the_cause_for_other_commands() -> None:
@@ -114,8 +122,8 @@ def test_the_model_file_carries_the_cause_for_other_commands() -> None:
 
 def test_the_report_says_cause_cost_gain_and_next_measurement() -> None:
     page = diagnosis_report(diagnosed("edge_loss", 501, 7, 0.5))
-    for words in ("Heat leaves through the rim", "What it costs", "When the press opens", "Measure next"):
-        assert words in page
+    for part in ("Heat leaves through the rim", "What it costs", "When the press opens", "Measure next"):
+        assert part in page
     assert page.count("<svg") == 3
     assert f"flipping signs of whole runs: {sureness(diagnosed('edge_loss', 501, 7, 0.5).findings[0], 7)}." in page
     assert re.search(r'title="W_m3K">heat lost at the rim, [^<]*</td><td class="text"><b>\d+</b> W/m³K</td>', page)
@@ -124,12 +132,14 @@ def test_the_report_says_cause_cost_gain_and_next_measurement() -> None:
 def test_what_hardly_saves_kelvins_says_why_it_is_named_and_what_it_moves() -> None:
     found = diagnosed("edge_loss", 501, 7, 0.5)
     edge = found.findings[0]
-    assert worth(found, edge).endswith("K on runs left out")
-    said = worth(found, replace(edge, heldout_gain_K=-0.0))
+    assert str(worth(found, edge)).endswith("K on runs left out")
+    said = str(worth(found, replace(edge, heldout_gain_K=-0.0)))
     before, after = core_of(found.stages[0]), core_of(found.stages[1])
-    assert "named because 7 of 7 runs, each left out in turn, are met better with it" in said
-    assert f"the core by {after - before:+.1f} K when the press opens" in said
-    assert re.search(r"it moves h_\w+ \(p[^)]+, (open|closed)\) by [+-]\d+ %", said)
+    assert "(0.00 of " in said
+    assert "named because 7 of 7 runs, each left out in turn, fit better with it" in said
+    shift = after - before
+    assert f"the core is {abs(shift):.1f} K {'hotter' if shift > 0 else 'cooler'} when the press opens" in said
+    assert re.search(r"it (raises|lowers) h_\w+ \(p[^)]+, (open|closed)\) by \d+ %", said)
 
 
 def test_what_a_fitted_moment_of_insertion_shifts_is_no_error() -> None:
@@ -185,10 +195,10 @@ def test_runs_that_hardly_change_neither_agree_nor_disagree() -> None:
 
 
 def test_a_named_cause_says_what_it_means_for_the_core() -> None:
-    said = core_sentence(diagnosed("edge_loss", 501, 7, 0.5))
+    said = sentences(core_said(diagnosed("edge_loss", 501, 7, 0.5)))
     assert "K cooler than the plain model says" in said
     assert "Core thermocouples, which no fit has seen" in said
-    assert "core estimate stays as it is" in core_sentence(diagnosed(None, 41))
+    assert "core estimate stays as it is" in sentences(core_said(diagnosed(None, 41)))
 
 
 def test_two_runs_without_an_effect_are_too_few() -> None:
@@ -232,10 +242,9 @@ def closed_rows(run: Run) -> dict[str, np.ndarray]:
     return {"closed": ((run.time_s > 30.0) & (run.time_s < 60.0)).astype(float)}
 
 
-def test_a_further_cause_must_save_more_once_what_is_left_is_negligible() -> None:
+def test_what_a_rim_loss_leaves_in_common_is_negligible_so_that_a_further_cause_must_save_more() -> None:
     plain, final = diagnosed("edge_loss", 501, 7, 0.5).stages
-    assert least_gain(plain) == LEAST_GAIN_K
-    assert least_gain(final) == FURTHER_GAIN_K > LEAST_GAIN_K
+    assert evidence_of(plain, (), {}).left.energy > NEGLIGIBLE_K**2 > evidence_of(final, (), {}).left.energy
 
 
 @pytest.mark.campaign
@@ -247,14 +256,14 @@ def test_moisture_in_many_runs_gets_no_second_and_third_name() -> None:
 @pytest.mark.parametrize("name", [e.name for e in BUILT_IN])
 def test_the_next_measurement_is_one_sentence(name: str) -> None:
     finding = Finding(name, (name,), {}, 0.01, 1.0, 1.0)
-    told = next_measurement("named", (finding,), (None, None), 12, True)
+    told = str(next_measurement(Verdict.NAMED, (finding,), AdviceBasis(12, panel=True)))
     assert told.endswith(".")
     assert ". " not in told
 
 
 def test_one_run_with_a_loose_sensor_says_that_it_is_too_few_and_draws_its_residual() -> None:
     found = diagnosed("sensor_fault", 21, 1)
-    assert sentence(found).endswith("1 run is too few to tell any other cause from chance.")
+    assert sentences(verdict_said(found)).endswith("1 run is too few to tell any other cause from chance.")
     drawn = [line.get_label() for ax in residual_figure(found).get_axes() for line in ax.get_lines()]
     assert "plain model" in drawn
     assert "by comparison with the channels beside it" in diagnosis_report(found)
@@ -263,9 +272,9 @@ def test_one_run_with_a_loose_sensor_says_that_it_is_too_few_and_draws_its_resid
 
 def test_a_residual_well_above_the_noise_is_not_called_explained() -> None:
     found = diagnosed(None, 41)
-    assert sentence(found).startswith("The plain model explains these 7 runs")
+    assert sentences(verdict_said(found)).startswith("The plain model explains these 7 runs")
     off = replace(found, base=replace(found.base, rmse_K=2.0 * found.noise_floor_K))
-    assert "differs from run to run" in sentence(off)
+    assert "differs from run to run" in sentences(verdict_said(off))
 
 
 def test_what_is_left_is_told_where_it_is_most_kelvins_off_and_not_where_it_is_surest() -> None:
@@ -273,7 +282,7 @@ def test_what_is_left_is_told_where_it_is_most_kelvins_off_and_not_where_it_is_s
     surest = Pocket("panel.top", "closed", 0.0, 1.0, False, np.full(12, -0.03))
     largest = Pocket("panel.top", "opened", 8.0, 16.0, False, -0.4 + 0.15 * rng.standard_normal(12))
     chance = Pocket("panel.bottom", "opened", 8.0, 16.0, False, 3.0 * np.resize([1.0, -1.0, 0.9], 12))
-    assert adequacy([surest, largest, chance]).worst is largest
+    assert pattern_test([surest, largest, chance]).worst is largest
 
 
 def heated(residual: Callable[[np.ndarray], np.ndarray]) -> tuple[Digest, np.ndarray]:
@@ -308,7 +317,7 @@ def test_a_stretch_that_half_of_several_runs_do_not_show_is_not_told() -> None:
 
 
 def test_rim_sensors_that_fall_are_told_with_their_kelvins() -> None:
-    assert "1.2 K" in rim_notes(np.array([-1.3, -1.1, -1.2, np.nan]))[0]
+    assert "1.2 K" in str(rim_notes(np.array([-1.3, -1.1, -1.2, np.nan]))[0])
     assert rim_notes(np.array([-0.1, 0.1, 0.0])) == ()
     assert rim_notes(np.full(3, np.nan)) == ()
 
@@ -317,14 +326,14 @@ def test_rim_sensors_that_fall_are_told_with_their_kelvins() -> None:
 def test_loose_drifting_and_swapped_channels_are_found_and_no_other(seed: int) -> None:
     for run, truth in make_campaign(seed, 4, "sensor_fault", SMALL):
         expected = {f.column for f in truth.faults} | {f.partner for f in truth.faults if f.partner}
-        assert {f.column for f in faulty_channels(press(), run, moments_of(press(), run))} == expected
+        assert {f.column for f in faulty_channels(press(), run, moments_seen(run, press()))} == expected
 
 
 def test_rim_sensors_that_read_lower_on_every_face_are_not_called_faulty() -> None:
     plan = Plan(rate_hz=2.0, rim_contrast=1.0)
     for run, truth in make_campaign(31, 4, "edge_loss", plan):
         expected = {f.column for f in truth.faults}
-        assert {f.column for f in faulty_channels(press(), run, moments_of(press(), run))} <= expected
+        assert {f.column for f in faulty_channels(press(), run, moments_seen(run, press()))} <= expected
 
 
 def test_rim_sensors_fall_against_central_ones_when_the_rim_loses_heat() -> None:
@@ -333,7 +342,7 @@ def test_rim_sensors_fall_against_central_ones_when_the_rim_loses_heat() -> None
     for effect in ("edge_loss", None):
         runs = make_campaign(33, 4, effect, Plan(rate_hz=2.0, rim_contrast=1.0, press_time_s=(60.0, 120.0)))
         falls[effect] = [
-            rim_falls(placed, r, moments_of(placed, r), frozenset(f.column for f in t.faults)) for r, t in runs
+            rim_falls(placed, r, moments_seen(r, placed), frozenset(f.column for f in t.faults)) for r, t in runs
         ]
     assert max(falls["edge_loss"]) < -0.15
     assert abs(np.mean(falls[None])) < 0.15
@@ -358,8 +367,8 @@ def test_a_cause_that_every_run_gains_by_is_sure_though_few_show_its_direction()
     gains = np.array([193.9, 8.3, 9.8, 4.0, 3.3, 5.6, 3.4, 932.6, 288.3, 328.3, 6.8, 5.5])
     four = np.where(gains > 100, gains, -gains)
     everyone = np.arange(12)
-    assert _p_values([says("all", score, gains)], everyone)["all"] < 0.01
-    assert _p_values([says("four", score, four)], everyone)["four"] > 0.05
+    assert p_values([says("all", score, gains)], everyone)["all"] < 0.01
+    assert p_values([says("four", score, four)], everyone)["four"] > 0.05
 
 
 def test_scores_and_gains_left_out_keep_their_common_level_where_nothing_is() -> None:
@@ -374,7 +383,7 @@ def test_scores_and_gains_left_out_keep_their_common_level_where_nothing_is() ->
             u, w = (direction * residual).sum(axis=1), (direction**2).sum(axis=1)
             size = (u.sum() - u) / (w.sum() - w)
             found.append(says(str(i), np.clip(u / np.sqrt(w), -3, 3), 2 * size * u - size**2 * w))
-        p = _p_values(found, np.arange(12))
+        p = p_values(found, np.arange(12))
         named += any(p[c.effect.name] <= 0.05 and c.gains.sum() > 0 for c in found)
     assert named <= 400 * 0.05 + 2 * np.sqrt(400 * 0.05 * 0.95)
 
@@ -390,4 +399,14 @@ def test_load_columns_a_run_lacks_are_among_the_remarks():
     text = press_toml().replace('closed = "h_p_c"', 'closed = "h_p_c"\nload = { column = "kN" }', 1)
     run, _ = make_campaign(5, 1)[0]
     (said,) = _lacking_loads(parse_press(text), [run])
-    assert "load column 'kN' is missing" in said
+    assert "load column 'kN' is missing" in str(said)
+
+
+def test_a_report_in_german_says_nothing_of_its_own_in_english() -> None:
+    page = diagnosis_report(diagnosed("edge_loss", 501, 7, 0.5), "de")
+    assert '<html lang="de">' in page
+    for part in ("Was falsch ist", "Beim Öffnen der Presse", "Residuum aller Fühler", "geschlossen"):
+        assert part in page
+    english = {c: t.strip() for c, t in catalogue("en").entries().items() if c.startswith("report-")}
+    shown = re.sub(r"<svg.*?</svg>|<style.*?</style>", "", page, flags=re.DOTALL)
+    assert not [c for c, said in english.items() if "{" not in said and f">{said}<" in shown]

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.stats import linregress
 
-from daq.pressfile import parse_press
+from daq.press.press_file import parse_press
 from daq.simulated.campaign import make_campaign, press_toml
 from daq.simulated.effects import SIZES, draw_effect
-from softsensor.diagnosis import diagnose
+from softsensor.diagnosis.verdict import diagnose
 
 pytestmark = [pytest.mark.campaign, pytest.mark.timeout(1800)]
 

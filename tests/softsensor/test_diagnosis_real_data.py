@@ -1,33 +1,31 @@
 """Real runs of other laboratories: moisture in moist pine and not in dry, the load in a press rig."""
 
-import os
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from daq.foreign import read_foreign, read_mapping
-from daq.pressfile import read_press
-from softsensor.diagnosis import _where, diagnose
-from softsensor.diagnosis_figures import run_figure
-from softsensor.diagnosis_report import diagnosis_report
-from softsensor.diagnosis_search import settle_base
-from softsensor.diagnosis_words import core_sentence, sureness, temperatures, where_sentence
-from softsensor.evidence import digest_run, moments_of
-from softsensor.model import ThermalModel
+from daq.files.mapping import read_foreign, read_mapping
+from daq.press.press_file import read_press
+from daq.words.message import sentences
+from softsensor.diagnosis.search import settle_base
+from softsensor.diagnosis.summary import core_said, sureness, where_said
+from softsensor.diagnosis.verdict import _where, diagnose
+from softsensor.diagnosis.where import temperatures
+from softsensor.heat.model import ThermalModel
+from softsensor.report.diagnosis_figures import run_figure
+from softsensor.report.diagnosis_report import diagnosis_report
+from softsensor.signals.digest import digest_run
+from softsensor.signals.moments import moments_seen
+from tests.measured import DRY_DISCS, MOIST_DISCS_40_KW, PRESS_RIG, ROOT, measured
 
-ROOT = Path(__file__).resolve().parents[2]
 PYROLYSIS_C = 140.0
 """When the back face is this hot, the heated one chars, which is not in the model."""
 
 
-def _runs(folder, pattern, mapping):
-    where = Path(os.environ.get("KERNTEMP_DATA", ROOT.parent / "shared" / "data")) / folder
-    if not where.is_dir():
-        pytest.skip(f"the measured runs are not here: set KERNTEMP_DATA to the folder that holds {folder}")
+def _runs(names, mapping):
     mapped = read_mapping(ROOT / f"deploy/mappings/{mapping}.toml")
-    return [read_foreign(path, mapped) for path in sorted(where.glob(pattern))]
+    return [read_foreign(path, mapped) for path in measured(names)]
 
 
 def _before_charring(run):
@@ -40,7 +38,7 @@ def pine_disc():
 
 
 def moist_runs():
-    return _runs("pine_gasification", "FSRI*.csv", "pine")
+    return _runs(MOIST_DISCS_40_KW, "pine")
 
 
 @cache
@@ -77,13 +75,14 @@ def test_stretches_told_of_moist_pine_lie_where_water_boils():
     rows = cooler_than_told(moist().where)
     assert rows
     assert all(85.0 < row["low_C"] < row["high_C"] < 115.0 for row in rows)
-    assert f"where it measured {rows[0]['low_C']:.0f} to {rows[0]['high_C']:.0f} °C" in where_sentence(moist())
+    low, high = (f"{rows[0][key]:.0f}" for key in ("low_C", "high_C"))
+    assert f"where it measured {low} to {high} °C" in sentences(where_said(moist()))
     assert f"{temperatures(rows[0])}</td>" in diagnosis_report(moist())
 
 
 def test_stretch_where_water_boils_is_told_first_though_runs_go_on_to_charring():
     plain = settle_base(
-        ThermalModel(pine_disc()), [digest_run(pine_disc(), r, moments_of(pine_disc(), r)) for r in moist_runs()]
+        ThermalModel(pine_disc()), [digest_run(pine_disc(), r, moments_seen(r, pine_disc())) for r in moist_runs()]
     )
     first = _where(plain, None)[0]
     assert first["residual_K"] < -20.0
@@ -93,19 +92,19 @@ def test_stretch_where_water_boils_is_told_first_though_runs_go_on_to_charring()
 
 def test_two_named_runs_are_told_with_what_two_can_show():
     assert moist().findings[0].p_value == 0.5
-    assert "2 runs cannot show less than 0.5; named because" in sureness(moist().findings[0], 2)
+    assert "2 runs cannot show less than 0.5; named because" in str(sureness(moist().findings[0], 2))
     assert "2 runs cannot show less than 0.5; named because" in diagnosis_report(moist())
 
 
 def test_dry_pine_gets_no_moisture_verdict():
-    runs = [_before_charring(r) for r in _runs("pine_gasification", "UMD*.csv", "pine")]
+    runs = [_before_charring(r) for r in _runs(DRY_DISCS, "pine")]
     found = diagnose(pine_disc(), runs)
     assert all("moisture_evaporation" not in f.set for f in found.findings)
 
 
 @cache
 def rig():
-    return diagnose(read_press(ROOT / "deploy/presses/rig.toml"), _runs("press_rig", "2309*.dat", "press_rig"))
+    return diagnose(read_press(ROOT / "deploy/presses/rig.toml"), _runs(PRESS_RIG, "press_rig"))
 
 
 def test_press_rig_shows_the_load_and_no_sensor_offset():
@@ -116,9 +115,9 @@ def test_press_rig_shows_the_load_and_no_sensor_offset():
 
 
 def test_a_rig_without_a_panel_is_told_nothing_about_a_core_and_a_disc_how_its_core_ends():
-    assert "no panel in this rig" in core_sentence(rig())
-    assert "sacrificial" not in rig().next_measurement
-    assert core_sentence(moist()).startswith("At the end of a run, the core is ")
+    assert "no panel in this rig" in str(core_said(rig())[0])
+    assert "sacrificial" not in str(rig().next_measurement)
+    assert str(core_said(moist())[0]).startswith("At the end of a run, the core is ")
 
 
 def test_a_rig_that_never_closes_is_not_told_about_its_closing():
@@ -142,6 +141,6 @@ def test_moist_pine_is_named_moist_though_its_runs_go_on_to_charring():
 
 @pytest.mark.campaign
 def test_dry_pine_that_goes_on_to_charring_is_called_unknown_and_not_moist():
-    found = diagnose(pine_disc(), _runs("pine_gasification", "UMD*.csv", "pine"))
+    found = diagnose(pine_disc(), _runs(DRY_DISCS, "pine"))
     assert found.verdict == "unknown_effect"
     assert found.findings == ()

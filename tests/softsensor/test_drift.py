@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from softsensor.drift import RunValue, watch, watch_all
+from softsensor.jobs.drift import RunValue, watch, watch_all
 
 
 def history(logs, sd=0.03):
@@ -18,7 +18,7 @@ def test_a_jump_names_the_run_at_which_the_press_changed():
     assert alarm.run in {"run-039", "run-040", "run-041"}
     assert int(alarm.noticed[-3:]) - 40 <= 6
     assert alarm.factor == pytest.approx(np.exp(-0.5), rel=0.2)
-    assert "h_pp_c has changed" in alarm.sentence
+    assert "h_pp_c has changed" in str(alarm.message)
 
 
 def test_a_plain_jump_names_its_very_run_nearly_always():

@@ -4,15 +4,16 @@ import os
 import re
 import subprocess
 import sys
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from daq.records import InputError, Moments
-from softsensor.effects import BUILT_IN, Terms, catalogue, find_effect
-from softsensor.model import ThermalModel
+from daq.words import message as words
+from softsensor.effects import BUILT_IN, Terms, catalogue, find_effect, learn_words
+from softsensor.heat.model import ThermalModel
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = ROOT / "deploy" / "examples"
@@ -45,15 +46,27 @@ def test_the_catalogue_holds_the_contract_names_and_parameters():
     assert {e.name: {p.name for p in e.parameters} for e in BUILT_IN} == CONTRACT
 
 
+@pytest.mark.parametrize("language", words.languages())
 @by_name
-def test_every_effect_says_what_it_means_and_how_to_confirm_it(effect):
-    for text in (effect.meaning, effect.symptom, effect.confirm, effect.source, effect.core, effect.called):
-        assert len(text) > 5
+def test_every_effect_says_what_it_means_and_how_to_confirm_it_in_all_languages(effect, language):
+    known = words.catalogue(language)
+    for message in (effect.meaning, effect.symptom, effect.confirm, effect.core, effect.called):
+        assert known.has(message.code)
+        assert len(known.words(message)) > 5
+    for parameter in effect.parameters:
+        called = effect.parameter_called(parameter.name)
+        assert known.has(called.code)
+        assert len(known.words(called)) > 5
+        assert known.has(parameter.told_unit.code)
+        assert not re.search(r"_|^-$|unit-", known.words(parameter.told_unit))
+
+
+@by_name
+def test_every_effect_has_a_source_and_limits_about_its_typical_size(effect):
+    assert len(effect.source) > 5
     for parameter in effect.parameters:
         assert parameter.unit
         assert parameter.source
-        assert len(parameter.meaning) > 5
-        assert not re.search(r"_|^-$", parameter.scale[1])
         assert parameter.lower <= parameter.neutral <= parameter.upper
         assert parameter.lower <= parameter.typical <= parameter.upper
 
@@ -163,12 +176,6 @@ def test_an_unknown_effect_is_refused_with_the_known_ones():
         find_effect("draft")
 
 
-def test_parameter_limits_are_told():
-    parameter = find_effect("edge_loss").parameters[0]
-    with pytest.raises(ValueError, match=r"W_m3K = 70000 W/m³K lies outside its limits 0\.\.20000"):
-        parameter.check(70000.0)
-
-
 def test_paper_contributes_its_resistance_and_capacity(lab_press, make_run, moments):
     model = ThermalModel.of(lab_press, ["paper_layer"])
     case = model.prepare(make_run(end=30.0), moments)
@@ -198,7 +205,32 @@ def run_python(*arguments: str, path: tuple[Path, ...] = ()) -> str:
     return done.stdout
 
 
-def test_an_installed_package_adds_its_effect_to_the_catalogue(tmp_path):
+ASK = """
+from pathlib import Path
+from types import SimpleNamespace as Space
+from daq.press.press_file import read_press
+from daq.words.message import words
+from softsensor.diagnosis.missing_causes import candidates
+from softsensor.effects import catalogue, words_of_own_effects
+from softsensor.effects.vocabulary import called, parameters_told
+from softsensor.heat.model import ThermalModel
+from softsensor.live.priors import plans_for
+
+press = read_press(Path("deploy/presses/lab.toml"))
+effect = catalogue()["hood_draught"]
+told = parameters_told("hood_draught", {"W_m3K": {"value": 1500.0, "ci95": [1000.0, 2000.0]}})[0]
+plan = plans_for(press, None, (0.0, 0.1, 0.1))[0]
+suspect = next(s for s in plan.causes if s.effect == "hood_draught")
+problem = Space(model=ThermalModel(press), case=Space(press=press))
+print(effect in candidates(problem), ThermalModel(press, (effect,)).parameter_names[-1])
+print(words(called("hood_draught"), "de"), "|", called("hood_draught"))
+print(told.line, "|", words(effect.confirm, "de"))
+print(suspect.parameter, suspect.sd, suspect.chance, suspect.one_sided)
+print(words_of_own_effects("de")["effect-hood_draught-called"])
+"""
+
+
+def test_an_installed_package_adds_its_effect_in_one_file_and_diagnosis_live_sensor_and_words_know_it(tmp_path):
     source = tmp_path / "own_effect"
     source.mkdir()
     for file in ("pyproject.toml", "hood_draught.py"):
@@ -207,13 +239,21 @@ def test_an_installed_package_adds_its_effect_to_the_catalogue(tmp_path):
     run_python(
         "-m", "pip", "install", "-q", "--no-deps", "--no-build-isolation", "--target", str(target), str(source)
     )
-    said = run_python(
-        "-c",
-        "from softsensor.effects import catalogue; e = catalogue()['hood_draught']; print(e.key('W_m3K'))",
-        path=(target,),
-    )
-    assert said.strip() == "hood_draught.W_m3K"
+    assert run_python("-c", ASK, path=(target,)).splitlines() == [
+        "True hood_draught.W_m3K",
+        "Zug der Haube | a draught of the hood",
+        "heat lost at the top of the rim, per volume and kelvin above ambient (W_m3K): 1500 W/m³K "
+        "(95 %: 1000 to 2000) | Schalten Sie die Haube für eine Pressung ab.",
+        "hood_draught.W_m3K 1500.0 0.02 True",
+        "Zug der Haube",
+    ]
     assert "hood_draught" not in catalogue()
+
+
+def test_an_effect_without_english_words_is_refused_with_what_is_missing():
+    effect = replace(find_effect("edge_loss"), name="draught", words={"en": {"called": "a draught"}})
+    with pytest.raises(InputError, match="no English words for confirmed-by, core, meaning, parameter-W_m3K, sym"):
+        learn_words(effect)
 
 
 def test_the_paper_table_example_finds_only_the_kilowatt_reading_able_to_laminate(tmp_path):

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from daq.pressfile import parse_press
+from daq.press.press_file import parse_press
 from daq.simulated.campaign import Plan, make_campaign
 from daq.simulated.campaign_pressfile import press_toml
 from daq.simulated.campaign_sensors import Nuisances
-from softsensor.campaign import fit_runs
-from softsensor.fit_problem import minimise
-from softsensor.model import ThermalModel
+from softsensor.fitting.campaign import fit_runs
+from softsensor.fitting.problem import minimise
+from softsensor.heat.model import ThermalModel
 
 PRESS = parse_press(press_toml())
 MODEL = ThermalModel(PRESS)

@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 
 from api.commands.fitting import _lines
-from daq.pressfile import parse_press
+from daq.press.press_file import parse_press
 from daq.records import InputError
 from daq.simulated.campaign import Plan, make_campaign
 from daq.simulated.campaign_pressfile import press_toml
 from daq.simulated.campaign_sensors import Nuisances
-from softsensor.campaign import fit_campaign, fit_runs
-from softsensor.fit_joint import fit_together
-from softsensor.fit_problem import minimise
-from softsensor.model import ThermalModel
-from softsensor.parameters import plain
-from softsensor.report import fit_report
+from softsensor.effects.parameters import plain
+from softsensor.fitting.campaign import fit_campaign, fit_runs
+from softsensor.fitting.joint import fit_together
+from softsensor.fitting.problem import minimise
+from softsensor.heat.model import ThermalModel
+from softsensor.report.fit_report import fit_report
 
 PRESS = parse_press(press_toml())
 NAMES = PRESS.coefficient_names
@@ -167,7 +167,7 @@ def test_program_leaves_a_shared_coefficient_and_keeps_the_others_within_the_pre
     for name in NAMES:
         table, (low, high) = PRESS.coefficient(name), told.interval(name)
         assert table.lower <= low <= told.coefficients[name].value <= high <= table.upper
-    assert any("beyond the press file's limit" in remark for remark in told.remarks)
+    assert any("beyond the press file's limit" in str(remark) for remark in told.remarks)
 
 
 def test_one_run_shares_with_nobody():

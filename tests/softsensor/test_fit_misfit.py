@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 
 from api.commands.fitting import _lines
-from daq.pressfile import parse_press
+from daq.press.press_file import parse_press
 from daq.simulated.campaign import Plan, make_campaign
 from daq.simulated.campaign_pressfile import press_toml
 from daq.simulated.campaign_sensors import Nuisances
-from softsensor.adequacy import stored_adequacy, with_adequacy
-from softsensor.campaign import fit_campaign
-from softsensor.figures import _campaign_title
-from softsensor.modelfile import model_text, parse_model
-from softsensor.report import fit_report
+from softsensor.diagnosis.missing_causes import stored_missing_causes, with_missing_causes
+from softsensor.fitting.campaign import fit_campaign
+from softsensor.heat.model_file import model_text, parse_model
+from softsensor.report.fit_figures import _campaign_title
+from softsensor.report.fit_report import fit_report
 
 PRESS = parse_press(press_toml())
 NAMES = PRESS.coefficient_names
@@ -52,9 +52,9 @@ def test_run_whose_record_begins_too_late_is_called_not_described(found):
     for name in NAMES:
         c = bad.coefficients[name]
         assert not c.identifiable
-        assert c.reason.startswith(f"the model does not describe this run: {bad.rmse_K:.1f} K left")
+        assert str(c.reason).startswith(f"the model does not describe this run: {bad.rmse_K:.1f} K left")
         assert c.ci95 == (PRESS.coefficient(name).lower, PRESS.coefficient(name).upper)
-    assert sum("does not describe" in w for w in bad.warnings) == 1
+    assert sum("does not describe" in str(w) for w in bad.warnings) == 1
 
 
 def test_campaign_without_the_run_is_the_same_campaign(found, measured):
@@ -64,7 +64,7 @@ def test_campaign_without_the_run_is_the_same_campaign(found, measured):
     assert found.model_file().as_json() == others.model_file().as_json()
     assert found.dependence.as_json() == others.dependence.as_json()
     assert set(found.borrowed) == {f.run for f in others.runs}
-    assert with_adequacy(found.model_file(), found.runs).adequacy.runs == 8
+    assert with_missing_causes(found.model_file(), found.runs).missing.runs == 8
 
 
 def test_report_and_json_say_it_before_all_else(found):
@@ -86,27 +86,29 @@ def test_report_and_json_say_it_before_all_else(found):
 
 def test_run_by_itself_gives_no_coefficient_and_a_model_file_of_guesses(found, measured):
     alone = fit_campaign(PRESS, [_late(*measured[3])], profiles=True)
-    assert alone.shortfall.startswith(f"The model does not describe this run: {alone.runs[0].rmse_K:.1f} K left")
-    assert alone.shortfall in fit_report(alone).replace("&#39;", "'")
-    model = parse_model(json.loads(model_text(with_adequacy(alone.model_file(), alone.runs))), "text")
+    assert str(alone.shortfall).startswith(
+        f"The model does not describe this run: {alone.runs[0].rmse_K:.1f} K left"
+    )
+    assert str(alone.shortfall) in fit_report(alone).replace("&#39;", "'")
+    model = parse_model(json.loads(model_text(with_missing_causes(alone.model_file(), alone.runs))), "text")
     for name in NAMES:
         table, c = PRESS.coefficient(name), alone.coefficients[name]
         assert c.runs == 0
         assert c.median == pytest.approx(table.guess, rel=1e-3)
         assert c.median_ci95 == pytest.approx((table.lower, table.upper))
         assert model.coefficients[name].value == pytest.approx(table.guess, rel=1e-3)
-    assert model.adequacy.unexplained_K > 0.5
+    assert model.missing.unexplained_K > 0.5
 
 
 def test_press_file_with_the_faces_exchanged_is_noticed(measured):
     text = press_toml().replace('"top_*"', '"_"').replace('"bottom_*"', '"top_*"').replace('"_"', '"bottom_*"')
     told = fit_campaign(parse_press(text), [run for run, _ in measured[:2]])
     assert not told.met
-    assert told.shortfall.startswith("The model describes none of these runs")
+    assert str(told.shortfall).startswith("The model describes none of these runs")
     page = fit_report(told)
     assert page.partition('class="finding">')[2].startswith("The model describes none of these runs")
-    assert _campaign_title(told).startswith("No coefficient is known")
-    assert next(_lines(told)) == told.shortfall
+    assert str(_campaign_title(told)).startswith("No coefficient is known")
+    assert next(_lines(told)) == str(told.shortfall)
 
 
 def test_causes_a_diagnosis_is_there_for_do_not_make_a_run_a_misfit():
@@ -122,8 +124,8 @@ def test_stored_fits_of_runs_not_described_carry_no_evidence():
     nothing = {"score": 0.0, "power": 0.0, "absorbed": {}, "rest_K": 0.1}
     good = {"met": True, "evidence": {"": nothing, "edge_loss": cause}}
     bad = {"met": False, "evidence": {"": {**nothing, "rest_K": 9.0}, "edge_loss": {**cause, "score": 500.0}}}
-    assert stored_adequacy([good, bad, good]) == stored_adequacy([good, good])
-    assert stored_adequacy([bad]).unexplained_K == pytest.approx(np.sqrt(0.1**2), abs=0.1)
+    assert stored_missing_causes([good, bad, good]) == stored_missing_causes([good, good])
+    assert stored_missing_causes([bad]).unexplained_K == pytest.approx(np.sqrt(0.1**2), abs=0.1)
 
 
 @pytest.mark.parametrize("switch", [True, False], ids=["limit switch", "detected"])
@@ -132,7 +134,7 @@ def test_insertion_and_closing_in_one_gap_are_not_made_up(switch):
     run, truth = make_campaign(6, 4, plan=plan)[3]
     m = truth.moments
     lost = fit_campaign(PRESS, [_without(run, m.inserted_s - 0.5, m.closed_s + 5.0)])
-    assert lost.shortfall.startswith(
+    assert str(lost.shortfall).startswith(
         "The model does not describe this run: insertion and closing fall into one gap"
     )
     assert not any(c.identifiable for c in lost.runs[0].coefficients.values())
@@ -149,8 +151,8 @@ def test_a_spike_in_a_platen_channel_moves_no_coefficient_and_is_told(measured):
     spiked[[20, 45]] += 150.0
     spoiled = replace(run, columns=run.columns | {"platen_top": spiked})
     sound, mended = fit_campaign(PRESS, [run, replace(spoiled, name="spiked")]).runs
-    assert any("platen_top: 2 single cells jump" in w for w in mended.warnings)
-    assert not any("single cells jump" in w for w in sound.warnings)
+    assert any("platen_top: 2 single cells jump" in str(w) for w in mended.warnings)
+    assert not any("single cells jump" in str(w) for w in sound.warnings)
     for name in ("h_p_c", "h_pp_c"):
         log_change = np.log(mended.coefficients[name].value / sound.coefficients[name].value)
         assert abs(log_change) < 0.02

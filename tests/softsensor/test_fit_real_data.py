@@ -1,34 +1,25 @@
 """Measured runs of other laboratories, read through their mapping, fitted through their press file."""
 
-import os
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from daq.foreign import read_foreign, read_mapping
-from daq.pressfile import read_press
-from softsensor.campaign import fit_campaign, moments_of
-from softsensor.fit import fit_run
-from softsensor.model import ThermalModel
+from daq.files.mapping import read_foreign, read_mapping
+from daq.press.press_file import read_press
+from softsensor.fitting.campaign import fit_campaign
+from softsensor.fitting.one_run import fit_run
+from softsensor.heat.model import ThermalModel
+from softsensor.signals.moments import moments_of
+from tests.measured import INERT_BOARD, PRESS_RIG, ROOT, measured
 
-ROOT = Path(__file__).resolve().parents[2]
 DATA_SHEET_HEAT_CAPACITY = 1070.0
-
-
-def _data(name):
-    folder = Path(os.environ.get("KERNTEMP_DATA", ROOT.parent / "shared" / "data")) / name
-    if not folder.is_dir():
-        pytest.skip(f"the measured runs are not here: set KERNTEMP_DATA to the folder that holds {name}")
-    return folder
 
 
 @pytest.fixture(scope="module")
 def rig():
-    folder = _data("press_rig")
     mapped = read_mapping(ROOT / "deploy/mappings/press_rig.toml")
-    runs = [read_foreign(path, mapped) for path in sorted(folder.glob("*.dat"))]
+    runs = [read_foreign(path, mapped) for path in measured(PRESS_RIG)]
     return fit_campaign(read_press(ROOT / "deploy/presses/rig.toml"), runs)
 
 
@@ -50,9 +41,8 @@ def test_contacts_of_the_press_rig_lie_where_its_author_found_them(rig):
 
 
 def test_inert_board_is_met_with_the_heat_capacity_of_its_data_sheet():
-    folder = _data("inert_board")
     mapped = read_mapping(ROOT / "deploy/mappings/inert_board.toml")
-    run = read_foreign(folder / "Black-Insulation_q50_Temp.csv", mapped)
+    run = read_foreign(measured(INERT_BOARD)[0], mapped)
     press = read_press(ROOT / "deploy/presses/inert_board.toml")
     model = ThermalModel(press)
     assert press.layer[0].heat_capacity_J_kgK == pytest.approx(DATA_SHEET_HEAT_CAPACITY, rel=0.05)

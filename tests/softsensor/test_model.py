@@ -6,8 +6,8 @@ from scipy.integrate import solve_ivp
 
 from daq.records import InputError, Moments
 from softsensor.effects import BUILT_IN
-from softsensor.model import NUISANCES, ThermalModel, states
-from softsensor.timing import HANDLING_RAMP_S, OPENING_RAMP_S
+from softsensor.heat.model import NUISANCES, ThermalModel, states
+from softsensor.heat.timing import HANDLING_RAMP_S, OPENING_RAMP_S
 
 SIGMA = 5.670374419e-8
 SHORT = Moments(inserted_s=2.0, closed_s=8.2, opened_s=30.4, removed_s=45.0, ramp_s=0.5)

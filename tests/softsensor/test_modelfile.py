@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from daq.records import InputError
-from softsensor.modelfile import Estimate, ModelFile, model_text, parse_model, read_model
+from softsensor.heat.model_file import FittedValue, ModelFile, model_text, parse_model, read_model
 
 MODEL = ModelFile(
     version="2026-03-04T00:00:00Z",
     press="lab",
-    coefficients={"h_pp_c": Estimate(700.0, 80.0), "h_wa": Estimate(12.0, 2.0)},
-    effects=(("edge_loss", {"W_m3K": Estimate(900.0, 100.0)}),),
+    coefficients={"h_pp_c": FittedValue(700.0, 80.0), "h_wa": FittedValue(12.0, 2.0)},
+    effects=(("edge_loss", {"W_m3K": FittedValue(900.0, 100.0)}),),
     names=("h_pp_c", "h_wa", "edge_loss.W_m3K"),
     covariance=np.diag([0.01, 0.02, 1e4]),
 )

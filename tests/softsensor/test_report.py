@@ -2,15 +2,17 @@
 
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
-from daq.pressfile import parse_press
+from daq.press.press_file import parse_press
 from daq.simulated.campaign import Plan, make_campaign
 from daq.simulated.campaign_pressfile import press_toml
-from softsensor.campaign import fit_campaign
-from softsensor.figures import coefficients_figure, png, run_figure, svg
-from softsensor.report import fit_report
+from daq.words.message import catalogue, languages
+from softsensor.fitting.campaign import fit_campaign
+from softsensor.report.fit_figures import coefficients_figure, png, run_figure, svg
+from softsensor.report.fit_report import fit_report
 
 
 @pytest.fixture(scope="module")
@@ -29,6 +31,32 @@ def test_page_needs_nothing_from_elsewhere_and_names_every_run(campaign):
     for name in campaign.coefficients:
         assert name in page
     assert "W/m²K" in page
+
+
+def test_a_page_in_german_says_nothing_of_its_own_in_english(campaign):
+    page = fit_report(campaign, language="de")
+    assert '<html lang="de">' in page
+    assert "Angepasst an 3 Pressungen liegt das Modell" in page
+    english = {c: said.strip() for c, said in catalogue("en").entries().items() if c.startswith("report-")}
+    assert not [c for c, said in english.items() if "{" not in said and f">{said}<" in page]
+
+
+def test_the_legend_of_a_fit_says_which_coefficients_each_line_has(campaign):
+    labels = run_figure(campaign.runs[0]).get_axes()[0].get_legend_handles_labels()[1]
+    assert labels[:2] == ["model with the press file's guesses", "model with fitted coefficients"]
+
+
+@pytest.mark.parametrize("language", languages())
+def test_every_message_of_a_template_has_words(language):
+    known = catalogue(language)
+    templates = (Path(__file__).parents[2] / "softsensor/templates").glob("*.html")
+    codes = {
+        code
+        for file in templates
+        for code in re.findall(r"""say\(["']([a-z0-9_A-Z-]+)["']""", file.read_text("utf-8"))
+    }
+    assert codes
+    assert not [code for code in sorted(codes) if not known.has(code)]
 
 
 def test_same_campaign_gives_the_same_picture(campaign):

@@ -14,19 +14,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.config import PressSettings
 from daq.drivers.settings import LoggerSettings
-from daq.press_events import PressEventDetector
-from daq.pressfile import parse_press
+from daq.press.events import PressEventDetector
+from daq.press.press_file import parse_press
+from daq.process.config import PressSettings
+from daq.recording.run_keeper import RunKeeper, RunNames, RunRules
 from daq.records import Channel, PressState, Quality, Scan
-from daq.runkeeper import RunKeeper, RunNames, RunRules
 from daq.simulated.campaign import Plan, make_campaign
 from daq.simulated.campaign_pressfile import press_toml
 from daq.store import NewRun, RunEnd, RunStatus, StoreUnavailable, open_store
-from softsensor.modelfile import Estimate, ModelFile
-from softsensor.observer import LiveSensor
-from softsensor.recent import PRESS_FILE, combined_model, up_to_date
-from softsensor.service import Fitter, Follower, _details
+from softsensor.heat.model_file import FittedValue, ModelFile
+from softsensor.jobs.fitter import Fitter
+from softsensor.jobs.live_service import Follower, _details
+from softsensor.jobs.model_in_force import PRESS_FILE, combined_model, up_to_date
+from softsensor.jobs.run_fits import RunFits
+from softsensor.live.sensor import LiveSensor
 from tests.daq.test_kills import is_zombie
 from tests.daq.test_recorder import wait_until
 
@@ -100,7 +102,12 @@ def follower(store, fitter):
     logger = LoggerSettings.model_validate(
         {"name": "x", "profile": "m-7018", "host": "h", "channels": ["platen_top", "platen_bottom"]}
     )
-    return Follower(store, PressSettings(name="lab", file="press.toml", logger=(logger,)), PRESS, fitter)
+    return Follower(
+        store,
+        PressSettings(name="lab", file="press.toml", logger=(logger,)),
+        PRESS,
+        RunFits(store, "lab", PRESS, fitter),
+    )
 
 
 def drain(sense):
@@ -197,9 +204,9 @@ def test_beside_a_core_that_is_not_valid_nothing_is_foreseen(pressing):
         said = sensor.update(t, {name: float(values[i]) for name, values in run.columns.items()})
         sensor.look_ahead()
         if said.state is PressState.CLOSED:
-            told.append((said.valid, set(_details(sensor, said)) - {"suspected"}))
+            told.append((said.valid, set(_details(sensor, said)) - {"suspected", "reason_arguments"}))
     assert len(told) > 20
-    assert np.isfinite(sensor.outlook.target_in_s)  # it was worked out, of a belief that cannot be
+    assert np.isfinite(sensor.forecast.target_in_s)  # it was worked out, of an estimate that cannot be
     assert all(not valid and not beside for valid, beside in told)
 
 
@@ -223,8 +230,8 @@ def test_a_promoted_model_is_taken_without_restart(store, fitter, pressing):
     sense = follower(store, fitter)
     recorder.put(40)
     drain(sense)
-    known = {n: Estimate(PRESS.coefficient(n).guess, 50.0) for n in PRESS.coefficient_names}
-    model = ModelFile("lab-7", "lab", known, (("edge_loss", {"W_m3K": Estimate(900.0, 100.0)}),))
+    known = {n: FittedValue(PRESS.coefficient(n).guess, 50.0) for n in PRESS.coefficient_names}
+    model = ModelFile("lab-7", "lab", known, (("edge_loss", {"W_m3K": FittedValue(900.0, 100.0)}),))
     store.put_model("lab", "lab-7", model.as_json())
     store.promote_model("lab-7", "test")
     recorder.put(40)
@@ -243,12 +250,12 @@ def test_what_the_operator_writes_down_counts_at_once(store, fitter, pressing):
     sense = follower(store, fitter)
     recorder.put(40)
     drain(sense)
-    assert "panel.thickness_mm" in sense.problem
+    assert "panel.thickness_mm" in str(sense.problem)
     name = store.runs().items[0].run
     store.annotate_run(name, {k: v for k, v in run.header.items() if k.startswith("panel.")}, "operator")
     recorder.put(10)
     drain(sense)
-    assert sense.problem == ""
+    assert sense.problem is None
     assert all(e.valid for t, e in store.estimates(name)[3:])
 
 
@@ -271,7 +278,7 @@ def fit_entry(value, sd=10.0):
 def test_runs_bring_the_coefficients_up_to_date():
     fresh = up_to_date(PRESS, None, [fit_entry(v) for v in (400.0, 410.0, 390.0, 405.0)])
     assert fresh.coefficients["h_pp_c"].value == pytest.approx(400.0, rel=0.05)
-    base = ModelFile("m", "lab", {"h_pp_c": Estimate(700.0, 70.0)})
+    base = ModelFile("m", "lab", {"h_pp_c": FittedValue(700.0, 70.0)})
     mixed = up_to_date(PRESS, base, [fit_entry(400.0)] * 4)
     assert 480.0 < mixed.coefficients["h_pp_c"].value < 620.0
     assert mixed.version == "m+4"
@@ -280,7 +287,7 @@ def test_runs_bring_the_coefficients_up_to_date():
 
 def test_a_fit_that_knows_nothing_changes_nothing():
     unknown = {"coefficients": {"h_pp_c": {"value": 5.0, "sd": 50.0, "identifiable": False}}}
-    base = ModelFile("m", "lab", {"h_pp_c": Estimate(700.0, 70.0)})
+    base = ModelFile("m", "lab", {"h_pp_c": FittedValue(700.0, 70.0)})
     assert combined_model(PRESS, base, [unknown]).coefficients == base.coefficients
 
 
@@ -480,12 +487,12 @@ def test_a_pressing_whose_fit_a_kill_prevented_is_fitted_after_the_restart(store
             drain(sense)
     again = follower(store, Deaf())
     drain(again)
-    assert not again._fits, "what is fitted is not fitted anew at each start"
+    assert not again.fits._under_way, "what is fitted is not fitted anew at each start"
 
 
 FIT_WORKER = """
 import time
-from softsensor.service import Fitter
+from softsensor.jobs.fitter import Fitter
 if __name__ == "__main__":
     with Fitter() as fitter:
         fitter._warm.result()
@@ -506,3 +513,55 @@ def test_the_fitting_worker_ends_when_its_process_is_killed(tmp_path):
         assert not is_zombie(worker)
         os.kill(one.pid, signal.SIGKILL)
     wait_until(lambda: is_zombie(worker), 20)
+
+
+def kill_here():
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+class Poison:
+    """A model that really kills each worker it comes to."""
+
+    def __reduce__(self):
+        return kill_here, ()
+
+
+def fitted(store, sense, run):
+    wait = time.monotonic() + DEADLINE_S
+    while "fingerprint" not in (store.fit(run) or {}):
+        assert time.monotonic() < wait, f"no fit of {run}"
+        drain(sense)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="SIGKILL is POSIX")
+def test_a_fit_whose_worker_is_killed_is_made_by_another(store, pressing):
+    run, _ = pressing
+    with Fitter() as fitter:
+        fitter._warm.result()
+        (worker,) = fitter._pool._processes
+        os.kill(worker, signal.SIGSTOP)  # so that the kill finds the fit under way
+        sense = follow(store, fitter, Recorder(store, run))
+        assert sense.fits._under_way
+        os.kill(worker, signal.SIGKILL)
+        (record,) = store.runs().items
+        fitted(store, sense, record.run)
+    assert "run-fit-killed" not in [entry.message.code for entry in store.journal().items]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="SIGKILL is POSIX")
+def test_a_fit_that_kills_every_worker_ends_in_an_alarm_and_the_live_sensor_goes_on(store, pressing):
+    run, _ = pressing
+    store.import_run(replace(run, name="poisonous"), "lab", press_toml())
+    with Fitter() as fitter:
+        sense = follower(store, fitter)
+        sense.last = -1
+        sense.fits.submit("poisonous", Poison())
+        recorder = Recorder(store, run)
+        while not recorder.finished:
+            recorder.put(20)
+            drain(sense)
+        (record,) = [r for r in store.runs().items if r.kind != "imported"]
+        fitted(store, sense, record.run)
+        assert len(store.estimates(record.run)) > 100
+    (alarm,) = [entry for entry in store.journal(level="alarm").items]
+    assert (alarm.message.code, alarm.message.arguments["run"]) == ("run-fit-killed", "poisonous")

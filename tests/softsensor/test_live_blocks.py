@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from softsensor import observer_kernels as loops
-from softsensor.observer_blocks import Blocks, Scans, cut
+from softsensor.live.block_steps import Counted
+from softsensor.live.blocks import Scans, blocks_of, cut
 
 ALWAYS = (-np.inf, np.inf)
 MOMENTS = np.array([0.0, np.nan, 10.0, np.nan, np.nan])
@@ -11,10 +11,9 @@ MOMENTS = np.array([0.0, np.nan, 10.0, np.nan, np.nan])
 
 def scans(times, readings):
     """Two faces with one sensor each."""
-    known = loops.Consensus(np.array([0, 1]), np.zeros(2), np.full(2, 0.04), np.zeros(2), np.full(2, np.nan))
-    kept = Scans(2, 2)
+    kept = Scans(np.array([0, 1]), 2)
     for t, values in zip(times, readings, strict=True):
-        kept.append(t, (200.0, 201.0), np.array(values), known)
+        kept.append(t, (200.0, 201.0), np.array(values))
     return kept
 
 
@@ -52,10 +51,10 @@ def test_cutting_in_parts_cuts_at_the_same_scans():
 def test_a_block_holds_the_mean_of_what_was_heard_and_when():
     nan = np.nan
     kept = scans([5.0, 5.1, 5.2, 5.4], [[30.0, nan], [31.0, nan], [nan, nan], [34.0, nan]])
-    made = Blocks.of(kept, 1, np.array([3]), ALWAYS, MOMENTS, blind=False)
+    made = blocks_of(kept.rows, 1, np.array([3]), Counted(*ALWAYS, MOMENTS, False))
     assert np.allclose(made.span, [[5.0, 5.4]])
     assert np.allclose(made.level, [[32.5, nan]], equal_nan=True)
     assert np.isclose(made.moment[0, 0], (5.25 - 5.0) / 0.4)
-    assert np.isnan(Blocks.of(kept, 1, np.array([3]), ALWAYS, MOMENTS, blind=True).level).all()
-    late = Blocks.of(kept, 1, np.array([3]), (5.15, np.inf), MOMENTS, blind=False)
+    assert np.isnan(blocks_of(kept.rows, 1, np.array([3]), Counted(*ALWAYS, MOMENTS, True)).level).all()
+    late = blocks_of(kept.rows, 1, np.array([3]), Counted(5.15, np.inf, MOMENTS, False))
     assert np.allclose(late.level, [[34.0, nan]], equal_nan=True)

@@ -5,8 +5,12 @@ import pytest
 from scipy.optimize import brentq
 from scipy.stats import multivariate_normal, norm
 
-from softsensor import observer_kernels as loops
-from softsensor import observer_kernels_mixture as mixture
+from softsensor.heat.implicit_steps import Drive
+from softsensor.live.blocks import fresh_channels
+from softsensor.live.channel_steps import robust_mean
+from softsensor.live.kalman_steps import StateEstimate, kalman_update
+from softsensor.live.march_steps import Timing, set_shares, step_length
+from softsensor.live.mixture_steps import Change, Components, Hypotheses, condition, pool, quantile
 
 
 def problem(seed, states=6, readings=9):
@@ -16,11 +20,20 @@ def problem(seed, states=6, readings=9):
 
 
 def filtered(h, y, noise):
-    x, cov, fit = np.zeros(h.shape[1]), np.eye(h.shape[1]), 0.0
+    x, fit = np.zeros(h.shape[1]), 0.0
+    estimate = StateEstimate(x, np.eye(h.shape[1]), np.zeros(0))
     for row, value in zip(h, y, strict=True):
-        gained, _ = loops.absorb(x, cov, row, value - row @ x, noise, 1e3)
+        gained, _ = kalman_update(estimate, row, value - row @ x, noise, 1e3)
         fit += gained
-    return x, cov, fit
+    return x, estimate.covariance, fit
+
+
+def conditioned(x, cov, readout, where, absent, width, one_sided):
+    """Return shift, variance and log-evidence of "no cause" and of each cause."""
+    out = Components(*(np.empty(len(where) + 1) for _ in range(3)))
+    causes = Hypotheses(where, absent, width, np.asarray(one_sided), np.zeros(len(where) + 1))
+    condition(StateEstimate(x, cov, np.zeros(0)), readout, causes, out)
+    return out.mean, out.variance, out.weight
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -40,9 +53,8 @@ def test_hypotheses_read_off_one_filter_equal_filters_run_for_each(seed):
     where, spike, absent = np.array([1, 3, 4]), np.array([0.05, 0.1, 0.2]), np.array([0.0, -2.5, 1.2])
     readout = np.random.default_rng(seed + 100).standard_normal(h.shape[1])
     x, cov, fit = filtered(h, y, noise)
-    means, variances, evidence, sizes = np.empty(4), np.empty(4), np.empty(4), np.empty(3)
-    two_sided = np.zeros(3, dtype=bool)
-    loops.blend(x, cov, readout, where, absent, spike, two_sided, means, variances, evidence, sizes)
+    causes = (where, absent, spike, np.zeros(3, dtype=bool))
+    means, variances, evidence = conditioned(x, cov, readout, *causes)
     for hypothesis in range(4):
         scale, centre = np.ones(h.shape[1]), np.zeros(h.shape[1])
         scale[where], centre[where] = spike, absent
@@ -54,18 +66,18 @@ def test_hypotheses_read_off_one_filter_equal_filters_run_for_each(seed):
         assert variances[hypothesis] == pytest.approx((readout * scale) @ own_cov @ (readout * scale), rel=1e-5)
         assert fit + evidence[hypothesis] == pytest.approx(own_fit, abs=1e-5)
         if hypothesis:
-            assert sizes[hypothesis - 1] == pytest.approx(own_x[where[hypothesis - 1]], abs=1e-6)
+            own = where[hypothesis - 1]
+            size = x[own] + conditioned(x, cov, np.eye(h.shape[1])[own], *causes)[0][hypothesis]
+            assert size == pytest.approx(own_x[own], abs=1e-6)
 
 
 @pytest.mark.parametrize("absent", [0.0, -1.5])
 def test_a_cause_that_can_only_be_larger_counts_what_its_prior_leaves_above(absent):
     x, cov = np.array([0.8 + absent, 0.3]), np.array([[0.25, 0.1], [0.1, 0.5]])
     readout, where, spike = np.array([0.4, 1.0]), np.array([0]), np.array([1e-3])
-    out = [np.empty(2) for _ in range(3)]
-    free = [np.empty(2) for _ in range(3)]
     gone = np.array([absent])
-    loops.blend(x, cov, readout, where, gone, spike, np.array([True]), *out, np.empty(1))
-    loops.blend(x, cov, readout, where, gone, spike, np.array([False]), *free, np.empty(1))
+    out = conditioned(x, cov, readout, where, gone, spike, [True])
+    free = conditioned(x, cov, readout, where, gone, spike, [False])
     draws = np.random.default_rng(3).multivariate_normal(x, cov, 400_000)
     above = draws[draws[:, 0] > absent] @ readout - readout @ x
     assert out[0][1] == pytest.approx(above.mean(), abs=0.01)
@@ -77,14 +89,14 @@ def test_quantiles_of_a_mixture_leave_their_share_below():
     weights, means, sds = np.array([0.7, 0.2, 0.1]), np.array([0.0, 5.0, -3.0]), np.array([0.3, 1.0, 4.0])
     for share in (0.025, 0.5, 0.975):
         exact = brentq(lambda v, p=share: weights @ norm.cdf((v - means) / sds) - p, -50, 50)
-        assert loops.quantile(weights, means, sds, share) == pytest.approx(exact, abs=2e-3)
+        assert quantile(weights, means, sds, share) == pytest.approx(exact, abs=2e-3)
 
 
 @pytest.mark.parametrize("core", [(4.0, 0.3), (np.nan, np.nan)])
 def test_what_may_have_changed_at_once_takes_its_share_of_the_mixture(core):
     log, means, variances = np.log([7.0, 2.0, 1.0]), np.array([0.0, 5.0, -3.0]), np.array([0.3, 1.0, 4.0])
     out = [np.append(column, [np.nan, np.nan]) for column in (log, means, variances)]
-    told, sd, low, high = mixture.pool(*out, 0.0, 12.0, 0.25, core, (0.4, 2.0))
+    told, sd, low, high = pool(Components(*out), 0.0, Change(0.25, *core, 0.4, 2.0))
     rng = np.random.default_rng(5)
     usual = rng.choice(3, 1_000_000, p=[0.7, 0.2, 0.1])
     draws = rng.normal(means[usual], np.sqrt(variances[usual]))
@@ -98,40 +110,37 @@ def test_what_may_have_changed_at_once_takes_its_share_of_the_mixture(core):
     assert (low, high) == pytest.approx(np.quantile(draws, [0.025, 0.975]), abs=0.05)
 
 
-def consensus(channels):
-    return loops.Consensus(
-        np.zeros(channels, dtype=np.int64), np.zeros(channels), np.full(channels, 0.04), np.zeros(channels),
-        np.full(1, np.nan),
-    )  # fmt: skip
+def one_face(channels):
+    return fresh_channels(np.zeros(channels, dtype=np.int64), 1)
 
 
 def test_a_channel_that_drops_out_and_returns_leaves_no_step():
     shifts = np.array([0.3, -0.2, 0.5, -0.4, 0.1])
-    known, level, votes = consensus(5), np.empty(1), np.empty(1)
+    known, level, votes = one_face(5), np.empty(1), np.empty(1)
     seen = []
     for k in range(120):
         values = 50.0 + 0.1 * k + shifts
         if 40 <= k < 80:
             values[2] = np.nan
-        loops.agree(known, values, level, votes)
+        robust_mean(known, values, level, votes)
         seen.append(level[0] - 0.1 * k)
     assert np.ptp(seen[5:]) < 0.02
 
 
 def test_a_loose_channel_loses_its_vote():
-    known, level, votes = consensus(7), np.empty(1), np.empty(1)
+    known, level, votes = one_face(7), np.empty(1), np.empty(1)
     for k in range(60):
         values = np.full(7, 100.0)
         values[4] -= 0.8 * max(k - 10, 0)
-        loops.agree(known, values, level, votes)
+        robust_mean(known, values, level, votes)
     assert level[0] == pytest.approx(100.0, abs=0.1)
 
 
 def test_steps_end_where_they_should_and_are_fine_at_a_switch():
-    timing = loops.Timing(0.0, 2.0, 10.0, np.inf, np.inf, 0.5, True, 1.0, 1.0, 1.0, 0.5)
+    timing = Timing(0.0, 2.0, 10.0, np.inf, np.inf, 0.5, True, 1.0, 1.0, 1.0, 0.5)
     t, steps = 0.0, []
     while t < 30.0 - 1e-9:
-        h = loops.step_length(t, 30.0, timing)
+        h = step_length(t, 30.0, timing)
         steps.append((t, h))
         t += h
     assert t == pytest.approx(30.0)
@@ -142,14 +151,18 @@ def test_steps_end_where_they_should_and_are_fine_at_a_switch():
 @pytest.mark.parametrize("moment", ["inserted", "closed", "opened"])
 @pytest.mark.parametrize("begin", [1.95, 9.9, 19.9])
 def test_shares_of_a_step_answer_to_the_moments_as_their_derivatives_say(moment, begin):
-    timing = loops.Timing(0.0, 2.0, 10.0, 20.0, np.inf, 0.5, True, 3.0, 0.2, 0.4, 0.5)
+    timing = Timing(0.0, 2.0, 10.0, 20.0, np.inf, 0.5, True, 3.0, 0.2, 0.4, 0.5)
     unit = {"inserted": 3.0, "closed": 0.2, "opened": 0.4}[moment]
     moving = np.arange(3)
 
     def shares(shift):
         weight, d_weight = np.zeros((1, 3)), np.zeros((1, 3, 3))
         moved = timing._replace(**{moment: getattr(timing, moment) + shift})
-        loops._set_weights(weight, d_weight, 0, begin, begin + 0.08, moved, moving)
+        none = np.empty((1, 0))
+        drive = Drive(
+            np.array([0.08]), weight, d_weight, none, none[..., None], np.empty((1, 2, 2)), np.empty((2, 3))
+        )
+        set_shares(drive, 0, begin, begin + 0.08, moved, moving)
         return weight[0], d_weight[0, :, ["inserted", "closed", "opened"].index(moment)]
 
     expected = (shares(1e-5)[0] - shares(-1e-5)[0]) / 2e-5 * unit

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from daq.pressfile import parse_press
+from daq.press.press_file import parse_press
 from daq.simulated.campaign import Plan, make_campaign
 from daq.simulated.campaign_pressfile import press_toml
 from daq.simulated.campaign_sensors import Nuisances
-from softsensor.fit import fit_run
-from softsensor.model import ThermalModel
-from softsensor.remedies import ALONE, Company, apart, repeats_for, role_of
+from softsensor.fitting.experiment_advice import ALONE, Company, apart, repeats_for, role_of
+from softsensor.fitting.one_run import fit_run
+from softsensor.heat.model import ThermalModel
 
 PRESS = parse_press(press_toml())
 MODEL = ThermalModel(PRESS)
@@ -33,7 +33,7 @@ def fitted(measured):
 
 
 def _advice(fitted, partner, company=ALONE, name="h_p_o"):
-    return apart(fitted, partner, role_of(PRESS, name, fitted), company)
+    return str(apart(fitted, partner, role_of(PRESS, name, fitted), company))
 
 
 def test_sharing_is_advised_only_where_runs_can_share_and_do_not_yet(fitted):
@@ -45,7 +45,7 @@ def test_sharing_is_advised_only_where_runs_can_share_and_do_not_yet(fitted):
 
 def test_moments_are_told_better_by_what_the_record_lacks(fitted):
     limit = "a limit switch as the column closed"
-    assert _advice(fitted, "inserted_s") == "Log faster than the 2 Hz here"
+    assert _advice(fitted, "inserted_s") == "Log faster than the 2 Hz of this run."
     assert limit in _advice(fitted, "closed_s")
     case = fitted.problem.case
     switched = replace(
@@ -66,8 +66,8 @@ def test_start_temperature_that_is_in_the_header_is_not_asked_for_again(fitted):
 def test_no_thermocouple_is_asked_for_where_one_sits(fitted):
     for name in PRESS.coefficient_names:
         role = role_of(PRESS, name, fitted)
-        assert "face of panel" not in role.beside
-        assert "face of panel" not in role.record
+        assert "face of panel" not in str(role.beside)
+        assert "face of panel" not in str(role.record)
         assert role.record
 
 
@@ -75,10 +75,10 @@ def test_run_with_channels_above_only_is_told_to_log_those_below(measured):
     run, truth = measured
     above = {n: c for n, c in run.columns.items() if not n.startswith("bottom_")}
     fitted = fit_run(MODEL, replace(run, columns=above), truth.moments)
-    unknown = {n: c.reason for n, c in fitted.coefficients.items() if not c.identifiable}
+    unknown = {n: str(c.reason) for n, c in fitted.coefficients.items() if not c.identifiable}
     assert "h_pp_o" in unknown
     assert "Log the channels at panel.bottom too, which this run lacks" in unknown["h_pp_o"]
-    assert not any("face of panel towards plate_top" in reason for reason in unknown.values())
+    assert not any("face of panel towards upper plate" in reason for reason in unknown.values())
 
 
 @pytest.mark.parametrize(("before", "after"), [(10.0, 5.0), (10.0, 40.0), (90.0, 40.0), (90.0, 90.0)])
@@ -87,7 +87,7 @@ def test_no_longer_state_is_asked_for_than_the_run_has(fitted, before, after):
     signals = replace(fitted.problem.signals, time_s=t)
     problem = replace(fitted.problem, signals=signals, rows=np.ones(len(t)))
     run = replace(fitted, problem=problem, closed_s=before - 0.5, opened_s=before + 20.0 - 0.5)
-    record = role_of(PRESS, "h_pp_o", run).record
+    record = str(role_of(PRESS, "h_pp_o", run).record)
     if "instead of" in record:
         assert float(record.partition("instead of ")[2].split()[0]) < 60.0
     else:

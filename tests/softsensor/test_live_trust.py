@@ -5,17 +5,28 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from daq.pressfile import parse_press
+from daq.press.press_file import parse_press
 from daq.records import PressState
 from daq.simulated.campaign import Plan, make_campaign
 from daq.simulated.campaign_pressfile import press_toml
-from daq.simulated.physics import BASE_COEFFICIENTS
-from softsensor.modelfile import Estimate, ModelFile
-from softsensor.observer import NO_PLATENS, NOT_OBSERVABLE, NOT_VALID, LiveSensor
-from softsensor.observer_trust import Coming, Seen, StartError, coming, contradiction, first_error, start_error
+from daq.simulated.physics_pressing import BASE_COEFFICIENTS
+from softsensor.heat.model_file import FittedValue, ModelFile
+from softsensor.live.consistency import (
+    FaceReadings,
+    Insertion,
+    StartError,
+    contradiction,
+    first_error,
+    place_insertion,
+    start_error,
+)
+from softsensor.live.sensor import LiveSensor
+from softsensor.live.validity import InvalidReason
 
 PRESS = parse_press(press_toml())
-MODEL = ModelFile("test", "lab", {name: Estimate(value, 0.2 * value) for name, value in BASE_COEFFICIENTS.items()})
+MODEL = ModelFile(
+    "test", "lab", {name: FittedValue(value, 0.2 * value) for name, value in BASE_COEFFICIENTS.items()}
+)
 PLAN = Plan(
     rate_hz=2.0, thickness_mm=16.0, start_before_s=6.0, closed_column=True,
     press_time_s=(40.0, 60.0), open_before_s=(6.0, 12.0), open_after_s=(35.0, 45.0),
@@ -57,7 +68,9 @@ def test_platens_that_come_a_few_scans_late_are_waited_for(pressing):
     run, truth = pressing
     late = run.time_s < 3.0
     said = replay(with_columns(run, "platen_top", lambda v: np.where(late, np.nan, v)))
-    assert {(e.valid, e.reason) for e in said[: int(late.sum())]} == {(False, NO_PLATENS)}
+    assert {(e.valid, e.reason) for e in said[: int(late.sum())]} == {
+        (False, InvalidReason.PLATEN_READING_MISSING)
+    }
     assert np.mean([e.valid for e in said[int(late.sum()) :]]) > 0.95
     assert told_wrong(said, truth.core_C) < 0.1
 
@@ -67,7 +80,7 @@ def test_platens_that_come_when_the_panel_has_long_lain_there_leave_the_core_unk
     late = run.time_s < truth.moments.closed_s + 5.0
     said = replay(with_columns(run, "platen", lambda v: np.where(late, np.nan, v)))
     assert not any(e.valid for e in said)
-    assert said[-1].reason.startswith(NOT_VALID)
+    assert said[-1].reason is InvalidReason.PLATENS_MISSING_AT_INSERTION
 
 
 @pytest.mark.parametrize("wire", [True, False])
@@ -87,7 +100,8 @@ def test_a_start_temperature_that_all_sensors_contradict_is_not_believed(pressin
     said = replay(replace(run, header=dict(run.header) | {"panel.initial_temperature_C": wrong}))
     closed = [e for e in said if e.state is PressState.CLOSED]
     assert {e.valid for e in closed} == {False}
-    assert f"start at {wrong:.0f} °C" in closed[0].reason
+    assert closed[0].reason is InvalidReason.START_TEMPERATURE_CONTRADICTED
+    assert closed[0].invalid.arguments["header_C"] == wrong
 
 
 @pytest.mark.parametrize("off", [-4.0, 3.0])
@@ -104,10 +118,10 @@ def test_a_start_temperature_that_is_a_little_off_is_put_right_by_the_sensors(pr
 def test_a_lower_face_that_warms_already_is_no_contradiction():
     assert start_error(np.array([21.0, 45.0]), 20.0) == 1.0
     assert start_error(np.array([np.nan, np.nan]), 20.0) == 0.0
-    assert contradiction(1.0, 20.0) == ""
-    assert contradiction(start_error(np.array([60.0, 104.0]), 20.0), 20.0) == (
-        "sensors read 60 °C where the header has the panel start at 20 °C"
-    )
+    assert contradiction(1.0, 20.0) is None
+    found = contradiction(start_error(np.array([60.0, 104.0]), 20.0), 20.0)
+    assert found.line == "start temperature contradicted; measured_C=60; header_C=20"
+    assert str(found.message) == "sensors read 60 °C, but the header has the panel start at 20 °C"
 
 
 @pytest.mark.parametrize("face", ["top_", "bottom_", ("top_", "bottom_")])
@@ -125,7 +139,7 @@ def test_a_logger_that_stands_still_over_the_closing_is_a_gap(pressing):
     said = replay(with_columns(run, ("top_", "bottom_", "platen"), frozen))
     assert told_wrong(said, truth.core_C) < 0.05
     silent = [e for e in said if begun + 15.0 < e.time_s < begun + 19.0]
-    assert {(e.valid, e.reason) for e in silent} == {(False, NO_PLATENS)}
+    assert {(e.valid, e.reason) for e in silent} == {(False, InvalidReason.PLATEN_READING_MISSING)}
 
 
 def test_a_switch_that_opens_for_a_moment_with_no_sensor_on_the_panel_leaves_the_press_closed(pressing):
@@ -176,15 +190,17 @@ def faces(came_at, heard_from, start=20.0, closed=30.0):
 
 
 def test_a_lower_face_heard_before_the_panel_came_leaves_its_moment_to_the_detector():
-    assert coming(Seen(TIME, faces(10.0, 0.0), 1), 20.0, 10.2, np.inf, 40.0) == Coming(10.2)
+    assert place_insertion(FaceReadings(TIME, faces(10.0, 0.0), 1), 20.0, 10.2, np.inf, 40.0) == Insertion(10.2)
 
 
 def test_a_lower_face_still_hot_from_the_panel_before_but_heard_all_along_leaves_it_to_the_detector_too():
     hot = faces(10.0, 0.0)
     hot[TIME < 10.0, 1] = 60.0
-    assert coming(Seen(TIME, hot, 1), 20.0, 10.2, np.inf, 40.0, opened=2.0) == Coming(10.2)
+    assert place_insertion(FaceReadings(TIME, hot, 1), 20.0, 10.2, np.inf, 40.0, opened=2.0) == Insertion(10.2)
     hot[(TIME > 4.0) & (TIME < 12.0), 1] = np.nan
-    came = coming(Seen(TIME[TIME < 14.0], hot[TIME < 14.0], 1), 20.0, 12.5, np.inf, 14.0, opened=2.0)
+    came = place_insertion(
+        FaceReadings(TIME[TIME < 14.0], hot[TIME < 14.0], 1), 20.0, 12.5, np.inf, 14.0, opened=2.0
+    )
     assert came.at == pytest.approx(10.0, abs=0.3)
     assert 0.3 < came.sd < 1.5
 
@@ -192,16 +208,20 @@ def test_a_lower_face_still_hot_from_the_panel_before_but_heard_all_along_leaves
 @pytest.mark.parametrize("late_s", [3.0, 6.0])
 def test_a_lower_face_first_heard_on_the_plate_tells_how_long_it_has_lain_there(late_s):
     seen = 10.0 + late_s + 2.0 > TIME
-    came = coming(Seen(TIME[seen], faces(10.0, 10.0 + late_s)[seen], 1), 20.0, 10.0 + late_s, np.inf, 39.0)
+    came = place_insertion(
+        FaceReadings(TIME[seen], faces(10.0, 10.0 + late_s)[seen], 1), 20.0, 10.0 + late_s, np.inf, 39.0
+    )
     assert came.at == pytest.approx(10.0, abs=0.3)
     assert 0.3 * late_s < came.sd < 0.5 * late_s
 
 
 def test_without_a_lower_face_the_usual_wait_is_taken_within_what_the_log_allows():
-    came = coming(Seen(TIME, faces(10.0, np.inf), 1), 20.0, 29.0, 30.0, 31.0)
+    came = place_insertion(FaceReadings(TIME, faces(10.0, np.inf), 1), 20.0, 29.0, 30.0, 31.0)
     assert (came.at, came.sd) == (12.0, pytest.approx(30.0 / np.sqrt(12.0)))
     cold_until_25 = np.where(TIME <= 25.0, 21.0, np.nan)
-    came = coming(Seen(TIME, np.column_stack([faces(10.0, 0.0)[:, 0], cold_until_25]), 1), 20.0, 29.0, 30.0, 31.0)
+    came = place_insertion(
+        FaceReadings(TIME, np.column_stack([faces(10.0, 0.0)[:, 0], cold_until_25]), 1), 20.0, 29.0, 30.0, 31.0
+    )
     assert came.at == 25.0
     assert came.sd == pytest.approx(5.0 / np.sqrt(12.0))
 
@@ -209,7 +229,7 @@ def test_without_a_lower_face_the_usual_wait_is_taken_within_what_the_log_allows
 def test_an_upper_face_that_warms_in_the_open_press_tells_when_the_panel_came():
     warming = faces(10.0, np.inf)
     warming[:, 0] += np.where(TIME < 30.0, 6.0 * np.sqrt(np.maximum(TIME - 15.0, 0.0)), 0.0)
-    came = coming(Seen(TIME, warming, 1), 20.0, 29.0, 30.0, 31.0)
+    came = place_insertion(FaceReadings(TIME, warming, 1), 20.0, 29.0, 30.0, 31.0)
     assert came.at == pytest.approx(15.0, abs=0.5)
     assert came.sd == 3.0
 
@@ -217,28 +237,30 @@ def test_an_upper_face_that_warms_in_the_open_press_tells_when_the_panel_came():
 def test_the_start_is_judged_by_the_face_that_may_have_warmed_least():
     plugged = faces(10.0, 12.0)
     plugged[TIME < 12.0] = np.nan
-    seen = Seen(TIME, plugged, 1)
-    assert first_error(seen, 20.0, Coming(10.0), 30.0) == StartError(0.0, 0.0, 2)
-    assert first_error(seen, 40.0, Coming(10.0), 30.0) == StartError(-20.0, -20.0, 2)
-    found = first_error(seen, 0.0, Coming(10.0), 30.0)
+    seen = FaceReadings(TIME, plugged, 1)
+    assert first_error(seen, 20.0, Insertion(10.0), 30.0) == StartError(0.0, 0.0, 2)
+    assert first_error(seen, 40.0, Insertion(10.0), 30.0) == StartError(-20.0, -20.0, 2)
+    found = first_error(seen, 0.0, Insertion(10.0), 30.0)
     assert found.off == 20.0
     assert 10.0 < found.certain < 20.0
-    assert first_error(Seen(TIME[:20], plugged[:20], 1), 20.0, Coming(9.0), 30.0).faces == 0
+    assert first_error(FaceReadings(TIME[:20], plugged[:20], 1), 20.0, Insertion(9.0), 30.0).faces == 0
     plugged[(TIME >= 12.0) & (TIME < 15.0), 0] = np.nan  # the upper face joins later and is colder than the header
-    assert first_error(seen, 25.0, Coming(10.0), 30.0) == StartError(-5.0, -5.0, 2)
+    assert first_error(seen, 25.0, Insertion(10.0), 30.0) == StartError(-5.0, -5.0, 2)
 
 
 def test_the_ramp_of_the_closing_is_no_slope_of_the_waiting_panel():
     joined = faces(4.0, 29.0)
     ramp = (TIME >= 29.5) & (TIME < 30.5)
     joined[ramp, 1] += 40.0
-    came = coming(Seen(TIME, joined, 1), 20.0, 29.0, 30.0, 31.0)
+    came = place_insertion(FaceReadings(TIME, joined, 1), 20.0, 29.0, 30.0, 31.0)
     assert (came.at, came.sd) == (11.0, pytest.approx(30.0 / np.sqrt(12.0)))
 
 
 def test_rows_that_are_missing_hide_when_the_panel_came():
     there = (TIME < 9.0) | (TIME > 25.0)
-    came = coming(Seen(TIME[TIME < 9.0], faces(10.0, 0.0)[TIME < 9.0], 1), 20.0, 25.5, np.inf, 25.5)
+    came = place_insertion(
+        FaceReadings(TIME[TIME < 9.0], faces(10.0, 0.0)[TIME < 9.0], 1), 20.0, 25.5, np.inf, 25.5
+    )
     assert there.sum() > 10
     assert 8.5 <= came.at < 20.0
     assert came.sd > 4.0
@@ -289,7 +311,7 @@ def test_an_idle_press_whose_lower_face_is_unheard_is_not_said_to_be_empty(press
     said = replay(replace(run, columns={n: v for n, v in run.columns.items() if not n.startswith("bottom_")}))
     idle = [e for e in said if e.state is PressState.IDLE and 3.5 < e.time_s < truth.moments.closed_s]
     assert idle
-    assert all(not e.valid and e.reason.startswith(NOT_OBSERVABLE) for e in idle)
+    assert all(not e.valid and e.reason is InvalidReason.LOWER_FACE_SILENT for e in idle)
 
 
 def test_a_press_open_for_long_with_no_sensor_heard_may_hold_another_panel(pressing):
@@ -317,6 +339,4 @@ def test_a_start_temperature_read_from_a_pressed_panel_is_not_believed(pressing)
     said = replay(replace(run, header=dict(run.header) | {"panel.initial_temperature_C": 157.0}, columns=columns))
     closed = [e for e in said if truth.moments.closed_s + 1.0 < e.time_s < truth.moments.opened_s]
     assert len(closed) > 50
-    assert {(e.valid, e.reason) for e in closed} == {
-        (False, f"{NOT_VALID}: no fresh panel starts at 157 °C, as the header has it")
-    }
+    assert {e.invalid.line for e in closed} == {"start temperature too high; header_C=157"}

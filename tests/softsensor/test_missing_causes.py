@@ -6,15 +6,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from daq.pressfile import parse_press
+from daq.press.press_file import parse_press
 from daq.simulated.campaign import Plan, make_campaign
 from daq.simulated.campaign_pressfile import press_toml
-from softsensor.adequacy import RunEvidence, adequacy, run_evidence, stored_adequacy, with_adequacy
-from softsensor.campaign import fit_campaign
+from softsensor.diagnosis.missing_causes import (
+    RunEvidence,
+    missing_causes,
+    run_evidence,
+    stored_missing_causes,
+    with_missing_causes,
+)
 from softsensor.effects import find_effect
-from softsensor.fit_problem import minimise
-from softsensor.modelfile import model_text, parse_model
-from softsensor.service import fit_one
+from softsensor.fitting.campaign import fit_campaign
+from softsensor.fitting.problem import minimise
+from softsensor.heat.model_file import model_text, parse_model
+from softsensor.jobs.fitter import fit_one
 
 PRESS = parse_press(press_toml())
 PLAN = Plan(rate_hz=2.0, thickness_mm=16.0, press_time_s=(50.0, 90.0), closed_column=False)
@@ -38,7 +44,7 @@ def evidence(fit):
 
 
 def test_nothing_is_the_likeliest_where_nothing_is_missing(plain):
-    seen = adequacy(evidence(plain))
+    seen = missing_causes(evidence(plain))
     assert seen.runs == RUNS
     assert seen.nothing > max(doubt.chance for doubt in seen.causes.values())
     assert abs(seen.causes["vapour_convection"].size) < 0.2
@@ -46,7 +52,7 @@ def test_nothing_is_the_likeliest_where_nothing_is_missing(plain):
 
 
 def test_a_cause_the_coefficients_have_absorbed_is_seen_over_the_runs(steaming):
-    seen = adequacy(evidence(steaming))
+    seen = missing_causes(evidence(steaming))
     steam = seen.causes["vapour_convection"]
     assert steam.chance > 0.5
     size = steam.parameters["W_m3K"]
@@ -67,22 +73,22 @@ def test_the_score_is_what_a_fit_with_the_cause_would_gain(steaming):
 
 
 def test_a_model_file_carries_it_there_and_back(steaming):
-    model = with_adequacy(steaming.model_file(), steaming.runs)
-    assert parse_model(json.loads(model_text(model)), "model.json").adequacy == model.adequacy
+    model = with_missing_causes(steaming.model_file(), steaming.runs)
+    assert parse_model(json.loads(model_text(model)), "model.json").missing == model.missing
 
 
 def test_stored_fits_carry_it_too(plain):
     run = plain.runs[0].problem.case.run
     entry = json.loads(json.dumps(fit_one(PRESS, run, None)))
-    seen = stored_adequacy([entry, {"coefficients": {}}])
+    seen = stored_missing_causes([entry, {"coefficients": {}}])
     assert seen is not None
     assert seen.runs == 1
-    assert stored_adequacy([{"coefficients": {}}]) is None
+    assert stored_missing_causes([{"coefficients": {}}]) is None
 
 
 def test_a_cause_that_can_only_add_is_not_blamed_for_the_opposite():
     runs = [{"": RunEvidence(0, 0, {}, 0.1), "edge_loss": RunEvidence(-30.0, 20.0, {}, 0.1)} for _ in range(5)]
-    seen = adequacy(runs)
+    seen = missing_causes(runs)
     assert seen.causes["edge_loss"].size == pytest.approx(0.0, abs=1e-9)
     assert seen.nothing > 0.9
 
@@ -95,7 +101,7 @@ def test_more_runs_leave_less_doubt():
             {"": RunEvidence(0, 0, {}, 0.1), "edge_loss": RunEvidence(5.0 * rng.standard_normal(), 25.0, {}, 0.1)}
             for _ in range(count)
         ]
-        return adequacy(runs).causes["edge_loss"]
+        return missing_causes(runs).causes["edge_loss"]
 
     few, many = chance(3), chance(60)
     assert many.chance < few.chance

@@ -6,7 +6,7 @@ from scipy.optimize import brentq
 from scipy.special import erfc, erfcx
 
 from daq.records import Moments, NoSteadyState
-from softsensor.conduction import build_mesh, graded_widths
+from softsensor.heat.mesh import build_mesh, graded_widths
 
 K, RHO, C = 0.12, 740.0, 1550.0
 ALPHA = K / (RHO * C)

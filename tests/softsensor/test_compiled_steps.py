@@ -4,38 +4,39 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from softsensor import (
-    kernels,
-    kernels_modal,
-    kernels_terms,
-    observer_kernels,
-    observer_kernels_blocks,
-    observer_kernels_mixture,
-)
-from softsensor.modelfile import Estimate, ModelFile
-from softsensor.observer import LiveSensor
-from softsensor.readout import Reader
-from softsensor.timing import ramp
-from softsensor.warming import warm_up
+from softsensor.heat import implicit_steps as kernels
+from softsensor.heat import modal_steps as kernels_modal
+from softsensor.heat import step_terms as kernels_terms
+from softsensor.heat.model_file import FittedValue, ModelFile
+from softsensor.heat.readout import Reader
+from softsensor.heat.timing import ramp
+from softsensor.jobs.warm_up import warm_up
+from softsensor.live import block_steps, channel_steps, kalman_steps, march_steps, mixture_steps
+from softsensor.live.sensor import LiveSensor
 
 MODULES = (
     kernels,
     kernels_modal,
     kernels_terms,
-    observer_kernels_blocks,
-    observer_kernels_mixture,
-    observer_kernels,
+    block_steps,
+    channel_steps,
+    kalman_steps,
+    march_steps,
+    mixture_steps,
 )
 
 
 def test_no_scan_of_a_live_run_waits_for_a_compiler_once_warmed_up(lab_press, make_run, coefficients, moments):
     warm_up(lab_press)
     before = compiled()
-    assert before["observer_kernels"] > 0
+    assert before["kalman_steps"] > 0
     run = make_run(end=60.0, every=0.5)
-    values = {name: Estimate(x, 0.2 * x) for name, x in coefficients.items()}
+    values = {name: FittedValue(x, 0.2 * x) for name, x in coefficients.items()}
     wet = (
-        ("moisture_evaporation", {"moisture_percent": Estimate(3.0, 1.0), "temperature_C": Estimate(103.0, 2.0)}),
+        (
+            "moisture_evaporation",
+            {"moisture_percent": FittedValue(3.0, 1.0), "temperature_C": FittedValue(103.0, 2.0)},
+        ),
     )
     for model in (None, ModelFile("known", "lab", values, wet)):
         sensor = LiveSensor(lab_press, run.header, model)
@@ -66,7 +67,8 @@ def test_modes_follow_a_stiff_integrator_with_inputs_straight_between_steps():
     q = rng.normal(size=6)
     start = q.copy()
     out, history = np.zeros((41, 4)), np.zeros((3, 6))
-    kernels_modal.drive(rates, np.diff(edges), gains, u, read, q, out, chosen, history)
+    forced = kernels_modal.Forced(rates, np.diff(edges), gains, u)
+    kernels_modal.drive(forced, q, kernels_modal.Noted(read, out, chosen, history))
     carried = np.zeros((1, 41, 6))
     carried[0, 0] = start
     kernels_modal.carry(rates, np.diff(edges), forces[None], carried)

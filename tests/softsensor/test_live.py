@@ -6,21 +6,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from daq.pressfile import parse_press
+from daq.press.press_file import parse_press
 from daq.records import PressState, Run
 from daq.simulated.campaign import Plan, make_campaign
 from daq.simulated.campaign_pressfile import press_toml
-from daq.simulated.physics import BASE_COEFFICIENTS
-from softsensor.adequacy import with_adequacy
-from softsensor.campaign import fit_campaign
+from daq.simulated.physics_pressing import BASE_COEFFICIENTS
+from softsensor.diagnosis.missing_causes import with_missing_causes
 from softsensor.effects import BUILT_IN
-from softsensor.modelfile import Estimate, ModelFile
-from softsensor.observer import NO_PLATENS, NOT_VALID, UNKNOWN_STATE, LiveSensor
-from softsensor.observer_priors import plans_for
-from softsensor.observer_track import Track
+from softsensor.fitting.campaign import fit_campaign
+from softsensor.heat.model_file import FittedValue, ModelFile
+from softsensor.live.passes import Pass
+from softsensor.live.priors import plans_for
+from softsensor.live.sensor import LiveSensor
+from softsensor.live.validity import InvalidReason
 
 PRESS = parse_press(press_toml())
-COEFFICIENTS = {name: Estimate(value, 0.2 * value) for name, value in BASE_COEFFICIENTS.items()}
+COEFFICIENTS = {name: FittedValue(value, 0.2 * value) for name, value in BASE_COEFFICIENTS.items()}
 MODEL = ModelFile("test", "lab", COEFFICIENTS)
 SHORT = {"press_time_s": (40.0, 60.0), "open_before_s": (6.0, 12.0), "open_after_s": (35.0, 45.0)}
 PLAN = Plan(rate_hz=2.0, thickness_mm=16.0, start_before_s=6.0, closed_column=False, **SHORT)
@@ -113,7 +114,7 @@ def test_a_hidden_cause_is_held_by_the_band(cause):
 def test_one_pressing_does_not_settle_which_of_several_causes_is_at_work():
     campaign = make_campaign(41107, 11, "density_profile")  # eight runs leave open whether it is k, c or density
     fits = fit_campaign(PRESS, [run for run, _ in campaign[:8]])
-    model = with_adequacy(fits.model_file(), fits.runs)
+    model = with_missing_causes(fits.model_file(), fits.runs)
     found = [compared(replay(run, model), truth.core_C) for run, truth in campaign[8:]]
     inside, width = (np.concatenate(column) for column in list(zip(*found, strict=True))[1:])
     assert inside.mean() >= 0.85
@@ -121,7 +122,7 @@ def test_one_pressing_does_not_settle_which_of_several_causes_is_at_work():
 
 
 def test_a_model_nobody_asked_what_it_leaves_out_gives_no_narrower_band_than_no_model(plain):
-    sure = {name: Estimate(e.value, 0.01 * e.value) for name, e in COEFFICIENTS.items()}
+    sure = {name: FittedValue(e.value, 0.01 * e.value) for name, e in COEFFICIENTS.items()}
     run, truth = plain[1]
     _, _, blind = compared(replay(run, None), truth.core_C)
     _, inside, width = compared(replay(run, ModelFile("typed in", "lab", sure)), truth.core_C)
@@ -133,7 +134,7 @@ def test_a_diagnosed_cause_is_followed():
     ((run, truth),) = make_campaign(
         34, 1, {"vapour_convection": {"W_m3K": 1.5e4}}, replace(PLAN, effect_spread=0.1)
     )
-    known = replace(MODEL, effects=(("vapour_convection", {"W_m3K": Estimate(1.5e4, 1e3)}),))
+    known = replace(MODEL, effects=(("vapour_convection", {"W_m3K": FittedValue(1.5e4, 1e3)}),))
     before, _, _ = compared(replay(run), truth.core_C)
     after, inside, _ = compared(replay(run, known), truth.core_C)
     assert rms(after) < 0.5 * rms(before)
@@ -172,7 +173,7 @@ def test_without_panel_channels_and_switch_the_press_state_is_unknown(plain):
     run = plain[0][0]
     panel = [c for c in run.columns if c.startswith(("top_", "bottom_"))]
     said = replay(run, without=panel, rows=40)
-    assert {(e.valid, e.reason) for e in said[10:]} == {(False, UNKNOWN_STATE)}
+    assert {(e.valid, e.reason) for e in said[10:]} == {(False, InvalidReason.PRESS_STATE_UNKNOWN)}
     assert all(math.isnan(e.core_C) for e in said[10:])
 
 
@@ -217,7 +218,7 @@ def test_missing_platens_are_bridged_for_ten_seconds_and_no_longer(plain):
     bridged = [e for e in said if 30.0 < e.time_s < 39.5]
     gone = [e for e in said if e.time_s > 40.5]
     assert all(e.valid for e in bridged)
-    assert {(e.valid, e.reason) for e in gone} == {(False, NO_PLATENS)}
+    assert {(e.valid, e.reason) for e in gone} == {(False, InvalidReason.PLATEN_READING_MISSING)}
 
 
 def test_the_loss_of_platens_that_come_in_turns_is_noticed_too(plain):
@@ -227,7 +228,9 @@ def test_the_loss_of_platens_that_come_in_turns_is_noticed_too(plain):
     columns = dict(run.columns) | {n: np.where(heard, run.columns[n], np.nan) for n, heard in turns.items()}
     said = replay(replace(run, columns=columns), rows=90)
     assert all(e.valid for e in said if 30.0 < e.time_s < 39.0)
-    assert {(e.valid, e.reason) for e in said if e.time_s > 40.5} == {(False, NO_PLATENS)}
+    assert {(e.valid, e.reason) for e in said if e.time_s > 40.5} == {
+        (False, InvalidReason.PLATEN_READING_MISSING)
+    }
 
 
 def test_a_slow_logger_is_enough(plain):
@@ -245,7 +248,7 @@ def test_a_buried_thermocouple_is_not_used(plain, said):
 
 @pytest.mark.parametrize("effect", BUILT_IN, ids=lambda e: e.name)
 def test_every_effect_may_stand_in_the_model(plain, effect):
-    table = {p.name: Estimate(p.typical, 0.1 * abs(p.typical)) for p in effect.parameters}
+    table = {p.name: FittedValue(p.typical, 0.1 * abs(p.typical)) for p in effect.parameters}
     said = replay(plain[0][0], replace(MODEL, effects=((effect.name, table),)), rows=80)
     assert all(math.isfinite(e.core_C) for e in said if e.valid)
     assert np.mean([e.valid for e in said]) > 0.5
@@ -253,16 +256,16 @@ def test_every_effect_may_stand_in_the_model(plain, effect):
 
 def test_filters_that_break_down_begin_anew(plain, monkeypatch):
     run = plain[0][0]
-    extend, broken = Track.extend, iter([False] * 60 + [True] + [False] * 10_000)
+    extend, broken = Pass.extend, iter([False] * 60 + [True] + [False] * 10_000)
 
     def breaking(self, rows, limit, **kind):
         if next(broken):
             raise ZeroDivisionError
         return extend(self, rows, limit, **kind)
 
-    monkeypatch.setattr(Track, "extend", breaking)
+    monkeypatch.setattr(Pass, "extend", breaking)
     said = replay(run, rows=120)
-    lost = [e for e in said if e.reason == NOT_VALID]
+    lost = [e for e in said if e.reason is InvalidReason.CALCULATION_FAILED]
     assert 1 <= len(lost) < 8
     assert not any(e.valid for e in lost)
     assert all(e.valid for e in said[-30:])

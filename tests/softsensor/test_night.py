@@ -1,6 +1,7 @@
 """The nightly job: only what changed, nothing lost, the old model in place until a better one is proved."""
 
 import json
+import os
 import re
 import signal
 import subprocess
@@ -13,18 +14,22 @@ import numpy as np
 import pytest
 
 from api.cli import main
-from daq.pressfile import parse_press
+from daq.press.press_file import parse_press
 from daq.records import InputError
 from daq.simulated.campaign import Plan, make_campaign
 from daq.simulated.campaign_pressfile import press_toml
 from daq.store import open_store
-from softsensor import nightly, nightly_fits, nightly_judge
-from softsensor.modelfile import Estimate, ModelFile, parse_model
-from softsensor.nightly import refit_press, roll_back
-from softsensor.nightly_fits import Task, fit_all
-from softsensor.nightly_judge import surely_less
-from softsensor.nightly_report import write_report
-from softsensor.recent import combined_model, fingerprint
+from daq.words import say
+from softsensor.heat.model_file import FittedValue, ModelFile, parse_model
+from softsensor.jobs import night as nightly
+from softsensor.jobs import night_fits as nightly_fits
+from softsensor.jobs import night_judgement as nightly_judge
+from softsensor.jobs.model_in_force import combined_model, fingerprint
+from softsensor.jobs.night import refit_press, roll_back
+from softsensor.jobs.night_fits import Done, Task, fit_all
+from softsensor.jobs.night_judgement import surely_less
+from softsensor.jobs.night_record import night_record
+from softsensor.report.night_report import night_report, write_report
 
 PRESS = parse_press(press_toml())
 PLAN = Plan(
@@ -104,7 +109,7 @@ def test_a_run_that_cannot_be_fitted_does_not_stop_the_others(store, runs):
     outcome = refit_press(store, "lab", PRESS, workers=1)
     assert (outcome.fitted, outcome.failed) == (2, 1)
     assert outcome.verdict == "too_few_runs"
-    assert any(runs[0].name in entry.message for entry in store.journal(level="warning").items)
+    assert any(runs[0].name in str(entry.message) for entry in store.journal(level="warning").items)
 
 
 def test_a_pressing_without_panel_sensors_as_in_production_is_no_failure(store, runs):
@@ -113,7 +118,7 @@ def test_a_pressing_without_panel_sensors_as_in_production_is_no_failure(store, 
         outcome = refit_press(store, "lab", PRESS, workers=1)
         nightly.sign_off(store, [outcome])
         assert (outcome.fitted, outcome.failed, outcome.newly_unfit) == (fitted, 0, 0)
-        assert f"{fitted} of 2 runs fitted, 0 could not be, 1 have no panel sensors" in outcome.line
+        assert f"{fitted} of 2 runs fitted, 0 could not be, 1 has no panel sensors" in str(outcome.line)
     assert not store.journal(level="warning").items
 
 
@@ -127,10 +132,46 @@ def test_a_run_that_cannot_be_fitted_is_named_once_and_tried_again_when_it_has_c
     first, second = nightly_job(), nightly_job()
     assert (first.failed, first.newly_unfit) == (1, 1)
     assert (second.failed, second.newly_unfit) == (1, 0)
-    assert sum("could not be fitted" in entry.message for entry in store.journal().items) == 1
+    assert sum("could not be fitted" in str(entry.message) for entry in store.journal().items) == 1
     assert store.statuses()["refit"].status["state"] == "done"
     store.annotate_run(runs[0].name, {"panel.density_kg_m3": 700.0}, "tester")
     assert nightly_job().newly_unfit == 1
+
+
+def kill_here():
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+class Poison:
+    """A model that really kills each worker it comes to."""
+
+    def __reduce__(self):
+        return kill_here, ()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="SIGKILL is POSIX")
+def test_a_run_that_kills_the_workers_is_told_and_the_others_are_fitted(store, runs):
+    fill(store, runs[:3])
+    url = store.database.url.render_as_string()
+    done = fit_all([Task(url, PRESS, run.name, Poison() if i == 1 else None) for i, run in enumerate(runs[:3])], 2)
+    found = {one.run: (one.fit is not None, one.killed) for one in done}
+    assert found == {runs[0].name: (True, False), runs[1].name: (False, True), runs[2].name: (True, False)}
+
+
+def test_a_killed_fit_is_an_alarm_of_the_night_and_tried_again_the_next(store, runs, monkeypatch):
+    fill(store, runs[:3])
+    whole = nightly_fits.fit_stored
+
+    def shot(task):
+        return Done(task.run, killed=True) if task.run == runs[1].name else whole(task)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(nightly_fits, "fit_stored", shot)
+        outcome = refit_press(store, "lab", PRESS, workers=1)
+    assert (outcome.fitted, outcome.failed) == (2, 1)
+    (alarm,) = store.journal(level="alarm").items
+    assert (alarm.message.code, alarm.message.arguments["run"]) == ("run-fit-killed", runs[1].name)
+    assert refit_press(store, "lab", PRESS, workers=1).fitted == 1
 
 
 @pytest.mark.campaign
@@ -139,7 +180,7 @@ def test_workers_find_what_one_process_finds(store, runs):
     tasks = [Task(store.database.url.render_as_string(), PRESS, run.name, None) for run in runs]
 
     def values(results):
-        return {run: {n: c["value"] for n, c in fit["coefficients"].items()} for run, fit, _ in results}
+        return {one.run: {n: c["value"] for n, c in one.fit["coefficients"].items()} for one in results}
 
     alone = values(fit_all(tasks, 1))
     shared = values(fit_all(tasks, 2))
@@ -148,7 +189,7 @@ def test_workers_find_what_one_process_finds(store, runs):
 
 def test_the_model_before_comes_back_by_one_call(store, runs):
     fill(store, runs[:1])
-    table = {n: Estimate(PRESS.coefficient(n).guess, 10.0) for n in PRESS.coefficient_names}
+    table = {n: FittedValue(PRESS.coefficient(n).guess, 10.0) for n in PRESS.coefficient_names}
     for version in ("lab-1", "lab-2"):
         store.put_model("lab", version, ModelFile(version, "lab", table).as_json())
         store.promote_model(version, "test")
@@ -193,46 +234,50 @@ def test_there_is_nothing_before_the_first_model(store):
 
 def test_a_model_somebody_has_gone_back_from_is_not_promoted_again_at_night(store, runs, monkeypatch):
     fill(store, runs)
-    table = {n: Estimate(PRESS.coefficient(n).guess, 10.0) for n in PRESS.coefficient_names}
+    table = {n: FittedValue(PRESS.coefficient(n).guess, 10.0) for n in PRESS.coefficient_names}
     plain = ModelFile("lab-1", "lab", table)
-    rim = replace(plain, version="lab-2", effects=(("edge_loss", {"W_m3K": Estimate(1000.0, 100.0)}),))
+    rim = replace(plain, version="lab-2", effects=(("edge_loss", {"W_m3K": FittedValue(1000.0, 100.0)}),))
     for model in (plain, rim):
         store.put_model("lab", model.version, model.as_json())
         store.promote_model(model.version, "test")
     report = {"verdict": "named", "base": {}, "extended": {}}
     monkeypatch.setattr(nightly_judge, "_diagnose", lambda night, asked: (report, rim))
-    monkeypatch.setattr(nightly_judge, "_compare", lambda *_, **__: nightly_judge._Comparison("better", True, {}))
+    monkeypatch.setattr(
+        nightly_judge,
+        "_compare",
+        lambda *_, **__: nightly_judge._Comparison(say("plain-text", text="better"), True, {}),
+    )
     monkeypatch.setattr(nightly_judge, "_fits_with", lambda *_: {})
     roll_back(store, "lab")
     outcome = refit_press(store, "lab", PRESS, workers=1)
     assert not outcome.promoted
-    assert "like lab-2, which was rolled back" in outcome.reason
+    assert "like lab-2, which was rolled back" in str(outcome.reason)
     assert store.active_model("lab").version == "lab-1"
     assert store.models(press="lab").items[0].status == "candidate"
 
 
 def test_an_effect_the_diagnosis_no_longer_finds_goes_unless_it_still_helps(store, runs, monkeypatch):
     fill(store, runs)
-    table = {n: Estimate(PRESS.coefficient(n).guess, 10.0) for n in PRESS.coefficient_names}
+    table = {n: FittedValue(PRESS.coefficient(n).guess, 10.0) for n in PRESS.coefficient_names}
     plain = ModelFile("", "lab", table)
-    rim = replace(plain, version="lab-1", effects=(("edge_loss", {"W_m3K": Estimate(1000.0, 100.0)}),))
+    rim = replace(plain, version="lab-1", effects=(("edge_loss", {"W_m3K": FittedValue(1000.0, 100.0)}),))
     store.put_model("lab", "lab-1", rim.as_json())
     store.promote_model("lab-1", "test")
     report = {"verdict": "no_effect", "base": {}, "extended": {}}
     monkeypatch.setattr(nightly_judge, "_diagnose", lambda night, asked: (report, plain))
     outcome = refit_press(store, "lab", PRESS, workers=1)
     assert outcome.promoted
-    assert outcome.reason.startswith("without edge_loss: residual ")
+    assert str(outcome.reason).startswith("without edge_loss: residual ")
     model = store.active_model("lab").model
     assert (model["effects"], model["basis"]["judged_runs"]) == ([], [run.name for run in runs])
     assert model["basis"]["rmse_K"]["after"] < 1.02 * model["basis"]["rmse_K"]["before"]
 
     fits = {run.name: {"rmse_K": 0.3} for run in runs}
-    night = nightly_judge.Night(store, "lab", PRESS, rim, [], fits, print)
+    night = nightly_judge.Night(store, "lab", PRESS, rim, [], fits)
     worse = {name: {"rmse_K": 0.3 + 0.1 * i} for i, name in enumerate(fits, 1)}
     kept = nightly_judge._compare(night, report, plain, worse, apart=True, fewer=("edge_loss",))
     assert not kept.better
-    assert kept.reason.endswith("; what it leaves out still helps")
+    assert str(kept.reason).endswith("; an effect it would drop still improves the fit")
 
 
 @pytest.mark.parametrize(
@@ -245,12 +290,12 @@ def test_an_effect_the_diagnosis_no_longer_finds_goes_unless_it_still_helps(stor
     ],
 )
 def test_a_core_that_gets_worse_or_silent_is_no_gain(core, says, monkeypatch):
-    rim = ModelFile("lab-2", "lab", {}, (("edge_loss", {"W_m3K": Estimate(1000.0, 100.0)}),))
+    rim = ModelFile("lab-2", "lab", {}, (("edge_loss", {"W_m3K": FittedValue(1000.0, 100.0)}),))
     monkeypatch.setattr(nightly_judge, "_core_rmse", lambda *_: core)
     before, after = ({f"run-{i}": {"rmse_K": rmse} for i in range(6)} for rmse in (0.4, 0.3))
-    night = nightly_judge.Night(None, "lab", PRESS, None, [], before, print)
+    night = nightly_judge.Night(None, "lab", PRESS, None, [], before)
     found = nightly_judge._compare(night, {}, rim, after, apart=True)
-    assert found.reason.endswith(says)
+    assert str(found.reason).endswith(says)
     assert found.better is (core.after_K < core.before_K)
 
 
@@ -260,12 +305,16 @@ def test_a_promotion_alone_asks_no_second_diagnosis(store, runs, monkeypatch):
 
     def diagnose(night, names):
         asked.append(names)
-        table = {n: Estimate(PRESS.coefficient(n).guess, 10.0) for n in PRESS.coefficient_names}
-        rim = (("edge_loss", {"W_m3K": Estimate(1000.0, 100.0)}),)
+        table = {n: FittedValue(PRESS.coefficient(n).guess, 10.0) for n in PRESS.coefficient_names}
+        rim = (("edge_loss", {"W_m3K": FittedValue(1000.0, 100.0)}),)
         return {"verdict": "named", "base": {}, "extended": {}}, ModelFile("", "lab", table, rim)
 
     monkeypatch.setattr(nightly_judge, "_diagnose", diagnose)
-    monkeypatch.setattr(nightly_judge, "_compare", lambda *_, **__: nightly_judge._Comparison("better", True, {}))
+    monkeypatch.setattr(
+        nightly_judge,
+        "_compare",
+        lambda *_, **__: nightly_judge._Comparison(say("plain-text", text="better"), True, {}),
+    )
     monkeypatch.setattr(nightly_judge, "_fits_with", lambda *_: {})
     nights = []
     for _ in range(2):
@@ -280,7 +329,9 @@ def test_a_hidden_cause_is_named_and_the_better_model_promoted(store):
     fill(store, [run for run, _ in make_campaign(52, 12, "edge_loss", replace(PLAN, press_time_s=(40.0, 90.0)))])
     outcome = refit_press(store, "lab", PRESS)
     assert outcome.promoted
-    assert re.match(r"edge_loss: .* on 12 runs of the diagnosis, .* K on runs left out in turn", outcome.reason)
+    assert re.match(
+        r"edge_loss: .* on 12 runs of the diagnosis, .* K on runs left out in turn", str(outcome.reason)
+    )
     assert store.active_model("lab").model["effects"][0]["name"] == "edge_loss"
 
 
@@ -291,7 +342,7 @@ RIM = {
             "name": "edge_loss",
             "set": ["edge_loss"],
             "parameters": {"W_m3K": {"value": 11000.0, "ci95": [9900.0, 12100.0]}},
-            "worth": "saves 0.48 of 0.71 K on runs left out",
+            "worth": "lowers the residual by 0.48 of 0.71 K on runs left out",
         }
     ],
     "next_measurement": "Insulate the rim.",
@@ -302,15 +353,18 @@ def test_the_page_of_the_night_says_what_was_done(store, runs, tmp_path):
     fill(store, runs[:3])
     outcome = refit_press(store, "lab", PRESS, workers=1)
     store.put_diagnosis("lab", RIM)
-    page = write_report(store, outcome, tmp_path / "reports").read_text(encoding="utf-8")
+    page = write_report(night_record(store, outcome), tmp_path / "reports").read_text(encoding="utf-8")
     assert f"Model {outcome.version} was promoted" in page
     assert "3 of 3 runs fitted, 0 could not be." in page
     assert all(run.name in page for run in runs[:3])
     assert 'title="h_pp_c">plate – panel, closed' in page
     assert page.count("W/m²K") == len(PRESS.coefficient_names)
-    assert "<b>heat lost at the rim</b>: saves 0.48 of 0.71 K on runs left out." in page
+    assert "<b>heat lost at the rim</b>: lowers the residual by 0.48 of 0.71 K on runs left out." in page
     assert re.search(r'title="W_m3K">heat lost at the rim, [^<]*: <b>11000</b> W/m³K', page)
     assert not re.search(r"\d\.?\de[+-]\d\d", page)  # 110, not 1.1e+02
+    german = night_report(night_record(store, outcome), "de")
+    assert f"Modell {outcome.version} wurde in Kraft gesetzt" in german
+    assert "<b>Ursache benannt</b>" in german
     assert [p.suffix for p in (tmp_path / "reports").iterdir()] == [".html"]
 
 
@@ -319,7 +373,7 @@ def test_a_folder_that_cannot_be_written_is_named(store, runs, tmp_path):
     (tmp_path / "reports").write_text("in the way", encoding="utf-8")
     outcome = refit_press(store, "lab", PRESS, workers=1)
     with pytest.raises(InputError, match=r"reports.*cannot write the report"):
-        write_report(store, outcome, tmp_path / "reports")
+        write_report(night_record(store, outcome), tmp_path / "reports")
 
 
 CONFIG = """
@@ -362,7 +416,7 @@ def test_a_report_that_cannot_be_written_keeps_no_press_from_its_night(tmp_path,
         assert nightly_judge.PROCESS in store.statuses(), "the job came to its end"
         warnings = store.journal(level="warning").items
     for press in ("lab", "north"):
-        assert any(entry.press == press and "cannot write the report" in entry.message for entry in warnings)
+        assert any(entry.press == press and "cannot write the report" in str(entry.message) for entry in warnings)
         assert f"{press}-" in told
 
 
@@ -370,7 +424,7 @@ def test_a_report_that_cannot_be_written_keeps_no_press_from_its_night(tmp_path,
 def test_killed_at_any_moment_it_leaves_the_old_model_and_goes_on_next_time(tmp_path):
     plan = replace(PLAN, press_time_s=(40.0, 90.0))
     pressings = [run for run, _ in make_campaign(53, 12, "edge_loss", plan)]
-    known = {n: Estimate(PRESS.coefficient(n).guess, 50.0) for n in PRESS.coefficient_names}
+    known = {n: FittedValue(PRESS.coefficient(n).guess, 50.0) for n in PRESS.coefficient_names}
     command = configured(tmp_path)
     with open_store(str(tmp_path / "kerntemp.sqlite")) as store:
         fill(store, pressings)

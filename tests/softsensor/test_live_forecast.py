@@ -6,18 +6,19 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from daq.pressfile import parse_press
+from daq.press.press_file import parse_press
 from daq.records import PressState
 from daq.simulated.campaign import Plan, make_campaign
 from daq.simulated.campaign_places import solve_places
 from daq.simulated.campaign_pressfile import press_toml
-from daq.simulated.physics import BASE_COEFFICIENTS
-from softsensor.modelfile import Estimate, ModelFile
-from softsensor.observer import LiveSensor
-from softsensor.observer_outlook import heat_taken_up
+from daq.simulated.physics_pressing import BASE_COEFFICIENTS
+from softsensor.heat.implicit_steps import Stack
+from softsensor.heat.model_file import FittedValue, ModelFile
+from softsensor.live.inside import heat_taken_up
+from softsensor.live.sensor import LiveSensor
 
 PRESS = parse_press(press_toml())
-MODEL = ModelFile("test", "lab", {n: Estimate(v, 0.15 * v) for n, v in BASE_COEFFICIENTS.items()})
+MODEL = ModelFile("test", "lab", {n: FittedValue(v, 0.15 * v) for n, v in BASE_COEFFICIENTS.items()})
 PLAN = Plan(
     rate_hz=1.0, thickness_mm=16.0, start_before_s=5.0, closed_column=True,
     press_time_s=(100.0, 101.0), open_before_s=(6.0, 8.0), open_after_s=(155.0, 156.0),
@@ -38,7 +39,7 @@ def follow(run, **wishes):
     for i, t in enumerate(run.time_s.tolist()):
         said = sensor.update(t, {name: float(values[i]) for name, values in run.columns.items()})
         sensor.look_ahead()
-        rows.append((t, said.state, said, sensor.inside, sensor.outlook))
+        rows.append((t, said.state, said, sensor.inside, sensor.forecast))
     return rows
 
 
@@ -104,17 +105,17 @@ def test_nothing_is_foreseen_where_nothing_is_wanted(pressing):
     for i, t in enumerate(run.time_s[:60].tolist()):
         sensor.update(t, {name: float(values[i]) for name, values in run.columns.items()})
         sensor.look_ahead()
-    assert np.isnan(sensor.outlook.target_in_s)
-    assert sensor.outlook.warning == ""
+    assert np.isnan(sensor.forecast.target_in_s)
+    assert sensor.forecast.warning is None
 
 
 def test_the_heat_taken_up_counts_a_heat_capacity_that_grows_with_temperature():
     cells, nothing = np.arange(4), np.zeros((1, 2))
-    stack = SimpleNamespace(
+    stack = Stack(*(np.empty(0) for _ in Stack._fields))._replace(
         dx=np.full(4, 0.004), c=np.full(4, 1.1e6), c_slope=np.full(4, 0.003), c_table=np.full(4, -1),
         table_x=nothing, table_y=nothing, wet=cells > 0,
     )  # fmt: skip
     field = np.array([200.0, 120.0, 60.0, 120.0])
-    made = SimpleNamespace(stack=stack, start_C=20.0)
+    made = SimpleNamespace(model=SimpleNamespace(stack=stack), start_C=20.0)
     per_cell = 0.004 * 1.1e6 * ((field - 20.0) + 0.003 / 2 * (field - 20.0) ** 2)
     assert heat_taken_up(made, field) == pytest.approx(per_cell[1:].sum(), rel=1e-9)

@@ -1,0 +1,143 @@
+"""Kerntemp from Python: what goes in comes out, results are those of the command line, errors too."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import daq
+import softsensor
+from api.cli import main
+from daq.files.run_file import read_run
+
+ROOT = Path(__file__).resolve().parents[2]
+LAB = ROOT / "deploy/presses/lab.toml"
+SAMPLES = sorted((ROOT / "deploy/samples").glob("2026-*.csv"))
+SHORT = SAMPLES[6]
+
+
+@pytest.fixture(scope="module")
+def fitted():
+    return softsensor.fit(SAMPLES[5:8], LAB)
+
+
+def test_nothing_is_loaded_before_it_is_used():
+    heavy = "('numba', 'pandas', 'scipy', 'sqlalchemy')"
+    code = f"import sys, softsensor, daq; print([m for m in {heavy} if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
+    assert done.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("package", [softsensor, daq])
+def test_every_public_name_is_there_and_says_what_it_is(package):
+    for name in package.__all__:
+        assert getattr(package, name).__doc__
+    with pytest.raises(AttributeError, match="it has"):
+        _ = package.not_a_name
+
+
+def test_a_run_file_through_a_table_is_the_same_run():
+    run = softsensor.read_run(SHORT)
+    again = softsensor.read_run(daq.frame_of(run))
+    assert again.name == run.name
+    assert dict(again.header) == dict(run.header)
+    assert again.time_s.tobytes() == run.time_s.tobytes()
+    for name, values in run.columns.items():
+        assert again.columns[name].tobytes() == values.tobytes()
+
+
+@given(
+    values=st.lists(st.one_of(st.none(), st.floats(-200.0, 1300.0)), min_size=1, max_size=30),
+    start=st.floats(0.0, 1e6),
+    zone=st.sampled_from([None, "UTC", "Europe/Berlin"]),
+)
+def test_any_table_comes_back_as_it_went_in(values, start, zone):
+    column = np.array([np.nan if v is None else v for v in values])
+    if zone is None:
+        index = pd.Index(start + 0.5 * np.arange(len(column)), name="time_s")
+    else:
+        index = pd.date_range("2026-10-25 01:59:58", periods=len(column), freq="500ms", tz=zone)
+    frame = pd.DataFrame({"top_1": column}, index=index)
+    frame.attrs["panel.material"] = "MDF"
+    run = daq.run_of(frame)
+    back = daq.frame_of(run)
+    assert back["top_1"].to_numpy().tobytes() == column.tobytes()
+    assert back.attrs["panel.material"] == "MDF"
+    assert np.allclose(np.diff(back.index), 0.5)
+    if zone is not None:
+        assert run.header["recorded.started_utc"] == index[0]
+
+
+@pytest.mark.parametrize(
+    ("frame", "words"),
+    [
+        (pd.DataFrame({"top_1": [1.0]}), "the table has no times"),
+        (pd.DataFrame({"time_s": [], "top_1": []}), "the table has no rows"),
+        (pd.DataFrame({"time_s": [1.0, 0.5], "top_1": [1.0, 2.0]}), "time_s"),
+        (pd.DataFrame({"time_s": [0.0], "closed": [3.0]}), "column closed: 3 must be 0"),
+    ],
+)
+def test_a_table_that_is_no_run_is_refused_with_what_to_do(frame, words):
+    with pytest.raises(daq.InputError, match=words):
+        softsensor.read_run(frame)
+
+
+def test_fit_gives_what_the_command_writes(fitted, tmp_path):
+    files = [str(path) for path in SAMPLES[5:8]]
+    assert main(["fit", *files, "--press", str(LAB), "--json", str(tmp_path / "fit.json")]) == 0
+    told = json.loads((tmp_path / "fit.json").read_text())
+    ours = json.loads(fitted.to_json())
+    assert [r["run"] for r in ours["runs"]] == [r["run"] for r in told["runs"]]
+    assert ours["campaign"] == told["campaign"]
+    table = fitted.frame()
+    first = told["runs"][0]
+    for name, entry in first["coefficients"].items():
+        assert table.loc[(first["run"], name), "value"] == pytest.approx(entry["value"], rel=1e-4)
+    assert fitted.plot()
+    assert len(repr(fitted)) < 3000
+
+
+def test_predict_gives_what_the_command_writes(fitted, tmp_path):
+    model = tmp_path / "model.json"
+    assert main(["fit", *[str(p) for p in SAMPLES[5:8]], "--press", str(LAB), "--model", str(model)]) == 0
+    out = tmp_path / "core.csv"
+    assert main(["predict", str(SHORT), "--press", str(LAB), "--model", str(model), "--out", str(out)]) == 0
+    assert {line.split(",")[6] for line in out.read_text().splitlines()[1:]} <= {"0", "1"}
+    told = pd.read_csv(out, keep_default_na=True).set_index("time_s")
+    ours = softsensor.predict(SHORT, LAB, model)
+    assert np.allclose(ours.frame()["core_C"], told["core_C"], atol=1e-6, equal_nan=True)
+    assert ours.frame()["valid"].tolist() == told["valid"].tolist()
+    assert ours.plot()
+    without = softsensor.predict(SHORT, LAB, fitted, without=["top_*", "bottom_*"]).frame()
+    assert set(without["reason"]) == {"press state unknown"}
+
+
+def test_simulate_takes_a_model_or_coefficients(fitted):
+    plain = softsensor.simulate(SHORT, LAB)
+    assert list(plain.frame().columns)[-1] == "core_C"
+    with_model = softsensor.simulate(SHORT, LAB, fitted)
+    given_ = softsensor.simulate(SHORT, LAB, fitted.model().values)
+    assert np.allclose(with_model.frame()["core_C"], given_.frame()["core_C"])
+    assert max(with_model.simulated.rmse.values()) < max(plain.simulated.rmse.values())
+    assert len(repr(plain)) < 3000
+
+
+def test_a_store_answers_in_tables(tmp_path):
+    url = str(tmp_path / "runs.sqlite")
+    assert main(["import", *[str(p) for p in SAMPLES[:2]], "--press", str(LAB), "--store", url]) == 0
+    with daq.open_store(url) as store:
+        runs = store.runs()
+        assert sorted(runs.index) == [p.stem for p in SAMPLES[:2]]
+        samples = store.samples(SAMPLES[0].stem)
+        assert samples["top_1"].to_numpy().tobytes() == read_run(SAMPLES[0]).columns["top_1"].tobytes()
+        assert samples.attrs["panel.material"] == "MDF"
+        for table in (store.estimates(SAMPLES[0].stem), store.coefficients(), store.events()):
+            assert isinstance(table, pd.DataFrame)
+    moments = daq.find_moments(samples, LAB)
+    assert 0.0 < moments.closed_s < moments.opened_s

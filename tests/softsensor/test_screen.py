@@ -1,0 +1,56 @@
+"""The screen of channels: what departs from its face alone is left out, what a face does as a whole stays."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from daq.press.press_file import parse_press
+from daq.simulated.campaign import Plan, make_campaign
+from daq.simulated.campaign_pressfile import press_toml
+from daq.simulated.campaign_sensors import Nuisances
+from softsensor.signals.moments import moments_of
+from softsensor.signals.robust import nan_median
+from softsensor.signals.screen import FaultKind, faulty_channels
+
+PRESS = parse_press(press_toml())
+
+
+@pytest.fixture(scope="module")
+def measured():
+    nuisances = replace(Nuisances.real_chain(), loose_chance=0.0)
+    return make_campaign(12, 1, plan=Plan(rate_hz=1.0, nuisances=nuisances))[0][0]
+
+
+def spoiled(run, **columns):
+    return replace(run, columns={**run.columns, **columns})
+
+
+def found(run):
+    return {f.column: f.kind for f in faulty_channels(PRESS, run, moments_of(run, PRESS))}
+
+
+def test_sound_channels_are_kept(measured):
+    assert found(measured) == {}
+
+
+def test_a_swapped_channel_and_a_loose_one_that_fall_alike_are_both_found(measured):
+    c = measured.columns
+    upper = nan_median(np.stack([c[f"top_{i}"] for i in range(1, 8)], axis=1))
+    loose = c["top_7"] + 1.4 * (c["bottom_2"] - upper)
+    run = spoiled(measured, top_5=c["bottom_1"], bottom_1=c["top_5"], top_7=loose)
+    assert found(run) == {"bottom_1": FaultKind.SWAPPED, "top_5": FaultKind.SWAPPED, "top_7": FaultKind.LOOSE}
+
+
+def test_two_channels_that_fall_behind_alike_are_a_pattern_over_the_face(measured):
+    c, t = measured.columns, measured.time_s
+    behind = 4.0 * np.sin(t / 30.0)
+    assert found(spoiled(measured, top_6=c["top_6"] - behind, top_7=c["top_7"] - behind)) == {}
+    assert found(spoiled(measured, top_6=c["top_6"] - behind)) == {"top_6": FaultKind.LOOSE}
+
+
+def test_a_channel_that_leaves_its_face_along_a_line_drifts(measured):
+    drift = np.clip(measured.time_s - 30.0, 0.0, None) * 0.3
+    assert found(spoiled(measured, bottom_3=measured.columns["bottom_3"] + drift)) == {
+        "bottom_3": FaultKind.DRIFTING
+    }
