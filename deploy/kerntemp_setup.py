@@ -203,7 +203,7 @@ def warm_up(place: Place, version: str) -> None:
     """Compile now what the first pressing would have to wait for."""
     if place.compiles:
         say("compiling the model; this takes about a minute once")
-        as_service(place, version, "python", "-m", "api.warmup")
+        as_service(place, version, "python", "-m", "api.demo.warm_up")
 
 
 def schema_of(place: Place, version: str) -> int:
@@ -216,7 +216,7 @@ def schema_of(place: Place, version: str) -> int:
 def store_file(place: Place, version: str) -> Path | None:
     """Return the file the services keep their store in, as a version reads the configuration; None: PostgreSQL."""
     question = (
-        "import sys; from pathlib import Path; from daq.config import load_config; "
+        "import sys; from pathlib import Path; from daq.process.config import load_config; "
         "from daq.store.database import store_url; url = store_url(load_config(Path(sys.argv[1])).store.url); "
         "print(url.database if url.get_backend_name() == 'sqlite' else '')"
     )

@@ -47,8 +47,8 @@ def predicted(folder: Path) -> tuple[Run, np.ndarray, np.ndarray]:
 
 def draw(run: Run, table: np.ndarray, truth: np.ndarray) -> None:
     """Draw temperatures above, the error of the prediction below."""
-    from daq.press_events import find_moments
-    from daq.pressfile import parse_press
+    from daq.press.events import find_moments
+    from daq.press.press_file import parse_press
 
     moments = find_moments(run, parse_press(press_toml()))
     time, core = run.time_s - moments.closed_s, run.columns["core_1"]

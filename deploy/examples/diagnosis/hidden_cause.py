@@ -9,11 +9,12 @@ campaign, for `kerntemp diagnose`, are written by `daq.simulated.campaign.write_
 import sys
 from pathlib import Path
 
-from daq.pressfile import parse_press
+from daq.press.press_file import parse_press
 from daq.simulated.campaign import Plan, make_campaign, press_toml
-from softsensor.diagnosis import diagnose
-from softsensor.diagnosis_report import diagnosis_report
-from softsensor.diagnosis_words import sentence
+from daq.words.message import sentences
+from softsensor.diagnosis.summary import verdict_said
+from softsensor.diagnosis.verdict import diagnose
+from softsensor.report.diagnosis_report import diagnosis_report
 
 
 def main(cause: str, report: Path) -> None:
@@ -26,7 +27,7 @@ def main(cause: str, report: Path) -> None:
     )
     report.write_text(diagnosis_report(found), encoding="utf-8")
     hidden = campaign[0][1].effects or campaign[0][1].outside
-    sys.stdout.write(f"{found.verdict}: {sentence(found)}\nhidden was {hidden}\n")
+    sys.stdout.write(f"{found.verdict}: {sentences(verdict_said(found))}\nhidden was {hidden}\n")
 
 
 if __name__ == "__main__":

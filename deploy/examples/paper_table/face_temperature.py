@@ -16,9 +16,9 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.pressfile import read_press
+from daq.press.press_file import read_press
 from daq.records import Moments, Run
-from softsensor.model import ThermalModel
+from softsensor.heat.model import ThermalModel
 
 AIR = {"h_wa": 58.99, "h_ap": 24.12}
 READINGS = {

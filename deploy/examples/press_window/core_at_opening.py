@@ -1,8 +1,8 @@
 """How long must a panel stay in the press? The core at opening for many thicknesses and press times at once.
 
 A hundred pressings that differ in thickness, press time and platen temperature are solved side by side
-(`softsensor.batch.solve_many`), at about a third of a millisecond each once the kernels are loaded: short enough
-to lay a window of press times out anew whenever a fit moves the coefficients.
+(`softsensor.heat.batch.solve_many`), at about a third of a millisecond each once the kernels are loaded: short
+enough to lay a window of press times out anew whenever a fit moves the coefficients.
 
 Run it from the project's folder, with a model file of your press or without:
 
@@ -14,11 +14,11 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.pressfile import read_press
+from daq.press.press_file import read_press
 from daq.records import Moments, Run
-from softsensor.batch import solve_many
-from softsensor.model import ThermalModel
-from softsensor.modelfile import read_model
+from softsensor.heat.batch import solve_many
+from softsensor.heat.model import ThermalModel
+from softsensor.heat.model_file import read_model
 
 PRESS = Path(__file__).parents[2] / "presses" / "lab.toml"
 THICKNESSES_MM = (8.0, 10.0, 12.0, 16.0, 19.0)

@@ -1,0 +1,57 @@
+"""Make the sample runs anew: ``python deploy/samples/make_samples.py``.
+
+Ten pressings of a virtual press at one scan a second, with water that leaves the panel: what `kerntemp diagnose`
+finds in them. Every third carries a thermocouple in the core. ``foreign.txt`` is the last of them as another
+logger might have written it, for a mapping of one's own. One seed makes them the same on every machine.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from daq.files.run_file import write_run
+from daq.records import Run
+from daq.simulated.campaign import Plan, make_campaign
+
+HERE = Path(__file__).parent
+SEED, RUNS = 2026, 10
+HIDDEN = "moisture_evaporation"
+
+
+def short(run: Run, number: int) -> Run:
+    """Return a run as the samples carry it: named by day and number, readings to 0.1 K."""
+    name = f"2026-03-04-{number:02d}"
+    times = np.round(run.time_s, 3)
+    columns = {c: v if c == "closed" else np.round(v, 1) for c, v in run.columns.items()}
+    header = {**run.header, "run": name}
+    return replace(run, name=name, time_s=times, header=header, columns=columns, texts={})
+
+
+def foreign(run: Run) -> str:
+    """Return a run as a logger with decimal commas, semicolons and a clock of its own writes it."""
+    lines = ["Messung;Laborpresse", "Zeit;HP oben;HP unten;O1;O2;U1;U2", ";°C;°C;°C;°C;°C;°C"]
+    columns = ("platen_top", "platen_bottom", "top_1", "top_2", "bottom_1", "bottom_2")
+    for i, time in enumerate(run.time_s):
+        minutes, seconds = divmod(8 * 3600 + 30 * 60 + round(time - run.time_s[0]), 60)
+        cells = (f"{run.columns[c][i]:.1f}".replace(".", ",").replace("nan", "---") for c in columns)
+        lines.append(";".join((f"04.03.2026 {minutes // 60:02d}:{minutes % 60:02d}:{seconds:02d}", *cells)))
+    return "\n".join(lines) + "\n"
+
+
+def main() -> None:
+    """Write the sample files beside this script."""
+    plan = Plan(rate_hz=1.0, closed_column=False, core_column=0.34, start_before_s=8.0)
+    campaign = make_campaign(SEED, RUNS, effects=HIDDEN, plan=plan)
+    for number, (run, _) in enumerate(campaign, start=1):
+        made = short(run, number)
+        write_run(made, HERE / f"{made.name}.csv")
+    (HERE / "foreign.txt").write_text(foreign(made), encoding="utf-8")
+    sys.stdout.write(f"{RUNS} runs, hidden: {campaign[0][1].effects}\n")
+
+
+if __name__ == "__main__":
+    main()
