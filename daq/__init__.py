@@ -9,19 +9,38 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from daq.face import StoreTables as StoreTables
+    from daq.face import find_events as find_events
     from daq.face import find_moments as find_moments
     from daq.face import open_store as open_store
     from daq.files.frames import frame_of as frame_of
+    from daq.files.frames import qualities_of as qualities_of
     from daq.files.frames import run_of as run_of
     from daq.records import InputError as InputError
+    from daq.records import Moments as Moments
     from daq.records import Run as Run
+    from daq.shared import shared_files as shared_files
 
-__all__ = ["InputError", "Run", "StoreTables", "find_moments", "frame_of", "open_store", "run_of"]
+__all__ = [
+    "InputError",
+    "Moments",
+    "Run",
+    "StoreTables",
+    "find_events",
+    "find_moments",
+    "frame_of",
+    "open_store",
+    "qualities_of",
+    "run_of",
+    "shared_files",
+]
 _HOMES = {
     "InputError": "daq.records",
+    "Moments": "daq.records",
     "Run": "daq.records",
     "frame_of": "daq.files.frames",
+    "qualities_of": "daq.files.frames",
     "run_of": "daq.files.frames",
+    "shared_files": "daq.shared",
 }
 
 
@@ -29,7 +48,8 @@ def __getattr__(name: str) -> Any:
     """Load a public name on first use (PEP 562)."""
     if name not in __all__:
         raise AttributeError(f"module 'daq' has no attribute {name!r}; it has {', '.join(__all__)}")
-    return getattr(import_module(_HOMES.get(name, "daq.face")), name)
+    found = globals()[name] = getattr(import_module(_HOMES.get(name, "daq.face")), name)
+    return found
 
 
 def __dir__() -> list[str]:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import types
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
-from daq.files.frames import frame_of, run_of
+from daq.files.frames import STARTED, frame_of, run_of
+from daq.press.detector import PressEventDetector
 from daq.press.events import find_moments as find_run_moments
 from daq.press.press_file import Press, read_press
 from daq.records import Moments, Run
@@ -38,9 +40,9 @@ class StoreTables:
         ]
         return _table(rows, "run")
 
-    def samples(self, run: str) -> pd.DataFrame:
-        """Return a run's scans, indexed by ``time_s``, its header in ``attrs``. Raises `InputError`."""
-        return frame_of(self.store.load_run(run))
+    def samples(self, run: str, *, utc: bool = False) -> pd.DataFrame:
+        """Return a run's scans by ``time_s`` or by instants in UTC, header in ``attrs``. Raises `InputError`."""
+        return frame_of(self.store.load_run(run), utc=utc)
 
     def estimates(self, run: str) -> pd.DataFrame:
         """Return what the live sensor said of a run, indexed by ``time_s``."""
@@ -96,6 +98,29 @@ def find_moments(run: Run | pd.DataFrame, press: Press | Path | str) -> Moments:
     """Return when the press closed and opened in a run, and when the panel came and went. [s of the run]"""
     described = press if isinstance(press, Press) else read_press(Path(press))
     return find_run_moments(run_of(run) if isinstance(run, pd.DataFrame) else run, described)
+
+
+def find_events(table: Run | pd.DataFrame, press: Press | Path | str) -> pd.DataFrame:
+    """Find every press event of a table, which may hold many pressings: one row an event, by ``time_s``.
+
+    Causal, as the recorder finds them: an event rests on the rows up to ``noticed_s``. Columns are ``event``
+    (inserted, closed, opened, removed), ``noticed_s`` and ``source``; where the run's header knows its start,
+    ``utc`` too. For one pressing `find_moments` places the moments better, with both sides of each known.
+    """
+    run = run_of(table) if isinstance(table, pd.DataFrame) else table
+    detector = PressEventDetector(press if isinstance(press, Press) else read_press(Path(press)))
+    seen = {name: values.tolist() for name, values in run.columns.items()}
+    found = []
+    for i, time_s in enumerate(run.time_s.tolist()):
+        found += detector.update(time_s, {name: values[i] for name, values in seen.items()})
+    rows = [
+        {"time_s": e.monotonic_s, "event": str(e.kind), "noticed_s": e.noticed_s, "source": str(e.source)}
+        for e in found
+    ]
+    events = _table(rows, "time_s")
+    if rows and isinstance(started := run.header.get(STARTED), datetime):
+        events["utc"] = pd.Timestamp(started) + pd.to_timedelta(events.index, unit="s")
+    return events
 
 
 def _table(rows: list[dict[str, Any]], index: str) -> pd.DataFrame:

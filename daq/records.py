@@ -175,6 +175,11 @@ class Panel:
     initial_temperature: float
     """[°C]"""
     moisture_percent: float | None = None
+    conductivity_table: tuple[tuple[float, float], ...] = ()
+    """Rows of temperature and conductivity where the header gives a table, whose first row's stands above.
+    [°C, W/mK]"""
+    heat_capacity_table: tuple[tuple[float, float], ...] = ()
+    """The same of the heat capacity. [°C, J/kgK]"""
 
 
 @dataclass(frozen=True)

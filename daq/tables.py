@@ -110,7 +110,7 @@ def _joined(faults: tuple[Message, ...]) -> Message:
 def _fault(item: Any, model: type[BaseModel]) -> Message:
     loc = [str(p) for p in item["loc"] if not str(p).startswith(("function-", "constrained-", "tuple["))]
     key, value, kind = ".".join(loc), item.get("input"), item["type"]
-    why = _why(item, model, loc)
+    why = unknown_key(loc[-1], fields_at(model, loc[:-1])) if kind == "extra_forbidden" else why_of(item)
     if not key:
         return why
     if kind != "missing" and isinstance(value, str | int | float | bool):
@@ -118,12 +118,11 @@ def _fault(item: Any, model: type[BaseModel]) -> Message:
     return say("at-key", key=key, what=why)
 
 
-def _why(item: Any, model: type[BaseModel], loc: list[str]) -> Message:
+def why_of(item: Any) -> Message:
+    """Return what is wrong with one value, from what pydantic found; what only it has words for stays English."""
     given, kind = item.get("ctx") or {}, item["type"]
     if kind == "value_error":
         return spoken(given["error"])
-    if kind == "extra_forbidden":
-        return unknown_key(loc[-1], fields_at(model, loc[:-1]))
     limit = next((given[name] for name in ("gt", "ge", "lt", "le") if name in given), None)
     if limit is not None:
         return say(f"limit-{kind.replace('_', '-')}", limit=float(limit))

@@ -26,8 +26,6 @@ LARGEST_OFFSET_K = 50.0
 SMALLEST_GAIN, LARGEST_GAIN = 0.8, 1.25
 """Beyond these it is a fault, no calibration: type J read as type K is off by a factor of 1.27 (51.5 and 40.4 µV/K
 at 25 °C, IEC 60584-1), a forgotten cold junction by some 25 K, of which the offset's limit is twice. [K, 1]"""
-_APART_K = 10.0
-"""Of two calibration points: 0.1 K of error in each then makes 1.4 % of the gain."""
 
 
 class Calibration(BaseModel):
@@ -97,24 +95,3 @@ def corrector(history: Sequence[Calibration], names: Sequence[str], day: date) -
         return celsius if entry is None else entry.correct(celsius)
 
     return correct
-
-
-def from_two_points(
-    channel: str, day: date, readings: tuple[float, float], truths: tuple[float, float], reference: str = ""
-) -> Calibration:
-    """Return gain and offset from readings at two known temperatures, ice and boiling water say. [°C]"""
-    (low, high), (true_low, true_high) = readings, truths
-    if abs(high - low) < _APART_K:
-        raise InputError(say("calibration-points-close", channel=channel, low=low, high=high, apart_K=_APART_K))
-    gain = (true_high - true_low) / (high - low)
-    if not SMALLEST_GAIN <= gain <= LARGEST_GAIN:
-        raise InputError(
-            say(
-                "calibration-gain-outside",
-                channel=channel,
-                gain=gain,
-                smallest=SMALLEST_GAIN,
-                largest=LARGEST_GAIN,
-            )
-        )
-    return Calibration(channel=channel, date=day, gain=gain, offset_K=true_low - gain * low, reference=reference)

@@ -17,28 +17,37 @@
     repeated = "first"               # rows whose time does not rise: "refuse" or keep the "first"
 
     [[column]]
-    from = "TC back 2 (K)"
+    from = "TC back 2 (K)"           # or ["TC back 2 (K)", "TC 2 (K)"]: the first of them that the file has
     to = "bottom_1"
     unit = "K"                       # "C", "K", "F", or "" for anything else
     scale = 1.0                      # value * scale + offset, before the unit
     lower = 250.0                    # readings outside lower..upper count as missing
     upper = 1500.0
 
+    [[computed]]                     # a column that the file lacks, as a sum of mapped ones
+    to = "bottom_2"
+    terms = { edge_1 = 0.5, edge_2 = 0.5 }
+
     [header]                         # keys of the run file
     "panel.material" = "pine"
-    [header_from."panel.initial_temperature_C"]     # a key from a column's first value
+    [header_from."panel.initial_temperature_C"]     # a key from a column's first or last value
     column = "bottom_1"
+    row = "first"
     [[variant]]                      # more keys where the file's name matches
+    of = "flux"                      # one question, one answer: several variants of it never match one file
     match = "*_40kW_*"
     header = { "boundary.top.incident_W_m2" = 40000.0 }
+    required_variants = ["flux"]     # at the top: a file that matches none of these is refused
 """
 
 from __future__ import annotations
 
+import codecs
 import csv
 import fnmatch
 import math
-from collections.abc import Mapping, Sequence
+from array import array
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -102,7 +111,8 @@ class TimeTable(_Table):
 class ColumnTable(_Table):
     """``[[column]]``: one column of the run file."""
 
-    source: str = Field(alias="from")
+    source: str | tuple[str, ...] = Field(alias="from", min_length=1)
+    """Its name in the file; of several the first that is there."""
     to: str = Field(min_length=1)
     unit: Literal["C", "K", "F", ""] = "C"
     scale: float = 1.0
@@ -112,13 +122,32 @@ class ColumnTable(_Table):
     optional: bool = False
     """The file may lack it."""
 
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """Its possible names in the file, the likeliest first."""
+        return (self.source,) if isinstance(self.source, str) else self.source
+
+    def found(self, names: Sequence[str]) -> str | None:
+        """Return the name it goes by in a file, None where the file lacks it."""
+        return next((source for source in self.sources if source in names), None)
+
+
+class ComputedTable(_Table):
+    """``[[computed]]``: a weighted sum of mapped columns, empty where one of them is."""
+
+    to: str = Field(min_length=1)
+    terms: Mapping[str, float] = Field(min_length=1)
+    """Weight of each column, by its name in the run file."""
+    offset: float = 0.0
+
 
 class HeaderFrom(_Table):
-    """``[header_from.KEY]``: a header key from the first value of a mapped column."""
+    """``[header_from.KEY]``: a header key from the first or last value of a mapped column."""
 
     column: str
     scale: float = 1.0
     digits: int = 3
+    row: Literal["first", "last"] = "first"
 
 
 class Variant(_Table):
@@ -126,6 +155,8 @@ class Variant(_Table):
 
     match: str
     header: Mapping[str, Any]
+    of: str = ""
+    """What it answers; a file that matches two answers to one question is refused."""
 
 
 class Mapped(_Table):
@@ -134,9 +165,12 @@ class Mapped(_Table):
     file: FileTable = FileTable()
     time: TimeTable
     column: tuple[ColumnTable, ...] = Field(min_length=1)
+    computed: tuple[ComputedTable, ...] = ()
     header: Mapping[str, Any] = Field(default_factory=dict)
     header_from: Mapping[str, HeaderFrom] = Field(default_factory=dict)
     variant: tuple[Variant, ...] = ()
+    required_variants: tuple[str, ...] = ()
+    """Questions (`Variant.of`) that a file's name has to answer."""
 
 
 def read_mapping(path: Path) -> Mapped:
@@ -146,12 +180,19 @@ def read_mapping(path: Path) -> Mapped:
         mapped = Mapped.model_validate(load_toml(path, say("file-of-mapping")))
     except ValidationError as error:
         raise InputError(at(path, explained(error, Mapped))) from error
-    targets = [c.to for c in mapped.column]
+    sources = [c.to for c in mapped.column]
+    targets = [*sources, *(c.to for c in mapped.computed)]
     if twice := next((t for t in targets if targets.count(t) > 1), None):
         raise InputError(at(path, say("mapping-target-twice", column=twice)))
+    for computed in mapped.computed:
+        if unknown := next((name for name in computed.terms if name not in sources), None):
+            raise InputError(at(path, say("mapping-term-unknown", to=computed.to, column=unknown)))
     for key, source in mapped.header_from.items():
         if source.column not in targets:
             raise InputError(at(path, say("mapping-header-source", key=key, column=source.column)))
+    for of in mapped.required_variants:
+        if of not in {variant.of for variant in mapped.variant}:
+            raise InputError(at(path, say("mapping-variant-of-nothing", of=of)))
     return mapped
 
 
@@ -164,25 +205,58 @@ def read_foreign(path: Path, mapped: Mapped, temperatures: Sequence[str] = ()) -
         Naming file, line, column and value of what the mapping does not explain.
     """
     path = Path(path)
-    lines = _lines(path, mapped.file)
-    names, rows = _cells(path, lines, mapped.file)
-    places = _places(path, names, mapped)
-    keep = _rows_in_order(path, rows, names, mapped)
-    columns: dict[str, Array] = {}
-    for column in (c for c in mapped.column if c.to in places):
-        values = np.array([_value(path, row, places[column.to], column, mapped.file) for row, _ in keep])
-        if any(fnmatch.fnmatchcase(column.to, pattern) for pattern in temperatures):
-            _refuse_impossible(path, column, values, [row.line for row, _ in keep])
-        columns[column.to] = values
-    header: dict[str, Any] = {"run": path.stem, **_start(path, keep[0][0], names, mapped), **mapped.header}
-    for variant in mapped.variant:
-        if fnmatch.fnmatchcase(path.name, variant.match):
-            header |= variant.header
+    rows = _rows(path, mapped.file)
+    names = next(rows)
+    places = _places(path, names.cells, mapped)
+    kept = {
+        c: (array("d"), any(fnmatch.fnmatchcase(c.to, pattern) for pattern in temperatures))
+        for c in mapped.column
+        if c.to in places
+    }
+    times, first = array("d"), None
+    for row, time_s in _rows_in_order(path, rows, names, mapped):
+        first = first or row
+        times.append(time_s)
+        for column, (values, temperature) in kept.items():
+            value = _value(path, row, places[column.to], column, mapped.file)
+            if temperature and (value <= COLDEST_C or value >= HOTTEST_C):
+                said = say("foreign-no-temperature", value=f"{value:g}", coldest=COLDEST_C, hottest=HOTTEST_C)
+                raise InputError(at(path, said, line=row.line, column=" | ".join(column.sources)))
+            values.append(value)
+    if first is None:
+        raise InputError(at(path, say("foreign-no-rows", line=names.line)))
+    columns = {column.to: np.frombuffer(values) for column, (values, _) in kept.items()}
+    for computed in mapped.computed:
+        if all(name in columns for name in computed.terms):
+            shares = [weight * columns[name] for name, weight in computed.terms.items()]
+            columns[computed.to] = computed.offset + np.sum(shares, axis=0)
+    header: dict[str, Any] = {"run": path.stem, **_start(path, first, names.cells, mapped), **mapped.header}
+    header |= _variants(path, mapped)
     for key, source in mapped.header_from.items():
-        header.setdefault(key, _first(path, key, columns.get(source.column, np.empty(0)), source))
+        if key not in header:
+            header[key] = _value_at(path, key, columns.get(source.column, np.empty(0)), source)
     check_header(header, path)
-    times = np.array([time_s for _, time_s in keep])
-    return Run(str(header["run"]), header, times, columns, str(path))
+    return Run(str(header["run"]), header, np.frombuffer(times), columns, str(path))
+
+
+def _variants(path: Path, mapped: Mapped) -> dict[str, Any]:
+    """Return the header keys that the file's name adds; refuse one that leaves a required question open."""
+    header: dict[str, Any] = {}
+    answered: dict[str, str] = {}
+    for variant in mapped.variant:
+        if not fnmatch.fnmatchcase(path.name, variant.match):
+            continue
+        if variant.of and variant.of in answered:
+            first = answered[variant.of]
+            raise InputError(
+                at(path, say("foreign-variant-twice", of=variant.of, first=first, second=variant.match))
+            )
+        answered[variant.of] = variant.match
+        header |= variant.header
+    if unknown := next((of for of in mapped.required_variants if of not in answered), None):
+        known = tuple(variant.match for variant in mapped.variant if variant.of == unknown)
+        raise InputError(at(path, say("foreign-variant-unknown", of=unknown, known=known)))
+    return header
 
 
 @dataclass(frozen=True)
@@ -191,65 +265,88 @@ class _Row:
     cells: Sequence[str]
 
 
-def _lines(path: Path, file: FileTable) -> list[tuple[int, str]]:
+def _rows(path: Path, file: FileTable) -> Iterator[_Row]:
+    """Yield the row of names, then the others, each read when it is asked for."""
+    delimiter = _DELIMITERS.get(file.delimiter, file.delimiter)
+    read: list[int] = []
+
+    def texts() -> Iterator[str]:
+        for number, text in _lines(path, file):
+            read.append(number)
+            yield text
+
+    reader = csv.reader(texts(), delimiter=delimiter, skipinitialspace=delimiter == " ", strict=True)
+    names: _Row | None = None
+    while True:
+        read.clear()  # a quoted cell may hold several lines
+        try:
+            cells = [cell.strip() for cell in next(reader)]
+        except StopIteration:
+            return
+        except csv.Error as error:
+            raise InputError(at(path, say("run-quotation", reason=str(error)), line=read[0])) from error
+        row = _Row(read[0], [cell for cell in cells if cell] if delimiter == " " else cells)
+        names = names or row
+        if len(row.cells) < len(names.cells) and any(names.cells[len(row.cells) :]):
+            said = say("foreign-cell-count", cells=len(row.cells), line=names.line, columns=len(names.cells))
+            raise InputError(at(path, said, line=row.line))
+        yield row
+
+
+def _lines(path: Path, file: FileTable) -> Iterator[tuple[int, str]]:
+    """Yield the line of names, then those that hold rows, with their numbers."""
+    number = 0
     try:
-        text = path.read_text(encoding=file.encoding)
+        with path.open(encoding=file.encoding) as opened:
+            for number, text in enumerate(opened, start=1):
+                comment = file.comment and text.startswith(file.comment)
+                below = number > file.header_line + file.units_lines and text.strip() and not comment
+                if number == file.header_line or below:
+                    yield number, text.removesuffix("\n") + "\n"
     except LookupError as error:
         raise InputError(at(path, say("foreign-encoding-unknown", encoding=file.encoding))) from error
     except UnicodeDecodeError as error:
-        said = say("foreign-encoding-wrong", encoding=file.encoding, byte=error.start)
+        said = say("foreign-encoding-wrong", encoding=file.encoding, byte=_undecodable(path, file.encoding))
         raise InputError(at(path, said)) from error
     except OSError as error:
         raise InputError(
             at(path, say("file-cannot-read", what=say("file-of-run"), reason=reason_of(error)))
         ) from error
-    numbered = list(enumerate(text.split("\n"), start=1))
-    if len(numbered) < file.header_line:
-        raise InputError(at(path, say("foreign-too-short", lines=len(numbered), header_line=file.header_line)))
-    first = file.header_line + file.units_lines
-    kept = [(n, t) for n, t in numbered[first:] if t.strip() and not (file.comment and t.startswith(file.comment))]
-    return [numbered[file.header_line - 1], *kept]
+    if number < file.header_line:
+        raise InputError(at(path, say("foreign-too-short", lines=number, header_line=file.header_line)))
 
 
-def _cells(path: Path, lines: list[tuple[int, str]], file: FileTable) -> tuple[list[str], list[_Row]]:
-    delimiter = _DELIMITERS.get(file.delimiter, file.delimiter)
-    texts = (f"{text}\n" for _, text in lines)  # a quoted cell may hold several lines
-    reader = csv.reader(texts, delimiter=delimiter, skipinitialspace=delimiter == " ", strict=True)
-    table: list[_Row] = []
-    while (done := reader.line_num) < len(lines):
-        try:
-            cells = [cell.strip() for cell in next(reader)]
-        except csv.Error as error:
-            raise InputError(at(path, say("run-quotation", reason=str(error)), line=lines[done][0])) from error
-        table.append(_Row(lines[done][0], [cell for cell in cells if cell] if delimiter == " " else cells))
-    names, rows = list(table[0].cells), table[1:]
-    for row in rows:
-        if len(row.cells) < len(names) and not all(not c for c in names[len(row.cells) :]):
-            said = say("foreign-cell-count", cells=len(row.cells), line=lines[0][0], columns=len(names))
-            raise InputError(at(path, said, line=row.line))
-    if not rows:
-        raise InputError(at(path, say("foreign-no-rows", line=lines[0][0])))
-    return names, rows
+def _undecodable(path: Path, encoding: str) -> int:
+    """Return which byte of a file an encoding does not know."""
+    decoder, begun = codecs.getincrementaldecoder(encoding)(), 0
+    with path.open("rb") as file:
+        while True:
+            piece = file.read(1 << 20)
+            pending = len(decoder.getstate()[0])
+            try:
+                decoder.decode(piece, final=not piece)
+            except UnicodeDecodeError as error:
+                return begun - pending + error.start
+            begun += len(piece)
 
 
-def _places(path: Path, names: list[str], mapped: Mapped) -> dict[str, int]:
-    wanted = {c.to: c for c in mapped.column}
+def _places(path: Path, names: Sequence[str], mapped: Mapped) -> dict[str, int]:
+    found = {c.to: c.found(names) for c in mapped.column}
     missing = [c for c in mapped.time.columns if c not in names]
-    missing += [c.source for c in wanted.values() if c.source not in names and not c.optional]
-    used = (*mapped.time.columns, *(c.source for c in wanted.values()))
+    missing += [c.sources[0] for c in mapped.column if found[c.to] is None and not c.optional]
+    used = (*mapped.time.columns, *(source for source in found.values() if source))
     if twice := next((name for name in used if names.count(name) > 1), None):
         raise InputError(at(path, say("foreign-column-twice", column=twice)))
     if missing:
         raise InputError(at(path, say("foreign-column-missing", column=missing[0], found=tuple(names))))
-    return {to: names.index(c.source) for to, c in wanted.items() if c.source in names}
+    return {to: names.index(source) for to, source in found.items() if source}
 
 
-def _rows_in_order(path: Path, rows: list[_Row], names: list[str], mapped: Mapped) -> list[tuple[_Row, float]]:
-    """Return the rows with their times, which rise."""
-    places = [names.index(column) for column in mapped.time.columns]
-    kept: list[tuple[_Row, float]] = []
+def _rows_in_order(path: Path, rows: Iterator[_Row], names: _Row, mapped: Mapped) -> Iterator[tuple[_Row, float]]:
+    """Yield the rows with their times, which rise."""
+    places = [names.cells.index(column) for column in mapped.time.columns]
     start, days, before = math.nan, 0.0, -math.inf
-    clock = mapped.time.format == "clock"
+    clock, instants = mapped.time.format == "clock", mapped.time.format not in _SECONDS
     for row in rows:
         cell = " ".join(row.cells[place] for place in places)
         time_s = _time(path, row, cell, mapped, before)
@@ -262,11 +359,9 @@ def _rows_in_order(path: Path, rows: list[_Row], names: list[str], mapped: Mappe
             named = " + ".join(mapped.time.columns)
             raise InputError(at(path, say("foreign-time-falls", cell=repr(cell)), line=row.line, column=named))
         before = time_s
-        instants = mapped.time.format not in _SECONDS
         if start != start:
             start = time_s if mapped.time.from_zero or instants else 0.0
-        kept.append((row, round(time_s - start, 6)))
-    return kept
+        yield row, round(time_s - start, 6)
 
 
 def _time(path: Path, row: _Row, cell: str, mapped: Mapped, before: float = -math.inf) -> float:
@@ -295,7 +390,7 @@ def _moment(cell: str, layout: str) -> datetime:
     return datetime.fromisoformat(cell) if layout == "iso" else datetime.strptime(cell, layout)  # noqa: DTZ007
 
 
-def _start(path: Path, row: _Row, names: list[str], mapped: Mapped) -> dict[str, Any]:
+def _start(path: Path, row: _Row, names: Sequence[str], mapped: Mapped) -> dict[str, Any]:
     """Return the header key of when the file begins, where the file or the mapping tells the zone."""
     if mapped.time.format in _SECONDS or mapped.time.format == "clock":
         return {}
@@ -324,7 +419,7 @@ def _value(path: Path, row: _Row, place: int, column: ColumnTable, file: FileTab
         value = float(_plain(cell, file)) * column.scale + column.offset
     except ValueError as error:
         said = say("foreign-no-number", cell=repr(cell), decimal=file.decimal)
-        raise InputError(at(path, said, line=row.line, column=column.source)) from error
+        raise InputError(at(path, said, line=row.line, column=" | ".join(column.sources))) from error
     if not column.lower <= value <= column.upper or not math.isfinite(value):
         return math.nan
     if column.unit == "K":
@@ -334,16 +429,8 @@ def _value(path: Path, row: _Row, place: int, column: ColumnTable, file: FileTab
     return value
 
 
-def _refuse_impossible(path: Path, column: ColumnTable, values: Array, lines: Sequence[int]) -> None:
-    bad = np.flatnonzero((values <= COLDEST_C) | (values >= HOTTEST_C))
-    if len(bad):
-        found = f"{values[bad[0]]:g}"
-        said = say("foreign-no-temperature", value=found, coldest=COLDEST_C, hottest=HOTTEST_C)
-        raise InputError(at(path, said, line=lines[bad[0]], column=column.source))
-
-
-def _first(path: Path, key: str, values: Array, source: HeaderFrom) -> float:
+def _value_at(path: Path, key: str, values: Array, source: HeaderFrom) -> float:
     good = values[np.isfinite(values)]
     if not len(good):
         raise InputError(at(path, say("foreign-header-empty", key=key, column=source.column)))
-    return round(float(good[0]) * source.scale, source.digits)
+    return round(float(good[0 if source.row == "first" else -1]) * source.scale, source.digits)

@@ -67,9 +67,9 @@ def row_faults(run: Run) -> list[Mapping[str, Quality]] | None:
     if texts is None:
         return None
     known = {OTHERS, *run.columns}
-    rows = [faults_of(text) for text in texts]
-    told = [faults for faults in rows if faults is not None and known.issuperset(faults)]
-    return told if len(told) == len(rows) else None
+    read = {text: faults_of(text) for text in set(texts)}
+    told = {text: faults for text, faults in read.items() if faults is not None and known.issuperset(faults)}
+    return [told[text] for text in texts] if len(told) == len(read) else None
 
 
 def wrong_quality(texts: Sequence[str], columns: Collection[str]) -> tuple[int, Message] | None:
@@ -100,7 +100,7 @@ def wrong_quality(texts: Sequence[str], columns: Collection[str]) -> tuple[int, 
 def without_unusable(run: Run) -> Run:
     """Take out the values that the run itself calls unusable."""
     told = row_faults(run)
-    if told is None:
+    if told is None or not any(told):
         return run
     columns = {name: np.array(values) for name, values in run.columns.items()}
     for row, faults in enumerate(told):

@@ -163,11 +163,11 @@ def _csv_pieces(
     """Yield the text of a run file, some rows at a time."""
     for key, value in flat_keys(header):
         yield f"# {_AFTER_COMMA.sub(_in_digits, toml_line(key, value))}\n"
-    yield ",".join(_csv_cell(escaped(name)) for name in (*names, *texts)) + "\n"
+    yield ",".join(csv_cell(name) for name in (*names, *texts)) + "\n"
     for start in range(0, len(columns[0]), _ROWS_AT_ONCE):
         rows = slice(start, start + _ROWS_AT_ONCE)
         cells = [["" if v != v else repr(v).removesuffix(".0") for v in c[rows].tolist()] for c in columns]
-        words = [[_csv_cell(escaped(text)) for text in column[rows]] for column in texts.values()]
+        words = [[csv_cell(text) for text in column[rows]] for column in texts.values()]
         yield "".join(",".join(row) + "\n" for row in zip(*cells, *words, strict=True))
 
 
@@ -180,8 +180,9 @@ def _in_digits(found: re.Match[str]) -> str:
     return f"\\u{ord(found[0]):04x}"
 
 
-def _csv_cell(text: str) -> str:
-    """Quote what needs it, line breaks of either kind too."""
+def csv_cell(text: str) -> str:
+    """Return a cell of words: no formula to a spreadsheet (`escaped`), quoted where it needs it."""
+    text = escaped(text)
     return '"' + text.replace('"', '""') + '"' if re.search('[,"\r\n]', text) else text
 
 

@@ -7,8 +7,9 @@ looks like a slip of typing is refused with the one that was meant; any other is
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -38,6 +39,10 @@ LIMITS: Mapping[str, Limits] = {
     "panel.conductivity_W_mK": Limits(0.005, 500.0, "W/mK", _MATTER),
     "panel.heat_capacity_J_kgK": Limits(50.0, 10000.0, "J/kgK", _MATTER),
     "panel.moisture_percent": Limits(0.0, 200.0, "%", "green wood holds at most twice its dry mass"),
+    "panel.moisture_before_percent": Limits(0.0, 200.0, "%", "green wood holds at most twice its dry mass"),
+    "panel.moisture_after_percent": Limits(0.0, 200.0, "%", "green wood holds at most twice its dry mass"),
+    "panel.mass_before_g": Limits(0.0, 1e6, "g", _HAND),
+    "panel.mass_after_g": Limits(-1e3, 1e6, "g", "a balance's zero drifts below nothing; above: " + _HAND),
     "panel.initial_temperature_C": Limits(-60.0, 400.0, "°C", "wood chars above 400 °C"),
     "ambient.temperature_C": Limits(-70.0, 100.0, "°C", _ROOM),
     "setting.platen_temperature_C": Limits(-70.0, 2000.0, "°C", "as a reading of a thermocouple"),
@@ -46,7 +51,14 @@ LIMITS: Mapping[str, Limits] = {
     "setting.core_target_C": Limits(-70.0, 2000.0, "°C", "as a reading of a thermocouple"),
     "setting.core_limit_C": Limits(-70.0, 2000.0, "°C", "as a reading of a thermocouple"),
 }
-_TEXTS = ("run", "remark", "panel.material")
+VERDICTS = ("good", "blister", "undercured", "scrap")
+"""What became of a panel, as the operator saw it."""
+_VERDICT = "panel.verdict"
+TABLES = ("panel.conductivity_W_mK", "panel.heat_capacity_J_kgK")
+"""Numbers in whose place a table in temperature may stand: rows of °C and value."""
+TEMPERATURE = "setting.platen_temperature_C"
+"""Whose limits those temperatures keep."""
+_TEXTS = ("run", "remark", "recipe", "panel.material", _VERDICT)
 _RECORDED = "recorded"
 """What a recorder wrote of a run: `daq.store.origin` knows these keys."""
 _TABLES = tuple(name for name in Press.model_fields if name != "sd")
@@ -70,8 +82,28 @@ def check_header(header: Mapping[str, Any], place: object) -> None:
             raise InputError(at(place, say("header-key-meant", key=key, meant=meant)))
         if key.endswith(SD):
             _check_sd(key, value, place)
+        elif key in TABLES and isinstance(value, list | tuple):
+            checked_table(key, value, place)
         elif key in LIMITS and value is not None:
             checked_number(key, value, place)
+        elif key == _VERDICT and value not in (*VERDICTS, None):
+            raise InputError(at(place, say("header-verdict", key=key, value=repr(value), known=VERDICTS)))
+
+
+def checked_table(key: str, value: Sequence[Any], place: object) -> tuple[tuple[float, float], ...]:
+    """Return a table of the header: rows of a temperature, rising, and a number within the key's limits.
+
+    Raises
+    ------
+    InputError
+        For anything else.
+    """
+    if not value or not all(isinstance(row, list | tuple) and len(row) == 2 for row in value):
+        raise InputError(at(place, say("header-table-rows", key=key, value=repr(value))))
+    rows = [(checked_number(TEMPERATURE, t, place), checked_number(key, v, place)) for t, v in value]
+    if any(after <= before for (before, _), (after, _) in itertools.pairwise(rows)):
+        raise InputError(at(place, say("header-table-not-rising", key=key)))
+    return tuple(rows)
 
 
 def checked_number(key: str, value: object, place: object) -> float:
@@ -112,12 +144,18 @@ def panel_of(run: Run) -> Panel:
         """Return a number of the header, or of the material table where `listed` names its constant."""
         full = f"panel.{key}"
         value = header.get(full, getattr(known, listed).value if known and listed else None)
+        if isinstance(value, list | tuple) and full in TABLES:
+            return checked_table(full, value, where)[0][1]
         if value is not None:
             return checked_number(full, value, where)
         said = say("header-missing", key=full)
         if listed and known is None:
             said = say("header-missing-material", key=full, material=material, known=tuple(MATERIALS))
         raise InputError(at(where, said))
+
+    def table(key: str) -> tuple[tuple[float, float], ...]:
+        value = header.get(f"panel.{key}")
+        return checked_table(f"panel.{key}", value, where) if isinstance(value, list | tuple) else ()
 
     moisture = header.get("panel.moisture_percent")
     return Panel(
@@ -128,6 +166,8 @@ def panel_of(run: Run) -> Panel:
         heat_capacity=number("heat_capacity_J_kgK", "heat_capacity"),
         initial_temperature=number("initial_temperature_C"),
         moisture_percent=None if moisture is None else number("moisture_percent"),
+        conductivity_table=table("conductivity_W_mK"),
+        heat_capacity_table=table("heat_capacity_J_kgK"),
     )
 
 

@@ -16,14 +16,14 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
-from daq.records import InputError, Run
+from daq.records import COLDEST_C, HOTTEST_C, InputError, Run
 from daq.tables import at, explained, read_toml, reason_of
 from daq.words import Message, say, spoken
 
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 """No text and no ``true``."""
 Positive = Annotated[Number, Field(gt=0)]
-Temperature = Annotated[Number, Field(gt=-273.15, lt=5000)]
+Temperature = Annotated[Number, Field(gt=COLDEST_C, lt=5000)]
 Share = Annotated[Number, Field(ge=0, le=1)]
 Yes = Annotated[bool, Field(strict=True)]
 Property = Positive | tuple[tuple[Temperature, Positive], ...]
@@ -130,10 +130,12 @@ class Boundary(_Table):
     kind: Literal["measured", "flux", "air", "insulated"] = "insulated"
     column: str | None = None
     incident_W_m2: Number = 0.0  # noqa: N815
+    from_run: Yes = False
+    """The heat flux differs from run to run: a header without ``boundary.END.incident_W_m2`` is refused."""
     absorptivity: Share = 1.0
     emissivity: Share = 0.0
     coefficient: str | None = None
-    ambient_C: Number | None = Field(default=None, gt=-273.15, lt=2000)  # noqa: N815
+    ambient_C: Number | None = Field(default=None, gt=COLDEST_C, lt=HOTTEST_C)  # noqa: N815
     """None takes the run's ``ambient.temperature_C``."""
 
     @model_validator(mode="after")
@@ -142,6 +144,8 @@ class Boundary(_Table):
             raise ValueError(say("press-boundary-needs-column"))
         if self.kind == "air" and self.coefficient is None:
             raise ValueError(say("press-boundary-needs-coefficient"))
+        if self.from_run and self.kind != "flux":
+            raise ValueError(say("press-boundary-no-flux-of-run", kind=self.kind))
         return self
 
 
@@ -220,13 +224,8 @@ class Initial(_Table):
     """``[initial]``: the temperatures before the first row."""
 
     kind: Literal["steady", "sensors", "uniform"] = "steady"
-    temperature_C: Number | None = Field(default=None, gt=-273.15, lt=2000)  # noqa: N815
-
-    @model_validator(mode="after")
-    def _complete(self) -> Initial:
-        if self.kind == "uniform" and self.temperature_C is None:
-            raise ValueError(say("press-initial-needs"))
-        return self
+    temperature_C: Number | None = Field(default=None, gt=COLDEST_C, lt=HOTTEST_C)  # noqa: N815
+    """Of ``uniform``. None: the run's ``panel.initial_temperature_C``."""
 
 
 class Boundaries(_Table):
@@ -320,6 +319,8 @@ class Press(_Table):
             self._check_place(i, sensor)
         if said := self.misnamed_wire:
             raise ValueError(said)
+        if self.initial.kind == "uniform" and self.initial.temperature_C is None and not self.panel_layers:
+            raise ValueError(_of("initial.kind", "uniform", say("press-initial-needs")))
         return self
 
     @property
@@ -405,6 +406,9 @@ def press_for_run(press: Press, run: Run) -> Press:
     Layers are addressed by name (``layer.plate_top.thickness_mm``), contacts and sensors by number
     from 0 (``contact.2.closed``). Raises `InputError` for a key the press file does not know.
     """
+    for end, boundary in (("bottom", press.boundary.bottom), ("top", press.boundary.top)):
+        if boundary.from_run and run.header.get(key := f"boundary.{end}.incident_W_m2") is None:
+            raise InputError(at(run.source or run.name, say("header-missing", key=key)))
     tables = set(Press.model_fields)
     overrides = {k: v for k, v in run.header.items() if k.partition(".")[0] in tables and "." in k}
     if not overrides:

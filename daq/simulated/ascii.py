@@ -52,12 +52,7 @@ class AdamModule:
         self._guarded = guarded
         self._name = name
         self._range = (lowest, highest)
-        self._think_s = think_s
-
-    @property
-    def think_s(self) -> float:
-        """Time between request and reply."""
-        return self._think_s
+        self.think_s = think_s
 
     def split(self, buffer: bytearray) -> bytes | None:
         """Take one command off the front of the buffer."""
@@ -127,7 +122,7 @@ class ScanningMeter:
         self.switches = converter.switches
         self._name = name
         self._scan_s = scan_s
-        self._think_s = 0.002
+        self.think_s = 0.002
         self._reset()
 
     def _reset(self) -> None:
@@ -136,11 +131,6 @@ class ScanningMeter:
         self._checks_open = False
         self._shows_channel = False
         self._errors: list[str] = []
-
-    @property
-    def think_s(self) -> float:
-        """Time between request and reply; a scan takes longer than a question."""
-        return self._think_s
 
     def split(self, buffer: bytearray) -> bytes | None:
         """Take one command off the front of the buffer."""
@@ -158,7 +148,7 @@ class ScanningMeter:
         return _XOFF + reply[:half] + _XOFF + reply[half:] + _XON
 
     def _reply(self, command: str) -> bytes | None:
-        self._think_s = self._scan_s if command == "READ?" else 0.002
+        self.think_s = self._scan_s if command == "READ?" else 0.002
         if command == "*IDN?":
             return (self._name + "\n").encode()
         if command == "SYST:ERR?":
@@ -219,12 +209,7 @@ class Monitor:
         self._step_s = step_s
         self._channel = 1
         self._units = ["ABS"] * converter.inputs
-        self._think_s = 0.002
-
-    @property
-    def think_s(self) -> float:
-        """Time between request and reply; longer when the channel changes."""
-        return self._think_s
+        self.think_s = 0.002
 
     def split(self, buffer: bytearray) -> bytes | None:
         """Take one command off the front of the buffer."""
@@ -235,7 +220,7 @@ class Monitor:
         if self.switches.silent:
             return None
         command, _, rest = request.decode("latin-1").strip().partition(" ")
-        self._think_s = 0.002
+        self.think_s = 0.002
         reply = self._reply(command, rest)
         return None if reply is None else (reply + "\r\n").encode()
 
@@ -254,7 +239,7 @@ class Monitor:
 
     def _measure(self, channel: int, values: Sequence[float]) -> str:
         if channel != self._channel:
-            self._channel, self._think_s = channel, self._step_s
+            self._channel, self.think_s = channel, self._step_s
         value = values[channel - 1]
         shown = 0.0 if math.isnan(value) else value
         return f"{shown if self._units[channel - 1] == 'CENT' else shown + 273.15:.1f}"

@@ -26,7 +26,7 @@ from daq.simulated.campaign_sensors import (
 )
 from daq.simulated.effects import CHAIN_EFFECTS, draw_effect, draw_outside, for_run, split_names, with_outside
 from daq.simulated.physics_mesh import Accuracy
-from daq.simulated.physics_pressing import BASE_COEFFICIENTS, Plates, Pressing
+from daq.simulated.physics_pressing import BASE_COEFFICIENTS, DryingLaw, Plates, Pressing
 
 Effects = Mapping[str, Mapping[str, float]]
 
@@ -65,6 +65,8 @@ class Plan:
     rim_contrast: float = 0.0
     """1: rim sensors see the full difference of a rim loss; 0: none."""
     nuisances: Nuisances = field(default_factory=Nuisances)
+    drying_law: DryingLaw | None = None
+    """None: by `other_laws`."""
     other_laws: bool = False
     """Second forms of steam transport and drying, which no test should be able to lean on."""
     accuracy: Accuracy = "fast"
@@ -112,7 +114,6 @@ class _Press:
     effects: Effects
     outside: Effects
     faults: tuple[Fault, ...]
-    laws: Mapping[str, str]
 
 
 def make_campaign(
@@ -177,9 +178,6 @@ def _draw_press(
     lead = 0.0 if rng.random() < 0.5 else float(rng.uniform(5.0, 20.0))
     switch, spread = bool(rng.random() < 0.5), float(rng.uniform(0.12, 0.30))
     controller, density, explicit = draw_controller(rng), float(rng.uniform(715, 765)), bool(rng.random() < 0.5)
-    laws = {"vapour_law": "proportional", "drying_law": "equilibrium"}
-    if plan.other_laws:
-        laws = {"vapour_law": "uniform", "drying_law": "kinetic"}
     return _Press(
         plan=plan,
         name=f"v{seed}",
@@ -194,7 +192,6 @@ def _draw_press(
         effects={n: sizes.get(n) or draw_effect(n, rng, plan.scale) for n in inside},
         outside={n: sizes.get(n) or draw_outside(n, rng, plan.scale) for n in outer},
         faults=(draw_fault(rng, 60.0),) if "sensor_fault" in inside else (),
-        laws=laws,
     )
 
 
@@ -292,8 +289,8 @@ def _draw_pressing(press: _Press, rng: np.random.Generator) -> tuple[Pressing, f
         opening_ramp=float(rng.uniform(0.2, 0.5)),
         coefficients=values,
         pressure=float(rng.choice([280.0, 300.0, 320.0, 340.0, 360.0, 380.0, 400.0])),
-        vapour_law="uniform" if press.laws["vapour_law"] == "uniform" else "proportional",
-        drying_law="kinetic" if press.laws["drying_law"] == "kinetic" else "equilibrium",
+        vapour_law="uniform" if plan.other_laws else "proportional",
+        drying_law=plan.drying_law or ("kinetic" if plan.other_laws else "equilibrium"),
     )
     return pressing, setpoint
 

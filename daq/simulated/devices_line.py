@@ -27,15 +27,14 @@ _POLL_S = 0.03
 class Station(Protocol):
     """A simulated device on a line."""
 
+    think_s: float
+    """Time between request and reply; longer where a channel changes or a scan runs. [s]"""
+
     def split(self, buffer: bytearray) -> bytes | None:
         """Take one complete request off the front of the buffer, or return None."""
 
     def answer(self, request: bytes) -> bytes | None:
         """Return the reply, or None for silence."""
-
-    @property
-    def think_s(self) -> float:
-        """Time between request and reply."""
 
 
 class Server:

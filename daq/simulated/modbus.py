@@ -135,15 +135,10 @@ class ModbusModule:
         self._encode = encode
         self._station = station
         self._tcp = tcp
-        self._think_s = think_s
+        self.think_s = think_s
         self._writable = writable
         self._written: dict[int, int] = {}
         self._asked_reset = False
-
-    @property
-    def think_s(self) -> float:
-        """Time between request and reply."""
-        return self._think_s
 
     def split(self, buffer: bytearray) -> bytes | None:
         """Take one request off the front of the buffer."""

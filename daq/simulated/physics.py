@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from daq.records import Array, Panel
 from daq.simulated import physics_kernel as kernel
 from daq.simulated.physics_mesh import Accuracy, build_knobs, build_mesh, first_state
-from daq.simulated.physics_pressing import Outside, Pressing
+from daq.simulated.physics_pressing import Pressing
 
 _STEPPING = {"fast": (1e-3, 0.5), "accurate": (1e-5, 0.1)}
 """Local error of a step [K] and longest step [s]."""
@@ -91,8 +91,3 @@ def _breakpoints(pressing: Pressing) -> list[float]:
 def nominal_panel(thickness: float = 0.016, initial_temperature: float = 20.8) -> Panel:
     """Return an MDF panel with the constants of the contract's example."""
     return Panel("MDF", thickness, 740.0, 0.12, 1550.0, initial_temperature, 8.0)
-
-
-def without_effects(pressing: Pressing) -> Pressing:
-    """Return the same pressing with everything the plain model leaves out switched off."""
-    return replace(pressing, effects={}, outside=Outside())

@@ -25,6 +25,8 @@ SKIN = 0.15e-3
 """Depth over which the resin's heat is released. [m]"""
 DRYING_WIDTH = 3.0
 """How sharply water leaves around its temperature. [K]"""
+SORBED_WIDTH = 12.0
+"""The same of water that is bound: a logistic 42 K wide at half of its height, about as wood dries. [K]"""
 DRYING_TIME = 0.5
 """How fast water follows its equilibrium. [s]"""
 WET_DEPTH, WET_WIDTH = 1.5e-3, 0.5e-3
@@ -116,7 +118,7 @@ def build_knobs(pressing: Pressing, mesh: Mesh) -> Knobs:
         vapour=of("vapour_convection", "W_m3K", 0.0),
         vapour_uniform=pressing.vapour_law == "uniform",
         evap_t=of("moisture_evaporation", "temperature_C", 100.0),
-        evap_width=DRYING_WIDTH,
+        evap_width=SORBED_WIDTH if pressing.drying_law == "sorbed" else DRYING_WIDTH,
         evap_tau=DRYING_TIME,
         evap_kinetic=pressing.drying_law == "kinetic",
         cure_heat=of("resin_cure", "heat_kJ_m2", 0.0) * 1e3,

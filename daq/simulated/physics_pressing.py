@@ -21,6 +21,9 @@ BASE_COEFFICIENTS: Mapping[str, float] = {
 }
 """Heat transfer coefficients of the laboratory press. [W/m²K]"""
 
+DryingLaw = Literal["equilibrium", "kinetic", "sorbed"]
+"""Water leaves towards what its temperature holds, sharply about one; at a pace that grows with the excess; or,
+bound as it is below fibre saturation, over some tens of kelvins."""
 NEVER = 1e9
 """Later than any run. [s]"""
 LOAD_REFERENCE = 350.0
@@ -122,4 +125,4 @@ class Pressing:
     """[N/cm²]"""
     vapour_law: Literal["proportional", "uniform"] = "proportional"
     """How steam spreads over the cooler layers; a second law keeps tests from leaning on the first."""
-    drying_law: Literal["equilibrium", "kinetic"] = "equilibrium"
+    drying_law: DryingLaw = "equilibrium"

@@ -2,13 +2,15 @@
 
 Bytes from the driver go on untouched; each reply may come late, in slices, twice, cut short, with
 noise, behind an echo, damaged, from another station, or not at all. The wire itself can vanish and
-return, or stay connected and dead.
+return, or stay connected and dead. What a busy machine keeps it from sending in time, it drops: how late
+a reply may come is part of the fault, not of the machine.
 """
 
 from __future__ import annotations
 
 import heapq
 import itertools
+import math
 import os
 import select
 import socket
@@ -80,7 +82,7 @@ class FaultProxy:
     vanish and return under the same name.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913 - every way to misbehave
         self,
         upstream: Server,
         spoiler: Spoiler,
@@ -89,6 +91,7 @@ class FaultProxy:
         seed: int,
         late_s: tuple[float, float],
         again_s: tuple[float, ...] = (0.0, 0.003),
+        in_time_s: Callable[[bytes], float] = lambda request: math.inf,
         port_link: Path | None = None,
         greeting: bytes = b"",
     ) -> None:
@@ -100,9 +103,11 @@ class FaultProxy:
         self._rng = np.random.default_rng(seed)
         self._late_s = late_s
         self._again_s = again_s
+        self._in_time_s = in_time_s
         self._greeting = greeting
         self._port_link = port_link
-        self._request = b""
+        self._request, self._due_s = b"", math.inf
+        self._owed = 0
         self._dead = False
         self._stopped = threading.Event()
         self._wire: Server | None = None
@@ -195,14 +200,18 @@ class FaultProxy:
                 target=self._carry_back, args=(device_read, send, stopped, killed), daemon=True
             )
             back.start()
+            self._owed = 0
             while not stopped.is_set():
+                looked_s = time.monotonic()
                 data = read(_POLL_S)
                 if data is None:
                     break
                 if self._dead:
                     killed.set()
                 if data and not killed.is_set():
-                    self._request = data
+                    came_s = min(time.monotonic(), looked_s + _POLL_S)  # a busy machine may have let it lie
+                    self._request, self._due_s = data, came_s + self._in_time_s(data)
+                    self._owed += 1
                     with suppress(OSError):
                         device_send(data)
             killed.set()
@@ -218,9 +227,12 @@ class FaultProxy:
                 continue
             while more := read(_MORE_S):
                 reply += more
-            if not self._dead:
+            self._owed -= 1
+            given_up = self._owed > 0 and self._due_s < math.inf  # the driver has asked for the next
+            if not (self._dead or given_up):
                 for delay_s, slices in self._spoiled(self._request, reply):
-                    self._outbox.send(send, slices, delay_s)
+                    self._outbox.send(send, slices, delay_s, self._due_s)
+            self._owed = max(self._owed, 0)
 
     def _spoiled(self, request: bytes, reply: bytes) -> list[_Arrival]:
         """Return what arrives in place of a reply."""
@@ -288,24 +300,24 @@ class _Outbox:
     """Sends frames at their time, one after the other: a wire never mixes two frames."""
 
     def __init__(self) -> None:
-        self._due: list[tuple[float, int, Send, list[bytes]]] = []
+        self._due: list[tuple[float, int, float, Send, list[bytes]]] = []
         self._count = itertools.count()
         self._wake = threading.Condition()
         self._open = True
         self._last_due = 0.0
         threading.Thread(target=self._work, daemon=True).start()
 
-    def send(self, send: Send, slices: list[bytes], delay_s: float) -> None:
-        """Send after a delay, but never before what a slow device still owes."""
+    def send(self, send: Send, slices: list[bytes], delay_s: float, until_s: float = math.inf) -> None:
+        """Send after a delay, but never before what a slow device still owes, and nothing after a time."""
         with self._wake:
             self._last_due = max(self._last_due, time.monotonic() + delay_s)
-            heapq.heappush(self._due, (self._last_due, next(self._count), send, slices))
+            heapq.heappush(self._due, (self._last_due, next(self._count), until_s, send, slices))
             self._wake.notify()
 
     def forget(self, send: Send) -> None:
         """Drop what was still to go to a connection that is gone."""
         with self._wake:
-            self._due = [entry for entry in self._due if entry[2] is not send]
+            self._due = [entry for entry in self._due if entry[3] is not send]
             heapq.heapify(self._due)
 
     def close(self) -> None:
@@ -315,21 +327,22 @@ class _Outbox:
 
     def _work(self) -> None:
         while (entry := self._next()) is not None:
-            send, slices = entry
+            until_s, send, slices = entry
             for number, part in enumerate(slices):
                 if number:
                     time.sleep(_SLICE_S)
-                with suppress(OSError):
-                    send(part)
+                if time.monotonic() <= until_s:
+                    with suppress(OSError):
+                        send(part)
 
-    def _next(self) -> tuple[Send, list[bytes]] | None:
+    def _next(self) -> tuple[float, Send, list[bytes]] | None:
         """Wait for the next frame that is due; None at the end."""
         with self._wake:
             while self._open:
                 left = self._due[0][0] - time.monotonic() if self._due else None
                 if left is not None and left <= 0:
-                    _, _, send, slices = heapq.heappop(self._due)
-                    return send, slices
+                    _, _, until_s, send, slices = heapq.heappop(self._due)
+                    return until_s, send, slices
                 self._wake.wait(left)
         return None
 

@@ -370,7 +370,7 @@ def _advice(database: Database, reason: str) -> Message:
     store = database.label
     for secret in secrets_of(database.url.render_as_string(hide_password=False)):
         reason = reason.replace(secret, "***")
-    reason = reason.strip().splitlines()[0] if reason.strip() else "no reason given"
+    reason = reason.strip().partition("\n")[0] or str(say("store-gives-no-reason"))
     remedy = next((code for sign, code in _REMEDIES.items() if sign in reason), None)
     if remedy is None:
         return say("store-refuses", store=store, reason=reason)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Any, Literal
 
@@ -12,9 +13,10 @@ from sqlalchemy import Connection, and_, func, insert, select, text, update
 from sqlalchemy.exc import IntegrityError
 
 from daq.files.qualities import QUALITY, row_faults
-from daq.records import Channel, InputError, PressEvent, Run, Scan
+from daq.records import Channel, InputError, PressEvent, Quality, Run, Scan
 from daq.store.convert import faults_json, header_of, header_text, null, readings_json, unix_of, utc_of
 from daq.store.journal import log
+from daq.store.next_panel import take_next_panel
 from daq.store.origin import LATEST_UNIX_S, REMARK, columns_from_header
 from daq.store.records import NewRun, PressKey, RunEnd, RunStatus, StoreUnavailable
 from daq.store.schema import CONFIGURATION, LAYOUT, PRESS, PRESS_EVENT, RUN, RUN_CHANGE, SCAN, SCAN_REMARK
@@ -25,6 +27,8 @@ PROCESS = "record"
 Kind = Literal["recorded", "imported"]
 _NAME = re.compile(r"(?!\.{1,2}$)[^\x00-\x1f\x7f-\x9f/\\]{1,200}")
 """A run's name is a file's name on export, part of a URL, and a cell of a list."""
+_ROWS_AT_ONCE = 1 << 13
+"""Rows of a run imported in one statement: a long run never stands in memory twice."""
 _PASSWORD = re.compile(r"(://[^\s:/@\"']*:)[^\"'\n]+@|([?&](?:ssl)?password=)[^&\"'\n]+")
 """A password in a URL does not belong into every backup: in case the text comes from elsewhere."""
 
@@ -147,7 +151,7 @@ def append(
     """Write scans, then what they brought about: a run's begin, press events, a run's end."""
     _append_scans(connection, key, scans)
     if begin is not None:
-        _begin_run(connection, key, begin)
+        _begin_run(connection, key, begin, unix_of(scans[-1].utc if scans else begin.started_utc))
     for event in events:
         _append_event(connection, key, event, scans[-1].number if scans else key.next_number)
     if end is not None:
@@ -187,7 +191,7 @@ def _append_unless_there(connection: Connection, key: PressKey, rows: list[dict[
             raise StoreUnavailable(say("store-scan-taken", press=key.name, scan=row["number"]))
 
 
-def _begin_run(connection: Connection, key: PressKey, new: NewRun) -> None:
+def _begin_run(connection: Connection, key: PressKey, new: NewRun, noticed_unix_s: float) -> None:
     """Open a run, under the next free name where its own is taken; one that is there already stays as it is."""
     same = (
         RUN.c.press_id == key.press_id,
@@ -199,6 +203,7 @@ def _begin_run(connection: Connection, key: PressKey, new: NewRun) -> None:
     name = _free_name(connection, new.run)
     if name != new.run:
         log(connection, "warning", PROCESS, say("run-renamed", run=new.run, name=name), key.name, None)
+    said = take_next_panel(connection, key.name, noticed_unix_s)
     connection.execute(
         insert(RUN),
         {
@@ -209,7 +214,7 @@ def _begin_run(connection: Connection, key: PressKey, new: NewRun) -> None:
             "zero_monotonic_s": new.zero_monotonic_s,
             "first_scan": new.first_scan,
             "configuration_id": _configuration(connection, new.configuration),
-            **_header_columns({**new.header, "run": name}),
+            **_header_columns({**new.header, **said, "run": name}),
         },
     )
 
@@ -379,28 +384,14 @@ def import_run(connection: Connection, run: Run, press: str, press_file: str, ag
     channels = tuple(Channel(name, _unit(name)) for name in run.columns)
     key = register_press(connection, press, channels, press_file, "imported")
     number = key.next_number
-    columns = zip(*(c.tolist() for c in run.columns.values()), strict=True) if run.columns else None
-    cells = list(columns) if columns is not None else [()] * len(run.time_s)
-    faults = row_faults(run) or [{}] * len(cells)
-    rows = [
-        {
-            "press_id": key.press_id,
-            "number": number + i,
-            "unix_s": None,
-            "monotonic_s": time_s,
-            "layout_id": key.layout_id,
-            "readings": readings_json(values),
-            "faults": json.dumps(named, separators=(",", ":")) if named else None,
-        }
-        for i, (time_s, values, named) in enumerate(zip(run.time_s.tolist(), cells, faults, strict=True))
-    ]
-    if rows:
-        connection.execute(insert(SCAN), rows)
-    if remarks := _remarks(run):
-        told_at = [{"press_id": key.press_id, "number": number + i, "texts_json": t} for i, t in remarks.items()]
+    count, faults = len(run.time_s), row_faults(run)
+    for first in range(0, count, _ROWS_AT_ONCE):
+        connection.execute(insert(SCAN), list(_imported_scans(run, first, faults, key)))
+    remarks = ({"press_id": key.press_id, "number": number + i, "texts_json": t} for i, t in _remarks(run))
+    while told_at := list(itertools.islice(remarks, _ROWS_AT_ONCE)):
         connection.execute(insert(SCAN_REMARK), told_at)
     now = max(unix_of(datetime.now(UTC)) - ago_s, 0.0)
-    lasted_s = min(float(run.time_s[-1] - run.time_s[0]), now) if rows else 0.0
+    lasted_s = min(float(run.time_s[-1] - run.time_s[0]), now) if count else 0.0
     started = told.get("started_unix_s", now - lasted_s)
     connection.execute(
         insert(RUN),
@@ -412,7 +403,7 @@ def import_run(connection: Connection, run: Run, press: str, press_file: str, ag
             "ended_unix_s": min(started + lasted_s, LATEST_UNIX_S),
             "zero_monotonic_s": 0.0,
             "first_scan": number,
-            "last_scan": number + len(rows) - 1,
+            "last_scan": number + count - 1,
             **_header_columns({k: v for k, v in {**run.header, "run": run.name}.items() if k != REMARK}),
             **told,
         },
@@ -420,12 +411,37 @@ def import_run(connection: Connection, run: Run, press: str, press_file: str, ag
     return run.name
 
 
-def _remarks(run: Run) -> dict[int, str]:
-    """Return by row what its text columns say, but for qualities that are kept as such."""
+def _imported_scans(
+    run: Run, first: int, faults: Sequence[Mapping[str, Quality]] | None, key: PressKey
+) -> Iterator[dict[str, Any]]:
+    """Yield a piece of a run, from a row on, as rows of the table of scans."""
+    part = slice(first, first + _ROWS_AT_ONCE)
+    times = run.time_s[part].tolist()
+    cells = (
+        zip(*(c[part].tolist() for c in run.columns.values()), strict=True)
+        if run.columns
+        else itertools.repeat(())
+    )
+    named_in = faults[part] if faults else itertools.repeat({})
+    rows = zip(times, cells, named_in, strict=False)  # what repeats has no end
+    for i, (time_s, values, named) in enumerate(rows, key.next_number + first):
+        yield {
+            "press_id": key.press_id,
+            "number": i,
+            "unix_s": None,
+            "monotonic_s": time_s,
+            "layout_id": key.layout_id,
+            "readings": readings_json(values),
+            "faults": json.dumps(named, separators=(",", ":")) if named else None,
+        }
+
+
+def _remarks(run: Run) -> Iterator[tuple[int, str]]:
+    """Yield by row what its text columns say, but for qualities that are kept as such."""
     columns = {n: texts for n, texts in run.texts.items() if n != QUALITY or row_faults(run) is None}
     rows = (dict(zip(columns, texts, strict=True)) for texts in zip(*columns.values(), strict=True))
     said = ({name: text for name, text in row.items() if text} for row in rows)
-    return {i: json.dumps(texts, ensure_ascii=False) for i, texts in enumerate(said) if texts}
+    yield from ((i, json.dumps(texts, ensure_ascii=False)) for i, texts in enumerate(said) if texts)
 
 
 def _check_name(run: Run) -> None:

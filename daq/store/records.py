@@ -202,6 +202,28 @@ class JournalEntry:
 
 
 @dataclass(frozen=True)
+class RunCore:
+    """What the live sensor said of a run's core, in three numbers; NaN where it said nothing valid."""
+
+    at_opening_celsius: float
+    band_at_opening_kelvin: float
+    """Width of the 95 % band."""
+    highest_celsius: float
+
+
+@dataclass(frozen=True)
+class NextPanel:
+    """What is said of the panels to come at a press."""
+
+    press: str
+    utc: datetime
+    who: str
+    recipe: str
+    """Empty without one."""
+    header: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
 class ProcessStatus:
     """The newest sign of life of a process."""
 

@@ -161,3 +161,5 @@ EVENT = _table(
     message_json=Text,
 )
 STATUS = _table("status", "process", process=Text, unix_s=Double, status_json=Text)
+NEXT_PANEL = _table("next_panel", "press", press=Text, unix_s=Double, who=Text, recipe=Text, header_toml=Text)
+RECIPE = _table("recipe", "name", name=Text, header_toml=Text)

@@ -14,7 +14,7 @@ from typing import Any, Literal
 from sqlalchemy import text
 
 from daq.records import Channel, PressEvent, Run, Scan
-from daq.store import journal, reading, recording, results, upkeep
+from daq.store import cores, journal, next_panel, reading, recording, results, upkeep
 from daq.store.convert import known_utc
 from daq.store.database import BUSY_S, Database
 from daq.store.origin import header_for_file
@@ -25,10 +25,12 @@ from daq.store.records import (
     ModelRecord,
     ModelStatus,
     NewRun,
+    NextPanel,
     Page,
     PressKey,
     ProcessStatus,
     RunChange,
+    RunCore,
     RunEnd,
     RunRecord,
     RunStatus,
@@ -158,6 +160,25 @@ class Store:
         with self.database.writing() as connection:
             recording.annotate_run(connection, run, changes, who)
 
+    def next_panel(self, press: str) -> NextPanel | None:
+        """Return what is said of the next panel of a press, None where nothing is."""
+        with self.database.reading() as connection:
+            return next_panel.next_panel(connection, press)
+
+    def put_next_panel(self, press: str, header: Mapping[str, Any], recipe: str, who: str) -> None:
+        """Say what the next panels of a press are; nothing, with neither header nor recipe.
+
+        A recipe given with header keys is kept under its name; alone it stands for those kept.
+        Raises `InputError`.
+        """
+        with self.database.writing() as connection:
+            next_panel.put_next_panel(connection, press, header, recipe, who)
+
+    def recipes(self) -> dict[str, dict[str, Any]]:
+        """Return the header keys of all recipes by name."""
+        with self.database.reading() as connection:
+            return next_panel.recipes(connection)
+
     # --- runs and scans -----------------------------------------------------------------------------
 
     def presses(self) -> dict[str, str]:
@@ -195,6 +216,11 @@ class Store:
         """Return the records of these runs by name, all in one query."""
         with self.database.reading() as connection:
             return reading.run_records(connection, runs)
+
+    def run_cores(self, runs: Sequence[str]) -> dict[str, RunCore]:
+        """Return core and band at opening and the highest core of each run that has a valid estimate."""
+        with self.database.reading() as connection:
+            return cores.run_cores(connection, runs)
 
     def open_run(self, press: str) -> RunRecord | None:
         """Return the run being recorded now, or None."""

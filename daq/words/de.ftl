@@ -37,6 +37,7 @@ limit-greater-than-equal = muss mindestens { NUMBER($limit, maximumFractionDigit
 limit-less-than = muss kleiner als { NUMBER($limit, maximumFractionDigits: 6) } sein
 limit-less-than-equal = darf höchstens { NUMBER($limit, maximumFractionDigits: 6) } sein
 list-of-names = { $names }
+number-unknown = nicht bekannt
 place-line = Zeile { NUMBER($line) }
 place-row = Reihe { NUMBER($row) }
 plain-text = { $text }
@@ -47,9 +48,7 @@ toml-too-deep = Tabellen oder Listen mehr als { NUMBER($deepest) } Ebenen tief v
 ## daq.drivers: loggers, wires, calibration
 
 calibration-entry = Eintrag { NUMBER($number) }: { $what }
-calibration-gain-outside = { $channel }: Verstärkung { NUMBER($gain, minimumFractionDigits: 3, maximumFractionDigits: 3) } liegt außerhalb von { NUMBER($smallest) }..{ NUMBER($largest) }; Verdrahtung prüfen
 calibration-other-tables = nur Tabellen [[calibration]] sind bekannt, gefunden: { $found }
-calibration-points-close = { $channel }: Anzeigen { NUMBER($low, maximumFractionDigits: 2) } und { NUMBER($high, maximumFractionDigits: 2) } °C liegen näher als { NUMBER($apart_K) } K beieinander; Punkte weiter auseinander wählen
 cause-babble = die Leitung schweigt nie
 cause-busy = beschäftigt
 cause-closed = geschlossen
@@ -213,8 +212,11 @@ foreign-too-short =
         [one] hat eine Zeile, aber file.header_line = { NUMBER($header_line) }
        *[other] hat { NUMBER($lines) } Zeilen, aber file.header_line = { NUMBER($header_line) }
     }
+foreign-variant-twice = der Name dieser Datei passt zu zwei Varianten von '{ $of }', '{ $first }' und '{ $second }'; beide unterscheiden
+foreign-variant-unknown = der Name dieser Datei passt zu keiner Variante von '{ $of }' in der Zuordnung ({ $known }); eine [[variant]] hinzufügen, die sagt, was für sie gilt, oder die Datei umbenennen
 frame-without-rows = { $run }: die Tabelle hat keine Zeilen; eine Pressung braucht mindestens eine Messzeile
-frame-without-times = { $run }: die Tabelle hat keine Zeiten; geben Sie eine Spalte oder einen Index time_s in Sekunden an, oder einen Index aus Zeitpunkten (Spalten sind { $columns })
+frame-without-start = Der Kopf sagt nicht, wann die Pressung begann; { $key } als Zeitpunkt mit Zeitzone angeben oder time_s nehmen
+frame-without-times = { $run }: die Tabelle hat keine Zeiten; eine Spalte oder einen Index time_s in Sekunden angeben, oder einen Index aus Zeitpunkten (Spalten sind { $columns })
 header-far-from-table = Kopfschlüssel { $key } = { NUMBER($value) } { $unit } liegt weit von den { NUMBER($table) } { $unit } der Werkstofftabelle für { $material }; bitte prüfen
 header-key-meant = Kopfschlüssel { $key } ist unbekannt; gemeint ist wohl { $meant }
 header-key-twice = Kopfschlüssel { $key } ist zweimal angegeben; einen behalten
@@ -233,15 +235,18 @@ manifest-line = nicht 'SHA-256-Summe, zwei Leerzeichen, Datei'; die Zeile entfer
 mapping-header-source = header_from.{ $key }.column = '{ $column }': keine [[column]] führt dorthin
 mapping-no-zone = muss eine Zeitzone wie Europe/Berlin sein
 mapping-target-twice = column.to = '{ $column }' kommt zweimal vor; jede Spalte der Laufdatei hat eine Quelle
+mapping-term-unknown = computed.to = '{ $to }': keine [[column]] führt zu seinem Glied '{ $column }'
+mapping-variant-of-nothing = required_variants: keine [[variant]] hat of = '{ $of }'
 press-boundary-needs-coefficient = kind = "air" braucht coefficient, den Namen des Wärmeübergangskoeffizienten
 press-boundary-needs-column = kind = "measured" braucht column, die Spalte der Laufdatei mit der Temperatur
+press-boundary-no-flux-of-run = from_run gehört zu kind = "flux", nicht zu { $kind }: der Wärmestrom kommt damit aus dem Kopf des Laufs
 press-coefficient-unused = { $name }: kein Kontakt und kein Rand verwendet ihn; verwendet werden { $used }
 press-contact-cannot-part = { $boundary } ist von der Art '{ $kind }', von der sich keine Schicht trennt; einen Namen angeben
 press-contact-no-neighbours = keine Nachbarn, von unten nach oben genannt; möglich sind { $possible }
 press-contact-twice = zweimal angegeben
 press-depth-outside = außerhalb der Schicht '{ $layer }', die { NUMBER($thickness_mm) } mm dick ist
 press-guess-outside = guess = { NUMBER($guess) } liegt außerhalb von lower..upper = { NUMBER($lower) }..{ NUMBER($upper) }
-press-initial-needs = kind = "uniform" braucht temperature_C
+press-initial-needs = kind = "uniform" braucht temperature_C, oder eine Schicht mit from_run, deren Anfang dann gilt
 press-layer-needs = braucht { $keys } (oder from_run = true)
 press-layer-surplus = from_run = true nimmt die Kennwerte aus der Pressung; { $keys } entfernen
 press-layer-twice = Schichten brauchen verschiedene Namen; { $names } kommt zweimal vor
@@ -371,6 +376,7 @@ model-rolled-back = zurückgenommen
 model-through-api = über die API
 model-version-missing = Modellversion '{ $version }' ist nicht im Datenspeicher
 model-version-taken = Modellversion '{ $version }' ist schon im Datenspeicher; Versionen ändern sich nie
+recipe-unknown = Rezept '{ $recipe }' gibt es nicht; es gibt: { $known }
 restore-differs = Datenspeicher { $store }: enthält nach dem Einspielen { $found }, die Sicherung { $expected }
 run-end-without-run = Das Ende der Pressung { $run } bei Messzeile { $scan } findet keine solche Pressung im Datenspeicher; ihre Messzeilen sind erhalten
 run-renamed = Pressung { $run } ist schon im Datenspeicher; diese Pressung wird als { $name } gespeichert
@@ -384,6 +390,7 @@ store-cursor = Cursor '{ $cursor }': gehört nicht zu dieser Liste; next_cursor 
 store-damaged = Datenspeicher { $store }: die Datei ist beschädigt: { $error }; das Lesbare sichern, dann die neueste heile Sicherung mit kerntemp backup --restore einspielen
 store-file-gone = Datenspeicher { $store }: die Datei wurde gelöscht oder verschoben; ein laufendes kerntemp record legt sie wieder an, sonst die neueste Sicherung einspielen
 store-foreign-view = Datenspeicher { $store }: die Sicht { $view } ist nicht von Kerntemp und steht auf einer, die diese Version ändert; sie löschen, neu starten und neu anlegen
+store-gives-no-reason = ohne Angabe eines Grundes
 store-header-wrong = { $file }: Kopfzeile { $key } = { $value }: muss { $wanted } sein; berichtigen oder weglassen
 store-is-folder = Datenspeicher { $store }: ist ein Ordner; den Pfad einer Datei darin angeben
 store-missing = Datenspeicher { $store }: gibt es nicht; kerntemp record starten oder den richtigen Pfad angeben
@@ -448,109 +455,109 @@ place-depth = { $body }, { NUMBER($depth_mm, maximumFractionDigits: 4) } mm übe
 place-middle = { $body }, Mitte
 place-top = { $body }, Oberseite
 effect-clock_offset-called = Uhren, die voneinander abweichen
-effect-clock_offset-confirmed-by = Berühren Sie einen Heizplatten- und einen Plattenfühler gleichzeitig mit einem Lötkolben und vergleichen Sie.
+effect-clock_offset-confirmed-by = Einen Heizplatten- und einen Plattenfühler gleichzeitig mit einem Lötkolben berühren und vergleichen.
 effect-clock_offset-core = Für sich keine, aber sie verfälscht die Kontaktkoeffizienten.
 effect-clock_offset-meaning = Die Plattenkanäle tragen spätere (oder frühere) Zeiten als die Heizplattenkanäle und der Endschalter.
 effect-clock_offset-symptom = Jeder Knick der Plattenmessung kommt um dieselbe Zeit zu spät, beim Schließen wie beim Öffnen.
 effect-conductivity_offset-called = andere Wärmeleitfähigkeit als angegeben
-effect-conductivity_offset-confirmed-by = Messen Sie die Wärmeleitfähigkeit dieser Platte, oder pressen Sie verschiedene Dicken.
+effect-conductivity_offset-confirmed-by = Die Wärmeleitfähigkeit dieser Platte messen oder verschiedene Dicken pressen.
 effect-conductivity_offset-core = Der Kern ist heißer (Verhältnis über 1) oder kühler, etwa 1 K je 5 %.
 effect-conductivity_offset-meaning = Die Wärmeleitfähigkeit der Platte weicht vom Wert in den Kopfdaten ab.
 effect-conductivity_offset-symptom = Die Seiten laufen in jedem Zustand mit der Wurzel der Zeit von der Simulation weg.
 effect-conductivity_temperature-called = Wärmeleitfähigkeit, die von der Temperatur abhängt
-effect-conductivity_temperature-confirmed-by = Messen Sie die Wärmeleitfähigkeit bei 25 und 100 °C (Zweiplattengerät), oder pressen Sie eine Platte mit Kernfühler.
+effect-conductivity_temperature-confirmed-by = Die Wärmeleitfähigkeit bei 25 und 100 °C messen (Zweiplattengerät) oder eine Platte mit Kernfühler pressen.
 effect-conductivity_temperature-core = Steigt die Wärmeleitfähigkeit, ist der Kern 1 bis 4 K heißer als simuliert.
 effect-conductivity_temperature-meaning = Die Platte leitet Wärme heiß anders als bei Raumtemperatur.
 effect-conductivity_temperature-symptom = Gegen Ende der Pressung und nach dem Öffnen laufen die Seiten von der Simulation weg, bei dicken Platten stärker.
 effect-contact_asymmetry-called = ungleicher Kontakt oben und unten
-effect-contact_asymmetry-confirmed-by = Drehen Sie die Platte um, oder tauschen Sie die Pressbleche.
+effect-contact_asymmetry-confirmed-by = Die Platte umdrehen oder die Pressbleche tauschen.
 effect-contact_asymmetry-core = In der Mitte unter 1 K; die heißeste Ebene wandert aus der Mitte.
 effect-contact_asymmetry-meaning = Oberer und unterer Kontakt sind in der geschlossenen Presse verschieden; der Koeffizient ist ihr geometrisches Mittel.
 effect-contact_asymmetry-symptom = Nach dem Schließen liegt eine Seite über der Simulation, die andere darunter.
 effect-contact_buildup-called = Kontakt, der sich nach dem Schließen aufbaut
-effect-contact_buildup-confirmed-by = Wiederholen Sie mit unbeschichteten Platten und doppelter Schließgeschwindigkeit; zeichnen Sie den Druck auf.
+effect-contact_buildup-confirmed-by = Mit unbeschichteten Platten und doppelter Schließgeschwindigkeit wiederholen; den Druck aufzeichnen.
 effect-contact_buildup-core = Klein, einige Zehntel Kelvin, aber er verfälscht die Koeffizienten bis zum Faktor 1,8.
 effect-contact_buildup-meaning = Der Kontakt zwischen Presse und Platte wächst nach dem Schließen noch einige Sekunden (das Harz schmilzt und fließt).
 effect-contact_buildup-symptom = In den ersten Sekunden nach dem Schließen steigen die Seiten langsamer als simuliert, dann holen sie auf.
 effect-contact_load-called = Kontakt, der vom Druck abhängt
-effect-contact_load-confirmed-by = Pressen Sie gleiche Platten mit drei Drücken.
+effect-contact_load-confirmed-by = Gleiche Platten mit drei Drücken pressen.
 effect-contact_load-core = Unter 1 K; wichtig, wenn der Druck geändert wird.
 effect-contact_load-meaning = Der Kontakt zwischen Presse und Platte wird mit dem Druck besser.
 effect-contact_load-symptom = Die Abweichungen nach dem Schließen haben bei niedrigem und hohem Druck verschiedenes Vorzeichen.
 effect-density_profile-called = Deckschichten dichter als die Mitte
-effect-density_profile-confirmed-by = Messen Sie das Dichteprofil (Röntgen), oder pressen Sie eine Platte mit Kernfühler.
+effect-density_profile-confirmed-by = Das Dichteprofil messen (Röntgen) oder eine Platte mit Kernfühler pressen.
 effect-density_profile-core = Der Kern liegt 1 bis 3 K daneben, weil seine Schichten weniger Wärme speichern und schlechter leiten.
 effect-density_profile-meaning = Die Deckschichten der Platte sind dichter als ihre Mitte; Dichte und Wärmeleitfähigkeit folgen 1 + a (z^4 - 0,2).
 effect-density_profile-symptom = Die Seiten nehmen gleich nach dem Schließen mehr Wärme auf als simuliert und später weniger.
 effect-edge_loss-called = Wärmeverlust am Rand
-effect-edge_loss-confirmed-by = Dämmen Sie den Rand, oder vergleichen Sie Fühler am Rand mit solchen in der Mitte.
+effect-edge_loss-confirmed-by = Den Rand dämmen oder Fühler am Rand mit solchen in der Mitte vergleichen.
 effect-edge_loss-core = In einer langen Pressung ist der Kern 2 bis 4 K kühler als simuliert.
 effect-edge_loss-meaning = Wärme geht über den Rand der Platte verloren.
 effect-edge_loss-symptom = Lange Pressungen bleiben unter der Simulation; Fühler am Rand zeigen weniger als solche in der Mitte.
 effect-entry-not-an-effect = Entry Point { $name } = { $value }: kein softsensor.effects.Effect
 effect-exists-already = Entry Point { $name }: einen Effekt { $effect } gibt es schon
 effect-heat_capacity_offset-called = andere Wärmekapazität als angegeben
-effect-heat_capacity_offset-confirmed-by = Wiegen und vermessen Sie die Platte; messen Sie ihre Wärmekapazität; pressen Sie verschiedene Dicken.
+effect-heat_capacity_offset-confirmed-by = Die Platte wiegen und vermessen; ihre Wärmekapazität messen; verschiedene Dicken pressen.
 effect-heat_capacity_offset-core = Der Kern ist kühler (Verhältnis über 1) oder heißer, etwa 1 K je 5 %.
 effect-heat_capacity_offset-meaning = Dichte mal Wärmekapazität der Platte weicht vom Wert in den Kopfdaten ab.
 effect-heat_capacity_offset-symptom = Die Seiten laufen in jedem Zustand von der Simulation weg, bei dicken Platten zu Beginn am wenigsten.
 effect-heat_capacity_temperature-called = Wärmekapazität, die von der Temperatur abhängt
-effect-heat_capacity_temperature-confirmed-by = Messen Sie die Wärmekapazität von 20 bis 100 °C (DSC), oder pressen Sie eine Platte mit Kernfühler.
+effect-heat_capacity_temperature-confirmed-by = Die Wärmekapazität von 20 bis 100 °C messen (DSC) oder eine Platte mit Kernfühler pressen.
 effect-heat_capacity_temperature-core = Steigt die Wärmekapazität, ist der Kern 1 bis 2 K kühler als simuliert.
 effect-heat_capacity_temperature-meaning = Die Platte braucht heiß mehr Wärme je Kelvin als bei Raumtemperatur.
 effect-heat_capacity_temperature-symptom = Nach dem Öffnen kühlen die Seiten langsamer ab als simuliert, während das Aufheizen passt.
 effect-initial_press_state-called = Pressbleche noch nicht auf Ruhetemperatur
-effect-initial_press_state-confirmed-by = Warten Sie zwei Minuten zwischen Pressungen, oder kleben Sie einen Fühler auf ein Pressblech.
+effect-initial_press_state-confirmed-by = Zwei Minuten zwischen Pressungen warten oder einen Fühler auf ein Pressblech kleben.
 effect-initial_press_state-core = Unter 0,5 K.
 effect-initial_press_state-meaning = Die Pressbleche sind noch kühler (oder wärmer) als in Ruhe, wenn die Platte eingelegt wird.
 effect-initial_press_state-symptom = Die untere Seite weicht vom Einlegen an ab, und die Abweichung klingt binnen einer Minute ab.
 effect-moisture_evaporation-called = verdampfende Feuchte
-effect-moisture_evaporation-confirmed-by = Wiegen Sie die Platte vor und nach dem Pressen, oder pressen Sie eine darrtrockene.
+effect-moisture_evaporation-confirmed-by = Die Platte vor und nach dem Pressen wiegen oder eine darrtrockene pressen.
 effect-moisture_evaporation-core = Sobald Dampf entsteht, wird der Kern langsamer heiß als simuliert und bleibt mehrere Kelvin darunter.
 effect-moisture_evaporation-meaning = In der Platte verdampft Wasser, entweicht und nimmt seine Verdampfungswärme mit.
 effect-moisture_evaporation-symptom = Die Messung steigt nahe 85 bis 115 °C nicht weiter oder bleibt zurück und liegt danach unter der Simulation.
 effect-not-in-catalogue = Effekt { $name } steht nicht im Katalog; bekannt sind { $known }
 effect-open_radiation-called = Strahlung in der offenen Presse
-effect-open_radiation-confirmed-by = Halten Sie vor dem Schließen Aluminiumfolie zwischen Platte und oberes Blech.
+effect-open_radiation-confirmed-by = Vor dem Schließen Aluminiumfolie zwischen Platte und oberes Blech halten.
 effect-open_radiation-core = Unter 0,2 K.
 effect-open_radiation-meaning = In der offenen Presse strahlt das heiße obere Blech auf die Platte.
 effect-open_radiation-symptom = Die obere Seite ist in der offenen Presse wärmer als simuliert, vor dem Schließen und nach dem Öffnen.
 effect-paper_layer-called = eine dämmende Papierschicht
-effect-paper_layer-confirmed-by = Pressen Sie dieselbe Platte unbeschichtet.
+effect-paper_layer-confirmed-by = Dieselbe Platte unbeschichtet pressen.
 effect-paper_layer-core = Einige Zehntel Kelvin.
 effect-paper_layer-meaning = Das imprägnierte Papier auf beiden Seiten dämmt und speichert Wärme.
 effect-paper_layer-symptom = Die Seiten antworten später als simuliert auf das Schließen, und der Koeffizient der offenen Presse fällt zu klein aus.
 effect-platen_offset-called = eine Heizplattenmessung, die danebenliegt
-effect-platen_offset-confirmed-by = Vergleichen Sie die Heizplattenfühler bei Betriebstemperatur mit einem kalibrierten.
+effect-platen_offset-confirmed-by = Die Heizplattenfühler bei Betriebstemperatur mit einem kalibrierten vergleichen.
 effect-platen_offset-core = Etwa 0,3 K je Kelvin.
 effect-platen_offset-meaning = Die Heizplattenfühler zeigen immer gleich viel zu wenig (positiv) oder zu viel (negativ).
 effect-platen_offset-symptom = In einer langen Pressung enden beide Seiten neben der Simulation, im Verhältnis zur aufgenommenen Wärme.
 effect-resin_cure-called = Wärme des aushärtenden Harzes
-effect-resin_cure-confirmed-by = Pressen Sie dieselbe Platte ein zweites Mal: ausgehärtetes Harz gibt keine Wärme mehr ab.
+effect-resin_cure-confirmed-by = Dieselbe Platte ein zweites Mal pressen: ausgehärtetes Harz gibt keine Wärme mehr ab.
 effect-resin_cure-core = Klein: einige Zehntel Kelvin.
 effect-resin_cure-meaning = Das Harz gibt beim Aushärten an beiden Seiten Reaktionswärme ab.
 effect-resin_cure-symptom = In den ersten 5 bis 30 s nach dem Schließen schießen die Seiten über die Simulation hinaus und kehren dann zurück.
 effect-sensor_fault-called = ein gestörter Fühler
-effect-sensor_fault-confirmed-by = Prüfen Sie die genannten Fühler: Befestigung, Polung, Steckplatz.
+effect-sensor_fault-confirmed-by = Die genannten Fühler prüfen: Befestigung, Polung, Steckplatz.
 effect-sensor_fault-core = Keine: der Kanal wird weggelassen.
 effect-sensor_fault-meaning = Einzelne Kanäle sind lose, driften oder sind vertauscht.
 effect-sensor_fault-symptom = Ein Kanal weicht von seinen Nachbarn auf derselben Seite ab.
 effect-thermocouple_footprint-called = Plattenfühler, die eine Mischung messen
-effect-thermocouple_footprint-confirmed-by = Nehmen Sie dünneren Draht, oder legen Sie einen Fühler unter Folie.
+effect-thermocouple_footprint-confirmed-by = Dünneren Draht nehmen oder einen Fühler unter Folie legen.
 effect-thermocouple_footprint-core = Unter 0,1 K, aber sie verfälschen die Kontaktkoeffizienten.
 effect-thermocouple_footprint-meaning = In der geschlossenen Presse messen die Plattenfühler eine Mischung aus Plattenseite und Pressblech.
 effect-thermocouple_footprint-symptom = Die Messung springt beim Schließen hinauf und beim Öffnen hinab, um einen Teil des Temperatursprungs am Kontakt.
 effect-thermocouple_lag-called = Plattenfühler, die spät antworten
-effect-thermocouple_lag-confirmed-by = Tauchen Sie einen Fühler in heißes Wasser und zeichnen Sie die Sprungantwort auf.
+effect-thermocouple_lag-confirmed-by = Einen Fühler in heißes Wasser tauchen und die Sprungantwort aufzeichnen.
 effect-thermocouple_lag-core = Für sich keine, aber sie verfälschen die Kontaktkoeffizienten bis zum Faktor 3.
 effect-thermocouple_lag-meaning = Die Plattenfühler antworten spät.
 effect-thermocouple_lag-symptom = Die Messung hinkt der Simulation um so mehr nach, je steiler sie ist, am meisten in der Sekunde nach dem Schließen.
 effect-vapour_convection-called = Dampf, der Wärme trägt
-effect-vapour_convection-confirmed-by = Pressen Sie eine Opferplatte mit Fühler in der Mitte.
+effect-vapour_convection-confirmed-by = Eine Opferplatte mit Fühler in der Mitte pressen.
 effect-vapour_convection-core = Der Kern ist heißer als simuliert, meist um 2 bis 7 K.
 effect-vapour_convection-meaning = In der geschlossenen Presse trägt Dampf Wärme aus Schichten über 100 °C in kühlere.
 effect-vapour_convection-symptom = Die Seiten brauchen in der geschlossenen Presse mehr Wärme als simuliert; der Kern eilt um Kelvin voraus.
-effect-without-words = Effekt { $name }: englische Worte fehlen für { $lacking }; geben Sie sie in seinen `words`
+effect-without-words = Effekt { $name }: englische Worte fehlen für { $lacking }; in seinen `words` angeben
 parameter-amount = { $value } { $unit }
 parameter-interval = { NUMBER($low, maximumSignificantDigits: 3) } bis { NUMBER($high, maximumSignificantDigits: 3) }
 parameter-told = { $words } ({ $name }): { $amount }
@@ -590,21 +597,24 @@ unit-times-the-lower-contact = mal der untere
 all-columns = alle Spalten
 boundary-column-missing = { $run }: die Spalte '{ $column }' fehlt; boundary.{ $end } braucht sie (die Pressung hat { $columns })
 boundary-empty = { $run }: die Spalte '{ $column }' enthält keinen Wert; boundary.{ $end } braucht sie
-boundary-gap = { $run }: die Spalte '{ $column }' ist { NUMBER($seconds, minimumFractionDigits: 1, maximumFractionDigits: 1) } s lang leer um time_s = { $time }; höchstens { NUMBER($most, maximumFractionDigits: 6) } s von boundary.{ $end } werden überbrückt: teilen Sie die Laufdatei dort
-boundary-impossible = { $run }: Spalte '{ $column }' = { $value } °C bei time_s = { $time }: boundary.{ $end } muss zwischen { NUMBER($lower, maximumFractionDigits: 6) } und { NUMBER($upper, maximumFractionDigits: 6) } °C liegen; leeren Sie die Zelle
-coefficient-missing = Koeffizient { $name } fehlt; geben Sie alle an: { $all }
+boundary-gap = { $run }: die Spalte '{ $column }' ist { NUMBER($seconds, minimumFractionDigits: 1, maximumFractionDigits: 1) } s lang leer um time_s = { $time }; höchstens { NUMBER($most, maximumFractionDigits: 6) } s von boundary.{ $end } werden überbrückt: die Laufdatei dort teilen
+boundary-impossible = { $run }: Spalte '{ $column }' = { $value } °C bei time_s = { $time }: boundary.{ $end } muss zwischen { NUMBER($lower, maximumFractionDigits: 6) } und { NUMBER($upper, maximumFractionDigits: 6) } °C liegen; die Zelle leeren
+coefficient-missing = Koeffizient { $name } fehlt; alle angeben: { $all }
 coefficient-negative = { $name } = { $value } W/m²K: muss eine endliche Zahl sein, mindestens 0
 header-ambient-impossible = { $run }: Kopfdaten ambient.temperature_C = { $value }: muss eine Zahl von { NUMBER($lower, maximumFractionDigits: 6) } bis { NUMBER($upper, maximumFractionDigits: 6) } sein
-header-pressure-impossible = { $run }: Kopfdaten setting.pressure_N_cm2 = { $value }: muss eine Zahl über 0 N/cm² sein; berichtigen Sie sie, oder lassen Sie sie weg, wo sie nicht bekannt ist
+header-pressure-impossible = { $run }: Kopfdaten setting.pressure_N_cm2 = { $value }: muss eine Zahl über 0 N/cm² sein; berichtigen oder, wo sie nicht bekannt ist, weglassen
+header-table-not-rising = Kopfschlüssel { $key }: die Temperaturen der Tabelle steigen nicht von Zeile zu Zeile
+header-table-rows = Kopfschlüssel { $key } = { $value }: eine Tabelle hat Zeilen aus Temperatur und Wert, [[20, 0.12], [100, 0.14]]
+header-verdict = { $key } = { $value } ist kein Urteil; eines von { $known }
 layer-from-run-without-panel = Schicht '{ $layer }' nimmt ihre Werte aus der Pressung, und es gibt keine Platte
 layer-incomplete = Schicht '{ $layer }': Dichte oder Dicke fehlt
-layer-value-impossible = { $run }: layer.{ $number }.{ $key } = { $value } ('{ $layer }'): muss eine Zahl von { NUMBER($lower, maximumFractionDigits: 6) } bis { NUMBER($upper, maximumFractionDigits: 6) } sein; berichtigen Sie die Pressendatei
-load-column-empty = { $run }: Druckspalte '{ $column }' enthält keinen Wert über 0: { $contacts } wird als unabhängig vom Druck gerechnet; geben Sie die Spalte an, oder nehmen Sie load aus der Pressendatei
-load-column-missing = { $run }: Druckspalte '{ $column }' fehlt (vorhanden: { $columns }): { $contacts } wird als unabhängig vom Druck gerechnet; geben Sie die Spalte an, oder nehmen Sie load aus der Pressendatei
-load-gap = { $run }: Druckspalte '{ $column }' ist { NUMBER($seconds, minimumFractionDigits: 1, maximumFractionDigits: 1) } s lang leer um time_s = { $time }; höchstens { NUMBER($most, maximumFractionDigits: 6) } s eines Drucks werden überbrückt: teilen Sie die Laufdatei dort, oder lassen Sie die Spalte weg
-load-impossible = { $run }: Druckspalte '{ $column }' = { $value } bei time_s = { $time }: muss eine endliche Zahl sein, nicht unter 0; leeren Sie die Zelle, oder berichtigen Sie Vorzeichen oder Nullpunkt der Spalte
-load-zero-while-closed = { $run }: Druckspalte '{ $column }' = { $value } bei time_s = { $time }, wo die Presse geschlossen ist: muss über 0 liegen; leeren Sie die Zelle, oder berichtigen Sie Vorzeichen oder Nullpunkt der Spalte
-model-file-adequacy = { $file }: adequacy ist nicht, wie `fit` es schreibt ({ $error }); lassen Sie den Schlüssel weg
+layer-value-impossible = { $run }: layer.{ $number }.{ $key } = { $value } ('{ $layer }'): muss eine Zahl von { NUMBER($lower, maximumFractionDigits: 6) } bis { NUMBER($upper, maximumFractionDigits: 6) } sein; die Pressendatei berichtigen
+load-column-empty = { $run }: Druckspalte '{ $column }' enthält keinen Wert über 0: { $contacts } wird als unabhängig vom Druck gerechnet; die Spalte angeben oder load aus der Pressendatei nehmen
+load-column-missing = { $run }: Druckspalte '{ $column }' fehlt (vorhanden: { $columns }): { $contacts } wird als unabhängig vom Druck gerechnet; die Spalte angeben oder load aus der Pressendatei nehmen
+load-gap = { $run }: Druckspalte '{ $column }' ist { NUMBER($seconds, minimumFractionDigits: 1, maximumFractionDigits: 1) } s lang leer um time_s = { $time }; höchstens { NUMBER($most, maximumFractionDigits: 6) } s eines Drucks werden überbrückt: die Laufdatei dort teilen oder die Spalte weglassen
+load-impossible = { $run }: Druckspalte '{ $column }' = { $value } bei time_s = { $time }: muss eine endliche Zahl sein, nicht unter 0; die Zelle leeren oder Vorzeichen oder Nullpunkt der Spalte berichtigen
+load-zero-while-closed = { $run }: Druckspalte '{ $column }' = { $value } bei time_s = { $time }, wo die Presse geschlossen ist: muss über 0 liegen; die Zelle leeren oder Vorzeichen oder Nullpunkt der Spalte berichtigen
+model-file-adequacy = { $file }: adequacy ist nicht, wie `fit` es schreibt ({ $error }); den Schlüssel weglassen
 model-file-coefficient-not-positive = { $file }: coefficients.{ $name }.value = { $value }: muss über 0 W/m²K liegen
 model-file-effect-unnamed = { $file }: effects.{ $number } hat keinen Namen
 model-file-no-coefficients = { $file }: keine Modelldatei: der Schlüssel 'coefficients' fehlt
@@ -613,27 +623,28 @@ model-file-no-numbers = { $file }: { $place } = { $value }: braucht die Zahlen v
 model-file-no-table = { $file }: { $place } muss ein Objekt aus NAME: {"{"}value, sd{"}"} sein
 model-file-not-finite = { $file }: { $place }.value ist nicht endlich
 model-file-parameter-unknown = { $file }: effects.{ $number }.parameters.{ $name }: { $effect } hat { $known }
+model-file-scatter = { $file }: scatter ist nicht, wie `fit` es schreibt ({ $error }); den Schlüssel weglassen
 model-file-unreadable = { $file }: die Modelldatei ist nicht zu lesen: { $error }
 parameter-unknown = '{ $name }' ist kein Parameter dieses Modells; es hat { $known }
-run-moments-out-of-order = { $run }: { $later } = { $late } liegt vor { $earlier } = { $early }; prüfen Sie die Spalte closed
+run-moments-out-of-order = { $run }: { $later } = { $late } liegt vor { $earlier } = { $early }; die Spalte closed prüfen
 run-ramp-impossible = { $run }: ramp_s = { $value }: das Schließen dauert eine endliche Zeit, mindestens 0 s
-run-rows-missing = { $run }: keine Zeile während { NUMBER($seconds, minimumFractionDigits: 1, maximumFractionDigits: 1) } s nach time_s = { $time }; höchstens { NUMBER($most, maximumFractionDigits: 6) } s eines gemessenen Rands werden überbrückt: teilen Sie die Laufdatei dort
-run-times-fall = { $run }: time_s = { $time } folgt auf { $before } (Zeile { $row }): Zeiten müssen steigen; berichtigen Sie die Zeile
+run-rows-missing = { $run }: keine Zeile während { NUMBER($seconds, minimumFractionDigits: 1, maximumFractionDigits: 1) } s nach time_s = { $time }; höchstens { NUMBER($most, maximumFractionDigits: 6) } s eines gemessenen Rands werden überbrückt: die Laufdatei dort teilen
+run-times-fall = { $run }: time_s = { $time } folgt auf { $before } (Zeile { $row }): Zeiten müssen steigen; die Zeile berichtigen
 run-too-short =
   { $run }: die Spalte time_s hat { NUMBER($rows) } { $rows ->
     [one] Zeile
    *[other] Zeilen
   }; eine Pressung braucht mindestens zwei
-sensor-outside-layer = { $run }: ein Fühler bei depth_mm = { NUMBER($depth_mm, maximumFractionDigits: 6) } liegt außerhalb der Schicht '{ $layer }', die in dieser Pressung { NUMBER($thickness_mm, maximumFractionDigits: 6) } mm dick ist; berichtigen Sie seine Tiefe oder die Dicke
-solve-exact-contact-changes = method = 'exact': ein Kontakt ändert sich in der geschlossenen Presse; nehmen Sie den impliziten Löser
-solve-exact-moments-too-near = method = 'exact': weniger als vier Schritte in { NUMBER($seconds, maximumFractionDigits: 6) } s zwischen zwei Bewegungen der Presse; nehmen Sie den impliziten Löser
-solve-exact-not-linear = method = 'exact': { $what } ist nicht linear; nehmen Sie den impliziten Löser
+sensor-outside-layer = { $run }: ein Fühler bei depth_mm = { NUMBER($depth_mm, maximumFractionDigits: 6) } liegt außerhalb der Schicht '{ $layer }', die in dieser Pressung { NUMBER($thickness_mm, maximumFractionDigits: 6) } mm dick ist; seine Tiefe oder die Dicke berichtigen
+solve-exact-contact-changes = method = 'exact': ein Kontakt ändert sich in der geschlossenen Presse; den impliziten Löser nehmen
+solve-exact-moments-too-near = method = 'exact': weniger als vier Schritte in { NUMBER($seconds, maximumFractionDigits: 6) } s zwischen zwei Bewegungen der Presse; den impliziten Löser nehmen
+solve-exact-not-linear = method = 'exact': { $what } ist nicht linear; den impliziten Löser nehmen
 solve-table-or-radiation = eine Stoffwerttabelle oder Strahlung
 solve-unknown-method = method = { $method }: muss 'implicit' oder 'exact' sein
 solve-value-out-of-range = { $name } = { $value }: muss eine Zahl von { NUMBER($lower, maximumFractionDigits: 6) } bis { NUMBER($upper, maximumFractionDigits: 6) } sein
-start-layer-without-reading = { $run }: [initial] kind = "sensors" braucht eine Messung in der Schicht '{ $layer }'; leer sind { $columns }: füllen Sie eine, oder geben Sie kind = "steady" oder "uniform" an
+start-layer-without-reading = { $run }: [initial] kind = "sensors" braucht eine Messung in der Schicht '{ $layer }'; leer sind { $columns }: eine füllen oder kind = "steady" oder "uniform" angeben
 start-no-readings = { $run }: [initial] kind = "sensors" braucht eine Messung; alle Plattenkanäle sind leer
-start-not-steady = { $run }: { $why }; geben Sie [initial] kind = "uniform" mit temperature_C an, oder "sensors", oder berichtigen Sie Ränder und Kontakte
+start-not-steady = { $run }: { $why }; [initial] kind = "uniform" mit temperature_C oder "sensors" angeben oder Ränder und Kontakte berichtigen
 start-not-steady-steep = die Ruhetemperaturen sind nicht zu finden: Stoffwerte oder Strahlung ändern sich zu steil mit der Temperatur
 start-not-steady-untied = Schicht '{ $layer }' hängt an keiner Temperatur und hat darum keine Ruhetemperatur
 start-not-steady-untied-without-panel = Schicht '{ $layer }' hängt ohne Platte an keiner Temperatur und hat darum keine Ruhetemperatur
@@ -644,12 +655,16 @@ value-not-finite = { $name } = { $value }: muss eine endliche Zahl sein
 
 ## softsensor.signals: channels
 
+channel-departs = { $column } liest { NUMBER($kelvin, maximumFractionDigits: 0) } K { $side ->
+    [below] unter
+   *[above] über
+ } den Nachbarn und wird in { $run } nicht verwendet
 channel-drifting = Kanal { $column } driftet von seiner Seite weg, um { NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K (RMS), und bleibt weg
 channel-empty = Kanal { $column } hat keinen brauchbaren Wert und bleibt weg
 channel-loose = Kanal { $column } weicht um { NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K (RMS) von seiner Seite ab: Der Fühler ist womöglich lose und bleibt weg
-channel-swapped = Kanal { $column } folgt { $place }: vertauscht? Er bleibt weg
+channel-swapped = Kanal { $column } folgt einer anderen Stelle ({ $place }): vertauscht? Er bleibt weg
 run-no-panel-channel = { $run }: kein brauchbarer Plattenkanal; die Fühler der Pressendatei nennen { $named }
-run-press-state-unknown = { $run }: Pressenzustand unbekannt: keine Plattenspalte und keine Spalte 'closed'; ergänzen Sie eine davon, oder nehmen Sie eine Pressendatei ohne offene Kontakte
+run-press-state-unknown = { $run }: Pressenzustand unbekannt: keine Plattenspalte und keine Spalte 'closed'; eine davon ergänzen oder eine Pressendatei ohne offene Kontakte nehmen
 
 ## softsensor.fitting: fits, warnings, what to measure
 
@@ -664,7 +679,7 @@ fit-cells-jump =
        *[other] Kanal { $column }: { $count } einzelne Werte springen um mehr als { $kelvin } K und bleiben weg
     }
 fit-coefficient-unknown = { $name } ist { $verdict }: { $reason }
-fit-coefficient-unused = { $run }: Durch ihre Kopfdaten bleibt der Koeffizient '{ $name }' der Pressendatei ungenutzt; eine Versuchsreihe braucht jeden Koeffizienten in jeder Pressung; passen Sie diese Pressung einzeln an
+fit-coefficient-unused = { $run }: Durch ihre Kopfdaten bleibt der Koeffizient '{ $name }' der Pressendatei ungenutzt; eine Versuchsreihe braucht jeden Koeffizienten in jeder Pressung; diese Pressung einzeln anpassen
 fit-fixed = in der Pressendatei festgelegt
 fit-gap-at-moment =
     keine Zeilen von { NUMBER($begin, minimumFractionDigits: 1, maximumFractionDigits: 1) } s bis { NUMBER($end, minimumFractionDigits: 1, maximumFractionDigits: 1) } s; in diese Lücke fällt { $moment ->
@@ -675,43 +690,42 @@ fit-gap-at-moment =
 fit-misfit-astray = Residuum { NUMBER($rmse, minimumFractionDigits: 1, maximumFractionDigits: 1) } K nach der Anpassung, { NUMBER($first, minimumFractionDigits: 1, maximumFractionDigits: 1) } K davor
 fit-misfit-lost-insertion = Einlegen und Schließen fallen in eine Lücke ihrer Zeilen, { NUMBER($begin, minimumFractionDigits: 1, maximumFractionDigits: 1) } bis { NUMBER($end, minimumFractionDigits: 1, maximumFractionDigits: 1) } s
 fit-misfit-span = { NUMBER($rmse, minimumFractionDigits: 1, maximumFractionDigits: 1) } K bleiben bei Messwerten, die { NUMBER($span, maximumFractionDigits: 0) } K überstreichen
-fit-no-run = keine Pressung angegeben; nennen Sie mindestens eine Datei
+fit-no-run = keine Pressung angegeben; mindestens eine Datei nennen
 fit-no-such-method = Verfahren '{ $method }': erlaubt sind { $methods }
-fit-no-such-parameter = Parameter '{ $name }': Der Effekt { $effect } hat kein '{ $key }'
 fit-no-such-shared = gemeinsamer Koeffizient '{ $name }': erlaubt sind { $names }
 fit-not-converged = die Suche konvergierte nicht; die Koeffizienten stehen, wo sie endete
 fit-not-described = das Modell beschreibt diese Pressung nicht: { $misfit }
-fit-not-described-check = das Modell beschreibt diese Pressung nicht: { $misfit }. Prüfen Sie ihren Kopf, die Pressendatei, und ob ihre Zeilen Einlegen und Schließen zeigen
+fit-not-described-check = das Modell beschreibt diese Pressung nicht: { $misfit }. Zu prüfen sind ihr Kopf, die Pressendatei, und ob ihre Zeilen Einlegen und Schließen zeigen
 fit-nothing-to-fit = { $run }: nichts anzupassen: kein freier Koeffizient oder keine brauchbare Fühlerspalte
-fit-or-joint = Oder nehmen Sie die gemeinsame Schätzung dieser { $runs } Pressungen.
-fit-or-runs = Oder bestimmen Sie ihn aus etwa { $runs } solchen Pressungen gemeinsam.
-fit-or-share = Oder lassen Sie alle Pressungen { $name } teilen (--shared { $name }).
+fit-or-joint = Oder die gemeinsame Schätzung dieser { $runs } Pressungen nehmen.
+fit-or-runs = Oder ihn aus etwa { $runs } solchen Pressungen gemeinsam bestimmen.
+fit-or-share = Oder { $name } in allen Pressungen gleich annehmen (--shared { $name }).
 fit-outside-allowed = { $name } = { NUMBER($value, maximumSignificantDigits: 4) } W/m²K liegt außerhalb dessen, was die Pressung zulässt, { NUMBER($low, maximumSignificantDigits: 4) } bis { NUMBER($high, maximumSignificantDigits: 4) }
 fit-program = Vorhergesagt für { $settings } (95 % der Pressungen):
-fit-program-beyond-limit = { $name }: Der Trend führt zu { NUMBER($value, maximumSignificantDigits: 4) } W/m²K, jenseits der Grenze { $limit } der Pressendatei, die genommen wird; fahren Sie eine Pressung mit diesem Programm, bevor Sie sich darauf verlassen
+fit-program-beyond-limit = { $name }: Der Trend führt zu { NUMBER($value, maximumSignificantDigits: 4) } W/m²K, jenseits der Grenze { $limit } der Pressendatei, die genommen wird; vor dem Einsatz eine Pressung mit diesem Programm fahren
 fit-program-coefficient = {"  "}{ $name } = { NUMBER($value, maximumSignificantDigits: 4) } W/m²K ({ NUMBER($low, maximumSignificantDigits: 4) } bis { NUMBER($high, maximumSignificantDigits: 4) })
-fit-program-outside = { $name } = { $value } { $unit } liegt außerhalb der bisher gefahrenen Programme, { NUMBER($low, maximumSignificantDigits: 4) } bis { NUMBER($high, maximumSignificantDigits: 4) } { $unit }: Der Trend wird fortgesetzt; fahren Sie dort eine Pressung, bevor Sie sich darauf verlassen
+fit-program-outside = { $name } = { $value } { $unit } liegt außerhalb der bisher gefahrenen Programme, { NUMBER($low, maximumSignificantDigits: 4) } bis { NUMBER($high, maximumSignificantDigits: 4) } { $unit }: Der Trend wird fortgesetzt; vor dem Einsatz dort eine Pressung fahren
 fit-program-remark = Hinweis: { $remark }
 fit-reason = { $role } { $why } { $remedy }
 fit-remedy-both-sides = Beide Seiten tragen schon Fühler; kein Messwert hängt von ihm ab.
-fit-remedy-calibrate-channels = Kalibrieren Sie die Kanäle an { $place } bei zwei Temperaturen.
-fit-remedy-calibrate-platen = Kalibrieren Sie den Heizplattenkanal gegen die Plattenkanäle bei einer Temperatur (kerntemp calibrate).
-fit-remedy-change = Ändern Sie die Temperaturen schneller oder weiter.
-fit-remedy-channels = Zeichnen Sie auch die Kanäle an { $place } auf, die dieser Pressung fehlen.
-fit-remedy-check-channels = Prüfen Sie die Kanäle an { $place } vor der Pressung gegen ein Thermometer (kerntemp calibrate).
-fit-remedy-faster = Messen Sie schneller als mit den { NUMBER($hertz, maximumSignificantDigits: 2) } Hz dieser Pressung.
-fit-remedy-faster-and-switch = Messen Sie schneller als mit den { NUMBER($hertz, maximumSignificantDigits: 2) } Hz dieser Pressung, und zeichnen Sie einen Endschalter als Spalte closed auf.
-fit-remedy-go-on = Messen Sie weiter ({ $boundary }), bis sich die Temperatur dort stärker geändert hat.
-fit-remedy-hotter = Wiederholen Sie die Pressung mit heißerer Presse; eine längere Offenzeit hilft nicht.
-fit-remedy-leave-open = Lassen Sie die Platte vor dem Schließen eine Minute statt { NUMBER($seconds, maximumFractionDigits: 0) } s in der offenen Presse.
-fit-remedy-log-on = Messen Sie nach dem Öffnen eine Minute weiter statt { NUMBER($seconds, maximumFractionDigits: 0) } s.
-fit-remedy-pressing = Zeichnen Sie eine Pressung auf, bei der die Presse schließt.
-fit-remedy-stay-closed = Halten Sie die Presse länger geschlossen als die { NUMBER($seconds, maximumFractionDigits: 0) } s dieser Pressung.
-fit-remedy-switch = Zeichnen Sie einen Endschalter als Spalte closed auf.
-fit-remedy-thermocouple = Setzen Sie einen Fühler auf diese Seite: { $layer }, angrenzend { $other }.
+fit-remedy-calibrate-channels = Die Kanäle ({ $place }) bei zwei Temperaturen kalibrieren.
+fit-remedy-calibrate-platen = Den Heizplattenkanal gegen die Plattenkanäle bei einer Temperatur kalibrieren (kerntemp calibrate).
+fit-remedy-change = Die Temperaturen schneller oder weiter ändern.
+fit-remedy-channels = Auch die Kanäle aufzeichnen, die dieser Pressung fehlen ({ $place }).
+fit-remedy-check-channels = Die Kanäle ({ $place }) vor der Pressung gegen ein Thermometer prüfen (kerntemp calibrate).
+fit-remedy-faster = Schneller messen als mit den { NUMBER($hertz, maximumSignificantDigits: 2) } Hz dieser Pressung.
+fit-remedy-faster-and-switch = Schneller messen als mit den { NUMBER($hertz, maximumSignificantDigits: 2) } Hz dieser Pressung und einen Endschalter als Spalte closed aufzeichnen.
+fit-remedy-go-on = Weiter messen ({ $boundary }), bis sich die Temperatur dort stärker geändert hat.
+fit-remedy-hotter = Die Pressung mit heißerer Presse wiederholen; eine längere Offenzeit hilft nicht.
+fit-remedy-leave-open = Die Platte vor dem Schließen eine Minute statt { NUMBER($seconds, maximumFractionDigits: 0) } s in der offenen Presse lassen.
+fit-remedy-log-on = Nach dem Öffnen eine Minute weiter messen statt { NUMBER($seconds, maximumFractionDigits: 0) } s.
+fit-remedy-measure-constant = { $key } an dieser Platte messen und mit { $key }.sd angeben, wie sicher der Wert ist.
+fit-remedy-pressing = Eine Pressung aufzeichnen, bei der die Presse schließt.
+fit-remedy-stay-closed = Die Presse länger geschlossen halten als die { NUMBER($seconds, maximumFractionDigits: 0) } s dieser Pressung.
+fit-remedy-switch = Einen Endschalter als Spalte closed aufzeichnen.
+fit-remedy-thermocouple = Einen Fühler auf diese Seite setzen: { $layer }, angrenzend { $other }.
 fit-role-boundary = Er wirkt hier: { $boundary }.
 fit-role-closed = Er koppelt { $below } und { $above } bei geschlossener Presse ({ NUMBER($seconds, maximumFractionDigits: 0) } s in dieser Pressung).
-fit-role-effect = Er gehört zu einem Effekt.
 fit-role-joined = Er koppelt { $below } und { $above }.
 fit-role-open = Er koppelt { $below } und { $above } bei offener Presse ({ NUMBER($before, maximumFractionDigits: 0) } s vor dem Schließen und { NUMBER($after, maximumFractionDigits: 0) } s nach dem Öffnen in dieser Pressung).
 fit-role-open-face = Er wirkt an einer freien Seite ({ $layer }) bei offener Presse ({ NUMBER($before, maximumFractionDigits: 0) } s vor dem Schließen und { NUMBER($after, maximumFractionDigits: 0) } s nach dem Öffnen in dieser Pressung).
@@ -732,14 +746,15 @@ fit-shortfall-some =
         [one] Sie bleibt bei allem Folgenden weg.
        *[other] Sie bleiben bei allem Folgenden weg.
     }
-fit-start-before-insertion = Kopfzeile panel.initial_temperature_C = { $header }, aber die Plattenkanäle zeigen { NUMBER($read, minimumFractionDigits: 1, maximumFractionDigits: 1) } °C vor dem Einlegen: Die Koeffizienten beruhen darauf; berichtigen Sie den Kopf oder die Kanäle
-fit-start-in-first-row = Kopfzeile panel.initial_temperature_C = { $header }, aber die Plattenkanäle zeigen { NUMBER($read, minimumFractionDigits: 1, maximumFractionDigits: 1) } °C in der ersten Zeile: Die Koeffizienten beruhen darauf; berichtigen Sie den Kopf oder die Kanäle
+fit-start-before-insertion = Kopfzeile panel.initial_temperature_C = { $header }, aber die Plattenkanäle zeigen { NUMBER($read, minimumFractionDigits: 1, maximumFractionDigits: 1) } °C vor dem Einlegen: Die Koeffizienten beruhen darauf; den Kopf oder die Kanäle berichtigen
+fit-start-in-first-row = Kopfzeile panel.initial_temperature_C = { $header }, aber die Plattenkanäle zeigen { NUMBER($read, minimumFractionDigits: 1, maximumFractionDigits: 1) } °C in der ersten Zeile: Die Koeffizienten beruhen darauf; den Kopf oder die Kanäle berichtigen
 fit-stuck = steckengeblieben: Das Verfahren endet { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K (RMS) von den Messwerten; mit den Schätzwerten waren es { NUMBER($first, minimumFractionDigits: 2, maximumFractionDigits: 2) } K, und das übliche Verfahren erreicht { NUMBER($own, minimumFractionDigits: 2, maximumFractionDigits: 2) } K
 fit-two-sentences = { $first } { $second }
 fit-unknown-closing = dem Zeitpunkt des Schließens
-fit-unknown-gain = der Verstärkung der Kanäle an { $place }
+fit-unknown-constant = dem Kennwert { $place } aus Kopf oder Pressendatei
+fit-unknown-gain = der Verstärkung der Kanäle ({ $place })
 fit-unknown-insertion = dem Zeitpunkt des Einlegens
-fit-unknown-offset = dem Versatz der Kanäle an { $place }
+fit-unknown-offset = dem Versatz der Kanäle ({ $place })
 fit-unknown-opening = dem Zeitpunkt des Öffnens
 fit-unknown-platen-bottom = dem Fehler des unteren Heizplattenkanals
 fit-unknown-platen-top = dem Fehler des oberen Heizplattenkanals
@@ -747,7 +762,7 @@ fit-unknown-ramp = der Schließzeit der Presse
 fit-unknown-skew =
     { $place ->
         [all] der Verzögerung der Plattenkanäle
-       *[other] der Verzögerung der Kanäle an { $place }
+       *[other] der Verzögerung der Kanäle ({ $place })
     }
 fit-unknown-start = der Anfangstemperatur der Platte
 fit-verdict-fixed = festgelegt
@@ -768,12 +783,12 @@ core-largest-shift = Im Verlauf einer Pressung ist er bis zu { NUMBER($kelvin, m
        *[cooler] kühler
     }.
 core-no-panel = In diesem Aufbau liegt keine Platte, über einen Kern ist also nichts zu sagen.
-core-not-proven = Fühler an den Seiten können den Kern nicht bestätigen; pressen Sie einige Platten mit Kernfühler.
+core-not-proven = Fühler an den Seiten können den Kern nicht bestätigen; dazu einige Platten mit Kernfühler pressen.
 core-off = Kernfühler, die keine Anpassung gesehen hat, liegen { NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K daneben.
-core-press-time = Für die Kerntemperatur, die das einfache Modell versprach, pressen Sie { NUMBER($seconds, minimumFractionDigits: 1, maximumFractionDigits: 1) } s { $change ->
+core-press-time = Für die Kerntemperatur, die das einfache Modell versprach, { NUMBER($seconds, minimumFractionDigits: 1, maximumFractionDigits: 1) } s { $change ->
         [longer] länger
        *[shorter] kürzer
-    } (mittlere Pressung).
+    } pressen (mittlere Pressung).
 core-shift = { $at ->
         [opening] Beim Öffnen der Presse
        *[end] Am Ende einer Pressung
@@ -783,7 +798,7 @@ core-shift = { $at ->
     }, als das einfache Modell sagt (± { NUMBER($sd, minimumFractionDigits: 1, maximumFractionDigits: 1) } K von Pressung zu Pressung).
 core-thermocouples = Kernfühler, die keine Anpassung gesehen hat, liegen { NUMBER($before, minimumFractionDigits: 1, maximumFractionDigits: 1) } K neben dem einfachen und { NUMBER($after, minimumFractionDigits: 1, maximumFractionDigits: 1) } K neben dem erweiterten Modell.
 core-unchanged = Es kam keine Ursache hinzu, die Kernschätzung bleibt also, wie sie ist.
-diagnosis-no-runs = keine Pressungen für die Diagnose; geben Sie mindestens eine Laufdatei an
+diagnosis-no-runs = keine Pressungen für die Diagnose; mindestens eine Laufdatei angeben
 gain-hardly = { $causes ->
         [one] Damit
        *[other] Mit ihnen
@@ -795,13 +810,14 @@ gain-residual-falls = { $causes ->
     } fällt das Residuum auf ausgelassenen Pressungen von { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } auf { NUMBER($after, minimumFractionDigits: 2, maximumFractionDigits: 2) } K.
 measured-at = { $at } °C
 measured-between = { $low } bis { $high } °C
-next-confirm-and-core = Um den Kern zu kennen, pressen Sie zwei oder drei Opferplatten mit Kernfühler; um die Ursache zu bestätigen: { $confirm }
-next-constants = Messen Sie Wärmeleitfähigkeit und Wärmekapazität der Platte: die Seiten passen, aber die Kernfühler liegen { NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K daneben, es stimmt also etwas nicht, das die Seiten nicht zeigen.
-next-look-there = Pressen Sie drei Opferplatten mit Kernfühler und sehen Sie sich die aufgeführten Zeiten und Stellen an.
-next-more-runs = Pressen Sie mindestens { $more ->
+next-confirm-and-core = Um den Kern zu kennen, zwei oder drei Opferplatten mit Kernfühler pressen; um die Ursache zu bestätigen: { $confirm }
+next-constants = Wärmeleitfähigkeit und Wärmekapazität der Platte messen: die Seiten passen, aber die Kernfühler liegen { NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K daneben, es stimmt also etwas nicht, das die Seiten nicht zeigen.
+next-describe = Dicken, Werkstoffe und Spalten von Pressendatei und Pressungen prüfen, dann eine Platte mit Kernfühler pressen.
+next-look-there = Drei Opferplatten mit Kernfühler pressen und die aufgeführten Zeiten und Stellen ansehen.
+next-more-runs = Mindestens { $more ->
         [one] eine weitere Platte
        *[other] { $more } weitere Platten
-    }, mit verschiedenen Presszeiten und möglichst Dicken: unter { $least } Pressungen ist eine Ursache nicht vom Zufall zu unterscheiden.
+    } pressen, mit verschiedenen Presszeiten und möglichst Dicken: unter { $least } Pressungen ist eine Ursache nicht vom Zufall zu unterscheiden.
 next-none = Keine nötig; ein Kernfühler in einer Opferplatte im Monat würde den Kern bestätigen.
 next-none-confirmed = Keine nötig: Kernfühler bestätigen es (vorher { NUMBER($before, minimumFractionDigits: 1, maximumFractionDigits: 1) } K daneben, nachher { NUMBER($after, minimumFractionDigits: 1, maximumFractionDigits: 1) } K).
 next-tell-apart = Um diese Ursachen zu unterscheiden ({ $causes }): { $confirm }
@@ -842,11 +858,12 @@ verdict-few-runs-off = { $runs } { $runs ->
         [one] Pressung ist
        *[other] Pressungen sind
     } zu wenig, um eine Ursache vom Zufall zu unterscheiden; das einfache Modell liegt { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K daneben, davon sind { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K Rauschen.
-verdict-found-but = Ursachen benannt, aber ein Teil des Residuums bleibt unerklärt: { $causes }.
 verdict-left = Alle Pressungen haben ein Residuum gemeinsam, das keine Ursache des Katalogs erklärt.
 verdict-left-at = Alle Pressungen haben ein Residuum gemeinsam, das keine Ursache des Katalogs erklärt: { $stretch }.
+verdict-not-described = Nichts lässt sich sagen: das Modell liegt { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K daneben, Rauschen allein macht { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K. Pressendatei, Kopfdaten der Pressungen und die Zuordnung der Spalten prüfen.
 verdict-plain-model-explains = Das einfache Modell erklärt diese { $runs } Pressungen auf { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K; Rauschen allein macht { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K.
 verdict-plain-model-explains-the-rest = Ohne sie erklärt das einfache Modell diese { $runs } Pressungen auf { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K.
+verdict-suspected = Verdacht, nicht bewiesen: { $causes }.
 where-further = Dann: { $stretch }.
 where-most = Am weitesten daneben: { $stretch }.
 where-stretch = { NUMBER($kelvin, minimumFractionDigits: 2, maximumFractionDigits: 2) } K { $side ->
@@ -881,6 +898,8 @@ core-will-pass-limit = der Kern wird bis auf { NUMBER($peak_C, maximumFractionDi
 core-will-pass-limit-even-if-opened = der Kern wird { NUMBER($peak_C, maximumFractionDigits: 0) } °C erreichen, selbst wenn die Presse jetzt öffnet, über der Grenze von { NUMBER($limit_C, maximumFractionDigits: 1) } °C
 reason-band-too-wide = Kern nicht bestimmbar: das Band ist breiter als ±{ NUMBER($limit_K, maximumFractionDigits: 0) } K
 reason-calculation-failed = die Rechnung ist fehlgeschlagen und wird neu gestartet
+reason-constants-far-from-the-material = die Stoffwerte der Kopfdaten liegen weit neben denen des Materials; berichtigen oder angeben, wie sicher sie sind (KEY.sd)
+reason-core-impossible = die Rechnung ergab { NUMBER($core_C, maximumFractionDigits: 0) } °C, was kein Kern haben kann: nichts unter { NUMBER($lowest_C, maximumFractionDigits: 0) } °C oder über { NUMBER($highest_C, maximumFractionDigits: 0) } °C hat ihn berührt
 reason-faces-jumped-during-a-gap = die Temperatur beider Seiten ist während einer Messlücke gesprungen
 reason-faces-too-cold-for-this-panel = die Seiten sind viel kälter als die der gepressten Platte; es kann eine andere Platte dort liegen
 reason-insertion-not-seen = Kern nicht bestimmbar: nichts hat gezeigt, wann die Platte eingelegt wurde
@@ -911,8 +930,8 @@ dask-package-missing = Dask-Scheduler { $address }: das Paket 'distributed' fehl
 model-none-before = Presse { $press }: kein früheres Modell, zu dem man zurückkehren könnte
 night-against-core-silenced = der Kern ist in weniger Messzeilen gültig
 night-against-core-worse = der Kern wird schlechter
-night-against-left-out-worse = schlechter auf ausgelassenen Pressungen
 night-against-not-significant = der Gewinn ist nicht signifikant
+night-against-predicts-worse = es sagt Pressungen schlechter vorher
 night-against-still-helps = ein Effekt, der wegfiele, verbessert die Anpassung noch
 night-compared =
     { $kind ->
@@ -922,10 +941,10 @@ night-compared =
     }: Residuum { NUMBER($before, minimumFractionDigits: 3, maximumFractionDigits: 3) } -> { NUMBER($after, minimumFractionDigits: 3, maximumFractionDigits: 3) } K auf { $apart ->
         [yes] { $runs } unbeteiligten Pressungen
        *[no] { $runs } Pressungen der Diagnose
-    }{ $left_out }{ $core }{ $against }
+    }{ $predicted }{ $core }{ $against }
 night-compared-against = { "; " }{ $what }
 night-compared-core = { ", " }Kern { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } -> { NUMBER($after, minimumFractionDigits: 2, maximumFractionDigits: 2) } K im Betrieb
-night-compared-left-out = { ", " }{ NUMBER($before, minimumFractionDigits: 3, maximumFractionDigits: 3) } -> { NUMBER($after, minimumFractionDigits: 3, maximumFractionDigits: 3) } K auf reihum ausgelassenen Pressungen
+night-compared-predicted = { ", " }Vorhersagen { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } -> { NUMBER($after, minimumFractionDigits: 2, maximumFractionDigits: 2) } K daneben
 night-diagnosis-confirms = die Diagnose bestätigt es
 night-first-model = erstes Modell, Koeffizienten aus { $runs } Pressungen
 night-first-model-although = erstes Modell, Koeffizienten aus { $runs } Pressungen; { $although }
@@ -934,7 +953,7 @@ night-fits =
         [0] { "" }
        *[other] , { $blind } ohne Fühler an der Platte
     }
-night-left-to-you = { $version } wird nicht von selbst in Kraft gesetzt; entscheiden Sie selbst: { $reason }
+night-left-to-you = { $version } wird nicht von selbst in Kraft gesetzt; zu entscheiden ist von Hand: { $reason }
 night-like-rolled-back = { $reason }; wie { $version }, das zurückgenommen wurde
 night-nothing-changed = nichts hat sich geändert
 night-outcome =
@@ -976,7 +995,7 @@ figure-cost = Kosten je Messwert über ihrem Minimum
 figure-dots-and-lines = Punkte: gemessen, Linien: simuliert
 figure-exact = exakter Löser
 figure-extended = erweitert
-figure-fit = { $run }: das angepasste Modell liegt { NUMBER($fit, minimumFractionDigits: 2, maximumFractionDigits: 2) } K (RMS) neben den Fühlern ({ NUMBER($guesses, minimumFractionDigits: 1, maximumFractionDigits: 1) } K mit den Schätzwerten der Pressendatei)
+figure-fit = { $run }: das Modell liegt { NUMBER($fit, minimumFractionDigits: 2, maximumFractionDigits: 2) } K (RMS) neben den Fühlern ({ NUMBER($guesses, minimumFractionDigits: 1, maximumFractionDigits: 1) } K mit Schätzwerten)
 figure-from-best = { $name }, Abweichung vom besten Wert [%]
 figure-known-from-run = Bekannt aus { $run }: { $known }
 figure-known-from-runs = { $runs } Pressungen: aus jeder bekannt { $known }; Streuung von Pressung zu Pressung bis { NUMBER($percent, maximumFractionDigits: 0) } %
@@ -985,11 +1004,11 @@ figure-mean = gemessen (Mittel)
 figure-measured = gemessen
 figure-measured-mean = gemessen, Mittel aus { $channels } Fühlern ± ihre Streuung
 figure-measured-minus-model = gemessen − Modell [K]
-figure-misfit-saved = Abnahme der Abweichung [Varianzen des Rauschens]
+figure-misfit-saved = Abnahme [σ²]
 figure-model = Modell, { $model }
 figure-moves-with = { $run }: { $one } ändert sich am meisten mit { $other } (Korrelation { $sign }{ NUMBER($size, minimumFractionDigits: 2, maximumFractionDigits: 2) })
 figure-normalised = Bezogen auf das Mittel: { $name } schwankt am meisten von Pressung zu Pressung ({ NUMBER($percent, maximumFractionDigits: 0) } %)
-figure-not-described = { $run }: das Modell beschreibt diese Pressung nicht, es liegt { NUMBER($fit, minimumFractionDigits: 2, maximumFractionDigits: 2) } K (RMS) daneben ({ NUMBER($guesses, minimumFractionDigits: 1, maximumFractionDigits: 1) } K mit den Schätzwerten der Pressendatei)
+figure-not-described = { $run }: das Modell beschreibt diese Pressung nicht: { NUMBER($fit, minimumFractionDigits: 2, maximumFractionDigits: 2) } K (RMS) daneben ({ NUMBER($guesses, minimumFractionDigits: 1, maximumFractionDigits: 1) } K mit Schätzwerten)
 figure-nothing-known = Kein Koeffizient ist bekannt: das Modell beschreibt das Gemessene nicht
 figure-over-mean = Wert / Mittel
 figure-plain = einfach
@@ -1046,7 +1065,7 @@ report-95-bootstrap = 95 % (Bootstrap)
 report-95-of-mean = 95 % des Mittels (t)
 report-95-of-runs = 95 % seiner Pressungen
 report-at-core = Am Kern: { $core }
-report-bold-better = Fett: gemeinsam viel besser bekannt als einzeln.
+report-bold-better = W/m²K, ± das halbe 95-%-Intervall. Fett: gemeinsam viel besser bekannt als einzeln.
 report-bold-excludes = Fett: das 95-%-Intervall schließt „keine Änderung“ aus.
 report-candidates = Alle Kandidaten
 report-cannot-tell = Diese Pressungen können die Ursachen nicht unterscheiden. Was es könnte:
@@ -1068,6 +1087,7 @@ report-diagnosis-basis = Presse „{ $press }“, { $runs } { $runs ->
     }, Urteil
 report-diagnosis-of = { $verdict } – Presse { $press }
 report-error-core = Fehler des Kerns gegen Kernfühler
+report-error-core-predicted = Abweichung an Kernfühlern, Pressungen vorhergesagt
 report-every-run = Jede Pressung für sich
 report-every-run-joint = Jede Pressung mit dem, was sie von den anderen übernimmt
 report-extended-model = erweitertes Modell
@@ -1095,7 +1115,7 @@ report-known = { $runs ->
     }: { $known }.
 report-known-to = { NUMBER($value, maximumSignificantDigits: 4) } ± { NUMBER($percent, maximumFractionDigits: 0) } %
 report-legend-coefficients = Punkte: einzelne Pressungen mit 95-%-Intervallen. Linie und Band: Mittel und σ. Kreuz: eine Pressung, in der der Koeffizient nicht bestimmbar ist, beim Mittel gezeichnet.
-report-legend-every-run = ± das halbe 95-%-Intervall. Kursiv: in dieser Pressung nicht bestimmbar; das Intervall, das die Daten offen lassen. Nicht beschrieben: das Modell passt nicht zur Pressung, aus ihr wird also nichts gelesen.
+report-legend-every-run = W/m²K, ± das halbe 95-%-Intervall. Kursiv: in dieser Pressung nicht bestimmbar; das Intervall, das die Daten offen lassen. Nicht beschrieben: das Modell passt nicht zur Pressung, aus ihr wird also nichts gelesen.
 report-legend-measured = Fehlerbalken: Standardabweichung über die Fühler einer Seite. Grau gestrichelt: das Modell mit den Schätzwerten der Pressendatei. Getönt: Presse geschlossen. Residuen ohne den konstanten Versatz jeder Seite, ihr Band die Streuung der Fühler; wo sich die Presse bewegt, verlassen sie das Bild, und der größte Wert steht dabei.
 report-legend-normalised = Punkte: einzelne Pressungen bezogen auf das Mittel, in ihrer Reihenfolge. Balken: ± σ.
 report-legend-profile = Ein Profil zeigt, wie viel schlechter das Modell zur Pressung passt, je weiter ein Koeffizient verschoben wird, während alle anderen Unbekannten folgen; wo es unter der Linie bleibt, passt der Wert ebenso gut (95 %). Ein Profil, das die Linie auf einer Seite nicht schneidet, ist dort offen.
@@ -1125,6 +1145,11 @@ report-notes-on-runs = Hinweise zu einzelnen Pressungen
 report-number = { NUMBER($value, maximumSignificantDigits: 4) }
 report-number-2 = { NUMBER($value, maximumSignificantDigits: 2) }
 report-number-3 = { NUMBER($value, maximumSignificantDigits: 3) }
+paper-adaptive = angepasste Schritte
+paper-exact = exakt
+paper-exact-sensitivities = exakt
+paper-finite-differences = Differenzen
+paper-slope-changes = Kosten entlang { $name } innerhalb ±{ NUMBER($span, maximumSignificantDigits: 1) } %: die Steigung wechselt mit angepassten Schritten { $adaptive }-mal das Vorzeichen, mit dem exakten Löser { $exact }-mal.
 report-paper = Warum kleinste Quadrate mit Gradienten stecken blieben, und warum das nicht sein muss
 report-paper-converged = konvergiert
 report-paper-error = Fehler gegen die Wahrheit
@@ -1150,7 +1175,8 @@ report-program = Ein nie gefahrenes Programm
 report-program-of = Vorhergesagt für { $settings } (95 % der Pressungen)
 report-residual-fitted = Residuum aller Fühler, angepasste Pressungen
 report-residual-kelvin = Residuum [K]
-report-residual-left-out = Residuum auf unbeteiligten Pressungen
+report-residual-left-out = Residuum auf ausgelassenen Pressungen, eigene Kontakte angepasst
+report-residual-predicted = Residuum auf Pressungen, vorhergesagt nur aus Kopfdaten und den anderen Pressungen
 report-run = Pressung
 report-run-not-described = { $runs ->
         [one] Die Pressung, die das Modell nicht beschreibt
@@ -1179,6 +1205,7 @@ report-value = Wert
 report-verdict-ambiguous = Ursache eingegrenzt
 report-verdict-named = Ursache benannt
 report-verdict-no_effect = Kein Effekt gefunden
+report-verdict-not_described = Das Modell beschreibt die Pressungen nicht
 report-verdict-too_few_runs = Zu wenige Pressungen
 report-verdict-unknown_effect = Etwas Unbekanntes
 report-what-is-wrong = Was falsch ist
@@ -1188,15 +1215,31 @@ report-with-guesses-kelvin = mit Schätzwerten [K]
 report-worst-run = Die am schlechtesten passende Pressung
 report-worth = erklärt { NUMBER($percent, maximumFractionDigits: 0) } % dessen, was die Pressungen gemeinsam haben, und { $worth }. Die Wahrscheinlichkeit, dass das Zufall ist, aus dem Vertauschen der Vorzeichen ganzer Pressungen: { $sureness }
 
+## api: when to open
+
+advice-no-look-ahead = der Softsensor hat noch nicht vorausgeschaut
+advice-no-panel = keine Platte in der Presse
+advice-no-target = kein Kernziel gesetzt
+advice-not-closed = Presse noch nicht geschlossen
+advice-not-known = nicht bekannt: { $why }
+advice-old = die letzte Vorausschau ist { NUMBER($seconds, maximumFractionDigits: 0) } s alt
+advice-open-in = öffnen in { NUMBER($seconds, maximumFractionDigits: 0) } s
+advice-open-in-at-least = öffnen in { NUMBER($seconds, maximumFractionDigits: 0) } s ({ NUMBER($low, maximumFractionDigits: 0) } oder später)
+advice-open-in-between = öffnen in { NUMBER($seconds, maximumFractionDigits: 0) } s ({ NUMBER($low, maximumFractionDigits: 0) } bis { NUMBER($high, maximumFractionDigits: 0) })
+advice-open-now = JETZT ÖFFNEN
+advice-opened = geöffnet
+advice-opened-peak = geöffnet, der Kern erreicht höchstens { NUMBER($peak_C, maximumFractionDigits: 0) } °C
+advice-too-early = zu früh
+
 ## api: refusals of the server, access, health
 
-api-address-taken = { $host }:{ $port } ist nicht frei: { $why }; wählen Sie mit --port einen anderen Port
+api-address-taken = { $host }:{ $port } ist nicht frei: { $why }; mit --port einen anderen Port wählen
 api-body-late = die Anfrage kam nicht innerhalb von { $seconds } s an
 api-body-not-json = die Anfrage muss JSON sein, mit Content-Type: application/json
 api-body-too-large = die Anfrage darf höchstens { $bytes } Bytes haben
-api-certificate-missing = { $path }: diese Datei gibt es nicht; geben Sie Zertifikat und Schlüssel als PEM-Dateien an
-api-certificate-needs-key = --certificate und --key gehören zusammen; geben Sie beide an oder keins
-api-certificate-unusable = { $certificate }, { $key }: { $why }; geben Sie beide als PEM an, den Schlüssel ohne Passwort
+api-certificate-missing = { $path }: diese Datei gibt es nicht; Zertifikat und Schlüssel als PEM-Dateien angeben
+api-certificate-needs-key = --certificate und --key gehören zusammen; beide angeben oder keins
+api-certificate-unusable = { $certificate }, { $key }: { $why }; beide als PEM angeben, den Schlüssel ohne Passwort
 api-change-needs-token = eine Änderung braucht ein Zugangstoken mit Schreibrecht; kerntemp token create legt eines an
 api-columns-empty = columns = { $columns } nennt keine Spalte; columns für alle Spalten weglassen
 api-field-invalid = { $field }: { $why }
@@ -1204,12 +1247,14 @@ api-field-name-invalid = { $field }: ein Name hat nur Buchstaben, Ziffern, _ und
 api-header-key-fixed = { $key } lässt sich so nicht ändern; siehe Bemerkung
 api-header-key-twice = { $key } kann nicht zugleich ein Wert sein und Schlüssel enthalten
 api-header-not-a-number = { $key } = { $value }: muss eine Zahl sein
-api-instant-without-zone = { $instant } hat keine Zeitzone; hängen Sie Z oder einen Zeitversatz wie +01:00 an
-api-last-event-id-unknown = Last-Event-ID { $id } gehört nicht zu diesem Strom; lassen Sie sie weg
+api-instant-without-zone = { $instant } hat keine Zeitzone; Z oder einen Zeitversatz wie +01:00 anhängen
+api-last-event-id-unknown = Last-Event-ID { $id } gehört nicht zu diesem Strom; weglassen
 api-model-unknown = Modell { $version } gibt es nicht; /api/v1/models zählt sie auf
+api-next-panel = nächste Platten von { $press }: { $recipe } { $fields }
 api-no-such-language = Sprache { $language } ist nicht vorhanden; es gibt { $languages }
-api-nul-character = Pfad und Abfrage: ein NUL-Zeichen gehört nirgendwohin; lassen Sie es weg
+api-nul-character = Pfad und Abfrage: ein NUL-Zeichen gehört nirgendwohin; weglassen
 api-only-loopback-names = ohne Zugangstoken wird hier nur unter einem Namen dieses Rechners geantwortet
+api-press-unknown = Presse '{ $press }' gibt es nicht; es gibt: { $known }
 api-query-unknown = query.{ $name }: unbekannt; bekannt sind hier: { $known }
 api-query-unknown-of-none = query.{ $name }: unbekannt; hier ist keine bekannt
 api-reading-needs-token = von anderswo zu lesen braucht ein Zugangstoken: Authorization: Bearer ...
@@ -1219,22 +1264,25 @@ api-run-not-fitted = Pressung { $run } ist nicht angepasst; kerntemp refit holt 
 api-run-not-simulated = Pressung { $run } lässt sich nicht simulieren: { $why }
 api-run-unknown = Pressung { $run } gibt es nicht; /api/v1/runs zählt sie auf
 api-run-without-press-file = Pressung { $run }: ihre Presse wurde ohne Pressendatei gespeichert
+api-search-bound = '{ $bound }' ist keine Grenze; zum Beispiel core_at_opening_C>=95 schreiben
+api-search-order = '{ $order }' ist keine Reihenfolge; eines von { $known }, oder ein Schlüssel des Kopfes
 api-server-failed = der Server ist daran gescheitert; siehe sein Protokoll
-api-token-exists = das Zugangstoken { $name } gibt es schon; ziehen Sie es erst zurück oder wählen Sie einen anderen Namen
+api-slows-wrong-tokens = zu viele falsche Zugangstoken von { $address }; weitere werden langsam beantwortet
+api-token-exists = das Zugangstoken { $name } gibt es schon; erst zurückziehen oder einen anderen Namen wählen
 api-token-invalid = dieses Zugangstoken gilt nicht; kerntemp token create legt eines an
 api-token-reads-only = Zugangstoken { $name } darf nur lesen; eine Änderung braucht das Schreibrecht
 api-token-unknown = das Zugangstoken { $name } gibt es nicht; es gibt: { $known }
 api-token-unknown-of-none = das Zugangstoken { $name } gibt es nicht; es gibt noch keines
-api-tokens-needed = server.host = { $host }: wer von anderswo liest, braucht ein Zugangstoken, und es gibt keines; legen Sie eines an mit kerntemp token create NAME --scope read, oder lauschen Sie auf 127.0.0.1
-api-tokens-unreadable = { $path }: die Zugangstoken sind nicht lesbar: { $why }; entfernen Sie die Datei und legen Sie neue an
-api-too-many-listeners = zu viele Zuhörer; versuchen Sie es später wieder
+api-tokens-needed = server.host = { $host }: wer von anderswo liest, braucht ein Zugangstoken, und es gibt keines; eines anlegen mit kerntemp token create NAME --scope read oder auf 127.0.0.1 lauschen
+api-tokens-unreadable = { $path }: die Zugangstoken sind nicht lesbar: { $why }; die Datei entfernen und neue anlegen
+api-too-many-listeners = zu viele Zuhörer; später wieder versuchen
 api-too-many-wrong-tokens = zu viele falsche Zugangstoken von dieser Adresse; weitere falsche werden eine Minute lang verzögert beantwortet
 health-disk-nearly-full = weniger als { $gigabytes } GB frei auf dem Datenträger des Datenspeichers
 health-never-seen = noch nie gesehen
 health-nightly-job-overdue = refit: der nächtliche Lauf ist seit { NUMBER($hours, maximumFractionDigits: 0) } h nicht zu Ende gekommen; siehe sein Protokoll
-health-process-never-seen = { $process }: noch nie gesehen; starten Sie kerntemp { $command }
-health-process-silent = { $process }: seit { NUMBER($seconds, maximumFractionDigits: 0) } s stumm; starten Sie kerntemp { $command }
-health-process-silent-for-hours = { $process }: seit { NUMBER($hours, maximumFractionDigits: 0) } h stumm; starten Sie kerntemp { $command }
+health-process-never-seen = { $process }: noch nie gesehen; kerntemp { $command } starten
+health-process-silent = { $process }: seit { NUMBER($seconds, maximumFractionDigits: 0) } s stumm; kerntemp { $command } starten
+health-process-silent-for-hours = { $process }: seit { NUMBER($hours, maximumFractionDigits: 0) } h stumm; kerntemp { $command } starten
 health-scans-behind = { $press }: { $scans } Messzeilen im Rückstand, dieser Rechner ist überlastet
 
 ## api.commands: the command line
@@ -1243,20 +1291,20 @@ diagnosed-cause = { $name }: { $worth }; { $sureness }
 diagnosed-causes = { $name } (nicht zu unterscheiden von { $others }): { $worth }; { $sureness }
 diagnosed-next = Als Nächstes: { $sentence }
 diagnosed-residual = Residuum { NUMBER($base, minimumFractionDigits: 3, maximumFractionDigits: 3) } K, erweitertes Modell { NUMBER($extended, minimumFractionDigits: 3, maximumFractionDigits: 3) } K
-terminal-averages-need-method = --averages gehört zu einem der Verfahren der Arbeit; geben Sie auch --method an
+terminal-averages-need-method = --averages gehört zu einem der Verfahren des Aufsatzes; auch --method angeben
 terminal-backup-contents = { $runs } Pressungen, { $scans } Messzeilen, { $fits } Anpassungen, { $models } Modelle
-terminal-backup-one-only = --verify und --restore: geben Sie eins davon an; das Einspielen prüft die Kopie zuerst
+terminal-backup-one-only = --verify und --restore: eins davon angeben; das Einspielen prüft die Kopie zuerst
 terminal-backup-restored = { $file } eingespielt und verglichen: { $contents }
 terminal-backup-sound = { $file } ist in Ordnung: { $contents }
 terminal-backup-written = { $file } geschrieben und geprüft: { $contents }
 terminal-calibrate-added = { $path }: { $entries } Einträge vom { $day } ergänzt
-terminal-calibrate-needs-mode = calibrate: geben Sie entweder --room mit der Anzeige des Thermometers an oder --warm
-terminal-calibrate-no-file = calibrate --write: kein Messgerät in { $config } hat eine Kalibrierdatei; geben Sie einem den Namen einer Datei, etwa calibration = "{ $logger }.toml"
-terminal-calibrate-not-kept = { $logger }: Versatz nicht aufgehoben; geben Sie ihm den Namen einer Datei, calibration = "{ $logger }.toml"
+terminal-calibrate-needs-mode = calibrate: entweder --room mit der Anzeige des Thermometers angeben oder --warm
+terminal-calibrate-no-file = calibrate --write: kein Messgerät in { $config } hat eine Kalibrierdatei; einem den Namen einer Datei geben, etwa calibration = "{ $logger }.toml"
+terminal-calibrate-not-kept = { $logger }: Versatz nicht aufgehoben; ihm den Namen einer Datei geben, calibration = "{ $logger }.toml"
 terminal-calibrate-write-needs-room = calibrate: --write braucht --room
 terminal-channel-verdict = { $channel } { $verdict }
 terminal-channels-fail = { $bad } von { $all } Kanälen bestehen die Prüfung nicht: { $names }
-terminal-check-failed = { $path }: { $failures }; prüfen Sie Strom, Kabel und Adresse
+terminal-check-failed = { $path }: { $failures }; Strom, Kabel und Adresse prüfen
 terminal-check-logger-failed = Presse { $press }, Messgerät { $logger }: { $why }
 terminal-check-store-opens = Datenspeicher { $store }: lässt sich öffnen
 terminal-check-well-formed = { $path }: wohlgeformt
@@ -1264,13 +1312,13 @@ terminal-coefficient-not-positive = { $path }: { $name } = { $value }: muss eine
 terminal-coefficient-unknown = { $where }: { $name }: die Presse „{ $press }“ hat keinen solchen Koeffizienten; sie hat { $known }
 terminal-coefficients-no-object = { $path }: muss ein Objekt {"{"}NAME: Wert{"}"} sein
 terminal-coefficients-not-json = { $path }: kein JSON: { $why }
-terminal-coefficients-or-model = --coefficients und --model schließen einander aus; geben Sie eins an
+terminal-coefficients-or-model = --coefficients und --model schließen einander aus; eins angeben
 terminal-coefficients-unreadable = { $path }: die Koeffizienten sind nicht lesbar: { $why }
-terminal-config-missing = { $path }: diese Konfiguration gibt es nicht; schreiben Sie eine (siehe Runbook, Connect a logger) oder geben Sie --config an
-terminal-config-no-permission = { $path }: keine Leseberechtigung; setzen Sie sudo vor den Befehl, oder geben Sie ein anderes --config an
-terminal-demo-folder-taken = --data { $folder }: enthält schon einen Datenspeicher; geben Sie einen neuen Ordner an, oder entfernen Sie ihn
+terminal-config-missing = { $path }: diese Konfiguration gibt es nicht; eine schreiben (siehe Runbook, Connect a logger) oder --config angeben
+terminal-config-no-permission = { $path }: keine Leseberechtigung; sudo vor den Befehl setzen oder ein anderes --config angeben
+terminal-demo-folder-taken = --data { $folder }: enthält schon einen Datenspeicher; einen neuen Ordner angeben oder ihn entfernen
 terminal-export-needs-out = export braucht --out: eine Datei für eine Pressung, einen Ordner für mehrere
-terminal-file-among-figures = { $path }: liegt unter den Bildern von --svg { $folder }; geben Sie einen anderen Ort oder eine andere Endung an
+terminal-file-among-figures = { $path }: liegt unter den Bildern von --svg { $folder }; einen anderen Ort oder eine andere Endung angeben
 terminal-fit-from = anfangs
 terminal-fit-joint-median = gemeinsamer Median
 terminal-fit-mean = Mittel
@@ -1280,12 +1328,12 @@ terminal-fit-legend = W/m²K; ? steht hinter einem Wert, den die Pressung, beim 
 terminal-fit-legend-campaign = Mittel und Streuung: über die Pressungen, die den Koeffizienten bestimmen. Gemeinsamer Median: alle Pressungen zusammen, mit 95-%-Intervall.
 terminal-fit-needs-runs = fit braucht Laufdateien und --press DATEI (oder nur --reproduce-paper)
 terminal-fit-shared = Ein Wert in allen Pressungen, mit einem Intervall: { $names }.
-terminal-folder-for-several = { $path }: mehrere Pressungen brauchen einen Ordner; nennen Sie einen in einem Ordner, den es gibt
-terminal-folder-is-a-file = --svg { $folder }: ist eine Datei; geben Sie einen Ordner an
-terminal-folder-name-empty = der Name des Ordners ist leer; geben Sie einen an, oder . für den jetzigen
+terminal-folder-for-several = { $path }: mehrere Pressungen brauchen einen Ordner; einen nennen, der in einem vorhandenen Ordner liegt
+terminal-folder-is-a-file = --svg { $folder }: ist eine Datei; einen Ordner angeben
+terminal-folder-name-empty = der Name des Ordners ist leer; einen angeben, oder . für den jetzigen
 terminal-hide-unknown = --hide: { $why }
-terminal-hold-one-now = Halten Sie jetzt einen Fühler zwischen zwei Fingern.
-terminal-import-run-twice = zwei der Dateien enthalten die Pressung „{ $run }“; geben Sie einer einen eigenen Schlüssel '# run = ...'
+terminal-hold-one-now = Jetzt einen Fühler zwischen zwei Fingern halten.
+terminal-import-run-twice = zwei der Dateien enthalten die Pressung „{ $run }“; einer einen eigenen Schlüssel '# run = ...' geben
 terminal-imported = { $runs ->
     [one] { $runs } Pressung gespeichert
    *[other] { $runs } Pressungen gespeichert
@@ -1294,27 +1342,28 @@ terminal-interrupted = abgebrochen
 terminal-language-unknown = KERNTEMP_LANGUAGE = { $language }: diese Sprache ist nicht vorhanden; es gibt { $languages }
 terminal-method-unknown = --method { $method }: muss eins von { $known } sein
 terminal-model-in-force-again = { $press }: Modell { $version } gilt wieder
-terminal-model-of-another-press = { $path } gehört zur Presse „{ $other }“, die Pressendatei zu „{ $press }“: Koeffizienten einer anderen Presse lassen einen falschen Kern sicher aussehen; passen Sie die Pressungen dieser Presse selbst an
-terminal-needs-package = kerntemp publish braucht { $package }: installieren Sie kerntemp[plant]
-terminal-no-channel-rose = kein Kanal stieg eindeutig ({ $rises }); halten Sie eine Messstelle länger, und nur diese
-terminal-no-store-here = kein Datenspeicher: weder { $config } noch { $store } ist hier; geben Sie --store oder --config an
+terminal-model-of-another-press = { $path } gehört zur Presse „{ $other }“, die Pressendatei zu „{ $press }“: Koeffizienten einer anderen Presse lassen einen falschen Kern sicher aussehen; die eigenen Pressungen dieser Presse anpassen
+terminal-needs-package = kerntemp publish braucht { $package }: kerntemp[plant] installieren
+terminal-no-channel-rose = kein Kanal stieg eindeutig ({ $rises }); eine Messstelle länger halten, und nur diese
+terminal-no-store-here = kein Datenspeicher: weder { $config } noch { $store } ist hier; --store oder --config angeben
 terminal-not-noted = { $said }; nicht im Journal vermerkt: { $why }
-terminal-output-is-input = { $path }: wird von diesem Befehl gelesen und würde überschrieben; geben Sie einen anderen Namen an
-terminal-output-no-folder = { $path }: den Ordner { $folder } gibt es nicht; legen Sie ihn erst an
-terminal-output-not-a-file = { $path }: ist ein Ordner; geben Sie einen Dateinamen an
-terminal-output-twice = { $path }: ist für zwei Ausgaben angegeben; geben Sie jeder einen eigenen Namen
+terminal-output-is-input = { $path }: wird von diesem Befehl gelesen und würde überschrieben; einen anderen Namen angeben
+terminal-output-no-folder = { $path }: den Ordner { $folder } gibt es nicht; erst anlegen
+terminal-output-not-a-file = { $path }: ist ein Ordner; einen Dateinamen angeben
+terminal-output-twice = { $path }: ist für zwei Ausgaben angegeben; jeder einen eigenen Namen geben
 terminal-output-unwritable = { $path }: kann nicht geschrieben werden: { $why }
-terminal-press-enter = Drücken Sie nach etwa zehn Sekunden Enter
+terminal-press-enter = Nach etwa zehn Sekunden Enter drücken
 terminal-probe-answers = { $place }: Modbus antwortet von den Stationen { $stations }
 terminal-probe-answers-none = { $place }: keine Station antwortet auf Modbus
-terminal-probe-for-configuration = für kerntemp.toml; benennen Sie die Kanäle
-terminal-probe-nothing-known = { $place }: nichts Bekanntes liest hier Raumtemperatur; prüfen Sie Strom, Kabel, Adresse und Baudrate
-terminal-probe-reads-as-well = ebenso gut lesbar: { $profiles }; sehen Sie auf das Typenschild
+terminal-probe-for-configuration = für kerntemp.toml; die Kanäle benennen
+terminal-probe-nothing-known = { $place }: nichts Bekanntes liest hier Raumtemperatur; Strom, Kabel, Adresse und Baudrate prüfen
+terminal-probe-reading = { $meaning }: { $percent } % auf Raumtemperatur: { $values }
+terminal-probe-reads-as-well = ebenso gut lesbar: { $profiles }; auf das Typenschild sehen
 terminal-probe-registers = Station { $station }, Funktion { $function }: Register ab 0, gelesen als
 terminal-program-cannot-tell =
     { $runs ->
-        [one] --program: eine Pressung kann nicht zeigen, was { $settings } bewirkt; geben Sie mindestens 8 Pressungen an, die sich darin unterscheiden (6, wenn sich nur eine Einstellung ändert)
-       *[other] --program: { $runs } Pressungen können nicht zeigen, was { $settings } bewirkt; geben Sie mindestens 8 Pressungen an, die sich darin unterscheiden (6, wenn sich nur eine Einstellung ändert)
+        [one] --program: eine Pressung kann nicht zeigen, was { $settings } bewirkt; mindestens 8 Pressungen angeben, die sich darin unterscheiden (6, wenn sich nur eine Einstellung ändert)
+       *[other] --program: { $runs } Pressungen können nicht zeigen, was { $settings } bewirkt; mindestens 8 Pressungen angeben, die sich darin unterscheiden (6, wenn sich nur eine Einstellung ändert)
     }
 terminal-program-key-twice = --program { $setting }: { $key } ist zweimal angegeben; ein Programm hat einen Wert davon
 terminal-program-no-number = --program { $setting }: „{ $value }“ ist keine Zahl
@@ -1347,20 +1396,23 @@ terminal-refit-report = { $press }: Bericht { $page }
 terminal-refit-unfit = { $press }: { $failed } von { $runs } Pressungen konnten nicht angepasst werden
 terminal-reproduce-alone = --reproduce-paper macht seine eigenen Messungen und nimmt { $surplus } nicht an; es geht mit --json, --html und --svg
 terminal-rise = { $logger }: größter { NUMBER($rise, minimumFractionDigits: 1, maximumFractionDigits: 1) } K, nächster { NUMBER($next, minimumFractionDigits: 1, maximumFractionDigits: 1) } K
-terminal-room-check = { $channel } { $mean } °C, { $deviation } K daneben, Rauschen { $noise } K: { $verdict }
+terminal-room-check = { $channel } { NUMBER($mean, minimumFractionDigits: 2, maximumFractionDigits: 2) } °C, { $deviation } daneben, Rauschen { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K: { $verdict }
 terminal-room-no-value = { $channel } { $verdict } ({ $quality })
 terminal-rose = { $channel } ({ $logger }) stieg um { NUMBER($rise, minimumFractionDigits: 1, maximumFractionDigits: 1) } K
 terminal-run-file-ending = { $path }: eine Laufdatei endet auf .csv oder .parquet, Ereignisdokumente auf .jsonl
-terminal-run-neither-file-nor-stored = { $run }: diese Datei gibt es nicht, und keinen Datenspeicher zum Nachsehen; geben Sie eine Datei, --store oder --config an
+terminal-run-neither-file-nor-stored = { $run }: diese Datei gibt es nicht, und keinen Datenspeicher zum Nachsehen; eine Datei, --store oder --config angeben
 terminal-run-twice = die Pressung „{ $run }“ ist zweimal angegeben; jede zählt einmal
 terminal-serves = kerntemp ist erreichbar unter { $address }
 terminal-shared-none-free = --shared { $name }: die Pressendatei legt alle Koeffizienten fest
 terminal-shared-unknown = --shared { $name }: muss eins von { $known } sein
-terminal-stations-no-numbers = --stations '{ $text }': geben Sie Zahlen und Bereiche an, etwa 1-4,9
+terminal-stations-no-numbers = --stations '{ $text }': Zahlen und Bereiche angeben, etwa 1-4,9
 terminal-stations-out-of-range = --stations '{ $text }': Adressen liegen zwischen 0 und 255
 terminal-token-needs-name = kerntemp token { $action }: braucht einen Namen
 terminal-unexpected = { $kind }: { $why } (KERNTEMP_TRACEBACK=1 zeigt, wo)
-terminal-until-leaves-too-little = { $run }: --until { $until } lässt { $rows } von { $all } Zeilen; die erste ist bei time_s = { $first }: geben Sie einen späteren Zeitpunkt an
+terminal-until-leaves-too-little = { $run }: --until { $until } lässt { $rows } von { $all } Zeilen; die erste ist bei time_s = { $first }: einen späteren Zeitpunkt angeben
+terminal-until-no-column = { $run }: --until nennt Spalte '{ $column }'; der Lauf hat { $known }
+terminal-until-no-run = --until { $until }: kein Lauf '{ $run }' ist angegeben; Läufe sind { $known }
+terminal-until-not-read = --until { $until }: Sekunden (900), eine Temperatur einer Spalte (bottom_1=140) oder eines von { $events } angeben, mit LAUF: davor für einen Lauf allein
 terminal-without-matches-none = --without { $pattern }: die Pressung „{ $run }“ hat keine; sie hat { $columns }
 token-created = Zugangstoken { $name } angelegt, { $scope ->
     [write] darf ändern
@@ -1368,14 +1420,108 @@ token-created = Zugangstoken { $name } angelegt, { $scope ->
 }
 token-revoked = Zugangstoken { $name } zurückgezogen
 
+## api.commands: help, and calls that are wrong
+
+call-command-missing = kein Befehl angegeben; kerntemp --help nennt alle
+call-command-unknown = { $command }: diesen Befehl gibt es nicht; kerntemp --help nennt alle
+call-command-unknown-meant = { $command }: diesen Befehl gibt es nicht; gemeint ist wohl { $meant }
+call-not-one-of = muss eins von { $known } sein
+call-option-unknown = { $option }: diese Option gibt es nicht; --help nennt alle
+call-option-unknown-meant = { $option }: diese Option gibt es nicht; ähnlich sind { $meant }
+call-option-without-value = { $option }: braucht einen Wert
+call-surplus = zu viel in diesem Aufruf: { $words }; Text mit Leerzeichen in Anführungszeichen setzen
+help-arguments = Argumente:
+help-averages = Mit einem Verfahren des Aufsatzes: Mittel der oberen und der unteren Fühler statt jedes Fühlers.
+help-backup-file = Die Kopie: eine neue SQLite-Datei.
+help-baud = Baudrate der seriellen Leitung; ohne Angabe 9600.
+help-calibrate-write = Die gefundenen Abweichungen in die Kalibrierdatei jedes Messgeräts schreiben.
+help-certificate = TLS-Zertifikatskette, PEM.
+help-coefficients = Koeffizienten, ein flaches {"{"}NAME: Wert{"}"}.
+help-command-backup = Den Datenspeicher kopieren, während andere in ihn schreiben. Die Kopie wird geprüft, bevor sie ihren Namen bekommt.
+help-command-calibrate = Alle Kanäle bei Raumtemperatur prüfen (--room) oder vertauschte finden (--warm). Vorher kerntemp record anhalten.
+help-command-check = Konfiguration und Datenspeicher prüfen und jedes Messgerät einmal lesen.
+help-command-demo = Alles an einer virtuellen Presse: Aufzeichnung, Live-Vorhersage, Anpassungen und Seite.
+help-command-diagnose = Finden, was die Simulation falsch macht, warum, was es kostet und was als Nächstes zu messen ist.
+help-command-export = Pressungen des Datenspeichers als Laufdateien schreiben oder auflisten.
+help-command-fit = Die Wärmeübergangskoeffizienten jeder Pressung und der Versuchsreihe anpassen.
+help-command-import = Laufdateien in den Datenspeicher aufnehmen: alle, oder keine, wenn eine falsch ist.
+help-command-kerntemp = Kerntemperatur gepresster Platten: aufzeichnen, live vorhersagen, anpassen und finden, was das Modell falsch macht.
+help-command-predict = Eine Pressung Messzeile für Messzeile durch den Softsensor schicken; keine Zeile nutzt spätere Messungen.
+help-command-probe = Herausfinden, welches Messgerät an einer Leitung hängt; die Fühler haben dabei Raumtemperatur. Kein Gerät zur Hand? python -m daq.simulated.devices_serve adam-4118 legt ein simuliertes an eine Leitung.
+help-command-publish = Einen MQTT-Broker beliefern ([mqtt]) und einen OPC-UA-Server betreiben ([opcua]), ohne Ende.
+help-command-record = Alle Pressen der Konfiguration aufzeichnen, ohne Ende.
+help-command-refit = Der nächtliche Lauf: alle Pressungen neu anpassen, Diagnose stellen und ein besseres Modell in Kraft setzen.
+help-command-sense = Den Kern an allen Pressen der Konfiguration live vorhersagen, ohne Ende.
+help-command-serve = Seite und REST-Schnittstelle anbieten; anderen Rechnern nur mit Zugangstoken.
+help-command-simulate = Eine Pressung allein aus ihren Heizplattentemperaturen simulieren.
+help-command-token = Zugangstoken anlegen, auflisten und zurückziehen. Ein neues wird einmal gezeigt.
+help-commands = Befehle:
+help-config = Die Konfiguration; ohne Angabe kerntemp.toml in diesem Ordner.
+help-dask = Ein Dask-Scheduler, dessen Worker die Anpassungen rechnen; siehe [refit] dask.
+help-data = Alles in diesem Ordner aufheben.
+help-default = { $told } [ohne Angabe: { $value }]
+help-device-host = Adresse eines Geräts im Netz.
+help-environment = { $told } [oder die Umgebungsvariable { $name }]
+help-export-format = Format der Dateien in einem Ordner; jsonl enthält Dokumente des Event-Modells von bluesky.
+help-export-out = Eine Datei für eine Pressung, ein Ordner für mehrere.
+help-export-runs = Namen von Pressungen; ohne Angabe werden alle aufgelistet.
+help-help = Diese Seite zeigen.
+help-hide = Diesen Effekt nur in der virtuellen Presse einschalten.
+help-host = Adresse, auf der gelauscht wird; ohne Angabe die der Konfiguration.
+help-html = Einen Bericht zum Lesen hierhin schreiben.
+help-import-files = Laufdateien oder, mit --mapping, die eigenen Dateien eines anderen Messgeräts.
+help-json = Alles als JSON hierhin schreiben.
+help-key = Der private Schlüssel des Zertifikats, PEM.
+help-licences = Auflisten, was mitgeliefert oder mitinstalliert ist, mit Lizenz.
+help-mapping = Eine Zuordnung, die die Dateien eines anderen Messgeräts erklärt, TOML.
+help-method = default oder eins der Verfahren des Aufsatzes: least_squares, nelder_mead, nelder_mead_then_least_squares.
+help-model = Eine Modelldatei, wie fit und diagnose sie schreiben.
+help-model-out = Die Modelldatei der Versuchsreihe hierhin schreiben.
+help-offline = Die Messgeräte nicht lesen.
+help-options = Optionen:
+help-out = Die Tabelle hierhin schreiben.
+help-page-port = Port der Seite; 0 nimmt einen freien.
+help-period = Zeit zwischen zwei Messungen.
+help-port = Port; 0 nimmt einen freien und zeigt ihn.
+help-press = Die Pressendatei.
+help-pressings = Nach so vielen Pressungen anhalten; ohne Angabe bei Strg-C.
+help-program = Ein noch nie gefahrenes Pressprogramm, durch seine Einstellungen: seine Koeffizienten werden aus denen der Versuchsreihe vorhergesagt. Mehrfach möglich.
+help-reproduce-paper = Stattdessen: warum die Gradientenverfahren stecken blieben, gezeigt an 20 virtuellen Messungen. --json, --html und --svg heben die Tabelle und die Kosten entlang eines Koeffizienten auf.
+help-restore = Einen neuen, leeren Datenspeicher aus der Kopie füllen.
+help-roll-back = Nur zum vorigen Modell dieser Presse zurückgehen.
+help-room = Raumtemperatur von einem Thermometer neben den Fühlern, 0 bis 60 °C.
+help-run = Eine Laufdatei oder der Name einer Pressung im Datenspeicher.
+help-runs = Laufdateien oder Namen von Pressungen im Datenspeicher.
+help-scope = write schließt read ein.
+help-seed = Eine andere Zahl ist eine andere Presse.
+help-serial-port = Serieller Anschluss: /dev/ttyUSB0, COM5 oder socket://host:port.
+help-shared = Ein Koeffizient mit einem Wert in allen Pressungen. Mehrfach möglich.
+help-speed = Vielfaches der wirklichen Geschwindigkeit, 0,1 bis 200.
+help-stations = Adressen, die versucht werden, etwa 1-4,9.
+help-store = Der Datenspeicher: ein Pfad oder eine URL postgresql://.
+help-svg = Alle Bilder als SVG in diesen Ordner schreiben.
+help-tcp-port = TCP-Port des Geräts; ohne Angabe 502.
+help-timeout = Wartezeit auf eine Antwort, 0,05 bis 10.
+help-token-action = Was zu tun ist.
+help-token-name = Für wen das Zugangstoken ist.
+help-transport = Wie Modbus gesprochen wird; ohne Angabe entscheidet der Ort.
+help-until = Die Zeilen jeder Pressung nach diesem Punkt weglassen: einem Zeitpunkt von time_s, einer Temperatur, die eine Spalte erreicht (bottom_1=140), oder inserted, closed, opened, removed. LAUF:... gilt für einen Lauf allein. Mehrfach möglich; es zählt, was zuerst kommt.
+help-usage = Aufruf: { $call }
+help-verify = Nur eine vorhandene Kopie prüfen.
+help-version = Die Version zeigen.
+help-wait = Zeit zum Erwärmen mit der Hand; ohne Angabe beendet Enter das Warten.
+help-warm = Den Fühler finden, der mit der Hand erwärmt wird.
+help-without = Spalten, die verborgen werden, durch Kommas getrennt; Muster wie top_* sind erlaubt.
+help-workers = Prozesse auf diesem Rechner; siehe [refit] workers.
+
 ## api.plant: feeds
 
-plant-address-taken = { $host }:{ $port } ist nicht frei: { $why }; setzen Sie opcua.port
+plant-address-taken = { $host }:{ $port } ist nicht frei: { $why }; opcua.port setzen
 plant-broker-not-connected = der MQTT-Broker { $where } hat die Verbindung nicht angenommen: { $why }; es wird weiter versucht
 plant-broker-not-subscribed = der MQTT-Broker { $where } hat nicht zurückgeschickt, was er aufhebt: { $why }; es wird weiter versucht
 plant-broker-not-taking = der MQTT-Broker { $where } hat eine Nachricht nicht angenommen: { $why }; es wird weiter versucht
 plant-broker-silent = keine Antwort
-plant-broker-unreachable = MQTT-Broker { $where }: { $why }; prüfen Sie, ob er läuft und erreichbar ist
+plant-broker-unreachable = MQTT-Broker { $where }: { $why }; prüfen, ob er läuft und erreichbar ist
 plant-server-fault = OPC-UA-Server: { $why }{ $left_out ->
     [0] {""}
    *[other] ; { NUMBER($left_out) } weitere dieser Art seit der letzten Zeile
@@ -1384,16 +1530,31 @@ plant-client-fault = OPC-UA-Client { $address }: { $why }{ $left_out ->
     [0] {""}
    *[other] ; { NUMBER($left_out) } weitere dieser Art seit der letzten Zeile
 }
-plant-certificate-missing = { $path }: diese Datei gibt es nicht; geben Sie Zertifikat und Schlüssel als DER- oder PEM-Dateien an
-plant-certificate-needed = opcua.host = { $host }: für Zugriffe von anderswo ist ein Zertifikat nötig; geben Sie eins mit seinem Schlüssel an
-plant-certificate-needs-key = opcua.certificate und opcua.key gehören zusammen; geben Sie beide an oder keins
+plant-certificate-missing = { $path }: diese Datei gibt es nicht; Zertifikat und Schlüssel als DER- oder PEM-Dateien angeben
+plant-certificate-needed = opcua.host = { $host }: für Zugriffe von anderswo ist ein Zertifikat nötig; eins mit seinem Schlüssel angeben
+plant-certificate-needs-key = opcua.certificate und opcua.key gehören zusammen; beide angeben oder keins
+plant-broker-refused = abgelehnt: { $reason }
+plant-feeds-broker = beliefert den MQTT-Broker { $where }
+plant-no-sign-of-life = ein Lebenszeichen lässt sich gerade nicht schreiben: { $why }
+plant-node-core = Vorhergesagte Kerntemperatur
+plant-node-core-high = Oberes Ende des 95-%-Bands der Kerntemperatur
+plant-node-core-low = Unteres Ende des 95-%-Bands der Kerntemperatur
+plant-node-core-sd = Standardabweichung der Kerntemperatur
+plant-node-event = Das letzte Ereignis: inserted (eingelegt), closed (geschlossen), opened (geöffnet) oder removed (entnommen)
+plant-node-model = Modellversion, aus der die Schätzung stammt
+plant-node-pressure = Druck { $channel }
+plant-node-reason = Warum es keine Schätzung gibt; leer, solange es eine gibt
+plant-node-run = Die Pressung, die aufgezeichnet wird; leer zwischen zweien
+plant-node-state = idle (keine Platte), open (offen), closed (geschlossen) oder unknown (unbekannt)
+plant-node-thermocouple = Thermoelement { $channel }
+plant-node-wire = Schaltdraht { $channel }, 1 heißt geschlossen
 plant-messages-sent = { $messages ->
     [one] { $messages } Nachricht gesendet
    *[other] { $messages } Nachrichten gesendet
 }
-plant-nothing-configured = { $path }: weder [mqtt] noch [opcua]; ergänzen Sie, was Ihr Werk liest
+plant-nothing-configured = { $path }: weder [mqtt] noch [opcua]; ergänzen, was das Werk liest
 plant-password-unreadable = { $path }: das Passwort des Brokers ist nicht lesbar: { $why }
-plant-tokens-needed = opcua.host = { $host }: wer von anderswo liest, braucht ein Zugangstoken als Passwort, und es gibt keines; legen Sie eines an mit kerntemp token create NAME --scope read
+plant-tokens-needed = opcua.host = { $host }: wer von anderswo liest, braucht ein Zugangstoken als Passwort, und es gibt keines; eines anlegen mit kerntemp token create NAME --scope read
 
 ## api.demo: the demonstration
 
@@ -1439,15 +1600,15 @@ demo-not-found = { $runs ->
 }
 demo-not-promoted = Modell { $version } wurde nicht in Kraft gesetzt: { $why }
 demo-page = Seite          { $address }
-demo-pressing = Pressung { $run }: { $scans } Messzeilen, Schließen { $closing } s und Öffnen { $opening } s daneben, Seiten { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } -> { NUMBER($after, minimumFractionDigits: 2, maximumFractionDigits: 2) } K, Kern { NUMBER($core, minimumFractionDigits: 2, maximumFractionDigits: 2) } K daneben
+demo-pressing = Pressung { $run }: { $scans } Messzeilen, Schließen { NUMBER($closing, minimumFractionDigits: 2, maximumFractionDigits: 2) } s und Öffnen { NUMBER($opening, minimumFractionDigits: 2, maximumFractionDigits: 2) } s daneben, Seiten { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } -> { NUMBER($after, minimumFractionDigits: 2, maximumFractionDigits: 2) } K, Kern { NUMBER($core, minimumFractionDigits: 2, maximumFractionDigits: 2) } K daneben
 demo-scans-left-out = { $left_out } von { $all } Messzeilen wurden ausgelassen
 demo-store = Datenspeicher  { $path }
-demo-stored = Gespeicherte Pressungen: { $runs }, gespeicherte Messzeilen: { $scans }
+demo-stored = Mit der virtuellen Presse verglichen: { $runs } Pressungen, { $scans } Messzeilen
 demo-summary = Zusammenfassung von { $runs ->
     [one] { $runs } Pressung
    *[other] { $runs } Pressungen
 } an der virtuellen Presse
-demo-too-slow = Dieser Rechner hielt mit { NUMBER($speed) }-facher Geschwindigkeit nicht Schritt: { $troubles }; geben Sie ein kleineres --speed an
+demo-too-slow = Dieser Rechner hielt mit { NUMBER($speed) }-facher Geschwindigkeit nicht Schritt: { $troubles }; ein kleineres --speed angeben
 demo-warming-up-failed = das Übersetzen des Modells ist gescheitert: { $why }
 
 ## page: the page
@@ -1461,8 +1622,8 @@ page-all-channels = alle übrigen Kanäle
 page-all-sensors = alle Fühler: einfach → erweitert
 page-and-more = und { $count } weitere
 page-api-docs = API
-page-at-once = jetzt
 page-back = Zurück
+page-band-at-opening = Band beim Öffnen
 page-band95 = 95-%-Band
 page-c-h_ap = Presse – Luft
 page-c-h_p_c = Heizplatte – Blech, geschlossen
@@ -1476,6 +1637,7 @@ page-change = Ändern
 page-changes = Änderungen
 page-channel = Kanal
 page-channels = Kanäle
+page-chart-keys = Pfeiltasten lesen Werte, mit Umschalt verschieben sie den Ausschnitt; + und − vergrößern, 0 folgt
 page-chart-now-label = Temperaturen der Pressung über der Zeit, mit vorhergesagtem Kern und 95-%-Band
 page-choose-press = Presse
 page-ci-high = oben
@@ -1488,17 +1650,60 @@ page-coefficients-hint = Wärmeübergangskoeffizienten, nach jeder Pressung neu 
 page-compare = Vergleichen
 page-converged = konvergiert
 page-core = Kern: einfach → erweitert
+page-core-foreseen = Kern, wenn die Presse geschlossen bleibt
+page-core-at-opening = Kern beim Öffnen
+page-core-peak = Kern, höchster Wert
 page-core-predicted = Kern, vorhergesagt
 page-core-simulated = Kern, simuliert
 page-core-temperature = Kerntemperatur
 page-could-not-load = Diese Ansicht konnte nicht geladen werden.
 page-crc-errors = CRC-Fehler
+page-differences = Einstellungen und Ergebnisse
 page-dots-measured = Punkte: gemessen, Mittel der Fühler
 page-drift = Drift
 page-drift-creep = kriecht um { $change } seit { $run }
 page-drift-hint = Regelkarten (CUSUM und EWMA) überwachen jeden Koeffizienten von Pressung zu Pressung.
 page-drift-jump = Sprung um { $change } bei { $run }
 page-earlier = Frühere Diagnosen
+page-faces-and-platens = Plattenflächen und Heizplatten
+page-follow = Folgen
+page-full-screen = Vollbild
+page-guide = Handbuch und Referenz
+page-left-out-channel = { $kelvin } K { $side ->
+    [below] unter
+   *[above] über
+ } den Nachbarn, nicht verwendet
+page-moisture = Feuchte
+page-nav-wall = Wandansicht
+page-next-by = von { $who }, { $time }
+page-next-faces = Die Flächen messen jetzt: oben { $top }, unten { $bottom }
+page-next-hint = Gilt für jede Pressung bis zur Änderung, die Starttemperatur nur für eine.
+page-next-kept = Gespeichert: die nächste Pressung beginnt damit.
+page-next-panel = Nächste Platte
+page-no-reading-for = seit { $time } keine Messung
+page-not-described = vom Modell nicht beschrieben
+page-open-then = öffnen
+page-panel-became = Platte wurde
+page-predicted = vorhergesagte Pressungen: einfach → erweitert
+page-quantity = Größe
+page-reference = Minus
+page-scatter = Eine Zahl über der anderen
+page-scatter-right = nach rechts
+page-scatter-up = nach oben
+page-search = Suche
+page-search-bounds = Mit
+page-sentence-not_described = Das Modell liegt zu weit von diesen Pressungen weg, um etwas zu sagen.
+page-suspected-causes = Verdacht, nicht bewiesen
+page-panel = Platte
+page-panel-blister = Blase
+page-panel-good = gut
+page-panel-scrap = Ausschuss
+page-panel-undercured = nicht ausgehärtet
+page-panel-verdict = Was wurde aus Platte { $run }?
+page-recipe = Rezept
+page-recipe-name = Als Rezept merken
+page-recipe-none = ohne Rezept
+page-start-temperature = Starttemperatur
 page-suspected-sudden-change = eine plötzliche Änderung an Presse oder Fühler
 page-effects = Effekte
 page-empty-removes = Ein leerer Wert entfernt die Zeile. Wer was ändert, wird festgehalten.
@@ -1506,7 +1711,7 @@ page-energy = Aufgenommene Wärme
 page-events = Ereignisse
 page-evidence = Belege: Gewinn auf ungesehenen Pressungen je Ursache
 page-explains = erklärt
-page-few-for-drift = zu wenige Pressungen für eine Regelkarte
+page-few-for-drift = zu wenige Pressungen
 page-fit = Anpassung
 page-free = Frei auf dem Datenträger
 page-from = Von
@@ -1515,12 +1720,11 @@ page-gaps = Lücken, letzte Stunde
 page-health-degraded = eingeschränkt
 page-health-down = ausgefallen
 page-health-ok = alles gut
-page-heldout = ungesehene Pressungen: einfach → erweitert
+page-heldout = ausgelassen, eigene Kontakte angepasst: einfach → erweitert
 page-heldout-gain = Gewinn auf ungesehenen Pressungen
 page-history = Verlauf
 page-hours-left = Reicht für
 page-identifiable = bestimmbar
-page-in-time = in { $time }
 page-in-use = in Gebrauch
 page-interval = 95-%-Intervall
 page-isotherm = weiß: 100 °C
@@ -1571,7 +1775,7 @@ page-no-gain = Keine Ursache senkt den Fehler auf ungesehenen Pressungen.
 page-no-models = Noch keine Modellversion.
 page-no-panel = Keine Platte in der Presse
 page-no-press = Noch keine Presse
-page-no-press-hint = Starten Sie 'kerntemp record' mit einer Konfiguration oder sehen Sie 'kerntemp demo' an.
+page-no-press-hint = 'kerntemp record' mit einer Konfiguration starten oder 'kerntemp demo' ansehen.
 page-no-runs = Keine Pressungen gefunden.
 page-no-simulation = Keine Simulation zu dieser Pressung.
 page-noise-floor = Rauschgrenze
@@ -1579,16 +1783,12 @@ page-not-converged = nicht konvergiert
 page-not-identifiable = nicht bestimmbar
 page-nowhere = Nirgends über dem Rauschen.
 page-off-by = Abweichung
-page-open-in = Öffnen möglich
 page-or = oder
 page-order-of-runs = Reihenfolge der Pressungen
 page-other-faults = Andere Fehler
 page-parameter = Parameter
-page-peak = Höchstwert danach
-page-peak-if = Höchstwert bei Öffnen jetzt
 page-place = Stelle
 page-plain-model = einfaches Modell
-page-platen = Heizplatten
 page-platens = Heizplatten
 page-press = Presse
 page-pressed = Gepresst
@@ -1613,7 +1813,6 @@ page-quality-over = über Bereich
 page-quality-simulated = simuliert
 page-quality-stale = veraltet
 page-quality-under = unter Bereich
-page-reached = erreicht
 page-readings = Messungen
 page-reason = Grund
 page-reconnects = Neuverbindungen
@@ -1649,6 +1848,14 @@ page-state-unknown = unbekannt
 page-status = Status
 page-steady = stetig
 page-store = Datenspeicher
+page-band-from = Das Band kommt von
+page-band-from-constants = den Stoffwerten der Platte
+page-band-from-contacts = den Kontakten
+page-band-from-discrepancy = dem, was dem Modell fehlt
+page-band-from-effects = den Effekten im Modell
+page-band-from-start = der Anfangs- und der Heizplattentemperatur
+page-band-from-suspected = vermuteten Ursachen
+page-band-from-timing = den Zeitpunkten der Presse
 page-suspected = Vermutete Ursache
 page-target = Ziel
 page-theme = Hell oder dunkel
@@ -1656,7 +1863,6 @@ page-thickness = Dicke
 page-time-axis = Zeit [s]
 page-time-from-closing = Zeit ab dem Schließen [s]
 page-time-since-closing = Seit dem Schließen
-page-time-to-target = Zeit bis zum Ziel
 page-timeouts = Zeitüberschreitungen
 page-to = Bis
 page-token = Zugangstoken
@@ -1668,11 +1874,13 @@ page-verdict = Urteil
 page-verdict-ambiguous = mehrdeutig
 page-verdict-named = Ursache benannt
 page-verdict-no_effect = kein Effekt
+page-verdict-not_described = nicht beschrieben
 page-verdict-too_few_runs = zu wenige Pressungen
 page-verdict-unknown_effect = unbekannter Effekt
 page-version = Version
 page-views = Ansichten
 page-waiting-for-pressing = Warten auf die erste Pressung
+page-wall = Wandansicht
 page-what = Was
 page-when = Wann
 page-where = Wo das einfache Modell falsch liegt

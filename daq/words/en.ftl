@@ -37,6 +37,7 @@ limit-greater-than-equal = must be greater than or equal to { NUMBER($limit, max
 limit-less-than = must be less than { NUMBER($limit, maximumFractionDigits: 6) }
 limit-less-than-equal = must be less than or equal to { NUMBER($limit, maximumFractionDigits: 6) }
 list-of-names = { $names }
+number-unknown = not known
 place-line = line { NUMBER($line) }
 place-row = row { NUMBER($row) }
 plain-text = { $text }
@@ -47,9 +48,7 @@ toml-too-deep = tables or lists more than { NUMBER($deepest) } deep within one a
 ## daq.drivers: loggers, wires, calibration
 
 calibration-entry = entry { NUMBER($number) }: { $what }
-calibration-gain-outside = { $channel }: gain { NUMBER($gain, minimumFractionDigits: 3, maximumFractionDigits: 3) } lies outside { NUMBER($smallest) }..{ NUMBER($largest) }; check the wiring
 calibration-other-tables = only [[calibration]] tables are known, got { $found }
-calibration-points-close = { $channel }: readings { NUMBER($low, maximumFractionDigits: 2) } and { NUMBER($high, maximumFractionDigits: 2) } C lie closer than { NUMBER($apart_K) } K; take points further apart
 cause-babble = the line never falls silent
 cause-busy = busy
 cause-closed = closed
@@ -213,7 +212,10 @@ foreign-too-short =
         [one] has one line, but file.header_line = { NUMBER($header_line) }
        *[other] has { NUMBER($lines) } lines, but file.header_line = { NUMBER($header_line) }
     }
+foreign-variant-twice = this file's name matches two variants of '{ $of }', '{ $first }' and '{ $second }'; make them tell it apart
+foreign-variant-unknown = this file's name matches none of the mapping's variants of '{ $of }' ({ $known }); add a [[variant]] that says what holds for it, or rename the file
 frame-without-rows = { $run }: the table has no rows; a run needs at least one scan
+frame-without-start = the header does not say when the run began; give { $key } as an instant with its time zone, or use time_s
 frame-without-times = { $run }: the table has no times; give a column or an index time_s in seconds, or an index of instants (columns are { $columns })
 header-far-from-table = header key { $key } = { NUMBER($value) } { $unit } lies far from the { NUMBER($table) } { $unit } of { $material } in the material table; check it
 header-key-meant = header key { $key } is not known; did you mean { $meant }?
@@ -233,15 +235,18 @@ manifest-line = not 'SHA-256 sum, two spaces, file'; remove the line
 mapping-header-source = header_from.{ $key }.column = '{ $column }': no [[column]] maps to it
 mapping-no-zone = must be a time zone such as Europe/Berlin
 mapping-target-twice = column.to = '{ $column }' occurs twice; each column of the run file has one source
+mapping-term-unknown = computed.to = '{ $to }': no [[column]] leads to its term '{ $column }'
+mapping-variant-of-nothing = required_variants: no [[variant]] has of = '{ $of }'
 press-boundary-needs-coefficient = kind = "air" needs coefficient, the name of its heat transfer coefficient
 press-boundary-needs-column = kind = "measured" needs column, the run file column with its temperature
+press-boundary-no-flux-of-run = from_run belongs to kind = "flux", not to { $kind }: it takes the flux from the run's header
 press-coefficient-unused = { $name }: no contact or boundary uses it; used are { $used }
 press-contact-cannot-part = { $boundary } is of kind '{ $kind }', from which no layer parts; give one name
 press-contact-no-neighbours = not neighbours, listed from bottom to top; possible are { $possible }
 press-contact-twice = given twice
 press-depth-outside = outside layer '{ $layer }', which is { NUMBER($thickness_mm) } mm thick
 press-guess-outside = guess = { NUMBER($guess) } lies outside lower..upper = { NUMBER($lower) }..{ NUMBER($upper) }
-press-initial-needs = kind = "uniform" needs temperature_C
+press-initial-needs = kind = "uniform" needs temperature_C, or a layer with from_run, whose start it then is
 press-layer-needs = needs { $keys } (or from_run = true)
 press-layer-surplus = from_run = true takes its constants from the run; remove { $keys }
 press-layer-twice = layer names must differ; { $names } occurs twice
@@ -371,6 +376,7 @@ model-rolled-back = rolled back
 model-through-api = through the API
 model-version-missing = model version '{ $version }' is not in the store
 model-version-taken = model version '{ $version }' is in the store already; versions never change
+recipe-unknown = there is no recipe '{ $recipe }'; there are: { $known }
 restore-differs = store { $store }: holds { $found } after restoring, the backup { $expected }
 run-end-without-run = the end of run { $run } at scan { $scan } finds no such run in the store; its scans are kept
 run-renamed = run { $run } is in the store already; this pressing is stored as { $name }
@@ -384,6 +390,7 @@ store-cursor = cursor '{ $cursor }': not a cursor of this list; take next_cursor
 store-damaged = store { $store }: the file is damaged: { $error }; take a backup of what can be read, then restore the newest sound one with kerntemp backup --restore
 store-file-gone = store { $store }: the file was deleted or moved; a running kerntemp record puts it back, else restore the newest backup
 store-foreign-view = store { $store }: view { $view } is not Kerntemp's and stands on one that this version changes; drop it, start again, and make it anew
+store-gives-no-reason = it gives no reason
 store-header-wrong = { $file }: header key { $key } = { $value }: must be { $wanted }; correct it or remove the key
 store-is-folder = store { $store }: is a folder; give the path of a file in it
 store-missing = store { $store }: does not exist; start kerntemp record, or give the right path
@@ -596,6 +603,9 @@ coefficient-missing = coefficient { $name } is missing; give all of { $all }
 coefficient-negative = { $name } = { $value } W/m²K: must be a finite number, at least 0
 header-ambient-impossible = { $run }: header key ambient.temperature_C = { $value }: must be a number from { NUMBER($lower, maximumFractionDigits: 6) } to { NUMBER($upper, maximumFractionDigits: 6) }
 header-pressure-impossible = { $run }: header key setting.pressure_N_cm2 = { $value }: must be a number above 0 N/cm²; mend it, or leave it out where it is not known
+header-table-not-rising = header key { $key }: the temperatures of its table do not rise from row to row
+header-table-rows = header key { $key } = { $value }: a table has rows of a temperature and a value, [[20, 0.12], [100, 0.14]]
+header-verdict = { $key } = { $value } is no verdict; one of { $known }
 layer-from-run-without-panel = layer '{ $layer }' takes its constants from the run, and there is no panel
 layer-incomplete = layer '{ $layer }' lacks density or thickness
 layer-value-impossible = { $run }: layer.{ $number }.{ $key } = { $value } ('{ $layer }'): must be a number from { NUMBER($lower, maximumFractionDigits: 6) } to { NUMBER($upper, maximumFractionDigits: 6) }; mend the press file
@@ -613,6 +623,7 @@ model-file-no-numbers = { $file }: { $place } = { $value }: needs numbers value 
 model-file-no-table = { $file }: { $place } must be an object of NAME: {"{"}value, sd{"}"}
 model-file-not-finite = { $file }: { $place }.value is not finite
 model-file-parameter-unknown = { $file }: effects.{ $number }.parameters.{ $name }: { $effect } has { $known }
+model-file-scatter = { $file }: scatter is not as `fit` writes it ({ $error }); leave the key out
 model-file-unreadable = { $file }: cannot read the model file: { $error }
 parameter-unknown = '{ $name }' is no parameter of this model; it has { $known }
 run-moments-out-of-order = { $run }: { $later } = { $late } lies before { $earlier } = { $early }; check column closed
@@ -644,10 +655,14 @@ value-not-finite = { $name } = { $value }: must be a finite number
 
 ## softsensor.signals: channels
 
+channel-departs = { $column } reads { NUMBER($kelvin, maximumFractionDigits: 0) } K { $side ->
+    [below] below
+   *[above] above
+ } its neighbours and is not used in { $run }
 channel-drifting = channel { $column } drifts away from its face, by { NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K rms, and is left out
 channel-empty = channel { $column } holds no usable value and is left out
 channel-loose = channel { $column } departs from its face by { NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K rms: it may be loose, and is left out
-channel-swapped = channel { $column } follows { $place }: was it swapped? It is left out
+channel-swapped = channel { $column } follows another place ({ $place }): was it swapped? It is left out
 run-no-panel-channel = { $run }: no usable panel channel; the press file's sensors name { $named }
 run-press-state-unknown = { $run }: press state unknown: no panel column and no column 'closed'; add one of them, or take a press file without open contacts
 
@@ -677,7 +692,6 @@ fit-misfit-lost-insertion = insertion and closing fall into one gap of its rows,
 fit-misfit-span = { NUMBER($rmse, minimumFractionDigits: 1, maximumFractionDigits: 1) } K left of readings that span { NUMBER($span, maximumFractionDigits: 0) } K
 fit-no-run = no run given; name at least one run file
 fit-no-such-method = method '{ $method }': must be one of { $methods }
-fit-no-such-parameter = parameter '{ $name }': effect { $effect } has no '{ $key }'
 fit-no-such-shared = shared coefficient '{ $name }': must be one of { $names }
 fit-not-converged = the search did not converge; the coefficients are where it stopped
 fit-not-described = the model does not describe this run: { $misfit }
@@ -694,24 +708,24 @@ fit-program-outside = { $name } = { $value } { $unit } lies outside the programs
 fit-program-remark = Remark: { $remark }
 fit-reason = { $role } { $why } { $remedy }
 fit-remedy-both-sides = Both faces already carry thermocouples; no reading depends on it.
-fit-remedy-calibrate-channels = Calibrate the channels at { $place } at two temperatures.
+fit-remedy-calibrate-channels = Calibrate the channels ({ $place }) at two temperatures.
 fit-remedy-calibrate-platen = Calibrate the platen channel against the panel channels at one temperature (kerntemp calibrate).
 fit-remedy-change = Change the temperatures faster, or further.
-fit-remedy-channels = Log the channels at { $place } too, which this run lacks.
-fit-remedy-check-channels = Check the channels at { $place } against a thermometer before the run (kerntemp calibrate).
+fit-remedy-channels = Log the channels that this run lacks too ({ $place }).
+fit-remedy-check-channels = Check the channels ({ $place }) against a thermometer before the run (kerntemp calibrate).
 fit-remedy-faster = Log faster than the { NUMBER($hertz, maximumSignificantDigits: 2) } Hz of this run.
 fit-remedy-faster-and-switch = Log faster than the { NUMBER($hertz, maximumSignificantDigits: 2) } Hz of this run, and log a limit switch as the column closed.
 fit-remedy-go-on = Measure at { $boundary } until its temperature has changed more.
 fit-remedy-hotter = Repeat the run with a hotter press; a longer open time would not help.
 fit-remedy-leave-open = Leave the panel in the open press for a minute before closing instead of { NUMBER($seconds, maximumFractionDigits: 0) } s.
 fit-remedy-log-on = Log on for a minute after opening instead of { NUMBER($seconds, maximumFractionDigits: 0) } s.
+fit-remedy-measure-constant = Measure { $key } on this panel and state how sure it is as { $key }.sd.
 fit-remedy-pressing = Log a pressing that closes.
 fit-remedy-stay-closed = Keep the press closed for longer than the { NUMBER($seconds, maximumFractionDigits: 0) } s of this run.
 fit-remedy-switch = Log a limit switch as the column closed.
 fit-remedy-thermocouple = Put a thermocouple on the face of { $layer } towards { $other }.
 fit-role-boundary = It acts here: { $boundary }.
 fit-role-closed = It couples { $below } and { $above } while the press is closed ({ NUMBER($seconds, maximumFractionDigits: 0) } s in this run).
-fit-role-effect = It is a parameter of an effect.
 fit-role-joined = It couples { $below } and { $above }.
 fit-role-open = It acts between { $below } and { $above } while the press is open ({ NUMBER($before, maximumFractionDigits: 0) } s before closing and { NUMBER($after, maximumFractionDigits: 0) } s after opening in this run).
 fit-role-open-face = It acts at the face of { $layer } while the press is open ({ NUMBER($before, maximumFractionDigits: 0) } s before closing and { NUMBER($after, maximumFractionDigits: 0) } s after opening in this run).
@@ -737,9 +751,10 @@ fit-start-in-first-row = header key panel.initial_temperature_C = { $header }, b
 fit-stuck = stuck: the procedure ends { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K rms from the readings; at the guesses it was { NUMBER($first, minimumFractionDigits: 2, maximumFractionDigits: 2) } K, and the default method reaches { NUMBER($own, minimumFractionDigits: 2, maximumFractionDigits: 2) } K
 fit-two-sentences = { $first } { $second }
 fit-unknown-closing = the moment of closing
-fit-unknown-gain = the gain of the channels at { $place }
+fit-unknown-constant = the constant { $place } of the header or press file
+fit-unknown-gain = the gain of the channels ({ $place })
 fit-unknown-insertion = the moment of insertion
-fit-unknown-offset = the offset of the channels at { $place }
+fit-unknown-offset = the offset of the channels ({ $place })
 fit-unknown-opening = the moment of opening
 fit-unknown-platen-bottom = the error of the lower platen channel
 fit-unknown-platen-top = the error of the upper platen channel
@@ -747,7 +762,7 @@ fit-unknown-ramp = the time the press takes to close
 fit-unknown-skew =
     { $place ->
         [all] the delay of the panel channels
-       *[other] the delay of the channels at { $place }
+       *[other] the delay of the channels ({ $place })
     }
 fit-unknown-start = the panel's start temperature
 fit-verdict-fixed = fixed
@@ -797,6 +812,7 @@ measured-at = { $at } °C
 measured-between = { $low } to { $high } °C
 next-confirm-and-core = To know the core, press two or three sacrificial panels with a core thermocouple; to confirm the cause: { $confirm }
 next-constants = Measure the panel's conductivity and heat capacity: the faces fit, but core thermocouples are off by { NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K, so something is wrong that faces do not show.
+next-describe = Check thicknesses, materials and columns of press file and runs, then press one panel with a core thermocouple.
 next-look-there = Press three sacrificial panels with a core thermocouple and look at the times and places listed.
 next-more-runs = Press at least { $more } more { $more ->
         [one] panel
@@ -834,11 +850,12 @@ verdict-few-runs-off = { $runs } { $runs ->
         [one] run is
        *[other] runs are
     } too few to tell a cause from chance; the plain model is { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K off, of which { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K is noise.
-verdict-found-but = Causes named, but part of the residual is still unexplained: { $causes }.
 verdict-left = All runs share a residual that no cause of the catalogue explains.
 verdict-left-at = All runs share a residual that no cause of the catalogue explains: { $stretch }.
+verdict-not-described = Nothing can be said: the model is { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K off, and noise alone is { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K. Check the press file, the runs' headers and which column is which.
 verdict-plain-model-explains = The plain model explains these { $runs } runs to { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K; noise alone is { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K.
 verdict-plain-model-explains-the-rest = Without them, the plain model explains these { $runs } runs to { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K.
+verdict-suspected = Suspected, not proven: { $causes }.
 where-further = Next: { $stretch }.
 where-most = Furthest off: { $stretch }.
 where-stretch = measured { NUMBER($kelvin, minimumFractionDigits: 2, maximumFractionDigits: 2) } K { $side } the plain model at { $place }, from { $begin } to { $end } s ({ $phase }), where it measured { $temperatures }
@@ -864,6 +881,8 @@ core-will-pass-limit = the core will peak at { NUMBER($peak_C, maximumFractionDi
 core-will-pass-limit-even-if-opened = the core will peak at { NUMBER($peak_C, maximumFractionDigits: 0) } °C even if the press is opened now, above the limit of { NUMBER($limit_C, maximumFractionDigits: 1) } °C
 reason-band-too-wide = core not observable: the band is wider than ±{ NUMBER($limit_K, maximumFractionDigits: 0) } K
 reason-calculation-failed = the calculation failed and is being restarted
+reason-constants-far-from-the-material = the header's constants are far from those of its material; correct them, or state how sure they are (KEY.sd)
+reason-core-impossible = the numbers went to { NUMBER($core_C, maximumFractionDigits: 0) } °C, where no core can be: nothing colder than { NUMBER($lowest_C, maximumFractionDigits: 0) } °C or hotter than { NUMBER($highest_C, maximumFractionDigits: 0) } °C has touched it
 reason-faces-jumped-during-a-gap = both faces jumped in temperature during a gap in the readings
 reason-faces-too-cold-for-this-panel = the faces are far colder than those of the panel that was pressed; another panel may lie there
 reason-insertion-not-seen = core not observable: nothing has shown when the panel was inserted
@@ -894,8 +913,8 @@ dask-package-missing = Dask scheduler { $address }: the package 'distributed' is
 model-none-before = press { $press }: no earlier model to go back to
 night-against-core-silenced = the core is valid in fewer scans
 night-against-core-worse = the core gets worse
-night-against-left-out-worse = worse on held-out runs
 night-against-not-significant = the gain is not significant
+night-against-predicts-worse = it predicts pressings worse
 night-against-still-helps = an effect it would drop still improves the fit
 night-compared =
     { $kind ->
@@ -905,10 +924,10 @@ night-compared =
     }: residual { NUMBER($before, minimumFractionDigits: 3, maximumFractionDigits: 3) } -> { NUMBER($after, minimumFractionDigits: 3, maximumFractionDigits: 3) } K on { $apart ->
         [yes] { $runs } runs that took no part
        *[no] { $runs } runs of the diagnosis
-    }{ $left_out }{ $core }{ $against }
+    }{ $predicted }{ $core }{ $against }
 night-compared-against = { "; " }{ $what }
 night-compared-core = { ", " }core { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } -> { NUMBER($after, minimumFractionDigits: 2, maximumFractionDigits: 2) } K live
-night-compared-left-out = { ", " }{ NUMBER($before, minimumFractionDigits: 3, maximumFractionDigits: 3) } -> { NUMBER($after, minimumFractionDigits: 3, maximumFractionDigits: 3) } K on runs left out in turn
+night-compared-predicted = { ", " }predictions { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } -> { NUMBER($after, minimumFractionDigits: 2, maximumFractionDigits: 2) } K off
 night-diagnosis-confirms = the diagnosis confirms it
 night-first-model = first model, coefficients of { $runs } runs
 night-first-model-although = first model, coefficients of { $runs } runs; { $although }
@@ -969,7 +988,7 @@ figure-mean = measured (mean)
 figure-measured = measured
 figure-measured-mean = measured, mean of { $channels } sensors ± their scatter
 figure-measured-minus-model = measured − model [K]
-figure-misfit-saved = misfit reduction [variances of the noise]
+figure-misfit-saved = misfit reduction [σ²]
 figure-model = { $model } model
 figure-moves-with = { $run }: { $one } moves most with { $other } (correlation { $sign }{ NUMBER($size, minimumFractionDigits: 2, maximumFractionDigits: 2) })
 figure-normalised = Relative to the mean: { $name } differs most from run to run ({ NUMBER($percent, maximumFractionDigits: 0) } %)
@@ -1030,7 +1049,7 @@ report-95-bootstrap = 95 % (bootstrap)
 report-95-of-mean = 95 % of the mean (t)
 report-95-of-runs = 95 % of its runs
 report-at-core = At the core: { $core }
-report-bold-better = Bold: much better known together than alone.
+report-bold-better = W/m²K, ± half the 95 % interval. Bold: much better known together than alone.
 report-bold-excludes = Bold: the 95 % interval excludes no change.
 report-candidates = All candidates
 report-cannot-tell = These runs cannot tell the causes apart. What would:
@@ -1052,6 +1071,7 @@ report-diagnosis-basis = Press “{ $press }”, { $runs } { $runs ->
     }, verdict
 report-diagnosis-of = { $verdict } – press { $press }
 report-error-core = error of the core against core thermocouples
+report-error-core-predicted = error at core thermocouples, runs predicted
 report-every-run = Every run by itself
 report-every-run-joint = Every run with what it borrows from the others
 report-extended-model = extended model
@@ -1079,7 +1099,7 @@ report-known = { $runs ->
     }: { $known }.
 report-known-to = { NUMBER($value, maximumSignificantDigits: 4) } ± { NUMBER($percent, maximumFractionDigits: 0) } %
 report-legend-coefficients = Dots: single runs with 95 % intervals. Line and band: mean and σ. Cross: a run in which the coefficient is not identifiable, drawn at the mean.
-report-legend-every-run = ± half the 95 % interval. Italics: not identifiable in that run; the interval that the data leave open. Not described: the model does not fit the run, so nothing is read from it.
+report-legend-every-run = W/m²K, ± half the 95 % interval. Italics: not identifiable in that run; the interval that the data leave open. Not described: the model does not fit the run, so nothing is read from it.
 report-legend-measured = Error bars: standard deviation over the sensors of a face. Grey dashes: the model with the press file's guesses. Shaded: press closed. Residuals without each face's constant offset, their band the scatter of the face's sensors; where the press moves they leave the picture, and the largest is written in.
 report-legend-normalised = Dots: single runs over the mean, in their order. Bars: ± σ.
 report-legend-profile = A profile shows how much worse the model fits the run the further a coefficient is moved while all other unknowns follow; where it stays below the line the value fits as well (95 %). A profile that does not cross the line on a side is open there.
@@ -1109,6 +1129,11 @@ report-notes-on-runs = Notes on single runs
 report-number = { NUMBER($value, maximumSignificantDigits: 4) }
 report-number-2 = { NUMBER($value, maximumSignificantDigits: 2) }
 report-number-3 = { NUMBER($value, maximumSignificantDigits: 3) }
+paper-adaptive = adaptive
+paper-exact = exact
+paper-exact-sensitivities = exact
+paper-finite-differences = finite differences
+paper-slope-changes = Cost along { $name } within ±{ NUMBER($span, maximumSignificantDigits: 1) } %: the slope changes sign { $adaptive } times with the adaptive solver, { $exact } times with the exact one.
 report-paper = Why gradient least squares got stuck, and why it need not
 report-paper-converged = converged
 report-paper-error = error against the truth
@@ -1134,7 +1159,8 @@ report-program = A program never run
 report-program-of = Predicted for { $settings } (95 % of runs)
 report-residual-fitted = residual of all sensors, fitted runs
 report-residual-kelvin = rmse [K]
-report-residual-left-out = residual on runs that took no part
+report-residual-left-out = residual on runs left out, own contacts fitted
+report-residual-predicted = residual on runs predicted from header and other runs alone
 report-run = run
 report-run-not-described = { $runs ->
         [one] The run that the model does not describe
@@ -1163,6 +1189,7 @@ report-value = value
 report-verdict-ambiguous = Cause narrowed down
 report-verdict-named = Cause named
 report-verdict-no_effect = No effect found
+report-verdict-not_described = The model does not describe the runs
 report-verdict-too_few_runs = Too few runs
 report-verdict-unknown_effect = Something unknown
 report-what-is-wrong = What is wrong
@@ -1171,6 +1198,22 @@ report-why-and-remedy = why, and which measurement fixes it
 report-with-guesses-kelvin = with guesses [K]
 report-worst-run = The run with the worst fit
 report-worth = explains { NUMBER($percent, maximumFractionDigits: 0) } % of what the runs have in common and { $worth }. The chance that this is luck, by flipping signs of whole runs: { $sureness }
+
+## api: when to open
+
+advice-no-look-ahead = the live sensor has not looked ahead yet
+advice-no-panel = no panel in the press
+advice-no-target = no core target set
+advice-not-closed = press not closed yet
+advice-not-known = not known, because { $why }
+advice-old = the last look ahead is { NUMBER($seconds, maximumFractionDigits: 0) } s old
+advice-open-in = open in { NUMBER($seconds, maximumFractionDigits: 0) } s
+advice-open-in-at-least = open in { NUMBER($seconds, maximumFractionDigits: 0) } s ({ NUMBER($low, maximumFractionDigits: 0) } or later)
+advice-open-in-between = open in { NUMBER($seconds, maximumFractionDigits: 0) } s ({ NUMBER($low, maximumFractionDigits: 0) } to { NUMBER($high, maximumFractionDigits: 0) })
+advice-open-now = OPEN NOW
+advice-opened = opened
+advice-opened-peak = opened, the core peaks at { NUMBER($peak_C, maximumFractionDigits: 0) } °C
+advice-too-early = too early
 
 ## api: refusals of the server, access, health
 
@@ -1191,9 +1234,11 @@ api-header-not-a-number = header.{ $key } = { $value }: must be a number
 api-instant-without-zone = { $instant } has no time zone; end it with Z or an offset
 api-last-event-id-unknown = Last-Event-ID { $id } is not an id of this stream; leave it out
 api-model-unknown = model { $version } does not exist; /api/v1/models lists them
+api-next-panel = next panels of { $press }: { $recipe } { $fields }
 api-no-such-language = there are no words in { $language }; there are { $languages }
 api-nul-character = path and query: a NUL character belongs nowhere; leave it out
 api-only-loopback-names = without a token only a loopback host name is answered here
+api-press-unknown = there is no press '{ $press }'; there are: { $known }
 api-query-unknown = query.{ $name }: unknown; known here: { $known }
 api-query-unknown-of-none = query.{ $name }: unknown; none is known here
 api-reading-needs-token = reading from elsewhere needs a token: Authorization: Bearer ...
@@ -1203,7 +1248,10 @@ api-run-not-fitted = run { $run } has not been fitted; kerntemp refit fits it
 api-run-not-simulated = run { $run } cannot be simulated: { $why }
 api-run-unknown = run { $run } does not exist; /api/v1/runs lists them
 api-run-without-press-file = run { $run }: its press was stored without a press file
+api-search-bound = '{ $bound }' is no bound; write for example core_at_opening_C>=95
+api-search-order = '{ $order }' is no order; one of { $known }, or a header key
 api-server-failed = the server failed at this; see its log
+api-slows-wrong-tokens = too many wrong tokens from { $address }; further ones are answered slowly
 api-token-exists = token { $name } exists; revoke it first or choose another name
 api-token-invalid = this token is not valid; kerntemp token create makes one
 api-token-reads-only = token { $name } may read only; a change needs scope write
@@ -1293,6 +1341,7 @@ terminal-probe-answers = { $place }: Modbus answers from stations { $stations }
 terminal-probe-answers-none = { $place }: no station answers Modbus
 terminal-probe-for-configuration = for kerntemp.toml; name the channels
 terminal-probe-nothing-known = { $place }: nothing known reads room temperature here; check power, cable, address and baud rate
+terminal-probe-reading = { $meaning }: { $percent } % at room temperature: { $values }
 terminal-probe-reads-as-well = reads just as well: { $profiles }; look at the device's label
 terminal-probe-registers = station { $station }, function { $function }: registers from 0, read as
 terminal-program-cannot-tell =
@@ -1331,7 +1380,7 @@ terminal-refit-report = { $press }: report { $page }
 terminal-refit-unfit = { $press }: { $failed } of { $runs } runs could not be fitted
 terminal-reproduce-alone = --reproduce-paper makes its own measurements and does not take { $surplus }; it goes with --json, --html and --svg
 terminal-rise = { $logger }: largest { NUMBER($rise, minimumFractionDigits: 1, maximumFractionDigits: 1) } K, next { NUMBER($next, minimumFractionDigits: 1, maximumFractionDigits: 1) } K
-terminal-room-check = { $channel } { $mean } °C, { $deviation } K off, noise { $noise } K: { $verdict }
+terminal-room-check = { $channel } { NUMBER($mean, minimumFractionDigits: 2, maximumFractionDigits: 2) } °C, { $deviation } off, noise { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K: { $verdict }
 terminal-room-no-value = { $channel } { $verdict } ({ $quality })
 terminal-rose = { $channel } ({ $logger }) rose by { NUMBER($rise, minimumFractionDigits: 1, maximumFractionDigits: 1) } K
 terminal-run-file-ending = { $path }: a run file ends in .csv or .parquet, event documents in .jsonl
@@ -1345,9 +1394,106 @@ terminal-stations-out-of-range = --stations '{ $text }': addresses lie between 0
 terminal-token-needs-name = kerntemp token { $action }: needs a name
 terminal-unexpected = { $kind }: { $why } (KERNTEMP_TRACEBACK=1 shows where)
 terminal-until-leaves-too-little = { $run }: --until { $until } leaves { $rows } of { $all } rows; the first is at time_s = { $first }: give a later moment
+terminal-until-no-column = { $run }: --until names column '{ $column }'; the run has { $known }
+terminal-until-no-run = --until { $until }: no run '{ $run }' is given; runs are { $known }
+terminal-until-not-read = --until { $until }: give seconds (900), a temperature of a column (bottom_1=140) or one of { $events }, with RUN: before it for one run alone
 terminal-without-matches-none = --without { $pattern }: run '{ $run }' has none; it has { $columns }
 token-created = token { $name } created, scope { $scope }
 token-revoked = token { $name } revoked
+
+## api.commands: help, and calls that are wrong
+
+call-command-missing = no command given; kerntemp --help lists them
+call-command-unknown = { $command }: no such command; kerntemp --help lists them
+call-command-unknown-meant = { $command }: no such command; did you mean { $meant }?
+call-not-one-of = must be one of { $known }
+call-option-unknown = { $option }: no such option; --help lists them
+call-option-unknown-meant = { $option }: no such option; near it are { $meant }
+call-option-without-value = { $option }: needs a value
+call-surplus = too much in this call: { $words }; put quotes around a text with blanks
+help-arguments = Arguments:
+help-averages = With a method of the paper: averages of the upper and of the lower sensors, not every sensor.
+help-backup-file = The copy: a new SQLite file.
+help-baud = Baud rate of the serial line; without it 9600.
+help-calibrate-write = Add the offsets found to each logger's calibration file.
+help-certificate = TLS certificate chain, PEM.
+help-coefficients = Coefficients, a flat {"{"}NAME: value{"}"}.
+help-command-backup = Copy the store while others write to it. The copy is checked before it gets its name.
+help-command-calibrate = Check all channels at room temperature (--room), or find swapped ones (--warm). Stop kerntemp record first.
+help-command-check = Check the configuration and the store, and read every logger once.
+help-command-demo = Run everything on a virtual press: logging, live prediction, refits and the page.
+help-command-diagnose = Find what the simulation gets wrong, why, what it costs, and what to measure next.
+help-command-export = Write runs of the store as run files, or list the runs.
+help-command-fit = Fit the heat transfer coefficients of each run and of the campaign.
+help-command-import = Put run files into the store: all of them, or none if one is wrong.
+help-command-kerntemp = Core temperature of pressed panels: log, predict live, fit, and find what the model gets wrong.
+help-command-predict = Replay a run scan by scan through the live sensor; no row uses later readings.
+help-command-probe = Find out which logger is on a wire, with the sensors at room temperature. No device at hand? python -m daq.simulated.devices_serve adam-4118 puts a simulated one on a wire.
+help-command-publish = Feed an MQTT broker ([mqtt]) and run an OPC UA server ([opcua]), without end.
+help-command-record = Log all presses of the configuration, without end.
+help-command-refit = The nightly job: refit all runs, diagnose, and put a better model into force.
+help-command-sense = Predict the core live on all presses of the configuration, without end.
+help-command-serve = Serve the page and the REST interface; to other machines only with tokens.
+help-command-simulate = Simulate a run from its platen temperatures alone.
+help-command-token = Make, list and revoke access tokens. A new one is shown once.
+help-commands = Commands:
+help-config = The configuration; without it kerntemp.toml in this folder.
+help-dask = A Dask scheduler whose workers take the fits; see [refit] dask.
+help-data = Keep everything in this folder.
+help-default = { $told } [default: { $value }]
+help-device-host = Address of a device on the network.
+help-environment = { $told } [or the environment variable { $name }]
+help-export-format = Format of the files in a folder; jsonl holds documents of bluesky's event model.
+help-export-out = A file for one run, a folder for several.
+help-export-runs = Ids of runs; without any, the runs are listed.
+help-help = Show this page.
+help-hide = Switch this effect on in the virtual press only.
+help-host = Address to listen on; without it the configuration's.
+help-html = Write a report to read here.
+help-import-files = Run files, or another logger's own files with --mapping.
+help-json = Write everything as JSON here.
+help-key = The certificate's private key, PEM.
+help-licences = List what is shipped or installed with it, with its licence.
+help-mapping = A mapping that explains another logger's files, TOML.
+help-method = default, or one of the paper's: least_squares, nelder_mead, nelder_mead_then_least_squares.
+help-model = A model file, as fit and diagnose write it.
+help-model-out = Write the campaign's model file here.
+help-offline = Do not read the loggers.
+help-options = Options:
+help-out = Write the table here.
+help-page-port = Port of the page; 0 takes a free one.
+help-period = Time between two readings.
+help-port = Port; 0 takes a free one and shows it.
+help-press = The press file.
+help-pressings = Stop after this many pressings; without it at Ctrl-C.
+help-program = A press program never run, by its settings: its coefficients are predicted from the campaign's. May be repeated.
+help-reproduce-paper = Instead: why gradient least squares got stuck, shown on 20 virtual measurements. --json, --html and --svg keep the table and the cost along one coefficient.
+help-restore = Fill a new, empty store from the copy.
+help-roll-back = Only go back to this press's model before.
+help-room = Temperature of the room, from a thermometer beside the sensors, 0 to 60 °C.
+help-run = A run file, or the id of a run in the store.
+help-runs = Run files, or ids of runs in the store.
+help-scope = write includes read.
+help-seed = Another number is another press.
+help-serial-port = Serial port: /dev/ttyUSB0, COM5, or socket://host:port.
+help-shared = A coefficient with one value in all runs. May be repeated.
+help-speed = Times real speed, 0.1 to 200.
+help-stations = Addresses to try, such as 1-4,9.
+help-store = The store: a path, or a postgresql:// URL.
+help-svg = Write every figure into this folder as SVG.
+help-tcp-port = TCP port of the device; without it 502.
+help-timeout = Time to wait for a reply, 0.05 to 10.
+help-token-action = What to do.
+help-token-name = Whom the token is for.
+help-transport = How Modbus is spoken; without it the place decides.
+help-until = Leave out the rows of each run after this: a moment of time_s, a temperature that a column reaches (bottom_1=140), or inserted, closed, opened, removed. RUN:... is one run's own. May be repeated; the first that comes counts.
+help-usage = Usage: { $call }
+help-verify = Only check an existing copy.
+help-version = Show the version.
+help-wait = Time to warm it by hand; without it Enter ends the wait.
+help-warm = Find the thermocouple that is warmed by hand.
+help-without = Columns to hide, separated by commas; patterns such as top_* are allowed.
+help-workers = Processes on this machine; see [refit] workers.
 
 ## api.plant: feeds
 
@@ -1368,6 +1514,21 @@ plant-client-fault = OPC UA client { $address }: { $why }{ $left_out ->
 plant-certificate-missing = { $path }: no such file; give certificate and key as DER or PEM files
 plant-certificate-needed = opcua.host = { $host }: beyond loopback a certificate is needed; give one and its key
 plant-certificate-needs-key = opcua.certificate and opcua.key belong together; give both or neither
+plant-broker-refused = refused: { $reason }
+plant-feeds-broker = feeding MQTT broker { $where }
+plant-no-sign-of-life = no sign of life can be written now: { $why }
+plant-node-core = Predicted core temperature
+plant-node-core-high = Upper end of the 95 % band of the core temperature
+plant-node-core-low = Lower end of the 95 % band of the core temperature
+plant-node-core-sd = Standard deviation of the core temperature
+plant-node-event = The last press event: inserted, closed, opened or removed
+plant-node-model = Model version the estimate comes from
+plant-node-pressure = Pressure { $channel }
+plant-node-reason = Why there is no estimate, empty while there is one
+plant-node-run = The pressing being recorded, empty between two
+plant-node-state = idle (no panel), open, closed or unknown
+plant-node-thermocouple = Thermocouple { $channel }
+plant-node-wire = Wire { $channel }, 1 for closed
 plant-messages-sent = { $messages ->
     [one] { $messages } message sent
    *[other] { $messages } messages sent
@@ -1420,10 +1581,10 @@ demo-not-found = { $runs ->
 }
 demo-not-promoted = Model { $version } was not promoted: { $why }
 demo-page = Page     { $address }
-demo-pressing = Pressing { $run }: { $scans } scans, closing { $closing } s and opening { $opening } s off, surface { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } -> { NUMBER($after, minimumFractionDigits: 2, maximumFractionDigits: 2) } K, core { NUMBER($core, minimumFractionDigits: 2, maximumFractionDigits: 2) } K off
+demo-pressing = Pressing { $run }: { $scans } scans, closing { NUMBER($closing, minimumFractionDigits: 2, maximumFractionDigits: 2) } s and opening { NUMBER($opening, minimumFractionDigits: 2, maximumFractionDigits: 2) } s off, surface { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } -> { NUMBER($after, minimumFractionDigits: 2, maximumFractionDigits: 2) } K, core { NUMBER($core, minimumFractionDigits: 2, maximumFractionDigits: 2) } K off
 demo-scans-left-out = { $left_out } of { $all } scans were left out
 demo-store = Store    { $path }
-demo-stored = Runs stored: { $runs }, scans stored: { $scans }
+demo-stored = Compared with the virtual press: { $runs } pressings, { $scans } scans
 demo-summary = Summary of { $runs ->
     [one] { $runs } pressing
    *[other] { $runs } pressings
@@ -1442,8 +1603,8 @@ page-all-channels = all other channels
 page-all-sensors = all sensors: plain → extended
 page-and-more = and { $count } more
 page-api-docs = API
-page-at-once = now
 page-back = Back
+page-band-at-opening = Band at opening
 page-band95 = 95 % band
 page-c-h_ap = press – air
 page-c-h_p_c = platen – plate, closed
@@ -1457,6 +1618,7 @@ page-change = Change
 page-changes = Changes
 page-channel = Channel
 page-channels = Channels
+page-chart-keys = Arrow keys read values, with Shift they move the part shown; + and − zoom, 0 follows
 page-chart-now-label = Temperatures of the pressing over time, with the predicted core and its 95 % band
 page-choose-press = Press
 page-ci-high = high
@@ -1469,17 +1631,60 @@ page-coefficients-hint = Heat transfer coefficients refitted after each pressing
 page-compare = Compare
 page-converged = converged
 page-core = core: plain → extended
+page-core-at-opening = Core at opening
+page-core-foreseen = Core, foreseen if it stays closed
+page-core-peak = Core, highest
 page-core-predicted = Core, predicted
 page-core-simulated = Core, simulated
 page-core-temperature = Core temperature
 page-could-not-load = This view could not be loaded.
 page-crc-errors = CRC errors
+page-differences = Settings and results
 page-dots-measured = dots: measured, mean of the sensors
 page-drift = Drift
 page-drift-creep = creeping by { $change } since { $run }
 page-drift-hint = Control charts (CUSUM and EWMA) watch each coefficient from run to run.
 page-drift-jump = jumped by { $change } at { $run }
 page-earlier = Earlier diagnoses
+page-faces-and-platens = Faces and platens
+page-follow = Follow
+page-full-screen = Full screen
+page-guide = Guide and reference
+page-left-out-channel = { $kelvin } K { $side ->
+    [below] below
+   *[above] above
+ } its neighbours, not used
+page-moisture = Moisture
+page-nav-wall = Wall view
+page-next-by = by { $who }, { $time }
+page-next-faces = Faces read now: { $top } above, { $bottom } below
+page-next-hint = Holds for every pressing until changed; the start temperature for one.
+page-next-kept = Kept: the next pressing begins with it.
+page-next-panel = Next panel
+page-no-reading-for = no reading for { $time }
+page-not-described = not described by the model
+page-open-then = open
+page-panel-became = Panel became
+page-predicted = predicted pressings: plain → extended
+page-quantity = Quantity
+page-reference = Minus
+page-scatter = One number over another
+page-scatter-right = to the right
+page-scatter-up = up
+page-search = Search
+page-search-bounds = With
+page-sentence-not_described = The model is too far from these pressings to say anything.
+page-suspected-causes = Suspected, not proven
+page-panel = Panel
+page-panel-blister = blister
+page-panel-good = good
+page-panel-scrap = scrap
+page-panel-undercured = undercured
+page-panel-verdict = What became of panel { $run }?
+page-recipe = Recipe
+page-recipe-name = Keep as recipe
+page-recipe-none = without recipe
+page-start-temperature = Start temperature
 page-suspected-sudden-change = a sudden change at the press or a sensor
 page-effects = Effects
 page-empty-removes = An empty value removes the line. Who changes what is kept.
@@ -1487,7 +1692,7 @@ page-energy = Heat taken up
 page-events = Events
 page-evidence = Evidence: gain on unseen pressings by cause
 page-explains = explains
-page-few-for-drift = too few pressings for a drift chart
+page-few-for-drift = too few pressings
 page-fit = Fit
 page-free = Free on disk
 page-from = From
@@ -1496,12 +1701,11 @@ page-gaps = Gaps, last hour
 page-health-degraded = degraded
 page-health-down = down
 page-health-ok = all well
-page-heldout = unseen pressings: plain → extended
+page-heldout = left out, own contacts fitted: plain → extended
 page-heldout-gain = gain on unseen pressings
 page-history = history
 page-hours-left = Lasts for
 page-identifiable = identifiable
-page-in-time = in { $time }
 page-in-use = in use
 page-interval = 95 % interval
 page-isotherm = white: 100 °C
@@ -1560,16 +1764,12 @@ page-not-converged = not converged
 page-not-identifiable = not identifiable
 page-nowhere = Nowhere beyond the noise.
 page-off-by = Off by
-page-open-in = May be opened
 page-or = or
 page-order-of-runs = order of pressings
 page-other-faults = Other faults
 page-parameter = Parameter
-page-peak = Peak still ahead
-page-peak-if = Peak if opened now
 page-place = Place
 page-plain-model = plain model
-page-platen = Platens
 page-platens = Platens
 page-press = Press
 page-pressed = Pressed
@@ -1594,7 +1794,6 @@ page-quality-over = over range
 page-quality-simulated = simulated
 page-quality-stale = stale
 page-quality-under = under range
-page-reached = reached
 page-readings = Readings
 page-reason = Reason
 page-reconnects = Reconnects
@@ -1630,6 +1829,14 @@ page-state-unknown = unknown
 page-status = Status
 page-steady = steady
 page-store = Store
+page-band-from = The band comes from
+page-band-from-constants = the panel's constants
+page-band-from-contacts = contacts
+page-band-from-discrepancy = what the model lacks
+page-band-from-effects = effects in the model
+page-band-from-start = start and platen temperatures
+page-band-from-suspected = suspected causes
+page-band-from-timing = moments of the press
 page-suspected = Suspected cause
 page-target = Target
 page-theme = Light or dark
@@ -1637,7 +1844,6 @@ page-thickness = Thickness
 page-time-axis = Time [s]
 page-time-from-closing = Time from closing [s]
 page-time-since-closing = Since closing
-page-time-to-target = Time to target
 page-timeouts = Timeouts
 page-to = To
 page-token = Access token
@@ -1649,11 +1855,13 @@ page-verdict = Verdict
 page-verdict-ambiguous = ambiguous
 page-verdict-named = cause named
 page-verdict-no_effect = no effect
+page-verdict-not_described = not described
 page-verdict-too_few_runs = too few runs
 page-verdict-unknown_effect = unknown effect
 page-version = Version
 page-views = Views
 page-waiting-for-pressing = Waiting for the first pressing
+page-wall = Wall view
 page-what = What
 page-when = When
 page-where = Where the plain model is wrong

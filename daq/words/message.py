@@ -30,7 +30,7 @@ class Message:
     arguments: Mapping[str, Argument] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Freeze the arguments; lists become tuples."""
+        """Freeze the arguments; lists become tuples, and a number that is none the words for that."""
         frozen = {name: _frozen(value) for name, value in self.arguments.items()}
         object.__setattr__(self, "arguments", MappingProxyType(frozen))
 
@@ -78,7 +78,7 @@ def spoken(said: object) -> Message:
 
 
 class Catalogue:
-    """The words of one language."""
+    """The words of one language, each read when it is first said: a refusal waits for its own words alone."""
 
     def __init__(self, language: str, text: str) -> None:
         from fluent.runtime import FluentBundle, FluentResource
@@ -88,60 +88,68 @@ class Catalogue:
         self.text = text
         self.learnt: dict[str, str] = {}
         """Words that came later (`learn`), by code."""
-        self._bundle = FluentBundle([language], use_isolating=False)
+        self._patterns = _patterns(text)
+        self._bundle = FluentBundle([language], use_isolating=False, functions={"NUMBER": _number_or_words})
         self._resource, self._number = FluentResource, fluent_number
-        self._bundle.add_resource(FluentResource(text))
 
     def entries(self) -> dict[str, str]:
-        """Return the pattern of every code, in the catalogue's own syntax."""
-        from fluent.syntax import FluentParser, FluentSerializer, ast
-
-        serializer = FluentSerializer()
-        return {
-            entry.id.name: serializer.serialize_entry(entry).partition("=")[2].strip("\n")
-            for entry in FluentParser().parse(self.text).body
-            if isinstance(entry, ast.Message)
-        }
+        """Return the pattern of every code of the file, in the catalogue's own syntax."""
+        return dict(self._patterns)
 
     def learn(self, entries: Mapping[str, str]) -> None:
         """Take in words by code, each a pattern of one line, as an effect of one's own brings them.
 
         A code that is known keeps its words.
         """
-        new = {code: pattern for code, pattern in entries.items() if not self.has(code)}
-        lines = (f"{code} = {pattern}" for code, pattern in new.items())
-        self._bundle.add_resource(self._resource("\n".join(lines)))
-        self.learnt |= new
+        self.learnt |= {code: pattern for code, pattern in entries.items() if not self.has(code)}
 
     def has(self, code: str) -> bool:
         """Return whether this language has words for a code."""
-        return self._bundle.has_message(code)
+        return code in self._patterns or code in self.learnt
 
     def words(self, message: Message) -> str:
         """Return a message in this language, in English where this one lacks it.
 
         A code that no language knows, from a newer version's store say, is shown with its arguments.
         """
-        if not self.has(message.code):
+        pattern = self._pattern(message.code)
+        if pattern is None:
             if self.language != ENGLISH:
                 return catalogue(ENGLISH).words(message)
             shown = ", ".join(f"{name} = {self._argument(value)}" for name, value in message.arguments.items())
             return f"{message.code}: {shown}" if shown else message.code
-        pattern = self._bundle.get_message(message.code).value
-        if pattern is None:
-            return message.code
         arguments = {name: self._argument(value) for name, value in message.arguments.items()}
         text, _ = self._bundle.format_pattern(pattern, arguments)
         return str(text)
+
+    def _pattern(self, code: str) -> Any:
+        source = self._patterns.get(code, self.learnt.get(code))
+        if source is not None and not self._bundle.has_message(code):
+            self._bundle.add_resource(self._resource(f"{code} = {source}"))
+        return self._bundle.get_message(code).value if self._bundle.has_message(code) else None
 
     def _argument(self, value: Argument) -> Any:
         if isinstance(value, Message):
             return self.words(value)
         if isinstance(value, tuple):
             return ", ".join(str(self._argument(one)) for one in value)
-        if isinstance(value, int | float) and math.isfinite(value):
-            return self._number(value, useGrouping=False)
-        return str(value)
+        return self._number(value, useGrouping=False) if isinstance(value, int | float) else value
+
+
+def _patterns(text: str) -> dict[str, str]:
+    """Return the pattern of every code: what follows its ``=``, up to the next line that begins at the margin."""
+    found: dict[str, str] = {}
+    code = ""
+    for line in text.splitlines():
+        if line[:1].isalpha():
+            code, _, pattern = line.partition("=")
+            code = code.rstrip()
+            found[code] = pattern.strip()
+        elif code and line[:1] in (" ", "}"):
+            found[code] += "\n" + line
+        else:
+            code = ""
+    return found
 
 
 def languages() -> tuple[str, ...]:
@@ -175,7 +183,19 @@ def _frozen(value: Any) -> Argument:
         return value
     if isinstance(value, bool) or not isinstance(value, Real):
         return str(value)
-    return int(value) if isinstance(value, Integral) else float(value)
+    if isinstance(value, Integral):
+        return int(value)
+    number = float(value)
+    if math.isinf(number):
+        return "∞" if number > 0.0 else "-∞"
+    return Message("number-unknown") if math.isnan(number) else number
+
+
+def _number_or_words(value: Any, **how: Any) -> Any:
+    """Format a number; what stands for one that is not known is words already."""
+    from fluent.runtime.types import fluent_number
+
+    return value if isinstance(value, str) else fluent_number(value, **how)
 
 
 def _plain(value: Argument) -> Any:

@@ -7,15 +7,12 @@ from datetime import date
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from daq.drivers import LoggerSettings, open_logger
 from daq.drivers.calibration import (
     Calibration,
     append_calibrations,
     corrector,
-    from_two_points,
     in_force,
     read_calibrations,
 )
@@ -90,21 +87,6 @@ def test_a_wrong_file_is_refused_by_entry_and_key(tmp_path, text, message):
     path.write_text(text)
     with pytest.raises(InputError, match=message):
         read_calibrations(path)
-
-
-@given(st.floats(0.9, 1.1), st.floats(-5, 5))
-def test_two_points_give_gain_and_offset_back(gain, offset):
-    readings = tuple((truth - offset) / gain for truth in (0.0, 100.0))
-    entry = from_two_points("top_1", SPRING, readings, (0.0, 100.0))
-    assert entry.correct(readings[0]) == pytest.approx(0.0, abs=1e-9)
-    assert entry.correct(readings[1]) == pytest.approx(100.0, abs=1e-9)
-
-
-def test_two_points_too_close_or_absurd_are_refused():
-    with pytest.raises(InputError, match="closer than 10 K"):
-        from_two_points("top_1", SPRING, (20.0, 25.0), (20.0, 25.0))
-    with pytest.raises(InputError, match="check the wiring"):
-        from_two_points("top_1", SPRING, (0.0, 50.0), (0.0, 100.0))
 
 
 def test_readings_come_corrected_out_of_the_driver(tmp_path):

@@ -2,6 +2,7 @@
 
 import tomllib
 from contextlib import suppress
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -13,14 +14,16 @@ from daq.files.mapping import read_foreign, read_mapping
 from daq.files.run_file import read_run, write_run
 from daq.press.events import find_moments
 from daq.press.press_file import press_for_run, read_press
-from daq.records import InputError
+from daq.records import InputError, Run
 from tests.measured import (
     COPPER_DISC,
     DRY_DISCS,
     INERT_BOARD,
     MOIST_DISCS_40_KW,
+    PINE_DEPTH,
     PINE_SLABS,
     PMMA_25_KW,
+    PMMA_50_KW,
     PRESS_RIG,
     ROOT,
     measured,
@@ -168,6 +171,9 @@ def test_date_and_time_in_two_columns_over_the_hour_that_comes_twice(tmp_path):
         ),
         ("pine_slab", "pine_slab", PINE_SLABS, {"bottom_1"}),
         ("pine", "pine_disc", (*MOIST_DISCS_40_KW, *DRY_DISCS), {"bottom_1"}),
+        ("pine_depth", "pine_depth", PINE_DEPTH, {"depth_17_2mm"}),
+        ("pmma", "pmma", PMMA_25_KW, {"bottom_1", "bottom_2"}),
+        ("pmma", "pmma", PMMA_50_KW[:2], {"bottom_1", "bottom_2", "bottom_3"}),
     ],
 )
 def test_measured_files_are_read_whole_and_fit_their_press_file(mapping, press, names, sensors, tmp_path):
@@ -203,10 +209,97 @@ def test_pmma_discs_are_read_with_their_thickness():
     assert {k: r.header["panel.thickness_mm"] for k, r in thick.items()} == {"R1": 6.26, "R2": 6.15, "R3": 5.8}
 
 
+def test_every_shipped_mapping_takes_the_flux_its_file_names_and_the_start_its_sensor_reads():
+    explained = read_mapping(ROOT / "deploy" / "mappings" / "pine.toml")
+    for path in measured((*MOIST_DISCS_40_KW, *DRY_DISCS)):
+        run = read_foreign(path, explained)
+        assert run.header["boundary.top.incident_W_m2"] == 1000.0 * float(
+            path.stem.partition("kW")[0].split("_")[-1]
+        )
+        assert run.header["panel.initial_temperature_C"] == pytest.approx(run.columns["bottom_1"][0], abs=1e-3)
+        assert run.header["panel.mass_after_g"] < run.header["panel.mass_before_g"]
+
+
+VARIANTS = """
+required_variants = ["flux"]
+[time]
+column = "t"
+[[column]]
+from = "T1"
+to = "a"
+[[column]]
+from = ["T2", "T_2"]
+to = "b"
+[[computed]]
+to = "mean"
+terms = { a = 0.25, b = 0.75 }
+offset = 1.0
+[header_from.remark_end]
+column = "b"
+row = "last"
+[[variant]]
+of = "flux"
+match = "*_40kW_*"
+header = { "boundary.top.incident_W_m2" = 40000.0 }
+[[variant]]
+of = "flux"
+match = "*_q40_*"
+header = { "boundary.top.incident_W_m2" = 41000.0 }
+"""
+
+
+def _variant(tmp_path, name, text="t,T1,T_2\n0,10,20\n1,,22\n2,14,24\n", mapping=VARIANTS):
+    (tmp_path / "m.toml").write_text(mapping, encoding="utf-8")
+    (tmp_path / name).write_text(text, encoding="utf-8")
+    return read_foreign(tmp_path / name, read_mapping(tmp_path / "m.toml"))
+
+
+def test_column_goes_by_the_first_of_its_names_that_the_file_has_and_others_are_computed(tmp_path):
+    run = _variant(tmp_path, "x_40kW_R1.csv")
+    assert run.columns["b"].tolist() == [20.0, 22.0, 24.0]
+    np.testing.assert_array_equal(run.columns["mean"], [18.5, np.nan, 22.5])
+    assert run.header["remark_end"] == 24.0
+    assert run.header["boundary.top.incident_W_m2"] == 40000.0
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("x_60kW_R1.csv", r"x_60kW_R1\.csv: this file's name matches none of the mapping's variants of 'flux'"),
+        ("x_40kW_q40_R1.csv", r"two variants of 'flux', '\*_40kW_\*' and '\*_q40_\*'"),
+    ],
+)
+def test_file_of_a_variant_that_nobody_described_is_refused_not_taken_for_another(tmp_path, name, message):
+    with pytest.raises(InputError, match=message):
+        _variant(tmp_path, name)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (("a = 0.25", "c = 0.25"), "no .*column.* leads to its term 'c'"),
+        (('required_variants = ["flux"]', 'required_variants = ["grain"]'), "no .*variant.* has of = 'grain'"),
+        (('to = "mean"', 'to = "a"'), "column.to = 'a' occurs twice"),
+    ],
+)
+def test_mapping_that_computes_or_asks_for_what_it_lacks_is_refused(tmp_path, change, message):
+    with pytest.raises(InputError, match=message):
+        _variant(tmp_path, "x_40kW_R1.csv", mapping=VARIANTS.replace(*change))
+
+
+def test_run_without_the_flux_that_its_press_file_leaves_to_it_is_refused():
+    disc = read_press(ROOT / "deploy" / "presses" / "pine_disc.toml")
+    run = Run("r", {"panel.initial_temperature_C": 20.0}, np.arange(3.0), {"bottom_1": np.arange(3.0)})
+    with pytest.raises(InputError, match=r"header key boundary\.top\.incident_W_m2 is missing"):
+        press_for_run(disc, run)
+    given = replace(run, header={**run.header, "boundary.top.incident_W_m2": 60000.0})
+    assert press_for_run(disc, given).boundary.top.incident_W_m2 == 60000.0
+
+
 def test_every_named_time_series_is_explained_by_a_mapping():
     mappings = [read_mapping(path) for path in sorted((ROOT / "deploy" / "mappings").glob("*.toml"))]
     discs = (*MOIST_DISCS_40_KW, *DRY_DISCS)
-    tables = measured((*PRESS_RIG, *INERT_BOARD, *COPPER_DISC, *PMMA_25_KW, *PINE_SLABS, *discs))
+    tables = measured((*PRESS_RIG, *INERT_BOARD, *COPPER_DISC, *PMMA_25_KW, *PINE_DEPTH, *PINE_SLABS, *discs))
 
     def rows(path):
         for mapping in mappings:

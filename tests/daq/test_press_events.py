@@ -15,6 +15,7 @@ from daq.simulated.campaign import Plan, make_campaign, press_toml
 from daq.simulated.campaign_sensors import CHANNELS, Nuisances
 from daq.simulated.press import PressSettings, VirtualPress
 from softsensor.signals.moments import moments_seen
+from tests.editions import edition
 
 PRESS = parse_press(press_toml())
 FACES = [f"{face}_{i}" for face in ("top", "bottom") for i in range(1, 8)]
@@ -94,7 +95,7 @@ def test_closing_and_opening_are_found_to_the_scan_with_dead_noisy_and_loose_sen
 @pytest.mark.campaign
 @pytest.mark.parametrize(("rate_hz", "limit_s", "skew_s"), [(10.0, 0.1, 0.05), (1.0, 0.5, 0.25)])
 def test_a_thousand_pressings_are_found_to_the_scan(rate_hz, limit_s, skew_s):
-    check_pressings(1000, rate_hz, limit_s, skew_s)
+    check_pressings(edition(200, 1000), rate_hz, limit_s, skew_s)
 
 
 @pytest.mark.parametrize("rate_hz", [10.0, 1.0])
@@ -150,7 +151,7 @@ def test_hands_doors_and_heating_platens_are_no_events(rate_hz, heating):
 
 @pytest.mark.campaign
 @pytest.mark.parametrize("heating", [False, True])
-@pytest.mark.parametrize("rate_hz", [10.0, 2.0, 1.0, 0.5])
+@pytest.mark.parametrize("rate_hz", edition([1.0], [10.0, 2.0, 1.0, 0.5]))
 def test_a_day_of_hands_doors_and_heating_platens_has_no_event(rate_hz, heating):
     assert replay(idle_hours(np.random.default_rng(13), 24, rate_hz, heating)) == []
 
@@ -385,7 +386,7 @@ def test_a_lower_sensor_that_is_blind_for_a_while_is_no_removal(blind_s):
 def test_one_sensor_on_each_face_finds_a_hundred_pressings(rate_hz, limit_s, skew_s):
     rng = np.random.default_rng(9)
     live, late = [], []
-    for run, truth in campaign(int(1000 * rate_hz) + 500, 100, rate_hz, skew_s):
+    for run, truth in campaign(int(1000 * rate_hz) + 500, edition(30, 100), rate_hz, skew_s):
         names = ["platen_top", "platen_bottom", *(f"{face}_{rng.integers(1, 8)}" for face in ("top", "bottom"))]
         events = replay(run, columns=names)
         assert [e.kind.value for e in events] == IN_ORDER, run.name

@@ -105,7 +105,7 @@ def recording(made):
     assert not thread.is_alive()
 
 
-def wait_until(condition, longest_s=30.0):
+def wait_until(condition, longest_s=240.0):
     deadline = time.monotonic() + longest_s
     while not condition():
         assert time.monotonic() < deadline, "it did not happen in time"

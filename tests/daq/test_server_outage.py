@@ -89,7 +89,7 @@ def test_a_recorder_started_and_killed_while_the_server_is_away_loses_nothing(po
     with gated(postgresql_url) as (gate, url), herd(tmp_path, url) as one:
         for count in (60, 120):
             one.start("record")
-            wait_until(lambda: len(one.acknowledged("record")) > count, 60)  # noqa: B023
+            wait_until(lambda: len(one.acknowledged("record")) > count)  # noqa: B023
             one.kill("record")
         gate.open()
         one.start("record")
@@ -97,13 +97,13 @@ def test_a_recorder_started_and_killed_while_the_server_is_away_loses_nothing(po
         one.kill("record")  # perhaps in the middle of the back-fill
         one.start("record")
         count = len(one.acknowledged("record"))
-        wait_until(lambda: len(one.acknowledged("record")) > count + 40, 60)
+        wait_until(lambda: len(one.acknowledged("record")) > count + 40)
         gate.shut()
         count = len(one.acknowledged("record"))
-        wait_until(lambda: len(one.acknowledged("record")) > count + 40, 60)
+        wait_until(lambda: len(one.acknowledged("record")) > count + 40)
         gate.open()
         with open_store(postgresql_url) as store:
-            wait_until(lambda: any("takes data again" in str(e.message) for e in store.journal().items), 60)
+            wait_until(lambda: any("takes data again" in str(e.message) for e in store.journal().items))
             one.kill("record")
             one.start("record")
             balanced(one, store)
@@ -117,7 +117,7 @@ def test_a_recorder_started_and_killed_while_the_server_is_away_loses_nothing(po
 def balanced(one, store):
     """Hold what was acknowledged against the store: all there, once, in order."""
     promised = one.acknowledged("record")
-    wait_until(lambda: {at for at, _ in promised} <= {s.monotonic_s for s in all_scans(store)}, 60)
+    wait_until(lambda: {at for at, _ in promised} <= {s.monotonic_s for s in all_scans(store)})
     scans = all_scans(store)
     assert [s.number for s in scans] == list(range(len(scans)))
     times = [s.monotonic_s for s in scans]
@@ -227,17 +227,17 @@ def test_a_server_that_stops_under_the_recorder_costs_no_scan_and_raises_the_ala
         one.start("record")
         for count in (1, 2, 3):
             seen = len(one.acknowledged("record"))
-            wait_until(lambda: len(one.acknowledged("record")) > seen + 40, 60)  # noqa: B023
+            wait_until(lambda: len(one.acknowledged("record")) > seen + 40)  # noqa: B023
             with stopped(url):
                 time.sleep(0.5)
                 seen, began = len(one.acknowledged("record")), time.monotonic()
                 wait_until(lambda: len(one.acknowledged("record")) > seen, 20)  # noqa: B023
                 print(f"scans go to the disk {time.monotonic() - began + 0.5:.1f} s after the server fell silent")
-                wait_until(lambda: len(one.acknowledged("record")) > seen + 1000, 60)  # noqa: B023
+                wait_until(lambda: len(one.acknowledged("record")) > seen + 1000)  # noqa: B023
             with open_store(url) as store:
                 balanced(one, store)
                 back = "takes data again"
-                wait_until(lambda: sum(back in str(e.message) for e in store.journal().items) == count, 60)  # noqa: B023
+                wait_until(lambda: sum(back in str(e.message) for e in store.journal().items) == count)  # noqa: B023
                 alarms = [str(e.message) for e in store.journal(level="alarm").items]
         assert len(alarms) == 3
         assert all(
@@ -253,15 +253,13 @@ def test_a_server_that_is_restarted_under_the_recorder_costs_no_scan(tmp_path):
         one.start("record")
         for way in ("fast", "immediate"):
             count = len(one.acknowledged("record"))
-            wait_until(lambda: len(one.acknowledged("record")) > count + 40, 60)  # noqa: B023
+            wait_until(lambda: len(one.acknowledged("record")) > count + 40)  # noqa: B023
             control("restart", "-m", way)
         count = len(one.acknowledged("record"))
-        wait_until(lambda: len(one.acknowledged("record")) > count + 40, 60)
+        wait_until(lambda: len(one.acknowledged("record")) > count + 40)
         with open_store(url) as store:
             balanced(one, store)
-            wait_until(
-                lambda: any("takes data again" in str(e.message) for e in store.journal(limit=200).items), 60
-            )
+            wait_until(lambda: any("takes data again" in str(e.message) for e in store.journal(limit=200).items))
 
 
 def test_a_session_gets_its_place_once_in_order_behind_what_a_killed_one_left(store_url, tmp_path):

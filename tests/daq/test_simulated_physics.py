@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from scipy.special import erfcx
 from daq.simulated import physics_kernel as kernel
 from daq.simulated.physics import nominal_panel, solve
 from daq.simulated.physics_mesh import LATENT_HEAT, build_knobs, build_mesh, first_state
-from daq.simulated.physics_pressing import Outside, Plates, Pressing, constant_platen
+from daq.simulated.physics_pressing import DryingLaw, Outside, Plates, Pressing, constant_platen
 
 TIMES = np.arange(5.0, 139.0, 0.1)
 NOTHING = 1e-9
@@ -166,7 +167,7 @@ def test_heat_is_neither_made_nor_lost(effects: dict[str, dict[str, float]]) -> 
 
 def test_evaporated_water_times_its_latent_heat_is_the_missing_enthalpy() -> None:
     effect = {"moisture_evaporation": {"moisture_percent": 4.0, "temperature_C": 100.0}}
-    for law in ("equilibrium", "kinetic"):
+    for law in get_args(DryingLaw):
         s = solve(pressing(effects=effect, drying_law=law))
         water = s.steps["water"]
         assert water[0] == pytest.approx(LATENT_HEAT * 0.04 * 740.0 * 0.016, rel=1e-9)

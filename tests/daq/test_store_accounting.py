@@ -1,8 +1,14 @@
 """Nothing put into the write path is lost in silence: every scan, begin, end and event is a row or an alarm."""
 
+import json
+import os
 import random
+import signal
+import time
 from collections import Counter
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
+from multiprocessing import get_context
 
 import numpy as np
 import pytest
@@ -97,6 +103,79 @@ def test_pressings_around_midnight_with_a_clock_set_back_and_forth_and_restarts_
         assert_all_is_there(store, put)
         names = [run.run for run in store.runs(limit=100).items]
         assert len(set(names)) == len(names) == 8
+
+
+def note(place, kind, batch):
+    """Write down what a batch holds, by the press's own clock: in one write, which a SIGKILL cannot tear."""
+    held = [("scan", one.monotonic_s) for one in batch.scans]
+    held += [(event.kind.value, event.monotonic_s) for event in batch.events]
+    held += [("begin", batch.begin.zero_monotonic_s)] if batch.begin else []
+    held += [("end", batch.end.ended_utc.timestamp())] if batch.end else []
+    os.write(place, "".join(f"{json.dumps([kind, *one])}\n" for one in held).encode())
+
+
+def record_until_killed(url, folder, step_s):
+    """Put pressings as a press line does, from where the one before was killed, until somebody kills us."""
+    place = os.open(folder / "notes", os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o600)
+    put = [at for kind, what, at in noted(folder) if (kind, what) == ("put", "scan")]
+    number = int(max(put, default=999.0)) - 999
+    with open_store(url) as store:
+        store.interrupt_open_runs("lab")
+        key = store.register_press("lab", CHANNELS)
+        begun = number
+        keeper = RunKeeper(
+            RunRules("lab"), RunNames("lab", store.unused_run_name("lab", scan(number, step_s).utc)), [1]
+        )
+        outbox = Outbox(store, acknowledged=lambda batch: note(place, "kept", batch))
+        outbox.start()
+        while True:
+            one = replace(scan(number, step_s), number=key.next_number + number - begun)
+            events = events_at(number)
+            for batch in in_order(key, one, events, keeper.take(one, events)):
+                note(place, "put", batch)
+                outbox.put(batch)
+            number += 1
+            time.sleep(0.0005)
+
+
+def noted(folder):
+    file = folder / "notes"
+    return [json.loads(line) for line in file.read_text().splitlines()] if file.exists() else []
+
+
+@pytest.mark.skipif(os.name == "nt", reason="SIGKILL is POSIX")
+@pytest.mark.parametrize("seed", range(2))
+def test_a_recorder_killed_at_any_moment_keeps_what_it_had_acknowledged_and_invents_nothing(
+    store_url, tmp_path, seed
+):
+    """Of what was put, only the last before a kill may be missing: nobody was told that it is safe."""
+    chance = random.Random(seed)
+    open_store(store_url).close()
+    for _ in range(5):
+        step_s = chance.choice((0.0, -3600.0, -86400.0, 86400.0))
+        before = len(noted(tmp_path))
+        recorder = get_context("fork").Process(target=record_until_killed, args=(store_url, tmp_path, step_s))
+        recorder.start()
+        more = chance.randrange(1, 600)
+        wait_until(lambda: len(noted(tmp_path)) > before + more or recorder.exitcode is not None)  # noqa: B023
+        recorder.kill()
+        recorder.join()
+        assert recorder.exitcode == -signal.SIGKILL
+    with open_store(store_url) as store:
+        store.interrupt_open_runs("lab")
+        runs = store.runs(limit=1000).items
+        there = Counter(("scan", one.monotonic_s) for one in store.scans_after("lab", -1, 100_000).scans)
+        there.update((str(event.kind), event.monotonic_s) for event in store.press_events("lab", limit=100_000))
+        there.update(("begin", run.zero_monotonic_s) for run in runs)
+        there.update(("end", run.ended_utc.timestamp()) for run in runs if run.status is RunStatus.CLOSED)
+        assert len({run.run for run in runs}) == len(runs)
+        assert not store.journal(level="alarm").items
+    put, kept = (
+        Counter((what, at) for kind, what, at in noted(tmp_path) if kind == which) for which in ("put", "kept")
+    )
+    assert max(there.values()) == 1
+    assert kept.keys() <= there.keys() <= put.keys()
+    assert {what for what, _ in kept} >= {"scan", "begin", "end", "inserted", "closed", "opened", "removed"}
 
 
 def test_an_end_whose_run_the_store_does_not_hold_is_an_alarm(store_url):

@@ -27,7 +27,7 @@ def batch(key, number):
     return WriteBatch(key, (scan,))
 
 
-def wait_until(condition, longest_s=20.0):
+def wait_until(condition, longest_s=240.0):
     deadline = time.monotonic() + longest_s
     while not condition():
         assert time.monotonic() < deadline, "it did not happen in time"

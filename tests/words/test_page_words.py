@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from daq.drivers.protocol import Cause
+from daq.press.header import VERDICTS
 from daq.records import PressState, Quality
 from daq.store.records import RunStatus
 from daq.words.message import catalogue, languages
@@ -42,6 +43,7 @@ def values():
     yield from (f"page-run-{status}" for status in RunStatus)
     yield from (f"effect-{effect.name}-called" for effect in BUILT_IN)
     yield from (f"page-verdict-{verdict}" for verdict in Verdict)
+    yield from (f"page-panel-{verdict}" for verdict in VERDICTS)
     yield from (f"page-level-{level}" for level in ("warning", "alarm"))
     yield from (f"page-health-{status}" for status in ("ok", "degraded", "down"))
     yield from (f"page-drift-{chart}" for chart in ("jump", "creep"))

@@ -1,15 +1,18 @@
 """All codes in all languages: whatever the code says has its words, and the words fit its arguments."""
 
 import ast
+import json
 import pickle
 import re
 from pathlib import Path
 
 import numpy as np
 import pytest
+import typer
 from fluent.syntax import FluentParser
 from fluent.syntax import ast as fluent
 
+from api.cli import app
 from daq.words import Message, say, spoken
 from daq.words.message import catalogue, languages, words
 
@@ -65,6 +68,24 @@ def test_every_code_that_is_said_has_words_whose_variables_are_its_arguments(lan
     assert not wrong, "\n".join(wrong)
 
 
+@pytest.mark.parametrize("language", languages())
+def test_each_entry_read_alone_is_what_the_whole_file_says(language):
+    """A sentence is read from its own lines; they must be the lines a reader of the whole file gives it."""
+    alone = {c: FluentParser().parse_entry(f"{c} = {p}\n") for c, p in catalogue(language).entries().items()}
+    whole = patterns(language)
+    assert alone.keys() == whole.keys()
+    assert not [code for code in whole if not alone[code].equals(whole[code], ignored_fields=["span", "comment"])]
+
+
+@pytest.mark.parametrize("language", languages())
+def test_every_command_and_option_has_its_help_in_every_language(language):
+    top = typer.main.get_command(app)
+    codes = [f"help-command-{name}" for name in ("kerntemp", *top.commands)]
+    codes += [str(one.help) for command in (top, *top.commands.values()) for one in command.params]
+    assert len(codes) > 80
+    assert not set(codes) - set(catalogue(language).entries())
+
+
 @pytest.mark.parametrize("language", [one for one in languages() if one != "en"])
 def test_a_language_has_the_words_of_all_codes_with_the_same_variables(language):
     english, other = patterns("en"), patterns(language)
@@ -87,6 +108,12 @@ def test_no_words_are_kept_that_nobody_says():
     assert not unused, f"in the catalogue, never said: {unused}"
 
 
+def test_german_sentences_speak_in_one_form_that_addresses_nobody():
+    """Infinitives throughout ("Kabel prüfen"): what the press says to three people on one screen."""
+    addressed = re.compile(r"\w+n Sie\b|\bIhre?[mnrs]?\b")
+    assert not [c for c, pattern in catalogue("de").entries().items() if addressed.search(pattern)]
+
+
 def test_there_are_english_and_german():
     assert languages()[0] == "en"
     assert "de" in languages()
@@ -100,6 +127,24 @@ def test_a_message_within_a_message_is_put_into_the_same_language():
 def test_numbers_keep_no_thousands_separator_and_take_the_languages_comma():
     assert words(Message("plain-text", {"text": 12345.5}), "en") == "12345.5"
     assert words(Message("plain-text", {"text": 12345.5}), "de") == "12345,5"
+
+
+@pytest.mark.parametrize("language", languages())
+@pytest.mark.parametrize("number", [float("nan"), float("inf"), -float("inf")])
+def test_a_number_that_is_none_is_told_in_words_in_every_sentence(language, number):
+    """Fluent's own NUMBER() would leave ``NUMBER()`` in the sentence."""
+    own = catalogue(language)
+    for code, entry in patterns(language).items():
+        said = own.words(Message(code, dict.fromkeys(variables(entry), number)))
+        assert "NUMBER" not in said, (code, said)
+
+
+def test_a_number_that_is_none_goes_into_json_as_the_words_for_it():
+    message = Message("plain-text", {"text": float("nan")})
+    assert words(message, "en") == "not known"
+    assert words(Message.from_json(json.loads(json.dumps(message.to_json(), allow_nan=False))), "de") == (
+        "nicht bekannt"
+    )
 
 
 def test_numbers_of_a_table_are_numbers_like_any_other():

@@ -1,0 +1,147 @@
+"""Compiled functions, and what is kept of them between processes: never code of another text.
+
+Numba's own cache decides by the text of the file a function stands in, but the machine code also holds what that
+file imports: constants, NamedTuples, other compiled functions. Here the folder of what is kept bears the hash of
+a module's text and that of every module of this project it imports, directly or through others. So a change
+anywhere below is another folder, two versions side by side do not meet, and an older text finds its own code
+again, wherever it is installed. It lies under ``NUMBA_CACHE_DIR`` or the user's cache folder; where neither can be
+written, each process compiles for itself. A file is one signature on one kind of processor, with its checksum:
+what is damaged is compiled anew. (2026-11-22; numba 0.68)
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import pickle
+import secrets
+import shutil
+import sys
+from collections.abc import Callable
+from functools import cache
+from importlib.machinery import SourceFileLoader
+from pathlib import Path
+from typing import Any
+
+import llvmlite
+import numba
+from numba import njit
+from numba.core.compiler import CompileResult
+from numba.core.serialize import dumps
+from numba.misc.appdirs import AppDirs
+
+_ROOT = Path(__file__).parents[1]
+_PACKAGES = ("daq", "softsensor")
+_KEPT = 8
+"""Versions of a module's compiled code that are kept, by last use: enough to go to and fro between a few releases
+or branches; all modules together took 13 MB a version on 2026-11-22."""
+
+
+def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """Return a decorator that compiles a function with Numba's `njit` and keeps the machine code.
+
+    Parameters
+    ----------
+    options
+        Of `numba.njit`, without ``cache``.
+    """
+
+    def compile_and_keep(function: Callable[..., Any]) -> Any:
+        made = njit(**options)(function)
+        if made is not function:  # NUMBA_DISABLE_JIT leaves it as it is
+            made._cache = _Kept(function)  # noqa: SLF001 - where Numba's own cache=True puts its own
+        return made
+
+    return compile_and_keep
+
+
+class _Kept:
+    """A function's machine code on disk, in the form in which Numba asks for it and hands it over."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self.cache_path = str(_folder(function.__module__))
+        self._name = f"{function.__name__}-{function.__code__.co_firstlineno}"
+
+    def _path(self, key: object) -> Path:
+        return Path(self.cache_path, f"{self._name}-{hashlib.sha256(repr(key).encode()).hexdigest()[:16]}")
+
+    def load_overload(self, signature: Any, context: Any) -> Any:
+        """Return the machine code for a signature, None where none is kept."""
+        context.refresh()
+        key = (signature, context.codegen().magic_tuple())
+        try:
+            kept = self._path(key).read_bytes()
+        except OSError:
+            return None
+        if hashlib.sha256(kept[32:]).digest() != kept[:32]:
+            return None
+        of, reduced = pickle.loads(kept[32:])
+        return CompileResult._rebuild(context, *reduced) if of == key else None  # noqa: SLF001 - as Numba does
+
+    def save_overload(self, signature: Any, result: Any) -> None:
+        """Keep the machine code for a signature, unless it holds addresses of this process."""
+        if result.lifted or result.library.has_dynamic_globals:
+            return
+        key = (signature, result.codegen.magic_tuple())
+        text = dumps((key, result._reduce()))  # noqa: SLF001 - as Numba does
+        try:
+            _write(self._path(key), hashlib.sha256(text).digest() + text)
+        except OSError:  # a full disk or a folder of somebody else's: compiled again next time
+            return
+
+    def flush(self) -> None:
+        """Nothing waits to be written."""
+
+
+def _write(path: Path, content: bytes) -> None:
+    """Write a file whole or not at all; with a module's first file its oldest versions go."""
+    if not path.parent.is_dir():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        versions = path.parent.parent.iterdir()
+        for old in sorted(versions, key=lambda folder: folder.stat().st_mtime, reverse=True)[_KEPT:]:
+            shutil.rmtree(old, ignore_errors=True)
+    new = path.with_name(f"{path.name}.{secrets.token_hex(4)}")
+    new.write_bytes(content)
+    new.replace(path)
+
+
+@cache
+def _folder(module: str) -> Path:
+    """Return the folder of what is kept of a module as it reads now, and note that it is in use."""
+    text = hashlib.sha256(f"{numba.__version__} {llvmlite.__version__} {sys.implementation.cache_tag}".encode())
+    for name in sorted(_below(module)):
+        text.update(f"\0{name}\0".encode() + _source(name).read_bytes())
+    base = Path(numba.config.CACHE_DIR or AppDirs("kerntemp", appauthor=False).user_cache_dir)
+    folder = base / "compiled" / module / text.hexdigest()[:24]
+    with contextlib.suppress(OSError):  # none yet, or one that may only be read
+        os.utime(folder)
+    return folder
+
+
+def _below(module: str) -> set[str]:
+    """Return a module and all of this project's that it imports, directly or through others."""
+    found, waiting = {module}, [module]
+    while waiting:
+        new = _imported(waiting.pop()) - found
+        found |= new
+        waiting += new
+    return found
+
+
+@cache
+def _imported(module: str) -> frozenset[str]:
+    """Return the modules of this project that a module's import statements name, from its bytecode: no parsing."""
+    code = SourceFileLoader(module, str(_source(module))).get_code(module)
+    names = () if code is None else code.co_names
+    dotted = {name for name in names if name.partition(".")[0] in _PACKAGES}
+    packages = [name for name in dotted if _source(name).name == "__init__.py"]
+    inside = {f"{package}.{name}" for package in packages for name in names}
+    return frozenset(name for name in dotted | inside if _source(name).is_file())
+
+
+@cache
+def _source(module: str) -> Path:
+    """Return where a module's text stands: the package's own file if it is one."""
+    path = _ROOT.joinpath(*module.split("."))
+    return path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
