@@ -9,9 +9,7 @@ model file holds. A run that the model does not describe (`RunFit.misfit`) is to
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -21,23 +19,20 @@ from scipy.stats import t as student
 from daq.press.press_file import Press, press_for_run
 from daq.records import Array, InputError, Run
 from daq.words import Message, say
+from softsensor.fitting.constants import scatter_of
 from softsensor.fitting.dependence import Dependence, Program, fit_dependence
 from softsensor.fitting.experiment_advice import Company
-from softsensor.fitting.identifiability import WIDE, Profile, is_verdict_on, profiles_of
+from softsensor.fitting.identifiability import WIDE, Profile, is_verdict_on
 from softsensor.fitting.joint import fit_together
-from softsensor.fitting.one_run import fit_run, make_problem
 from softsensor.fitting.population import Population, information
-from softsensor.fitting.problem import minimise
 from softsensor.fitting.result import Coefficient, Identifiability, RunFit, number
 from softsensor.fitting.unknowns import free_names, known_before
+from softsensor.heat.batch import Each
 from softsensor.heat.model import ThermalModel
-from softsensor.heat.model_file import FittedValue, ModelFile
-from softsensor.signals.moments import moments_of
+from softsensor.heat.model_file import FittedValue, ModelFile, Scatter
 
 BOOTSTRAPS = 4000
 """Resamplings: ends of a 95 % interval then vary by some 2 % of it."""
-PROCESSES_FROM = 40
-"""Runs from which worker processes pay for their start; below that, threads (the kernels run without the GIL)."""
 NAMED_RUNS = 5
 """Runs a finding names; more are counted."""
 
@@ -79,7 +74,7 @@ class CampaignFit:
     shared: tuple[str, ...] = ()
     """Coefficients with one value in all runs."""
     profiles: tuple[Mapping[str, Profile], ...] = ()
-    """By run and coefficient; empty where they were not asked for."""
+    """By run and coefficient; of runs for which they were not asked empty."""
     method: str = "default"
 
     @property
@@ -161,7 +156,8 @@ class CampaignFit:
             if name not in table:
                 table[name] = FittedValue(self.press.coefficient(name).guess, 0.0)
         ordered = {n: table[n] for n in self.press.coefficient_names}
-        return ModelFile(version, self.press.name, ordered, (), p.names, total)
+        scatter = {key: Scatter(*found) for key, found in scatter_of(f.constants for f in self.met).items()}
+        return ModelFile(version, self.press.name, ordered, (), p.names, total, scatter=scatter)
 
 
 def joint_interval(estimate: FittedValue) -> tuple[float, float]:
@@ -170,100 +166,46 @@ def joint_interval(estimate: FittedValue) -> tuple[float, float]:
     return estimate.value / reach, estimate.value * reach
 
 
-def fit_runs(
-    model: ThermalModel,
-    runs: Sequence[Run],
-    *,
-    workers: int | None = None,
-    progress: Callable[[str], None] | None = None,
-    **options: Any,
-) -> list[RunFit]:
-    """Fit every run on all cores, in order; `options` are those of `fit_run`."""
-    workers = max(1, min(workers or os.cpu_count() or 1, len(runs)))
-    tasks = [_Task(model, run, options) for run in runs]
-    _compile(tasks[0])
-    if workers == 1:
-        return _collect(map(_fit, tasks), progress)
-    if len(runs) < PROCESSES_FROM:
-        with ThreadPoolExecutor(workers) as threads:
-            return _collect(threads.map(_fit, tasks), progress)
-    with ProcessPoolExecutor(workers) as processes:
-        return _collect(processes.map(_fit, tasks, chunksize=4), progress)
-
-
-@dataclass(frozen=True)
-class _Task:
-    model: ThermalModel
-    run: Run
-    options: Mapping[str, Any]
-
-
-def _compile(task: _Task) -> None:
-    """Have the kernels compiled before the first run, whose time would otherwise hold that."""
-    problem = make_problem(task.model, task.run, moments_of(task.run, task.model.press))
-    minimise(problem, max_evaluations=1)
-
-
-def _fit(task: _Task) -> RunFit:
-    return fit_run(task.model, task.run, moments_of(task.run, task.model.press), **task.options)
-
-
-def _collect(fits: Iterable[RunFit], progress: Callable[[str], None] | None) -> list[RunFit]:
-    done = []
-    for fitted in fits:
-        done.append(fitted)
-        if progress is not None:
-            progress(fitted.run)
-    return done
-
-
-def fit_campaign(
-    press: Press,
-    runs: Sequence[Run],
-    *,
-    model: ThermalModel | None = None,
-    shared: Sequence[str] = (),
-    profiles: bool = False,
-    workers: int | None = None,
-    progress: Callable[[str], None] | None = None,
-    **options: Any,
-) -> CampaignFit:
-    """Fit a campaign: every run, then all together as draws from one population.
+def company_of(press: Press, runs: Sequence[Run], shared: Sequence[str] = ()) -> Company:
+    """Return what runs fitted together know of one another.
 
     Parameters
     ----------
-    model
-        By default the plain model of the press.
     shared
         Coefficients with one value in all runs; of no consequence for one run.
-    profiles
-        Whether to work out the profile of every coefficient in every run, for a report.
-    progress
-        Called with a run's name when it is done.
-    options
-        Of `fit_run`, such as ``start`` with the values of a model's effects.
 
     Raises
     ------
     InputError
-        Without a run, for a run that cannot be fitted or whose header leaves a coefficient without use, or a
-        shared name that is no free coefficient.
+        Without a run, for a run whose header leaves a coefficient without use, or a shared name that is no free
+        coefficient.
     """
     if not runs:
         raise InputError(say("fit-no-run"))
-    model = model or ThermalModel(press)
     names = free_names(press)
     if wrong := [n for n in shared if n not in names]:
         raise InputError(say("fit-no-such-shared", name=wrong[0], names=names))
     for run in runs:
         if gone := [n for n in names if n not in press_for_run(press, run).coefficient_names]:
             raise InputError(say("fit-coefficient-unused", run=run.source or run.name, name=gone[0]))
-    shared = tuple(shared) if len(runs) > 1 else ()
-    company = Company(len(runs), shared)
-    fits = fit_runs(model, runs, workers=workers, progress=progress, company=company, **options)
-    workers = max(1, min(workers or os.cpu_count() or 1, len(runs)))
+    return Company(len(runs), tuple(shared) if len(runs) > 1 else ())
+
+
+def campaign_of(
+    model: ThermalModel, fits: Sequence[RunFit], shared: tuple[str, ...] = (), each: Each = map
+) -> CampaignFit:
+    """Take runs, each fitted alone, together as draws from one population.
+
+    Parameters
+    ----------
+    shared
+        Coefficients with one value in all runs.
+    each
+        Does some work for each of several things, as `map` does; a pool's does it on several cores.
+    """
+    press, names = model.press, free_names(model.press)
     met = [f for f in fits if f.met]
-    people = fit_together(met, names, shared=shared, known=known_before(press), workers=workers)
+    people = fit_together(met, names, shared=shared, known=known_before(press), each=each)
     coefficients = {n: _summary(press, n, i, met, people, n in shared) for i, n in enumerate(names)}
     same = {n: coefficients[n] for n in names if n in shared}
     borrowed = {}
@@ -275,22 +217,9 @@ def fit_campaign(
     varying = [n for n in names if n not in shared]
     alone = [information(f.problem, f.minimum.evaluation, f.spread, varying) for f in met]
     dependence = fit_dependence(varying, [f.problem.case.run for f in met], met, alone)
-    shapes: list[Mapping[str, Profile]] = [{} for _ in fits]
-    if profiles:
-        with ThreadPoolExecutor(workers) as threads:
-            shapes = list(threads.map(profiles_of, fits))
-    return CampaignFit(
-        press,
-        model,
-        tuple(_with_shared(f, same) for f in fits),
-        coefficients,
-        people,
-        borrowed,
-        dependence,
-        shared,
-        tuple(shapes),
-        options.get("method", "default"),
-    )
+    runs = tuple(_with_shared(f, same) for f in fits)
+    unasked: tuple[Mapping[str, Profile], ...] = ({},) * len(fits)
+    return CampaignFit(press, model, runs, coefficients, people, borrowed, dependence, shared, unasked)
 
 
 def shared_estimate(c: CampaignCoefficient) -> FittedValue:
@@ -306,9 +235,7 @@ def _with_shared(fitted: RunFit, same: Mapping[str, CampaignCoefficient]) -> Run
     for name, c in same.items():
         e = shared_estimate(c)
         reason = say("fit-shared" if c.runs else "fit-shared-unknown")
-        told[name] = Coefficient(
-            e.value, e.sd, c.median_ci95, c.runs > 0, Identifiability.SHARED, reason, e.sd / e.value
-        )
+        told[name] = Coefficient(e.value, e.sd, c.median_ci95, c.runs > 0, Identifiability.SHARED, reason)
     notes = tuple(w for w in fitted.warnings if not is_verdict_on(w, same))
     return replace(fitted, coefficients={**fitted.coefficients, **told}, warnings=notes)
 

@@ -46,10 +46,6 @@ class Program:
     """Where 95 % of its runs should lie."""
     remarks: tuple[Message, ...] = ()
 
-    def interval(self, name: str) -> tuple[float, float]:
-        """Return where 95 % of its runs should lie."""
-        return self.intervals[name]
-
     def within(self, limits: Mapping[str, tuple[float, float]]) -> Program:
         """Return it kept to what coefficients can be, with a remark where the trend leads out of that.
 
@@ -85,14 +81,14 @@ class Program:
         """The prediction line by line."""
         rows = [self.title]
         for name, e in self.coefficients.items():
-            low, high = self.interval(name)
+            low, high = self.intervals[name]
             rows.append(say("fit-program-coefficient", name=name, value=e.value, low=low, high=high))
         return rows + [say("fit-program-remark", remark=r) for r in self.remarks]
 
     def as_json(self) -> dict[str, Any]:
         """Return the prediction's entry in ``fit --json``."""
         table = {
-            name: {"value": e.value, "sd": e.sd, "ci95": list(self.interval(name))}
+            name: {"value": e.value, "sd": e.sd, "ci95": list(self.intervals[name])}
             for name, e in self.coefficients.items()
         }
         said = {"remarks": [str(r) for r in self.remarks], "remarks_said": [r.to_json() for r in self.remarks]}

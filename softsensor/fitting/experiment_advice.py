@@ -15,9 +15,8 @@ import numpy as np
 from daq.press.press_file import Contact, Press
 from daq.press.wires import closed_of
 from daq.words import Message, say
-from softsensor.effects import find_effect
-from softsensor.effects.vocabulary import layer_words
-from softsensor.fitting.problem import PlaceUnknown
+from softsensor.effects.vocabulary import layer_words, place_words
+from softsensor.fitting.problem import CONSTANT, PlaceUnknown
 from softsensor.fitting.result import RunFit
 from softsensor.fitting.unknowns import free_names
 from softsensor.heat.timing import TIMINGS
@@ -99,13 +98,14 @@ NUISANCE_CODES = {
     PlaceUnknown.OFFSET: "fit-unknown-offset",
     PlaceUnknown.GAIN: "fit-unknown-gain",
     PlaceUnknown.SKEW: "fit-unknown-skew",
+    CONSTANT: "fit-unknown-constant",
 }
 
 
 def _named(unknown: str) -> Message | str:
-    """Return an unknown in words; coefficients and effect parameters go by their names."""
+    """Return an unknown in words; coefficients go by their names."""
     kind, _, place = unknown.partition(":")
-    return say(NUISANCE_CODES[kind], place=place) if kind in NUISANCE_CODES else unknown
+    return say(NUISANCE_CODES[kind], place=place_words(place)) if kind in NUISANCE_CODES else unknown
 
 
 def apart(fitted: RunFit, partner: str, role: CoefficientRole, company: Company) -> Message:
@@ -115,11 +115,13 @@ def apart(fitted: RunFit, partner: str, role: CoefficientRole, company: Company)
     if kind in (PlaceUnknown.SKEW, *TIMINGS):
         return _faster(fitted, kind) or own
     if kind == PlaceUnknown.OFFSET:
-        return say("fit-remedy-check-channels", place=place)
+        return say("fit-remedy-check-channels", place=place_words(place))
     if kind == PlaceUnknown.GAIN:
-        return say("fit-remedy-calibrate-channels", place=place)
+        return say("fit-remedy-calibrate-channels", place=place_words(place))
     if kind.startswith("boundary_"):
         return say("fit-remedy-calibrate-platen")
+    if kind == CONSTANT:
+        return say("fit-remedy-measure-constant", key=place)
     if company.runs > 1 and partner not in company.shared and partner in free_names(fitted.problem.case.press):
         return say("fit-two-sentences", first=own, second=say("fit-or-share", name=partner))
     return own
@@ -192,9 +194,6 @@ def role_of(press: Press, name: str, fitted: RunFit) -> CoefficientRole:
         if name in opened:
             return _open_role(contact, opened.index(name) if len(opened) == 2 else None, press, fitted)
     seconds = float(fitted.problem.rows.sum() * fitted.problem.signals.period_s)
-    if "." in name:
-        confirm = find_effect(name.partition(".")[0]).confirm
-        return CoefficientRole(say("fit-role-effect"), confirm, confirm, seconds, False)
     end = "bottom" if press.boundary.bottom.coefficient == name else "top"
     layer = press.layer[0 if end == "bottom" else -1].name
     beside = _thermocouple([(layer, end, f"boundary.{end}")], press, fitted)
@@ -219,7 +218,7 @@ def _thermocouple(faces: Sequence[FaceNames], press: Press, fitted: RunFit) -> M
     bare = [face for face in faces if f"{face[0]}.{face[1]}" not in used]
     for layer, side, _ in bare:
         if f"{layer}.{side}" in named:
-            return say("fit-remedy-channels", place=f"{layer}.{side}")
+            return say("fit-remedy-channels", place=place_words(f"{layer}.{side}"))
     return (
         say("fit-remedy-thermocouple", layer=layer_words(bare[0][0]), other=layer_words(bare[0][2]))
         if bare

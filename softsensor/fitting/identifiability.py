@@ -21,7 +21,7 @@ from daq.words import Message, say
 from softsensor.fitting.experiment_advice import ALONE, SEEN_K, Company, Side, explain
 from softsensor.fitting.problem import MAX_MOVE, Problem, damped_step, free_of, minimise, normal_equations
 from softsensor.fitting.result import Coefficient, Identifiability, RunFit
-from softsensor.fitting.unknowns import is_parameter
+from softsensor.fitting.unknowns import is_coefficient
 
 NARROW = 0.5
 """Half intervals of a logarithm below this are taken from the curvature: there the profile is a parabola."""
@@ -87,14 +87,14 @@ def judge(fitted: RunFit, company: Company = ALONE) -> RunFit:
         return _unmet(fitted)
     coefficients = dict(fitted.coefficients)
     for i, u in enumerate(fitted.problem.unknowns):
-        if is_parameter(u.name):
+        if is_coefficient(u.name):
             coefficients[u.name] = _judge_one(fitted, i, coefficients[u.name], company)
     return replace(fitted, coefficients=coefficients, warnings=(*fitted.warnings, *verdict_notes(coefficients)))
 
 
 def _unmet(fitted: RunFit) -> RunFit:
     """Return a fit of a run the model does not describe: whatever value stands there, nothing is known."""
-    free = {u.name: (u.lower, u.upper) for u in fitted.problem.unknowns if is_parameter(u.name)}
+    free = {u.name: (u.lower, u.upper) for u in fitted.problem.unknowns if is_coefficient(u.name)}
     reason = None if fitted.misfit is None else say("fit-not-described", misfit=fitted.misfit)
     unknown = {
         name: Coefficient(
@@ -109,14 +109,13 @@ def _judge_one(fitted: RunFit, i: int, c: Coefficient, company: Company) -> Coef
     u, best = fitted.problem.unknowns[i], fitted.minimum
     reach = fitted.quantile * float(np.sqrt(fitted.covariance[i, i]))
     low, high = (side[i] for side in fitted.problem.limits)
-    narrow = NARROW if u.scale == "log" else 0.25 * (high - low)
     inside = best.x[i] - reach > low and best.x[i] + reach < high
-    if not best.held[i] and 0 < reach < narrow and inside and not np.isfinite(u.sd):
+    if not best.held[i] and 0 < reach < NARROW and inside and not np.isfinite(u.sd):
         return replace(c, identifiable=True, verdict=Identifiability.IDENTIFIABLE)
-    below, above = (_side(fitted, i, direction, reach) for direction in (-1, 1))
+    below, above = (_widened(fitted, i, _side(fitted, i, direction, reach)) for direction in (-1, 1))
     interval = (u.value(below.x), u.value(above.x))
     if below.closed and above.closed:
-        if u.scale != "log" or above.x - below.x < WIDE:
+        if above.x - below.x < WIDE:
             ends = c.ci95 if np.isfinite(u.sd) else interval
             return replace(c, ci95=ends, identifiable=True, verdict=Identifiability.IDENTIFIABLE)
         verdict = Identifiability.NOT_IDENTIFIABLE
@@ -125,6 +124,19 @@ def _judge_one(fitted: RunFit, i: int, c: Coefficient, company: Company) -> Coef
         verdict = Identifiability.ONE_SIDED if one_sided else Identifiability.NOT_IDENTIFIABLE
     reason = explain(fitted, i, below, above, company)
     return replace(c, ci95=interval, identifiable=False, verdict=verdict, reason=reason)
+
+
+def _widened(fitted: RunFit, i: int, side: Side) -> Side:
+    """Return the end of an interval with what the constants leave open, of which a profile knows nothing."""
+    if not side.closed:
+        return side
+    away = side.x - fitted.minimum.x[i]
+    more = (fitted.quantile * fitted.spread) ** 2 * float(fitted.minimum.from_constants[i])
+    at = float(fitted.minimum.x[i] + np.copysign(np.sqrt(away**2 + more), away))
+    limit = float(fitted.problem.limits[0 if away < 0 else 1][i])
+    return (
+        Side(limit, False) if abs(at - fitted.minimum.x[i]) > abs(limit - fitted.minimum.x[i]) else Side(at, True)
+    )
 
 
 def _side(fitted: RunFit, i: int, direction: int, reach: float) -> Side:
@@ -216,12 +228,15 @@ def profile(fitted: RunFit, name: str, points: int = PROFILE_POINTS) -> Profile:
     low, high = (side[i] for side in fitted.problem.limits)
     ends = [u.inside(v) for v in c.ci95]
     middle, most = fitted.minimum.x[i], max(abs(ends[1] - ends[0]), 1e-3)
+    alone = float(fitted.minimum.covariance[i, i] - fitted.minimum.from_constants[i])
     first = max(low, min(middle, ends[0]) - 0.25 * most)
     last = min(high, max(middle, ends[1]) + 0.25 * most)
     below = np.linspace(first, middle, points // 2 + 1)[:-1] if middle > first else np.zeros(0)
     above = np.linspace(middle, last, points // 2 + 1)[1:] if last > middle else np.zeros(0)
     xs = np.concatenate([below, [middle], above])
-    rise = np.array([0.0 if x == middle else profile_rise(fitted, i, x, PROFILE_STEPS) for x in xs])
+    stretch = float(np.sqrt(1.0 + fitted.minimum.from_constants[i] / alone)) if alone > 0.0 else 1.0
+    at = middle + (xs - middle) / stretch  # held constants make a profile steeper than what is known
+    rise = np.array([0.0 if x == middle else profile_rise(fitted, i, x, PROFILE_STEPS) for x in at])
     values = np.array([u.value(x) for x in xs])
     return Profile(values, rise / fitted.spread**2, 0.5 * fitted.quantile**2)
 
@@ -230,7 +245,7 @@ def profiles_of(fitted: RunFit) -> dict[str, Profile]:
     """Return the profile of every free coefficient of a run; none where the model does not describe it."""
     if not fitted.met:
         return {}
-    return {u.name: profile(fitted, u.name) for u in fitted.problem.unknowns if is_parameter(u.name)}
+    return {u.name: profile(fitted, u.name) for u in fitted.problem.unknowns if is_coefficient(u.name)}
 
 
 def _hold(problem: Problem, i: int, x: float) -> Problem:

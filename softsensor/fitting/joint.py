@@ -9,8 +9,8 @@ the population anew, until nothing moves: the hierarchical fit at the price of a
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from daq.records import Array
 from softsensor.fitting.population import Knowledge, Population, information, population
 from softsensor.fitting.problem import minimise
 from softsensor.fitting.result import RunFit
+from softsensor.heat.batch import Each
 
 TRUSTED = 0.2
 """Change of a logarithm within which a run's quadratic form stands for its likelihood."""
@@ -43,7 +44,7 @@ def fit_together(
     *,
     shared: Iterable[str] = (),
     known: Mapping[str, tuple[float, float]] | None = None,
-    workers: int = 1,
+    each: Each = map,
 ) -> Population:
     """Estimate the population of the named coefficients and every run given the others.
 
@@ -55,6 +56,8 @@ def fit_together(
         Coefficients with one value in all runs.
     known
         What was known of a coefficient before: median and standard deviation of the logarithm. Counts once.
+    each
+        Does some work for each of several things, as `map` does.
     """
     names, same = tuple(names), tuple(shared)
     if not fits:
@@ -64,25 +67,24 @@ def fit_together(
         _Member(f, f.minimum.x, information(f.problem, f.minimum.evaluation, f.spread, names)) for f in fits
     ]
     people = population(names, [m.knowledge for m in members], same=same, known=known)
-    with ThreadPoolExecutor(max(1, workers)) as threads:
-        for _ in range(ROUNDS):
-            far = [
-                i
-                for i, (m, (mean, _)) in enumerate(zip(members, people.members, strict=True))
-                if np.max(np.abs(mean - m.knowledge.start)) > TRUSTED
-            ]
-            if not far:
-                break
-            again = threads.map(_again, [members[i] for i in far], [people] * len(far), far)
-            for i, member in zip(far, again, strict=True):
-                members[i] = member
-            people = population(names, [m.knowledge for m in members], same=same, known=known)
+    for _ in range(ROUNDS):
+        far = [
+            i
+            for i, (m, (mean, _)) in enumerate(zip(members, people.members, strict=True))
+            if np.max(np.abs(mean - m.knowledge.start)) > TRUSTED
+        ]
+        if not far:
+            break
+        again = each(partial(_again, people), [(members[i], people.members[i][0]) for i in far])
+        for i, member in zip(far, again, strict=True):
+            members[i] = member
+        people = population(names, [m.knowledge for m in members], same=same, known=known)
     return people
 
 
-def _again(member: _Member, people: Population, number: int) -> _Member:
-    """Search a run again with the population as the prior of its coefficients."""
-    fitted = member.fitted
+def _again(people: Population, one: tuple[_Member, Array]) -> _Member:
+    """Search a run again from where the others put it, with the population as the prior of its coefficients."""
+    (member, there), fitted = one, one[0].fitted
     problem, x = fitted.problem, member.x.copy()
     unknowns = list(problem.unknowns)
     for i, name in enumerate(people.names):
@@ -91,7 +93,7 @@ def _again(member: _Member, people: Population, number: int) -> _Member:
         j = problem.names.index(name)
         sd = float(people.spread[i]) / fitted.spread
         unknowns[j] = replace(unknowns[j], mean=float(people.mean[i]), sd=sd)
-        x[j] = people.members[number][0][i]
+        x[j] = there[i]
     problem = replace(problem, unknowns=tuple(unknowns))
     found = minimise(problem, x, max_evaluations=EVALUATIONS, decrease=0.05)
     return _Member(fitted, found.x, information(problem, found.evaluation, fitted.spread, people.names))

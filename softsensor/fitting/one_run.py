@@ -13,8 +13,7 @@ fits badly.
 
 from __future__ import annotations
 
-import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,6 +21,7 @@ from scipy.optimize import minimize
 
 from daq.records import Array, InputError, Moments, Run
 from daq.words import say
+from softsensor.fitting.constants import constant_unknowns, fit_doubts, with_constants
 from softsensor.fitting.experiment_advice import ALONE, Company
 from softsensor.fitting.identifiability import held_against, judge
 from softsensor.fitting.problem import (
@@ -36,7 +36,7 @@ from softsensor.fitting.problem import (
 )
 from softsensor.fitting.remarks import remarks, without_spikes
 from softsensor.fitting.result import RunFit, channel_residuals, misfit_of, rms, run_fit
-from softsensor.fitting.unknowns import chain_priors, free_names, known_before, neutral_values, parameter_unknown
+from softsensor.fitting.unknowns import chain_priors, coefficient_unknown, free_names, known_before
 from softsensor.heat.model import NUISANCES, ThermalModel
 from softsensor.heat.timing import TIMINGS
 from softsensor.signals.instrument import CHANNEL_FAST_S, FACE_SLOW_K, FACE_SLOW_S, SECOND_SLOW_K, moment_sd
@@ -58,19 +58,17 @@ SLOW_PRIOR = ((np.log(FACE_SLOW_K), 1.0), (np.log(FACE_SLOW_S), 0.7))
 """Log-normal priors of the slow noise's size [K] and correlation time [s]."""
 
 
-def fit_run(  # noqa: PLR0913 - one argument a choice
+def fit_run(
     model: ThermalModel,
     run: Run,
     moments: Moments,
     *,
     start: Mapping[str, float] | None = None,
-    priors: Mapping[str, tuple[float, float]] | None = None,
-    free: Sequence[str] | None = None,
-    verdicts: bool = True,
     method: str = "default",
-    company: Company = ALONE,
+    company: Company | None = ALONE,
+    learned: Mapping[str, float] | None = None,
 ) -> RunFit:
-    """Fit one run.
+    """Fit one run: every coefficient the press file does not fix.
 
     Parameters
     ----------
@@ -79,66 +77,56 @@ def fit_run(  # noqa: PLR0913 - one argument a choice
     moments
         When the press closed and opened, as detected; the fit refines them.
     start
-        Values of parameters: where to start, or for effect parameters that are not `free`, their value.
-    priors
-        Log-normal priors of coefficients: median and standard deviation of the logarithm; of effect
-        parameters: mean and standard deviation. They go before the press file's own.
-    free
-        Parameters to adjust; by default every coefficient the press file does not fix.
-    verdicts
-        False skips the profiles, for callers that only want the numbers.
+        Values of parameters: where to start, or for effect parameters their value.
     method
         ``default``, or one of the paper's (`fitting.paper.procedures.METHODS`): coefficients by that procedure,
         every sensor with its own offset, or with ``:averages`` behind the name top and bottom averages;
         moments and verdicts from our own search, uncertainty from the curvature where the procedure ended.
     company
-        The runs it is fitted together with, which decides what is worth advising.
+        The runs it is fitted together with, which decides what is worth advising; None skips verdicts and
+        profiles, for callers that only want the numbers.
+    learned
+        Scatter of the panels' constants as earlier runs show it (`signals.doubt.constant_doubts`).
 
     Raises
     ------
     InputError
         For a run without usable channels.
     """
-    begun = time.perf_counter()
     run, jumps = without_spikes(model.press, run)
-    problem = make_problem(model, run, moments, start=start, priors=priors, free=free)
+    problem = make_problem(model, run, moments, start, learned)
     if method != "default":
-        return _fit_by_the_paper(problem, method, begun, company)
+        return _fit_by_the_paper(problem, method, company or ALONE)
     found = _settle(problem)
     warnings = jumps + remarks(found.problem.case, found.problem.signals, moments)
-    fitted = run_fit(found.problem, found.minimum, found.initial, warnings, begun, found.evaluations)
-    if not verdicts:
-        return fitted
-    return replace(judge(fitted, company), seconds=time.perf_counter() - begun)
+    fitted = run_fit(found.problem, found.minimum, found.initial, warnings)
+    return fitted if company is None else judge(fitted, company)
 
 
 def make_problem(
     model: ThermalModel,
     run: Run,
     moments: Moments,
-    *,
     start: Mapping[str, float] | None = None,
-    priors: Mapping[str, tuple[float, float]] | None = None,
-    free: Sequence[str] | None = None,
-    screen: bool = True,
-    fineness: float = 1.0,
+    learned: Mapping[str, float] | None = None,
 ) -> Problem:
     """Lay out a run for fitting: channels, unknowns, priors. Raises InputError."""
-    case = model.prepare(run, moments, fineness=fineness)
-    signals = collect_signals(case.press, run, moments, screen=screen)
+    case = model.prepare(run, moments)
+    signals = collect_signals(case.press, run, moments)
     if not signals.places:
         named = tuple(p for s in case.press.sensor if s.role == "fit" for p in s.columns)
         raise InputError(say("run-no-panel-channel", run=run.source or run.name, named=named))
-    names = free_names(case.press) if free is None else tuple(free)
-    values = neutral_values(model, case.press)
+    values = replace(model, press=case.press).guesses
     values |= {n: v for n, v in (start or {}).items() if n in values or n in NUISANCES}
-    known = {**known_before(case.press), **(priors or {})}
-    unknowns = [parameter_unknown(case.press, n, values[n], known.get(n)) for n in names]
-    unknowns += chain_priors(case, signals)
-    return Problem(model, case, signals, tuple(unknowns), values, FIRST_NOISE, rows_with_panel(case))
+    known = known_before(case.press)
+    unknowns = [coefficient_unknown(case.press, n, values[n], known.get(n)) for n in free_names(case.press)]
+    doubts = fit_doubts(run, case.press, learned)
+    unknowns += [*chain_priors(case, signals), *constant_unknowns(doubts)]
+    rows = rows_with_panel(case)
+    return Problem(model, case, signals, tuple(unknowns), values, FIRST_NOISE, rows, doubts=doubts)
 
 
-def _fit_by_the_paper(problem: Problem, method: str, begun: float, company: Company) -> RunFit:
+def _fit_by_the_paper(problem: Problem, method: str, company: Company) -> RunFit:
     """Take the coefficients from one of the paper's procedures, and hold them against what the run can tell.
 
     The paper adjusts coefficients at known moments. A switch or a detector knows them to half a row, which
@@ -150,8 +138,7 @@ def _fit_by_the_paper(problem: Problem, method: str, begun: float, company: Comp
     name, _, sensors = method.partition(":")
     settled = _settle(problem)
     warnings = remarks(problem.case, problem.signals, problem.case.moments)
-    rough = run_fit(settled.problem, settled.minimum, settled.initial, [], begun, settled.evaluations)
-    own = judge(rough, company)
+    own = judge(run_fit(settled.problem, settled.minimum, settled.initial, []), company)
     run = problem.case.run
     found = fit_as_paper(problem.model, run, own.moments, name, every=sensors != "averages", start=problem.values)
     problem = settled.problem
@@ -163,8 +150,7 @@ def _fit_by_the_paper(problem: Problem, method: str, begun: float, company: Comp
             x[i] = settled.minimum.x[i]
     problem = replace(problem, noise=slow_noise(problem, problem.evaluate(x)))
     there = replace(minimise(problem, x, max_evaluations=1), converged=found.converged)
-    fitted = run_fit(problem, there, settled.initial, warnings, begun, found.evaluations)
-    return replace(held_against(fitted, own), seconds=time.perf_counter() - begun)
+    return held_against(run_fit(problem, there, settled.initial, warnings), own)
 
 
 @dataclass(frozen=True)
@@ -172,7 +158,6 @@ class _Settled:
     problem: Problem
     minimum: Minimum
     initial: Evaluation
-    evaluations: int
 
     def left(self, at: Evaluation) -> float:
         """Return how far the prediction at a point is from the readings. [K]"""
@@ -190,8 +175,7 @@ def _settle(problem: Problem) -> _Settled:
     if not misfit_of(found.problem, found.rmse, found.left(found.initial), SEARCH_AGAIN):
         return found
     other = _search(replace(problem, noise=COARSE_NOISE))
-    better = min(found, other, key=lambda settled: settled.rmse)
-    return replace(better, evaluations=found.evaluations + other.evaluations)
+    return min(found, other, key=lambda settled: settled.rmse)
 
 
 def _search(problem: Problem) -> _Settled:
@@ -200,10 +184,9 @@ def _search(problem: Problem) -> _Settled:
     moving = with_motion(problem, problem.start, 0.05 + timing(problem), moment_sd(period))
     problem = replace(problem, blur=moving.blur)
     initial = problem.evaluate(problem.start)
-    rough = _roughly(problem)
-    count = rough.evaluations + 1
-    problem, x = recentre(problem, rough.x)
+    problem, x = recentre(problem, _roughly(problem).x)
     problem = replace(problem, correction=grid_correction(problem, x))
+    problem = with_constants(problem, x)
     problem = with_motion(problem, x, timing(problem), 0.1 * period)
     noise = channel_noise(problem.signals, problem.case.moments, problem.noise)
     problem = replace(problem, noise=replace(noise, slow_K=SECOND_SLOW_K, slow_s=FACE_SLOW_S))
@@ -211,23 +194,21 @@ def _search(problem: Problem) -> _Settled:
     problem = with_motion(problem, best.x, timing(problem), 0.1 * period)
     problem = replace(problem, noise=slow_noise(problem, best.evaluation))
     best = minimise(problem, best.x, max_evaluations=25)
-    return _Settled(problem, best, initial, count + best.evaluations)
+    return _Settled(problem, best, initial)
 
 
 def _roughly(problem: Problem) -> Minimum:
     """Search from the given start, and from further ones where that ends badly or at a limit."""
     best = minimise(problem, max_evaluations=25, decrease=0.05)
-    count = best.evaluations
     logs = np.array([u.scale == "log" for u in problem.unknowns])
     for shift in OTHER_STARTS:
         values = float(np.count_nonzero(best.evaluation.z))
         if best.converged and best.evaluation.loss < BAD_LOSS * values and not best.held[logs].any():
             break
         other = minimise(problem, problem.start + np.where(logs, shift, 0.0), max_evaluations=25, decrease=0.05)
-        count += other.evaluations
         if other.evaluation.loss < best.evaluation.loss - STALLED:
             best = other
-    return replace(best, evaluations=count)
+    return best
 
 
 def timing(problem: Problem) -> float:
@@ -239,7 +220,7 @@ def recentre(problem: Problem, x: Array) -> tuple[Problem, Array]:
     """Lay the run out again about refined moments, so that fine steps sit where the press switches."""
     values = problem.merged(x)
     case = problem.case
-    shifts = {n: values.get(n, 0.0) for n in ("closed_s", "opened_s", "ramp_s", "inserted_s")}
+    shifts = {n: values.get(n, 0.0) for n in TIMINGS}
     if all(abs(s) < 0.1 for s in shifts.values()):
         return problem, x
     moments = replace(case.moments, **{n: getattr(case.moments, n) + s for n, s in shifts.items()})

@@ -1,8 +1,8 @@
 """Least squares between a model and measured runs: unknowns, priors, whitened residuals, derivatives.
 
-What a fit adjusts are `Unknown`s: coefficients in the logarithm, effect parameters on their own scale,
-and nuisances (moments, start temperature, boundary and channel errors) that carry priors. A `Problem` is one
-run; `minimise` finds its unknowns by Levenberg-Marquardt with exact sensitivities, Huber weights and limits.
+What a fit adjusts are `Unknown`s: coefficients in the logarithm, and nuisances (moments, start temperature,
+boundary and channel errors) that carry priors. A `Problem` is one run; `minimise` finds its unknowns by
+Levenberg-Marquardt with exact sensitivities, Huber weights and limits.
 """
 
 from __future__ import annotations
@@ -13,13 +13,15 @@ from enum import StrEnum
 from typing import Literal
 
 import numpy as np
-from numba import njit
 
+from daq.compiled import compiled
 from daq.records import Array
 from softsensor.effects import clock_offset
 from softsensor.heat.case import Case
-from softsensor.heat.model import Solution, ThermalModel, state_weights
+from softsensor.heat.chain import Solution
+from softsensor.heat.model import ThermalModel
 from softsensor.heat.timing import HANDLING_RAMP_S, OPENING_RAMP_S
+from softsensor.signals.doubt import Doubt, Source
 from softsensor.signals.places import Noise, Signals, whiten
 
 HUBER = 3.0
@@ -34,6 +36,8 @@ STALLED = 0.05
 """A search that stalls this close to the minimum (0.3 standard deviations) has found it."""
 EVERYWHERE = "all"
 """In place of a place: the unknown is common to all channels."""
+CONSTANT = "constant"
+"""Kind of the unknowns that are constants of panel, layers and surroundings, by their keys in the header."""
 MAX_MOVE = 2.0
 """Largest change of a logarithm or of a scaled parameter in one step."""
 
@@ -56,7 +60,7 @@ class Unknown:
     """One number a fit adjusts."""
 
     name: str
-    """A coefficient, ``effect.parameter``, a nuisance of the model, or ``offset|gain|skew:PLACE``."""
+    """A coefficient, a nuisance of the model, ``offset|gain|skew:PLACE`` or ``constant:KEY``."""
     start: float
     lower: float
     upper: float
@@ -118,8 +122,13 @@ class Problem:
     """By place: prediction on a finer grid minus this grid's, worked out once (rows). [K]"""
     slope: tuple[Array, ...] = ()
     """By place: how fast the prediction rises, taken once near the solution (rows). [K/s]"""
+    doubts: Mapping[str, Doubt] = field(default_factory=dict)
+    """Of the constants among the unknowns, by key."""
     blur: tuple[Array, ...] = ()
     """By place: what timing leaves unknown of each row (rows). [K]"""
+    constant: Mapping[str, tuple[Array, ...]] = field(default_factory=dict)
+    """By key and place: the prediction's derivative by a constant, taken once near the solution (rows).
+    [K per unit of the key]"""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -203,13 +212,22 @@ class Problem:
     def _whitened(self, i: int, residual: Array, derivative: Array) -> Array:
         return self.whiten(i, np.column_stack([residual, derivative]))
 
+    def predicted(self, i: int, x: Array, solution: Solution) -> Array:
+        """Return what the body has at a place: grid and constants corrected, the channels' errors aside (rows)."""
+        column = solution.columns.index(self.signals.places[i].columns[0])
+        predicted = solution.sensors[:, column]
+        if self.correction:
+            predicted = predicted + self.correction[i]
+        for j, u in enumerate(self.unknowns):
+            if (moved := self.constant.get(u.name.removeprefix(f"{CONSTANT}:"))) is not None:
+                predicted = predicted + moved[i] * u.value(x[j])
+        return predicted
+
     def _place(self, i: int, x: Array, solution: Solution) -> tuple[Array, Array]:
         """Residual of a place's mean and the prediction's derivatives by the internal variables."""
         place = self.signals.places[i]
         column = solution.columns.index(place.columns[0])
-        predicted = solution.sensors[:, column]
-        if self.correction:
-            predicted = predicted + self.correction[i]
+        predicted = self.predicted(i, x, solution)
         derivative = np.zeros((len(predicted), len(self.unknowns)))
         added = np.zeros(len(predicted))
         for j, u in enumerate(self.unknowns):
@@ -217,6 +235,10 @@ class Problem:
                 derivative[:, j] = solution.d_sensors[u.name][:, column] * u.slope(x[j])
                 continue
             kind, _, label = u.name.partition(":")
+            if kind == CONSTANT:
+                if label in self.constant:
+                    derivative[:, j] = self.constant[label][i] * u.size
+                continue
             if label not in (place.label, EVERYWHERE):
                 continue
             if kind == PlaceUnknown.OFFSET:
@@ -233,7 +255,7 @@ def rows_with_panel(case: Case) -> Array:
     """Return 1 for each row with a panel in the press, all ones where there is none or nothing opens (rows)."""
     if not case.press.has_states:
         return np.ones(len(case.run.time_s))
-    idle = state_weights(case, case.run.time_s, {})[0][:, 0]
+    idle = case.row_clock.shares({})[0][:, 0]
     rows = (idle < 0.5).astype(float)
     return rows if rows.any() else np.ones(len(rows))
 
@@ -274,13 +296,13 @@ def with_motion(problem: Problem, x: Array, timing_s: float, reach_s: float = 0.
     return replace(problem, slope=tuple(slope), blur=tuple(blur))
 
 
-def grid_correction(problem: Problem, x: Array, fineness: float = 2.0) -> tuple[Array, ...]:
+def grid_correction(problem: Problem, x: Array) -> tuple[Array, ...]:
     """Return what a finer grid adds to the prediction at a point (rows). [K]
 
     The grid's error hardly depends on the unknowns, so one fine solution corrects all coarse ones.
     """
     case, values = problem.case, problem.merged(x)
-    fine = problem.model.prepare(case.run, case.moments, fineness=fineness)
+    fine = problem.model.prepare(case.run, case.moments, fineness=2.0)
     difference = problem.model.solve(fine, values).sensors - problem.model.solve(case, values).sensors
     return tuple(difference[:, case.columns.index(p.columns[0])] for p in problem.signals.places)
 
@@ -291,12 +313,12 @@ class Minimum:
 
     evaluation: Evaluation
     converged: bool
-    evaluations: int
     covariance: Array
-    """Of the internal variables, priors included, zero where a limit holds one."""
+    """Of the internal variables, priors included, zero where a limit holds one; with what constants leave open."""
+    from_constants: Array
+    """What of the variances that is (unknowns)."""
     held: Array
     """Which unknowns a limit holds (unknowns)."""
-    trace: tuple[float, ...] = field(default_factory=tuple)
 
     @property
     def x(self) -> Array:
@@ -329,7 +351,7 @@ def _gram_of(jacobian: Array, weight: Array, z: Array) -> tuple[Array, Array]:
     return matrix, right
 
 
-_gram: Callable[..., tuple[Array, Array]] = njit(cache=True, nogil=True, fastmath=True)(_gram_of)
+_gram: Callable[..., tuple[Array, Array]] = compiled(nogil=True, fastmath=True)(_gram_of)
 
 
 def minimise(
@@ -361,7 +383,9 @@ def minimise(
             break
     matrix, right = normal_equations(problem, at)
     free = free_of(at.x, right, lower, upper)
-    return Minimum(at, converged, count, covariance_of(matrix, free), np.logical_not(free), tuple(trace))
+    alone = covariance_of(matrix, free)
+    covariance = alone + left_open(problem, matrix, alone)
+    return Minimum(at, converged, covariance, np.diag(covariance - alone), np.logical_not(free))
 
 
 def free_of(x: Array, right: Array, lower: Array, upper: Array) -> Array:
@@ -399,6 +423,36 @@ def covariance_of(matrix: Array, free: Array) -> Array:
     if len(index):
         covariance[np.ix_(index, index)] = inverse(matrix[np.ix_(index, index)])
     return covariance
+
+
+def constants_among(problem: Problem) -> list[int]:
+    """Return the positions of the constants among the unknowns."""
+    return [i for i, u in enumerate(problem.unknowns) if u.name.startswith(f"{CONSTANT}:")]
+
+
+def stated_among(problem: Problem) -> list[int]:
+    """Return the positions of the constants whose doubt header or press file states, which intervals carry.
+
+    Of the others the classes of `softsensor.signals.doubt` are wide enough to drown every contact (the rig's from
+    2,600 to 13,500 W/m²K by 5 % of a plate's conductivity): until runs have shown their scatter they stay out.
+    """
+    return [i for i in constants_among(problem) if problem.doubts[_key(problem, i)].source is Source.STATED]
+
+
+def _key(problem: Problem, i: int) -> str:
+    return problem.unknowns[i].name.partition(":")[2]
+
+
+def left_open(problem: Problem, matrix: Array, covariance: Array) -> Array:
+    """Return what the stated doubt of held constants adds to the covariance of all unknowns.
+
+    Schmidt's consider covariance (Bierman, Factorization Methods, 1977, chapter VIII): the estimate leans on a
+    constant by ``-P M_xc``, and its variance follows by the constant's own.
+    """
+    at, stated = constants_among(problem), stated_among(problem)
+    lean = -covariance @ matrix[:, at] * np.isin(at, stated)
+    lean[at, range(len(at))] = 1.0
+    return np.asarray(lean @ np.diag([problem.unknowns[i].sd ** 2 for i in at]) @ lean.T)
 
 
 def inverse(matrix: Array) -> Array:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any
 
@@ -13,9 +12,10 @@ from scipy.stats import t as student
 
 from daq.records import Array, Moments
 from daq.words import Message, say
+from softsensor.fitting.constants import ConstantFit, constants_of
 from softsensor.fitting.problem import Evaluation, Minimum, Problem, Unknown
 from softsensor.fitting.remarks import lost_insertion
-from softsensor.fitting.unknowns import is_parameter
+from softsensor.fitting.unknowns import is_coefficient
 
 MISFIT_K, MISFIT_SHARE, MISFIT_NOISE, NOISIEST_K = 1.0, 0.04, 5.0, 1.0
 """A model does not describe a run from which it leaves more than each of: so many kelvin, this share of the span
@@ -47,18 +47,16 @@ class Identifiability(StrEnum):
 
 @dataclass(frozen=True)
 class Coefficient:
-    """What a fit says about one coefficient or effect parameter."""
+    """What a fit says about one coefficient."""
 
     value: float
     sd: float
-    """Of the value; for a coefficient from the logarithm's, times the value. NaN where a limit holds it."""
+    """The logarithm's, times the value. NaN where a limit holds it."""
     ci95: tuple[float, float]
     identifiable: bool
     verdict: Identifiability = Identifiability.IDENTIFIABLE
     reason: Message | None = None
     """Why it is not identifiable, and which measurement would fix it."""
-    log_sd: float = float("nan")
-    """Of the logarithm."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +65,6 @@ class RunFit:
 
     run: str
     coefficients: Mapping[str, Coefficient]
-    """Coefficients, and effect parameters that were free."""
     rmse_K: float  # noqa: N815
     """All good channels but validation ones, whole run, each channel's constant offset removed. [K]"""
     rmse_closed_K: float  # noqa: N815
@@ -75,27 +72,29 @@ class RunFit:
     initial_rmse_K: float  # noqa: N815
     """At the press file's guesses. [K]"""
     converged: bool
-    seconds: float
     closed_s: float
     opened_s: float
     warnings: tuple[Message, ...]
     names: tuple[str, ...]
     """Of the unknowns, nuisances included."""
     covariance: Array
-    """Of the internal variables: logarithms of coefficients, effect parameters over their size."""
+    """Of the internal variables: logarithms of coefficients, nuisances over their standard deviation."""
     problem: Problem
     minimum: Minimum
     residuals: Mapping[str, Array]
     """Reading minus prediction by channel, its constant offset removed (rows). [K]"""
     offsets: Mapping[str, float]
     """Constant offset of each channel. [K]"""
-    evaluations: int
     spread: float
     """How much larger the whitened residuals are than the noise model says, at least 1."""
     quantile: float
     """Standard deviations to either end of a 95 % interval."""
+    constants: Mapping[str, ConstantFit] = field(default_factory=dict)
+    """By key of the header, those that are uncertain: what was given, and what the run says."""
     misfit: Message | None = None
     """Why this run says nothing about coefficients: the model does not describe it; None where it does."""
+    seconds: float = float("nan")
+    """How long the fit took; only who holds a clock knows."""
 
     @property
     def met(self) -> bool:
@@ -150,11 +149,12 @@ class RunFit:
             "converged": self.converged,
             "met": self.met,
             "coefficients": table,
+            "constants": {key: c.as_json() for key, c in self.constants.items()},
             "rmse_K": number(self.rmse_K),
             "rmse_closed_K": number(self.rmse_closed_K),
             "rmse_raw_K": number(self.rmse_raw_K),
             "initial_rmse_K": number(self.initial_rmse_K),
-            "seconds": round(self.seconds, 4),
+            "seconds": number(round(self.seconds, 4)),
             "closed_s": number(self.closed_s),
             "opened_s": number(self.opened_s),
             "warnings": [str(warning) for warning in self.warnings],
@@ -172,8 +172,6 @@ def run_fit(
     best: Minimum,
     initial: Evaluation,
     warnings: Sequence[Message],
-    begun: float,
-    evaluations: int,
 ) -> RunFit:
     """Put together what a finished search says."""
     residuals, offsets = channel_residuals(problem, best.evaluation)
@@ -192,7 +190,6 @@ def run_fit(
         rmse_raw_K=rms(r + offsets[c] for c, r in residuals.items()),
         initial_rmse_K=first,
         converged=best.converged,
-        seconds=time.perf_counter() - begun,
         closed_s=moments.closed_s + values.get("closed_s", 0.0),
         opened_s=moments.opened_s + values.get("opened_s", 0.0),
         warnings=(*warnings, *_search_warnings(problem, best, misfit)),
@@ -202,9 +199,9 @@ def run_fit(
         minimum=best,
         residuals=residuals,
         offsets=offsets,
-        evaluations=evaluations,
         spread=spread.factor,
         quantile=quantile,
+        constants=constants_of(problem, best, spread.factor),
         misfit=misfit,
     )
 
@@ -213,13 +210,13 @@ def _coefficients(problem: Problem, best: Minimum, factor: float, quantile: floa
     """Return the parameters, the free ones `factor` times less sure than the curvature says."""
     table = {}
     for i, u in enumerate(problem.unknowns):
-        if is_parameter(u.name):
+        if is_coefficient(u.name):
             sd = float(np.sqrt(best.covariance[i, i])) * factor
             table[u.name] = _coefficient(u, best.x[i], sd, quantile)
     for name in problem.case.press.coefficient_names:
         if name not in table:
             v = problem.values[name]
-            table[name] = Coefficient(v, 0.0, (v, v), False, Identifiability.FIXED, say("fit-fixed"), 0.0)
+            table[name] = Coefficient(v, 0.0, (v, v), False, Identifiability.FIXED, say("fit-fixed"))
     return table
 
 
@@ -263,10 +260,9 @@ def _coefficient(u: Unknown, x: float, sd: float, quantile: float) -> Coefficien
     value = u.value(x)
     low, high = u.value(x - min(quantile * sd, 50.0)), u.value(x + min(quantile * sd, 50.0))
     interval = (max(low, u.lower), min(high, u.upper))
-    log_sd = sd if u.scale == "log" else float("nan")
     if sd == 0.0:
-        return Coefficient(value, float("nan"), (u.lower, u.upper), False, log_sd=float("nan"))
-    return Coefficient(value, float(abs(u.slope(x)) * sd), interval, True, log_sd=log_sd)
+        return Coefficient(value, float("nan"), (u.lower, u.upper), False)
+    return Coefficient(value, float(abs(u.slope(x)) * sd), interval, True)
 
 
 @dataclass(frozen=True)
@@ -291,9 +287,7 @@ def channel_residuals(problem: Problem, at: Evaluation) -> tuple[dict[str, Array
     residuals, offsets = {}, {}
     present = problem.rows > 0
     for i, place in enumerate(problem.signals.places):
-        predicted = at.solution.sensors[:, at.solution.columns.index(place.columns[0])]
-        if problem.correction:
-            predicted = predicted + problem.correction[i]
+        predicted = problem.predicted(i, at.x, at.solution)
         for column in place.columns:
             difference = np.where(present, problem.signals.cells[column] - predicted, np.nan)
             ok = np.isfinite(difference)

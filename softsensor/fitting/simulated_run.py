@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
@@ -13,6 +12,7 @@ from daq.press.press_file import Press
 from daq.records import Array, PressState, Run
 from softsensor.heat.model import ThermalModel, states
 from softsensor.signals.moments import moments_of
+from softsensor.signals.places import Place
 
 PROFILE_ROWS, PROFILE_DEPTHS = 160, 41
 """Times and depths of the temperature profile handed out, at most and exactly: enough for a picture."""
@@ -87,10 +87,6 @@ def simulate_run(
 
 
 def _measured(run: Run, place_of: Mapping[str, int], place: int) -> Array:
-    """Mean of a place's sensors, each moved onto their median: one that drops out makes no step."""
-    columns = [run.columns[name] for name, at in place_of.items() if at == place]
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # rows without any value are NaN, as they should be
-        middle = np.nanmedian(columns, axis=0)
-        offsets = np.nan_to_num([np.nanmedian(values - middle) for values in columns])
-        return np.asarray(np.nanmean(np.stack(columns) - offsets[:, None], axis=0))
+    """Mean of a place's sensors, their own offsets taken out."""
+    columns = [name for name, at in place_of.items() if at == place]
+    return Place.of("", columns, np.stack([run.columns[name] for name in columns], axis=1)).mean

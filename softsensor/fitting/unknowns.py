@@ -1,4 +1,4 @@
-"""What a fit adjusts: coefficients, effect parameters, and a real measuring chain's nuisances with priors."""
+"""What a fit adjusts: coefficients, and a real measuring chain's nuisances with priors."""
 
 from __future__ import annotations
 
@@ -7,13 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from daq.press.press_file import Press
-from daq.records import Array, InputError, Moments
+from daq.records import Array, Moments
 from daq.words import Message, say
-from softsensor.effects import find_effect
-from softsensor.effects.parameters import Parameter
 from softsensor.fitting.problem import EVERYWHERE, PlaceUnknown, Unknown
 from softsensor.heat.case import Case
-from softsensor.heat.model import NUISANCES, ThermalModel
+from softsensor.heat.model import NUISANCES
 from softsensor.signals.instrument import (
     CHANNEL_GAIN,
     CHANNEL_K,
@@ -66,12 +64,6 @@ def gaps_at_moments(time_s: Array, moments: Moments, period: float) -> list[Gap]
     return found
 
 
-def neutral_values(model: ThermalModel, press: Press) -> dict[str, float]:
-    """Return every parameter's value where nothing is known: guesses, and effects at their typical size."""
-    effects = {e.key(p.name): p.typical for e in model.effects for p in e.parameters}
-    return {n: press.coefficient(n).guess for n in press.coefficient_names} | effects
-
-
 def free_names(press: Press) -> tuple[str, ...]:
     """Coefficients a fit adjusts: all the press file does not fix."""
     return tuple(n for n in press.coefficient_names if not press.coefficient(n).fixed)
@@ -82,27 +74,12 @@ def known_before(press: Press) -> dict[str, tuple[float, float]]:
     return {name: (p.median, float(np.log(p.factor))) for name, p in press.priors.items()}
 
 
-def parameter_unknown(press: Press, name: str, start: float, prior: tuple[float, float] | None) -> Unknown:
-    """Return a coefficient or effect parameter as an unknown; see `fit.fit_run` for the prior."""
-    if "." not in name:
-        table = press.coefficient(name)
-        mean, sd = (0.0, float("inf")) if prior is None else (float(np.log(prior[0])), prior[1])
-        begin = float(np.clip(start, table.lower, table.upper))
-        return Unknown(name, begin, table.lower, table.upper, "log", mean=mean, sd=sd)
-    parameter = effect_parameter(name)
-    size = abs(parameter.typical - parameter.neutral) or abs(parameter.typical) or 1.0
-    mean, sd = (0.0, float("inf")) if prior is None else (prior[0] / size, prior[1] / size)
-    begin = float(np.clip(start, parameter.lower, parameter.upper))
-    return Unknown(name, begin, parameter.lower, parameter.upper, "linear", size, mean, sd)
-
-
-def effect_parameter(name: str) -> Parameter:
-    """Return the parameter of a full name such as ``edge_loss.W_m3K``. Raises InputError."""
-    effect, _, key = name.partition(".")
-    for parameter in find_effect(effect).parameters:
-        if parameter.name == key:
-            return parameter
-    raise InputError(say("fit-no-such-parameter", name=name, effect=effect, key=key))
+def coefficient_unknown(press: Press, name: str, start: float, prior: tuple[float, float] | None) -> Unknown:
+    """Return a coefficient as an unknown; the prior: median, and standard deviation of the logarithm."""
+    table = press.coefficient(name)
+    mean, sd = (0.0, float("inf")) if prior is None else (float(np.log(prior[0])), prior[1])
+    begin = float(np.clip(start, table.lower, table.upper))
+    return Unknown(name, begin, table.lower, table.upper, "log", mean=mean, sd=sd)
 
 
 def chain_priors(case: Case, signals: Signals) -> list[Unknown]:
@@ -171,6 +148,6 @@ def nuisance(name: str, sd: float, reach: float, mean: float = 0.0, lower: float
     )
 
 
-def is_parameter(name: str) -> bool:
-    """Whether an unknown is a coefficient or an effect parameter, no nuisance."""
+def is_coefficient(name: str) -> bool:
+    """Whether an unknown is a coefficient, no nuisance."""
     return ":" not in name and name not in NUISANCES

@@ -6,14 +6,14 @@ thousands of times.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.press.press_file import Press
+from daq.press.press_file import Contact, Press
 from daq.records import Array, InputError, Panel, Run
 from daq.words import say
 from softsensor.effects.effect import Terms
@@ -47,8 +47,7 @@ class Layout:
     interface: implicit_steps.Integers
     parts: Flags
     bare: Flags
-    spots: tuple[tuple[int, int, int, str], ...]
-    """Contact, state, kind (coupling, lower and upper face to air) and coefficient."""
+    spots: tuple[Spot, ...]
     measured: Flags
     flux: Array
     radiates: bool
@@ -208,12 +207,16 @@ def _constants(
     for layer in press.layer:
         cells = mesh.cells(layer.name)
         _, k[cells], c[cells] = layer_constants(press, layer.name, panel)
-        if isinstance(layer.conductivity_W_mK, tuple):
+        conductivity, capacity, density = layer.conductivity_W_mK, layer.heat_capacity_J_kgK, layer.density_kg_m3
+        if layer.from_run and panel is not None:
+            conductivity, capacity = panel.conductivity_table, panel.heat_capacity_table
+            density = panel.density
+        if isinstance(conductivity, tuple) and conductivity:
             k[cells], k_table[cells] = 1.0, len(tables)
-            tables.append(layer.conductivity_W_mK)
-        if isinstance(layer.heat_capacity_J_kgK, tuple):
-            c[cells], c_table[cells] = layer.density_kg_m3 or 0.0, len(tables)
-            tables.append(layer.heat_capacity_J_kgK)
+            tables.append(conductivity)
+        if isinstance(capacity, tuple) and capacity:
+            c[cells], c_table[cells] = density or 0.0, len(tables)
+            tables.append(capacity)
     return k, c, k_table, c_table, tables
 
 
@@ -232,34 +235,21 @@ def _interfaces(press: Press, mesh: Mesh) -> list[int]:
     return found
 
 
-def _contacts(press: Press, mesh: Mesh) -> tuple[list[int], list[bool], list[tuple[int, int, int, str]]]:
+Spot = tuple[int, int, int, str]
+"""Contact, state, kind (coupling, lower and upper face to air) and coefficient."""
+
+
+def _contacts(press: Press, mesh: Mesh) -> tuple[list[int], list[bool], list[Spot]]:
     """Where each coefficient acts, in which state; ends without a contact come last.
 
     A contact with an insulated end passes nothing; one with air or a flux lies before the boundary's surface,
     whose own coefficient is that surface's to the air.
     """
-    spots: list[tuple[int, int, int, str]] = []
     interfaces = _interfaces(press, mesh)
     parts = [isinstance(c.open, tuple) for c in press.contact]
-    panel = set(press.panel_layers)
-    away = next((c.open[1] for c in press.contact if isinstance(c.open, tuple)), None)
     ends = {"boundary.bottom": press.boundary.bottom, "boundary.top": press.boundary.top}
-    for m, contact in enumerate(press.contact):
-        if any(end in contact.between and ends[end].kind == "insulated" for end in ends):
-            continue
-        spots.append((m, 2, 0, contact.closed))
-        if contact.open is None:
-            spots.append((m, 1, 0, contact.closed))
-        elif isinstance(contact.open, str):
-            spots.append((m, 1, 0, contact.open))
-        else:
-            spots += [(m, 1, 1, contact.open[0]), (m, 1, 2, contact.open[1])]
-        if panel & set(contact.between):
-            plate_side = 2 if contact.between[0] in panel else 1
-            if away is not None and not contact.between[plate_side - 1].startswith("boundary"):
-                spots.append((m, 0, plate_side, away))
-        else:
-            spots.append((m, 0, 0, contact.open if isinstance(contact.open, str) else contact.closed))
+    insulated = {name for name, end in ends.items() if end.kind == "insulated"}
+    spots = [x for m, c in enumerate(press.contact) if not insulated & set(c.between) for x in _spots(press, m, c)]
     for j, side, boundary in ((0, 1, press.boundary.bottom), (len(mesh.dx), 2, press.boundary.top)):
         if boundary.kind == "measured":
             continue
@@ -269,6 +259,24 @@ def _contacts(press: Press, mesh: Mesh) -> tuple[list[int], list[bool], list[tup
         if boundary.coefficient is not None and boundary.kind != "insulated":
             spots += [(interfaces.index(j), state, side, boundary.coefficient) for state in range(3)]
     return interfaces, parts, spots
+
+
+def _spots(press: Press, m: int, contact: Contact) -> Iterator[Spot]:
+    """Yield where the coefficients of a contact between two bodies act."""
+    yield m, 2, 0, contact.closed
+    if isinstance(contact.open, tuple):
+        yield m, 1, 1, contact.open[0]
+        yield m, 1, 2, contact.open[1]
+    else:
+        yield m, 1, 0, contact.open or contact.closed
+    panel = set(press.panel_layers)
+    if not panel & set(contact.between):
+        yield m, 0, 0, contact.open if isinstance(contact.open, str) else contact.closed
+        return
+    away = next((c.open[1] for c in press.contact if isinstance(c.open, tuple)), None)
+    plate_side = 2 if contact.between[0] in panel else 1
+    if away is not None and not contact.between[plate_side - 1].startswith("boundary"):
+        yield m, 0, plate_side, away
 
 
 def _flux_table(press: Press, ambient: float) -> Array:

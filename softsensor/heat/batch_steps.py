@@ -18,8 +18,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from daq.compiled import compiled
 from softsensor.heat.step_terms import (
     CAP,
     DIAG,
@@ -123,7 +123,7 @@ class Flat(NamedTuple):
     """Temperatures of the first stage."""
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def lay_out(run, lane, lanes):
     """Fill one lane with a run: its coefficients once in full, then what the press's states change."""
     stack, tan, drive, state = run.stack, run.tan, run.drive, run.state
@@ -178,7 +178,7 @@ def lay_out(run, lane, lanes):
     _place(run.places, lanes, lane)
 
 
-@njit(cache=True)
+@compiled()
 def _join(interface, w, lanes, lane, row):
     """Write a group's contacts."""
     n = w.shape[1] - 1
@@ -190,7 +190,7 @@ def _join(interface, w, lanes, lane, row):
         lanes.joint[lane, row, m, 2] = _diagonal(w, min(j, n - 1))
 
 
-@njit(cache=True)
+@compiled()
 def _place(places, lanes, lane):
     """Write each place's first cell and the weights from there."""
     n = places.shape[1]
@@ -203,12 +203,12 @@ def _place(places, lanes, lane):
             lanes.weights[lane, a, b] = places[a, begin + b] if begin + b < n else 0.0
 
 
-@njit(cache=True)
+@compiled()
 def _diagonal(w, i):
     return w[G, i] + w[G, i + 1] + w[LOSS, i] + w[SLOPE, i]
 
 
-@njit(cache=True)
+@compiled()
 def _differs(weight, factor, step):
     """Whether a step's contacts differ from those of the step before."""
     for s in range(3):
@@ -221,7 +221,7 @@ def _differs(weight, factor, step):
     return count > 0
 
 
-@njit(cache=True, nogil=True, fastmath=FAST)
+@compiled(nogil=True, fastmath=FAST)
 def march_lanes(lanes, out):
     """Take all steps of all lanes; write the places before the first step and after each.
 
@@ -266,7 +266,7 @@ def march_lanes(lanes, out):
         _read(lanes, out, step + 1)
 
 
-@njit(cache=True)
+@compiled()
 def _switch(lanes, x, row):
     """Put a run's contacts into the state of another group."""
     joints, joint, n, g, diag = lanes.joints[x], lanes.joint[x, row], lanes.reach[x], lanes.g, lanes.diag
@@ -284,7 +284,7 @@ def _switch(lanes, x, row):
 # that is LANES values, before is turned into vector instructions, and overlap is checked once a loop.
 
 
-@njit(cache=True, fastmath=FAST)
+@compiled(fastmath=FAST)
 def _factor(flat):
     """Factor C + d h K by elimination without pivoting; g of the lowest interface is 0."""
     cap, diag, g, dh, keep, low, back = flat.cap, flat.diag, flat.g, flat.dh, flat.keep, flat.low, flat.back
@@ -302,7 +302,7 @@ def _factor(flat):
         keep[k] *= cap[k]
 
 
-@njit(cache=True, fastmath=FAST)
+@compiled(fastmath=FAST)
 def _first_stage(flat, bottom, top, reach):
     """Set u to the solution of the first stage."""
     keep, low, t, u = flat.keep, flat.low, flat.t, flat.u
@@ -313,7 +313,7 @@ def _first_stage(flat, bottom, top, reach):
     _substitute(flat.back, top, reach, u)
 
 
-@njit(cache=True, fastmath=FAST)
+@compiled(fastmath=FAST)
 def _second_stage(flat, bottom, top, reach):
     """Set t to the solution of the second stage."""
     keep, low, t, u = flat.keep, flat.low, flat.t, flat.u
@@ -325,7 +325,7 @@ def _second_stage(flat, bottom, top, reach):
     _substitute(flat.back, top, reach, t)
 
 
-@njit(cache=True, fastmath=FAST)
+@compiled(fastmath=FAST)
 def _substitute(back, top, reach, y):
     """Add what enters each run's top cell and substitute downwards."""
     for x in range(LANES):
@@ -334,7 +334,7 @@ def _substitute(back, top, reach, y):
         y[k] += back[k] * y[k + LANES]
 
 
-@njit(cache=True, fastmath=FAST)
+@compiled(fastmath=FAST)
 def _read(lanes, out, row):
     """Read the places off every run."""
     t, first, weights, ambient = lanes.t, lanes.first, lanes.weights, lanes.ambient

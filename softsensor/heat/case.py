@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from numbers import Real
 
 import numpy as np
@@ -25,7 +26,7 @@ from daq.records import (
 from daq.words import say
 from softsensor.effects.contact_load import REFERENCE_PRESSURE
 from softsensor.effects.effect import Scene
-from softsensor.heat.assembly import PAPER, PAPER_WIDTH, Layout, layer_constants, mask_cells
+from softsensor.heat.assembly import PAPER, PAPER_WIDTH, Layout, layer_constants
 from softsensor.heat.mesh import Mesh, build_mesh
 from softsensor.heat.readout import Reader
 from softsensor.heat.run_checks import (
@@ -37,8 +38,6 @@ from softsensor.heat.run_checks import (
     setting_load,
 )
 from softsensor.heat.timing import OPENING_RAMP_S, Clock
-
-__all__ = ["Case", "mask_cells", "prepare_case", "snap", "step_edges", "step_means"]
 
 FINE_STEP_S = 0.03
 """Step around a switch. [s]"""
@@ -59,9 +58,8 @@ class Case:
     """Step edges (steps + 1). [s of the run]"""
     boundary: Array
     """Measured boundary temperature: mean and change in each step (steps, 2, 2). [°C, K]"""
-    first_boundary: tuple[float, float]
     outside: Array
-    """Measured boundary temperatures at the run's rows (rows, 2). [°C]"""
+    """Measured boundary temperatures at the rows of the run as it was read (rows, 2). [°C]"""
     load: Mapping[int, Array]
     """Pressure over reference in each step, by contact."""
     columns: tuple[str, ...]
@@ -74,26 +72,78 @@ class Case:
     """Weights that read the places off the cells (m, n)."""
     press_face: Array
     """Weights that read the press face opposite each place, zero rows where there is none (m, n)."""
-    h: Array
-    """Step lengths (steps). [s]"""
-    unchanged: Array
-    """Factor 1 on every contact in each step, not to be changed (steps, contacts)."""
-    ambient: float
-    """[°C]"""
     layout: Layout
     """What no parameter changes."""
-    scene: Scene
-    """What effects may look at; its closing moment is the case's own."""
-    step_clock: Clock
-    """Shares of the states averaged over steps."""
-    edge_clock: Clock
-    """Shares at step edges."""
-    row_clock: Clock
-    """Shares at the run's rows."""
-    reader: Reader
-    """Reads step edges off at the run's rows."""
-    slope_reader: Reader
-    """Reads slopes in time off at the run's rows."""
+
+    @property
+    def ambient(self) -> float:
+        """Of the run. [°C]"""
+        return self.run.ambient_temperature
+
+    @cached_property
+    def h(self) -> Array:
+        """Step lengths (steps). [s]"""
+        return snap(np.diff(self.edges))
+
+    @cached_property
+    def unchanged(self) -> Array:
+        """Factor 1 on every contact in each step, not to be changed (steps, contacts)."""
+        return np.ones((len(self.edges) - 1, len(self.layout.interface)))
+
+    @cached_property
+    def step_clock(self) -> Clock:
+        """Shares of the states averaged over steps."""
+        return self.clock(self.edges, mean=True)
+
+    @cached_property
+    def edge_clock(self) -> Clock:
+        """Shares at step edges."""
+        return self.clock(self.edges)
+
+    @cached_property
+    def row_clock(self) -> Clock:
+        """Shares at the run's rows."""
+        return self.clock(self.run.time_s)
+
+    @cached_property
+    def reader(self) -> Reader:
+        """Reads step edges off at the run's rows."""
+        return Reader.at(self.edges, self.run.time_s)
+
+    @cached_property
+    def slope_reader(self) -> Reader:
+        """Reads slopes in time off at the run's rows."""
+        return Reader.at(self.edges, self.run.time_s, slope=True)
+
+    @cached_property
+    def scene(self) -> Scene:
+        """What effects may look at; its closing moment is the case's own."""
+        mesh, wet, z, faces = self.mesh, self.layout.wet, np.zeros(len(self.mesh.dx)), None
+        if wet.any():
+            inside = np.flatnonzero(wet)
+            height = np.cumsum(mesh.dx[inside]) - mesh.dx[inside] / 2
+            z[inside] = 2.0 * height / mesh.dx[inside].sum() - 1.0
+            faces = (int(inside[0]), int(inside[-1]))
+        layers = set(self.press.panel_layers)
+        return Scene(
+            dx=mesh.dx,
+            panel_cells=wet,
+            z=z,
+            face_cells=faces,
+            panel=self.panel,
+            panel_contacts=tuple(m for m, c in enumerate(self.press.contact) if set(c.between) & layers),
+            contacts=len(self.press.contact),
+            step_start=self.edges[:-1],
+            step_end=self.edges[1:],
+            closed_s=self.moments.closed_s,
+            load=self.load,
+            ambient=self.ambient,
+        )
+
+    def clock(self, times: Array, *, mean: bool = False) -> Clock:
+        """Return the press's states at some times, or their means between them."""
+        start = float(self.edges[0])
+        return Clock.of(self.moments, times, start, mean=mean, has_states=self.press.has_states)
 
 
 @dataclass(frozen=True)
@@ -147,18 +197,12 @@ def prepare_case(press: Press, run: Run, moments: Moments, *, paper: bool, finen
     fine, coarse = fineness.switch_step_s / fineness.cells, fineness.max_step_s / fineness.cells
     closed = min(fineness.closed_step_s / fineness.cells, coarse)
     edges = step_edges(run.time_s, moments, coarse, fine, fineness.growth, closed)
-    start, has_states = float(run.time_s[0]), press.has_states
     ends = (press.boundary.bottom, press.boundary.top)
     series = [boundary_series(run, name, b) for name, b in zip(("bottom", "top"), ends, strict=True)]
-    boundary = np.stack([step_means(run.time_s, s, edges) for s in series], axis=1)
-    fit = press.sensors_of(run)
-    sensors = fit | press.sensors_of(run, "validation")
-    labels = list(dict.fromkeys(sensor.label for sensor in sensors.values()))
+    sensors = press.sensors_of(run) | press.sensors_of(run, "validation")
     weights = {sensor.label: _place(press, run, mesh, panel, sensor.at) for sensor in sensors.values()}
     middle = press.panel_layers[0] if press.panel_layers else press.layer[len(press.layer) // 2].name
-    labels.append("core")
-    load = _loads(press, run, moments, edges)
-    layout = Layout.of(press, mesh, panel, run.ambient_temperature)
+    labels = (*weights, "core")
     weights["core"] = _place(press, run, mesh, panel, f"{middle}.middle")
     return Case(
         run=run,
@@ -167,60 +211,15 @@ def prepare_case(press: Press, run: Run, moments: Moments, *, paper: bool, finen
         mesh=mesh,
         moments=moments,
         edges=edges,
-        boundary=boundary,
-        first_boundary=(float(series[0][0]), float(series[1][0])),
+        boundary=np.stack([step_means(run.time_s, s, edges) for s in series], axis=1),
         outside=np.stack(series, axis=1),
-        load=load,
+        load=_loads(press, run, moments, edges),
         columns=tuple(sensors),
-        labels=tuple(labels),
+        labels=labels,
         place_of={column: labels.index(sensor.label) for column, sensor in sensors.items()},
         places=np.stack([weights[label] for label in labels]),
         press_face=np.stack([_press_face(press, mesh, label) for label in labels]),
-        h=snap(np.diff(edges)),
-        unchanged=np.ones((len(edges) - 1, len(layout.interface))),
-        ambient=run.ambient_temperature,
-        layout=layout,
-        scene=_scene(press, mesh, panel, layout, moments, edges, load, run.ambient_temperature),
-        step_clock=Clock.of(moments, edges, start, mean=True, has_states=has_states),
-        edge_clock=Clock.of(moments, edges, start, mean=False, has_states=has_states),
-        row_clock=Clock.of(moments, run.time_s, start, mean=False, has_states=has_states),
-        reader=Reader.at(edges, run.time_s),
-        slope_reader=Reader.at(edges, run.time_s, slope=True),
-    )
-
-
-def _scene(
-    press: Press,
-    mesh: Mesh,
-    panel: Panel | None,
-    layout: Layout,
-    moments: Moments,
-    edges: Array,
-    load: Mapping[int, Array],
-    ambient: float,
-) -> Scene:
-    z = np.zeros(len(mesh.dx))
-    faces = None
-    if layout.wet.any():
-        inside = np.flatnonzero(layout.wet)
-        height = np.cumsum(mesh.dx[inside]) - mesh.dx[inside] / 2
-        z[inside] = 2.0 * height / mesh.dx[inside].sum() - 1.0
-        faces = (int(inside[0]), int(inside[-1]))
-    touching = tuple(m for m, c in enumerate(press.contact) if set(c.between) & set(press.panel_layers))
-    return Scene(
-        dx=mesh.dx,
-        panel_cells=layout.wet,
-        plate_cells=~layout.panel,
-        z=z,
-        face_cells=faces,
-        panel=panel,
-        panel_contacts=touching,
-        contacts=len(press.contact),
-        step_start=edges[:-1],
-        step_end=edges[1:],
-        closed_s=moments.closed_s,
-        load=load,
-        ambient=ambient,
+        layout=Layout.of(press, mesh, panel, run.ambient_temperature),
     )
 
 

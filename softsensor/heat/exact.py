@@ -32,10 +32,11 @@ from scipy.linalg import eigh_tridiagonal
 from daq.records import Array, InputError
 from daq.words import say
 from softsensor.heat import implicit_steps, modal_steps, step_terms
+from softsensor.heat.build import Build
 from softsensor.heat.case import Case, snap, step_means
 from softsensor.heat.modal_steps import Seen
 from softsensor.heat.readout import Reader
-from softsensor.heat.timing import HANDLING_RAMP_S, TIMINGS, Clock
+from softsensor.heat.timing import HANDLING_RAMP_S, TIMINGS
 
 FIRST_STEP_S, GROWTH = 2e-3, 1.3
 """First step after a switch, and by how much each is longer than the one before. Set by hand, 2026-11. [s, 1]"""
@@ -103,8 +104,8 @@ def exact_grid(case: Case, values: Mapping[str, float], *, fine: bool) -> Grid:
     return _grid(_Key(case), tuple(float(values.get(name, 0.0)) for name in TIMINGS), fine)
 
 
-def run_exact(grid: Grid, build: Any, places: Array, *, fields: bool = False) -> tuple[Array, Array, Array]:
-    """Solve a linear model built on the grid's sparse case; return outputs, tangents, cell temperatures.
+def run_exact(grid: Grid, build: Build, places: Array, *, fields: bool = False) -> implicit_steps.Record:
+    """Solve a linear model built on the grid's sparse case; return what is read at its step edges.
 
     Raises
     ------
@@ -125,15 +126,15 @@ def run_exact(grid: Grid, build: Any, places: Array, *, fields: bool = False) ->
         else:
             march.ramp(span)
     d_out = np.empty((0, *march.out.shape))
-    if build.names and grid.spread is not None:
-        d_out = grid.spread(march.d_out[: len(build.names)])
-    return march.out, d_out, march.fields
+    if build.asked.names and grid.spread is not None:
+        d_out = grid.spread(march.d_out[: len(build.asked.names)])
+    return implicit_steps.Record(places, march.out, d_out, march.fields)
 
 
 class _March:
     """The state while spans are taken one after the other."""
 
-    def __init__(self, build: Any, grid: Grid, places: Array, *, whole: bool) -> None:
+    def __init__(self, build: Build, grid: Grid, places: Array, *, whole: bool) -> None:
         self.edges, self.coarse, self.h = grid.case.edges, grid.coarse, grid.case.h
         self.whole = whole
         self.build, self.drive = build, build.drive
@@ -156,23 +157,19 @@ class _March:
         part = implicit_steps.Drive(
             d.h[k], d.weight[k], d.d_weight[k], d.factor[k], d.d_factor[k], d.boundary[k], d.d_boundary
         )
-        m = len(self.places)
-        out = np.empty((b - a + 1, m))
-        d_out = np.empty((self.build.width, b - a + 1, m))
-        fields = np.empty((b - a + 1 if self.whole else 0, len(self.state.t)))
         self.state.clock[0] = 0.0
-        record = implicit_steps.Record(self.places, out, d_out, fields)
+        record = implicit_steps.empty_record(self.places, b - a, self.build.width, whole=self.whole)
         implicit_steps.march(self.build.stack, self.build.tangents, part, self.state, record, False)
-        self.out[a : b + 1] = out
+        self.out[a : b + 1] = record.out
         at = int(np.searchsorted(self.coarse, a))
-        self.d_out[:, at : at + b - a + 1] = d_out
+        self.d_out[:, at : at + b - a + 1] = record.d_out
         if self.whole:
-            self.fields[a : b + 1] = fields
+            self.fields[a : b + 1] = record.fields
 
     def steady(self, span: Span, w: Array, dw: Array) -> None:
         """Take exact steps with constant contacts and so constant coefficients."""
         modes = _decouple(w, self.build.stack.ambient)
-        names, m = self.build.names, len(self.places)
+        names, m = self.build.asked.names, len(self.places)
         read = np.zeros((max(m, 3), len(modes.rates)))
         read[:m] = self.places @ modes.to_t
         edges = self.coarse[np.searchsorted(self.coarse, span.first) : np.searchsorted(self.coarse, span.last) + 1]
@@ -194,7 +191,7 @@ class _March:
         self, w: Array, dw: Array, modes: Modes, edges: NDArray[np.int64], history: Array, read: Array
     ) -> None:
         """Carry the tangents over a span, forced by what the parameters do to the temperatures."""
-        n, p = len(modes.rates), len(self.build.names)
+        n, p = len(modes.rates), len(self.build.asked.names)
         seen = self._seen(dw, modes, edges, history)
         power = np.empty((p, len(edges), len(seen.cells)))
         modal_steps.disturb(w, dw, self.drive.d_boundary, self.build.stack.ambient, seen, power)
@@ -231,7 +228,7 @@ class _March:
         return Seen(cells, np.cumsum(near) - 1, seen)
 
 
-def freeze(build: Any, steps: NDArray[np.int64]) -> tuple[Array, Array]:
+def freeze(build: Build, steps: NDArray[np.int64]) -> tuple[Array, Array]:
     """Return the coefficients of some steps (spans, rows, n + 1), and tangents (spans, rows, P, n + 1)."""
     p, n = build.start.s.shape
     w = np.zeros((len(steps), step_terms.ROWS, n + 1))
@@ -295,16 +292,8 @@ def _grid(key: _Key, shifts: tuple[float, ...], fine: bool) -> Grid:
     times = case.run.time_s
     start, end = float(times[0]), float(times[-1])
     shift = dict(zip(TIMINGS, shifts, strict=True))
-    m = case.moments
-    moments = replace(
-        m,
-        inserted_s=m.inserted_s + shift["inserted_s"],
-        closed_s=m.closed_s + shift["closed_s"],
-        opened_s=m.opened_s + shift["opened_s"],
-        ramp_s=m.ramp_s + shift["ramp_s"],
-    )
-    clock = Clock.of(moments, times, start, mean=False, has_states=case.press.has_states)
-    ramps = [r for r in clock.ramps() if start < r[1] and r[0] < end]
+    moments = replace(case.moments, **{name: getattr(case.moments, name) + shift[name] for name in TIMINGS})
+    ramps = [r for r in replace(case, moments=moments).row_clock.ramps() if start < r[1] and r[0] < end]
     parts: list[NDArray[Any]] = [times]
     for first, last in ramps:
         handled = abs(last - first - HANDLING_RAMP_S) < 1e-9
@@ -328,19 +317,10 @@ def _grid(key: _Key, shifts: tuple[float, ...], fine: bool) -> Grid:
         outside[:, end_number] = np.interp(edges, times, series)
         if not case.layout.measured[end_number]:
             outside[:, end_number] = case.layout.flux[end_number, 2]
-    has_states = case.press.has_states
-    whole = replace(
-        case,
-        edges=edges,
-        h=snap(np.diff(edges)),
-        edge_clock=Clock.of(case.moments, edges, start, mean=False, has_states=has_states),
-        reader=Reader.at(edges, times),
-        slope_reader=Reader.at(edges, times, slope=True),
-    )
     coarse = _coarse(edges, ramps, start)
     spans = _spans(edges, ramps)
     spread = _spread(edges, coarse, spans) if fine else None
-    return Grid(whole, _sparse(case, edges, spans), spans, outside, coarse, spread)
+    return Grid(replace(case, edges=edges), _sparse(case, edges, spans), spans, outside, coarse, spread)
 
 
 def _spread(edges: Array, coarse: NDArray[np.int64], spans: tuple[Span, ...]) -> Reader:
@@ -393,15 +373,9 @@ def _sparse(case: Case, edges: Array, spans: tuple[Span, ...]) -> Case:
     chosen = [np.arange(s.first, s.last) if not s.steady else np.array([s.first]) for s in spans]
     few = edges[np.concatenate([*chosen, [len(edges) - 1]])]
     times = case.run.time_s
-    load = {m: np.full(len(few) - 1, float(np.mean(series))) for m, series in case.load.items()}
-    clock = case.step_clock
     return replace(
         case,
         edges=few,
-        h=snap(np.diff(few)),
-        unchanged=np.ones((len(few) - 1, len(case.layout.interface))),
         boundary=np.stack([step_means(times, series, few) for series in case.outside.T], axis=1),
-        load=load,
-        scene=replace(case.scene, step_start=few[:-1], step_end=few[1:], load=load),
-        step_clock=Clock.of(case.moments, few, clock.start, mean=True, has_states=clock.has_states),
+        load={m: np.full(len(few) - 1, float(np.mean(series))) for m, series in case.load.items()},
     )

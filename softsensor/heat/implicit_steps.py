@@ -18,9 +18,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from daq.compiled import compiled
 from softsensor.heat.step_terms import (
     CAP,
     DCAP,
@@ -62,6 +62,7 @@ __all__ = [
     "State",
     "Tangents",
     "delay",
+    "empty_record",
     "gather",
     "march",
     "rest",
@@ -81,6 +82,13 @@ class Record(NamedTuple):
     """(P, steps + 1, m)"""
     fields: Array
     """All cell temperatures (steps + 1, n), filled if it has rows. [°C]"""
+
+
+def empty_record(places: Array, steps: int, p: int, *, whole: bool) -> Record:
+    """Return room for so many steps and parameters, and for all cells if `whole`."""
+    m, n = places.shape
+    fields = np.empty((steps + 1 if whole else 0, n))
+    return Record(places, np.empty((steps + 1, m)), np.empty((p, steps + 1, m)), fields)
 
 
 class Work(NamedTuple):
@@ -107,7 +115,7 @@ class Stage(NamedTuple):
     """The step times the stage's share. [s]"""
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def march(stack, tan, drive, state, record, nonlinear):
     """Take all steps, and record before the first and after each."""
     p, n = state.s.shape
@@ -138,7 +146,7 @@ def march(stack, tan, drive, state, record, nonlinear):
         step = last
 
 
-@njit(cache=True)
+@compiled()
 def _same(drive, step):
     """Return the first later step whose contacts differ from those of `step`."""
     weight, d_weight, factor, d_factor = drive.weight, drive.d_weight, drive.factor, drive.d_factor
@@ -159,7 +167,7 @@ def _same(drive, step):
     return steps
 
 
-@njit(cache=True)
+@compiled()
 def _touched(dw, busy):
     """List the cells whose coefficients any parameter changes; return how many."""
     p, n = dw.shape[1], busy.shape[0]
@@ -180,7 +188,7 @@ def _touched(dw, busy):
     return count
 
 
-@njit(cache=True, fastmath=FAST)
+@compiled(fastmath=FAST)
 def _expect(state, h, co):
     """Temperatures expected in the middle of a step of length h, and their tangents."""
     t, t_before, s, s_before, before = state.t, state.t_before, state.s, state.s_before, state.clock[0]
@@ -194,7 +202,7 @@ def _expect(state, h, co):
             dstar[q, i] = s[q, i] + ratio * (s[q, i] - s_before[q, i])
 
 
-@njit(cache=True, fastmath=FAST)
+@compiled(fastmath=FAST)
 def _advance(stack, drive, state, record, co, work, span):
     """Take steps with the same coefficients; `span`: first step, the one after the last, how many are busy."""
     step, last, count = span
@@ -280,7 +288,7 @@ def _advance(stack, drive, state, record, co, work, span):
 # twice as long. `inv` holds the inverse pivots, `back` what a cell passes on to its neighbour towards the middle.
 
 
-@njit(cache=True, fastmath=FAST)
+@compiled(fastmath=FAST)
 def _factor(cap, diag, g, dh, inv, back):
     """Factor C + dh K by elimination without pivoting (diagonally dominant)."""
     n = inv.shape[0]
@@ -302,7 +310,7 @@ def _factor(cap, diag, g, dh, inv, back):
     inv[mid] = 1.0 / (cap[mid] + dh * diag[mid] - low * dh * g[mid] - high * dh * g[mid + 1])
 
 
-@njit(cache=True, fastmath=FAST)
+@compiled(fastmath=FAST)
 def _solve(inv, back, x):
     """Overwrite the right-hand side x (n) by the solution."""
     n = x.shape[0]
@@ -334,7 +342,7 @@ def _solve(inv, back, x):
         x[j] = high
 
 
-@njit(cache=True, fastmath=FAST)
+@compiled(fastmath=FAST)
 def _solve_many(inv, back, x):
     """Overwrite right-hand sides x (P, n), P a multiple of four, by the solutions.
 
@@ -386,7 +394,7 @@ def _solve_many(inv, back, x):
             a[j], b[j], c[j], d[j] = ha, hb, hc, hd
 
 
-@njit(cache=True, fastmath=FAST)
+@compiled(fastmath=FAST)
 def _conduct(diag, g, t, out):
     """Write K T, without the boundaries' and ambient's own temperatures, into `out` (n)."""
     n = t.shape[0]
@@ -401,7 +409,7 @@ def _conduct(diag, g, t, out):
     out[n - 1] = diag[n - 1] * t[n - 1] - g[n - 1] * t[n - 2]
 
 
-@njit(cache=True, fastmath=FAST)
+@compiled(fastmath=FAST)
 def _carry(w, hw, s, z, out):
     """Write C s - hw K z, of tangents (P, n), into `out`."""
     p, n = out.shape
@@ -419,7 +427,7 @@ def _carry(w, hw, s, z, out):
         oq[n - 1] = cap[n - 1] * sq[n - 1] - hw * (diag[n - 1] * zq[n - 1] - g[n - 1] * zq[n - 2])
 
 
-@njit(cache=True, fastmath=FAST)
+@compiled(fastmath=FAST)
 def _disturb(dw, busy, stage, ambient, out):
     """Add what the changed coefficients do in a stage, in the `busy` cells."""
     p, n = out.shape
@@ -448,7 +456,7 @@ def _disturb(dw, busy, stage, ambient, out):
             oq[i] += dg[i] * (low - combo[i]) + dg[i + 1] * (high - combo[i]) - dslope[i] * combo[i]
 
 
-@njit(cache=True, fastmath=FAST)
+@compiled(fastmath=FAST)
 def _convert(state, co, work, h):
     """Advance the conversions by what the step's mean temperature made of them."""
     t, tn, s, sn = state.t_before, state.t, state.s_before, state.s
@@ -468,7 +476,7 @@ def _convert(state, co, work, h):
                 dq[i] += h * (dvalue[i] + dslope[i] * mean + slope[i] * change)
 
 
-@njit(cache=True, fastmath=FAST)
+@compiled(fastmath=FAST)
 def _observe(record, state, row):
     """Record weighted sums of cells, over each place's first to last cell with a weight."""
     places, out, d_out, t, s = record.places, record.out, record.d_out, state.t, state.s
@@ -512,7 +520,7 @@ class Held(NamedTuple):
     """(P, n)"""
 
 
-@njit(cache=True)
+@compiled()
 def rest(stack, tan, drive, held, state):
     """Set the state to the steady temperatures in the first step's conditions.
 
@@ -559,7 +567,7 @@ def rest(stack, tan, drive, held, state):
     return -1 if change < UNSETTLED_K else n
 
 
-@njit(cache=True)
+@compiled()
 def _rest_tangents(ambient, outside, d_outside, held, factors, co, state):
     """Bring the tangents to rest; return a thousandth of the largest change."""
     p, n = state.s.shape
@@ -580,7 +588,7 @@ def _rest_tangents(ambient, outside, d_outside, held, factors, co, state):
     return change
 
 
-@njit(cache=True)
+@compiled()
 def _copy(t, s, t_out, s_out):
     """Copy temperatures (n) and their tangents (P, n)."""
     p, n = s.shape
@@ -591,7 +599,7 @@ def _copy(t, s, t_out, s_out):
             s_out[q, i] = s[q, i]
 
 
-@njit(cache=True)
+@compiled()
 def _rest_factor(w, held, factors):
     """Factor K into `factors` (2, n); return a cell that is tied to nothing, or -1. Held cells stand alone.
 
@@ -618,7 +626,7 @@ def _rest_factor(w, held, factors):
     return -1
 
 
-@njit(cache=True)
+@compiled()
 def _rest_solve(factors, held, given, x):
     """Solve K x = x in place; held cells get what is given."""
     through, pivot = factors[0], factors[1]
@@ -633,7 +641,7 @@ def _rest_solve(factors, held, given, x):
         x[i] = x[i] * pivot[i] + through[i] * x[i + 1]
 
 
-@njit(cache=True)
+@compiled()
 def delay(h, y, dy, tau, dtau):
     """Filter outputs in place by a first-order lag of `tau` seconds, input linear over each step.
 
@@ -663,7 +671,7 @@ def delay(h, y, dy, tau, dtau):
             before = now
 
 
-@njit(cache=True, fastmath=FAST)
+@compiled(fastmath=FAST)
 def gather(first, weights, y, out):
     """Weighted sums of four neighbouring rows of `y` (b, rows, c), starting at `first`, into (b, ., c)."""
     for b in range(out.shape[0]):

@@ -13,8 +13,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from daq.compiled import compiled
 from softsensor.heat.step_terms import (
     CAP,
     DCAP,
@@ -37,7 +37,7 @@ _NEXT_TO_NOTHING = 1e-200
 """Added to all modes: one that nothing forces would decay into subnormal numbers, which take ten times as long."""
 
 
-@njit(cache=True)
+@compiled()
 def freeze(stack, tan, drive, state, steps, out):
     """Fill the coefficients and their tangents, `out` (spans, ...) each, of some steps of a linear stack."""
     w, dw = out
@@ -47,7 +47,7 @@ def freeze(stack, tan, drive, state, steps, out):
         coefficients(stack, tan, drive, steps[i], state, Coefficients(w[i], dw[i], rate, drate))
 
 
-@njit(cache=True)
+@compiled()
 def _hold(lam, h, keep, old, new):
     """Fill the factors on q0, z0 and z1 of every mode."""
     for j in range(lam.shape[0]):
@@ -64,7 +64,7 @@ def _hold(lam, h, keep, old, new):
         new[j] = h * phi2
 
 
-@njit(cache=True, nogil=True, fastmath=FAST)
+@compiled(nogil=True, fastmath=FAST)
 def carry(lam, h, z, q):
     """Carry the modes of several systems from step edge to step edge.
 
@@ -120,7 +120,7 @@ class Noted(NamedTuple):
     """Those modes (c, n)."""
 
 
-@njit(cache=True, nogil=True, fastmath=FAST)
+@compiled(nogil=True, fastmath=FAST)
 def drive(forced, q, noted):
     """Carry the modes q (n) of the temperatures, in place, and note places at every step edge."""
     lam, h, gains, u = forced.rates, forced.h, forced.gains, forced.outside
@@ -177,7 +177,7 @@ class Seen(NamedTuple):
     """(steps, .). [°C]"""
 
 
-@njit(cache=True, fastmath=FAST)
+@compiled(fastmath=FAST)
 def disturb(w, dw, shift, ambient, temperatures, power):
     """Fill what changes of the parameters do in the cells they touch: -dK T + df - dC T'.
 

@@ -8,6 +8,9 @@ logarithms of the coefficients and of the effect parameters themselves, in the o
 Optional ``"adequacy": {"runs", "nothing", "unexplained_K", "causes": {NAME: {"chance", "size", "parameters",
 "absorbed"}}}`` says what the runs behind the model know about causes it leaves out, see
 `softsensor.diagnosis.missing_causes`.
+
+Optional ``"scatter": {KEY: {"sd", "runs"}}``: by key of the header how far a constant was from what was given,
+from panel to panel, as a share of it, and how many runs showed it (`softsensor.signals.doubt`).
 """
 
 from __future__ import annotations
@@ -15,7 +18,6 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -62,6 +64,15 @@ class MissingCauses:
 
 
 @dataclass(frozen=True)
+class Scatter:
+    """How far a constant is from the header's from panel to panel, as runs have shown it."""
+
+    sd: float
+    """As a share of the header's value."""
+    runs: int
+
+
+@dataclass(frozen=True)
 class ModelFile:
     """Coefficients and effects of one press, as a campaign found them."""
 
@@ -73,6 +84,13 @@ class ModelFile:
     covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
     missing: MissingCauses | None = None
     """None: nobody looked."""
+    scatter: Mapping[str, Scatter] = field(default_factory=dict)
+    """By key of the header."""
+
+    @property
+    def learned(self) -> dict[str, float]:
+        """Scatter from panel to panel by key, as `softsensor.signals.doubt.constant_doubts` takes it."""
+        return {key: s.sd for key, s in self.scatter.items()}
 
     @property
     def values(self) -> dict[str, float]:
@@ -112,6 +130,8 @@ class ModelFile:
                     for name, d in self.missing.causes.items()
                 },
             }
+        if self.scatter:
+            content["scatter"] = {key: {"sd": s.sd, "runs": s.runs} for key, s in self.scatter.items()}
         return content
 
 
@@ -148,7 +168,18 @@ def parse_model(content: Any, source: str) -> ModelFile:
         names=tuple(names),
         covariance=np.array(matrix, dtype=float).reshape(len(names), len(names)),
         missing=_missing_causes(content["adequacy"], source) if content.get("adequacy") else None,
+        scatter=_scatter(content.get("scatter") or {}, source),
     )
+
+
+def _scatter(table: Any, source: str) -> dict[str, Scatter]:
+    try:
+        found = {key: Scatter(float(entry["sd"]), int(entry["runs"])) for key, entry in table.items()}
+    except (TypeError, KeyError, ValueError, AttributeError) as error:
+        raise InputError(say("model-file-scatter", file=source, error=str(error))) from None
+    if bad := next((key for key, s in found.items() if not 0.0 < s.sd < np.inf), None):
+        raise InputError(say("model-file-scatter", file=source, error=f"{bad}.sd = {found[bad].sd}"))
+    return found
 
 
 def _estimates(table: Any, source: str, where: str) -> dict[str, FittedValue]:
@@ -180,17 +211,6 @@ def _missing_causes(entry: Any, source: str) -> MissingCauses:
         return MissingCauses(int(entry["runs"]), float(entry["nothing"]), float(entry["unexplained_K"]), causes)
     except (TypeError, KeyError, ValueError, AttributeError) as error:
         raise InputError(say("model-file-adequacy", file=source, error=str(error))) from None
-
-
-def read_model(path: Path) -> ModelFile:
-    """Read a model file. Raises InputError."""
-    try:
-        return parse_model(json.loads(path.read_text(encoding="utf-8")), str(path))
-    except OSError as error:
-        why = str(error.strerror)
-        raise InputError(say("model-file-unreadable", file=str(path), error=why)) from error
-    except (UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise InputError(say("model-file-no-json", file=str(path), error=str(error))) from error
 
 
 def model_text(model: ModelFile) -> str:

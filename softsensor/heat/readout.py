@@ -1,8 +1,4 @@
-"""From the solver's steps to the rows of a run: interpolation, and the measuring chain.
-
-A panel sensor reads, in this order: a mixture with the press face (footprint), late (lag), on its own
-clock (offset).
-"""
+"""From the solver's steps to the rows of a run: interpolation."""
 
 from __future__ import annotations
 

@@ -24,12 +24,11 @@ from daq.press.press_file import Press
 from daq.records import Array, InputError, Moments, Run
 from daq.words import say
 from softsensor.heat.case import Case
-from softsensor.heat.model import Solution, ThermalModel
-from softsensor.heat.readout import Reader
-from softsensor.heat.timing import Clock
+from softsensor.heat.chain import Solution
+from softsensor.heat.model import ThermalModel
 from softsensor.signals.instrument import FACE_SLOW_S, INSERTED_S, MEAN_FAST_S, SCAN_LATE_S, SCAN_SKEW_S
 from softsensor.signals.moments import Switch, switch_of
-from softsensor.signals.robust import nan_mean, nan_median
+from softsensor.signals.places import Place
 
 GROWTH = 1.15
 """Each bin after an event is this much wider than the one before."""
@@ -88,7 +87,6 @@ class Digest:
     """Of `y`. [K/s]"""
     cores: Mapping[str, Array]
     """Validation channels by bin. [°C]"""
-    core_place: Mapping[str, str]
     cases: Mapping[bool, Case]
     """Ready to solve, without and with paper layers."""
 
@@ -154,9 +152,9 @@ def digest_run(press: Press, run: Run, moments: Moments, excluded: frozenset[str
     slope = np.stack([_slope(time, y[:, i]) for i in range(len(signals))], axis=1)
     lean = _lean(run, samples, series, signals, validation)
     places = {s: s for s in signals} | validation
-    cases = {False: _sampled(case, lean, moments, places)}
+    cases = {False: _sampled(case, lean, places)}
     if press.panel_layers:
-        cases[True] = _sampled(_papered(press, run, moments), lean, moments, places)
+        cases[True] = _sampled(_papered(press, run, moments), lean, places)
     return Digest(
         run=run,
         moments=moments,
@@ -173,23 +171,14 @@ def digest_run(press: Press, run: Run, moments: Moments, excluded: frozenset[str
         y=y,
         slope=slope,
         cores=cores,
-        core_place=validation,
         cases=cases,
     )
 
 
-def _sampled(case: Case, lean: Run, moments: Moments, places: Mapping[str, str]) -> Case:
+def _sampled(case: Case, lean: Run, places: Mapping[str, str]) -> Case:
     """Return a case that is read at the sample times of `lean`, whose columns lie at `places`."""
-    samples, start = lean.time_s, float(case.run.time_s[0])
-    return replace(
-        case,
-        run=lean,
-        row_clock=Clock.of(moments, samples, start, mean=False, has_states=case.press.has_states),
-        reader=Reader.at(case.edges, samples),
-        slope_reader=Reader.at(case.edges, samples, slope=True),
-        columns=tuple(places),
-        place_of={column: case.labels.index(place) for column, place in places.items()},
-    )
+    place_of = {column: case.labels.index(place) for column, place in places.items()}
+    return replace(case, run=lean, columns=tuple(places), place_of=place_of)
 
 
 def _papered(press: Press, run: Run, moments: Moments) -> Case:
@@ -217,12 +206,10 @@ def _signal_series(
     series = np.full((len(run.time_s), len(signals)), np.nan)
     offset_sd = np.full(len(signals), 1.0)
     for i, signal in enumerate(signals):
-        values = np.stack([run.columns[c] for c in channels[signal]], axis=1)
-        middle = nan_median(values)
-        offsets = np.array([np.nanmedian(v - middle) if np.isfinite(v).any() else 0.0 for v in values.T])
-        series[:, i] = nan_mean(values - offsets + offsets.mean())
-        if len(offsets) >= 3:
-            offset_sd[i] = np.sqrt(np.var(offsets, ddof=1) / len(offsets) + 0.1**2)
+        place = Place.of(signal, channels[signal], np.stack([run.columns[c] for c in channels[signal]], axis=1))
+        series[:, i] = place.mean
+        if len(place.offsets) >= 3:
+            offset_sd[i] = np.sqrt(np.var(place.offsets, ddof=1) / len(place.offsets) + 0.1**2)
     return series, offset_sd
 
 

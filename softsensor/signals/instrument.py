@@ -31,10 +31,13 @@ CHANNEL_WHITE_K = 0.07
 """White noise of one reading of a panel channel: a logger's step of 0.1 K (0.03) and its own 0.05 to 0.1. [K]"""
 FACE_SLOW_K, FACE_SLOW_S = 0.15, 30.0
 """Error that all channels of a face share, and how fast it is forgotten: 0.1 to 0.2 K over about half a minute.
-The live sensor takes them as they are; for the fit they start the search and are the centre of a prior. [K, s]"""
+The live sensor takes them as they are; for the fit they stand until it estimates its own, about them as a prior.
+[K, s]"""
 SECOND_SLOW_K = 0.2
-"""The same for a fit's second search, before it estimates the slow noise: the upper end of that range. By hand,
-2026-11; why not `FACE_SLOW_K` is not recorded. [K]"""
+"""The same for a fit's second search, before it estimates the slow noise: the upper end of that range. [K]
+
+Only where a hidden cause leaves kelvins over does it matter, which there decides between two minima: with
+`FACE_SLOW_K` two lagging runs of the reference answers no longer converged (2026-11-22)."""
 MEAN_SLOW_K, MEAN_FAST_K, MEAN_FAST_S, MEAN_WHITE_K = 0.12, 0.06, 6.0, 0.03
 """The diagnosis' noise of a face's mean before its runs have shown it: slow (over `FACE_SLOW_S`), fast, and white
 per row. [K, K, s, K]
@@ -84,6 +87,17 @@ SEEN_SPREAD_LOG = 0.12
 """The same at least in a diagnosis, whatever its runs show: the least of what was seen."""
 LEAST_SPREAD_LOG = 0.05
 """The same at least for fits and live sensor, whatever a few runs show: smaller scatter is luck."""
+
+
+def scan_sd(period_s: float) -> float:
+    """Return how much later one face may be read than another, with a row every `period_s`. [s]
+
+    Examples
+    --------
+    >>> round(scan_sd(0.1), 3), round(scan_sd(1.0), 3)
+    (0.02, 0.12)
+    """
+    return max(SCAN_LATE_S, SCAN_APART_ROWS * period_s)
 
 
 def moment_sd(period_s: float) -> float:

@@ -10,13 +10,13 @@ intervals three to ten times too narrow here (noise correlated over 10 to 30 s a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from daq.compiled import compiled
 from daq.press.press_file import Press
 from daq.records import Array, Moments, Run
 from softsensor.signals.instrument import CHANNEL_FAST_S
@@ -37,6 +37,20 @@ class Place:
     """Mean of the good channels, differences between their offsets removed (rows). [°C]"""
     count: Array
     """Channels behind each row's mean, 0 where there is none (rows)."""
+    offsets: Array
+    """By how much each channel reads above their common level (channels). [K]"""
+
+    @staticmethod
+    def of(label: str, columns: Sequence[str], values: Array) -> Place:
+        """Take the mean over channels (rows, channels); one that drops out makes no step in it."""
+        good, offsets = np.isfinite(values), np.zeros(len(columns))
+        if len(columns) > 1:
+            offsets = np.nan_to_num(nan_median((values - nan_median(values)[:, None]).T))
+            offsets -= offsets.mean()
+        count = good.sum(axis=1).astype(float)
+        total = np.where(good, values - offsets, 0.0).sum(axis=1)
+        mean = np.where(count > 0, total / np.maximum(count, 1.0), np.nan)
+        return Place(label, tuple(columns), mean, count, offsets)
 
 
 @dataclass(frozen=True)
@@ -71,18 +85,10 @@ class Noise:
     """Of each reading. [K]"""
 
 
-def collect_signals(press: Press, run: Run, moments: Moments, *, screen: bool = True) -> Signals:
-    """Group a run's fit channels by place and leave out what cannot be believed.
-
-    Parameters
-    ----------
-    press
-        With the run's overrides applied.
-    screen
-        False keeps every channel that holds values, as the paper does.
-    """
+def collect_signals(press: Press, run: Run, moments: Moments) -> Signals:
+    """Group a run's fit channels by place and leave out what cannot be believed; the run's overrides applied."""
     usable, empty = faces_of(press, run)
-    findings = empty + (faulty_channels(press, run, moments) if screen else ())
+    findings = empty + faulty_channels(press, run, moments)
     bad = {f.column for f in findings}
     cells: dict[str, Array] = {}
     places, dropped = [], 0
@@ -90,10 +96,9 @@ def collect_signals(press: Press, run: Run, moments: Moments, *, screen: bool = 
         good = [c for c in columns if c not in bad]
         if not good:
             continue
-        values = np.stack([run.columns[c] for c in good], axis=1)
-        values, lost = _drop_outliers(values) if screen else (values, 0)
+        values, lost = _drop_outliers(np.stack([run.columns[c] for c in good], axis=1))
         dropped += lost
-        places.append(_mean(label, tuple(good), values))
+        places.append(Place.of(label, good, values))
         cells |= {c: values[:, i] for i, c in enumerate(good)}
     return Signals(run.time_s, tuple(places), cells, findings, dropped)
 
@@ -110,19 +115,6 @@ def _drop_outliers(values: Array) -> tuple[Array, int]:
     limit = np.maximum(np.maximum(6.0 * typical[None, :], 6.0 * row[:, None]), OUTLIER_K)
     far = np.abs(relative) > limit
     return np.where(far, np.nan, values), int(far.sum())
-
-
-def _mean(label: str, columns: tuple[str, ...], values: Array) -> Place:
-    good = np.isfinite(values)
-    offset = np.zeros(len(columns))
-    if len(columns) > 1:
-        relative = values - nan_median(values)[:, None]
-        offset = np.nan_to_num(nan_median(relative.T))
-        offset -= offset.mean()
-    count = good.sum(axis=1).astype(float)
-    total = np.where(good, values - offset, 0.0).sum(axis=1)
-    mean = np.where(count > 0, total / np.maximum(count, 1.0), np.nan)
-    return Place(label, columns, mean, count)
 
 
 def channel_noise(signals: Signals, moments: Moments, before: Noise) -> Noise:
@@ -185,13 +177,13 @@ def _whiten(
     series: Array,
     variance: Array,
     ok: Flags,
-    slow: float,
-    slow_s: float,
-    fast: float,
-    fast_s: float,
+    coloured: tuple[float, float, float, float],
 ) -> tuple[Array, float]:
-    """Filter the columns of `series` with the gains of one noise model; see `whiten`."""
-    rows, m = series.shape
+    """Filter the columns of `series` with the gains of one noise model; see `whiten`.
+
+    `coloured`: variance and correlation time of the slow and of the fast process. [K², s, K², s]
+    """
+    (rows, m), (slow, slow_s, fast, fast_s) = series.shape, coloured
     out = np.zeros((rows, m))
     a, b = np.zeros(m), np.zeros(m)
     p11, p12, p22 = slow, 0.0, fast
@@ -228,7 +220,7 @@ def _whiten(
     return out, log_det
 
 
-_filter: Callable[..., Any] = njit(cache=True, nogil=True)(_whiten)
+_filter: Callable[..., Any] = compiled(nogil=True)(_whiten)
 
 
 def whiten(time_s: Array, series: Array, variance: Array, noise: Noise, count: float) -> tuple[Array, float]:
@@ -262,9 +254,6 @@ def whiten(time_s: Array, series: Array, variance: Array, noise: Noise, count: f
         np.ascontiguousarray(series),
         np.ascontiguousarray(variance),
         ok,
-        noise.slow_K**2,
-        noise.slow_s,
-        fast,
-        noise.fast_s,
+        (noise.slow_K**2, noise.slow_s, fast, noise.fast_s),
     )
     return out, float(log_det)

@@ -22,3 +22,12 @@ def nan_median(values: Array) -> Array:
     low = np.take_along_axis(ordered, np.maximum((count - 1) // 2, 0)[..., None], axis=-1)[..., 0]
     high = np.take_along_axis(ordered, np.minimum(count // 2, values.shape[-1] - 1)[..., None], axis=-1)[..., 0]
     return np.where(count > 0, (low + high) / 2, np.nan)
+
+
+def scatter(values: Array, *, own_offsets: bool) -> Array:
+    """Standard deviation over channels in each row (rows, channels), their own offsets taken out if asked for."""
+    good = np.isfinite(values)
+    apart = np.where(good, values - nan_mean(values)[:, None], 0.0)
+    if own_offsets:
+        apart = np.where(good, apart - apart.sum(axis=0) / np.maximum(good.sum(axis=0), 1), 0.0)
+    return np.asarray(np.sqrt((apart**2).sum(axis=1) / np.maximum(good.sum(axis=1), 1)))

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from daq.press.press_file import Press
 from daq.records import Array, Moments, Run
 from daq.words import Message, say
+from softsensor.effects.vocabulary import place_words
 from softsensor.signals.robust import nan_median
 
 Flags = NDArray[np.bool_]
@@ -28,6 +29,8 @@ LIMIT_K = 1.5
 by 0.15 K; a channel that is loose, drifts or is swapped departs by 8 to 33 K in the reference campaigns. [K]"""
 LIMIT_RATIO = 5.0
 """It must also exceed the usual departure on its face so many times: a thin panel under an uneven press."""
+LEAST_CHANNELS = 3
+"""A face needs so many channels for one of them to depart from the others."""
 LARGEST_GAIN = 0.005
 """So much of a departure may be the channel's gain, three deviations of `CHANNEL_GAIN` and some."""
 ALIKE, ALIKE_SHARE = 0.85, 0.15
@@ -68,7 +71,9 @@ class ChannelFault:
     @property
     def said(self) -> Message:
         """What a person should read."""
-        return say(f"channel-{self.kind}", column=self.column, kelvin=self.departure_K, place=self.follows)
+        return say(
+            f"channel-{self.kind}", column=self.column, kelvin=self.departure_K, place=place_words(self.follows)
+        )
 
 
 def faces_of(press: Press, run: Run) -> tuple[dict[str, list[str]], tuple[ChannelFault, ...]]:
@@ -124,7 +129,7 @@ def _worst(
     middles = {
         face: nan_median(np.stack([values[c] for c in columns], axis=1))
         for face, columns in kept.items()
-        if len(columns) >= 3
+        if len(columns) >= LEAST_CHANNELS
     }
     for face, middle in middles.items():
         apart = {c: departure(values[c], middle) for c in kept[face]}

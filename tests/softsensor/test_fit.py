@@ -35,7 +35,7 @@ def test_coefficients_of_virtual_runs_lie_within_four_standard_deviations(rate_h
         fitted = fit_run(MODEL, run, _noticed(truth, rng, 1.0 / rate_hz))
         assert fitted.converged
         for name, c in fitted.coefficients.items():
-            assert abs(np.log(c.value / truth.coefficients[name])) < 4.0 * c.log_sd, name
+            assert abs(np.log(c.value / truth.coefficients[name])) < 4.0 * c.sd / c.value, name
         assert abs(fitted.closed_s - truth.moments.closed_s) < 0.05 + 0.1 / rate_hz
 
 

@@ -9,9 +9,10 @@ from daq.press.press_file import parse_press
 from daq.simulated.campaign import Plan, make_campaign
 from daq.simulated.campaign_pressfile import press_toml
 from daq.simulated.campaign_sensors import Nuisances
-from softsensor.fitting.campaign import fit_runs
 from softsensor.fitting.problem import minimise
 from softsensor.heat.model import ThermalModel
+from softsensor.jobs.campaign import fit_runs
+from tests.editions import edition
 
 PRESS = parse_press(press_toml())
 MODEL = ThermalModel(PRESS)
@@ -58,19 +59,25 @@ def test_intervals_of_a_dozen_runs_cover_the_truth(rate_hz):
 @pytest.mark.timeout(1200)
 @pytest.mark.parametrize(
     ("rate_hz", "chain"),
-    [
-        (10.0, {}),
-        (1.0, {}),
-        (2.0, {}),
-        (0.5, {}),
-        (1.0, {"skew_s": 0.5}),
-        (10.0, {"missing": 0.05, "dead": DEAD}),
-        (1.0, {"missing": 0.05, "dead": DEAD}),
-    ],
+    edition(
+        [(1.0, {}), (1.0, {"missing": 0.05, "dead": DEAD})],
+        [
+            (10.0, {}),
+            (1.0, {}),
+            (2.0, {}),
+            (0.5, {}),
+            (1.0, {"skew_s": 0.5}),
+            (10.0, {"missing": 0.05, "dead": DEAD}),
+            (1.0, {"missing": 0.05, "dead": DEAD}),
+        ],
+    ),
 )
 def test_intervals_cover_the_truth_in_ninety_to_ninety_nine_percent(rate_hz, chain):
-    """240 runs each; one coefficient's share is known to 1.4 %, that of all to 0.6 %."""
-    pairs = _fitted(range(800, 840), 6, rate_hz, **chain)
+    """240 runs each; one coefficient's share is known to 1.4 %, that of all to 0.6 %.
+
+    In the small edition, 95 % intervals leave out 5 of 24 runs once in 170 times (binomial).
+    """
+    pairs = _fitted(range(800, edition(804, 840)), 6, rate_hz, **chain)
     print(f"\n{rate_hz:g} Hz {chain}: {len(pairs)} runs")
     for name in PRESS.coefficient_names:
         known = [f.coefficients[name] for f, _ in pairs if f.coefficients[name].identifiable]
@@ -83,14 +90,14 @@ def test_intervals_cover_the_truth_in_ninety_to_ninety_nine_percent(rate_hz, cha
     everything = np.mean(_hits(pairs, PRESS.coefficient_names))
     print(f"  all      covered {everything:.3f}; of the not identifiable {np.mean(_open_hits(pairs)):.3f}")
     assert np.mean([f.converged for f, _ in pairs]) >= 0.97
-    assert 0.90 <= everything <= 0.99
+    assert 0.90 <= everything <= edition(1.0, 0.99)
     assert np.mean(_open_hits(pairs)) >= 0.90
     for name in PRESS.coefficient_names:
-        assert np.mean(_hits(pairs, [name])) >= 0.90, name
+        assert np.mean(_hits(pairs, [name])) >= edition(20 / 24, 0.90), name
     for name in MAIN:
-        assert np.mean([f.coefficients[name].identifiable for f, _ in pairs]) >= 0.97
+        assert np.mean([f.coefficients[name].identifiable for f, _ in pairs]) >= edition(23 / 24, 0.97)
         narrow = [_half_width(f.coefficients[name]) < np.log(1.3) for f, _ in pairs]
-        assert np.mean(narrow) >= 0.97, name
+        assert np.mean(narrow) >= edition(23 / 24, 0.97), name
 
 
 def _open_hits(pairs):
@@ -114,12 +121,12 @@ def _rise_at_limit(fitted, name, end):
 
 @pytest.mark.campaign
 @pytest.mark.timeout(1200)
-@pytest.mark.parametrize("rate_hz", [10.0, 1.0])
+@pytest.mark.parametrize("rate_hz", edition([1.0], [10.0, 1.0]))
 def test_profile_open_at_a_limit_is_called_so(rate_hz):
     """Runs whose record ends anywhere between insertion and a while after opening."""
     rng = np.random.default_rng(17)
     plan = Plan(rate_hz=rate_hz, nuisances=Nuisances.real_chain())
-    measured = [pair for seed in range(900, 910) for pair in make_campaign(seed, 4, plan=plan)]
+    measured = [pair for seed in range(900, edition(903, 910)) for pair in make_campaign(seed, 4, plan=plan)]
     runs = []
     for run, truth in measured:
         m = truth.moments
@@ -138,7 +145,7 @@ def test_profile_open_at_a_limit_is_called_so(rate_hz):
         f"\n{rate_hz:g} Hz: {len(called)} open profiles, called so {np.mean(called):.3f}, truth inside "
         f"{np.mean(covered):.3f}; {len(kept)} closed ones, called so {np.mean(kept):.3f}"
     )
-    assert len(called) > 60
+    assert len(called) > edition(15, 60)
     assert np.mean(called) >= 0.90
     assert np.mean(covered) >= 0.90
     assert np.mean(kept) >= 0.90

@@ -79,7 +79,7 @@ def test_load_column_that_holds_nothing_is_told_with_what_is_done_instead(make_r
     model, run = make_rig(RIG, t, measured, {"a": '"block.top"'})
     run = replace(run, columns={**run.columns, "a": 20.0 + 0.9 * t})
     model = ThermalModel.of(model.press, ["contact_load"])
-    problem = make_problem(model, run, Moments(inserted_s=0.0), free=("h",))
+    problem = make_problem(model, run, Moments(inserted_s=0.0))
     (said,) = remarks(problem.case, problem.signals, Moments(inserted_s=0.0))
     assert str(said).startswith(f"rig: load column 'load_kN' {lacks}")
     assert "boundary.bottom-block taken as independent of load" in str(said)

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from daq.records import InputError
-from softsensor.heat.model_file import FittedValue, ModelFile, model_text, parse_model, read_model
+from softsensor.heat.model_file import FittedValue, ModelFile, Scatter, model_text, parse_model
+from softsensor.jobs.model_files import read_model
 
 MODEL = ModelFile(
     version="2026-03-04T00:00:00Z",
@@ -15,6 +16,7 @@ MODEL = ModelFile(
     effects=(("edge_loss", {"W_m3K": FittedValue(900.0, 100.0)}),),
     names=("h_pp_c", "h_wa", "edge_loss.W_m3K"),
     covariance=np.diag([0.01, 0.02, 1e4]),
+    scatter={"panel.conductivity_W_mK": Scatter(0.06, 12)},
 )
 
 
@@ -25,6 +27,7 @@ def test_what_is_written_is_read(tmp_path):
     assert back.coefficients == MODEL.coefficients
     assert back.effects == MODEL.effects
     assert back.names == MODEL.names
+    assert back.learned == {"panel.conductivity_W_mK": 0.06}
     assert np.array_equal(back.covariance, MODEL.covariance)
     assert back.values == {"h_pp_c": 700.0, "h_wa": 12.0, "edge_loss.W_m3K": 900.0}
 
@@ -46,6 +49,7 @@ def test_a_model_file_names_its_effects_to_the_thermal_model(lab_press):
             {"effects": [{"name": "edge_loss", "parameters": {"h": {"value": 1.0}}}]},
             r"effects\.0\.parameters\.h: edge_loss has W_m3K",
         ),
+        ({"scatter": {"panel.thickness_mm": {"sd": -0.1, "runs": 3}}}, "scatter is not as `fit` writes it"),
     ],
 )
 def test_a_wrong_model_file_is_refused_with_its_key(change, message):

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
+from daq.compiled import compiled
 from daq.records import Array
 from softsensor.heat.case import Case
 from softsensor.heat.model import ThermalModel
@@ -27,6 +27,7 @@ Integers = NDArray[np.int64]
 class Lines:
     """A run's semi-discrete equations, ready to integrate."""
 
+    model: ThermalModel
     case: Case
     names: tuple[str, ...]
     dx: Array
@@ -44,8 +45,9 @@ class Lines:
     def solve(self, h: Array, *, sensitivities: bool, method: str = "LSODA") -> tuple[Array, Array]:
         """Integrate with the solver's default tolerances; places (rows, places) and derivatives by ln h."""
         n, p = len(self.dx), len(h) if sensitivities else 0
-        start = np.zeros((n, 1 + p))
-        start[:] = _rest(self, h, p)
+        names = self.names if sensitivities else ()
+        state = self.model.build(self.case, dict(zip(self.names, h, strict=True)), names).start
+        start = np.column_stack([state.t, state.s[:p].T * h[:p]])
         t = self.case.run.time_s
         band = 2 * (1 + p)
         options: dict[str, Any] = {"lband": band, "uband": band} if method == "LSODA" else {}
@@ -83,8 +85,8 @@ def lines_of(model: ThermalModel, case: Case, names: tuple[str, ...], labels: tu
     )
     places = np.stack([case.places[case.labels.index(label)] for label in labels])
     return Lines(
-        case, names, stack.dx, np.asarray(stack.k), np.asarray(stack.c), np.array(spots, dtype=np.int64), places,
-        boundary, switches,
+        model, case, names, stack.dx, np.asarray(stack.k), np.asarray(stack.c), np.array(spots, dtype=np.int64),
+        places, boundary, switches,
     )  # fmt: skip
 
 
@@ -97,54 +99,11 @@ def _filled(t: Array, values: Array) -> Array:
     return np.interp(t, t[good], values[good])
 
 
-def _rest(lines: Lines, h: Array, p: int) -> Array:
-    """Plates steady without a panel, the panel at its initial temperature; (n, 1 + p)."""
-    case, n = lines.case, len(lines.dx)
-    panel = case.mesh.cells(case.press.panel_layers[0])
-    temperature = case.panel.initial_temperature if case.panel is not None else 20.0
-    base = _rest_state(lines, h, panel, temperature)
-    out = np.zeros((n, 1 + p))
-    out[:, 0] = base
-    for q in range(p):
-        step = 1e-4
-        up, down = (h * np.where(np.arange(len(h)) == q, np.exp(s * step), 1.0) for s in (1, -1))
-        higher, lower = (_rest_state(lines, x, panel, temperature) for x in (up, down))
-        out[:, 1 + q] = (higher - lower) / (2 * step)
-    return out
-
-
-def _rest_state(lines: Lines, h: Array, panel: slice, temperature: float) -> Array:
-    n = len(lines.dx)
-    columns = []
-    idle = np.array([np.inf, np.inf, np.inf, 1.0, 1.0])
-    for j in range(n + 1):
-        unit = np.zeros((n, 1))
-        if j < n:
-            unit[j, 0] = 1.0
-        columns.append(_rate(lines, unit, h, idle))
-    constant = columns[n]
-    matrix = np.stack([c - constant for c in columns[:n]], axis=1)
-    held = np.zeros(n, dtype=bool)
-    held[panel] = True
-    matrix[held] = np.eye(n)[held]
-    right = -constant
-    right[held] = temperature
-    return np.asarray(np.linalg.solve(matrix, right))
-
-
-def _rate(lines: Lines, t: Array, h: Array, switches: Array) -> Array:
-    time_s = lines.case.run.time_s
-    return _right(
-        time_s[0], t, h, lines.dx, lines.conductivity, lines.capacity, lines.spots, time_s, lines.boundary,
-        switches, lines.case.ambient,
-    )  # fmt: skip
-
-
 def _share(at: float, middle: float, length: float) -> float:
     return float(min(max((at - middle) / length + 0.5, 0.0), 1.0))
 
 
-_ramp: Callable[[float, float, float], float] = njit(cache=True)(_share)
+_ramp: Callable[[float, float, float], float] = compiled()(_share)
 
 
 def _right_side(  # noqa: C901, PLR0913 - one compiled loop
@@ -205,4 +164,4 @@ def _right_side(  # noqa: C901, PLR0913 - one compiled loop
     return flow.ravel()
 
 
-_right: Callable[..., Array] = njit(cache=True)(_right_side)
+_right: Callable[..., Array] = compiled()(_right_side)

@@ -9,7 +9,6 @@ steps of its own, and differences over a millionth of a coefficient measure thos
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -19,12 +18,13 @@ import numpy as np
 from scipy.optimize import least_squares, minimize
 
 from daq.records import Array, InputError, Moments, Run
-from daq.words import say
+from daq.words import Message, say
 from softsensor.fitting.paper.ode import Lines, lines_of
 from softsensor.fitting.problem import rows_with_panel
 from softsensor.heat.case import Case
 from softsensor.heat.model import ThermalModel
 from softsensor.signals.places import collect_signals
+from softsensor.signals.robust import scatter
 
 METHODS = ("least_squares", "nelder_mead", "nelder_mead_then_least_squares")
 STOP = 1e-4
@@ -52,11 +52,7 @@ class PaperFit:
     """What one of the paper's procedures found in a run."""
 
     values: Mapping[str, float]
-    rmse_K: float  # noqa: N815
-    """Of what was fitted: weighted averages, or every sensor with its offset removed. [K]"""
     converged: bool
-    evaluations: int
-    seconds: float
 
 
 @dataclass(frozen=True)
@@ -109,36 +105,12 @@ class _Fit:
             parts.append(-np.stack([d.ravel() for d in derived], axis=-1))
         return np.concatenate(parts)
 
-    def rmse(self, x: Array) -> float:
-        """Root mean square of the unweighted residuals at a point. [K]"""
-        weight = np.concatenate([w.ravel() for w in self.weights])
-        residual = self.residuals(self.solution(x, derive=False)[0])
-        return float(np.sqrt(np.mean((residual[weight > 0] / weight[weight > 0]) ** 2)))
-
     def _centred(self, series: Array, weight: Array) -> Array:
         """Take each series' weighted mean away where it has an offset of its own."""
         if not self.own_offsets:
             return series
         square = weight * weight
         return np.asarray(series - (square * series).sum(axis=0) / np.maximum(square.sum(axis=0), 1e-12))
-
-
-def scatter_of(cells: Array, *, own_offsets: bool) -> Array:
-    """Return the standard deviation over a place's sensors in each row, at least `LEAST_SCATTER_K`. [K]
-
-    Parameters
-    ----------
-    cells
-        Readings (rows, sensors), NaN where missing. [°C]
-    own_offsets
-        Whether each sensor's constant departure from the mean of its face is taken away first.
-    """
-    good = np.isfinite(cells)
-    count = np.maximum(good.sum(axis=1), 1)
-    apart = np.where(good, cells - (np.where(good, cells, 0.0).sum(axis=1) / count)[:, None], 0.0)
-    if own_offsets:
-        apart = np.where(good, apart - apart.sum(axis=0) / np.maximum(good.sum(axis=0), 1), 0.0)
-    return np.asarray(np.maximum(np.sqrt((apart**2).sum(axis=1) / count), LEAST_SCATTER_K))
 
 
 def fit_as_paper(
@@ -161,19 +133,18 @@ def fit_as_paper(
     """
     if method not in METHODS:
         raise InputError(say("fit-no-such-method", method=method, methods=tuple(METHODS)))
-    begun = time.perf_counter()
     problem = _prepare(model, run, moments, every)
     guesses = {**replace(model, press=problem.case.press).guesses, **(start or {})}
     low, high = problem.limits
     x = np.clip(np.log([guesses[n] for n in problem.names]), low, high)
-    count, converged = 0, True
+    converged = True
     if method != "least_squares":
         rough = minimize(
             lambda v: float(np.sum(problem.residuals(problem.solution(v, derive=False)[0]) ** 2)),
             x, method="Nelder-Mead", bounds=list(zip(low, high, strict=True)),
             options={"xatol": STOP, "fatol": 1e-3, "maxfev": 1200},
         )  # fmt: skip
-        x, count, converged = rough.x, int(rough.nfev), bool(rough.success)
+        x, converged = rough.x, bool(rough.success)
     if method != "nelder_mead":
         polished = least_squares(
             lambda v: problem.residuals(problem.solution(v, derive=False)[0]),
@@ -183,14 +154,8 @@ def fit_as_paper(
             xtol=STOP,
         )
         x, converged = polished.x, bool(polished.success)
-        count += int(polished.nfev + polished.njev)
-    return PaperFit(
-        {n: float(np.exp(v)) for n, v in zip(problem.names, x, strict=True)},
-        problem.rmse(x),
-        converged,
-        count,
-        time.perf_counter() - begun,
-    )
+    values = {n: float(np.exp(v)) for n, v in zip(problem.names, x, strict=True)}
+    return PaperFit(values, converged)
 
 
 def _prepare(model: ThermalModel, run: Run, moments: Moments, every: bool) -> _Fit:
@@ -207,7 +172,8 @@ def _prepare(model: ThermalModel, run: Run, moments: Moments, every: bool) -> _F
         series = cells if every else place.mean[:, None]
         used = counted & np.isfinite(series)
         readings.append(np.where(used, series, 0.0))
-        weights.append(used / scatter_of(cells, own_offsets=every)[:, None])
+        spread = np.maximum(scatter(cells, own_offsets=every), LEAST_SCATTER_K)
+        weights.append(used / spread[:, None])
     labels = tuple(p.label for p in signals.places)
     columns = tuple(p.columns[0] for p in signals.places)
     return _Fit(model, case, names, labels, columns, tuple(readings), tuple(weights), every)
@@ -273,22 +239,26 @@ class Reproduction:
         }
 
     @property
-    def lines(self) -> list[str]:
-        """The table as text."""
-        rows = [f"{'solver':<10}{'slopes':<22}{'converged':>10}{'time [s]':>10}{'solves':>9}{'error':>9}"]
-        for c in self.table:
-            error = f"{100 * (np.exp(c.error) - 1):.1f} %"
-            rows.append(
-                f"{c.solver:<10}{c.slopes:<22}{f'{c.converged} of {c.runs}':>10}"
-                f"{c.seconds:>10.2f}{c.evaluations:>9.0f}{error:>9}"
-            )
-        turns = self.slope_changes
+    def said(self) -> Message:
+        """What the two curves show."""
+        adaptive, exact = self.slope_changes
         span = 100 * float(self.relative[-1] - 1.0)
-        rows.append(
-            f"Cost along {self.coefficient} within ±{span:.1g} %: the slope changes sign "
-            f"{turns[0]} times with the adaptive solver, {turns[1]} times with the exact one."
-        )
-        return rows
+        return say("paper-slope-changes", name=self.coefficient, span=span, adaptive=adaptive, exact=exact)
+
+    @property
+    def rows(self) -> list[dict[str, Message]]:
+        """The table, cell by cell in the order of its columns."""
+        return [
+            {
+                "solver": Message(f"paper-{c.solver}"),
+                "slopes": Message(f"paper-{c.slopes.replace(' ', '-')}"),
+                "converged": say("report-count-of", count=c.converged, total=c.runs),
+                "time": say("report-hundredths", value=c.seconds),
+                "solves": say("report-number-3", value=c.evaluations),
+                "error": say("report-percent", percent=100 * (float(np.exp(c.error)) - 1)),
+            }
+            for c in self.table
+        ]
 
 
 def reproduce(
@@ -297,6 +267,7 @@ def reproduce(
     *,
     judged: Sequence[str] = ("h_pp_o", "h_pp_c", "h_wa"),
     seed: int = 1,
+    clock: Callable[[], float],
     progress: Callable[[int], None] | None = None,
 ) -> Reproduction:
     """Compare the four combinations on measurements given with their moments and true coefficients.
@@ -307,6 +278,8 @@ def reproduce(
         Coefficients whose error against the truth counts: those every run shows.
     seed
         Of the starts, which are off by up to a factor of 3.
+    clock
+        Seconds since whenever, for how long each search takes.
     """
     rng = np.random.default_rng(seed)
     results: dict[tuple[Solver, Slopes], list[_Outcome]] = {}
@@ -316,7 +289,9 @@ def reproduce(
         lines = lines_of(model, problem.case, problem.names, problem.labels)
         for solver in Solver:
             for slopes in Slopes:
+                begun = clock()
                 outcome = _search(problem, lines if solver is Solver.ADAPTIVE else None, slopes, start)
+                outcome = replace(outcome, seconds=clock() - begun)
                 results.setdefault((solver, slopes), []).append(outcome)
         if progress is not None:
             progress(number)
@@ -330,7 +305,7 @@ class _Outcome:
     cost: float
     """By the exact solver, so that all are measured alike."""
     solves: int
-    seconds: float
+    seconds: float = float("nan")
 
 
 def _search(problem: _Fit, lines: Lines | None, slopes: Slopes, start: Array) -> _Outcome:
@@ -344,7 +319,6 @@ def _search(problem: _Fit, lines: Lines | None, slopes: Slopes, start: Array) ->
             problem.solution(x, derive=derive) if lines is None else lines.solve(np.exp(x), sensitivities=derive)
         )
 
-    begun = time.perf_counter()
     exact = slopes is Slopes.EXACT
     memory: dict[bytes, tuple[Array, Array]] = {}
 
@@ -359,9 +333,8 @@ def _search(problem: _Fit, lines: Lines | None, slopes: Slopes, start: Array) ->
 
     jacobian = (lambda x: problem.jacobian(both(x)[1])) if exact else "2-point"
     found = least_squares(value, start, jac=jacobian, max_nfev=60)
-    seconds = time.perf_counter() - begun
     final = problem.residuals(problem.solution(np.clip(found.x, -4.6, 13.8), derive=False)[0])
-    return _Outcome(np.asarray(found.x), float(final @ final), count[0], seconds)
+    return _Outcome(np.asarray(found.x), float(final @ final), count[0])
 
 
 def _table(

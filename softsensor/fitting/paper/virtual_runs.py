@@ -16,7 +16,10 @@ SEED = 77
 
 
 def reproduce_paper(
-    measurements: int = MEASUREMENTS, progress: Callable[[int], None] | None = None
+    measurements: int = MEASUREMENTS,
+    *,
+    clock: Callable[[], float],
+    progress: Callable[[int], None] | None = None,
 ) -> Reproduction:
     """Make the measurements (2 rows a second, every sensor sound, moments known) and compare."""
     plan = Plan(
@@ -30,4 +33,6 @@ def reproduce_paper(
     )
     campaign = make_campaign(SEED, measurements, plan=plan)
     model = ThermalModel(parse_press(press_toml()))
-    return reproduce([(run, t.moments, t.coefficients) for run, t in campaign], model, progress=progress)
+    return reproduce(
+        [(run, t.moments, t.coefficients) for run, t in campaign], model, clock=clock, progress=progress
+    )

@@ -1,0 +1,170 @@
+"""The arrays of one solve, put together from a case, parameter values and the effects' terms."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from daq.records import Array, NoSteadyState
+from daq.words import say
+from softsensor.effects import Terms
+from softsensor.heat import implicit_steps
+from softsensor.heat.assembly import initial_profile
+from softsensor.heat.case import Case
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What a solve is for."""
+
+    values: Mapping[str, float]
+    """Of the parameters; nuisances left out are 0."""
+    names: tuple[str, ...]
+    """Parameters to differentiate by."""
+    terms: Terms
+    """Of all effects together."""
+    d_terms: Mapping[str, Terms]
+    """Their derivatives by those parameters that they depend on."""
+
+    @property
+    def boundary_shift(self) -> tuple[float, float]:
+        """What is added to the measured boundary temperatures, bottom and top. [K]"""
+        bottom, top = self.terms.boundary_offset
+        values = self.values
+        return float(bottom) + values.get("boundary_bottom_K", 0.0), float(top) + values.get("boundary_top_K", 0.0)
+
+
+@dataclass(frozen=True)
+class Build:
+    """The arrays of one solve, ready for the compiled steps."""
+
+    asked: Asked
+    stack: implicit_steps.Stack
+    tangents: implicit_steps.Tangents
+    drive: implicit_steps.Drive
+    start: implicit_steps.State
+    nonlinear: bool
+
+    @staticmethod
+    def of(case: Case, asked: Asked, *, nonlinear: bool) -> Build:
+        """Lay out a case; `nonlinear` where an effect is. Raises NoSteadyState."""
+        layout, p = case.layout, -(-len(asked.names) // 4) * 4
+        stack = layout.stack(case.mesh, asked.terms, asked.values, case.ambient)
+        tangents = layout.tangents(asked.terms, asked.d_terms, asked.names, p)
+        drive = _drive(case, asked, p)
+        start = _start(case, asked, stack, tangents, drive)
+        return Build(
+            asked, stack, tangents, drive, start, nonlinear or bool(len(stack.table_x)) or layout.radiates
+        )
+
+    @property
+    def terms(self) -> Terms:
+        """Of all effects together."""
+        return self.asked.terms
+
+    @property
+    def width(self) -> int:
+        """Room for parameters in the tangent arrays: theirs, filled up to a multiple of four."""
+        return int(self.start.s.shape[0])
+
+
+def _drive(case: Case, asked: Asked, p: int) -> implicit_steps.Drive:
+    names, contacts = asked.names, asked.terms.closed_contact
+    weight, d_weight = case.step_clock.shares(asked.values, names, p)
+    factor, d_factor = case.unchanged, np.zeros((*case.unchanged.shape, p))
+    if contacts:
+        factor = factor.copy()
+        for m, f in contacts.items():
+            factor[:, m] = f
+    boundary, shift = case.boundary, asked.boundary_shift
+    if shift != (0.0, 0.0):
+        boundary = boundary.copy()
+        boundary[:, :, 0] += shift
+    d_boundary = np.zeros((2, p))
+    for i, name in enumerate(names):
+        if name in asked.d_terms:
+            for m, f in asked.d_terms[name].closed_contact.items():
+                d_factor[:, m, i] = f
+            d_boundary[:, i] = asked.d_terms[name].boundary_offset
+        if name in ("boundary_bottom_K", "boundary_top_K"):
+            d_boundary[0 if "bottom" in name else 1, i] = 1.0
+    d_boundary[~case.layout.measured] = 0.0
+    return implicit_steps.Drive(case.h, weight, d_weight, factor, d_factor, boundary, d_boundary)
+
+
+def _start(
+    case: Case,
+    asked: Asked,
+    stack: implicit_steps.Stack,
+    tangents: implicit_steps.Tangents,
+    drive: implicit_steps.Drive,
+) -> implicit_steps.State:
+    n, p, r = len(case.mesh.dx), drive.d_boundary.shape[1], len(asked.terms.conversions)
+    z = np.zeros
+    state = implicit_steps.State(z(n), z(n), z((r, n)), z((p, n)), z((p, n)), z((r, p, n)), z(1))
+    initial, panel = case.press.initial, case.layout.panel
+    shift, names = asked.values.get("initial_K", 0.0), asked.names
+    if initial.kind == "steady":
+        still, held = _at_rest(case, asked, drive), _held(case, shift, names, p)
+        cell = implicit_steps.rest(stack, tangents, still, held, state)
+        if cell >= 0:
+            _refuse_start(case, cell)
+        state.t[~panel] += float(asked.terms.plates_offset)
+        for name, terms in asked.d_terms.items():
+            state.s[names.index(name), ~panel] += float(terms.plates_offset)
+    else:
+        state.t[:] = shift + (_uniform(case) if initial.kind == "uniform" else _first_profile(case))
+        if "initial_K" in names:
+            state.s[names.index("initial_K")] = 1.0
+    state.t_before[:] = state.t
+    state.s_before[:] = state.s
+    return state
+
+
+def _uniform(case: Case) -> float:
+    """Return the temperature that everything starts at: the press file's, or the panel's own. [°C]"""
+    if (given := case.press.initial.temperature_C) is not None:
+        return given
+    assert case.panel is not None, "the press file is refused without a layer from the run"  # noqa: S101
+    return case.panel.initial_temperature
+
+
+def _at_rest(case: Case, asked: Asked, drive: implicit_steps.Drive) -> implicit_steps.Drive:
+    """One step at the first row's outside temperatures, before the panel comes."""
+    contacts, p = drive.d_factor.shape[1:]
+    weight, outside = np.zeros((1, 3)), np.zeros((1, 2, 2))
+    weight[0, 0 if case.panel is not None else (1 if case.press.has_states else 2)] = 1.0
+    outside[0, :, 0] = case.outside[0] + asked.boundary_shift
+    one, unmoved = case.unchanged[:1], np.zeros((1, contacts, p))
+    return implicit_steps.Drive(np.ones(1), weight, np.zeros((1, 3, p)), one, unmoved, outside, drive.d_boundary)
+
+
+def _held(case: Case, shift: float, names: tuple[str, ...], p: int) -> implicit_steps.Held:
+    """The panel at its initial temperature, shifted; without a panel all cells are free."""
+    held, t, d_t = case.layout.panel, np.zeros(len(case.mesh.dx)), np.zeros((p, len(case.mesh.dx)))
+    if case.panel is not None:
+        t[held] = case.panel.initial_temperature + shift
+        if "initial_K" in names:
+            d_t[names.index("initial_K"), held] = 1.0
+    return implicit_steps.Held(held, t, d_t)
+
+
+def _refuse_start(case: Case, cell: int) -> None:
+    """Say why there is no steady start: the cell is tied to nothing, or, beyond the last, nothing settles."""
+    why = say("start-not-steady-steep")
+    if cell < len(case.mesh.dx):
+        layer = next(name for name in case.mesh.layer if cell in range(*case.mesh.cells(name).indices(cell + 1)))
+        why = say("start-not-steady-untied", layer=layer)
+        if case.panel is not None:
+            why = say("start-not-steady-untied-without-panel", layer=layer)
+    raise NoSteadyState(say("start-not-steady", run=case.run.source or case.run.name, why=why))
+
+
+def _first_profile(case: Case) -> Array:
+    """Temperatures through the stack interpolated in the first readings of sensors and boundaries."""
+    x = np.cumsum(case.mesh.dx) - case.mesh.dx / 2
+    heights = {column: float(case.places[case.place_of[column]] @ x) for column in case.columns}
+    ends = zip((0.0, float(case.mesh.dx.sum())), case.outside[0], case.layout.measured, strict=True)
+    return initial_profile(case.run, case.mesh, heights, {x: t for x, t, measured in ends if measured})

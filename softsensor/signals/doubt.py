@@ -1,0 +1,204 @@
+"""How far each constant of a run may be from the truth: one answer for fit, diagnosis and live sensor.
+
+A number of the header or the press file has a standard deviation of its own where ``KEY.sd`` states one. Else its
+source decides: a reading of this panel, a data sheet, the material table, a guess; or what earlier runs of the
+press have shown to scatter from panel to panel. Keys are the dotted ones of the header, by which a run may
+override any of them. A table in temperature is doubted as a whole: one factor on all its values.
+
+Numbers called unverified are general knowledge and no measurement; a press that has runs learns its own
+(`learned`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
+
+from daq.materials import Constant, find_material
+from daq.press.press_file import SD, At, Boundary, Layer, Press
+from softsensor.signals.instrument import START_K
+
+
+class Source(StrEnum):
+    """Where a constant, and with it the doubt of it, comes from."""
+
+    STATED = "stated"
+    """The standard deviation stands beside the number, in header or press file."""
+    MEASURED = "measured"
+    """Read on this panel or in this room, by an instrument of a known class."""
+    DATA_SHEET = "data_sheet"
+    """A product's number: panels of the product scatter about it."""
+    MATERIAL_TABLE = "material_table"
+    """A number for all products of a name (`daq.materials`)."""
+    GUESS = "guess"
+    """Nobody gave it."""
+    LEARNED = "learned"
+    """Scatter from panel to panel, as earlier runs of this press show it."""
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """A constant and how far it may be off, in the unit of its key."""
+
+    value: float
+    """Of a table in temperature: its first row's."""
+    sd: float
+    source: Source
+
+    @property
+    def relative(self) -> float:
+        """The standard deviation as a share of the value; infinite where that is 0."""
+        return self.sd / abs(self.value) if self.value else float("inf")
+
+
+PANEL_SCATTER = 0.055
+"""Of k and of c from panel to panel of one product, as a share: the middle of 3 to 8 % (issue 18). Unverified."""
+PANEL_DENSITY = 0.035
+"""Of density: EN 622-5 and EN 312 allow 7 and 10 % about the mean within a board (method: EN 323); the lower one,
+taken as two deviations. Unverified."""
+PANEL_THICKNESS_MM = ((19.0, 0.1), (float("inf"), 0.15))
+"""Up to a thickness, its deviation: EN 622-1 allows ±0.2 mm up to 19 mm and ±0.3 mm beyond (method: EN 324-1),
+taken as two deviations. Unverified. [mm]"""
+MOISTURE_PERCENT = 1.0
+"""Of a moisture in the header: a meter's reading, or a delivery's. Unverified. [%]"""
+MOISTURE_GUESS = (7.5, 2.0)
+"""Of a wood-based panel of which nothing is said: EN 622-1 and EN 312 have it delivered with 4 to 11 %; middle,
+and width/√12. Unverified. [%]"""
+AMBIENT_K, AMBIENT_GUESS_K = 1.0, 4.0
+"""Of a room's temperature in the header, by where in the room it was taken; and of 23 °C where none is given, in
+halls of 16 to 30 °C (width/√12). Unverified. [K]"""
+INCIDENT_SHARE = 0.02
+"""Of a heat flux: a Schmidt-Boelter gauge, 3.2 % at two deviations (NIST, doi 10.18434/mds2-2940), and its
+setting."""
+ABSORPTIVITY = 0.03
+"""Of absorptivity and emissivity of a coated or charred face. Unverified."""
+LAYER_THICKNESS, LAYER_DENSITY, LAYER_K, LAYER_C = 0.01, 0.01, 0.05, 0.03
+"""Of a layer in the press file, as shares: machined plates to 0.1 in 10 mm; density, conductivity and heat
+capacity of an alloy from melt to melt. Unverified."""
+DEPTH_MM = 0.25
+"""Of a buried sensor's place: where in a bead or a drilled hole of 0.5 to 1 mm the junction lies. Unverified.
+[mm]"""
+
+
+def constant_doubts(
+    header: Mapping[str, Any], press: Press, learned: Mapping[str, float] | None = None
+) -> dict[str, Doubt]:
+    """Return by key of the header what is uncertain about a run's constants.
+
+    Parameters
+    ----------
+    header
+        The run's, checked (`daq.press.header.check_header`).
+    press
+        Its press, with or without the run's overrides.
+    learned
+        Scatter from panel to panel by key, as a share of the value (`heat.model_file.ModelFile.scatter`). It goes
+        before data sheet, material table and guess, never before what is stated or measured.
+    """
+    found: dict[str, Doubt] = {}
+    if press.panel_layers:
+        found |= dict(_panel(header))
+    found["ambient.temperature_C"] = _given(header, "ambient.temperature_C", AMBIENT_K, Source.MEASURED) or Doubt(
+        23.0, AMBIENT_GUESS_K, Source.GUESS
+    )
+    for layer in press.layer:
+        if not layer.from_run:
+            found |= dict(_layer(header, layer))
+    for end, boundary in (("bottom", press.boundary.bottom), ("top", press.boundary.top)):
+        found |= dict(_boundary(header, end, boundary))
+    for number, sensor in enumerate(press.sensor):
+        if sensor.role == "fit" and isinstance(sensor.at, At):
+            key = f"sensor.{number}.at.depth_mm"
+            found[key] = _of_press(header, key, sensor.at.depth_mm, dict(sensor.at.sd), DEPTH_MM)
+    for key, share in (learned or {}).items():
+        if key in found and found[key].source in (Source.DATA_SHEET, Source.MATERIAL_TABLE, Source.GUESS):
+            found[key] = Doubt(found[key].value, share * abs(found[key].value), Source.LEARNED)
+    return found
+
+
+def _panel(header: Mapping[str, Any]) -> Iterator[tuple[str, Doubt]]:
+    material = find_material(str(header.get("panel.material", "")))
+
+    def doubt(key: str, share: float, name: str) -> Doubt | None:
+        given = _given(header, key, share, Source.DATA_SHEET, relative=True)
+        if given is None and material is not None:
+            listed: Constant = getattr(material, name)
+            return Doubt(listed.value, listed.relative_sd * listed.value, Source.MATERIAL_TABLE)
+        return given
+
+    thickness = _given(header, "panel.thickness_mm", 1.0, Source.DATA_SHEET)
+    if thickness is not None and thickness.source is not Source.STATED:
+        sd = next(sd for upper, sd in PANEL_THICKNESS_MM if thickness.value <= upper)
+        thickness = Doubt(thickness.value, sd, Source.DATA_SHEET)
+    rows = {
+        "panel.thickness_mm": thickness,
+        "panel.density_kg_m3": doubt("panel.density_kg_m3", PANEL_DENSITY, "density"),
+        "panel.conductivity_W_mK": doubt("panel.conductivity_W_mK", PANEL_SCATTER, "conductivity"),
+        "panel.heat_capacity_J_kgK": doubt("panel.heat_capacity_J_kgK", PANEL_SCATTER, "heat_capacity"),
+        "panel.initial_temperature_C": _given(header, "panel.initial_temperature_C", START_K, Source.MEASURED),
+        "panel.moisture_percent": _given(header, "panel.moisture_percent", MOISTURE_PERCENT, Source.MEASURED),
+    }
+    if rows["panel.moisture_percent"] is None and material is not None:
+        rows["panel.moisture_percent"] = Doubt(*MOISTURE_GUESS, Source.GUESS)
+    yield from ((key, doubt) for key, doubt in rows.items() if doubt is not None)
+
+
+def _layer(header: Mapping[str, Any], layer: Layer) -> Iterator[tuple[str, Doubt]]:
+    for name, share in (
+        ("thickness_mm", LAYER_THICKNESS),
+        ("density_kg_m3", LAYER_DENSITY),
+        ("conductivity_W_mK", LAYER_K),
+        ("heat_capacity_J_kgK", LAYER_C),
+    ):
+        key = f"layer.{layer.name}.{name}"
+        value = _number(getattr(layer, name))
+        if value is not None:
+            yield key, _of_press(header, key, value, dict(layer.sd), share * abs(value))
+
+
+def _boundary(header: Mapping[str, Any], end: str, boundary: Boundary) -> Iterator[tuple[str, Doubt]]:
+    own = dict(boundary.sd)
+    if boundary.kind == "flux":
+        value = _number(header.get(f"boundary.{end}.incident_W_m2", boundary.incident_W_m2)) or 0.0
+        names = (
+            ("incident_W_m2", INCIDENT_SHARE * abs(value)),
+            ("absorptivity", ABSORPTIVITY),
+            ("emissivity", ABSORPTIVITY),
+        )
+        for name, sd in names:
+            if (number := getattr(boundary, name)) > 0.0:
+                key = f"boundary.{end}.{name}"
+                yield key, _of_press(header, key, number, own, sd)
+    if boundary.kind in ("flux", "air") and boundary.ambient_C is not None:
+        key = f"boundary.{end}.ambient_C"
+        yield key, _of_press(header, key, boundary.ambient_C, own, AMBIENT_K)
+
+
+def _of_press(header: Mapping[str, Any], key: str, value: float, own: Mapping[str, float], sd: float) -> Doubt:
+    """Return a constant of the press file, which the header may override and both may state the deviation of."""
+    if (given := _given(header, key, sd, Source.DATA_SHEET)) is not None:
+        return given
+    stated = header.get(f"{key}{SD}", own.get(key.rpartition(".")[2]))
+    return Doubt(value, sd, Source.DATA_SHEET) if stated is None else Doubt(value, float(stated), Source.STATED)
+
+
+def _given(
+    header: Mapping[str, Any], key: str, sd: float, source: Source, *, relative: bool = False
+) -> Doubt | None:
+    """Return a number of the header; None where it has none."""
+    value = _number(header.get(key))
+    if value is None:
+        return None
+    stated = header.get(f"{key}{SD}")
+    if stated is not None:
+        return Doubt(value, float(stated), Source.STATED)
+    return Doubt(value, sd * abs(value) if relative else sd, source)
+
+
+def _number(value: object) -> float | None:
+    """Return a number, or the first of a table in temperature; None for anything else."""
+    if isinstance(value, list | tuple) and value and isinstance(value[0], list | tuple):
+        value = value[0][1]
+    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None

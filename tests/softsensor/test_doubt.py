@@ -1,0 +1,103 @@
+"""How far each constant may be off: by what is stated, what measured it, and what earlier runs showed."""
+
+import numpy as np
+import pytest
+
+from daq.press.press_file import parse_press, press_for_run
+from daq.records import Run
+from softsensor.signals.doubt import Source, constant_doubts
+
+PRESS = """
+[[layer]]
+name = "plate"
+thickness_mm = 10.0
+thickness_mm.sd = 0.02
+conductivity_W_mK = [[20, 45.0], [200, 44.0]]
+density_kg_m3 = 7850.0
+heat_capacity_J_kgK = 490.0
+[[layer]]
+name = "panel"
+from_run = true
+[boundary.top]
+kind = "flux"
+incident_W_m2 = 30000.0
+incident_W_m2.sd = 300.0
+absorptivity = 0.9
+[[sensor]]
+columns = ["in_1"]
+at = { layer = "panel", depth_mm = 8.0 }
+"""
+HEADER = {
+    "panel.material": "MDF",
+    "panel.thickness_mm": 16.0,
+    "panel.conductivity_W_mK": 0.13,
+    "panel.conductivity_W_mK.sd": 0.004,
+    "panel.initial_temperature_C": 21.0,
+}
+
+
+def doubts(header, learned=None):
+    run = Run("r", HEADER | header, np.arange(3.0), {})
+    return constant_doubts(run.header, press_for_run(parse_press(PRESS), run), learned)
+
+
+def test_a_deviation_beside_a_number_goes_before_every_class():
+    found = doubts({})
+    assert (found["panel.conductivity_W_mK"].sd, found["panel.conductivity_W_mK"].source) == (0.004, Source.STATED)
+    assert (found["layer.plate.thickness_mm"].sd, found["layer.plate.thickness_mm"].source) == (
+        0.02,
+        Source.STATED,
+    )
+    assert found["boundary.top.incident_W_m2"].sd == 300.0
+
+
+def test_a_flux_of_the_run_is_not_as_sure_as_the_press_files_was_stated_to_be():
+    found = doubts({"boundary.top.incident_W_m2": 60000.0})["boundary.top.incident_W_m2"]
+    assert (found.value, found.sd, found.source) == (60000.0, pytest.approx(1200.0), Source.DATA_SHEET)
+    stated = doubts({"boundary.top.incident_W_m2": 60000.0, "boundary.top.incident_W_m2.sd": 900.0})
+    assert (stated["boundary.top.incident_W_m2"].sd, stated["boundary.top.incident_W_m2"].source) == (
+        900.0,
+        Source.STATED,
+    )
+
+
+def test_a_number_of_the_material_table_is_worth_what_the_table_says():
+    density = doubts({})["panel.density_kg_m3"]
+    assert (density.value, density.relative, density.source) == (740.0, pytest.approx(0.2), Source.MATERIAL_TABLE)
+    given = doubts({"panel.density_kg_m3": 731.0})["panel.density_kg_m3"]
+    assert given.relative < 0.05
+    assert given.source is Source.DATA_SHEET
+
+
+def test_what_runs_have_shown_goes_before_a_class_and_never_before_what_is_stated_or_measured():
+    keys = (
+        "panel.density_kg_m3",
+        "panel.conductivity_W_mK",
+        "panel.initial_temperature_C",
+        "boundary.bottom.none",
+    )
+    found = doubts({}, dict.fromkeys(keys, 0.08))
+    assert found["panel.density_kg_m3"].sd == pytest.approx(0.08 * 740.0)
+    assert found["panel.density_kg_m3"].source is Source.LEARNED
+    assert found["panel.conductivity_W_mK"].source is Source.STATED
+    assert found["panel.initial_temperature_C"].source is Source.MEASURED
+    assert "boundary.bottom.none" not in found
+
+
+def test_a_table_in_temperature_is_doubted_as_a_whole():
+    k = doubts({})["layer.plate.conductivity_W_mK"]
+    assert (k.value, k.relative) == (45.0, pytest.approx(0.05))
+
+
+def test_what_nobody_gave_is_a_guess_and_what_the_rig_lacks_is_not_there():
+    found = doubts({})
+    assert found["ambient.temperature_C"].source is Source.GUESS
+    assert found["panel.moisture_percent"].source is Source.GUESS
+    bar = parse_press(PRESS.replace("from_run = true", "thickness_mm = 9.0\nconductivity_W_mK = 1.0\n"
+                                    "density_kg_m3 = 900.0\nheat_capacity_J_kgK = 800.0"))  # fmt: skip
+    assert not [key for key in constant_doubts({}, bar) if key.startswith("panel.")]
+
+
+def test_thickness_is_known_to_the_standards_tolerance():
+    assert doubts({})["panel.thickness_mm"].sd == 0.1
+    assert doubts({"panel.thickness_mm": 28.0})["panel.thickness_mm"].sd == 0.15
