@@ -38,6 +38,8 @@ def next_measurement(verdict: Verdict, findings: Sequence[Finding], seen: Advice
     core_K, extended_K = seen.core_K or 0.0, seen.extended_core_K or 0.0
     if verdict is Verdict.TOO_FEW_RUNS:
         return say("next-more-runs", more=max(FEW_RUNS + 1 - seen.runs, 1), least=FEW_RUNS)
+    if verdict is Verdict.NOT_DESCRIBED:
+        return say("next-describe")
     several = next((f for f in findings if len(f.set) > 1), None)
     if several is not None:
         causes = tuple(map(called, several.set))

@@ -23,12 +23,17 @@ from daq.records import Array
 from softsensor.diagnosis.extension_unknowns import RunUnknown, Unknowns, run_values, shared_cost, start_eta
 from softsensor.heat.model import ThermalModel
 from softsensor.signals.digest import Digest, Whitened
+from softsensor.signals.instrument import scan_sd
 
 STUCK = 3.0
 """A run whose misfit is so many times the usual one may sit in a side valley. By hand, 2026-11."""
 SCORE_LIMIT = 3.0
 """Standard deviations a run can say at most: else a few thin panels, which see far more of a cause, drown the rest
 and leave sign flips nothing to count. An odd function of a score keeps the flips exact."""
+
+
+UNBOUNDED_K = 1e5
+"""Beyond every temperature there is: what a prediction that grows without end counts as. [K]"""
 
 
 @dataclass(frozen=True)
@@ -42,7 +47,7 @@ class RunState:
     """Of the residual by eta, offsets last."""
     shared_jacobian: Array
     offsets: Array
-    """Of each signal [K], and of the insertion [s]."""
+    """Of each signal [K], of the insertion [s], and how much later than the others each signal is read [s]."""
     misfit: Array
     """Data minus model minus offsets (bins, signals). [K]"""
     model: Array
@@ -89,6 +94,15 @@ class SharedFit:
         return {s.name: float(v) for s, v in zip(self.layout.shared, self.theta, strict=True)}
 
 
+def bounded(predicted: Array) -> Array:
+    """Return a prediction in numbers that can be compared with readings. [°C]
+
+    A search may try a conductivity below nothing, whose temperatures grow without end. Such a point has to lose
+    against every other, not to end the diagnosis.
+    """
+    return np.clip(np.nan_to_num(predicted, nan=UNBOUNDED_K), -UNBOUNDED_K, UNBOUNDED_K)
+
+
 def evaluate(
     layout: Unknowns, run: int, data: Whitened, theta: Array, eta: Array, *, tangents: bool = True
 ) -> RunState:
@@ -98,10 +112,11 @@ def evaluate(
     own = [u.name for u in unknowns if not u.share_of]
     names = tuple(dict.fromkeys([*own, *layout.effect_names])) if tangents else ()
     solution = digest.solve(layout.model, values, names)
-    model = digest.observed(solution)
+    model = bounded(digest.observed(solution))
     extra = _linear_rows(digest, model)
     offset_rows, count = data(extra), extra.shape[-1]
-    prior = 1.0 / np.append(digest.offset_sd, digest.insertion_sd)
+    late = np.full(len(digest.signals), scan_sd(digest.period_s))
+    prior = 1.0 / np.concatenate([digest.offset_sd, [digest.insertion_sd], late])
     plain = data(np.where(digest.valid, digest.y - model, 0.0))
     normal = offset_rows.T @ offset_rows + np.diag(prior**2)
     offsets: Array = np.asarray(np.linalg.solve(normal, offset_rows.T @ plain), dtype=np.float64)
@@ -120,6 +135,7 @@ def evaluate(
     jacobian = np.zeros((len(residual), k + count))
     outer = np.zeros((len(residual), m))
     raw = np.stack([digest.observed_tangent(solution, name) for name in names], axis=-1)
+    raw = np.nan_to_num(raw, nan=0.0, posinf=0.0, neginf=0.0)
     rows = dict(zip(names, data(raw).T, strict=True))
     for key in layout.effect_names:
         outer[:n, shared[key]] = rows[key]
@@ -139,9 +155,17 @@ def evaluate(
 
 
 def _linear_rows(digest: Digest, model: Array) -> Array:
-    """What enters linearly: an offset for each signal, and the insertion a moment later (bins, signals, n)."""
+    """Return what enters linearly (bins, signals, n).
+
+    An offset for each signal, the insertion a moment later, and each signal read later than the others: channels
+    are scanned one after the other, by the same in all runs, which must not pass for a cause. What is late in all
+    of them is left to the moments: freed beside them, one run of twelve at 1 Hz ended in a side valley.
+    """
     bins, count = model.shape
-    rows = np.zeros((bins, count, count + 1))
+    rows = np.zeros((bins, count, 2 * count + 1))
+    if bins > 2:
+        slope = np.gradient(model, digest.time, axis=0)
+        rows[:, :, count + 1 :] = -slope[:, :, None] * (np.eye(count) - 1.0 / count)
     for i in range(count):
         rows[:, i, i] = 1.0
     before = digest.time < digest.moments.closed_s - 0.3
@@ -278,21 +302,51 @@ def bounded_step(normal: Array, right: Array, theta: Array, lower: Array, upper:
     return step * min(1.0, float(np.min(limit / np.maximum(np.abs(step), 1e-300))))
 
 
-def held_out(fit: SharedFit, data: Sequence[Whitened], rounds: int = 2) -> list[RunState]:
-    """Return each run fitted with shared numbers from the other runs only.
+def from_the_others(fit: SharedFit, data: Sequence[Whitened], rounds: int = 0) -> list[Array]:
+    """Return for each run the shared numbers that the other runs alone give (runs).
 
-    One Newton step of the others' cost gives their optimum; the run's own numbers are then refitted.
+    One Newton step of the others' cost, then so many rounds of a fit to them.
     """
     total = sum(fit.hessians) + fit.prior_hessian
     lower = np.array([s.lower for s in fit.layout.shared])
     upper = np.array([s.upper for s in fit.layout.shared])
+    found = []
+    for r, own in enumerate(fit.hessians):
+        theta = np.clip(fit.theta + np.linalg.lstsq(total - own, fit.gradients[r], rcond=1e-12)[0], lower, upper)
+        others = [i for i in range(len(data)) if i != r]
+        if rounds and others:
+            shared = tuple(replace(s, start=float(v)) for s, v in zip(fit.layout.shared, theta, strict=True))
+            unknowns = tuple(fit.layout.unknowns[i] for i in others)
+            layout = replace(fit.layout, shared=shared, unknowns=unknowns)
+            etas = [fit.runs[i].eta for i in others]
+            theta = fit_campaign_model(layout, [data[i] for i in others], etas, rounds=rounds).theta
+        found.append(theta)
+    return found
 
-    def leave(r: int) -> RunState:
-        shift = np.linalg.lstsq(total - fit.hessians[r], fit.gradients[r], rcond=1e-12)[0]
-        theta = np.clip(fit.theta + shift, lower, upper)
-        return fit_run_to(fit.layout, r, data[r], theta, fit.runs[r].eta, rounds)
 
-    return each_run(leave, len(data))
+def held_out(
+    fit: SharedFit, data: Sequence[Whitened], rounds: int = 2, thetas: Sequence[Array] | None = None
+) -> list[RunState]:
+    """Return each run with shared numbers from the other runs, its own numbers fitted to it.
+
+    `thetas` as `from_the_others` returns them; worked out where they are not given.
+    """
+    known = from_the_others(fit, data) if thetas is None else thetas
+    return each_run(lambda r: fit_run_to(fit.layout, r, data[r], known[r], fit.runs[r].eta, rounds), len(data))
+
+
+def predicted(fit: SharedFit, data: Sequence[Whitened], thetas: Sequence[Array]) -> list[RunState]:
+    """Return each run as its header, its moments, its platens and the other runs alone predict it.
+
+    No panel channel of the run enters but through the moments: its contacts are the others' middle, its share of
+    a cause is the usual one, its sensors have no offset. `thetas` as `from_the_others` returns them.
+    """
+
+    def ahead(r: int) -> RunState:
+        state = evaluate(fit.layout, r, data[r], thetas[r], start_eta(fit.layout, r, thetas[r]), tangents=False)
+        return replace(state, misfit=state.misfit + state.shift, shift=np.zeros_like(state.shift))
+
+    return each_run(ahead, len(data))
 
 
 def fit_run_to(layout: Unknowns, run: int, data: Whitened, theta: Array, eta: Array, rounds: int = 3) -> RunState:

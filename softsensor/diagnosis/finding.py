@@ -7,8 +7,9 @@ from typing import Any
 
 from daq.records import Array
 from daq.words import Message
-from softsensor.diagnosis.decision import Step, Verdict
+from softsensor.diagnosis.decision import Verdict
 from softsensor.diagnosis.extended_model import model_of
+from softsensor.diagnosis.gains import Gain, paired_gain
 from softsensor.diagnosis.numbers import Errors, Interval
 from softsensor.diagnosis.search import SettledModel
 from softsensor.diagnosis.sign_flips import PatternTest
@@ -26,12 +27,29 @@ class Finding:
     """With the causes these runs cannot tell from it; one that is named beside it is no alternative to it."""
     parameters: dict[str, Interval]
     p_value: float
-    heldout_gain_K: float  # noqa: N815
+    gain: Gain
+    """On runs left out, each with its own contacts fitted."""
+    predicted: Gain
+    """On runs predicted from header and other runs alone."""
     explained_share: float
     against: tuple[tuple[str, float], ...] = ()
     """Runners-up outside the set and by how many standard errors the runs prefer the name."""
     votes: tuple[int, int] = (0, 0)
     """How many runs, each left out in turn, fit better with it, and how many there are."""
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the contract's table."""
+        return {
+            "name": self.name,
+            "set": list(self.set),
+            "parameters": {k: i.as_json() for k, i in self.parameters.items()},
+            "p_value": self.p_value,
+            "heldout_gain_K": self.gain.value_K,
+            "heldout_gain_ci95": _edges(self.gain),
+            "predicted_gain_K": self.predicted.value_K,
+            "predicted_gain_ci95": _edges(self.predicted),
+            "explained_share": self.explained_share,
+        }
 
     @property
     def of_channels(self) -> bool:
@@ -39,14 +57,18 @@ class Finding:
         return self.name == sensor_fault.EFFECT.name
 
 
+def _edges(gain: Gain) -> list[float] | None:
+    return None if gain.ci95 is None else list(gain.ci95)
+
+
 @dataclass(frozen=True)
 class Diagnosis:
     """The answer."""
 
     verdict: Verdict
-    stopped: Step
-    """Why no further cause was looked for or named."""
     findings: tuple[Finding, ...]
+    suspected: tuple[Finding, ...]
+    """What the search chose and the evidence does not earn a name."""
     base: Errors
     extended: Errors
     noise_floor_K: float  # noqa: N815
@@ -69,26 +91,22 @@ class Diagnosis:
         """The last fit."""
         return self.stages[-1]
 
+    @property
+    def predicted_gain(self) -> Gain:
+        """What all named causes together save on predicted runs."""
+        return paired_gain(self.base.predicted, self.extended.predicted)
+
     def model_file(self, version: str = "") -> ModelFile:
         """Return the extended model (the plain one where nothing was named)."""
         return model_of(self.final, version)
 
     def as_json(self) -> dict[str, Any]:
         """Return the contract's JSON content."""
-        effects = [
-            {
-                "name": f.name,
-                "set": list(f.set),
-                "parameters": {k: i.as_json() for k, i in f.parameters.items()},
-                "p_value": f.p_value,
-                "heldout_gain_K": f.heldout_gain_K,
-                "explained_share": f.explained_share,
-            }
-            for f in self.findings
-        ]
         return {
             "verdict": self.verdict,
-            "effects": effects,
+            "effects": [f.as_json() for f in self.findings],
+            "suspected": [f.as_json() for f in self.suspected],
+            "law": None,
             "base": self.base.as_json(),
             "extended": self.extended.as_json(),
             "noise_floor_K": self.noise_floor_K,

@@ -31,12 +31,10 @@ from scipy.stats import t as student
 
 from daq.records import Array
 from softsensor.effects import Effect, Need, Role, catalogue
-from softsensor.fitting.problem import Evaluation, Problem, inverse, normal_equations
+from softsensor.fitting.problem import Evaluation, Problem, constants_among, inverse, normal_equations
 from softsensor.heat.model_file import FittedValue, MissingCause, MissingCauses, ModelFile
 
 if TYPE_CHECKING:
-    from daq.press.press_file import Press
-    from daq.records import Run
     from softsensor.fitting.result import RunFit
 
 BLUR, BLUR_NATS = 0.12, 2.0
@@ -89,6 +87,7 @@ def run_evidence(problem: Problem, at: Evaluation) -> dict[str, RunEvidence]:
     """
     matrix, pull = normal_equations(problem, at)
     free = np.diag(matrix) > 1e-9
+    free[constants_among(problem)] = False  # the fit holds them
     inner = np.zeros_like(matrix)
     inner[np.ix_(free, free)] = inverse(matrix[np.ix_(free, free)])
     values = problem.merged(at.x)
@@ -134,17 +133,9 @@ def with_missing_causes(model: ModelFile, fits: Sequence[RunFit]) -> ModelFile:
     A run that the model does not describe says nothing about them; where it describes none, all that is known
     is how far off it is, and for that they count.
     """
-    fits = [fit for fit in fits if fit.met] or fits
-    seen = missing_causes([run_evidence(fit.problem, fit.minimum.evaluation) for fit in fits])
-    return replace(model, missing=seen)
-
-
-def checked_on(model: ModelFile, press: Press, runs: Sequence[Run]) -> ModelFile:
-    """Return a model file with what runs say about other causes, fitted to that end with its effects."""
-    from softsensor.fitting.campaign import fit_runs
-
-    fits = fit_runs(model.model(press), runs, start=model.values, verdicts=False)
-    return with_missing_causes(model, fits)
+    met = [fit for fit in fits if fit.met]
+    seen = missing_causes([run_evidence(fit.problem, fit.minimum.evaluation) for fit in met or fits])
+    return replace(model, missing=seen if met else _far_off(seen, [fit.rmse_K for fit in fits]))
 
 
 def stored_missing_causes(fits: Sequence[Mapping[str, Any]]) -> MissingCauses | None:
@@ -152,9 +143,17 @@ def stored_missing_causes(fits: Sequence[Mapping[str, Any]]) -> MissingCauses | 
 
     Runs the model does not describe count as in `with_missing_causes`.
     """
-    fits = [fit for fit in fits if fit.get("met", True)] or fits
-    found = [fit["evidence"] for fit in fits if fit.get("evidence")]
-    return missing_causes([{name: RunEvidence.from_json(e) for name, e in run.items()} for run in found])
+    met = [fit for fit in fits if fit.get("met", True)]
+    found = [fit["evidence"] for fit in met or fits if fit.get("evidence")]
+    seen = missing_causes([{name: RunEvidence.from_json(e) for name, e in run.items()} for run in found])
+    return seen if met else _far_off(seen, [float(fit["rmse_K"]) for fit in fits if fit.get("rmse_K") is not None])
+
+
+def _far_off(seen: MissingCauses | None, left: Sequence[float]) -> MissingCauses | None:
+    """Return what is said of runs the model describes none of: no cause takes anything of what is left."""
+    if seen is None or not left:
+        return seen
+    return replace(seen, unexplained_K=max(seen.unexplained_K, float(np.median(left))))
 
 
 def _moved(problem: Problem, effect: Effect, values: Mapping[str, float], base: Array) -> list[Array]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,8 +14,10 @@ from softsensor.diagnosis.extension import RunState, SharedFit
 from softsensor.diagnosis.extension_unknowns import is_shape
 from softsensor.diagnosis.search import SettledModel
 from softsensor.effects import Effect, Need
-from softsensor.signals.digest import Digest
+from softsensor.fitting.result import MISFIT_K, MISFIT_NOISE, MISFIT_SHARE, NOISIEST_K
+from softsensor.signals.digest import Digest, MeanNoise
 from softsensor.signals.faces import place_scatter
+from softsensor.signals.instrument import FACE_SLOW_S, MEAN_FAST_K, MEAN_FAST_S, MEAN_SLOW_K, MEAN_WHITE_K
 
 MODEL_ERROR = 0.03
 """Laws are simpler than nature: no standard deviation below this share of the size, or of a shape's range.
@@ -23,6 +25,14 @@ Set by hand, 2026-11: with it 21 of 22 true parameters lay in their 95 % interva
 CLOCK_ERROR_S = 0.04
 """What no campaign can tell from a clock: skew within a scan, and where in its ramp a switch trips. By hand,
 2026-11. [s]"""
+
+
+BLOCK_S = 4.0
+"""Blocks whose second differences show the noise: the widest bin of a short run. [s]"""
+CALM = 0.7
+"""Least `Digest.trust` of a bin that shows noise: where its slope is gentle. By hand, 2026-11."""
+MEDIAN_CHI2 = 0.4549
+"""Median of chi-squared with one degree of freedom."""
 
 
 @dataclass(frozen=True)
@@ -45,17 +55,31 @@ class Errors:
     rmse_K: float  # noqa: N815
     rmse_raw_K: float  # noqa: N815
     heldout_rmse_K: float  # noqa: N815
+    """Runs left out, each with its own contacts and offsets fitted to it."""
     core_rmse_K: float | None  # noqa: N815
-    noise_K: float  # noqa: N815
+    predicted_rmse_K: float  # noqa: N815
+    """Runs predicted from header, platens and the other runs alone, sensors' offsets within."""
+    predicted_core_rmse_K: float | None  # noqa: N815
+    heldout: Array
+    """`heldout_rmse_K` by run."""
+    predicted: Array
+    """`predicted_rmse_K` by run."""
 
     def as_json(self) -> dict[str, Any]:
         """Return the contract's table."""
-        return {
-            "rmse_K": _short(self.rmse_K),
-            "heldout_rmse_K": _short(self.heldout_rmse_K),
-            "core_rmse_K": None if self.core_rmse_K is None else _short(self.core_rmse_K),
-            "rmse_raw_K": _short(self.rmse_raw_K),
+        table = {
+            "rmse_K": self.rmse_K,
+            "heldout_rmse_K": self.heldout_rmse_K,
+            "predicted_rmse_K": self.predicted_rmse_K,
+            "core_rmse_K": self.core_rmse_K,
+            "predicted_core_rmse_K": self.predicted_core_rmse_K,
+            "rmse_raw_K": self.rmse_raw_K,
         }
+        return {name: None if value is None else _short(value) for name, value in table.items()}
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def _short(value: float) -> float:
@@ -84,31 +108,33 @@ def intervals(fit: SharedFit, effect: Effect) -> dict[str, Interval]:
     return found
 
 
-def measure_errors(stage: SettledModel, others: Sequence[RunState]) -> Errors:
-    """Return errors of a stage: of the fit, and of each run by numbers from the others.
+def measure_errors(stage: SettledModel, others: Sequence[RunState], ahead: Sequence[RunState]) -> Errors:
+    """Return errors of a stage: of the fit, of each run by numbers from the others, and of its prediction.
 
     A channel's error is made of what its place's mean is off and its own scatter about that mean; both
-    are weighted by time. Offsets are constant, so they come out of the first and stay in `raw`. The moment of the
-    insertion is fitted as those of closing and opening are, so what it shifts is no error.
+    are weighted by time. Offsets are constant, so they come out of the first two and stay in `rmse_raw_K` and in
+    the prediction. The moment of the insertion is fitted as those of closing and opening are, so what it shifts
+    is no error but in a prediction.
     """
-    squares: list[tuple[float, float, float, float]] = []
+    table = []
     cores: list[Array] = []
-    for run, other, white in zip(stage.fit.runs, others, stage.data, strict=True):
+    cores_ahead: list[Array] = []
+    for run, other, pure, white in zip(stage.fit.runs, others, ahead, stage.data, strict=True):
         d = white.digest
         own = _squares(d, run.misfit + run.offsets[: len(d.signals)])
-        held = _squares(d, other.misfit)
-        squares.append((*own, held[0], _scatter(d)))
+        table.append((*own, _squares(d, other.misfit)[0], _squares(d, pure.misfit)[1], place_noise(d) ** 2))
         cores += _core_errors(d, run)
-    table = np.array([s[:4] for s in squares])
-    fit, raw, held_fit, scatter = table.mean(axis=0)
-    core = float(np.sqrt(np.mean(np.concatenate(cores) ** 2))) if cores else None
-    noise = float(np.sqrt(scatter + stage.noise.slow**2 + stage.noise.fast**2))
+        cores_ahead += _core_errors(d, pure)
+    fit, raw, held, pure_, scatter = np.array(table).T
     return Errors(
-        float(np.sqrt(fit + scatter)),
-        float(np.sqrt(raw + scatter)),
-        float(np.sqrt(held_fit + scatter)),
-        core,
-        noise,
+        rmse_K=_rms(np.sqrt(fit + scatter)),
+        rmse_raw_K=_rms(np.sqrt(raw + scatter)),
+        heldout_rmse_K=_rms(np.sqrt(held + scatter)),
+        core_rmse_K=_rms(np.concatenate(cores)) if cores else None,
+        predicted_rmse_K=_rms(np.sqrt(pure_ + scatter)),
+        predicted_core_rmse_K=_rms(np.concatenate(cores_ahead)) if cores_ahead else None,
+        heldout=np.sqrt(held + scatter),
+        predicted=np.sqrt(pure_ + scatter),
     )
 
 
@@ -126,10 +152,71 @@ def _squares(digest: Digest, misfit: Array) -> tuple[float, float]:
     return without / total, with_mean / total
 
 
-def _scatter(digest: Digest) -> float:
+def is_described(rmse_K: float, noise_K: float, digests: Sequence[Digest]) -> bool:
+    """Return whether a model is near enough to the readings to say anything: the rule of a single run's fit."""
+    span = max(float(np.nanmax(d.y) - np.nanmin(d.y)) for d in digests)
+    return rmse_K <= max(MISFIT_K, MISFIT_SHARE * span, MISFIT_NOISE * min(noise_K, NOISIEST_K))
+
+
+def noise_floor(stages: Sequence[SettledModel]) -> float:
+    """Return what noise alone leaves of a channel, estimated from the readings. [K]
+
+    Single channels scatter about their place's mean by `place_noise`. What a place's channels share shows in
+    second differences over blocks of `BLOCK_S`, which a model's error, being smooth, hardly enters: by how much
+    they exceed what the usual noise of a mean makes of them (median over all blocks), its slow and fast part do.
+    Smallest over the models: none adds noise, but a bad one may leave corners.
+    """
+    digests = [d.digest for d in stages[0].data]
+    usual = MeanNoise(MEAN_SLOW_K, MEAN_FAST_K, MEAN_WHITE_K)
+    shared2 = usual.slow**2 + usual.fast**2
+    factor2 = min(_excess(digests, [r.misfit for r in s.fit.runs], usual) for s in stages)
+    return float(np.sqrt(np.mean([place_noise(d) ** 2 for d in digests]) + factor2 * shared2))
+
+
+def _excess(digests: Sequence[Digest], misfits: Sequence[Array], usual: MeanNoise) -> float:
+    """Return by what factor second differences of blocks exceed a noise's, as variances; 1 without blocks."""
+    found = [
+        square
+        for d, misfit in zip(digests, misfits, strict=True)
+        for i in range(len(d.signals))
+        for stretch in _calm(d, i)
+        for square in _bends(d.time[stretch], misfit[stretch, i], d.width[stretch] / d.period_s, usual)
+    ]
+    return float(np.median(found)) / MEDIAN_CHI2 if found else 1.0
+
+
+def _calm(d: Digest, signal: int) -> Iterator[np.ndarray]:
+    """Yield the rows of each stretch without an event in which a signal was read and its slope is gentle."""
+    good = np.isfinite(d.y[:, signal]) & (d.trust[:, signal] > CALM)
+    edges = [m for m in (d.moments.closed_s, d.moments.opened_s) if np.isfinite(m)]
+    phase = np.searchsorted(edges, d.time)
+    for k in range(len(edges) + 1):
+        yield np.flatnonzero(good & (phase == k))
+
+
+def _bends(time: Array, misfit: Array, rows: Array, usual: MeanNoise) -> Iterator[float]:
+    """Yield squared second differences of block means, in the variance a noise gives them."""
+    if len(time) < 3:
+        return
+    block = np.floor((time - time[0]) / BLOCK_S).astype(int)
+    gap = np.abs(time[:, None] - time[None, :])
+    cov = usual.slow**2 * np.exp(-gap / FACE_SLOW_S) + usual.fast**2 * np.exp(-gap / MEAN_FAST_S)
+    cov[np.diag_indices_from(cov)] += usual.white**2 / np.maximum(rows, 1.0)
+    for k in range(1, int(block[-1])):
+        parts = [block == k + step for step in (-1, 0, 1)]
+        if all(part.any() for part in parts):
+            weight = sum(
+                (factor * part / part.sum() for factor, part in zip((1.0, -2.0, 1.0), parts, strict=True)),
+                np.zeros(len(time)),
+            )
+            yield float((weight @ misfit) ** 2 / (weight @ cov @ weight))
+
+
+def place_noise(digest: Digest) -> float:
+    """Return how far the channels of a place scatter about their mean, root mean square over places. [K]"""
     rows = (digest.run.time_s >= digest.time[0]) & (digest.run.time_s <= digest.time[-1])
     values = [place_scatter(digest.run, c, rows) ** 2 for c in digest.channels.values() if len(c) > 1]
-    return float(np.mean(values)) if values else 0.0
+    return float(np.sqrt(np.mean(values))) if values else 0.0
 
 
 def _core_errors(digest: Digest, run: RunState) -> list[Array]:

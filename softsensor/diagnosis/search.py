@@ -24,10 +24,12 @@ from softsensor.diagnosis.extension import (
     SharedFit,
     direction,
     fit_campaign_model,
+    from_the_others,
     held_out,
     unstuck,
 )
 from softsensor.diagnosis.extension_unknowns import RunSpread, free_coefficients, is_shape, lay_out
+from softsensor.diagnosis.gains import Gain, paired_gain
 from softsensor.diagnosis.sign_flips import Pocket, pockets
 from softsensor.effects import Effect, Need, catalogue
 from softsensor.heat.model import ThermalModel
@@ -52,6 +54,8 @@ FRESH_SIZES = (1.3, -1.0)
 FAR_OFF = 1.15
 """Cost per reading above which every candidate is fitted, whatever its secant promises."""
 SWITCHED = ("closed_s", "opened_s")
+HELD_S = 0.005
+"""A moment known so well is held. [s]"""
 NEAR = 0.35
 """Candidates below this share of the best gain after the first rounds are dropped."""
 HOPELESS = 9.0
@@ -113,6 +117,8 @@ class Candidate:
     refined: bool
     others: tuple[RunState, ...] = ()
     """Each run by numbers from the others."""
+    switched: tuple[Gain, ...] = ()
+    """What it saves on runs left out whose moments are held at the limit switch; of what needs one alone."""
     score: Array = field(default_factory=lambda: np.zeros(0))
     """Each run's score along the direction at the fitted size (runs)."""
 
@@ -141,13 +147,16 @@ class Candidate:
                 return True
         return False
 
-    def heldout_ratio(self, stage: SettledModel) -> float:
-        """Held-out misfit over the stage's, root mean square."""
-        return rms(stage.data, self.others) / rms(stage.data, stage.fit.runs) if self.others else 1.0
+    def heldout_gain(self, stage: SettledModel) -> Gain:
+        """Return what it saves on runs left out.
 
-    def heldout_gain(self, stage: SettledModel) -> float:
-        """Held-out misfit of the places saved. [K]"""
-        return rms(stage.data, stage.fit.runs) - rms(stage.data, self.others) if self.others else 0.0
+        Moments make up for a clock that is off, so for what needs a limit switch they are held at it.
+        """
+        if not self.others:
+            return Gain(0.0, None)
+        if self.switched:
+            return self.switched[0]
+        return paired_gain(run_errors(stage.data, stage.fit.runs), run_errors(stage.data, self.others))
 
 
 def size_in(fit: SharedFit, effect: Effect) -> float:
@@ -171,10 +180,10 @@ def core_errors(fit: SharedFit, data: Sequence[Whitened]) -> Array:
     return found
 
 
-def rms(data: Sequence[Whitened], runs: Sequence[RunState]) -> float:
-    """Return the root mean square of the places' misfit, steep moments counting less. [K]"""
+def run_errors(data: Sequence[Whitened], runs: Sequence[RunState]) -> Array:
+    """Return the root mean square of the places' misfit, steep moments counting less (runs). [K]"""
     squares = [np.nanmean((r.misfit * d.digest.trust) ** 2) for d, r in zip(data, runs, strict=True)]
-    return float(np.sqrt(np.mean(squares)))
+    return np.sqrt(np.array(squares))
 
 
 def whiten_all(digests: Sequence[Digest], noise: MeanNoise) -> tuple[Whitened, ...]:
@@ -419,8 +428,23 @@ def refine(stage: SettledModel, candidate: Candidate, rounds: int = 8) -> Candid
         score = switch_scores(stage)
     else:
         score = direction(stage.fit, stage.data, layout.model, values).scores
-    gain = max(stage.fit.cost - fit.cost, 0.0)
-    return replace(candidate, fit=fit, gain=gain, gains=gains, refined=True, others=tuple(others), score=score)
+    saved = max(stage.fit.cost - fit.cost, 0.0)
+    told = replace(candidate, fit=fit, gain=saved, gains=gains, refined=True, others=tuple(others), score=score)
+    if candidate.effect.needs != Need.SWITCH:
+        return told
+    before, after = (switched_errors(f, stage.data) for f in (stage.fit, fit))
+    return replace(told, switched=(paired_gain(before, after),))
+
+
+def switched_errors(fit: SharedFit, data: Sequence[Whitened]) -> Array:
+    """Return the errors of runs left out, moments held at the limit switch, steep ones whole (runs). [K]"""
+    unknowns = tuple(
+        tuple(replace(u, sd=HELD_S) if u.name in SWITCHED and d.digest.switch is not None else u for u in of_run)
+        for of_run, d in zip(fit.layout.unknowns, data, strict=True)
+    )
+    held = replace(fit, layout=replace(fit.layout, unknowns=unknowns))
+    runs = held_out(held, data, rounds=3, thetas=from_the_others(fit, data))
+    return np.array([float(np.sqrt(np.nanmean(r.misfit**2))) for r in runs])
 
 
 def _sizes(effect: Effect) -> tuple[float, ...]:

@@ -12,18 +12,20 @@ from softsensor.diagnosis.decision import (
     FEW_RUNS,
     MOST_CAUSES,
     SMALLEST_SIZE,
+    UNPROVEN,
+    Choice,
     Claim,
-    Decision,
     Evidence,
+    Objection,
     Step,
-    decide,
-    objection,
+    choose,
+    objections,
     strongest,
 )
 from softsensor.diagnosis.exchange import exchange, fit_alone
 from softsensor.diagnosis.extension import SCORE_LIMIT
 from softsensor.diagnosis.search import Candidate, SettledModel, candidates_for, core_errors, extend, search
-from softsensor.diagnosis.sign_flips import max_t, pattern_test
+from softsensor.diagnosis.sign_flips import max_t
 from softsensor.effects import Need
 
 TWO_LOOKS = FEW_RUNS + 2
@@ -49,6 +51,8 @@ class Round:
     """What all runs chose, before rim and cores were asked."""
     refuted: tuple[str, ...] = ()
     """Causes that the surfaces may like and core thermocouples speak against."""
+    suspected: Candidate | None = None
+    """Where none was chosen: the strongest that only lacks a sure gain."""
 
     @property
     def name(self) -> str:
@@ -73,6 +77,7 @@ def search_all(
     `rim_is_cool`: rim sensors fall against central ones.
     """
     stages, rounds, looked_again = [base], list[Round](), False
+    before = Evidence(len(base.data), core_errors(base.fit, base.data), rim_is_cool=rim_is_cool)
     while len(rounds) < MOST_CAUSES:
         stage = stages[-1]
         pool = [
@@ -83,14 +88,15 @@ def search_all(
         if not pool:
             break
         found = search(stage, pool, _counted(tell, len(rounds), len(pool)))
-        rounds.append(judge(stage, found, rim_is_cool, [r.set for r in rounds]))
+        context = replace(before, causes=len(rounds), saved=_saved(stages, rounds))
+        rounds.append(judge(stage, found, context))
         chosen = rounds[-1].chosen
         if chosen is None:
             break
         stages.append(extend(stage, chosen))
         if len(rounds) == 2 and not looked_again:
             looked_again = True
-            stages, rounds = _second_look(stages, rounds, rim_is_cool)
+            stages, rounds = _second_look(stages, rounds, before)
     return stages, rounds
 
 
@@ -107,7 +113,7 @@ def _counted(tell: Progress, causes: int, size: int) -> Callable[[str], None]:
 
 
 def _second_look(
-    stages: list[SettledModel], rounds: list[Round], rim_is_cool: bool
+    stages: list[SettledModel], rounds: list[Round], before: Evidence
 ) -> tuple[list[SettledModel], list[Round]]:
     """Judge the first search again once a second cause is known; return where the search goes on from.
 
@@ -120,12 +126,12 @@ def _second_look(
     known = next((c for c in first.candidates if c.effect.name == second.name), None)
     if known is not None and not (known.refined and known.gain >= better.gain):
         candidates = [c for c in first.candidates if c is not known] + [better]
-        first = judge(base, sorted(candidates, key=lambda c: (-c.gain, c.effect.name)), rim_is_cool, ())
+        first = judge(base, sorted(candidates, key=lambda c: (-c.gain, c.effect.name)), before)
         if first.chosen is not None and first.name != rounds[0].name:
             return [base, extend(base, first.chosen)], [first]
-    evidence = evidence_of(base, first.candidates, first.p_values)
-    claims = {claim.name: claim for claim in evidence.claims}
-    able = [c for c in first.candidates if c.refined and objection(claims[c.effect.name], evidence) is None]
+    everyone = np.arange(len(base.data))
+    claims = {c.name: c for c in claims_of(base, first.candidates, first.p_values, everyone)}
+    able = [c for c in first.candidates if c.refined and not objections(claims[c.effect.name], before)]
     if exchanged := exchange(stages, able, SMALLEST_SIZE):
         name = exchanged[1].effects[-1]
         chosen = next(c for c in first.candidates if c.effect.name == name)
@@ -133,43 +139,44 @@ def _second_look(
     return stages, rounds
 
 
-def judge(
-    stage: SettledModel, found: Sequence[Candidate], rim_is_cool: bool, sets: Sequence[tuple[str, ...]]
-) -> Round:
-    """Decide on a search, with all runs and without each of them. `sets`: of the causes the stage has already."""
+def _saved(stages: Sequence[SettledModel], rounds: Sequence[Round]) -> float:
+    """Return the sum of squares that causes of uncertain law have saved, in the noise of the last stage."""
+    saved = 0.0
+    for stage, round_ in zip(stages, rounds, strict=False):
+        if round_.chosen is not None and not round_.chosen.effect.measuring:
+            saved += round_.chosen.gain * (stage.noise.slow / stages[-1].noise.slow) ** 2
+    return saved
+
+
+def judge(stage: SettledModel, found: Sequence[Candidate], before: Evidence) -> Round:
+    """Decide on a search, with all runs and without each of them. `before`: what is known of the stage."""
     everyone = np.arange(len(stage.data))
     p = p_values(found, everyone)
-    evidence = replace(evidence_of(stage, found, p), rim_is_cool=rim_is_cool, sets=tuple(sets))
-    decision = decide(evidence)
+    evidence = replace(
+        before, claims=claims_of(stage, found, p, everyone), core_K=core_errors(stage.fit, stage.data)
+    )
+    choice = choose(evidence)
     named = {c.effect.name: c for c in found}
-    if decision.step is Step.ONE_RUN:
+    if choice.step is Step.ONE_RUN:
         return Round(list(found), p, None, (), (None,))
     without = []
     for rest in (np.delete(everyone, r) for r in everyone):
-        claims = claims_of(stage, found, p_values(found, rest), rest)
-        best = strongest(replace(evidence, runs=len(rest), claims=claims, core_K=evidence.core_K[rest]))
+        # which cause the others would choose, not whether: one run fewer has fewer flips
+        claims = claims_of(stage, found, p, rest)
+        fewer = replace(evidence, runs=len(rest), claims=claims, core_K=evidence.core_K[rest])
+        best = strongest(fewer, allowed=UNPROVEN | {Objection.CHANCE})
         without.append(None if best is None else named[best.name])
-    return _round(list(found), p, tuple(without), decision)
+    return _round(list(found), p, tuple(without), choice)
 
 
 def _round(
-    found: list[Candidate], p: dict[str, float], without: tuple[Candidate | None, ...], decision: Decision
+    found: list[Candidate], p: dict[str, float], without: tuple[Candidate | None, ...], choice: Choice
 ) -> Round:
-    if decision.step is not Step.CAUSE_NAMED:
-        return Round(found, p, None, (), without)
-    chosen = next(c for c in found if c.effect.name == decision.set[0])
-    return Round(found, p, chosen, decision.set, without, decision.strongest, decision.refuted)
-
-
-def evidence_of(stage: SettledModel, found: Sequence[Candidate], p: dict[str, float]) -> Evidence:
-    """Return what a search on top of a stage has shown."""
-    everyone = np.arange(len(stage.data))
-    return Evidence(
-        runs=len(everyone),
-        left=pattern_test(stage.pockets()),
-        core_K=core_errors(stage.fit, stage.data),
-        claims=claims_of(stage, found, p, everyone),
-    )
+    if choice.step is not Step.CAUSE_NAMED:
+        suspected = next((c for c in found if c.effect.name == choice.suspected), None)
+        return Round(found, p, None, (), without, suspected=suspected)
+    chosen = next(c for c in found if c.effect.name == choice.set[0])
+    return Round(found, p, chosen, choice.set, without, choice.strongest, choice.refuted)
 
 
 def claims_of(
@@ -192,8 +199,7 @@ def claim_of(stage: SettledModel, candidate: Candidate, p: float) -> Claim:
         p_value=p,
         saved=candidate.gain,
         saves=candidate.gains,
-        heldout_gain_K=candidate.heldout_gain(stage),
-        heldout_ratio=candidate.heldout_ratio(stage),
+        gain=candidate.heldout_gain(stage),
         core_K=core_errors(candidate.fit, stage.data),
     )
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from daq.words import Argument, Message, say
-from softsensor.diagnosis.decision import FEW_RUNS, Verdict
+from softsensor.diagnosis.decision import ALPHA_PATTERN, FEW_RUNS, Verdict
 from softsensor.diagnosis.extension_unknowns import free_coefficients, logarithm_of
 from softsensor.diagnosis.finding import Diagnosis, Finding
 from softsensor.diagnosis.search import SettledModel
@@ -22,8 +22,6 @@ from softsensor.effects.vocabulary import called, coefficient_words, place_words
 
 FAR_OFF = 2.0
 """Times the noise from which a residual is called more than noise, whatever its cause. Set by hand, 2026-11."""
-NOT_EXPLAINED = 1.5
-"""Times the noise from which a plain model without a cause is not said to explain the runs. By hand, 2026-11."""
 HARDLY = 0.05
 """Share of the residual on runs left out below which saving it is not what a cause is worth. By hand, 2026-11."""
 MOVES, MOVES_SD = 0.05, 2.0
@@ -70,27 +68,31 @@ def core_cost(less: SettledModel, more: SettledModel) -> CoreCost:
 
 
 def verdict_said(found: Diagnosis) -> tuple[Message, ...]:
-    """Say the verdict in a few sentences."""
+    """Say the verdict in a few sentences, and what is suspected."""
+    suspected = tuple(called(f.name) for f in found.suspected)
+    return (*_verdict_alone(found), *([say("verdict-suspected", causes=suspected)] if suspected else []))
+
+
+def _verdict_alone(found: Diagnosis) -> tuple[Message, ...]:
     runs = len(found.stages[0].data)
     residual = {"rmse": found.base.rmse_K, "noise": found.noise_floor_K}
     times = found.base.rmse_K / found.noise_floor_K if found.noise_floor_K > 0 else np.inf
     if found.verdict is Verdict.TOO_FEW_RUNS:
         off = times > FAR_OFF
         return (say("verdict-few-runs-off", runs=runs, **residual) if off else say("verdict-few-runs", runs=runs),)
+    if found.verdict is Verdict.NOT_DESCRIBED:
+        return (say("verdict-not-described", **residual),)
     if found.verdict is Verdict.NO_EFFECT:
-        if times > NOT_EXPLAINED:
-            return (say("verdict-differs-from-run-to-run", runs=runs, **residual),)
         return (say("verdict-plain-model-explains", runs=runs, **residual),)
+    if found.verdict is Verdict.UNKNOWN_EFFECT and found.left.p_value > ALPHA_PATTERN:
+        return (say("verdict-differs-from-run-to-run", runs=runs, **residual),)
     if found.verdict is Verdict.UNKNOWN_EFFECT:
         return _something_unknown(found)
     return _causes_said(found)
 
 
 def _something_unknown(found: Diagnosis) -> tuple[Message, ...]:
-    names = tuple(called(f.name) for f in found.findings)
-    start = (say("verdict-found-but", causes=names),) if names else ()
-    left = say("verdict-left-at", stretch=stretch_said(found.where[0])) if found.where else say("verdict-left")
-    return (*start, left)
+    return (say("verdict-left-at", stretch=stretch_said(found.where[0])) if found.where else say("verdict-left"),)
 
 
 def _causes_said(found: Diagnosis) -> tuple[Message, ...]:
@@ -174,7 +176,7 @@ def worth(found: Diagnosis, finding: Finding) -> Message:
     """Say what a cause is worth: kelvins saved on runs left out, or why it is named though these hardly fall."""
     if finding.of_channels:
         return say("worth-faulty-channel")
-    before, gain = found.base.heldout_rmse_K, finding.heldout_gain_K
+    before, gain = found.base.heldout_rmse_K, finding.gain.value_K
     if gain >= HARDLY * before:
         return say("worth-saves", gain=gain, before=before)
     at = found.final.effects.index(finding.name)

@@ -11,30 +11,32 @@ The method and why it is so:
    numbers from the others; signs of whole runs are flipped for the p-value, with the maximum over candidates
    and both (`diagnosis.sign_flips`). The facts this project started from name samples tested as if independent as
    the classic error: 84 to 100 % false names.
-4. One rule decides (`decision`). The best candidate is named if its p-value holds, if runs left out gain by it,
-   if its size is physical and core thermocouples do not speak against it. Candidates that the runs do not tell
-   from it form its `set`; core thermocouples, which no fit sees, make it smaller. Within a set the measuring
+4. Two rules decide (`decision`). The best candidate is taken in if its p-value holds, if runs left out gain by it
+   with an interval above nothing, if its size is physical, core thermocouples do not speak against it, and it
+   saves more than the law of a cause taken in before may be off. Candidates that the runs do not tell from it
+   form its `set`; core thermocouples, which no fit sees, make it smaller. Within a set the measuring
    chain comes first.
 5. The same again on top of the extended model, for a second and third cause. A second cause is then tried
    alone, since where the plain model is far off a cause may not have found its way, and others are tried
-   in the place of the first (`diagnosis.exchange`). Where what is left is negligible, a further cause must
-   save more: over many runs the least fault of the first one's law is sure.
-6. Residuals of all runs are averaged by place and time since the last event. What common pattern remains
-   vetoes: a model that explains less than four fifths of it, or leaves more than a few tenths of a kelvin,
-   is not the cause, however significant, and the verdict is `unknown_effect`, with where and when. Faults
-   outside the catalogue are otherwise explained, badly, by two or three causes of the catalogue together.
+   in the place of the first (`diagnosis.exchange`).
+6. The verdict answers three questions: is something left, does a named cause explain it, is the gain real.
+   Residuals of all runs are averaged by place and time since the last event; a model that explains less than four
+   fifths of that common pattern's energy is not the cause, however significant. Gains are asked for twice, on runs
+   left out and on runs predicted from their headers alone.
 
 Better than a linear score test alone: all candidates get a non-linear fit, so amplitude and shape are
 right before anything is compared; timing, lag and clock, which bend coefficients by a factor, get it
 with the coefficients free.
 
-Held-out numbers: each run is predicted with shared numbers fitted to the others, by the cause that the
-others would have chosen without it (`never_seen`). The choice is judged again without the run; sizes
-of noise and scatter, and starting points of fits, come from all runs.
+Held-out numbers: each run by shared numbers fitted to the others, and by the cause that the others would have
+chosen without it (`never_seen`); its own contacts, offsets and share of a cause are fitted to it, or for a
+prediction left at what the others say. Sizes of noise and scatter, and starting points of fits, come from all
+runs.
 
 With fewer than six runs no p-value can fall below 0.05 by flipping. A cause is then named only if it is the only
-one found, every single run, by numbers from the others, gains by it, the held-out residual at least halves,
-and every candidate outside the set loses in every run; else the verdict is `too_few_runs`.
+one found, every single run, by numbers from the others, gains by it, the interval of the gain lies above nothing,
+the held-out residual at least halves, and every candidate outside the set loses in every run; else the verdict is
+`too_few_runs`.
 
 What stays hidden: an exponent of pressure of 0.5 to 1 over 280 to 400 N/cm2 in twelve runs whose contacts
 scatter by 12 to 30 %; even the true contacts would show it in 28 % of campaigns (96 runs: 93 %).
@@ -43,7 +45,7 @@ scatter by 12 to 30 %; even the true contacts would show it in 28 % of campaigns
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -53,21 +55,26 @@ from daq.press.press_file import Press, press_for_run
 from daq.records import Array, InputError, Run
 from daq.words import Message, say, spoken
 from softsensor.diagnosis.advice import AdviceBasis, next_measurement, notes, rim_notes
-from softsensor.diagnosis.decision import FEW_RUNS, Evidence, Verdict, decide
-from softsensor.diagnosis.extension import RunState, held_out
+from softsensor.diagnosis.decision import Case, Proof, Remains, conclude
+from softsensor.diagnosis.extension import RunState, from_the_others, held_out, predicted
+from softsensor.diagnosis.extension_unknowns import is_shape
 from softsensor.diagnosis.finding import Diagnosis, Finding
-from softsensor.diagnosis.numbers import Errors, Interval, intervals, measure_errors
-from softsensor.diagnosis.search import SettledModel, core_errors, rms, settle_base
-from softsensor.diagnosis.selection import Progress, Round, claims_of, cool_rim, search_all
-from softsensor.diagnosis.sign_flips import PatternTest, Pocket, paired_t, pattern_test
+from softsensor.diagnosis.gains import Gain, paired_gain
+from softsensor.diagnosis.numbers import Errors, Interval, intervals, is_described, measure_errors, noise_floor
+from softsensor.diagnosis.search import Candidate, SettledModel, run_errors, settle_base
+from softsensor.diagnosis.selection import Progress, Round, cool_rim, search_all
+from softsensor.diagnosis.sign_flips import PatternTest, paired_t, pattern_test, pockets
 from softsensor.diagnosis.where import MOST, stretches, where_row
-from softsensor.effects import find_effect, sensor_fault
+from softsensor.effects import Effect, find_effect, sensor_fault
 from softsensor.heat.model import ThermalModel
 from softsensor.heat.run_checks import load_remarks
 from softsensor.signals.digest import Digest, digest_run
 from softsensor.signals.faces import rim_falls
 from softsensor.signals.moments import moments_seen
 from softsensor.signals.screen import ChannelFault, faulty_channels, recurring
+
+NOT_A_MODEL = Gain(0.0, None)
+"""Of faulty channels: they are left out before anything is fitted."""
 
 
 def diagnose(
@@ -140,56 +147,97 @@ def _conclude(readings: _Readings, stages: list[SettledModel], rounds: list[Roun
     tests = [pattern_test(s.pockets()) for s in stages]
     shares = _explained(tests)
     columns = recurring(faults)
-    decision = decide(_evidence(stages, rounds, tests[-1], shares, bool(columns)))
-    stages = stages[: decision.kept + 1]
-    findings = _sensor_findings(faults, columns) + _findings(stages, rounds, shares)
-    base = measure_errors(stages[0], held_out(stages[0].fit, stages[0].data, rounds=2))
-    extended = measure_errors(stages[-1], never_seen(stages, rounds)) if decision.kept else base
-    findings = _with_gains(findings, base, extended)
-    verdict = decision.verdict
+    errors = _errors(stages, rounds)
+    noise = noise_floor(stages)
+    causes = _findings(stages, rounds, shares, errors)
+    proofs = [
+        Proof(
+            set=f.set,
+            gain=f.gain,
+            predicted=f.predicted,
+            size_is_sure=_size_is_sure(find_effect(f.name), f.parameters),
+            heldout_ratio=float(np.exp(np.mean(np.log(e.heldout / errors[0].heldout)))),
+        )
+        for f, e in zip(causes, errors[1:], strict=True)
+    ]
+    remains = [
+        Remains(t, share, e.rmse_K / noise, is_described(e.rmse_K, noise, [d.digest for d in s.data]))
+        for t, share, e, s in zip(tests, shares, errors, stages, strict=True)
+    ]
+    conclusion = conclude(Case(len(runs), tuple(proofs), tuple(remains), bool(columns)))
+    named, verdict = conclusion.named, conclusion.verdict
+    suspected = causes[named:] + _nearly(rounds, stages[-1])
+    findings = _sensor_findings(faults, columns) + causes[:named]
+    base, extended = errors[0], errors[named]
     seen = AdviceBasis(len(runs), bool(press.panel_layers), base.core_rmse_K, extended.core_rmse_K)
-    remains = tests[-1].worst if verdict is Verdict.UNKNOWN_EFFECT and decision.kept else None
     return Diagnosis(
         verdict=verdict,
-        stopped=decision.step,
         findings=findings,
+        suspected=suspected,
         base=base,
         extended=extended,
-        noise_floor_K=_rounded(extended.noise_K),
-        where=_where(stages[0], remains),
+        noise_floor_K=_rounded(noise),
+        where=_where(stages[0]),
         candidates=_candidate_rows(rounds, stages),
         next_measurement=next_measurement(verdict, findings, seen),
         seconds=0.0,
         faults={r.name: f for r, f in zip(runs, faults, strict=True) if f},
-        stages=tuple(stages),
-        left=tests[-1],
+        stages=tuple(stages[: named + 1]),
+        left=tests[named],
         rivals=_rivals(rounds),
         warnings=(*notes(runs, faults, rounds), *rim_notes(readings.rim), *_lacking_loads(press, runs)),
     )
 
 
-def never_seen(stages: Sequence[SettledModel], rounds: Sequence[Round]) -> list[RunState]:
-    """Return each run as the others predict it that neither fitted nor chose with it.
+def _errors(stages: Sequence[SettledModel], rounds: Sequence[Round]) -> list[Errors]:
+    """Return the errors of every stage, its runs left out in turn (stages)."""
+    base = stages[0]
+    thetas = [from_the_others(s.fit, s.data, rounds=1) for s in stages]
+    others = [held_out(s.fit, s.data, thetas=t) for s, t in zip(stages, thetas, strict=True)]
+    ahead = [predicted(s.fit, s.data, t) for s, t in zip(stages, thetas, strict=True)]
+    return [
+        measure_errors(
+            stage,
+            never_seen(others[: i + 1], rounds, lambda c: c.others),
+            never_seen(
+                ahead[: i + 1], rounds, lambda c: predicted(c.fit, base.data, from_the_others(c.fit, base.data))
+            ),
+        )
+        for i, stage in enumerate(stages)
+    ]
 
-    Every search has been judged again without each run (`Round.without`). Where the verdict stays, the run gets
-    the extended model with numbers from the others; where another cause would have been chosen, or none, that.
+
+def never_seen(
+    states: Sequence[Sequence[RunState]],
+    rounds: Sequence[Round],
+    of: Callable[[Candidate], Sequence[RunState]],
+) -> list[RunState]:
+    """Return each run as the others have it that neither fitted nor chose with it, by the last stage.
+
+    Every search has been judged again without each run (`Round.without`). Where the others would have chosen
+    another cause, the run has that one's state; where none, the model before.
+
+    Parameters
+    ----------
+    states
+        Runs by the others' numbers (stages, runs).
+    of
+        The same of a candidate (runs).
     """
-    by_stage = [held_out(s.fit, s.data, rounds=2) for s in stages]
-    found = list(by_stage[-1])
+    found = list(states[-1])
     for r in range(len(found)):
-        for i, round_ in enumerate(rounds[: len(stages) - 1]):
+        for i, round_ in enumerate(rounds[: len(states) - 1]):
             chosen = round_.without[r]
-            if chosen is not None and chosen.effect.name == round_.voted:
-                continue
-            found[r] = by_stage[i][r] if chosen is None else chosen.others[r]
-            break
+            if chosen is None or chosen.effect.name != round_.voted:
+                found[r] = states[i][r] if chosen is None else of(chosen)[r]
+                break
     return found
 
 
-def _heldout_ratio(stages: list[SettledModel]) -> float:
-    """Held-out residual of the last model over that of the first, root mean square."""
-    first, last = (rms(s.data, held_out(s.fit, s.data, rounds=2)) for s in (stages[0], stages[-1]))
-    return last / first
+def _size_is_sure(effect: Effect, parameters: dict[str, Interval]) -> bool:
+    """Return whether the interval of an amplitude leaves out the value at which the cause is absent."""
+    sizes = [(p.neutral, parameters[p.name].ci95) for p in effect.parameters if not is_shape(p)]
+    return any(ci is not None and not ci[0] <= neutral <= ci[1] for neutral, ci in sizes)
 
 
 def _sensor_findings(faults: Sequence[tuple[ChannelFault, ...]], columns: Iterable[str]) -> tuple[Finding, ...]:
@@ -198,7 +246,7 @@ def _sensor_findings(faults: Sequence[tuple[ChannelFault, ...]], columns: Iterab
     name = sensor_fault.EFFECT.name
     share = sum(any(f.column in columns for f in run) for run in faults)
     value = Interval(tuple(columns), None)
-    return (Finding(name, (name,), {"columns": value}, 2.0 ** (1 - share), 0.0, 1.0),)
+    return (Finding(name, (name,), {"columns": value}, 2.0 ** (1 - share), NOT_A_MODEL, NOT_A_MODEL, 1.0),)
 
 
 def _explained(tests: Sequence[PatternTest]) -> list[float]:
@@ -207,36 +255,16 @@ def _explained(tests: Sequence[PatternTest]) -> list[float]:
     return [float(np.clip(1.0 - t.energy / plain, 0.0, 1.0)) if plain > 0 else 0.0 for t in tests]
 
 
-def _evidence(
-    stages: list[SettledModel],
-    rounds: list[Round],
-    left: PatternTest,
-    shares: Sequence[float],
-    faulty_channels: bool,
-) -> Evidence:
-    """Return what is known after the last search."""
-    last, named = stages[-1], rounds[: len(stages) - 1]
-    claims = rounds[-1] if len(rounds) > len(named) else None
-    everyone = np.arange(len(last.data))
-    return Evidence(
-        runs=len(everyone),
-        left=left,
-        core_K=core_errors(last.fit, last.data),
-        claims=claims_of(last, claims.candidates, claims.p_values, everyone) if claims else (),
-        sets=tuple(_alternatives(r, last.effects) for r in named),
-        shares=tuple(shares[1:]),
-        heldout_ratio=_heldout_ratio(stages) if named and len(everyone) < FEW_RUNS else 1.0,
-        faulty_channels=faulty_channels,
-    )
-
-
-def _findings(stages: list[SettledModel], rounds: list[Round], shares: list[float]) -> tuple[Finding, ...]:
+def _findings(
+    stages: list[SettledModel], rounds: list[Round], shares: list[float], errors: Sequence[Errors]
+) -> tuple[Finding, ...]:
     found = []
     final = stages[-1]
     for i in range(1, len(stages)):
         round_ = rounds[i - 1]
         name = final.effects[i - 1]
         chosen = round_.chosen
+        switched = chosen.switched if chosen is not None and chosen.effect.name == name else ()
         against: list[tuple[str, float]] = []
         votes = (0, 0)
         if chosen is not None:
@@ -252,7 +280,8 @@ def _findings(stages: list[SettledModel], rounds: list[Round], shares: list[floa
                 set=_alternatives(round_, final.effects),
                 parameters=intervals(final.fit, find_effect(name)),
                 p_value=_rounded(round_.p_values.get(name, 1.0)),
-                heldout_gain_K=0.0,
+                gain=switched[0] if switched else paired_gain(errors[i - 1].heldout, errors[i].heldout),
+                predicted=paired_gain(errors[i - 1].predicted, errors[i].predicted),
                 explained_share=_rounded(max(shares[i] - shares[i - 1], 0.0)),
                 against=tuple(against),
                 votes=votes,
@@ -271,21 +300,38 @@ def _alternatives(round_: Round, named: Sequence[str]) -> tuple[str, ...]:
     return tuple(n for n in round_.set if n not in weaker.intersection(named))
 
 
-def _with_gains(findings: tuple[Finding, ...], base: Errors, extended: Errors) -> tuple[Finding, ...]:
-    """Share the held-out gain out among the named causes, by what each explains."""
-    total = base.heldout_rmse_K - extended.heldout_rmse_K
-    weight = sum(f.explained_share for f in findings if not f.of_channels) or 1.0
-    return tuple(
-        f if f.of_channels else replace(f, heldout_gain_K=_rounded(total * f.explained_share / weight))
-        for f in findings
+def _nearly(rounds: Sequence[Round], stage: SettledModel) -> tuple[Finding, ...]:
+    """Return the cause the last search would have chosen but for a sure gain."""
+    last = rounds[-1] if rounds else None
+    if last is None or last.suspected is None:
+        return ()
+    c = last.suspected
+    ahead = [predicted(f, stage.data, from_the_others(f, stage.data)) for f in (stage.fit, c.fit)]
+    return (
+        Finding(
+            name=c.effect.name,
+            set=(c.effect.name,),
+            parameters=intervals(c.fit, c.effect),
+            p_value=_rounded(last.p_values[c.effect.name]),
+            gain=c.heldout_gain(stage),
+            predicted=paired_gain(*(run_errors(stage.data, states) for states in ahead)),
+            explained_share=_explained_by(c, stage),
+            votes=(int((c.gains > 0.0).sum()), len(c.gains)),
+        ),
     )
 
 
-def _where(plain: SettledModel, left: Pocket | None) -> tuple[dict[str, Any], ...]:
-    """Where the plain simulation is wrong, most kelvins first; before that what the causes leave, if given."""
+def _explained_by(c: Candidate, stage: SettledModel) -> float:
+    before = pattern_test(stage.pockets())
+    after = pattern_test(pockets([d.digest for d in stage.data], [r.misfit for r in c.fit.runs]))
+    return _rounded(_explained([before, after])[1])
+
+
+def _where(plain: SettledModel) -> tuple[dict[str, Any], ...]:
+    """Where the plain simulation is wrong, most kelvins first."""
     digests = [d.digest for d in plain.data]
     found = stretches(digests, [r.misfit for r in plain.fit.runs])[:MOST]
-    return tuple(where_row(p, digests) for p in ([left] if left else []) + found)
+    return tuple(where_row(p, digests) for p in found)
 
 
 def _candidate_rows(rounds: list[Round], stages: list[SettledModel]) -> tuple[dict[str, Any], ...]:
@@ -298,7 +344,7 @@ def _candidate_rows(rounds: list[Round], stages: list[SettledModel]) -> tuple[di
                 "name": c.effect.name,
                 "score": _rounded(c.gain),
                 "p_value": _rounded(rounds[0].p_values[c.effect.name]),
-                "heldout_gain_K": _rounded(c.heldout_gain(stages[0])),
+                "heldout_gain_K": _rounded(c.heldout_gain(stages[0]).value_K),
             }
         )
     return tuple(rows)

@@ -77,11 +77,23 @@ def catalogue() -> dict[str, Effect]:
         effect = point.load()
         if not isinstance(effect, Effect):
             raise InputError(say("effect-entry-not-an-effect", name=point.name, value=point.value))
-        if effect.name in effects:
-            raise InputError(say("effect-exists-already", name=point.name, effect=effect.name))
-        learn_words(effect)
-        effects[effect.name] = effect
+        _add(effects, effect, point.name)
     return effects
+
+
+def add_effect(effect: Effect) -> None:
+    """Add an effect of one's own to the catalogue of this process, as an installed package's entry point does.
+
+    Raises InputError for one whose name is taken, or one without words.
+    """
+    _add(catalogue(), effect, effect.name)
+
+
+def _add(effects: dict[str, Effect], effect: Effect, name: str) -> None:
+    if effect.name in effects:
+        raise InputError(say("effect-exists-already", name=name, effect=effect.name))
+    learn_words(effect)
+    effects[effect.name] = effect
 
 
 SPOKEN = ("called", "meaning", "symptom", "confirmed-by", "core")
@@ -126,6 +138,7 @@ __all__ = [
     "Role",
     "Scene",
     "Terms",
+    "add_effect",
     "catalogue",
     "find_effect",
     "learn_words",

@@ -32,8 +32,6 @@ class Scene:
     """Cell widths (n). [m]"""
     panel_cells: NDArray[np.bool_]
     """Cells of the panel proper (n)."""
-    plate_cells: NDArray[np.bool_]
-    """Cells of the layers that are not the panel's (n)."""
     z: Array
     """Height in the panel from -1 (lower face) to 1 (upper face), 0 outside it (n)."""
     face_cells: tuple[int, int] | None
@@ -102,6 +100,15 @@ class Terms:
     """Share of the press face in a panel sensor's reading while closed."""
     clock: Any = 0.0
     """Panel channels later than platen channels. [s]"""
+
+
+FACTORS = ("conductivity", "capacity")
+"""Terms that several effects multiply."""
+SUMMANDS = (
+    *("conductivity_slope", "capacity_slope", "exchange", "emissivity", "convection"),
+    *("plates_offset", "lag", "footprint", "clock"),
+)
+"""Terms that they add up."""
 
 
 class Need(StrEnum):

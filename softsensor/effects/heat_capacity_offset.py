@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from softsensor.effects.effect import Effect, Live, Need, Role, Scene, Terms, on_panel
-from softsensor.effects.parameters import Parameter
+from softsensor.effects.parameters import ratio_to_nominal
 
 
 def _terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
@@ -13,20 +13,7 @@ def _terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
 
 EFFECT = Effect(
     name="heat_capacity_offset",
-    parameters=(
-        Parameter(
-            name="ratio",
-            unit="true / nominal",
-            neutral=1.0,
-            typical=1.15,
-            lower=0.4,
-            upper=2.5,
-            source="moisture and density spread",
-            spread=0.25,
-            least=0.01,
-            told=(1.0, "unit-times-nominal"),
-        ),
-    ),
+    parameters=(ratio_to_nominal("moisture and density spread"),),
     terms=_terms,
     source="density and moisture of a board scatter about nominal; assumed",
     chance=0.035,

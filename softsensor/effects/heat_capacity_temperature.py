@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from softsensor.effects.effect import Effect, Live, Need, Role, Scene, Terms, on_panel
-from softsensor.effects.parameters import Parameter
+from softsensor.effects.parameters import change_per_100_K
 
 
 def _terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
@@ -13,19 +13,7 @@ def _terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
 
 EFFECT = Effect(
     name="heat_capacity_temperature",
-    parameters=(
-        Parameter(
-            name="per_100_K",
-            unit="of the value at 20 °C",
-            neutral=0.0,
-            typical=0.2,
-            lower=-0.5,
-            upper=1.5,
-            source="dry wood about +0.3 % per K, assumed",
-            spread=0.25,
-            told=(100.0, "unit-percent-of-value-at-20-degrees"),
-        ),
-    ),
+    parameters=(change_per_100_K("dry wood about +0.3 % per K, assumed"),),
     terms=_terms,
     source="heat capacity of wood rises with temperature; straight line assumed",
     chance=0.02,

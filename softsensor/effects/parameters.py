@@ -55,6 +55,18 @@ class Parameter:
         return Message(unit) if unit.startswith("unit-") else say("plain-text", text=unit)
 
 
+def ratio_to_nominal(source: str) -> Parameter:
+    """Return the parameter of a constant of the panel that is not the nominal one."""
+    told = (1.0, "unit-times-nominal")
+    return Parameter("ratio", "true / nominal", 1.0, 1.15, 0.4, 2.5, source, spread=0.25, least=0.01, told=told)
+
+
+def change_per_100_K(source: str) -> Parameter:  # noqa: N802 - kelvin
+    """Return the parameter of a constant of the panel that changes with temperature."""
+    told = (100.0, "unit-percent-of-value-at-20-degrees")
+    return Parameter("per_100_K", "of the value at 20 °C", 0.0, 0.2, -0.5, 1.5, source, spread=0.25, told=told)
+
+
 def plain(value: float, digits: int = 3) -> str:
     """Return a number with so many significant digits and no exponent.
 

@@ -13,9 +13,9 @@ def _terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
 
 EFFECT = Effect(
     name="platen_offset",
-    parameters=(
+    parameters=tuple(
         Parameter(
-            name="top_K",
+            name=f"{end}_K",
             unit="K, true minus reading",
             neutral=0.0,
             typical=3.0,
@@ -23,17 +23,8 @@ EFFECT = Effect(
             upper=15.0,
             source="class 1: 1.5 K, plus mounting",
             told=(1.0, "K"),
-        ),
-        Parameter(
-            name="bottom_K",
-            unit="K, true minus reading",
-            neutral=0.0,
-            typical=3.0,
-            lower=-15.0,
-            upper=15.0,
-            source="class 1: 1.5 K, plus mounting",
-            told=(1.0, "K"),
-        ),
+        )
+        for end in ("top", "bottom")
     ),
     terms=_terms,
     source="IEC 60584-1 tolerance classes",

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from daq.records import COLDEST_C
 from softsensor.effects.effect import Conversion, Effect, Live, Need, Role, Scene, Terms
 from softsensor.effects.parameters import Parameter
 
@@ -25,7 +26,8 @@ def _terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
     for order in (slice(None), slice(None, None, -1)):
         below = np.minimum(np.concatenate([[0.0], np.cumsum(dx[order])]), SKIN)
         share[first : last + 1] += (np.diff(below) / SKIN)[order] / dx
-    return Terms(conversions=(Conversion(share * (values["heat_kJ_m2"] * 1e3), 0, RATE_140, ACTIVATION, 413.15),))
+    heat = share * (values["heat_kJ_m2"] * 1e3)
+    return Terms(conversions=(Conversion(heat, 0, RATE_140, ACTIVATION, 140.0 - COLDEST_C),))
 
 
 EFFECT = Effect(

@@ -1,4 +1,4 @@
-"""The rule by which a diagnosis names or stops, branch by branch, on evidence made by hand."""
+"""The rules by which a diagnosis names or stops, branch by branch, on evidence made by hand."""
 
 from dataclasses import replace
 
@@ -6,26 +6,30 @@ import numpy as np
 import pytest
 
 from softsensor.diagnosis.decision import (
+    Case,
     Claim,
     Evidence,
     Objection,
+    Proof,
+    Remains,
     Step,
     Verdict,
-    decide,
-    objection,
+    choose,
+    conclude,
+    objections,
 )
+from softsensor.diagnosis.gains import Gain, paired_gain
 from softsensor.diagnosis.sign_flips import PatternTest
 
 RUNS = 8
 NO_CORES = np.full(RUNS, np.nan)
-NOTHING_LEFT, SOMETHING_LEFT = PatternTest(0.6, 0.0, None), PatternTest(0.008, 0.25, None)
+SURE = Gain(0.3, (0.2, 0.4))
 LOSS = Claim(
     "edge_loss", measuring=False, needs="panel", at_the_rim=True, size=1.0, unphysical=False, p_value=0.008,
-    saved=400.0, saves=np.linspace(30.0, 60.0, RUNS), heldout_gain_K=0.3, heldout_ratio=0.4, core_K=NO_CORES,
+    saved=400.0, saves=np.linspace(30.0, 60.0, RUNS), gain=SURE, core_K=NO_CORES,
 )  # fmt: skip
 LAG = replace(LOSS, name="thermocouple_lag", measuring=True, at_the_rim=False, saved=350.0)
-PLAIN = Evidence(RUNS, SOMETHING_LEFT, NO_CORES)
-AFTER = replace(PLAIN, left=NOTHING_LEFT, sets=(("edge_loss",),), shares=(0.95,), heldout_ratio=0.3)
+PLAIN = Evidence(RUNS, NO_CORES)
 
 
 def claims(*some):
@@ -37,63 +41,70 @@ def fewer(claim, runs, **changes):
 
 
 WEAKER = (
-    ({}, None),
-    ({"size": 0.2}, Objection.TOO_SMALL),
-    ({"size": 0.2, "needs": "load"}, None),
-    ({"saves": -LOSS.saves}, Objection.NO_GAIN_LEFT_OUT),
-    ({"unphysical": True}, Objection.UNPHYSICAL),
-    ({"heldout_gain_K": 0.004}, Objection.HARDLY_SAVES),
-    ({"heldout_ratio": 0.99}, Objection.HARDLY_SAVES),
-    ({"heldout_ratio": 1.0, "heldout_gain_K": 0.0, "needs": "closed"}, None),
-    ({"p_value": 0.051}, Objection.CHANCE),
-    ({"saves": np.array([-30.0, -30.0, -30.0, -30.0, 60.0, 60.0, 60.0, 60.0])}, Objection.RUNS_DISAGREE),
-    ({"saves": np.array([0.1, -0.1, 0.1, -0.1, -0.1, 60.0, 60.0, 60.0])}, None),
+    ({}, set()),
+    ({"size": 0.24}, {Objection.TOO_SMALL}),
+    ({"size": 0.26}, set()),
+    ({"size": 0.03, "needs": "load"}, set()),
+    ({"saves": -LOSS.saves}, {Objection.NO_GAIN_LEFT_OUT}),
+    ({"unphysical": True}, {Objection.UNPHYSICAL}),
+    ({"gain": Gain(0.3, (-0.001, 0.6))}, {Objection.GAIN_NOT_SURE}),
+    ({"gain": Gain(0.3, None)}, {Objection.GAIN_NOT_SURE}),
+    ({"p_value": 0.051}, {Objection.CHANCE}),
+    ({"p_value": 0.05}, set()),
 )
 
 
+def test_a_further_cause_saves_more_than_the_first_ones_law_may_be_off():
+    """A law that is off by 30 % of what it does leaves 9 % of the sum of squares it saves: 450 of 5000."""
+    after = replace(claims(LOSS), causes=1, saved=5000.0)
+    assert objections(LOSS, after) == {Objection.MAY_BE_ANOTHERS_LAW}
+    assert choose(after).suspected == "edge_loss"
+    assert choose(after).set == ()
+    assert choose(replace(after, claims=(replace(LOSS, saved=460.0),))).set == ("edge_loss",)
+
+
 @pytest.mark.parametrize(("change", "expected"), WEAKER)
-def test_a_cause_is_named_unless_one_thing_speaks_against_it(change, expected):
+def test_a_cause_is_taken_in_unless_one_thing_speaks_against_it(change, expected):
     claim = replace(LOSS, **change)
-    found = decide(claims(claim))
-    assert objection(claim, claims(claim)) is expected
+    found = choose(claims(claim))
+    assert objections(claim, claims(claim)) == expected
     assert found.step is (Step.NO_CAUSE_CONVINCES if expected else Step.CAUSE_NAMED)
     assert found.set == (() if expected else ("edge_loss",))
+
+
+def test_what_only_lacks_a_sure_gain_is_suspected_and_what_lacks_more_is_not():
+    unsure = replace(LOSS, gain=Gain(0.3, (-0.1, 0.7)))
+    assert choose(claims(unsure)).suspected == "edge_loss"
+    assert choose(claims(replace(unsure, p_value=0.2))).suspected == ""
+    assert choose(claims(LOSS)).suspected == ""
 
 
 def test_core_thermocouples_further_off_in_every_run_refute_a_cause():
     met, off = np.full(RUNS, 0.5), np.full(RUNS, 2.0)
     claim = replace(LOSS, core_K=off)
-    assert objection(claim, replace(claims(claim), core_K=met)) is Objection.REFUTED_BY_CORES
-    assert objection(claim, replace(claims(claim), core_K=off)) is None
+    assert objections(claim, replace(claims(claim), core_K=met)) == {Objection.REFUTED_BY_CORES}
+    assert objections(claim, replace(claims(claim), core_K=off)) == set()
     partly = np.where(np.arange(RUNS) == 0, 0.5, off)
-    assert objection(replace(LOSS, core_K=partly), replace(claims(LOSS), core_K=met)) is None
+    assert objections(replace(LOSS, core_K=partly), replace(claims(LOSS), core_K=met)) == set()
 
 
-def test_a_further_cause_must_save_more_once_what_is_left_is_negligible():
-    small = replace(LOSS, name="paper_layer", heldout_gain_K=0.01, heldout_ratio=0.9)
-    assert objection(small, PLAIN) is None
-    assert objection(small, AFTER) is Objection.HARDLY_SAVES
-    assert objection(small, replace(AFTER, left=SOMETHING_LEFT)) is None
-    assert objection(replace(small, measuring=True), AFTER) is None
-    assert objection(replace(small, heldout_gain_K=0.016), AFTER) is None
+def test_few_runs_ask_no_p_value_but_every_run():
+    few = replace(PLAIN, runs=5, core_K=NO_CORES[:5])
+    sure = fewer(LOSS, 5, p_value=0.25)
+    assert objections(sure, few) == set()
+    assert objections(replace(sure, saves=np.array([60.0, 60.0, 60.0, 60.0, -0.1])), few) == {Objection.CHANCE}
+    six = replace(PLAIN, runs=6, core_K=NO_CORES[:6])
+    assert objections(fewer(LOSS, 6, p_value=0.25), six) == {Objection.CHANCE}
 
 
-def test_few_runs_ask_no_p_value_but_every_run_and_a_larger_gain():
-    few = replace(PLAIN, runs=3, core_K=NO_CORES[:3])
-    sure = fewer(LOSS, 3, p_value=0.25)
-    assert objection(sure, few) is None
-    assert objection(replace(sure, saves=np.array([60.0, 60.0, -0.1])), few) is Objection.RUNS_DISAGREE
-    assert objection(replace(sure, heldout_ratio=0.9), few) is Objection.RUNS_DISAGREE
-
-
-def test_of_causes_nothing_speaks_against_the_one_that_saves_most_is_named():
+def test_of_causes_nothing_speaks_against_the_one_that_saves_most_is_taken():
     weak = replace(LOSS, name="resin_cure", saved=150.0, saves=LOSS.saves / 3)
-    assert decide(claims(weak, LOSS)).set == ("edge_loss",)
-    assert decide(claims(weak, replace(LOSS, p_value=0.5))).set[0] == "resin_cure"
+    assert choose(claims(weak, LOSS)).set == ("edge_loss",)
+    assert choose(claims(weak, replace(LOSS, p_value=0.5))).set[0] == "resin_cure"
 
 
 def test_what_the_runs_cannot_tell_from_it_stands_in_its_set_the_measuring_chain_first():
-    found = decide(claims(LOSS, LAG))
+    found = choose(claims(LOSS, LAG))
     assert found.set == ("thermocouple_lag", "edge_loss")
     assert found.strongest == "edge_loss"
 
@@ -108,23 +119,23 @@ APART = (
 @pytest.mark.parametrize(("change", "why"), APART)
 def test_a_rival_stays_out_of_the_set(change, why):
     rival = replace(LOSS, name="resin_cure", saved=300.0)
-    assert decide(claims(LOSS, rival)).set == ("edge_loss", "resin_cure")
-    assert decide(claims(LOSS, replace(rival, **change))).set == ("edge_loss",), why
+    assert choose(claims(LOSS, rival)).set == ("edge_loss", "resin_cure")
+    assert choose(claims(LOSS, replace(rival, **change))).set == ("edge_loss",), why
 
 
 def test_a_set_has_three_names_at_most():
     rivals = [replace(LOSS, name=f"cause_{i}", saved=390.0 - i) for i in range(4)]
-    assert decide(claims(*rivals, LOSS)).set == ("edge_loss", "cause_0", "cause_1")
+    assert choose(claims(*rivals, LOSS)).set == ("edge_loss", "cause_0", "cause_1")
 
 
 def test_a_cool_rim_settles_a_set_for_the_loss_at_the_rim():
-    found = decide(replace(claims(LOSS, LAG), rim_is_cool=True))
+    found = choose(replace(claims(LOSS, LAG), rim_is_cool=True))
     assert found.set == ("edge_loss",)
 
 
 def test_cores_make_a_set_smaller_and_say_what_they_speak_against():
     met, off = replace(LOSS, core_K=np.full(RUNS, 0.4)), replace(LAG, core_K=np.full(RUNS, 3.0))
-    found = decide(replace(claims(met, off), core_K=np.full(RUNS, 3.0)))
+    found = choose(replace(claims(met, off), core_K=np.full(RUNS, 3.0)))
     assert found.set == ("edge_loss",)
     assert found.refuted == ("thermocouple_lag",)
 
@@ -133,42 +144,111 @@ STOPS = (
     (replace(PLAIN, runs=1, claims=(LOSS,)), Step.ONE_RUN),
     (replace(PLAIN, claims=(replace(LOSS, p_value=1.0),)), Step.NO_CAUSE_CONVINCES),
     (PLAIN, Step.NOTHING_TO_TRY),
-    (replace(AFTER, claims=(LOSS,), sets=(("a",), ("b",), ("c",))), Step.ENOUGH_CAUSES),
+    (replace(PLAIN, claims=(LOSS,), causes=3), Step.ENOUGH_CAUSES),
+    (replace(PLAIN, claims=(LOSS,), causes=2), Step.CAUSE_NAMED),
 )
 
 
 @pytest.mark.parametrize(("evidence", "step"), STOPS)
 def test_a_search_stops_and_says_why(evidence, step):
-    assert decide(evidence).step is step
+    assert choose(evidence).step is step
 
 
+NOTHING, PATTERN = PatternTest(0.6, 0.0, None), PatternTest(0.008, 0.25, None)
+QUIET, LOUD = Remains(NOTHING, 0.0, 1.1, True), Remains(PATTERN, 0.0, 4.0, True)
+GOOD = Proof(("a",), SURE, SURE, True, 0.4)
+AFTER = replace(QUIET, explained=0.95)
+ONE = Case(RUNS, (GOOD,), (LOUD, AFTER))
+NONE = Case(RUNS, (), (QUIET,))
+
+
+def remains(**changes):
+    return replace(NONE, remains=(replace(QUIET, **changes),))
+
+
+def after(**changes):
+    return replace(ONE, remains=(LOUD, replace(AFTER, **changes)))
+
+
+def proof(**changes):
+    return replace(ONE, proofs=(replace(GOOD, **changes),))
+
+
+TWO = Case(RUNS, (GOOD, replace(GOOD, set=("b",))), (LOUD, AFTER, AFTER))
 VERDICTS = (
-    ("nothing found, nothing left", replace(PLAIN, left=NOTHING_LEFT), Verdict.NO_EFFECT, 0),
-    ("nothing found, something left", PLAIN, Verdict.UNKNOWN_EFFECT, 0),
-    ("something left, but likely chance", replace(PLAIN, left=PatternTest(0.03, 0.25, None)),
-     Verdict.NO_EFFECT, 0),
-    ("something left, but negligible", replace(PLAIN, left=PatternTest(0.008, 0.003, None)),
-     Verdict.NO_EFFECT, 0),
-    ("few runs, nothing found", replace(PLAIN, runs=5), Verdict.TOO_FEW_RUNS, 0),
-    ("faulty channels alone", replace(PLAIN, left=NOTHING_LEFT, faulty_channels=True), Verdict.NAMED, 0),
-    ("one cause", AFTER, Verdict.NAMED, 1),
-    ("one cause of several", replace(AFTER, sets=(("a", "b"),)), Verdict.AMBIGUOUS, 1),
-    ("a cause that leaves little", replace(AFTER, left=PatternTest(0.008, 0.03, None)), Verdict.NAMED, 1),
-    ("a cause that leaves much", replace(AFTER, left=SOMETHING_LEFT), Verdict.UNKNOWN_EFFECT, 1),
-    ("a cause that explains too little", replace(AFTER, left=SOMETHING_LEFT, shares=(0.5,)),
+    ("nothing found, nothing left", NONE, Verdict.NO_EFFECT, 0),
+    ("nothing found, a common pattern left", remains(pattern=PATTERN), Verdict.UNKNOWN_EFFECT, 0),
+    ("a pattern that is likely chance", remains(pattern=PatternTest(0.03, 0.25, None)), Verdict.NO_EFFECT, 0),
+    ("a pattern that is negligible", remains(pattern=PatternTest(0.008, 0.003, None)), Verdict.NO_EFFECT, 0),
+    ("no pattern, but 1.6 K over 0.44 K of noise", remains(times_noise=1.6 / 0.44), Verdict.UNKNOWN_EFFECT, 0),
+    ("no pattern, hardly more than noise", remains(times_noise=1.4), Verdict.NO_EFFECT, 0),
+    ("six runs, 1.6 K over 0.44 K", replace(remains(times_noise=3.6), runs=6), Verdict.UNKNOWN_EFFECT, 0),
+    ("few runs, nothing found", replace(NONE, runs=5), Verdict.TOO_FEW_RUNS, 0),
+    ("one run, 16 K off", replace(remains(described=False, times_noise=80.0), runs=1), Verdict.NOT_DESCRIBED, 0),
+    ("a pattern says more than a model that is far off", remains(pattern=PATTERN, described=False),
      Verdict.UNKNOWN_EFFECT, 0),
-    ("two causes that leave as little as one may",
-     replace(AFTER, left=PatternTest(0.008, 0.03, None), sets=(("a",), ("b",)), shares=(0.9, 0.95)),
-     Verdict.UNKNOWN_EFFECT, 2),
-    ("few runs, one cause", replace(AFTER, runs=3), Verdict.NAMED, 1),
-    ("few runs, a cause that does not halve the residual", replace(AFTER, runs=3, heldout_ratio=0.6),
+    ("faulty channels alone", replace(NONE, faulty_channels=True), Verdict.NAMED, 0),
+    ("one cause", ONE, Verdict.NAMED, 1),
+    ("one cause of several", proof(set=("a", "b")), Verdict.AMBIGUOUS, 1),
+    ("a cause that leaves a fifth", after(pattern=PATTERN, explained=0.81), Verdict.NAMED, 1),
+    ("a cause that leaves more", after(pattern=PATTERN, explained=0.79), Verdict.UNKNOWN_EFFECT, 0),
+    ("a gain of -6.3 K", proof(gain=Gain(-6.3, (-9.0, -2.0))), Verdict.UNKNOWN_EFFECT, 0),
+    ("a gain whose interval holds nothing", proof(gain=Gain(0.006, (-0.01, 0.02))), Verdict.UNKNOWN_EFFECT, 0),
+    ("a gain that predictions surely lose", proof(predicted=Gain(-0.1, (-0.2, -0.01))),
+     Verdict.UNKNOWN_EFFECT, 0),
+    ("a gain that predictions lose more than once", proof(predicted=Gain(-0.31, (-1.0, 0.3))),
+     Verdict.UNKNOWN_EFFECT, 0),
+    ("a gain that predictions hardly see", proof(predicted=Gain(-0.05, (-0.2, 0.1))), Verdict.NAMED, 1),
+    ("a size that may be nothing", proof(size_is_sure=False), Verdict.UNKNOWN_EFFECT, 0),
+    ("a size that may be nothing, and nothing left",
+     replace(proof(size_is_sure=False), remains=(QUIET, AFTER)), Verdict.NO_EFFECT, 0),
+    ("a second cause that is not proven",
+     replace(TWO, proofs=(GOOD, replace(GOOD, size_is_sure=False))), Verdict.NAMED, 1),
+    ("a second cause on top of one that is not proven",
+     replace(TWO, proofs=(replace(GOOD, size_is_sure=False), GOOD)), Verdict.UNKNOWN_EFFECT, 0),
+    ("two causes", TWO, Verdict.NAMED, 2),
+    ("few runs, one cause", replace(ONE, runs=3), Verdict.NAMED, 1),
+    ("few runs, a cause that does not halve the residual", replace(proof(heldout_ratio=0.6), runs=3),
      Verdict.TOO_FEW_RUNS, 0),
-    ("few runs, two causes", replace(AFTER, runs=3, sets=(("a",), ("b",)), shares=(0.9, 0.95)),
-     Verdict.TOO_FEW_RUNS, 0),
+    ("few runs, two causes", replace(TWO, runs=3), Verdict.TOO_FEW_RUNS, 0),
 )  # fmt: skip
 
 
-@pytest.mark.parametrize(("case", "evidence", "verdict", "kept"), VERDICTS)
-def test_the_verdict_follows_from_what_was_named_and_what_is_left(case, evidence, verdict, kept):
-    found = decide(evidence)
-    assert (found.verdict, found.kept) == (verdict, kept), case
+@pytest.mark.parametrize(("case", "evidence", "verdict", "named"), VERDICTS)
+def test_the_verdict_follows_from_what_is_left_what_explains_it_and_whether_it_gains(
+    case, evidence, verdict, named
+):
+    found = conclude(evidence)
+    assert (found.verdict, found.named) == (verdict, named), case
+
+
+def test_no_name_stands_beside_an_unknown_effect():
+    for _, evidence, verdict, _ in VERDICTS:
+        if verdict is Verdict.UNKNOWN_EFFECT:
+            assert conclude(evidence).named == 0
+
+
+def test_a_gain_that_all_runs_share_is_that_ratio_of_the_error_and_its_interval_has_no_width():
+    before = np.array([1.0, 2.0, 3.0])
+    found = paired_gain(before, before / 4)
+    assert found.value_K == pytest.approx(0.75 * np.sqrt(14 / 3), rel=1e-5)
+    assert found.ci95 == pytest.approx((found.value_K, found.value_K), rel=1e-5)
+    assert found.sure
+
+
+def test_the_interval_of_a_gain_holds_the_truth_in_95_of_100_campaigns_however_few_runs():
+    rng = np.random.default_rng(11)
+    for runs in (3, 6, 12):
+        inside = 0
+        for _ in range(1000):
+            before = rng.lognormal(0.0, 0.8, runs)
+            found = paired_gain(before, before * np.exp(-0.2 + 0.3 * rng.standard_normal(runs)))
+            whole = np.sqrt(np.mean(before**2))
+            inside += found.ci95[0] <= whole * (1 - np.exp(-0.2)) <= found.ci95[1]
+        assert 930 <= inside <= 970
+
+
+def test_one_run_has_no_interval_and_no_sure_gain():
+    found = paired_gain(np.array([2.0]), np.array([1.0]))
+    assert found == Gain(1.0, None)
+    assert not found.sure

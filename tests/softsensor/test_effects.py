@@ -72,10 +72,10 @@ def test_every_effect_has_a_source_and_limits_about_its_typical_size(effect):
 
 
 @by_name
-def test_neutral_values_leave_the_stack_alone(effect, lab_press, make_run, moments):
+def test_neutral_values_leave_the_stack_alone(effect, lab_press, make_run, coefficients, moments):
     model = ThermalModel(lab_press, (effect,))
     case = model.prepare(make_run(end=30.0), moments)
-    terms = model._terms(case, {})
+    terms = model.build(case, coefficients).terms
     for field in fields(Terms):
         value, default = getattr(terms, field.name), getattr(Terms(), field.name)
         if field.name == "closed_contact":
@@ -243,7 +243,7 @@ def test_an_installed_package_adds_its_effect_in_one_file_and_diagnosis_live_sen
         "True hood_draught.W_m3K",
         "Zug der Haube | a draught of the hood",
         "heat lost at the top of the rim, per volume and kelvin above ambient (W_m3K): 1500 W/m³K "
-        "(95 %: 1000 to 2000) | Schalten Sie die Haube für eine Pressung ab.",
+        "(95 %: 1000 to 2000) | Die Haube für eine Pressung abschalten.",
         "hood_draught.W_m3K 1500.0 0.02 True",
         "Zug der Haube",
     ]

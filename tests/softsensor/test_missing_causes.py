@@ -17,9 +17,9 @@ from softsensor.diagnosis.missing_causes import (
     with_missing_causes,
 )
 from softsensor.effects import find_effect
-from softsensor.fitting.campaign import fit_campaign
 from softsensor.fitting.problem import minimise
 from softsensor.heat.model_file import model_text, parse_model
+from softsensor.jobs.campaign import fit_campaign
 from softsensor.jobs.fitter import fit_one
 
 PRESS = parse_press(press_toml())
