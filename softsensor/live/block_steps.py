@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from daq.compiled import compiled
 from softsensor.live.march_steps import march
 
 Array = NDArray[np.float64]
@@ -76,7 +76,7 @@ class FacesRead(NamedTuple):
     """By how much one face and both had moved at most when they were read again after `HOLE_S` (2). [K]"""
 
 
-@njit(cache=True)
+@compiled()
 def last_switch(moments, now):
     """Return the newest of the moments up to `now`. [s]"""
     newest = -np.inf
@@ -86,7 +86,7 @@ def last_switch(moments, now):
     return newest
 
 
-@njit(cache=True)
+@compiled()
 def cut(time, done, moments, limit, ends):
     """Write the last scans of complete blocks into `ends`; return how many, and whether those are all."""
     count, begin = 0, done
@@ -106,7 +106,7 @@ def cut(time, done, moments, limit, ends):
     return count, True
 
 
-@njit(cache=True)
+@compiled()
 def gather(rows, done, ends, counted, blocks):
     """Fill `blocks` from the scans `done` and on, whose last scans are `ends`."""
     first = done
@@ -133,7 +133,7 @@ def gather(rows, done, ends, counted, blocks):
         first = last + 1
 
 
-@njit(cache=True)
+@compiled()
 def march_between_faces(model, timing, blocks, faces, read):
     """Take the panel alone over blocks, its faces at what they read; a silent one keeps its last temperature.
 

@@ -12,6 +12,7 @@ from daq.records import Array
 from softsensor.live import block_steps as compiled
 from softsensor.live.block_steps import Blocks, Counted, Rows
 from softsensor.live.channel_steps import SOUND_K2, Channels, Integers, robust_mean
+from softsensor.signals.screen import LEAST_CHANNELS, LIMIT_K, LIMIT_RATIO
 
 SPARSE_S, BESIDE_S = 2.2, 0.5
 """Faces unread for longer leave a moment in or so near beside the gap unknown: it may lie anywhere in it. [s]"""
@@ -52,6 +53,25 @@ class Scans:
         robust_mean(self._channels, self._readings[i], self._level[i], self._votes[i])
         self._expected[i] = np.nan
         self._count = i + 1
+
+    def departing(self) -> dict[int, float]:
+        """Return the channels that read something else than their place, and by how much at the newest scan. [K]
+
+        The same limits as the screen of a finished run: a departure of `LIMIT_K` and of `LIMIT_RATIO` times what
+        is usual there; a place needs three channels to tell.
+        """
+        if not self._count:
+            return {}
+        far = np.sqrt(self._channels.scatter)
+        found: dict[int, float] = {}
+        for m in range(self._faces):
+            there = np.flatnonzero((self._channels.place == m) & (self._channels.seen > 0))
+            if len(there) < LEAST_CHANNELS:
+                continue
+            limit = max(LIMIT_K, LIMIT_RATIO * float(np.median(far[there])))
+            away = self._readings[self._count - 1] - self._level[self._count - 1, m]
+            found |= {int(k): float(away[k]) for k in there if far[k] > limit and np.isfinite(away[k])}
+        return found
 
     def average_anew(self, since_s: float) -> None:
         """Forget what the channels were like, and average those of scans from a time on again."""

@@ -6,8 +6,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from daq.compiled import compiled
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -36,7 +37,7 @@ _LONGEST_MEMORY = 300.0
 """Readings after which a channel's shift is no longer learned faster than by so much."""
 
 
-@njit(cache=True)
+@compiled()
 def robust_mean(channels, values, out, votes):
     """Write the robust mean of each place's channels into `out` (M), NaN where none is usable.
 
@@ -66,7 +67,7 @@ def robust_mean(channels, values, out, votes):
         _learn(channels, values, m)
 
 
-@njit(cache=True)
+@compiled()
 def _usable(channels, values, m, newcomers, near, who):
     """Collect a place's readings without their shifts, those of newcomers only where there are no others."""
     count = 0
@@ -80,7 +81,7 @@ def _usable(channels, values, m, newcomers, near, who):
     return count
 
 
-@njit(cache=True)
+@compiled()
 def _learn(channels, values, m):
     """Learn the shift and the scatter of a place's channels from their newest readings."""
     level = channels.level[m]
@@ -111,7 +112,7 @@ class Changes(NamedTuple):
     """Since when all channels of a face have (M). [s]"""
 
 
-@njit(cache=True)
+@compiled()
 def note_changes(changes, time, readings):
     """Note a scan; return when the newest change of all channels was, and that of the stillest face. [s]
 

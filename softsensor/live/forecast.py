@@ -23,6 +23,8 @@ from softsensor.live.passes import Pass
 
 HORIZON_S, EVERY_S = 240.0, 4.0
 """How far ahead is looked, and at how many times. [s]"""
+COURSE_POINTS = 12
+"""Points of a course handed on: a curve without visible corners, and no more text than two scans take."""
 STRIDE_S = 2.0
 """Longest step of a look ahead. [s]"""
 AFTER_S = 150.0
@@ -73,13 +75,19 @@ class Forecast:
     """Highest core temperature still to come if the press is opened now, or is open."""
     limit_in_s: float = math.nan
     """Until the core's upper bound passes the limit."""
+    forecast_age_s: float = math.nan
+    """How long ago this was looked for; the times above are counted from now."""
+    course: tuple[tuple[float, float, float, float], ...] = ()
+    """The core to come if the press stays closed: time from the look on, as reported, lower and upper bound of
+    95 %, at most `COURSE_POINTS` of them. [s, °C]"""
     warning: Message | None = None
 
     def later(self, seconds: float) -> Forecast:
         """Return the same forecast some seconds on."""
         names = ("target_in_s", "target_earliest_s", "target_latest_s", "open_in_s", "limit_in_s")
         left = {name: getattr(self, name) - seconds for name in names}
-        return replace(self, **{name: v if v != v else max(v, 0.0) for name, v in left.items()})
+        ahead = {name: v if v != v else max(v, 0.0) for name, v in left.items()}
+        return replace(self, forecast_age_s=self.forecast_age_s + seconds, **ahead)
 
 
 def look_ahead(run: Pass, wishes: Wishes, state: PressState, now: float, outside: Array) -> Forecast:
@@ -96,9 +104,8 @@ def look_ahead(run: Pass, wishes: Wishes, state: PressState, now: float, outside
     peak = _peak(plain, now, now, outside)
     if state is PressState.OPEN:
         over = peak > wishes.limit_C
-        return Forecast(
-            peak_C=peak, warning=say("core-will-pass-limit", peak_C=peak, limit_C=wishes.limit_C) if over else None
-        )
+        warning = say("core-will-pass-limit", peak_C=peak, limit_C=wishes.limit_C) if over else None
+        return Forecast(peak_C=peak, forecast_age_s=0.0, warning=warning)
     ahead, reported, low, high = _course(run, wishes, now, outside)
     until = _crossing(ahead, reported, wishes.target_C)
     found = Forecast(
@@ -108,6 +115,8 @@ def look_ahead(run: Pass, wishes: Wishes, state: PressState, now: float, outside
         open_in_s=_opening(plain, now, outside, wishes.target_C, until),
         peak_C=peak,
         limit_in_s=_crossing(ahead, high, wishes.limit_C),
+        forecast_age_s=0.0,
+        course=_thinned(np.stack([ahead, reported, low, high], axis=1)),
     )
     return replace(found, warning=_warning(found, wishes.limit_C))
 
@@ -138,6 +147,12 @@ def _course(run: Pass, wishes: Wishes, now: float, outside: Array) -> tuple[Arra
             break
     reported, low, high = np.array(rows).T
     return ahead[: len(rows)], reported, low, high
+
+
+def _thinned(course: Array) -> tuple[tuple[float, float, float, float], ...]:
+    """Return few rows of a course, evenly, with its first and last."""
+    rows = np.unique(np.linspace(0, len(course) - 1, COURSE_POINTS).round().astype(int))
+    return tuple((float(t), float(c), float(low), float(high)) for t, c, low, high in course[rows])
 
 
 def _crossing(ahead: Array, course: Array, level: float) -> float:

@@ -65,6 +65,10 @@ class KalmanFilter:
             channels = max(1, int((setup.place == a).sum()))
             cov[p + 2 + a, p + 2 + a] = CHANNEL_K**2 / channels
             cov[p + 2 + m + a, p + 2 + m + a] = FACE_SLOW_K**2
+        held = np.flatnonzero([prior.considered for prior in made.priors])
+        cov[held, held] = 0.0
+        error = np.zeros((len(x), len(held)))
+        error[held, np.arange(len(held))] = 1.0
         causes = plan.causes
         return KalmanFilter(
             linearised=made,
@@ -77,7 +81,7 @@ class KalmanFilter:
                 log_prior=np.log([plan.chance, *(c.chance for c in causes)]),
             ),
             timing=timing,
-            estimate=StateEstimate(x, cov, made.at),
+            estimate=StateEstimate(x, cov, error, made.at),
             reach=plan.reach,
         )
 
@@ -107,6 +111,11 @@ class KalmanFilter:
             self.worst = max(self.worst, self.misfit)
 
     @property
+    def held_K(self) -> Array:  # noqa: N802
+        """How far off the core is for one standard deviation of each considered parameter (C). [K]"""
+        return np.asarray(mixtures.held(self.estimate, self.linearised.model.chain, self.hypotheses))
+
+    @property
     def core_C(self) -> float:  # noqa: N802
         """Core where the model is linearised. [°C]"""
         return float(self.linearised.model.chain.level[0])
@@ -122,7 +131,7 @@ class KalmanFilter:
         mean = mixtures.without_causes(self.estimate, self.hypotheses)
         target, far = own.at.copy(), False
         for i, (name, prior) in enumerate(zip(own.names, own.priors, strict=True)):
-            if i in self.hypotheses.column:
+            if i in self.hypotheses.column or prior.considered:
                 continue
             if prior.logarithmic:
                 step = LOG_STEP / prior.sd

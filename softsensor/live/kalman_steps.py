@@ -5,6 +5,13 @@ measuring chain (2), and each face's constant offset and slow bias (2 M) in K: x
 
     predict    x = F x,  P = F P F' + Q      only the slow biases change: F = keep, Q = FACE_SLOW_K² (1 - keep²)
     update     S = h P h' + R,  K = P h' / S,  x += K (y - h x),  P -= K S K'      one face at a time
+
+Parameters that are *considered* (constants in doubt, what any model lacks) are held: readings that cannot tell
+them from coefficients must not move them. Their rows of P are 0. What a wrong one does to every other state while
+the filter takes it for right is followed beside it, as the matrix E of d(true - estimated state)/d(its own error),
+which begins as 1 in its own row (consider covariance; Schmidt 1966; Bierman 1977, ch. VIII):
+
+    predict    E = F E                       update     E -= K (h E)
 """
 
 from __future__ import annotations
@@ -13,9 +20,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from daq.compiled import compiled
 from softsensor.effects import thermocouple_footprint, thermocouple_lag
 from softsensor.live.march_steps import march
 from softsensor.signals.instrument import CHANNEL_WHITE_K, FACE_SLOW_K, FACE_SLOW_S, ROUNDING_K2
@@ -38,17 +45,20 @@ class StateEstimate(NamedTuple):
     """(N)"""
     covariance: Array
     """(N, N)"""
+    error: Array
+    """How far off the states are for one standard deviation of each considered parameter (N, C)."""
     at: Array
     """In prior units (P)."""
 
 
-@njit(cache=True)
+@compiled()
 def predict_biases(estimate, first, keep, variance):
     """Let the slow biases of the faces, states `first` and on, decay and be renewed: P = F P F' + Q."""
-    x, P = estimate.mean, estimate.covariance
+    x, P, E = estimate.mean, estimate.covariance, estimate.error
     n = x.shape[0]
     for a in range(first, n):
         x[a] *= keep
+        E[a] *= keep
         for b in range(n):
             P[a, b] *= keep
         for b in range(n):
@@ -56,7 +66,7 @@ def predict_biases(estimate, first, keep, variance):
         P[a, a] += variance * (1.0 - keep * keep)
 
 
-@njit(cache=True, fastmath=True)
+@compiled(fastmath=True)
 def kalman_update(estimate, h, innovation, R, gate):
     """Correct by one reading; beyond `gate` standard deviations it loses weight, beyond twice all.
 
@@ -73,9 +83,9 @@ def kalman_update(estimate, h, innovation, R, gate):
     -------
     The log-likelihood and the squared normalised innovation, both bounded by the gate.
     """
-    x, P = estimate.mean, estimate.covariance
-    n = x.shape[0]
-    Ph = np.empty(n)
+    x, P, E = estimate.mean, estimate.covariance, estimate.error
+    n, held = E.shape
+    Ph, hE = np.empty(n), np.zeros(held)
     S = R
     for a in range(n):
         value = 0.0
@@ -83,6 +93,8 @@ def kalman_update(estimate, h, innovation, R, gate):
             value += P[a, b] * h[b]
         Ph[a] = value
         S += h[a] * value
+        for c in range(held):
+            hE[c] += h[a] * E[a, c]
     square = innovation * innovation / S
     fit = -0.5 * min(square, gate * gate) - 0.5 * math.log(S)
     if square > gate * gate:
@@ -95,10 +107,12 @@ def kalman_update(estimate, h, innovation, R, gate):
         K = Ph[a] / S
         for b in range(n):
             P[a, b] -= K * Ph[b]
+        for c in range(held):
+            E[a, c] -= K * hE[c]
     return fit, square
 
 
-@njit(cache=True)
+@compiled()
 def expected_reading(model, before, estimate, face, share, h):
     """Return what a face should read in the mean of a block, and fill its derivative `h` by the states (N). [°C]
 
@@ -122,7 +136,7 @@ def expected_reading(model, before, estimate, face, share, h):
     return value + (x[p + 2 + a] + x[p + 2 + m + a])
 
 
-@njit(cache=True)
+@compiled()
 def update_by_faces(model, before, estimate, blocks, k, score):
     """Correct by what the faces read in block `k`; write into `score` (4) how well that was expected.
 
@@ -156,7 +170,7 @@ def update_by_faces(model, before, estimate, blocks, k, score):
         score[3] += 0.5 * min(square, 200.0) + 0.5 * log_spread - math.log(1.25 * JUMP_K * (1.0 + wide * wide))
 
 
-@njit(cache=True)
+@compiled()
 def filter_blocks(model, timing, estimate, blocks, scores):
     """March over blocks of scans and correct by what the faces read; `scores` (K, 4) as in `update_by_faces`."""
     for k in range(blocks.span.shape[0]):

@@ -10,9 +10,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from daq.compiled import compiled
 from softsensor.heat import implicit_steps as kernels
 from softsensor.heat.timing import HANDLING_RAMP_S, OPENING_RAMP_S
 
@@ -94,7 +94,7 @@ class LinearModel(NamedTuple):
     chain: Chain
 
 
-@njit(cache=True)
+@compiled()
 def step_length(t, end, timing):
     """Return the next step from `t`: fine around switches, growing after them, never across a window's begin."""
     h = timing.longest
@@ -123,7 +123,7 @@ def step_length(t, end, timing):
     return min(h, 0.5 * left) if left < 2.0 * h else h
 
 
-@njit(cache=True)
+@compiled()
 def _area(edge, middle, length):
     """Integral up to `edge` of a rise from 0 to 1 about `middle`."""
     x = (edge - middle) / length + 0.5
@@ -134,12 +134,12 @@ def _area(edge, middle, length):
     return length * x * x / 2
 
 
-@njit(cache=True)
+@compiled()
 def _share(edge, middle, length):
     return min(max((edge - middle) / length + 0.5, 0.0), 1.0)
 
 
-@njit(cache=True)
+@compiled()
 def _mean_rise(a, b, middle, length):
     if middle == -math.inf:
         return 1.0
@@ -148,7 +148,7 @@ def _mean_rise(a, b, middle, length):
     return (_area(b, middle, length) - _area(a, middle, length)) / (b - a)
 
 
-@njit(cache=True)
+@compiled()
 def set_shares(drive, k, a, b, timing, moving):
     """Fill a step's shares of idle, open, closed and their derivatives by the moments."""
     weight, d_weight = drive.weight, drive.d_weight
@@ -177,7 +177,7 @@ def set_shares(drive, k, a, b, timing, moving):
         d_weight[k, 1, moving[2]] = -d_weight[k, 2, moving[2]]
 
 
-@njit(cache=True)
+@compiled()
 def _set_factors(drive, k, a, b, factors, closed):
     """Fill the mean factors on closed contacts over a step."""
     factor, d_factor = drive.factor, drive.d_factor
@@ -200,7 +200,7 @@ def _set_factors(drive, k, a, b, factors, closed):
             d_factor[k, m, q] = (d_second - d_first) / (high - low)
 
 
-@njit(cache=True)
+@compiled()
 def sense(chain, out, d_out, k, h, closed):
     """Bring the measuring chain to output row `k`, `h` seconds after the last (0: settled).
 
@@ -231,7 +231,7 @@ def sense(chain, out, d_out, k, h, closed):
         _delay(chain, a, y, row, h)
 
 
-@njit(cache=True)
+@compiled()
 def _delay(chain, a, y, row, h):
     """First-order lag with the input straight over the step, and its derivative by the time constant."""
     tau = chain.lag
@@ -261,7 +261,7 @@ def _delay(chain, a, y, row, h):
         chain.d_true[a, q] = row[q]
 
 
-@njit(cache=True)
+@compiled()
 def march(model, timing, span, outside):
     """Take the model from ``span[0]`` to ``span[1]`` with platens straight from outside[0] to outside[1]."""
     drive = _drive(model, timing, span, outside)
@@ -276,7 +276,7 @@ def march(model, timing, span, outside):
         sense(model.chain, out, d_out, k + 1, drive.h[k], _closed(t, timing))
 
 
-@njit(cache=True)
+@compiled()
 def _drive(model, timing, span, outside):
     """Cut a span into steps, each with its press state, contact factors and platens."""
     p = model.state.s.shape[0]
@@ -304,7 +304,7 @@ def _drive(model, timing, span, outside):
     return drive
 
 
-@njit(cache=True)
+@compiled()
 def _closed(t, timing):
     """Return how far the press is closed at a time, from 0 to 1."""
     if not timing.switching:
@@ -315,7 +315,7 @@ def _closed(t, timing):
     return closed
 
 
-@njit(cache=True)
+@compiled()
 def settle(state, chain, places):
     """Bring the measuring chain to rest at the state's temperatures."""
     p, n = state.s.shape

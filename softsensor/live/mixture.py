@@ -15,8 +15,6 @@ from softsensor.live.mixture_steps import Change, Components, pool, weigh
 MARGIN_K, MARGIN_SHARE = 0.1, 0.003
 """What the model itself adds to the core: absolute (what header and logger round to), and of its rise (mesh,
 steps). Start temperature and panel constants are not in it: they are parameters of the filter. [K, -]"""
-UNEXPLAINED, FULL_RISE_K = 1.5, 40.0
-"""What the faces leave unexplained counts so many times in the core, once it has risen so far. [-, K]"""
 MISFIT_USUAL, MISFIT_WEIGHT = 2.0, 5.0
 """A misfit beyond the first (78 sound runs at 1 to 10 Hz had less) speaks for a change, so many nats a unit."""
 OTHER_PANEL, OTHER_SHARE, OTHER_K = 0.3, 0.15, 1.0
@@ -57,20 +55,17 @@ class Mixture:
         return float(sum(w for name, w in zip(self.names, weights, strict=True) if name == CHANGED))
 
 
-def model_variance(rise_K: float, unexplained_K: float, start_K: float) -> float:
+def model_variance(rise_K: float, start_K: float) -> float:
     """Return what the model itself adds to the core's variance. [K²]
 
     Parameters
     ----------
     rise_K
         How far the core has come from its start, in which the model's own error is counted.
-    unexplained_K
-        What the model leaves unexplained of the faces.
     start_K
         How far the core's start may be from the faces', where only they tell it.
     """
-    margin = MARGIN_K**2 + start_K**2 + (MARGIN_SHARE * rise_K) ** 2
-    return float(margin + (UNEXPLAINED * unexplained_K * min(rise_K / FULL_RISE_K, 1.0)) ** 2)
+    return float(MARGIN_K**2 + start_K**2 + (MARGIN_SHARE * rise_K) ** 2)
 
 
 def mix(filters: Sequence[KalmanFilter], margin: float, between: BetweenFaces | None = None) -> Mixture:
@@ -82,7 +77,8 @@ def mix(filters: Sequence[KalmanFilter], margin: float, between: BetweenFaces | 
         own = slice(len(names), len(names) + len(f.names))
         out = Components(log[own], means[own], variances[own])
         reported = weigh(f.estimate, f.linearised.model.chain, f.hypotheses, f.fit, reported, out)
-        variances[own] = (variances[own] + margin) * max(1.0, f.misfit)
+        held = f.held_K
+        variances[own] = (variances[own] + margin) * max(1.0, f.misfit) + held @ held
         names += f.names
     change, by_faces = _change(filters, margin, between)
     if change.chance > 0.0:

@@ -11,9 +11,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from daq.compiled import compiled
 from softsensor.heat.step_terms import Property, properties
 
 Array = NDArray[np.float64]
@@ -69,7 +69,7 @@ class Change(NamedTuple):
     """And what that adds to the standard deviation. [K]"""
 
 
-@njit(cache=True)
+@compiled()
 def condition(estimate, readout, hypotheses, out):
     """Write what each hypothesis says of one linear function of the states.
 
@@ -111,7 +111,7 @@ def condition(estimate, readout, hypotheses, out):
         out.weight[1 + j] = base + evidence
 
 
-@njit(cache=True)
+@compiled()
 def _marginal(estimate, column):
     """Return mean and precision of the causes' states."""
     e = column.shape[0]
@@ -124,7 +124,7 @@ def _marginal(estimate, column):
     return mean, np.linalg.solve(own, np.eye(e))
 
 
-@njit(cache=True)
+@compiled()
 def _released(hypotheses, j, own, still, carried):
     """Return what changes where cause `j` is at work: shift, variance and log-evidence beside "no cause".
 
@@ -152,7 +152,7 @@ def _released(hypotheses, j, own, still, carried):
     return shift, added, evidence
 
 
-@njit(cache=True)
+@compiled()
 def _half_normal(z):
     """Log mass, mean shift and variance factor of N(z, 1) cut at 0, in units of its deviation."""
     if z < -6.0:
@@ -165,7 +165,7 @@ def _half_normal(z):
     return mass, ratio, max(1.0 - z * ratio - ratio * ratio, 1e-3)
 
 
-@njit(cache=True)
+@compiled()
 def quantile(weights, means, sds, share):
     """Return the `share` quantile of a mixture of normals."""
     low, high = 1e30, -1e30
@@ -188,7 +188,7 @@ def quantile(weights, means, sds, share):
     return 0.5 * (low + high)
 
 
-@njit(cache=True)
+@compiled()
 def weigh(estimate, chain, hypotheses, fit, reported, out):
     """Write what one filter's hypotheses say about the core: log-weight, mean [°C] and variance [K²] (E + 1).
 
@@ -217,7 +217,7 @@ def weigh(estimate, chain, hypotheses, fit, reported, out):
     return reported
 
 
-@njit(cache=True)
+@compiled()
 def pool(components, reported, change):
     """Make one mixture of all hypotheses: log-weights become shares.
 
@@ -256,7 +256,25 @@ def pool(components, reported, change):
     return reported, math.sqrt(square), min(low, reported), max(high, reported)
 
 
-@njit(cache=True)
+@compiled()
+def held(estimate, chain, hypotheses):
+    """Return how far off the core is for each considered parameter (C) if no suspected cause is at work. [K]"""
+    p, column = estimate.at.shape[0], hypotheses.column
+    readout = np.zeros(estimate.mean.shape[0])
+    readout[:p] = chain.d_level
+    if column.shape[0]:
+        _, precision = _marginal(estimate, column)
+        slope = precision @ (estimate.covariance @ readout)[column]
+        narrow = precision.copy()
+        for a in range(column.shape[0]):
+            narrow[a, a] += 1.0 / hypotheses.width[a] ** 2 - 1.0
+        moved = precision @ np.linalg.solve(narrow, slope) - slope
+        for a in range(column.shape[0]):
+            readout[column[a]] += moved[a]
+    return readout @ estimate.error
+
+
+@compiled()
 def without_causes(estimate, hypotheses):
     """Return the mean of all states (N) if no suspected cause is at work."""
     x, column = estimate.mean, hypotheses.column
@@ -274,14 +292,14 @@ def without_causes(estimate, hypotheses):
     return x + lever @ (precision @ (np.linalg.solve(narrow, pull) - mean))
 
 
-@njit(cache=True)
+@compiled()
 def cells(estimate, hypotheses, state):
     """Return the cells' temperatures (n) if no suspected cause is at work. [°C]"""
     p = estimate.at.shape[0]
     return state.t + (without_causes(estimate, hypotheses)[:p] - estimate.at) @ state.s[:p]
 
 
-@njit(cache=True)
+@compiled()
 def heat(stack, start, field):
     """Return the heat that takes the wet cells from `start` to `field` (n), rho c(T) integrated. [J/m²]"""
     n = field.shape[0]

@@ -15,6 +15,7 @@ import numpy as np
 from daq.records import Array, Moments, PressEventKind, PressState
 from softsensor.live.block_steps import Counted, last_switch
 from softsensor.live.blocks import Scans, blocks_of, cut
+from softsensor.live.budget import band_from
 from softsensor.live.inside import Inside, look_inside
 from softsensor.live.kalman import BetweenFaces, KalmanFilter
 from softsensor.live.march_steps import LONGEST_STEP_S, Chain, Timing
@@ -87,10 +88,9 @@ class Pass:
     ) -> None:
         self._setup, self._known, self._first = setup, known, first
         self.switches = known.switches(first)
-        missing = model.missing if model is not None else None
-        self._unexplained = missing.unexplained_K if missing is not None else 0.0
         self._uneven = UNEVEN_K if known.initial_sd > START_K else 0.0
-        plans = plans_for(setup.press, model, known.moments_sd, known.initial_sd)
+        unowned = [d.prior for d in setup.directions]
+        plans = plans_for(setup.press, model, known.moments_sd, known.initial_sd, unowned)
         if points is None or [len(p) for p in points] != [len(plan.priors) for plan in plans]:
             points = [plan.start.copy() for plan in plans]
         self.points = list(points)
@@ -111,7 +111,8 @@ class Pass:
         alone = self._setup.alone
         if alone is None:
             return None
-        plan = panel_plan(model, alone[0].effects, self._known.initial_sd)
+        unowned = [d.prior for d in alone[0].directions]
+        plan = panel_plan(model, alone[0].effects, self._known.initial_sd, unowned)
         made = linearise(alone[0], plan, np.zeros(len(plan.priors)))
         return BetweenFaces.at_start(made, self._timing(made), alone[1], self._setup.start_C)
 
@@ -123,7 +124,8 @@ class Pass:
         def known(moment: float, otherwise: float = math.inf) -> float:
             return moment if math.isfinite(moment) else otherwise
 
-        units, closed = made.timing_units, known(m.closed_s) + closing
+        never = math.inf if self._setup.press.has_states else self._first
+        units, closed = made.timing_units, known(m.closed_s, never) + closing
         return Timing(
             start=self._first,
             inserted=min(known(m.inserted_s, here) + insertion, closed - LEAST_WAIT_S),
@@ -160,6 +162,13 @@ class Pass:
         return rise if rise == rise else 0.0
 
     @property
+    def band_from(self) -> dict[str, float]:
+        """Share of the band's variance by where it comes from, empty before there is a band."""
+        if self.mixture is None:
+            return {}
+        return band_from(self.filters[0], self.mixture, self.margin(self.rise))
+
+    @property
     def inside(self) -> Inside | None:
         """Profile and heat of the panel, None without one."""
         if not len(self.filters[0].linearised.profile):
@@ -170,7 +179,7 @@ class Pass:
 
     def margin(self, rise: float, *, by_faces: bool = False) -> float:
         """Return what the model itself adds to the core's variance after so much rise. [K²]"""
-        return model_variance(rise, self._unexplained, self._uneven if by_faces else 0.0)
+        return model_variance(rise, self._uneven if by_faces else 0.0)
 
     def extend(self, scans: Scans, limit: int, *, blind: bool = False) -> bool:
         """Take in the scans that make up complete blocks, `limit` blocks at most; return whether all are in.

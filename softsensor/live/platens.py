@@ -21,6 +21,12 @@ class HeldPlatens:
         """[°C]"""
         return self._values[0], self._values[1]
 
+    @property
+    def measured(self) -> tuple[float, ...]:
+        """Those that are measured, as far as they are known. [°C]"""
+        both = zip(self._ends, self._values, strict=True)
+        return tuple(value for end, value in both if end.kind == "measured" and value == value)
+
     def note(self, time_s: float, values: Mapping[str, float]) -> bool:
         """Take a scan; return whether both are known at all."""
         for side, end in enumerate(self._ends):

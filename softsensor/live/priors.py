@@ -30,6 +30,8 @@ class Prior:
     centre: float
     sd: float
     logarithmic: bool = False
+    considered: bool = False
+    """Held, and followed for what it does to the core if it is wrong (`live.kalman_steps`)."""
 
 
 @dataclass(frozen=True)
@@ -217,17 +219,25 @@ def nuisance_priors(press: Press, known: set[str], initial_sd: float) -> list[Pr
 
 
 def plans_for(
-    press: Press, model: ModelFile | None, moments_sd: Sequence[float], initial_sd: float = START_K
+    press: Press,
+    model: ModelFile | None,
+    moments_sd: Sequence[float],
+    initial_sd: float = START_K,
+    unowned: Sequence[Prior] = (),
 ) -> list[FilterPlan]:
     """Return the filters to run side by side: the joint one, and one for each cause that needs its own.
 
-    The standard deviations are those of the moments of `TIMING`, 0 for one that is no parameter, and of the start
-    temperature in the header. [s, K]
+    Parameters
+    ----------
+    moments_sd, initial_sd
+        Of the moments of `TIMING`, 0 for one that is no parameter, and of the header's start temperature. [s, K]
+    unowned
+        Parameters that no effect owns, in every filter (`live.directions`).
     """
     own = {name for name, _ in model.effects} if model else set()
     seen = model.missing if model else None
     common = coefficient_priors(press, model) + effect_priors(model)
-    common += nuisance_priors(press, own, initial_sd)
+    common += [*nuisance_priors(press, own, initial_sd), *unowned]
     moments = zip(TIMING, moments_sd, strict=True) if press.has_states else ()
     timing = [Prior(name, 0.0, sd) for name, sd in moments if sd > 0.0]
     left_out = [e for e in catalogue().values() if press.panel_layers and e.name not in own]
@@ -239,15 +249,12 @@ def plans_for(
     likely = sorted((s for s in causes if s.centre is not None and s.chance > OWN_FILTER), key=lambda s: -s.chance)
     alone = likely[:OWN_FILTERS]
     beside = tuple(s for s in causes if s not in alone)
-    sizes = [*(s.prior for s in beside), *_firm(alone)]
+    sizes = [s.prior for s in beside]
     plans = [FilterPlan((*common, *sizes, *timing), beside, chance, "", hidden)]
-    for s in alone:
-        others = tuple(o for o in causes if o is not s)
-        plans.append(FilterPlan((*common, s.prior, *_firm(others), *timing), (), s.chance, s.effect, hidden))
+    plans += [FilterPlan((*common, s.prior, *timing), (), s.chance, s.effect, hidden) for s in alone]
     for s in apart:
         if s.chance > LEAST_CHANCE:
-            present = (*_where_present(s), *_firm(causes))
-            plans.append(FilterPlan((*common, *present, *timing), (), s.chance, s.effect, hidden))
+            plans.append(FilterPlan((*common, *_where_present(s), *timing), (), s.chance, s.effect, hidden))
     return plans
 
 
@@ -277,17 +284,12 @@ def _ruled_out(s: CausePrior) -> bool:
     return s.centre is not None and s.chance < OWN_FILTER and s.centre + 2.0 * s.sd < NO_MATTER * usual
 
 
-def _firm(causes: Sequence[CausePrior]) -> list[Prior]:
-    """Return the panel's constants as the header knows them, for a filter in which they are not in question."""
-    return [Prior(s.parameter, s.neutral, s.sd * s.width) for s in causes if s.parameter.endswith(".ratio")]
-
-
-def panel_plan(model: ModelFile | None, effects: tuple[str, ...], initial_sd: float = START_K) -> FilterPlan:
+def panel_plan(
+    model: ModelFile | None, effects: tuple[str, ...], initial_sd: float, unowned: Sequence[Prior]
+) -> FilterPlan:
     """Return the filter of the panel alone: start temperature, constants, and the effects inside it."""
     own = [p for p in effect_priors(model) if p.name.partition(".")[0] in effects]
-    others = [e for e in catalogue().values() if e.live.role is Role.HYPOTHESIS and e.name not in effects]
-    firm = _firm([prior_of(e) for e in others])
-    return FilterPlan((Prior("initial_K", 0.0, initial_sd / 2), *own, *firm), (), 1.0, "", {})
+    return FilterPlan((Prior("initial_K", 0.0, initial_sd / 2), *own, *unowned), (), 1.0, "", {})
 
 
 @cache

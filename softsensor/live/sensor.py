@@ -3,10 +3,11 @@
 Method (decided 2026-11, see also `live.priors`). The thermal model marches with the platens; forward
 tangents say how faces and core answer to every uncertain parameter. A Kalman filter over these parameters
 (coefficients, start temperature, platen offsets, moments, biases of the readings, and causes the model in
-force leaves out) is corrected by one robust mean a face. The state estimate is a joint Gaussian; "no cause is
-missing" and "this cause is missing" are hypotheses it is conditioned on (`live.mixture_steps.condition`), so
-that the band is a Gaussian mixture: narrow while the faces agree with the plain model, wide or moved when they do
-not. Evaporation, whose tangent at zero says little about its real size, has a filter of its own.
+force leaves out) is corrected by one robust mean a face; constants in doubt are considered, not estimated
+(`live.directions`). The state estimate is a joint Gaussian; "no cause is missing" and "this cause is missing" are
+hypotheses it is conditioned on (`live.mixture_steps.condition`), so that the band is a Gaussian mixture: narrow
+while the faces agree with the plain model, wide or moved when they do not. Evaporation, whose tangent at zero says
+little about its real size, has a filter of its own.
 
 When the estimate moves far from where the model was linearised, or a moment of the press becomes known
 (always a little late), the stored scans are gone through again from the start, some blocks with each new
@@ -38,6 +39,7 @@ from softsensor.live.inside import Inside
 from softsensor.live.mixture import Mixture
 from softsensor.live.passes import Pass, Passes
 from softsensor.live.platens import HeldPlatens
+from softsensor.live.possible import Possible
 from softsensor.live.setup import RunSetup, set_up, with_platens
 from softsensor.live.validity import Invalid, InvalidReason
 
@@ -87,6 +89,7 @@ class _Followed:
     passes: Passes
     platens: HeldPlatens
     still: Stillness
+    possible: Possible
 
 
 class LiveSensor:
@@ -121,6 +124,7 @@ class LiveSensor:
         run.passes.forget(moments)
         if not run.platens.note(time_s, values):
             return Estimate(time_s, run.press.state, invalid=Invalid(InvalidReason.PLATEN_READING_MISSING))
+        run.possible.note(run.platens.measured)
         if not len(run.scans):
             run.setup = with_platens(run.setup, run.platens.values)
             run.press.note_first_platens(time_s)
@@ -143,6 +147,24 @@ class LiveSensor:
         if self._run is None or current is None or self._run.press.state is PressState.IDLE:
             return None
         return current.inside
+
+    @property
+    def left_out(self) -> dict[str, float]:
+        """Channels that read something else than their neighbours and lost their vote, and by how much. [K]"""
+        run = self._run
+        return {run.setup.columns[k]: away for k, away in run.scans.departing().items()} if run is not None else {}
+
+    @property
+    def band_from(self) -> dict[str, float]:
+        """Share of the band's variance by where it comes from (`live.budget.KINDS`), empty before there is one."""
+        current = self._run.passes.current if self._run is not None else None
+        return {} if current is None else current.band_from
+
+    @property
+    def mixture(self) -> Mixture | None:
+        """What is said of the core at the newest block of scans, hypothesis by hypothesis; None before that."""
+        current = self._run.passes.current if self._run is not None else None
+        return None if current is None else current.mixture
 
     @property
     def forecast(self) -> Forecast:
@@ -171,13 +193,12 @@ class LiveSensor:
         times = np.linspace(-2.0, 900.0, 24)  # close enough that no gap needs bridging
         columns = {name: np.full(len(times), v) for name, v in values.items()}
         run = Run("live", self._header, times, columns, "live")
-        effects = tuple(name for name, _ in self._model.effects) if self._model else ()
-        setup = set_up(press_for_run(self._press, run), run, effects)
+        setup = set_up(press_for_run(self._press, run), run, self._model)
         scans = Scans(setup.place, len(setup.labels))
         still = Stillness(setup.place, len(setup.labels), len(setup.platens))
-        return _Followed(
-            setup, scans, PressFollower(setup, scans), Passes(self._model), HeldPlatens(setup.press), still
-        )
+        platens = HeldPlatens(setup.press)
+        press, possible = PressFollower(setup, scans), Possible(setup)
+        return _Followed(setup, scans, press, Passes(self._model), platens, still, possible)
 
     def _estimate(self, run: _Followed, time_s: float) -> Estimate:
         state, current = run.press.state, run.passes.current
@@ -187,14 +208,18 @@ class LiveSensor:
             return Estimate(time_s, state, invalid=Invalid(InvalidReason.PLATEN_READING_MISSING))
         mixture = current.mixture
         ahead = float(current.chain.level[1]) * (time_s - float(run.scans.time[current.done - 1]))
+        core, can_be = mixture.core_C + ahead, run.possible
+        low, high = (
+            min(max(t + ahead, can_be.lowest_C), can_be.highest_C) for t in (mixture.low_C, mixture.high_C)
+        )
         return Estimate(
             time_s=time_s,
             state=state,
-            core_C=mixture.core_C + ahead,
+            core_C=core,
             core_sd_K=mixture.sd_K,
-            core_low_C=mixture.low_C + ahead,
-            core_high_C=mixture.high_C + ahead,
-            invalid=_why_invalid(run, current, mixture, time_s),
+            core_low_C=min(low, core),
+            core_high_C=max(high, core),
+            invalid=can_be.contradicted(core) or _why_invalid(run, current, mixture, time_s),
             suspected=mixture.leading,
         )
 
@@ -203,6 +228,8 @@ def _why_invalid(run: _Followed, current: Pass, mixture: Mixture, time_s: float)
     """Return why the core is not to be believed, None where it is: the first that applies."""
     if (invalid := run.press.contradicted(current.missed_K)) is not None:
         return invalid
+    if run.setup.unknown_constants:
+        return Invalid(InvalidReason.CONSTANTS_UNKNOWN)
     if current.misfit > MISFIT_LIMIT and not mixture.by_faces:
         return Invalid(InvalidReason.READINGS_CONTRADICT_MODEL)
     if (invalid := run.press.unseen(time_s, overtaken=run.passes.overtaken)) is not None:

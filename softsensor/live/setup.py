@@ -15,9 +15,12 @@ from daq.press.press_file import Press
 from daq.records import Array, Moments, Run
 from softsensor.effects import Role, find_effect
 from softsensor.heat import implicit_steps as kernels
+from softsensor.heat.build import Build
 from softsensor.heat.case import Case
-from softsensor.heat.model import Build, ThermalModel
+from softsensor.heat.model import ThermalModel
+from softsensor.heat.model_file import ModelFile
 from softsensor.live.channel_steps import Integers
+from softsensor.live.directions import MOST_SHARE, Direction, directions_of
 from softsensor.live.march_steps import Chain, Factors, LinearModel, settle
 from softsensor.live.priors import SKIN, TIMING, FilterPlan, Prior
 
@@ -39,10 +42,17 @@ class RunSetup:
     """Every effect any filter uses; those with layers shape the mesh."""
     start_C: float  # noqa: N815
     """The panel's initial temperature as the header says, NaN without a panel. [°C]"""
+    directions: tuple[Direction, ...]
+    """Parameters that no effect owns."""
     cases: dict[tuple[str, ...], Case] = field(default_factory=dict, compare=False)
     """Laid out once for each set of effects."""
     profiles: dict[tuple[str, ...], Array] = field(default_factory=dict, compare=False)
     """Weights that read a profile, of these cases (`PROFILE`, n)."""
+
+    @property
+    def unknown_constants(self) -> bool:
+        """Whether one of the constants may be off by so much that it is not known."""
+        return any(d.prior.sd > MOST_SHARE for d in self.directions if d.is_constant)
 
     @cached_property
     def platens(self) -> tuple[str, ...]:
@@ -87,13 +97,16 @@ class Linearised:
         return float(self.at[self.names.index(name)] * self.priors[self.names.index(name)].sd)
 
 
-def set_up(press: Press, run: Run, effects: Sequence[str]) -> RunSetup:
+def set_up(press: Press, run: Run, model: ModelFile | None) -> RunSetup:
     """Check a run's first scan against the press. Raises InputError."""
+    effects = tuple(name for name, _ in model.effects) if model else ()
     sensors = press.sensors_of(run)
     labels = tuple(dict.fromkeys(s.label for s in sensors.values()))
     place = np.array([labels.index(s.label) for s in sensors.values()], dtype=np.int64)
-    start = panel_of(run).initial_temperature if press.panel_layers else math.nan
-    return RunSetup(press, run, tuple(sensors), place, labels, tuple(effects), start)
+    panel = panel_of(run) if press.panel_layers else None
+    start = panel.initial_temperature if panel is not None else math.nan
+    directions = directions_of(press, run, panel, model)
+    return RunSetup(press, run, tuple(sensors), place, labels, effects, start, directions)
 
 
 def with_platens(setup: RunSetup, platens: Sequence[float]) -> RunSetup:
@@ -132,7 +145,8 @@ def _panel_alone(setup: RunSetup) -> tuple[RunSetup, tuple[int, int]] | None:
     )
     run = Run("faces", header, setup.run.time_s, columns, setup.run.source)
     inside = tuple(name for name in setup.effects if find_effect(name).live.role in _IN_PANEL)
-    alone = RunSetup(press, run, (), np.zeros(0, np.int64), (), inside, start)
+    own = tuple(d for d in setup.directions if d.layers and set(d.layers) <= set(layers))
+    alone = RunSetup(press, run, (), np.zeros(0, np.int64), (), inside, start, own)
     return alone, (setup.labels.index(wanted[0]), setup.labels.index(wanted[1]))
 
 
@@ -153,6 +167,8 @@ def linearise(setup: RunSetup, plan: FilterPlan, at: Array) -> Linearised:
         inside = np.flatnonzero(case.layout.wet)
         for i in (inside[0], inside[-1]):
             build.tangents.c[names.index(SKIN), i] += 1.0 / case.mesh.dx[i]
+    for direction in setup.directions:
+        direction.tangents(names.index(direction.prior.name), case, build)
     model = _model(setup, case, build, names, units)
     start = case.panel.initial_temperature if case.panel is not None else float(model.state.t.mean())
     return Linearised(names, tuple(plan.priors), at, model, setup.profiles[effects], start)

@@ -26,6 +26,8 @@ class InvalidReason(StrEnum):
     PANEL_NOT_SEEN = "panel not seen in the open press"
     OTHER_PANEL = "faces too cold for this panel"
     READINGS_CONTRADICT_MODEL = "readings contradict the model"
+    CONSTANTS_UNKNOWN = "constants far from the material"
+    IMPOSSIBLE_CORE = "core impossible"
     CALCULATION_FAILED = "calculation failed"
     LOWER_FACE_SILENT = "no reading of the lower face"
     INSERTION_NOT_SEEN = "insertion not seen"

@@ -119,3 +119,34 @@ def test_the_heat_taken_up_counts_a_heat_capacity_that_grows_with_temperature():
     made = SimpleNamespace(model=SimpleNamespace(stack=stack), start_C=20.0)
     per_cell = 0.004 * 1.1e6 * ((field - 20.0) + 0.003 / 2 * (field - 20.0) ** 2)
     assert heat_taken_up(made, field) == pytest.approx(per_cell[1:].sum(), rel=1e-9)
+
+
+def test_the_course_foreseen_meets_the_core_that_comes_and_is_as_old_as_its_look(pressing, followed):
+    run, truth = pressing
+    t, told = next((t, o) for t, state, _, _, o in followed if state is PressState.CLOSED and t > 40.0)
+    ahead = np.array(told.course)
+    assert 2 <= len(ahead) <= 12
+    assert 0.0 <= told.forecast_age_s <= 2.0
+    at = t - told.forecast_age_s + ahead[:, 0]
+    there = at < truth.moments.opened_s
+    core = np.interp(at[there], run.time_s, truth.core_C)
+    assert there.sum() >= 3
+    assert ((ahead[there, 2] <= core) & (core <= ahead[there, 3])).all()
+    assert (np.diff(ahead[:, 3] - ahead[:, 2]) > -0.5).all()  # what is further off is known no better
+
+
+def test_a_channel_that_stands_still_beside_six_is_left_out_and_a_sound_one_is_not(pressing):
+    run, _ = pressing
+    columns = {name: values.copy() for name, values in run.columns.items()}
+    dead = next(name for name in columns if name.startswith("top_"))
+    hot = run.time_s > 40.0
+    columns[dead][hot] = columns[dead][np.argmax(hot)] - 70.0
+    sensor = LiveSensor(PRESS, run.header, MODEL)
+    found = []
+    for i, t in enumerate(run.time_s[: np.argmax(run.time_s > 50.0)].tolist()):
+        sensor.update(t, {name: float(values[i]) for name, values in columns.items()})
+        found.append((t, sensor.left_out))
+    assert all(not left for t, left in found if t < 40.0)
+    last = found[-1][1]
+    assert list(last) == [dead]
+    assert last[dead] == pytest.approx(-70.0, abs=5.0)

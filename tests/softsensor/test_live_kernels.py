@@ -21,7 +21,7 @@ def problem(seed, states=6, readings=9):
 
 def filtered(h, y, noise):
     x, fit = np.zeros(h.shape[1]), 0.0
-    estimate = StateEstimate(x, np.eye(h.shape[1]), np.zeros(0))
+    estimate = StateEstimate(x, np.eye(h.shape[1]), np.zeros((h.shape[1], 0)), np.zeros(0))
     for row, value in zip(h, y, strict=True):
         gained, _ = kalman_update(estimate, row, value - row @ x, noise, 1e3)
         fit += gained
@@ -32,7 +32,7 @@ def conditioned(x, cov, readout, where, absent, width, one_sided):
     """Return shift, variance and log-evidence of "no cause" and of each cause."""
     out = Components(*(np.empty(len(where) + 1) for _ in range(3)))
     causes = Hypotheses(where, absent, width, np.asarray(one_sided), np.zeros(len(where) + 1))
-    condition(StateEstimate(x, cov, np.zeros(0)), readout, causes, out)
+    condition(StateEstimate(x, cov, np.zeros((len(x), 0)), np.zeros(0)), readout, causes, out)
     return out.mean, out.variance, out.weight
 
 
@@ -45,6 +45,24 @@ def test_updates_one_by_one_equal_conditioning_the_joint_gaussian(seed):
     assert cov == pytest.approx(np.eye(h.shape[1]) - h.T @ np.linalg.solve(joint, h))
     constant = -0.5 * len(y) * np.log(2 * np.pi)
     assert fit + constant == pytest.approx(multivariate_normal(np.zeros(len(y)), joint).logpdf(y))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_what_considered_states_add_is_the_covariance_of_a_filter_that_takes_them_for_exact(seed):
+    """Joseph's form with those gains, from a covariance in which the held states are uncertain."""
+    h, y, noise = problem(seed)
+    n, held = h.shape[1], [1, 4]
+    cov, error = np.eye(n), np.zeros((n, 2))
+    cov[held, held] = 0.0
+    error[held, [0, 1]] = 1.0
+    estimate, full = StateEstimate(np.zeros(n), cov, error, np.zeros(0)), np.eye(n)
+    for row, value in zip(h, y, strict=True):
+        gain = estimate.covariance @ row / (row @ estimate.covariance @ row + noise)
+        kept = np.eye(n) - np.outer(gain, row)
+        full = kept @ full @ kept.T + noise * np.outer(gain, gain)
+        kalman_update(estimate, row, value - row @ estimate.mean, noise, 1e3)
+    assert estimate.covariance + estimate.error @ estimate.error.T == pytest.approx(full)
+    assert not estimate.mean[held].any()
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -1,0 +1,58 @@
+"""Where the band comes from: the share of the core's variance that each kind of doubt brings."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from softsensor.live.directions import CONSTANT, DISCREPANCY, START
+from softsensor.live.kalman import KalmanFilter
+from softsensor.live.mixture import Mixture
+from softsensor.live.priors import TIMING, Prior
+
+KINDS = ("constants", "contacts", "timing", "start", "effects", "discrepancy", "suspected")
+"""Constants of panel, layers and flux; contacts; moments of the press; temperatures of start and platens; effects
+that the model in force holds or that only bend readings; what any model lacks; causes not diagnosed."""
+
+
+def band_from(one: KalmanFilter, mixture: Mixture, margin: float) -> dict[str, float]:
+    """Return the share of each of `KINDS` in the mean square distance of the core from what is reported.
+
+    A parameter counts with its covariance with the core, which adds up to the whole variance (a negative share,
+    where two errors offset each other, counts as none). Suspected causes count with all that they add to the
+    variance without them.
+
+    Parameters
+    ----------
+    one
+        The filter whose cause is none.
+    margin
+        Variance that the model itself adds. [K²]
+    """
+    made, causes = one.linearised, one.hypotheses
+    p = len(made.names)
+    P = np.array(one.estimate.covariance[:p, :p])
+    if len(causes.column):  # as if each were absent: its prior narrowed to `width`
+        cross, narrow = P[:, causes.column], np.diag(1.0 / (1.0 / causes.width**2 - 1.0))
+        P -= cross @ np.linalg.solve(cross[causes.column] + narrow, cross.T)
+    readout = made.model.chain.d_level
+    shares = np.maximum(readout * (P @ readout), 0.0)
+    shares[[prior.considered for prior in made.priors]] = one.held_K**2
+    found = dict.fromkeys(KINDS, 0.0)
+    for share, prior in zip(shares.tolist(), made.priors, strict=True):
+        found[_kind(prior)] += share
+    found["discrepancy"] += margin
+    plain = sum(found.values())
+    found["suspected"] += max(mixture.sd_K**2 - plain, 0.0)
+    total = sum(found.values())
+    return {kind: value / total for kind, value in found.items()}
+
+
+def _kind(prior: Prior) -> str:
+    first = prior.name.partition(" ")[0]
+    if prior.logarithmic or prior.name.startswith("contact_"):
+        return "contacts"
+    if prior.name in TIMING:
+        return "timing"
+    if first == START or (prior.name.endswith("_K") and "." not in prior.name):
+        return "start"
+    return {CONSTANT: "constants", DISCREPANCY: "discrepancy"}.get(first, "effects")
