@@ -14,6 +14,11 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from softsensor.effects import add_effect as add_effect
+    from softsensor.face import DiagnosisResult as DiagnosisResult
+    from softsensor.face import FitResult as FitResult
+    from softsensor.face import Prediction as Prediction
+    from softsensor.face import Simulation as Simulation
     from softsensor.face import diagnose as diagnose
     from softsensor.face import fit as fit
     from softsensor.face import predict as predict
@@ -21,17 +26,38 @@ if TYPE_CHECKING:
     from softsensor.face import read_press as read_press
     from softsensor.face import read_run as read_run
     from softsensor.face import simulate as simulate
+    from softsensor.live.sensor import Estimate as Estimate
     from softsensor.live.sensor import LiveSensor as LiveSensor
 
-__all__ = ["LiveSensor", "diagnose", "fit", "predict", "read_model", "read_press", "read_run", "simulate"]
-_HOMES = {"LiveSensor": "softsensor.live.sensor"}
+__all__ = [
+    "DiagnosisResult",
+    "Estimate",
+    "FitResult",
+    "LiveSensor",
+    "Prediction",
+    "Simulation",
+    "add_effect",
+    "diagnose",
+    "fit",
+    "predict",
+    "read_model",
+    "read_press",
+    "read_run",
+    "simulate",
+]
+_HOMES = {
+    "Estimate": "softsensor.live.sensor",
+    "LiveSensor": "softsensor.live.sensor",
+    "add_effect": "softsensor.effects",
+}
 
 
 def __getattr__(name: str) -> Any:
     """Load a public name on first use (PEP 562)."""
     if name not in __all__:
         raise AttributeError(f"module 'softsensor' has no attribute {name!r}; it has {', '.join(__all__)}")
-    return getattr(import_module(_HOMES.get(name, "softsensor.face")), name)
+    found = globals()[name] = getattr(import_module(_HOMES.get(name, "softsensor.face")), name)
+    return found
 
 
 def __dir__() -> list[str]:

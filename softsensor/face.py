@@ -7,6 +7,7 @@ command line. What it hands out is frozen.
 
 from __future__ import annotations
 
+import html
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -24,15 +25,17 @@ from daq.press.press_file import read_press as read_press_file
 from daq.records import Run
 from softsensor.diagnosis.finding import Diagnosis
 from softsensor.diagnosis.verdict import diagnose as diagnose_runs
-from softsensor.fitting.campaign import CampaignFit, fit_campaign
+from softsensor.fitting.campaign import CampaignFit
 from softsensor.fitting.simulated_run import Simulated, simulate_run
 from softsensor.heat.model import ThermalModel
 from softsensor.heat.model_file import ModelFile
-from softsensor.heat.model_file import read_model as read_model_file
+from softsensor.jobs.campaign import fit_campaign
+from softsensor.jobs.model_files import read_model as read_model_file
 from softsensor.live.replay import Replay, replay
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 AnyRun: TypeAlias = Run | pd.DataFrame | Path | str
 AnyPress: TypeAlias = Press | Path | str
@@ -58,7 +61,7 @@ class FitResult:
         """Draw the coefficients over the runs; return the axes."""
         from softsensor.report.fit_figures import coefficients_figure
 
-        return list(coefficients_figure(self.campaign).axes)
+        return _shown(coefficients_figure(self.campaign))
 
     def model(self) -> ModelFile:
         """Return the campaign's model, as ``fit --model`` writes it."""
@@ -95,26 +98,26 @@ class DiagnosisResult:
 
     @property
     def verdict(self) -> str:
-        """``no_effect``, ``named``, ``ambiguous``, ``unknown_effect`` or ``too_few_runs``."""
+        """``no_effect``, ``named``, ``ambiguous``, ``unknown_effect``, ``too_few_runs`` or ``not_described``."""
         return str(self.content["verdict"])
 
     def frame(self) -> pd.DataFrame:
-        """Return one row a parameter of each named cause: value and 95 % interval."""
-        columns = ["effect", "parameter", "value", "low", "high", "p_value", "heldout_gain_K"]
+        """Return one row a parameter of each cause, those named and those suspected: value and 95 % interval."""
+        columns = ["effect", "parameter", "value", "low", "high", "p_value", "heldout_gain_K", "named"]
         rows = []
-        for effect in self.content["effects"]:
+        for effect in (*self.content["effects"], *self.content["suspected"]):
+            common = (effect["p_value"], effect["heldout_gain_K"], effect in self.content["effects"])
             for name, told in effect["parameters"].items():
                 low, high = told["ci95"] if isinstance(told, Mapping) and told.get("ci95") else (None, None)
                 value = told["value"] if isinstance(told, Mapping) else told
-                entry = (effect["name"], name, value, low, high, effect["p_value"], effect["heldout_gain_K"])
-                rows.append(dict(zip(columns, entry, strict=True)))
+                rows.append((effect["name"], name, value, low, high, *common))
         return pd.DataFrame(rows, columns=columns).set_index(["effect", "parameter"])
 
     def plot(self) -> list[Axes]:
         """Draw one run under both models with its residuals; return the axes."""
         from softsensor.report.diagnosis_figures import run_figure
 
-        return list(run_figure(self.diagnosis).axes)
+        return _shown(run_figure(self.diagnosis))
 
     def model(self) -> ModelFile:
         """Return the extended model."""
@@ -126,15 +129,22 @@ class DiagnosisResult:
 
     def __repr__(self) -> str:
         """Show verdict, causes, error before and after, and what to measure next."""
-        before, after = self.content["base"]["heldout_rmse_K"], self.content["extended"]["heldout_rmse_K"]
-        lines = [f"{self.verdict}: {', '.join(e['name'] for e in self.content['effects']) or 'no cause named'}"]
-        if len(self.frame()):
-            lines.append(self.frame().to_string(float_format="%.4g"))
-        lines.append(f"residual on runs left out [K]: {before} before, {after} after")
-        return "\n".join([*lines, str(self.content["next_measurement"])])
+        head, *rest = self._lines()
+        table = [self.frame().to_string(float_format="%.4g")] if len(self.frame()) else []
+        return "\n".join([head, *table, *rest])
 
     def _repr_html_(self) -> str:
-        return f"<p><b>{self.verdict}</b></p>{self.frame().to_html(float_format='%.4g')}"
+        head, *rest = (html.escape(line) for line in self._lines())
+        table = str(self.frame().to_html(float_format="%.4g")) if len(self.frame()) else ""
+        return f"<p><b>{head}</b></p>{table}" + "".join(f"<p>{line}</p>" for line in rest)
+
+    def _lines(self) -> list[str]:
+        before, after = (self.content[model]["heldout_rmse_K"] for model in ("base", "extended"))
+        named = ", ".join(effect["name"] for effect in self.content["effects"]) or "no cause named"
+        if suspected := [effect["name"] for effect in self.content["suspected"]]:
+            named += f"; suspected: {', '.join(suspected)}"
+        residual = f"residual on runs left out: {_kelvin(before)} before, {_kelvin(after)} after"
+        return [f"{self.verdict}: {named}", residual, str(self.content["next_measurement"])]
 
 
 @dataclass(frozen=True, repr=False)
@@ -157,11 +167,11 @@ class Prediction:
         for name in run.matching(["core_*"]):
             ax.plot(run.time_s, run.columns[name], ".", ms=2, label=f"{name}, measured")
         ax.legend(frameon=False)
-        return [ax]
+        return _shown(ax.figure)
 
     def to_json(self) -> str:
         """Return the table as JSON, a list a column; null where there is no value."""
-        return str(self.frame().reset_index().to_json(orient="columns", index=False))
+        return _lists(self.frame())
 
     def __repr__(self) -> str:
         """Show the first and the last scans."""
@@ -192,11 +202,11 @@ class Simulation:
             ax.plot(self.simulated.time_s, self.simulated.measured[place], ".", ms=2, color=line.get_color())
         ax.plot(self.simulated.time_s, self.simulated.core, label="core", color="black")
         ax.legend(frameon=False)
-        return [ax]
+        return _shown(ax.figure)
 
     def to_json(self) -> str:
-        """Return the table as JSON, a list a column."""
-        return str(self.frame().reset_index().to_json(orient="columns", index=False))
+        """Return the table as JSON, a list a column; null where there is no value."""
+        return _lists(self.frame())
 
     def __repr__(self) -> str:
         """Show the error at each place, and the first and last rows."""
@@ -257,9 +267,17 @@ def fit(runs: AnyRun | Sequence[AnyRun], press: AnyPress, *, profiles: bool = Fa
     return FitResult(fit_campaign(read_press(press), _runs(runs), profiles=profiles))
 
 
-def diagnose(runs: AnyRun | Sequence[AnyRun], press: AnyPress) -> DiagnosisResult:
-    """Say what the simulation of these runs gets wrong, why, and what knowing it is worth."""
-    return DiagnosisResult(diagnose_runs(read_press(press), _runs(runs)))
+def diagnose(
+    runs: AnyRun | Sequence[AnyRun], press: AnyPress, *, effects: Sequence[str] | None = None
+) -> DiagnosisResult:
+    """Say what the simulation of these runs gets wrong, why, and what knowing it is worth.
+
+    Parameters
+    ----------
+    effects
+        Causes to look for, by name; the whole catalogue without.
+    """
+    return DiagnosisResult(diagnose_runs(read_press(press), _runs(runs), effects=effects))
 
 
 def predict(
@@ -285,6 +303,23 @@ def _runs(runs: AnyRun | Sequence[AnyRun]) -> list[Run]:
     if isinstance(runs, Run | pd.DataFrame | Path | str):
         return [read_run(runs)]
     return [read_run(run) for run in runs]
+
+
+def _lists(frame: pd.DataFrame) -> str:
+    table = frame.reset_index().astype(object)
+    return json.dumps(table.where(table.notna(), None).to_dict("list"))
+
+
+def _kelvin(value: float | None) -> str:
+    return "not known" if value is None else f"{value:.2f} K"
+
+
+def _shown(figure: Figure) -> list[Axes]:
+    """Hand a figure to pyplot, so that a notebook shows it and ``plt.show()`` does; return its axes."""
+    from matplotlib import pyplot
+
+    pyplot.figure(figure)
+    return list(figure.axes)
 
 
 def _axes(title: str) -> Any:

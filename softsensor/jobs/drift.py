@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 CHARTED_RUNS = 200
 """Runs the charts look back on."""
 LEARN_RUNS = 8
-"""Runs that say what is usual, where no model does."""
+"""Runs that say what is usual."""
 EWMA_WEIGHT, EWMA_LIMIT = 0.25, 3.2
 """Weight of the newest run; limit in standard deviations of the smoothed value."""
 CUSUM_SLACK, CUSUM_LIMIT = 0.6, 5.0
@@ -81,31 +81,26 @@ class Alarm:
         )
 
 
-def watch(name: str, values: Sequence[RunValue], usual: tuple[float, float] | None = None) -> Alarm | None:
+def watch(name: str, values: Sequence[RunValue]) -> Alarm | None:
     """Look through a coefficient's runs, oldest first, for the latest change that still stands.
 
-    Parameters
-    ----------
-    usual
-        Mean and standard deviation of the logarithm between runs, from a model; by default each run is held
-        against all before it, `LEARN_RUNS` at least.
+    Each run is held against all before it, `LEARN_RUNS` at least.
     """
     good = [v for v in values if v.value > 0 and math.isfinite(v.value) and math.isfinite(v.sd)]
+    if len(good) <= LEARN_RUNS:
+        return None
     logs = np.array([math.log(v.value) for v in good])
     errors = np.array([v.sd / v.value for v in good])
-    start = 0 if usual is not None else LEARN_RUNS
-    if len(good) <= start:
-        return None
     z = np.zeros(len(good))
     tame = logs.copy()
-    for i in range(start, len(good)):
-        centre, spread = _usual(tame[:i]) if usual is None else (usual[0], max(usual[1], LEAST_SPREAD_LOG))
+    for i in range(LEARN_RUNS, len(good)):
+        centre, spread = _usual(tame[:i])
         away = (logs[i] - centre) / math.hypot(spread, errors[i])
-        if usual is None:  # the past is known from i runs only: Student's t, as a normal deviate
-            away = float(norm.ppf(np.clip(student.cdf(away / math.sqrt(1.0 + 1.0 / i), i - 1), 1e-9, 1 - 1e-9)))
+        # the past is known from i runs only: Student's t, as a normal deviate
+        away = float(norm.ppf(np.clip(student.cdf(away / math.sqrt(1.0 + 1.0 / i), i - 1), 1e-9, 1 - 1e-9)))
         z[i] = min(max(away, -OUTLIER), OUTLIER)
         tame[i] = min(max(logs[i], centre - 2.5 * spread), centre + 2.5 * spread)
-    return _chart(name, good, logs, z, start)
+    return _chart(name, good, logs, z)
 
 
 def _usual(logs: np.ndarray) -> tuple[float, float]:
@@ -113,12 +108,12 @@ def _usual(logs: np.ndarray) -> tuple[float, float]:
     return float(logs.mean()), max(float(logs.std(ddof=1)), LEAST_SPREAD_LOG)
 
 
-def _chart(name: str, runs: Sequence[RunValue], logs: np.ndarray, z: np.ndarray, start: int) -> Alarm | None:
+def _chart(name: str, runs: Sequence[RunValue], logs: np.ndarray, z: np.ndarray) -> Alarm | None:
     high = low = smooth = 0.0
-    high_from = low_from = smooth_from = start
+    high_from = low_from = smooth_from = LEARN_RUNS
     alarm: Alarm | None = None
     scale = math.sqrt(EWMA_WEIGHT / (2.0 - EWMA_WEIGHT))
-    for i in range(start, len(z)):
+    for i in range(LEARN_RUNS, len(z)):
         high, high_from = (high + z[i] - CUSUM_SLACK, high_from) if high > 0 else (z[i] - CUSUM_SLACK, i)
         low, low_from = (low - z[i] - CUSUM_SLACK, low_from) if low > 0 else (-z[i] - CUSUM_SLACK, i)
         high, low = max(high, 0.0), max(low, 0.0)
@@ -128,38 +123,29 @@ def _chart(name: str, runs: Sequence[RunValue], logs: np.ndarray, z: np.ndarray,
             smooth_from = i
         first, chart = -1, Chart.JUMP
         if high > CUSUM_LIMIT or low > CUSUM_LIMIT:
-            first, chart = _jump(logs, start, high_from if high > low else low_from, i), Chart.JUMP
+            first, chart = _jump(logs, high_from if high > low else low_from, i), Chart.JUMP
         elif abs(smooth) > EWMA_LIMIT * scale:
-            first, chart = (_jump(logs, start, smooth_from, i) if abs(z[i]) > SUDDEN else smooth_from), Chart.CREEP
+            first, chart = (_jump(logs, smooth_from, i) if abs(z[i]) > SUDDEN else smooth_from), Chart.CREEP
         if first < 0:
             alarm = None
         elif alarm is None or alarm.run != runs[first].run:
-            before_it = logs[:first] if first else logs[:1]
-            factor = math.exp(float(np.mean(logs[first : i + 1]) - np.mean(before_it)))
+            factor = math.exp(float(np.mean(logs[first : i + 1]) - np.mean(logs[:first])))
             noticed = runs[i].run if alarm is None else alarm.noticed
             alarm = Alarm(name, runs[first].run, noticed, factor, chart)
     return alarm
 
 
-def _jump(logs: np.ndarray, start: int, begun: int, noticed: int) -> int:
+def _jump(logs: np.ndarray, begun: int, noticed: int) -> int:
     """Return the first run of the new level: where two means fit the runs up to the alarm best.
 
     The sum may have begun to rise by luck before the jump; it is looked for from there on.
     """
-    options = range(max(begun, start, 1), noticed + 1)
+    options = range(max(begun, LEARN_RUNS), noticed + 1)
 
     def left(k: int) -> float:
         return float(logs[:k].var() * k + logs[k : noticed + 1].var() * (noticed + 1 - k))
 
     return min(options, key=left)
-
-
-def watch_all(
-    history: Mapping[str, Sequence[RunValue]], usual: Mapping[str, tuple[float, float]] | None = None
-) -> list[Alarm]:
-    """Return the alarms of all coefficients."""
-    found = (watch(name, values, (usual or {}).get(name)) for name, values in history.items())
-    return [alarm for alarm in found if alarm is not None]
 
 
 def alarms_of(store: Store, press: str) -> list[Alarm]:
@@ -176,7 +162,8 @@ def alarms_of(store: Store, press: str) -> list[Alarm]:
     for c in reversed(fitted):
         if c.identifiable and effects[c.model_version] == in_force:
             history.setdefault(c.name, []).append(RunValue(c.run, c.value, c.sd))
-    return watch_all(history)
+    found = (watch(name, values) for name, values in history.items())
+    return [alarm for alarm in found if alarm is not None]
 
 
 def _effects_of(store: Store, version: str) -> frozenset[str]:

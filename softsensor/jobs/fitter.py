@@ -5,8 +5,10 @@ from __future__ import annotations
 import logging
 import os
 import threading
+import time
 from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from dataclasses import replace
 from multiprocessing import get_context, parent_process
 from typing import Any
 
@@ -101,6 +103,8 @@ def fit_one(press: Press, run: Run, model: ModelFile | None) -> dict[str, Any]:
 
     thermal = model.model(press) if model is not None else ThermalModel(press)
     start = dict(model.values) if model is not None else None
+    begun = time.perf_counter()
     fitted = fit_run(thermal, run, moments_of(run, press), start=start)
+    fitted = replace(fitted, seconds=time.perf_counter() - begun)
     evidence = run_evidence(fitted.problem, fitted.minimum.evaluation)
     return fitted.as_json() | {"evidence": {name: e.as_json() for name, e in evidence.items()}}

@@ -33,6 +33,7 @@ from softsensor.jobs.run_fits import RunFits, journal
 from softsensor.jobs.warm_up import warm_up
 from softsensor.live.sensor import Estimate, LiveSensor
 from softsensor.live.validity import Invalid, InvalidReason
+from softsensor.signals.screen import AFTER_SWITCH_S
 
 LOG = logging.getLogger("kerntemp.sense")
 PROCESS = "sense"
@@ -98,7 +99,7 @@ def _follow(store: Store, followers: list[Follower], stop: threading.Event, noti
             trouble = ""
         except StoreUnavailable as error:
             if str(error) != trouble:
-                LOG.warning("%s; trying again", error)
+                LOG.warning("%s", say("store-trying-again", why=spoken(error)))
             trouble = str(error)
             notifier.alive(trouble)  # a store that is away is no reason to begin anew
             stop.wait(0.5)
@@ -141,6 +142,10 @@ class _Live:
     sensor: LiveSensor
     model: str
     fitted_open: bool = False
+    course: object = ()
+    """The forecast's course that was stored last: one goes beside the first estimate after it was found, once."""
+    left_out_since: dict[str, float] = field(default_factory=dict)
+    """Channels the sensor does not use, and since when; infinite once the journal has been told. [s]"""
 
 
 @dataclass
@@ -312,7 +317,25 @@ class Follower:
             self.problem = spoken(error)
             said = Estimate(time_s, None, invalid=Invalid(InvalidReason.RUN_REFUSED, {"problem": self.problem}))
         self.update_us += 0.02 * (1e6 * (time.perf_counter() - begun) - self.update_us)
-        return _stored(scan, said, live.model, _details(live.sensor, said))
+        details = _details(live.sensor, said)
+        course = live.sensor.forecast.course
+        if said.valid and course and course is not live.course:
+            live.course = course
+            details["course"] = [[round(v, 1) for v in row] for row in course]
+        self._tell_left_out(live, time_s)
+        return _stored(scan, said, live.model, details)
+
+    def _tell_left_out(self, live: _Live, time_s: float) -> None:
+        """Write into the journal, once a run, which channels the sensor does not use for longer than a switch."""
+        now = live.sensor.left_out
+        told = {column: at for column, at in live.left_out_since.items() if column in now or at == math.inf}
+        for column, kelvin in now.items():
+            if time_s - told.setdefault(column, time_s) > AFTER_SWITCH_S:
+                told[column] = math.inf
+                side = "below" if kelvin < 0.0 else "above"
+                said = say("channel-departs", column=column, kelvin=abs(kelvin), side=side, run=live.record.run)
+                journal(self.store, "warning", said, self.name)
+        live.left_out_since = told
 
     def _finish(self, live: _Live) -> None:
         """A run is over: fit all of it."""
@@ -344,11 +367,14 @@ def _details(sensor: LiveSensor, said: Estimate) -> dict[str, Any]:
     Forecast, profile and heat come out of the same estimate as the core: where that is not valid, none is given.
     """
     found: dict[str, Any] = {"suspected": said.suspected} if said.suspected else {}
+    if left_out := sensor.left_out:
+        found["left_out"] = {column: round(kelvin, 1) for column, kelvin in left_out.items()}
     if said.invalid is not None:
         return found | ({"reason_arguments": said.invalid.stored} if said.invalid.arguments else {})
     if said.state is not PressState.IDLE and said.state is not None and (inside := sensor.inside) is not None:
         found["profile_C"] = [round(v, 1) for v in inside.profile_C.tolist()]
         found["energy_kJ_m2"] = round(inside.energy_kJ_m2, 1)
+    found["band_from"] = {kind: round(share, 3) for kind, share in sensor.band_from.items()}
     forecast = sensor.forecast
     for one in fields(forecast):
         value = getattr(forecast, one.name)

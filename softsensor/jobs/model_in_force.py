@@ -14,7 +14,8 @@ import numpy as np
 from daq.press.press_file import Press
 from daq.store import RunRecord
 from softsensor.diagnosis.missing_causes import stored_missing_causes
-from softsensor.heat.model_file import FittedValue, ModelFile
+from softsensor.fitting.constants import ConstantFit, scatter_of
+from softsensor.heat.model_file import FittedValue, ModelFile, Scatter
 from softsensor.live.priors import spread_of
 from softsensor.signals.instrument import GUESS_LOG, LEAST_SPREAD_LOG, SPREAD_LOG
 
@@ -53,11 +54,17 @@ def combined_model(press: Press, base: ModelFile | None, fits: Sequence[Mapping[
             table[name] = estimate
     seen = stored_missing_causes(fits)
     if base is None:
-        return ModelFile(PRESS_FILE, press.name, table, missing=seen)
+        return ModelFile(PRESS_FILE, press.name, table, missing=seen, scatter=_scatter(fits))
     before = base.missing
     if before is not None and (seen is None or seen.runs < before.runs):
         seen = before
-    return replace(base, coefficients=table, missing=seen)
+    return replace(base, coefficients=table, missing=seen, scatter={**base.scatter, **_scatter(fits)})
+
+
+def _scatter(fits: Iterable[Mapping[str, Any]]) -> dict[str, Scatter]:
+    """Return how the panels' constants scattered about what their headers give, as these runs show it."""
+    constants = ({k: ConstantFit.from_json(c) for k, c in fit.get("constants", {}).items()} for fit in fits)
+    return {key: Scatter(*found) for key, found in scatter_of(constants).items()}
 
 
 def _values(name: str, fits: Iterable[Mapping[str, Any]]) -> Iterable[tuple[float, float]]:

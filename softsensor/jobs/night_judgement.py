@@ -1,7 +1,9 @@
 """A night's judgement: what the runs say is missing, a candidate with it, and whether it is better.
 
 Nothing is promoted that has not been held against the model in force on the same runs and, where there is a core
-thermocouple, on the same scans of the core.
+thermocouple, on the same scans of the core. Two residuals are told apart: with a run's own contacts fitted to it,
+and of a run predicted from its header, its moments and its platens alone. The prediction has a veto and, where it
+is surely better, suffices.
 """
 
 from __future__ import annotations
@@ -24,10 +26,12 @@ from daq.store.records import ModelStatus
 from daq.words import Message, say
 from softsensor.diagnosis.decision import Verdict
 from softsensor.diagnosis.missing_causes import stored_missing_causes
+from softsensor.fitting.simulated_run import simulate_run
 from softsensor.heat.model_file import ModelFile, parse_model
 from softsensor.jobs.fitter import fit_one
 from softsensor.jobs.model_in_force import combined_model
-from softsensor.live.sensor import LiveSensor
+from softsensor.live.replay import replay
+from softsensor.signals.moments import moments_of
 
 PROCESS = "refit"
 DIAGNOSED_RUNS = 24
@@ -40,7 +44,7 @@ CORE_RUNS, CORE_SEARCHED = 6, 100
 """Runs with a core thermocouple that are replayed through the live sensor with both models; looked for among the
 newest."""
 LEAST_SHARE = 0.02
-"""Of the held-out residual, which an extended model must save."""
+"""Of the residual with own contacts, which a model must save whose predictions are not surely better."""
 CORE_TOLERANCE = 1.02
 """Factor by which a candidate may let the error of the live core grow, and 0.05 K more. Set by hand, 2026-11."""
 LEAST_VALID = 0.9
@@ -248,25 +252,24 @@ def _compare(
 ) -> _Comparison:
     """Say what the candidate gains on the judging runs, and whether that is enough.
 
-    Where there are too few runs to keep the judging ones apart from the diagnosis, that is said, and what the
-    diagnosis gained on runs it left out in turn. `fewer` effects than before need no gain, only no loss.
+    Where there are too few runs to keep the judging ones apart from the diagnosis, that is said, and predictions
+    are those of the diagnosis, each run by the others. `fewer` effects than before need no gain, only no loss.
     """
     old, new = (np.array([float(f[run]["rmse_K"]) for run in fits]) for f in (night.fits, fits))
-    left_out = [float((report.get(k) or {}).get("heldout_rmse_K") or math.nan) for k in ("base", "extended")]
+    ahead = _predictions(night, report, candidate, list(fits), apart=apart or bool(fewer))
     figures: dict[str, Any] = {
         "judged_runs": list(fits),
         "judged_runs_took_part": not apart,
         "rmse_K": {"before": _mean(old), "after": _mean(new)},
     }
-    if math.isfinite(left_out[0]) and not fewer:
-        figures["heldout_rmse_K"] = {"before": left_out[0], "after": left_out[1]}
+    if ahead is not None:
+        figures["predicted_rmse_K"] = {"before": ahead.before_K, "after": ahead.after_K}
     if len(old) < FEWEST_RUNS:
         return _Comparison(say("night-too-few-to-judge"), False, figures)
     core = _core_rmse(night, candidate)
     if core is not None:
         figures["core_rmse_K"] = {"before": core.before_K, "after": core.after_K}
-    in_turn = not apart and "heldout_rmse_K" in figures
-    against = _against(old, new, left_out, core, fewer=bool(fewer))
+    against = _against(old, new, ahead, core, fewer=bool(fewer))
     reason = say(
         "night-compared",
         effects=" + ".join(name for name, _ in candidate.effects),
@@ -276,7 +279,7 @@ def _compare(
         after=_mean(new),
         runs=len(old),
         apart="yes" if apart else "no",
-        left_out=_change("night-compared-left-out", *left_out) if in_turn else "",
+        predicted=_change("night-compared-predicted", ahead.before_K, ahead.after_K) if ahead is not None else "",
         core=_change("night-compared-core", core.before_K, core.after_K) if core is not None else "",
         against="" if against is None else say("night-compared-against", what=Message(f"night-against-{against}")),
     )
@@ -287,26 +290,27 @@ class Against(StrEnum):
     """What speaks against a candidate."""
 
     STILL_HELPS = "still-helps"
-    LEFT_OUT_WORSE = "left-out-worse"
+    PREDICTS_WORSE = "predicts-worse"
     NOT_SIGNIFICANT = "not-significant"
     CORE_SILENCED = "core-silenced"
     CORE_WORSE = "core-worse"
 
 
 def _against(
-    old: Array, new: Array, left_out: Sequence[float], core: _Core | None, *, fewer: bool
+    old: Array, new: Array, ahead: _Predictions | None, core: _Core | None, *, fewer: bool
 ) -> Against | None:
     """Return what speaks against a candidate, None where nothing does: the first that applies.
 
-    Residuals of the judging runs with the model before and with the candidate, and of runs left out in turn. [K]
+    Residuals of the judging runs with the model before and with the candidate, own contacts fitted [K], and what
+    both predict.
     """
     share = float(1.0 - np.mean(new) / np.mean(old))
     if fewer:
         if share < -LEAST_SHARE and surely_less(new, old):
             return Against.STILL_HELPS
-    elif left_out[1] > left_out[0]:
-        return Against.LEFT_OUT_WORSE
-    elif share < LEAST_SHARE or not surely_less(old, new):
+    elif ahead is not None and ahead.after_K > ahead.before_K:
+        return Against.PREDICTS_WORSE
+    elif not (ahead is not None and ahead.surely) and (share < LEAST_SHARE or not surely_less(old, new)):
         return Against.NOT_SIGNIFICANT
     if core is not None and core.silenced:
         return Against.CORE_SILENCED
@@ -331,6 +335,46 @@ def surely_less(old: Array, new: Array) -> bool:
     fell = np.log(np.maximum(old, 1e-9)) - np.log(np.maximum(new, 1e-9))
     error = max(float(fell.std(ddof=1)) / math.sqrt(len(fell)), 1e-9)
     return float(fell.mean()) / error > float(student.ppf(0.95, len(fell) - 1))
+
+
+@dataclass(frozen=True)
+class _Predictions:
+    """Root mean square error of runs predicted without their panel sensors, before and with the candidate. [K]"""
+
+    before_K: float  # noqa: N815
+    after_K: float  # noqa: N815
+    surely: bool
+    """Less in the runs beyond chance."""
+
+
+def _predictions(
+    night: Night, report: Mapping[str, Any], candidate: ModelFile, runs: Sequence[str], *, apart: bool
+) -> _Predictions | None:
+    """Predict the judging runs with both models; where they took part, what the diagnosis predicted in turn."""
+    if not apart:
+        before, after = ((report.get(k) or {}).get("predicted_rmse_K") for k in ("base", "extended"))
+        low = (report.get("predicted_gain_ci95") or (0.0,))[0]
+        return None if before is None or after is None else _Predictions(float(before), float(after), low > 0.0)
+    models = (night.base or combined_model(night.press, None, list(night.fits.values())), candidate)
+    errors = np.array([[_prediction_error(night, run, model) for model in models] for run in night.runs(runs)])
+    errors = errors[np.isfinite(errors).all(axis=1)]
+    if len(errors) < 2:
+        return None
+    old, new = errors.T
+    before_K, after_K = (math.sqrt(_mean(values**2)) for values in (old, new))
+    return _Predictions(before_K, after_K, surely_less(old, new))
+
+
+def _prediction_error(night: Night, run: Run, model: ModelFile) -> float:
+    """Return how far a run simulated from its platens is from its panel sensors; NaN where it cannot be. [K]"""
+    try:
+        out = simulate_run(run, night.press, model.model(night.press), model.values)
+    except InputError:
+        return math.nan
+    inside = out.time_s >= moments_of(run, night.press).inserted_s
+    squares = [(out.measured[place] - values)[inside] ** 2 for place, values in out.places.items()]
+    seen = [s[np.isfinite(s)] for s in squares]
+    return math.sqrt(_mean(np.concatenate(seen))) if any(len(s) for s in seen) else math.nan
 
 
 @dataclass(frozen=True)
@@ -370,17 +414,13 @@ def _core_errors(night: Night, candidate: ModelFile) -> Iterator[tuple[Array, Ar
         count += 1
         columns = np.ma.masked_invalid(np.stack([run.columns[c] for c in truth]))
         core = columns.mean(axis=0).filled(np.nan)
-        yield tuple(_errors(night.press, run, model, core) for model in (night.base, candidate))  # type: ignore[misc]
+        with suppress(InputError):  # a run without platens shows no core, whatever the model
+            before, after = (_errors(night.press, run, model, core) for model in (night.base, candidate))
+            yield before, after
 
 
 def _errors(press: Press, run: Run, model: ModelFile | None, core: Array) -> Array:
-    sensor = LiveSensor(press, run.header, model)
-    names = list(run.columns)
-    table = np.stack([run.columns[n] for n in names], axis=1).tolist()
-    said = (
-        sensor.update(t, dict(zip(names, row, strict=True)))
-        for t, row in zip(run.time_s.tolist(), table, strict=True)
-    )
+    said = replay(press, run, model).estimates
     predicted: Array = np.array([e.core_C if e.valid else math.nan for e in said])
     return predicted - core
 
@@ -391,4 +431,4 @@ def _diagnose(night: Night, runs: Sequence[str]) -> tuple[dict[str, Any], ModelF
     from softsensor.diagnosis.verdict import diagnose
 
     found = diagnose(night.press, night.runs(runs))
-    return as_stored(found), found.model_file()
+    return {**as_stored(found), "predicted_gain_ci95": found.predicted_gain.ci95}, found.model_file()

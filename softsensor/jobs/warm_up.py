@@ -1,9 +1,7 @@
 """Compile what the live sensor runs on, or load it, before the first scan needs it.
 
-Numba keeps compiled code beside the modules (or under ``NUMBA_CACHE_DIR`` where they cannot be written): the
-first call after an installation takes tens of seconds, later processes load it in one or two. It looks only at
-the file a function stands in, and at its text, not its date: after a change in ``heat.step_terms`` remove what it
-keeps of the modules above it (``*.nbi``), else they go on with the old code.
+What is compiled is kept (see `daq.compiled`): the first call after an installation or an update takes tens of
+seconds, later processes load it in one or two.
 """
 
 from __future__ import annotations

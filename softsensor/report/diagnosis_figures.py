@@ -6,7 +6,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from daq.records import Array
@@ -17,7 +16,7 @@ from softsensor.diagnosis.search import SettledModel
 from softsensor.diagnosis.sign_flips import inside
 from softsensor.diagnosis.where import stretches, temperatures, where_row
 from softsensor.effects.vocabulary import called, place_words
-from softsensor.report.fit_figures import COLOURS, INK, MUTED, STYLE, Put
+from softsensor.report.fit_figures import COLOURS, INK, MUTED, Put, sheet
 
 PLAIN, EXTENDED = "#8a94a0", "#c2571a"
 MARKED = 3
@@ -33,10 +32,8 @@ def run_figure(found: Diagnosis, language: str = ENGLISH) -> Figure:
     drawn = [(PLAIN, plain, say("figure-plain"))]
     if len(found.stages) > 1:
         drawn.append((EXTENDED, final, say("figure-extended")))
-    with rc_context(dict(STYLE)):
-        figure = Figure(figsize=(10.0, 5.8), layout="constrained")
+    with sheet((10.0, 5.8), put(_run_title(found, worst))) as figure:
         axes = figure.subplots(2, len(digest.signals), sharex=True, squeeze=False, height_ratios=[3, 1.5])
-        figure.suptitle(put(_run_title(found, worst)), x=0.01, ha="left", color=INK, weight="bold")
         for j, signal in enumerate(digest.signals):
             top, low = axes[0, j], axes[1, j]
             top.set_title(put(place_words(signal)), color=MUTED)
@@ -111,8 +108,7 @@ def residual_figure(found: Diagnosis, language: str = ENGLISH) -> Figure:
     signals = digests[0].signals
     closes = any(np.isfinite(d.moments.closed_s) for d in digests)
     span = (-20.0, 160.0) if closes else (0.0, max(float(d.time[-1] - d.time[0]) for d in digests))
-    with rc_context(dict(STYLE)):
-        figure = Figure(figsize=(10.0, 3.4), layout="constrained")
+    with sheet((10.0, 3.4), put(say("figure-residuals"))) as figure:
         axes = figure.subplots(1, len(signals), sharey=True, squeeze=False)[0]
         for ax, signal in zip(axes, signals, strict=True):
             ax.set_title(put(place_words(signal)), color=MUTED)
@@ -126,7 +122,6 @@ def residual_figure(found: Diagnosis, language: str = ENGLISH) -> Figure:
         reach = 1.2 * max(float(np.percentile(every, 97)), 0.2)
         axes[0].set_ylim(-reach, reach)
         axes[-1].legend(loc="upper right", fontsize=7.5)
-        figure.suptitle(put(say("figure-residuals")), x=0.01, ha="left", color=INK, weight="bold")
     return figure
 
 
@@ -158,22 +153,20 @@ def votes_figure(found: Diagnosis, language: str = ENGLISH) -> Figure | None:
     put, rivals = partial(words, language=language), found.rivals
     if not rivals:
         return None
-    with rc_context(dict(STYLE)):
-        figure = Figure(figsize=(10.0, 3.2), layout="constrained")
+    names = [white.digest.run.name for white in found.stages[0].data]
+    for_it = int((rivals[0][1] > 0).sum())
+    title = say("figure-votes", better=for_it, runs=len(names), cause=called(rivals[0][0]))
+    with sheet((10.0, 3.2), put(title)) as figure:
         ax = figure.subplots()
         colours = (EXTENDED, *COLOURS[1:], MUTED)
         for k, (name, gains) in enumerate(rivals):
             x = np.arange(len(gains)) + 0.8 * (k - (len(rivals) - 1) / 2) / len(rivals)
             label = put(called(name))
             ax.bar(x, gains, width=0.8 / len(rivals), color=colours[k % len(colours)], label=label)
-        names = [white.digest.run.name for white in found.stages[0].data]
         ax.set_xticks(range(len(names)), names, rotation=35, ha="right", fontsize=7.5)
         ax.set_yscale("symlog", linthresh=10.0)
         ax.set_axisbelow(True)
         ax.yaxis.set_major_formatter("{x:g}")
         ax.set_ylabel(put(say("figure-misfit-saved")))
         figure.legend(*ax.get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=7.5)
-        for_it = int((rivals[0][1] > 0).sum())
-        title = say("figure-votes", better=for_it, runs=len(names), cause=called(rivals[0][0]))
-        figure.suptitle(put(title), x=0.01, ha="left", color=INK, weight="bold")
     return figure

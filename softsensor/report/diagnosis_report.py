@@ -84,7 +84,13 @@ def _numbers(found: Diagnosis) -> Iterator[dict[str, Message]]:
     rows = (
         (say("report-residual-fitted"), found.base.rmse_K, found.extended.rmse_K),
         (say("report-residual-left-out"), found.base.heldout_rmse_K, found.extended.heldout_rmse_K),
+        (say("report-residual-predicted"), found.base.predicted_rmse_K, found.extended.predicted_rmse_K),
         (say("report-error-core"), found.base.core_rmse_K, found.extended.core_rmse_K),
+        (
+            say("report-error-core-predicted"),
+            found.base.predicted_core_rmse_K,
+            found.extended.predicted_core_rmse_K,
+        ),
     )
     for label, base, extended in rows:
         if base is None or extended is None:

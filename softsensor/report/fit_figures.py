@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import partial
 from typing import Any
 
@@ -19,8 +20,9 @@ from softsensor.effects.vocabulary import place_words
 from softsensor.fitting.campaign import CampaignFit
 from softsensor.fitting.paper.procedures import Reproduction
 from softsensor.fitting.result import RunFit
-from softsensor.fitting.unknowns import is_parameter
+from softsensor.fitting.unknowns import is_coefficient
 from softsensor.signals.places import Place
+from softsensor.signals.robust import scatter
 
 INK, MUTED, GRID = "#1f2933", "#6b7785", "#e3e7ec"
 COLOURS = ("#c2571a", "#1f6fb2", "#2f8f6b", "#7a5ba8")
@@ -52,27 +54,28 @@ STYLE: Mapping[str, Any] = {
 }
 
 
+@contextmanager
+def sheet(size: tuple[float, float], title: str = "") -> Iterator[Figure]:
+    """Make a figure [in] in the reports' style, under a title."""
+    with rc_context(dict(STYLE)):
+        figure = Figure(figsize=size, layout="constrained")
+        if title:
+            figure.suptitle(title, x=0.01, ha="left", color=INK, weight="bold")
+        yield figure
+
+
 def svg(figure: Figure) -> str:
     """Return a figure as SVG text, the same for the same figure."""
-    return _saved(figure, "svg").decode()
-
-
-def png(figure: Figure, dpi: int = 130) -> bytes:
-    """Return a figure as PNG."""
-    return _saved(figure, "png", dpi=dpi)
-
-
-def _saved(figure: Figure, kind: str, **options: Any) -> bytes:
     buffer = io.BytesIO()
     with rc_context(dict(STYLE)):
-        figure.savefig(buffer, format=kind, metadata={"Date": None} if kind == "svg" else None, **options)
-    return buffer.getvalue()
+        figure.savefig(buffer, format="svg", metadata={"Date": None})
+    return buffer.getvalue().decode()
 
 
 def campaign_figures(campaign: CampaignFit, language: str = ENGLISH) -> dict[str, str]:
     """Return every figure of a campaign as SVG text, by name: the runs, the coefficients, what moves together."""
     figures = {"coefficients": svg(coefficients_figure(campaign, language))}
-    if len(campaign.met) > 1:
+    if scattered(campaign):
         figures["coefficients_normalised"] = svg(normalised_figure(campaign, language))
     for fitted in campaign.runs:
         figures[f"measured_{fitted.run}"] = svg(run_figure(fitted, language))
@@ -85,13 +88,10 @@ def run_figure(fitted: RunFit, language: str = ENGLISH) -> Figure:
     put = partial(words, language=language)
     places = _ordered(fitted.problem.signals.places)[:4]
     after, before = _predictions(fitted)
-    with rc_context(dict(STYLE)):
-        figure = Figure(figsize=(10.0, 5.6), layout="constrained")
+    off = {"fit": fitted.rmse_K, "guesses": fitted.initial_rmse_K}
+    code = "figure-fit" if fitted.met else "figure-not-described"
+    with sheet((10.0, 5.6), put(Message(code, {"run": fitted.run, **off}))) as figure:
         axes = figure.subplots(2, len(places), sharex=True, squeeze=False, height_ratios=[3, 1.25])
-        off = {"fit": fitted.rmse_K, "guesses": fitted.initial_rmse_K}
-        code = "figure-fit" if fitted.met else "figure-not-described"
-        title = Message(code, {"run": fitted.run, **off})
-        figure.suptitle(put(title), x=0.01, ha="left", color=INK, weight="bold")
         for j, place in enumerate(places):
             colour = COLOURS[j % len(COLOURS)]
             _draw_measured(axes[0, j], fitted, place, put)
@@ -162,7 +162,7 @@ def _draw_residual(ax: Any, fitted: RunFit, off: tuple[Array, Place], drawn: tup
     _shade_closed(ax, fitted)
     residual = np.where(fitted.problem.rows > 0, difference, np.nan)
     residual = residual - float(np.nanmean(residual))
-    band = _scatter(np.stack([fitted.problem.signals.cells[c] for c in place.columns], axis=1))
+    band = scatter(np.stack([fitted.problem.signals.cells[c] for c in place.columns], axis=1), own_offsets=True)
     ax.fill_between(t, residual - band, residual + band, color=colour, alpha=0.18, lw=0)
     ax.plot(t, residual, lw=0.9, color=colour)
     ax.axhline(0.0, color=MUTED, lw=0.8)
@@ -177,27 +177,14 @@ def _draw_residual(ax: Any, fitted: RunFit, off: tuple[Array, Place], drawn: tup
         ax.text(0.99, 0.96, largest, **at, fontsize=7.5, color=MUTED)
 
 
-def _scatter(cells: Array) -> Array:
-    """Standard deviation over channels in each row, their own offsets removed. [K]"""
-    good = np.isfinite(cells)
-    offsets = np.where(good, cells, 0.0).sum(axis=0) / np.maximum(good.sum(axis=0), 1)
-    centred = np.where(good, cells - offsets, 0.0)
-    count = np.maximum(good.sum(axis=1), 1)
-    mean = centred.sum(axis=1) / count
-    squares = (np.where(good, centred - mean[:, None], 0.0) ** 2).sum(axis=1)
-    return np.asarray(np.sqrt(squares / count))
-
-
 def coefficients_figure(campaign: CampaignFit, language: str = ENGLISH) -> Figure:
     """Every run's coefficients with their intervals, mean and spread: one panel each."""
     put = partial(words, language=language)
     names = list(campaign.coefficients)
     columns = min(3, max(len(names), 1))
     rows = -(-len(names) // columns)
-    with rc_context(dict(STYLE)):
-        figure = Figure(figsize=(10.0, 2.4 * rows + 0.5), layout="constrained")
+    with sheet((10.0, 2.4 * rows + 0.5), put(_campaign_title(campaign))) as figure:
         axes = figure.subplots(rows, columns, squeeze=False)
-        figure.suptitle(put(_campaign_title(campaign)), x=0.01, ha="left", color=INK, weight="bold")
         for ax, name in zip(axes.flat, names, strict=False):
             _draw_coefficient(ax, campaign, name, put)
         for ax in axes.flat[len(names) :]:
@@ -215,7 +202,7 @@ def _campaign_title(campaign: CampaignFit) -> Message:
     which = known_names(known, len(coefficients))
     if len(campaign.runs) == 1:
         return say("figure-known-from-run", run=campaign.runs[0].run, known=which)
-    worst = max(c.spread for c in coefficients.values())
+    worst = max((coefficients[name].spread for name in scattered(campaign)), default=0.0)
     return say("figure-known-from-runs", runs=total, known=which, percent=100 * worst)
 
 
@@ -257,17 +244,19 @@ def _draw_coefficient(ax: Any, campaign: CampaignFit, name: str, put: Put) -> No
         ax.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=FEW_TICKS))
 
 
+def scattered(campaign: CampaignFit) -> list[str]:
+    """Return the coefficients that several runs know: of the others nothing tells how they differ."""
+    return [name for name, c in campaign.coefficients.items() if c.runs > 1]
+
+
 def normalised_figure(campaign: CampaignFit, language: str = ENGLISH) -> Figure:
     """All coefficients over their means, side by side: which differ from run to run, and how much."""
     put = partial(words, language=language)
-    names = list(campaign.coefficients)
-    with rc_context(dict(STYLE)):
-        figure = Figure(figsize=(10.0, 3.3), layout="constrained")
+    names = scattered(campaign)
+    most = max(names, key=lambda n: campaign.coefficients[n].spread)
+    title = say("figure-normalised", name=most, percent=100 * campaign.coefficients[most].spread)
+    with sheet((10.0, 3.3), put(title)) as figure:
         ax = figure.subplots()
-        spreads = {n: c.spread for n, c in campaign.coefficients.items()}
-        most = max(spreads, key=lambda n: spreads[n])
-        title = say("figure-normalised", name=most, percent=100 * spreads[most])
-        figure.suptitle(put(title), x=0.01, ha="left", color=INK, weight="bold")
         for j, name in enumerate(names):
             c = campaign.coefficients[name]
             values = [
@@ -287,7 +276,7 @@ def normalised_figure(campaign: CampaignFit, language: str = ENGLISH) -> Figure:
 def strongest(fitted: RunFit) -> tuple[int, int, float]:
     """Return the coefficient and the other unknown that move together most, and their correlation."""
     matrix = np.abs(fitted.correlation) * (1.0 - np.eye(len(fitted.names)))
-    rows = [i for i, name in enumerate(fitted.names) if is_parameter(name)]
+    rows = [i for i, name in enumerate(fitted.names) if is_coefficient(name)]
     row, j = np.unravel_index(np.argmax(matrix[rows]), matrix[rows].shape)
     i = rows[int(row)]
     return i, int(j), float(fitted.correlation[i, j])
@@ -307,8 +296,7 @@ def correlation_figure(fitted: RunFit, language: str = ENGLISH) -> Figure:
     put = partial(words, language=language)
     names = list(fitted.names)
     matrix = np.where(np.eye(len(names)) > 0, np.nan, fitted.correlation)
-    with rc_context(dict(STYLE)):
-        figure = Figure(figsize=(7.4, 6.2), layout="constrained")
+    with sheet((7.4, 6.2)) as figure:
         ax = figure.subplots()
         image = ax.imshow(matrix, cmap="RdBu_r", vmin=-1, vmax=1)
         ax.set_xticks(range(len(names)), names, rotation=90)
@@ -323,10 +311,8 @@ def roughness_figure(found: Reproduction, language: str = ENGLISH) -> Figure:
     """Draw the cost along one coefficient for an adaptive and for the exact solver."""
     put = partial(words, language=language)
     percent = 100.0 * (found.relative - 1.0)
-    with rc_context(dict(STYLE)):
-        figure = Figure(figsize=(8.0, 3.6), layout="constrained")
+    with sheet((8.0, 3.6), put(say("figure-roughness"))) as figure:
         ax = figure.subplots()
-        figure.suptitle(put(say("figure-roughness")), x=0.01, ha="left", color=INK, weight="bold")
         ax.plot(percent, found.adaptive, "o-", ms=2.5, lw=0.9, color=COLOURS[0], label=put(say("figure-adaptive")))
         ax.plot(percent, found.exact, lw=1.8, color=COLOURS[1], label=put(say("figure-exact")))
         ax.set_xlabel(put(say("figure-from-best", name=found.coefficient)))

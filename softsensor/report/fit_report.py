@@ -22,6 +22,7 @@ from softsensor.report.fit_figures import (
     normalised_figure,
     roughness_figure,
     run_figure,
+    scattered,
     svg,
 )
 from softsensor.report.fit_report_runs import details_of
@@ -42,7 +43,6 @@ def fit_report(campaign: CampaignFit, program: Program | None = None, language: 
         Of its words.
     """
     shown = _typical_and_worst(campaign)
-    several = len(campaign.met) > 1
     method = campaign.method.partition(":")[0]
     return page(
         "fit_report.html",
@@ -55,7 +55,7 @@ def fit_report(campaign: CampaignFit, program: Program | None = None, language: 
         unknown=_unknown(campaign),
         warnings=[(f.run, w) for f in campaign.runs for w in f.warnings if not is_verdict_on(w, f.coefficients)],
         coefficients_svg=svg(coefficients_figure(campaign, language)),
-        normalised_svg=svg(normalised_figure(campaign, language)) if several else "",
+        normalised_svg=svg(normalised_figure(campaign, language)) if scattered(campaign) else "",
         run_figures=[(title, svg(run_figure(f, language))) for title, f in shown],
         together_most=moves_with(shown[0][1]),
         dependence=list(_dependence(campaign)),
@@ -138,7 +138,7 @@ def _program(program: Program | None) -> dict[str, Any] | None:
     if program is None:
         return None
     rows = [
-        {"name": n, "value": say("report-number", value=e.value), "ci": _span(program.interval(n))}
+        {"name": n, "value": say("report-number", value=e.value), "ci": _span(program.intervals[n])}
         for n, e in program.coefficients.items()
     ]
     settings = tuple(
@@ -202,17 +202,7 @@ def paper_report(found: Reproduction, language: str = ENGLISH) -> str:
     return page(
         "paper_report.html",
         language,
-        rows=[
-            {
-                "solver": c.solver,
-                "slopes": c.slopes,
-                "converged": say("report-count-of", count=c.converged, total=c.runs),
-                "seconds": say("report-hundredths", value=c.seconds),
-                "solves": f"{c.evaluations:.0f}",
-                "error": say("report-percent", percent=100 * (float(np.exp(c.error)) - 1)),
-            }
-            for c in found.table
-        ],
-        last=found.lines[-1],
+        rows=[list(row.values()) for row in found.rows],
+        last=found.said,
         figure=svg(roughness_figure(found, language)),
     )

@@ -56,7 +56,7 @@ def test_nonlinear_models_are_solved_one_by_one(lab_press, make_run, coefficient
     model = ThermalModel.of(lab_press, ("moisture_evaporation",))
     cases = [model.prepare(make_run(end=end), moments) for end in (60.0, 70.0)]
     values = model.guesses | coefficients
-    assert_as_alone(model, cases, [values] * 2, solve_many(model, cases, values, threads=1))
+    assert_as_alone(model, cases, [values] * 2, solve_many(model, cases, values))
 
 
 def test_absorbed_flux_and_convecting_ends_come_out_as_alone():

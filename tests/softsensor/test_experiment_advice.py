@@ -12,6 +12,7 @@ from daq.simulated.campaign_sensors import Nuisances
 from softsensor.fitting.experiment_advice import ALONE, Company, apart, repeats_for, role_of
 from softsensor.fitting.one_run import fit_run
 from softsensor.heat.model import ThermalModel
+from tests.softsensor.known_before import knowing
 
 PRESS = parse_press(press_toml())
 MODEL = ThermalModel(PRESS)
@@ -29,7 +30,7 @@ def measured():
 @pytest.fixture(scope="module")
 def fitted(measured):
     run, truth = measured
-    return fit_run(MODEL, run, truth.moments, priors={"h_ap": (10.0, 0.2)})
+    return fit_run(knowing(MODEL, h_ap=(10.0, 0.2)), run, truth.moments)
 
 
 def _advice(fitted, partner, company=ALONE, name="h_p_o"):
@@ -77,7 +78,7 @@ def test_run_with_channels_above_only_is_told_to_log_those_below(measured):
     fitted = fit_run(MODEL, replace(run, columns=above), truth.moments)
     unknown = {n: str(c.reason) for n, c in fitted.coefficients.items() if not c.identifiable}
     assert "h_pp_o" in unknown
-    assert "Log the channels at panel.bottom too, which this run lacks" in unknown["h_pp_o"]
+    assert "Log the channels that this run lacks too (panel, bottom face)" in unknown["h_pp_o"]
     assert not any("face of panel towards upper plate" in reason for reason in unknown.values())
 
 
@@ -96,9 +97,9 @@ def test_no_longer_state_is_asked_for_than_the_run_has(fitted, before, after):
 
 def test_what_was_known_before_does_not_make_fewer_runs_do(measured):
     run, truth = measured
-    bare = fit_run(MODEL, run, truth.moments, verdicts=False)
-    known = {"h_ap": (bare.coefficients["h_ap"].value, 0.1)}
-    told = fit_run(MODEL, run, truth.moments, verdicts=False, priors=known)
+    bare = fit_run(MODEL, run, truth.moments, company=None)
+    known = knowing(MODEL, h_ap=(bare.coefficients["h_ap"].value, 0.1))
+    told = fit_run(known, run, truth.moments, company=None)
     i = bare.problem.names.index("h_ap")
     assert told.covariance[i, i] < 0.1 * bare.covariance[i, i]
     assert repeats_for(told, i) == pytest.approx(repeats_for(bare, i), rel=0.2, abs=1)

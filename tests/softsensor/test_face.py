@@ -3,12 +3,13 @@
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import daq
@@ -52,6 +53,7 @@ def test_a_run_file_through_a_table_is_the_same_run():
         assert again.columns[name].tobytes() == values.tobytes()
 
 
+@settings(deadline=None)
 @given(
     values=st.lists(st.one_of(st.none(), st.floats(-200.0, 1300.0)), min_size=1, max_size=30),
     start=st.floats(0.0, 1e6),
@@ -137,7 +139,43 @@ def test_a_store_answers_in_tables(tmp_path):
         samples = store.samples(SAMPLES[0].stem)
         assert samples["top_1"].to_numpy().tobytes() == read_run(SAMPLES[0]).columns["top_1"].tobytes()
         assert samples.attrs["panel.material"] == "MDF"
+        again = softsensor.read_run(samples)
+        assert again.name == SAMPLES[0].stem
+        assert again.header["panel.thickness_mm"] == read_run(SAMPLES[0]).header["panel.thickness_mm"]
+        assert set(daq.qualities_of(again)["top_1"]) <= {"good", "missing"}
         for table in (store.estimates(SAMPLES[0].stem), store.coefficients(), store.events()):
             assert isinstance(table, pd.DataFrame)
     moments = daq.find_moments(samples, LAB)
     assert 0.0 < moments.closed_s < moments.opened_s
+
+
+def test_every_result_prints_on_one_screen_is_drawn_for_a_notebook_and_is_json(fitted):
+    from matplotlib import pyplot
+    from matplotlib.axes import Axes
+
+    def no_number(text):
+        raise AssertionError(text)
+
+    for result in (fitted, softsensor.simulate(SHORT, LAB, fitted), softsensor.predict(SHORT, LAB, fitted)):
+        lines = repr(result).splitlines()
+        assert len(lines) <= 24
+        assert max(map(len, lines)) <= 200
+        assert "<table" in result._repr_html_()
+        axes = result.plot()
+        assert all(isinstance(ax, Axes) for ax in axes)
+        assert axes[0].figure.number in pyplot.get_fignums()
+        pyplot.close(axes[0].figure)
+        assert json.loads(result.to_json(), parse_constant=no_number)
+        with pytest.raises(AttributeError):
+            result.anything = 1
+
+
+def test_an_effect_of_ones_own_is_known_by_name_once():
+    from softsensor.effects import catalogue, find_effect
+
+    effect = replace(find_effect("edge_loss"), name="own_loss", words={})
+    with pytest.raises(daq.InputError, match="own_loss"):
+        softsensor.add_effect(effect)
+    assert "own_loss" not in catalogue()
+    with pytest.raises(daq.InputError, match="edge_loss"):
+        softsensor.add_effect(find_effect("edge_loss"))

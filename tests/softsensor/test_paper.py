@@ -1,5 +1,6 @@
 """The paper's procedures, and its difficulty reproduced on two virtual measurements."""
 
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -13,10 +14,11 @@ from daq.simulated.campaign_sensors import Nuisances
 from softsensor.fitting.identifiability import held_against
 from softsensor.fitting.one_run import fit_run
 from softsensor.fitting.paper.ode import lines_of
-from softsensor.fitting.paper.procedures import METHODS, _prepare, fit_as_paper, scatter_of
+from softsensor.fitting.paper.procedures import METHODS, _prepare, fit_as_paper
 from softsensor.fitting.paper.virtual_runs import reproduce_paper
 from softsensor.heat.model import ThermalModel
 from softsensor.signals.moments import moments_of
+from softsensor.signals.robust import scatter
 
 MODEL = ThermalModel.of(parse_press(press_toml()))
 
@@ -113,9 +115,9 @@ def test_slopes_of_the_papers_residuals_are_those_of_differences(measured):
 def test_sensors_that_scatter_weigh_less():
     rng = np.random.default_rng(3)
     cells = 100.0 + np.concatenate([rng.normal(0, 0.3, (200, 7)), rng.normal(0, 2.0, (200, 7))])
-    scatter = scatter_of(cells, own_offsets=True)
-    assert np.median(scatter[:200]) == pytest.approx(0.3 * np.sqrt(6 / 7), rel=0.1)
-    assert np.median(scatter[200:]) == pytest.approx(2.0 * np.sqrt(6 / 7), rel=0.1)
+    apart = scatter(cells, own_offsets=True)
+    assert np.median(apart[:200]) == pytest.approx(0.3 * np.sqrt(6 / 7), rel=0.1)
+    assert np.median(apart[200:]) == pytest.approx(2.0 * np.sqrt(6 / 7), rel=0.1)
 
 
 def test_a_run_the_model_cannot_meet_stays_within_the_limits(measured):
@@ -135,7 +137,7 @@ def test_unknown_method_is_refused_with_the_known_ones(measured):
 
 
 def test_finite_differences_of_an_adaptive_solver_get_stuck_and_nothing_else_does():
-    found = reproduce_paper(2)
+    found = reproduce_paper(2, clock=time.perf_counter)
     converged = {(c.solver, c.slopes): c.converged for c in found.table}
     assert converged[("adaptive", "finite differences")] == 0
     assert converged[("exact", "finite differences")] == 2
