@@ -18,6 +18,7 @@ import typer
 from api.commands import files, services
 from api.commands import simulating as analysis
 from api.commands.calibrating import calibrate
+from api.commands.calling import Command, Group, refusal_of
 from api.commands.demo import demo
 from api.commands.diagnosing import diagnose
 from api.commands.fitting import fit
@@ -31,7 +32,7 @@ from daq.words.message import ENGLISH, languages
 
 app = typer.Typer(
     name="kerntemp",
-    help="Core temperature of pressed panels: log, predict live, fit, and find what the model gets wrong.",
+    cls=Group,
     add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
@@ -41,10 +42,8 @@ app = typer.Typer(
 @app.callback(invoke_without_command=True)
 def about(
     context: typer.Context,
-    version: Annotated[bool, typer.Option("--version", help="Say the version and end.")] = False,
-    licences: Annotated[
-        bool, typer.Option("--licences", help="List what is shipped or installed with it, with its licence.")
-    ] = False,
+    version: Annotated[bool, typer.Option("--version", help="help-version")] = False,
+    licences: Annotated[bool, typer.Option("--licences", help="help-licences")] = False,
 ) -> None:
     """Core temperature of pressed panels: log, predict live, fit, and find what the model gets wrong."""
     if version:
@@ -58,26 +57,26 @@ def about(
     if version or licences:
         raise typer.Exit
     if context.invoked_subcommand is None:
-        context.fail("Missing command.")
+        raise InputError(say("call-command-missing"))
 
 
-app.command("demo")(demo)
-app.command("record")(services.record)
-app.command("sense")(services.sense)
-app.command("serve")(services.serve)
-app.command("publish")(publish)
-app.command("refit")(services.refit)
-app.command("fit")(fit)
-app.command("diagnose")(diagnose)
-app.command("simulate")(analysis.simulate)
-app.command("predict")(analysis.predict)
-app.command("import")(files.import_runs)
-app.command("export")(files.export_runs)
-app.command("check")(files.check)
-app.command("backup")(backup)
-app.command("probe")(probe)
-app.command("calibrate")(calibrate)
-app.command("token")(services.token)
+app.command("demo", cls=Command)(demo)
+app.command("record", cls=Command)(services.record)
+app.command("sense", cls=Command)(services.sense)
+app.command("serve", cls=Command)(services.serve)
+app.command("publish", cls=Command)(publish)
+app.command("refit", cls=Command)(services.refit)
+app.command("fit", cls=Command)(fit)
+app.command("diagnose", cls=Command)(diagnose)
+app.command("simulate", cls=Command)(analysis.simulate)
+app.command("predict", cls=Command)(analysis.predict)
+app.command("import", cls=Command)(files.import_runs)
+app.command("export", cls=Command)(files.export_runs)
+app.command("check", cls=Command)(files.check)
+app.command("backup", cls=Command)(backup)
+app.command("probe", cls=Command)(probe)
+app.command("calibrate", cls=Command)(calibrate)
+app.command("token", cls=Command)(services.token)
 
 
 _UsageError: type[Exception] = typer.BadParameter.__mro__[1]
@@ -112,7 +111,6 @@ def _choose_language(language: str) -> None:
 
 
 def _complain(error: BaseException, status: int) -> int:
-    usage = getattr(error, "format_message", None)  # of the command line library, in English
-    text = str(usage()) if usage else in_words(spoken(error))
+    text = in_words(refusal_of(error) if isinstance(error, _UsageError) else spoken(error))
     sys.stderr.write("kerntemp: " + " ".join(text.split()) + "\n")
     return status

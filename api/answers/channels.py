@@ -36,7 +36,10 @@ def faces_of(channels: Sequence[ChannelNow]) -> Faces:
         good = [
             c.temperature_C
             for c in channels
-            if c.name.startswith(start) and c.temperature_C is not None and Quality(c.quality).usable
+            if c.name.startswith(start)
+            and c.temperature_C is not None
+            and c.left_out_K is None
+            and Quality(c.quality).usable
         ]
         return round(median(good), 3) if good else None
 
@@ -103,9 +106,20 @@ def _watch_of(store: Store, press: str, newest: int) -> _Watch:
 
 
 def channels_now(
-    store: Store, press: str, channels: Sequence[Channel], scan: Scan | None, now: datetime
+    store: Store,
+    press: str,
+    channels: Sequence[Channel],
+    scan: Scan | None,
+    now: datetime,
+    left_out: Mapping[str, float],
 ) -> list[ChannelNow]:
-    """Return each channel's last value, and what the recorder says about its logger."""
+    """Return each channel's last value, what the recorder says about its logger, and whether it is used.
+
+    Parameters
+    ----------
+    left_out
+        Channels the live sensor does not use, and how far they read above their neighbours. [K]
+    """
     reported = channel_reports(store.statuses(), press)
     known = channels or store.channels(press)
     names = [channel.name for channel in known]
@@ -126,6 +140,7 @@ def channels_now(
                 value=value,
                 temperature_C=value if unit == "C" else None,
                 quality=str(qualities.get(name, Quality.MISSING)),
+                left_out_K=left_out.get(name),
                 utc=scan.utc if scan else None,
                 last_good_utc=watch.last_good.get(name),
                 age_s=round((now - scan.utc).total_seconds(), 3) if scan else None,

@@ -10,6 +10,7 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Any
 
+from api.answers.advice import SILENT_S, advice_of
 from api.answers.channels import channels_now, faces_of
 from api.answers.decimation import number_or_none
 from api.answers.schemas import (
@@ -51,11 +52,9 @@ STATE_AFTER: Mapping[str, State] = {
 }
 BESIDE = set(EstimateNow.model_fields) - set(StoredEstimate.__dataclass_fields__)
 """What the sensor stores beside an estimate and the API hands on."""
-BESIDE_INVALID = {"suspected", "reason_arguments"}
+BESIDE_INVALID = {"suspected", "reason_arguments", "left_out"}
 """What of it stands beside an estimate that is not valid: forecast, profile and heat rest on that estimate."""
 
-SILENT_S = 5.0
-"""An estimate this much older than the newest scan is no longer what the core is. [s]"""
 KEPT_RUNS = 64
 _HIGHEST: dict[tuple[str, str], tuple[int, float]] = {}
 _HIGHEST_LOCK = threading.Lock()
@@ -102,6 +101,7 @@ def _run_summary(store: Store, run: RunRecord, errors: Mapping[str, float | None
         opened_s=number_or_none(run.moments.opened_s),
         rmse_K=errors.get(run.run),
         fitted=run.run in errors,
+        verdict=run.header.get("panel.verdict"),
     )
 
 
@@ -135,7 +135,7 @@ def _header_number(run: RunRecord, key: str) -> float | None:
 def estimate_now(estimate: StoredEstimate, run: RunRecord | None, utc: datetime | None) -> EstimateNow:
     """Return one estimate as the API shows it; its time counts from the run's first row."""
     handed_on = BESIDE if estimate.valid else BESIDE_INVALID
-    return EstimateNow(
+    now = EstimateNow(
         run=run.run if run else None,
         number=estimate.number,
         utc=utc,
@@ -149,6 +149,8 @@ def estimate_now(estimate: StoredEstimate, run: RunRecord | None, utc: datetime 
         reason=estimate.reason,
         **{k: v for k, v in (estimate.detail or {}).items() if k in handed_on},
     )
+    target_C = _header_number(run, "setting.core_target_C") if run else None  # noqa: N806
+    return now.model_copy(update={"advice": advice_of(now, target_C, run.moments.opened_s if run else math.nan)})
 
 
 def run_of_scan(runs: Iterable[RunRecord], number: int) -> RunRecord | None:
@@ -230,7 +232,7 @@ def press_now(store: Store, press: str, press_file: str, now: datetime) -> Press
     estimate = newest_estimate(store, press, shown, scan) if scan else None
     time_s = scan.monotonic_s - run.zero_monotonic_s if run and scan else None
     closed_s = run.moments.closed_s if run else math.nan
-    channels = channels_now(store, press, batch.channels, scan, now)
+    channels = channels_now(store, press, batch.channels, scan, now, estimate.left_out if estimate else {})
     return PressNow(
         press=press,
         state=state_of(events, run),

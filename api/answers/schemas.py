@@ -8,6 +8,7 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 State = Literal["idle", "open", "closed", "unknown"]
+Verdict = Literal["good", "blister", "undercured", "scrap"]
 
 
 class _Answer(BaseModel):
@@ -79,6 +80,41 @@ class Health(_Answer):
     """The same, item by item."""
 
 
+class Advice(_Answer):
+    """When to open the press: the one answer everything else of the forecast goes with."""
+
+    verdict: Literal[
+        "open_now", "open_in", "too_early", "not_known", "no_target", "not_closed", "opened", "no_panel"
+    ]
+    open_in_s: float | None = None
+    """Until opening lets the core's peak just reach the target; 0 for now."""
+    open_earliest_s: float | None = None
+    open_latest_s: float | None = None
+    """Bounds of 95 %; null where they lie beyond the look ahead."""
+    target_C: float | None = None  # noqa: N815
+    peak_C: float | None = None  # noqa: N815
+    """Of the core after opening, once it is open."""
+    age_s: float | None = None
+    """How old the look ahead is on which this rests."""
+    sentence: str
+    sentence_said: Said
+
+
+class AdviceNow(_Answer):
+    """The advice for the panel in one press."""
+
+    press: str
+    run: str | None
+    advice: Advice
+
+
+class AdviceList(_Answer):
+    """The advice for every press."""
+
+    items: list[AdviceNow]
+    next_cursor: str | None = None
+
+
 class ChannelNow(_Answer):
     """One channel: its last value and how its logger has behaved."""
 
@@ -92,6 +128,8 @@ class ChannelNow(_Answer):
     temperature_C: float | None = None  # noqa: N815
     """The same where it is a temperature."""
     quality: str = "missing"
+    left_out_K: float | None = None  # noqa: N815
+    """How far it reads above its neighbours, where live sensor or fit do not use it for that."""
     utc: datetime | None = None
     last_good_utc: datetime | None = None
     age_s: float | None = None
@@ -132,6 +170,8 @@ class EstimateNow(_Answer):
     """Heat in the panel beyond its start."""
     profile_C: list[float] | None = None  # noqa: N815
     """Temperatures at even heights from the lower to the upper face."""
+    band_from: dict[str, float] | None = None
+    """Share of the band's variance by what it comes from (`softsensor.live.budget.KINDS`)."""
     target_in_s: float | None = None
     """Until the core reaches `setting.core_target_C` if the press stays as it is."""
     target_earliest_s: float | None = None
@@ -145,6 +185,14 @@ class EstimateNow(_Answer):
     """Until the core's upper bound passes `setting.core_limit_C`."""
     warning: str = ""
     warning_said: Said | None = None
+    forecast_age_s: float | None = None
+    """How old the look ahead is that all of the forecast rests on; its times count from now."""
+    course: list[tuple[float, float, float, float]] | None = None
+    """The core to come if the press stays closed: seconds from the look on, core, lower and upper bound.
+    Only beside the first estimate after a look."""
+    left_out: dict[str, float] = Field(default_factory=dict)
+    """Channels that read something else than their neighbours and are not used, and by how much. [K]"""
+    advice: Advice | None = None
 
 
 class Faces(_Answer):
@@ -217,6 +265,47 @@ class RunSummary(_Answer):
     opened_s: float | None
     rmse_K: float | None  # noqa: N815
     fitted: bool
+    verdict: Verdict | None
+    """What became of the panel, as the operator saw it."""
+
+
+class RunVerdict(_Answer):
+    """What became of a panel, who said so, and when."""
+
+    run: str
+    verdict: Verdict | None
+    who: str | None
+    utc: datetime | None
+
+
+class NextPanelNow(_Answer):
+    """What is said of the panels to come at a press; runs begin with it until it is changed."""
+
+    press: str
+    recipe: str
+    header: dict[str, Any]
+    """Header keys as in a run file; `panel.initial_temperature_C` is that of one panel and used once."""
+    who: str | None
+    utc: datetime | None
+    recipes: dict[str, dict[str, Any]]
+    """Header keys of the recipes there are, by name."""
+
+
+class RunHit(RunSummary):
+    """One pressing among those looked for."""
+
+    remark: str
+    recipe: str
+    numbers: dict[str, float | None]
+    """Every number known of the run: of its header, `press_time_s`, `rmse_K`, `core_at_opening_C`, `core_peak_C`,
+    `band_at_opening_K` (the width of the 95 % band)."""
+
+
+class SearchList(_Answer):
+    """Runs looked for."""
+
+    items: list[RunHit]
+    next_cursor: str | None
 
 
 class RunList(_Answer):

@@ -27,17 +27,11 @@ READINGS = 10
 
 def calibrate(
     config: ConfigFile = None,
-    room: Annotated[
-        float | None, typer.Option(min=0.0, max=60.0, help="What the thermometer beside the sensors says. [°C]")
-    ] = None,
-    warm: Annotated[bool, typer.Option("--warm", help="Find the thermocouple you warm by hand.")] = False,
-    write: Annotated[
-        bool, typer.Option("--write", help="Add the offsets found to each logger's calibration file.")
-    ] = False,
-    wait_s: Annotated[
-        float | None, typer.Option("--wait", min=0.0, help="Time to warm it; without, Enter ends it. [s]")
-    ] = None,
-    period_s: Annotated[float, typer.Option("--period", min=0.0, help="Between two readings. [s]")] = 1.0,
+    room: Annotated[float | None, typer.Option(min=0.0, max=60.0, metavar="CELSIUS", help="help-room")] = None,
+    warm: Annotated[bool, typer.Option("--warm", help="help-warm")] = False,
+    write: Annotated[bool, typer.Option("--write", help="help-calibrate-write")] = False,
+    wait_s: Annotated[float | None, typer.Option("--wait", min=0.0, metavar="SECONDS", help="help-wait")] = None,
+    period_s: Annotated[float, typer.Option("--period", min=0.0, metavar="SECONDS", help="help-period")] = 1.0,
 ) -> None:
     """Check calibration at room temperature (--room) or channels for swaps (--warm); stop `record` first."""
     if (room is None) == (not warm):
@@ -118,13 +112,19 @@ def _line(check: RoomCheck) -> Message:
 
     name, verdict = f"{check.channel:14}", check.verdict.message
     if check.verdict is RoomVerdict.NO_VALUE:
-        return say("terminal-room-no-value", channel=name, verdict=verdict, quality=str(check.quality))
+        return say(
+            "terminal-room-no-value",
+            channel=name,
+            verdict=verdict,
+            quality=Message(f"page-quality-{check.quality}"),
+        )
+    off = check.deviation_kelvin
     return say(
         "terminal-room-check",
         channel=name,
-        mean=f"{check.mean_celsius:7.2f}",
-        deviation=f"{check.deviation_kelvin:+6.2f}",
-        noise=f"{check.noise_kelvin:.2f}",
+        mean=check.mean_celsius,
+        deviation=say("kelvin-signed", sign="−" if off < 0 else "+", kelvin=abs(off)),
+        noise=check.noise_kelvin,
         verdict=verdict,
     )
 

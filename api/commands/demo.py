@@ -14,16 +14,12 @@ from daq.words import say, spoken
 
 
 def demo(
-    speed: Annotated[float, typer.Option(min=0.1, max=200.0, help="Times real speed.")] = 1.0,
-    pressings: Annotated[
-        int | None, typer.Option(min=1, max=1000, help="Stop after this many; without, at Ctrl-C.")
-    ] = None,
-    hide: Annotated[
-        str, typer.Option(metavar="EFFECT", help="Switch this effect on in the virtual press only.")
-    ] = "",
-    port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the page; 0 takes a free one.")] = 0,
-    data: Annotated[Path | None, typer.Option(metavar="DIR", help="Keep everything here.")] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Another seed is another press.")] = 1,
+    speed: Annotated[float, typer.Option(min=0.1, max=200.0, metavar="X", help="help-speed")] = 1.0,
+    pressings: Annotated[int | None, typer.Option(min=1, max=1000, metavar="N", help="help-pressings")] = None,
+    hide: Annotated[str, typer.Option(metavar="EFFECT", help="help-hide")] = "",
+    port: Annotated[int, typer.Option(min=0, max=65535, metavar="N", help="help-page-port")] = 0,
+    data: Annotated[Path | None, typer.Option(metavar="DIR", help="help-data")] = None,
+    seed: Annotated[int, typer.Option(min=0, metavar="N", help="help-seed")] = 1,
 ) -> None:
     """Run logging, live sensor, refits and page on a virtual press."""
     hidden = tuple(name.strip() for name in hide.split(",") if name.strip())

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from api.commands.fitting import HtmlOut, JsonOut, ModelOut
-from api.commands.inputs import ConfigFile, PressFile, Runs, StoreUrl, Until, files_read, load_runs, rows_until
-from api.outputs import as_json, check_writable, in_words, spoken_language, working, write_all
+from api.commands.inputs import ConfigFile, PressFile, Runs, StoreUrl, files_read, load_runs
+from api.commands.until import Until, shortened
+from api.outputs import as_json, check_writable, in_words, spoken_language, tell, working, write_all
 from daq.words import say
 
 if TYPE_CHECKING:
@@ -31,9 +31,7 @@ def diagnose(
 
     check_writable(model, json, html, inputs=files_read(*runs, press, store=store, config=config))
     described = read_press(press)
-    loaded = load_runs(runs, store, config)
-    if until is not None:
-        loaded = [rows_until(run, until) for run in loaded]
+    loaded = shortened(load_runs(runs, store, config), described, until)
     with working(say("terminal-progress-diagnosing", runs=len(loaded)), 100) as done:
         from softsensor.diagnosis.verdict import diagnose as look
 
@@ -42,17 +40,20 @@ def diagnose(
         if json is not None:
             outputs[json] = as_json(found.as_json())
         if model is not None:
-            from softsensor.diagnosis.missing_causes import checked_on
+            from softsensor.diagnosis.missing_causes import with_missing_causes
             from softsensor.heat.model_file import model_text
+            from softsensor.jobs.campaign import fit_runs
 
-            outputs[model] = model_text(checked_on(found.model_file(), described, loaded))
+            extended = found.model_file()
+            fits = fit_runs(extended.model(described), loaded, start=extended.values, company=None)
+            outputs[model] = model_text(with_missing_causes(extended, fits))
         if html is not None:
             from softsensor.report.diagnosis_report import diagnosis_report
 
             outputs[html] = diagnosis_report(found, spoken_language())
         write_all(outputs)
     for line in _lines(found):
-        sys.stdout.write(line + "\n")
+        tell(line)
 
 
 def _lines(found: Diagnosis) -> Iterator[str]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -21,7 +20,7 @@ from api.commands.inputs import (
     say_doubts,
     store_address,
 )
-from api.outputs import check_writable, tell, working, write_all
+from api.outputs import check_writable, in_words, tell, working, write_all
 from daq.records import InputError
 from daq.words import Message, say, spoken
 
@@ -34,15 +33,11 @@ if TYPE_CHECKING:
 
 
 def import_runs(
-    files: Annotated[
-        list[Path], typer.Argument(metavar="FILE...", help="Run files, or a logger's own with --mapping.")
-    ],
+    files: Annotated[list[Path], typer.Argument(metavar="FILE", help="help-import-files")],
     press: PressFile,
     store: StoreUrl = None,
     config: ConfigFile = None,
-    mapping: Annotated[
-        Path | None, typer.Option("--mapping", help="Mapping that explains a foreign logger's files, TOML.")
-    ] = None,
+    mapping: Annotated[Path | None, typer.Option("--mapping", metavar="FILE", help="help-mapping")] = None,
 ) -> None:
     """Store run files: all of them, or none where one is wrong."""
     from daq.files.manifest import check_listed
@@ -111,13 +106,11 @@ def _refuse_taken(store: Store, run: Run) -> None:
 
 
 def export_runs(
-    runs: Annotated[
-        list[str] | None, typer.Argument(metavar="[RUN...]", help="Ids; without, runs are listed.")
-    ] = None,
-    out: Annotated[Path | None, typer.Option("--out", help="A file for one run, a folder for several.")] = None,
+    runs: Annotated[list[str] | None, typer.Argument(metavar="RUN", help="help-export-runs")] = None,
+    out: Annotated[Path | None, typer.Option("--out", metavar="FILE", help="help-export-out")] = None,
     kind: Annotated[
         Literal["csv", "parquet", "jsonl"],
-        typer.Option("--format", help="In a folder; jsonl holds bluesky event-model documents."),
+        typer.Option("--format", metavar="csv|parquet|jsonl", help="help-export-format"),
     ] = "csv",
     store: StoreUrl = None,
     config: ConfigFile = None,
@@ -174,14 +167,13 @@ def _list_runs(store: Store) -> None:
 
     for run in every(lambda cursor: store.runs(cursor=cursor, limit=500)):
         material = run.header.get("panel.material", "")
-        sys.stdout.write(
-            f"{run.run}\t{run.started_utc:%Y-%m-%dT%H:%M:%SZ}\t{run.status}\t{run.press}\t{material}\n"
-        )
+        status = in_words(Message(f"page-run-{run.status}"))
+        tell(f"{run.run}\t{run.started_utc:%Y-%m-%dT%H:%M:%SZ}\t{status}\t{run.press}\t{material}")
 
 
 def check(
     config: ConfigFile = None,
-    offline: Annotated[bool, typer.Option("--offline", help="Do not read the loggers.")] = False,
+    offline: Annotated[bool, typer.Option("--offline", help="help-offline")] = False,
 ) -> None:
     """Check the configuration, the store and, unless --offline, read every logger once."""
     from daq.process.config import load_config
@@ -212,10 +204,12 @@ def _read_loggers(press: PressSettings) -> list[Message]:
         finally:
             logger.close()
         shown = ", ".join(
-            f"{channel.name} {value:.1f}" if quality.usable else f"{channel.name} {quality}"
+            f"{channel.name} {value:.1f}"
+            if quality.usable
+            else f"{channel.name} {in_words(Message(f'page-quality-{quality}'))}"
             for channel, value, quality in zip(logger.channels, reading.values, reading.qualities, strict=True)
         )
-        sys.stdout.write(f"{press.name}, {settings.name}: {shown} °C\n")
+        tell(f"{press.name}, {settings.name}: {shown} °C")
         if sentence := uncorrected(settings):
-            sys.stdout.write(f"{press.name}, {sentence}\n")
+            tell(f"{press.name}, {in_words(sentence)}")
     return failed

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-import sys
+import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from api.commands.inputs import ConfigFile, StoreUrl, files_read, load_runs
-from api.outputs import as_json, check_writable, in_words, spoken_language, working, write_all
+from api.commands.until import Until, shortened
+from api.outputs import as_json, check_writable, in_words, spoken_language, tell, working, write_all
 from daq.records import InputError
 from daq.words import say
 
@@ -26,58 +27,51 @@ HEADS = ("run", "from", "mean", "sd", "joint-median")
 
 
 def named_folder(text: str) -> Path:
-    """Return a folder by its name; an empty one would be the folder we are in. Raises `BadParameter`."""
+    """Return a folder by its name; an empty one would be the folder we are in. Raises `InputError`."""
     if not text.strip():
-        raise typer.BadParameter(in_words(say("terminal-folder-name-empty")))
+        raise InputError(say("terminal-folder-name-empty"))
     return Path(text)
 
 
 MOST_OF_A_SETTING = 1e4
 """No thickness, pressure or temperature of a press program reaches it, in the unit of its key."""
 Outputs = dict[Path, str | bytes | Callable[[Path], None]]
-FitRuns = Annotated[
-    list[str] | None, typer.Argument(metavar="RUN...", help="Run files, or ids of runs in the store.")
-]
-FitPress = Annotated[Path | None, typer.Option("--press", metavar="FILE", help="The press file.")]
+FitRuns = Annotated[list[str] | None, typer.Argument(metavar="RUN", help="help-runs")]
+FitPress = Annotated[Path | None, typer.Option("--press", metavar="FILE", help="help-press")]
 Reproduce = Annotated[
     bool,
     typer.Option(
         "--reproduce-paper",
-        help="Instead: why gradient least squares got stuck, on 20 virtual measurements; the table is printed, "
-        "--json, --html and --svg keep it and the cost along one coefficient.",
+        help="help-reproduce-paper",
     ),
 ]
 MethodName = Annotated[
     str,
-    typer.Option("--method", help="Or the paper's: least_squares, nelder_mead, nelder_mead_then_least_squares."),
+    typer.Option("--method", metavar="NAME", help="help-method"),
 ]
-Averages = Annotated[
-    bool, typer.Option("--averages", help="With the paper's methods: top and bottom averages, not every sensor.")
-]
+Averages = Annotated[bool, typer.Option("--averages", help="help-averages")]
 Shared = Annotated[
     list[str] | None,
-    typer.Option("--shared", metavar="NAME", help="A coefficient with one value in all runs; may be repeated."),
+    typer.Option("--shared", metavar="NAME", help="help-shared"),
 ]
 ProgramSettings = Annotated[
     list[str] | None,
     typer.Option(
         "--program",
         metavar="KEY=VALUE",
-        help="A press program never run, by its settings; its coefficients are predicted from the campaign's.",
+        help="help-program",
     ),
 ]
-ModelOut = Annotated[
-    Path | None, typer.Option("--model", metavar="OUT", help="Write the campaign's model file here.")
-]
-JsonOut = Annotated[Path | None, typer.Option("--json", metavar="OUT", help="Write everything as JSON here.")]
-HtmlOut = Annotated[Path | None, typer.Option("--html", metavar="OUT", help="Write a report to read here.")]
+ModelOut = Annotated[Path | None, typer.Option("--model", metavar="OUT", help="help-model-out")]
+JsonOut = Annotated[Path | None, typer.Option("--json", metavar="OUT", help="help-json")]
+HtmlOut = Annotated[Path | None, typer.Option("--html", metavar="OUT", help="help-html")]
 SvgOut = Annotated[
     Path | None,
     typer.Option(
         "--svg",
         metavar="FOLDER",
         parser=named_folder,
-        help="Write every figure into this folder as SVG.",
+        help="help-svg",
     ),
 ]
 
@@ -95,6 +89,7 @@ def fit(  # noqa: PLR0913 - one argument an option
     averages: Averages = False,
     shared: Shared = None,
     program: ProgramSettings = None,
+    until: Until = None,
     reproduce_paper: Reproduce = False,
 ) -> None:
     """Fit the heat transfer coefficients of each run and of the campaign."""
@@ -106,6 +101,7 @@ def fit(  # noqa: PLR0913 - one argument an option
         refuse_with_reproduce(
             {"RUN": runs, "--press": press, "--model": model, "--store": store, "--config": config}
             | {"--method": method != "default", "--averages": averages, "--shared": shared, "--program": program}
+            | {"--until": until}
         )
         _reproduce(json, html, svg)
         return
@@ -115,9 +111,9 @@ def fit(  # noqa: PLR0913 - one argument an option
     settings = parse_program(program or [])
     described = read_press(press)
     check_shared(described, shared or [])
-    loaded = load_runs(runs, store, config)
+    loaded = shortened(load_runs(runs, store, config), described, until)
     with working(say("terminal-progress-fitting", runs=len(loaded)), len(loaded)) as done:
-        from softsensor.fitting.campaign import fit_campaign
+        from softsensor.jobs.campaign import fit_campaign
 
         found = fit_campaign(
             described,
@@ -130,10 +126,9 @@ def fit(  # noqa: PLR0913 - one argument an option
         told = predict_program(found, settings)
         write_all(contents(found, told, model=model, json=json, html=html, svg=svg))
     for line in _lines(found):
-        sys.stdout.write(f"{line}\n")
-    if told is not None:
-        for row in told.lines:
-            sys.stdout.write(f"{in_words(row)}\n")
+        tell(line)
+    for row in told.lines if told is not None else ():
+        tell(row)
 
 
 def contents(
@@ -248,7 +243,7 @@ def _reproduce(json: Path | None, html: Path | None, svg: Path | None) -> None:
     from softsensor.fitting.paper.virtual_runs import MEASUREMENTS, reproduce_paper
 
     with working(say("terminal-progress-reproducing", runs=MEASUREMENTS), MEASUREMENTS) as done:
-        found = reproduce_paper(progress=done)
+        found = reproduce_paper(clock=time.perf_counter, progress=done)
         outputs: Outputs = {}
         if json is not None:
             outputs[json] = as_json(found.as_json())
@@ -262,8 +257,10 @@ def _reproduce(json: Path | None, html: Path | None, svg: Path | None) -> None:
 
             outputs |= into(svg, {"cost": picture(roughness_figure(found, spoken_language()))})
         write_all(outputs)
-    for line in found.lines:
-        sys.stdout.write(line + "\n")
+    heads = [in_words(say(f"report-paper-{column}")) for column in found.rows[0]]
+    for line in aligned([heads, *([in_words(cell) for cell in row.values()] for row in found.rows)]):
+        tell(line)
+    tell(found.said)
 
 
 def count(done: Callable[[int], None]) -> Callable[[str], None]:
@@ -275,6 +272,13 @@ def count(done: Callable[[int], None]) -> Callable[[str], None]:
         done(len(finished))
 
     return one_more
+
+
+def aligned(rows: list[list[str]]) -> Iterator[str]:
+    """Yield the lines of a table, its cells to the right."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in rows:
+        yield "  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
 
 
 def _lines(found: CampaignFit) -> Iterator[str]:
@@ -306,9 +310,7 @@ def _lines(found: CampaignFit) -> Iterator[str]:
     else:
         spans = [found.runs[0].coefficients[n].ci95 for n in names]
     rows.append(["95 %", *(f"{plain(low, 3)} … {plain(high, 3)}" for low, high in spans), "", ""])
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    for row in rows:
-        yield "  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+    yield from aligned(rows)
     yield in_words(say("terminal-fit-legend"))
     if len(found.runs) > 1:
         yield in_words(say("terminal-fit-legend-campaign"))

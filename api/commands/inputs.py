@@ -7,7 +7,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 import typer
 
 from api.outputs import warn
@@ -21,18 +20,16 @@ CONFIG_NAME = "kerntemp.toml"
 DEFAULT_STORE = Path("kerntemp-data") / "kerntemp.sqlite"
 """Where runs go and come from without --store, --config and kerntemp.toml."""
 
-Runs = Annotated[list[str], typer.Argument(metavar="RUN...", help="Run files, or ids of runs in the store.")]
-OneRun = Annotated[str, typer.Argument(metavar="RUN", help="A run file, or the id of a run in the store.")]
-PressFile = Annotated[Path, typer.Option("--press", metavar="FILE", help="The press file.")]
+Runs = Annotated[list[str], typer.Argument(metavar="RUN", help="help-runs")]
+OneRun = Annotated[str, typer.Argument(metavar="RUN", help="help-run")]
+PressFile = Annotated[Path, typer.Option("--press", metavar="FILE", help="help-press")]
 StoreUrl = Annotated[
     str | None,
-    typer.Option("--store", metavar="URL", help="Path or postgresql:// URL of the store the ids belong to."),
+    typer.Option("--store", metavar="URL", help="help-store"),
 ]
 ConfigFile = Annotated[
     Path | None,
-    typer.Option(
-        "--config", metavar="FILE", envvar="KERNTEMP_CONFIG", help=f"Configuration; {CONFIG_NAME} here without."
-    ),
+    typer.Option("--config", metavar="FILE", envvar="KERNTEMP_CONFIG", help="help-config"),
 ]
 
 
@@ -57,12 +54,6 @@ def store_address(store: str | None, config: Path | None) -> str:
     from daq.process.config import load_config
 
     return load_config(config_path(config)).store.url
-
-
-Until = Annotated[
-    float | None,
-    typer.Option("--until", metavar="SECONDS", help="Leave out the rows of each run after this moment of time_s."),
-]
 
 
 @contextmanager
@@ -106,21 +97,6 @@ def say_doubts(headers: Iterable[Mapping[str, Any]]) -> None:
 
     for doubt in dict.fromkeys(doubt for header in headers for doubt in doubts(header)):
         warn(doubt)
-
-
-def rows_until(run: Run, last_s: float) -> Run:
-    """Return a run without the rows after a moment of its `time_s`.
-
-    Raises
-    ------
-    InputError
-        Where fewer than two rows are left.
-    """
-    rows = int(np.searchsorted(run.time_s, last_s, side="right"))
-    if rows < 2:
-        kept = {"rows": rows, "all": len(run.time_s), "first": float(run.time_s[0])}
-        raise InputError(say("terminal-until-leaves-too-little", run=run.source or run.name, until=last_s, **kept))
-    return run.at_rows(slice(rows))
 
 
 def load_run(argument: str, store: str | None, config: Path | None) -> Run:

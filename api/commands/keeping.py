@@ -8,14 +8,15 @@ from typing import Annotated
 import typer
 
 from api.commands.inputs import ConfigFile, StoreUrl, opened_store, store_address
-from api.outputs import WorkFailed, in_words, tell, working
+from api.outputs import WorkFailed, tell, working
+from daq.records import InputError
 from daq.words import Message, say, spoken
 
 
 def backup(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="The copy: a new SQLite file.")],
-    verify: Annotated[bool, typer.Option("--verify", help="Only check an existing copy.")] = False,
-    restore: Annotated[bool, typer.Option("--restore", help="Fill a new, empty store from the copy.")] = False,
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="help-backup-file")],
+    verify: Annotated[bool, typer.Option("--verify", help="help-verify")] = False,
+    restore: Annotated[bool, typer.Option("--restore", help="help-restore")] = False,
     store: StoreUrl = None,
     config: ConfigFile = None,
 ) -> None:
@@ -23,7 +24,7 @@ def backup(
     from daq.store import StoreUnavailable, upkeep
 
     if verify and restore:
-        raise typer.BadParameter(in_words(say("terminal-backup-one-only")))
+        raise InputError(say("terminal-backup-one-only"))
     try:
         if verify:
             contents, done = upkeep.verify(file), "sound"

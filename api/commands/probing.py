@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from api.outputs import WorkFailed, in_words
+from api.outputs import WorkFailed, in_words, tell
 from daq.records import InputError
 from daq.words import say, spoken
 
@@ -21,15 +21,15 @@ SHOWN_READINGS = 8
 
 
 def probe(
-    port: Annotated[
-        str | None, typer.Option(help="Serial port: /dev/ttyUSB0, COM5, or socket://host:port.")
+    port: Annotated[str | None, typer.Option(metavar="PORT", help="help-serial-port")] = None,
+    host: Annotated[str | None, typer.Option(metavar="ADDRESS", help="help-device-host")] = None,
+    baud: Annotated[int | None, typer.Option(min=300, metavar="N", help="help-baud")] = None,
+    tcp_port: Annotated[
+        int | None, typer.Option("--tcp-port", min=1, max=65535, metavar="N", help="help-tcp-port")
     ] = None,
-    host: Annotated[str | None, typer.Option(help="Address of a device on the network.")] = None,
-    baud: Annotated[int | None, typer.Option(min=300, help="Of the serial line; 9600 without.")] = None,
-    tcp_port: Annotated[int | None, typer.Option("--tcp-port", min=1, max=65535, help="502 without.")] = None,
-    transport: Annotated[str | None, typer.Option(help="rtu, tcp or rtu_over_tcp.")] = None,
-    stations: Annotated[str, typer.Option(help="Addresses to try, such as 1-4,9.")] = "1",
-    timeout: Annotated[float, typer.Option(min=0.05, max=10.0, help="Wait for a reply. [s]")] = 0.3,
+    transport: Annotated[str | None, typer.Option(metavar="rtu|tcp|rtu_over_tcp", help="help-transport")] = None,
+    stations: Annotated[str, typer.Option(metavar="LIST", help="help-stations")] = "1",
+    timeout: Annotated[float, typer.Option(min=0.05, max=10.0, metavar="SECONDS", help="help-timeout")] = 0.3,
 ) -> None:
     """Find out what logger is on a wire, with the sensors at room temperature.
 
@@ -49,14 +49,14 @@ def probe(
     except ReadFailure as error:
         raise WorkFailed(spoken(error)) from error
     for line in _lines(report):
-        sys.stdout.write(line + "\n")
+        tell(line)
     if not report.proposals:
         raise WorkFailed(say("terminal-probe-nothing-known", place=report.place))
 
 
 def _tell(line: Message) -> None:
     if sys.stderr.isatty():
-        sys.stderr.write(f"{line}\n")
+        sys.stderr.write(in_words(line) + "\n")
 
 
 def _stations(text: str) -> list[int]:
@@ -79,12 +79,14 @@ def _lines(report: ProbeReport) -> Iterable[str]:
         yield f"  {in_words(say('terminal-probe-registers', **place))}"
         for reading in block.interpretations[:SHOWN_READINGS]:
             values = " ".join(f"{v:.5g}" for v in reading.values)
-            yield f"    {reading.meaning:26} {reading.plausible:4.0%} at room temperature: {values}"
+            percent = f"{100 * reading.plausible:.0f}"
+            told = say("terminal-probe-reading", meaning=reading.meaning, percent=percent, values=values)
+            yield f"    {in_words(told)}"
     for attempt in report.attempts[:SHOWN_ATTEMPTS]:
         values = " ".join(f"{v:.1f}" for v in attempt.values[:8])
-        scaling = f", {attempt.scaling}" if attempt.scaling else ""
-        at = "" if attempt.station is None else f" at {attempt.station}"
-        yield f"  {attempt.profile}{at}{scaling}: {attempt.outcome}{f' ({values} °C)' if values else ''}"
+        tried = [attempt.profile, attempt.scaling, None if attempt.station is None else f"#{attempt.station}"]
+        shown = f" ({values} °C)" if values else ""
+        yield f"  {', '.join(filter(None, tried))}: {in_words(attempt.outcome)}{shown}"
     for proposal in report.proposals:
         yield ""
         if proposal.ambiguous_with:

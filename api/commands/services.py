@@ -18,10 +18,8 @@ if TYPE_CHECKING:
     from daq.store.store import Store
     from softsensor.jobs.night_judgement import Outcome
 
-Host = Annotated[str | None, typer.Option("--host", help="Address to listen on; the configuration's without.")]
-Port = Annotated[
-    int | None, typer.Option("--port", min=0, max=65535, help="Port; 0 takes a free one and prints it.")
-]
+Host = Annotated[str | None, typer.Option("--host", metavar="ADDRESS", help="help-host")]
+Port = Annotated[int | None, typer.Option("--port", min=0, max=65535, metavar="N", help="help-port")]
 
 
 def record(config: ConfigFile = None) -> None:
@@ -53,8 +51,8 @@ def serve(
     config: ConfigFile = None,
     host: Host = None,
     port: Port = None,
-    certificate: Annotated[Path | None, typer.Option(help="TLS certificate chain, PEM.")] = None,
-    key: Annotated[Path | None, typer.Option(help="Its private key, PEM.")] = None,
+    certificate: Annotated[Path | None, typer.Option(metavar="FILE", help="help-certificate")] = None,
+    key: Annotated[Path | None, typer.Option(metavar="FILE", help="help-key")] = None,
     store: StoreUrl = None,
 ) -> None:
     """Serve REST and the page; on loopback only unless tokens exist."""
@@ -78,14 +76,12 @@ def serve(
 
 def refit(
     config: ConfigFile = None,
-    workers: Annotated[int | None, typer.Option(min=1, help="Local processes; see [refit] workers.")] = None,
+    workers: Annotated[int | None, typer.Option(min=1, metavar="N", help="help-workers")] = None,
     dask: Annotated[
         str,
-        typer.Option(metavar="ADDRESS", help="A Dask scheduler whose workers take the fits; see [refit] dask."),
+        typer.Option(metavar="ADDRESS", help="help-dask"),
     ] = "",
-    roll_back: Annotated[
-        str, typer.Option("--roll-back", metavar="PRESS", help="Only go back to this press's model before.")
-    ] = "",
+    roll_back: Annotated[str, typer.Option("--roll-back", metavar="PRESS", help="help-roll-back")] = "",
 ) -> None:
     """Refit all runs, diagnose, extend, and promote or reject a model version: the nightly job."""
     from daq.press.press_file import read_press
@@ -143,9 +139,11 @@ def token_file_beside(config: Path) -> Path:
 
 
 def token(
-    action: Annotated[Literal["create", "revoke", "list"], typer.Argument(help="What to do.")],
-    name: Annotated[str, typer.Argument(help="Whom the token is for.")] = "",
-    scope: Annotated[Literal["read", "write"], typer.Option(help="write includes read.")] = "read",
+    action: Annotated[
+        Literal["create", "revoke", "list"], typer.Argument(metavar="create|revoke|list", help="help-token-action")
+    ],
+    name: Annotated[str, typer.Argument(metavar="NAME", help="help-token-name")] = "",
+    scope: Annotated[Literal["read", "write"], typer.Option(metavar="read|write", help="help-scope")] = "read",
     config: ConfigFile = None,
 ) -> None:
     """Make, list and revoke access tokens; a new one is shown once."""

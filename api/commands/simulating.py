@@ -20,10 +20,8 @@ if TYPE_CHECKING:
     from daq.records import Run
     from softsensor.heat.model_file import ModelFile
 
-OutCsv = Annotated[Path, typer.Option("--out", metavar="CSV", help="Where to write the table.")]
-Model = Annotated[
-    Path | None, typer.Option("--model", metavar="FILE", help="A model file, as `fit` and `diagnose` write it.")
-]
+OutCsv = Annotated[Path, typer.Option("--out", metavar="CSV", help="help-out")]
+Model = Annotated[Path | None, typer.Option("--model", metavar="FILE", help="help-model")]
 
 
 def simulate(
@@ -31,7 +29,7 @@ def simulate(
     press: PressFile,
     out: OutCsv,
     coefficients: Annotated[
-        Path | None, typer.Option("--coefficients", metavar="JSON", help="A flat {NAME: value}.")
+        Path | None, typer.Option("--coefficients", metavar="JSON", help="help-coefficients")
     ] = None,
     model: Model = None,
     store: StoreUrl = None,
@@ -49,8 +47,8 @@ def simulate(
     with working(say("terminal-progress-simulating", run=loaded.name)):
         from softsensor.fitting.simulated_run import simulate_run
         from softsensor.heat.model import ThermalModel
-        from softsensor.heat.model_file import read_model
         from softsensor.heat.run_checks import load_remarks
+        from softsensor.jobs.model_files import read_model
 
         if model is not None:
             content = read_model(model)
@@ -62,7 +60,7 @@ def simulate(
         result = simulate_run(loaded, described, thermal, values)
     columns: dict[str, Any] = {"time_s": result.time_s, "state": [str(s) for s in result.state]}
     columns |= dict(result.places) | {"core_C": result.core}
-    write_all({out: _csv(columns)})
+    write_all({out: table_text(columns)})
     for remark in load_remarks(own, loaded):
         warn(remark)
 
@@ -74,7 +72,7 @@ def predict(
     model: Model = None,
     without: Annotated[
         str,
-        typer.Option("--without", metavar="COLUMNS", help="Columns to hide, comma between; patterns allowed."),
+        typer.Option("--without", metavar="COLUMNS", help="help-without"),
     ] = "",
     store: StoreUrl = None,
     config: ConfigFile = None,
@@ -86,14 +84,14 @@ def predict(
     described = read_press(press)
     (loaded,) = load_runs([run], store, config)
     with working(say("terminal-progress-predicting", run=loaded.name), len(loaded.time_s)) as done:
-        from softsensor.heat.model_file import read_model
+        from softsensor.jobs.model_files import read_model
         from softsensor.live.replay import replay
 
         known = read_model(model) if model is not None else None
         if known is not None:
             _check_model((described, press_for_run(described, loaded)), known, model)
         columns = replay(described, loaded, known, _hidden(loaded, without), done).columns()
-    write_all({out: _csv(columns)})
+    write_all({out: table_text(columns)})
 
 
 def _check_model(presses: tuple[Press, Press], model: ModelFile, path: Path | None) -> None:
@@ -143,18 +141,18 @@ def _check_names(presses: tuple[Press, Press], given: Mapping[str, Any], where: 
         raise InputError(said)
 
 
-def _csv(columns: Mapping[str, Any]) -> str:
+def table_text(columns: Mapping[str, Any]) -> str:
     """Return a table as CSV; a value that is missing is an empty cell."""
+    from daq.files.run_file import csv_cell
+
+    def cell(value: Any) -> str:
+        if isinstance(value, str):
+            return csv_cell(value)
+        if isinstance(value, int):
+            return str(value)
+        number = float(value)
+        return repr(round(number, 6)) if math.isfinite(number) else ""
+
     rows = zip(*columns.values(), strict=True)
-    lines = [",".join(columns)]
-    lines += [",".join(_cell(value) for value in row) for row in rows]
+    lines = [",".join(map(csv_cell, columns)), *(",".join(map(cell, row)) for row in rows)]
     return "\n".join(lines) + "\n"
-
-
-def _cell(value: Any) -> str:
-    if isinstance(value, str):
-        return f'"{value}"' if "," in value or '"' in value else value
-    if isinstance(value, int):
-        return str(value)
-    number = float(value)
-    return repr(round(number, 6)) if math.isfinite(number) else ""

@@ -23,9 +23,9 @@ SHORT = Plan(
 
 def main() -> int:
     """Send one short pressing of the virtual press through live sensor, fit and simulation."""
-    from softsensor.fitting.campaign import fit_campaign
     from softsensor.fitting.simulated_run import simulate_run
     from softsensor.heat.model import ThermalModel
+    from softsensor.jobs.campaign import fit_campaign
     from softsensor.live.sensor import LiveSensor
 
     press = parse_press(press_toml())

@@ -10,11 +10,12 @@ import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass
+from http import HTTPStatus
 from importlib import import_module
 from pathlib import Path
 
-from fastapi import Depends, FastAPI
-from fastapi.responses import FileResponse
+from fastapi import Depends, FastAPI, HTTPException
+from fastapi.responses import FileResponse, HTMLResponse
 from fastapi.staticfiles import StaticFiles
 from starlette.datastructures import MutableHeaders
 from starlette.middleware.gzip import GZipMiddleware
@@ -24,13 +25,14 @@ from api.answers.health import installed_version
 from api.answers.records import utc_now
 from api.answers.schemas import Problem
 from api.answers.words import messages_of
+from api.guide import guide_page
 from api.http import problems
 from api.http.caching import EntityTags
 from api.http.gate import Gate
 from api.http.http_compatibility import HttpCompatibility
 from api.http.live import MAX_LISTENERS, Hub
 from api.http.metrics import metrics_text
-from api.http.routes import edits, messages, models, press, runs, simulation, system
+from api.http.routes import edits, messages, models, press, runs, search, simulation, system
 from api.http.routes.common import only_known_queries
 from api.http.tokens import Attempts, TokenFile
 from daq.store.records import StoreUnavailable
@@ -77,6 +79,7 @@ def create_app(store: Store, tokens: TokenFile, max_listeners: int = MAX_LISTENE
         press.router,
         runs.router,
         edits.router,
+        search.router,
         simulation.router,
         models.router,
         messages.router,
@@ -136,6 +139,13 @@ def _add_page(app: FastAPI) -> None:
     @app.get("/docs", include_in_schema=False)
     def docs() -> FileResponse:
         return FileResponse(PAGE / "docs.html", headers={"Cache-Control": "no-cache"})
+
+    @app.get("/guide/{path:path}", include_in_schema=False)
+    def guide(path: str) -> HTMLResponse:
+        found = guide_page(path)
+        if found is None:
+            raise HTTPException(HTTPStatus.NOT_FOUND)
+        return HTMLResponse(found, headers={"Cache-Control": "no-cache"})
 
     app.mount("/static", StaticFiles(directory=PAGE), name="static")
 

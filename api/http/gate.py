@@ -119,7 +119,7 @@ class Gate:
             return 429, say("api-too-many-wrong-tokens"), {"Retry-After": "60"}
         self.attempts.failed(address)
         if self.attempts.exhausted(address):
-            LOG.warning("too many wrong tokens from %s; further ones are slowed", address)
+            LOG.warning("%s", say("api-slows-wrong-tokens", address=address))
         return 401, say("api-token-invalid"), _CHALLENGE
 
 

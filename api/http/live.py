@@ -237,11 +237,6 @@ class Hub:
         self._closed = False
 
     @property
-    def listeners(self) -> int:
-        """How many streams are open."""
-        return len(self._queues)
-
-    @property
     def full(self) -> bool:
         """Whether no further listener is taken."""
         return self._closed or len(self._queues) >= self._max_listeners

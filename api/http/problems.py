@@ -18,6 +18,7 @@ from api.answers.words import said_of
 from api.http.http_compatibility import ENDLESS
 from daq.records import InputError
 from daq.store.records import StoreUnavailable
+from daq.tables import why_of
 from daq.words import Message, say, spoken
 
 MEDIA_TYPE = "application/problem+json"
@@ -99,7 +100,7 @@ def _field(item: Mapping[str, Any]) -> Message:
     *above, last = (str(part) for part in item["loc"])
     if last == "[key]" and item["type"] == "string_pattern_mismatch":
         return say("api-field-name-invalid", field=".".join(above))
-    return say("api-field-invalid", field=".".join((*above, last)), why=str(item["msg"]))
+    return say("api-field-invalid", field=".".join((*above, last)), why=why_of(item))
 
 
 def _input(request: Request, error: Exception) -> JSONResponse:

@@ -59,7 +59,7 @@ class Broker:
         self._settings = settings
         self._answered = threading.Event()
         self._lost = threading.Event()
-        self._reason = ""
+        self._reason: Message | None = None
         self._retained: dict[str, bytes] = {}
         self._marker = threading.Event()
         self._client = paho.Client(
@@ -127,13 +127,13 @@ class Broker:
 
     def _on_connect(self, client: Any, data: Any, flags: Any, reason: Any, properties: Any) -> None:
         if reason.is_failure:
-            self._reason = f"refused, {reason}"
+            self._reason = say("plant-broker-refused", reason=str(reason))
             self._lost.set()
         else:
             self._answered.set()
 
     def _on_disconnect(self, client: Any, data: Any, flags: Any, reason: Any, properties: Any) -> None:
-        self._reason = self._reason or f"connection lost, {reason}"
+        self._reason = self._reason or say("connection-lost", reason=str(reason))
         self._lost.set()
 
     def _on_message(self, client: Any, data: Any, message: paho.MQTTMessage) -> None:

@@ -41,6 +41,7 @@ from api.answers.health import installed_version
 from api.answers.records import last_word, state_of, utc_now
 from api.http.gate import is_loopback
 from api.http.tokens import TokenFile
+from api.outputs import in_words, spoken_language
 from api.plant.client_log import LIBRARY, clients_told_sparingly
 from daq.process.config import OpcuaSettings
 from daq.records import Channel, InputError, Quality
@@ -71,19 +72,8 @@ _CELSIUS = ("°C", "degree Celsius", 4408652)
 _KELVIN = ("K", "kelvin", 4932940)
 _NO_CODE = -1
 """OPC UA's number for a unit outside its list."""
-_ESTIMATES = {
-    "core": ("Predicted core temperature", _CELSIUS),
-    "core_low": ("Lower end of the 95 % band of the core temperature", _CELSIUS),
-    "core_high": ("Upper end of the 95 % band of the core temperature", _CELSIUS),
-    "core_sd": ("Standard deviation of the core temperature", _KELVIN),
-}
-_TEXTS = {
-    "state": "idle (no panel), open, closed or unknown",
-    "run": "The pressing being recorded, empty between two",
-    "model": "Model version the estimate comes from",
-    "reason": "Why there is no estimate, empty while there is one",
-    "event": "The last press event: inserted, closed, opened or removed",
-}
+_ESTIMATES = {"core": _CELSIUS, "core_low": _CELSIUS, "core_high": _CELSIUS, "core_sd": _KELVIN}
+_TEXTS = ("state", "run", "model", "reason", "event")
 
 
 class _Readers:
@@ -327,11 +317,11 @@ def _texts(present: Present) -> dict[str, str]:
 async def _make_press(server: Server, root: Node, index: int, name: str) -> _Press:
     home = await root.add_object(ua.NodeId(name, index), name)
     press = _Press(name)
-    for key, (meaning, unit) in _ESTIMATES.items():
-        press.nodes[key] = await _add_number(home, index, f"{name}.{key}", key, meaning, unit)
-    for key, meaning in _TEXTS.items():
+    for key, unit in _ESTIMATES.items():
+        press.nodes[key] = await _add_number(home, index, f"{name}.{key}", key, _meaning(key), unit)
+    for key in _TEXTS:
         node = await home.add_variable(ua.NodeId(f"{name}.{key}", index), key, "", ua.VariantType.String)
-        await _describe(node, meaning)
+        await _describe(node, _meaning(key))
         press.nodes[key] = node
     press.nodes["channels"] = await home.add_folder(ua.NodeId(f"{name}.channels", index), "channels")
     press.events = await server.get_event_generator(emitting_node=home)
@@ -340,17 +330,16 @@ async def _make_press(server: Server, root: Node, index: int, name: str) -> _Pre
 
 async def _add_channel(press: _Press, channel: Channel, index: int) -> None:
     warm = channel.unit == "C"
-    meaning = f"Thermocouple {channel.name}" if warm else f"Wire {channel.name}, 1 for closed"
     unit = _CELSIUS if warm else (channel.unit, channel.unit, _NO_CODE)
-    if not warm and channel.unit:
-        meaning = f"Pressure {channel.name}"
+    kind = "thermocouple" if warm else "pressure" if channel.unit else "wire"
+    meaning = Message(f"plant-node-{kind}", {"channel": channel.name})
     place = f"{press.name}.channel.{channel.name}"
     node = await _add_number(press.nodes["channels"], index, place, channel.name, meaning, unit)
     press.nodes[f"channel.{channel.name}"] = node
 
 
 async def _add_number(
-    home: Node, index: int, place: str, name: str, meaning: str, unit: tuple[str, str, int]
+    home: Node, index: int, place: str, name: str, meaning: Message, unit: tuple[str, str, int]
 ) -> Node:
     node = await home.add_variable(ua.NodeId(place, index), name, math.nan, ua.VariantType.Double)
     short, long, code = unit
@@ -365,8 +354,12 @@ async def _add_number(
     return node
 
 
-async def _describe(node: Node, meaning: str) -> None:
-    text = ua.DataValue(ua.Variant(ua.LocalizedText(meaning)))
+def _meaning(key: str) -> Message:
+    return Message(f"plant-node-{key.replace('_', '-')}")
+
+
+async def _describe(node: Node, meaning: Message) -> None:
+    text = ua.DataValue(ua.Variant(ua.LocalizedText(in_words(meaning), spoken_language())))
     await node.write_attribute(ua.AttributeIds.Description, text)
 
 

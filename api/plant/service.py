@@ -19,7 +19,7 @@ from daq.records import InputError
 from daq.store import Store, StoreUnavailable
 from daq.store.records import in_status
 from daq.store.waiting import open_when_ready
-from daq.words import say
+from daq.words import say, spoken
 
 LOG = logging.getLogger("kerntemp.publish")
 PROCESS = "publish"
@@ -81,7 +81,7 @@ class _Feeds:
             try:
                 work()
             except StoreUnavailable as error:
-                LOG.warning("%s; trying again", error)
+                LOG.warning("%s", say("store-trying-again", why=spoken(error)))
                 self._stop.wait(RETRY_S)
             except BaseException as error:  # noqa: BLE001 - told by the main thread
                 self._failed.append(error)
@@ -94,7 +94,7 @@ class _Feeds:
             return
         known = self._mqtt.position if self._mqtt is not None else self._known
         self._mqtt = Publisher(self._store, self._config.mqtt, known)
-        LOG.info("feeding MQTT broker %s:%d", self._config.mqtt.host, self._config.mqtt.port)
+        LOG.info("%s", say("plant-feeds-broker", where=f"{self._config.mqtt.host}:{self._config.mqtt.port}"))
         self._mqtt.run(self._stop)
 
     def _serve_opcua(self) -> None:
@@ -121,7 +121,7 @@ class _Feeds:
         try:
             self._store.beat(PROCESS, status)
         except StoreUnavailable as error:
-            LOG.info("no sign of life now: %s", error)
+            LOG.info("%s", say("plant-no-sign-of-life", why=spoken(error)))
         return str(status["message"])
 
 

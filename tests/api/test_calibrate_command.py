@@ -44,10 +44,10 @@ def test_offsets_at_room_temperature_are_written_once_and_correct_the_next_check
     with workshop(tmp_path, lambda now_s: [ROOM_C + 0.1 * k for k in range(16)]) as config:
         call = ["calibrate", "--config", str(config), "--room", str(ROOM_C), "--period", "0"]
         assert main([*call, "--write"]) == 0
-        assert "bottom_7         22.50 °C,  +1.50 K off" in capsys.readouterr().out
+        assert "bottom_7       22.50 °C, +1.50 K off" in capsys.readouterr().out
         assert {c.channel: c.offset_K for c in read_calibrations(tmp_path / "lower.toml")}["bottom_7"] == -1.5
         assert main(call) == 0
-        assert "bottom_7         21.00 °C,  +0.00 K off" in capsys.readouterr().out
+        assert "bottom_7       21.00 °C, +0.00 K off" in capsys.readouterr().out
 
 
 def test_a_limit_switch_and_a_pressure_are_not_held_against_the_thermometer(tmp_path, capsys):

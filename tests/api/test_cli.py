@@ -2,14 +2,14 @@ import json
 import os
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from api.cli import main
-from api.commands.inputs import load_run, rows_until
+from api.commands.inputs import load_run
+from api.commands.simulating import table_text
 from daq.files.run_file import read_run, write_run
 from daq.records import Run
 from daq.store import open_store
@@ -56,9 +56,15 @@ def test_help_names_every_command_of_the_contract(capsys):
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        ([], "Missing command"),
-        (["nonsense"], "No such command"),
-        (["simulate"], "Missing argument"),
+        ([], "no command given; kerntemp --help lists them"),
+        (["nonsense"], "nonsense: no such command"),
+        (["exporrt"], "exporrt: no such command; did you mean export?"),
+        (["demo", "--spede", "2"], "--spede: no such option; near it are"),
+        (["demo", "--speed"], "--speed: needs a value"),
+        (["demo", "--speed", "900"], "--speed = '900': must be less than or equal to 200"),
+        (["demo", "a", "b"], "too much in this call: a, b"),
+        (["token", "make"], "create|revoke|list = 'make': must be one of create, revoke, list"),
+        (["simulate"], "RUN: is missing"),
         (["simulate", "x.csv", "--press", "nope.toml", "--out", "o.csv"], "nope.toml: cannot read the press file"),
         (["serve", "--config", "nope.toml"], "nope.toml: no such configuration"),
         (["check", "--config", "nope.toml"], "nope.toml: no such configuration"),
@@ -73,6 +79,19 @@ def test_a_wrong_call_or_input_is_one_line_and_exit_status_2(arguments, says, ca
     assert main(arguments) == 2
     assert says in one_line(capsys)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_help_and_wrong_calls_speak_the_language_of_the_terminal(monkeypatch, capsys):
+    monkeypatch.setenv("KERNTEMP_LANGUAGE", "de")
+    assert main(["demo", "--help"]) == 0
+    page = capsys.readouterr().out
+    assert page.startswith("Aufruf: kerntemp demo")
+    assert "Diese Seite zeigen." in page
+    assert main(["demo", "--speed", "900"]) == 2
+    assert one_line(capsys) == "kerntemp: --speed = '900': darf höchstens 200 sein"
+    monkeypatch.setenv("KERNTEMP_LANGUAGE", "en")
+    assert main(["demo", "--speed", "900"]) == 2
+    assert "must be" in one_line(capsys)
 
 
 @pytest.mark.skipif(os.name == "nt", reason="POSIX permissions")
@@ -108,6 +127,11 @@ def test_simulate_with_the_true_coefficients_comes_close_to_the_virtual_press(fi
     core = np.genfromtxt(out, delimiter=",", skip_header=1, usecols=4)
     inside = np.isfinite(truth.core_C)
     assert np.sqrt(np.mean((core - truth.core_C)[inside] ** 2)) < 1.5
+
+
+def test_no_cell_of_a_written_table_is_a_formula_to_a_spreadsheet():
+    table = table_text({"=cmd.top": [1.0, float("nan")], "reason": ["+1, or so", "steady"]})
+    assert table.splitlines() == ["'=cmd.top,reason", '1.0,"\'+1, or so"', ",steady"]
 
 
 def test_an_unknown_coefficient_is_named_and_nothing_is_written(files, first, tmp_path, capsys):
@@ -300,12 +324,7 @@ def test_an_output_that_would_overwrite_an_input_or_another_output_is_refused(
     assert {p.name for p in tmp_path.iterdir()} == {*(p.name for p in given.values()), "f"}
 
 
-def test_a_run_is_diagnosed_up_to_a_moment_and_not_where_nothing_is_left(files, first, capsys):
-    run = load_run(first, None, None)
-    moment = float(run.time_s[20])
-    cut = rows_until(replace(run, texts={"quality": ("",) * len(run.time_s)}), moment)
-    assert cut.time_s[-1] == moment
-    assert {len(v) for v in (*cut.columns.values(), *cut.texts.values())} == {21}
+def test_a_run_of_which_nothing_is_left_is_not_diagnosed(files, first, capsys):
     assert main(["diagnose", first, "--press", str(files / "press.toml"), "--until", "-50"]) == 2
     assert "--until -50 leaves 0 of" in one_line(capsys)
 

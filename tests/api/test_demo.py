@@ -17,6 +17,7 @@ from api.demo.summary import Finding, compare, pace_lines, summary_lines
 from daq.records import InputError
 from daq.store.records import StoredEstimate
 from softsensor.effects.vocabulary import called
+from tests.editions import edition
 
 
 def processes_mentioning(folder: str) -> int:
@@ -160,10 +161,10 @@ def test_the_summary_says_what_was_hidden_and_what_the_nightly_job_named():
 
 
 @pytest.mark.campaign
-@pytest.mark.parametrize("effect", ["vapour_convection", "edge_loss"])
+@pytest.mark.parametrize("effect", edition(["vapour_convection"], ["vapour_convection", "edge_loss"]))
 def test_the_nightly_job_names_what_is_hidden_and_halves_the_live_core_error(tmp_path, effect):
-    command = [sys.executable, "-m", "api", "demo", "--speed", "5", "--pressings", "14", "--hide", effect]
-    command += ["--port", "0", "--data", str(tmp_path / "data")]
+    command = [sys.executable, "-m", "api", "demo", "--speed", edition("10", "5"), "--hide", effect]
+    command += ["--pressings", "14", "--port", "0", "--data", str(tmp_path / "data")]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     told = done.stdout

@@ -95,7 +95,7 @@ def test_every_figure_comes_as_svg(fitted):
         (["--program", "speed=3"], "KEY one of platen_temperature_C"),
         (["--program", "press_time_s=20", "--program", "press_time_s=30"], "press_time_s is given twice"),
         (["--program", "press_time_s=20"], "--program: one run cannot show what press_time_s does"),
-        (["--svg", ""], "'--svg': the folder's name is empty"),
+        (["--svg", ""], "--svg = '': the folder's name is empty"),
         (["--shared", "h_x"], "--shared h_x: must be one of h_p_o"),
         (["--method", "annealing"], "--method annealing: must be one of default"),
         (["--averages"], "--averages goes with one of the paper's methods"),
@@ -125,7 +125,7 @@ def test_reproduction_refuses_what_it_would_ignore(more, says, capsys, tmp_path,
 def test_reproduction_keeps_its_table_and_the_cost_along_a_coefficient(tmp_path, monkeypatch, capsys):
     from softsensor.fitting.paper import virtual_runs as paper_campaign
 
-    monkeypatch.setattr(paper_campaign.reproduce_paper, "__defaults__", (1, None))
+    monkeypatch.setattr(paper_campaign.reproduce_paper, "__defaults__", (1,))
     out = [
         "--json",
         str(tmp_path / "p.json"),

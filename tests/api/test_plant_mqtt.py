@@ -34,7 +34,7 @@ CHANNELS = (Channel("platen_top"), Channel("top_1"))
 LAB = Path(__file__).parents[2] / "deploy" / "presses" / "lab.toml"
 
 
-def wait_until(condition: Callable[[], Any], longest_s: float = 20.0) -> None:
+def wait_until(condition: Callable[[], Any], longest_s: float = 240.0) -> None:
     deadline = time.monotonic() + longest_s
     while not condition():
         assert time.monotonic() < deadline, "it did not happen in time"

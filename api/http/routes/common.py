@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from datetime import datetime
 from typing import Annotated
 
 from fastapi import Depends, Query, Request
@@ -58,6 +59,8 @@ Cursor = Annotated[
     Query(description="`next_cursor` of the page before; empty for the first.", pattern="^[0-9]{0,18}$"),
     AfterValidator(lambda cursor: cursor or None),
 ]
+Since = Annotated[datetime | None, Query(alias="from", description="Started at or after this instant.")]
+Until = Annotated[datetime | None, Query(alias="to", description="Started before this instant.")]
 PressName = Annotated[str | None, Query(description="Only this press.", max_length=200)]
 
 
@@ -67,3 +70,10 @@ def existing_run(store: Store, run: str) -> RunRecord:
         return store.run_record(run)
     except InputError as error:
         raise ProblemError(404, say("api-run-unknown", run=run)) from error
+
+
+def aware(instant: datetime | None) -> datetime | None:
+    """Return an instant of a query. Refuses one without a time zone."""
+    if instant is not None and instant.tzinfo is None:
+        raise ProblemError(422, say("api-instant-without-zone", instant=instant.isoformat()))
+    return instant

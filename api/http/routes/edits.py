@@ -1,4 +1,4 @@
-"""What people write down about a run: remark and header keys, with every change kept."""
+"""What people write down: of a run, with every change kept, and of the next panel before there is a run."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from fastapi import APIRouter
 from pydantic import BaseModel, ConfigDict, Field, StrictBool, StrictFloat, StrictInt
 
 from api.answers.records import run_detail
-from api.answers.schemas import RunDetail
+from api.answers.schemas import NextPanelNow, RunDetail, RunVerdict, Verdict
 from api.http.problems import ProblemError, problem_responses
-from api.http.routes.common import StoreDep, Writer, existing_run
+from api.http.routes.common import PressName, StoreDep, Writer, existing_run
 from daq.press.header import check_header, panel_of
 from daq.press.press_file import SD, parse_press, press_for_run
 from daq.records import InputError, Run
@@ -28,6 +28,7 @@ NUMBERS = ("setting.", "ambient.")
 """Header keys that begin so are numbers: fits, drift and the live sensor reckon with them."""
 EXACT = 2**53
 """Whole numbers up to here are the same in JSON, TOML and a float."""
+VERDICT = "panel.verdict"
 
 
 Words = Annotated[str, Field(max_length=4000, pattern=r"^[^\x00-\x08\x0b-\x1f\x7f-\x9f]*$")]
@@ -79,12 +80,115 @@ def change_run(store: StoreDep, run: str, changes: RunChanges, who: Writer) -> R
     return run_detail(store, store.run_record(run))
 
 
+class VerdictChange(BaseModel):
+    """What became of a panel; null takes it back."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    verdict: Verdict | None
+
+
+@router.get("/runs/{run}/verdict", operation_id="get_verdict", summary="What became of the panel")
+def get_verdict(store: StoreDep, run: str) -> RunVerdict:
+    """Return what became of a panel, who said so last, and when; null where nobody has."""
+    record = existing_run(store, run)
+    said = [change for change in store.run_changes(run) if change.field == VERDICT]
+    last = said[-1] if said else None
+    verdict = record.header.get(VERDICT)
+    return RunVerdict(run=run, verdict=verdict, who=last.who if last else None, utc=last.utc if last else None)
+
+
+@router.put("/runs/{run}/verdict", operation_id="put_verdict", summary="Say what became of the panel")
+def put_verdict(store: StoreDep, run: str, change: VerdictChange, who: Writer) -> RunVerdict:
+    """Mark a panel good, blistered, undercured or scrap. It is kept with the run, in its files and its history."""
+    record = existing_run(store, run)
+    if record.header.get(VERDICT) != change.verdict:
+        store.annotate_run(run, {VERDICT: change.verdict}, who)
+        store.log("info", who, say("api-run-changed", run=run, fields=(VERDICT,)), record.press)
+    return get_verdict(store, run)
+
+
+class NextPanelChange(BaseModel):
+    """What the next panels are: a recipe's name, header keys, or both to keep them under that name."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    recipe: Annotated[Words, Field(max_length=100)] = ""
+    header: dict[Key, Value] = Field(
+        default_factory=dict,
+        description="Header keys as in a run file, such as `panel.thickness_mm`, `setting.core_target_C`.",
+        max_length=100,
+        json_schema_extra=_as_property_names,
+    )
+
+
+@router.get("/press/next", operation_id="get_next_panel", summary="The next panel's data and recipe")
+def get_next_panel(store: StoreDep, press: PressName = None) -> NextPanelNow:
+    """Return what is said of the panels to come at a press, and the recipes to choose from."""
+    name = _one_press(store, press)
+    said, recipes = store.next_panel(name), store.recipes()
+    if said is None:
+        return NextPanelNow(press=name, recipe="", header={}, who=None, utc=None, recipes=recipes)
+    header = dict(said.header)
+    return NextPanelNow(press=name, recipe=said.recipe, header=header, who=said.who, utc=said.utc, recipes=recipes)
+
+
+@router.put("/press/next", operation_id="put_next_panel", summary="Say what the next panels are")
+def put_next_panel(store: StoreDep, change: NextPanelChange, who: Writer, press: PressName = None) -> NextPanelNow:
+    """Replace what is said of the panels to come; runs begin with it until it is changed, an empty one ends it."""
+    name = _one_press(store, press)
+    if reserved := {"run", "remark", "recipe", VERDICT} & set(change.header):
+        raise ProblemError(422, say("api-header-key-fixed", key=min(reserved)))
+    if change.header:
+        check_keys(change.header, change.header, f"press {name}")
+    store.put_next_panel(name, change.header, change.recipe, who)
+    store.log(
+        "info", who, say("api-next-panel", press=name, fields=tuple(change.header), recipe=change.recipe), name
+    )
+    return get_next_panel(store, name)
+
+
+def _one_press(store: Store, press: str | None) -> str:
+    """Return the press that is meant: the one named, or the only one."""
+    known = list(store.presses())
+    if press is None and len(known) == 1:
+        return known[0]
+    if press not in known:
+        raise ProblemError(404, say("api-press-unknown", press=press or "", known=tuple(known)))
+    return press
+
+
 def _check(store: Store, record: RunRecord, wanted: Mapping[str, Any]) -> None:
     """Refuse a header that could not be read again, or that press file and panel would not take."""
     if not wanted:
         return
     merged = {**record.header, **wanted}
     header = {key: value for key, value in merged.items() if value is not None}
+    check_keys(header, wanted, f"run {record.run}")
+    imagined = Run(record.run, header, np.zeros(0), {}, source=f"run {record.run}")
+    text = store.presses().get(record.press, "")
+    if text:
+        press_for_run(parse_press(text, f"press {record.press}"), imagined)
+    try:
+        panel_of(imagined)
+    except InputError:
+        touched = any(key.startswith("panel.") for key in wanted)
+        if touched or _has_panel(Run(record.run, record.header, np.zeros(0), {})):
+            raise  # what was missing before may stay missing while something else is written down
+
+
+def check_keys(header: Mapping[str, Any], wanted: Mapping[str, Any], where: str) -> None:
+    """Refuse header keys that could not be read again, or whose values cannot be.
+
+    Parameters
+    ----------
+    header
+        All keys as they will be.
+    wanted
+        Those that are new; None removes one.
+    where
+        Whose they are, for the refusal.
+    """
     for key in wanted:
         if key.startswith(NUMBERS) and isinstance(header.get(key, 0), bool | str):
             raise ProblemError(422, say("api-header-not-a-number", key=key, value=repr(header[key])))
@@ -96,17 +200,7 @@ def _check(store: Store, record: RunRecord, wanted: Mapping[str, Any]) -> None:
         unreadable = True
     if unreadable:
         raise ProblemError(422, say("api-header-key-twice", key=parent or next(iter(wanted))))
-    check_header({key: value for key, value in wanted.items() if value is not None}, f"run {record.run}")
-    imagined = Run(record.run, header, np.zeros(0), {}, source=f"run {record.run}")
-    text = store.presses().get(record.press, "")
-    if text:
-        press_for_run(parse_press(text, f"press {record.press}"), imagined)
-    try:
-        panel_of(imagined)
-    except InputError:
-        touched = any(key.startswith("panel.") for key in wanted)
-        if touched or _has_panel(Run(record.run, record.header, np.zeros(0), {})):
-            raise  # what was missing before may stay missing while something else is written down
+    check_header({key: value for key, value in wanted.items() if value is not None}, where)
 
 
 def _has_panel(run: Run) -> bool:

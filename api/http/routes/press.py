@@ -7,9 +7,10 @@ from typing import Annotated
 from fastapi import APIRouter, Header, Request
 from fastapi.responses import StreamingResponse
 
+from api.answers.advice import advice_of
 from api.answers.channels import channels_now
-from api.answers.records import press_now, utc_now
-from api.answers.schemas import ChannelList, PressList
+from api.answers.records import newest_estimate, press_now, utc_now
+from api.answers.schemas import AdviceList, AdviceNow, ChannelList, PressList
 from api.http.live import EventStream, Hub
 from api.http.problems import ProblemError, problem_responses
 from api.http.routes.common import PressName, StoreDep
@@ -27,6 +28,20 @@ def list_presses(store: StoreDep, press: PressName = None) -> PressList:
     return PressList(items=[press_now(store, name, text, now) for name, text in chosen.items()])
 
 
+@router.get("/advice", operation_id="list_advice", summary="When to open each press, and how sure that is")
+def list_advice(store: StoreDep, press: PressName = None) -> AdviceList:
+    """Return when to open each press so that the core's peak just reaches its target, or why nobody knows."""
+    items = []
+    for name in store.presses():
+        if press in (None, name):
+            run, number = store.open_run(name), store.newest_scan_number(name)
+            scans = store.scans_after(name, number - 1, 1).scans
+            said = newest_estimate(store, name, run, scans[-1]) if scans else None
+            advice = said.advice if said and said.advice else advice_of(None, None)
+            items.append(AdviceNow(press=name, run=run.run if run else None, advice=advice))
+    return AdviceList(items=items)
+
+
 @router.get("/channels", operation_id="list_channels", summary="Every channel and how its logger behaves")
 def list_channels(store: StoreDep, press: PressName = None) -> ChannelList:
     """Return the last value, its quality and the logger's counters of each channel."""
@@ -36,7 +51,8 @@ def list_channels(store: StoreDep, press: PressName = None) -> ChannelList:
         if press in (None, name):
             batch = store.scans_after(name, store.newest_scan_number(name) - 1, 1)
             scan = batch.scans[-1] if batch.scans else None
-            items += channels_now(store, name, batch.channels, scan, now)
+            said = newest_estimate(store, name, store.open_run(name), scan) if scan else None
+            items += channels_now(store, name, batch.channels, scan, now, said.left_out if said else {})
     return ChannelList(items=items)
 
 

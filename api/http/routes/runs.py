@@ -6,7 +6,6 @@ import math
 import tempfile
 from collections.abc import Sequence
 from dataclasses import asdict
-from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -21,7 +20,7 @@ from api.answers.records import run_detail, run_summaries
 from api.answers.schemas import Estimates, Fit, QualitySpan, RunDetail, RunList, Samples
 from api.http.caching import entity_tag, same_entity
 from api.http.problems import ProblemError, problem_responses
-from api.http.routes.common import Cursor, PageSize, PressName, StoreDep, existing_run
+from api.http.routes.common import Cursor, PageSize, PressName, Since, StoreDep, Until, aware, existing_run
 from daq.files.qualities import spans_of
 from daq.files.run_file import write_run
 from daq.records import InputError, Run
@@ -55,8 +54,8 @@ def list_runs(
     press: PressName = None,
     status: Annotated[RunStatus | None, Query(description="Only runs of this status.")] = None,
     material: Annotated[str | None, Query(description="Only panels of this material.", max_length=200)] = None,
-    since: Annotated[datetime | None, Query(alias="from", description="Started at or after this instant.")] = None,
-    until: Annotated[datetime | None, Query(alias="to", description="Started before this instant.")] = None,
+    since: Since = None,
+    until: Until = None,
     cursor: Cursor = None,
     limit: PageSize = 50,
 ) -> RunList:
@@ -65,8 +64,8 @@ def list_runs(
         press=press,
         status=status,
         material=material or None,
-        since=_aware(since),
-        until=_aware(until),
+        since=aware(since),
+        until=aware(until),
         cursor=cursor,
         limit=limit,
     )
@@ -196,9 +195,3 @@ def _file_response(run: Run, kind: Literal["csv", "parquet"], tag: str) -> FileR
     )
     del answer.headers["last-modified"]  # of the file just written, not of the run
     return answer
-
-
-def _aware(instant: datetime | None) -> datetime | None:
-    if instant is not None and instant.tzinfo is None:
-        raise ProblemError(422, say("api-instant-without-zone", instant=instant.isoformat()))
-    return instant

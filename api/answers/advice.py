@@ -1,0 +1,86 @@
+"""When to open: one line out of one look ahead, or why it is not known. No store, no clock.
+
+The forecast of the live sensor says when to open so that the core's peak just reaches ``setting.core_target_C``.
+Its bounds are those of the time at which the core reaches the target: by how much opening comes before that, while
+the heat of the outer layers still moves inwards, is taken as foreseen.
+"""
+
+from __future__ import annotations
+
+import math
+
+from api.answers.schemas import Advice, EstimateNow
+from api.answers.words import said_of
+from daq.words import Message, say
+from softsensor.live.validity import reason_message
+
+SILENT_S = 5.0
+"""What is this much older than the newest scan is no longer so: an estimate, or a look ahead. [s]"""
+AT_ONCE_S = 0.5
+"""An opening this near is now: the look ahead resolves no less. [s]"""
+
+
+def advice_of(estimate: EstimateNow | None, target_C: float | None, opened_s: float = math.nan) -> Advice:  # noqa: N803
+    """Return what to do with the panel in the press.
+
+    Parameters
+    ----------
+    target_C
+        ``setting.core_target_C`` of the run, None without one. [°C]
+    opened_s
+        When the press opened on this panel, NaN where it has not yet. [s]
+    """
+    if estimate is None:
+        return _known("not_known", say("advice-not-known", why=say("reason-no-estimate-yet")), target_C)
+    if estimate.state == "idle":
+        return _known("no_panel", say("advice-no-panel"), target_C)
+    if not estimate.valid:
+        why = reason_message(estimate.reason, estimate.reason_arguments)
+        return _known("not_known", say("advice-not-known", why=why), target_C)
+    if estimate.state != "closed":
+        return _of_open_press(estimate, target_C, opened_s)
+    return _of_closed_press(estimate, target_C)
+
+
+def _of_open_press(estimate: EstimateNow, target_C: float | None, opened_s: float) -> Advice:  # noqa: N803
+    if not math.isfinite(opened_s):
+        return _known("not_closed", say("advice-not-closed"), target_C)
+    peak_C = estimate.peak_C  # noqa: N806
+    said = say("advice-opened") if peak_C is None else say("advice-opened-peak", peak_C=peak_C)
+    return _known("opened", said, target_C, peak_C=peak_C, age_s=estimate.forecast_age_s)
+
+
+def _of_closed_press(estimate: EstimateNow, target_C: float | None) -> Advice:  # noqa: N803
+    if target_C is None:
+        return _known("no_target", say("advice-no-target"), None)
+    age_s = estimate.forecast_age_s
+    if age_s is None:
+        return _known("not_known", say("advice-not-known", why=say("advice-no-look-ahead")), target_C)
+    if age_s > SILENT_S:
+        why = say("advice-old", seconds=age_s)
+        return _known("not_known", say("advice-not-known", why=why), target_C, age_s=age_s)
+    at, middle = estimate.open_in_s, estimate.target_in_s
+    if at is None or middle is None:
+        return _known("too_early", say("advice-too-early"), target_C, age_s=age_s)
+    before = None if estimate.target_earliest_s is None else at - (middle - estimate.target_earliest_s)
+    after = None if estimate.target_latest_s is None else at + (estimate.target_latest_s - middle)
+    bounds = {
+        "open_in_s": round(at, 1),
+        "open_earliest_s": None if before is None else round(max(before, 0.0), 1),
+        "open_latest_s": None if after is None else round(max(after, 0.0), 1),
+    }
+    if at <= AT_ONCE_S:
+        return _known("open_now", say("advice-open-now"), target_C, age_s=age_s, **bounds)
+    low, high = bounds["open_earliest_s"], bounds["open_latest_s"]
+    if low is None:
+        said = say("advice-open-in", seconds=at)
+    elif high is None:
+        said = say("advice-open-in-at-least", seconds=at, low=low)
+    else:
+        said = say("advice-open-in-between", seconds=at, low=low, high=high)
+    return _known("open_in", said, target_C, age_s=age_s, **bounds)
+
+
+def _known(verdict: str, said: Message, target_C: float | None, **numbers: float | None) -> Advice:  # noqa: N803
+    given = {"verdict": verdict, "target_C": target_C, **numbers}
+    return Advice.model_validate({**given, "sentence": str(said), "sentence_said": said_of(said)})

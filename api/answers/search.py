@@ -1,0 +1,172 @@
+"""Finding runs: words in what is known of them, bounds on their numbers, any of these as the order. No web."""
+
+from __future__ import annotations
+
+import math
+import operator
+import re
+import threading
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+
+from api.answers.decimation import number_or_none
+from api.answers.records import run_summaries
+from api.answers.schemas import RunHit
+from daq.records import InputError
+from daq.store.records import Page, RunCore, RunRecord, RunStatus, every
+from daq.store.store import Store
+from daq.words import say
+
+CORE = ("core_at_opening_C", "core_peak_C", "band_at_opening_K")
+OWN = ("press_time_s", "rmse_K", *CORE)
+"""Numbers of a run beside those of its header (`panel.thickness_mm`, `setting.pressure_N_cm2`)."""
+_KEPT: dict[tuple[str, str], RunCore] = {}
+_LOCK = threading.Lock()
+MOST_KEPT = 20_000
+AT_ONCE = 500
+_COMPARISONS = {"<=": operator.le, ">=": operator.ge, "<": operator.lt, ">": operator.gt, "=": operator.eq}
+_BOUND = re.compile(r"\s*([A-Za-z][\w.-]*)\s*(<=|>=|<|>|=)\s*([+-]?\d+(?:[.,]\d+)?(?:[eE][+-]?\d+)?)\s*")
+
+
+@dataclass(frozen=True)
+class Bound:
+    """A number of a run held against a value."""
+
+    name: str
+    comparison: str
+    value: float
+
+    @classmethod
+    def parse(cls, text: str) -> Bound:
+        """Read ``core_at_opening_C>=95``. Raises `InputError`."""
+        found = _BOUND.fullmatch(text)
+        if found is None:
+            raise InputError(say("api-search-bound", bound=text))
+        name, comparison, value = found.groups()
+        return cls(name, comparison, float(value.replace(",", ".")))
+
+    def holds(self, numbers: Mapping[str, float]) -> bool:
+        """Return whether a run has the number, and it lies where it should."""
+        known = numbers.get(self.name, math.nan)
+        return known == known and bool(_COMPARISONS[self.comparison](known, self.value))
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What is looked for."""
+
+    words: Sequence[str] = ()
+    """Each must occur in name, press, remark or a text of the header; capitals do not matter."""
+    bounds: Sequence[Bound] = ()
+    press: str | None = None
+    status: RunStatus | None = None
+    since: datetime | None = None
+    until: datetime | None = None
+    """Started at or after the one and before the other."""
+    verdict: str | None = None
+    order: str = ""
+    """A number's name, ``-`` before it for the largest first; empty: the newest first."""
+
+    @property
+    def needs_core(self) -> bool:
+        """Whether the core of every run matters, and not of those shown alone."""
+        return any(b.name in CORE for b in self.bounds) or self.order.removeprefix("-") in CORE
+
+
+def search(store: Store, wanted: Wanted, begin: int, limit: int) -> tuple[list[RunHit], int | None]:
+    """Return some of the runs looked for, and where the next ones begin, None after the last."""
+    runs = every(lambda at: _page_at(store, wanted, at))
+    records = [r for r in runs if _matches(r, wanted)]
+    errors = store.fit_errors([r.run for r in records]) if _asks_for(wanted, "rmse_K") else {}
+    cores = _cores_of(store, records) if wanted.needs_core else {}
+    found = [(r, numbers_of(r, cores.get(r.run), errors.get(r.run))) for r in records]
+    found = [(r, numbers) for r, numbers in found if all(bound.holds(numbers) for bound in wanted.bounds)]
+    if wanted.order:
+        found = _ordered(found, wanted.order)
+    page = [r for r, _ in found[begin : begin + limit]]
+    return hits(store, page), begin + limit if len(found) > begin + limit else None
+
+
+def _page_at(store: Store, wanted: Wanted, cursor: str | None) -> Page[RunRecord]:
+    return store.runs(
+        press=wanted.press,
+        status=wanted.status,
+        since=wanted.since,
+        until=wanted.until,
+        cursor=cursor,
+        limit=AT_ONCE,
+    )
+
+
+def hits(store: Store, records: Sequence[RunRecord]) -> list[RunHit]:
+    """Return runs with the numbers they are compared by."""
+    cores = _cores_of(store, records)
+    shown = []
+    for record, summary in zip(records, run_summaries(store, records), strict=True):
+        numbers = numbers_of(record, cores.get(record.run), summary.rmse_K)
+        told = {name: number_or_none(value) for name, value in numbers.items()}
+        recipe = str(record.header.get("recipe", ""))
+        shown.append(RunHit(**summary.model_dump(), remark=record.remark, recipe=recipe, numbers=told))
+    return shown
+
+
+def numbers_of(record: RunRecord, core: RunCore | None, rmse_K: float | None) -> dict[str, float]:  # noqa: N803
+    """Return every number known of a run by its name; NaN where it is not known."""
+    given = {
+        k: float(v) for k, v in record.header.items() if isinstance(v, int | float) and not isinstance(v, bool)
+    }
+    own = {
+        "press_time_s": record.moments.opened_s - record.moments.closed_s,
+        "rmse_K": math.nan if rmse_K is None else rmse_K,
+        "core_at_opening_C": core.at_opening_celsius if core else math.nan,
+        "core_peak_C": core.highest_celsius if core else math.nan,
+        "band_at_opening_K": core.band_at_opening_kelvin if core else math.nan,
+    }
+    return given | own
+
+
+def _asks_for(wanted: Wanted, name: str) -> bool:
+    return wanted.order.removeprefix("-") == name or any(bound.name == name for bound in wanted.bounds)
+
+
+def _matches(record: RunRecord, wanted: Wanted) -> bool:
+    if wanted.verdict and record.header.get("panel.verdict") != wanted.verdict:
+        return False
+    texts = (record.run, record.press, record.remark, *(v for v in record.header.values() if isinstance(v, str)))
+    told = "\n".join(texts).casefold()
+    return all(word.casefold() in told for word in wanted.words)
+
+
+def _ordered(
+    found: Iterable[tuple[RunRecord, dict[str, float]]], order: str
+) -> list[tuple[RunRecord, dict[str, float]]]:
+    """Sort by a number; runs without it come last either way, the newest first among equals."""
+    name, sign = order.removeprefix("-"), -1.0 if order.startswith("-") else 1.0
+
+    def key(one: tuple[RunRecord, dict[str, float]]) -> tuple[bool, float]:
+        value = one[1].get(name, math.nan)
+        return (True, 0.0) if value != value else (False, sign * value)
+
+    return sorted(found, key=key)
+
+
+def _cores_of(store: Store, records: Sequence[RunRecord]) -> dict[str, RunCore]:
+    """Return the core of runs; of finished ones it is asked for once."""
+    with _LOCK:
+        done = {r.run for r in records if r.status is not RunStatus.OPEN}
+        lacking = [run for run in done if (store.label, run) not in _KEPT]
+    fresh = store.run_cores(lacking)
+    with _LOCK:
+        _KEPT.update({(store.label, run): core for run, core in fresh.items()})
+        found = {run: _KEPT[store.label, run] for run in done if (store.label, run) in _KEPT}
+        while len(_KEPT) > MOST_KEPT:
+            del _KEPT[next(iter(_KEPT))]
+    return found
+
+
+def check_order(order: str) -> None:
+    """Refuse an order by what no run could have. Raises `InputError`."""
+    name = order.removeprefix("-")
+    if name and name not in OWN and "." not in name:
+        raise InputError(say("api-search-order", order=order, known=OWN))

@@ -1,0 +1,127 @@
+"""How commands are called: their help, and what is said of a wrong call, from the catalogues like all else.
+
+An option names the code of its help (``help="help-speed"``), a command's is ``help-command-`` and its name. What
+the command line library would say in English is said here.
+"""
+
+from __future__ import annotations
+
+import shutil
+import textwrap
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+from pydantic import ValidationError
+from typer.core import TyperCommand, TyperGroup
+
+from api.outputs import in_words
+from daq.records import InputError
+from daq.tables import nearest, why_of
+from daq.words import Message, say
+
+WIDEST = 110
+"""Columns of a help page, as wide as a paragraph reads well."""
+
+
+class Command(TyperCommand):
+    """A command whose help comes from the catalogues."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Read the call. Raises `InputError` for words that nothing takes."""
+        ctx.allow_extra_args = True
+        rest = super().parse_args(ctx, args)
+        if ctx.args:
+            raise InputError(say("call-surplus", words=tuple(ctx.args)))
+        return rest
+
+    def get_help(self, ctx: Any) -> str:
+        """Return the help page."""
+        return "\n".join(help_lines(self, ctx))
+
+
+class Group(TyperGroup):
+    """All commands, with their help from the catalogues."""
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Return the command that is called. Raises `InputError` for one that does not exist."""
+        if args[0] not in self.commands:
+            meant = nearest(args[0], self.commands)
+            said = say("call-command-unknown", command=args[0])
+            raise InputError(
+                said if meant is None else say("call-command-unknown-meant", meant=meant, command=args[0])
+            )
+        return super().resolve_command(ctx, args)
+
+    def get_help(self, ctx: Any) -> str:
+        """Return the help page."""
+        commands = [(name, command_help(name)) for name in self.commands]
+        return "\n".join([*help_lines(self, ctx), *_section(say("help-commands"), commands)])
+
+
+def command_help(name: str) -> Message:
+    """Return what a command does."""
+    return Message(f"help-command-{name}")
+
+
+def help_lines(command: TyperCommand | TyperGroup, ctx: Any) -> Iterator[str]:
+    """Yield the help page of a command: how it is called, what it does, what it takes."""
+    yield in_words(say("help-usage", call=" ".join([ctx.command_path, *command.collect_usage_pieces(ctx)])))
+    yield ""
+    yield from textwrap.wrap(
+        in_words(command_help(command.name or "")), _width(), initial_indent="  ", subsequent_indent="  "
+    )
+    options: list[tuple[str, Message]] = []
+    arguments: list[tuple[str, Message]] = []
+    for one in command.get_params(ctx):
+        parameter: Any = one
+        told = Message("help-help" if parameter.name == "help" else str(parameter.help))
+        if parameter.param_type_name == "argument":
+            arguments.append((" ".join(parameter.get_usage_pieces(ctx)), told))
+            continue
+        if parameter.default not in (None, False, "") and not parameter.required:
+            told = say("help-default", told=told, value=parameter.default)
+        if parameter.envvar:
+            told = say("help-environment", told=told, name=parameter.envvar)
+        options.append((" ".join(filter(None, (parameter.opts[-1], parameter.metavar))), told))
+    yield from _section(say("help-arguments"), arguments)
+    yield from _section(say("help-options"), options)
+
+
+def _section(heading: Message, rows: list[tuple[str, Message]]) -> Iterable[str]:
+    if not rows:
+        return
+    yield ""
+    yield in_words(heading)
+    wide = max(len(name) for name, _ in rows) + 4
+    for name, told in rows:
+        first, *more = textwrap.wrap(in_words(told), max(_width() - wide, 30))
+        yield f"  {name:{wide - 2}}{first}"
+        yield from (" " * wide + line for line in more)
+
+
+def _width() -> int:
+    return min(shutil.get_terminal_size().columns, WIDEST)
+
+
+def refusal_of(error: Exception) -> Message:
+    """Return what is said of a call that the command line library refuses; its errors differ."""
+    told: Any = error
+    option = getattr(error, "option_name", None)
+    if option is not None and not hasattr(error, "possibilities"):
+        return say("call-option-without-value", option=option)
+    if option is not None and told.possibilities:
+        return say("call-option-unknown-meant", option=option, meant=tuple(sorted(told.possibilities)))
+    if option is not None:
+        return say("call-option-unknown", option=option)
+    parameter = getattr(error, "param", None)
+    if parameter is None:
+        return say("plain-text", text=str(told.message))
+    name = parameter.opts[-1] if parameter.param_type_name == "option" else str(parameter.metavar)
+    if not told.message:
+        return say("at-key", key=name, what=say("key-missing"))
+    if not isinstance(error.__cause__, ValidationError):
+        return say("at-key", key=name, what=say("plain-text", text=str(told.message)))
+    item = error.__cause__.errors()[0]
+    choices = tuple(str(parameter.metavar).split("|"))
+    why = say("call-not-one-of", known=choices) if len(choices) > 1 else why_of(item)
+    return say("at-key-value", key=name, value=repr(item["input"]), what=why)

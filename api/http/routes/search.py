@@ -1,0 +1,58 @@
+"""Runs by what is known of them."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import APIRouter, Query
+from pydantic import Field
+
+from api.answers.schemas import SearchList, Verdict
+from api.answers.search import OWN, Bound, Wanted, check_order, search
+from api.http.problems import problem_responses
+from api.http.routes.common import Cursor, PageSize, PressName, Since, StoreDep, Until, aware
+from daq.store.records import RunStatus
+
+router = APIRouter(tags=["runs"], responses=problem_responses())
+
+Words = Annotated[str, Query(max_length=500, description="Words that must all occur in remark, header or name.")]
+_BOUND = r"^\s*([A-Za-z][A-Za-z0-9_.-]*\s*(<=|>=|<|>|=)\s*[+-]?[0-9]+([.,][0-9]+)?([eE][+-]?[0-9]+)?\s*)?$"
+_ORDER = rf"^-?(|{'|'.join(OWN)}|[\s\S]*\.[\s\S]*)$"
+Where = Annotated[
+    list[Annotated[str, Field(json_schema_extra={"pattern": _BOUND})]],
+    Query(
+        max_length=20,
+        description="Bounds such as `core_at_opening_C>=95` or `panel.thickness_mm=16`, each once more: all hold.",
+    ),
+]
+Order = Annotated[
+    str,
+    Query(
+        max_length=200,
+        description="A number to sort by, `-` before it for the largest first: `press_time_s`, `rmse_K`, "
+        "`core_at_opening_C`, `core_peak_C`, `band_at_opening_K`, or a header key. Without, the newest first.",
+        json_schema_extra={"pattern": _ORDER},  # described, not checked here: `check_order` refuses in words
+    ),
+]
+
+
+@router.get("/search", operation_id="search_runs", summary="Runs by words and numbers")
+def search_runs(  # noqa: PLR0913 - each is a query by its name
+    store: StoreDep,
+    q: Words = "",
+    where: Where = [],  # noqa: B006
+    verdict: Annotated[Verdict | None, Query(description="Only panels that became this.")] = None,
+    press: PressName = None,
+    status: Annotated[RunStatus | None, Query(description="Only runs of this status.")] = None,
+    since: Since = None,
+    until: Until = None,
+    sort: Order = "",
+    cursor: Cursor = None,
+    limit: PageSize = 50,
+) -> SearchList:
+    """Return the runs for which all that is asked holds, with the numbers to compare them by."""
+    check_order(sort)
+    bounds = [Bound.parse(one) for one in where if one.strip()]
+    wanted = Wanted(q.split(), bounds, press, status, aware(since), aware(until), verdict, sort)
+    items, following = search(store, wanted, int(cursor or 0), limit)
+    return SearchList(items=items, next_cursor=None if following is None else str(following))

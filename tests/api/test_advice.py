@@ -1,0 +1,79 @@
+"""When to open: one line out of one look ahead, and no second truth beside it."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+
+from api.answers.advice import advice_of
+from api.answers.schemas import EstimateNow
+from daq.words.message import words
+
+
+def estimate(state: str = "closed", **beside: Any) -> EstimateNow:
+    core = {"core_C": 31.0, "core_sd_K": 1.0, "core_low_C": 29.0, "core_high_C": 33.0}
+    known = {"run": "a", "number": 1, "utc": None, "time_s": 20.0, "state": state, "valid": True, **core}
+    return EstimateNow(**{**known, **beside})
+
+
+def ahead(**changed: float | None) -> dict[str, float | None]:
+    told: dict[str, float | None] = {"open_in_s": 11.0, "target_in_s": 26.0, "forecast_age_s": 1.0}
+    return {**told, "target_earliest_s": 23.0, "target_latest_s": 30.0, **changed}
+
+
+def test_the_opening_has_the_width_of_the_time_at_which_the_target_is_reached():
+    said = advice_of(estimate(**ahead()), 40.0)
+    assert (said.verdict, said.open_in_s, said.open_earliest_s, said.open_latest_s) == ("open_in", 11.0, 8.0, 15.0)
+    assert said.sentence == "open in 11 s (8 to 15)"
+
+
+def test_a_panel_with_enough_heat_is_to_be_opened_now_and_nothing_else_is_said():
+    said = advice_of(estimate(**ahead(open_in_s=0.0)), 40.0)
+    assert (said.verdict, said.sentence) == ("open_now", "OPEN NOW")
+
+
+def test_without_a_latest_moment_none_is_made_up():
+    said = advice_of(estimate(**ahead(target_latest_s=None)), 40.0)
+    assert said.open_latest_s is None
+    assert said.sentence == "open in 11 s (8 or later)"
+
+
+@pytest.mark.parametrize(
+    ("said", "verdict"),
+    [
+        (estimate(**ahead(open_in_s=None, target_in_s=None)), "too_early"),
+        (estimate(**ahead(forecast_age_s=22.0)), "not_known"),
+        (estimate(**ahead(forecast_age_s=None)), "not_known"),
+        (estimate(valid=False, reason="platen reading missing"), "not_known"),
+        (estimate("open"), "not_closed"),
+        (estimate("idle", valid=False, reason="no panel in the press"), "no_panel"),
+        (None, "not_known"),
+    ],
+)
+def test_what_is_not_foreseen_is_not_advised(said, verdict):
+    found = advice_of(said, 40.0)
+    assert (found.verdict, found.open_in_s) == (verdict, None)
+
+
+def test_an_old_look_ahead_is_no_advice_and_says_how_old_it_is():
+    said = advice_of(estimate(**ahead(forecast_age_s=22.0)), 40.0)
+    assert said.sentence == "not known, because the last look ahead is 22 s old"
+
+
+def test_without_a_target_there_is_none_to_open_for():
+    assert advice_of(estimate(**ahead()), None).verdict == "no_target"
+
+
+def test_the_opened_press_tells_the_peak_still_ahead():
+    said = advice_of(estimate("open", peak_C=43.2, forecast_age_s=0.4), 40.0, opened_s=70.0)
+    assert (said.verdict, said.peak_C, said.sentence) == ("opened", 43.2, "opened, the core peaks at 43 °C")
+    assert math.isclose(said.age_s or math.nan, 0.4)
+
+
+def test_the_line_on_the_wall_speaks_german():
+    from daq.words import Message
+
+    said = advice_of(estimate(**ahead()), 40.0).sentence_said
+    assert words(Message(said.code, said.arguments), "de") == "öffnen in 11 s (8 bis 15)"

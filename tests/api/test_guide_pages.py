@@ -1,0 +1,75 @@
+"""The guide from the running server: every link leads somewhere, formulas are drawn, all of it from here."""
+
+from __future__ import annotations
+
+import re
+from urllib.parse import urljoin, urlsplit
+
+import pytest
+
+import daq
+import softsensor
+from api.guide import guide_page
+
+SOURCES = re.compile(r"""(?:src|href)=["']([^"'#]+)""")
+LOADED = re.compile(r"""(?:src=["']|<link[^>]*href=["']|url\(["']?|@import ["'])(?!data:)([^"')]+)""")
+
+
+@pytest.fixture(scope="module")
+def pages(client):
+    """Every page that is reached from the first by links, by address."""
+    found, waiting = {}, ["/guide/"]
+    while waiting:
+        at = waiting.pop()
+        answer = client.get(at)
+        assert answer.status_code == 200, at
+        found[at] = answer.text
+        for link in SOURCES.findall(answer.text):
+            target = urlsplit(urljoin(at, link))
+            new = not target.netloc and target.path.startswith("/guide/") and target.path not in [*found, *waiting]
+            if new and target.path != "/guide/":
+                waiting.append(target.path)
+    return found
+
+
+def test_guide_gallery_and_reference_are_all_reached_from_the_first_page(pages):
+    shared = daq.shared_files()
+    wanted = [f"/guide/guide/{p.name}" for p in (shared / "guide").glob("*.md")]
+    wanted += [f"/guide/gallery/{p.name}" for p in (shared / "gallery").glob("*.ipynb")]
+    assert not {*wanted, "/guide/RUNBOOK.md", "/guide/reference/softsensor.html"} - set(pages)
+
+
+def test_nothing_of_a_page_is_loaded_from_another_host(pages):
+    loaded = {link for text in pages.values() for link in LOADED.findall(text) if re.match(r"(https?:)?//", link)}
+    assert loaded == set()
+
+
+def test_every_equation_is_drawn_and_none_is_left_as_text(pages):
+    text = pages["/guide/guide/nomenclature.md"]
+    assert text.count("<math") >= 20
+    for number in range(1, 9):
+        assert f"({number})" in text
+    assert "$" not in re.sub(r"<(code|pre)\b.*?</\1>", "", text, flags=re.S)
+    assert "merror" not in text
+    assert "<math" in pages["/guide/gallery/own_effect.ipynb"]
+
+
+@pytest.mark.parametrize("package", [softsensor, daq])
+def test_the_reference_holds_every_public_name_with_its_words(pages, package):
+    text = pages[f"/guide/reference/{package.__name__}.html"]
+    for name in package.__all__:
+        assert f'id="{name}"' in text, name
+        first = getattr(package, name).__doc__.split("\n")[0].split("`")[0].split("'")[0]
+        assert first in text, name
+
+
+def test_a_notebook_shows_what_its_cells_printed_and_drew(pages):
+    text = pages["/guide/gallery/hidden_cause.ipynb"]
+    assert "moisture_evaporation" in text
+    assert 'src="data:image/png;base64,' in text
+
+
+@pytest.mark.parametrize("path", ["nothing", "../pyproject.toml", "gallery/../../pyproject.toml", "systemd/x"])
+def test_only_what_is_part_of_the_guide_is_shown(client, path):
+    assert guide_page(path) is None
+    assert client.get(f"/guide/{path}").status_code == 404

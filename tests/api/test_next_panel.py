@@ -1,0 +1,121 @@
+"""The next panel: said before, in the run's header and files afterwards; and what became of it."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime, timedelta
+
+import httpx
+import pytest
+
+from daq.files.run_file import read_run
+from daq.records import Channel, Quality, Scan
+from daq.store.records import NewRun, RunEnd
+from daq.store.store import open_store
+
+BEFORE = {"panel.thickness_mm": 16.0, "panel.moisture_percent": 8.0}
+MDF = {"panel.material": "MDF", "panel.thickness_mm": 19.0, "setting.core_target_C": 85.0}
+
+
+@pytest.fixture(scope="module")
+def writer(tokens):
+    return {"Authorization": f"Bearer {tokens.create('operator', 'write')}"}
+
+
+@pytest.fixture
+def plant(tmp_path, serve_any, writer):
+    """A store with one press, a client that may write, and how to press a panel there."""
+    with open_store(str(tmp_path / "kerntemp.sqlite")) as store:
+        key = store.register_press("lab", (Channel("platen_top"), Channel("platen_bottom")), "")
+        store_url = serve_any(store)
+        number = iter(range(1000))
+
+        def press_a_panel(started: datetime | None = None) -> str:
+            n, started = next(number), started or datetime.now(UTC)
+            scan = Scan(n, started, 10.0 * n, (200.0, 200.0), (Quality.GOOD,) * 2)
+            begun = NewRun(f"lab-{n}", n, started, 10.0 * n, BEFORE)
+            store.append_scans(key, [scan], begin=begun)
+            store.append_scans(key, [], end=RunEnd(f"lab-{n}", n, started))
+            return f"lab-{n}"
+
+        with httpx.Client(base_url=store_url + "/api/v1", headers=writer, timeout=60) as client:
+            yield store, client, press_a_panel
+
+
+def test_a_run_begins_with_what_was_said_of_the_panel_and_keeps_the_rest(plant):
+    store, client, press_a_panel = plant
+    said = client.put("/press/next", json={"header": {**MDF, "panel.initial_temperature_C": 23.5}}).json()
+    assert (said["press"], said["who"]) == ("lab", "operator")
+    first, second = (store.run_record(press_a_panel()).header for _ in range(2))
+    assert {key: first[key] for key in MDF} == MDF
+    assert (first["panel.moisture_percent"], first["panel.initial_temperature_C"]) == (8.0, 23.5)
+    assert second["panel.thickness_mm"] == 19.0
+    assert "panel.initial_temperature_C" not in second  # of one panel only
+    assert client.get("/press/next").json()["header"] == MDF
+
+
+def test_a_panel_that_was_in_the_press_before_is_not_changed(plant):
+    store, client, press_a_panel = plant
+    client.put("/press/next", json={"header": MDF})
+    run = press_a_panel(datetime.now(UTC) - timedelta(minutes=1))
+    assert store.run_record(run).header["panel.thickness_mm"] == 16.0
+
+
+def test_a_recipe_is_kept_by_name_chosen_again_and_named_in_the_run(plant):
+    store, client, press_a_panel = plant
+    client.put("/press/next", json={"recipe": "MDF 19", "header": {**MDF, "panel.initial_temperature_C": 30.0}})
+    assert client.put("/press/next", json={}).json()["header"] == {}
+    assert store.run_record(press_a_panel()).header["panel.thickness_mm"] == 16.0
+    said = client.put("/press/next", json={"recipe": "MDF 19"}).json()
+    assert (said["recipe"], said["header"], said["recipes"]) == ("MDF 19", MDF, {"MDF 19": MDF})
+    assert store.run_record(press_a_panel()).header["recipe"] == "MDF 19"
+    refused = client.put("/press/next", json={"recipe": "oak"})
+    assert (refused.status_code, "MDF 19" in refused.json()["detail"]) == (422, True)
+
+
+@pytest.mark.parametrize(
+    ("header", "says"),
+    [
+        ({"panel.thickness_mm": 0.0}, "panel.thickness_mm"),
+        ({"panel.thicknes_mm": 16.0}, "panel.thickness_mm"),
+        ({"setting.core_target_C": "hot"}, "setting.core_target_C"),
+        ({"panel.verdict": "good"}, "panel.verdict"),
+    ],
+)
+def test_a_panel_that_cannot_be_is_refused_by_name(plant, header, says):
+    _, client, _ = plant
+    refused = client.put("/press/next", json={"header": header})
+    assert refused.status_code == 422
+    assert says in refused.json()["detail"]
+    assert client.get("/press/next").json()["header"] == {}
+
+
+def test_who_may_only_read_changes_neither_panel_nor_verdict(plant, tokens):
+    _, client, press_a_panel = plant
+    reader = {"Authorization": f"Bearer {tokens.create('reader', 'read')}"}
+    run = press_a_panel()
+    assert client.put("/press/next", json={"header": MDF}, headers=reader).status_code == 403
+    assert client.put(f"/runs/{run}/verdict", json={"verdict": "good"}, headers=reader).status_code == 403
+
+
+def test_a_verdict_stands_in_list_run_and_file_with_who_said_it(plant, tmp_path):
+    _, client, press_a_panel = plant
+    run = press_a_panel()
+    assert client.get(f"/runs/{run}/verdict").json() == {"run": run, "verdict": None, "who": None, "utc": None}
+    client.put(f"/runs/{run}/verdict", json={"verdict": "good"})
+    told = client.put(f"/runs/{run}/verdict", json={"verdict": "blister"}).json()
+    assert (told["verdict"], told["who"]) == ("blister", "operator")
+    assert client.get("/runs").json()["items"][0]["verdict"] == "blister"
+    assert [c["after"] for c in client.get(f"/runs/{run}").json()["changes"]] == ["good", "blister"]
+    file = tmp_path / "run.csv"
+    file.write_bytes(client.get(f"/runs/{run}/samples", params={"format": "csv"}).content)
+    assert read_run(file).header["panel.verdict"] == "blister"
+    assert client.put(f"/runs/{run}/verdict", json={"verdict": None}).json()["verdict"] is None
+
+
+@pytest.mark.parametrize("verdict", ["fine", "", 1, None])
+def test_a_verdict_nobody_knows_is_refused(plant, verdict):
+    _, client, press_a_panel = plant
+    run = press_a_panel()
+    assert client.patch(f"/runs/{run}", json={"header": {"panel.verdict": verdict or "x"}}).status_code == 422
+    if verdict is not None:
+        assert client.put(f"/runs/{run}/verdict", json={"verdict": verdict}).status_code == 422
