@@ -18,7 +18,7 @@ export const token = {
 
 export function url(path, query = {}) {
   const parts = Object.entries(query).filter(([, value]) => value !== undefined && value !== null && value !== "");
-  const text = parts.map(([key, value]) => `${key}=${encodeURIComponent(value)}`).join("&");
+  const text = parts.flatMap(([key, value]) => [value].flat().map((one) => `${key}=${encodeURIComponent(one)}`)).join("&");
   return `${ROOT}${path}${text ? `?${text}` : ""}`;
 }
 
@@ -28,6 +28,10 @@ export async function get(path, query, options = {}) {
 
 export async function post(path, body) {
   return request("POST", url(path), body === undefined ? {} : { body: JSON.stringify(body) });
+}
+
+export async function put(path, body) {
+  return request("PUT", `${ROOT}${path}`, { body: JSON.stringify(body) });
 }
 
 export async function patch(path, body) {

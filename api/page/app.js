@@ -8,9 +8,10 @@ import * as diagnosis from "./views/diagnosis.js";
 import * as loggers from "./views/loggers.js";
 import * as now from "./views/now.js";
 import * as runs from "./views/runs.js";
+import * as wall from "./views/wall.js";
 import { chooseLanguage, language, languages, loadWords, nameOf, said, text } from "./words.js";
 
-const VIEWS = { now, runs, coefficients, diagnosis, loggers, access };
+const VIEWS = { now, runs, coefficients, diagnosis, loggers, access, wall };
 const main = document.getElementById("view");
 let leave = null;
 let turn = 0;
@@ -21,7 +22,9 @@ const context = { press: null, presses: [], on: (name, handler) => listeners[nam
 const listeners = { scan: new Set(), estimate: new Set(), press: new Set(), run: new Set(), fit: new Set(), link: new Set() };
 
 async function show() {
-  const [name, ...rest] = (location.hash.replace(/^#\//, "") || "now").split("/").map(decodeURIComponent);
+  const [path, query] = (location.hash.replace(/^#\//, "") || "now").split("?");
+  const [name, ...rest] = path.split("/").map(decodeURIComponent);
+  context.query = new URLSearchParams(query);
   const view = VIEWS[name] ?? now;
   const mine = ++turn;
   if (leave) leave();

@@ -20,7 +20,18 @@ export class TimeChart {
   constructor(parent, { series, height = 320, label, yLabel = "°C", xLabel = null, phases = [], sync = null, yRange = null, xRange = null, xSteps = null, whiskers = null, why = null }) {
     Object.assign(this, { series, height, label, yLabel, xLabel, phases, sync, yRange, xRange, xSteps, whiskers, why });
     this.data = [[], ...series.map(() => [])];
-    this.holder = el("div", { class: "chart", role: "img", "aria-label": label });
+    this.marks = [];
+    this.held = false;
+    this.holder = el("div", { class: "chart", role: "application", tabindex: "0", "aria-label": `${label}. ${text("page-chart-keys")}`, onkeydown: (event) => this.press(event) });
+    this.holder.addEventListener("wheel", (event) => {
+      if (!event.ctrlKey && !event.shiftKey) return; // the page scrolls
+      event.preventDefault();
+      const over = this.plot.over.getBoundingClientRect();
+      this.zoom(event.deltaY > 0 || event.deltaX > 0 ? 1.25 : 0.8, Math.max(0, Math.min(1, (event.clientX - over.left) / over.width)));
+    }, { passive: false });
+    for (const kind of ["touchstart", "touchmove", "touchend"]) this.holder.addEventListener(kind, (event) => this.fingers(event), { passive: false });
+    this.release = el("button", { type: "button", class: "button follow", hidden: true, onclick: () => this.hold(false) }, text("page-follow"));
+    this.holder.append(this.release);
     this.tip = el("div", { class: "chart-tip", hidden: true });
     this.holder.append(this.tip);
     parent.append(this.holder);
@@ -43,8 +54,9 @@ export class TimeChart {
     const faint = style("--faint");
     const font = "12px system-ui, sans-serif";
     const axis = { stroke: faint, font, labelFont: font, grid: { stroke: line, width: 1 }, ticks: { stroke: line, width: 1, size: 5 } };
-    const high = this.series.findIndex((s) => s.kind === "band-high");
-    const low = this.series.findIndex((s) => s.kind === "band-low");
+    const [low, high] = ["band-low", "band-high"].map((kind) => this.series.findIndex((s) => s.kind === kind));
+    // Each lower bound is followed by its upper one.
+    const bands = this.series.flatMap((s, i) => (s.kind === "band-low" && !this.whiskers ? [{ series: [i + 2, i + 1], fill: style(s.colour ?? "--core-band") }] : []));
     return {
       width: Math.max(this.holder.clientWidth, 200),
       height: this.height,
@@ -60,8 +72,8 @@ export class TimeChart {
         { ...axis, label: this.yLabel, labelSize: 20, size: (_, values) => Math.max(46, 14 + 7 * Math.max(...(values ?? [""]).map((v) => v.length))), values: (_, splits) => splits.map((v) => number(v, decimals(splits))) },
       ],
       series: [{}, ...this.series.map((s) => this.line(s))],
-      bands: high >= 0 && low >= 0 && !this.whiskers ? [{ series: [high + 1, low + 1], fill: style("--core-band") }] : [],
-      hooks: { drawClear: [(plot) => this.shade(plot)], draw: [(plot) => this.intervals(plot, low + 1, high + 1), (plot) => this.name(plot)], setCursor: [(plot) => this.point(plot)] },
+      bands,
+      hooks: { drawClear: [(plot) => this.shade(plot)], draw: [(plot) => this.intervals(plot, low + 1, high + 1), (plot) => this.name(plot), (plot) => this.mark(plot)], setSelect: [(plot) => { if (plot.select.width > 0) this.hold(true); }], setCursor: [(plot) => this.point(plot)] },
     };
   }
 
@@ -136,23 +148,102 @@ export class TimeChart {
     ctx.restore();
   }
 
+  // Lines across or down the chart with a word beside them: [{y | x, name, colour}].
+  mark(plot) {
+    const { ctx, bbox } = plot;
+    const size = 11 * devicePixelRatio;
+    ctx.save();
+    ctx.beginPath();
+    ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height);
+    ctx.clip();
+    ctx.font = `600 ${size}px system-ui, sans-serif`;
+    ctx.textBaseline = "bottom";
+    ctx.setLineDash([6 * devicePixelRatio, 4 * devicePixelRatio]);
+    ctx.lineWidth = 1.5 * devicePixelRatio;
+    for (const one of this.marks) {
+      ctx.strokeStyle = ctx.fillStyle = style(one.colour);
+      const across = one.y !== undefined;
+      const at = plot.valToPos(across ? one.y : one.x, across ? "y" : "x", true);
+      ctx.beginPath();
+      ctx.moveTo(across ? bbox.left : at, across ? at : bbox.top);
+      ctx.lineTo(across ? bbox.left + bbox.width : at, across ? at : bbox.top + bbox.height);
+      ctx.stroke();
+      ctx.textAlign = across ? "right" : "left";
+      ctx.fillText(one.name, across ? bbox.left + bbox.width - 4 * devicePixelRatio : at + 4 * devicePixelRatio, across ? at - 2 * devicePixelRatio : bbox.top + bbox.height - 4 * devicePixelRatio);
+    }
+    ctx.restore();
+  }
+
+  // While a reader looks at a part of the chart, new data do not move it; "follow" lets go.
+  hold(on) {
+    this.held = on;
+    this.release.hidden = !on;
+    if (!on && this.plot) this.plot.setData(this.data);
+  }
+
+  // Wheel, two fingers and keys: a part of the time, about the place pointed at.
+  zoom(factor, share = 0.5) {
+    const { min, max } = this.plot.scales.x;
+    const at = min + share * (max - min);
+    this.hold(true);
+    this.plot.setScale("x", { min: at - (at - min) * factor, max: at + (max - at) * factor });
+  }
+
+  pan(share) {
+    const { min, max } = this.plot.scales.x;
+    this.hold(true);
+    this.plot.setScale("x", { min: min + share * (max - min), max: max + share * (max - min) });
+  }
+
+  // The keyboard reaches the values: arrows move along the curve, with Shift the part shown; + and - zoom, 0 follows.
+  press(event) {
+    const step = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
+    if (step && event.shiftKey) this.pan(0.2 * step);
+    else if (step) this.plot.setCursor({ left: this.plot.valToPos(this.data[0][Math.max(0, Math.min(this.data[0].length - 1, (this.plot.cursor.idx ?? 0) + step))], "x"), top: 10 });
+    else if (event.key === "+") this.zoom(0.7);
+    else if (event.key === "-") this.zoom(1 / 0.7);
+    else if (event.key === "0") this.hold(false);
+    else return;
+    event.preventDefault();
+  }
+
+  fingers(event) {
+    if (event.touches.length !== 2) { this.apart = null; return; }
+    const apart = Math.abs(event.touches[0].clientX - event.touches[1].clientX);
+    if (this.apart && apart > 0) this.zoom(this.apart / apart);
+    this.apart = apart;
+    event.preventDefault();
+  }
+
   point(plot) {
     const { left, idx } = plot.cursor;
     if (idx === null || idx === undefined || left < 0) { this.tip.hidden = true; return; }
     const said = (s, value) => (value ?? null) === null ? this.why?.(s.name, this.data[0][idx]) : `${number(value, s.digits ?? 1)} ${s.unit ?? "°C"}`;
-    const rows = this.series.map((s, i) => ({ s, value: said(s, this.data[i + 1][idx]) }))
-      .filter(({ s, value }) => s.tip !== false && value && !s.kind.startsWith("band"))
-      .slice(0, 20);
+    const rows = this.series.map((s, i) => ({ s, value: s.group ? this.grouped(s, i, idx) : said(s, this.data[i + 1][idx]) }))
+      .filter(({ s, value }) => s.tip !== false && value && !s.kind.startsWith("band"));
+    for (const row of rows) {
+      const i = this.series.indexOf(row.s);
+      const [low, high] = [this.series.findIndex((s) => s.kind === "band-low"), this.series.findIndex((s) => s.kind === "band-high")].map((k) => (k < 0 ? null : this.data[k + 1][idx]));
+      if (row.s.kind === "core" && (low ?? null) !== null && i >= 0) row.value += ` (${number(low, 1)} … ${number(high, 1)})`;
+    }
     if (!rows.length) { this.tip.hidden = true; return; }
     this.tip.replaceChildren(el("table", {},
       el("tr", {}, el("td", { class: "faint" }, this.tipHead ? this.tipHead(this.data[0][idx]) : `${number(this.data[0][idx], 1)} s`), el("td", {})),
-      rows.map(({ s, value }) => el("tr", {}, el("td", {}, el("span", { style: `color:${style(s.colour) || s.colour}` }, "■ "), s.name),
+      rows.map(({ s, value }) => el("tr", {}, el("td", {}, el("span", { style: `color:${style(s.colour) || s.colour}` }, "■ "), s.group ?? s.name),
         el("td", {}, value)))));
     this.tip.hidden = false;
     const place = left + 70;
     const width = this.tip.offsetWidth;
     this.tip.style.left = `${place + width > this.holder.clientWidth ? Math.max(left + 40 - width, 0) : place}px`;
     this.tip.style.top = "14px";
+  }
+
+  // Of the curves of one group the first tells the middle of all, so that the values do not cover the chart.
+  grouped(s, i, idx) {
+    if (this.series.findIndex((one) => one.group === s.group) !== i) return null;
+    const values = this.series.map((one, k) => (one.group === s.group ? this.data[k + 1][idx] : null)).filter((v) => (v ?? null) !== null).sort((a, b) => a - b);
+    if (!values.length) return this.why?.(s.name, this.data[0][idx]);
+    return `${number(values[Math.floor(values.length / 2)], 1)} ${s.unit ?? "°C"}`;
   }
 
   // Draws at most once a frame, however fast the data come.
@@ -162,8 +253,16 @@ export class TimeChart {
     if (this.pending) return;
     this.pending = requestAnimationFrame(() => {
       this.pending = 0;
-      if (this.plot) this.plot.setData(this.data);
+      if (this.plot) this.plot.setData(this.data, !this.held);
+      if (this.plot && this.held) this.plot.redraw();
     });
+  }
+
+  // As high as its place, where that follows the screen.
+  fit(height) {
+    if (Math.abs(height - this.height) < 2 || height < 100) return;
+    this.height = height;
+    if (this.plot) this.plot.setSize({ width: this.plot.width, height });
   }
 
   resize() {

@@ -21,10 +21,17 @@ export async function loadWords(chosen = localStorage.getItem(KEPT) ?? navigator
   if (answer?.status === 404 && chosen !== "en") return loadWords("en");
   if (!answer?.ok) return false;
   const told = await answer.json();
-  const bundle = new FluentBundle(variantOf(told.language), { useIsolating: false });
+  const bundle = new FluentBundle(variantOf(told.language), { useIsolating: false, functions: { NUMBER: numberOrWords } });
   bundle.addResource(new FluentResource(Object.entries(told.messages).map(([code, pattern]) => `${code} = ${pattern}`).join("\n")));
   catalogue = { ...told, bundle };
   return true;
+}
+
+// What stands for a number that is not known is words already.
+function numberOrWords([value], how) {
+  if (!(value instanceof FluentNumber)) return value;
+  const options = Object.fromEntries(Object.entries(how).map(([name, one]) => [name, one.valueOf()]));
+  return new FluentNumber(value.valueOf(), { ...value.opts, ...options });
 }
 
 export async function chooseLanguage(chosen) {

@@ -17,7 +17,17 @@ from daq.simulated.campaign import Plan, make_campaign
 from daq.words import Message, say
 from daq.words.message import words
 
-VIEWS = ("#/now", "#/runs", "#/runs/campaign-1", "#/coefficients", "#/diagnosis", "#/loggers", "#/access", "docs")
+VIEWS = (
+    "#/now",
+    "#/wall",
+    "#/runs",
+    "#/runs/campaign-1",
+    "#/coefficients",
+    "#/diagnosis",
+    "#/loggers",
+    "#/access",
+    "docs",
+)
 LAB = Path(__file__).parents[2] / "deploy" / "presses" / "lab.toml"
 EFFECT = {
     "name": "moisture_evaporation",
@@ -91,7 +101,7 @@ def test_axe_finds_nothing_that_would_keep_anybody_out(plant, browser, width, sc
     page.on("pageerror", lambda error: complaints.append(str(error)))
     for view in VIEWS:
         page.goto(address + view)
-        expect(page.locator("main .card").first).to_be_visible()
+        expect(page.locator("main .card, main .wall").first).to_be_visible()
         page.wait_for_load_state("networkidle") if view == "docs" else page.wait_for_timeout(300)
         page.evaluate(axe)
         assert violations(page) == [], view
@@ -121,7 +131,7 @@ def test_nothing_that_is_missing_is_written_as_null(plant):
     address, page, _ = plant
     for view in (*VIEWS[:-1], "#/runs/compare/campaign-1/lab-0000000"):
         page.goto(address + view)
-        expect(page.locator("main .card").first).to_be_visible()
+        expect(page.locator("main .card, main .wall").first).to_be_visible()
         page.wait_for_timeout(500)
         assert not re.search(r"\b(null|undefined|NaN)\b", page.locator("main").inner_text()), view
 
@@ -165,7 +175,7 @@ def test_the_diagnosis_is_shown_in_german(plant, browser):
     page.goto(address + "#/diagnosis")
     expect(page.get_by_test_id("diagnosis")).to_contain_text("Verdampfende Feuchte")
     expect(page.get_by_role("row", name="Wasser, das verdampft 3,2 % der Trockenmasse 2,3 … 4")).to_be_visible()
-    expect(page.get_by_test_id("diagnosis")).to_contain_text("Wiegen Sie die Platte vor und nach dem Pressen")
+    expect(page.get_by_test_id("diagnosis")).to_contain_text("Die Platte vor und nach dem Pressen wiegen")
     expect(page.get_by_test_id("diagnosis")).to_contain_text("Senkt das Residuum um 0,58 von 1,06 K")
     where = page.get_by_role("row", name="Platte oben +0,66 K nach dem Öffnen 8 … 16 s 154 … 166 °C")
     expect(where).to_be_visible()
@@ -194,7 +204,7 @@ def test_refusals_and_alarms_are_put_into_the_words_of_the_chosen_language(plant
     page.goto(address + "#/runs/campaign-1")
     expect(page.locator("#alarms")).to_contain_text("record: never seen; start kerntemp record")
     page.get_by_label("Language").select_option(label="Deutsch")
-    expect(page.locator("#alarms")).to_contain_text("record: noch nie gesehen; starten Sie kerntemp record")
+    expect(page.locator("#alarms")).to_contain_text("record: noch nie gesehen; kerntemp record starten")
     card = page.get_by_test_id("metadata")
     card.get_by_role("button", name="Ändern").click()
     card.get_by_label("Bemerkung").fill("x")
@@ -215,6 +225,7 @@ def test_numbers_lists_and_messages_within_messages_are_shown_as_the_server_show
         say("api-no-such-language", language="fr", languages=("en", "de")),
         say("api-request-invalid", problems=(field, say("api-body-not-json"))),
         say("health-nightly-job-overdue", hours=51.4),
+        say("health-nightly-job-overdue", hours=float("nan")),
         Message("from-the-future", {"press": "lab"}),
     ):
         shown = page.evaluate(
@@ -280,3 +291,82 @@ def test_metadata_are_german_several_are_added_at_once_and_the_name_stays(plant)
     for name in ("setting.speed_mm_s", "setting.batch"):
         expect(card.get_by_role("row", name=f"{name} 2,5")).to_be_visible()
     expect(page.get_by_test_id("simulation")).to_contain_text("Platte oben")
+
+
+def test_the_next_panel_is_entered_with_large_fields_and_the_last_one_is_judged(plant):
+    address, page, token = plant
+    with_token(page, token)
+    page.goto(address + "#/now")
+    card = page.get_by_test_id("next-panel")
+    card.get_by_label("Thickness").fill("19,5")
+    card.get_by_label("Target").fill("85")
+    card.get_by_label("Keep as recipe").fill("MDF 19")
+    for control in card.locator("input, select, button").all():
+        assert control.bounding_box()["height"] >= 48.0  # a finger in a glove
+    card.get_by_role("button", name="Save").click()
+    expect(card).to_contain_text("by foreman")
+    said = page.evaluate("fetch('api/v1/press/next').then((answer) => answer.json())")
+    assert said["recipes"]["MDF 19"] == {"panel.thickness_mm": 19.5, "setting.core_target_C": 85}
+    page.get_by_test_id("verdict").get_by_role("button", name="blister").click()
+    chosen = page.get_by_test_id("verdict").get_by_role("button", pressed=True)
+    expect(chosen).to_have_text("blister")
+    run = page.evaluate("fetch('api/v1/press').then((answer) => answer.json())")["items"][0]["run"]
+    told = page.evaluate(f"fetch('api/v1/runs/{run}/verdict').then((answer) => answer.json())")
+    assert (told["verdict"], told["who"]) == ("blister", "foreman")
+
+
+def test_runs_are_found_by_what_is_typed_sorted_by_a_column_and_kept_in_the_address(plant):
+    address, page, _ = plant
+    page.goto(address + "#/runs")
+    rows = page.locator("tbody tr")
+    expect(rows).to_have_count(2)
+    page.get_by_label("With").fill("panel.thickness_mm=16")
+    expect(rows).to_have_count(1)
+    expect(rows).to_contain_text("campaign-1")
+    page.get_by_label("With").fill("panel.thickness_mm>")
+    expect(page.get_by_role("alert").filter(has_text="is no bound")).to_be_visible()
+    page.get_by_label("With").fill("")
+    expect(rows).to_have_count(2)
+    expect(rows.first).to_contain_text("lab-0000000")  # the newest
+    page.get_by_role("button", name="Thickness").click()
+    expect(rows.first).to_contain_text("campaign-1")  # the other has none
+    assert page.url.endswith("#/runs?sort=-panel.thickness_mm")
+    page.reload()
+    expect(page.get_by_role("button", name="Thickness ↓")).to_be_visible()
+    expect(rows.first).to_contain_text("campaign-1")
+
+
+def test_two_runs_are_compared_against_one_of_them_and_what_differs_stands_out(plant):
+    address, page, _ = plant
+    page.goto(address + "#/runs/compare/campaign-1/lab-0000000")
+    table = page.get_by_test_id("differences")
+    expect(table.locator("tbody tr").first).to_contain_text("≠")
+    expect(table).to_contain_text("panel.thickness_mm")
+    page.get_by_label("Quantity").select_option(label="Panel, top")
+    chart = page.locator(".chart").first
+    page.get_by_label("Minus").select_option("campaign-1")
+    chart.locator(".u-over").hover(position={"x": 300, "y": 60})
+    expect(chart.locator(".chart-tip")).to_contain_text(re.compile(r"campaign-1\s*0\.00 K"))
+    page.get_by_role("checkbox").first.uncheck()
+    chart.locator(".u-over").hover(position={"x": 320, "y": 60})
+    expect(chart.locator(".chart-tip")).not_to_contain_text("campaign-1")
+    expect(page.get_by_test_id("scatter").locator("canvas")).to_be_visible()
+
+
+def test_a_run_the_model_does_not_describe_is_red_and_has_no_intervals(plant):
+    address, page, _ = plant
+    fit = page.locator("[data-testid=fit]")
+    page.goto(address + "#/runs/campaign-1")
+    expect(fit.locator(".pill").first).to_have_text("converged")
+    expect(fit).to_contain_text("560 … 640")
+    warned = say("fit-not-described-check", misfit=say("plain-text", text="off by 9 K"))
+
+    def answer(route):
+        told = route.fetch().json()
+        said = {"warnings": [str(warned)], "warnings_said": [warned.to_json()]}
+        route.fulfill(json={**told, **said})
+
+    page.route("**/runs/campaign-1/fit", answer)
+    page.reload()
+    expect(fit.locator(".pill.bad").first).to_have_text("not described by the model")
+    expect(fit).not_to_contain_text("…")

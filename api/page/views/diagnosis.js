@@ -21,7 +21,7 @@ export async function show(place, context) {
 
 function drawDiagnosis(holder, record) {
   const d = record.diagnosis;
-  const tone = { no_effect: "good", named: "note", ambiguous: "warn", unknown_effect: "warn", too_few_runs: "idle" }[d.verdict] ?? "idle";
+  const tone = { no_effect: "good", named: "note", ambiguous: "warn", unknown_effect: "warn", too_few_runs: "idle", not_described: "warn" }[d.verdict] ?? "idle";
   const gain = d.base?.heldout_rmse_K && d.extended?.heldout_rmse_K ? 1 - d.extended.heldout_rmse_K / d.base.heldout_rmse_K : null;
   const pair = (label, base, extended) => (base === null || base === undefined ? null
     : el("div", {}, el("b", {}, `${number(base, 2)} → ${number(extended, 2)} K`), el("span", {}, label)));
@@ -29,8 +29,9 @@ function drawDiagnosis(holder, record) {
     el("div", { class: "row" }, el("span", { class: `pill ${tone}` }, text(`page-verdict-${d.verdict}`)), el("span", { class: "faint small" }, clock(record.utc))),
     el("p", { class: "verdict" }, sentence(d)),
     ...d.effects.map((effect) => effectBlock(effect, record.parameters)),
+    d.suspected?.length ? el("p", { class: "small" }, `${text("page-suspected-causes")}: ${d.suspected.map((effect) => name(effect.name)).join(", ")}`) : null,
     el("div", { class: "gain" },
-      pair(text("page-heldout"), d.base?.heldout_rmse_K, d.extended?.heldout_rmse_K), pair(text("page-all-sensors"), d.base?.rmse_K, d.extended?.rmse_K), pair(text("page-core"), d.base?.core_rmse_K, d.extended?.core_rmse_K),
+      pair(text("page-heldout"), d.base?.heldout_rmse_K, d.extended?.heldout_rmse_K), pair(text("page-predicted"), d.base?.predicted_rmse_K, d.extended?.predicted_rmse_K), pair(text("page-all-sensors"), d.base?.rmse_K, d.extended?.rmse_K), pair(text("page-core"), d.base?.core_rmse_K, d.extended?.core_rmse_K),
       gain >= 0.005 && d.effects.length ? el("div", {}, el("b", {}, `${number(100 * gain, 0)} %`), el("span", {}, text("page-gain"))) : null,
       d.noise_floor_K ? el("div", {}, el("b", {}, `${number(d.noise_floor_K, 2)} K`), el("span", {}, text("page-noise-floor"))) : null),
     d.next_measurement ? el("p", { class: "next" }, el("b", {}, `${text("page-next-measurement")}: `), said(d.next_measurement_said, d.next_measurement)) : null)];

@@ -5,12 +5,14 @@ import { roleOf } from "../channels.js";
 import { TimeChart, key } from "../charts.js";
 import { clock, duration, el, number, reading } from "../dom.js";
 import { effectName, said, text } from "../words.js";
+import { CoreChart, STALE_S, believed, closingOf, coreKey, courseOf, seconds, shifted, showAnswer, showCore } from "./answer.js";
+import { PanelCards } from "./panel.js";
 import { sketch } from "./sketch.js";
 
 const KEEP_ROWS = 20000;
-const STALE_S = 5;
 const FACTS_MS = 400;
 const COLOURS = { platen: "--platen", top: "--top", bottom: "--bottom", core: "--measured", other: "--faint" };
+const GROUPS = { platen: "page-platens", top: "page-sensors-top", bottom: "page-sensors-bottom" };
 
 export async function show(place, context) {
   const live = new LivePress(place, context);
@@ -21,7 +23,7 @@ export async function show(place, context) {
   context.on("link", (state) => { if (state === "live") live.load().catch(() => {}); }); // the next poll asks again
   // Readings age from when they are shown, also while what is asked for next never comes.
   const timers = [setInterval(() => live.poll(), 2000), setInterval(() => live.now && live.showAge(), 1000)];
-  const leave = () => { timers.forEach(clearInterval); live.closed = true; };
+  const leave = () => { timers.forEach(clearInterval); live.closed = true; document.documentElement.removeAttribute("data-stale"); };
   try {
     await live.load();
   } catch (error) {
@@ -75,27 +77,31 @@ class LivePress {
     this.state = el("span", { class: "pill", "data-testid": "state" });
     this.core = el("div", { class: "core", "data-testid": "core" });
     this.band = el("div", { class: "band", "data-testid": "band" });
+    this.answer = el("div", { class: "answer", "data-testid": "answer", role: "status" });
     this.meter = el("i", {});
     this.sketch = el("div", { "aria-hidden": "true" });
     this.list = el("dl", { class: "facts" });
     this.grid = el("div", { class: "channels", "data-testid": "channels" });
     this.title = el("h2", {});
-    this.canvas = el("div", {});
+    [this.canvas, this.faces, this.keys, this.faceKeys] = [0, 1, 2, 3].map(() => el("div", {}));
     this.warning = el("div", { class: "warning", role: "status", hidden: true });
-    this.old = el("p", { class: "pill warn", role: "status", hidden: true });
-    this.keys = el("div", {});
-    this.place.replaceChildren(
+    this.old = el("p", { class: "banner", role: "status", hidden: true });
+    this.place.replaceChildren(this.old,
       el("div", { class: "split" },
         this.hero = el("section", { class: "card hero", "aria-labelledby": "core-title" },
           el("div", { class: "row", style: "justify-content:space-between" }, el("h1", { id: "core-title" }, text("page-core-temperature")), this.state),
-          this.old,
-          this.warning,
           el("div", {}, this.core, this.band),
+          this.answer,
+          this.warning,
           el("div", { class: "bench", "aria-hidden": "true" }, this.meter),
-          el("div", { class: "beside" }, this.sketch, this.list)),
-        el("section", { class: "card", "aria-label": text("page-running-pressing") },
-          el("div", { class: "head" }, this.title), this.canvas, this.keys)),
+          el("div", { class: "beside" }, this.sketch, this.list),
+          el("p", { class: "small" }, el("a", { href: "#/wall" }, text("page-wall")))),
+        this.charts = el("section", { class: "card", "aria-label": text("page-running-pressing") },
+          el("div", { class: "head" }, this.title), this.canvas, this.keys,
+          el("h2", { class: "sub" }, text("page-faces-and-platens")), this.faces, this.faceKeys)),
+      this.panels = el("div", { class: "pair" }),
       el("section", { class: "card" }, el("h2", {}, text("page-channels")), this.grid));
+    this.panel = new PanelCards(this.panels, this.now.press);
     this.facts();
     this.tiles();
   }
@@ -109,13 +115,13 @@ class LivePress {
     const rows = [
       [text("page-time-since-closing"), now.time_since_closing_s === null ? "–" : duration(now.time_since_closing_s)],
       [text("page-target"), target ? `${number(target.temperature_C, 0)} °C` : "–"],
-      [text("page-time-to-target"), !target ? "–" : target.reached ? text("page-reached") : timeToTarget(believed(now.estimate))],
       ...ahead(now.state, believed(now.estimate)),
       [text("page-run"), now.run ? el("a", { href: `#/runs/${encodeURIComponent(now.run)}` }, now.run) : "–"],
       [text("page-press"), now.press],
     ];
     this.showAge();
     this.showWarning();
+    this.panel.show(now);
     this.list.replaceChildren(...rows.flatMap(([name, value]) => [el("dt", {}, name), el("dd", {}, value)]));
     this.sketch.replaceChildren(sketch(now));
     const { core_C: core } = believed(now.estimate);
@@ -124,12 +130,12 @@ class LivePress {
   }
 
   showCore(estimate = this.now.estimate) {
-    const valid = this.now.state !== "idle" && estimate && estimate.valid && estimate.core_C !== null;
-    this.core.className = valid ? "core" : "core invalid";
-    this.core.replaceChildren(valid ? number(estimate.core_C, 1) : "–", el("small", {}, "°C"));
-    this.band.textContent = valid
-      ? `${number(estimate.core_low_C, 1)} … ${number(estimate.core_high_C, 1)} °C · ${text("page-band95")}`
-      : this.now.state === "idle" ? text("page-no-panel") : reasonOf(estimate) || text("page-no-estimate");
+    showCore(this.core, this.band, this.now.state, estimate);
+    this.showAnswer();
+  }
+
+  showAnswer() {
+    showAnswer(this.answer, this.now.estimate, this.stale ? this.silentFor() : null);
   }
 
   showWarning() {
@@ -145,21 +151,31 @@ class LivePress {
     Object.assign(this, { age, heard: performance.now() });
   }
 
-  // Old numbers must not look like new ones.
+  silentFor() {
+    return this.age + (performance.now() - this.heard) / 1000;
+  }
+
+  // Old numbers must not look like new ones: one banner, nothing green, every number grey with its age.
   showAge() {
-    const stale = this.now.channels.length > 0 && this.age + (performance.now() - this.heard) / 1000 > STALE_S;
-    this.hero.classList.toggle("stale", stale);
-    this.grid.classList.toggle("stale", stale);
-    this.old.hidden = !stale;
-    if (stale) this.old.textContent = text("page-stale-since", { time: clock(this.now.channels[0].utc) });
+    this.stale = this.now.channels.length > 0 && this.silentFor() > STALE_S;
+    document.documentElement.toggleAttribute("data-stale", this.stale);
+    this.old.hidden = !this.stale;
+    if (!this.stale) { this.grid.dataset.age = ""; return; }
+    const since = text("page-stale-since", { time: clock(this.now.channels[0].utc) });
+    this.old.textContent = `${since} (${text("page-ago", { time: duration(this.silentFor()) })})`;
+    this.showAnswer();
   }
 
   tiles() {
     const nodes = this.now.channels.map((channel) => {
-      const good = ["good", "simulated"].includes(channel.quality);
+      const leftOut = this.now.estimate?.left_out?.[channel.name] ?? null;
+      const read = ["good", "simulated"].includes(channel.quality);
+      const good = read && leftOut === null;
+      const why = !read ? null : leftOut !== null ? text("page-left-out-channel", { kelvin: number(Math.abs(leftOut), 0), side: leftOut < 0 ? "below" : "above" }) : null;
       return el("div", { class: good ? "channel" : "channel bad", style: `--dot: var(${COLOURS[channel.role]})` },
         el("div", { class: "name" }, el("span", {}, channel.name), good ? el("span", { class: "quality" }, text(`page-quality-${channel.quality}`)) : ""),
-        el("b", {}, good ? reading(channel) : text(`page-quality-${channel.quality}`)));
+        el("b", {}, read ? reading(channel) : text(`page-quality-${channel.quality}`)),
+        why ? el("div", { class: "small bad-text" }, why) : "");
     });
     this.grid.replaceChildren(...nodes);
   }
@@ -175,25 +191,42 @@ class LivePress {
     if (this.closed || this.shown !== run) return;
     this.columns = Object.keys(samples.columns).filter((name) => name !== "closed");
     this.phases = detail.phases;
+    this.course = null;
     this.rows = merge(samples, estimates, this.columns);
     this.draw();
   }
 
   draw() {
-    const roles = Object.fromEntries(this.now.channels.map((channel) => [channel.name, channel.role]));
-    const series = this.columns.map((name) => ({ name, colour: COLOURS[roles[name] ?? roleOf(name)], kind: roles[name] === "core" ? "line" : "thin" }));
-    series.push({ name: "low", kind: "band-low" }, { name: "high", kind: "band-high" },
-      { name: text("page-core-predicted"), colour: "--core", kind: "core", spanGaps: true });
-    if (this.chart) this.chart.close();
+    const role = (name) => this.now.channels.find((channel) => channel.name === name)?.role ?? roleOf(name);
+    this.inner = this.columns.filter((name) => role(name) === "core");
+    this.outer = this.columns.filter((name) => role(name) !== "core");
+    for (const chart of [this.chart, this.faceChart]) chart?.close();
     this.canvas.replaceChildren();
-    this.chart = new TimeChart(this.canvas, { series, height: Math.max(300, Math.min(460, innerHeight * 0.5)), label: text("page-chart-now-label"), phases: this.phases });
-    this.chart.set(this.rows, this.phases);
+    this.faces.replaceChildren();
+    const height = Math.max(240, Math.min(380, innerHeight * 0.4));
+    this.chart = new CoreChart(this.canvas, { height, measured: this.inner });
+    this.faceChart = new TimeChart(this.faces, {
+      series: this.outer.map((name) => ({ name, colour: COLOURS[role(name)], kind: "thin", group: GROUPS[role(name)] && text(GROUPS[role(name)]) })),
+      height: 200, label: text("page-faces-and-platens"), xLabel: text("page-time-from-closing"),
+    });
+    this.redraw();
     const running = this.now.run_status === "open";
     this.title.textContent = `${text(running ? "page-running-pressing" : "page-last-pressing")} ${this.shown}`;
-    this.keys.replaceChildren(key([
-      { name: text("page-core-predicted"), colour: "--core" }, { name: text("page-band95"), class: "band" },
+    this.keys.replaceChildren(coreKey());
+    this.faceKeys.replaceChildren(key([
       { name: text("page-sensors-top"), colour: "--top" }, { name: text("page-sensors-bottom"), colour: "--bottom" },
       { name: text("page-platens"), colour: "--platen" }]));
+  }
+
+  redraw() {
+    const first = this.columns.length + 1;
+    const column = (name) => this.rows[this.columns.indexOf(name) + 1];
+    const zero = closingOf(this.phases);
+    this.chart.show({
+      times: this.rows[0], low: this.rows[first], high: this.rows[first + 1], core: this.rows[first + 2], measured: this.inner.map(column),
+      phases: this.phases, target: this.now.target?.temperature_C ?? null, course: this.now.state === "closed" ? this.course : null, advice: this.now.estimate?.advice,
+    });
+    this.faceChart.set([this.rows[0].map((t) => t - zero), ...this.outer.map(column)], shifted(this.phases, zero));
   }
 
   scan(data) {
@@ -214,12 +247,13 @@ class LivePress {
     this.columns.forEach((name, i) => this.rows[i + 1].push(data.temperatures_C[name] ?? null));
     for (let i = this.columns.length + 1; i < this.rows.length; i += 1) this.rows[i].push(null);
     if (times.length > KEEP_ROWS) this.rows.forEach((values) => values.splice(0, values.length - KEEP_ROWS));
-    this.chart.set(this.rows, this.phases);
+    this.redraw();
   }
 
   estimate(data) {
     if (data.press !== this.now?.press) return;
     this.now.estimate = data;
+    this.course = courseOf(data) ?? this.course;
     const closed = this.phases?.findLast((phase) => phase.state === "closed");
     if (closed && data.run === this.shown && data.time_s !== null) this.now.time_since_closing_s = Math.max(data.time_s - closed.from_s, 0);
     this.soon("showCore");
@@ -231,7 +265,7 @@ class LivePress {
     this.rows[first][row] = data.core_low_C;
     this.rows[first + 1][row] = data.core_high_C;
     this.rows[first + 2][row] = data.core_C;
-    this.chart.set(this.rows, this.phases);
+    this.redraw();
   }
 
   press(data) {
@@ -241,7 +275,7 @@ class LivePress {
     if (data.run && data.run === this.shown) {
       get(`/runs/${encodeURIComponent(data.run)}`).then((detail) => {
         this.phases = detail.phases;
-        if (this.chart && !this.closed) this.chart.set(this.rows, this.phases);
+        if (this.chart && !this.closed) this.redraw();
       }).catch(() => {});
     }
   }
@@ -259,27 +293,16 @@ class LivePress {
   }
 }
 
-// Why there is no core: a code in plain words, whose words the catalogue has with hyphens.
-function reasonOf(estimate) {
-  return estimate?.reason && said({ code: `reason-${estimate.reason.replaceAll(" ", "-")}`, arguments: estimate.reason_arguments }, estimate.reason);
+// The two kinds of doubt that make up most of the band.
+function bandFrom(shares) {
+  const most = Object.entries(shares).filter(([, share]) => share >= 0.1).sort((a, b) => b[1] - a[1]).slice(0, 2);
+  return most.map(([kind, share]) => `${text(`page-band-from-${kind}`)} ${number(100 * share, 0)}\u00a0%`).join(", ");
 }
 
-// What may be shown as a number: an estimate that is not valid foresees nothing either.
-const believed = (estimate) => (estimate?.valid ? estimate : {});
-
-const seconds = (value) => (value < 100 ? `${number(value, 0)} s` : duration(value));
-
-function timeToTarget({ target_in_s: middle, target_earliest_s: earliest, target_latest_s: latest }) {
-  if (middle === null || middle === undefined) return "–";
-  const known = [earliest, latest].every((value) => value !== null && value !== undefined);
-  return [seconds(middle), known ? el("span", { class: "faint range" }, ` ${number(earliest, 0)} … ${number(latest, 0)} s`) : ""];
-}
-
-// What the live sensor foresees beyond the target, where it says so.
+// What the live sensor foresees beside the advice, where it says so.
 function ahead(state, estimate) {
   if (state === "idle") return [];
-  const facts = [["open_in_s", "page-open-in", (v) => (v > 0 ? text("page-in-time", { time: seconds(v) }) : text("page-at-once"))], ["peak_C", state === "closed" ? "page-peak-if" : "page-peak", (v) => `${number(v, 1)} °C`],
-    ["limit_in_s", "page-limit-in", seconds], ["energy_kJ_m2", "page-energy", (v) => `${number(v, 0)} kJ/m²`]];
+  const facts = [["limit_in_s", "page-limit-in", seconds], ["energy_kJ_m2", "page-energy", (v) => `${number(v, 0)} kJ/m²`], ["band_from", "page-band-from", bandFrom]];
   return facts.filter(([key]) => estimate[key] !== null && estimate[key] !== undefined).map(([key, name, shown]) => [text(name), shown(estimate[key])]);
 }
 

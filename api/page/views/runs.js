@@ -1,14 +1,13 @@
 // Runs: filter and compare; one run measured against simulated, its residual, the profile through the panel, its fit.
 import { download, get, url } from "../api.js";
 import { TimeChart, key } from "../charts.js";
-import { clock, duration, el, figure, number, table } from "../dom.js";
+import { clock, duration, el, number, table } from "../dom.js";
 import { language, placeName, said, text } from "../words.js";
 import { roleOf } from "../channels.js";
 import { coefficientTable } from "./coefficients.js";
+import { compare } from "./compare.js";
 import { metadataCard } from "./metadata.js";
 import { profilePicture } from "./profile.js";
-
-const PALETTE = ["--core", "--bottom", "--top", "--good", "--accent", "--platen"];
 
 export async function show(place, context, [id, ...rest]) {
   if (id === "compare") return compare(place, rest);
@@ -16,57 +15,82 @@ export async function show(place, context, [id, ...rest]) {
   return list(place, context);
 }
 
+const FILTERS = ["q", "where", "verdict", "status", "from", "to", "sort"];
+
 async function list(place, context) {
   const chosen = new Set();
-  const filter = { material: "", status: "", from: "", to: "" };
+  const filter = Object.fromEntries(FILTERS.map((name) => [name, context.query.get(name) ?? ""]));
   let items = [];
   let cursor = null;
   const body = el("div", {});
   const more = el("button", { type: "button", class: "button", onclick: () => load(true) }, text("page-more"));
   const compareLink = el("a", { class: "button", href: "#/runs", "aria-disabled": "true" }, text("page-compare"));
   const field = (name, label, control) => {
-    control.addEventListener("input", () => { filter[name] = control.value; load(false); });
+    control.value = filter[name];
+    control.addEventListener("input", () => { filter[name] = control.value; keep(); load(false); });
     return el("label", { class: "row small" }, el("span", { class: "faint" }, label), control);
   };
-  const statuses = el("select", {}, el("option", { value: "" }, text("page-all")),
-    ["open", "closed", "interrupted"].map((value) => el("option", { value }, text(`page-run-${value}`))));
+  const options = (values, code) => el("select", {}, el("option", { value: "" }, text("page-all")), values.map((value) => el("option", { value }, text(`${code}${value}`))));
   place.append(el("section", { class: "card" },
-    el("div", { class: "head" }, el("h1", {}, text("page-nav-runs")),
-      el("div", { class: "row" },
-        field("material", text("page-material"), el("input", { type: "search", size: 8 })),
-        field("status", text("page-status"), statuses),
-        field("from", text("page-from"), el("input", { type: "date" })),
-        field("to", text("page-to"), el("input", { type: "date" })), compareLink)),
+    el("div", { class: "head" }, el("h1", {}, text("page-nav-runs")), compareLink),
+    el("div", { class: "row", style: "margin-bottom:.8rem" },
+      field("q", text("page-search"), el("input", { type: "search", size: 18 })),
+      field("where", text("page-search-bounds"), el("input", { type: "search", size: 26, placeholder: "core_at_opening_C>=95 panel.thickness_mm=16" })),
+      field("verdict", text("page-panel-became"), options(["good", "blister", "undercured", "scrap"], "page-panel-")),
+      field("status", text("page-status"), options(["open", "closed", "interrupted"], "page-run-")),
+      field("from", text("page-from"), el("input", { type: "date" })),
+      field("to", text("page-to"), el("input", { type: "date" }))),
     body, el("div", { class: "row", style: "justify-content:center;margin-top:.8rem" }, more)));
+
+  // What is looked for stands in the address: it can be kept as a bookmark and sent to somebody.
+  function keep() {
+    const query = new URLSearchParams(FILTERS.filter((name) => filter[name]).map((name) => [name, filter[name]])).toString();
+    history.replaceState(null, "", query ? `#/runs?${query}` : "#/runs");
+  }
 
   let turn = 0;
   async function load(next) {
     const mine = ++turn;
-    const page = await get("/runs", {
-      press: context.presses.length > 1 ? context.press : "", material: filter.material, status: filter.status, limit: 50, cursor: next ? cursor : "",
-      from: midnight(filter.from, 0), to: midnight(filter.to, 1),
-    });
-    if (mine !== turn) return;
-    items = next ? items.concat(page.items) : page.items;
-    cursor = page.next_cursor;
+    try {
+      const page = await get("/search", {
+        press: context.presses.length > 1 ? context.press : "", q: filter.q, where: filter.where.split(/\s+/).filter(Boolean), verdict: filter.verdict, status: filter.status,
+        sort: filter.sort, limit: 50, cursor: next ? cursor : "", from: midnight(filter.from, 0), to: midnight(filter.to, 1),
+      });
+      if (mine !== turn) return;
+      items = next ? items.concat(page.items) : page.items;
+      cursor = page.next_cursor;
+    } catch (error) {
+      if (error.status !== 422) throw error;
+      if (mine === turn) body.replaceChildren(el("p", { class: "small bad-text", role: "alert" }, error.message)); // a bound half typed
+      return;
+    }
     more.hidden = !cursor;
     draw();
   }
 
+  // A column's head sorts by its number: the largest first, the smallest first, the newest first again.
+  function sorting(name, label) {
+    const [largest, smallest] = [`-${name}`, name];
+    const next = filter.sort === largest ? smallest : filter.sort === smallest ? "" : largest;
+    const arrow = filter.sort === largest ? " ↓" : filter.sort === smallest ? " ↑" : "";
+    return el("button", { type: "button", class: "quiet sort", onclick: () => { filter.sort = next; keep(); load(false); } }, label + arrow);
+  }
+
   function draw() {
     if (!items.length) { body.replaceChildren(el("div", { class: "empty" }, text("page-no-runs"))); return; }
+    const cell = (value, digits, unit) => el("span", { class: "num" }, value === null || value === undefined ? "–" : `${number(value, digits)} ${unit}`);
+    const columns = [["press_time_s", "page-pressed", 1, "s"], ["core_at_opening_C", "page-core-at-opening", 1, "°C"], ["core_peak_C", "page-core-peak", 1, "°C"], ["band_at_opening_K", "page-band-at-opening", 1, "K"], ["rmse_K", "page-rmse", 2, "K"]];
     body.replaceChildren(table(text("page-nav-runs"), [
       { text: text("page-compare"), unseen: true }, { text: text("page-run") }, { text: text("page-started"), class: "hide-narrow" }, { text: text("page-material") },
-      { text: text("page-thickness"), class: "right hide-narrow" }, { text: text("page-platen"), class: "right hide-narrow" },
-      { text: text("page-pressed"), class: "right" }, { text: text("page-rmse"), class: "right" }, { text: text("page-status"), class: "hide-narrow" },
+      { text: sorting("panel.thickness_mm", text("page-thickness")), class: "right hide-narrow" },
+      ...columns.map(([name, code], i) => ({ text: sorting(name, text(code)), class: i === 1 ? "right" : "right hide-narrow" })),
+      { text: text("page-panel-became") }, { text: text("page-status"), class: "hide-narrow" },
     ], items.map((run) => [
       el("input", { type: "checkbox", checked: chosen.has(run.run), "aria-label": `${text("page-compare")} ${run.run}`, onchange: (event) => pick(run.run, event.target.checked) }),
       el("a", { href: `#/runs/${encodeURIComponent(run.run)}` }, run.run),
-      el("span", { class: "num" }, clock(run.started_utc)), run.material || "–",
-      el("span", { class: "num" }, run.thickness_mm === null ? "–" : `${number(run.thickness_mm, 1)} mm`),
-      el("span", { class: "num" }, run.platen_temperature_C === null ? "–" : `${number(run.platen_temperature_C, 0)} °C`),
-      el("span", { class: "num" }, run.closed_s === null || run.opened_s === null ? "–" : duration(run.opened_s - run.closed_s)),
-      el("span", { class: "num" }, run.rmse_K === null ? "–" : `${number(run.rmse_K, 2)} K`),
+      el("span", { class: "num" }, clock(run.started_utc)), run.material || "–", cell(run.thickness_mm, 1, "mm"),
+      ...columns.map(([name, , digits, unit]) => cell(run.numbers[name], digits, unit)),
+      run.verdict ? el("span", { class: `pill ${run.verdict === "good" ? "good" : "bad"}` }, text(`page-panel-${run.verdict}`)) : "–",
       statusPill(run.status),
     ]), { pick: (i) => { location.hash = `#/runs/${encodeURIComponent(items[i].run)}`; } }));
   }
@@ -96,47 +120,6 @@ function statusPill(status) {
   const tone = { open: "open", closed: "good", interrupted: "warn" }[status] ?? "";
   return el("span", { class: `pill ${tone}` }, text(`page-run-${status}`));
 }
-
-async function compare(place, ids) {
-  place.append(el("section", { class: "card" }, el("div", { class: "head" }, el("h1", {}, `${text("page-compare")}: ${text("page-core-predicted")}`),
-    el("a", { class: "button", href: "#/runs" }, text("page-back")))));
-  const runs = await Promise.all(ids.slice(0, 6).map(async (id) => ({
-    id, detail: await get(`/runs/${encodeURIComponent(id)}`), estimates: await coreOf(`/runs/${encodeURIComponent(id)}`),
-  })));
-  const times = [...new Set(runs.flatMap(({ detail: d, estimates: e }) => e.time_s.map((t) => round(t - (d.closed_s ?? 0)))))].sort((a, b) => a - b);
-  const at = new Map(times.map((t, i) => [t, i]));
-  const data = [times, ...runs.map(({ detail: d, estimates: e }) => {
-    const values = new Array(times.length).fill(null);
-    e.time_s.forEach((t, i) => { if (e.valid[i]) values[at.get(round(t - (d.closed_s ?? 0)))] = e.core_C[i]; });
-    return values;
-  })];
-  const holder = el("div", {});
-  place.firstChild.append(holder, key(runs.map(({ id }, i) => ({ name: id, colour: PALETTE[i] }))));
-  const chart = new TimeChart(holder, {
-    series: runs.map(({ id }, i) => ({ name: id, colour: PALETTE[i], kind: "line", spanGaps: true })), height: 420, label: text("page-compare"), xLabel: text("page-time-from-closing"),
-  });
-  chart.set(data);
-  const facts = await Promise.all(runs.map(({ id }) => get(`/runs/${encodeURIComponent(id)}/fit`).catch(() => null)));
-  const names = [...new Set(facts.flatMap((fit) => (fit ? Object.keys(fit.coefficients) : [])))];
-  if (names.length) {
-    place.append(el("section", { class: "card" }, el("h2", {}, text("page-nav-coefficients")), table(text("page-nav-coefficients"),
-      [{ text: text("page-run") }, ...names.map((name) => ({ text: name, class: "right" })), { text: text("page-rmse"), class: "right" }],
-      facts.map((fit, i) => [el("a", { href: `#/runs/${encodeURIComponent(runs[i].id)}` }, runs[i].id),
-        ...names.map((name) => el("span", { class: "num" }, fit?.coefficients[name] ? figure(fit.coefficients[name].value) : "–")),
-        el("span", { class: "num" }, fit?.rmse_K ? `${number(fit.rmse_K, 2)} K` : "–")]))));
-  }
-  return null;
-}
-
-// The core as told live; of a run nobody followed live, as simulated with its fit.
-async function coreOf(path) {
-  const live = await get(`${path}/estimates`, { max_points: 800 });
-  if (live.rows) return live;
-  const { time_s, core_C } = await get(`${path}/simulation`).catch(() => ({ time_s: [], core_C: [] }));
-  return { time_s, core_C, valid: core_C.map((value) => value !== null) };
-}
-
-const round = (value) => Math.round(value * 10) / 10;
 
 async function detail(place, context, id) {
   const path = `/runs/${encodeURIComponent(id)}`;
@@ -242,9 +225,13 @@ function profileCard(run, simulation) {
 
 function fitCard(fit) {
   if (!fit) return el("section", { class: "card" }, el("h2", {}, text("page-fit")), el("p", { class: "faint" }, text("page-no-fit")));
-  return el("section", { class: "card" }, el("div", { class: "head" }, el("h2", {}, text("page-fit")),
-    el("span", { class: `pill ${fit.converged ? "good" : "warn"}` }, text(fit.converged ? "page-converged" : "page-not-converged"))),
-  coefficientTable(fit.coefficients),
+  const described = !(fit.warnings_said ?? []).some(({ code }) => code === "fit-not-described-check");
+  const state = !described ? ["bad", "page-not-described"] : fit.converged ? ["good", "page-converged"] : ["warn", "page-not-converged"];
+  // Of a run the model does not describe nothing is known: what a search ended at has no interval.
+  const coefficients = described ? fit.coefficients : Object.fromEntries(Object.entries(fit.coefficients).map(([name, c]) => [name, { ...c, ci95: null }]));
+  return el("section", { class: "card", "data-testid": "fit" }, el("div", { class: "head" }, el("h2", {}, text("page-fit")),
+    el("span", { class: `pill ${state[0]}` }, text(state[1]))),
+  coefficientTable(coefficients),
   el("p", { class: "small faint" }, `RMSE ${number(fit.initial_rmse_K, 2)} K → ${number(fit.rmse_K, 2)} K`),
   fit.warnings.length ? el("ul", { class: "small" }, fit.warnings.map((warning, i) => el("li", {}, said(fit.warnings_said?.[i], warning)))) : null);
 }

@@ -1,7 +1,7 @@
 // The press from the side: platens, plates and panel, where they stand now, coloured by temperature.
 import { number } from "../dom.js";
 
-const STOPS = [[20, 74, 111, 165], [60, 116, 143, 176], [100, 214, 178, 112], [150, 224, 122, 54], [200, 190, 40, 40]];
+const STOPS = [[20, 74, 111, 165], [60, 116, 143, 176], [100, 214, 178, 112], [150, 224, 122, 54], [200, 166, 76, 18]];
 
 function colour(celsius) {
   if (celsius === null || celsius === undefined) return "var(--line)";

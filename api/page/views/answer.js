@@ -1,0 +1,89 @@
+// What now and wall view share: the core with its band, the one answer, and the chart of the core with what is foreseen.
+import { TimeChart, key } from "../charts.js";
+import { duration, el, number } from "../dom.js";
+import { said, text } from "../words.js";
+
+export const STALE_S = 5;
+
+// What may be shown as a number: an estimate that is not valid foresees nothing either.
+export const believed = (estimate) => (estimate?.valid ? estimate : {});
+
+export const seconds = (value) => (value < 100 ? `${number(value, 0)} s` : duration(value));
+
+export function showCore(core, band, state, estimate) {
+  const valid = state !== "idle" && estimate && estimate.valid && estimate.core_C !== null;
+  core.className = valid ? "core" : "core invalid";
+  core.replaceChildren(valid ? number(estimate.core_C, 1) : "–", el("small", {}, "°C"));
+  band.textContent = valid
+    ? `${number(estimate.core_low_C, 1)} … ${number(estimate.core_high_C, 1)} °C · ${text("page-band95")}`
+    : state === "idle" ? text("page-no-panel") : reasonOf(estimate) || text("page-no-estimate");
+}
+
+// Why there is no core: a code in plain words, whose words the catalogue has with hyphens.
+function reasonOf(estimate) {
+  return estimate?.reason && said({ code: `reason-${estimate.reason.replaceAll(" ", "-")}`, arguments: estimate.reason_arguments }, estimate.reason);
+}
+
+// One line in its own colour. What rests on no reading for `silent` seconds is not known, whatever was foreseen.
+export function showAnswer(place, estimate, silent) {
+  const advice = estimate?.advice;
+  const verdict = silent !== null || !advice ? "not_known" : advice.verdict;
+  const line = silent !== null
+    ? text("advice-not-known", { why: text("page-no-reading-for", { time: seconds(Math.round(silent)) }) })
+    : advice ? said(advice.sentence_said, advice.sentence) : text("page-no-estimate");
+  place.className = `answer ${verdict}`;
+  if (place.textContent !== line) place.textContent = line;
+}
+
+export const closingOf = (phases) => phases?.findLast((phase) => phase.state === "closed")?.from_s ?? 0;
+
+export const shifted = (phases, zero) => (phases ?? []).map((phase) => ({ ...phase, from_s: phase.from_s - zero, to_s: phase.to_s === null ? null : phase.to_s - zero }));
+
+// The look ahead of an estimate on the run's clock: [[time, core, low, high], ...]; null where it brings none.
+export function courseOf({ course, time_s: time, forecast_age_s: age }) {
+  return course && time !== null ? course.map(([t, ...core]) => [time - (age ?? 0) + t, ...core]) : null;
+}
+
+export const coreKey = () => key([
+  { name: text("page-core-predicted"), colour: "--core" }, { name: text("page-band95"), class: "band" },
+  { name: text("page-core-foreseen"), colour: "--core", class: "dots" }]);
+
+// The core alone, on its own scale, from closing on: band, target, the opening advised, and what is foreseen.
+export class CoreChart {
+  constructor(place, { height, measured = [] }) {
+    this.chart = new TimeChart(place, {
+      series: [{ name: "low", kind: "band-low" }, { name: "high", kind: "band-high" }, { name: text("page-core-predicted"), colour: "--core", kind: "core", spanGaps: true },
+        { name: "low ahead", kind: "band-low", colour: "--core-ahead" }, { name: "high ahead", kind: "band-high", colour: "--core-ahead" },
+        { name: text("page-core-foreseen"), colour: "--core", kind: "line", dash: [6, 5], spanGaps: true },
+        ...measured.map((name) => ({ name, colour: "--measured", kind: "line" }))],
+      height, label: text("page-chart-now-label"), xLabel: text("page-time-from-closing"),
+      yRange: (_, low, high) => this.range(low, high),
+    });
+  }
+
+  show({ times, low, high, core, measured = [], phases, target, course, advice }) {
+    const zero = closingOf(phases);
+    const now = times.at(-1) ?? 0;
+    const to = (course ?? []).filter(([time]) => time > now);
+    const before = (values) => [...values, ...to.map(() => null)];
+    const after = (k) => [...times.map((_, i) => (i === times.length - 1 && to.length ? [core, low, high][k - 1].findLast((v) => v !== null) ?? null : null)), ...to.map((row) => row[k])];
+    this.target = target;
+    const opens = advice?.open_in_s ?? null;
+    this.chart.marks = [
+      ...(target === null ? [] : [{ y: target, name: `${text("page-target")} ${number(target, 0)} °C`, colour: "--good" }]),
+      ...(opens === null || !to.length ? [] : [{ x: now + opens - zero, name: text("page-open-then"), colour: "--accent" }])];
+    this.chart.set([[...times, ...to.map(([time]) => time)].map((t) => t - zero), before(low), before(high), before(core), after(2), after(3), after(1),
+      ...measured.map(before)], shifted(phases, zero));
+  }
+
+  range(low, high) {
+    const all = [low, high, this.target].filter((value) => Number.isFinite(value));
+    const [least, most] = all.length ? [Math.min(...all), Math.max(...all)] : [0, 100];
+    const room = Math.max(0.06 * (most - least), 1);
+    return [least - room, most + room];
+  }
+
+  close() {
+    this.chart.close();
+  }
+}

@@ -1,0 +1,125 @@
+// Runs side by side: any quantity from closing on, as it is or against one of them; what differs; any number over any other.
+import { get } from "../api.js";
+import { TimeChart } from "../charts.js";
+import { el, figure, number, table } from "../dom.js";
+import { text } from "../words.js";
+
+const QUANTITIES = { core: "page-core-predicted", top: "page-sensors-top", bottom: "page-sensors-bottom" };
+const STEP_S = 0.5; // all runs are read off at the same times: a difference has both
+
+export async function compare(place, ids) {
+  const runs = await Promise.all(ids.map(load));
+  const shown = { quantity: "core", reference: "", off: new Set() };
+  const holder = el("div", {});
+  const legend = el("div", { class: "row legend" });
+  const select = (label, options, done) => el("label", { class: "row small" }, el("span", { class: "faint" }, label), el("select", { onchange: (event) => { done(event.target.value); draw(); } }, options));
+  place.append(el("section", { class: "card" }, el("div", { class: "head" }, el("h1", {}, text("page-compare")),
+    el("div", { class: "row" },
+      select(text("page-quantity"), Object.entries(QUANTITIES).map(([value, code]) => el("option", { value }, text(code))), (value) => { shown.quantity = value; }),
+      select(text("page-reference"), [el("option", { value: "" }, "–"), ...ids.map((id) => el("option", { value: id }, id))], (value) => { shown.reference = value; }),
+      el("a", { class: "button", href: "#/runs" }, text("page-back")))), holder, legend), differences(runs), scatter(runs));
+  let chart = null;
+  function draw() {
+    const visible = runs.filter(({ id }) => !shown.off.has(id));
+    const reference = runs.find(({ id }) => id === shown.reference);
+    const from = Math.floor(Math.min(...runs.map((run) => run.from)) / STEP_S);
+    const to = Math.ceil(Math.max(...runs.map((run) => run.to)) / STEP_S);
+    const times = Array.from({ length: Math.max(to - from + 1, 1) }, (_, i) => (from + i) * STEP_S);
+    const base = reference && reading(reference, shown.quantity, times);
+    const curves = visible.map((run) => reading(run, shown.quantity, times).map((v, i) => (!base || v === null ? v : base[i] === null ? null : v - base[i])));
+    chart?.close();
+    holder.replaceChildren();
+    const unit = base ? "K" : "°C";
+    chart = new TimeChart(holder, {
+      series: visible.map((run) => ({ name: run.id, colour: colourOf(runs.indexOf(run), runs.length), kind: "line", unit, digits: base ? 2 : 1 })),
+      height: 420, label: `${text("page-compare")}: ${text(QUANTITIES[shown.quantity])}`, xLabel: text("page-time-from-closing"), yLabel: unit,
+    });
+    chart.set([times, ...curves]);
+    legend.replaceChildren(...runs.map(({ id }, i) => el("label", { class: "row small" },
+      el("input", { type: "checkbox", checked: !shown.off.has(id), onchange: (event) => { if (event.target.checked) shown.off.delete(id); else shown.off.add(id); draw(); } }),
+      el("span", { style: `color:${colourOf(i, runs.length)}`, "aria-hidden": "true" }, "■"), el("a", { href: `#/runs/${encodeURIComponent(id)}` }, id))));
+  }
+  draw();
+  return null;
+}
+
+// Hues evenly round the circle but for red, which says that something is wrong.
+const colourOf = (i, count) => `hsl(${Math.round(35 + (310 * i) / Math.max(count, 1))} 65% 45%)`;
+
+async function load(id) {
+  const path = `/runs/${encodeURIComponent(id)}`;
+  const [detail, samples, core, found] = await Promise.all([get(path), get(`${path}/samples`, { max_points: 3000 }), coreOf(path), get("/search", { q: id, limit: 500 })]);
+  const zero = detail.closed_s ?? 0;
+  const face = (start) => Object.entries(samples.columns).filter(([name]) => name.startsWith(start)).map(([, values]) => values);
+  const middle = (columns) => samples.time_s.map((_, i) => {
+    const good = columns.map((values) => values[i]).filter((v) => v !== null).sort((a, b) => a - b);
+    return good.length ? good[Math.floor(good.length / 2)] : null;
+  });
+  const curve = (times, values) => ({ times: times.map((t) => t - zero), values });
+  return {
+    id, detail, numbers: found.items.find((item) => item.run === id)?.numbers ?? {},
+    from: (samples.time_s[0] ?? 0) - zero, to: (samples.time_s.at(-1) ?? 0) - zero,
+    core: curve(core.time_s, core.core_C.map((v, i) => (core.valid[i] ? v : null))),
+    top: curve(samples.time_s, middle(face("top"))), bottom: curve(samples.time_s, middle(face("bottom"))),
+  };
+}
+
+// The core as told live; of a run nobody followed live, as simulated with its fit.
+async function coreOf(path) {
+  const live = await get(`${path}/estimates`, { max_points: 3000 });
+  if (live.rows) return live;
+  const { time_s, core_C } = await get(`${path}/simulation`).catch(() => ({ time_s: [], core_C: [] }));
+  return { time_s, core_C, valid: core_C.map((value) => value !== null) };
+}
+
+// A curve at given times, straight between two values no further apart than 5 s; nothing is made up beyond.
+function reading(run, quantity, at) {
+  const { times, values } = run[quantity];
+  let j = 0;
+  return at.map((time) => {
+    while (j < times.length && times[j] < time) j += 1;
+    const [before, after] = [times[j] === time ? j : j - 1, j];
+    if (before < 0 || after >= times.length || values[before] === null || values[after] === null || times[after] - times[before] > 5) return null;
+    return before === after ? values[after] : values[before] + ((values[after] - values[before]) * (time - times[before])) / (times[after] - times[before]);
+  });
+}
+
+// Settings and results, a row each; what is not the same in all runs stands out.
+function differences(runs) {
+  const keys = [...new Set(runs.flatMap(({ detail, numbers }) => [...Object.keys(detail.header).filter((key) => key !== "run"), ...Object.keys(numbers)]))].sort();
+  const value = ({ detail, numbers }, key) => detail.header[key] ?? numbers[key] ?? null;
+  const shown = (one) => (one === null ? "–" : typeof one === "number" ? figure(one) : String(one));
+  const rows = keys.map((key) => {
+    const cells = runs.map((run) => shown(value(run, key)));
+    return { key, cells, differs: new Set(cells).size > 1 };
+  }).sort((a, b) => Number(b.differs) - Number(a.differs));
+  return el("section", { class: "card", "data-testid": "differences" }, el("h2", {}, text("page-differences")), table(text("page-differences"),
+    [{ text: text("page-name") }, ...runs.map(({ id }) => ({ text: id, class: "right" }))],
+    rows.map(({ key, cells, differs }) => [differs ? el("b", {}, `≠ ${key}`) : key, ...cells.map((cell) => el("span", { class: differs ? "num" : "num faint" }, cell))])));
+}
+
+// Any number of the runs over any other, by which a process is understood.
+function scatter(runs) {
+  const names = [...new Set(runs.flatMap(({ numbers }) => Object.keys(numbers).filter((name) => numbers[name] !== null)))].sort();
+  const axes = { x: names.includes("press_time_s") ? "press_time_s" : names[0], y: names.includes("core_at_opening_C") ? "core_at_opening_C" : names.at(-1) };
+  const holder = el("div", {});
+  const choose = (axis, label) => el("label", { class: "row small" }, el("span", { class: "faint" }, label),
+    el("select", { onchange: (event) => { axes[axis] = event.target.value; draw(); } }, names.map((name) => el("option", { value: name, selected: name === axes[axis] }, name))));
+  const card = el("section", { class: "card", "data-testid": "scatter" }, el("div", { class: "head" }, el("h2", { style: "margin:0" }, text("page-scatter")),
+    el("div", { class: "row" }, choose("y", text("page-scatter-up")), choose("x", text("page-scatter-right")))), holder);
+  let chart = null;
+  function draw() {
+    const points = runs.map(({ id, numbers }) => ({ id, x: numbers[axes.x] ?? null, y: numbers[axes.y] ?? null })).filter(({ x, y }) => x !== null && y !== null).sort((a, b) => a.x - b.x);
+    chart?.close();
+    holder.replaceChildren();
+    const span = points.length ? points.at(-1).x - points[0].x || Math.abs(points[0].x) || 1 : 1;
+    chart = new TimeChart(holder, {
+      series: [{ name: axes.y, colour: "--core", kind: "dots", size: 9, unit: "", digits: 2 }], height: 300, label: text("page-scatter"), yLabel: axes.y, xLabel: axes.x,
+      xRange: points.length ? [points[0].x - 0.08 * span, points.at(-1).x + 0.08 * span] : [0, 1],
+    });
+    chart.tipHead = (x) => `${points.filter((point) => point.x === x).map(({ id }) => id).join(", ")} · ${number(x, 1)}`;
+    chart.set([points.map(({ x }) => x), points.map(({ y }) => y)]);
+  }
+  if (names.length) requestAnimationFrame(draw);
+  return card;
+}

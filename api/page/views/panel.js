@@ -1,0 +1,94 @@
+// The next panel, said before it is pressed, and what became of the last one: large enough for a thumb in a glove.
+import { announce } from "../announce.js";
+import { get, put } from "../api.js";
+import { clock, el, number, written } from "../dom.js";
+import { text } from "../words.js";
+
+const VERDICTS = ["good", "blister", "undercured", "scrap"];
+const FIELDS = [["panel.material", "page-material", ""], ["panel.thickness_mm", "page-thickness", "mm"], ["panel.moisture_percent", "page-moisture", "%"],
+  ["panel.initial_temperature_C", "page-start-temperature", "°C"], ["setting.core_target_C", "page-target", "°C"]];
+
+export class PanelCards {
+  constructor(place, press) {
+    Object.assign(this, { press, run: null });
+    this.next = el("section", { class: "card touch", "data-testid": "next-panel" });
+    this.verdict = el("section", { class: "card touch", "data-testid": "verdict", hidden: true });
+    place.append(this.verdict, this.next);
+    this.load().catch((error) => this.next.replaceChildren(el("p", { class: "faint" }, error.message)));
+  }
+
+  async load() {
+    this.draw(await get("/press/next", { press: this.press }));
+  }
+
+  draw(said) {
+    const fields = FIELDS.map(([key, label, unit]) => {
+      const value = said.header[key];
+      const input = el("input", { type: "text", id: `next-${key}`, inputmode: key === "panel.material" ? "text" : "decimal", autocomplete: "off", value: value === undefined ? "" : typeof value === "number" ? written(value) : value });
+      return { key, input, row: el("label", { for: `next-${key}` }, el("span", {}, text(label), unit ? el("span", { class: "faint" }, ` [${unit}]`) : ""), input) };
+    });
+    const names = Object.keys(said.recipes);
+    const choice = el("select", { id: "next-recipe", onchange: () => {
+      for (const { key, input } of fields) {
+        const value = said.recipes[choice.value]?.[key];
+        if (choice.value) input.value = value === undefined ? "" : typeof value === "number" ? written(value) : value;
+      }
+      name.value = choice.value;
+    } }, el("option", { value: "" }, text("page-recipe-none")), names.map((one) => el("option", { value: one, selected: one === said.recipe }, one)));
+    const name = el("input", { type: "text", id: "next-name", value: said.recipe, maxlength: 100, autocomplete: "off" });
+    const message = el("p", { role: "status", class: "small" });
+    this.faces = el("p", { class: "small faint" });
+    const form = el("form", { class: "touch-form" },
+      el("label", { for: "next-recipe" }, text("page-recipe"), choice), ...fields.map(({ row }) => row),
+      el("label", { for: "next-name" }, text("page-recipe-name"), name),
+      el("button", { class: "button primary" }, text("page-save")));
+    form.addEventListener("submit", async (event) => {
+      event.preventDefault();
+      const others = Object.entries(said.header).filter(([key]) => !FIELDS.some(([known]) => known === key));
+      const header = Object.fromEntries([...others, ...fields.filter(({ input }) => input.value.trim()).map(({ key, input }) => [key, meant(key, input.value.trim())])]);
+      try {
+        this.draw(await put(`/press/next?press=${encodeURIComponent(this.press)}`, { header, recipe: name.value.trim() }));
+        announce(text("page-next-kept"));
+      } catch (error) { refuse(message, error); }
+    });
+    this.next.replaceChildren(el("div", { class: "head" }, el("h2", {}, text("page-next-panel")),
+      el("span", { class: "small faint" }, said.who ? text("page-next-by", { who: said.who, time: clock(said.utc) }) : "")),
+    form, el("p", { class: "small faint" }, text("page-next-hint")), this.faces, message);
+  }
+
+  // What the faces read now, beside the start temperature that is typed in, and the last panel's verdict.
+  show(now) {
+    const degrees = (value) => `${number(value, 1)} °C`;
+    if (this.faces) this.faces.textContent = text("page-next-faces", { top: degrees(now.faces.top_C), bottom: degrees(now.faces.bottom_C) });
+    const done = now.run && (now.run_status !== "open" || now.estimate?.advice?.verdict === "opened") ? now.run : null;
+    if (done === this.run) return;
+    this.run = done;
+    this.verdict.hidden = !done;
+    if (done) this.ask(done).catch(() => { this.verdict.hidden = true; });
+  }
+
+  async ask(run) {
+    this.drawVerdict(run, await get(`/runs/${encodeURIComponent(run)}/verdict`));
+  }
+
+  drawVerdict(run, said) {
+    const message = el("p", { role: "status", class: "small" });
+    const buttons = VERDICTS.map((one) => el("button", {
+      type: "button", class: `button verdict-button ${one}`, "aria-pressed": String(said.verdict === one),
+      onclick: async () => {
+        try {
+          this.drawVerdict(run, await put(`/runs/${encodeURIComponent(run)}/verdict`, { verdict: said.verdict === one ? null : one }));
+        } catch (error) { refuse(message, error); }
+      },
+    }, text(`page-panel-${one}`)));
+    this.verdict.replaceChildren(el("h2", {}, text("page-panel-verdict", { run })), el("div", { class: "verdicts" }, buttons), message,
+      said.who ? el("p", { class: "small faint" }, text("page-next-by", { who: said.who, time: clock(said.utc) })) : "");
+  }
+}
+
+function refuse(message, error) {
+  message.className = "small bad-text";
+  message.replaceChildren(error.message, error.status === 401 ? el("a", { href: "#/access" }, ` ${text("page-need-token")}`) : "");
+}
+
+const meant = (key, typed) => (key !== "panel.material" && /^[+-]?\d+([.,]\d+)?$/.test(typed) ? Number(typed.replace(",", ".")) : typed);

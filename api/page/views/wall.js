@@ -1,0 +1,105 @@
+// The wall: core, the one answer, press state and one health light, to be read from four metres; nothing to press.
+import { get } from "../api.js";
+import { duration, el, number } from "../dom.js";
+import { said, text } from "../words.js";
+import { CoreChart, STALE_S, courseOf, showAnswer, showCore } from "./answer.js";
+
+export async function show(place, context, [press]) {
+  const wall = new Wall(place, context, press ?? context.press);
+  context.on("estimate", (data) => wall.estimate(data));
+  context.on("press", () => wall.ask());
+  document.documentElement.toggleAttribute("data-wall", true);
+  const leaveByKey = (event) => { if (event.key === "Escape" && !document.fullscreenElement) location.hash = "#/now"; };
+  document.addEventListener("keydown", leaveByKey);
+  const timers = [setInterval(() => wall.ask(), 2000), setInterval(() => wall.now && wall.showAge(), 1000)];
+  await wall.ask();
+  return () => {
+    timers.forEach(clearInterval);
+    document.removeEventListener("keydown", leaveByKey);
+    for (const name of ["data-wall", "data-stale"]) document.documentElement.removeAttribute(name);
+    wall.chart?.close();
+    wall.left = true;
+  };
+}
+
+class Wall {
+  constructor(place, context, press) {
+    Object.assign(this, { context, press, now: null, rows: null, shown: null, left: false });
+    this.core = el("div", { class: "core", "data-testid": "core" });
+    this.band = el("div", { class: "band", "data-testid": "band" });
+    this.answer = el("div", { class: "answer", "data-testid": "answer", role: "status" });
+    this.state = el("span", { class: "pill", "data-testid": "state" });
+    this.light = el("span", { class: "light", "data-testid": "health", role: "status" });
+    this.since = el("span", { class: "num" });
+    this.chartPlace = el("div", { class: "wall-chart" });
+    const whole = el("button", { type: "button", class: "quiet", onclick: () => document.documentElement.requestFullscreen?.() }, text("page-full-screen"));
+    place.replaceChildren(el("section", { class: "wall", "aria-labelledby": "wall-title" },
+      el("div", { class: "wall-head" }, el("h1", { id: "wall-title" }, press ?? "Kerntemp"), this.state, this.since, this.light, whole, el("a", { href: "#/now", class: "quiet" }, text("page-back"))),
+      el("div", { class: "wall-core" }, this.core, this.band), this.answer, this.chartPlace));
+  }
+
+  async ask() {
+    try {
+      const [{ items }, health] = await Promise.all([get("/press", { press: this.press ?? "" }), get("/health")]);
+      if (this.left || !items.length) return;
+      this.now = items[0];
+      this.health = health;
+      this.age = Math.min(...this.now.channels.map((c) => c.age_s ?? Infinity));
+      this.heard = performance.now();
+      if (this.now.run !== this.shown) await this.load();
+      this.draw();
+    } catch { /* showAge says how old what is shown is */ }
+  }
+
+  async load() {
+    this.shown = this.now.run;
+    this.course = null;
+    this.rows = null; // what comes meanwhile is among what is asked for
+    if (!this.shown) return;
+    const told = await get(`/runs/${encodeURIComponent(this.shown)}/estimates`, { max_points: 2000 });
+    this.rows = [[], [], [], []];
+    told.time_s.forEach((time, i) => { if (told.valid[i]) this.keep(time, told.core_low_C[i], told.core_high_C[i], told.core_C[i]); });
+    this.chart?.close();
+    this.chartPlace.replaceChildren();
+    this.chart = new CoreChart(this.chartPlace, { height: Math.max(this.chartPlace.clientHeight - 6, 120) });
+  }
+
+  keep(...row) {
+    if (!this.rows || (this.rows[0].length && row[0] <= this.rows[0].at(-1))) return;
+    row.forEach((value, i) => this.rows[i].push(value));
+  }
+
+  estimate(data) {
+    if (data.press !== this.now?.press || this.left) return;
+    this.now.estimate = data;
+    Object.assign(this, { age: 0, heard: performance.now(), course: courseOf(data) ?? this.course });
+    if (data.run === this.shown && data.valid && data.time_s !== null) this.keep(data.time_s, data.core_low_C, data.core_high_C, data.core_C);
+    if (this.work) return;
+    this.work = requestAnimationFrame(() => { this.work = 0; if (!this.left) this.draw(); });
+  }
+
+  draw() {
+    const { now } = this;
+    this.state.className = `pill ${now.state}`;
+    this.state.textContent = text(`page-state-${now.state}`);
+    this.since.textContent = now.state !== "closed" || now.time_since_closing_s === null ? "" : duration(now.time_since_closing_s);
+    showCore(this.core, this.band, now.state, now.estimate);
+    this.showAge();
+    if (!this.chart || !this.rows) return;
+    this.chart.chart.fit(this.chartPlace.clientHeight - 6);
+    const [times, low, high, core] = this.rows;
+    this.chart.show({ times, low, high, core, phases: now.phases, target: now.target?.temperature_C ?? null, course: now.state === "closed" ? this.course : null, advice: now.estimate?.advice });
+  }
+
+  showAge() {
+    const silent = this.age + (performance.now() - this.heard) / 1000;
+    const stale = silent > STALE_S;
+    document.documentElement.toggleAttribute("data-stale", stale);
+    showAnswer(this.answer, this.now.estimate, stale ? silent : null);
+    const alarms = this.health?.alarms ?? [];
+    const well = !stale && this.health?.status === "ok";
+    this.light.className = `light ${well ? "good" : "bad"}`;
+    this.light.textContent = stale ? text("page-no-reading-for", { time: `${number(silent, 0)} s` })
+      : well ? text("page-health-ok") : said(this.health.alarms_said[0], alarms[0]) || text("page-health-degraded");
+  }
+}
