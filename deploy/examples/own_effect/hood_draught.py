@@ -54,7 +54,7 @@ EFFECT = Effect(
             "called": "Zug der Haube",
             "meaning": "Die Haube über der Presse kühlt den Rand der oberen Plattenhälfte.",
             "symptom": "In langen Pressungen bleibt die obere Seite unter der Simulation, die untere nicht.",
-            "confirmed-by": "Schalten Sie die Haube für eine Pressung ab.",
+            "confirmed-by": "Die Haube für eine Pressung abschalten.",
             "core": "Ein bis zwei Kelvin zu niedrig.",
             "parameter-W_m3K": "am oberen Rand verlorene Wärme je Volumen und Kelvin über Umgebung",
         },

@@ -10,6 +10,7 @@ Run it from the project's folder, with a model file of your press or without:
 """
 
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ from daq.press.press_file import read_press
 from daq.records import Moments, Run
 from softsensor.heat.batch import solve_many
 from softsensor.heat.model import ThermalModel
-from softsensor.heat.model_file import read_model
+from softsensor.jobs.model_files import read_model
 
 PRESS = Path(__file__).parents[2] / "presses" / "lab.toml"
 THICKNESSES_MM = (8.0, 10.0, 12.0, 16.0, 19.0)
@@ -49,7 +50,8 @@ def window(model: ThermalModel, values: dict[str, float]) -> np.ndarray:
             for press_time in PRESS_TIMES_S:
                 moments = Moments(inserted_s=0.0, closed_s=CLOSED_S, opened_s=CLOSED_S + press_time)
                 cases.append(model.prepare(run, moments))
-    found = solve_many(model, cases, values)
+    with ThreadPoolExecutor(2) as pool:
+        found = solve_many(model, cases, values, pool.map)
     core = [
         np.interp(case.moments.opened_s, case.run.time_s, solution.core)
         for case, solution in zip(cases, found, strict=True)

@@ -1,0 +1,43 @@
+"""The gallery: every notebook runs from top to bottom, and is its script cell by cell."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import jupytext
+import nbformat
+import pytest
+from nbclient import NotebookClient
+
+from daq.shared import shared_files
+
+GALLERY = shared_files() / "gallery"
+SCRIPTS = sorted(GALLERY.glob("*.py"), key=lambda path: (path.stem == "own_effect", path.stem))
+"""The one that adds to the catalogue comes last: its effect outlives the names that the next one clears."""
+
+
+@pytest.fixture(scope="module")
+def kernel(tmp_path_factory):
+    """One kernel for all of them, as starting one takes as long as running one."""
+    folder = tmp_path_factory.mktemp("notebooks")
+    client = NotebookClient(nbformat.v4.new_notebook(), timeout=500, resources={"metadata": {"path": str(folder)}})
+    with client.setup_kernel(env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}):
+        yield client
+    assert not list(folder.iterdir())
+
+
+def test_there_is_a_notebook_for_every_script():
+    assert len(SCRIPTS) == 8
+    assert [p.stem for p in sorted(GALLERY.glob("*.ipynb"))] == sorted(p.stem for p in SCRIPTS)
+
+
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)
+def test_the_notebook_is_its_script_and_runs(script, kernel):
+    written = nbformat.read(script.with_suffix(".ipynb"), as_version=4)
+    cells = jupytext.read(script).cells
+    assert [(c.cell_type, c.source) for c in written.cells] == [(c.cell_type, c.source) for c in cells]
+    kernel.nb = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell("%reset -f"), *written.cells])
+    for number, cell in enumerate(kernel.nb.cells):
+        kernel.execute_cell(cell, number)
