@@ -8,7 +8,8 @@ no fit sees. Environment: `KERNTEMP_SEEDS` campaigns an effect (1), `KERNTEMP_FI
 Before and after are measured on six further runs of the same press that nobody has seen, simulated from
 the model file: error of the core, and of the true faces, root mean square.
 
-2026-11-21, first seed 150000, one campaign an effect, by the present rules:
+2026-11-21, first seed 150000, one campaign an effect, by the rules of that day, which asked no interval of a gain
+and no share of what a law may be off; the rules of 2026-11-22 were made without these seeds, but not run on them:
 
     12 runs, one cause        named 19, no effect 1 (contact_load), wrong 0 of 20
     12 runs, nothing          no effect 20 of 20
@@ -33,6 +34,7 @@ import json
 import os
 from collections import Counter
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -40,6 +42,7 @@ import pytest
 from daq.press.press_file import parse_press
 from daq.simulated.campaign import Plan, make_campaign, press_toml
 from daq.simulated.effects import OUTSIDE, SIZES
+from daq.simulated.physics_pressing import DryingLaw
 from softsensor.diagnosis.extended_model import model_of
 from softsensor.diagnosis.extension_unknowns import is_shape
 from softsensor.diagnosis.verdict import diagnose
@@ -52,6 +55,8 @@ SEEDS = int(os.environ.get("KERNTEMP_SEEDS", "1"))
 FIRST = int(os.environ.get("KERNTEMP_FIRST_SEED", "1000"))
 RESULTS = os.environ.get("KERNTEMP_RESULTS", "")
 NOTHING = 20
+LAWS = 8
+"""Campaigns of moisture by each law of drying."""
 FEW = (2, 4)
 """Runs with which no flip of signs can name anything, so that another rule stands in for it."""
 UNSEEN = 6
@@ -70,7 +75,7 @@ PRESS = parse_press(press_toml())
 
 
 def tasks():
-    """Yield (hidden names, seed, runs, scale); cheap and telling ones first."""
+    """Yield (hidden names, seed, runs, scale[, law of drying]); cheap and telling ones first."""
     for k in range(SEEDS):
         yield from (((name,), FIRST + 50 * i + k, 12, 1.0) for i, name in enumerate(SIZES))
         yield from (((), FIRST + 2000 + NOTHING * k + j, 12, 1.0) for j in range(NOTHING))
@@ -82,11 +87,15 @@ def tasks():
             yield from (((name,), FIRST + 8000 + 50 * i + k, runs, 1.0) for i, name in enumerate(SIZES))
             yield from (((), FIRST + 10000 + NOTHING * k + j, runs, 1.0) for j in range(NOTHING))
             yield from (((name,), FIRST + 11000 + 50 * i + k, runs, 1.0) for i, name in enumerate(OUTSIDE))
+        for i, law in enumerate(get_args(DryingLaw)):
+            yield from ((("moisture_evaporation",), FIRST + 13000 + 50 * i + j, 12, 1.0, law) for j in range(LAWS))
 
 
-def answer(hidden, seed, runs, scale):
+def answer(hidden, seed, runs, scale, law=None):
     """Diagnose one campaign; return what matters of the answer and of the truth."""
-    campaign = make_campaign(seed, runs + UNSEEN, list(hidden) or None, Plan(core_column=0.25, scale=scale))
+    campaign = make_campaign(
+        seed, runs + UNSEEN, list(hidden) or None, Plan(core_column=0.25, scale=scale, drying_law=law)
+    )
     found = diagnose(PRESS, [run for run, _ in campaign[:runs]])
     errors = [unseen_errors(model_of(s), campaign[runs:]) for s in (found.stages[0], found.final)]
     return {
@@ -94,6 +103,7 @@ def answer(hidden, seed, runs, scale):
         "seed": seed,
         "runs": runs,
         "scale": scale,
+        "law": law,
         "truth": dict(campaign[0][1].effects or campaign[0][1].outside),
         "unseen_core_K": [e[0] for e in errors],
         "unseen_faces_K": [e[1] for e in errors],
@@ -117,9 +127,9 @@ def test_confusion_matrix_of_hidden_and_named_causes():
     kept = Path(RESULTS) if RESULTS else None
     known = kept.read_text(encoding="utf-8").splitlines() if kept is not None and kept.exists() else []
     answers = [json.loads(line) for line in known]
-    done = {(tuple(a["hidden"]), a["seed"], a["runs"], a["scale"]) for a in answers}
+    done = {(tuple(a["hidden"]), a["seed"]) for a in answers}
     for task in tasks():
-        if task in done:
+        if task[:2] in done:
             continue
         answers.append(answer(*task))
         if kept is not None:
@@ -131,7 +141,7 @@ def test_confusion_matrix_of_hidden_and_named_causes():
 
 def table(answers):
     """Print rates, then the matrix."""
-    single = [a for a in answers if of(a, SIZES) and a["runs"] == 12]
+    single = [a for a in answers if of(a, SIZES) and a["runs"] == 12 and not a["law"]]
     half = [a for a in answers if of(a, SIZES) and a["runs"] == 6]
     nothing = [a for a in answers if not a["hidden"] and a["runs"] == 12]
     outside = [a for a in answers if of(a, OUTSIDE) and a["runs"] == 12]
@@ -161,6 +171,12 @@ def table(answers):
         one = [a for a in few if of(a, SIZES)]
         line(f"{runs} runs: truth first or in a set", [right(a) for a in one], one)
         line(f"{runs} runs: a wrong cause (one, none, outside)", [wrong_cause(a) for a in few], few)
+    for law in get_args(DryingLaw):
+        other = [a for a in answers if a["law"] == law]
+        line(f"moisture, {law}: named or in a set", [right(a) for a in other], other)
+        line(f"moisture, {law}: a name that is not there", [wrong(a) for a in other], other)
+    line("suspected alone: the truth", [suspected(a) and not right(a) for a in single], single)
+    line("nothing hidden, smallest p at most 0.05", [least_p(a) <= 0.05 for a in nothing], nothing)
     line("parameter inside its interval", [h["inside"] for h in met], met)
     line("size within 35 %, where the set is one", [h["near"] for h in alone], alone)
     for name in MUST_HALVE:
@@ -206,6 +222,14 @@ def others(answers):
 
 def sets(a):
     return [e["set"] for e in a["effects"]]
+
+
+def suspected(a):
+    return any(set(e["set"]) & set(a["hidden"]) for e in a["suspected"])
+
+
+def least_p(a):
+    return min(c["p_value"] for c in a["candidates"])
 
 
 def right(a):

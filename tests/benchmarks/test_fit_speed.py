@@ -10,7 +10,7 @@ from daq.press.press_file import parse_press
 from daq.simulated.campaign import Plan, make_campaign
 from daq.simulated.campaign_pressfile import press_toml
 from daq.simulated.campaign_sensors import Nuisances
-from softsensor.fitting.campaign import fit_campaign
+from softsensor.jobs.campaign import fit_campaign
 
 PRESS = parse_press(press_toml())
 RUNS = 20

@@ -26,9 +26,10 @@ from daq.simulated.campaign_pressfile import press_toml
 from daq.simulated.effects import SIZES
 from daq.simulated.physics_pressing import BASE_COEFFICIENTS
 from softsensor.diagnosis.missing_causes import with_missing_causes
-from softsensor.fitting.campaign import fit_campaign
 from softsensor.heat.model import ThermalModel
-from softsensor.heat.model_file import FittedValue, ModelFile, read_model
+from softsensor.heat.model_file import FittedValue, ModelFile
+from softsensor.jobs.campaign import fit_campaign
+from softsensor.jobs.model_files import read_model
 from softsensor.live.sensor import LiveSensor
 
 PRESS = parse_press(press_toml())

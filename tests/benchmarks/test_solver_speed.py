@@ -345,11 +345,12 @@ def test_hundred_runs_on_two_threads(capsys):
             truth = model.solve(case, VALUES, method="exact").places
             wrong = max(wrong, float(np.abs(found.places - truth)[keep].max()))
         best = (np.inf, np.inf)
-        for _ in range(10):
-            wall, spent = time.perf_counter(), time.process_time()
-            solve_many(model, cases, VALUES)
-            now = (time.perf_counter() - wall) * 1e3, (time.process_time() - spent) * 1e3
-            best = min(best, now, key=lambda pair: pair[1])
+        with ThreadPoolExecutor(2) as pool:
+            for _ in range(10):
+                wall, spent = time.perf_counter(), time.process_time()
+                solve_many(model, cases, VALUES, pool.map)
+                now = (time.perf_counter() - wall) * 1e3, (time.process_time() - spent) * 1e3
+                best = min(best, now, key=lambda pair: pair[1])
         label = f"side by side, error {wrong:.3f} K"
         print(f"{label:34s} {best[0]:9.0f} {best[1] / 100:18.2f}")
 

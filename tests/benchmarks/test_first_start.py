@@ -1,0 +1,66 @@
+"""First start on a machine that has compiled nothing yet, and later ones: how long, and where the time goes."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+CHILD = """
+import json, sys, time
+began = time.perf_counter(), time.process_time()
+steps = []
+def lap(what):
+    steps.append((what, time.perf_counter() - began[0], time.process_time() - began[1]))
+import daq, softsensor
+samples = daq.shared_files() / "samples"
+press = softsensor.read_press(daq.shared_files() / "presses/lab.toml")
+run = softsensor.read_run(samples / "2026-03-04-07.csv")
+lap("imported, run and press read")
+from numba.core import event
+with event.install_recorder("numba:compile") as compiled:
+    if sys.argv[1] == "fit":
+        softsensor.fit(run, press)
+        lap("one run fitted")
+    else:
+        sensor = softsensor.LiveSensor(press, run.header)
+        for i, time_s in enumerate(run.time_s[:60].tolist()):
+            said = sensor.update(time_s, {name: float(values[i]) for name, values in run.columns.items()})
+            if i in (0, 59):
+                lap(f"scan {i + 1}, core {said.core_C:.1f} C")
+began_of, spent = {}, {}
+for at, what in compiled.buffer:
+    name = str(what.data["dispatcher"].py_func.__qualname__)
+    if what.is_start:
+        began_of.setdefault(name, []).append(at)
+    else:
+        spent[name] = spent.get(name, 0.0) + at - began_of[name].pop()
+print(json.dumps({"steps": steps, "compiled": spent}))
+"""
+
+
+@pytest.mark.benchmark
+@pytest.mark.timeout(1800)
+@pytest.mark.parametrize("what", ["fit", "live"])
+def test_time_of_a_first_start(what, tmp_path):
+    for start in ("first start", "later start"):
+        environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": str(ROOT)}
+        said = subprocess.run(
+            [sys.executable, "-c", CHILD, what],
+            capture_output=True,
+            text=True,
+            check=True,
+            env=environment,
+            cwd=tmp_path,
+        ).stdout
+        found = json.loads(said.splitlines()[-1])
+        print(f"\n{what}, {start} ({os.cpu_count()} cores, load {os.getloadavg()[0]:.1f})")
+        for step, wall, cpu in found["steps"]:
+            print(f"  {step:32s} after {wall:6.1f} s, {cpu:6.1f} s of processor time")
+        longest = sorted(found["compiled"].items(), key=lambda entry: -entry[1])[:8]
+        print(
+            "  compiling, each with what it calls: " + ", ".join(f"{name} {took:.1f} s" for name, took in longest)
+        )
