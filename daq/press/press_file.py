@@ -36,7 +36,9 @@ _SD_LINE = re.compile(r"^([ \t]*(?:[\w-]+\.)*)([\w-]+)\.sd(?=[ \t]*=)", re.MULTI
 """``KEY.sd = ...`` beside ``KEY = ...``: TOML has no such pair, unless the key stands in quotes."""
 
 
-class _Table(BaseModel):
+class Table(BaseModel):
+    """A table of a file: unknown keys are refused, and ``KEY.sd`` beside a number is kept."""
+
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     sd: tuple[tuple[str, Positive], ...] = Field(default=(), exclude_if=lambda given: not given)
@@ -59,7 +61,7 @@ class _Table(BaseModel):
         return table | {"sd": (*table.get("sd", ()), *own.items())}
 
 
-class Pressure(_Table):
+class Pressure(Table):
     """``press.pressure``: a channel whose pressure tells whether the press is closed."""
 
     column: str = Field(min_length=1)
@@ -81,7 +83,7 @@ class Pressure(_Table):
         return self
 
 
-class PressTable(_Table):
+class PressTable(Table):
     """``[press]``."""
 
     name: str = "press"
@@ -91,7 +93,7 @@ class PressTable(_Table):
     pressure: Pressure | None = None
 
 
-class Layer(_Table):
+class Layer(Table):
     """``[[layer]]``, listed from bottom to top."""
 
     name: str = Field(min_length=1)
@@ -124,7 +126,7 @@ class Layer(_Table):
         return self
 
 
-class Boundary(_Table):
+class Boundary(Table):
     """``[boundary.bottom]`` and ``[boundary.top]``."""
 
     kind: Literal["measured", "flux", "air", "insulated"] = "insulated"
@@ -149,7 +151,7 @@ class Boundary(_Table):
         return self
 
 
-class Load(_Table):
+class Load(Table):
     """A contact's pressure: the column that holds it and the law that uses it."""
 
     column: str
@@ -161,7 +163,7 @@ class Load(_Table):
     """
 
 
-class Contact(_Table):
+class Contact(Table):
     """``[[contact]]``: names of the heat transfer coefficients between two neighbours.
 
     At an end with air or a flux the contact lies before the boundary's surface, in series with the boundary's
@@ -175,7 +177,7 @@ class Contact(_Table):
     load: Load | None = None
 
 
-class Coefficient(_Table):
+class Coefficient(Table):
     """``[coefficients.NAME]``: a heat transfer coefficient. [W/m²K]"""
 
     guess: Positive = 100.0
@@ -190,7 +192,7 @@ class Coefficient(_Table):
         return self
 
 
-class Prior(_Table):
+class Prior(Table):
     """``[priors.NAME]``: what is known of a coefficient before any run is seen; log-normal."""
 
     median: Positive
@@ -198,14 +200,14 @@ class Prior(_Table):
     """Two in three values lie between median / factor and median x factor."""
 
 
-class At(_Table):
+class At(Table):
     """A place inside a layer, measured from the layer's bottom."""
 
     layer: str
     depth_mm: Number = Field(ge=0)
 
 
-class Sensor(_Table):
+class Sensor(Table):
     """``[[sensor]]``: run file columns (patterns allowed) and where their thermocouples sit."""
 
     columns: tuple[str, ...] = Field(min_length=1)
@@ -220,7 +222,7 @@ class Sensor(_Table):
         return self.at if isinstance(self.at, str) else f"{self.at.layer}@{self.at.depth_mm:g}mm"
 
 
-class Initial(_Table):
+class Initial(Table):
     """``[initial]``: the temperatures before the first row."""
 
     kind: Literal["steady", "sensors", "uniform"] = "steady"
@@ -228,14 +230,14 @@ class Initial(_Table):
     """Of ``uniform``. None: the run's ``panel.initial_temperature_C``."""
 
 
-class Boundaries(_Table):
+class Boundaries(Table):
     """Both ends of the stack; an end without a table is insulated."""
 
     bottom: Boundary = Boundary()
     top: Boundary = Boundary()
 
 
-class Press(_Table):
+class Press(Table):
     """One press, or any rig of layers: the whole press file."""
 
     press: PressTable = PressTable()
@@ -374,6 +376,11 @@ def _of(key: str, value: object, what: Message) -> Message:
     return say("at-key-value", key=key, value=repr(value), what=what)
 
 
+def with_sd(text: str) -> str:
+    """Return a TOML text with every ``KEY.sd`` in quotes, so that it may stand beside ``KEY``."""
+    return _SD_LINE.sub(r'\1"\2.sd"', text)
+
+
 def parse_press(text: str, source: str = "press file") -> Press:
     """Return the press a TOML text describes.
 
@@ -383,7 +390,7 @@ def parse_press(text: str, source: str = "press file") -> Press:
         Naming `source`, line or key, value and what is allowed.
     """
     try:
-        return Press.model_validate(read_toml(_SD_LINE.sub(r'\1"\2.sd"', text)))
+        return Press.model_validate(read_toml(with_sd(text)))
     except ValidationError as error:
         raise InputError(at(source, explained(error, Press))) from error
     except InputError as error:

@@ -19,6 +19,7 @@ file-of-configuration = die Konfiguration
 file-of-mapping = die Zuordnung
 file-of-press = die Pressendatei
 file-of-profile = das Profil
+file-of-resin = die Harzdatei
 file-of-run = die Laufdatei
 key-empty = ist leer; mindestens einen Eintrag angeben
 key-missing = fehlt; bitte ergänzen
@@ -262,6 +263,10 @@ press-wire-twice = ist schon der Endschalter; eine andere Spalte nennen
 quality-form = { $text }: Spalte=Qualität schreiben, mit einem Leerzeichen zwischen zweien; eine Spalte mit anderen Worten umbenennen
 quality-no-such-column = { $text } nennt Spalte { $column }, die es nicht gibt; den Namen berichtigen
 quality-unknown = { $text }: { $quality } ist keine Qualität; es gibt { $known }
+resin-one-law = genau eine der Tabellen [order], [kamal] und [isoconversional] muss gegeben sein; die gemessene behalten
+resin-one-rate = genau einer der Schlüssel rate_per_s (bei reference_temperature_C) und prefactor_per_s muss gegeben sein; den anderen weglassen
+resin-sd-unused = { $key }.sd: geht in kein Band ein; die sd von Geschwindigkeit und Aktivierungsenergie angeben oder den Schlüssel weglassen
+resin-table-not-rising = braucht mindestens zwei Zeilen aus Umsatz, Aktivierungsenergie und ln(A f), der Umsatz steigend zwischen 0 und 1
 run-cell-count =
     { $cells ->
         [one] 1 Zelle, aber die Kopfzeile hat { NUMBER($columns) } Spalten; einen fehlenden Wert als leere Zelle schreiben

@@ -19,6 +19,7 @@ file-of-configuration = the configuration
 file-of-mapping = the mapping
 file-of-press = the press file
 file-of-profile = the profile
+file-of-resin = the resin file
 file-of-run = the run file
 key-empty = is empty; give at least one
 key-missing = is missing; add it
@@ -262,6 +263,10 @@ press-wire-twice = is the limit switch already; name another column
 quality-form = { $text }: write column=quality, with one blank between two of them; rename a column that holds other words
 quality-no-such-column = { $text } names column { $column }, which is not there; correct the name
 quality-unknown = { $text }: { $quality } is no quality; they are { $known }
+resin-one-law = exactly one of the tables [order], [kamal] and [isoconversional] must be given; keep the one that was measured
+resin-one-rate = exactly one of rate_per_s (at reference_temperature_C) and prefactor_per_s must be given; leave the other out
+resin-sd-unused = { $key }.sd: no band holds it; give the sd of rate and activation energy, or leave it out
+resin-table-not-rising = needs at least two rows of conversion, activation energy and ln(A f), the conversions rising between 0 and 1
 run-cell-count =
     { $cells ->
         [one] 1 cell, but the header row has { NUMBER($columns) } columns; leave a missing value as an empty cell
