@@ -522,6 +522,56 @@ class DiagnosisList(_Answer):
     next_cursor: str | None
 
 
+class LeftOut(_Answer):
+    """A run that a night could not fit, and why."""
+
+    run: str
+    why: str
+    why_said: Said
+
+
+class Night(_Answer):
+    """What the nightly job did for one press in one night."""
+
+    id: str
+    press: str
+    started_utc: datetime
+    ended_utc: datetime
+    seconds: float
+    memory_bytes: int | None
+    """The most memory the job held until then, null on Windows."""
+    runs: int
+    """Finished pressings stored."""
+    new: int
+    fitted: int
+    not_fitted: int
+    """Runs of any night that cannot be fitted as they are."""
+    blind: int
+    """Runs without panel sensors."""
+    later: int
+    """Older runs whose fits rest on effects or a press file of before; their turn comes in the next nights."""
+    left_out: list[LeftOut]
+    """What could not be fitted this night, the first 50."""
+    verdict: str
+    """Of the diagnosis, `not_asked` where the runs are those of the night before."""
+    named: list[str]
+    promoted: str
+    """The version promoted, empty without one."""
+    refused: str
+    """The candidate that was not promoted, empty without one."""
+    version: str
+    """The model in force afterwards, empty where there is none."""
+    reason: str
+    reason_said: Said
+
+
+class NightList(_Answer):
+    """Nights, newest first."""
+
+    items: list[Night]
+    next_cursor: str | None
+
+
 class EventRecord(_Answer):
     """A line of the journal: an alarm, a loss, a change of state, a change and who made it."""
 

@@ -12,7 +12,7 @@ from api.answers.health import IN_USE_S, WANTED, health_of, installed_version, i
 from api.answers.records import press_now
 from api.answers.schemas import Health, PressNow
 from daq.records import Quality
-from daq.store.records import StoreUnavailable
+from daq.store.records import StoredNight, StoreUnavailable
 from daq.store.store import Store
 
 STATES = ("idle", "open", "closed", "unknown")
@@ -31,12 +31,14 @@ def metrics_text(store: Store, now: datetime) -> str:
         scans = {name: store.newest_scan_number(name) + 1 for name in presses}
         models = {name: store.active_model(name) for name in presses}
         refit_s = refit_age_s(store, store.statuses(), now)
+        nights = store.newest_nights()
     except StoreUnavailable:
         up.set(0)
         return generate_latest(registry).decode()
     up.set(health.status != "down")
     _add_health(health, refit_s, registry)
     _add_presses(presses, scans, now, registry)
+    _add_nights(nights, now, registry)
     known = Gauge("kerntemp_model_info", "1 for the model in force", ["press", "version"], registry=registry)
     for name, model in models.items():
         if model is not None:
@@ -80,6 +82,31 @@ def _add_recorders(told: Sequence[Mapping[str, Any]], registry: CollectorRegistr
         up.labels(logger["press"], logger["name"]).set(logger.get("state") != "lost")
         for outcome, count in logger.get("counters", {}).items():
             replies.labels(logger["press"], logger["name"], outcome).inc(count)
+
+
+def _add_nights(nights: Mapping[str, StoredNight], now: datetime, registry: CollectorRegistry) -> None:
+    """What the newest night did for each press."""
+    label = ["press"]
+    age = Gauge("kerntemp_night_age_seconds", "Since the press's last night ended", label, registry=registry)
+    took = Gauge("kerntemp_night_seconds", "How long it took", label, registry=registry)
+    memory = Gauge("kerntemp_night_memory_bytes", "The most memory it held", label, registry=registry)
+    runs = Gauge("kerntemp_night_runs", "Runs by what became of them", ["press", "what"], registry=registry)
+    named = Gauge("kerntemp_night_named", "1 for each effect named", ["press", "effect"], registry=registry)
+    judged = Gauge(
+        "kerntemp_night_model", "1 for a model promoted or refused", ["press", "what"], registry=registry
+    )
+    for name, night in nights.items():
+        told = night.night
+        age.labels(name).set(max((now - night.ended_utc).total_seconds(), 0.0))
+        took.labels(name).set(told["seconds"])
+        if told["memory_bytes"] is not None:
+            memory.labels(name).set(told["memory_bytes"])
+        for what in ("runs", "new", "fitted", "not_fitted", "blind", "later"):
+            runs.labels(name, "stored" if what == "runs" else what).set(told[what])
+        for effect in told["named"]:
+            named.labels(name, effect).set(1)
+        for what in ("promoted", "refused"):
+            judged.labels(name, what).set(bool(told[what]))
 
 
 def _add_presses(

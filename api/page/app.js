@@ -6,12 +6,13 @@ import * as access from "./views/access.js";
 import * as coefficients from "./views/coefficients.js";
 import * as diagnosis from "./views/diagnosis.js";
 import * as loggers from "./views/loggers.js";
+import * as nights from "./views/nights.js";
 import * as now from "./views/now.js";
 import * as runs from "./views/runs.js";
 import * as wall from "./views/wall.js";
 import { chooseLanguage, language, languages, loadWords, nameOf, said, text } from "./words.js";
 
-const VIEWS = { now, runs, coefficients, diagnosis, loggers, access, wall };
+const VIEWS = { now, runs, coefficients, diagnosis, nights, loggers, access, wall };
 const main = document.getElementById("view");
 let leave = null;
 let turn = 0;

@@ -23,14 +23,14 @@ _ROWS = 500
 
 def runs(connection: Connection, cursor: str | None, limit: int, filters: Mapping[str, Any]) -> Page[RunRecord]:
     """Return a page of runs, newest first."""
-    query = _runs_query().order_by(RUN.c.run_number.desc()).limit(limit + 1)
+    query = runs_query().order_by(RUN.c.run_number.desc()).limit(limit + 1)
     if cursor is not None:
         query = query.where(RUN.c.run_number < cursor_number(cursor))
     for name, value in filters.items():
         if value is not None:
             query = query.where(_condition(name, value))
     rows = connection.execute(query).all()
-    items = tuple(_run_record(row) for row in rows[:limit])
+    items = tuple(run_record_of(row) for row in rows[:limit])
     return Page(items, str(items[-1].number) if len(rows) > limit else None)
 
 
@@ -56,13 +56,14 @@ def cursor_number(cursor: str) -> int:
         raise InputError(say("store-cursor", cursor=cursor)) from error
 
 
-def _runs_query() -> Select[Any]:
+def runs_query() -> Select[Any]:
+    """Return the query for runs with their press, to be narrowed."""
     return select(RUN, PRESS.c.name.label("press"), PRESS.c.kind).join(PRESS, PRESS.c.press_id == RUN.c.press_id)
 
 
 def run_row(connection: Connection, run: str) -> Row[Any]:
     """Return a run's row with its press; raises `InputError` where there is none."""
-    row = connection.execute(_runs_query().where(RUN.c.run == run)).first()
+    row = connection.execute(runs_query().where(RUN.c.run == run)).first()
     if row is None:
         raise InputError(say("store-run-missing", run=run))
     return row
@@ -70,25 +71,25 @@ def run_row(connection: Connection, run: str) -> Row[Any]:
 
 def run_record(connection: Connection, run: str) -> RunRecord:
     """Return one run's record."""
-    return _run_record(run_row(connection, run))
+    return run_record_of(run_row(connection, run))
 
 
 def run_records(connection: Connection, runs: Sequence[str]) -> dict[str, RunRecord]:
     """Return the records of runs by name."""
-    rows = connection.execute(_runs_query().where(RUN.c.run.in_(runs))).all()
-    return {row.run: _run_record(row) for row in rows}
+    rows = connection.execute(runs_query().where(RUN.c.run.in_(runs))).all()
+    return {row.run: run_record_of(row) for row in rows}
 
 
 def open_run(connection: Connection, press: str) -> RunRecord | None:
     """Return the run being recorded, or None."""
     query = (
-        _runs_query()
+        runs_query()
         .where(RUN.c.status == RunStatus.OPEN.value, PRESS.c.name == press)
         .order_by(RUN.c.run_number.desc())
         .limit(1)
     )
     row = connection.execute(query).first()
-    return None if row is None else _run_record(row)
+    return None if row is None else run_record_of(row)
 
 
 def ended_runs_after(connection: Connection, press: str, number: int, limit: int) -> list[RunRecord]:
@@ -97,15 +98,16 @@ def ended_runs_after(connection: Connection, press: str, number: int, limit: int
     own = RUN.c.press_id == press_id
     begun = select(func.coalesce(func.max(RUN.c.first_scan), 0)).where(own, RUN.c.first_scan <= number)
     query = (
-        _runs_query()
+        runs_query()
         .where(own, RUN.c.first_scan >= begun.scalar_subquery(), RUN.c.last_scan > number)
         .order_by(RUN.c.first_scan)
         .limit(limit)
     )
-    return [_run_record(row) for row in connection.execute(query).all()]
+    return [run_record_of(row) for row in connection.execute(query).all()]
 
 
-def _run_record(row: Row[Any]) -> RunRecord:
+def run_record_of(row: Row[Any]) -> RunRecord:
+    """Return the record of a row of `runs_query`."""
     return RunRecord(
         number=row.run_number,
         run=row.run,

@@ -188,6 +188,19 @@ class DiagnosisRecord:
 
 
 @dataclass(frozen=True)
+class StoredNight:
+    """What the nightly job did for one press, as JSON, and what the next one goes on from."""
+
+    press: str
+    started_utc: datetime
+    ended_utc: datetime
+    night: Mapping[str, Any]
+    progress: Mapping[str, Any]
+    number: int = 0
+    """Given by the store."""
+
+
+@dataclass(frozen=True)
 class JournalEntry:
     """One line of the journal: an alarm, a loss, a change of state, who did what."""
 

@@ -13,6 +13,7 @@ from sqlalchemy.dialects import postgresql, sqlite
 from daq.records import InputError, PressState
 from daq.store.convert import known_utc, nan, null, to_json, unix_of
 from daq.store.journal import log
+from daq.store.nights import forget_unfitted
 from daq.store.reading import cursor_number, newest_first, recorded_id, run_row
 from daq.store.records import (
     CoefficientRecord,
@@ -153,6 +154,7 @@ def put_fit(connection: Connection, run: str, fit: Mapping[str, Any], model_vers
     ]
     if coefficients:
         connection.execute(insert(COEFFICIENT), coefficients)
+    forget_unfitted(connection, run)
     return fit_id
 
 

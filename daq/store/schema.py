@@ -163,3 +163,14 @@ EVENT = _table(
 STATUS = _table("status", "process", process=Text, unix_s=Double, status_json=Text)
 NEXT_PANEL = _table("next_panel", "press", press=Text, unix_s=Double, who=Text, recipe=Text, header_toml=Text)
 RECIPE = _table("recipe", "name", name=Text, header_toml=Text)
+NIGHT = _table(
+    "night",
+    "night_id",
+    night_id=BigInteger,
+    press=Text,
+    started_unix_s=Double,
+    ended_unix_s=Double,
+    night_json=Text,
+    progress_json=Text,
+)
+UNFITTED = _table("unfitted", "run", run=Text, press=Text, kind=Text, fingerprint=Text)

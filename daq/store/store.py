@@ -14,7 +14,7 @@ from typing import Any, Literal
 from sqlalchemy import text
 
 from daq.records import Channel, PressEvent, Run, Scan
-from daq.store import cores, journal, next_panel, reading, recording, results, upkeep
+from daq.store import cores, journal, next_panel, nights, reading, recording, results, upkeep
 from daq.store.convert import known_utc
 from daq.store.database import BUSY_S, Database
 from daq.store.origin import header_for_file
@@ -36,6 +36,7 @@ from daq.store.records import (
     RunStatus,
     ScanBatch,
     StoredEstimate,
+    StoredNight,
     StoredPressEvent,
 )
 from daq.store.write_batch import Entry, WriteBatch, in_rows
@@ -401,6 +402,62 @@ class Store:
         """Return a page of diagnoses, newest first."""
         with self.database.reading() as connection:
             return results.diagnoses(connection, press, cursor, limit)
+
+    # --- nights -------------------------------------------------------------------------------------
+
+    def put_night(self, night: StoredNight) -> int:
+        """Keep what the nightly job did for a press; returns the night's number."""
+        with self.database.writing() as connection:
+            return nights.put_night(connection, night)
+
+    def nights(self, *, press: str | None = None, cursor: str | None = None, limit: int = 50) -> Page[StoredNight]:
+        """Return a page of nights, newest first."""
+        with self.database.reading() as connection:
+            return nights.nights(connection, press, cursor, limit)
+
+    def newest_nights(self) -> dict[str, StoredNight]:
+        """Return the newest night of each press."""
+        with self.database.reading() as connection:
+            return nights.newest_nights(connection)
+
+    def pressings(
+        self, press: str, *, after: int | None = None, below: int | None = None, limit: int = 200
+    ) -> list[RunRecord]:
+        """Return finished pressings numbered above `after`, oldest first; without it the newest, newest first."""
+        with self.database.reading() as connection:
+            return nights.pressings(connection, press, after, below, limit)
+
+    def count_pressings(self, press: str, *, below: int | None = None) -> int:
+        """Return how many finished pressings of a press there are, or those numbered below `below`."""
+        with self.database.reading() as connection:
+            return nights.count_pressings(connection, press, below)
+
+    def edited_after(self, press: str, number: int) -> tuple[int, list[str]]:
+        """Return the number of the newest edit, and the runs of a press edited after edit `number`."""
+        with self.database.reading() as connection:
+            return nights.edited_after(connection, press, number)
+
+    def put_unfitted(
+        self, run: str, press: str, kind: Literal["unfit", "blind", "killed"], fingerprint: str
+    ) -> None:
+        """Keep that a run has no fit, until it gets one: nothing to fit, not to be fitted, or workers killed."""
+        with self.database.writing() as connection:
+            nights.put_unfitted(connection, run, press, kind, fingerprint)
+
+    def unfitted_marks(self, runs: Sequence[str]) -> dict[str, str]:
+        """Return with what those of these runs were tried that have no fit."""
+        with self.database.reading() as connection:
+            return nights.unfitted_marks(connection, runs)
+
+    def killed_runs(self, press: str, limit: int = 200) -> list[str]:
+        """Return runs of a press over which workers were killed."""
+        with self.database.reading() as connection:
+            return nights.killed_runs(connection, press, limit)
+
+    def count_unfitted(self, press: str) -> Mapping[str, int]:
+        """Return how many runs of a press have no fit, by kind."""
+        with self.database.reading() as connection:
+            return nights.count_unfitted(connection, press)
 
     # --- journal and status -------------------------------------------------------------------------
 

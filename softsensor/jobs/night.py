@@ -1,30 +1,34 @@
 """The nightly job: refit what changed, ask what the model gets wrong, promote a better model or leave it.
 
-Everything it knows is in the store, so it may be killed at any moment: fits are kept one by one, a new
-model is a candidate until one transaction promotes it, and the next night begins where this one ended.
+Everything it knows is in the store, so it may be killed at any moment: fits are kept one by one, so is what cannot
+be fitted, a new model is a candidate until one transaction promotes it, and each press signs off by itself. The
+next night begins where this one ended.
 """
 
 from __future__ import annotations
 
-import math
+import sys
+import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
 from hashlib import sha256
-from typing import Any
+from typing import Any, Literal
 
 from daq.address import Address
 from daq.press.press_file import Press
 from daq.records import InputError
-from daq.store import JournalEntry, RunRecord, RunStatus, Store, every
-from daq.words import say
-from softsensor.heat.model_file import parse_model
+from daq.store import JournalEntry, RunRecord, Store, StoredNight, every
+from daq.words import Message, say
+from softsensor.heat.model_file import ModelFile, parse_model
 from softsensor.jobs.model_in_force import PRESS_FILE, fingerprint
 from softsensor.jobs.night_fits import Done, Task, fit_all
 from softsensor.jobs.night_judgement import PROCESS, Night, Outcome, judge
+from softsensor.jobs.night_progress import Agenda, agenda_of
 
 ROLLED_BACK = "model-rolled-back"
-KEPT = ("unfit", "blind", "basis")
-"""What a job that came to its end leaves of each press's `Outcome` for the next one."""
+SHOWN_LEFT_OUT = 50
+"""Runs left out that a night names; the journal has all."""
 
 
 def refit_press(
@@ -35,7 +39,7 @@ def refit_press(
     workers: int | None = None,
     dask: str = "",
 ) -> Outcome:
-    """Run the job for one press.
+    """Run the job for one press, and sign off for it.
 
     Parameters
     ----------
@@ -44,73 +48,82 @@ def refit_press(
     dask
         Address of a Dask scheduler; its workers take the fits instead.
     """
+    started, begun = datetime.now(UTC), time.perf_counter()
     active = store.active_model(name)
     base = parse_model(active.model, f"model {active.version}") if active is not None else None
-    records = _finished_runs(store, name)
-    marks = {r.run: fingerprint(r, press, base) for r in records}
-    before = _told_before(store, name)
-    fits = _known_fits(store, marks, before)
+    agenda = agenda_of(store, name, press, base)
+    tally = _Tally(store, name, base.version if base is not None else PRESS_FILE)
     url = Address(store.database.url.render_as_string(hide_password=False))
-    due = [Task(url, press, run, base) for run in marks if run not in {**fits.done, **fits.unfit, **fits.blind}]
-    for one in fit_all(due, workers, dask):
-        _keep(store, name, base.version if base is not None else PRESS_FILE, fits, one, marks[one.run])
-    outcome = Outcome(
-        press=name,
-        runs=len(records),
-        fitted=fits.fitted,
-        failed=len(fits.unfit) + fits.killed,
-        version=base.version if base else "",
-        unfit=fits.unfit,
-        newly_unfit=fits.newly_unfit,
-        blind=fits.blind,
-    )
-    basis = _basis(press, [r for r in records if r.run in fits.done])
-    if base is None or before.get("basis") != basis:
-        outcome = judge(Night(store, name, press, base, records, fits.done), outcome)
-    outcome = replace(outcome, basis=basis)
+    for one in fit_all([Task(url, press, run, base) for run in agenda.due], workers, dask):
+        tally.keep(one, agenda.due[one.run])
+    outcome = _worked_off(store, name, agenda, tally, base)
+    fits = _standing_fits(store, agenda.window, press, base)
+    basis = _basis(press, [r for r in agenda.window if r.run in fits])
+    if base is None or agenda.progress.basis != basis:
+        outcome = judge(Night(store, name, press, base, agenda.window, fits), outcome)
+    progress = replace(agenda.progress, basis=basis)
+    told = _told(outcome, time.perf_counter() - begun)
+    store.put_night(StoredNight(name, started, datetime.now(UTC), told, progress.as_json()))
     store.log("info", PROCESS, outcome.line, name)
     return outcome
 
 
 @dataclass
-class _Fits:
-    """What is known of a press's runs, by name; fingerprints stand for what was tried and need not be again."""
+class _Tally:
+    """Keeps what becomes of a press's runs, each at once, made with the effects of a model version."""
 
-    done: dict[str, dict[str, Any]]
-    unfit: dict[str, str]
-    blind: dict[str, str]
+    store: Store
+    press: str
+    version: str
     fitted: int = 0
     newly_unfit: int = 0
-    killed: int = 0
-    """Runs over which workers were killed: tried again the next night, when memory may be free."""
+    left_out: list[tuple[str, Message]] = field(default_factory=list)
+
+    def keep(self, one: Done, mark: str) -> None:
+        """Keep what became of a run."""
+        if one.fit is not None:
+            self.store.put_fit(one.run, {**one.fit, "fingerprint": mark}, self.version)
+            self.fitted += 1
+        elif one.killed:  # tried again the next night, when memory may be free: no mark keeps it from that
+            self._leave_out("alarm", one.run, say("run-fit-killed", run=one.run))
+            self.store.put_unfitted(one.run, self.press, "killed", "")
+        elif one.why is not None:
+            self._leave_out("warning", one.run, say("run-not-fitted", run=one.run, why=one.why))
+            self.store.put_unfitted(one.run, self.press, "unfit", mark)
+        else:
+            self.store.put_unfitted(one.run, self.press, "blind", mark)
+
+    def _leave_out(self, level: Literal["warning", "alarm"], run: str, why: Message) -> None:
+        self.newly_unfit += 1
+        self.left_out.append((run, why))
+        self.store.log(level, PROCESS, why, self.press)
 
 
-def _known_fits(store: Store, marks: Mapping[str, str], before: Mapping[str, Any]) -> _Fits:
-    """Return what earlier jobs have left that still stands."""
-    done = _stored_fits(store, marks)
-    unfit, blind = (
-        {run: mark for run, mark in before.get(what, {}).items() if marks.get(run) == mark and run not in done}
-        for what in ("unfit", "blind")
+def _worked_off(store: Store, name: str, agenda: Agenda, tally: _Tally, base: ModelFile | None) -> Outcome:
+    """Return what became of a press's runs, before anything is judged."""
+    without = store.count_unfitted(name)
+    behind = agenda.progress.behind
+    return Outcome(
+        press=name,
+        runs=store.count_pressings(name),
+        fitted=tally.fitted,
+        failed=without.get("unfit", 0) + without.get("killed", 0),
+        version=base.version if base is not None else "",
+        newly_unfit=tally.newly_unfit,
+        blind=without.get("blind", 0),
+        new=agenda.new,
+        later=store.count_pressings(name, below=behind) if behind else 0,
+        left_out=tuple(tally.left_out[:SHOWN_LEFT_OUT]),
     )
-    return _Fits(done, unfit, blind)
 
 
-def _keep(store: Store, name: str, version: str, fits: _Fits, one: Done, mark: str) -> None:
-    """Keep what became of a run, made with the effects of a model version."""
-    if one.killed:
-        fits.killed += 1
-        fits.newly_unfit += 1
-        store.log("alarm", PROCESS, say("run-fit-killed", run=one.run), name)
-    elif one.why is not None:
-        fits.unfit[one.run] = mark
-        fits.newly_unfit += 1
-        store.log("warning", PROCESS, say("run-not-fitted", run=one.run, why=one.why), name)
-    elif one.fit is None:
-        fits.blind[one.run] = mark
-    else:
-        fits.done[one.run] = {**one.fit, "fingerprint": mark}
-        store.put_fit(one.run, fits.done[one.run], version)
-        fits.fitted += 1
+def _standing_fits(
+    store: Store, records: Sequence[RunRecord], press: Press, base: ModelFile | None
+) -> dict[str, dict[str, Any]]:
+    """Return the fits that still stand, by run: same run, same press file, same effects, as its mark says."""
+    found = store.fits([r.run for r in records])
+    marks = {r.run: fingerprint(r, press, base) for r in records if r.run in found}
+    return {run: found[run] for run, mark in marks.items() if found[run].get("fingerprint") == mark}
 
 
 def _basis(press: Press, records: Sequence[RunRecord]) -> str:
@@ -118,26 +131,48 @@ def _basis(press: Press, records: Sequence[RunRecord]) -> str:
     return sha256(repr([(r.run, fingerprint(r, press, None)) for r in records]).encode()).hexdigest()
 
 
-def sign_off(store: Store, outcomes: Sequence[Outcome]) -> None:
-    """Leave the job's sign of life: when it last came to its end, what it judged, which runs need no second try.
+def _told(outcome: Outcome, seconds: float) -> dict[str, Any]:
+    """Return a night as lists of nights show it."""
+    return {
+        "runs": outcome.runs,
+        "new": outcome.new,
+        "fitted": outcome.fitted,
+        "not_fitted": outcome.failed,
+        "blind": outcome.blind,
+        "later": outcome.later,
+        "left_out": [{"run": run, "why": why.to_json()} for run, why in outcome.left_out],
+        "seconds": round(seconds, 3),
+        "memory_bytes": most_memory_bytes(),
+        "verdict": outcome.verdict,
+        "named": list(outcome.named),
+        "promoted": outcome.version if outcome.promoted else "",
+        "refused": outcome.refused,
+        "version": outcome.version,
+        "reason": outcome.reason.to_json(),
+    }
 
-    A job that is killed leaves none, so the next one judges what this one did not get to.
-    """
+
+def most_memory_bytes() -> int | None:
+    """Return the most memory the job or the largest of its workers that have ended held; None where not told."""
+    if sys.platform == "win32":
+        return None
+    import resource
+
+    unit = 1 if sys.platform == "darwin" else 1024
+    return unit * max(
+        resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
+    )
+
+
+def sign_off(store: Store, outcomes: Sequence[Outcome]) -> None:
+    """Leave the whole job's sign of life: when it last came to its end, and what it said."""
     lines = [o.line for o in outcomes]
     told = {
         "state": "done",
         "message": "; ".join(map(str, lines)),
         "message_codes": [line.to_json() for line in lines],
     }
-    kept = {what: {o.press: getattr(o, what) for o in outcomes} for what in KEPT}
-    store.beat(PROCESS, {**told, **kept})
-
-
-def _told_before(store: Store, press: str) -> dict[str, Any]:
-    """Return what the last job that came to its end left about a press."""
-    before = store.statuses().get(PROCESS)
-    told = before.status if before is not None else {}
-    return {what: told[what][press] for what in KEPT if press in told.get(what, {})}
+    store.beat(PROCESS, told)
 
 
 def roll_back(store: Store, press: str, who: str = PROCESS) -> str:
@@ -171,16 +206,3 @@ def _promotions(store: Store, press: str) -> list[JournalEntry]:
     """Return what the journal says of promotions, oldest first."""
     entries = every(lambda cursor: store.journal(press=press, level="info", cursor=cursor, limit=200))
     return [e for e in entries if e.message.code == "model-promoted"][::-1]
-
-
-def _finished_runs(store: Store, press: str) -> list[RunRecord]:
-    """Return a press's finished runs, oldest first."""
-    records = every(lambda cursor: store.runs(press=press, limit=200, cursor=cursor))
-    found = [r for r in records if r.status is not RunStatus.OPEN]
-    return [r for r in found[::-1] if r.kind == "imported" or math.isfinite(r.moments.closed_s)]
-
-
-def _stored_fits(store: Store, marks: Mapping[str, str]) -> dict[str, dict[str, Any]]:
-    """Return the fits that still stand, by run: same run, same press file, same effects, as its mark says."""
-    found = ((run, mark, store.fit(run)) for run, mark in marks.items())
-    return {run: fit for run, mark, fit in found if fit is not None and fit.get("fingerprint") == mark}

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from enum import StrEnum
 from typing import Any
@@ -70,20 +70,26 @@ class Outcome:
     """Of the diagnosis, or why there was none."""
     promoted: bool = False
     reason: Message = NOTHING_CHANGED
-    unfit: Mapping[str, str] = field(default_factory=dict)
-    """Runs that cannot be fitted, by name, with the fingerprint of what was tried: not tried again as they are."""
     newly_unfit: int = 0
-    """How many of them were tried in this job."""
-    blind: Mapping[str, str] = field(default_factory=dict)
-    """Runs without panel sensors, likewise: in production that is how it is meant, so nothing has failed."""
-    basis: str = ""
-    """Fingerprint of the runs that were judged: the next job judges again as soon as there are others."""
+    """How many of the failed ones were tried in this job."""
+    blind: int = 0
+    """Runs without panel sensors: in production that is how it is meant, so nothing has failed."""
+    new: int = 0
+    """Runs that came since the night before."""
+    later: int = 0
+    """Older runs whose fits rest on a press file or effects of before: their turn comes in nights to come."""
+    left_out: tuple[tuple[str, Message], ...] = ()
+    """Runs of this night that could not be fitted, and why; the first `SHOWN_LEFT_OUT`."""
+    named: tuple[str, ...] = ()
+    """Effects the diagnosis named."""
+    refused: str = ""
+    """A candidate that was made and not promoted."""
 
     @property
     def fits_line(self) -> Message:
         """What became of the runs."""
-        blind = len(self.blind)
-        return say("night-fits", fitted=self.fitted, runs=self.runs, failed=self.failed, blind=blind)
+        fits = say("night-fits", fitted=self.fitted, runs=self.runs, failed=self.failed, blind=self.blind)
+        return say("night-fits-later", fits=fits, later=self.later) if self.later else fits
 
     @property
     def line(self) -> Message:
@@ -108,7 +114,9 @@ class Night:
     press: Press
     base: ModelFile | None
     records: Sequence[RunRecord]
+    """The newest runs, oldest first."""
     fits: Mapping[str, Mapping[str, Any]]
+    """Of these, as far as they stand."""
 
     def runs(self, names: Sequence[str]) -> list[Run]:
         """Return stored runs by name."""
@@ -133,7 +141,8 @@ def judge(night: Night, outcome: Outcome) -> Outcome:
     base = combined_model(night.press, night.base, [night.fits[run] for run in good])
     report, extended = _diagnose(night, asked)
     night.store.put_diagnosis(night.name, {**report, "runs": asked})
-    outcome = replace(outcome, verdict=str(report["verdict"]))
+    named = tuple(str(effect["name"]) for effect in report.get("effects", ()))
+    outcome = replace(outcome, verdict=str(report["verdict"]), named=named)
     fewer = _leaves_out(night.base, extended) if outcome.verdict in (Verdict.NO_EFFECT, Verdict.NAMED) else ()
     if not extended.effects and not fewer:
         return _keep_or_begin(night, base, outcome)
@@ -160,9 +169,11 @@ def _promote_or_leave(night: Night, candidate: ModelFile, found: _Comparison, ou
         reason=str(reason),
     )
     if not found.better:
-        return replace(outcome, reason=say("night-rejected", version=candidate.version, reason=reason))
+        reason = say("night-rejected", version=candidate.version, reason=reason)
+        return replace(outcome, refused=candidate.version, reason=reason)
     if unwanted:
-        return replace(outcome, reason=say("night-left-to-you", version=candidate.version, reason=reason))
+        reason = say("night-left-to-you", version=candidate.version, reason=reason)
+        return replace(outcome, refused=candidate.version, reason=reason)
     night.store.promote_model(candidate.version, PROCESS, reason)
     return replace(outcome, version=candidate.version, promoted=True, reason=reason)
 

@@ -18,12 +18,32 @@ from api.http.app import create_app
 from api.http.tokens import TokenFile
 from daq.records import Channel, PressEvent, PressEventKind, Quality, Run, Scan
 from daq.simulated.campaign import Plan, Truth, make_campaign
-from daq.store.records import NewRun, RunEnd, StoredEstimate
+from daq.store.records import NewRun, RunEnd, StoredEstimate, StoredNight
 from daq.store.store import Store, open_store
+from daq.words import say
 
 LAB = (Path(__file__).parents[2] / "deploy" / "presses" / "lab.toml").read_text(encoding="utf-8")
 STARTED = datetime(2026, 3, 4, 7, 0, tzinfo=UTC)
 COEFFICIENTS = ("h_p_o", "h_p_c", "h_pp_o", "h_pp_c", "h_wa", "h_ap")
+
+
+NIGHT = {
+    "runs": 2,
+    "new": 2,
+    "fitted": 1,
+    "not_fitted": 1,
+    "blind": 0,
+    "later": 0,
+    "left_out": [{"run": "lab-2026-03-04-02", "why": say("run-fit-killed", run="lab-2026-03-04-02").to_json()}],
+    "seconds": 51.5,
+    "memory_bytes": None,
+    "verdict": "named",
+    "named": ["edge_loss"],
+    "promoted": "",
+    "refused": "2",
+    "version": "1",
+    "reason": say("night-too-few-to-judge").to_json(),
+}
 
 
 @pytest.fixture(scope="session")
@@ -116,6 +136,7 @@ def store(tmp_path_factory: pytest.TempPathFactory, campaign: list[tuple[Run, Tr
         opened.put_model("lab", "1", model, status="promoted", reason="first")
         opened.put_model("lab", "2", {**model, "version": "2"}, status="candidate", reason="extended")
         opened.put_diagnosis("lab", {"verdict": "no_effect", "effects": [], "candidates": []})
+        opened.put_night(StoredNight("lab", STARTED, STARTED + timedelta(seconds=52), NIGHT, {}))
         opened.log("alarm", "record", "logger platens: no reply in 2 s", "lab")
         opened.beat("record", {"state": "running"})
         yield opened

@@ -173,6 +173,23 @@ def test_channels_models_diagnoses_and_events_are_lists(client):
         assert document["items"], path
 
 
+def test_a_night_is_told_by_press_in_lists_and_numbers(client):
+    document = client.get("/api/v1/nights?press=lab&limit=1").json()
+    (night,) = document["items"]
+    assert document["next_cursor"] is None
+    assert (night["new"], night["fitted"], night["not_fitted"], night["refused"]) == (2, 1, 1, "2")
+    assert night["left_out"][0]["why_said"]["code"] == "run-fit-killed"
+    assert night["reason"] == "too few runs to judge by"
+    assert client.get("/api/v1/nights?press=elsewhere").json()["items"] == []
+    assert client.get("/api/v1/nights?pres=lab").status_code == 422
+    numbers = client.get("/metrics").text
+    assert 'kerntemp_night_runs{press="lab",what="new"} 2.0' in numbers
+    assert 'kerntemp_night_seconds{press="lab"} 51.5' in numbers
+    assert 'kerntemp_night_named{effect="edge_loss",press="lab"} 1.0' in numbers
+    assert 'kerntemp_night_model{press="lab",what="refused"} 1.0' in numbers
+    assert "kerntemp_night_memory_bytes{" not in numbers  # not known here
+
+
 def test_health_names_the_process_that_is_missing_and_the_alarm_that_stands(client):
     health = client.get("/api/v1/health").json()
     assert health["status"] == "degraded"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import threading
 from dataclasses import replace
+from datetime import UTC, datetime, timedelta
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from playwright.sync_api import Page, expect
 
 from api.http.tokens import TokenFile
 from daq.simulated.campaign import Plan, make_campaign
+from daq.store import StoredNight
 from daq.words import Message, say
 from daq.words.message import words
 
@@ -24,6 +26,7 @@ VIEWS = (
     "#/runs/campaign-1",
     "#/coefficients",
     "#/diagnosis",
+    "#/nights",
     "#/loggers",
     "#/access",
     "docs",
@@ -61,6 +64,24 @@ DIAGNOSIS = {
     "next_measurement": "Weigh the panel before and after pressing, or press one dried to zero moisture.",
     "next_measurement_said": say("effect-moisture_evaporation-confirmed-by").to_json(),
 }
+NIGHT_BEGAN = datetime(2026, 3, 5, 1, 0, tzinfo=UTC)
+NIGHT = {
+    "runs": 1204,
+    "new": 3,
+    "fitted": 2,
+    "not_fitted": 1,
+    "blind": 0,
+    "later": 800,
+    "left_out": [{"run": "campaign-1", "why": say("run-fit-killed", run="campaign-1").to_json()}],
+    "seconds": 46.8,
+    "memory_bytes": 412_000_000,
+    "verdict": "named",
+    "named": ["moisture_evaporation"],
+    "promoted": "lab-2026-03-05-1",
+    "refused": "",
+    "version": "lab-2026-03-05-1",
+    "reason": say("night-diagnosis-confirms").to_json(),
+}
 
 
 @pytest.fixture
@@ -76,6 +97,7 @@ def plant(served) -> tuple[str, Page, str]:
     for version, status in (("1", "retired"), ("2", "promoted")):
         store.put_model("lab", version, {"version": version, "effects": []}, status=status)
     store.put_diagnosis("lab", DIAGNOSIS)
+    store.put_night(StoredNight("lab", NIGHT_BEGAN, NIGHT_BEGAN + timedelta(seconds=47), NIGHT, {}))
     feed.pause_s = 0.0
     feed.pressing(scans=60, batch=10)
     token = TokenFile(server.config.parent / "kerntemp-tokens.json").create("foreman", "write")
@@ -179,6 +201,29 @@ def test_the_diagnosis_is_shown_in_german(plant, browser):
     expect(page.get_by_test_id("diagnosis")).to_contain_text("Senkt das Residuum um 0,58 von 1,06 K")
     where = page.get_by_role("row", name="Platte oben +0,66 K nach dem Öffnen 8 … 16 s 154 … 166 °C")
     expect(where).to_be_visible()
+    context.close()
+
+
+@pytest.mark.parametrize(
+    ("language", "parts"),
+    [
+        ("en-GB", ["lab, 1204 stored", "Evaporating moisture", "800 older ones follow"]),
+        ("de-DE", ["lab, 1204 gespeichert", "Verdampfende Feuchte", "800 ältere folgen"]),
+    ],
+)
+def test_a_night_says_what_it_did_and_what_it_left_out(plant, browser, language, parts, tmp_path):
+    address, _, _ = plant
+    context = browser.new_context(locale=language, viewport={"width": 1280, "height": 700})
+    page = context.new_page()
+    page.goto(address + "#/nights")
+    nights = page.get_by_test_id("nights")
+    for part in parts:
+        expect(nights).to_contain_text(part)
+    nights.locator("summary").click()
+    expect(nights.get_by_role("link", name="campaign-1")).to_be_visible()
+    expect(nights).to_contain_text("lab-2026-03-05-1")
+    expect(nights).to_contain_text("412")
+    page.screenshot(path=tmp_path / "nights.png")
     context.close()
 
 

@@ -15,7 +15,7 @@ from sqlalchemy import inspect, text
 
 from daq.files.run_file import read_run, write_run
 from daq.records import Channel, InputError, PressEvent, PressEventKind, PressState, Quality, Run, Scan
-from daq.store import NewRun, RunEnd, RunStatus, StoredEstimate, StoreUnavailable, open_store
+from daq.store import NewRun, RunEnd, RunStatus, StoredEstimate, StoredNight, StoreUnavailable, open_store
 from daq.store.convert import MANY, readings_json, readings_table
 from daq.store.database import migrations, statements, store_url
 from daq.store.schema import METADATA
@@ -715,3 +715,49 @@ def test_a_column_called_quality_that_holds_other_words_is_kept_as_words(tmp_pat
     with open_store(str(tmp_path / "s.sqlite")) as store:
         store.import_run(run, "lab")
         assert store.run_for_file("r").texts == run.texts
+
+
+def test_nights_come_newest_first_and_say_where_the_next_begins(store):
+    for i in range(3):
+        began = BEGAN + timedelta(days=i)
+        store.put_night(
+            StoredNight(f"press-{i % 2}", began, began + timedelta(seconds=9), {"new": i}, {"seen": i})
+        )
+    page = store.nights(limit=2)
+    assert [night.night["new"] for night in page.items] == [2, 1]
+    assert [night.night["new"] for night in store.nights(cursor=page.next_cursor).items] == [0]
+    assert {press: night.progress["seen"] for press, night in store.newest_nights().items()} == {
+        "press-0": 2,
+        "press-1": 1,
+    }
+    assert store.nights(press="press-1").items[0].started_utc == BEGAN + timedelta(days=1)
+
+
+def test_a_run_without_a_fit_is_remembered_until_it_has_one(store):
+    name = record_one_run(store)
+    store.put_unfitted(name, "lab", "killed", "")
+    assert store.killed_runs("lab") == [name]
+    store.put_unfitted(name, "lab", "blind", "a1")
+    assert (store.killed_runs("lab"), store.unfitted_marks([name, "x"])) == ([], {name: "a1"})
+    assert store.count_unfitted("lab") == {"blind": 1}
+    store.put_fit(name, {"run": name})
+    assert (store.unfitted_marks([name]), store.count_unfitted("lab")) == ({}, {})
+
+
+def test_pressings_are_runs_that_are_over_and_were_closed(store):
+    first, second = record_one_run(store), record_one_run(store)
+    key = store.register_press("lab", CHANNELS)
+    n = key.next_number
+    store.append_scans(key, scans(n, 5), begin=NewRun("still-open", n, BEGAN, 1000.0 + n / 10, {}, ""))
+    assert [r.run for r in store.pressings("lab")] == [second, first]
+    number = store.run_record(first).number
+    assert [r.run for r in store.pressings("lab", after=number)] == [second]
+    assert [r.run for r in store.pressings("lab", below=number + 1)] == [first]
+    assert (store.count_pressings("lab"), store.count_pressings("lab", below=number + 1)) == (2, 1)
+    store.append_scans(key, [], end=RunEnd("still-open", n + 4, BEGAN))
+    assert store.count_pressings("lab") == 2  # never closed: nothing was pressed
+    newest, edited = store.edited_after("lab", 0)
+    assert edited == []
+    store.annotate_run(first, {"panel.thickness_mm": 15.0}, "tester")
+    assert store.edited_after("lab", newest)[1] == [first]
+    assert store.edited_after("elsewhere", newest)[1] == []

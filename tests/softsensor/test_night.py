@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from sqlalchemy import event
 
 from api.cli import main
 from daq.press.press_file import parse_press
@@ -24,6 +25,7 @@ from softsensor.heat.model_file import FittedValue, ModelFile, parse_model
 from softsensor.jobs import night as nightly
 from softsensor.jobs import night_fits as nightly_fits
 from softsensor.jobs import night_judgement as nightly_judge
+from softsensor.jobs import night_progress as progress
 from softsensor.jobs.model_in_force import combined_model, fingerprint
 from softsensor.jobs.night import refit_press, roll_back
 from softsensor.jobs.night_fits import Done, Task, fit_all
@@ -203,6 +205,10 @@ def test_the_model_before_comes_back_by_one_call(store, runs):
     assert [roll_back(store, "lab"), roll_back(store, "lab")] == ["lab-2", "lab-1"]
 
 
+def killed(*_):
+    raise KeyboardInterrupt
+
+
 def test_fits_that_no_finished_job_has_judged_are_judged_whoever_made_them(store, runs, monkeypatch):
     judged = []
 
@@ -212,9 +218,11 @@ def test_fits_that_no_finished_job_has_judged_are_judged_whoever_made_them(store
 
     monkeypatch.setattr(nightly, "judge", judge)
     fill(store, runs[:3])
-    refit_press(store, "lab", PRESS, workers=1)  # killed before its end: no sign-off
-    night = refit_press(store, "lab", PRESS, workers=1)
-    nightly.sign_off(store, [night])
+    with monkeypatch.context() as patched:
+        patched.setattr(type(store), "put_night", killed)  # before its end: no sign-off
+        with pytest.raises(KeyboardInterrupt):
+            refit_press(store, "lab", PRESS, workers=1)
+    refit_press(store, "lab", PRESS, workers=1)
     refit_press(store, "lab", PRESS, workers=1)
     assert [len(runs) for runs in judged] == [3, 3]
     fill(store, runs[3:])
@@ -226,6 +234,74 @@ def test_fits_that_no_finished_job_has_judged_are_judged_whoever_made_them(store
     last = refit_press(store, "lab", PRESS, workers=1)
     assert last.fitted == 0
     assert [len(runs) for runs in judged] == [3, 3, 4]
+
+
+@pytest.fixture
+def judging_nothing(monkeypatch):
+    """Nights that fit in no time and judge nothing: what is looked at is what they are asked for."""
+    monkeypatch.setattr(nightly, "judge", lambda night, outcome: outcome)
+    monkeypatch.setattr(nightly_fits, "fit_stored", lambda task: Done(task.run, {"run": task.run, "rmse_K": 0.3}))
+
+
+def promote_with(store, version, *effects):
+    table = {n: FittedValue(PRESS.coefficient(n).guess, 10.0) for n in PRESS.coefficient_names}
+    parameters = {"W_m3K": FittedValue(1000.0, 100.0)}
+    model = ModelFile(version, "lab", table, tuple((name, parameters) for name in effects))
+    store.put_model("lab", version, model.as_json())
+    store.promote_model(version, "test")
+
+
+def test_a_promoted_effect_refits_the_newest_runs_at_once_and_the_others_night_by_night(
+    store, runs, monkeypatch, judging_nothing
+):
+    monkeypatch.setattr(progress, "WINDOW", 4)
+    monkeypatch.setattr(progress, "SHARE", 3)
+    fill(store, [replace(runs[0], name=f"run-{i:02}") for i in range(12)])
+    first = refit_press(store, "lab", PRESS, workers=1)
+    assert (first.new, first.fitted, first.later) == (12, 12, 0)
+    promote_with(store, "lab-1", "edge_loss")
+    nights = [refit_press(store, "lab", PRESS, workers=1) for _ in range(4)]
+    assert [(n.new, n.fitted, n.later) for n in nights] == [(0, 7, 5), (0, 3, 2), (0, 2, 0), (0, 0, 0)]
+    assert "7 of 12 runs fitted, 0 could not be, 5 older ones follow in the next nights" in str(nights[0].line)
+    assert [night.night["later"] for night in store.nights(press="lab").items] == [0, 0, 2, 5, 0]
+
+
+def test_edited_and_late_runs_far_behind_the_newest_are_found(store, runs, monkeypatch, judging_nothing):
+    monkeypatch.setattr(progress, "WINDOW", 2)
+    fill(store, [replace(runs[0], name=f"run-{i:02}") for i in range(8)])
+    refit_press(store, "lab", PRESS, workers=1)
+    store.annotate_run("run-01", {"panel.density_kg_m3": 700.0}, "tester")
+    fill(store, [replace(runs[0], name=f"late-{i:02}") for i in range(5)])
+    outcome = refit_press(store, "lab", PRESS, workers=1)
+    assert (outcome.new, outcome.fitted) == (5, 6)
+    assert store.fit("run-01")["fingerprint"] == fingerprint(store.run_record("run-01"), PRESS, None)
+
+
+def test_a_night_asks_as_often_whatever_is_stored(store, runs, monkeypatch, judging_nothing):
+    monkeypatch.setattr(progress, "WINDOW", 4)
+    asked = []
+    event.listen(store.database.engine, "before_cursor_execute", lambda *a: asked.append(a[2]))
+    counts = []
+    for stored in (10, 40):
+        fill(store, [replace(runs[0], name=f"run-{stored}-{i:02}") for i in range(stored)])
+        refit_press(store, "lab", PRESS, workers=1)
+        asked.clear()
+        refit_press(store, "lab", PRESS, workers=1)
+        counts.append(len(asked))
+    assert counts[0] == counts[1] < 60
+
+
+def test_the_row_of_a_night_says_what_was_new_left_out_named_and_kept(store, runs):
+    fill(store, [without_platens(runs[0]), *runs[1:4]])
+    refit_press(store, "lab", PRESS, workers=1)
+    (night,) = store.nights(press="lab").items
+    told = night.night
+    assert (told["runs"], told["new"], told["fitted"], told["not_fitted"]) == (4, 4, 3, 1)
+    assert [entry["run"] for entry in told["left_out"]] == [runs[0].name]
+    assert told["promoted"] == told["version"] == store.active_model("lab").version
+    assert 0.0 < told["seconds"] <= (night.ended_utc - night.started_utc).total_seconds() + 1.0
+    assert told["memory_bytes"] is None or told["memory_bytes"] > 50e6
+    assert set(store.newest_nights()) == {"lab"}
 
 
 def test_there_is_nothing_before_the_first_model(store):

@@ -1,10 +1,11 @@
-"""Coefficients, model versions and diagnoses."""
+"""Coefficients, model versions, diagnoses and nights."""
 
 from __future__ import annotations
 
 from fastapi import APIRouter
 
 from api.answers.drift import drift_of
+from api.answers.nights import night_of
 from api.answers.records import coefficient_points, model_summary, parameter_words
 from api.answers.schemas import (
     CoefficientHistory,
@@ -13,6 +14,7 @@ from api.answers.schemas import (
     DriftList,
     ModelDetail,
     ModelList,
+    NightList,
 )
 from api.http.problems import ProblemError, problem_responses
 from api.http.routes.common import Cursor, PageSize, PressName, StoreDep, Writer
@@ -91,6 +93,15 @@ def list_diagnoses(
         for d in page.items
     ]
     return DiagnosisList(items=items, next_cursor=page.next_cursor)
+
+
+@router.get("/nights", operation_id="list_nights", summary="What the nightly job did, newest first")
+def list_nights(
+    store: StoreDep, press: PressName = None, cursor: Cursor = None, limit: PageSize = 50
+) -> NightList:
+    """Return one page of nights: runs new, fitted and left out, time, memory, what was named and promoted."""
+    page = store.nights(press=press, cursor=cursor, limit=limit)
+    return NightList(items=[night_of(night) for night in page.items], next_cursor=page.next_cursor)
 
 
 def _existing(store: Store, version: str) -> ModelRecord:

@@ -1,0 +1,50 @@
+// Nights: what the nightly job did for each press, newest first.
+import { get } from "../api.js";
+import { bytes, duration, el, number, table, when } from "../dom.js";
+import { effectName, has, said, text } from "../words.js";
+
+export async function show(place, context) {
+  const rows = el("div", { "data-testid": "nights" });
+  const more = el("button", { type: "button", class: "button", hidden: true, onclick: () => load() }, text("page-more"));
+  place.append(el("section", { class: "card" }, el("h1", {}, text("page-nav-nights")), el("p", { class: "small faint" }, text("page-nights-hint")), rows, more));
+  const nights = [];
+  let cursor = null;
+  const load = async () => {
+    const page = await get("/nights", { press: context.press, cursor, limit: 30 });
+    nights.push(...page.items);
+    cursor = page.next_cursor;
+    more.hidden = !cursor;
+    rows.replaceChildren(nights.length ? nightTable(nights) : el("p", { class: "faint" }, text("page-no-nights")));
+  };
+  await load();
+}
+
+function nightTable(nights) {
+  const heads = [{ text: text("page-night") }, { text: text("page-night-new"), class: "right" }, { text: text("page-night-fitted"), class: "right" }, { text: text("page-night-left-out") },
+    { text: text("page-night-took"), class: "right" }, { text: text("page-night-memory"), class: "right" }, { text: text("page-night-named") }, { text: text("page-night-model") }];
+  return table(text("page-nav-nights"), heads, nights.map((one) => [
+    el("div", {}, when(one.ended_utc), el("p", { class: "small faint" }, text("page-night-stored", { press: one.press, runs: one.runs }))),
+    count(one.new), count(one.fitted), leftOut(one), el("span", { class: "num" }, duration(one.seconds)), el("span", { class: "num" }, bytes(one.memory_bytes)), named(one), model(one)]), { cards: true });
+}
+
+const count = (value) => el("span", { class: "num" }, number(value, 0));
+
+// Runs without panel sensors and older ones are left out as it is meant; what could not be fitted is told run by run.
+function leftOut(one) {
+  const parts = [["page-night-not-fitted", one.not_fitted], ["page-night-blind", one.blind], ["page-night-later", one.later]].filter(([, runs]) => runs);
+  if (!parts.length && !one.left_out.length) return "–";
+  return el("div", {}, parts.map(([code, runs]) => el("p", { class: code === "page-night-not-fitted" ? "small warn-text" : "small" }, text(code, { runs }))),
+    one.left_out.length ? el("details", {}, el("summary", { class: "small" }, text("page-night-why", { runs: one.left_out.length })),
+      el("ul", { class: "small" }, one.left_out.map((each) => el("li", {}, el("a", { href: `#/runs/${encodeURIComponent(each.run)}` }, each.run), ` ${said(each.why_said, each.why)}`)))) : "");
+}
+
+function named(one) {
+  const verdict = has(`page-verdict-${one.verdict}`) ? text(`page-verdict-${one.verdict}`) : text("page-night-not-asked");
+  return el("div", {}, one.named.map((name) => el("p", {}, effectName(name))), el("p", { class: "small faint" }, verdict));
+}
+
+function model(one) {
+  const pill = one.promoted ? el("span", { class: "pill good" }, text("page-night-promoted", { version: one.promoted }))
+    : one.refused ? el("span", { class: "pill warn" }, text("page-night-refused", { version: one.refused })) : one.version ? text("page-night-stays", { version: one.version }) : text("page-night-none");
+  return el("div", {}, pill, el("p", { class: "small faint" }, said(one.reason_said, one.reason)));
+}

@@ -1,0 +1,120 @@
+"""What the nightly job reads and leaves: its nights, and which runs of a press are new. One transaction each.
+
+Everything is asked for by number from where the night before ended, never run by run: a night costs what is new.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal
+
+from sqlalchemy import ColumnElement, Connection, Row, and_, delete, func, insert, or_, select
+
+from daq.store.convert import known_utc, to_json, unix_of
+from daq.store.reading import newest_first, run_record_of, runs_query
+from daq.store.records import Page, RunRecord, RunStatus, StoredNight
+from daq.store.schema import NIGHT, PRESS, RUN, RUN_CHANGE, UNFITTED
+
+
+def put_night(connection: Connection, night: StoredNight) -> int:
+    """Keep a night; the newest of a press says where the next one begins. Returns its number."""
+    row = {
+        "press": night.press,
+        "started_unix_s": unix_of(night.started_utc),
+        "ended_unix_s": unix_of(night.ended_utc),
+        "night_json": to_json(night.night),
+        "progress_json": to_json(night.progress),
+    }
+    key = connection.execute(insert(NIGHT), row).inserted_primary_key
+    return int(key[0]) if key is not None else 0
+
+
+def nights(connection: Connection, press: str | None, cursor: str | None, limit: int) -> Page[StoredNight]:
+    """Return a page of nights, newest first."""
+    rows, following = newest_first(connection, NIGHT, "night_id", press, cursor, limit)
+    return Page(tuple(_night(row) for row in rows), following)
+
+
+def newest_nights(connection: Connection) -> dict[str, StoredNight]:
+    """Return the newest night of each press."""
+    newest = select(func.max(NIGHT.c.night_id)).group_by(NIGHT.c.press)
+    rows = connection.execute(select(NIGHT).where(NIGHT.c.night_id.in_(newest)).order_by(NIGHT.c.press)).all()
+    return {row.press: _night(row) for row in rows}
+
+
+def _night(r: Row[Any]) -> StoredNight:
+    began, ended = known_utc(r.started_unix_s), known_utc(r.ended_unix_s)
+    return StoredNight(r.press, began, ended, json.loads(r.night_json), json.loads(r.progress_json), r.night_id)
+
+
+def pressings(
+    connection: Connection, press: str, after: int | None, below: int | None, limit: int
+) -> list[RunRecord]:
+    """Return finished pressings: those numbered above `after`, oldest first, else the newest, newest first."""
+    query = runs_query().where(*_finished(press)).limit(limit)
+    if below is not None:
+        query = query.where(RUN.c.run_number < below)
+    order = RUN.c.run_number.desc()
+    if after is not None:
+        query, order = query.where(RUN.c.run_number > after), RUN.c.run_number.asc()
+    return [run_record_of(row) for row in connection.execute(query.order_by(order)).all()]
+
+
+def count_pressings(connection: Connection, press: str, below: int | None) -> int:
+    """Return how many finished pressings there are, or those numbered below `below`."""
+    query = select(func.count()).select_from(RUN).join(PRESS, PRESS.c.press_id == RUN.c.press_id)
+    query = query.where(*_finished(press))
+    if below is not None:
+        query = query.where(RUN.c.run_number < below)
+    return int(connection.execute(query).scalar_one())
+
+
+def _finished(press: str) -> list[ColumnElement[bool]]:
+    """Return what picks a press's runs that are over and, where they were recorded, in which it has closed."""
+    pressed = or_(PRESS.c.kind == "imported", RUN.c.closed_s.is_not(None))
+    return [and_(PRESS.c.name == press, RUN.c.status != RunStatus.OPEN.value), pressed]
+
+
+def edited_after(connection: Connection, press: str, number: int) -> tuple[int, list[str]]:
+    """Return the number of the newest edit of any run, and the press's runs edited after edit `number`."""
+    newest = connection.execute(select(func.max(RUN_CHANGE.c.run_change_id))).scalar()
+    edited = (
+        select(RUN_CHANGE.c.run)
+        .join(RUN, RUN.c.run == RUN_CHANGE.c.run)
+        .join(PRESS, PRESS.c.press_id == RUN.c.press_id)
+        .where(PRESS.c.name == press, RUN_CHANGE.c.run_change_id > number)
+        .distinct()
+    )
+    return int(newest or 0), list(connection.execute(edited).scalars())
+
+
+def put_unfitted(
+    connection: Connection, run: str, press: str, kind: Literal["unfit", "blind", "killed"], fingerprint: str
+) -> None:
+    """Keep that a run has no fit, and with what it was tried."""
+    forget_unfitted(connection, run)
+    connection.execute(insert(UNFITTED), {"run": run, "press": press, "kind": kind, "fingerprint": fingerprint})
+
+
+def forget_unfitted(connection: Connection, run: str) -> None:
+    """Forget that a run had no fit."""
+    connection.execute(delete(UNFITTED).where(UNFITTED.c.run == run))
+
+
+def unfitted_marks(connection: Connection, runs: Sequence[str]) -> dict[str, str]:
+    """Return with what each of these runs was tried that has no fit."""
+    rows = connection.execute(select(UNFITTED.c.run, UNFITTED.c.fingerprint).where(UNFITTED.c.run.in_(runs)))
+    return {row.run: row.fingerprint for row in rows}
+
+
+def killed_runs(connection: Connection, press: str, limit: int) -> list[str]:
+    """Return runs over which workers were killed."""
+    own = (UNFITTED.c.press == press, UNFITTED.c.kind == "killed")
+    return list(connection.execute(select(UNFITTED.c.run).where(*own).limit(limit)).scalars())
+
+
+def count_unfitted(connection: Connection, press: str) -> Mapping[str, int]:
+    """Return how many runs of a press have no fit, by kind."""
+    query = select(UNFITTED.c.kind, func.count()).where(UNFITTED.c.press == press).group_by(UNFITTED.c.kind)
+    return {kind: int(count) for kind, count in connection.execute(query).all()}
