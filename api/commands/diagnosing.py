@@ -4,16 +4,31 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
-from api.commands.fitting import HtmlOut, JsonOut, ModelOut
+import typer
+
+from api.commands.fitting import HtmlOut, JsonOut, ModelOut, aligned
 from api.commands.inputs import ConfigFile, PressFile, Runs, StoreUrl, files_read, load_runs
 from api.commands.until import Until, shortened
-from api.outputs import as_json, check_writable, in_words, spoken_language, tell, working, write_all
+from api.outputs import WorkFailed, as_json, check_writable, in_words, spoken_language, tell, working, write_all
+from daq.records import InputError
 from daq.words import say
 
 if TYPE_CHECKING:
     from softsensor.diagnosis.finding import Diagnosis
+    from softsensor.diagnosis.rehearsal import Rehearsal
+    from softsensor.jobs.rehearsals import Plan
+
+Rehearse = Annotated[bool, typer.Option("--rehearse", help="help-rehearse")]
+RehearseCampaigns = Annotated[
+    int | None, typer.Option("--rehearse-campaigns", metavar="N", min=1, max=1000, help="help-rehearse-campaigns")
+]
+RehearseEffects = Annotated[
+    list[str] | None, typer.Option("--rehearse-effect", metavar="NAME[=SIZE]", help="help-rehearse-effect")
+]
+RehearseFile = Annotated[Path | None, typer.Option("--rehearse-file", metavar="FILE", help="help-rehearse-file")]
+Dask = Annotated[str, typer.Option("--dask", metavar="ADDRESS", help="help-rehearse-dask")]
 
 
 def diagnose(
@@ -25,20 +40,32 @@ def diagnose(
     until: Until = None,
     store: StoreUrl = None,
     config: ConfigFile = None,
+    rehearse: Rehearse = False,
+    rehearse_campaigns: RehearseCampaigns = None,
+    rehearse_effect: RehearseEffects = None,
+    rehearse_file: RehearseFile = None,
+    dask: Dask = "",
 ) -> None:
     """Say what the simulation gets wrong, why, what that costs, and what to measure next."""
     from daq.press.press_file import read_press
 
-    check_writable(model, json, html, inputs=files_read(*runs, press, store=store, config=config))
+    check_writable(model, json, html, rehearse_file, inputs=files_read(*runs, press, store=store, config=config))
+    asked = (rehearse_campaigns, rehearse_effect, rehearse_file, dask)
+    if any(asked) and not rehearse:
+        raise InputError(say("rehearsal-options-alone"))
     described = read_press(press)
     loaded = shortened(load_runs(runs, store, config), described, until)
     with working(say("terminal-progress-diagnosing", runs=len(loaded)), 100) as done:
         from softsensor.diagnosis.verdict import diagnose as look
 
         found = look(described, loaded, progress=lambda _what, share: done(round(100 * share)))
+    plan = _rehearsal_plan(found, rehearse_campaigns, rehearse_effect or [], rehearse_file) if rehearse else None
+    rehearsal = _rehearsed(found, plan, dask) if plan is not None else None
+    with working(say("terminal-progress-writing")):
         outputs: dict[Path, str | bytes | Callable[[Path], None]] = {}
         if json is not None:
-            outputs[json] = as_json(found.as_json())
+            told = {} if rehearsal is None else {"rehearsal": rehearsal.as_json()}
+            outputs[json] = as_json(found.as_json() | told)
         if model is not None:
             from softsensor.diagnosis.missing_causes import with_missing_causes
             from softsensor.heat.model_file import model_text
@@ -50,10 +77,55 @@ def diagnose(
         if html is not None:
             from softsensor.report.diagnosis_report import diagnosis_report
 
-            outputs[html] = diagnosis_report(found, spoken_language())
+            outputs[html] = diagnosis_report(found, spoken_language(), rehearsal)
         write_all(outputs)
     for line in _lines(found):
         tell(line)
+    for line in _rehearsal_lines(rehearsal) if rehearsal is not None else ():
+        tell(line)
+
+
+def _rehearsal_plan(found: Diagnosis, count: int | None, effects: list[str], file: Path | None) -> Plan:
+    """Lay out what is to be rehearsed. Raises `InputError`."""
+    from softsensor.diagnosis.rehearsal import campaign_of, hidden_of
+    from softsensor.jobs.rehearsals import CAMPAIGNS, plan_rehearsal
+
+    campaign = campaign_of(found)
+    return plan_rehearsal(campaign, hidden_of(campaign, effects), count or CAMPAIGNS, file)
+
+
+def _rehearsed(found: Diagnosis, plan: Plan, dask: str) -> Rehearsal:
+    """Rehearse, and say before how long it takes. Raises `WorkFailed` where finished campaigns cannot be kept."""
+    from softsensor.jobs.rehearsals import local_workers, rehearse
+
+    workers, total = local_workers(plan), len(plan.tasks) + len(plan.done)
+    begin = say("rehearsal-begins", campaigns=len(plan.tasks), done=len(plan.done), runs=len(plan.campaign.runs))
+    tell(begin)
+    if plan.tasks and not dask:
+        minutes = max(1.0, round(plan.minutes(found.seconds, workers)))
+        tell(say("rehearsal-takes", minutes=minutes, workers=workers))
+    with working(say("terminal-progress-rehearsing", campaigns=total), total) as done:
+        done(len(plan.done))
+        try:
+            return rehearse(plan, done, dask)
+        except OSError as error:
+            if plan.file is None:
+                raise
+            said = say("terminal-output-unwritable", path=str(plan.file), why=str(error.strerror))
+            raise WorkFailed(said) from error
+
+
+def _rehearsal_lines(rehearsal: Rehearsal) -> Iterator[str]:
+    """Yield the table of power and false names."""
+    from softsensor.report.rehearsal_rows import HEADS, none_said, rehearsal_rows
+
+    yield in_words(say("rehearsal-title", runs=rehearsal.runs))
+    heads = [in_words(say(code)) for code in HEADS]
+    cells = [[in_words(cell) for cell in row.cells] for row in rehearsal_rows(rehearsal)]
+    if cells:
+        yield from aligned([heads, *cells])
+    yield in_words(none_said(rehearsal))
+    yield in_words(say("rehearsal-own-model"))
 
 
 def _lines(found: Diagnosis) -> Iterator[str]:

@@ -988,6 +988,27 @@ sense-follows-run = folgt Pressung { $run }
 sense-takes-model = der Softsensor nimmt Modell { $version }
 sense-waiting = wartet auf Messungen
 
+## softsensor.diagnosis.rehearsal: error rates of a campaign
+
+rehearsal-alone = allein genannt
+rehearsal-begins = Probe mit { $runs } Pressungen: { $campaigns } simulierte Kampagnen zu diagnostizieren, { $done } schon fertig. Sie stammen aus dem eigenen Modell des Softsensors, mit Programmen, Rauschen und Streuung dieser Pressungen.
+rehearsal-found = gefunden
+rehearsal-heading = Wie oft eine solche Diagnose richtig ist
+rehearsal-none = Ohne verborgene Ursache wird in { $rate } der Kampagnen eine genannt.
+rehearsal-not-testable = --rehearse-effect { $name }: diese Pressungen können dazu nichts sagen; wählbar sind { $known }
+rehearsal-options-alone = --rehearse-campaigns, --rehearse-effect, --rehearse-file und --dask gehören zu --rehearse; es mit angeben
+rehearsal-own-model = Die Kampagnen sind mit dem eigenen Modell des Softsensors simuliert: Die Anteile gelten für eine Presse, die es bis auf die eine Ursache beschreibt. Was eine wirkliche Presse sonst noch tut, verschlechtert sie.
+rehearsal-rate = { $count } von { $of } ({ NUMBER($low, maximumFractionDigits: 0) } bis { NUMBER($high, maximumFractionDigits: 0) } %)
+rehearsal-size = --rehearse-effect { $name }={ $size }: die Größe muss eine Zahl von { $low } bis { $high } sein
+rehearsal-size-cell = { $value } { $unit }
+rehearsal-size-head = Größe
+rehearsal-takes = Das dauert etwa { NUMBER($minutes, maximumFractionDigits: 0) } min mit { $workers } { $workers ->
+    [one] Prozess
+   *[other] Prozessen
+}.
+rehearsal-title = Kampagnen aus { $runs } Pressungen wie diesen, je mit einer verborgenen Ursache: wie viele davon sie finden, mit 95-%-Intervallen.
+rehearsal-wrong = andere Ursache genannt
+
 ## softsensor.report: figures and pages
 
 figure-adaptive = Löser mit angepassten Schritten
@@ -1390,6 +1411,7 @@ terminal-progress-reading = { $files ->
    *[other] { $files } Dateien werden gelesen
 }
 terminal-progress-refitting = { $press } wird neu angepasst
+terminal-progress-rehearsing = Diagnose von { $campaigns } simulierten Kampagnen
 terminal-progress-reproducing = { $runs } virtuelle Messungen, jede auf vier Weisen
 terminal-progress-restoring = { $file } wird eingespielt
 terminal-progress-simulating = Simulation von { $run }
@@ -1397,6 +1419,7 @@ terminal-progress-storing = { $runs ->
     [one] { $runs } Pressung wird gespeichert
    *[other] { $runs } Pressungen werden gespeichert
 }
+terminal-progress-writing = Dateien werden geschrieben
 terminal-refit-failed = { $failures }; das Journal nennt sie
 terminal-refit-report = { $press }: Bericht { $page }
 terminal-refit-unfit = { $press }: { $failed } von { $runs } Pressungen konnten nicht angepasst werden
@@ -1492,6 +1515,11 @@ help-port = Port; 0 nimmt einen freien und zeigt ihn.
 help-press = Die Pressendatei.
 help-pressings = Nach so vielen Pressungen anhalten; ohne Angabe bei Strg-C.
 help-program = Ein noch nie gefahrenes Pressprogramm, durch seine Einstellungen: seine Koeffizienten werden aus denen der Versuchsreihe vorhergesagt. Mehrfach möglich.
+help-rehearse = Solche Kampagnen mit dem eigenen Modell des Softsensors simulieren, mit jeder Ursache der Reihe nach und ohne, sie diagnostizieren und sagen, wie oft eine Ursache gefunden und wie oft eine falsche genannt wird.
+help-rehearse-campaigns = Simulierte Kampagnen je Ursache; ohne Angabe 10.
+help-rehearse-dask = Ein Dask-Scheduler, dessen Worker die simulierten Kampagnen übernehmen.
+help-rehearse-effect = Nur diese Ursache verbergen, in eigener Größe, wenn eine angegeben ist. Mehrfach möglich; ohne Angabe alle, die diese Pressungen zeigen könnten.
+help-rehearse-file = Jede fertige simulierte Kampagne in dieser Datei festhalten und nach einem Abbruch von dort weitermachen.
 help-reproduce-paper = Stattdessen: warum die Gradientenverfahren stecken blieben, gezeigt an 20 virtuellen Messungen. --json, --html und --svg heben die Tabelle und die Kosten entlang eines Koeffizienten auf.
 help-restore = Einen neuen, leeren Datenspeicher aus der Kopie füllen.
 help-roll-back = Nur zum vorigen Modell dieser Presse zurückgehen.

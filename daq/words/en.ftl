@@ -972,6 +972,27 @@ sense-follows-run = following run { $run }
 sense-takes-model = the live sensor takes model { $version }
 sense-waiting = waiting for scans
 
+## softsensor.diagnosis.rehearsal: error rates of a campaign
+
+rehearsal-alone = named alone
+rehearsal-begins = Rehearsal of { $runs } runs: { $campaigns } simulated campaigns to diagnose, { $done } done before. They come from the sensor's own model with these runs' programs, noise and scatter.
+rehearsal-found = found
+rehearsal-heading = How often such a diagnosis is right
+rehearsal-none = With nothing hidden, a cause is named in { $rate } of the campaigns.
+rehearsal-not-testable = --rehearse-effect { $name }: these runs can say nothing about it; choose from { $known }
+rehearsal-options-alone = --rehearse-campaigns, --rehearse-effect, --rehearse-file and --dask go with --rehearse; give it too
+rehearsal-own-model = The campaigns are simulated by the sensor's own model: rates are those of a press that it describes but for the one cause. What a real press does besides makes them worse.
+rehearsal-rate = { $count } of { $of } ({ NUMBER($low, maximumFractionDigits: 0) } to { NUMBER($high, maximumFractionDigits: 0) } %)
+rehearsal-size = --rehearse-effect { $name }={ $size }: the size must be a number from { $low } to { $high }
+rehearsal-size-cell = { $value } { $unit }
+rehearsal-size-head = size
+rehearsal-takes = This takes about { NUMBER($minutes, maximumFractionDigits: 0) } min on { $workers } { $workers ->
+    [one] process
+   *[other] processes
+}.
+rehearsal-title = Campaigns of { $runs } runs such as these, each with one cause hidden: how many of them find it, with 95 % intervals.
+rehearsal-wrong = another cause named
+
 ## softsensor.report: figures and pages
 
 figure-adaptive = adaptive solver
@@ -1374,6 +1395,7 @@ terminal-progress-reading = { $files ->
    *[other] Reading { $files } run files
 }
 terminal-progress-refitting = Refitting { $press }
+terminal-progress-rehearsing = Diagnosing { $campaigns } simulated campaigns
 terminal-progress-reproducing = { $runs } virtual measurements, four ways each
 terminal-progress-restoring = Restoring { $file }
 terminal-progress-simulating = Simulating { $run }
@@ -1381,6 +1403,7 @@ terminal-progress-storing = { $runs ->
     [one] Storing { $runs } run
    *[other] Storing { $runs } runs
 }
+terminal-progress-writing = Writing files
 terminal-refit-failed = { $failures }; the journal names them
 terminal-refit-report = { $press }: report { $page }
 terminal-refit-unfit = { $press }: { $failed } of { $runs } runs could not be fitted
@@ -1473,6 +1496,11 @@ help-port = Port; 0 takes a free one and shows it.
 help-press = The press file.
 help-pressings = Stop after this many pressings; without it at Ctrl-C.
 help-program = A press program never run, by its settings: its coefficients are predicted from the campaign's. May be repeated.
+help-rehearse = Simulate such campaigns from the sensor's own model, with each cause hidden in turn and none, diagnose them, and say how often a cause is found and how often a false one is named.
+help-rehearse-campaigns = Simulated campaigns of each cause; 10 without.
+help-rehearse-dask = A Dask scheduler whose workers take the simulated campaigns.
+help-rehearse-effect = Hide only this cause, at a size of its own if one is given. May be repeated; all that these runs could show without.
+help-rehearse-file = Keep each finished simulated campaign in this file, and go on from there if broken off.
 help-reproduce-paper = Instead: why gradient least squares got stuck, shown on 20 virtual measurements. --json, --html and --svg keep the table and the cost along one coefficient.
 help-restore = Fill a new, empty store from the copy.
 help-roll-back = Only go back to this press's model before.

@@ -17,14 +17,10 @@ import numpy as np
 from daq.press.press_file import Press
 from daq.records import InputError
 from daq.store import Store, open_store
-from daq.words import Message, say, spoken
+from daq.words import Message, spoken
 from softsensor.heat.model_file import ModelFile
+from softsensor.jobs.cluster import on_dask
 from softsensor.jobs.fitter import fit_one, has_panel_readings, new_workers
-
-SCHEDULER_WAIT_S = 10.0
-"""Longest wait for a scheduler's answer. [s]"""
-WORKERS_WAIT_S = 60.0
-"""Longest wait for a scheduler's first worker. [s]"""
 
 
 @dataclass(frozen=True)
@@ -111,24 +107,5 @@ def _alone(task: Task) -> Done:
 
 
 def _on_dask(tasks: Sequence[Task], address: str) -> Iterator[Done]:
-    try:
-        from dask.distributed import Client, KilledWorker
-        from dask.distributed import as_completed as completed
-    except ImportError as error:
-        raise InputError(say("dask-package-missing", address=address)) from error
-    try:
-        client = Client(address, timeout=SCHEDULER_WAIT_S)
-    except (OSError, TimeoutError, ValueError) as error:
-        raise InputError(say("dask-no-answer", address=address, seconds=SCHEDULER_WAIT_S)) from error
-    with client:
-        try:
-            client.wait_for_workers(1, timeout=WORKERS_WAIT_S)
-        except TimeoutError as error:
-            raise InputError(say("dask-no-worker", address=address, seconds=WORKERS_WAIT_S)) from error
-        futures = client.map(fit_stored, tasks, pure=False)
-        runs = {future.key: task.run for future, task in zip(futures, tasks, strict=True)}
-        for future in completed(futures):
-            try:
-                yield future.result()
-            except KilledWorker:  # the scheduler has tried it on other workers already
-                yield Done(runs[future.key], killed=True)
+    for task, done in on_dask(fit_stored, tasks, address):
+        yield Done(task.run, killed=True) if done is None else done

@@ -8,6 +8,7 @@ from typing import Any
 from daq.words import Message, say
 from daq.words.message import ENGLISH
 from softsensor.diagnosis.finding import Diagnosis, Finding
+from softsensor.diagnosis.rehearsal import Rehearsal
 from softsensor.diagnosis.summary import chance, core_said, sureness, verdict_said, worth
 from softsensor.diagnosis.where import temperatures
 from softsensor.effects import find_effect
@@ -15,11 +16,12 @@ from softsensor.effects.vocabulary import called, parameters_told, place_words
 from softsensor.report.diagnosis_figures import residual_figure, run_figure, votes_figure
 from softsensor.report.fit_figures import svg
 from softsensor.report.page import kelvins, page, signed_kelvins
+from softsensor.report.rehearsal_rows import HEADS, none_said, rehearsal_rows
 
 SHOWN_CANDIDATES = 8
 
 
-def diagnosis_report(found: Diagnosis, language: str = ENGLISH) -> str:
+def diagnosis_report(found: Diagnosis, language: str = ENGLISH, rehearsal: Rehearsal | None = None) -> str:
     """Return the page as HTML text; it needs no other file."""
     votes = votes_figure(found, language)
     return page(
@@ -41,7 +43,17 @@ def diagnosis_report(found: Diagnosis, language: str = ENGLISH) -> str:
         run_svg=svg(run_figure(found, language)),
         residual_svg=svg(residual_figure(found, language)),
         votes_svg="" if votes is None else svg(votes),
+        rehearsal=_rehearsal(rehearsal) if rehearsal is not None else None,
     )
+
+
+def _rehearsal(rehearsal: Rehearsal) -> dict[str, Any]:
+    return {
+        "title": say("rehearsal-title", runs=rehearsal.runs),
+        "heads": [say(code) for code in HEADS],
+        "rows": rehearsal_rows(rehearsal),
+        "none": none_said(rehearsal),
+    }
 
 
 def _finding(found: Diagnosis, f: Finding) -> dict[str, Any]:

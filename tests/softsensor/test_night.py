@@ -22,6 +22,7 @@ from daq.simulated.campaign_pressfile import press_toml
 from daq.store import open_store
 from daq.words import say
 from softsensor.heat.model_file import FittedValue, ModelFile, parse_model
+from softsensor.jobs import cluster as cluster_of_workers
 from softsensor.jobs import night as nightly
 from softsensor.jobs import night_fits as nightly_fits
 from softsensor.jobs import night_judgement as nightly_judge
@@ -618,7 +619,7 @@ def test_dask_workers_find_what_local_ones_find(tmp_path, runs, dask_address):
 def test_a_dask_scheduler_without_workers_is_named_instead_of_waited_for(store, monkeypatch):
     from dask.distributed import LocalCluster
 
-    monkeypatch.setattr(nightly_fits, "WORKERS_WAIT_S", 0.5)
+    monkeypatch.setattr(cluster_of_workers, "WORKERS_WAIT_S", 0.5)
     with LocalCluster(n_workers=0, dashboard_address=None, processes=False) as cluster:
         task = Task("", PRESS, "run", None)
         with pytest.raises(InputError, match=r"no worker in 0\.5 s; start dask worker"):

@@ -1,0 +1,46 @@
+"""Work handed to the workers of a Dask scheduler."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import TypeVar
+
+from daq.records import InputError
+from daq.words import say
+
+SCHEDULER_WAIT_S = 10.0
+"""Longest wait for a scheduler's answer. [s]"""
+WORKERS_WAIT_S = 60.0
+"""Longest wait for a scheduler's first worker. [s]"""
+Task = TypeVar("Task")
+Done = TypeVar("Done")
+
+
+def on_dask(
+    work: Callable[[Task], Done], tasks: Sequence[Task], address: str
+) -> Iterator[tuple[Task, Done | None]]:
+    """Yield each task with its result as they come, None where several workers were killed over it.
+
+    Raises `InputError` where the package, the scheduler or its workers are missing.
+    """
+    try:
+        from dask.distributed import Client, KilledWorker
+        from dask.distributed import as_completed as completed
+    except ImportError as error:
+        raise InputError(say("dask-package-missing", address=address)) from error
+    try:
+        client = Client(address, timeout=SCHEDULER_WAIT_S)
+    except (OSError, TimeoutError, ValueError) as error:
+        raise InputError(say("dask-no-answer", address=address, seconds=SCHEDULER_WAIT_S)) from error
+    with client:
+        try:
+            client.wait_for_workers(1, timeout=WORKERS_WAIT_S)
+        except TimeoutError as error:
+            raise InputError(say("dask-no-worker", address=address, seconds=WORKERS_WAIT_S)) from error
+        futures = client.map(work, tasks, pure=False)
+        given = {future.key: task for future, task in zip(futures, tasks, strict=True)}
+        for future in completed(futures):
+            try:
+                yield given[future.key], future.result()
+            except KilledWorker:  # the scheduler has tried it on other workers already
+                yield given[future.key], None

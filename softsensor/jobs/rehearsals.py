@@ -1,0 +1,151 @@
+"""Rehearsals of a campaign's diagnosis on all cores or on Dask, which go on where they were broken off."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import as_completed
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from softsensor.diagnosis.rehearsal import (
+    NOTHING,
+    Campaign,
+    Hidden,
+    Outcome,
+    Rehearsal,
+    rehearsal_of,
+    rehearse_one,
+)
+from softsensor.jobs.cluster import on_dask
+from softsensor.jobs.fitter import new_workers
+
+CAMPAIGNS = 10
+"""Rehearsed campaigns of each cause where nobody says how many: a share of one half is then known to about 0.3."""
+COSTLY = 2.0
+"""Times a plain diagnosis that one of a hidden cause takes: 2 to 3
+were seen on two cores (2026-11)."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """One campaign to rehearse."""
+
+    hidden: Hidden
+    number: int
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is to be rehearsed, and what of it an earlier command has done."""
+
+    campaign: Campaign
+    tasks: tuple[Task, ...]
+    done: tuple[Outcome, ...]
+    file: Path | None = None
+
+    def minutes(self, seconds: float, workers: int) -> float:
+        """Return about how long the rest takes where one diagnosis took so many seconds. [min]"""
+        return COSTLY * seconds * len(self.tasks) / workers / 60.0
+
+
+def plan_rehearsal(
+    campaign: Campaign, causes: Sequence[Hidden], count: int = CAMPAIGNS, file: Path | None = None
+) -> Plan:
+    """Lay out so many campaigns of each cause and of none, without those that a file holds already.
+
+    The file keeps a line for each finished one; lines of other campaigns are left alone and do not count.
+    """
+    tasks = [Task(hidden, number) for number in range(count) for hidden in (Hidden(NOTHING), *causes)]
+    known = _finished(file, _mark(campaign)) if file is not None else {}
+    done = [Outcome(t.hidden, t.number, *known[t.hidden.key, t.number]) for t in tasks if _key(t) in known]
+    return Plan(campaign, tuple(t for t in tasks if _key(t) not in known), tuple(done), file)
+
+
+def local_workers(plan: Plan) -> int:
+    """Return how many processes of this machine a plan can use."""
+    return max(1, min(os.cpu_count() or 1, len(plan.tasks)))
+
+
+def rehearse(plan: Plan, progress: Callable[[int], None] | None = None, dask: str = "") -> Rehearsal:
+    """Rehearse what a plan holds on local processes, or on Dask; each finished campaign is kept at once.
+
+    Parameters
+    ----------
+    progress
+        Told how many campaigns are done.
+    dask
+        Address of a scheduler.
+
+    Raises
+    ------
+    InputError
+        For a scheduler that does not answer.
+    OSError
+        For a file that cannot be written.
+    BrokenProcessPool
+        Where a worker was killed; what is finished is kept.
+    """
+    done, mark = list(plan.done), _mark(plan.campaign)
+    for outcome in _outcomes(plan, dask):
+        done.append(outcome)
+        if plan.file is not None:
+            _keep(plan.file, mark, outcome)
+        if progress is not None:
+            progress(len(done))
+    return rehearsal_of(plan.campaign, done)
+
+
+def _outcomes(plan: Plan, dask: str) -> Iterator[Outcome]:
+    work = partial(_rehearse, plan.campaign)
+    if dask and plan.tasks:
+        yield from (outcome for _, outcome in on_dask(work, plan.tasks, dask) if outcome is not None)
+    elif plan.tasks:
+        pool = new_workers(local_workers(plan))
+        try:
+            for future in as_completed([pool.submit(work, task) for task in plan.tasks]):
+                yield future.result()
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+def _rehearse(campaign: Campaign, task: Task) -> Outcome:
+    return rehearse_one(campaign, task.hidden, task.number)
+
+
+def _key(task: Task) -> tuple[str, int]:
+    return task.hidden.key, task.number
+
+
+def _mark(campaign: Campaign) -> str:
+    """Return by what a campaign is known again: the same runs, press and fit give the same mark."""
+    told = [campaign.press.model_dump_json(), repr([(n, f"{v:.6g}") for n, v in sorted(campaign.levels.items())])]
+    seen = hashlib.sha256("".join(told).encode())
+    for one in campaign.runs:
+        seen.update(repr((one.run.name, sorted(one.run.header.items(), key=str))).encode())
+        for name in sorted(one.run.columns):
+            seen.update(name.encode() + one.run.columns[name].tobytes())
+    return seen.hexdigest()[:16]
+
+
+def _keep(file: Path, mark: str, outcome: Outcome) -> None:
+    line = json.dumps({"campaign": mark, "hidden": outcome.hidden.key, **outcome.as_json()})
+    with file.open("a", encoding="utf-8") as out:
+        out.write("\n" * (out.tell() > 0) + line)
+
+
+def _finished(file: Path, mark: str) -> dict[tuple[str, int], tuple[str, tuple[tuple[str, ...], ...]]]:
+    """Return what a file says of a campaign; a last line torn by the end of its process does not count."""
+    found = {}
+    for line in file.read_text(encoding="utf-8").splitlines() if file.exists() else ():
+        try:
+            one = json.loads(line)
+            if one["campaign"] == mark:
+                sets = tuple(tuple(s) for s in one["sets"])
+                found[str(one["hidden"]), int(one["number"])] = (str(one["verdict"]), sets)
+        except (ValueError, KeyError, TypeError):
+            continue
+    return found

@@ -1,0 +1,191 @@
+"""Error rates of a campaign, by campaigns simulated from it."""
+
+from __future__ import annotations
+
+import json
+import re
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.stats import binom
+
+from api.cli import main
+from daq.files.run_file import write_run
+from daq.press.press_file import parse_press
+from daq.records import InputError
+from daq.simulated.campaign import Plan, make_campaign, press_toml
+from softsensor.diagnosis import rehearsal
+from softsensor.diagnosis.rehearsal import Campaign, Hidden, Outcome, Rate, campaign_of, hidden_of, rehearsal_of
+from softsensor.diagnosis.verdict import diagnose
+from softsensor.jobs import rehearsals
+
+TINY = Plan(
+    rate_hz=1.0,
+    thickness_mm=8.0,
+    press_time_s=(18.0, 25.0),
+    open_before_s=(5.0, 8.0),
+    open_after_s=(15.0, 20.0),
+    core_column=0.4,
+)
+
+
+@cache
+def runs():
+    return [run for run, _ in make_campaign(41, 7, None, TINY)]
+
+
+@cache
+def campaign() -> Campaign:
+    return campaign_of(diagnose(parse_press(press_toml()), runs(), effects=["edge_loss"]))
+
+
+@pytest.mark.parametrize("of", [1, 10, 97])
+def test_the_interval_of_none_or_all_is_the_closed_form(of):
+    edge = 1.0 - 0.025 ** (1.0 / of)
+    assert Rate(0, of).ci95 == pytest.approx((0.0, edge))
+    assert Rate(of, of).ci95 == pytest.approx((1.0 - edge, 1.0))
+
+
+@pytest.mark.parametrize("chance", [0.02, 0.3, 0.5, 0.97])
+def test_the_interval_holds_the_chance_in_at_least_95_percent_of_all_draws(chance):
+    counts = np.arange(21)
+    holds = [low <= chance <= high for low, high in (Rate(int(k), 20).ci95 for k in counts)]
+    assert binom.pmf(counts, 20, chance)[holds].sum() >= 0.95
+
+
+def test_found_alone_and_wrong_names_are_counted_apart():
+    heat, rim = Hidden("resin_cure", (("heat_kJ_m2", 30.0),)), Hidden("edge_loss", (("W_m3K", 1200.0),))
+    told = [
+        Outcome(heat, 0, "named", (("resin_cure",),)),
+        Outcome(heat, 1, "ambiguous", (("edge_loss", "resin_cure"),)),
+        Outcome(heat, 2, "named", (("edge_loss",),)),
+        Outcome(rim, 0, "no_effect", ()),
+        Outcome(Hidden(""), 0, "no_effect", ()),
+        Outcome(Hidden(""), 1, "named", (("edge_loss",),)),
+    ]
+    found = rehearsal_of(campaign(), told)
+    assert [(r.hidden.name, r.found.count, r.alone.count, r.wrong.count, r.found.of) for r in found.rows] == [
+        ("resin_cure", 2, 1, 1, 3),
+        ("edge_loss", 0, 0, 0, 1),
+    ]
+    assert (found.nothing.count, found.nothing.of) == (1, 2)
+
+
+def test_a_simulated_run_keeps_programs_gaps_and_the_rows_without_a_panel():
+    one = campaign().runs[0]
+    readings = {c: v.copy() for c, v in one.run.columns.items()}
+    readings["top_1"][20:24] = np.nan
+    gappy = rehearsal.replace(one, run=rehearsal.replace(one.run, columns=readings))
+    few = rehearsal.replace(campaign(), runs=(gappy, *campaign().runs[1:]))
+    made = rehearsal.simulated_runs(few, Hidden(""), 3)[0]
+    assert np.array_equal(made.time_s, one.run.time_s)
+    assert np.array_equal(made.columns["platen_top"], one.run.columns["platen_top"])
+    assert np.isnan(made.columns["top_1"][20:24]).all()
+    away = one.run.time_s < one.moments.inserted_s
+    assert np.array_equal(made.columns["top_2"][away], one.run.columns["top_2"][away])
+    assert not np.array_equal(made.columns["top_2"], one.run.columns["top_2"])
+
+
+def test_the_same_number_gives_the_same_campaign_and_another_one_another():
+    first, again, other = (rehearsal.simulated_runs(campaign(), Hidden(""), n)[2] for n in (5, 5, 6))
+    assert np.array_equal(first.columns["bottom_3"], again.columns["bottom_3"], equal_nan=True)
+    assert not np.array_equal(first.columns["bottom_3"], other.columns["bottom_3"], equal_nan=True)
+
+
+def test_resampled_noise_is_as_large_and_as_shared_as_the_residuals():
+    """Whole blocks of all channels: neither variance nor what two channels of a face share is lost."""
+    rng = np.random.default_rng(1)
+    drawn = [rehearsal._readings(campaign(), one, rng) for _ in range(60) for one in campaign().runs]
+    own = campaign().runs
+    variance = np.mean([np.var(d["top_1"]) for d in drawn])
+    assert variance == pytest.approx(np.mean([np.var(r.noise["top_1"]) for r in own]), rel=0.15)
+    shared = np.mean([np.mean(np.diff(d["top_1"]) * np.diff(d["top_2"])) for d in drawn])
+    known = np.mean([np.mean(np.diff(r.noise["top_1"]) * np.diff(r.noise["top_2"])) for r in own])
+    assert abs(shared - known) < 0.3 * np.mean([np.var(np.diff(r.noise["top_1"])) for r in own])
+
+
+def test_a_hidden_sink_cools_the_simulated_faces():
+    sink = hidden_of(campaign(), ["edge_loss=20000"])[0]
+    cold, warm = (
+        np.mean([r.columns["top_1"][-5:].mean() for r in rehearsal.simulated_runs(campaign(), h, 0)])
+        for h in (sink, Hidden(""))
+    )
+    assert cold < warm - 2.0
+
+
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [("edge_loss=much", "edge_loss"), ("sensor_fault=1", "sensor_fault"), ("clock_offset", "clock_offset")],
+)
+def test_a_cause_that_cannot_be_hidden_is_refused(asked, said):
+    with pytest.raises(InputError, match=said):
+        hidden_of(campaign(), [asked])
+
+
+def test_options_of_a_rehearsal_want_a_rehearsal(tmp_path, capsys):
+    (tmp_path / "press.toml").write_text(press_toml())
+    write_run(runs()[0], tmp_path / "run.csv")
+    call = ["diagnose", str(tmp_path / "run.csv"), "--press", str(tmp_path / "press.toml")]
+    assert main([*call, "--rehearse-campaigns", "2"]) == 2
+    assert "--rehearse" in capsys.readouterr().err
+
+
+def told_before(file, names: list[str]) -> None:
+    """Fill a file with finished campaigns of everything that is named."""
+    for name in names:
+        hidden = hidden_of(campaign(), [name])[0] if name else Hidden("")
+        sets = ((hidden.name,),) if name else ()
+        rehearsals._keep(file, rehearsals._mark(campaign()), Outcome(hidden, 0, "named", sets))
+
+
+def test_a_rehearsal_killed_while_it_wrote_goes_on_and_gives_the_same_table(tmp_path):
+    """A real rehearsal of one campaign stands for a run that was not killed."""
+    file, causes = tmp_path / "finished.jsonl", hidden_of(campaign(), ["sensor_fault", "thermocouple_lag=4"])
+    told_before(file, ["", "thermocouple_lag=4"])
+    whole = rehearsals.rehearse(rehearsals.plan_rehearsal(campaign(), causes, 1, file))
+    assert [(r.hidden.name, r.found.count) for r in whole.rows] == [("thermocouple_lag", 1), ("sensor_fault", 1)]
+    assert (whole.nothing.count, whole.nothing.of) == (0, 1)
+    kept = file.read_text()
+    assert rehearsals.plan_rehearsal(campaign(), causes, 1, file).tasks == ()
+    file.write_text(kept[:-20])
+    again = rehearsals.plan_rehearsal(campaign(), causes, 1, file)
+    assert [t.hidden.name for t in again.tasks] == ["sensor_fault"]
+    assert rehearsals.rehearse(again).as_json() == whole.as_json()
+    assert rehearsals.plan_rehearsal(campaign(), causes, 1, file).tasks == ()
+
+
+def test_finished_campaigns_of_other_runs_do_not_count(tmp_path):
+    file = tmp_path / "finished.jsonl"
+    told_before(file, [""])
+    fewer = rehearsal.replace(campaign(), runs=campaign().runs[1:])
+    assert len(rehearsals.plan_rehearsal(campaign(), [], 2, file).done) == 1
+    assert len(rehearsals.plan_rehearsal(fewer, [], 2, file).done) == 0
+
+
+def test_the_command_tells_how_long_it_takes_and_where_the_campaigns_come_from(tmp_path, capsys, monkeypatch):
+    """The real command; its two campaigns are rehearsed by a stand-in that names what is hidden."""
+
+    def instantly(plan, _dask):
+        yield from (
+            Outcome(t.hidden, t.number, "named", ((t.hidden.name,),) if t.hidden.name else ()) for t in plan.tasks
+        )
+
+    monkeypatch.setattr(rehearsals, "_outcomes", instantly)
+    (tmp_path / "press.toml").write_text(press_toml())
+    for run in runs():
+        write_run(run, tmp_path / f"{run.name}.csv")
+    files = [str(tmp_path / f"{run.name}.csv") for run in runs()]
+    json_out, html = tmp_path / "found.json", tmp_path / "found.html"
+    call = ["diagnose", *files, "--press", str(tmp_path / "press.toml"), "--rehearse", "--rehearse-campaigns", "1"]
+    call += ["--rehearse-effect", "thermocouple_lag=4", "--json", str(json_out), "--html", str(html)]
+    assert main(call) == 0
+    told = capsys.readouterr().out
+    assert "2 simulated campaigns to diagnose, 0 done before" in told
+    assert re.search(r"about \d+ min on \d process", told)
+    assert "the sensor's own model" in told
+    assert "1 of 1 (3 to 100 %)" in told
+    assert "How often such a diagnosis is right" in html.read_text()
+    table = json.loads(json_out.read_text())["rehearsal"]
+    assert table["effects"][0]["parameters"] == {"time_constant_s": 4.0}
+    assert table["none"]["false_names"] == {"count": 0, "share": 0.0, "ci95": [0.0, 0.975]}
