@@ -23,6 +23,7 @@ from api.commands.demo import demo
 from api.commands.diagnosing import diagnose
 from api.commands.fitting import fit
 from api.commands.keeping import backup
+from api.commands.planning import plan
 from api.commands.probing import probe
 from api.commands.publishing import publish
 from api.outputs import WorkFailed, in_words, speak
@@ -68,6 +69,7 @@ app.command("publish", cls=Command)(publish)
 app.command("refit", cls=Command)(services.refit)
 app.command("fit", cls=Command)(fit)
 app.command("diagnose", cls=Command)(diagnose)
+app.command("plan", cls=Command)(plan)
 app.command("simulate", cls=Command)(analysis.simulate)
 app.command("predict", cls=Command)(analysis.predict)
 app.command("import", cls=Command)(files.import_runs)

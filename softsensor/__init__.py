@@ -17,10 +17,12 @@ if TYPE_CHECKING:
     from softsensor.effects import add_effect as add_effect
     from softsensor.face import DiagnosisResult as DiagnosisResult
     from softsensor.face import FitResult as FitResult
+    from softsensor.face import PlanResult as PlanResult
     from softsensor.face import Prediction as Prediction
     from softsensor.face import Simulation as Simulation
     from softsensor.face import diagnose as diagnose
     from softsensor.face import fit as fit
+    from softsensor.face import plan as plan
     from softsensor.face import predict as predict
     from softsensor.face import read_model as read_model
     from softsensor.face import read_press as read_press
@@ -34,11 +36,13 @@ __all__ = [
     "Estimate",
     "FitResult",
     "LiveSensor",
+    "PlanResult",
     "Prediction",
     "Simulation",
     "add_effect",
     "diagnose",
     "fit",
+    "plan",
     "predict",
     "read_model",
     "read_press",

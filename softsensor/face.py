@@ -32,6 +32,9 @@ from softsensor.heat.model_file import ModelFile
 from softsensor.jobs.campaign import fit_campaign
 from softsensor.jobs.model_files import read_model as read_model_file
 from softsensor.live.replay import Replay, replay
+from softsensor.planning.plan import Plan
+from softsensor.planning.plan import plan as plan_after
+from softsensor.planning.summary import plan_said
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -217,6 +220,45 @@ class Simulation:
         return str(self.frame().to_html(max_rows=24, float_format="%.2f"))
 
 
+@dataclass(frozen=True, repr=False)
+class PlanResult:
+    """The next pressings worth most, and what each would settle."""
+
+    planned: Plan
+
+    def frame(self) -> pd.DataFrame:
+        """Return one row an open point and pressing: its settings, chance to settle it, and runs needed."""
+        rows = []
+        for number, point in enumerate(self.planned.as_json()["open"]):
+            for which in ("best", "with_core", "repeated"):
+                if (pressing := point[which]) is not None:
+                    about = {"open": number, "kind": point["kind"], "name": point["name"], "pressing": which}
+                    told = {key: pressing[key] for key in ("worth", "chance", "runs", "half_interval")}
+                    rows.append(about | told | dict(pressing["settings"]))
+        index = ["open", "kind", "name", "pressing"]
+        return pd.DataFrame(rows).set_index(index) if rows else pd.DataFrame(columns=index).set_index(index)
+
+    def plot(self) -> list[Axes]:
+        """Draw what one pressing of each kind is worth to each open point; return the axes."""
+        ax = _axes("What one pressing is worth, by open point")
+        table = self.frame()
+        if len(table):
+            table["worth"].unstack("pressing").plot.barh(ax=ax)
+            ax.set_xlabel("nats")
+        return _shown(ax.figure)
+
+    def to_json(self) -> str:
+        """Return what ``plan --json`` writes."""
+        return json.dumps(self.planned.as_json())
+
+    def __repr__(self) -> str:
+        """Say what is open and the pressings for it."""
+        return "\n".join(map(str, plan_said(self.planned)))
+
+    def _repr_html_(self) -> str:
+        return "".join(f"<p>{html.escape(str(line))}</p>" for line in plan_said(self.planned))
+
+
 AnyModel: TypeAlias = ModelFile | FitResult | DiagnosisResult | Path | str
 
 
@@ -278,6 +320,26 @@ def diagnose(
         Causes to look for, by name; the whole catalogue without.
     """
     return DiagnosisResult(diagnose_runs(read_press(press), _runs(runs), effects=effects))
+
+
+def plan(
+    runs: AnyRun | Sequence[AnyRun] | DiagnosisResult,
+    press: AnyPress,
+    *,
+    ranges: Mapping[str, tuple[float, float]] | None = None,
+) -> PlanResult:
+    """Say which pressings are worth most next, and what each would settle.
+
+    Parameters
+    ----------
+    runs
+        Measured runs, or their diagnosis, which saves making it again.
+    ranges
+        What can be set and how far, by name (``thickness_mm``, ``platen_temperature_C``, ``press_time_s``,
+        ``start_temperature_C``, ``waiting_s``, ``pressure_N_cm2``); the runs' own, modestly widened, without.
+    """
+    found = runs if isinstance(runs, DiagnosisResult) else diagnose(runs, press)
+    return PlanResult(plan_after(read_press(press), found.diagnosis, ranges or {}))
 
 
 def predict(

@@ -16,6 +16,7 @@ from daq.records import InputError
 from daq.words import say
 
 if TYPE_CHECKING:
+    from daq.press.press_file import Press
     from softsensor.diagnosis.finding import Diagnosis
     from softsensor.diagnosis.rehearsal import Rehearsal
     from softsensor.jobs.rehearsals import Plan
@@ -29,6 +30,9 @@ RehearseEffects = Annotated[
 ]
 RehearseFile = Annotated[Path | None, typer.Option("--rehearse-file", metavar="FILE", help="help-rehearse-file")]
 Dask = Annotated[str, typer.Option("--dask", metavar="ADDRESS", help="help-rehearse-dask")]
+
+PLANNED = 2
+"""Open causes of which the best pressing is said, at most."""
 
 
 def diagnose(
@@ -79,7 +83,8 @@ def diagnose(
 
             outputs[html] = diagnosis_report(found, spoken_language(), rehearsal)
         write_all(outputs)
-    for line in _lines(found):
+        ahead = list(_ahead(described, found))
+    for line in (*_lines(found), *ahead):
         tell(line)
     for line in _rehearsal_lines(rehearsal) if rehearsal is not None else ():
         tell(line)
@@ -126,6 +131,18 @@ def _rehearsal_lines(rehearsal: Rehearsal) -> Iterator[str]:
         yield from aligned([heads, *cells])
     yield in_words(none_said(rehearsal))
     yield in_words(say("rehearsal-own-model"))
+
+
+def _ahead(press: Press, found: Diagnosis) -> Iterator[str]:
+    """Say what pressings would settle of causes, where one is open."""
+    from softsensor.planning.plan import plan
+    from softsensor.planning.summary import best_said, point_said
+
+    points = plan(press, found, causes_alone=True).points
+    if points:
+        yield in_words(say("diagnosed-plan"))
+    for advice in points[:PLANNED]:
+        yield f"  {in_words(point_said(advice.point))}. {in_words(best_said(advice))}"
 
 
 def _lines(found: Diagnosis) -> Iterator[str]:

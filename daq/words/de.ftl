@@ -896,6 +896,36 @@ worth-moves = { $change ->
 worth-moves-nothing = ändert keinen Koeffizienten über den Zufall hinaus
 worth-saves = senkt das Residuum um { NUMBER($gain, minimumFractionDigits: 2, maximumFractionDigits: 2) } von { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } K auf ausgelassenen Pressungen
 
+## softsensor.planning: the next pressings
+
+plan-best = Am besten: { $settings }. { $prospect }
+plan-best-is-usual = Am besten: die üblichen Einstellungen. { $prospect }
+plan-narrows-kelvin = Eine Pressung bringt es auf ±{ NUMBER($kelvin, maximumFractionDigits: 2) } K; { $runs }.
+plan-narrows-share = Eine Pressung bringt es auf ±{ NUMBER($percent, maximumFractionDigits: 0) } %; { $runs }.
+plan-nothing-open = Nichts bleibt offen, was eine Pressung klären könnte.
+plan-open-causes = Nicht zu unterscheiden: { $causes }
+plan-open-coefficient = { $name } ist auf ±{ NUMBER($percent, maximumFractionDigits: 0) } % bekannt (gewünscht: ±{ NUMBER($wanted, maximumFractionDigits: 0) } %)
+plan-open-core = Der Kern beim Öffnen ist auf ±{ NUMBER($kelvin, maximumFractionDigits: 1) } K bekannt, soweit alle Pressungen es gemeinsam haben (gewünscht: ±{ NUMBER($wanted, maximumFractionDigits: 1) } K)
+plan-open-suspected = Im Verdacht, oder nichts: { $causes }
+plan-range-unknown = --range { $name }: das stellen diese Pressungen nicht ein; bekannt sind { $known }
+plan-range-unreadable = --range '{ $given }': muss NAME=UNTEN:OBEN sein, etwa thickness_mm=8:19
+plan-range-wrong = --range { $name }={ NUMBER($low, maximumFractionDigits: 3) }:{ NUMBER($high, maximumFractionDigits: 3) }: das untere Ende steht zuerst, und beide müssen zwischen { NUMBER($lower, maximumFractionDigits: 3) } und { NUMBER($upper, maximumFractionDigits: 3) } liegen
+plan-repeated = Die üblichen Einstellungen noch einmal: { $prospect }
+plan-runs = { $runs ->
+    [one] { $runs } genügt
+   *[other] { $runs } genügen
+}
+plan-runs-too-many = auch { $many } genügen nicht
+plan-set-as-usual = die üblichen Einstellungen
+plan-set-platen_temperature_C = Heizplatten { NUMBER($value, maximumFractionDigits: 0) } °C
+plan-set-press_time_s = Presszeit { NUMBER($value, maximumFractionDigits: 0) } s
+plan-set-pressure_N_cm2 = Druck { NUMBER($value, maximumFractionDigits: 0) } N/cm²
+plan-set-start_temperature_C = Platte mit { NUMBER($value, maximumFractionDigits: 0) } °C
+plan-set-thickness_mm = Platte von { NUMBER($value, maximumFractionDigits: 1) } mm
+plan-set-waiting_s = vor dem Schließen { NUMBER($value, maximumFractionDigits: 0) } s offen
+plan-settles = Eine Pressung klärt es mit { NUMBER($percent, maximumFractionDigits: 0) } % Wahrscheinlichkeit; { $runs }.
+plan-with-core = Mit einem Fühler im Kern: { $settings }. { $prospect }
+
 ## softsensor.live: why the core is not valid
 
 core-may-pass-limit-soon = der Kern kann in { NUMBER($seconds, maximumFractionDigits: 0) } s { NUMBER($limit_C, maximumFractionDigits: 1) } °C überschreiten: Presse öffnen
@@ -1317,6 +1347,7 @@ health-scans-behind = { $press }: { $scans } Messzeilen im Rückstand, dieser Re
 diagnosed-cause = { $name }: { $worth }; { $sureness }
 diagnosed-causes = { $name } (nicht zu unterscheiden von { $others }): { $worth }; { $sureness }
 diagnosed-next = Als Nächstes: { $sentence }
+diagnosed-plan = Als Nächstes am meisten wert (mehr sagt kerntemp plan):
 diagnosed-residual = Residuum { NUMBER($base, minimumFractionDigits: 3, maximumFractionDigits: 3) } K, erweitertes Modell { NUMBER($extended, minimumFractionDigits: 3, maximumFractionDigits: 3) } K
 terminal-averages-need-method = --averages gehört zu einem der Verfahren des Aufsatzes; auch --method angeben
 terminal-backup-contents = { $runs } Pressungen, { $scans } Messzeilen, { $fits } Anpassungen, { $models } Modelle
@@ -1405,6 +1436,10 @@ terminal-progress-fitting = { $runs ->
     [one] { $runs } Pressung wird angepasst
    *[other] { $runs } Pressungen werden angepasst
 }
+terminal-progress-planning = { $runs ->
+    [one] Planung nach { $runs } Pressung
+   *[other] Planung nach { $runs } Pressungen
+}
 terminal-progress-predicting = Vorhersage von { $run }
 terminal-progress-reading = { $files ->
     [one] { $files } Datei wird gelesen
@@ -1475,6 +1510,7 @@ help-command-export = Pressungen des Datenspeichers als Laufdateien schreiben od
 help-command-fit = Die Wärmeübergangskoeffizienten jeder Pressung und der Versuchsreihe anpassen.
 help-command-import = Laufdateien in den Datenspeicher aufnehmen: alle, oder keine, wenn eine falsch ist.
 help-command-kerntemp = Kerntemperatur gepresster Platten: aufzeichnen, live vorhersagen, anpassen und finden, was das Modell falsch macht.
+help-command-plan = Finden, welche Pressungen als Nächstes am meisten wert sind und was jede klären würde.
 help-command-predict = Eine Pressung Messzeile für Messzeile durch den Softsensor schicken; keine Zeile nutzt spätere Messungen.
 help-command-probe = Herausfinden, welches Messgerät an einer Leitung hängt; die Fühler haben dabei Raumtemperatur. Kein Gerät zur Hand? python -m daq.simulated.devices_serve adam-4118 legt ein simuliertes an eine Leitung.
 help-command-publish = Einen MQTT-Broker beliefern ([mqtt]) und einen OPC-UA-Server betreiben ([opcua]), ohne Ende.
@@ -1515,6 +1551,7 @@ help-port = Port; 0 nimmt einen freien und zeigt ihn.
 help-press = Die Pressendatei.
 help-pressings = Nach so vielen Pressungen anhalten; ohne Angabe bei Strg-C.
 help-program = Ein noch nie gefahrenes Pressprogramm, durch seine Einstellungen: seine Koeffizienten werden aus denen der Versuchsreihe vorhergesagt. Mehrfach möglich.
+help-range = Was sich einstellen lässt, und wie weit: platen_temperature_C, press_time_s, thickness_mm, start_temperature_C, waiting_s oder pressure_N_cm2. Mehrfach möglich; ohne Angabe der Bereich der Pressungen selbst, maßvoll erweitert.
 help-rehearse = Solche Kampagnen mit dem eigenen Modell des Softsensors simulieren, mit jeder Ursache der Reihe nach und ohne, sie diagnostizieren und sagen, wie oft eine Ursache gefunden und wie oft eine falsche genannt wird.
 help-rehearse-campaigns = Simulierte Kampagnen je Ursache; ohne Angabe 10.
 help-rehearse-dask = Ein Dask-Scheduler, dessen Worker die simulierten Kampagnen übernehmen.

@@ -879,6 +879,36 @@ worth-moves = { $change } { $coefficient } ({ $bodies }) by { NUMBER($percent, m
 worth-moves-nothing = moves no coefficient beyond chance
 worth-saves = lowers the residual by { NUMBER($gain, minimumFractionDigits: 2, maximumFractionDigits: 2) } of { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } K on runs left out
 
+## softsensor.planning: the next pressings
+
+plan-best = Best: { $settings }. { $prospect }
+plan-best-is-usual = Best: the usual settings. { $prospect }
+plan-narrows-kelvin = One brings it to ±{ NUMBER($kelvin, maximumFractionDigits: 2) } K; { $runs }.
+plan-narrows-share = One brings it to ±{ NUMBER($percent, maximumFractionDigits: 0) } %; { $runs }.
+plan-nothing-open = Nothing is left open that a pressing could settle.
+plan-open-causes = Not told apart: { $causes }
+plan-open-coefficient = { $name } is known to ±{ NUMBER($percent, maximumFractionDigits: 0) } % (wanted: ±{ NUMBER($wanted, maximumFractionDigits: 0) } %)
+plan-open-core = The core at the opening is known to ±{ NUMBER($kelvin, maximumFractionDigits: 1) } K for what all pressings share (wanted: ±{ NUMBER($wanted, maximumFractionDigits: 1) } K)
+plan-open-suspected = Suspected, or nothing: { $causes }
+plan-range-unknown = --range { $name }: these runs set no such thing; known are { $known }
+plan-range-unreadable = --range '{ $given }': must be NAME=LOW:HIGH, such as thickness_mm=8:19
+plan-range-wrong = --range { $name }={ NUMBER($low, maximumFractionDigits: 3) }:{ NUMBER($high, maximumFractionDigits: 3) }: the lower end goes first, and both must lie between { NUMBER($lower, maximumFractionDigits: 3) } and { NUMBER($upper, maximumFractionDigits: 3) }
+plan-repeated = The usual settings again: { $prospect }
+plan-runs = { $runs ->
+    [one] { $runs } is enough
+   *[other] { $runs } are enough
+}
+plan-runs-too-many = even { $many } are not enough
+plan-set-as-usual = the usual settings
+plan-set-platen_temperature_C = platens { NUMBER($value, maximumFractionDigits: 0) } °C
+plan-set-press_time_s = press time { NUMBER($value, maximumFractionDigits: 0) } s
+plan-set-pressure_N_cm2 = pressure { NUMBER($value, maximumFractionDigits: 0) } N/cm²
+plan-set-start_temperature_C = panel at { NUMBER($value, maximumFractionDigits: 0) } °C
+plan-set-thickness_mm = panel of { NUMBER($value, maximumFractionDigits: 1) } mm
+plan-set-waiting_s = { NUMBER($value, maximumFractionDigits: 0) } s open before closing
+plan-settles = One settles it with a chance of { NUMBER($percent, maximumFractionDigits: 0) } %; { $runs }.
+plan-with-core = With a thermocouple in the core: { $settings }. { $prospect }
+
 ## softsensor.live: why the core is not valid
 
 core-may-pass-limit-soon = the core may pass { NUMBER($limit_C, maximumFractionDigits: 1) } °C in { NUMBER($seconds, maximumFractionDigits: 0) } s: open the press
@@ -1301,6 +1331,7 @@ health-scans-behind = { $press }: { $scans } scans behind, this machine is too b
 diagnosed-cause = { $name }: { $worth }; { $sureness }
 diagnosed-causes = { $name } (not told apart from { $others }): { $worth }; { $sureness }
 diagnosed-next = Next: { $sentence }
+diagnosed-plan = Pressings worth most next (kerntemp plan says more):
 diagnosed-residual = residual { NUMBER($base, minimumFractionDigits: 3, maximumFractionDigits: 3) } K, extended model { NUMBER($extended, minimumFractionDigits: 3, maximumFractionDigits: 3) } K
 terminal-averages-need-method = --averages goes with one of the paper's methods; give --method too
 terminal-backup-contents = { $runs } runs, { $scans } scans, { $fits } fits, { $models } models
@@ -1389,6 +1420,10 @@ terminal-progress-fitting = { $runs ->
     [one] Fitting { $runs } run
    *[other] Fitting { $runs } runs
 }
+terminal-progress-planning = { $runs ->
+    [one] Planning after { $runs } run
+   *[other] Planning after { $runs } runs
+}
 terminal-progress-predicting = Predicting { $run }
 terminal-progress-reading = { $files ->
     [one] Reading { $files } run file
@@ -1456,6 +1491,7 @@ help-command-export = Write runs of the store as run files, or list the runs.
 help-command-fit = Fit the heat transfer coefficients of each run and of the campaign.
 help-command-import = Put run files into the store: all of them, or none if one is wrong.
 help-command-kerntemp = Core temperature of pressed panels: log, predict live, fit, and find what the model gets wrong.
+help-command-plan = Find the next pressings worth most, and what each would settle.
 help-command-predict = Replay a run scan by scan through the live sensor; no row uses later readings.
 help-command-probe = Find out which logger is on a wire, with the sensors at room temperature. No device at hand? python -m daq.simulated.devices_serve adam-4118 puts a simulated one on a wire.
 help-command-publish = Feed an MQTT broker ([mqtt]) and run an OPC UA server ([opcua]), without end.
@@ -1496,6 +1532,7 @@ help-port = Port; 0 takes a free one and shows it.
 help-press = The press file.
 help-pressings = Stop after this many pressings; without it at Ctrl-C.
 help-program = A press program never run, by its settings: its coefficients are predicted from the campaign's. May be repeated.
+help-range = What can be set, and how far: platen_temperature_C, press_time_s, thickness_mm, start_temperature_C, waiting_s or pressure_N_cm2. May be repeated; without it the runs' own range, modestly widened.
 help-rehearse = Simulate such campaigns from the sensor's own model, with each cause hidden in turn and none, diagnose them, and say how often a cause is found and how often a false one is named.
 help-rehearse-campaigns = Simulated campaigns of each cause; 10 without.
 help-rehearse-dask = A Dask scheduler whose workers take the simulated campaigns.

@@ -9,6 +9,7 @@ from daq.records import Array
 from daq.words import Message
 from softsensor.diagnosis.decision import Verdict
 from softsensor.diagnosis.extended_model import model_of
+from softsensor.diagnosis.extension import SharedFit
 from softsensor.diagnosis.gains import Gain, paired_gain
 from softsensor.diagnosis.numbers import Errors, Interval
 from softsensor.diagnosis.search import SettledModel
@@ -16,6 +17,16 @@ from softsensor.diagnosis.sign_flips import PatternTest
 from softsensor.effects import sensor_fault
 from softsensor.heat.model_file import ModelFile
 from softsensor.signals.screen import ChannelFault
+
+
+@dataclass(frozen=True)
+class Contest:
+    """The models between which a search decided, as it left them."""
+
+    stage: SettledModel
+    """The model on top of which the causes were fitted."""
+    fits: tuple[tuple[str, SharedFit], ...]
+    """Of each cause of the set, its own first."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +47,8 @@ class Finding:
     """Runners-up outside the set and by how many standard errors the runs prefer the name."""
     votes: tuple[int, int] = (0, 0)
     """How many runs, each left out in turn, fit better with it, and how many there are."""
+    contest: Contest | None = None
+    """What the next pressings may decide (`softsensor.planning`); None where no fit stands behind it."""
 
     def as_json(self) -> dict[str, Any]:
         """Return the contract's table."""

@@ -58,7 +58,7 @@ from softsensor.diagnosis.advice import AdviceBasis, next_measurement, notes, ri
 from softsensor.diagnosis.decision import Case, Proof, Remains, conclude
 from softsensor.diagnosis.extension import RunState, from_the_others, held_out, predicted
 from softsensor.diagnosis.extension_unknowns import is_shape
-from softsensor.diagnosis.finding import Diagnosis, Finding
+from softsensor.diagnosis.finding import Contest, Diagnosis, Finding
 from softsensor.diagnosis.gains import Gain, paired_gain
 from softsensor.diagnosis.numbers import Errors, Interval, intervals, is_described, measure_errors, noise_floor
 from softsensor.diagnosis.search import Candidate, SettledModel, run_errors, settle_base
@@ -274,10 +274,11 @@ def _findings(
                 for c in round_.candidates
                 if c.refined and c.effect.name not in round_.set
             ][:3]
+        names = _alternatives(round_, final.effects)
         found.append(
             Finding(
                 name=name,
-                set=_alternatives(round_, final.effects),
+                set=names,
                 parameters=intervals(final.fit, find_effect(name)),
                 p_value=_rounded(round_.p_values.get(name, 1.0)),
                 gain=switched[0] if switched else paired_gain(errors[i - 1].heldout, errors[i].heldout),
@@ -285,9 +286,15 @@ def _findings(
                 explained_share=_rounded(max(shares[i] - shares[i - 1], 0.0)),
                 against=tuple(against),
                 votes=votes,
+                contest=_contest(stages[i - 1], round_.candidates, names),
             )
         )
     return tuple(found)
+
+
+def _contest(stage: SettledModel, found: Iterable[Candidate], names: Sequence[str]) -> Contest:
+    fits = {c.effect.name: c.fit for c in found}
+    return Contest(stage, tuple((name, fits[name]) for name in names if name in fits))
 
 
 def _alternatives(round_: Round, named: Sequence[str]) -> tuple[str, ...]:
@@ -317,6 +324,7 @@ def _nearly(rounds: Sequence[Round], stage: SettledModel) -> tuple[Finding, ...]
             predicted=paired_gain(*(run_errors(stage.data, states) for states in ahead)),
             explained_share=_explained_by(c, stage),
             votes=(int((c.gains > 0.0).sum()), len(c.gains)),
+            contest=_contest(stage, (c,), (c.effect.name,)),
         ),
     )
 

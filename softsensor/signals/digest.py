@@ -149,7 +149,7 @@ def digest_run(press: Press, run: Run, moments: Moments, excluded: frozenset[str
         if np.isfinite(run.columns[c]).any()
     }
     cores = {c: _nan_means(run.columns[c][rows][:, None], first_row)[:, 0] for c in validation}
-    slope = np.stack([_slope(time, y[:, i]) for i in range(len(signals))], axis=1)
+    slope = np.stack([slope_of(time, y[:, i]) for i in range(len(signals))], axis=1)
     lean = _lean(run, samples, series, signals, validation)
     places = {s: s for s in signals} | validation
     cases = {False: _sampled(case, lean, places)}
@@ -261,7 +261,8 @@ def _sample_times(start: Array, end: Array, count: np.ndarray) -> tuple[Array, n
     return np.array(times), np.array(first)
 
 
-def _slope(time: Array, y: Array) -> Array:
+def slope_of(time: Array, y: Array) -> Array:
+    """Return how fast a signal's means rise, 0 where there is none (bins). [K/s]"""
     good = np.isfinite(y)
     slope = np.zeros(len(y))
     if good.sum() > 2:

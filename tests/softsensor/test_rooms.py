@@ -8,7 +8,7 @@ import pytest
 import softsensor
 
 ROOMS = Path(softsensor.__file__).parent
-INFERENCE = ("effects", "heat", "signals", "fitting", "diagnosis", "live", "opening")
+INFERENCE = ("effects", "heat", "signals", "fitting", "diagnosis", "live", "opening", "planning")
 WORLD = {"open", "print", "input"}
 """Builtins that reach the world outside."""
 ON_FILES = {"read_text", "read_bytes", "write_text", "write_bytes", "unlink", "mkdir", "savefig"}

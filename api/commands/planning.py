@@ -1,0 +1,66 @@
+"""`plan`: the next pressings worth most, and what each would settle."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Annotated
+
+import typer
+
+from api.commands.fitting import JsonOut
+from api.commands.inputs import ConfigFile, PressFile, Runs, StoreUrl, files_read, load_runs
+from api.commands.until import Until, shortened
+from api.outputs import as_json, check_writable, tell, working, write_all
+from daq.records import InputError
+from daq.words import say
+
+RangesGiven = Annotated[list[str] | None, typer.Option("--range", metavar="NAME=LOW:HIGH", help="help-range")]
+DIAGNOSING = 0.8
+"""Share of the work that the diagnosis takes; measured on seven runs, 2026-11-22."""
+
+
+def plan(  # noqa: PLR0913 - one argument an option
+    runs: Runs,
+    press: PressFile,
+    json: JsonOut = None,
+    ranges: RangesGiven = None,
+    until: Until = None,
+    store: StoreUrl = None,
+    config: ConfigFile = None,
+) -> None:
+    """Say which pressings are worth most next, and what each would settle."""
+    from daq.press.press_file import read_press
+
+    check_writable(json, inputs=files_read(*runs, press, store=store, config=config))
+    asked = parse_ranges(ranges or ())
+    described = read_press(press)
+    loaded = shortened(load_runs(runs, store, config), described, until)
+    with working(say("terminal-progress-planning", runs=len(loaded)), 100) as done:
+        from softsensor.diagnosis.verdict import diagnose
+        from softsensor.planning.plan import plan as look_ahead
+        from softsensor.planning.plan import ranges_of
+
+        ranges_of(described, loaded, asked)
+        found = diagnose(described, loaded, progress=lambda _what, share: done(round(100 * DIAGNOSING * share)))
+        rest = 1.0 - DIAGNOSING
+        told = look_ahead(
+            described, found, asked, progress=lambda _what, share: done(round(100 * (DIAGNOSING + rest * share)))
+        )
+        write_all({} if json is None else {json: as_json(told.as_json())})
+    from softsensor.planning.summary import plan_said
+
+    for line in plan_said(told):
+        tell(line)
+
+
+def parse_ranges(given: Iterable[str]) -> dict[str, tuple[float, float]]:
+    """Return ranges by factor's name. Raises `InputError` for one that cannot be read."""
+    found = {}
+    for text in given:
+        name, _, ends = text.partition("=")
+        low, _, high = ends.partition(":")
+        try:
+            found[name.strip()] = (float(low), float(high))
+        except ValueError:
+            raise InputError(say("plan-range-unreadable", given=text)) from None
+    return found

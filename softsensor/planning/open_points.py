@@ -1,0 +1,197 @@
+"""What a campaign leaves open, and how far a pressing would settle it: causes, coefficients, the core's band."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from itertools import combinations
+
+import numpy as np
+
+from daq.records import Array
+from softsensor.diagnosis.advice import CORE_OFF_K
+from softsensor.diagnosis.extension import SharedFit
+from softsensor.diagnosis.extension_unknowns import free_coefficients, lay_out, logarithm_of, run_values, start_eta
+from softsensor.diagnosis.finding import Contest, Diagnosis, Finding
+from softsensor.diagnosis.search import SettledModel
+from softsensor.fitting.experiment_advice import WANTED
+from softsensor.planning.information import (
+    WANTED_CHANCE,
+    RunInformation,
+    chance_settled,
+    covariance_after,
+    evidence,
+    inverse,
+    runs_needed,
+)
+from softsensor.planning.outlook import Outlook, expected, opening_row, told_by, with_readings
+
+TWO_SIDED = 1.96
+"""Standard deviations of a 95 % interval's half."""
+NOTHING = ""
+"""In the place of a cause: none at all."""
+
+
+class Kind(StrEnum):
+    """What is open; names of the JSON."""
+
+    CAUSE = "cause"
+    COEFFICIENT = "coefficient"
+    CORE_BAND = "core_band"
+
+
+@dataclass(frozen=True)
+class Prospect:
+    """What pressings of one kind would bring to one open point."""
+
+    worth: float
+    """By which pressings are compared, in nats: expected log odds of one, or what its interval loses in width."""
+    chance: float | None
+    """That one such pressing settles it; None where it does not depend on chance."""
+    runs: int | None
+    """How many settle it, with `WANTED_CHANCE` where chance comes in; None: more than `MANY`, or never."""
+    half_after: float | None = None
+    """Half interval after one, of a coefficient as a share, of the core in K."""
+
+
+@dataclass(frozen=True)
+class Contender:
+    """One explanation, and how well it is known."""
+
+    name: str
+    fit: SharedFit
+    before: Array
+    """Precision of its numbers and of the shared constants."""
+
+
+@dataclass(frozen=True)
+class OpenPoint:
+    """One matter that the runs leave open.
+
+    Of causes: the contenders. Of a number: one model, the direction asked about among its numbers and constants,
+    and the half interval wanted along it.
+    """
+
+    kind: Kind
+    name: str
+    """Of the cause found or suspected, or of the coefficient."""
+    stage: SettledModel
+    contenders: tuple[Contender, ...]
+    suspected: bool = False
+    along: Array | None = None
+    wanted: float = 0.0
+    """Half interval wanted, as `half_now`."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the causes; the empty name is none at all."""
+        return tuple(c.name for c in self.contenders)
+
+    @property
+    def half_now(self) -> float | None:
+        """Half of the 95 % interval now; of a coefficient as a share, of the core in K."""
+        return None if self.along is None else self._half(inverse(self.contenders[0].before))
+
+    def _half(self, covariance: Array) -> float:
+        along = np.asarray(self.along)
+        return TWO_SIDED * math.sqrt(max(float(along @ covariance @ along), 0.0))
+
+    def prospect(self, outlook: Outlook, constants: Sequence[str]) -> Prospect:
+        """Return what a pressing would bring."""
+        if self.along is not None:
+            return self._knowledge(outlook, constants)
+        pairs = [self._between(a, b, outlook, constants) for a, b in combinations(self.contenders, 2)]
+        nearest = min(pairs, key=lambda p: p[1])
+        before, one, run = nearest[0], nearest[1], nearest[2]
+
+        def settled(runs: int) -> bool:
+            return chance_settled(evidence(before, run, runs)) >= WANTED_CHANCE
+
+        return Prospect(one / 2.0, chance_settled(one), runs_needed(settled))
+
+    def _between(
+        self, true: Contender, other: Contender, outlook: Outlook, constants: Sequence[str]
+    ) -> tuple[Array, float, RunInformation]:
+        read = with_readings(outlook.digest, true.fit, self.stage.population)
+        run = expected(outlook, other.fit, self.stage, read, constants)
+        return other.before, evidence(other.before, run, 1), run
+
+    def _knowledge(self, outlook: Outlook, constants: Sequence[str]) -> Prospect:
+        known = self.contenders[0]
+        read = with_readings(outlook.digest, known.fit, self.stage.population)
+        run = expected(outlook, known.fit, self.stage, read, constants)
+        after, now = self._half(covariance_after(known.before, run, 1)), self.half_now or 0.0
+        runs = runs_needed(lambda n: self._half(covariance_after(known.before, run, n)) <= self.wanted)
+        return Prospect(math.log(max(now, 1e-12) / max(after, 1e-12)), None, runs, after)
+
+
+def contender(
+    name: str, fit: SharedFit, stage: SettledModel, past: Sequence[Outlook], constants: Sequence[str]
+) -> Contender:
+    """Return an explanation with what the runs so far say of its numbers and of the shared constants."""
+    count = len(fit.theta) + len(constants)
+    before = np.zeros((count, count))
+    before[: len(fit.theta), : len(fit.theta)] = fit.prior_hessian
+    before[len(fit.theta) :, len(fit.theta) :] = np.eye(len(constants))
+    for state, data, outlook in zip(fit.runs, stage.data, past, strict=True):
+        before += told_by(outlook, state, data, constants).information
+    return Contender(name, fit, before)
+
+
+def open_causes(found: Diagnosis, past: Sequence[Outlook], constants: Sequence[str]) -> list[OpenPoint]:
+    """Return the sets that the runs do not tell apart, and what is suspected, against none at all."""
+    return [_of_causes(found, f, contest, past, constants) for f, contest in contested(found)]
+
+
+def contested(found: Diagnosis) -> list[tuple[Finding, Contest]]:
+    """Return the findings between whose causes, or a cause and none, a pressing could decide."""
+    least = [(f, 2) for f in found.findings] + [(f, 1) for f in found.suspected]
+    return [(f, f.contest) for f, n in least if f.contest is not None and len(f.contest.fits) >= n]
+
+
+def _of_causes(
+    found: Diagnosis, finding: Finding, contest: Contest, past: Sequence[Outlook], constants: Sequence[str]
+) -> OpenPoint:
+    suspected = any(finding is f for f in found.suspected)
+    fits = [*contest.fits, *([(NOTHING, contest.stage.fit)] if suspected else [])]
+    known = tuple(contender(n, fit, contest.stage, past, constants) for n, fit in fits)
+    return OpenPoint(Kind.CAUSE, finding.name, contest.stage, known, suspected)
+
+
+def open_numbers(stage: SettledModel, past: Sequence[Outlook], constants: Sequence[str]) -> list[OpenPoint]:
+    """Return coefficients known less well than `WANTED`, and the core, where more than `CORE_OFF_K` is left of it.
+
+    Of the core at the opening counts what the campaign's numbers and shared constants leave; panels scatter
+    besides.
+    """
+    known = contender(stage.fit.layout.model.press.press.name, stage.fit, stage, past, constants)
+    names = [s.name for s in stage.fit.layout.shared]
+    blank = OpenPoint(Kind.COEFFICIENT, "", stage, (known,), along=np.zeros(len(known.before)), wanted=WANTED)
+    points = []
+    for coefficient in free_coefficients(stage.fit.layout.model):
+        along = np.zeros(len(known.before))
+        along[names.index(logarithm_of(coefficient))] = 1.0
+        points.append(replace(blank, name=coefficient, along=along))
+    if stage.fit.layout.model.press.panel_layers:
+        along = _core_of_the_usual(stage, past, constants)
+        points.append(replace(blank, kind=Kind.CORE_BAND, name="core", along=along, wanted=CORE_OFF_K))
+    return [p for p in points if (p.half_now or 0.0) > p.wanted]
+
+
+def _core_of_the_usual(stage: SettledModel, past: Sequence[Outlook], constants: Sequence[str]) -> Array:
+    """Return what shared numbers and constants do to the core at the opening, mean over runs (x). [K]"""
+    total = np.zeros(len(stage.fit.theta) + len(constants))
+    for outlook in past:
+        layout = lay_out(stage.fit.layout.model, [outlook.digest], stage.population, stage.fit.values)
+        values = run_values(layout, 0, stage.fit.theta, start_eta(layout, 0, stage.fit.theta))
+        coefficients = free_coefficients(stage.fit.layout.model)
+        wanted = [s.coefficient or s.name for s in stage.fit.layout.shared]
+        solution = outlook.digest.solve(stage.fit.layout.model, values, wanted)
+        row = opening_row(outlook.digest)
+        for i, name in enumerate(wanted):
+            total[i] += solution.d_core[name][row] * (values[name] if name in coefficients else 1.0)
+        for i, key in enumerate(constants):
+            total[len(wanted) + i] += outlook.core_K.get(key, 0.0) * (key in outlook.shared)
+    return total / len(past)

@@ -1,0 +1,67 @@
+"""A plan in words: what is open, and the pressings for it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from daq.words import Message, say
+from softsensor.effects.vocabulary import called
+from softsensor.planning.information import MANY
+from softsensor.planning.open_points import NOTHING, Kind, OpenPoint, Prospect
+from softsensor.planning.plan import Advice, Plan, Pressing
+
+
+def plan_said(found: Plan) -> Iterator[Message]:
+    """Say each open point with its pressings, one line each."""
+    if not found.points:
+        yield say("plan-nothing-open")
+    for advice in found.points:
+        yield point_said(advice.point)
+        yield from pressings_said(advice)
+
+
+def point_said(point: OpenPoint) -> Message:
+    """Say what is open."""
+    if point.kind is Kind.COEFFICIENT:
+        now, wanted = 100.0 * (point.half_now or 0.0), 100.0 * point.wanted
+        return say("plan-open-coefficient", name=point.name, percent=now, wanted=wanted)
+    if point.kind is Kind.CORE_BAND:
+        return say("plan-open-core", kelvin=point.half_now or 0.0, wanted=point.wanted)
+    causes = tuple(called(name) for name in point.names if name != NOTHING)
+    return say("plan-open-suspected", causes=causes) if point.suspected else say("plan-open-causes", causes=causes)
+
+
+def pressings_said(advice: Advice) -> Iterator[Message]:
+    """Say the best pressing, the same with a thermocouple in the core, and what repeating brings."""
+    kind = advice.point.kind
+    yield best_said(advice)
+    if advice.with_core is not None:
+        prospect = prospect_said(advice.with_core.prospect, kind)
+        own = settings_said(advice.with_core) or (say("plan-set-as-usual"),)
+        yield say("plan-with-core", settings=own, prospect=prospect)
+    if advice.best.changed:
+        yield say("plan-repeated", prospect=prospect_said(advice.repeated.prospect, kind))
+
+
+def best_said(advice: Advice) -> Message:
+    """Say the best pressing alone."""
+    prospect = prospect_said(advice.best.prospect, advice.point.kind)
+    if not advice.best.changed:
+        return say("plan-best-is-usual", prospect=prospect)
+    return say("plan-best", settings=settings_said(advice.best), prospect=prospect)
+
+
+def settings_said(pressing: Pressing) -> tuple[Message, ...]:
+    """Say what differs from the usual settings."""
+    return tuple(say(f"plan-set-{name}", value=pressing.settings[name]) for name in pressing.changed)
+
+
+def prospect_said(prospect: Prospect, kind: Kind) -> Message:
+    """Say what pressings of a kind would bring."""
+    runs = say("plan-runs-too-many", many=MANY) if prospect.runs is None else say("plan-runs", runs=prospect.runs)
+    if prospect.chance is not None:
+        return say("plan-settles", percent=100.0 * prospect.chance, runs=runs)
+    half = prospect.half_after or 0.0
+    if kind is Kind.COEFFICIENT:
+        return say("plan-narrows-share", percent=100.0 * half, runs=runs)
+    return say("plan-narrows-kelvin", kelvin=half, runs=runs)

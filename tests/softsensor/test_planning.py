@@ -1,0 +1,209 @@
+"""The next pressing: its worth by formulas one can check by hand, and on campaigns of the virtual press."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from functools import cache
+from math import log
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import softsensor
+from api.cli import main
+from daq.press.press_file import Press, parse_press
+from daq.records import InputError
+from daq.simulated.campaign import Plan, make_campaign, press_toml, write_campaign
+from softsensor.diagnosis.extension import fit_campaign_model
+from softsensor.diagnosis.extension_unknowns import lay_out
+from softsensor.diagnosis.search import SettledModel, settle_base
+from softsensor.effects import find_effect
+from softsensor.heat.model import ThermalModel
+from softsensor.planning.information import (
+    ODDS,
+    RunInformation,
+    chance_settled,
+    covariance_after,
+    evidence,
+    runs_needed,
+)
+from softsensor.planning.open_points import Kind, OpenPoint, contender
+from softsensor.planning.outlook import outlook_of, planned_digest, shares, with_core
+from softsensor.planning.program import FACTORS, default_ranges, designed_run, settings_of
+from softsensor.signals.digest import digest_run
+from softsensor.signals.doubt import Doubt, Source
+from softsensor.signals.moments import moments_seen
+
+
+def test_n_runs_know_a_straight_line_as_n_times_its_readings_do() -> None:
+    x, sd = np.array([0.0, 1.0, 2.0]), 0.5
+    rows = np.column_stack([np.ones(3), x]) / sd
+    after = covariance_after(np.zeros((2, 2)), RunInformation(rows.T @ rows, np.zeros(2)), 4)
+    assert after[1, 1] == pytest.approx(sd**2 / (4 * np.sum((x - x.mean()) ** 2)))  # the slope's, by the book
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 1000), runs=st.integers(1, 4))
+def test_the_evidence_is_that_of_one_large_gaussian_over_all_readings(seed: int, runs: int) -> None:
+    rng = np.random.default_rng(seed)
+    rows, apart, known = rng.normal(size=(6, 3)), rng.normal(size=6), np.diag(rng.uniform(0.1, 5.0, 3))
+    one = RunInformation(rows.T @ rows, rows.T @ apart, float(apart @ apart))
+    wide = np.tile(rows, (runs, 1))
+    covariance = np.eye(6 * runs) + wide @ np.linalg.inv(known) @ wide.T
+    both = np.tile(apart, runs)
+    assert evidence(known, one, runs) == pytest.approx(float(both @ np.linalg.solve(covariance, both)), rel=1e-6)
+
+
+def test_what_the_shared_numbers_can_take_up_is_not_settled_by_repeating() -> None:
+    """A difference along a number known to 1 of a run's noise: n/(1 + n) of its square, at most 1."""
+    same = RunInformation(np.eye(1), np.eye(1)[0], 1.0)
+    assert [evidence(np.eye(1), same, n) for n in (1, 3, 99)] == pytest.approx([0.5, 0.75, 0.99])
+    assert runs_needed(lambda n: chance_settled(evidence(np.eye(1), same, n)) > 0.8) is None
+
+
+def test_a_difference_nothing_can_take_up_grows_with_the_runs() -> None:
+    clear = RunInformation(np.zeros((1, 1)), np.zeros(1), 4.0)
+    assert [evidence(np.eye(1), clear, n) for n in (1, 5)] == pytest.approx([4.0, 20.0])
+
+
+def test_the_chance_is_how_often_the_odds_come_out_so() -> None:
+    expected = 9.0
+    drawn = np.random.default_rng(1).normal(expected / 2, np.sqrt(expected), 200_000)
+    assert chance_settled(expected) == pytest.approx(float(np.mean(drawn > log(ODDS))), abs=0.005)
+
+
+@cache
+def press() -> Press:
+    """The virtual press as a press file describes it."""
+    return parse_press(press_toml())
+
+
+@cache
+def stage() -> SettledModel:
+    """The plain model on three pressings of 16 mm, of panels that conduct better than their headers say."""
+    plan = Plan(rate_hz=2.0, thickness_mm=16.0, closed_column=True)
+    runs = [run for run, _ in make_campaign(5, 3, {"conductivity_offset": {"ratio": 1.15}}, plan)]
+    return settle_base(ThermalModel(press()), [digest_run(press(), r, moments_seen(r, press())) for r in runs])
+
+
+def between(first: str, second: str) -> OpenPoint:
+    """A matter between two causes, as three runs leave it."""
+    base = stage()
+    past = [outlook_of(press(), d.digest, base.fit) for d in base.data]
+    known = []
+    for name in (first, second):
+        model = base.fit.layout.model.extended(find_effect(name))
+        layout = lay_out(model, [d.digest for d in base.data], base.population, base.fit.values)
+        fit = fit_campaign_model(layout, base.data, rounds=8)
+        known.append(contender(name, fit, base, past, ()))
+    return OpenPoint(Kind.CAUSE, first, base, tuple(known))
+
+
+def prospect(point: OpenPoint, *, core: bool = False, **changed: float) -> float:
+    like = stage().data[0].digest
+    usual = settings_of(like.run, press(), like.moments)
+    run, moments = designed_run(like.run, press(), like.moments, {**usual, **changed})
+    described = with_core(press(), changed.get("thickness_mm", 16.0)) if core else press()
+    digest = planned_digest(described, run, moments, like)
+    return point.prospect(outlook_of(described, digest, stage().fit), ()).worth
+
+
+def test_another_thickness_or_the_core_tells_conductivity_from_heat_capacity() -> None:
+    """facts, physics.md, section 7: a hard pair (cosine 0.97) that either of them separates."""
+    point = between("conductivity_offset", "heat_capacity_offset")
+    long = prospect(point, press_time_s=120.0)
+    assert prospect(point, press_time_s=120.0, thickness_mm=8.0) > 1.1 * long > 1.1 * prospect(point)
+    assert prospect(point, press_time_s=120.0, thickness_mm=8.0, core=True) > 2.0 * prospect(point)
+
+
+def test_two_names_of_one_cause_are_never_told_apart() -> None:
+    point = between("conductivity_offset", "heat_capacity_offset")
+    twins = replace(point, contenders=(point.contenders[0], point.contenders[0]))
+    assert prospect(twins, thickness_mm=8.0) == pytest.approx(0.0, abs=1e-6)
+
+
+def test_the_usual_settings_give_the_run_they_were_read_from() -> None:
+    like = stage().data[0].digest
+    run, moments = designed_run(like.run, press(), like.moments, settings_of(like.run, press(), like.moments))
+    assert (moments.closed_s, moments.opened_s) == pytest.approx((like.moments.closed_s, like.moments.opened_s))
+    for column in ("platen_top", "closed"):
+        assert run.columns[column] == pytest.approx(like.run.columns[column][: len(run.time_s)], abs=0.3)
+
+
+def test_a_designed_run_waits_presses_and_heats_as_it_is_told() -> None:
+    like = stage().data[0].digest
+    usual = settings_of(like.run, press(), like.moments)
+    wanted = {**usual, "press_time_s": usual["press_time_s"] + 40.0, "waiting_s": usual["waiting_s"] + 10.0}
+    wanted |= {"platen_temperature_C": usual["platen_temperature_C"] + 15.0, "thickness_mm": 8.0}
+    run, moments = designed_run(like.run, press(), like.moments, wanted)
+    seen = moments_seen(replace(run, columns={"closed": run.columns["closed"], **run.columns}), press())
+    assert seen.opened_s - seen.closed_s == pytest.approx(usual["press_time_s"] + 40.0, abs=1.5)
+    assert moments.closed_s == pytest.approx(like.moments.closed_s + 10.0)
+    assert run.header["panel.thickness_mm"] == 8.0
+    assert run.columns["platen_top"][0] == pytest.approx(like.run.columns["platen_top"][0] + 15.0)
+    before = run.columns["platen_top"][run.time_s < moments.opened_s - 1.0]
+    assert np.ptp(before[-40:]) == pytest.approx(0.0, abs=0.5)  # what was last read is held
+
+
+def test_ranges_are_the_runs_own_somewhat_widened() -> None:
+    found = default_ranges([{"thickness_mm": 16.0}, {"thickness_mm": 20.0}])
+    assert found == {"thickness_mm": (12.0, 25.0)}
+    assert default_ranges([{"thickness_mm": 16.0}], {"thickness_mm": (8.0, 19.0)})["thickness_mm"] == (8.0, 19.0)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"thickness_mm": (19.0, 8.0)}, "the lower end goes first"),
+        ({"thickness_mm": (0.1, 8.0)}, "must lie between 2 and 80"),
+        ({"pressure_N_cm2": (200.0, 300.0)}, "these runs set no such thing; known are thickness_mm"),
+    ],
+)
+def test_a_range_that_cannot_be_is_refused(given: dict[str, tuple[float, float]], said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        default_ranges([{"thickness_mm": 16.0}], given)
+
+
+def test_a_panels_own_scatter_is_its_own_and_the_rest_of_its_tables_doubt_is_shared() -> None:
+    own, common = shares("panel.conductivity_W_mK", Doubt(0.1, 0.02, Source.MATERIAL_TABLE))
+    assert own == pytest.approx(0.055 / 0.2)
+    assert own**2 + common**2 == pytest.approx(1.0)
+    assert shares("panel.conductivity_W_mK", Doubt(0.1, 0.005, Source.DATA_SHEET)) == (1.0, 0.0)
+    assert shares("layer.plate_top.thickness_mm", Doubt(10.0, 0.1, Source.DATA_SHEET)) == (0.0, 1.0)
+
+
+def test_the_command_says_what_is_open_and_writes_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    runs = write_campaign(tmp_path, make_campaign(7, 3, None, Plan(rate_hz=1.0, thickness_mm=16.0)))
+    out = tmp_path / "plan.json"
+    ranges = ["--range", "thickness_mm=8:19", "--range", "press_time_s=40:60"]
+    command = ["plan", *map(str, runs), "--press", str(tmp_path / "press.toml"), "--json", str(out), *ranges]
+    assert main(command) == 0
+    said = capsys.readouterr().out
+    told = json.loads(out.read_text(encoding="utf-8"))
+    assert set(told) == {"runs", "verdict", "usual", "ranges", "open"}
+    assert told["runs"] == 3
+    assert told["ranges"]["thickness_mm"] == [8.0, 19.0]
+    assert set(told["usual"]) == set(FACTORS)
+    for point in told["open"]:
+        assert set(point["best"]["settings"]) == set(FACTORS)
+        assert point["best"]["worth"] >= point["repeated"]["worth"]
+    assert len(said.splitlines()) >= max(len(told["open"]), 1)
+    monkeypatch.setenv("KERNTEMP_LANGUAGE", "de")
+    assert main([*command[:-4], "--range", "thickness_mm=8"]) == 2
+    assert "muss NAME=UNTEN:OBEN sein" in capsys.readouterr().err
+
+
+def test_a_plan_in_python_is_the_commands() -> None:
+    runs = [run for run, _ in make_campaign(7, 3, None, Plan(rate_hz=1.0, thickness_mm=16.0))]
+    found = softsensor.diagnose(runs, press(), effects=["edge_loss"])
+    planned = softsensor.plan(found, press(), ranges={"thickness_mm": (8.0, 19.0)})
+    told = json.loads(planned.to_json())
+    assert len(planned.frame()) == sum(3 for _ in told["open"])
+    assert len(str(planned)) > 10
+    assert planned.plot()
