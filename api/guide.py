@@ -22,7 +22,7 @@ from urllib.parse import urljoin, urlsplit
 
 from daq.shared import shared_files
 
-FOLDERS = ("gallery", "guide", "mappings", "presses", "samples")
+FOLDERS = ("gallery", "guide", "mappings", "presses", "resins", "samples")
 """Of what is shipped, shown; the runbook stands beside them."""
 REFERENCE = ("softsensor", "daq")
 _SHELL = Path(__file__).parent / "page" / "guide.html"

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from softsensor.heat.model_file import ModelFile
 
 OutCsv = Annotated[Path, typer.Option("--out", metavar="CSV", help="help-out")]
+ResinFile = Annotated[Path | None, typer.Option("--resin", metavar="FILE", help="help-resin")]
 Model = Annotated[Path | None, typer.Option("--model", metavar="FILE", help="help-model")]
 
 
@@ -74,14 +75,17 @@ def predict(
         str,
         typer.Option("--without", metavar="COLUMNS", help="help-without"),
     ] = "",
+    resin: ResinFile = None,
     store: StoreUrl = None,
     config: ConfigFile = None,
 ) -> None:
     """Replay a run scan by scan through the live sensor, causally."""
     from daq.press.press_file import press_for_run, read_press
+    from daq.press.resin_file import read_resin
 
-    check_writable(out, inputs=files_read(run, press, model, store=store, config=config))
+    check_writable(out, inputs=files_read(run, press, model, resin, store=store, config=config))
     described = read_press(press)
+    paper = read_resin(resin) if resin is not None else None
     (loaded,) = load_runs([run], store, config)
     with working(say("terminal-progress-predicting", run=loaded.name), len(loaded.time_s)) as done:
         from softsensor.jobs.model_files import read_model
@@ -90,8 +94,13 @@ def predict(
         known = read_model(model) if model is not None else None
         if known is not None:
             _check_model((described, press_for_run(described, loaded)), known, model)
-        columns = replay(described, loaded, known, _hidden(loaded, without), done).columns()
+        columns = replay(described, loaded, known, _hidden(loaded, without), done, paper).columns()
     write_all({out: table_text(columns)})
+    if paper is not None:
+        from softsensor.live.curing import resin_remarks
+
+        for remark in resin_remarks(paper, loaded.header):
+            warn(remark)
 
 
 def _check_model(presses: tuple[Press, Press], model: ModelFile, path: Path | None) -> None:

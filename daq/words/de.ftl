@@ -955,6 +955,10 @@ reason-run-begins-with-the-panel-on-the-hot-plate = die Aufzeichnung beginnt mit
 reason-run-refused = der Pressung kann nicht gefolgt werden: { $problem }
 reason-start-temperature-contradicted = die Fühler zeigen { NUMBER($measured_C, maximumFractionDigits: 0) } °C, laut Kopfdaten beginnt die Platte bei { NUMBER($header_C, maximumFractionDigits: 0) } °C
 reason-start-temperature-too-high = laut Kopfdaten beginnt die Platte bei { NUMBER($header_C, maximumFractionDigits: 0) } °C; so heiß ist keine frische Platte
+resin-is-example = das Harz „{ $name }“ ist ein Beispiel; das eigene Papier messen und dessen Kinetik in die Harzdatei eintragen
+resin-needs-panel = die Presse hat keine Platte, also härtet kein Papier; das Harz weglassen
+resin-no-limits = die Harzdatei hat keine Grenze in [limits], open_now bleibt 0; cure_least setzen
+resin-no-moisture = { $key } fehlt im Kopf, der Dampf ist unbekannt und open_now bleibt 0; den Schlüssel ergänzen oder steam_most_kPa aus der Harzdatei nehmen
 
 ## softsensor.jobs: services and nights
 
@@ -1558,6 +1562,7 @@ help-rehearse-dask = Ein Dask-Scheduler, dessen Worker die simulierten Kampagnen
 help-rehearse-effect = Nur diese Ursache verbergen, in eigener Größe, wenn eine angegeben ist. Mehrfach möglich; ohne Angabe alle, die diese Pressungen zeigen könnten.
 help-rehearse-file = Jede fertige simulierte Kampagne in dieser Datei festhalten und nach einem Abbruch von dort weitermachen.
 help-reproduce-paper = Stattdessen: warum die Gradientenverfahren stecken blieben, gezeigt an 20 virtuellen Messungen. --json, --html und --svg heben die Tabelle und die Kosten entlang eines Koeffizienten auf.
+help-resin = Wie das Papier härtet und was beim Öffnen gelten muss (TOML): ergänzt Härtung, Dampf und open_now.
 help-restore = Einen neuen, leeren Datenspeicher aus der Kopie füllen.
 help-roll-back = Nur zum vorigen Modell dieser Presse zurückgehen.
 help-room = Raumtemperatur von einem Thermometer neben den Fühlern, 0 bis 60 °C.

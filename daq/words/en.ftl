@@ -938,6 +938,10 @@ reason-run-begins-with-the-panel-on-the-hot-plate = the run begins with the pane
 reason-run-refused = the run cannot be followed: { $problem }
 reason-start-temperature-contradicted = sensors read { NUMBER($measured_C, maximumFractionDigits: 0) } °C, but the header has the panel start at { NUMBER($header_C, maximumFractionDigits: 0) } °C
 reason-start-temperature-too-high = the header has the panel start at { NUMBER($header_C, maximumFractionDigits: 0) } °C; no fresh panel is so hot
+resin-is-example = the resin "{ $name }" is an example; measure the paper at hand and put its own kinetics into the resin file
+resin-needs-panel = the press has no panel, so no paper cures; leave the resin out
+resin-no-limits = the resin file has no limit in [limits], so open_now stays 0; set cure_least
+resin-no-moisture = { $key } is missing in the header, so steam is not known and open_now stays 0; add it, or take steam_most_kPa out of the resin file
 
 ## softsensor.jobs: services and nights
 
@@ -1539,6 +1543,7 @@ help-rehearse-dask = A Dask scheduler whose workers take the simulated campaigns
 help-rehearse-effect = Hide only this cause, at a size of its own if one is given. May be repeated; all that these runs could show without.
 help-rehearse-file = Keep each finished simulated campaign in this file, and go on from there if broken off.
 help-reproduce-paper = Instead: why gradient least squares got stuck, shown on 20 virtual measurements. --json, --html and --svg keep the table and the cost along one coefficient.
+help-resin = How the paper cures and what must hold at opening (TOML): adds cure, steam and open_now.
 help-restore = Fill a new, empty store from the copy.
 help-roll-back = Only go back to this press's model before.
 help-room = Temperature of the room, from a thermometer beside the sensors, 0 to 60 °C.

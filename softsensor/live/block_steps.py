@@ -52,6 +52,15 @@ class Blocks(NamedTuple):
     """Whether it lies just after a switch (K)."""
 
 
+def single(blocks: Blocks, k: int) -> Blocks:
+    """Return one of the blocks."""
+    own = slice(k, k + 1)
+    return Blocks(
+        blocks.span[own], blocks.outside[own], blocks.level[own], blocks.moment[own], blocks.votes[own],
+        blocks.newest[own], blocks.quiet[own],
+    )  # fmt: skip
+
+
 class Counted(NamedTuple):
     """Which readings of the faces count, and when the press moved."""
 

@@ -10,7 +10,8 @@ import numpy as np
 
 from daq.records import Array
 from softsensor.live import mixture_steps as mixtures
-from softsensor.live.block_steps import HOLE_S, Blocks, FacesRead, march_between_faces
+from softsensor.live.block_steps import HOLE_S, Blocks, FacesRead, march_between_faces, single
+from softsensor.live.curing import Curing
 from softsensor.live.kalman_steps import StateEstimate, filter_blocks
 from softsensor.live.march_steps import Timing
 from softsensor.live.mixture_steps import Hypotheses
@@ -52,6 +53,8 @@ class KalmanFilter:
     """Logarithm of the odds that something changed at once since the start."""
     odd: deque[tuple[float, float, float, float]] = field(default_factory=deque)
     """Blocks not yet counted in the three: end, length, mean square innovation, nats for a change. [s, s, -, -]"""
+    curing: Curing | None = None
+    """Cure of both faces, where a resin is given."""
 
     @staticmethod
     def at_prior(setup: RunSetup, made: Linearised, timing: Timing, plan: FilterPlan) -> KalmanFilter:
@@ -83,16 +86,33 @@ class KalmanFilter:
             timing=timing,
             estimate=StateEstimate(x, cov, error, made.at),
             reach=plan.reach,
+            curing=_uncured(setup, made),
         )
 
     def take(self, blocks: Blocks) -> None:
         """March over blocks of scans and correct by what the faces read."""
         scores = np.empty((len(blocks.quiet), 4))
-        filter_blocks(self.linearised.model, self.timing, self.estimate, blocks, scores)
+        if self.curing is None:
+            filter_blocks(self.linearised.model, self.timing, self.estimate, blocks, scores)
+        else:
+            self._take_and_cure(blocks, scores)
         for (begin, end), quiet, score in zip(
             blocks.span.tolist(), blocks.quiet.tolist(), scores.tolist(), strict=True
         ):
             self._count(begin, end, score, quiet=quiet)
+
+    def _take_and_cure(self, blocks: Blocks, scores: Array) -> None:
+        """March block by block, so that the cure sees the faces at each block's end."""
+        model = self.linearised.model
+        for k in range(len(blocks.quiet)):
+            one = single(blocks, k)
+            filter_blocks(model, self.timing, self.estimate, one, scores[k : k + 1])
+            self.cure(float(blocks.span[k, 1] - blocks.span[k, 0]))
+
+    def cure(self, seconds: float) -> None:
+        """Carry the cure on to where the model has been marched, so many seconds on."""
+        if self.curing is not None:
+            self.curing = self.curing.after(self.linearised.model.state, seconds)
 
     def _count(self, begin: float, end: float, score: list[float], *, quiet: bool) -> None:
         """Keep how well a block was expected: log-likelihood, squares, their number, nats for a change."""
@@ -144,6 +164,14 @@ class KalmanFilter:
             target[i] = min(max(mean[i], self.reach[0][i]), self.reach[1][i])
             far = far or abs(target[i] - own.at[i]) > step
         return target if far else None
+
+
+def _uncured(setup: RunSetup, made: Linearised) -> Curing | None:
+    """Return the cure at a filter's start; None without a resin or a panel."""
+    if setup.resin is None or not len(made.profile):
+        return None
+    faces = made.profile[[0, -1]]
+    return Curing.begin(setup.resin.kinetics, faces, made.start_C, len(made.names), made.model.state)
 
 
 @dataclass

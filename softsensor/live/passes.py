@@ -18,6 +18,7 @@ from softsensor.live.blocks import Scans, blocks_of, cut
 from softsensor.live.budget import band_from
 from softsensor.live.inside import Inside, look_inside
 from softsensor.live.kalman import BetweenFaces, KalmanFilter
+from softsensor.live.leaving import Leave, leave_of
 from softsensor.live.march_steps import LONGEST_STEP_S, Chain, Timing
 from softsensor.live.mixture import Mixture, mix, model_variance
 from softsensor.live.priors import TIMING, panel_plan, plans_for
@@ -104,6 +105,7 @@ class Pass:
         """Scans taken in."""
         self.mixture: Mixture | None = None
         self._inside: tuple[Mixture | None, Inside] | None = None
+        self._leave: tuple[Mixture | None, Leave] | None = None
         self._sound = True
         """Whether nothing has changed at once so far."""
 
@@ -176,6 +178,15 @@ class Pass:
         if self._inside is None or self._inside[0] is not self.mixture:
             self._inside = self.mixture, look_inside(self.filters[0])
         return self._inside[1]
+
+    @property
+    def leave(self) -> Leave | None:
+        """Cure, steam and limits now; None where no resin is given, or nothing is known yet."""
+        if self._setup.resin is None or self.mixture is None:
+            return None
+        if self._leave is None or self._leave[0] is not self.mixture:
+            self._leave = self.mixture, leave_of(self.filters, self.mixture, self._setup.resin)
+        return self._leave[1]
 
     def margin(self, rise: float, *, by_faces: bool = False) -> float:
         """Return what the model itself adds to the core's variance after so much rise. [K²]"""

@@ -7,12 +7,16 @@ from dataclasses import dataclass
 
 from daq.press.header import panel_of
 from daq.press.press_file import Press, press_for_run
+from daq.press.resin_file import Resin
 from daq.records import InputError, Run
+from daq.tables import at
 from daq.words import say
 from softsensor.heat.model_file import ModelFile
+from softsensor.live.leaving import Leave
 from softsensor.live.sensor import Estimate, LiveSensor
 
 NUMBERS = ("core_C", "core_sd_K", "core_low_C", "core_high_C")
+LEAVES = ("cure_top", "cure_bottom", "cure_low", "steam_kPa", "steam_high_kPa")
 
 
 @dataclass(frozen=True)
@@ -21,6 +25,8 @@ class Replay:
 
     run: Run
     estimates: tuple[Estimate, ...]
+    resin: bool = False
+    """Whether cure, steam and leave to open were asked for."""
 
     def columns(self) -> dict[str, list[float] | list[int] | list[str]]:
         """Return it as the columns of ``predict --out``."""
@@ -31,6 +37,15 @@ class Replay:
             **{name: [float(getattr(row, name)) for row in rows] for name in NUMBERS},
             "valid": [int(row.valid) for row in rows],
             "reason": ["" if row.invalid is None else row.invalid.line for row in rows],
+            **(self._leaves() if self.resin else {}),
+        }
+
+    def _leaves(self) -> dict[str, list[float] | list[int] | list[str]]:
+        """Return the columns there are with a resin."""
+        said = [row.leave or Leave() for row in self.estimates]
+        return {
+            **{name: [float(getattr(leave, name)) for leave in said] for name in LEAVES},
+            "open_now": [int(row.open_now) for row in self.estimates],
         }
 
 
@@ -40,6 +55,7 @@ def replay(
     model: ModelFile | None = None,
     hidden: Collection[str] = (),
     progress: Callable[[int], None] = lambda scans: None,
+    resin: Resin | None = None,
 ) -> Replay:
     """Feed a run to a live sensor, scan by scan; row i rests on nothing later than scan i.
 
@@ -49,24 +65,28 @@ def replay(
         Columns it does not see; validation columns, a core's, it never sees.
     progress
         Is given the number of scans done.
+    resin
+        Adds cure, steam and leave to open; None: not asked for.
 
     Raises
     ------
     InputError
-        Where the run lacks what this press cannot predict without: a platen's column, or the panel.
+        Where the run lacks what this press cannot predict without: a platen's column, or the panel; where a
+        resin is given for a press without one.
     """
     unseen = {*hidden, *press.sensors_of(run, "validation")}
     seen = {name: values.tolist() for name, values in run.columns.items() if name not in unseen}
-    _check(press, run, seen)
-    sensor = LiveSensor(press, run.header, model)
+    _check(press, run, seen, asked=resin is not None)
+    sensor = LiveSensor(press, run.header, model, resin)
     estimates = []
     for i, time_s in enumerate(run.time_s.tolist()):
         estimates.append(sensor.update(time_s, {name: values[i] for name, values in seen.items()}))
         progress(i + 1)
-    return Replay(run, tuple(estimates))
+    return Replay(run, tuple(estimates), resin is not None)
 
 
-def _check(press: Press, run: Run, seen: Collection[str]) -> None:
+def _check(press: Press, run: Run, seen: Collection[str], *, asked: bool) -> None:
+    """Refuse what cannot be predicted; `asked`: cure and leave to open are wanted."""
     own = press_for_run(press, run)
     for end in ("bottom", "top"):
         boundary = getattr(own.boundary, end)
@@ -82,3 +102,5 @@ def _check(press: Press, run: Run, seen: Collection[str]) -> None:
             )
     if own.panel_layers:
         panel_of(run)
+    elif asked:
+        raise InputError(at(run.source or run.name, say("resin-needs-panel")))

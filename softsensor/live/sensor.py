@@ -23,19 +23,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from daq.press.press_file import Press, press_for_run
+from daq.press.resin_file import Resin
 from daq.records import PressState, Run
 from softsensor.heat.model_file import ModelFile
 from softsensor.live.blocks import Scans
 from softsensor.live.consistency import Stillness
+from softsensor.live.curing import resin_setup
 from softsensor.live.following import PressFollower
 from softsensor.live.forecast import Forecast, look_ahead, wishes_of
 from softsensor.live.inside import Inside
+from softsensor.live.leaving import Leave
 from softsensor.live.mixture import Mixture
 from softsensor.live.passes import Pass, Passes
 from softsensor.live.platens import HeldPlatens
@@ -67,6 +70,11 @@ class Estimate:
     """Why it is not to be believed; None: it is valid."""
     suspected: str = ""
     """The cause the readings point to, where one is likelier than none."""
+    leave: Leave | None = None
+    """Cure, steam and limits; None without a resin, and while this is not to be believed."""
+    open_now: bool = False
+    """Whether the press is closed and every limit holds with the wanted probability; else, and where anything is
+    not known, false."""
 
     @property
     def valid(self) -> bool:
@@ -103,10 +111,15 @@ class LiveSensor:
         The run's header: panel, ambient, settings.
     model
         Coefficients and effects from earlier runs; None starts from the press file's guesses.
+    resin
+        How the paper cures and what must hold at opening; None: nobody asks.
     """
 
-    def __init__(self, press: Press, header: Mapping[str, Any], model: ModelFile | None = None) -> None:
+    def __init__(
+        self, press: Press, header: Mapping[str, Any], model: ModelFile | None = None, resin: Resin | None = None
+    ) -> None:
         self._press, self._header, self._model = press, dict(header), model
+        self._resin = None if resin is None else resin_setup(resin, header)
         self._run: _Followed | None = None
         self._wishes = wishes_of(header)
         self._forecast, self._forecast_s = Forecast(), -math.inf
@@ -193,7 +206,7 @@ class LiveSensor:
         times = np.linspace(-2.0, 900.0, 24)  # close enough that no gap needs bridging
         columns = {name: np.full(len(times), v) for name, v in values.items()}
         run = Run("live", self._header, times, columns, "live")
-        setup = set_up(press_for_run(self._press, run), run, self._model)
+        setup = replace(set_up(press_for_run(self._press, run), run, self._model), resin=self._resin)
         scans = Scans(setup.place, len(setup.labels))
         still = Stillness(setup.place, len(setup.labels), len(setup.platens))
         platens = HeldPlatens(setup.press)
@@ -212,6 +225,8 @@ class LiveSensor:
         low, high = (
             min(max(t + ahead, can_be.lowest_C), can_be.highest_C) for t in (mixture.low_C, mixture.high_C)
         )
+        invalid = can_be.contradicted(core) or _why_invalid(run, current, mixture, time_s)
+        leave = current.leave if invalid is None else None
         return Estimate(
             time_s=time_s,
             state=state,
@@ -219,9 +234,14 @@ class LiveSensor:
             core_sd_K=mixture.sd_K,
             core_low_C=min(low, core),
             core_high_C=max(high, core),
-            invalid=can_be.contradicted(core) or _why_invalid(run, current, mixture, time_s),
+            invalid=invalid,
             suspected=mixture.leading,
+            leave=leave,
+            open_now=state is PressState.CLOSED and self._holds(leave),
         )
+
+    def _holds(self, leave: Leave | None) -> bool:
+        return leave is not None and self._resin is not None and leave.holds(self._resin.limits.probability)
 
 
 def _why_invalid(run: _Followed, current: Pass, mixture: Mixture, time_s: float) -> Invalid | None:

@@ -20,6 +20,7 @@ from softsensor.heat.case import Case
 from softsensor.heat.model import ThermalModel
 from softsensor.heat.model_file import ModelFile
 from softsensor.live.channel_steps import Integers
+from softsensor.live.curing import ResinSetup
 from softsensor.live.directions import MOST_SHARE, Direction, directions_of
 from softsensor.live.march_steps import Chain, Factors, LinearModel, settle
 from softsensor.live.priors import SKIN, TIMING, FilterPlan, Prior
@@ -44,6 +45,8 @@ class RunSetup:
     """The panel's initial temperature as the header says, NaN without a panel. [°C]"""
     directions: tuple[Direction, ...]
     """Parameters that no effect owns."""
+    resin: ResinSetup | None = None
+    """How the paper cures and what must hold at opening, where that is asked for."""
     cases: dict[tuple[str, ...], Case] = field(default_factory=dict, compare=False)
     """Laid out once for each set of effects."""
     profiles: dict[tuple[str, ...], Array] = field(default_factory=dict, compare=False)

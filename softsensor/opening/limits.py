@@ -101,7 +101,7 @@ def broken(limits: LimitsTable, kinetics: Kinetics, panel: Panel) -> dict[str, A
     return found
 
 
-def risk(chances: Mapping[str, Array]) -> Array:
+def risk(chances: Mapping[str, Array] | Mapping[str, float]) -> Array:
     """Return the chance that any limit is broken, at most: the sum of theirs; 1 where there is no limit at all."""
     if not chances:
         return np.asarray(1.0)

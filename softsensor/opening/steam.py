@@ -31,8 +31,8 @@ of the table it was fitted to. [°C]"""
 FIT_PERCENT = 0.5
 """Of moisture: what the fit differs from its table, and species from one another, one standard deviation between
 Simpson's mean (0.13) and worst (0.9) deviation. [%]"""
-_STEPS = 60
-"""Halvings of the search in ln p: to 1e-17 of its range, what a double holds."""
+_STEPS = 40
+"""Halvings of the search in ln p, over some 25: to 2e-11."""
 _NUDGE_K, _NUDGE = 0.05, 1e-4
 """For slopes of the isotherm. [K, -]"""
 _N = (

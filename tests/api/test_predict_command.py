@@ -58,3 +58,66 @@ def test_a_model_of_another_press_is_warned_of(files, capsys):
         words = ["predict", str(path), "--press", str(folder / "press.toml"), "--model", str(model)]
         assert main([*words, "--out", str(out)]) == 0
         assert ("is of press 'hall-2', the press file is of 'lab'" in capsys.readouterr().err) is warned
+
+
+RESIN = """
+[resin]
+name = "own"
+source = "own DSC"
+[order]
+rate_per_s = 0.05
+rate_per_s.sd = 0.005
+activation_energy_kJ_mol = 85.0
+[limits]
+cure_least = 0.5
+"""
+
+
+def test_a_resin_adds_cure_steam_and_leave_to_open(files, capsys):
+    folder, path = files
+    resin, out = folder / "resin.toml", folder / "cured.csv"
+    words = ["predict", str(path), "--press", str(folder / "press.toml"), "--resin", str(resin), "--out", str(out)]
+    resin.write_text(RESIN, encoding="utf-8")
+    assert main(words) == 0
+    first, *rows = out.read_text(encoding="utf-8").splitlines()
+    names = first.split(",")
+    assert names[8:] == ["cure_top", "cure_bottom", "cure_low", "steam_kPa", "steam_high_kPa", "open_now"]
+    assert [row.rsplit(",", 6)[0] for row in rows] == predicted(folder, path)[1:]
+    table = [dict(zip(names, row.split(","), strict=True)) for row in rows]
+    leave = [row["open_now"] for row in table]
+    assert set(leave) == {"0", "1"}
+    for row in table:
+        assert row["open_now"] == "0" or (row["state"], row["valid"]) == ("closed", "1")
+        assert row["open_now"] == "0" or float(row["cure_low"]) >= 0.5
+    capsys.readouterr()
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (("cure_least = 0.5", "cure_least = 50"), "resin.toml: limits.cure_least = 50"),
+        (("cure_least = 0.5", "cure_lest = 0.5"), "did you mean cure_least?"),
+        (("rate_per_s = 0.05", "rate_per_s = -1"), "order.rate_per_s = -1"),
+    ],
+)
+def test_a_resin_that_cannot_be_is_refused_and_nothing_is_written(files, capsys, change, said):
+    folder, path = files
+    resin, out = folder / "resin.toml", folder / "never.csv"
+    resin.write_text(RESIN.replace(*change), encoding="utf-8")
+    words = ["predict", str(path), "--press", str(folder / "press.toml"), "--resin", str(resin), "--out", str(out)]
+    assert main(words) == 2
+    assert said in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_an_example_resin_and_missing_limits_are_told(files, capsys):
+    folder, path = files
+    resin, out = folder / "example.toml", folder / "example.csv"
+    text = RESIN.replace('source = "own DSC"', 'source = "own DSC"\nexample = true').partition("[limits]")[0]
+    resin.write_text(text, encoding="utf-8")
+    words = ["predict", str(path), "--press", str(folder / "press.toml"), "--resin", str(resin), "--out", str(out)]
+    assert main(words) == 0
+    told = capsys.readouterr().err
+    assert "is an example" in told
+    assert "has no limit" in told
+    assert all(row.endswith(",0") for row in out.read_text(encoding="utf-8").splitlines()[1:])

@@ -32,7 +32,7 @@ def commands(page: Path) -> list[str]:
 @pytest.fixture
 def shell(tmp_path):
     """A shell at the top of the sources, with `kerntemp` on its PATH and room to write."""
-    for name in ("samples", "presses", "mappings"):
+    for name in ("samples", "presses", "mappings", "resins"):
         shutil.copytree(ROOT / "deploy" / name, tmp_path / "deploy" / name)
     program = tmp_path / "bin" / "kerntemp"
     program.parent.mkdir()
