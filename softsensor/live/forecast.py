@@ -16,10 +16,13 @@ import numpy as np
 from daq.records import Array, PressState
 from daq.words import Message, say
 from softsensor.heat import implicit_steps as kernels
+from softsensor.live.curing import ResinSetup
 from softsensor.live.kalman import KalmanFilter
+from softsensor.live.leaving import leave_of
 from softsensor.live.march_steps import Chain, march
-from softsensor.live.mixture import mix
+from softsensor.live.mixture import Mixture, mix
 from softsensor.live.passes import Pass
+from softsensor.opening.limits import Opening, opening
 
 HORIZON_S, EVERY_S = 240.0, 4.0
 """How far ahead is looked, and at how many times. [s]"""
@@ -77,6 +80,12 @@ class Forecast:
     """Until the core's upper bound passes the limit."""
     forecast_age_s: float = math.nan
     """How long ago this was looked for; the times above are counted from now."""
+    limits_in_s: float = math.nan
+    """From when on every limit of the resin file holds with the wanted probability, if the press stays closed."""
+    limits_likely_in_s: float = math.nan
+    """From when on that is likelier than not."""
+    limits_blocking: str = ""
+    """Where `limits_in_s` is not known: the limit that stands most in the way (`softsensor.opening.limits`)."""
     course: tuple[tuple[float, float, float, float], ...] = ()
     """The core to come if the press stays closed: time from the look on, as reported, lower and upper bound of
     95 %, at most `COURSE_POINTS` of them. [s, °C]"""
@@ -84,7 +93,10 @@ class Forecast:
 
     def later(self, seconds: float) -> Forecast:
         """Return the same forecast some seconds on."""
-        names = ("target_in_s", "target_earliest_s", "target_latest_s", "open_in_s", "limit_in_s")
+        names = (
+            "target_in_s", "target_earliest_s", "target_latest_s", "open_in_s", "limit_in_s",
+            "limits_in_s", "limits_likely_in_s",
+        )  # fmt: skip
         left = {name: getattr(self, name) - seconds for name in names}
         ahead = {name: v if v != v else max(v, 0.0) for name, v in left.items()}
         return replace(self, forecast_age_s=self.forecast_age_s + seconds, **ahead)
@@ -106,7 +118,7 @@ def look_ahead(run: Pass, wishes: Wishes, state: PressState, now: float, outside
         over = peak > wishes.limit_C
         warning = say("core-will-pass-limit", peak_C=peak, limit_C=wishes.limit_C) if over else None
         return Forecast(peak_C=peak, forecast_age_s=0.0, warning=warning)
-    ahead, reported, low, high = _course(run, wishes, now, outside)
+    ahead, (reported, low, high), limits = _course(run, wishes, now, outside)
     until = _crossing(ahead, reported, wishes.target_C)
     found = Forecast(
         target_in_s=until,
@@ -116,6 +128,9 @@ def look_ahead(run: Pass, wishes: Wishes, state: PressState, now: float, outside
         peak_C=peak,
         limit_in_s=_crossing(ahead, high, wishes.limit_C),
         forecast_age_s=0.0,
+        limits_in_s=limits.in_s,
+        limits_likely_in_s=limits.likely_in_s,
+        limits_blocking=limits.blocking,
         course=_thinned(np.stack([ahead, reported, low, high], axis=1)),
     )
     return replace(found, warning=_warning(found, wishes.limit_C))
@@ -130,23 +145,52 @@ def _warning(found: Forecast, limit_C: float) -> Message | None:
     return None
 
 
-def _course(run: Pass, wishes: Wishes, now: float, outside: Array) -> tuple[Array, Array, Array, Array]:
-    """Return times ahead and the core then, as far as it matters: as reported, and its bounds. [s, °C]"""
+def _course(run: Pass, wishes: Wishes, now: float, outside: Array) -> tuple[Array, Array, Opening]:
+    """Return times ahead [s], the core then (reported, low, high) as far as it matters, and when limits hold."""
     copies = [_copy(one) for one in run.filters]
     start = copies[0].core_C - run.rise
     ahead = np.arange(0.0, HORIZON_S + EVERY_S / 2, EVERY_S)
     rows: list[tuple[float, float, float]] = []
+    limits = _Limits(run.resin)
     platens = np.stack([outside, outside])
     for k in range(len(ahead)):
         if k:
             for copy in copies:
                 _march(copy, now + ahead[k - 1], now + ahead[k], platens)
+                copy.cure(EVERY_S)
         mixture = mix(copies, run.margin(copies[0].core_C - start))
         rows.append((mixture.core_C, mixture.low_C, mixture.high_C))
-        if not (mixture.low_C < wishes.target_C or mixture.high_C < wishes.limit_C):
+        limits.look(copies, mixture)
+        if limits.settled and not (mixture.low_C < wishes.target_C or mixture.high_C < wishes.limit_C):
             break
-    reported, low, high = np.array(rows).T
-    return ahead[: len(rows)], reported, low, high
+    seen = ahead[: len(rows)]
+    return seen, np.array(rows).T, limits.opening(seen)
+
+
+class _Limits:
+    """What every look ahead says of the limits; without a resin nothing."""
+
+    def __init__(self, resin: ResinSetup | None) -> None:
+        self._resin = resin
+        self._seen: list[dict[str, float]] = []
+        self.settled = resin is None or not resin.limits.any
+        """Whether nothing is to be looked for any further."""
+
+    def look(self, filters: list[KalmanFilter], mixture: Mixture) -> None:
+        """Note how likely each limit is broken at the moment the filters have come to."""
+        if self._resin is None or self.settled:
+            return
+        leave = leave_of(filters, mixture, self._resin)
+        self._seen.append(dict(leave.broken))
+        self.settled = leave.holds(self._resin.limits.probability)
+
+    def opening(self, ahead: Array) -> Opening:
+        """Return from when on they hold, for the moments looked at."""
+        if self._resin is None or not self._seen:
+            return Opening(math.nan, math.nan, math.nan, "", math.nan)
+        names = dict.fromkeys(name for one in self._seen for name in one)
+        chances = {name: np.array([one.get(name, 0.0) for one in self._seen]) for name in names}
+        return opening(ahead[: len(self._seen)], chances, self._resin.limits.probability)
 
 
 def _thinned(course: Array) -> tuple[tuple[float, float, float, float], ...]:

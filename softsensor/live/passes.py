@@ -16,6 +16,7 @@ from daq.records import Array, Moments, PressEventKind, PressState
 from softsensor.live.block_steps import Counted, last_switch
 from softsensor.live.blocks import Scans, blocks_of, cut
 from softsensor.live.budget import band_from
+from softsensor.live.curing import ResinSetup
 from softsensor.live.inside import Inside, look_inside
 from softsensor.live.kalman import BetweenFaces, KalmanFilter
 from softsensor.live.leaving import Leave, leave_of
@@ -178,6 +179,11 @@ class Pass:
         if self._inside is None or self._inside[0] is not self.mixture:
             self._inside = self.mixture, look_inside(self.filters[0])
         return self._inside[1]
+
+    @property
+    def resin(self) -> ResinSetup | None:
+        """How the paper cures and what must hold at opening; None where nobody asks."""
+        return self._setup.resin
 
     @property
     def leave(self) -> Leave | None:

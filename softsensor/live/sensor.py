@@ -71,7 +71,8 @@ class Estimate:
     suspected: str = ""
     """The cause the readings point to, where one is likelier than none."""
     leave: Leave | None = None
-    """Cure, steam and limits; None without a resin, and while this is not to be believed."""
+    """Cure, steam and limits; None without a resin, and while this is not to be believed for another reason than
+    that the core's band is wide."""
     open_now: bool = False
     """Whether the press is closed and every limit holds with the wanted probability; else, and where anything is
     not known, false."""
@@ -190,7 +191,7 @@ class LiveSensor:
         """Work out what lies ahead, where that matters and the last look is `FORECAST_S` old. Takes some 10 ms."""
         run = self._run
         current = run.passes.current if run is not None else None
-        if run is None or current is None or not self._wishes.any:
+        if run is None or current is None or not (self._wishes.any or self._resin is not None):
             return
         if not math.isfinite(run.press.known.moments.closed_s) or run.scans.now - self._forecast_s < FORECAST_S:
             return
@@ -226,7 +227,8 @@ class LiveSensor:
             min(max(t + ahead, can_be.lowest_C), can_be.highest_C) for t in (mixture.low_C, mixture.high_C)
         )
         invalid = can_be.contradicted(core) or _why_invalid(run, current, mixture, time_s)
-        leave = current.leave if invalid is None else None
+        known = invalid is None or invalid.reason is InvalidReason.BAND_TOO_WIDE  # of the core: faces may be known
+        leave = current.leave if known else None
         return Estimate(
             time_s=time_s,
             state=state,
@@ -237,7 +239,7 @@ class LiveSensor:
             invalid=invalid,
             suspected=mixture.leading,
             leave=leave,
-            open_now=state is PressState.CLOSED and self._holds(leave),
+            open_now=invalid is None and state is PressState.CLOSED and self._holds(leave),
         )
 
     def _holds(self, leave: Leave | None) -> bool:

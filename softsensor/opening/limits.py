@@ -124,6 +124,19 @@ class Opening:
     """Chance that a limit is broken at `in_s`; where that is NaN, at the moment that comes nearest."""
 
 
+def _falls_to(ahead_s: Array, total: Array, level: float) -> float:
+    """Return when a chance first falls to a level, straight in normal deviates in between; NaN: never. [s]"""
+    below = np.flatnonzero(total <= level + 1e-12)
+    if not len(below):
+        return math.nan
+    k = int(below[0])
+    if k == 0:
+        return float(ahead_s[0])
+    before, after, wanted = ndtri(np.clip([total[k - 1], total[k], level], 1e-9, 1.0 - 1e-9))
+    share = (before - wanted) / (before - after) if before > after else 1.0
+    return float(ahead_s[k - 1] + share * (ahead_s[k] - ahead_s[k - 1]))
+
+
 def opening(ahead_s: Array, chances: Mapping[str, Array], wanted: float) -> Opening:
     """Return from when on every limit holds.
 
@@ -139,15 +152,14 @@ def opening(ahead_s: Array, chances: Mapping[str, Array], wanted: float) -> Open
     Examples
     --------
     >>> ahead = np.array([0.0, 4.0, 8.0])
-    >>> opening(ahead, {"cure_top": np.array([0.9, 0.2, 0.01])}, 0.975).in_s
-    8.0
+    >>> round(opening(ahead, {"cure_top": np.array([0.9, 0.2, 0.01])}, 0.975).in_s, 1)
+    7.0
     >>> opening(ahead, {"steam_most": np.array([0.9, 0.9, 0.8])}, 0.975).blocking
     'steam_most'
     """
     total = np.broadcast_to(risk(chances), ahead_s.shape)
     holds = total <= 1.0 - wanted + 1e-12
-    likely = np.flatnonzero(total < 0.5)
-    likely_in = float(ahead_s[likely[0]]) if len(likely) else math.nan
+    likely_in = _falls_to(ahead_s, total, 0.5)
     if not holds.any():
         nearest = int(np.argmin(total))
         worst = max(
@@ -157,4 +169,6 @@ def opening(ahead_s: Array, chances: Mapping[str, Array], wanted: float) -> Open
     first = int(np.argmax(holds))
     after = np.flatnonzero(~holds[first:])
     last = first + int(after[0]) - 1 if len(after) else len(holds) - 1
-    return Opening(float(ahead_s[first]), likely_in, float(ahead_s[last]), "", float(total[first]))
+    return Opening(
+        _falls_to(ahead_s, total, 1.0 - wanted), likely_in, float(ahead_s[last]), "", float(total[first])
+    )

@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import binomtest
 
 from daq.press.press_file import parse_press
-from daq.press.resin_file import parse_resin
+from daq.press.resin_file import LimitsTable, parse_resin
 from daq.records import InputError
 from daq.simulated.campaign import Plan, make_campaign
 from daq.simulated.campaign_pressfile import press_toml
@@ -16,6 +16,7 @@ from daq.simulated.physics import solve
 from daq.simulated.physics_pressing import BASE_COEFFICIENTS
 from softsensor.heat.model_file import FittedValue, MissingCauses, ModelFile
 from softsensor.live.replay import replay
+from softsensor.live.sensor import LiveSensor
 from softsensor.opening.limits import BAND
 from tests.editions import edition
 
@@ -219,3 +220,33 @@ def test_limits_hold_at_opening_with_the_promised_share(hidden):
     assert len(opened) >= 0.9 * len(found)
     assert interval.low <= 0.025
     assert inside >= 0.9
+
+
+def test_the_moment_foreseen_is_the_moment_at_which_leave_is_given(one):
+    run, truth, found = one
+    sensor, told, given = LiveSensor(PRESS, headed(run).header, MODEL, RESIN), [], None
+    for i, t in enumerate(run.time_s.tolist()):
+        said = sensor.update(t, {name: float(values[i]) for name, values in run.columns.items()})
+        sensor.look_ahead()
+        if said.state == "closed":
+            told.append((t, sensor.forecast))
+        given = t if given is None and said.open_now else given
+    assert given - truth.moments.closed_s == pytest.approx(found.opened)
+    before = [(t, o) for t, o in told if truth.moments.closed_s + 3.0 < t < given - 1.0]
+    assert before
+    assert all(o.limits_blocking == "" for _, o in before)
+    assert max(abs(t + o.limits_in_s - given) for t, o in before) < 4.0
+    assert all(o.limits_likely_in_s <= o.limits_in_s for _, o in before)
+    after = [o for t, o in told if given + 4.0 < t < truth.moments.opened_s - 1.0]
+    assert all(o.limits_in_s == 0.0 for o in after)
+
+
+def test_a_limit_that_cannot_be_met_is_named(one):
+    run, truth, _ = one
+    cold = RESIN.model_copy(update={"limits": LimitsTable(cure_least=0.85, core_most_C=30.0, core_least_C=100.0)})
+    sensor = LiveSensor(PRESS, headed(run).header, MODEL, cold)
+    for i, t in enumerate(run.time_s[run.time_s < truth.moments.closed_s + 20.0].tolist()):
+        sensor.update(t, {name: float(values[i]) for name, values in run.columns.items()})
+    sensor.look_ahead()
+    assert np.isnan(sensor.forecast.limits_in_s)
+    assert sensor.forecast.limits_blocking in ("core_most", "core_least")
