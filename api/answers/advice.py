@@ -3,6 +3,9 @@
 The forecast of the live sensor says when to open so that the core's peak just reaches ``setting.core_target_C``.
 Its bounds are those of the time at which the core reaches the target: by how much opening comes before that, while
 the heat of the outer layers still moves inwards, is taken as foreseen.
+
+Where a resin file sets limits, they alone decide: the press may open from when on all of them hold together with
+the wanted probability, as the live sensor foresees it. ``open_now`` is its word at the newest scan.
 """
 
 from __future__ import annotations
@@ -39,7 +42,7 @@ def advice_of(estimate: EstimateNow | None, target_C: float | None, opened_s: fl
         return _known("not_known", say("advice-not-known", why=why), target_C)
     if estimate.state != "closed":
         return _of_open_press(estimate, target_C, opened_s)
-    return _of_closed_press(estimate, target_C)
+    return _of_closed_press(estimate, target_C) if estimate.cure_low is None else _of_limits(estimate, target_C)
 
 
 def _of_open_press(estimate: EstimateNow, target_C: float | None, opened_s: float) -> Advice:  # noqa: N803
@@ -81,6 +84,23 @@ def _of_closed_press(estimate: EstimateNow, target_C: float | None) -> Advice:  
     return _known("open_in", said, target_C, age_s=age_s, **bounds)
 
 
-def _known(verdict: str, said: Message, target_C: float | None, **numbers: float | None) -> Advice:  # noqa: N803
+def _of_limits(estimate: EstimateNow, target_C: float | None) -> Advice:  # noqa: N803
+    """Return from when on every limit of the resin file holds."""
+    age_s = estimate.forecast_age_s
+    if estimate.open_now:
+        return _known("open_now", say("advice-open-now"), target_C, open_in_s=0.0, age_s=age_s)
+    if age_s is None or age_s > SILENT_S:
+        why = say("advice-no-look-ahead") if age_s is None else say("advice-old", seconds=age_s)
+        return _known("not_known", say("advice-not-known", why=why), target_C, age_s=age_s)
+    if estimate.limits_in_s is not None:
+        at = max(estimate.limits_in_s, AT_ONCE_S)  # not yet, or the newest scan would have said so
+        return _known("open_in", say("advice-open-in", seconds=at), target_C, age_s=age_s, open_in_s=round(at, 1))
+    if not estimate.limits_blocking:
+        return _known("not_known", say("advice-not-known", why=say("advice-no-limit")), target_C, age_s=age_s)
+    said = say("advice-blocked", limit=estimate.limits_blocking)
+    return _known("blocked", said, target_C, age_s=age_s, blocking=estimate.limits_blocking)
+
+
+def _known(verdict: str, said: Message, target_C: float | None, **numbers: float | str | None) -> Advice:  # noqa: N803
     given = {"verdict": verdict, "target_C": target_C, **numbers}
     return Advice.model_validate({**given, "sentence": str(said), "sentence_said": said_of(said)})

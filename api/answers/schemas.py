@@ -84,13 +84,15 @@ class Advice(_Answer):
     """When to open the press: the one answer everything else of the forecast goes with."""
 
     verdict: Literal[
-        "open_now", "open_in", "too_early", "not_known", "no_target", "not_closed", "opened", "no_panel"
+        "open_now", "open_in", "too_early", "not_known", "no_target", "not_closed", "opened", "no_panel", "blocked"
     ]
     open_in_s: float | None = None
     """Until opening lets the core's peak just reach the target; 0 for now."""
     open_earliest_s: float | None = None
     open_latest_s: float | None = None
     """Bounds of 95 %; null where they lie beyond the look ahead."""
+    blocking: str | None = None
+    """The limit of the resin file that stands most in the way, where none of the look ahead meets all of them."""
     target_C: float | None = None  # noqa: N815
     peak_C: float | None = None  # noqa: N815
     """Of the core after opening, once it is open."""
@@ -190,6 +192,24 @@ class EstimateNow(_Answer):
     course: list[tuple[float, float, float, float]] | None = None
     """The core to come if the press stays closed: seconds from the look on, core, lower and upper bound.
     Only beside the first estimate after a look."""
+    cure_top: float | None = None
+    """Degree of cure of the paper at the upper face, 0 to 1; null without a resin file."""
+    cure_bottom: float | None = None
+    cure_low: float | None = None
+    """Lower bound of 95 % of the face that may have cured less."""
+    steam_kPa: float | None = None  # noqa: N815
+    """Partial pressure of steam in the panel, as if it were sealed; null where its moisture is not known."""
+    steam_high_kPa: float | None = None  # noqa: N815
+    """Upper bound of 95 %."""
+    open_now: bool = False
+    """Whether the press is closed and every limit of the resin file holds with the wanted probability: ready for a
+    relay, false where anything is not known, not valid or old."""
+    limits_in_s: float | None = None
+    """From when on every limit of the resin file holds, if the press stays closed."""
+    limits_likely_in_s: float | None = None
+    """From when on that is likelier than not."""
+    limits_blocking: str = ""
+    """The limit that stands most in the way where that is not foreseen."""
     left_out: dict[str, float] = Field(default_factory=dict)
     """Channels that read something else than their neighbours and are not used, and by how much. [K]"""
     advice: Advice | None = None

@@ -36,6 +36,7 @@ from daq.address import Address, text_without
 from daq.drivers.settings import LoggerSettings
 from daq.press.header import check_header
 from daq.press.press_file import Press, read_press
+from daq.press.resin_file import read_resin
 from daq.press.wires import CLOSED, Wires
 from daq.records import InputError
 from daq.tables import at, explained, load_toml, unknown_key
@@ -66,6 +67,8 @@ class PressSettings(_Table):
     name: str = Field(min_length=1, pattern=r"^[A-Za-z0-9_-]+$")
     file: Path
     """The press file."""
+    resin: Path | None = None
+    """The resin file: how the paper cures, and what must hold at opening. None: nobody asks."""
     rate_hz: Annotated[float, Field(ge=0.5, le=20)] = 10.0
     pre_trigger_s: Annotated[float, Field(ge=0, le=600)] = 5.0
     """A run begins this long before the panel's insertion; at least 35 s where no sensor showed it."""
@@ -201,6 +204,8 @@ def load_config(path: Path) -> Config:
         press = press_of(settings)
         check_columns(settings, press, str(path))
         check_header(settings.header, say("config-header", file=str(path), press=settings.name))
+        if settings.resin is not None:
+            read_resin(settings.resin)
         presses.append(_resting(settings, press))
     return config.model_copy(update={"press": tuple(presses)})
 
@@ -253,7 +258,13 @@ def _absolute(config: Config, folder: Path) -> Config:
     buffer = folder / (config.store.buffer or "kerntemp-buffer.sqlite")
     store = config.store.model_copy(update={"url": Address(url), "buffer": buffer})
     presses = tuple(
-        p.model_copy(update={"file": folder / p.file, "logger": tuple(lg.relative_to(folder) for lg in p.logger)})
+        p.model_copy(
+            update={
+                "file": folder / p.file,
+                "resin": None if p.resin is None else folder / p.resin,
+                "logger": tuple(lg.relative_to(folder) for lg in p.logger),
+            }
+        )
         for p in config.press
     )
     tokens = config.server.tokens

@@ -1278,6 +1278,15 @@ report-worth = erklärt { NUMBER($percent, maximumFractionDigits: 0) } % dessen,
 
 ## api: when to open
 
+advice-blocked = { $limit ->
+        [core_least] der Kern wird in der Vorausschau nicht heiß genug
+        [core_most] der Kern ist zu heiß
+        [cure_bottom] die untere Fläche härtet in der Vorausschau nicht aus
+        [cure_top] die obere Fläche härtet in der Vorausschau nicht aus
+        [steam_most] zu viel Dampf, oder sein Druck ist nicht bekannt
+       *[sudden_change] in der Presse hat sich etwas geändert: wie die Flächen waren, ist nicht bekannt
+    }
+advice-no-limit = die Harzdatei hat keine Grenze
 advice-no-look-ahead = der Softsensor hat noch nicht vorausgeschaut
 advice-no-panel = keine Platte in der Presse
 advice-no-target = kein Kernziel gesetzt

@@ -1262,6 +1262,15 @@ report-worth = explains { NUMBER($percent, maximumFractionDigits: 0) } % of what
 
 ## api: when to open
 
+advice-blocked = { $limit ->
+        [core_least] the core will not be hot enough within the look ahead
+        [core_most] the core is too hot
+        [cure_bottom] the lower face will not be cured within the look ahead
+        [cure_top] the upper face will not be cured within the look ahead
+        [steam_most] too much steam, or its pressure is not known
+       *[sudden_change] something has changed in the press: what the faces were is not known
+    }
+advice-no-limit = the resin file has no limit
 advice-no-look-ahead = the live sensor has not looked ahead yet
 advice-no-panel = no panel in the press
 advice-no-target = no core target set

@@ -18,6 +18,7 @@ from dataclasses import dataclass, field, fields
 from typing import Any
 
 from daq.press.press_file import Press, read_press
+from daq.press.resin_file import Resin, read_resin
 from daq.process.config import Config, PressSettings
 from daq.process.notify import Notifier
 from daq.process.stopping import stop_on_signals
@@ -31,6 +32,7 @@ from softsensor.jobs.fitter import Fitter
 from softsensor.jobs.model_in_force import NEWEST_RUNS, PRESS_FILE, up_to_date
 from softsensor.jobs.run_fits import RunFits, journal
 from softsensor.jobs.warm_up import warm_up
+from softsensor.live.leaving import Leave
 from softsensor.live.sensor import Estimate, LiveSensor
 from softsensor.live.validity import Invalid, InvalidReason
 from softsensor.signals.screen import AFTER_SWITCH_S
@@ -67,7 +69,7 @@ def sense(config: Config, *, stop: threading.Event | None = None) -> None:
         return
     with store, Fitter() as fitter:
         followers = [
-            Follower(store, settings, press, RunFits(store, settings.name, press, fitter))
+            Follower(store, settings, press, RunFits(store, settings.name, press, fitter), _resin_of(settings))
             for settings, press in presses
         ]
         for _, press in presses:
@@ -156,6 +158,7 @@ class Follower:
     settings: PressSettings
     press: Press
     fits: RunFits
+    resin: Resin | None = None
     last: int = -2
     """Newest scan taken; -2 before the first step."""
     behind: int = 0
@@ -272,7 +275,7 @@ class Follower:
         before = self.live
         same = before is not None and before.record.header == record.header
         fitted = before is not None and before.record.run == record.run and before.fitted_open
-        self.live = _Live(record, LiveSensor(self.press, record.header, self.model), version, fitted)
+        self.live = _Live(record, LiveSensor(self.press, record.header, self.model, self.resin), version, fitted)
         self.problem = None
         try:
             self._catch_up(record, said_before=same)
@@ -361,6 +364,10 @@ class Follower:
         self.model = up_to_date(self.press, base, good[:NEWEST_RUNS])
 
 
+def _resin_of(settings: PressSettings) -> Resin | None:
+    return None if settings.resin is None else read_resin(settings.resin)
+
+
 def _details(sensor: LiveSensor, said: Estimate) -> dict[str, Any]:
     """Return what goes beside an estimate, without what is not known.
 
@@ -369,6 +376,8 @@ def _details(sensor: LiveSensor, said: Estimate) -> dict[str, Any]:
     found: dict[str, Any] = {"suspected": said.suspected} if said.suspected else {}
     if left_out := sensor.left_out:
         found["left_out"] = {column: round(kelvin, 1) for column, kelvin in left_out.items()}
+    if said.leave is not None:
+        found |= _leaving(said.leave, open_now=said.open_now)
     if said.invalid is not None:
         return found | ({"reason_arguments": said.invalid.stored} if said.invalid.arguments else {})
     if said.state is not PressState.IDLE and said.state is not None and (inside := sensor.inside) is not None:
@@ -380,9 +389,18 @@ def _details(sensor: LiveSensor, said: Estimate) -> dict[str, Any]:
         value = getattr(forecast, one.name)
         if isinstance(value, float) and value == value:
             found[one.name] = round(value, 1)
+    if forecast.limits_blocking:
+        found["limits_blocking"] = forecast.limits_blocking
     if forecast.warning is not None:
         found |= {"warning": str(forecast.warning), "warning_said": forecast.warning.to_json()}
     return found
+
+
+def _leaving(leave: Leave, *, open_now: bool) -> dict[str, Any]:
+    """Return cure, steam and leave to open as they stand beside an estimate."""
+    digits = {"cure_top": 4, "cure_bottom": 4, "cure_low": 4, "steam_kPa": 1, "steam_high_kPa": 1}
+    known = {name: round(value, n) for name, n in digits.items() if (value := getattr(leave, name)) == value}
+    return {**known, "open_now": open_now}
 
 
 def _stored(scan: Scan, said: Estimate, model: str, detail: dict[str, Any]) -> StoredEstimate:

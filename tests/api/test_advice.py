@@ -77,3 +77,31 @@ def test_the_line_on_the_wall_speaks_german():
 
     said = advice_of(estimate(**ahead()), 40.0).sentence_said
     assert words(Message(said.code, said.arguments), "de") == "öffnen in 11 s (8 bis 15)"
+
+
+CURED = {"cure_top": 0.8, "cure_bottom": 0.82, "cure_low": 0.7, "forecast_age_s": 1.0}
+
+
+@pytest.mark.parametrize(
+    ("beside", "verdict", "sentence"),
+    [
+        ({"limits_in_s": 11.0}, "open_in", "open in 11 s"),
+        ({"limits_in_s": 0.0, "open_now": True}, "open_now", "OPEN NOW"),
+        ({"limits_blocking": "cure_top"}, "blocked", "the upper face will not be cured within the look ahead"),
+        ({"limits_blocking": "steam_most"}, "blocked", "too much steam, or its pressure is not known"),
+        ({}, "not_known", "not known, because the resin file has no limit"),
+        ({"limits_in_s": 11.0, "forecast_age_s": 22.0}, "not_known", None),
+        ({"limits_in_s": 11.0, "forecast_age_s": None}, "not_known", None),
+        ({"limits_in_s": 0.0}, "open_in", None),
+    ],
+)
+def test_with_a_resin_its_limits_alone_decide(beside, verdict, sentence):
+    said = advice_of(estimate(**{**ahead(), **CURED, **beside}), 40.0)
+    assert said.verdict == verdict
+    assert sentence in (None, said.sentence)
+    assert (said.open_in_s is None) == (verdict not in ("open_in", "open_now"))
+
+
+def test_an_invalid_estimate_gives_no_leave():
+    said = advice_of(estimate(valid=False, reason="platen reading missing", **CURED), 40.0)
+    assert said.verdict == "not_known"

@@ -51,6 +51,16 @@ def test_a_configuration_gives_paths_beside_itself_and_columns_in_order(folder):
         config.press_named("x")
 
 
+def test_a_resin_of_the_configuration_stands_beside_it_and_is_checked_at_once(folder):
+    text = GOOD.replace('file = "lab.toml"', 'file = "lab.toml"\nresin = "own.toml"')
+    (folder / "kerntemp.toml").write_text(text)
+    with pytest.raises(InputError, match=r"own.toml: cannot read the resin file"):
+        load_config(folder / "kerntemp.toml")
+    example = PRESSES.parent / "resins" / "melamine_formaldehyde.toml"
+    (folder / "own.toml").write_text(example.read_text(encoding="utf-8"), encoding="utf-8")
+    assert load_config(folder / "kerntemp.toml").press[0].resin == folder / "own.toml"
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [

@@ -14,9 +14,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from api.answers.records import estimate_now
+from api.plant.following import estimate_body
 from daq.drivers.settings import LoggerSettings
 from daq.press.events import PressEventDetector
 from daq.press.press_file import parse_press
+from daq.press.resin_file import parse_resin
 from daq.process.config import PressSettings
 from daq.recording.run_keeper import RunKeeper, RunNames, RunRules
 from daq.records import Channel, PressState, Quality, Scan
@@ -29,6 +32,7 @@ from softsensor.jobs.live_service import Follower, _details
 from softsensor.jobs.model_in_force import PRESS_FILE, combined_model, up_to_date
 from softsensor.jobs.run_fits import RunFits
 from softsensor.live.sensor import LiveSensor
+from softsensor.live.validity import InvalidReason
 from tests.daq.test_kills import is_zombie
 from tests.daq.test_recorder import wait_until
 
@@ -193,6 +197,27 @@ def test_an_estimate_carries_what_is_inside_and_what_lies_ahead(store, fitter, p
     assert detail["energy_kJ_m2"] > 100.0
     assert detail["target_earliest_s"] <= detail["target_in_s"] <= detail["target_latest_s"]
     assert 0.0 <= detail["open_in_s"] <= detail["target_in_s"]
+
+
+def test_an_estimate_with_a_resin_says_cure_and_leave_to_open_and_the_api_hands_it_on(store, fitter, pressing):
+    recorder = Recorder(store, pressing[0], {k: v for k, v in pressing[0].header.items() if k != "run"})
+    sense = follower(store, fitter)
+    limits = "[limits]\ncure_least = 0.3\n"
+    law = "[order]\nrate_per_s = 0.05\nactivation_energy_kJ_mol = 85.0\n"
+    sense.resin = parse_resin(f'[resin]\nname = "x"\nsource = "test"\n{law}{limits}')
+    while recorder.done < 80:
+        recorder.put(5)
+        drain(sense)
+    said = store.estimates_after("lab", 0)
+    closed = [e for e in said if e.valid and e.state == "closed"]
+    assert 0.0 <= closed[0].detail["cure_low"] <= closed[-1].detail["cure_low"] <= closed[-1].detail["cure_top"]
+    assert not any(e.detail["open_now"] for e in said if e.detail and "open_now" in e.detail and not e.valid)
+    leave = next(e for e in closed if e.detail["open_now"])
+    assert estimate_now(leave, store.open_run("lab"), None).advice.verdict == "open_now"
+    silent = replace(leave, valid=False, reason=InvalidReason.LIVE_SENSOR_SILENT.value)
+    assert estimate_now(leave, None, None).open_now
+    assert not estimate_now(silent, None, None).open_now
+    assert not estimate_body("lab", silent, None)["open_now"]
 
 
 def test_beside_a_core_that_is_not_valid_nothing_is_foreseen(pressing):
