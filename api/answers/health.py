@@ -8,8 +8,9 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import Any, Literal
 
 from api.answers.schemas import Health, ProcessHealth, Said, StoreHealth
+from api.answers.thresholds import crossed
 from api.answers.words import said_of
-from daq.store.records import ProcessStatus, StoreUnavailable
+from daq.store.records import ProcessStatus, StandingAlarm, StoreUnavailable
 from daq.store.store import Store
 from daq.store.upkeep import Sizes
 from daq.words import Message, say, spoken
@@ -52,16 +53,49 @@ def health_of(store: Store, now: datetime) -> Health:
         statuses = store.statuses()
         alarms = _recent_alarms(store, now)
         kept = _store_health(store)
+        limits = crossed(store, now)
     except StoreUnavailable as error:
         empty = StoreHealth(kind=KINDS[store.database.dialect], size_bytes=None, free_bytes=None, hours_left=None)
         return _health("down", now, empty, [], [spoken(error)])
     processes = [_process(name, statuses.get(name), now) for name in _names(statuses, now)]
-    alarms = [*_process_alarms(processes), *alarms]
-    if kept.free_bytes is not None and kept.free_bytes < LEAST_FREE_BYTES:
+    alarms = [*_conditions(store, statuses, processes, now), *alarms, *(a.message for a in limits)]
+    return _health("degraded" if alarms else "ok", now, kept, processes, alarms)
+
+
+def standing_alarms(store: Store, now: datetime) -> list[StandingAlarm]:
+    """Return what stands now, as `/health` tells it, with what each is about: to be raised once."""
+    statuses = store.statuses()
+    processes = [_process(name, statuses.get(name), now) for name in _names(statuses, now)]
+    found = [StandingAlarm(_key(m), _press_in(m), m) for m in _conditions(store, statuses, processes, now)]
+    return [*found, *crossed(store, now)]
+
+
+def _key(said: Message) -> str:
+    """Return what a message is about, without the figures that change while it stands.
+
+    >>> _key(say("health-process-silent", process="sense", seconds=12.5, command="sense"))
+    'health-process-silent:sense:sense'
+    """
+    about = [a if isinstance(a, str) else _key(a) for a in said.arguments.values() if isinstance(a, str | Message)]
+    return ":".join([said.code.removesuffix("-for-hours"), *about])
+
+
+def _press_in(said: Message) -> str | None:
+    press = said.arguments.get("press")
+    return press if isinstance(press, str) else None
+
+
+def _conditions(
+    store: Store, statuses: Mapping[str, ProcessStatus], processes: list[ProcessHealth], now: datetime
+) -> list[Message]:
+    """Return what is wrong with processes, disk and nightly job."""
+    alarms = _process_alarms(processes)
+    free_bytes = store.sizes().free_bytes
+    if free_bytes is not None and free_bytes < LEAST_FREE_BYTES:
         alarms.append(say("health-disk-nearly-full", gigabytes=LEAST_FREE_BYTES // 10**9))
     if (age_s := refit_age_s(store, statuses, now)) is not None and age_s > REFIT_OVERDUE_S:
         alarms.append(say("health-nightly-job-overdue", hours=age_s / 3600.0))
-    return _health("degraded" if alarms else "ok", now, kept, processes, alarms)
+    return alarms
 
 
 def _health(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from datetime import datetime
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -590,6 +590,61 @@ class NightList(_Answer):
 
     items: list[Night]
     next_cursor: str | None
+
+
+class Alarm(_Answer):
+    """What somebody should know: raised once, and it stands until it is over."""
+
+    id: str
+    press: str | None
+    message: str
+    message_said: Said
+    raised_utc: datetime
+    ended_utc: datetime | None
+    stands: bool
+    acknowledged_utc: datetime | None
+    acknowledged_by: str | None
+
+
+class AlarmList(_Answer):
+    """Alarms, newest first."""
+
+    items: list[Alarm]
+    next_cursor: str | None
+
+
+Celsius = Annotated[float, Field(ge=-100.0, le=1000.0, allow_inf_nan=False)]
+
+
+class AlarmLimits(BaseModel):
+    """Limits of a press; null is none."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    core_above_C: Celsius | None = Field(None, description="The core as predicted.")  # noqa: N815
+    platen_above_C: Celsius | None = None  # noqa: N815
+    platen_below_C: Celsius | None = None  # noqa: N815
+    silence_s: Annotated[float, Field(ge=2.0, le=1e6)] | None = Field(None, description="No scan for so long.")
+    drift_percent: Annotated[float, Field(ge=1.0, le=1e4)] | None = Field(
+        None, description="A coefficient that has left what is usual, by this much at least."
+    )
+    verdict_unknown: bool = Field(False, description="The newest diagnosis leaves something unexplained.")
+
+
+class AlarmThresholds(_Answer):
+    """The limits of a press, who set them last and when."""
+
+    press: str
+    thresholds: AlarmLimits
+    who: str | None
+    utc: datetime | None
+
+
+class AlarmThresholdsList(_Answer):
+    """The limits of every press."""
+
+    items: list[AlarmThresholds]
+    next_cursor: str | None = None
 
 
 class EventRecord(_Answer):

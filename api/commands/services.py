@@ -56,6 +56,8 @@ def serve(
     store: StoreUrl = None,
 ) -> None:
     """Serve REST and the page; on loopback only unless tokens exist."""
+    from api.alarms.watch import watching
+    from api.alarms.ways import ways_of
     from api.http.server import Listening, address_of, run_server
     from api.http.tokens import TokenFile
     from daq.process.config import ServerSettings, load_config
@@ -69,9 +71,11 @@ def serve(
     listening.check(tokens)
     address = store or (settings.store.url if settings else "")
     with open_store(address, create=store is None, later=True) as opened:
+        ways = ways_of(settings.email, settings.webhook, opened.label) if settings else []
         bound = listening.bind()
         tell(say("terminal-serves", address=address_of(bound, tls=certificate is not None)))
-        run_server(opened, tokens, listening, bound)
+        with watching(opened, ways):
+            run_server(opened, tokens, listening, bound)
 
 
 def refit(

@@ -32,7 +32,7 @@ from api.http.gate import Gate
 from api.http.http_compatibility import HttpCompatibility
 from api.http.live import MAX_LISTENERS, Hub
 from api.http.metrics import metrics_text
-from api.http.routes import edits, messages, models, press, runs, search, simulation, system
+from api.http.routes import alarms, edits, messages, models, press, runs, search, simulation, system
 from api.http.routes.common import only_known_queries
 from api.http.tokens import Attempts, TokenFile
 from daq.store.records import StoreUnavailable
@@ -83,6 +83,7 @@ def create_app(store: Store, tokens: TokenFile, max_listeners: int = MAX_LISTENE
         simulation.router,
         models.router,
         messages.router,
+        alarms.router,
         system.router,
     ):
         app.include_router(router, prefix="/api/v1", dependencies=[Depends(only_known_queries)])

@@ -1,8 +1,10 @@
 // The page's frame: which view, which language, light or dark, and the one live connection all views share.
 import { follow, get } from "./api.js";
+import { listen } from "./bell.js";
 import { closeAll, redrawAll } from "./charts.js";
 import { el } from "./dom.js";
 import * as access from "./views/access.js";
+import * as alarms from "./views/alarms.js";
 import * as coefficients from "./views/coefficients.js";
 import * as diagnosis from "./views/diagnosis.js";
 import * as loggers from "./views/loggers.js";
@@ -12,7 +14,7 @@ import * as runs from "./views/runs.js";
 import * as wall from "./views/wall.js";
 import { chooseLanguage, language, languages, loadWords, nameOf, said, text } from "./words.js";
 
-const VIEWS = { now, runs, coefficients, diagnosis, nights, loggers, access, wall };
+const VIEWS = { now, runs, coefficients, diagnosis, nights, alarms, loggers, access, wall };
 const main = document.getElementById("view");
 let leave = null;
 let turn = 0;
@@ -153,3 +155,6 @@ show();
 connect();
 refreshHealth();
 setInterval(refreshHealth, 5000);
+const hear = () => listen().catch(() => { /* the link state says it */ }); // also in a tab that is not looked at
+hear();
+setInterval(hear, 5000);

@@ -28,7 +28,7 @@ import math
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
@@ -143,6 +143,28 @@ class OpcuaSettings(_Table):
     key: Path | None = None
 
 
+class EmailSettings(_Table):
+    """``[email]``: alarms to people, sent by `kerntemp serve`."""
+
+    host: str = Field(min_length=1)
+    """The mail server."""
+    port: Annotated[int, Field(ge=1, le=65535)] = 25
+    sender: str = Field(min_length=3, pattern=r"^[^\s@]+@[^\s@]+$")
+    to: tuple[Annotated[str, Field(pattern=r"^[^\s@]+@[^\s@]+$")], ...] = Field(min_length=1)
+    security: Literal["none", "starttls", "tls"] = "none"
+    user: str = ""
+    password_file: Path | None = None
+    """File with the user's password in its first line."""
+    language: str = "en"
+
+
+class WebhookSettings(_Table):
+    """``[webhook]``: alarms as JSON to another system, sent by `kerntemp serve`."""
+
+    address_file: Path
+    """File with the receiver's http or https address in its first line: such addresses hold secrets."""
+
+
 class ClockSettings(_Table):
     """``[clock]``: only for an accelerated demonstration."""
 
@@ -159,6 +181,8 @@ class Config(_Table):
     refit: RefitSettings = RefitSettings()
     mqtt: MqttSettings | None = None
     opcua: OpcuaSettings | None = None
+    email: EmailSettings | None = None
+    webhook: WebhookSettings | None = None
     clock: ClockSettings = ClockSettings()
     text: str = Field(default="", exclude=True)
     """The file as it was read, without the store's password; kept with every run."""
@@ -273,6 +297,8 @@ def _absolute(config: Config, folder: Path) -> Config:
     opcua = _files_absolute(config.opcua, folder, "certificate", "key")
     refit = config.refit.model_copy(update={"reports": folder / config.refit.reports})
     found = {"store": store, "press": presses, "server": server, "mqtt": mqtt, "opcua": opcua, "refit": refit}
+    found |= {"email": _files_absolute(config.email, folder, "password_file")}
+    found |= {"webhook": _files_absolute(config.webhook, folder, "address_file")}
     return config.model_copy(update=found)
 
 

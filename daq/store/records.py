@@ -201,6 +201,50 @@ class StoredNight:
 
 
 @dataclass(frozen=True)
+class StandingAlarm:
+    """A condition somebody should know of, as it is found now."""
+
+    key: str
+    """What it is about, the same as long as it stands: no figures that change."""
+    press: str | None
+    message: Message
+
+
+@dataclass(frozen=True)
+class StoredAlarm:
+    """An alarm as it was raised, and what became of it."""
+
+    number: int
+    press: str | None
+    message: Message
+    raised_utc: datetime
+    ended_utc: datetime | None
+    """None while it stands."""
+    acknowledged_utc: datetime | None
+    acknowledged_by: str | None
+
+
+@dataclass(frozen=True)
+class Delivery:
+    """An alarm on its way to somebody, in the hands of this process."""
+
+    alarm: StoredAlarm
+    way: str
+    tries: int
+    """With this one."""
+
+
+@dataclass(frozen=True)
+class Thresholds:
+    """The limits an engineer has set for a press."""
+
+    press: str
+    utc: datetime
+    who: str
+    limits: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
 class JournalEntry:
     """One line of the journal: an alarm, a loss, a change of state, who did what."""
 

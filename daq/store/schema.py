@@ -174,3 +174,28 @@ NIGHT = _table(
     progress_json=Text,
 )
 UNFITTED = _table("unfitted", "run", run=Text, press=Text, kind=Text, fingerprint=Text)
+ALARM = _table(
+    "alarm",
+    "alarm_id",
+    alarm_id=BigInteger,
+    key=Text,
+    press=Text,
+    message_json=Text,
+    raised_unix_s=Double,
+    seen_unix_s=Double,
+    ended_unix_s=Double,
+    acknowledged_unix_s=Double,
+    acknowledged_by=Text,
+)
+ALARM_DELIVERY = _table(
+    "alarm_delivery",
+    "alarm_id way",
+    alarm_id=BigInteger,
+    way=Text,
+    due_unix_s=Double,
+    tries=BigInteger,
+    delivered_unix_s=Double,
+    problem=Text,
+)
+ALARM_POSITION = _table("alarm_position", "journal", journal=Text, event_id=BigInteger)
+ALARM_THRESHOLD = _table("alarm_threshold", "press", press=Text, unix_s=Double, who=Text, thresholds_json=Text)

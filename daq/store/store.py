@@ -14,12 +14,13 @@ from typing import Any, Literal
 from sqlalchemy import text
 
 from daq.records import Channel, PressEvent, Run, Scan
-from daq.store import cores, journal, next_panel, nights, reading, recording, results, upkeep
+from daq.store import alarms, cores, journal, next_panel, nights, reading, recording, results, upkeep
 from daq.store.convert import known_utc
 from daq.store.database import BUSY_S, Database
 from daq.store.origin import header_for_file
 from daq.store.records import (
     CoefficientRecord,
+    Delivery,
     DiagnosisRecord,
     JournalEntry,
     ModelRecord,
@@ -35,9 +36,12 @@ from daq.store.records import (
     RunRecord,
     RunStatus,
     ScanBatch,
+    StandingAlarm,
+    StoredAlarm,
     StoredEstimate,
     StoredNight,
     StoredPressEvent,
+    Thresholds,
 )
 from daq.store.write_batch import Entry, WriteBatch, in_rows
 from daq.words import Message
@@ -458,6 +462,55 @@ class Store:
         """Return how many runs of a press have no fit, by kind."""
         with self.database.reading() as connection:
             return nights.count_unfitted(connection, press)
+
+    # --- alarms -------------------------------------------------------------------------------------
+
+    def watch_alarms(self, standing: Sequence[StandingAlarm], ways: Sequence[str], now: datetime) -> int:
+        """Take up what stands and the journal's new alarms, each once; return how many are new."""
+        with self.database.writing() as connection:
+            return alarms.watch(connection, standing, ways, now)
+
+    def alarms(
+        self,
+        *,
+        press: str | None = None,
+        cursor: str | None = None,
+        limit: int = 50,
+        pending: bool = False,
+    ) -> Page[StoredAlarm]:
+        """Return a page of alarms, newest first; `pending` ones stand, or nobody has acknowledged them."""
+        with self.database.reading() as connection:
+            return alarms.alarms(connection, press, cursor, limit, pending=pending)
+
+    def acknowledge_alarm(self, number: int, who: str) -> StoredAlarm:
+        """Note who has taken an alarm on; the first one counts. Raises `InputError` where there is none."""
+        with self.database.writing() as connection:
+            return alarms.acknowledge(connection, number, who)
+
+    def take_delivery(self, ways: Sequence[str], now: datetime) -> Delivery | None:
+        """Take the delivery that has waited longest in hand, None where none is due."""
+        with self.database.writing() as connection:
+            return alarms.take_delivery(connection, ways, now)
+
+    def delivered(self, delivery: Delivery, now: datetime) -> None:
+        """Note that a receiver has taken an alarm."""
+        with self.database.writing() as connection:
+            alarms.delivered(connection, delivery, now)
+
+    def put_off(self, delivery: Delivery, why: str, now: datetime) -> None:
+        """Note why a receiver has not taken an alarm; it is tried again later."""
+        with self.database.writing() as connection:
+            alarms.put_off(connection, delivery, why, now)
+
+    def alarm_thresholds(self) -> dict[str, Thresholds]:
+        """Return the limits set for each press."""
+        with self.database.reading() as connection:
+            return alarms.thresholds(connection)
+
+    def put_alarm_thresholds(self, press: str, limits: Mapping[str, Any], who: str) -> None:
+        """Replace the limits set for a press."""
+        with self.database.writing() as connection:
+            alarms.put_thresholds(connection, press, limits, who)
 
     # --- journal and status -------------------------------------------------------------------------
 

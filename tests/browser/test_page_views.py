@@ -27,6 +27,7 @@ VIEWS = (
     "#/coefficients",
     "#/diagnosis",
     "#/nights",
+    "#/alarms",
     "#/loggers",
     "#/access",
     "docs",
@@ -224,6 +225,61 @@ def test_a_night_says_what_it_did_and_what_it_left_out(plant, browser, language,
     expect(nights).to_contain_text("lab-2026-03-05-1")
     expect(nights).to_contain_text("412")
     page.screenshot(path=tmp_path / "nights.png")
+    context.close()
+
+
+NOTIFIED = """
+window.told = [];
+window.Notification = class {
+  static permission = "granted";
+  static requestPermission() { return Promise.resolve("granted"); }
+  constructor(title, options) { window.told.push(options.body); }
+};
+window.AudioContext = class extends window.AudioContext {
+  constructor() { super(); window.rung = (window.rung ?? 0) + 1; }
+};
+"""
+
+
+@pytest.mark.parametrize(
+    ("language", "words"),
+    [
+        ("en-GB", ("Acknowledge", "Core above", "Save", "Sound when", "Notify when", "the core is above 40")),
+        ("de-DE", ("Quittieren", "Kern über", "Speichern", "einen Ton", "Alarm benach", "der Kern ist über 40")),
+    ],
+)  # fmt: skip
+def test_limits_are_set_and_alarms_are_told_and_acknowledged_by_hand(
+    plant, served, browser, language, words, tmp_path
+):
+    take, core, save, sound, notify, said = words
+    address, _, token = plant
+    feed = served[1]
+    context = browser.new_context(locale=language, viewport={"width": 1280, "height": 900}, bypass_csp=True)
+    page = context.new_page()
+    page.add_init_script(NOTIFIED)
+    with_token(page, token)
+    page.goto(address + "#/alarms")
+    limits = page.get_by_test_id("alarm-limits")
+    page.get_by_label(sound).check()
+    page.get_by_label(notify).check()
+    limits.get_by_label(core).fill("forty")
+    limits.get_by_role("button", name=save).click()
+    expect(limits.get_by_role("status")).to_contain_text(core)
+    limits.get_by_label(core).fill("40")
+    limits.get_by_role("button", name=save).click()
+    expect(limits).to_contain_text("foreman")
+    feed.pause_s = 0.05
+    writer = threading.Thread(target=feed.pressing, args=(3000,), daemon=True)
+    writer.start()
+    row = page.get_by_test_id("alarms").get_by_role("row", name=said)
+    page.wait_for_function(f"window.told.some((one) => one.includes({said!r}))")
+    row.get_by_role("button", name=take).click()
+    expect(row).to_contain_text("foreman")
+    assert page.evaluate("window.told.filter((one) => one.includes('40')).length") == 1
+    assert page.evaluate("window.rung") == 1
+    page.screenshot(path=tmp_path / "alarms.png")
+    feed.stop.set()
+    writer.join(20)
     context.close()
 
 

@@ -1,0 +1,135 @@
+"""The ways an alarm takes to people: e-mail over SMTP, and JSON to a webhook.
+
+Both carry the alarm's number where a receiver that is told twice, after a kill between its word and our note, can
+tell: `Message-ID` of the e-mail, `Idempotency-Key` of the request.
+"""
+
+from __future__ import annotations
+
+import smtplib
+import ssl
+from dataclasses import dataclass
+from email.message import EmailMessage
+from hashlib import sha256
+from pathlib import Path
+from typing import Protocol
+from urllib.error import URLError
+from urllib.request import HTTPRedirectHandler, Request, build_opener
+
+from api.answers.alarms import alarm_of
+from daq.process.config import EmailSettings, WebhookSettings
+from daq.records import InputError
+from daq.store.records import StoredAlarm
+from daq.words import say
+from daq.words.message import languages, words
+
+TRY_S = 5.0
+"""Longest wait for each answer of a receiver: a try, nine answers at most, stays within `IN_HAND_S`. [s]"""
+
+
+class NotDelivered(RuntimeError):
+    """A receiver has not taken an alarm; the text says why, without addresses that hold secrets."""
+
+
+class Way(Protocol):
+    """One way to people."""
+
+    @property
+    def name(self) -> str:
+        """As the outbox knows it."""
+
+    def deliver(self, alarm: StoredAlarm) -> None:
+        """Hand an alarm over. Raises `NotDelivered`."""
+
+
+@dataclass(frozen=True)
+class Email:
+    """A message to everybody configured."""
+
+    settings: EmailSettings
+    store: str
+    """Which store the alarm's number counts in."""
+    name: str = "email"
+
+    def deliver(self, alarm: StoredAlarm) -> None:
+        """Send one message; taken when the server has taken it for at least one of the addresses."""
+        s = self.settings
+        try:
+            context = ssl.create_default_context() if s.security != "none" else None
+            kind = smtplib.SMTP_SSL if s.security == "tls" else smtplib.SMTP
+            given = {"context": context} if s.security == "tls" else {}
+            with kind(s.host, s.port, timeout=TRY_S, **given) as server:  # type: ignore[arg-type]
+                if s.security == "starttls":
+                    server.starttls(context=context)
+                if s.user:
+                    server.login(s.user, _first_line(s.password_file))
+                server.send_message(self.message(alarm))
+        except (smtplib.SMTPException, OSError) as error:
+            raise NotDelivered(f"{s.host}:{s.port}: {error or type(error).__name__}") from error
+
+    def message(self, alarm: StoredAlarm) -> EmailMessage:
+        """Return the message, in the language configured."""
+        s = self.settings
+        text = words(alarm.message, s.language)
+        mail = EmailMessage()
+        mail["Subject"] = words(say("alarm-subject", what=alarm.message), s.language)[:200].replace("\n", " ")
+        mail["From"], mail["To"] = s.sender, ", ".join(s.to)
+        mail["Date"] = alarm.raised_utc
+        place = sha256(self.store.encode()).hexdigest()[:12]
+        mail["Message-ID"] = f"<alarm-{alarm.number}.{place}@{s.sender.partition('@')[2]}>"
+        raised = f"{alarm.raised_utc:%Y-%m-%d %H:%M:%S} UTC"
+        mail.set_content(words(say("alarm-body", what=text, raised=raised, number=alarm.number), s.language))
+        return mail
+
+
+class _NoRedirect(HTTPRedirectHandler):
+    def redirect_request(self, *_: object) -> None:
+        return None
+
+
+@dataclass(frozen=True)
+class Webhook:
+    """The alarm as `/alarms` lists it, by POST."""
+
+    settings: WebhookSettings
+    name: str = "webhook"
+
+    def deliver(self, alarm: StoredAlarm) -> None:
+        """Post it once; taken where the answer is a success."""
+        try:
+            address = _first_line(self.settings.address_file)
+            body = alarm_of(alarm).model_dump_json().encode()
+            head = {"Content-Type": "application/json", "Idempotency-Key": f"alarm-{alarm.number}"}
+            request = Request(address, body, head, method="POST")
+            with build_opener(_NoRedirect).open(request, timeout=TRY_S):
+                return
+        except (URLError, OSError, ValueError) as error:
+            raise NotDelivered(getattr(error, "reason", "") or type(error).__name__) from error
+
+
+def ways_of(email: EmailSettings | None, webhook: WebhookSettings | None, store: str) -> list[Way]:
+    """Return the ways configured. Raises InputError for a file that cannot be read, an address, a language."""
+    ways: list[Way] = []
+    if email is not None:
+        if email.language not in languages():
+            raise InputError(say("alarm-language", language=email.language, known=languages()))
+        if email.user:
+            _readable(email.password_file)
+        ways.append(Email(email, store))
+    if webhook is not None:
+        address = _readable(webhook.address_file)
+        if not address.startswith(("http://", "https://")):
+            raise InputError(say("alarm-webhook-address", path=str(webhook.address_file)))
+        ways.append(Webhook(webhook))
+    return ways
+
+
+def _readable(path: Path | None) -> str:
+    try:
+        return _first_line(path)
+    except OSError as error:
+        raise InputError(say("alarm-file", path=str(path), why=error.strerror or str(error))) from error
+
+
+def _first_line(path: Path | None) -> str:
+    return path.read_text(encoding="utf-8").split("\n")[0].strip() if path is not None else ""

@@ -1,0 +1,62 @@
+"""Alarms: what somebody should know, who has taken it on, and the limits an engineer sets."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import APIRouter, Path, Query
+
+from api.answers.alarms import alarm_of, thresholds_of
+from api.answers.schemas import Alarm, AlarmLimits, AlarmList, AlarmThresholds, AlarmThresholdsList
+from api.http.problems import ProblemError, problem_responses
+from api.http.routes.common import Cursor, PageSize, PressName, StoreDep, Writer
+from daq.records import InputError
+from daq.words import say
+
+router = APIRouter(tags=["alarms"], responses=problem_responses(404))
+
+Pending = Annotated[bool, Query(description="Only those that stand or that nobody has acknowledged.")]
+Number = Annotated[str, Path(pattern="^[0-9]{1,18}$")]
+
+
+@router.get("/alarms", operation_id="list_alarms", summary="Alarms, newest first")
+def list_alarms(
+    store: StoreDep, press: PressName = None, pending: Pending = False, cursor: Cursor = None, limit: PageSize = 50
+) -> AlarmList:
+    """Return one page of alarms: limits crossed, processes silent, alarms of the journal; each one once."""
+    page = store.alarms(press=press, pending=pending, cursor=cursor, limit=limit)
+    return AlarmList(items=[alarm_of(alarm) for alarm in page.items], next_cursor=page.next_cursor)
+
+
+@router.get("/alarms/thresholds", operation_id="list_thresholds", summary="The limits set for each press")
+def list_thresholds(store: StoreDep, press: PressName = None) -> AlarmThresholdsList:
+    """Return the limits of every press, who set them last and when; null where there is no limit."""
+    kept = store.alarm_thresholds()
+    chosen = [name for name in store.presses() if press in (None, name)]
+    return AlarmThresholdsList(items=[thresholds_of(name, kept.get(name)) for name in chosen])
+
+
+@router.put("/alarms/thresholds/{press}", operation_id="put_thresholds", summary="Set the limits of a press")
+def put_thresholds(store: StoreDep, press: str, limits: AlarmLimits, who: Writer) -> AlarmThresholds:
+    """Replace the limits of a press; needs a token with scope write."""
+    known = tuple(store.presses())
+    if press not in known:
+        raise ProblemError(404, say("api-press-unknown", press=press, known=known))
+    if None not in (limits.platen_below_C, limits.platen_above_C) and not (
+        float(limits.platen_below_C or 0.0) < float(limits.platen_above_C or 0.0)
+    ):
+        raise ProblemError(422, say("alarm-limits-crossed"))
+    given = limits.model_dump()
+    store.put_alarm_thresholds(press, given, who)
+    fields = tuple(name for name, value in given.items() if value not in (None, False))
+    store.log("info", who, say("alarm-thresholds-set", press=press, fields=fields), press, given)
+    return thresholds_of(press, store.alarm_thresholds()[press])
+
+
+@router.post("/alarms/{alarm}/acknowledge", operation_id="acknowledge_alarm", summary="Take an alarm on")
+def acknowledge_alarm(store: StoreDep, alarm: Number, who: Writer) -> Alarm:
+    """Say that you have taken an alarm on; the first one counts. Needs a token with scope write."""
+    try:
+        return alarm_of(store.acknowledge_alarm(int(alarm), who))
+    except InputError as error:
+        raise ProblemError(404, say("alarm-missing", number=int(alarm))) from error

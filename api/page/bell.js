@@ -1,0 +1,44 @@
+// Tells of new alarms where people are: a sound and the browser's own notification, each switched on by hand.
+import { get } from "./api.js";
+import { said, text } from "./words.js";
+
+const KEPT = { sound: "kerntemp-alarm-sound", notification: "kerntemp-alarm-notification" };
+const NEWEST = "kerntemp-alarm-newest"; // up to which alarm this browser has told; over a reload nothing is told twice
+let audio = null;
+
+export const wanted = (what) => localStorage.getItem(KEPT[what]) === "on";
+
+// Switched by a click: only then does a browser let a page sound, or ask for leave to notify.
+export async function want(what, on) {
+  if (what === "sound" && on) ring();
+  if (what === "notification" && on && (!("Notification" in window) || await Notification.requestPermission() !== "granted")) return false;
+  localStorage.setItem(KEPT[what], on ? "on" : "off");
+  return true;
+}
+
+// Two short tones; no file is needed, so no server is asked while something is wrong.
+function ring() {
+  audio ??= new AudioContext();
+  audio.resume();
+  for (const [i, pitch] of [880, 660].entries()) {
+    const tone = new OscillatorNode(audio, { frequency: pitch });
+    const loud = new GainNode(audio, { gain: 0.2 });
+    tone.connect(loud).connect(audio.destination);
+    tone.start(audio.currentTime + 0.25 * i);
+    tone.stop(audio.currentTime + 0.25 * i + 0.2);
+  }
+}
+
+export async function listen() {
+  const { items } = await get("/alarms", { pending: true, limit: 20 });
+  const before = localStorage.getItem(NEWEST);
+  const newest = Math.max(Number(before ?? 0), ...items.map((one) => Number(one.id)));
+  if (String(newest) !== before) localStorage.setItem(NEWEST, String(newest));
+  if (before === null) return; // the first look of this browser: what stands already is on the page
+  const fresh = items.filter((one) => Number(one.id) > Number(before) && !one.acknowledged_utc);
+  if (!fresh.length) return;
+  if (wanted("sound")) ring();
+  if (wanted("notification") && Notification.permission === "granted") {
+    for (const one of fresh) new Notification(text("page-alarm-new"), { body: said(one.message_said, one.message), tag: `kerntemp-alarm-${one.id}` });
+  }
+}

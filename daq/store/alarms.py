@@ -1,0 +1,196 @@
+"""Alarms: raised once, acknowledged by somebody, and on their way to people. One transaction each.
+
+An alarm and its deliveries are written together, and a delivery leaves the outbox only when its receiver has taken
+it: no restart loses one. A condition that stands already is not raised again, and a delivery that a process has in
+hand is put off for the others: none is doubled, but for a process killed between the receiver's word and its own
+note, where the receiver knows it by the alarm's number.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from typing import Any
+
+from sqlalchemy import Connection, Row, delete, func, insert, or_, select, update
+
+from daq.records import InputError
+from daq.store.convert import known_utc, to_json, unix_of, utc_of
+from daq.store.journal import journal_after
+from daq.store.reading import newest_first
+from daq.store.records import Delivery, Page, StandingAlarm, StoredAlarm, Thresholds
+from daq.store.schema import ALARM, ALARM_DELIVERY, ALARM_POSITION, ALARM_THRESHOLD, EVENT
+from daq.words import Message, say
+
+CALM_S = 60.0
+"""A condition that comes back within this time has not been over: sensors flicker about a limit. [s]"""
+IN_HAND_S = 45.0
+"""A delivery that a process has taken in hand is another's after this time: it was killed. [s]"""
+LONGEST_WAIT_S = 600.0
+"""Between two tries at a receiver that does not take it. [s]"""
+FIRST_WAIT_S = 5.0
+"""After the first try; doubled with each. [s]"""
+JOURNAL = "journal"
+LINES = 500
+
+
+def watch(connection: Connection, standing: Sequence[StandingAlarm], ways: Sequence[str], now: datetime) -> int:
+    """Take up what stands now and the journal's new alarms, end what no longer stands; return how many are new.
+
+    Parameters
+    ----------
+    ways
+        How people are told of a new alarm: one delivery each.
+    """
+    at = unix_of(now)
+    known = set(connection.execute(select(ALARM.c.key).where(ALARM.c.ended_unix_s.is_(None))).scalars())
+    told = {alarm.key: alarm for alarm in standing}
+    if known & set(told):
+        connection.execute(update(ALARM).where(_stands(known & set(told))).values(seen_unix_s=at))
+    over = (ALARM.c.ended_unix_s.is_(None), ALARM.c.seen_unix_s < at - CALM_S)
+    connection.execute(update(ALARM).where(*over).values(ended_unix_s=ALARM.c.seen_unix_s))
+    new = [_raise(connection, alarm, ways, at) for key, alarm in told.items() if key not in known]
+    return len(new) + _take_up_journal(connection, ways)
+
+
+def _stands(keys: set[str]) -> Any:
+    return ALARM.c.key.in_(keys) & ALARM.c.ended_unix_s.is_(None)
+
+
+def _raise(
+    connection: Connection, alarm: StandingAlarm, ways: Sequence[str], at: float, ended: float | None = None
+) -> int:
+    row = {
+        "key": alarm.key,
+        "press": alarm.press,
+        "message_json": to_json(alarm.message.to_json()),
+        "raised_unix_s": at,
+        "seen_unix_s": at,
+        "ended_unix_s": ended,
+    }
+    made = connection.execute(insert(ALARM), row).inserted_primary_key
+    number = int(made[0]) if made is not None else 0
+    outbox = [{"alarm_id": number, "way": w, "due_unix_s": at, "tries": 0, "problem": ""} for w in ways]
+    if outbox:
+        connection.execute(insert(ALARM_DELIVERY), outbox)
+    return number
+
+
+def _take_up_journal(connection: Connection, ways: Sequence[str]) -> int:
+    """Raise the journal's alarms since the last look. They are over as they are raised: a line does not stand."""
+    position = connection.execute(select(ALARM_POSITION.c.event_id)).scalar()
+    if position is None:  # the first look: what was before is history
+        newest = connection.execute(select(func.max(EVENT.c.event_id))).scalar()
+        connection.execute(insert(ALARM_POSITION), {"journal": JOURNAL, "event_id": newest or 0})
+        return 0
+    entries = journal_after(connection, position, LINES)
+    alarms = [entry for entry in entries if entry.level == "alarm"]
+    for entry in alarms:
+        at = unix_of(entry.utc)
+        _raise(connection, StandingAlarm(f"event:{entry.number}", entry.press, entry.message), ways, at, at)
+    if entries:
+        connection.execute(update(ALARM_POSITION).values(event_id=entries[-1].number))
+    return len(alarms)
+
+
+def alarms(
+    connection: Connection, press: str | None, cursor: str | None, limit: int, *, pending: bool
+) -> Page[StoredAlarm]:
+    """Return a page of alarms, newest first; `pending` ones stand, or nobody has acknowledged them."""
+    if not pending:
+        rows, following = newest_first(connection, ALARM, "alarm_id", press, cursor, limit)
+        return Page(tuple(_alarm(row) for row in rows), following)
+    query = select(ALARM).where(or_(ALARM.c.ended_unix_s.is_(None), ALARM.c.acknowledged_unix_s.is_(None)))
+    if press is not None:
+        query = query.where(ALARM.c.press == press)
+    if cursor is not None:
+        query = query.where(ALARM.c.alarm_id < int(cursor))
+    found = connection.execute(query.order_by(ALARM.c.alarm_id.desc()).limit(limit + 1)).all()
+    return Page(
+        tuple(_alarm(row) for row in found[:limit]), str(found[limit - 1].alarm_id) if len(found) > limit else None
+    )
+
+
+def _alarm(r: Row[Any]) -> StoredAlarm:
+    return StoredAlarm(
+        r.alarm_id,
+        r.press,
+        Message.from_json(json.loads(r.message_json)),
+        known_utc(r.raised_unix_s),
+        utc_of(r.ended_unix_s),
+        utc_of(r.acknowledged_unix_s),
+        r.acknowledged_by,
+    )
+
+
+def acknowledge(connection: Connection, number: int, who: str) -> StoredAlarm:
+    """Note who has taken an alarm on; the first one counts. Raises InputError where there is no such alarm."""
+    own = ALARM.c.alarm_id == number
+    now = {"acknowledged_unix_s": unix_of(datetime.now(UTC)), "acknowledged_by": who}
+    connection.execute(update(ALARM).where(own, ALARM.c.acknowledged_unix_s.is_(None)).values(**now))
+    row = connection.execute(select(ALARM).where(own)).first()
+    if row is None:
+        raise InputError(say("alarm-missing", number=number))
+    return _alarm(row)
+
+
+def take_delivery(connection: Connection, ways: Sequence[str], now: datetime) -> Delivery | None:
+    """Take the delivery that has waited longest in hand, None where none is due; others leave it alone so long."""
+    at = unix_of(now)
+    query = (
+        select(ALARM_DELIVERY.c.way, ALARM_DELIVERY.c.tries, ALARM)
+        .join(ALARM, ALARM.c.alarm_id == ALARM_DELIVERY.c.alarm_id)
+        .where(ALARM_DELIVERY.c.delivered_unix_s.is_(None), ALARM_DELIVERY.c.due_unix_s <= at)
+        .where(ALARM_DELIVERY.c.way.in_(ways))
+        .order_by(ALARM_DELIVERY.c.due_unix_s, ALARM_DELIVERY.c.alarm_id)
+        .limit(1)
+    )
+    row = connection.execute(query).first()
+    if row is None:
+        return None
+    mine = (*_delivery(row.alarm_id, row.way), ALARM_DELIVERY.c.tries == row.tries)
+    taken = update(ALARM_DELIVERY).where(*mine).values(due_unix_s=at + IN_HAND_S, tries=row.tries + 1)
+    if connection.execute(taken).rowcount != 1:  # another process was faster
+        return None
+    return Delivery(_alarm(row), row.way, row.tries + 1)
+
+
+def delivered(connection: Connection, delivery: Delivery, now: datetime) -> None:
+    """Note that a receiver has taken an alarm."""
+    own = _delivery(delivery.alarm.number, delivery.way)
+    connection.execute(update(ALARM_DELIVERY).where(*own).values(delivered_unix_s=unix_of(now), problem=""))
+
+
+def put_off(connection: Connection, delivery: Delivery, why: str, now: datetime) -> None:
+    """Note why a receiver has not taken an alarm, and try again later."""
+    wait_s = min(FIRST_WAIT_S * 2.0 ** (delivery.tries - 1), LONGEST_WAIT_S)
+    own = _delivery(delivery.alarm.number, delivery.way)
+    later = {"due_unix_s": unix_of(now) + wait_s, "problem": why[:500]}
+    connection.execute(update(ALARM_DELIVERY).where(*own).values(**later))
+
+
+def _delivery(number: int, way: str) -> tuple[Any, ...]:
+    return (
+        ALARM_DELIVERY.c.alarm_id == number,
+        ALARM_DELIVERY.c.way == way,
+        ALARM_DELIVERY.c.delivered_unix_s.is_(None),
+    )
+
+
+def thresholds(connection: Connection) -> dict[str, Thresholds]:
+    """Return the limits set for each press."""
+    rows = connection.execute(select(ALARM_THRESHOLD).order_by(ALARM_THRESHOLD.c.press)).all()
+    return {r.press: Thresholds(r.press, known_utc(r.unix_s), r.who, json.loads(r.thresholds_json)) for r in rows}
+
+
+def put_thresholds(connection: Connection, press: str, limits: Mapping[str, Any], who: str) -> None:
+    """Replace the limits set for a press."""
+    connection.execute(delete(ALARM_THRESHOLD).where(ALARM_THRESHOLD.c.press == press))
+    row = {
+        "press": press,
+        "unix_s": unix_of(datetime.now(UTC)),
+        "who": who,
+        "thresholds_json": to_json(limits),
+    }
+    connection.execute(insert(ALARM_THRESHOLD), row)

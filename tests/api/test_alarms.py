@@ -1,0 +1,344 @@
+"""Alarms: raised once, kept over a restart, delivered to a real mail server and a real receiver, acknowledged."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from datetime import UTC, datetime, timedelta
+from email import message_from_bytes
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+
+import httpx
+import pytest
+from aiosmtpd.controller import Controller
+
+from api.alarms.watch import look, send_due
+from api.alarms.ways import NotDelivered, Webhook, ways_of
+from api.answers.health import health_of, standing_alarms
+from daq.process.config import EmailSettings, WebhookSettings
+from daq.records import Channel, InputError, Quality, Scan
+from daq.store import open_store
+from daq.store.records import StandingAlarm, StoredEstimate
+from daq.words import say
+
+NOW = datetime(2026, 3, 4, 7, 0, tzinfo=UTC)
+CHANNELS = (Channel("platen_top"), Channel("platen_bottom"), Channel("top_1"))
+HOT = StandingAlarm("hot", "lab", say("alarm-core-above", press="lab", limit=110.0))
+
+
+@pytest.fixture
+def store(store_url):
+    with open_store(store_url) as opened:
+        yield opened
+
+
+class Inbox:
+    """Takes e-mails as a mail server does; refuses for now where told to."""
+
+    def __init__(self):
+        self.mails, self.refusals = [], 0
+
+    async def handle_DATA(self, server, session, envelope):
+        if self.refusals:
+            self.refusals -= 1
+            return "451 try again later"
+        self.mails.append(message_from_bytes(envelope.content))
+        return "250 taken"
+
+
+@pytest.fixture
+def mail():
+    inbox = Inbox()
+    server = Controller(inbox, hostname="127.0.0.1", port=free_port())
+    server.start()
+    yield (
+        inbox,
+        EmailSettings(
+            host="127.0.0.1", port=server.port, sender="press@plant.example", to=("shift@plant.example",)
+        ),
+    )
+    server.stop()
+
+
+def free_port():
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        return taken.getsockname()[1]
+
+
+class Receiver:
+    """Takes posts as another system does."""
+
+    def __init__(self, port=0):
+        posts = self.posts = []
+        refuse = self.refuse = []
+
+        class Handler(BaseHTTPRequestHandler):
+            def do_POST(self):
+                body = self.rfile.read(int(self.headers["Content-Length"]))
+                if not refuse:
+                    posts.append((self.headers["Idempotency-Key"], json.loads(body)))
+                self.send_response(503 if refuse else 204)
+                self.end_headers()
+
+            def log_message(self, *_):
+                pass
+
+        self.server = ThreadingHTTPServer(("127.0.0.1", port), Handler)
+        self.port = self.server.server_address[1]
+        threading.Thread(target=self.server.serve_forever, daemon=True).start()
+
+    def close(self):
+        self.server.shutdown()
+        self.server.server_close()
+
+
+@pytest.fixture
+def receiver():
+    running = Receiver()
+    yield running
+    running.close()
+
+
+def hook(folder, port):
+    (folder / "hook").write_text(f"http://127.0.0.1:{port}/hook?secret=s3cr3t\n", encoding="utf-8")
+    return WebhookSettings(address_file=folder / "hook")
+
+
+def seconds(s):
+    return NOW + timedelta(seconds=s)
+
+
+def test_a_condition_that_stands_is_raised_once_and_ends_when_it_has_been_calm(store):
+    assert [store.watch_alarms([HOT], [], seconds(s)) for s in (0, 2, 4)] == [1, 0, 0]
+    assert [store.watch_alarms([], [], seconds(s)) for s in (6, 30)] == [0, 0]  # flickers about the limit
+    assert store.watch_alarms([HOT], [], seconds(40)) == 0
+    store.watch_alarms([], [], seconds(120))
+    (alarm,) = store.alarms().items
+    assert (alarm.raised_utc, alarm.ended_utc) == (NOW, seconds(40))
+    assert store.watch_alarms([HOT], [], seconds(130)) == 1
+    assert [a.ended_utc is None for a in store.alarms().items] == [True, False]
+
+
+def test_each_alarm_of_the_journal_is_taken_up_once_also_those_of_a_time_nobody_watched(store):
+    store.log("alarm", "record", say("run-fit-killed", run="old"))
+    store.watch_alarms([], ["email"], NOW)  # what was before the first look is history
+    for run in ("a", "b"):
+        store.log("alarm", "record", say("run-fit-killed", run=run), "lab")
+        store.log("info", "record", say("run-fit-killed", run=run), "lab")
+    assert [store.watch_alarms([], ["email"], NOW) for _ in range(2)] == [2, 0]
+    assert [a.message.arguments["run"] for a in store.alarms(pending=True).items] == ["b", "a"]
+
+
+def test_the_first_to_acknowledge_an_alarm_is_kept(store):
+    store.watch_alarms([HOT], [], NOW)
+    number = store.alarms().items[0].number
+    first = store.acknowledge_alarm(number, "foreman")
+    assert store.acknowledge_alarm(number, "other") == first
+    assert (first.acknowledged_by, first.ended_utc) == ("foreman", None)
+    assert store.alarms(pending=True).items == (first,)  # it stands, whoever knows of it
+    store.watch_alarms([], [], seconds(120))
+    assert store.alarms(pending=True).items == ()
+    with pytest.raises(InputError, match="no alarm 999"):
+        store.acknowledge_alarm(999, "foreman")
+
+
+def test_an_alarm_reaches_mailbox_and_receiver_once_each(store, mail, receiver, tmp_path):
+    inbox, settings = mail
+    ways = ways_of(settings, hook(tmp_path, receiver.port), "store")
+    store.watch_alarms([HOT], [way.name for way in ways], NOW)
+    assert [send_due(store, ways, lambda: NOW) for _ in range(2)] == [2, 0]
+    (letter,), ((key, post),) = inbox.mails, receiver.posts
+    number = store.alarms().items[0].number
+    assert letter["Subject"] == "Kerntemp: lab: the core is above 110 °C" or "=?utf-8?" in letter["Subject"]
+    assert letter["Message-ID"].startswith(f"<alarm-{number}.")
+    assert "110" in letter.get_payload(decode=True).decode()
+    assert (key, post["id"], post["message_said"]["code"]) == (f"alarm-{number}", str(number), "alarm-core-above")
+
+
+def test_a_mail_in_german_where_the_plant_reads_german(store, mail):
+    inbox, settings = mail
+    ways = ways_of(settings.model_copy(update={"language": "de"}), None, "store")
+    store.watch_alarms([HOT], ["email"], NOW)
+    send_due(store, ways, lambda: NOW)
+    assert "der Kern ist über 110 °C" in inbox.mails[0].get_payload(decode=True).decode()
+    with pytest.raises(InputError, match="there are words for en, de"):
+        ways_of(settings.model_copy(update={"language": "fr"}), None, "store")
+
+
+def test_a_receiver_that_refuses_is_asked_again_later_and_told_of_once(store, mail, receiver, tmp_path):
+    inbox, settings = mail
+    inbox.refusals = 2
+    receiver.refuse.append(True)
+    ways = ways_of(settings, hook(tmp_path, receiver.port), "store")
+    store.watch_alarms([HOT], ["email", "webhook"], NOW)
+    sent = [send_due(store, ways, lambda s=s: seconds(s)) for s in (0, 1, 5, 6, 15)]
+    assert sent == [0, 0, 0, 0, 1]  # after 5 s, then after another 10
+    receiver.refuse.clear()
+    assert send_due(store, ways, lambda: seconds(60)) == 1
+    assert (len(inbox.mails), len(receiver.posts)) == (1, 1)
+    warnings = [str(e.message) for e in store.journal(level="warning").items]
+    assert len(warnings) == 2
+    assert not any("s3cr3t" in line for line in warnings)
+
+
+def test_a_delivery_is_in_one_hand_at_a_time(store):
+    store.watch_alarms([HOT], ["email"], NOW)
+    mine = store.take_delivery(["email"], NOW)
+    assert store.take_delivery(["email"], seconds(40)) is None
+    again = store.take_delivery(["email"], seconds(50))  # the first hand was killed
+    assert (mine.tries, again.tries, again.alarm) == (1, 2, mine.alarm)
+    store.delivered(again, seconds(51))
+    assert store.take_delivery(["email"], seconds(9999)) is None
+
+
+def test_a_receiver_that_is_gone_and_one_that_sends_elsewhere_have_not_taken_it(tmp_path, store):
+    store.watch_alarms([HOT], [], NOW)
+    with pytest.raises(NotDelivered, match="refused"):
+        Webhook(hook(tmp_path, free_port())).deliver(store.alarms().items[0])
+
+
+SERVE = """
+import sys, threading
+from api.alarms.watch import watching
+from api.alarms.ways import ways_of
+from daq.process.config import EmailSettings, WebhookSettings
+from daq.store import open_store
+from pathlib import Path
+url, port, hook = sys.argv[1:]
+email = EmailSettings(host="127.0.0.1", port=int(port), sender="press@plant.example", to=("shift@plant.example",))
+store = open_store(url)
+with watching(store, ways_of(email, WebhookSettings(address_file=Path(hook)), "store")):
+    print("watching", flush=True)
+    sys.stdin.read()
+"""
+
+
+def end(process):
+    process.kill()
+    process.wait(20)
+    process.stdin.close()
+    process.stdout.close()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="SIGKILL is POSIX")
+def test_no_alarm_is_lost_over_a_kill_and_none_doubled(store, store_url, mail, tmp_path, request):
+    inbox, settings = mail
+    running, port = [], free_port()
+    request.addfinalizer(lambda: [end(one) for one in running])
+    webhook = hook(tmp_path, port)
+    command = [sys.executable, "-c", SERVE, store_url, str(settings.port), str(webhook.address_file)]
+
+    def started():
+        running.append(subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True))
+        assert running[-1].stdout.readline() == "watching\n"
+        return running[-1]
+
+    def until(done):
+        deadline = time.monotonic() + 120.0
+        while not done():
+            assert time.monotonic() < deadline, store.alarms().items
+            time.sleep(0.05)
+
+    def of(code):
+        return [a for a in store.alarms(limit=100).items if a.message.code == code]
+
+    store.watch_alarms([], [], datetime.now(UTC))
+    store.log("alarm", "record", say("run-fit-killed", run="first"), "lab")
+    first = started()
+    until(lambda: [m for m in inbox.mails if "first" in m.get_payload(decode=True).decode()])  # mail up, hook down
+    until(lambda: store.journal(level="warning").items)
+    first.send_signal(signal.SIGKILL)
+    first.wait(20)
+    store.log("alarm", "record", say("run-fit-killed", run="second"), "lab")  # nobody watches
+    late = Receiver(port)
+    second = started()
+    wanted = {"run-fit-killed", "health-process-never-seen"}
+    until(lambda: len(of("run-fit-killed")) == 2 and len(late.posts) >= len(store.alarms(limit=100).items))
+    until(lambda: len(inbox.mails) >= len(store.alarms(limit=100).items))
+    second.stdin.close()
+    assert second.wait(30) == 0
+    late.close()
+    numbers = sorted(a.number for a in store.alarms(limit=100).items)
+    assert {a.message.code for a in store.alarms(limit=100).items} == wanted
+    assert sorted(int(post["id"]) for _, post in late.posts) == numbers
+    assert sorted(int(m["Message-ID"].split("-")[1].split(".")[0]) for m in inbox.mails) == numbers
+
+
+def press_with(store, platen=200.0, core=95.0, when=NOW):
+    key = store.register_press("lab", CHANNELS, "")
+    n = key.next_number
+    store.append_scans(key, [Scan(n, when, float(n), (platen, 199.0, 90.0), (Quality.GOOD,) * 3)])
+    store.append_estimates("lab", [StoredEstimate(n, float(n), "closed", core, 1.0, core - 2, core + 2, True)])
+
+
+def crossed(store, now=NOW):
+    return {a.message.code for a in standing_alarms(store, now) if a.key.startswith("threshold:")}
+
+
+def test_limits_that_are_crossed_stand_in_health_and_nowhere_else(store):
+    press_with(store)
+    assert crossed(store) == set()
+    limits = {"core_above_C": 94.0, "platen_below_C": 199.5, "platen_above_C": 210.0, "silence_s": 30.0}
+    store.put_alarm_thresholds("lab", limits, "engineer")
+    assert crossed(store) == {"alarm-core-above", "alarm-platen-below"}
+    assert "lab: platen_bottom is below 199.5 °C" in health_of(store, NOW).alarms
+    assert crossed(store, seconds(20)) == set()  # too old to say anything of the press now
+    assert crossed(store, seconds(31)) == {"alarm-silence"}
+    store.put_diagnosis("lab", {"verdict": "unknown_effect"})
+    store.put_alarm_thresholds("lab", {"verdict_unknown": True}, "engineer")
+    assert crossed(store) == {"alarm-verdict"}
+    store.put_diagnosis("lab", {"verdict": "named"})
+    assert crossed(store) == set()
+
+
+def test_a_silence_that_grows_from_seconds_to_hours_is_one_alarm(store):
+    store.beat("record", {"state": "running"})
+    began = datetime.now(UTC)
+    for s in (0, 20, 9000):
+        look(store, [], began + timedelta(seconds=s))
+    assert [a.message.code for a in store.alarms().items if a.message.arguments["process"] == "record"] == [
+        "health-process-silent"
+    ]
+
+
+@pytest.fixture
+def plant(tmp_path, serve_any, tokens):
+    with open_store(str(tmp_path / "kerntemp.sqlite")) as opened:
+        press_with(opened)
+        url = serve_any(opened) + "/api/v1"
+        writer = {"Authorization": f"Bearer {tokens.create('engineer', 'write')}"}
+        with httpx.Client(base_url=url, headers=writer, timeout=60) as client:
+            yield opened, client, url
+
+
+def test_an_engineer_sets_limits_and_acknowledges_by_rest(plant):
+    store, client, url = plant
+    said = client.put("/alarms/thresholds/lab", json={"core_above_C": 94.0}).json()
+    assert (said["who"], said["thresholds"]["core_above_C"], said["thresholds"]["silence_s"]) == (
+        "engineer",
+        94,
+        None,
+    )
+    assert client.get("/alarms/thresholds").json()["items"] == [said]
+    look(store, [], NOW)
+    (alarm,) = client.get("/alarms?pending=true&press=lab").json()["items"]
+    assert (alarm["message"], alarm["stands"]) == ("lab: the core is above 94 °C", True)
+    done = client.post(f"/alarms/{alarm['id']}/acknowledge").json()
+    assert done["acknowledged_by"] == "engineer"
+    assert client.get("/alarms?limit=1").json()["next_cursor"] is not None
+    assert client.post("/alarms/999/acknowledge").status_code == 404
+    assert client.put("/alarms/thresholds/elsewhere", json={}).status_code == 404
+    assert client.put("/alarms/thresholds/lab", json={"core_abov_C": 1.0}).status_code == 422
+    assert (
+        client.put("/alarms/thresholds/lab", json={"platen_below_C": 9.0, "platen_above_C": 8.0}).status_code
+        == 422
+    )
+    for change in (httpx.put, httpx.post):
+        path = "/alarms/thresholds/lab" if change is httpx.put else f"/alarms/{alarm['id']}/acknowledge"
+        assert change(url + path, json={}).status_code == 401
