@@ -17,6 +17,7 @@ import typer
 
 from api.commands import files, services
 from api.commands import simulating as analysis
+from api.commands.advising import advise
 from api.commands.calibrating import calibrate
 from api.commands.calling import Command, Group, refusal_of
 from api.commands.demo import demo
@@ -70,6 +71,7 @@ app.command("refit", cls=Command)(services.refit)
 app.command("fit", cls=Command)(fit)
 app.command("diagnose", cls=Command)(diagnose)
 app.command("plan", cls=Command)(plan)
+app.command("advise", cls=Command)(advise)
 app.command("simulate", cls=Command)(analysis.simulate)
 app.command("predict", cls=Command)(analysis.predict)
 app.command("import", cls=Command)(files.import_runs)

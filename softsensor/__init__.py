@@ -15,11 +15,13 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from softsensor.effects import add_effect as add_effect
+    from softsensor.face import AdviceResult as AdviceResult
     from softsensor.face import DiagnosisResult as DiagnosisResult
     from softsensor.face import FitResult as FitResult
     from softsensor.face import PlanResult as PlanResult
     from softsensor.face import Prediction as Prediction
     from softsensor.face import Simulation as Simulation
+    from softsensor.face import advise as advise
     from softsensor.face import diagnose as diagnose
     from softsensor.face import fit as fit
     from softsensor.face import plan as plan
@@ -32,6 +34,7 @@ if TYPE_CHECKING:
     from softsensor.live.sensor import LiveSensor as LiveSensor
 
 __all__ = [
+    "AdviceResult",
     "DiagnosisResult",
     "Estimate",
     "FitResult",
@@ -40,6 +43,7 @@ __all__ = [
     "Prediction",
     "Simulation",
     "add_effect",
+    "advise",
     "diagnose",
     "fit",
     "plan",

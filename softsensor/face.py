@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import html
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import pandas as pd
@@ -22,7 +23,9 @@ from daq.files.mapping import read_foreign, read_mapping
 from daq.files.run_file import read_run as read_run_file
 from daq.press.press_file import Press
 from daq.press.press_file import read_press as read_press_file
-from daq.records import Run
+from daq.press.resin_file import Resin, read_resin
+from daq.records import InputError, Run
+from daq.words import say
 from softsensor.diagnosis.finding import Diagnosis
 from softsensor.diagnosis.verdict import diagnose as diagnose_runs
 from softsensor.fitting.campaign import CampaignFit
@@ -32,9 +35,12 @@ from softsensor.heat.model_file import ModelFile
 from softsensor.jobs.campaign import fit_campaign
 from softsensor.jobs.model_files import read_model as read_model_file
 from softsensor.live.replay import Replay, replay
+from softsensor.planning.advise import Goal, ProgrammeAdvice, Wish, advice_ranges, limits_of
+from softsensor.planning.advise import advise as advise_on
+from softsensor.planning.made_up import Task
 from softsensor.planning.plan import Plan
 from softsensor.planning.plan import plan as plan_after
-from softsensor.planning.summary import plan_said
+from softsensor.planning.summary import advice_said, plan_said
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -259,6 +265,34 @@ class PlanResult:
         return "".join(f"<p>{html.escape(str(line))}</p>" for line in plan_said(self.planned))
 
 
+@dataclass(frozen=True, repr=False)
+class AdviceResult:
+    """Press time and platens for a panel not pressed yet, and those beside them."""
+
+    advised: ProgrammeAdvice
+
+    def frame(self) -> pd.DataFrame:
+        """Return one row a program looked at: press time, risk, energy; NaN where no press time will do."""
+        return pd.DataFrame(self.advised.as_json()["programs"]).set_index("platen_temperature_C")
+
+    def plot(self) -> list[Axes]:
+        """Draw press time against risk; return the axes."""
+        from softsensor.report.advice_figure import advice_figure
+
+        return _shown(advice_figure(self.advised))
+
+    def to_json(self) -> str:
+        """Return what ``advise --json`` writes."""
+        return json.dumps(self.advised.as_json())
+
+    def __repr__(self) -> str:
+        """Say the answer, what it costs, and what to measure to press shorter."""
+        return "\n".join(map(str, advice_said(self.advised)))
+
+    def _repr_html_(self) -> str:
+        return "".join(f"<p>{html.escape(str(line))}</p>" for line in advice_said(self.advised))
+
+
 AnyModel: TypeAlias = ModelFile | FitResult | DiagnosisResult | Path | str
 
 
@@ -340,6 +374,61 @@ def plan(
     """
     found = runs if isinstance(runs, DiagnosisResult) else diagnose(runs, press)
     return PlanResult(plan_after(read_press(press), found.diagnosis, ranges or {}))
+
+
+USUAL_PANEL: Mapping[str, Any] = MappingProxyType({"panel.material": "MDF", "panel.thickness_mm": 16.0})
+"""What is advised on where nothing is said of the panel; the answer names it."""
+ROOM_C = 23.0
+"""Room and panel where nothing is said of them, as for a run without ``ambient.temperature_C``. [°C]"""
+
+
+def advise(  # noqa: PLR0913 - one argument a wish
+    press: AnyPress,
+    model: AnyModel,
+    resin: Resin | Path | str | None = None,
+    *,
+    panel: Mapping[str, Any] | None = None,
+    ranges: Mapping[str, tuple[float, float]] | None = None,
+    limits: Mapping[str, float] | None = None,
+    goal: str = "time",
+    price_per_kWh: float | None = None,
+    waiting_s: float = 10.0,
+    open_s: float = 30.0,
+    progress: Callable[[str, float], None] | None = None,
+) -> AdviceResult:
+    """Say how long to press a panel not pressed yet, and how hot, under limits at a wanted probability.
+
+    Parameters
+    ----------
+    resin
+        The resin file: kinetics, sorption and limits; without it the core alone can be limited.
+    panel
+        Keys of a run's header, such as ``panel.thickness_mm``; MDF of 16 mm without.
+    ranges
+        ``platen_temperature_C``, ``press_time_s``, ``pressure_N_cm2`` from and to.
+    limits
+        ``cure_least``, ``core_least_C``, ``core_most_C``, ``steam_most_kPa``, ``probability``, before the resin's.
+    goal
+        ``time``, ``energy`` or ``throughput``.
+    price_per_kWh
+        In euros.
+    waiting_s, open_s
+        From laying the panel in to closing; and how long the press is open between two panels. [s]
+
+    Raises
+    ------
+    InputError
+        For no limit, or a panel, range or press that cannot be.
+    """
+    if goal not in (known := tuple(one.value for one in Goal)):
+        raise InputError(say("advise-goal-unknown", goal=goal, known=known))
+    loaded = resin if resin is None or isinstance(resin, Resin) else read_resin(Path(resin))
+    wanted = limits_of(loaded, limits or {})
+    allowed = advice_ranges(ranges or {})
+    header = {**USUAL_PANEL, "panel.initial_temperature_C": ROOM_C, **(panel or {})}
+    task = Task(read_press(press), read_model(model), header, waiting_s, allowed["press_time_s"][1])
+    wish = Wish(wanted, loaded, allowed, Goal(goal), open_s, price_per_kWh)
+    return AdviceResult(advise_on(task, wish, progress))
 
 
 def predict(

@@ -898,6 +898,30 @@ worth-saves = senkt das Residuum um { NUMBER($gain, minimumFractionDigits: 2, ma
 
 ## softsensor.planning: the next pressings
 
+advise-assumed = Angenommen: die Heizplatten halten ihren Sollwert; was sie nach außen verlieren, ist nicht gezählt. Das letzte Wort hat der Softsensor im Betrieb.
+advise-best = { NUMBER($seconds, maximumFractionDigits: 0) } s bei { NUMBER($platen, maximumFractionDigits: 0) } °C pressen: alle Grenzen gelten mit { NUMBER($percent, maximumFractionDigits: 1) } %
+advise-cure-without-resin = eine Grenze der Aushärtung braucht die Kinetik des Harzes; --resin angeben
+advise-energy = { NUMBER($energy, maximumFractionDigits: 3) } kWh je Platte, { NUMBER($panels, maximumFractionDigits: 0) } Platten in der Stunde
+advise-energy-cost = { $energy }, { NUMBER($cents, maximumFractionDigits: 1) } Cent je Platte
+advise-goal-unknown = --goal { $goal }: muss eines von { $known } sein
+advise-limit-core_least = Kern zu kalt
+advise-limit-core_most = Kern zu heiß
+advise-limit-cure_bottom = untere Seite nicht ausgehärtet
+advise-limit-cure_top = obere Seite nicht ausgehärtet
+advise-limit-steam_most = zu viel Dampf
+advise-margin = Die mittlere Platte ist nach { NUMBER($likely, maximumFractionDigits: 0) } s fertig; über { NUMBER($until, maximumFractionDigits: 0) } s hinaus gelten die Grenzen nicht mehr so sicher, oder Längeres wurde nicht betrachtet.
+advise-measure = Wäre dies genau bekannt, genügten { NUMBER($seconds, maximumFractionDigits: 0) } s: { $source }
+advise-no-limit = keine Grenze einzuhalten; --resin mit [limits], --core-least oder --core-most angeben
+advise-none = Kein Programm in den Bereichen hält alle Grenzen ein. Am nächsten: { $limit } mit { NUMBER($percent, maximumFractionDigits: 0) } %
+advise-panel = Platte: { $material }, { $thickness } mm
+advise-panel-unreadable = --panel '{ $given }': muss SCHLÜSSEL=WERT sein, etwa panel.thickness_mm=16
+advise-press-without-states = { $press }: nach der Pressendatei öffnet und schließt nichts, also gibt es keine Presszeit
+advise-pressure = Druck: { NUMBER($pressure, maximumFractionDigits: 0) } N/cm²
+advise-source-coefficients = die Kontakte dieser Pressung (der Softsensor lernt sie beim Pressen; gleichmäßige Kontakte helfen)
+advise-source-effects = die Größe der gefundenen Ursachen (mehr Pressungen)
+advise-source-kinetics = die Kinetik des Harzes (eine DSC dieses Papiers)
+advise-source-platens = die wahre Temperatur der Heizplatten (kalibrieren)
+advise-source-sorption = die Isotherme der Platte (ein Sorptionsversuch)
 plan-best = Am besten: { $settings }. { $prospect }
 plan-best-is-usual = Am besten: die üblichen Einstellungen. { $prospect }
 plan-narrows-kelvin = Eine Pressung bringt es auf ±{ NUMBER($kelvin, maximumFractionDigits: 2) } K; { $runs }.
@@ -907,7 +931,7 @@ plan-open-causes = Nicht zu unterscheiden: { $causes }
 plan-open-coefficient = { $name } ist auf ±{ NUMBER($percent, maximumFractionDigits: 0) } % bekannt (gewünscht: ±{ NUMBER($wanted, maximumFractionDigits: 0) } %)
 plan-open-core = Der Kern beim Öffnen ist auf ±{ NUMBER($kelvin, maximumFractionDigits: 1) } K bekannt, soweit alle Pressungen es gemeinsam haben (gewünscht: ±{ NUMBER($wanted, maximumFractionDigits: 1) } K)
 plan-open-suspected = Im Verdacht, oder nichts: { $causes }
-plan-range-unknown = --range { $name }: das stellen diese Pressungen nicht ein; bekannt sind { $known }
+plan-range-unknown = --range { $name }: diese Einstellung gibt es hier nicht; bekannt sind { $known }
 plan-range-unreadable = --range '{ $given }': muss NAME=UNTEN:OBEN sein, etwa thickness_mm=8:19
 plan-range-wrong = --range { $name }={ NUMBER($low, maximumFractionDigits: 3) }:{ NUMBER($high, maximumFractionDigits: 3) }: das untere Ende steht zuerst, und beide müssen zwischen { NUMBER($lower, maximumFractionDigits: 3) } und { NUMBER($upper, maximumFractionDigits: 3) } liegen
 plan-repeated = Die üblichen Einstellungen noch einmal: { $prospect }
@@ -1046,6 +1070,9 @@ rehearsal-wrong = andere Ursache genannt
 ## softsensor.report: figures and pages
 
 figure-adaptive = Löser mit angepassten Schritten
+figure-advice-any = irgendeine Grenze, Heizplatten { NUMBER($platen, maximumFractionDigits: 0) } °C
+figure-advice-press-time = Presszeit [s]
+figure-advice-risk = Wahrscheinlichkeit, dass eine Grenze verletzt ist [%]
 figure-coefficient = { $name } = { NUMBER($mean, maximumSignificantDigits: 3) } W/m²K
 figure-coefficient-shared = { $name } = { NUMBER($mean, maximumSignificantDigits: 3) } W/m²K, gemeinsam
 figure-coefficient-spread = { $name } = { NUMBER($mean, maximumSignificantDigits: 3) } ± { NUMBER($sd, maximumSignificantDigits: 2) } W/m²K
@@ -1457,6 +1484,7 @@ terminal-program-key-twice = --program { $setting }: { $key } ist zweimal angege
 terminal-program-no-number = --program { $setting }: „{ $value }“ ist keine Zahl
 terminal-program-out-of-range = --program { $setting }: muss zwischen 0 und { $most } { $unit } liegen
 terminal-program-unknown-key = --program { $setting }: muss KEY=WERT sein, mit KEY eins von { $known }
+terminal-progress-advising = Programme werden durchgerechnet
 terminal-progress-copying = { $store } wird kopiert
 terminal-progress-diagnosing = { $runs ->
     [one] Diagnose von { $runs } Pressung
@@ -1524,6 +1552,8 @@ call-option-unknown = { $option }: diese Option gibt es nicht; --help nennt alle
 call-option-unknown-meant = { $option }: diese Option gibt es nicht; ähnlich sind { $meant }
 call-option-without-value = { $option }: braucht einen Wert
 call-surplus = zu viel in diesem Aufruf: { $words }; Text mit Leerzeichen in Anführungszeichen setzen
+help-advice-resin = Die Harzdatei: Kinetik, Sorption und Grenzen beim Öffnen.
+help-advice-svg = Die Presszeit gegen das Risiko in diese Datei zeichnen.
 help-arguments = Argumente:
 help-averages = Mit einem Verfahren des Aufsatzes: Mittel der oberen und der unteren Fühler statt jedes Fühlers.
 help-backup-file = Die Kopie: eine neue SQLite-Datei.
@@ -1531,6 +1561,7 @@ help-baud = Baudrate der seriellen Leitung; ohne Angabe 9600.
 help-calibrate-write = Die gefundenen Abweichungen in die Kalibrierdatei jedes Messgeräts schreiben.
 help-certificate = TLS-Zertifikatskette, PEM.
 help-coefficients = Koeffizienten, ein flaches {"{"}NAME: Wert{"}"}.
+help-command-advise = Sagen, wie lange und wie heiß eine noch nicht gepresste Platte zu pressen ist, unter Grenzen mit gewünschter Wahrscheinlichkeit.
 help-command-backup = Den Datenspeicher kopieren, während andere in ihn schreiben. Die Kopie wird geprüft, bevor sie ihren Namen bekommt.
 help-command-calibrate = Alle Kanäle bei Raumtemperatur prüfen (--room) oder vertauschte finden (--warm). Vorher kerntemp record anhalten.
 help-command-check = Konfiguration und Datenspeicher prüfen und jedes Messgerät einmal lesen.
@@ -1552,6 +1583,8 @@ help-command-simulate = Eine Pressung allein aus ihren Heizplattentemperaturen s
 help-command-token = Zugangstoken anlegen, auflisten und zurückziehen. Ein neues wird einmal gezeigt.
 help-commands = Befehle:
 help-config = Die Konfiguration; ohne Angabe kerntemp.toml in diesem Ordner.
+help-core-least = Temperatur, die der Kern beim Öffnen haben muss.
+help-core-most = Temperatur, die der Kern beim Öffnen haben darf.
 help-dask = Ein Dask-Scheduler, dessen Worker die Anpassungen rechnen; siehe [refit] dask.
 help-data = Alles in diesem Ordner aufheben.
 help-default = { $told } [ohne Angabe: { $value }]
@@ -1560,6 +1593,7 @@ help-environment = { $told } [oder die Umgebungsvariable { $name }]
 help-export-format = Format der Dateien in einem Ordner; jsonl enthält Dokumente des Event-Modells von bluesky.
 help-export-out = Eine Datei für eine Pressung, ein Ordner für mehrere.
 help-export-runs = Namen von Pressungen; ohne Angabe werden alle aufgelistet.
+help-goal = Wonach zu suchen ist: time, energy oder throughput.
 help-help = Diese Seite zeigen.
 help-hide = Diesen Effekt nur in der virtuellen Presse einschalten.
 help-host = Adresse, auf der gelauscht wird; ohne Angabe die der Konfiguration.
@@ -1573,13 +1607,17 @@ help-method = default oder eins der Verfahren des Aufsatzes: least_squares, neld
 help-model = Eine Modelldatei, wie fit und diagnose sie schreiben.
 help-model-out = Die Modelldatei der Versuchsreihe hierhin schreiben.
 help-offline = Die Messgeräte nicht lesen.
+help-open = Wie lange die Presse zwischen zwei Platten offen steht, für Energie und Durchsatz.
 help-options = Optionen:
 help-out = Die Tabelle hierhin schreiben.
 help-page-port = Port der Seite; 0 nimmt einen freien.
+help-panel = Ein Schlüssel aus dem Kopf einer Laufdatei, der Platte oder Raum beschreibt, etwa panel.thickness_mm=16. Mehrfach möglich; ohne Angabe MDF von 16 mm.
 help-period = Zeit zwischen zwei Messungen.
 help-port = Port; 0 nimmt einen freien und zeigt ihn.
 help-press = Die Pressendatei.
 help-pressings = Nach so vielen Pressungen anhalten; ohne Angabe bei Strg-C.
+help-price = Preis einer kWh in Euro.
+help-probability = Wahrscheinlichkeit, mit der alle Grenzen gelten sollen; ohne Angabe die der Harzdatei oder 0,975.
 help-program = Ein noch nie gefahrenes Pressprogramm, durch seine Einstellungen: seine Koeffizienten werden aus denen der Versuchsreihe vorhergesagt. Mehrfach möglich.
 help-range = Was sich einstellen lässt, und wie weit: platen_temperature_C, press_time_s, thickness_mm, start_temperature_C, waiting_s oder pressure_N_cm2. Mehrfach möglich; ohne Angabe der Bereich der Pressungen selbst, maßvoll erweitert.
 help-rehearse = Solche Kampagnen mit dem eigenen Modell des Softsensors simulieren, mit jeder Ursache der Reihe nach und ohne, sie diagnostizieren und sagen, wie oft eine Ursache gefunden und wie oft eine falsche genannt wird.
@@ -1612,6 +1650,7 @@ help-usage = Aufruf: { $call }
 help-verify = Nur eine vorhandene Kopie prüfen.
 help-version = Die Version zeigen.
 help-wait = Zeit zum Erwärmen mit der Hand; ohne Angabe beendet Enter das Warten.
+help-waiting = Vom Einlegen der Platte bis zum Schließen.
 help-warm = Den Fühler finden, der mit der Hand erwärmt wird.
 help-without = Spalten, die verborgen werden, durch Kommas getrennt; Muster wie top_* sind erlaubt.
 help-workers = Prozesse auf diesem Rechner; siehe [refit] workers.

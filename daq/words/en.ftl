@@ -881,6 +881,30 @@ worth-saves = lowers the residual by { NUMBER($gain, minimumFractionDigits: 2, m
 
 ## softsensor.planning: the next pressings
 
+advise-assumed = Assumed: platens stand at their set point; what they lose outwards is not counted. Let the live sensor have the last word.
+advise-best = Press for { NUMBER($seconds, maximumFractionDigits: 0) } s at { NUMBER($platen, maximumFractionDigits: 0) } °C: all limits hold with { NUMBER($percent, maximumFractionDigits: 1) } %
+advise-cure-without-resin = a limit of cure needs the resin's kinetics; give --resin
+advise-energy = { NUMBER($energy, maximumFractionDigits: 3) } kWh a panel, { NUMBER($panels, maximumFractionDigits: 0) } panels an hour
+advise-energy-cost = { $energy }, { NUMBER($cents, maximumFractionDigits: 1) } cents a panel
+advise-goal-unknown = --goal { $goal }: must be one of { $known }
+advise-limit-core_least = core too cold
+advise-limit-core_most = core too hot
+advise-limit-cure_bottom = lower face undercured
+advise-limit-cure_top = upper face undercured
+advise-limit-steam_most = too much steam
+advise-margin = The middle panel is ready after { NUMBER($likely, maximumFractionDigits: 0) } s; beyond { NUMBER($until, maximumFractionDigits: 0) } s the limits no longer hold so surely, or nothing longer was looked at.
+advise-measure = If this were known exactly, { NUMBER($seconds, maximumFractionDigits: 0) } s would do: { $source }
+advise-no-limit = nothing to keep to; give --resin with [limits], --core-least or --core-most
+advise-none = No program within the ranges keeps all limits. Nearest: { $limit } with { NUMBER($percent, maximumFractionDigits: 0) } %
+advise-panel = Panel: { $material }, { $thickness } mm
+advise-panel-unreadable = --panel '{ $given }': must be KEY=VALUE, such as panel.thickness_mm=16
+advise-press-without-states = { $press }: nothing in the press file opens and closes, so there is no press time
+advise-pressure = Pressure: { NUMBER($pressure, maximumFractionDigits: 0) } N/cm²
+advise-source-coefficients = the contacts of this pressing (the live sensor learns them while it presses; even contacts help)
+advise-source-effects = the size of the diagnosed causes (more runs)
+advise-source-kinetics = the resin's kinetics (a DSC of this paper)
+advise-source-platens = the platens' true temperature (calibrate them)
+advise-source-sorption = the board's isotherm (a sorption test)
 plan-best = Best: { $settings }. { $prospect }
 plan-best-is-usual = Best: the usual settings. { $prospect }
 plan-narrows-kelvin = One brings it to ±{ NUMBER($kelvin, maximumFractionDigits: 2) } K; { $runs }.
@@ -890,7 +914,7 @@ plan-open-causes = Not told apart: { $causes }
 plan-open-coefficient = { $name } is known to ±{ NUMBER($percent, maximumFractionDigits: 0) } % (wanted: ±{ NUMBER($wanted, maximumFractionDigits: 0) } %)
 plan-open-core = The core at the opening is known to ±{ NUMBER($kelvin, maximumFractionDigits: 1) } K for what all pressings share (wanted: ±{ NUMBER($wanted, maximumFractionDigits: 1) } K)
 plan-open-suspected = Suspected, or nothing: { $causes }
-plan-range-unknown = --range { $name }: these runs set no such thing; known are { $known }
+plan-range-unknown = --range { $name }: no such setting here; known are { $known }
 plan-range-unreadable = --range '{ $given }': must be NAME=LOW:HIGH, such as thickness_mm=8:19
 plan-range-wrong = --range { $name }={ NUMBER($low, maximumFractionDigits: 3) }:{ NUMBER($high, maximumFractionDigits: 3) }: the lower end goes first, and both must lie between { NUMBER($lower, maximumFractionDigits: 3) } and { NUMBER($upper, maximumFractionDigits: 3) }
 plan-repeated = The usual settings again: { $prospect }
@@ -1030,6 +1054,9 @@ rehearsal-wrong = another cause named
 ## softsensor.report: figures and pages
 
 figure-adaptive = adaptive solver
+figure-advice-any = any limit, platens at { NUMBER($platen, maximumFractionDigits: 0) } °C
+figure-advice-press-time = press time [s]
+figure-advice-risk = chance that a limit is broken [%]
 figure-coefficient = { $name } = { NUMBER($mean, maximumSignificantDigits: 3) } W/m²K
 figure-coefficient-shared = { $name } = { NUMBER($mean, maximumSignificantDigits: 3) } W/m²K, shared
 figure-coefficient-spread = { $name } = { NUMBER($mean, maximumSignificantDigits: 3) } ± { NUMBER($sd, maximumSignificantDigits: 2) } W/m²K
@@ -1441,6 +1468,7 @@ terminal-program-key-twice = --program { $setting }: { $key } is given twice; a 
 terminal-program-no-number = --program { $setting }: '{ $value }' is no number
 terminal-program-out-of-range = --program { $setting }: must lie between 0 and { $most } { $unit }
 terminal-program-unknown-key = --program { $setting }: must be KEY=VALUE with KEY one of { $known }
+terminal-progress-advising = Trying programs
 terminal-progress-copying = Copying { $store }
 terminal-progress-diagnosing = { $runs ->
     [one] Diagnosing { $runs } run
@@ -1505,6 +1533,8 @@ call-option-unknown = { $option }: no such option; --help lists them
 call-option-unknown-meant = { $option }: no such option; near it are { $meant }
 call-option-without-value = { $option }: needs a value
 call-surplus = too much in this call: { $words }; put quotes around a text with blanks
+help-advice-resin = The resin file: kinetics, sorption and limits at opening.
+help-advice-svg = Draw press time against risk here.
 help-arguments = Arguments:
 help-averages = With a method of the paper: averages of the upper and of the lower sensors, not every sensor.
 help-backup-file = The copy: a new SQLite file.
@@ -1512,6 +1542,7 @@ help-baud = Baud rate of the serial line; without it 9600.
 help-calibrate-write = Add the offsets found to each logger's calibration file.
 help-certificate = TLS certificate chain, PEM.
 help-coefficients = Coefficients, a flat {"{"}NAME: value{"}"}.
+help-command-advise = Say how long to press a panel not pressed yet, and how hot, under limits at a wanted probability.
 help-command-backup = Copy the store while others write to it. The copy is checked before it gets its name.
 help-command-calibrate = Check all channels at room temperature (--room), or find swapped ones (--warm). Stop kerntemp record first.
 help-command-check = Check the configuration and the store, and read every logger once.
@@ -1533,6 +1564,8 @@ help-command-simulate = Simulate a run from its platen temperatures alone.
 help-command-token = Make, list and revoke access tokens. A new one is shown once.
 help-commands = Commands:
 help-config = The configuration; without it kerntemp.toml in this folder.
+help-core-least = Temperature the core must have at opening.
+help-core-most = Temperature the core may have at opening.
 help-dask = A Dask scheduler whose workers take the fits; see [refit] dask.
 help-data = Keep everything in this folder.
 help-default = { $told } [default: { $value }]
@@ -1541,6 +1574,7 @@ help-environment = { $told } [or the environment variable { $name }]
 help-export-format = Format of the files in a folder; jsonl holds documents of bluesky's event model.
 help-export-out = A file for one run, a folder for several.
 help-export-runs = Ids of runs; without any, the runs are listed.
+help-goal = What to look for: time, energy or throughput.
 help-help = Show this page.
 help-hide = Switch this effect on in the virtual press only.
 help-host = Address to listen on; without it the configuration's.
@@ -1554,13 +1588,17 @@ help-method = default, or one of the paper's: least_squares, nelder_mead, nelder
 help-model = A model file, as fit and diagnose write it.
 help-model-out = Write the campaign's model file here.
 help-offline = Do not read the loggers.
+help-open = How long the press is open between two panels, for energy and throughput.
 help-options = Options:
 help-out = Write the table here.
 help-page-port = Port of the page; 0 takes a free one.
+help-panel = A key of a run's header that describes the panel or the room, such as panel.thickness_mm=16. May be repeated; MDF of 16 mm without.
 help-period = Time between two readings.
 help-port = Port; 0 takes a free one and shows it.
 help-press = The press file.
 help-pressings = Stop after this many pressings; without it at Ctrl-C.
+help-price = Price of a kWh in euros.
+help-probability = Probability with which all limits are to hold; without it the resin file's, or 0.975.
 help-program = A press program never run, by its settings: its coefficients are predicted from the campaign's. May be repeated.
 help-range = What can be set, and how far: platen_temperature_C, press_time_s, thickness_mm, start_temperature_C, waiting_s or pressure_N_cm2. May be repeated; without it the runs' own range, modestly widened.
 help-rehearse = Simulate such campaigns from the sensor's own model, with each cause hidden in turn and none, diagnose them, and say how often a cause is found and how often a false one is named.
@@ -1593,6 +1631,7 @@ help-usage = Usage: { $call }
 help-verify = Only check an existing copy.
 help-version = Show the version.
 help-wait = Time to warm it by hand; without it Enter ends the wait.
+help-waiting = From laying the panel in to closing.
 help-warm = Find the thermocouple that is warmed by hand.
 help-without = Columns to hide, separated by commas; patterns such as top_* are allowed.
 help-workers = Processes on this machine; see [refit] workers.

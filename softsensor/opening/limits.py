@@ -74,7 +74,7 @@ class Panel:
     """Logarithm of the partial pressure. [ln kPa]"""
 
 
-def broken(limits: LimitsTable, kinetics: Kinetics, panel: Panel) -> dict[str, Array]:
+def broken(limits: LimitsTable, kinetics: Kinetics | None, panel: Panel) -> dict[str, Array]:
     """Return for every limit there is the chance that it is broken, by its name (shape of the panel's numbers).
 
     Examples
@@ -89,7 +89,7 @@ def broken(limits: LimitsTable, kinetics: Kinetics, panel: Panel) -> dict[str, A
     {'cure_bottom': 0.5, 'cure_top': 0.5}
     """
     found: dict[str, Array] = {}
-    if limits.cure_least is not None:
+    if limits.cure_least is not None and kinetics is not None:
         least = math.log(kinetics.equivalent_s(limits.cure_least))
         found[CURE_BOTTOM], found[CURE_TOP] = panel.cure_bottom.below(least), panel.cure_top.below(least)
     if limits.core_least_C is not None:

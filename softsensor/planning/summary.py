@@ -6,9 +6,14 @@ from collections.abc import Iterator
 
 from daq.words import Message, say
 from softsensor.effects.vocabulary import called
+from softsensor.planning.advise import ProgrammeAdvice
 from softsensor.planning.information import MANY
+from softsensor.planning.made_up import COEFFICIENTS, EFFECTS, KINETICS, PLATENS, SORPTION
 from softsensor.planning.open_points import NOTHING, Kind, OpenPoint, Prospect
 from softsensor.planning.plan import Advice, Plan, Pressing
+
+SAVINGS = 3
+"""Sources of doubt that are said, those that would save most."""
 
 
 def plan_said(found: Plan) -> Iterator[Message]:
@@ -65,3 +70,39 @@ def prospect_said(prospect: Prospect, kind: Kind) -> Message:
     if kind is Kind.COEFFICIENT:
         return say("plan-narrows-share", percent=100.0 * half, runs=runs)
     return say("plan-narrows-kelvin", kelvin=half, runs=runs)
+
+
+def advice_title(found: ProgrammeAdvice) -> Message:
+    """Say the answer in one line."""
+    shown = found.nearest
+    if found.best is None:
+        limit = say(f"advise-limit-{shown.opening.blocking}")
+        return say("advise-none", limit=limit, percent=100.0 * shown.opening.risk)
+    percent = 100.0 * found.wish.limits.probability
+    return say("advise-best", seconds=shown.opening.in_s, platen=shown.programme.platen_C, percent=percent)
+
+
+def advice_said(found: ProgrammeAdvice) -> Iterator[Message]:
+    """Say the panel, the program to take, what it costs, and what to measure to press shorter."""
+    thickness, material = (found.panel.get(f"panel.{key}", "?") for key in ("thickness_mm", "material"))
+    yield say("advise-panel", material=material, thickness=thickness)
+    yield advice_title(found)
+    best = found.best
+    if best is not None:
+        if best.programme.pressure_N_cm2 is not None:
+            yield say("advise-pressure", pressure=best.programme.pressure_N_cm2)
+        likely = best.opening.likely_in_s
+        yield say("advise-margin", likely=likely, until=best.opening.until_s, seconds=best.opening.in_s)
+        energy = say("advise-energy", energy=best.energy_kWh, panels=best.panels_per_h)
+        if best.price is not None:
+            energy = say("advise-energy-cost", energy=energy, cents=100.0 * best.price * best.energy_kWh)
+        yield energy
+    for saving in found.savings[:SAVINGS]:
+        yield say("advise-measure", source=source_said(saving.source), seconds=saving.press_time_s)
+    yield say("advise-assumed")
+
+
+def source_said(source: str) -> Message:
+    """Say a source of doubt; a constant goes by its key."""
+    own = (COEFFICIENTS, EFFECTS, PLATENS, KINETICS, SORPTION)
+    return say(f"advise-source-{source}") if source in own else say("plain-text", text=source)

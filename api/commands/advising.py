@@ -1,0 +1,94 @@
+"""`advise`: press time, platens and pressure for a panel not pressed yet, under limits at a wanted probability."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from api.commands.fitting import JsonOut
+from api.commands.inputs import PressFile
+from api.commands.planning import RangesGiven, parse_ranges
+from api.outputs import as_json, check_writable, spoken_language, tell, working, write_all
+from daq.records import InputError
+from daq.words import say
+
+KnownModel = Annotated[Path, typer.Option("--model", metavar="FILE", help="help-model")]
+ResinFile = Annotated[Path | None, typer.Option("--resin", metavar="FILE", help="help-advice-resin")]
+PanelKeys = Annotated[list[str] | None, typer.Option("--panel", metavar="KEY=VALUE", help="help-panel")]
+GoalName = Annotated[str, typer.Option("--goal", metavar="NAME", help="help-goal")]
+Price = Annotated[float | None, typer.Option("--price", metavar="EUR", min=0.0, help="help-price")]
+Waiting = Annotated[float, typer.Option("--waiting", metavar="S", min=1.0, max=600.0, help="help-waiting")]
+OpenFor = Annotated[float, typer.Option("--open", metavar="S", min=1.0, max=3600.0, help="help-open")]
+CoreLeast = Annotated[float | None, typer.Option("--core-least", metavar="C", help="help-core-least")]
+CoreMost = Annotated[float | None, typer.Option("--core-most", metavar="C", help="help-core-most")]
+Probability = Annotated[float | None, typer.Option("--probability", metavar="P", help="help-probability")]
+SvgFile = Annotated[Path | None, typer.Option("--svg", metavar="OUT", help="help-advice-svg")]
+
+
+def advise(  # noqa: PLR0913 - one argument an option
+    press: PressFile,
+    model: KnownModel,
+    resin: ResinFile = None,
+    panel: PanelKeys = None,
+    ranges: RangesGiven = None,
+    goal: GoalName = "time",
+    core_least: CoreLeast = None,
+    core_most: CoreMost = None,
+    probability: Probability = None,
+    price: Price = None,
+    waiting: Waiting = 10.0,
+    open_for: OpenFor = 30.0,
+    json: JsonOut = None,
+    svg: SvgFile = None,
+) -> None:
+    """Say how long to press a panel not pressed yet, and how hot, under limits at a wanted probability."""
+    from softsensor.face import advise as look
+
+    given = [path for path in (press, model, resin) if path is not None and path.is_file()]
+    check_writable(json, svg, inputs=given)
+    asked, header = parse_ranges(ranges or ()), parse_panel(panel or ())
+    limits = {"core_least_C": core_least, "core_most_C": core_most, "probability": probability}
+    with working(say("terminal-progress-advising"), 100) as done:
+        found = look(
+            press,
+            model,
+            resin,
+            panel=header,
+            ranges=asked,
+            limits={key: value for key, value in limits.items() if value is not None},
+            goal=goal,
+            price_per_kWh=price,
+            waiting_s=waiting,
+            open_s=open_for,
+            progress=lambda _what, share: done(round(100 * share)),
+        ).advised
+        outputs: dict[Path, str | bytes | Callable[[Path], None]] = {}
+        if json is not None:
+            outputs[json] = as_json(found.as_json())
+        if svg is not None:
+            from softsensor.report.advice_figure import advice_figure
+            from softsensor.report.fit_figures import svg as drawn
+
+            outputs[svg] = drawn(advice_figure(found, spoken_language()))
+        write_all(outputs)
+    from softsensor.planning.summary import advice_said
+
+    for line in advice_said(found):
+        tell(line)
+
+
+def parse_panel(given: Iterable[str]) -> dict[str, Any]:
+    """Return keys of a run's header. Raises `InputError` for one that cannot be read."""
+    found: dict[str, Any] = {}
+    for text in given:
+        key, equals, value = text.partition("=")
+        if not equals or not key.strip() or not value.strip():
+            raise InputError(say("advise-panel-unreadable", given=text))
+        try:
+            found[key.strip()] = float(value)
+        except ValueError:
+            found[key.strip()] = value.strip()
+    return found

@@ -1,0 +1,239 @@
+"""Pressings of a panel not pressed yet: a made-up program, drawn many times with all that is not known of it.
+
+Platens stand at their set point, for what a press's control does to them nobody has measured; how far a platen
+may be off (`signals.instrument.PLATEN_ALONE_K`) is drawn. A draw has its own coefficients and effects (the model
+file's covariance, scatter from run to run included), constants (`signals.doubt`), platens, kinetics and sorption.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from daq.press.header import panel_of
+from daq.press.press_file import Press, press_for_run
+from daq.records import Array, InputError, Moments, Run
+from daq.words import say
+from softsensor.effects import find_effect
+from softsensor.fitting.constants import changed_run
+from softsensor.heat.batch import solve_many
+from softsensor.heat.case import Case
+from softsensor.heat.model import ThermalModel
+from softsensor.heat.model_file import ModelFile
+from softsensor.signals.digest import STEP_S
+from softsensor.signals.doubt import Doubt, constant_doubts
+from softsensor.signals.instrument import PLATEN_ALONE_K, RAMP_S
+
+HALF = 48
+"""Draws, each with its mirror image, so that their mean is exact to first order: a standard deviation from twice
+as many is good to 7 %. Set by hand, for answers within 10 s."""
+SEED = 22
+ROW_S = 1.0
+"""Rows of a made-up run. [s]"""
+DEPTHS = np.linspace(0.0, 1.0, 9)
+"""Where temperatures are read through the panel, as shares of its thickness; the middle one is the core."""
+COEFFICIENTS, EFFECTS, PLATENS, KINETICS, SORPTION = "coefficients", "effects", "platens", "kinetics", "sorption"
+"""Sources of doubt besides the constants, which go by their keys in the header."""
+
+
+@dataclass(frozen=True)
+class Programme:
+    """What a press does with a panel."""
+
+    platen_C: float  # noqa: N815
+    pressure_N_cm2: float | None  # noqa: N815
+    """None: the press file and the model know of none."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """What is to be pressed, on what."""
+
+    press: Press
+    model: ModelFile
+    header: Mapping[str, Any]
+    """Of the panel and the room, by keys of a run's header."""
+    waiting_s: float
+    """From laying the panel in to closing. [s]"""
+    longest_s: float
+    """The longest press time looked at. [s]"""
+
+
+@dataclass(frozen=True)
+class Draws:
+    """Standard normal numbers, and what each column stands for."""
+
+    unit: Array
+    """(draws, P)"""
+    sources: tuple[str, ...]
+    """Of each column (P)."""
+
+    def of(self, source: str) -> Array:
+        """Return a source's columns (draws, n)."""
+        return self.unit[:, [s == source for s in self.sources]]
+
+
+@dataclass(frozen=True)
+class Courses:
+    """Panels through one program, while it is closed."""
+
+    press_time_s: Array
+    """Since the middle of the closing (t). [s]"""
+    layers_C: Array  # noqa: N815
+    """By draw and depth (draws, t, depths). [°C]"""
+    faces_C: Array  # noqa: N815
+    """Both faces, lower first, over all of the run (2, draws, rows). [°C]"""
+    time_s: Array
+    """Of the run (rows). [s]"""
+    rows: np.ndarray
+    """Which rows the press times are (t)."""
+
+
+def made_up_run(task: Task, programme: Programme) -> tuple[Run, Moments]:
+    """Return the run of a program that stays closed. Raises `InputError` for a panel that cannot be."""
+    if not task.press.has_states:
+        raise InputError(say("advise-press-without-states", press=task.press.name))
+    end = task.waiting_s + task.longest_s
+    time_s = np.arange(0.0, end + ROW_S, ROW_S)
+    header = {"run": "advised", **task.header}
+    if programme.pressure_N_cm2 is not None:
+        header["setting.pressure_N_cm2"] = programme.pressure_N_cm2
+    empty = Run("advised", header, time_s, {})
+    described = press_for_run(task.press, empty)
+    columns = {
+        b.column: np.full(len(time_s), programme.platen_C)
+        for b in (described.boundary.bottom, described.boundary.top)
+        if b.kind == "measured" and b.column is not None
+    }
+    for contact in described.contact:
+        if contact.load is not None and programme.pressure_N_cm2 is not None:
+            columns[contact.load.column] = np.full(len(time_s), programme.pressure_N_cm2)
+    return replace(empty, columns=columns), Moments(inserted_s=0.0, closed_s=task.waiting_s, ramp_s=RAMP_S)
+
+
+@dataclass(frozen=True)
+class Ensemble:
+    """Draws of one task, ready to be solved for any program."""
+
+    task: Task
+    start: Programme
+    draws: Draws
+    cases: tuple[Case, ...]
+    """At the start's platens and pressure, by draw."""
+    values: tuple[dict[str, float], ...]
+    doubts: Mapping[str, Doubt]
+
+    def courses(self, programme: Programme) -> Courses:
+        """Return the temperatures of all draws through a program."""
+        warmer = programme.platen_C - self.start.platen_C
+        ratio = 1.0
+        if programme.pressure_N_cm2 is not None and self.start.pressure_N_cm2 is not None:
+            ratio = programme.pressure_N_cm2 / self.start.pressure_N_cm2
+        shift = np.array([warmer, 0.0])
+        cases = [
+            replace(
+                c,
+                boundary=c.boundary + shift,
+                outside=c.outside + warmer,
+                load={m: ratio * load for m, load in c.load.items()},
+            )
+            for c in self.cases
+        ]
+        solved = solve_many(self.model, cases, list(self.values))
+        layers = np.stack([s.places[:, :-1] for s in solved])
+        faces = np.stack([layers[:, :, 0], layers[:, :, -1]])
+        rows = self.rows
+        return Courses(self.press_times, layers[:, rows], faces, cases[0].run.time_s, rows)
+
+    @cached_property
+    def rows(self) -> np.ndarray:
+        """Rows of the run at which the press may open, a second apart (t)."""
+        closed = self.cases[0].run.time_s >= self.task.waiting_s + RAMP_S
+        return np.flatnonzero(closed)[:: round(1.0 / ROW_S)]
+
+    @property
+    def press_times(self) -> Array:
+        """Press time at these rows (t). [s]"""
+        return np.asarray(self.cases[0].run.time_s[self.rows] - self.task.waiting_s)
+
+    @cached_property
+    def model(self) -> ThermalModel:
+        """The thermal model with the model file's effects."""
+        return self.task.model.model(self.task.press)
+
+
+def ensemble(task: Task, start: Programme) -> Ensemble:
+    """Draw what is not known. Raises `InputError` for a panel or press that cannot be solved."""
+    run, moments = made_up_run(task, start)
+    panel_of(run)
+    doubts = {k: d for k, d in constant_doubts(run.header, task.press, task.model.learned).items() if d.sd > 0.0}
+    taken = {key: doubt.value for key, doubt in doubts.items() if key.startswith("panel.")}
+    run = replace(run, header={**taken, **run.header})
+    sources = [COEFFICIENTS if name in task.press.coefficient_names else EFFECTS for name in task.model.names]
+    sources += [*doubts, PLATENS, PLATENS, KINETICS, KINETICS, SORPTION]
+    half = np.random.default_rng(SEED).standard_normal((HALF, len(sources)))
+    draws = Draws(np.concatenate([half, -half]), tuple(sources))
+    model = task.model.model(task.press)
+    cases = [
+        _read_through(model.prepare(_drawn(run, task.press, doubts, draws, i), moments, max_step_s=STEP_S))
+        for i in range(len(draws.unit))
+    ]
+    return Ensemble(task, start, draws, tuple(cases), tuple(_values(task, draws)), doubts)
+
+
+def _drawn(run: Run, press: Press, doubts: Mapping[str, Doubt], draws: Draws, i: int) -> Run:
+    """Return the run with its constants as one draw has them; what no matter has stays as given."""
+    for key, doubt in doubts.items():
+        change = doubt.sd * float(draws.of(key)[i, 0])
+        if key.startswith(("ambient.", "panel.initial")) or abs(change) < 0.8 * abs(doubt.value):
+            run = changed_run(run, press, key, change)
+    return run
+
+
+def _read_through(case: Case) -> Case:
+    """Return the case read at `DEPTHS` of its panel, its core last."""
+    layer = case.press.panel_layers[0]
+    width = float(case.mesh.dx[case.mesh.cells(layer)].sum())
+    places = np.stack([case.mesh.place(layer, z * width) for z in (*DEPTHS, 0.5)])
+    labels = (*(f"{layer}@{z:g}" for z in DEPTHS), "core")
+    return replace(case, places=places, labels=labels, columns=(), place_of={}, press_face=np.zeros_like(places))
+
+
+def _values(task: Task, draws: Draws) -> list[dict[str, float]]:
+    """Return every parameter of each draw."""
+    model, press = task.model, task.press
+    own = np.concatenate([draws.of(COEFFICIENTS), draws.of(EFFECTS)], axis=1)
+    order = [i for i, s in enumerate(model.names) if s in press.coefficient_names]
+    order += [i for i, s in enumerate(model.names) if s not in press.coefficient_names]
+    unit = np.zeros((len(own), len(model.names)))
+    unit[:, order] = own
+    sd, vectors = np.linalg.eigh(model.covariance) if len(model.names) else (np.zeros(0), np.zeros((0, 0)))
+    root = (vectors * np.sqrt(np.maximum(sd, 0.0))) @ vectors.T
+    moved = unit @ root
+    guesses = {name: press.coefficient(name).guess for name in press.coefficient_names}
+    found = []
+    for row, platens in zip(moved, draws.of(PLATENS), strict=True):
+        values = {**guesses, **model.values}
+        for name, change in zip(model.names, row, strict=True):
+            if name in press.coefficient_names:
+                values[name] *= float(np.exp(change))
+            else:
+                values[name] = _within(name, values[name] + float(change))
+        values["boundary_bottom_K"], values["boundary_top_K"] = (PLATEN_ALONE_K * platens).tolist()
+        found.append(values)
+    return found
+
+
+def _within(name: str, value: float) -> float:
+    effect, _, parameter = name.partition(".")
+    limits = next(p for p in find_effect(effect).parameters if p.name == parameter)
+    return float(np.clip(value, limits.lower, limits.upper))
+
+
+def sources_of(draws: Draws) -> Sequence[str]:
+    """Return the sources of doubt, each once."""
+    return tuple(dict.fromkeys(draws.sources))
