@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from softsensor.diagnosis.rehearsal import Rehearsal
     from softsensor.jobs.rehearsals import Plan
 
+FreeLaw = Annotated[bool, typer.Option("--law", help="help-law")]
 Rehearse = Annotated[bool, typer.Option("--rehearse", help="help-rehearse")]
 RehearseCampaigns = Annotated[
     int | None, typer.Option("--rehearse-campaigns", metavar="N", min=1, max=1000, help="help-rehearse-campaigns")
@@ -44,6 +45,7 @@ def diagnose(
     until: Until = None,
     store: StoreUrl = None,
     config: ConfigFile = None,
+    law: FreeLaw = False,
     rehearse: Rehearse = False,
     rehearse_campaigns: RehearseCampaigns = None,
     rehearse_effect: RehearseEffects = None,
@@ -62,7 +64,9 @@ def diagnose(
     with working(say("terminal-progress-diagnosing", runs=len(loaded)), 100) as done:
         from softsensor.diagnosis.verdict import diagnose as look
 
-        found = look(described, loaded, progress=lambda _what, share: done(round(100 * share)))
+        found = look(
+            described, loaded, progress=lambda _what, share: done(round(100 * share)), law=True if law else None
+        )
     plan = _rehearsal_plan(found, rehearse_campaigns, rehearse_effect or [], rehearse_file) if rehearse else None
     rehearsal = _rehearsed(found, plan, dask) if plan is not None else None
     with working(say("terminal-progress-writing")):
@@ -84,7 +88,7 @@ def diagnose(
             outputs[html] = diagnosis_report(found, spoken_language(), rehearsal)
         write_all(outputs)
         ahead = list(_ahead(described, found))
-    for line in (*_lines(found), *ahead):
+    for line in (*_lines(found, law=law), *ahead):
         tell(line)
     for line in _rehearsal_lines(rehearsal) if rehearsal is not None else ():
         tell(line)
@@ -145,8 +149,8 @@ def _ahead(press: Press, found: Diagnosis) -> Iterator[str]:
         yield f"  {in_words(point_said(advice.point))}. {in_words(best_said(advice))}"
 
 
-def _lines(found: Diagnosis) -> Iterator[str]:
-    from softsensor.diagnosis.summary import core_said, sureness, verdict_said, where_said, worth
+def _lines(found: Diagnosis, *, law: bool) -> Iterator[str]:
+    from softsensor.diagnosis.summary import core_said, law_said, sureness, verdict_said, where_said, worth
     from softsensor.effects.vocabulary import parameters_told
 
     runs = len(found.stages[0].data)
@@ -163,6 +167,9 @@ def _lines(found: Diagnosis) -> Iterator[str]:
     yield f"  {in_words(say('diagnosed-residual', base=found.base.rmse_K, extended=found.extended.rmse_K))}"
     if found.where:
         yield in_words(*where_said(found))
+    yield from map(in_words, law_said(found))
+    if law and found.law is None:
+        yield in_words(say("law-none"))
     yield in_words(*core_said(found))
     yield in_words(say("diagnosed-next", sentence=found.next_measurement))
     yield from map(in_words, found.warnings)

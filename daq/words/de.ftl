@@ -1046,6 +1046,25 @@ sense-follows-run = folgt Pressung { $run }
 sense-takes-model = der Softsensor nimmt Modell { $version }
 sense-waiting = wartet auf Messungen
 
+## softsensor.diagnosis.free_law: what is missing as a free function
+
+law-axis-depth_share = Höhe in der Platte, als Anteil ihrer Dicke
+law-axis-temperature_C = Temperatur [°C]
+law-axis-time_since_closing_s = Zeit seit dem Schließen [s]
+law-heading = Was fehlt, ohne Namen
+law-kind-contact = Faktor auf die geschlossenen Kontakte der Platte
+law-kind-contact_lower = Faktor auf den geschlossenen Kontakt der unteren Fläche
+law-kind-contact_upper = Faktor auf den geschlossenen Kontakt der oberen Fläche
+law-kind-heat = Wärme, die beim Erwärmen der Platte endgültig verschwindet
+law-kind-heat_exchange = Wärme, die je Volumen an den Raum geht
+law-none = Kein freies Gesetz: Ausgelassene Pressungen gewinnen durch keines sicher.
+law-not-told-from = Diese Pressungen unterscheiden es nicht von: { $others }.
+law-resembles = In seinem Band liegt die Kurve einer bekannten Ursache: { $cause }.
+law-told = Es fehlt, ohne Namen: { $kind }, nach { $variable }, von { NUMBER($least, maximumSignificantDigits: 3) } (bei { NUMBER($at_least, maximumSignificantDigits: 3) }) bis { NUMBER($most, maximumSignificantDigits: 3) } (bei { NUMBER($at_most, maximumSignificantDigits: 3) }) { $unit }; das spart { NUMBER($gain, minimumFractionDigits: 2, maximumFractionDigits: 2) } von { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } K bei ausgelassenen Pressungen.
+law-variable-depth_share = Höhe in der Platte (0 unten, 1 oben)
+law-variable-temperature_C = Temperatur in °C
+law-variable-time_since_closing_s = Zeit seit dem Schließen in s
+
 ## softsensor.diagnosis.rehearsal: error rates of a campaign
 
 rehearsal-alone = allein genannt
@@ -1601,6 +1620,7 @@ help-html = Einen Bericht zum Lesen hierhin schreiben.
 help-import-files = Laufdateien oder, mit --mapping, die eigenen Dateien eines anderen Messgeräts.
 help-json = Alles als JSON hierhin schreiben.
 help-key = Der private Schlüssel des Zertifikats, PEM.
+help-law = Was fehlt, als freie Funktion von Zeit, Temperatur oder Tiefe schätzen, auch wo eine Ursache genannt ist; bei unknown_effect geschieht es ohnehin.
 help-licences = Auflisten, was mitgeliefert oder mitinstalliert ist, mit Lizenz.
 help-mapping = Eine Zuordnung, die die Dateien eines anderen Messgeräts erklärt, TOML.
 help-method = default oder eins der Verfahren des Aufsatzes: least_squares, nelder_mead, nelder_mead_then_least_squares.

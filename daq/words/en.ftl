@@ -1030,6 +1030,25 @@ sense-follows-run = following run { $run }
 sense-takes-model = the live sensor takes model { $version }
 sense-waiting = waiting for scans
 
+## softsensor.diagnosis.free_law: what is missing as a free function
+
+law-axis-depth_share = height in the panel, as a share of its thickness
+law-axis-temperature_C = temperature [°C]
+law-axis-time_since_closing_s = time since closing [s]
+law-heading = What is missing, without a name
+law-kind-contact = factor on the closed contacts of the panel
+law-kind-contact_lower = factor on the closed contact of the lower face
+law-kind-contact_upper = factor on the closed contact of the upper face
+law-kind-heat = heat that goes for good as the panel warms up
+law-kind-heat_exchange = heat lost to the room per volume
+law-none = No free law is told: runs left out do not gain surely by any.
+law-not-told-from = These runs do not tell it from: { $others }.
+law-resembles = Within its band it is the curve of a known cause: { $cause }.
+law-told = Missing, without a name: { $kind }, by { $variable }, from { NUMBER($least, maximumSignificantDigits: 3) } (at { NUMBER($at_least, maximumSignificantDigits: 3) }) to { NUMBER($most, maximumSignificantDigits: 3) } (at { NUMBER($at_most, maximumSignificantDigits: 3) }) { $unit }; it saves { NUMBER($gain, minimumFractionDigits: 2, maximumFractionDigits: 2) } of { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } K on runs left out.
+law-variable-depth_share = height in the panel (0 below, 1 above)
+law-variable-temperature_C = temperature in °C
+law-variable-time_since_closing_s = time since closing in s
+
 ## softsensor.diagnosis.rehearsal: error rates of a campaign
 
 rehearsal-alone = named alone
@@ -1582,6 +1601,7 @@ help-html = Write a report to read here.
 help-import-files = Run files, or another logger's own files with --mapping.
 help-json = Write everything as JSON here.
 help-key = The certificate's private key, PEM.
+help-law = Estimate what is missing as a free function of time, temperature or depth, also where a cause is named; done anyway where the verdict is unknown_effect.
 help-licences = List what is shipped or installed with it, with its licence.
 help-mapping = A mapping that explains another logger's files, TOML.
 help-method = default, or one of the paper's: least_squares, nelder_mead, nelder_mead_then_least_squares.

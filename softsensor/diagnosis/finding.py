@@ -10,6 +10,7 @@ from daq.words import Message
 from softsensor.diagnosis.decision import Verdict
 from softsensor.diagnosis.extended_model import model_of
 from softsensor.diagnosis.extension import SharedFit
+from softsensor.diagnosis.free_law import Law
 from softsensor.diagnosis.gains import Gain, paired_gain
 from softsensor.diagnosis.numbers import Errors, Interval
 from softsensor.diagnosis.search import SettledModel
@@ -98,6 +99,8 @@ class Diagnosis:
     rivals: tuple[tuple[str, Array], ...]
     """The first cause and the runners-up, with what each run, left out, saves by them."""
     warnings: tuple[Message, ...] = ()
+    law: Law | None = None
+    """What is missing as a free function, where runs left out gain by it."""
 
     @property
     def final(self) -> SettledModel:
@@ -119,7 +122,7 @@ class Diagnosis:
             "verdict": self.verdict,
             "effects": [f.as_json() for f in self.findings],
             "suspected": [f.as_json() for f in self.suspected],
-            "law": None,
+            "law": None if self.law is None else self.law.as_json(),
             "base": self.base.as_json(),
             "extended": self.extended.as_json(),
             "noise_floor_K": self.noise_floor_K,

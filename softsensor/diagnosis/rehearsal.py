@@ -292,7 +292,7 @@ def rehearse_one(campaign: Campaign, hidden: Hidden, number: int) -> Outcome:
     A simulated campaign that cannot be diagnosed at all counts as one in which nothing is named.
     """
     try:
-        found = diagnose(campaign.press, simulated_runs(campaign, hidden, number))
+        found = diagnose(campaign.press, simulated_runs(campaign, hidden, number), law=False)
     except (InputError, np.linalg.LinAlgError) as error:
         return Outcome(hidden, number, f"failed: {error}", ())
     return Outcome(hidden, number, str(found.verdict), tuple(f.set for f in found.findings))

@@ -119,6 +119,30 @@ def _fall(found: Diagnosis, causes: int) -> tuple[Message, ...]:
     return (falls,)
 
 
+def law_said(found: Diagnosis) -> tuple[Message, ...]:
+    """Say what is missing as a free function; nothing where there is no law."""
+    law = found.law
+    if law is None:
+        return ()
+    x, value = law.curve[:, 0], law.curve[:, 1]
+    said = say(
+        "law-told",
+        kind=say(f"law-kind-{law.kind}"),
+        variable=say(f"law-variable-{law.variable}"),
+        least=float(value.min()),
+        at_least=float(x[np.argmin(value)]),
+        most=float(value.max()),
+        at_most=float(x[np.argmax(value)]),
+        unit=law.unit.replace("m3", "m³").strip("-"),
+        gain=law.gain.value_K,
+        before=found.extended.heldout_rmse_K,
+    )
+    others = tuple(say(f"law-kind-{kind}") for kind in law.set[1:])
+    alike = (say("law-not-told-from", others=others),) if others else ()
+    known = (say("law-resembles", cause=called(law.resembles)),) if law.resembles else ()
+    return (said, *alike, *known)
+
+
 def core_said(found: Diagnosis) -> tuple[Message, ...]:
     """Say what the verdict means for the core, and how far core thermocouples are from it."""
     before, after = found.base.core_rmse_K, found.extended.core_rmse_K

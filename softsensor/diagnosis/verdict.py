@@ -55,10 +55,11 @@ from daq.press.press_file import Press, press_for_run
 from daq.records import Array, InputError, Run
 from daq.words import Message, say, spoken
 from softsensor.diagnosis.advice import AdviceBasis, next_measurement, notes, rim_notes
-from softsensor.diagnosis.decision import Case, Proof, Remains, conclude
+from softsensor.diagnosis.decision import Case, Proof, Remains, Verdict, conclude
 from softsensor.diagnosis.extension import RunState, from_the_others, held_out, predicted
 from softsensor.diagnosis.extension_unknowns import is_shape
 from softsensor.diagnosis.finding import Contest, Diagnosis, Finding
+from softsensor.diagnosis.free_law import free_law
 from softsensor.diagnosis.gains import Gain, paired_gain
 from softsensor.diagnosis.numbers import Errors, Interval, intervals, is_described, measure_errors, noise_floor
 from softsensor.diagnosis.search import Candidate, SettledModel, run_errors, settle_base
@@ -78,7 +79,12 @@ NOT_A_MODEL = Gain(0.0, None)
 
 
 def diagnose(
-    press: Press, runs: Sequence[Run], progress: Progress | None = None, effects: Sequence[str] | None = None
+    press: Press,
+    runs: Sequence[Run],
+    progress: Progress | None = None,
+    effects: Sequence[str] | None = None,
+    *,
+    law: bool | None = None,
 ) -> Diagnosis:
     """Diagnose a campaign.
 
@@ -92,6 +98,8 @@ def diagnose(
         Told what is being done and the share done.
     effects
         Candidates; by default the whole catalogue.
+    law
+        Whether to look for what is missing as a free function; by default where the verdict is unknown.
 
     Raises
     ------
@@ -111,6 +119,9 @@ def diagnose(
     stages, rounds = search_all(base, effects, tell, cool_rim(readings.rim))
     tell("what is left", 0.9)
     found = _conclude(readings, stages, rounds)
+    if law or (law is None and found.verdict is Verdict.UNKNOWN_EFFECT):
+        tell("law", 0.95)
+        found = replace(found, law=free_law(found.final))
     return replace(found, seconds=round(time.perf_counter() - began, 3))
 
 

@@ -170,3 +170,19 @@ def votes_figure(found: Diagnosis, language: str = ENGLISH) -> Figure | None:
         ax.set_ylabel(put(say("figure-misfit-saved")))
         figure.legend(*ax.get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=7.5)
     return figure
+
+
+def law_figure(found: Diagnosis, language: str = ENGLISH) -> Figure | None:
+    """What is missing as a free function, with its 95 % band."""
+    put, law = partial(words, language=language), found.law
+    if law is None:
+        return None
+    x, value, low, high = law.curve.T
+    with sheet((10.0, 3.2), put(say(f"law-kind-{law.kind}"))) as figure:
+        ax = figure.subplots()
+        ax.fill_between(x, low, high, color=EXTENDED, alpha=0.2, lw=0.0)
+        ax.plot(x, value, color=EXTENDED, lw=1.4)
+        ax.axhline(1.0 if law.unit == "-" else 0.0, color=MUTED, lw=0.6)
+        ax.set_xlabel(put(say(f"law-axis-{law.variable}")))
+        ax.set_ylabel(law.unit.replace("m3", "m³").replace("-", ""))
+    return figure

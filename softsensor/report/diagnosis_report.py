@@ -9,11 +9,11 @@ from daq.words import Message, say
 from daq.words.message import ENGLISH
 from softsensor.diagnosis.finding import Diagnosis, Finding
 from softsensor.diagnosis.rehearsal import Rehearsal
-from softsensor.diagnosis.summary import chance, core_said, sureness, verdict_said, worth
+from softsensor.diagnosis.summary import chance, core_said, law_said, sureness, verdict_said, worth
 from softsensor.diagnosis.where import temperatures
 from softsensor.effects import find_effect
 from softsensor.effects.vocabulary import called, parameters_told, place_words
-from softsensor.report.diagnosis_figures import residual_figure, run_figure, votes_figure
+from softsensor.report.diagnosis_figures import law_figure, residual_figure, run_figure, votes_figure
 from softsensor.report.fit_figures import svg
 from softsensor.report.page import kelvins, page, signed_kelvins
 from softsensor.report.rehearsal_rows import HEADS, none_said, rehearsal_rows
@@ -42,6 +42,8 @@ def diagnosis_report(found: Diagnosis, language: str = ENGLISH, rehearsal: Rehea
         warnings=found.warnings,
         run_svg=svg(run_figure(found, language)),
         residual_svg=svg(residual_figure(found, language)),
+        law=law_said(found),
+        law_svg="" if (drawn := law_figure(found, language)) is None else svg(drawn),
         votes_svg="" if votes is None else svg(votes),
         rehearsal=_rehearsal(rehearsal) if rehearsal is not None else None,
     )

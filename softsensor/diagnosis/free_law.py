@@ -1,0 +1,377 @@
+"""What is missing as a free function: where no cause of the catalogue explains the runs, they tell its law.
+
+A law is a smooth function of one variable, a Gaussian process on a few knots with a squared-exponential kernel:
+its weights are one more effect of the model, with independent normal priors, so coefficients, moments and offsets
+are fitted beside it and derivatives are exact. How strong it is, the prior's standard deviation, is learned from
+the campaign: the marginal likelihood (Laplace's, from the fit's curvature) over a grid.
+
+=================  ===========================  =================================================================
+kind               variable                     curve
+=================  ===========================  =================================================================
+``contact``        ``time_since_closing_s``     factor on the closed panel's contacts, 1 at the latest time seen;
+                                                ``contact_lower`` and ``contact_upper`` on one of them alone
+``heat``           ``temperature_C``            heat that goes for good as the panel warms up, negative where it
+                                                comes [kJ/m³K]
+``heat_exchange``  ``depth_share``              heat lost to the room by height in the panel, 0 at its lower face;
+                                                negative where it comes [W/m³K]
+=================  ===========================  =================================================================
+
+Runs left out decide: each, with the law from the others and its own contacts fitted, must be met better than
+without a law, with an interval above nothing; for each the kind is chosen by the other runs. Kinds that these do
+not tell from the best form a set. Laws that the effects' terms cannot carry (conductivity as a free function of
+temperature, contact by pressure or temperature) are not tried: what follows them stays unknown, or is told by the
+nearest kind.
+
+References
+----------
+Rasmussen & Williams, Gaussian Processes for Machine Learning (2006), sec. 8.3.1 (subset of regressors) and 3.4
+(Laplace's approximation of the marginal likelihood).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.stats import t as student
+
+from daq.records import Array
+from softsensor.diagnosis.decision import FEW_RUNS
+from softsensor.diagnosis.extension import SharedFit, fit_campaign_model, from_the_others, held_out
+from softsensor.diagnosis.extension_unknowns import Unknowns, lay_out
+from softsensor.diagnosis.gains import Gain, paired_gain
+from softsensor.diagnosis.numbers import MODEL_ERROR
+from softsensor.diagnosis.search import SettledModel, run_errors
+from softsensor.effects import Conversion, Effect, Scene, Terms, on_panel
+from softsensor.effects.moisture_evaporation import RATE, SOFTNESS
+from softsensor.effects.parameters import Parameter
+
+SIDES = {"": slice(None), "lower": slice(0, 1), "upper": slice(-1, None)}
+"""Which of the panel's contacts, from bottom to top, a law of contact is about."""
+KNOTS = {"contact": 12, "heat": 9, "heat_exchange": 5}
+"""Of each kind: as many as a solve bears, and finer than what twelve runs show. By hand, 2026-11."""
+LENGTH = 1.3
+"""Of the kernel, in distances of knots: then no function between knots is lost (by hand, 2026-11)."""
+EARLY_S = 2.0
+"""Time since closing counts as its logarithm from here on: a contact changes most at first. [s]"""
+COLDEST_K = 15.0
+"""So far above the panel's start a law of temperature begins: below, it is not told from the start. [K]"""
+STRENGTHS = np.geomspace(0.02, 10.0, 19)
+"""Tried standard deviations of the weights, in units of the kind."""
+HEAT_UNIT = 1e6
+"""Of a law of heat, about the heat capacity of wood per volume. [J/m³K]"""
+EXCHANGE_UNIT = 1e3
+"""Of a law of exchange, about a loss at the rim of its typical size. [W/m³K]"""
+WORTH = 0.05
+"""Share of the error on runs left out that a law must save to be told: what a cause must (`summary.HARDLY`)."""
+INSIDE = 0.9
+"""Share of the points at which a known cause's curve must lie in the band to be recognised: issue 24's measure."""
+POINTS = 33
+"""Of a curve that is handed out."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of law, laid over what the runs visited."""
+
+    name: str
+    variable: str
+    unit: str
+    effect: Effect
+    x: Array
+    """Where the curve is told (points)."""
+    weights: Array
+    """Of the fitted numbers at these points (points, knots)."""
+    told: Callable[[Array], Array]
+    """From the smooth function to what is told."""
+
+
+@dataclass(frozen=True)
+class Law:
+    """What is missing as a free function."""
+
+    kind: str
+    variable: str
+    unit: str
+    curve: Array
+    """x, value, low and high with 95 % (points, 4)."""
+    gain: Gain
+    """On runs left out."""
+    set: tuple[str, ...]
+    """Kinds that runs left out do not tell apart, the best first."""
+    resembles: str | None
+    """The cause of the catalogue whose curve lies in the band."""
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the contract's table."""
+        return {
+            "kind": self.kind,
+            "variable": self.variable,
+            "curve": [[float(f"{v:.5g}") for v in row] for row in self.curve],
+            "unit": self.unit,
+            "heldout_gain_K": self.gain.value_K,
+            "heldout_gain_ci95": None if self.gain.ci95 is None else list(self.gain.ci95),
+            "set": list(self.set),
+            "resembles": self.resembles,
+        }
+
+
+@dataclass(frozen=True)
+class _Tried:
+    """A kind fitted to all runs."""
+
+    kind: Kind
+    fit: SharedFit
+    errors: Array
+    """Of each run by the others' law (runs). [K]"""
+    readings: int
+
+
+def free_law(stage: SettledModel) -> Law | None:
+    """Return the law that a settled model lacks, None where runs left out do not gain surely by any.
+
+    Needs at least as many runs as a p-value does (`decision.FEW_RUNS`).
+    """
+    if len(stage.data) < FEW_RUNS:
+        return None
+    before = run_errors(stage.data, held_out(stage.fit, stage.data))
+    tried = [_tried(stage, kind) for kind in _kinds(stage)]
+    if not tried:
+        return None
+    fell = np.stack([np.log(before / t.errors) for t in tried])
+    best = int(np.argmax(fell.mean(axis=1)))
+    unseen = [_chosen_without(fell, r) for r in range(len(before))]
+    after = np.array([tried[k].errors[r] for r, k in enumerate(unseen)])
+    gain = paired_gain(before, after)
+    if not gain.sure or gain.value_K < WORTH * float(np.sqrt(np.mean(before**2))):
+        return None
+    law = tried[best]
+    alike = [t for t in tried if t is not law and not paired_gain(t.errors, law.errors).sure]
+    alike = [t for t in alike if paired_gain(before, t.errors).sure]
+    curve = _curve(law)
+    names = tuple(t.kind.name for t in (law, *alike))
+    return Law(
+        law.kind.name, law.kind.variable, law.kind.unit, curve, gain, names, _resembles(law.kind.name, curve)
+    )
+
+
+def _chosen_without(fell: Array, run: int) -> int:
+    """Return the kind that the other runs choose."""
+    others = np.delete(fell, run, axis=1)
+    return int(np.argmax(others.mean(axis=1)))
+
+
+def _kinds(stage: SettledModel) -> Iterator[Kind]:
+    """Yield the kinds of law that these runs could follow."""
+    press = stage.fit.layout.model.press
+    if not press.panel_layers:
+        return
+    digests = [d.digest for d in stage.data]
+    lasts = [
+        (d.moments.opened_s if np.isfinite(d.moments.opened_s) else d.time[-1]) - d.moments.closed_s
+        for d in digests
+        if np.isfinite(d.moments.closed_s)
+    ]
+    if press.has_states and lasts:
+        yield from (contact_by_time(float(np.max(lasts)), side) for side in SIDES)
+    hottest = float(np.max([np.nanmax(d.y) for d in digests]))
+    coldest = float(np.min([np.nanmin(d.y[:3]) for d in digests])) + COLDEST_K
+    if hottest > coldest + COLDEST_K:
+        yield heat_by_temperature(coldest, hottest)
+    yield exchange_by_depth()
+
+
+def contact_by_time(last_s: float, side: str = "") -> Kind:
+    """Return the contact, or that of one `side`, as a free function of the time since closing. [s]"""
+    end = float(np.log1p(last_s / EARLY_S))
+    smooth = _Smooth.over(0.0, end, KNOTS["contact"])
+
+    def terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
+        if np.isnan(scene.closed_s):
+            return Terms()
+        since = 0.5 * (scene.step_start + scene.step_end) - scene.closed_s
+        since = np.where(np.real(since) > 0.0, since, 0.0)
+        since = np.where(np.real(since) < last_s, since, last_s)
+        rise = (smooth(np.log(1.0 + since / EARLY_S)) - smooth(np.array([end]))) @ _weights(values)
+        return Terms(closed_contact=dict.fromkeys(scene.panel_contacts[SIDES[side]], np.exp(rise)))
+
+    x = EARLY_S * np.expm1(np.linspace(0.0, end, POINTS))
+    weights = smooth(np.log1p(x / EARLY_S)) - smooth(np.array([end]))
+    effect = _effect("law_contact", KNOTS["contact"], terms)
+    return Kind(f"contact_{side}" if side else "contact", "time_since_closing_s", "-", effect, x, weights, np.exp)
+
+
+def heat_by_temperature(coldest_C: float, hottest_C: float) -> Kind:
+    """Return heat that goes for good as the panel warms up, as a free function of temperature.
+
+    The heat of each knot goes as the water of `moisture_evaporation` does, at the same rate above its temperature.
+    """
+    knots = np.linspace(coldest_C, hottest_C, KNOTS["heat"])
+    smooth = _Smooth.over(coldest_C, hottest_C, KNOTS["heat"])
+    at_knots, apart = smooth(knots), float(knots[1] - knots[0])
+
+    def terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
+        taken = at_knots @ _weights(values) * (HEAT_UNIT * apart)
+        return Terms(
+            conversions=tuple(
+                Conversion(on_panel(scene, -heat, 0.0), 1, RATE, knot, SOFTNESS)
+                for heat, knot in zip(taken, knots, strict=True)
+            )
+        )
+
+    x = np.linspace(coldest_C, hottest_C, POINTS)
+    effect = _effect("law_heat", KNOTS["heat"], terms, nonlinear=True)
+    return Kind("heat", "temperature_C", "kJ/m3K", effect, x, smooth(x), lambda f: f * HEAT_UNIT / 1e3)
+
+
+def exchange_by_depth() -> Kind:
+    """Return heat lost to the room as a free function of the height in the panel."""
+    smooth = _Smooth.over(-1.0, 1.0, KNOTS["heat_exchange"])
+
+    def terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
+        lost = smooth(scene.z) @ _weights(values) * EXCHANGE_UNIT
+        return Terms(exchange=np.where(scene.panel_cells, lost, 0.0))
+
+    z = np.linspace(-1.0, 1.0, POINTS)
+    effect = _effect("law_exchange", KNOTS["heat_exchange"], terms)
+    return Kind(
+        "heat_exchange", "depth_share", "W/m3K", effect, 0.5 * (z + 1.0), smooth(z), lambda f: f * EXCHANGE_UNIT
+    )
+
+
+@dataclass(frozen=True)
+class _Smooth:
+    """A Gaussian process on knots: weights of independent standard normal numbers at places."""
+
+    knots: Array
+    length: float
+    root: Array
+    """Inverse of the kernel's Cholesky factor at the knots, transposed."""
+
+    @staticmethod
+    def over(low: float, high: float, count: int) -> _Smooth:
+        knots = np.linspace(low, high, count)
+        length = LENGTH * (high - low) / (count - 1)
+        kernel = np.exp(-0.5 * ((knots[:, None] - knots[None, :]) / length) ** 2) + 1e-6 * np.eye(count)
+        return _Smooth(knots, length, np.asarray(np.linalg.inv(np.linalg.cholesky(kernel)).T))
+
+    def __call__(self, x: Any) -> Any:
+        """Return the weights (places, knots); plain algebra, so that complex places keep their derivative."""
+        return np.exp(-0.5 * ((x[:, None] - self.knots[None, :]) / self.length) ** 2) @ self.root
+
+
+def _weights(values: Mapping[str, Any]) -> Any:
+    return np.array([values[name] for name in values])
+
+
+def _effect(
+    name: str, count: int, terms: Callable[[Scene, Mapping[str, Any]], Terms], *, nonlinear: bool = False
+) -> Effect:
+    parameters = tuple(
+        Parameter(f"w{i}", "-", 0.0, 1.0, -40.0, 40.0, "weight of a free law, no physical number")
+        for i in range(count)
+    )
+    return Effect(name, parameters, terms, "free function, learned from the runs", nonlinear=nonlinear)
+
+
+def _tried(stage: SettledModel, kind: Kind) -> _Tried:
+    """Fit a kind beside everything else, its strength learned twice on the way."""
+    model = stage.fit.layout.model.extended(kind.effect)
+    names = [kind.effect.key(p.name) for p in kind.effect.parameters]
+    start = dict(stage.fit.values) | dict.fromkeys(names, 0.0)
+    layout = lay_out(model, [d.digest for d in stage.data], stage.population, start)
+    etas, strength = [r.eta for r in stage.fit.runs], 1.0
+    for rounds in (4, 4, 6):
+        layout = _strong(layout, names, strength)
+        fit = fit_campaign_model(layout, stage.data, etas, rounds=rounds, tolerance=0.5)
+        strength, etas = learned_strength(fit, names), [r.eta for r in fit.runs]
+        moved = zip(layout.shared, fit.theta, strict=True)
+        layout = replace(layout, shared=tuple(replace(s, start=float(v)) for s, v in moved))
+    others = held_out(fit, stage.data, thetas=from_the_others(fit, stage.data))
+    readings = sum(int(d.digest.valid.sum()) for d in stage.data)
+    return _Tried(kind, fit, run_errors(stage.data, others), readings)
+
+
+def _strong(layout: Unknowns, names: Sequence[str], strength: float) -> Unknowns:
+    """Return the layout with a prior of this width on the law's numbers."""
+    shared = tuple(
+        replace(s, sd=strength, step=2.0 * max(strength, 0.5)) if s.name in names else s for s in layout.shared
+    )
+    return replace(layout, shared=shared)
+
+
+def learned_strength(fit: SharedFit, names: Sequence[str]) -> float:
+    """Return the prior's standard deviation of the law's numbers under which the runs are likeliest.
+
+    Laplace's marginal likelihood from the curvature H and slope g of the data's half cost, all other numbers of
+    the campaign integrated with their own priors: with P the priors' precision,
+    -1/2 min(...) - 1/2 log|H + P| + 1/2 log|P|, over a grid.
+    """
+    own = np.array([s.name in names for s in fit.layout.shared])
+    hessian, slope = sum(fit.hessians), sum(fit.gradients)
+    centre = np.array([s.centre for s in fit.layout.shared])
+    fixed = np.array([s.sd for s in fit.layout.shared])
+    found = []
+    for strength in STRENGTHS:
+        precision = np.where(own, strength**-2.0, fixed**-2.0)
+        away = fit.theta - centre
+        curved = hessian + np.diag(precision)
+        pull = slope + precision * away
+        least = 0.5 * float(away @ (precision * away)) - 0.5 * float(pull @ np.linalg.solve(curved, pull))
+        found.append(-least - 0.5 * float(np.linalg.slogdet(curved)[1]) + 0.5 * float(np.log(precision).sum()))
+    return float(STRENGTHS[int(np.argmax(found))])
+
+
+def _curve(law: _Tried) -> Array:
+    """Return the curve with its 95 % band: the wider of curvature and scatter from run to run, point by point.
+
+    What a smooth law leaves over of a sharp one counts as noise in the curvature. To it comes what every law of
+    the diagnosis is off: `MODEL_ERROR`, here as a share of the curve's range.
+    """
+    fit, kind = law.fit, law.kind
+    names = [s.name for s in fit.layout.shared]
+    at = [names.index(kind.effect.key(p.name)) for p in kind.effect.parameters]
+    runs, covariance = len(fit.runs), fit.covariance
+    left = sum(r.cost for r in fit.runs) / max(law.readings, 1)
+    centred = [g - np.mean(fit.gradients, axis=0) for g in fit.gradients]
+    meat = sum((np.outer(g, g) for g in centred), np.zeros_like(covariance)) * runs / max(runs - 1, 1)
+    robust = covariance @ meat @ covariance
+    middle = kind.weights @ fit.theta[at]
+    spreads = [
+        np.einsum("ij,jk,ik->i", kind.weights, c[np.ix_(at, at)], kind.weights)
+        for c in (max(left, 1.0) * covariance, robust)
+    ]
+    simple = (MODEL_ERROR * float(np.ptp(middle))) ** 2
+    half = float(student.ppf(0.975, runs - 1)) * np.sqrt(np.maximum(*spreads) + simple)
+    return np.stack([kind.x, *(kind.told(f) for f in (middle, middle - half, middle + half))], axis=1)
+
+
+def _resembles(kind: str, curve: Array) -> str | None:
+    """Return the first cause of the catalogue whose own curve, of any size, lies within the band."""
+    x, value, low, high = curve.T
+    sd = np.maximum(0.5 * (high - low), 1e-9 * (1.0 + np.abs(value)))
+    for name, shape in _shapes(kind, x):
+        fitted = float(np.sum(shape * value / sd**2) / np.sum(shape * shape / sd**2))
+        own = shape if "contact" in kind else fitted * shape
+        if np.mean((own >= low) & (own <= high)) >= INSIDE:
+            return name
+    return None
+
+
+def _shapes(kind: str, x: Array) -> Iterator[tuple[str, Array]]:
+    """Yield what causes of the catalogue look like as a law of that kind."""
+    if kind == "contact":
+        for deficit in np.linspace(0.1, 0.95, 18):
+            for tau in np.geomspace(0.5, 40.0, 15):
+                built = 1.0 - deficit * np.exp(-x / tau)
+                yield "contact_buildup", built / built[-1]
+    elif kind == "heat":
+        yield "heat_capacity_temperature", x - 20.0
+        apart = (x[-1] - x[0]) / (KNOTS["heat"] - 1)  # no sharper can the knots tell it
+        for boils in np.arange(92.0, 112.0, 2.0):
+            for width in (0.5 * apart, 0.75 * apart, apart):
+                yield "moisture_evaporation", np.exp(-0.5 * ((x - boils) / width) ** 2)
+    else:
+        yield "edge_loss", np.ones_like(x)

@@ -1,0 +1,140 @@
+"""What is missing as a free function, read from virtual campaigns that compute it by their own equations."""
+
+from __future__ import annotations
+
+from functools import cache
+from types import SimpleNamespace
+from typing import cast
+
+import numpy as np
+import pytest
+
+from daq.press.press_file import parse_press
+from daq.simulated.campaign import Effects, Plan, make_campaign, press_toml
+from daq.words.message import words
+from softsensor.diagnosis import free_law as laws
+from softsensor.diagnosis.extension import SharedFit
+from softsensor.diagnosis.finding import Diagnosis
+from softsensor.diagnosis.free_law import Law, free_law, learned_strength
+from softsensor.diagnosis.gains import Gain
+from softsensor.diagnosis.search import SettledModel, settle_base
+from softsensor.diagnosis.summary import law_said
+from softsensor.diagnosis.verdict import _screened
+from softsensor.heat.model import ThermalModel
+
+PRESS_S = 30.0
+THIN = Plan(
+    rate_hz=1.0,
+    thickness_mm=8.0,
+    press_time_s=(PRESS_S, PRESS_S),
+    open_before_s=(5.0, 8.0),
+    open_after_s=(15.0, 20.0),
+)
+LAPSE: Effects = {"contact_lapse": {"drop": 0.5, "from_share": 0.25, "lasts_share": 0.35}}
+"""Outside the catalogue: the upper contact halves from 7.5 to 18 s after closing."""
+STEAM: Effects = {"moisture_evaporation": {"moisture_percent": 5.0, "temperature_C": 102.0}}
+GROWTH: Effects = {"contact_buildup": {"deficit": 0.7, "time_constant_s": 8.0}}
+
+
+@cache
+def settled(hidden: str) -> SettledModel:
+    press = parse_press(press_toml())
+    effects = {"lapse": LAPSE, "steam": STEAM, "growth": GROWTH, "nothing": None}[hidden]
+    _, digests = _screened(press, [run for run, _ in make_campaign(41, 8, effects, THIN)])
+    return settle_base(ThermalModel(press), digests)
+
+
+@cache
+def law(hidden: str) -> Law | None:
+    return free_law(settled(hidden))
+
+
+def test_no_law_is_claimed_where_nothing_is_hidden():
+    assert law("nothing") is None
+
+
+def test_too_few_runs_tell_no_law():
+    assert free_law(settled("lapse").among(np.arange(5))) is None
+
+
+def test_a_contact_that_lapses_is_found_by_the_time_since_closing_and_on_its_side():
+    """The virtual press breaks it off sharply, which a smooth law rounds: a second about each edge is left out."""
+    found = law("lapse")
+    assert found is not None
+    assert (found.kind, found.variable, found.set) == ("contact_upper", "time_since_closing_s", ("contact_upper",))
+    assert found.resembles is None
+    assert found.gain.ci95 is not None
+    assert found.gain.ci95[0] > 1.0
+    x, value, low, high = found.curve.T
+    inside = (x > 8.5) & (x < 17.0)
+    assert value[inside] == pytest.approx(0.5, abs=0.06)
+    assert value[x > 19.0] == pytest.approx(1.0, abs=0.16)
+    true = np.where((x > 7.5) & (x < 18.0), 0.5, 1.0)
+    away = (np.abs(x - 7.5) > 1.0) & (np.abs(x - 18.0) > 1.0)
+    assert np.mean((true >= low)[away] & (true <= high)[away]) >= 0.7
+
+
+def test_a_smooth_law_of_the_contact_lies_in_its_band_and_is_recognised():
+    found = law("growth")
+    assert found is not None
+    assert found.kind == "contact"
+    x, _, low, high = found.curve.T
+    true = 1.0 - 0.7 * np.exp(-x / 8.0)
+    true /= true[-1]
+    assert np.mean((true >= low) & (true <= high)) >= 0.9
+    assert found.resembles == "contact_buildup"
+
+
+def test_heat_that_goes_at_the_boiling_point_is_found_by_temperature_and_recognised():
+    found = law("steam")
+    assert found is not None
+    assert (found.kind, found.variable) == ("heat", "temperature_C")
+    x, value = found.curve[:, 0], found.curve[:, 1]
+    assert 90.0 < x[np.argmax(value[x < 140.0])] < 118.0
+    assert found.resembles == "moisture_evaporation"
+
+
+def test_the_strength_of_a_law_is_that_of_the_likeliest_prior():
+    """Closed form: of weights measured with variance v the likeliest prior has the variance mean(a^2) - v."""
+    rng = np.random.default_rng(3)
+    weights, precise = 2.0 * rng.normal(size=400), 25.0
+    shared = [SimpleNamespace(name=f"w{i}", centre=0.0, sd=1.0) for i in range(400)]
+    fit = SimpleNamespace(
+        layout=SimpleNamespace(shared=shared),
+        theta=weights,
+        hessians=(precise * np.eye(400),),
+        gradients=(np.zeros(400),),
+    )
+    expected = np.sqrt(np.mean(weights**2) - 1.0 / precise)
+    found = learned_strength(cast(SharedFit, fit), [s.name for s in shared])
+    step = laws.STRENGTHS[1] / laws.STRENGTHS[0]
+    assert expected / step < found < expected * step
+
+
+def test_a_flat_curve_of_exchange_is_a_rim_loss_and_a_bent_one_is_not():
+    x = np.linspace(0.0, 1.0, 33)
+    flat, bent = np.full(33, 900.0), 900.0 * np.sin(2.0 * np.pi * x)
+    tables = [np.stack([x, v, v - 100.0, v + 100.0], axis=1) for v in (flat, bent)]
+    assert [laws._resembles("heat_exchange", table) for table in tables] == ["edge_loss", None]
+
+
+def test_a_law_of_contact_that_grows_is_a_buildup():
+    x = np.linspace(0.0, 30.0, 33)
+    v = 1.0 - 0.6 * np.exp(-x / 7.0)
+    curve = np.stack([x, v, v - 0.05, v + 0.05], axis=1)
+    assert laws._resembles("contact", curve) == "contact_buildup"
+
+
+@pytest.mark.parametrize(("language", "part"), [("en", "time since closing"), ("de", "Zeit seit dem Schließen")])
+def test_a_law_is_told_in_words_and_as_the_contract_has_it(language, part):
+    x = np.linspace(0.0, 30.0, 33)
+    curve = np.stack([x, 1.0 - 0.5 * x / 30.0, x, x], axis=1)
+    one = Law("contact", "time_since_closing_s", "-", curve, Gain(0.8, (0.5, 1.0)), ("contact", "heat"), None)
+    found = SimpleNamespace(law=one, extended=SimpleNamespace(heldout_rmse_K=1.2))
+    said = [words(m, language) for m in law_said(cast(Diagnosis, found))]
+    assert part in said[0]
+    assert len(said) == 2
+    content = one.as_json()
+    assert {"kind", "variable", "curve", "unit", "heldout_gain_K", "resembles"} <= content.keys()
+    assert all(len(row) == 4 for row in content["curve"])
+    assert law_said(cast(Diagnosis, SimpleNamespace(law=None))) == ()
