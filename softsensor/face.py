@@ -422,7 +422,7 @@ def advise(  # noqa: PLR0913 - one argument a wish
     """
     if goal not in (known := tuple(one.value for one in Goal)):
         raise InputError(say("advise-goal-unknown", goal=goal, known=known))
-    loaded = resin if resin is None or isinstance(resin, Resin) else read_resin(Path(resin))
+    loaded = _resin(resin)
     wanted = limits_of(loaded, limits or {})
     allowed = advice_ranges(ranges or {})
     header = {**USUAL_PANEL, "panel.initial_temperature_C": ROOM_C, **(panel or {})}
@@ -432,12 +432,26 @@ def advise(  # noqa: PLR0913 - one argument a wish
 
 
 def predict(
-    run: AnyRun, press: AnyPress, model: AnyModel | None = None, *, without: Sequence[str] = ()
+    run: AnyRun,
+    press: AnyPress,
+    model: AnyModel | None = None,
+    *,
+    without: Sequence[str] = (),
+    resin: Resin | Path | str | None = None,
 ) -> Prediction:
-    """Replay a run through the live sensor, causally; `without` names columns (patterns) that it does not see."""
+    """Replay a run through the live sensor, causally.
+
+    Parameters
+    ----------
+    without
+        Columns (patterns) that it does not see.
+    resin
+        A resin file: adds cure at both faces, steam and leave to open.
+    """
     loaded = read_run(run)
     known = None if model is None else read_model(model)
-    return Prediction(replay(read_press(press), loaded, known, loaded.matching(without)))
+    replayed = replay(read_press(press), loaded, known, loaded.matching(without), resin=_resin(resin))
+    return Prediction(replayed)
 
 
 def simulate(run: AnyRun, press: AnyPress, model: AnyModel | Mapping[str, float] | None = None) -> Simulation:
@@ -448,6 +462,10 @@ def simulate(run: AnyRun, press: AnyPress, model: AnyModel | Mapping[str, float]
         return Simulation(loaded, simulate_run(loaded, described, thermal, {**thermal.guesses, **(model or {})}))
     content = read_model(model)
     return Simulation(loaded, simulate_run(loaded, described, content.model(described), content.values))
+
+
+def _resin(resin: Resin | Path | str | None) -> Resin | None:
+    return resin if resin is None or isinstance(resin, Resin) else read_resin(Path(resin))
 
 
 def _runs(runs: AnyRun | Sequence[AnyRun]) -> list[Run]:

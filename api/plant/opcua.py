@@ -1,10 +1,10 @@
 """An OPC UA server with the present values of every press. Clients read and subscribe; nothing can be written.
 
 Node identifiers are strings of the namespace `NAMESPACE` and stay the same for ever: ``lab.core``,
-``lab.core_low``, ``lab.core_high``, ``lab.core_sd``, ``lab.state``, ``lab.run``, ``lab.model``, ``lab.event``, and
-``lab.channel.top_1`` for each channel. Temperatures carry `EngineeringUnits`, a pressure channel its own; the
-source timestamp is that of the scan a value belongs to. Press events come as OPC UA events of the press's node,
-too.
+``lab.core_low``, ``lab.core_high``, ``lab.core_sd``, ``lab.open_now``, ``lab.state``, ``lab.run``, ``lab.model``,
+``lab.event``, and ``lab.channel.top_1`` for each channel. Temperatures carry `EngineeringUnits`, a pressure
+channel its own; the source timestamp is that of the scan a value belongs to. Press events come as OPC UA events of
+the press's node, too.
 
 =======================================  ===================================================
 status code                              meaning
@@ -73,6 +73,7 @@ _KELVIN = ("K", "kelvin", 4932940)
 _NO_CODE = -1
 """OPC UA's number for a unit outside its list."""
 _ESTIMATES = {"core": _CELSIUS, "core_low": _CELSIUS, "core_high": _CELSIUS, "core_sd": _KELVIN}
+_LEAVE = "open_now"
 _TEXTS = ("state", "run", "model", "reason", "event")
 
 
@@ -246,6 +247,7 @@ class PressServer:
             await _write(server, press, key, value, code, present.utc)
         for key, (value, code) in _estimate_values(present).items():
             await _write(server, press, key, value, code, present.estimate_utc or present.utc)
+        await _write(server, press, _LEAVE, *_leave(present), present.estimate_utc or present.utc)
         for key, text in _texts(present).items():
             await _write(server, press, key, text, ua.StatusCodes.Good, present.utc)
         for event in present.events:
@@ -298,6 +300,13 @@ def _estimate_values(present: Present) -> dict[str, tuple[float, int]]:
     return {key: (value, ua.StatusCodes.Good) for key, value in zip(_ESTIMATES, values, strict=True)}
 
 
+def _leave(present: Present) -> tuple[bool, int]:
+    """Return whether the press may open now, and its status: good always, for a bad one would carry no value."""
+    _, code = _estimate_values(present)["core"]
+    given = present.estimate is not None and (present.estimate.detail or {}).get("open_now") is True
+    return given and code == ua.StatusCodes.Good, ua.StatusCodes.Good
+
+
 def _texts(present: Present) -> dict[str, str]:
     said = present.estimate
     if present.old:
@@ -319,6 +328,9 @@ async def _make_press(server: Server, root: Node, index: int, name: str) -> _Pre
     press = _Press(name)
     for key, unit in _ESTIMATES.items():
         press.nodes[key] = await _add_number(home, index, f"{name}.{key}", key, _meaning(key), unit)
+    node = await home.add_variable(ua.NodeId(f"{name}.{_LEAVE}", index), _LEAVE, False, ua.VariantType.Boolean)
+    await _describe(node, _meaning(_LEAVE))
+    press.nodes[_LEAVE] = node
     for key in _TEXTS:
         node = await home.add_variable(ua.NodeId(f"{name}.{key}", index), key, "", ua.VariantType.String)
         await _describe(node, _meaning(key))
@@ -371,7 +383,8 @@ async def _write(
     if press.shown.get(key) == shown:
         return
     press.shown[key] = shown
-    kind = ua.VariantType.String if isinstance(value, str) else ua.VariantType.Double
+    plain = ua.VariantType.Boolean if isinstance(value, bool) else ua.VariantType.Double
+    kind = ua.VariantType.String if isinstance(value, str) else plain
     data = ua.DataValue(
         ua.Variant(value, kind),
         StatusCode=ua.StatusCode(ua.UInt32(code)),

@@ -1703,6 +1703,7 @@ plant-node-core-low = Unteres Ende des 95-%-Bands der Kerntemperatur
 plant-node-core-sd = Standardabweichung der Kerntemperatur
 plant-node-event = Das letzte Ereignis: inserted (eingelegt), closed (geschlossen), opened (geöffnet) oder removed (entnommen)
 plant-node-model = Modellversion, aus der die Schätzung stammt
+plant-node-open-now = Ob die Presse jetzt öffnen darf: jede Grenze der Harzdatei gilt; falsch, wo etwas nicht bekannt ist
 plant-node-pressure = Druck { $channel }
 plant-node-reason = Warum es keine Schätzung gibt; leer, solange es eine gibt
 plant-node-run = Die Pressung, die aufgezeichnet wird; leer zwischen zweien

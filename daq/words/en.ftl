@@ -1684,6 +1684,7 @@ plant-node-core-low = Lower end of the 95 % band of the core temperature
 plant-node-core-sd = Standard deviation of the core temperature
 plant-node-event = The last press event: inserted, closed, opened or removed
 plant-node-model = Model version the estimate comes from
+plant-node-open-now = Whether the press may open now: every limit of the resin file holds; false where anything is not known
 plant-node-pressure = Pressure { $channel }
 plant-node-reason = Why there is no estimate, empty while there is one
 plant-node-run = The pressing being recorded, empty between two

@@ -78,6 +78,7 @@ def write(store: Store, utc: datetime, *, valid: bool = True, said: bool = True)
         valid,
         "" if valid else "no panel in the press",
         "lab-7",
+        detail={"open_now": True},
     )
     store.append_estimates("lab", [estimate])
     return scan.utc
@@ -139,6 +140,23 @@ def test_a_core_of_a_silent_live_sensor_is_no_data_while_the_press_goes_on(tmp_p
         assert abs(found[key].SourceTimestamp.replace(tzinfo=UTC) - utc) < timedelta(milliseconds=1)
     assert found["reason"].Value.Value == "the live sensor has given no estimate for 25 s"
     assert found["state"].Value.Value == "open"
+
+
+def test_leave_to_open_is_false_wherever_it_is_not_known(tmp_path, store):
+    began = datetime.now(UTC) + AHEAD
+    write(store, began)
+    with serving(store, tmp_path) as server:
+        value = asyncio.run(read(server, "open_now"))["open_now"]
+        assert (value.Value.Value, value.StatusCode.name) == (True, "Good")
+    write(store, began + timedelta(seconds=1), valid=False)
+    with serving(store, tmp_path) as server:
+        value = asyncio.run(read(server, "open_now"))["open_now"]
+        assert (value.Value.Value, value.StatusCode.name) == (False, "Good")
+    write(store, began + timedelta(seconds=2))
+    write(store, began + timedelta(seconds=25), said=False)
+    with serving(store, tmp_path) as server:
+        value = asyncio.run(read(server, "open_now"))["open_now"]
+        assert (value.Value.Value, value.StatusCode.name) == (False, "Good")
 
 
 def test_a_press_may_have_any_name(tmp_path, store):

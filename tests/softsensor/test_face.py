@@ -116,6 +116,10 @@ def test_predict_gives_what_the_command_writes(fitted, tmp_path):
     assert np.allclose(ours.frame()["core_C"], told["core_C"], atol=1e-6, equal_nan=True)
     assert ours.frame()["valid"].tolist() == told["valid"].tolist()
     assert ours.plot()
+    example = LAB.parents[1] / "resins" / "melamine_formaldehyde.toml"
+    cured = softsensor.predict(SHORT, LAB, model, resin=example).frame()
+    assert list(cured)[-6:] == ["cure_top", "cure_bottom", "cure_low", "steam_kPa", "steam_high_kPa", "open_now"]
+    assert cured["cure_low"].max() > 0.9
     without = softsensor.predict(SHORT, LAB, fitted, without=["top_*", "bottom_*"]).frame()
     assert set(without["reason"]) == {"press state unknown"}
 
