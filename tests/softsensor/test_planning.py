@@ -126,6 +126,34 @@ def test_two_names_of_one_cause_are_never_told_apart() -> None:
     assert prospect(twins, thickness_mm=8.0) == pytest.approx(0.0, abs=1e-6)
 
 
+@pytest.mark.campaign
+@pytest.mark.timeout(1800)
+def test_two_designed_pressings_name_what_four_repeated_ones_do_not() -> None:
+    """A conductivity 15 % off in seven panels of 16 mm, which these leave suspected beside the heat capacity.
+
+    Settings of the plan are the campaign's program: the virtual press computes by its own equations.
+    """
+    usual, hidden = Plan(rate_hz=2.0, thickness_mm=16.0), "conductivity_offset"
+    runs = [run for run, _ in make_campaign(502, 7, hidden, usual)]
+    found = softsensor.diagnose(runs, press())
+    planned = softsensor.plan(found, press(), ranges={"thickness_mm": (8.0, 19.0)}).planned.points[0]
+    assert set(planned.point.names) == {"conductivity_offset", "heat_capacity_offset", ""}
+    best = planned.best.settings
+    designed = Plan(
+        rate_hz=2.0,
+        thickness_mm=best["thickness_mm"],
+        press_time_s=(best["press_time_s"],) * 2,
+        open_before_s=(best["waiting_s"],) * 2,
+        platen_C=(best["platen_temperature_C"],) * 2,
+    )
+    after = {}
+    for name, more, plan in (("designed", 2, designed), ("repeated", 4, usual)):
+        further = [run for run, _ in make_campaign(502, 7 + more, hidden, plan)][7:]
+        after[name] = softsensor.diagnose([*runs, *further], press()).content["effects"]
+    assert [effect["set"] for effect in after["designed"]] == [["conductivity_offset"]]
+    assert [len(effect["set"]) for effect in after["repeated"]] == [2]
+
+
 def test_the_usual_settings_give_the_run_they_were_read_from() -> None:
     like = stage().data[0].digest
     run, moments = designed_run(like.run, press(), like.moments, settings_of(like.run, press(), like.moments))
