@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import CancelledError
 from typing import TypeVar
 
 from daq.records import InputError
@@ -19,8 +20,10 @@ Done = TypeVar("Done")
 def on_dask(
     work: Callable[[Task], Done], tasks: Sequence[Task], address: str
 ) -> Iterator[tuple[Task, Done | None]]:
-    """Yield each task with its result as they come, None where several workers were killed over it.
+    """Yield each task with its result as they come, None where several workers were killed over it alone.
 
+    A worker that is killed takes with it what it had in hand, and the scheduler blames whatever waited there too:
+    what it gave up is tried again at the end, one task at a time, so that only the one at fault is left without.
     Raises `InputError` where the package, the scheduler or its workers are missing.
     """
     try:
@@ -37,10 +40,16 @@ def on_dask(
             client.wait_for_workers(1, timeout=WORKERS_WAIT_S)
         except TimeoutError as error:
             raise InputError(say("dask-no-worker", address=address, seconds=WORKERS_WAIT_S)) from error
+        suspects = []
         futures = client.map(work, tasks, pure=False)
         given = {future.key: task for future, task in zip(futures, tasks, strict=True)}
         for future in completed(futures):
             try:
                 yield given[future.key], future.result()
-            except KilledWorker:  # the scheduler has tried it on other workers already
-                yield given[future.key], None
+            except (KilledWorker, CancelledError):
+                suspects.append(given[future.key])
+        for task in suspects:
+            try:
+                yield task, client.submit(work, task, pure=False).result()
+            except (KilledWorker, CancelledError):
+                yield task, None

@@ -6,6 +6,7 @@ import re
 import signal
 import subprocess
 import sys
+import threading
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -613,6 +614,37 @@ def test_dask_workers_find_what_local_ones_find(tmp_path, runs, dask_address):
             found.append({run.name: values(store.fit(run.name)) for run in runs})
     local, dask = found
     assert dask == {run: pytest.approx(table, rel=1e-9) for run, table in local.items()}
+
+
+@pytest.mark.skipif(os.name == "nt", reason="SIGKILL is POSIX")
+def test_a_dask_worker_that_is_killed_in_mid_fit_costs_a_repetition_and_never_a_result(store, runs):
+    """Killed so often that the scheduler gives up on everything that waited at the worker."""
+    from dask.distributed import Client, LocalCluster
+
+    fill(store, runs[:3])
+    url = store.database.url.render_as_string()
+    tasks = [Task(url, PRESS, run.name, None) for run in runs[:3]]
+    killed, over = [], threading.Event()
+    with (
+        LocalCluster(n_workers=1, threads_per_worker=1, processes=True, dashboard_address=None) as cluster,
+        Client(cluster.scheduler_address) as watcher,
+    ):
+
+        def kill_at_work():
+            while len(killed) < 4 and not over.wait(0.02):
+                (nanny,) = cluster.workers.values()
+                if any(watcher.processing().values()) and nanny.pid is not None and nanny.pid not in killed:
+                    killed.append(nanny.pid)
+                    os.kill(nanny.pid, signal.SIGKILL)
+
+        hand = threading.Thread(target=kill_at_work)
+        hand.start()
+        done = list(fit_all(tasks, dask=cluster.scheduler_address))
+        over.set()
+        hand.join(30)
+    assert len(killed) == 4
+    assert sorted(one.run for one in done) == sorted(run.name for run in runs[:3])
+    assert all(one.fit is not None for one in done)
 
 
 @pytest.mark.campaign
