@@ -201,7 +201,7 @@ def test_a_resin_for_a_press_without_a_panel_is_refused():
 @pytest.mark.timeout(14400)
 @pytest.mark.parametrize("hidden", [None, PLATENS_K, "contact_buildup"], ids=["plain", "platens", "buildup"])
 def test_limits_hold_at_opening_with_the_promised_share(hidden):
-    """Prints what issue 22 asks for; asserts what must hold of any edition."""
+    """Prints what issue 22 asks for; asserts what must hold of any edition, by the binomial intervals."""
     found = campaign(7100, edition(6, 200), hidden)
     opened = [p for p in found if np.isfinite(p.opened)]
     broken = sum(p.cure_at_opening < LEAST for p in opened)
@@ -219,7 +219,9 @@ def test_limits_hold_at_opening_with_the_promised_share(hidden):
     )
     assert len(opened) >= 0.9 * len(found)
     assert interval.low <= 0.025
-    assert inside >= 0.9
+    # a pressing's rows share its paper's error, so a pressing counts once: its band is right or wrong
+    right = sum(p.inside > 0.5 for p in found)
+    assert binomtest(right, len(found)).proportion_ci().high >= 0.93
 
 
 def test_the_moment_foreseen_is_the_moment_at_which_leave_is_given(one):
