@@ -133,7 +133,7 @@ def law_said(found: Diagnosis) -> tuple[Message, ...]:
         at_least=float(x[np.argmin(value)]),
         most=float(value.max()),
         at_most=float(x[np.argmax(value)]),
-        unit=law.unit.replace("m3", "m³").strip("-"),
+        unit="" if law.unit == "-" else f" {law.unit.replace('m3', 'm³')}",
         gain=law.gain.value_K,
         before=found.extended.heldout_rmse_K,
     )
