@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from functools import cache
 from math import isfinite, log
 from pathlib import Path
@@ -16,9 +17,9 @@ from api.cli import main
 from daq.press.press_file import Press, parse_press
 from daq.press.resin_file import Resin, read_resin
 from daq.records import InputError
-from daq.simulated.campaign import press_toml
+from daq.simulated.campaign import Plan, make_campaign, press_toml
 from softsensor.heat.model_file import FittedValue, ModelFile, model_text
-from softsensor.opening.kinetics import kinetics_of
+from softsensor.opening.kinetics import cure_course, kinetics_of
 from softsensor.planning.advise import Goal, ProgrammeAdvice, Wish, _energy, advise, limits_of, quantities_of
 from softsensor.planning.made_up import DEPTHS, PLATENS, Programme, Task, ensemble, made_up_run
 
@@ -142,6 +143,34 @@ def test_a_program_is_the_same_solved_alone_or_moved_from_another() -> None:
     there = ensemble(task(), Programme(180.0, None)).courses(Programme(195.0, None))
     own = ensemble(task(), Programme(195.0, None)).courses(Programme(195.0, None))
     assert there.layers_C == pytest.approx(own.layers_C, abs=1e-6)
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("probability", [0.975, 0.8])
+def test_the_virtual_press_breaks_the_limit_no_oftener_than_promised(probability: float) -> None:
+    """80 pressings at the advised time, contacts 12 %, constants 5 %, kinetics drawn; within three deviations."""
+    usual = Plan(rate_hz=2.0, thickness_mm=16.0, coefficient_spread=0.12, panel_spread=0.05)
+    runs = [run for run, _ in make_campaign(91, 8, None, usual)]
+    panel = {key: v for key, v in runs[0].header.items() if key.startswith(("panel.", "ambient."))}
+    found = softsensor.advise(
+        press(),
+        softsensor.fit(runs, press()),
+        resin(),
+        panel=panel,
+        ranges={"platen_temperature_C": (180.0, 180.0)},
+        limits={"cure_least": 0.85, "probability": probability},
+    ).advised
+    time_s = seconds(found)
+    pressed = make_campaign(91, 80, None, replace(usual, platen_C=(180.0, 180.0), press_time_s=(time_s, time_s)))
+    rng, kinetics, least = np.random.default_rng(3), kinetics_of(resin()), []
+    for run, truth in pressed:
+        closed = run.time_s <= truth.moments.opened_s
+        faces = np.stack([truth.bottom_C[closed], truth.top_C[closed]])
+        errors = np.repeat(rng.standard_normal((2, 1)), 2, axis=1)
+        least.append(cure_course(kinetics, run.time_s[closed], faces, errors)[:, -1].min())
+    promised = 1.0 - probability
+    broken = float(np.mean(np.array(least) < 0.85))
+    assert broken <= promised + 3.0 * (promised * probability / len(least)) ** 0.5
 
 
 def test_where_no_program_will_do_the_nearest_limit_is_named() -> None:
