@@ -70,6 +70,8 @@ def predict_biases(estimate, first, keep, variance):
 def kalman_update(estimate, h, innovation, R, gate):
     """Correct by one reading; beyond `gate` standard deviations it loses weight, beyond twice all.
 
+    How odd it is counts against all that is in doubt, the considered parameters too; what it corrects does not.
+
     Parameters
     ----------
     h
@@ -95,10 +97,13 @@ def kalman_update(estimate, h, innovation, R, gate):
         S += h[a] * value
         for c in range(held):
             hE[c] += h[a] * E[a, c]
-    square = innovation * innovation / S
-    fit = -0.5 * min(square, gate * gate) - 0.5 * math.log(S)
+    whole = S
+    for c in range(held):
+        whole += hE[c] * hE[c]
+    square = innovation * innovation / whole
+    fit = -0.5 * min(square, gate * gate) - 0.5 * math.log(whole)
     if square > gate * gate:
-        S = abs(innovation) * math.sqrt(S) / gate
+        S *= math.sqrt(square) / gate
     if square > 4.0 * gate * gate:
         S *= math.sqrt(square) / (2.0 * gate)
     move = innovation / S
