@@ -42,7 +42,7 @@ class PressSettings:
     thickness_mm: float = 16.0
     coefficients: Mapping[str, float] = field(default_factory=lambda: dict(BASE_COEFFICIENTS))
     coefficient_spread: float = 0.06
-    panel_spread: float = 0.01
+    panel_spread: float = 0.05
     hide: Sequence[str] = ()
     """Effects of the contract, or faults outside it, that only the virtual press has."""
     nuisances: Nuisances = _QUIET

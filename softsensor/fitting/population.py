@@ -18,10 +18,10 @@ from daq.records import Array
 from softsensor.fitting.problem import (
     Evaluation,
     Problem,
+    carried_among,
     constants_among,
     inverse,
     normal_equations,
-    stated_among,
 )
 from softsensor.signals.instrument import SPREAD_LOG
 
@@ -72,16 +72,16 @@ def information(problem: Problem, at: Evaluation, spread: float, names: Sequence
     matrix, right = normal_equations(replace(problem, unknowns=bare), at)
     asked = [i for i, n in enumerate(names) if n in problem.names]
     own = [problem.names.index(names[i]) for i in asked]
-    held, stated = constants_among(problem), stated_among(problem)
+    held, carried = constants_among(problem), carried_among(problem)
     rest = [j for j in range(len(problem.names)) if j not in (*own, *held)]
     inner = inverse(matrix[np.ix_(rest, rest)])
     cross = matrix[np.ix_(own, rest)] @ inner
     seen = (matrix[np.ix_(own, own)] - cross @ matrix[np.ix_(rest, own)]) / spread**2
     values, vectors = np.linalg.eigh(0.5 * (seen + seen.T))
     known = (vectors * np.maximum(values, 0.0)) @ vectors.T
-    leaning = (matrix[np.ix_(own, stated)] - cross @ matrix[np.ix_(rest, stated)]) / spread**2
+    leaning = (matrix[np.ix_(own, carried)] - cross @ matrix[np.ix_(rest, carried)]) / spread**2
     lean = inverse(known) @ leaning
-    doubt = np.diag([problem.unknowns[i].sd ** -2 for i in stated]) + leaning.T @ lean
+    doubt = np.diag([problem.unknowns[i].sd ** -2 for i in carried]) + leaning.T @ lean
     share = leaning @ inverse(doubt)  # `problem.left_open`, as a loss of precision
     precision, slope = np.zeros((len(names), len(names))), np.zeros(len(names))
     precision[np.ix_(asked, asked)] = known - share @ leaning.T

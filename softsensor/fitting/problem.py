@@ -430,13 +430,18 @@ def constants_among(problem: Problem) -> list[int]:
     return [i for i, u in enumerate(problem.unknowns) if u.name.startswith(f"{CONSTANT}:")]
 
 
-def stated_among(problem: Problem) -> list[int]:
-    """Return the positions of the constants whose doubt header or press file states, which intervals carry.
+def carried_among(problem: Problem) -> list[int]:
+    """Return the positions of the constants whose doubt intervals carry: the panel's, and all that are stated.
 
-    Of the others the classes of `softsensor.signals.doubt` are wide enough to drown every contact (the rig's from
-    2,600 to 13,500 W/m²K by 5 % of a plate's conductivity): until runs have shown their scatter they stay out.
+    No two panels are alike, so every run's coefficients answer for what its own panel is off. Constants of the
+    press are the same in all its runs: unless header or press file state their doubt, coefficients are what they
+    are beside these plates (5 % of a plate's conductivity would drown the rig's contact, 2,600 to 13,500 W/m²K).
     """
-    return [i for i in constants_among(problem) if problem.doubts[_key(problem, i)].source is Source.STATED]
+    return [i for i in constants_among(problem) if _carried(problem, _key(problem, i))]
+
+
+def _carried(problem: Problem, key: str) -> bool:
+    return key.startswith("panel.") or problem.doubts[key].source is Source.STATED
 
 
 def _key(problem: Problem, i: int) -> str:
@@ -444,13 +449,13 @@ def _key(problem: Problem, i: int) -> str:
 
 
 def left_open(problem: Problem, matrix: Array, covariance: Array) -> Array:
-    """Return what the stated doubt of held constants adds to the covariance of all unknowns.
+    """Return what the doubt of held constants adds to the covariance of all unknowns.
 
     Schmidt's consider covariance (Bierman, Factorization Methods, 1977, chapter VIII): the estimate leans on a
     constant by ``-P M_xc``, and its variance follows by the constant's own.
     """
-    at, stated = constants_among(problem), stated_among(problem)
-    lean = -covariance @ matrix[:, at] * np.isin(at, stated)
+    at, carried = constants_among(problem), carried_among(problem)
+    lean = -covariance @ matrix[:, at] * np.isin(at, carried)
     lean[at, range(len(at))] = 1.0
     return np.asarray(lean @ np.diag([problem.unknowns[i].sd ** 2 for i in at]) @ lean.T)
 

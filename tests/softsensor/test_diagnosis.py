@@ -52,6 +52,8 @@ def press() -> Press:
 @cache
 def campaign(effect: str | None, seed: int, runs: int, core: float = 0.0) -> tuple[tuple[Run, Truth], ...]:
     plan = Plan(rate_hz=2.0, thickness_mm=(8.0, 16.0, 19.0), core_column=core)
+    if core:  # what the cause does to the core is asked, not what panels do that differ
+        plan = replace(plan, panel_spread=0.0)
     return tuple(make_campaign(seed, runs, effect, plan))
 
 

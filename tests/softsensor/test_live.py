@@ -24,7 +24,7 @@ PRESS = parse_press(press_toml())
 COEFFICIENTS = {name: FittedValue(value, 0.2 * value) for name, value in BASE_COEFFICIENTS.items()}
 MODEL = ModelFile("test", "lab", COEFFICIENTS)
 SHORT = {"press_time_s": (40.0, 60.0), "open_before_s": (6.0, 12.0), "open_after_s": (35.0, 45.0)}
-PLAN = Plan(rate_hz=2.0, thickness_mm=16.0, start_before_s=6.0, closed_column=False, **SHORT)
+PLAN = Plan(panel_spread=0.0, rate_hz=2.0, thickness_mm=16.0, start_before_s=6.0, closed_column=False, **SHORT)
 
 
 def replay(run, model=MODEL, without=(), rows=None, press=PRESS):
@@ -124,7 +124,7 @@ def test_a_hidden_cause_is_held_by_the_band(cause):
 
 def test_one_pressing_does_not_settle_which_of_several_causes_is_at_work():
     campaign = measured(
-        make_campaign(41107, 11, "density_profile", Plan(thickness_mm=16.0))
+        make_campaign(41107, 11, "density_profile", Plan(thickness_mm=16.0, panel_spread=0.0))
     )  # eight runs leave open whether it is k, c or density
     fits = fit_campaign(PRESS, [run for run, _ in campaign[:8]])
     model = with_missing_causes(fits.model_file(), fits.runs)

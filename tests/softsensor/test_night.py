@@ -35,6 +35,7 @@ from softsensor.jobs.night_judgement import surely_less
 from softsensor.jobs.night_record import night_record
 from softsensor.report.night_report import night_report, write_report
 from tests.editions import edition
+from tests.panels import panel_stated
 
 PRESS = parse_press(press_toml())
 PLAN = Plan(
@@ -56,7 +57,8 @@ def fill(store, runs):
 
 @pytest.fixture(scope="module")
 def runs():
-    return [run for run, _ in make_campaign(51, 4, None, PLAN)]
+    campaign = make_campaign(51, 4, None, replace(PLAN, panel_spread=0.0))
+    return [panel_stated(run, 0.01) for run, _ in campaign]
 
 
 def test_runs_are_fitted_once_and_a_first_model_is_promoted(store, runs):
