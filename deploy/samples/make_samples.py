@@ -44,7 +44,7 @@ def foreign(run: Run) -> str:
 
 def main() -> None:
     """Write the sample files beside this script."""
-    plan = Plan(rate_hz=1.0, closed_column=False, core_column=0.34, start_before_s=8.0)
+    plan = Plan(rate_hz=1.0, closed_column=False, core_column=0.34, start_before_s=8.0, panel_spread=0.0)
     campaign = make_campaign(SEED, RUNS, effects=HIDDEN, plan=plan)
     for number, (run, _) in enumerate(campaign, start=1):
         made = short(run, number)

@@ -131,7 +131,7 @@ def _widened(fitted: RunFit, i: int, side: Side) -> Side:
     if not side.closed:
         return side
     away = side.x - fitted.minimum.x[i]
-    more = (fitted.quantile * fitted.spread) ** 2 * float(fitted.minimum.from_constants[i])
+    more = fitted.quantile**2 * float(fitted.minimum.from_constants[i, i])
     at = float(fitted.minimum.x[i] + np.copysign(np.sqrt(away**2 + more), away))
     limit = float(fitted.problem.limits[0 if away < 0 else 1][i])
     return (
@@ -228,13 +228,13 @@ def profile(fitted: RunFit, name: str, points: int = PROFILE_POINTS) -> Profile:
     low, high = (side[i] for side in fitted.problem.limits)
     ends = [u.inside(v) for v in c.ci95]
     middle, most = fitted.minimum.x[i], max(abs(ends[1] - ends[0]), 1e-3)
-    alone = float(fitted.minimum.covariance[i, i] - fitted.minimum.from_constants[i])
+    alone = fitted.spread**2 * float(fitted.minimum.covariance[i, i])
     first = max(low, min(middle, ends[0]) - 0.25 * most)
     last = min(high, max(middle, ends[1]) + 0.25 * most)
     below = np.linspace(first, middle, points // 2 + 1)[:-1] if middle > first else np.zeros(0)
     above = np.linspace(middle, last, points // 2 + 1)[1:] if last > middle else np.zeros(0)
     xs = np.concatenate([below, [middle], above])
-    stretch = float(np.sqrt(1.0 + fitted.minimum.from_constants[i] / alone)) if alone > 0.0 else 1.0
+    stretch = float(np.sqrt(1.0 + fitted.minimum.from_constants[i, i] / alone)) if alone > 0.0 else 1.0
     at = middle + (xs - middle) / stretch  # held constants make a profile steeper than what is known
     rise = np.array([0.0 if x == middle else profile_rise(fitted, i, x, PROFILE_STEPS) for x in at])
     values = np.array([u.value(x) for x in xs])

@@ -314,9 +314,9 @@ class Minimum:
     evaluation: Evaluation
     converged: bool
     covariance: Array
-    """Of the internal variables, priors included, zero where a limit holds one; with what constants leave open."""
+    """Of the internal variables, priors included, zero where a limit holds one; constants taken for right."""
     from_constants: Array
-    """What of the variances that is (unknowns)."""
+    """What their doubt adds (unknowns, unknowns); it does not grow with the residuals, as the other does."""
     held: Array
     """Which unknowns a limit holds (unknowns)."""
 
@@ -384,8 +384,7 @@ def minimise(
     matrix, right = normal_equations(problem, at)
     free = free_of(at.x, right, lower, upper)
     alone = covariance_of(matrix, free)
-    covariance = alone + left_open(problem, matrix, alone)
-    return Minimum(at, converged, covariance, np.diag(covariance - alone), np.logical_not(free))
+    return Minimum(at, converged, alone, left_open(problem, matrix, alone), np.logical_not(free))
 
 
 def free_of(x: Array, right: Array, lower: Array, upper: Array) -> Array:

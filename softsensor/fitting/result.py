@@ -194,7 +194,7 @@ def run_fit(
         opened_s=moments.opened_s + values.get("opened_s", 0.0),
         warnings=(*warnings, *_search_warnings(problem, best, misfit)),
         names=problem.names,
-        covariance=best.covariance * spread.factor**2,
+        covariance=best.covariance * spread.factor**2 + best.from_constants,
         problem=problem,
         minimum=best,
         residuals=residuals,
@@ -211,7 +211,7 @@ def _coefficients(problem: Problem, best: Minimum, factor: float, quantile: floa
     table = {}
     for i, u in enumerate(problem.unknowns):
         if is_coefficient(u.name):
-            sd = float(np.sqrt(best.covariance[i, i])) * factor
+            sd = float(np.sqrt(best.covariance[i, i] * factor**2 + best.from_constants[i, i]))
             table[u.name] = _coefficient(u, best.x[i], sd, quantile)
     for name in problem.case.press.coefficient_names:
         if name not in table:
