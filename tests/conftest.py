@@ -4,6 +4,7 @@ import os
 import secrets
 
 import pytest
+from hypothesis import settings
 from sqlalchemy import create_engine, text
 from sqlalchemy.exc import OperationalError
 
@@ -16,7 +17,12 @@ NO_PARTS = ("measured files are not here", "this kernel has no such seal", "no s
 """Reasons to skip that stand in CI too: what nobody can install there."""
 
 
+settings.register_profile("unhurried", deadline=None)
+"""A busy machine fails no test."""
+
+
 def pytest_configure():
+    settings.load_profile("unhurried")
     guard()
 
 
