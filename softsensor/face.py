@@ -35,11 +35,12 @@ from softsensor.heat.model_file import ModelFile
 from softsensor.jobs.campaign import fit_campaign
 from softsensor.jobs.model_files import read_model as read_model_file
 from softsensor.live.replay import Replay, replay
-from softsensor.planning.advise import Goal, ProgrammeAdvice, Wish, advice_ranges, limits_of
+from softsensor.planning.advise import DEFAULT_RANGES, Goal, ProgrammeAdvice, Wish, limits_of
 from softsensor.planning.advise import advise as advise_on
 from softsensor.planning.made_up import Task
 from softsensor.planning.plan import Plan
 from softsensor.planning.plan import plan as plan_after
+from softsensor.planning.program import given_ranges
 from softsensor.planning.summary import advice_said, plan_said
 
 if TYPE_CHECKING:
@@ -424,7 +425,7 @@ def advise(  # noqa: PLR0913 - one argument a wish
         raise InputError(say("advise-goal-unknown", goal=goal, known=known))
     loaded = _resin(resin)
     wanted = limits_of(loaded, limits or {})
-    allowed = advice_ranges(ranges or {})
+    allowed = given_ranges(ranges or {}, DEFAULT_RANGES)
     header = {**USUAL_PANEL, "panel.initial_temperature_C": ROOM_C, **(panel or {})}
     task = Task(read_press(press), read_model(model), header, waiting_s, allowed["press_time_s"][1])
     wish = Wish(wanted, loaded, allowed, Goal(goal), open_s, price_per_kWh)

@@ -44,9 +44,7 @@ def columns_of(press: Press) -> Columns:
         layer, _, place = sensor.at.rpartition(".")
         if layer in press.panel_layers and place in faces:
             faces[place] += sensor.columns
-    ends = (press.boundary.bottom, press.boundary.top)
-    platens = tuple(b.column for b in ends if b.kind == "measured" and b.column)
-    return Columns(tuple(faces["top"]), tuple(faces["bottom"]), platens)
+    return Columns(tuple(faces["top"]), tuple(faces["bottom"]), press.platens)
 
 
 def middle(values: list[float]) -> float:

@@ -265,6 +265,12 @@ class Press(Table):
         return tuple(layer.name for layer in self.layer if layer.from_run)
 
     @property
+    def platens(self) -> tuple[str, ...]:
+        """Columns of the measured boundary temperatures, bottom before top."""
+        ends = (self.boundary.bottom, self.boundary.top)
+        return tuple(b.column for b in ends if b.kind == "measured" and b.column)
+
+    @property
     def coefficient_names(self) -> tuple[str, ...]:
         """Every coefficient that contacts and boundaries use, in order of first use."""
         names: list[str] = []

@@ -60,8 +60,7 @@ class RunSetup:
     @cached_property
     def platens(self) -> tuple[str, ...]:
         """Columns of the measured boundary temperatures."""
-        ends = (self.press.boundary.bottom, self.press.boundary.top)
-        return tuple(end.column for end in ends if end.kind == "measured" and end.column is not None)
+        return self.press.platens
 
     @cached_property
     def lower(self) -> int:

@@ -40,7 +40,7 @@ from softsensor.planning.made_up import (
     made_up_run,
     sources_of,
 )
-from softsensor.planning.program import FACTORS, Ranges
+from softsensor.planning.program import Ranges
 
 PLATEN_LEVELS, PRESSURE_LEVELS = 7, 3
 """Programs looked at between the ends of a range."""
@@ -251,17 +251,6 @@ def limits_of(resin: Resin | None, given: Mapping[str, float]) -> LimitsTable:
         return LimitsTable.model_validate(known.model_dump(exclude_none=True) | dict(given))
     except ValidationError as error:
         raise InputError(explained(error, LimitsTable)) from error
-
-
-def advice_ranges(given: Ranges) -> dict[str, tuple[float, float]]:
-    """Return the ranges to look within. Raises InputError for one that is unknown, empty or beyond all presses."""
-    for name, (low, high) in given.items():
-        if name not in DEFAULT_RANGES:
-            raise InputError(say("plan-range-unknown", name=name, known=tuple(DEFAULT_RANGES)))
-        f = FACTORS[name]
-        if not f.lower <= low <= high <= f.upper:
-            raise InputError(say("plan-range-wrong", name=name, low=low, high=high, lower=f.lower, upper=f.upper))
-    return {**DEFAULT_RANGES, **given}
 
 
 def _cost(tried: Tried, goal: Goal) -> float:

@@ -104,11 +104,7 @@ def made_up_run(task: Task, programme: Programme) -> tuple[Run, Moments]:
         header["setting.pressure_N_cm2"] = programme.pressure_N_cm2
     empty = Run("advised", header, time_s, {})
     described = press_for_run(task.press, empty)
-    columns = {
-        b.column: np.full(len(time_s), programme.platen_C)
-        for b in (described.boundary.bottom, described.boundary.top)
-        if b.kind == "measured" and b.column is not None
-    }
+    columns = {platen: np.full(len(time_s), programme.platen_C) for platen in described.platens}
     for contact in described.contact:
         if contact.load is not None and programme.pressure_N_cm2 is not None:
             columns[contact.load.column] = np.full(len(time_s), programme.pressure_N_cm2)

@@ -67,7 +67,7 @@ def settings_of(run: Run, press: Press, moments: Moments) -> dict[str, float]:
     """Return what of a run a user can set; a factor that this press does not have is left out."""
     found: dict[str, float] = {}
     described = press_for_run(press, run)
-    platens = [run.columns[column] for column in _platens(described) if column in run.columns]
+    platens = [run.columns[column] for column in described.platens if column in run.columns]
     if platens:
         set_point = run.setting("platen_temperature_C")
         found["platen_temperature_C"] = float(np.nanmean(platens)) if set_point is None else set_point
@@ -83,11 +83,6 @@ def settings_of(run: Run, press: Press, moments: Moments) -> dict[str, float]:
     return found
 
 
-def _platens(press: Press) -> list[str]:
-    ends = (press.boundary.bottom, press.boundary.top)
-    return [b.column for b in ends if b.kind == "measured" and b.column is not None]
-
-
 def _opened(run: Run, moments: Moments) -> float:
     return moments.opened_s if np.isfinite(moments.opened_s) else float(run.time_s[-1])
 
@@ -97,7 +92,7 @@ def default_ranges(
 ) -> dict[str, tuple[float, float]]:
     """Return the ranges to plan within: as given, else the runs' own modestly widened (`FACTORS`).
 
-    Raises InputError for a range of something these runs do not set, an empty one, or one beyond the limits.
+    Raises InputError as `given_ranges`, for something these runs do not set too.
     """
     known = list(settings)
     found = {}
@@ -106,14 +101,21 @@ def default_ranges(
         if values:
             low, high = min(values) * (1.0 - f.share) - f.margin, max(values) * (1.0 + f.share) + f.margin
             found[name] = (_readable(max(low, f.lower)), _readable(min(high, f.upper)))
+    return given_ranges(given, found)
+
+
+def given_ranges(given: Ranges, usual: Ranges) -> dict[str, tuple[float, float]]:
+    """Return the usual ranges with the given ones in their places.
+
+    Raises InputError for one that is not among the usual, is empty, or lies beyond the limits of `FACTORS`.
+    """
     for name, (low, high) in given.items():
-        if name not in found:
-            raise InputError(say("plan-range-unknown", name=name, known=tuple(found)))
+        if name not in usual:
+            raise InputError(say("plan-range-unknown", name=name, known=tuple(usual)))
         f = FACTORS[name]
         if not f.lower <= low <= high <= f.upper:
             raise InputError(say("plan-range-wrong", name=name, low=low, high=high, lower=f.lower, upper=f.upper))
-        found[name] = (low, high)
-    return found
+    return {**usual, **given}
 
 
 def _readable(value: float) -> float:
@@ -137,7 +139,7 @@ def designed_run(run: Run, press: Press, moments: Moments, settings: Settings) -
         name: np.round(_at(run.time_s, values, rows)) if name in wires else _at(run.time_s, values, rows)
         for name, values in run.columns.items()
     }
-    for platen in set(_platens(described)) & set(columns):
+    for platen in set(described.platens) & set(columns):
         columns[platen] = columns[platen] + change.get("platen_temperature_C", 0.0)
     if "pressure_N_cm2" in change:
         ratio = settings["pressure_N_cm2"] / before["pressure_N_cm2"]
