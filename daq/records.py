@@ -18,6 +18,8 @@ from daq.words import Message, say
 Array = NDArray[np.float64]
 
 
+ROOM_C = 23.0
+"""Of a room where nothing is said of it: the middle of halls of 16 to 30 °C. [°C]"""
 COLDEST_C, HOTTEST_C = -273.15, 2000.0
 """Between these lies every temperature in a press or a furnace. [°C]"""
 
@@ -217,7 +219,7 @@ class Run:
     @property
     def ambient_temperature(self) -> float:
         """Room temperature, 23 °C where the header is silent. [°C] Raises `InputError` for a text."""
-        return self._number("ambient.temperature_C", 23.0)
+        return self._number("ambient.temperature_C", ROOM_C)
 
     def setting(self, key: str) -> float | None:
         """Return ``setting.<key>``, or None where the header is silent. Raises `InputError` for a text."""

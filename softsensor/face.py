@@ -24,7 +24,7 @@ from daq.files.run_file import read_run as read_run_file
 from daq.press.press_file import Press
 from daq.press.press_file import read_press as read_press_file
 from daq.press.resin_file import Resin, read_resin
-from daq.records import InputError, Run
+from daq.records import ROOM_C, InputError, Run
 from daq.words import say
 from softsensor.diagnosis.finding import Diagnosis
 from softsensor.diagnosis.verdict import diagnose as diagnose_runs
@@ -379,8 +379,6 @@ def plan(
 
 USUAL_PANEL: Mapping[str, Any] = MappingProxyType({"panel.material": "MDF", "panel.thickness_mm": 16.0})
 """What is advised on where nothing is said of the panel; the answer names it."""
-ROOM_C = 23.0
-"""Room and panel where nothing is said of them, as for a run without ``ambient.temperature_C``. [°C]"""
 
 
 def advise(  # noqa: PLR0913 - one argument a wish

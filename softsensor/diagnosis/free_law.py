@@ -41,7 +41,7 @@ from daq.records import Array
 from softsensor.diagnosis.decision import FEW_RUNS
 from softsensor.diagnosis.extension import SharedFit, fit_campaign_model, from_the_others, held_out
 from softsensor.diagnosis.extension_unknowns import Unknowns, lay_out
-from softsensor.diagnosis.gains import Gain, paired_gain
+from softsensor.diagnosis.gains import HARDLY, Gain, paired_gain
 from softsensor.diagnosis.numbers import MODEL_ERROR
 from softsensor.diagnosis.search import SettledModel, run_errors
 from softsensor.effects import Conversion, Effect, Scene, Terms, on_panel
@@ -64,8 +64,6 @@ HEAT_UNIT = 1e6
 """Of a law of heat, about the heat capacity of wood per volume. [J/m³K]"""
 EXCHANGE_UNIT = 1e3
 """Of a law of exchange, about a loss at the rim of its typical size. [W/m³K]"""
-WORTH = 0.05
-"""Share of the error on runs left out that a law must save to be told: what a cause must (`summary.HARDLY`)."""
 INSIDE = 0.9
 """Share of the points at which a known cause's curve must lie in the band to be recognised: issue 24's measure."""
 POINTS = 33
@@ -145,7 +143,7 @@ def free_law(stage: SettledModel) -> Law | None:
     unseen = [_chosen_without(fell, r) for r in range(len(before))]
     after = np.array([tried[k].errors[r] for r, k in enumerate(unseen)])
     gain = paired_gain(before, after)
-    if not gain.sure or gain.value_K < WORTH * float(np.sqrt(np.mean(before**2))):
+    if not gain.sure or gain.value_K < HARDLY * float(np.sqrt(np.mean(before**2))):
         return None
     law = tried[best]
     alike = [t for t in tried if t is not law and not paired_gain(t.errors, law.errors).sure]

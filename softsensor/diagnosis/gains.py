@@ -9,6 +9,10 @@ from scipy.stats import t as student
 
 from daq.records import Array
 
+HARDLY = 0.05
+"""Share of the residual on runs left out below which saving it is not what a cause, or a law, is worth. By hand,
+2026-11."""
+
 
 @dataclass(frozen=True)
 class Gain:

@@ -33,6 +33,7 @@ from daq.records import Array
 from softsensor.effects import Effect, Need, Role, catalogue
 from softsensor.fitting.problem import Evaluation, Problem, constants_among, inverse, normal_equations
 from softsensor.heat.model_file import FittedValue, MissingCause, MissingCauses, ModelFile
+from softsensor.opening.limits import BAND
 
 if TYPE_CHECKING:
     from softsensor.fitting.result import RunFit
@@ -214,7 +215,7 @@ class _Size:
         noise = 1.0 / math.sqrt(power.sum())
         count = len(runs)
         seen = float(np.sqrt(((score - size * power) ** 2).sum()) / power.sum())
-        seen *= math.sqrt(count / max(count - 1, 1)) * float(student.ppf(0.975, max(count - 1, 2))) / 1.96
+        seen *= math.sqrt(count / max(count - 1, 1)) * float(student.ppf(0.975, max(count - 1, 2))) / BAND
         error = math.hypot(max(noise, seen), SIZE_FLOOR * size)
         gain = 0.5 * (size / noise) ** 2
         if size < 0.0 and _one_sided(name):

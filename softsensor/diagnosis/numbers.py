@@ -15,7 +15,7 @@ from softsensor.diagnosis.extension_unknowns import is_shape
 from softsensor.diagnosis.search import SettledModel
 from softsensor.effects import Effect, Need
 from softsensor.fitting.result import MISFIT_K, MISFIT_NOISE, MISFIT_SHARE, NOISIEST_K
-from softsensor.signals.digest import Digest, MeanNoise
+from softsensor.signals.digest import WIDEST_BIN_S, Digest, MeanNoise
 from softsensor.signals.faces import place_scatter
 from softsensor.signals.instrument import FACE_SLOW_S, MEAN_FAST_K, MEAN_FAST_S, MEAN_SLOW_K, MEAN_WHITE_K
 
@@ -27,7 +27,7 @@ CLOCK_ERROR_S = 0.04
 2026-11. [s]"""
 
 
-BLOCK_S = 4.0
+BLOCK_S = WIDEST_BIN_S
 """Blocks whose second differences show the noise: the widest bin of a short run. [s]"""
 CALM = 0.7
 """Least `Digest.trust` of a bin that shows noise: where its slope is gentle. By hand, 2026-11."""

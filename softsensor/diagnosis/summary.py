@@ -15,6 +15,7 @@ from daq.words import Argument, Message, say
 from softsensor.diagnosis.decision import ALPHA_PATTERN, FEW_RUNS, Verdict
 from softsensor.diagnosis.extension_unknowns import free_coefficients, logarithm_of
 from softsensor.diagnosis.finding import Diagnosis, Finding
+from softsensor.diagnosis.gains import HARDLY
 from softsensor.diagnosis.search import SettledModel
 from softsensor.diagnosis.where import temperatures
 from softsensor.effects import find_effect
@@ -22,8 +23,6 @@ from softsensor.effects.vocabulary import called, coefficient_words, place_words
 
 FAR_OFF = 2.0
 """Times the noise from which a residual is called more than noise, whatever its cause. Set by hand, 2026-11."""
-HARDLY = 0.05
-"""Share of the residual on runs left out below which saving it is not what a cause is worth. By hand, 2026-11."""
 MOVES, MOVES_SD = 0.05, 2.0
 """A coefficient moves by this logarithm (5 %) and so many standard deviations at least. By hand, 2026-11."""
 SLOPE_S = 5.0

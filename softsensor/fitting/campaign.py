@@ -30,6 +30,7 @@ from softsensor.fitting.unknowns import free_names, known_before
 from softsensor.heat.batch import Each
 from softsensor.heat.model import ThermalModel
 from softsensor.heat.model_file import FittedValue, ModelFile, Scatter
+from softsensor.opening.limits import BAND
 
 BOOTSTRAPS = 4000
 """Resamplings: ends of a 95 % interval then vary by some 2 % of it."""
@@ -162,7 +163,7 @@ class CampaignFit:
 
 def joint_interval(estimate: FittedValue) -> tuple[float, float]:
     """Return the 95 % interval of a run's value as the joint fit knows it."""
-    reach = float(np.exp(min(1.96 * estimate.sd / estimate.value, 50.0)))
+    reach = float(np.exp(min(BAND * estimate.sd / estimate.value, 50.0)))
     return estimate.value / reach, estimate.value * reach
 
 
@@ -224,7 +225,7 @@ def campaign_of(
 
 def shared_estimate(c: CampaignCoefficient) -> FittedValue:
     """Return a coefficient with one value in all runs: that value, and how well it is known."""
-    return FittedValue(c.median, c.median * float(np.log(c.median_ci95[1] / c.median_ci95[0])) / (2.0 * 1.96))
+    return FittedValue(c.median, c.median * float(np.log(c.median_ci95[1] / c.median_ci95[0])) / (2.0 * BAND))
 
 
 def _with_shared(fitted: RunFit, same: Mapping[str, CampaignCoefficient]) -> RunFit:

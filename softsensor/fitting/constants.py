@@ -23,6 +23,7 @@ import numpy as np
 from daq.press.header import panel_of
 from daq.press.press_file import Press, Property
 from daq.records import Array, InputError, Run
+from softsensor.fitting.population import SPREAD_RUNS
 from softsensor.fitting.problem import (
     CONSTANT,
     Minimum,
@@ -165,8 +166,6 @@ def constants_of(problem: Problem, best: Minimum, spread: float) -> dict[str, Co
     return found
 
 
-PRIOR_RUNS = 2.0
-"""Runs that a constant's class counts for beside those that showed its scatter; as `population.SPREAD_RUNS`."""
 LEARNT = (Source.DATA_SHEET, Source.MATERIAL_TABLE, Source.GUESS)
 
 
@@ -175,7 +174,7 @@ def scatter_of(runs: Iterable[Mapping[str, ConstantFit]]) -> dict[str, tuple[flo
 
     Second moment about what was given, so that a shift all runs share counts too; by expectation-maximisation from
     each run's estimate with its prior taken out (Dempster, Rubin, Tsutakawa, JASA 76:341, 1981), the prior's own
-    size counting for `PRIOR_RUNS`. A run that knows nothing of a constant leaves its scatter where it was.
+    size counting for `SPREAD_RUNS`. A run that knows nothing of a constant leaves its scatter where it was.
     """
     table: dict[str, list[ConstantFit]] = {}
     for run in runs:
@@ -192,7 +191,7 @@ def scatter_of(runs: Iterable[Mapping[str, ConstantFit]]) -> dict[str, tuple[flo
         for _ in range(200):
             variance = 1.0 / (precision + 1.0 / size2)
             seen = float(np.sum((variance * pull) ** 2 + variance))
-            new = (seen + PRIOR_RUNS * before) / (len(fits) + PRIOR_RUNS)
+            new = (seen + SPREAD_RUNS * before) / (len(fits) + SPREAD_RUNS)
             settled, size2 = abs(new - size2) < 1e-9, new
             if settled:
                 break

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.compiled import compiled
+from softsensor.opening.kinetics import GAS_CONSTANT
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -33,8 +34,6 @@ FAST = {"contract", "reassoc", "nsz", "arcp"}
 
 STEFAN_BOLTZMANN = 5.670374419e-8
 """CODATA 2018, exact. [W/m²K⁴]"""
-GAS_CONSTANT = 8.31446261815324
-"""CODATA 2018, exact. [J/molK]"""
 ZERO_C = 273.15
 """0 °C in kelvin. [K]"""
 BOILING_C = 100.0

@@ -15,11 +15,11 @@ from typing import Any
 from daq.press.press_file import Press
 from daq.store import RunRecord, RunStatus, Store
 from softsensor.heat.model_file import ModelFile
+from softsensor.jobs.drift import CHARTED_RUNS
 from softsensor.jobs.model_in_force import fingerprint
 
-WINDOW = 200
-"""The newest runs: refitted in the night after a promotion, and what a judgement rests on. As many as the control
-charts look back on (`drift.CHARTED_RUNS`)."""
+WINDOW = CHARTED_RUNS
+"""The newest runs: refitted in the night after a promotion, and what a judgement rests on."""
 SHARE = 200
 """Older runs refitted in each night after that."""
 BUNCH = 200

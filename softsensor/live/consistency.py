@@ -16,6 +16,7 @@ from daq.records import Array
 from softsensor.live.blocks import SPARSE_S, Scans
 from softsensor.live.channel_steps import Changes, Integers, note_changes
 from softsensor.live.validity import Invalid, InvalidReason
+from softsensor.signals.instrument import RAMP_S
 
 NOT_FRESH_K = 6.0
 """Faces of which the colder one is this far from the header's start temperature are no fresh panel's: a face in
@@ -24,8 +25,8 @@ START_OFF_K = 1.0
 """From here on the header's start temperature is known no better than it is off. [K]"""
 COLD_K = 5.0
 """A lower face counts as cold up to what hands and room bring it to, or so much above the header's start. [K]"""
-SLOPE_S, RAMP_S = 1.3, 0.6
-"""So long a face is watched for its slope, and not so near before the closing, whose ramp heats it. [s]"""
+SLOPE_S = 1.3
+"""So long a face is watched for its slope. [s]"""
 UPPER_K, UPPER_S = 3.0, 3.0
 """Where the upper face of a panel in the open press warms by so much, it does within about a second; a hand that
 held it or a slow sensor leave the moment open by so much. [K, s]"""

@@ -15,16 +15,15 @@ from typing import Any
 
 import numpy as np
 
+from daq.press.press_file import Press
 from daq.press.resin_file import LimitsTable, Resin, SorptionTable
 from daq.records import Array
 from daq.words import Message, say
 from softsensor.heat import implicit_steps as kernels
 from softsensor.opening.kinetics import Course, Kinetics, Progress, advance, kinetics_of
+from softsensor.signals.doubt import Source, constant_doubts
 
 MOISTURE = "panel.moisture_percent"
-MOISTURE_SD = 0.5
-"""Of the header's moisture where it gives none: a moisture meter's, or one sample a batch. By hand, 2026-11.
-[% of dry mass]"""
 MARGINS = 2
 """Columns beyond the filter's parameters: one kelvin at the face, and its whole rise from the start."""
 
@@ -40,10 +39,12 @@ class ResinSetup:
     """Mean and standard deviation, NaN where the header is silent. [% of dry mass]"""
 
 
-def resin_setup(resin: Resin, header: Mapping[str, Any]) -> ResinSetup:
+def resin_setup(resin: Resin, header: Mapping[str, Any], press: Press) -> ResinSetup:
     """Return what a run's filters need of a resin file; the header has been checked."""
-    moisture, sd = header.get(MOISTURE), header.get(f"{MOISTURE}.sd")
-    known = (math.nan if moisture is None else float(moisture), MOISTURE_SD if sd is None else float(sd))
+    moisture = constant_doubts(header, press).get(MOISTURE)
+    known = (math.nan, math.nan)
+    if moisture is not None and moisture.source is not Source.GUESS:
+        known = moisture.value, moisture.sd
     return ResinSetup(kinetics_of(resin), resin.limits, resin.sorption, known)
 
 

@@ -120,7 +120,7 @@ class LiveSensor:
         self, press: Press, header: Mapping[str, Any], model: ModelFile | None = None, resin: Resin | None = None
     ) -> None:
         self._press, self._header, self._model = press, dict(header), model
-        self._resin = None if resin is None else resin_setup(resin, header)
+        self._resin = None if resin is None else resin_setup(resin, header, press)
         self._run: _Followed | None = None
         self._wishes = wishes_of(header)
         self._forecast, self._forecast_s = Forecast(), -math.inf

@@ -32,7 +32,7 @@ import numpy as np
 from daq.press.resin_file import IsoconversionalLaw, KamalLaw, OrderLaw, Resin
 from daq.records import COLDEST_C, Array
 
-GAS_CONSTANT = 8.314462618
+GAS_CONSTANT = 8.31446261815324
 """[J/molK] (CODATA 2018, exact)"""
 OUTERMOST, CELLS = 14.0, 1400
 """The isotherm is laid out evenly in ln(α / (1 - α)) from -14 to 14: conversions of 8e-7 to 1 - 8e-7."""

@@ -25,13 +25,12 @@ import numpy as np
 from scipy.stats import norm
 
 from daq.records import Array
+from softsensor.fitting.experiment_advice import MANY
 
 ODDS = 20.0
 """A matter between two causes is settled at odds of so many to one: 5 % wrong, as in the diagnosis' tests."""
 WANTED_CHANCE = 0.8
 """Runs are counted until the matter is settled with this chance; the usual power of a planned experiment."""
-MANY = 30
-"""More runs than this are no advice, as in `fitting.experiment_advice`."""
 
 
 @dataclass(frozen=True)

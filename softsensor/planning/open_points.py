@@ -17,6 +17,7 @@ from softsensor.diagnosis.extension_unknowns import free_coefficients, lay_out, 
 from softsensor.diagnosis.finding import Contest, Diagnosis, Finding
 from softsensor.diagnosis.search import SettledModel
 from softsensor.fitting.experiment_advice import WANTED
+from softsensor.opening.limits import BAND
 from softsensor.planning.information import (
     WANTED_CHANCE,
     RunInformation,
@@ -28,8 +29,6 @@ from softsensor.planning.information import (
 )
 from softsensor.planning.outlook import Outlook, expected, opening_row, told_by, with_readings
 
-TWO_SIDED = 1.96
-"""Standard deviations of a 95 % interval's half."""
 NOTHING = ""
 """In the place of a cause: none at all."""
 
@@ -96,7 +95,7 @@ class OpenPoint:
 
     def _half(self, covariance: Array) -> float:
         along = np.asarray(self.along)
-        return TWO_SIDED * math.sqrt(max(float(along @ covariance @ along), 0.0))
+        return BAND * math.sqrt(max(float(along @ covariance @ along), 0.0))
 
     def prospect(self, outlook: Outlook, constants: Sequence[str]) -> Prospect:
         """Return what a pressing would bring."""

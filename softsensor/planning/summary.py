@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 from daq.words import Message, say
 from softsensor.effects.vocabulary import called
+from softsensor.fitting.experiment_advice import MANY
 from softsensor.planning.advise import ProgrammeAdvice
-from softsensor.planning.information import MANY
 from softsensor.planning.made_up import COEFFICIENTS, EFFECTS, KINETICS, PLATENS, SORPTION
 from softsensor.planning.open_points import NOTHING, Kind, OpenPoint, Prospect
 from softsensor.planning.plan import Advice, Plan, Pressing

@@ -18,6 +18,7 @@ from typing import Any
 
 from daq.materials import Constant, find_material
 from daq.press.press_file import SD, At, Boundary, Layer, Press
+from daq.records import ROOM_C
 from softsensor.signals.instrument import START_K
 
 
@@ -101,7 +102,7 @@ def constant_doubts(
     if press.panel_layers:
         found |= dict(_panel(header))
     found["ambient.temperature_C"] = _given(header, "ambient.temperature_C", AMBIENT_K, Source.MEASURED) or Doubt(
-        23.0, AMBIENT_GUESS_K, Source.GUESS
+        ROOM_C, AMBIENT_GUESS_K, Source.GUESS
     )
     for layer in press.layer:
         if not layer.from_run:

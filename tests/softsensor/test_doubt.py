@@ -1,10 +1,14 @@
 """How far each constant may be off: by what is stated, what measured it, and what earlier runs showed."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from daq.press.press_file import parse_press, press_for_run
+from daq.press.resin_file import read_resin
 from daq.records import Run
+from softsensor.live.curing import resin_setup
 from softsensor.signals.doubt import Source, constant_doubts
 
 PRESS = """
@@ -101,3 +105,17 @@ def test_what_nobody_gave_is_a_guess_and_what_the_rig_lacks_is_not_there():
 def test_thickness_is_known_to_the_standards_tolerance():
     assert doubts({})["panel.thickness_mm"].sd == 0.1
     assert doubts({"panel.thickness_mm": 28.0})["panel.thickness_mm"].sd == 0.15
+
+
+@pytest.mark.parametrize("header", [{}, {"panel.moisture_percent.sd": 0.3}])
+def test_steam_takes_the_moisture_that_the_constants_have(header):
+    given = HEADER | {"panel.moisture_percent": 8.0} | header
+    doubt = doubts(given)["panel.moisture_percent"]
+    resin = read_resin(Path("deploy/resins/urea_formaldehyde.toml"))
+    assert resin_setup(resin, given, parse_press(PRESS)).moisture == (doubt.value, doubt.sd)
+
+
+def test_steam_of_a_panel_whose_moisture_nobody_gave_rests_on_no_guess():
+    resin = read_resin(Path("deploy/resins/urea_formaldehyde.toml"))
+    assert doubts({})["panel.moisture_percent"].source is Source.GUESS
+    assert np.isnan(resin_setup(resin, HEADER, parse_press(PRESS)).moisture).all()
