@@ -2,6 +2,7 @@
 
 import os
 import secrets
+import sys
 
 import pytest
 from hypothesis import settings
@@ -23,7 +24,14 @@ settings.register_profile("unhurried", deadline=None)
 
 def pytest_configure():
     settings.load_profile("unhurried")
+    _keep_bytecode()
     guard()
+
+
+def _keep_bytecode():
+    """Compile each module once, not in every worker and in every program that a test starts."""
+    sys.dont_write_bytecode = False
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 
 @pytest.hookimpl(wrapper=True)

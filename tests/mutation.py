@@ -111,7 +111,7 @@ def drawn(room: dict[str, object], seed: int) -> list[Mutant]:
 def passes(tree: Path, tests: Sequence[str], log: Path) -> bool:
     """Return whether a room's tests pass in a tree; a timeout is no pass."""
     command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "--timeout", "600", *tests]
-    environment = {**os.environ, "PYTHONPATH": str(tree), "PYTHONDONTWRITEBYTECODE": "1"}
+    environment = {**os.environ, "PYTHONPATH": str(tree)}
     with log.open("w", encoding="utf-8") as out:
         try:
             done = subprocess.run(

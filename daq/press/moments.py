@@ -19,7 +19,6 @@ from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from daq.records import Array
 
@@ -68,9 +67,11 @@ def _lagged(curves: Array, lag: float) -> Array:
     keep = float(np.exp(-STEP_S / lag))
     between = 1.0 - lag / STEP_S * (1.0 - keep)
     weights = [between, 1.0 - keep - between]  # exact for straight lines between the steps
-    driven = weights[0] * curves
-    driven[..., 1:] += weights[1] * curves[..., :-1]
-    return np.asarray(lfilter([1.0], [1.0, -keep], driven, axis=-1))
+    shown = weights[0] * curves
+    shown[..., 1:] += weights[1] * curves[..., :-1]
+    for n in range(1, shown.shape[-1]):
+        shown[..., n] += keep * shown[..., n - 1]
+    return shown
 
 
 @dataclass(frozen=True)

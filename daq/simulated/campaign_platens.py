@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import accumulate
 
 import numpy as np
-from scipy.signal import lfilter
 
 from daq.records import Array
 from daq.simulated.physics_pressing import Platen
@@ -45,7 +45,12 @@ def coloured(rng: np.random.Generator, n: int, step_s: float, time_constant_s: f
     a = float(np.exp(-step_s / time_constant_s))
     white = rng.standard_normal(n) * sd * np.sqrt(1.0 - a * a)
     white[0] = rng.standard_normal() * sd
-    return np.asarray(lfilter([1.0], [1.0, -a], white))
+    return first_order(white, a)
+
+
+def first_order(driven: Array, keep: float) -> Array:
+    """Return y with y[n] = driven[n] + keep y[n - 1]."""
+    return np.fromiter(accumulate(driven.tolist(), lambda before, new: new + keep * before), float, len(driven))
 
 
 def draw_platens(

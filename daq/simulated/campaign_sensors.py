@@ -6,10 +6,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.signal import lfilter
 
 from daq.records import Array
-from daq.simulated.campaign_platens import coloured
+from daq.simulated.campaign_platens import coloured, first_order
 
 FACES = {
     "top": tuple(f"top_{i}" for i in range(1, 8)),
@@ -169,7 +168,9 @@ def _faulty(
         rattle = 1.0 + coloured(rng, len(times), step, 4.0, 0.15)
         share = np.clip((1.0 - fault.size) * (1.0 - np.exp(-since / 5.0)) * rattle, 0.0, 0.95)
         a = float(np.exp(-step / 3.0))
-        slow = lfilter([1.0 - a], [1.0, -a], true, zi=[a * true[0]])[0]
+        driven = (1.0 - a) * true
+        driven[0] += a * true[0]  # it begins where it would stay
+        slow = first_order(driven, a)
         true = np.where(since > 0, (1.0 - share) * slow + share * ambient, true)
     return true
 

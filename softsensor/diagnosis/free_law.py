@@ -35,7 +35,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from daq.records import Array
 from softsensor.diagnosis.decision import FEW_RUNS
@@ -342,7 +342,7 @@ def _curve(law: _Tried) -> Array:
         for c in (max(left, 1.0) * covariance, robust)
     ]
     simple = (MODEL_ERROR * float(np.ptp(middle))) ** 2
-    half = float(student.ppf(0.975, runs - 1)) * np.sqrt(np.maximum(*spreads) + simple)
+    half = float(stdtrit(runs - 1, 0.975)) * np.sqrt(np.maximum(*spreads) + simple)
     return np.stack([kind.x, *(kind.told(f) for f in (middle, middle - half, middle + half))], axis=1)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from daq.records import Array
 
@@ -55,7 +55,7 @@ def paired_gain(before: Array, after: Array) -> Gain:
     middle = float(fell.mean())
     if len(fell) < 2:
         return Gain(_kelvins(whole, middle), None)
-    half = float(student.ppf(0.975, len(fell) - 1) * fell.std(ddof=1)) / len(fell) ** 0.5
+    half = float(stdtrit(len(fell) - 1, 0.975) * fell.std(ddof=1)) / len(fell) ** 0.5
     return Gain(_kelvins(whole, middle), (_kelvins(whole, middle - half), _kelvins(whole, middle + half)))
 
 

@@ -27,7 +27,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from daq.records import Array
 from softsensor.effects import Effect, Need, Role, catalogue
@@ -215,7 +215,7 @@ class _Size:
         noise = 1.0 / math.sqrt(power.sum())
         count = len(runs)
         seen = float(np.sqrt(((score - size * power) ** 2).sum()) / power.sum())
-        seen *= math.sqrt(count / max(count - 1, 1)) * float(student.ppf(0.975, max(count - 1, 2))) / BAND
+        seen *= math.sqrt(count / max(count - 1, 1)) * float(stdtrit(max(count - 1, 2), 0.975)) / BAND
         error = math.hypot(max(noise, seen), SIZE_FLOOR * size)
         gain = 0.5 * (size / noise) ** 2
         if size < 0.0 and _one_sided(name):

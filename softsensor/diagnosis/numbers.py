@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from daq.records import Array
 from softsensor.diagnosis.extension import RunState, SharedFit
@@ -94,7 +94,7 @@ def intervals(fit: SharedFit, effect: Effect) -> dict[str, Interval]:
     centred = [g - np.mean(fit.gradients, axis=0) for g in fit.gradients]
     meat = sum((np.outer(g, g) for g in centred), np.zeros_like(covariance)) * runs / max(runs - 1, 1)
     robust = covariance @ meat @ covariance
-    quantile = float(student.ppf(0.975, max(runs - 1, 1)))
+    quantile = float(stdtrit(max(runs - 1, 1), 0.975))
     found = {}
     for p in effect.parameters:
         i = names.index(effect.key(p.name))

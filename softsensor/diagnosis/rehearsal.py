@@ -26,7 +26,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.stats import beta
+from scipy.special import betaincinv
 
 from daq.press.press_file import Press
 from daq.records import Array, InputError, Moments, Run
@@ -147,8 +147,8 @@ class Rate:
         [0.0, 0.3085]
         """
         tail, missed = (1.0 - SURE) / 2.0, self.of - self.count
-        low = float(beta.ppf(tail, self.count, missed + 1)) if self.count else 0.0
-        high = float(beta.ppf(1.0 - tail, self.count + 1, missed)) if missed else 1.0
+        low = float(betaincinv(self.count, missed + 1, tail)) if self.count else 0.0
+        high = float(betaincinv(self.count + 1, missed, 1.0 - tail)) if missed else 1.0
         return low, high
 
     def as_json(self) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from daq.press.press_file import Press, press_for_run
 from daq.records import Array, InputError, Run
@@ -263,7 +263,7 @@ def _summary(
     table = press.coefficient(name)
     middle, error = _anchored(press, name, float(people.mean[i]), float(np.sqrt(people.mean_covariance[i, i])))
     median = float(np.exp(middle))
-    quantile = float(student.ppf(0.975, max(len(fits) - 1, 1)))
+    quantile = float(stdtrit(max(len(fits) - 1, 1), 0.975))
     if shared and fits:  # no scatter between runs is estimated: the runs' own noise decides
         quantile = max(f.quantile for f in fits)
     reach = min(quantile * error, 50.0)
@@ -275,7 +275,7 @@ def _summary(
         return CampaignCoefficient(median, 0.0, interval, interval, runs, median, interval, 0.0)
     if n >= 2:
         mean, sd = float(values.mean()), float(values.std(ddof=1))
-        half = float(student.ppf(0.975, n - 1)) * sd / np.sqrt(n)
+        half = float(stdtrit(n - 1, 0.975)) * sd / np.sqrt(n)
         ci = (max(mean - half, min(table.lower, values.min())), min(mean + half, max(table.upper, values.max())))
         bootstrap = _bootstrap(values)
     else:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from daq.records import Array, Run
 from daq.words import Message, say
@@ -116,7 +116,7 @@ class Dependence:
     @property
     def quantile(self) -> float:
         """Standard deviations to either end of a 95 % interval: Student's t, the scatter is estimated too."""
-        return float(student.ppf(0.975, max(self.runs - 1 - len(self.settings), 1)))
+        return float(stdtrit(max(self.runs - 1 - len(self.settings), 1), 0.975))
 
     def program(self, settings: Mapping[str, float]) -> Program:
         """Return what a program never run would be like, with a remark where it lies outside those seen."""

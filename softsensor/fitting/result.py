@@ -8,7 +8,7 @@ from enum import StrEnum
 from typing import Any
 
 import numpy as np
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from daq.records import Array, Moments
 from daq.words import Message, say
@@ -177,7 +177,7 @@ def run_fit(
     residuals, offsets = channel_residuals(problem, best.evaluation)
     closed = best.evaluation.solution.closed_share > 0.5
     spread = _spread(problem, best)
-    quantile = float(student.ppf(0.975, spread.freedom))
+    quantile = float(stdtrit(spread.freedom, 0.975))
     values, moments = problem.merged(best.x), problem.case.moments
     rmse = rms(residuals.values())
     first = rms(channel_residuals(problem, initial)[0].values())

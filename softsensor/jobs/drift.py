@@ -14,8 +14,7 @@ from enum import StrEnum
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.stats import norm
-from scipy.stats import t as student
+from scipy.special import ndtri, stdtr
 
 from daq.records import InputError
 from daq.words import Message, say
@@ -97,7 +96,7 @@ def watch(name: str, values: Sequence[RunValue]) -> Alarm | None:
         centre, spread = _usual(tame[:i])
         away = (logs[i] - centre) / math.hypot(spread, errors[i])
         # the past is known from i runs only: Student's t, as a normal deviate
-        away = float(norm.ppf(np.clip(student.cdf(away / math.sqrt(1.0 + 1.0 / i), i - 1), 1e-9, 1 - 1e-9)))
+        away = float(ndtri(np.clip(stdtr(i - 1, away / math.sqrt(1.0 + 1.0 / i)), 1e-9, 1 - 1e-9)))
         z[i] = min(max(away, -OUTLIER), OUTLIER)
         tame[i] = min(max(logs[i], centre - 2.5 * spread), centre + 2.5 * spread)
     return _chart(name, good, logs, z)

@@ -17,7 +17,7 @@ from enum import StrEnum
 from typing import Any
 
 import numpy as np
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from daq.press.press_file import Press
 from daq.records import Array, InputError, Run
@@ -345,7 +345,7 @@ def surely_less(old: Array, new: Array) -> bool:
     """
     fell = np.log(np.maximum(old, 1e-9)) - np.log(np.maximum(new, 1e-9))
     error = max(float(fell.std(ddof=1)) / math.sqrt(len(fell)), 1e-9)
-    return float(fell.mean()) / error > float(student.ppf(0.95, len(fell) - 1))
+    return float(fell.mean()) / error > float(stdtrit(len(fell) - 1, 0.95))
 
 
 @dataclass(frozen=True)

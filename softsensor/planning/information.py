@@ -22,7 +22,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtr
 
 from daq.records import Array
 from softsensor.fitting.experiment_advice import MANY
@@ -80,7 +80,7 @@ def chance_settled(expected: float) -> float:
     """
     if expected <= 0.0:
         return 0.0
-    return float(norm.cdf((expected / 2.0 - math.log(ODDS)) / math.sqrt(expected)))
+    return float(ndtr((expected / 2.0 - math.log(ODDS)) / math.sqrt(expected)))
 
 
 def runs_needed(settled: Callable[[int], bool]) -> int | None:
