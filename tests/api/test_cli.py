@@ -46,6 +46,14 @@ def test_help_loads_neither_the_compiler_nor_the_plotter():
     assert subprocess.run([sys.executable, "-c", script], check=False).returncode == 0
 
 
+def test_recorder_and_sensor_start_without_what_takes_half_of_their_start():
+    script = """
+import sys, daq.recording.recorder, softsensor.jobs.live_service
+sys.exit(bool({'scipy.signal', 'scipy.stats', 'matplotlib', 'pandas'} & set(sys.modules)))
+"""
+    assert subprocess.run([sys.executable, "-c", script], check=False).returncode == 0
+
+
 def test_help_names_every_command_of_the_contract(capsys):
     assert main(["--help"]) == 0
     listed = capsys.readouterr().out
