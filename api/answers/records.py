@@ -84,7 +84,7 @@ def run_summaries(store: Store, runs: Sequence[RunRecord]) -> list[RunSummary]:
 
 
 def _run_summary(store: Store, run: RunRecord, errors: Mapping[str, float | None]) -> RunSummary:
-    duration = (run.ended_utc - run.started_utc).total_seconds() if run.ended_utc else None
+    duration = (run.ended_utc - run.started_utc).total_seconds() if run.started_utc and run.ended_utc else None
     newest = run.last_scan if run.last_scan is not None else store.newest_scan_number(run.press)
     return RunSummary(
         run=run.run,

@@ -136,7 +136,7 @@ def export_runs(
             loaded = opened.run_for_file(run)
             if path.suffix.lower() == ".jsonl":
                 kept = opened.run_record(run)
-                lines = json_lines(loaded, kept.started_utc.timestamp(), opened.units_of(run), _END[kept.status])
+                lines = json_lines(loaded, kept.started_utc, opened.units_of(run), _END[kept.status])
                 contents[path] = "".join(f"{line}\n" for line in lines)
             else:
                 contents[path] = partial(write_run, loaded)
@@ -168,7 +168,10 @@ def _list_runs(store: Store) -> None:
     for run in every(lambda cursor: store.runs(cursor=cursor, limit=500)):
         material = run.header.get("panel.material", "")
         status = in_words(Message(f"page-run-{run.status}"))
-        tell(f"{run.run}\t{run.started_utc:%Y-%m-%dT%H:%M:%SZ}\t{status}\t{run.press}\t{material}")
+        began = (
+            f"{run.started_utc:%Y-%m-%dT%H:%M:%SZ}" if run.started_utc else in_words(Message("page-date-unknown"))
+        )
+        tell(f"{run.run}\t{began}\t{status}\t{run.press}\t{material}")
 
 
 def check(

@@ -131,7 +131,7 @@ def news(store: Store, position: Position, until: Position | None = None) -> Ite
                 "press": record.press,
                 "run": record.run,
                 "status": str(record.status),
-                "started_utc": record.started_utc.isoformat(),
+                "started_utc": record.started_utc.isoformat() if record.started_utc else None,
             }
             yield encode("run", data, position)
     yield from _fits(store, position, until)

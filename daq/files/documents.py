@@ -12,7 +12,7 @@ import math
 import re
 import uuid
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from datetime import date, time
+from datetime import date, datetime, time
 from typing import Any, Literal
 
 from daq.records import Run
@@ -25,22 +25,23 @@ ExitStatus = Literal["success", "abort"] | None
 
 
 def documents_of(
-    run: Run, started_unix_s: float, units: Mapping[str, str] | None = None, ended: ExitStatus = "success"
+    run: Run, started: datetime | None, units: Mapping[str, str] | None = None, ended: ExitStatus = "success"
 ) -> Iterator[Document]:
     """Yield name and content of each document of a run.
 
     Parameters
     ----------
-    started_unix_s
-        When the run's time was 0. [s since 1970]
+    started
+        When the run's time was 0. None where nobody said: documents must have a time, so theirs is the run's own,
+        and the first one says so (``time_unknown``).
     units
         Of the columns, as far as they are known: a wrong unit is worse than none.
     ended
         How: ``abort`` for a run that was interrupted; None for one that goes on, which has no stop document yet.
     """
-    start = _identifier(run.name, "start")
+    start, started_unix_s = _identifier(run.name, "start"), 0.0 if started is None else started.timestamp()
     told = {"uid": start, "time": started_unix_s, "scan_id": 1, "run": run.name, "header": _plain(run.header)}
-    yield "start", told
+    yield "start", told | ({"time_unknown": True} if started is None else {})
     yield "descriptor", _descriptor(run, start, started_unix_s, units or {})
     yield from _events(run, started_unix_s)
     if ended is None:
@@ -95,10 +96,10 @@ def _events(run: Run, started_unix_s: float) -> Iterator[Document]:
 
 
 def json_lines(
-    run: Run, started_unix_s: float, units: Mapping[str, str] | None = None, ended: ExitStatus = "success"
+    run: Run, started: datetime | None, units: Mapping[str, str] | None = None, ended: ExitStatus = "success"
 ) -> Iterator[str]:
     """Yield one line ``["event", {...}]`` a document; a missing value is null."""
-    for name, content in documents_of(run, started_unix_s, units, ended):
+    for name, content in documents_of(run, started, units, ended):
         if name == "event":
             content["data"] = {k: None if v != v else v for k, v in content["data"].items()}
         yield json.dumps([name, content], ensure_ascii=False)

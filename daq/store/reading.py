@@ -114,7 +114,7 @@ def run_record_of(row: Row[Any]) -> RunRecord:
         press=row.press,
         kind=row.kind,
         status=RunStatus(row.status),
-        started_utc=known_utc(row.started_unix_s),
+        started_utc=utc_of(row.started_unix_s),
         ended_utc=utc_of(row.ended_unix_s),
         first_scan=row.first_scan,
         last_scan=row.last_scan,

@@ -372,10 +372,10 @@ def unused_run_name(connection: Connection, press: str, when: datetime) -> str:
     return f"{prefix}{_next_free(connection, prefix, 0):02d}"
 
 
-def import_run(connection: Connection, run: Run, press: str, press_file: str, ago_s: float = 0.0) -> str:
+def import_run(connection: Connection, run: Run, press: str, press_file: str) -> str:
     """Store a run from elsewhere whole; raises `InputError` where its name is taken or no name.
 
-    Where the file does not say when it was, it is taken to have ended `ago_s` before now.
+    When it was stays unknown where the file does not say.
     """
     _check_name(run)
     if connection.execute(select(RUN.c.run).where(RUN.c.run == run.name)).first():
@@ -390,9 +390,8 @@ def import_run(connection: Connection, run: Run, press: str, press_file: str, ag
     remarks = ({"press_id": key.press_id, "number": number + i, "texts_json": t} for i, t in _remarks(run))
     while told_at := list(itertools.islice(remarks, _ROWS_AT_ONCE)):
         connection.execute(insert(SCAN_REMARK), told_at)
-    now = max(unix_of(datetime.now(UTC)) - ago_s, 0.0)
-    lasted_s = min(float(run.time_s[-1] - run.time_s[0]), now) if count else 0.0
-    started = told.get("started_unix_s", now - lasted_s)
+    started = told.get("started_unix_s")
+    lasted_s = float(run.time_s[-1] - run.time_s[0]) if count else 0.0
     connection.execute(
         insert(RUN),
         {
@@ -400,7 +399,7 @@ def import_run(connection: Connection, run: Run, press: str, press_file: str, ag
             "press_id": key.press_id,
             "status": RunStatus.CLOSED.value,
             "started_unix_s": started,
-            "ended_unix_s": min(started + lasted_s, LATEST_UNIX_S),
+            "ended_unix_s": None if started is None else min(started + lasted_s, LATEST_UNIX_S),
             "zero_monotonic_s": 0.0,
             "first_scan": number,
             "last_scan": number + count - 1,

@@ -82,7 +82,8 @@ class RunRecord:
     press: str
     kind: Literal["recorded", "imported"]
     status: RunStatus
-    started_utc: datetime
+    started_utc: datetime | None
+    """None where nobody said when it was."""
     ended_utc: datetime | None
     first_scan: int
     last_scan: int | None
@@ -153,7 +154,7 @@ class CoefficientRecord:
 
     fit_number: int
     run: str
-    started_utc: datetime
+    started_utc: datetime | None
     name: str
     value: float
     sd: float

@@ -7,11 +7,11 @@ from collections.abc import Collection, Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, Row, Table, func, insert, or_, select, update
+from sqlalchemy import ColumnElement, Connection, Row, Table, func, insert, literal_column, or_, select, update
 from sqlalchemy.dialects import postgresql, sqlite
 
 from daq.records import InputError, PressState
-from daq.store.convert import known_utc, nan, null, to_json, unix_of
+from daq.store.convert import known_utc, nan, null, to_json, unix_of, utc_of
 from daq.store.journal import log
 from daq.store.nights import forget_unfitted
 from daq.store.reading import cursor_number, newest_first, recorded_id, run_row
@@ -186,25 +186,26 @@ def coefficient_history(
 ) -> Page[CoefficientRecord]:
     """Return the coefficients of the newest fit of each run, the run pressed last first; `limit` counts runs.
 
-    A cursor is the number of the last run of the page before. Runs that say the same start come as stored.
+    A cursor is the number of the last run of the page before. Runs that say the same start come as stored, those
+    of which nobody said when they were last.
     """
+    start = func.coalesce(RUN.c.started_unix_s, literal_column("-1.0"))  # as in the index run_by_start
     newest = select(func.max(FIT.c.fit_id)).where(FIT.c.run == RUN.c.run).scalar_subquery()
     fitted = select(FIT.c.fit_id).where(FIT.c.run == RUN.c.run)
     query = (
         select(RUN.c.run_number, RUN.c.run, RUN.c.started_unix_s, newest.label("fit_id"))
         .where(fitted.exists())
-        .order_by(RUN.c.started_unix_s.desc(), RUN.c.run_number.desc())
+        .order_by(start.desc(), RUN.c.run_number.desc())
         .limit(limit + 1)
     )
     if cursor is not None:
         number = cursor_number(cursor)
-        start = select(RUN.c.started_unix_s).where(RUN.c.run_number == number).scalar_subquery()
-        earlier = or_(RUN.c.started_unix_s < start, RUN.c.run_number < number)
-        query = query.where(RUN.c.started_unix_s <= start, earlier)
+        last = select(start).where(RUN.c.run_number == number).scalar_subquery()
+        query = query.where(start <= last, or_(start < last, RUN.c.run_number < number))
     if press is not None:
         query = query.where(_beside_order(press))
     found = connection.execute(query).all()
-    page = {run.fit_id: (run.run, known_utc(run.started_unix_s)) for run in found[:limit]}
+    page = {run.fit_id: (run.run, utc_of(run.started_unix_s)) for run in found[:limit]}
     rows = connection.execute(
         select(COEFFICIENT, FIT.c.model_version)
         .join(FIT, FIT.c.fit_id == COEFFICIENT.c.fit_id)

@@ -51,7 +51,6 @@ RUN = _table(
     run=Text,
     press_id=BigInteger,
     status=Text,
-    started_unix_s=Double,
     ended_unix_s=Double,
     zero_monotonic_s=Double,
     first_scan=BigInteger,
@@ -66,6 +65,7 @@ RUN = _table(
     remark=Text,
     configuration_id=BigInteger,
     software_version=Text,
+    started_unix_s=Double,
 )
 RUN_CHANGE = _table(
     "run_change",

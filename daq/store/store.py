@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime
-from itertools import accumulate
 from pathlib import Path
 from socket import gethostname
 from types import TracebackType
@@ -149,16 +148,9 @@ class Store:
             return recording.import_run(connection, run, press, press_file)
 
     def import_runs(self, runs: Sequence[Run], press: str, press_file: str = "") -> list[str]:
-        """Store several runs, all or none; returns their names. Those of unknown date end one after the other."""
-        took = (
-            1e-3 + (float(run.time_s[-1] - run.time_s[0]) if len(run.time_s) else 0.0) for run in reversed(runs)
-        )
-        ago_s = list(accumulate(took, initial=1e-3))[-2::-1]
+        """Store several runs, all or none; returns their names."""
         with self.database.writing() as connection:
-            return [
-                recording.import_run(connection, run, press, press_file, ago)
-                for run, ago in zip(runs, ago_s, strict=True)
-            ]
+            return [recording.import_run(connection, run, press, press_file) for run in runs]
 
     def annotate_run(self, run: str, changes: Mapping[str, Any], who: str) -> None:
         """Change header keys (``panel.density_kg_m3``) or ``remark``; None removes a key. History is kept."""

@@ -2045,6 +2045,7 @@ page-size = Größe
 page-skip = Zum Inhalt
 page-stale-since = Keine neue Messung seit { $time }
 page-started = Zeit
+page-date-unknown = unbekannt
 page-state = Zustand
 page-state-closed = geschlossen
 page-state-idle = leer

@@ -2026,6 +2026,7 @@ page-size = Size
 page-skip = Skip to content
 page-stale-since = No new reading since { $time }
 page-started = Time
+page-date-unknown = unknown
 page-state = State
 page-state-closed = closed
 page-state-idle = no panel

@@ -151,11 +151,13 @@ def alarms_of(store: Store, press: str) -> list[Alarm]:
     """Return the alarms that stand over a press's newest runs, in the order in which they were pressed.
 
     Only fits made with the effects of the model in force count: beside other effects a coefficient means another
-    thing, and the press would be blamed for what a promotion has changed.
+    thing, and the press would be blamed for what a promotion has changed. Nor do runs of which nobody said when
+    they were: they have no place in an order.
     """
     active = store.active_model(press)
     in_force = _effects(active.model) if active is not None else frozenset()
-    fitted = store.coefficient_history(press=press, limit=CHARTED_RUNS).items
+    newest = store.coefficient_history(press=press, limit=CHARTED_RUNS).items
+    fitted = [c for c in newest if c.started_utc is not None]
     effects = {version: _effects_of(store, version) for version in {c.model_version for c in fitted}}
     history: dict[str, list[RunValue]] = {}
     for c in reversed(fitted):

@@ -7,12 +7,13 @@ from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from api.answers.drift import drift_of
 from api.answers.records import press_now
 from api.http.live import Position, news
-from daq.records import Channel, Quality, Scan
+from daq.records import Channel, Quality, Run, Scan
 from daq.store.records import NewRun, PressKey, RunEnd, StoredEstimate
 from daq.store.store import Store, open_store
 
@@ -178,3 +179,15 @@ def test_a_coefficient_that_jumped_is_named_with_the_run_at_which_it_did(store):
     for i in range(12):
         store.put_fit(f"run-{i:02}", fit(values[f"run-{i:02}"]), "lab-9")
     assert drift_of(store, "lab") == [drift]
+
+
+def test_runs_of_unknown_date_have_no_place_on_a_control_chart(store):
+    one = {"top_1": np.ones(2)}
+    began = datetime(2026, 3, 4, tzinfo=UTC)
+    for press, dated in (("told", True), ("untold", False)):
+        for i in range(18):
+            header = {"recorded.started_utc": began + timedelta(hours=i)} if dated else {}
+            store.import_run(Run(f"{press}-{i:02}", header, np.array([0.0, 60.0]), one), press)
+            store.put_fit(f"{press}-{i:02}", fit(700.0 + 10 * (i % 3) if i < 12 else 490.0))
+    assert [d.coefficient for d in drift_of(store, "told")] == ["h_pp_c"]
+    assert drift_of(store, "untold") == []

@@ -308,14 +308,28 @@ def test_the_history_goes_by_when_runs_were_pressed_in_whatever_order_they_came_
     assert told == ["run-4", "run-2", "run-0", "run-5", "run-3", "run-1"]
 
 
-def test_files_of_unknown_date_that_are_imported_together_count_as_pressed_one_after_the_other(store):
+def test_a_date_that_a_file_does_not_give_is_unknown_and_comes_last(store):
+    dated = {"recorded.started_utc": datetime(1971, 1, 1, tzinfo=UTC)}
     files = [
-        Run(n, {}, np.array([0.0, s]), {"top_1": np.ones(2)}) for n, s in (("a", 60.0), ("b", 900.0), ("c", 5.0))
+        Run(n, header, np.array([0.0, 60.0]), {"top_1": np.ones(2)})
+        for n, header in (("a", {}), ("b", dated), ("c", {}))
     ]
     store.import_runs(files, "lab")
-    a, b, c = (store.run_record(name) for name in "abc")
-    assert a.started_utc < a.ended_utc <= b.started_utc < b.ended_utc <= c.started_utc
-    assert c.ended_utc <= datetime.now(UTC)
+    for name in "abc":
+        store.put_fit(name, fit_json(name, 700.0))
+    told, cursor = [], None
+    while cursor is not None or not told:
+        page = store.coefficient_history(press="lab", limit=1, cursor=cursor)
+        told += [(c.run, c.started_utc) for c in page.items if c.name == "h_wa"]
+        cursor = page.next_cursor
+    assert told == [("b", dated["recorded.started_utc"]), ("c", None), ("a", None)]
+    assert store.run_record("a").ended_utc is None
+    assert "recorded.started_utc" not in store.run_for_file("a").header
+    for until in (None, datetime.now(UTC)):
+        assert [r.run for r in store.runs(since=datetime(1970, 1, 1, tzinfo=UTC), until=until).items] == ["b"]
+    with store.database.reading() as connection:
+        rows = connection.execute(text("SELECT run, started_utc FROM run_overview ORDER BY run")).all()
+    assert [row[1] is None for row in rows] == [True, False, True]
 
 
 def test_one_model_of_a_press_is_active_and_its_history_stays(store):
@@ -473,6 +487,7 @@ def test_a_store_of_the_first_schema_is_brought_up_to_date_with_its_data(store_u
         [kept] = store.coefficient_history().items
         assert (kept.value, kept.sd, kept.low, kept.high) == (700.0, 9.0, 680.0, 720.0)
         assert len(store.load_run(name).time_s) == 37
+        assert store.run_record(name).started_utc == BEGAN
         assert store.contents().schema == max(steps)
 
 
@@ -683,12 +698,13 @@ def test_a_header_that_cannot_be_is_refused_by_key_and_nothing_is_stored(store, 
     assert not store.presses()
 
 
-def test_a_file_of_unknown_date_and_endless_times_does_not_spoil_the_list_of_runs(store):
-    for name, last in (("a", 60.0), ("b", 1e300)):
-        store.import_run(Run(name, {}, np.array([0.0, last]), {"top_1": np.ones(2)}), "lab")
+def test_a_file_of_endless_times_does_not_spoil_the_list_of_runs(store):
+    began = datetime(2026, 3, 4, tzinfo=UTC)
+    for name, header in (("a", {}), ("b", {"recorded.started_utc": began})):
+        store.import_run(Run(name, header, np.array([0.0, 1e300]), {"top_1": np.ones(2)}), "lab")
     listed = {run.run: run for run in store.runs().items}
-    assert (listed["a"].ended_utc - listed["a"].started_utc).total_seconds() == pytest.approx(60.0)
-    assert listed["b"].started_utc.year == 1970
+    assert (listed["a"].started_utc, listed["a"].ended_utc) == (None, None)
+    assert (listed["b"].started_utc, listed["b"].ended_utc.year) == (began, 9999)
 
 
 def test_what_a_file_says_in_words_beside_its_rows_goes_through_the_store(tmp_path):

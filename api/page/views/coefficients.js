@@ -82,7 +82,7 @@ function span(points) {
 }
 
 function latestCard(item) {
-  return el("section", { class: "card" }, el("h2", {}, `${text("page-last-fit")}: `, el("a", { href: `#/runs/${encodeURIComponent(item.run)}` }, item.run), ` · ${clock(item.utc)}`), coefficientTable(item.coefficients));
+  return el("section", { class: "card" }, el("h2", {}, `${text("page-last-fit")}: `, el("a", { href: `#/runs/${encodeURIComponent(item.run)}` }, item.run), ` · ${item.utc ? clock(item.utc) : text("page-date-unknown")}`), coefficientTable(item.coefficients));
 }
 
 export function coefficientTable(coefficients) {
