@@ -80,29 +80,22 @@ def condition(estimate, readout, hypotheses, out):
     out
         Gets its shift from the joint mean, its variance, and the log-evidence against the joint estimate (E + 1).
     """
-    column, absent, width = hypotheses.column, hypotheses.absent, hypotheses.width
+    column, width = hypotheses.column, hypotheses.width
     e, to_all = column.shape[0], estimate.covariance @ readout
     variance = readout @ to_all
     if e == 0:
         out.mean[0], out.variance[0], out.weight[0] = 0.0, variance, 0.0
         return
-    mean, precision = _marginal(estimate, column)
+    mean, precision, narrow, pull = _causes(estimate, hypotheses)
     cross = to_all[column]
     slope = precision @ cross
-    rest = variance - cross @ slope
-    pull = precision @ mean
-    before = mean @ pull
-    narrow = precision.copy()
-    base = 0.5 * (np.linalg.slogdet(precision)[1] - before)
-    for a in range(e):
-        narrow[a, a] += 1.0 / (width[a] * width[a]) - 1.0
-        pull[a] += absent[a] / (width[a] * width[a])
-        base -= math.log(width[a]) + 0.5 * (absent[a] / width[a]) ** 2
     inner = np.linalg.inv(narrow)
     still = inner @ pull
+    base = 0.5 * (np.linalg.slogdet(precision)[1] - mean @ (precision @ mean))
+    base -= (np.log(width) + 0.5 * (hypotheses.absent / width) ** 2).sum()
     base += 0.5 * (pull @ still - np.linalg.slogdet(narrow)[1])
     carried = inner @ slope
-    plain, spread = slope @ (still - mean), rest + slope @ carried
+    plain, spread = slope @ (still - mean), variance - cross @ slope + slope @ carried
     out.mean[0], out.variance[0], out.weight[0] = plain, max(spread, 1e-12), base
     for j in range(e):
         shift, added, evidence = _released(hypotheses, j, inner[j, j], still[j], carried[j])
@@ -112,16 +105,13 @@ def condition(estimate, readout, hypotheses, out):
 
 
 @compiled()
-def _marginal(estimate, column):
-    """Return mean and precision of the causes' states."""
-    e = column.shape[0]
-    own, mean = np.empty((e, e)), np.empty(e)
-    for a in range(e):
-        mean[a] = estimate.mean[column[a]]
-        for b in range(e):
-            own[a, b] = estimate.covariance[column[a], column[b]]
-        own[a, a] += 1e-12
-    return mean, np.linalg.solve(own, np.eye(e))
+def _causes(estimate, hypotheses):
+    """Return the causes' mean and precision, and their precision and information vector if none is at work."""
+    column, precise = hypotheses.column, hypotheses.width**-2.0
+    mean = estimate.mean[column]
+    precision = np.linalg.inv(estimate.covariance[column][:, column] + 1e-12 * np.eye(column.shape[0]))
+    narrow = precision + np.diag(precise - 1.0)
+    return mean, precision, narrow, precision @ mean + hypotheses.absent * precise
 
 
 @compiled()
@@ -259,37 +249,26 @@ def pool(components, reported, change):
 @compiled()
 def held(estimate, chain, hypotheses):
     """Return how far off the core is for each considered parameter (C) if no suspected cause is at work. [K]"""
-    p, column = estimate.at.shape[0], hypotheses.column
-    readout = np.zeros(estimate.mean.shape[0])
-    readout[:p] = chain.d_level
-    if column.shape[0]:
-        _, precision = _marginal(estimate, column)
-        slope = precision @ (estimate.covariance @ readout)[column]
-        narrow = precision.copy()
-        for a in range(column.shape[0]):
-            narrow[a, a] += 1.0 / hypotheses.width[a] ** 2 - 1.0
-        moved = precision @ np.linalg.solve(narrow, slope) - slope
-        for a in range(column.shape[0]):
-            readout[column[a]] += moved[a]
-    return readout @ estimate.error
+    p = estimate.at.shape[0]
+    return chain.d_level @ _without_causes(estimate, hypotheses, estimate.error, 0.0)[:p]
 
 
 @compiled()
 def without_causes(estimate, hypotheses):
     """Return the mean of all states (N) if no suspected cause is at work."""
-    x, column = estimate.mean, hypotheses.column
-    e = column.shape[0]
-    if e == 0:
-        return x.copy()
-    mean, precision = _marginal(estimate, column)
-    lever = np.empty((x.shape[0], e))
-    for a in range(e):
-        lever[:, a] = estimate.covariance[:, column[a]]
-    pull, narrow = precision @ mean, precision.copy()
-    for a in range(e):
-        pull[a] += hypotheses.absent[a] / hypotheses.width[a] ** 2
-        narrow[a, a] += 1.0 / hypotheses.width[a] ** 2 - 1.0
-    return x + lever @ (precision @ (np.linalg.solve(narrow, pull) - mean))
+    return _without_causes(estimate, hypotheses, estimate.mean.reshape(-1, 1), 1.0)[:, 0]
+
+
+@compiled()
+def _without_causes(estimate, hypotheses, states, known):
+    """Return series of all states (N, S) if no suspected cause is at work: means (`known` 1) or errors (0)."""
+    column = hypotheses.column
+    if column.shape[0] == 0:
+        return states.copy()
+    _, precision, narrow, _ = _causes(estimate, hypotheses)
+    pull = precision @ states[column]
+    pull += (known * hypotheses.absent / hypotheses.width**2).reshape(-1, 1)
+    return states + estimate.covariance[:, column] @ (precision @ (np.linalg.solve(narrow, pull) - states[column]))
 
 
 @compiled()
