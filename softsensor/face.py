@@ -25,8 +25,9 @@ from daq.press.press_file import Press
 from daq.press.press_file import read_press as read_press_file
 from daq.press.resin_file import Resin, read_resin
 from daq.records import ROOM_C, InputError, Run
-from daq.words import say
+from daq.words import Message, say
 from softsensor.diagnosis.finding import Diagnosis
+from softsensor.diagnosis.summary import verdict_said
 from softsensor.diagnosis.verdict import diagnose as diagnose_runs
 from softsensor.fitting.campaign import CampaignFit
 from softsensor.fitting.simulated_run import Simulated, simulate_run
@@ -84,12 +85,13 @@ class FitResult:
         return json.dumps(self.campaign.as_json())
 
     def __repr__(self) -> str:
-        """Show the campaign's coefficients and each run's error."""
-        names = list(self.campaign.coefficients)
-        errors = ", ".join(f"{run.run} {run.rmse_K:.2f} K" for run in self.campaign.runs[:8])
-        more = f" and {len(self.campaign.runs) - 8} more" if len(self.campaign.runs) > 8 else ""
-        table = self.frame()["value"].unstack("coefficient")[names].describe().loc[["mean", "std"]]
-        return f"{len(self.campaign.runs)} runs fitted: {errors}{more}\n{table.to_string(float_format='%.4g')}"
+        """Show coefficients and error of each run, their mean and scatter, and runs that are not described."""
+        frame = self.frame()
+        runs = frame["value"].unstack("coefficient")[list(self.campaign.coefficients)]
+        runs = runs.assign(rmse_K=frame["rmse_K"].groupby("run").first())
+        table = pd.concat([runs, runs.describe().loc[["mean", "std"]]])
+        short = self.campaign.shortfall
+        return "\n".join([table.to_string(max_rows=12, float_format="%.4g"), *([str(short)] if short else [])])
 
     def _repr_html_(self) -> str:
         return str(self.frame().to_html(float_format="%.4g", max_rows=24))
@@ -149,12 +151,10 @@ class DiagnosisResult:
         return f"<p><b>{head}</b></p>{table}" + "".join(f"<p>{line}</p>" for line in rest)
 
     def _lines(self) -> list[str]:
-        before, after = (self.content[model]["heldout_rmse_K"] for model in ("base", "extended"))
-        named = ", ".join(effect["name"] for effect in self.content["effects"]) or "no cause named"
-        if suspected := [effect["name"] for effect in self.content["suspected"]]:
-            named += f"; suspected: {', '.join(suspected)}"
-        residual = f"residual on runs left out: {_kelvin(before)} before, {_kelvin(after)} after"
-        return [f"{self.verdict}: {named}", residual, str(self.content["next_measurement"])]
+        found = self.diagnosis
+        residual = say("diagnosed-residual", base=found.base.rmse_K, extended=found.extended.rmse_K)
+        said = " ".join(map(str, verdict_said(found)))
+        return [f"{self.verdict}: {said}", str(residual), str(found.next_measurement)]
 
 
 @dataclass(frozen=True, repr=False)
@@ -170,12 +170,12 @@ class Prediction:
     def plot(self) -> list[Axes]:
         """Draw the core with its 95 % band, and a measured core where the run has one; return the axes."""
         table, run = self.frame(), self.replayed.run
-        ax = _axes("Core as predicted live, with its 95 % band")
+        ax = _axes("figure-core-live")
         sure = table["valid"] == 1
         ax.fill_between(table.index, table["core_low_C"], table["core_high_C"], where=sure, alpha=0.25, lw=0)
-        ax.plot(table.index[sure], table["core_C"][sure], label="predicted")
+        ax.plot(table.index[sure], table["core_C"][sure], label="core_C")
         for name in run.matching(["core_*"]):
-            ax.plot(run.time_s, run.columns[name], ".", ms=2, label=f"{name}, measured")
+            ax.plot(run.time_s, run.columns[name], ".", ms=2, label=name)
         ax.legend(frameon=False)
         return _shown(ax.figure)
 
@@ -206,11 +206,11 @@ class Simulation:
 
     def plot(self) -> list[Axes]:
         """Draw every place, measured as dots and simulated as lines; return the axes."""
-        ax = _axes("Measured (dots) and simulated (lines)")
+        ax = _axes("figure-dots-and-lines")
         for place, values in self.simulated.places.items():
             (line,) = ax.plot(self.simulated.time_s, values, label=place)
             ax.plot(self.simulated.time_s, self.simulated.measured[place], ".", ms=2, color=line.get_color())
-        ax.plot(self.simulated.time_s, self.simulated.core, label="core", color="black")
+        ax.plot(self.simulated.time_s, self.simulated.core, label="core_C", color="black")
         ax.legend(frameon=False)
         return _shown(ax.figure)
 
@@ -247,7 +247,7 @@ class PlanResult:
 
     def plot(self) -> list[Axes]:
         """Draw what one pressing of each kind is worth to each open point; return the axes."""
-        ax = _axes("What one pressing is worth, by open point")
+        ax = _axes("figure-worth-of-pressing")
         table = self.frame()
         if len(table):
             table["worth"].unstack("pressing").plot.barh(ax=ax)
@@ -478,10 +478,6 @@ def _lists(frame: pd.DataFrame) -> str:
     return json.dumps(table.where(table.notna(), None).to_dict("list"))
 
 
-def _kelvin(value: float | None) -> str:
-    return "not known" if value is None else f"{value:.2f} K"
-
-
 def _shown(figure: Figure) -> list[Axes]:
     """Hand a figure to pyplot, so that a notebook shows it and ``plt.show()`` does; return its axes."""
     from matplotlib import pyplot
@@ -491,8 +487,9 @@ def _shown(figure: Figure) -> list[Axes]:
 
 
 def _axes(title: str) -> Any:
+    """Return axes of temperature over time, under a title given by its code."""
     from matplotlib.figure import Figure
 
     ax = Figure(figsize=(8.0, 4.0), layout="constrained").add_subplot()
-    ax.set(title=title, xlabel="time [s]", ylabel="temperature [°C]")
+    ax.set(title=str(Message(title)), xlabel=str(say("figure-time")), ylabel=str(say("figure-temperature")))
     return ax

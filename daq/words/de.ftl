@@ -1096,6 +1096,7 @@ figure-coefficient = { $name } = { NUMBER($mean, maximumSignificantDigits: 3) } 
 figure-coefficient-shared = { $name } = { NUMBER($mean, maximumSignificantDigits: 3) } W/m²K, gemeinsam
 figure-coefficient-spread = { $name } = { NUMBER($mean, maximumSignificantDigits: 3) } ± { NUMBER($sd, maximumSignificantDigits: 2) } W/m²K
 figure-core = Kern, { $model }
+figure-core-live = Kern, wie live vorhergesagt, mit seinem 95-%-Band
 figure-core-measured = Kern, gemessen
 figure-correlation = Korrelation
 figure-cost = Kosten je Messwert über ihrem Minimum
@@ -1131,6 +1132,7 @@ figure-with-fit = Modell mit angepassten Koeffizienten
 figure-with-guesses = Modell mit den Schätzwerten der Pressendatei
 figure-worst-run = { $run }, die am schlechtesten passende Pressung: das einfache Modell liegt { NUMBER($rms, minimumFractionDigits: 2, maximumFractionDigits: 2) } K daneben (RMS der Mittel je Stelle)
 figure-worst-run-extended = { $run }: { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } K daneben mit dem einfachen Modell, { NUMBER($after, minimumFractionDigits: 2, maximumFractionDigits: 2) } K mit { $causes }
+figure-worth-of-pressing = Was eine Pressung je offenem Punkt wert ist
 kelvin-off = { NUMBER($kelvin, minimumFractionDigits: 2, maximumFractionDigits: 2) } K
 kelvin-signed = { $sign }{ NUMBER($kelvin, minimumFractionDigits: 2, maximumFractionDigits: 2) } K
 known-all = alle Koeffizienten

@@ -1080,6 +1080,7 @@ figure-coefficient = { $name } = { NUMBER($mean, maximumSignificantDigits: 3) } 
 figure-coefficient-shared = { $name } = { NUMBER($mean, maximumSignificantDigits: 3) } W/m²K, shared
 figure-coefficient-spread = { $name } = { NUMBER($mean, maximumSignificantDigits: 3) } ± { NUMBER($sd, maximumSignificantDigits: 2) } W/m²K
 figure-core = core, { $model }
+figure-core-live = Core as predicted live, with its 95 % band
 figure-core-measured = core, measured
 figure-correlation = correlation
 figure-cost = cost per reading above its minimum
@@ -1115,6 +1116,7 @@ figure-with-fit = model with fitted coefficients
 figure-with-guesses = model with the press file's guesses
 figure-worst-run = { $run }, the worst fit of all runs: the plain model is { NUMBER($rms, minimumFractionDigits: 2, maximumFractionDigits: 2) } K off (rms of place means)
 figure-worst-run-extended = { $run }: { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } K off with the plain model, { NUMBER($after, minimumFractionDigits: 2, maximumFractionDigits: 2) } K with { $causes }
+figure-worth-of-pressing = What one pressing is worth, by open point
 kelvin-off = { NUMBER($kelvin, minimumFractionDigits: 2, maximumFractionDigits: 2) } K
 kelvin-signed = { $sign }{ NUMBER($kelvin, minimumFractionDigits: 2, maximumFractionDigits: 2) } K
 known-all = all coefficients
