@@ -236,6 +236,11 @@ class Boundaries(Table):
     bottom: Boundary = Boundary()
     top: Boundary = Boundary()
 
+    @property
+    def ends(self) -> tuple[tuple[str, Boundary], ...]:
+        """Both by name, bottom before top."""
+        return ("bottom", self.bottom), ("top", self.top)
+
 
 class Press(Table):
     """One press, or any rig of layers: the whole press file."""
@@ -267,8 +272,7 @@ class Press(Table):
     @property
     def platens(self) -> tuple[str, ...]:
         """Columns of the measured boundary temperatures, bottom before top."""
-        ends = (self.boundary.bottom, self.boundary.top)
-        return tuple(b.column for b in ends if b.kind == "measured" and b.column)
+        return tuple(b.column for _, b in self.boundary.ends if b.kind == "measured" and b.column)
 
     @property
     def coefficient_names(self) -> tuple[str, ...]:
@@ -278,8 +282,13 @@ class Press(Table):
             opened = () if contact.open is None else contact.open
             names += [opened] if isinstance(opened, str) else list(opened)
             names.append(contact.closed)
-        names += [b.coefficient for b in (self.boundary.bottom, self.boundary.top) if b.coefficient]
+        names += [b.coefficient for _, b in self.boundary.ends if b.coefficient]
         return tuple(dict.fromkeys(names))
+
+    @property
+    def free_coefficients(self) -> tuple[str, ...]:
+        """Those the file does not fix."""
+        return tuple(n for n in self.coefficient_names if not self.coefficient(n).fixed)
 
     def coefficient(self, name: str) -> Coefficient:
         """Return the table of a coefficient, or the documented default (100, 0.1 to 100000 W/m²K)."""
@@ -339,7 +348,7 @@ class Press(Table):
         if pressure == table.limit_switch:
             return _of("press.pressure.column", pressure, say("press-wire-twice"))
         known = [pattern for sensor in self.sensor for pattern in sensor.columns]
-        known += [b.column for b in (self.boundary.bottom, self.boundary.top) if b.column]
+        known += [b.column for _, b in self.boundary.ends if b.column]
         for key, name in (("limit_switch", table.limit_switch), ("pressure.column", pressure)):
             if taken := [x for x in known if fnmatch.fnmatchcase(name, x)]:
                 return _of(f"press.{key}", name, say("press-wire-as-temperature", pattern=taken[0]))
@@ -419,7 +428,7 @@ def press_for_run(press: Press, run: Run) -> Press:
     Layers are addressed by name (``layer.plate_top.thickness_mm``), contacts and sensors by number
     from 0 (``contact.2.closed``). Raises `InputError` for a key the press file does not know.
     """
-    for end, boundary in (("bottom", press.boundary.bottom), ("top", press.boundary.top)):
+    for end, boundary in press.boundary.ends:
         if boundary.from_run and run.header.get(key := f"boundary.{end}.incident_W_m2") is None:
             raise InputError(at(run.source or run.name, say("header-missing", key=key)))
     tables = set(Press.model_fields)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from daq.records import Array
-from softsensor.diagnosis.extension_unknowns import free_coefficients, logarithm_of
+from softsensor.diagnosis.extension_unknowns import logarithm_of
 from softsensor.diagnosis.search import SettledModel
 from softsensor.heat.model_file import FittedValue, ModelFile
 
@@ -16,10 +16,10 @@ def model_of(stage: SettledModel, version: str = "") -> ModelFile:
     The covariance is that of the campaign's numbers plus the scatter from run to run.
     """
     fit, model = stage.fit, stage.fit.layout.model
-    names = [s.name for s in fit.layout.shared]
+    names = fit.layout.names
     covariance = fit.covariance + _scatter(stage)
     sd = dict(zip(names, np.sqrt(np.maximum(np.diag(covariance), 0.0)), strict=True))
-    free = free_coefficients(model)
+    free = model.press.free_coefficients
     coefficients = {}
     for name in model.press.coefficient_names:
         if name in free:
@@ -52,7 +52,7 @@ def _scatter(stage: SettledModel) -> Array:
     variance = []
     for s, value in zip(layout.shared, stage.fit.theta, strict=True):
         if s.coefficient:
-            variance.append(stage.population.log_sd.get(s.coefficient, 0.0) ** 2)
+            variance.append(stage.population.get(s.coefficient, 0.0) ** 2)
         else:
             variance.append((layout.spreads.get(s.name, 0.0) * (value - s.centre)) ** 2)
     return np.diag(np.array(variance))

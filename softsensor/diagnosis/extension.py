@@ -20,7 +20,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from daq.records import Array
-from softsensor.diagnosis.extension_unknowns import RunUnknown, Unknowns, run_values, shared_cost, start_eta
+from softsensor.diagnosis.extension_unknowns import CampaignUnknown, Unknowns, run_values, shared_cost, start_eta
 from softsensor.heat.model import ThermalModel
 from softsensor.signals.digest import Digest, Whitened
 from softsensor.signals.instrument import scan_sd
@@ -91,7 +91,7 @@ class SharedFit:
     @property
     def values(self) -> dict[str, float]:
         """The shared numbers by name."""
-        return {s.name: float(v) for s, v in zip(self.layout.shared, self.theta, strict=True)}
+        return self.layout.named(self.theta)
 
 
 def bounded(predicted: Array) -> Array:
@@ -120,7 +120,7 @@ def evaluate(
     plain = data(np.where(digest.valid, digest.y - model, 0.0))
     normal = offset_rows.T @ offset_rows + np.diag(prior**2)
     offsets: Array = np.asarray(np.linalg.solve(normal, offset_rows.T @ plain), dtype=np.float64)
-    shared = {s.name: i for i, s in enumerate(layout.shared)}
+    shared = {name: i for i, name in enumerate(layout.names)}
     centre = np.array([u.centre + (theta[shared[u.shared]] if u.shared in shared else 0.0) for u in unknowns])
     sd = np.array([u.sd for u in unknowns])
     residual = np.concatenate([plain - offset_rows @ offsets, (centre - eta) / sd, -offsets * prior])
@@ -184,7 +184,7 @@ def fit_campaign_model(
 ) -> SharedFit:
     """Minimise the cost over everything. `etas` are starts; steps that do not help are halved."""
     theta = np.array([s.start for s in layout.shared])
-    lower, upper = np.array([s.lower for s in layout.shared]), np.array([s.upper for s in layout.shared])
+    lower, upper = layout.limits
     theta = np.clip(theta, lower, upper)
     own = [start_eta(layout, r, theta) for r in range(len(data))] if etas is None else list(etas)
     runs = each_run(lambda r: evaluate(layout, r, data[r], theta, own[r]), len(data))
@@ -210,7 +210,7 @@ def fit_campaign_model(
             converged = True
             break
     hessians, gradients = zip(*(_reduced(r) for r in runs), strict=True)
-    prior = np.diag(1.0 / np.array([s.sd for s in layout.shared]) ** 2)
+    prior = np.diag(1.0 / layout.priors[1] ** 2)
     return SharedFit(layout, theta, tuple(runs), hessians, gradients, prior, converged)
 
 
@@ -224,8 +224,7 @@ def unstuck(fit: SharedFit, data: Sequence[Whitened]) -> SharedFit:
             etas[r], freed = again.eta, True
     if not freed:
         return fit
-    shared = tuple(replace(s, start=float(v)) for s, v in zip(fit.layout.shared, fit.theta, strict=True))
-    return fit_campaign_model(replace(fit.layout, shared=shared), data, etas, rounds=6)
+    return fit_campaign_model(fit.layout.begun(fit.theta), data, etas, rounds=6)
 
 
 def _evaluate_all(
@@ -242,7 +241,7 @@ def each_run(work: Callable[[int], RunState], count: int) -> list[RunState]:
     return list(_POOL.map(work, range(count)))
 
 
-def _within(unknowns: Sequence[RunUnknown], eta: Array) -> Array:
+def _within(unknowns: Sequence[CampaignUnknown], eta: Array) -> Array:
     return np.clip(eta, [u.lower for u in unknowns], [u.upper for u in unknowns])
 
 
@@ -258,10 +257,7 @@ def _step(
     layout: Unknowns, theta: Array, runs: Sequence[RunState], damping: float = 0.0
 ) -> tuple[Array, list[Array]]:
     """Gauss-Newton step of everything; shared numbers at a limit stay there if the step leads outwards."""
-    centre = np.array([s.centre for s in layout.shared])
-    sd = np.array([s.sd for s in layout.shared])
-    lower = np.array([s.lower for s in layout.shared])
-    upper = np.array([s.upper for s in layout.shared])
+    (centre, sd), (lower, upper) = layout.priors, layout.limits
     normal = np.diag(1.0 / sd**2)
     right = -(theta - centre) / sd**2
     factors = []
@@ -308,16 +304,13 @@ def from_the_others(fit: SharedFit, data: Sequence[Whitened], rounds: int = 0) -
     One Newton step of the others' cost, then so many rounds of a fit to them.
     """
     total = sum(fit.hessians) + fit.prior_hessian
-    lower = np.array([s.lower for s in fit.layout.shared])
-    upper = np.array([s.upper for s in fit.layout.shared])
+    lower, upper = fit.layout.limits
     found = []
     for r, own in enumerate(fit.hessians):
         theta = np.clip(fit.theta + np.linalg.lstsq(total - own, fit.gradients[r], rcond=1e-12)[0], lower, upper)
         others = [i for i in range(len(data)) if i != r]
         if rounds and others:
-            shared = tuple(replace(s, start=float(v)) for s, v in zip(fit.layout.shared, theta, strict=True))
-            unknowns = tuple(fit.layout.unknowns[i] for i in others)
-            layout = replace(fit.layout, shared=shared, unknowns=unknowns)
+            layout = replace(fit.layout.begun(theta), unknowns=tuple(fit.layout.unknowns[i] for i in others))
             etas = [fit.runs[i].eta for i in others]
             theta = fit_campaign_model(layout, [data[i] for i in others], etas, rounds=rounds).theta
         found.append(theta)

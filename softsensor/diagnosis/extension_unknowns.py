@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
+from daq.press.press_file import Press
 from daq.records import Array
 from softsensor.effects.parameters import Parameter
 from softsensor.heat.model import ThermalModel
@@ -26,42 +28,25 @@ AMPLITUDE_SD = 4.0
 
 
 @dataclass(frozen=True)
-class RunUnknown:
-    """A number of one run: where its prior lies and how wide it is."""
+class CampaignUnknown:
+    """A number that a campaign's fit looks for: where its prior lies, how wide it is, and where it must stay."""
 
     name: str
     centre: float
     sd: float
+    lower: float = -np.inf
+    upper: float = np.inf
     log: bool = False
-    shared: str = ""
-    """Name of the campaign level it scatters about."""
-    lower: float = -np.inf
-    upper: float = np.inf
-    share_of: str = ""
-    """The effect parameter of which this run has so much more or less, empty for any other number."""
-
-
-@dataclass(frozen=True)
-class Shared:
-    """A number of the campaign, with its prior and limits."""
-
-    name: str
-    centre: float
-    sd: float
-    lower: float = -np.inf
-    upper: float = np.inf
+    """Whether it is the logarithm of what the model goes by `name`."""
     start: float = 0.0
     step: float = np.inf
     """Largest change in one step."""
+    shared: str = ""
+    """Of a run's number: the campaign level it scatters about."""
+    share_of: str = ""
+    """Of a run's number: the effect parameter of which this run has so much more or less."""
     coefficient: str = ""
-    """The coefficient whose logarithm it is, empty for any other number."""
-
-
-@dataclass(frozen=True)
-class RunSpread:
-    """How coefficients scatter over the campaign: standard deviation of the logarithm, by name."""
-
-    log_sd: Mapping[str, float]
+    """Of a campaign's: the coefficient whose logarithm it is."""
 
 
 @dataclass(frozen=True)
@@ -69,8 +54,8 @@ class Unknowns:
     """What is fitted: the model, the campaign's numbers, the runs' numbers."""
 
     model: ThermalModel
-    shared: tuple[Shared, ...]
-    unknowns: tuple[tuple[RunUnknown, ...], ...]
+    shared: tuple[CampaignUnknown, ...]
+    unknowns: tuple[tuple[CampaignUnknown, ...], ...]
     """By run."""
     spreads: Mapping[str, float]
     """Relative scatter between runs of effect parameters, by full name."""
@@ -79,6 +64,30 @@ class Unknowns:
     def effect_names(self) -> tuple[str, ...]:
         """Full names of the effects' parameters, which lead `shared`."""
         return tuple(e.key(p.name) for e in self.model.effects for p in e.parameters)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Of the shared numbers."""
+        return tuple(s.name for s in self.shared)
+
+    @cached_property
+    def priors(self) -> tuple[Array, Array]:
+        """Centres and standard deviations of the shared numbers."""
+        return np.array([s.centre for s in self.shared]), np.array([s.sd for s in self.shared])
+
+    @cached_property
+    def limits(self) -> tuple[Array, Array]:
+        """Limits of the shared numbers."""
+        return np.array([s.lower for s in self.shared]), np.array([s.upper for s in self.shared])
+
+    def named(self, theta: Array) -> dict[str, float]:
+        """Return the shared numbers by name."""
+        return dict(zip(self.names, theta.tolist(), strict=True))
+
+    def begun(self, theta: Array) -> Unknowns:
+        """Return the same with these shared numbers to begin from."""
+        shared = (replace(s, start=v) for s, v in zip(self.shared, theta.tolist(), strict=True))
+        return replace(self, shared=tuple(shared))
 
 
 def logarithm_of(coefficient: str) -> str:
@@ -92,10 +101,18 @@ def is_shape(parameter: Parameter) -> bool:
 
 
 def lay_out(
-    model: ThermalModel, digests: Sequence[Digest], population: RunSpread, start: Mapping[str, float]
+    model: ThermalModel, digests: Sequence[Digest], population: Mapping[str, float], start: Mapping[str, float]
 ) -> Unknowns:
-    """Decide what is fitted. `start` gives effect parameters and campaign levels (log) to begin from."""
-    shared: list[Shared] = []
+    """Decide what is fitted.
+
+    Parameters
+    ----------
+    population
+        How coefficients scatter over the campaign: standard deviation of the logarithm, by name.
+    start
+        Effect parameters and campaign levels (logarithms) to begin from.
+    """
+    shared: list[CampaignUnknown] = []
     spreads: dict[str, float] = {}
     for effect in model.effects:
         for p in effect.parameters:
@@ -103,51 +120,35 @@ def lay_out(
             unit = (p.upper - p.lower) / 6.0 if is_shape(p) else abs(p.typical - p.neutral)
             sd = unit if is_shape(p) else AMPLITUDE_SD * unit
             begin = start.get(key, p.typical)
-            shared.append(Shared(key, p.neutral, sd, p.lower, p.upper, begin, unit))
+            shared.append(CampaignUnknown(key, p.neutral, sd, p.lower, p.upper, start=begin, step=unit))
             if p.spread > 0:
                 spreads[key] = p.spread
-    levels: list[Shared] = []
-    for name in free_coefficients(model):
-        guess = float(np.log(model.press.coefficient(name).guess))
-        low, high = np.log(model.press.coefficient(name).lower), np.log(model.press.coefficient(name).upper)
-        levels.append(
-            Shared(
-                logarithm_of(name),
-                guess,
-                GUESS_LOG,
-                float(low),
-                float(high),
-                start.get(logarithm_of(name), guess),
-                step=1.0,
-                coefficient=name,
-            )
-        )
-    unknowns = tuple(_unknowns(model, d, population, spreads) for d in digests)
-    return Unknowns(model, (*shared, *levels), unknowns, spreads)
-
-
-def free_coefficients(model: ThermalModel) -> tuple[str, ...]:
-    """Return the coefficients that are not fixed."""
-    press = model.press
-    return tuple(n for n in press.coefficient_names if not press.coefficient(n).fixed)
-
-
-def _unknowns(
-    model: ThermalModel, digest: Digest, population: RunSpread, spreads: Mapping[str, float]
-) -> tuple[RunUnknown, ...]:
-    press = model.press
-    found = [
-        RunUnknown(
+    own = [
+        CampaignUnknown(
             name,
             0.0,
-            population.log_sd.get(name, FREE_SPREAD_LOG),
+            population.get(name, FREE_SPREAD_LOG),
+            float(np.log(table.lower)),
+            float(np.log(table.upper)),
             log=True,
             shared=logarithm_of(name),
-            lower=float(np.log(press.coefficient(name).lower)),
-            upper=float(np.log(press.coefficient(name).upper)),
         )
-        for name in free_coefficients(model)
+        for name in model.press.free_coefficients
+        for table in (model.press.coefficient(name),)
     ]
+    for u in own:
+        guess = float(np.log(model.press.coefficient(u.name).guess))
+        begin = start.get(u.shared, guess)
+        shared.append(
+            CampaignUnknown(
+                u.shared, guess, GUESS_LOG, u.lower, u.upper, start=begin, step=1.0, coefficient=u.name
+            )
+        )
+    unknowns = tuple((*own, *_nuisances(model.press, d, spreads)) for d in digests)
+    return Unknowns(model, tuple(shared), unknowns, spreads)
+
+
+def _nuisances(press: Press, digest: Digest, spreads: Mapping[str, float]) -> Iterator[CampaignUnknown]:
     moments = digest.moments
     if press.has_states:
         seen = digest.switch or ((np.nan, 0.0), (np.nan, 0.0))
@@ -158,33 +159,32 @@ def _unknowns(
                 continue
             if np.isfinite(switched):
                 sd = float(np.hypot(gap / np.sqrt(12.0), SWITCH_S))
-                found.append(RunUnknown(name, switched - gap / 2 - at, sd))
+                yield CampaignUnknown(name, switched - gap / 2 - at, sd)
             else:
-                found.append(RunUnknown(name, 0.0, moment_sd(digest.period_s)))
+                yield CampaignUnknown(name, 0.0, moment_sd(digest.period_s))
         if np.isfinite(moments.closed_s):
-            found.append(RunUnknown("ramp_s", 0.0, RAMP_SD_S))
+            yield CampaignUnknown("ramp_s", 0.0, RAMP_SD_S)
     if press.panel_layers:
-        found.append(RunUnknown("initial_K", 0.0, START_K))
-    for end, boundary in (("bottom", press.boundary.bottom), ("top", press.boundary.top)):
+        yield CampaignUnknown("initial_K", 0.0, START_K)
+    for end, boundary in press.boundary.ends:
         if boundary.kind == "measured":
-            found.append(RunUnknown(f"boundary_{end}_K", 0.0, PLATEN_K))
-    found += [RunUnknown(f"share {key}", 0.0, sd, share_of=key) for key, sd in spreads.items()]
-    return tuple(found)
+            yield CampaignUnknown(f"boundary_{end}_K", 0.0, PLATEN_K)
+    for key, sd in spreads.items():
+        yield CampaignUnknown(f"share {key}", 0.0, sd, share_of=key)
 
 
 def run_values(layout: Unknowns, run: int, theta: Array, eta: Array) -> dict[str, float]:
     """Return every parameter the model needs for one run."""
     press = layout.model.press
     values = {n: press.coefficient(n).guess for n in press.coefficient_names}
-    shared = {s.name: float(v) for s, v in zip(layout.shared, theta, strict=True)}
+    shared, limits = layout.named(theta), {s.name: s for s in layout.shared}
     values |= {n: shared[n] for n in layout.effect_names}
     for unknown, value in zip(layout.unknowns[run], eta, strict=True):
         if key := unknown.share_of:
-            neutral = next(s.centre for s in layout.shared if s.name == key)
+            neutral = limits[key].centre
             values[key] = neutral + (shared[key] - neutral) * max(1.0 + value, 0.0)
         else:
             values[unknown.name] = float(np.exp(value)) if unknown.log else float(value)
-    limits = {s.name: s for s in layout.shared}
     for n in layout.effect_names:
         values[n] = float(np.clip(values[n], limits[n].lower, limits[n].upper))
     return values
@@ -192,12 +192,11 @@ def run_values(layout: Unknowns, run: int, theta: Array, eta: Array) -> dict[str
 
 def shared_cost(layout: Unknowns, theta: Array) -> float:
     """Return the sum of squares of the shared priors."""
-    centre = np.array([s.centre for s in layout.shared])
-    sd = np.array([s.sd for s in layout.shared])
+    centre, sd = layout.priors
     return float(np.sum(((theta - centre) / sd) ** 2))
 
 
 def start_eta(layout: Unknowns, run: int, theta: Array) -> Array:
     """Return a run's numbers at the middle of their priors."""
-    shared = {s.name: float(v) for s, v in zip(layout.shared, theta, strict=True)}
+    shared = layout.named(theta)
     return np.array([u.centre + shared.get(u.shared, 0.0) for u in layout.unknowns[run]])

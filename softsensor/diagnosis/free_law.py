@@ -285,8 +285,7 @@ def _tried(stage: SettledModel, kind: Kind) -> _Tried:
         layout = _strong(layout, names, strength)
         fit = fit_campaign_model(layout, stage.data, etas, rounds=rounds, tolerance=0.5)
         strength, etas = learned_strength(fit, names), [r.eta for r in fit.runs]
-        moved = zip(layout.shared, fit.theta, strict=True)
-        layout = replace(layout, shared=tuple(replace(s, start=float(v)) for s, v in moved))
+        layout = layout.begun(fit.theta)
     others = held_out(fit, stage.data, thetas=from_the_others(fit, stage.data))
     readings = sum(int(d.digest.valid.sum()) for d in stage.data)
     return _Tried(kind, fit, run_errors(stage.data, others), readings)
@@ -307,10 +306,9 @@ def learned_strength(fit: SharedFit, names: Sequence[str]) -> float:
     the campaign integrated with their own priors: with P the priors' precision,
     -1/2 min(...) - 1/2 log|H + P| + 1/2 log|P|, over a grid.
     """
-    own = np.array([s.name in names for s in fit.layout.shared])
+    own = np.isin(fit.layout.names, names)
     hessian, slope = sum(fit.hessians), sum(fit.gradients)
-    centre = np.array([s.centre for s in fit.layout.shared])
-    fixed = np.array([s.sd for s in fit.layout.shared])
+    centre, fixed = fit.layout.priors
     found = []
     for strength in STRENGTHS:
         precision = np.where(own, strength**-2.0, fixed**-2.0)
@@ -329,8 +327,7 @@ def _curve(law: _Tried) -> Array:
     the diagnosis is off: `MODEL_ERROR`, here as a share of the curve's range.
     """
     fit, kind = law.fit, law.kind
-    names = [s.name for s in fit.layout.shared]
-    at = [names.index(kind.effect.key(p.name)) for p in kind.effect.parameters]
+    at = [fit.layout.names.index(kind.effect.key(p.name)) for p in kind.effect.parameters]
     runs, covariance = len(fit.runs), fit.covariance
     left = sum(r.cost for r in fit.runs) / max(law.readings, 1)
     centred = [g - np.mean(fit.gradients, axis=0) for g in fit.gradients]

@@ -88,7 +88,6 @@ def _short(value: float) -> float:
 
 def intervals(fit: SharedFit, effect: Effect) -> dict[str, Interval]:
     """Return the effect's parameters; the wider of curvature and run-to-run scatter gives the interval."""
-    names = [s.name for s in fit.layout.shared]
     covariance = fit.covariance
     runs = len(fit.runs)
     centred = [g - np.mean(fit.gradients, axis=0) for g in fit.gradients]
@@ -97,7 +96,7 @@ def intervals(fit: SharedFit, effect: Effect) -> dict[str, Interval]:
     quantile = float(stdtrit(max(runs - 1, 1), 0.975))
     found = {}
     for p in effect.parameters:
-        i = names.index(effect.key(p.name))
+        i = fit.layout.names.index(effect.key(p.name))
         value = float(fit.theta[i])
         law = MODEL_ERROR * (p.upper - p.lower if is_shape(p) else value - p.neutral)
         law = max(law, CLOCK_ERROR_S) if effect.needs == Need.SWITCH else law

@@ -218,7 +218,7 @@ def campaign_of(found: Diagnosis) -> Campaign:
     testable = tuple(e.name for e in candidates_for(found.stages[0]))
     if _faces(runs[0], model.press):
         testable = (*testable, sensor_fault.EFFECT.name)
-    return Campaign(model.press, runs, levels, dict(stage.population.log_sd), testable)
+    return Campaign(model.press, runs, levels, dict(stage.population), testable)
 
 
 def _rehearsed(

@@ -28,7 +28,7 @@ from softsensor.diagnosis.extension import (
     held_out,
     unstuck,
 )
-from softsensor.diagnosis.extension_unknowns import RunSpread, free_coefficients, is_shape, lay_out
+from softsensor.diagnosis.extension_unknowns import is_shape, lay_out
 from softsensor.diagnosis.gains import Gain, paired_gain
 from softsensor.diagnosis.sign_flips import Pocket, pockets
 from softsensor.effects import Effect, Need, catalogue
@@ -78,7 +78,7 @@ class SettledModel:
 
     fit: SharedFit
     data: tuple[Whitened, ...]
-    population: RunSpread
+    population: Mapping[str, float]
     noise: MeanNoise
 
     @property
@@ -200,22 +200,21 @@ def settle(
 ) -> SettledModel:
     """Fit a model to all runs, learn how coefficients scatter, and fit again."""
     data = whiten_all(digests, noise)
-    population = RunSpread({})
-    fit = fit_campaign_model(lay_out(model, digests, population, start or {}), data, etas, rounds=10)
+    fit = fit_campaign_model(lay_out(model, digests, {}, start or {}), data, etas, rounds=10)
     population = scatter(fit)
     layout = lay_out(model, digests, population, fit.values)
     fit = unstuck(fit_campaign_model(layout, data, [r.eta for r in fit.runs], rounds=6), data)
     return SettledModel(fit, data, population, noise)
 
 
-def scatter(fit: SharedFit) -> RunSpread:
+def scatter(fit: SharedFit) -> dict[str, float]:
     """Return how the coefficients scatter from run to run."""
-    names = free_coefficients(fit.layout.model)
+    names = fit.layout.model.press.free_coefficients
     logs = np.array([r.eta[: len(names)] for r in fit.runs])
     if len(logs) < 2:
-        return RunSpread({})
+        return {}
     sd = np.clip(np.std(logs, axis=0, ddof=1), *SPREAD_LIMITS)
-    return RunSpread(dict(zip(names, sd.tolist(), strict=True)))
+    return dict(zip(names, sd.tolist(), strict=True))
 
 
 def coarse(stage: SettledModel) -> MeanNoise:
@@ -413,13 +412,7 @@ def _grown(unknowns: Sequence[object], eta: Array) -> Array:
 def refine(stage: SettledModel, candidate: Candidate, rounds: int = 8) -> Candidate:
     """Fit a candidate to convergence and find out what it gains on runs left out."""
     etas = [r.eta for r in candidate.fit.runs]
-    layout = replace(
-        candidate.fit.layout,
-        shared=tuple(
-            replace(s, start=float(v))
-            for s, v in zip(candidate.fit.layout.shared, candidate.fit.theta, strict=True)
-        ),
-    )
+    layout = candidate.fit.layout.begun(candidate.fit.theta)
     fit = fit_campaign_model(layout, stage.data, etas, rounds=rounds, tolerance=0.5)
     others = held_out(fit, stage.data, rounds=1)
     gains = np.array([a.cost - b.cost for a, b in zip(stage.fit.runs, others, strict=True)])

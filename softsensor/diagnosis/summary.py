@@ -13,7 +13,7 @@ import numpy as np
 
 from daq.words import Argument, Message, say
 from softsensor.diagnosis.decision import ALPHA_PATTERN, FEW_RUNS, Verdict
-from softsensor.diagnosis.extension_unknowns import free_coefficients, logarithm_of
+from softsensor.diagnosis.extension_unknowns import logarithm_of
 from softsensor.diagnosis.finding import Diagnosis, Finding
 from softsensor.diagnosis.gains import HARDLY
 from softsensor.diagnosis.search import SettledModel
@@ -226,7 +226,7 @@ def _moved(less: SettledModel, more: SettledModel) -> Message:
     """Say which coefficient a cause moves most."""
     press = more.fit.layout.model.press
     moved = []
-    for name in free_coefficients(more.fit.layout.model):
+    for name in press.free_coefficients:
         step = more.fit.values[logarithm_of(name)] - less.fit.values[logarithm_of(name)]
         if abs(step) > max(MOVES, MOVES_SD * max(_sd(s, name) for s in (less, more))):
             moved.append((abs(step), step, name))
@@ -252,5 +252,5 @@ def _opens(stage: SettledModel) -> bool:
 
 def _sd(stage: SettledModel, name: str) -> float:
     """Standard deviation of a coefficient's logarithm in a campaign."""
-    at = [s.name for s in stage.fit.layout.shared].index(logarithm_of(name))
+    at = stage.fit.layout.names.index(logarithm_of(name))
     return float(np.sqrt(max(stage.fit.covariance[at, at], 0.0)))

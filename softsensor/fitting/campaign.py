@@ -26,7 +26,7 @@ from softsensor.fitting.identifiability import WIDE, Profile, is_verdict_on
 from softsensor.fitting.joint import fit_together
 from softsensor.fitting.population import Population, information
 from softsensor.fitting.result import Coefficient, Identifiability, RunFit, number
-from softsensor.fitting.unknowns import free_names, known_before
+from softsensor.fitting.unknowns import known_before
 from softsensor.heat.batch import Each
 from softsensor.heat.model import ThermalModel
 from softsensor.heat.model_file import FittedValue, ModelFile, Scatter
@@ -183,7 +183,7 @@ def company_of(press: Press, runs: Sequence[Run], shared: Sequence[str] = ()) ->
     """
     if not runs:
         raise InputError(say("fit-no-run"))
-    names = free_names(press)
+    names = press.free_coefficients
     if wrong := [n for n in shared if n not in names]:
         raise InputError(say("fit-no-such-shared", name=wrong[0], names=names))
     for run in runs:
@@ -204,7 +204,7 @@ def campaign_of(
     each
         Does some work for each of several things, as `map` does; a pool's does it on several cores.
     """
-    press, names = model.press, free_names(model.press)
+    press, names = model.press, model.press.free_coefficients
     met = [f for f in fits if f.met]
     people = fit_together(met, names, shared=shared, known=known_before(press), each=each)
     coefficients = {n: _summary(press, n, i, met, people, n in shared) for i, n in enumerate(names)}

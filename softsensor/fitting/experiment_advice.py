@@ -18,7 +18,6 @@ from daq.words import Message, say
 from softsensor.effects.vocabulary import layer_words, place_words
 from softsensor.fitting.problem import CONSTANT, PlaceUnknown
 from softsensor.fitting.result import RunFit
-from softsensor.fitting.unknowns import free_names
 from softsensor.heat.timing import TIMINGS
 
 SEEN_K = 0.05
@@ -122,7 +121,11 @@ def apart(fitted: RunFit, partner: str, role: CoefficientRole, company: Company)
         return say("fit-remedy-calibrate-platen")
     if kind == CONSTANT:
         return say("fit-remedy-measure-constant", key=place)
-    if company.runs > 1 and partner not in company.shared and partner in free_names(fitted.problem.case.press):
+    if (
+        company.runs > 1
+        and partner not in company.shared
+        and partner in fitted.problem.case.press.free_coefficients
+    ):
         return say("fit-two-sentences", first=own, second=say("fit-or-share", name=partner))
     return own
 

@@ -36,7 +36,7 @@ from softsensor.fitting.problem import (
 )
 from softsensor.fitting.remarks import remarks, without_spikes
 from softsensor.fitting.result import RunFit, channel_residuals, misfit_of, rms, run_fit
-from softsensor.fitting.unknowns import chain_priors, coefficient_unknown, free_names, known_before
+from softsensor.fitting.unknowns import chain_priors, coefficient_unknown, known_before
 from softsensor.heat.model import NUISANCES, ThermalModel
 from softsensor.heat.timing import TIMINGS
 from softsensor.signals.instrument import CHANNEL_FAST_S, FACE_SLOW_K, FACE_SLOW_S, SECOND_SLOW_K, moment_sd
@@ -119,7 +119,7 @@ def make_problem(
     values = replace(model, press=case.press).guesses
     values |= {n: v for n, v in (start or {}).items() if n in values or n in NUISANCES}
     known = known_before(case.press)
-    unknowns = [coefficient_unknown(case.press, n, values[n], known.get(n)) for n in free_names(case.press)]
+    unknowns = [coefficient_unknown(case.press, n, values[n], known.get(n)) for n in case.press.free_coefficients]
     doubts = fit_doubts(run, case.press, learned)
     unknowns += [*chain_priors(case, signals), *constant_unknowns(doubts)]
     rows = rows_with_panel(case)

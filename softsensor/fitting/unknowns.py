@@ -64,11 +64,6 @@ def gaps_at_moments(time_s: Array, moments: Moments, period: float) -> list[Gap]
     return found
 
 
-def free_names(press: Press) -> tuple[str, ...]:
-    """Coefficients a fit adjusts: all the press file does not fix."""
-    return tuple(n for n in press.coefficient_names if not press.coefficient(n).fixed)
-
-
 def known_before(press: Press) -> dict[str, tuple[float, float]]:
     """Return the press file's priors: median, and standard deviation of the logarithm."""
     return {name: (p.median, float(np.log(p.factor))) for name, p in press.priors.items()}
@@ -91,7 +86,7 @@ def chain_priors(case: Case, signals: Signals) -> list[Unknown]:
         unknowns += _moment_priors(case, period)
     if press.panel_layers or press.initial.kind != "steady":
         unknowns.append(nuisance("initial_K", START_K, 10 * START_K))
-    for end, boundary in (("bottom", press.boundary.bottom), ("top", press.boundary.top)):
+    for end, boundary in press.boundary.ends:
         if boundary.kind == "measured":
             unknowns.append(nuisance(f"boundary_{end}_K", PLATEN_K, 10 * PLATEN_K))
     for place in signals.places:

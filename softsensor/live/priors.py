@@ -202,7 +202,7 @@ def effect_priors(model: ModelFile | None) -> list[Prior]:
 def nuisance_priors(press: Press, known: set[str], initial_sd: float) -> list[Prior]:
     """Return what else biases the faces' readings, but for effects the model in force already holds."""
     priors = [Prior("initial_K", 0.0, initial_sd)]
-    for side, boundary in (("bottom", press.boundary.bottom), ("top", press.boundary.top)):
+    for side, boundary in press.boundary.ends:
         if boundary.kind == "measured":
             priors.append(Prior(f"boundary_{side}_K", 0.0, PLATEN_ALONE_K))
     if not press.panel_layers:

@@ -13,7 +13,7 @@ import numpy as np
 from daq.records import Array
 from softsensor.diagnosis.advice import CORE_OFF_K
 from softsensor.diagnosis.extension import SharedFit
-from softsensor.diagnosis.extension_unknowns import free_coefficients, lay_out, logarithm_of, run_values, start_eta
+from softsensor.diagnosis.extension_unknowns import lay_out, logarithm_of, run_values, start_eta
 from softsensor.diagnosis.finding import Contest, Diagnosis, Finding
 from softsensor.diagnosis.search import SettledModel
 from softsensor.fitting.experiment_advice import WANTED
@@ -166,14 +166,14 @@ def open_numbers(stage: SettledModel, past: Sequence[Outlook], constants: Sequen
     besides.
     """
     known = contender(stage.fit.layout.model.press.press.name, stage.fit, stage, past, constants)
-    names = [s.name for s in stage.fit.layout.shared]
+    names, press = stage.fit.layout.names, stage.fit.layout.model.press
     blank = OpenPoint(Kind.COEFFICIENT, "", stage, (known,), along=np.zeros(len(known.before)), wanted=WANTED)
     points = []
-    for coefficient in free_coefficients(stage.fit.layout.model):
+    for coefficient in press.free_coefficients:
         along = np.zeros(len(known.before))
         along[names.index(logarithm_of(coefficient))] = 1.0
         points.append(replace(blank, name=coefficient, along=along))
-    if stage.fit.layout.model.press.panel_layers:
+    if press.panel_layers:
         along = _core_of_the_usual(stage, past, constants)
         points.append(replace(blank, kind=Kind.CORE_BAND, name="core", along=along, wanted=CORE_OFF_K))
     return [p for p in points if (p.half_now or 0.0) > p.wanted]
@@ -185,7 +185,7 @@ def _core_of_the_usual(stage: SettledModel, past: Sequence[Outlook], constants: 
     for outlook in past:
         layout = lay_out(stage.fit.layout.model, [outlook.digest], stage.population, stage.fit.values)
         values = run_values(layout, 0, stage.fit.theta, start_eta(layout, 0, stage.fit.theta))
-        coefficients = free_coefficients(stage.fit.layout.model)
+        coefficients = stage.fit.layout.model.press.free_coefficients
         wanted = [s.coefficient or s.name for s in stage.fit.layout.shared]
         solution = outlook.digest.solve(stage.fit.layout.model, values, wanted)
         row = opening_row(outlook.digest)

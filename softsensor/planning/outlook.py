@@ -19,8 +19,6 @@ from daq.press.press_file import At, Press, Sensor, press_for_run
 from daq.records import Array, Moments, Run
 from softsensor.diagnosis.extension import RunState, SharedFit, bounded, evaluate
 from softsensor.diagnosis.extension_unknowns import (
-    RunSpread,
-    free_coefficients,
     lay_out,
     logarithm_of,
     run_values,
@@ -77,8 +75,8 @@ def outlook_of(press: Press, digest: Digest, fit: SharedFit) -> Outlook:
     run, case = digest.run, digest.cases[False]
     effects = tuple(e for e in fit.layout.model.effects if not e.layers)
     model = ThermalModel(press, effects)
-    values = {s.name: float(v) for s, v in zip(fit.layout.shared, fit.theta, strict=True)}
-    values |= {n: float(np.exp(values[logarithm_of(n)])) for n in free_coefficients(model)}
+    values = fit.values
+    values |= {n: float(np.exp(values[logarithm_of(n)])) for n in press.free_coefficients}
     values = model.guesses | {n: v for n, v in values.items() if n in model.parameter_names}
     plain, row = model.solve(case, values), opening_row(digest)
     own, shared, core = {}, {}, {}
@@ -118,7 +116,7 @@ def planned_digest(press: Press, run: Run, moments: Moments, like: Digest) -> Di
     return replace(digest, offset_sd=np.array([known[s] for s in digest.signals]))
 
 
-def with_readings(digest: Digest, fit: SharedFit, population: RunSpread) -> Digest:
+def with_readings(digest: Digest, fit: SharedFit, population: Mapping[str, float]) -> Digest:
     """Return a digest that reads what a fit expects of it."""
     layout = lay_out(fit.layout.model, [digest], population, fit.values)
     values = run_values(layout, 0, fit.theta, start_eta(layout, 0, fit.theta))

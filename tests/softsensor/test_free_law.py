@@ -98,15 +98,15 @@ def test_the_strength_of_a_law_is_that_of_the_likeliest_prior():
     """Closed form: of weights measured with variance v the likeliest prior has the variance mean(a^2) - v."""
     rng = np.random.default_rng(3)
     weights, precise = 2.0 * rng.normal(size=400), 25.0
-    shared = [SimpleNamespace(name=f"w{i}", centre=0.0, sd=1.0) for i in range(400)]
+    names = tuple(f"w{i}" for i in range(400))
     fit = SimpleNamespace(
-        layout=SimpleNamespace(shared=shared),
+        layout=SimpleNamespace(names=names, priors=(np.zeros(400), np.ones(400))),
         theta=weights,
         hessians=(precise * np.eye(400),),
         gradients=(np.zeros(400),),
     )
     expected = np.sqrt(np.mean(weights**2) - 1.0 / precise)
-    found = learned_strength(cast(SharedFit, fit), [s.name for s in shared])
+    found = learned_strength(cast(SharedFit, fit), names)
     step = laws.STRENGTHS[1] / laws.STRENGTHS[0]
     assert expected / step < found < expected * step
 
