@@ -1,7 +1,7 @@
 ### Die Worte von Kerntemp auf Deutsch.
 ### Grammar: projectfluent.org. A message's name says where it belongs and what it means; its variables are the
 ### arguments of `say` in the code. Numbers: NUMBER($x, maximumFractionDigits: 1) rounds.
-### Sections follow the rooms; keep each in alphabetical order.
+### Sections follow the rooms, those of the page its views; keep each in alphabetical order.
 
 ## general
 
@@ -332,9 +332,9 @@ of-press = Presse { $press }: { $what }
 press-recorded-already = Presse { $press }: ein anderer Rekorder schreibt sie in { $store }; diesen zuerst beenden
 press-stalled = { $press }: seit { NUMBER($seconds, maximumFractionDigits: 0) } s keine neue Messzeile
 problem-of-press = { $press }: { $what }
-recording-now = zeichnet { $presses } auf
 recording-begins = zeichnet { $presses } auf; wenn der Datenspeicher fehlt, warten Messzeilen: { $where }
 recording-ends = Aufzeichnung beendet
+recording-now = zeichnet { $presses } auf
 run-interrupted = Pressung { $run } wurde unterbrochen; ihre Daten sind erhalten
 scans-begin = Presse { $press }: Messzeilen beginnen
 scans-left-out = Presse { $press }: { $count ->
@@ -444,9 +444,9 @@ writer-stalled = Der Schreiber zum Datenspeicher steht seit { NUMBER($seconds, m
 body-air = Luft
 body-panel = Platte
 body-plate = Pressblech
-body-platen = Heizplatte
 body-plate-lower = unteres Pressblech
 body-plate-upper = oberes Pressblech
+body-platen = Heizplatte
 body-platen-lower = untere Heizplatte
 body-platen-upper = obere Heizplatte
 coupling-always = { $one } – { $other }
@@ -455,10 +455,6 @@ coupling-closed = { $one } – { $other }, geschlossen
 coupling-open = { $one } – { $other }, offen
 coupling-surroundings-bottom = Unterseite – Umgebung
 coupling-surroundings-top = Oberseite – Umgebung
-place-bottom = { $body }, Unterseite
-place-depth = { $body }, { NUMBER($depth_mm, maximumFractionDigits: 4) } mm über der Unterseite
-place-middle = { $body }, Mitte
-place-top = { $body }, Oberseite
 effect-clock_offset-called = Uhren, die voneinander abweichen
 effect-clock_offset-confirmed-by = Einen Heizplatten- und einen Plattenfühler gleichzeitig mit einem Lötkolben berühren und vergleichen.
 effect-clock_offset-core = Für sich keine, aber sie verfälscht die Kontaktkoeffizienten.
@@ -564,9 +560,6 @@ effect-vapour_convection-meaning = In der geschlossenen Presse trägt Dampf Wär
 effect-vapour_convection-symptom = Die Seiten brauchen in der geschlossenen Presse mehr Wärme als simuliert; der Kern eilt um Kelvin voraus.
 effect-without-words = Effekt { $name }: englische Worte fehlen für { $lacking }; in seinen `words` angeben
 parameter-amount = { $value } { $unit }
-parameter-interval = { NUMBER($low, maximumSignificantDigits: 3) } bis { NUMBER($high, maximumSignificantDigits: 3) }
-parameter-told = { $words } ({ $name }): { $amount }
-parameter-told-within = { $told } (95 %: { $between })
 parameter-clock_offset-seconds = Plattenkanäle später als Heizplattenkanäle um
 parameter-conductivity_offset-ratio = Wärmeleitfähigkeit der Platte
 parameter-conductivity_temperature-per_100_K = Anstieg der Wärmeleitfähigkeit je 100 K
@@ -579,6 +572,7 @@ parameter-edge_loss-W_m3K = am Rand verlorene Wärme je Volumen und Kelvin über
 parameter-heat_capacity_offset-ratio = Wärmekapazität der Platte
 parameter-heat_capacity_temperature-per_100_K = Anstieg der Wärmekapazität je 100 K
 parameter-initial_press_state-offset_K = Bleche zu Beginn über ihrer Ruhetemperatur um
+parameter-interval = { NUMBER($low, maximumSignificantDigits: 3) } bis { NUMBER($high, maximumSignificantDigits: 3) }
 parameter-moisture_evaporation-moisture_percent = Wasser, das verdampft
 parameter-moisture_evaporation-temperature_C = Temperatur, ab der es verdampft
 parameter-open_radiation-emissivity = wirksamer Emissionsgrad von Presse und Platte
@@ -589,7 +583,13 @@ parameter-platen_offset-top_K = obere Heizplatte heißer als gemessen um
 parameter-resin_cure-heat_kJ_m2 = Reaktionswärme des Harzes
 parameter-thermocouple_footprint-weight = Anteil der Presse an der Messung
 parameter-thermocouple_lag-time_constant_s = Zeitkonstante der Plattenfühler
+parameter-told = { $words } ({ $name }): { $amount }
+parameter-told-within = { $told } (95 %: { $between })
 parameter-vapour_convection-W_m3K = vom Dampf getragene Wärme je Volumen und Kelvin über 100 °C
+place-bottom = { $body }, Unterseite
+place-depth = { $body }, { NUMBER($depth_mm, maximumFractionDigits: 4) } mm über der Unterseite
+place-middle = { $body }, Mitte
+place-top = { $body }, Oberseite
 unit-kilojoule-per-face = kJ/m² je Seite
 unit-percent-of-dry-mass = % der Trockenmasse
 unit-percent-of-mean = % des Mittels
@@ -896,6 +896,46 @@ worth-moves = { $change ->
 worth-moves-nothing = ändert keinen Koeffizienten über den Zufall hinaus
 worth-saves = senkt das Residuum um { NUMBER($gain, minimumFractionDigits: 2, maximumFractionDigits: 2) } von { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } K auf ausgelassenen Pressungen
 
+## softsensor.diagnosis.free_law: what is missing as a free function
+
+law-axis-depth_share = Höhe in der Platte, als Anteil ihrer Dicke
+law-axis-temperature_C = Temperatur [°C]
+law-axis-time_since_closing_s = Zeit seit dem Schließen [s]
+law-heading = Was fehlt, ohne Namen
+law-kind-contact = Faktor auf die geschlossenen Kontakte der Platte
+law-kind-contact_lower = Faktor auf den geschlossenen Kontakt der unteren Fläche
+law-kind-contact_upper = Faktor auf den geschlossenen Kontakt der oberen Fläche
+law-kind-heat = Wärme, die beim Erwärmen der Platte endgültig verschwindet
+law-kind-heat_exchange = Wärme, die je Volumen an den Raum geht
+law-none = Kein freies Gesetz: Ausgelassene Pressungen gewinnen durch keines sicher.
+law-not-told-from = Diese Pressungen unterscheiden es nicht von: { $others }.
+law-resembles = In seinem Band liegt die Kurve einer bekannten Ursache: { $cause }.
+law-told = Es fehlt, ohne Namen: { $kind }, nach { $variable }, von { NUMBER($least, maximumSignificantDigits: 3) } (bei { NUMBER($at_least, maximumSignificantDigits: 3) }) bis { NUMBER($most, maximumSignificantDigits: 3) } (bei { NUMBER($at_most, maximumSignificantDigits: 3) }){ $unit }; das spart { NUMBER($gain, minimumFractionDigits: 2, maximumFractionDigits: 2) } von { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } K bei ausgelassenen Pressungen.
+law-variable-depth_share = Höhe in der Platte (0 unten, 1 oben)
+law-variable-temperature_C = Temperatur in °C
+law-variable-time_since_closing_s = Zeit seit dem Schließen in s
+
+## softsensor.diagnosis.rehearsal: error rates of a campaign
+
+rehearsal-alone = allein genannt
+rehearsal-begins = Probe mit { $runs } Pressungen: { $campaigns } simulierte Kampagnen zu diagnostizieren, { $done } schon fertig. Sie stammen aus dem eigenen Modell des Softsensors, mit Programmen, Rauschen und Streuung dieser Pressungen.
+rehearsal-found = gefunden
+rehearsal-heading = Wie oft eine solche Diagnose richtig ist
+rehearsal-none = Ohne verborgene Ursache wird in { $rate } der Kampagnen eine genannt.
+rehearsal-not-testable = --rehearse-effect { $name }: diese Pressungen können dazu nichts sagen; wählbar sind { $known }
+rehearsal-options-alone = --rehearse-campaigns, --rehearse-effect, --rehearse-file und --dask gehören zu --rehearse; es mit angeben
+rehearsal-own-model = Die Kampagnen sind mit dem eigenen Modell des Softsensors simuliert: Die Anteile gelten für eine Presse, die es bis auf die eine Ursache beschreibt. Was eine wirkliche Presse sonst noch tut, verschlechtert sie.
+rehearsal-rate = { $count } von { $of } ({ NUMBER($low, maximumFractionDigits: 0) } bis { NUMBER($high, maximumFractionDigits: 0) } %)
+rehearsal-size = --rehearse-effect { $name }={ $size }: die Größe muss eine Zahl von { $low } bis { $high } sein
+rehearsal-size-cell = { $value } { $unit }
+rehearsal-size-head = Größe
+rehearsal-takes = Das dauert etwa { NUMBER($minutes, maximumFractionDigits: 0) } min mit { $workers } { $workers ->
+    [one] Prozess
+   *[other] Prozessen
+}.
+rehearsal-title = Kampagnen aus { $runs } Pressungen wie diesen, je mit einer verborgenen Ursache: wie viele davon sie finden, mit 95-%-Intervallen.
+rehearsal-wrong = andere Ursache genannt
+
 ## softsensor.planning: the next pressings
 
 advise-assumed = Angenommen: die Heizplatten halten ihren Sollwert; was sie nach außen verlieren, ist nicht gezählt. Das letzte Wort hat der Softsensor im Betrieb.
@@ -1046,47 +1086,7 @@ sense-follows-run = folgt Pressung { $run }
 sense-takes-model = der Softsensor nimmt Modell { $version }
 sense-waiting = wartet auf Messungen
 
-## softsensor.diagnosis.free_law: what is missing as a free function
-
-law-axis-depth_share = Höhe in der Platte, als Anteil ihrer Dicke
-law-axis-temperature_C = Temperatur [°C]
-law-axis-time_since_closing_s = Zeit seit dem Schließen [s]
-law-heading = Was fehlt, ohne Namen
-law-kind-contact = Faktor auf die geschlossenen Kontakte der Platte
-law-kind-contact_lower = Faktor auf den geschlossenen Kontakt der unteren Fläche
-law-kind-contact_upper = Faktor auf den geschlossenen Kontakt der oberen Fläche
-law-kind-heat = Wärme, die beim Erwärmen der Platte endgültig verschwindet
-law-kind-heat_exchange = Wärme, die je Volumen an den Raum geht
-law-none = Kein freies Gesetz: Ausgelassene Pressungen gewinnen durch keines sicher.
-law-not-told-from = Diese Pressungen unterscheiden es nicht von: { $others }.
-law-resembles = In seinem Band liegt die Kurve einer bekannten Ursache: { $cause }.
-law-told = Es fehlt, ohne Namen: { $kind }, nach { $variable }, von { NUMBER($least, maximumSignificantDigits: 3) } (bei { NUMBER($at_least, maximumSignificantDigits: 3) }) bis { NUMBER($most, maximumSignificantDigits: 3) } (bei { NUMBER($at_most, maximumSignificantDigits: 3) }){ $unit }; das spart { NUMBER($gain, minimumFractionDigits: 2, maximumFractionDigits: 2) } von { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } K bei ausgelassenen Pressungen.
-law-variable-depth_share = Höhe in der Platte (0 unten, 1 oben)
-law-variable-temperature_C = Temperatur in °C
-law-variable-time_since_closing_s = Zeit seit dem Schließen in s
-
-## softsensor.diagnosis.rehearsal: error rates of a campaign
-
-rehearsal-alone = allein genannt
-rehearsal-begins = Probe mit { $runs } Pressungen: { $campaigns } simulierte Kampagnen zu diagnostizieren, { $done } schon fertig. Sie stammen aus dem eigenen Modell des Softsensors, mit Programmen, Rauschen und Streuung dieser Pressungen.
-rehearsal-found = gefunden
-rehearsal-heading = Wie oft eine solche Diagnose richtig ist
-rehearsal-none = Ohne verborgene Ursache wird in { $rate } der Kampagnen eine genannt.
-rehearsal-not-testable = --rehearse-effect { $name }: diese Pressungen können dazu nichts sagen; wählbar sind { $known }
-rehearsal-options-alone = --rehearse-campaigns, --rehearse-effect, --rehearse-file und --dask gehören zu --rehearse; es mit angeben
-rehearsal-own-model = Die Kampagnen sind mit dem eigenen Modell des Softsensors simuliert: Die Anteile gelten für eine Presse, die es bis auf die eine Ursache beschreibt. Was eine wirkliche Presse sonst noch tut, verschlechtert sie.
-rehearsal-rate = { $count } von { $of } ({ NUMBER($low, maximumFractionDigits: 0) } bis { NUMBER($high, maximumFractionDigits: 0) } %)
-rehearsal-size = --rehearse-effect { $name }={ $size }: die Größe muss eine Zahl von { $low } bis { $high } sein
-rehearsal-size-cell = { $value } { $unit }
-rehearsal-size-head = Größe
-rehearsal-takes = Das dauert etwa { NUMBER($minutes, maximumFractionDigits: 0) } min mit { $workers } { $workers ->
-    [one] Prozess
-   *[other] Prozessen
-}.
-rehearsal-title = Kampagnen aus { $runs } Pressungen wie diesen, je mit einer verborgenen Ursache: wie viele davon sie finden, mit 95-%-Intervallen.
-rehearsal-wrong = andere Ursache genannt
-
-## softsensor.report: figures and pages
+## softsensor.report: figures
 
 figure-adaptive = Löser mit angepassten Schritten
 figure-advice-any = irgendeine Grenze, Heizplatten { NUMBER($platen, maximumFractionDigits: 0) } °C
@@ -1133,10 +1133,9 @@ figure-with-guesses = Modell mit den Schätzwerten der Pressendatei
 figure-worst-run = { $run }, die am schlechtesten passende Pressung: das einfache Modell liegt { NUMBER($rms, minimumFractionDigits: 2, maximumFractionDigits: 2) } K daneben (RMS der Mittel je Stelle)
 figure-worst-run-extended = { $run }: { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } K daneben mit dem einfachen Modell, { NUMBER($after, minimumFractionDigits: 2, maximumFractionDigits: 2) } K mit { $causes }
 figure-worth-of-pressing = Was eine Pressung je offenem Punkt wert ist
-kelvin-off = { NUMBER($kelvin, minimumFractionDigits: 2, maximumFractionDigits: 2) } K
-kelvin-signed = { $sign }{ NUMBER($kelvin, minimumFractionDigits: 2, maximumFractionDigits: 2) } K
-known-all = alle Koeffizienten
-known-none = keiner der Koeffizienten
+
+## softsensor.report: nights
+
 night-back = Zurück zur vorigen Version:
 night-cannot-write = { $path }: der Bericht kann nicht geschrieben werden: { $why }; siehe [refit] reports
 night-diagnosis = Diagnose
@@ -1170,6 +1169,18 @@ night-versions = Versionen
 night-warnings = Warnungen im Journal
 night-why = warum
 night-with-guesses = mit den Schätzwerten der Pressendatei
+
+## softsensor.report: reports of fits and diagnoses
+
+kelvin-off = { NUMBER($kelvin, minimumFractionDigits: 2, maximumFractionDigits: 2) } K
+kelvin-signed = { $sign }{ NUMBER($kelvin, minimumFractionDigits: 2, maximumFractionDigits: 2) } K
+known-all = alle Koeffizienten
+known-none = keiner der Koeffizienten
+paper-adaptive = angepasste Schritte
+paper-exact = exakt
+paper-exact-sensitivities = exakt
+paper-finite-differences = Differenzen
+paper-slope-changes = Kosten entlang { $name } innerhalb ±{ NUMBER($span, maximumSignificantDigits: 1) } %: die Steigung wechselt mit angepassten Schritten { $adaptive }-mal das Vorzeichen, mit dem exakten Löser { $exact }-mal.
 report-95-bootstrap = 95 % (Bootstrap)
 report-95-of-mean = 95 % des Mittels (t)
 report-95-of-runs = 95 % seiner Pressungen
@@ -1254,11 +1265,6 @@ report-notes-on-runs = Hinweise zu einzelnen Pressungen
 report-number = { NUMBER($value, maximumSignificantDigits: 4) }
 report-number-2 = { NUMBER($value, maximumSignificantDigits: 2) }
 report-number-3 = { NUMBER($value, maximumSignificantDigits: 3) }
-paper-adaptive = angepasste Schritte
-paper-exact = exakt
-paper-exact-sensitivities = exakt
-paper-finite-differences = Differenzen
-paper-slope-changes = Kosten entlang { $name } innerhalb ±{ NUMBER($span, maximumSignificantDigits: 1) } %: die Steigung wechselt mit angepassten Schritten { $adaptive }-mal das Vorzeichen, mit dem exakten Löser { $exact }-mal.
 report-paper = Warum kleinste Quadrate mit Gradienten stecken blieben, und warum das nicht sein muss
 report-paper-converged = konvergiert
 report-paper-error = Fehler gegen die Wahrheit
@@ -1351,6 +1357,23 @@ advice-too-early = zu früh
 
 ## api: refusals of the server, access, health
 
+alarm-body =
+    { $what }
+    Ausgelöst { $raised }, Alarm { $number }.
+alarm-core-above = { $press }: der Kern ist über { NUMBER($limit, maximumFractionDigits: 1) } °C
+alarm-drift = { $press }: { $coefficient } liegt seit { $since } bei { NUMBER($percent, maximumFractionDigits: 0) } % des Gewohnten
+alarm-file = { $path }: nicht lesbar: { $why }
+alarm-language = email.language = { $language }: Worte gibt es für { $known }
+alarm-limits-crossed = platen_below_C muss unter platen_above_C liegen
+alarm-missing = es gibt keinen Alarm { $number }
+alarm-not-delivered = { $way }: Alarm { $number } wurde nicht angenommen, neuer Versuch folgt: { $why }
+alarm-platen-above = { $press }: { $channel } ist über { NUMBER($limit, maximumFractionDigits: 1) } °C
+alarm-platen-below = { $press }: { $channel } ist unter { NUMBER($limit, maximumFractionDigits: 1) } °C
+alarm-silence = { $press }: seit mehr als { NUMBER($limit, maximumFractionDigits: 0) } s kein Messwert
+alarm-subject = Kerntemp: { $what }
+alarm-thresholds-set = Alarmgrenzen von { $press } gesetzt: { $fields }
+alarm-verdict = { $press }: die Diagnose lässt etwas unerklärt
+alarm-webhook-address = { $path }: die erste Zeile ist keine http- oder https-Adresse
 api-address-taken = { $host }:{ $port } ist nicht frei: { $why }; mit --port einen anderen Port wählen
 api-body-late = die Anfrage kam nicht innerhalb von { $seconds } s an
 api-body-not-json = die Anfrage muss JSON sein, mit Content-Type: application/json
@@ -1395,23 +1418,6 @@ api-tokens-needed = server.host = { $host }: wer von anderswo liest, braucht ein
 api-tokens-unreadable = { $path }: die Zugangstoken sind nicht lesbar: { $why }; die Datei entfernen und neue anlegen
 api-too-many-listeners = zu viele Zuhörer; später wieder versuchen
 api-too-many-wrong-tokens = zu viele falsche Zugangstoken von dieser Adresse; weitere falsche werden eine Minute lang verzögert beantwortet
-alarm-body =
-    { $what }
-    Ausgelöst { $raised }, Alarm { $number }.
-alarm-core-above = { $press }: der Kern ist über { NUMBER($limit, maximumFractionDigits: 1) } °C
-alarm-drift = { $press }: { $coefficient } liegt seit { $since } bei { NUMBER($percent, maximumFractionDigits: 0) } % des Gewohnten
-alarm-file = { $path }: nicht lesbar: { $why }
-alarm-language = email.language = { $language }: Worte gibt es für { $known }
-alarm-limits-crossed = platen_below_C muss unter platen_above_C liegen
-alarm-missing = es gibt keinen Alarm { $number }
-alarm-not-delivered = { $way }: Alarm { $number } wurde nicht angenommen, neuer Versuch folgt: { $why }
-alarm-platen-above = { $press }: { $channel } ist über { NUMBER($limit, maximumFractionDigits: 1) } °C
-alarm-platen-below = { $press }: { $channel } ist unter { NUMBER($limit, maximumFractionDigits: 1) } °C
-alarm-silence = { $press }: seit mehr als { NUMBER($limit, maximumFractionDigits: 0) } s kein Messwert
-alarm-subject = Kerntemp: { $what }
-alarm-thresholds-set = Alarmgrenzen von { $press } gesetzt: { $fields }
-alarm-verdict = { $press }: die Diagnose lässt etwas unerklärt
-alarm-webhook-address = { $path }: die erste Zeile ist keine http- oder https-Adresse
 health-disk-nearly-full = weniger als { $gigabytes } GB frei auf dem Datenträger des Datenspeichers
 health-never-seen = noch nie gesehen
 health-nightly-job-overdue = refit: der nächtliche Lauf ist seit { NUMBER($hours, maximumFractionDigits: 0) } h nicht zu Ende gekommen; siehe sein Protokoll
@@ -1457,12 +1463,12 @@ terminal-export-needs-out = export braucht --out: eine Datei für eine Pressung,
 terminal-file-among-figures = { $path }: liegt unter den Bildern von --svg { $folder }; einen anderen Ort oder eine andere Endung angeben
 terminal-fit-from = anfangs
 terminal-fit-joint-median = gemeinsamer Median
-terminal-fit-mean = Mittel
-terminal-fit-run = Pressung
-terminal-fit-sd = Streuung
 terminal-fit-legend = W/m²K; ? steht hinter einem Wert, den die Pressung, beim Mittelwert jede Pressung, offen lässt. Nicht angepasst: was die Pressendatei festlegt.
 terminal-fit-legend-campaign = Mittel und Streuung: über die Pressungen, die den Koeffizienten bestimmen. Gemeinsamer Median: alle Pressungen zusammen, mit 95-%-Intervall.
+terminal-fit-mean = Mittel
 terminal-fit-needs-runs = fit braucht Laufdateien und --press DATEI (oder nur --reproduce-paper)
+terminal-fit-run = Pressung
+terminal-fit-sd = Streuung
 terminal-fit-shared = Ein Wert in allen Pressungen, mit einem Intervall: { $names }.
 terminal-folder-for-several = { $path }: mehrere Pressungen brauchen einen Ordner; einen nennen, der in einem vorhandenen Ordner liegt
 terminal-folder-is-a-file = --svg { $folder }: ist eine Datei; einen Ordner angeben
@@ -1683,21 +1689,21 @@ plant-address-taken = { $host }:{ $port } ist nicht frei: { $why }; opcua.port s
 plant-broker-not-connected = der MQTT-Broker { $where } hat die Verbindung nicht angenommen: { $why }; es wird weiter versucht
 plant-broker-not-subscribed = der MQTT-Broker { $where } hat nicht zurückgeschickt, was er aufhebt: { $why }; es wird weiter versucht
 plant-broker-not-taking = der MQTT-Broker { $where } hat eine Nachricht nicht angenommen: { $why }; es wird weiter versucht
+plant-broker-refused = abgelehnt: { $reason }
 plant-broker-silent = keine Antwort
 plant-broker-unreachable = MQTT-Broker { $where }: { $why }; prüfen, ob er läuft und erreichbar ist
-plant-server-fault = OPC-UA-Server: { $why }{ $left_out ->
-    [0] {""}
-   *[other] ; { NUMBER($left_out) } weitere dieser Art seit der letzten Zeile
-}
+plant-certificate-missing = { $path }: diese Datei gibt es nicht; Zertifikat und Schlüssel als DER- oder PEM-Dateien angeben
+plant-certificate-needed = opcua.host = { $host }: für Zugriffe von anderswo ist ein Zertifikat nötig; eins mit seinem Schlüssel angeben
+plant-certificate-needs-key = opcua.certificate und opcua.key gehören zusammen; beide angeben oder keins
 plant-client-fault = OPC-UA-Client { $address }: { $why }{ $left_out ->
     [0] {""}
    *[other] ; { NUMBER($left_out) } weitere dieser Art seit der letzten Zeile
 }
-plant-certificate-missing = { $path }: diese Datei gibt es nicht; Zertifikat und Schlüssel als DER- oder PEM-Dateien angeben
-plant-certificate-needed = opcua.host = { $host }: für Zugriffe von anderswo ist ein Zertifikat nötig; eins mit seinem Schlüssel angeben
-plant-certificate-needs-key = opcua.certificate und opcua.key gehören zusammen; beide angeben oder keins
-plant-broker-refused = abgelehnt: { $reason }
 plant-feeds-broker = beliefert den MQTT-Broker { $where }
+plant-messages-sent = { $messages ->
+    [one] { $messages } Nachricht gesendet
+   *[other] { $messages } Nachrichten gesendet
+}
 plant-no-sign-of-life = ein Lebenszeichen lässt sich gerade nicht schreiben: { $why }
 plant-node-core = Vorhergesagte Kerntemperatur
 plant-node-core-high = Oberes Ende des 95-%-Bands der Kerntemperatur
@@ -1712,12 +1718,12 @@ plant-node-run = Die Pressung, die aufgezeichnet wird; leer zwischen zweien
 plant-node-state = idle (keine Platte), open (offen), closed (geschlossen) oder unknown (unbekannt)
 plant-node-thermocouple = Thermoelement { $channel }
 plant-node-wire = Schaltdraht { $channel }, 1 heißt geschlossen
-plant-messages-sent = { $messages ->
-    [one] { $messages } Nachricht gesendet
-   *[other] { $messages } Nachrichten gesendet
-}
 plant-nothing-configured = { $path }: weder [mqtt] noch [opcua]; ergänzen, was das Werk liest
 plant-password-unreadable = { $path }: das Passwort des Brokers ist nicht lesbar: { $why }
+plant-server-fault = OPC-UA-Server: { $why }{ $left_out ->
+    [0] {""}
+   *[other] ; { NUMBER($left_out) } weitere dieser Art seit der letzten Zeile
+}
 plant-tokens-needed = opcua.host = { $host }: wer von anderswo liest, braucht ein Zugangstoken als Passwort, und es gibt keines; eines anlegen mit kerntemp token create NAME --scope read
 
 ## api.demo: the demonstration
@@ -1775,12 +1781,59 @@ demo-summary = Zusammenfassung von { $runs ->
 demo-too-slow = Dieser Rechner hielt mit { NUMBER($speed) }-facher Geschwindigkeit nicht Schritt: { $troubles }; ein kleineres --speed angeben
 demo-warming-up-failed = das Übersetzen des Modells ist gescheitert: { $why }
 
-## page: the page
+## page: the press now
 
-page-access = Zugang
-page-access-hint = Lesen auf diesem Rechner braucht kein Zugangstoken, von anderswo und für jede Änderung schon: 'kerntemp token create'.
-page-against = Über
-page-ago = vor { $time }
+page-band-from = Das Band kommt von
+page-band-from-constants = den Stoffwerten der Platte
+page-band-from-contacts = den Kontakten
+page-band-from-discrepancy = dem, was dem Modell fehlt
+page-band-from-effects = den Effekten im Modell
+page-band-from-start = der Anfangs- und der Heizplattentemperatur
+page-band-from-suspected = vermuteten Ursachen
+page-band-from-timing = den Zeitpunkten der Presse
+page-chart-now-label = Temperaturen der Pressung über der Zeit, mit vorhergesagtem Kern und 95-%-Band
+page-core-foreseen = Kern, wenn die Presse geschlossen bleibt
+page-energy = Aufgenommene Wärme
+page-faces-and-platens = Plattenflächen und Heizplatten
+page-last-pressing = Letzte Pressung
+page-left-out-channel = { $kelvin } K { $side ->
+    [below] unter
+   *[above] über
+ } den Nachbarn, nicht verwendet
+page-limit-in = Grenze in
+page-no-estimate = Noch keine Vorhersage
+page-no-panel = Keine Platte in der Presse
+page-no-press = Noch keine Presse
+page-no-press-hint = 'kerntemp record' mit einer Konfiguration starten oder 'kerntemp demo' ansehen.
+page-open-then = öffnen
+page-press = Presse
+page-running-pressing = Laufende Pressung
+page-stale-since = Keine neue Messung seit { $time }
+page-time-since-closing = Seit dem Schließen
+page-waiting-for-pressing = Warten auf die erste Pressung
+page-wall = Wandansicht
+
+## page: the wall
+
+page-full-screen = Vollbild
+page-health-degraded = eingeschränkt
+page-health-ok = alles gut
+
+## page: the next panel
+
+page-moisture = Feuchte
+page-next-faces = Die Flächen messen jetzt: oben { $top }, unten { $bottom }
+page-next-hint = Gilt für jede Pressung bis zur Änderung, die Starttemperatur nur für eine.
+page-next-kept = Gespeichert: die nächste Pressung beginnt damit.
+page-next-panel = Nächste Platte
+page-panel-verdict = Was wurde aus Platte { $run }?
+page-recipe = Rezept
+page-recipe-name = Als Rezept merken
+page-recipe-none = ohne Rezept
+page-start-temperature = Starttemperatur
+
+## page: alarms
+
 page-alarm-core = Kern über
 page-alarm-drift = Drift ab
 page-alarm-here = In diesem Browser
@@ -1801,155 +1854,164 @@ page-alarm-take = Quittieren
 page-alarm-take-this = Quittieren: { $what }
 page-alarm-taken = Quittiert
 page-alarm-verdict = Wenn die Diagnose etwas unerklärt lässt
+page-no-alarms = Noch kein Alarm.
+
+## page: runs
+
 page-all = alle
 page-all-channels = alle übrigen Kanäle
-page-all-sensors = alle Fühler: einfach → erweitert
 page-and-more = und { $count } weitere
-page-api-docs = API
-page-back = Zurück
 page-band-at-opening = Band beim Öffnen
-page-band95 = 95-%-Band
+page-cancel = Abbrechen
+page-change = Ändern
+page-changes = Änderungen
+page-compare = Vergleichen
+page-converged = konvergiert
+page-core-at-opening = Kern beim Öffnen
+page-core-peak = Kern, höchster Wert
+page-differences = Einstellungen und Ergebnisse
+page-dots-measured = Punkte: gemessen, Mittel der Fühler
+page-empty-removes = Ein leerer Wert entfernt die Zeile. Wer was ändert, wird festgehalten.
+page-fit = Anpassung
+page-from = Von
+page-isotherm = weiß: 100 °C
+page-left-out = Fehlende oder simulierte Messwerte
+page-measured = gemessen
+page-measured-and-core = Gemessen, und der Kern wie live vorhergesagt
+page-measured-simulated = Gemessen gegen simuliert
+page-metadata = Metadaten
+page-new-key = Neuer Name
+page-no-fit = Noch nicht angepasst.
+page-no-runs = Keine Pressungen gefunden.
+page-no-simulation = Keine Simulation zu dieser Pressung.
+page-not-converged = nicht konvergiert
+page-not-described = vom Modell nicht beschrieben
+page-panel-became = Platte wurde
+page-pressed = Gepresst
+page-profile = Temperatur durch die Platte
+page-profile-axes = Zeit nach rechts, Unterseite unten, Oberseite oben
+page-profile-label = Bild der Temperatur über Dicke und Zeit
+page-quantity = Größe
+page-reference = Minus
+page-remark = Bemerkung
+page-residual = Residuum: gemessen minus simuliert
+page-rmse = RMSE der Anpassung
+page-scans = Messzeilen
+page-scatter = Eine Zahl über der anderen
+page-scatter-right = nach rechts
+page-scatter-up = nach oben
+page-search = Suche
+page-search-bounds = Mit
+page-simulated = simuliert
+page-simulating = Diese Pressung wird simuliert …
+page-state-closed = geschlossen
+page-state-open = offen
+page-to = Bis
+
+## page: loggers
+
+page-channel = Kanal
+page-clock = Uhr
+page-clock-here = Gegen diesen Bildschirm
+page-clock-never = nicht seit Beginn
+page-clock-set = Zuletzt gestellt
+page-crc-errors = CRC-Fehler
+page-events = Ereignisse
+page-free = Frei auf dem Datenträger
+page-gaps = Lücken, letzte Stunde
+page-health-down = ausgefallen
+page-hours-left = Reicht für
+page-kind = Art
+page-last-good = Zuletzt gut
+page-last-sign = Letztes Lebenszeichen
+page-level-alarm = Alarm
+page-level-warning = Warnung
+page-logger = Messgerät
+page-newest-scan = Neueste Messzeile
+page-no-channels = Noch kein Kanal.
+page-other-faults = Andere Fehler
+page-process = Prozess
+page-process-done = fertig
+page-process-running = läuft
+page-process-starting = startet
+page-process-stopped = beendet
+page-processes = Prozesse
+page-readings = Messungen
+page-reconnects = Neuverbindungen
+page-silent = stumm
+page-size = Größe
+page-store = Datenspeicher
+page-timeouts = Zeitüberschreitungen
+
+## page: coefficients
+
+page-against = Über
 page-c-h_ap = Presse – Luft
 page-c-h_p_c = Heizplatte – Blech, geschlossen
 page-c-h_p_o = Heizplatte – Blech, offen
 page-c-h_pp_c = Blech – Platte, geschlossen
 page-c-h_pp_o = Blech – Platte, offen
 page-c-h_wa = Platte – Luft
-page-cancel = Abbrechen
-page-cause = Ursache
-page-change = Ändern
-page-changes = Änderungen
-page-channel = Kanal
-page-channels = Kanäle
-page-chart-keys = Pfeiltasten lesen Werte, mit Umschalt verschieben sie den Ausschnitt; + und − vergrößern, 0 folgt
-page-chart-now-label = Temperaturen der Pressung über der Zeit, mit vorhergesagtem Kern und 95-%-Band
-page-choose-press = Presse
 page-ci-high = oben
 page-ci-low = unten
-page-clock = Uhr
-page-clock-here = Gegen diesen Bildschirm
-page-clock-never = nicht seit Beginn
-page-clock-set = Zuletzt gestellt
 page-coefficients-hint = Wärmeübergangskoeffizienten, nach jeder Pressung neu angepasst, mit 95-%-Intervallen. Graue Punkte: aus dieser Pressung nicht bestimmbar.
-page-compare = Vergleichen
-page-converged = konvergiert
-page-core = Kern: einfach → erweitert
-page-core-foreseen = Kern, wenn die Presse geschlossen bleibt
-page-core-at-opening = Kern beim Öffnen
-page-core-peak = Kern, höchster Wert
-page-core-predicted = Kern, vorhergesagt
-page-core-simulated = Kern, simuliert
-page-core-temperature = Kerntemperatur
-page-could-not-load = Diese Ansicht konnte nicht geladen werden.
-page-crc-errors = CRC-Fehler
-page-differences = Einstellungen und Ergebnisse
-page-dots-measured = Punkte: gemessen, Mittel der Fühler
 page-drift = Drift
 page-drift-creep = kriecht um { $change } seit { $run }
 page-drift-hint = Regelkarten (CUSUM und EWMA) überwachen jeden Koeffizienten von Pressung zu Pressung.
 page-drift-jump = Sprung um { $change } bei { $run }
+page-few-for-drift = zu wenige Pressungen
+page-history = Verlauf
+page-identifiable = bestimmbar
+page-last-fit = Letzte Anpassung
+page-no-fits = Noch keine angepasste Pressung.
+page-not-identifiable = nicht bestimmbar
+page-order-of-runs = Reihenfolge der Pressungen
+page-steady = stetig
+
+## page: diagnosis
+
+page-all-sensors = alle Fühler: einfach → erweitert
+page-cause = Ursache
+page-core = Kern: einfach → erweitert
 page-earlier = Frühere Diagnosen
-page-faces-and-platens = Plattenflächen und Heizplatten
-page-follow = Folgen
-page-full-screen = Vollbild
-page-guide = Handbuch und Referenz
-page-left-out-channel = { $kelvin } K { $side ->
-    [below] unter
-   *[above] über
- } den Nachbarn, nicht verwendet
-page-moisture = Feuchte
-page-nav-wall = Wandansicht
-page-next-by = von { $who }, { $time }
-page-next-faces = Die Flächen messen jetzt: oben { $top }, unten { $bottom }
-page-next-hint = Gilt für jede Pressung bis zur Änderung, die Starttemperatur nur für eine.
-page-next-kept = Gespeichert: die nächste Pressung beginnt damit.
-page-next-panel = Nächste Platte
-page-no-reading-for = seit { $time } keine Messung
-page-not-described = vom Modell nicht beschrieben
-page-open-then = öffnen
-page-panel-became = Platte wurde
-page-predicted = vorhergesagte Pressungen: einfach → erweitert
-page-quantity = Größe
-page-reference = Minus
-page-scatter = Eine Zahl über der anderen
-page-scatter-right = nach rechts
-page-scatter-up = nach oben
-page-search = Suche
-page-search-bounds = Mit
-page-sentence-not_described = Das Modell liegt zu weit von diesen Pressungen weg, um etwas zu sagen.
-page-suspected-causes = Verdacht, nicht bewiesen
-page-panel = Platte
-page-panel-blister = Blase
-page-panel-good = gut
-page-panel-scrap = Ausschuss
-page-panel-undercured = nicht ausgehärtet
-page-panel-verdict = Was wurde aus Platte { $run }?
-page-recipe = Rezept
-page-recipe-name = Als Rezept merken
-page-recipe-none = ohne Rezept
-page-start-temperature = Starttemperatur
-page-suspected-sudden-change = eine plötzliche Änderung an Presse oder Fühler
 page-effects = Effekte
-page-empty-removes = Ein leerer Wert entfernt die Zeile. Wer was ändert, wird festgehalten.
-page-energy = Aufgenommene Wärme
-page-events = Ereignisse
 page-evidence = Belege: Gewinn auf ungesehenen Pressungen je Ursache
 page-explains = erklärt
-page-few-for-drift = zu wenige Pressungen
-page-fit = Anpassung
-page-free = Frei auf dem Datenträger
-page-from = Von
 page-gain = weniger Fehler auf ungesehenen Pressungen
-page-gaps = Lücken, letzte Stunde
-page-health-degraded = eingeschränkt
-page-health-down = ausgefallen
-page-health-ok = alles gut
 page-heldout = ausgelassen, eigene Kontakte angepasst: einfach → erweitert
 page-heldout-gain = Gewinn auf ungesehenen Pressungen
-page-history = Verlauf
-page-hours-left = Reicht für
-page-identifiable = bestimmbar
-page-in-use = in Gebrauch
-page-interval = 95-%-Intervall
-page-isotherm = weiß: 100 °C
-page-kind = Art
-page-language = Sprache
-page-last-fit = Letzte Anpassung
-page-last-good = Zuletzt gut
-page-last-pressing = Letzte Pressung
-page-last-sign = Letztes Lebenszeichen
-page-left-out = Fehlende oder simulierte Messwerte
-page-level-alarm = Alarm
-page-level-warning = Warnung
-page-limit-in = Grenze in
-page-link-live = live
-page-link-lost = keine Verbindung
-page-link-waiting = verbindet …
-page-loading = wird geladen …
-page-logger = Messgerät
 page-luck = Wahrscheinlichkeit, dass es Zufall ist
-page-material = Material
-page-measured = gemessen
-page-measured-and-core = Gemessen, und der Kern wie live vorhergesagt
-page-measured-simulated = Gemessen gegen simuliert
 page-measured-there = Dort gemessen
-page-metadata = Metadaten
 page-model-rejected = abgelehnt
 page-models = Modellversionen
-page-more = Mehr
-page-name = Name
-page-nav-access = Zugang
-page-nav-alarms = Alarme
-page-nav-coefficients = Koeffizienten
-page-nav-diagnosis = Was die Simulation falsch macht
-page-nav-loggers = Messgeräte
-page-nav-nights = Nächte
-page-nav-now = Presse jetzt
-page-nav-runs = Pressungen
-page-need-token = Zugangstoken eingeben
-page-new-key = Neuer Name
-page-newest-scan = Neueste Messzeile
 page-next-measurement = Nächste Messung
+page-no-diagnosis = Noch keine Diagnose.
+page-no-diagnosis-hint = Der nächtliche Lauf 'kerntemp refit' schreibt eine, sobald genug Pressungen vorliegen.
+page-no-gain = Keine Ursache senkt den Fehler auf ungesehenen Pressungen.
+page-no-models = Noch keine Modellversion.
+page-noise-floor = Rauschgrenze
+page-nowhere = Nirgends über dem Rauschen.
+page-off-by = Abweichung
+page-or = oder
+page-parameter = Parameter
+page-place = Stelle
+page-plain-model = einfaches Modell
+page-predicted = vorhergesagte Pressungen: einfach → erweitert
+page-promote = In Kraft setzen
+page-promote-question = Modellversion { $version } für die Live-Vorhersage in Kraft setzen?
+page-reason = Grund
+page-roll-back = Hierauf zurück
+page-sentence-no_effect = Das einfache Modell erklärt diese Pressungen bis auf das Rauschen.
+page-sentence-not_described = Das Modell liegt zu weit von diesen Pressungen weg, um etwas zu sagen.
+page-sentence-too_few_runs = Zu wenige Pressungen für eine Diagnose.
+page-sentence-unknown_effect = Etwas bleibt unerklärt, das der Katalog nicht kennt.
+page-since-it-began = Seit Beginn
+page-suspected-causes = Verdacht, nicht bewiesen
+page-version = Version
+page-where = Wo das einfache Modell falsch liegt
+
+## page: nights
+
 page-night = Nacht
 page-night-blind = { $runs } ohne Fühler an der Platte
 page-night-fitted = Ausgewertet
@@ -1969,47 +2031,62 @@ page-night-stored = { $press }, { $runs } gespeichert
 page-night-took = Dauer
 page-night-why = Warum ({ $runs })
 page-nights-hint = Was der nächtliche Lauf 'kerntemp refit' für jede Presse getan hat.
-page-no-alarms = Noch kein Alarm.
-page-no-answer = Der Server antwortet nicht.
-page-no-channels = Noch kein Kanal.
-page-no-diagnosis = Noch keine Diagnose.
-page-no-diagnosis-hint = Der nächtliche Lauf 'kerntemp refit' schreibt eine, sobald genug Pressungen vorliegen.
-page-no-estimate = Noch keine Vorhersage
-page-no-fit = Noch nicht angepasst.
-page-no-fits = Noch keine angepasste Pressung.
-page-no-gain = Keine Ursache senkt den Fehler auf ungesehenen Pressungen.
-page-no-models = Noch keine Modellversion.
 page-no-nights = Noch keine Nacht: der nächtliche Lauf 'kerntemp refit' ist noch nicht gelaufen.
-page-no-panel = Keine Platte in der Presse
-page-no-press = Noch keine Presse
-page-no-press-hint = 'kerntemp record' mit einer Konfiguration starten oder 'kerntemp demo' ansehen.
-page-no-runs = Keine Pressungen gefunden.
-page-no-simulation = Keine Simulation zu dieser Pressung.
-page-noise-floor = Rauschgrenze
-page-not-converged = nicht konvergiert
-page-not-identifiable = nicht bestimmbar
-page-nowhere = Nirgends über dem Rauschen.
-page-off-by = Abweichung
-page-or = oder
-page-order-of-runs = Reihenfolge der Pressungen
-page-other-faults = Andere Fehler
-page-parameter = Parameter
-page-place = Stelle
-page-plain-model = einfaches Modell
+
+## page: access
+
+page-access-hint = Lesen auf diesem Rechner braucht kein Zugangstoken, von anderswo und für jede Änderung schon: 'kerntemp token create'.
+page-token = Zugangstoken
+page-token-gone = Entfernt.
+page-token-kept = Bleibt bis zum Schließen des Tabs.
+page-use-token = Für diesen Tab verwenden
+
+## page: everywhere
+
+page-access = Zugang
+page-ago = vor { $time }
+page-api-docs = API
+page-back = Zurück
+page-band95 = 95-%-Band
+page-channels = Kanäle
+page-chart-keys = Pfeiltasten lesen Werte, mit Umschalt verschieben sie den Ausschnitt; + und − vergrößern, 0 folgt
+page-choose-press = Presse
+page-core-predicted = Kern, vorhergesagt
+page-core-simulated = Kern, simuliert
+page-core-temperature = Kerntemperatur
+page-could-not-load = Diese Ansicht konnte nicht geladen werden.
+page-date-unknown = unbekannt
+page-follow = Folgen
+page-guide = Handbuch und Referenz
+page-in-use = in Gebrauch
+page-interval = 95-%-Intervall
+page-language = Sprache
+page-link-live = live
+page-link-lost = keine Verbindung
+page-link-waiting = verbindet …
+page-loading = wird geladen …
+page-material = Material
+page-more = Mehr
+page-name = Name
+page-nav-access = Zugang
+page-nav-alarms = Alarme
+page-nav-coefficients = Koeffizienten
+page-nav-diagnosis = Was die Simulation falsch macht
+page-nav-loggers = Messgeräte
+page-nav-nights = Nächte
+page-nav-now = Presse jetzt
+page-nav-runs = Pressungen
+page-nav-wall = Wandansicht
+page-need-token = Zugangstoken eingeben
+page-next-by = von { $who }, { $time }
+page-no-answer = Der Server antwortet nicht.
+page-no-reading-for = seit { $time } keine Messung
+page-panel = Platte
+page-panel-blister = Blase
+page-panel-good = gut
+page-panel-scrap = Ausschuss
+page-panel-undercured = nicht ausgehärtet
 page-platens = Heizplatten
-page-press = Presse
-page-pressed = Gepresst
-page-process = Prozess
-page-process-done = fertig
-page-process-running = läuft
-page-process-starting = startet
-page-process-stopped = beendet
-page-processes = Prozesse
-page-profile = Temperatur durch die Platte
-page-profile-axes = Zeit nach rechts, Unterseite unten, Oberseite oben
-page-profile-label = Bild der Temperatur über Dicke und Zeit
-page-promote = In Kraft setzen
-page-promote-question = Modellversion { $version } für die Live-Vorhersage in Kraft setzen?
 page-quality = Güte
 page-quality-bad_frame = Telegramm fehlerhaft
 page-quality-good = gut
@@ -2020,63 +2097,26 @@ page-quality-over = über Bereich
 page-quality-simulated = simuliert
 page-quality-stale = veraltet
 page-quality-under = unter Bereich
-page-readings = Messungen
-page-reason = Grund
-page-reconnects = Neuverbindungen
-page-remark = Bemerkung
-page-residual = Residuum: gemessen minus simuliert
-page-rmse = RMSE der Anpassung
-page-roll-back = Hierauf zurück
 page-run = Pressung
 page-run-closed = vollständig
 page-run-interrupted = unterbrochen
 page-run-open = läuft
-page-running-pressing = Laufende Pressung
 page-save = Speichern
-page-scans = Messzeilen
 page-sensors-bottom = Platte unten
 page-sensors-top = Platte oben
-page-sentence-no_effect = Das einfache Modell erklärt diese Pressungen bis auf das Rauschen.
-page-sentence-too_few_runs = Zu wenige Pressungen für eine Diagnose.
-page-sentence-unknown_effect = Etwas bleibt unerklärt, das der Katalog nicht kennt.
-page-silent = stumm
-page-simulated = simuliert
-page-simulating = Diese Pressung wird simuliert …
-page-since-it-began = Seit Beginn
-page-size = Größe
 page-skip = Zum Inhalt
-page-stale-since = Keine neue Messung seit { $time }
 page-started = Zeit
-page-date-unknown = unbekannt
 page-state = Zustand
-page-state-closed = geschlossen
 page-state-idle = leer
-page-state-open = offen
 page-state-unknown = unbekannt
 page-status = Status
-page-steady = stetig
-page-store = Datenspeicher
-page-band-from = Das Band kommt von
-page-band-from-constants = den Stoffwerten der Platte
-page-band-from-contacts = den Kontakten
-page-band-from-discrepancy = dem, was dem Modell fehlt
-page-band-from-effects = den Effekten im Modell
-page-band-from-start = der Anfangs- und der Heizplattentemperatur
-page-band-from-suspected = vermuteten Ursachen
-page-band-from-timing = den Zeitpunkten der Presse
 page-suspected = Vermutete Ursache
+page-suspected-sudden-change = eine plötzliche Änderung an Presse oder Fühler
 page-target = Ziel
 page-theme = Hell oder dunkel
 page-thickness = Dicke
 page-time-axis = Zeit [s]
 page-time-from-closing = Zeit ab dem Schließen [s]
-page-time-since-closing = Seit dem Schließen
-page-timeouts = Zeitüberschreitungen
-page-to = Bis
-page-token = Zugangstoken
-page-token-gone = Entfernt.
-page-token-kept = Bleibt bis zum Schließen des Tabs.
-page-use-token = Für diesen Tab verwenden
 page-value = Wert
 page-verdict = Urteil
 page-verdict-ambiguous = mehrdeutig
@@ -2085,10 +2125,6 @@ page-verdict-no_effect = kein Effekt
 page-verdict-not_described = nicht beschrieben
 page-verdict-too_few_runs = zu wenige Pressungen
 page-verdict-unknown_effect = unbekannter Effekt
-page-version = Version
 page-views = Ansichten
-page-waiting-for-pressing = Warten auf die erste Pressung
-page-wall = Wandansicht
 page-what = Was
 page-when = Wann
-page-where = Wo das einfache Modell falsch liegt

@@ -1,7 +1,7 @@
 ### The words of Kerntemp in English.
 ### Grammar: projectfluent.org. A message's name says where it belongs and what it means; its variables are the
 ### arguments of `say` in the code. Numbers: NUMBER($x, maximumFractionDigits: 1) rounds.
-### Sections follow the rooms; keep each in alphabetical order.
+### Sections follow the rooms, those of the page its views; keep each in alphabetical order.
 
 ## general
 
@@ -332,9 +332,9 @@ of-press = press { $press }: { $what }
 press-recorded-already = press { $press }: another recorder writes it into { $store }; stop that one first
 press-stalled = { $press }: no fresh scan for { NUMBER($seconds, maximumFractionDigits: 0) } s
 problem-of-press = { $press }: { $what }
-recording-now = recording { $presses }
 recording-begins = recording { $presses }; while the store is away scans wait in { $where }
 recording-ends = recording ends
+recording-now = recording { $presses }
 run-interrupted = run { $run } was interrupted; its data are kept
 scans-begin = press { $press }: scans begin
 scans-left-out = press { $press }: { $count ->
@@ -444,9 +444,9 @@ writer-stalled = the writer to the store has not moved for { NUMBER($seconds, ma
 body-air = air
 body-panel = panel
 body-plate = plate
-body-platen = platen
 body-plate-lower = lower plate
 body-plate-upper = upper plate
+body-platen = platen
 body-platen-lower = lower platen
 body-platen-upper = upper platen
 coupling-always = { $one } – { $other }
@@ -455,10 +455,6 @@ coupling-closed = { $one } – { $other }, closed
 coupling-open = { $one } – { $other }, open
 coupling-surroundings-bottom = bottom face – surroundings
 coupling-surroundings-top = top face – surroundings
-place-bottom = { $body }, bottom face
-place-depth = { $body }, { NUMBER($depth_mm, maximumFractionDigits: 4) } mm from its bottom
-place-middle = { $body }, middle
-place-top = { $body }, top face
 effect-clock_offset-called = clocks that differ
 effect-clock_offset-confirmed-by = Touch a platen and a panel thermocouple at once with a soldering iron and compare.
 effect-clock_offset-core = None by itself, but it biases the contact coefficients.
@@ -564,9 +560,6 @@ effect-vapour_convection-meaning = While the press is closed, steam carries heat
 effect-vapour_convection-symptom = The surfaces need more heat than simulated while closed; the core runs ahead by kelvins.
 effect-without-words = effect { $name }: no English words for { $lacking }; give them in its `words`
 parameter-amount = { $value } { $unit }
-parameter-interval = { NUMBER($low, maximumSignificantDigits: 3) } to { NUMBER($high, maximumSignificantDigits: 3) }
-parameter-told = { $words } ({ $name }): { $amount }
-parameter-told-within = { $told } (95 %: { $between })
 parameter-clock_offset-seconds = panel channels later than platen channels by
 parameter-conductivity_offset-ratio = conductivity of the panel
 parameter-conductivity_temperature-per_100_K = rise of the conductivity per 100 K
@@ -579,6 +572,7 @@ parameter-edge_loss-W_m3K = heat lost at the rim, per volume and kelvin above am
 parameter-heat_capacity_offset-ratio = heat capacity of the panel
 parameter-heat_capacity_temperature-per_100_K = rise of the heat capacity per 100 K
 parameter-initial_press_state-offset_K = plates at the start, above their steady temperature by
+parameter-interval = { NUMBER($low, maximumSignificantDigits: 3) } to { NUMBER($high, maximumSignificantDigits: 3) }
 parameter-moisture_evaporation-moisture_percent = water that evaporates
 parameter-moisture_evaporation-temperature_C = temperature from which it evaporates
 parameter-open_radiation-emissivity = effective emissivity of press and panel
@@ -589,7 +583,13 @@ parameter-platen_offset-top_K = upper platen hotter than its reading by
 parameter-resin_cure-heat_kJ_m2 = reaction heat of the resin
 parameter-thermocouple_footprint-weight = share of the press face in the reading
 parameter-thermocouple_lag-time_constant_s = time constant of the panel sensors
+parameter-told = { $words } ({ $name }): { $amount }
+parameter-told-within = { $told } (95 %: { $between })
 parameter-vapour_convection-W_m3K = heat carried by steam, per volume and kelvin above 100 °C
+place-bottom = { $body }, bottom face
+place-depth = { $body }, { NUMBER($depth_mm, maximumFractionDigits: 4) } mm from its bottom
+place-middle = { $body }, middle
+place-top = { $body }, top face
 unit-kilojoule-per-face = kJ/m² per face
 unit-percent-of-dry-mass = % of dry mass
 unit-percent-of-mean = % of the mean
@@ -879,6 +879,46 @@ worth-moves = { $change } { $coefficient } ({ $bodies }) by { NUMBER($percent, m
 worth-moves-nothing = moves no coefficient beyond chance
 worth-saves = lowers the residual by { NUMBER($gain, minimumFractionDigits: 2, maximumFractionDigits: 2) } of { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } K on runs left out
 
+## softsensor.diagnosis.free_law: what is missing as a free function
+
+law-axis-depth_share = height in the panel, as a share of its thickness
+law-axis-temperature_C = temperature [°C]
+law-axis-time_since_closing_s = time since closing [s]
+law-heading = What is missing, without a name
+law-kind-contact = factor on the closed contacts of the panel
+law-kind-contact_lower = factor on the closed contact of the lower face
+law-kind-contact_upper = factor on the closed contact of the upper face
+law-kind-heat = heat that goes for good as the panel warms up
+law-kind-heat_exchange = heat lost to the room per volume
+law-none = No free law is told: runs left out do not gain surely by any.
+law-not-told-from = These runs do not tell it from: { $others }.
+law-resembles = Within its band it is the curve of a known cause: { $cause }.
+law-told = Missing, without a name: { $kind }, by { $variable }, from { NUMBER($least, maximumSignificantDigits: 3) } (at { NUMBER($at_least, maximumSignificantDigits: 3) }) to { NUMBER($most, maximumSignificantDigits: 3) } (at { NUMBER($at_most, maximumSignificantDigits: 3) }){ $unit }; it saves { NUMBER($gain, minimumFractionDigits: 2, maximumFractionDigits: 2) } of { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } K on runs left out.
+law-variable-depth_share = height in the panel (0 below, 1 above)
+law-variable-temperature_C = temperature in °C
+law-variable-time_since_closing_s = time since closing in s
+
+## softsensor.diagnosis.rehearsal: error rates of a campaign
+
+rehearsal-alone = named alone
+rehearsal-begins = Rehearsal of { $runs } runs: { $campaigns } simulated campaigns to diagnose, { $done } done before. They come from the sensor's own model with these runs' programs, noise and scatter.
+rehearsal-found = found
+rehearsal-heading = How often such a diagnosis is right
+rehearsal-none = With nothing hidden, a cause is named in { $rate } of the campaigns.
+rehearsal-not-testable = --rehearse-effect { $name }: these runs can say nothing about it; choose from { $known }
+rehearsal-options-alone = --rehearse-campaigns, --rehearse-effect, --rehearse-file and --dask go with --rehearse; give it too
+rehearsal-own-model = The campaigns are simulated by the sensor's own model: rates are those of a press that it describes but for the one cause. What a real press does besides makes them worse.
+rehearsal-rate = { $count } of { $of } ({ NUMBER($low, maximumFractionDigits: 0) } to { NUMBER($high, maximumFractionDigits: 0) } %)
+rehearsal-size = --rehearse-effect { $name }={ $size }: the size must be a number from { $low } to { $high }
+rehearsal-size-cell = { $value } { $unit }
+rehearsal-size-head = size
+rehearsal-takes = This takes about { NUMBER($minutes, maximumFractionDigits: 0) } min on { $workers } { $workers ->
+    [one] process
+   *[other] processes
+}.
+rehearsal-title = Campaigns of { $runs } runs such as these, each with one cause hidden: how many of them find it, with 95 % intervals.
+rehearsal-wrong = another cause named
+
 ## softsensor.planning: the next pressings
 
 advise-assumed = Assumed: platens stand at their set point; what they lose outwards is not counted. Let the live sensor have the last word.
@@ -1030,47 +1070,7 @@ sense-follows-run = following run { $run }
 sense-takes-model = the live sensor takes model { $version }
 sense-waiting = waiting for scans
 
-## softsensor.diagnosis.free_law: what is missing as a free function
-
-law-axis-depth_share = height in the panel, as a share of its thickness
-law-axis-temperature_C = temperature [°C]
-law-axis-time_since_closing_s = time since closing [s]
-law-heading = What is missing, without a name
-law-kind-contact = factor on the closed contacts of the panel
-law-kind-contact_lower = factor on the closed contact of the lower face
-law-kind-contact_upper = factor on the closed contact of the upper face
-law-kind-heat = heat that goes for good as the panel warms up
-law-kind-heat_exchange = heat lost to the room per volume
-law-none = No free law is told: runs left out do not gain surely by any.
-law-not-told-from = These runs do not tell it from: { $others }.
-law-resembles = Within its band it is the curve of a known cause: { $cause }.
-law-told = Missing, without a name: { $kind }, by { $variable }, from { NUMBER($least, maximumSignificantDigits: 3) } (at { NUMBER($at_least, maximumSignificantDigits: 3) }) to { NUMBER($most, maximumSignificantDigits: 3) } (at { NUMBER($at_most, maximumSignificantDigits: 3) }){ $unit }; it saves { NUMBER($gain, minimumFractionDigits: 2, maximumFractionDigits: 2) } of { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } K on runs left out.
-law-variable-depth_share = height in the panel (0 below, 1 above)
-law-variable-temperature_C = temperature in °C
-law-variable-time_since_closing_s = time since closing in s
-
-## softsensor.diagnosis.rehearsal: error rates of a campaign
-
-rehearsal-alone = named alone
-rehearsal-begins = Rehearsal of { $runs } runs: { $campaigns } simulated campaigns to diagnose, { $done } done before. They come from the sensor's own model with these runs' programs, noise and scatter.
-rehearsal-found = found
-rehearsal-heading = How often such a diagnosis is right
-rehearsal-none = With nothing hidden, a cause is named in { $rate } of the campaigns.
-rehearsal-not-testable = --rehearse-effect { $name }: these runs can say nothing about it; choose from { $known }
-rehearsal-options-alone = --rehearse-campaigns, --rehearse-effect, --rehearse-file and --dask go with --rehearse; give it too
-rehearsal-own-model = The campaigns are simulated by the sensor's own model: rates are those of a press that it describes but for the one cause. What a real press does besides makes them worse.
-rehearsal-rate = { $count } of { $of } ({ NUMBER($low, maximumFractionDigits: 0) } to { NUMBER($high, maximumFractionDigits: 0) } %)
-rehearsal-size = --rehearse-effect { $name }={ $size }: the size must be a number from { $low } to { $high }
-rehearsal-size-cell = { $value } { $unit }
-rehearsal-size-head = size
-rehearsal-takes = This takes about { NUMBER($minutes, maximumFractionDigits: 0) } min on { $workers } { $workers ->
-    [one] process
-   *[other] processes
-}.
-rehearsal-title = Campaigns of { $runs } runs such as these, each with one cause hidden: how many of them find it, with 95 % intervals.
-rehearsal-wrong = another cause named
-
-## softsensor.report: figures and pages
+## softsensor.report: figures
 
 figure-adaptive = adaptive solver
 figure-advice-any = any limit, platens at { NUMBER($platen, maximumFractionDigits: 0) } °C
@@ -1117,10 +1117,9 @@ figure-with-guesses = model with the press file's guesses
 figure-worst-run = { $run }, the worst fit of all runs: the plain model is { NUMBER($rms, minimumFractionDigits: 2, maximumFractionDigits: 2) } K off (rms of place means)
 figure-worst-run-extended = { $run }: { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } K off with the plain model, { NUMBER($after, minimumFractionDigits: 2, maximumFractionDigits: 2) } K with { $causes }
 figure-worth-of-pressing = What one pressing is worth, by open point
-kelvin-off = { NUMBER($kelvin, minimumFractionDigits: 2, maximumFractionDigits: 2) } K
-kelvin-signed = { $sign }{ NUMBER($kelvin, minimumFractionDigits: 2, maximumFractionDigits: 2) } K
-known-all = all coefficients
-known-none = none of the coefficients
+
+## softsensor.report: nights
+
 night-back = Back to the version before:
 night-cannot-write = { $path }: cannot write the report: { $why }; see [refit] reports
 night-diagnosis = Diagnosis
@@ -1154,6 +1153,18 @@ night-versions = Versions
 night-warnings = Warnings in the journal
 night-why = why
 night-with-guesses = with the press file's guesses
+
+## softsensor.report: reports of fits and diagnoses
+
+kelvin-off = { NUMBER($kelvin, minimumFractionDigits: 2, maximumFractionDigits: 2) } K
+kelvin-signed = { $sign }{ NUMBER($kelvin, minimumFractionDigits: 2, maximumFractionDigits: 2) } K
+known-all = all coefficients
+known-none = none of the coefficients
+paper-adaptive = adaptive
+paper-exact = exact
+paper-exact-sensitivities = exact
+paper-finite-differences = finite differences
+paper-slope-changes = Cost along { $name } within ±{ NUMBER($span, maximumSignificantDigits: 1) } %: the slope changes sign { $adaptive } times with the adaptive solver, { $exact } times with the exact one.
 report-95-bootstrap = 95 % (bootstrap)
 report-95-of-mean = 95 % of the mean (t)
 report-95-of-runs = 95 % of its runs
@@ -1238,11 +1249,6 @@ report-notes-on-runs = Notes on single runs
 report-number = { NUMBER($value, maximumSignificantDigits: 4) }
 report-number-2 = { NUMBER($value, maximumSignificantDigits: 2) }
 report-number-3 = { NUMBER($value, maximumSignificantDigits: 3) }
-paper-adaptive = adaptive
-paper-exact = exact
-paper-exact-sensitivities = exact
-paper-finite-differences = finite differences
-paper-slope-changes = Cost along { $name } within ±{ NUMBER($span, maximumSignificantDigits: 1) } %: the slope changes sign { $adaptive } times with the adaptive solver, { $exact } times with the exact one.
 report-paper = Why gradient least squares got stuck, and why it need not
 report-paper-converged = converged
 report-paper-error = error against the truth
@@ -1335,6 +1341,23 @@ advice-too-early = too early
 
 ## api: refusals of the server, access, health
 
+alarm-body =
+    { $what }
+    Raised { $raised }, alarm { $number }.
+alarm-core-above = { $press }: the core is above { NUMBER($limit, maximumFractionDigits: 1) } °C
+alarm-drift = { $press }: { $coefficient } is at { NUMBER($percent, maximumFractionDigits: 0) } % of what it was since { $since }
+alarm-file = { $path }: cannot be read: { $why }
+alarm-language = email.language = { $language }: there are words for { $known }
+alarm-limits-crossed = platen_below_C must lie below platen_above_C
+alarm-missing = there is no alarm { $number }
+alarm-not-delivered = { $way }: alarm { $number } was not taken, trying again: { $why }
+alarm-platen-above = { $press }: { $channel } is above { NUMBER($limit, maximumFractionDigits: 1) } °C
+alarm-platen-below = { $press }: { $channel } is below { NUMBER($limit, maximumFractionDigits: 1) } °C
+alarm-silence = { $press }: no scan for more than { NUMBER($limit, maximumFractionDigits: 0) } s
+alarm-subject = Kerntemp: { $what }
+alarm-thresholds-set = alarm limits of { $press } set: { $fields }
+alarm-verdict = { $press }: the diagnosis leaves something unexplained
+alarm-webhook-address = { $path }: the first line is no http or https address
 api-address-taken = cannot listen on { $host }:{ $port }: { $why }; choose another port with --port
 api-body-late = the body did not arrive within { $seconds } s
 api-body-not-json = the body must be JSON, declared by Content-Type: application/json
@@ -1379,23 +1402,6 @@ api-tokens-needed = server.host = { $host }: beyond loopback readers need tokens
 api-tokens-unreadable = { $path }: cannot read the tokens: { $why }; remove the file and make new ones
 api-too-many-listeners = too many live listeners; try again later
 api-too-many-wrong-tokens = too many wrong tokens from this address; further wrong ones are answered slowly for a minute
-alarm-body =
-    { $what }
-    Raised { $raised }, alarm { $number }.
-alarm-core-above = { $press }: the core is above { NUMBER($limit, maximumFractionDigits: 1) } °C
-alarm-drift = { $press }: { $coefficient } is at { NUMBER($percent, maximumFractionDigits: 0) } % of what it was since { $since }
-alarm-file = { $path }: cannot be read: { $why }
-alarm-language = email.language = { $language }: there are words for { $known }
-alarm-limits-crossed = platen_below_C must lie below platen_above_C
-alarm-missing = there is no alarm { $number }
-alarm-not-delivered = { $way }: alarm { $number } was not taken, trying again: { $why }
-alarm-platen-above = { $press }: { $channel } is above { NUMBER($limit, maximumFractionDigits: 1) } °C
-alarm-platen-below = { $press }: { $channel } is below { NUMBER($limit, maximumFractionDigits: 1) } °C
-alarm-silence = { $press }: no scan for more than { NUMBER($limit, maximumFractionDigits: 0) } s
-alarm-subject = Kerntemp: { $what }
-alarm-thresholds-set = alarm limits of { $press } set: { $fields }
-alarm-verdict = { $press }: the diagnosis leaves something unexplained
-alarm-webhook-address = { $path }: the first line is no http or https address
 health-disk-nearly-full = less than { $gigabytes } GB left on the store's disk
 health-never-seen = never seen
 health-nightly-job-overdue = refit: the nightly job has not finished for { NUMBER($hours, maximumFractionDigits: 0) } h; see its log
@@ -1441,12 +1447,12 @@ terminal-export-needs-out = export needs --out: a file for one run, a folder for
 terminal-file-among-figures = { $path }: lies among the figures of --svg { $folder }; give it another place or ending
 terminal-fit-from = from
 terminal-fit-joint-median = joint median
-terminal-fit-mean = mean
-terminal-fit-run = run
-terminal-fit-sd = sd
 terminal-fit-legend = W/m²K; ? marks a value that the run, or for a mean every run, leaves undetermined. Not fitted: what the press file fixes.
 terminal-fit-legend-campaign = Mean and sd: over the runs that determine the coefficient. Joint median: all runs together, with its 95 % interval.
+terminal-fit-mean = mean
 terminal-fit-needs-runs = fit needs run files and --press FILE (or --reproduce-paper alone)
+terminal-fit-run = run
+terminal-fit-sd = sd
 terminal-fit-shared = One value in all runs, with one interval: { $names }.
 terminal-folder-for-several = { $path }: several runs need a folder; give the name of one in a folder that exists
 terminal-folder-is-a-file = --svg { $folder }: is a file; give a folder
@@ -1664,21 +1670,21 @@ plant-address-taken = cannot listen on { $host }:{ $port }: { $why }; set opcua.
 plant-broker-not-connected = MQTT broker { $where } did not accept the connection: { $why }; trying again
 plant-broker-not-subscribed = MQTT broker { $where } did not send back what it keeps: { $why }; trying again
 plant-broker-not-taking = MQTT broker { $where } did not take a message: { $why }; trying again
+plant-broker-refused = refused: { $reason }
 plant-broker-silent = no answer
 plant-broker-unreachable = MQTT broker { $where }: { $why }; check that it runs and is reachable
-plant-server-fault = OPC UA server: { $why }{ $left_out ->
-    [0] {""}
-   *[other] ; { NUMBER($left_out) } more like it since the last line
-}
+plant-certificate-missing = { $path }: no such file; give certificate and key as DER or PEM files
+plant-certificate-needed = opcua.host = { $host }: beyond loopback a certificate is needed; give one and its key
+plant-certificate-needs-key = opcua.certificate and opcua.key belong together; give both or neither
 plant-client-fault = OPC UA client { $address }: { $why }{ $left_out ->
     [0] {""}
    *[other] ; { NUMBER($left_out) } more like it since the last line
 }
-plant-certificate-missing = { $path }: no such file; give certificate and key as DER or PEM files
-plant-certificate-needed = opcua.host = { $host }: beyond loopback a certificate is needed; give one and its key
-plant-certificate-needs-key = opcua.certificate and opcua.key belong together; give both or neither
-plant-broker-refused = refused: { $reason }
 plant-feeds-broker = feeding MQTT broker { $where }
+plant-messages-sent = { $messages ->
+    [one] { $messages } message sent
+   *[other] { $messages } messages sent
+}
 plant-no-sign-of-life = no sign of life can be written now: { $why }
 plant-node-core = Predicted core temperature
 plant-node-core-high = Upper end of the 95 % band of the core temperature
@@ -1693,12 +1699,12 @@ plant-node-run = The pressing being recorded, empty between two
 plant-node-state = idle (no panel), open, closed or unknown
 plant-node-thermocouple = Thermocouple { $channel }
 plant-node-wire = Wire { $channel }, 1 for closed
-plant-messages-sent = { $messages ->
-    [one] { $messages } message sent
-   *[other] { $messages } messages sent
-}
 plant-nothing-configured = { $path }: neither [mqtt] nor [opcua]; add the one your plant reads
 plant-password-unreadable = { $path }: cannot read the broker's password: { $why }
+plant-server-fault = OPC UA server: { $why }{ $left_out ->
+    [0] {""}
+   *[other] ; { NUMBER($left_out) } more like it since the last line
+}
 plant-tokens-needed = opcua.host = { $host }: beyond loopback clients need a token as password and there are none; make one with kerntemp token create NAME --scope read
 
 ## api.demo: the demonstration
@@ -1756,12 +1762,59 @@ demo-summary = Summary of { $runs ->
 demo-too-slow = This machine did not keep up with { NUMBER($speed) } times real speed: { $troubles }; give a lower --speed
 demo-warming-up-failed = warming up failed: { $why }
 
-## page: the page
+## page: the press now
 
-page-access = Access
-page-access-hint = Reading on this machine needs no token. From elsewhere, and for every change, a token does: 'kerntemp token create'.
-page-against = Against
-page-ago = { $time } ago
+page-band-from = The band comes from
+page-band-from-constants = the panel's constants
+page-band-from-contacts = contacts
+page-band-from-discrepancy = what the model lacks
+page-band-from-effects = effects in the model
+page-band-from-start = start and platen temperatures
+page-band-from-suspected = suspected causes
+page-band-from-timing = moments of the press
+page-chart-now-label = Temperatures of the pressing over time, with the predicted core and its 95 % band
+page-core-foreseen = Core, foreseen if it stays closed
+page-energy = Heat taken up
+page-faces-and-platens = Faces and platens
+page-last-pressing = Last pressing
+page-left-out-channel = { $kelvin } K { $side ->
+    [below] below
+   *[above] above
+ } its neighbours, not used
+page-limit-in = Limit in
+page-no-estimate = No prediction yet
+page-no-panel = No panel in the press
+page-no-press = No press yet
+page-no-press-hint = Start 'kerntemp record' with a configuration, or watch 'kerntemp demo'.
+page-open-then = open
+page-press = Press
+page-running-pressing = Running pressing
+page-stale-since = No new reading since { $time }
+page-time-since-closing = Since closing
+page-waiting-for-pressing = Waiting for the first pressing
+page-wall = Wall view
+
+## page: the wall
+
+page-full-screen = Full screen
+page-health-degraded = degraded
+page-health-ok = all well
+
+## page: the next panel
+
+page-moisture = Moisture
+page-next-faces = Faces read now: { $top } above, { $bottom } below
+page-next-hint = Holds for every pressing until changed; the start temperature for one.
+page-next-kept = Kept: the next pressing begins with it.
+page-next-panel = Next panel
+page-panel-verdict = What became of panel { $run }?
+page-recipe = Recipe
+page-recipe-name = Keep as recipe
+page-recipe-none = without recipe
+page-start-temperature = Start temperature
+
+## page: alarms
+
 page-alarm-core = Core above
 page-alarm-drift = Drift of at least
 page-alarm-here = In this browser
@@ -1782,155 +1835,164 @@ page-alarm-take = Acknowledge
 page-alarm-take-this = Acknowledge: { $what }
 page-alarm-taken = Acknowledged
 page-alarm-verdict = When the diagnosis leaves something unexplained
+page-no-alarms = No alarm yet.
+
+## page: runs
+
 page-all = all
 page-all-channels = all other channels
-page-all-sensors = all sensors: plain → extended
 page-and-more = and { $count } more
-page-api-docs = API
-page-back = Back
 page-band-at-opening = Band at opening
-page-band95 = 95 % band
+page-cancel = Cancel
+page-change = Change
+page-changes = Changes
+page-compare = Compare
+page-converged = converged
+page-core-at-opening = Core at opening
+page-core-peak = Core, highest
+page-differences = Settings and results
+page-dots-measured = dots: measured, mean of the sensors
+page-empty-removes = An empty value removes the line. Who changes what is kept.
+page-fit = Fit
+page-from = From
+page-isotherm = white: 100 °C
+page-left-out = Missing or simulated readings
+page-measured = measured
+page-measured-and-core = Measured, and the core as predicted live
+page-measured-simulated = Measured against simulated
+page-metadata = Metadata
+page-new-key = New name
+page-no-fit = Not fitted yet.
+page-no-runs = No pressings match.
+page-no-simulation = No simulation for this pressing.
+page-not-converged = not converged
+page-not-described = not described by the model
+page-panel-became = Panel became
+page-pressed = Pressed
+page-profile = Temperature through the panel
+page-profile-axes = Time to the right, bottom face below, top face above
+page-profile-label = Picture of the temperature through the thickness over time
+page-quantity = Quantity
+page-reference = Minus
+page-remark = Remark
+page-residual = Residual: measured minus simulated
+page-rmse = Fit RMSE
+page-scans = scans
+page-scatter = One number over another
+page-scatter-right = to the right
+page-scatter-up = up
+page-search = Search
+page-search-bounds = With
+page-simulated = simulated
+page-simulating = Simulating this pressing …
+page-state-closed = closed
+page-state-open = open
+page-to = To
+
+## page: loggers
+
+page-channel = Channel
+page-clock = Clock
+page-clock-here = Against this screen
+page-clock-never = not since recording
+page-clock-set = Last set
+page-crc-errors = CRC errors
+page-events = Events
+page-free = Free on disk
+page-gaps = Gaps, last hour
+page-health-down = down
+page-hours-left = Lasts for
+page-kind = Kind
+page-last-good = Last good
+page-last-sign = Last sign of life
+page-level-alarm = alarm
+page-level-warning = warning
+page-logger = Logger
+page-newest-scan = Newest scan
+page-no-channels = No channel yet.
+page-other-faults = Other faults
+page-process = Process
+page-process-done = done
+page-process-running = running
+page-process-starting = starting
+page-process-stopped = stopped
+page-processes = Processes
+page-readings = Readings
+page-reconnects = Reconnects
+page-silent = silent
+page-size = Size
+page-store = Store
+page-timeouts = Timeouts
+
+## page: coefficients
+
+page-against = Against
 page-c-h_ap = press – air
 page-c-h_p_c = platen – plate, closed
 page-c-h_p_o = platen – plate, open
 page-c-h_pp_c = plate – panel, closed
 page-c-h_pp_o = plate – panel, open
 page-c-h_wa = panel – air
-page-cancel = Cancel
-page-cause = Cause
-page-change = Change
-page-changes = Changes
-page-channel = Channel
-page-channels = Channels
-page-chart-keys = Arrow keys read values, with Shift they move the part shown; + and − zoom, 0 follows
-page-chart-now-label = Temperatures of the pressing over time, with the predicted core and its 95 % band
-page-choose-press = Press
 page-ci-high = high
 page-ci-low = low
-page-clock = Clock
-page-clock-here = Against this screen
-page-clock-never = not since recording
-page-clock-set = Last set
 page-coefficients-hint = Heat transfer coefficients refitted after each pressing, with 95 % intervals. Grey dots: not identifiable from that pressing.
-page-compare = Compare
-page-converged = converged
-page-core = core: plain → extended
-page-core-at-opening = Core at opening
-page-core-foreseen = Core, foreseen if it stays closed
-page-core-peak = Core, highest
-page-core-predicted = Core, predicted
-page-core-simulated = Core, simulated
-page-core-temperature = Core temperature
-page-could-not-load = This view could not be loaded.
-page-crc-errors = CRC errors
-page-differences = Settings and results
-page-dots-measured = dots: measured, mean of the sensors
 page-drift = Drift
 page-drift-creep = creeping by { $change } since { $run }
 page-drift-hint = Control charts (CUSUM and EWMA) watch each coefficient from run to run.
 page-drift-jump = jumped by { $change } at { $run }
+page-few-for-drift = too few pressings
+page-history = history
+page-identifiable = identifiable
+page-last-fit = Last fit
+page-no-fits = No fitted pressing yet.
+page-not-identifiable = not identifiable
+page-order-of-runs = order of pressings
+page-steady = steady
+
+## page: diagnosis
+
+page-all-sensors = all sensors: plain → extended
+page-cause = Cause
+page-core = core: plain → extended
 page-earlier = Earlier diagnoses
-page-faces-and-platens = Faces and platens
-page-follow = Follow
-page-full-screen = Full screen
-page-guide = Guide and reference
-page-left-out-channel = { $kelvin } K { $side ->
-    [below] below
-   *[above] above
- } its neighbours, not used
-page-moisture = Moisture
-page-nav-wall = Wall view
-page-next-by = by { $who }, { $time }
-page-next-faces = Faces read now: { $top } above, { $bottom } below
-page-next-hint = Holds for every pressing until changed; the start temperature for one.
-page-next-kept = Kept: the next pressing begins with it.
-page-next-panel = Next panel
-page-no-reading-for = no reading for { $time }
-page-not-described = not described by the model
-page-open-then = open
-page-panel-became = Panel became
-page-predicted = predicted pressings: plain → extended
-page-quantity = Quantity
-page-reference = Minus
-page-scatter = One number over another
-page-scatter-right = to the right
-page-scatter-up = up
-page-search = Search
-page-search-bounds = With
-page-sentence-not_described = The model is too far from these pressings to say anything.
-page-suspected-causes = Suspected, not proven
-page-panel = Panel
-page-panel-blister = blister
-page-panel-good = good
-page-panel-scrap = scrap
-page-panel-undercured = undercured
-page-panel-verdict = What became of panel { $run }?
-page-recipe = Recipe
-page-recipe-name = Keep as recipe
-page-recipe-none = without recipe
-page-start-temperature = Start temperature
-page-suspected-sudden-change = a sudden change at the press or a sensor
 page-effects = Effects
-page-empty-removes = An empty value removes the line. Who changes what is kept.
-page-energy = Heat taken up
-page-events = Events
 page-evidence = Evidence: gain on unseen pressings by cause
 page-explains = explains
-page-few-for-drift = too few pressings
-page-fit = Fit
-page-free = Free on disk
-page-from = From
 page-gain = less error on unseen pressings
-page-gaps = Gaps, last hour
-page-health-degraded = degraded
-page-health-down = down
-page-health-ok = all well
 page-heldout = left out, own contacts fitted: plain → extended
 page-heldout-gain = gain on unseen pressings
-page-history = history
-page-hours-left = Lasts for
-page-identifiable = identifiable
-page-in-use = in use
-page-interval = 95 % interval
-page-isotherm = white: 100 °C
-page-kind = Kind
-page-language = Language
-page-last-fit = Last fit
-page-last-good = Last good
-page-last-pressing = Last pressing
-page-last-sign = Last sign of life
-page-left-out = Missing or simulated readings
-page-level-alarm = alarm
-page-level-warning = warning
-page-limit-in = Limit in
-page-link-live = live
-page-link-lost = no connection
-page-link-waiting = connecting …
-page-loading = loading …
-page-logger = Logger
 page-luck = chance that it is luck
-page-material = Material
-page-measured = measured
-page-measured-and-core = Measured, and the core as predicted live
-page-measured-simulated = Measured against simulated
 page-measured-there = Measured there
-page-metadata = Metadata
 page-model-rejected = rejected
 page-models = Model versions
-page-more = More
-page-name = Name
-page-nav-access = Access
-page-nav-alarms = Alarms
-page-nav-coefficients = Coefficients
-page-nav-diagnosis = What the simulation gets wrong
-page-nav-loggers = Loggers
-page-nav-nights = Nights
-page-nav-now = Press now
-page-nav-runs = Runs
-page-need-token = Give an access token
-page-new-key = New name
-page-newest-scan = Newest scan
 page-next-measurement = Next measurement
+page-no-diagnosis = No diagnosis yet.
+page-no-diagnosis-hint = The nightly job 'kerntemp refit' writes one as soon as there are enough pressings.
+page-no-gain = No cause lowers the error on unseen pressings.
+page-no-models = No model version yet.
+page-noise-floor = noise floor
+page-nowhere = Nowhere beyond the noise.
+page-off-by = Off by
+page-or = or
+page-parameter = Parameter
+page-place = Place
+page-plain-model = plain model
+page-predicted = predicted pressings: plain → extended
+page-promote = Promote
+page-promote-question = Use model version { $version } for the live prediction?
+page-reason = Reason
+page-roll-back = Roll back to this
+page-sentence-no_effect = The plain model explains these pressings down to the noise.
+page-sentence-not_described = The model is too far from these pressings to say anything.
+page-sentence-too_few_runs = Too few pressings for a diagnosis.
+page-sentence-unknown_effect = Something the catalogue does not know remains unexplained.
+page-since-it-began = Since it began
+page-suspected-causes = Suspected, not proven
+page-version = Version
+page-where = Where the plain model is wrong
+
+## page: nights
+
 page-night = Night
 page-night-blind = { $runs } without panel sensors
 page-night-fitted = Fitted
@@ -1950,47 +2012,62 @@ page-night-stored = { $press }, { $runs } stored
 page-night-took = Took
 page-night-why = Why ({ $runs })
 page-nights-hint = What the nightly job 'kerntemp refit' did for each press.
-page-no-alarms = No alarm yet.
-page-no-answer = The server does not answer.
-page-no-channels = No channel yet.
-page-no-diagnosis = No diagnosis yet.
-page-no-diagnosis-hint = The nightly job 'kerntemp refit' writes one as soon as there are enough pressings.
-page-no-estimate = No prediction yet
-page-no-fit = Not fitted yet.
-page-no-fits = No fitted pressing yet.
-page-no-gain = No cause lowers the error on unseen pressings.
-page-no-models = No model version yet.
 page-no-nights = No night yet: the nightly job 'kerntemp refit' has not run.
-page-no-panel = No panel in the press
-page-no-press = No press yet
-page-no-press-hint = Start 'kerntemp record' with a configuration, or watch 'kerntemp demo'.
-page-no-runs = No pressings match.
-page-no-simulation = No simulation for this pressing.
-page-noise-floor = noise floor
-page-not-converged = not converged
-page-not-identifiable = not identifiable
-page-nowhere = Nowhere beyond the noise.
-page-off-by = Off by
-page-or = or
-page-order-of-runs = order of pressings
-page-other-faults = Other faults
-page-parameter = Parameter
-page-place = Place
-page-plain-model = plain model
+
+## page: access
+
+page-access-hint = Reading on this machine needs no token. From elsewhere, and for every change, a token does: 'kerntemp token create'.
+page-token = Access token
+page-token-gone = Removed.
+page-token-kept = Kept until this tab is closed.
+page-use-token = Use for this tab
+
+## page: everywhere
+
+page-access = Access
+page-ago = { $time } ago
+page-api-docs = API
+page-back = Back
+page-band95 = 95 % band
+page-channels = Channels
+page-chart-keys = Arrow keys read values, with Shift they move the part shown; + and − zoom, 0 follows
+page-choose-press = Press
+page-core-predicted = Core, predicted
+page-core-simulated = Core, simulated
+page-core-temperature = Core temperature
+page-could-not-load = This view could not be loaded.
+page-date-unknown = unknown
+page-follow = Follow
+page-guide = Guide and reference
+page-in-use = in use
+page-interval = 95 % interval
+page-language = Language
+page-link-live = live
+page-link-lost = no connection
+page-link-waiting = connecting …
+page-loading = loading …
+page-material = Material
+page-more = More
+page-name = Name
+page-nav-access = Access
+page-nav-alarms = Alarms
+page-nav-coefficients = Coefficients
+page-nav-diagnosis = What the simulation gets wrong
+page-nav-loggers = Loggers
+page-nav-nights = Nights
+page-nav-now = Press now
+page-nav-runs = Runs
+page-nav-wall = Wall view
+page-need-token = Give an access token
+page-next-by = by { $who }, { $time }
+page-no-answer = The server does not answer.
+page-no-reading-for = no reading for { $time }
+page-panel = Panel
+page-panel-blister = blister
+page-panel-good = good
+page-panel-scrap = scrap
+page-panel-undercured = undercured
 page-platens = Platens
-page-press = Press
-page-pressed = Pressed
-page-process = Process
-page-process-done = done
-page-process-running = running
-page-process-starting = starting
-page-process-stopped = stopped
-page-processes = Processes
-page-profile = Temperature through the panel
-page-profile-axes = Time to the right, bottom face below, top face above
-page-profile-label = Picture of the temperature through the thickness over time
-page-promote = Promote
-page-promote-question = Use model version { $version } for the live prediction?
 page-quality = Quality
 page-quality-bad_frame = bad frame
 page-quality-good = good
@@ -2001,63 +2078,26 @@ page-quality-over = over range
 page-quality-simulated = simulated
 page-quality-stale = stale
 page-quality-under = under range
-page-readings = Readings
-page-reason = Reason
-page-reconnects = Reconnects
-page-remark = Remark
-page-residual = Residual: measured minus simulated
-page-rmse = Fit RMSE
-page-roll-back = Roll back to this
 page-run = Pressing
 page-run-closed = complete
 page-run-interrupted = interrupted
 page-run-open = running
-page-running-pressing = Running pressing
 page-save = Save
-page-scans = scans
 page-sensors-bottom = Panel, bottom
 page-sensors-top = Panel, top
-page-sentence-no_effect = The plain model explains these pressings down to the noise.
-page-sentence-too_few_runs = Too few pressings for a diagnosis.
-page-sentence-unknown_effect = Something the catalogue does not know remains unexplained.
-page-silent = silent
-page-simulated = simulated
-page-simulating = Simulating this pressing …
-page-since-it-began = Since it began
-page-size = Size
 page-skip = Skip to content
-page-stale-since = No new reading since { $time }
 page-started = Time
-page-date-unknown = unknown
 page-state = State
-page-state-closed = closed
 page-state-idle = no panel
-page-state-open = open
 page-state-unknown = unknown
 page-status = Status
-page-steady = steady
-page-store = Store
-page-band-from = The band comes from
-page-band-from-constants = the panel's constants
-page-band-from-contacts = contacts
-page-band-from-discrepancy = what the model lacks
-page-band-from-effects = effects in the model
-page-band-from-start = start and platen temperatures
-page-band-from-suspected = suspected causes
-page-band-from-timing = moments of the press
 page-suspected = Suspected cause
+page-suspected-sudden-change = a sudden change at the press or a sensor
 page-target = Target
 page-theme = Light or dark
 page-thickness = Thickness
 page-time-axis = Time [s]
 page-time-from-closing = Time from closing [s]
-page-time-since-closing = Since closing
-page-timeouts = Timeouts
-page-to = To
-page-token = Access token
-page-token-gone = Removed.
-page-token-kept = Kept until this tab is closed.
-page-use-token = Use for this tab
 page-value = Value
 page-verdict = Verdict
 page-verdict-ambiguous = ambiguous
@@ -2066,10 +2106,6 @@ page-verdict-no_effect = no effect
 page-verdict-not_described = not described
 page-verdict-too_few_runs = too few runs
 page-verdict-unknown_effect = unknown effect
-page-version = Version
 page-views = Views
-page-waiting-for-pressing = Waiting for the first pressing
-page-wall = Wall view
 page-what = What
 page-when = When
-page-where = Where the plain model is wrong

@@ -93,6 +93,16 @@ def test_a_language_has_the_words_of_all_codes_with_the_same_variables(language)
     assert not [c for c in english if variables(other[c]) - variables(english[c])]
 
 
+@pytest.mark.parametrize("language", languages())
+def test_a_translator_finds_the_same_sections_in_every_language_each_in_alphabetical_order(language):
+    def sections(one):
+        return [re.findall(r"^[\w-]+(?= =)|^## .*", s, re.MULTILINE) for s in catalogue(one).text.split("\n\n## ")]
+
+    own = sections(language)
+    assert own == sections("en")
+    assert [s for s in own if s != sorted(s)] == []
+
+
 def test_no_words_are_kept_that_nobody_says():
     """A code stands in the sources as a word of its own: said there, or as the value of an enumeration."""
     sources = "\n".join(
