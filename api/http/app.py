@@ -154,7 +154,8 @@ def _add_page(app: FastAPI) -> None:
 def _describe_problems(app: FastAPI) -> None:
     """Add the schema the error answers refer to, which no route returns by itself."""
     described = app.openapi()
-    described["components"]["schemas"]["Problem"] = Problem.model_json_schema()
+    problem = Problem.model_json_schema(ref_template="#/components/schemas/{model}")
+    described["components"]["schemas"] |= problem.pop("$defs", {}) | {"Problem": problem}
     described["components"].setdefault("securitySchemes", {})["token"] = {"type": "http", "scheme": "bearer"}
     described["security"] = [{}, {"token": []}]
     for schema in ("HTTPValidationError", "ValidationError"):

@@ -1,5 +1,6 @@
 import io
 import json
+import re
 from datetime import UTC, datetime, timedelta
 from xml.etree import ElementTree
 
@@ -308,6 +309,13 @@ def test_the_page_and_the_api_pages_ask_nothing_of_another_host(client):
         assert "http://" not in answer.text.replace("http://www.w3.org", "")
         assert "https://" not in answer.text
         assert "default-src 'self'" in answer.headers["content-security-policy"]
+
+
+def test_every_reference_of_the_openapi_document_leads_to_a_schema(client):
+    text = client.get("/api/v1/openapi.json").text
+    named = set(re.findall(r'"\$ref": ?"([^"]+)"', text))
+    assert named
+    assert named <= {f"#/components/schemas/{name}" for name in json.loads(text)["components"]["schemas"]}
 
 
 def test_the_openapi_document_describes_every_error_as_a_problem(client):
