@@ -101,10 +101,16 @@ def test_a_tab_that_stays_open_for_a_day_of_pressings_keeps_its_memory(served):
     session = page.context.new_cdp_session(page)
 
     def used() -> tuple[float, int, int]:
-        session.send("HeapProfiler.collectGarbage")
-        heap = float(session.send("Runtime.getHeapUsage")["usedSize"]) / 1e6
-        counts = session.send("Memory.getDOMCounters")
-        return heap, counts["nodes"], counts["jsEventListeners"]
+        """Return the least of a few seconds: while it draws, the page also holds what it has just replaced."""
+        seen = []
+        for _ in range(5):
+            session.send("HeapProfiler.collectGarbage")
+            heap = float(session.send("Runtime.getHeapUsage")["usedSize"]) / 1e6
+            counts = session.send("Memory.getDOMCounters")
+            seen.append((heap, counts["nodes"], counts["jsEventListeners"]))
+            page.wait_for_timeout(500)
+        heaps, nodes, listeners = zip(*seen, strict=True)
+        return min(heaps), min(nodes), min(listeners)
 
     def pass_pressings(count: int) -> tuple[float, int, int]:
         for _ in range(count):
@@ -123,5 +129,5 @@ def test_a_tab_that_stays_open_for_a_day_of_pressings_keeps_its_memory(served):
     for after, (heap, nodes, listeners) in zip(accumulate(PRESSINGS), marks, strict=True):
         print(f"after {after:3} pressings  {heap:5.1f} MB heap  {nodes:5} nodes  {listeners:4} listeners")
     assert marks[2][0] < marks[1][0] + 2.0
-    assert marks[2][1] < 1.2 * marks[0][1]
-    assert marks[2][2] < 1.2 * marks[0][2]
+    assert marks[2][1] < 1.2 * marks[1][1]  # by the first mark not all of the view has been drawn yet
+    assert marks[2][2] < 1.2 * marks[1][2]

@@ -89,7 +89,7 @@ def check_pressings(count, rate_hz, limit_s, skew_s):
 
 @pytest.mark.parametrize(("rate_hz", "limit_s", "skew_s"), [(10.0, 0.1, 0.05), (1.0, 0.5, 0.25)])
 def test_closing_and_opening_are_found_to_the_scan_with_dead_noisy_and_loose_sensors(rate_hz, limit_s, skew_s):
-    check_pressings(100, rate_hz, limit_s, skew_s)
+    check_pressings(50, rate_hz, limit_s, skew_s)
 
 
 @pytest.mark.campaign

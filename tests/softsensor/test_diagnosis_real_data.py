@@ -73,6 +73,7 @@ def test_two_moist_discs_alone_are_suspected_to_be_moist_and_not_named():
     assert found.verdict == "not_described"
 
 
+@pytest.mark.campaign
 def test_moist_and_dry_discs_together_get_no_common_name():
     runs = [_before_charring(r) for r in _runs((*MOIST_DISCS, *DRY_DISCS), "pine")]
     found = diagnose(pine_disc(), runs)
@@ -120,6 +121,7 @@ def test_four_named_runs_are_told_with_what_four_can_show():
     assert "4 runs cannot show less than 0.12; named because" in diagnosis_report(moist())
 
 
+@pytest.mark.campaign
 def test_dry_pine_gets_no_moisture_verdict():
     runs = [_before_charring(r) for r in _runs(DRY_DISCS, "pine")]
     found = diagnose(pine_disc(), runs)

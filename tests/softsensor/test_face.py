@@ -28,6 +28,15 @@ def fitted():
     return softsensor.fit(SAMPLES[5:8], LAB)
 
 
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    """What the command writes of the same runs."""
+    place = tmp_path_factory.mktemp("fit")
+    out = ["--json", str(place / "fit.json"), "--model", str(place / "model.json")]
+    assert main(["fit", *[str(path) for path in SAMPLES[5:8]], "--press", str(LAB), *out]) == 0
+    return place
+
+
 def test_nothing_is_loaded_before_it_is_used():
     heavy = "('numba', 'pandas', 'scipy', 'sqlalchemy')"
     code = f"import sys, softsensor, daq; print([m for m in {heavy} if m in sys.modules])"
@@ -90,10 +99,8 @@ def test_a_table_that_is_no_run_is_refused_with_what_to_do(frame, words):
         softsensor.read_run(frame)
 
 
-def test_fit_gives_what_the_command_writes(fitted, tmp_path):
-    files = [str(path) for path in SAMPLES[5:8]]
-    assert main(["fit", *files, "--press", str(LAB), "--json", str(tmp_path / "fit.json")]) == 0
-    told = json.loads((tmp_path / "fit.json").read_text())
+def test_fit_gives_what_the_command_writes(fitted, written):
+    told = json.loads((written / "fit.json").read_text())
     ours = json.loads(fitted.to_json())
     assert [r["run"] for r in ours["runs"]] == [r["run"] for r in told["runs"]]
     assert ours["campaign"] == told["campaign"]
@@ -105,9 +112,8 @@ def test_fit_gives_what_the_command_writes(fitted, tmp_path):
     assert len(repr(fitted)) < 3000
 
 
-def test_predict_gives_what_the_command_writes(fitted, tmp_path):
-    model = tmp_path / "model.json"
-    assert main(["fit", *[str(p) for p in SAMPLES[5:8]], "--press", str(LAB), "--model", str(model)]) == 0
+def test_predict_gives_what_the_command_writes(fitted, written, tmp_path):
+    model = written / "model.json"
     out = tmp_path / "core.csv"
     assert main(["predict", str(SHORT), "--press", str(LAB), "--model", str(model), "--out", str(out)]) == 0
     assert {line.split(",")[6] for line in out.read_text().splitlines()[1:]} <= {"0", "1"}

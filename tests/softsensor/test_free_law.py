@@ -74,6 +74,7 @@ def test_a_contact_that_lapses_is_found_by_the_time_since_closing_and_on_its_sid
     assert np.mean((true >= low)[away] & (true <= high)[away]) >= 0.7
 
 
+@pytest.mark.campaign
 def test_a_smooth_law_of_the_contact_lies_in_its_band_and_is_recognised():
     found = law("growth")
     assert found is not None
@@ -85,6 +86,7 @@ def test_a_smooth_law_of_the_contact_lies_in_its_band_and_is_recognised():
     assert found.resembles == "contact_buildup"
 
 
+@pytest.mark.campaign
 def test_heat_that_goes_at_the_boiling_point_is_found_by_temperature_and_recognised():
     found = law("steam")
     assert found is not None
