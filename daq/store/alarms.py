@@ -95,7 +95,12 @@ def _take_up_journal(connection: Connection, ways: Sequence[str]) -> int:
 
 
 def alarms(
-    connection: Connection, press: str | None, cursor: str | None, limit: int, *, pending: bool
+    connection: Connection,
+    *,
+    press: str | None = None,
+    cursor: str | None = None,
+    limit: int = 50,
+    pending: bool = False,
 ) -> Page[StoredAlarm]:
     """Return a page of alarms, newest first; `pending` ones stand, or nobody has acknowledged them."""
     if not pending:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from datetime import UTC, datetime
-from typing import Any
+from typing import Any, Literal
 
 from sqlalchemy import Connection, Row, insert, select
 
@@ -18,11 +18,11 @@ from daq.words import Message, spoken
 
 def log(
     connection: Connection,
-    level: str,
+    level: Literal["info", "warning", "alarm"],
     process: str,
     message: Message | str,
-    press: str | None,
-    detail: Mapping[str, Any] | None,
+    press: str | None = None,
+    detail: Mapping[str, Any] | None = None,
     utc: datetime | None = None,
 ) -> None:
     """Add a line to the journal, of now or of the moment given."""
@@ -40,14 +40,19 @@ def log(
 
 
 def journal(
-    connection: Connection, press: str | None, level: str | None, cursor: str | None, limit: int
+    connection: Connection,
+    *,
+    press: str | None = None,
+    level: str | None = None,
+    cursor: str | None = None,
+    limit: int = 50,
 ) -> Page[JournalEntry]:
     """Return a page of the journal, newest first."""
     rows, following = newest_first(connection, EVENT, "event_id", press, cursor, limit, level)
     return Page(tuple(_entry(r) for r in rows), following)
 
 
-def journal_after(connection: Connection, after: int, limit: int) -> tuple[JournalEntry, ...]:
+def journal_after(connection: Connection, after: int, limit: int = 1000) -> tuple[JournalEntry, ...]:
     """Return the journal lines that follow row `after`, oldest first."""
     query = select(EVENT).where(EVENT.c.event_id > after).order_by(EVENT.c.event_id).limit(limit)
     return tuple(_entry(r) for r in connection.execute(query).all())

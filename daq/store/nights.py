@@ -30,7 +30,9 @@ def put_night(connection: Connection, night: StoredNight) -> int:
     return int(key[0]) if key is not None else 0
 
 
-def nights(connection: Connection, press: str | None, cursor: str | None, limit: int) -> Page[StoredNight]:
+def nights(
+    connection: Connection, *, press: str | None = None, cursor: str | None = None, limit: int = 50
+) -> Page[StoredNight]:
     """Return a page of nights, newest first."""
     rows, following = newest_first(connection, NIGHT, "night_id", press, cursor, limit)
     return Page(tuple(_night(row) for row in rows), following)
@@ -49,7 +51,7 @@ def _night(r: Row[Any]) -> StoredNight:
 
 
 def pressings(
-    connection: Connection, press: str, after: int | None, below: int | None, limit: int
+    connection: Connection, press: str, *, after: int | None = None, below: int | None = None, limit: int = 200
 ) -> list[RunRecord]:
     """Return finished pressings: those numbered above `after`, oldest first, else the newest, newest first."""
     query = runs_query().where(*_finished(press)).limit(limit)
@@ -61,7 +63,7 @@ def pressings(
     return [run_record_of(row) for row in connection.execute(query.order_by(order)).all()]
 
 
-def count_pressings(connection: Connection, press: str, below: int | None) -> int:
+def count_pressings(connection: Connection, press: str, *, below: int | None = None) -> int:
     """Return how many finished pressings there are, or those numbered below `below`."""
     query = select(func.count()).select_from(RUN).join(PRESS, PRESS.c.press_id == RUN.c.press_id)
     query = query.where(*_finished(press))
@@ -92,7 +94,7 @@ def edited_after(connection: Connection, press: str, number: int) -> tuple[int, 
 def put_unfitted(
     connection: Connection, run: str, press: str, kind: Literal["unfit", "blind", "killed"], fingerprint: str
 ) -> None:
-    """Keep that a run has no fit, and with what it was tried."""
+    """Keep that a run has no fit, until it gets one: nothing to fit, not to be fitted, or workers killed."""
     forget_unfitted(connection, run)
     connection.execute(insert(UNFITTED), {"run": run, "press": press, "kind": kind, "fingerprint": fingerprint})
 
@@ -108,7 +110,7 @@ def unfitted_marks(connection: Connection, runs: Sequence[str]) -> dict[str, str
     return {row.run: row.fingerprint for row in rows}
 
 
-def killed_runs(connection: Connection, press: str, limit: int) -> list[str]:
+def killed_runs(connection: Connection, press: str, limit: int = 200) -> list[str]:
     """Return runs over which workers were killed."""
     own = (UNFITTED.c.press == press, UNFITTED.c.kind == "killed")
     return list(connection.execute(select(UNFITTED.c.run).where(*own).limit(limit)).scalars())

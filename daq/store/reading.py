@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from datetime import datetime
 from typing import Any
 
 import numpy as np
@@ -21,31 +22,29 @@ _ROWS = 500
 """Rows held at a time: fewer than set the garbage collector off."""
 
 
-def runs(connection: Connection, cursor: str | None, limit: int, filters: Mapping[str, Any]) -> Page[RunRecord]:
-    """Return a page of runs, newest first."""
-    query = runs_query().order_by(RUN.c.run_number.desc()).limit(limit + 1)
+def runs(
+    connection: Connection,
+    *,
+    cursor: str | None = None,
+    limit: int = 50,
+    press: str | None = None,
+    status: RunStatus | None = None,
+    material: str | None = None,
+    since: datetime | None = None,
+    until: datetime | None = None,
+) -> Page[RunRecord]:
+    """Return a page of runs, newest first; `since` and `until` filter by their start."""
+    wanted = {PRESS.c.name: press, RUN.c.panel_material: material, RUN.c.status: status and str(status)}
+    query = runs_query().where(*(column == value for column, value in wanted.items() if value is not None))
     if cursor is not None:
         query = query.where(RUN.c.run_number < cursor_number(cursor))
-    for name, value in filters.items():
-        if value is not None:
-            query = query.where(_condition(name, value))
-    rows = connection.execute(query).all()
+    if since is not None:
+        query = query.where(RUN.c.started_unix_s >= since.timestamp())
+    if until is not None:
+        query = query.where(RUN.c.started_unix_s < until.timestamp())
+    rows = connection.execute(query.order_by(RUN.c.run_number.desc()).limit(limit + 1)).all()
     items = tuple(run_record_of(row) for row in rows[:limit])
     return Page(items, str(items[-1].number) if len(rows) > limit else None)
-
-
-def _condition(name: str, value: Any) -> Any:
-    if name == "press":
-        return PRESS.c.name == value
-    if name == "material":
-        return RUN.c.panel_material == value
-    if name == "status":
-        return RUN.c.status == str(value)
-    if name == "since":
-        return RUN.c.started_unix_s >= value.timestamp()
-    if name == "until":
-        return RUN.c.started_unix_s < value.timestamp()
-    raise AssertionError(name)
 
 
 def cursor_number(cursor: str) -> int:
@@ -70,12 +69,12 @@ def run_row(connection: Connection, run: str) -> Row[Any]:
 
 
 def run_record(connection: Connection, run: str) -> RunRecord:
-    """Return one run's record."""
+    """Return one run's record; raises `InputError` where there is none."""
     return run_record_of(run_row(connection, run))
 
 
 def run_records(connection: Connection, runs: Sequence[str]) -> dict[str, RunRecord]:
-    """Return the records of runs by name."""
+    """Return the records of these runs by name, all in one query."""
     rows = connection.execute(runs_query().where(RUN.c.run.in_(runs))).all()
     return {row.run: run_record_of(row) for row in rows}
 
@@ -92,7 +91,7 @@ def open_run(connection: Connection, press: str) -> RunRecord | None:
     return None if row is None else run_record_of(row)
 
 
-def ended_runs_after(connection: Connection, press: str, number: int, limit: int) -> list[RunRecord]:
+def ended_runs_after(connection: Connection, press: str, number: int, limit: int = 1000) -> list[RunRecord]:
     """Return the recorded runs that are over and end after scan `number`, oldest first."""
     press_id = recorded_id(connection, press)
     own = RUN.c.press_id == press_id
@@ -253,8 +252,8 @@ def newest_number(connection: Connection, press: str) -> int:
     return -1 if number is None else int(number)
 
 
-def scans_after(connection: Connection, press: str, last_number: int, limit: int) -> ScanBatch:
-    """Return the scans that follow `last_number`, all of one layout."""
+def scans_after(connection: Connection, press: str, last_number: int, limit: int = 1000) -> ScanBatch:
+    """Return the scans, all of one layout, that follow `last_number`: start with -1, go on with the last one's."""
     press_id = recorded_id(connection, press)
     if press_id is None:
         return ScanBatch((), ())
@@ -283,9 +282,13 @@ def scans_after(connection: Connection, press: str, last_number: int, limit: int
 
 
 def press_events(
-    connection: Connection, press: str | None, after: int, limit: int, since_scan: int | None
+    connection: Connection,
+    press: str | None = None,
+    after: int = 0,
+    limit: int = 1000,
+    since_scan: int | None = None,
 ) -> list[StoredPressEvent]:
-    """Return press events in the order they were noticed."""
+    """Return press events after row `after`, oldest first."""
     query = (
         select(PRESS_EVENT, PRESS.c.name.label("press"))
         .join(PRESS, PRESS.c.press_id == PRESS_EVENT.c.press_id)

@@ -14,11 +14,11 @@ from sqlalchemy.exc import IntegrityError
 
 from daq.files.qualities import QUALITY, row_faults
 from daq.records import Channel, InputError, PressEvent, Quality, Run, Scan
-from daq.store.convert import faults_json, header_of, header_text, null, readings_json, unix_of, utc_of
+from daq.store.convert import faults_json, header_of, header_text, known_utc, null, readings_json, unix_of
 from daq.store.journal import log
 from daq.store.next_panel import take_next_panel
 from daq.store.origin import LATEST_UNIX_S, REMARK, columns_from_header
-from daq.store.records import NewRun, PressKey, RunEnd, RunStatus, StoreUnavailable
+from daq.store.records import NewRun, PressKey, RunChange, RunEnd, RunStatus, StoreUnavailable
 from daq.store.schema import CONFIGURATION, LAYOUT, PRESS, PRESS_EVENT, RUN, RUN_CHANGE, SCAN, SCAN_REMARK
 from daq.words import say
 
@@ -34,7 +34,7 @@ _PASSWORD = re.compile(r"(://[^\s:/@\"']*:)[^\"'\n]+@|([?&](?:ssl)?password=)[^&
 
 
 def register_press(
-    connection: Connection, name: str, channels: Sequence[Channel], press_file: str, kind: Kind
+    connection: Connection, name: str, channels: Sequence[Channel], press_file: str = "", kind: Kind = "recorded"
 ) -> PressKey:
     """Return the press's key, made or brought up to date."""
     now = unix_of(datetime.now(UTC))
@@ -144,11 +144,14 @@ def append(
     connection: Connection,
     key: PressKey,
     scans: Sequence[Scan],
-    events: Sequence[PressEvent],
-    begin: NewRun | None,
-    end: RunEnd | None,
+    events: Sequence[PressEvent] = (),
+    begin: NewRun | None = None,
+    end: RunEnd | None = None,
 ) -> None:
-    """Write scans, then what they brought about: a run's begin, press events, a run's end."""
+    """Write scans, then what they brought about: a run's begin, press events, a run's end.
+
+    Writing the same scans again does no harm. A press event sets its moment in the open run.
+    """
     _append_scans(connection, key, scans)
     if begin is not None:
         _begin_run(connection, key, begin, unix_of(scans[-1].utc if scans else begin.started_utc))
@@ -372,7 +375,7 @@ def unused_run_name(connection: Connection, press: str, when: datetime) -> str:
     return f"{prefix}{_next_free(connection, prefix, 0):02d}"
 
 
-def import_run(connection: Connection, run: Run, press: str, press_file: str) -> str:
+def import_run(connection: Connection, run: Run, press: str, press_file: str = "") -> str:
     """Store a run from elsewhere whole; raises `InputError` where its name is taken or no name.
 
     When it was stays unknown where the file does not say.
@@ -454,7 +457,7 @@ def _unit(column: str) -> str:
 
 
 def annotate_run(connection: Connection, run: str, changes: Mapping[str, Any], who: str) -> None:
-    """Change header keys or the remark of a run; what was there before is kept. None removes a key."""
+    """Change header keys (``panel.density_kg_m3``) or ``remark``; None removes a key. History is kept."""
     row = connection.execute(select(RUN.c.header_toml, RUN.c.remark).where(RUN.c.run == run)).first()
     if row is None:
         raise InputError(say("store-run-missing", run=run))
@@ -485,12 +488,14 @@ def annotate_run(connection: Connection, run: str, changes: Mapping[str, Any], w
     connection.execute(update(RUN).where(RUN.c.run == run).values({**columns, "remark": remark}))
 
 
-def run_changes(connection: Connection, run: str) -> list[tuple[Any, ...]]:
-    """Return time, who, field, before, after of each edit, oldest first."""
+def run_changes(connection: Connection, run: str) -> list[RunChange]:
+    """Return the edits of a run's metadata, oldest first."""
     rows = connection.execute(
         select(RUN_CHANGE).where(RUN_CHANGE.c.run == run).order_by(RUN_CHANGE.c.run_change_id)
     ).all()
-    return [(utc_of(r.unix_s), r.who, r.field, _value(r.before_toml), _value(r.after_toml)) for r in rows]
+    return [
+        RunChange(known_utc(r.unix_s), r.who, r.field, _value(r.before_toml), _value(r.after_toml)) for r in rows
+    ]
 
 
 def _value(content: str | None) -> Any:

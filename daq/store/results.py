@@ -41,9 +41,10 @@ def _put(connection: Connection, table: Table, rows: Sequence[Mapping[str, Any]]
     connection.execute(statement.on_conflict_do_update(index_elements=keys, set_=changed), list(rows))
 
 
-def append_estimates(connection: Connection, press_id: int, estimates: Sequence[StoredEstimate]) -> None:
-    """Write estimates; a second one for the same scan replaces the first."""
-    if not estimates:
+def append_estimates(connection: Connection, press: str, estimates: Sequence[StoredEstimate]) -> None:
+    """Write what the live sensor said; a second estimate of a scan replaces the first."""
+    press_id = recorded_id(connection, press)
+    if press_id is None or not estimates:
         return
     rows = [
         {
@@ -82,7 +83,7 @@ def _estimate(row: Row[Any]) -> StoredEstimate:
 
 
 def estimates_after(
-    connection: Connection, press: str, last_number: int, limit: int
+    connection: Connection, press: str, last_number: int, limit: int = 1000
 ) -> tuple[StoredEstimate, ...]:
     """Return the estimates of a recorded press that follow scan `last_number`."""
     query = (
@@ -128,8 +129,8 @@ def estimates_of(connection: Connection, run: str) -> tuple[tuple[float, StoredE
     return tuple((round(e.monotonic_s - row.zero_monotonic_s, 6), _estimate(e)) for e in found)
 
 
-def put_fit(connection: Connection, run: str, fit: Mapping[str, Any], model_version: str) -> int:
-    """Keep a run's fit (one entry of ``runs`` of ``fit --json``) and its coefficients for the history."""
+def put_fit(connection: Connection, run: str, fit: Mapping[str, Any], model_version: str = "") -> int:
+    """Keep a run's fit, one entry of ``runs`` of ``fit --json``; the newest fit of a run counts."""
     run_row(connection, run)
     row = {
         "run": run,
@@ -182,7 +183,7 @@ def _newest_fits(columns: Sequence[Any], runs: Sequence[str]) -> Any:
 
 
 def coefficient_history(
-    connection: Connection, press: str | None, cursor: str | None, limit: int
+    connection: Connection, *, press: str | None = None, cursor: str | None = None, limit: int = 200
 ) -> Page[CoefficientRecord]:
     """Return the coefficients of the newest fit of each run, the run pressed last first; `limit` counts runs.
 
@@ -231,7 +232,7 @@ def _of_fits(fits: Collection[int]) -> list[ColumnElement[bool]]:
     return [COEFFICIENT.c.fit_id.in_(fits), *([COEFFICIENT.c.fit_id.between(low, high)] if narrow else [])]
 
 
-def newest_fit_number(connection: Connection, press: str | None) -> int:
+def newest_fit_number(connection: Connection, press: str | None = None) -> int:
     """Return the number of the fit stored last, 0 where there is none."""
     query = select(FIT.c.fit_id).order_by(FIT.c.fit_id.desc()).limit(1)
     if press is not None:
@@ -239,7 +240,7 @@ def newest_fit_number(connection: Connection, press: str | None) -> int:
     return int(connection.execute(query).scalar() or 0)
 
 
-def fits_after(connection: Connection, number: int, limit: int) -> tuple[tuple[int, str], ...]:
+def fits_after(connection: Connection, number: int, limit: int = 200) -> tuple[tuple[int, str], ...]:
     """Return number and run of the newest fits of runs stored after fit `number`, oldest first."""
     newer = FIT.alias("newer")
     superseded = select(newer.c.fit_id).where(newer.c.run == FIT.c.run, newer.c.fit_id > FIT.c.fit_id)
@@ -267,8 +268,9 @@ def put_model(
     press: str,
     version: str,
     model: Mapping[str, Any],
-    status: ModelStatus,
-    reason: str,
+    *,
+    status: ModelStatus = ModelStatus.CANDIDATE,
+    reason: str = "",
 ) -> int:
     """Keep a model version; raises `InputError` where the version exists."""
     if connection.execute(select(MODEL.c.version).where(MODEL.c.version == version)).first():
@@ -284,7 +286,7 @@ def put_model(
     return _key(connection, MODEL, row)
 
 
-def promote_model(connection: Connection, version: str, who: str, reason: Message | str) -> None:
+def promote_model(connection: Connection, version: str, who: str, reason: Message | str = "") -> None:
     """Make a version the one the live sensor uses; the one before is retired.
 
     The journal keeps who did it and why; the version's own reason, which is its evidence, stays.
@@ -316,7 +318,9 @@ def model(connection: Connection, version: str) -> ModelRecord:
     return _model(row)
 
 
-def models(connection: Connection, press: str | None, cursor: str | None, limit: int) -> Page[ModelRecord]:
+def models(
+    connection: Connection, *, press: str | None = None, cursor: str | None = None, limit: int = 50
+) -> Page[ModelRecord]:
     """Return a page of model versions, newest first."""
     rows, following = newest_first(connection, MODEL, "model_number", press, cursor, limit)
     return Page(tuple(_model(row) for row in rows), following)
@@ -338,7 +342,9 @@ def put_diagnosis(connection: Connection, press: str, diagnosis: Mapping[str, An
     return _key(connection, DIAGNOSIS, row)
 
 
-def diagnoses(connection: Connection, press: str | None, cursor: str | None, limit: int) -> Page[DiagnosisRecord]:
+def diagnoses(
+    connection: Connection, *, press: str | None = None, cursor: str | None = None, limit: int = 50
+) -> Page[DiagnosisRecord]:
     """Return a page of diagnoses, newest first."""
     rows, following = newest_first(connection, DIAGNOSIS, "diagnosis_id", press, cursor, limit)
     items = tuple(
