@@ -32,10 +32,6 @@ SCORE_LIMIT = 3.0
 and leave sign flips nothing to count. An odd function of a score keeps the flips exact."""
 
 
-UNBOUNDED_K = 1e5
-"""Beyond every temperature there is: what a prediction that grows without end counts as. [K]"""
-
-
 @dataclass(frozen=True)
 class RunState:
     """One run at one point of the fit."""
@@ -94,15 +90,6 @@ class SharedFit:
         return self.layout.named(self.theta)
 
 
-def bounded(predicted: Array) -> Array:
-    """Return a prediction in numbers that can be compared with readings. [°C]
-
-    A search may try a conductivity below nothing, whose temperatures grow without end. Such a point has to lose
-    against every other, not to end the diagnosis.
-    """
-    return np.clip(np.nan_to_num(predicted, nan=UNBOUNDED_K), -UNBOUNDED_K, UNBOUNDED_K)
-
-
 def evaluate(
     layout: Unknowns, run: int, data: Whitened, theta: Array, eta: Array, *, tangents: bool = True
 ) -> RunState:
@@ -112,7 +99,7 @@ def evaluate(
     own = [u.name for u in unknowns if not u.share_of]
     names = tuple(dict.fromkeys([*own, *layout.effect_names])) if tangents else ()
     solution = digest.solve(layout.model, values, names)
-    model = bounded(digest.observed(solution))
+    model = digest.observed(solution)
     extra = _linear_rows(digest, model)
     offset_rows, count = data(extra), extra.shape[-1]
     late = np.full(len(digest.signals), scan_sd(digest.period_s))
@@ -135,7 +122,6 @@ def evaluate(
     jacobian = np.zeros((len(residual), k + count))
     outer = np.zeros((len(residual), m))
     raw = np.stack([digest.observed_tangent(solution, name) for name in names], axis=-1)
-    raw = np.nan_to_num(raw, nan=0.0, posinf=0.0, neginf=0.0)
     rows = dict(zip(names, data(raw).T, strict=True))
     for key in layout.effect_names:
         outer[:n, shared[key]] = rows[key]

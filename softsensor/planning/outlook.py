@@ -17,7 +17,7 @@ import numpy as np
 
 from daq.press.press_file import At, Press, Sensor, press_for_run
 from daq.records import Array, Moments, Run
-from softsensor.diagnosis.extension import RunState, SharedFit, bounded, evaluate
+from softsensor.diagnosis.extension import RunState, SharedFit, evaluate
 from softsensor.diagnosis.extension_unknowns import (
     lay_out,
     logarithm_of,
@@ -120,7 +120,7 @@ def with_readings(digest: Digest, fit: SharedFit, population: Mapping[str, float
     """Return a digest that reads what a fit expects of it."""
     layout = lay_out(fit.layout.model, [digest], population, fit.values)
     values = run_values(layout, 0, fit.theta, start_eta(layout, 0, fit.theta))
-    y = bounded(digest.observed(digest.solve(layout.model, values)))
+    y = digest.observed(digest.solve(layout.model, values))
     slope = np.stack([slope_of(digest.time, y[:, i]) for i in range(y.shape[1])], axis=1)
     return replace(digest, y=y, slope=slope)
 

@@ -42,6 +42,8 @@ STEP_S = 1.5
 """The solver's longest step; 5 mK off at most against a third of it. [s]"""
 TIMING_S = SCAN_LATE_S
 """Errors of the time axis that no nuisance covers: scan skew, jitter, shape of a ramp. [s]"""
+UNBOUNDED_K = 1e5
+"""Beyond every temperature there is: what a prediction that grows without end counts as. [K]"""
 UNSURE_S = 1.5
 """After an insertion found in the temperatures, so much is left out: its moment enters linearly only. [s]"""
 
@@ -112,12 +114,19 @@ class Digest:
         return model.solve(self.cases[paper], values, tangents)
 
     def observed(self, solution: Solution) -> Array:
-        """Return the model's signals by bin (bins, signals)."""
-        return self.bins(solution.sensors[:, : len(self.signals)])
+        """Return the model's signals by bin, in numbers that can be compared with readings (bins, signals). [°C]
+
+        A search may try what no panel has, steam in one as light as wool, say, and temperatures grow without end.
+        Such a point has to lose against every other, not to end the diagnosis.
+        """
+        predicted = self.bins(solution.sensors[:, : len(self.signals)])
+        return np.clip(np.nan_to_num(predicted, nan=UNBOUNDED_K), -UNBOUNDED_K, UNBOUNDED_K)
 
     def observed_tangent(self, solution: Solution, name: str) -> Array:
-        """Return the derivative of the signals by a parameter (bins, signals)."""
-        return self.bins(solution.d_sensors[name][:, : len(self.signals)])
+        """Return the derivative of the signals by a parameter, 0 where they have no end (bins, signals)."""
+        slope = self.bins(solution.d_sensors[name][:, : len(self.signals)])
+        known = (np.abs(self.observed(solution)) < UNBOUNDED_K) & np.isfinite(slope)
+        return np.where(known, slope, 0.0)
 
 
 def digest_run(press: Press, run: Run, moments: Moments, excluded: frozenset[str] = frozenset()) -> Digest:

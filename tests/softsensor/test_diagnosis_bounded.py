@@ -1,16 +1,82 @@
 """A prediction that grows without end loses against every other, and ends no diagnosis."""
 
 import numpy as np
+import pytest
 
-from softsensor.diagnosis.extension import UNBOUNDED_K, bounded
+from daq.press.press_file import parse_press
+from daq.records import Run
+from softsensor.diagnosis.extension import direction, fit_campaign_model
+from softsensor.diagnosis.extension_unknowns import lay_out
+from softsensor.effects import find_effect
+from softsensor.heat.model import ThermalModel
+from softsensor.signals.digest import UNBOUNDED_K, MeanNoise, Whitened, digest_run
+from softsensor.signals.instrument import MEAN_FAST_K, MEAN_SLOW_K, MEAN_WHITE_K
+from softsensor.signals.moments import moments_of
+
+PRESS = parse_press(
+    """
+    [[layer]]
+    name = "panel"
+    from_run = true
+    [boundary.bottom]
+    kind = "measured"
+    column = "cold"
+    [boundary.top]
+    kind = "measured"
+    column = "hot"
+    [[contact]]
+    between = ["boundary.bottom", "panel"]
+    closed = "h"
+    [coefficients.h]
+    guess = 50.0
+    lower = 1.0
+    upper = 5000.0
+    [[sensor]]
+    columns = ["in_1"]
+    at = { layer = "panel", depth_mm = 37.5 }
+    """
+)
+HEADER = {
+    "panel.material": "stone wool",
+    "panel.thickness_mm": 50.0,
+    "panel.density_kg_m3": 100.0,
+    "panel.conductivity_W_mK": ((20.0, 0.035), (100.0, 0.045), (200.0, 0.062), (300.0, 0.085)),
+    "panel.heat_capacity_J_kgK": 840.0,
+    "panel.initial_temperature_C": 21.0,
+}
+STEAM = ThermalModel(PRESS, (find_effect("vapour_convection"),))
 
 
-def test_what_is_finite_stays_to_the_last_bit():
-    series = np.array([-40.0, 0.0, 20.1, 1999.0])
-    assert bounded(series).tobytes() == series.tobytes()
+@pytest.fixture(scope="module")
+def wool():
+    """Stone wool, warmed to 330 °C in two hours."""
+    time_s = np.arange(0.0, 7200.0, 30.0)
+    risen = time_s / time_s[-1]
+    columns = {"cold": 21.0 + 40.0 * risen, "hot": 21.0 + 309.0 * risen, "in_1": 21.0 + 240.0 * risen}
+    run = Run("wool", HEADER, time_s, columns)
+    return digest_run(PRESS, run, moments_of(run, PRESS))
 
 
-def test_what_is_not_finite_is_far_from_every_reading():
-    series = np.array([np.nan, np.inf, -np.inf, 1e300])
-    assert bounded(series).tolist() == [UNBOUNDED_K, UNBOUNDED_K, -UNBOUNDED_K, UNBOUNDED_K]
-    assert np.isfinite(np.square(bounded(series)).sum())
+def test_steam_in_wool_grows_without_end_and_is_told_in_numbers_that_can_be_compared(wool):
+    name = "vapour_convection.W_m3K"
+    with np.errstate(all="ignore"):
+        solution = wool.solve(STEAM, {"h": 50.0, name: 1e5}, (name,))
+    assert not np.abs(solution.sensors).max() < 1e100
+    seen = wool.observed(solution)
+    assert np.abs(seen).max() == UNBOUNDED_K
+    slope = wool.observed_tangent(solution, name)
+    assert np.isfinite(slope).all()
+    assert not slope[np.abs(seen) == UNBOUNDED_K].any()
+
+
+def test_a_cause_that_cannot_be_in_this_panel_is_weighed_and_found_wanting(wool):
+    data = [Whitened.of(wool, MeanNoise(MEAN_SLOW_K, MEAN_FAST_K, MEAN_WHITE_K))]
+    fit = fit_campaign_model(lay_out(ThermalModel(PRESS), [wool], {}, {}), data, rounds=1)
+    for size in (5e4, 1e5):
+        found = direction(fit, data, STEAM, {"vapour_convection.W_m3K": size})
+        assert np.isfinite([found.amplitude, found.gain]).all()
+
+
+def test_what_is_finite_stays_to_the_last_bit(wool):
+    solution = wool.solve(ThermalModel(PRESS), {"h": 50.0})
+    assert wool.observed(solution).tobytes() == wool.bins(solution.sensors[:, :1]).tobytes()
