@@ -868,6 +868,7 @@ verdict-left-at = Alle Pressungen haben ein Residuum gemeinsam, das keine Ursach
 verdict-not-described = Nichts lässt sich sagen: das Modell liegt { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K daneben, Rauschen allein macht { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K. Pressendatei, Kopfdaten der Pressungen und die Zuordnung der Spalten prüfen.
 verdict-plain-model-explains = Das einfache Modell erklärt diese { $runs } Pressungen auf { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K; Rauschen allein macht { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K.
 verdict-plain-model-explains-the-rest = Ohne sie erklärt das einfache Modell diese { $runs } Pressungen auf { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K.
+verdict-something-beyond-chance = Das einfache Modell erklärt diese { $runs } Pressungen auf { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K, bei { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K Rauschen, und doch passt eine Ursache besser als durch Zufall. Dass weggelassene Pressungen durch sie gewinnen, ist nicht bewiesen.
 verdict-suspected = Verdacht, nicht bewiesen: { $causes }.
 where-further = Dann: { $stretch }.
 where-most = Am weitesten daneben: { $stretch }.

@@ -860,6 +860,7 @@ verdict-left-at = All runs share a residual that no cause of the catalogue expla
 verdict-not-described = Nothing can be said: the model is { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K off, and noise alone is { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K. Check the press file, the runs' headers and which column is which.
 verdict-plain-model-explains = The plain model explains these { $runs } runs to { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K; noise alone is { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K.
 verdict-plain-model-explains-the-rest = Without them, the plain model explains these { $runs } runs to { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K.
+verdict-something-beyond-chance = The plain model explains these { $runs } runs to { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K, with { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K of noise, yet a cause fits them beyond chance. That runs left out gain by it is not proven.
 verdict-suspected = Suspected, not proven: { $causes }.
 where-further = Next: { $stretch }.
 where-most = Furthest off: { $stretch }.

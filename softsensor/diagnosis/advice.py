@@ -33,7 +33,9 @@ class AdviceBasis:
     extended_core_K: float | None = None  # noqa: N815
 
 
-def next_measurement(verdict: Verdict, findings: Sequence[Finding], seen: AdviceBasis) -> Message:
+def next_measurement(
+    verdict: Verdict, findings: Sequence[Finding], seen: AdviceBasis, suspected: Sequence[Finding] = ()
+) -> Message:
     """Return one sentence: the measurement that would help most."""
     core_K, extended_K = seen.core_K or 0.0, seen.extended_core_K or 0.0
     if verdict is Verdict.TOO_FEW_RUNS:
@@ -45,7 +47,7 @@ def next_measurement(verdict: Verdict, findings: Sequence[Finding], seen: Advice
         causes = tuple(map(called, several.set))
         return say("next-tell-apart", causes=causes, confirm=find_effect(several.set[0]).confirm)
     if verdict is Verdict.UNKNOWN_EFFECT:
-        return say("next-look-there")
+        return find_effect(suspected[0].name).confirm if suspected else say("next-look-there")
     if not findings:
         return say("next-constants", kelvin=core_K) if core_K > CORE_OFF_K else say("next-none")
     if core_K > CORE_OFF_K and extended_K < 0.5 * core_K:

@@ -8,9 +8,10 @@ from it, or says why it stops. `conclude` is asked at the end and gives the verd
 3. Is the gain real? On runs left out, with an interval above nothing; on runs predicted from their headers alone
    not surely a loss, nor a larger one than that gain; and its size surely not nothing.
 
-A cause that fails the third question is suspected, and so is every cause where the second fails. Fits and tests
-are made elsewhere (`search`, `selection`, `sign_flips`, `gains`); nothing here knows a model or a run file. What
-the numbers do to false names and power is measured by ``pytest -m benchmark
+A cause that fails the third question is suspected, and so is every cause where the second fails. What is suspected
+is beyond chance all the same: the verdict is then that something is unknown, never that nothing is there. Fits
+and tests are made elsewhere (`search`, `selection`, `sign_flips`, `gains`); nothing here knows a model or a run
+file. What the numbers do to false names and power is measured by ``pytest -m benchmark
 tests/benchmarks/test_diagnosis_confusion.py``, whose head holds the table.
 """
 
@@ -282,6 +283,8 @@ class Case:
     """After none, one, ... of them."""
     faulty_channels: bool = False
     """The same channels are faulty in many runs."""
+    suspected: bool = False
+    """The last search would have taken a cause in but for a sure gain or the law of another."""
 
 
 @dataclass(frozen=True)
@@ -309,7 +312,8 @@ def conclude(case: Case) -> Conclusion:
         return Conclusion(Verdict.NOT_DESCRIBED)
     if few:
         return Conclusion(Verdict.TOO_FEW_RUNS)
-    return Conclusion(Verdict.UNKNOWN_EFFECT if left.times_noise > EXCESS else Verdict.NO_EFFECT)
+    beyond_chance = case.suspected or bool(case.proofs)
+    return Conclusion(Verdict.UNKNOWN_EFFECT if beyond_chance or left.times_noise > EXCESS else Verdict.NO_EFFECT)
 
 
 def something_left(left: Remains, runs: int) -> bool:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from daq.words import Argument, Message, say
-from softsensor.diagnosis.decision import ALPHA_PATTERN, FEW_RUNS, Verdict
+from softsensor.diagnosis.decision import ALPHA_PATTERN, EXCESS, FEW_RUNS, Verdict
 from softsensor.diagnosis.extension_unknowns import logarithm_of
 from softsensor.diagnosis.finding import Diagnosis, Finding
 from softsensor.diagnosis.gains import HARDLY
@@ -83,6 +83,8 @@ def _verdict_alone(found: Diagnosis) -> tuple[Message, ...]:
         return (say("verdict-not-described", **residual),)
     if found.verdict is Verdict.NO_EFFECT:
         return (say("verdict-plain-model-explains", runs=runs, **residual),)
+    if found.verdict is Verdict.UNKNOWN_EFFECT and found.left.p_value > ALPHA_PATTERN and times <= EXCESS:
+        return (say("verdict-something-beyond-chance", runs=runs, **residual),)
     if found.verdict is Verdict.UNKNOWN_EFFECT and found.left.p_value > ALPHA_PATTERN:
         return (say("verdict-differs-from-run-to-run", runs=runs, **residual),)
     if found.verdict is Verdict.UNKNOWN_EFFECT:

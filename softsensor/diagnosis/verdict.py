@@ -55,7 +55,7 @@ from daq.press.press_file import Press, press_for_run
 from daq.records import Array, InputError, Run
 from daq.words import Message, say, spoken
 from softsensor.diagnosis.advice import AdviceBasis, next_measurement, notes, rim_notes
-from softsensor.diagnosis.decision import Case, Proof, Remains, Verdict, conclude
+from softsensor.diagnosis.decision import Case, Proof, Remains, Verdict, conclude, something_left
 from softsensor.diagnosis.extension import RunState, from_the_others, held_out, predicted
 from softsensor.diagnosis.extension_unknowns import is_shape
 from softsensor.diagnosis.finding import Contest, Diagnosis, Finding
@@ -175,10 +175,12 @@ def _conclude(readings: _Readings, stages: list[SettledModel], rounds: list[Roun
         Remains(t, share, e.rmse_K / noise, is_described(e.rmse_K, noise, [d.digest for d in s.data]))
         for t, share, e, s in zip(tests, shares, errors, stages, strict=True)
     ]
-    conclusion = conclude(Case(len(runs), tuple(proofs), tuple(remains), bool(columns)))
+    nearly = _nearly(rounds, stages[-1])
+    conclusion = conclude(Case(len(runs), tuple(proofs), tuple(remains), bool(columns), bool(nearly)))
     named, verdict = conclusion.named, conclusion.verdict
-    suspected = causes[named:] + _nearly(rounds, stages[-1])
+    suspected = causes[named:] + nearly
     findings = _sensor_findings(faults, columns) + causes[:named]
+    to_confirm = () if something_left(remains[named], len(runs)) else suspected
     base, extended = errors[0], errors[named]
     seen = AdviceBasis(len(runs), bool(press.panel_layers), base.core_rmse_K, extended.core_rmse_K)
     return Diagnosis(
@@ -190,7 +192,7 @@ def _conclude(readings: _Readings, stages: list[SettledModel], rounds: list[Roun
         noise_floor_K=_rounded(noise),
         where=_where(stages[0]),
         candidates=_candidate_rows(rounds, stages),
-        next_measurement=next_measurement(verdict, findings, seen),
+        next_measurement=next_measurement(verdict, findings, seen, to_confirm),
         seconds=0.0,
         faults={r.name: f for r, f in zip(runs, faults, strict=True) if f},
         stages=tuple(stages[: named + 1]),

@@ -355,7 +355,9 @@ def test_one_run_with_a_loose_sensor_says_that_it_is_too_few_and_draws_its_resid
 def test_the_sentence_says_what_a_verdict_rests_on() -> None:
     found = diagnosed(None, 41)
     assert sentences(verdict_said(found)).startswith("The plain model explains these 7 runs")
-    differs = replace(found, verdict=Verdict.UNKNOWN_EFFECT)
+    beyond_chance = replace(found, verdict=Verdict.UNKNOWN_EFFECT)
+    assert "a cause fits them beyond chance" in sentences(verdict_said(beyond_chance))
+    differs = replace(beyond_chance, noise_floor_K=found.base.rmse_K / 2)
     assert "differs from run to run" in sentences(verdict_said(differs))
     off = replace(found, verdict=Verdict.NOT_DESCRIBED)
     assert sentences(verdict_said(off)).startswith("Nothing can be said: the model is ")
