@@ -24,7 +24,8 @@ from pathlib import Path
 from tests.editions import WHOLE
 
 ROOT = Path(__file__).parents[1]
-PYTEST = (sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-m", "campaign or benchmark")
+PYTEST = (sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-p", "no:schemathesis")
+PYTEST += ("-m", "campaign or benchmark")
 
 
 def whole() -> dict[str, str]:
