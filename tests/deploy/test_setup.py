@@ -18,6 +18,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager, redirect_stderr, redirect_stdout
 from io import StringIO
 from pathlib import Path
+from string import Formatter
 from types import ModuleType
 from typing import Any
 from urllib.request import urlopen
@@ -231,6 +232,18 @@ def test_a_wheel_is_installed_updated_rolled_back_and_removed_and_the_data_stay(
     assert not command.exists()
     assert rows(store) > before
     assert (root / "etc/kerntemp/kerntemp.toml").read_text() == configured
+
+
+def test_the_setup_has_words_for_all_it_says_in_every_language_about_the_same(setup, monkeypatch):
+    said = set(re.findall(r'words\(["\']([a-z-]+)', SETUP.read_text(encoding="utf-8")))
+    fields = {
+        language: {code: {f for _, f, _, _ in Formatter().parse(text) if f} for code, text in table.items()}
+        for language, table in setup.WORDS.items()
+    }
+    assert set(fields["en"]) == said
+    assert all(table == fields["en"] for table in fields.values())
+    monkeypatch.setenv("KERNTEMP_LANGUAGE", "de")
+    assert setup.words("installed", version="2.0") == "Kerntemp 2.0 ist installiert."
 
 
 @root_only
