@@ -25,8 +25,6 @@ PINE_SLABS = (
 MOIST_DISCS_40_KW = tuple(f"pine_gasification/FSRI_Wood_CAPA_N2_40kW_R{n}.csv" for n in (1, 2))
 MOIST_DISCS = (*MOIST_DISCS_40_KW, *(f"pine_gasification/FSRI_Wood_CAPA_N2_60kW_R{n}.csv" for n in (1, 2)))
 DRY_DISCS = tuple(f"pine_gasification/UMD_Wood_CAPA_N2_{kw}kW_R{n}.csv" for kw in (30, 50) for n in (1, 2, 3))
-MOIST_DISCS_60_KW = tuple(f"pine_gasification/FSRI_Wood_CAPA_N2_60kW_R{n}.csv" for n in (1, 2))
-DRY_DISCS_70_KW = tuple(f"pine_gasification/UMD_Wood_CAPA_N2_70kW_R{n}.csv" for n in (1, 2, 3))
 PINE_DEPTH = tuple(f"pine_depth/FPL_Wood_Cone_50kW_hor_R{n}.csv" for n in (4, 5))
 PMMA_50_KW = tuple(f"pmma_dry/MaCFP-PMMA_Gasification_q50_Temp_R{n}.csv" for n in (1, 2, 3))
 
