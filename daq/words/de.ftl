@@ -818,13 +818,20 @@ measured-between = { $low } bis { $high } °C
 next-confirm-and-core = Um den Kern zu kennen, zwei oder drei Opferplatten mit Kernfühler pressen; um die Ursache zu bestätigen: { $confirm }
 next-constants = Wärmeleitfähigkeit und Wärmekapazität der Platte messen: die Seiten passen, aber die Kernfühler liegen { NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K daneben, es stimmt also etwas nicht, das die Seiten nicht zeigen.
 next-describe = Dicken, Werkstoffe und Spalten von Pressendatei und Pressungen prüfen, dann eine Platte mit Kernfühler pressen.
+next-describe-rig = Dicken, Werkstoffe und Spalten von Pressendatei und Läufen prüfen, dann einmal mit einem Fühler in einer Schicht messen.
 next-look-there = Drei Opferplatten mit Kernfühler pressen und die aufgeführten Zeiten und Stellen ansehen.
+next-look-there-rig = Noch einmal messen, mit einem Fühler an den aufgeführten Stellen und zu den aufgeführten Zeiten.
 next-more-runs = Mindestens { $more ->
         [one] eine weitere Platte
        *[other] { $more } weitere Platten
     } pressen, mit verschiedenen Presszeiten und möglichst Dicken: unter { $least } Pressungen ist eine Ursache nicht vom Zufall zu unterscheiden.
+next-more-runs-rig = Mindestens { $more ->
+        [one] einen weiteren Lauf
+       *[other] { $more } weitere Läufe
+    } mit anderem Temperaturverlauf messen: unter { $least } Läufen ist eine Ursache nicht vom Zufall zu unterscheiden.
 next-none = Keine nötig; ein Kernfühler in einer Opferplatte im Monat würde den Kern bestätigen.
 next-none-confirmed = Keine nötig: Kernfühler bestätigen es (vorher { NUMBER($before, minimumFractionDigits: 1, maximumFractionDigits: 1) } K daneben, nachher { NUMBER($after, minimumFractionDigits: 1, maximumFractionDigits: 1) } K).
+next-none-rig = Keine nötig.
 next-tell-apart = Um diese Ursachen zu unterscheiden ({ $causes }): { $confirm }
 note-channel = { $run }: { $column } ist { $kind ->
         [swapped] vertauscht

@@ -818,13 +818,20 @@ measured-between = { $low } to { $high } °C
 next-confirm-and-core = To know the core, press two or three sacrificial panels with a core thermocouple; to confirm the cause: { $confirm }
 next-constants = Measure the panel's conductivity and heat capacity: the faces fit, but core thermocouples are off by { NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K, so something is wrong that faces do not show.
 next-describe = Check thicknesses, materials and columns of press file and runs, then press one panel with a core thermocouple.
+next-describe-rig = Check thicknesses, materials and columns of press file and runs, then measure once more with a thermocouple inside a layer.
 next-look-there = Press three sacrificial panels with a core thermocouple and look at the times and places listed.
+next-look-there-rig = Measure again with a thermocouple at the places and times listed.
 next-more-runs = Press at least { $more } more { $more ->
         [one] panel
        *[other] panels
     }, with different press times and, if possible, thicknesses: below { $least } runs a cause cannot be told from chance.
+next-more-runs-rig = Measure at least { $more } more { $more ->
+        [one] run
+       *[other] runs
+    } with different courses of temperature: below { $least } runs a cause cannot be told from chance.
 next-none = None needed; a core thermocouple in one sacrificial panel a month would confirm the core.
 next-none-confirmed = None needed: core thermocouples confirm it ({ NUMBER($before, minimumFractionDigits: 1, maximumFractionDigits: 1) } K off before, { NUMBER($after, minimumFractionDigits: 1, maximumFractionDigits: 1) } K after).
+next-none-rig = None needed.
 next-tell-apart = To tell these causes apart ({ $causes }): { $confirm }
 note-channel = { $run }: { $column } is { $kind } ({ NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K rms) and was left out
 note-channel-in-runs = { $count } of { $runs } runs: { $column } is { $kind } ({ NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K rms) and was left out

@@ -32,6 +32,10 @@ class AdviceBasis:
     """Error of the core by the plain model, None without a core thermocouple."""
     extended_core_K: float | None = None  # noqa: N815
 
+    def words(self, of_panels: Message, of_rig: Message) -> Message:
+        """Return which of two sentences fits: a rig of layers has no panel and no core."""
+        return of_panels if self.panel else of_rig
+
 
 def next_measurement(
     verdict: Verdict, findings: Sequence[Finding], seen: AdviceBasis, suspected: Sequence[Finding] = ()
@@ -39,17 +43,21 @@ def next_measurement(
     """Return one sentence: the measurement that would help most."""
     core_K, extended_K = seen.core_K or 0.0, seen.extended_core_K or 0.0
     if verdict is Verdict.TOO_FEW_RUNS:
-        return say("next-more-runs", more=max(FEW_RUNS + 1 - seen.runs, 1), least=FEW_RUNS)
+        more = max(FEW_RUNS + 1 - seen.runs, 1)
+        panels = say("next-more-runs", more=more, least=FEW_RUNS)
+        return seen.words(panels, say("next-more-runs-rig", more=more, least=FEW_RUNS))
     if verdict is Verdict.NOT_DESCRIBED:
-        return say("next-describe")
+        return seen.words(say("next-describe"), say("next-describe-rig"))
     several = next((f for f in findings if len(f.set) > 1), None)
     if several is not None:
         causes = tuple(map(called, several.set))
         return say("next-tell-apart", causes=causes, confirm=find_effect(several.set[0]).confirm)
     if verdict is Verdict.UNKNOWN_EFFECT:
-        return find_effect(suspected[0].name).confirm if suspected else say("next-look-there")
+        look = seen.words(say("next-look-there"), say("next-look-there-rig"))
+        return find_effect(suspected[0].name).confirm if suspected else look
     if not findings:
-        return say("next-constants", kelvin=core_K) if core_K > CORE_OFF_K else say("next-none")
+        none = seen.words(say("next-none"), say("next-none-rig"))
+        return say("next-constants", kelvin=core_K) if core_K > CORE_OFF_K else none
     if core_K > CORE_OFF_K and extended_K < 0.5 * core_K:
         return say("next-none-confirmed", before=core_K, after=extended_K)
     effect = find_effect(findings[0].name)

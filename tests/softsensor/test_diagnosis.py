@@ -343,6 +343,14 @@ def test_the_next_measurement_is_one_sentence(name: str) -> None:
     assert ". " not in told
 
 
+@pytest.mark.parametrize("verdict", [v for v in Verdict if v not in (Verdict.NAMED, Verdict.AMBIGUOUS)])
+def test_a_rig_of_layers_is_told_nothing_of_panels_and_cores(verdict: Verdict) -> None:
+    told = {str(next_measurement(verdict, (), AdviceBasis(3, panel=panel))) for panel in (False, True)}
+    assert len(told) == 2
+    assert "panel" not in str(next_measurement(verdict, (), AdviceBasis(3, panel=False)))
+    assert "core" not in str(next_measurement(verdict, (), AdviceBasis(3, panel=False)))
+
+
 def test_one_run_with_a_loose_sensor_says_that_it_is_too_few_and_draws_its_residual() -> None:
     found = diagnosed("sensor_fault", 21, 1)
     assert sentences(verdict_said(found)).endswith("1 run is too few to tell any other cause from chance.")
