@@ -123,47 +123,25 @@ def lay_out(
             shared.append(CampaignUnknown(key, p.neutral, sd, p.lower, p.upper, start=begin, step=unit))
             if p.spread > 0:
                 spreads[key] = p.spread
-    own = [
-        CampaignUnknown(
-            name,
-            0.0,
-            population.get(name, FREE_SPREAD_LOG),
-            float(np.log(table.lower)),
-            float(np.log(table.upper)),
-            log=True,
-            shared=logarithm_of(name),
-        )
-        for name in model.press.free_coefficients
-        for table in (model.press.coefficient(name),)
-    ]
+    own = tuple(_run_coefficients(model.press, population))
     for u in own:
         guess = float(np.log(model.press.coefficient(u.name).guess))
-        begin = start.get(u.shared, guess)
-        shared.append(
-            CampaignUnknown(
-                u.shared, guess, GUESS_LOG, u.lower, u.upper, start=begin, step=1.0, coefficient=u.name
-            )
-        )
+        level = CampaignUnknown(u.shared, guess, GUESS_LOG, u.lower, u.upper, step=1.0, coefficient=u.name)
+        shared.append(replace(level, start=start.get(u.shared, guess)))
     unknowns = tuple((*own, *_nuisances(model.press, d, spreads)) for d in digests)
     return Unknowns(model, tuple(shared), unknowns, spreads)
 
 
+def _run_coefficients(press: Press, population: Mapping[str, float]) -> Iterator[CampaignUnknown]:
+    for name in press.free_coefficients:
+        table, sd = press.coefficient(name), population.get(name, FREE_SPREAD_LOG)
+        lower, upper = float(np.log(table.lower)), float(np.log(table.upper))
+        yield CampaignUnknown(name, 0.0, sd, lower, upper, log=True, shared=logarithm_of(name))
+
+
 def _nuisances(press: Press, digest: Digest, spreads: Mapping[str, float]) -> Iterator[CampaignUnknown]:
-    moments = digest.moments
     if press.has_states:
-        seen = digest.switch or ((np.nan, 0.0), (np.nan, 0.0))
-        for name, at, (switched, gap) in zip(
-            ("closed_s", "opened_s"), (moments.closed_s, moments.opened_s), seen, strict=True
-        ):
-            if not np.isfinite(at):
-                continue
-            if np.isfinite(switched):
-                sd = float(np.hypot(gap / np.sqrt(12.0), SWITCH_S))
-                yield CampaignUnknown(name, switched - gap / 2 - at, sd)
-            else:
-                yield CampaignUnknown(name, 0.0, moment_sd(digest.period_s))
-        if np.isfinite(moments.closed_s):
-            yield CampaignUnknown("ramp_s", 0.0, RAMP_SD_S)
+        yield from _timing(digest)
     if press.panel_layers:
         yield CampaignUnknown("initial_K", 0.0, START_K)
     for end, boundary in press.boundary.ends:
@@ -171,6 +149,18 @@ def _nuisances(press: Press, digest: Digest, spreads: Mapping[str, float]) -> It
             yield CampaignUnknown(f"boundary_{end}_K", 0.0, PLATEN_K)
     for key, sd in spreads.items():
         yield CampaignUnknown(f"share {key}", 0.0, sd, share_of=key)
+
+
+def _timing(digest: Digest) -> Iterator[CampaignUnknown]:
+    closed, opened = digest.moments.closed_s, digest.moments.opened_s
+    seen = digest.switch or ((np.nan, 0.0), (np.nan, 0.0))
+    for name, at, (switched, gap) in zip(("closed_s", "opened_s"), (closed, opened), seen, strict=True):
+        if np.isfinite(at) and np.isfinite(switched):
+            yield CampaignUnknown(name, switched - gap / 2 - at, float(np.hypot(gap / np.sqrt(12.0), SWITCH_S)))
+        elif np.isfinite(at):
+            yield CampaignUnknown(name, 0.0, moment_sd(digest.period_s))
+    if np.isfinite(closed):
+        yield CampaignUnknown("ramp_s", 0.0, RAMP_SD_S)
 
 
 def run_values(layout: Unknowns, run: int, theta: Array, eta: Array) -> dict[str, float]:
