@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.press.press_file import Contact, Press
-from daq.records import Array, InputError, Panel, Run
+from daq.records import Array, InputError, Panel
 from daq.words import say
 from softsensor.effects.effect import Terms
 from softsensor.heat import implicit_steps
@@ -287,24 +287,6 @@ def _flux_table(press: Press, ambient: float) -> Array:
         absorbed = boundary.absorptivity * boundary.incident_W_m2 if flux else 0.0
         rows.append((absorbed, boundary.emissivity if flux else 0.0, surroundings))
     return np.array(rows)
-
-
-def initial_profile(run: Run, mesh: Mesh, heights: Mapping[str, float], ends: Mapping[float, float]) -> Array:
-    """Return temperatures through the stack interpolated in first readings.
-
-    `heights` are those of the panel channels, `ends` the measured boundary temperatures by height. [m, °C]
-    """
-    x = np.cumsum(mesh.dx) - mesh.dx / 2
-    points: dict[float, list[float]] = {height: [value] for height, value in ends.items()}
-    for column, height in heights.items():
-        values = run.columns[column]
-        good = values[np.isfinite(values)]
-        if len(good):
-            points.setdefault(height, []).append(float(good[0]))
-    if not points:
-        raise InputError(say("start-no-readings", run=run.source or run.name))
-    chosen = sorted(points)
-    return np.interp(x, chosen, [float(np.mean(points[h])) for h in chosen])
 
 
 def mask_cells(mesh: Mesh, names: tuple[str, ...]) -> Flags:

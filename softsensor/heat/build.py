@@ -2,38 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from daq.records import Array, NoSteadyState
+from daq.records import NoSteadyState
 from daq.words import say
 from softsensor.effects import Terms
-from softsensor.heat import implicit_steps
-from softsensor.heat.assembly import initial_profile
+from softsensor.heat import first_profile, implicit_steps
+from softsensor.heat.asked import Asked
 from softsensor.heat.case import Case
-
-
-@dataclass(frozen=True)
-class Asked:
-    """What a solve is for."""
-
-    values: Mapping[str, float]
-    """Of the parameters; nuisances left out are 0."""
-    names: tuple[str, ...]
-    """Parameters to differentiate by."""
-    terms: Terms
-    """Of all effects together."""
-    d_terms: Mapping[str, Terms]
-    """Their derivatives by those parameters that they depend on."""
-
-    @property
-    def boundary_shift(self) -> tuple[float, float]:
-        """What is added to the measured boundary temperatures, bottom and top. [K]"""
-        bottom, top = self.terms.boundary_offset
-        values = self.values
-        return float(bottom) + values.get("boundary_bottom_K", 0.0), float(top) + values.get("boundary_top_K", 0.0)
 
 
 @dataclass(frozen=True)
@@ -58,6 +36,14 @@ class Build:
         return Build(
             asked, stack, tangents, drive, start, nonlinear or bool(len(stack.table_x)) or layout.radiates
         )
+
+    def begun_at_rest(self, case: Case) -> Build:
+        """Return the build with a start at rest between first readings, as its tangents are now."""
+        start = _empty_state(case, self.asked, self.width)
+        conditions = first_profile.Conditions(self.asked, self.stack, self.tangents, self.drive)
+        first_profile.at_rest(case, conditions, start)
+        _shift(start, self.asked)
+        return replace(self, start=start)
 
     @property
     def terms(self) -> Terms:
@@ -101,9 +87,8 @@ def _start(
     tangents: implicit_steps.Tangents,
     drive: implicit_steps.Drive,
 ) -> implicit_steps.State:
-    n, p, r = len(case.mesh.dx), drive.d_boundary.shape[1], len(asked.terms.conversions)
-    z = np.zeros
-    state = implicit_steps.State(z(n), z(n), z((r, n)), z((p, n)), z((p, n)), z((r, p, n)), z(1))
+    p = drive.d_boundary.shape[1]
+    state = _empty_state(case, asked, p)
     initial, panel = case.press.initial, case.layout.panel
     shift, names = asked.values.get("initial_K", 0.0), asked.names
     if initial.kind == "steady":
@@ -115,12 +100,28 @@ def _start(
         for name, terms in asked.d_terms.items():
             state.s[names.index(name), ~panel] += float(terms.plates_offset)
     else:
-        state.t[:] = shift + (_uniform(case) if initial.kind == "uniform" else _first_profile(case))
-        if "initial_K" in names:
-            state.s[names.index("initial_K")] = 1.0
+        if initial.kind == "uniform":
+            state.t[:] = _uniform(case)
+        else:
+            first_profile.in_height(case, state)
+        _shift(state, asked)
     state.t_before[:] = state.t
     state.s_before[:] = state.s
     return state
+
+
+def _empty_state(case: Case, asked: Asked, p: int) -> implicit_steps.State:
+    n, r, z = len(case.mesh.dx), len(asked.terms.conversions), np.zeros
+    return implicit_steps.State(z(n), z(n), z((r, n)), z((p, n)), z((p, n)), z((r, p, n)), z(1))
+
+
+def _shift(state: implicit_steps.State, asked: Asked) -> None:
+    """Shift everything by what the start is off, and keep it as the temperatures before."""
+    state.t[:] += asked.values.get("initial_K", 0.0)
+    if "initial_K" in asked.names:
+        state.s[asked.names.index("initial_K")] += 1.0
+    state.t_before[:] = state.t
+    state.s_before[:] = state.s
 
 
 def _uniform(case: Case) -> float:
@@ -160,11 +161,3 @@ def _refuse_start(case: Case, cell: int) -> None:
         if case.panel is not None:
             why = say("start-not-steady-untied-without-panel", layer=layer)
     raise NoSteadyState(say("start-not-steady", run=case.run.source or case.run.name, why=why))
-
-
-def _first_profile(case: Case) -> Array:
-    """Temperatures through the stack interpolated in the first readings of sensors and boundaries."""
-    x = np.cumsum(case.mesh.dx) - case.mesh.dx / 2
-    heights = {column: float(case.places[case.place_of[column]] @ x) for column in case.columns}
-    ends = zip((0.0, float(case.mesh.dx.sum())), case.outside[0], case.layout.measured, strict=True)
-    return initial_profile(case.run, case.mesh, heights, {x: t for x, t, measured in ends if measured})

@@ -55,7 +55,8 @@ from daq.words import say
 from softsensor.effects import Conversion, Effect, Scene, Terms, find_effect
 from softsensor.effects.effect import FACTORS, SUMMANDS
 from softsensor.heat import implicit_steps
-from softsensor.heat.build import Asked, Build
+from softsensor.heat.asked import Asked
+from softsensor.heat.build import Build
 from softsensor.heat.case import FINE_STEP_S, GROWTH, Case, Fineness, prepare_case
 from softsensor.heat.chain import Solution, observe, read_places
 from softsensor.heat.exact import exact_grid, run_exact
@@ -235,7 +236,8 @@ class ThermalModel:
         if unknown := [name for name in tangents if name not in limits]:
             raise InputError(say("parameter-unknown", name=unknown[0], known=tuple(limits)))
         if case.press.initial.kind == "sensors":
-            check_first_readings(case.run, case.press.panel_layers, case.place_of, case.labels)
+            read = {column: case.place_of[column] for column in case.press.sensors_of(case.run)}
+            check_first_readings(case.run, case.press.panel_layers, read, case.labels)
 
     @cached_property
     def _limits(self) -> dict[str, tuple[float, float]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from softsensor.live.directions import CONSTANT, DISCREPANCY, START
+from softsensor.live.directions import CONSTANT, DISCREPANCY
 from softsensor.live.kalman import KalmanFilter
 from softsensor.live.mixture import Mixture
 from softsensor.live.priors import TIMING, Prior
@@ -53,6 +53,6 @@ def _kind(prior: Prior) -> str:
         return "contacts"
     if prior.name in TIMING:
         return "timing"
-    if first == START or (prior.name.endswith("_K") and "." not in prior.name):
+    if prior.name.endswith("_K") and "." not in prior.name:
         return "start"
     return {CONSTANT: "constants", DISCREPANCY: "discrepancy"}.get(first, "effects")

@@ -24,11 +24,12 @@ from itertools import pairwise
 import numpy as np
 
 from daq.materials import TABLE_SD, find_material
-from daq.press.press_file import SD, At, Press
+from daq.press.press_file import SD, Press
 from daq.records import Array, Panel, Run
 from softsensor.heat.assembly import layer_constants
 from softsensor.heat.build import Build
 from softsensor.heat.case import Case
+from softsensor.heat.first_profile import gap_priors
 from softsensor.heat.model_file import MissingCauses, ModelFile
 from softsensor.live.priors import Prior, coefficient_priors
 from softsensor.signals.doubt import PANEL_DENSITY, PANEL_SCATTER, Doubt, constant_doubts
@@ -57,7 +58,7 @@ MOST_SHARE = 0.5
 """A constant in doubt by more is not known: answers to it are no straight lines. By hand, 2026-11."""
 LEAST_SHARE = 1e-3
 """A constant whose doubt changes the stack's whole resistance or capacity by less is left out."""
-CONSTANT, DISCREPANCY, START = "constant", "discrepancy", "start"
+CONSTANT, DISCREPANCY = "constant", "discrepancy"
 """How names of the kinds begin."""
 
 
@@ -77,8 +78,6 @@ class Direction:
     """Number of the contact that wanders."""
     ramp_s: tuple[float, float] = (0.0, 0.0)
     """From when to when since closing."""
-    gap: tuple[float, float] = (0.0, 0.0)
-    """Heights between which the start is not measured. [m]"""
 
     @property
     def is_constant(self) -> bool:
@@ -96,10 +95,6 @@ class Direction:
             build.tangents.flux[self.flux, row] = build.stack.flux[self.flux, 0]
         if self.contact >= 0:
             build.drive.d_factor[:, self.contact, row] = self._wander(0.5 * (case.edges[1:] + case.edges[:-1]))
-        if self.gap[1] > self.gap[0]:
-            height = np.cumsum(case.mesh.dx) - 0.5 * case.mesh.dx
-            along = np.clip((height - self.gap[0]) / (self.gap[1] - self.gap[0]), 0.0, 1.0)
-            build.start.s[row] = build.start.s_before[row] = 4.0 * along * (1.0 - along)
 
     def _wander(self, since_s: Array) -> Array:
         """Return how far the ramp has risen at times since closing."""
@@ -114,7 +109,8 @@ def directions_of(press: Press, run: Run, panel: Panel | None, model: ModelFile 
     else:
         usual = constant_doubts(run.header, press, SETTLED)
         doubts = constant_doubts(run.header, press, SETTLED | _seen(model.learned, usual, model.missing.nothing))
-    return (*_constants(press, run, panel, doubts), *_start(press, run, panel), *_discrepancy(press, panel, model))
+    gaps = [Direction(Prior(name, 0.0, sd)) for name, sd in gap_priors(press, run, panel).items() if sd > START_K]
+    return (*_constants(press, run, panel, doubts), *gaps, *_discrepancy(press, panel, model))
 
 
 def _seen(learned: Mapping[str, float], usual: Mapping[str, Doubt], nothing: float) -> dict[str, float]:
@@ -191,32 +187,6 @@ def _beside_table(header: Mapping[str, object]) -> dict[str, float]:
             off = abs(usual.value / given - 1.0)
             found |= {name: off} if off > 2.0 * usual.relative_sd else {}
     return found
-
-
-def _start(press: Press, run: Run, panel: Panel | None) -> Iterator[Direction]:
-    """Return the profile between first readings: anywhere between its neighbours', a rectangle of width/√12."""
-    if press.initial.kind != "sensors":
-        return
-    top, known = 0.0, {}
-    ends = {"bottom": press.boundary.bottom, "top": press.boundary.top}
-    for layer in press.layer:
-        thickness, _, _ = layer_constants(press, layer.name, panel)
-        for column, sensor in press.sensors_of(run).items():
-            at = sensor.at
-            named = {f"{layer.name}.bottom": 0.0, f"{layer.name}.middle": 0.5, f"{layer.name}.top": 1.0}
-            if isinstance(at, At) and at.layer == layer.name:
-                known[top + at.depth_mm / 1000.0] = run.columns[column][0]
-            elif at in named:
-                known[top + named[str(at)] * thickness] = run.columns[column][0]
-        top += thickness
-    for height, end in ((0.0, ends["bottom"]), (top, ends["top"])):
-        if end.kind == "measured" and end.column is not None:
-            known[height] = run.columns[end.column][0]
-    heights = sorted(height for height, value in known.items() if value == value)
-    for i, (low, high) in enumerate(pairwise(heights)):
-        sd = abs(float(known[high] - known[low])) / math.sqrt(12.0)
-        if sd > START_K:
-            yield Direction(Prior(f"{START} gap {i}", 0.0, sd), gap=(low, high))
 
 
 def _discrepancy(press: Press, panel: Panel | None, model: ModelFile | None) -> Iterator[Direction]:

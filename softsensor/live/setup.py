@@ -171,6 +171,8 @@ def linearise(setup: RunSetup, plan: FilterPlan, at: Array) -> Linearised:
             build.tangents.c[names.index(SKIN), i] += 1.0 / case.mesh.dx[i]
     for direction in setup.directions:
         direction.tangents(names.index(direction.prior.name), case, build)
+    if case.press.initial.kind == "sensors":
+        build = build.begun_at_rest(case)
     model = _model(setup, case, build, names, units)
     start = case.panel.initial_temperature if case.panel is not None else float(model.state.t.mean())
     return Linearised(names, tuple(plan.priors), at, model, setup.profiles[effects], start)
