@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from api.demo.press import press_of
-from api.demo.summary import Finding, compare, gain_line, pace_lines, replayed, summary_lines
+from api.demo.summary import Finding, compare, diagnosis_lines, gain_line, pace_lines, replayed, summary_lines
 from api.outputs import WorkFailed
 from daq.files.run_file import toml_line, toml_value
 from daq.press.press_file import read_press
@@ -50,6 +50,12 @@ LOGGERS_KEEP = 6
 """Pressings in the memory of the loggers' process, which only looks at the present."""
 SHORTEST_CYCLE_S = 90.0
 """From one panel's removal to the next one's, at least. [s]"""
+NIGHT_AFTER = 14
+"""Pressings from one nightly job to the next while the demonstration goes on; in as many, causes were named."""
+VIEWS = ("now", "wall", "runs", "coefficients", "diagnosis", "nights")
+"""What a newcomer is told to look at."""
+USUAL_CYCLE_S = 130.0
+"""From one panel's removal to the next one's, on average over the ranges of `PressSettings`. [s]"""
 JUDGED = 10
 """Newest pressings on which a promoted model is held against what was told live. Panels differ in what is hidden
 in them by a quarter, so that four (2026-11) were too few to judge by; no fit and no diagnosis sees the core."""
@@ -78,8 +84,8 @@ class Plan:
 
     @property
     def known_cycles(self) -> int:
-        """How many pressings the truth is kept of: those asked for, and those that go by meanwhile."""
-        return (self.pressings or 2) + 4 + math.ceil(self.patience_s * self.speed / SHORTEST_CYCLE_S)
+        """How many pressings the truth is kept of: those to be judged, and those that go by meanwhile."""
+        return (self.pressings or JUDGED) + 4 + math.ceil(self.patience_s * self.speed / SHORTEST_CYCLE_S)
 
 
 @dataclass
@@ -167,6 +173,8 @@ def run_demo(plan: Plan, data: Path | None, tell: Callable[[Message | str], None
             if not demo.findings:
                 raise
         demo.finish()
+        kept = {"folder": str(folder), "config": str(demo.config)}
+        tell(say("demo-not-kept") if data is None else say("demo-kept", **kept))
 
 
 class _Demo:
@@ -179,6 +187,10 @@ class _Demo:
         """Which of the virtual press's pressings were found."""
         self._ended: dict[str, tuple[float, int]] = {}
         self.config = plan.folder / "kerntemp.toml"
+        self._night: subprocess.Popen[str] | None = None
+        """The nightly job, while it runs."""
+        self._judged = 0
+        """How many pressings there were when it last began."""
 
     def start(self, ending: ExitStack) -> None:
         """Bring up loggers, recorder, sensor and page."""
@@ -188,14 +200,24 @@ class _Demo:
         warming = self.children.start(
             "warmup", [sys.executable, "-m", "api.demo.warm_up"], stdout=subprocess.DEVNULL
         )
-        loggers = self._start_loggers({**settings, "speed": plan.speed})
+        loggers = self._start_loggers({**settings, "speed": plan.speed, "pressings": plan.pressings})
         self._wait_for_warmup(warming)
         _write_configuration(self.config, plan, loggers, self.truth)
         self.store: Store = ending.enter_context(open_store(str(plan.folder / "kerntemp.sqlite")))
         for name in SERVICES:
             self.children.start(name, [*_KERNTEMP, name, "--config", str(self.config)], stdout=subprocess.DEVNULL)
         web = [*_KERNTEMP, "serve", "--config", str(self.config), "--port", str(plan.port)]
-        page = self._first_line("serve", self.children.start("serve", web, stdout=subprocess.PIPE))
+        self.address = self._first_line(
+            "serve", self.children.start("serve", web, stdout=subprocess.PIPE)
+        ).split()[-1]
+        self._greet(loggers)
+        self._wait_for_services()
+        self.started = time.monotonic()
+        self._send({"started_monotonic_s": self.started})
+
+    def _greet(self, loggers: Mapping[str, Any]) -> None:
+        """Say what is there to look at, and when there will be more."""
+        plan = self.plan
         places = " · ".join(
             f"{t['profile']} at {t.get('port') or '{host}:{tcp_port}'.format_map(t)}" for t in loggers["loggers"]
         )
@@ -205,10 +227,16 @@ class _Demo:
             self.tell(say("demo-begins", speed=plan.speed, pressings=plan.pressings))
         self.tell(say("demo-loggers", places=places))
         self.tell(say("demo-store", path=str(plan.folder / "kerntemp.sqlite")))
-        self.tell(say("demo-page", address=page.split()[-1]))
-        self._wait_for_services()
-        self.started = time.monotonic()
-        self._send({"started_monotonic_s": self.started})
+        self.tell(say("demo-page", address=self.address))
+        for view in VIEWS:
+            address = self._view(view).ljust(len(self._view(max(VIEWS, key=len))))
+            self.tell(say("demo-view", address=address, name=Message(f"page-nav-{view}")))
+        if plan.pressings is None:
+            minutes = max(round(NIGHT_AFTER * USUAL_CYCLE_S / plan.speed / 60.0), 1)
+            self.tell(say("demo-night-comes", pressings=NIGHT_AFTER, minutes=minutes))
+
+    def _view(self, name: str) -> str:
+        return f"{self.address}#/{name}"
 
     def _start_loggers(self, settings: dict[str, Any]) -> dict[str, Any]:
         command = [sys.executable, "-m", "api.demo.press"]
@@ -255,6 +283,8 @@ class _Demo:
         """Play the operator until the pressings asked for are recorded and fitted."""
         deadline = time.monotonic() + self.plan.patience_s
         while not self._enough:
+            if self.plan.pressings is None:
+                self._look_after_night()
             self.children.check()
             for record in reversed(self.store.runs(limit=20).items):
                 self._note(record)
@@ -262,8 +292,42 @@ class _Demo:
                     self._conclude(record)
                     deadline = time.monotonic() + self.plan.patience_s
             if time.monotonic() > deadline:
+                if self.plan.pressings is not None and self.findings:
+                    return  # the press has done what was asked; what was not found of it is told
                 raise WorkFailed(say("demo-no-pressing"))
             time.sleep(0.05)
+
+    def _look_after_night(self) -> None:
+        """Begin a nightly job after every `NIGHT_AFTER` pressings, and say when its diagnosis is there."""
+        if self._night is not None:
+            if self._night.poll() is not None:
+                self._end_night()
+        elif len(self.findings) - self._judged >= NIGHT_AFTER:
+            self._begin_night()
+
+    def _begin_night(self) -> None:
+        self.tell(say("demo-night"))
+        self._judged = len(self.findings)
+        command = [*_KERNTEMP, "refit", "--config", str(self.config)]
+        self._night = self.children.start("refit", command, stdout=subprocess.DEVNULL)
+
+    def _end_night(self) -> None:
+        """Wait for the nightly job. Raises `WorkFailed` where it failed."""
+        if self._night is None:
+            return
+        status = self._night.wait()
+        self._night = None
+        del self.children.running["refit"]
+        if status != 0:
+            raise WorkFailed(_ended("refit", status, self.children.last_words("refit")))
+        for line in diagnosis_lines((), self._diagnosis):
+            self.tell(line)
+        self.tell(say("demo-diagnosis-there", diagnosis=self._view("diagnosis"), night=self._view("nights")))
+
+    @property
+    def _diagnosis(self) -> Mapping[str, Any] | None:
+        found = self.store.diagnoses(limit=1).items
+        return found[0].diagnosis if found else None
 
     @property
     def _enough(self) -> bool:
@@ -308,21 +372,14 @@ class _Demo:
 
     def finish(self) -> None:
         """Let the nightly job run where something is hidden, and say what came out."""
-        report: Mapping[str, Any] | None = None
-        if self.plan.hide:
-            self.tell(say("demo-night"))
-            command = [*_KERNTEMP, "refit", "--config", str(self.config)]
-            with (self.plan.folder / "refit.log").open("w", encoding="utf-8") as log:
-                done = subprocess.run(command, stdout=log, stderr=log, check=False, **_APART)
-            if done.returncode != 0:
-                raise WorkFailed(_ended("refit", done.returncode, self.children.last_words("refit")))
-            found = self.store.diagnoses(limit=1).items
-            report = found[0].diagnosis if found else None
-        for line in summary_lines(self.findings, self.plan.hide, report):
+        if self.plan.hide and not self._judged:
+            self._begin_night()
+        self._end_night()
+        for line in summary_lines(self.findings, self.plan.hide, self._diagnosis):
             self.tell(line)
         recorder = self.store.statuses()["record"].status
         left_out = sum(int(press["missed_ticks"]) for press in recorder["presses"])
-        unseen = max(self._pressed, default=0) - len(self._pressed)
+        unseen = (self.plan.pressings or max(self._pressed, default=0)) - len(self._pressed)
         for line in pace_lines(self.findings, self.plan.speed, left_out, int(recorder["acknowledged"]), unseen):
             self.tell(line)
         if not self.plan.hide:

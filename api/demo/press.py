@@ -12,6 +12,7 @@ import json
 import sys
 import time
 from contextlib import ExitStack
+from dataclasses import dataclass
 from typing import Any
 
 from daq.simulated.devices import simulated, wiring
@@ -21,6 +22,8 @@ FAST_MODE_S = 0.1
 """An ADAM-4118 in its fast mode converts its eight inputs in about this time. [s]"""
 WAITING_S = 4.0
 """While it waits, the press goes to and fro in the first seconds before a pressing. [s]"""
+REST_S = 20.0
+"""How long after the last panel's removal the press comes to rest, before another would be inserted. [s]"""
 TCP_CHANNELS = ("platen_top", "platen_bottom", *(f"top_{i}" for i in range(1, 8)))
 SERIAL_CHANNELS = tuple(f"bottom_{i}" for i in range(1, 8))
 AMBIENT_INPUT = ("",)
@@ -32,16 +35,42 @@ def press_of(settings: dict[str, Any]) -> VirtualPress:
     return VirtualPress(PressSettings(hide=tuple(settings["hide"]), keep=settings["keep"]), settings["seed"])
 
 
+@dataclass
+class PressClock:
+    """The virtual press's time: it waits to be started, runs, and rests after the last pressing."""
+
+    press: VirtualPress
+    speed: float
+    pressings: int | None
+    started_s: float | None = None
+    """Where virtual time 0 is on the machine's monotonic clock. [s]"""
+    _over_s: float | None = None
+
+    def __call__(self) -> float:
+        """Return the virtual time. [s]"""
+        now = time.monotonic()
+        if self.started_s is None:
+            return _to_and_fro(now)
+        at_s = (now - self.started_s) * self.speed
+        if self._over_s is None and self.pressings is not None:
+            cycle = self.press.cycle(max(at_s, 0.0))
+            if cycle.number > self.pressings:
+                self._over_s = cycle.start
+        if self._over_s is None or at_s < self._over_s + REST_S:
+            return at_s
+        return self._over_s + REST_S - _to_and_fro(at_s - self._over_s - REST_S)
+
+
+def _to_and_fro(t: float) -> float:
+    """Return 0 at 0, then up to `WAITING_S` and back, again and again."""
+    return WAITING_S - abs(t % (2 * WAITING_S) - WAITING_S)
+
+
 def main() -> int:
     """Serve both loggers until standard input ends."""
     settings = json.loads(sys.stdin.readline())
     press = press_of(settings)
-    speed = float(settings["speed"])
-    started: list[float] = []
-
-    def clock() -> float:
-        now = time.monotonic()
-        return (now - started[0]) * speed if started else abs(now % (2 * WAITING_S) - WAITING_S)
+    clock = PressClock(press, float(settings["speed"]), settings["pressings"])
 
     def inputs(channels: tuple[str, ...]) -> Any:
         def temperatures(at_s: float) -> list[float]:
@@ -64,7 +93,7 @@ def main() -> int:
         sys.stdout.write(json.dumps({"loggers": tables, "ambient_C": press.ambient}) + "\n")
         sys.stdout.flush()
         if told := sys.stdin.readline():
-            started.append(float(json.loads(told)["started_monotonic_s"]))
+            clock.started_s = float(json.loads(told)["started_monotonic_s"])
         sys.stdin.read()
     return 0
 

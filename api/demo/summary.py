@@ -166,7 +166,7 @@ def summary_lines(
     lines += ["  " + "  ".join(cell.rjust(w) for cell, w in zip(row, widths, strict=True)) for row in rows]
     lines.append(say("demo-stored", runs=len(findings), scans=sum(f.scans for f in findings)))
     if hidden:
-        lines += _diagnosis_lines(hidden, diagnosis)
+        lines += diagnosis_lines(hidden, diagnosis)
     return lines
 
 
@@ -193,8 +193,9 @@ def pace_lines(
     return [say("demo-too-slow", speed=speed, troubles=tuple(troubles))] if troubles else []
 
 
-def _diagnosis_lines(hidden: Sequence[str], diagnosis: Mapping[str, Any] | None) -> list[Message]:
-    lines = [say("demo-hidden", effects=tuple(hidden))]
+def diagnosis_lines(hidden: Sequence[str], diagnosis: Mapping[str, Any] | None) -> list[Message]:
+    """Return what the nightly job named, after what was hidden."""
+    lines = [say("demo-hidden", effects=tuple(hidden))] if hidden else []
     if diagnosis is None:
         return [*lines, say("demo-no-diagnosis")]
     verdict = Message(f"page-verdict-{diagnosis.get('verdict')}")

@@ -1754,16 +1754,19 @@ demo-column-surface = Residuum der Seiten
 demo-column-surface-unit = vor -> nach Anpassung
 demo-column-worst = größter
 demo-compiling = Erster Start: das Übersetzen des Modells dauert etwa eine Minute ...
+demo-diagnosis-there = Die Diagnose ist da: { $diagnosis }, und was die Nacht getan hat: { $night }
 demo-did-not-start = { $process } ist nicht gestartet: { $why }
 demo-ended = { $process } endete mit Status { $status }: { $why }
 demo-gain = Kernfehler der letzten { $runs } Pressungen: { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } K wie live ausgegeben, { NUMBER($after, minimumFractionDigits: 2, maximumFractionDigits: 2) } K mit dem in Kraft gesetzten Modell
 demo-heldout = Fehler auf unbeteiligten Pressungen: { $plain } K mit dem einfachen Modell, { $extended } K mit dem erweiterten
 demo-hidden = In der virtuellen Presse versteckt: { $effects }
+demo-kept = Aufbewahrt in { $folder }; wieder ansehen mit: kerntemp serve --config { $config }
 demo-loggers = Messgeräte     { $places }
 demo-named = Nächtlicher Lauf: Urteil „{ $verdict }“, { $causes }
 demo-named-none = Nächtlicher Lauf: Urteil „{ $verdict }“, keine Ursache benannt
 demo-next = Nächste Messung: { $what }
 demo-night = Nächtlicher Lauf: alle Pressungen werden neu angepasst, und gesucht wird, was das Modell falsch macht ...
+demo-night-comes = Nach { $pressings } Pressungen, in etwa { $minutes } min, sucht der nächtliche Lauf, was das Modell falsch macht; die Seite bleibt bis Strg-C.
 demo-no-diagnosis = Der nächtliche Lauf hat keine Diagnose geschrieben.
 demo-no-message = keine Meldung
 demo-no-pressing = zu lange wurde keine Pressung aufgezeichnet; die Protokolle liegen neben dem Datenspeicher
@@ -1776,6 +1779,7 @@ demo-not-found = { $runs ->
     [one] { $runs } Pressung wurde nicht gefunden
    *[other] { $runs } Pressungen wurden nicht gefunden
 }
+demo-not-kept = Nichts davon wird aufbewahrt; --data DIR bewahrt alles auf.
 demo-not-promoted = Modell { $version } wurde nicht in Kraft gesetzt: { $why }
 demo-page = Seite          { $address }
 demo-pressing = Pressung { $run }: { $scans } Messzeilen, Schließen { NUMBER($closing, minimumFractionDigits: 2, maximumFractionDigits: 2) } s und Öffnen { NUMBER($opening, minimumFractionDigits: 2, maximumFractionDigits: 2) } s daneben, Seiten { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } -> { NUMBER($after, minimumFractionDigits: 2, maximumFractionDigits: 2) } K, Kern { NUMBER($core, minimumFractionDigits: 2, maximumFractionDigits: 2) } K daneben
@@ -1787,6 +1791,7 @@ demo-summary = Zusammenfassung von { $runs ->
    *[other] { $runs } Pressungen
 } an der virtuellen Presse
 demo-too-slow = Dieser Rechner hielt mit { NUMBER($speed) }-facher Geschwindigkeit nicht Schritt: { $troubles }; ein kleineres --speed angeben
+demo-view = { "               " }{ $address }  { $name }
 demo-warming-up-failed = das Übersetzen des Modells ist gescheitert: { $why }
 
 ## page: the press now

@@ -1735,16 +1735,19 @@ demo-column-surface = surface residual
 demo-column-surface-unit = before -> after fit
 demo-column-worst = worst
 demo-compiling = First start: compiling the model takes about a minute ...
+demo-diagnosis-there = The diagnosis is there: { $diagnosis }, and what the night did: { $night }
 demo-did-not-start = { $process } did not start: { $why }
 demo-ended = { $process } ended with status { $status }: { $why }
 demo-gain = Live core error on the last { $runs } pressings: { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } K as it was reported, { NUMBER($after, minimumFractionDigits: 2, maximumFractionDigits: 2) } K with the promoted model
 demo-heldout = Error on pressings that took no part: { $plain } K with the plain model, { $extended } K with the extended one
 demo-hidden = Hidden in the virtual press: { $effects }
+demo-kept = Kept in { $folder }; to look at it again: kerntemp serve --config { $config }
 demo-loggers = Loggers  { $places }
 demo-named = Nightly job: verdict “{ $verdict }”, { $causes }
 demo-named-none = Nightly job: verdict “{ $verdict }”, no cause named
 demo-next = Next measurement: { $what }
 demo-night = Nightly job: refitting all runs and looking for what the model gets wrong ...
+demo-night-comes = After { $pressings } pressings, in about { $minutes } min, the nightly job looks for what the model gets wrong; the page stays until Ctrl-C.
 demo-no-diagnosis = The nightly job wrote no diagnosis.
 demo-no-message = no message
 demo-no-pressing = no pressing was recorded for too long; the logs are beside the store
@@ -1757,6 +1760,7 @@ demo-not-found = { $runs ->
     [one] { $runs } pressing was not found
    *[other] { $runs } pressings were not found
 }
+demo-not-kept = Nothing of it is kept; --data DIR keeps it all.
 demo-not-promoted = Model { $version } was not promoted: { $why }
 demo-page = Page     { $address }
 demo-pressing = Pressing { $run }: { $scans } scans, closing { NUMBER($closing, minimumFractionDigits: 2, maximumFractionDigits: 2) } s and opening { NUMBER($opening, minimumFractionDigits: 2, maximumFractionDigits: 2) } s off, surface { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } -> { NUMBER($after, minimumFractionDigits: 2, maximumFractionDigits: 2) } K, core { NUMBER($core, minimumFractionDigits: 2, maximumFractionDigits: 2) } K off
@@ -1768,6 +1772,7 @@ demo-summary = Summary of { $runs ->
    *[other] { $runs } pressings
 } on the virtual press
 demo-too-slow = This machine did not keep up with { NUMBER($speed) } times real speed: { $troubles }; give a lower --speed
+demo-view = { "         " }{ $address }  { $name }
 demo-warming-up-failed = warming up failed: { $why }
 
 ## page: the press now

@@ -12,10 +12,11 @@ import pytest
 
 from api.cli import main
 from api.demo.demonstration import Plan, _Demo, run_demo
-from api.demo.press import press_of
+from api.demo.press import PressClock, press_of
 from api.demo.summary import Finding, compare, pace_lines, summary_lines
 from daq.records import InputError
-from daq.store.records import StoredEstimate
+from daq.store.records import RunStatus, StoredEstimate
+from daq.store.store import open_store
 from softsensor.effects.vocabulary import called
 from tests.editions import edition
 
@@ -49,7 +50,10 @@ def test_the_demonstration_ends_by_itself_with_a_summary_and_leaves_no_process_b
     assert abs(opening) < 0.5, summary
     assert after < before, summary
     assert core < 3.0, summary
-    assert (folder / "kerntemp.sqlite").exists()
+    assert f"Kept in {folder}" in done.stdout
+    assert "#/wall" in done.stdout
+    with open_store(str(folder / "kerntemp.sqlite")) as store:
+        assert [r.status for r in store.runs(limit=5).items] == [RunStatus.CLOSED]
     if sys.platform != "win32":
         deadline = time.monotonic() + 10
         while processes_mentioning(str(folder)) and time.monotonic() < deadline:
@@ -76,6 +80,18 @@ def test_a_pressing_fitted_late_on_a_busy_machine_can_still_be_held_against_the_
     first = truth.cycle(44.0)
     truth.cycle(plan.patience_s * plan.speed)  # so far the press has gone on meanwhile
     assert truth.cycle(44.0) is first
+
+
+def test_the_press_rests_after_as_many_panels_as_were_asked_for(monkeypatch):
+    press = press_of({"hide": [], "keep": 4, "seed": 3})
+    clock, second = PressClock(press, speed=10.0, pressings=1), press.cycle(press.cycle(0.0).end)
+    now = [100.0]
+    monkeypatch.setattr("api.demo.press.time.monotonic", lambda: now[0])
+    clock.started_s = 100.0
+    while now[0] < 160.0:
+        assert clock() < second.moments.inserted_s
+        now[0] += 0.5
+    assert second.start < clock() < second.moments.inserted_s
 
 
 def test_a_folder_that_holds_a_store_is_not_overwritten(tmp_path):
