@@ -20,7 +20,7 @@ from daq.words import Message, say
 from daq.words.message import ENGLISH, words
 
 _LANGUAGE = ContextVar("language of the terminal", default=ENGLISH)
-PATIENCE_S = 2.0
+PATIENCE_S = 1.0
 """Work that takes longer than this shows progress on a terminal."""
 
 
@@ -123,7 +123,7 @@ def as_json(value: Any) -> str:
 
 @contextmanager
 def working(what: Message, total: int | None = None) -> Iterator[Callable[[int], None]]:
-    """Show `what` with elapsed time and a bar once it takes longer than 2 s, on a terminal only.
+    """Show `what` with elapsed time and a bar once it takes longer than 1 s, on a terminal only.
 
     Yields a function that takes how much is done.
     """

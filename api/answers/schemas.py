@@ -655,6 +655,7 @@ class EventRecord(_Answer):
     level: Literal["info", "warning", "alarm"]
     process: str
     press: str | None
+    run: str | None = None
     message: str
     message_said: Said
     details: dict[str, Any] = Field(default_factory=dict)

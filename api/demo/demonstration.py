@@ -190,7 +190,7 @@ class _Demo:
         self._night: subprocess.Popen[str] | None = None
         """The nightly job, while it runs."""
         self._judged = 0
-        """How many pressings there were when it last began."""
+        """How many pressings there were when it last began or ended."""
 
     def start(self, ending: ExitStack) -> None:
         """Bring up loggers, recorder, sensor and page."""
@@ -317,6 +317,7 @@ class _Demo:
             return
         status = self._night.wait()
         self._night = None
+        self._judged = len(self.findings)
         del self.children.running["refit"]
         if status != 0:
             raise WorkFailed(_ended("refit", status, self.children.last_words("refit")))
@@ -374,7 +375,8 @@ class _Demo:
         """Let the nightly job run where something is hidden, and say what came out."""
         if self.plan.hide and not self._judged:
             self._begin_night()
-        self._end_night()
+        if self._diagnosis is None:
+            self._end_night()
         for line in summary_lines(self.findings, self.plan.hide, self._diagnosis):
             self.tell(line)
         recorder = self.store.statuses()["record"].status

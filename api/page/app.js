@@ -7,14 +7,16 @@ import * as access from "./views/access.js";
 import * as alarms from "./views/alarms.js";
 import * as coefficients from "./views/coefficients.js";
 import * as diagnosis from "./views/diagnosis.js";
+import * as journal from "./views/journal.js";
 import * as loggers from "./views/loggers.js";
 import * as nights from "./views/nights.js";
 import * as now from "./views/now.js";
+import * as presses from "./views/presses.js";
 import * as runs from "./views/runs.js";
 import * as wall from "./views/wall.js";
 import { chooseLanguage, language, languages, loadWords, nameOf, said, text } from "./words.js";
 
-const VIEWS = { now, runs, coefficients, diagnosis, nights, alarms, loggers, access, wall };
+const VIEWS = { presses, now, runs, coefficients, diagnosis, nights, alarms, journal, loggers, access, wall };
 const main = document.getElementById("view");
 let leave = null;
 let turn = 0;
@@ -25,9 +27,10 @@ const context = { press: null, presses: [], on: (name, handler) => listeners[nam
 const listeners = { scan: new Set(), estimate: new Set(), press: new Set(), run: new Set(), fit: new Set(), link: new Set() };
 
 async function show() {
-  const [path, query] = (location.hash.replace(/^#\//, "") || "now").split("?");
+  const [path, query] = (location.hash.replace(/^#\//, "") || start()).split("?");
   const [name, ...rest] = path.split("/").map(decodeURIComponent);
   context.query = new URLSearchParams(query);
+  if (context.presses.includes(context.query.get("press"))) choosePress(context.query.get("press"));
   const view = VIEWS[name] ?? now;
   const mine = ++turn;
   if (leave) leave();
@@ -98,6 +101,13 @@ addEventListener("hashchange", () => {
 });
 document.querySelector(".skip").addEventListener("click", (event) => { event.preventDefault(); main.focus(); });
 
+const start = () => (context.presses.length > 1 ? "presses" : "now");
+
+function choosePress(name) {
+  context.press = name;
+  document.getElementById("press").value = name;
+}
+
 async function refreshPresses() {
   try {
     const { items } = await get("/press");
@@ -105,6 +115,7 @@ async function refreshPresses() {
     if (!context.presses.includes(context.press)) context.press = context.presses[0] ?? null;
     const select = document.getElementById("press");
     select.hidden = context.presses.length < 2;
+    document.querySelector("[data-view=presses]").hidden = select.hidden;
     select.replaceChildren(...context.presses.map((name) => el("option", { value: name, selected: name === context.press }, name)));
   } catch { context.presses = []; }
 }

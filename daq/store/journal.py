@@ -9,11 +9,11 @@ from typing import Any, Literal
 
 from sqlalchemy import Connection, Row, insert, select
 
-from daq.store.convert import known_utc, to_json, unix_of
-from daq.store.reading import newest_first
+from daq.store.convert import header_text, known_utc, to_json, unix_of
+from daq.store.reading import newest_first, open_run, recorded_id
 from daq.store.records import JournalEntry, Page
-from daq.store.schema import EVENT
-from daq.words import Message, spoken
+from daq.store.schema import EVENT, RUN_CHANGE, SCAN
+from daq.words import Message, say, spoken
 
 
 def log(
@@ -39,16 +39,34 @@ def log(
     connection.execute(insert(EVENT), row)
 
 
+def note(connection: Connection, press: str, said: str, who: str) -> None:
+    """Add what somebody noticed; of an open run it is a change, too, under the time of the newest scan."""
+    run = open_run(connection, press)
+    log(connection, "info", who, say("journal-note", text=said), press, None if run is None else {"run": run.run})
+    if run is None:
+        return
+    own = SCAN.c.press_id == recorded_id(connection, press)
+    newest = connection.execute(select(SCAN.c.monotonic_s).where(own).order_by(SCAN.c.number.desc()).limit(1))
+    at_s = max((newest.scalar() or 0.0) - run.zero_monotonic_s, 0.0)
+    row = {"run": run.run, "unix_s": unix_of(datetime.now(UTC)), "who": who, "field": f"note {at_s:.1f} s"}
+    connection.execute(
+        insert(RUN_CHANGE), {**row, "before_toml": None, "after_toml": header_text({"value": said})}
+    )
+
+
 def journal(
     connection: Connection,
     *,
     press: str | None = None,
     level: str | None = None,
+    process: str | None = None,
     cursor: str | None = None,
     limit: int = 50,
 ) -> Page[JournalEntry]:
     """Return a page of the journal, newest first."""
-    rows, following = newest_first(connection, EVENT, "event_id", press, cursor, limit, level)
+    rows, following = newest_first(
+        connection, EVENT, "event_id", press, cursor, limit, level=level, process=process
+    )
     return Page(tuple(_entry(r) for r in rows), following)
 
 

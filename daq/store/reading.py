@@ -8,7 +8,7 @@ from datetime import datetime
 from typing import Any
 
 import numpy as np
-from sqlalchemy import ColumnElement, Connection, Row, Select, Table, and_, func, select
+from sqlalchemy import ColumnElement, Connection, Row, Select, Table, and_, func, or_, select
 
 from daq.files.qualities import QUALITY, quality_text
 from daq.records import Array, Channel, InputError, Moments, Quality, Run, Scan
@@ -300,19 +300,42 @@ def press_events(
         query = query.where(PRESS.c.name == press)
     if since_scan is not None:
         query = query.where(PRESS_EVENT.c.scan_number >= since_scan)
-    return [
-        StoredPressEvent(
-            r.press_event_id,
-            r.press,
-            r.kind,
-            utc_of(r.unix_s),
-            r.monotonic_s,
-            r.noticed_monotonic_s,
-            r.scan_number,
-            r.source,
-        )
-        for r in connection.execute(query).all()
-    ]
+    return [_press_event(r) for r in connection.execute(query).all()]
+
+
+def press_journal(
+    connection: Connection, press: str | None = None, cursor: str | None = None, limit: int = 50
+) -> Page[tuple[StoredPressEvent, str | None]]:
+    """Return a page of press events, newest first, each with the run it belongs to."""
+    number = PRESS_EVENT.c.press_event_id
+    within = and_(
+        RUN.c.press_id == PRESS_EVENT.c.press_id,
+        RUN.c.first_scan <= PRESS_EVENT.c.scan_number,
+        or_(RUN.c.last_scan.is_(None), RUN.c.last_scan >= PRESS_EVENT.c.scan_number),
+    )
+    run = select(func.max(RUN.c.run)).where(within).scalar_subquery()
+    query = select(PRESS_EVENT, PRESS.c.name.label("press"), run.label("run"))
+    query = query.join(PRESS, PRESS.c.press_id == PRESS_EVENT.c.press_id).order_by(number.desc()).limit(limit + 1)
+    if press is not None:
+        query = query.where(PRESS.c.name == press)
+    if cursor is not None:
+        query = query.where(number < cursor_number(cursor))
+    rows = connection.execute(query).all()
+    following = str(rows[limit - 1].press_event_id) if len(rows) > limit else None
+    return Page(tuple((_press_event(r), r.run) for r in rows[:limit]), following)
+
+
+def _press_event(r: Row[Any]) -> StoredPressEvent:
+    return StoredPressEvent(
+        r.press_event_id,
+        r.press,
+        r.kind,
+        utc_of(r.unix_s),
+        r.monotonic_s,
+        r.noticed_monotonic_s,
+        r.scan_number,
+        r.source,
+    )
 
 
 def presses(connection: Connection) -> dict[str, str]:
@@ -340,15 +363,14 @@ def newest_first(
     press: str | None,
     cursor: str | None,
     limit: int,
-    level: str | None = None,
+    **only: str | None,
 ) -> tuple[list[Row[Any]], str | None]:
-    """Return a page of a table's rows, newest first, and the cursor of the next."""
+    """Return a page of a table's rows, newest first, and the next cursor; `only` chooses by other columns."""
     column = table.c[key]
     query = select(table, column.label("row_number")).order_by(column.desc()).limit(limit + 1)
-    if press is not None:
-        query = query.where(table.c.press == press)
-    if level is not None:
-        query = query.where(table.c.level == level)
+    for name, wanted in {"press": press, **only}.items():
+        if wanted is not None:
+            query = query.where(table.c[name] == wanted)
     if cursor is not None:
         query = query.where(column < cursor_number(cursor))
     rows = list(connection.execute(query).all())

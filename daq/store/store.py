@@ -209,6 +209,8 @@ class Store:
     # --- journal and status -------------------------------------------------------------------------
 
     log = _writes(journal.log)
+    note = _writes(journal.note)
+    press_journal = _reads(reading.press_journal)
     journal_after = _reads(journal.journal_after)
     beat = _writes(results.beat)
     statuses = _reads(results.statuses)

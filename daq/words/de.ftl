@@ -1921,6 +1921,24 @@ page-state-closed = geschlossen
 page-state-open = offen
 page-to = Bis
 
+## page: the journal
+
+journal-note = Notiz: { $text }
+journal-press-closed = Die Presse schließt
+journal-press-inserted = Eine Platte wird eingelegt
+journal-press-opened = Die Presse öffnet
+journal-press-removed = Die Platte wird entnommen
+page-journal-empty = Nichts dieser Art.
+page-level = Stufe
+page-level-alarm = Alarm
+page-level-info = Hinweis
+page-level-warning = Warnung
+page-note = Notiz zu { $press }
+page-note-keep = Notieren
+page-note-kept = Die Notiz ist aufbewahrt
+page-press-events = Pressen
+page-repeated = { $count } mal in { $time }
+
 ## page: loggers
 
 page-channel = Kanal
@@ -1929,7 +1947,6 @@ page-clock-here = Gegen diesen Bildschirm
 page-clock-never = nicht seit Beginn
 page-clock-set = Zuletzt gestellt
 page-crc-errors = CRC-Fehler
-page-events = Ereignisse
 page-free = Frei auf dem Datenträger
 page-gaps = Lücken, letzte Stunde
 page-health-down = ausgefallen
@@ -1937,8 +1954,6 @@ page-hours-left = Reicht für
 page-kind = Art
 page-last-good = Zuletzt gut
 page-last-sign = Letztes Lebenszeichen
-page-level-alarm = Alarm
-page-level-warning = Warnung
 page-logger = Messgerät
 page-newest-scan = Neueste Messzeile
 page-no-channels = Noch kein Kanal.
@@ -2085,9 +2100,11 @@ page-nav-access = Zugang
 page-nav-alarms = Alarme
 page-nav-coefficients = Koeffizienten
 page-nav-diagnosis = Was die Simulation falsch macht
+page-nav-journal = Journal
 page-nav-loggers = Messgeräte
 page-nav-nights = Nächte
 page-nav-now = Presse jetzt
+page-nav-presses = Alle Pressen
 page-nav-runs = Pressungen
 page-nav-wall = Wandansicht
 page-need-token = Zugangstoken eingeben

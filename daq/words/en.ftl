@@ -1902,6 +1902,24 @@ page-state-closed = closed
 page-state-open = open
 page-to = To
 
+## page: the journal
+
+journal-note = Note: { $text }
+journal-press-closed = The press closes
+journal-press-inserted = A panel is inserted
+journal-press-opened = The press opens
+journal-press-removed = The panel is removed
+page-journal-empty = Nothing of this kind.
+page-level = Level
+page-level-alarm = alarm
+page-level-info = info
+page-level-warning = warning
+page-note = Note at { $press }
+page-note-keep = Keep note
+page-note-kept = The note is kept
+page-press-events = Presses
+page-repeated = { $count } times in { $time }
+
 ## page: loggers
 
 page-channel = Channel
@@ -1910,7 +1928,6 @@ page-clock-here = Against this screen
 page-clock-never = not since recording
 page-clock-set = Last set
 page-crc-errors = CRC errors
-page-events = Events
 page-free = Free on disk
 page-gaps = Gaps, last hour
 page-health-down = down
@@ -1918,8 +1935,6 @@ page-hours-left = Lasts for
 page-kind = Kind
 page-last-good = Last good
 page-last-sign = Last sign of life
-page-level-alarm = alarm
-page-level-warning = warning
 page-logger = Logger
 page-newest-scan = Newest scan
 page-no-channels = No channel yet.
@@ -2066,9 +2081,11 @@ page-nav-access = Access
 page-nav-alarms = Alarms
 page-nav-coefficients = Coefficients
 page-nav-diagnosis = What the simulation gets wrong
+page-nav-journal = Journal
 page-nav-loggers = Loggers
 page-nav-nights = Nights
 page-nav-now = Press now
+page-nav-presses = All presses
 page-nav-runs = Runs
 page-nav-wall = Wall view
 page-need-token = Give an access token

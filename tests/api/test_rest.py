@@ -517,3 +517,18 @@ def test_even_two_points_span_the_measured_values(client, campaign, points):
     samples = client.get(f"{RUN}/samples", params={"max_points": points, "columns": "top_1"}).json()
     assert 2 <= samples["rows"] <= points
     assert max(samples["columns"]["top_1"]) == pytest.approx(max(run.columns["top_1"]), abs=1e-3)
+
+
+def test_notes_and_press_events_stand_in_the_journal_and_a_note_is_refused_without_leave(client, tokens, store):
+    writer = {"Authorization": f"Bearer {tokens.create('shift-2', 'write')}"}
+    problem(client.post("/api/v1/events", json={"press": "lab", "text": "x"}), 401)
+    problem(client.post("/api/v1/events", json={"press": "nowhere", "text": "x"}, headers=writer), 404)
+    kept = client.post("/api/v1/events", json={"press": "lab", "text": "steam at the left"}, headers=writer).json()
+    assert (kept["process"], kept["message"]) == ("shift-2", "Note: steam at the left")
+    assert client.get("/api/v1/events?process=shift-2&limit=1").json()["items"] == [kept]
+    pressed = client.get("/api/v1/events?kind=press&limit=3").json()
+    assert {one["press"] for one in pressed["items"]} == {"lab"}
+    following = client.get(f"/api/v1/events?kind=press&cursor={pressed['next_cursor']}").json()["items"]
+    stored = store.press_events("lab")
+    assert [int(one["id"]) for one in (*pressed["items"], *following)] == [e.number for e in reversed(stored)]
+    assert {store.run_record(one["run"]).press for one in following if one["run"]} == {"lab"}

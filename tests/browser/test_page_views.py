@@ -18,6 +18,7 @@ from daq.simulated.campaign import Plan, make_campaign
 from daq.store import StoredNight
 from daq.words import Message, say
 from daq.words.message import words
+from tests.browser.conftest import CHANNELS
 
 VIEWS = (
     "#/now",
@@ -28,6 +29,8 @@ VIEWS = (
     "#/diagnosis",
     "#/nights",
     "#/alarms",
+    "#/journal",
+    "#/presses",
     "#/loggers",
     "#/access",
     "docs",
@@ -226,6 +229,88 @@ def test_a_night_says_what_it_did_and_what_it_left_out(plant, browser, language,
     expect(nights).to_contain_text("412")
     page.screenshot(path=tmp_path / "nights.png")
     context.close()
+
+
+@pytest.mark.parametrize(
+    ("language", "words"),
+    [
+        ("en-GB", ("69 scans left out", "2 times in", "The press closes", "Note at lab", "Keep note", "warning")),
+        ("de-DE", ("69 Messzeilen", "2 mal in", "Die Presse schließt", "Notiz zu lab", "Notieren", "Warnung")),
+    ],
+)  # fmt: skip
+def test_the_journal_groups_what_repeats_and_holds_press_events_and_notes(plant, served, browser, language, words):
+    address, _, token = plant
+    feed = served[1]
+    for count in (40, 29):
+        feed.store.log("warning", "record", say("scans-left-out", press="lab", count=count), "lab")
+    feed.store.log("info", "sense", say("sense-following", presses=("lab",)))
+    context = browser.new_context(locale=language)
+    page = context.new_page()
+    with_token(page, token)
+    page.goto(address + "#/journal")
+    journal = page.get_by_test_id("journal")
+    for part in words[:3]:
+        expect(journal).to_contain_text(part)
+    expect(journal.get_by_role("link", name="lab-0000000").first).to_be_visible()
+    page.get_by_label(words[3]).fill("steam at the left")
+    page.get_by_role("button", name=words[4]).click()
+    expect(journal.get_by_role("row", name="steam at the left")).to_contain_text("foreman")
+    page.locator("main select").first.select_option(label=words[5])
+    expect(journal).not_to_contain_text("steam at the left")
+    expect(journal).to_contain_text(words[0])
+    assert "level=warning" in page.url
+    context.close()
+
+
+def test_a_note_stands_on_the_time_axis_of_the_pressing_it_was_made_in(served, browser):
+    server, feed, _ = served
+    page = browser.new_context(bypass_csp=True, locale="en-GB").new_page()
+    feed.pause_s = 0.02
+    writer = threading.Thread(target=feed.pressing, args=(3000,), daemon=True)
+    writer.start()
+    while feed.store.open_run("lab") is None:
+        pass
+    run = feed.store.open_run("lab").run
+    feed.store.note("lab", "a very long remark about steam at the left edge", "foreman")
+    page.add_init_script(
+        """const draw = CanvasRenderingContext2D.prototype.fillText;
+        window.written = new Set();
+        CanvasRenderingContext2D.prototype.fillText = function (words, ...at) {
+          window.written.add(words); draw.call(this, words, ...at); };"""
+    )
+    for view in ("#/now", f"#/runs/{run}"):
+        page.goto(server.url + view)
+        page.wait_for_function("[...window.written].some((one) => one.startsWith('a very long remark'))")
+        page.evaluate("window.written.clear()")
+    expect(page.get_by_test_id("metadata")).to_contain_text("Changes (1)")
+    feed.stop.set()
+    writer.join(20)
+    page.context.close()
+
+
+def test_thirty_presses_stand_on_one_screen_and_a_tile_leads_to_its_press(served, browser, tmp_path):
+    server, feed, _ = served
+    text = LAB.read_text(encoding="utf-8")
+    for number in range(2, 31):
+        feed.store.register_press(f"press-{number}", CHANNELS, text)
+    feed.pause_s = 0.02
+    writer = threading.Thread(target=feed.pressing, args=(3000,), daemon=True)
+    writer.start()
+    page = browser.new_page(viewport={"width": 1920, "height": 1080}, locale="de-DE")
+    page.goto(server.url)
+    tiles = page.get_by_test_id("presses").locator(".press-tile")
+    expect(tiles).to_have_count(30)
+    assert page.evaluate("document.querySelector('.presses').getBoundingClientRect().bottom") <= 1080
+    lab = tiles.filter(has_text="lab")
+    expect(lab.locator(".core")).to_have_text("50,0°C")
+    expect(tiles.filter(has_text="press-30").locator(".light.bad")).to_contain_text("keine Messung")
+    page.screenshot(path=tmp_path / "presses.png")
+    tiles.filter(has_text="press-30").click()
+    expect(page.locator("#press")).to_have_value("press-30")
+    expect(page.locator("h1")).to_have_text("Kerntemperatur")
+    feed.stop.set()
+    writer.join(20)
+    page.close()
 
 
 NOTIFIED = """

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from fastapi import Depends, Query, Request
 from fastapi.routing import APIRoute
-from pydantic import AfterValidator
+from pydantic import AfterValidator, Field
 
 from api.http.gate import token_of
 from api.http.problems import ProblemError
@@ -51,6 +51,8 @@ def only_known_queries(request: Request) -> None:
             raise ProblemError(422, say("api-query-unknown", name=name, known=tuple(known)) if known else of_none)
 
 
+Words = Annotated[str, Field(max_length=4000, pattern=r"^[^\x00-\x08\x0b-\x1f\x7f-\x9f]*$")]
+"""Any text but control characters, which no database keeps and no reader sees; lines and tabs may be."""
 StoreDep = Annotated[Store, Depends(get_store)]
 Writer = Annotated[str, Depends(get_writer)]
 PageSize = Annotated[int, Query(ge=1, le=MAX_PAGE, description="Items in one page.")]

@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, StrictBool, StrictFloat, Stri
 from api.answers.records import run_detail
 from api.answers.schemas import NextPanelNow, RunDetail, RunVerdict, Verdict
 from api.http.problems import ProblemError, problem_responses
-from api.http.routes.common import PressName, StoreDep, Writer, existing_run
+from api.http.routes.common import PressName, StoreDep, Words, Writer, existing_run
 from daq.press.header import check_header, panel_of
 from daq.press.press_file import SD, parse_press, press_for_run
 from daq.records import InputError, Run
@@ -29,10 +29,6 @@ NUMBERS = ("setting.", "ambient.")
 EXACT = 2**53
 """Whole numbers up to here are the same in JSON, TOML and a float."""
 VERDICT = "panel.verdict"
-
-
-Words = Annotated[str, Field(max_length=4000, pattern=r"^[^\x00-\x08\x0b-\x1f\x7f-\x9f]*$")]
-"""Any text but control characters, which no database keeps and no reader sees; lines and tabs may be."""
 Key = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+(\.[A-Za-z0-9_-]+)*$", max_length=200)]
 Value = (
     StrictBool

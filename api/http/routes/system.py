@@ -6,16 +6,18 @@ from typing import Annotated, Literal
 
 from fastapi import APIRouter, Query
 from fastapi.responses import PlainTextResponse
+from pydantic import BaseModel, ConfigDict, Field
 
+from api.answers.events import event_of, press_event_of
 from api.answers.health import health_of
 from api.answers.records import utc_now
 from api.answers.schemas import EventList, EventRecord, Health
-from api.answers.words import said_of
 from api.http.metrics import metrics_text
-from api.http.problems import problem_responses
-from api.http.routes.common import Cursor, PageSize, PressName, StoreDep
+from api.http.problems import ProblemError, problem_responses
+from api.http.routes.common import Cursor, PageSize, PressName, StoreDep, Words, Writer
+from daq.words import say
 
-router = APIRouter(tags=["system"], responses=problem_responses())
+router = APIRouter(tags=["system"], responses=problem_responses(404))
 metrics_router = APIRouter(tags=["system"])
 
 
@@ -26,29 +28,44 @@ def get_health(store: StoreDep) -> Health:
 
 
 @router.get("/events", operation_id="list_events", summary="The journal, newest first")
-def list_events(
+def list_events(  # noqa: PLR0913 - each is a query by its name
     store: StoreDep,
     press: PressName = None,
     level: Annotated[Literal["info", "warning", "alarm"] | None, Query(description="Only this level.")] = None,
+    process: Annotated[
+        str | None, Query(max_length=200, description="Only what this process or person wrote.")
+    ] = None,
+    kind: Annotated[
+        Literal["journal", "press"],
+        Query(description="`press`: closings and openings, with cursors of their own."),
+    ] = "journal",
     cursor: Cursor = None,
     limit: PageSize = 50,
 ) -> EventList:
-    """Return alarms, losses, changes of state, and who changed what."""
-    page = store.journal(press=press, level=level, cursor=cursor, limit=limit)
-    items = [
-        EventRecord(
-            id=str(entry.number),
-            utc=entry.utc,
-            level=entry.level,
-            process=entry.process,
-            press=entry.press,
-            message=str(entry.message),
-            message_said=said_of(entry.message),
-            details=dict(entry.detail or {}),
-        )
-        for entry in page.items
-    ]
-    return EventList(items=items, next_cursor=page.next_cursor)
+    """Return alarms, losses, changes of state, notes, and who changed what; or what the presses did."""
+    if kind == "press":
+        pressed = store.press_journal(press, cursor, limit)
+        return EventList(items=[press_event_of(*one) for one in pressed.items], next_cursor=pressed.next_cursor)
+    page = store.journal(press=press, level=level, process=process, cursor=cursor, limit=limit)
+    return EventList(items=[event_of(entry) for entry in page.items], next_cursor=page.next_cursor)
+
+
+class Note(BaseModel):
+    """What somebody noticed at a press."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    press: Annotated[str, Field(max_length=200)]
+    text: Annotated[Words, Field(min_length=1, max_length=2000)]
+
+
+@router.post("/events", operation_id="add_note", summary="Write a note into the journal", status_code=201)
+def add_note(store: StoreDep, note: Note, who: Writer) -> EventRecord:
+    """Keep a note; while a pressing is recorded it belongs to it, at its time."""
+    if note.press not in store.presses():
+        raise ProblemError(404, say("api-press-unknown", press=note.press, known=tuple(store.presses())))
+    store.note(note.press, note.text, who)
+    return event_of(store.journal(press=note.press, process=who, limit=1).items[0])
 
 
 @metrics_router.get("/metrics", response_class=PlainTextResponse, include_in_schema=False)

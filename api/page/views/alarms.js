@@ -22,7 +22,7 @@ export async function show(place, context) {
 
 function drawList(place, items, load) {
   const message = el("p", { role: "status", class: "small" });
-  const heads = [{ text: text("page-when") }, { text: text("page-status") }, { text: text("page-what") }, { text: text("page-alarm-taken") }];
+  const heads = [{ text: text("page-when") }, { text: text("page-status"), class: "wide" }, { text: text("page-what"), class: "wide" }, { text: text("page-alarm-taken") }];
   const rows = items.map((one) => [when(one.raised_utc),
     el("span", { class: `pill ${one.stands ? "bad" : one.acknowledged_utc ? "" : "warn"}` }, one.stands ? text("page-alarm-stands") : text("page-alarm-over", { time: clock(one.ended_utc) })),
     said(one.message_said, one.message),
@@ -76,7 +76,7 @@ function drawLimits(place, kept) {
   el("label", { class: "row", for: "limit-verdict" }, unknown, text("page-alarm-verdict")), form, el("p", { class: "small faint" }, text("page-alarm-limits-hint")), message);
 }
 
-function refuse(message, error) {
+export function refuse(message, error) {
   message.className = "small bad-text";
   message.replaceChildren(error.message, error.status === 401 ? el("a", { href: "#/access" }, ` ${text("page-need-token")}`) : "");
 }

@@ -61,7 +61,7 @@ export class CoreChart {
     });
   }
 
-  show({ times, low, high, core, measured = [], phases, target, course, advice }) {
+  show({ times, low, high, core, measured = [], phases, target, course, advice, notes = [] }) {
     const zero = closingOf(phases);
     const now = times.at(-1) ?? 0;
     const to = (course ?? []).filter(([time]) => time > now);
@@ -70,6 +70,7 @@ export class CoreChart {
     this.target = target;
     const opens = advice?.open_in_s ?? null;
     this.chart.marks = [
+      ...notes.map((note) => ({ ...note, x: note.x - zero })),
       ...(target === null ? [] : [{ y: target, name: `${text("page-target")} ${number(target, 0)} °C`, colour: "--good" }]),
       ...(opens === null || !to.length ? [] : [{ x: now + opens - zero, name: text("page-open-then"), colour: "--accent" }])];
     this.chart.set([[...times, ...to.map(([time]) => time)].map((t) => t - zero), before(low), before(high), before(core), after(2), after(3), after(1),

@@ -1,6 +1,6 @@
 // Loggers: each channel's last good time and faults, the processes, the store and how long its disk lasts.
 import { get } from "../api.js";
-import { bytes, clock, duration, el, number, reading, table, when } from "../dom.js";
+import { bytes, clock, duration, el, number, reading, table } from "../dom.js";
 import { has, said, text } from "../words.js";
 
 export async function show(place) {
@@ -8,7 +8,7 @@ export async function show(place) {
   place.append(holder);
   const load = async () => {
     const [channels, health, events] = await Promise.all([get("/channels"), get("/health"), get("/events", { limit: 200 })]);
-    const cards = [el("div", { class: "pair" }, storeCard(health), clockCard(health, channels.items, events.items)), channelCard(channels.items), processCard(health), eventCard(events.items.slice(0, 30))];
+    const cards = [el("div", { class: "pair" }, storeCard(health), clockCard(health, channels.items, events.items)), channelCard(channels.items), processCard(health)];
     const scrolled = holder.querySelector("[data-testid=loggers] .scroll")?.scrollLeft ?? 0;
     holder.replaceChildren(...cards);
     holder.querySelector("[data-testid=loggers] .scroll")?.scrollTo({ left: scrolled });
@@ -60,8 +60,3 @@ function channelCard(items) {
 }
 
 const count = (value, usual = false) => el("span", { class: value && !usual ? "num warn-text" : "num" }, number(value, 0));
-
-function eventCard(items) {
-  return el("section", { class: "card" }, el("h2", {}, text("page-events")), items.length ? table(text("page-events"), [{ text: text("page-when") }, { text: text("page-process"), class: "hide-narrow" }, { text: text("page-what") }],
-    items.map((e) => [when(e.utc), e.process, el("span", {}, e.level === "info" ? "" : el("span", { class: `pill ${e.level === "alarm" ? "bad" : "warn"}` }, text(`page-level-${e.level}`)), " ", said(e.message_said, e.message))])) : el("p", { class: "faint" }, "–"));
-}

@@ -6,6 +6,7 @@ import { TimeChart, key } from "../charts.js";
 import { clock, duration, el, number, reading } from "../dom.js";
 import { effectName, said, text } from "../words.js";
 import { CoreChart, STALE_S, believed, closingOf, coreKey, courseOf, seconds, shifted, showAnswer, showCore } from "./answer.js";
+import { notesOf } from "./journal.js";
 import { PanelCards } from "./panel.js";
 import { sketch } from "./sketch.js";
 
@@ -191,6 +192,7 @@ class LivePress {
     if (this.closed || this.shown !== run) return;
     this.columns = Object.keys(samples.columns).filter((name) => name !== "closed");
     this.phases = detail.phases;
+    this.notes = notesOf(detail);
     this.course = null;
     this.rows = merge(samples, estimates, this.columns);
     this.draw();
@@ -224,7 +226,7 @@ class LivePress {
     const zero = closingOf(this.phases);
     this.chart.show({
       times: this.rows[0], low: this.rows[first], high: this.rows[first + 1], core: this.rows[first + 2], measured: this.inner.map(column),
-      phases: this.phases, target: this.now.target?.temperature_C ?? null, course: this.now.state === "closed" ? this.course : null, advice: this.now.estimate?.advice,
+      phases: this.phases, target: this.now.target?.temperature_C ?? null, course: this.now.state === "closed" ? this.course : null, advice: this.now.estimate?.advice, notes: this.notes,
     });
     this.faceChart.set([this.rows[0].map((t) => t - zero), ...this.outer.map(column)], shifted(this.phases, zero));
   }

@@ -6,6 +6,7 @@ import { language, placeName, said, text } from "../words.js";
 import { roleOf } from "../channels.js";
 import { coefficientTable } from "./coefficients.js";
 import { compare } from "./compare.js";
+import { notesOf } from "./journal.js";
 import { metadataCard } from "./metadata.js";
 import { profilePicture } from "./profile.js";
 
@@ -163,8 +164,8 @@ function measuredCard(run, samples, estimates) {
     { name: text("page-core-predicted"), colour: "--core" }, { name: text("page-band95"), class: "band" }, { name: text("page-sensors-top"), colour: "--top" },
     { name: text("page-sensors-bottom"), colour: "--bottom" }, { name: text("page-platens"), colour: "--platen" }]), leftOut(samples.quality));
   const why = (name, time) => samples.quality.find((span) => (span.column === name || span.column === "*") && span.from_s <= time && time <= span.to_s);
-  later(holder, () => new TimeChart(holder, { series, height: 360, label: text("page-measured-and-core"), phases: run.phases, sync: "run",
-    why: (name, time) => { const span = names.includes(name) && why(name, time); return span ? text(`page-quality-${span.quality}`) : null; } }).set(data));
+  later(holder, () => Object.assign(new TimeChart(holder, { series, height: 360, label: text("page-measured-and-core"), phases: run.phases, sync: "run",
+    why: (name, time) => { const span = names.includes(name) && why(name, time); return span ? text(`page-quality-${span.quality}`) : null; } }), { marks: notesOf(run) }).set(data));
   return card;
 }
 

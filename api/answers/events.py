@@ -1,0 +1,41 @@
+"""Lines of the journal, and what the presses did, as the API says them."""
+
+from __future__ import annotations
+
+from api.answers.schemas import EventRecord
+from api.answers.words import said_of
+from daq.store.convert import known_utc
+from daq.store.records import JournalEntry, StoredPressEvent
+from daq.words import Message
+
+
+def event_of(entry: JournalEntry) -> EventRecord:
+    """Return a line of the journal; `run` is the one it tells of, where it tells of one."""
+    run = entry.message.arguments.get("run") or (entry.detail or {}).get("run")
+    return EventRecord(
+        id=str(entry.number),
+        utc=entry.utc,
+        level=entry.level,
+        process=entry.process,
+        press=entry.press,
+        run=run if isinstance(run, str) else None,
+        message=str(entry.message),
+        message_said=said_of(entry.message),
+        details=dict(entry.detail or {}),
+    )
+
+
+def press_event_of(event: StoredPressEvent, run: str | None) -> EventRecord:
+    """Return what a press did as a line like those of the journal."""
+    said = Message(f"journal-press-{event.kind}")
+    return EventRecord(
+        id=str(event.number),
+        utc=event.utc or known_utc(0.0),
+        level="info",
+        process="record",
+        press=event.press,
+        run=run,
+        message=str(said),
+        message_said=said_of(said),
+        details={"source": event.source},
+    )

@@ -1,0 +1,44 @@
+// All presses at once: one tile each with state, core, the one answer and what is wrong; thirty on one screen.
+import { get } from "../api.js";
+import { el } from "../dom.js";
+import { said, text } from "../words.js";
+import { STALE_S, seconds, showAnswer, showCore } from "./answer.js";
+
+export async function show(place) {
+  const grid = el("div", { class: "presses", "data-testid": "presses" });
+  place.append(el("h1", { class: "unseen" }, text("page-nav-presses")), grid);
+  const tiles = new Map();
+  const load = async () => {
+    const [{ items }, health] = await Promise.all([get("/press"), get("/health")]);
+    const heard = performance.now();
+    for (const now of items) {
+      if (!tiles.has(now.press)) tiles.set(now.press, tile(now.press));
+      Object.assign(tiles.get(now.press), { now, heard, wrong: health.alarms_said.find((one) => one.arguments?.press === now.press) });
+    }
+    if (grid.children.length !== tiles.size) grid.replaceChildren(...[...tiles.values()].map(({ node }) => node));
+    tiles.forEach(draw);
+  };
+  await load();
+  const timers = [setInterval(() => { if (!document.hidden) load().catch(() => {}); }, 2000), setInterval(() => tiles.forEach(draw), 1000)];
+  return () => timers.forEach(clearInterval);
+}
+
+function tile(press) {
+  const parts = { state: el("span", { class: "pill" }), core: el("div", { class: "core" }), band: el("div", { class: "band" }), answer: el("div", { class: "answer" }), light: el("span", { class: "light" }) };
+  const node = el("a", { class: "card press-tile", href: `#/now?press=${encodeURIComponent(press)}` },
+    el("div", { class: "row", style: "justify-content:space-between" }, el("b", {}, press), parts.state), parts.core, parts.band, parts.answer, parts.light);
+  return { node, ...parts };
+}
+
+// Old numbers are grey here, too, and press by press.
+function draw({ node, state, core, band, answer, light, now, heard, wrong }) {
+  const silent = Math.min(...now.channels.map((channel) => channel.age_s ?? Infinity)) + (performance.now() - heard) / 1000;
+  const stale = silent > STALE_S;
+  node.classList.toggle("stale", stale);
+  state.className = `pill ${stale ? "" : now.state}`;
+  state.textContent = text(`page-state-${now.state}`);
+  showCore(core, band, now.state, now.estimate);
+  showAnswer(answer, now.estimate, stale ? silent : null);
+  light.className = `light ${stale || wrong ? "bad" : "good"}`;
+  light.textContent = stale ? text("page-no-reading-for", { time: seconds(Math.round(silent)) }) : wrong ? said(wrong) : text("page-health-ok");
+}
