@@ -303,7 +303,7 @@ def test_thirty_presses_stand_on_one_screen_and_a_tile_leads_to_its_press(served
     assert page.evaluate("document.querySelector('.presses').getBoundingClientRect().bottom") <= 1080
     lab = tiles.filter(has_text="lab")
     expect(lab.locator(".core")).to_have_text("50,0°C")
-    expect(tiles.filter(has_text="press-30").locator(".light.bad")).to_contain_text("keine Messung")
+    expect(tiles.filter(has_text="press-30").locator(".light.bad")).to_contain_text("noch nie gesehen")
     page.screenshot(path=tmp_path / "presses.png")
     tiles.filter(has_text="press-30").click()
     expect(page.locator("#press")).to_have_value("press-30")

@@ -33,12 +33,13 @@ function tile(press) {
 // Old numbers are grey here, too, and press by press.
 function draw({ node, state, core, band, answer, light, now, heard, wrong }) {
   const silent = Math.min(...now.channels.map((channel) => channel.age_s ?? Infinity)) + (performance.now() - heard) / 1000;
+  const never = silent === Infinity;
   const stale = silent > STALE_S;
   node.classList.toggle("stale", stale);
   state.className = `pill ${stale ? "" : now.state}`;
   state.textContent = text(`page-state-${now.state}`);
   showCore(core, band, now.state, now.estimate);
-  showAnswer(answer, now.estimate, stale ? silent : null);
+  showAnswer(answer, now.estimate, stale && !never ? silent : null);
   light.className = `light ${stale || wrong ? "bad" : "good"}`;
-  light.textContent = stale ? text("page-no-reading-for", { time: seconds(Math.round(silent)) }) : wrong ? said(wrong) : text("page-health-ok");
+  light.textContent = never ? text("health-never-seen") : stale ? text("page-no-reading-for", { time: seconds(Math.round(silent)) }) : wrong ? said(wrong) : text("page-health-ok");
 }
