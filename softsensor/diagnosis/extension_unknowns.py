@@ -10,9 +10,11 @@ import numpy as np
 
 from daq.press.press_file import Press
 from daq.records import Array
+from softsensor.effects import conductivity_offset
 from softsensor.effects.parameters import Parameter
-from softsensor.heat.model import ThermalModel
+from softsensor.heat.model import PANEL_SHARES, ThermalModel
 from softsensor.signals.digest import Digest
+from softsensor.signals.doubt import PANEL_TO_PANEL, constant_doubts
 from softsensor.signals.instrument import (
     FREE_SPREAD_LOG,
     GUESS_LOG,
@@ -161,6 +163,27 @@ def _timing(digest: Digest) -> Iterator[CampaignUnknown]:
             yield CampaignUnknown(name, 0.0, moment_sd(digest.period_s))
     if np.isfinite(closed):
         yield CampaignUnknown("ramp_s", 0.0, RAMP_SD_S)
+
+
+def with_own_panels(layout: Unknowns, digests: Sequence[Digest]) -> Unknowns:
+    """Return the same where each panel's constants may differ from those given by what panels differ by."""
+    own = tuple((*u, *_panel_shares(d)) for u, d in zip(layout.unknowns, digests, strict=True))
+    return replace(layout, unknowns=own)
+
+
+def _panel_shares(digest: Digest) -> Iterator[CampaignUnknown]:
+    doubts = constant_doubts(digest.run.header, digest.cases[False].press, PANEL_TO_PANEL)
+
+    def share(*keys: str) -> float:
+        known = [doubts[key].relative for name in keys if (key := f"panel.{name}") in doubts]
+        return float(np.sqrt(np.sum(np.square(known))))
+
+    ratio, thick = conductivity_offset.EFFECT.parameters[0], share("thickness_mm")
+    doubted = (share("conductivity_W_mK"), share("density_kg_m3", "heat_capacity_J_kgK"))
+    for name, own in zip(PANEL_SHARES, doubted, strict=True):
+        sd = float(np.hypot(own, thick))  # thicker: a longer way, and more to heat
+        if 0.0 < sd < np.inf:
+            yield CampaignUnknown(name, 0.0, sd, ratio.lower - ratio.neutral, ratio.upper - ratio.neutral)
 
 
 def run_values(layout: Unknowns, run: int, theta: Array, eta: Array) -> dict[str, float]:

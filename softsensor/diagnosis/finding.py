@@ -99,6 +99,8 @@ class Diagnosis:
     rivals: tuple[tuple[str, Array], ...]
     """The first cause and the runners-up, with what each run, left out, saves by them."""
     warnings: tuple[Message, ...] = ()
+    own_panels_K: float | None = None  # noqa: N815
+    """What the plain model leaves where each panel's constants are its own, if that was asked. [K]"""
     law: Law | None = None
     """What is missing as a free function, where runs left out gain by it."""
 

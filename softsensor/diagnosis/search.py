@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.stats import chi2, norm
 
 from daq.records import Array
 from softsensor.diagnosis.extension import (
@@ -28,11 +29,11 @@ from softsensor.diagnosis.extension import (
     held_out,
     unstuck,
 )
-from softsensor.diagnosis.extension_unknowns import is_shape, lay_out
+from softsensor.diagnosis.extension_unknowns import is_shape, lay_out, with_own_panels
 from softsensor.diagnosis.gains import Gain, paired_gain
 from softsensor.diagnosis.sign_flips import Pocket, pockets
 from softsensor.effects import Effect, Need, catalogue
-from softsensor.heat.model import ThermalModel
+from softsensor.heat.model import PANEL_SHARES, ThermalModel
 from softsensor.signals.digest import Digest, MeanNoise, Whitened
 from softsensor.signals.instrument import (
     FREE_SPREAD_LOG,
@@ -232,6 +233,34 @@ def settle_base(model: ThermalModel, digests: Sequence[Digest]) -> SettledModel:
     if noise == stage.noise:
         return stage
     return settle(model, digests, noise, stage.fit.values, [r.eta for r in stage.fit.runs])
+
+
+def with_panels_freed(stage: SettledModel) -> SettledModel:
+    """Fit again with each panel's constants its own, within what panels differ by."""
+    layout = with_own_panels(stage.fit.layout.begun(stage.fit.theta), [d.digest for d in stage.data])
+    etas = [_grown(u, r.eta) for u, r in zip(layout.unknowns, stage.fit.runs, strict=True)]
+    return replace(stage, fit=fit_campaign_model(layout, stage.data, etas, rounds=6))
+
+
+def panels_as_usual(freed: SettledModel) -> float:
+    """Return how likely panels differ from those given as panels do: a p-value, adjusted for its four tests.
+
+    Of each constant, whether its middle over runs is that given, and whether it scatters no more than usual.
+    Estimates are drawn towards what is given, so both find less than there is.
+    """
+    found = [1.0]
+    for name in PANEL_SHARES:
+        off = np.array(
+            [
+                e / u.sd
+                for unknowns, run in zip(freed.fit.layout.unknowns, freed.fit.runs, strict=True)
+                for u, e in zip(unknowns, run.eta, strict=True)
+                if u.name == name
+            ]
+        )
+        if len(off):
+            found += [4.0 * 2.0 * norm.sf(abs(off.sum()) / len(off) ** 0.5), 4.0 * chi2.sf(off @ off, len(off))]
+    return float(min(found))
 
 
 def extend(stage: SettledModel, candidate: Candidate) -> SettledModel:

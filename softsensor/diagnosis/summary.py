@@ -81,6 +81,8 @@ def _verdict_alone(found: Diagnosis) -> tuple[Message, ...]:
         return (say("verdict-few-runs-off", runs=runs, **residual) if off else say("verdict-few-runs", runs=runs),)
     if found.verdict is Verdict.NOT_DESCRIBED:
         return (say("verdict-not-described", **residual),)
+    if found.verdict is Verdict.NO_EFFECT and found.own_panels_K is not None:
+        return (say("verdict-plain-model-explains-panels", runs=runs, own=found.own_panels_K, **residual),)
     if found.verdict is Verdict.NO_EFFECT:
         return (say("verdict-plain-model-explains", runs=runs, **residual),)
     if found.verdict is Verdict.UNKNOWN_EFFECT and found.left.p_value > ALPHA_PATTERN and times <= EXCESS:

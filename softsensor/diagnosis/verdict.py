@@ -55,14 +55,30 @@ from daq.press.press_file import Press, press_for_run
 from daq.records import Array, InputError, Run
 from daq.words import Message, say, spoken
 from softsensor.diagnosis.advice import AdviceBasis, next_measurement, notes, rim_notes
-from softsensor.diagnosis.decision import Case, Proof, Remains, Verdict, conclude, something_left
+from softsensor.diagnosis.decision import (
+    ALPHA_PATTERN,
+    EXCESS,
+    Case,
+    Proof,
+    Remains,
+    Verdict,
+    conclude,
+    something_left,
+)
 from softsensor.diagnosis.extension import RunState, from_the_others, held_out, predicted
 from softsensor.diagnosis.extension_unknowns import is_shape
 from softsensor.diagnosis.finding import Contest, Diagnosis, Finding
 from softsensor.diagnosis.free_law import free_law
 from softsensor.diagnosis.gains import Gain, paired_gain
 from softsensor.diagnosis.numbers import Errors, Interval, intervals, is_described, measure_errors, noise_floor
-from softsensor.diagnosis.search import Candidate, SettledModel, run_errors, settle_base
+from softsensor.diagnosis.search import (
+    Candidate,
+    SettledModel,
+    panels_as_usual,
+    run_errors,
+    settle_base,
+    with_panels_freed,
+)
 from softsensor.diagnosis.selection import Progress, Round, cool_rim, search_all
 from softsensor.diagnosis.sign_flips import PatternTest, paired_t, pattern_test, pockets
 from softsensor.diagnosis.where import MOST, stretches, where_row
@@ -171,11 +187,14 @@ def _conclude(readings: _Readings, stages: list[SettledModel], rounds: list[Roun
         )
         for f, e in zip(causes, errors[1:], strict=True)
     ]
-    remains = [
-        Remains(t, share, e.rmse_K / noise, is_described(e.rmse_K, noise, [d.digest for d in s.data]))
-        for t, share, e, s in zip(tests, shares, errors, stages, strict=True)
-    ]
     nearly = _nearly(rounds, stages[-1])
+    left_K = [e.rmse_K for e in errors]
+    if not causes and not nearly and left_K[0] > EXCESS * noise:
+        left_K[0] = _left_by_panels_of_their_own(stages[0])
+    remains = [
+        Remains(t, share, left / noise, is_described(e.rmse_K, noise, [d.digest for d in s.data]))
+        for t, share, left, e, s in zip(tests, shares, left_K, errors, stages, strict=True)
+    ]
     conclusion = conclude(Case(len(runs), tuple(proofs), tuple(remains), bool(columns), bool(nearly)))
     named, verdict = conclusion.named, conclusion.verdict
     suspected = causes[named:] + nearly
@@ -190,6 +209,7 @@ def _conclude(readings: _Readings, stages: list[SettledModel], rounds: list[Roun
         base=base,
         extended=extended,
         noise_floor_K=_rounded(noise),
+        own_panels_K=left_K[0] if left_K[0] != base.rmse_K else None,
         where=_where(stages[0]),
         candidates=_candidate_rows(rounds, stages),
         next_measurement=next_measurement(verdict, findings, seen, to_confirm),
@@ -200,6 +220,17 @@ def _conclude(readings: _Readings, stages: list[SettledModel], rounds: list[Roun
         rivals=_rivals(rounds),
         warnings=(*notes(runs, faults, rounds), *rim_notes(readings.rim), *_lacking_loads(press, runs)),
     )
+
+
+def _left_by_panels_of_their_own(plain: SettledModel) -> float:
+    """Return what the plain model leaves where each panel's constants are its own, as panels differ. [K]
+
+    Panels of one product differ in conductivity and heat capacity; what that leaves is no unknown effect. What
+    takes panels unlike those given, in the middle or in their scatter, stays one.
+    """
+    freed = with_panels_freed(plain)
+    kept = freed if panels_as_usual(freed) > ALPHA_PATTERN else plain
+    return measure_errors(kept, kept.fit.runs, kept.fit.runs).rmse_K
 
 
 def _errors(stages: Sequence[SettledModel], rounds: Sequence[Round]) -> list[Errors]:

@@ -35,6 +35,8 @@ Units: K, s, W, m; temperatures in °C. Parameters are named: coefficients as in
 ``initial_K``             shift of the panel's initial temperature [K]
 ``boundary_bottom_K``     shift of the measured bottom boundary [K]
 ``boundary_top_K``        shift of the measured top boundary [K]
+``panel_conductivity``    by how much the panel conducts better than given, as a share
+``panel_capacity``        by how much it stores more heat than given, as a share
 ========================  ==========================================================
 """
 
@@ -52,7 +54,7 @@ import numpy as np
 from daq.press.press_file import Press
 from daq.records import InputError, Moments, Nonphysical, PressState, Run
 from daq.words import say
-from softsensor.effects import Conversion, Effect, Scene, Terms, find_effect
+from softsensor.effects import Conversion, Effect, Scene, Terms, find_effect, on_panel
 from softsensor.effects.effect import FACTORS, SUMMANDS
 from softsensor.heat import implicit_steps
 from softsensor.heat.asked import Asked
@@ -70,8 +72,12 @@ NUISANCES = (
     "initial_K",
     "boundary_bottom_K",
     "boundary_top_K",
+    "panel_conductivity",
+    "panel_capacity",
 )
 """Per-run parameters every model has; 0 where nothing is known better."""
+PANEL_SHARES = ("panel_conductivity", "panel_capacity")
+"""Those of them that change a constant of the panel."""
 _TINY = 1e-30
 """Imaginary step of complex-step derivatives: its square vanishes beside 1."""
 _STATES = (PressState.IDLE, PressState.OPEN, PressState.CLOSED)
@@ -246,7 +252,10 @@ class ThermalModel:
     def _parts(self, case: Case, values: Mapping[str, float], shift: complex = 0.0) -> list[Terms]:
         """Return each effect's terms, with the moment of closing shifted. [s]"""
         scene = _scene(case, values, shift)
-        return [effect.terms(scene, _own(effect, values)) for effect in self.effects]
+        return [
+            *(effect.terms(scene, _own(effect, values)) for effect in self.effects),
+            _panel_terms(scene, values),
+        ]
 
     def _derived(
         self, case: Case, values: Mapping[str, float], parts: list[Terms], by: Iterable[str], *, late: bool
@@ -269,11 +278,22 @@ class ThermalModel:
                 derived[name] = _merged([before[i], moved, after[i + 1]], imaginary=True)
             elif name == "closed_s" and late:
                 derived[name] = _merged(self._parts(case, values, 1j * _TINY), imaginary=True)
+            elif name in PANEL_SHARES:
+                moved = _panel_terms(scene, {**values, name: values.get(name, 0.0) + 1j * _TINY})
+                derived[name] = _merged([before[-2], moved], imaginary=True)
         return derived
 
 
 def _scene(case: Case, values: Mapping[str, float], shift: complex = 0.0) -> Scene:
     return replace(case.scene, closed_s=case.moments.closed_s + values.get("closed_s", 0.0) + shift)
+
+
+def _panel_terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
+    """Return what a panel does that is not as given."""
+    k, c = (values.get(name, 0.0) for name in PANEL_SHARES)
+    if k == 0.0 and c == 0.0:
+        return Terms()
+    return Terms(conductivity=on_panel(scene, 1.0 + k, 1.0), capacity=on_panel(scene, 1.0 + c, 1.0))
 
 
 def _own(effect: Effect, values: Mapping[str, float]) -> dict[str, Any]:

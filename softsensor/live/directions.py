@@ -32,7 +32,7 @@ from softsensor.heat.case import Case
 from softsensor.heat.first_profile import gap_priors
 from softsensor.heat.model_file import MissingCauses, ModelFile
 from softsensor.live.priors import Prior, coefficient_priors
-from softsensor.signals.doubt import PANEL_DENSITY, PANEL_SCATTER, Doubt, constant_doubts
+from softsensor.signals.doubt import PANEL_TO_PANEL, Doubt, constant_doubts
 from softsensor.signals.instrument import SPREAD_LOG, START_K
 
 RAMPS_S = (2.0, 10.0, 50.0, 250.0)
@@ -47,13 +47,6 @@ UNEXPLAINED, FULL_RISE_K = 1.5, 40.0
 UNSETTLED = {"panel.conductivity_W_mK": TABLE_SD, "panel.heat_capacity_J_kgK": TABLE_SD}
 """What a header's constants may be off before any run was held against them, as a share. Data sheets of wood-based
 panels repeat design values by density (EN 13986, EN ISO 10456) and measure neither: a name's worth. Unverified."""
-SETTLED = {
-    "panel.density_kg_m3": PANEL_DENSITY,
-    "panel.conductivity_W_mK": PANEL_SCATTER,
-    "panel.heat_capacity_J_kgK": PANEL_SCATTER,
-}
-"""What panels still differ by once earlier runs were held against the model: how the product differs from the
-material table, their coefficients hold, or a hypothesis (``conductivity_offset``) does."""
 MOST_SHARE = 0.5
 """A constant in doubt by more is not known: answers to it are no straight lines. By hand, 2026-11."""
 LEAST_SHARE = 1e-3
@@ -107,8 +100,9 @@ def directions_of(press: Press, run: Run, panel: Panel | None, model: ModelFile 
     if model is None or model.missing is None:
         doubts = constant_doubts(run.header, press, UNSETTLED)
     else:
-        usual = constant_doubts(run.header, press, SETTLED)
-        doubts = constant_doubts(run.header, press, SETTLED | _seen(model.learned, usual, model.missing.nothing))
+        usual = constant_doubts(run.header, press, PANEL_TO_PANEL)
+        seen = _seen(model.learned, usual, model.missing.nothing)
+        doubts = constant_doubts(run.header, press, PANEL_TO_PANEL | seen)
     gaps = [Direction(Prior(name, 0.0, sd)) for name, sd in gap_priors(press, run, panel).items() if sd > START_K]
     return (*_constants(press, run, panel, doubts), *gaps, *_discrepancy(press, panel, model))
 

@@ -59,6 +59,13 @@ PANEL_SCATTER = 0.055
 PANEL_DENSITY = 0.035
 """Of density: EN 622-5 and EN 312 allow 7 and 10 % about the mean within a board (method: EN 323); the lower one,
 taken as two deviations. Unverified."""
+PANEL_TO_PANEL = {
+    "panel.density_kg_m3": PANEL_DENSITY,
+    "panel.conductivity_W_mK": PANEL_SCATTER,
+    "panel.heat_capacity_J_kgK": PANEL_SCATTER,
+}
+"""What panels of one press differ by, as shares, once what they share is known: how the product differs from the
+material table, earlier runs' coefficients hold, or a hypothesis (``conductivity_offset``) does."""
 PANEL_THICKNESS_MM = ((19.0, 0.1), (float("inf"), 0.15))
 """Up to a thickness, its deviation: EN 622-1 allows ±0.2 mm up to 19 mm and ±0.3 mm beyond (method: EN 324-1),
 taken as two deviations. Unverified. [mm]"""

@@ -19,18 +19,19 @@ from daq.simulated.campaign import Plan, Truth, make_campaign, press_toml
 from daq.words import Message
 from daq.words.message import catalogue, sentences, words
 from softsensor.diagnosis.advice import AdviceBasis, next_measurement, rim_notes
-from softsensor.diagnosis.decision import NEGLIGIBLE_K, Verdict, refuted_by_cores
+from softsensor.diagnosis.decision import ALPHA_PATTERN, EXCESS, NEGLIGIBLE_K, Verdict, refuted_by_cores
 from softsensor.diagnosis.extension import RunState, evaluate, from_the_others, held_out, predicted, start_eta
 from softsensor.diagnosis.finding import Diagnosis, Finding
 from softsensor.diagnosis.gains import Gain
 from softsensor.diagnosis.numbers import BLOCK_S, measure_errors, noise_floor
-from softsensor.diagnosis.search import Candidate
+from softsensor.diagnosis.search import Candidate, panels_as_usual, settle_base, with_panels_freed
 from softsensor.diagnosis.selection import Round, p_values
 from softsensor.diagnosis.sign_flips import Pocket, max_t, pattern_test, sign_patterns
 from softsensor.diagnosis.summary import as_stored, core_said, sureness, verdict_said, worth
-from softsensor.diagnosis.verdict import _alternatives, _lacking_loads, diagnose, never_seen
+from softsensor.diagnosis.verdict import _alternatives, _lacking_loads, _screened, diagnose, never_seen
 from softsensor.diagnosis.where import stretches, where_row
 from softsensor.effects import BUILT_IN
+from softsensor.heat.model import ThermalModel
 from softsensor.heat.model_file import parse_model
 from softsensor.report.diagnosis_figures import residual_figure
 from softsensor.report.diagnosis_report import diagnosis_report
@@ -333,6 +334,25 @@ def test_moisture_that_dries_by_another_law_gets_no_second_name(law: str) -> Non
 def test_moisture_in_many_runs_gets_no_second_and_third_name() -> None:
     found = diagnose(press(), [run for run, _ in make_campaign(915007, edition(12, 24), "moisture_evaporation")])
     assert [f.set for f in found.findings] == [("moisture_evaporation",)]
+
+
+def test_panels_that_differ_as_panels_do_are_no_unknown_effect() -> None:
+    runs = [run for run, _ in make_campaign(932004, 12, None, Plan(core_column=0.25))]
+    found = diagnose(press(), runs, effects=["edge_loss"])
+    assert found.base.rmse_K > EXCESS * found.noise_floor_K  # as given, they are far off
+    assert found.own_panels_K is not None
+    assert found.own_panels_K < EXCESS * found.noise_floor_K
+    assert found.verdict == "no_effect"
+    assert "where each panel conducts and stores heat a little differently" in sentences(verdict_said(found))
+
+
+def test_panels_that_all_store_more_heat_than_given_are_not_taken_for_usual_ones() -> None:
+    runs = [run for run, _ in campaign("heat_capacity_offset", 930300, 7)]
+    plain = settle_base(ThermalModel(press()), _screened(press(), runs)[1])
+    assert panels_as_usual(with_panels_freed(plain)) < ALPHA_PATTERN
+    usual = [run for run, _ in campaign(None, 41, 7)]
+    plain = settle_base(ThermalModel(press()), _screened(press(), usual)[1])
+    assert panels_as_usual(with_panels_freed(plain)) > ALPHA_PATTERN
 
 
 @pytest.mark.parametrize("name", [e.name for e in BUILT_IN])
