@@ -55,10 +55,10 @@ class Scans:
         self._count = i + 1
 
     def departing(self) -> dict[int, float]:
-        """Return the channels that read something else than their place, and by how much at the newest scan. [K]
+        """Return the channels that read something else than their place, and by how much. [K]
 
-        The same limits as the screen of a finished run: a departure of `LIMIT_K` and of `LIMIT_RATIO` times what
-        is usual there; a place needs three channels to tell.
+        Now, or of late (rms) if that is more. The same limits as the screen of a finished run: a departure of
+        `LIMIT_K` and of `LIMIT_RATIO` times what is usual there; a place needs three channels to tell.
         """
         if not self._count:
             return {}
@@ -70,7 +70,8 @@ class Scans:
                 continue
             limit = max(LIMIT_K, LIMIT_RATIO * float(np.median(far[there])))
             away = self._readings[self._count - 1] - self._level[self._count - 1, m]
-            found |= {int(k): float(away[k]) for k in there if far[k] > limit and np.isfinite(away[k])}
+            most = np.copysign(np.maximum(far, np.abs(away)), away)
+            found |= {int(k): float(most[k]) for k in there if far[k] > limit and np.isfinite(away[k])}
         return found
 
     def average_anew(self, since_s: float) -> None:
