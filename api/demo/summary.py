@@ -63,6 +63,8 @@ class Finding:
     @property
     def line(self) -> Message:
         """One line for the terminal."""
+        known = np.isfinite(self.core_rmse_K)
+        core = say("demo-core-off", kelvin=self.core_rmse_K) if known else say("demo-core-unknown")
         return say(
             "demo-pressing",
             run=self.run,
@@ -71,7 +73,7 @@ class Finding:
             opening=self.opening_error_s,
             before=self.rmse_before_K,
             after=self.rmse_after_K,
-            core=self.core_rmse_K,
+            core=core,
         )
 
 

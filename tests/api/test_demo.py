@@ -156,6 +156,12 @@ def test_more_pressings_that_finish_at_once_than_were_asked_for_are_not_counted(
     assert demo.findings == ["lab-1", "lab-2"]
 
 
+def test_a_pressing_without_a_valid_core_says_that_it_is_not_known():
+    blind = Finding("lab-1", 100, 0.02, -0.03, 4.0, 0.4, float("nan"), float("nan"), float("nan"))
+    assert str(blind.line).endswith("4.00 -> 0.40 K, core not known")
+    assert str(replace(blind, core_rmse_K=0.5).line).endswith("core 0.50 K off")
+
+
 def test_the_summary_says_what_was_hidden_and_what_the_nightly_job_named():
     finding = Finding("lab-1", 100, 0.02, -0.03, 4.0, 0.4, 0.5, 1.0, 0.97)
     report = {
