@@ -88,6 +88,8 @@ class PressTable(Table):
 
     name: str = "press"
     area_m2: Positive = 1.0
+    side_loss_W_m2K: Annotated[Number, Field(ge=0)] = 0.0  # noqa: N815
+    """How much heat bare sides of the stack may lose to the room; none where they are insulated, or far away."""
     limit_switch: str = Field(default="closed", min_length=1)
     """Column of a limit switch, 1 while the press is closed; it goes before pressure and temperatures."""
     pressure: Pressure | None = None

@@ -195,8 +195,6 @@ def _discrepancy(press: Press, panel: Panel | None, model: ModelFile | None) -> 
             yield Direction(
                 Prior(f"{DISCREPANCY} contact {number} {i}", 0.0, sd, considered=True), contact=number, ramp_s=ramp
             )
-    if share <= LEAST_SHARE:
-        return
     parts = [layer_constants(press, name, panel) for name in inside]
     half = 0.5 * sum(d for d, _, _ in parts)
     k = 2.0 * half / sum(d / k for d, k, _ in parts)
@@ -204,7 +202,11 @@ def _discrepancy(press: Press, panel: Panel | None, model: ModelFile | None) -> 
     # three times that where one end is insulated: all of it must flow out through the other (k T" = q T)
     ways = 3.0 if "insulated" in (press.boundary.bottom.kind, press.boundary.top.kind) else 1.0
     exchange = 2.0 * k / half**2 / ways
-    yield Direction(Prior(f"{DISCREPANCY} source", 0.0, share, considered=True), tuple(inside), exchange=exchange)
+    rim = 2.0 * math.sqrt(math.pi / press.press.area_m2)  # of a round stack, over its area [1/m]
+    share = math.hypot(share, press.press.side_loss_W_m2K * rim / exchange)
+    if share > LEAST_SHARE:
+        source = Prior(f"{DISCREPANCY} source", 0.0, share, considered=True)
+        yield Direction(source, tuple(inside), exchange=exchange)
 
 
 def _share(missing: MissingCauses | None) -> float:

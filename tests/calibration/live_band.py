@@ -341,7 +341,8 @@ def pictured(folder: Path, name: str, rows: Rows) -> None:
         own.plot(part.time, part.truth, ".", color="#222222", markersize=1.5, label="measured")
         own.set_xlabel("s")
     axes[0].set_ylabel("core, °C")
-    axes[0].legend(fontsize=7, frameon=False)
+    lines = axes[0].get_legend_handles_labels()
+    figure.legend(*lines, loc="outside upper left", ncols=2, fontsize=7, frameon=False)
     figure.savefig(folder / f"{name}.png", dpi=110)
 
 

@@ -253,3 +253,55 @@ def test_under_a_flux_nothing_gets_hotter_than_its_own_radiation_allows():
     possible = Possible(set_up(press, run, None))
     assert possible.highest_C == pytest.approx(697.8, abs=3.0)
     assert possible.highest_C > 697.8
+
+
+BAR = """
+[press]
+name = "bar"
+area_m2 = 2.0e-4
+side_loss_W_m2K = {loss}
+[[layer]]
+name = "bar"
+thickness_mm = 40.0
+conductivity_W_mK = 12.0
+density_kg_m3 = 8000.0
+heat_capacity_J_kgK = 450.0
+[initial]
+kind = "sensors"
+[boundary.bottom]
+kind = "measured"
+column = "low"
+[boundary.top]
+kind = "measured"
+column = "high"
+"""
+AMBIENT, LOSS = 20.0, 10.0
+
+
+def bar_at_rest(loss):
+    """Return what is said of the middle of a bar that has long lain between 80 and 120 °C, and what it truly is.
+
+    The truth is the fin's closed form: its middle is above the room by the ends' mean over cosh(mL/2).
+    """
+    sensor = LiveSensor(
+        parse_press(BAR.format(loss=loss)),
+        {"ambient.temperature_C": AMBIENT},
+        ModelFile("test", "bar", {}, missing=MissingCauses(8, 0.9, 0.0, {})),
+    )
+    for t in range(0, 1200, 2):
+        said = sensor.update(float(t), {"low": 80.0, "high": 120.0})
+    m = np.sqrt(LOSS * 2.0 * np.sqrt(np.pi / 2.0e-4) / 12.0)
+    return said, AMBIENT + 80.0 / np.cosh(m * 0.02)
+
+
+def test_bare_sides_that_may_lose_heat_widen_the_band_by_what_they_lose():
+    said, truth = bar_at_rest(LOSS)
+    assert said.core_low_C < truth < said.core_high_C
+    lost = 100.0 - truth
+    assert 1.96 * lost < said.core_high_C - said.core_C < 1.96 * 1.4 * lost
+
+
+def test_insulated_sides_lose_nothing():
+    said, truth = bar_at_rest(0.0)
+    assert said.core_high_C - said.core_C < 1.5  # what the ends' thermocouples may be off
+    assert not said.core_low_C < truth  # what bare sides would have lost
