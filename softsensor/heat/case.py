@@ -75,6 +75,12 @@ class Case:
     layout: Layout
     """What no parameter changes."""
 
+    @cached_property
+    def fitted_places(self) -> dict[str, int]:
+        """Place number of each column at a place of sensors of role ``fit``."""
+        fitted = {sensor.label for sensor in self.press.sensor if sensor.role == "fit"}
+        return {column: place for column, place in self.place_of.items() if self.labels[place] in fitted}
+
     @property
     def ambient(self) -> float:
         """Of the run. [°C]"""

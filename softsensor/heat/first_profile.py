@@ -153,10 +153,10 @@ def at_rest(case: Case, of: Conditions, state: implicit_steps.State) -> None:
 def first_readings(case: Case, shifts: tuple[float, float] = (0.0, 0.0)) -> dict[str, float]:
     """Return the mean of the first readings at each place that has any, and at measured boundaries. [°C]"""
     found: dict[str, list[float]] = {}
-    for column, sensor in case.press.sensors_of(case.run).items():
+    for column, place in case.fitted_places.items():
         good = case.run.columns[column][np.isfinite(case.run.columns[column])]
         if len(good):
-            found.setdefault(sensor.label, []).append(float(good[0]))
+            found.setdefault(case.labels[place], []).append(float(good[0]))
     for end, name in enumerate(ENDS):
         if case.layout.measured[end]:
             found[name] = [float(case.outside[0, end]) + shifts[end]]

@@ -242,8 +242,7 @@ class ThermalModel:
         if unknown := [name for name in tangents if name not in limits]:
             raise InputError(say("parameter-unknown", name=unknown[0], known=tuple(limits)))
         if case.press.initial.kind == "sensors":
-            read = {column: case.place_of[column] for column in case.press.sensors_of(case.run)}
-            check_first_readings(case.run, case.press.panel_layers, read, case.labels)
+            check_first_readings(case.run, case.press.panel_layers, case.fitted_places, case.labels)
 
     @cached_property
     def _limits(self) -> dict[str, tuple[float, float]]:

@@ -6,6 +6,7 @@ import math
 import os
 import re
 from collections.abc import Callable, Mapping
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +35,7 @@ def night_report(night: NightRecord, language: str = ENGLISH) -> str:
         in_force=_in_force(night.in_force or {}, bodies),
         diagnosis=_found(night.diagnosis),
         alarms=[say("night-drift", coefficient=bodies(a.coefficient), said=a.message) for a in night.alarms],
-        runs=[_run(r.run, f"{r.started_utc:%Y-%m-%d %H:%M}", fit) for r, fit in night.runs],
+        runs=[_run(r.run, r.started_utc, fit) for r, fit in night.runs],
         failures=[entry.message for entry in night.failures],
     )
 
@@ -89,7 +90,8 @@ def _version(version: str, status: str, model: Mapping[str, Any], reason: Messag
     }
 
 
-def _run(name: str, started: str, fit: Mapping[str, Any] | None) -> dict[str, Any]:
+def _run(name: str, started_utc: datetime | None, fit: Mapping[str, Any] | None) -> dict[str, Any]:
+    started = f"{started_utc:%Y-%m-%d %H:%M}" if started_utc is not None else say("page-date-unknown")
     if not fit:
         return {"run": name, "started": started, "rmse": "–", "guesses": "–", "with": say("night-not-fitted")}
     rmse, guesses = kelvins(fit["rmse_K"]), kelvins(fit["initial_rmse_K"])

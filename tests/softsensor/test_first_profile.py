@@ -5,6 +5,7 @@ import pytest
 
 from daq.records import Moments
 from softsensor.heat.first_profile import gap_priors
+from softsensor.signals.digest import digest_run
 
 NEVER = Moments(closed_s=0.0)
 HOT, COLD = 120.0, 40.0
@@ -124,3 +125,12 @@ def test_a_reading_for_validation_alone_does_not_shape_the_start(make_rig):
     plain = model.build(model.prepare(run, NEVER), {"h": H}).start.t
     run.columns["core_1"] = np.full(10, 300.0)
     assert np.array_equal(model.build(model.prepare(run, NEVER), {"h": H}).start.t, plain)
+
+
+def test_a_digest_starts_as_its_run_does(make_rig):
+    model, run = make_rig(BARS + ENDS, np.arange(0.0, 40.0, 1.0), {"a": HOT, "b": COLD}, {"deep": PLACES["deep"]})
+    run.columns["deep"][:] = 70.0
+    case, digest = model.prepare(run, NEVER), digest_run(model.press, run, NEVER)
+    own = model.build(digest.cases[False], {"h": H}).start.t
+    assert read(case, model.build(case, {"h": H}).start, "deep") == pytest.approx(70.0, abs=0.5)
+    assert own == pytest.approx(model.build(case, {"h": H}).start.t, abs=1e-9)
