@@ -11,7 +11,8 @@ Estimated, with 20 % of freedom for k and c, they drew the core 1 to 3 K off on 
 The wander is a random walk in the logarithm of the time since closing, for contacts settle fast at first and ever
 more slowly; its increments are ramps of that logarithm. A contact wanders within a pressing by what it differs
 from pressing to pressing, which earlier runs tell. The source takes heat in proportion to what a place is above
-ambient; its size is the share of the core's rise that earlier runs leave open. (Decided 2026-11-22.)
+ambient; its size is the share of the core's rise that earlier runs leave open, and what bare sides of a stack
+without a panel may lose (`PressTable.side_loss_W_m2K`). (Decided 2026-11-22.)
 """
 
 from __future__ import annotations
