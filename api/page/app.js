@@ -93,7 +93,11 @@ document.getElementById("language").addEventListener("change", async (event) => 
   refreshHealth();
   show();
 });
-document.getElementById("press").addEventListener("change", (event) => { context.press = event.target.value; show(); });
+document.getElementById("press").addEventListener("change", (event) => {
+  context.press = event.target.value;
+  if (location.hash.includes("?")) history.replaceState(null, "", location.hash.split("?")[0]); // it may name another press
+  show();
+});
 addEventListener("hashchange", () => {
   if (location.hash && !location.hash.startsWith("#/")) return; // a place in this view, not another view
   show();

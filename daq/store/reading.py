@@ -308,14 +308,13 @@ def press_journal(
 ) -> Page[tuple[StoredPressEvent, str | None]]:
     """Return a page of press events, newest first, each with the run it belongs to."""
     number = PRESS_EVENT.c.press_event_id
-    within = and_(
-        RUN.c.press_id == PRESS_EVENT.c.press_id,
-        RUN.c.first_scan <= PRESS_EVENT.c.scan_number,
-        or_(RUN.c.last_scan.is_(None), RUN.c.last_scan >= PRESS_EVENT.c.scan_number),
-    )
-    run = select(func.max(RUN.c.run)).where(within).scalar_subquery()
-    query = select(PRESS_EVENT, PRESS.c.name.label("press"), run.label("run"))
-    query = query.join(PRESS, PRESS.c.press_id == PRESS_EVENT.c.press_id).order_by(number.desc()).limit(limit + 1)
+    begun = (RUN.c.press_id == PRESS_EVENT.c.press_id, RUN.c.first_scan <= PRESS_EVENT.c.scan_number)
+    newest = select(RUN.c.run).where(*begun).order_by(RUN.c.first_scan.desc()).limit(1).scalar_subquery()
+    owner = RUN.alias()
+    within = or_(owner.c.last_scan.is_(None), owner.c.last_scan >= PRESS_EVENT.c.scan_number)
+    query = select(PRESS_EVENT, PRESS.c.name.label("press"), owner.c.run.label("run"))
+    query = query.join(PRESS, PRESS.c.press_id == PRESS_EVENT.c.press_id)
+    query = query.outerjoin(owner, and_(owner.c.run == newest, within)).order_by(number.desc()).limit(limit + 1)
     if press is not None:
         query = query.where(PRESS.c.name == press)
     if cursor is not None:

@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.stats import chi2, norm
+from scipy.special import chdtrc, ndtr
 
 from daq.records import Array
 from softsensor.diagnosis.extension import (
@@ -259,7 +259,7 @@ def panels_as_usual(freed: SettledModel) -> float:
             ]
         )
         if len(off):
-            found += [4.0 * 2.0 * norm.sf(abs(off.sum()) / len(off) ** 0.5), 4.0 * chi2.sf(off @ off, len(off))]
+            found += [4.0 * 2.0 * ndtr(-abs(off.sum()) / len(off) ** 0.5), 4.0 * chdtrc(len(off), off @ off)]
     return float(min(found))
 
 

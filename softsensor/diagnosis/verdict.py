@@ -189,7 +189,7 @@ def _conclude(readings: _Readings, stages: list[SettledModel], rounds: list[Roun
     ]
     nearly = _nearly(rounds, stages[-1])
     left_K = [e.rmse_K for e in errors]
-    if not causes and not nearly and left_K[0] > EXCESS * noise:
+    if press.panel_layers and not causes and not nearly and left_K[0] > EXCESS * noise:
         left_K[0] = _left_by_panels_of_their_own(stages[0])
     remains = [
         Remains(t, share, left / noise, is_described(e.rmse_K, noise, [d.digest for d in s.data]))

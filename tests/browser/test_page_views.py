@@ -308,8 +308,35 @@ def test_thirty_presses_stand_on_one_screen_and_a_tile_leads_to_its_press(served
     tiles.filter(has_text="press-30").click()
     expect(page.locator("#press")).to_have_value("press-30")
     expect(page.locator("h1")).to_have_text("Kerntemperatur")
+    page.locator("#press").select_option("press-29")  # though the address still names the tile's
+    expect(page.locator("h1")).to_have_text("Kerntemperatur")
+    expect(page.locator("#press")).to_have_value("press-29")
     feed.stop.set()
     writer.join(20)
+    page.close()
+
+
+def test_the_journal_read_to_its_end_holds_every_line_once(served, browser):
+    server, feed, _ = served
+    feed.stop.clear()
+    feed.pause_s = 0.0
+    feed.pressing(30)
+    for _ in range(230):
+        feed.store.log("info", "import", say("scans-left-out", press="lab", count=1), "lab")
+    page = browser.new_page(locale="en-GB")
+    page.goto(server.url + "#/journal")
+    more, journal = page.get_by_role("button", name="More"), page.get_by_test_id("journal")
+    expect(journal).to_contain_text("100 scans left out")
+    while more.is_visible():
+        before = journal.inner_text()
+        more.click()
+        page.wait_for_function(
+            "(old) => document.querySelector('[data-testid=journal]').innerText !== old", arg=before
+        )
+    expect(journal).to_contain_text("230 scans left out")
+    stored = page.request.get(f"{server.url}api/v1/events?kind=press&limit=500").json()["items"]
+    closings = [one for one in stored if one["message_said"]["code"] == "journal-press-closed"]
+    assert 0 < journal.inner_text().count("The press closes") == len(closings)
     page.close()
 
 

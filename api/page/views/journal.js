@@ -34,8 +34,10 @@ export async function show(place, context) {
     const mine = ++turn;
     const before = further ? { lines, pressed, cursors } : { lines: [], pressed: [], cursors: {} };
     const [level, press] = [asked.level, asked.press];
-    const entries = asked.process === PRESS ? { items: [], next_cursor: null } : await get("/events", { level, press, process: asked.process, cursor: before.cursors.lines, limit: PAGE });
-    const doings = ["", PRESS].includes(asked.process) && ["", "info"].includes(level) ? await get("/events", { kind: "press", press, cursor: before.cursors.pressed, limit: PAGE }) : { items: [], next_cursor: null };
+    const nothing = { items: [], next_cursor: null };
+    const over = (list) => further && !before.cursors[list]; // read to its end before
+    const entries = asked.process === PRESS || over("lines") ? nothing : await get("/events", { level, press, process: asked.process, cursor: before.cursors.lines, limit: PAGE });
+    const doings = ["", PRESS].includes(asked.process) && ["", "info"].includes(level) && !over("pressed") ? await get("/events", { kind: "press", press, cursor: before.cursors.pressed, limit: PAGE }) : nothing;
     if (mine !== turn) return;
     lines = [...before.lines, ...entries.items];
     pressed = [...before.pressed, ...doings.items];
@@ -53,7 +55,7 @@ export async function show(place, context) {
   }
 
   await load(false);
-  for (const name of ["press", "run", "fit"]) context.on(name, () => { if (lines.length <= PAGE && !rows.contains(document.activeElement)) load(false).catch(() => {}); });
+  for (const name of ["press", "run", "fit"]) context.on(name, () => { if (Math.max(lines.length, pressed.length) <= PAGE && !rows.contains(document.activeElement)) load(false).catch(() => {}); });
 }
 
 const DONE = "journal-press-";
