@@ -1,5 +1,5 @@
 // Small helpers to build the page: elements, numbers, times in the chosen language.
-import { locale } from "./words.js";
+import { locale, text } from "./words.js";
 
 export function el(tag, attributes = {}, ...children) {
   const node = document.createElement(tag);
@@ -50,6 +50,9 @@ export function clock(utc, withDate = true) {
   const options = withDate ? { dateStyle: "short", timeStyle: "medium" } : { timeStyle: "medium" };
   return new Intl.DateTimeFormat(locale(), options).format(new Date(utc));
 }
+
+// When a run was; a file need not say it.
+export const began = (utc) => (utc ? clock(utc) : text("page-date-unknown"));
 
 export function duration(seconds) {
   if (seconds === null || seconds === undefined) return "–";

@@ -12,9 +12,10 @@ from daq.press.press_file import Press
 from daq.records import Array
 from softsensor.effects import conductivity_offset
 from softsensor.effects.parameters import Parameter
+from softsensor.fitting.constants import CAPACITY, fit_doubts
 from softsensor.heat.model import PANEL_SHARES, ThermalModel
 from softsensor.signals.digest import Digest
-from softsensor.signals.doubt import PANEL_TO_PANEL, constant_doubts
+from softsensor.signals.doubt import PANEL_TO_PANEL
 from softsensor.signals.instrument import (
     FREE_SPREAD_LOG,
     GUESS_LOG,
@@ -172,15 +173,13 @@ def with_own_panels(layout: Unknowns, digests: Sequence[Digest]) -> Unknowns:
 
 
 def _panel_shares(digest: Digest) -> Iterator[CampaignUnknown]:
-    doubts = constant_doubts(digest.run.header, digest.cases[False].press, PANEL_TO_PANEL)
-
-    def share(*keys: str) -> float:
-        known = [doubts[key].relative for name in keys if (key := f"panel.{name}") in doubts]
-        return float(np.sqrt(np.sum(np.square(known))))
-
-    ratio, thick = conductivity_offset.EFFECT.parameters[0], share("thickness_mm")
-    doubted = (share("conductivity_W_mK"), share("density_kg_m3", "heat_capacity_J_kgK"))
-    for name, own in zip(PANEL_SHARES, doubted, strict=True):
+    doubts = fit_doubts(digest.run, digest.cases[False].press, PANEL_TO_PANEL)
+    ratio = conductivity_offset.EFFECT.parameters[0]
+    conductivity, capacity, thick = (
+        doubts[key].relative if (key := f"panel.{name}") in doubts else 0.0
+        for name in ("conductivity_W_mK", CAPACITY, "thickness_mm")
+    )
+    for name, own in zip(PANEL_SHARES, (conductivity, capacity), strict=True):
         sd = float(np.hypot(own, thick))  # thicker: a longer way, and more to heat
         if 0.0 < sd < np.inf:
             yield CampaignUnknown(name, 0.0, sd, ratio.lower - ratio.neutral, ratio.upper - ratio.neutral)

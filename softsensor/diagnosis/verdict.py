@@ -189,8 +189,10 @@ def _conclude(readings: _Readings, stages: list[SettledModel], rounds: list[Roun
     ]
     nearly = _nearly(rounds, stages[-1])
     left_K = [e.rmse_K for e in errors]
+    own_panels_K = None
     if press.panel_layers and not causes and not nearly and left_K[0] > EXCESS * noise:
-        left_K[0] = _left_by_panels_of_their_own(stages[0])
+        own_panels_K = _left_by_panels_of_their_own(stages[0])
+        left_K[0] = left_K[0] if own_panels_K is None else own_panels_K
     remains = [
         Remains(t, share, left / noise, is_described(e.rmse_K, noise, [d.digest for d in s.data]))
         for t, share, left, e, s in zip(tests, shares, left_K, errors, stages, strict=True)
@@ -209,7 +211,7 @@ def _conclude(readings: _Readings, stages: list[SettledModel], rounds: list[Roun
         base=base,
         extended=extended,
         noise_floor_K=_rounded(noise),
-        own_panels_K=left_K[0] if left_K[0] != base.rmse_K else None,
+        own_panels_K=own_panels_K,
         where=_where(stages[0]),
         candidates=_candidate_rows(rounds, stages),
         next_measurement=next_measurement(verdict, findings, seen, to_confirm),
@@ -222,15 +224,16 @@ def _conclude(readings: _Readings, stages: list[SettledModel], rounds: list[Roun
     )
 
 
-def _left_by_panels_of_their_own(plain: SettledModel) -> float:
+def _left_by_panels_of_their_own(plain: SettledModel) -> float | None:
     """Return what the plain model leaves where each panel's constants are its own, as panels differ. [K]
 
-    Panels of one product differ in conductivity and heat capacity; what that leaves is no unknown effect. What
-    takes panels unlike those given, in the middle or in their scatter, stays one.
+    Panels of one product differ in conductivity and heat capacity; what that leaves is no unknown effect. None
+    where it takes panels unlike those given, in the middle or in their scatter.
     """
     freed = with_panels_freed(plain)
-    kept = freed if panels_as_usual(freed) > ALPHA_PATTERN else plain
-    return measure_errors(kept, kept.fit.runs, kept.fit.runs).rmse_K
+    if panels_as_usual(freed) <= ALPHA_PATTERN:
+        return None
+    return measure_errors(freed, freed.fit.runs, freed.fit.runs).rmse_K
 
 
 def _errors(stages: Sequence[SettledModel], rounds: Sequence[Round]) -> list[Errors]:

@@ -43,7 +43,7 @@ class Build:
         conditions = first_profile.Conditions(self.asked, self.stack, self.tangents, self.drive)
         first_profile.at_rest(case, conditions, start)
         _shift(start, self.asked)
-        return replace(self, start=start)
+        return replace(self, start=_begun(start))
 
     @property
     def terms(self) -> Terms:
@@ -105,6 +105,11 @@ def _start(
         else:
             first_profile.in_height(case, state)
         _shift(state, asked)
+    return _begun(state)
+
+
+def _begun(state: implicit_steps.State) -> implicit_steps.State:
+    """Return the state with its temperatures as those before, too."""
     state.t_before[:] = state.t
     state.s_before[:] = state.s
     return state
@@ -116,12 +121,10 @@ def _empty_state(case: Case, asked: Asked, p: int) -> implicit_steps.State:
 
 
 def _shift(state: implicit_steps.State, asked: Asked) -> None:
-    """Shift everything by what the start is off, and keep it as the temperatures before."""
+    """Shift everything by what the start is off."""
     state.t[:] += asked.values.get("initial_K", 0.0)
     if "initial_K" in asked.names:
         state.s[asked.names.index("initial_K")] += 1.0
-    state.t_before[:] = state.t
-    state.s_before[:] = state.s
 
 
 def _uniform(case: Case) -> float:

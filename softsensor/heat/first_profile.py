@@ -131,8 +131,8 @@ def gap_priors(press: Press, run: Run, panel: Panel | None) -> dict[str, float]:
 def in_height(case: Case, state: implicit_steps.State) -> None:
     """Set the state to the first readings joined by straight lines in height."""
     height = np.cumsum(case.mesh.dx)
-    cells, none = height - case.mesh.dx / 2, np.zeros_like(state.s)
-    straight = Resistance(cells, none, (0.0, float(height[-1])), np.zeros((2, len(state.s))))
+    cells = height - case.mesh.dx / 2
+    straight = Resistance(cells, np.zeros((0, len(cells))), (0.0, float(height[-1])), np.zeros((2, 0)))
     state.t[:], _ = _between(case, Asked({}, (), Terms(), {}), first_readings(case), straight, {})
 
 

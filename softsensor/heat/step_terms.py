@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.constants import R as GAS_CONSTANT
 
 from daq.compiled import compiled
-from softsensor.opening.kinetics import GAS_CONSTANT
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]

@@ -28,12 +28,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from scipy.constants import R as GAS_CONSTANT
 
 from daq.press.resin_file import IsoconversionalLaw, KamalLaw, OrderLaw, Resin
 from daq.records import COLDEST_C, Array
 
-GAS_CONSTANT = 8.31446261815324
-"""[J/molK] (CODATA 2018, exact)"""
 OUTERMOST, CELLS = 14.0, 1400
 """The isotherm is laid out evenly in ln(α / (1 - α)) from -14 to 14: conversions of 8e-7 to 1 - 8e-7."""
 STEP_K = 10.0

@@ -1,7 +1,7 @@
 // Coefficients: their history with intervals, and how they depend on a setting.
 import { get } from "../api.js";
 import { TimeChart } from "../charts.js";
-import { clock, el, figure, number, table } from "../dom.js";
+import { began, el, figure, number, table } from "../dom.js";
 import { has, said, text } from "../words.js";
 
 const LEARN_RUNS = 8; // the control charts judge from then on
@@ -82,7 +82,7 @@ function span(points) {
 }
 
 function latestCard(item) {
-  return el("section", { class: "card" }, el("h2", {}, `${text("page-last-fit")}: `, el("a", { href: `#/runs/${encodeURIComponent(item.run)}` }, item.run), ` · ${item.utc ? clock(item.utc) : text("page-date-unknown")}`), coefficientTable(item.coefficients));
+  return el("section", { class: "card" }, el("h2", {}, `${text("page-last-fit")}: `, el("a", { href: `#/runs/${encodeURIComponent(item.run)}` }, item.run), ` · ${began(item.utc)}`), coefficientTable(item.coefficients));
 }
 
 export function coefficientTable(coefficients) {

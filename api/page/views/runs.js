@@ -1,7 +1,7 @@
 // Runs: filter and compare; one run measured against simulated, its residual, the profile through the panel, its fit.
 import { download, get, url } from "../api.js";
 import { TimeChart, key } from "../charts.js";
-import { clock, duration, el, number, table } from "../dom.js";
+import { began, duration, el, number, table } from "../dom.js";
 import { language, placeName, said, text } from "../words.js";
 import { roleOf } from "../channels.js";
 import { coefficientTable } from "./coefficients.js";
@@ -89,7 +89,7 @@ async function list(place, context) {
     ], items.map((run) => [
       el("input", { type: "checkbox", checked: chosen.has(run.run), "aria-label": `${text("page-compare")} ${run.run}`, onchange: (event) => pick(run.run, event.target.checked) }),
       el("a", { href: `#/runs/${encodeURIComponent(run.run)}` }, run.run),
-      el("span", { class: "num" }, run.started_utc ? clock(run.started_utc) : text("page-date-unknown")), run.material || "–", cell(run.thickness_mm, 1, "mm"),
+      el("span", { class: "num" }, began(run.started_utc)), run.material || "–", cell(run.thickness_mm, 1, "mm"),
       ...columns.map(([name, , digits, unit]) => cell(run.numbers[name], digits, unit)),
       run.verdict ? el("span", { class: `pill ${run.verdict === "good" ? "good" : "bad"}` }, text(`page-panel-${run.verdict}`)) : "–",
       statusPill(run.status),
@@ -145,7 +145,7 @@ function headCard(run, path) {
       el("div", { class: "row small" }, link("CSV", url(`${path}/samples`, { format: "csv" }), `${run.run}.csv`), link("Parquet", url(`${path}/samples`, { format: "parquet" }), `${run.run}.parquet`),
         link("SVG", url(`${path}/figure.svg`, { language: language() }), `${run.run}.svg`), el("a", { class: "button", href: "#/runs" }, text("page-back")))),
     el("p", { class: "faint" }, [run.material, run.thickness_mm && `${number(run.thickness_mm, 1)} mm`, run.platen_temperature_C && `${number(run.platen_temperature_C, 0)} °C`,
-      run.closed_s !== null && run.opened_s !== null && `${text("page-pressed")} ${duration(run.opened_s - run.closed_s)}`, run.started_utc ? clock(run.started_utc) : text("page-date-unknown"), `${run.scans} ${text("page-scans")}`]
+      run.closed_s !== null && run.opened_s !== null && `${text("page-pressed")} ${duration(run.opened_s - run.closed_s)}`, began(run.started_utc), `${run.scans} ${text("page-scans")}`]
       .filter(Boolean).join(" · ")),
     run.remark ? el("p", { class: "next", style: "white-space:pre-line" }, run.remark) : null);
 }
