@@ -229,11 +229,12 @@ def predict_program(found: CampaignFit, settings: dict[str, float]) -> Program |
 
 def check_method(method: str, *, averages: bool) -> str:
     """Return the method's full name; refuse an unknown one before any work."""
-    from softsensor.fitting.paper.procedures import METHODS
+    if method != "default":
+        from softsensor.fitting.paper.procedures import METHODS  # its solvers load slowly
 
-    if method not in ("default", *METHODS):
-        raise InputError(say("terminal-method-unknown", method=method, known=("default", *METHODS)))
-    if averages and method == "default":
+        if method not in METHODS:
+            raise InputError(say("terminal-method-unknown", method=method, known=("default", *METHODS)))
+    elif averages:
         raise InputError(say("terminal-averages-need-method"))
     return f"{method}:averages" if averages else method
 
