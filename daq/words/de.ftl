@@ -975,6 +975,7 @@ plan-best = Am besten: { $settings }. { $prospect }
 plan-best-is-usual = Am besten: die üblichen Einstellungen. { $prospect }
 plan-narrows-kelvin = Eine Pressung bringt es auf ±{ NUMBER($kelvin, maximumFractionDigits: 2) } K; { $runs }.
 plan-narrows-share = Eine Pressung bringt es auf ±{ NUMBER($percent, maximumFractionDigits: 0) } %; { $runs }.
+plan-not-described = Das Modell beschreibt diese Pressungen nicht; was eine weitere Pressung brächte, ist nicht vorherzusagen.
 plan-nothing-open = Nichts bleibt offen, was eine Pressung klären könnte.
 plan-open-causes = Nicht zu unterscheiden: { $causes }
 plan-open-coefficient = { $name } ist auf ±{ NUMBER($percent, maximumFractionDigits: 0) } % bekannt (gewünscht: ±{ NUMBER($wanted, maximumFractionDigits: 0) } %)

@@ -958,6 +958,7 @@ plan-best = Best: { $settings }. { $prospect }
 plan-best-is-usual = Best: the usual settings. { $prospect }
 plan-narrows-kelvin = One brings it to ±{ NUMBER($kelvin, maximumFractionDigits: 2) } K; { $runs }.
 plan-narrows-share = One brings it to ±{ NUMBER($percent, maximumFractionDigits: 0) } %; { $runs }.
+plan-not-described = The model does not describe these runs, so what a further pressing would bring cannot be forecast.
 plan-nothing-open = Nothing is left open that a pressing could settle.
 plan-open-causes = Not told apart: { $causes }
 plan-open-coefficient = { $name } is known to ±{ NUMBER($percent, maximumFractionDigits: 0) } % (wanted: ±{ NUMBER($wanted, maximumFractionDigits: 0) } %)

@@ -16,6 +16,7 @@ import numpy as np
 
 from daq.press.press_file import Press
 from daq.records import InputError, Run
+from softsensor.diagnosis.decision import Verdict
 from softsensor.diagnosis.finding import Diagnosis
 from softsensor.diagnosis.search import SettledModel
 from softsensor.planning.open_points import OpenPoint, Prospect, contested, open_causes, open_numbers
@@ -154,6 +155,9 @@ def plan(
 ) -> Plan:
     """Return the next pressings worth most after a diagnosis.
 
+    What a pressing would bring is forecast by the campaign's model, so a campaign that it does not describe has
+    no point open to a pressing.
+
     Parameters
     ----------
     found
@@ -176,11 +180,12 @@ def plan(
     settings = [settings_of(d.run, press, d.moments) for d in digests]
     allowed = default_ranges(settings, ranges)
     tell("runs so far", 0.0)
-    idle = causes_alone and not contested(found)
+    described = found.verdict is not Verdict.NOT_DESCRIBED
+    idle = not described or (causes_alone and not contested(found))
     past = [] if idle else [outlook_of(press, d, stage.fit) for d in digests]
     constants = tuple(dict.fromkeys(key for outlook in past for key in outlook.shared))
-    points = open_causes(found, past, constants)
-    if not causes_alone:
+    points = [] if idle else open_causes(found, past, constants)
+    if described and not causes_alone:
         points += open_numbers(found.final, past, constants)
     middle = _middle(settings)
     usual = {name: round(settings[middle][name], 1) for name in allowed if name in settings[middle]}

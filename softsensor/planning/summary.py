@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from daq.words import Message, say
+from softsensor.diagnosis.decision import Verdict
 from softsensor.effects.vocabulary import called
 from softsensor.fitting.experiment_advice import MANY
 from softsensor.planning.advise import ProgrammeAdvice
@@ -18,7 +19,9 @@ SAVINGS = 3
 
 def plan_said(found: Plan) -> Iterator[Message]:
     """Say each open point with its pressings, one line each."""
-    if not found.points:
+    if found.verdict == Verdict.NOT_DESCRIBED:
+        yield say("plan-not-described")
+    elif not found.points:
         yield say("plan-nothing-open")
     for advice in found.points:
         yield point_said(advice.point)

@@ -18,6 +18,7 @@ from api.cli import main
 from daq.press.press_file import Press, parse_press
 from daq.records import InputError
 from daq.simulated.campaign import Plan, make_campaign, press_toml, write_campaign
+from softsensor.diagnosis.decision import Verdict
 from softsensor.diagnosis.extension import fit_campaign_model
 from softsensor.diagnosis.extension_unknowns import lay_out
 from softsensor.diagnosis.search import SettledModel, settle_base
@@ -33,7 +34,9 @@ from softsensor.planning.information import (
 )
 from softsensor.planning.open_points import Kind, OpenPoint, contender
 from softsensor.planning.outlook import outlook_of, planned_digest, shares, with_core
+from softsensor.planning.plan import plan
 from softsensor.planning.program import FACTORS, default_ranges, designed_run, settings_of
+from softsensor.planning.summary import plan_said
 from softsensor.signals.digest import digest_run
 from softsensor.signals.doubt import Doubt, Source
 from softsensor.signals.moments import moments_seen
@@ -147,8 +150,8 @@ def test_two_designed_pressings_name_what_four_repeated_ones_do_not() -> None:
         platen_C=(best["platen_temperature_C"],) * 2,
     )
     after = {}
-    for name, more, plan in (("designed", 2, designed), ("repeated", 4, usual)):
-        further = [run for run, _ in make_campaign(502, 7 + more, hidden, plan)][7:]
+    for name, more, kind in (("designed", 2, designed), ("repeated", 4, usual)):
+        further = [run for run, _ in make_campaign(502, 7 + more, hidden, kind)][7:]
         after[name] = softsensor.diagnose([*runs, *further], press()).content["effects"]
     assert [effect["set"] for effect in after["designed"]] == [["conductivity_offset"]]
     assert [len(effect["set"]) for effect in after["repeated"]] == [2]
@@ -235,3 +238,12 @@ def test_a_plan_in_python_is_the_commands() -> None:
     assert len(planned.frame()) == sum(3 for _ in told["open"])
     assert len(str(planned)) > 10
     assert planned.plot()
+
+
+def test_a_model_that_does_not_describe_the_runs_forecasts_no_pressing() -> None:
+    runs = [run for run, _ in make_campaign(7, 2, None, Plan(rate_hz=1.0, thickness_mm=16.0))]
+    found = softsensor.diagnose(runs, press(), effects=["edge_loss"]).diagnosis
+    assert plan(press(), found).points  # two runs leave coefficients open
+    off = plan(press(), replace(found, verdict=Verdict.NOT_DESCRIBED))
+    assert not off.points
+    assert [m.code for m in plan_said(off)] == ["plan-not-described"]
