@@ -193,6 +193,11 @@ class Coefficient(Table):
             raise ValueError(say("press-guess-outside", guess=self.guess, lower=self.lower, upper=self.upper))
         return self
 
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Where a fit must stay. [W/m²K]"""
+        return self.lower, self.upper
+
 
 class Prior(Table):
     """``[priors.NAME]``: what is known of a coefficient before any run is seen; log-normal."""

@@ -51,8 +51,8 @@ def _scatter(stage: SettledModel) -> Array:
     layout = stage.fit.layout
     variance = []
     for s, value in zip(layout.shared, stage.fit.theta, strict=True):
-        if s.coefficient:
-            variance.append(stage.population.get(s.coefficient, 0.0) ** 2)
+        if s.name in layout.coefficients:
+            variance.append(stage.population.get(layout.coefficients[s.name], 0.0) ** 2)
         else:
             variance.append((layout.spreads.get(s.name, 0.0) * (value - s.centre)) ** 2)
     return np.diag(np.array(variance))

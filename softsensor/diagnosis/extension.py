@@ -20,10 +20,11 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from daq.records import Array
-from softsensor.diagnosis.extension_unknowns import CampaignUnknown, Unknowns, run_values, shared_cost, start_eta
+from softsensor.diagnosis.extension_unknowns import Unknowns, run_values, shared_cost, start_eta
 from softsensor.heat.model import ThermalModel
 from softsensor.signals.digest import Digest, Whitened
 from softsensor.signals.instrument import scan_sd
+from softsensor.signals.unknown import Unknown
 
 STUCK = 3.0
 """A run whose misfit is so many times the usual one may sit in a side valley. By hand, 2026-11."""
@@ -89,6 +90,11 @@ class SharedFit:
         """The shared numbers by name."""
         return self.layout.named(self.theta)
 
+    def own(self, names: Sequence[str]) -> list[list[tuple[Unknown, float]]]:
+        """Return each run's own unknowns of these names, with their estimates (runs)."""
+        pairs = (zip(u, r.eta.tolist(), strict=True) for u, r in zip(self.layout.unknowns, self.runs, strict=True))
+        return [[(u, estimate) for u, estimate in of_run if u.name in names] for of_run in pairs]
+
 
 def evaluate(
     layout: Unknowns, run: int, data: Whitened, theta: Array, eta: Array, *, tangents: bool = True
@@ -131,7 +137,7 @@ def evaluate(
             jacobian[:n, j] = rows[key] * size
             outer[:n, shared[key]] = rows[key] * max(1.0 + eta[j], 0.0)
         else:
-            jacobian[:n, j] = rows[u.name] * (np.exp(eta[j]) if u.log else 1.0)
+            jacobian[:n, j] = rows[u.name] * u.slope(float(eta[j]))
         jacobian[n + j, j] = 1.0 / sd[j]
         if u.shared in shared:
             outer[n + j, shared[u.shared]] = -1.0 / sd[j]
@@ -169,7 +175,7 @@ def fit_campaign_model(
     tolerance: float = 0.3,
 ) -> SharedFit:
     """Minimise the cost over everything. `etas` are starts; steps that do not help are halved."""
-    theta = np.array([s.start for s in layout.shared])
+    theta = np.array([s.begin for s in layout.shared])
     lower, upper = layout.limits
     theta = np.clip(theta, lower, upper)
     own = [start_eta(layout, r, theta) for r in range(len(data))] if etas is None else list(etas)
@@ -227,7 +233,7 @@ def each_run(work: Callable[[int], RunState], count: int) -> list[RunState]:
     return list(_POOL.map(work, range(count)))
 
 
-def _within(unknowns: Sequence[CampaignUnknown], eta: Array) -> Array:
+def _within(unknowns: Sequence[Unknown], eta: Array) -> Array:
     return np.clip(eta, [u.lower for u in unknowns], [u.upper for u in unknowns])
 
 

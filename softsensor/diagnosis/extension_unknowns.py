@@ -25,31 +25,10 @@ from softsensor.signals.instrument import (
     SWITCH_S,
     moment_sd,
 )
+from softsensor.signals.unknown import Unknown
 
 AMPLITUDE_SD = 4.0
 """Prior of an effect's amplitude about zero, in typical sizes: hardly any. By hand, 2026-11."""
-
-
-@dataclass(frozen=True)
-class CampaignUnknown:
-    """A number that a campaign's fit looks for: where its prior lies, how wide it is, and where it must stay."""
-
-    name: str
-    centre: float
-    sd: float
-    lower: float = -np.inf
-    upper: float = np.inf
-    log: bool = False
-    """Whether it is the logarithm of what the model goes by `name`."""
-    start: float = 0.0
-    step: float = np.inf
-    """Largest change in one step."""
-    shared: str = ""
-    """Of a run's number: the campaign level it scatters about."""
-    share_of: str = ""
-    """Of a run's number: the effect parameter of which this run has so much more or less."""
-    coefficient: str = ""
-    """Of a campaign's: the coefficient whose logarithm it is."""
 
 
 @dataclass(frozen=True)
@@ -57,8 +36,8 @@ class Unknowns:
     """What is fitted: the model, the campaign's numbers, the runs' numbers."""
 
     model: ThermalModel
-    shared: tuple[CampaignUnknown, ...]
-    unknowns: tuple[tuple[CampaignUnknown, ...], ...]
+    shared: tuple[Unknown, ...]
+    unknowns: tuple[tuple[Unknown, ...], ...]
     """By run."""
     spreads: Mapping[str, float]
     """Relative scatter between runs of effect parameters, by full name."""
@@ -72,6 +51,11 @@ class Unknowns:
     def names(self) -> tuple[str, ...]:
         """Of the shared numbers."""
         return tuple(s.name for s in self.shared)
+
+    @cached_property
+    def coefficients(self) -> dict[str, str]:
+        """The coefficient behind each shared number that is a logarithm."""
+        return {logarithm_of(name): name for name in self.model.press.free_coefficients}
 
     @cached_property
     def priors(self) -> tuple[Array, Array]:
@@ -115,7 +99,7 @@ def lay_out(
     start
         Effect parameters and campaign levels (logarithms) to begin from.
     """
-    shared: list[CampaignUnknown] = []
+    shared: list[Unknown] = []
     spreads: dict[str, float] = {}
     for effect in model.effects:
         for p in effect.parameters:
@@ -123,47 +107,47 @@ def lay_out(
             unit = (p.upper - p.lower) / 6.0 if is_shape(p) else abs(p.typical - p.neutral)
             sd = unit if is_shape(p) else AMPLITUDE_SD * unit
             begin = start.get(key, p.typical)
-            shared.append(CampaignUnknown(key, p.neutral, sd, p.lower, p.upper, start=begin, step=unit))
+            shared.append(Unknown(key, p.neutral, sd, p.lower, p.upper, start=begin, step=unit))
             if p.spread > 0:
                 spreads[key] = p.spread
     own = tuple(_run_coefficients(model.press, population))
     for u in own:
         guess = float(np.log(model.press.coefficient(u.name).guess))
-        level = CampaignUnknown(u.shared, guess, GUESS_LOG, u.lower, u.upper, step=1.0, coefficient=u.name)
+        level = Unknown(u.shared, guess, GUESS_LOG, u.lower, u.upper, step=1.0)
         shared.append(replace(level, start=start.get(u.shared, guess)))
     unknowns = tuple((*own, *_nuisances(model.press, d, spreads)) for d in digests)
     return Unknowns(model, tuple(shared), unknowns, spreads)
 
 
-def _run_coefficients(press: Press, population: Mapping[str, float]) -> Iterator[CampaignUnknown]:
+def _run_coefficients(press: Press, population: Mapping[str, float]) -> Iterator[Unknown]:
     for name in press.free_coefficients:
         table, sd = press.coefficient(name), population.get(name, FREE_SPREAD_LOG)
         lower, upper = float(np.log(table.lower)), float(np.log(table.upper))
-        yield CampaignUnknown(name, 0.0, sd, lower, upper, log=True, shared=logarithm_of(name))
+        yield Unknown(name, 0.0, sd, lower, upper, log=True, shared=logarithm_of(name))
 
 
-def _nuisances(press: Press, digest: Digest, spreads: Mapping[str, float]) -> Iterator[CampaignUnknown]:
+def _nuisances(press: Press, digest: Digest, spreads: Mapping[str, float]) -> Iterator[Unknown]:
     if press.has_states:
         yield from _timing(digest)
     if press.panel_layers:
-        yield CampaignUnknown("initial_K", 0.0, START_K)
+        yield Unknown("initial_K", 0.0, START_K)
     for end, boundary in press.boundary.ends:
         if boundary.kind == "measured":
-            yield CampaignUnknown(f"boundary_{end}_K", 0.0, PLATEN_K)
+            yield Unknown(f"boundary_{end}_K", 0.0, PLATEN_K)
     for key, sd in spreads.items():
-        yield CampaignUnknown(f"share {key}", 0.0, sd, share_of=key)
+        yield Unknown(f"share {key}", 0.0, sd, share_of=key)
 
 
-def _timing(digest: Digest) -> Iterator[CampaignUnknown]:
+def _timing(digest: Digest) -> Iterator[Unknown]:
     closed, opened = digest.moments.closed_s, digest.moments.opened_s
     seen = digest.switch or ((np.nan, 0.0), (np.nan, 0.0))
     for name, at, (switched, gap) in zip(("closed_s", "opened_s"), (closed, opened), seen, strict=True):
         if np.isfinite(at) and np.isfinite(switched):
-            yield CampaignUnknown(name, switched - gap / 2 - at, float(np.hypot(gap / np.sqrt(12.0), SWITCH_S)))
+            yield Unknown(name, switched - gap / 2 - at, float(np.hypot(gap / np.sqrt(12.0), SWITCH_S)))
         elif np.isfinite(at):
-            yield CampaignUnknown(name, 0.0, moment_sd(digest.period_s))
+            yield Unknown(name, 0.0, moment_sd(digest.period_s))
     if np.isfinite(closed):
-        yield CampaignUnknown("ramp_s", 0.0, RAMP_SD_S)
+        yield Unknown("ramp_s", 0.0, RAMP_SD_S)
 
 
 def with_own_panels(layout: Unknowns, digests: Sequence[Digest]) -> Unknowns:
@@ -172,7 +156,7 @@ def with_own_panels(layout: Unknowns, digests: Sequence[Digest]) -> Unknowns:
     return replace(layout, unknowns=own)
 
 
-def _panel_shares(digest: Digest) -> Iterator[CampaignUnknown]:
+def _panel_shares(digest: Digest) -> Iterator[Unknown]:
     doubts = fit_doubts(digest.run, digest.cases[False].press, PANEL_TO_PANEL)
     ratio = conductivity_offset.EFFECT.parameters[0]
     conductivity, capacity, thick = (
@@ -182,7 +166,7 @@ def _panel_shares(digest: Digest) -> Iterator[CampaignUnknown]:
     for name, own in zip(PANEL_SHARES, (conductivity, capacity), strict=True):
         sd = float(np.hypot(own, thick))  # thicker: a longer way, and more to heat
         if 0.0 < sd < np.inf:
-            yield CampaignUnknown(name, 0.0, sd, ratio.lower - ratio.neutral, ratio.upper - ratio.neutral)
+            yield Unknown(name, 0.0, sd, ratio.lower - ratio.neutral, ratio.upper - ratio.neutral)
 
 
 def run_values(layout: Unknowns, run: int, theta: Array, eta: Array) -> dict[str, float]:
@@ -196,7 +180,7 @@ def run_values(layout: Unknowns, run: int, theta: Array, eta: Array) -> dict[str
             neutral = limits[key].centre
             values[key] = neutral + (shared[key] - neutral) * max(1.0 + value, 0.0)
         else:
-            values[unknown.name] = float(np.exp(value)) if unknown.log else float(value)
+            values[unknown.name] = unknown.value(float(value))
     for n in layout.effect_names:
         values[n] = float(np.clip(values[n], limits[n].lower, limits[n].upper))
     return values

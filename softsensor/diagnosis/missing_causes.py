@@ -108,7 +108,7 @@ def run_evidence(problem: Problem, at: Evaluation) -> dict[str, RunEvidence]:
             continue
         size = score / power
         rest = [r - size * (m + d @ answer) for r, m, d in zip(at.residual, moved, at.derivative, strict=True)]
-        shifts = {u.name: float(s) for u, s in zip(problem.unknowns, answer, strict=True) if u.scale == "log"}
+        shifts = {u.name: float(s) for u, s in zip(problem.unknowns, answer, strict=True) if u.log}
         found[effect.name] = RunEvidence(score, power, shifts, _rms(problem, rest))
     return found
 

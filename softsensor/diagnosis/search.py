@@ -42,6 +42,7 @@ from softsensor.signals.instrument import (
     MEAN_WHITE_K,
     SEEN_SPREAD_LOG,
 )
+from softsensor.signals.unknown import Unknown
 
 PROBE = 0.5
 """Secants are taken at this share of an effect's typical size."""
@@ -250,14 +251,7 @@ def panels_as_usual(freed: SettledModel) -> float:
     """
     found = [1.0]
     for name in PANEL_SHARES:
-        off = np.array(
-            [
-                e / u.sd
-                for unknowns, run in zip(freed.fit.layout.unknowns, freed.fit.runs, strict=True)
-                for u, e in zip(unknowns, run.eta, strict=True)
-                if u.name == name
-            ]
-        )
+        off = np.array([u.deviation(estimate) for own in freed.fit.own([name]) for u, estimate in own])
         if len(off):
             found += [4.0 * 2.0 * ndtr(-abs(off.sum()) / len(off) ** 0.5), 4.0 * chdtrc(len(off), off @ off)]
     return float(min(found))
@@ -387,11 +381,8 @@ def switch_scores(stage: SettledModel) -> Array:
     Moments make up for a clock offset completely, so nothing of it is left in the temperatures.
     """
     scores = []
-    for unknowns, run, d in zip(stage.fit.layout.unknowns, stage.fit.runs, stage.data, strict=True):
-        known = d.digest.switch is not None
-        rest = [
-            (e - u.centre) / u.sd for u, e in zip(unknowns, run.eta, strict=True) if u.name in SWITCHED and known
-        ]
+    for moments in _switched(stage):
+        rest = [u.deviation(estimate) for u, estimate in moments]
         scores.append(sum(rest) / max(len(rest), 1) ** 0.5)
     return np.asarray(np.clip(scores, -SCORE_LIMIT, SCORE_LIMIT), dtype=float)
 
@@ -424,13 +415,14 @@ def _fresh_fits(stage: SettledModel, model: ThermalModel, effect: Effect, rounds
 
 def _behind_the_switch(stage: SettledModel) -> float:
     """Return how far the fitted moments lie behind the limit switch's, mean over runs. [s]"""
-    rest = [
-        e - u.centre
-        for unknowns, run, d in zip(stage.fit.layout.unknowns, stage.fit.runs, stage.data, strict=True)
-        for u, e in zip(unknowns, run.eta, strict=True)
-        if u.name in SWITCHED and d.digest.switch is not None
-    ]
+    rest = [estimate - u.centre for moments in _switched(stage) for u, estimate in moments]
     return float(np.mean(rest)) if rest else 0.0
+
+
+def _switched(stage: SettledModel) -> list[list[tuple[Unknown, float]]]:
+    """Return each run's moments that a limit switch gives, as fitted (runs)."""
+    own = stage.fit.own(SWITCHED)
+    return [moments if d.digest.switch is not None else [] for moments, d in zip(own, stage.data, strict=True)]
 
 
 def _grown(unknowns: Sequence[object], eta: Array) -> Array:

@@ -28,13 +28,13 @@ from softsensor.fitting.problem import (
     CONSTANT,
     Minimum,
     Problem,
-    Unknown,
     constants_among,
     covariance_of,
     normal_equations,
 )
 from softsensor.fitting.unknowns import nuisance
 from softsensor.signals.doubt import Doubt, Source, constant_doubts
+from softsensor.signals.unknown import Unknown
 
 CAPACITY, DENSITY = "heat_capacity_J_kgK", "density_kg_m3"
 LEFT_OUT = ("panel.initial_temperature_C", "panel.moisture_percent")
@@ -95,7 +95,7 @@ def with_constants(problem: Problem, x: Array) -> Problem:
     case, values = problem.case, problem.merged(x)
     places = [case.columns.index(p.columns[0]) for p in problem.signals.places]
     before = problem.model.solve(case, values).sensors
-    sizes = {u.name.partition(":")[2]: u.size for u in problem.unknowns}
+    sizes = {u.name.partition(":")[2]: u.unit for u in problem.unknowns}
     constant = {}
     for key in keys:
         change, after = _changed(problem, key, sizes[key], values)
@@ -161,7 +161,7 @@ def constants_of(problem: Problem, best: Minimum, spread: float) -> dict[str, Co
         d = problem.doubts[u.name.partition(":")[2]]
         step, sd = covariance[i] @ right, spread * np.sqrt(covariance[i, i])
         found[u.name.partition(":")[2]] = ConstantFit(
-            d.value, d.sd, d.source, d.value + u.value(float(step)), min(u.size * float(sd), d.sd)
+            d.value, d.sd, d.source, d.value + float(step) * u.unit, min(u.unit * float(sd), d.sd)
         )
     return found
 

@@ -94,13 +94,19 @@ def judge(fitted: RunFit, company: Company = ALONE) -> RunFit:
 
 def _unmet(fitted: RunFit) -> RunFit:
     """Return a fit of a run the model does not describe: whatever value stands there, nothing is known."""
-    free = {u.name: (u.lower, u.upper) for u in fitted.problem.unknowns if is_coefficient(u.name)}
+    free = [u.name for u in fitted.problem.unknowns if is_coefficient(u.name)]
+    press = fitted.problem.case.press
     reason = None if fitted.misfit is None else say("fit-not-described", misfit=fitted.misfit)
     unknown = {
         name: Coefficient(
-            fitted.coefficients[name].value, float("nan"), limits, False, Identifiability.NOT_IDENTIFIABLE, reason
+            fitted.coefficients[name].value,
+            float("nan"),
+            press.coefficient(name).limits,
+            False,
+            Identifiability.NOT_IDENTIFIABLE,
+            reason,
         )
-        for name, limits in free.items()
+        for name in free
     }
     return replace(fitted, coefficients={**fitted.coefficients, **unknown})
 
@@ -193,7 +199,7 @@ def profile_rise(fitted: RunFit, i: int, x: float, steps: int = EVALUATIONS) -> 
     start = best.x + np.clip(start - best.x, -3.0, 3.0)
     start[i] = x
     u = problem.unknowns[i]
-    own = 0.5 * ((best.x[i] - u.mean) / u.sd) ** 2
+    own = 0.5 * u.deviation(best.x[i] * u.unit) ** 2
     at = minimise(held, start, max_evaluations=steps, decrease=SETTLED).evaluation
     matrix, right = normal_equations(held, at)
     step, promise = damped_step(matrix, right, free_of(at.x, right, *held.limits), 0.0)
@@ -226,7 +232,7 @@ def profile(fitted: RunFit, name: str, points: int = PROFILE_POINTS) -> Profile:
     i = fitted.problem.names.index(name)
     u, c = fitted.problem.unknowns[i], fitted.coefficients[name]
     low, high = (side[i] for side in fitted.problem.limits)
-    ends = [u.inside(v) for v in c.ci95]
+    ends = np.log(c.ci95)
     middle, most = fitted.minimum.x[i], max(abs(ends[1] - ends[0]), 1e-3)
     alone = fitted.spread**2 * float(fitted.minimum.covariance[i, i])
     first = max(low, min(middle, ends[0]) - 0.25 * most)
@@ -249,7 +255,7 @@ def profiles_of(fitted: RunFit) -> dict[str, Profile]:
 
 
 def _hold(problem: Problem, i: int, x: float) -> Problem:
-    """Return the problem with one unknown fixed, its own prior left out."""
+    """Return the problem with one coefficient fixed, its own prior left out."""
     u = problem.unknowns[i]
-    fixed = replace(u, lower=u.value(x), upper=u.value(x), sd=float("inf"))
+    fixed = replace(u, lower=x, upper=x, sd=float("inf"))
     return replace(problem, unknowns=(*problem.unknowns[:i], fixed, *problem.unknowns[i + 1 :]))

@@ -92,7 +92,7 @@ def _again(people: Population, one: tuple[_Member, Array]) -> _Member:
             continue
         j = problem.names.index(name)
         sd = float(people.spread[i]) / fitted.spread
-        unknowns[j] = replace(unknowns[j], mean=float(people.mean[i]), sd=sd)
+        unknowns[j] = replace(unknowns[j], centre=float(people.mean[i]), sd=sd)
         x[j] = there[i]
     problem = replace(problem, unknowns=tuple(unknowns))
     found = minimise(problem, x, max_evaluations=EVALUATIONS, decrease=0.05)

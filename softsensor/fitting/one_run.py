@@ -145,7 +145,7 @@ def _fit_by_the_paper(problem: Problem, method: str, company: Company) -> RunFit
     x = np.zeros(len(problem.unknowns))
     for i, u in enumerate(problem.unknowns):
         if u.name in found.values:
-            x[i] = u.inside(found.values[u.name])
+            x[i] = u.estimate(found.values[u.name]) / u.unit
         elif u.name in TIMINGS:
             x[i] = settled.minimum.x[i]
     problem = replace(problem, noise=slow_noise(problem, problem.evaluate(x)))
@@ -200,7 +200,7 @@ def _search(problem: Problem) -> _Settled:
 def _roughly(problem: Problem) -> Minimum:
     """Search from the given start, and from further ones where that ends badly or at a limit."""
     best = minimise(problem, max_evaluations=25, decrease=0.05)
-    logs = np.array([u.scale == "log" for u in problem.unknowns])
+    logs = np.array([u.log for u in problem.unknowns])
     for shift in OTHER_STARTS:
         values = float(np.count_nonzero(best.evaluation.z))
         if best.converged and best.evaluation.loss < BAD_LOSS * values and not best.held[logs].any():
@@ -233,12 +233,12 @@ def recentre(problem: Problem, x: Array) -> tuple[Problem, Array]:
         if shift := shifts.get(u.name, 0.0):
             u = replace(
                 u,
-                start=u.start - shift,
+                start=u.begin - shift,
                 lower=u.lower - shift,
                 upper=u.upper - shift,
-                mean=u.mean - shift / u.size,
+                centre=u.centre - shift,
             )
-            moved[i] -= shift / u.size
+            moved[i] -= shift / u.unit
         unknowns.append(u)
     return replace(problem, case=case, unknowns=tuple(unknowns)), moved
 

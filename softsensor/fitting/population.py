@@ -81,7 +81,7 @@ def information(problem: Problem, at: Evaluation, spread: float, names: Sequence
     known = (vectors * np.maximum(values, 0.0)) @ vectors.T
     leaning = (matrix[np.ix_(own, carried)] - cross @ matrix[np.ix_(rest, carried)]) / spread**2
     lean = inverse(known) @ leaning
-    doubt = np.diag([problem.unknowns[i].sd ** -2 for i in carried]) + leaning.T @ lean
+    doubt = np.eye(len(carried)) + leaning.T @ lean  # a constant counts in its standard deviation
     share = leaning @ inverse(doubt)  # `problem.left_open`, as a loss of precision
     precision, slope = np.zeros((len(names), len(names))), np.zeros(len(names))
     precision[np.ix_(asked, asked)] = known - share @ leaning.T

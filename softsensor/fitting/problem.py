@@ -1,8 +1,8 @@
 """Least squares between a model and measured runs: unknowns, priors, whitened residuals, derivatives.
 
-What a fit adjusts are `Unknown`s: coefficients in the logarithm, and nuisances (moments, start temperature,
-boundary and channel errors) that carry priors. A `Problem` is one run; `minimise` finds its unknowns by
-Levenberg-Marquardt with exact sensitivities, Huber weights and limits.
+What a fit adjusts are `Unknown`s, each in its `unit`: coefficients in the logarithm, and nuisances (moments, start
+temperature, boundary and channel errors) that carry priors. A `Problem` is one run; `minimise` finds its unknowns
+by Levenberg-Marquardt with exact sensitivities, Huber weights and limits.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from typing import Literal
 
 import numpy as np
 
@@ -23,6 +22,7 @@ from softsensor.heat.model import ThermalModel
 from softsensor.heat.timing import HANDLING_RAMP_S, OPENING_RAMP_S
 from softsensor.signals.doubt import Doubt, Source
 from softsensor.signals.places import Noise, Signals, whiten
+from softsensor.signals.unknown import Unknown
 
 HUBER = 3.0
 """Whitened residuals beyond this count in proportion, not squared."""
@@ -56,36 +56,6 @@ class PlaceUnknown(StrEnum):
 
 
 @dataclass(frozen=True)
-class Unknown:
-    """One number a fit adjusts."""
-
-    name: str
-    """A coefficient, a nuisance of the model, ``offset|gain|skew:PLACE`` or ``constant:KEY``."""
-    start: float
-    lower: float
-    upper: float
-    scale: Literal["log", "linear"] = "linear"
-    size: float = 1.0
-    """Unit of the internal variable where linear."""
-    mean: float = 0.0
-    """Of the prior, in the internal variable."""
-    sd: float = float("inf")
-    """Of the prior, in the internal variable; infinite: no prior."""
-
-    def inside(self, value: float) -> float:
-        """Return the internal variable of a value."""
-        return float(np.log(value)) if self.scale == "log" else value / self.size
-
-    def value(self, x: float) -> float:
-        """Return the value of an internal variable."""
-        return float(np.exp(x)) if self.scale == "log" else x * self.size
-
-    def slope(self, x: float) -> float:
-        """Return the derivative of the value by the internal variable."""
-        return float(np.exp(x)) if self.scale == "log" else self.size
-
-
-@dataclass(frozen=True)
 class Evaluation:
     """Whitened residuals and their derivatives at one point."""
 
@@ -113,6 +83,7 @@ class Problem:
     case: Case
     signals: Signals
     unknowns: tuple[Unknown, ...]
+    """Coefficients, nuisances of the model, ``offset|gain|skew:PLACE``, ``constant:KEY``."""
     values: Mapping[str, float]
     """Every coefficient and effect parameter; the unknowns among them are overridden."""
     noise: Noise
@@ -137,25 +108,26 @@ class Problem:
 
     @property
     def start(self) -> Array:
-        """Internal variables at the unknowns' start values."""
-        return np.array([u.inside(u.start) for u in self.unknowns])
+        """Internal variables where the search begins."""
+        return np.array([u.begin / u.unit for u in self.unknowns])
 
     @property
     def limits(self) -> tuple[Array, Array]:
         """Limits of the internal variables."""
         return (
-            np.array([u.inside(u.lower) for u in self.unknowns]),
-            np.array([u.inside(u.upper) for u in self.unknowns]),
+            np.array([u.lower / u.unit for u in self.unknowns]),
+            np.array([u.upper / u.unit for u in self.unknowns]),
         )
 
     @property
     def precision(self) -> tuple[Array, Array]:
         """Means of the priors and their inverse variances, 0 where there is none."""
-        return np.array([u.mean for u in self.unknowns]), np.array([1.0 / u.sd**2 for u in self.unknowns])
+        at = [(u.centre / u.unit, (u.unit / u.sd) ** 2) for u in self.unknowns]
+        return np.array([mean for mean, _ in at]), np.array([precision for _, precision in at])
 
     def merged(self, x: Array) -> dict[str, float]:
         """Return every parameter's value at a point."""
-        own = {u.name: u.value(v) for u, v in zip(self.unknowns, x, strict=True) if ":" not in u.name}
+        own = {u.name: u.value(v * u.unit) for u, v in zip(self.unknowns, x, strict=True) if ":" not in u.name}
         return {**self.values, **own}
 
     def predict(self, x: Array) -> Solution:
@@ -220,7 +192,7 @@ class Problem:
             predicted = predicted + self.correction[i]
         for j, u in enumerate(self.unknowns):
             if (moved := self.constant.get(u.name.removeprefix(f"{CONSTANT}:"))) is not None:
-                predicted = predicted + moved[i] * u.value(x[j])
+                predicted = predicted + moved[i] * (x[j] * u.unit)
         return predicted
 
     def _place(self, i: int, x: Array, solution: Solution) -> tuple[Array, Array]:
@@ -232,21 +204,21 @@ class Problem:
         added = np.zeros(len(predicted))
         for j, u in enumerate(self.unknowns):
             if ":" not in u.name:
-                derivative[:, j] = solution.d_sensors[u.name][:, column] * u.slope(x[j])
+                derivative[:, j] = solution.d_sensors[u.name][:, column] * (u.slope(x[j] * u.unit) * u.unit)
                 continue
             kind, _, label = u.name.partition(":")
             if kind == CONSTANT:
                 if label in self.constant:
-                    derivative[:, j] = self.constant[label][i] * u.size
+                    derivative[:, j] = self.constant[label][i] * u.unit
                 continue
             if label not in (place.label, EVERYWHERE):
                 continue
             if kind == PlaceUnknown.OFFSET:
-                derivative[:, j] = u.size
+                derivative[:, j] = u.unit
             elif kind == PlaceUnknown.GAIN:
-                derivative[:, j] = (predicted - self.case.ambient) * u.size
+                derivative[:, j] = (predicted - self.case.ambient) * u.unit
             elif self.slope:
-                derivative[:, j] = -self.slope[i] * u.size
+                derivative[:, j] = -self.slope[i] * u.unit
             added += derivative[:, j] * x[j]
         return place.mean - predicted - added, derivative
 
@@ -456,7 +428,7 @@ def left_open(problem: Problem, matrix: Array, covariance: Array) -> Array:
     at, carried = constants_among(problem), carried_among(problem)
     lean = -covariance @ matrix[:, at] * np.isin(at, carried)
     lean[at, range(len(at))] = 1.0
-    return np.asarray(lean @ np.diag([problem.unknowns[i].sd ** 2 for i in at]) @ lean.T)
+    return np.asarray(lean @ lean.T)  # a constant counts in its standard deviation
 
 
 def inverse(matrix: Array) -> Array:

@@ -13,7 +13,7 @@ from scipy.special import stdtrit
 from daq.records import Array, Moments
 from daq.words import Message, say
 from softsensor.fitting.constants import ConstantFit, constants_of
-from softsensor.fitting.problem import Evaluation, Minimum, Problem, Unknown
+from softsensor.fitting.problem import Evaluation, Minimum, Problem
 from softsensor.fitting.remarks import lost_insertion
 from softsensor.fitting.unknowns import is_coefficient
 
@@ -110,7 +110,7 @@ class RunFit:
     def nuisances(self) -> dict[str, float]:
         """Nuisances and their values, channel errors included."""
         pairs = zip(self.problem.unknowns, self.minimum.x, strict=True)
-        return {u.name: u.value(x) for u, x in pairs if u.name not in self.coefficients}
+        return {u.name: u.value(x * u.unit) for u, x in pairs if u.name not in self.coefficients}
 
     @property
     def correlation(self) -> Array:
@@ -212,7 +212,7 @@ def _coefficients(problem: Problem, best: Minimum, factor: float, quantile: floa
     for i, u in enumerate(problem.unknowns):
         if is_coefficient(u.name):
             sd = float(np.sqrt(best.covariance[i, i] * factor**2 + best.from_constants[i, i]))
-            table[u.name] = _coefficient(u, best.x[i], sd, quantile)
+            table[u.name] = _coefficient(problem.case.press.coefficient(u.name).limits, best.x[i], sd, quantile)
     for name in problem.case.press.coefficient_names:
         if name not in table:
             v = problem.values[name]
@@ -256,13 +256,14 @@ def misfit_of(problem: Problem, rmse: float, first: float, share: float = MISFIT
     return None
 
 
-def _coefficient(u: Unknown, x: float, sd: float, quantile: float) -> Coefficient:
-    value = u.value(x)
-    low, high = u.value(x - min(quantile * sd, 50.0)), u.value(x + min(quantile * sd, 50.0))
-    interval = (max(low, u.lower), min(high, u.upper))
+def _coefficient(limits: tuple[float, float], x: float, sd: float, quantile: float) -> Coefficient:
+    """Return a coefficient from its logarithm and that one's standard deviation."""
+    value = float(np.exp(x))
     if sd == 0.0:
-        return Coefficient(value, float("nan"), (u.lower, u.upper), False)
-    return Coefficient(value, float(abs(u.slope(x)) * sd), interval, True)
+        return Coefficient(value, float("nan"), limits, False)
+    reach = min(quantile * sd, 50.0)
+    interval = (max(float(np.exp(x - reach)), limits[0]), min(float(np.exp(x + reach)), limits[1]))
+    return Coefficient(value, float(value * sd), interval, True)
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ import numpy as np
 from daq.press.press_file import Press
 from daq.records import Array, Moments
 from daq.words import Message, say
-from softsensor.fitting.problem import EVERYWHERE, PlaceUnknown, Unknown
+from softsensor.fitting.problem import EVERYWHERE, PlaceUnknown
 from softsensor.heat.case import Case
 from softsensor.heat.model import NUISANCES
 from softsensor.signals.instrument import (
@@ -26,6 +26,7 @@ from softsensor.signals.instrument import (
     moment_sd,
 )
 from softsensor.signals.places import Signals
+from softsensor.signals.unknown import Unknown
 
 GAP_ROWS = 4.0
 """Rows further apart than this many usual ones are a gap."""
@@ -72,9 +73,11 @@ def known_before(press: Press) -> dict[str, tuple[float, float]]:
 def coefficient_unknown(press: Press, name: str, start: float, prior: tuple[float, float] | None) -> Unknown:
     """Return a coefficient as an unknown; the prior: median, and standard deviation of the logarithm."""
     table = press.coefficient(name)
-    mean, sd = (0.0, float("inf")) if prior is None else (float(np.log(prior[0])), prior[1])
-    begin = float(np.clip(start, table.lower, table.upper))
-    return Unknown(name, begin, table.lower, table.upper, "log", mean=mean, sd=sd)
+    centre, sd = (0.0, float("inf")) if prior is None else (float(np.log(prior[0])), prior[1])
+    lower, upper, begin = (
+        float(np.log(v)) for v in (table.lower, table.upper, np.clip(start, table.lower, table.upper))
+    )
+    return Unknown(name, centre, sd, lower, upper, log=True, start=begin)
 
 
 def chain_priors(case: Case, signals: Signals) -> list[Unknown]:
@@ -137,10 +140,8 @@ def _moment_in_gap(gap: Gap, at: float, sd: float) -> Unknown:
 
 
 def nuisance(name: str, sd: float, reach: float, mean: float = 0.0, lower: float | None = None) -> Unknown:
-    """Return a nuisance with a normal prior; its internal variable counts in standard deviations."""
-    return Unknown(
-        name, mean, mean - reach if lower is None else lower, mean + reach, "linear", sd, mean / sd, 1.0
-    )
+    """Return a nuisance with a normal prior that stays within `reach` of its mean."""
+    return Unknown(name, mean, sd, mean - reach if lower is None else lower, mean + reach)
 
 
 def is_coefficient(name: str) -> bool:

@@ -7,7 +7,8 @@ import numpy as np
 from softsensor.live.directions import CONSTANT, DISCREPANCY
 from softsensor.live.kalman import KalmanFilter
 from softsensor.live.mixture import Mixture
-from softsensor.live.priors import TIMING, Prior
+from softsensor.live.priors import TIMING
+from softsensor.signals.unknown import Unknown
 
 KINDS = ("constants", "contacts", "timing", "start", "effects", "discrepancy", "suspected")
 """Constants of panel, layers and flux; contacts; moments of the press; temperatures of start and platens; effects
@@ -47,9 +48,9 @@ def band_from(one: KalmanFilter, mixture: Mixture, margin: float) -> dict[str, f
     return {kind: value / total for kind, value in found.items()}
 
 
-def _kind(prior: Prior) -> str:
+def _kind(prior: Unknown) -> str:
     first = prior.name.partition(" ")[0]
-    if prior.logarithmic or prior.name.startswith("contact_"):
+    if prior.log or prior.name.startswith("contact_"):
         return "contacts"
     if prior.name in TIMING:
         return "timing"

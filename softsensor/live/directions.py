@@ -32,9 +32,10 @@ from softsensor.heat.build import Build
 from softsensor.heat.case import Case
 from softsensor.heat.first_profile import gap_priors
 from softsensor.heat.model_file import MissingCauses, ModelFile
-from softsensor.live.priors import Prior, coefficient_priors
+from softsensor.live.priors import coefficient_priors
 from softsensor.signals.doubt import PANEL_TO_PANEL, Doubt, constant_doubts
 from softsensor.signals.instrument import SPREAD_LOG, START_K
+from softsensor.signals.unknown import Unknown
 
 RAMPS_S = (2.0, 10.0, 50.0, 250.0)
 """A contact's wander rises from one of these times since closing to the next; before, the coefficient itself and
@@ -60,7 +61,7 @@ CONSTANT, DISCREPANCY = "constant", "discrepancy"
 class Direction:
     """One such parameter, in relative units: what it changes for 1."""
 
-    prior: Prior
+    prior: Unknown
     layers: tuple[str, ...] = ()
     conductivity: float = 0.0
     capacity: float = 0.0
@@ -104,7 +105,9 @@ def directions_of(press: Press, run: Run, panel: Panel | None, model: ModelFile 
         usual = constant_doubts(run.header, press, PANEL_TO_PANEL)
         seen = _seen(model.learned, usual, model.missing.nothing)
         doubts = constant_doubts(run.header, press, PANEL_TO_PANEL | seen)
-    gaps = [Direction(Prior(name, 0.0, sd)) for name, sd in gap_priors(press, run, panel).items() if sd > START_K]
+    gaps = [
+        Direction(Unknown(name, 0.0, sd)) for name, sd in gap_priors(press, run, panel).items() if sd > START_K
+    ]
     return (*_constants(press, run, panel, doubts), *gaps, *_discrepancy(press, panel, model))
 
 
@@ -149,12 +152,15 @@ def _constants(press: Press, run: Run, panel: Panel | None, doubts: Mapping[str,
         layers = tuple(names)
         called = f"{CONSTANT} {names[0]}"
         if k * resists > LEAST_SHARE:
-            yield Direction(Prior(f"{called} conductivity", 0.0, k, considered=True), layers, conductivity=1.0)
+            yield Direction(Unknown(f"{called} conductivity", 0.0, k, considered=True), layers, conductivity=1.0)
         if c * stores > LEAST_SHARE:
-            yield Direction(Prior(f"{called} capacity", 0.0, c, considered=True), layers, capacity=1.0)
+            yield Direction(Unknown(f"{called} capacity", 0.0, c, considered=True), layers, capacity=1.0)
         if thick * max(resists, stores) > LEAST_SHARE:  # thicker: more to heat, and a longer way
             yield Direction(
-                Prior(f"{called} thickness", 0.0, thick, considered=True), layers, conductivity=-1.0, capacity=1.0
+                Unknown(f"{called} thickness", 0.0, thick, considered=True),
+                layers,
+                conductivity=-1.0,
+                capacity=1.0,
             )
     for end, side in enumerate(("bottom", "top")):
         both = [
@@ -163,7 +169,7 @@ def _constants(press: Press, run: Run, panel: Panel | None, doubts: Mapping[str,
             if (key := f"boundary.{side}.{n}") in doubts
         ]
         if both:
-            yield Direction(Prior(f"{CONSTANT} flux {side}", 0.0, math.hypot(*both), considered=True), flux=end)
+            yield Direction(Unknown(f"{CONSTANT} flux {side}", 0.0, math.hypot(*both), considered=True), flux=end)
 
 
 def _beside_table(header: Mapping[str, object]) -> dict[str, float]:
@@ -194,7 +200,9 @@ def _discrepancy(press: Press, panel: Panel | None, model: ModelFile | None) -> 
         sd = min(spread[contact.closed], SPREAD_LOG) / math.sqrt(len(RAMPS_S) - 1)
         for i, ramp in enumerate(pairwise(RAMPS_S)):
             yield Direction(
-                Prior(f"{DISCREPANCY} contact {number} {i}", 0.0, sd, considered=True), contact=number, ramp_s=ramp
+                Unknown(f"{DISCREPANCY} contact {number} {i}", 0.0, sd, considered=True),
+                contact=number,
+                ramp_s=ramp,
             )
     parts = [layer_constants(press, name, panel) for name in inside]
     half = 0.5 * sum(d for d, _, _ in parts)
@@ -206,7 +214,7 @@ def _discrepancy(press: Press, panel: Panel | None, model: ModelFile | None) -> 
     rim = 2.0 * math.sqrt(math.pi / press.press.area_m2)  # of a round stack, over its area [1/m]
     share = math.hypot(share, press.press.side_loss_W_m2K * rim / exchange)
     if share > LEAST_SHARE:
-        source = Prior(f"{DISCREPANCY} source", 0.0, share, considered=True)
+        source = Unknown(f"{DISCREPANCY} source", 0.0, share, considered=True)
         yield Direction(source, tuple(inside), exchange=exchange)
 
 

@@ -153,7 +153,7 @@ class KalmanFilter:
         for i, (name, prior) in enumerate(zip(own.names, own.priors, strict=True)):
             if i in self.hypotheses.column or prior.considered:
                 continue
-            if prior.logarithmic:
+            if prior.log:
                 step = LOG_STEP / prior.sd
             elif name in TIMING:
                 step = max(TIME_STEP_S / prior.sd, TIME_STEP)

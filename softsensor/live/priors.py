@@ -20,18 +20,7 @@ from softsensor.effects import Effect, Role, catalogue, find_effect, paper_layer
 from softsensor.effects.parameters import Parameter
 from softsensor.heat.model_file import MissingCauses, ModelFile
 from softsensor.signals.instrument import GUESS_LOG, LEAST_SPREAD_LOG, PLATEN_ALONE_K, START_K
-
-
-@dataclass(frozen=True)
-class Prior:
-    """One parameter of the filter: x = (value - centre) / sd, or its logarithm where `logarithmic`."""
-
-    name: str
-    centre: float
-    sd: float
-    logarithmic: bool = False
-    considered: bool = False
-    """Held, and followed for what it does to the core if it is wrong (`live.kalman_steps`)."""
+from softsensor.signals.unknown import Unknown
 
 
 @dataclass(frozen=True)
@@ -60,14 +49,14 @@ class CausePrior:
         return _parameter(self.parameter).neutral
 
     @property
-    def prior(self) -> Prior:
+    def prior(self) -> Unknown:
         """Its parameter where it is present."""
-        return Prior(self.parameter, self.neutral if self.centre is None else self.centre, self.sd)
+        return Unknown(self.parameter, self.neutral if self.centre is None else self.centre, self.sd)
 
     @property
     def absent(self) -> float:
         """Where it lies if it is absent, in units of its prior."""
-        return (self.neutral - self.prior.centre) / self.sd
+        return self.prior.deviation(self.neutral)
 
 
 def prior_of(effect: Effect) -> CausePrior:
@@ -98,7 +87,7 @@ NO_MATTER = 0.25
 class FilterPlan:
     """What one filter is to be made of. Where the press has states, the last priors are those of `TIMING`."""
 
-    priors: tuple[Prior, ...]
+    priors: tuple[Unknown, ...]
     causes: tuple[CausePrior, ...]
     chance: float
     """Of this filter with no suspected cause at work."""
@@ -131,16 +120,14 @@ class FilterPlan:
             if _sized(p.name):
                 own = _parameter(p.name)
                 inner = 0.02 * (own.upper - own.lower)
-                low[i] = max(low[i], (own.lower - p.centre) / p.sd)
-                high[i] = min(high[i], (own.upper - inner - p.centre) / p.sd)
+                low[i] = max(low[i], p.deviation(own.lower))
+                high[i] = min(high[i], p.deviation(own.upper - inner))
         return np.minimum(low, start), np.maximum(high, start)
 
     @cached_property
     def neutral(self) -> Array:
         """Where causes would be absent, in prior units; 0 for all else."""
-        return np.array(
-            [(_parameter(p.name).neutral - p.centre) / p.sd if _sized(p.name) else 0.0 for p in self.priors]
-        )
+        return np.array([p.deviation(_parameter(p.name).neutral) if _sized(p.name) else 0.0 for p in self.priors])
 
     @cached_property
     def coupling(self) -> Array:
@@ -165,7 +152,7 @@ def spread_of(value: float, sd: float) -> float:
     return float(np.sqrt(np.log1p((sd / value) ** 2)))
 
 
-def coefficient_priors(press: Press, model: ModelFile | None) -> list[Prior]:
+def coefficient_priors(press: Press, model: ModelFile | None) -> list[Unknown]:
     """Return the coefficients: from the model file, else the press file's guesses within a factor of two.
 
     Within a factor of two as well where nobody has looked what causes the model leaves out: its coefficients may
@@ -180,11 +167,11 @@ def coefficient_priors(press: Press, model: ModelFile | None) -> list[Prior]:
         sd = GUESS_LOG if known is None else max(spread_of(value, known.sd), least)
         if table.fixed:
             sd = 0.01
-        priors.append(Prior(name, float(np.log(value)), sd, logarithmic=True))
+        priors.append(Unknown(name, float(np.log(value)), sd, log=True))
     return priors
 
 
-def effect_priors(model: ModelFile | None) -> list[Prior]:
+def effect_priors(model: ModelFile | None) -> list[Unknown]:
     """Return the parameters of the effects that the model in force holds, with their spread between runs."""
     priors = []
     for name, table in () if model is None else model.effects:
@@ -195,16 +182,16 @@ def effect_priors(model: ModelFile | None) -> list[Prior]:
             reach = abs(value - p.neutral)
             sd = abs(p.typical - p.neutral) if known is None else known.sd
             sd = max(float(np.hypot(sd, p.spread * reach)), 0.02 * reach, 1e-3 * abs(p.typical), 1e-9)
-            priors.append(Prior(effect.key(p.name), value, sd))
+            priors.append(Unknown(effect.key(p.name), value, sd))
     return priors
 
 
-def nuisance_priors(press: Press, known: set[str], initial_sd: float) -> list[Prior]:
+def nuisance_priors(press: Press, known: set[str], initial_sd: float) -> list[Unknown]:
     """Return what else biases the faces' readings, but for effects the model in force already holds."""
-    priors = [Prior("initial_K", 0.0, initial_sd)]
+    priors = [Unknown("initial_K", 0.0, initial_sd)]
     for side, boundary in press.boundary.ends:
         if boundary.kind == "measured":
-            priors.append(Prior(f"boundary_{side}_K", 0.0, PLATEN_ALONE_K))
+            priors.append(Unknown(f"boundary_{side}_K", 0.0, PLATEN_ALONE_K))
     if not press.panel_layers:
         return priors
     for effect in catalogue().values():
@@ -212,9 +199,9 @@ def nuisance_priors(press: Press, known: set[str], initial_sd: float) -> list[Pr
             continue
         if press.has_states or not effect.live.with_states:
             first = effect.parameters[0]
-            priors.append(Prior(effect.key(first.name), first.neutral, effect.scatter_sd))
+            priors.append(Unknown(effect.key(first.name), first.neutral, effect.scatter_sd))
     if paper_layer.EFFECT.name not in known:
-        priors.append(Prior(SKIN, 0.0, SKIN_SD))
+        priors.append(Unknown(SKIN, 0.0, SKIN_SD))
     return priors
 
 
@@ -223,7 +210,7 @@ def plans_for(
     model: ModelFile | None,
     moments_sd: Sequence[float],
     initial_sd: float = START_K,
-    unowned: Sequence[Prior] = (),
+    unowned: Sequence[Unknown] = (),
 ) -> list[FilterPlan]:
     """Return the filters to run side by side: the joint one, and one for each cause that needs its own.
 
@@ -239,7 +226,7 @@ def plans_for(
     common = coefficient_priors(press, model) + effect_priors(model)
     common += [*nuisance_priors(press, own, initial_sd), *unowned]
     moments = zip(TIMING, moments_sd, strict=True) if press.has_states else ()
-    timing = [Prior(name, 0.0, sd) for name, sd in moments if sd > 0.0]
+    timing = [Unknown(name, 0.0, sd) for name, sd in moments if sd > 0.0]
     left_out = [e for e in catalogue().values() if press.panel_layers and e.name not in own]
     causes = tuple(_informed(prior_of(e), seen) for e in left_out if e.live.role is Role.HYPOTHESIS)
     apart = [_informed(prior_of(e), seen) for e in left_out if e.live.role is Role.OWN_FILTER]
@@ -258,10 +245,10 @@ def plans_for(
     return plans
 
 
-def _where_present(s: CausePrior) -> list[Prior]:
+def _where_present(s: CausePrior) -> list[Unknown]:
     """Return the parameters of a cause that is present: its size as earlier runs tell, the rest as typical."""
     effect = find_effect(s.effect)
-    typical = [Prior(effect.key(p.name), p.typical, p.sd or p.size) for p in effect.parameters]
+    typical = [Unknown(effect.key(p.name), p.typical, p.sd or p.size) for p in effect.parameters]
     return typical if s.centre is None else [s.prior, *typical[1:]]
 
 
@@ -285,11 +272,11 @@ def _ruled_out(s: CausePrior) -> bool:
 
 
 def panel_plan(
-    model: ModelFile | None, effects: tuple[str, ...], initial_sd: float, unowned: Sequence[Prior]
+    model: ModelFile | None, effects: tuple[str, ...], initial_sd: float, unowned: Sequence[Unknown]
 ) -> FilterPlan:
     """Return the filter of the panel alone: start temperature, constants, and the effects inside it."""
     own = [p for p in effect_priors(model) if p.name.partition(".")[0] in effects]
-    return FilterPlan((Prior("initial_K", 0.0, initial_sd / 2), *own, *unowned), (), 1.0, "", {})
+    return FilterPlan((Unknown("initial_K", 0.0, initial_sd / 2), *own, *unowned), (), 1.0, "", {})
 
 
 @cache

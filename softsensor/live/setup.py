@@ -23,7 +23,8 @@ from softsensor.live.channel_steps import Integers
 from softsensor.live.curing import ResinSetup
 from softsensor.live.directions import MOST_SHARE, Direction, directions_of
 from softsensor.live.march_steps import Chain, Factors, LinearModel, settle
-from softsensor.live.priors import SKIN, TIMING, FilterPlan, Prior
+from softsensor.live.priors import SKIN, TIMING, FilterPlan
+from softsensor.signals.unknown import Unknown
 
 PROFILE = 11
 """Points of a temperature profile."""
@@ -79,7 +80,7 @@ class Linearised:
     """The thermal model about one set of parameters; what `model` holds changes in place."""
 
     names: tuple[str, ...]
-    priors: tuple[Prior, ...]
+    priors: tuple[Unknown, ...]
     at: Array
     """Where it is linearised, in prior units (P)."""
     model: LinearModel
@@ -178,14 +179,13 @@ def linearise(setup: RunSetup, plan: FilterPlan, at: Array) -> Linearised:
     return Linearised(names, tuple(plan.priors), at, model, setup.profiles[effects], start)
 
 
-def _values(priors: Sequence[Prior], effects: Sequence[str], at: Array) -> tuple[dict[str, float], Array]:
+def _values(priors: Sequence[Unknown], effects: Sequence[str], at: Array) -> tuple[dict[str, float], Array]:
     """Return the parameters' values, and what one prior unit of each is (P, rounded up to fours)."""
     values = {e.key(p.name): p.neutral for e in map(find_effect, effects) for p in e.parameters}
     units = np.ones(-(-len(priors) // 4) * 4)
     for i, p in enumerate(priors):
-        value = p.centre + at[i] * p.sd
-        values[p.name] = float(np.exp(value)) if p.logarithmic else value
-        units[i] = values[p.name] * p.sd if p.logarithmic else p.sd
+        estimate = p.centre + at[i] * p.sd
+        values[p.name], units[i] = p.value(estimate), p.slope(estimate) * p.sd
     return values, units
 
 

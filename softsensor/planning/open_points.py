@@ -186,7 +186,7 @@ def _core_of_the_usual(stage: SettledModel, past: Sequence[Outlook], constants: 
         layout = lay_out(stage.fit.layout.model, [outlook.digest], stage.population, stage.fit.values)
         values = run_values(layout, 0, stage.fit.theta, start_eta(layout, 0, stage.fit.theta))
         coefficients = stage.fit.layout.model.press.free_coefficients
-        wanted = [s.coefficient or s.name for s in stage.fit.layout.shared]
+        wanted = [stage.fit.layout.coefficients.get(name, name) for name in stage.fit.layout.names]
         solution = outlook.digest.solve(stage.fit.layout.model, values, wanted)
         row = opening_row(outlook.digest)
         for i, name in enumerate(wanted):

@@ -53,7 +53,7 @@ def details_of(fitted: RunFit, shapes: Mapping[str, Profile]) -> dict[str, Any]:
 def _picture(name: str, shape: Profile, fitted: RunFit) -> Picture:
     i = fitted.names.index(name)
     best = fitted.minimum.x[i]
-    x = np.array([fitted.problem.unknowns[i].inside(v) for v in shape.value])
+    x = np.log(shape.value)
     xs, heights = smooth(x, shape.rise, best)
     span = max(float(xs[-1] - xs[0]), 1e-12)
     across = WIDTH * (xs - xs[0]) / span

@@ -62,7 +62,7 @@ def test_every_run_stands_where_its_own_search_with_the_others_as_prior_ends(cut
     people = found.population
     for fitted, (mean, _) in zip(found.runs, people.members, strict=True):
         unknowns = tuple(
-            replace(u, mean=people.mean[i], sd=people.spread[i] / fitted.spread)
+            replace(u, centre=people.mean[i], sd=people.spread[i] / fitted.spread)
             for i, u in enumerate(fitted.problem.unknowns[: len(NAMES)])
         )
         assert fitted.problem.names[: len(NAMES)] == NAMES
