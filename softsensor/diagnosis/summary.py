@@ -81,20 +81,16 @@ def _verdict_alone(found: Diagnosis) -> tuple[Message, ...]:
         return (say("verdict-few-runs-off", runs=runs, **residual) if off else say("verdict-few-runs", runs=runs),)
     if found.verdict is Verdict.NOT_DESCRIBED:
         return (say("verdict-not-described", **residual),)
-    if found.verdict is Verdict.NO_EFFECT and found.own_panels_K is not None:
-        return (say("verdict-plain-model-explains-panels", runs=runs, own=found.own_panels_K, **residual),)
     if found.verdict is Verdict.NO_EFFECT:
-        return (say("verdict-plain-model-explains", runs=runs, **residual),)
-    if found.verdict is Verdict.UNKNOWN_EFFECT and found.left.p_value > ALPHA_PATTERN and times <= EXCESS:
-        return (say("verdict-something-beyond-chance", runs=runs, **residual),)
-    if found.verdict is Verdict.UNKNOWN_EFFECT and found.left.p_value > ALPHA_PATTERN:
+        if found.own_panels_K is None:
+            return (say("verdict-plain-model-explains", runs=runs, **residual),)
+        return (say("verdict-plain-model-explains-panels", runs=runs, own=found.own_panels_K, **residual),)
+    if found.verdict is not Verdict.UNKNOWN_EFFECT:
+        return _causes_said(found)
+    if found.left.p_value > ALPHA_PATTERN:  # no pattern
+        if times <= EXCESS:
+            return (say("verdict-something-beyond-chance", runs=runs, **residual),)
         return (say("verdict-differs-from-run-to-run", runs=runs, **residual),)
-    if found.verdict is Verdict.UNKNOWN_EFFECT:
-        return _something_unknown(found)
-    return _causes_said(found)
-
-
-def _something_unknown(found: Diagnosis) -> tuple[Message, ...]:
     return (say("verdict-left-at", stretch=stretch_said(found.where[0])) if found.where else say("verdict-left"),)
 
 

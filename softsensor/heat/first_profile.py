@@ -115,15 +115,14 @@ def gap_priors(press: Press, run: Run, panel: Panel | None) -> dict[str, float]:
             at = sensor.at
             depth = at.depth_mm / 1000.0 if isinstance(at, At) and at.layer == layer.name else None
             height = named[str(at)] * thickness if at in named else depth
-            good = run.columns[column][np.isfinite(run.columns[column])]
-            if height is not None and len(good):
-                read.setdefault(top + height, []).append(float(good[0]))
+            first = _first(run, column)
+            if height is not None and np.isfinite(first):
+                read.setdefault(top + height, []).append(first)
         places += [(height, float(np.mean(values))) for height, values in sorted(read.items())]
         top += thickness
-    for last, height, end in ((False, 0.0, press.boundary.bottom), (True, top, press.boundary.top)):
-        if end.kind == "measured" and end.column is not None and np.isfinite(run.columns[end.column]).any():
-            values = run.columns[end.column]
-            places.insert(len(places) if last else 0, (height, float(values[np.isfinite(values)][0])))
+    for (_, end), height, index in zip(press.boundary.ends, (0.0, top), (0, len(places) + 1), strict=True):
+        if end.kind == "measured" and end.column is not None and np.isfinite(first := _first(run, end.column)):
+            places.insert(index, (height, first))
     gaps = zip(gap_names(press), pairwise(places), strict=False)
     return {name: abs(b - a) / np.sqrt(12.0) for name, ((low, a), (high, b)) in gaps if high > low}
 
@@ -154,15 +153,20 @@ def first_readings(case: Case, shifts: tuple[float, float] = (0.0, 0.0)) -> dict
     """Return the mean of the first readings at each place that has any, and at measured boundaries. [°C]"""
     found: dict[str, list[float]] = {}
     for column, place in case.fitted_places.items():
-        good = case.run.columns[column][np.isfinite(case.run.columns[column])]
-        if len(good):
-            found.setdefault(case.labels[place], []).append(float(good[0]))
+        if np.isfinite(first := _first(case.run, column)):
+            found.setdefault(case.labels[place], []).append(first)
     for end, name in enumerate(ENDS):
         if case.layout.measured[end]:
             found[name] = [float(case.outside[0, end]) + shifts[end]]
     if not found:
         raise InputError(say("start-no-readings", run=case.run.source or case.run.name))
     return {place: float(np.mean(values)) for place, values in found.items()}
+
+
+def _first(run: Run, column: str) -> float:
+    """Return a channel's first reading that is there; NaN where none is. [°C]"""
+    good = run.columns[column][np.isfinite(run.columns[column])]
+    return float(good[0]) if len(good) else float("nan")
 
 
 def _resistance(of: Conditions, state: implicit_steps.State) -> Resistance:
