@@ -32,6 +32,7 @@ from daq.words import say
 
 UPPER = ("platen_top", "platen_bottom", *(f"top_{i}" for i in range(1, 8)))
 LOWER = tuple(f"bottom_{i}" for i in range(1, 8))
+QUICK = PressSettings(between_s=(12.0, 16.0), press_time_s=(25.0, 30.0), open_after_s=(12.0, 16.0), keep=40)
 
 
 class Plant:
@@ -39,7 +40,7 @@ class Plant:
 
     def __init__(self, folder: Path, speed: float, rate_hz: float) -> None:
         self.folder, self.speed, self.rate_hz = folder, speed, rate_hz
-        self.press = VirtualPress(PressSettings(between_s=(12.0, 16.0), keep=40), 3)
+        self.press = VirtualPress(QUICK, 3)
         self.began = time.monotonic()
         self.lower = Switches()
         self.url = str(folder / "plant.sqlite")
@@ -163,7 +164,8 @@ def test_a_pressure_channel_and_a_stuck_switch_go_before_the_temperatures_and_di
                 wait_until(lambda: len(store.runs(status=RunStatus.CLOSED).items) >= 1, 120)
                 stuck.set()
                 wait_until(lambda: store.journal(press="lab", level="warning").items, 120)
-                time.sleep(3.0)
+                told = store.newest_scan_number("lab")
+                wait_until(lambda: store.newest_scan_number("lab") > told + 30)  # in which nothing is said again
         kept = store.runs(status=RunStatus.CLOSED).items[-1]
         run = store.load_run(kept.run)
         events = store.press_events("lab")
@@ -282,7 +284,7 @@ def test_a_changed_configuration_is_taken_over_between_runs_without_losing_a_sca
             wait_until(lambda: any("takes effect between runs" in str(e.message) for e in store.journal().items))
             assert not any("is in force" in str(e.message) for e in store.journal().items)
             wait_until(lambda: (now := store.open_run("lab")) is not None and now.run != under_way, 60)
-            wait_until(lambda: len(store.load_run(store.open_run("lab").run).time_s) > 30, 60)
+            wait_until(lambda: len(store.load_run(store.open_run("lab").run).time_s) > 60, 60)
         runs = {r.run: r.header["panel.material"] for r in store.runs().items}
         before, after = store.load_run(under_way), store.load_run(store.runs().items[0].run)
         assert runs.pop(under_way) == "MDF"
