@@ -33,7 +33,7 @@ from daq.records import Array
 from softsensor.effects import Effect, Need, Role, catalogue
 from softsensor.fitting.problem import Evaluation, Problem, constants_among, inverse, normal_equations
 from softsensor.heat.model_file import FittedValue, MissingCause, MissingCauses, ModelFile
-from softsensor.opening.limits import BAND
+from softsensor.signals.unknown import BAND
 
 if TYPE_CHECKING:
     from softsensor.fitting.result import RunFit

@@ -30,7 +30,9 @@ from softsensor.fitting.unknowns import known_before
 from softsensor.heat.batch import Each
 from softsensor.heat.model import ThermalModel
 from softsensor.heat.model_file import FittedValue, ModelFile, Scatter
-from softsensor.opening.limits import BAND
+from softsensor.signals.unknown import BAND
+
+# Numbers without another source were set by hand, 2026-11.
 
 BOOTSTRAPS = 4000
 """Resamplings: ends of a 95 % interval then vary by some 2 % of it."""

@@ -21,8 +21,9 @@ from softsensor.live.curing import ResinSetup
 from softsensor.live.kalman import KalmanFilter
 from softsensor.live.mixture import MARGIN_K, MARGIN_SHARE, Mixture
 from softsensor.live.mixture_steps import Change, Components
-from softsensor.opening.limits import BAND, Normal, Panel, broken, risk
+from softsensor.opening.limits import Normal, Panel, broken, risk
 from softsensor.opening.steam import FIT_PERCENT, steam_with_slopes
+from softsensor.signals.unknown import BAND
 
 UNKNOWN = Normal(np.array(math.nan), np.array(math.nan))
 CHANGED = "sudden_change"

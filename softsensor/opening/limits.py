@@ -17,9 +17,8 @@ from scipy.special import ndtr, ndtri
 from daq.press.resin_file import LimitsTable
 from daq.records import Array
 from softsensor.opening.kinetics import Kinetics
+from softsensor.signals.unknown import BAND
 
-BAND = float(ndtri(0.975))
-"""Half-width of a band of 95 % in standard deviations."""
 CURE_BOTTOM, CURE_TOP, CORE_COLD, CORE_HOT, STEAM = (
     "cure_bottom",
     "cure_top",

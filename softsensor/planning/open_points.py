@@ -17,7 +17,6 @@ from softsensor.diagnosis.extension_unknowns import lay_out, logarithm_of, run_v
 from softsensor.diagnosis.finding import Contest, Diagnosis, Finding
 from softsensor.diagnosis.search import SettledModel
 from softsensor.fitting.experiment_advice import WANTED
-from softsensor.opening.limits import BAND
 from softsensor.planning.information import (
     WANTED_CHANCE,
     RunInformation,
@@ -28,6 +27,7 @@ from softsensor.planning.information import (
     runs_needed,
 )
 from softsensor.planning.outlook import Outlook, expected, opening_row, told_by, with_readings
+from softsensor.signals.unknown import BAND
 
 NOTHING = ""
 """In the place of a cause: none at all."""

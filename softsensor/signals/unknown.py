@@ -5,6 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import ndtri
+
+BAND = float(ndtri(0.975))
+"""Half-width of a normal estimate's 95 % band, in standard deviations."""
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from daq.simulated.physics_pressing import BASE_COEFFICIENTS
 from softsensor.heat.model_file import FittedValue, MissingCauses, ModelFile
 from softsensor.live.replay import replay
 from softsensor.live.sensor import LiveSensor
-from softsensor.opening.limits import BAND
+from softsensor.signals.unknown import BAND
 from tests.editions import edition
 
 PRESS = parse_press(press_toml())
