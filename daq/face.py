@@ -19,6 +19,8 @@ from daq.store.records import every
 from daq.store.store import Store
 from daq.store.store import open_store as open_database
 
+# Numbers without another source were set by hand, 2026-11.
+
 HISTORY_ROWS = 200
 """Rows asked of the store at a time."""
 

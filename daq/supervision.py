@@ -9,6 +9,11 @@ from collections.abc import Callable
 from daq.words import Message, say, spoken
 
 LOG = logging.getLogger("kerntemp.record")
+BEAT_S = 1.0
+"""How often a process gives a sign of life. By hand, 2026-11. [s]"""
+
+# Numbers without another source were set by hand, 2026-11.
+
 RESTART_S = 1.0
 """Between an exception and the next try: a fault that stays must not fill the journal or a core. [s]"""
 

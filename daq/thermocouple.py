@@ -13,9 +13,10 @@ from numpy.typing import ArrayLike
 
 from daq.records import Array
 
-LOWEST_C = -270.0
-HIGHEST_C = 1372.0
+LOWEST_C, HIGHEST_C = -270.0, 1372.0
+"""Where NIST's functions hold. [°C]"""
 
+# Of powers of the temperature, from the zeroth on. (NIST Monograph 175) [mV/K^i]
 _BELOW_ZERO = (
     0.0,
     0.394501280250e-1,
@@ -42,7 +43,9 @@ _ABOVE_ZERO = (
     -0.121047212750e-25,
 )
 _BUMP = (0.1185976, -0.1183432e-3, 126.9686)
+"""NIST's exponential above 0 °C: height, slope, centre. [mV, 1/K², °C]"""
 _TOLERANCE_K = 1e-5
+"""Of the inverse: far below any logger's step. [K]"""
 
 
 def voltage(temperature: ArrayLike) -> Array:

@@ -19,11 +19,12 @@ from urllib.request import HTTPRedirectHandler, Request, build_opener
 from api.answers.alarms import alarm_of
 from daq.process.config import EmailSettings, WebhookSettings
 from daq.records import InputError
+from daq.store.alarms import IN_HAND_S
 from daq.store.records import StoredAlarm
 from daq.words import say
 from daq.words.message import languages, words
 
-TRY_S = 5.0
+TRY_S = IN_HAND_S / 9.0
 """Longest wait for each answer of a receiver: a try, nine answers at most, stays within `IN_HAND_S`. [s]"""
 
 

@@ -13,10 +13,11 @@ from api.answers.words import said_of
 from daq.store.records import ProcessStatus, StandingAlarm, StoreUnavailable
 from daq.store.store import Store
 from daq.store.upkeep import Sizes
+from daq.supervision import BEAT_S
 from daq.words import Message, say, spoken
 
-SILENT_S = 10.0
-"""A process beats about once a second; one that is silent for this long is taken for dead. [s]"""
+SILENT_S = 10.0 * BEAT_S
+"""A process that is silent for this long is taken for dead. Ten signs of life, by hand, 2026-11. [s]"""
 KINDS = {"sqlite": "SQLite", "postgresql": "PostgreSQL"}
 EXPECTED = ("record", "sense")
 """The processes a working system has beside this one."""

@@ -19,11 +19,11 @@ from daq.records import InputError
 from daq.store import Store, StoreUnavailable
 from daq.store.records import in_status
 from daq.store.waiting import open_when_ready
+from daq.supervision import BEAT_S
 from daq.words import say, spoken
 
 LOG = logging.getLogger("kerntemp.publish")
 PROCESS = "publish"
-BEAT_S = 1.0
 RETRY_S = 2.0
 
 

@@ -36,6 +36,9 @@ May remove from the front what is known to belong to an older request.
 
 _SILENCES_BEFORE_RECONNECT = {True: 2, False: 5}
 """Unanswered requests after which a socket, or a serial port, is opened anew. Set by hand, 2026-11."""
+
+# Numbers without another source were set by hand, 2026-11.
+
 _LONGEST_DRAIN = 8
 """A line that will not fall silent within so many drain times is babbling."""
 

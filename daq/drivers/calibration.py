@@ -22,10 +22,9 @@ from daq.records import InputError
 from daq.tables import at, explained, load_toml
 from daq.words import say
 
-LARGEST_OFFSET_K = 50.0
-SMALLEST_GAIN, LARGEST_GAIN = 0.8, 1.25
+LARGEST_OFFSET_K, SMALLEST_GAIN, LARGEST_GAIN = 50.0, 0.8, 1.25
 """Beyond these it is a fault, no calibration: type J read as type K is off by a factor of 1.27 (51.5 and 40.4 µV/K
-at 25 °C, IEC 60584-1), a forgotten cold junction by some 25 K, of which the offset's limit is twice. [K, 1]"""
+at 25 °C, IEC 60584-1), a forgotten cold junction by some 25 K, of which the offset's limit is twice. [K, 1, 1]"""
 
 
 class Calibration(BaseModel):

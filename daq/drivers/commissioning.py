@@ -19,6 +19,8 @@ from daq.drivers.protocol import DataLogger, ReadFailure
 from daq.records import Channel, InputError, Quality, Reading
 from daq.words import Message, say
 
+# Numbers without another source were set by hand, 2026-11.
+
 OFF_K = 2.5
 """Type K class 1 is good to 1.5 K at room temperature; a logger adds about 1 K."""
 NOISY_K = 0.5

@@ -25,6 +25,7 @@ _CODES = {
 }
 _NUMBER = re.compile(r"[+-]\d+\.\d*")
 _CHECKSUM_BIT = 0x40
+"""Bit 6 of the last byte that $AA2 answers: checksums are on. (ICP DAS, DCON protocol)"""
 
 
 def checksum(text: str) -> str:

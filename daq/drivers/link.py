@@ -19,6 +19,8 @@ from daq.drivers.protocol import Cause
 from daq.records import InputError
 from daq.words import Message, say
 
+# Numbers without another source were set by hand, 2026-11.
+
 CONNECT_TIMEOUT_S = 1.5
 """Longest wait for a TCP connection: short enough that rest, connect and set-up stay below `FOUND_AGAIN_S`."""
 _SERIAL_POLL_S, _SERIAL_STEP_S = 0.02, 0.001

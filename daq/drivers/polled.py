@@ -15,15 +15,18 @@ from daq.words import say, spoken
 
 _FAILURES_BEFORE_REST, _FIRST_REST_S = 3, 0.25
 """Failures in a row after which a device rests, and for how long; doubled each time. By hand, 2026-11. [1, s]"""
+
+# Numbers without another source were set by hand, 2026-11.
+
 FOUND_AGAIN_S = 5.0
 """A device that answers again is read again within this time. [s]"""
 _LONGEST_REST_S = 0.3 * FOUND_AGAIN_S
 """A silent module costs its bus a timeout and a drain each time: ask it rarely, yet leave time for a
 question under way, for connecting and for set-up. [s]"""
 
-_STANDSTILLS_KEPT = 100
-_LONGEST_STANDSTILL = 10
-"""Times the profile's limit: beyond this nothing is natural."""
+_STANDSTILLS_KEPT, _LONGEST_STANDSTILL = 100, 10
+"""Standstills of a value from which the usual one is learned; times the profile's limit beyond which none is
+natural. By hand, 2026-11."""
 
 Correct = Callable[[int, float], float]
 """Calibration: input and reading in, true temperature out."""

@@ -25,6 +25,8 @@ from daq.records import InputError, Quality
 from daq.tables import explained
 from daq.words import Message, say, spoken
 
+# Numbers without another source were set by hand, 2026-11.
+
 ROOM_C = (5.0, 45.0)
 """Where loggers are set up: from an unheated hall in winter to one beside a hot press in summer. [°C]"""
 USUAL_ROOM_C = 22.0

@@ -65,6 +65,7 @@ from daq.words import say
 _DELIMITERS = {"tab": "\t", "space": " "}
 _SECONDS = {"milliseconds": 1e-3, "seconds": 1.0, "minutes": 60.0, "hours": 3600.0}
 _DAY_S = 86400.0
+"""By definition; a clock that jumps back by more than half of it has passed midnight. [s]"""
 
 
 class _Table(BaseModel):

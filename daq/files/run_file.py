@@ -46,6 +46,9 @@ _FOREIGN_METADATA = ("pandas", "huggingface", "geo")
 
 
 _BYTE_ORDER_MARK = b"\xef\xbb\xbf"
+
+# Numbers without another source were set by hand, 2026-11.
+
 _MOST_BLANKS = 1 << 16
 """A file that begins with more blanks and empty lines than that is empty. [bytes]"""
 _LONGEST_LINE = 1 << 24

@@ -33,6 +33,9 @@ _WORDS = re.compile(r"[^\d.+-]|\d+:\d|\d{4}-\d\d-\d\d")
 """How a cell of words begins, a clock's time or a date too; what begins with a digit of any script is a number."""
 _FORMULA = re.compile(r"'*[=+\-@\t\r]")
 """How a cell begins that a spreadsheet would compute, behind any apostrophes of ours. (OWASP: CSV Injection)"""
+
+# Numbers without another source were set by hand, 2026-11.
+
 _PIECE_BYTES = 1 << 22
 """Of a file, read at once: large enough to be quick, small beside what the columns take."""
 

@@ -29,6 +29,8 @@ from daq.records import Array, EventSource, Moments, PressEventKind, Run
 
 __all__ = ["PressEventDetector", "columns_of", "find_moments"]
 
+# Numbers without another source were set by hand, 2026-11.
+
 _CONCLUDED_S = 1.1
 """An insertion nobody saw is put 1 s before the closing: one so near was none. [s]"""
 _SCAN_S = 0.35

@@ -12,6 +12,8 @@ import numpy as np
 from daq.press.press_file import At, Press
 from daq.records import Array, Run
 
+# Numbers without another source were set by hand, 2026-11.
+
 RATTLE_S = 10.0
 """How long a sensor's restlessness is remembered: longer than a closing, shorter than a pressing. [s]"""
 LOW_C, HIGH_C = -60.0, 500.0

@@ -65,6 +65,9 @@ _TABLES = tuple(name for name in Press.model_fields if name != "sd")
 _FREE = (_RECORDED, "setting", *_TABLES)
 """First parts of keys that need no warning: a plant's own settings, and overrides, which the press file checks."""
 _ROOTS = ("panel", "ambient", "setting", *_TABLES)
+
+# Numbers without another source were set by hand, 2026-11.
+
 _FAR = 2.0
 """Standard deviations from the material table beyond which a constant is doubted: one sound board in twenty."""
 

@@ -32,10 +32,13 @@ _OPENING_RAMPS_S = (0.05, 0.15, 0.25, 0.35, 0.45, 0.55)
 """It opens more quickly than it closes. Set by hand, 2026-11. [s]"""
 _TYPICAL_CONTACT, _CONTACT_SPREAD = 1.9, 0.5
 """The paper's 700 W/m²K on MDF; its logarithm's spread covers 420 to 1150 W/m²K. [1/√s, 1]"""
-_TYPICAL_RAMP_S, _RAMP_SPREAD_S = 0.6, 0.3
-"""The middle of 0.2 to 1 s, and half the range. [s]"""
+TYPICAL_RAMP_S, _RAMP_SPREAD_S = 0.6, 0.3
+"""How long closing takes: the middle of 0.2 to 1 s (contract, section 2), and a spread by hand, 2026-11. [s]"""
 LAGS_S = np.array([0.0, 0.15, 0.3, 0.5, 0.75, 1.0])
 """Lags of a sensor that are tried. Set by hand, 2026-11. [s]"""
+
+# Numbers without another source were set by hand, 2026-11.
+
 _LAG_SCALE_S = 0.25
 """A thermocouple taped between two bodies may lag up to a second, but mostly does not. [s]"""
 _SQRT_KELVIN = 2.0 / (np.sqrt(np.pi) * 370.0)
@@ -129,7 +132,7 @@ def closing_moment(
     error = sigma + 0.5 / float(np.median(distance)) if len(distance) else math.inf  # the prior alone tells
     lag = no_lag() if lag is None else lag
     prior = ((np.log(_CONTACTS / _TYPICAL_CONTACT) / _CONTACT_SPREAD) ** 2)[:, None, None]
-    prior = prior + (((_CLOSING_RAMPS_S - _TYPICAL_RAMP_S) / _RAMP_SPREAD_S) ** 2)[:, None]
+    prior = prior + (((_CLOSING_RAMPS_S - TYPICAL_RAMP_S) / _RAMP_SPREAD_S) ** 2)[:, None]
     misfit = np.full((len(LAGS_S), *prior.shape[:2], len(onsets)), 1e9)
     for i in np.flatnonzero(lag < lag.min() + 20.0):
         model = _contact_table()[i]  # contact, ramp, time since the onset

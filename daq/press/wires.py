@@ -19,6 +19,9 @@ from daq.records import Array, EventSource, Run
 
 CLOSED = "closed"
 """The column of a run file that says whether the press is closed, 0 or 1."""
+
+# Numbers without another source were set by hand, 2026-11.
+
 SILENT_S = 5.0
 """What happens while a wire says nothing for longer is told by the temperatures. [s]"""
 _BOUNCE_S = 1.0

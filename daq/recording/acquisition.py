@@ -27,6 +27,11 @@ from daq.words import Message, say, spoken
 Journal = Callable[[Literal["info", "warning", "alarm"], Message, Mapping[str, Any]], None]
 """Level, message, detail: for state changes only."""
 _OLDEST_PERIODS = 1.5
+"""A reading older than so many scan periods is not in a scan: a whole one, and half for a logger's own jitter.
+By hand, 2026-11."""
+
+# Numbers without another source were set by hand, 2026-11.
+
 _LOST_AFTER_S = 3.0
 """A logger without an answer this long is called lost. [s]"""
 

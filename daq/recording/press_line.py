@@ -30,6 +30,9 @@ from daq.supervision import SupervisedThread
 from daq.words import Message, say
 
 LOG = logging.getLogger("kerntemp.record")
+
+# Numbers without another source were set by hand, 2026-11.
+
 _HOLD_S = 1.5
 """The detector may use a channel's last value this long: some loggers are slower than the scans. [s]"""
 _STALLED_AFTER_S = 5.0

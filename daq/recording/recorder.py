@@ -79,12 +79,14 @@ from daq.store.outbox import Outbox
 from daq.store.process_lock import only_user, only_user_of_file
 from daq.store.records import in_status
 from daq.store.write_batch import Entry, WriteBatch
-from daq.supervision import SupervisedThread, unexpected
+from daq.supervision import BEAT_S, SupervisedThread, unexpected
 from daq.words import Message, say, spoken
 
 LOG = logging.getLogger("kerntemp.record")
 PROCESS = "record"
-_BEAT_S = 1.0
+
+# Numbers without another source were set by hand, 2026-11.
+
 _GATHER_S = 0.1
 """An accelerated recorder gathers scans this long for one commit. [s]"""
 _MANY_WAITING = 1000
@@ -186,7 +188,7 @@ class _Recording:
         """Until stopped: signs of life, changes of the configuration, thinning of old idle scans."""
         watch, tidied, told = _ConfigWatch(self.config, self.journal), time.monotonic(), None
         thinned: dict[int, int] = {}
-        while not stop.wait(_BEAT_S):
+        while not stop.wait(BEAT_S):
             try:
                 self._give_sign_of_life()
                 watch.look(self.lines)

@@ -16,6 +16,8 @@ from typing import Any
 from daq.records import PressEvent, PressEventKind, Scan
 from daq.store.records import NewRun, RunEnd, RunStatus
 
+# Numbers without another source were set by hand, 2026-11.
+
 _SETTLED_S, _SETTLED_SCANS = 3.0, 3
 """The panel's start temperature is what its sensors showed in the last scans before the insertion."""
 

@@ -9,10 +9,8 @@ import math
 import re
 from collections.abc import Sequence
 
-from daq.simulated.devices_converter import Converter
+from daq.simulated.devices_converter import COLD_JUNCTION_C, Converter
 from daq.thermocouple import compensated, voltage
-
-COLD_JUNCTION_C = 31.0
 
 
 def _sum(text: str) -> str:

@@ -11,6 +11,7 @@ from daq.records import Array
 from daq.simulated.physics_pressing import Platen
 
 KNOT_S = 0.5
+"""Between the points of a platen's course, joined by straight lines: a platen's tons move more slowly. [s]"""
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,8 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
+COLD_JUNCTION_C = 31.0
+"""Terminal temperature inside a simulated module."""
 WARM_UP_S = 600.0
 """Time constant with which a module's terminals reach their temperature after power-on."""
 

@@ -22,6 +22,7 @@ except ImportError:  # Windows
 
 HAS_PSEUDO_TERMINALS = pty is not None
 _POLL_S = 0.03
+"""A thread that waits for bytes looks this often whether it shall end. [s]"""
 
 
 class Station(Protocol):

@@ -13,16 +13,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from daq.simulated.devices_converter import Converter
+from daq.simulated.devices_converter import COLD_JUNCTION_C, Converter
 from daq.thermocouple import voltage
 
 Words = dict[int, int]
 Bits = dict[int, bool]
 _TYPE_K = 0x0F
+"""Type code of a K input, of ICP DAS and Advantech alike."""
 RESET_FLAG = 272
 """ICP DAS coil 00273: set at the first reading after power-on, then clear."""
-COLD_JUNCTION_C = 31.0
-"""Terminal temperature inside a simulated module."""
 
 
 @dataclass(frozen=True)

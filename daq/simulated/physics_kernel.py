@@ -19,6 +19,7 @@ from daq.compiled import compiled
 from daq.records import Array
 
 GAMMA = 4.3586652150845900e-01
+"""Of ROS34PW2, as all coefficients below (the paper named above)."""
 _ALPHA = np.array(
     [
         [0.0, 0.0, 0.0, 0.0],
@@ -46,9 +47,11 @@ T_STAGE = _ALPHA.sum(axis=1)
 G_STAGE = _GAMMAS.sum(axis=1)
 
 STEFAN_BOLTZMANN = 5.670374419e-8
+"""CODATA 2018, exact. [W/m²K⁴]"""
 VAPOUR_C = 100.0
 """Steam leaves layers above this and condenses in cooler ones. [°C]"""
 CURE_REFERENCE_K = 423.15
+"""150 °C, where `CURE_RATE_150` holds. [K]"""
 
 SIGNALS = (
     "panel_bottom",

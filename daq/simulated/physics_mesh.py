@@ -21,6 +21,7 @@ CURE_ACTIVATION = 85e3
 CURE_RATE_150 = 0.08
 """Of the impregnated paper's resin at 150 °C. [1/s]"""
 GAS_CONSTANT = 8.314462618
+"""CODATA 2018, exact. [J/mol K]"""
 SKIN = 0.15e-3
 """Depth over which the resin's heat is released. [m]"""
 DRYING_WIDTH = 3.0

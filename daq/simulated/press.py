@@ -25,6 +25,7 @@ from daq.simulated.physics_pressing import BASE_COEFFICIENTS, Platen, Pressing
 from daq.simulated.press_hands import Between, wander
 
 GRID_S = 0.05
+"""Between the temperatures a pressing is worked out at: twice a 10 Hz scan's pace. [s]"""
 _QUIET = replace(
     Nuisances(), quantum_K=0.0, skew_s=0.0, jitter=0.0, missing=0.0, burst_chance=0.0, loose_chance=0.0
 )

@@ -32,6 +32,7 @@ if HAS_PSEUDO_TERMINALS:
     import tty
 
 _POLL_S = 0.03
+"""A thread that waits for bytes looks this often whether it shall end. [s]"""
 _MORE_S = 0.002
 """A reply is complete when nothing follows for so long: the device writes it in one go."""
 _SLICE_S = 0.016

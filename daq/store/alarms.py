@@ -23,6 +23,8 @@ from daq.store.records import Delivery, Page, StandingAlarm, StoredAlarm, Thresh
 from daq.store.schema import ALARM, ALARM_DELIVERY, ALARM_POSITION, ALARM_THRESHOLD, EVENT
 from daq.words import Message, say
 
+# Numbers without another source were set by hand, 2026-11.
+
 CALM_S = 60.0
 """A condition that comes back within this time has not been over: sensors flicker about a limit. [s]"""
 IN_HAND_S = 45.0
@@ -33,6 +35,7 @@ FIRST_WAIT_S = 5.0
 """After the first try; doubled with each. [s]"""
 JOURNAL = "journal"
 LINES = 500
+"""Of the journal looked through at a time. By hand, 2026-11."""
 
 
 def watch(connection: Connection, standing: Sequence[StandingAlarm], ways: Sequence[str], now: datetime) -> int:

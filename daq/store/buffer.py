@@ -24,6 +24,9 @@ from daq.words import Message, say, spoken
 Result = TypeVar("Result")
 _OVERHEAD = 1.3
 """A file and its journal take so many bytes for a byte of content, as measured with 10,000 scans (2026-11)."""
+
+# Numbers without another source were set by hand, 2026-11.
+
 _TYPICAL_BYTES = 700.0
 """What a write batch of some 16 channels takes as JSON, until a larger one is seen."""
 _TABLES = """

@@ -15,9 +15,13 @@ from typing import Any, TypeVar
 import psycopg
 
 Result = TypeVar("Result")
+
+# Numbers without another source were set by hand, 2026-11.
+
 SILENT_S = 8.0
 """A server that says nothing for so long is asked whether it is there at all. [s]"""
 _INTERVAL_S = 0.1
+"""How often a waiting call is looked after: `psycopg.Connection.wait`'s own default. [s]"""
 
 
 class WatchedConnection(psycopg.Connection[Any]):

@@ -16,6 +16,8 @@ import pyarrow.csv as pacsv
 from daq.files.run_file import flat_keys, toml_line
 from daq.records import Array, Channel, Quality
 
+# Numbers without another source were set by hand, 2026-11.
+
 MANY = 100
 """From so many scans on their values are parsed column by column, seven times faster than as JSON."""
 

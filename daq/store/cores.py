@@ -10,6 +10,8 @@ from daq.store.convert import nan
 from daq.store.records import RunCore
 from daq.store.schema import ESTIMATE, RUN
 
+# Numbers without another source were set by hand, 2026-11.
+
 BEFORE_S = 1.0
 """The core at opening is that of the last valid estimate so shortly before. [s]"""
 AT_ONCE = 500

@@ -27,6 +27,8 @@ from daq.store.file_rescue import Identity, hold, identity_of, rescue
 from daq.store.records import StoreUnavailable
 from daq.words import Message, say
 
+# Numbers without another source were set by hand, 2026-11.
+
 BUSY_S = 10.0
 """How long a writer waits for another process's transaction. [s]"""
 

@@ -31,6 +31,9 @@ from daq.words import Message, say, spoken
 Level = Literal["info", "warning", "alarm"]
 _FIRST_RETRY_S, _LONGEST_RETRY_S = 1.0, 10.0
 """A store that refuses is tried again after this, doubled each time up to the second. Set by hand, 2026-11. [s]"""
+
+# Numbers without another source were set by hand, 2026-11.
+
 _MOST_WAITING = 200_000
 """Write batches kept in memory while the store is away and there is no buffer: 5 h at 10 Hz and one press."""
 _AT_ONCE = 500

@@ -17,6 +17,8 @@ from typing import IO
 from daq.records import InputError
 from daq.words import Message
 
+# Numbers without another source were set by hand, 2026-11.
+
 WAIT_S = 5.0
 """A recorder that is just ending, or was just killed, is waited for. [s]"""
 

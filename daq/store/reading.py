@@ -18,6 +18,9 @@ from daq.store.schema import CONFIGURATION, LAYOUT, PRESS, PRESS_EVENT, RUN, SCA
 from daq.words import say
 
 _USABLE = {q.value for q in Quality if q.usable}
+
+# Numbers without another source were set by hand, 2026-11.
+
 _ROWS = 500
 """Rows held at a time: fewer than set the garbage collector off."""
 

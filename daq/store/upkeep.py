@@ -27,6 +27,7 @@ from daq.store.schema import ESTIMATE, FIT, METADATA, MODEL, PRESS, RUN, SCAN
 from daq.words import say
 
 _BATCH = 20_000
+"""Rows copied in one statement. By hand, 2026-11."""
 Progress = Callable[[int], None]
 
 

@@ -27,6 +27,9 @@ SETTINGS: Mapping[str, tuple[str, float]] = {
     "press_time_s": ("s", 2.0),
 }
 """Settings looked at, and the least scatter over a campaign worth a slope."""
+
+# Numbers without another source were set by hand, 2026-11.
+
 SLOPE_SD = 0.3
 """Prior of a slope: change of a logarithm over one standard deviation of a setting."""
 FEWEST_RUNS = 5

@@ -20,6 +20,8 @@ from softsensor.fitting.problem import CONSTANT, PlaceUnknown
 from softsensor.fitting.result import RunFit
 from softsensor.heat.timing import TIMINGS
 
+# Numbers without another source were set by hand, 2026-11.
+
 SEEN_K = 0.05
 """A coefficient that moves no reading by this much when it grows by e goes unseen. [K]"""
 TOGETHER = 0.8

@@ -23,6 +23,8 @@ from softsensor.fitting.problem import MAX_MOVE, Problem, damped_step, free_of, 
 from softsensor.fitting.result import Coefficient, Identifiability, RunFit
 from softsensor.fitting.unknowns import is_coefficient
 
+# Numbers without another source were set by hand, 2026-11.
+
 NARROW = 0.5
 """Half intervals of a logarithm below this are taken from the curvature: there the profile is a parabola."""
 WIDE = float(np.log(4.0))

@@ -20,6 +20,8 @@ from softsensor.fitting.problem import minimise
 from softsensor.fitting.result import RunFit
 from softsensor.heat.batch import Each
 
+# Numbers without another source were set by hand, 2026-11.
+
 TRUSTED = 0.2
 """Change of a logarithm within which a run's quadratic form stands for its likelihood."""
 ROUNDS = 6

@@ -48,6 +48,9 @@ COARSE_NOISE = replace(FIRST_NOISE, white_K=5.0)
 """For a second search where the first ends far off. With 1 K a whole pressing that is met too cold counts, as a
 slow departure with outliers at its ends, for less than a closing that is met too steep; with 5 K it does not.
 """
+
+# Numbers without another source were set by hand, 2026-11.
+
 SEARCH_AGAIN = 0.02
 """Share of the readings' span: where more is left, the second search is made."""
 BAD_LOSS = 1.0

@@ -24,6 +24,8 @@ from softsensor.signals.doubt import Doubt, Source
 from softsensor.signals.places import Noise, Signals, whiten
 from softsensor.signals.unknown import Unknown
 
+# Numbers without another source were set by hand, 2026-11.
+
 HUBER = 3.0
 """Whitened residuals beyond this count in proportion, not squared."""
 SLOPE = clock_offset.EFFECT.key("seconds")

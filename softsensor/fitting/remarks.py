@@ -15,6 +15,8 @@ from softsensor.heat.case import Case
 from softsensor.heat.run_checks import load_remarks
 from softsensor.signals.places import Signals
 
+# Numbers without another source were set by hand, 2026-11.
+
 APART_K = 5.0
 """The panel's start temperature is known to some tenths; this far from the readings it is another panel's. [K]"""
 WARMED_K = 10.0

@@ -24,6 +24,9 @@ of the readings, and so many times the noise of a channel, which counts up to th
 Choice (2026-11-21): a pressing spans 160 K, so 6.4 K. The causes of the catalogue at typical sizes leave 0.3 to
 4.0 K, and are for the diagnosis to name; a closing that is missed leaves 9 K.
 """
+
+# Numbers without another source were set by hand, 2026-11.
+
 ASTRAY = 1.5
 """Nor does it where the search ends so many times as far from the readings as it began, and above `MISFIT_K`."""
 

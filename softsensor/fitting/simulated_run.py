@@ -14,6 +14,8 @@ from softsensor.heat.model import ThermalModel, states
 from softsensor.signals.moments import moments_of
 from softsensor.signals.places import Place
 
+# Numbers without another source were set by hand, 2026-11.
+
 PROFILE_ROWS, PROFILE_DEPTHS = 160, 41
 """Times and depths of the temperature profile handed out, at most and exactly: enough for a picture."""
 

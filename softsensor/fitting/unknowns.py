@@ -28,6 +28,8 @@ from softsensor.signals.instrument import (
 from softsensor.signals.places import Signals
 from softsensor.signals.unknown import Unknown
 
+# Numbers without another source were set by hand, 2026-11.
+
 GAP_ROWS = 4.0
 """Rows further apart than this many usual ones are a gap."""
 GAP_NEAR_S = 1.5

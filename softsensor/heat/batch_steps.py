@@ -44,8 +44,11 @@ from softsensor.heat.step_terms import (
     contacts,
 )
 
-_ROOT = 2.0**0.5
-_KAPPA = 1.0 + 2.0**0.5
+# Numbers without another source were set by hand, 2026-11.
+
+_ROOT, _KAPPA = 2.0**0.5, 1.0 + 2.0**0.5
+"""TR-BDF2's second stage starts from _KAPPA u - _ROOT t, with t the step's begin and u the mean of it and the
+first stage: _KAPPA = 2 `implicit_steps._W` / `D`, _ROOT = _KAPPA - 1."""
 LANES = 8
 """Runs side by side: few enough that their arrays stay in the fastest cache."""
 SPAN = 3

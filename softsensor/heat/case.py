@@ -41,6 +41,9 @@ from softsensor.heat.timing import OPENING_RAMP_S, Clock
 
 FINE_STEP_S = 0.03
 """Step around a switch. [s]"""
+
+# Numbers without another source were set by hand, 2026-11.
+
 GROWTH = 1.13
 """Of steps after it."""
 

@@ -40,6 +40,9 @@ from softsensor.heat.timing import HANDLING_RAMP_S, TIMINGS
 
 FIRST_STEP_S, GROWTH = 2e-3, 1.3
 """First step after a switch, and by how much each is longer than the one before. Set by hand, 2026-11. [s, 1]"""
+
+# Numbers without another source were set by hand, 2026-11.
+
 RAMP_STEP_S = 0.01
 """In a closing or opening ramp; twice as long with tangents, and while the panel is handled, whose contacts
 are weak. [s]"""

@@ -33,6 +33,9 @@ from softsensor.heat.case import Case
 from softsensor.heat.step_terms import DG, DROWS, DSTAR, ROWS, STAR, Coefficients, G, coefficients
 
 ENDS = ("boundary.bottom", "boundary.top")
+
+# Numbers without another source were set by hand, 2026-11.
+
 LEAST_SHARE = 1e-9
 """An interface that conducts less than this share of the best one conducts nothing."""
 

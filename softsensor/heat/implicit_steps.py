@@ -68,7 +68,10 @@ __all__ = [
     "rest",
 ]
 
+# Numbers without another source were set by hand, 2026-11.
+
 _W = 2.0**0.5 / 4.0
+"""TR-BDF2: weight of the step's begin and of its first stage, (1 - `D`) / 2; the end weighs `D`."""
 
 
 class Record(NamedTuple):
@@ -507,6 +510,7 @@ SETTLED_K = 1e-10
 UNSETTLED_K = 1e-6
 """It has failed if any still changes by more after `REST_ROUNDS`: rounding alone changes less. [K]"""
 REST_ROUNDS = 100
+"""At most; a start that is not steady by then is refused."""
 
 
 class Held(NamedTuple):

@@ -13,6 +13,8 @@ import numpy as np
 
 from daq.records import Array
 
+# Numbers without another source were set by hand, 2026-11.
+
 QUICK_S = 20.0
 """A layer whose thickness² / diffusivity is shorter gets equal cells. [s]"""
 

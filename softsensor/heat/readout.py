@@ -10,6 +10,8 @@ import numpy as np
 from daq.records import Array
 from softsensor.heat import implicit_steps
 
+# Numbers without another source were set by hand, 2026-11.
+
 COARSE_STEP_S = 0.06
 """Steps longer than this are read by cubics, shorter ones (around a switch) by straight lines. [s]"""
 

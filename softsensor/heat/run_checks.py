@@ -31,6 +31,9 @@ from softsensor.heat.timing import OPENING_RAMP_S
 MAX_BRIDGE_S = 10.0
 """Missing cells of a boundary column are bridged by a straight line up to this long; the live sensor, which cannot
 know what comes, holds the last reading as long. Set by hand, 2026-11. [s]"""
+
+# Numbers without another source were set by hand, 2026-11.
+
 MAX_GAP_S = 60.0
 """Missing rows are bridged up to this long. [s]"""
 LIMITS = {

@@ -17,12 +17,14 @@ from daq.compiled import compiled
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-CAP, G, LOSS, SRC, SLOPE, DIAG, COND, STAR = range(8)
+# Numbers without another source were set by hand, 2026-11.
+
+ROWS, DROWS = 8, 7
+"""How many rows there are of each kind."""
+CAP, G, LOSS, SRC, SLOPE, DIAG, COND, STAR = range(ROWS)
 """Heat capacity [J/m²K]; conductance of each interface; loss of each cell to ambient [W/m²K]; source
 [W/m²]; its slope; diagonal of K; conductivity; expected temperature."""
-ROWS = 8
-DCAP, DG, DLOSS, DSRC, DSLOPE, DCOND, DSTAR = range(7)
-DROWS = 7
+DCAP, DG, DLOSS, DSRC, DSLOPE, DCOND, DSTAR = range(DROWS)
 RATE, RSLOPE = range(2)
 """Of each conversion: mean rate in the step, its part without temperature, and its slope. [1/s, 1/sK]"""
 
@@ -37,7 +39,7 @@ STEFAN_BOLTZMANN = 5.670374419e-8
 ZERO_C = 273.15
 """0 °C in kelvin. [K]"""
 BOILING_C = 100.0
-"""Water boils at, at 1013 hPa. [°C]"""
+"""Water boils at, at 1013 hPa; 99.97 by IAPWS-IF97. [°C]"""
 REFERENCE_C = 20.0
 """Temperature at which conductivity and heat capacity are given. [°C]"""
 _FLOOR = 0.05

@@ -14,6 +14,8 @@ import numpy as np
 
 from daq.records import Array, Moments
 
+# Numbers without another source were set by hand, 2026-11.
+
 OPENING_RAMP_S = 0.35
 """How long opening takes; its middle is `Moments.opened_s`. [s]"""
 HANDLING_RAMP_S = 0.2

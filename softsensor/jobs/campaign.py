@@ -20,6 +20,8 @@ from softsensor.fitting.result import RunFit
 from softsensor.heat.model import ThermalModel
 from softsensor.signals.moments import moments_of
 
+# Numbers without another source were set by hand, 2026-11.
+
 PROCESSES_FROM = 40
 """Runs from which worker processes pay for their start; below that, threads (the kernels run without the GIL)."""
 

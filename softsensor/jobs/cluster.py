@@ -9,6 +9,8 @@ from typing import TypeVar
 from daq.records import InputError
 from daq.words import say
 
+# Numbers without another source were set by hand, 2026-11.
+
 SCHEDULER_WAIT_S = 10.0
 """Longest wait for a scheduler's answer. [s]"""
 WORKERS_WAIT_S = 60.0

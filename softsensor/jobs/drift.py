@@ -23,6 +23,8 @@ from softsensor.signals.instrument import LEAST_SPREAD_LOG
 if TYPE_CHECKING:
     from daq.store import Store
 
+# Numbers without another source were set by hand, 2026-11.
+
 CHARTED_RUNS = 200
 """Runs the charts look back on."""
 LEARN_RUNS = 8

@@ -19,6 +19,9 @@ from daq.records import Run
 from softsensor.heat.model_file import ModelFile
 
 LOG = logging.getLogger("kerntemp.sense")
+
+# Numbers without another source were set by hand, 2026-11.
+
 TRIES = 2
 """Workers a fit is given: one may be killed for what others use of the memory, two hardly."""
 

@@ -26,6 +26,7 @@ from daq.records import InputError, PressState, Scan
 from daq.store import RunRecord, Store, StoredEstimate, StoreUnavailable
 from daq.store.records import in_status
 from daq.store.waiting import open_when_ready
+from daq.supervision import BEAT_S
 from daq.words import Message, say, spoken
 from softsensor.heat.model_file import ModelFile, parse_model
 from softsensor.jobs.fitter import Fitter
@@ -39,12 +40,13 @@ from softsensor.signals.screen import AFTER_SWITCH_S
 
 LOG = logging.getLogger("kerntemp.sense")
 PROCESS = "sense"
+
+# Numbers without another source were set by hand, 2026-11.
+
 POLL_S = 0.02
 """How often the store is asked for new scans. [s]"""
 LOOK_S = 0.25
 """How often for a new run, a changed header, press events. [s]"""
-BEAT_S = 1.0
-"""How often the process gives a sign of life. [s]"""
 MODEL_S = 1.0
 """How often for a promoted model. [s]"""
 BATCH = 400

@@ -21,6 +21,9 @@ from softsensor.signals.instrument import GUESS_LOG, LEAST_SPREAD_LOG, SPREAD_LO
 
 PRESS_FILE = "press file"
 """Version of the model before there is one."""
+
+# Numbers without another source were set by hand, 2026-11.
+
 NEWEST_RUNS = 12
 """Older runs say little about today's press."""
 MODEL_RUNS = 8.0

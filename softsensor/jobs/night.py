@@ -27,6 +27,9 @@ from softsensor.jobs.night_judgement import PROCESS, Night, Outcome, judge
 from softsensor.jobs.night_progress import Agenda, agenda_of
 
 ROLLED_BACK = "model-rolled-back"
+
+# Numbers without another source were set by hand, 2026-11.
+
 SHOWN_LEFT_OUT = 50
 """Runs left out that a night names; the journal has all."""
 

@@ -34,6 +34,9 @@ from softsensor.live.replay import replay
 from softsensor.signals.moments import moments_of
 
 PROCESS = "refit"
+
+# Numbers without another source were set by hand, 2026-11.
+
 DIAGNOSED_RUNS = 24
 """The newest runs a diagnosis looks at."""
 SPLIT_FROM = 18

@@ -20,6 +20,9 @@ from softsensor.jobs.model_in_force import fingerprint
 
 WINDOW = CHARTED_RUNS
 """The newest runs: refitted in the night after a promotion, and what a judgement rests on."""
+
+# Numbers without another source were set by hand, 2026-11.
+
 SHARE = 200
 """Older runs refitted in each night after that."""
 BUNCH = 200

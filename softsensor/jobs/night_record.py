@@ -11,6 +11,8 @@ from daq.store import JournalEntry, ModelRecord, RunRecord, Store
 from softsensor.jobs.drift import Alarm, alarms_of
 from softsensor.jobs.night_judgement import Outcome
 
+# Numbers without another source were set by hand, 2026-11.
+
 SHOWN_RUNS, SHOWN_MODELS, SHOWN_ENTRIES = 30, 10, 20
 """Newest runs, model versions and journal entries that a page shows."""
 

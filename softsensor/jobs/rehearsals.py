@@ -23,6 +23,8 @@ from softsensor.diagnosis.rehearsal import (
 from softsensor.jobs.cluster import on_dask
 from softsensor.jobs.fitter import new_workers
 
+# Numbers without another source were set by hand, 2026-11.
+
 CAMPAIGNS = 10
 """Rehearsed campaigns of each cause where nobody says how many: a share of one half is then known to about 0.3."""
 COSTLY = 2.0

@@ -18,6 +18,9 @@ from softsensor.jobs.model_in_force import fingerprint
 
 LOG = logging.getLogger("kerntemp.sense")
 PROCESS = "sense"
+
+# Numbers without another source were set by hand, 2026-11.
+
 LEFT_RUNS, LEFT_LINES = 200, 500
 """Newest runs that are looked through for a fit a killed process has left, and lines of the journal about them."""
 NO_FIT = ("run-not-fitted", "run-nothing-to-fit", "run-fit-killed")

@@ -16,6 +16,9 @@ _HEADER: Mapping[str, object] = {
     "panel.thickness_mm": 10.0,
     "panel.initial_temperature_C": 20.0,
 }
+
+# Numbers without another source were set by hand, 2026-11.
+
 _INSERTED_S, _CLOSED_S, _OPENED_S, _END_S = 2, 6, 12, 18
 """When the made-up press moves: long enough apart for the detector to believe it. [s]"""
 

@@ -38,6 +38,7 @@ OUTERMOST, CELLS = 14.0, 1400
 STEP_K = 10.0
 """A step in which the temperature changes by more is cut: Simpson's rule then errs by less than 1e-4."""
 _SIMPSON = ((0.0, 1 / 6), (0.5, 2 / 3), (1.0, 1 / 6))
+"""Places in a step and their weights, by Simpson's rule."""
 _NUDGE = 1e-3
 """Of ln x, for the slope of the pace by it."""
 

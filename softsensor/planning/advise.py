@@ -42,6 +42,8 @@ from softsensor.planning.made_up import (
 )
 from softsensor.planning.program import Ranges
 
+# Numbers without another source were set by hand, 2026-11.
+
 PLATEN_LEVELS, PRESSURE_LEVELS = 7, 3
 """Programs looked at between the ends of a range."""
 DEFAULT_RANGES: Ranges = MappingProxyType(
@@ -54,6 +56,7 @@ DEFAULT_RANGES: Ranges = MappingProxyType(
 """Laminating of MDF: 160 to 200 °C, 2 to 3 MPa, 40 to 60 s (facts, physics.md, section 5), the time from the
 shortest a press can do to three times the longest."""
 KWH_J = 3.6e6
+"""Joules of a kilowatt hour, by definition."""
 STEAM_ROWS = 5
 """Steam, which follows the whole panel, is worked out at every fifth press time, straight in between."""
 SHARE = np.gradient(DEPTHS) / np.gradient(DEPTHS).sum()

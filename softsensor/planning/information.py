@@ -27,6 +27,8 @@ from scipy.special import ndtr
 from daq.records import Array
 from softsensor.fitting.experiment_advice import MANY
 
+# Numbers without another source were set by hand, 2026-11.
+
 ODDS = 20.0
 """A matter between two causes is settled at odds of so many to one: 5 % wrong, as in the diagnosis' tests."""
 WANTED_CHANCE = 0.8

@@ -18,6 +18,8 @@ from daq.press.wires import CLOSED
 from daq.records import Array, InputError, Moments, Run
 from daq.words import say
 
+# Numbers without another source were set by hand, 2026-11.
+
 SETTLED_S = 1.0
 """What a longer pressing holds is what was read half of so long before the opening. [s]"""
 

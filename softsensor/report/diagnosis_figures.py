@@ -19,6 +19,9 @@ from softsensor.effects.vocabulary import called, place_words
 from softsensor.report.fit_figures import COLOURS, INK, MUTED, Put, sheet
 
 PLAIN, EXTENDED = "#8a94a0", "#c2571a"
+
+# Numbers without another source were set by hand, 2026-11.
+
 MARKED = 3
 """Stretches shaded where the plain model is most kelvins off."""
 

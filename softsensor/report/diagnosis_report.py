@@ -19,6 +19,7 @@ from softsensor.report.page import kelvins, page, signed_kelvins
 from softsensor.report.rehearsal_rows import HEADS, none_said, rehearsal_rows
 
 SHOWN_CANDIDATES = 8
+"""By hand, 2026-11: what a page of print holds."""
 
 
 def diagnosis_report(found: Diagnosis, language: str = ENGLISH, rehearsal: Rehearsal | None = None) -> str:

@@ -29,6 +29,9 @@ COLOURS = ("#c2571a", "#1f6fb2", "#2f8f6b", "#7a5ba8")
 """Of places, upper face first."""
 Put = Callable[[Message | str], str]
 """Puts a message into the language of a figure."""
+
+# Numbers without another source were set by hand, 2026-11.
+
 FEW_TICKS = 8
 """Runs up to which each has its tick."""
 CLOSED_SHADE = "#f1f3f6"

@@ -20,6 +20,7 @@ from softsensor.fitting.result import RunFit
 WIDTH, HEIGHT = 150.0, 84.0
 """Of one profile. [px]"""
 RED, BLUE = (178, 24, 43), (33, 102, 172)
+"""ColorBrewer's ends of RdBu, which a colour-blind reader tells apart too."""
 CEILING = 2.5
 """Rise drawn, in thresholds."""
 

@@ -30,6 +30,8 @@ from softsensor.signals.instrument import FACE_SLOW_S, INSERTED_S, MEAN_FAST_S, 
 from softsensor.signals.moments import Switch, switch_of
 from softsensor.signals.places import Place
 
+# Numbers without another source were set by hand, 2026-11.
+
 GROWTH = 1.15
 """Each bin after an event is this much wider than the one before."""
 FIRST_BIN_S, WIDEST_BIN_S = 0.2, 4.0

@@ -21,6 +21,8 @@ from daq.press.wires import SILENT_S, closed_of, without_wires
 from daq.records import EventSource, InputError, Moments, Run
 from daq.words import say
 
+# Numbers without another source were set by hand, 2026-11.
+
 NEAR_S = 1.5
 """A wire and the readings that far apart do not tell of one event: then the wire counts. [s]"""
 SAME_INSERTION_S = 5.0

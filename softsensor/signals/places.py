@@ -23,6 +23,8 @@ from softsensor.signals.instrument import CHANNEL_FAST_S
 from softsensor.signals.robust import nan_median
 from softsensor.signals.screen import ChannelFault, Flags, faces_of, faulty_channels, quiet_rows
 
+# Numbers without another source were set by hand, 2026-11.
+
 OUTLIER_K = 1.0
 """A single cell that departs from its face by more than this and by 6 standard deviations is dropped. [K]"""
 

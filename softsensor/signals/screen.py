@@ -24,6 +24,8 @@ from softsensor.signals.robust import nan_median
 
 Flags = NDArray[np.bool_]
 
+# Numbers without another source were set by hand, 2026-11.
+
 LIMIT_K = 1.5
 """Smallest departure that counts (rms over the quiet rows, offset and gain removed). Neighbours on one face differ
 by 0.15 K; a channel that is loose, drifts or is swapped departs by 8 to 33 K in the reference campaigns. [K]"""

@@ -95,7 +95,7 @@ def all_numbers(opened):
 def test_an_error_at_any_call_in_any_thread_is_told_and_recording_goes_on(tmp_path, monkeypatch):
     monkeypatch.setattr("daq.supervision.RESTART_S", 0.02)
     monkeypatch.setattr(outbox, "_FIRST_RETRY_S", 0.02)
-    monkeypatch.setattr(recorder, "_BEAT_S", 0.1)
+    monkeypatch.setattr(recorder, "BEAT_S", 0.1)
     with plant(tmp_path, speed=20.0, rate_hz=1.0) as made, open_store(made.url) as opened:
         injector = Injector(monkeypatch)
         untold = []
@@ -140,7 +140,7 @@ def test_an_error_at_any_call_in_any_thread_is_told_and_recording_goes_on(tmp_pa
 def test_while_the_writer_fails_the_watchdog_is_not_fed_and_health_says_why(tmp_path, monkeypatch):
     fed = []
     monkeypatch.setattr(Notifier, "alive", lambda self, status: fed.append(time.monotonic()))
-    monkeypatch.setattr(recorder, "_BEAT_S", 0.05)
+    monkeypatch.setattr(recorder, "BEAT_S", 0.05)
     broken = threading.Event()
     take = outbox.Outbox._take
 

@@ -29,6 +29,9 @@ from softsensor.signals.robust import scatter
 METHODS = ("least_squares", "nelder_mead", "nelder_mead_then_least_squares")
 STOP = 1e-4
 """The paper stops when the coefficients change by less than this."""
+
+# Numbers without another source were set by hand, 2026-11.
+
 LEAST_SCATTER_K = 0.1
 """Sensors that happen to agree better than they can read get no more weight. [K]"""
 

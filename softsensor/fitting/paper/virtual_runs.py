@@ -11,8 +11,8 @@ from daq.simulated.campaign_sensors import Nuisances
 from softsensor.fitting.paper.procedures import Reproduction, reproduce
 from softsensor.heat.model import ThermalModel
 
-MEASUREMENTS = 20
-SEED = 77
+MEASUREMENTS, SEED = 20, 77
+"""Virtual pressings, and what they are drawn with. By hand, 2026-11."""
 
 
 def reproduce_paper(
