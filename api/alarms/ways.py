@@ -85,7 +85,7 @@ class Email:
 
 class _NoRedirect(HTTPRedirectHandler):
     def redirect_request(self, *_: object) -> None:
-        return None
+        """Follow no redirection: a body with an alarm goes to the address given and nowhere else."""
 
 
 @dataclass(frozen=True)

@@ -49,9 +49,11 @@ class _Panel:
     y: tuple[float, float]
 
     def across(self, time_s: Array) -> Array:
+        """Return where times lie from the left, same shape. [s to px]"""
         return LEFT + (time_s - self.x[0]) / (self.x[1] - self.x[0]) * (WIDTH - LEFT - RIGHT)
 
     def down(self, values: Array) -> Array:
+        """Return where values lie from the top, same shape. [unit of `y` to px]"""
         return self.top + self.height * (1.0 - (values - self.y[0]) / (self.y[1] - self.y[0]))
 
 

@@ -42,6 +42,7 @@ class _Tagged:
         self._body = bytearray()
 
     async def send(self, message: Message) -> None:
+        """Pass an answer on; hold JSON back until all of it is there and its tag known."""
         if message["type"] == "http.response.start":
             kind = Headers(raw=message["headers"]).get("content-type", "")
             if message["status"] == 200 and kind.startswith("application/json"):

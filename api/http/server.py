@@ -118,6 +118,7 @@ class _Server(uvicorn.Server):
         self._notifier = Notifier()
 
     async def on_tick(self, counter: int) -> bool:
+        """Look after connections once a second, one call of ten, and give the service manager a sign of life."""
         if counter % 10 == 0:
             self._watchdog.look(list(self.server_state.connections))
         if counter % 50 == 0:
@@ -125,10 +126,12 @@ class _Server(uvicorn.Server):
         return await super().on_tick(counter)
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Tell the service manager once connections are taken."""
         await super().startup(sockets)
         self._notifier.ready("serving")
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        """End the live streams, then wait for requests."""
         self._notifier.stopping()
         self.config.app.state.hub.close()  # type: ignore[union-attr]
         await super().shutdown(sockets)

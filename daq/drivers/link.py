@@ -159,12 +159,14 @@ class _SocketLink:
         self._socket.settimeout(CONNECT_TIMEOUT_S)
 
     def write(self, data: bytes) -> None:
+        """Send the bytes. Raises LinkLost."""
         try:
             self._socket.sendall(data)
         except OSError as error:
             raise LinkLost(say("connection-lost", reason=str(error))) from error
 
     def read(self, wait_s: float) -> bytes:
+        """Return what has come within so many seconds, nothing where nothing has. Raises LinkLost."""
         try:
             ready, _, _ = select.select([self._socket], [], [], max(wait_s, 0.0))
             if not ready:
@@ -177,6 +179,7 @@ class _SocketLink:
         return data
 
     def close(self) -> None:
+        """Release it. A second call does no harm."""
         self._socket.close()
 
 
@@ -196,6 +199,7 @@ class _SerialLink:
         )
 
     def write(self, data: bytes) -> None:
+        """Send the bytes. Raises LinkLost."""
         try:
             self._port.write(data)
             self._port.flush()
@@ -203,6 +207,7 @@ class _SerialLink:
             raise LinkLost(say("port-lost", reason=str(error))) from error
 
     def read(self, wait_s: float) -> bytes:
+        """Return what has come within so many seconds, nothing where nothing has. Raises LinkLost."""
         deadline = time.monotonic() + wait_s
         try:
             while True:
@@ -220,4 +225,5 @@ class _SerialLink:
             raise LinkLost(say("port-lost", reason=str(error))) from error
 
     def close(self) -> None:
+        """Release it. A second call does no harm."""
         self._port.close()

@@ -322,6 +322,7 @@ class _Outbox:
             heapq.heapify(self._due)
 
     def close(self) -> None:
+        """Send no more; what is still due is dropped."""
         with self._wake:
             self._open = False
             self._wake.notify()

@@ -151,6 +151,7 @@ class _Before:
 
     @staticmethod
     def of(names: Sequence[str], known: Mapping[str, tuple[float, float]]) -> _Before:
+        """Return it from medians and standard deviations of the logarithm, in the order of `names`."""
         precision = np.array([known[n][1] ** -2 if n in known else 0.0 for n in names])
         centre = np.array([np.log(known[n][0]) if n in known else 0.0 for n in names])
         return _Before(precision, precision * centre)

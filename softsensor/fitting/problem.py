@@ -110,12 +110,12 @@ class Problem:
 
     @property
     def start(self) -> Array:
-        """Internal variables where the search begins."""
+        """Internal variables where the search begins (unknowns)."""
         return np.array([u.begin / u.unit for u in self.unknowns])
 
     @property
     def limits(self) -> tuple[Array, Array]:
-        """Limits of the internal variables."""
+        """Limits of the internal variables (unknowns), (unknowns)."""
         return (
             np.array([u.lower / u.unit for u in self.unknowns]),
             np.array([u.upper / u.unit for u in self.unknowns]),
@@ -123,7 +123,7 @@ class Problem:
 
     @property
     def precision(self) -> tuple[Array, Array]:
-        """Means of the priors and their inverse variances, 0 where there is none."""
+        """Means of the priors and their inverse variances, 0 where there is none (unknowns), (unknowns)."""
         at = [(u.centre / u.unit, (u.unit / u.sd) ** 2) for u in self.unknowns]
         return np.array([mean for mean, _ in at]), np.array([precision for _, precision in at])
 
@@ -296,12 +296,12 @@ class Minimum:
 
     @property
     def x(self) -> Array:
-        """Internal variables."""
+        """Internal variables (unknowns)."""
         return self.evaluation.x
 
 
 def normal_equations(problem: Problem, at: Evaluation) -> tuple[Array, Array]:
-    """Return the Gauss-Newton matrix and the descent direction's right-hand side, priors included."""
+    """Return the Gauss-Newton matrix (unknowns, unknowns) and the right-hand side (unknowns), priors included."""
     mean, precision = problem.precision
     matrix, right = _gram(at.jacobian, at.weight, at.z)
     return matrix + np.diag(precision), right - precision * (at.x - mean)
@@ -362,7 +362,7 @@ def minimise(
 
 
 def free_of(x: Array, right: Array, lower: Array, upper: Array) -> Array:
-    """Unknowns that no limit holds against the descent direction."""
+    """Return which unknowns no limit holds against the descent direction (unknowns)."""
     edge = 1e-9
     held = ((x <= lower + edge) & (right <= 0)) | ((x >= upper - edge) & (right >= 0))
     return np.logical_not(held)
@@ -383,14 +383,14 @@ def damped_step(matrix: Array, right: Array, free: Array, damping: float) -> tup
 
 
 def solve_scaled(matrix: Array, right: Array) -> Array:
-    """Solve for a positive matrix whose rows may be of very different size."""
+    """Solve for a positive matrix (n, n) whose rows may be of very different size; as `right` (n)."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-12))
     scaled = matrix * scale[:, None] * scale[None, :] + 1e-12 * np.eye(len(matrix))
     return np.asarray(scale * np.linalg.solve(scaled, scale * right))
 
 
 def covariance_of(matrix: Array, free: Array) -> Array:
-    """Invert over the unknowns that no limit holds; zero for the others."""
+    """Invert over the unknowns that no limit holds, zero for the others (unknowns, unknowns)."""
     covariance = np.zeros_like(matrix)
     index = np.flatnonzero(free)
     if len(index):
@@ -434,7 +434,7 @@ def left_open(problem: Problem, matrix: Array, covariance: Array) -> Array:
 
 
 def inverse(matrix: Array) -> Array:
-    """Invert a positive matrix, scaled so that units do not matter; flat directions get a huge variance."""
+    """Invert a positive matrix (n, n), scaled so that units do not matter; flat directions get a huge variance."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-12))
     scaled = matrix * scale[:, None] * scale[None, :]
     values, vectors = np.linalg.eigh(scaled)

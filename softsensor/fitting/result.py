@@ -117,7 +117,7 @@ class RunFit:
 
     @property
     def correlation(self) -> Array:
-        """Of the unknowns, in the order of `names`."""
+        """Of the unknowns, in the order of `names` (unknowns, unknowns)."""
         sd = np.sqrt(np.maximum(np.diag(self.covariance), 1e-300))
         return np.asarray(self.covariance / sd[:, None] / sd[None, :])
 
@@ -301,6 +301,6 @@ def channel_residuals(problem: Problem, at: Evaluation) -> tuple[dict[str, Array
 
 
 def rms(series: Any) -> float:
-    """Root mean square over the finite values of several arrays."""
+    """Return the root mean square over the finite values of several arrays, in their unit; NaN where none is."""
     values = np.concatenate([np.asarray(s)[np.isfinite(s)] for s in series])
     return float(np.sqrt(np.mean(np.square(values)))) if len(values) else float("nan")

@@ -43,7 +43,7 @@ class Solution:
 
 
 def read_places(case: Case, build: Build) -> Array:
-    """Return the weights that read off the places, and the press faces opposite them where they mix in."""
+    """Return the weights that read off the places, and the press faces opposite them where they mix in (m, n)."""
     faces = build.terms.footprint != 0 or any(t.footprint != 0 for t in build.asked.d_terms.values())
     return np.concatenate([case.places, case.press_face]) if faces else case.places
 

@@ -213,7 +213,7 @@ def load_remarks(press: Press, run: Run) -> list[Message]:
 
 
 def boundary_series(run: Run, name: str, boundary: Boundary) -> Array:
-    """Return a measured boundary's temperature at every row, short gaps bridged."""
+    """Return a measured boundary's temperature at every row, short gaps bridged (rows). [°C]"""
     if boundary.kind != "measured":
         return np.zeros(len(run.time_s))
     column = boundary.column or ""

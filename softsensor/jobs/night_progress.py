@@ -110,6 +110,7 @@ class _Marking:
     looked: set[int] = field(default_factory=set)
 
     def look(self, records: Sequence[RunRecord]) -> None:
+        """Take in what of these runs is due, each once."""
         fresh = [r for r in records if r.number not in self.looked]
         self.looked.update(r.number for r in fresh)
         names = [r.run for r in fresh]

@@ -62,7 +62,7 @@ def covariance_after(before: Array, run: RunInformation, runs: int) -> Array:
 
 
 def inverse(precision: Array) -> Array:
-    """Return the covariance that a precision leaves, 0 along what it says nothing of."""
+    """Return the covariance (n, n) that a precision leaves, 0 along what it says nothing of."""
     return np.asarray(np.linalg.pinv(precision, hermitian=True), dtype=np.float64)
 
 

@@ -282,7 +282,7 @@ def slope_of(time: Array, y: Array) -> Array:
 
 
 def whitener(digest: Digest, noise: MeanNoise, signal: int) -> Array:
-    """Return the Cholesky factor of a signal's covariance over its valid bins."""
+    """Return the Cholesky factor of a signal's covariance over its valid bins (valid, valid). [K]"""
     good = digest.valid[:, signal]
     t, w = digest.time[good], digest.width[good]
     gap = np.abs(t[:, None] - t[None, :])

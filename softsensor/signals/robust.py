@@ -8,7 +8,7 @@ from daq.records import Array
 
 
 def nan_mean(values: Array) -> Array:
-    """Mean over the last axis of what is there; NaN where nothing is."""
+    """Return the mean over the last axis of what is there, NaN where nothing is: (…, n) to (…)."""
     good = np.isfinite(values)
     count = good.sum(axis=-1)
     total = np.where(good, values, 0.0).sum(axis=-1)
@@ -16,7 +16,7 @@ def nan_mean(values: Array) -> Array:
 
 
 def nan_median(values: Array) -> Array:
-    """Median over the last axis of what is there; NaN where nothing is."""
+    """Return the median over the last axis of what is there, NaN where nothing is: (…, n) to (…)."""
     ordered = np.sort(values, axis=-1)
     count = np.isfinite(values).sum(axis=-1)
     low = np.take_along_axis(ordered, np.maximum((count - 1) // 2, 0)[..., None], axis=-1)[..., 0]

@@ -92,14 +92,14 @@ class _Fit:
         return found.sensors[:, columns], np.stack(slopes, axis=-1) if derive else np.zeros(0)
 
     def residuals(self, predicted: Array) -> Array:
-        """Weighted residuals, one long row."""
+        """Weighted residuals, one long row (readings)."""
         parts = []
         for i, (read, weight) in enumerate(zip(self.readings, self.weights, strict=True)):
             parts.append((weight * self._centred(read - predicted[:, [i]], weight)).ravel())
         return np.concatenate(parts)
 
     def jacobian(self, slopes: Array) -> Array:
-        """Derivatives of `residuals`."""
+        """Derivatives of `residuals` (readings, coefficients)."""
         parts = []
         for i, weight in enumerate(self.weights):
             derived = [
