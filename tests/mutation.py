@@ -1,10 +1,11 @@
-"""Change the code in small ways, a seeded sample in each room, and see whether the default suite notices.
+"""Change the code in small ways, chosen ones and a seeded sample of each room; see whether the suite notices.
 
     python -m tests.mutation [--resume] [--room NAME] [--folder DIR]
 
 Cosmic Ray makes the mutants; a copy of the tree bears them, never the tree itself. A room, its tests and the
 number of its mutants stand in mutation.toml; what is not meaningful is not drawn: annotations, decorators, and
-more than one mutant of a function. Results are lines of DIR/results.jsonl, ``--resume`` goes on after the last.
+more than one mutant of a function. There stand also the chosen ones, faults somebody feared, in the room
+"chosen". Results are lines of DIR/results.jsonl, ``--resume`` goes on after the last.
 """
 
 from __future__ import annotations
@@ -24,12 +25,14 @@ import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from cosmic_ray.ast import ast_nodes, get_ast
 from cosmic_ray.mutating import mutate_code
 from cosmic_ray.plugins import get_operator, operator_names
 
 ROOT = Path(__file__).parents[1]
+PLAN = ROOT / "tests/mutation.toml"
 LEFT_OUT = re.compile(
     r"Decorator|Exception|NoOp|Variable|Invert|_(Is|IsNot)_|_(Is|IsNot|Not|BitAnd|BitOr|BitXor|[LR]Shift|FloorDiv|Mod|Pow)$"
 )
@@ -65,6 +68,30 @@ class Mutant:
     def applied(self, text: str) -> str | None:
         """Return the module's text with the change."""
         return mutate_code(text, get_operator(self.operator)(), self.occurrence)
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """A mutant that somebody wrote down, with the tests that are to kill it."""
+
+    name: str
+    module: str
+    was: str
+    now: str
+    tests: tuple[str, ...]
+
+    def applied(self, text: str) -> str:
+        """Return the module's text with the change; what it changes must stand there once."""
+        if text.count(self.was) != 1:
+            raise SystemExit(
+                f"{self.name}: {self.module} holds {self.was!r} {text.count(self.was)} times, not once"
+            )
+        return text.replace(self.was, self.now)
+
+
+def chosen(plan: dict[str, Any]) -> list[Chosen]:
+    """Return the mutants that are written down."""
+    return [Chosen(m["name"], m["module"], m["was"], m["now"], tuple(m["tests"])) for m in plan["mutant"]]
 
 
 def functions(text: str) -> dict[int, str]:
@@ -122,25 +149,27 @@ def passes(tree: Path, tests: Sequence[str], log: Path) -> bool:
     return done.returncode == 0
 
 
-def judged(room: dict[str, object], seed: int, done: dict[str, dict[str, object]], folder: Path) -> Iterator[dict]:
-    """Yield what became of each mutant of a room that has no result yet."""
-    waiting = [mutant for mutant in drawn(room, seed) if mutant.name not in done]
+def judged(
+    room: str, waiting: Sequence[tuple[Mutant | Chosen, Sequence[str]]], log: Path
+) -> Iterator[dict[str, Any]]:
+    """Yield what became of each mutant of a room, each with the tests that are to kill it."""
     with tempfile.TemporaryDirectory() as place:
-        tree = Path(place) / "kerntemp"
+        tree, sound_with = Path(place) / "kerntemp", set()
         shutil.copytree(ROOT, tree, ignore=shutil.ignore_patterns(".venv", ".git", "__pycache__", "campaigns"))
-        if waiting and not passes(tree, room["tests"], folder / f"{room['name']}.log"):
-            raise SystemExit(f"{room['name']}: the tests fail without a mutant; see {folder / room['name']}.log")
-        for mutant in waiting:
+        for mutant, tests in waiting:
+            if tuple(tests) not in sound_with and not passes(tree, tests, log):
+                raise SystemExit(f"{mutant.name}: its tests fail without a mutant; see {log}")
+            sound_with.add(tuple(tests))
             file, begun = tree / mutant.module, time.monotonic()
             sound = file.read_text(encoding="utf-8")
             changed = mutant.applied(sound) or ""
             file.write_text(changed, encoding="utf-8")
-            survived = passes(tree, room["tests"], folder / f"{room['name']}.log")
+            survived = passes(tree, tests, log)
             file.write_text(sound, encoding="utf-8")
             lines = zip(sound.splitlines(), changed.splitlines(), strict=False)
             was, now = next((a.strip(), b.strip()) for a, b in lines if a != b)
             yield {
-                "room": room["name"],
+                "room": room,
                 "mutant": mutant.name,
                 "outcome": "survived" if survived else "killed",
                 "seconds": round(time.monotonic() - begun),
@@ -162,11 +191,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
         file.unlink(missing_ok=True)
     lines = file.read_text(encoding="utf-8").splitlines() if file.exists() else []
     done = {one["mutant"]: one for one in map(json.loads, lines)}
-    plan = tomllib.loads((ROOT / "tests/mutation.toml").read_text(encoding="utf-8"))
-    for room in plan["room"]:
+    plan = tomllib.loads(PLAN.read_text(encoding="utf-8"))
+    for room in ({"name": "chosen"}, *plan["room"]):
         if given.room and room["name"] not in given.room:
             continue
-        for one in judged(room, plan["seed"], done, given.folder):
+        everyone = (
+            [(m, room["tests"]) for m in drawn(room, plan["seed"])]
+            if "tests" in room
+            else [(m, m.tests) for m in chosen(plan)]
+        )
+        waiting = [(mutant, tests) for mutant, tests in everyone if mutant.name not in done]
+        for one in judged(room["name"], waiting, given.folder / f"{room['name']}.log"):
             done[one["mutant"]] = one
             with file.open("a", encoding="utf-8") as out:
                 out.write(json.dumps(one) + "\n")

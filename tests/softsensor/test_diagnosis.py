@@ -20,17 +20,25 @@ from daq.words import Message
 from daq.words.message import catalogue, sentences, words
 from softsensor.diagnosis.advice import AdviceBasis, next_measurement, rim_notes
 from softsensor.diagnosis.decision import ALPHA_PATTERN, EXCESS, NEGLIGIBLE_K, Verdict, refuted_by_cores
-from softsensor.diagnosis.extension import RunState, evaluate, from_the_others, held_out, predicted, start_eta
+from softsensor.diagnosis.extension import (
+    Direction,
+    RunState,
+    evaluate,
+    from_the_others,
+    held_out,
+    predicted,
+    start_eta,
+)
 from softsensor.diagnosis.finding import Diagnosis, Finding
 from softsensor.diagnosis.gains import Gain
-from softsensor.diagnosis.numbers import BLOCK_S, measure_errors, noise_floor
+from softsensor.diagnosis.numbers import BLOCK_S, intervals, measure_errors, noise_floor
 from softsensor.diagnosis.search import Candidate, panels_as_usual, settle_base, with_panels_freed
 from softsensor.diagnosis.selection import Round, p_values
 from softsensor.diagnosis.sign_flips import Pocket, max_t, pattern_test, sign_patterns
 from softsensor.diagnosis.summary import as_stored, core_said, sureness, verdict_said, worth
 from softsensor.diagnosis.verdict import _alternatives, _lacking_loads, _screened, diagnose, never_seen
 from softsensor.diagnosis.where import stretches, where_row
-from softsensor.effects import BUILT_IN
+from softsensor.effects import BUILT_IN, find_effect
 from softsensor.heat.model import ThermalModel
 from softsensor.heat.model_file import parse_model
 from softsensor.report.diagnosis_figures import residual_figure
@@ -232,6 +240,40 @@ def test_a_run_is_predicted_from_nothing_it_has_read_itself() -> None:
     assert np.nanmax(np.abs(again[2].model - ahead[2].model)) < 1e-9
     assert np.nanmax(np.abs(again[2].misfit - ahead[2].misfit - 5.0)) < 1e-9
     assert np.nanmax(np.abs(ahead[2].misfit - (stage.data[2].digest.y - ahead[2].model))) < 1e-9
+
+
+def test_the_interval_of_a_size_is_students_of_its_curvature_and_its_laws_own_error() -> None:
+    stage = diagnosed("edge_loss", 501, 7, 0.5).stages[1]
+    size = stage.fit.values["edge_loss.W_m3K"]
+    curvature = np.diag(
+        [1.0 / (7 * (0.04 * size) ** 2) if n == "edge_loss.W_m3K" else 0.0 for n in stage.fit.layout.names]
+    )
+    still = np.zeros_like(stage.fit.theta)
+    known = replace(stage.fit, hessians=(curvature,) * 7, gradients=(still,) * 7, prior_hessian=0.0 * curvature)
+    interval = intervals(known, find_effect("edge_loss"))["W_m3K"].ci95
+    assert interval == pytest.approx((size * (1 - 2.447 * 0.05), size * (1 + 2.447 * 0.05)), rel=1e-3)
+
+
+def test_a_size_at_its_limit_or_far_beyond_what_is_usual_is_unphysical() -> None:
+    """Of a loss at the rim: five times the typical one."""
+    fit, effect = diagnosed("edge_loss", 501, 7, 0.5).stages[1].fit, find_effect("edge_loss")
+    (p,) = effect.parameters
+    at = fit.layout.names.index(effect.key(p.name))
+
+    def too_large(size: float) -> bool:
+        theta = fit.theta.copy()
+        theta[at] = size
+        none = cast(Direction, None)
+        return Candidate(effect, none, replace(fit, theta=theta), 0.0, np.zeros(7), True).too_large
+
+    assert not too_large(4.9 * p.typical)
+    assert too_large(5.1 * p.typical)
+    assert too_large(p.upper)
+
+
+def test_of_seven_runs_that_agree_every_one_halves_the_chance() -> None:
+    assert max_t(np.ones((7, 1))) == pytest.approx([2.0**-6])
+    assert max_t(np.array([[-1.0], *[[1.0]] * 6])) > 2.0**-6
 
 
 def test_the_others_numbers_do_not_know_the_run_left_out() -> None:
