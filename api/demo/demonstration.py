@@ -22,6 +22,7 @@ from typing import Any
 
 from api.demo.press import press_of
 from api.demo.summary import Finding, compare, diagnosis_lines, gain_line, pace_lines, replayed, summary_lines
+from api.demo.warm_up import PARTS
 from api.outputs import WorkFailed
 from daq.files.run_file import toml_line, toml_value
 from daq.press.press_file import read_press
@@ -36,6 +37,8 @@ from softsensor.heat.model_file import ModelFile, parse_model
 SERVICES = ("record", "sense")
 START_S = 120.0
 """Longest wait for a process to come up. [s]"""
+QUICK_S = 5.0
+"""After so long a newcomer is told what is being waited for. [s]"""
 COMPILE_S = 600.0
 """Longest wait for the compiler. [s]"""
 PATIENCE_S = 15.0
@@ -197,11 +200,11 @@ class _Demo:
         plan = self.plan
         settings = {"hide": plan.hide, "keep": LOGGERS_KEEP, "seed": plan.seed}
         self.truth: VirtualPress = press_of({**settings, "keep": plan.known_cycles})
-        warming = self.children.start(
-            "warmup", [sys.executable, "-m", "api.demo.warm_up"], stdout=subprocess.DEVNULL
-        )
+        for part in PARTS:
+            command = [sys.executable, "-m", "api.demo.warm_up", part]
+            self.children.start(f"warmup-{part}", command, stdout=subprocess.DEVNULL)
         loggers = self._start_loggers({**settings, "speed": plan.speed, "pressings": plan.pressings})
-        self._wait_for_warmup(warming)
+        self._wait_for_warmup()
         _write_configuration(self.config, plan, loggers, self.truth)
         self.store: Store = ending.enter_context(open_store(str(plan.folder / "kerntemp.sqlite")))
         for name in SERVICES:
@@ -246,16 +249,25 @@ class _Demo:
         answer: dict[str, Any] = json.loads(self._first_line("loggers", child))
         return answer
 
-    def _wait_for_warmup(self, warming: subprocess.Popen[str]) -> None:
+    def _wait_for_warmup(self) -> None:
         """Compile before the clock starts: an accelerated press would run away from a compiling sensor."""
-        try:
-            warming.wait(5.0)
-        except subprocess.TimeoutExpired:
-            self.tell(say("demo-compiling"))
-            warming.wait(COMPILE_S)
-        del self.children.running["warmup"]
-        if warming.returncode != 0:
-            raise WorkFailed(say("demo-warming-up-failed", why=self.children.last_words("warmup")))
+        waiting, began, told = [f"warmup-{part}" for part in PARTS], time.monotonic(), False
+        while waiting := [name for name in waiting if not self._warmed(name)]:
+            waited = time.monotonic() - began
+            if waited > COMPILE_S:
+                raise WorkFailed(say("demo-no-sign-of-life", processes=tuple(waiting), seconds=COMPILE_S))
+            if waited > QUICK_S and not told:
+                told = True
+                self.tell(say("demo-compiling"))
+            time.sleep(0.05)
+
+    def _warmed(self, name: str) -> bool:
+        status = self.children.running[name].poll()
+        if status:
+            raise WorkFailed(say("demo-warming-up-failed", why=self.children.last_words(name)))
+        if status == 0:
+            del self.children.running[name]
+        return status == 0
 
     def _send(self, message: Mapping[str, Any]) -> None:
         pipe = self.children.running["loggers"].stdin
