@@ -13,6 +13,7 @@ from playwright.sync_api import expect
 from tests.editions import edition
 
 
+@pytest.mark.campaign
 def test_an_open_page_goes_on_by_itself_after_the_server_was_restarted(served):
     server, feed, page = served
     writer = threading.Thread(target=feed.pressing, args=(3000,), daemon=True)
@@ -30,6 +31,7 @@ def test_an_open_page_goes_on_by_itself_after_the_server_was_restarted(served):
     writer.join(20)
 
 
+@pytest.mark.campaign
 def test_a_view_that_nobody_answered_comes_by_itself_once_the_server_answers(served):
     server, feed, page = served
     feed.pressing(3)
@@ -40,6 +42,7 @@ def test_a_view_that_nobody_answered_comes_by_itself_once_the_server_answers(ser
     expect(page.get_by_test_id("channels").locator(".channel b").first).to_be_visible()
 
 
+@pytest.mark.campaign
 def test_on_a_slow_network_the_page_comes_up_and_stays_live(served):
     server, feed, page = served
     session = page.context.new_cdp_session(page)

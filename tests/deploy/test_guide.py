@@ -64,6 +64,7 @@ def test_every_command_of_the_page_can_be_pasted(page, shell, tmp_path):
         assert (table["valid"] == 1).mean() > 0.5
 
 
+@pytest.mark.campaign
 def test_the_lines_of_python_in_the_readme_run(tmp_path):
     (lines,) = re.findall(r"^```python\n(.*?)^```", README.read_text(encoding="utf-8"), flags=re.M | re.S)
     script = tmp_path / "readme.py"
@@ -95,6 +96,7 @@ def test_every_figure_of_the_measured_page_names_a_benchmark_that_is_there():
     assert not [name for name in named if not (ROOT / name).is_file()]
 
 
+@pytest.mark.campaign
 def test_the_samples_are_those_their_script_makes(tmp_path):
     shutil.copy(ROOT / "deploy" / "samples" / "make_samples.py", tmp_path)
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}

@@ -316,6 +316,7 @@ def test_extras_named_in_a_sentence_are_there(line):
 
 
 @posix_only
+@pytest.mark.campaign
 def test_the_scheduler_and_workers_of_the_runbook_come_up():
     scheduler, worker = (
         next(line for line in inline() if line.startswith(f"dask {kind}")) for kind in ("sch", "work")

@@ -136,6 +136,7 @@ def test_unknown_method_is_refused_with_the_known_ones(measured):
         fit_as_paper(MODEL, run, truth.moments, "annealing")
 
 
+@pytest.mark.campaign
 def test_finite_differences_of_an_adaptive_solver_get_stuck_and_nothing_else_does():
     found = reproduce_paper(2, clock=time.perf_counter)
     converged = {(c.solver, c.slopes): c.converged for c in found.table}

@@ -139,6 +139,7 @@ def told_before(file, names: list[str]) -> None:
         rehearsals._keep(file, rehearsals._mark(campaign()), Outcome(hidden, 0, "named", sets))
 
 
+@pytest.mark.campaign
 def test_a_rehearsal_killed_while_it_wrote_goes_on_and_gives_the_same_table(tmp_path):
     """A real rehearsal of one campaign stands for a run that was not killed."""
     file, causes = tmp_path / "finished.jsonl", hidden_of(campaign(), ["sensor_fault", "thermocouple_lag=4"])
