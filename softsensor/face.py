@@ -127,9 +127,10 @@ class DiagnosisResult:
 
     def plot(self) -> list[Axes]:
         """Draw one run under both models with its residuals; return the axes."""
+        from softsensor.diagnosis.curves import curves_of
         from softsensor.report.diagnosis_figures import run_figure
 
-        return _shown(run_figure(self.diagnosis))
+        return _shown(run_figure(curves_of(self.diagnosis)))
 
     def model(self) -> ModelFile:
         """Return the extended model."""

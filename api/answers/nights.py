@@ -10,7 +10,7 @@ from daq.words import Message
 
 def night_of(stored: StoredNight) -> Night:
     """Return a stored night as lists show it."""
-    told = dict(stored.night)
+    told = {key: value for key, value in stored.night.items() if key != "drifts"}
     reason = Message.from_json(told.pop("reason"))
     left_out = [(entry["run"], Message.from_json(entry["why"])) for entry in told.pop("left_out")]
     return Night(

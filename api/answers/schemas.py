@@ -533,6 +533,17 @@ class DiagnosisRecord(_Answer):
     diagnosis: dict[str, Any]
     parameters: dict[str, ParameterWords]
     """Of the named effects, by full name (`edge_loss.W_m3K`); an effect no longer installed is not there."""
+    has_curves: bool
+    """Whether `/diagnoses/{id}/curves` has something to draw."""
+
+
+class DiagnosisCurves(_Answer):
+    """A diagnosis as curves: temperatures [°C] and residuals, measured minus model [K]; missing is null."""
+
+    id: str
+    press: str
+    curves: dict[str, Any]
+    """`run` at `time_s` by place, its core, and residuals of all runs since closing (`campaign`)."""
 
 
 class DiagnosisList(_Answer):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import socket
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -15,6 +16,7 @@ from daq.records import InputError
 from daq.words import Message, say, spoken
 
 if TYPE_CHECKING:
+    from daq.process.config import Config, ServerSettings
     from daq.store.store import Store
     from softsensor.jobs.night_judgement import Outcome
 
@@ -112,13 +114,13 @@ def refit(
                 )
             tell(outcome.line)
             outcomes.append(outcome)
-            failed += _report(store, outcome, settings.refit.reports)
+            failed += _report(store, outcome, settings)
         nightly.sign_off(store, outcomes)
     if failed:
         raise WorkFailed(say("terminal-refit-failed", failures=tuple(failed)))
 
 
-def _report(store: Store, outcome: Outcome, folder: Path) -> list[Message]:
+def _report(store: Store, outcome: Outcome, settings: Config) -> list[Message]:
     """Write the page of a press's night; return what went wrong, in this and in its fits."""
     from softsensor.jobs.night_judgement import PROCESS
     from softsensor.jobs.night_record import night_record
@@ -126,7 +128,9 @@ def _report(store: Store, outcome: Outcome, folder: Path) -> list[Message]:
 
     failed = []
     try:
-        page = write_report(night_record(store, outcome), folder, spoken_language())
+        page = write_report(
+            night_record(store, outcome), settings.refit.reports, spoken_language(), _page_address(settings.server)
+        )
         tell(say("terminal-refit-report", press=outcome.press, page=str(page)))
     except InputError as error:  # its work is in the store; the other presses wait for theirs
         store.log("warning", PROCESS, spoken(error), outcome.press)
@@ -135,6 +139,12 @@ def _report(store: Store, outcome: Outcome, folder: Path) -> list[Message]:
         unfit = {"failed": outcome.newly_unfit, "runs": outcome.runs}
         failed.append(say("terminal-refit-unfit", press=outcome.press, **unfit))
     return failed
+
+
+def _page_address(server: ServerSettings) -> str:
+    """Return where the page is; a server that listens everywhere is found by its machine's name."""
+    everywhere = server.host in ("", "0.0.0.0", "::")
+    return f"http://{socket.gethostname() if everywhere else server.host}:{server.port}/"
 
 
 def token_file_beside(config: Path) -> Path:

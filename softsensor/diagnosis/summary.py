@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from daq.words import Argument, Message, say
+from softsensor.diagnosis.curves import curves_of
 from softsensor.diagnosis.decision import ALPHA_PATTERN, EXCESS, FEW_RUNS, Verdict
 from softsensor.diagnosis.extension_unknowns import logarithm_of
 from softsensor.diagnosis.finding import Diagnosis, Finding
@@ -214,8 +215,8 @@ def worth(found: Diagnosis, finding: Finding) -> Message:
 
 
 def as_stored(found: Diagnosis) -> dict[str, Any]:
-    """Return the JSON with what each cause is worth beside it, for the pages that show a stored diagnosis."""
-    content = found.as_json()
+    """Return the JSON with curves and what each cause is worth, for the pages that show a stored diagnosis."""
+    content = found.as_json() | {"curves": curves_of(found)}
     for entry, finding in zip(content["effects"], found.findings, strict=True):
         message = worth(found, finding)
         entry |= {"worth": str(message), "worth_said": message.to_json()}

@@ -21,6 +21,7 @@ from daq.records import InputError
 from daq.store import JournalEntry, RunRecord, Store, StoredNight, every
 from daq.words import Message, say
 from softsensor.heat.model_file import ModelFile, parse_model
+from softsensor.jobs.drift import alarms_of
 from softsensor.jobs.model_in_force import PRESS_FILE, fingerprint
 from softsensor.jobs.night_fits import Done, Task, fit_all
 from softsensor.jobs.night_judgement import PROCESS, Night, Outcome, judge
@@ -66,6 +67,7 @@ def refit_press(
         outcome = judge(Night(store, name, press, base, agenda.window, fits), outcome)
     progress = replace(agenda.progress, basis=basis)
     told = _told(outcome, time.perf_counter() - begun)
+    told["drifts"] = [{"coefficient": a.coefficient, "said": a.message.to_json()} for a in alarms_of(store, name)]
     store.put_night(StoredNight(name, started, datetime.now(UTC), told, progress.as_json()))
     store.log("info", PROCESS, outcome.line, name)
     return outcome

@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from itertools import islice
 from typing import Any
 
-from daq.store import JournalEntry, ModelRecord, RunRecord, Store
-from softsensor.jobs.drift import Alarm, alarms_of
+from daq.store import JournalEntry, ModelRecord, RunRecord, Store, StoredNight, every
+from daq.words import Message
+from softsensor.jobs.drift import alarms_of
 from softsensor.jobs.night_judgement import Outcome
 
 # Numbers without another source were set by hand, 2026-11.
@@ -30,24 +32,59 @@ class NightRecord:
     diagnosis: Mapping[str, Any] | None
     """The newest one."""
     models: Sequence[ModelRecord]
-    alarms: Sequence[Alarm]
+    drifts: Sequence[tuple[str, Message]]
+    """Coefficients that have left what is usual, and what is said of each."""
     runs: Sequence[tuple[RunRecord, Mapping[str, Any] | None]]
     """With their fits, newest first."""
     failures: Sequence[JournalEntry]
 
 
 def night_record(store: Store, outcome: Outcome) -> NightRecord:
-    """Return what the store holds of the press of an outcome."""
-    press = outcome.press
-    active, diagnoses = store.active_model(press), store.diagnoses(press=press, limit=1).items
+    """Return what the store holds of the press of an outcome, now."""
+    drifts = [(a.coefficient, a.message) for a in alarms_of(store, outcome.press)]
+    return _record(store, outcome, drifts, datetime.now(UTC), None)
+
+
+def stored_night_record(store: Store, night: StoredNight) -> NightRecord:
+    """Return what the store holds of a night, without what came after it."""
+    told = night.night
+    outcome = Outcome(
+        press=night.press,
+        **{key: told[key] for key in ("runs", "fitted", "version", "verdict", "blind", "new", "later", "refused")},
+        failed=told["not_fitted"],
+        promoted=bool(told["promoted"]),
+        reason=Message.from_json(told["reason"]),
+        named=tuple(told["named"]),
+    )
+    drifts = [(d["coefficient"], Message.from_json(d["said"])) for d in told.get("drifts", ())]
+    newest = store.nights(press=night.press, limit=1).items[0].number == night.number
+    return _record(store, outcome, drifts, night.ended_utc, None if newest else night.ended_utc)
+
+
+def _record(
+    store: Store,
+    outcome: Outcome,
+    drifts: Sequence[tuple[str, Message]],
+    written: datetime,
+    until: datetime | None,
+) -> NightRecord:
+    press, active = outcome.press, store.active_model(outcome.press)
+    if until is not None and outcome.version:
+        active = store.model(outcome.version)
+    diagnoses = every(lambda cursor: store.diagnoses(press=press, cursor=cursor, limit=1))
+    models = every(lambda cursor: store.models(press=press, cursor=cursor, limit=SHOWN_MODELS))
+    failures = every(
+        lambda cursor: store.journal(press=press, level="warning", cursor=cursor, limit=SHOWN_ENTRIES)
+    )
+    diagnosis = next((d for d in diagnoses if until is None or d.created_utc <= until), None)
     return NightRecord(
         outcome=outcome,
-        written=datetime.now(UTC),
+        written=written,
         press_file=store.presses().get(press, ""),
         in_force=active.model if active else None,
-        diagnosis=diagnoses[0].diagnosis if diagnoses else None,
-        models=store.models(press=press, limit=SHOWN_MODELS).items,
-        alarms=alarms_of(store, press),
-        runs=[(r, store.fit(r.run)) for r in store.runs(press=press, limit=SHOWN_RUNS).items],
-        failures=store.journal(press=press, level="warning", limit=SHOWN_ENTRIES).items,
+        diagnosis=diagnosis.diagnosis if diagnosis else None,
+        models=list(islice((m for m in models if until is None or m.created_utc <= until), SHOWN_MODELS)),
+        drifts=drifts,
+        runs=[(r, store.fit(r.run)) for r in store.runs(press=press, until=until, limit=SHOWN_RUNS).items],
+        failures=list(islice((e for e in failures if until is None or e.utc <= until), SHOWN_ENTRIES)),
     )

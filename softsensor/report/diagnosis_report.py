@@ -7,14 +7,14 @@ from typing import Any
 
 from daq.words import Message, say
 from daq.words.message import ENGLISH
+from softsensor.diagnosis.curves import curves_of
 from softsensor.diagnosis.finding import Diagnosis, Finding
 from softsensor.diagnosis.rehearsal import Rehearsal
 from softsensor.diagnosis.summary import chance, core_said, law_said, sureness, verdict_said, worth
 from softsensor.diagnosis.where import temperatures
 from softsensor.effects import find_effect
 from softsensor.effects.vocabulary import called, parameters_told, place_words
-from softsensor.report.diagnosis_figures import law_figure, residual_figure, run_figure, votes_figure
-from softsensor.report.fit_figures import svg
+from softsensor.report.diagnosis_figures import diagnosis_pictures
 from softsensor.report.page import kelvins, page, signed_kelvins
 from softsensor.report.rehearsal_rows import HEADS, none_said, rehearsal_rows
 
@@ -24,7 +24,7 @@ SHOWN_CANDIDATES = 8
 
 def diagnosis_report(found: Diagnosis, language: str = ENGLISH, rehearsal: Rehearsal | None = None) -> str:
     """Return the page as HTML text; it needs no other file."""
-    votes = votes_figure(found, language)
+    law = None if found.law is None else found.law.as_json()
     return page(
         "diagnosis_report.html",
         language,
@@ -41,11 +41,8 @@ def diagnosis_report(found: Diagnosis, language: str = ENGLISH, rehearsal: Rehea
         candidates=[_candidate(c) for c in found.candidates[:SHOWN_CANDIDATES]],
         next=found.next_measurement,
         warnings=found.warnings,
-        run_svg=svg(run_figure(found, language)),
-        residual_svg=svg(residual_figure(found, language)),
         law=law_said(found),
-        law_svg="" if (drawn := law_figure(found, language)) is None else svg(drawn),
-        votes_svg="" if votes is None else svg(votes),
+        **diagnosis_pictures(curves_of(found), law, language),
         rehearsal=_rehearsal(rehearsal) if rehearsal is not None else None,
     )
 

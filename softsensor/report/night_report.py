@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 from datetime import datetime
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 from daq.press.press_file import parse_press
 from daq.records import InputError
@@ -18,11 +19,12 @@ from softsensor.effects import catalogue, find_effect
 from softsensor.effects.parameters import plain
 from softsensor.effects.vocabulary import called, coefficient_words, parameters_told
 from softsensor.jobs.night_record import NightRecord
+from softsensor.report.diagnosis_figures import diagnosis_pictures
 from softsensor.report.page import kelvins, page
 
 
-def night_report(night: NightRecord, language: str = ENGLISH) -> str:
-    """Return the page as HTML text; it needs no other file."""
+def night_report(night: NightRecord, language: str = ENGLISH, link: str = "") -> str:
+    """Return the page as HTML text; it needs no other file. Runs are linked to the page at the address `link`."""
     bodies = _bodies(night.press_file)
     return page(
         "nightly_report.html",
@@ -34,13 +36,14 @@ def night_report(night: NightRecord, language: str = ENGLISH) -> str:
         models=[_version(m.version, m.status, m.model, m.reason) for m in night.models],
         in_force=_in_force(night.in_force or {}, bodies),
         diagnosis=_found(night.diagnosis),
-        alarms=[say("night-drift", coefficient=bodies(a.coefficient), said=a.message) for a in night.alarms],
-        runs=[_run(r.run, r.started_utc, fit) for r, fit in night.runs],
+        pictures=_pictures(night.diagnosis, language),
+        drifts=[say("night-drift", coefficient=bodies(name), said=said) for name, said in night.drifts],
+        runs=[_run(r.run, r.started_utc, fit) | {"link": _link(link, r.run)} for r, fit in night.runs],
         failures=[entry.message for entry in night.failures],
     )
 
 
-def write_report(night: NightRecord, folder: Path, language: str = ENGLISH) -> Path:
+def write_report(night: NightRecord, folder: Path, language: str = ENGLISH, link: str = "") -> Path:
     """Write the page as ``PRESS-DATE.html`` and return where; a page of the same night is replaced as a whole.
 
     Raises
@@ -52,12 +55,22 @@ def write_report(night: NightRecord, folder: Path, language: str = ENGLISH) -> P
     part = path.with_suffix(f".{os.getpid()}.part")
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        part.write_text(night_report(night, language), encoding="utf-8")
+        part.write_text(night_report(night, language, link), encoding="utf-8")
         part.replace(path)
     except OSError as error:
         why = error.strerror or type(error).__name__
         raise InputError(say("night-cannot-write", path=str(path), why=why)) from error
     return path
+
+
+def _pictures(diagnosis: Mapping[str, Any] | None, language: str) -> dict[str, str]:
+    """Return the pictures of the newest diagnosis; none of one that a version before 2026-11-23 stored."""
+    curves = (diagnosis or {}).get("curves")
+    return diagnosis_pictures(curves, (diagnosis or {}).get("law"), language) if curves else {}
+
+
+def _link(page: str, run: str) -> str:
+    return f"{page}#/runs/{quote(run, safe='')}" if page else ""
 
 
 def _outcome(night: NightRecord) -> Message:

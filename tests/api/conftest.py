@@ -21,6 +21,7 @@ from daq.simulated.campaign import Plan, Truth, make_campaign
 from daq.store.records import NewRun, RunEnd, StoredEstimate, StoredNight
 from daq.store.store import Store, open_store
 from daq.words import say
+from tests.curves import CURVES
 
 LAB = (Path(__file__).parents[2] / "deploy" / "presses" / "lab.toml").read_text(encoding="utf-8")
 STARTED = datetime(2026, 3, 4, 7, 0, tzinfo=UTC)
@@ -135,7 +136,7 @@ def store(tmp_path_factory: pytest.TempPathFactory, campaign: list[tuple[Run, Tr
         }
         opened.put_model("lab", "1", model, status="promoted", reason="first")
         opened.put_model("lab", "2", {**model, "version": "2"}, status="candidate", reason="extended")
-        opened.put_diagnosis("lab", {"verdict": "no_effect", "effects": [], "candidates": []})
+        opened.put_diagnosis("lab", {"verdict": "no_effect", "effects": [], "candidates": [], "curves": CURVES})
         opened.put_night(StoredNight("lab", STARTED, STARTED + timedelta(seconds=52), NIGHT, {}))
         opened.log("alarm", "record", "logger platens: no reply in 2 s", "lab")
         opened.beat("record", {"state": "running"})

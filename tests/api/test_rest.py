@@ -15,6 +15,7 @@ from daq.records import Channel, Quality, Run, Scan
 from daq.store import open_store
 from daq.words import Message
 from daq.words.message import languages
+from tests.curves import CURVES
 
 RUN = "/api/v1/runs/lab-2026-03-04-01"
 JSON = {"Content-Type": "application/json"}
@@ -172,6 +173,27 @@ def test_channels_models_diagnoses_and_events_are_lists(client):
         document = client.get(f"/api/v1/{path}").json()
         assert set(document) == {"items", "next_cursor"}, path
         assert document["items"], path
+
+
+@pytest.mark.parametrize("language", ["en", "de"])
+def test_the_report_of_a_night_has_its_pictures_and_leads_to_the_runs(client, language):
+    night = client.get("/api/v1/nights?press=lab&limit=1").json()["items"][0]["id"]
+    answer = client.get(f"/api/v1/nights/{night}/report?language={language}")
+    assert answer.headers["content-type"] == "text/html; charset=utf-8"
+    assert f'<html lang="{language}">' in answer.text
+    assert answer.text.count("<svg") == 3
+    assert 'href="../../../../#/runs/' in answer.text
+    assert client.get("/api/v1/nights/999/report").status_code == 404
+    assert client.get(f"/api/v1/nights/{night}/report?language=xx").status_code == 404
+
+
+def test_curves_of_a_diagnosis_are_asked_for_by_its_number_and_do_not_burden_the_list(client):
+    newest = client.get("/api/v1/diagnoses?press=lab&limit=1").json()["items"][0]
+    assert newest["has_curves"]
+    assert "curves" not in newest["diagnosis"]
+    answer = client.get(f"/api/v1/diagnoses/{newest['id']}/curves").json()
+    assert answer["curves"]["places"][0]["plain_residual_K"] == CURVES["places"][0]["plain_residual_K"]
+    assert client.get("/api/v1/diagnoses/999/curves").status_code == 404
 
 
 def test_a_night_is_told_by_press_in_lists_and_numbers(client):

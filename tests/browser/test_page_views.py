@@ -19,6 +19,7 @@ from daq.store import StoredNight
 from daq.words import Message, say
 from daq.words.message import words
 from tests.browser.conftest import CHANNELS
+from tests.curves import CURVES
 
 VIEWS = (
     "#/now",
@@ -67,6 +68,7 @@ DIAGNOSIS = {
     "candidates": [{"name": "moisture_evaporation", "score": 9.0, "p_value": 0.0005, "heldout_gain_K": 0.65}],
     "next_measurement": "Weigh the panel before and after pressing, or press one dried to zero moisture.",
     "next_measurement_said": say("effect-moisture_evaporation-confirmed-by").to_json(),
+    "curves": CURVES,
 }
 NIGHT_BEGAN = datetime(2026, 3, 5, 1, 0, tzinfo=UTC)
 NIGHT = {
@@ -228,6 +230,62 @@ def test_a_night_says_what_it_did_and_what_it_left_out(plant, browser, language,
     expect(nights).to_contain_text("lab-2026-03-05-1")
     expect(nights).to_contain_text("412")
     page.screenshot(path=tmp_path / "nights.png")
+    context.close()
+
+
+@pytest.mark.parametrize(
+    ("language", "width", "scheme", "says"),
+    [
+        ("en-GB", 1920, "light", "Diagnosis"),
+        ("de-DE", 375, "dark", "Diagnose"),
+        ("de-DE", 1920, "light", "Diagnose"),
+        ("en-GB", 375, "dark", "Diagnosis"),
+    ],
+)
+def test_the_report_of_a_night_opens_from_the_page_and_leads_back_to_a_run(
+    plant, browser, language, width, scheme, says, tmp_path
+):
+    address, _, _ = plant
+    context = browser.new_context(
+        locale=language, viewport={"width": width, "height": 900}, color_scheme=scheme, bypass_csp=True
+    )
+    page = context.new_page()
+    page.goto(address + "#/nights")
+    with context.expect_page() as opened:
+        page.get_by_test_id("nights").locator("a[href*='/report']").first.click()
+    report = opened.value
+    expect(report.locator("figure svg").first).to_be_visible()
+    assert report.locator("html").get_attribute("lang") == language[:2]
+    expect(report.get_by_role("heading", name=says, exact=True)).to_be_visible()
+    assert report.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    report.evaluate((resources.files("axe_playwright_python") / "axe.min.js").read_text(encoding="utf-8"))
+    assert violations(report) == []
+    report.screenshot(path=tmp_path / "night.png", full_page=True)
+    report.get_by_role("link", name="campaign-1").click()
+    expect(report).to_have_url(address + "#/runs/campaign-1")
+    context.close()
+
+
+@pytest.mark.parametrize(
+    ("language", "heads"),
+    [
+        ("en-GB", ("Measured and simulated: campaign-1", "extended model")),
+        ("de-DE", ("Gemessen und simuliert: campaign-1", "erweitert")),
+    ],
+)
+def test_a_diagnosis_shows_measured_plain_extended_and_residual_curves(plant, browser, language, heads, tmp_path):
+    address, _, _ = plant
+    context = browser.new_context(locale=language)
+    page = context.new_page()
+    page.goto(address + "#/diagnosis")
+    card = page.get_by_test_id("curves")
+    for head in heads:
+        expect(card).to_contain_text(head)
+    expect(card.locator(".chart canvas")).to_have_count(4)  # two places, residuals below each
+    drawn = page.evaluate("""[...document.querySelectorAll("[data-testid=curves] canvas")].map((canvas) =>
+        canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data.some((v) => v > 0))""")
+    assert drawn == [True] * 4
+    page.screenshot(path=tmp_path / "diagnosis.png", full_page=True)
     context.close()
 
 

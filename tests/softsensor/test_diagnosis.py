@@ -19,6 +19,7 @@ from daq.simulated.campaign import Plan, Truth, make_campaign, press_toml
 from daq.words import Message
 from daq.words.message import catalogue, sentences, words
 from softsensor.diagnosis.advice import AdviceBasis, next_measurement, rim_notes
+from softsensor.diagnosis.curves import curves_of
 from softsensor.diagnosis.decision import ALPHA_PATTERN, EXCESS, NEGLIGIBLE_K, Verdict, refuted_by_cores
 from softsensor.diagnosis.extension import (
     Direction,
@@ -416,7 +417,7 @@ def test_a_rig_of_layers_is_told_nothing_of_panels_and_cores(verdict: Verdict) -
 def test_one_run_with_a_loose_sensor_says_that_it_is_too_few_and_draws_its_residual() -> None:
     found = diagnosed("sensor_fault", 21, 1)
     assert sentences(verdict_said(found)).endswith("1 run is too few to tell any other cause from chance.")
-    drawn = [line.get_label() for ax in residual_figure(found).get_axes() for line in ax.get_lines()]
+    drawn = [line.get_label() for ax in residual_figure(curves_of(found)).get_axes() for line in ax.get_lines()]
     assert "plain model" in drawn
     assert "by comparison with the channels beside it" in diagnosis_report(found)
     assert "flipping" not in diagnosis_report(found)

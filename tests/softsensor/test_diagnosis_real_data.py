@@ -8,6 +8,7 @@ import pytest
 from daq.files.mapping import read_foreign, read_mapping
 from daq.press.press_file import read_press
 from daq.words.message import sentences
+from softsensor.diagnosis.curves import curves_of
 from softsensor.diagnosis.search import settle_base
 from softsensor.diagnosis.summary import core_said, sureness, where_said
 from softsensor.diagnosis.verdict import _where, diagnose
@@ -153,7 +154,7 @@ def test_a_rig_that_never_closes_is_not_told_about_its_closing():
 
 @pytest.mark.parametrize("found", [moist, rig])
 def test_figure_of_a_measured_run_shows_readings_both_models_and_both_residuals(found):
-    axes = run_figure(found()).get_axes()
+    axes = run_figure(curves_of(found())).get_axes()
     labels = {label for ax in axes for label in ax.get_legend_handles_labels()[1]}
     assert {"measured (mean)", "plain model", "extended model", "plain", "extended"} <= labels
     residuals = {line.get_label(): line.get_ydata() for ax in axes for line in ax.get_lines()}

@@ -32,7 +32,7 @@ from softsensor.jobs.model_in_force import combined_model, fingerprint
 from softsensor.jobs.night import refit_press, roll_back
 from softsensor.jobs.night_fits import Done, Task, fit_all
 from softsensor.jobs.night_judgement import surely_less
-from softsensor.jobs.night_record import night_record
+from softsensor.jobs.night_record import night_record, stored_night_record
 from softsensor.report.night_report import night_report, write_report
 from tests.editions import edition
 from tests.panels import panel_stated
@@ -478,6 +478,13 @@ RIM = {
 def test_the_page_of_the_night_says_what_was_done(store, runs, tmp_path):
     fill(store, runs[:3])
     outcome = refit_press(store, "lab", PRESS, workers=1)
+    drawn = night_report(night_record(store, outcome), link="http://press:8765/")
+    assert drawn.count("<svg") == 2  # as of any diagnosis without a cause: one run, what all have left
+    assert all(f'<a href="http://press:8765/#/runs/{run.name}">' in drawn for run in runs[:3])
+    (night,) = store.nights(press="lab").items
+    kept = night_report(stored_night_record(store, night), link="http://press:8765/")
+    when = r"\d{4}-\d\d-\d\d \d\d:\d\d UTC"
+    assert re.sub(when, "", kept) == re.sub(when, "", drawn)
     store.put_diagnosis("lab", RIM)
     page = write_report(night_record(store, outcome), tmp_path / "reports").read_text(encoding="utf-8")
     assert f"Model {outcome.version} was promoted" in page

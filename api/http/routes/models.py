@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from fastapi import APIRouter
+from typing import Annotated
+
+from fastapi import APIRouter, Path, Query
+from fastapi.responses import HTMLResponse
 
 from api.answers.drift import drift_of
 from api.answers.nights import night_of
 from api.answers.records import coefficient_points, model_summary, parameter_words
 from api.answers.schemas import (
     CoefficientHistory,
+    DiagnosisCurves,
     DiagnosisList,
     DiagnosisRecord,
     DriftList,
@@ -22,8 +26,12 @@ from daq.records import InputError
 from daq.store.records import ModelRecord
 from daq.store.store import Store
 from daq.words import say
+from daq.words.message import ENGLISH, languages
 
 router = APIRouter(tags=["model"], responses=problem_responses())
+Number = Annotated[int, Path(ge=1, le=2**31 - 2)]
+"""Of a row; the next one is a cursor, and PostgreSQL counts in 32 bits."""
+Language = Annotated[str, Query(description="Of the words in it.")]
 
 
 @router.get("/coefficients", operation_id="list_coefficients", summary="History of the coefficients")
@@ -87,8 +95,9 @@ def list_diagnoses(
             press=d.press,
             utc=d.created_utc,
             verdict=d.verdict,
-            diagnosis=dict(d.diagnosis),
+            diagnosis={key: value for key, value in d.diagnosis.items() if key != "curves"},
             parameters=parameter_words(e["name"] for e in d.diagnosis.get("effects", ())),
+            has_curves="curves" in d.diagnosis,
         )
         for d in page.items
     ]
@@ -102,6 +111,41 @@ def list_nights(
     """Return one page of nights: runs new, fitted and left out, time, memory, what was named and promoted."""
     page = store.nights(press=press, cursor=cursor, limit=limit)
     return NightList(items=[night_of(night) for night in page.items], next_cursor=page.next_cursor)
+
+
+@router.get(
+    "/diagnoses/{number}/curves",
+    operation_id="get_diagnosis_curves",
+    summary="A diagnosis as curves",
+    responses=problem_responses(404),
+)
+def get_diagnosis_curves(store: StoreDep, number: Number) -> DiagnosisCurves:
+    """Return one run measured and under both models, and what the models leave of all runs."""
+    found = [d for d in store.diagnoses(cursor=str(number + 1), limit=1).items if d.number == number]
+    if not found or "curves" not in found[0].diagnosis:
+        raise ProblemError(404, say("api-no-curves", number=number))
+    return DiagnosisCurves(id=str(number), press=found[0].press, curves=found[0].diagnosis["curves"])
+
+
+@router.get(
+    "/nights/{number}/report",
+    operation_id="get_night_report",
+    summary="A night's page",
+    response_class=HTMLResponse,
+    responses=problem_responses(404),
+)
+def get_night_report(store: StoreDep, number: Number, language: Language = ENGLISH) -> HTMLResponse:
+    """Return what the nightly job did and found for a press, with pictures, as a page of its own."""
+    from softsensor.jobs.night_record import stored_night_record
+    from softsensor.report.night_report import night_report
+
+    if language not in languages():
+        raise ProblemError(404, say("api-no-such-language", language=language, languages=languages()))
+    found = [n for n in store.nights(cursor=str(number + 1), limit=1).items if n.number == number]
+    if not found:
+        raise ProblemError(404, say("api-no-night", number=number))
+    page = night_report(stored_night_record(store, found[0]), language, "../../../../")
+    return HTMLResponse(page, headers={"Content-Disposition": f'inline; filename="night-{number}.html"'})
 
 
 def _existing(store: Store, version: str) -> ModelRecord:

@@ -1,5 +1,6 @@
 // What the simulation gets wrong: the last diagnosis with cause, evidence and gain; model versions to promote or roll back.
 import { get, post } from "../api.js";
+import { TimeChart, key } from "../charts.js";
 import { clock, el, number, plain, table } from "../dom.js";
 import { capital, effectName as name, has, placeName, said, text } from "../words.js";
 
@@ -36,7 +37,33 @@ function drawDiagnosis(holder, record) {
       d.noise_floor_K ? el("div", {}, el("b", {}, `${number(d.noise_floor_K, 2)} K`), el("span", {}, text("page-noise-floor"))) : null),
     d.next_measurement ? el("p", { class: "next" }, el("b", {}, `${text("page-next-measurement")}: `), said(d.next_measurement_said, d.next_measurement)) : null)];
   cards.push(el("div", { class: "pair" }, candidatesCard(d), whereCard(d)));
-  holder.replaceChildren(...cards);
+  const curves = record.has_curves ? el("section", { class: "card", "data-testid": "curves" }) : null;
+  holder.replaceChildren(...[cards[0], curves, ...cards.slice(1)].filter(Boolean));
+  if (curves) drawCurves(curves, record.id);
+}
+
+// One run measured and under both models, a chart a place with its residuals below.
+async function drawCurves(card, id) {
+  const { curves } = await get(`/diagnoses/${id}/curves`);
+  if (!card.isConnected) return;
+  const models = [["plain", "--faint"], ["extended", "--core"]].filter(([model]) => model === "plain" || curves.core.extended_C);
+  const called = (model) => text("figure-model", { model: text(`figure-${model}`) });
+  const cores = Object.values(curves.core.measured_C);
+  const phases = curves.closed_s === null ? [] : [{ state: "closed", from_s: curves.closed_s, to_s: curves.opened_s }];
+  card.append(el("h2", {}, text("page-curves", { run: curves.run })), el("p", { class: "small faint" }, text("page-curves-hint")), key([
+    { name: text("figure-mean"), colour: "--measured" }, ...models.map(([model, colour]) => ({ name: called(model), colour })),
+    ...models.map(([model, colour]) => ({ name: text("figure-core", { model: text(`figure-${model}`) }), colour })), ...(cores.length ? [{ name: text("figure-core-measured"), colour: "--bottom" }] : [])]));
+  for (const place of curves.places) {
+    const name = capital(placeName(place.place));
+    const sync = `curves-${place.place}`;
+    const chart = new TimeChart(card, { height: 260, label: name, sync, phases, series: [...models.map(([model, colour]) => ({ name: called(model), colour, kind: "line" })), { name: text("figure-mean"), colour: "--measured", kind: "dots" },
+      ...models.map(([model, colour]) => ({ name: text("figure-core", { model: text(`figure-${model}`) }), colour, kind: "thin", dash: [5, 4] })),
+      ...cores.map(() => ({ name: text("figure-core-measured"), colour: "--bottom", kind: "dots" }))] });
+    chart.set([curves.time_s, ...models.map(([model]) => place[`${model}_C`]), place.measured_C, ...models.map(([model]) => curves.core[`${model}_C`]), ...cores]);
+    const residual = new TimeChart(card, { height: 150, label: text("page-curves-residual", { place: name }), yLabel: "K", sync, phases, series: models.map(([model, colour]) => ({ name: called(model), colour, kind: "line", unit: "K", digits: 2 })) });
+    residual.set([curves.time_s, ...models.map(([model]) => place[`${model}_residual_K`])]);
+    chart.holder.before(el("h3", { class: "sub" }, name));
+  }
 }
 
 function sentence(d) {

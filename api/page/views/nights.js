@@ -1,7 +1,7 @@
 // Nights: what the nightly job did for each press, newest first.
-import { get } from "../api.js";
+import { download, get, url } from "../api.js";
 import { bytes, duration, el, number, table, when } from "../dom.js";
-import { effectName, has, said, text } from "../words.js";
+import { effectName, has, language, said, text } from "../words.js";
 
 export async function show(place, context) {
   const rows = el("div", { "data-testid": "nights" });
@@ -23,9 +23,11 @@ function nightTable(nights) {
   const heads = [{ text: text("page-night") }, { text: text("page-night-new"), class: "right" }, { text: text("page-night-fitted"), class: "right" }, { text: text("page-night-left-out") },
     { text: text("page-night-took"), class: "right" }, { text: text("page-night-memory"), class: "right" }, { text: text("page-night-named") }, { text: text("page-night-model") }];
   return table(text("page-nav-nights"), heads, nights.map((one) => [
-    el("div", {}, when(one.ended_utc), el("p", { class: "small faint" }, text("page-night-stored", { press: one.press, runs: one.runs }))),
+    el("div", {}, report(one), el("p", { class: "small faint" }, text("page-night-stored", { press: one.press, runs: one.runs }))),
     count(one.new), count(one.fitted), leftOut(one), el("span", { class: "num" }, duration(one.seconds)), el("span", { class: "num" }, bytes(one.memory_bytes)), named(one), model(one)]), { cards: true });
 }
+
+const report = (one) => el("a", { href: url(`/nights/${one.id}/report`, { language: language() }), download: null, target: "_blank", title: text("page-night-report"), onclick: download }, when(one.ended_utc));
 
 const count = (value) => el("span", { class: "num" }, number(value, 0));
 
