@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import socket
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from datetime import UTC, datetime
+from multiprocessing import get_all_start_methods, get_context
 from pathlib import Path
 
 import pytest
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
+from api.cli import main
 from daq.records import Channel, PressEvent, PressEventKind, Quality, Scan
 from daq.store.records import NewRun, RunEnd, StoredEstimate
 from daq.store.store import Store, open_store
@@ -29,6 +34,9 @@ FLAGS = [
     "--disable-component-update",
     "--disable-sync",
 ]
+FORKED = get_context("forkserver" if "forkserver" in get_all_start_methods() else "spawn")
+FORKED.set_forkserver_preload(["api.cli", "api.alarms.watch", "api.alarms.ways", "api.http.server", "daq.store"])
+"""Servers are forked off a process that has imported what they need: that takes longer than most tests."""
 
 
 @pytest.fixture(scope="module")
@@ -154,20 +162,30 @@ class Served:
         )
 
     def start(self) -> None:
-        command = [sys.executable, "-m", "api", "serve", "--config", str(self.config), "--port", str(self.port)]
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-        assert self.process.stdout.readline().startswith("kerntemp serves")
+        command = ["serve", "--config", str(self.config), "--port", str(self.port)]
+        self.process = FORKED.Process(target=main, args=(command,))
+        self.process.start()
+        while True:
+            assert self.process.is_alive()
+            with suppress(ConnectionRefusedError):
+                socket.create_connection(("127.0.0.1", self.port)).close()
+                return
+            time.sleep(0.01)
+
+    def stop_for_a_while(self) -> None:
+        os.kill(self.process.pid, signal.SIGSTOP)
+
+    def go_on(self) -> None:
+        os.kill(self.process.pid, signal.SIGCONT)
 
     def end(self) -> None:
         """Stop the server, whatever a failed test left it in."""
-        self.process.send_signal(signal.SIGCONT)
+        self.go_on()
         self.process.terminate()
-        try:
-            self.process.wait(20)
-        except subprocess.TimeoutExpired:
-            self.process.kill()
-            self.process.wait(20)
-        self.process.stdout.close()
+        self.process.join(20)
+        self.process.kill()
+        self.process.join(20)
+        self.process.close()
 
 
 @pytest.fixture

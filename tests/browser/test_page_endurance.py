@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 import threading
 import time
 from itertools import accumulate
@@ -69,9 +68,9 @@ def test_when_the_line_goes_dead_old_readings_are_called_old_until_new_ones_come
     old = page.get_by_text("No new reading since")
     expect(page.get_by_test_id("core")).to_have_text("50.0°C")
     expect(old).to_be_hidden()
-    server.process.send_signal(signal.SIGSTOP)
+    server.stop_for_a_while()
     expect(old).to_be_visible()
-    server.process.send_signal(signal.SIGCONT)
+    server.go_on()
     expect(old).to_be_hidden()
     feed.stop.set()
     writer.join(20)

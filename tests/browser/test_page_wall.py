@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import signal
 import threading
+import time
 
 import pytest
 from playwright.sync_api import expect
@@ -34,7 +34,7 @@ def pressing(served):
     writer = threading.Thread(target=feed.pressing, args=(6000,), daemon=True)
     writer.start()
     while feed.store.open_run("lab") is None:
-        pass
+        time.sleep(0.01)
     run = feed.store.open_run("lab").run
     feed.store.annotate_run(run, {"setting.core_target_C": 60.0}, "test")
     yield server, page
@@ -73,7 +73,7 @@ def test_without_readings_no_answer_stands_and_nothing_is_green(pressing, view):
     page.goto(server.url + view)
     answer = page.get_by_test_id("answer")
     expect(answer).to_have_text("open in 11 s (8 to 15)")
-    server.process.send_signal(signal.SIGSTOP)
+    server.stop_for_a_while()
     expect(answer).to_contain_text("not known, because no reading for")
     green = """() => [...document.querySelectorAll('body *')].filter((e) => {
         const good = getComputedStyle(document.documentElement).getPropertyValue('--good').trim();
@@ -87,7 +87,7 @@ def test_without_readings_no_answer_stands_and_nothing_is_green(pressing, view):
         return drawn || own || styles[0].backgroundColor === rgb;
     }).map((e) => e.className)"""
     assert page.evaluate(green) == []
-    server.process.send_signal(signal.SIGCONT)
+    server.go_on()
     expect(answer).to_have_text("open in 11 s (8 to 15)")
     assert page.evaluate(green) != []
 
