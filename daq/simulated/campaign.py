@@ -90,8 +90,6 @@ class Truth:
     top_C: Array
     bottom_C: Array
     """Mean over the face."""
-    offsets_K: Mapping[str, float]
-    """Of each channel: reading minus true."""
     faults: tuple[Fault, ...]
     ambient: float
     pressing: Pressing
@@ -227,7 +225,7 @@ def _make_run(press: _Press, seed: int, number: int) -> tuple[Run, Truth]:
     }
     if rng.random() < press.plan.core_column:
         truth["core_1"] = core
-    columns, offsets = measure(truth, times, chain, pressing.ambient, rng)
+    columns = measure(truth, times, chain, pressing.ambient, rng)
     if press.closed_column:
         columns["closed"] = ((times >= pressing.closed) & (times < pressing.opened)).astype(np.float64)
     name = f"{press.name}-{number + 1:02d}"
@@ -245,7 +243,6 @@ def _make_run(press: _Press, seed: int, number: int) -> tuple[Run, Truth]:
         core_C=core(times),
         top_C=np.mean([faces[c](times) for c in FACES["top"]], axis=0),
         bottom_C=np.mean([faces[c](times) for c in FACES["bottom"]], axis=0),
-        offsets_K=offsets,
         faults=faults,
         ambient=pressing.ambient,
         pressing=pressing,

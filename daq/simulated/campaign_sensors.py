@@ -108,8 +108,8 @@ def measure(
     chain: Chain,
     ambient: float,
     rng: np.random.Generator,
-) -> tuple[dict[str, Array], dict[str, float]]:
-    """Return the columns a logger writes, and each channel's offset.
+) -> dict[str, Array]:
+    """Return the columns a logger writes (rows). [°C]
 
     Parameters
     ----------
@@ -127,7 +127,6 @@ def measure(
     face_sd, channel_sd = rng.uniform(*nuisances.face_noise_K), rng.uniform(*nuisances.channel_noise_K)
     common = {face: coloured(rng, n, step, 30.0, face_sd) for face in FACES}
     columns: dict[str, Array] = {}
-    offsets: dict[str, float] = {}
     for j, (name, curve) in enumerate(truth.items()):
         at = times + j * skew
         if name in PLATENS:
@@ -142,11 +141,10 @@ def measure(
             noise = coloured(rng, n, step, 10.0, channel_sd) + rng.normal(0.0, nuisances.white_K, n) + face
         true = _faulty(name, true, times, chain.faults, ambient, step, rng)
         columns[name] = true + offset + gain * (true - 23.0) + noise
-        offsets[name] = float(offset)
     for fault in chain.faults:
         if fault.kind == "swapped":
             columns[fault.column], columns[fault.partner] = columns[fault.partner], columns[fault.column]
-    return _written(columns, times, nuisances, rng), offsets
+    return _written(columns, times, nuisances, rng)
 
 
 def _faulty(

@@ -170,7 +170,7 @@ class VirtualPress:
         )
         times = np.append(np.arange(0.0, pressing.end, GRID_S), pressing.end)
         curves = self._curves(pressing, places.channels, before, rng)
-        readings, _ = measure(curves, times, chain, self.ambient, rng)
+        readings = measure(curves, times, chain, self.ambient, rng)
         with_panel = times >= pressing.inserted
         moments = Moments(
             start + pressing.inserted,
