@@ -128,9 +128,9 @@ class DiagnosisResult:
     def plot(self) -> list[Axes]:
         """Draw one run under both models with its residuals; return the axes."""
         from softsensor.diagnosis.curves import curves_of
-        from softsensor.report.diagnosis_figures import run_figure
+        from softsensor.report.diagnosis_figures import worst_run_figure
 
-        return _shown(run_figure(curves_of(self.diagnosis)))
+        return _shown(worst_run_figure(curves_of(self.diagnosis)))
 
     def model(self) -> ModelFile:
         """Return the extended model."""

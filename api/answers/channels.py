@@ -24,12 +24,12 @@ Role = Literal["platen", "top", "bottom", "core", "other"]
 _ROLES: tuple[Role, ...] = ("platen", "top", "bottom", "core")
 
 
-def role_of(channel: str) -> Role:
+def channel_role(channel: str) -> Role:
     """Tell platen, face and core channels apart by the contract's column names."""
     return next((role for role in _ROLES if channel.startswith(role)), "other")
 
 
-def faces_of(channels: Sequence[ChannelNow]) -> Faces:
+def faces_now(channels: Sequence[ChannelNow]) -> Faces:
     """Return the median of the good sensors at platens and faces."""
 
     def middle(start: str) -> float | None:
@@ -135,7 +135,7 @@ def channels_now(
                 press=press,
                 name=name,
                 logger=str(report.get("logger", "")),
-                role=role_of(name),
+                role=channel_role(name),
                 unit="°C" if unit == "C" else unit,
                 value=value,
                 temperature_C=value if unit == "C" else None,

@@ -118,7 +118,7 @@ def _health(
     )
 
 
-def kind_of(process: str) -> str:
+def duty_of(process: str) -> str:
     """Return what a process does: its name without the host.
 
     >>> kind_of("record@press-pc-2")
@@ -131,10 +131,10 @@ def _names(statuses: Mapping[str, ProcessStatus], now: datetime) -> list[str]:
     """Return the processes to tell of: the expected ones of every machine there lately, then the others."""
     names = []
     for expected in EXPECTED:
-        known = sorted((n for n in statuses if kind_of(n) == expected), key=lambda n: statuses[n].utc)
+        known = sorted((n for n in statuses if duty_of(n) == expected), key=lambda n: statuses[n].utc)
         lately = [n for n in known if (now - statuses[n].utc).total_seconds() < IN_USE_S]
         names += sorted(lately) or known[-1:] or [expected]
-    return [*names, *(n for n in sorted(statuses) if kind_of(n) not in EXPECTED)]
+    return [*names, *(n for n in sorted(statuses) if duty_of(n) not in EXPECTED)]
 
 
 def _process(name: str, status: ProcessStatus | None, now: datetime) -> ProcessHealth:
@@ -166,10 +166,10 @@ def _process(name: str, status: ProcessStatus | None, now: datetime) -> ProcessH
 
 def is_missed(process: ProcessHealth) -> bool:
     """Return whether a process that should run gives no sign of life; one of `WANTED` may be switched off."""
-    if process.alive or kind_of(process.name) in EXPECTED:
+    if process.alive or duty_of(process.name) in EXPECTED:
         return not process.alive
     lately = process.age_s is not None and process.age_s < IN_USE_S
-    return kind_of(process.name) in WANTED and lately and process.state != "stopped"
+    return duty_of(process.name) in WANTED and lately and process.state != "stopped"
 
 
 def _process_alarms(processes: list[ProcessHealth]) -> list[Message]:
@@ -179,7 +179,7 @@ def _process_alarms(processes: list[ProcessHealth]) -> list[Message]:
             alarms.append(_missed(process))
         elif process.alive:
             alarms += _problems(process.details)
-        if kind_of(process.name) == "sense":
+        if duty_of(process.name) == "sense":
             alarms += [
                 say("health-scans-behind", press=press["press"], scans=behind)
                 for press in process.details.get("presses", [])
@@ -200,7 +200,7 @@ def refit_age_s(store: Store, statuses: Mapping[str, ProcessStatus], now: dateti
 
 
 def _missed(process: ProcessHealth) -> Message:
-    command = kind_of(process.name)
+    command = duty_of(process.name)
     if process.age_s is None:
         return say("health-process-never-seen", process=process.name, command=command)
     if process.age_s > LONG_S:

@@ -11,7 +11,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 from api.answers.advice import SILENT_S, advice_of
-from api.answers.channels import channels_now, faces_of
+from api.answers.channels import channels_now, faces_now
 from api.answers.decimation import number_or_none
 from api.answers.schemas import (
     CoefficientFit,
@@ -245,7 +245,7 @@ def press_now(store: Store, press: str, press_file: str, now: datetime) -> Press
         else None,
         phases=phases_of(shown) if shown else [],
         channels=channels,
-        faces=faces_of(channels),
+        faces=faces_now(channels),
         estimate=estimate,
         target=target_of(store, run, estimate),
         coefficients=coefficients_in_use(store, press, press_file),

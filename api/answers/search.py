@@ -74,7 +74,7 @@ class Wanted:
         return any(b.name in CORE for b in self.bounds) or self.order.removeprefix("-") in CORE
 
 
-def search(store: Store, wanted: Wanted, begin: int, limit: int) -> tuple[list[RunHit], int | None]:
+def search_page(store: Store, wanted: Wanted, begin: int, limit: int) -> tuple[list[RunHit], int | None]:
     """Return some of the runs looked for, and where the next ones begin, None after the last."""
     runs = every(lambda at: _page_at(store, wanted, at))
     records = [r for r in runs if _matches(r, wanted)]

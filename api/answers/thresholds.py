@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from datetime import datetime
 
-from api.answers.channels import role_of
+from api.answers.channels import channel_role
 from api.answers.drift import drift_of
 from api.answers.schemas import AlarmLimits
 from daq.records import Scan
@@ -63,7 +63,7 @@ def _core(store: Store, press: str, limits: AlarmLimits) -> Iterator[StandingAla
 
 def _platens(press: str, channels: tuple[str, ...], scan: Scan, limits: AlarmLimits) -> Iterator[StandingAlarm]:
     for channel, value, quality in zip(channels, scan.values, scan.qualities, strict=True):
-        if role_of(channel) != "platen" or not quality.usable:
+        if channel_role(channel) != "platen" or not quality.usable:
             continue
         about = {"press": press, "channel": channel}
         if limits.platen_above_C is not None and value > limits.platen_above_C:

@@ -6,7 +6,7 @@ from functools import cache
 
 from api.answers.schemas import Messages, Said
 from daq.words import Message
-from daq.words.message import catalogue, languages
+from daq.words.message import catalogue_of, languages
 
 
 @cache
@@ -17,7 +17,7 @@ def messages_of(language: str) -> Messages:
     """
     from softsensor.effects import words_of_own_effects
 
-    messages = catalogue(language).entries() | words_of_own_effects(language)
+    messages = catalogue_of(language).entries() | words_of_own_effects(language)
     return Messages(language=language, languages=list(languages()), messages=messages)
 
 

@@ -25,10 +25,10 @@ def demo(
     hidden = tuple(name.strip() for name in hide.split(",") if name.strip())
     check_effects(hidden)
     check_port(port)
-    from api.demo.demonstration import Plan, run_demo
+    from api.demo.demonstration import DemoPlan, run_demo
 
     end_in_order()
-    run_demo(Plan(speed=speed, pressings=pressings, hide=hidden, port=port, seed=seed), data, tell)
+    run_demo(DemoPlan(speed=speed, pressings=pressings, hide=hidden, port=port, seed=seed), data, tell)
 
 
 def end_in_order() -> None:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from daq.press.press_file import Press
     from softsensor.diagnosis.finding import Diagnosis
     from softsensor.diagnosis.rehearsal import Rehearsal
-    from softsensor.jobs.rehearsals import Plan
+    from softsensor.jobs.rehearsals import RehearsalPlan
 
 FreeLaw = Annotated[bool, typer.Option("--law", help="help-law")]
 Rehearse = Annotated[bool, typer.Option("--rehearse", help="help-rehearse")]
@@ -94,7 +94,7 @@ def diagnose(
         tell(line)
 
 
-def _rehearsal_plan(found: Diagnosis, count: int | None, effects: list[str], file: Path | None) -> Plan:
+def _rehearsal_plan(found: Diagnosis, count: int | None, effects: list[str], file: Path | None) -> RehearsalPlan:
     """Lay out what is to be rehearsed. Raises `InputError`."""
     from softsensor.diagnosis.rehearsal import campaign_of, hidden_of
     from softsensor.jobs.rehearsals import CAMPAIGNS, plan_rehearsal
@@ -103,7 +103,7 @@ def _rehearsal_plan(found: Diagnosis, count: int | None, effects: list[str], fil
     return plan_rehearsal(campaign, hidden_of(campaign, effects), count or CAMPAIGNS, file)
 
 
-def _rehearsed(found: Diagnosis, plan: Plan, dask: str) -> Rehearsal:
+def _rehearsed(found: Diagnosis, plan: RehearsalPlan, dask: str) -> Rehearsal:
     """Rehearse, and say before how long it takes. Raises `WorkFailed` where finished campaigns cannot be kept."""
     from softsensor.jobs.rehearsals import local_workers, rehearse
 

@@ -83,7 +83,7 @@ def files_read(*given: Path | str | None, store: str | None, config: Path | None
 
 def load_runs(arguments: list[str], store: str | None, config: Path | None) -> list[Run]:
     """Read every run, from its file or from the store. Raises `InputError` naming the first that fails."""
-    runs = [load_run(argument, store, config) for argument in arguments]
+    runs = [find_run(argument, store, config) for argument in arguments]
     names = [run.name for run in runs]
     if twice := next((name for name in names if names.count(name) > 1), None):
         raise InputError(say("terminal-run-twice", run=twice))
@@ -99,7 +99,7 @@ def say_doubts(headers: Iterable[Mapping[str, Any]]) -> None:
         warn(doubt)
 
 
-def load_run(argument: str, store: str | None, config: Path | None) -> Run:
+def find_run(argument: str, store: str | None, config: Path | None) -> Run:
     """Read one run: what exists as a file or ends like one is a file, all else an id in the store."""
     path = Path(argument)
     if path.exists() or path.suffix.lower() in (".csv", ".parquet"):

@@ -18,7 +18,7 @@ from daq.words import Message, say, spoken
 if TYPE_CHECKING:
     from daq.process.config import Config, ServerSettings
     from daq.store.store import Store
-    from softsensor.jobs.night_judgement import Outcome
+    from softsensor.jobs.night_judgement import NightOutcome
 
 Host = Annotated[str | None, typer.Option("--host", metavar="ADDRESS", help="help-host")]
 Port = Annotated[int | None, typer.Option("--port", min=0, max=65535, metavar="N", help="help-port")]
@@ -120,7 +120,7 @@ def refit(
         raise WorkFailed(say("terminal-refit-failed", failures=tuple(failed)))
 
 
-def _report(store: Store, outcome: Outcome, settings: Config) -> list[Message]:
+def _report(store: Store, outcome: NightOutcome, settings: Config) -> list[Message]:
     """Write the page of a press's night; return what went wrong, in this and in its fits."""
     from softsensor.jobs.night_judgement import PROCESS
     from softsensor.jobs.night_record import night_record

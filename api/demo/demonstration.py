@@ -20,8 +20,16 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from api.demo.press import press_of
-from api.demo.summary import Finding, compare, diagnosis_lines, gain_line, pace_lines, replayed, summary_lines
+from api.demo.press import virtual_press_of
+from api.demo.summary import (
+    PressingCheck,
+    compare,
+    diagnosis_lines,
+    gain_line,
+    pace_lines,
+    replayed,
+    summary_lines,
+)
 from api.demo.warm_up import PARTS
 from api.outputs import WorkFailed
 from daq.files.run_file import toml_line, toml_value
@@ -65,7 +73,7 @@ in them by a quarter, so that four (2026-11) were too few to judge by; no fit an
 
 
 @dataclass(frozen=True)
-class Plan:
+class DemoPlan:
     """What the demonstration is asked to do."""
 
     speed: float = 1.0
@@ -163,7 +171,7 @@ def _folder(data: Path | None) -> Iterator[Path]:
     yield data.resolve()
 
 
-def run_demo(plan: Plan, data: Path | None, tell: Callable[[Message | str], None]) -> None:
+def run_demo(plan: DemoPlan, data: Path | None, tell: Callable[[Message | str], None]) -> None:
     """Run the demonstration to its end. Raises `WorkFailed` where a part of it breaks."""
     with _folder(data) as folder, ExitStack() as ending:
         children = Children(folder)
@@ -181,10 +189,10 @@ def run_demo(plan: Plan, data: Path | None, tell: Callable[[Message | str], None
 
 
 class _Demo:
-    def __init__(self, plan: Plan, children: Children, tell: Callable[[Message | str], None]) -> None:
+    def __init__(self, plan: DemoPlan, children: Children, tell: Callable[[Message | str], None]) -> None:
         self.plan, self.children, self.tell = plan, children, tell
         self.started = time.monotonic()
-        self.findings: list[Finding] = []
+        self.findings: list[PressingCheck] = []
         self._noted: set[str] = set()
         self._pressed: set[int] = set()
         """Which of the virtual press's pressings were found."""
@@ -199,7 +207,7 @@ class _Demo:
         """Bring up loggers, recorder, sensor and page."""
         plan = self.plan
         settings = {"hide": plan.hide, "keep": LOGGERS_KEEP, "seed": plan.seed}
-        self.truth: VirtualPress = press_of({**settings, "keep": plan.known_cycles})
+        self.truth: VirtualPress = virtual_press_of({**settings, "keep": plan.known_cycles})
         for part in PARTS:
             command = [sys.executable, "-m", "api.demo.warm_up", part]
             self.children.start(f"warmup-{part}", command, stdout=subprocess.DEVNULL)
@@ -421,7 +429,7 @@ def _ended(process: str, status: int, why: str | Message) -> Message:
 _KERNTEMP = [sys.executable, "-m", "api"]
 
 
-def _write_configuration(path: Path, plan: Plan, loggers: Mapping[str, Any], press: VirtualPress) -> None:
+def _write_configuration(path: Path, plan: DemoPlan, loggers: Mapping[str, Any], press: VirtualPress) -> None:
     (path.parent / "press.toml").write_text(press_toml(positions=True), encoding="utf-8")
     panel = press.panel
     header = {

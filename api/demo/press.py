@@ -30,7 +30,7 @@ AMBIENT_INPUT = ("",)
 """The modules' unused inputs."""
 
 
-def press_of(settings: dict[str, Any]) -> VirtualPress:
+def virtual_press_of(settings: dict[str, Any]) -> VirtualPress:
     """Return the virtual press of these settings; two of the same settings agree at all times."""
     return VirtualPress(PressSettings(hide=tuple(settings["hide"]), keep=settings["keep"]), settings["seed"])
 
@@ -69,7 +69,7 @@ def _to_and_fro(t: float) -> float:
 def main() -> int:
     """Serve both loggers until standard input ends."""
     settings = json.loads(sys.stdin.readline())
-    press = press_of(settings)
+    press = virtual_press_of(settings)
     clock = PressClock(press, float(settings["speed"]), settings["pressings"])
 
     def inputs(channels: tuple[str, ...]) -> Any:

@@ -43,7 +43,7 @@ _HEADS = (
 
 
 @dataclass(frozen=True)
-class Finding:
+class PressingCheck:
     """One pressing: found minus true, and residuals."""
 
     run: str
@@ -77,7 +77,7 @@ class Finding:
         )
 
 
-def compare(store: Store, record: RunRecord, cycle: Cycle, zero_virtual_s: float) -> Finding:
+def compare(store: Store, record: RunRecord, cycle: Cycle, zero_virtual_s: float) -> PressingCheck:
     """Compare a stored pressing with the virtual press's cycle.
 
     Parameters
@@ -89,7 +89,7 @@ def compare(store: Store, record: RunRecord, cycle: Cycle, zero_virtual_s: float
     rmse, worst, inside = _core(store.estimates(record.run), cycle, zero_virtual_s)
     last = record.last_scan if record.last_scan is not None else record.first_scan - 1
     truth = cycle.moments
-    return Finding(
+    return PressingCheck(
         run=record.run,
         scans=last - record.first_scan + 1,
         closing_error_s=record.moments.closed_s + zero_virtual_s - truth.closed_s,
@@ -138,7 +138,7 @@ def replayed(
     return _core(said, cycle, zero_virtual_s)[0]
 
 
-def gain_line(findings: Sequence[Finding], after: Sequence[float]) -> Message:
+def gain_line(findings: Sequence[PressingCheck], after: Sequence[float]) -> Message:
     """Say what a promoted model does for the core of the last pressings; `after` are their errors with it. [K]"""
     before = [f.core_rmse_K for f in findings[-len(after) :]]
     old, new = (float(np.sqrt(np.mean(np.square(errors)))) for errors in (before, after))
@@ -146,7 +146,7 @@ def gain_line(findings: Sequence[Finding], after: Sequence[float]) -> Message:
 
 
 def summary_lines(
-    findings: Sequence[Finding], hidden: Sequence[str], diagnosis: Mapping[str, Any] | None
+    findings: Sequence[PressingCheck], hidden: Sequence[str], diagnosis: Mapping[str, Any] | None
 ) -> list[Message | str]:
     """Return the summary as lines of text."""
     lines: list[Message | str] = ["", say("demo-summary", runs=len(findings))]
@@ -173,7 +173,7 @@ def summary_lines(
 
 
 def pace_lines(
-    findings: Sequence[Finding], speed: float, left_out: int, recorded: int, unseen: int
+    findings: Sequence[PressingCheck], speed: float, left_out: int, recorded: int, unseen: int
 ) -> list[Message]:
     """Return a warning where the machine could not keep up with the speed asked for, else nothing.
 
@@ -210,11 +210,11 @@ def diagnosis_lines(hidden: Sequence[str], diagnosis: Mapping[str, Any] | None) 
         plain, extended = f"{before['heldout_rmse_K']:.3f}", f"{after['heldout_rmse_K']:.3f}"
         lines.append(say("demo-heldout", plain=plain, extended=extended))
     if diagnosis.get("next_measurement"):
-        lines.append(say("demo-next", what=next_measurement(diagnosis)))
+        lines.append(say("demo-next", what=stored_measurement(diagnosis)))
     return lines
 
 
-def next_measurement(diagnosis: Mapping[str, Any]) -> Message | str:
+def stored_measurement(diagnosis: Mapping[str, Any]) -> Message | str:
     """Return what a stored diagnosis would measure next; one of an older version says it in English only."""
     said = diagnosis.get("next_measurement_said")
     return Message.from_json(said) if said else str(diagnosis["next_measurement"])

@@ -123,7 +123,7 @@ def news(store: Store, position: Position, until: Position | None = None) -> Ite
             "time_s": round(event.monotonic_s - run.zero_monotonic_s, 6) if run else None,
             "source": event.source,
         }
-        yield encode("press", data, position)
+        yield encode_event("press", data, position)
     if _run_state(runs) != position.run:
         position.run = _run_state(runs)
         for record in reversed(runs):
@@ -133,7 +133,7 @@ def news(store: Store, position: Position, until: Position | None = None) -> Ite
                 "status": str(record.status),
                 "started_utc": record.started_utc.isoformat() if record.started_utc else None,
             }
-            yield encode("run", data, position)
+            yield encode_event("run", data, position)
     yield from _fits(store, position, until)
 
 
@@ -165,7 +165,9 @@ def _scans(
         if scan.number > last_scan:
             break
         position.scans[press] = scan.number
-        yield encode("scan", scan_event(press, batch.channels, scan, run_of_scan(runs, scan.number)), position)
+        yield encode_event(
+            "scan", scan_event(press, batch.channels, scan, run_of_scan(runs, scan.number)), position
+        )
     position.scans.setdefault(press, newest)
     after = max(position.estimates.get(press, newest), newest - CATCH_UP_SCANS)
     estimates = store.estimates_after(press, after, CATCH_UP_SCANS)
@@ -175,7 +177,7 @@ def _scans(
             break
         position.estimates[press] = estimate.number
         now = estimate_now(estimate, run_of_scan(runs, estimate.number), utc.get(estimate.number))
-        yield encode("estimate", {"press": press, **now.model_dump(mode="json")}, position)
+        yield encode_event("estimate", {"press": press, **now.model_dump(mode="json")}, position)
     position.estimates.setdefault(press, after)
 
 
@@ -215,10 +217,10 @@ def _fits(store: Store, position: Position, until: Position | None) -> Iterator[
             "rmse_K": fit.get("rmse_K"),
             "initial_rmse_K": fit.get("initial_rmse_K"),
         }
-        yield encode("fit", data, position)
+        yield encode_event("fit", data, position)
 
 
-def encode(name: str, data: dict[str, Any], position: Position) -> bytes:
+def encode_event(name: str, data: dict[str, Any], position: Position) -> bytes:
     """Return one Server-Sent Event."""
     text = json.dumps(data, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
     return f"event: {name}\nid: {position}\ndata: {text}\n\n".encode()

@@ -8,7 +8,7 @@ from typing import Any
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, generate_latest
 
-from api.answers.health import IN_USE_S, WANTED, health_of, installed_version, is_missed, kind_of, refit_age_s
+from api.answers.health import IN_USE_S, WANTED, duty_of, health_of, installed_version, is_missed, refit_age_s
 from api.answers.records import press_now
 from api.answers.schemas import Health, PressNow
 from daq.records import Quality
@@ -50,7 +50,7 @@ def _add_health(health: Health, refit_s: float | None, registry: CollectorRegist
     up = Gauge("kerntemp_process_up", "1 while the process beats", ["process"], registry=registry)
     age = Gauge("kerntemp_process_age_seconds", "Since its last beat", ["process"], registry=registry)
     for process in health.processes:
-        switched_off = kind_of(process.name) in WANTED and not process.alive and not is_missed(process)
+        switched_off = duty_of(process.name) in WANTED and not process.alive and not is_missed(process)
         if process.state != "done" and not switched_off:  # a job that came to its end is not down
             up.labels(process.name).set(process.alive)
         if process.age_s is not None:
@@ -61,7 +61,7 @@ def _add_health(health: Health, refit_s: float | None, registry: CollectorRegist
     if health.store.size_bytes is not None and health.store.free_bytes is not None:
         Gauge("kerntemp_store_bytes", "Size of the store", registry=registry).set(health.store.size_bytes)
         Gauge("kerntemp_store_free_bytes", "Free on its disk", registry=registry).set(health.store.free_bytes)
-    told = [(kind_of(process.name), process.details) for process in health.processes]
+    told = [(duty_of(process.name), process.details) for process in health.processes]
     _add_recorders([details for kind, details in told if kind == "record"], registry)
     behind = Gauge("kerntemp_sense_behind_scans", "Scans without estimate yet", ["press"], registry=registry)
     for press in (p for kind, details in told if kind == "sense" for p in details.get("presses", [])):

@@ -126,7 +126,7 @@ class Present:
     old: bool
 
 
-def check(settings: OpcuaSettings, tokens: TokenFile) -> None:
+def check_settings(settings: OpcuaSettings, tokens: TokenFile) -> None:
     """Refuse what would not be safe. Raises `InputError`."""
     if (settings.certificate is None) != (settings.key is None):
         raise InputError(say("plant-certificate-needs-key"))

@@ -98,11 +98,11 @@ class _Feeds:
         self._mqtt.run(self._stop)
 
     def _serve_opcua(self) -> None:
-        from api.plant.opcua import PressServer, check
+        from api.plant.opcua import PressServer, check_settings
 
         if self._config.opcua is None:
             return
-        check(self._config.opcua, self._tokens)
+        check_settings(self._config.opcua, self._tokens)
         self._opcua = PressServer(self._store, self._config.opcua, self._tokens)
         asyncio.run(self._opcua.run(self._stop))
 

@@ -12,7 +12,7 @@ import re
 
 from daq.drivers.bus import Bus, LineTiming
 from daq.drivers.decode import Sample, limited, out_of_range
-from daq.drivers.lines import decoded, line_reply
+from daq.drivers.lines import ascii_line, line_reply
 from daq.drivers.profile import Ascii, Profile
 from daq.drivers.protocol import BadFrame, Cause, NoReply
 from daq.records import InputError, Quality
@@ -131,7 +131,7 @@ class DconDevice:
         return reply.payload.decode("ascii"), reply.requested_s, reply.received_s
 
     def _checked(self, line: bytes, command: str, lead: str) -> bytes:
-        text = decoded(line)
+        text = ascii_line(line)
         if self._with_checksum:
             text, guard = text[:-2], text[-2:]
             if checksum(text) != guard:

@@ -23,7 +23,7 @@ def line_reply(end: bytes, *, longest: int = 4096) -> TakeReply:
     return take
 
 
-def decoded(line: bytes) -> str:
+def ascii_line(line: bytes) -> str:
     """Return a line as text, or raise BadFrame where a byte is no printable ASCII."""
     if any(not 32 <= byte < 127 for byte in line):
         raise BadFrame(say("reply-no-text", reply=repr(line[:40])), Cause.GARBAGE)

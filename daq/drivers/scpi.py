@@ -8,7 +8,7 @@ import time
 
 from daq.drivers.bus import Bus, Exchange, LineTiming
 from daq.drivers.decode import Sample, limited
-from daq.drivers.lines import decoded, line_reply
+from daq.drivers.lines import ascii_line, line_reply
 from daq.drivers.profile import Profile, Scpi
 from daq.drivers.protocol import BadFrame, Cause, NoReply
 from daq.records import InputError, Quality
@@ -36,7 +36,7 @@ class ScpiDevice:
         """Configure the scan. The format comes last: CONFigure and *RST switch it off again."""
         for command in ("*CLS", "*RST", "*CLS"):  # the first ends whatever lay half sent on the line
             self._send(command)
-        name = decoded(self._query("*IDN?").payload)
+        name = ascii_line(self._query("*IDN?").payload)
         if self._scpi.model not in name:
             raise NoReply(
                 say("logger-other-name", place=str(self.bus.place), found=repr(name), expected=self._scpi.model),
@@ -56,14 +56,14 @@ class ScpiDevice:
             "FORM:READ:UNIT OFF",
         ):
             self._send(command)
-        fault = decoded(self._query("SYST:ERR?").payload)
+        fault = ascii_line(self._query("SYST:ERR?").payload)
         if not fault.startswith(("+0", "0")):
             raise NoReply(say("logger-refuses-set-up", place=str(self.bus.place), fault=fault), Cause.REFUSED)
 
     def sample(self) -> Sample:
         """Scan once."""
         reply = self._query("READ?")
-        fields = decoded(reply.payload).split(",")
+        fields = ascii_line(reply.payload).split(",")
         if len(fields) != 2 * len(self._channels):
             raise BadFrame(
                 say("reply-field-count", fields=len(fields), channels=len(self._channels)), Cause.WRONG_SHAPE

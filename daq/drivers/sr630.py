@@ -11,7 +11,7 @@ import time
 
 from daq.drivers.bus import Bus, Exchange, LineTiming
 from daq.drivers.decode import Sample, limited
-from daq.drivers.lines import decoded, line_reply
+from daq.drivers.lines import ascii_line, line_reply
 from daq.drivers.profile import Profile
 from daq.drivers.protocol import BadFrame, Cause, NoReply
 from daq.records import Quality
@@ -43,7 +43,7 @@ class Sr630Device:
         inputs = self._profile.inputs
         with self.bus.lock:
             replies = {k: self._query(f"MEAS? {k + 1}") for k in self._used}
-            flags = decoded(self._query("OPEN?").payload).strip()
+            flags = ascii_line(self._query("OPEN?").payload).strip()
             self._in_step()
         if not re.fullmatch(r"\d{1,5}", flags):
             raise BadFrame(say("reply-no-open-mask", reply=repr(flags)), Cause.WRONG_SHAPE)
@@ -57,7 +57,7 @@ class Sr630Device:
         return Sample(tuple(values), tuple(qualities), first.requested_s, last.received_s)
 
     def _in_step(self) -> None:
-        name = decoded(self._query("*IDN?").payload)
+        name = ascii_line(self._query("*IDN?").payload)
         if re.fullmatch(r"[\s\d.+\-E]*", name):
             raise BadFrame(say("reply-out-of-step", reply=repr(name)), Cause.OUT_OF_STEP)
         if _MODEL not in name:
@@ -71,7 +71,7 @@ class Sr630Device:
 
 
 def _number(reply: Exchange) -> float:
-    text = decoded(reply.payload).strip()
+    text = ascii_line(reply.payload).strip()
     if not _NUMBER.fullmatch(text):
         raise BadFrame(say("reply-no-value", reply=repr(text[:20])), Cause.WRONG_SHAPE)
     return float(text)

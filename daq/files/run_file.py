@@ -29,11 +29,11 @@ from daq.files.run_rows import (
     RowText,
     check_names,
     check_rows,
-    decoded,
     escaped,
     number_in,
     read_rows,
     unescaped,
+    utf8_line,
 )
 from daq.press.header import check_header
 from daq.records import Array, InputError, Run
@@ -215,7 +215,7 @@ def _read_header(path: Path, file: BinaryIO) -> tuple[dict[str, Any], list[str],
     while found := file.readline(_LONGEST_LINE):
         raw = found.strip()
         if raw and not raw.startswith(b"#"):
-            names = _column_names(path, line, decoded(str(path), line, found.removesuffix(b"\n")))
+            names = _column_names(path, line, utf8_line(str(path), line, found.removesuffix(b"\n")))
             return header, names, RowText(path, file.tell(), line + 1)
         for key, value in flat_keys(_header_line(path, line, raw)):
             if key in header:
@@ -226,7 +226,7 @@ def _read_header(path: Path, file: BinaryIO) -> tuple[dict[str, Any], list[str],
 
 
 def _header_line(path: Path, line: int, raw: bytes) -> dict[str, Any]:
-    text = decoded(str(path), line, raw).removeprefix("#").strip()
+    text = utf8_line(str(path), line, raw).removeprefix("#").strip()
     try:
         parsed = read_toml(text)
     except InputError as error:

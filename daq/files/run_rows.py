@@ -245,10 +245,10 @@ def _records(text: RowText) -> Iterator[tuple[int, list[str]]]:
 
 def _lines(text: RowText, file: BinaryIO) -> Iterator[str]:
     for number, raw in enumerate(file, start=text.line):
-        yield decoded(str(text.path), number, raw.removesuffix(b"\n")) + "\n"
+        yield utf8_line(str(text.path), number, raw.removesuffix(b"\n")) + "\n"
 
 
-def decoded(where: str, line: int, raw: bytes) -> str:
+def utf8_line(where: str, line: int, raw: bytes) -> str:
     """Return a line's text; raises `InputError` naming the line that is not UTF-8."""
     try:
         return raw.decode()

@@ -405,7 +405,9 @@ class PressEventDetector:
         times = np.array(self._times)
         top, bottom = np.array([r.top for r in self._rows]), np.array([r.bottom for r in self._rows])
         after = self._since + 1.0 if kind is PressEventKind.OPENED else -math.inf
-        placed = place_moment(kind, Faces(times, top, bottom, self._rows[-1].plate), noticed, after, self._lag)
+        placed = place_moment(
+            kind, FaceHistory(times, top, bottom, self._rows[-1].plate), noticed, after, self._lag
+        )
         if placed is None:
             return max(noticed, self._first)
         if kind is PressEventKind.INSERTED:
@@ -445,7 +447,7 @@ def _gap(plate: float, face: float) -> float:
 
 
 @dataclass(frozen=True)
-class Faces:
+class FaceHistory:
     """Both faces over some seconds, and the plate's temperature there."""
 
     times: Array
@@ -455,7 +457,7 @@ class Faces:
 
 
 def place_moment(
-    kind: PressEventKind, faces: Faces, noticed: float, after: float, lag: Array | None
+    kind: PressEventKind, faces: FaceHistory, noticed: float, after: float, lag: Array | None
 ) -> Placed | None:
     """Place an event by the faces around the scan it was noticed at; None where they cannot tell.
 

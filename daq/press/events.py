@@ -20,7 +20,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from daq.press.detector import Faces, PressEventDetector, place_moment
+from daq.press.detector import FaceHistory, PressEventDetector, place_moment
 from daq.press.faces import columns_of, face_of
 from daq.press.moments import Placed, insertion_moment, usual_lag
 from daq.press.press_file import Press
@@ -146,7 +146,7 @@ def _refined(
     def place(kind: PressEventKind, lag: Array | None) -> Placed | None:
         near = _window(times, found[kind])
         hot = float(np.nanmedian(plate[near])) if np.isfinite(plate[near]).any() else math.nan
-        faces = Faces(times[near], top[near], bottom[near], hot)
+        faces = FaceHistory(times[near], top[near], bottom[near], hot)
         return place_moment(kind, faces, found[kind], after.get(kind, -math.inf), lag)
 
     lag = usual_lag()

@@ -21,7 +21,7 @@ from daq.words import Message, say
 
 
 @dataclass(frozen=True)
-class Limits:
+class NumberLimits:
     """Between which values a header's number can be one."""
 
     lower: float
@@ -33,23 +33,23 @@ class Limits:
 _ROOM = "coldest inhabited place (Oymyakon, -68 °C); a room at 100 °C is no room"
 _MATTER = "no solid at room temperature lies outside (aerogel, osmium, diamond composites aside)"
 _HAND = "set by hand, 2026-11: far beyond any press we know"
-LIMITS: Mapping[str, Limits] = {
-    "panel.thickness_mm": Limits(0.1, 500.0, "mm", _HAND),
-    "panel.density_kg_m3": Limits(5.0, 25000.0, "kg/m³", _MATTER),
-    "panel.conductivity_W_mK": Limits(0.005, 500.0, "W/mK", _MATTER),
-    "panel.heat_capacity_J_kgK": Limits(50.0, 10000.0, "J/kgK", _MATTER),
-    "panel.moisture_percent": Limits(0.0, 200.0, "%", "green wood holds at most twice its dry mass"),
-    "panel.moisture_before_percent": Limits(0.0, 200.0, "%", "green wood holds at most twice its dry mass"),
-    "panel.moisture_after_percent": Limits(0.0, 200.0, "%", "green wood holds at most twice its dry mass"),
-    "panel.mass_before_g": Limits(0.0, 1e6, "g", _HAND),
-    "panel.mass_after_g": Limits(-1e3, 1e6, "g", "a balance's zero drifts below nothing; above: " + _HAND),
-    "panel.initial_temperature_C": Limits(-60.0, 400.0, "°C", "wood chars above 400 °C"),
-    "ambient.temperature_C": Limits(-70.0, 100.0, "°C", _ROOM),
-    "setting.platen_temperature_C": Limits(-70.0, 2000.0, "°C", "as a reading of a thermocouple"),
-    "setting.pressure_N_cm2": Limits(0.0, 100000.0, "N/cm²", _HAND),
-    "setting.press_time_s": Limits(0.0, 1e6, "s", _HAND),
-    "setting.core_target_C": Limits(-70.0, 2000.0, "°C", "as a reading of a thermocouple"),
-    "setting.core_limit_C": Limits(-70.0, 2000.0, "°C", "as a reading of a thermocouple"),
+LIMITS: Mapping[str, NumberLimits] = {
+    "panel.thickness_mm": NumberLimits(0.1, 500.0, "mm", _HAND),
+    "panel.density_kg_m3": NumberLimits(5.0, 25000.0, "kg/m³", _MATTER),
+    "panel.conductivity_W_mK": NumberLimits(0.005, 500.0, "W/mK", _MATTER),
+    "panel.heat_capacity_J_kgK": NumberLimits(50.0, 10000.0, "J/kgK", _MATTER),
+    "panel.moisture_percent": NumberLimits(0.0, 200.0, "%", "green wood holds at most twice its dry mass"),
+    "panel.moisture_before_percent": NumberLimits(0.0, 200.0, "%", "green wood holds at most twice its dry mass"),
+    "panel.moisture_after_percent": NumberLimits(0.0, 200.0, "%", "green wood holds at most twice its dry mass"),
+    "panel.mass_before_g": NumberLimits(0.0, 1e6, "g", _HAND),
+    "panel.mass_after_g": NumberLimits(-1e3, 1e6, "g", "a balance's zero drifts below nothing; above: " + _HAND),
+    "panel.initial_temperature_C": NumberLimits(-60.0, 400.0, "°C", "wood chars above 400 °C"),
+    "ambient.temperature_C": NumberLimits(-70.0, 100.0, "°C", _ROOM),
+    "setting.platen_temperature_C": NumberLimits(-70.0, 2000.0, "°C", "as a reading of a thermocouple"),
+    "setting.pressure_N_cm2": NumberLimits(0.0, 100000.0, "N/cm²", _HAND),
+    "setting.press_time_s": NumberLimits(0.0, 1e6, "s", _HAND),
+    "setting.core_target_C": NumberLimits(-70.0, 2000.0, "°C", "as a reading of a thermocouple"),
+    "setting.core_limit_C": NumberLimits(-70.0, 2000.0, "°C", "as a reading of a thermocouple"),
 }
 VERDICTS = ("good", "blister", "undercured", "scrap")
 """What became of a panel, as the operator saw it."""

@@ -23,7 +23,7 @@ Transport = Literal["serial", "tcp", "rtu_over_tcp"]
 
 
 @dataclass(frozen=True)
-class Kind:
+class DeviceKind:
     """One device that can be simulated."""
 
     inputs: int
@@ -58,39 +58,41 @@ def _meter(name: str) -> Any:
     return lambda converter, station, tcp: ScanningMeter(converter, name=name)
 
 
-KINDS: Mapping[str, Kind] = {
-    "adam-4118": Kind(8, 0.8, "serial", _modbus(modbus.encode_adam_4118), {}),
-    "adam-4018+": Kind(8, 0.8, "serial", _modbus(modbus.encode_adam_4018_hundredth), {"scaling": "hundredth"}),
-    "m-7018": Kind(
+KINDS: Mapping[str, DeviceKind] = {
+    "adam-4118": DeviceKind(8, 0.8, "serial", _modbus(modbus.encode_adam_4118), {}),
+    "adam-4018+": DeviceKind(
+        8, 0.8, "serial", _modbus(modbus.encode_adam_4018_hundredth), {"scaling": "hundredth"}
+    ),
+    "m-7018": DeviceKind(
         8,
         0.8,
         "serial",
         _modbus(modbus.encode_m7018_engineering),
         {"scaling": "engineering", "baud": 9600, "address": 1},
     ),
-    "m-7019r": Kind(
+    "m-7019r": DeviceKind(
         8,
         0.8,
         "serial",
         _modbus(modbus.encode_m7019r_hex),
         {"scaling": "hex", "baud": 9600, "address": 1},
     ),
-    "adam-4118-ascii": Kind(8, 0.8, "serial", _adam("4118", 0.0, 1370.0), {"checksum": True}),
-    "m-7019r-dcon": Kind(
+    "adam-4118-ascii": DeviceKind(8, 0.8, "serial", _adam("4118", 0.0, 1370.0), {"checksum": True}),
+    "m-7019r-dcon": DeviceKind(
         8,
         0.8,
         "serial",
         _adam("7019R", -270.0, 1372.0),
         {"checksum": True, "baud": 9600, "address": 1},
     ),
-    "34970a": Kind(16, 0.0, "serial", _meter("HEWLETT-PACKARD,34970A,0,13-2-2"), {"baud": 9600}),
-    "daq970a": Kind(16, 0.0, "rtu_over_tcp", _meter("Keysight Technologies,DAQ970A,MY1,A.03.01"), {}),
-    "sr630": Kind(16, 0.0, "serial", lambda converter, station, tcp: Monitor(converter), {}),
-    "labjack-t7": Kind(16, 0.0, "tcp", _modbus(modbus.encode_labjack_t7, _labjack_setup), {}),
-    "sequent-smtc": Kind(8, 0.8, "serial", _modbus(modbus.encode_smtc), {"address": 1}),
-    "exemys-rme1-tc": Kind(8, 1.0, "tcp", _modbus(modbus.encode_rme1), {}),
-    "adam-6018+": Kind(8, 0.8, "tcp", _modbus(modbus.encode_adam_6018), {}),
-    "generic": Kind(
+    "34970a": DeviceKind(16, 0.0, "serial", _meter("HEWLETT-PACKARD,34970A,0,13-2-2"), {"baud": 9600}),
+    "daq970a": DeviceKind(16, 0.0, "rtu_over_tcp", _meter("Keysight Technologies,DAQ970A,MY1,A.03.01"), {}),
+    "sr630": DeviceKind(16, 0.0, "serial", lambda converter, station, tcp: Monitor(converter), {}),
+    "labjack-t7": DeviceKind(16, 0.0, "tcp", _modbus(modbus.encode_labjack_t7, _labjack_setup), {}),
+    "sequent-smtc": DeviceKind(8, 0.8, "serial", _modbus(modbus.encode_smtc), {"address": 1}),
+    "exemys-rme1-tc": DeviceKind(8, 1.0, "tcp", _modbus(modbus.encode_rme1), {}),
+    "adam-6018+": DeviceKind(8, 0.8, "tcp", _modbus(modbus.encode_adam_6018), {}),
+    "generic": DeviceKind(
         16,
         0.8,
         "tcp",
@@ -168,7 +170,7 @@ def simulated(
     return serve_serial(device) if wire == "serial" else serve_tcp(device)
 
 
-def kind_of(profile: str) -> Kind:
+def kind_of(profile: str) -> DeviceKind:
     """Return what is simulated under this profile's name."""
     if profile not in KINDS:
         raise InputError(say("simulated-no-device", profile=profile, known=tuple(sorted(KINDS))))

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from daq.records import InputError
-from daq.store.write_batch import Entry, WriteBatch, decode, encode
+from daq.store.write_batch import Entry, WriteBatch, decode_item, encode_item
 from daq.words import Message, say, spoken
 
 Result = TypeVar("Result")
@@ -71,7 +71,7 @@ class Buffer:
 
     def append(self, items: Sequence[WriteBatch | Entry]) -> None:
         """Keep items durably, all or none."""
-        texts = [_sealed(encode(item)) for item in items]
+        texts = [_sealed(encode_item(item)) for item in items]
 
         def insert(connection: sqlite3.Connection) -> None:
             connection.execute("BEGIN IMMEDIATE")
@@ -133,7 +133,7 @@ class Buffer:
 
     def _item(self, text: str) -> WriteBatch | Entry | None:
         try:
-            return decode(_opened(text))
+            return decode_item(_opened(text))
         except (ValueError, KeyError, TypeError, IndexError) as error:
             aside = self.set_aside(text, str(error))
             self._alarm(say("buffer-row-unreadable", file=str(self.path), aside=str(aside), error=spoken(error)))

@@ -103,7 +103,7 @@ def faults_json(channels: Sequence[Channel], qualities: Sequence[Quality]) -> st
     return json.dumps(faults, separators=(",", ":")) if faults else None
 
 
-def qualities_of(channels: Sequence[Channel], faults: str | None) -> tuple[Quality, ...]:
+def channel_qualities(channels: Sequence[Channel], faults: str | None) -> tuple[Quality, ...]:
     """Return the quality of each channel."""
     if faults is None:
         return (Quality.GOOD,) * len(channels)

@@ -24,7 +24,7 @@ from daq.store.convert import known_utc
 from daq.store.records import PressKey, StoreUnavailable
 from daq.store.session_placement import Notes, SessionPlacement, session_key
 from daq.store.store import Store
-from daq.store.write_batch import Entry, WriteBatch, encode, in_parts
+from daq.store.write_batch import Entry, WriteBatch, encode_item, in_parts
 from daq.supervision import SupervisedThread, unexpected
 from daq.words import Message, say, spoken
 
@@ -134,7 +134,7 @@ class Outbox:
     def expect(self, channels: Sequence[Channel]) -> None:
         """Reckon with scans of so many channels before the first one waits."""
         if self._buffer is not None:
-            self._buffer.expect(len(encode(_example(channels))))
+            self._buffer.expect(len(encode_item(_example(channels))))
 
     def close(self, longest_s: float = 10.0) -> None:
         """Write what is left, or give up after `longest_s`: what is not written then is told."""
@@ -267,7 +267,7 @@ class Outbox:
         if self._aside is None:
             raise error
         why = spoken(error) if isinstance(error, InputError) else unexpected(error)
-        aside = set_aside(self._aside, encode(item), str(why))
+        aside = set_aside(self._aside, encode_item(item), str(why))
         if isinstance(item, Entry):
             if item.message.code != "line-set-aside":  # or one that tells of itself would never end
                 said = say("line-set-aside", aside=str(aside))

@@ -12,7 +12,7 @@ from sqlalchemy import ColumnElement, Connection, Row, Select, Table, and_, func
 
 from daq.files.qualities import QUALITY, quality_text
 from daq.records import Array, Channel, InputError, Moments, Quality, Run, Scan
-from daq.store.convert import header_of, known_utc, nan, qualities_of, readings_table, utc_of
+from daq.store.convert import channel_qualities, header_of, known_utc, nan, readings_table, utc_of
 from daq.store.records import Page, RunRecord, RunStatus, ScanBatch, StoredPressEvent
 from daq.store.schema import CONFIGURATION, LAYOUT, PRESS, PRESS_EVENT, RUN, SCAN, SCAN_REMARK
 from daq.words import say
@@ -277,7 +277,7 @@ def scans_after(connection: Connection, press: str, last_number: int, limit: int
             known_utc(row.unix_s),
             row.monotonic_s,
             tuple(table[i].tolist()),
-            qualities_of(named, row.faults),
+            channel_qualities(named, row.faults),
         )
         for i, row in enumerate(same)
     )

@@ -30,7 +30,7 @@ def session_key(notes: Notes, press: str, channels: Sequence[Channel], press_fil
 
 
 @dataclass(frozen=True)
-class Place:
+class SessionPlace:
     """Where a session's scans belong."""
 
     press_id: int
@@ -51,15 +51,15 @@ class SessionPlacement:
         """Whether this is the first batch of a session: all before it must be written before it is placed."""
         return batch.key.press_id < 0 and "press_id" not in self._note(batch.key)
 
-    def place(self, key: PressKey) -> Place:
+    def place(self, key: PressKey) -> SessionPlace:
         """Find a session's place in the store; noted before anything is written there."""
         note = self._note(key)
         if "press_id" in note:
-            return Place(note["press_id"], note["shift"])
+            return SessionPlace(note["press_id"], note["shift"])
         interrupted = self._store.interrupt_open_runs(key.name)
         channels = [Channel(*c) for c in note["channels"]]
         registered = self._store.register_press(key.name, channels, note["press_file"])
-        place = Place(registered.press_id, registered.next_number, tuple(interrupted))
+        place = SessionPlace(registered.press_id, registered.next_number, tuple(interrupted))
         self._notes[key.press_id] = {**note, "press_id": place.press_id, "shift": place.shift}
         return place
 

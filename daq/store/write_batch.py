@@ -71,7 +71,7 @@ class Entry:
     """When it happened; it may be written much later."""
 
 
-def encode(item: WriteBatch | Entry) -> str:
+def encode_item(item: WriteBatch | Entry) -> str:
     """Write a batch or journal line as JSON."""
     if isinstance(item, Entry):
         return json.dumps(
@@ -114,8 +114,8 @@ def _read_end(run: str, last_scan: int, ended: str, status: str, first_scan: int
     return RunEnd(run, last_scan, datetime.fromisoformat(ended), RunStatus(status), first_scan)
 
 
-def decode(text: str) -> WriteBatch | Entry:
-    """Read what `encode` wrote."""
+def decode_item(text: str) -> WriteBatch | Entry:
+    """Read what `encode_item` wrote."""
     tree = json.loads(text)
     if "entry" in tree:
         level, process, message, *rest = tree["entry"]

@@ -115,7 +115,7 @@ class Catalogue:
         pattern = self._pattern(message.code)
         if pattern is None:
             if self.language != ENGLISH:
-                return catalogue(ENGLISH).words(message)
+                return catalogue_of(ENGLISH).words(message)
             shown = ", ".join(f"{name} = {self._argument(value)}" for name, value in message.arguments.items())
             return f"{message.code}: {shown}" if shown else message.code
         arguments = {name: self._argument(value) for name, value in message.arguments.items()}
@@ -159,7 +159,7 @@ def languages() -> tuple[str, ...]:
 
 
 @cache
-def catalogue(language: str) -> Catalogue:
+def catalogue_of(language: str) -> Catalogue:
     """Return the words of a language. Raises `KeyError` for one that has no file."""
     if language not in languages():
         raise KeyError(language)
@@ -168,7 +168,7 @@ def catalogue(language: str) -> Catalogue:
 
 def words(said: Message | str, language: str = ENGLISH) -> str:
     """Return a message in a language; a plain text as it is."""
-    return said if isinstance(said, str) else catalogue(language).words(said)
+    return said if isinstance(said, str) else catalogue_of(language).words(said)
 
 
 def sentences(said: Iterable[Message | str], language: str = ENGLISH) -> str:

@@ -111,13 +111,13 @@ def learn_words(effect: Effect) -> None:
         raise InputError(say("effect-without-words", name=effect.name, lacking=tuple(lacking)))
     for language in set(words.languages()) & set(effect.words):
         own = effect.words[language]
-        words.catalogue(language).learn({code: own[what] for what, code in wanted.items() if what in own})
+        words.catalogue_of(language).learn({code: own[what] for what, code in wanted.items() if what in own})
 
 
 def words_of_own_effects(language: str) -> dict[str, str]:
     """Return the words that installed effects bring, by code, for pages that read the catalogues by themselves."""
     catalogue()
-    return dict(words.catalogue(language).learnt)
+    return dict(words.catalogue_of(language).learnt)
 
 
 def find_effect(name: str) -> Effect:

@@ -22,10 +22,10 @@ from daq.words import Message, say
 from softsensor.fitting.constants import scatter_of
 from softsensor.fitting.dependence import Dependence, Program, fit_dependence
 from softsensor.fitting.experiment_advice import Company
-from softsensor.fitting.identifiability import WIDE, Profile, is_verdict_on
+from softsensor.fitting.identifiability import WIDE, LikelihoodProfile, is_verdict_on
 from softsensor.fitting.joint import fit_together
 from softsensor.fitting.population import Population, information
-from softsensor.fitting.result import Coefficient, Identifiability, RunFit, number
+from softsensor.fitting.result import Coefficient, Identifiability, RunFit, json_number
 from softsensor.fitting.unknowns import known_before
 from softsensor.heat.batch import Each
 from softsensor.heat.model import ThermalModel
@@ -76,7 +76,7 @@ class CampaignFit:
     """On platen temperature, pressure and press time, where they vary."""
     shared: tuple[str, ...] = ()
     """Coefficients with one value in all runs."""
-    profiles: tuple[Mapping[str, Profile], ...] = ()
+    profiles: tuple[Mapping[str, LikelihoodProfile], ...] = ()
     """By run and coefficient; of runs for which they were not asked empty."""
     method: str = "default"
 
@@ -103,14 +103,14 @@ class CampaignFit:
         """Return the content of ``fit --json``."""
         campaign = {
             name: {
-                "mean": number(c.mean),
-                "sd": number(c.sd),
-                "ci95": [number(v) for v in c.ci95],
-                "bootstrap95": [number(v) for v in c.bootstrap95],
+                "mean": json_number(c.mean),
+                "sd": json_number(c.sd),
+                "ci95": [json_number(v) for v in c.ci95],
+                "bootstrap95": [json_number(v) for v in c.bootstrap95],
                 "runs": c.runs,
-                "median": number(c.median),
-                "median_ci95": [number(v) for v in c.median_ci95],
-                "spread": number(c.spread),
+                "median": json_number(c.median),
+                "median_ci95": [json_number(v) for v in c.median_ci95],
+                "spread": json_number(c.spread),
                 "shared": name in self.shared,
             }
             for name, c in self.coefficients.items()
@@ -121,7 +121,7 @@ class CampaignFit:
                 entry["coefficients"][name]["joint"] = {"value": e.value, "sd": e.sd, "ci95": list(ends)}
             entry["correlation"] = {
                 "names": list(fitted.names),
-                "matrix": [[number(v) for v in row] for row in np.round(fitted.correlation, 4)],
+                "matrix": [[json_number(v) for v in row] for row in np.round(fitted.correlation, 4)],
             }
             if shapes:
                 entry["profiles"] = {name: shape.as_json() for name, shape in shapes.items()}
@@ -221,7 +221,7 @@ def campaign_of(
     alone = [information(f.problem, f.minimum.evaluation, f.spread, varying) for f in met]
     dependence = fit_dependence(varying, [f.problem.case.run for f in met], met, alone)
     runs = tuple(_with_shared(f, same) for f in fits)
-    unasked: tuple[Mapping[str, Profile], ...] = ({},) * len(fits)
+    unasked: tuple[Mapping[str, LikelihoodProfile], ...] = ({},) * len(fits)
     return CampaignFit(press, model, runs, coefficients, people, borrowed, dependence, shared, unasked)
 
 

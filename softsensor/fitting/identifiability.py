@@ -83,7 +83,7 @@ def is_verdict_on(warning: Message, names: Container[str]) -> bool:
     return warning.code == "fit-coefficient-unknown" and warning.arguments["name"] in names
 
 
-def judge(fitted: RunFit, company: Company = ALONE) -> RunFit:
+def with_verdicts(fitted: RunFit, company: Company = ALONE) -> RunFit:
     """Return the fit with every free coefficient's interval and verdict, and advice fit for its company."""
     if not fitted.met:
         return _unmet(fitted)
@@ -210,7 +210,7 @@ def profile_rise(fitted: RunFit, i: int, x: float, steps: int = EVALUATIONS) -> 
 
 
 @dataclass(frozen=True)
-class Profile:
+class LikelihoodProfile:
     """How much worse a run is met the further a coefficient is moved, the other unknowns following."""
 
     value: Array
@@ -229,7 +229,7 @@ class Profile:
         }
 
 
-def profile(fitted: RunFit, name: str, points: int = PROFILE_POINTS) -> Profile:
+def profile(fitted: RunFit, name: str, points: int = PROFILE_POINTS) -> LikelihoodProfile:
     """Return the profile of a parameter over about one and a half times its interval."""
     i = fitted.problem.names.index(name)
     u, c = fitted.problem.unknowns[i], fitted.coefficients[name]
@@ -246,10 +246,10 @@ def profile(fitted: RunFit, name: str, points: int = PROFILE_POINTS) -> Profile:
     at = middle + (xs - middle) / stretch  # held constants make a profile steeper than what is known
     rise = np.array([0.0 if x == middle else profile_rise(fitted, i, x, PROFILE_STEPS) for x in at])
     values = np.array([u.value(x) for x in xs])
-    return Profile(values, rise / fitted.spread**2, 0.5 * fitted.quantile**2)
+    return LikelihoodProfile(values, rise / fitted.spread**2, 0.5 * fitted.quantile**2)
 
 
-def profiles_of(fitted: RunFit) -> dict[str, Profile]:
+def profiles_of(fitted: RunFit) -> dict[str, LikelihoodProfile]:
     """Return the profile of every free coefficient of a run; none where the model does not describe it."""
     if not fitted.met:
         return {}

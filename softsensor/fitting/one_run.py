@@ -23,7 +23,7 @@ from daq.records import Array, InputError, Moments, Run
 from daq.words import say
 from softsensor.fitting.constants import constant_unknowns, fit_doubts, with_constants
 from softsensor.fitting.experiment_advice import ALONE, Company
-from softsensor.fitting.identifiability import held_against, judge
+from softsensor.fitting.identifiability import held_against, with_verdicts
 from softsensor.fitting.problem import (
     STALLED,
     Evaluation,
@@ -103,7 +103,7 @@ def fit_run(
     found = _settle(problem)
     warnings = jumps + remarks(found.problem.case, found.problem.signals, moments)
     fitted = run_fit(found.problem, found.minimum, found.initial, warnings)
-    return fitted if company is None else judge(fitted, company)
+    return fitted if company is None else with_verdicts(fitted, company)
 
 
 def make_problem(
@@ -141,7 +141,7 @@ def _fit_by_the_paper(problem: Problem, method: str, company: Company) -> RunFit
     name, _, sensors = method.partition(":")
     settled = _settle(problem)
     warnings = remarks(problem.case, problem.signals, problem.case.moments)
-    own = judge(run_fit(settled.problem, settled.minimum, settled.initial, []), company)
+    own = with_verdicts(run_fit(settled.problem, settled.minimum, settled.initial, []), company)
     run = problem.case.run
     found = fit_as_paper(problem.model, run, own.moments, name, every=sensors != "averages", start=problem.values)
     problem = settled.problem

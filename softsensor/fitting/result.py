@@ -137,9 +137,9 @@ class RunFit:
         """Return the run's entry of ``fit --json`` (NaN as null)."""
         table = {
             name: {
-                "value": number(c.value),
-                "sd": number(c.sd),
-                "ci95": [number(c.ci95[0]), number(c.ci95[1])],
+                "value": json_number(c.value),
+                "sd": json_number(c.sd),
+                "ci95": [json_number(c.ci95[0]), json_number(c.ci95[1])],
                 "identifiable": c.identifiable,
                 "verdict": c.verdict.value,
                 "reason": str(c.reason or ""),
@@ -153,19 +153,19 @@ class RunFit:
             "met": self.met,
             "coefficients": table,
             "constants": {key: c.as_json() for key, c in self.constants.items()},
-            "rmse_K": number(self.rmse_K),
-            "rmse_closed_K": number(self.rmse_closed_K),
-            "rmse_raw_K": number(self.rmse_raw_K),
-            "initial_rmse_K": number(self.initial_rmse_K),
-            "seconds": number(round(self.seconds, 4)),
-            "closed_s": number(self.closed_s),
-            "opened_s": number(self.opened_s),
+            "rmse_K": json_number(self.rmse_K),
+            "rmse_closed_K": json_number(self.rmse_closed_K),
+            "rmse_raw_K": json_number(self.rmse_raw_K),
+            "initial_rmse_K": json_number(self.initial_rmse_K),
+            "seconds": json_number(round(self.seconds, 4)),
+            "closed_s": json_number(self.closed_s),
+            "opened_s": json_number(self.opened_s),
             "warnings": [str(warning) for warning in self.warnings],
             "warnings_said": [warning.to_json() for warning in self.warnings],
         }
 
 
-def number(value: float) -> float | None:
+def json_number(value: float) -> float | None:
     """Return a JSON number, None where it is not finite."""
     return float(value) if np.isfinite(value) else None
 

@@ -78,7 +78,7 @@ def _march(cases: list[Case], builds: list[Build]) -> list[Record]:
     cells, contacts = max(len(c.mesh.dx) for c in cases), max(len(c.layout.interface) for c in cases)
     lanes = Lanes.empty(len(cases), steps, cells, contacts, m)
     for lane, b in enumerate(builds):
-        batch_steps.lay_out(Ready(b.stack, b.tangents, b.drive, b.start, places[lane]), lane, lanes)
+        batch_steps.fill_lane(Ready(b.stack, b.tangents, b.drive, b.start, places[lane]), lane, lanes)
     out = np.empty((len(cases), steps + 1, m))
     batch_steps.march_lanes(lanes, out)
     return [

@@ -67,7 +67,7 @@ class Ready(NamedTuple):
 
 
 class Lanes(NamedTuple):
-    """Runs side by side. `lay_out` fills one lane, `march_lanes` changes the cells."""
+    """Runs side by side. `fill_lane` fills one lane, `march_lanes` changes the cells."""
 
     h: Array
     """Step lengths, 0 where the run has ended (steps, lanes). [s]"""
@@ -127,7 +127,7 @@ class Flat(NamedTuple):
 
 
 @compiled(nogil=True)
-def lay_out(run, lane, lanes):
+def fill_lane(run, lane, lanes):
     """Fill one lane with a run: its coefficients once in full, then what the press's states change."""
     stack, tan, drive, state = run.stack, run.tan, run.drive, run.state
     h, group, outer, ends = lanes.h, lanes.group, lanes.outer, lanes.ends

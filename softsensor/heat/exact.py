@@ -236,7 +236,7 @@ def freeze(build: Build, steps: NDArray[np.int64]) -> tuple[Array, Array]:
     p, n = build.start.s.shape
     w = np.zeros((len(steps), step_terms.ROWS, n + 1))
     dw = np.zeros((len(steps), step_terms.DROWS, p, n + 1))
-    modal_steps.freeze(build.stack, build.tangents, build.drive, build.start, steps, (w, dw))
+    modal_steps.freeze_steps(build.stack, build.tangents, build.drive, build.start, steps, (w, dw))
     return w, dw
 
 

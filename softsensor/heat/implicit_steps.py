@@ -63,9 +63,9 @@ __all__ = [
     "Tangents",
     "delay",
     "empty_record",
-    "gather",
     "march",
     "rest",
+    "weighted_rows",
 ]
 
 # Numbers without another source were set by hand, 2026-11.
@@ -676,7 +676,7 @@ def delay(h, y, dy, tau, dtau):
 
 
 @compiled(fastmath=FAST)
-def gather(first, weights, y, out):
+def weighted_rows(first, weights, y, out):
     """Weighted sums of four neighbouring rows of `y` (b, rows, c), starting at `first`, into (b, ., c)."""
     for b in range(out.shape[0]):
         for row in range(out.shape[1]):

@@ -38,7 +38,7 @@ _NEXT_TO_NOTHING = 1e-200
 
 
 @compiled()
-def freeze(stack, tan, drive, state, steps, out):
+def freeze_steps(stack, tan, drive, state, steps, out):
     """Fill the coefficients and their tangents, `out` (spans, ...) each, of some steps of a linear stack."""
     w, dw = out
     p, n = state.s.shape

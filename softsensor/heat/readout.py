@@ -48,7 +48,7 @@ class Reader:
         """Return the rows of `y` (..., steps + 1, c) read off, (..., rows, c)."""
         flat = np.ascontiguousarray(y).reshape(-1, *y.shape[-2:])
         out = np.empty((len(flat), len(self.first), y.shape[-1]))
-        implicit_steps.gather(self.first, self.weights, flat, out)
+        implicit_steps.weighted_rows(self.first, self.weights, flat, out)
         return out.reshape(*y.shape[:-2], *out.shape[1:])
 
 

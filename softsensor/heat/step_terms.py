@@ -449,7 +449,7 @@ def exchange(stack, d_rate, co):
 
 
 @compiled()
-def stretches(heat, d_heat, ends):
+def active_stretches(heat, d_heat, ends):
     """List where a conversion acts, stretch by stretch: first cell and the one after the last. Return how many.
 
     Some act in two cells only, and everywhere else there is nothing to differentiate.
@@ -488,7 +488,7 @@ def conversion(stack, tan, state, r, h, co):
     n, p = dx.shape[0], dw.shape[1]
     star, value, slope = w[STAR], rate[RATE], rate[RSLOPE]
     ends = np.empty((n, 2), np.uint64)  # an index that cannot be negative vectorises
-    count = stretches(heat, d_heat, ends)
+    count = active_stretches(heat, d_heat, ends)
     part = np.zeros((4, n))
     # value and slope are linear in the tangents of: the fraction left, the rate (through left * kept),
     # and the rate's slope; both of the last are linear in those of T, a, b, c

@@ -58,7 +58,7 @@ class Chart(StrEnum):
 
 
 @dataclass(frozen=True)
-class Alarm:
+class DriftAlarm:
     """A coefficient has left what is usual."""
 
     coefficient: str
@@ -82,7 +82,7 @@ class Alarm:
         )
 
 
-def watch(name: str, values: Sequence[RunValue]) -> Alarm | None:
+def last_change(name: str, values: Sequence[RunValue]) -> DriftAlarm | None:
     """Look through a coefficient's runs, oldest first, for the latest change that still stands.
 
     Each run is held against all before it, `LEARN_RUNS` at least.
@@ -109,10 +109,10 @@ def _usual(logs: np.ndarray) -> tuple[float, float]:
     return float(logs.mean()), max(float(logs.std(ddof=1)), LEAST_SPREAD_LOG)
 
 
-def _chart(name: str, runs: Sequence[RunValue], logs: np.ndarray, z: np.ndarray) -> Alarm | None:
+def _chart(name: str, runs: Sequence[RunValue], logs: np.ndarray, z: np.ndarray) -> DriftAlarm | None:
     high = low = smooth = 0.0
     high_from = low_from = smooth_from = LEARN_RUNS
-    alarm: Alarm | None = None
+    alarm: DriftAlarm | None = None
     scale = math.sqrt(EWMA_WEIGHT / (2.0 - EWMA_WEIGHT))
     for i in range(LEARN_RUNS, len(z)):
         high, high_from = (high + z[i] - CUSUM_SLACK, high_from) if high > 0 else (z[i] - CUSUM_SLACK, i)
@@ -132,7 +132,7 @@ def _chart(name: str, runs: Sequence[RunValue], logs: np.ndarray, z: np.ndarray)
         elif alarm is None or alarm.run != runs[first].run:
             factor = math.exp(float(np.mean(logs[first : i + 1]) - np.mean(logs[:first])))
             noticed = runs[i].run if alarm is None else alarm.noticed
-            alarm = Alarm(name, runs[first].run, noticed, factor, chart)
+            alarm = DriftAlarm(name, runs[first].run, noticed, factor, chart)
     return alarm
 
 
@@ -149,7 +149,7 @@ def _jump(logs: np.ndarray, begun: int, noticed: int) -> int:
     return min(options, key=left)
 
 
-def alarms_of(store: Store, press: str) -> list[Alarm]:
+def alarms_of(store: Store, press: str) -> list[DriftAlarm]:
     """Return the alarms that stand over a press's newest runs, in the order in which they were pressed.
 
     Only fits made with the effects of the model in force count: beside other effects a coefficient means another
@@ -165,7 +165,7 @@ def alarms_of(store: Store, press: str) -> list[Alarm]:
     for c in reversed(fitted):
         if c.identifiable and effects[c.model_version] == in_force:
             history.setdefault(c.name, []).append(RunValue(c.run, c.value, c.sd))
-    found = (watch(name, values) for name, values in history.items())
+    found = (last_change(name, values) for name, values in history.items())
     return [alarm for alarm in found if alarm is not None]
 
 

@@ -31,7 +31,7 @@ from daq.words import Message, say, spoken
 from softsensor.heat.model_file import ModelFile, parse_model
 from softsensor.jobs.fitter import Fitter
 from softsensor.jobs.model_in_force import NEWEST_RUNS, PRESS_FILE, up_to_date
-from softsensor.jobs.run_fits import RunFits, journal
+from softsensor.jobs.run_fits import RunFits, write_journal
 from softsensor.jobs.warm_up import warm_up
 from softsensor.live.leaving import Leave
 from softsensor.live.sensor import Estimate, LiveSensor
@@ -78,7 +78,7 @@ def sense(config: Config, *, stop: threading.Event | None = None) -> None:
             with suppress(InputError):  # a rig whose runs must say more: compiled when the first does
                 warm_up(press)
         with suppress(StoreUnavailable):  # held for the moment: no reason to end
-            journal(store, "info", say("sense-following", presses=tuple(s.name for s, _ in presses)))
+            write_journal(store, "info", say("sense-following", presses=tuple(s.name for s, _ in presses)))
         notifier = Notifier()
         notifier.ready("following the store")
         _follow(store, followers, stop, notifier)
@@ -339,7 +339,7 @@ class Follower:
                 told[column] = math.inf
                 side = "below" if kelvin < 0.0 else "above"
                 said = say("channel-departs", column=column, kelvin=abs(kelvin), side=side, run=live.record.run)
-                journal(self.store, "warning", said, self.name)
+                write_journal(self.store, "warning", said, self.name)
         live.left_out_since = told
 
     def _finish(self, live: _Live) -> None:
@@ -361,7 +361,7 @@ class Follower:
         good = [f for f in fits if f is not None and f.get("model_version") == version]
         if version != self._base_version:
             if self._base_version != "?":
-                journal(self.store, "info", say("sense-takes-model", version=version), self.name)
+                write_journal(self.store, "info", say("sense-takes-model", version=version), self.name)
             self._base_version = version
         self.model = up_to_date(self.press, base, good[:NEWEST_RUNS])
 

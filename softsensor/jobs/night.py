@@ -23,8 +23,8 @@ from daq.words import Message, say
 from softsensor.heat.model_file import ModelFile, parse_model
 from softsensor.jobs.drift import alarms_of
 from softsensor.jobs.model_in_force import PRESS_FILE, fingerprint
-from softsensor.jobs.night_fits import Done, Task, fit_all
-from softsensor.jobs.night_judgement import PROCESS, Night, Outcome, judge
+from softsensor.jobs.night_fits import Done, FitTask, fit_all
+from softsensor.jobs.night_judgement import PROCESS, Night, NightOutcome, judge_night
 from softsensor.jobs.night_progress import Agenda, agenda_of
 
 ROLLED_BACK = "model-rolled-back"
@@ -42,7 +42,7 @@ def refit_press(
     *,
     workers: int | None = None,
     dask: str = "",
-) -> Outcome:
+) -> NightOutcome:
     """Run the job for one press, and sign off for it.
 
     Parameters
@@ -58,13 +58,13 @@ def refit_press(
     agenda = agenda_of(store, name, press, base)
     tally = _Tally(store, name, base.version if base is not None else PRESS_FILE)
     url = Address(store.database.url.render_as_string(hide_password=False))
-    for one in fit_all([Task(url, press, run, base) for run in agenda.due], workers, dask):
+    for one in fit_all([FitTask(url, press, run, base) for run in agenda.due], workers, dask):
         tally.keep(one, agenda.due[one.run])
     outcome = _worked_off(store, name, agenda, tally, base)
     fits = _standing_fits(store, agenda.window, press, base)
     basis = _basis(press, [r for r in agenda.window if r.run in fits])
     if base is None or agenda.progress.basis != basis:
-        outcome = judge(Night(store, name, press, base, agenda.window, fits), outcome)
+        outcome = judge_night(Night(store, name, press, base, agenda.window, fits), outcome)
     progress = replace(agenda.progress, basis=basis)
     told = _told(outcome, time.perf_counter() - begun)
     told["drifts"] = [{"coefficient": a.coefficient, "said": a.message.to_json()} for a in alarms_of(store, name)]
@@ -104,11 +104,11 @@ class _Tally:
         self.store.log(level, PROCESS, why, self.press)
 
 
-def _worked_off(store: Store, name: str, agenda: Agenda, tally: _Tally, base: ModelFile | None) -> Outcome:
+def _worked_off(store: Store, name: str, agenda: Agenda, tally: _Tally, base: ModelFile | None) -> NightOutcome:
     """Return what became of a press's runs, before anything is judged."""
     without = store.count_unfitted(name)
     behind = agenda.progress.behind
-    return Outcome(
+    return NightOutcome(
         press=name,
         runs=store.count_pressings(name),
         fitted=tally.fitted,
@@ -136,7 +136,7 @@ def _basis(press: Press, records: Sequence[RunRecord]) -> str:
     return sha256(repr([(r.run, fingerprint(r, press, None)) for r in records]).encode()).hexdigest()
 
 
-def _told(outcome: Outcome, seconds: float) -> dict[str, Any]:
+def _told(outcome: NightOutcome, seconds: float) -> dict[str, Any]:
     """Return a night as lists of nights show it."""
     return {
         "runs": outcome.runs,
@@ -169,7 +169,7 @@ def most_memory_bytes() -> int | None:
     )
 
 
-def sign_off(store: Store, outcomes: Sequence[Outcome]) -> None:
+def sign_off(store: Store, outcomes: Sequence[NightOutcome]) -> None:
     """Leave the whole job's sign of life: when it last came to its end, and what it said."""
     lines = [o.line for o in outcomes]
     told = {

@@ -24,7 +24,7 @@ from softsensor.jobs.fitter import fit_one, has_panel_readings, new_workers
 
 
 @dataclass(frozen=True)
-class Task:
+class FitTask:
     """One run to fit, in a worker that reads it from the store itself."""
 
     url: str
@@ -49,7 +49,7 @@ def _store_of(url: str) -> Store:
     return open_store(url, create=False)
 
 
-def fit_stored(task: Task) -> Done:
+def fit_stored(task: FitTask) -> Done:
     """Fit one stored run."""
     try:
         run = _store_of(task.url).load_run(task.run)
@@ -60,7 +60,7 @@ def fit_stored(task: Task) -> Done:
         return Done(task.run, why=spoken(error) if str(error) else spoken(type(error).__name__))
 
 
-def fit_all(tasks: Sequence[Task], workers: int | None = None, dask: str = "") -> Iterator[Done]:
+def fit_all(tasks: Sequence[FitTask], workers: int | None = None, dask: str = "") -> Iterator[Done]:
     """Yield the results of `fit_stored` as they come: on Dask, on local processes, or here."""
     if dask and tasks:
         yield from _on_dask(tasks, dask)
@@ -71,7 +71,7 @@ def fit_all(tasks: Sequence[Task], workers: int | None = None, dask: str = "") -
         yield from _on_workers(tasks, min(workers or os.cpu_count() or 1, len(tasks)))
 
 
-def _on_workers(tasks: Sequence[Task], count: int) -> Iterator[Done]:
+def _on_workers(tasks: Sequence[FitTask], count: int) -> Iterator[Done]:
     """Yield the results of local processes; what they had in hand when one was killed is tried once more."""
     left = deque(tasks)
     while left:
@@ -79,12 +79,12 @@ def _on_workers(tasks: Sequence[Task], count: int) -> Iterator[Done]:
         yield from map(_alone, suspects)
 
 
-def _until_killed(left: deque[Task], count: int) -> Generator[Done, None, list[Task]]:
+def _until_killed(left: deque[FitTask], count: int) -> Generator[Done, None, list[FitTask]]:
     """Take tasks until all are done or a worker is killed; return what the workers had in hand then.
 
     No worker is given more than one run at a time, so that few are under suspicion.
     """
-    under_way: dict[Future[Done], Task] = {}
+    under_way: dict[Future[Done], FitTask] = {}
     with suppress(BrokenProcessPool), new_workers(count) as pool:
         while left or under_way:
             while left and len(under_way) < count:
@@ -97,7 +97,7 @@ def _until_killed(left: deque[Task], count: int) -> Generator[Done, None, list[T
     return list(under_way.values())
 
 
-def _alone(task: Task) -> Done:
+def _alone(task: FitTask) -> Done:
     """Fit a run in a new worker of its own."""
     try:
         with new_workers(1) as pool:
@@ -106,6 +106,6 @@ def _alone(task: Task) -> Done:
         return Done(task.run, killed=True)
 
 
-def _on_dask(tasks: Sequence[Task], address: str) -> Iterator[Done]:
+def _on_dask(tasks: Sequence[FitTask], address: str) -> Iterator[Done]:
     for task, done in on_dask(fit_stored, tasks, address):
         yield Done(task.run, killed=True) if done is None else done

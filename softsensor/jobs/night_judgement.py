@@ -60,7 +60,7 @@ FEWEST_RUNS = 3
 
 
 @dataclass(frozen=True)
-class Outcome:
+class NightOutcome:
     """What the job did for one press."""
 
     press: str
@@ -126,7 +126,7 @@ class Night:
         return [self.store.load_run(name) for name in names]
 
 
-def judge(night: Night, outcome: Outcome) -> Outcome:
+def judge_night(night: Night, outcome: NightOutcome) -> NightOutcome:
     """Diagnose, make a candidate, and promote it if runs that took no part are the better for it.
 
     A candidate with fewer effects than the model in force, where the diagnosis no longer finds them, need not
@@ -160,7 +160,9 @@ def judge(night: Night, outcome: Outcome) -> Outcome:
     return outcome if found.better else _keep_or_begin(night, base, outcome)
 
 
-def _promote_or_leave(night: Night, candidate: ModelFile, found: _Comparison, outcome: Outcome) -> Outcome:
+def _promote_or_leave(
+    night: Night, candidate: ModelFile, found: _Comparison, outcome: NightOutcome
+) -> NightOutcome:
     """Store a candidate, and promote it if it is better and no one has gone back from a model like it."""
     unwanted = _rolled_back(night, candidate) if found.better else ""
     reason = say("night-like-rolled-back", reason=found.reason, version=unwanted) if unwanted else found.reason
@@ -188,7 +190,7 @@ def _leaves_out(old: ModelFile | None, new: ModelFile) -> tuple[str, ...]:
     return tuple(sorted(before - after)) if after < before else ()
 
 
-def _keep_or_begin(night: Night, base: ModelFile, outcome: Outcome) -> Outcome:
+def _keep_or_begin(night: Night, base: ModelFile, outcome: NightOutcome) -> NightOutcome:
     """Leave the promoted model; where there is none yet, begin with the runs' coefficients."""
     if night.base is not None:
         return outcome

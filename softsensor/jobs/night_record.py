@@ -11,7 +11,7 @@ from typing import Any
 from daq.store import JournalEntry, ModelRecord, RunRecord, Store, StoredNight, every
 from daq.words import Message
 from softsensor.jobs.drift import alarms_of
-from softsensor.jobs.night_judgement import Outcome
+from softsensor.jobs.night_judgement import NightOutcome
 
 # Numbers without another source were set by hand, 2026-11.
 
@@ -23,7 +23,7 @@ SHOWN_RUNS, SHOWN_MODELS, SHOWN_ENTRIES = 30, 10, 20
 class NightRecord:
     """A press after a night."""
 
-    outcome: Outcome
+    outcome: NightOutcome
     written: datetime
     press_file: str
     """As the store keeps it, empty where it keeps none."""
@@ -39,7 +39,7 @@ class NightRecord:
     failures: Sequence[JournalEntry]
 
 
-def night_record(store: Store, outcome: Outcome) -> NightRecord:
+def night_record(store: Store, outcome: NightOutcome) -> NightRecord:
     """Return what the store holds of the press of an outcome, now."""
     drifts = [(a.coefficient, a.message) for a in alarms_of(store, outcome.press)]
     return _record(store, outcome, drifts, datetime.now(UTC), None)
@@ -48,7 +48,7 @@ def night_record(store: Store, outcome: Outcome) -> NightRecord:
 def stored_night_record(store: Store, night: StoredNight) -> NightRecord:
     """Return what the store holds of a night, without what came after it."""
     told = night.night
-    outcome = Outcome(
+    outcome = NightOutcome(
         press=night.press,
         **{key: told[key] for key in ("runs", "fitted", "version", "verdict", "blind", "new", "later", "refused")},
         failed=told["not_fitted"],
@@ -63,7 +63,7 @@ def stored_night_record(store: Store, night: StoredNight) -> NightRecord:
 
 def _record(
     store: Store,
-    outcome: Outcome,
+    outcome: NightOutcome,
     drifts: Sequence[tuple[str, Message]],
     written: datetime,
     until: datetime | None,

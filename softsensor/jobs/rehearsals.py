@@ -33,7 +33,7 @@ were seen on two cores (2026-11)."""
 
 
 @dataclass(frozen=True)
-class Task:
+class RehearsalTask:
     """One campaign to rehearse."""
 
     hidden: Hidden
@@ -41,11 +41,11 @@ class Task:
 
 
 @dataclass(frozen=True)
-class Plan:
+class RehearsalPlan:
     """What is to be rehearsed, and what of it an earlier command has done."""
 
     campaign: Campaign
-    tasks: tuple[Task, ...]
+    tasks: tuple[RehearsalTask, ...]
     done: tuple[Outcome, ...]
     file: Path | None = None
 
@@ -56,23 +56,23 @@ class Plan:
 
 def plan_rehearsal(
     campaign: Campaign, causes: Sequence[Hidden], count: int = CAMPAIGNS, file: Path | None = None
-) -> Plan:
+) -> RehearsalPlan:
     """Lay out so many campaigns of each cause and of none, without those that a file holds already.
 
     The file keeps a line for each finished one; lines of other campaigns are left alone and do not count.
     """
-    tasks = [Task(hidden, number) for number in range(count) for hidden in (Hidden(NOTHING), *causes)]
+    tasks = [RehearsalTask(hidden, number) for number in range(count) for hidden in (Hidden(NOTHING), *causes)]
     known = _finished(file, _mark(campaign)) if file is not None else {}
     done = [Outcome(t.hidden, t.number, *known[t.hidden.key, t.number]) for t in tasks if _key(t) in known]
-    return Plan(campaign, tuple(t for t in tasks if _key(t) not in known), tuple(done), file)
+    return RehearsalPlan(campaign, tuple(t for t in tasks if _key(t) not in known), tuple(done), file)
 
 
-def local_workers(plan: Plan) -> int:
+def local_workers(plan: RehearsalPlan) -> int:
     """Return how many processes of this machine a plan can use."""
     return max(1, min(os.cpu_count() or 1, len(plan.tasks)))
 
 
-def rehearse(plan: Plan, progress: Callable[[int], None] | None = None, dask: str = "") -> Rehearsal:
+def rehearse(plan: RehearsalPlan, progress: Callable[[int], None] | None = None, dask: str = "") -> Rehearsal:
     """Rehearse what a plan holds on local processes, or on Dask; each finished campaign is kept at once.
 
     Parameters
@@ -101,7 +101,7 @@ def rehearse(plan: Plan, progress: Callable[[int], None] | None = None, dask: st
     return rehearsal_of(plan.campaign, done)
 
 
-def _outcomes(plan: Plan, dask: str) -> Iterator[Outcome]:
+def _outcomes(plan: RehearsalPlan, dask: str) -> Iterator[Outcome]:
     work = partial(_rehearse, plan.campaign)
     if dask and plan.tasks:
         yield from (outcome for _, outcome in on_dask(work, plan.tasks, dask) if outcome is not None)
@@ -114,11 +114,11 @@ def _outcomes(plan: Plan, dask: str) -> Iterator[Outcome]:
             pool.shutdown(cancel_futures=True)
 
 
-def _rehearse(campaign: Campaign, task: Task) -> Outcome:
+def _rehearse(campaign: Campaign, task: RehearsalTask) -> Outcome:
     return rehearse_one(campaign, task.hidden, task.number)
 
 
-def _key(task: Task) -> tuple[str, int]:
+def _key(task: RehearsalTask) -> tuple[str, int]:
     return task.hidden.key, task.number
 
 

@@ -27,7 +27,7 @@ NO_FIT = ("run-not-fitted", "run-nothing-to-fit", "run-fit-killed")
 """What the journal says of a run that has no fit."""
 
 
-def journal(
+def write_journal(
     store: Store,
     level: Literal["info", "warning", "alarm"],
     said: Message,
@@ -78,7 +78,7 @@ class RunFits:
         if has_panel_readings(self.press, loaded):
             self._under_way[run] = self.fitter.submit(self.press, loaded, model)
         elif self.store.run_record(run).status is not RunStatus.OPEN:
-            journal(self.store, "info", say("run-nothing-to-fit", run=run), self.name)
+            write_journal(self.store, "info", say("run-nothing-to-fit", run=run), self.name)
 
     def collect(self, version: str, model: ModelFile | None) -> bool:
         """Store finished fits, made with a model's effects, and look at the control charts; return whether any."""
@@ -87,9 +87,9 @@ class RunFits:
             future = self._under_way[run]  # kept until it is stored: the store may refuse now
             error = future.exception()
             if isinstance(error, BrokenProcessPool):
-                journal(self.store, "alarm", say("run-fit-killed", run=run), self.name)
+                write_journal(self.store, "alarm", say("run-fit-killed", run=run), self.name)
             elif error is not None:
-                journal(self.store, "warning", say("run-not-fitted", run=run, why=spoken(error)), self.name)
+                write_journal(self.store, "warning", say("run-not-fitted", run=run, why=spoken(error)), self.name)
             else:
                 self.store.put_fit(run, self._marked(run, future.result(), model), version)
                 stored = True
@@ -112,4 +112,4 @@ class RunFits:
         for alarm in alarms_of(self.store, self.name):
             if (alarm.coefficient, alarm.run) not in self._alarmed:
                 self._alarmed.add((alarm.coefficient, alarm.run))
-                journal(self.store, "warning", alarm.message, self.name, **alarm.__dict__)
+                write_journal(self.store, "warning", alarm.message, self.name, **alarm.__dict__)

@@ -20,7 +20,7 @@ from daq.press.resin_file import LimitsTable, Resin, SorptionTable
 from daq.records import Array
 from daq.words import Message, say
 from softsensor.heat import implicit_steps as kernels
-from softsensor.opening.kinetics import Course, Kinetics, Progress, advance, kinetics_of
+from softsensor.opening.kinetics import Course, CureProgress, Kinetics, advance, kinetics_of
 from softsensor.signals.doubt import Source, constant_doubts
 
 MOISTURE = "panel.moisture_percent"
@@ -69,7 +69,7 @@ class Curing:
     """Read the panel's lower and upper face off the cells (2, n)."""
     start_C: float  # noqa: N815
     """[°C]"""
-    progress: Progress
+    progress: CureProgress
     """By the filter's parameters and `MARGINS` (P + 2)."""
     face_C: Array  # noqa: N815
     """(2)"""
@@ -79,7 +79,7 @@ class Curing:
     @staticmethod
     def begin(kinetics: Kinetics, weights: Array, start_C: float, parameters: int, state: kernels.State) -> Curing:
         """Start with uncured paper at a state's temperatures."""
-        fresh = Progress.begin(2, parameters + MARGINS)
+        fresh = CureProgress.begin(2, parameters + MARGINS)
         blank = Curing(kinetics, weights, start_C, fresh, np.zeros(2), np.zeros((2, parameters + MARGINS)))
         return blank.after(state, 0.0)
 

@@ -21,7 +21,7 @@ from softsensor.live.curing import ResinSetup
 from softsensor.live.kalman import KalmanFilter
 from softsensor.live.mixture import MARGIN_K, MARGIN_SHARE, Mixture
 from softsensor.live.mixture_steps import Change, Components
-from softsensor.opening.limits import Normal, Panel, broken, risk
+from softsensor.opening.limits import Normal, PanelState, broken, risk
 from softsensor.opening.steam import FIT_PERCENT, steam_with_slopes
 from softsensor.signals.unknown import BAND
 
@@ -41,7 +41,7 @@ class Leave:
     steam_kPa: float = math.nan  # noqa: N815
     steam_high_kPa: float = math.nan  # noqa: N815
     """Upper bound of 95 %."""
-    panel: Panel | None = None
+    panel: PanelState | None = None
     """All that, as means and standard deviations."""
     broken: Mapping[str, float] = field(default_factory=dict)
     """Chance by limit that it is broken; empty where there is none, or nothing is known."""
@@ -70,11 +70,11 @@ def leave_of(filters: Sequence[KalmanFilter], mixture: Mixture, resin: ResinSetu
     )
 
 
-def known_panel(filters: Sequence[KalmanFilter], mixture: Mixture, resin: ResinSetup) -> Panel:
+def known_panel(filters: Sequence[KalmanFilter], mixture: Mixture, resin: ResinSetup) -> PanelState:
     """Return cure at both faces, core and steam as mean and standard deviation."""
     reach = max(mixture.high_C - mixture.core_C, mixture.core_C - mixture.low_C)
     core = Normal(np.array(mixture.core_C), np.array(reach / BAND))
-    return Panel(_cure(filters, 0), _cure(filters, 1), core, _steam(filters[0], resin))
+    return PanelState(_cure(filters, 0), _cure(filters, 1), core, _steam(filters[0], resin))
 
 
 def _cure(filters: Sequence[KalmanFilter], face: int) -> Normal:

@@ -108,7 +108,7 @@ class Kinetics:
         return share * np.exp(exponent + np.asarray(delta)[..., None]), exponent
 
 
-class Progress(NamedTuple):
+class CureProgress(NamedTuple):
     """How far faces have cured (F), and how that depends on what is uncertain (P)."""
 
     equivalent_s: Array
@@ -119,9 +119,9 @@ class Progress(NamedTuple):
     """Its derivative by δ and ε in their standard deviations (F, 2). [s]"""
 
     @staticmethod
-    def begin(faces: int, parameters: int) -> Progress:
+    def begin(faces: int, parameters: int) -> CureProgress:
         """Return uncured faces."""
-        return Progress(np.zeros(faces), np.zeros((faces, parameters)), np.zeros((faces, 2)))
+        return CureProgress(np.zeros(faces), np.zeros((faces, parameters)), np.zeros((faces, 2)))
 
 
 class Course(NamedTuple):
@@ -138,7 +138,7 @@ class Course(NamedTuple):
     seconds: float
 
 
-def advance(kinetics: Kinetics, progress: Progress, course: Course) -> Progress:
+def advance(kinetics: Kinetics, progress: CureProgress, course: Course) -> CureProgress:
     """Return the progress after a step.
 
     Simpson's rule over pieces of `STEP_K`, the dependence of the pace on x taken at each piece's middle: second
@@ -152,7 +152,9 @@ def advance(kinetics: Kinetics, progress: Progress, course: Course) -> Progress:
     return progress
 
 
-def _piece(kinetics: Kinetics, now: Progress, course: Course, piece: tuple[float, float, float]) -> Progress:
+def _piece(
+    kinetics: Kinetics, now: CureProgress, course: Course, piece: tuple[float, float, float]
+) -> CureProgress:
     """Advance over a share of a step: its begin and length as shares, and its length. [-, -, s]"""
     begin, length, h = piece
     middle = course.before_C + (begin + 0.5 * length) * (course.after_C - course.before_C)
@@ -178,7 +180,7 @@ def _piece(kinetics: Kinetics, now: Progress, course: Course, piece: tuple[float
         d_error[:, 0] += h * weight * pace * kinetics.log_rate_sd
         d_error[:, 1] += h * weight * by_energy
         d_error += stretch[:, None] * now.by_error
-    return Progress(now.equivalent_s + gained, d_parameter, d_error)
+    return CureProgress(now.equivalent_s + gained, d_parameter, d_error)
 
 
 def equivalent_course(kinetics: Kinetics, time_s: Array, face_C: Array, errors: Array | None = None) -> Array:

@@ -60,7 +60,7 @@ class Normal:
 
 
 @dataclass(frozen=True)
-class Panel:
+class PanelState:
     """What is known of a panel at one moment or at many (any shape, one for all)."""
 
     cure_bottom: Normal
@@ -73,7 +73,7 @@ class Panel:
     """Logarithm of the partial pressure. [ln kPa]"""
 
 
-def broken(limits: LimitsTable, kinetics: Kinetics | None, panel: Panel) -> dict[str, Array]:
+def broken(limits: LimitsTable, kinetics: Kinetics | None, panel: PanelState) -> dict[str, Array]:
     """Return for every limit there is the chance that it is broken, by its name (shape of the panel's numbers).
 
     Examples

@@ -26,7 +26,7 @@ from daq.records import Array, InputError
 from daq.tables import explained
 from daq.words import say
 from softsensor.opening.kinetics import Kinetics, equivalent_course, kinetics_of
-from softsensor.opening.limits import Normal, Opening, Panel, broken, opening, risk
+from softsensor.opening.limits import Normal, Opening, PanelState, broken, opening, risk
 from softsensor.opening.steam import steam_pressure
 from softsensor.planning.made_up import (
     DEPTHS,
@@ -96,9 +96,9 @@ class Quantities:
     core: Array
     steam: Array
 
-    def known(self) -> Panel:
+    def known(self) -> PanelState:
         """Return them as they are known."""
-        return Panel(*(_normal(q) for q in (self.cure_bottom, self.cure_top, self.core, self.steam)))
+        return PanelState(*(_normal(q) for q in (self.cure_bottom, self.cure_top, self.core, self.steam)))
 
     def without(self, unit: Array, slopes: Array, columns: np.ndarray) -> Quantities:
         """Return them without the doubt in some columns of the draws, by a straight line through the draws.

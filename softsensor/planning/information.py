@@ -58,10 +58,10 @@ def covariance_after(before: Array, run: RunInformation, runs: int) -> Array:
     >>> float(covariance_after(np.array([[25.0]]), one, 3)[0, 0])
     0.01
     """
-    return inverse(before + runs * run.information)
+    return pseudo_inverse(before + runs * run.information)
 
 
-def inverse(precision: Array) -> Array:
+def pseudo_inverse(precision: Array) -> Array:
     """Return the covariance (n, n) that a precision leaves, 0 along what it says nothing of."""
     return np.asarray(np.linalg.pinv(precision, hermitian=True), dtype=np.float64)
 

@@ -23,7 +23,7 @@ from softsensor.planning.information import (
     chance_settled,
     covariance_after,
     evidence,
-    inverse,
+    pseudo_inverse,
     runs_needed,
 )
 from softsensor.planning.outlook import Outlook, expected, opening_row, told_by, with_readings
@@ -33,7 +33,7 @@ NOTHING = ""
 """In the place of a cause: none at all."""
 
 
-class Kind(StrEnum):
+class PointKind(StrEnum):
     """What is open; names of the JSON."""
 
     CAUSE = "cause"
@@ -73,7 +73,7 @@ class OpenPoint:
     and the half interval wanted along it.
     """
 
-    kind: Kind
+    kind: PointKind
     name: str
     """Of the cause found or suspected, or of the coefficient."""
     stage: SettledModel
@@ -91,7 +91,7 @@ class OpenPoint:
     @property
     def half_now(self) -> float | None:
         """Half of the 95 % interval now; of a coefficient as a share, of the core in K."""
-        return None if self.along is None else self._half(inverse(self.contenders[0].before))
+        return None if self.along is None else self._half(pseudo_inverse(self.contenders[0].before))
 
     def _half(self, covariance: Array) -> float:
         along = np.asarray(self.along)
@@ -156,7 +156,7 @@ def _of_causes(
     suspected = any(finding is f for f in found.suspected)
     fits = [*contest.fits, *([(NOTHING, contest.stage.fit)] if suspected else [])]
     known = tuple(contender(n, fit, contest.stage, past, constants) for n, fit in fits)
-    return OpenPoint(Kind.CAUSE, finding.name, contest.stage, known, suspected)
+    return OpenPoint(PointKind.CAUSE, finding.name, contest.stage, known, suspected)
 
 
 def open_numbers(stage: SettledModel, past: Sequence[Outlook], constants: Sequence[str]) -> list[OpenPoint]:
@@ -167,7 +167,7 @@ def open_numbers(stage: SettledModel, past: Sequence[Outlook], constants: Sequen
     """
     known = contender(stage.fit.layout.model.press.press.name, stage.fit, stage, past, constants)
     names, press = stage.fit.layout.names, stage.fit.layout.model.press
-    blank = OpenPoint(Kind.COEFFICIENT, "", stage, (known,), along=np.zeros(len(known.before)), wanted=WANTED)
+    blank = OpenPoint(PointKind.COEFFICIENT, "", stage, (known,), along=np.zeros(len(known.before)), wanted=WANTED)
     points = []
     for coefficient in press.free_coefficients:
         along = np.zeros(len(known.before))
@@ -175,7 +175,7 @@ def open_numbers(stage: SettledModel, past: Sequence[Outlook], constants: Sequen
         points.append(replace(blank, name=coefficient, along=along))
     if press.panel_layers:
         along = _core_of_the_usual(stage, past, constants)
-        points.append(replace(blank, kind=Kind.CORE_BAND, name="core", along=along, wanted=CORE_OFF_K))
+        points.append(replace(blank, kind=PointKind.CORE_BAND, name="core", along=along, wanted=CORE_OFF_K))
     return [p for p in points if (p.half_now or 0.0) > p.wanted]
 
 

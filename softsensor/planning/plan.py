@@ -33,7 +33,7 @@ Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)
-class Pressing:
+class PlannedPressing:
     """One kind of pressing, and what it would bring to one open point."""
 
     settings: Settings
@@ -66,11 +66,11 @@ class Advice:
     """One open point and the pressings for it."""
 
     point: OpenPoint
-    repeated: Pressing
+    repeated: PlannedPressing
     """The usual settings once more."""
-    best: Pressing
+    best: PlannedPressing
     """Within the ranges, the sensors as they are."""
-    with_core: Pressing | None
+    with_core: PlannedPressing | None
     """The best or the usual settings with a thermocouple in the core besides; None without a panel."""
 
     def as_json(self) -> dict[str, Any]:
@@ -136,13 +136,13 @@ class _Bench:
         digest = planned_digest(press, run, moments, self.like)
         return outlook_of(press, digest, self.stage.fit)
 
-    def pressing(self, point: OpenPoint, settings: Settings, core: bool = False) -> Pressing | None:
+    def pressing(self, point: OpenPoint, settings: Settings, core: bool = False) -> PlannedPressing | None:
         """Return what some settings would bring to an open point."""
         outlook = self.outlook(settings, core)
         if outlook is None:
             return None
         changed = tuple(name for name, value in settings.items() if value != self.usual[name])
-        return Pressing(dict(settings), core, changed, point.prospect(outlook, self.constants))
+        return PlannedPressing(dict(settings), core, changed, point.prospect(outlook, self.constants))
 
 
 def plan(
@@ -230,7 +230,7 @@ def _advice(bench: _Bench, point: OpenPoint, ranges: Ranges) -> Advice | None:
     return Advice(point, repeated, best, _with_core(bench, point, best))
 
 
-def _with_core(bench: _Bench, point: OpenPoint, best: Pressing) -> Pressing | None:
+def _with_core(bench: _Bench, point: OpenPoint, best: PlannedPressing) -> PlannedPressing | None:
     """Return the best or the usual settings, whichever is worth more with a thermocouple in the core."""
     if not bench.press.panel_layers:
         return None
@@ -238,7 +238,9 @@ def _with_core(bench: _Bench, point: OpenPoint, best: Pressing) -> Pressing | No
     return max((p for p in both if p is not None), key=lambda p: p.prospect.worth, default=None)
 
 
-def _best_level(bench: _Bench, point: OpenPoint, best: Pressing, name: str, ends: tuple[float, float]) -> Pressing:
+def _best_level(
+    bench: _Bench, point: OpenPoint, best: PlannedPressing, name: str, ends: tuple[float, float]
+) -> PlannedPressing:
     for level in {*ends, bench.usual[name]} - {best.settings[name]}:
         other = bench.pressing(point, {**best.settings, name: level})
         if other is not None and other.prospect.worth > LEAST_GAIN * best.prospect.worth:

@@ -10,8 +10,8 @@ from softsensor.effects.vocabulary import called
 from softsensor.fitting.experiment_advice import MANY
 from softsensor.planning.advise import ProgrammeAdvice
 from softsensor.planning.made_up import COEFFICIENTS, EFFECTS, KINETICS, PLATENS, SORPTION
-from softsensor.planning.open_points import NOTHING, Kind, OpenPoint, Prospect
-from softsensor.planning.plan import Advice, Plan, Pressing
+from softsensor.planning.open_points import NOTHING, OpenPoint, PointKind, Prospect
+from softsensor.planning.plan import Advice, Plan, PlannedPressing
 
 SAVINGS = 3
 """Sources of doubt that are said, those that would save most."""
@@ -30,10 +30,10 @@ def plan_said(found: Plan) -> Iterator[Message]:
 
 def point_said(point: OpenPoint) -> Message:
     """Say what is open."""
-    if point.kind is Kind.COEFFICIENT:
+    if point.kind is PointKind.COEFFICIENT:
         now, wanted = 100.0 * (point.half_now or 0.0), 100.0 * point.wanted
         return say("plan-open-coefficient", name=point.name, percent=now, wanted=wanted)
-    if point.kind is Kind.CORE_BAND:
+    if point.kind is PointKind.CORE_BAND:
         return say("plan-open-core", kelvin=point.half_now or 0.0, wanted=point.wanted)
     causes = tuple(called(name) for name in point.names if name != NOTHING)
     return say("plan-open-suspected", causes=causes) if point.suspected else say("plan-open-causes", causes=causes)
@@ -59,18 +59,18 @@ def best_said(advice: Advice) -> Message:
     return say("plan-best", settings=settings_said(advice.best), prospect=prospect)
 
 
-def settings_said(pressing: Pressing) -> tuple[Message, ...]:
+def settings_said(pressing: PlannedPressing) -> tuple[Message, ...]:
     """Say what differs from the usual settings."""
     return tuple(say(f"plan-set-{name}", value=pressing.settings[name]) for name in pressing.changed)
 
 
-def prospect_said(prospect: Prospect, kind: Kind) -> Message:
+def prospect_said(prospect: Prospect, kind: PointKind) -> Message:
     """Say what pressings of a kind would bring."""
     runs = say("plan-runs-too-many", many=MANY) if prospect.runs is None else say("plan-runs", runs=prospect.runs)
     if prospect.chance is not None:
         return say("plan-settles", percent=100.0 * prospect.chance, runs=runs)
     half = prospect.half_after or 0.0
-    if kind is Kind.COEFFICIENT:
+    if kind is PointKind.COEFFICIENT:
         return say("plan-narrows-share", percent=100.0 * half, runs=runs)
     return say("plan-narrows-kelvin", kelvin=half, runs=runs)
 

@@ -20,7 +20,7 @@ Curves = Mapping[str, Any]
 """As `softsensor.diagnosis.curves` makes them."""
 
 
-def run_figure(curves: Curves, language: str = ENGLISH) -> Figure:
+def worst_run_figure(curves: Curves, language: str = ENGLISH) -> Figure:
     """The run that the plain model fits worst: readings, both models, core, residuals."""
     put = partial(words, language=language)
     places, time, core = curves["places"], _array(curves["time_s"]), curves["core"]
@@ -172,7 +172,7 @@ def law_figure(law: Mapping[str, Any] | None, language: str = ENGLISH) -> Figure
 def diagnosis_pictures(curves: Curves, law: Mapping[str, Any] | None, language: str = ENGLISH) -> dict[str, str]:
     """Return every picture of a diagnosis as SVG text by its name; empty where there is nothing to draw."""
     figures = {
-        "run_svg": run_figure(curves, language),
+        "run_svg": worst_run_figure(curves, language),
         "residual_svg": residual_figure(curves, language),
         "law_svg": law_figure(law, language),
         "votes_svg": votes_figure(curves, language),

@@ -22,7 +22,7 @@ from softsensor.fitting.paper.procedures import Reproduction
 from softsensor.fitting.result import RunFit
 from softsensor.fitting.unknowns import is_coefficient
 from softsensor.signals.places import Place
-from softsensor.signals.robust import scatter
+from softsensor.signals.robust import channel_scatter
 
 INK, MUTED, GRID = "#1f2933", "#6b7785", "#e3e7ec"
 COLOURS = ("#c2571a", "#1f6fb2", "#2f8f6b", "#7a5ba8")
@@ -81,12 +81,12 @@ def campaign_figures(campaign: CampaignFit, language: str = ENGLISH) -> dict[str
     if scattered(campaign):
         figures["coefficients_normalised"] = svg(normalised_figure(campaign, language))
     for fitted in campaign.runs:
-        figures[f"measured_{fitted.run}"] = svg(run_figure(fitted, language))
+        figures[f"measured_{fitted.run}"] = svg(fitted_run_figure(fitted, language))
         figures[f"correlation_{fitted.run}"] = svg(correlation_figure(fitted, language))
     return figures
 
 
-def run_figure(fitted: RunFit, language: str = ENGLISH) -> Figure:
+def fitted_run_figure(fitted: RunFit, language: str = ENGLISH) -> Figure:
     """Measured faces with error bars, simulated with guesses and with the fit, residuals below."""
     put = partial(words, language=language)
     places = _ordered(fitted.problem.signals.places)[:4]
@@ -165,7 +165,9 @@ def _draw_residual(ax: Any, fitted: RunFit, off: tuple[Array, Place], drawn: tup
     _shade_closed(ax, fitted)
     residual = np.where(fitted.problem.rows > 0, difference, np.nan)
     residual = residual - float(np.nanmean(residual))
-    band = scatter(np.stack([fitted.problem.signals.cells[c] for c in place.columns], axis=1), own_offsets=True)
+    band = channel_scatter(
+        np.stack([fitted.problem.signals.cells[c] for c in place.columns], axis=1), own_offsets=True
+    )
     ax.fill_between(t, residual - band, residual + band, color=colour, alpha=0.18, lw=0)
     ax.plot(t, residual, lw=0.9, color=colour)
     ax.axhline(0.0, color=MUTED, lw=0.8)
@@ -276,7 +278,7 @@ def normalised_figure(campaign: CampaignFit, language: str = ENGLISH) -> Figure:
     return figure
 
 
-def strongest(fitted: RunFit) -> tuple[int, int, float]:
+def strongest_correlation(fitted: RunFit) -> tuple[int, int, float]:
     """Return the coefficient and the other unknown that move together most, and their correlation."""
     matrix = np.abs(fitted.correlation) * (1.0 - np.eye(len(fitted.names)))
     rows = [i for i, name in enumerate(fitted.names) if is_coefficient(name)]
@@ -287,7 +289,7 @@ def strongest(fitted: RunFit) -> tuple[int, int, float]:
 
 def moves_with(fitted: RunFit) -> Message:
     """Say which coefficient moves most with another unknown in a run."""
-    i, j, value = strongest(fitted)
+    i, j, value = strongest_correlation(fitted)
     sign = "−" if value < 0 else "+"
     return say(
         "figure-moves-with", run=fitted.run, one=fitted.names[i], other=fitted.names[j], sign=sign, size=abs(value)

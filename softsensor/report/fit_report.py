@@ -17,11 +17,11 @@ from softsensor.fitting.paper.procedures import METHODS, Reproduction
 from softsensor.fitting.result import Identifiability, RunFit
 from softsensor.report.fit_figures import (
     coefficients_figure,
+    fitted_run_figure,
     known_names,
     moves_with,
     normalised_figure,
     roughness_figure,
-    run_figure,
     scattered,
     svg,
 )
@@ -56,7 +56,7 @@ def fit_report(campaign: CampaignFit, program: Program | None = None, language: 
         warnings=[(f.run, w) for f in campaign.runs for w in f.warnings if not is_verdict_on(w, f.coefficients)],
         coefficients_svg=svg(coefficients_figure(campaign, language)),
         normalised_svg=svg(normalised_figure(campaign, language)) if scattered(campaign) else "",
-        run_figures=[(title, svg(run_figure(f, language))) for title, f in shown],
+        run_figures=[(title, svg(fitted_run_figure(f, language))) for title, f in shown],
         together_most=moves_with(shown[0][1]),
         dependence=list(_dependence(campaign)),
         program=_program(program),

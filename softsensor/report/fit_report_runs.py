@@ -14,7 +14,7 @@ from scipy.interpolate import PchipInterpolator
 
 from daq.records import Array
 from daq.words import Message, say
-from softsensor.fitting.identifiability import Profile
+from softsensor.fitting.identifiability import LikelihoodProfile
 from softsensor.fitting.result import RunFit
 
 WIDTH, HEIGHT = 150.0, 84.0
@@ -41,7 +41,7 @@ class Picture:
     """Values at the ends of the axis."""
 
 
-def details_of(fitted: RunFit, shapes: Mapping[str, Profile]) -> dict[str, Any]:
+def details_of(fitted: RunFit, shapes: Mapping[str, LikelihoodProfile]) -> dict[str, Any]:
     """Return what the page folds away for a run: profiles and correlations."""
     return {
         "run": fitted.run,
@@ -51,7 +51,7 @@ def details_of(fitted: RunFit, shapes: Mapping[str, Profile]) -> dict[str, Any]:
     }
 
 
-def _picture(name: str, shape: Profile, fitted: RunFit) -> Picture:
+def _picture(name: str, shape: LikelihoodProfile, fitted: RunFit) -> Picture:
     i = fitted.names.index(name)
     best = fitted.minimum.x[i]
     x = np.log(shape.value)

@@ -24,7 +24,7 @@ def nan_median(values: Array) -> Array:
     return np.where(count > 0, (low + high) / 2, np.nan)
 
 
-def scatter(values: Array, *, own_offsets: bool) -> Array:
+def channel_scatter(values: Array, *, own_offsets: bool) -> Array:
     """Standard deviation over channels in each row (rows, channels), their own offsets taken out if asked for."""
     good = np.isfinite(values)
     apart = np.where(good, values - nan_mean(values)[:, None], 0.0)

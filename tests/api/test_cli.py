@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from api.cli import main
-from api.commands.inputs import load_run
+from api.commands.inputs import find_run
 from api.commands.simulating import table_text
 from daq.files.run_file import read_run, write_run
 from daq.records import Run
@@ -242,7 +242,7 @@ def test_what_is_doubtful_in_the_headers_of_imported_runs_is_said_once_and_kept(
     store = str(tmp_path / "kerntemp.sqlite")
     assert main(["import", *paths, "--press", str(files / "press.toml"), "--store", store]) == 0
     assert capsys.readouterr().err.count("panel.supplier is not known; it is kept") == 1
-    assert load_run(Path(paths[0]).stem, store, None).header["panel.supplier"] == "north"
+    assert find_run(Path(paths[0]).stem, store, None).header["panel.supplier"] == "north"
 
 
 @pytest.mark.parametrize(("value", "is_temperature"), [("1e308", False), ("-9999", False), ("1100", True)])

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from api.cli import main
-from api.demo.demonstration import Plan, _Demo, run_demo
-from api.demo.press import PressClock, press_of
-from api.demo.summary import Finding, compare, pace_lines, summary_lines
+from api.demo.demonstration import DemoPlan, _Demo, run_demo
+from api.demo.press import PressClock, virtual_press_of
+from api.demo.summary import PressingCheck, compare, pace_lines, summary_lines
 from daq.records import InputError
 from daq.store.records import RunStatus, StoredEstimate
 from daq.store.store import open_store
@@ -75,15 +75,15 @@ def test_a_demonstration_that_is_killed_ends_all_its_processes(tmp_path):
 
 
 def test_a_pressing_fitted_late_on_a_busy_machine_can_still_be_held_against_the_truth():
-    plan = Plan(speed=30.0, pressings=1)
-    truth = press_of({"hide": [], "keep": plan.known_cycles, "seed": plan.seed})
+    plan = DemoPlan(speed=30.0, pressings=1)
+    truth = virtual_press_of({"hide": [], "keep": plan.known_cycles, "seed": plan.seed})
     first = truth.cycle(44.0)
     truth.cycle(plan.patience_s * plan.speed)  # so far the press has gone on meanwhile
     assert truth.cycle(44.0) is first
 
 
 def test_the_press_rests_after_as_many_panels_as_were_asked_for(monkeypatch):
-    press = press_of({"hide": [], "keep": 4, "seed": 3})
+    press = virtual_press_of({"hide": [], "keep": 4, "seed": 3})
     clock, second = PressClock(press, speed=10.0, pressings=1), press.cycle(press.cycle(0.0).end)
     now = [100.0]
     monkeypatch.setattr("api.demo.press.time.monotonic", lambda: now[0])
@@ -97,18 +97,18 @@ def test_the_press_rests_after_as_many_panels_as_were_asked_for(monkeypatch):
 def test_a_folder_that_holds_a_store_is_not_overwritten(tmp_path):
     (tmp_path / "kerntemp.sqlite").touch()
     with pytest.raises(InputError, match="holds a store already"):
-        run_demo(Plan(), tmp_path, print)
+        run_demo(DemoPlan(), tmp_path, print)
 
 
 def test_two_virtual_presses_of_the_same_settings_agree_so_that_one_can_judge_the_other():
     settings = {"hide": [], "keep": 4, "seed": 3}
-    first, second = press_of(settings), press_of(settings)
+    first, second = virtual_press_of(settings), virtual_press_of(settings)
     for at_s in (1.0, 40.0, 95.0):
         assert first.temperatures(at_s) == second.temperatures(at_s)
 
 
 def test_a_perfect_prediction_has_no_error_and_lies_inside_its_band(store):
-    cycle = press_of({"hide": [], "keep": 4, "seed": 3}).cycle(0.0)
+    cycle = virtual_press_of({"hide": [], "keep": 4, "seed": 3}).cycle(0.0)
     record = store.run_record("lab-2026-03-04-02")
     number = record.first_scan
     rows = np.flatnonzero(np.isfinite(cycle.core_C))[::40]
@@ -132,7 +132,7 @@ def test_a_perfect_prediction_has_no_error_and_lies_inside_its_band(store):
 
 
 def test_a_machine_that_does_not_keep_up_is_told_so():
-    sound = Finding("lab-1", 100, 0.02, -0.03, 4.0, 0.4, 0.5, 1.0, 0.97)
+    sound = PressingCheck("lab-1", 100, 0.02, -0.03, 4.0, 0.4, 0.5, 1.0, 0.97)
     unfitted = replace(sound, rmse_after_K=float("nan"))
     assert pace_lines([sound], 30.0, left_out=2, recorded=500, unseen=0) == []
     (told,) = pace_lines([sound, unfitted], 30.0, left_out=50, recorded=450, unseen=1)
@@ -147,7 +147,7 @@ def test_more_pressings_that_finish_at_once_than_were_asked_for_are_not_counted(
         def runs(self, limit):
             return SimpleNamespace(items=[SimpleNamespace(run=f"lab-{k}") for k in (3, 2, 1)])
 
-    demo = _Demo(Plan(pressings=2), SimpleNamespace(check=lambda: None), print)
+    demo = _Demo(DemoPlan(pressings=2), SimpleNamespace(check=lambda: None), print)
     demo.store = Finished()
     monkeypatch.setattr(demo, "_note", lambda record: None)
     monkeypatch.setattr(demo, "_finished", lambda record: True)
@@ -157,13 +157,13 @@ def test_more_pressings_that_finish_at_once_than_were_asked_for_are_not_counted(
 
 
 def test_a_pressing_without_a_valid_core_says_that_it_is_not_known():
-    blind = Finding("lab-1", 100, 0.02, -0.03, 4.0, 0.4, float("nan"), float("nan"), float("nan"))
+    blind = PressingCheck("lab-1", 100, 0.02, -0.03, 4.0, 0.4, float("nan"), float("nan"), float("nan"))
     assert str(blind.line).endswith("4.00 -> 0.40 K, core not known")
     assert str(replace(blind, core_rmse_K=0.5).line).endswith("core 0.50 K off")
 
 
 def test_the_summary_says_what_was_hidden_and_what_the_nightly_job_named():
-    finding = Finding("lab-1", 100, 0.02, -0.03, 4.0, 0.4, 0.5, 1.0, 0.97)
+    finding = PressingCheck("lab-1", 100, 0.02, -0.03, 4.0, 0.4, 0.5, 1.0, 0.97)
     report = {
         "verdict": "named",
         "effects": [{"name": "edge_loss", "set": ["edge_loss"]}],

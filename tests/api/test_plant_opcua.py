@@ -19,7 +19,7 @@ from asyncua import Client, ua
 
 from api.http.tokens import TokenFile
 from api.plant.client_log import ClientLog
-from api.plant.opcua import NAMESPACE, PressServer, _Readers, check
+from api.plant.opcua import NAMESPACE, PressServer, _Readers, check_settings
 from daq.process.config import OpcuaSettings
 from daq.records import Channel, InputError, PressEvent, PressEventKind, PressState, Quality, Scan
 from daq.store import NewRun, Store, StoredEstimate, open_store
@@ -290,12 +290,12 @@ def test_beyond_loopback_a_token_is_the_password_and_the_line_is_encrypted(tmp_p
 def test_unsafe_settings_are_refused_with_what_to_do(tmp_path):
     tokens = TokenFile(tmp_path / "tokens.json")
     with pytest.raises(InputError, match="beyond loopback a certificate is needed"):
-        check(OpcuaSettings(host="0.0.0.0"), tokens)
+        check_settings(OpcuaSettings(host="0.0.0.0"), tokens)
     pem, key = certificate(tmp_path)
     with pytest.raises(InputError, match="kerntemp token create NAME"):
-        check(OpcuaSettings(host="0.0.0.0", certificate=pem, key=key), tokens)
+        check_settings(OpcuaSettings(host="0.0.0.0", certificate=pem, key=key), tokens)
     with pytest.raises(InputError, match="belong together"):
-        check(OpcuaSettings(certificate=pem), tokens)
+        check_settings(OpcuaSettings(certificate=pem), tokens)
 
 
 HOSTILE = (

@@ -10,7 +10,7 @@ from daq.press.press_file import parse_press
 from daq.simulated.campaign import Plan, make_campaign
 from daq.simulated.campaign_pressfile import press_toml
 from daq.store import open_store
-from softsensor.jobs.night_fits import Task, fit_all
+from softsensor.jobs.night_fits import FitTask, fit_all
 
 PRESS = parse_press(press_toml())
 PLAN = Plan(rate_hz=2.0)
@@ -34,7 +34,7 @@ def test_refitting_many_runs_on_two_processes(tmp_path, capsys, count):
             run = pressings[i % DISTINCT]
             copies.append(replace(run, name=f"run-{i:04d}", header={**run.header, "run": f"run-{i:04d}"}))
         names = store.import_runs(copies, "lab", "press file")
-        tasks = [Task(store.database.url.render_as_string(), PRESS, name, None) for name in names]
+        tasks = [FitTask(store.database.url.render_as_string(), PRESS, name, None) for name in names]
         begun, before = time.perf_counter(), cpu_s()
         failed = 0
         for one in fit_all(tasks, 2):

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from daq.drivers.bus import Bus, LineTiming
 from daq.drivers.dcon import checksum, values_of
-from daq.drivers.lines import decoded, line_reply
+from daq.drivers.lines import ascii_line, line_reply
 from daq.drivers.modbus import Request, bits, crc16, registers, rtu_frame, rtu_reply, tcp_frame, tcp_reply
 from daq.drivers.protocol import BadFrame, NoReply, ReadFailure
 from daq.records import Quality
@@ -147,7 +147,7 @@ def test_text_lines_must_end_and_hold_nothing_else():
     assert outcome(take, b">+0025.1\r>+00") == "surplus"
     assert outcome(line_reply(b"\r", longest=10), b"x" * 11) == "garbage"
     with pytest.raises(BadFrame, match="no text"):
-        decoded(b"\xff\x80")
+        ascii_line(b"\xff\x80")
 
 
 def test_adam_cells_are_read_by_their_vendor_meaning():

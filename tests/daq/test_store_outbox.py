@@ -14,7 +14,7 @@ from daq.records import Channel, PressEvent, PressEventKind, Quality, Scan
 from daq.store import NewRun, RunEnd, StoreUnavailable, open_store
 from daq.store.buffer import Buffer
 from daq.store.outbox import Outbox
-from daq.store.write_batch import Entry, WriteBatch, decode, encode
+from daq.store.write_batch import Entry, WriteBatch, decode_item, encode_item
 from daq.words import say
 
 BEGAN = datetime(2026, 3, 4, 7, 0, tzinfo=UTC)
@@ -285,6 +285,6 @@ def test_a_buffered_write_batch_comes_back_as_it_was(reading, moment, note):
         NewRun("r", 12, BEGAN, moment, {"panel.material": note, "x": 1.5}, "text"),
         RunEnd("q", 11, BEGAN),
     )
-    assert decode(encode(item)) == item
+    assert decode_item(encode_item(item)) == item
     entry = Entry("warning", "record", say("plain-text", text=note), "lab", {"step_s": 1.0})
-    assert decode(encode(entry)) == entry
+    assert decode_item(encode_item(entry)) == entry

@@ -17,7 +17,7 @@ from daq.press.press_file import Press, parse_press
 from daq.records import InputError, Moments, Run
 from daq.simulated.campaign import Plan, Truth, make_campaign, press_toml
 from daq.words import Message
-from daq.words.message import catalogue, sentences, words
+from daq.words.message import catalogue_of, sentences, words
 from softsensor.diagnosis.advice import AdviceBasis, next_measurement, rim_notes
 from softsensor.diagnosis.curves import curves_of
 from softsensor.diagnosis.decision import ALPHA_PATTERN, EXCESS, NEGLIGIBLE_K, Verdict, refuted_by_cores
@@ -566,6 +566,6 @@ def test_a_report_in_german_says_nothing_of_its_own_in_english() -> None:
     assert '<html lang="de">' in page
     for part in ("Was falsch ist", "Beim Öffnen der Presse", "Residuum aller Fühler", "geschlossen"):
         assert part in page
-    english = {c: t.strip() for c, t in catalogue("en").entries().items() if c.startswith("report-")}
+    english = {c: t.strip() for c, t in catalogue_of("en").entries().items() if c.startswith("report-")}
     shown = re.sub(r"<svg.*?</svg>|<style.*?</style>", "", page, flags=re.DOTALL)
     assert not [c for c, said in english.items() if "{" not in said and f">{said}<" in shown]

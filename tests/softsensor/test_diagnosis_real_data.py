@@ -14,7 +14,7 @@ from softsensor.diagnosis.summary import core_said, sureness, where_said
 from softsensor.diagnosis.verdict import _where, diagnose
 from softsensor.diagnosis.where import temperatures
 from softsensor.heat.model import ThermalModel
-from softsensor.report.diagnosis_figures import run_figure
+from softsensor.report.diagnosis_figures import worst_run_figure
 from softsensor.report.diagnosis_report import diagnosis_report
 from softsensor.signals.digest import digest_run
 from softsensor.signals.moments import moments_seen
@@ -154,7 +154,7 @@ def test_a_rig_that_never_closes_is_not_told_about_its_closing():
 
 @pytest.mark.parametrize("found", [moist, rig])
 def test_figure_of_a_measured_run_shows_readings_both_models_and_both_residuals(found):
-    axes = run_figure(curves_of(found())).get_axes()
+    axes = worst_run_figure(curves_of(found())).get_axes()
     labels = {label for ax in axes for label in ax.get_legend_handles_labels()[1]}
     assert {"measured (mean)", "plain model", "extended model", "plain", "extended"} <= labels
     residuals = {line.get_label(): line.get_ydata() for ax in axes for line in ax.get_lines()}

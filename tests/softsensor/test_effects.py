@@ -49,7 +49,7 @@ def test_the_catalogue_holds_the_contract_names_and_parameters():
 @pytest.mark.parametrize("language", words.languages())
 @by_name
 def test_every_effect_says_what_it_means_and_how_to_confirm_it_in_all_languages(effect, language):
-    known = words.catalogue(language)
+    known = words.catalogue_of(language)
     for message in (effect.meaning, effect.symptom, effect.confirm, effect.core, effect.called):
         assert known.has(message.code)
         assert len(known.words(message)) > 5

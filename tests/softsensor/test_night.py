@@ -30,7 +30,7 @@ from softsensor.jobs import night_judgement as nightly_judge
 from softsensor.jobs import night_progress as progress
 from softsensor.jobs.model_in_force import combined_model, fingerprint
 from softsensor.jobs.night import refit_press, roll_back
-from softsensor.jobs.night_fits import Done, Task, fit_all
+from softsensor.jobs.night_fits import Done, FitTask, fit_all
 from softsensor.jobs.night_judgement import surely_less
 from softsensor.jobs.night_record import night_record, stored_night_record
 from softsensor.report.night_report import night_report, write_report
@@ -160,7 +160,9 @@ class Poison:
 def test_a_run_that_kills_the_workers_is_told_and_the_others_are_fitted(store, runs):
     fill(store, runs[:3])
     url = store.database.url.render_as_string()
-    done = fit_all([Task(url, PRESS, run.name, Poison() if i == 1 else None) for i, run in enumerate(runs[:3])], 2)
+    done = fit_all(
+        [FitTask(url, PRESS, run.name, Poison() if i == 1 else None) for i, run in enumerate(runs[:3])], 2
+    )
     found = {one.run: (one.fit is not None, one.killed) for one in done}
     assert found == {runs[0].name: (True, False), runs[1].name: (False, True), runs[2].name: (True, False)}
 
@@ -184,7 +186,7 @@ def test_a_killed_fit_is_an_alarm_of_the_night_and_tried_again_the_next(store, r
 @pytest.mark.campaign
 def test_workers_find_what_one_process_finds(store, runs):
     fill(store, runs)
-    tasks = [Task(store.database.url.render_as_string(), PRESS, run.name, None) for run in runs]
+    tasks = [FitTask(store.database.url.render_as_string(), PRESS, run.name, None) for run in runs]
 
     def values(results):
         return {one.run: {n: c["value"] for n, c in one.fit["coefficients"].items()} for one in results}
@@ -220,7 +222,7 @@ def test_fits_that_no_finished_job_has_judged_are_judged_whoever_made_them(store
         judged.append(sorted(night.fits))
         return nightly_judge._keep_or_begin(night, combined_model(PRESS, None, list(night.fits.values())), outcome)
 
-    monkeypatch.setattr(nightly, "judge", judge)
+    monkeypatch.setattr(nightly, "judge_night", judge)
     fill(store, runs[:3])
     with monkeypatch.context() as patched:
         patched.setattr(type(store), "put_night", killed)  # before its end: no sign-off
@@ -243,7 +245,7 @@ def test_fits_that_no_finished_job_has_judged_are_judged_whoever_made_them(store
 @pytest.fixture
 def judging_nothing(monkeypatch):
     """Nights that fit in no time and judge nothing: what is looked at is what they are asked for."""
-    monkeypatch.setattr(nightly, "judge", lambda night, outcome: outcome)
+    monkeypatch.setattr(nightly, "judge_night", lambda night, outcome: outcome)
     monkeypatch.setattr(nightly_fits, "fit_stored", lambda task: Done(task.run, {"run": task.run, "rmse_K": 0.3}))
 
 
@@ -632,7 +634,7 @@ def test_a_dask_worker_that_is_killed_in_mid_fit_costs_a_repetition_and_never_a_
 
     fill(store, runs[:3])
     url = store.database.url.render_as_string()
-    tasks = [Task(url, PRESS, run.name, None) for run in runs[:3]]
+    tasks = [FitTask(url, PRESS, run.name, None) for run in runs[:3]]
     killed, over = [], threading.Event()
     with (
         LocalCluster(n_workers=1, threads_per_worker=1, processes=True, dashboard_address=None) as cluster,
@@ -662,7 +664,7 @@ def test_a_dask_scheduler_without_workers_is_named_instead_of_waited_for(store, 
 
     monkeypatch.setattr(cluster_of_workers, "WORKERS_WAIT_S", 0.5)
     with LocalCluster(n_workers=0, dashboard_address=None, processes=False) as cluster:
-        task = Task("", PRESS, "run", None)
+        task = FitTask("", PRESS, "run", None)
         with pytest.raises(InputError, match=r"no worker in 0\.5 s; start dask worker"):
             list(fit_all([task], dask=cluster.scheduler_address))
 

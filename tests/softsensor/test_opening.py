@@ -8,8 +8,8 @@ from scipy.integrate import quad, solve_ivp
 
 from daq.press.resin_file import IsoconversionalLaw, KamalLaw, LimitsTable, OrderLaw, parse_resin, read_resin
 from daq.records import InputError
-from softsensor.opening.kinetics import Course, Progress, advance, cure_course, equivalent_course, kinetics_of
-from softsensor.opening.limits import Normal, Opening, Panel, broken, opening, risk
+from softsensor.opening.kinetics import Course, CureProgress, advance, cure_course, equivalent_course, kinetics_of
+from softsensor.opening.limits import Normal, Opening, PanelState, broken, opening, risk
 from softsensor.opening.steam import equilibrium_moisture, saturation_kPa, steam_pressure, steam_with_slopes
 
 R = 8.314462618
@@ -109,7 +109,7 @@ def test_the_band_of_the_linearised_cure_is_that_of_a_monte_carlo(law):
         + [(course(np.zeros(1), np.full(1, d)) - course(np.zeros(1), np.full(1, -d))) / (2 * d) for d in (1e-3,)],
         axis=-1,
     )
-    progress = Progress.begin(1, 2)
+    progress = CureProgress.begin(1, 2)
     for k in range(1, len(t)):
         step = Course(base[:, k - 1], base[:, k], slopes[:, k - 1], slopes[:, k], float(t[k] - t[k - 1]))
         progress = advance(kinetics, progress, step)
@@ -168,7 +168,7 @@ def test_steam_of_a_panel_of_unknown_moisture_is_not_known():
 
 LAW = kinetics_of(ORDER)
 KNOWN = Normal(np.array(100.0), np.array(1.0))
-SAFE = Panel(
+SAFE = PanelState(
     Normal(np.array(9.0), np.array(0.1)), Normal(np.array(9.0), np.array(0.1)), KNOWN, Normal(np.log(10.0), 0.1)
 )
 
@@ -178,9 +178,9 @@ def test_what_is_not_known_counts_as_broken():
     every = LimitsTable(cure_least=0.9, core_least_C=60.0, core_most_C=120.0, steam_most_kPa=100.0)
     assert float(risk(broken(every, LAW, SAFE))) < 1e-6
     for name, gone in (
-        ("cure_top", Panel(SAFE.cure_bottom, nothing, KNOWN, SAFE.steam)),
-        ("core_most", Panel(SAFE.cure_bottom, SAFE.cure_top, nothing, SAFE.steam)),
-        ("steam_most", Panel(SAFE.cure_bottom, SAFE.cure_top, KNOWN, nothing)),
+        ("cure_top", PanelState(SAFE.cure_bottom, nothing, KNOWN, SAFE.steam)),
+        ("core_most", PanelState(SAFE.cure_bottom, SAFE.cure_top, nothing, SAFE.steam)),
+        ("steam_most", PanelState(SAFE.cure_bottom, SAFE.cure_top, KNOWN, nothing)),
     ):
         chances = broken(every, LAW, gone)
         assert chances[name] == 1.0

@@ -18,7 +18,7 @@ from softsensor.fitting.paper.procedures import METHODS, _prepare, fit_as_paper
 from softsensor.fitting.paper.virtual_runs import reproduce_paper
 from softsensor.heat.model import ThermalModel
 from softsensor.signals.moments import moments_of
-from softsensor.signals.robust import scatter
+from softsensor.signals.robust import channel_scatter
 
 MODEL = ThermalModel.of(parse_press(press_toml()))
 
@@ -115,7 +115,7 @@ def test_slopes_of_the_papers_residuals_are_those_of_differences(measured):
 def test_sensors_that_scatter_weigh_less():
     rng = np.random.default_rng(3)
     cells = 100.0 + np.concatenate([rng.normal(0, 0.3, (200, 7)), rng.normal(0, 2.0, (200, 7))])
-    apart = scatter(cells, own_offsets=True)
+    apart = channel_scatter(cells, own_offsets=True)
     assert np.median(apart[:200]) == pytest.approx(0.3 * np.sqrt(6 / 7), rel=0.1)
     assert np.median(apart[200:]) == pytest.approx(2.0 * np.sqrt(6 / 7), rel=0.1)
 

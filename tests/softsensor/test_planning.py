@@ -32,7 +32,7 @@ from softsensor.planning.information import (
     evidence,
     runs_needed,
 )
-from softsensor.planning.open_points import Kind, OpenPoint, contender
+from softsensor.planning.open_points import OpenPoint, PointKind, contender
 from softsensor.planning.outlook import outlook_of, planned_digest, shares, with_core
 from softsensor.planning.plan import plan
 from softsensor.planning.program import FACTORS, default_ranges, designed_run, settings_of
@@ -103,7 +103,7 @@ def between(first: str, second: str) -> OpenPoint:
         layout = lay_out(model, [d.digest for d in base.data], base.population, base.fit.values)
         fit = fit_campaign_model(layout, base.data, rounds=8)
         known.append(contender(name, fit, base, past, ()))
-    return OpenPoint(Kind.CAUSE, first, base, tuple(known))
+    return OpenPoint(PointKind.CAUSE, first, base, tuple(known))
 
 
 def prospect(point: OpenPoint, *, core: bool = False, **changed: float) -> float:

@@ -9,9 +9,9 @@ import pytest
 from daq.press.press_file import parse_press
 from daq.simulated.campaign import Plan, make_campaign
 from daq.simulated.campaign_pressfile import press_toml
-from daq.words.message import catalogue, languages
+from daq.words.message import catalogue_of, languages
 from softsensor.jobs.campaign import fit_campaign
-from softsensor.report.fit_figures import coefficients_figure, run_figure, svg
+from softsensor.report.fit_figures import coefficients_figure, fitted_run_figure, svg
 from softsensor.report.fit_report import fit_report
 
 
@@ -37,18 +37,18 @@ def test_a_page_in_german_says_nothing_of_its_own_in_english(campaign):
     page = fit_report(campaign, language="de")
     assert '<html lang="de">' in page
     assert "Angepasst an 3 Pressungen liegt das Modell" in page
-    english = {c: said.strip() for c, said in catalogue("en").entries().items() if c.startswith("report-")}
+    english = {c: said.strip() for c, said in catalogue_of("en").entries().items() if c.startswith("report-")}
     assert not [c for c, said in english.items() if "{" not in said and f">{said}<" in page]
 
 
 def test_the_legend_of_a_fit_says_which_coefficients_each_line_has(campaign):
-    labels = run_figure(campaign.runs[0]).get_axes()[0].get_legend_handles_labels()[1]
+    labels = fitted_run_figure(campaign.runs[0]).get_axes()[0].get_legend_handles_labels()[1]
     assert labels[:2] == ["model with the press file's guesses", "model with fitted coefficients"]
 
 
 @pytest.mark.parametrize("language", languages())
 def test_every_message_of_a_template_has_words(language):
-    known = catalogue(language)
+    known = catalogue_of(language)
     templates = (Path(__file__).parents[2] / "softsensor/templates").glob("*.html")
     codes = {
         code

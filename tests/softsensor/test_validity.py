@@ -4,13 +4,13 @@ import re
 
 import pytest
 
-from daq.words.message import catalogue, languages, words
+from daq.words.message import catalogue_of, languages, words
 from softsensor.live.validity import Invalid, InvalidReason, reason_message
 
 
 @pytest.mark.parametrize("language", languages())
 def test_every_reason_has_words_in_every_language(language):
-    assert [r for r in InvalidReason if not catalogue(language).has(r.code)] == []
+    assert [r for r in InvalidReason if not catalogue_of(language).has(r.code)] == []
 
 
 def test_a_reason_reads_the_same_from_the_store_as_when_it_was_found():

@@ -9,7 +9,7 @@ from daq.drivers.protocol import Cause
 from daq.press.header import VERDICTS
 from daq.records import PressState, Quality
 from daq.store.records import RunStatus
-from daq.words.message import catalogue, languages
+from daq.words.message import catalogue_of, languages
 from softsensor.diagnosis.decision import Verdict
 from softsensor.effects import BUILT_IN
 from softsensor.live.validity import InvalidReason
@@ -57,7 +57,7 @@ def test_the_sources_are_searched_and_the_causes_are_known():
 
 @pytest.mark.parametrize("language", languages())
 def test_every_word_the_page_looks_up_is_there(language):
-    known = catalogue(language).entries()
+    known = catalogue_of(language).entries()
     assert not [(code, where) for code, where in looked_up() if code not in known]
     assert not [code for code in values() if code not in known]
 
@@ -65,7 +65,7 @@ def test_every_word_the_page_looks_up_is_there(language):
 @pytest.mark.parametrize("language", languages())
 def test_what_the_page_puts_into_its_words_has_its_place_there(language):
     """`text("code", { name: ... })`: each name stands in the pattern, and the pattern wants no other."""
-    known = catalogue(language).entries()
+    known = catalogue_of(language).entries()
     wrong = []
     for file, source in SOURCES.items():
         for code, given in re.findall(r"text\(\"(page-[\w-]+)\"(?:, \{ ([^}]*) \})?\)", source):

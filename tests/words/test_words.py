@@ -14,7 +14,7 @@ from fluent.syntax import ast as fluent
 
 from api.cli import app
 from daq.words import Message, say, spoken
-from daq.words.message import catalogue, languages, words
+from daq.words.message import catalogue_of, languages, words
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("daq", "softsensor", "api")
@@ -38,7 +38,7 @@ def said_in_the_code():
 
 def patterns(language):
     """Every message of a catalogue by its code."""
-    body = FluentParser().parse(catalogue(language).text).body
+    body = FluentParser().parse(catalogue_of(language).text).body
     assert not [entry.content for entry in body if isinstance(entry, fluent.Junk)]
     found = [entry for entry in body if isinstance(entry, fluent.Message)]
     codes = [entry.id.name for entry in found]
@@ -71,7 +71,7 @@ def test_every_code_that_is_said_has_words_whose_variables_are_its_arguments(lan
 @pytest.mark.parametrize("language", languages())
 def test_each_entry_read_alone_is_what_the_whole_file_says(language):
     """A sentence is read from its own lines; they must be the lines a reader of the whole file gives it."""
-    alone = {c: FluentParser().parse_entry(f"{c} = {p}\n") for c, p in catalogue(language).entries().items()}
+    alone = {c: FluentParser().parse_entry(f"{c} = {p}\n") for c, p in catalogue_of(language).entries().items()}
     whole = patterns(language)
     assert alone.keys() == whole.keys()
     assert not [code for code in whole if not alone[code].equals(whole[code], ignored_fields=["span", "comment"])]
@@ -83,7 +83,7 @@ def test_every_command_and_option_has_its_help_in_every_language(language):
     codes = [f"help-command-{name}" for name in ("kerntemp", *top.commands)]
     codes += [str(one.help) for command in (top, *top.commands.values()) for one in command.params]
     assert len(codes) > 80
-    assert not set(codes) - set(catalogue(language).entries())
+    assert not set(codes) - set(catalogue_of(language).entries())
 
 
 @pytest.mark.parametrize("language", [one for one in languages() if one != "en"])
@@ -96,7 +96,9 @@ def test_a_language_has_the_words_of_all_codes_with_the_same_variables(language)
 @pytest.mark.parametrize("language", languages())
 def test_a_translator_finds_the_same_sections_in_every_language_each_in_alphabetical_order(language):
     def sections(one):
-        return [re.findall(r"^[\w-]+(?= =)|^## .*", s, re.MULTILINE) for s in catalogue(one).text.split("\n\n## ")]
+        return [
+            re.findall(r"^[\w-]+(?= =)|^## .*", s, re.MULTILINE) for s in catalogue_of(one).text.split("\n\n## ")
+        ]
 
     own = sections(language)
     assert own == sections("en")
@@ -121,7 +123,7 @@ def test_no_words_are_kept_that_nobody_says():
 def test_german_sentences_speak_in_one_form_that_addresses_nobody():
     """Infinitives throughout ("Kabel prüfen"): what the press says to three people on one screen."""
     addressed = re.compile(r"\w+n Sie\b|\bIhre?[mnrs]?\b")
-    assert not [c for c, pattern in catalogue("de").entries().items() if addressed.search(pattern)]
+    assert not [c for c, pattern in catalogue_of("de").entries().items() if addressed.search(pattern)]
 
 
 def test_there_are_english_and_german():
@@ -143,7 +145,7 @@ def test_numbers_keep_no_thousands_separator_and_take_the_languages_comma():
 @pytest.mark.parametrize("number", [float("nan"), float("inf"), -float("inf")])
 def test_a_number_that_is_none_is_told_in_words_in_every_sentence(language, number):
     """Fluent's own NUMBER() would leave ``NUMBER()`` in the sentence."""
-    own = catalogue(language)
+    own = catalogue_of(language)
     for code, entry in patterns(language).items():
         said = own.words(Message(code, dict.fromkeys(variables(entry), number)))
         assert "NUMBER" not in said, (code, said)

@@ -8,7 +8,7 @@ from fastapi import APIRouter, Query
 from pydantic import Field
 
 from api.answers.schemas import SearchList, Verdict
-from api.answers.search import OWN, Bound, Wanted, check_order, search
+from api.answers.search import OWN, Bound, Wanted, check_order, search_page
 from api.http.problems import problem_responses
 from api.http.routes.common import Cursor, PageSize, PressName, Since, StoreDep, Until, aware
 from daq.store.records import RunStatus
@@ -54,5 +54,5 @@ def search_runs(  # noqa: PLR0913 - each is a query by its name
     check_order(sort)
     bounds = [Bound.parse(one) for one in where if one.strip()]
     wanted = Wanted(q.split(), bounds, press, status, aware(since), aware(until), verdict, sort)
-    items, following = search(store, wanted, int(cursor or 0), limit)
+    items, following = search_page(store, wanted, int(cursor or 0), limit)
     return SearchList(items=items, next_cursor=None if following is None else str(following))

@@ -24,7 +24,7 @@ from softsensor.fitting.problem import rows_with_panel
 from softsensor.heat.case import Case
 from softsensor.heat.model import ThermalModel
 from softsensor.signals.places import collect_signals
-from softsensor.signals.robust import scatter
+from softsensor.signals.robust import channel_scatter
 
 METHODS = ("least_squares", "nelder_mead", "nelder_mead_then_least_squares")
 STOP = 1e-4
@@ -175,7 +175,7 @@ def _prepare(model: ThermalModel, run: Run, moments: Moments, every: bool) -> _F
         series = cells if every else place.mean[:, None]
         used = counted & np.isfinite(series)
         readings.append(np.where(used, series, 0.0))
-        spread = np.maximum(scatter(cells, own_offsets=every), LEAST_SCATTER_K)
+        spread = np.maximum(channel_scatter(cells, own_offsets=every), LEAST_SCATTER_K)
         weights.append(used / spread[:, None])
     labels = tuple(p.label for p in signals.places)
     columns = tuple(p.columns[0] for p in signals.places)
