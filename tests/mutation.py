@@ -160,11 +160,12 @@ def judged(
             if tuple(tests) not in sound_with and not passes(tree, tests, log):
                 raise SystemExit(f"{mutant.name}: its tests fail without a mutant; see {log}")
             sound_with.add(tuple(tests))
+            examples = (mutant.module,)  # in its docstrings
             file, begun = tree / mutant.module, time.monotonic()
             sound = file.read_text(encoding="utf-8")
             changed = mutant.applied(sound) or ""
             file.write_text(changed, encoding="utf-8")
-            survived = passes(tree, tests, log)
+            survived = passes(tree, (*examples, *tests), log)
             file.write_text(sound, encoding="utf-8")
             lines = zip(sound.splitlines(), changed.splitlines(), strict=False)
             was, now = next((a.strip(), b.strip()) for a, b in lines if a != b)

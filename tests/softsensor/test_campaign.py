@@ -39,6 +39,14 @@ def test_mean_of_a_campaign_covers_the_mean_of_the_truths(campaign):
         assert c.bootstrap95[0] < truths.mean() < c.bootstrap95[1]
 
 
+def test_the_interval_of_a_well_determined_median_is_students_of_the_scatter(campaign):
+    _, found = campaign
+    for name in ("h_pp_o", "h_pp_c", "h_wa"):
+        c = found.coefficients[name]
+        half = np.log(c.median_ci95[1] / c.median_ci95[0]) / 2.0
+        assert half == pytest.approx(2.365 * c.spread / np.sqrt(8), rel=0.02)  # 8 runs: 7 degrees of freedom
+
+
 def test_badly_determined_runs_borrow_from_the_others(campaign):
     measured, found = campaign
     own, joint = [], []

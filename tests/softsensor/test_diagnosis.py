@@ -272,6 +272,10 @@ def test_a_size_at_its_limit_or_far_beyond_what_is_usual_is_unphysical() -> None
     assert too_large(p.upper)
 
 
+def test_panels_are_given_constants_of_their_own_only_where_no_cause_explains_what_is_left() -> None:
+    assert diagnosed("edge_loss", 501, 7, 0.5).own_panels_K is None
+
+
 def test_of_seven_runs_that_agree_every_one_halves_the_chance() -> None:
     assert max_t(np.ones((7, 1))) == pytest.approx([2.0**-6])
     assert max_t(np.array([[-1.0], *[[1.0]] * 6])) > 2.0**-6

@@ -79,6 +79,12 @@ def test_the_core_is_known_within_a_kelvin_where_nothing_is_missing(plain, said)
     assert width.mean() <= 2.5
 
 
+def test_the_band_is_about_two_of_the_cores_standard_deviations_to_either_side(said):
+    """1.96 of a normal; of a mixture with a broad hypothesis fewer, of one with a narrow one more."""
+    reach = np.array([(e.core_high_C - e.core_low_C) / 2 / e.core_sd_K for e in said if e.valid])
+    assert np.median(reach) == pytest.approx(1.96, abs=0.4)
+
+
 def test_the_press_files_guesses_do_for_a_first_run(plain):
     error, inside, _ = compared(replay(plain[1][0], None), plain[1][1].core_C)
     assert rms(error) < 1.0
