@@ -399,6 +399,15 @@ def test_predictions_decide_what_is_promoted(ahead, residual_after, against):
     assert nightly_judge._against(before, after, seen, None, fewer=False) == against
 
 
+def test_a_gain_that_only_some_runs_have_is_not_promoted():
+    """A tenth less on the mean: of four that gain and two that lose it may be chance, of six alike not."""
+    before = np.full(6, 0.4)
+    scattered, alike = np.array([0.2, 0.6, 0.3, 0.55, 0.2, 0.31]), np.full(6, 0.36)
+    assert scattered.mean() == pytest.approx(alike.mean())
+    assert nightly_judge._against(before, scattered, None, None, fewer=False) == "not-significant"
+    assert nightly_judge._against(before, alike, None, None, fewer=False) is None
+
+
 def test_a_run_is_predicted_from_platens_and_header_alone(store, runs):
     """Panel sensors moved by 3 K move nothing of the prediction, so its error grows by what they are off."""
     table = {n: FittedValue(PRESS.coefficient(n).guess, 10.0) for n in PRESS.coefficient_names}
