@@ -49,8 +49,15 @@ def test_a_fault_outside_the_catalogue_is_called_unknown(name):
 
 
 def test_two_hidden_effects_are_found_one_after_the_other():
-    found = answer(431, "edge_loss", "contact_buildup")
+    found = answer(433, "edge_loss", "contact_buildup")
     assert {f.name for f in found.findings} == {"edge_loss", "contact_buildup"}
+
+
+def test_a_second_cause_that_saves_less_than_the_firsts_law_may_be_off_is_suspected():
+    """The loss at the rim saves less than 9 % of the sum of squares that the growing contact saves (`LAW_OFF`)."""
+    found = answer(431, "edge_loss", "contact_buildup")
+    assert [f.name for f in found.findings] == ["contact_buildup"]
+    assert [f.name for f in found.suspected] == ["edge_loss"]
 
 
 @pytest.mark.parametrize("seed", edition([401], [400, 401, 407, 440]))
