@@ -30,6 +30,7 @@ _BELOW_ZERO = (
     -0.198892668780e-19,
     -0.163226974860e-22,
 )
+# The same above. (NIST Monograph 175)
 _ABOVE_ZERO = (
     -0.176004136860e-1,
     0.389212049750e-1,

@@ -179,7 +179,7 @@ class Contact(Table):
     load: Load | None = None
 
 
-class Coefficient(Table):
+class CoefficientTable(Table):
     """``[coefficients.NAME]``: a heat transfer coefficient. [W/m²K]"""
 
     guess: Positive = 100.0
@@ -188,7 +188,7 @@ class Coefficient(Table):
     fixed: Yes = False
 
     @model_validator(mode="after")
-    def _ordered(self) -> Coefficient:
+    def _ordered(self) -> CoefficientTable:
         if not self.lower <= self.guess <= self.upper:
             raise ValueError(say("press-guess-outside", guess=self.guess, lower=self.lower, upper=self.upper))
         return self
@@ -256,7 +256,7 @@ class Press(Table):
     layer: tuple[Layer, ...] = Field(min_length=1)
     boundary: Boundaries = Boundaries()
     contact: tuple[Contact, ...] = ()
-    coefficients: Mapping[str, Coefficient] = Field(default_factory=dict)
+    coefficients: Mapping[str, CoefficientTable] = Field(default_factory=dict)
     priors: Mapping[str, Prior] = Field(default_factory=dict)
     sensor: tuple[Sensor, ...] = ()
     initial: Initial = Initial()
@@ -297,9 +297,9 @@ class Press(Table):
         """Those the file does not fix."""
         return tuple(n for n in self.coefficient_names if not self.coefficient(n).fixed)
 
-    def coefficient(self, name: str) -> Coefficient:
+    def coefficient(self, name: str) -> CoefficientTable:
         """Return the table of a coefficient, or the documented default (100, 0.1 to 100000 W/m²K)."""
-        return self.coefficients.get(name, Coefficient())
+        return self.coefficients.get(name, CoefficientTable())
 
     @property
     def has_states(self) -> bool:

@@ -16,6 +16,8 @@ from softsensor.effects import find_effect
 from softsensor.effects.vocabulary import called
 from softsensor.signals.screen import ChannelFault
 
+# Numbers without another source were set by hand, 2026-11.
+
 CORE_OFF_K = 1.0
 """A core error worth a measurement where faces show nothing: the first core thermocouples of a rig are themselves
 0.1 to 0.75 K off (facts, decision.md). [K]"""

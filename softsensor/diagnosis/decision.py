@@ -273,7 +273,7 @@ class Remains:
 
 
 @dataclass(frozen=True)
-class Case:
+class VerdictBasis:
     """All that a verdict rests on."""
 
     runs: int
@@ -295,7 +295,7 @@ class Conclusion:
     named: int = 0
 
 
-def conclude(case: Case) -> Conclusion:
+def conclude(case: VerdictBasis) -> Conclusion:
     """Give the verdict."""
     few = case.runs < FEW_RUNS
     proven = next((i for i, proof in enumerate(case.proofs) if not proof.holds), len(case.proofs))

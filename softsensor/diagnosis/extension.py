@@ -28,6 +28,9 @@ from softsensor.signals.unknown import Unknown
 
 STUCK = 3.0
 """A run whose misfit is so many times the usual one may sit in a side valley. By hand, 2026-11."""
+
+# Numbers without another source were set by hand, 2026-11.
+
 SCORE_LIMIT = 3.0
 """Standard deviations a run can say at most: else a few thin panels, which see far more of a cause, drown the rest
 and leave sign flips nothing to count. An odd function of a score keeps the flips exact."""

@@ -54,6 +54,9 @@ KNOTS = {"contact": 12, "heat": 9, "heat_exchange": 5}
 """Of each kind: as many as a solve bears, and finer than what twelve runs show. By hand, 2026-11."""
 LENGTH = 1.3
 """Of the kernel, in distances of knots: then no function between knots is lost (by hand, 2026-11)."""
+
+# Numbers without another source were set by hand, 2026-11.
+
 EARLY_S = 2.0
 """Time since closing counts as its logarithm from here on: a contact changes most at first. [s]"""
 COLDEST_K = 15.0
@@ -71,7 +74,7 @@ POINTS = 33
 
 
 @dataclass(frozen=True)
-class Kind:
+class LawKind:
     """A kind of law, laid over what the runs visited."""
 
     name: str
@@ -120,7 +123,7 @@ class Law:
 class _Tried:
     """A kind fitted to all runs."""
 
-    kind: Kind
+    kind: LawKind
     fit: SharedFit
     errors: Array
     """Of each run by the others' law (runs). [K]"""
@@ -161,7 +164,7 @@ def _chosen_without(fell: Array, run: int) -> int:
     return int(np.argmax(others.mean(axis=1)))
 
 
-def _kinds(stage: SettledModel) -> Iterator[Kind]:
+def _kinds(stage: SettledModel) -> Iterator[LawKind]:
     """Yield the kinds of law that these runs could follow."""
     press = stage.fit.layout.model.press
     if not press.panel_layers:
@@ -181,7 +184,7 @@ def _kinds(stage: SettledModel) -> Iterator[Kind]:
     yield exchange_by_depth()
 
 
-def contact_by_time(last_s: float, side: str = "") -> Kind:
+def contact_by_time(last_s: float, side: str = "") -> LawKind:
     """Return the contact, or that of one `side`, as a free function of the time since closing. [s]"""
     end = float(np.log1p(last_s / EARLY_S))
     smooth = _Smooth.over(0.0, end, KNOTS["contact"])
@@ -198,10 +201,12 @@ def contact_by_time(last_s: float, side: str = "") -> Kind:
     x = EARLY_S * np.expm1(np.linspace(0.0, end, POINTS))
     weights = smooth(np.log1p(x / EARLY_S)) - smooth(np.array([end]))
     effect = _effect("law_contact", KNOTS["contact"], terms)
-    return Kind(f"contact_{side}" if side else "contact", "time_since_closing_s", "-", effect, x, weights, np.exp)
+    return LawKind(
+        f"contact_{side}" if side else "contact", "time_since_closing_s", "-", effect, x, weights, np.exp
+    )
 
 
-def heat_by_temperature(coldest_C: float, hottest_C: float) -> Kind:
+def heat_by_temperature(coldest_C: float, hottest_C: float) -> LawKind:
     """Return heat that goes for good as the panel warms up, as a free function of temperature.
 
     The heat of each knot goes as the water of `moisture_evaporation` does, at the same rate above its temperature.
@@ -221,10 +226,10 @@ def heat_by_temperature(coldest_C: float, hottest_C: float) -> Kind:
 
     x = np.linspace(coldest_C, hottest_C, POINTS)
     effect = _effect("law_heat", KNOTS["heat"], terms, nonlinear=True)
-    return Kind("heat", "temperature_C", "kJ/m3K", effect, x, smooth(x), lambda f: f * HEAT_UNIT / 1e3)
+    return LawKind("heat", "temperature_C", "kJ/m3K", effect, x, smooth(x), lambda f: f * HEAT_UNIT / 1e3)
 
 
-def exchange_by_depth() -> Kind:
+def exchange_by_depth() -> LawKind:
     """Return heat lost to the room as a free function of the height in the panel."""
     smooth = _Smooth.over(-1.0, 1.0, KNOTS["heat_exchange"])
 
@@ -234,7 +239,7 @@ def exchange_by_depth() -> Kind:
 
     z = np.linspace(-1.0, 1.0, POINTS)
     effect = _effect("law_exchange", KNOTS["heat_exchange"], terms)
-    return Kind(
+    return LawKind(
         "heat_exchange", "depth_share", "W/m3K", effect, 0.5 * (z + 1.0), smooth(z), lambda f: f * EXCHANGE_UNIT
     )
 
@@ -274,7 +279,7 @@ def _effect(
     return Effect(name, parameters, terms, "free function, learned from the runs", nonlinear=nonlinear)
 
 
-def _tried(stage: SettledModel, kind: Kind) -> _Tried:
+def _tried(stage: SettledModel, kind: LawKind) -> _Tried:
     """Fit a kind beside everything else, its strength learned twice on the way."""
     model = stage.fit.layout.model.extended(kind.effect)
     names = [kind.effect.key(p.name) for p in kind.effect.parameters]

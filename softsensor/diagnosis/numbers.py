@@ -31,8 +31,9 @@ BLOCK_S = WIDEST_BIN_S
 """Blocks whose second differences show the noise: the widest bin of a short run. [s]"""
 CALM = 0.7
 """Least `Digest.trust` of a bin that shows noise: where its slope is gentle. By hand, 2026-11."""
+
 MEDIAN_CHI2 = 0.4549
-"""Median of chi-squared with one degree of freedom."""
+"""Median of chi-squared with one degree of freedom, to four digits: `scipy.special.chdtri(1, 0.5)`."""
 
 
 @dataclass(frozen=True)

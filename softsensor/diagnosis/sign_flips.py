@@ -22,6 +22,8 @@ import numpy as np
 from daq.records import Array
 from softsensor.signals.digest import Digest
 
+# Numbers without another source were set by hand, 2026-11.
+
 MANY = 4096
 """Flips drawn where all of them are more: p-values down to 2.4e-4."""
 SINCE_S = (0.0, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 1e9)

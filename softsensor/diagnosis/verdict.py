@@ -58,10 +58,10 @@ from softsensor.diagnosis.advice import AdviceBasis, next_measurement, notes, ri
 from softsensor.diagnosis.decision import (
     ALPHA_PATTERN,
     EXCESS,
-    Case,
     Proof,
     Remains,
     Verdict,
+    VerdictBasis,
     conclude,
     something_left,
 )
@@ -197,7 +197,7 @@ def _conclude(readings: _Readings, stages: list[SettledModel], rounds: list[Roun
         Remains(t, share, left / noise, is_described(e.rmse_K, noise, [d.digest for d in s.data]))
         for t, share, left, e, s in zip(tests, shares, left_K, errors, stages, strict=True)
     ]
-    conclusion = conclude(Case(len(runs), tuple(proofs), tuple(remains), bool(columns), bool(nearly)))
+    conclusion = conclude(VerdictBasis(len(runs), tuple(proofs), tuple(remains), bool(columns), bool(nearly)))
     named, verdict = conclusion.named, conclusion.verdict
     suspected = causes[named:] + nearly
     findings = _sensor_findings(faults, columns) + causes[:named]

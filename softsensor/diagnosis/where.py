@@ -24,6 +24,9 @@ from softsensor.signals.digest import Digest
 
 LATER_S = tuple(float(round(SINCE_S[-2] * 1.25**i)) for i in range(1, 30))
 """Where the last bin of time since an event is cut on: what is heated for an hour is not wrong throughout. [s]"""
+
+# Numbers without another source were set by hand, 2026-11.
+
 ALIKE = 2 / 3
 """Neighbours of one sign are one stretch down to this share of the largest."""
 SURE_T = 2.5

@@ -194,7 +194,7 @@ def company_of(press: Press, runs: Sequence[Run], shared: Sequence[str] = ()) ->
     return Company(len(runs), tuple(shared) if len(runs) > 1 else ())
 
 
-def campaign_of(
+def campaign_fit_of(
     model: ThermalModel, fits: Sequence[RunFit], shared: tuple[str, ...] = (), each: Each = map
 ) -> CampaignFit:
     """Take runs, each fitted alone, together as draws from one population.

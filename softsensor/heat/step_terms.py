@@ -434,7 +434,7 @@ def _surface(stack, d_flux, co, m, h, dh):
 
 
 @compiled()
-def exchange(stack, d_rate, co):
+def exchange_sources(stack, d_rate, co):
     """Start the sources with the volumetric exchange with ambient."""
     w, dw, dx, rate, ambient = co.w, co.dw, stack.dx, stack.exchange, stack.ambient
     n = dx.shape[0]
@@ -593,7 +593,7 @@ def switched(stack, tan, drive, step, state, co):
     """Fill what changes with the press's state: contacts, sources and the diagonal."""
     w, weight, d_weight = co.w, drive.weight[step], drive.d_weight[step]
     n, p = stack.dx.shape[0], co.dw.shape[1]
-    exchange(stack, tan.exchange, co)
+    exchange_sources(stack, tan.exchange, co)
     contacts(stack, tan, drive, step, co)
     for r in range(stack.heat.shape[0]):
         conversion(stack, tan, state, r, drive.h[step], co)

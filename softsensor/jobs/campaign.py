@@ -12,7 +12,7 @@ from typing import Any
 
 from daq.press.press_file import Press
 from daq.records import Run
-from softsensor.fitting.campaign import CampaignFit, campaign_of, company_of
+from softsensor.fitting.campaign import CampaignFit, campaign_fit_of, company_of
 from softsensor.fitting.identifiability import profiles_of
 from softsensor.fitting.one_run import fit_run, make_problem
 from softsensor.fitting.problem import minimise
@@ -57,7 +57,7 @@ def fit_campaign(
     model, company = ThermalModel(press), company_of(press, runs, shared)
     fits = fit_runs(model, runs, workers=workers, progress=progress, company=company, **options)
     with ThreadPoolExecutor(_cores(workers, runs)) as threads:
-        found = campaign_of(model, fits, company.shared, threads.map)
+        found = campaign_fit_of(model, fits, company.shared, threads.map)
         shapes = tuple(threads.map(profiles_of, fits)) if profiles else found.profiles
     return replace(found, profiles=shapes, method=options.get("method", "default"))
 

@@ -14,13 +14,16 @@ Array = NDArray[np.float64]
 
 BLOCK_S, EAGER_S = 0.45, 4.0
 """Scans are taken together over `BLOCK_S`, one by one for `EAGER_S` after a switch. [s]"""
+
+# Numbers without another source were set by hand, 2026-11.
+
 QUIET_S = 2.5
 """So long after a switch innovations say nothing about changes. [s]"""
 HOLE_S = 3.0
 """A face silent for longer may have moved in any way meanwhile. [s]"""
 
 
-class Rows(NamedTuple):
+class ScanRows(NamedTuple):
     """Scans as they came (N)."""
 
     time: Array
@@ -96,7 +99,7 @@ def last_switch(moments, now):
 
 
 @compiled()
-def cut(time, done, moments, limit, ends):
+def cut_blocks(time, done, moments, limit, ends):
     """Write the last scans of complete blocks into `ends`; return how many, and whether those are all."""
     count, begin = 0, done
     if done == 0:
@@ -116,7 +119,7 @@ def cut(time, done, moments, limit, ends):
 
 
 @compiled()
-def gather(rows, done, ends, counted, blocks):
+def gather_blocks(rows, done, ends, counted, blocks):
     """Fill `blocks` from the scans `done` and on, whose last scans are `ends`."""
     first = done
     for k in range(ends.shape[0]):

@@ -10,9 +10,11 @@ import numpy as np
 
 from daq.records import Array
 from softsensor.live import block_steps as compiled
-from softsensor.live.block_steps import Blocks, Counted, Rows
+from softsensor.live.block_steps import Blocks, Counted, ScanRows
 from softsensor.live.channel_steps import SOUND_K2, Channels, Integers, robust_mean
 from softsensor.signals.screen import LEAST_CHANNELS, LIMIT_K, LIMIT_RATIO
+
+# Numbers without another source were set by hand, 2026-11.
 
 SPARSE_S, BESIDE_S = 2.2, 0.5
 """Faces unread for longer leave a moment in or so near beside the gap unknown: it may lie anywhere in it. [s]"""
@@ -126,10 +128,10 @@ class Scans:
         return self._level[: self._count]
 
     @property
-    def rows(self) -> Rows:
+    def rows(self) -> ScanRows:
         """All of it, as the compiled loops take it."""
         n = self._count
-        return Rows(self._time[:n], self._outside[:n], self._level[:n], self._votes[:n])
+        return ScanRows(self._time[:n], self._outside[:n], self._level[:n], self._votes[:n])
 
 
 def fresh_channels(place: Integers, faces: int) -> Channels:
@@ -142,14 +144,14 @@ def _doubled(array: Array) -> Array:
     return np.concatenate([array, np.empty_like(array)])
 
 
-def blocks_of(rows: Rows, done: int, ends: Integers, counted: Counted) -> Blocks:
+def blocks_of(rows: ScanRows, done: int, ends: Integers, counted: Counted) -> Blocks:
     """Gather the scans from `done` on into blocks whose last scans are `ends`."""
     count, places = len(ends), rows.level.shape[1]
     made = Blocks(
         np.empty((count, 2)), np.empty((count, 2, 2)), np.empty((count, places)), np.empty((count, places)),
         np.empty((count, places)), rows.level[ends], np.empty(count, dtype=np.bool_),
     )  # fmt: skip
-    compiled.gather(rows, done, ends, counted, made)
+    compiled.gather_blocks(rows, done, ends, counted, made)
     return made
 
 
@@ -166,5 +168,5 @@ def cut(scans: Scans, done: int, moments: Array, limit: int) -> tuple[Integers, 
         Blocks at most; a run's first scan is a block that does not count.
     """
     ends = np.empty(min(limit, len(scans) - done) + 1, dtype=np.int64)
-    count, whole = compiled.cut(scans.time, done, moments, limit, ends)
+    count, whole = compiled.cut_blocks(scans.time, done, moments, limit, ends)
     return ends[:count], whole

@@ -29,6 +29,8 @@ class Channels(NamedTuple):
     """Last robust mean of each place, NaN at first (M). [°C]"""
 
 
+# Numbers without another source were set by hand, 2026-11.
+
 SOUND_K2 = 0.04
 """A channel counts half where its mean square departure is (0.2 K)², as sensors of one face differ when sound."""
 _FAR_K = 0.6

@@ -18,6 +18,8 @@ from softsensor.live.channel_steps import Changes, Integers, note_changes
 from softsensor.live.validity import Invalid, InvalidReason
 from softsensor.signals.instrument import RAMP_S
 
+# Numbers without another source were set by hand, 2026-11.
+
 NOT_FRESH_K = 6.0
 """Faces of which the colder one is this far from the header's start temperature are no fresh panel's: a face in
 the open press warms by so much in 1.5 s at most, where it does not touch a plate. [K]"""

@@ -24,6 +24,8 @@ from softsensor.live.mixture import Mixture, mix
 from softsensor.live.passes import Pass
 from softsensor.opening.limits import Opening, opening
 
+# Numbers without another source were set by hand, 2026-11.
+
 HORIZON_S, EVERY_S = 240.0, 4.0
 """How far ahead is looked, and at how many times. [s]"""
 COURSE_POINTS = 12

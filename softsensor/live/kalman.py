@@ -13,7 +13,7 @@ from softsensor.live import mixture_steps as mixtures
 from softsensor.live.block_steps import HOLE_S, Blocks, FacesRead, march_between_faces, single
 from softsensor.live.curing import Curing
 from softsensor.live.kalman_steps import StateEstimate, filter_blocks
-from softsensor.live.march_steps import Timing
+from softsensor.live.march_steps import PressTiming
 from softsensor.live.mixture_steps import Hypotheses
 from softsensor.live.priors import TIMING, FilterPlan, is_straight
 from softsensor.live.setup import Linearised, RunSetup
@@ -21,6 +21,9 @@ from softsensor.signals.instrument import CHANNEL_K, FACE_SLOW_K
 
 MISFIT_MEMORY_S, WORST_MEMORY_S = 10.0, 120.0
 """How long a misfit, and the worst one so far, are remembered. Set by hand, 2026-11. [s]"""
+
+# Numbers without another source were set by hand, 2026-11.
+
 LOG_STEP, TIME_STEP_S, TIME_STEP, UNIT_STEP = 0.15, 0.06, 0.2, 0.5
 """Linearise anew where a logarithm, a moment (both in seconds and in prior units) or any other parameter (in prior
 units) has moved this far."""
@@ -40,7 +43,7 @@ class KalmanFilter:
     names: tuple[str, ...]
     """What "no cause" (or this filter's own) is called, then each suspected cause."""
     hypotheses: Hypotheses
-    timing: Timing
+    timing: PressTiming
     estimate: StateEstimate
     reach: tuple[Array, Array]
     """Where the point of linearisation may lie (P), (P)."""
@@ -57,7 +60,7 @@ class KalmanFilter:
     """Cure of both faces, where a resin is given."""
 
     @staticmethod
-    def at_prior(setup: RunSetup, made: Linearised, timing: Timing, plan: FilterPlan) -> KalmanFilter:
+    def at_prior(setup: RunSetup, made: Linearised, timing: PressTiming, plan: FilterPlan) -> KalmanFilter:
         """Start at the prior."""
         m, p = len(setup.labels), len(made.names)
         x, cov = np.zeros(p + 2 + 2 * m), np.eye(p + 2 + 2 * m)
@@ -179,7 +182,7 @@ class BetweenFaces:
     """The panel alone, between its faces as they are measured: right whatever the contacts do."""
 
     linearised: Linearised
-    timing: Timing
+    timing: PressTiming
     faces: tuple[int, int]
     """Places of the lower and the upper face."""
     read: FacesRead
@@ -187,7 +190,7 @@ class BetweenFaces:
     """Core when last nothing had changed. [°C]"""
 
     @staticmethod
-    def at_start(made: Linearised, timing: Timing, faces: tuple[int, int], start_C: float) -> BetweenFaces:
+    def at_start(made: Linearised, timing: PressTiming, faces: tuple[int, int], start_C: float) -> BetweenFaces:
         """Start with both faces at the panel's initial temperature."""
         read = FacesRead(np.full(2, start_C), np.zeros(1), np.zeros(2))
         return BetweenFaces(made, timing, faces, read, start_C)

@@ -28,6 +28,9 @@ from softsensor.live.march_steps import march
 from softsensor.signals.instrument import CHANNEL_WHITE_K, FACE_SLOW_K, FACE_SLOW_S, ROUNDING_K2
 
 Array = NDArray[np.float64]
+
+# Numbers without another source were set by hand, 2026-11.
+
 ROUGH_S, ROUGH_MEMORY_S = 0.15, 3.0
 """How far the model may be off in time where readings jump, and for how long. [s]"""
 JUMP_K = 0.15

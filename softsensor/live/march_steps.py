@@ -19,6 +19,8 @@ from softsensor.heat.timing import HANDLING_RAMP_S, OPENING_RAMP_S
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
+# Numbers without another source were set by hand, 2026-11.
+
 LONGEST_STEP_S = 0.5
 """Longest step of a march: a block's length, so that a settled block takes one. [s]"""
 _SWITCH_STEP_S, _SETTLING_S, _GROWTH = 0.08, 0.35, 0.15
@@ -58,7 +60,7 @@ class Chain(NamedTuple):
     """(P)"""
 
 
-class Timing(NamedTuple):
+class PressTiming(NamedTuple):
     """When things happen; infinite where they do not (yet). [s]"""
 
     start: float

@@ -20,7 +20,7 @@ from softsensor.live.curing import ResinSetup
 from softsensor.live.inside import Inside, look_inside
 from softsensor.live.kalman import BetweenFaces, KalmanFilter
 from softsensor.live.leaving import Leave, leave_of
-from softsensor.live.march_steps import LONGEST_STEP_S, Chain, Timing
+from softsensor.live.march_steps import LONGEST_STEP_S, Chain, PressTiming
 from softsensor.live.mixture import Mixture, mix, model_variance
 from softsensor.live.priors import TIMING, panel_plan, plans_for
 from softsensor.live.setup import Linearised, RunSetup, linearise
@@ -119,7 +119,7 @@ class Pass:
         made = linearise(alone[0], plan, np.zeros(len(plan.priors)))
         return BetweenFaces.at_start(made, self._timing(made), alone[1], self._setup.start_C)
 
-    def _timing(self, made: Linearised) -> Timing:
+    def _timing(self, made: Linearised) -> PressTiming:
         m = self._known.moments
         insertion, closing, opening = (made.shift(t) if t in made.names else 0.0 for t in TIMING)
         here = math.inf if self._known.idle and not math.isfinite(m.removed_s) else -math.inf
@@ -129,7 +129,7 @@ class Pass:
 
         never = math.inf if self._setup.press.has_states else self._first
         units, closed = made.timing_units, known(m.closed_s, never) + closing
-        return Timing(
+        return PressTiming(
             start=self._first,
             inserted=min(known(m.inserted_s, here) + insertion, closed - LEAST_WAIT_S),
             closed=closed,

@@ -71,6 +71,9 @@ SKIN_SD = paper_layer.EFFECT.parameters[1].typical
 """Heat capacity on the panel's faces, as paper has. [J/m²K]"""
 TIMING = ("inserted_s", "closed_s", "opened_s")
 """Moments of the press as parameters: shifts of what the detector found. [s]"""
+
+# Numbers without another source were set by hand, 2026-11.
+
 LARGEST_SHIFT = 1.0
 """Of a coefficient's logarithm for a cause's typical size: beyond, contacts are no longer nearly linear."""
 OWN_FILTER, OWN_FILTERS = 0.2, 2

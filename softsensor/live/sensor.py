@@ -46,6 +46,8 @@ from softsensor.live.possible import Possible
 from softsensor.live.setup import RunSetup, set_up, with_platens
 from softsensor.live.validity import Invalid, InvalidReason
 
+# Numbers without another source were set by hand, 2026-11.
+
 MISFIT_LIMIT = 9.0
 """Mean squared normalised innovation over 10 s beyond which the model is not valid: three deviations, for 10 s."""
 WIDEST_K = 25.0

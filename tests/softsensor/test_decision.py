@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from softsensor.diagnosis.decision import (
-    Case,
     Claim,
     Evidence,
     Objection,
@@ -14,6 +13,7 @@ from softsensor.diagnosis.decision import (
     Remains,
     Step,
     Verdict,
+    VerdictBasis,
     choose,
     conclude,
     objections,
@@ -158,8 +158,8 @@ NOTHING, PATTERN = PatternTest(0.6, 0.0, None), PatternTest(0.008, 0.25, None)
 QUIET, LOUD = Remains(NOTHING, 0.0, 1.1, True), Remains(PATTERN, 0.0, 4.0, True)
 GOOD = Proof(("a",), SURE, SURE, True, 0.4)
 AFTER = replace(QUIET, explained=0.95)
-ONE = Case(RUNS, (GOOD,), (LOUD, AFTER))
-NONE = Case(RUNS, (), (QUIET,))
+ONE = VerdictBasis(RUNS, (GOOD,), (LOUD, AFTER))
+NONE = VerdictBasis(RUNS, (), (QUIET,))
 
 
 def remains(**changes):
@@ -174,7 +174,7 @@ def proof(**changes):
     return replace(ONE, proofs=(replace(GOOD, **changes),))
 
 
-TWO = Case(RUNS, (GOOD, replace(GOOD, set=("b",))), (LOUD, AFTER, AFTER))
+TWO = VerdictBasis(RUNS, (GOOD, replace(GOOD, set=("b",))), (LOUD, AFTER, AFTER))
 VERDICTS = (
     ("nothing found, nothing left", NONE, Verdict.NO_EFFECT, 0),
     ("nothing found, a common pattern left", remains(pattern=PATTERN), Verdict.UNKNOWN_EFFECT, 0),

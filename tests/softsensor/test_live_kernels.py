@@ -9,7 +9,7 @@ from softsensor.heat.implicit_steps import Drive
 from softsensor.live.blocks import fresh_channels
 from softsensor.live.channel_steps import robust_mean
 from softsensor.live.kalman_steps import StateEstimate, kalman_update
-from softsensor.live.march_steps import Timing, set_shares, step_length
+from softsensor.live.march_steps import PressTiming, set_shares, step_length
 from softsensor.live.mixture_steps import Change, Components, Hypotheses, condition, pool, quantile
 
 
@@ -155,7 +155,7 @@ def test_a_loose_channel_loses_its_vote():
 
 
 def test_steps_end_where_they_should_and_are_fine_at_a_switch():
-    timing = Timing(0.0, 2.0, 10.0, np.inf, np.inf, 0.5, True, 1.0, 1.0, 1.0, 0.5)
+    timing = PressTiming(0.0, 2.0, 10.0, np.inf, np.inf, 0.5, True, 1.0, 1.0, 1.0, 0.5)
     t, steps = 0.0, []
     while t < 30.0 - 1e-9:
         h = step_length(t, 30.0, timing)
@@ -169,7 +169,7 @@ def test_steps_end_where_they_should_and_are_fine_at_a_switch():
 @pytest.mark.parametrize("moment", ["inserted", "closed", "opened"])
 @pytest.mark.parametrize("begin", [1.95, 9.9, 19.9])
 def test_shares_of_a_step_answer_to_the_moments_as_their_derivatives_say(moment, begin):
-    timing = Timing(0.0, 2.0, 10.0, 20.0, np.inf, 0.5, True, 3.0, 0.2, 0.4, 0.5)
+    timing = PressTiming(0.0, 2.0, 10.0, 20.0, np.inf, 0.5, True, 3.0, 0.2, 0.4, 0.5)
     unit = {"inserted": 3.0, "closed": 0.2, "opened": 0.4}[moment]
     moving = np.arange(3)
 
