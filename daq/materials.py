@@ -13,6 +13,13 @@ from dataclasses import dataclass
 TABLE_SD = 0.2
 """Standard deviation between boards sold under one name, as a share. (Wood Handbook, ch. 4: +-20 %)"""
 
+GRAIN_SD = 1.0 - 1.8**-0.5
+"""How far a solid wood's conductivity may be off besides where nobody says in which direction it was measured,
+as a share. Along the grain it is some 1.8 times that across (Wood Handbook, ch. 4: 1.5 to 2.8), and a hot disk
+that takes the wood for isotropic reads the root of their product (ISO 22007-2)."""
+SOLID_WOODS = ("ash", "beech", "birch", "fir", "larch", "maple", "oak", "pine", "poplar", "spruce", "wood")
+"""Names a header may give a solid wood in ``panel.material``, alone or with words before (``Scots pine``)."""
+
 _FSRI_MDF, _FSRI_OSB = "measured: FSRI_MDF", "measured: FSRI_OSB"
 _TRADE = "middle of the trade's range"
 _WOOD_HANDBOOK = "at 8 % moisture and 50 °C, Wood Handbook, ch. 4"
@@ -47,6 +54,17 @@ MATERIALS = {
     "plywood": Material(Constant(550.0, _TRADE), Constant(0.12, _TRADE), Constant(1600.0, _TRADE)),
 }
 """By the name a run's header gives in ``panel.material``; case does not matter."""
+
+
+def is_solid_wood(name: str) -> bool:
+    """Return whether a header's material is wood with its grain, and no board made of it.
+
+    Examples
+    --------
+    >>> is_solid_wood("Scots pine"), is_solid_wood("plywood")
+    (True, False)
+    """
+    return name.strip().lower().rpartition(" ")[2] in SOLID_WOODS
 
 
 def find_material(name: str) -> Material | None:

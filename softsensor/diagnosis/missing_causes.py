@@ -154,7 +154,7 @@ def _far_off(seen: MissingCauses | None, left: Sequence[float]) -> MissingCauses
     """Return what is said of runs the model describes none of: no cause takes anything of what is left."""
     if seen is None or not left:
         return seen
-    return replace(seen, unexplained_K=max(seen.unexplained_K, float(np.median(left))))
+    return replace(seen, runs=0, unexplained_K=max(seen.unexplained_K, float(np.median(left))))
 
 
 def _moved(problem: Problem, effect: Effect, values: Mapping[str, float], base: Array) -> list[Array]:

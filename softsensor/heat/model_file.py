@@ -56,6 +56,7 @@ class MissingCauses:
     """How well the runs behind a model know that nothing is missing from it."""
 
     runs: int
+    """Held against the model and described by it."""
     nothing: float
     """Chance that nothing of the catalogue is missing."""
     unexplained_K: float  # noqa: N815

@@ -24,7 +24,7 @@ from softsensor.live.consistency import (
 from softsensor.live.passes import LEAST_WAIT_S, Known
 from softsensor.live.setup import RunSetup
 from softsensor.live.validity import Invalid, InvalidReason
-from softsensor.signals.instrument import LIVE_MOMENT_S, START_K
+from softsensor.signals.instrument import LIVE_MOMENT_S
 
 LONGEST_GAP_S, MISSED_K = 7.0, 25.0
 """A press that closed in a longer gap has pressed for a time nobody knows; where both faces have moved by more in
@@ -56,7 +56,7 @@ class PressFollower:
 
     def __init__(self, setup: RunSetup, scans: Scans) -> None:
         self.state: PressState | None = None
-        self.known = Known()
+        self.known = Known(initial_sd=setup.start_sd)
         self._setup, self._scans = setup, scans
         self._detector = PressEventDetector(setup.press)
         self._invalid: Invalid | None = None
@@ -120,7 +120,7 @@ class PressFollower:
         self._invalid = self._invalid or contradiction(error.certain, self._setup.start_C)
         if abs(error.off) <= START_OFF_K:
             return False
-        self.known = replace(self.known, initial_sd=math.hypot(START_K, error.off))
+        self.known = replace(self.known, initial_sd=math.hypot(self._setup.start_sd, error.off))
         return True
 
     def receive(self, time_s: float, expected: Array | None) -> None:
@@ -231,7 +231,7 @@ class PressFollower:
             self.known,
             moments=Moments(inserted_s=insertion.at if seen else math.nan),
             inserted_sd=insertion.sd if seen else 0.0,
-            initial_sd=START_K,
+            initial_sd=self._setup.start_sd,
         )
         self._insertion, self._judged, self._lies_since = insertion, 0, insertion.at
         if seen:

@@ -9,8 +9,10 @@ from functools import cached_property
 
 import numpy as np
 
+from daq.records import Array
 from softsensor.live.kalman import BetweenFaces, KalmanFilter, log_sum
 from softsensor.live.mixture_steps import Change, Components, pool, weigh
+from softsensor.signals.doubt import DOUBT_SIZES
 
 MARGIN_K, MARGIN_SHARE = 0.1, 0.003
 """What the model itself adds to the core: absolute (what header and logger round to), and of its rise (mesh,
@@ -71,21 +73,41 @@ def model_variance(rise_K: float, start_K: float) -> float:
 def mix(filters: Sequence[KalmanFilter], margin: float, between: BetweenFaces | None = None) -> Mixture:
     """Pool what all hypotheses of all filters say about the core; `margin` is the `model_variance`. [K²]"""
     names: list[str] = []
-    log, means, variances = np.empty((3, 2 + sum(len(f.names) for f in filters)))
+    log, means, variances, doubts = np.empty((4, sum(len(f.names) for f in filters)))
     reported = math.nan
     for f in filters:
         own = slice(len(names), len(names) + len(f.names))
         out = Components(log[own], means[own], variances[own])
         reported = weigh(f.estimate, f.linearised.model.chain, f.hypotheses, f.fit, reported, out)
         held = f.held_K
-        variances[own] = (variances[own] + margin) * max(1.0, f.misfit) + held @ held
+        variances[own] = (variances[own] + margin) * max(1.0, f.misfit)
+        doubts[own] = held @ held
         names += f.names
     change, by_faces = _change(filters, margin, between)
-    if change.chance > 0.0:
-        names += [CHANGED, CHANGED]
-    components = Components(log[: len(names)], means[: len(names)], variances[: len(names)])
+    components = by_size(Components(log, means, variances), doubts, 2 if change.chance > 0.0 else 0)
+    names = [*names * len(DOUBT_SIZES), *[CHANGED] * (2 if change.chance > 0.0 else 0)]
     core, sd, low, high = pool(components, reported, change)
     return Mixture(tuple(names), components, core, sd, low, high, by_faces)
+
+
+def by_size(components: Components, doubts: Array, room: int = 0) -> Components:
+    """Return each component once for every size that what is in doubt may have (`DOUBT_SIZES`).
+
+    Parameters
+    ----------
+    doubts
+        Variance by what is considered, at its usual size.
+    room
+        Components left empty behind them.
+    """
+    log = [components.weight + math.log(share) for _, share in DOUBT_SIZES]
+    variances = [components.variance + size**2 * doubts for size, _ in DOUBT_SIZES]
+    empty = np.zeros(room)
+    return Components(
+        np.concatenate([*log, empty]),
+        np.concatenate([*[components.mean] * len(log), empty]),
+        np.concatenate([*variances, empty]),
+    )
 
 
 def _change(filters: Sequence[KalmanFilter], margin: float, between: BetweenFaces | None) -> tuple[Change, bool]:

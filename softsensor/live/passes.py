@@ -90,7 +90,7 @@ class Pass:
     ) -> None:
         self._setup, self._known, self._first = setup, known, first
         self.switches = known.switches(first)
-        self._uneven = UNEVEN_K if known.initial_sd > START_K else 0.0
+        self._uneven = UNEVEN_K if known.initial_sd > setup.start_sd else 0.0
         unowned = [d.prior for d in setup.directions]
         plans = plans_for(setup.press, model, known.moments_sd, known.initial_sd, unowned)
         if points is None or [len(p) for p in points] != [len(plan.priors) for plan in plans]:

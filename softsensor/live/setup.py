@@ -24,6 +24,8 @@ from softsensor.live.curing import ResinSetup
 from softsensor.live.directions import MOST_SHARE, Direction, directions_of
 from softsensor.live.march_steps import Chain, Factors, LinearModel, settle
 from softsensor.live.priors import SKIN, TIMING, FilterPlan
+from softsensor.signals.doubt import constant_doubts
+from softsensor.signals.instrument import START_K
 from softsensor.signals.unknown import Unknown
 
 PROFILE = 11
@@ -57,6 +59,12 @@ class RunSetup:
     def unknown_constants(self) -> bool:
         """Whether one of the constants may be off by so much that it is not known."""
         return any(d.prior.sd > MOST_SHARE for d in self.directions if d.is_constant)
+
+    @cached_property
+    def start_sd(self) -> float:
+        """How far the header's start temperature may be from the truth. [K]"""
+        found = constant_doubts(self.run.header, self.press).get("panel.initial_temperature_C")
+        return START_K if found is None else found.sd
 
     @cached_property
     def platens(self) -> tuple[str, ...]:

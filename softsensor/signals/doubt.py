@@ -16,10 +16,12 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
+import numpy as np
+
 from daq.materials import Constant, find_material
 from daq.press.press_file import SD, At, Boundary, Layer, Press
 from daq.records import ROOM_C
-from softsensor.signals.instrument import START_K
+from softsensor.signals.instrument import START_ALONE_K
 
 
 class Source(StrEnum):
@@ -54,8 +56,19 @@ class Doubt:
         return self.sd / abs(self.value) if self.value else float("inf")
 
 
-PANEL_SCATTER = 0.055
-"""Of k and of c from panel to panel of one product, as a share: the middle of 3 to 8 % (issue 18). Unverified."""
+PANEL_SCATTER_LEAST, PANEL_SCATTER_MOST = 0.03, 0.08
+"""Of k and of c from panel to panel of one product, as a share: between these (issue 18). Unverified."""
+PANEL_SCATTER = 0.5 * (PANEL_SCATTER_LEAST + PANEL_SCATTER_MOST)
+"""The middle of them."""
+_NODES, _SHARES = np.polynomial.legendre.leggauss(3)
+DOUBT_SIZES = tuple(
+    zip(
+        (1.0 + (PANEL_SCATTER_MOST / PANEL_SCATTER - 1.0) * _NODES).tolist(), (0.5 * _SHARES).tolist(), strict=True
+    )
+)
+"""A doubt's true size in units of the one that is taken for usual, and the chance of it: evenly between the least
+and the most that panels scatter by, in three Gauss points. How much the next panel differs, nobody knows better;
+one size for all makes the middle of a band too wide and its ends too short."""
 PANEL_DENSITY = 0.035
 """Of density: EN 622-5 and EN 312 allow 7 and 10 % about the mean within a board (method: EN 323); the lower one,
 taken as two deviations. Unverified."""
@@ -145,7 +158,9 @@ def _panel(header: Mapping[str, Any]) -> Iterator[tuple[str, Doubt]]:
         "panel.density_kg_m3": doubt("panel.density_kg_m3", PANEL_DENSITY, "density"),
         "panel.conductivity_W_mK": doubt("panel.conductivity_W_mK", PANEL_SCATTER, "conductivity"),
         "panel.heat_capacity_J_kgK": doubt("panel.heat_capacity_J_kgK", PANEL_SCATTER, "heat_capacity"),
-        "panel.initial_temperature_C": _given(header, "panel.initial_temperature_C", START_K, Source.MEASURED),
+        "panel.initial_temperature_C": _given(
+            header, "panel.initial_temperature_C", START_ALONE_K, Source.MEASURED
+        ),
         "panel.moisture_percent": _given(header, "panel.moisture_percent", MOISTURE_PERCENT, Source.MEASURED),
     }
     if rows["panel.moisture_percent"] is None and material is not None:

@@ -79,6 +79,9 @@ SCAN_SKEW_S = 0.06
 
 START_K = 0.3
 """The panel's start temperature in the header against the true one: a handheld sensor, an uneven panel. [K]"""
+START_ALONE_K = math.hypot(START_K, PLATEN_CLASS_K)
+"""With what the sensor that gave it may be off in all runs, which is of a platen channel's class. Where no face is
+read, nothing else tells the start. The live sensor's number, as `PLATEN_ALONE_K` is. [K]"""
 GUESS_LOG = 0.7
 """Of the logarithm of a coefficient of which only the press file's guess is known: a factor of two."""
 SPREAD_LOG = 0.15
