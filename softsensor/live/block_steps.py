@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.compiled import compiled
-from softsensor.live.march_steps import march
+from softsensor.live.march_steps import march_span
 
 Array = NDArray[np.float64]
 
@@ -170,4 +170,4 @@ def march_between_faces(model, timing, blocks, faces, read):
             read.jumped_K[1] = max(read.jumped_K[1], min(least, most))
         read.silent_s[0] = 0.0 if seen else silent
         if elapsed > 0.0:
-            march(model, timing, blocks.span[k], outside)
+            march_span(model, timing, blocks.span[k], outside)

@@ -19,7 +19,7 @@ from softsensor.heat import implicit_steps as kernels
 from softsensor.live.curing import ResinSetup
 from softsensor.live.kalman import KalmanFilter
 from softsensor.live.leaving import leave_of
-from softsensor.live.march_steps import Chain, march
+from softsensor.live.march_steps import Chain, march_span
 from softsensor.live.mixture import Mixture, mix
 from softsensor.live.passes import Pass
 from softsensor.opening.limits import Opening, opening
@@ -299,4 +299,4 @@ def _without(tangents: kernels.Tangents) -> kernels.Tangents:
 
 
 def _march(one: KalmanFilter, begin: float, end: float, platens: Array) -> None:
-    march(one.linearised.model, one.timing, np.array([begin, end]), platens)
+    march_span(one.linearised.model, one.timing, np.array([begin, end]), platens)

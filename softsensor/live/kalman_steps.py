@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from daq.compiled import compiled
 from softsensor.effects import thermocouple_footprint, thermocouple_lag
-from softsensor.live.march_steps import march
+from softsensor.live.march_steps import march_span
 from softsensor.signals.instrument import CHANNEL_WHITE_K, FACE_SLOW_K, FACE_SLOW_S, ROUNDING_K2
 
 Array = NDArray[np.float64]
@@ -185,7 +185,7 @@ def filter_blocks(model, timing, estimate, blocks, scores):
         elapsed = blocks.span[k, 1] - blocks.span[k, 0]
         before = model.chain.read.copy(), model.chain.d_read.copy()
         if elapsed > 0.0:
-            march(model, timing, blocks.span[k], blocks.outside[k])
+            march_span(model, timing, blocks.span[k], blocks.outside[k])
             first = estimate.mean.shape[0] - model.chain.read.shape[0]
             predict_biases(estimate, first, math.exp(-elapsed / FACE_SLOW_S), FACE_SLOW_K * FACE_SLOW_K)
         update_by_faces(model, before, estimate, blocks, k, scores[k])

@@ -203,7 +203,7 @@ def _set_factors(drive, k, a, b, factors, closed):
 
 
 @compiled()
-def sense(chain, out, d_out, k, h, closed):
+def read_sensors(chain, out, d_out, k, h, closed):
     """Bring the measuring chain to output row `k`, `h` seconds after the last (0: settled).
 
     The outputs are the sensors' places, the press faces opposite them, and the core.
@@ -264,7 +264,7 @@ def _delay(chain, a, y, row, h):
 
 
 @compiled()
-def march(model, timing, span, outside):
+def march_span(model, timing, span, outside):
     """Take the model from ``span[0]`` to ``span[1]`` with platens straight from outside[0] to outside[1]."""
     drive = _drive(model, timing, span, outside)
     p, n = model.state.s.shape
@@ -275,7 +275,7 @@ def march(model, timing, span, outside):
     t = span[0]
     for k in range(steps):
         t += drive.h[k]
-        sense(model.chain, out, d_out, k + 1, drive.h[k], _closed(t, timing))
+        read_sensors(model.chain, out, d_out, k + 1, drive.h[k], _closed(t, timing))
 
 
 @compiled()
@@ -328,4 +328,4 @@ def settle(state, chain, places):
             out[0, a] += places[a, i] * state.t[i]
             for q in range(p):
                 d_out[q, 0, a] += places[a, i] * state.s[q, i]
-    sense(chain, out, d_out, 0, 0.0, 0.0)
+    read_sensors(chain, out, d_out, 0, 0.0, 0.0)
