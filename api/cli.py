@@ -14,6 +14,8 @@ from collections.abc import Sequence
 from typing import Annotated
 
 import typer
+from typer._completion_classes import completion_init
+from typer._completion_shared import get_completion_script
 
 from api.commands import files, services
 from api.commands import simulating as analysis
@@ -46,6 +48,7 @@ def about(
     context: typer.Context,
     version: Annotated[bool, typer.Option("--version", help="help-version")] = False,
     licences: Annotated[bool, typer.Option("--licences", help="help-licences")] = False,
+    completion: Annotated[str, typer.Option("--completion", metavar="SHELL", help="help-completion")] = "",
 ) -> None:
     """Core temperature of pressed panels: log, predict live, fit, and find what the model gets wrong."""
     if version:
@@ -56,7 +59,9 @@ def about(
         from api.commands.licences import licence_lines
 
         sys.stdout.write("\n".join(licence_lines()) + "\n")
-    if version or licences:
+    if completion:
+        sys.stdout.write(_completion_script(completion))
+    if version or licences or completion:
         raise typer.Exit
     if context.invoked_subcommand is None:
         raise InputError(say("call-command-missing"))
@@ -83,12 +88,16 @@ app.command("calibrate", cls=Command)(calibrate)
 app.command("token", cls=Command)(services.token)
 
 
+COMPLETE = "_KERNTEMP_COMPLETE"
+"""Variable in which a shell that completes asks; the command line library reads it."""
 _UsageError: type[Exception] = typer.BadParameter.__mro__[1]
 """The command line library's 'wrong call'; typer names only its subclass in public."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit status."""
+    if COMPLETE in os.environ:
+        completion_init()
     try:
         _choose_language(os.environ.get("KERNTEMP_LANGUAGE", ENGLISH))
         status = app(args=arguments, prog_name="kerntemp", standalone_mode=False)
@@ -105,6 +114,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         said = say("terminal-unexpected", kind=type(error).__name__, why=str(error))
         return _complain(WorkFailed(said), 1)
     return status if isinstance(status, int) else 0
+
+
+def _completion_script(shell: str) -> str:
+    """Return what a shell has to read to complete with Tab. Raises `InputError`."""
+    if shell not in ("bash", "zsh", "fish"):
+        raise InputError(say("terminal-completion-shell", shell=shell))
+    return get_completion_script(prog_name="kerntemp", complete_var=COMPLETE, shell=shell) + "\n"
 
 
 def _choose_language(language: str) -> None:

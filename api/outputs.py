@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 import threading
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
@@ -22,6 +22,8 @@ from daq.words.message import ENGLISH, words
 _LANGUAGE = ContextVar("language of the terminal", default=ENGLISH)
 PATIENCE_S = 1.0
 """Work that takes longer than this shows progress on a terminal."""
+NAMED_FILES = 4
+"""Files of a folder that are named one by one when written: what `fit` has options for, figures aside."""
 
 
 def speak(language: str) -> None:
@@ -43,6 +45,18 @@ def tell(said: Message | str) -> None:
     """Write a line to standard output, at once."""
     sys.stdout.write(in_words(said) + "\n")
     sys.stdout.flush()
+
+
+def tell_table(heads: Sequence[Message], rows: Iterable[Sequence[str]]) -> None:
+    """Write a list under its heads: in columns on a terminal, else parted by tabs for other programs."""
+    lines = [[in_words(head) for head in heads], *(list(row) for row in rows)]
+    if not sys.stdout.isatty():
+        for line in lines:
+            tell("\t".join(line))
+        return
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    for line in lines:
+        tell("  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip())
 
 
 def warn(said: Message | str) -> None:
@@ -91,7 +105,7 @@ def _same_file(one: Path, other: Path) -> bool:
 
 
 def write_all(contents: Mapping[Path, str | bytes | Callable[[Path], None]]) -> None:
-    """Write every file, or leave none behind: temporary files first, then renames.
+    """Write every file and say so, or leave none behind: temporary files first, then renames.
 
     A callable writes its file itself, to the path it is given.
     """
@@ -114,6 +128,20 @@ def write_all(contents: Mapping[Path, str | bytes | Callable[[Path], None]]) -> 
     finally:
         for draft in finished:
             draft.unlink(missing_ok=True)
+    _tell_written(contents)
+
+
+def _tell_written(paths: Iterable[Path]) -> None:
+    """Name each file, where a folder has many only that."""
+    folders: dict[Path, list[Path]] = {}
+    for path in paths:
+        folders.setdefault(path.parent, []).append(path)
+    for folder, files in folders.items():
+        if len(files) > NAMED_FILES:
+            tell(say("terminal-written-several", files=len(files), folder=str(folder)))
+            continue
+        for path in files:
+            tell(say("terminal-written", path=str(path)))
 
 
 def as_json(value: Any) -> str:

@@ -30,7 +30,7 @@ class Command(TyperCommand):
         """Read the call. Raises `InputError` for words that nothing takes."""
         ctx.allow_extra_args = True
         rest = super().parse_args(ctx, args)
-        if ctx.args:
+        if ctx.args and not ctx.resilient_parsing:  # a shell that completes asks about half a call
             raise InputError(say("call-surplus", words=tuple(ctx.args)))
         return rest
 
@@ -44,7 +44,7 @@ class Group(TyperGroup):
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Return the command that is called. Raises `InputError` for one that does not exist."""
-        if args[0] not in self.commands:
+        if args[0] not in self.commands and not ctx.resilient_parsing:
             meant = nearest(args[0], self.commands)
             said = say("call-command-unknown", command=args[0])
             raise InputError(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -56,9 +56,7 @@ def diagnose(
     from daq.press.press_file import read_press
 
     check_writable(model, json, html, rehearse_file, inputs=files_read(*runs, press, store=store, config=config))
-    asked = (rehearse_campaigns, rehearse_effect, rehearse_file, dask)
-    if any(asked) and not rehearse:
-        raise InputError(say("rehearsal-options-alone"))
+    _check_rehearsal(rehearse, (rehearse_campaigns, rehearse_file, dask), rehearse_effect or ())
     described = read_press(press)
     loaded = shortened(load_runs(runs, store, config), described, until)
     with working(say("terminal-progress-diagnosing", runs=len(loaded)), 100) as done:
@@ -92,6 +90,17 @@ def diagnose(
         tell(line)
     for line in _rehearsal_lines(rehearsal) if rehearsal is not None else ():
         tell(line)
+
+
+def _check_rehearsal(rehearse: bool, options: Iterable[object], effects: Sequence[str]) -> None:
+    """Refuse options without a rehearsal, and effects that do not exist, before any work. Raises `InputError`."""
+    if (effects or any(options)) and not rehearse:
+        raise InputError(say("rehearsal-options-alone"))
+    if effects:
+        from softsensor.diagnosis.rehearsal import sized
+
+        for one in effects:
+            sized(one)
 
 
 def _rehearsal_plan(found: Diagnosis, count: int | None, effects: list[str], file: Path | None) -> RehearsalPlan:

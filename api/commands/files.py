@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
+from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -20,7 +21,7 @@ from api.commands.inputs import (
     say_doubts,
     store_address,
 )
-from api.outputs import check_writable, in_words, tell, working, write_all
+from api.outputs import check_writable, in_words, tell, tell_table, working, write_all
 from daq.records import InputError
 from daq.words import Message, say, spoken
 
@@ -105,13 +106,17 @@ def _refuse_taken(store: Store, run: Run) -> None:
     raise InputError(say("store-run-taken", file=run.source or run.name, run=run.name))
 
 
-def export_runs(
+def export_runs(  # noqa: PLR0913 - one argument an option
     runs: Annotated[list[str] | None, typer.Argument(metavar="RUN", help="help-export-runs")] = None,
     out: Annotated[Path | None, typer.Option("--out", metavar="FILE", help="help-export-out")] = None,
     kind: Annotated[
         Literal["csv", "parquet", "jsonl"],
         typer.Option("--format", metavar="csv|parquet|jsonl", help="help-export-format"),
     ] = "csv",
+    press: Annotated[str | None, typer.Option("--press", metavar="NAME", help="help-list-press")] = None,
+    material: Annotated[str | None, typer.Option("--material", metavar="NAME", help="help-list-material")] = None,
+    since: Annotated[datetime | None, typer.Option("--from", metavar="DAY", help="help-list-from")] = None,
+    until: Annotated[datetime | None, typer.Option("--to", metavar="DAY", help="help-list-to")] = None,
     store: StoreUrl = None,
     config: ConfigFile = None,
 ) -> None:
@@ -121,26 +126,32 @@ def export_runs(
     from daq.files.manifest import update_manifest
     from daq.files.run_file import write_run
 
+    chosen = {"press": press, "material": material, "since": _utc(since), "until": _utc(until)}
+    if runs and any(chosen.values()):
+        raise InputError(say("terminal-list-alone"))
     with opened_store(store, config) as opened:
         if not runs:
-            _list_runs(opened)
+            _list_runs(opened, chosen)
             return
         if out is None:
             raise InputError(say("terminal-export-needs-out"))
         for run in runs:
             opened.run_record(run)
         targets = _targets(runs, out, kind)
+        told = say("terminal-progress-exporting", runs=len(runs))
         check_writable(*targets, inputs=files_read(store=store_address(store, config), config=config))
         contents: dict[Path, str | Callable[[Path], None]] = {}
-        for path, run in targets.items():
-            loaded = opened.run_for_file(run)
-            if path.suffix.lower() == ".jsonl":
-                kept = opened.run_record(run)
-                lines = json_lines(loaded, kept.started_utc, opened.units_of(run), _END[kept.status])
-                contents[path] = "".join(f"{line}\n" for line in lines)
-            else:
-                contents[path] = partial(write_run, loaded)
-        write_all(contents)
+        with working(told, len(targets)) as done:
+            for number, (path, run) in enumerate(targets.items(), 1):
+                loaded = opened.run_for_file(run)
+                if path.suffix.lower() == ".jsonl":
+                    kept = opened.run_record(run)
+                    lines = json_lines(loaded, kept.started_utc, opened.units_of(run), _END[kept.status])
+                    contents[path] = "".join(f"{line}\n" for line in lines)
+                else:
+                    contents[path] = partial(write_run, loaded)
+                done(number)
+            write_all(contents)
         folder = out if out.is_dir() else out.parent
         if out.is_dir() or (folder / MANIFEST).is_file():
             update_manifest(folder, targets)
@@ -162,16 +173,26 @@ def _targets(runs: list[str], out: Path, kind: str) -> dict[Path, str]:
     return {out / f"{run}.{kind}": run for run in runs}
 
 
-def _list_runs(store: Store) -> None:
+def _utc(day: datetime | None) -> datetime | None:
+    """Return a day given without a zone as it begins in UTC, in which lists tell when runs began."""
+    return day and day.replace(tzinfo=UTC)
+
+
+def _list_runs(store: Store, chosen: Mapping[str, Any]) -> None:
+    heads = [say(f"terminal-list-{head}") for head in ("run", "started", "status", "press", "material")]
+    tell_table(heads, _run_rows(store, chosen))
+
+
+def _run_rows(store: Store, chosen: Mapping[str, Any]) -> Iterator[tuple[str, ...]]:
     from daq.store import every
 
-    for run in every(lambda cursor: store.runs(cursor=cursor, limit=500)):
+    for run in every(lambda cursor: store.runs(cursor=cursor, limit=500, **chosen)):
         material = run.header.get("panel.material", "")
         status = in_words(Message(f"page-run-{run.status}"))
         began = (
             f"{run.started_utc:%Y-%m-%dT%H:%M:%SZ}" if run.started_utc else in_words(Message("page-date-unknown"))
         )
-        tell(f"{run.run}\t{began}\t{status}\t{run.press}\t{material}")
+        yield run.run, began, status, run.press, str(material)
 
 
 def check(

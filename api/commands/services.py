@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from api.commands.inputs import CONFIG_NAME, ConfigFile, StoreUrl, config_path
-from api.outputs import WorkFailed, in_words, spoken_language, tell, working
+from api.outputs import WorkFailed, in_words, spoken_language, tell, tell_table, working
 from daq.records import InputError
 from daq.words import Message, say, spoken
 
@@ -168,8 +168,8 @@ def token(
     settings = load_config(path)
     tokens = TokenFile(settings.server.tokens or token_file_beside(path))
     if action == "list":
-        for kept in tokens.tokens():
-            sys.stdout.write(f"{kept.id}  {kept.scope:5}  {kept.created_utc}  {kept.name}\n")
+        heads = [say(f"terminal-list-{head}") for head in ("token", "scope", "created", "name")]
+        tell_table(heads, ((kept.id, kept.scope, str(kept.created_utc), kept.name) for kept in tokens.tokens()))
         return
     if not name:
         raise InputError(say("terminal-token-needs-name", action=action))

@@ -150,18 +150,24 @@ def _check_names(presses: tuple[Press, Press], given: Mapping[str, Any], where: 
         raise InputError(said)
 
 
+TEMPERATURE_DIGITS = 3
+"""After the point [°C]: a hundredth of a logger's usual step of 0.1 K, so that slopes read off stay smooth."""
+DIGITS = {"time_s": 6, "cure_top": 6, "cure_bottom": 6, "cure_low": 6}
+"""Of columns that are no temperature or pressure: microseconds, and degrees of cure from 0 to 1."""
+
+
 def table_text(columns: Mapping[str, Any]) -> str:
-    """Return a table as CSV; a value that is missing is an empty cell."""
+    """Return a table as CSV, each number with the digits it has; a value that is missing is an empty cell."""
     from daq.files.run_file import csv_cell
 
-    def cell(value: Any) -> str:
+    def cell(name: str, value: Any) -> str:
         if isinstance(value, str):
             return csv_cell(value)
         if isinstance(value, int):
             return str(value)
         number = float(value)
-        return repr(round(number, 6)) if math.isfinite(number) else ""
+        return repr(round(number, DIGITS.get(name, TEMPERATURE_DIGITS))) if math.isfinite(number) else ""
 
     rows = zip(*columns.values(), strict=True)
-    lines = [",".join(map(csv_cell, columns)), *(",".join(map(cell, row)) for row in rows)]
+    lines = [",".join(map(csv_cell, columns)), *(",".join(map(cell, columns, row)) for row in rows)]
     return "\n".join(lines) + "\n"

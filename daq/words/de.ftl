@@ -1469,6 +1469,7 @@ terminal-coefficients-no-object = { $path }: muss ein Objekt {"{"}NAME: Wert{"}"
 terminal-coefficients-not-json = { $path }: kein JSON: { $why }
 terminal-coefficients-or-model = --coefficients und --model schließen einander aus; eins angeben
 terminal-coefficients-unreadable = { $path }: die Koeffizienten sind nicht lesbar: { $why }
+terminal-completion-shell = --completion { $shell }: es gibt bash, zsh und fish
 terminal-config-missing = { $path }: diese Konfiguration gibt es nicht; eine schreiben (siehe Runbook, Connect a logger) oder --config angeben
 terminal-config-no-permission = { $path }: keine Leseberechtigung; sudo vor den Befehl setzen oder ein anderes --config angeben
 terminal-demo-folder-taken = --data { $folder }: enthält schon einen Datenspeicher; einen neuen Ordner angeben oder ihn entfernen
@@ -1495,6 +1496,16 @@ terminal-imported = { $runs ->
 }
 terminal-interrupted = abgebrochen
 terminal-language-unknown = KERNTEMP_LANGUAGE = { $language }: diese Sprache ist nicht vorhanden; es gibt { $languages }
+terminal-list-alone = --press, --material, --from und --to wählen, was aufgelistet wird; zu exportierende Pressungen werden genannt
+terminal-list-created = angelegt
+terminal-list-material = Material
+terminal-list-name = Name
+terminal-list-press = Presse
+terminal-list-run = Pressung
+terminal-list-scope = Recht
+terminal-list-started = Beginn
+terminal-list-status = Stand
+terminal-list-token = Zugang
 terminal-method-unknown = --method { $method }: muss eins von { $known } sein
 terminal-model-in-force-again = { $press }: Modell { $version } gilt wieder
 terminal-model-of-another-press = { $path } gehört zur Presse „{ $other }“, die Pressendatei zu „{ $press }“: Koeffizienten einer anderen Presse lassen einen falschen Kern sicher aussehen; die eigenen Pressungen dieser Presse anpassen
@@ -1530,6 +1541,7 @@ terminal-progress-diagnosing = { $runs ->
     [one] Diagnose von { $runs } Pressung
    *[other] Diagnose von { $runs } Pressungen
 }
+terminal-progress-exporting = { $runs } Pressungen lesen
 terminal-progress-fitting = { $runs ->
     [one] { $runs } Pressung wird angepasst
    *[other] { $runs } Pressungen werden angepasst
@@ -1576,6 +1588,8 @@ terminal-until-no-column = { $run }: --until nennt Spalte '{ $column }'; der Lau
 terminal-until-no-run = --until { $until }: kein Lauf '{ $run }' ist angegeben; Läufe sind { $known }
 terminal-until-not-read = --until { $until }: Sekunden (900), eine Temperatur einer Spalte (bottom_1=140) oder eines von { $events } angeben, mit LAUF: davor für einen Lauf allein
 terminal-without-matches-none = --without { $pattern }: die Pressung „{ $run }“ hat keine; sie hat { $columns }
+terminal-written = geschrieben: { $path }
+terminal-written-several = geschrieben: { $files } Dateien in { $folder }
 token-created = Zugangstoken { $name } angelegt, { $scope ->
     [write] darf ändern
    *[read] darf lesen
@@ -1622,6 +1636,7 @@ help-command-serve = Seite und REST-Schnittstelle anbieten; anderen Rechnern nur
 help-command-simulate = Eine Pressung allein aus ihren Heizplattentemperaturen simulieren.
 help-command-token = Zugangstoken anlegen, auflisten und zurückziehen. Ein neues wird einmal gezeigt.
 help-commands = Befehle:
+help-completion = Ausgeben, was eine Shell Befehle und Optionen mit der Tabulatortaste ergänzen lässt (bash, zsh, fish).
 help-config = Die Konfiguration; ohne Angabe kerntemp.toml in diesem Ordner.
 help-core-least = Temperatur, die der Kern beim Öffnen haben muss.
 help-core-most = Temperatur, die der Kern beim Öffnen haben darf.
@@ -1643,6 +1658,10 @@ help-json = Alles als JSON hierhin schreiben.
 help-key = Der private Schlüssel des Zertifikats, PEM.
 help-law = Was fehlt, als freie Funktion von Zeit, Temperatur oder Tiefe schätzen, auch wo eine Ursache genannt ist; bei unknown_effect geschieht es ohnehin.
 help-licences = Auflisten, was mitgeliefert oder mitinstalliert ist, mit Lizenz.
+help-list-from = Nur Pressungen auflisten, die an diesem Tag oder später begannen, etwa 2026-03-04.
+help-list-material = Nur Platten aus diesem Material auflisten.
+help-list-press = Nur Pressungen dieser Presse auflisten.
+help-list-to = Nur Pressungen auflisten, die vor diesem Tag begannen.
 help-mapping = Eine Zuordnung, die die Dateien eines anderen Messgeräts erklärt, TOML.
 help-method = default oder eins der Verfahren des Aufsatzes: least_squares, nelder_mead, nelder_mead_then_least_squares.
 help-model = Eine Modelldatei, wie fit und diagnose sie schreiben.

@@ -1453,6 +1453,7 @@ terminal-coefficients-no-object = { $path }: must be an object {"{"}NAME: value{
 terminal-coefficients-not-json = { $path }: not JSON: { $why }
 terminal-coefficients-or-model = --coefficients and --model exclude each other; give one
 terminal-coefficients-unreadable = { $path }: cannot read the coefficients: { $why }
+terminal-completion-shell = --completion { $shell }: there is bash, zsh and fish
 terminal-config-missing = { $path }: no such configuration; write one (see the runbook, Connect a logger) or give --config
 terminal-config-no-permission = { $path }: no permission to read it; put sudo before the command, or give another --config
 terminal-demo-folder-taken = --data { $folder }: holds a store already; give a new folder, or remove it
@@ -1479,6 +1480,16 @@ terminal-imported = { $runs ->
 }
 terminal-interrupted = interrupted
 terminal-language-unknown = KERNTEMP_LANGUAGE = { $language }: there are words in { $languages }
+terminal-list-alone = --press, --material, --from and --to choose what is listed; runs to be exported are named
+terminal-list-created = created
+terminal-list-material = material
+terminal-list-name = name
+terminal-list-press = press
+terminal-list-run = run
+terminal-list-scope = scope
+terminal-list-started = started
+terminal-list-status = status
+terminal-list-token = token
 terminal-method-unknown = --method { $method }: must be one of { $known }
 terminal-model-in-force-again = { $press }: model { $version } is in force again
 terminal-model-of-another-press = { $path } is of press '{ $other }', the press file is of '{ $press }': coefficients of another press make a wrong core look certain; fit this press's own runs
@@ -1514,6 +1525,7 @@ terminal-progress-diagnosing = { $runs ->
     [one] Diagnosing { $runs } run
    *[other] Diagnosing { $runs } runs
 }
+terminal-progress-exporting = reading { $runs } runs
 terminal-progress-fitting = { $runs ->
     [one] Fitting { $runs } run
    *[other] Fitting { $runs } runs
@@ -1560,6 +1572,8 @@ terminal-until-no-column = { $run }: --until names column '{ $column }'; the run
 terminal-until-no-run = --until { $until }: no run '{ $run }' is given; runs are { $known }
 terminal-until-not-read = --until { $until }: give seconds (900), a temperature of a column (bottom_1=140) or one of { $events }, with RUN: before it for one run alone
 terminal-without-matches-none = --without { $pattern }: run '{ $run }' has none; it has { $columns }
+terminal-written = written: { $path }
+terminal-written-several = written: { $files } files in { $folder }
 token-created = token { $name } created, scope { $scope }
 token-revoked = token { $name } revoked
 
@@ -1603,6 +1617,7 @@ help-command-serve = Serve the page and the REST interface; to other machines on
 help-command-simulate = Simulate a run from its platen temperatures alone.
 help-command-token = Make, list and revoke access tokens. A new one is shown once.
 help-commands = Commands:
+help-completion = Print what makes a shell complete commands and options with Tab (bash, zsh, fish).
 help-config = The configuration; without it kerntemp.toml in this folder.
 help-core-least = Temperature the core must have at opening.
 help-core-most = Temperature the core may have at opening.
@@ -1624,6 +1639,10 @@ help-json = Write everything as JSON here.
 help-key = The certificate's private key, PEM.
 help-law = Estimate what is missing as a free function of time, temperature or depth, also where a cause is named; done anyway where the verdict is unknown_effect.
 help-licences = List what is shipped or installed with it, with its licence.
+help-list-from = List only runs begun on this day or later, such as 2026-03-04.
+help-list-material = List only panels of this material.
+help-list-press = List only runs of this press.
+help-list-to = List only runs begun before this day.
 help-mapping = A mapping that explains another logger's files, TOML.
 help-method = default, or one of the paper's: least_squares, nelder_mead, nelder_mead_then_least_squares.
 help-model = A model file, as fit and diagnose write it.

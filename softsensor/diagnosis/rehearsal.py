@@ -263,12 +263,17 @@ def hidden_of(campaign: Campaign, asked: Sequence[str] = ()) -> list[Hidden]:
         return [_sized(find_effect(name), "") for name in campaign.testable]
     wanted = []
     for one in asked:
-        name, _, size = one.partition("=")
-        effect = find_effect(name)
-        if name not in campaign.testable:
-            raise InputError(say("rehearsal-not-testable", name=name, known=campaign.testable))
-        wanted.append(_sized(effect, size))
+        hidden = sized(one)
+        if hidden.name not in campaign.testable:
+            raise InputError(say("rehearsal-not-testable", name=hidden.name, known=campaign.testable))
+        wanted.append(hidden)
     return list(dict.fromkeys(wanted))
+
+
+def sized(asked: str) -> Hidden:
+    """Return a cause as asked for, ``NAME`` or ``NAME=SIZE``. Raises `InputError`, before any run is looked at."""
+    name, _, size = asked.partition("=")
+    return _sized(find_effect(name), size)
 
 
 def _sized(effect: Effect, size: str) -> Hidden:

@@ -2,6 +2,8 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +12,10 @@ import pytest
 from api.cli import main
 from api.commands.inputs import find_run
 from api.commands.simulating import table_text
+from api.outputs import write_all
 from daq.files.run_file import read_run, write_run
 from daq.records import Run
+from daq.simulated.campaign_pressfile import press_toml
 from daq.store import open_store
 
 
@@ -20,8 +24,6 @@ def files(tmp_path_factory, campaign):
     folder = tmp_path_factory.mktemp("runs")
     for run, _ in campaign:
         write_run(run, folder / f"{run.name}.csv")
-    from daq.simulated.campaign_pressfile import press_toml
-
     (folder / "press.toml").write_text(press_toml())
     return folder
 
@@ -271,7 +273,7 @@ def test_a_run_that_is_stored_already_stops_the_whole_import(files, first, tmp_p
     assert f"{first}: run " in (line := one_line(capsys))
     assert "is in the store already" in line
     assert main(["export", "--store", store]) == 0
-    assert len(capsys.readouterr().out.splitlines()) == 1
+    assert len(capsys.readouterr().out.splitlines()) == 1 + 1  # heads, and the run
 
 
 def test_simulate_takes_a_run_by_its_id_in_the_store(files, first, tmp_path, campaign):
@@ -398,3 +400,73 @@ def test_the_language_of_the_terminal_is_chosen_by_its_name(capsys, monkeypatch)
     monkeypatch.setenv("KERNTEMP_LANGUAGE", "tlh")
     assert main(["probe"]) == 2
     assert capsys.readouterr().err == "kerntemp: KERNTEMP_LANGUAGE = tlh: there are words in en, de\n"
+
+
+def test_a_command_says_which_files_it_wrote(files, first, tmp_path, capsys):
+    out = tmp_path / "simulated.csv"
+    assert main(["simulate", first, "--press", str(files / "press.toml"), "--out", str(out)]) == 0
+    assert capsys.readouterr().out == f"written: {out}\n"
+
+
+def test_many_files_of_a_folder_are_counted(tmp_path, capsys):
+    write_all({tmp_path / f"{i}.svg": "<svg/>" for i in range(9)})
+    assert capsys.readouterr().out == f"written: 9 files in {tmp_path}\n"
+
+
+def test_temperatures_are_written_to_a_thousandth_and_times_as_they_are():
+    text = table_text(
+        {"time_s": [0.123456], "core_C": [101.23456789], "panel.top": [99.99999], "cure_low": [0.12345]}
+    )
+    assert text == "time_s,core_C,panel.top,cure_low\n0.123456,101.235,100.0,0.12345\n"
+
+
+def test_stored_runs_are_listed_under_heads_and_chosen_by_press_material_and_day(store_of_two, capsys):
+    def listed(*options):
+        assert main(["export", "--store", store_of_two, *options]) == 0
+        heads, *rows = [line.split("\t") for line in capsys.readouterr().out.splitlines()]
+        assert heads == ["run", "started", "status", "press", "material"]
+        return [row[0] for row in rows]
+
+    assert listed() == ["second", "first"]
+    assert listed("--material", "MDF") == ["first"]
+    assert listed("--press", "elsewhere") == []
+    assert listed("--from", "2026-03-05") == ["second"]
+    assert listed("--to", "2026-03-05") == ["first"]
+    assert main(["export", "first", "--out", "x.csv", "--material", "MDF", "--store", store_of_two]) == 2
+    assert "choose what is listed" in capsys.readouterr().err
+
+
+@pytest.fixture
+def store_of_two(tmp_path, campaign):
+    """A store with two pressings, of two materials, on two days."""
+    path = str(tmp_path / "kerntemp.sqlite")
+    with open_store(path) as store:
+        for day, name, material in ((4, "first", "MDF"), (5, "second", "pine")):
+            began = {"panel.material": material, "recorded.started_utc": datetime(2026, 3, day, 12, tzinfo=UTC)}
+            run = replace(campaign[0][0], name=name)
+            store.import_run(replace(run, header={**run.header, **began}), "lab", press_toml())
+    return path
+
+
+def test_the_shell_completes_commands_and_options(tmp_path):
+    def completed(words):
+        asked = {"_KERNTEMP_COMPLETE": "complete_bash", "COMP_WORDS": words, "COMP_CWORD": str(words.count(" "))}
+        command = [sys.executable, "-m", "api"]
+        found = subprocess.run(command, env=os.environ | asked, capture_output=True, text=True, timeout=60)
+        return set(found.stdout.split())
+
+    assert completed("kerntemp dia") == {"diagnose"}
+    assert {"--rehearse", "--rehearse-effect"} <= completed("kerntemp diagnose --reh")
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_what_a_shell_needs_to_complete_is_printed(shell, capsys):
+    assert main(["--completion", shell]) == 0
+    assert "_KERNTEMP_COMPLETE=complete_" + shell in capsys.readouterr().out
+
+
+def test_an_effect_that_does_not_exist_is_refused_before_anything_is_diagnosed(files, first, capsys, monkeypatch):
+    monkeypatch.setattr("softsensor.diagnosis.verdict.diagnose", lambda *_, **__: pytest.fail("diagnosed first"))
+    call = ["diagnose", first, "--press", str(files / "press.toml"), "--rehearse", "--rehearse-effect", "nonsense"]
+    assert main(call) == 2
+    assert "effect 'nonsense' is not in the catalogue" in capsys.readouterr().err
