@@ -74,3 +74,13 @@ def test_every_run_of_a_few_has_its_tick_and_nothing_lies_between(campaign, runs
     assert len(axes) == len(few.coefficients)
     for ax in axes:
         assert ax.get_xticks().tolist() == list(range(1, runs + 1))
+
+
+def test_a_bootstrap_is_told_from_four_runs_on_and_digits_follow_the_interval(campaign):
+    assert "bootstrap" not in fit_report(campaign)  # three runs
+    name = next(name for name, c in campaign.coefficients.items() if c.runs == 3)
+    wide = replace(campaign.coefficients[name], mean=643.27, ci95=(557.31, 729.23), runs=4)
+    page = fit_report(replace(campaign, coefficients={**campaign.coefficients, name: wide}))
+    assert "95 % (bootstrap)" in page
+    assert f"<td>{name}</td><td><b>643</b></td>" in page
+    assert "<td>557 – 729</td>" in page
