@@ -62,8 +62,8 @@ CONSTANT, DISCREPANCY = "constant", "discrepancy"
 
 
 @dataclass(frozen=True)
-class Direction:
-    """One such parameter, in relative units: what it changes for 1."""
+class Unowned:
+    """A parameter that no effect owns, in relative units: what it changes for 1."""
 
     prior: Unknown
     layers: tuple[str, ...] = ()
@@ -101,7 +101,7 @@ class Direction:
         return np.clip((np.log(np.maximum(since_s, 1e-9)) - begin) / (end - begin), 0.0, 1.0)
 
 
-def directions_of(press: Press, run: Run, panel: Panel | None, model: ModelFile | None) -> tuple[Direction, ...]:
+def directions_of(press: Press, run: Run, panel: Panel | None, model: ModelFile | None) -> tuple[Unowned, ...]:
     """Return the constants that are in doubt and the discrepancy of a run; `press` has the run's overrides."""
     if model is None or model.missing is None or not model.missing.runs:
         doubts = constant_doubts(run.header, press, UNSETTLED | _across_or_along(run))
@@ -110,9 +110,7 @@ def directions_of(press: Press, run: Run, panel: Panel | None, model: ModelFile 
         seen = _seen(model.learned, usual, model.missing.nothing)
         within = {} if f"panel.heat_capacity_J_kgK{SD}" in run.header else WITHIN_CAPACITY
         doubts = constant_doubts(run.header, press, PANEL_TO_PANEL | seen | within)
-    gaps = [
-        Direction(Unknown(name, 0.0, sd)) for name, sd in gap_priors(press, run, panel).items() if sd > START_K
-    ]
+    gaps = [Unowned(Unknown(name, 0.0, sd)) for name, sd in gap_priors(press, run, panel).items() if sd > START_K]
     return (*_constants(press, run, panel, doubts), *gaps, *_discrepancy(press, panel, model))
 
 
@@ -135,7 +133,7 @@ def _seen(learned: Mapping[str, float], usual: Mapping[str, Doubt], nothing: flo
     }
 
 
-def _constants(press: Press, run: Run, panel: Panel | None, doubts: Mapping[str, Doubt]) -> Iterator[Direction]:
+def _constants(press: Press, run: Run, panel: Panel | None, doubts: Mapping[str, Doubt]) -> Iterator[Unowned]:
     parts = {layer.name: layer_constants(press, layer.name, panel) for layer in press.layer}
     resistance = sum(d / k for d, k, _ in parts.values())
     capacity = sum(d * c for d, _, c in parts.values())
@@ -163,11 +161,11 @@ def _constants(press: Press, run: Run, panel: Panel | None, doubts: Mapping[str,
         layers = tuple(names)
         called = f"{CONSTANT} {names[0]}"
         if k * resists > LEAST_SHARE:
-            yield Direction(Unknown(f"{called} conductivity", 0.0, k, considered=True), layers, conductivity=1.0)
+            yield Unowned(Unknown(f"{called} conductivity", 0.0, k, considered=True), layers, conductivity=1.0)
         if c * stores > LEAST_SHARE:
-            yield Direction(Unknown(f"{called} capacity", 0.0, c, considered=True), layers, capacity=1.0)
+            yield Unowned(Unknown(f"{called} capacity", 0.0, c, considered=True), layers, capacity=1.0)
         if thick * max(resists, stores) > LEAST_SHARE:  # thicker: more to heat, and a longer way
-            yield Direction(
+            yield Unowned(
                 Unknown(f"{called} thickness", 0.0, thick, considered=True),
                 layers,
                 conductivity=-1.0,
@@ -180,7 +178,7 @@ def _constants(press: Press, run: Run, panel: Panel | None, doubts: Mapping[str,
             if (key := f"boundary.{side}.{n}") in doubts
         ]
         if both:
-            yield Direction(Unknown(f"{CONSTANT} flux {side}", 0.0, math.hypot(*both), considered=True), flux=end)
+            yield Unowned(Unknown(f"{CONSTANT} flux {side}", 0.0, math.hypot(*both), considered=True), flux=end)
 
 
 def _beside_table(header: Mapping[str, object]) -> dict[str, float]:
@@ -201,7 +199,7 @@ def _beside_table(header: Mapping[str, object]) -> dict[str, float]:
     return found
 
 
-def _discrepancy(press: Press, panel: Panel | None, model: ModelFile | None) -> Iterator[Direction]:
+def _discrepancy(press: Press, panel: Panel | None, model: ModelFile | None) -> Iterator[Unowned]:
     spread = {p.name: p.sd for p in coefficient_priors(press, model)}
     share = _share(model.missing if model is not None else None)
     inside = press.panel_layers or tuple(layer.name for layer in press.layer)
@@ -210,7 +208,7 @@ def _discrepancy(press: Press, panel: Panel | None, model: ModelFile | None) -> 
             continue
         sd = min(spread[contact.closed], SPREAD_LOG) / math.sqrt(len(RAMPS_S) - 1)
         for i, ramp in enumerate(pairwise(RAMPS_S)):
-            yield Direction(
+            yield Unowned(
                 Unknown(f"{DISCREPANCY} contact {number} {i}", 0.0, sd, considered=True),
                 contact=number,
                 ramp_s=ramp,
@@ -226,7 +224,7 @@ def _discrepancy(press: Press, panel: Panel | None, model: ModelFile | None) -> 
     share = math.hypot(share, press.press.side_loss_W_m2K * rim / exchange)
     if share > LEAST_SHARE:
         source = Unknown(f"{DISCREPANCY} source", 0.0, share, considered=True)
-        yield Direction(source, tuple(inside), exchange=exchange)
+        yield Unowned(source, tuple(inside), exchange=exchange)
 
 
 def _share(missing: MissingCauses | None) -> float:

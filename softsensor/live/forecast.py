@@ -19,7 +19,7 @@ from softsensor.heat import implicit_steps as kernels
 from softsensor.live.curing import ResinSetup
 from softsensor.live.kalman import KalmanFilter
 from softsensor.live.leaving import leave_of
-from softsensor.live.march_steps import Chain, march_span
+from softsensor.live.march_steps import SensorChain, march_span
 from softsensor.live.mixture import Mixture, mix
 from softsensor.live.passes import Pass
 from softsensor.opening.limits import Opening, opening
@@ -257,7 +257,7 @@ def _copy(one: KalmanFilter) -> KalmanFilter:
     return replace(one, linearised=made, timing=one.timing._replace(longest=STRIDE_S))
 
 
-def _chain(chain: Chain, like: Array) -> Chain:
+def _chain(chain: SensorChain, like: Array) -> SensorChain:
     q = like.shape[1]
     return chain._replace(
         true=chain.true.copy(),

@@ -38,7 +38,7 @@ class Factors(NamedTuple):
     """(edges, contacts, P)"""
 
 
-class Chain(NamedTuple):
+class SensorChain(NamedTuple):
     """From temperatures at places to what the panel's thermocouples read; changed in place."""
 
     opposite: NDArray[np.bool_]
@@ -93,7 +93,7 @@ class LinearModel(NamedTuple):
     moving: Integers
     """Columns of the moments of insertion, closing and opening, -1 where they are no parameters (3)."""
     state: kernels.State
-    chain: Chain
+    chain: SensorChain
 
 
 @compiled()
@@ -318,7 +318,7 @@ def _closed(t, timing):
 
 
 @compiled()
-def settle(state, chain, places):
+def settle_sensors(state, chain, places):
     """Bring the measuring chain to rest at the state's temperatures."""
     p, n = state.s.shape
     m = places.shape[0]

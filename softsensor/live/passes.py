@@ -20,7 +20,7 @@ from softsensor.live.curing import ResinSetup
 from softsensor.live.inside import Inside, look_inside
 from softsensor.live.kalman import BetweenFaces, KalmanFilter
 from softsensor.live.leaving import Leave, leave_of
-from softsensor.live.march_steps import LONGEST_STEP_S, Chain, PressTiming
+from softsensor.live.march_steps import LONGEST_STEP_S, PressTiming, SensorChain
 from softsensor.live.mixture import Mixture, mix, model_variance
 from softsensor.live.priors import TIMING, panel_plan, plans_for
 from softsensor.live.setup import Linearised, RunSetup, linearise
@@ -154,7 +154,7 @@ class Pass:
         return min(f.misfit for f in self.filters)
 
     @property
-    def chain(self) -> Chain:
+    def chain(self) -> SensorChain:
         """The measuring chain of the filter whose cause is none: what faces read and the core."""
         return self.filters[0].linearised.model.chain
 

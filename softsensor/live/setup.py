@@ -21,8 +21,8 @@ from softsensor.heat.model import ThermalModel
 from softsensor.heat.model_file import ModelFile
 from softsensor.live.channel_steps import Integers
 from softsensor.live.curing import ResinSetup
-from softsensor.live.directions import MOST_SHARE, Direction, directions_of
-from softsensor.live.march_steps import Chain, Factors, LinearModel, settle
+from softsensor.live.directions import MOST_SHARE, Unowned, directions_of
+from softsensor.live.march_steps import Factors, LinearModel, SensorChain, settle_sensors
 from softsensor.live.priors import SKIN, TIMING, FilterPlan
 from softsensor.signals.doubt import constant_doubts
 from softsensor.signals.instrument import START_K
@@ -46,7 +46,7 @@ class RunSetup:
     """Every effect any filter uses; those with layers shape the mesh."""
     start_C: float  # noqa: N815
     """The panel's initial temperature as the header says, NaN without a panel. [°C]"""
-    directions: tuple[Direction, ...]
+    directions: tuple[Unowned, ...]
     """Parameters that no effect owns."""
     resin: ResinSetup | None = None
     """How the paper cures and what must hold at opening, where that is asked for."""
@@ -206,7 +206,7 @@ def _model(setup: RunSetup, case: Case, build: Build, names: Sequence[str], unit
     s = build.start
     state = s._replace(s=s.s * by_row, s_before=s.s_before * by_row, s_done=s.s_done * by_row)
     chain = _chain(build, np.asarray(case.press_face[rows].any(axis=1)), len(names))
-    settle(state, chain, places)
+    settle_sensors(state, chain, places)
     return LinearModel(
         stack=build.stack,
         tangents=kernels.Tangents(
@@ -233,9 +233,9 @@ def _running(steps: Array) -> Array:
     return np.concatenate([np.zeros((1, *steps.shape[1:])), np.cumsum(steps, axis=0)])
 
 
-def _chain(build: Build, opposite: NDArray[np.bool_], parameters: int) -> Chain:
+def _chain(build: Build, opposite: NDArray[np.bool_], parameters: int) -> SensorChain:
     m, p = len(opposite), parameters
-    return Chain(
+    return SensorChain(
         opposite=opposite,
         lag=float(build.terms.lag) + max(float(build.terms.clock), 0.0),
         footprint=float(build.terms.footprint),
