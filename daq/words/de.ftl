@@ -2114,6 +2114,7 @@ page-core-simulated = Kern, simuliert
 page-core-temperature = Kerntemperatur
 page-could-not-load = Diese Ansicht konnte nicht geladen werden.
 page-date-unknown = unbekannt
+page-files-only = keine Aufzeichnung, nur Dateien
 page-follow = Folgen
 page-guide = Handbuch und Referenz
 page-in-use = in Gebrauch

@@ -2095,6 +2095,7 @@ page-core-simulated = Core, simulated
 page-core-temperature = Core temperature
 page-could-not-load = This view could not be loaded.
 page-date-unknown = unknown
+page-files-only = no recorder, files only
 page-follow = Follow
 page-guide = Guide and reference
 page-in-use = in use

@@ -346,6 +346,25 @@ def test_a_note_stands_on_the_time_axis_of_the_pressing_it_was_made_in(served, b
     page.context.close()
 
 
+@pytest.mark.parametrize(
+    ("language", "says"), [("en-GB", "no recorder, files only"), ("de-DE", "keine Aufzeichnung, nur Dateien")]
+)
+def test_a_press_of_files_alone_is_a_quiet_tile_and_no_alarm(served, browser, language, says, tmp_path):
+    server, feed, _ = served
+    run, _ = make_campaign(7, 1, plan=Plan(rate_hz=2.0, thickness_mm=16.0))[0]
+    feed.store.import_runs([replace(run, name="archived-1")], "archive", LAB.read_text(encoding="utf-8"))
+    page = browser.new_page(viewport={"width": 1920, "height": 1080}, locale=language)
+    page.goto(server.url + "#/presses")
+    tiles = page.get_by_test_id("presses").locator(".press-tile")
+    expect(tiles.filter(has_text="archive").locator(".light.idle")).to_have_text(says)
+    expect(tiles.filter(has_text="lab").locator(".light.bad")).to_have_count(1)  # has a recorder that never sent
+    dots = [tiles.filter(has_text=press).locator(".light") for press in ("archive", "lab")]
+    quiet, red = (dot.evaluate("e => getComputedStyle(e, '::before').backgroundColor") for dot in dots)
+    assert quiet != red
+    page.screenshot(path=tmp_path / "presses.png")
+    page.close()
+
+
 def test_thirty_presses_stand_on_one_screen_and_a_tile_leads_to_its_press(served, browser, tmp_path):
     server, feed, _ = served
     text = LAB.read_text(encoding="utf-8")

@@ -32,6 +32,15 @@ function tile(press) {
 
 // Old numbers are grey here, too, and press by press.
 function draw({ node, state, core, band, answer, light, now, heard, wrong }) {
+  const filesOnly = !now.channels.length; // runs came as files, nothing records here: nothing is wrong and nothing is late
+  if (filesOnly) {
+    node.classList.add("stale");
+    for (const part of [state, core, band, answer]) part.hidden = true;
+    light.className = "light idle";
+    light.textContent = text("page-files-only");
+    return;
+  }
+  for (const part of [state, core, band, answer]) part.hidden = false;
   const silent = Math.min(...now.channels.map((channel) => channel.age_s ?? Infinity)) + (performance.now() - heard) / 1000;
   const never = silent === Infinity;
   const stale = silent > STALE_S;
