@@ -2,6 +2,7 @@
 
 import json
 import random
+import shutil
 import sqlite3
 from contextlib import closing
 from dataclasses import replace
@@ -28,6 +29,15 @@ def filled(path, count, key):
     with closing(sqlite3.connect(path)) as connection:
         connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
     return buffer
+
+
+def test_scans_half_as_often_take_twice_as_long_to_fill_the_disk(tmp_path):
+    buffer = Buffer(tmp_path / "b.sqlite")
+    buffer.expect(100_000)
+    free_MB = shutil.disk_usage(tmp_path).free / 1e6
+    # 1 MB a second, of which the file takes 1.3 times as much
+    assert buffer.hours_left(10.0) == pytest.approx(free_MB / 1.3 / 3600.0, rel=0.01)
+    assert buffer.hours_left(5.0) == pytest.approx(2.0 * buffer.hours_left(10.0), rel=0.01)
 
 
 DAMAGE = {

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache
 from types import SimpleNamespace
@@ -33,7 +33,14 @@ from softsensor.diagnosis.extension import (
 from softsensor.diagnosis.finding import Diagnosis, Finding
 from softsensor.diagnosis.gains import Gain
 from softsensor.diagnosis.numbers import BLOCK_S, intervals, measure_errors, noise_floor
-from softsensor.diagnosis.search import Candidate, panels_as_usual, settle_base, with_panels_freed
+from softsensor.diagnosis.search import (
+    SWITCHED,
+    Candidate,
+    panels_as_usual,
+    settle_base,
+    switch_scores,
+    with_panels_freed,
+)
 from softsensor.diagnosis.selection import Round, p_values
 from softsensor.diagnosis.sign_flips import Pocket, max_t, pattern_test, sign_patterns
 from softsensor.diagnosis.summary import as_stored, core_said, sureness, verdict_said, worth
@@ -48,6 +55,7 @@ from softsensor.signals.digest import Digest
 from softsensor.signals.faces import rim_falls
 from softsensor.signals.moments import moments_seen
 from softsensor.signals.screen import faulty_channels
+from softsensor.signals.unknown import Unknown
 from tests.editions import edition
 
 SMALL = Plan(rate_hz=2.0, thickness_mm=(8.0, 16.0, 19.0))
@@ -274,6 +282,20 @@ def test_a_size_at_its_limit_or_far_beyond_what_is_usual_is_unphysical() -> None
 
 def test_panels_are_given_constants_of_their_own_only_where_no_cause_explains_what_is_left() -> None:
     assert diagnosed("edge_loss", 501, 7, 0.5).own_panels_K is None
+
+
+def test_two_moments_a_standard_deviation_late_score_the_root_of_two() -> None:
+    stage = diagnosed("edge_loss", 501, 7, 0.5).stages[0]
+
+    def late(run: RunState, unknowns: Sequence[Unknown]) -> RunState:
+        eta = [u.centre + u.sd if u.name in SWITCHED else e for u, e in zip(unknowns, run.eta, strict=True)]
+        return replace(run, eta=np.array(eta))
+
+    runs = tuple(late(*pair) for pair in zip(stage.fit.runs, stage.fit.layout.unknowns, strict=True))
+    seen = ((20.0, 0.5), (80.0, 0.5))
+    wired = tuple(replace(d, digest=replace(d.digest, switch=seen)) for d in stage.data)
+    found = switch_scores(replace(stage, fit=replace(stage.fit, runs=runs), data=wired))
+    assert found == pytest.approx([2.0**0.5] * 7)
 
 
 def test_of_seven_runs_that_agree_every_one_halves_the_chance() -> None:
