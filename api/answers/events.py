@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from api.answers.schemas import EventRecord
 from api.answers.words import said_of
-from daq.store.convert import known_utc
 from daq.store.records import JournalEntry, StoredPressEvent
 from daq.words import Message
 
@@ -30,7 +29,7 @@ def press_event_of(event: StoredPressEvent, run: str | None) -> EventRecord:
     said = Message(f"journal-press-{event.kind}")
     return EventRecord(
         id=str(event.number),
-        utc=event.utc or known_utc(0.0),
+        utc=event.utc,
         level="info",
         process="record",
         press=event.press,

@@ -662,7 +662,8 @@ class EventRecord(_Answer):
     """A line of the journal: an alarm, a loss, a change of state, a change and who made it."""
 
     id: str
-    utc: datetime
+    utc: datetime | None
+    """Null for what a press did at a time nobody knows, as in a file without a date."""
     level: Literal["info", "warning", "alarm"]
     process: str
     press: str | None

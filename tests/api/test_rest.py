@@ -9,10 +9,12 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from api.answers.events import press_event_of
 from api.answers.health import health_of, hours_left, is_missed
 from api.answers.schemas import ProcessHealth
 from daq.records import Channel, Quality, Run, Scan
 from daq.store import open_store
+from daq.store.records import StoredPressEvent
 from daq.words import Message
 from daq.words.message import languages
 from tests.curves import CURVES
@@ -554,3 +556,8 @@ def test_notes_and_press_events_stand_in_the_journal_and_a_note_is_refused_witho
     stored = store.press_events("lab")
     assert [int(one["id"]) for one in (*pressed["items"], *following)] == [e.number for e in reversed(stored)]
     assert {store.run_record(one["run"]).press for one in following if one["run"]} == {"lab"}
+
+
+def test_a_press_event_of_a_time_nobody_knows_has_none():
+    said = press_event_of(StoredPressEvent(7, "lab", "closes", None, 12.0, 12.5, 30, "temperatures"), "lab-01")
+    assert json.loads(said.model_dump_json())["utc"] is None

@@ -9,6 +9,9 @@ const TOGETHER_S = 300;
 const PAGE = 100;
 const PRESS = "press"; // what the presses did, beside what processes wrote
 
+// What happened at a time nobody knows comes last.
+const at = (one) => (one.utc ? Date.parse(one.utc) : 0);
+
 export async function show(place, context) {
   const asked = { level: context.query.get("level") ?? "", process: context.query.get("process") ?? "", press: context.query.get("press") ?? "" };
   const rows = el("div", { "data-testid": "journal" });
@@ -48,8 +51,8 @@ export async function show(place, context) {
 
   function draw() {
     // Of what is older than one of the two lists reaches, only half is known.
-    const reach = Math.max(...[[lines, cursors.lines], [pressed, cursors.pressed]].map(([items, next]) => (next ? Date.parse(items.at(-1).utc) : 0)));
-    const all = [...lines, ...pressed].filter((one) => Date.parse(one.utc) >= reach).sort((a, b) => Date.parse(b.utc) - Date.parse(a.utc));
+    const reach = Math.max(...[[lines, cursors.lines], [pressed, cursors.pressed]].map(([items, next]) => (next ? at(items.at(-1)) : 0)));
+    const all = [...lines, ...pressed].filter((one) => at(one) >= reach).sort((a, b) => at(b) - at(a));
     const heads = [{ text: text("page-when") }, { text: text("page-process") }, { text: text("page-what"), class: "wide" }, { text: text("page-run") }];
     rows.replaceChildren(all.length ? table(text("page-nav-journal"), heads, together(all).map(row), { cards: true }) : el("p", { class: "faint" }, text("page-journal-empty")));
   }
@@ -69,7 +72,7 @@ function together(entries) {
     const { code } = one.message_said;
     const kind = [one.level, one.process, one.press, ofPress(one) ? DONE : code].join("|");
     const group = open.get(kind);
-    const soon = group && Date.parse(group.at(-1).utc) - Date.parse(one.utc) < 1000 * TOGETHER_S;
+    const soon = group && at(group.at(-1)) - at(one) < 1000 * TOGETHER_S;
     const samePanel = group && code !== `${DONE}removed` && group.at(-1).message_said.code !== `${DONE}inserted`;
     if (ofPress(one) ? samePanel : soon && code !== "journal-note") group.push(one);
     else {
@@ -88,7 +91,7 @@ function row(group) {
   const code = newest.message_said.code;
   const words = ofPress(newest) ? [...group].reverse().map((one) => `${shown(one)} ${clock(one.utc, false)}`).join(" · ") : code === "scans-left-out"
     ? said({ code, arguments: { ...newest.message_said.arguments, count: group.reduce((sum, one) => sum + one.message_said.arguments.count, 0) } }) : shown(newest);
-  const span = (Date.parse(newest.utc) - Date.parse(group.at(-1).utc)) / 1000;
+  const span = (at(newest) - at(group.at(-1))) / 1000;
   const runs = [...new Set(group.map(({ run }) => run).filter(Boolean))];
   return [when(newest.utc), `${newest.process}${newest.press ? ` · ${newest.press}` : ""}`,
     el("div", {}, newest.level === "info" ? "" : el("span", { class: `pill ${newest.level === "alarm" ? "bad" : "warn"}` }, text(`page-level-${newest.level}`)), " ", words,
