@@ -24,8 +24,8 @@ def log(
     press: str | None = None,
     detail: Mapping[str, Any] | None = None,
     utc: datetime | None = None,
-) -> None:
-    """Add a line to the journal, of now or of the moment given."""
+) -> int:
+    """Add a line to the journal, of now or of the moment given; return its number."""
     said = spoken(message)
     row = {
         "unix_s": unix_of(utc or datetime.now(UTC)),
@@ -36,15 +36,18 @@ def log(
         "message_json": to_json(said.to_json()),
         "detail_json": None if detail is None else to_json(detail),
     }
-    connection.execute(insert(EVENT), row)
+    key = connection.execute(insert(EVENT), row).inserted_primary_key
+    return int(key[0]) if key is not None else 0
 
 
-def note(connection: Connection, press: str, said: str, who: str) -> None:
-    """Add what somebody noticed; of an open run it is a change, too, under the time of the newest scan."""
+def note(connection: Connection, press: str, said: str, who: str) -> JournalEntry:
+    """Add what somebody noticed, and return its line; of an open run it is a change, too, at the newest scan."""
     run = open_run(connection, press)
-    log(connection, "info", who, say("journal-note", text=said), press, None if run is None else {"run": run.run})
+    detail = None if run is None else {"run": run.run}
+    number = log(connection, "info", who, say("journal-note", text=said), press, detail)
+    line = _entry(connection.execute(select(EVENT).where(EVENT.c.event_id == number)).one())
     if run is None:
-        return
+        return line
     own = SCAN.c.press_id == recorded_id(connection, press)
     newest = connection.execute(select(SCAN.c.monotonic_s).where(own).order_by(SCAN.c.number.desc()).limit(1))
     at_s = max((newest.scalar() or 0.0) - run.zero_monotonic_s, 0.0)
@@ -52,6 +55,7 @@ def note(connection: Connection, press: str, said: str, who: str) -> None:
     connection.execute(
         insert(RUN_CHANGE), {**row, "before_toml": None, "after_toml": header_text({"value": said})}
     )
+    return line
 
 
 def journal(

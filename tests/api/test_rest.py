@@ -561,3 +561,9 @@ def test_notes_and_press_events_stand_in_the_journal_and_a_note_is_refused_witho
 def test_a_press_event_of_a_time_nobody_knows_has_none():
     said = press_event_of(StoredPressEvent(7, "lab", "closes", None, 12.0, 12.5, 30, "temperatures"), "lab-01")
     assert json.loads(said.model_dump_json())["utc"] is None
+
+
+def test_a_note_is_answered_with_its_own_line_whatever_the_same_hand_keeps_meanwhile(store):
+    line = store.note("lab", "steam at the left", "tablet")
+    store.note("lab", "steam at the right", "tablet")
+    assert line.message.arguments["text"] == "steam at the left"

@@ -64,8 +64,7 @@ def add_note(store: StoreDep, note: Note, who: Writer) -> EventRecord:
     """Keep a note; while a pressing is recorded it belongs to it, at its time."""
     if note.press not in store.presses():
         raise ProblemError(404, say("api-press-unknown", press=note.press, known=tuple(store.presses())))
-    store.note(note.press, note.text, who)
-    return event_of(store.journal(press=note.press, process=who, limit=1).items[0])
+    return event_of(store.note(note.press, note.text, who))
 
 
 @metrics_router.get("/metrics", response_class=PlainTextResponse, include_in_schema=False)
