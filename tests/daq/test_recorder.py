@@ -270,12 +270,12 @@ def all_scans(store):
 
 
 def test_a_changed_configuration_is_taken_over_between_runs_without_losing_a_scan(tmp_path):
-    with plant(tmp_path, speed=20.0, rate_hz=1.0) as made, open_store(made.url) as store:
+    with plant(tmp_path, speed=10.0, rate_hz=1.0) as made, open_store(made.url) as store:
         with recording(made):
             wait_until(lambda: store.open_run("lab") is not None, 60)
             under_way = store.open_run("lab").run
             text = made.config.read_text()
-            made.config.write_text(text.replace("speed = 20.0", "speed = 10.0"))
+            made.config.write_text(text.replace("speed = 10.0", "speed = 5.0"))
             wait_until(lambda: any("start kerntemp record anew" in str(e.message) for e in store.journal().items))
             made.config.write_text(text.replace("rate_hz = 1.0", "rate_hz = 99"))
             wait_until(lambda: any("rate_hz" in str(e.message) for e in store.journal().items))
@@ -284,9 +284,10 @@ def test_a_changed_configuration_is_taken_over_between_runs_without_losing_a_sca
             wait_until(lambda: any("takes effect between runs" in str(e.message) for e in store.journal().items))
             assert not any("is in force" in str(e.message) for e in store.journal().items)
             wait_until(lambda: (now := store.open_run("lab")) is not None and now.run != under_way, 60)
-            wait_until(lambda: len(store.load_run(store.open_run("lab").run).time_s) > 60, 60)
+            later = store.open_run("lab").run
+            wait_until(lambda: store.run_record(later).status is not RunStatus.OPEN, 60)
         runs = {r.run: r.header["panel.material"] for r in store.runs().items}
-        before, after = store.load_run(under_way), store.load_run(store.runs().items[0].run)
+        before, after = store.load_run(under_way), store.load_run(later)
         assert runs.pop(under_way) == "MDF"
         assert set(runs.values()) == {"OSB"}
         assert "bottom_7" in before.columns
@@ -295,7 +296,7 @@ def test_a_changed_configuration_is_taken_over_between_runs_without_losing_a_sca
         assert np.isnan(lost[after.time_s > begins_s]).all()
         assert np.median(np.diff(before.time_s)) == pytest.approx(1.0, rel=0.1)
         assert np.median(np.diff(after.time_s)) == pytest.approx(0.5, rel=0.1)
-        assert np.isfinite(after.columns["bottom_6"]).mean() > 0.7
+        assert np.isfinite(after.columns["bottom_6"][-20:]).mean() > 0.7  # once the logger has begun anew
         scans = all_scans(store)
         assert [s.number for s in scans] == list(range(len(scans)))
         change = next(i for i, s in enumerate(scans) if len(s.values) == 15)
