@@ -32,9 +32,10 @@ def band_from(one: KalmanFilter, mixture: Mixture, margin: float) -> dict[str, f
     made, causes = one.linearised, one.hypotheses
     p = len(made.names)
     P = np.array(one.estimate.covariance[:p, :p])
-    if len(causes.column):  # as if each were absent: its prior narrowed to `width`
-        cross, narrow = P[:, causes.column], np.diag(1.0 / (1.0 / causes.width**2 - 1.0))
-        P -= cross @ np.linalg.solve(cross[causes.column] + narrow, cross.T)
+    if len(causes.column):  # as if each were absent: its prior narrowed to `width`, which may be all it has
+        narrowed = P[:, causes.column] * np.sqrt(1.0 / causes.width**2 - 1.0)
+        among = narrowed[causes.column] * np.sqrt(1.0 / causes.width**2 - 1.0)[:, None]
+        P -= narrowed @ np.linalg.solve(among + np.eye(len(among)), narrowed.T)
     readout = made.model.chain.d_level
     shares = np.maximum(readout * (P @ readout), 0.0)
     shares[[prior.considered for prior in made.priors]] = one.held_K**2

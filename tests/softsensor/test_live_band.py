@@ -12,7 +12,7 @@ from daq.simulated.campaign_pressfile import press_toml
 from daq.simulated.physics_pressing import BASE_COEFFICIENTS
 from softsensor.heat.model import ThermalModel
 from softsensor.heat.model_file import FittedValue, MissingCauses, ModelFile, Scatter
-from softsensor.live.budget import KINDS
+from softsensor.live.budget import KINDS, band_from
 from softsensor.live.mixture import by_size
 from softsensor.live.mixture_steps import Components, quantile, without_causes
 from softsensor.live.possible import Possible
@@ -286,6 +286,20 @@ def test_the_band_says_what_it_comes_from_and_constants_that_were_measured_weigh
         halves.append(said[-1].core_high_C - said[-1].core_low_C)
     assert shares[1] < 0.2 < 0.5 < shares[0]
     assert halves[1] < 0.5 * halves[0]
+
+
+@pytest.mark.parametrize("width", [0.03, 1.0])
+def test_a_suspected_cause_counts_also_where_its_prior_is_as_narrow_as_its_absence(pressing, width):
+    run, truth = pressing
+    short = int(np.searchsorted(run.time_s, truth.moments.closed_s + 30.0))
+    sensor, _ = followed(
+        replace(run, time_s=run.time_s[:short], columns={n: v[:short] for n, v in run.columns.items()})
+    )
+    one = sensor._run.passes.current.filters[0]
+    assert len(one.hypotheses.width)
+    one = replace(one, hypotheses=one.hypotheses._replace(width=np.full(len(one.hypotheses.width), width)))
+    found = band_from(one, sensor.mixture, 0.01)
+    assert sum(found.values()) == pytest.approx(1.0)
 
 
 def test_no_core_is_told_beyond_what_has_touched_the_panel(pressing):
