@@ -229,8 +229,9 @@ class _Demo:
     def _greet(self, loggers: Mapping[str, Any]) -> None:
         """Say what is there to look at, and when there will be more."""
         plan = self.plan
-        places = " · ".join(
-            f"{t['profile']} at {t.get('port') or '{host}:{tcp_port}'.format_map(t)}" for t in loggers["loggers"]
+        places = tuple(
+            say("demo-logger", profile=t["profile"], place=str(t.get("port") or "{host}:{tcp_port}".format_map(t)))
+            for t in loggers["loggers"]
         )
         if plan.pressings is None:
             self.tell(say("demo-begins-without-end", speed=plan.speed))

@@ -1787,6 +1787,7 @@ demo-gain = Kernfehler der letzten { $runs } Pressungen: { NUMBER($before, minim
 demo-heldout = Fehler auf unbeteiligten Pressungen: { $plain } K mit dem einfachen Modell, { $extended } K mit dem erweiterten
 demo-hidden = In der virtuellen Presse versteckt: { $effects }
 demo-kept = Aufbewahrt in { $folder }; wieder ansehen mit: kerntemp serve --config { $config }
+demo-logger = { $profile } an { $place }
 demo-loggers = Messgeräte     { $places }
 demo-named = Nächtlicher Lauf: Urteil „{ $verdict }“, { $causes }
 demo-named-none = Nächtlicher Lauf: Urteil „{ $verdict }“, keine Ursache benannt

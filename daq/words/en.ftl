@@ -1768,6 +1768,7 @@ demo-gain = Live core error on the last { $runs } pressings: { NUMBER($before, m
 demo-heldout = Error on pressings that took no part: { $plain } K with the plain model, { $extended } K with the extended one
 demo-hidden = Hidden in the virtual press: { $effects }
 demo-kept = Kept in { $folder }; to look at it again: kerntemp serve --config { $config }
+demo-logger = { $profile } at { $place }
 demo-loggers = Loggers  { $places }
 demo-named = Nightly job: verdict “{ $verdict }”, { $causes }
 demo-named-none = Nightly job: verdict “{ $verdict }”, no cause named
