@@ -14,11 +14,13 @@ from softsensor.effects import conductivity_offset
 from softsensor.effects.parameters import Parameter
 from softsensor.fitting.constants import CAPACITY, fit_doubts
 from softsensor.heat.model import PANEL_SHARES, ThermalModel
+from softsensor.heat.timing import OPENING_RAMP
 from softsensor.signals.digest import Digest
 from softsensor.signals.doubt import PANEL_TO_PANEL
 from softsensor.signals.instrument import (
     FREE_SPREAD_LOG,
     GUESS_LOG,
+    OPENING_RAMP_SD_S,
     PLATEN_K,
     RAMP_SD_S,
     START_K,
@@ -148,6 +150,8 @@ def _timing(digest: Digest) -> Iterator[Unknown]:
             yield Unknown(name, 0.0, moment_sd(digest.period_s))
     if np.isfinite(closed):
         yield Unknown("ramp_s", 0.0, RAMP_SD_S)
+    if np.isfinite(opened):
+        yield Unknown(OPENING_RAMP, 0.0, OPENING_RAMP_SD_S)
 
 
 def with_own_panels(layout: Unknowns, digests: Sequence[Digest]) -> Unknowns:

@@ -38,6 +38,7 @@ from softsensor.diagnosis.search import candidates_for
 from softsensor.diagnosis.verdict import diagnose
 from softsensor.effects import Effect, catalogue, find_effect, sensor_fault
 from softsensor.heat.model import NUISANCES, ThermalModel
+from softsensor.heat.timing import OPENING_RAMP, TIMINGS
 from softsensor.signals.digest import Digest
 from softsensor.signals.doubt import PANEL_DENSITY, PANEL_SCATTER, Doubt, constant_doubts
 from softsensor.signals.instrument import CHANNEL_K, CHANNEL_WHITE_K, FACE_SLOW_S, PLATEN_K
@@ -235,7 +236,7 @@ def _rehearsed(
         known = rest[np.isfinite(rest)]
         level[c] = float(known.mean()) if len(known) else 0.0
         noise[c] = np.where(np.isfinite(rest), rest - level[c], 0.0)
-    motion = {n: values[n] for n in ("closed_s", "opened_s", "ramp_s") if n in values}
+    motion = {n: values[n] for n in (*TIMINGS, OPENING_RAMP) if n in values}
     return RehearsedRun(run, digest.moments, motion, noise, level, digest.period_s)
 
 

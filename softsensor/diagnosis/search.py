@@ -34,6 +34,7 @@ from softsensor.diagnosis.gains import Gain, paired_gain
 from softsensor.diagnosis.sign_flips import Pocket, pockets
 from softsensor.effects import Effect, Need, catalogue
 from softsensor.heat.model import PANEL_SHARES, ThermalModel
+from softsensor.heat.timing import OPENING_RAMP, TIMINGS
 from softsensor.signals.digest import Digest, MeanNoise, Whitened
 from softsensor.signals.instrument import (
     FREE_SPREAD_LOG,
@@ -407,7 +408,7 @@ def _fresh_fits(stage: SettledModel, model: ThermalModel, effect: Effect, rounds
         etas = []
         for unknowns, run in zip(layout.unknowns, stage.fit.runs, strict=True):
             eta = _grown(unknowns, run.eta)
-            timing = [j for j, u in enumerate(unknowns) if u.name in ("closed_s", "opened_s", "ramp_s")]
+            timing = [j for j, u in enumerate(unknowns) if u.name in (*TIMINGS, OPENING_RAMP)]
             eta[timing] = [unknowns[j].centre for j in timing]
             etas.append(eta)
         yield fit_campaign_model(layout, stage.data, etas, rounds=rounds, tolerance=1.0)

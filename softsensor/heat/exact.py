@@ -36,7 +36,7 @@ from softsensor.heat.build import Build
 from softsensor.heat.case import Case, snap, step_means
 from softsensor.heat.modal_steps import Seen
 from softsensor.heat.readout import Reader
-from softsensor.heat.timing import HANDLING_RAMP_S, TIMINGS
+from softsensor.heat.timing import HANDLING_RAMP_S, OPENING_RAMP, TIMINGS
 
 FIRST_STEP_S, GROWTH = 2e-3, 1.3
 """First step after a switch, and by how much each is longer than the one before. Set by hand, 2026-11. [s, 1]"""
@@ -104,7 +104,7 @@ def exact_grid(case: Case, values: Mapping[str, float], *, fine: bool) -> Grid:
 
     That is where tangents are wanted, or channels answer late or on a clock of their own.
     """
-    return _grid(_Key(case), tuple(float(values.get(name, 0.0)) for name in TIMINGS), fine)
+    return _grid(_Key(case), tuple((n, float(values.get(n, 0.0))) for n in (*TIMINGS, OPENING_RAMP)), fine)
 
 
 def run_exact(grid: Grid, build: Build, places: Array, *, fields: bool = False) -> implicit_steps.Record:
@@ -289,14 +289,12 @@ class _Key:
 
 
 @lru_cache(maxsize=256)
-def _grid(key: _Key, shifts: tuple[float, ...], fine: bool) -> Grid:
+def _grid(key: _Key, shifts: tuple[tuple[str, float], ...], fine: bool) -> Grid:
     """Lay out the steps: all rows, the ramps finely, and short steps after a ramp if `fine`."""
     case = key.case
     times = case.run.time_s
     start, end = float(times[0]), float(times[-1])
-    shift = dict(zip(TIMINGS, shifts, strict=True))
-    moments = replace(case.moments, **{name: getattr(case.moments, name) + shift[name] for name in TIMINGS})
-    ramps = [r for r in replace(case, moments=moments).row_clock.ramps() if start < r[1] and r[0] < end]
+    ramps = [r for r in case.row_clock.ramps(dict(shifts)) if start < r[1] and r[0] < end]
     parts: list[NDArray[Any]] = [times]
     for first, last in ramps:
         handled = abs(last - first - HANDLING_RAMP_S) < 1e-9

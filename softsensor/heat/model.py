@@ -32,6 +32,7 @@ Units: K, s, W, m; temperatures in °C. Parameters are named: coefficients as in
 ``closed_s, opened_s``    middle of the closing and opening ramp, shift from the case [s]
 ``inserted_s``            insertion, shift from the case; without effect where the run starts at it [s]
 ``ramp_s``                length of the closing ramp, shift from the case [s]
+``opening_ramp_s``        length of the opening ramp, shift from the usual one [s]
 ``initial_K``             shift of the panel's initial temperature [K]
 ``boundary_bottom_K``     shift of the measured bottom boundary [K]
 ``boundary_top_K``        shift of the measured top boundary [K]
@@ -68,6 +69,7 @@ NUISANCES = (
     "closed_s",
     "opened_s",
     "ramp_s",
+    "opening_ramp_s",
     "inserted_s",
     "initial_K",
     "boundary_bottom_K",

@@ -1,7 +1,7 @@
 """When the press is idle, open and closed: shares of the states at times, or averaged over steps.
 
-Insertion, closing, opening and removal are ramps. All moments but the removal may be shifted and the
-closing ramp stretched by nuisance parameters, so the shares come with derivatives.
+Insertion, closing, opening and removal are ramps. All moments but the removal may be shifted and the ramps of
+closing and opening stretched by nuisance parameters, so the shares come with derivatives.
 """
 
 from __future__ import annotations
@@ -23,6 +23,9 @@ HANDLING_RAMP_S = 0.2
 SHORTEST_RAMP_S = 0.02
 """A ramp is at least this long, so that its derivatives stay finite. Set by hand, 2026-11. [s]"""
 TIMINGS = ("closed_s", "opened_s", "ramp_s", "inserted_s")
+"""What shifts a field of `Moments`."""
+OPENING_RAMP = "opening_ramp_s"
+"""What stretches the opening ramp."""
 
 
 @dataclass(frozen=True)
@@ -49,23 +52,30 @@ class Clock:
             present = present - ramp(times, moments.removed_s, HANDLING_RAMP_S, mean=mean)[0]
         return Clock(moments, times, mean, present, has_states, start)
 
-    def ramps(self) -> list[tuple[float, float]]:
-        """Return when the shares change: from, to. [s]"""
+    def ramps(self, values: Mapping[str, float]) -> list[tuple[float, float]]:
+        """Return when the shares change, with nuisances of these values: from, to. [s]"""
         if not self.has_states:
             return []
         m = self.moments
-        lengths = (HANDLING_RAMP_S, max(m.ramp_s, SHORTEST_RAMP_S), OPENING_RAMP_S, HANDLING_RAMP_S)
-        middles = (m.inserted_s, m.closed_s, m.opened_s, m.removed_s)
+        lengths = (HANDLING_RAMP_S, *self._lengths(values), HANDLING_RAMP_S)
+        shifted = [getattr(m, name) + values.get(name, 0.0) for name in ("inserted_s", "closed_s", "opened_s")]
+        middles = (*shifted, m.removed_s)
         return [
             (a - b / 2, a + b / 2)
             for i, (a, b) in enumerate(zip(middles, lengths, strict=True))
             if np.isfinite(a) and (i > 0 or a > self.start)
         ]
 
+    def _lengths(self, values: Mapping[str, float]) -> tuple[float, float]:
+        """Return how long closing and opening take. [s]"""
+        closing = self.moments.ramp_s + values.get("ramp_s", 0.0)
+        opening = OPENING_RAMP_S + values.get(OPENING_RAMP, 0.0)
+        return max(closing, SHORTEST_RAMP_S), max(opening, SHORTEST_RAMP_S)
+
     def shares(self, values: Mapping[str, float], names: tuple[str, ...] = (), p: int = 0) -> tuple[Array, Array]:
         """Return the shares of idle, open and closed (rows, 3), and their derivatives (rows, 3, p)."""
         p = max(p, len(names))
-        if not any(name in names or values.get(name, 0.0) != 0.0 for name in TIMINGS):
+        if not any(name in names or values.get(name, 0.0) != 0.0 for name in (*TIMINGS, OPENING_RAMP)):
             return self._unshifted, np.zeros((len(self.present), 3, p))
         return self._shares(values, names, p)
 
@@ -81,10 +91,9 @@ class Clock:
             weights[:, 2] = 1.0
             return weights, d_weights
         m = self.moments
-        length = max(m.ramp_s + values.get("ramp_s", 0.0), SHORTEST_RAMP_S)
-        up, d_up, d_ramp = ramp(self.times, m.closed_s + values.get("closed_s", 0.0), length, mean=self.mean)
-        opening = m.opened_s + values.get("opened_s", 0.0)
-        down, d_down, _ = ramp(self.times, opening, OPENING_RAMP_S, mean=self.mean)
+        up_s, down_s = self._lengths(values)
+        up, d_up, d_up_s = ramp(self.times, m.closed_s + values.get("closed_s", 0.0), up_s, mean=self.mean)
+        down, d_down, d_down_s = ramp(self.times, m.opened_s + values.get("opened_s", 0.0), down_s, mean=self.mean)
         closed = up - down
         present, d_present = self._presence(values.get("inserted_s", 0.0), derive="inserted_s" in names)
         weights[:, 0] = 1.0 - present
@@ -94,7 +103,8 @@ class Clock:
             weights_of = names.index("inserted_s")
             d_weights[:, 0, weights_of] = -d_present
             d_weights[:, 1, weights_of] = d_present
-        for name, change in zip(TIMINGS[:3], (d_up, -d_down, d_ramp), strict=True):
+        changes = {"closed_s": d_up, "opened_s": -d_down, "ramp_s": d_up_s, OPENING_RAMP: -d_down_s}
+        for name, change in changes.items():
             if name in names:
                 d_weights[:, 2, names.index(name)] = change
                 d_weights[:, 1, names.index(name)] = -change

@@ -74,6 +74,11 @@ A scan takes up to half the time to the next, so its middle comes 0 to a quarter
 range's standard deviation. A delay common to all channels shows only against the platens."""
 SCAN_SKEW_S = 0.06
 """Of an insertion at the first row: the length of a scan. [s]"""
+OPENING_RAMP_SD_S = 0.15
+"""Of how long opening takes, about the usual length (`softsensor.heat.timing`): the same share as of closing. [s]
+
+Only the diagnosis frees it: ten scans a second show it to 0.014 s, and held at the usual length a slow opening
+passed for late thermocouples (virtual press, 12 runs with nothing hidden, seed 942000, 2026-11-23)."""
 
 # Panels and pressings
 

@@ -20,7 +20,7 @@ from daq.words import Message
 from daq.words.message import catalogue_of, sentences, words
 from softsensor.diagnosis.advice import AdviceBasis, next_measurement, rim_notes
 from softsensor.diagnosis.curves import curves_of
-from softsensor.diagnosis.decision import ALPHA_PATTERN, EXCESS, NEGLIGIBLE_K, Verdict, refuted_by_cores
+from softsensor.diagnosis.decision import ALPHA, ALPHA_PATTERN, EXCESS, NEGLIGIBLE_K, Verdict, refuted_by_cores
 from softsensor.diagnosis.extension import (
     Direction,
     RunState,
@@ -34,9 +34,11 @@ from softsensor.diagnosis.finding import Diagnosis, Finding
 from softsensor.diagnosis.gains import Gain
 from softsensor.diagnosis.numbers import BLOCK_S, intervals, measure_errors, noise_floor
 from softsensor.diagnosis.search import (
+    HOPELESS,
     SWITCHED,
     Candidate,
     panels_as_usual,
+    search,
     settle_base,
     switch_scores,
     with_panels_freed,
@@ -49,6 +51,7 @@ from softsensor.diagnosis.where import stretches, where_row
 from softsensor.effects import BUILT_IN, find_effect
 from softsensor.heat.model import ThermalModel
 from softsensor.heat.model_file import parse_model
+from softsensor.heat.timing import OPENING_RAMP, OPENING_RAMP_S
 from softsensor.report.diagnosis_figures import residual_figure
 from softsensor.report.diagnosis_report import diagnosis_report
 from softsensor.signals.digest import Digest
@@ -236,6 +239,29 @@ def test_a_scan_that_reads_one_face_after_the_other_is_no_cause() -> None:
     moved = np.nanstd((again.misfit - run.misfit) * white.digest.trust)
     assert moved < 0.5 * np.nanstd((skewed - white.digest.y) * white.digest.trust)
     assert again.offsets[-2:] - run.offsets[-2:] == pytest.approx([-0.02, 0.02], abs=0.012)
+
+
+def test_fast_scans_show_how_long_a_press_takes_to_open() -> None:
+    runs = make_campaign(942000, 4, None, Plan(rate_hz=10.0))
+    stage = settle_base(ThermalModel(press()), _screened(press(), [run for run, _ in runs])[1])
+    fitted = [
+        OPENING_RAMP_S + eta
+        for unknowns, run in zip(stage.fit.layout.unknowns, stage.fit.runs, strict=True)
+        for unknown, eta in zip(unknowns, run.eta, strict=True)
+        if unknown.name == OPENING_RAMP
+    ]
+    true = [truth.pressing.opening_ramp for _, truth in runs]
+    assert np.std(true) > 0.08
+    assert fitted == pytest.approx(true, abs=0.04)
+
+
+def test_a_log_that_begins_with_the_panel_shows_no_late_thermocouple() -> None:
+    runs = [run for run, _ in make_campaign(932003, 12, None, Plan(core_column=0.25))]
+    stage = settle_base(ThermalModel(press()), _screened(press(), runs)[1])
+    assert all(d.digest.moments.inserted_s <= d.digest.run.time_s[0] for d in stage.data)
+    (late,) = search(stage, [find_effect("thermocouple_lag")])
+    assert late.gain < HOPELESS
+    assert p_values([late], np.arange(12))["thermocouple_lag"] > ALPHA
 
 
 def test_a_run_is_predicted_from_nothing_it_has_read_itself() -> None:

@@ -170,7 +170,8 @@ def _refined(model, run):
 def test_both_solvers_agree_on_the_press_cycle(lab_press, make_run, coefficients, moments):
     model = ThermalModel.of(lab_press)
     case = model.prepare(make_run(noise=0.1), moments)
-    names = (*model.parameter_names, "initial_K", "boundary_top_K", "closed_s", "opened_s", "ramp_s")
+    moved = ("closed_s", "opened_s", "ramp_s", "opening_ramp_s")
+    names = (*model.parameter_names, "initial_K", "boundary_top_K", *moved)
     exact = model.solve(case, coefficients, names, method="exact")
     implicit = model.solve(case, coefficients, names)
     t = case.run.time_s
@@ -192,7 +193,7 @@ def test_every_sensitivity_equals_high_order_differences(lab_press, make_run, co
     values = with_typical(model, coefficients)
     own = tuple(n for n in model.parameter_names if effect is None or "." in n)
     # a shift of time moves kinks across steps, and is checked on fine steps below
-    names = own + tuple(n for n in NUISANCES if n not in ("closed_s", "opened_s", "ramp_s"))
+    names = own + tuple(n for n in NUISANCES if n not in ("closed_s", "opened_s", "ramp_s", "opening_ramp_s"))
     if effect == "clock_offset":
         names = tuple(n for n in names if n != "clock_offset.seconds")
     solution = model.solve(case, values, names)
@@ -231,7 +232,7 @@ def test_tangents_of_the_exact_solver_are_as_good_as_it_says(lab_press, make_run
 
 
 @pytest.mark.parametrize("method", ["implicit", "exact"])
-@pytest.mark.parametrize("name", ["closed_s", "opened_s", "ramp_s", "inserted_s"])
+@pytest.mark.parametrize("name", ["closed_s", "opened_s", "ramp_s", "opening_ramp_s", "inserted_s"])
 def test_sensitivities_to_moments_equal_differences_on_fine_steps(
     lab_press, make_run, coefficients, moments, method, name
 ):
