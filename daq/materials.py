@@ -8,6 +8,7 @@ UL FSRI materials database as listed in the NIST repository firemodels/exp
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 
 TABLE_SD = 0.2
@@ -17,8 +18,12 @@ GRAIN_SD = 1.0 - 1.8**-0.5
 """How far a solid wood's conductivity may be off besides where nobody says in which direction it was measured,
 as a share. Along the grain it is some 1.8 times that across (Wood Handbook, ch. 4: 1.5 to 2.8), and a hot disk
 that takes the wood for isotropic reads the root of their product (ISO 22007-2)."""
-SOLID_WOODS = ("ash", "beech", "birch", "fir", "larch", "maple", "oak", "pine", "poplar", "spruce", "wood")
-"""Names a header may give a solid wood in ``panel.material``, alone or with words before (``Scots pine``)."""
+_ENGLISH_WOODS = ("ash", "beech", "birch", "fir", "larch", "maple", "oak", "pine", "poplar", "spruce")
+_GERMAN_WOODS = ("esche", "buche", "birke", "tanne", "lärche", "ahorn", "eiche", "kiefer", "pappel", "fichte")
+SOLID_WOODS = frozenset((*_ENGLISH_WOODS, *_GERMAN_WOODS))
+"""Words by which a header's ``panel.material`` tells a solid wood (``Scots pine``, ``Kiefer, feucht``)."""
+JUST_WOOD = ({"wood"}, {"solid", "wood"}, {"holz"}, {"massivholz"})
+"""The same where no kind is named."""
 
 _FSRI_MDF, _FSRI_OSB = "measured: FSRI_MDF", "measured: FSRI_OSB"
 _TRADE = "middle of the trade's range"
@@ -61,10 +66,13 @@ def is_solid_wood(name: str) -> bool:
 
     Examples
     --------
-    >>> is_solid_wood("Scots pine"), is_solid_wood("plywood")
-    (True, False)
+    >>> is_solid_wood("Scots pine"), is_solid_wood("Kiefer, 12 %"), is_solid_wood("Wood")
+    (True, True, True)
+    >>> is_solid_wood("plywood"), is_solid_wood("engineered wood")
+    (False, False)
     """
-    return name.strip().lower().rpartition(" ")[2] in SOLID_WOODS
+    said = set(re.findall(r"[^\W\d_]+", name.lower()))
+    return bool(said & SOLID_WOODS) or said in JUST_WOOD
 
 
 def find_material(name: str) -> Material | None:

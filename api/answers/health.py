@@ -121,7 +121,7 @@ def _health(
 def duty_of(process: str) -> str:
     """Return what a process does: its name without the host.
 
-    >>> kind_of("record@press-pc-2")
+    >>> duty_of("record@press-pc-2")
     'record'
     """
     return process.partition("@")[0]

@@ -144,7 +144,8 @@ def _report(store: Store, outcome: NightOutcome, settings: Config) -> list[Messa
 def _page_address(server: ServerSettings) -> str:
     """Return where the page is; a server that listens everywhere is found by its machine's name."""
     everywhere = server.host in ("", "0.0.0.0", "::")
-    return f"http://{socket.gethostname() if everywhere else server.host}:{server.port}/"
+    host = socket.gethostname() if everywhere else server.host
+    return f"http://{f'[{host}]' if ':' in host else host}:{server.port}/"
 
 
 def token_file_beside(config: Path) -> Path:

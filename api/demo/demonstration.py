@@ -264,7 +264,7 @@ class _Demo:
         while waiting := [name for name in waiting if not self._warmed(name)]:
             waited = time.monotonic() - began
             if waited > COMPILE_S:
-                raise WorkFailed(say("demo-no-sign-of-life", processes=tuple(waiting), seconds=COMPILE_S))
+                raise WorkFailed(say("demo-compiling-too-long", seconds=COMPILE_S))
             if waited > QUICK_S and not told:
                 told = True
                 self.tell(say("demo-compiling"))

@@ -1250,7 +1250,7 @@ report-legend-every-run = W/m²K, ± das halbe 95-%-Intervall. Kursiv: in dieser
 report-legend-measured = Fehlerbalken: Standardabweichung über die Fühler einer Seite. Grau gestrichelt: das Modell mit den Schätzwerten der Pressendatei. Getönt: Presse geschlossen. Residuen ohne den konstanten Versatz jeder Seite, ihr Band die Streuung der Fühler; wo sich die Presse bewegt, verlassen sie das Bild, und der größte Wert steht dabei.
 report-legend-normalised = Punkte: einzelne Pressungen bezogen auf das Mittel, in ihrer Reihenfolge. Balken: ± σ.
 report-legend-profile = Ein Profil zeigt, wie viel schlechter das Modell zur Pressung passt, je weiter ein Koeffizient verschoben wird, während alle anderen Unbekannten folgen; wo es unter der Linie bleibt, passt der Wert ebenso gut (95 %). Ein Profil, das die Linie auf einer Seite nicht schneidet, ist dort offen.
-report-legend-run = Punkte: Mittel der Messwerte, getönt um sie die aller Fühler. Grau: das einfache Modell mit den eigenen Koeffizienten dieser Pressung. Orange: mit der Ursache. Gestrichelt: Kern. Getönt: Presse geschlossen; darunter, wo das einfache Modell am weitesten danebenliegt, und was dort gemessen wurde.
+report-legend-run = Punkte: Mittel der Messwerte; getönt darum: vom niedrigsten bis zum höchsten Fühler. Grau: das einfache Modell mit den eigenen Koeffizienten dieser Pressung. Orange: mit der Ursache. Gestrichelt: Kern. Getönt: Presse geschlossen; darunter, wo das einfache Modell am weitesten danebenliegt, und was dort gemessen wurde.
 report-mean = Mittel
 report-mean-note = Mittel und σ über die Pressungen, in denen der Koeffizient bestimmbar ist. Gemeinsamer Median und wahre Streuung: alle Pressungen zusammen geschätzt als Ziehungen aus einer lognormalen Gesamtheit, ohne den Fehler der einzelnen Schätzung.
 report-measured-against-simulated = Gemessen gegen simuliert
@@ -1541,7 +1541,10 @@ terminal-progress-diagnosing = { $runs ->
     [one] Diagnose von { $runs } Pressung
    *[other] Diagnose von { $runs } Pressungen
 }
-terminal-progress-exporting = { $runs } Pressungen lesen
+terminal-progress-exporting = { $runs ->
+    [one] { $runs } Pressung wird gelesen
+   *[other] { $runs } Pressungen werden gelesen
+}
 terminal-progress-fitting = { $runs ->
     [one] { $runs } Pressung wird angepasst
    *[other] { $runs } Pressungen werden angepasst
@@ -1778,6 +1781,7 @@ demo-column-surface = Residuum der Seiten
 demo-column-surface-unit = vor -> nach Anpassung
 demo-column-worst = größter
 demo-compiling = Erster Start: das Übersetzen des Modells dauert etwa eine Minute ...
+demo-compiling-too-long = Das Übersetzen des Modells dauerte länger als { NUMBER($seconds) } s
 demo-core-off = Kern { NUMBER($kelvin, minimumFractionDigits: 2, maximumFractionDigits: 2) } K daneben
 demo-core-unknown = Kern nicht bekannt
 demo-diagnosis-there = Die Diagnose ist da: { $diagnosis }, und was die Nacht getan hat: { $night }

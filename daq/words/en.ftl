@@ -1234,7 +1234,7 @@ report-legend-every-run = W/m²K, ± half the 95 % interval. Italics: not identi
 report-legend-measured = Error bars: standard deviation over the sensors of a face. Grey dashes: the model with the press file's guesses. Shaded: press closed. Residuals without each face's constant offset, their band the scatter of the face's sensors; where the press moves they leave the picture, and the largest is written in.
 report-legend-normalised = Dots: single runs over the mean, in their order. Bars: ± σ.
 report-legend-profile = A profile shows how much worse the model fits the run the further a coefficient is moved while all other unknowns follow; where it stays below the line the value fits as well (95 %). A profile that does not cross the line on a side is open there.
-report-legend-run = Dots: mean of the readings, tinted about them those of all sensors. Grey: the plain model with this run's own coefficients. Orange: with the cause added. Dashed: core. Shaded: press closed; below, where the plain model is most kelvins off, and what was measured there.
+report-legend-run = Dots: mean of the readings; tinted about them: from the lowest to the highest sensor. Grey: the plain model with this run's own coefficients. Orange: with the cause added. Dashed: core. Shaded: press closed; below, where the plain model is most kelvins off, and what was measured there.
 report-mean = mean
 report-mean-note = Mean and σ over the runs in which the coefficient is identifiable. Joint median and true spread: all runs estimated together as draws from one log-normal population, the error of each single estimate taken out.
 report-measured-against-simulated = Measured against simulated
@@ -1525,7 +1525,10 @@ terminal-progress-diagnosing = { $runs ->
     [one] Diagnosing { $runs } run
    *[other] Diagnosing { $runs } runs
 }
-terminal-progress-exporting = reading { $runs } runs
+terminal-progress-exporting = { $runs ->
+    [one] Reading { $runs } run
+   *[other] Reading { $runs } runs
+}
 terminal-progress-fitting = { $runs ->
     [one] Fitting { $runs } run
    *[other] Fitting { $runs } runs
@@ -1759,6 +1762,7 @@ demo-column-surface = surface residual
 demo-column-surface-unit = before -> after fit
 demo-column-worst = worst
 demo-compiling = First start: compiling the model takes about a minute ...
+demo-compiling-too-long = compiling the model took longer than { NUMBER($seconds) } s
 demo-core-off = core { NUMBER($kelvin, minimumFractionDigits: 2, maximumFractionDigits: 2) } K off
 demo-core-unknown = core not known
 demo-diagnosis-there = The diagnosis is there: { $diagnosis }, and what the night did: { $night }

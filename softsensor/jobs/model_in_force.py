@@ -59,7 +59,8 @@ def combined_model(press: Press, base: ModelFile | None, fits: Sequence[Mapping[
     if base is None:
         return ModelFile(PRESS_FILE, press.name, table, missing=seen, scatter=_scatter(fits))
     before = base.missing
-    if before is not None and (seen is None or seen.runs < before.runs):
+    looked_at = 0 if seen is None else seen.runs or len(fits)  # runs not described settle nothing, yet say so
+    if before is not None and looked_at < before.runs:
         seen = before
     return replace(base, coefficients=table, missing=seen, scatter={**base.scatter, **_scatter(fits)})
 

@@ -46,7 +46,10 @@ def night_record(store: Store, outcome: NightOutcome) -> NightRecord:
 
 
 def stored_night_record(store: Store, night: StoredNight) -> NightRecord:
-    """Return what the store holds of a night, without what came after it."""
+    """Return what the store holds of a night; of one that others followed, without what came after it.
+
+    Fits and the versions' standing are today's.
+    """
     told = night.night
     outcome = NightOutcome(
         press=night.press,
@@ -68,9 +71,11 @@ def _record(
     written: datetime,
     until: datetime | None,
 ) -> NightRecord:
-    press, active = outcome.press, store.active_model(outcome.press)
-    if until is not None and outcome.version:
-        active = store.model(outcome.version)
+    press = outcome.press
+    if until is None:
+        active = store.active_model(press)
+    else:
+        active = store.model(outcome.version) if outcome.version else None
     diagnoses = every(lambda cursor: store.diagnoses(press=press, cursor=cursor, limit=1))
     models = every(lambda cursor: store.models(press=press, cursor=cursor, limit=SHOWN_MODELS))
     failures = every(

@@ -8,6 +8,7 @@ from softsensor.live.directions import CONSTANT, DISCREPANCY
 from softsensor.live.kalman import KalmanFilter
 from softsensor.live.mixture import Mixture
 from softsensor.live.priors import TIMING
+from softsensor.signals.doubt import MEAN_SQUARE_SIZE
 from softsensor.signals.unknown import Unknown
 
 KINDS = ("constants", "contacts", "timing", "start", "effects", "discrepancy", "suspected")
@@ -38,7 +39,7 @@ def band_from(one: KalmanFilter, mixture: Mixture, margin: float) -> dict[str, f
         P -= narrowed @ np.linalg.solve(among + np.eye(len(among)), narrowed.T)
     readout = made.model.chain.d_level
     shares = np.maximum(readout * (P @ readout), 0.0)
-    shares[[prior.considered for prior in made.priors]] = one.held_K**2
+    shares[[prior.considered for prior in made.priors]] = MEAN_SQUARE_SIZE * one.held_K**2
     found = dict.fromkeys(KINDS, 0.0)
     for share, prior in zip(shares.tolist(), made.priors, strict=True):
         found[_kind(prior)] += share

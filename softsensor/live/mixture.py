@@ -47,8 +47,11 @@ class Mixture:
 
     @cached_property
     def leading(self) -> str:
-        """The cause of the most likely hypothesis, empty for none."""
-        return self.names[int(np.argmax(self.components.weight))]
+        """The cause of the most likely hypothesis, whatever the size of what is in doubt; empty for none."""
+        chances: dict[str, float] = {}
+        for name, weight in zip(self.names, self.components.weight.tolist(), strict=True):
+            chances[name] = chances.get(name, 0.0) + weight
+        return max(chances, key=chances.__getitem__)
 
     @property
     def changed(self) -> float:

@@ -83,7 +83,7 @@ def broken(limits: LimitsTable, kinetics: Kinetics | None, panel: PanelState) ->
     >>> law = kinetics_of(OrderLaw(rate_per_s=0.05, activation_energy_kJ_mol=80.0))
     >>> at_limit = Normal(np.log(law.equivalent_s(0.9)), np.array(0.1))
     >>> unknown = Normal(np.array(np.nan), np.array(np.nan))
-    >>> panel = Panel(at_limit, at_limit, unknown, unknown)
+    >>> panel = PanelState(at_limit, at_limit, unknown, unknown)
     >>> {k: round(float(v), 6) for k, v in broken(LimitsTable(cure_least=0.9), law, panel).items()}
     {'cure_bottom': 0.5, 'cure_top': 0.5}
     """

@@ -6,6 +6,7 @@ import io
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
+from threading import RLock
 from typing import Any
 
 import numpy as np
@@ -57,10 +58,14 @@ STYLE: Mapping[str, Any] = {
 }
 
 
+_STYLING = RLock()
+"""A style belongs to the whole process, and a server draws in several threads."""
+
+
 @contextmanager
 def sheet(size: tuple[float, float], title: str = "") -> Iterator[Figure]:
     """Make a figure [in] in the reports' style, under a title."""
-    with rc_context(dict(STYLE)):
+    with _STYLING, rc_context(dict(STYLE)):
         figure = Figure(figsize=size, layout="constrained")
         if title:
             figure.suptitle(title, x=0.01, ha="left", color=INK, weight="bold")
@@ -70,7 +75,7 @@ def sheet(size: tuple[float, float], title: str = "") -> Iterator[Figure]:
 def svg(figure: Figure) -> str:
     """Return a figure as SVG text, the same for the same figure."""
     buffer = io.BytesIO()
-    with rc_context(dict(STYLE)):
+    with _STYLING, rc_context(dict(STYLE)):
         figure.savefig(buffer, format="svg", metadata={"Date": None})
     return buffer.getvalue().decode()
 

@@ -69,6 +69,8 @@ DOUBT_SIZES = tuple(
 """A doubt's true size in units of the one that is taken for usual, and the chance of it: evenly between the least
 and the most that panels scatter by, in three Gauss points. How much the next panel differs, nobody knows better;
 one size for all makes the middle of a band too wide and its ends too short."""
+MEAN_SQUARE_SIZE = sum(chance * size**2 for size, chance in DOUBT_SIZES)
+"""By which a variance in doubt is larger than at its usual size, in the mean."""
 PANEL_DENSITY = 0.035
 """Of density: EN 622-5 and EN 312 allow 7 and 10 % about the mean within a board (method: EN 323); the lower one,
 taken as two deviations. Unverified."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from fastapi import APIRouter, Path, Query
+from fastapi import APIRouter, Path, Query, Request
 from fastapi.responses import HTMLResponse
 
 from api.answers.drift import drift_of
@@ -134,7 +134,9 @@ def get_diagnosis_curves(store: StoreDep, number: Number) -> DiagnosisCurves:
     response_class=HTMLResponse,
     responses=problem_responses(404),
 )
-def get_night_report(store: StoreDep, number: Number, language: Language = ENGLISH) -> HTMLResponse:
+def get_night_report(
+    request: Request, store: StoreDep, number: Number, language: Language = ENGLISH
+) -> HTMLResponse:
     """Return what the nightly job did and found for a press, with pictures, as a page of its own."""
     from softsensor.jobs.night_record import stored_night_record
     from softsensor.report.night_report import night_report
@@ -144,7 +146,7 @@ def get_night_report(store: StoreDep, number: Number, language: Language = ENGLI
     found = [n for n in store.nights(cursor=str(number + 1), limit=1).items if n.number == number]
     if not found:
         raise ProblemError(404, say("api-no-night", number=number))
-    page = night_report(stored_night_record(store, found[0]), language, "../../../../")
+    page = night_report(stored_night_record(store, found[0]), language, str(request.base_url))
     return HTMLResponse(page, headers={"Content-Disposition": f'inline; filename="night-{number}.html"'})
 
 
