@@ -119,7 +119,7 @@ def test_predict_gives_what_the_command_writes(fitted, written, tmp_path):
     assert {line.split(",")[6] for line in out.read_text().splitlines()[1:]} <= {"0", "1"}
     told = pd.read_csv(out, keep_default_na=True).set_index("time_s")
     ours = softsensor.predict(SHORT, LAB, model)
-    assert np.allclose(ours.frame()["core_C"], told["core_C"], atol=1e-6, equal_nan=True)
+    assert np.allclose(ours.frame()["core_C"], told["core_C"], atol=6e-4, equal_nan=True)
     assert ours.frame()["valid"].tolist() == told["valid"].tolist()
     assert ours.plot()
     example = LAB.parents[1] / "resins" / "melamine_formaldehyde.toml"

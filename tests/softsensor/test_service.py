@@ -186,7 +186,7 @@ def test_a_pressing_is_refitted_when_the_press_opens_not_only_when_the_panel_is_
 
 
 def test_an_estimate_carries_what_is_inside_and_what_lies_ahead(store, fitter, pressing):
-    header = dict(pressing[0].header) | {"setting.core_target_C": 60.0}
+    header = dict(pressing[0].header) | {"setting.core_target_C": 40.0}
     recorder = Recorder(store, pressing[0], {k: v for k, v in header.items() if k != "run"})
     sense = follower(store, fitter)
     while recorder.done < 80:
