@@ -11,9 +11,9 @@ const LIMITS = [["core_above_C", "page-alarm-core", "°C"], ["platen_above_C", "
 export async function show(place, context) {
   const list = el("section", { class: "card", "data-testid": "alarms" });
   const limits = el("section", { class: "card", "data-testid": "alarm-limits" });
-  place.append(list, bellCard(), limits);
   const load = async () => drawList(list, (await get("/alarms", { limit: 100 })).items, load);
-  await load();
+  await load(); // first: a list that came later would push away what is below it, from under a finger
+  place.append(list, bellCard(), limits);
   if (context.press) drawLimits(limits, (await get("/alarms/thresholds", { press: context.press })).items[0]);
   else limits.remove();
   const timer = setInterval(() => { if (!document.hidden && !list.contains(document.activeElement)) load().catch(() => {}); }, 3000);
