@@ -6,13 +6,19 @@ a module's text and that of every module of this project it imports, directly or
 anywhere below is another folder, two versions side by side do not meet, and an older text finds its own code
 again, wherever it is installed. It lies under ``NUMBA_CACHE_DIR`` or the user's cache folder; where neither can be
 written, each process compiles for itself. A file is one signature on one kind of processor, with its checksum:
-what is damaged is compiled anew. (2026-11-22; numba 0.68)
+what is damaged is compiled anew.
+
+Each function is machine code of its own, which those that call it only refer to. Numba would build the code of all
+that is called, directly or through others, into every caller and optimise it there once more: of a first start of
+the live sensor a third of the time, for no gain in speed. (2026-11-23; numba 0.68;
+``pytest -m benchmark tests/benchmarks/test_first_start.py tests/benchmarks/test_live_sensor.py``)
 """
 
 from __future__ import annotations
 
 import contextlib
 import hashlib
+import importlib
 import os
 import pickle
 import secrets
@@ -22,9 +28,10 @@ from collections.abc import Callable
 from functools import cache
 from importlib.machinery import SourceFileLoader
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import llvmlite
+import llvmlite.binding
 import numba
 from numba import njit
 from numba.core.compiler import CompileResult
@@ -51,6 +58,7 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
         made = njit(**options)(function)
         if made is not function:  # NUMBA_DISABLE_JIT leaves it as it is
             made._cache = _Kept(function)  # noqa: SLF001 - where Numba's own cache=True puts its own
+            _FUNCTIONS[function.__module__, function.__qualname__] = made
         return made
 
     return compile_and_keep
@@ -61,6 +69,7 @@ class _Kept:
 
     def __init__(self, function: Callable[..., Any]) -> None:
         self.cache_path = str(_folder(function.__module__))
+        self._function = function
         self._name = f"{function.__name__}-{function.__code__.co_firstlineno}"
 
     def _path(self, key: object) -> Path:
@@ -76,15 +85,23 @@ class _Kept:
             return None
         if hashlib.sha256(kept[32:]).digest() != kept[:32]:
             return None
-        of, reduced = pickle.loads(kept[32:])
-        return CompileResult._rebuild(context, *reduced) if of == key else None  # noqa: SLF001 - as Numba does
+        of, called, reduced = pickle.loads(kept[32:])
+        if of != key:
+            return None
+        for symbol, code in called:
+            llvmlite.binding.add_symbol(symbol, code.address())
+        result = CompileResult._rebuild(context, *reduced)  # noqa: SLF001 - as Numba does
+        self._stand_apart(signature, result)
+        return result
 
     def save_overload(self, signature: Any, result: Any) -> None:
         """Keep the machine code for a signature, unless it holds addresses of this process."""
-        if result.lifted or result.library.has_dynamic_globals:
-            return
         key = (signature, result.codegen.magic_tuple())
-        text = dumps((key, result._reduce()))  # noqa: SLF001 - as Numba does
+        kept = not (result.lifted or result.library.has_dynamic_globals)
+        text = dumps((key, _called(result), result._reduce())) if kept else b""  # noqa: SLF001 - as Numba does
+        self._stand_apart(signature, result)
+        if not kept:
+            return
         try:
             _write(self._path(key), hashlib.sha256(text).digest() + text)
         except OSError:  # a full disk or a folder of somebody else's: compiled again next time
@@ -92,6 +109,41 @@ class _Kept:
 
     def flush(self) -> None:
         """Nothing waits to be written."""
+
+    def _stand_apart(self, signature: Any, result: CompileResult) -> None:
+        """Let callers of a function refer to its machine code in place of building it into their own."""
+        of = self._function
+        _CODE[result.fndesc.llvm_func_name] = _Code(of.__module__, of.__qualname__, signature)
+        # what Numba would link into a caller: nothing, since the caller declares what it calls by itself
+        result.library._shared_module = llvmlite.binding.parse_assembly("")  # noqa: SLF001
+
+
+class _Code(NamedTuple):
+    """Where a compiled function stands, and for which signature."""
+
+    module: str
+    name: str
+    signature: Any
+
+    def address(self) -> int:
+        """Return where the machine code lies in this process, loaded or compiled if it does not yet."""
+        importlib.import_module(self.module)
+        function = _FUNCTIONS[self.module, self.name]
+        function.compile(self.signature)
+        result = function.overloads[self.signature]
+        return int(result.library.get_pointer_to_function(result.fndesc.llvm_func_name))
+
+
+_FUNCTIONS: dict[tuple[str, str], Any] = {}
+"""The compiled functions of this process by module and name."""
+_CODE: dict[str, _Code] = {}
+"""What the symbols of compiled functions in this process stand for."""
+
+
+def _called(result: CompileResult) -> list[tuple[str, _Code]]:
+    """Return the compiled functions of this project that the machine code of one refers to, by their symbols."""
+    functions = result.library._final_module.functions  # noqa: SLF001
+    return [(of.name, _CODE[of.name]) for of in functions if of.is_declaration and of.name in _CODE]
 
 
 def _write(path: Path, content: bytes) -> None:

@@ -32,6 +32,11 @@ CALL = (
     "print(flow(Layer(thickness=8.0, **{name: 3.0 for name in Layer._fields if name != 'thickness'})), "
     "sum(flow.stats.cache_misses.values()))"
 )
+DEFINED = (
+    "sum(line.startswith('define') and 'lower4half' in line and 'cpython' not in line and 'cfunc' not in line "
+    "for text in flow.inspect_llvm().values() for line in text.splitlines())"
+)
+"""How often machine code of a function's own holds the lower function."""
 
 
 @pytest.fixture
@@ -47,9 +52,9 @@ def tree(tmp_path):
     return tmp_path / "tree"
 
 
-def answer(tree, kept=None):
+def answer(tree, kept=None, call=CALL):
     """Return what the upper function says in a process of its own, and how many signatures it had to compile."""
-    line = [sys.executable, "-c", CALL]
+    line = [sys.executable, "-c", call]
     place = {"NUMBA_CACHE_DIR": str(kept or tree.parent / "kept"), "PYTHONPATH": str(tree)}
     done = subprocess.run(line, cwd=tree, env=os.environ | place, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
@@ -89,6 +94,21 @@ def test_damaged_code_is_compiled_anew(tree):
         path.write_bytes(path.read_bytes()[:-100])
     assert answer(tree) == (5.0, 1)
     assert answer(tree) == (5.0, 0)
+
+
+def test_a_caller_whose_code_is_kept_finds_that_of_what_it_calls_compiled_anew_under_another_symbol(tree):
+    assert answer(tree) == (5.0, 1)
+    (lower,) = (tree.parent / "kept/compiled/softsensor.lower").glob("*/*")
+    lower.write_bytes(lower.read_bytes()[:-100])
+    counted = "import numba\nnumba.njit(lambda: 0)()\n"  # Numba counts functions, and symbols bear the number
+    assert answer(tree, call=counted + CALL) == (5.0, 0)
+    assert answer(tree) == (5.0, 0)
+
+
+def test_a_function_is_not_built_into_those_that_call_it(tree):
+    assert answer(tree, call=CALL.replace("sum(flow.stats.cache_misses.values())", DEFINED)) == (5.0, 0)
+    own = f"from softsensor.lower import half as flow\nprint(flow(8.0), {DEFINED})"
+    assert answer(tree, kept=tree / "none", call=own) == (4.0, 1)
 
 
 def test_where_nothing_can_be_kept_each_process_compiles_for_itself(tree):
