@@ -14,7 +14,7 @@ from daq.press.faces import HIGH_C, LOW_C, Face, columns_of, middle
 from daq.press.moments import Placed, closing_moment, insertion_moment, opening_moment, usual_lag
 from daq.press.press_file import Press
 from daq.press.wires import Wires
-from daq.records import Array, EventSource, PressEvent, PressEventKind, PressState
+from daq.records import ROOM_C, Array, EventSource, PressEvent, PressEventKind, PressState
 from daq.words import Message, say
 
 # Thresholds without another source were set by hand, 2026-11-21, between what hands and noise do to a sensor and
@@ -30,8 +30,6 @@ _SETTLE_PANEL_S = 0.2
 """And after an insertion or removal, whose kinks are long in the past by then. [s]"""
 HAND_C = 38.0
 """Hands and room never bring a sensor above this: skin stays below 37 °C. [°C]"""
-_ROOM_C = 25.0
-"""A usual room beside a press: hot and cold are told as shares of the way from here to the plate. [°C]"""
 _USUAL_GAP_K = 150.0
 """How much hotter a plate is than a face where no platen is logged. [K]"""
 _LEAST_GAP_K = 25.0
@@ -213,7 +211,7 @@ class PressEventDetector:
 
     def _nothing_hot(self, row: _Row) -> bool:
         """Whether the sensors, as far as there are any, lie in no press: it was closed with nothing in it."""
-        limit = _ROOM_C + _COLD_SHARE * _gap(row.plate, _ROOM_C)
+        limit = ROOM_C + _COLD_SHARE * _gap(row.plate, ROOM_C)
         faces = [face for face in (row.top, row.bottom) if face == face]
         return bool(faces) and max(faces) < limit
 
@@ -222,7 +220,7 @@ class PressEventDetector:
         self.disagreement = None
         if time_s - self._since < 5.0 or row.plate - row.top != row.plate - row.top:
             return
-        reach = (row.top - _ROOM_C) / max(row.plate - _ROOM_C, 30.0)
+        reach = (row.top - ROOM_C) / max(row.plate - ROOM_C, 30.0)
         wire = self.wires.told_by.message
         if closed and reach < _TOP_COLD_SHARE:
             self.disagreement = say("wire-closed-face-cold", wire=wire)
@@ -291,9 +289,11 @@ class PressEventDetector:
         if top == top and bottom == bottom:
             both = top > _OPENING_TOP_K and bottom > _OPENING_BOTTOM_K and bottom > _OPENING_RATIO * top
             earlier = (then, self._row_before(3.0), self._row_before(6.0))
-            return both or top > _PLAIN_FALL_K or any(self._sank(now, row) for row in earlier)
-        fall = top if top == top else bottom
-        return fall > (_ONE_FACE_TOP_K if top == top else _ONE_FACE_BOTTOM_K)
+            plain = (both or top > _PLAIN_FALL_K) and _most_fell(now.tops, then.tops)
+            return plain or any(self._sank(now, row) for row in earlier)
+        if top == top:
+            return top > _ONE_FACE_TOP_K and _most_fell(now.tops, then.tops)
+        return bottom > _ONE_FACE_BOTTOM_K and _most_fell(now.bottoms, then.bottoms)
 
     def _sank(self, now: _Row, then: _Row | None) -> bool:
         """Whether the upper face fell further than a worse contact could let it: it follows the plate then."""
@@ -302,8 +302,7 @@ class PressEventDetector:
         fall = (then.top - now.top) - max(then.plate - now.plate, 0.0)
         if not (fall > 4.0 and fall > 1.7 * max(then.plate - then.top, 0.0) + 2.5):
             return False
-        falls = [then.tops[n] - value for n, value in now.tops.items() if n in then.tops]
-        return 2 * sum(f > 0.0 for f in falls) >= len(falls)  # else only the bridge over a lost sensor fades
+        return _most_fell(now.tops, then.tops)
 
     def _inserted(self, now: _Row, then: _Row) -> bool:
         """The lower face leaves hand and room temperature, all its sensors together, the upper stays."""
@@ -341,8 +340,8 @@ class PressEventDetector:
         if by_bottom is not self._by_bottom:
             self._by_bottom, self._face_high = by_bottom, -math.inf
         self._face_high = max(self._face_high, level)
-        gap = _gap(now.plate, _ROOM_C)
-        if self._face_high > _ROOM_C + _HOT_SHARE * gap and level < _ROOM_C + _COLD_SHARE * gap:
+        gap = _gap(now.plate, ROOM_C)
+        if self._face_high > ROOM_C + _HOT_SHARE * gap and level < ROOM_C + _COLD_SHARE * gap:
             return True
         if self._was_closed and self._switch is not None and self._nothing_hot(now):
             self._lifted = (now.time, level, self._spread(now))
@@ -356,7 +355,7 @@ class PressEventDetector:
             self._lifted = None
             return False
         self._lifted = (moment, min(level, lowest), spread)
-        return level < _ROOM_C + _COOLING_SHARE * gap or self._spread(now) > spread + _SPREAD_K
+        return level < ROOM_C + _COOLING_SHARE * gap or self._spread(now) > spread + _SPREAD_K
 
     def _spread(self, now: _Row) -> float:
         """Return how far the lower face's sensors lie apart, without the two most extreme where there are many."""
@@ -439,6 +438,12 @@ def _together(now: Mapping[str, float], then: Mapping[str, float], least: float)
     """Whether most sensors of a face rose from `then` to `now`, not a few that a hand touched."""
     rises = [value - then[name] for name, value in now.items() if name in then]
     return not rises or sum(r > 0.4 * least for r in rises) >= 0.7 * len(rises)
+
+
+def _most_fell(now: Mapping[str, float], then: Mapping[str, float]) -> bool:
+    """Whether most sensors of a face fell from `then` to `now`; else only the bridge over a lost one fades."""
+    falls = [then[name] - value for name, value in now.items() if name in then]
+    return 2 * sum(f > 0.0 for f in falls) >= len(falls)
 
 
 def _gap(plate: float, face: float) -> float:

@@ -20,20 +20,18 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.records import Array
+from daq.records import ROOM_C, Array
 
 STEP_S = 0.02
 """Of the grids of onset and time: small beside a scan at 20 Hz. Set by hand, 2026-11. [s]"""
 _CONTACTS = np.geomspace(0.3, 8.0, 15)
 """Contact coefficient over the panel's effusivity; 700 W/m²K on MDF gives 1.9. [1/√s]"""
 _CLOSING_RAMPS_S = np.linspace(0.1, 1.2, 12)
-"""A press closes in 0.2 to 1 s (contract, section 2). [s]"""
+"""A press closes in 0.2 to 1 s (contract, section 2), each length as likely as another; some room to both sides. [s]"""
 _OPENING_RAMPS_S = (0.05, 0.15, 0.25, 0.35, 0.45, 0.55)
 """It opens more quickly than it closes. Set by hand, 2026-11. [s]"""
 _TYPICAL_CONTACT, _CONTACT_SPREAD = 1.9, 0.5
 """The paper's 700 W/m²K on MDF; its logarithm's spread covers 420 to 1150 W/m²K. [1/√s, 1]"""
-TYPICAL_RAMP_S, _RAMP_SPREAD_S = 0.6, 0.3
-"""How long closing takes: the middle of 0.2 to 1 s (contract, section 2), and a spread by hand, 2026-11. [s]"""
 LAGS_S = np.array([0.0, 0.15, 0.3, 0.5, 0.75, 1.0])
 """Lags of a sensor that are tried. Set by hand, 2026-11. [s]"""
 
@@ -132,8 +130,8 @@ def closing_moment(
     error = sigma + 0.5 / float(np.median(distance)) if len(distance) else math.inf  # the prior alone tells
     lag = no_lag() if lag is None else lag
     prior = ((np.log(_CONTACTS / _TYPICAL_CONTACT) / _CONTACT_SPREAD) ** 2)[:, None, None]
-    prior = prior + (((_CLOSING_RAMPS_S - TYPICAL_RAMP_S) / _RAMP_SPREAD_S) ** 2)[:, None]
-    misfit = np.full((len(LAGS_S), *prior.shape[:2], len(onsets)), 1e9)
+    # a ramp of any length is as likely as another
+    misfit = np.full((len(LAGS_S), len(_CONTACTS), len(_CLOSING_RAMPS_S), len(onsets)), 1e9)
     for i in np.flatnonzero(lag < lag.min() + 20.0):
         model = _contact_table()[i]  # contact, ramp, time since the onset
         squares = (model * model) @ counts - 2.0 * (model @ sums) + share @ share
@@ -195,7 +193,7 @@ def opening_moment(
     for face in faces:
         before = face[(times < noticed - 0.9) & np.isfinite(face)]
         level = float(np.median(before[-5:])) if len(before) else np.nan
-        flux = 365.0 * max(plate - level, 2.0) + 12.0 * max(level - 25.0, 5.0)
+        flux = 365.0 * max(plate - level, 2.0) + 12.0 * max(level - ROOM_C, 5.0)
         sizes.append(-_SQRT_KELVIN * flux)
     return _kink(times, faces, noticed, sigma, _OPENING_RAMPS_S, (1.8, tuple(sizes)), lag)
 

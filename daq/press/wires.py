@@ -66,7 +66,7 @@ class Wires:
             value = values.get(name, math.nan)
             if value == value:
                 self.told_by = EventSource.LIMIT_SWITCH
-                return value > 0.5
+                return bool(value > 0.5)
         if self.pressure is None:
             return None
         value = values.get(self.pressure.column, math.nan)
@@ -74,7 +74,7 @@ class Wires:
             return None
         self.told_by = EventSource.PRESSURE_CHANNEL
         limit = self.pressure.closed_above if not self._pressed else self.pressure.lower
-        self._pressed = value > limit
+        self._pressed = bool(value > limit)
         return self._pressed
 
 

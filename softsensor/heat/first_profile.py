@@ -101,13 +101,10 @@ class Resistance:
         return np.clip(u, 0.0, 1.0), np.where((u > 0.0) & (u < 1.0), d_u, 0.0)
 
 
-def gap_names(press: Press) -> tuple[str, ...]:
-    """Return what the parameters of the gaps between first readings are called, as many as there can be."""
-    return tuple(f"start_{i}_K" for i in range(len(press.sensor) + 1)) if press.initial.kind == "sensors" else ()
-
-
 def gap_priors(press: Press, run: Run, panel: Panel | None) -> dict[str, float]:
     """Return how far from rest the start may be in each gap: anywhere between its readings, width/√12. [K]"""
+    if press.initial.kind != "sensors":
+        return {}
     places: list[tuple[float, float]] = []
     top = 0.0
     for layer in press.layer:
@@ -126,8 +123,8 @@ def gap_priors(press: Press, run: Run, panel: Panel | None) -> dict[str, float]:
     for (_, end), height, index in zip(press.boundary.ends, (0.0, top), (0, len(places) + 1), strict=True):
         if end.kind == "measured" and end.column is not None and np.isfinite(first := _first(run, end.column)):
             places.insert(index, (height, first))
-    gaps = zip(gap_names(press), pairwise(places), strict=False)
-    return {name: abs(b - a) / np.sqrt(12.0) for name, ((low, a), (high, b)) in gaps if high > low}
+    gaps = enumerate(pairwise(places))
+    return {f"start_{i}_K": abs(b - a) / np.sqrt(12.0) for i, ((low, a), (high, b)) in gaps if high > low}
 
 
 def in_height(case: Case, state: implicit_steps.State) -> None:

@@ -148,8 +148,7 @@ def ramp(edges: Array, middle: float, length: float, *, mean: bool) -> tuple[Arr
         return value, by_middle, by_length
     h = np.diff(near)
     area = np.where(x >= 1, near - middle, length * x * x / 2)
-    # whole steps inside or outside the ramp are exact, so that equal steps compare equal
-    value[a : b - 1] = np.where(x[1:] <= 0, 0.0, np.where(x[:-1] >= 1, 1.0, np.diff(area) / h))
+    value[a : b - 1] = np.diff(area) / h  # the others are exactly 0 or 1, so that equal steps compare equal
     by_middle[a : b - 1] = -np.diff(x) / h
     by_length[a : b - 1] = np.diff(np.where(inner, x * (1 - x) / 2, 0.0)) / h
     return value, by_middle, by_length

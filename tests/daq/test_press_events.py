@@ -8,6 +8,7 @@ from scipy.signal import lfilter
 from scipy.special import erfc
 
 from daq.press.events import PressEventDetector, find_moments
+from daq.press.faces import Face
 from daq.press.moments import closing_moment, opening_moment
 from daq.press.press_file import parse_press
 from daq.records import PressEventKind, PressState, Run
@@ -222,6 +223,20 @@ def test_a_pressure_channel_closes_above_one_threshold_and_opens_below_another()
     assert [found.closed_s, found.opened_s] == [e.monotonic_s for e in events[1:]]
 
 
+@pytest.mark.parametrize("told_by", ["switch", "pressure", "temperatures"])
+def test_numbers_of_numpy_say_what_plain_ones_say(told_by):
+    run, _ = one_run(closed_column=told_by == "switch")
+    bar = np.where((run.time_s > 25.0) & (run.time_s < 90.0), 30.0, 1.0)
+    if told_by == "pressure":
+        run, press = wired(run, 'pressure = { column = "bar", closed_above = 20.0 }', bar=bar)
+    else:
+        press = PRESS
+    detector, said = PressEventDetector(press), []
+    for i, t in enumerate(run.time_s):
+        said += detector.update(t, {name: values[i] for name, values in run.columns.items()})
+    assert said == replay(run, PressEventDetector(press))
+
+
 def test_where_the_switch_is_silent_the_pressure_decides_and_where_both_are_the_temperatures():
     run, truth = one_run(closed_column=True)
     nothing = np.full(len(run.time_s), np.nan)
@@ -379,6 +394,38 @@ def test_a_lower_sensor_that_is_blind_for_a_while_is_no_removal(blind_s):
     begin = truth.moments.closed_s - 4.0 - blind_s
     columns["bottom_5"][(run.time_s > begin) & (run.time_s < begin + blind_s)] = np.nan
     assert [e.kind.value for e in replay(Run("blinks", run.header, run.time_s, columns))] == IN_ORDER
+
+
+@pytest.mark.parametrize("rate_hz", [10.0, 1.0])
+def test_a_sensor_that_rattles_does_not_shake_its_face(rate_hz):
+    rng, face, level = np.random.default_rng(5), Face(), []
+    for _ in range(int(60 * rate_hz)):
+        level.append(face.update({"a": 20.0, "b": 20.5, "c": 21.0, "d": 20.5 + 5.0 * rng.normal()}, 1.0 / rate_hz))
+    assert np.ptp(level[int(40 * rate_hz) :]) < 0.05
+    assert level[-1] == pytest.approx(20.5, abs=0.05)  # of the three that stand still
+
+
+def test_the_level_of_a_face_that_loses_a_sensor_goes_over_to_the_rest_in_some_ten_seconds():
+    detector, levels = PressEventDetector(PRESS), []
+    for t in range(100, 140):
+        detector.update(float(t), {"top_1": 60.0} | ({"top_2": 90.0} if t < 110 else {}))
+        levels.append(detector._top.level)
+    assert levels[:11] == [75.0] * 11
+    assert levels[20] == pytest.approx(60.0 + 15.0 / np.e)  # ten seconds after the loss was seen
+    assert np.all(np.diff(levels[10:]) < 0.0)
+
+
+@pytest.mark.parametrize("rate_hz", [10.0, 1.0])
+def test_the_loss_of_the_hottest_sensor_of_each_face_is_no_opening(rate_hz):
+    """A face's median goes on from where it was."""
+    run, truth = one_run(closed_column=False, rate_hz=rate_hz)
+    columns = {n: run.columns[n].copy() for n in ("platen_top", "platen_bottom", "top_3", "bottom_5")}
+    lost = run.time_s > 0.5 * (truth.moments.closed_s + truth.moments.opened_s)
+    for name, near in (("top_4", "top_3"), ("bottom_6", "bottom_5")):
+        columns[name] = np.where(lost, np.nan, columns[near] + 30.0)
+    events = replay(Run("lost", run.header, run.time_s, columns))
+    assert [e.kind.value for e in events] == IN_ORDER
+    assert events[2].monotonic_s == pytest.approx(truth.moments.opened_s, abs=0.6)
 
 
 @pytest.mark.campaign

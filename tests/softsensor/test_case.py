@@ -11,6 +11,7 @@ from softsensor.effects import BUILT_IN
 from softsensor.heat.batch import solve_many
 from softsensor.heat.case import step_edges, step_means
 from softsensor.heat.model import ThermalModel
+from softsensor.heat.timing import ramp
 
 
 def prepared(press, run, moments):
@@ -327,3 +328,14 @@ def test_an_insulated_end_in_the_header_insulates_the_laboratory_press(lab_press
     case = model.prepare(run, moments)
     loose, tight = (model.solve(case, coefficients | {"h_top": h}, fields=True).fields[-1] for h in (1.0, 5000.0))
     assert np.abs(loose - tight).max() < 1e-9, "no heat passes, however good the contact"
+
+
+def test_steps_wholly_before_or_after_a_ramp_have_exactly_no_or_the_whole_share():
+    """So that equal steps are solved with one factorisation."""
+    rng = np.random.default_rng(4)
+    for middle in rng.uniform(5.0, 25.0, 200):
+        edges = np.concatenate([[0.0], np.cumsum(rng.uniform(0.02, 0.4, 150))])
+        share = ramp(edges, middle, 0.5, mean=True)[0]
+        assert np.all(share[edges[1:] <= middle - 0.25] == 0.0)
+        assert np.all(share[edges[:-1] >= middle + 0.25] == 1.0)
+        assert share @ np.diff(edges) == pytest.approx(edges[-1] - middle)
