@@ -169,13 +169,15 @@ class Bus:
 
     def _settle(self, link: Link, timing: LineTiming) -> None:
         """Listen until the line owes no more silence: what waits before a request answers an older one."""
-        if link.read(0.0):
+        heard = link.read(0.0)
+        if heard:
             self._owe(timing if not self.numbered else replace(timing, drain_s=_REST_OF_FRAME_S))
         give_up = time.monotonic() + _LONGEST_DRAIN * max(self._drain_s, timing.drain_s)
-        while (now := time.monotonic()) < self._quiet_until:
+        while (now := time.monotonic()) < self._quiet_until or heard:  # a busy machine may oversleep a silence
             if now > give_up:
                 raise BadFrame(say("line-babbles", place=str(self.place)), Cause.BABBLE)
-            if link.read(self._quiet_until - now):
+            heard = link.read(max(self._quiet_until - now, 0.0))
+            if heard:
                 self._quiet_until = time.monotonic() + self._drain_s
         self._drain_s = 0.0
         if self.numbered:

@@ -21,16 +21,14 @@ from daq.drivers.opening import open_logger
 from daq.drivers.profile import REGISTERS, Field16, Profile, Scaling, check_profile, profile_names, profile_table
 from daq.drivers.protocol import Cause, NoReply, ReadFailure
 from daq.drivers.settings import LoggerSettings
-from daq.records import InputError, Quality
+from daq.records import ROOM_C, InputError, Quality
 from daq.tables import explained
 from daq.words import Message, say, spoken
 
 # Numbers without another source were set by hand, 2026-11.
 
-ROOM_C = (5.0, 45.0)
+ROOMS_C = (5.0, 45.0)
 """Where loggers are set up: from an unheated hall in winter to one beside a hot press in summer. [°C]"""
-USUAL_ROOM_C = 22.0
-"""Orders readings that fit as well: an office in winter, a hall in summer. [°C]"""
 _ENOUGH = 0.5
 """Share of inputs that must read room temperature: some may have no thermocouple yet."""
 _SCALINGS: Mapping[Message, tuple[str, Scaling]] = {
@@ -155,7 +153,7 @@ def probe(
     )
 
 
-def interpretations(words: Sequence[int], room: tuple[float, float] = ROOM_C) -> tuple[Interpretation, ...]:
+def interpretations(words: Sequence[int], room: tuple[float, float] = ROOMS_C) -> tuple[Interpretation, ...]:
     """Return every plausible way to read registers, the most plausible first.
 
     >>> best = interpretations((213, 208, 0x7FFF, 210))[0]
@@ -289,7 +287,7 @@ def _attempt(
         return Attempt(profile.name, scaling, station, why, settings=settings)
     finally:
         logger.close()
-    low, high = ROOM_C
+    low, high = ROOMS_C
     hits = sum(low <= v <= high for v, q in zip(reading.values, reading.qualities, strict=True) if q.usable)
     share = hits / profile.inputs
     fits = share >= _ENOUGH
@@ -326,7 +324,7 @@ def _rank(attempt: Attempt) -> tuple[bool, float, int]:
 
 def _from_usual_room(attempt: Attempt) -> int:
     """Return how far the middle reading lies from the usual room: only orders readings that fit as well. [K]"""
-    return round(abs(_middle(attempt) - USUAL_ROOM_C))
+    return round(abs(_middle(attempt) - ROOM_C))
 
 
 def _middle(attempt: Attempt) -> float:

@@ -123,6 +123,16 @@ def test_the_channel_warmed_by_hand_is_found_in_a_warming_room():
     assert warmed.rise_kelvin == pytest.approx(5.8, abs=0.1)
 
 
+def test_the_channel_warmed_by_hand_is_found_beside_one_that_gives_no_value():
+    qualities = (Quality.GOOD, Quality.OPEN, Quality.GOOD, Quality.GOOD)
+    before = readings_of(np.full((5, 4), 20.0), qualities)
+    after = readings_of(np.full((5, 4), 20.0) + np.array([0.0, 0.0, 6.0, 0.3]), qualities)
+    warmed = warmed_channel(CHANNELS, before, after)
+    assert (warmed.channel, warmed.rise_kelvin) == ("top_3", pytest.approx(5.7))
+    nobody = warmed_channel(CHANNELS, before, before)
+    assert (nobody.channel, nobody.rise_kelvin) == (None, 0.0)
+
+
 @pytest.mark.parametrize("rise", [[0.1, 0.2, 0.3, 0.2], [5.0, 0.0, 4.0, 0.0], [np.nan] * 4])
 def test_no_channel_is_named_when_none_or_two_are_warm(rise):
     before = readings_of(np.full((5, 4), 20.0))

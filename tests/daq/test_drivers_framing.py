@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import struct
 import time
+from types import SimpleNamespace
 
 import pytest
 from hypothesis import assume, given
@@ -93,6 +95,19 @@ def test_the_reply_of_another_station_is_passed_over_and_ours_behind_it_is_taken
     assert registers(outcome(rtu_reply(STATION, READ), foreign + ours)) == (2,) * 8
     assert outcome(rtu_reply(STATION, READ), foreign) is None
     assert outcome(rtu_reply(STATION, READ), foreign[:-1] + b"\x00" + ours) == "wrong id"
+
+
+def test_the_reply_of_another_station_in_pieces_is_passed_over_too_and_a_damaged_one_is_refused_when_it_is_whole():
+    foreign, ours = good_rtu([1] * 8, station=3), good_rtu([2] * 8)
+    take, buffer, got = rtu_reply(STATION, READ), bytearray(), None
+    for byte in foreign + ours:
+        assert got is None
+        buffer.append(byte)
+        got = take(buffer)
+    assert registers(got) == (2,) * 8
+    damaged = foreign[:-1] + bytes([foreign[-1] ^ 1])
+    assert outcome(rtu_reply(STATION, READ), damaged[:-1]) is None
+    assert outcome(rtu_reply(STATION, READ), damaged) == "wrong id"
 
 
 def test_older_transactions_are_dropped_and_ours_behind_them_is_taken():
@@ -247,3 +262,13 @@ def test_a_network_device_that_never_falls_silent_is_refused_and_its_connection_
     with pytest.raises(BadFrame, match="never falls silent"):
         bus.exchange(b"", tcp_reply(1, STATION, READ), LineTiming(timeout_s=0.1, drain_s=0.02))
     assert wire.closed == 1
+
+
+def test_a_machine_too_busy_to_look_in_time_does_not_take_its_own_pause_for_silence(monkeypatch):
+    early, sound = good_tcp([9] * 8, 1), good_tcp([1] * 8, 1)
+    wire, moments = Wire([early[:5], early[5:9], early[9:]], [sound]), itertools.count(0.0, 0.05)
+    monkeypatch.setattr("daq.drivers.bus.time", SimpleNamespace(monotonic=lambda: next(moments)))
+    bus = Bus(wire, numbered=True)
+    timing = LineTiming(timeout_s=10.0, drain_s=0.5)
+    reply = bus.exchange(tcp_frame(1, STATION, READ), tcp_reply(1, STATION, READ), timing)
+    assert registers(reply.payload) == (1,) * 8
