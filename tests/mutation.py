@@ -1,11 +1,17 @@
 """Change the code in small ways, chosen ones and a seeded sample of each room; see whether the suite notices.
 
-    python -m tests.mutation [--resume] [--room NAME] [--folder DIR]
+    python -m tests.mutation [--again] [--resume] [--room NAME] [--wider] [--folder DIR]
+    python -m tests.mutation --table
 
 Cosmic Ray makes the mutants; a copy of the tree bears them, never the tree itself. A room, its tests and the
 number of its mutants stand in mutation.toml; what is not meaningful is not drawn: annotations, decorators, and
 more than one mutant of a function. There stand also the chosen ones, faults somebody feared, in the room
-"chosen". Results are lines of DIR/results.jsonl, ``--resume`` goes on after the last.
+"chosen". ``--wider`` holds what a room's tests let through against every test file that imports the mutant's
+module, or one that imports it.
+
+Results go to DIR/results.toml, ``--resume`` goes on after the last. A sample whose survivors were looked at, each
+with a verdict and a reason, is kept in mutation_judged.toml: ``--table`` prints it by room, ``--again`` judges the
+killed ones of it once more, each by the test that killed it.
 """
 
 from __future__ import annotations
@@ -20,24 +26,32 @@ import shutil
 import subprocess
 import sys
 import tempfile
-import time
 import tomllib
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import grimp
 from cosmic_ray.ast import ast_nodes, get_ast
 from cosmic_ray.mutating import mutate_code
 from cosmic_ray.plugins import get_operator, operator_names
 
 ROOT = Path(__file__).parents[1]
 PLAN = ROOT / "tests/mutation.toml"
+JUDGED = ROOT / "tests/mutation_judged.toml"
 LEFT_OUT = re.compile(
     r"Decorator|Exception|NoOp|Variable|Invert|_(Is|IsNot)_|_(Is|IsNot|Not|BitAnd|BitOr|BitXor|[LR]Shift|FloorDiv|Mod|Pow)$"
 )
 """Operators whose mutants say little: what running the line kills, as bits of a float do, and what is the same."""
 LONGEST_S = 1800.0
+KILLED, SURVIVED, GONE = "killed", "survived", "gone"
+KILLED_SINCE = "killed since"
+"""By a test that was written for it, or found by looking further than its room's tests."""
+SAME, WITHOUT_MEANING, GAP = "equivalent", "without meaning", "gap"
+VERDICTS = (KILLED, KILLED_SINCE, SAME, WITHOUT_MEANING, GAP)
+"""What a judged sample says of its mutants; the last three live."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +105,17 @@ class Chosen:
 
 def chosen(plan: dict[str, Any]) -> list[Chosen]:
     """Return the mutants that are written down."""
-    return [Chosen(m["name"], m["module"], m["was"], m["now"], tuple(m["tests"])) for m in plan["mutant"]]
+    return [Chosen(m["name"], m["module"], m["was"], m["now"], tuple(m.get("tests", ()))) for m in plan["mutant"]]
+
+
+def snippets(sound: str, changed: str) -> tuple[str, str]:
+    """Return what a mutant changes and what it becomes: lines, with so many before that the text has them once."""
+    old, new = sound.splitlines(keepends=True), changed.splitlines(keepends=True)
+    first = next(i for i, (a, b) in enumerate(zip(old, new, strict=False)) if a != b)
+    after = next(i for i, (a, b) in enumerate(zip(old[::-1], new[::-1], strict=False)) if a != b)
+    while sound.count("".join(old[first : len(old) - after])) > 1:
+        first -= 1
+    return "".join(old[first : len(old) - after]), "".join(new[first : len(new) - after])
 
 
 def functions(text: str) -> dict[int, str]:
@@ -123,96 +147,156 @@ def mutants(module: str) -> Iterator[Mutant]:
                 yield Mutant(module, operator, occurrence, line, inside[line])
 
 
-def drawn(room: dict[str, object], seed: int) -> list[Mutant]:
-    """Return a room's sample: from as many functions as it has mutants."""
+def drawn(room: dict[str, Any], seed: int) -> list[Mutant]:
+    """Return a room's sample: from as many functions as it has mutants, few of them in kernels to be compiled."""
     chance, found = random.Random(f"{seed} {room['name']}"), {}
-    modules = sorted({str(p.relative_to(ROOT)) for pattern in room["modules"] for p in ROOT.glob(pattern)})
-    everything = [mutant for module in modules for mutant in mutants(module)]
-    chance.shuffle(everything)
-    for mutant in everything:
-        if len(found) < room["count"] and (mutant.module, mutant.function) not in found and mutant.compiles:
-            found[mutant.module, mutant.function] = mutant
+    kernels = files(room.get("kernels", ()))
+    plain = files(room["modules"]) - kernels
+    for modules, count in ((plain, room["count"]), (kernels, room.get("of_kernels", 0))):
+        everything = [mutant for module in sorted(modules) for mutant in mutants(module)]
+        chance.shuffle(everything)
+        full = len(found) + count
+        for mutant in everything:
+            if len(found) < full and (mutant.module, mutant.function) not in found and mutant.compiles:
+                found[mutant.module, mutant.function] = mutant
     return list(found.values())
 
 
-def passes(tree: Path, tests: Sequence[str], log: Path) -> bool:
-    """Return whether a room's tests pass in a tree; a timeout is no pass."""
-    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "--timeout", "600", *tests]
-    environment = {**os.environ, "PYTHONPATH": str(tree)}
+def files(patterns: Sequence[str]) -> set[str]:
+    """Return the project's files that patterns name."""
+    return {str(path.relative_to(ROOT)) for pattern in patterns for path in ROOT.glob(pattern)}
+
+
+def importing(module: str) -> list[str]:
+    """Return the test files that import a module, or one that imports it."""
+    name = module.removesuffix("/__init__.py").removesuffix(".py").replace("/", ".")
+    near = {name} | grimp.build_graph("daq", "softsensor", "api").find_modules_that_directly_import(name)
+    found = []
+    for file in sorted(files(["tests/**/test_*.py"])):
+        imported = set()
+        for node in ast.walk(ast.parse((ROOT / file).read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom):
+                imported |= {node.module, *(f"{node.module}.{one.name}" for one in node.names)}
+            elif isinstance(node, ast.Import):
+                imported |= {one.name for one in node.names}
+        found += [file] if imported & near else []
+    return found
+
+
+def killer(tree: Path, tests: Sequence[str], log: Path) -> str | None:
+    """Return the first of some tests that fails in a tree; None where all pass. A timeout is a failure."""
+    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "--timeout", "300", *tests]
+    kept = str(log.parent / "compiled")  # not the user's, where mutants would push out sound code
+    environment = {**os.environ, "PYTHONPATH": str(tree), "NUMBA_CACHE_DIR": kept}
     with log.open("w", encoding="utf-8") as out:
         try:
             done = subprocess.run(
                 command, cwd=tree, env=environment, stdout=out, stderr=subprocess.STDOUT, timeout=LONGEST_S
             )
         except subprocess.TimeoutExpired:
-            return False
-    return done.returncode == 0
+            return tests[0]
+    failed = re.search(r"^(?:FAILED|ERROR) ([^\s\[]+)", log.read_text(encoding="utf-8"), re.MULTILINE)
+    return None if done.returncode == 0 else failed[1] if failed else tests[0]
 
 
 def judged(
-    room: str, waiting: Sequence[tuple[Mutant | Chosen, Sequence[str]]], log: Path
+    room: str, waiting: Sequence[tuple[Mutant | Chosen, Sequence[str]]], log: Path, *, wider: bool = False
 ) -> Iterator[dict[str, Any]]:
     """Yield what became of each mutant of a room, each with the tests that are to kill it."""
     with tempfile.TemporaryDirectory() as place:
         tree, sound_with = Path(place) / "kerntemp", set()
         shutil.copytree(ROOT, tree, ignore=shutil.ignore_patterns(".venv", ".git", "__pycache__", "campaigns"))
         for mutant, tests in waiting:
-            if tuple(tests) not in sound_with and not passes(tree, tests, log):
-                raise SystemExit(f"{mutant.name}: its tests fail without a mutant; see {log}")
-            sound_with.add(tuple(tests))
-            examples = (mutant.module,)  # in its docstrings
-            file, begun = tree / mutant.module, time.monotonic()
+            file = tree / mutant.module
             sound = file.read_text(encoding="utf-8")
+            if isinstance(mutant, Chosen) and sound.count(mutant.was) != 1:
+                yield {"name": mutant.name, "room": room, "outcome": GONE}
+                continue
+            wide = [test for test in importing(mutant.module) if test not in tests] if wider else []
+            for one in (tests, wide):
+                if one and tuple(one) not in sound_with and (failed := killer(tree, one, log)):
+                    raise SystemExit(f"{mutant.name}: {failed} fails without a mutant; see {log}")
+                sound_with.add(tuple(one))
             changed = mutant.applied(sound) or ""
             file.write_text(changed, encoding="utf-8")
-            survived = passes(tree, (*examples, *tests), log)
+            examples = mutant.module  # in its docstrings
+            killed_by = killer(tree, (examples, *tests), log) or (killer(tree, wide, log) if wide else None)
             file.write_text(sound, encoding="utf-8")
-            lines = zip(sound.splitlines(), changed.splitlines(), strict=False)
-            was, now = next((a.strip(), b.strip()) for a, b in lines if a != b)
-            yield {
-                "room": room,
-                "mutant": mutant.name,
-                "outcome": "survived" if survived else "killed",
-                "seconds": round(time.monotonic() - begun),
-                "was": was,
-                "now": now,
-            }
+            was, now = snippets(sound, changed)
+            own = {"name": mutant.name, "room": room, "module": mutant.module, "was": was, "now": now}
+            yield own | ({"outcome": KILLED, "tests": [killed_by]} if killed_by else {"outcome": SURVIVED})
+
+
+def toml(one: dict[str, Any]) -> str:
+    """Return a mutant as mutation.toml and mutation_judged.toml have it."""
+    return "\n[[mutant]]\n" + "".join(f"{k} = {json.dumps(v, ensure_ascii=False)}\n" for k, v in one.items())
+
+
+def table(found: Sequence[dict[str, Any]]) -> str:
+    """Return by room how many mutants of a judged sample mean something, and how many of these are killed."""
+    lines = [f"{'room':12} {'drawn':>5} {'meaningful':>10} {'killed when drawn':>17} {'killed now':>10}"]
+    for room in (*dict.fromkeys(one["room"] for one in found), "all"):
+        count = Counter(one["verdict"] for one in found if room in (one["room"], "all"))
+        meaningful = count[KILLED] + count[KILLED_SINCE] + count[GAP]
+        first, now = count[KILLED], count[KILLED] + count[KILLED_SINCE]
+        lines.append(
+            f"{room:12} {count.total():5} {meaningful:10} {first:10} = {first / meaningful:4.0%}"
+            f" {now:3} = {now / meaningful:4.0%}"
+        )
+    alive = [one for one in found if one["verdict"] not in (KILLED, KILLED_SINCE)]
+    return "\n".join([*lines, *(f"{one['verdict']}: {one['name']}: {one['reason']}" for one in alive)])
+
+
+def asked_for(plan: dict[str, Any], *, again: bool) -> dict[str, list[tuple[Mutant | Chosen, Sequence[str]]]]:
+    """Return the mutants to be judged by room, with their tests: chosen and drawn ones, or those judged before."""
+    if not again:
+        rooms = {"chosen": [(mutant, mutant.tests) for mutant in chosen(plan)]}
+        for room in plan["room"]:
+            rooms[room["name"]] = [(mutant, room["tests"]) for mutant in drawn(room, plan["seed"])]
+        return rooms
+    record, rooms = read(JUDGED), {room["name"]: [] for room in plan["room"]}
+    for one, mutant in zip(record, chosen({"mutant": record}), strict=True):
+        if mutant.tests:  # what lives for a reason has none
+            rooms[one["room"]].append((mutant, mutant.tests))
+    return rooms
+
+
+def read(file: Path) -> list[dict[str, Any]]:
+    """Return the mutants of a file of results."""
+    return tomllib.loads(file.read_text(encoding="utf-8")).get("mutant", []) if file.exists() else []
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Judge the sample and print what survived."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--again", action="store_true", help="judge the sample of mutation_judged.toml once more")
+    parser.add_argument("--table", action="store_true", help="print what mutation_judged.toml holds, and end")
     parser.add_argument("--resume", action="store_true", help="go on where a run before was broken off")
     parser.add_argument("--room", action="append", help="only this room; may be given again")
+    parser.add_argument("--wider", action="store_true", help="survivors meet all test files near their module")
     parser.add_argument("--folder", type=Path, default=ROOT / "campaigns" / "mutation")
     given = parser.parse_args(arguments)
+    if given.table:
+        sys.stdout.write(table(read(JUDGED)) + "\n")
+        return 0
     given.folder.mkdir(parents=True, exist_ok=True)
-    file = given.folder / "results.jsonl"
+    file = given.folder / "results.toml"
     if not given.resume:
         file.unlink(missing_ok=True)
-    lines = file.read_text(encoding="utf-8").splitlines() if file.exists() else []
-    done = {one["mutant"]: one for one in map(json.loads, lines)}
-    plan = tomllib.loads(PLAN.read_text(encoding="utf-8"))
-    for room in ({"name": "chosen"}, *plan["room"]):
-        if given.room and room["name"] not in given.room:
+    done = {one["name"]: one for one in read(file)}
+    for room, everyone in asked_for(tomllib.loads(PLAN.read_text(encoding="utf-8")), again=given.again).items():
+        if given.room and room not in given.room:
             continue
-        everyone = (
-            [(m, room["tests"]) for m in drawn(room, plan["seed"])]
-            if "tests" in room
-            else [(m, m.tests) for m in chosen(plan)]
-        )
         waiting = [(mutant, tests) for mutant, tests in everyone if mutant.name not in done]
-        for one in judged(room["name"], waiting, given.folder / f"{room['name']}.log"):
-            done[one["mutant"]] = one
+        for one in judged(room, waiting, given.folder / f"{room}.log", wider=given.wider):
+            done[one["name"]] = one
             with file.open("a", encoding="utf-8") as out:
-                out.write(json.dumps(one) + "\n")
-            sys.stdout.write(
-                f"{one['outcome']:8} {one['mutant']}\n           {one['was']}\n        -> {one['now']}\n"
-            )
+                out.write(toml(one))
+            sys.stdout.write(f"{one['outcome']:8} {one['name']}\n{one.get('was', '')}->\n{one.get('now', '')}")
             sys.stdout.flush()
-    killed = sum(one["outcome"] == "killed" for one in done.values())
-    sys.stdout.write(f"{killed} of {len(done)} killed\n")
-    return int(killed < 0.9 * len(done))
+    there = [one["outcome"] for one in done.values() if one["outcome"] != GONE]
+    sys.stdout.write(f"{there.count(KILLED)} of {len(there)} killed\n")
+    return int(there.count(KILLED) < 0.9 * len(there))
 
 
 if __name__ == "__main__":
