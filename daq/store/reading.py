@@ -8,7 +8,7 @@ from datetime import datetime
 from typing import Any
 
 import numpy as np
-from sqlalchemy import ColumnElement, Connection, Row, Select, Table, and_, func, or_, select
+from sqlalchemy import ColumnElement, Connection, Row, Select, Table, and_, case, func, literal_column, or_, select
 
 from daq.files.qualities import QUALITY, quality_text
 from daq.records import Array, Channel, InputError, Moments, Quality, Run, Scan
@@ -23,6 +23,10 @@ _USABLE = {q.value for q in Quality if q.usable}
 
 _ROWS = 500
 """Rows held at a time: fewer than set the garbage collector off."""
+_FEW = 2000
+"""Runs that an index is asked for in a millisecond, and that are walked through in one or two."""
+_NEWEST = 2**62
+"""Above every number of a row."""
 
 
 def runs(
@@ -41,10 +45,8 @@ def runs(
     query = runs_query().where(*(column == value for column, value in wanted.items() if value is not None))
     if cursor is not None:
         query = query.where(RUN.c.run_number < cursor_number(cursor))
-    if since is not None:
-        query = query.where(RUN.c.started_unix_s >= since.timestamp())
-    if until is not None:
-        query = query.where(RUN.c.started_unix_s < until.timestamp())
+    if since is not None or until is not None:
+        query = query.where(*_begun_between(since, until))
     rows = connection.execute(query.order_by(RUN.c.run_number.desc()).limit(limit + 1)).all()
     items = tuple(run_record_of(row) for row in rows[:limit])
     return Page(items, str(items[-1].number) if len(rows) > limit else None)
@@ -61,6 +63,30 @@ def cursor_number(cursor: str) -> int:
 def runs_query() -> Select[Any]:
     """Return the query for runs with their press, to be narrowed."""
     return select(RUN, PRESS.c.name.label("press"), PRESS.c.kind).join(PRESS, PRESS.c.press_id == RUN.c.press_id)
+
+
+def _begun_between(since: datetime | None, until: datetime | None) -> list[ColumnElement[bool]]:
+    """Return the conditions for runs that began in a time.
+
+    Pages go by number. Where many runs are newer than the time, or few as new, the index by start says at which
+    number to begin or to end, so that nobody walks through all that lie beside it.
+    """
+    start = func.coalesce(RUN.c.started_unix_s, literal_column("-1.0"))  # as in the index run_by_start
+    number = (RUN.c.run_number + 0).label("number")  # an expression: else an engine may walk along the numbers
+    found, within = [], []
+    if since is not None:
+        found.append(RUN.c.started_unix_s >= since.timestamp())
+        within.append(start >= since.timestamp())
+    if until is not None:
+        found.append(RUN.c.started_unix_s < until.timestamp())
+        within.append(start < until.timestamp())
+        newer = select(number).where(start >= until.timestamp()).limit(_FEW).subquery()
+        many = select(func.count()).select_from(newer).scalar_subquery() == _FEW
+        last = select(func.max(number)).where(*within).scalar_subquery()
+        found.append(RUN.c.run_number <= select(case((many, last), else_=_NEWEST)).scalar_subquery())
+    few = select(number).where(*within).limit(_FEW).subquery()
+    first = select(case((func.count() < _FEW, func.min(few.c.number)), else_=0)).select_from(few)
+    return [*found, RUN.c.run_number >= first.scalar_subquery()]
 
 
 def run_row(connection: Connection, run: str) -> Row[Any]:

@@ -1,5 +1,6 @@
 """The store keeps what it acknowledged, on SQLite and on PostgreSQL alike."""
 
+import itertools
 import math
 import sqlite3
 import string
@@ -15,7 +16,16 @@ from sqlalchemy import inspect, text
 
 from daq.files.run_file import read_run, write_run
 from daq.records import Channel, InputError, PressEvent, PressEventKind, PressState, Quality, Run, Scan
-from daq.store import NewRun, RunEnd, RunStatus, StoredEstimate, StoredNight, StoreUnavailable, open_store
+from daq.store import (
+    NewRun,
+    RunEnd,
+    RunStatus,
+    StoredEstimate,
+    StoredNight,
+    StoreUnavailable,
+    every,
+    open_store,
+)
 from daq.store.convert import MANY, readings_json, readings_table
 from daq.store.database import migrations, statements, store_url
 from daq.store.schema import METADATA
@@ -191,6 +201,28 @@ def test_simulated_values_are_usable_and_faulty_ones_are_not(store):
     assert math.isnan(run.columns["bottom_1"][0])
 
 
+@pytest.mark.parametrize("few", [1, 3, 2000])
+def test_runs_of_a_time_are_all_found_wherever_the_index_sends_the_search(store, few, monkeypatch):
+    monkeypatch.setattr("daq.store.reading._FEW", few)
+    days = (5, 1, 3, 2, 6, None, 4)  # files are imported in any order
+    instants = [day and datetime(2026, 11, day, tzinfo=UTC) for day in days]
+    headers = [{} if at is None else {"recorded.started_utc": at} for at in instants]
+    time_s = np.arange(0.0, 3.0)
+    runs = [Run(f"r{i}", h, time_s, {"top_1": time_s}, "", {}) for i, h in enumerate(headers)]
+    store.import_runs(runs, "lab")
+    ends = [None, *(datetime(2026, 11, day, tzinfo=UTC) for day in range(1, 8))]
+    for since, until in itertools.product(ends, ends):
+        if since is None and until is None:
+            continue
+        wanted = [
+            r.name
+            for r, at in zip(runs, instants, strict=True)
+            if at is not None and (since is None or since <= at) and (until is None or at < until)
+        ]
+        found = every(lambda cursor: store.runs(since=since, until=until, cursor=cursor, limit=2))  # noqa: B023
+        assert [r.run for r in found] == wanted[::-1]
+
+
 def test_pages_of_runs_hold_every_run_once_newest_first(store):
     names = [record_one_run(store) for _ in range(7)]
     found, cursor = [], None
@@ -360,6 +392,15 @@ def test_diagnoses_journal_and_status_are_kept(store):
     store.beat("record", {"scans": 1})
     store.beat("record", {"scans": 2})
     assert store.statuses()["record"].status == {"scans": 2}
+
+
+def test_what_the_next_panel_of_a_press_is_leaves_the_other_presses_alone(store):
+    for press, thickness in (("left", 16.0), ("right", 19.0), ("middle", 22.0)):
+        store.put_next_panel(press, {"panel.thickness_mm": thickness}, "", "operator")
+    store.put_next_panel("middle", {}, "", "operator")
+    assert store.next_panel("middle") is None
+    assert store.next_panel("left").header == {"panel.thickness_mm": 16.0}
+    assert store.next_panel("right").header == {"panel.thickness_mm": 19.0}
 
 
 def test_an_imported_run_is_refused_twice_and_listed_with_its_press(store):
@@ -769,7 +810,8 @@ def test_pressings_are_runs_that_are_over_and_were_closed(store):
     number = store.run_record(first).number
     assert [r.run for r in store.pressings("lab", after=number)] == [second]
     assert [r.run for r in store.pressings("lab", below=number + 1)] == [first]
-    assert (store.count_pressings("lab"), store.count_pressings("lab", below=number + 1)) == (2, 1)
+    assert [store.count_pressings("lab", below=number + n) for n in (0, 1, 10)] == [0, 1, 2]
+    assert store.count_pressings("lab") == 2
     store.append_scans(key, [], end=RunEnd("still-open", n + 4, BEGAN))
     assert store.count_pressings("lab") == 2  # never closed: nothing was pressed
     newest, edited = store.edited_after("lab", 0)

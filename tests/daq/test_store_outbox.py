@@ -2,6 +2,7 @@
 
 import sqlite3
 import subprocess
+import threading
 import time
 from contextlib import suppress
 from datetime import UTC, datetime, timedelta
@@ -63,7 +64,7 @@ def test_everything_put_is_written_in_order_and_acknowledged_after(store_url):
         assert numbers(store) == notes.acknowledged == list(range(200))
         assert str(store.journal().items[0].message) == "hello"
         assert store.statuses()["record"].status == {"x": 1}
-        assert outbox.waiting == 0
+        assert (outbox.waiting, outbox.written, outbox.lost) == (0, 200, 0)
 
 
 @pytest.mark.parametrize("buffered", [False, True], ids=["in memory", "in the buffer file"])
@@ -90,6 +91,61 @@ def test_while_much_waits_to_be_written_the_recorder_gives_signs_of_life(tmp_pat
         outbox.close()
         assert numbers(store) == list(range(1200))
     assert alive[:3] == [False, True, True]
+
+
+def test_a_run_recorded_before_the_store_said_where_it_belongs_holds_its_own_scans(store_url):
+    with open_store(store_url) as store:
+        store.append_scans(store.register_press("lab", CHANNELS), [batch(None, n).scans[0] for n in range(7)])
+        outbox = Outbox(store)
+        key = outbox.later_key("lab", CHANNELS, "")
+        for n in range(10):
+            begin = NewRun("pressing", 3, BEGAN, 100.3) if n == 4 else None
+            end = RunEnd("pressing", 5, BEGAN, first_scan=3) if n == 7 else None
+            outbox.put(WriteBatch(key, batch(key, n).scans, (), begin, end))
+        outbox.start()
+        outbox.close()
+        assert numbers(store) == list(range(17))
+        assert store.load_run("pressing").columns["top_1"].tolist() == [23.0, 24.0, 25.0]
+
+
+def test_a_writer_that_the_store_holds_up_for_longer_than_any_wait_does_not_count_as_alive(tmp_path, monkeypatch):
+    held, going_on = threading.Event(), threading.Event()
+    monkeypatch.setattr("daq.store.outbox._STALLED_AFTER_S", 0.3)
+    with open_store(str(tmp_path / "s.sqlite")) as store:
+        outbox = Outbox(store)
+        write = store.write_batches
+
+        def stuck(batches, lines=()):
+            held.set()
+            going_on.wait()
+            write(batches, lines)
+
+        monkeypatch.setattr(store, "write_batches", stuck)
+        outbox.put(Entry("info", "record", say("plain-text", text="hello")))
+        began = time.monotonic()
+        outbox.start()
+        try:
+            assert held.wait(60)
+            wait_until(outbox.stalled, 60)
+            seconds = outbox.stalled().arguments["seconds"]
+            assert 0.3 < seconds < time.monotonic() - began
+        finally:
+            going_on.set()
+        wait_until(lambda: outbox.stalled() is None, 60)
+        outbox.close()
+        assert [str(e.message) for e in store.journal().items] == ["hello"]
+
+
+def test_in_memory_there_is_room_for_as_long_as_the_presses_take_to_fill_it(tmp_path):
+    with open_store(str(tmp_path / "s.sqlite")) as store:
+        key = store.register_press("lab", CHANNELS)
+        outbox, slower = Outbox(store, per_second=10.0), Outbox(store, per_second=2.5)
+        empty = outbox.hours_left
+        assert slower.hours_left == pytest.approx(4 * empty)
+        for n in range(3600):
+            outbox.put(batch(key, n))
+        assert empty - outbox.hours_left == pytest.approx(0.1)  # 6 minutes at ten a second
+        assert outbox.capacity == say("waits-in-memory", hours=outbox.hours_left)
 
 
 def test_a_locked_store_makes_scans_wait_says_so_once_and_loses_none(tmp_path):
