@@ -15,14 +15,13 @@ from softsensor.diagnosis.finding import Diagnosis
 from softsensor.diagnosis.search import SettledModel
 from softsensor.diagnosis.sign_flips import inside
 from softsensor.diagnosis.where import stretches, temperatures, where_row
+from softsensor.fitting.result import json_number, rms
 from softsensor.signals.digest import Digest
 
-# Numbers without another source were set by hand, 2026-11.
-
 MARKED = 3
-"""Stretches marked where the plain model is most kelvins off."""
+"""Stretches marked where the plain model is most kelvins off. Set by hand, 2026-11."""
 BEFORE_S, AFTER_S = 20.0, 160.0
-"""Around closing, what residuals of all runs are compared over. [s]"""
+"""Around closing, what residuals of all runs are compared over. Set by hand, 2026-11. [s]"""
 
 
 def curves_of(found: Diagnosis) -> dict[str, Any]:
@@ -40,10 +39,10 @@ def curves_of(found: Diagnosis) -> dict[str, Any]:
     both = (plain, extended)
     return {
         "run": digest.run.name,
-        "closed_s": _number(digest.moments.closed_s),
-        "opened_s": _number(digest.moments.opened_s),
+        "closed_s": json_number(digest.moments.closed_s),
+        "opened_s": json_number(digest.moments.opened_s),
         "time_s": _row(digest.time),
-        "rmse_K": [_rms(s.fit.runs[worst].misfit) for s in both if s is not None],
+        "rmse_K": [rms([s.fit.runs[worst].misfit]) for s in both if s is not None],
         "causes": list(last.effects),
         "places": [_place(digest, both, worst, j) for j in range(len(digest.signals))],
         "core": {
@@ -132,14 +131,6 @@ def _lines(stage: SettledModel | None, signal: str, since: Array) -> list[list[f
                 line = np.interp(since, d.time[good] - start, values[good], left=np.nan, right=np.nan)
         rows.append(_row(line))
     return rows
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.nanmean(values**2)))
-
-
-def _number(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
 
 
 def _row(values: Array) -> list[float | None]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from scipy.special import stdtrit
 from daq.records import Array
 from softsensor.diagnosis.extension import RunState, SharedFit
 from softsensor.diagnosis.extension_unknowns import is_shape
-from softsensor.diagnosis.search import SettledModel
+from softsensor.diagnosis.search import CLOCK_ERROR_S, SettledModel
 from softsensor.effects import Effect, Need
 from softsensor.fitting.result import MISFIT_K, MISFIT_NOISE, MISFIT_SHARE, NOISIEST_K
 from softsensor.signals.digest import WIDEST_BIN_S, Digest, MeanNoise
@@ -22,11 +22,6 @@ from softsensor.signals.instrument import FACE_SLOW_S, MEAN_FAST_K, MEAN_FAST_S,
 MODEL_ERROR = 0.03
 """Laws are simpler than nature: no standard deviation below this share of the size, or of a shape's range.
 Set by hand, 2026-11: with it 21 of 22 true parameters lay in their 95 % interval (confusion benchmark)."""
-CLOCK_ERROR_S = 0.04
-"""What no campaign can tell from a clock: skew within a scan, and where in its ramp a switch trips. By hand,
-2026-11. [s]"""
-
-
 BLOCK_S = WIDEST_BIN_S
 """Blocks whose second differences show the noise: the widest bin of a short run. [s]"""
 CALM = 0.7
@@ -106,6 +101,22 @@ def intervals(fit: SharedFit, effect: Effect) -> dict[str, Interval]:
         low, high = max(value - half, p.lower), min(value + half, p.upper)
         found[p.name] = Interval(_short(value), (_short(low), _short(high)))
     return found
+
+
+def intervals_of_models(fits: Sequence[SharedFit], effect: Effect) -> dict[str, Interval]:
+    """Return the effect's parameters by the first of several fits, with intervals that hold if any fit is right.
+
+    The union of their intervals: it covers as often as the interval of the right one does, with no odds between
+    them, which the noise alone would give far too surely. Where a cause is no more than suspected, the model with
+    it and the one without both stand.
+    """
+    first, *others = (intervals(fit, effect) for fit in fits)
+    return {name: _widened(told, [other[name] for other in others]) for name, told in first.items()}
+
+
+def _widened(told: Interval, others: Sequence[Interval]) -> Interval:
+    ends = [one.ci95 for one in (told, *others) if one.ci95 is not None]
+    return replace(told, ci95=(min(low for low, _ in ends), max(high for _, high in ends))) if ends else told
 
 
 def measure_errors(stage: SettledModel, others: Sequence[RunState], ahead: Sequence[RunState]) -> Errors:

@@ -209,11 +209,14 @@ def p_values(found: Sequence[Candidate], runs: np.ndarray) -> dict[str, float]:
 
     The direction starts at the plain model's fit; where that is far off, most runs have bent away from it, and
     only their gains show that they agree. Both are flipped together, so that looking twice is paid for. A clock
-    shows in the switch alone: its gains may come from anything that moves with the moments.
+    shows in the switch alone: its gains may come from anything that moves with the moments. That all runs lose by
+    a cause, or that one which can only be positive would have to be negative, speaks for nothing.
     """
     scores = [c.score[runs] for c in found]
+    upward = [c.effect.one_sided for c in found]
     if len(runs) >= TWO_LOOKS:
         limit = SCORE_LIMIT**2
         scores += [np.clip(c.gains[runs], -limit, limit) * (c.effect.needs != Need.SWITCH) for c in found]
-    p = max_t(np.stack(scores, axis=1)).reshape(-1, len(found)).min(axis=0)
+        upward += [True] * len(found)
+    p = max_t(np.stack(scores, axis=1), upward).reshape(-1, len(found)).min(axis=0)
     return dict(zip([c.effect.name for c in found], p.tolist(), strict=True))

@@ -65,13 +65,18 @@ def flip_statistics(scores: Array) -> Array:
     return np.asarray(np.abs(sign_patterns(len(scores)) @ scores) / norm)
 
 
-def max_t(scores: Array) -> Array:
-    """Return p-values of tests (runs, tests), adjusted for their number by the maximum."""
+def max_t(scores: Array, upward: Sequence[bool] = ()) -> Array:
+    """Return p-values of tests (runs, tests), adjusted for their number by the maximum.
+
+    For a test that only a sum above zero speaks for (`upward`, of each test) any other has no p-value below 1.
+    Flips count on both sides all the same, so its p-value is rather too large, and the least of n runs 2^(1-n).
+    """
     if scores.shape[1] == 0:
         return np.zeros(0)
     statistics = flip_statistics(scores)
     largest = statistics.max(axis=1)
-    return np.asarray((largest[:, None] >= statistics[0][None, :] - 1e-9).mean(axis=0))
+    p = np.asarray((largest[:, None] >= statistics[0][None, :] - 1e-9).mean(axis=0))
+    return np.where(np.array(upward) & (scores.sum(axis=0) <= 0.0), 1.0, p) if len(upward) else p
 
 
 def paired_t(better: Array, worse: Array) -> float:

@@ -65,15 +65,24 @@ from softsensor.diagnosis.decision import (
     conclude,
     something_left,
 )
-from softsensor.diagnosis.extension import RunState, from_the_others, held_out, predicted
+from softsensor.diagnosis.extension import RunState, SharedFit, from_the_others, held_out, predicted
 from softsensor.diagnosis.extension_unknowns import is_shape
 from softsensor.diagnosis.finding import Contest, Diagnosis, Finding
 from softsensor.diagnosis.free_law import free_law
 from softsensor.diagnosis.gains import Gain, paired_gain
-from softsensor.diagnosis.numbers import Errors, Interval, intervals, is_described, measure_errors, noise_floor
+from softsensor.diagnosis.numbers import (
+    Errors,
+    Interval,
+    intervals,
+    intervals_of_models,
+    is_described,
+    measure_errors,
+    noise_floor,
+)
 from softsensor.diagnosis.search import (
     Candidate,
     SettledModel,
+    extend,
     panels_as_usual,
     run_errors,
     settle_base,
@@ -176,7 +185,9 @@ def _conclude(readings: _Readings, stages: list[SettledModel], rounds: list[Roun
     columns = recurring(faults)
     errors = _errors(stages, rounds)
     noise = noise_floor(stages)
-    causes = _findings(stages, rounds, shares, errors)
+    beside = _with_the_suspected(stages, rounds)
+    models = [s.fit for s in (*stages, *beside)]
+    causes = _findings(stages, rounds, shares, errors, models[len(stages) - 1 :])
     proofs = [
         Proof(
             set=f.set,
@@ -187,7 +198,7 @@ def _conclude(readings: _Readings, stages: list[SettledModel], rounds: list[Roun
         )
         for f, e in zip(causes, errors[1:], strict=True)
     ]
-    nearly = _nearly(rounds, stages[-1])
+    nearly = _nearly(rounds, stages[-1], beside)
     left_K = [e.rmse_K for e in errors]
     own_panels_K = None
     if press.panel_layers and not causes and not nearly and left_K[0] > EXCESS * noise:
@@ -200,7 +211,7 @@ def _conclude(readings: _Readings, stages: list[SettledModel], rounds: list[Roun
     conclusion = conclude(VerdictBasis(len(runs), tuple(proofs), tuple(remains), bool(columns), bool(nearly)))
     named, verdict = conclusion.named, conclusion.verdict
     suspected = causes[named:] + nearly
-    findings = _sensor_findings(faults, columns) + causes[:named]
+    findings = _sensor_findings(faults, columns) + _told(causes[:named], models[named:])
     to_confirm = () if something_left(remains[named], len(runs)) else suspected
     base, extended = errors[0], errors[named]
     seen = AdviceBasis(len(runs), bool(press.panel_layers), base.core_rmse_K, extended.core_rmse_K)
@@ -303,8 +314,13 @@ def _explained(tests: Sequence[PatternTest]) -> list[float]:
 
 
 def _findings(
-    stages: list[SettledModel], rounds: list[Round], shares: list[float], errors: Sequence[Errors]
+    stages: list[SettledModel],
+    rounds: list[Round],
+    shares: list[float],
+    errors: Sequence[Errors],
+    models: Sequence[SharedFit],
 ) -> tuple[Finding, ...]:
+    """Return the causes taken in; `models`: the last fit, and that with what is suspected beside them."""
     found = []
     final = stages[-1]
     for i in range(1, len(stages)):
@@ -326,7 +342,7 @@ def _findings(
             Finding(
                 name=name,
                 set=names,
-                parameters=intervals(final.fit, find_effect(name)),
+                parameters=intervals_of_models(models, find_effect(name)),
                 p_value=_rounded(round_.p_values.get(name, 1.0)),
                 gain=switched[0] if switched else paired_gain(errors[i - 1].heldout, errors[i].heldout),
                 predicted=paired_gain(errors[i - 1].predicted, errors[i].predicted),
@@ -337,6 +353,17 @@ def _findings(
             )
         )
     return tuple(found)
+
+
+def _with_the_suspected(stages: Sequence[SettledModel], rounds: Sequence[Round]) -> tuple[SettledModel, ...]:
+    """Return the last model settled with what the last search suspected, if anything."""
+    suspected = rounds[-1].suspected if rounds else None
+    return () if suspected is None else (extend(stages[-1], suspected),)
+
+
+def _told(causes: Sequence[Finding], models: Sequence[SharedFit]) -> tuple[Finding, ...]:
+    """Return named causes with intervals that hold whether what is suspected beside them is there or not."""
+    return tuple(replace(f, parameters=intervals_of_models(models, find_effect(f.name))) for f in causes)
 
 
 def _contest(stage: SettledModel, found: Iterable[Candidate], names: Sequence[str]) -> Contest:
@@ -354,19 +381,17 @@ def _alternatives(round_: Round, named: Sequence[str]) -> tuple[str, ...]:
     return tuple(n for n in round_.set if n not in weaker.intersection(named))
 
 
-def _nearly(rounds: Sequence[Round], stage: SettledModel) -> tuple[Finding, ...]:
-    """Return the cause the last search would have chosen but for a sure gain."""
-    last = rounds[-1] if rounds else None
-    if last is None or last.suspected is None:
+def _nearly(rounds: Sequence[Round], stage: SettledModel, beside: tuple[SettledModel, ...]) -> tuple[Finding, ...]:
+    """Return the cause the last search would have chosen but for a sure gain; `beside`: the model with it."""
+    if not beside or (c := rounds[-1].suspected) is None:
         return ()
-    c = last.suspected
     ahead = [predicted(f, stage.data, from_the_others(f, stage.data)) for f in (stage.fit, c.fit)]
     return (
         Finding(
             name=c.effect.name,
             set=(c.effect.name,),
-            parameters=intervals(c.fit, c.effect),
-            p_value=_rounded(last.p_values[c.effect.name]),
+            parameters=intervals(beside[0].fit, c.effect),
+            p_value=_rounded(rounds[-1].p_values[c.effect.name]),
             gain=c.heldout_gain(stage),
             predicted=paired_gain(*(run_errors(stage.data, states) for states in ahead)),
             explained_share=_explained_by(c, stage),

@@ -17,6 +17,6 @@ EFFECT = Effect(
     terms=_terms,
     source="Wood Handbook, FPL-GTR-282, ch. 4: +-20 % about its rule for wood",
     chance=0.035,
-    live=Live(Role.HYPOTHESIS, absent=0.06),
+    live=Live(Role.HYPOTHESIS),
     needs=Need.PANEL,
 )

@@ -140,7 +140,7 @@ class Live:
     """An effect in the live sensor."""
 
     role: Role = Role.NONE
-    absent: float = 0.03
+    absent: float = 0.01
     """What is left of a hypothesis where it is absent, as a share of its typical size."""
     one_sided: bool = False
     """Whether its first parameter is above neutral where it is present, though a search may look below too."""
@@ -212,6 +212,11 @@ class Effect:
     def parameter_called(self, parameter: str) -> Message:
         """Return what a parameter is, in words an operator knows."""
         return say(f"parameter-{self.name}-{parameter}")
+
+    @property
+    def one_sided(self) -> bool:
+        """Whether it can only be on one side of its absence; what says how it goes has no side."""
+        return any(p.one_sided for p in self.parameters if p.size)
 
     @property
     def neutral(self) -> dict[str, float]:

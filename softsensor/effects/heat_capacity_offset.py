@@ -17,6 +17,6 @@ EFFECT = Effect(
     terms=_terms,
     source="density and moisture of a board scatter about nominal; assumed",
     chance=0.035,
-    live=Live(Role.HYPOTHESIS, absent=0.06),
+    live=Live(Role.HYPOTHESIS),
     needs=Need.PANEL,
 )

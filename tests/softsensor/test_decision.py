@@ -1,6 +1,7 @@
 """The rules by which a diagnosis names or stops, branch by branch, on evidence made by hand."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,8 +19,12 @@ from softsensor.diagnosis.decision import (
     conclude,
     objections,
 )
+from softsensor.diagnosis.finding import Finding
 from softsensor.diagnosis.gains import Gain, paired_gain
+from softsensor.diagnosis.selection import _saved
 from softsensor.diagnosis.sign_flips import PatternTest
+from softsensor.diagnosis.summary import sureness
+from softsensor.effects import find_effect
 
 RUNS = 8
 NO_CORES = np.full(RUNS, np.nan)
@@ -255,3 +260,29 @@ def test_one_run_has_no_interval_and_no_sure_gain():
     found = paired_gain(np.array([2.0]), np.array([1.0]))
     assert found == Gain(1.0, None)
     assert not found.sure
+
+
+def test_what_causes_of_an_uncertain_law_have_saved_counts_in_the_noise_that_they_leave():
+    """A sum of squares over noise variance: a quarter of the variance, four times the sum. A sensor has no law."""
+
+    def stage(slow_K):
+        return SimpleNamespace(noise=SimpleNamespace(slow=slow_K))
+
+    def named(cause, gain):
+        return SimpleNamespace(chosen=SimpleNamespace(effect=find_effect(cause), gain=gain))
+
+    stages = [stage(0.4), stage(0.3), stage(0.2)]
+    assert _saved(stages[:1], []) == 0.0
+    assert _saved(stages[:2], [named("edge_loss", 90.0)]) == pytest.approx(160.0)
+    found = [named("edge_loss", 90.0), named("moisture_evaporation", 40.0)]
+    assert _saved(stages, found) == pytest.approx(360.0 + 90.0)
+    assert _saved(stages, [found[0], named("thermocouple_lag", 40.0)]) == pytest.approx(360.0)
+
+
+@pytest.mark.parametrize(("runs", "least"), [(2, "0.5"), (3, "0.25"), (5, "0.062")])
+def test_too_few_runs_are_said_to_be_so_with_the_least_p_value_that_their_flips_can_show(runs, least):
+    """All signs as they are or all flipped tell the same: one of 2^(runs - 1)."""
+    none = Gain(0.3, None)
+    named = Finding("edge_loss", ("edge_loss",), {}, 0.5, none, none, 0.9)
+    assert f"{runs} runs cannot show less than {least};" in str(sureness(named, runs))
+    assert "cannot show" not in str(sureness(named, 6))

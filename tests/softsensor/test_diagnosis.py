@@ -32,8 +32,9 @@ from softsensor.diagnosis.extension import (
 )
 from softsensor.diagnosis.finding import Diagnosis, Finding
 from softsensor.diagnosis.gains import Gain
-from softsensor.diagnosis.numbers import BLOCK_S, intervals, measure_errors, noise_floor
+from softsensor.diagnosis.numbers import BLOCK_S, intervals, intervals_of_models, measure_errors, noise_floor
 from softsensor.diagnosis.search import (
+    CLOCK_ERROR_S,
     HOPELESS,
     SWITCHED,
     Candidate,
@@ -289,6 +290,21 @@ def test_the_interval_of_a_size_is_students_of_its_curvature_and_its_laws_own_er
     assert interval == pytest.approx((size * (1 - 2.447 * 0.05), size * (1 + 2.447 * 0.05)), rel=1e-3)
 
 
+def test_an_interval_holds_whichever_of_two_models_is_right_and_one_model_keeps_its_own() -> None:
+    """The same fit twice, the second with a loss a fifth larger."""
+    fit, effect = diagnosed("edge_loss", 501, 7, 0.5).stages[1].fit, find_effect("edge_loss")
+    theta = fit.theta.copy()
+    theta[fit.layout.names.index("edge_loss.W_m3K")] *= 1.2
+    beside = replace(fit, theta=theta)
+    one, other = (intervals(f, effect)["W_m3K"] for f in (fit, beside))
+    told = intervals_of_models([fit, beside], effect)["W_m3K"]
+    assert one.ci95 is not None
+    assert other.ci95 is not None
+    assert told.value == one.value
+    assert told.ci95 == (one.ci95[0], other.ci95[1])
+    assert intervals_of_models([fit], effect)["W_m3K"] == one
+
+
 def test_a_size_at_its_limit_or_far_beyond_what_is_usual_is_unphysical() -> None:
     """Of a loss at the rim: five times the typical one."""
     fit, effect = diagnosed("edge_loss", 501, 7, 0.5).stages[1].fit, find_effect("edge_loss")
@@ -310,11 +326,12 @@ def test_panels_are_given_constants_of_their_own_only_where_no_cause_explains_wh
     assert diagnosed("edge_loss", 501, 7, 0.5).own_panels_K is None
 
 
-def test_two_moments_a_standard_deviation_late_score_the_root_of_two() -> None:
+def test_two_moments_a_standard_deviation_beyond_the_usual_score_the_root_of_two() -> None:
     stage = diagnosed("edge_loss", 501, 7, 0.5).stages[0]
 
     def late(run: RunState, unknowns: Sequence[Unknown]) -> RunState:
-        eta = [u.centre + u.sd if u.name in SWITCHED else e for u, e in zip(unknowns, run.eta, strict=True)]
+        late_s = [u.centre + CLOCK_ERROR_S + u.sd for u in unknowns]
+        eta = [t if u.name in SWITCHED else e for t, u, e in zip(late_s, unknowns, run.eta, strict=True)]
         return replace(run, eta=np.array(eta))
 
     runs = tuple(late(*pair) for pair in zip(stage.fit.runs, stage.fit.layout.unknowns, strict=True))
@@ -322,6 +339,33 @@ def test_two_moments_a_standard_deviation_late_score_the_root_of_two() -> None:
     wired = tuple(replace(d, digest=replace(d.digest, switch=seen)) for d in stage.data)
     found = switch_scores(replace(stage, fit=replace(stage.fit, runs=runs), data=wired))
     assert found == pytest.approx([2.0**0.5] * 7)
+
+
+def test_a_clock_is_off_only_beyond_what_scans_and_a_switch_are_always_off() -> None:
+    """Every moment 0.03 s behind the switch is nothing, 0.1 s is 0.06 s beyond the usual 0.04 s."""
+    stage = diagnosed("edge_loss", 501, 7, 0.5).stages[0]
+
+    def behind(late_s: float) -> np.ndarray:
+        def moved(run: RunState, unknowns: Sequence[Unknown]) -> RunState:
+            eta = [u.centre + late_s if u.name in SWITCHED else e for u, e in zip(unknowns, run.eta, strict=True)]
+            return replace(run, eta=np.array(eta))
+
+        runs = tuple(moved(*pair) for pair in zip(stage.fit.runs, stage.fit.layout.unknowns, strict=True))
+        wired = tuple(replace(d, digest=replace(d.digest, switch=((20.0, 0.5), (80.0, 0.5)))) for d in stage.data)
+        return switch_scores(replace(stage, fit=replace(stage.fit, runs=runs), data=wired))
+
+    assert behind(0.03) == pytest.approx([0.0] * 7, abs=1e-9)
+    assert behind(-0.03) == pytest.approx([0.0] * 7, abs=1e-9)
+    sds = [u.sd for u in stage.fit.layout.unknowns[0] if u.name in SWITCHED]
+    assert behind(0.1)[0] == pytest.approx(sum(0.06 / sd for sd in sds) / 2.0**0.5)
+
+
+def test_what_all_runs_lose_by_or_would_have_to_be_negative_has_no_p_value() -> None:
+    runs, ones = np.arange(12), np.ones(12)
+    assert p_values([says("lost", 0.0 * ones, -ones)], runs)["lost"] == 1.0
+    assert p_values([says("turned", -ones, 0.0 * ones)], runs)["turned"] == 2.0**-11
+    assert p_values([says("less than none", -ones, 0.0 * ones, one_sided=True)], runs)["less than none"] == 1.0
+    assert p_values([says("there", ones, 0.0 * ones, one_sided=True)], runs)["there"] == 2.0**-11
 
 
 def test_of_seven_runs_that_agree_every_one_halves_the_chance() -> None:
@@ -566,9 +610,11 @@ def test_sign_flips_keep_the_level_under_any_scale_of_the_runs() -> None:
     assert 0.02 < np.mean(p <= 0.05) < 0.08
 
 
-def says(name: str, score: np.ndarray, gains: np.ndarray, gain: float = 0.0) -> Candidate:
+def says(
+    name: str, score: np.ndarray, gains: np.ndarray, gain: float = 0.0, *, one_sided: bool = False
+) -> Candidate:
     """What twelve runs say for a cause, without the fit behind it."""
-    effect = SimpleNamespace(name=name, needs="panel")
+    effect = SimpleNamespace(name=name, needs="panel", one_sided=one_sided)
     return cast(Candidate, SimpleNamespace(effect=effect, score=score, gains=gains, gain=gain))
 
 

@@ -55,9 +55,13 @@ def test_two_hidden_effects_are_found_one_after_the_other():
 
 def test_a_second_cause_that_saves_less_than_the_firsts_law_may_be_off_is_suspected():
     """The loss at the rim saves less than 9 % of the sum of squares that the growing contact saves (`LAW_OFF`)."""
-    found = answer(431, "edge_loss", "contact_buildup")
+    campaign = make_campaign(431, 12, ["edge_loss", "contact_buildup"])
+    found = diagnose(parse_press(press_toml()), [run for run, _ in campaign])
     assert [f.name for f in found.findings] == ["contact_buildup"]
     assert [f.name for f in found.suspected] == ["edge_loss"]
+    for name, told in found.findings[0].parameters.items():  # whether the loss is there or not
+        low, high = told.ci95
+        assert low <= campaign[0][1].effects["contact_buildup"][name] <= high
 
 
 @pytest.mark.parametrize("seed", edition([401], [400, 401, 407, 440]))

@@ -80,3 +80,16 @@ def test_half_of_the_closing_ramp_has_passed_at_the_moment_of_closing(solved):
     t, closed = case.run.time_s, case.row_clock.shares({})[0][:, 2]
     rising = t < 40.0
     assert np.interp(0.5, closed[rising], t[rising]) == pytest.approx(case.moments.closed_s, abs=0.01)
+
+
+def test_faces_denser_than_the_core_leave_the_panel_its_mass_and_are_alike(solved):
+    """The shape is 1 + a (z^4 - 1/5) from -1 to 1: at the faces 1 + 0.8 a, in the core 1 - 0.2 a, 1 on average."""
+    *_, case = solved()
+    inside = case.scene.panel_cells
+    told = find_effect("density_profile").terms(case.scene, {"amplitude": 0.5})
+    factor, width = np.asarray(told.capacity)[inside], case.mesh.dx[inside]
+    assert factor @ width / width.sum() == pytest.approx(1.0, abs=0.01)
+    assert factor == pytest.approx(factor[::-1], abs=0.01)
+    assert (factor[0], factor[-1], factor.min()) == pytest.approx((1.4, 1.4, 0.9), abs=0.05)
+    assert np.all(np.asarray(told.capacity)[~inside] == 1.0)
+    assert np.array_equal(told.conductivity, told.capacity)

@@ -13,6 +13,7 @@ import pytest
 from daq.records import InputError, Moments
 from daq.words import message as words
 from softsensor.effects import BUILT_IN, Terms, catalogue, find_effect, learn_words
+from softsensor.effects.vocabulary import coefficient_words
 from softsensor.heat.model import ThermalModel
 
 ROOT = Path(__file__).parents[2]
@@ -263,3 +264,14 @@ def test_the_paper_table_example_finds_only_the_kilowatt_reading_able_to_laminat
     assert len(able) == 1
     assert able[0].startswith("closed values in kW/m²K")
     assert figure.read_text(encoding="utf-8").startswith("<?xml")
+
+
+def test_each_coefficient_of_the_laboratory_press_is_said_between_its_own_bodies_in_its_own_state(lab_press):
+    assert {name: str(coefficient_words(lab_press, name)) for name in lab_press.coefficient_names} == {
+        "h_p_o": "platen – plate, open",
+        "h_p_c": "platen – plate, closed",
+        "h_pp_o": "plate – panel, open",
+        "h_pp_c": "plate – panel, closed",
+        "h_wa": "panel – air, open",
+        "h_ap": "plate – air, open",
+    }
