@@ -29,7 +29,7 @@ from softsensor.fitting.result import Coefficient, Identifiability, RunFit, json
 from softsensor.fitting.unknowns import known_before
 from softsensor.heat.batch import Each
 from softsensor.heat.model import ThermalModel
-from softsensor.heat.model_file import FittedValue, ModelFile, Scatter
+from softsensor.heat.model_file import FittedValue, ModelFile
 from softsensor.signals.unknown import BAND
 
 # Numbers without another source were set by hand, 2026-11.
@@ -159,7 +159,7 @@ class CampaignFit:
             if name not in table:
                 table[name] = FittedValue(self.press.coefficient(name).guess, 0.0)
         ordered = {n: table[n] for n in self.press.coefficient_names}
-        scatter = {key: Scatter(*found) for key, found in scatter_of(f.constants for f in self.met).items()}
+        scatter = scatter_of(f.constants for f in self.met)
         return ModelFile(version, self.press.name, ordered, (), p.names, total, scatter=scatter)
 
 

@@ -14,7 +14,7 @@ nuisance of the measuring chain (start temperature) is left out.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -33,7 +33,9 @@ from softsensor.fitting.problem import (
     normal_equations,
 )
 from softsensor.fitting.unknowns import nuisance
-from softsensor.signals.doubt import Doubt, Source, constant_doubts
+from softsensor.heat.chain import Solution
+from softsensor.heat.model_file import Scatter
+from softsensor.signals.doubt import PANEL_TO_PANEL, PRODUCT_SD, Doubt, Source, constant_doubts
 from softsensor.signals.unknown import Unknown
 
 CAPACITY, DENSITY = "heat_capacity_J_kgK", "density_kg_m3"
@@ -98,12 +100,12 @@ def with_constants(problem: Problem, x: Array) -> Problem:
     sizes = {u.name.partition(":")[2]: u.unit for u in problem.unknowns}
     constant = {}
     for key in keys:
-        change, after = _changed(problem, key, sizes[key], values)
-        constant[key] = tuple((after[:, i] - before[:, i]) / change for i in places)
+        change, changed = changed_by(problem, key, sizes[key], values)
+        constant[key] = tuple((changed.sensors[:, i] - before[:, i]) / change for i in places)
     return replace(problem, constant=constant)
 
 
-def _changed(problem: Problem, key: str, size: float, values: Mapping[str, float]) -> tuple[float, Array]:
+def changed_by(problem: Problem, key: str, size: float, values: Mapping[str, float]) -> tuple[float, Solution]:
     """Return a change of a constant, down or else up, whichever a limit allows, and what is then predicted."""
     case, model = problem.case, problem.model
     try:
@@ -111,7 +113,7 @@ def _changed(problem: Problem, key: str, size: float, values: Mapping[str, float
     except InputError:
         size = -size
         changed = model.prepare(changed_run(case.run, case.press, key, -size), case.moments)
-    return -size, model.solve(changed, values).sensors
+    return -size, model.solve(changed, values)
 
 
 def changed_run(run: Run, press: Press, key: str, change: float) -> Run:
@@ -169,31 +171,39 @@ def constants_of(problem: Problem, best: Minimum, spread: float) -> dict[str, Co
 LEARNT = (Source.DATA_SHEET, Source.MATERIAL_TABLE, Source.GUESS)
 
 
-def scatter_of(runs: Iterable[Mapping[str, ConstantFit]]) -> dict[str, tuple[float, int]]:
-    """Return by key of the panel how far it was from the header's in these runs, as a share, and in how many.
+def scatter_of(runs: Iterable[Mapping[str, ConstantFit]]) -> dict[str, Scatter]:
+    """Return by key of the panel how far it was from the header's in these runs, as a share.
 
-    Second moment about what was given, so that a shift all runs share counts too; by expectation-maximisation from
-    each run's estimate with its prior taken out (Dempster, Rubin, Tsutakawa, JASA 76:341, 1981), the prior's own
-    size counting for `SPREAD_RUNS`. A run that knows nothing of a constant leaves its scatter where it was.
+    A hierarchy: the product is off what is given by a shift (`PRODUCT_SD`; none for other constants), panels
+    scatter about the product (`PANEL_TO_PANEL`, which counts for `SPREAD_RUNS`; for other constants what they
+    were in doubt by). By expectation-maximisation of the scatter over shift and panels, from each run's estimate
+    with its prior taken out (Dempster, Rubin, Tsutakawa, JASA 76:341, 1981). A run that knows nothing of a
+    constant leaves both where they were.
     """
     table: dict[str, list[ConstantFit]] = {}
     for run in runs:
         for key, c in run.items():
             if key.startswith("panel.") and c.source in LEARNT:
                 table.setdefault(key, []).append(c)
-    found = {}
-    for key, fits in table.items():
-        prior = np.array([c.sd / abs(c.given) for c in fits])
-        sd = np.clip([c.value_sd / abs(c.given) for c in fits], 1e-9, prior * (1.0 - 1e-9))
-        precision = 1.0 / sd**2 - 1.0 / prior**2
-        pull = np.array([(c.value - c.given) / abs(c.given) for c in fits]) / sd**2
-        size2 = before = float(np.mean(prior**2))
-        for _ in range(200):
-            variance = 1.0 / (precision + 1.0 / size2)
-            seen = float(np.sum((variance * pull) ** 2 + variance))
-            new = (seen + SPREAD_RUNS * before) / (len(fits) + SPREAD_RUNS)
-            settled, size2 = abs(new - size2) < 1e-9, new
-            if settled:
-                break
-        found[key] = (float(np.sqrt(size2)), len(fits))
-    return found
+    return {key: _scatter_of(key, fits) for key, fits in table.items()}
+
+
+def _scatter_of(key: str, fits: Sequence[ConstantFit]) -> Scatter:
+    """Return what runs show of one constant; `off` is what a run has it off, times its own precision."""
+    prior = np.array([c.sd / abs(c.given) for c in fits])
+    sd = np.clip([c.value_sd / abs(c.given) for c in fits], 1e-9, prior * (1.0 - 1e-9))
+    precision = 1.0 / sd**2 - 1.0 / prior**2
+    off = np.array([(c.value - c.given) / abs(c.given) for c in fits]) / sd**2
+    size2 = before = PANEL_TO_PANEL.get(key, float(np.sqrt(np.mean(prior**2)))) ** 2
+    product2 = PRODUCT_SD.get(key, 0.0) ** 2
+    for _ in range(200):
+        apart = 1.0 + precision * size2
+        shift2 = product2 / (1.0 + product2 * float(np.sum(precision / apart)))
+        shift = shift2 * float(np.sum(off / apart))
+        variance = size2 / apart
+        seen = np.sum(variance**2 * ((off - precision * shift) ** 2 + precision**2 * shift2) + variance)
+        new = (float(seen) + SPREAD_RUNS * before) / (len(fits) + SPREAD_RUNS)
+        settled, size2 = abs(new - size2) < 1e-9, new
+        if settled:
+            break
+    return Scatter(float(np.sqrt(shift**2 + shift2 + size2)), len(fits), float(np.sqrt(size2)))

@@ -9,8 +9,9 @@ Optional ``"adequacy": {"runs", "nothing", "unexplained_K", "causes": {NAME: {"c
 "absorbed"}}}`` says what the runs behind the model know about causes it leaves out, see
 `softsensor.diagnosis.missing_causes`.
 
-Optional ``"scatter": {KEY: {"sd", "runs"}}``: by key of the header how far a constant was from what was given,
-from panel to panel, as a share of it, and how many runs showed it (`softsensor.signals.doubt`).
+Optional ``"scatter": {KEY: {"sd", "runs", "panel"}}``: by key of the header how far a constant was from what was
+given, as a share of it, how many runs showed it (`softsensor.signals.doubt`), and the part of it by which panels
+differ among themselves; a file without ``panel`` calls all of it that.
 """
 
 from __future__ import annotations
@@ -66,11 +67,13 @@ class MissingCauses:
 
 @dataclass(frozen=True)
 class Scatter:
-    """How far a constant is from the header's from panel to panel, as runs have shown it."""
+    """How far a constant is from the header's, as runs have shown it."""
 
     sd: float
-    """As a share of the header's value."""
+    """As a share of the header's value: what all panels share and what they differ by."""
     runs: int
+    panel: float
+    """What panels differ by among themselves, as a share of the same."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +93,7 @@ class ModelFile:
 
     @property
     def learned(self) -> dict[str, float]:
-        """Scatter from panel to panel by key, as `softsensor.signals.doubt.constant_doubts` takes it."""
+        """How far constants are off the header's by key, for `softsensor.signals.doubt.constant_doubts`."""
         return {key: s.sd for key, s in self.scatter.items()}
 
     @property
@@ -132,7 +135,9 @@ class ModelFile:
                 },
             }
         if self.scatter:
-            content["scatter"] = {key: {"sd": s.sd, "runs": s.runs} for key, s in self.scatter.items()}
+            content["scatter"] = {
+                k: {"sd": s.sd, "runs": s.runs, "panel": s.panel} for k, s in self.scatter.items()
+            }
         return content
 
 
@@ -175,11 +180,14 @@ def parse_model(content: Any, source: str) -> ModelFile:
 
 def _scatter(table: Any, source: str) -> dict[str, Scatter]:
     try:
-        found = {key: Scatter(float(entry["sd"]), int(entry["runs"])) for key, entry in table.items()}
+        found = {
+            key: Scatter(float(entry["sd"]), int(entry["runs"]), float(entry.get("panel", entry["sd"])))
+            for key, entry in table.items()
+        }
     except (TypeError, KeyError, ValueError, AttributeError) as error:
         raise InputError(say("model-file-scatter", file=source, error=str(error))) from None
-    if bad := next((key for key, s in found.items() if not 0.0 < s.sd < np.inf), None):
-        raise InputError(say("model-file-scatter", file=source, error=f"{bad}.sd = {found[bad].sd}"))
+    if bad := next((key for key, s in found.items() if not 0.0 < s.panel <= s.sd < np.inf), None):
+        raise InputError(say("model-file-scatter", file=source, error=f"{bad}: {found[bad]}"))
     return found
 
 

@@ -68,7 +68,7 @@ def combined_model(press: Press, base: ModelFile | None, fits: Sequence[Mapping[
 def _scatter(fits: Iterable[Mapping[str, Any]]) -> dict[str, Scatter]:
     """Return how the panels' constants scattered about what their headers give, as these runs show it."""
     constants = ({k: ConstantFit.from_json(c) for k, c in fit.get("constants", {}).items()} for fit in fits)
-    return {key: Scatter(*found) for key, found in scatter_of(constants).items()}
+    return scatter_of(constants)
 
 
 def _values(name: str, fits: Iterable[Mapping[str, Any]]) -> Iterable[tuple[float, float]]:

@@ -39,7 +39,8 @@ def band_from(one: KalmanFilter, mixture: Mixture, margin: float) -> dict[str, f
         P -= narrowed @ np.linalg.solve(among + np.eye(len(among)), narrowed.T)
     readout = made.model.chain.d_level
     shares = np.maximum(readout * (P @ readout), 0.0)
-    shares[[prior.considered for prior in made.priors]] = MEAN_SQUARE_SIZE * one.held_K**2
+    size = 1.0 + (MEAN_SQUARE_SIZE - 1.0) * made.loose
+    shares[[prior.considered for prior in made.priors]] = size * one.held_K**2
     found = dict.fromkeys(KINDS, 0.0)
     for share, prior in zip(shares.tolist(), made.priors, strict=True):
         found[_kind(prior)] += share

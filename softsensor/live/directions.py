@@ -24,7 +24,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from daq.materials import GRAIN_SD, TABLE_SD, find_material, is_solid_wood
+from daq.materials import GRAIN_SD, find_material, is_solid_wood
 from daq.press.press_file import SD, Press
 from daq.records import Array, Panel, Run
 from softsensor.heat.assembly import layer_constants
@@ -33,7 +33,7 @@ from softsensor.heat.case import Case
 from softsensor.heat.first_profile import gap_priors
 from softsensor.heat.model_file import MissingCauses, ModelFile
 from softsensor.live.priors import coefficient_priors
-from softsensor.signals.doubt import PANEL_TO_PANEL, Doubt, constant_doubts
+from softsensor.signals.doubt import PANEL_TO_PANEL, PRODUCT_SD, Doubt, Source, constant_doubts
 from softsensor.signals.instrument import SPREAD_LOG, START_K
 from softsensor.signals.unknown import Unknown
 
@@ -47,9 +47,6 @@ sees half, and offset each other in part. By hand, 2026-11."""
 UNEXPLAINED, FULL_RISE_K = 1.5, 40.0
 """What earlier runs leave unexplained at the faces counts so many times in a core that has risen so far. [-, K]"""
 CONDUCTIVITY = "panel.conductivity_W_mK"
-UNSETTLED = {CONDUCTIVITY: TABLE_SD, "panel.heat_capacity_J_kgK": TABLE_SD}
-"""What a header's constants may be off before any run was held against them, as a share. Data sheets of wood-based
-panels repeat design values by density (EN 13986, EN ISO 10456) and measure neither: a name's worth. Unverified."""
 WITHIN_CAPACITY = {"panel.density_kg_m3": 0.0}
 """What panels of one press differ by in rho c is told for both together (issue 18; a fit joins them,
 `fitting.constants`): density's scatter is in it and does not count twice."""
@@ -103,21 +100,24 @@ class Unowned:
 
 def directions_of(press: Press, run: Run, panel: Panel | None, model: ModelFile | None) -> tuple[Unowned, ...]:
     """Return the constants that are in doubt and the discrepancy of a run; `press` has the run's overrides."""
+    panels = PANEL_TO_PANEL
     if model is None or model.missing is None or not model.missing.runs:
-        doubts = constant_doubts(run.header, press, UNSETTLED | _across_or_along(run))
+        doubts = constant_doubts(run.header, press, PRODUCT_SD | _across_or_along(run))
     else:
         usual = constant_doubts(run.header, press, PANEL_TO_PANEL)
         seen = _seen(model.learned, usual, model.missing.nothing)
         within = {} if f"panel.heat_capacity_J_kgK{SD}" in run.header else WITHIN_CAPACITY
         doubts = constant_doubts(run.header, press, PANEL_TO_PANEL | seen | within)
+        own = _seen({key: s.panel for key, s in model.scatter.items()}, usual, model.missing.nothing)
+        panels = {key: own.get(key, size) for key, size in PANEL_TO_PANEL.items()}
     gaps = [Unowned(Unknown(name, 0.0, sd)) for name, sd in gap_priors(press, run, panel).items() if sd > START_K]
-    return (*_constants(press, run, panel, doubts), *gaps, *_discrepancy(press, panel, model))
+    return (*_constants(press, run, panel, doubts, panels), *gaps, *_discrepancy(press, panel, model))
 
 
 def _across_or_along(run: Run) -> dict[str, float]:
     """Return what the conductivity of a wood may be off while no run has shown in which direction it holds."""
     wood = is_solid_wood(str(run.header.get("panel.material", "")))
-    return {CONDUCTIVITY: math.hypot(UNSETTLED[CONDUCTIVITY], GRAIN_SD)} if wood else {}
+    return {CONDUCTIVITY: math.hypot(PRODUCT_SD[CONDUCTIVITY], GRAIN_SD)} if wood else {}
 
 
 def _seen(learned: Mapping[str, float], usual: Mapping[str, Doubt], nothing: float) -> dict[str, float]:
@@ -133,7 +133,9 @@ def _seen(learned: Mapping[str, float], usual: Mapping[str, Doubt], nothing: flo
     }
 
 
-def _constants(press: Press, run: Run, panel: Panel | None, doubts: Mapping[str, Doubt]) -> Iterator[Unowned]:
+def _constants(
+    press: Press, run: Run, panel: Panel | None, doubts: Mapping[str, Doubt], panels: Mapping[str, float]
+) -> Iterator[Unowned]:
     parts = {layer.name: layer_constants(press, layer.name, panel) for layer in press.layer}
     resistance = sum(d / k for d, k, _ in parts.values())
     capacity = sum(d * c for d, _, c in parts.values())
@@ -150,6 +152,12 @@ def _constants(press: Press, run: Run, panel: Panel | None, doubts: Mapping[str,
             found = doubts.get(f"{prefix}.{key}")
             return found.relative if found is not None and math.isfinite(found.relative) else 0.0
 
+        def loose(key: str, share: float, prefix: str = prefix) -> float:
+            found = doubts.get(key := f"{prefix}.{key}")
+            if found is not None and found.source is Source.STATED:
+                return 0.0
+            return min(1.0, panels.get(key, share) / share) ** 2
+
         odd = _beside_table(run.header) if own.from_run else {}
         thick, k = share("thickness_mm"), max(share("conductivity_W_mK"), odd.get("conductivity", 0.0))
         c = math.hypot(
@@ -161,12 +169,16 @@ def _constants(press: Press, run: Run, panel: Panel | None, doubts: Mapping[str,
         layers = tuple(names)
         called = f"{CONSTANT} {names[0]}"
         if k * resists > LEAST_SHARE:
-            yield Unowned(Unknown(f"{called} conductivity", 0.0, k, considered=True), layers, conductivity=1.0)
+            part = loose("conductivity_W_mK", k)
+            prior = Unknown(f"{called} conductivity", 0.0, k, considered=True, loose=part)
+            yield Unowned(prior, layers, conductivity=1.0)
         if c * stores > LEAST_SHARE:
-            yield Unowned(Unknown(f"{called} capacity", 0.0, c, considered=True), layers, capacity=1.0)
+            part = loose("heat_capacity_J_kgK", c)
+            prior = Unknown(f"{called} capacity", 0.0, c, considered=True, loose=part)
+            yield Unowned(prior, layers, capacity=1.0)
         if thick * max(resists, stores) > LEAST_SHARE:  # thicker: more to heat, and a longer way
             yield Unowned(
-                Unknown(f"{called} thickness", 0.0, thick, considered=True),
+                Unknown(f"{called} thickness", 0.0, thick, considered=True, loose=loose("thickness_mm", thick)),
                 layers,
                 conductivity=-1.0,
                 capacity=1.0,

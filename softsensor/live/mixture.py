@@ -82,9 +82,9 @@ def mix(filters: Sequence[KalmanFilter], margin: float, between: BetweenFaces | 
         own = slice(len(names), len(names) + len(f.names))
         out = Components(log[own], means[own], variances[own])
         reported = weigh(f.estimate, f.linearised.model.chain, f.hypotheses, f.fit, reported, out)
-        held = f.held_K
-        variances[own] = (variances[own] + margin) * max(1.0, f.misfit)
-        doubts[own] = held @ held
+        squares, loose = f.held_K**2, f.linearised.loose
+        variances[own] = (variances[own] + margin) * max(1.0, f.misfit) + squares @ (1.0 - loose)
+        doubts[own] = squares @ loose
         names += f.names
     change, by_faces = _change(filters, margin, between)
     components = by_size(Components(log, means, variances), doubts, 2 if change.chance > 0.0 else 0)
@@ -94,12 +94,12 @@ def mix(filters: Sequence[KalmanFilter], margin: float, between: BetweenFaces | 
 
 
 def by_size(components: Components, doubts: Array, room: int = 0) -> Components:
-    """Return each component once for every size that what is in doubt may have (`DOUBT_SIZES`).
+    """Return each component once for every size that a doubt may have (`DOUBT_SIZES`).
 
     Parameters
     ----------
     doubts
-        Variance by what is considered, at its usual size.
+        Variance by doubts whose size is known only within a range, at its usual size.
     room
         Components left empty behind them.
     """

@@ -33,7 +33,7 @@ class CausePrior:
     one_sided: bool
     chance: float
     """That a run has it, before anything is known of the press."""
-    width: float = 0.03
+    width: float = 0.01
     """What is left of it where it is absent, as a share of `sd`."""
     centre: float | None = None
     """Its size where it is present, as earlier runs tell; None: about its absence."""

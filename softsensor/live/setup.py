@@ -97,6 +97,11 @@ class Linearised:
     start_C: float  # noqa: N815
     """The panel's initial temperature as the header says. [°C]"""
 
+    @cached_property
+    def loose(self) -> Array:
+        """Share of each considered parameter's variance whose size is known only within a range (C)."""
+        return np.array([prior.loose for prior in self.priors if prior.considered])
+
     @property
     def timing_units(self) -> tuple[float, ...]:
         """Seconds for one unit of each of `TIMING`."""

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from daq.materials import Constant, find_material
+from daq.materials import TABLE_SD, Constant, find_material
 from daq.press.press_file import SD, At, Boundary, Layer, Press
 from daq.records import ROOM_C
 from softsensor.signals.instrument import START_ALONE_K
@@ -68,9 +68,10 @@ DOUBT_SIZES = tuple(
 )
 """A doubt's true size in units of the one that is taken for usual, and the chance of it: evenly between the least
 and the most that panels scatter by, in three Gauss points. How much the next panel differs, nobody knows better;
-one size for all makes the middle of a band too wide and its ends too short."""
+one size for all makes the middle of a band too wide and its ends too short. So it is with what is by hand or
+unverified; what is stated has one size, and so has what all panels of a product are off together."""
 MEAN_SQUARE_SIZE = sum(chance * size**2 for size, chance in DOUBT_SIZES)
-"""By which a variance in doubt is larger than at its usual size, in the mean."""
+"""By which such a variance is larger than at its usual size, in the mean."""
 PANEL_DENSITY = 0.035
 """Of density: EN 622-5 and EN 312 allow 7 and 10 % about the mean within a board (method: EN 323); the lower one,
 taken as two deviations. Unverified."""
@@ -81,6 +82,10 @@ PANEL_TO_PANEL = {
 }
 """What panels of one press differ by, as shares, once what they share is known: how the product differs from the
 material table, earlier runs' coefficients hold, or a hypothesis (``conductivity_offset``) does."""
+PRODUCT_SD = {"panel.conductivity_W_mK": TABLE_SD, "panel.heat_capacity_J_kgK": TABLE_SD}
+"""What all panels of a product may be off a header's constants together, as a share, before runs were held against
+them. Data sheets of wood-based panels repeat design values by density (EN 13986, EN ISO 10456) and measure
+neither: a name's worth. Unverified."""
 PANEL_THICKNESS_MM = ((19.0, 0.1), (float("inf"), 0.15))
 """Up to a thickness, its deviation: EN 622-1 allows ±0.2 mm up to 19 mm and ±0.3 mm beyond (method: EN 324-1),
 taken as two deviations. Unverified. [mm]"""

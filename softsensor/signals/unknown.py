@@ -29,6 +29,8 @@ class Unknown:
     """Largest change in one step of a search."""
     considered: bool = False
     """Held at its centre, but what the answer is off if it is wrong is followed (Schmidt's consider filter)."""
+    loose: float = 1.0
+    """Of a considered one: share of its variance whose size is known only within a range (`doubt.DOUBT_SIZES`)."""
     shared: str = ""
     """Of a run's number: the campaign's that its centre counts from."""
     share_of: str = ""

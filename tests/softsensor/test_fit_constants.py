@@ -77,22 +77,38 @@ def _known(value, sd, prior=0.1):
 
 def test_scatter_of_constants_known_exactly_is_their_second_moment():
     values = np.array([1.1, 0.9, 1.2, 0.8, 1.05, 0.95] * 20)
-    share, runs = scatter_of(_known(v, 1e-6) for v in values)[K]
-    expected = (np.sum((values - 1.0) ** 2) + 2.0 * 0.1**2) / (len(values) + 2.0)
-    assert runs == len(values)
-    assert share == pytest.approx(np.sqrt(expected), rel=1e-3)
+    found = scatter_of(_known(v, 1e-6) for v in values)[K]
+    expected = (np.sum((values - 1.0) ** 2) + 2.0 * 0.055**2) / (len(values) + 2.0)
+    assert found.runs == len(values)
+    assert found.panel == pytest.approx(np.sqrt(expected), rel=0.01)
+    assert found.sd == pytest.approx(np.sqrt(expected), rel=0.02)
+
+
+def test_what_all_panels_are_off_together_is_no_scatter_between_them():
+    """Twenty panels alike and 15 % off the header, each known exactly; and panels known to 7 % each."""
+    exactly = scatter_of(_known(1.15, 1e-6, 0.2) for _ in range(20))[K]
+    assert exactly.panel == pytest.approx(0.055 * np.sqrt(2.0 / 22.0), rel=0.05)
+    assert exactly.sd == pytest.approx(0.15, rel=0.02)
+    alike = scatter_of(_known(1.0, 0.07, 0.2) for _ in range(20))[K]
+    apart = scatter_of(_known(1.0 + off, 0.07, 0.2) for off in (0.12, -0.12) * 10)[K]
+    assert alike.panel < alike.sd < 0.06 < 0.1 < apart.panel < apart.sd
 
 
 def test_scatter_of_constants_that_no_run_knows_stays_what_it_was():
-    assert scatter_of(_known(1.0, 0.1 * (1.0 - 1e-12)) for _ in range(5))[K][0] == pytest.approx(0.1, rel=1e-3)
+    """20 % for the product and 5.5 % for its panels; of a thickness what it was in doubt by."""
+    unknown = ConstantFit(1.0, 0.1, Source.DATA_SHEET, 1.0, 0.1 * (1.0 - 1e-12))
+    found = scatter_of({K: unknown, "panel.thickness_mm": unknown} for _ in range(5))
+    assert found[K].panel == pytest.approx(0.055, rel=1e-3)
+    assert found[K].sd == pytest.approx(np.hypot(0.2, 0.055), rel=1e-3)
+    assert found["panel.thickness_mm"].sd == pytest.approx(0.1, rel=1e-3)
 
 
 def test_the_live_sensors_model_learns_the_scatter_from_the_fits_of_the_newest_runs():
     values = (1.1, 0.9, 1.2, 0.8, 1.05, 0.95)
     fits = [{"constants": {K: _known(v, 1e-6)[K].as_json()}} for v in values]
-    base = replace(combined_model(PRESS, None, []), scatter={C: Scatter(0.03, 40)})
+    base = replace(combined_model(PRESS, None, []), scatter={C: Scatter(0.03, 40, 0.03)})
     learned = combined_model(PRESS, base, fits).learned
-    assert learned == {C: 0.03, K: scatter_of(_known(v, 1e-6) for v in values)[K][0]}
+    assert learned == {C: 0.03, K: scatter_of(_known(v, 1e-6) for v in values)[K].sd}
 
 
 def test_what_is_stated_of_a_panel_says_nothing_of_the_others():

@@ -69,6 +69,21 @@ def test_start_temperature_of_a_run_with_channels_on_the_hot_side_only_is_not_do
     assert _said(bottom) == []
 
 
+@pytest.mark.parametrize("moment", ["closed_s", "opened_s"])
+def test_a_moment_that_the_log_lacks_may_lie_anywhere_in_the_gap_and_hardly_outside(moment):
+    whole = _run(5.0, 10.0)
+    at = getattr(moments_of(whole, PRESS), moment)
+    kept = (whole.time_s < at - 2.0) | (whole.time_s > at + 1.0)
+    run = replace(whole, time_s=whole.time_s[kept], columns={n: c[kept] for n, c in whole.columns.items()})
+    begin, end = run.time_s[run.time_s < at][-1], run.time_s[run.time_s > at][0]
+    moments = moments_of(run, PRESS)
+    unknown = next(u for u in make_problem(ThermalModel(PRESS), run, moments).unknowns if u.name == moment)
+    found = getattr(moments, moment)
+    assert begin - 1.0 < found + unknown.lower <= begin
+    assert end <= found + unknown.upper < end + 1.0
+    assert unknown.sd == pytest.approx((end - begin) / np.sqrt(12.0), rel=0.1)  # of a flat prior
+
+
 @pytest.mark.parametrize(
     ("load", "lacks"),
     [(None, "is missing"), (0.0, "holds no value above 0"), (np.nan, "holds no value above 0")],

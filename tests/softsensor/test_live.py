@@ -15,9 +15,12 @@ from softsensor.diagnosis.missing_causes import with_missing_causes
 from softsensor.effects import BUILT_IN
 from softsensor.heat.model_file import FittedValue, ModelFile
 from softsensor.jobs.campaign import fit_campaign
+from softsensor.live import march_steps
+from softsensor.live.march_steps import PressTiming
 from softsensor.live.passes import Pass
 from softsensor.live.priors import plans_for
 from softsensor.live.sensor import LiveSensor
+from softsensor.live.setup import linearise, set_up
 from softsensor.live.validity import InvalidReason
 
 PRESS = parse_press(press_toml())
@@ -113,6 +116,16 @@ def test_a_run_cut_short_gives_the_same_rows(plain, said):
     run = plain[0][0]
     for rows in (25, len(run.time_s) // 2):
         assert repr(replay(run, rows=rows)) == repr(said[:rows])  # NaN equals itself in print
+
+
+@pytest.mark.parametrize("rate_hz", [1.0, 10.0])
+def test_numbers_of_numpy_say_what_plain_ones_say(rate_hz):
+    run = make_campaign(6, 1, None, Plan(rate_hz=rate_hz))[0][0]
+    sensor = LiveSensor(PRESS, run.header, MODEL)
+    said = [
+        sensor.update(t, {name: values[i] for name, values in run.columns.items()}) for i, t in enumerate(run.time_s)
+    ]
+    assert said == replay(run)
 
 
 def test_a_replay_gives_the_same_rows_again(plain, said):
@@ -273,6 +286,27 @@ def test_every_effect_may_stand_in_the_model(plain, effect):
     assert np.mean([e.valid for e in said]) > 0.5
 
 
+def test_a_contact_that_grows_after_closing_does_so_in_the_filters_as_its_law_says(plain):
+    grows = {"deficit": FittedValue(0.6, 0.06), "time_constant_s": FittedValue(7.0, 0.7)}
+    model = replace(MODEL, effects=(("contact_buildup", grows),))
+    ahead = np.linspace(-2.0, 900.0, 24)
+    columns = {name: np.full(len(ahead), values[0]) for name, values in plain[0][0].columns.items()}
+    setup = set_up(PRESS, replace(plain[0][0], time_s=ahead, columns=columns), model)
+    plan = plans_for(PRESS, model, (0.0, 0.15, 0.15), unowned=[d.prior for d in setup.directions])[0]
+    made = linearise(setup, plan, plan.start)
+    assumed = {p.name: p.value(p.centre + at * p.sd) for p, at in zip(made.priors, made.at, strict=True)}
+    deficit, tau = (assumed[f"contact_buildup.{name}"] for name in grows)
+    closed = 5.0
+    timing = PressTiming(0.0, 2.0, closed, math.inf, math.inf, 0.5, True, 1.0, 1.0, 1.0, 0.5)
+    drive = march_steps._drive(made.model, timing, np.array([0.0, 40.0]), np.full((2, 2), 180.0))
+    since = np.clip(np.concatenate([[0.0], np.cumsum(drive.h)]) - closed, 0.0, None)
+    before = drive.h - np.diff(since)
+    missing = deficit * (before - tau * np.diff(np.exp(-since / tau))) / drive.h
+    assert drive.factor[:, [0, -1]] == pytest.approx(1.0)  # what lies under the platens is pressed already
+    assert drive.factor[:, 1] == pytest.approx(1.0 - missing, abs=0.01)
+    assert drive.factor[:, 2] == pytest.approx(1.0 - missing, abs=0.01)
+
+
 def test_filters_that_break_down_begin_anew(plain, monkeypatch):
     run = plain[0][0]
     extend, broken = Pass.extend, iter([False] * 60 + [True] + [False] * 10_000)
@@ -298,6 +332,8 @@ def test_filters_are_linearised_only_where_effects_are_physical():
         for i, prior in enumerate(plan.priors):
             if prior.name == "contact_buildup.deficit":
                 assert prior.centre + high[i] * prior.sd < 0.98
+            if "." not in prior.name:  # no cause, so as far down as up
+                assert plan.start[i] - low[i] == pytest.approx(high[i] - plan.start[i])
 
 
 def test_a_rig_without_states_is_followed():

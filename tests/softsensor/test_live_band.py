@@ -172,7 +172,7 @@ def test_what_runs_saw_a_constant_do_counts_as_far_as_no_cause_may_have_done_it(
     spread = {}
     for nothing in (0.0, 0.5, 1.0):
         seen = MissingCauses(8, nothing, 0.0, {})
-        model = replace(MODEL, missing=seen, scatter={"panel.thickness_mm": Scatter(0.34, 8)})
+        model = replace(MODEL, missing=seen, scatter={"panel.thickness_mm": Scatter(0.34, 8, 0.34)})
         found = set_up(PRESS, run, model).directions
         spread[nothing] = {d.prior.name: d.prior.sd for d in found}["constant panel thickness"]
     assert spread[0.0] == pytest.approx(0.1 / 16.0)
@@ -202,6 +202,41 @@ WOOD = {
 def doubts_of(press, header, model=None):
     run = Run("slice", header, np.arange(9.0), {"hot": np.full(9, 20.0)})
     return {d.prior.name.removeprefix("constant panel "): d.prior.sd for d in set_up(press, run, model).directions}
+
+
+def test_what_is_stated_or_shared_by_all_panels_of_a_product_has_one_size_and_no_range_of_them(pressing):
+    run, _ = pressing
+    stated = {"panel.conductivity_W_mK": 0.12, "panel.conductivity_W_mK.sd": 0.006}
+    learnt = replace(KNOWING, scatter={"panel.heat_capacity_J_kgK": Scatter(0.1, 9, 0.06)})
+    learnt = replace(learnt, missing=MissingCauses(9, 1.0, 0.0, {}))
+
+    def loose(header, model):
+        own = set_up(PRESS, replace(run, header=run.header | header), model).directions
+        found = {d.prior.name: d.prior.loose for d in own if d.is_constant}
+        assert found["constant plate_bottom capacity"] == 1.0
+        return found["constant panel conductivity"], found["constant panel capacity"]
+
+    assert loose({}, KNOWING) == (1.0, 1.0)
+    assert loose(stated, KNOWING) == (0.0, 1.0)
+    assert loose({}, learnt) == (1.0, pytest.approx(0.36))
+    assert loose({}, MODEL)[0] == pytest.approx((0.055 / 0.2) ** 2)
+
+
+def test_the_band_of_stated_constants_does_not_depend_on_what_panels_scatter_by(pressing):
+    run, truth = pressing
+    given = {
+        "panel.conductivity_W_mK": 0.12, "panel.conductivity_W_mK.sd": 0.0012, "panel.heat_capacity_J_kgK": 1550.0,
+        "panel.heat_capacity_J_kgK.sd": 15.5, "panel.density_kg_m3.sd": 2.0, "panel.thickness_mm.sd": 0.02,
+    }  # fmt: skip
+    ends = int(np.searchsorted(run.time_s, truth.moments.closed_s + 50.0))
+    short = replace(run, time_s=run.time_s[:ends], columns={n: v[:ends] for n, v in run.columns.items()})
+    half = []
+    for spread in (0.03, 0.3):
+        scatter = {key: Scatter(spread, 9, spread) for key in given if not key.endswith(".sd")}
+        sensor, said = followed(replace(short, header=run.header | given), replace(KNOWING, scatter=scatter))
+        half.append(0.5 * (said[-1].core_high_C - said[-1].core_low_C))
+    assert half[0] == pytest.approx(half[1], rel=1e-6)
+    assert sensor.band_from["effects"] < 0.2 * sensor.band_from["constants"]  # of causes that are absent
 
 
 def test_a_start_that_no_face_shows_is_known_as_its_sensor_or_as_the_header_says():

@@ -228,10 +228,11 @@ def test_without_a_lower_face_the_usual_wait_is_taken_within_what_the_log_allows
     assert came.sd == pytest.approx(5.0 / np.sqrt(12.0))
 
 
-def test_an_upper_face_that_warms_in_the_open_press_tells_when_the_panel_came():
+@pytest.mark.parametrize(("order", "lower"), [([0, 1], 1), ([1, 0], 0), ([0], -1)])
+def test_an_upper_face_that_warms_in_the_open_press_tells_when_the_panel_came(order, lower):
     warming = faces(10.0, np.inf)
     warming[:, 0] += np.where(TIME < 30.0, 6.0 * np.sqrt(np.maximum(TIME - 15.0, 0.0)), 0.0)
-    came = place_insertion(FaceReadings(TIME, warming, 1), 20.0, 29.0, 30.0, 31.0)
+    came = place_insertion(FaceReadings(TIME, warming[:, order], lower), 20.0, 29.0, 30.0, 31.0)
     assert came.at == pytest.approx(15.0, abs=0.5)
     assert came.sd == 3.0
 

@@ -16,7 +16,7 @@ MODEL = ModelFile(
     effects=(("edge_loss", {"W_m3K": FittedValue(900.0, 100.0)}),),
     names=("h_pp_c", "h_wa", "edge_loss.W_m3K"),
     covariance=np.diag([0.01, 0.02, 1e4]),
-    scatter={"panel.conductivity_W_mK": Scatter(0.06, 12)},
+    scatter={"panel.conductivity_W_mK": Scatter(0.06, 12, 0.05)},
 )
 
 
@@ -28,8 +28,15 @@ def test_what_is_written_is_read(tmp_path):
     assert back.effects == MODEL.effects
     assert back.names == MODEL.names
     assert back.learned == {"panel.conductivity_W_mK": 0.06}
+    assert back.scatter == MODEL.scatter
     assert np.array_equal(back.covariance, MODEL.covariance)
     assert back.values == {"h_pp_c": 700.0, "h_wa": 12.0, "edge_loss.W_m3K": 900.0}
+
+
+def test_a_scatter_that_does_not_say_what_panels_differ_by_is_all_of_that():
+    content = json.loads(model_text(MODEL))
+    content["scatter"] = {"panel.conductivity_W_mK": {"sd": 0.06, "runs": 12}}
+    assert parse_model(content, "model.json").scatter["panel.conductivity_W_mK"] == Scatter(0.06, 12, 0.06)
 
 
 def test_a_model_file_names_its_effects_to_the_thermal_model(lab_press):
@@ -50,6 +57,10 @@ def test_a_model_file_names_its_effects_to_the_thermal_model(lab_press):
             r"effects\.0\.parameters\.h: edge_loss has W_m3K",
         ),
         ({"scatter": {"panel.thickness_mm": {"sd": -0.1, "runs": 3}}}, "scatter is not as `fit` writes it"),
+        (
+            {"scatter": {"panel.thickness_mm": {"sd": 0.1, "runs": 3, "panel": 0.2}}},
+            "scatter is not as `fit` writes",
+        ),
     ],
 )
 def test_a_wrong_model_file_is_refused_with_its_key(change, message):

@@ -19,6 +19,7 @@ from softsensor.diagnosis import rehearsal
 from softsensor.diagnosis.rehearsal import Campaign, Hidden, Outcome, Rate, campaign_of, hidden_of, rehearsal_of
 from softsensor.diagnosis.verdict import diagnose
 from softsensor.jobs import rehearsals
+from softsensor.signals.doubt import constant_doubts
 
 TINY = Plan(
     rate_hz=1.0,
@@ -103,6 +104,32 @@ def test_resampled_noise_is_as_large_and_as_shared_as_the_residuals():
     shared = np.mean([np.mean(np.diff(d["top_1"]) * np.diff(d["top_2"])) for d in drawn])
     known = np.mean([np.mean(np.diff(r.noise["top_1"]) * np.diff(r.noise["top_2"])) for r in own])
     assert abs(shared - known) < 0.3 * np.mean([np.var(np.diff(r.noise["top_1"])) for r in own])
+
+
+def test_what_a_rehearsed_channel_reads_beside_the_truth_some_run_left_in_one_direction():
+    rng = np.random.default_rng(2)
+    for _ in range(20):
+        drawn = rehearsal._readings(campaign(), campaign().runs[0], rng)
+        assert any(
+            all(np.isin(sign * drawn[c], one.level[c] + one.noise[c]).all() for c in drawn)
+            for sign in (1.0, -1.0)
+            for one in campaign().runs
+        )
+
+
+def test_constants_of_rehearsed_panels_lie_about_the_given_ones_as_far_as_these_are_in_doubt():
+    run, press = campaign().runs[0].run, campaign().press
+    doubt = constant_doubts(run.header, press, rehearsal.ONE_PRODUCT)["panel.thickness_mm"]
+    drawn = np.array(
+        [
+            rehearsal._drawn(run, press, np.random.default_rng(n), of_run=True)["panel.thickness_mm"]
+            for n in range(2000)
+        ]
+    )
+    off = (drawn - run.header["panel.thickness_mm"]) / doubt.sd
+    assert abs(off.mean()) < 0.1
+    assert off.std() == pytest.approx(0.959, abs=0.05)  # of a standard normal number within two of them
+    assert np.abs(off).max() == pytest.approx(2.0)
 
 
 def test_a_hidden_sink_cools_the_simulated_faces():
