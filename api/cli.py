@@ -14,8 +14,6 @@ from collections.abc import Sequence
 from typing import Annotated
 
 import typer
-from typer._completion_classes import completion_init
-from typer._completion_shared import get_completion_script
 
 from api.commands import files, services
 from api.commands import simulating as analysis
@@ -97,6 +95,8 @@ _UsageError: type[Exception] = typer.BadParameter.__mro__[1]
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit status."""
     if COMPLETE in os.environ:
+        from typer._completion_classes import completion_init
+
         completion_init()
     try:
         _choose_language(os.environ.get("KERNTEMP_LANGUAGE", ENGLISH))
@@ -120,6 +120,8 @@ def _completion_script(shell: str) -> str:
     """Return what a shell has to read to complete with Tab. Raises `InputError`."""
     if shell not in ("bash", "zsh", "fish"):
         raise InputError(say("terminal-completion-shell", shell=shell))
+    from typer._completion_shared import get_completion_script
+
     return get_completion_script(prog_name="kerntemp", complete_var=COMPLETE, shell=shell) + "\n"
 
 

@@ -8,6 +8,7 @@ from typing import Annotated, NoReturn
 
 import typer
 
+from api.commands.inputs import effect_names
 from api.outputs import tell
 from daq.records import InputError
 from daq.words import say, spoken
@@ -16,7 +17,7 @@ from daq.words import say, spoken
 def demo(
     speed: Annotated[float, typer.Option(min=0.1, max=200.0, metavar="X", help="help-speed")] = 1.0,
     pressings: Annotated[int | None, typer.Option(min=1, max=1000, metavar="N", help="help-pressings")] = None,
-    hide: Annotated[str, typer.Option(metavar="EFFECT", help="help-hide")] = "",
+    hide: Annotated[str, typer.Option(metavar="EFFECT", help="help-hide", autocompletion=effect_names)] = "",
     port: Annotated[int, typer.Option(min=0, max=65535, metavar="N", help="help-page-port")] = 0,
     data: Annotated[Path | None, typer.Option(metavar="DIR", help="help-data")] = None,
     seed: Annotated[int, typer.Option(min=0, metavar="N", help="help-seed")] = 1,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from api.commands.fitting import HtmlOut, JsonOut, ModelOut, aligned
-from api.commands.inputs import ConfigFile, PressFile, Runs, StoreUrl, files_read, load_runs
+from api.commands.inputs import ConfigFile, PressFile, Runs, StoreUrl, effect_names, files_read, load_runs
 from api.commands.until import Until, shortened
 from api.outputs import WorkFailed, as_json, check_writable, in_words, spoken_language, tell, working, write_all
 from daq.records import InputError
@@ -27,7 +27,10 @@ RehearseCampaigns = Annotated[
     int | None, typer.Option("--rehearse-campaigns", metavar="N", min=1, max=1000, help="help-rehearse-campaigns")
 ]
 RehearseEffects = Annotated[
-    list[str] | None, typer.Option("--rehearse-effect", metavar="NAME[=SIZE]", help="help-rehearse-effect")
+    list[str] | None,
+    typer.Option(
+        "--rehearse-effect", metavar="NAME[=SIZE]", help="help-rehearse-effect", autocompletion=effect_names
+    ),
 ]
 RehearseFile = Annotated[Path | None, typer.Option("--rehearse-file", metavar="FILE", help="help-rehearse-file")]
 Dask = Annotated[str, typer.Option("--dask", metavar="ADDRESS", help="help-rehearse-dask")]

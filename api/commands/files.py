@@ -20,6 +20,7 @@ from api.commands.inputs import (
     opened_store,
     say_doubts,
     store_address,
+    stored_runs,
 )
 from api.outputs import check_writable, in_words, tell, tell_table, working, write_all
 from daq.records import InputError
@@ -107,7 +108,9 @@ def _refuse_taken(store: Store, run: Run) -> None:
 
 
 def export_runs(  # noqa: PLR0913 - one argument an option
-    runs: Annotated[list[str] | None, typer.Argument(metavar="RUN", help="help-export-runs")] = None,
+    runs: Annotated[
+        list[str] | None, typer.Argument(metavar="RUN", help="help-export-runs", autocompletion=stored_runs)
+    ] = None,
     out: Annotated[Path | None, typer.Option("--out", metavar="FILE", help="help-export-out")] = None,
     kind: Annotated[
         Literal["csv", "parquet", "jsonl"],

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from api.commands.inputs import ConfigFile, StoreUrl, files_read, load_runs
+from api.commands.inputs import ConfigFile, StoreUrl, files_read, load_runs, stored_runs
 from api.commands.until import Until, shortened
 from api.outputs import as_json, check_writable, in_words, spoken_language, tell, working, write_all
 from daq.records import InputError
@@ -36,7 +36,7 @@ def named_folder(text: str) -> Path:
 MOST_OF_A_SETTING = 1e4
 """No thickness, pressure or temperature of a press program reaches it, in the unit of its key."""
 Outputs = dict[Path, str | bytes | Callable[[Path], None]]
-FitRuns = Annotated[list[str] | None, typer.Argument(metavar="RUN", help="help-runs")]
+FitRuns = Annotated[list[str] | None, typer.Argument(metavar="RUN", help="help-runs", autocompletion=stored_runs)]
 FitPress = Annotated[Path | None, typer.Option("--press", metavar="FILE", help="help-press")]
 Reproduce = Annotated[
     bool,

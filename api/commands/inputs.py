@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from api.outputs import warn
+from api.outputs import warn, working
 from daq.records import InputError, Run
 from daq.words import say
 
@@ -20,8 +21,33 @@ CONFIG_NAME = "kerntemp.toml"
 DEFAULT_STORE = Path("kerntemp-data") / "kerntemp.sqlite"
 """Where runs go and come from without --store, --config and kerntemp.toml."""
 
-Runs = Annotated[list[str], typer.Argument(metavar="RUN", help="help-runs")]
-OneRun = Annotated[str, typer.Argument(metavar="RUN", help="help-run")]
+NAMED_RUNS = 1000
+"""Newest runs of a store among which Tab looks: some ms. Set by hand, 2026-11."""
+
+
+def stored_runs(context: typer.Context, incomplete: str) -> list[str]:
+    """Return the ids of the store that begin as typed, newest first, for Tab; none where no store can be asked."""
+    from daq.store import every
+    from daq.store.records import StoreUnavailable
+
+    given = {key: context.params.get(key) for key in ("store", "config")}
+    try:
+        with opened_store(given["store"], given["config"]) as opened:
+            runs = every(lambda cursor: opened.runs(cursor=cursor, limit=200))
+            return [r.run for r in islice(runs, NAMED_RUNS) if r.run.startswith(incomplete)]
+    except (InputError, StoreUnavailable):
+        return []
+
+
+def effect_names(incomplete: str) -> list[str]:
+    """Return the effects of the catalogue that begin as typed, for Tab."""
+    from softsensor.effects import catalogue
+
+    return [name for name in catalogue() if name.startswith(incomplete)]
+
+
+Runs = Annotated[list[str], typer.Argument(metavar="RUN", help="help-runs", autocompletion=stored_runs)]
+OneRun = Annotated[str, typer.Argument(metavar="RUN", help="help-run", autocompletion=stored_runs)]
 PressFile = Annotated[Path, typer.Option("--press", metavar="FILE", help="help-press")]
 StoreUrl = Annotated[
     str | None,
@@ -83,7 +109,11 @@ def files_read(*given: Path | str | None, store: str | None, config: Path | None
 
 def load_runs(arguments: list[str], store: str | None, config: Path | None) -> list[Run]:
     """Read every run, from its file or from the store. Raises `InputError` naming the first that fails."""
-    runs = [find_run(argument, store, config) for argument in arguments]
+    runs = []
+    with working(say("terminal-progress-reading-runs", runs=len(arguments)), len(arguments)) as done:
+        for number, argument in enumerate(arguments, start=1):
+            runs.append(find_run(argument, store, config))
+            done(number)
     names = [run.name for run in runs]
     if twice := next((name for name in names if names.count(name) > 1), None):
         raise InputError(say("terminal-run-twice", run=twice))

@@ -1107,6 +1107,10 @@ figure-coefficient = { $name } = { NUMBER($mean, maximumSignificantDigits: 3) } 
 figure-coefficient-shared = { $name } = { NUMBER($mean, maximumSignificantDigits: 3) } W/m²K, gemeinsam
 figure-coefficient-spread = { $name } = { NUMBER($mean, maximumSignificantDigits: 3) } ± { NUMBER($sd, maximumSignificantDigits: 2) } W/m²K
 figure-core = Kern, { $model }
+figure-core-band = sein 95-%-Band
+figure-core-by-fit = Kern nach dem angepassten Modell
+figure-core-fitted = { $run }: Kern schlimmstenfalls auf ± { NUMBER($half, minimumFractionDigits: 1, maximumFractionDigits: 1) } K bekannt (95 %)
+figure-core-fitted-measured = { $run }: Kern schlimmstenfalls auf ± { NUMBER($half, minimumFractionDigits: 1, maximumFractionDigits: 1) } K bekannt (95 %); Thermoelemente { NUMBER($error, minimumFractionDigits: 1, maximumFractionDigits: 1) } K (RMS) daneben
 figure-core-live = Kern, wie live vorhergesagt, mit seinem 95-%-Band
 figure-core-measured = Kern, gemessen
 figure-correlation = Korrelation
@@ -1246,6 +1250,7 @@ report-known = { $runs ->
     }: { $known }.
 report-known-to = { NUMBER($value, maximumSignificantDigits: 4) } ± { NUMBER($percent, maximumFractionDigits: 0) } %
 report-legend-coefficients = Punkte: einzelne Pressungen mit 95-%-Intervallen. Linie und Band: Mittel und σ. Kreuz: eine Pressung, in der der Koeffizient nicht bestimmbar ist, beim Mittel gezeichnet.
+report-legend-core = Kern: die Mitte der Platte nach dem angepassten Modell. Sein Band ist, was Koeffizienten, Zeitpunkte, Messkette und die Konstanten der Platte offen lassen (95 %), soweit das Modell selbst stimmt. Kernthermoelemente nehmen an der Anpassung nicht teil.
 report-legend-every-run = W/m²K, ± das halbe 95-%-Intervall. Kursiv: in dieser Pressung nicht bestimmbar; das Intervall, das die Daten offen lassen. Nicht beschrieben: das Modell passt nicht zur Pressung, aus ihr wird also nichts gelesen.
 report-legend-measured = Fehlerbalken: Standardabweichung über die Fühler einer Seite. Grau gestrichelt: das Modell mit den Schätzwerten der Pressendatei. Getönt: Presse geschlossen. Residuen ohne den konstanten Versatz jeder Seite, ihr Band die Streuung der Fühler; wo sich die Presse bewegt, verlassen sie das Bild, und der größte Wert steht dabei.
 report-legend-normalised = Punkte: einzelne Pressungen bezogen auf das Mittel, in ihrer Reihenfolge. Balken: ± σ.
@@ -1557,6 +1562,10 @@ terminal-progress-predicting = Vorhersage von { $run }
 terminal-progress-reading = { $files ->
     [one] { $files } Datei wird gelesen
    *[other] { $files } Dateien werden gelesen
+}
+terminal-progress-reading-runs = { $runs ->
+    [one] { $runs } Pressung wird gelesen
+   *[other] { $runs } Pressungen werden gelesen
 }
 terminal-progress-refitting = { $press } wird neu angepasst
 terminal-progress-rehearsing = Diagnose von { $campaigns } simulierten Kampagnen

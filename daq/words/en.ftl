@@ -1091,6 +1091,10 @@ figure-coefficient = { $name } = { NUMBER($mean, maximumSignificantDigits: 3) } 
 figure-coefficient-shared = { $name } = { NUMBER($mean, maximumSignificantDigits: 3) } W/m²K, shared
 figure-coefficient-spread = { $name } = { NUMBER($mean, maximumSignificantDigits: 3) } ± { NUMBER($sd, maximumSignificantDigits: 2) } W/m²K
 figure-core = core, { $model }
+figure-core-band = its 95 % band
+figure-core-by-fit = core by the fitted model
+figure-core-fitted = { $run }: core known to ± { NUMBER($half, minimumFractionDigits: 1, maximumFractionDigits: 1) } K (95 %) at worst
+figure-core-fitted-measured = { $run }: core known to ± { NUMBER($half, minimumFractionDigits: 1, maximumFractionDigits: 1) } K (95 %) at worst; its thermocouples are { NUMBER($error, minimumFractionDigits: 1, maximumFractionDigits: 1) } K rms off
 figure-core-live = Core as predicted live, with its 95 % band
 figure-core-measured = core, measured
 figure-correlation = correlation
@@ -1230,6 +1234,7 @@ report-known = { $runs ->
     }: { $known }.
 report-known-to = { NUMBER($value, maximumSignificantDigits: 4) } ± { NUMBER($percent, maximumFractionDigits: 0) } %
 report-legend-coefficients = Dots: single runs with 95 % intervals. Line and band: mean and σ. Cross: a run in which the coefficient is not identifiable, drawn at the mean.
+report-legend-core = Core: the middle of the panel by the fitted model. Its band is what coefficients, moments, measuring chain and the panel's constants leave open (95 %), as far as the model itself holds. Core thermocouples take no part in the fit.
 report-legend-every-run = W/m²K, ± half the 95 % interval. Italics: not identifiable in that run; the interval that the data leave open. Not described: the model does not fit the run, so nothing is read from it.
 report-legend-measured = Error bars: standard deviation over the sensors of a face. Grey dashes: the model with the press file's guesses. Shaded: press closed. Residuals without each face's constant offset, their band the scatter of the face's sensors; where the press moves they leave the picture, and the largest is written in.
 report-legend-normalised = Dots: single runs over the mean, in their order. Bars: ± σ.
@@ -1541,6 +1546,10 @@ terminal-progress-predicting = Predicting { $run }
 terminal-progress-reading = { $files ->
     [one] Reading { $files } run file
    *[other] Reading { $files } run files
+}
+terminal-progress-reading-runs = { $runs ->
+    [one] Reading { $runs } run
+   *[other] Reading { $runs } runs
 }
 terminal-progress-refitting = Refitting { $press }
 terminal-progress-rehearsing = Diagnosing { $campaigns } simulated campaigns

@@ -66,8 +66,8 @@ def refit_press(
     if base is None or agenda.progress.basis != basis:
         outcome = judge_night(Night(store, name, press, base, agenda.window, fits), outcome)
     progress = replace(agenda.progress, basis=basis)
+    outcome = replace(outcome, drifts=tuple((a.coefficient, a.message) for a in alarms_of(store, name)))
     told = _told(outcome, time.perf_counter() - begun)
-    told["drifts"] = [{"coefficient": a.coefficient, "said": a.message.to_json()} for a in alarms_of(store, name)]
     store.put_night(StoredNight(name, started, datetime.now(UTC), told, progress.as_json()))
     store.log("info", PROCESS, outcome.line, name)
     return outcome
@@ -154,6 +154,7 @@ def _told(outcome: NightOutcome, seconds: float) -> dict[str, Any]:
         "refused": outcome.refused,
         "version": outcome.version,
         "reason": outcome.reason.to_json(),
+        "drifts": [{"coefficient": name, "said": said.to_json()} for name, said in outcome.drifts],
     }
 
 

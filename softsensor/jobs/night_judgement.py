@@ -83,6 +83,8 @@ class NightOutcome:
     """Older runs whose fits rest on a press file or effects of before: their turn comes in nights to come."""
     left_out: tuple[tuple[str, Message], ...] = ()
     """Runs of this night that could not be fitted, and why; the first `SHOWN_LEFT_OUT`."""
+    drifts: tuple[tuple[str, Message], ...] = ()
+    """Coefficients that have left what is usual, and what is said of each."""
     named: tuple[str, ...] = ()
     """Effects the diagnosis named."""
     refused: str = ""

@@ -10,7 +10,6 @@ from typing import Any
 
 from daq.store import JournalEntry, ModelRecord, RunRecord, Store, StoredNight, every
 from daq.words import Message
-from softsensor.jobs.drift import alarms_of
 from softsensor.jobs.night_judgement import NightOutcome
 
 # Numbers without another source were set by hand, 2026-11.
@@ -32,8 +31,6 @@ class NightRecord:
     diagnosis: Mapping[str, Any] | None
     """The newest one."""
     models: Sequence[ModelRecord]
-    drifts: Sequence[tuple[str, Message]]
-    """Coefficients that have left what is usual, and what is said of each."""
     runs: Sequence[tuple[RunRecord, Mapping[str, Any] | None]]
     """With their fits, newest first."""
     failures: Sequence[JournalEntry]
@@ -41,8 +38,7 @@ class NightRecord:
 
 def night_record(store: Store, outcome: NightOutcome) -> NightRecord:
     """Return what the store holds of the press of an outcome, now."""
-    drifts = [(a.coefficient, a.message) for a in alarms_of(store, outcome.press)]
-    return _record(store, outcome, drifts, datetime.now(UTC), None)
+    return _record(store, outcome, datetime.now(UTC), None)
 
 
 def stored_night_record(store: Store, night: StoredNight) -> NightRecord:
@@ -58,16 +54,15 @@ def stored_night_record(store: Store, night: StoredNight) -> NightRecord:
         promoted=bool(told["promoted"]),
         reason=Message.from_json(told["reason"]),
         named=tuple(told["named"]),
+        drifts=tuple((d["coefficient"], Message.from_json(d["said"])) for d in told.get("drifts", ())),
     )
-    drifts = [(d["coefficient"], Message.from_json(d["said"])) for d in told.get("drifts", ())]
     newest = store.nights(press=night.press, limit=1).items[0].number == night.number
-    return _record(store, outcome, drifts, night.ended_utc, None if newest else night.ended_utc)
+    return _record(store, outcome, night.ended_utc, None if newest else night.ended_utc)
 
 
 def _record(
     store: Store,
     outcome: NightOutcome,
-    drifts: Sequence[tuple[str, Message]],
     written: datetime,
     until: datetime | None,
 ) -> NightRecord:
@@ -89,7 +84,6 @@ def _record(
         in_force=active.model if active else None,
         diagnosis=diagnosis.diagnosis if diagnosis else None,
         models=list(islice((m for m in models if until is None or m.created_utc <= until), SHOWN_MODELS)),
-        drifts=drifts,
         runs=[(r, store.fit(r.run)) for r in store.runs(press=press, until=until, limit=SHOWN_RUNS).items],
         failures=list(islice((e for e in failures if until is None or e.utc <= until), SHOWN_ENTRIES)),
     )

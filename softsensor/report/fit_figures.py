@@ -19,6 +19,7 @@ from daq.words import Message, say
 from daq.words.message import ENGLISH, words
 from softsensor.effects.vocabulary import place_words
 from softsensor.fitting.campaign import CampaignFit
+from softsensor.fitting.core import FittedCore, fitted_core
 from softsensor.fitting.paper.procedures import Reproduction
 from softsensor.fitting.result import RunFit
 from softsensor.fitting.unknowns import is_coefficient
@@ -87,6 +88,8 @@ def campaign_figures(campaign: CampaignFit, language: str = ENGLISH) -> dict[str
         figures["coefficients_normalised"] = svg(normalised_figure(campaign, language))
     for fitted in campaign.runs:
         figures[f"measured_{fitted.run}"] = svg(fitted_run_figure(fitted, language))
+        if (core := fitted_core(fitted)) is not None:
+            figures[f"core_{fitted.run}"] = svg(core_figure(fitted, core, language))
         figures[f"correlation_{fitted.run}"] = svg(correlation_figure(fitted, language))
     return figures
 
@@ -112,6 +115,29 @@ def fitted_run_figure(fitted: RunFit, language: str = ENGLISH) -> Figure:
             ax.set_xlabel(put(say("figure-time")))
         axes[0, 0].set_ylabel(put(say("figure-temperature")))
         axes[1, 0].set_ylabel(put(say("figure-measured-minus-model")))
+    return figure
+
+
+def core_figure(fitted: RunFit, found: FittedCore, language: str = ENGLISH) -> Figure:
+    """Draw the core by the fitted model with its 95 % band, and the measured one where a thermocouple reads it."""
+    put = partial(words, language=language)
+    t, widest = fitted.problem.signals.time_s, float(np.nanmax(found.half))
+    measured = np.flatnonzero(np.isfinite(found.measured))
+    known: dict[str, float | str] = {"run": fitted.run, "half": widest}
+    title = say("figure-core-fitted-measured", **known, error=found.error_K)
+    with sheet((10.0, 3.2), put(title if len(measured) else say("figure-core-fitted", **known))) as figure:
+        ax = figure.subplots()
+        ends = (found.core - found.half, found.core + found.half)
+        ax.fill_between(t, *ends, color=COLOURS[0], alpha=0.22, lw=0, label=put(say("figure-core-band")))
+        ax.plot(t, found.core, lw=1.6, color=COLOURS[0], label=put(say("figure-core-by-fit")), zorder=3)
+        if len(measured):
+            picked = measured[:: max(1, len(measured) // 60)]
+            dots: dict[str, Any] = {"ms": 2.6, "color": INK, "label": put(say("figure-core-measured"))}
+            ax.plot(t[picked], found.measured[picked], "o", **dots, zorder=4)
+        _shade_closed(ax, fitted)
+        ax.set_xlabel(put(say("figure-time")))
+        ax.set_ylabel(put(say("figure-temperature")))
+        ax.legend(loc="best", fontsize=8)
     return figure
 
 

@@ -12,12 +12,14 @@ import numpy as np
 from daq.words import Message, say
 from daq.words.message import ENGLISH
 from softsensor.fitting.campaign import CampaignFit
+from softsensor.fitting.core import fitted_core
 from softsensor.fitting.dependence import SETTINGS, Program
 from softsensor.fitting.identifiability import is_verdict_on
 from softsensor.fitting.paper.procedures import METHODS, Reproduction
 from softsensor.fitting.result import Identifiability, RunFit
 from softsensor.report.fit_figures import (
     coefficients_figure,
+    core_figure,
     fitted_run_figure,
     known_names,
     moves_with,
@@ -61,7 +63,7 @@ def fit_report(campaign: CampaignFit, program: Program | None = None, language: 
         warnings=[(f.run, w) for f in campaign.runs for w in f.warnings if not is_verdict_on(w, f.coefficients)],
         coefficients_svg=svg(coefficients_figure(campaign, language)),
         normalised_svg=svg(normalised_figure(campaign, language)) if scattered(campaign) else "",
-        run_figures=[(title, svg(fitted_run_figure(f, language))) for title, f in shown],
+        run_figures=[(title, svg(fitted_run_figure(f, language)), _core_svg(f, language)) for title, f in shown],
         together_most=moves_with(shown[0][1]),
         dependence=list(_dependence(campaign)),
         program=_program(program),
@@ -91,6 +93,11 @@ def finding(campaign: CampaignFit) -> tuple[Message | str, ...]:
         say("report-known", runs=len(met), known=known),
     ]
     return (*shortfall, *said, *([say("report-not-known", runs=len(met), names=rest)] if rest else []))
+
+
+def _core_svg(fitted: RunFit, language: str) -> str:
+    core = fitted_core(fitted)
+    return "" if core is None else svg(core_figure(fitted, core, language))
 
 
 def _typical_and_worst(campaign: CampaignFit) -> list[tuple[Message, RunFit]]:

@@ -37,7 +37,7 @@ def night_report(night: NightRecord, language: str = ENGLISH, link: str = "") ->
         in_force=_in_force(night.in_force or {}, bodies),
         diagnosis=_found(night.diagnosis),
         pictures=_pictures(night.diagnosis, language),
-        drifts=[say("night-drift", coefficient=bodies(name), said=said) for name, said in night.drifts],
+        drifts=[say("night-drift", coefficient=bodies(name), said=said) for name, said in night.outcome.drifts],
         runs=[_run(r.run, r.started_utc, fit) | {"link": _link(link, r.run)} for r, fit in night.runs],
         failures=[entry.message for entry in night.failures],
     )

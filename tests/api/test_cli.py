@@ -457,6 +457,17 @@ def test_the_shell_completes_commands_and_options(tmp_path):
 
     assert completed("kerntemp dia") == {"diagnose"}
     assert {"--rehearse", "--rehearse-effect"} <= completed("kerntemp diagnose --reh")
+    store = tmp_path / "some.sqlite"
+    with open_store(str(store), create=True) as opened:
+        at = np.arange(3.0)
+        opened.import_runs(
+            [Run(name, {}, at, {"top_1": at}, "", {}) for name in ("oak-1", "oak-2", "ash-1")], "lab"
+        )
+    for command in ("export", "fit", "diagnose", "predict"):
+        assert completed(f"kerntemp {command} --store {store} oak") == {"oak-1", "oak-2"}
+    assert completed(f"kerntemp fit --store {tmp_path / 'none.sqlite'} oak") == set()
+    assert completed("kerntemp demo --hide paper") == {"paper_layer"}
+    assert completed("kerntemp diagnose --rehearse-effect paper") == {"paper_layer"}
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
@@ -470,3 +481,24 @@ def test_an_effect_that_does_not_exist_is_refused_before_anything_is_diagnosed(f
     call = ["diagnose", first, "--press", str(files / "press.toml"), "--rehearse", "--rehearse-effect", "nonsense"]
     assert main(call) == 2
     assert "effect 'nonsense' is not in the catalogue" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no terminal pairs there")
+def test_a_terminal_sees_that_many_runs_are_being_read(tmp_path):
+    import pty
+
+    time_s = np.arange(3.0)
+    for number in range(3):
+        write_run(Run(f"r{number}", {}, time_s, {"top_1": time_s}, "", {}), tmp_path / f"r{number}.csv")
+    slow = f"""
+import time, api.commands.inputs as inputs
+read = inputs.find_run
+inputs.find_run = lambda *given: (time.sleep(0.6), read(*given))[1]
+inputs.load_runs([f"{tmp_path}/r{{k}}.csv" for k in range(3)], None, None)
+"""
+    ours, theirs = pty.openpty()
+    running = subprocess.Popen([sys.executable, "-c", slow], stdin=theirs, stdout=theirs, stderr=theirs)
+    os.close(theirs)
+    assert running.wait(60) == 0
+    assert b"Reading 3 runs" in os.read(ours, 65536)
+    os.close(ours)

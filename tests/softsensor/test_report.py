@@ -4,21 +4,31 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from daq.press.press_file import parse_press
 from daq.simulated.campaign import Plan, make_campaign
 from daq.simulated.campaign_pressfile import press_toml
-from daq.words.message import catalogue_of, languages
+from daq.words.message import Message, catalogue_of, languages
+from softsensor.fitting.core import fitted_core
 from softsensor.jobs.campaign import fit_campaign
-from softsensor.report.fit_figures import coefficients_figure, fitted_run_figure, svg
+from softsensor.report.fit_figures import coefficients_figure, core_figure, fitted_run_figure, svg
 from softsensor.report.fit_report import fit_report
 
 
 @pytest.fixture(scope="module")
-def campaign():
+def pressed():
+    """Three runs with what is true of them; the first has a thermocouple in its core."""
     plan = Plan(rate_hz=1.0, press_time_s=(20.0, 40.0), open_after_s=(30.0, 40.0))
-    return fit_campaign(parse_press(press_toml()), [run for run, _ in make_campaign(6, 3, plan=plan)])
+    pairs = list(make_campaign(6, 3, plan=plan))
+    run, truth = pairs[0]
+    return [(replace(run, columns={**run.columns, "core_1": truth.core_C}), truth), *pairs[1:]]
+
+
+@pytest.fixture(scope="module")
+def campaign(pressed):
+    return fit_campaign(parse_press(press_toml()), [run for run, _ in pressed])
 
 
 def test_page_needs_nothing_from_elsewhere_and_names_every_run(campaign):
@@ -84,3 +94,38 @@ def test_a_bootstrap_is_told_from_four_runs_on_and_digits_follow_the_interval(ca
     assert "95 % (bootstrap)" in page
     assert f"<td>{name}</td><td><b>643</b></td>" in page
     assert "<td>557 – 729</td>" in page
+
+
+def test_the_true_core_is_within_the_fits_band_and_a_better_known_panel_makes_it_narrower(pressed, campaign):
+    for fitted, (run, truth) in zip(campaign.runs, pressed, strict=True):
+        found = fitted_core(fitted)
+        told = np.isfinite(found.half)
+        assert told.sum() > 60
+        assert np.mean(np.abs(truth.core_C - found.core)[told] <= found.half[told]) > 0.9
+        assert np.isfinite(found.error_K) == ("core_1" in run.columns)
+    run, _ = pressed[0]
+    constants = campaign.runs[0].constants
+    named = [key for key in constants if key in ("panel.conductivity_W_mK", "panel.heat_capacity_J_kgK")]
+    stated = {key: constants[key].given for key in named} | {
+        f"{key}.sd": 0.001 * constants[key].given for key in named
+    }
+    surer = fit_campaign(parse_press(press_toml()), [replace(run, header={**run.header, **stated})]).runs[0]
+    assert np.nanmax(fitted_core(surer).half) < 0.5 * np.nanmax(fitted_core(campaign.runs[0]).half)
+
+
+@pytest.mark.parametrize("language", languages())
+def test_the_page_draws_the_core_with_its_band_and_what_was_measured_there(campaign, language):
+    say = catalogue_of(language).entries()
+    figures = [core_figure(f, fitted_core(f), language) for f in campaign.runs]
+    legends = [figure.axes[0].get_legend_handles_labels()[1] for figure in figures]
+    own = [say[code].strip() for code in ("figure-core-band", "figure-core-by-fit", "figure-core-measured")]
+    assert legends == [own, own[:2], own[:2]]
+    page = fit_report(campaign, language=language)
+    shown = [f for f in campaign.runs if svg(core_figure(f, fitted_core(f), language)) in page]
+    assert len(shown) == 2  # the typical one and the worst
+    assert say["report-legend-core"].strip() in page.replace("&#39;", "'")
+
+
+def test_a_run_the_model_does_not_describe_has_no_core_to_believe(campaign):
+    lost = replace(campaign.runs[0], misfit=Message("fit-misfit-span", {"rmse": 9.0, "span": 90.0}))
+    assert fitted_core(lost) is None

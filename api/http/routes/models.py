@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import Callable
+from typing import Annotated, TypeVar
 
 from fastapi import APIRouter, Path, Query, Request
 from fastapi.responses import HTMLResponse
@@ -23,11 +24,13 @@ from api.answers.schemas import (
 from api.http.problems import ProblemError, problem_responses
 from api.http.routes.common import Cursor, PageSize, PressName, StoreDep, Writer
 from daq.records import InputError
-from daq.store.records import ModelRecord
+from daq.store.records import DiagnosisRecord as StoredDiagnosis
+from daq.store.records import ModelRecord, Page, StoredNight
 from daq.store.store import Store
 from daq.words import say
 from daq.words.message import ENGLISH, languages
 
+_Row = TypeVar("_Row", StoredDiagnosis, StoredNight)
 router = APIRouter(tags=["model"], responses=problem_responses())
 Number = Annotated[int, Path(ge=1, le=2**31 - 2)]
 """Of a row; the next one is a cursor, and PostgreSQL counts in 32 bits."""
@@ -121,10 +124,10 @@ def list_nights(
 )
 def get_diagnosis_curves(store: StoreDep, number: Number) -> DiagnosisCurves:
     """Return one run measured and under both models, and what the models leave of all runs."""
-    found = [d for d in store.diagnoses(cursor=str(number + 1), limit=1).items if d.number == number]
-    if not found or "curves" not in found[0].diagnosis:
+    found = _numbered(store.diagnoses, number)
+    if found is None or "curves" not in found.diagnosis:
         raise ProblemError(404, say("api-no-curves", number=number))
-    return DiagnosisCurves(id=str(number), press=found[0].press, curves=found[0].diagnosis["curves"])
+    return DiagnosisCurves(id=str(number), press=found.press, curves=found.diagnosis["curves"])
 
 
 @router.get(
@@ -143,11 +146,16 @@ def get_night_report(
 
     if language not in languages():
         raise ProblemError(404, say("api-no-such-language", language=language, languages=languages()))
-    found = [n for n in store.nights(cursor=str(number + 1), limit=1).items if n.number == number]
-    if not found:
+    found = _numbered(store.nights, number)
+    if found is None:
         raise ProblemError(404, say("api-no-night", number=number))
-    page = night_report(stored_night_record(store, found[0]), language, str(request.base_url))
+    page = night_report(stored_night_record(store, found), language, str(request.base_url))
     return HTMLResponse(page, headers={"Content-Disposition": f'inline; filename="night-{number}.html"'})
+
+
+def _numbered(pages: Callable[..., Page[_Row]], number: int) -> _Row | None:
+    """Return the row of that number from a list that comes newest first, None where there is none."""
+    return next((row for row in pages(cursor=str(number + 1), limit=1).items if row.number == number), None)
 
 
 def _existing(store: Store, version: str) -> ModelRecord:

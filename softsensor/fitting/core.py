@@ -1,0 +1,68 @@
+"""The core as a run's fit has it: the middle of the panel, and how far off it may be."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from daq.records import Array
+from softsensor.fitting.constants import changed_by
+from softsensor.fitting.problem import CONSTANT, carried_among
+from softsensor.fitting.result import RunFit
+
+
+@dataclass(frozen=True)
+class FittedCore:
+    """Middle of the panel through a run."""
+
+    core: Array
+    """By the fitted model (rows). [°C]"""
+    half: Array
+    """Half of the 95 % band: what coefficients, moments, measuring chain and the panel's constants leave open, as
+    far as the model holds (rows). [K]"""
+    measured: Array
+    """Mean of the thermocouples there, which no fit sees; NaN where none reads (rows). [°C]"""
+
+    @property
+    def error_K(self) -> float:  # noqa: N802
+        """Root mean square of measured minus fitted, NaN without a measured core. [K]"""
+        off = (self.measured - self.core)[np.isfinite(self.measured)]
+        return float(np.sqrt(np.mean(off**2))) if len(off) else float("nan")
+
+
+def fitted_core(fitted: RunFit) -> FittedCore | None:
+    """Return the core of a run that the model describes; None for another, and for a rig without a panel."""
+    problem = fitted.problem
+    if not (fitted.met and problem.case.press.panel_layers):
+        return None
+    present = np.where(problem.rows > 0, 1.0, np.nan)
+    solution = fitted.minimum.evaluation.solution
+    slopes = _derivative(fitted)
+    variance = np.einsum("ri,ij,rj->r", slopes, fitted.covariance, slopes)
+    half = fitted.quantile * np.sqrt(np.maximum(variance, 0.0))
+    return FittedCore(solution.core * present, half * present, _measured(fitted) * present)
+
+
+def _derivative(fitted: RunFit) -> Array:
+    """Return the core's derivatives by the internal variables (rows, unknowns)."""
+    problem, at = fitted.problem, fitted.minimum
+    solution, carried = at.evaluation.solution, carried_among(problem)
+    found = np.zeros((len(solution.core), len(problem.unknowns)))
+    for i, u in enumerate(problem.unknowns):
+        if u.name in solution.d_core:
+            found[:, i] = solution.d_core[u.name] * (u.slope(at.x[i] * u.unit) * u.unit)
+        elif i in carried:
+            change, moved = changed_by(problem, u.name.removeprefix(f"{CONSTANT}:"), u.unit, fitted.values)
+            found[:, i] = (moved.core - solution.core) * (u.unit / change)
+    return found
+
+
+def _measured(fitted: RunFit) -> Array:
+    """Return the mean of the channels in the middle of the panel that the fit does not see (rows). [°C]"""
+    case = fitted.problem.case
+    middle = f"{case.press.panel_layers[0]}.middle"
+    channels = [c for c, s in case.press.sensors_of(case.run, "validation").items() if s.at == middle]
+    cells = np.array([case.run.columns[c] for c in channels]).reshape(-1, len(case.run.time_s))
+    count = np.isfinite(cells).sum(axis=0)
+    return np.where(count > 0, np.nansum(cells, axis=0) / np.maximum(count, 1), np.nan)
