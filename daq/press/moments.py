@@ -27,7 +27,7 @@ STEP_S = 0.02
 _CONTACTS = np.geomspace(0.3, 8.0, 15)
 """Contact coefficient over the panel's effusivity; 700 W/m²K on MDF gives 1.9. [1/√s]"""
 _CLOSING_RAMPS_S = np.linspace(0.1, 1.2, 12)
-"""A press closes in 0.2 to 1 s (contract, section 2), each length as likely as another; some room to both sides. [s]"""
+"""A press closes in 0.2 to 1 s (contract, section 2), all lengths alike; with some room beyond. [s]"""
 _OPENING_RAMPS_S = (0.05, 0.15, 0.25, 0.35, 0.45, 0.55)
 """It opens more quickly than it closes. Set by hand, 2026-11. [s]"""
 _TYPICAL_CONTACT, _CONTACT_SPREAD = 1.9, 0.5

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 
-
 # Thermocouples and logger
 
 CHANNEL_K, CHANNEL_GAIN = 0.3, 0.0015
@@ -65,7 +64,7 @@ SWITCH_S = 0.06
 
 It trips somewhere in a ramp of 0.2 to 1 s near its end; by hand, 2026-11."""
 RAMP_S, RAMP_SD_S, RAMP_LIMITS_S = 0.6, 0.8 / 12**0.5, (0.1, 1.2)
-"""How long closing takes: mean and deviation of anything from 0.2 to 1 s (contract, section 2), limits beyond. [s]"""
+"""How long closing takes: mean and deviation of 0.2 to 1 s (contract, section 2), limits beyond. [s]"""
 SCAN_LATE_S, SCAN_LATE_ROWS, SCAN_APART_ROWS = 0.02, 0.07, 0.12
 """How late panel channels are read: at least, and per row all of them, and one face after the other. [s, rows]
 

@@ -123,7 +123,8 @@ def test_numbers_of_numpy_say_what_plain_ones_say(rate_hz):
     run = make_campaign(6, 1, None, Plan(rate_hz=rate_hz))[0][0]
     sensor = LiveSensor(PRESS, run.header, MODEL)
     said = [
-        sensor.update(t, {name: values[i] for name, values in run.columns.items()}) for i, t in enumerate(run.time_s)
+        sensor.update(t, {name: values[i] for name, values in run.columns.items()})
+        for i, t in enumerate(run.time_s)
     ]
     assert said == replay(run)
 
