@@ -241,14 +241,12 @@ def _delay(chain, a, y, row, h):
     p = q_all - 2
     old = chain.read[a]
     before = chain.true[a]
-    if h <= 0.0:
-        chain.read[a] = y
-        chain.d_read[a] = row
-    elif tau < 2e-3:
+    if h <= 0.0 or tau < 2e-3:
         chain.read[a] = y
         for q in range(q_all):
             chain.d_read[a, q] = row[q]
-        chain.d_read[a, p] = -(y - before) / h
+        if h > 0.0:
+            chain.d_read[a, p] = -(y - before) / h
     else:
         x = h / tau
         e = math.exp(-x)

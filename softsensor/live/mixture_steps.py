@@ -91,9 +91,9 @@ def condition(estimate, readout, hypotheses, out):
     slope = precision @ cross
     inner = np.linalg.inv(narrow)
     still = inner @ pull
-    base = 0.5 * (np.linalg.slogdet(precision)[1] - mean @ (precision @ mean))
+    base = 0.5 * (log_determinant(precision) - mean @ (precision @ mean))
     base -= (np.log(width) + 0.5 * (hypotheses.absent / width) ** 2).sum()
-    base += 0.5 * (pull @ still - np.linalg.slogdet(narrow)[1])
+    base += 0.5 * (pull @ still - log_determinant(narrow))
     carried = inner @ slope
     plain, spread = slope @ (still - mean), variance - cross @ slope + slope @ carried
     out.mean[0], out.variance[0], out.weight[0] = plain, max(spread, 1e-12), base
@@ -102,6 +102,24 @@ def condition(estimate, readout, hypotheses, out):
         out.mean[1 + j] = plain + shift
         out.variance[1 + j] = max(spread + added, 1e-12)
         out.weight[1 + j] = base + evidence
+
+
+@compiled()
+def log_determinant(matrix):
+    """Return the logarithm of the determinant of a positive definite matrix (n, n), by Cholesky's factors.
+
+    Written out: Numba's own function takes a tenth as long again to compile as all else that is here.
+    """
+    n = matrix.shape[0]
+    factor, found = np.zeros((n, n)), 0.0
+    for i in range(n):
+        for j in range(i + 1):
+            left = matrix[i, j]
+            for k in range(j):
+                left -= factor[i, k] * factor[j, k]
+            factor[i, j] = math.sqrt(left) if i == j else left / factor[j, j]
+        found += 2.0 * math.log(factor[i, i])
+    return found
 
 
 @compiled()
@@ -268,7 +286,7 @@ def _without_causes(estimate, hypotheses, states, known):
     _, precision, narrow, _ = _causes(estimate, hypotheses)
     pull = precision @ states[column]
     pull += (known * hypotheses.absent / hypotheses.width**2).reshape(-1, 1)
-    return states + estimate.covariance[:, column] @ (precision @ (np.linalg.solve(narrow, pull) - states[column]))
+    return states + estimate.covariance[:, column] @ (precision @ (np.linalg.inv(narrow) @ pull - states[column]))
 
 
 @compiled()
