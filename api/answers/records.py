@@ -352,10 +352,10 @@ def _why(model: ModelRecord) -> Said | None:
 
 def parameter_words(effects: Iterable[str]) -> dict[str, ParameterWords]:
     """Return how people are told the parameters of some effects, by full name."""
-    from softsensor.effects import catalogue
+    from softsensor.effects import known_effect
 
     found = {}
-    for effect in (catalogue()[name] for name in effects if name in catalogue()):
+    for effect in filter(None, map(known_effect, effects)):
         for p in effect.parameters:
             called, unit = effect.parameter_called(p.name), p.told_unit
             found[effect.key(p.name)] = ParameterWords(

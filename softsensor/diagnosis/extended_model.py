@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from daq.records import Array
@@ -10,11 +12,15 @@ from softsensor.diagnosis.search import SettledModel
 from softsensor.heat.model_file import FittedValue, ModelFile
 
 
-def model_of(stage: SettledModel, version: str = "") -> ModelFile:
+def model_of(
+    stage: SettledModel, version: str = "", kept: Mapping[str, Mapping[str, FittedValue]] | None = None
+) -> ModelFile:
     """Return a stage as a model file: what a further pressing will be like, and how sure that is.
 
-    The covariance is that of the campaign's numbers plus the scatter from run to run.
+    The covariance is that of the campaign's numbers plus the scatter from run to run. Effects in `kept` stand in
+    the file with other numbers than they were fitted by, and without a share in the covariance.
     """
+    kept = kept or {}
     fit, model = stage.fit, stage.fit.layout.model
     names = fit.layout.names
     covariance = fit.covariance + _scatter(stage)
@@ -30,18 +36,19 @@ def model_of(stage: SettledModel, version: str = "") -> ModelFile:
     effects = tuple(
         (
             e.name,
-            {p.name: FittedValue(fit.values[e.key(p.name)], float(sd[e.key(p.name)])) for p in e.parameters},
+            kept.get(e.name)
+            or {p.name: FittedValue(fit.values[e.key(p.name)], float(sd[e.key(p.name)])) for p in e.parameters},
         )
         for e in model.effects
     )
-    kept = [logarithm_of(n) for n in free] + list(fit.layout.effect_names)
-    at = [names.index(n) for n in kept]
+    shared = [n for n in fit.layout.effect_names if n.partition(".")[0] not in kept]
+    at = [names.index(n) for n in (*map(logarithm_of, free), *shared)]
     return ModelFile(
         version=version or "+".join(["diagnosed", *stage.effects]),
         press=model.press.name,
         coefficients=coefficients,
         effects=effects,
-        names=(*free, *fit.layout.effect_names),
+        names=(*free, *shared),
         covariance=covariance[np.ix_(at, at)],
     )
 

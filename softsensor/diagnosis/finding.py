@@ -115,8 +115,10 @@ class Diagnosis:
         return paired_gain(self.base.predicted, self.extended.predicted)
 
     def model_file(self, version: str = "") -> ModelFile:
-        """Return the extended model (the plain one where nothing was named)."""
-        return model_of(self.final, version)
+        """Return the extended model, with the law where one was found (the plain one where nothing was)."""
+        if self.law is None:
+            return model_of(self.final, version)
+        return model_of(self.law.stage, version, {f"law_{self.law.kind}": self.law.kept})
 
     def as_json(self) -> dict[str, Any]:
         """Return the contract's JSON content."""

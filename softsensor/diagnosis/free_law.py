@@ -44,28 +44,38 @@ from softsensor.diagnosis.extension_unknowns import Unknowns, lay_out
 from softsensor.diagnosis.gains import HARDLY, Gain, paired_gain
 from softsensor.diagnosis.numbers import MODEL_ERROR
 from softsensor.diagnosis.search import SettledModel, run_errors
-from softsensor.effects import Conversion, Effect, Scene, Terms, on_panel
-from softsensor.effects.moisture_evaporation import RATE, SOFTNESS
+from softsensor.effects import Effect, Scene, Terms
+from softsensor.effects.free_law import (
+    COLDEST_C,
+    EARLY_S,
+    HOTTEST_C,
+    KNOTS,
+    LAST_S,
+    SIDES,
+    SOURCE,
+    STRENGTH,
+    VALUE,
+    Function,
+    Smooth,
+    contact_knots,
+    contact_terms,
+    exchange_knots,
+    exchange_terms,
+    heat_knots,
+    heat_terms,
+)
 from softsensor.effects.parameters import Parameter
-
-SIDES = {"": slice(None), "lower": slice(0, 1), "upper": slice(-1, None)}
-"""Which of the panel's contacts, from bottom to top, a law of contact is about."""
-KNOTS = {"contact": 12, "heat": 9, "heat_exchange": 5}
-"""Of each kind: as many as a solve bears, and finer than what twelve runs show. By hand, 2026-11."""
-LENGTH = 1.3
-"""Of the kernel, in distances of knots: then no function between knots is lost (by hand, 2026-11)."""
+from softsensor.heat.model_file import FittedValue
 
 # Numbers without another source were set by hand, 2026-11.
 
-EARLY_S = 2.0
-"""Time since closing counts as its logarithm from here on: a contact changes most at first. [s]"""
 COLDEST_K = 15.0
 """So far above the panel's start a law of temperature begins: below, it is not told from the start. [K]"""
 STRENGTHS = np.geomspace(0.02, 10.0, 19)
 """Tried standard deviations of the weights, in units of the kind."""
-HEAT_UNIT = 1e6
-"""Of a law of heat, about the heat capacity of wood per volume. [J/m³K]"""
-EXCHANGE_UNIT = 1e3
+HEAT_SIZE = 1e3
+"""Of a law of heat, about the heat capacity of wood per volume. [kJ/m³K]"""
+EXCHANGE_SIZE = 1e3
 """Of a law of exchange, about a loss at the rim of its typical size. [W/m³K]"""
 INSIDE = 0.9
 """Share of the points at which a known cause's curve must lie in the band to be recognised: issue 24's measure."""
@@ -87,6 +97,8 @@ class LawKind:
     """Of the fitted numbers at these points (points, knots)."""
     told: Callable[[Array], Array]
     """From the smooth function to what is told."""
+    kept: Callable[[Array], dict[str, float]]
+    """From the fitted numbers to those a model file keeps (`effects.free_law`), its strength aside."""
 
 
 @dataclass(frozen=True)
@@ -104,6 +116,10 @@ class Law:
     """Kinds that runs left out do not tell apart, the best first."""
     resembles: str | None
     """The cause of the catalogue whose curve lies in the band."""
+    stage: SettledModel
+    """The fit with it."""
+    kept: Mapping[str, FittedValue]
+    """What a model file keeps of it, by the parameters of `effects.free_law`."""
 
     def as_json(self) -> dict[str, Any]:
         """Return the contract's table."""
@@ -154,8 +170,24 @@ def free_law(stage: SettledModel) -> Law | None:
     curve = _curve(law)
     names = tuple(t.kind.name for t in (law, *alike))
     return Law(
-        law.kind.name, law.kind.variable, law.kind.unit, curve, gain, names, _resembles(law.kind.name, curve)
+        kind=law.kind.name,
+        variable=law.kind.variable,
+        unit=law.kind.unit,
+        curve=curve,
+        gain=gain,
+        set=names,
+        resembles=_resembles(law.kind.name, curve),
+        stage=replace(stage, fit=law.fit),
+        kept=_kept(law),
     )
+
+
+def _kept(law: _Tried) -> dict[str, FittedValue]:
+    """Return a law's numbers for a model file; its strength is as unsure as the curve is, root mean square."""
+    value, low, high = _band(law)
+    doubt = float(np.sqrt(np.mean(((high - low) / 2.0) ** 2) / np.mean(value**2))) / _two_sided(law)
+    numbers = law.kind.kept(law.fit.theta[_places(law)])
+    return {STRENGTH: FittedValue(1.0, doubt)} | {name: FittedValue(v, 0.0) for name, v in numbers.items()}
 
 
 def _chosen_without(fell: Array, run: int) -> int:
@@ -186,97 +218,73 @@ def _kinds(stage: SettledModel) -> Iterator[LawKind]:
 
 def contact_by_time(last_s: float, side: str = "") -> LawKind:
     """Return the contact, or that of one `side`, as a free function of the time since closing. [s]"""
-    end = float(np.log1p(last_s / EARLY_S))
-    smooth = _Smooth.over(0.0, end, KNOTS["contact"])
+    smooth = contact_knots(last_s)
 
     def terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
-        if np.isnan(scene.closed_s):
-            return Terms()
-        since = 0.5 * (scene.step_start + scene.step_end) - scene.closed_s
-        since = np.where(np.real(since) > 0.0, since, 0.0)
-        since = np.where(np.real(since) < last_s, since, last_s)
-        rise = (smooth(np.log(1.0 + since / EARLY_S)) - smooth(np.array([end]))) @ _weights(values)
-        return Terms(closed_contact=dict.fromkeys(scene.panel_contacts[SIDES[side]], np.exp(rise)))
+        return contact_terms(scene, _function(smooth, values), last_s, side)
 
-    x = EARLY_S * np.expm1(np.linspace(0.0, end, POINTS))
-    weights = smooth(np.log1p(x / EARLY_S)) - smooth(np.array([end]))
-    effect = _effect("law_contact", KNOTS["contact"], terms)
-    return LawKind(
-        f"contact_{side}" if side else "contact", "time_since_closing_s", "-", effect, x, weights, np.exp
-    )
+    end = smooth.knots[-1:]
+    along = np.linspace(0.0, end[0], POINTS)
+    weights = smooth.weights(along) - smooth.weights(end)
+    kind = f"contact_{side}" if side else "contact"
+
+    def kept(numbers: Array) -> dict[str, float]:
+        return {LAST_S: last_s, **_at_knots(smooth, numbers)}
+
+    effect = _effect(kind, smooth, terms)
+    x = EARLY_S * np.expm1(along)
+    return LawKind(kind, "time_since_closing_s", "-", effect, x, weights, np.exp, kept)
 
 
 def heat_by_temperature(coldest_C: float, hottest_C: float) -> LawKind:
-    """Return heat that goes for good as the panel warms up, as a free function of temperature.
-
-    The heat of each knot goes as the water of `moisture_evaporation` does, at the same rate above its temperature.
-    """
-    knots = np.linspace(coldest_C, hottest_C, KNOTS["heat"])
-    smooth = _Smooth.over(coldest_C, hottest_C, KNOTS["heat"])
-    at_knots, apart = smooth(knots), float(knots[1] - knots[0])
+    """Return heat that goes for good as the panel warms up, as a free function of temperature. [°C]"""
+    smooth = heat_knots(coldest_C, hottest_C)
 
     def terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
-        taken = at_knots @ _weights(values) * (HEAT_UNIT * apart)
-        return Terms(
-            conversions=tuple(
-                Conversion(on_panel(scene, -heat, 0.0), 1, RATE, knot, SOFTNESS)
-                for heat, knot in zip(taken, knots, strict=True)
-            )
-        )
+        return heat_terms(scene, _function(smooth, values, HEAT_SIZE), smooth)
+
+    def kept(numbers: Array) -> dict[str, float]:
+        return {COLDEST_C: coldest_C, HOTTEST_C: hottest_C, **_at_knots(smooth, HEAT_SIZE * numbers)}
 
     x = np.linspace(coldest_C, hottest_C, POINTS)
-    effect = _effect("law_heat", KNOTS["heat"], terms, nonlinear=True)
-    return LawKind("heat", "temperature_C", "kJ/m3K", effect, x, smooth(x), lambda f: f * HEAT_UNIT / 1e3)
+    effect = _effect("heat", smooth, terms, nonlinear=True)
+    weights = HEAT_SIZE * smooth.weights(x)
+    return LawKind("heat", "temperature_C", "kJ/m3K", effect, x, weights, np.asarray, kept)
 
 
 def exchange_by_depth() -> LawKind:
     """Return heat lost to the room as a free function of the height in the panel."""
-    smooth = _Smooth.over(-1.0, 1.0, KNOTS["heat_exchange"])
+    smooth = exchange_knots()
 
     def terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
-        lost = smooth(scene.z) @ _weights(values) * EXCHANGE_UNIT
-        return Terms(exchange=np.where(scene.panel_cells, lost, 0.0))
+        return exchange_terms(scene, _function(smooth, values, EXCHANGE_SIZE))
+
+    def kept(numbers: Array) -> dict[str, float]:
+        return _at_knots(smooth, EXCHANGE_SIZE * numbers)
 
     z = np.linspace(-1.0, 1.0, POINTS)
-    effect = _effect("law_exchange", KNOTS["heat_exchange"], terms)
-    return LawKind(
-        "heat_exchange", "depth_share", "W/m3K", effect, 0.5 * (z + 1.0), smooth(z), lambda f: f * EXCHANGE_UNIT
-    )
+    effect = _effect("heat_exchange", smooth, terms)
+    weights = EXCHANGE_SIZE * smooth.weights(z)
+    return LawKind("heat_exchange", "depth_share", "W/m3K", effect, 0.5 * (z + 1.0), weights, np.asarray, kept)
 
 
-@dataclass(frozen=True)
-class _Smooth:
-    """A Gaussian process on knots: weights of independent standard normal numbers at places."""
-
-    knots: Array
-    length: float
-    root: Array
-    """Inverse of the kernel's Cholesky factor at the knots, transposed."""
-
-    @staticmethod
-    def over(low: float, high: float, count: int) -> _Smooth:
-        knots = np.linspace(low, high, count)
-        length = LENGTH * (high - low) / (count - 1)
-        kernel = np.exp(-0.5 * ((knots[:, None] - knots[None, :]) / length) ** 2) + 1e-6 * np.eye(count)
-        return _Smooth(knots, length, np.asarray(np.linalg.inv(np.linalg.cholesky(kernel)).T))
-
-    def __call__(self, x: Any) -> Any:
-        """Return the weights (places, knots); plain algebra, so that complex places keep their derivative."""
-        return np.exp(-0.5 * ((x[:, None] - self.knots[None, :]) / self.length) ** 2) @ self.root
+def _function(smooth: Smooth, values: Mapping[str, Any], size: float = 1.0) -> Function:
+    numbers = size * np.array([values[name] for name in values])
+    return lambda x: smooth.weights(x) @ numbers
 
 
-def _weights(values: Mapping[str, Any]) -> Any:
-    return np.array([values[name] for name in values])
+def _at_knots(smooth: Smooth, numbers: Array) -> dict[str, float]:
+    return {f"{VALUE}_{knot}": float(value) for knot, value in enumerate(smooth.factor @ numbers)}
 
 
 def _effect(
-    name: str, count: int, terms: Callable[[Scene, Mapping[str, Any]], Terms], *, nonlinear: bool = False
+    kind: str, smooth: Smooth, terms: Callable[[Scene, Mapping[str, Any]], Terms], *, nonlinear: bool = False
 ) -> Effect:
     parameters = tuple(
         Parameter(f"w{i}", "-", 0.0, 1.0, -40.0, 40.0, "weight of a free law, no physical number")
-        for i in range(count)
+        for i in range(smooth.factor.shape[1])
     )
-    return Effect(name, parameters, terms, "free function, learned from the runs", nonlinear=nonlinear)
+    return Effect(f"law_{kind}", parameters, terms, SOURCE, nonlinear=nonlinear)
 
 
 def _tried(stage: SettledModel, kind: LawKind) -> _Tried:
@@ -326,13 +334,17 @@ def learned_strength(fit: SharedFit, names: Sequence[str]) -> float:
 
 
 def _curve(law: _Tried) -> Array:
-    """Return the curve with its 95 % band: the wider of curvature and scatter from run to run, point by point.
+    """Return the curve with its 95 % band as it is told (points, 4)."""
+    return np.stack([law.kind.x, *map(law.kind.told, _band(law))], axis=1)
+
+
+def _band(law: _Tried) -> tuple[Array, Array, Array]:
+    """Return the function with its 95 % band: the wider of curvature and scatter from run to run, by point.
 
     What a smooth law leaves over of a sharp one counts as noise in the curvature. To it comes what every law of
     the diagnosis is off: `MODEL_ERROR`, here as a share of the curve's range.
     """
-    fit, kind = law.fit, law.kind
-    at = [fit.layout.names.index(kind.effect.key(p.name)) for p in kind.effect.parameters]
+    fit, kind, at = law.fit, law.kind, _places(law)
     runs, covariance = len(fit.runs), fit.covariance
     left = sum(r.cost for r in fit.runs) / max(law.readings, 1)
     centred = [g - np.mean(fit.gradients, axis=0) for g in fit.gradients]
@@ -344,8 +356,17 @@ def _curve(law: _Tried) -> Array:
         for c in (max(left, 1.0) * covariance, robust)
     ]
     simple = (MODEL_ERROR * float(np.ptp(middle))) ** 2
-    half = float(stdtrit(runs - 1, 0.975)) * np.sqrt(np.maximum(*spreads) + simple)
-    return np.stack([kind.x, *(kind.told(f) for f in (middle, middle - half, middle + half))], axis=1)
+    half = _two_sided(law) * np.sqrt(np.maximum(*spreads) + simple)
+    return middle, middle - half, middle + half
+
+
+def _two_sided(law: _Tried) -> float:
+    return float(stdtrit(len(law.fit.runs) - 1, 0.975))
+
+
+def _places(law: _Tried) -> list[int]:
+    effect = law.kind.effect
+    return [law.fit.layout.names.index(effect.key(p.name)) for p in effect.parameters]
 
 
 def _resembles(kind: str, curve: Array) -> str | None:

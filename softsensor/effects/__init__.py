@@ -35,6 +35,7 @@ from softsensor.effects import (
     vapour_convection,
 )
 from softsensor.effects.effect import Conversion, Effect, Live, Need, Role, Scene, Terms, on_panel
+from softsensor.effects.free_law import laws
 
 ENTRY_POINTS = "kerntemp.effects"
 """A package that declares an entry point of this group, naming an `Effect`, adds to the catalogue."""
@@ -120,12 +121,17 @@ def words_of_own_effects(language: str) -> dict[str, str]:
     return dict(words.catalogue_of(language).learnt)
 
 
+def known_effect(name: str) -> Effect | None:
+    """Return the effect of that name, one of the catalogue or a law of a model file; None where there is none."""
+    return catalogue().get(name) or laws().get(name)
+
+
 def find_effect(name: str) -> Effect:
     """Return the effect of that name. Raises InputError with the known names."""
-    try:
-        return catalogue()[name]
-    except KeyError:
-        raise InputError(say("effect-not-in-catalogue", name=repr(name), known=tuple(catalogue()))) from None
+    effect = known_effect(name)
+    if effect is None:
+        raise InputError(say("effect-not-in-catalogue", name=repr(name), known=tuple(catalogue())))
+    return effect
 
 
 __all__ = [
@@ -141,6 +147,7 @@ __all__ = [
     "add_effect",
     "catalogue",
     "find_effect",
+    "known_effect",
     "learn_words",
     "on_panel",
     "words_of_own_effects",

@@ -29,6 +29,8 @@ class Parameter:
     """What can be at all, wider than the limits of a search: beyond, the equations mean nothing."""
     sd: float = 0.0
     """How far it may lie from `typical` where the effect is present; 0: as far as from `neutral`."""
+    fixed: bool = False
+    """Whether it only says what the effect is, so that nothing searches or doubts it."""
     told: tuple[float, str] | None = None
     """Factor and unit people are told it with, such as (100, "%"), a unit in words by its code in the catalogues
     (``unit-times-nominal``); None: the value itself with `unit`."""

@@ -11,7 +11,7 @@ from typing import Any
 
 from daq.press.press_file import Contact, Press
 from daq.words import Message, say
-from softsensor.effects import catalogue
+from softsensor.effects import known_effect
 
 SIDES = re.compile(r"_(top|bottom|upper|lower)$")
 SIDED = ("body-plate", "body-platen")
@@ -64,8 +64,8 @@ def parameters_told(effect: str, values: Mapping[str, Mapping[str, Any]]) -> lis
     values
         By parameter name: ``value`` and ``ci95``, as in the JSON of a diagnosis.
     """
-    effects = catalogue()
-    known = {p.name: p for p in effects[effect].parameters} if effect in effects else {}
+    own = known_effect(effect)
+    known = {p.name: p for p in own.parameters} if own is not None else {}
     found = []
     for name, entry in values.items():
         value, ci95 = entry["value"], entry.get("ci95")
@@ -75,9 +75,9 @@ def parameters_told(effect: str, values: Mapping[str, Mapping[str, Any]]) -> lis
             found.append(Told(name, plain_name, say("list-of-names", names=tuple(columns)), no_unit, None))
             continue
         factor, words, unit = 1.0, plain_name, no_unit
-        if name in known:
+        if own is not None and name in known:
             factor, unit = known[name].factor, known[name].told_unit
-            words = effects[effect].parameter_called(name)
+            words = own.parameter_called(name)
         ends = None if ci95 is None else [factor * float(end) for end in ci95]
         between = None if ends is None else say("parameter-interval", low=ends[0], high=ends[1])
         found.append(Told(name, words, say("report-number-3", value=factor * value), unit, between))
@@ -92,7 +92,7 @@ def called(effect: str) -> Message:
     >>> str(called("edge_loss")), str(called("somebody_elses"))
     ('heat lost at the rim', 'somebody elses')
     """
-    known = catalogue().get(effect)
+    known = known_effect(effect)
     return known.called if known else _plain(effect.replace("_", " "))
 
 

@@ -73,7 +73,9 @@ def fit_runs(
     """Fit every run on all cores, in order; `options` are those of `fit_run`."""
     workers, fit = _cores(workers, runs), partial(_fit, model, options)
     # compiled before the first run, whose time would otherwise hold that
-    minimise(make_problem(model, runs[0], moments_of(runs[0], model.press)), max_evaluations=1)
+    minimise(
+        make_problem(model, runs[0], moments_of(runs[0], model.press), options.get("start")), max_evaluations=1
+    )
     if workers == 1:
         return _collect(map(fit, runs), progress)
     if len(runs) < PROCESSES_FROM:

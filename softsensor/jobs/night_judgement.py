@@ -444,9 +444,10 @@ def _errors(press: Press, run: Run, model: ModelFile | None, core: Array) -> Arr
 
 
 def _diagnose(night: Night, runs: Sequence[str]) -> tuple[dict[str, Any], ModelFile]:
-    """Ask what the plain model gets wrong on these runs."""
+    """Ask what the plain model gets wrong on these runs; a law without a name is told and not promoted."""
+    from softsensor.diagnosis.extended_model import model_of
     from softsensor.diagnosis.summary import as_stored
     from softsensor.diagnosis.verdict import diagnose
 
     found = diagnose(night.press, night.runs(runs))
-    return {**as_stored(found), "predicted_gain_ci95": found.predicted_gain.ci95}, found.model_file()
+    return {**as_stored(found), "predicted_gain_ci95": found.predicted_gain.ci95}, model_of(found.final)

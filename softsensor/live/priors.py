@@ -180,6 +180,8 @@ def effect_priors(model: ModelFile | None) -> list[Unknown]:
     for name, table in () if model is None else model.effects:
         effect = find_effect(name)
         for p in effect.parameters:
+            if p.fixed:
+                continue
             known = table.get(p.name)
             value = p.typical if known is None else known.value
             reach = abs(value - p.neutral)

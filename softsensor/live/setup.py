@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -48,6 +48,8 @@ class RunSetup:
     """The panel's initial temperature as the header says, NaN without a panel. [°C]"""
     directions: tuple[Unowned, ...]
     """Parameters that no effect owns."""
+    fixed: Mapping[str, float] = field(default_factory=dict)
+    """What says how an effect of the model goes and is not in doubt, by full name."""
     resin: ResinSetup | None = None
     """How the paper cures and what must hold at opening, where that is asked for."""
     cases: dict[tuple[str, ...], Case] = field(default_factory=dict, compare=False)
@@ -122,7 +124,13 @@ def set_up(press: Press, run: Run, model: ModelFile | None) -> RunSetup:
     panel = panel_of(run) if press.panel_layers else None
     start = panel.initial_temperature if panel is not None else math.nan
     directions = directions_of(press, run, panel, model)
-    return RunSetup(press, run, tuple(sensors), place, labels, effects, start, directions)
+    fixed = {
+        effect.key(p.name): table[p.name].value
+        for effect, (_, table) in zip(map(find_effect, effects), model.effects if model else (), strict=True)
+        for p in effect.parameters
+        if p.fixed and p.name in table
+    }
+    return RunSetup(press, run, tuple(sensors), place, labels, effects, start, directions, fixed)
 
 
 def with_platens(setup: RunSetup, platens: Sequence[float]) -> RunSetup:
@@ -162,7 +170,7 @@ def _panel_alone(setup: RunSetup) -> tuple[RunSetup, tuple[int, int]] | None:
     run = Run("faces", header, setup.run.time_s, columns, setup.run.source)
     inside = tuple(name for name in setup.effects if find_effect(name).live.role in _IN_PANEL)
     own = tuple(d for d in setup.directions if d.layers and set(d.layers) <= set(layers))
-    alone = RunSetup(press, run, (), np.zeros(0, np.int64), (), inside, start, own)
+    alone = RunSetup(press, run, (), np.zeros(0, np.int64), (), inside, start, own, setup.fixed)
     return alone, (setup.labels.index(wanted[0]), setup.labels.index(wanted[1]))
 
 
@@ -172,6 +180,7 @@ def linearise(setup: RunSetup, plan: FilterPlan, at: Array) -> Linearised:
     thermal = ThermalModel(setup.press, tuple(find_effect(name) for name in effects))
     names = tuple(p.name for p in plan.priors)
     values, units = _values(plan.priors, effects, at)
+    values |= {name: value for name, value in setup.fixed.items() if name in values}
     if effects not in setup.cases:
         setup.cases[effects] = thermal.prepare(setup.run, Moments(closed_s=0.0), max_step_s=60.0)
         setup.profiles[effects] = _profile(setup, setup.cases[effects])

@@ -118,6 +118,8 @@ def _in_force(model: Mapping[str, Any], bodies: Callable[[str], Message | str]) 
         effect = find_effect(table["name"])
         known = {p.name: p for p in effect.parameters}
         for name, entry in table.get("parameters", {}).items():
+            if known[name].fixed:
+                continue
             scale = (known[name].factor, known[name].told_unit)
             row = _row(effect.key(name), effect.parameter_called(name), scale, entry)
             rows.append(row | {"short": effect.called})

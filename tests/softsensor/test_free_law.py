@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from functools import cache
 from types import SimpleNamespace
 from typing import cast
@@ -13,6 +14,7 @@ from daq.press.press_file import parse_press
 from daq.simulated.campaign import Effects, Plan, make_campaign, press_toml
 from daq.words.message import words
 from softsensor.diagnosis import free_law as laws
+from softsensor.diagnosis.extended_model import model_of
 from softsensor.diagnosis.extension import SharedFit
 from softsensor.diagnosis.finding import Diagnosis
 from softsensor.diagnosis.free_law import Law, free_law, learned_strength
@@ -20,7 +22,12 @@ from softsensor.diagnosis.gains import Gain
 from softsensor.diagnosis.search import SettledModel, settle_base
 from softsensor.diagnosis.summary import law_said
 from softsensor.diagnosis.verdict import _screened
+from softsensor.effects import find_effect
+from softsensor.effects.free_law import STRENGTH
+from softsensor.fitting.simulated_run import simulate_run
 from softsensor.heat.model import ThermalModel
+from softsensor.heat.model_file import model_text, parse_model
+from softsensor.live.replay import replay
 
 PRESS_S = 30.0
 THIN = Plan(
@@ -96,6 +103,64 @@ def test_heat_that_goes_at_the_boiling_point_is_found_by_temperature_and_recogni
     assert found.resembles == "moisture_evaporation"
 
 
+@pytest.mark.parametrize("kind", ["contact_upper", "heat", "heat_exchange"])
+def test_a_law_in_a_model_file_heats_the_panel_as_the_fitted_one_did(kind):
+    made = {
+        "contact_upper": laws.contact_by_time(30.0, "upper"),
+        "heat": laws.heat_by_temperature(40.0, 160.0),
+        "heat_exchange": laws.exchange_by_depth(),
+    }[kind]
+    press = parse_press(press_toml())
+    run, truth = make_campaign(43, 1, None, THIN)[0]
+    numbers = 0.6 * np.random.default_rng(4).normal(size=len(made.effect.parameters))
+    fitted = {made.effect.key(p.name): v for p, v in zip(made.effect.parameters, numbers, strict=True)}
+    stored = find_effect(f"law_{kind}")
+    kept = {stored.key(name): value for name, value in made.kept(numbers).items()}
+    found = []
+    for effect, values in ((made.effect, fitted), (stored, kept | {stored.key(STRENGTH): 1.0})):
+        model = ThermalModel(press, (effect,))
+        case = model.prepare(run, truth.moments)
+        found.append(model.solve(case, model.guesses | values).core)
+    plain = ThermalModel(press)
+    without = plain.solve(plain.prepare(run, truth.moments), plain.guesses).core
+    absent = model.solve(case, model.guesses | kept | {stored.key(STRENGTH): 0.0}).core
+    assert found[1] == pytest.approx(found[0], abs=1e-6)
+    assert np.max(np.abs(found[1] - without)) > 0.2
+    assert absent == pytest.approx(without, abs=0.02)
+
+
+def test_a_law_found_goes_with_the_model_to_runs_nobody_has_seen(tmp_path):
+    """Faces and core of six further runs, simulated and predicted, beside the model without the law."""
+    found, base = law("lapse"), settled("lapse")
+    assert found is not None
+    press = parse_press(press_toml())
+    with_law = model_of(found.stage, "", {"law_contact_upper": found.kept})
+    (tmp_path / "model.json").write_text(model_text(with_law), encoding="utf-8")
+    read = parse_model(json.loads((tmp_path / "model.json").read_text(encoding="utf-8")), "here")
+    assert read.effects[0][0] == "law_contact_upper"
+    assert read.effects[0][1] == with_law.effects[0][1]
+    assert read.effects[0][1][STRENGTH].value == 1.0
+    assert 0.01 < read.effects[0][1][STRENGTH].sd < 0.5
+    unseen = make_campaign(41, 14, LAPSE, THIN)[8:]
+    errors = {}
+    for name, model in (("plain", model_of(base)), ("law", read)):
+        faces, live = [], []
+        for run, truth in unseen:
+            out = simulate_run(run, press, model.model(press), model.values)
+            inside = (out.time_s >= truth.moments.closed_s) & (out.time_s < truth.moments.opened_s)
+            faces.append(np.mean((out.places["panel.top"] - truth.top_C)[inside] ** 2))
+            said = replay(press, run, model).estimates
+            live += [
+                (e.core_C - c, e.core_low_C <= c <= e.core_high_C)
+                for e, c in zip(said, truth.core_C, strict=True)
+                if e.valid
+            ]
+        errors[name] = (np.sqrt(np.mean(faces)), *np.array(live).T)
+    assert errors["law"][0] < 0.85 * errors["plain"][0]
+    assert len(errors["law"][1]) > 100
+    assert np.mean(errors["law"][2]) >= 0.95
+
+
 def test_the_strength_of_a_law_is_that_of_the_likeliest_prior():
     """Closed form: of weights measured with variance v the likeliest prior has the variance mean(a^2) - v."""
     rng = np.random.default_rng(3)
@@ -131,7 +196,8 @@ def test_a_law_of_contact_that_grows_is_a_buildup():
 def test_a_law_is_told_in_words_and_as_the_contract_has_it(language, part):
     x = np.linspace(0.0, 30.0, 33)
     curve = np.stack([x, 1.0 - 0.5 * x / 30.0, x, x], axis=1)
-    one = Law("contact", "time_since_closing_s", "-", curve, Gain(0.8, (0.5, 1.0)), ("contact", "heat"), None)
+    told = ("contact", "time_since_closing_s", "-", curve, Gain(0.8, (0.5, 1.0)), ("contact", "heat"), None)
+    one = Law(*told, stage=settled("nothing"), kept={})
     found = SimpleNamespace(law=one, extended=SimpleNamespace(heldout_rmse_K=1.2))
     said = [words(m, language) for m in law_said(cast(Diagnosis, found))]
     assert part in said[0]

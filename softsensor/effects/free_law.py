@@ -1,0 +1,208 @@
+"""What is missing as a smooth function of one variable: an effect without a name, whose curve is data.
+
+A diagnosis learns the curve (`softsensor.diagnosis.free_law`); here it acts on the stack, while it is fitted and
+later, in a model file. There it is an effect like others: how strong it is (1 as found), where its knots lie, and
+its values at them. These effects stand in no catalogue, since nobody looks for one by its name.
+
+=======================  =========================================================================================
+effect                   values at the knots
+=======================  =========================================================================================
+``law_contact``          logarithm of the factor on the closed panel's contacts, up to a constant that makes the
+                         factor 1 at the longest time seen, over log(1 + t / 2 s) of the time
+                         t since closing; ``law_contact_lower`` and ``law_contact_upper`` on one of them alone
+``law_heat``             heat that goes for good as the panel warms up, over its temperature [kJ/m³K]
+``law_heat_exchange``    heat lost to the room, over the height in the panel [W/m³K]
+=======================  =========================================================================================
+
+References
+----------
+Rasmussen & Williams, Gaussian Processes for Machine Learning (2006), sec. 8.3.1 (subset of regressors).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import cache
+from math import inf
+from typing import Any
+
+import numpy as np
+
+from daq.records import Array
+from daq.words import Message, say
+from softsensor.effects.effect import Conversion, Effect, Live, Need, Numbers, Role, Scene, Terms, on_panel
+from softsensor.effects.moisture_evaporation import RATE, SOFTNESS
+from softsensor.effects.parameters import Parameter
+
+SIDES = {"": slice(None), "lower": slice(0, 1), "upper": slice(-1, None)}
+"""Which of the panel's contacts, from bottom to top, a law of contact is about."""
+KNOTS = {"contact": 12, "heat": 9, "heat_exchange": 5}
+"""Of each kind: as many as a solve bears, and finer than what twelve runs show. By hand, 2026-11."""
+LENGTH = 1.3
+"""Of the kernel, in distances of knots: then no function between knots is lost (by hand, 2026-11)."""
+EARLY_S = 2.0
+"""Time counts as its logarithm from here on: a contact changes most at first (by hand, 2026-11). [s]"""
+HEAT_UNIT = 1e3
+"""From what a law of heat is told in. [J/m³K per kJ/m³K]"""
+STRENGTH, LAST_S, COLDEST_C, HOTTEST_C = "strength", "last_s", "coldest_C", "hottest_C"
+VALUE = "value"
+"""Of each knot, with its number."""
+
+Function = Callable[[Any], Any]
+"""A smooth function of places (places), in what the kind is told in; plain algebra, complex numbers go through."""
+
+
+@dataclass(frozen=True)
+class Smooth:
+    """A Gaussian process on evenly spaced knots, with a squared-exponential kernel."""
+
+    knots: Array
+    length: float
+    inverse: Array
+    """Of the kernel at the knots (knots, knots)."""
+    factor: Array
+    """Values at the knots are it times independent standard normal numbers (knots, knots)."""
+
+    @staticmethod
+    def over(low: float, high: float, count: int) -> Smooth:
+        """Return the process with so many knots from `low` to `high`."""
+        knots = np.linspace(low, high, count)
+        length = LENGTH * (high - low) / (count - 1)
+        kernel = np.exp(-0.5 * ((knots[:, None] - knots[None, :]) / length) ** 2) + 1e-6 * np.eye(count)
+        factor = np.asarray(np.linalg.cholesky(kernel), dtype=float)
+        return Smooth(knots, length, np.asarray(np.linalg.inv(kernel), dtype=float), factor)
+
+    def weights(self, x: Any) -> Any:
+        """Return the weights of the independent normal numbers at some places (places, knots)."""
+        return self._near(x) @ (self.inverse @ self.factor)
+
+    def through(self, values: Any) -> Function:
+        """Return the likeliest function through values at the knots (knots)."""
+        steep = self.inverse @ values
+        return lambda x: self._near(x) @ steep
+
+    def _near(self, x: Any) -> Any:
+        return np.exp(-0.5 * ((x[:, None] - self.knots[None, :]) / self.length) ** 2)
+
+
+def contact_knots(last_s: float) -> Smooth:
+    """Return the process of a law of contact, over log(1 + t / 2 s) of the time since closing. [s]"""
+    return Smooth.over(0.0, float(np.log1p(last_s / EARLY_S)), KNOTS["contact"])
+
+
+def heat_knots(coldest_C: float, hottest_C: float) -> Smooth:
+    """Return the process of a law of heat, over temperature. [°C]"""
+    return Smooth.over(coldest_C, hottest_C, KNOTS["heat"])
+
+
+def exchange_knots() -> Smooth:
+    """Return the process of a law of exchange, over the height from -1 (lower face) to 1."""
+    return Smooth.over(-1.0, 1.0, KNOTS["heat_exchange"])
+
+
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
+"""A contact changes by shares within a long step: its mean is taken over these."""
+
+
+def contact_terms(scene: Scene, law: Function, last_s: float, side: str = "") -> Terms:
+    """Return the contacts' factors: `law` is their logarithm, up to a constant, and 1 the factor last seen. [s]"""
+    if np.isnan(scene.closed_s):
+        return Terms()
+    middle, half = 0.5 * (scene.step_start + scene.step_end), 0.5 * (scene.step_end - scene.step_start)
+    end = law(np.log1p(np.array([last_s]) / EARLY_S))
+    factor: Numbers = np.zeros(len(middle))
+    for node, weight in zip(_NODES, _WEIGHTS, strict=True):
+        since = middle + node * half - scene.closed_s
+        since = np.where(np.real(since) > 0.0, since, 0.0)
+        since = np.where(np.real(since) < last_s, since, last_s)
+        factor = factor + 0.5 * weight * np.exp(law(np.log(1.0 + since / EARLY_S)) - end)
+    return Terms(closed_contact=dict.fromkeys(scene.panel_contacts[SIDES[side]], factor))
+
+
+def heat_terms(scene: Scene, law: Function, smooth: Smooth) -> Terms:
+    """Return heat that goes once, by each knot as the water of `moisture_evaporation` does above its boiling."""
+    apart = float(smooth.knots[1] - smooth.knots[0])
+    return Terms(
+        conversions=tuple(
+            Conversion(on_panel(scene, -heat, 0.0), 1, RATE, knot, SOFTNESS)
+            for heat, knot in zip(law(smooth.knots) * (HEAT_UNIT * apart), smooth.knots, strict=True)
+        )
+    )
+
+
+def exchange_terms(scene: Scene, law: Function) -> Terms:
+    """Return heat lost to the room by height in the panel."""
+    return Terms(exchange=np.where(scene.panel_cells, law(scene.z), 0.0))
+
+
+@dataclass(frozen=True)
+class LawEffect(Effect):
+    """A law as a model file holds it."""
+
+    @property
+    def called(self) -> Message:
+        """What it is called in the middle of a sentence."""
+        return say(f"law-kind-{self.name.removeprefix('law_')}")
+
+    def parameter_called(self, parameter: str) -> Message:
+        """Return what a parameter is, in words an operator knows."""
+        name, _, knot = parameter.partition("_") if parameter.startswith(VALUE) else (parameter, "", "")
+        return say(f"parameter-law-{name}", knot=knot) if knot else say(f"parameter-law-{name}")
+
+
+def _parameters(knots: int, unit: str, ranges: Mapping[str, tuple[float, str]]) -> Iterator[Parameter]:
+    """Yield a law's parameters: how strong it is, then numbers that say what it is and that nobody searches."""
+    found = "as the runs behind the model have it"
+    yield Parameter(
+        STRENGTH, "-", 0.0, 1.0, -10.0, 10.0, "1 where a further run shows what the runs before it did"
+    )
+    for name, (usual, of) in ranges.items():
+        yield Parameter(name, of, usual, usual, -inf, inf, found, fixed=True)
+    for knot in range(knots):
+        yield Parameter(f"{VALUE}_{knot}", unit, 0.0, 0.0, -inf, inf, found, fixed=True)
+
+
+def _given(smooth: Smooth, values: Mapping[str, Any]) -> Function:
+    """Return the function that a model file's numbers mean."""
+    law = smooth.through(np.array([np.real(values[f"{VALUE}_{knot}"]) for knot in range(len(smooth.knots))]))
+    return lambda x: values[STRENGTH] * law(x)
+
+
+def _contact(side: str) -> LawEffect:
+    def terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
+        last_s = float(np.real(values[LAST_S]))
+        return contact_terms(scene, _given(contact_knots(last_s), values), last_s, side)
+
+    parameters = tuple(_parameters(KNOTS["contact"], "-", {LAST_S: (60.0, "s")}))
+    live = Live(Role.SCATTER, with_states=True)
+    name = f"law_contact_{side}" if side else "law_contact"
+    return LawEffect(name, parameters, terms, SOURCE, live=live, needs=Need.PANEL)
+
+
+def _heat() -> LawEffect:
+    def terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
+        smooth = heat_knots(float(np.real(values[COLDEST_C])), float(np.real(values[HOTTEST_C])))
+        return heat_terms(scene, _given(smooth, values), smooth)
+
+    parameters = tuple(_parameters(KNOTS["heat"], "kJ/m³K", {COLDEST_C: (40.0, "°C"), HOTTEST_C: (200.0, "°C")}))
+    live = Live(Role.OWN_FILTER)
+    return LawEffect("law_heat", parameters, terms, SOURCE, live=live, nonlinear=True, needs=Need.PANEL)
+
+
+def _exchange() -> LawEffect:
+    def terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
+        return exchange_terms(scene, _given(exchange_knots(), values))
+
+    parameters = tuple(_parameters(KNOTS["heat_exchange"], "W/m³K", {}))
+    live = Live(Role.HYPOTHESIS)
+    return LawEffect("law_heat_exchange", parameters, terms, SOURCE, live=live, needs=Need.PANEL)
+
+
+SOURCE = "free function, learned from the runs"
+
+
+@cache
+def laws() -> dict[str, Effect]:
+    """Return the effects that carry a law, by name."""
+    return {effect.name: effect for effect in (*map(_contact, SIDES), _heat(), _exchange())}
