@@ -649,6 +649,7 @@ sensor-outside-layer = { $run }: ein Fühler bei depth_mm = { NUMBER($depth_mm, 
 solve-exact-contact-changes = method = 'exact': ein Kontakt ändert sich in der geschlossenen Presse; den impliziten Löser nehmen
 solve-exact-moments-too-near = method = 'exact': weniger als vier Schritte in { NUMBER($seconds, maximumFractionDigits: 6) } s zwischen zwei Bewegungen der Presse; den impliziten Löser nehmen
 solve-exact-not-linear = method = 'exact': { $what } ist nicht linear; den impliziten Löser nehmen
+solve-no-temperatures = { $run }: Aus diesen Übergängen und Quellen folgen keine Temperaturen; so etwas gibt es in keinem Stoff
 solve-table-or-radiation = eine Stoffwerttabelle oder Strahlung
 solve-unknown-method = method = { $method }: muss 'implicit' oder 'exact' sein
 solve-value-out-of-range = { $name } = { $value }: muss eine Zahl von { NUMBER($lower, maximumFractionDigits: 6) } bis { NUMBER($upper, maximumFractionDigits: 6) } sein

@@ -649,6 +649,7 @@ sensor-outside-layer = { $run }: a sensor at depth_mm = { NUMBER($depth_mm, maxi
 solve-exact-contact-changes = method = 'exact': a contact changes while the press is closed; use the implicit solver
 solve-exact-moments-too-near = method = 'exact': less than four steps in { NUMBER($seconds, maximumFractionDigits: 6) } s between two moments of the press; use the implicit solver
 solve-exact-not-linear = method = 'exact': { $what } is not linear; use the implicit solver
+solve-no-temperatures = { $run }: no temperatures follow from these contacts and sources; they are beyond what matter has
 solve-table-or-radiation = a property table or radiation
 solve-unknown-method = method = { $method }: must be 'implicit' or 'exact'
 solve-value-out-of-range = { $name } = { $value }: must be a number from { NUMBER($lower, maximumFractionDigits: 6) } to { NUMBER($upper, maximumFractionDigits: 6) }

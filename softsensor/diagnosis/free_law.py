@@ -37,7 +37,7 @@ from typing import Any
 import numpy as np
 from scipy.special import stdtrit
 
-from daq.records import Array
+from daq.records import Array, Nonphysical
 from softsensor.diagnosis.decision import FEW_RUNS
 from softsensor.diagnosis.extension import SharedFit, fit_campaign_model, from_the_others, held_out
 from softsensor.diagnosis.extension_unknowns import Unknowns, lay_out
@@ -154,7 +154,7 @@ def free_law(stage: SettledModel) -> Law | None:
     if len(stage.data) < FEW_RUNS:
         return None
     before = run_errors(stage.data, held_out(stage.fit, stage.data))
-    tried = [_tried(stage, kind) for kind in _kinds(stage)]
+    tried = [law for kind in _kinds(stage) if (law := _tried(stage, kind)) is not None]
     if not tried:
         return None
     fell = np.stack([np.log(before / t.errors) for t in tried])
@@ -287,7 +287,15 @@ def _effect(
     return Effect(f"law_{kind}", parameters, terms, SOURCE, nonlinear=nonlinear)
 
 
-def _tried(stage: SettledModel, kind: LawKind) -> _Tried:
+def _tried(stage: SettledModel, kind: LawKind) -> _Tried | None:
+    """Fit a kind beside everything else; None where the runs drive it to what no matter has."""
+    try:
+        return _fitted(stage, kind)
+    except Nonphysical:
+        return None
+
+
+def _fitted(stage: SettledModel, kind: LawKind) -> _Tried:
     """Fit a kind beside everything else, its strength learned twice on the way."""
     model = stage.fit.layout.model.extended(kind.effect)
     names = [kind.effect.key(p.name) for p in kind.effect.parameters]

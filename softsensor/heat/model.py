@@ -209,7 +209,8 @@ class ThermalModel:
         Raises
         ------
         Nonphysical
-            For a value that is no number, or outside what its parameter can be.
+            For a value that is no number, or outside what its parameter can be, and for contacts or sources
+            from which no temperature follows.
         NoSteadyState
             For plates without a steady start.
         InputError
@@ -223,7 +224,12 @@ class ThermalModel:
         if method == "implicit":
             build = self.build(case, values, names)
             record = implicit_steps.empty_record(read_places(case, build), len(case.h), build.width, whole=fields)
-            implicit_steps.march(build.stack, build.tangents, build.drive, build.start, record, build.nonlinear)
+            try:
+                implicit_steps.march(
+                    build.stack, build.tangents, build.drive, build.start, record, build.nonlinear
+                )
+            except ZeroDivisionError:
+                raise Nonphysical(say("solve-no-temperatures", run=case.run.source or case.run.name)) from None
             return observe(case, build, record)
         terms = _merged(self._parts(case, values))
         late = terms.lag != 0.0 or terms.clock != 0.0  # what a channel reads depends on more than its row's moment

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from daq.press.press_file import parse_press
+from daq.records import Nonphysical
 from daq.simulated.campaign import Effects, Plan, make_campaign, press_toml
 from daq.words.message import words
 from softsensor.diagnosis import free_law as laws
@@ -127,6 +128,22 @@ def test_a_law_in_a_model_file_heats_the_panel_as_the_fitted_one_did(kind):
     assert found[1] == pytest.approx(found[0], abs=1e-6)
     assert np.max(np.abs(found[1] - without)) > 0.2
     assert absent == pytest.approx(without, abs=0.02)
+
+
+def test_a_law_that_the_runs_drive_beyond_all_matter_is_none_and_ends_nothing(monkeypatch):
+    kind = laws.contact_by_time(30.0)
+    press = parse_press(press_toml())
+    run, truth = make_campaign(43, 1, None, THIN)[0]
+    model = ThermalModel(press, (kind.effect,))
+    torn = {kind.effect.key(p.name): 400.0 * (-1) ** i for i, p in enumerate(kind.effect.parameters)}
+    with pytest.raises(Nonphysical, match="no temperatures follow"):
+        model.solve(model.prepare(run, truth.moments), model.guesses | torn)
+    monkeypatch.setattr(laws, "from_the_others", lambda fit, data: [fit.theta + _along(fit, torn)] * len(data))
+    assert laws._tried(settled("nothing"), kind) is None
+
+
+def _along(fit, torn):
+    return np.array([torn.get(name, 0.0) for name in fit.layout.names])
 
 
 def test_a_law_found_goes_with_the_model_to_runs_nobody_has_seen(tmp_path):
