@@ -10,6 +10,7 @@ from daq.records import Array
 from softsensor.fitting.constants import changed_by
 from softsensor.fitting.problem import CONSTANT, carried_among
 from softsensor.fitting.result import RunFit
+from softsensor.signals.instrument import PLATEN_ALONE_K, START_ALONE_K
 
 
 @dataclass(frozen=True)
@@ -18,9 +19,10 @@ class FittedCore:
 
     core: Array
     """By the fitted model (rows). [°C]"""
-    half: Array
-    """Half of the 95 % band: what coefficients, moments, measuring chain and the panel's constants leave open, as
-    far as the model holds (rows). [K]"""
+    low: Array
+    high: Array
+    """The 95 % band: what coefficients, moments, measuring chain and the panel's constants leave open, as far as
+    the model holds; nothing inside is colder than all that the panel has touched, nor hotter (rows). [°C]"""
     measured: Array
     """Mean of the thermocouples there, which no fit sees; NaN where none reads (rows). [°C]"""
 
@@ -41,7 +43,18 @@ def fitted_core(fitted: RunFit) -> FittedCore | None:
     slopes = _derivative(fitted)
     variance = np.einsum("ri,ij,rj->r", slopes, fitted.covariance, slopes)
     half = fitted.quantile * np.sqrt(np.maximum(variance, 0.0))
-    return FittedCore(solution.core * present, half * present, _measured(fitted) * present)
+    coldest, hottest = _ends(fitted)
+    low = np.minimum(np.maximum(solution.core - half, coldest), solution.core)
+    high = np.maximum(np.minimum(solution.core + half, hottest), solution.core)
+    return FittedCore(solution.core * present, low * present, high * present, _measured(fitted) * present)
+
+
+def _ends(fitted: RunFit) -> tuple[float, float]:
+    """Return the coldest and the hottest that a run's panel may have touched. [°C]"""
+    case = fitted.problem.case
+    start = case.ambient if case.panel is None else case.panel.initial_temperature
+    known = np.concatenate([[case.ambient, start], *(case.run.columns[c] for c in case.press.platens)])
+    return float(np.nanmin(known)) - 2.0 * START_ALONE_K, float(np.nanmax(known)) + 2.0 * PLATEN_ALONE_K
 
 
 def _derivative(fitted: RunFit) -> Array:

@@ -121,14 +121,15 @@ def fitted_run_figure(fitted: RunFit, language: str = ENGLISH) -> Figure:
 def core_figure(fitted: RunFit, found: FittedCore, language: str = ENGLISH) -> Figure:
     """Draw the core by the fitted model with its 95 % band, and the measured one where a thermocouple reads it."""
     put = partial(words, language=language)
-    t, widest = fitted.problem.signals.time_s, float(np.nanmax(found.half))
+    t, widest = fitted.problem.signals.time_s, 0.5 * float(np.nanmax(found.high - found.low))
     measured = np.flatnonzero(np.isfinite(found.measured))
     known: dict[str, float | str] = {"run": fitted.run, "half": widest}
     title = say("figure-core-fitted-measured", **known, error=found.error_K)
     with sheet((10.0, 3.2), put(title if len(measured) else say("figure-core-fitted", **known))) as figure:
         ax = figure.subplots()
-        ends = (found.core - found.half, found.core + found.half)
-        ax.fill_between(t, *ends, color=COLOURS[0], alpha=0.22, lw=0, label=put(say("figure-core-band")))
+        ax.fill_between(
+            t, found.low, found.high, color=COLOURS[0], alpha=0.22, lw=0, label=put(say("figure-core-band"))
+        )
         ax.plot(t, found.core, lw=1.6, color=COLOURS[0], label=put(say("figure-core-by-fit")), zorder=3)
         if len(measured):
             picked = measured[:: max(1, len(measured) // 60)]

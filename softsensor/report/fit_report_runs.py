@@ -5,7 +5,8 @@ Drawn by hand as small SVG and table cells: a campaign's page stays small enough
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -87,8 +88,20 @@ def smooth(x: Array, rise: Array, best: float, points: int = 41) -> tuple[Array,
 
 
 def _cell(value: float) -> dict[str, str]:
-    """Return a correlation as text and colour: red together, blue against each other."""
+    """Return a correlation as text, colour (red together, blue against each other) and ink that shows on it."""
     strength = min(abs(float(value)), 1.0)
-    tint = RED if value > 0 else BLUE
-    colour = ",".join(str(round(255 - strength * (255 - c))) for c in tint)
-    return {"text": f"{value:+.2f}", "colour": f"rgb({colour})", "dark": "1" if strength > 0.6 else ""}
+    tint = [round(255 - strength * (255 - c)) for c in (RED if value > 0 else BLUE)]
+    colour = ",".join(map(str, tint))
+    ink = "black" if _luminance(tint) > EVEN else "white"
+    return {"text": f"{value:+.2f}", "colour": f"rgb({colour})", "ink": ink}
+
+
+EVEN = math.sqrt(1.05 * 0.05) - 0.05
+"""Relative luminance on which black and white show alike: (1.05)/(L + 0.05) = (L + 0.05)/0.05 (WCAG 2.2)."""
+
+
+def _luminance(tint: Sequence[int]) -> float:
+    """Return a colour's relative luminance, of red, green and blue from 0 to 255 (WCAG 2.2)."""
+    shares = [c / 255.0 for c in tint]
+    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in shares]
+    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]

@@ -13,6 +13,7 @@ from daq.simulated.campaign_pressfile import press_toml
 from daq.words.message import Message, catalogue_of, languages
 from softsensor.fitting.core import fitted_core
 from softsensor.jobs.campaign import fit_campaign
+from softsensor.report import fit_report_runs
 from softsensor.report.fit_figures import coefficients_figure, core_figure, fitted_run_figure, svg
 from softsensor.report.fit_report import fit_report
 
@@ -96,12 +97,23 @@ def test_a_bootstrap_is_told_from_four_runs_on_and_digits_follow_the_interval(ca
     assert "<td>557 – 729</td>" in page
 
 
+def test_ink_shows_on_every_colour_of_the_correlations():
+    for value in np.linspace(-1.0, 1.0, 41):
+        cell = fit_report_runs._cell(value)
+        tint = [int(c) for c in cell["colour"][4:-1].split(",")]
+        light = fit_report_runs._luminance(tint)
+        contrast = (light + 0.05) / 0.05 if cell["ink"] == "black" else 1.05 / (light + 0.05)
+        assert contrast >= 4.5
+
+
 def test_the_true_core_is_within_the_fits_band_and_a_better_known_panel_makes_it_narrower(pressed, campaign):
     for fitted, (run, truth) in zip(campaign.runs, pressed, strict=True):
         found = fitted_core(fitted)
-        told = np.isfinite(found.half)
+        told = np.isfinite(found.low)
         assert told.sum() > 60
-        assert np.mean(np.abs(truth.core_C - found.core)[told] <= found.half[told]) > 0.9
+        assert np.mean((truth.core_C >= found.low)[told] & (truth.core_C <= found.high)[told]) > 0.9
+        start = min(run.header["panel.initial_temperature_C"], run.header["ambient.temperature_C"])
+        assert np.nanmin(found.low) > start - 3.0
         assert np.isfinite(found.error_K) == ("core_1" in run.columns)
     run, _ = pressed[0]
     constants = campaign.runs[0].constants
@@ -110,7 +122,8 @@ def test_the_true_core_is_within_the_fits_band_and_a_better_known_panel_makes_it
         f"{key}.sd": 0.001 * constants[key].given for key in named
     }
     surer = fit_campaign(parse_press(press_toml()), [replace(run, header={**run.header, **stated})]).runs[0]
-    assert np.nanmax(fitted_core(surer).half) < 0.5 * np.nanmax(fitted_core(campaign.runs[0]).half)
+    sure, plain = (fitted_core(f) for f in (surer, campaign.runs[0]))
+    assert np.nanmax(sure.high - sure.low) < 0.5 * np.nanmax(plain.high - plain.low)
 
 
 @pytest.mark.parametrize("language", languages())
