@@ -7,13 +7,14 @@ store share the work: a condition is raised once, a delivery is in one hand at a
 from __future__ import annotations
 
 import logging
+import math
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import datetime
 
 from api.alarms.ways import NotDelivered, Way
-from api.answers.health import standing_alarms
+from api.answers.health import NEVER_SEEN, SILENT_S, standing_alarms
 from api.answers.records import utc_now
 from daq.store.records import StoreUnavailable
 from daq.store.store import Store
@@ -26,9 +27,20 @@ LOOK_S = 2.0
 SEND_S = 1.0
 
 
-def look(store: Store, ways: Sequence[Way], now: datetime) -> int:
-    """Take up what stands now; return how many alarms are new."""
-    return store.watch_alarms(standing_alarms(store, now), [way.name for way in ways], now)
+def look(store: Store, ways: Sequence[Way], now: datetime, up_s: float = math.inf) -> int:
+    """Take up what stands now; return how many alarms are new.
+
+    A process nobody has seen yet is missed only after the watch is up for as long as a process may be silent:
+    the whole plant may have been started together with it. [s]
+    """
+    standing = standing_alarms(store, now)
+    if up_s < SILENT_S:
+        standing = [alarm for alarm in standing if alarm.message.code != NEVER_SEEN]
+    return store.watch_alarms(standing, [way.name for way in ways], now)
+
+
+def _look_since(began: datetime, store: Store, ways: Sequence[Way], now: datetime) -> int:
+    return look(store, ways, now, (now - began).total_seconds())
 
 
 def send_due(store: Store, ways: Sequence[Way], clock: Callable[[], datetime]) -> int:
@@ -52,7 +64,7 @@ def send_due(store: Store, ways: Sequence[Way], clock: Callable[[], datetime]) -
 @contextmanager
 def watching(store: Store, ways: Sequence[Way], clock: Callable[[], datetime] = utc_now) -> Iterator[None]:
     """Watch and send until the block ends."""
-    stop = threading.Event()
+    stop, began = threading.Event(), clock()
 
     def every(seconds: float, work: Callable[[], object]) -> Callable[[], None]:
         def run() -> None:
@@ -69,7 +81,7 @@ def watching(store: Store, ways: Sequence[Way], clock: Callable[[], datetime] = 
         store.log("alarm", PROCESS, fault)
 
     threads = [
-        SupervisedThread("alarms", every(LOOK_S, lambda: look(store, ways, clock())), tell),
+        SupervisedThread("alarms", every(LOOK_S, lambda: _look_since(began, store, ways, clock())), tell),
         SupervisedThread("deliveries", every(SEND_S, lambda: send_due(store, ways, clock)), tell),
     ]
     for thread in threads:

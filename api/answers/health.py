@@ -38,6 +38,8 @@ REFIT_OVERDUE_S = 180_000.0
 """Two nights and two hours. [s]"""
 ALARM_AGE = timedelta(minutes=10)
 """Alarms of the journal older than this are history."""
+NEVER_SEEN = "health-process-never-seen"
+"""What is said of a process that should run and never gave a sign of life."""
 
 
 def installed_version() -> str:
@@ -202,7 +204,7 @@ def refit_age_s(store: Store, statuses: Mapping[str, ProcessStatus], now: dateti
 def _missed(process: ProcessHealth) -> Message:
     command = duty_of(process.name)
     if process.age_s is None:
-        return say("health-process-never-seen", process=process.name, command=command)
+        return say(NEVER_SEEN, process=process.name, command=command)
     if process.age_s > LONG_S:
         hours = process.age_s / 3600.0
         return say("health-process-silent-for-hours", process=process.name, hours=hours, command=command)

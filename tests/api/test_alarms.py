@@ -20,7 +20,7 @@ from aiosmtpd.controller import Controller
 
 from api.alarms.watch import look, send_due
 from api.alarms.ways import NotDelivered, Webhook, ways_of
-from api.answers.health import health_of, standing_alarms
+from api.answers.health import NEVER_SEEN, SILENT_S, health_of, standing_alarms
 from daq.process.config import EmailSettings, WebhookSettings
 from daq.records import Channel, InputError, Quality, Scan
 from daq.store import open_store
@@ -265,6 +265,7 @@ def test_no_alarm_is_lost_over_a_kill_and_none_doubled(store, store_url, mail, t
     late = Receiver(port)
     second = started()
     wanted = {"run-fit-killed", "health-process-never-seen"}
+    until(lambda: of("health-process-never-seen"))
     until(lambda: len(of("run-fit-killed")) == 2 and len(late.posts) >= len(store.alarms(limit=100).items))
     until(lambda: len(inbox.mails) >= len(store.alarms(limit=100).items))
     second.stdin.close()
@@ -348,3 +349,9 @@ def test_an_engineer_sets_limits_and_acknowledges_by_rest(plant):
     for change in (httpx.put, httpx.post):
         path = "/alarms/thresholds/lab" if change is httpx.put else f"/alarms/{alarm['id']}/acknowledge"
         assert change(url + path, json={}).status_code == 401
+
+
+def test_a_process_that_starts_with_the_watch_is_missed_only_when_it_could_have_spoken(store):
+    assert look(store, [], NOW, up_s=1.0) == 0
+    assert look(store, [], NOW, up_s=SILENT_S) == 2
+    assert {alarm.message.code for alarm in store.alarms().items} == {NEVER_SEEN}
