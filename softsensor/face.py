@@ -461,7 +461,8 @@ def simulate(run: AnyRun, press: AnyPress, model: AnyModel | Mapping[str, float]
         thermal = ThermalModel(described)
         return Simulation(loaded, simulate_run(loaded, described, thermal, {**thermal.guesses, **(model or {})}))
     content = read_model(model)
-    return Simulation(loaded, simulate_run(loaded, described, content.model(described), content.values))
+    values = {**ThermalModel(described).guesses, **content.values}
+    return Simulation(loaded, simulate_run(loaded, described, content.model(described), values))
 
 
 def _resin(resin: Resin | Path | str | None) -> Resin | None:

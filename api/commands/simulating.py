@@ -54,7 +54,7 @@ def simulate(
         if model is not None:
             content = read_model(model)
             _check_model((described, own), content, model)
-            thermal, values = content.model(described), content.values
+            thermal, values = content.model(described), ThermalModel(own).guesses | content.values
         else:
             given = _read_coefficients(coefficients, (described, own)) if coefficients else {}
             thermal, values = ThermalModel(described), ThermalModel(own).guesses | given

@@ -4,6 +4,7 @@ import json
 
 import pytest
 
+import softsensor
 from api.cli import main
 from daq.simulated.campaign import Plan, make_campaign, write_campaign
 
@@ -121,3 +122,32 @@ def test_an_example_resin_and_missing_limits_are_told(files, capsys):
     assert "is an example" in told
     assert "has no limit" in told
     assert all(row.endswith(",0") for row in out.read_text(encoding="utf-8").splitlines()[1:])
+
+
+def test_a_model_file_with_some_coefficients_takes_the_others_from_the_press_file(files):
+    folder, path = files
+    some, model = folder / "some.json", folder / "some-model.json"
+    some.write_text('{"h_pp_c": 300.0}', encoding="utf-8")
+    content = {"version": "1", "press": "", "coefficients": {"h_pp_c": {"value": 300.0, "sd": 30.0}}}
+    model.write_text(json.dumps(content | {"effects": [], "covariance": None}), encoding="utf-8")
+    written = []
+    for option, given in (("--coefficients", some), ("--model", model)):
+        out = folder / f"simulated{option}.csv"
+        call = [
+            "simulate",
+            str(path),
+            "--press",
+            str(folder / "press.toml"),
+            option,
+            str(given),
+            "--out",
+            str(out),
+        ]
+        assert main(call) == 0
+        written.append(out.read_text(encoding="utf-8"))
+    assert written[0] == written[1]
+    assert (
+        softsensor.simulate(path, folder / "press.toml", model)
+        .frame()
+        .equals(softsensor.simulate(path, folder / "press.toml", {"h_pp_c": 300.0}).frame())
+    )
