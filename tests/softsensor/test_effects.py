@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from daq.records import InputError, Moments
+from daq.simulated.effects import SIZES
 from daq.words import message as words
 from softsensor.effects import BUILT_IN, Terms, catalogue, find_effect, learn_words
 from softsensor.effects.vocabulary import coefficient_words
@@ -275,3 +276,11 @@ def test_each_coefficient_of_the_laboratory_press_is_said_between_its_own_bodies
         "h_wa": "panel – air, open",
         "h_ap": "plate – air, open",
     }
+
+
+@pytest.mark.parametrize("name", [name for name, limits in SIZES.items() if limits])
+def test_what_counts_as_a_typical_size_lies_near_what_is_drawn(name):
+    effect, (first, (low, high)) = find_effect(name), next(iter(SIZES[name].items()))
+    own = next(p for p in effect.parameters if p.name == first)
+    usual = 0.5 * (abs(low - own.neutral) + abs(high - own.neutral))
+    assert 0.5 <= own.size / usual <= 2.0

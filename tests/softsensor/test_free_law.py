@@ -24,7 +24,7 @@ from softsensor.diagnosis.search import SettledModel, settle_base
 from softsensor.diagnosis.summary import law_said
 from softsensor.diagnosis.verdict import _screened
 from softsensor.effects import find_effect
-from softsensor.effects.free_law import STRENGTH
+from softsensor.effects.free_law import LENGTH, STRENGTH, Smooth
 from softsensor.fitting.simulated_run import simulate_run
 from softsensor.heat.model import ThermalModel
 from softsensor.heat.model_file import model_text, parse_model
@@ -128,6 +128,36 @@ def test_a_law_in_a_model_file_heats_the_panel_as_the_fitted_one_did(kind):
     assert found[1] == pytest.approx(found[0], abs=1e-6)
     assert np.max(np.abs(found[1] - without)) > 0.2
     assert absent == pytest.approx(without, abs=0.02)
+
+
+def test_values_at_knots_are_as_alike_as_the_kernel_says_and_the_curve_goes_through_them():
+    smooth = Smooth.over(2.0, 12.0, 6)
+    alike = smooth.weights(smooth.knots) @ smooth.weights(smooth.knots).T
+    apart = (smooth.knots[:, None] - smooth.knots[None, :]) / 2.0  # in distances of knots
+    assert alike == pytest.approx(np.exp(-0.5 * (apart / LENGTH) ** 2), abs=1e-4)
+    values = np.random.default_rng(1).normal(size=6)
+    assert smooth.through(values)(smooth.knots) == pytest.approx(values, abs=1e-2)
+    assert smooth.through(smooth.factor @ values)(np.array([3.3])) == pytest.approx(
+        smooth.weights(np.array([3.3])) @ values
+    )
+
+
+def test_heat_that_goes_leaves_the_core_colder_by_what_was_taken():
+    """A law of 400 kJ/m³K takes a third of the heat of MDF (1.1 MJ/m³K), so of the core's rise about a quarter."""
+    law = find_effect("law_heat")
+    press, flat = parse_press(press_toml()), {f"value_{knot}": 400.0 for knot in range(9)}
+    run, truth = make_campaign(43, 1, None, THIN)[0]
+    numbers = {**flat, STRENGTH: 1.0, "coldest_C": 30.0, "hottest_C": 200.0}
+    model = ThermalModel(press, (law,))
+    case = model.prepare(run, truth.moments)
+    end = [
+        model.solve(case, model.guesses | {law.key(n): v for n, v in (numbers | {STRENGTH: size}).items()}).core[
+            -1
+        ]
+        for size in (0.0, 1.0)
+    ]
+    rise = end[0] - case.panel.initial_temperature
+    assert 0.1 < (end[0] - end[1]) / rise < 0.4
 
 
 def test_a_law_that_the_runs_drive_beyond_all_matter_is_none_and_ends_nothing(monkeypatch):

@@ -9,7 +9,7 @@ from daq.press.press_file import parse_press
 from daq.simulated.campaign import Plan, make_campaign
 from daq.simulated.campaign_pressfile import press_toml
 from daq.simulated.campaign_sensors import Nuisances
-from softsensor.fitting.identifiability import profile
+from softsensor.fitting.identifiability import _side, profile, profile_rise
 from softsensor.fitting.one_run import fit_run
 from softsensor.heat.model import ThermalModel
 from tests.panels import panel_stated
@@ -94,6 +94,17 @@ def test_profile_rises_on_both_sides_of_an_identifiable_coefficient(measured):
     assert shape.rise[-1] > shape.threshold
     assert shape.rise[2] == 0.0
     assert np.all(np.diff(np.sign(np.diff(shape.rise))) >= 0)
+
+
+def test_an_interval_of_a_single_run_ends_where_the_likelihood_has_fallen_by_its_quantile(measured):
+    run, truth = measured
+    fitted = fit_run(MODEL, run, truth.moments, company=None)
+    i = fitted.names.index("h_pp_o")
+    wanted = 0.5 * fitted.quantile**2 * fitted.spread**2
+    for direction in (-1, 1):
+        side = _side(fitted, i, direction, 0.1)
+        assert side.closed
+        assert profile_rise(fitted, i, side.x, steps=20) == pytest.approx(wanted, rel=0.25)
 
 
 def test_value_at_a_limit_has_no_standard_deviation_and_a_one_sided_interval():
