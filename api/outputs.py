@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
+from tempfile import gettempdir
 from typing import Any
 from uuid import uuid4
 
@@ -20,6 +21,9 @@ from daq.words import Message, say
 from daq.words.message import ENGLISH, words
 
 _LANGUAGE = ContextVar("language of the terminal", default=ENGLISH)
+_PIPED = ContextVar("standard output belongs to a file asked for as -", default=False)
+STANDARD_OUTPUT = Path("-")
+"""Stands for standard output where a file to write is asked for; what is said goes to standard error then."""
 PATIENCE_S = 1.0
 """Work that takes longer than this shows progress on a terminal."""
 NAMED_FILES = 4
@@ -29,6 +33,7 @@ NAMED_FILES = 4
 def speak(language: str) -> None:
     """Choose the language of all that this process says at the terminal; once, where it starts."""
     _LANGUAGE.set(language)
+    _PIPED.set(False)
 
 
 def spoken_language() -> str:
@@ -42,9 +47,10 @@ def in_words(*said: Message | str) -> str:
 
 
 def tell(said: Message | str) -> None:
-    """Write a line to standard output, at once."""
-    sys.stdout.write(in_words(said) + "\n")
-    sys.stdout.flush()
+    """Write a line to standard output, at once; to standard error where a file goes to standard output."""
+    stream = sys.stderr if _PIPED.get() else sys.stdout
+    stream.write(in_words(said) + "\n")
+    stream.flush()
 
 
 def tell_table(heads: Sequence[Message], rows: Iterable[Sequence[str]]) -> None:
@@ -84,6 +90,8 @@ def check_writable(*paths: Path | None, inputs: Iterable[Path] = ()) -> None:
         Naming the path and what is wrong with it.
     """
     outputs = [path for path in paths if path is not None]
+    if STANDARD_OUTPUT in outputs:
+        _PIPED.set(True)
     for path in outputs:
         if path.is_dir():
             raise InputError(say("terminal-output-not-a-file", path=str(path)))
@@ -110,9 +118,11 @@ def write_all(contents: Mapping[Path, str | bytes | Callable[[Path], None]]) -> 
     A callable writes its file itself, to the path it is given.
     """
     finished: dict[Path, Path] = {}
+    piped = ""
     try:
         for path, content in contents.items():
-            draft = path.with_name(f".{path.stem}.{uuid4().hex[:8]}{path.suffix}")
+            folder = Path(gettempdir()) if path == STANDARD_OUTPUT else path.parent
+            draft = folder / f".{path.stem}.{uuid4().hex[:8]}{path.suffix}"
             finished[draft] = path
             if callable(content):
                 content(draft)
@@ -121,14 +131,19 @@ def write_all(contents: Mapping[Path, str | bytes | Callable[[Path], None]]) -> 
             else:
                 draft.write_text(content, encoding="utf-8", newline="\n")
         for draft, path in finished.items():
-            draft.replace(path)
+            if path == STANDARD_OUTPUT:
+                piped = draft.read_text(encoding="utf-8")
+            else:
+                draft.replace(path)
     except OSError as error:
         said = say("terminal-output-unwritable", path=str(error.filename), why=str(error.strerror))
         raise WorkFailed(said) from error
     finally:
         for draft in finished:
             draft.unlink(missing_ok=True)
-    _tell_written(contents)
+    sys.stdout.write(piped)
+    sys.stdout.flush()
+    _tell_written(path for path in contents if path != STANDARD_OUTPUT)
 
 
 def _tell_written(paths: Iterable[Path]) -> None:

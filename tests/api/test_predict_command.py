@@ -151,3 +151,18 @@ def test_a_model_file_with_some_coefficients_takes_the_others_from_the_press_fil
         .frame()
         .equals(softsensor.simulate(path, folder / "press.toml", {"h_pp_c": 300.0}).frame())
     )
+
+
+def test_a_dash_sends_the_file_to_standard_output_and_nothing_else(files, capsys, monkeypatch, tmp_path):
+    folder, path = files
+    monkeypatch.chdir(tmp_path)
+    press = str(folder / "press.toml")
+    table = "\n".join(predicted(folder, path)) + "\n"
+    capsys.readouterr()
+    assert main(["predict", str(path), "--press", press, "--out", "-"]) == 0
+    assert capsys.readouterr().out == table
+    assert main(["fit", str(path), "--press", press, "--json", "-"]) == 0
+    said = capsys.readouterr()
+    assert json.loads(said.out)["runs"][0]["run"] == path.stem
+    assert "h_pp_c" in said.err
+    assert list(tmp_path.iterdir()) == []
