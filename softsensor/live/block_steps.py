@@ -127,7 +127,9 @@ def gather_blocks(rows, done, ends, counted, blocks):
         before = max(first - 1, 0)
         begin, end = rows.time[before], rows.time[last]
         blocks.span[k, 0], blocks.span[k, 1] = begin, end
-        blocks.outside[k, 0], blocks.outside[k, 1] = rows.outside[before], rows.outside[last]
+        for side in range(2):  # by number: a whole row at once takes two seconds to compile
+            blocks.outside[k, 0, side] = rows.outside[before, side]
+            blocks.outside[k, 1, side] = rows.outside[last, side]
         blocks.quiet[k] = first == 0 or end - last_switch(counted.moments, end + 1.0) < QUIET_S
         for a in range(rows.level.shape[1]):
             total, when, count = 0.0, 0.0, 0
@@ -153,7 +155,7 @@ def march_between_faces(model, timing, blocks, faces, read):
     """
     outside = np.empty((2, 2))
     for k in range(blocks.span.shape[0]):
-        outside[0] = read.last
+        outside[0, 0], outside[0, 1] = read.last[0], read.last[1]
         elapsed = blocks.span[k, 1] - blocks.span[k, 0]
         seen = np.isfinite(blocks.newest[k, faces[0]]) and np.isfinite(blocks.newest[k, faces[1]])
         most, least = 0.0, np.inf
@@ -163,7 +165,7 @@ def march_between_faces(model, timing, blocks, faces, read):
                 moved = abs(now - read.last[side])
                 most, least = max(most, moved), min(least, moved)
                 read.last[side] = now
-        outside[1] = read.last
+        outside[1, 0], outside[1, 1] = read.last[0], read.last[1]
         silent = read.silent_s[0] + elapsed
         if seen and silent > HOLE_S:
             read.jumped_K[0] = max(read.jumped_K[0], most)

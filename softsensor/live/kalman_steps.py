@@ -61,7 +61,8 @@ def predict_biases(estimate, first, keep, variance):
     n = x.shape[0]
     for a in range(first, n):
         x[a] *= keep
-        E[a] *= keep
+        for c in range(E.shape[1]):
+            E[a, c] *= keep
         for b in range(n):
             P[a, b] *= keep
         for b in range(n):

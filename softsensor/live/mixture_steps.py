@@ -213,7 +213,8 @@ def weigh(estimate, chain, hypotheses, fit, reported, out):
     """
     p, e = estimate.at.shape[0], hypotheses.column.shape[0]
     readout = np.zeros(estimate.mean.shape[0])
-    readout[:p] = chain.d_level
+    for i in range(p):
+        readout[i] = chain.d_level[i]
     condition(estimate, readout, hypotheses, out)
     centre = chain.level[0] + chain.d_level @ (estimate.mean[:p] - estimate.at)
     for j in range(e + 1):
