@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fnmatch
 import math
+import textwrap
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import datetime
@@ -20,6 +21,8 @@ Array = NDArray[np.float64]
 
 ROOM_C = 23.0
 """Of a room where nothing is said of it: the middle of halls of 16 to 30 °C. [°C]"""
+_KEYS_SHOWN = 20
+"""Header keys of a run shown on one screen of 25 lines."""
 COLDEST_C, HOTTEST_C = -273.15, 2000.0
 """Between these lies every temperature in a press or a furnace. [°C]"""
 
@@ -184,7 +187,7 @@ class Panel:
     """The same of the heat capacity. [°C, J/kgK]"""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Run:
     """One measured pressing: what a run file or the store holds, in memory.
 
@@ -200,6 +203,15 @@ class Run:
     """Where it came from, for messages: a file path or ``store``."""
     texts: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     """Columns of remarks, one text a row, kept in files; ``quality`` says why cells are missing."""
+
+    def __repr__(self) -> str:
+        """Return on one screen which run it is: scans, columns, header."""
+        span = f", {self.time_s[0]:g} to {self.time_s[-1]:g} s" if len(self.time_s) else ""
+        columns = textwrap.shorten(", ".join((*self.columns, *self.texts)), 300, placeholder=" ...")
+        keys = [f"{key} = {value}" for key, value in self.header.items()][:_KEYS_SHOWN]
+        shown = [textwrap.shorten(key, 100, placeholder=" ...") for key in keys]
+        more = [f"... and {len(self.header) - len(shown)} more"] if len(self.header) > len(shown) else []
+        return "\n".join([f"Run {self.name}: {len(self.time_s)} scans{span}", columns, *shown, *more])
 
     def at_rows(self, rows: NDArray[np.integer] | slice) -> Run:
         """Return the run with these rows alone: their indices, or a slice of them."""

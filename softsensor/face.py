@@ -10,7 +10,7 @@ from __future__ import annotations
 import html
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
@@ -21,6 +21,7 @@ import pandas as pd
 from daq.files.frames import run_of
 from daq.files.mapping import read_foreign, read_mapping
 from daq.files.run_file import read_run as read_run_file
+from daq.press.header import check_header
 from daq.press.press_file import Press
 from daq.press.press_file import read_press as read_press_file
 from daq.press.resin_file import Resin, read_resin
@@ -306,20 +307,26 @@ def read_run(source: AnyRun, *, mapping: Path | str | None = None, header: Mappi
     mapping
         The TOML file that explains another logger's columns, units and times.
     header
-        Keys of a table's header beside its ``attrs``: panel, ambient, settings.
+        Keys beside those that the table or file has: panel, ambient, settings. The ones given here count.
 
     Raises
     ------
     InputError
         Naming file, line or column, value, limit and what to do.
     """
-    if isinstance(source, Run):
-        return source
     if isinstance(source, pd.DataFrame):
         return run_of(source, header)
-    if mapping is not None:
-        return read_foreign(Path(source), read_mapping(Path(mapping)))
-    return read_run_file(Path(source))
+    if isinstance(source, Run):
+        found = source
+    elif mapping is not None:
+        found = read_foreign(Path(source), read_mapping(Path(mapping)))
+    else:
+        found = read_run_file(Path(source))
+    if header is None:
+        return found
+    keys = {**found.header, **header}
+    check_header(keys, found.source or found.name)
+    return replace(found, header=keys, name=str(keys.get("run", found.name)))
 
 
 def read_press(path: AnyPress) -> Press:

@@ -43,6 +43,8 @@ from daq.words import say, spoken
 _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 _FOREIGN_METADATA = ("pandas", "huggingface", "geo")
 """Schema metadata that other Parquet writers add, as JSON objects; no header keys."""
+_PANDAS_ATTRS = "PANDAS_ATTRS"
+"""Where `DataFrame.to_parquet` puts a table's ``attrs``, which are the header: one JSON object."""
 
 
 _BYTE_ORDER_MARK = b"\xef\xbb\xbf"
@@ -262,8 +264,17 @@ def _read_parquet(path: Path, temperatures: Sequence[str]) -> Run:
         raise InputError(at(path, say("run-table-empty")))
     check_rows(str(path), rows, temperatures=temperatures)
     metadata = {k.decode(): v.decode() for k, v in written.items()}
+    attrs = _json_object(metadata.pop(_PANDAS_ATTRS, ""))
     own = {k: v for k, v in metadata.items() if k not in _FOREIGN_METADATA or not v.startswith("{")}
-    return _run(path, {k: _metadata_value(v) for k, v in own.items()}, rows)
+    return _run(path, attrs | {k: _metadata_value(v) for k, v in own.items()}, rows)
+
+
+def _json_object(text: str) -> dict[str, Any]:
+    try:
+        found = json.loads(text)
+    except (ValueError, RecursionError):
+        return {}
+    return found if isinstance(found, dict) else {}
 
 
 def _parquet_kinds(path: Path, schema: pa.Schema) -> dict[str, bool]:

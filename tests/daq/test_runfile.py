@@ -17,8 +17,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from daq.files.frames import frame_of
 from daq.files.qualities import QualitySpan, quality_text, spans_of
 from daq.files.run_file import read_run, write_run
+from daq.press.header import check_header
 from daq.records import InputError, Quality, Run
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -32,7 +34,18 @@ time_s,platen_top,top_1,bottom_1,closed
 1.1,199.1,61.25,24.0,1
 """
 
-keys = st.lists(st.text(string.ascii_letters + '._- µ°"\\', min_size=1, max_size=12), max_size=5, unique=True)
+
+def mistypes_none(key):
+    """Tell whether a header takes a key: one like `remark` but for a letter is refused, rightly."""
+    try:
+        check_header({key: None}, "here")
+    except InputError:
+        return False
+    return True
+
+
+key = st.text(string.ascii_letters + '._- µ°"\\', min_size=1, max_size=12).filter(mistypes_none)
+keys = st.lists(key, max_size=5, unique=True)
 values = st.recursive(
     st.text(max_size=20).filter(lambda t: t.encode("utf-8", "ignore").decode() == t)
     | st.integers(-(2**63), 2**63 - 1)
@@ -460,3 +473,29 @@ def test_a_mapped_file_is_read_and_imported_in_pieces(tmp_path):
     assert shape == [rows, 4]
     assert read_kb * 1024 < 2.2 * 5 * 8 * rows
     assert imported_kb < 40_000
+
+
+def test_a_table_that_pandas_wrote_as_parquet_keeps_its_header(tmp_path):
+    header = {"run": "r-1", "panel.thickness_mm": 8.0}
+    run = Run("r-1", header, np.array([0.0, 1.0]), {"top_1": np.array([20.0, 21.0])})
+    frame_of(run).to_parquet(tmp_path / "other.parquet")
+
+    back = read_run(tmp_path / "other.parquet")
+    assert (back.name, dict(back.header)) == ("r-1", dict(run.header))
+    assert back.columns["top_1"].tolist() == [20.0, 21.0]
+
+
+@pytest.mark.parametrize("attrs", ["", "{", "[1]", "[" * 100_000, '{"a": ' + "9" * 5000 + "}"])
+def test_attributes_of_a_table_that_are_no_header_are_no_header(tmp_path, attrs):
+    table = pa.table({"time_s": [0.0, 1.0], "top_1": [20.0, 21.0]})
+    pq.write_table(table.replace_schema_metadata({"PANDAS_ATTRS": attrs}), tmp_path / "x.parquet")
+    assert dict(read_run(tmp_path / "x.parquet").header) == {}
+
+
+def test_a_run_prints_on_one_screen():
+    header = {f"note.key_{i}": "word " * 200 for i in range(60)}
+    columns = {f"channel_{i}": np.zeros(10_000) for i in range(500)}
+    text = repr(Run("r-1", header, np.arange(10_000.0), columns))
+    assert text.startswith("Run r-1: 10000 scans, 0 to 9999 s")
+    assert len(text.splitlines()) <= 25
+    assert max(map(len, text.splitlines())) <= 300

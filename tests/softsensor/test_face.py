@@ -189,3 +189,12 @@ def test_an_effect_of_ones_own_is_known_by_name_once():
     assert "own_loss" not in catalogue()
     with pytest.raises(daq.InputError, match="edge_loss"):
         softsensor.add_effect(find_effect("edge_loss"))
+
+
+def test_keys_given_beside_a_file_count_before_its_own():
+    path = SAMPLES[0]
+    run = softsensor.read_run(path, header={"panel.thickness_mm": 12.0})
+    assert run.header == {**softsensor.read_run(path).header, "panel.thickness_mm": 12.0}
+    assert softsensor.read_run(run, header={"run": "other"}).name == "other"
+    with pytest.raises(daq.InputError, match=r"panel\.thickness_mm"):
+        softsensor.read_run(path, header={"panel.thicknes_mm": 12.0})
