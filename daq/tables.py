@@ -134,6 +134,7 @@ def why_of(item: Any) -> Message:
 
 
 _KINDS = {
+    "extra_forbidden": "key-unknown",
     "missing": "key-missing",
     "float_type": "key-no-number",
     "float_parsing": "key-no-number",

@@ -735,6 +735,7 @@ fit-remedy-pressing = Eine Pressung aufzeichnen, bei der die Presse schließt.
 fit-remedy-stay-closed = Die Presse länger geschlossen halten als die { NUMBER($seconds, maximumFractionDigits: 0) } s dieser Pressung.
 fit-remedy-switch = Einen Endschalter als Spalte closed aufzeichnen.
 fit-remedy-thermocouple = Einen Fühler auf diese Seite setzen: { $layer }, angrenzend { $other }.
+fit-remedy-thermocouple-free = Einen Fühler auf die Außenseite setzen: { $layer }.
 fit-role-boundary = Er wirkt hier: { $boundary }.
 fit-role-closed = Er koppelt { $below } und { $above } bei geschlossener Presse ({ NUMBER($seconds, maximumFractionDigits: 0) } s in dieser Pressung).
 fit-role-joined = Er koppelt { $below } und { $above }.
@@ -1057,7 +1058,7 @@ night-compared =
         [with] { $effects }
         [without] ohne { $without }
        *[both] { $effects } ohne { $without }
-    }: Residuum { NUMBER($before, minimumFractionDigits: 3, maximumFractionDigits: 3) } -> { NUMBER($after, minimumFractionDigits: 3, maximumFractionDigits: 3) } K auf { $apart ->
+    }: Residuum einzelner Fühler, eigene Kontakte angepasst, { NUMBER($before, minimumFractionDigits: 3, maximumFractionDigits: 3) } -> { NUMBER($after, minimumFractionDigits: 3, maximumFractionDigits: 3) } K auf { $apart ->
         [yes] { $runs } unbeteiligten Pressungen
        *[no] { $runs } Pressungen der Diagnose
     }{ $predicted }{ $core }{ $against }
@@ -1068,7 +1069,11 @@ night-diagnosis-confirms = die Diagnose bestätigt es
 night-first-model = erstes Modell, Koeffizienten aus { $runs } Pressungen
 night-first-model-although = erstes Modell, Koeffizienten aus { $runs } Pressungen; { $although }
 night-fits =
-    { $fitted } von { $runs } Pressungen ausgewertet, { $failed } nicht auswertbar{ $blind ->
+    { $fitted } von { $runs } Pressungen ausgewertet, { $kept ->
+        [0] { "" }
+        [one] bei 1 bleibt es,{ " " }
+       *[other] bei { $kept } bleibt es,{ " " }
+    }{ $failed } nicht auswertbar{ $blind ->
         [0] { "" }
        *[other] , { $blind } ohne Fühler an der Platte
     }
@@ -1803,7 +1808,7 @@ demo-diagnosis-there = Die Diagnose ist da: { $diagnosis }, und was die Nacht ge
 demo-did-not-start = { $process } ist nicht gestartet: { $why }
 demo-ended = { $process } endete mit Status { $status }: { $why }
 demo-gain = Kernfehler der letzten { $runs } Pressungen: { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } K wie live ausgegeben, { NUMBER($after, minimumFractionDigits: 2, maximumFractionDigits: 2) } K mit dem in Kraft gesetzten Modell
-demo-heldout = Fehler auf unbeteiligten Pressungen: { $plain } K mit dem einfachen Modell, { $extended } K mit dem erweiterten
+demo-heldout = Pressungen, reihum ausgelassen, eigene Kontakte angepasst: { $plain } K daneben mit dem einfachen Modell, { $extended } K mit dem erweiterten
 demo-hidden = In der virtuellen Presse versteckt: { $effects }
 demo-kept = Aufbewahrt in { $folder }; wieder ansehen mit: kerntemp serve --config { $config }
 demo-logger = { $profile } an { $place }

@@ -735,6 +735,7 @@ fit-remedy-pressing = Log a pressing that closes.
 fit-remedy-stay-closed = Keep the press closed for longer than the { NUMBER($seconds, maximumFractionDigits: 0) } s of this run.
 fit-remedy-switch = Log a limit switch as the column closed.
 fit-remedy-thermocouple = Put a thermocouple on the face of { $layer } towards { $other }.
+fit-remedy-thermocouple-free = Put a thermocouple on the outer face of { $layer }.
 fit-role-boundary = It acts here: { $boundary }.
 fit-role-closed = It couples { $below } and { $above } while the press is closed ({ NUMBER($seconds, maximumFractionDigits: 0) } s in this run).
 fit-role-joined = It couples { $below } and { $above }.
@@ -1040,7 +1041,7 @@ night-compared =
         [with] { $effects }
         [without] without { $without }
        *[both] { $effects } without { $without }
-    }: residual { NUMBER($before, minimumFractionDigits: 3, maximumFractionDigits: 3) } -> { NUMBER($after, minimumFractionDigits: 3, maximumFractionDigits: 3) } K on { $apart ->
+    }: residual of single sensors, own contacts fitted, { NUMBER($before, minimumFractionDigits: 3, maximumFractionDigits: 3) } -> { NUMBER($after, minimumFractionDigits: 3, maximumFractionDigits: 3) } K on { $apart ->
         [yes] { $runs } runs that took no part
        *[no] { $runs } runs of the diagnosis
     }{ $predicted }{ $core }{ $against }
@@ -1051,7 +1052,11 @@ night-diagnosis-confirms = the diagnosis confirms it
 night-first-model = first model, coefficients of { $runs } runs
 night-first-model-although = first model, coefficients of { $runs } runs; { $although }
 night-fits =
-    { $fitted } of { $runs } runs fitted, { $failed } could not be{ $blind ->
+    { $fitted } of { $runs } runs fitted, { $kept ->
+        [0] { "" }
+        [one] 1 keeps its fit,{ " " }
+       *[other] { $kept } keep their fits,{ " " }
+    }{ $failed } could not be{ $blind ->
         [0] { "" }
         [one] , { $blind } has no panel sensors
        *[other] , { $blind } have no panel sensors
@@ -1784,7 +1789,7 @@ demo-diagnosis-there = The diagnosis is there: { $diagnosis }, and what the nigh
 demo-did-not-start = { $process } did not start: { $why }
 demo-ended = { $process } ended with status { $status }: { $why }
 demo-gain = Live core error on the last { $runs } pressings: { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } K as it was reported, { NUMBER($after, minimumFractionDigits: 2, maximumFractionDigits: 2) } K with the promoted model
-demo-heldout = Error on pressings that took no part: { $plain } K with the plain model, { $extended } K with the extended one
+demo-heldout = Pressings left out in turn, own contacts fitted: { $plain } K off with the plain model, { $extended } K with the extended one
 demo-hidden = Hidden in the virtual press: { $effects }
 demo-kept = Kept in { $folder }; to look at it again: kerntemp serve --config { $config }
 demo-logger = { $profile } at { $place }

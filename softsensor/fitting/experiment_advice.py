@@ -224,11 +224,13 @@ def _thermocouple(faces: Sequence[FaceNames], press: Press, fitted: RunFit) -> M
     for layer, side, _ in bare:
         if f"{layer}.{side}" in named:
             return say("fit-remedy-channels", place=place_words(f"{layer}.{side}"))
-    return (
-        say("fit-remedy-thermocouple", layer=layer_words(bare[0][0]), other=layer_words(bare[0][2]))
-        if bare
-        else None
-    )
+    if not bare:
+        return None
+    layer, _, other = bare[0]
+    ends = {f"boundary.{end}": boundary.kind for end, boundary in press.boundary.ends}
+    if ends.get(other, "measured") != "measured":
+        return say("fit-remedy-thermocouple-free", layer=layer_words(layer))
+    return say("fit-remedy-thermocouple", layer=layer_words(layer), other=layer_words(other))
 
 
 def _faces(contact: Contact, press: Press) -> list[FaceNames]:

@@ -93,7 +93,9 @@ class NightOutcome:
     @property
     def fits_line(self) -> Message:
         """What became of the runs."""
-        fits = say("night-fits", fitted=self.fitted, runs=self.runs, failed=self.failed, blind=self.blind)
+        kept = self.runs - self.fitted - self.failed - self.blind - self.later
+        told = {"fitted": self.fitted, "runs": self.runs, "kept": max(kept, 0)}
+        fits = say("night-fits", **told, failed=self.failed, blind=self.blind)
         return say("night-fits-later", fits=fits, later=self.later) if self.later else fits
 
     @property

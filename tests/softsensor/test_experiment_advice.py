@@ -109,3 +109,10 @@ def test_so_many_runs_that_nobody_makes_them_are_no_advice(fitted):
     i = fitted.problem.names.index("h_ap")
     hopeless = replace(fitted, covariance=1e4 * fitted.covariance, spread=100.0 * fitted.spread)
     assert repeats_for(hopeless, i) is None
+
+
+def test_a_free_back_has_no_platen_to_turn_a_thermocouple_to(fitted):
+    air = PRESS.boundary.bottom.model_copy(update={"kind": "air", "column": None, "coefficient": "h_air"})
+    free = PRESS.model_copy(update={"boundary": PRESS.boundary.model_copy(update={"bottom": air})})
+    assert str(role_of(free, "h_air", fitted).beside) == "Put a thermocouple on the outer face of lower plate."
+    assert "towards lower platen" in str(role_of(PRESS, "h_p_o", fitted).beside)
