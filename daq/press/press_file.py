@@ -282,6 +282,12 @@ class Press(Table):
         return tuple(b.column for _, b in self.boundary.ends if b.kind == "measured" and b.column)
 
     @property
+    def load_references(self) -> dict[int, tuple[str, float]]:
+        """By contact its load's column and reference; without a reference no single scan tells the share of it."""
+        loads = {m: contact.load for m, contact in enumerate(self.contact) if contact.load is not None}
+        return {m: (load.column, load.reference) for m, load in loads.items() if load.reference is not None}
+
+    @property
     def coefficient_names(self) -> tuple[str, ...]:
         """Every coefficient that contacts and boundaries use, in order of first use."""
         names: list[str] = []

@@ -116,7 +116,8 @@ def run_evidence(problem: Problem, at: Evaluation) -> dict[str, RunEvidence]:
 def candidates(problem: Problem) -> list[Effect]:
     """Return the causes a run's model leaves out and that the run could show.
 
-    Not those in whose place every run has unknowns of its own, nor one that only several loads show.
+    Not those in whose place every run has unknowns of its own, nor one of the load where none is measured: only
+    several runs show it then.
     """
     own = {e.name for e in problem.model.effects}
     panel = bool(problem.case.press.panel_layers)
@@ -124,7 +125,7 @@ def candidates(problem: Problem) -> list[Effect]:
         e
         for e in catalogue().values()
         if e.name not in own and e.parameters and (panel or e.needs != Need.PANEL)
-        if e.live.role is not Role.OF_THE_RUN and e.needs != Need.LOAD
+        if e.live.role is not Role.OF_THE_RUN and (e.needs != Need.LOAD or problem.case.press.load_references)
     ]
 
 

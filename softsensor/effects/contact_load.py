@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from softsensor.effects.effect import Effect, Need, Scene, Terms
+from softsensor.effects.effect import Effect, Live, Need, Role, Scene, Terms
 from softsensor.effects.parameters import Parameter
 
 REFERENCE_PRESSURE = 350.0
@@ -34,5 +34,7 @@ EFFECT = Effect(
     ),
     terms=_terms,
     source="power law, assumed; rough metal joints are known to follow about p^0.95",
+    chance=0.61,  # an exponent anywhere from 0 to 0.95 has the root mean square 0.95/√3 = 0.55 = √0.61 x 0.7
+    live=Live(Role.SCATTER),
     needs=Need.LOAD,
 )

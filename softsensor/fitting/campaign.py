@@ -24,7 +24,7 @@ from softsensor.fitting.dependence import Dependence, Program, fit_dependence
 from softsensor.fitting.experiment_advice import Company
 from softsensor.fitting.identifiability import WIDE, LikelihoodProfile, is_verdict_on
 from softsensor.fitting.joint import fit_together
-from softsensor.fitting.population import Population, information
+from softsensor.fitting.population import SPREAD_RUNS, Population, information
 from softsensor.fitting.result import Coefficient, Identifiability, RunFit, json_number
 from softsensor.fitting.unknowns import known_before
 from softsensor.heat.batch import Each
@@ -145,9 +145,14 @@ class CampaignFit:
         return self.dependence.program(settings).within(limits).holding(held)
 
     def model_file(self, version: str = "fit") -> ModelFile:
-        """Return the model file of a typical run: medians, and what a run may differ by."""
+        """Return the model file of a typical run: medians, and what a run may differ by.
+
+        A spread taken from few runs is itself in doubt: it counts by Student's 95 %, with what was known of it
+        before (`fitting.population.SPREAD_RUNS`) among its degrees of freedom.
+        """
         p = self.population
-        total = p.mean_covariance + np.diag(p.spread**2)
+        wider = float(stdtrit(max(len(self.met), 1) - 1.0 + SPREAD_RUNS, 0.975)) / BAND
+        total = p.mean_covariance + np.diag((wider * p.spread) ** 2)
         table: dict[str, FittedValue] = {}
         shrink = np.ones(len(p.names))
         for i, name in enumerate(p.names):

@@ -127,7 +127,7 @@ def gather_blocks(rows, done, ends, counted, blocks):
         before = max(first - 1, 0)
         begin, end = rows.time[before], rows.time[last]
         blocks.span[k, 0], blocks.span[k, 1] = begin, end
-        for side in range(2):  # by number: a whole row at once takes two seconds to compile
+        for side in range(rows.outside.shape[1]):  # by number: a whole row takes two seconds to compile
             blocks.outside[k, 0, side] = rows.outside[before, side]
             blocks.outside[k, 1, side] = rows.outside[last, side]
         blocks.quiet[k] = first == 0 or end - last_switch(counted.moments, end + 1.0) < QUIET_S

@@ -6,6 +6,8 @@ second else. A pass over stored scans takes many blocks in one call of a compile
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from daq.records import Array
@@ -31,12 +33,14 @@ class Scans:
         Face of each panel channel (K).
     faces
         How many faces have sensors (M).
+    loads
+        How many contacts' loads stand beside the boundaries.
     """
 
-    def __init__(self, place: Integers, faces: int) -> None:
+    def __init__(self, place: Integers, faces: int, loads: int = 0) -> None:
         self._place, self._faces, self._count = place, faces, 0
         self._channels = fresh_channels(place, faces)
-        self._time, self._outside = np.empty(_ROOM), np.empty((_ROOM, 2))
+        self._time, self._outside = np.empty(_ROOM), np.empty((_ROOM, 2 + loads))
         self._level, self._votes = np.empty((_ROOM, faces)), np.empty((_ROOM, faces))
         self._readings = np.empty((_ROOM, len(place)))
         self._expected = np.full((_ROOM, faces), np.nan)
@@ -44,8 +48,8 @@ class Scans:
     def __len__(self) -> int:
         return self._count
 
-    def append(self, time_s: float, outside: tuple[float, float], readings: Array) -> None:
-        """Keep a scan: boundary temperatures, single channels, and their robust mean. [s, °C]"""
+    def append(self, time_s: float, outside: Sequence[float], readings: Array) -> None:
+        """Keep a scan: what is outside (`outside`), single channels, and their robust mean. [s, °C]"""
         i = self._count
         if i == len(self._time):
             self._time, self._outside = _doubled(self._time), _doubled(self._outside)
@@ -119,7 +123,7 @@ class Scans:
 
     @property
     def outside(self) -> Array:
-        """Boundary temperatures, bottom and top (N, 2). [°C]"""
+        """Boundary temperatures, bottom and top, and the logarithms of the contacts' loads (N, 2 + L). [°C, -]"""
         return self._outside[: self._count]
 
     @property
@@ -148,8 +152,8 @@ def blocks_of(rows: ScanRows, done: int, ends: Integers, counted: Counted) -> Bl
     """Gather the scans from `done` on into blocks whose last scans are `ends`."""
     count, places = len(ends), rows.level.shape[1]
     made = Blocks(
-        np.empty((count, 2)), np.empty((count, 2, 2)), np.empty((count, places)), np.empty((count, places)),
-        np.empty((count, places)), rows.level[ends], np.empty(count, dtype=np.bool_),
+        np.empty((count, 2)), np.empty((count, 2, rows.outside.shape[1])), np.empty((count, places)),
+        np.empty((count, places)), np.empty((count, places)), rows.level[ends], np.empty(count, dtype=np.bool_),
     )  # fmt: skip
     compiled.gather_blocks(rows, done, ends, counted, made)
     return made

@@ -280,7 +280,9 @@ def _bare(one: KalmanFilter, opening: float) -> KalmanFilter:
     bare = model._replace(
         tangents=_without(model.tangents),
         d_boundary=model.d_boundary[:, :0].copy(),
-        factors=model.factors._replace(d_total=model.factors.d_total[:, :, :0].copy()),
+        factors=model.factors._replace(
+            d_total=model.factors.d_total[:, :, :0].copy(), d_by_load=model.factors.d_by_load[:, :, :0].copy()
+        ),
         moving=np.full_like(model.moving, -1),
         state=state,
         chain=_chain(model.chain, np.empty((len(model.chain.true), 2))),

@@ -36,6 +36,12 @@ class Factors(NamedTuple):
     """(edges, contacts)"""
     d_total: Array
     """(edges, contacts, P)"""
+    loads: Array
+    """Logarithms of a contact's load over its reference, even; none where no contact's load is followed (L)."""
+    by_load: Array
+    """Logarithm of the factor that a load adds (L, contacts)."""
+    d_by_load: Array
+    """(L, contacts, P)"""
 
 
 class SensorChain(NamedTuple):
@@ -203,6 +209,26 @@ def _set_factors(drive, k, a, b, factors, closed):
 
 
 @compiled()
+def _set_loads(drive, k, factors, outside, along):
+    """Multiply a step's factors by what the loads do, `along` the way from outside[0] to outside[1]."""
+    factor, d_factor = drive.factor, drive.d_factor
+    loads = factors.loads
+    last = loads.shape[0] - 1
+    if last < 1:
+        return
+    for m in range(factors.by_load.shape[1]):
+        load = outside[0, 2 + m] + along * (outside[1, 2 + m] - outside[0, 2 + m])
+        x = (min(max(load, loads[0]), loads[last]) - loads[0]) / (loads[1] - loads[0])
+        i = min(int(x), last - 1)
+        u = x - i
+        rise = math.exp((1.0 - u) * factors.by_load[i, m] + u * factors.by_load[i + 1, m])
+        for q in range(factors.d_by_load.shape[2]):
+            d_log = (1.0 - u) * factors.d_by_load[i, m, q] + u * factors.d_by_load[i + 1, m, q]
+            d_factor[k, m, q] = rise * (d_factor[k, m, q] + factor[k, m] * d_log)
+        factor[k, m] *= rise
+
+
+@compiled()
 def read_sensors(chain, out, d_out, k, h, closed):
     """Bring the measuring chain to output row `k`, `h` seconds after the last (0: settled).
 
@@ -263,7 +289,10 @@ def _delay(chain, a, y, row, h):
 
 @compiled()
 def march_span(model, timing, span, outside):
-    """Take the model from ``span[0]`` to ``span[1]`` with platens straight from outside[0] to outside[1]."""
+    """Take the model from ``span[0]`` to ``span[1]``, what is outside straight from outside[0] to outside[1].
+
+    Outside are the temperatures of the boundaries, bottom and top, and the logarithms of the contacts' loads.
+    """
     drive = _drive(model, timing, span, outside)
     p, n = model.state.s.shape
     steps, outputs = drive.h.shape[0], model.places.shape[0]
@@ -300,6 +329,7 @@ def _drive(model, timing, span, outside):
             drive.boundary[k, side, 1] = slope * h[k]
         set_shares(drive, k, t, t + h[k], timing, model.moving)
         _set_factors(drive, k, t, t + h[k], model.factors, timing.closed)
+        _set_loads(drive, k, model.factors, outside, (t + 0.5 * h[k] - span[0]) / (span[1] - span[0]))
         t += h[k]
     return drive
 

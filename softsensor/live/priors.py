@@ -8,6 +8,7 @@ runs have none, some have one. Which effect is what, how likely and how large, t
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
@@ -16,7 +17,7 @@ import numpy as np
 
 from daq.press.press_file import Press
 from daq.records import Array
-from softsensor.effects import Effect, Role, catalogue, find_effect, paper_layer
+from softsensor.effects import Effect, Need, Role, catalogue, find_effect, paper_layer
 from softsensor.effects.parameters import Parameter
 from softsensor.heat.model_file import MissingCauses, ModelFile
 from softsensor.signals.instrument import GUESS_LOG, LEAST_SPREAD_LOG, PLATEN_ALONE_K, START_K
@@ -191,23 +192,42 @@ def effect_priors(model: ModelFile | None) -> list[Unknown]:
     return priors
 
 
-def nuisance_priors(press: Press, known: set[str], initial_sd: float) -> list[Unknown]:
+def nuisance_priors(
+    press: Press, known: set[str], initial_sd: float, seen: MissingCauses | None = None
+) -> list[Unknown]:
     """Return what else biases the faces' readings, but for effects the model in force already holds."""
     priors = [Unknown("initial_K", 0.0, initial_sd)]
     for side, boundary in press.boundary.ends:
         if boundary.kind == "measured":
             priors.append(Unknown(f"boundary_{side}_K", 0.0, PLATEN_ALONE_K))
-    if not press.panel_layers:
-        return priors
     for effect in catalogue().values():
         if effect.live.role is not Role.SCATTER or effect.measuring or effect.layers or effect.name in known:
             continue
-        if press.has_states or not effect.live.with_states:
+        if _acts(effect, press):
             first = effect.parameters[0]
-            priors.append(Unknown(effect.key(first.name), first.neutral, effect.scatter_sd))
-    if paper_layer.EFFECT.name not in known:
+            about = _about(_informed(prior_of(effect), seen)) if effect.needs is Need.LOAD else None
+            priors.append(about or Unknown(effect.key(first.name), first.neutral, effect.scatter_sd))
+    if press.panel_layers and paper_layer.EFFECT.name not in known:
         priors.append(Unknown(SKIN, 0.0, SKIN_SD))
     return priors
+
+
+def _about(cause: CausePrior) -> Unknown | None:
+    """Return the Gaussian with the mean and variance of a cause that is there or not; None where nobody looked."""
+    if cause.centre is None:
+        return None
+    chance, away = cause.chance, cause.centre - cause.neutral
+    variance = (
+        chance * (cause.sd**2 + away**2) - (chance * away) ** 2 + (1.0 - chance) * (cause.width * cause.sd) ** 2
+    )
+    return Unknown(cause.parameter, cause.neutral + chance * away, math.sqrt(variance))
+
+
+def _acts(effect: Effect, press: Press) -> bool:
+    """Return whether an effect can bend what is read of a press."""
+    if effect.needs is Need.LOAD:
+        return bool(press.load_references)
+    return bool(press.panel_layers) and (press.has_states or not effect.live.with_states)
 
 
 def plans_for(
@@ -229,7 +249,7 @@ def plans_for(
     own = {name for name, _ in model.effects} if model else set()
     seen = model.missing if model else None
     common = coefficient_priors(press, model) + effect_priors(model)
-    common += [*nuisance_priors(press, own, initial_sd), *unowned]
+    common += [*nuisance_priors(press, own, initial_sd, seen), *unowned]
     moments = zip(TIMING, moments_sd, strict=True) if press.has_states else ()
     timing = [Unknown(name, 0.0, sd) for name, sd in moments if sd > 0.0]
     left_out = [e for e in catalogue().values() if press.panel_layers and e.name not in own]

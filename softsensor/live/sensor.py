@@ -34,6 +34,7 @@ from daq.records import PressState, Run
 from softsensor.heat.model_file import ModelFile
 from softsensor.live.blocks import Scans
 from softsensor.live.consistency import Stillness
+from softsensor.live.contact_loads import HeldLoads
 from softsensor.live.curing import resin_setup
 from softsensor.live.following import PressFollower
 from softsensor.live.forecast import Forecast, look_ahead, wishes_of
@@ -99,8 +100,14 @@ class _Followed:
     press: PressFollower
     passes: Passes
     platens: HeldPlatens
+    loads: HeldLoads
     still: Stillness
     possible: Possible
+
+    @property
+    def outside(self) -> tuple[float, ...]:
+        """Temperatures of the boundaries, bottom and top, and logarithms of the contacts' loads. [°C, -]"""
+        return (*self.platens.values, *self.loads.logs)
 
 
 class LiveSensor:
@@ -138,13 +145,14 @@ class LiveSensor:
             readings[:] = math.nan
         moments = run.press.detect(time_s, values)
         run.passes.forget(moments)
+        run.loads.note(values)
         if not run.platens.note(time_s, values):
             return Estimate(time_s, run.press.state, invalid=Invalid(InvalidReason.PLATEN_READING_MISSING))
         run.possible.note(run.platens.measured)
         if not len(run.scans):
             run.setup = with_platens(run.setup, run.platens.values)
             run.press.note_first_platens(time_s)
-        run.scans.append(time_s, run.platens.values, readings[len(run.setup.platens) :])
+        run.scans.append(time_s, run.outside, readings[len(run.setup.platens) :])
         silenced = run.still.silence(run.scans, frozen=frozen)
         disagrees = run.press.check_start()
         current = run.passes.current
@@ -201,7 +209,7 @@ class LiveSensor:
         self._forecast_s, self._forecast = now, Forecast()
         if state is PressState.CLOSED or state is PressState.OPEN:
             done = float(run.scans.time[current.done - 1])
-            found = look_ahead(current, self._wishes, state, done, np.array(run.platens.values))
+            found = look_ahead(current, self._wishes, state, done, np.array(run.outside))
             self._forecast = found.later(now - done)
 
     def _begin(self, values: Mapping[str, float]) -> _Followed:
@@ -210,11 +218,12 @@ class LiveSensor:
         columns = {name: np.full(len(times), v) for name, v in values.items()}
         run = Run("live", self._header, times, columns, "live")
         setup = replace(set_up(press_for_run(self._press, run), run, self._model), resin=self._resin)
-        scans = Scans(setup.place, len(setup.labels))
+        loads = HeldLoads(setup.press)
+        scans = Scans(setup.place, len(setup.labels), len(loads.logs))
         still = Stillness(setup.place, len(setup.labels), len(setup.platens))
         platens = HeldPlatens(setup.press)
         press, possible = PressFollower(setup, scans), Possible(setup)
-        return _Followed(setup, scans, press, Passes(self._model), platens, still, possible)
+        return _Followed(setup, scans, press, Passes(self._model), platens, loads, still, possible)
 
     def _estimate(self, run: _Followed, time_s: float) -> Estimate:
         state, current = run.press.state, run.passes.current

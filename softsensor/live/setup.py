@@ -20,6 +20,7 @@ from softsensor.heat.case import Case
 from softsensor.heat.model import ThermalModel
 from softsensor.heat.model_file import ModelFile
 from softsensor.live.channel_steps import Integers
+from softsensor.live.contact_loads import over_loads
 from softsensor.live.curing import ResinSetup
 from softsensor.live.directions import MOST_SHARE, Unowned, directions_of
 from softsensor.live.march_steps import Factors, LinearModel, SensorChain, settle_sensors
@@ -185,9 +186,11 @@ def linearise(setup: RunSetup, plan: FilterPlan, at: Array) -> Linearised:
         setup.cases[effects] = thermal.prepare(setup.run, Moments(closed_s=0.0), max_step_s=60.0)
         setup.profiles[effects] = _profile(setup, setup.cases[effects])
     case = setup.cases[effects]
-    build = thermal.build(case, {k: v for k, v in values.items() if k not in TIMING}, names)
+    known = {k: v for k, v in values.items() if k not in TIMING}
+    build = thermal.build(case, known, names)
     if len(units) != build.width:
         raise AssertionError(f"tangents have {build.width} rows for {len(names)} parameters")
+    by_load = _by_load(case, build, thermal, known, units)
     if SKIN in names:
         inside = np.flatnonzero(case.layout.wet)
         for i in (inside[0], inside[-1]):
@@ -197,6 +200,7 @@ def linearise(setup: RunSetup, plan: FilterPlan, at: Array) -> Linearised:
     if case.press.initial.kind == "sensors":
         build = build.begun_at_rest(case)
     model = _model(setup, case, build, names, units)
+    model = model._replace(factors=model.factors._replace(**by_load))
     start = case.panel.initial_temperature if case.panel is not None else float(model.state.t.mean())
     return Linearised(names, tuple(plan.priors), at, model, setup.profiles[effects], start)
 
@@ -234,12 +238,27 @@ def _model(setup: RunSetup, case: Case, build: Build, names: Sequence[str], unit
             edges=case.edges,
             total=_running(drive.factor * case.h[:, None]),
             d_total=_running(drive.d_factor * units * case.h[:, None, None]),
+            loads=np.zeros(0),
+            by_load=np.zeros((0, 0)),
+            d_by_load=np.zeros((0, 0, 0)),
         ),
         places=np.ascontiguousarray(places),
         moving=np.array([names.index(t) if t in names else -1 for t in TIMING], dtype=np.int64),
         state=state,
         chain=chain,
     )  # fmt: skip
+
+
+def _by_load(
+    case: Case, build: Build, thermal: ThermalModel, values: Mapping[str, float], units: Array
+) -> dict[str, Array]:
+    """Return by what contacts' factors change from the first scan's load to others, as `Factors` holds it."""
+    if not case.press.load_references:
+        return {}
+    loaded, logs = over_loads(case)
+    first, others = build.drive, thermal.build(loaded, values, build.asked.names).drive
+    d_log = others.d_factor / others.factor[:, :, None] - first.d_factor / first.factor[:, :, None]
+    return {"loads": logs, "by_load": np.log(others.factor / first.factor), "d_by_load": d_log * units}
 
 
 def _running(steps: Array) -> Array:

@@ -7,6 +7,7 @@ import pytest
 
 from daq.files.mapping import read_foreign, read_mapping
 from daq.press.press_file import read_press
+from softsensor.diagnosis.missing_causes import with_missing_causes
 from softsensor.fitting.one_run import fit_run
 from softsensor.heat.model import ThermalModel
 from softsensor.jobs.campaign import fit_campaign
@@ -61,3 +62,14 @@ def test_inert_board_is_met_with_the_heat_capacity_of_its_data_sheet():
     assert parabola[0] > 0
     assert min(errors) <= 3.5
     assert best == pytest.approx(DATA_SHEET_HEAT_CAPACITY, rel=0.05)
+
+
+def test_runs_of_the_press_rig_teach_what_the_load_does_to_its_contacts(rig):
+    """The diagnosis of the same runs, which solves at the exponent itself, says 0.041 (0.032 to 0.050)."""
+    seen = with_missing_causes(rig.model_file(), rig.runs).missing
+    assert seen is not None
+    load = seen.causes["contact_load"]
+    assert load.chance > 0.5
+    exponent = load.parameters["exponent"]
+    assert exponent.value - 2.0 * exponent.sd < 0.041 < exponent.value + 2.0 * exponent.sd
+    assert exponent.value > 2.0 * exponent.sd
