@@ -214,6 +214,15 @@ class At(Table):
     depth_mm: Number = Field(ge=0)
 
 
+def label_of(at: str | At) -> str:
+    """Return what a place is called.
+
+    >>> label_of("panel.top"), label_of(At(layer="panel", depth_mm=5.7))
+    ('panel.top', 'panel@5.7mm')
+    """
+    return at if isinstance(at, str) else f"{at.layer}@{at.depth_mm:g}mm"
+
+
 class Sensor(Table):
     """``[[sensor]]``: run file columns (patterns allowed) and where their thermocouples sit."""
 
@@ -226,7 +235,14 @@ class Sensor(Table):
     @property
     def label(self) -> str:
         """The place as ``simulate`` names its column: ``panel.top`` or ``panel@5.7mm``."""
-        return self.at if isinstance(self.at, str) else f"{self.at.layer}@{self.at.depth_mm:g}mm"
+        return label_of(self.at)
+
+
+class Core(Table):
+    """``[core]``: the place whose temperature is called the core's."""
+
+    at: str | At
+    """As of a sensor."""
 
 
 class Initial(Table):
@@ -260,6 +276,9 @@ class Press(Table):
     priors: Mapping[str, Prior] = Field(default_factory=dict)
     sensor: tuple[Sensor, ...] = ()
     initial: Initial = Initial()
+    core: Core | None = None
+    """None: the middle of the panel; without a panel where the first ``validation`` sensor sits, else the middle
+    of the layer in the middle."""
 
     @property
     def name(self) -> str:
@@ -275,6 +294,21 @@ class Press(Table):
     def panel_layers(self) -> tuple[str, ...]:
         """Names of the layers that come from the run."""
         return tuple(layer.name for layer in self.layer if layer.from_run)
+
+    @property
+    def core_at(self) -> str | At:
+        """Where the core is."""
+        if self.core is not None:
+            return self.core.at
+        if self.panel_layers:
+            return f"{self.panel_layers[0]}.middle"
+        buried = (sensor.at for sensor in self.sensor if sensor.role == "validation")
+        return next(buried, f"{self.layer[len(self.layer) // 2].name}.middle")
+
+    def at_core(self, run: Run) -> tuple[str, ...]:
+        """Return a run's channels that read the core and that nothing else sees, in file order."""
+        core = label_of(self.core_at)
+        return tuple(c for c, s in self.sensors_of(run, "validation").items() if s.label == core)
 
     @property
     def platens(self) -> tuple[str, ...]:
@@ -346,7 +380,9 @@ class Press(Table):
         for name, prior in self.priors.items():
             self._check_prior(name, prior)
         for i, sensor in enumerate(self.sensor):
-            self._check_place(i, sensor)
+            self._check_place(f"sensor.{i}.at", sensor.at)
+        if self.core is not None:
+            self._check_place("core.at", self.core.at)
         if said := self.misnamed_wire:
             raise ValueError(said)
         if self.initial.kind == "uniform" and self.initial.temperature_C is None and not self.panel_layers:
@@ -386,18 +422,18 @@ class Press(Table):
             found = say("press-prior-outside", lower=table.lower, upper=table.upper)
             raise ValueError(_of(f"priors.{name}.median", prior.median, found))
 
-    def _check_place(self, i: int, sensor: Sensor) -> None:
-        if isinstance(sensor.at, At):
-            layer = next((x for x in self.layer if x.name == sensor.at.layer), None)
+    def _check_place(self, key: str, at: str | At) -> None:
+        if isinstance(at, At):
+            layer = next((x for x in self.layer if x.name == at.layer), None)
             if layer is None:
-                raise ValueError(_of(f"sensor.{i}.at.layer", sensor.at.layer, say("press-no-such-layer")))
-            if layer.thickness_mm is not None and sensor.at.depth_mm > layer.thickness_mm:
+                raise ValueError(_of(f"{key}.layer", at.layer, say("press-no-such-layer")))
+            if layer.thickness_mm is not None and at.depth_mm > layer.thickness_mm:
                 found = say("press-depth-outside", layer=layer.name, thickness_mm=layer.thickness_mm)
-                raise ValueError(_of(f"sensor.{i}.at.depth_mm", sensor.at.depth_mm, found))
+                raise ValueError(_of(f"{key}.depth_mm", at.depth_mm, found))
             return
-        layer_name, _, place = sensor.at.rpartition(".")
+        layer_name, _, place = at.rpartition(".")
         if layer_name not in {x.name for x in self.layer} or place not in ("bottom", "middle", "top"):
-            raise ValueError(_of(f"sensor.{i}.at", sensor.at, say("press-no-place")))
+            raise ValueError(_of(key, at, say("press-no-place")))
 
 
 def _of(key: str, value: object, what: Message) -> Message:
@@ -480,7 +516,7 @@ def _set(tree: Any, keys: list[str], value: Any, ending: str = "") -> None:
         else:
             tree = (
                 tree.setdefault(key, {})
-                if i == 0 and key in ("boundary", "initial", "coefficients", "press", "priors")
+                if i == 0 and key in ("boundary", "initial", "coefficients", "press", "priors", "core")
                 else tree[key]
             )
     if not isinstance(tree, dict):

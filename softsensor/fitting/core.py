@@ -1,4 +1,4 @@
-"""The core as a run's fit has it: the middle of the panel, and how far off it may be."""
+"""The core as a run's fit has it, and how far off it may be."""
 
 from __future__ import annotations
 
@@ -72,10 +72,8 @@ def _derivative(fitted: RunFit) -> Array:
 
 
 def _measured(fitted: RunFit) -> Array:
-    """Return the mean of the channels in the middle of the panel that the fit does not see (rows). [°C]"""
+    """Return the mean of the channels at the core, which the fit does not see (rows). [°C]"""
     case = fitted.problem.case
-    middle = f"{case.press.panel_layers[0]}.middle"
-    channels = [c for c, s in case.press.sensors_of(case.run, "validation").items() if s.at == middle]
-    cells = np.array([case.run.columns[c] for c in channels]).reshape(-1, len(case.run.time_s))
+    cells = np.array([case.run.columns[c] for c in case.press.at_core(case.run)]).reshape(-1, len(case.run.time_s))
     count = np.isfinite(cells).sum(axis=0)
     return np.where(count > 0, np.nansum(cells, axis=0) / np.maximum(count, 1), np.nan)

@@ -210,9 +210,8 @@ def prepare_case(press: Press, run: Run, moments: Moments, *, paper: bool, finen
     series = [boundary_series(run, name, b) for name, b in zip(("bottom", "top"), ends, strict=True)]
     sensors = press.sensors_of(run) | press.sensors_of(run, "validation")
     weights = {sensor.label: _place(press, run, mesh, panel, sensor.at) for sensor in sensors.values()}
-    middle = press.panel_layers[0] if press.panel_layers else press.layer[len(press.layer) // 2].name
     labels = (*weights, "core")
-    weights["core"] = _place(press, run, mesh, panel, f"{middle}.middle")
+    weights["core"] = _place(press, run, mesh, panel, press.core_at)
     return Case(
         run=run,
         press=press,

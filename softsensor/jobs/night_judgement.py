@@ -428,7 +428,7 @@ def _core_errors(night: Night, candidate: ModelFile) -> Iterator[tuple[Array, Ar
         if count >= CORE_RUNS:
             break
         run = night.store.load_run(record.run)
-        truth = [c for c in night.press.sensors_of(run, "validation") if np.isfinite(run.columns[c]).any()]
+        truth = [c for c in night.press.at_core(run) if np.isfinite(run.columns[c]).any()]
         if not truth:
             continue
         count += 1

@@ -281,7 +281,7 @@ def quantities_of(drawn: Ensemble, courses: Courses, wish: Wish, kinetics: Kinet
     steam = unknown
     if wish.limits.steam_most_kPa is not None:
         steam = np.log(_steam(drawn, courses, wish.resin))
-    return Quantities(cured[0], cured[1], courses.layers_C[:, :, len(DEPTHS) // 2], steam)
+    return Quantities(cured[0], cured[1], courses.core_C, steam)
 
 
 def _steam(drawn: Ensemble, courses: Courses, resin: Resin | None) -> Array:

@@ -39,7 +39,7 @@ SEED = 22
 ROW_S = 1.0
 """Rows of a made-up run. [s]"""
 DEPTHS = np.linspace(0.0, 1.0, 9)
-"""Where temperatures are read through the panel, as shares of its thickness; the middle one is the core."""
+"""Where temperatures are read through the panel, as shares of its thickness."""
 COEFFICIENTS, EFFECTS, PLATENS, KINETICS, SORPTION = "coefficients", "effects", "platens", "kinetics", "sorption"
 """Sources of doubt besides the constants, which go by their keys in the header."""
 
@@ -89,6 +89,8 @@ class Courses:
     """Since the middle of the closing (t). [s]"""
     layers_C: Array  # noqa: N815
     """By draw and depth (draws, t, depths). [°C]"""
+    core_C: Array  # noqa: N815
+    """By draw (draws, t). [°C]"""
     faces_C: Array  # noqa: N815
     """Both faces, lower first, over all of the run (2, draws, rows). [°C]"""
     time_s: Array
@@ -144,10 +146,10 @@ class Ensemble:
             for c in self.cases
         ]
         solved = solve_many(self.model, cases, list(self.values))
-        layers = np.stack([s.places[:, :-1] for s in solved])
+        layers, core = (np.stack([s.places[:, at] for s in solved]) for at in (slice(-1), -1))
         faces = np.stack([layers[:, :, 0], layers[:, :, -1]])
         rows = self.rows
-        return Courses(self.press_times, layers[:, rows], faces, cases[0].run.time_s, rows)
+        return Courses(self.press_times, layers[:, rows], core[:, rows], faces, cases[0].run.time_s, rows)
 
     @cached_property
     def rows(self) -> np.ndarray:
@@ -198,7 +200,7 @@ def _read_through(case: Case) -> Case:
     """Return the case read at `DEPTHS` of its panel, its core last."""
     layer = case.press.panel_layers[0]
     width = float(case.mesh.dx[case.mesh.cells(layer)].sum())
-    places = np.stack([case.mesh.place(layer, z * width) for z in (*DEPTHS, 0.5)])
+    places = np.stack([*(case.mesh.place(layer, z * width) for z in DEPTHS), case.places[-1]])
     labels = (*(f"{layer}@{z:g}" for z in DEPTHS), "core")
     return replace(case, places=places, labels=labels, columns=(), place_of={}, press_face=np.zeros_like(places))
 

@@ -23,7 +23,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from daq.files.mapping import read_foreign, read_mapping
-from daq.press.press_file import Press, parse_press, read_press
+from daq.press.press_file import At, Core, Press, parse_press, read_press
 from daq.records import Array, PressState, Run
 from daq.simulated.campaign import Plan, Truth, make_campaign
 from daq.simulated.campaign_pressfile import press_toml
@@ -245,51 +245,10 @@ def platens(count: int) -> Rows:
     return Rows.joined(list(campaigns(52400, [None] * count, scattering(PLAN, count), platens_alone=True)))
 
 
-def split_at_core(press: Press, layer: str, depth_mm: float) -> Press:
-    """Return a press whose core is at a depth of a layer: layers cut so that it lies in the middle of theirs."""
-    content = press.model_dump(mode="json", exclude_none=True)
-    at = next(i for i, own in enumerate(content["layer"]) if own["name"] == layer)
-    thick = content["layer"][at]["thickness_mm"]
-    near = min(depth_mm, thick - depth_mm)
-    cuts = {f"{layer}_core": 2 * near} if 2 * depth_mm == thick else (
-        {f"{layer}_core": 2 * near, layer: thick - 2 * near}
-        if depth_mm < thick / 2
-        else {layer: thick - 2 * near, f"{layer}_core": 2 * near}
-    )  # fmt: skip
-    parts = [{**content["layer"][at], "name": n, "thickness_mm": t} for n, t in cuts.items()]
-    content["layer"][at : at + 1] = parts
-    core = next(i for i, own in enumerate(content["layer"]) if own["name"].endswith("_core"))
-
-    def halved(where: int) -> None:
-        own = content["layer"][where]
-        half = {**own, "thickness_mm": own["thickness_mm"] / 2}
-        content["layer"][where : where + 1] = [
-            half,
-            {**half, "name": f"{own['name']}_more{len(content['layer'])}"},
-        ]
-
-    while core != len(content["layer"]) // 2:
-        if core < len(content["layer"]) // 2:
-            halved(0)
-            core += 1
-        else:
-            halved(len(content["layer"]) - 1)
-    first, second = next(iter(cuts)), list(cuts)[-1]
-    for contact in content.get("contact", []):
-        contact["between"] = [
-            (second if side == 0 else first) if name == layer else name
-            for side, name in enumerate(contact["between"])
-        ]
-    lower = cuts[first]
-    for sensor in content["sensor"]:
-        if isinstance(sensor["at"], dict) and sensor["at"]["layer"] == layer:
-            deep = sensor["at"]["depth_mm"]
-            own = (first, deep) if deep <= lower else (second, deep - lower)
-            sensor["at"] = {"layer": own[0], "depth_mm": own[1]}
-    return Press.model_validate(content)
-
-
-RIG_CORE = {"T_Inco1": ("inconel_hot", 6.5), "T_Inco2": ("inconel_cool", 1.5)}
+RIG_CORE = {
+    "T_Inco1": At(layer="inconel_hot", depth_mm=6.5),
+    "T_Inco2": At(layer="inconel_cool", depth_mm=1.5),
+}
 
 
 def _rig(core: str, hidden: Sequence[str]) -> Rows:
@@ -298,7 +257,7 @@ def _rig(core: str, hidden: Sequence[str]) -> Rows:
         read_press(ROOT / "deploy/presses/rig.toml"),
     )
     runs = [read_foreign(DATA / path, mapped) for path in PRESS_RIG]
-    press, found = split_at_core(plain, *RIG_CORE[core]), []
+    press, found = plain.model_copy(update={"core": Core(at=RIG_CORE[core])}), []
     for i, run in enumerate(runs):
         fits = fit_campaign(plain, [*runs[:i], *runs[i + 1 :]])
         model = with_missing_causes(fits.model_file(), fits.runs)
@@ -413,7 +372,8 @@ def inert_board() -> Rows:
     run = read_foreign(DATA / "inert_board/Black-Insulation_q50_Temp.csv", mapped)
     found = []
     for core, depth in BOARD_CORE.items():
-        found.append(followed(split_at_core(plain, "board", depth), run, run.columns[core], None, [core]))
+        press = plain.model_copy(update={"core": Core(at=At(layer="board", depth_mm=depth))})
+        found.append(followed(press, run, run.columns[core], None, [core]))
         told(f"  {core} hidden", found[-1])
     return Rows.joined(found)
 

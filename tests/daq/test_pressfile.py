@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from daq.press.header import panel_of
-from daq.press.press_file import parse_press, press_for_run, read_press
+from daq.press.press_file import label_of, parse_press, press_for_run, read_press
 from daq.records import InputError, Run
 
 LAB = Path(__file__).parents[2] / "deploy" / "presses" / "lab.toml"
@@ -64,6 +64,8 @@ def test_press_without_an_open_entry_has_one_state() -> None:
             PLATE + "[[sensor]]\ncolumns = ['a']\nat = { layer = 'plate', depth_mm = 11.0 }",
             "outside layer 'plate'",
         ),
+        (PLATE + "[core]\nat = 'b.top'", r"core\.at = 'b\.top'"),
+        (PLATE + "[core]\nat = { layer = 'plate', depth_mm = 11.0 }", r"core\.at\.depth_mm = 11\.0: .*'plate'"),
         (PLATE.replace("45.0", "true"), r"layer\.0\.conductivity_W_mK = True: .*valid number"),
         (PLATE.replace("45.0", "'45'"), r"layer\.0\.conductivity_W_mK = '45': .*valid number"),
         (PANEL + "[press]\narea_m2 = '2'", r"press\.area_m2 = '2': .*valid number"),
@@ -110,6 +112,32 @@ def test_an_override_may_leave_a_coefficient_of_the_press_file_without_use() -> 
 def test_an_override_may_put_a_depth_in_place_of_a_named_place() -> None:
     own = press_for_run(read_press(LAB), run(sensor__0__at__layer="panel", sensor__0__at__depth_mm=5.7))
     assert own.sensor[0].label == "panel@5.7mm"
+
+
+@pytest.mark.parametrize(
+    ("text", "core"),
+    [
+        (PLATE + PANEL, "panel.middle"),
+        (PLATE + PANEL + "[[sensor]]\ncolumns = ['c']\nat = 'panel.top'\nrole = 'validation'", "panel.middle"),
+        (PLATE + PANEL + "[core]\nat = 'plate.bottom'", "plate.bottom"),
+        (PLATE + PANEL + "[core]\nat = { layer = 'panel', depth_mm = 5.7 }", "panel@5.7mm"),
+        (PLATE, "plate.middle"),
+        (PLATE + "[[sensor]]\ncolumns = ['c']\nat = 'plate.top'\nrole = 'validation'", "plate.top"),
+    ],
+)
+def test_the_core_is_where_the_press_file_says_else_in_the_middle(text: str, core: str) -> None:
+    press = parse_press(text)
+    assert label_of(press.core_at) == core
+    assert label_of(press_for_run(press, run(core__at="plate.top")).core_at) == "plate.top"
+
+
+def test_only_channels_at_the_core_tell_of_it() -> None:
+    buried = "[[sensor]]\ncolumns = ['{}_*']\nat = {}\nrole = 'validation'\n"
+    deep = "{ layer = 'panel', depth_mm = 5.7 }"
+    text = PANEL + buried.format("core", "'panel.middle'") + buried.format("deep", deep)
+    one = Run("r", {}, np.arange(3.0), {name: np.zeros(3) for name in ("deep_1", "core_1", "core_2")})
+    assert parse_press(text).at_core(one) == ("core_1", "core_2")
+    assert parse_press(text + f"[core]\nat = {deep}").at_core(one) == ("deep_1",)
 
 
 def test_override_of_an_unknown_place_is_refused() -> None:

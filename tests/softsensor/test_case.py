@@ -1,17 +1,20 @@
 """What a run must offer to be solved, and how it is refused otherwise."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from daq.press.press_file import parse_press
+from daq.press.press_file import At, Core, Sensor, parse_press
 from daq.records import BoundaryGap, BrokenTime, InputError, Moments, Nonphysical, OutsideLayer, Run
 from softsensor.effects import BUILT_IN
 from softsensor.heat.batch import solve_many
 from softsensor.heat.case import step_edges, step_means
 from softsensor.heat.model import ThermalModel
+from softsensor.heat.model_file import FittedValue, ModelFile
 from softsensor.heat.timing import ramp
+from softsensor.live.replay import replay
 
 
 def prepared(press, run, moments):
@@ -339,3 +342,22 @@ def test_steps_wholly_before_or_after_a_ramp_have_exactly_no_or_the_whole_share(
         assert np.all(share[edges[1:] <= middle - 0.25] == 0.0)
         assert np.all(share[edges[:-1] >= middle + 0.25] == 1.0)
         assert share @ np.diff(edges) == pytest.approx(edges[-1] - middle)
+
+
+def test_a_core_at_a_depth_is_what_a_thermocouple_there_reads(lab_press, make_run, moments, coefficients):
+    deep = At(layer="panel", depth_mm=5.7)
+    sensor = Sensor(columns=("core_*",), at=deep)
+    press = lab_press.model_copy(update={"core": Core(at=deep), "sensor": (*lab_press.sensor[:-1], sensor)})
+    run, model = make_run(every=0.5), ThermalModel(press)
+    found = model.solve(model.prepare(run, moments), coefficients)
+    assert found.core.tolist() == found.column("core_1").tolist()
+
+    known = ModelFile("m", "lab", {n: FittedValue(v, 1e-3 * v) for n, v in coefficients.items()})
+    closed = ((run.time_s >= moments.closed_s) & (run.time_s < moments.opened_s)).astype(float)
+    columns = {n: v for n, v in run.columns.items() if n.startswith("platen")} | {"closed": closed}
+    told = [e.core_C for e in replay(press, replace(run, columns=columns), known).estimates]
+    while_closed = (run.time_s > 40.0) & (run.time_s < 80.0)
+    assert np.array(told)[while_closed] == pytest.approx(found.core[while_closed], abs=1.0)
+    middle = ThermalModel(lab_press)
+    away = middle.solve(middle.prepare(run, moments), coefficients).core - found.core
+    assert np.abs(away[while_closed]).min() > 1.0
