@@ -163,6 +163,8 @@ class Load(Table):
 
     None: the run's own median, which cannot tell runs of different steady loads apart.
     """
+    unit: Literal["N/cm2", "kPa", "bar", "MPa"] | None = None
+    """Of the column; needed only where a program gives the pressure instead of a run."""
 
 
 class Contact(Table):

@@ -965,6 +965,7 @@ advise-limit-core_most = Kern zu heiß
 advise-limit-cure_bottom = untere Seite nicht ausgehärtet
 advise-limit-cure_top = obere Seite nicht ausgehärtet
 advise-limit-steam_most = zu viel Dampf
+advise-load-unit = Presse { $press }: das Modell folgt der Last in Spalte { $column }, deren Einheit nirgends steht: beim Kontakt in load unit = "N/cm2", "kPa", "bar" oder "MPa" angeben
 advise-margin = Die mittlere Platte ist nach { NUMBER($likely, maximumFractionDigits: 0) } s fertig; über { NUMBER($until, maximumFractionDigits: 0) } s hinaus gelten die Grenzen nicht mehr so sicher, oder Längeres wurde nicht betrachtet.
 advise-measure = Wäre dies genau bekannt, genügten { NUMBER($seconds, maximumFractionDigits: 0) } s: { $source }
 advise-no-limit = keine Grenze einzuhalten; --resin mit [limits], --core-least oder --core-most angeben

@@ -948,6 +948,7 @@ advise-limit-core_most = core too hot
 advise-limit-cure_bottom = lower face undercured
 advise-limit-cure_top = upper face undercured
 advise-limit-steam_most = too much steam
+advise-load-unit = press { $press }: the model follows the load in column { $column }, and nothing says in which unit: add unit = "N/cm2", "kPa", "bar" or "MPa" to the contact's load
 advise-margin = The middle panel is ready after { NUMBER($likely, maximumFractionDigits: 0) } s; beyond { NUMBER($until, maximumFractionDigits: 0) } s the limits no longer hold so surely, or nothing longer was looked at.
 advise-measure = If this were known exactly, { NUMBER($seconds, maximumFractionDigits: 0) } s would do: { $source }
 advise-no-limit = nothing to keep to; give --resin with [limits], --core-least or --core-most

@@ -14,7 +14,7 @@ import pytest
 
 import softsensor
 from api.cli import main
-from daq.press.press_file import Press, parse_press
+from daq.press.press_file import Load, Press, parse_press
 from daq.press.resin_file import Resin, read_resin
 from daq.records import InputError
 from daq.simulated.campaign import Plan, make_campaign, press_toml
@@ -223,3 +223,23 @@ def test_the_command_writes_answer_and_figure(tmp_path: Path, capsys: pytest.Cap
     assert svg.read_text(encoding="utf-8").startswith("<?xml")
     assert main([*command, "--panel", "thick"]) == 2
     assert "must be KEY=VALUE" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("unit", "reads"), [("N/cm2", 300.0), ("kPa", 3000.0), ("bar", 30.0), ("MPa", 3.0)])
+def test_a_load_column_gets_the_pressure_in_its_own_unit(unit, reads):
+    run, _ = made_up_run(replace(task(), press=loaded(unit)), Programme(180.0, 300.0))
+    assert run.columns["load"][0] == pytest.approx(reads)
+
+
+def test_a_load_without_a_unit_is_refused_where_the_model_follows_it():
+    follows = replace(model(), effects=(("contact_load", {"exponent": FittedValue(0.5, 0.1)}),))
+    with pytest.raises(InputError, match=r"column load, and nothing says in which unit: add unit = "):
+        made_up_run(replace(task(), press=loaded(None), model=follows), Programme(180.0, 300.0))
+    made_up_run(replace(task(), press=loaded(None)), Programme(180.0, 300.0))
+
+
+def loaded(unit):
+    """The press with a load column at the contacts of its panel."""
+    load = Load(column="load", reference=300.0, unit=unit)
+    contacts = tuple(c.model_copy(update={"load": load}) if "panel" in c.between else c for c in press().contact)
+    return press().model_copy(update={"contact": contacts})
