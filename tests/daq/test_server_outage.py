@@ -168,20 +168,27 @@ def own_server():
         shutil.rmtree(data, ignore_errors=True)
 
 
-def every_process(url):
-    """The server's process numbers, its parent's last: it must not notice that a child has stopped."""
+def stop_every_process(url):
+    """Stop a server; return its process numbers, its parent's last.
+
+    The parent is stopped first: it must not notice that a child has stopped, nor bury one that ends meanwhile,
+    whose number would then be nobody's.
+    """
     with psycopg.connect(url.replace("+psycopg", ""), autocommit=True) as connection:
         folder = connection.execute("SHOW data_directory").fetchone()[0]
     parent = int((Path(folder) / "postmaster.pid").read_text().split()[0])
-    return [*map(int, Path(f"/proc/{parent}/task/{parent}/children").read_text().split()), parent]
+    os.kill(parent, signal.SIGSTOP)
+    wait_until(lambda: ") T " in Path(f"/proc/{parent}/stat").read_text())
+    children = [*map(int, Path(f"/proc/{parent}/task/{parent}/children").read_text().split())]
+    for child in children:
+        os.kill(child, signal.SIGSTOP)
+    return [*children, parent]
 
 
 @contextmanager
 def stopped(url):
     """The server says nothing; the machine it runs on still confirms what it is sent."""
-    processes = every_process(url)
-    for process in reversed(processes):
-        os.kill(process, signal.SIGSTOP)
+    processes = stop_every_process(url)
     try:
         yield
     finally:
