@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from daq.simulated.campaign_pressfile import press_toml
 from daq.simulated.physics_pressing import BASE_COEFFICIENTS
 from softsensor.diagnosis.missing_causes import with_missing_causes
 from softsensor.effects import BUILT_IN
+from softsensor.fitting.simulated_run import simulate_run
 from softsensor.heat.model_file import FittedValue, ModelFile
 from softsensor.jobs.campaign import fit_campaign
 from softsensor.live import march_steps
@@ -365,3 +367,36 @@ def test_a_rig_without_states_is_followed():
     said = replay(run, None, press=press)
     assert said[-1].valid
     assert said[-1].core_C == pytest.approx(80.0, abs=0.5)  # insulated above: in the end as hot as below
+
+
+@pytest.fixture(scope="module")
+def blind():
+    """What the core does in a pressing with a limit switch by a model's effects, live and blind, and solved."""
+    ((run, truth),) = measured(make_campaign(21, 1, None, PLAN))
+    moments = truth.moments
+    closed = ((run.time_s >= moments.closed_s) & (run.time_s < moments.opened_s)).astype(float)
+    run = replace(run, columns={**run.columns, "closed": closed})
+    faces = [c for c in run.columns if c.startswith(("top_", "bottom_", "core"))]
+    sure = {name: FittedValue(c.value, 1e-3 * c.value) for name, c in COEFFICIENTS.items()}
+
+    @cache
+    def cores(*names):
+        tables = {e.name: e.parameters for e in BUILT_IN if e.name in names}
+        typical = {
+            n: {p.name: FittedValue(p.typical, 1e-4 * abs(p.typical)) for p in own} for n, own in tables.items()
+        }
+        model = replace(MODEL, coefficients=sure, effects=tuple(typical.items()))
+        said = np.array([e.core_C for e in replay(run, model, without=faces)])
+        return said, simulate_run(run, PRESS, model.model(PRESS), model.values).core
+
+    return cores
+
+
+@pytest.mark.parametrize("effect", BUILT_IN, ids=lambda e: e.name)
+def test_what_an_effect_does_to_the_core_is_the_same_live_and_solved(blind, effect):
+    """Two programs march the same model: scan by scan with what a scan knows, and over the whole run at once."""
+    (said, solved), (said_plain, solved_plain) = blind(effect.name), blind()
+    moved, solved_moved = said - said_plain, solved - solved_plain
+    known = np.isfinite(moved)
+    assert known.mean() > 0.8
+    assert np.abs(moved - solved_moved)[known].max() <= 0.1 + 0.1 * np.abs(solved_moved).max()
