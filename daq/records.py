@@ -21,8 +21,6 @@ Array = NDArray[np.float64]
 
 ROOM_C = 23.0
 """Of a room where nothing is said of it: the middle of halls of 16 to 30 °C. [°C]"""
-_KEYS_SHOWN = 20
-"""Header keys of a run shown on one screen of 25 lines."""
 COLDEST_C, HOTTEST_C = -273.15, 2000.0
 """Between these lies every temperature in a press or a furnace. [°C]"""
 
@@ -185,6 +183,10 @@ class Panel:
     [°C, W/mK]"""
     heat_capacity_table: tuple[tuple[float, float], ...] = ()
     """The same of the heat capacity. [°C, J/kgK]"""
+
+
+_KEYS_SHOWN = 20
+"""Header keys of a run shown on one screen of 25 lines."""
 
 
 @dataclass(frozen=True, repr=False)

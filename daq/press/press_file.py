@@ -166,6 +166,10 @@ class Load(Table):
     unit: Literal["N/cm2", "kPa", "bar", "MPa"] | None = None
     """Of the column; needed only where a program gives the pressure instead of a run."""
 
+    def reading(self, pressure_N_cm2: float) -> float:  # noqa: N803
+        """Return what the column reads at a pressure; as that stands where no unit is given."""
+        return pressure_N_cm2 * {"N/cm2": 1.0, "kPa": 10.0, "bar": 0.1, "MPa": 0.01}[self.unit or "N/cm2"]
+
 
 class Contact(Table):
     """``[[contact]]``: names of the heat transfer coefficients between two neighbours.

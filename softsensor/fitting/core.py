@@ -10,6 +10,7 @@ from daq.records import Array
 from softsensor.fitting.constants import changed_by
 from softsensor.fitting.problem import CONSTANT, carried_among
 from softsensor.fitting.result import RunFit
+from softsensor.signals.faces import measured_core
 from softsensor.signals.instrument import PLATEN_ALONE_K, START_ALONE_K
 
 
@@ -39,6 +40,7 @@ def fitted_core(fitted: RunFit) -> FittedCore | None:
     if not (fitted.met and problem.case.press.panel_layers):
         return None
     present = np.where(problem.rows > 0, 1.0, np.nan)
+    measured = measured_core(problem.case.press, problem.case.run)
     solution = fitted.minimum.evaluation.solution
     slopes = _derivative(fitted)
     variance = np.einsum("ri,ij,rj->r", slopes, fitted.covariance, slopes)
@@ -46,7 +48,7 @@ def fitted_core(fitted: RunFit) -> FittedCore | None:
     coldest, hottest = _ends(fitted)
     low = np.minimum(np.maximum(solution.core - half, coldest), solution.core)
     high = np.maximum(np.minimum(solution.core + half, hottest), solution.core)
-    return FittedCore(solution.core * present, low * present, high * present, _measured(fitted) * present)
+    return FittedCore(solution.core * present, low * present, high * present, measured * present)
 
 
 def _ends(fitted: RunFit) -> tuple[float, float]:
@@ -69,11 +71,3 @@ def _derivative(fitted: RunFit) -> Array:
             change, moved = changed_by(problem, u.name.removeprefix(f"{CONSTANT}:"), u.unit, fitted.values)
             found[:, i] = (moved.core - solution.core) * (u.unit / change)
     return found
-
-
-def _measured(fitted: RunFit) -> Array:
-    """Return the mean of the channels at the core, which the fit does not see (rows). [°C]"""
-    case = fitted.problem.case
-    cells = np.array([case.run.columns[c] for c in case.press.at_core(case.run)]).reshape(-1, len(case.run.time_s))
-    count = np.isfinite(cells).sum(axis=0)
-    return np.where(count > 0, np.nansum(cells, axis=0) / np.maximum(count, 1), np.nan)

@@ -31,6 +31,7 @@ from softsensor.heat.model_file import ModelFile, parse_model
 from softsensor.jobs.fitter import fit_one
 from softsensor.jobs.model_in_force import combined_model
 from softsensor.live.replay import replay
+from softsensor.signals.faces import measured_core
 from softsensor.signals.moments import moments_of
 
 PROCESS = "refit"
@@ -428,12 +429,10 @@ def _core_errors(night: Night, candidate: ModelFile) -> Iterator[tuple[Array, Ar
         if count >= CORE_RUNS:
             break
         run = night.store.load_run(record.run)
-        truth = [c for c in night.press.at_core(run) if np.isfinite(run.columns[c]).any()]
-        if not truth:
+        core = measured_core(night.press, run)
+        if not np.isfinite(core).any():
             continue
         count += 1
-        columns = np.ma.masked_invalid(np.stack([run.columns[c] for c in truth]))
-        core = columns.mean(axis=0).filled(np.nan)
         with suppress(InputError):  # a run without platens shows no core, whatever the model
             before, after = (_errors(night.press, run, model, core) for model in (night.base, candidate))
             yield before, after

@@ -272,7 +272,7 @@ def _chain(chain: SensorChain, like: Array) -> SensorChain:
 def _bare(one: KalmanFilter, opening: float) -> KalmanFilter:
     """Return a copy without tangents, at the estimate's own cell temperatures."""
     model = one.linearised.model
-    s = model.state
+    s, factors = model.state, model.factors
     state = s._replace(
         t=one.cells, t_before=s.t_before.copy(), done=s.done.copy(), clock=s.clock.copy(),
         s=s.s[:0].copy(), s_before=s.s_before[:0].copy(), s_done=s.s_done[:, :0].copy(),
@@ -280,8 +280,9 @@ def _bare(one: KalmanFilter, opening: float) -> KalmanFilter:
     bare = model._replace(
         tangents=_without(model.tangents),
         d_boundary=model.d_boundary[:, :0].copy(),
-        factors=model.factors._replace(
-            d_total=model.factors.d_total[:, :, :0].copy(), d_by_load=model.factors.d_by_load[:, :, :0].copy()
+        factors=factors._replace(
+            d_total=factors.d_total[:, :, :0].copy(),
+            by_load=factors.by_load._replace(d_log=factors.by_load.d_log[:, :, :0].copy()),
         ),
         moving=np.full_like(model.moving, -1),
         state=state,

@@ -27,6 +27,17 @@ _SWITCH_STEP_S, _SETTLING_S, _GROWTH = 0.08, 0.35, 0.15
 """Step around a ramp, how long beyond it such steps last, and how steps grow after. By hand, 2026-11. [s, s, -]"""
 
 
+class ByLoad(NamedTuple):
+    """What a contact's load does to its factor, over that at the first scan's load."""
+
+    loads: Array
+    """Logarithms of the load over its reference, even; none where no contact's load is followed (L)."""
+    log: Array
+    """Of the factor (L, contacts)."""
+    d_log: Array
+    """(L, contacts, P)"""
+
+
 class Factors(NamedTuple):
     """Factor on closed contacts over the time since closing, integrated: a step's mean is a difference."""
 
@@ -36,12 +47,7 @@ class Factors(NamedTuple):
     """(edges, contacts)"""
     d_total: Array
     """(edges, contacts, P)"""
-    loads: Array
-    """Logarithms of a contact's load over its reference, even; none where no contact's load is followed (L)."""
-    by_load: Array
-    """Logarithm of the factor that a load adds (L, contacts)."""
-    d_by_load: Array
-    """(L, contacts, P)"""
+    by_load: ByLoad
 
 
 class SensorChain(NamedTuple):
@@ -209,21 +215,21 @@ def _set_factors(drive, k, a, b, factors, closed):
 
 
 @compiled()
-def _set_loads(drive, k, factors, outside, along):
+def _set_loads(drive, k, by_load, outside, along):
     """Multiply a step's factors by what the loads do, `along` the way from outside[0] to outside[1]."""
     factor, d_factor = drive.factor, drive.d_factor
-    loads = factors.loads
+    loads = by_load.loads
     last = loads.shape[0] - 1
     if last < 1:
         return
-    for m in range(factors.by_load.shape[1]):
+    for m in range(by_load.log.shape[1]):
         load = outside[0, 2 + m] + along * (outside[1, 2 + m] - outside[0, 2 + m])
         x = (min(max(load, loads[0]), loads[last]) - loads[0]) / (loads[1] - loads[0])
         i = min(int(x), last - 1)
         u = x - i
-        rise = math.exp((1.0 - u) * factors.by_load[i, m] + u * factors.by_load[i + 1, m])
-        for q in range(factors.d_by_load.shape[2]):
-            d_log = (1.0 - u) * factors.d_by_load[i, m, q] + u * factors.d_by_load[i + 1, m, q]
+        rise = math.exp((1.0 - u) * by_load.log[i, m] + u * by_load.log[i + 1, m])
+        for q in range(by_load.d_log.shape[2]):
+            d_log = (1.0 - u) * by_load.d_log[i, m, q] + u * by_load.d_log[i + 1, m, q]
             d_factor[k, m, q] = rise * (d_factor[k, m, q] + factor[k, m] * d_log)
         factor[k, m] *= rise
 
@@ -329,7 +335,7 @@ def _drive(model, timing, span, outside):
             drive.boundary[k, side, 1] = slope * h[k]
         set_shares(drive, k, t, t + h[k], timing, model.moving)
         _set_factors(drive, k, t, t + h[k], model.factors, timing.closed)
-        _set_loads(drive, k, model.factors, outside, (t + 0.5 * h[k] - span[0]) / (span[1] - span[0]))
+        _set_loads(drive, k, model.factors.by_load, outside, (t + 0.5 * h[k] - span[0]) / (span[1] - span[0]))
         t += h[k]
     return drive
 

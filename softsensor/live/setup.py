@@ -23,7 +23,7 @@ from softsensor.live.channel_steps import Integers
 from softsensor.live.contact_loads import over_loads
 from softsensor.live.curing import ResinSetup
 from softsensor.live.directions import MOST_SHARE, Unowned, directions_of
-from softsensor.live.march_steps import Factors, LinearModel, SensorChain, settle_sensors
+from softsensor.live.march_steps import ByLoad, Factors, LinearModel, SensorChain, settle_sensors
 from softsensor.live.priors import SKIN, TIMING, FilterPlan
 from softsensor.signals.doubt import constant_doubts
 from softsensor.signals.instrument import START_K
@@ -199,8 +199,7 @@ def linearise(setup: RunSetup, plan: FilterPlan, at: Array) -> Linearised:
         direction.tangents(names.index(direction.prior.name), case, build)
     if case.press.initial.kind == "sensors":
         build = build.begun_at_rest(case)
-    model = _model(setup, case, build, names, units)
-    model = model._replace(factors=model.factors._replace(**by_load))
+    model = _model(setup, case, build, names, units, by_load)
     start = case.panel.initial_temperature if case.panel is not None else float(model.state.t.mean())
     return Linearised(names, tuple(plan.priors), at, model, setup.profiles[effects], start)
 
@@ -215,7 +214,9 @@ def _values(priors: Sequence[Unknown], effects: Sequence[str], at: Array) -> tup
     return values, units
 
 
-def _model(setup: RunSetup, case: Case, build: Build, names: Sequence[str], units: Array) -> LinearModel:
+def _model(
+    setup: RunSetup, case: Case, build: Build, names: Sequence[str], units: Array, by_load: ByLoad
+) -> LinearModel:
     """Bring tangents to prior units and lay out the measuring chain."""
     by_row = units[:, None]
     t, drive = build.tangents, build.drive
@@ -238,9 +239,7 @@ def _model(setup: RunSetup, case: Case, build: Build, names: Sequence[str], unit
             edges=case.edges,
             total=_running(drive.factor * case.h[:, None]),
             d_total=_running(drive.d_factor * units * case.h[:, None, None]),
-            loads=np.zeros(0),
-            by_load=np.zeros((0, 0)),
-            d_by_load=np.zeros((0, 0, 0)),
+            by_load=by_load,
         ),
         places=np.ascontiguousarray(places),
         moving=np.array([names.index(t) if t in names else -1 for t in TIMING], dtype=np.int64),
@@ -249,16 +248,14 @@ def _model(setup: RunSetup, case: Case, build: Build, names: Sequence[str], unit
     )  # fmt: skip
 
 
-def _by_load(
-    case: Case, build: Build, thermal: ThermalModel, values: Mapping[str, float], units: Array
-) -> dict[str, Array]:
-    """Return by what contacts' factors change from the first scan's load to others, as `Factors` holds it."""
+def _by_load(case: Case, build: Build, thermal: ThermalModel, values: Mapping[str, float], units: Array) -> ByLoad:
+    """Return by what contacts' factors change from the first scan's load to others."""
     if not case.press.load_references:
-        return {}
+        return ByLoad(np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0, 0)))
     loaded, logs = over_loads(case)
     first, others = build.drive, thermal.build(loaded, values, build.asked.names).drive
     d_log = others.d_factor / others.factor[:, :, None] - first.d_factor / first.factor[:, :, None]
-    return {"loads": logs, "by_load": np.log(others.factor / first.factor), "d_by_load": d_log * units}
+    return ByLoad(logs, np.log(others.factor / first.factor), d_log * units)
 
 
 def _running(steps: Array) -> Array:

@@ -266,8 +266,9 @@ def _grid(task: Task, wish: Wish) -> list[Programme]:
     """Return the programs to look at; pressures only where the model knows what they do."""
     ranges = {**DEFAULT_RANGES, **wish.ranges}
     platens = np.unique(np.linspace(*ranges["platen_temperature_C"], PLATEN_LEVELS)).tolist()
-    loaded = any(name == "contact_load" for name, _ in task.model.effects)
-    pressures = np.unique(np.linspace(*ranges["pressure_N_cm2"], PRESSURE_LEVELS)).tolist() if loaded else [None]
+    pressures: list[float | None] = [None]
+    if task.follows_load:
+        pressures = np.unique(np.linspace(*ranges["pressure_N_cm2"], PRESSURE_LEVELS)).tolist()
     return [Programme(round(t, 1), p) for t, p in product(platens, pressures)]
 
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from daq.press.header import panel_of
-from daq.press.press_file import Load, Press, press_for_run
+from daq.press.press_file import Press, press_for_run
 from daq.records import Array, InputError, Moments, Run
 from daq.words import say
 from softsensor.effects import contact_load, find_effect
@@ -66,6 +66,11 @@ class Task:
     longest_s: float
     """The longest press time looked at. [s]"""
 
+    @property
+    def follows_load(self) -> bool:
+        """Whether the model knows what pressure does."""
+        return contact_load.EFFECT.name in dict(self.model.effects)
+
 
 @dataclass(frozen=True)
 class Draws:
@@ -100,7 +105,13 @@ class Courses:
 
 
 def made_up_run(task: Task, programme: Programme) -> tuple[Run, Moments]:
-    """Return the run of a program that stays closed. Raises `InputError` for a panel that cannot be."""
+    """Return the run of a program that stays closed.
+
+    Raises
+    ------
+    InputError
+        For a panel that cannot be, and for a load whose unit nothing tells where the model follows it.
+    """
     if not task.press.has_states:
         raise InputError(say("advise-press-without-states", press=task.press.name))
     end = task.waiting_s + task.longest_s
@@ -113,20 +124,10 @@ def made_up_run(task: Task, programme: Programme) -> tuple[Run, Moments]:
     columns = {platen: np.full(len(time_s), programme.platen_C) for platen in described.platens}
     for contact in described.contact:
         if contact.load is not None and programme.pressure_N_cm2 is not None:
-            load = _load_of(contact.load, task)
-            columns[contact.load.column] = np.full(len(time_s), load * programme.pressure_N_cm2)
+            if contact.load.unit is None and task.follows_load:
+                raise InputError(say("advise-load-unit", press=task.press.name, column=contact.load.column))
+            columns[contact.load.column] = np.full(len(time_s), contact.load.reading(programme.pressure_N_cm2))
     return replace(empty, columns=columns), Moments(inserted_s=0.0, closed_s=task.waiting_s, ramp_s=RAMP_S)
-
-
-IN_UNIT = {"N/cm2": 1.0, "kPa": 10.0, "bar": 0.1, "MPa": 0.01}
-"""What 1 N/cm² is in units of a load column."""
-
-
-def _load_of(load: Load, task: Task) -> float:
-    """Return what a load column reads for 1 N/cm². Raises `InputError` where that matters and nothing tells."""
-    if load.unit is None and any(name == contact_load.EFFECT.name for name, _ in task.model.effects):
-        raise InputError(say("advise-load-unit", press=task.press.name, column=load.column))
-    return IN_UNIT[load.unit or "N/cm2"]
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""How the channels of a face differ among themselves: their scatter, and a rim that falls behind the middle."""
+"""What channels of a place say together, and how they differ: scatter, a rim that falls behind the middle."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from daq.press.press_file import Press
-from daq.records import Moments, Run
+from daq.records import Array, Moments, Run
 from softsensor.signals.robust import nan_mean
 
 
@@ -19,6 +19,12 @@ def place_scatter(run: Run, channels: Sequence[str], rows: np.ndarray) -> float:
     rest = values - nan_mean(values)[:, None]
     rest = rest - np.nanmean(rest, axis=0)
     return float(np.sqrt(np.nanmean(rest**2) * len(channels) / (len(channels) - 1)))
+
+
+def measured_core(press: Press, run: Run) -> Array:
+    """Return the mean of the channels at the core that nothing else sees, NaN where none reads (rows). [°C]"""
+    channels = [run.columns[c] for c in press.at_core(run)]
+    return nan_mean(np.array(channels).reshape(-1, len(run.time_s)).T)
 
 
 def rim_falls(press: Press, run: Run, moments: Moments, excluded: frozenset[str]) -> float:

@@ -38,24 +38,8 @@ load = { column = "load", law = "power", reference = 150.0 }
 [[contact]]
 between = ["panel", "boundary.top"]
 closed = "h_t"
-[coefficients.h_b]
-fixed = true
-guess = 1000.0
-[coefficients.h_c]
-guess = 50.0
-lower = 1.0
-upper = 5000.0
-[coefficients.h_t]
-fixed = true
-guess = 100.0
 [initial]
 kind = "uniform"
-[[sensor]]
-columns = ["low_*"]
-at = "panel.bottom"
-[[sensor]]
-columns = ["high_*"]
-at = "panel.top"
 """
 PRESS = parse_press(BENCH)
 HEADER = {
