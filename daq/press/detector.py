@@ -56,6 +56,9 @@ _ONE_FACE_TOP_K, _ONE_FACE_BOTTOM_K = 3.0, 2.0
 _TOP_COLD_SHARE, _TOP_HOT_SHARE = 0.2, 0.6
 """Of the way from room to plate: an upper face below the first contradicts a wire that says closed, above the
 second one that says open."""
+_HOLD_S, _HOLD_SCANS = 1.5, 1.5
+"""A channel's last value stands for this long, at least for so many scans: some loggers are slower than the scans
+they answer to, and a faulty answer is no change of the press. [s, scans]"""
 BLIND_S = 3.0
 """Without a usable sensor this long, the state is unknown. [s]"""
 CHANGE_S = 15.0
@@ -108,6 +111,10 @@ class PressEventDetector:
         self.closed_by_wire: bool | None = None
         """What a wire says at the newest scan; None where none does."""
         self._switch: bool | None = None
+        self._last: dict[str, tuple[float, float]] = {}
+        """Of each channel: when it was read last, and its value. [s]"""
+        self._step_s = math.inf
+        """Between the scans before the newest. [s]"""
         self._seen = -math.inf
         self._since = -math.inf
         self._first = math.nan
@@ -136,7 +143,8 @@ class PressEventDetector:
         return None if self._pending is None else self._pending[0]
 
     def update(self, time_s: float, values: Mapping[str, float]) -> list[PressEvent]:
-        """Take one scan (unusable values NaN or left out); return what it brought to light."""
+        """Take one scan as it is (unusable values NaN or left out); return what it brought to light."""
+        values = self._held(time_s, values)
         self._append(time_s, values)
         self.closed_by_wire = switch = self.wires.read(time_s, values)
         if switch is not None:
@@ -150,6 +158,19 @@ class PressEventDetector:
         self._pending = (kind, time_s)
         return self._place(time_s)
 
+    def _held(self, time_s: float, values: Mapping[str, float]) -> dict[str, float]:
+        """Return the values, where a channel has none its last one for a moment longer."""
+        step = time_s - self._times[-1] if self._times else math.inf
+        since_s = time_s - max(_HOLD_S, _HOLD_SCANS * min(step, self._step_s))
+        self._step_s, held = step, dict(values)
+        for name, value in values.items():
+            if value == value:
+                self._last[name] = (time_s, value)
+        for name, (at, value) in self._last.items():
+            if at < time_s:
+                held[name] = value if at >= since_s else math.nan
+        return held
+
     def _append(self, time_s: float, values: Mapping[str, float]) -> None:
         names = tuple(values)
         if names != self._names:
@@ -162,7 +183,7 @@ class PressEventDetector:
         platens = [v for n in self._platen_names if (v := values[n]) == v]
         plate = middle(platens) if platens else (self._rows[-1].plate if self._rows else math.nan)
         levels = self._top.update(top, elapsed), self._bottom.update(bottom, elapsed)
-        if top or bottom:
+        if any(self._last[name][0] == time_s for name in (*top, *bottom)):
             self._seen = time_s
         if self._first != self._first:
             self._first = time_s

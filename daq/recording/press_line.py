@@ -33,8 +33,6 @@ LOG = logging.getLogger("kerntemp.record")
 
 # Numbers without another source were set by hand, 2026-11.
 
-_HOLD_S = 1.5
-"""The detector may use a channel's last value this long: some loggers are slower than the scans. [s]"""
 _STALLED_AFTER_S = 5.0
 """No scan for so long beside the schedule's own pace is a standstill. [s]"""
 _STUCK_AFTER_S = 20.0
@@ -101,7 +99,6 @@ class PressLine:
         self.settings = settings
         self._outbox, self._stop, self._journal, self._speed = outbox, stop, journal, speed
         self._detector = PressEventDetector(press_of(settings))
-        self._held: dict[str, tuple[float, float]] = {}
         self._newest: Scan | None = None
         self._left_out: list[tuple[float, int]] = []
         """Scans before which ticks went by, by their times, and how many did: not in the journal yet."""
@@ -246,17 +243,9 @@ class PressLine:
         LOG.info("press %s: %s%s", self.settings.name, event.kind.value, f" (run {run})" if run else "")
 
     def _usable(self, scan: Scan) -> dict[str, float]:
-        """Return the usable values, for a slow logger's channels the last ones for a moment longer."""
-        now: dict[str, float] = {}
+        """Return what was read, NaN where it is not usable."""
         columns = zip(self._key.channels, scan.values, scan.qualities, strict=False)  # without what wires add
-        for channel, value, quality in columns:
-            if quality.usable and value == value:
-                self._held[channel.name] = (scan.monotonic_s, value)
-                now[channel.name] = value
-            else:
-                at, held = self._held.get(channel.name, (float("-inf"), float("nan")))
-                now[channel.name] = held if scan.monotonic_s - at <= self._hold_s else float("nan")
-        return now
+        return {channel.name: value if quality.usable else math.nan for channel, value, quality in columns}
 
     def _with_closed(self, scan: Scan) -> Scan:
         """Add the column ``closed``, where a wire of another name or kind tells it."""
@@ -278,10 +267,6 @@ class PressLine:
         name = self.settings.name
         said = say("of-press", press=name, what=disagreement)
         self._journal("warning", said, name, scan=scan.number, run=self._keeper.open_run)
-
-    @property
-    def _hold_s(self) -> float:
-        return max(_HOLD_S, 1.5 / self.settings.rate_hz)
 
     def _watch_clock(self, scan: Scan) -> None:
         step = self._clock.step(scan)

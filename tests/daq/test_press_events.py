@@ -410,9 +410,9 @@ def test_the_level_of_a_face_that_loses_a_sensor_goes_over_to_the_rest_in_some_t
     for t in range(100, 140):
         detector.update(float(t), {"top_1": 60.0} | ({"top_2": 90.0} if t < 110 else {}))
         levels.append(detector._top.level)
-    assert levels[:11] == [75.0] * 11
-    assert levels[20] == pytest.approx(60.0 + 15.0 / np.e)  # ten seconds after the loss was seen
-    assert np.all(np.diff(levels[10:]) < 0.0)
+    assert levels[:12] == [75.0] * 12  # the last value stands for a moment
+    assert levels[21] == pytest.approx(60.0 + 15.0 / np.e)  # ten seconds after the loss was seen
+    assert np.all(np.diff(levels[11:]) < 0.0)
 
 
 @pytest.mark.parametrize("rate_hz", [10.0, 1.0])
@@ -426,6 +426,26 @@ def test_the_loss_of_the_hottest_sensor_of_each_face_is_no_opening(rate_hz):
     events = replay(Run("lost", run.header, run.time_s, columns))
     assert [e.kind.value for e in events] == IN_ORDER
     assert events[2].monotonic_s == pytest.approx(truth.moments.opened_s, abs=0.6)
+
+
+@pytest.mark.parametrize("slow", ["bottom", "top", "platen"])
+def test_a_logger_slower_than_the_scans_shows_the_same_events(slow):
+    run, truth = one_run(closed_column=False, rate_hz=1.0)
+    unanswered = np.arange(len(run.time_s)) % 3 > 0
+    columns = {n: np.where(unanswered & n.startswith(slow), np.nan, c) for n, c in run.columns.items()}
+    events = replay(Run("slow", run.header, run.time_s, columns))
+    m = truth.moments
+    assert [e.kind.value for e in events] == IN_ORDER
+    moments = [m.inserted_s, m.closed_s, m.opened_s]
+    assert [e.monotonic_s for e in events] == pytest.approx(moments, abs=1.5)  # half of three seconds
+
+
+def test_a_value_from_before_a_standstill_is_not_taken_for_one_of_now():
+    detector = PressEventDetector(PRESS)
+    for t in range(5):
+        detector.update(float(t), {"top_1": 60.0, "bottom_1": 90.0})
+    detector.update(40.0, {"top_1": 61.0, "bottom_1": math.nan})
+    assert detector._rows[-1].bottoms == {}
 
 
 @pytest.mark.campaign

@@ -63,6 +63,18 @@ def compared(said, core):
     return tuple(np.array(column) for column in zip(*rows, strict=True))
 
 
+def test_the_state_of_the_press_is_the_same_where_a_face_answers_every_third_scan():
+    run, truth = make_campaign(31, 1, plan=replace(PLAN, rate_hz=1.0))[0]
+    unanswered = np.arange(len(run.time_s)) % 3 > 0
+    columns = {n: np.where(unanswered & n.startswith("bottom"), np.nan, c) for n, c in run.columns.items()}
+    whole, thinned = replay(run), replay(replace(run, columns=columns))
+    others = [t for t, a, b in zip(run.time_s, whole, thinned, strict=True) if a.state is not b.state]
+    m = truth.moments
+    moments = [m.inserted_s, m.closed_s, m.opened_s]
+    assert all(min(abs(t - at) for at in moments) <= 6.0 for t in others)  # two of its answers later
+    assert any(e.valid for e in thinned)
+
+
 def rms(x):
     return float(np.sqrt(np.mean(np.square(x))))
 
