@@ -6,7 +6,8 @@ a module's text and that of every module of this project it imports, directly or
 anywhere below is another folder, two versions side by side do not meet, and an older text finds its own code
 again, wherever it is installed. It lies under ``NUMBA_CACHE_DIR`` or the user's cache folder; where neither can be
 written, each process compiles for itself. A file is one signature on one kind of processor, with its checksum:
-what is damaged is compiled anew.
+what is damaged is compiled anew. A process that outlives an update, a notebook say, may hold modules of the text
+of before beside new ones: where a text below has changed since it began to import, nothing is kept or taken.
 
 Each function is machine code of its own, which those that call it only refer to. Numba would build the code of all
 that is called, directly or through others, into every caller and optimise it there once more: of a first start of
@@ -161,14 +162,23 @@ def _write(path: Path, content: bytes) -> None:
 @cache
 def _folder(module: str) -> Path:
     """Return the folder of what is kept of a module as it reads now, and note that it is in use."""
+    below = sorted(_below(module))
+    if any(_changed_since_import(name) for name in below):
+        return Path(os.devnull, module)  # where nothing can be read or written
     text = hashlib.sha256(f"{numba.__version__} {llvmlite.__version__} {sys.implementation.cache_tag}".encode())
-    for name in sorted(_below(module)):
+    for name in below:
         text.update(f"\0{name}\0".encode() + _source(name).read_bytes())
     base = Path(numba.config.CACHE_DIR or AppDirs("kerntemp", appauthor=False).user_cache_dir)
     folder = base / "compiled" / module / text.hexdigest()[:24]
     with contextlib.suppress(OSError):  # none yet, or one that may only be read
         os.utime(folder)
     return folder
+
+
+def _changed_since_import(module: str) -> bool:
+    """Whether a module's text may be another one than this process has imported."""
+    state, package = _source(module).stat(), sys.modules[module.partition(".")[0]]
+    return bool(max(state.st_mtime, state.st_ctime) > package.IMPORTED_S)
 
 
 def _below(module: str) -> set[str]:

@@ -13,7 +13,8 @@ from daq.compiled import _below
 
 ROOT = Path(__file__).parents[2]
 MODULES = {
-    "softsensor/__init__.py": "",
+    "daq/__init__.py": "from time import time\n\nIMPORTED_S = time()\n",
+    "softsensor/__init__.py": "from time import time\n\nIMPORTED_S = time()\n",
     "softsensor/constants.py": "SHARE = 0.5\n",
     "softsensor/shapes.py": (
         "from typing import NamedTuple\n\n\nclass Layer(NamedTuple):\n    thickness: float\n    other: float\n"
@@ -46,8 +47,6 @@ def tree(tmp_path):
         place = tmp_path / "tree" / name
         place.parent.mkdir(parents=True, exist_ok=True)
         place.write_text(text, encoding="utf-8")
-    (tmp_path / "tree/daq").mkdir()
-    (tmp_path / "tree/daq/__init__.py").touch()
     shutil.copy(ROOT / "daq/compiled.py", tmp_path / "tree/daq/compiled.py")
     return tmp_path / "tree"
 
@@ -76,6 +75,16 @@ def test_a_changed_constant_two_imports_below_is_seen_and_the_text_of_before_fin
     moved = tree.rename(tree.with_name("installed-elsewhere"))
     change(moved, "softsensor/constants.py", "0.25", "0.5")
     assert answer(moved) == (5.0, 0)
+
+
+def test_a_process_that_outlives_an_update_keeps_nothing_of_a_mixture_of_texts(tree):
+    update = (
+        "import softsensor.constants, pathlib\npath = pathlib.Path('softsensor/constants.py')\n"
+        "path.write_text(path.read_text().replace('0.5', '0.75'))\n"
+    )
+    assert answer(tree, call=update + CALL) == (5.0, 1), "it has imported the text of before"
+    assert answer(tree) == (7.0, 1)
+    assert answer(tree) == (7.0, 0)
 
 
 def test_a_changed_kernel_and_a_bundle_with_its_fields_exchanged_are_seen_in_the_module_above(tree):
