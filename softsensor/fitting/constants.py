@@ -150,9 +150,11 @@ def _moved(given: Any, change: float) -> Any:
 def constants_of(problem: Problem, best: Minimum, spread: float) -> dict[str, ConstantFit]:
     """Return what a run says about its constants: one Gauss-Newton step from the end of the search, all free.
 
-    `spread` is how much larger the whitened residuals are than the noise model says.
+    `spread` is how much larger the whitened residuals are than the noise model says: what the readings tell
+    counts for so much less (squared) beside the priors, for a constant's value as for its standard deviation, or
+    the two together would be no one's knowledge and `scatter_of` could not take the prior out again.
     """
-    matrix, right = normal_equations(problem, best.evaluation)
+    matrix, right = normal_equations(problem, best.evaluation, spread)
     constants = constants_among(problem)
     free = np.logical_not(best.held)
     free[constants] = True
@@ -161,10 +163,9 @@ def constants_of(problem: Problem, best: Minimum, spread: float) -> dict[str, Co
     for i in constants:
         u = problem.unknowns[i]
         d = problem.doubts[u.name.partition(":")[2]]
-        step, sd = covariance[i] @ right, spread * np.sqrt(covariance[i, i])
-        found[u.name.partition(":")[2]] = ConstantFit(
-            d.value, d.sd, d.source, d.value + float(step) * u.unit, min(u.unit * float(sd), d.sd)
-        )
+        step, sd = covariance[i] @ right, float(np.sqrt(covariance[i, i]))
+        value = d.value + float(step) * u.unit
+        found[u.name.partition(":")[2]] = ConstantFit(d.value, d.sd, d.source, value, u.unit * sd)
     return found
 
 
@@ -191,9 +192,10 @@ def scatter_of(runs: Iterable[Mapping[str, ConstantFit]]) -> dict[str, Scatter]:
 def _scatter_of(key: str, fits: Sequence[ConstantFit]) -> Scatter:
     """Return what runs show of one constant; `off` is what a run has it off, times its own precision."""
     prior = np.array([c.sd / abs(c.given) for c in fits])
-    sd = np.clip([c.value_sd / abs(c.given) for c in fits], 1e-9, prior * (1.0 - 1e-9))
-    precision = 1.0 / sd**2 - 1.0 / prior**2
-    off = np.array([(c.value - c.given) / abs(c.given) for c in fits]) / sd**2
+    sd = np.maximum([c.value_sd / abs(c.given) for c in fits], 1e-9)
+    knows = sd < prior * (1.0 - 1e-6)
+    precision = np.where(knows, 1.0 / sd**2 - 1.0 / prior**2, 0.0)
+    off = np.where(knows, np.array([(c.value - c.given) / abs(c.given) for c in fits]) / sd**2, 0.0)
     size2 = before = PANEL_TO_PANEL.get(key, float(np.sqrt(np.mean(prior**2)))) ** 2
     product2 = PRODUCT_SD.get(key, 0.0) ** 2
     for _ in range(200):

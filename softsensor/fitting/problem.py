@@ -300,10 +300,13 @@ class Minimum:
         return self.evaluation.x
 
 
-def normal_equations(problem: Problem, at: Evaluation) -> tuple[Array, Array]:
-    """Return the Gauss-Newton matrix (unknowns, unknowns) and the right-hand side (unknowns), priors included."""
+def normal_equations(problem: Problem, at: Evaluation, spread: float = 1.0) -> tuple[Array, Array]:
+    """Return the Gauss-Newton matrix (unknowns, unknowns) and the right-hand side (unknowns), priors included.
+
+    `spread` is the standard deviation of the readings in units of what the noise model says.
+    """
     mean, precision = problem.precision
-    matrix, right = _gram(at.jacobian, at.weight, at.z)
+    matrix, right = _gram(at.jacobian, at.weight / spread**2, at.z)
     return matrix + np.diag(precision), right - precision * (at.x - mean)
 
 
