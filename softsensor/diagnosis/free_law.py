@@ -30,6 +30,7 @@ Rasmussen & Williams, Gaussian Processes for Machine Learning (2006), sec. 8.3.1
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -44,7 +45,7 @@ from softsensor.diagnosis.extension_unknowns import Unknowns, lay_out
 from softsensor.diagnosis.gains import HARDLY, Gain, paired_gain
 from softsensor.diagnosis.numbers import MODEL_ERROR
 from softsensor.diagnosis.search import SettledModel, run_errors
-from softsensor.effects import Effect, Scene, Terms
+from softsensor.effects import Effect, Scene, Terms, catalogue
 from softsensor.effects.free_law import (
     COLDEST_C,
     EARLY_S,
@@ -378,29 +379,15 @@ def _places(law: _Tried) -> list[int]:
 
 
 def _resembles(kind: str, curve: Array) -> str | None:
-    """Return the first cause of the catalogue whose own curve, of any size, lies within the band."""
+    """Return the cause of the catalogue whose own curve lies within the band, nearest to the law; None without."""
     x, value, low, high = curve.T
     sd = np.maximum(0.5 * (high - low), 1e-9 * (1.0 + np.abs(value)))
-    for name, shape in _shapes(kind, x):
-        fitted = float(np.sum(shape * value / sd**2) / np.sum(shape * shape / sd**2))
-        own = shape if "contact" in kind else fitted * shape
-        if np.mean((own >= low) & (own <= high)) >= INSIDE:
-            return name
-    return None
-
-
-def _shapes(kind: str, x: Array) -> Iterator[tuple[str, Array]]:
-    """Yield what causes of the catalogue look like as a law of that kind."""
-    if kind == "contact":
-        for deficit in np.linspace(0.1, 0.95, 18):
-            for tau in np.geomspace(0.5, 40.0, 15):
-                built = 1.0 - deficit * np.exp(-x / tau)
-                yield "contact_buildup", built / built[-1]
-    elif kind == "heat":
-        yield "heat_capacity_temperature", x - 20.0
-        apart = (x[-1] - x[0]) / (KNOTS["heat"] - 1)  # no sharper can the knots tell it
-        for boils in np.arange(92.0, 112.0, 2.0):
-            for width in (0.5 * apart, 0.75 * apart, apart):
-                yield "moisture_evaporation", np.exp(-0.5 * ((x - boils) / width) ** 2)
-    else:
-        yield "edge_loss", np.ones_like(x)
+    apart = float(x[-1] - x[0]) / (KNOTS.get(kind, KNOTS["contact"]) - 1)  # no sharper can the knots tell it
+    nearest, least = None, math.inf
+    for effect in catalogue().values():
+        for shape in effect.as_law(kind, x, apart) if effect.as_law is not None else ():
+            size = 1.0 if "contact" in kind else np.sum(shape * value / sd**2) / np.sum(shape * shape / sd**2)
+            off = float(np.mean(((size * shape - value) / sd) ** 2))
+            if off < least and np.mean((size * shape >= low) & (size * shape <= high)) >= INSIDE:
+                nearest, least = effect.name, off
+    return nearest

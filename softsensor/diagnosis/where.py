@@ -29,7 +29,7 @@ LATER_S = tuple(float(round(SINCE_S[-2] * 1.25**i)) for i in range(1, 30))
 
 ALIKE = 2 / 3
 """Neighbours of one sign are one stretch down to this share of the largest."""
-SURE_T = 2.5
+STANDS_OUT_T = 2.5
 """Standard errors over runs beyond which a mean residual stands out."""
 MOST = 8
 """Stretches shown in an answer."""
@@ -68,7 +68,9 @@ def _stands_out(p: Pocket) -> bool:
         return False
     if len(values) < 2:
         return abs(p.mean) > 3 * NEGLIGIBLE_K
-    return bool(abs(p.mean) > max(NEGLIGIBLE_K, SURE_T * float(np.std(values, ddof=1)) / np.sqrt(len(values))))
+    return bool(
+        abs(p.mean) > max(NEGLIGIBLE_K, STANDS_OUT_T * float(np.std(values, ddof=1)) / np.sqrt(len(values)))
+    )
 
 
 def where_row(p: Pocket, digests: Sequence[Digest]) -> dict[str, Any]:

@@ -1,6 +1,6 @@
 """A contact that needs time to grow after the press has closed."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -24,6 +24,14 @@ def _terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
     mean = (share(scene.step_end) - share(scene.step_start)) / (scene.step_end - scene.step_start)
     factor = 1.0 - values["deficit"] * mean
     return Terms(closed_contact=dict.fromkeys(scene.panel_contacts, factor))
+
+
+def _as_law(kind: str, x: Any, _: float) -> Iterator[Any]:
+    tau = EFFECT.parameters[1]
+    for missing in np.linspace(0.1, 0.95, 18) if kind == "contact" else ():
+        for seconds in np.geomspace(tau.lower, tau.upper, 15):
+            built = 1.0 - missing * np.exp(-x / seconds)
+            yield built / built[-1]
 
 
 EFFECT = Effect(
@@ -56,4 +64,5 @@ EFFECT = Effect(
     chance=0.25,
     live=Live(Role.SCATTER, with_states=True),
     needs=Need.PANEL,
+    as_law=_as_law,
 )

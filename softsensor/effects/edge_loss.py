@@ -1,7 +1,9 @@
 """Heat lost at the rim of the panel."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
+
+import numpy as np
 
 from softsensor.effects.effect import Effect, Live, Need, Role, Scene, Terms, on_panel
 from softsensor.effects.parameters import Parameter
@@ -9,6 +11,11 @@ from softsensor.effects.parameters import Parameter
 
 def _terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
     return Terms(exchange=on_panel(scene, values["W_m3K"], 0.0))
+
+
+def _as_law(kind: str, x: Any, _: float) -> Iterator[Any]:
+    if kind == "heat_exchange":
+        yield np.ones_like(x)
 
 
 EFFECT = Effect(
@@ -30,5 +37,6 @@ EFFECT = Effect(
     chance=0.02,
     live=Live(Role.HYPOTHESIS),
     needs=Need.PANEL,
+    as_law=_as_law,
     at_the_rim=True,
 )

@@ -8,7 +8,7 @@ in plain algebra (no ``abs``, no comparison of parameters).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any
@@ -66,6 +66,10 @@ class Conversion:
     """[J/mol] or [°C]"""
     c: Any
     """[K]"""
+
+
+REFERENCE_C = 20.0
+"""Temperature at which conductivity and heat capacity are given; their slopes count from here. [°C]"""
 
 
 @dataclass(frozen=True)
@@ -181,6 +185,13 @@ class Effect:
     needs: Need = Need.NOTHING
     confirmed_in_core: bool = False
     """Whether the measurement that would settle it is a thermocouple in the core."""
+    most_heat_J_m2: float = 0.0  # noqa: N815
+    """The most heat it can release inside a panel, beyond what flows in through the faces: no core is hotter than
+    that allows. [J/m²]"""
+    as_law: Callable[[str, Any, float], Iterable[Any]] | None = None
+    """Return what it looks like as a free law (`effects.free_law`), at its various shapes: by the law's kind, over
+    its variable (n), where neighbouring values blur over a distance. Empty for a kind it has nothing to do with;
+    a factor's curve comes with its size, any other's up to one."""
     at_the_rim: bool = False
     """Whether sensors at the rim show it before those in the middle."""
 

@@ -1,14 +1,19 @@
 """Heat capacity of the panel that changes with temperature."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
-from softsensor.effects.effect import Effect, Live, Need, Role, Scene, Terms, on_panel
+from softsensor.effects.effect import REFERENCE_C, Effect, Live, Need, Role, Scene, Terms, on_panel
 from softsensor.effects.parameters import change_per_100_K
 
 
 def _terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
     return Terms(capacity_slope=on_panel(scene, values["per_100_K"] / 100.0, 0.0))
+
+
+def _as_law(kind: str, x: Any, _: float) -> Iterator[Any]:
+    if kind == "heat":
+        yield x - REFERENCE_C
 
 
 EFFECT = Effect(
@@ -20,5 +25,6 @@ EFFECT = Effect(
     live=Live(Role.HYPOTHESIS),
     nonlinear=True,
     needs=Need.PANEL,
+    as_law=_as_law,
     confirmed_in_core=True,
 )

@@ -1,7 +1,9 @@
 """Water that leaves the panel for good and takes its latent heat along."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
+
+import numpy as np
 
 from softsensor.effects.effect import Conversion, Effect, Live, Need, Role, Scene, Terms, on_panel
 from softsensor.effects.parameters import Parameter
@@ -20,6 +22,12 @@ def _terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
     dry = scene.panel.density / (1.0 + (scene.panel.moisture_percent or 0.0) / 100.0)
     heat = -LATENT_HEAT * dry * values["moisture_percent"] / 100.0
     return Terms(conversions=(Conversion(on_panel(scene, heat, 0.0), 1, RATE, values["temperature_C"], SOFTNESS),))
+
+
+def _as_law(kind: str, x: Any, apart: float) -> Iterator[Any]:
+    for boils in np.arange(92.0, 112.0, 2.0) if kind == "heat" else ():
+        for width in (0.5 * apart, 0.75 * apart, apart):
+            yield np.exp(-0.5 * ((x - boils) / width) ** 2)
 
 
 EFFECT = Effect(
@@ -55,4 +63,5 @@ EFFECT = Effect(
     live=Live(Role.OWN_FILTER),
     nonlinear=True,
     needs=Need.PANEL,
+    as_law=_as_law,
 )

@@ -13,6 +13,8 @@ RATE_140 = 0.06
 """Rate at 140 °C; at the 165 °C of a closed press most of the resin cures within 10 to 20 s. [1/s]"""
 ACTIVATION = 80e3
 """[J/mol]"""
+MOST_KJ_M2 = 80.0
+"""More than any paper releases, of each face. [kJ/m²]"""
 SKIN = 0.15e-3
 """Depth under each face over which the heat is released, about the paper's thickness (assumed). [m]"""
 
@@ -39,7 +41,7 @@ EFFECT = Effect(
             neutral=0.0,
             typical=12.0,
             lower=0.0,
-            upper=80.0,
+            upper=MOST_KJ_M2,
             source="80-130 g/m² x 50-150 J/g",
             spread=0.25,
             least=0,
@@ -52,4 +54,5 @@ EFFECT = Effect(
     live=Live(Role.SCATTER, straight=True),
     nonlinear=True,
     needs=Need.PANEL,
+    most_heat_J_m2=2.0e3 * MOST_KJ_M2,
 )

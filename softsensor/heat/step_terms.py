@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.constants import R as GAS_CONSTANT
 
 from daq.compiled import compiled
+from softsensor.effects.effect import REFERENCE_C
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -40,8 +41,6 @@ ZERO_C = 273.15
 """0 °C in kelvin. [K]"""
 BOILING_C = 100.0
 """Water boils at, at 1013 hPa; 99.97 by IAPWS-IF97. [°C]"""
-REFERENCE_C = 20.0
-"""Temperature at which conductivity and heat capacity are given. [°C]"""
 _FLOOR = 0.05
 """Least factor a property falls to when it falls with temperature."""
 
