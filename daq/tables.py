@@ -8,14 +8,16 @@ from __future__ import annotations
 import difflib
 import re
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
-from pydantic import BaseModel, ValidationError
-
+from daq.address import hidden, masked
 from daq.records import InputError
 from daq.words import Message, say, spoken
+
+if TYPE_CHECKING:
+    from pydantic import BaseModel, ValidationError
 
 DEEPEST = 16
 """Tables and lists within one another. Ours reach 5; Python's own reader gives up near 1000. (By hand, 2026-11)"""
@@ -114,8 +116,15 @@ def _fault(item: Any, model: type[BaseModel]) -> Message:
     if not key:
         return why
     if kind != "missing" and isinstance(value, str | int | float | bool):
-        return say("at-key-value", key=key, value=repr(value), what=why)
+        return say("at-key-value", key=key, value=_shown(value, loc), what=why)
     return say("at-key", key=key, what=why)
+
+
+def _shown(value: str | int | float | bool, loc: Sequence[str]) -> str:
+    """Return a value as a refusal shows it: without the secrets of an address, also under a mistyped key."""
+    if not isinstance(value, str):
+        return repr(value)
+    return masked(repr(hidden(value) if "store" in loc else value))
 
 
 def why_of(item: Any) -> Message:
@@ -167,6 +176,8 @@ def fields_at(model: type[BaseModel], path: Iterable[str]) -> tuple[str, ...]:
 
 
 def _model_in(annotation: Any) -> type[BaseModel] | None:
+    from pydantic import BaseModel
+
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
     return next((found for part in get_args(annotation) if (found := _model_in(part))), None)

@@ -30,7 +30,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from daq.address import Address, text_without
 from daq.drivers.settings import LoggerSettings
@@ -52,7 +52,7 @@ class _Table(BaseModel):
 class StoreSettings(_Table):
     """``[store]``."""
 
-    url: Annotated[str, Field(min_length=1), AfterValidator(Address)] = Address("kerntemp.sqlite")
+    url: Address = Address("kerntemp.sqlite")
     """File path (relative to the configuration), ``sqlite:///path`` or ``postgresql://user@host/name``."""
     buffer: Path | None = None
     """Local file that takes the scans while a database server is away. None: beside the configuration."""
@@ -223,6 +223,8 @@ def load_config(path: Path) -> Config:
         raise InputError(at(path, explained(error, Config))) from error
     config = config.model_copy(update={"text": text_without(config.text, config.store.url)})
     config = _absolute(config, path.resolve().parent)
+    if config.store.url.mistyped:
+        raise InputError(at(path, say("at-key", key="store.url", what=say("store-url-mistyped"))))
     presses = []
     for settings in config.press:
         press = press_of(settings)
@@ -278,9 +280,8 @@ def check_columns(settings: PressSettings, press: Press, where: str) -> None:
 
 
 def _absolute(config: Config, folder: Path) -> Config:
-    url = config.store.url if "://" in config.store.url else str(folder / Path(config.store.url).expanduser())
     buffer = folder / (config.store.buffer or "kerntemp-buffer.sqlite")
-    store = config.store.model_copy(update={"url": Address(url), "buffer": buffer})
+    store = config.store.model_copy(update={"url": config.store.url.beside(folder), "buffer": buffer})
     presses = tuple(
         p.model_copy(
             update={

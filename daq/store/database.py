@@ -21,7 +21,7 @@ from sqlalchemy import Connection, Engine, create_engine, event, text
 from sqlalchemy.engine import URL, make_url
 from sqlalchemy.exc import ArgumentError, DatabaseError, InterfaceError, NoSuchModuleError, OperationalError
 
-from daq.address import hidden, secrets_of
+from daq.address import Address, hidden, secrets_of
 from daq.records import InputError
 from daq.store.file_rescue import Identity, hold, identity_of, rescue
 from daq.store.records import StoreUnavailable
@@ -55,8 +55,11 @@ class Database:
     With `later` an engine that is away now is no error: it is opened by the first transaction that succeeds.
     """
 
-    def __init__(self, url: str, *, create: bool = True, busy_s: float = BUSY_S, later: bool = False) -> None:
-        self.url = store_url(url)
+    def __init__(
+        self, url: str | Address, *, create: bool = True, busy_s: float = BUSY_S, later: bool = False
+    ) -> None:
+        self.address = Address(url)
+        self.url = store_url(self.address)
         self.label = self.url.set(query={}).render_as_string(hide_password=True)
         self.path = Path(self.url.database) if self.dialect == "sqlite" and self.url.database else None
         if self.path:
@@ -268,15 +271,14 @@ def _literal(words: str) -> str:
     return "'" + words.replace("'", "''").replace("%", "%%") + "'"
 
 
-def store_url(url: str) -> URL:
+def store_url(address: str | Address) -> URL:
     """Return the engine's URL for a path, an SQLite URL or a PostgreSQL URL."""
+    if Address(address).mistyped:
+        raise InputError(say("store-url-mistyped"))
+    url = Address(address).revealed()
     if "://" not in url:
         return URL.create("sqlite", database=str(Path(url).expanduser()))
-    try:
-        parsed = make_url(url)
-        backend = parsed.get_backend_name()
-    except (ArgumentError, NoSuchModuleError, ValueError):
-        raise InputError(say("store-url-wrong", url=hidden(url))) from None  # the cause quotes the URL
+    parsed, backend = _parsed(url)
     if backend in ("postgresql", "postgres"):
         if "@" in (parsed.host or ""):
             raise InputError(say("store-url-at"))
@@ -289,6 +291,18 @@ def store_url(url: str) -> URL:
     if not parsed.database or parsed.database == ":memory:":
         raise InputError(say("store-url-no-file", url=hidden(url)))
     return parsed
+
+
+def _parsed(url: str) -> tuple[URL, str]:
+    """Return a URL's parts and the name of its engine."""
+    try:
+        parsed = make_url(url)
+        backend = parsed.get_backend_name()
+        if backend != "sqlite" and "=" in (parsed.database or ""):
+            raise ValueError("what follows the database's name must follow a question mark")
+        return parsed, backend
+    except (ArgumentError, NoSuchModuleError, ValueError):
+        raise InputError(say("store-url-wrong", url=hidden(url))) from None  # the cause quotes the URL
 
 
 def _server_options(busy_s: float) -> dict[str, Any]:
@@ -370,7 +384,7 @@ _REMEDIES = {
 def _advice(database: Database, reason: str) -> Message:
     """Return what the engine says, without the secrets of the address, and what to do about it."""
     store = database.label
-    for secret in secrets_of(database.url.render_as_string(hide_password=False)):
+    for secret in secrets_of(database.address):
         reason = reason.replace(secret, "***")
     reason = reason.strip().partition("\n")[0] or str(say("store-gives-no-reason"))
     remedy = next((code for sign, code in _REMEDIES.items() if sign in reason), None)

@@ -13,6 +13,7 @@ from typing import Concatenate, ParamSpec, TypeVar
 
 from sqlalchemy import Connection, text
 
+from daq.address import Address
 from daq.records import Run
 from daq.store import alarms, cores, journal, next_panel, nights, reading, recording, results, upkeep
 from daq.store.convert import known_utc
@@ -24,7 +25,7 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 
-def open_store(url: str, *, create: bool = True, busy_s: float = BUSY_S, later: bool = False) -> Store:
+def open_store(url: str | Address, *, create: bool = True, busy_s: float = BUSY_S, later: bool = False) -> Store:
     """Open a store by file path, ``sqlite:///path`` or ``postgresql://user@host/name``; make it if needed.
 
     Any number of processes and threads may have it open. `busy_s` is the longest wait for another

@@ -19,6 +19,7 @@ from pathlib import Path
 from sqlalchemy import Connection, Table, delete, func, insert, select, text
 from sqlalchemy.exc import ProgrammingError
 
+from daq.address import Address
 from daq.files.manifest import check_listed, update_manifest
 from daq.records import InputError
 from daq.store.database import Database, migrations
@@ -169,7 +170,7 @@ SELECT run.run FROM run WHERE run.last_scan >= run.first_scan AND run.status = '
 """
 
 
-def restore(backup: Path, url: str) -> Contents:
+def restore(backup: Path, url: str | Address) -> Contents:
     """Make a store from a backup at a place where none is, and compare the two.
 
     Raises

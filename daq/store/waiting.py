@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 
+from daq.address import Address
 from daq.store.records import StoreUnavailable
 from daq.store.store import Store, open_store
 from daq.words import say, spoken
@@ -13,7 +14,7 @@ RETRY_S = 2.0
 """How often a store that is away is tried. Set by hand, 2026-11. [s]"""
 
 
-def open_when_ready(url: str, stop: threading.Event, log: logging.Logger) -> Store | None:
+def open_when_ready(url: str | Address, stop: threading.Event, log: logging.Logger) -> Store | None:
     """Open a store, trying again while it is away; None once `stop` is set. What keeps it away is told once."""
     said = False
     while not stop.is_set():

@@ -128,7 +128,7 @@ port-no-socket = Anschluss { $port }: socket://host:port schreiben, etwa socket:
 port-not-opened = { $what }: { $cause }; { $remedy }
 port-remedy-connection-refused = das Gerät ist an, aber dort hört nichts; Port prüfen
 port-remedy-no-permission = der Benutzer darf ihn nicht öffnen; in die Gruppe des Anschlusses aufnehmen
-port-remedy-no-port = kein solcher Anschluss; Adapter und Namen prüfen
+port-remedy-no-port = Adapter und Namen prüfen
 port-remedy-port-in-use = ein anderes Programm hat ihn offen; dieses schließen
 port-remedy-unreachable = unter dieser Adresse antwortet niemand; Strom, Kabel und host prüfen
 port-two-settings = { $port }: zwei Messgeräte an einem Anschluss verlangen verschiedene Einstellungen: { $first }, { $second }
@@ -215,6 +215,9 @@ foreign-too-short =
     }
 foreign-variant-twice = der Name dieser Datei passt zu zwei Varianten von '{ $of }', '{ $first }' und '{ $second }'; beide unterscheiden
 foreign-variant-unknown = der Name dieser Datei passt zu keiner Variante von '{ $of }' in der Zuordnung ({ $known }); eine [[variant]] hinzufügen, die sagt, was für sie gilt, oder die Datei umbenennen
+frame-column-complex = Spalte { $column } enthält komplexe Zahlen; den Realteil angeben oder je eine Spalte
+frame-column-levels = die Namen der Spalten haben { NUMBER($levels) } Ebenen; zu einer verbinden, etwa mit '_'.join
+frame-key-no-text = Schlüssel { $key } in attrs ist kein Text; die Schlüssel eines Kopfes sind Texte
 frame-without-rows = { $run }: die Tabelle hat keine Zeilen; eine Pressung braucht mindestens eine Messzeile
 frame-without-start = Der Kopf sagt nicht, wann die Pressung begann; { $key } als Zeitpunkt mit Zeitzone angeben oder time_s nehmen
 frame-without-times = { $run }: die Tabelle hat keine Zeiten; eine Spalte oder einen Index time_s in Sekunden angeben, oder einen Index aus Zeitpunkten (Spalten sind { $columns })
@@ -227,6 +230,7 @@ header-missing = Kopfschlüssel { $key } fehlt; '# { $key } = ...' ergänzen
 header-missing-material = Kopfschlüssel { $key } fehlt und Werkstoff '{ $material }' steht nicht in der Tabelle ({ $known }); '# { $key } = ...' ergänzen
 header-no-number = Kopfschlüssel { $key } = { $value }: muss eine Zahl sein; den Kopf berichtigen
 header-no-such-place = Kopfschlüssel { $key }: diese Stelle gibt es in der Pressendatei nicht
+header-not-finite = Kopfschlüssel { $key } = { $value }: muss eine endliche Zahl sein; berichtigen oder, wo sie nicht bekannt ist, den Schlüssel entfernen
 header-number-outside = Kopfschlüssel { $key } = { $value }: muss eine Zahl von { NUMBER($lower) } bis { NUMBER($upper) } { $unit } sein
 header-override = Überschreibung im Kopf: { $what }
 header-sd-not-positive = { $key } = { $value }: eine Standardabweichung muss eine positive Zahl sein
@@ -277,6 +281,7 @@ run-column-length = Spalte '{ $column }' ist nicht so lang wie time_s
 run-column-twice = Spalte '{ $column }' kommt zweimal vor (Spalten { NUMBER($first) } und { NUMBER($second) }); eine umbenennen
 run-column-type = Typ { $type } ist keine Zahl; als float64 speichern
 run-column-unnamed = Spalte { NUMBER($number) } hat keinen brauchbaren Namen ({ $name }); jeder Spalte einen Namen geben
+run-columns-unmatched = keine Spalte der Pressung „{ $run }“ passt zu { $pattern }; sie hat { $columns }
 run-file-empty = die Datei ist leer; eine Laufdatei hat Zeilen '# Schlüssel = Wert', eine Kopfzeile und Reihen
 run-header-row-numbers = die Kopfzeile fehlt: dort stehen Zahlen; sie beginnt mit time_s, ...
 run-no-commas = die Zellen sind nicht durch Kommas getrennt; Komma und Punkt verwenden oder mit einer Zuordnung einlesen
@@ -287,6 +292,7 @@ run-no-rows = auf die Kopfzeile folgen keine Reihen; eine Pressung braucht minde
 run-no-temperature = { $value } ist keine Temperatur; sie muss zwischen { NUMBER($coldest) } und { NUMBER($hottest) } °C liegen; einen fehlenden Wert leer lassen
 run-no-time = Spalte time_s fehlt; vorhanden: { $found }
 run-not-utf8 = kein UTF-8-Text; die Datei als UTF-8 speichern
+run-number-as-text = { $cell } ist eine als Text abgelegte Zahl; die Spalte in Gleitkommazahlen wandeln
 run-quotation = { $reason }; Anführungszeichen und Zeilenenden prüfen
 run-table-empty = die Tabelle hat keine Reihen; eine Pressung braucht mindestens eine Messzeile
 run-time-falls = time_s = { $time } steigt nicht ({ $place }: { $before }); Reihen sortieren, doppelte entfernen
@@ -329,6 +335,8 @@ needs-start-clock = [clock]
 needs-start-presses = die Liste der Pressen
 needs-start-store = [store]
 of-press = Presse { $press }: { $what }
+of-run = Pressung { $run }: { $what }
+pages-stalled = die Prüfung von { $store } auf Schäden kommt zu keinem Ende; die Platte prüfen
 press-recorded-already = Presse { $press }: ein anderer Rekorder schreibt sie in { $store }; diesen zuerst beenden
 press-stalled = { $press }: seit { NUMBER($seconds, maximumFractionDigits: 0) } s keine neue Messzeile
 problem-of-press = { $press }: { $what }
@@ -425,6 +433,7 @@ store-run-taken = { $file }: Pressung '{ $run }' ist schon im Datenspeicher; nic
 store-scan-taken = Presse { $press }: Messzeile { $scan } ist schon mit anderen Werten da; ein anderer Rekorder schreibt für diese Presse: einen der beiden beenden
 store-trying-again = { $why }; neue Versuche folgen
 store-url-at = Das Passwort in der URL des Datenspeichers enthält ein @: als %40 schreiben
+store-url-mistyped = Die URL des Datenspeichers ist weder ein Dateipfad noch eine ganze URL (nicht gezeigt, sie kann ein Passwort enthalten); einen Dateipfad oder postgresql://benutzer:passwort@rechner/name angeben
 store-url-no-file = Datenspeicher-URL '{ $url }': im Datenspeicher treffen sich Prozesse, er braucht einen Dateipfad
 store-url-unsupported = Datenspeicher-URL '{ $url }': { $engine } wird nicht unterstützt; einen Dateipfad oder postgresql://... angeben
 store-url-wrong = Datenspeicher-URL '{ $url }': keine URL; einen Dateipfad oder postgresql://benutzer@rechner/name angeben
@@ -619,6 +628,8 @@ header-verdict = { $key } = { $value } ist kein Urteil; eines von { $known }
 layer-from-run-without-panel = Schicht '{ $layer }' nimmt ihre Werte aus der Pressung, und es gibt keine Platte
 layer-incomplete = Schicht '{ $layer }': Dichte oder Dicke fehlt
 layer-value-impossible = { $run }: layer.{ $number }.{ $key } = { $value } ('{ $layer }'): muss eine Zahl von { NUMBER($lower, maximumFractionDigits: 6) } bis { NUMBER($upper, maximumFractionDigits: 6) } sein; die Pressendatei berichtigen
+live-time-not-rising = ein Scan bei { NUMBER($time_s, maximumFractionDigits: 3) } s nach einem bei { NUMBER($newest_s, maximumFractionDigits: 3) } s: Zeiten müssen steigen; für eine andere Pressung einen neuen LiveSensor beginnen
+live-value-no-number = Spalte { $column }: { $value } ist keine Zahl; für einen fehlenden Wert NaN oder None angeben
 load-column-empty = { $run }: Druckspalte '{ $column }' enthält keinen Wert über 0: { $contacts } wird als unabhängig vom Druck gerechnet; die Spalte angeben oder load aus der Pressendatei nehmen
 load-column-missing = { $run }: Druckspalte '{ $column }' fehlt (vorhanden: { $columns }): { $contacts } wird als unabhängig vom Druck gerechnet; die Spalte angeben oder load aus der Pressendatei nehmen
 load-gap = { $run }: Druckspalte '{ $column }' ist { NUMBER($seconds, minimumFractionDigits: 1, maximumFractionDigits: 1) } s lang leer um time_s = { $time }; höchstens { NUMBER($most, maximumFractionDigits: 6) } s eines Drucks werden überbrückt: die Laufdatei dort teilen oder die Spalte weglassen
@@ -745,10 +756,10 @@ fit-shared = ein Wert in allen Pressungen, aus allen gemeinsam bekannt
 fit-shared-unknown = ein Wert in allen Pressungen, und auch aus allen gemeinsam nicht bekannt
 fit-shortfall-all =
     { $more ->
-        [0] Das Modell beschreibt keine dieser Pressungen: { $runs }. Kein Koeffizient ist aus ihnen bekannt; für die Versuchsreihe stehen die Schätzwerte der Pressendatei.
-       *[other] Das Modell beschreibt keine dieser Pressungen: { $runs } und { $more } weitere. Kein Koeffizient ist aus ihnen bekannt; für die Versuchsreihe stehen die Schätzwerte der Pressendatei.
+        [0] Das Modell beschreibt keine dieser Pressungen: { $runs }. Sie bestimmen keinen Koeffizienten; das Modell behält die Anfangswerte der Pressendatei.
+       *[other] Das Modell beschreibt keine dieser Pressungen: { $runs } und { $more } weitere. Sie bestimmen keinen Koeffizienten; das Modell behält die Anfangswerte der Pressendatei.
     }
-fit-shortfall-one = Das Modell beschreibt diese Pressung nicht: { $misfit }. Kein Koeffizient ist aus ihr bekannt; für die Versuchsreihe stehen die Schätzwerte der Pressendatei.
+fit-shortfall-one = Das Modell beschreibt diese Pressung nicht: { $misfit }. Sie bestimmt keinen Koeffizienten; das Modell behält die Anfangswerte der Pressendatei.
 fit-shortfall-run = { $run } ({ $misfit })
 fit-shortfall-some =
     Das Modell beschreibt { $count } von { $total } Pressungen nicht: { $runs }{ $more ->
@@ -883,7 +894,7 @@ verdict-not-described = Nichts lässt sich sagen: das Modell liegt { NUMBER($rms
 verdict-plain-model-explains = Das einfache Modell erklärt diese { $runs } Pressungen auf { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K; Rauschen allein macht { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K.
 verdict-plain-model-explains-panels = Das einfache Modell erklärt diese { $runs } Pressungen auf { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K, und auf { NUMBER($own, minimumFractionDigits: 2, maximumFractionDigits: 2) } K, wenn jede Platte ein wenig anders leitet und speichert, wie Platten es tun; Rauschen allein macht { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K.
 verdict-plain-model-explains-the-rest = Ohne sie erklärt das einfache Modell diese { $runs } Pressungen auf { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K.
-verdict-something-beyond-chance = Das einfache Modell erklärt diese { $runs } Pressungen auf { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K, bei { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K Rauschen, und doch passt eine Ursache besser als durch Zufall. Dass weggelassene Pressungen durch sie gewinnen, ist nicht bewiesen.
+verdict-something-beyond-chance = Das einfache Modell erklärt diese { $runs } Pressungen auf { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K, bei { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K Rauschen, und doch passt eine Ursache besser als durch Zufall. Dass sie ausgelassene Pressungen verbessert, ist nicht gezeigt.
 verdict-suspected = Verdacht, nicht bewiesen: { $causes }.
 where-further = Dann: { $stretch }.
 where-most = Am weitesten daneben: { $stretch }.
@@ -921,10 +932,10 @@ law-heading = Was fehlt, ohne Namen
 law-kind-contact = Faktor auf die geschlossenen Kontakte der Platte
 law-kind-contact_lower = Faktor auf den geschlossenen Kontakt der unteren Fläche
 law-kind-contact_upper = Faktor auf den geschlossenen Kontakt der oberen Fläche
-law-kind-heat = Wärme, die beim Erwärmen der Platte endgültig verschwindet
+law-kind-heat = Wärme, die beim Erwärmen der Platte verbraucht und beim Abkühlen nicht frei wird
 law-kind-heat_exchange = Wärme, die je Volumen an den Raum geht
-law-none = Kein freies Gesetz: Ausgelassene Pressungen gewinnen durch keines sicher.
-law-not-told-from = Diese Pressungen unterscheiden es nicht von: { $others }.
+law-none = Kein freies Gesetz: keines verbessert ausgelassene Pressungen sicher.
+law-not-told-from = Diese Pressungen können es nicht unterscheiden von: { $others }.
 law-resembles = In seinem Band liegt die Kurve einer bekannten Ursache: { $cause }.
 law-told = Es fehlt, ohne Namen: { $kind }, nach { $variable }, von { NUMBER($least, maximumSignificantDigits: 3) } (bei { NUMBER($at_least, maximumSignificantDigits: 3) }) bis { NUMBER($most, maximumSignificantDigits: 3) } (bei { NUMBER($at_most, maximumSignificantDigits: 3) }){ $unit }; das spart { NUMBER($gain, minimumFractionDigits: 2, maximumFractionDigits: 2) } von { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } K bei ausgelassenen Pressungen.
 law-variable-depth_share = Höhe in der Platte (0 unten, 1 oben)
@@ -954,7 +965,7 @@ rehearsal-wrong = andere Ursache genannt
 
 ## softsensor.planning: the next pressings
 
-advise-assumed = Angenommen: die Heizplatten halten ihren Sollwert; was sie nach außen verlieren, ist nicht gezählt. Das letzte Wort hat der Softsensor im Betrieb.
+advise-assumed = Angenommen: die Heizplatten halten ihren Sollwert; was sie nach außen verlieren, ist nicht gezählt. Wann zu öffnen ist, entscheidet der Softsensor im Betrieb.
 advise-best = { NUMBER($seconds, maximumFractionDigits: 0) } s bei { NUMBER($platen, maximumFractionDigits: 0) } °C pressen: alle Grenzen gelten mit { NUMBER($percent, maximumFractionDigits: 1) } %
 advise-cure-without-resin = eine Grenze der Aushärtung braucht die Kinetik des Harzes; --resin angeben
 advise-energy = { NUMBER($energy, maximumFractionDigits: 3) } kWh je Platte, { NUMBER($panels, maximumFractionDigits: 0) } Platten in der Stunde
@@ -966,7 +977,7 @@ advise-limit-cure_bottom = untere Seite nicht ausgehärtet
 advise-limit-cure_top = obere Seite nicht ausgehärtet
 advise-limit-steam_most = zu viel Dampf
 advise-load-unit = Presse { $press }: das Modell folgt der Last in Spalte { $column }, deren Einheit nirgends steht: beim Kontakt in load unit = "N/cm2", "kPa", "bar" oder "MPa" angeben
-advise-margin = Die mittlere Platte ist nach { NUMBER($likely, maximumFractionDigits: 0) } s fertig; über { NUMBER($until, maximumFractionDigits: 0) } s hinaus gelten die Grenzen nicht mehr so sicher, oder Längeres wurde nicht betrachtet.
+advise-margin = Die mittlere Platte ist nach { NUMBER($likely, maximumFractionDigits: 0) } s fertig; bis { NUMBER($until, maximumFractionDigits: 0) } s gelten alle Grenzen mit der gewünschten Wahrscheinlichkeit.
 advise-measure = Wäre dies genau bekannt, genügten { NUMBER($seconds, maximumFractionDigits: 0) } s: { $source }
 advise-no-limit = keine Grenze einzuhalten; --resin mit [limits], --core-least oder --core-most angeben
 advise-none = Kein Programm in den Bereichen hält alle Grenzen ein. Am nächsten: { $limit } mit { NUMBER($percent, maximumFractionDigits: 0) } %
@@ -988,7 +999,7 @@ plan-nothing-open = Nichts bleibt offen, was eine Pressung klären könnte.
 plan-open-causes = Nicht zu unterscheiden: { $causes }
 plan-open-coefficient = { $name } ist auf ±{ NUMBER($percent, maximumFractionDigits: 0) } % bekannt (gewünscht: ±{ NUMBER($wanted, maximumFractionDigits: 0) } %)
 plan-open-core = Der Kern beim Öffnen ist auf ±{ NUMBER($kelvin, maximumFractionDigits: 1) } K bekannt, soweit alle Pressungen es gemeinsam haben (gewünscht: ±{ NUMBER($wanted, maximumFractionDigits: 1) } K)
-plan-open-suspected = Im Verdacht, oder nichts: { $causes }
+plan-open-suspected = Im Verdacht, nicht bewiesen: { $causes }
 plan-range-unknown = --range { $name }: diese Einstellung gibt es hier nicht; bekannt sind { $known }
 plan-range-unreadable = --range '{ $given }': muss NAME=UNTEN:OBEN sein, etwa thickness_mm=8:19
 plan-range-wrong = --range { $name }={ NUMBER($low, maximumFractionDigits: 3) }:{ NUMBER($high, maximumFractionDigits: 3) }: das untere Ende steht zuerst, und beide müssen zwischen { NUMBER($lower, maximumFractionDigits: 3) } und { NUMBER($upper, maximumFractionDigits: 3) } liegen
@@ -1015,8 +1026,8 @@ core-will-pass-limit = der Kern wird bis auf { NUMBER($peak_C, maximumFractionDi
 core-will-pass-limit-even-if-opened = der Kern wird { NUMBER($peak_C, maximumFractionDigits: 0) } °C erreichen, selbst wenn die Presse jetzt öffnet, über der Grenze von { NUMBER($limit_C, maximumFractionDigits: 1) } °C
 reason-band-too-wide = Kern nicht bestimmbar: das Band ist breiter als ±{ NUMBER($limit_K, maximumFractionDigits: 0) } K
 reason-calculation-failed = die Rechnung ist fehlgeschlagen und wird neu gestartet
-reason-constants-far-from-the-material = die Stoffwerte der Kopfdaten liegen weit neben denen des Materials; berichtigen oder angeben, wie sicher sie sind (KEY.sd)
-reason-core-impossible = die Rechnung ergab { NUMBER($core_C, maximumFractionDigits: 0) } °C, was kein Kern haben kann: nichts unter { NUMBER($lowest_C, maximumFractionDigits: 0) } °C oder über { NUMBER($highest_C, maximumFractionDigits: 0) } °C hat ihn berührt
+reason-constants-far-from-the-material = die Stoffwerte der Platte sind nicht auf die Hälfte genau bekannt: die der Kopfdaten liegen weit neben denen des Materials, oder die letzten Läufe hatten sie weit neben den Kopfdaten; berichtigen oder angeben, wie sicher sie sind (KEY.sd)
+reason-core-impossible = der berechnete Kern hat { NUMBER($core_C, maximumFractionDigits: 0) } °C, was unmöglich ist: nichts unter { NUMBER($lowest_C, maximumFractionDigits: 0) } °C oder über { NUMBER($highest_C, maximumFractionDigits: 0) } °C hat die Platte berührt
 reason-faces-jumped-during-a-gap = die Temperatur beider Seiten ist während einer Messlücke gesprungen
 reason-faces-too-cold-for-this-panel = die Seiten sind viel kälter als die der gepressten Platte; es kann eine andere Platte dort liegen
 reason-insertion-not-seen = Kern nicht bestimmbar: nichts hat gezeigt, wann die Platte eingelegt wurde
@@ -1090,7 +1101,8 @@ night-outcome =
         [ambiguous] Ursachen, die sich nicht unterscheiden lassen
         [unknown_effect] eine unbekannte Ursache bleibt
         [too_few_runs] zu wenige Pressungen
-       *[other] { $verdict }
+        [not_described] das Modell beschreibt diese Pressungen nicht
+       *[other] siehe ihren Bericht
     }; { $model ->
         [promoted] Modell { $version } in Kraft gesetzt
         [stays] Modell { $version } bleibt
@@ -1100,9 +1112,11 @@ night-rejected = { $version } abgelehnt: { $reason }
 night-too-few-runs = { $runs } Pressungen ausgewertet, { $needed } sind nötig
 night-too-few-to-judge = zu wenige Pressungen für ein Urteil
 press-problem = { $press }: { $problem }
+run-fit-again = Pressung { $run }: der Rechenprozess wurde abgebrochen, ein anderer wertet sie aus; vermutlich ist Arbeitsspeicher knapp
 run-fit-killed = Pressung { $run } konnte nicht ausgewertet werden: der Rechenprozess wurde zweimal abgebrochen; vermutlich fehlt Arbeitsspeicher
 run-not-fitted = Pressung { $run } konnte nicht ausgewertet werden: { $why }
 run-nothing-to-fit = Pressung { $run } hat keine Fühler an der Platte: nichts auszuwerten
+sense-compiling = übersetzt das Modell, einmal nach einer Installation oder Aktualisierung: etwa eine Minute
 sense-following = folgt { $presses }
 sense-follows-run = folgt Pressung { $run }
 sense-takes-model = der Softsensor nimmt Modell { $version }
@@ -1405,6 +1419,8 @@ alarm-webhook-address = { $path }: die erste Zeile ist keine http- oder https-Ad
 api-address-taken = { $host }:{ $port } ist nicht frei: { $why }; mit --port einen anderen Port wählen
 api-body-late = die Anfrage kam nicht innerhalb von { $seconds } s an
 api-body-not-json = die Anfrage muss JSON sein, mit Content-Type: application/json
+api-body-number-too-long = eine Zahl mit { NUMBER($count) } Stellen bei '{ $key }': höchstens { NUMBER($digits) } werden gelesen; kürzen
+api-body-too-deep = Objekte oder Listen mehr als { NUMBER($deepest) } tief ineinander bei '{ $key }'; flacher schreiben
 api-body-too-large = die Anfrage darf höchstens { $bytes } Bytes haben
 api-certificate-missing = { $path }: diese Datei gibt es nicht; Zertifikat und Schlüssel als PEM-Dateien angeben
 api-certificate-needs-key = --certificate und --key gehören zusammen; beide angeben oder keins
@@ -1476,7 +1492,7 @@ terminal-calibrate-not-kept = { $logger }: Versatz nicht aufgehoben; ihm den Nam
 terminal-calibrate-write-needs-room = calibrate: --write braucht --room
 terminal-channel-verdict = { $channel } { $verdict }
 terminal-channels-fail = { $bad } von { $all } Kanälen bestehen die Prüfung nicht: { $names }
-terminal-check-failed = { $path }: { $failures }; Strom, Kabel und Adresse prüfen
+terminal-check-failed = { $path }: { $failures }
 terminal-check-logger-failed = Presse { $press }, Messgerät { $logger }: { $why }
 terminal-check-store-opens = Datenspeicher { $store }: lässt sich öffnen
 terminal-check-well-formed = { $path }: wohlgeformt
@@ -1494,7 +1510,7 @@ terminal-export-needs-out = export braucht --out: eine Datei für eine Pressung,
 terminal-file-among-figures = { $path }: liegt unter den Bildern von --svg { $folder }; einen anderen Ort oder eine andere Endung angeben
 terminal-fit-from = anfangs
 terminal-fit-joint-median = gemeinsamer Median
-terminal-fit-legend = W/m²K; ? steht hinter einem Wert, den die Pressung, beim Mittelwert jede Pressung, offen lässt. Nicht angepasst: was die Pressendatei festlegt.
+terminal-fit-legend = W/m²K; ? steht hinter einem Koeffizienten, den die Pressung nicht bestimmt, beim Mittelwert hinter einem, den keine bestimmt. Was die Pressendatei festlegt, ist nicht aufgeführt.
 terminal-fit-legend-campaign = Mittel und Streuung: über die Pressungen, die den Koeffizienten bestimmen. Gemeinsamer Median: alle Pressungen zusammen, mit 95-%-Intervall.
 terminal-fit-mean = Mittel
 terminal-fit-needs-runs = fit braucht Laufdateien und --press DATEI (oder nur --reproduce-paper)
@@ -1504,6 +1520,8 @@ terminal-fit-shared = Ein Wert in allen Pressungen, mit einem Intervall: { $name
 terminal-folder-for-several = { $path }: mehrere Pressungen brauchen einen Ordner; einen nennen, der in einem vorhandenen Ordner liegt
 terminal-folder-is-a-file = --svg { $folder }: ist eine Datei; einen Ordner angeben
 terminal-folder-name-empty = der Name des Ordners ist leer; einen angeben, oder . für den jetzigen
+terminal-guide-folder = { $folder }: ist schon da und nicht leer; einen neuen Ordner nennen
+terminal-guide-written = Leitfaden, Beispiele und Referenz: { $page } öffnen
 terminal-hide-unknown = --hide: { $why }
 terminal-hold-one-now = Jetzt einen Fühler zwischen zwei Fingern halten.
 terminal-import-run-twice = zwei der Dateien enthalten die Pressung „{ $run }“; einer einen eigenen Schlüssel '# run = ...' geben
@@ -1566,6 +1584,7 @@ terminal-progress-fitting = { $runs ->
     [one] { $runs } Pressung wird angepasst
    *[other] { $runs } Pressungen werden angepasst
 }
+terminal-progress-guide = schreibt die Seiten
 terminal-progress-planning = { $runs ->
     [one] Planung nach { $runs } Pressung
    *[other] Planung nach { $runs } Pressungen
@@ -1611,7 +1630,6 @@ terminal-until-leaves-too-little = { $run }: --until { $until } lässt { $rows }
 terminal-until-no-column = { $run }: --until nennt Spalte '{ $column }'; der Lauf hat { $known }
 terminal-until-no-run = --until { $until }: kein Lauf '{ $run }' ist angegeben; Läufe sind { $known }
 terminal-until-not-read = --until { $until }: Sekunden (900), eine Temperatur einer Spalte (bottom_1=140) oder eines von { $events } angeben, mit LAUF: davor für einen Lauf allein
-terminal-without-matches-none = --without { $pattern }: die Pressung „{ $run }“ hat keine; sie hat { $columns }
 terminal-written = geschrieben: { $path }
 terminal-written-several = geschrieben: { $files } Dateien in { $folder }
 token-created = Zugangstoken { $name } angelegt, { $scope ->
@@ -1647,6 +1665,7 @@ help-command-demo = Alles an einer virtuellen Presse: Aufzeichnung, Live-Vorhers
 help-command-diagnose = Finden, was die Simulation falsch macht, warum, was es kostet und was als Nächstes zu messen ist.
 help-command-export = Pressungen des Datenspeichers als Laufdateien schreiben oder auflisten.
 help-command-fit = Die Wärmeübergangskoeffizienten jeder Pressung und der Versuchsreihe anpassen.
+help-command-guide = Leitfaden, Beispiele und Referenz als Seiten in einen Ordner schreiben, lesbar ohne Server.
 help-command-import = Laufdateien in den Datenspeicher aufnehmen: alle, oder keine, wenn eine falsch ist.
 help-command-kerntemp = Kerntemperatur gepresster Platten: aufzeichnen, live vorhersagen, anpassen und finden, was das Modell falsch macht.
 help-command-plan = Finden, welche Pressungen als Nächstes am meisten wert sind und was jede klären würde.
@@ -1673,6 +1692,7 @@ help-export-format = Format der Dateien in einem Ordner; jsonl enthält Dokument
 help-export-out = Eine Datei für eine Pressung, ein Ordner für mehrere.
 help-export-runs = Namen von Pressungen; ohne Angabe werden alle aufgelistet.
 help-goal = Wonach zu suchen ist: time, energy oder throughput.
+help-guide-folder = Ein neuer Ordner; seine index.html ist die erste Seite.
 help-help = Diese Seite zeigen.
 help-hide = Diesen Effekt nur in der virtuellen Presse einschalten.
 help-host = Adresse, auf der gelauscht wird; ohne Angabe die der Konfiguration.
@@ -1802,7 +1822,6 @@ demo-column-surface = Residuum der Seiten
 demo-column-surface-unit = vor -> nach Anpassung
 demo-column-worst = größter
 demo-compiling = Erster Start: das Übersetzen des Modells dauert etwa eine Minute ...
-demo-compiling-too-long = Das Übersetzen des Modells dauerte länger als { NUMBER($seconds) } s
 demo-core-off = Kern { NUMBER($kelvin, minimumFractionDigits: 2, maximumFractionDigits: 2) } K daneben
 demo-core-unknown = Kern nicht bekannt
 demo-diagnosis-there = Die Diagnose ist da: { $diagnosis }, und was die Nacht getan hat: { $night }
@@ -1844,7 +1863,6 @@ demo-summary = Zusammenfassung von { $runs ->
 } an der virtuellen Presse
 demo-too-slow = Dieser Rechner hielt mit { NUMBER($speed) }-facher Geschwindigkeit nicht Schritt: { $troubles }; ein kleineres --speed angeben
 demo-view = { "               " }{ $address }  { $name }
-demo-warming-up-failed = das Übersetzen des Modells ist gescheitert: { $why }
 
 ## page: the press now
 
@@ -2060,9 +2078,10 @@ page-earlier = Frühere Diagnosen
 page-effects = Effekte
 page-evidence = Belege: Gewinn auf ungesehenen Pressungen je Ursache
 page-explains = erklärt
-page-gain = weniger Fehler auf ungesehenen Pressungen
+page-gain-left-out = weniger Fehler in ausgelassenen Pressungen, eigene Kontakte angepasst
+page-gain-predicted = weniger Fehler in vorhergesagten Pressungen
 page-heldout = ausgelassen, eigene Kontakte angepasst: einfach → erweitert
-page-heldout-gain = Gewinn auf ungesehenen Pressungen
+page-heldout-gain = Gewinn auf ausgelassenen Pressungen
 page-luck = Wahrscheinlichkeit, dass es Zufall ist
 page-measured-there = Dort gemessen
 page-model-rejected = abgelehnt
@@ -2110,6 +2129,7 @@ page-night-not-fitted = { $runs } nicht auswertbar
 page-night-promoted = { $version } in Kraft gesetzt
 page-night-refused = { $version } abgelehnt
 page-night-report = Bericht dieser Nacht
+page-night-standing = { $runs } gelten von vorher
 page-night-stays = { $version } bleibt
 page-night-stored = { $press }, { $runs } gespeichert
 page-night-took = Dauer

@@ -128,7 +128,7 @@ port-no-socket = port { $port }: write socket://host:port, such as socket://192.
 port-not-opened = { $what }: { $cause }; { $remedy }
 port-remedy-connection-refused = the device is on but nothing listens there; check port
 port-remedy-no-permission = the user may not open it; add it to the port's group
-port-remedy-no-port = no such port; check adapter and name
+port-remedy-no-port = check adapter and name
 port-remedy-port-in-use = another program has it open; close that
 port-remedy-unreachable = nobody answers at this address; check power, cable and host
 port-two-settings = { $port }: two loggers on one port ask for different settings: { $first }, { $second }
@@ -215,6 +215,9 @@ foreign-too-short =
     }
 foreign-variant-twice = this file's name matches two variants of '{ $of }', '{ $first }' and '{ $second }'; make them tell it apart
 foreign-variant-unknown = this file's name matches none of the mapping's variants of '{ $of }' ({ $known }); add a [[variant]] that says what holds for it, or rename the file
+frame-column-complex = column { $column } holds complex numbers; give their real part, or a column each
+frame-column-levels = the columns' labels have { NUMBER($levels) } levels; join them into one, as in '_'.join
+frame-key-no-text = key { $key } of attrs is not a text; a header's keys are texts
 frame-without-rows = { $run }: the table has no rows; a run needs at least one scan
 frame-without-start = the header does not say when the run began; give { $key } as an instant with its time zone, or use time_s
 frame-without-times = { $run }: the table has no times; give a column or an index time_s in seconds, or an index of instants (columns are { $columns })
@@ -227,6 +230,7 @@ header-missing = header key { $key } is missing; add '# { $key } = ...'
 header-missing-material = header key { $key } is missing and material '{ $material }' is not in the table ({ $known }); add '# { $key } = ...'
 header-no-number = header key { $key } = { $value }: must be a number; mend the header
 header-no-such-place = header key { $key }: the press file has no such place
+header-not-finite = header key { $key } = { $value }: must be a finite number; correct it, or remove the key where it is not known
 header-number-outside = header key { $key } = { $value }: must be a number from { NUMBER($lower) } to { NUMBER($upper) } { $unit }
 header-override = header override: { $what }
 header-sd-not-positive = { $key } = { $value }: a standard deviation must be a positive number
@@ -277,6 +281,7 @@ run-column-length = column '{ $column }' has another length than time_s
 run-column-twice = column '{ $column }' occurs twice (columns { NUMBER($first) } and { NUMBER($second) }); rename one
 run-column-type = type { $type } is not a number; store it as float64
 run-column-unnamed = column { NUMBER($number) } has no usable name ({ $name }); give every column a name
+run-columns-unmatched = no column of run '{ $run }' matches { $pattern }; it has { $columns }
 run-file-empty = the file is empty; a run file has '# key = value' lines, a header row, rows
 run-header-row-numbers = the header row is missing: found numbers; it starts with time_s, ...
 run-no-commas = cells are not separated by commas; use comma and dot, or import with a mapping
@@ -287,6 +292,7 @@ run-no-rows = no rows follow the header row; a run needs at least one scan
 run-no-temperature = { $value } is no temperature; must lie between { NUMBER($coldest) } and { NUMBER($hottest) } C; leave a missing value empty
 run-no-time = column time_s is missing; found { $found }
 run-not-utf8 = not UTF-8 text; save the file as UTF-8
+run-number-as-text = { $cell } is a number kept as text; convert the column to floats
 run-quotation = { $reason }; check its quotation marks and line ends
 run-table-empty = the table has no rows; a run needs at least one scan
 run-time-falls = time_s = { $time } does not rise ({ $place }: { $before }); sort the rows, remove doubled ones
@@ -329,6 +335,8 @@ needs-start-clock = [clock]
 needs-start-presses = the list of presses
 needs-start-store = [store]
 of-press = press { $press }: { $what }
+of-run = run { $run }: { $what }
+pages-stalled = the check of { $store } for damage does not come to an end; check the disk
 press-recorded-already = press { $press }: another recorder writes it into { $store }; stop that one first
 press-stalled = { $press }: no fresh scan for { NUMBER($seconds, maximumFractionDigits: 0) } s
 problem-of-press = { $press }: { $what }
@@ -425,6 +433,7 @@ store-run-taken = { $file }: run '{ $run }' is in the store already; nothing was
 store-scan-taken = press { $press }: scan { $scan } is there already with other values; another recorder writes to this press: stop one of them
 store-trying-again = { $why }; trying again
 store-url-at = the password in the store's url holds an @: write it as %40
+store-url-mistyped = the store's url is neither a file path nor a whole URL (not shown: it may hold a password); give a file path or postgresql://user:password@host/name
 store-url-no-file = store url '{ $url }': processes meet in the store, so it needs a file path
 store-url-unsupported = store url '{ $url }': { $engine } is not supported; give a file path or postgresql://...
 store-url-wrong = store url '{ $url }': not a URL; give a file path or postgresql://user@host/name
@@ -619,6 +628,8 @@ header-verdict = { $key } = { $value } is no verdict; one of { $known }
 layer-from-run-without-panel = layer '{ $layer }' takes its constants from the run, and there is no panel
 layer-incomplete = layer '{ $layer }' lacks density or thickness
 layer-value-impossible = { $run }: layer.{ $number }.{ $key } = { $value } ('{ $layer }'): must be a number from { NUMBER($lower, maximumFractionDigits: 6) } to { NUMBER($upper, maximumFractionDigits: 6) }; mend the press file
+live-time-not-rising = a scan at { NUMBER($time_s, maximumFractionDigits: 3) } s after one at { NUMBER($newest_s, maximumFractionDigits: 3) } s: times must rise; begin a new LiveSensor for another run
+live-value-no-number = column { $column }: { $value } is not a number; give NaN or None for a missing value
 load-column-empty = { $run }: load column '{ $column }' holds no value above 0: { $contacts } taken as independent of load; give the column, or take load out of the press file
 load-column-missing = { $run }: load column '{ $column }' is missing (it has { $columns }): { $contacts } taken as independent of load; give the column, or take load out of the press file
 load-gap = { $run }: load column '{ $column }' is empty for { NUMBER($seconds, minimumFractionDigits: 1, maximumFractionDigits: 1) } s around time_s = { $time }; at most { NUMBER($most, maximumFractionDigits: 6) } s of a load are bridged: cut the run there, or leave the column out
@@ -739,16 +750,16 @@ fit-remedy-thermocouple-free = Put a thermocouple on the outer face of { $layer 
 fit-role-boundary = It acts here: { $boundary }.
 fit-role-closed = It couples { $below } and { $above } while the press is closed ({ NUMBER($seconds, maximumFractionDigits: 0) } s in this run).
 fit-role-joined = It couples { $below } and { $above }.
-fit-role-open = It acts between { $below } and { $above } while the press is open ({ NUMBER($before, maximumFractionDigits: 0) } s before closing and { NUMBER($after, maximumFractionDigits: 0) } s after opening in this run).
+fit-role-open = It couples { $below } and { $above } while the press is open ({ NUMBER($before, maximumFractionDigits: 0) } s before closing and { NUMBER($after, maximumFractionDigits: 0) } s after opening in this run).
 fit-role-open-face = It acts at the face of { $layer } while the press is open ({ NUMBER($before, maximumFractionDigits: 0) } s before closing and { NUMBER($after, maximumFractionDigits: 0) } s after opening in this run).
 fit-shared = one value in all runs, known from all of them together
 fit-shared-unknown = one value in all runs, and not known even from all of them together
 fit-shortfall-all =
     { $more ->
-        [0] The model describes none of these runs: { $runs }. No coefficient is known from them; what stands for the campaign are the press file's guesses.
-       *[other] The model describes none of these runs: { $runs } and { $more } more. No coefficient is known from them; what stands for the campaign are the press file's guesses.
+        [0] The model describes none of these runs: { $runs }. They determine no coefficient; the model keeps the initial values of the press file.
+       *[other] The model describes none of these runs: { $runs } and { $more } more. They determine no coefficient; the model keeps the initial values of the press file.
     }
-fit-shortfall-one = The model does not describe this run: { $misfit }. No coefficient is known from it; what stands for the campaign are the press file's guesses.
+fit-shortfall-one = The model does not describe this run: { $misfit }. It determines no coefficient; the model keeps the initial values of the press file.
 fit-shortfall-run = { $run } ({ $misfit })
 fit-shortfall-some =
     The model does not describe { $count } of { $total } runs: { $runs }{ $more ->
@@ -782,7 +793,7 @@ fit-verdict-identifiable = identifiable
 fit-verdict-not-identifiable = not identifiable
 fit-verdict-one-sided = bounded on one side only
 fit-verdict-shared = shared
-fit-why-noise = Its effect of { NUMBER($kelvin, maximumSignificantDigits: 2) } K drowns in the slow noise of the faces ({ NUMBER($noise, maximumSignificantDigits: 2) } K).
+fit-why-noise = Its effect of { NUMBER($kelvin, maximumSignificantDigits: 2) } K is lost in the slow noise of the faces ({ NUMBER($noise, maximumSignificantDigits: 2) } K).
 fit-why-resistance = Any value above { NUMBER($least, maximumSignificantDigits: 3) } W/m²K fits as well: its resistance, below { NUMBER($resistance, maximumSignificantDigits: 1) } m²K/W, is too small to be seen.
 fit-why-together = It is correlated with { $partner } (correlation { NUMBER($correlation, minimumFractionDigits: 2, maximumFractionDigits: 2) }).
 fit-why-unseen = No reading of this run moves by more than { NUMBER($kelvin, maximumSignificantDigits: 2) } K when it grows by a factor of 2.7.
@@ -875,7 +886,7 @@ verdict-not-described = Nothing can be said: the model is { NUMBER($rmse, minimu
 verdict-plain-model-explains = The plain model explains these { $runs } runs to { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K; noise alone is { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K.
 verdict-plain-model-explains-panels = The plain model explains these { $runs } runs to { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K, and to { NUMBER($own, minimumFractionDigits: 2, maximumFractionDigits: 2) } K where each panel conducts and stores heat a little differently, as panels do; noise alone is { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K.
 verdict-plain-model-explains-the-rest = Without them, the plain model explains these { $runs } runs to { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K.
-verdict-something-beyond-chance = The plain model explains these { $runs } runs to { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K, with { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K of noise, yet a cause fits them beyond chance. That runs left out gain by it is not proven.
+verdict-something-beyond-chance = The plain model explains these { $runs } runs to { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K, with { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K of noise, yet a cause fits them better than chance would. It has not been shown to improve runs left out.
 verdict-suspected = Suspected, not proven: { $causes }.
 where-further = Next: { $stretch }.
 where-most = Furthest off: { $stretch }.
@@ -904,10 +915,10 @@ law-heading = What is missing, without a name
 law-kind-contact = factor on the closed contacts of the panel
 law-kind-contact_lower = factor on the closed contact of the lower face
 law-kind-contact_upper = factor on the closed contact of the upper face
-law-kind-heat = heat that goes for good as the panel warms up
+law-kind-heat = heat consumed as the panel warms up, not returned on cooling
 law-kind-heat_exchange = heat lost to the room per volume
-law-none = No free law is told: runs left out do not gain surely by any.
-law-not-told-from = These runs do not tell it from: { $others }.
+law-none = No free law: none surely improves runs left out.
+law-not-told-from = These runs cannot distinguish it from: { $others }.
 law-resembles = Within its band it is the curve of a known cause: { $cause }.
 law-told = Missing, without a name: { $kind }, by { $variable }, from { NUMBER($least, maximumSignificantDigits: 3) } (at { NUMBER($at_least, maximumSignificantDigits: 3) }) to { NUMBER($most, maximumSignificantDigits: 3) } (at { NUMBER($at_most, maximumSignificantDigits: 3) }){ $unit }; it saves { NUMBER($gain, minimumFractionDigits: 2, maximumFractionDigits: 2) } of { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } K on runs left out.
 law-variable-depth_share = height in the panel (0 below, 1 above)
@@ -937,7 +948,7 @@ rehearsal-wrong = another cause named
 
 ## softsensor.planning: the next pressings
 
-advise-assumed = Assumed: platens stand at their set point; what they lose outwards is not counted. Let the live sensor have the last word.
+advise-assumed = Assumed: platens stand at their set point; what they lose outwards is not counted. The live sensor decides when to open.
 advise-best = Press for { NUMBER($seconds, maximumFractionDigits: 0) } s at { NUMBER($platen, maximumFractionDigits: 0) } °C: all limits hold with { NUMBER($percent, maximumFractionDigits: 1) } %
 advise-cure-without-resin = a limit of cure needs the resin's kinetics; give --resin
 advise-energy = { NUMBER($energy, maximumFractionDigits: 3) } kWh a panel, { NUMBER($panels, maximumFractionDigits: 0) } panels an hour
@@ -949,7 +960,7 @@ advise-limit-cure_bottom = lower face undercured
 advise-limit-cure_top = upper face undercured
 advise-limit-steam_most = too much steam
 advise-load-unit = press { $press }: the model follows the load in column { $column }, and nothing says in which unit: add unit = "N/cm2", "kPa", "bar" or "MPa" to the contact's load
-advise-margin = The middle panel is ready after { NUMBER($likely, maximumFractionDigits: 0) } s; beyond { NUMBER($until, maximumFractionDigits: 0) } s the limits no longer hold so surely, or nothing longer was looked at.
+advise-margin = The middle panel is ready after { NUMBER($likely, maximumFractionDigits: 0) } s; up to { NUMBER($until, maximumFractionDigits: 0) } s all limits are known to hold with the wanted probability.
 advise-measure = If this were known exactly, { NUMBER($seconds, maximumFractionDigits: 0) } s would do: { $source }
 advise-no-limit = nothing to keep to; give --resin with [limits], --core-least or --core-most
 advise-none = No program within the ranges keeps all limits. Nearest: { $limit } with { NUMBER($percent, maximumFractionDigits: 0) } %
@@ -971,7 +982,7 @@ plan-nothing-open = Nothing is left open that a pressing could settle.
 plan-open-causes = Not told apart: { $causes }
 plan-open-coefficient = { $name } is known to ±{ NUMBER($percent, maximumFractionDigits: 0) } % (wanted: ±{ NUMBER($wanted, maximumFractionDigits: 0) } %)
 plan-open-core = The core at the opening is known to ±{ NUMBER($kelvin, maximumFractionDigits: 1) } K for what all pressings share (wanted: ±{ NUMBER($wanted, maximumFractionDigits: 1) } K)
-plan-open-suspected = Suspected, or nothing: { $causes }
+plan-open-suspected = Suspected, not proven: { $causes }
 plan-range-unknown = --range { $name }: no such setting here; known are { $known }
 plan-range-unreadable = --range '{ $given }': must be NAME=LOW:HIGH, such as thickness_mm=8:19
 plan-range-wrong = --range { $name }={ NUMBER($low, maximumFractionDigits: 3) }:{ NUMBER($high, maximumFractionDigits: 3) }: the lower end goes first, and both must lie between { NUMBER($lower, maximumFractionDigits: 3) } and { NUMBER($upper, maximumFractionDigits: 3) }
@@ -998,8 +1009,8 @@ core-will-pass-limit = the core will peak at { NUMBER($peak_C, maximumFractionDi
 core-will-pass-limit-even-if-opened = the core will peak at { NUMBER($peak_C, maximumFractionDigits: 0) } °C even if the press is opened now, above the limit of { NUMBER($limit_C, maximumFractionDigits: 1) } °C
 reason-band-too-wide = core not observable: the band is wider than ±{ NUMBER($limit_K, maximumFractionDigits: 0) } K
 reason-calculation-failed = the calculation failed and is being restarted
-reason-constants-far-from-the-material = the header's constants are far from those of its material; correct them, or state how sure they are (KEY.sd)
-reason-core-impossible = the numbers went to { NUMBER($core_C, maximumFractionDigits: 0) } °C, where no core can be: nothing colder than { NUMBER($lowest_C, maximumFractionDigits: 0) } °C or hotter than { NUMBER($highest_C, maximumFractionDigits: 0) } °C has touched it
+reason-constants-far-from-the-material = the panel's constants are not known to within half: the header's are far from those of its material, or the last runs had them far from the header's; correct them, or state how sure they are (KEY.sd)
+reason-core-impossible = the calculated core is at { NUMBER($core_C, maximumFractionDigits: 0) } °C, which is impossible: nothing colder than { NUMBER($lowest_C, maximumFractionDigits: 0) } °C or hotter than { NUMBER($highest_C, maximumFractionDigits: 0) } °C has touched the panel
 reason-faces-jumped-during-a-gap = both faces jumped in temperature during a gap in the readings
 reason-faces-too-cold-for-this-panel = the faces are far colder than those of the panel that was pressed; another panel may lie there
 reason-insertion-not-seen = core not observable: nothing has shown when the panel was inserted
@@ -1074,7 +1085,8 @@ night-outcome =
         [ambiguous] causes that cannot be told apart
         [unknown_effect] an unknown cause remains
         [too_few_runs] too few runs
-       *[other] { $verdict }
+        [not_described] the model does not describe these runs
+       *[other] see its report
     }; { $model ->
         [promoted] model { $version } promoted
         [stays] model { $version } stays
@@ -1084,9 +1096,11 @@ night-rejected = { $version } rejected: { $reason }
 night-too-few-runs = { $runs } runs fitted, { $needed } are needed
 night-too-few-to-judge = too few runs to judge by
 press-problem = { $press }: { $problem }
+run-fit-again = run { $run }: its worker process was killed, another one fits it; memory may be short
 run-fit-killed = run { $run } could not be fitted: its worker process was killed twice; memory may be short
 run-not-fitted = run { $run } could not be fitted: { $why }
 run-nothing-to-fit = run { $run } has no panel sensors: nothing to fit
+sense-compiling = compiling the model, once after an installation or an update: about a minute
 sense-following = following { $presses }
 sense-follows-run = following run { $run }
 sense-takes-model = the live sensor takes model { $version }
@@ -1389,6 +1403,8 @@ alarm-webhook-address = { $path }: the first line is no http or https address
 api-address-taken = cannot listen on { $host }:{ $port }: { $why }; choose another port with --port
 api-body-late = the body did not arrive within { $seconds } s
 api-body-not-json = the body must be JSON, declared by Content-Type: application/json
+api-body-number-too-long = a number of { NUMBER($count) } digits at '{ $key }': at most { NUMBER($digits) } are read; shorten it
+api-body-too-deep = objects or lists more than { NUMBER($deepest) } deep within one another at '{ $key }'; flatten them
 api-body-too-large = the body may have { $bytes } bytes at most
 api-certificate-missing = { $path }: no such file; give certificate and key as PEM files
 api-certificate-needs-key = --certificate and --key belong together; give both or neither
@@ -1460,7 +1476,7 @@ terminal-calibrate-not-kept = { $logger }: offsets not kept; give it the name of
 terminal-calibrate-write-needs-room = calibrate: --write needs --room
 terminal-channel-verdict = { $channel } { $verdict }
 terminal-channels-fail = { $bad } of { $all } channels fail the check: { $names }
-terminal-check-failed = { $path }: { $failures }; check power, cable and address
+terminal-check-failed = { $path }: { $failures }
 terminal-check-logger-failed = press { $press }, logger { $logger }: { $why }
 terminal-check-store-opens = store { $store }: opens
 terminal-check-well-formed = { $path }: well formed
@@ -1478,7 +1494,7 @@ terminal-export-needs-out = export needs --out: a file for one run, a folder for
 terminal-file-among-figures = { $path }: lies among the figures of --svg { $folder }; give it another place or ending
 terminal-fit-from = from
 terminal-fit-joint-median = joint median
-terminal-fit-legend = W/m²K; ? marks a value that the run, or for a mean every run, leaves undetermined. Not fitted: what the press file fixes.
+terminal-fit-legend = W/m²K; ? marks a coefficient that the run does not determine, at a mean one that no run determines. Coefficients fixed by the press file are not listed.
 terminal-fit-legend-campaign = Mean and sd: over the runs that determine the coefficient. Joint median: all runs together, with its 95 % interval.
 terminal-fit-mean = mean
 terminal-fit-needs-runs = fit needs run files and --press FILE (or --reproduce-paper alone)
@@ -1488,6 +1504,8 @@ terminal-fit-shared = One value in all runs, with one interval: { $names }.
 terminal-folder-for-several = { $path }: several runs need a folder; give the name of one in a folder that exists
 terminal-folder-is-a-file = --svg { $folder }: is a file; give a folder
 terminal-folder-name-empty = the folder's name is empty; give one, or . for the folder you are in
+terminal-guide-folder = { $folder }: is there and not empty; name a new folder
+terminal-guide-written = guide, gallery and reference: open { $page }
 terminal-hide-unknown = --hide: { $why }
 terminal-hold-one-now = Hold one thermocouple between two fingers now.
 terminal-import-run-twice = two of the files hold run '{ $run }'; give one a key '# run = ...' of its own
@@ -1550,6 +1568,7 @@ terminal-progress-fitting = { $runs ->
     [one] Fitting { $runs } run
    *[other] Fitting { $runs } runs
 }
+terminal-progress-guide = writing the pages
 terminal-progress-planning = { $runs ->
     [one] Planning after { $runs } run
    *[other] Planning after { $runs } runs
@@ -1595,7 +1614,6 @@ terminal-until-leaves-too-little = { $run }: --until { $until } leaves { $rows }
 terminal-until-no-column = { $run }: --until names column '{ $column }'; the run has { $known }
 terminal-until-no-run = --until { $until }: no run '{ $run }' is given; runs are { $known }
 terminal-until-not-read = --until { $until }: give seconds (900), a temperature of a column (bottom_1=140) or one of { $events }, with RUN: before it for one run alone
-terminal-without-matches-none = --without { $pattern }: run '{ $run }' has none; it has { $columns }
 terminal-written = written: { $path }
 terminal-written-several = written: { $files } files in { $folder }
 token-created = token { $name } created, scope { $scope }
@@ -1628,6 +1646,7 @@ help-command-demo = Run everything on a virtual press: logging, live prediction,
 help-command-diagnose = Find what the simulation gets wrong, why, what it costs, and what to measure next.
 help-command-export = Write runs of the store as run files, or list the runs.
 help-command-fit = Fit the heat transfer coefficients of each run and of the campaign.
+help-command-guide = Write the guide, the gallery and the reference as pages into a folder, to be read without a server.
 help-command-import = Put run files into the store: all of them, or none if one is wrong.
 help-command-kerntemp = Core temperature of pressed panels: log, predict live, fit, and find what the model gets wrong.
 help-command-plan = Find the next pressings worth most, and what each would settle.
@@ -1654,6 +1673,7 @@ help-export-format = Format of the files in a folder; jsonl holds documents of b
 help-export-out = A file for one run, a folder for several.
 help-export-runs = Ids of runs; without any, the runs are listed.
 help-goal = What to look for: time, energy or throughput.
+help-guide-folder = A new folder; its index.html is the first page.
 help-help = Show this page.
 help-hide = Switch this effect on in the virtual press only.
 help-host = Address to listen on; without it the configuration's.
@@ -1783,7 +1803,6 @@ demo-column-surface = surface residual
 demo-column-surface-unit = before -> after fit
 demo-column-worst = worst
 demo-compiling = First start: compiling the model takes about a minute ...
-demo-compiling-too-long = compiling the model took longer than { NUMBER($seconds) } s
 demo-core-off = core { NUMBER($kelvin, minimumFractionDigits: 2, maximumFractionDigits: 2) } K off
 demo-core-unknown = core not known
 demo-diagnosis-there = The diagnosis is there: { $diagnosis }, and what the night did: { $night }
@@ -1825,7 +1844,6 @@ demo-summary = Summary of { $runs ->
 } on the virtual press
 demo-too-slow = This machine did not keep up with { NUMBER($speed) } times real speed: { $troubles }; give a lower --speed
 demo-view = { "         " }{ $address }  { $name }
-demo-warming-up-failed = warming up failed: { $why }
 
 ## page: the press now
 
@@ -2041,9 +2059,10 @@ page-earlier = Earlier diagnoses
 page-effects = Effects
 page-evidence = Evidence: gain on unseen pressings by cause
 page-explains = explains
-page-gain = less error on unseen pressings
+page-gain-left-out = less error in pressings left out, their own contacts fitted
+page-gain-predicted = less error in predicted pressings
 page-heldout = left out, own contacts fitted: plain → extended
-page-heldout-gain = gain on unseen pressings
+page-heldout-gain = gain on pressings left out
 page-luck = chance that it is luck
 page-measured-there = Measured there
 page-model-rejected = rejected
@@ -2091,6 +2110,7 @@ page-night-not-fitted = { $runs } cannot be fitted
 page-night-promoted = { $version } promoted
 page-night-refused = { $version } refused
 page-night-report = Report of this night
+page-night-standing = { $runs } stand from before
 page-night-stays = { $version } stays
 page-night-stored = { $press }, { $runs } stored
 page-night-took = Took

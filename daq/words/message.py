@@ -19,6 +19,10 @@ Argument: TypeAlias = Union[str, int, float, "Message", tuple["Argument", ...]]
 """Texts are shown as they are (names, columns, paths), numbers in the language's way, messages in its words."""
 ENGLISH = "en"
 """The language of logs, of SQL and of whoever asks for none; every message has it."""
+_LONGEST = 2500
+"""Characters of an argument that fluent puts into a sentence (its MAX_PART_LENGTH)."""
+_BEGINNING = 200
+"""Characters kept of a text that is longer, so that what to do, behind it, is still read. (By hand, 2026-11)"""
 
 
 @dataclass(frozen=True)
@@ -130,10 +134,17 @@ class Catalogue:
 
     def _argument(self, value: Argument) -> Any:
         if isinstance(value, Message):
-            return self.words(value)
+            return _shortened(self.words(value), _LONGEST)
         if isinstance(value, tuple):
-            return ", ".join(str(self._argument(one)) for one in value)
-        return self._number(value, useGrouping=False) if isinstance(value, int | float) else value
+            return _shortened(", ".join(str(self._argument(one)) for one in value), _LONGEST)
+        if isinstance(value, str):
+            return _shortened(value, _BEGINNING)
+        return self._number(value, useGrouping=False)
+
+
+def _shortened(text: str, kept: int) -> str:
+    """Return a text that fluent takes: of one too long its beginning, else it would put ``{???}`` there."""
+    return text if len(text) <= _LONGEST else text[: kept - 1] + "…"
 
 
 def _patterns(text: str) -> dict[str, str]:

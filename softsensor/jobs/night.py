@@ -15,7 +15,6 @@ from datetime import UTC, datetime
 from hashlib import sha256
 from typing import Any, Literal
 
-from daq.address import Address
 from daq.press.press_file import Press
 from daq.records import InputError
 from daq.store import JournalEntry, RunRecord, Store, StoredNight, every
@@ -57,8 +56,7 @@ def refit_press(
     base = parse_model(active.model, f"model {active.version}") if active is not None else None
     agenda = agenda_of(store, name, press, base)
     tally = _Tally(store, name, base.version if base is not None else PRESS_FILE)
-    url = Address(store.database.url.render_as_string(hide_password=False))
-    for one in fit_all([FitTask(url, press, run, base) for run in agenda.due], workers, dask):
+    for one in fit_all([FitTask(store.database.address, press, run, base) for run in agenda.due], workers, dask):
         tally.keep(one, agenda.due[one.run])
     outcome = _worked_off(store, name, agenda, tally, base)
     fits = _standing_fits(store, agenda.window, press, base)

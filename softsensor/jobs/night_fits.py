@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from daq.address import Address
 from daq.press.press_file import Press
 from daq.records import InputError
 from daq.store import Store, open_store
@@ -27,7 +28,7 @@ from softsensor.jobs.fitter import fit_one, has_panel_readings, new_workers
 class FitTask:
     """One run to fit, in a worker that reads it from the store itself."""
 
-    url: str
+    url: str | Address
     press: Press
     run: str
     model: ModelFile | None
@@ -45,7 +46,7 @@ class Done:
 
 
 @lru_cache(maxsize=4)
-def _store_of(url: str) -> Store:
+def _store_of(url: str | Address) -> Store:
     return open_store(url, create=False)
 
 

@@ -1,6 +1,8 @@
 """A database's password never leaves the process: searched for in all that a session with faults wrote."""
 
+import json
 import os
+import pickle
 import subprocess
 import sys
 from pathlib import Path
@@ -8,10 +10,12 @@ from pathlib import Path
 import psycopg
 import pytest
 
-from daq.address import Address, hidden
+from api.cli import main
+from daq.address import Address, hidden, text_without
 from daq.process.config import load_config
 from daq.records import InputError
 from daq.store import open_store
+from tests.daq.test_config import PRESSES
 from tests.daq.test_recorder import plant, wait_until
 
 SECRET = "gehei mnis-4711"
@@ -90,3 +94,115 @@ def test_an_address_prints_no_password_and_is_compared_whole():
     assert "cret" not in repr([url])
     assert hidden("sqlite:///a?b@c.sqlite") == "sqlite:///a?b@c.sqlite"
     assert hidden("plant.sqlite") == "plant.sqlite"
+
+
+WHOLE = (
+    "postgresql://[::1]:5432/x?password=S3cr3tPw",
+    "postgresql://%2Frun/x?password=S3cr3tPw",
+    "postgresql://h:5432,h2:5433/x?password=S3cr3tPw",
+    "postgresql://h/my%20db?password=S3cr3tPw",
+    "postgresql://h/x?password=S3cr3t@Pw",
+    "postgresql://eva:12?S3cr3tPw@h",
+    "postgresql://eva:12@3?S3cr3tPw@h",
+    "postgresql://eva:12/S3cr3tPw@h/x",
+    "postgresql://h/x;password=S3cr3tPw",
+    "sqlite+pysqlcipher://:S3cr3tPw@/x.sqlite",
+)
+MISTYPED = (
+    "postgresql:/eva:S3cr3tPw@h/x",
+    "eva:S3cr3tPw@h",
+    "eva:S3cr3tPw@h/x",
+    "host=h user=eva password=S3cr3tPw",
+    "host=h user=eva password = S3cr3tPw",
+)
+FRAGMENTS = ("S3cr", "3tPw", "eva:12")
+
+
+@pytest.mark.parametrize("url", [*WHOLE, *MISTYPED])
+def test_no_form_of_an_address_shows_its_password_whatever_is_done_with_it(url):
+    address = Address(url)
+    for text in (str(address), repr(address), f"{address}", f"{address!s:>80}", f"{vars_of(address)}"):
+        assert not [fragment for fragment in FRAGMENTS if fragment in text]
+    for misuse in (
+        lambda: json.dumps({"url": address}),
+        lambda: ",".join([address]),
+        lambda: "store " + address,
+        lambda: address + "",
+        lambda: address[:5],
+        lambda: address.strip(),
+        lambda: address.replace("x", "y"),
+        lambda: list(address),
+    ):
+        with pytest.raises((TypeError, AttributeError)):
+            misuse()
+    assert address.revealed() == url
+    assert pickle.loads(pickle.dumps(address)) == address  # a worker connects too
+
+
+def vars_of(address):
+    return getattr(address, "__dict__", {})
+
+
+@pytest.mark.parametrize("url", [*WHOLE, *MISTYPED])
+def test_a_configuration_kept_with_a_run_holds_no_password(url, tmp_path):
+    text = f'{press_and_logger(tmp_path)}\n[store]\nurl = "{url}"\n# url = "{url}"\n'
+    kept = text_without(text, Address(url))
+    assert not [fragment for fragment in FRAGMENTS if fragment in kept and url not in MISTYPED[1:3]]
+    assert "[[press]]" in kept
+
+
+def test_a_commented_out_address_and_password_are_not_kept_either(tmp_path):
+    (tmp_path / "kerntemp.toml").write_text(
+        '# url = "postgresql://e:0ldS3cr3t@h/x"\n#url="postgresql:/e:0ld \'S3cr3t@h/x"  # till May\n'
+        "# password = '0ldS3cr3t'\n# psql 'host=h password=0ldS3cr3t'\n" + press_and_logger(tmp_path)
+    )
+    kept = load_config(tmp_path / "kerntemp.toml").text
+    assert "S3cr3t" not in kept
+    assert kept.endswith(press_and_logger(tmp_path))
+
+
+def press_and_logger(folder):
+    (folder / "lab.toml").write_text((PRESSES / "lab.toml").read_text())
+    return """[[press]]
+name = "lab"
+file = "lab.toml"
+[[press.logger]]
+name = "platens"
+profile = "adam-6018+"
+host = "127.0.0.1"
+channels = ["platen_top", "platen_bottom"]
+[mqtt]
+host = "h"
+password_file = "mqtt.txt"
+"""
+
+
+@pytest.mark.parametrize("url", [*MISTYPED, *WHOLE])
+def test_what_is_no_path_is_refused_before_a_file_is_made_and_not_printed(url, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "kerntemp.toml").write_text(f'{press_and_logger(tmp_path)}[store]\nurl = "{url}"\n')
+    there = sorted(tmp_path.iterdir())
+    assert main(["check", "--offline"]) in (1, 2)
+    assert main(["export", "x", "--store", url]) in (1, 2)
+    said = "".join(capsys.readouterr())
+    assert "store" in said
+    assert not [fragment for fragment in FRAGMENTS if fragment in said]
+    assert sorted(tmp_path.iterdir()) == there
+
+
+@pytest.mark.parametrize("table", ["[store]\nulr", "[stor]\nurl", "url", "[store]\nkeep_idle_days"])
+@pytest.mark.parametrize("url", ["postgresql://eva:S3cr3tPw@h/x", "postgresql:/eva:S3cr3tPw@h/x"])
+def test_an_address_under_a_mistyped_key_is_not_printed(url, table, tmp_path):
+    text = press_and_logger(tmp_path)
+    (tmp_path / "kerntemp.toml").write_text(f'{table} = "{url}"\n{text}')
+    with pytest.raises(InputError) as caught:
+        load_config(tmp_path / "kerntemp.toml")
+    assert "S3cr3tPw" not in str(caught.value)
+
+
+def test_a_folder_with_an_at_sign_is_a_folder_where_it_is_there(tmp_path):
+    home = tmp_path / "eva@plant.local"
+    home.mkdir()
+    (home / "kerntemp.toml").write_text(press_and_logger(home))
+    with open_store(load_config(home / "kerntemp.toml").store.url) as store:
+        assert store.label == str(home / "kerntemp.sqlite")

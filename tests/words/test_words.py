@@ -15,6 +15,8 @@ from fluent.syntax import ast as fluent
 from api.cli import app
 from daq.words import Message, say, spoken
 from daq.words.message import catalogue_of, languages, words
+from softsensor.diagnosis.decision import Verdict
+from softsensor.jobs.night_judgement import NOT_ASKED
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("daq", "softsensor", "api")
@@ -66,6 +68,34 @@ def test_every_code_that_is_said_has_words_whose_variables_are_its_arguments(lan
         elif not more and (lacking := variables(known[code]) - names):
             wrong.append(f"{where}: {code} in {language} wants {sorted(lacking)}")
     assert not wrong, "\n".join(wrong)
+
+
+def selections(node):
+    """Every choice between variants below a node of a pattern."""
+    inner = node.__dict__.values() if isinstance(node, fluent.BaseNode) else node
+    below = [one for one in inner if isinstance(one, fluent.BaseNode | list)]
+    own = [node] if isinstance(node, fluent.SelectExpression) else []
+    return own + [found for one in below for found in selections(one)]
+
+
+@pytest.mark.parametrize("language", languages())
+def test_no_sentence_shows_the_code_it_chooses_by(language):
+    bare = []
+    for code, entry in patterns(language).items():
+        for choice in selections(entry):
+            (last,) = [v for v in choice.variants if v.default]
+            shown = [x.expression for x in last.value.elements if isinstance(x, fluent.Placeable)]
+            if len(last.value.elements) == len(shown) == 1 and shown[0].equals(choice.selector):
+                bare.append(code)
+    assert bare == []
+
+
+@pytest.mark.parametrize("language", languages())
+def test_a_night_has_words_of_its_own_for_every_verdict(language):
+    told = {"press": "lab", "fits": "", "model": "none", "version": "", "reason": ""}
+    verdicts = (*Verdict, NOT_ASKED, "of a newer version")
+    lines = [words(say("night-outcome", **told, verdict=v), language) for v in verdicts]
+    assert len(set(lines)) == len(Verdict) + 2
 
 
 @pytest.mark.parametrize("language", languages())
@@ -163,6 +193,18 @@ def test_numbers_of_a_table_are_numbers_like_any_other():
     message = Message("plain-text", {"text": np.int64(1200), "x": np.float32(0.5)})
     assert words(message, "en") == "1200"
     assert message.to_json()["arguments"] == {"text": 1200, "x": 0.5}
+
+
+@pytest.mark.parametrize("language", languages())
+def test_of_a_text_too_long_for_a_sentence_the_beginning_is_shown(language):
+    cell = say("at-column", column="time_s", what=say("at-key-value", key="x", value="7" * 5000, what="wrong"))
+    told = words(cell, language)
+    assert "777…: wrong" in told
+    assert len(told) < 300
+    names = words(say("at-column", column="time_s", what=say("list-of-names", names=["top_1"] * 5000)), language)
+    assert "top_1, top_1" in names
+    assert names.endswith("…")
+    assert words(say("plain-text", text="a" * 2500), language) == "a" * 2500
 
 
 def test_a_message_is_the_same_after_json_and_pickle():
