@@ -8,6 +8,7 @@ UL FSRI materials database as listed in the NIST repository firemodels/exp
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass
 
@@ -18,6 +19,8 @@ GRAIN_SD = 1.0 - 1.8**-0.5
 """How far a solid wood's conductivity may be off besides where nobody says in which direction it was measured,
 as a share. Along the grain it is some 1.8 times that across (Wood Handbook, ch. 4: 1.5 to 2.8), and a hot disk
 that takes the wood for isotropic reads the root of their product (ISO 22007-2)."""
+ODD = 2.0
+"""A number so many standard deviations from the table's is doubted; of sound boards one in twenty is. (Normal)"""
 _ENGLISH_WOODS = ("ash", "beech", "birch", "fir", "larch", "maple", "oak", "pine", "poplar", "spruce")
 _GERMAN_WOODS = ("esche", "buche", "birke", "tanne", "lärche", "ahorn", "eiche", "kiefer", "pappel", "fichte")
 SOLID_WOODS = frozenset((*_ENGLISH_WOODS, *_GERMAN_WOODS))
@@ -37,6 +40,15 @@ class Constant:
     value: float
     source: str
     relative_sd: float = TABLE_SD
+
+    def off(self, given: float) -> float:
+        """Return by how much a number differs from the table's where that is odd for its material, else 0. [-]
+
+        The difference is that of the logarithms, half as much as odd as twice as much; odd is one beyond `ODD`
+        standard deviations of boards sold under one name.
+        """
+        off = abs(math.log(given / self.value))
+        return off if off > math.log1p(ODD * self.relative_sd) else 0.0
 
 
 @dataclass(frozen=True)

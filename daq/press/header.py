@@ -64,12 +64,9 @@ _RECORDED = "recorded"
 _TABLES = tuple(name for name in Press.model_fields if name != "sd")
 _FREE = (_RECORDED, "setting", *_TABLES)
 """First parts of keys that need no warning: a plant's own settings, and overrides, which the press file checks."""
+_RECKONED = ("panel.", "ambient.", "setting.")
+"""What keys begin with whose numbers fits, drift and the live sensor reckon with; any other is kept as it is."""
 _ROOTS = ("panel", "ambient", "setting", *_TABLES)
-
-# Numbers without another source were set by hand, 2026-11.
-
-_FAR = 2.0
-"""Standard deviations from the material table beyond which a constant is doubted: one sound board in twenty."""
 
 
 def check_header(header: Mapping[str, Any], place: object) -> None:
@@ -91,6 +88,8 @@ def check_header(header: Mapping[str, Any], place: object) -> None:
             checked_number(key, value, place)
         elif key == _VERDICT and value not in (*VERDICTS, None):
             raise InputError(at(place, say("header-verdict", key=key, value=repr(value), known=VERDICTS)))
+        elif key.startswith(_RECKONED) and isinstance(value, float) and not math.isfinite(value):
+            raise Nonphysical(at(place, say("header-not-finite", key=key, value=repr(value))))
 
 
 def checked_table(key: str, value: Sequence[Any], place: object) -> tuple[tuple[float, float], ...]:
@@ -129,6 +128,12 @@ def checked_number(key: str, value: object, place: object) -> float:
 def doubts(header: Mapping[str, Any]) -> tuple[Message, ...]:
     """Return what is to be asked about a header that is taken: keys nobody knows, constants far from the table."""
     return (*_unknown(header), *_far(header))
+
+
+def new_doubts(header: Mapping[str, Any], before: Mapping[str, Any]) -> tuple[Message, ...]:
+    """Return what is to be asked about a header that was not about the one before it."""
+    told = doubts(before)
+    return tuple(doubt for doubt in doubts(header) if doubt not in told)
 
 
 def panel_of(run: Run) -> Panel:
@@ -213,7 +218,7 @@ def _far(header: Mapping[str, Any]) -> Iterator[Message]:
     )
     for key, constant in table.items():
         value = header.get(key)
-        if isinstance(value, int | float) and abs(value / constant.value - 1.0) > _FAR * constant.relative_sd:
+        if isinstance(value, int | float) and constant.off(value):
             yield say(
                 "header-far-from-table",
                 key=key,

@@ -27,6 +27,8 @@ store of a newer version       ``made by a newer version (schema X, this version
                                another store``: at start exit status 2; behind a server that came back, an alarm
 file damaged                   ``the file is damaged; restore the newest backup with kerntemp backup --restore``
 thread failed unexpectedly     ``writer: unexpected fault: ...; it is restarted`` (alarm); no watchdog meanwhile
+page watch stands              ``the check of .../kerntemp.sqlite for damage does not come to an end; check the
+                               disk`` (problem in /health); no watchdog meanwhile
 buffer damaged or gone         ``buffer ... is damaged (...): set aside as ...; N entries could be read, M
                                are lost; recording goes on`` (alarm)
 entry no store takes           ``the store does not take ...; set aside in ....set-aside.jsonl, everything else is
@@ -56,6 +58,7 @@ configuration wrong            file, key and value; ``recording goes on with the
 from __future__ import annotations
 
 import logging
+import math
 import os
 import threading
 import time
@@ -95,6 +98,8 @@ _PAGES_S = 30.0
 """How often the file of an SQLite store is read through, where it is small. [s]"""
 _PAGES_REST = 50.0
 """So many times as long as reading it took it is left alone: 2 % of a disk's time."""
+_READING_S, _READING_BYTES_PER_S = 300.0, 1e6
+"""A reading of that file that takes longer than this and what a slow disk needs beside has stopped. [s]"""
 _TIDY_S = 600.0
 """How often old idle scans are thinned. [s]"""
 
@@ -140,15 +145,16 @@ def record(
         outbox.start()
         for line in lines:
             line.start()
-        if (path := store.database.path) is not None:
-            said = partial(journal, "alarm")
-            SupervisedThread("pages", lambda: watch_pages(path, stop, journal), said).start()
+        path = store.database.path
+        pages = None if path is None else PageWatch(path, journal)
+        if pages is not None:
+            SupervisedThread("pages", partial(pages.work, stop), partial(journal, "alarm")).start()
         presses = tuple(settings.name for settings in config.press)
         journal("info", say("recording-begins", presses=presses, where=outbox.capacity))
         notifier = Notifier()
         notifier.ready(str(say("recording-now", presses=presses)))
         try:
-            _Recording(config, store, lines, outbox, notifier, journal).watch(stop)
+            _Recording(config, store, lines, outbox, notifier, journal, pages).watch(stop)
         finally:
             notifier.stopping()
             stop.set()
@@ -183,6 +189,7 @@ class _Recording:
     outbox: Outbox
     notifier: Notifier
     journal: Journal
+    pages: PageWatch | None = None
 
     def watch(self, stop: threading.Event) -> None:
         """Until stopped: signs of life, changes of the configuration, thinning of old idle scans."""
@@ -203,8 +210,9 @@ class _Recording:
                 told = fault
 
     def _give_sign_of_life(self) -> None:
-        """Feed the watchdog only while presses have fresh scans, drivers come back and the writer works."""
+        """Feed the watchdog only while presses have fresh scans, drivers come back, writer and page watch work."""
         found = [*(line.stalled() for line in self.lines), self.outbox.stalled()]
+        found += [self.pages.stalled()] if self.pages is not None else []
         stalled = [why for why in found if why is not None]
         status = _status(self.lines, self.outbox, "running", stalled)
         self.outbox.beat(self.store.beats_as(PROCESS), status)
@@ -221,16 +229,42 @@ def _tidy(store: Store, keep_days: float, done: dict[int, int]) -> None:
         LOG.info("%s", say("idle-not-thinned", why=spoken(error)))
 
 
-def watch_pages(path: Path, stop: threading.Event, journal: Journal) -> None:
-    """Until stopped: read the store's file through, and tell when its pages are damaged."""
-    told, pause_s = "", _PAGES_S
-    while not stop.wait(pause_s):
-        began = time.monotonic()
-        found = damage_of(path)
-        pause_s = max(_PAGES_S, _PAGES_REST * (time.monotonic() - began))
-        if found and found != told:
-            journal("alarm", say("store-damaged", store=str(path), error=found))
-        told = found
+class PageWatch:
+    """Reads the store's file through now and then, and tells when its pages are damaged."""
+
+    def __init__(self, path: Path, journal: Journal) -> None:
+        self._path, self._journal = path, journal
+        self._told = ""
+        self._due_s = math.inf
+        """When the reading under way must be over; infinite between readings."""
+
+    def work(self, stop: threading.Event) -> None:
+        """Until stopped: read the file and tell."""
+        pause_s = _PAGES_S
+        while not stop.wait(pause_s):
+            began = time.monotonic()
+            self._due_s = began + _READING_S + _size_of(self._path) / _READING_BYTES_PER_S
+            try:
+                found = damage_of(self._path)
+            finally:
+                self._due_s = math.inf
+            pause_s = max(_PAGES_S, _PAGES_REST * (time.monotonic() - began))
+            if found and found != self._told:
+                self._journal("alarm", say("store-damaged", store=str(self._path), error=found))
+            self._told = found
+
+    def stalled(self) -> Message | None:
+        """Return that a reading does not come to its end; None while it does."""
+        if time.monotonic() <= self._due_s:
+            return None
+        return say("pages-stalled", store=str(self._path))
+
+
+def _size_of(file: Path) -> int:
+    try:
+        return file.stat().st_size
+    except OSError:
+        return 0
 
 
 class _ConfigWatch:

@@ -24,7 +24,7 @@ from daq.store.convert import known_utc
 from daq.store.records import PressKey, StoreUnavailable
 from daq.store.session_placement import Notes, SessionPlacement, session_key
 from daq.store.store import Store
-from daq.store.write_batch import Entry, WriteBatch, encode_item, in_parts
+from daq.store.write_batch import Entry, WriteBatch, encode_item, in_parts, item_in_words
 from daq.supervision import SupervisedThread, unexpected
 from daq.words import Message, say, spoken
 
@@ -267,7 +267,7 @@ class Outbox:
         if self._aside is None:
             raise error
         why = spoken(error) if isinstance(error, InputError) else unexpected(error)
-        aside = set_aside(self._aside, encode_item(item), str(why))
+        aside = set_aside(self._aside, item_in_words(item), str(why))
         if isinstance(item, Entry):
             if item.message.code != "line-set-aside":  # or one that tells of itself would never end
                 said = say("line-set-aside", aside=str(aside))
@@ -299,7 +299,12 @@ class Outbox:
             return
         try:
             self._buffer.append(self._waiting)
-        except (sqlite3.Error, OSError) as error:
+        except (
+            sqlite3.Error,
+            OSError,
+            ValueError,
+            TypeError,
+        ) as error:  # the last two: one that no text stands for
             self._tell_of_buffer(error)
             return
         self._buffer_trouble = False

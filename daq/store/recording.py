@@ -12,7 +12,9 @@ from typing import Any, Literal
 from sqlalchemy import Connection, and_, func, insert, select, text, update
 from sqlalchemy.exc import IntegrityError
 
+from daq.address import masked
 from daq.files.qualities import QUALITY, row_faults
+from daq.press.header import new_doubts
 from daq.records import Channel, InputError, PressEvent, Quality, Run, Scan
 from daq.store.convert import faults_json, header_of, header_text, known_utc, null, readings_json, unix_of
 from daq.store.journal import log
@@ -32,8 +34,6 @@ _NAME = re.compile(r"(?!\.{1,2}$)[^\x00-\x1f\x7f-\x9f/\\]{1,200}")
 
 _ROWS_AT_ONCE = 1 << 13
 """Rows of a run imported in one statement: a long run never stands in memory twice."""
-_PASSWORD = re.compile(r"(://[^\s:/@\"']*:)[^\"'\n]+@|([?&](?:ssl)?password=)[^&\"'\n]+")
-"""A password in a URL does not belong into every backup: in case the text comes from elsewhere."""
 
 
 def register_press(
@@ -209,7 +209,8 @@ def _begin_run(connection: Connection, key: PressKey, new: NewRun, noticed_unix_
     name = _free_name(connection, new.run)
     if name != new.run:
         log(connection, "warning", PROCESS, say("run-renamed", run=new.run, name=name), key.name, None)
-    said = take_next_panel(connection, key.name, noticed_unix_s)
+    header = {**new.header, **take_next_panel(connection, key.name, noticed_unix_s), "run": name}
+    _tell_doubts(connection, key, name, header)
     connection.execute(
         insert(RUN),
         {
@@ -220,9 +221,17 @@ def _begin_run(connection: Connection, key: PressKey, new: NewRun, noticed_unix_
             "zero_monotonic_s": new.zero_monotonic_s,
             "first_scan": new.first_scan,
             "configuration_id": _configuration(connection, new.configuration),
-            **_header_columns({**new.header, **said, "run": name}),
+            **_header_columns(header),
         },
     )
+
+
+def _tell_doubts(connection: Connection, key: PressKey, run: str, header: Mapping[str, Any]) -> None:
+    """Journal what is doubtful in the header of a run that begins, and was not in that of the run before."""
+    mine = select(RUN.c.header_toml).where(RUN.c.press_id == key.press_id)
+    before = connection.execute(mine.order_by(RUN.c.run_number.desc()).limit(1)).scalar()
+    for doubt in new_doubts(header, header_of(before) if before else {}):
+        log(connection, "warning", PROCESS, say("of-run", run=run, what=doubt), key.name, None)
 
 
 def _free_name(connection: Connection, name: str) -> str:
@@ -293,7 +302,7 @@ def software_version() -> str:
 def _configuration(connection: Connection, content: str) -> int | None:
     if not content:
         return None
-    content = _PASSWORD.sub(lambda m: f"{m[1]}***@" if m[1] else f"{m[2]}***", content)
+    content = masked(content)  # a password does not belong into every backup: the text may come from elsewhere
     found = connection.execute(
         select(CONFIGURATION.c.configuration_id).where(CONFIGURATION.c.text == content)
     ).scalar()

@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from contextlib import suppress
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from datetime import datetime
 from itertools import groupby
 from typing import Any, Literal
@@ -42,13 +43,21 @@ def in_parts(batch: WriteBatch) -> Iterator[tuple[WriteBatch, ...]]:
     if scans:
         yield (WriteBatch(key, scans),)
     if begin is not None:
-        cleaned = replace(begin, header={name: _cleaned(value) for name, value in begin.header.items()})
+        cleaned = replace(begin, header=dict(_writable(begin.header)))
         bare = replace(begin, header={}, configuration="")
         yield tuple(WriteBatch(key, begin=one) for one in (begin, cleaned, bare))
     for event in batch.events:
         yield (WriteBatch(key, scans, (event,)),)
     if batch.end is not None:
         yield (WriteBatch(key, end=batch.end),)
+
+
+def _writable(header: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    """Yield a header's keys without those whose values cannot be written, such as a number of 5000 digits."""
+    for name, value in header.items():
+        with suppress(ValueError, TypeError):
+            header_text({name: value})
+            yield name, _cleaned(value)
 
 
 def _cleaned(value: Any) -> Any:
@@ -94,6 +103,29 @@ def encode_item(item: WriteBatch | Entry) -> str:
             "end": None if item.end is None else _end(item.end),
         }
     )
+
+
+def item_in_words(item: object) -> str:
+    """Return an item for a person to read, also one that `encode_item` cannot write."""
+    if isinstance(item, WriteBatch | Entry):
+        with suppress(ValueError, TypeError):
+            return encode_item(item)
+    return _shown(item)
+
+
+def _shown(value: object) -> str:
+    """Return a value as Python shows it; a whole number too long for that by its hexadecimal digits."""
+    with suppress(ValueError):
+        return repr(value)
+    if isinstance(value, int):
+        return hex(value)
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{name!r}: {_shown(one)}" for name, one in value.items()) + "}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(_shown(one) for one in value) + "]"
+    if is_dataclass(value):
+        return f"{type(value).__name__}(" + ", ".join(_shown(getattr(value, f.name)) for f in fields(value)) + ")"
+    return object.__repr__(value)
 
 
 def _scan(scan: Scan) -> list[Any]:

@@ -205,9 +205,8 @@ def _beside_table(header: Mapping[str, object]) -> dict[str, float]:
     for name, unit in units.items() if material is not None else ():
         key, usual = f"panel.{name}_{unit}", getattr(material, name)
         given = header.get(key)
-        if isinstance(given, int | float) and f"{key}{SD}" not in header:
-            off = abs(usual.value / given - 1.0)
-            found |= {name: off} if off > 2.0 * usual.relative_sd else {}
+        if isinstance(given, int | float) and f"{key}{SD}" not in header and (off := usual.off(given)):
+            found[name] = off
     return found
 
 

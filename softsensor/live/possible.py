@@ -13,7 +13,7 @@ import math
 from daq.press.header import panel_of
 from daq.press.press_file import Boundary, Press
 from daq.records import Run
-from softsensor.effects import resin_cure
+from softsensor.effects import catalogue
 from softsensor.heat.step_terms import STEFAN_BOLTZMANN, ZERO_C
 from softsensor.live.setup import RunSetup
 from softsensor.live.validity import Invalid, InvalidReason
@@ -70,9 +70,9 @@ def _by_radiation(end: Boundary, ambient: float) -> float:
 
 
 def _released(press: Press, run: Run) -> float:
-    """Return by how much the most reactive resin on both faces would warm an insulated panel. [K]"""
+    """Return by how much all heat that effects of the catalogue can release would warm an insulated panel. [K]"""
     if not press.panel_layers:
         return 0.0
     panel = panel_of(run)
-    most = 2.0 * 1000.0 * resin_cure.EFFECT.parameters[0].typical
+    most = sum(effect.most_heat_J_m2 for effect in catalogue().values())
     return most / (panel.thickness * panel.density * panel.heat_capacity)

@@ -35,6 +35,8 @@ def run_record(config, place):
 class NoFits:
     """Stands in for the fitting process: a killed parent would leave a thousand of them."""
 
+    replaced: frozenset[str] = frozenset()
+
     def __enter__(self):
         return self
 

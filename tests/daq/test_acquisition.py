@@ -4,7 +4,6 @@ import math
 import threading
 import time
 from datetime import UTC, datetime, timedelta
-from itertools import pairwise
 from statistics import median
 
 import numpy as np
@@ -87,10 +86,12 @@ def test_a_scan_says_how_many_ticks_went_by_before_it():
             time.sleep(0.22)  # a machine that is too busy
     stop.set()
     scanner.join(2.0)
-    apart = [round((b.monotonic_s - a.monotonic_s) / 0.05) for a, b in pairwise(scans)]
+    ticks = (scans[-1].monotonic_s - scans[0].monotonic_s) / 0.05
+    still_untold = scanner.missed_ticks - sum(told)  # those right after the last scan, where the machine is busy
     assert told[7] >= 3, "the first scan afterwards is late itself, the next one has ticks before it"
-    assert sum(told) == told[7] == scanner.missed_ticks
-    assert sum(apart) == 11 + sum(told)
+    assert still_untold >= 0
+    # A scan stands at its tick or, by as many ticks as are then left out and the one it began in, after it.
+    assert -(told[1] + 1) <= ticks - (11 + sum(told)) <= still_untold + 1
 
 
 @pytest.mark.parametrize(

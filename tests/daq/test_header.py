@@ -158,3 +158,15 @@ def test_a_standard_deviation_beside_its_number_goes_through_file_and_store_unch
     for ending in (".csv", ".parquet"):
         write_run(run, tmp_path / f"again{ending}")
         assert read_run(tmp_path / f"again{ending}").header["panel.thickness_mm.sd"] == 0.1
+
+
+@pytest.mark.parametrize("key", ["setting.feed_m_min", "panel.colour_index", "ambient.humidity_percent"])
+@pytest.mark.parametrize("value", ["nan", "inf", "-inf", "1e400"])
+def test_a_number_that_is_none_is_refused_under_a_free_key_as_under_a_known_one(tmp_path, key, value):
+    with pytest.raises(InputError, match=rf"x\.csv: header key {key} = .* must be a finite number"):
+        read_run(file_with(tmp_path, f"{key} = {value}"))
+
+
+@pytest.mark.parametrize("key", ["coefficients.h_pp_c.upper", "batch"])
+def test_an_override_is_left_to_the_press_file_and_what_nothing_knows_is_kept(tmp_path, key):
+    assert read_run(file_with(tmp_path, f"{key} = inf")).header[key] == float("inf")

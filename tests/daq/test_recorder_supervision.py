@@ -138,8 +138,9 @@ def test_an_error_at_any_call_in_any_thread_is_told_and_recording_goes_on(tmp_pa
 
 
 def test_while_the_writer_fails_the_watchdog_is_not_fed_and_health_says_why(tmp_path, monkeypatch):
-    fed = []
-    monkeypatch.setattr(Notifier, "alive", lambda self, status: fed.append(time.monotonic()))
+    beats = []
+    monkeypatch.setattr(Notifier, "alive", lambda self, status: beats.append("fed"))
+    monkeypatch.setattr(Notifier, "status", lambda self, status: beats.append(status))
     monkeypatch.setattr(recorder, "BEAT_S", 0.05)
     broken = threading.Event()
     take = outbox.Outbox._take
@@ -151,17 +152,52 @@ def test_while_the_writer_fails_the_watchdog_is_not_fed_and_health_says_why(tmp_
 
     monkeypatch.setattr(outbox.Outbox, "_take", taking)
     with plant(tmp_path) as made, open_store(made.url) as opened, recording_by(made):
-        wait_until(lambda: opened.newest_scan_number("lab") > 5 and fed)
+        wait_until(lambda: opened.newest_scan_number("lab") > 5 and "fed" in beats)
         broken.set()
-        time.sleep(0.3)
-        count = len(fed)
-        time.sleep(0.5)
-        assert len(fed) == count
+        first = told_first(beats, "writer")
+        wait_until(lambda: len(beats) > first + 10)
         broken.clear()
-        wait_until(lambda: len(fed) > count)
+        assert "fed" not in beats[first : first + 10]
+        wait_until(lambda: "fed" in beats[first + 10 :])
         (alarm,) = [e.message for e in opened.journal(level="alarm").items]
         inner = say("unexpected-error", kind="Injected", error=say("plain-text", text="the writer"))
         assert alarm == say("thread-failed", thread="writer", why=inner)
+
+
+def told_first(beats, what):
+    """Wait for the first sign of life that tells of something; return which it was."""
+    wait_until(lambda: any(what in beat for beat in beats))
+    return next(i for i, beat in enumerate(beats) if what in beat)
+
+
+def test_while_the_check_of_the_file_stands_the_watchdog_is_not_fed_and_health_says_why(tmp_path, monkeypatch):
+    beats, reading, free = [], threading.Event(), threading.Event()
+    monkeypatch.setattr(Notifier, "alive", lambda self, status: beats.append("fed"))
+    monkeypatch.setattr(Notifier, "status", lambda self, status: beats.append(status))
+    monkeypatch.setattr(recorder, "BEAT_S", 0.05)
+    monkeypatch.setattr(recorder, "_PAGES_S", 0.02)
+    monkeypatch.setattr(recorder, "_READING_S", 0.2)
+
+    def standing(path):
+        reading.set()
+        free.wait()
+        return ""
+
+    monkeypatch.setattr(recorder, "damage_of", standing)
+    try:
+        with plant(tmp_path) as made, open_store(made.url) as opened, recording_by(made):
+            wait_until(reading.is_set)
+            first = told_first(beats, "check of")
+            wait_until(lambda: len(beats) > first + 5)
+            assert "fed" not in beats[first : first + 5]
+            wait_until(lambda: "pages-stalled" in str(opened.statuses()[opened.beats_as("record")].status))
+            newest = opened.newest_scan_number("lab")
+            wait_until(lambda: opened.newest_scan_number("lab") > newest)
+            free.set()
+            monkeypatch.setattr(recorder, "_READING_S", 300.0)
+            wait_until(lambda: "fed" in beats[first + 5 :])
+    finally:
+        free.set()
 
 
 @pytest.mark.skipif(os.name == "nt", reason="SIGHUP is POSIX")

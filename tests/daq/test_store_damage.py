@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import pytest
 
-from daq.store import NewRun, open_store
+from daq.store import NewRun, StoreUnavailable, open_store
 from daq.store.buffer import Buffer
 from daq.store.outbox import Outbox
 from daq.store.write_batch import Entry
@@ -122,3 +122,42 @@ def test_a_header_and_a_journal_line_no_store_takes_are_set_aside_and_all_else_i
         assert any("lab-1" in text and str(aside) in text for text in said)
     assert any("half" in text for text in kept)
     assert "line-set-aside" in lines
+
+
+@pytest.mark.parametrize("away", [False, True])
+def test_a_header_that_cannot_be_written_is_set_aside_and_all_else_goes_on(away, tmp_path, monkeypatch):
+    notes = Notes()
+    with open_store(str(tmp_path / "s.sqlite")) as store:
+        key = store.register_press("lab", CHANNELS)
+        outbox = Outbox(store, buffer=tmp_path / "b.sqlite", acknowledged=notes.note, journal=notes.journal)
+        header = {"panel.thickness_mm": 16.0, "setting.x": 10**5000, "setting.y": 1.0}
+        outbox.put(replace(batch(key, 0), begin=NewRun("lab-1", 0, BEGAN, 100.0, header)))
+        outbox.put(Entry("info", "record", say("plain-text", text="beside"), detail={"number": 10**5000}))
+        for n in range(1, 20):
+            outbox.put(batch(key, n))
+        if away:
+            write, tried = store.write_batches, []
+
+            def refuse(*items):
+                tried.append(items)
+                if len(tried) < 2:
+                    raise StoreUnavailable(say("plain-text", text="away"))
+                return write(*items)
+
+            monkeypatch.setattr(store, "write_batches", refuse)
+        outbox.start()
+        wait_until(lambda: outbox.waiting == 0 and len(notes.acknowledged) == 20)
+        assert outbox.stalled() is None
+        outbox.close()
+        assert numbers(store) == list(range(20))
+        (run,) = store.runs().items
+        assert (run.run, run.header["panel.thickness_mm"], run.header["setting.y"]) == ("lab-1", 16.0, 1.0)
+        assert "setting.x" not in run.header
+        assert "line-set-aside" in [e.message.code for e in store.journal().items]
+    aside = tmp_path / "b.sqlite.set-aside.jsonl"
+    kept = [json.loads(line)["content"] for line in aside.read_text().splitlines()]
+    assert len([text for text in kept if "lab-1" in text and hex(10**5000) in text]) == 1
+    assert any("beside" in text for text in kept)
+    said = [text for level, text in notes.said if level == "alarm"]
+    assert any("lab-1" in text and str(aside) in text for text in said)
+    assert away == any("away" in text for text in said)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from daq.press.header import doubts
 from daq.press.press_file import parse_press
 from daq.records import PressState
 from daq.simulated.campaign import Plan, make_campaign
@@ -343,3 +344,14 @@ def test_a_start_temperature_read_from_a_pressed_panel_is_not_believed(pressing)
     closed = [e for e in said if truth.moments.closed_s + 1.0 < e.time_s < truth.moments.opened_s]
     assert len(closed) > 50
     assert {e.invalid.line for e in closed} == {"start temperature too high; header_C=157"}
+
+
+@pytest.mark.parametrize("key", ["density_kg_m3", "heat_capacity_J_kgK"])
+@pytest.mark.parametrize("factor", [0.5, 1.5, 2.0])
+def test_a_constant_far_from_that_of_its_material_is_doubted_whichever_way_it_is_off(pressing, key, factor):
+    run, truth = pressing
+    usual = {"density_kg_m3": run.header["panel.density_kg_m3"], "heat_capacity_J_kgK": 1550.0}[key]
+    mistaken = replace(run, header={**run.header, f"panel.{key}": factor * usual})
+    assert [said.code for said in doubts(mistaken.header)] == ["header-far-from-table"]
+    said = replay(mistaken, HELD)
+    assert told_wrong(said, truth.core_C) <= 0.05
