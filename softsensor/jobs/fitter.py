@@ -32,6 +32,8 @@ class Fitter:
     def __init__(self) -> None:
         # The worker is given one fit at a time: those that wait are not lost with the one that kills it.
         self._queue = ThreadPoolExecutor(1, thread_name_prefix="fits")
+        self.replaced: set[str] = set()
+        """Runs whose worker was killed and that another one fits, until who asked for the fit has told it."""
         self._closed = False
         self._pool = new_workers(1)
         self._warm = self._pool.submit(_warm_up)
@@ -64,6 +66,7 @@ class Fitter:
                 self._pool = new_workers(1)
                 if tries == TRIES:
                     raise
+                self.replaced.add(run.name)
 
 
 def new_workers(count: int) -> ProcessPoolExecutor:

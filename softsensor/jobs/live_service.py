@@ -13,8 +13,11 @@ import math
 import os
 import threading
 import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import suppress
 from dataclasses import dataclass, field, fields
+from functools import partial
 from typing import Any
 
 from daq.press.press_file import Press, read_press
@@ -74,17 +77,35 @@ def sense(config: Config, *, stop: threading.Event | None = None) -> None:
             Follower(store, settings, press, RunFits(store, settings.name, press, fitter), _resin_of(settings))
             for settings, press in presses
         ]
-        for _, press in presses:
-            with suppress(InputError):  # a rig whose runs must say more: compiled when the first does
-                warm_up(press)
+        notifier = Notifier()
+        _compile([press for _, press in presses], partial(_beat, store, followers, "starting"))
         with suppress(StoreUnavailable):  # held for the moment: no reason to end
             write_journal(store, "info", say("sense-following", presses=tuple(s.name for s, _ in presses)))
-        notifier = Notifier()
         notifier.ready("following the store")
         _follow(store, followers, stop, notifier)
         notifier.stopping()
-        with suppress(StoreUnavailable):
-            store.beat(store.beats_as(PROCESS), _status(followers, "stopped"))
+        _beat(store, followers, "stopped")
+
+
+def _compile(presses: Sequence[Press], beat: Callable[[], None]) -> None:
+    """Compile what the sensors of these presses run on, or load it, with a sign of life meanwhile."""
+
+    def warm() -> None:
+        for press in presses:
+            with suppress(InputError):  # a rig whose runs must say more: compiled when the first does
+                warm_up(press)
+
+    with ThreadPoolExecutor(1, thread_name_prefix="compile") as pool:
+        warming = pool.submit(warm)
+        while wait([warming], BEAT_S).not_done:
+            beat()
+        warming.result()
+
+
+def _beat(store: Store, followers: list[Follower], state: str) -> None:
+    """Give a sign of life before or after the work, if the store takes it."""
+    with suppress(StoreUnavailable):
+        store.beat(store.beats_as(PROCESS), _status(followers, state))
 
 
 def _follow(store: Store, followers: list[Follower], stop: threading.Event, notifier: Notifier) -> None:
@@ -123,7 +144,7 @@ def _status(followers: list[Follower], state: str) -> dict[str, Any]:
     return {
         "state": state,
         "pid": os.getpid(),
-        **in_status(problems, going),
+        **in_status(problems, say("sense-compiling") if state == "starting" else going),
         "presses": [
             {
                 "press": f.settings.name,

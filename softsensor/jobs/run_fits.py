@@ -83,6 +83,7 @@ class RunFits:
     def collect(self, version: str, model: ModelFile | None) -> bool:
         """Store finished fits, made with a model's effects, and look at the control charts; return whether any."""
         stored = False
+        self._tell_replaced()
         for run in [run for run, future in self._under_way.items() if future.done()]:
             future = self._under_way[run]  # kept until it is stored: the store may refuse now
             error = future.exception()
@@ -99,6 +100,12 @@ class RunFits:
         for run in tuple(self._due):
             self.submit(run, model)
         return stored
+
+    def _tell_replaced(self) -> None:
+        """Journal the fits whose worker was killed and replaced: once each, and again where the store refused."""
+        for run in self.fitter.replaced & set(self._under_way):
+            write_journal(self.store, "warning", say("run-fit-again", run=run), self.name)
+            self.fitter.replaced.discard(run)
 
     def _marked(self, run: str, fit: dict[str, Any], model: ModelFile | None) -> dict[str, Any]:
         """Return a fit of a whole run with what it rests on, so that the nightly job need not repeat it."""

@@ -11,6 +11,9 @@ from api.http.live import Position
 from daq.records import Channel, InputError, PressEvent, PressEventKind, Quality, Scan
 from daq.store.records import NewRun, PressKey
 
+PATIENT_S = 60.0
+"""A busy machine answers late, and fails no test for it. [s]"""
+
 LIVE = "/api/v1/live"
 
 
@@ -125,7 +128,7 @@ def test_listeners_beyond_the_limit_are_refused_with_a_problem(serve):
     base = serve(max_listeners=2)
     streams = [Stream(base), Stream(base)]
     try:
-        answer = httpx.get(base + LIVE)
+        answer = httpx.get(base + LIVE, timeout=PATIENT_S)
         assert answer.status_code == 503
         assert answer.headers["content-type"] == "application/problem+json"
         assert answer.headers["retry-after"]

@@ -35,6 +35,7 @@ from softsensor.live.sensor import LiveSensor
 from softsensor.live.validity import InvalidReason
 from tests.daq.test_kills import is_zombie
 from tests.daq.test_recorder import wait_until
+from tests.softsensor.test_night import configured
 
 PRESS = parse_press(press_toml())
 PLAN = Plan(
@@ -496,6 +497,8 @@ def test_a_pressing_whose_fit_a_kill_prevented_is_fitted_after_the_restart(store
     class Deaf:
         """A worker that never comes to the fit."""
 
+        replaced = frozenset()
+
         def submit(self, press, run, model):
             return Future()
 
@@ -524,6 +527,23 @@ if __name__ == "__main__":
         print(*fitter._pool._processes, flush=True)
         time.sleep(600)
 """
+
+
+def test_a_sensor_that_has_to_compile_first_gives_signs_of_life_meanwhile(tmp_path):
+    configured(tmp_path)
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "nothing compiled yet")}
+    command = [sys.executable, "-m", "api", "sense", "--config", str(tmp_path / "kerntemp.toml")]
+    sensing = subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True)
+    try:
+        with open_store(str(tmp_path / "kerntemp.sqlite")) as store:
+            while (told := store.statuses().get("sense")) is None:
+                assert sensing.poll() is None, sensing.stderr.read()
+                time.sleep(0.1)
+        assert told.status["state"] == "starting"
+        assert "compiling the model" in told.status["message"]
+    finally:
+        sensing.kill()
+        sensing.communicate()
 
 
 @pytest.mark.skipif(os.name == "nt", reason="SIGKILL is POSIX")
@@ -571,6 +591,9 @@ def test_a_fit_whose_worker_is_killed_is_made_by_another(store, pressing):
         (record,) = store.runs().items
         fitted(store, sense, record.run)
     assert "run-fit-killed" not in [entry.message.code for entry in store.journal().items]
+    (line,) = [entry for entry in store.journal().items if entry.message.code == "run-fit-again"]
+    assert (line.level, line.process, line.press) == ("warning", "sense", "lab")
+    assert line.message.arguments["run"] == record.run
 
 
 @pytest.mark.skipif(os.name == "nt", reason="SIGKILL is POSIX")
