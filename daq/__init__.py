@@ -5,6 +5,7 @@ before it is used.
 """
 
 from importlib import import_module
+from time import time
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -12,30 +13,44 @@ if TYPE_CHECKING:
     from daq.face import find_events as find_events
     from daq.face import find_moments as find_moments
     from daq.face import open_store as open_store
+    from daq.face import play as play
     from daq.files.frames import frame_of as frame_of
     from daq.files.frames import qualities_of as qualities_of
     from daq.files.frames import run_of as run_of
+    from daq.press.press_file import Press as Press
+    from daq.records import EventSource as EventSource
     from daq.records import InputError as InputError
     from daq.records import Moments as Moments
+    from daq.records import PressState as PressState
     from daq.records import Run as Run
     from daq.shared import shared_files as shared_files
 
+IMPORTED_S = time()
+"""When this process began to import the package; see `daq.compiled`. [s]"""
+
 __all__ = [
+    "EventSource",
     "InputError",
     "Moments",
+    "Press",
+    "PressState",
     "Run",
     "StoreTables",
     "find_events",
     "find_moments",
     "frame_of",
     "open_store",
+    "play",
     "qualities_of",
     "run_of",
     "shared_files",
 ]
 _HOMES = {
+    "EventSource": "daq.records",
     "InputError": "daq.records",
     "Moments": "daq.records",
+    "Press": "daq.press.press_file",
+    "PressState": "daq.records",
     "Run": "daq.records",
     "frame_of": "daq.files.frames",
     "qualities_of": "daq.files.frames",

@@ -1,21 +1,28 @@
-"""A store from Python: its runs, scans, estimates, coefficients and events as pandas tables. Reading only."""
+"""A store from Python: its runs, scans, estimates, coefficients and events as pandas tables.
+
+Nothing but `play` writes.
+"""
 
 from __future__ import annotations
 
+import math
+import time
 import types
+from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
-from daq.files.frames import STARTED, frame_of, run_of
+from daq.files.frames import frame_of, run_of
+from daq.files.instants import STARTED
 from daq.press.detector import PressEventDetector
 from daq.press.events import find_moments as find_run_moments
 from daq.press.press_file import Press, read_press
-from daq.records import Moments, Run
-from daq.store.records import every
+from daq.records import Channel, Moments, Quality, Run, Scan
+from daq.store.records import NewRun, RunEnd, every
 from daq.store.store import Store
 from daq.store.store import open_store as open_database
 
@@ -23,6 +30,13 @@ from daq.store.store import open_store as open_database
 
 HISTORY_ROWS = 200
 """Rows asked of the store at a time."""
+
+RUN = ("press", "status", "started_utc", "closed_s", "opened_s", "remark")
+ESTIMATE = ("state", "core_C", "core_sd_K", "core_low_C", "core_high_C", "valid", "reason", "model_version")
+COEFFICIENT = ("started_utc", "coefficient", "value", "sd", "low", "high", "identifiable", "model_version")
+ENTRY = ("level", "process", "press", "code", "message")
+EVENT = ("event", "noticed_s", "source")
+"""Columns of the tables, beside their index."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +54,7 @@ class StoreTables:
             | {key: value for key, value in r.header.items() if key != "run"}
             for r in found
         ]
-        return _table(rows, "run")
+        return _table(rows, "run", RUN)
 
     def samples(self, run: str, *, utc: bool = False) -> pd.DataFrame:
         """Return a run's scans by ``time_s`` or by instants in UTC, header in ``attrs``. Raises `InputError`."""
@@ -54,7 +68,7 @@ class StoreTables:
             | {"valid": e.valid, "reason": e.reason, "model_version": e.model_version}
             for time_s, e in self.store.estimates(run)
         ]
-        return _table(rows, "time_s")
+        return _table(rows, "time_s", ESTIMATE)
 
     def coefficients(self, press: str | None = None) -> pd.DataFrame:
         """Return one row a run and coefficient of its newest fit: value, sd, 95 % interval. [W/m²K]"""
@@ -64,7 +78,7 @@ class StoreTables:
             | {"low": c.low, "high": c.high, "identifiable": c.identifiable, "model_version": c.model_version}
             for c in found
         ]
-        return _table(rows, "run")
+        return _table(rows, "run", COEFFICIENT)
 
     def events(self, press: str | None = None) -> pd.DataFrame:
         """Return the journal, newest first: what was lost, changed, promoted, alarmed."""
@@ -74,7 +88,7 @@ class StoreTables:
             | {"code": e.message.code, "message": str(e.message)}
             for e in found
         ]
-        return _table(rows, "utc")
+        return _table(rows, "utc", ENTRY)
 
     def close(self) -> None:
         """Let go of the database. A second call does no harm."""
@@ -92,8 +106,58 @@ class StoreTables:
 
 
 def open_store(url: str | Path) -> StoreTables:
-    """Open a store by its file or its ``postgresql://`` address. Raises `InputError` or `StoreUnavailable`."""
-    return StoreTables(open_database(str(url)))
+    """Open a store that there is, by its file or its ``postgresql://`` address.
+
+    Raises
+    ------
+    InputError
+        For a wrong address, a file that is not there or is no store, or a store made by a newer version.
+    StoreUnavailable
+        Where the disk or the server refuses now.
+    """
+    return StoreTables(open_database(str(url), create=False))
+
+
+def play(run: Run | pd.DataFrame, store: Path | str, press: str, *, scans: int = 1, pause_s: float = 0.0) -> None:
+    """Write a run into a store as a recorder does while it is pressed, to try without a press what reads along.
+
+    Parameters
+    ----------
+    store
+        Its file, which is made if it is not there, or its ``postgresql://`` address.
+    press
+        The name under which the store knows the press.
+    scans, pause_s
+        So many at once, and how long to wait after them. [s]
+
+    Raises
+    ------
+    InputError
+        For a wrong address, or a run whose name the store has already.
+    StoreUnavailable
+        Where the disk or the server refuses now.
+    """
+    played = run_of(run) if isinstance(run, pd.DataFrame) else run
+    columns = {name: values.tolist() for name, values in played.columns.items()}
+    started = played.header.get(STARTED)
+    began = started if isinstance(started, datetime) and started.tzinfo else datetime.now(UTC)
+    with open_database(str(store)) as opened:
+        key = opened.register_press(press, [Channel(name) for name in columns])
+        rows = [
+            _scan(key.next_number + i, began, time_s, [values[i] for values in columns.values()])
+            for i, time_s in enumerate(played.time_s.tolist())
+        ]
+        begin: NewRun | None = NewRun(played.name, key.next_number, began, 0.0, played.header)
+        for first in range(0, len(rows), scans):
+            opened.append_scans(key, rows[first : first + scans], begin=begin)
+            begin = None
+            time.sleep(pause_s)
+        opened.append_scans(key, [], end=RunEnd(played.name, rows[-1].number, rows[-1].utc))
+
+
+def _scan(number: int, began: datetime, time_s: float, values: Sequence[float]) -> Scan:
+    qualities = tuple(Quality.MISSING if math.isnan(value) else Quality.GOOD for value in values)
+    return Scan(number, began + timedelta(seconds=time_s), time_s, tuple(values), qualities)
 
 
 def find_moments(run: Run | pd.DataFrame, press: Press | Path | str) -> Moments:
@@ -119,11 +183,12 @@ def find_events(table: Run | pd.DataFrame, press: Press | Path | str) -> pd.Data
         {"time_s": e.monotonic_s, "event": str(e.kind), "noticed_s": e.noticed_s, "source": str(e.source)}
         for e in found
     ]
-    events = _table(rows, "time_s")
+    events = _table(rows, "time_s", EVENT)
     if rows and isinstance(started := run.header.get(STARTED), datetime):
         events["utc"] = pd.Timestamp(started) + pd.to_timedelta(events.index, unit="s")
     return events
 
 
-def _table(rows: list[dict[str, Any]], index: str) -> pd.DataFrame:
-    return pd.DataFrame(rows).set_index(index) if rows else pd.DataFrame(columns=[index]).set_index(index)
+def _table(rows: list[dict[str, Any]], index: str, columns: tuple[str, ...]) -> pd.DataFrame:
+    """Return rows as a table that has its columns even where it has no row."""
+    return pd.DataFrame(rows, columns=None if rows else [index, *columns]).set_index(index)

@@ -6,17 +6,69 @@ import fnmatch
 import math
 import textwrap
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from datetime import datetime
 from enum import StrEnum
-from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
 from daq.words import Message, say
 
-Array = NDArray[np.float64]
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    Array = NDArray[np.float64]
+
+
+def __getattr__(name: str) -> Any:  # NumPy takes half of the time in which the command line says its help
+    if name != "Array":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    import numpy as np
+    from numpy.typing import NDArray
+
+    return NDArray[np.float64]
+
+
+Key = TypeVar("Key")
+Value = TypeVar("Value")
+
+
+class FrozenDict(dict[Key, Value]):
+    """A dictionary that cannot be changed; unlike a mapping proxy it goes to other processes and into JSON."""
+
+    def _refuse(self, *given: object, **named: object) -> NoReturn:
+        raise TypeError("this cannot be changed; change a copy, dict(...)")
+
+    __setitem__ = __delitem__ = __ior__ = _refuse
+    clear = pop = popitem = setdefault = update = _refuse
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle and copy it as what it is made of."""
+        return type(self), (dict(self),)
+
+
+def frozen(value: Any) -> Any:
+    """Return a value so that nobody changes what is in it: arrays read-only, mappings as `FrozenDict`.
+
+    Lists and tuples are gone through and stay what they are. Arrays are not copied: who
+    still holds the one beneath can write to it.
+    """
+    import numpy as np
+
+    if isinstance(value, np.ndarray):
+        view = value.view()
+        view.flags.writeable = False
+        return view
+    if isinstance(value, FrozenDict):
+        return value
+    if isinstance(value, Mapping):
+        return FrozenDict({key: frozen(one) for key, one in value.items()})
+    return type(value)(frozen(one) for one in value) if type(value) in (list, tuple) else value
+
+
+def with_frozen_fields(record: Any) -> Any:
+    """Return a frozen dataclass whose fields are `frozen`; records in them stay as they are."""
+    return replace(record, **{one.name: frozen(getattr(record, one.name)) for one in fields(record)})
 
 
 ROOM_C = 23.0
@@ -189,12 +241,14 @@ _KEYS_SHOWN = 20
 """Header keys of a run shown on one screen of 25 lines."""
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class Run:
     """One measured pressing: what a run file or the store holds, in memory.
 
     ``columns`` maps every column but ``time_s`` to a float array of the same length,
-    NaN where the cell is empty or not usable. ``header`` holds the dotted keys as given.
+    NaN where the cell is empty or not usable. ``header`` holds the dotted keys as given. What `daq.run_of` and
+    `softsensor.read_run` hand out cannot be changed, mappings and arrays neither; `dataclasses.replace` makes
+    another run. Two runs are equal only if they are the same object.
     """
 
     name: str
@@ -217,6 +271,8 @@ class Run:
 
     def at_rows(self, rows: NDArray[np.integer] | slice) -> Run:
         """Return the run with these rows alone: their indices, or a slice of them."""
+        import numpy as np
+
         kept = np.arange(len(self.time_s))[rows]
         return replace(
             self,
@@ -229,6 +285,15 @@ class Run:
         """Return the columns that match shell-style patterns, in file order, each once."""
         wanted = tuple(patterns)
         return tuple(c for c in self.columns if any(fnmatch.fnmatchcase(c, p) for p in wanted))
+
+    def named(self, patterns: Iterable[str]) -> tuple[str, ...]:
+        """Return the columns that shell-style patterns name. Raises `InputError` for a pattern that names none."""
+        wanted = tuple(patterns)
+        for pattern in wanted:
+            if not self.matching([pattern]):
+                known = tuple(self.columns)
+                raise InputError(say("run-columns-unmatched", pattern=pattern, run=self.name, columns=known))
+        return self.matching(wanted)
 
     @property
     def ambient_temperature(self) -> float:

@@ -11,13 +11,27 @@ before it is used.
 """
 
 from importlib import import_module
+from time import time
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from daq.press.press_file import Press as Press
+    from daq.press.resin_file import Resin as Resin
+    from softsensor.effects import Conversion as Conversion
+    from softsensor.effects import Effect as Effect
+    from softsensor.effects import Live as Live
+    from softsensor.effects import Need as Need
+    from softsensor.effects import Role as Role
+    from softsensor.effects import Scene as Scene
+    from softsensor.effects import Terms as Terms
     from softsensor.effects import add_effect as add_effect
+    from softsensor.effects import find_effect as find_effect
+    from softsensor.effects import on_panel as on_panel
+    from softsensor.effects.parameters import Parameter as Parameter
     from softsensor.face import AdviceResult as AdviceResult
     from softsensor.face import DiagnosisResult as DiagnosisResult
     from softsensor.face import FitResult as FitResult
+    from softsensor.face import LiveSensor as LiveSensor
     from softsensor.face import PlanResult as PlanResult
     from softsensor.face import Prediction as Prediction
     from softsensor.face import Simulation as Simulation
@@ -30,33 +44,83 @@ if TYPE_CHECKING:
     from softsensor.face import read_press as read_press
     from softsensor.face import read_run as read_run
     from softsensor.face import simulate as simulate
+    from softsensor.fitting.paper.procedures import Reproduction as Reproduction
+    from softsensor.fitting.paper.procedures import reproduce as reproduce
+    from softsensor.heat.model import ThermalModel as ThermalModel
+    from softsensor.heat.model_file import FittedValue as FittedValue
+    from softsensor.heat.model_file import ModelFile as ModelFile
+    from softsensor.live.forecast import Forecast as Forecast
+    from softsensor.live.inside import Inside as Inside
+    from softsensor.live.leaving import Leave as Leave
     from softsensor.live.sensor import Estimate as Estimate
-    from softsensor.live.sensor import LiveSensor as LiveSensor
+
+IMPORTED_S = time()
+"""When this process began to import the package; see `daq.compiled`. [s]"""
 
 __all__ = [
     "AdviceResult",
+    "Conversion",
     "DiagnosisResult",
+    "Effect",
     "Estimate",
     "FitResult",
+    "FittedValue",
+    "Forecast",
+    "Inside",
+    "Leave",
+    "Live",
     "LiveSensor",
+    "ModelFile",
+    "Need",
+    "Parameter",
     "PlanResult",
     "Prediction",
+    "Press",
+    "Reproduction",
+    "Resin",
+    "Role",
+    "Scene",
     "Simulation",
+    "Terms",
+    "ThermalModel",
     "add_effect",
     "advise",
     "diagnose",
+    "find_effect",
     "fit",
+    "on_panel",
     "plan",
     "predict",
     "read_model",
     "read_press",
     "read_run",
+    "reproduce",
     "simulate",
 ]
 _HOMES = {
+    "Conversion": "softsensor.effects",
+    "Effect": "softsensor.effects",
     "Estimate": "softsensor.live.sensor",
-    "LiveSensor": "softsensor.live.sensor",
+    "FittedValue": "softsensor.heat.model_file",
+    "Forecast": "softsensor.live.forecast",
+    "Inside": "softsensor.live.inside",
+    "Leave": "softsensor.live.leaving",
+    "Live": "softsensor.effects",
+    "LiveSensor": "softsensor.face",
+    "ModelFile": "softsensor.heat.model_file",
+    "Need": "softsensor.effects",
+    "Parameter": "softsensor.effects.parameters",
+    "Press": "daq.press.press_file",
+    "Reproduction": "softsensor.fitting.paper.procedures",
+    "Resin": "daq.press.resin_file",
+    "Role": "softsensor.effects",
+    "Scene": "softsensor.effects",
+    "Terms": "softsensor.effects",
+    "ThermalModel": "softsensor.heat.model",
     "add_effect": "softsensor.effects",
+    "find_effect": "softsensor.effects",
+    "on_panel": "softsensor.effects",
+    "reproduce": "softsensor.fitting.paper.procedures",
 }
 
 

@@ -2,30 +2,39 @@
 
 Everything here takes what is at hand: a run as a file's path, a table or a `Run`; a press as a file's path or a
 `Press`; a model as a file's path, a `ModelFile`, or the result of a fit or a diagnosis. Errors are those of the
-command line. What it hands out is frozen.
+command line.
+
+What it hands out cannot be changed: results, runs with their headers and columns, and the mappings and arrays of
+what a result is about (`FitResult.campaign` and its runs, `Simulation.simulated`); the tables, lists and JSON that
+a method returns are made anew each time. Deeper down, where a fit keeps its solver (``problem``, ``minimum``,
+``model``), nothing is promised. Results and runs are equal only if they are the same object, and can be keys.
 """
 
 from __future__ import annotations
 
+import fnmatch
 import html
 import json
+import math
+import numbers
 from collections.abc import Callable, Mapping, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import pandas as pd
 
-from daq.files.frames import run_of
+from daq.files.frames import attrs_of, run_of
 from daq.files.mapping import read_foreign, read_mapping
 from daq.files.run_file import read_run as read_run_file
+from daq.files.run_rows import check_no_words
 from daq.press.header import check_header
-from daq.press.press_file import Press
+from daq.press.press_file import Press, press_for_run
 from daq.press.press_file import read_press as read_press_file
 from daq.press.resin_file import Resin, read_resin
-from daq.records import ROOM_C, InputError, Run
+from daq.records import ROOM_C, FrozenDict, InputError, Run, with_frozen_fields
 from daq.words import Message, say
 from softsensor.diagnosis.finding import Diagnosis
 from softsensor.diagnosis.summary import verdict_said
@@ -37,6 +46,8 @@ from softsensor.heat.model_file import ModelFile
 from softsensor.jobs.campaign import fit_campaign
 from softsensor.jobs.model_files import read_model as read_model_file
 from softsensor.live.replay import Replay, replay
+from softsensor.live.sensor import Estimate
+from softsensor.live.sensor import LiveSensor as ScanSensor
 from softsensor.planning.advise import DEFAULT_RANGES, Goal, ProgrammeAdvice, Wish, limits_of
 from softsensor.planning.advise import advise as advise_on
 from softsensor.planning.made_up import Task
@@ -53,21 +64,27 @@ AnyRun: TypeAlias = Run | pd.DataFrame | Path | str
 AnyPress: TypeAlias = Press | Path | str
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class FitResult:
-    """Coefficients of each run and of the campaign."""
+    """Coefficients of each run and of the campaign. [W/m²K]"""
 
     campaign: CampaignFit
+    """Of each run (``campaign.runs``) its coefficients [W/m²K], residuals by channel [K], moments [s], warnings;
+    of all together the population they are draws from."""
 
     def frame(self) -> pd.DataFrame:
-        """Return one row a run and coefficient: value, sd and 95 % interval [W/m²K], and whether it is known."""
+        """Return one row a run and coefficient: value, sd and 95 % interval [W/m²K], and whether it is known.
+
+        ``rmse_K`` is what the fit leaves of the run [K]. Of one run its header stands in ``attrs``.
+        """
         rows = [
             {"run": run.run, "coefficient": name, "value": c.value, "sd": c.sd}
             | {"low": c.ci95[0], "high": c.ci95[1], "identifiable": c.identifiable, "rmse_K": run.rmse_K}
             for run in self.campaign.runs
             for name, c in run.coefficients.items()
         ]
-        return pd.DataFrame(rows).set_index(["run", "coefficient"])
+        frame = pd.DataFrame(rows).set_index(["run", "coefficient"])
+        return _about(self.campaign.runs[0].problem.case.run, frame) if len(self.campaign.runs) == 1 else frame
 
     def plot(self) -> list[Axes]:
         """Draw the coefficients over the runs; return the axes."""
@@ -98,28 +115,29 @@ class FitResult:
         return str(self.frame().to_html(float_format="%.4g", max_rows=24))
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class DiagnosisResult:
-    """What the simulation gets wrong, the causes, and what knowing them is worth."""
+    """What the simulation gets wrong, the causes, and what knowing them is worth. [K]"""
 
     diagnosis: Diagnosis
+    """The causes with the fits and tests behind them."""
 
-    @cached_property
-    def content(self) -> Mapping[str, Any]:
-        """What ``diagnose --json`` writes, as a mapping."""
-        return self.diagnosis.as_json()
+    @property
+    def content(self) -> dict[str, Any]:
+        """What ``diagnose --json`` writes, each time a copy of one's own."""
+        return deepcopy(self.diagnosis.as_json())
 
     @property
     def verdict(self) -> str:
         """``no_effect``, ``named``, ``ambiguous``, ``unknown_effect``, ``too_few_runs`` or ``not_described``."""
-        return str(self.content["verdict"])
+        return str(self.diagnosis.verdict)
 
     def frame(self) -> pd.DataFrame:
         """Return one row a parameter of each cause, those named and those suspected: value and 95 % interval."""
         columns = ["effect", "parameter", "value", "low", "high", "p_value", "heldout_gain_K", "named"]
-        rows = []
-        for effect in (*self.content["effects"], *self.content["suspected"]):
-            common = (effect["p_value"], effect["heldout_gain_K"], effect in self.content["effects"])
+        rows, content = [], self.content
+        for effect in (*content["effects"], *content["suspected"]):
+            common = (effect["p_value"], effect["heldout_gain_K"], effect in content["effects"])
             for name, told in effect["parameters"].items():
                 low, high = told["ci95"] if isinstance(told, Mapping) and told.get("ci95") else (None, None)
                 value = told["value"] if isinstance(told, Mapping) else told
@@ -159,15 +177,16 @@ class DiagnosisResult:
         return [f"{self.verdict}: {said}", str(residual), str(found.next_measurement)]
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class Prediction:
-    """The core as the live sensor would have said it, scan by scan."""
+    """The core as the live sensor would have said it, scan by scan. [°C]"""
 
     replayed: Replay
+    """The run and what was said at each of its scans, an `Estimate` each."""
 
     def frame(self) -> pd.DataFrame:
-        """Return the columns of ``predict --out``, indexed by ``time_s``."""
-        return pd.DataFrame(self.replayed.columns()).set_index("time_s")
+        """Return the columns of ``predict --out``, indexed by ``time_s``, the run's header in ``attrs``. [°C]"""
+        return _about(self.replayed.run, pd.DataFrame(self.replayed.columns()).set_index("time_s"))
 
     def plot(self) -> list[Axes]:
         """Draw the core with its 95 % band, and a measured core where the run has one; return the axes."""
@@ -193,18 +212,19 @@ class Prediction:
         return str(self.frame().to_html(max_rows=24, float_format="%.2f"))
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class Simulation:
-    """A run as the model has it, open loop from its platen temperatures."""
+    """A run as the model has it, open loop from its platen temperatures. [°C]"""
 
     run: Run
     simulated: Simulated
+    """Temperatures at every place and through the panel [°C], and how far the readings are off [K]."""
 
     def frame(self) -> pd.DataFrame:
-        """Return the columns of ``simulate --out``, indexed by ``time_s``. [°C]"""
+        """Return the columns of ``simulate --out``, indexed by ``time_s``, the run's header in ``attrs``. [°C]"""
         state = [str(state) for state in self.simulated.state]
         columns = {"state": state, **self.simulated.places, "core_C": self.simulated.core}
-        return pd.DataFrame(columns, index=pd.Index(self.simulated.time_s, name="time_s"))
+        return _about(self.run, pd.DataFrame(columns, index=pd.Index(self.simulated.time_s, name="time_s")))
 
     def plot(self) -> list[Axes]:
         """Draw every place, measured as dots and simulated as lines; return the axes."""
@@ -229,7 +249,7 @@ class Simulation:
         return str(self.frame().to_html(max_rows=24, float_format="%.2f"))
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class PlanResult:
     """The next pressings worth most, and what each would settle."""
 
@@ -268,7 +288,7 @@ class PlanResult:
         return "".join(f"<p>{html.escape(str(line))}</p>" for line in plan_said(self.planned))
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class AdviceResult:
     """Press time and platens for a panel not pressed yet, and those beside them."""
 
@@ -323,10 +343,18 @@ def read_run(source: AnyRun, *, mapping: Path | str | None = None, header: Mappi
     else:
         found = read_run_file(Path(source))
     if header is None:
-        return found
+        return _frozen_run(found)
     keys = {**found.header, **header}
     check_header(keys, found.source or found.name)
-    return replace(found, header=keys, name=str(keys.get("run", found.name)))
+    return _frozen_run(replace(found, header=keys, name=str(keys.get("run", found.name))))
+
+
+def _frozen_run(run: Run) -> Run:
+    """Return a run that cannot be changed: itself where it is one."""
+    if isinstance(run.header, FrozenDict) and isinstance(run.columns, FrozenDict):
+        return run
+    made: Run = with_frozen_fields(run)
+    return made
 
 
 def read_press(path: AnyPress) -> Press:
@@ -342,27 +370,45 @@ def read_model(model: AnyModel) -> ModelFile:
 
 
 def fit(runs: AnyRun | Sequence[AnyRun], press: AnyPress, *, profiles: bool = False) -> FitResult:
-    """Fit the heat transfer coefficients of each run and of all together.
+    """Fit the heat transfer coefficients of each run and of all together. [W/m²K]
 
     Parameters
     ----------
+    runs
+        One run or several, as files, tables or `Run`. [°C, s]
     profiles
         Work out the likelihood's profile of each coefficient too, for the JSON; it takes longer.
+
+    Raises
+    ------
+    InputError
+        For a run or press file that cannot be read, words in a column that the press file names, a run without a
+        platen's column, without sensors or without the panel's data, and no run at all.
     """
-    return FitResult(fit_campaign(read_press(press), _runs(runs), profiles=profiles))
+    described = read_press(press)
+    found = with_frozen_fields(fit_campaign(described, _runs(runs, described), profiles=profiles))
+    return FitResult(replace(found, runs=tuple(map(with_frozen_fields, found.runs))))
 
 
 def diagnose(
     runs: AnyRun | Sequence[AnyRun], press: AnyPress, *, effects: Sequence[str] | None = None
 ) -> DiagnosisResult:
-    """Say what the simulation of these runs gets wrong, why, and what knowing it is worth.
+    """Say what the simulation of these runs gets wrong, why, and what knowing it is worth. [K]
 
     Parameters
     ----------
+    runs
+        One run or several, as files, tables or `Run`. [°C, s]
     effects
         Causes to look for, by name; the whole catalogue without.
+
+    Raises
+    ------
+    InputError
+        As `fit`, and for an effect that the catalogue does not have.
     """
-    return DiagnosisResult(diagnose_runs(read_press(press), _runs(runs), effects=effects))
+    described = read_press(press)
+    return DiagnosisResult(diagnose_runs(described, _runs(runs, described), effects=effects))
 
 
 def plan(
@@ -380,6 +426,11 @@ def plan(
     ranges
         What can be set and how far, by name (``thickness_mm``, ``platen_temperature_C``, ``press_time_s``,
         ``start_temperature_C``, ``waiting_s``, ``pressure_N_cm2``); the runs' own, modestly widened, without.
+
+    Raises
+    ------
+    InputError
+        As `diagnose`, and for a range that cannot be.
     """
     found = runs if isinstance(runs, DiagnosisResult) else diagnose(runs, press)
     return PlanResult(plan_after(read_press(press), found.diagnosis, ranges or {}))
@@ -446,40 +497,146 @@ def predict(
     without: Sequence[str] = (),
     resin: Resin | Path | str | None = None,
 ) -> Prediction:
-    """Replay a run through the live sensor, causally.
+    """Replay a run through the live sensor, causally: row i rests on nothing later than scan i. [°C]
 
     Parameters
     ----------
+    model
+        Coefficients and effects from earlier runs; the press file's guesses without.
     without
-        Columns (patterns) that it does not see.
+        Columns (patterns) that it does not see; each must match one.
     resin
-        A resin file: adds cure at both faces, steam and leave to open.
+        A resin file: adds cure at both faces (0 to 1), steam [kPa] and leave to open.
+
+    Raises
+    ------
+    InputError
+        For a run, press, model or resin file that cannot be read, words in a column that the press file names, a
+        pattern that matches no column, a run without a platen's column or the panel's data, and a resin for a
+        press without a panel.
     """
-    loaded = read_run(run)
+    described = read_press(press)
+    loaded = _legible(read_run(run), described)
     known = None if model is None else read_model(model)
-    replayed = replay(read_press(press), loaded, known, loaded.matching(without), resin=_resin(resin))
+    replayed = replay(described, loaded, known, loaded.named(without), resin=_resin(resin))
     return Prediction(replayed)
 
 
 def simulate(run: AnyRun, press: AnyPress, model: AnyModel | Mapping[str, float] | None = None) -> Simulation:
-    """Simulate a run, open loop, with a model, or coefficients by name beside the press file's guesses."""
-    loaded, described = read_run(run), read_press(press)
+    """Simulate a run, open loop, from its platen temperatures. [°C]
+
+    Parameters
+    ----------
+    model
+        A model, or coefficients by name [W/m²K]; what it does not name stays at the press file's guess.
+
+    Raises
+    ------
+    InputError
+        For a run, press or model file that cannot be read, words in a column that the press file names, a run
+        without a platen's column, a sensor or the panel's data, and a coefficient that is unknown or nonphysical.
+    """
+    described = read_press(press)
+    loaded = _legible(read_run(run), described)
     if model is None or isinstance(model, Mapping):
         thermal = ThermalModel(described)
-        return Simulation(loaded, simulate_run(loaded, described, thermal, {**thermal.guesses, **(model or {})}))
+        return _simulation(loaded, described, thermal, {**thermal.guesses, **(model or {})})
     content = read_model(model)
     values = {**ThermalModel(described).guesses, **content.values}
-    return Simulation(loaded, simulate_run(loaded, described, content.model(described), values))
+    return _simulation(loaded, described, content.model(described), values)
+
+
+def _simulation(run: Run, press: Press, model: ThermalModel, values: Mapping[str, float]) -> Simulation:
+    return Simulation(run, with_frozen_fields(simulate_run(run, press, model, values)))
+
+
+class LiveSensor(ScanSensor):
+    """A live sensor fed by hand: takes scans and says what the core is doing.
+
+    Parameters
+    ----------
+    press
+        Where sensors lie and which columns are platens.
+    header
+        The run's header: panel, ambient, settings; of a table, its ``attrs``.
+    model
+        Coefficients and effects from earlier runs; without, the press file's guesses.
+    resin
+        How the paper cures and what must hold at opening; without, nobody asks.
+
+    Raises
+    ------
+    InputError
+        For a header that cannot be, or what is wrong in a file.
+    """
+
+    def __init__(
+        self,
+        press: AnyPress,
+        header: Mapping[str, Any],
+        model: AnyModel | None = None,
+        resin: Resin | Path | str | None = None,
+    ) -> None:
+        check_header(header, "LiveSensor")
+        super().__init__(read_press(press), header, None if model is None else read_model(model), _resin(resin))
+        self._newest_s = -math.inf
+
+    def update(self, time_s: float, values: Mapping[str, float | None]) -> Estimate:
+        """Take a scan and return what is known then.
+
+        Parameters
+        ----------
+        time_s
+            Later than that of any scan before. [s]
+        values
+            By column, a row of a table for instance; missing ones None, NaN or left out. [°C, or the column's own]
+
+        Raises
+        ------
+        InputError
+            For a time that does not rise, a value that is no number, and at the first scan for what press or panel
+            lacks in header or columns.
+        """
+        if not self._newest_s < time_s < math.inf:
+            raise InputError(say("live-time-not-rising", time_s=float(time_s), newest_s=self._newest_s))
+        said = super().update(float(time_s), {name: _reading(name, value) for name, value in values.items()})
+        self._newest_s = float(time_s)
+        return said
+
+
+def _reading(column: str, value: float | None) -> float:
+    """Return a channel's value, NaN where there is none."""
+    if value is None or value is pd.NA:
+        return math.nan
+    if not isinstance(value, numbers.Real):
+        raise InputError(say("live-value-no-number", column=column, value=repr(value)))
+    return float(value)
 
 
 def _resin(resin: Resin | Path | str | None) -> Resin | None:
     return resin if resin is None or isinstance(resin, Resin) else read_resin(Path(resin))
 
 
-def _runs(runs: AnyRun | Sequence[AnyRun]) -> list[Run]:
-    if isinstance(runs, Run | pd.DataFrame | Path | str):
-        return [read_run(runs)]
-    return [read_run(run) for run in runs]
+def _runs(runs: AnyRun | Sequence[AnyRun], press: Press) -> list[Run]:
+    given = [runs] if isinstance(runs, Run | pd.DataFrame | Path | str) else runs
+    return [_legible(read_run(run), press) for run in given]
+
+
+def _legible(run: Run, press: Press) -> Run:
+    """Return the run. Raises `InputError` where a column of words is one that the press takes numbers from."""
+    own = press_for_run(press, run)
+    loads = (contact.load.column for contact in own.contact if contact.load is not None)
+    wanted = (*(pattern for sensor in own.sensor for pattern in sensor.columns), *own.platens, *loads)
+    for column, cells in run.texts.items():
+        if any(fnmatch.fnmatchcase(column, pattern) for pattern in wanted):
+            check_no_words(run.source or run.name, column, cells)
+    return run
+
+
+def _about(run: Run, frame: pd.DataFrame) -> pd.DataFrame:
+    """Return a table with the header of the run it is about."""
+    frame.attrs.update(attrs_of(run))
+    return frame
 
 
 def _lists(frame: pd.DataFrame) -> str:

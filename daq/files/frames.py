@@ -4,24 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from datetime import datetime
+from decimal import Decimal
+from numbers import Real
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from daq.files.qualities import OTHERS, row_faults, without_unusable
-from daq.files.run_rows import CLOSED, TIME, Rows, check_names, check_rows, row_place
+from daq.files.instants import STARTED, for_json, from_json, seconds_of
+from daq.files.qualities import OTHERS, QUALITY, row_faults, without_unusable
+from daq.files.run_rows import CLOSED, TIME, Rows, check_names, check_no_words, check_rows, row_place
 from daq.press.header import check_header
-from daq.records import Array, InputError, Quality, Run
+from daq.records import Array, InputError, Quality, Run, with_frozen_fields
 from daq.tables import at
 from daq.words import say
-
-STARTED = "recorded.started_utc"
-"""Header key of the instant at which `time_s` is 0."""
 
 
 def frame_of(run: Run, *, utc: bool = False) -> pd.DataFrame:
     """Return a run as a table, one row a scan: its header in ``attrs``, its texts as columns.
+
+    What JSON does not hold, instants and dates, stands as ISO text in ``attrs``, so that Parquet can be written.
 
     Parameters
     ----------
@@ -35,8 +37,13 @@ def frame_of(run: Run, *, utc: bool = False) -> pd.DataFrame:
     """
     index = _instants(run) if utc else pd.Index(run.time_s, name=TIME)
     frame = pd.DataFrame({**run.columns, **run.texts}, index=index)
-    frame.attrs.update({**run.header, "run": run.name})
+    frame.attrs.update(attrs_of(run))
     return frame
+
+
+def attrs_of(run: Run) -> dict[str, Any]:
+    """Return a run's header as the ``attrs`` of a table that is about it."""
+    return for_json({**run.header, "run": run.name})
 
 
 def qualities_of(run: Run) -> pd.DataFrame:
@@ -59,23 +66,30 @@ def qualities_of(run: Run) -> pd.DataFrame:
 
 
 def run_of(frame: pd.DataFrame, header: Mapping[str, Any] | None = None) -> Run:
-    """Return a table as a run.
+    """Return a table as a run, which shares no memory with it and cannot be changed.
 
     Parameters
     ----------
     frame
-        One row a scan. Times: a column ``time_s`` or an index of that name [s], or an index of instants, from
-        whose first one ``time_s`` is then counted; instants that know their zone go into the header. Numbers
-        become channels, texts stay beside them; a value that is missing is NaN.
+        One row a scan. Times: a column ``time_s`` or an index, of that name where it holds numbers [s]. Instants
+        are counted from the first one, which goes into the header where they know their zone; durations
+        (timedelta) are taken in seconds. Integers, booleans, narrower floats, decimals and objects that are all
+        numbers become channels of 64-bit floats, a missing value NaN. All else stays beside them as text:
+        categories by their names, instants and dates as ISO text, a missing value as empty text. A column's label
+        that is no text becomes one.
     header
-        Keys of the run file; those of ``frame.attrs`` that it does not name are added.
+        Keys of the run file; those of ``frame.attrs`` that it does not name are added. ISO text under a key
+        ``recorded.*`` is an instant.
 
     Raises
     ------
     InputError
-        For times that do not rise, names that come twice, or values that no channel has: column and row are named.
+        For times that do not rise, names that come twice, values that no channel has, complex numbers, labels of
+        several levels, or a key of ``attrs`` that is no text: column and row are named.
     """
-    keys = {**frame.attrs, **(header or {})}
+    given = {**frame.attrs, **(header or {})}
+    _check_labels(frame, given)
+    keys = from_json(given)
     name = str(keys.get("run", "frame"))
     check_names(name, [str(column) for column in frame.columns])
     times = _times(name, frame, keys)
@@ -84,42 +98,70 @@ def run_of(frame: pd.DataFrame, header: Mapping[str, Any] | None = None) -> Run:
         if column == TIME:
             continue
         values = frame[column]
-        if pd.api.types.is_numeric_dtype(values) or pd.api.types.is_bool_dtype(values) or column == CLOSED:
-            columns[str(column)] = _numbers(values)
+        if _holds_numbers(values) or column == CLOSED:
+            columns[str(column)] = _numbers(name, values)
         else:
-            texts[str(column)] = tuple(values.astype(object).where(values.notna(), "").astype(str).tolist())
+            texts[str(column)] = _texts(values)
     rows = Rows(columns, texts)
     check_rows(name, rows)
     check_header(keys, name)
     del columns[TIME]
-    return without_unusable(Run(name, keys, times, columns, name, texts))
+    run: Run = with_frozen_fields(without_unusable(Run(name, keys, times, columns, name, texts)))
+    return run
 
 
-def _numbers(values: pd.Series[Any] | pd.Index[Any]) -> Array:
-    """Return a column of numbers; one of 64-bit floats is not copied."""
-    return np.asarray(values) if values.dtype == np.float64 else values.to_numpy(dtype=float, na_value=np.nan)
+def _check_labels(frame: pd.DataFrame, keys: Mapping[Any, Any]) -> None:
+    """Refuse columns and keys that no run file can name, and columns of numbers that no channel holds."""
+    if frame.columns.nlevels > 1:
+        raise InputError(say("frame-column-levels", levels=frame.columns.nlevels))
+    if odd := [repr(key) for key in keys if not isinstance(key, str)]:
+        raise InputError(say("frame-key-no-text", key=odd[0]))
+    for column, values in frame.items():
+        if pd.api.types.infer_dtype(values, skipna=True) == "complex":
+            raise InputError(say("frame-column-complex", column=str(column)))
+
+
+def _holds_numbers(values: pd.Series[Any]) -> bool:
+    """Return whether a column holds numbers; one of objects does if each is a number or missing, as in a file."""
+    if values.dtype == object:
+        return values.name != QUALITY and all(isinstance(v, Real | Decimal | np.bool_) for v in values.dropna())
+    return bool(pd.api.types.is_numeric_dtype(values) or pd.api.types.is_bool_dtype(values))
+
+
+def _texts(values: pd.Series[Any] | pd.Index[Any]) -> tuple[str, ...]:
+    found = values.astype(object)
+    return tuple(found.where(values.notna(), "").astype(str).tolist())
+
+
+def _numbers(name: str, values: pd.Series[Any]) -> Array:
+    """Return a copy of a column of numbers, as its table may be written to. Raises `InputError` for words."""
+    if not _holds_numbers(values):
+        check_no_words(name, str(values.name), _texts(values))
+    return np.asarray(values.to_numpy(dtype=float, na_value=np.nan, copy=True))
 
 
 def _times(name: str, frame: pd.DataFrame, keys: dict[str, Any]) -> Array:
     """Return the times [s]; instants of a zone are counted from the microsecond that goes into the header."""
     if frame.empty:
         raise InputError(say("frame-without-rows", run=name))
-    if TIME in frame.columns:
-        return _numbers(frame[TIME])
-    if isinstance(frame.index, pd.DatetimeIndex):
-        if frame.index.hasnans:
-            row = int(np.argmax(frame.index.isna()))
-            raise InputError(at(name, say("at-place", place=row_place(row), what=say("run-time-missing"))))
-        start = frame.index[0]
-        if frame.index.tz is not None:
-            given = keys.get(STARTED)
-            known = isinstance(given, datetime) and given.tzinfo is not None and given <= start
-            start = pd.Timestamp(given) if known else start.floor("us")
-            keys[STARTED] = start.tz_convert("UTC").to_pydatetime()
-        return np.asarray((frame.index.as_unit("ns") - start).asi8 / 1e9, float)
-    if frame.index.name == TIME:
-        return _numbers(frame.index)
+    times = (
+        frame[TIME] if TIME in frame.columns else frame.index.to_series(name=frame.index.name)
+    ).infer_objects()
+    if pd.api.types.is_datetime64_any_dtype(times):
+        return _seconds(name, pd.DatetimeIndex(times), keys)
+    if pd.api.types.is_timedelta64_dtype(times):
+        return np.asarray(times.dt.total_seconds(), float)
+    if times.name == TIME:
+        return _numbers(name, times)
     raise InputError(say("frame-without-times", run=name, columns=tuple(str(c) for c in frame.columns[:8])))
+
+
+def _seconds(name: str, instants: pd.DatetimeIndex, keys: dict[str, Any]) -> Array:
+    """Return instants in seconds since the first of them, or since the start that the header gives."""
+    if instants.hasnans:
+        row = int(np.argmax(instants.isna()))
+        raise InputError(at(name, say("at-place", place=row_place(row), what=say("run-time-missing"))))
+    return seconds_of(instants.as_unit("ns").asi8, keys, zoned=instants.tz is not None)
 
 
 def _instants(run: Run) -> pd.DatetimeIndex:

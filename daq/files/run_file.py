@@ -21,6 +21,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from daq.files.instants import from_json, seconds_of
 from daq.files.qualities import without_unusable
 from daq.files.run_rows import (
     CLOSED,
@@ -32,6 +33,7 @@ from daq.files.run_rows import (
     escaped,
     number_in,
     read_rows,
+    row_place,
     unescaped,
     utf8_line,
 )
@@ -41,7 +43,8 @@ from daq.tables import at, read_toml, reason_of
 from daq.words import say, spoken
 
 _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
-_FOREIGN_METADATA = ("pandas", "huggingface", "geo")
+_PANDAS = "pandas"
+_FOREIGN_METADATA = (_PANDAS, "huggingface", "geo")
 """Schema metadata that other Parquet writers add, as JSON objects; no header keys."""
 _PANDAS_ATTRS = "PANDAS_ATTRS"
 """Where `DataFrame.to_parquet` puts a table's ``attrs``, which are the header: one JSON object."""
@@ -254,19 +257,49 @@ def _column_names(path: Path, line: int, text: str) -> list[str]:
 def _read_parquet(path: Path, temperatures: Sequence[str]) -> Run:
     try:
         with pq.ParquetFile(path, page_checksum_verification=True) as file:
-            kinds = _parquet_kinds(path, file.schema_arrow)
+            header = _parquet_header(file.schema_arrow)
+            time = _time_column(path, file.schema_arrow)
+            kinds = _parquet_kinds(path, file.schema_arrow, time)
+            if not file.metadata.num_rows:
+                raise InputError(at(path, say("run-table-empty")))
             rows = _parquet_rows(file, kinds)
-            written = file.schema_arrow.metadata or {}
+            if time not in kinds:
+                times = _parquet_times(path, file.read(columns=[time])[time], header)
+                rows = Rows({TIME: times, **rows.columns}, rows.texts)
     except (pa.ArrowInvalid, OSError) as error:
         said = say("run-no-parquet", reason=str(error).splitlines()[0])
         raise InputError(at(path, said, column=_damaged_column(path))) from error
-    if not len(rows.columns[TIME]):
-        raise InputError(at(path, say("run-table-empty")))
     check_rows(str(path), rows, temperatures=temperatures)
-    metadata = {k.decode(): v.decode() for k, v in written.items()}
+    return _run(path, header, rows)
+
+
+def _parquet_header(schema: pa.Schema) -> dict[str, Any]:
+    metadata = {k.decode(): v.decode() for k, v in (schema.metadata or {}).items()}
     attrs = _json_object(metadata.pop(_PANDAS_ATTRS, ""))
     own = {k: v for k, v in metadata.items() if k not in _FOREIGN_METADATA or not v.startswith("{")}
-    return _run(path, attrs | {k: _metadata_value(v) for k, v in own.items()}, rows)
+    return from_json(attrs) | {k: _metadata_value(v) for k, v in own.items()}
+
+
+def _time_column(path: Path, schema: pa.Schema) -> str:
+    """Return the column of times: `time_s`, else the instants that were a pandas table's index."""
+    if TIME in schema.names:
+        return TIME
+    index = _json_object((schema.metadata or {}).get(_PANDAS.encode(), b"").decode()).get("index_columns", ())
+    for name in index:
+        if name in schema.names and pa.types.is_timestamp(schema.field(name).type):
+            return str(name)
+    raise InputError(at(path, say("run-no-time", found=tuple(schema.names[:8]))))
+
+
+def _parquet_times(path: Path, column: pa.ChunkedArray, header: dict[str, Any]) -> Array:
+    """Return instants or durations in seconds; the header gets the start of instants that know their zone."""
+    if column.null_count:
+        missing = row_place(column.is_null().index(True).as_py())
+        raise InputError(at(path, say("at-place", place=missing, what=say("run-time-missing"))))
+    if pa.types.is_duration(column.type):
+        return np.asarray(column.cast(pa.duration("ns")).cast(pa.int64()).to_numpy() / 1e9, float)
+    zone = column.type.tz
+    return seconds_of(column.cast(pa.timestamp("ns", zone)).cast(pa.int64()).to_numpy(), header, zoned=bool(zone))
 
 
 def _json_object(text: str) -> dict[str, Any]:
@@ -277,18 +310,25 @@ def _json_object(text: str) -> dict[str, Any]:
     return found if isinstance(found, dict) else {}
 
 
-def _parquet_kinds(path: Path, schema: pa.Schema) -> dict[str, bool]:
-    """Return by column whether it holds numbers, else texts. Raises `InputError` for any other."""
+def _parquet_kinds(path: Path, schema: pa.Schema, time: str) -> dict[str, bool]:
+    """Return by column whether it holds numbers, else texts; times of another kind are left out.
+
+    Raises `InputError` for any other column.
+    """
     check_names(str(path), schema.names)
-    if TIME not in schema.names:
-        raise InputError(at(path, say("run-no-time", found=tuple(schema.names[:8]))))
     kinds = {}
     for name, kind in zip(schema.names, schema.types, strict=True):
+        if name == time and (pa.types.is_timestamp(kind) or pa.types.is_duration(kind)):
+            continue
         number = pa.types.is_floating(kind) or pa.types.is_integer(kind) or kind == pa.bool_()
-        if not number and (not pa.types.is_string(kind) or name in (TIME, CLOSED)):
+        if not number and (name in (TIME, CLOSED) or not _is_text(kind)):
             raise InputError(at(path, say("run-column-type", type=str(kind)), column=name))
         kinds[name] = number
     return kinds
+
+
+def _is_text(kind: pa.DataType) -> bool:
+    return bool(pa.types.is_string(kind) or pa.types.is_large_string(kind))
 
 
 def _parquet_rows(file: pq.ParquetFile, kinds: Mapping[str, bool]) -> Rows:

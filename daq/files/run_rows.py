@@ -127,6 +127,16 @@ def at_column(column: str, what: Message) -> Message:
     return say("at-column", column=column, what=what)
 
 
+def check_no_words(where: str, column: str, cells: Sequence[str]) -> None:
+    """Refuse a column of words where numbers are due, naming its first word; one of empty cells is missing."""
+    filled = [(row, cell) for row, cell in enumerate(cells) if cell.strip()]
+    worded = [(row, cell) for row, cell in filled if number_in(cell) is None]
+    for row, cell in worded[:1]:
+        raise InputError(_in_row(where, row_place(row), say("run-no-number", cell=repr(cell.strip())), column))
+    for row, cell in filled[:1]:
+        raise InputError(_in_row(where, row_place(row), say("run-number-as-text", cell=repr(cell)), column))
+
+
 def check_rows(
     where: str, rows: Rows, place: Callable[[int], Message] = row_place, temperatures: Sequence[str] = ()
 ) -> None:

@@ -11,7 +11,6 @@ import numpy as np
 
 import daq
 import softsensor
-from daq.records import Moments
 
 TARGET_C = 95.0
 """The core must reach this before the press opens. [°C]"""
@@ -35,7 +34,7 @@ def case_of(thickness_mm):
     run = daq.Run(
         "asked", header, time_s, {name: np.full(len(time_s), 200.0) for name in ("platen_top", "platen_bottom")}
     )
-    return thermal.prepare(run, Moments(inserted_s=0.0, closed_s=CLOSED_S, opened_s=CLOSED_S + 360.0))
+    return thermal.prepare(run, daq.Moments(inserted_s=0.0, closed_s=CLOSED_S, opened_s=CLOSED_S + 360.0))
 
 
 def draws(number):

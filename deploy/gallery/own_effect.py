@@ -12,8 +12,7 @@ import numpy as np
 
 import daq
 import softsensor
-from softsensor.effects import Effect, Live, Need, Role, Terms, on_panel
-from softsensor.effects.parameters import Parameter
+from softsensor import Effect, Live, Need, Parameter, Role, Terms, on_panel
 
 
 def terms(scene, values):
@@ -50,23 +49,19 @@ softsensor.add_effect(
 # %%
 from dataclasses import replace
 
-from softsensor.effects import find_effect
-from softsensor.fitting.simulated_run import simulate_run
-from softsensor.heat.model import ThermalModel
-
 shared = daq.shared_files()
 press = softsensor.read_press(shared / "presses/lab.toml")
-with_hood = ThermalModel(press).extended(find_effect("hood_draught"))
-values = {**with_hood.guesses, "hood_draught.W_m3K": 9000.0}
+hood = ("hood_draught", {"W_m3K": softsensor.FittedValue(9000.0, sd=0.0)})
+with_hood = softsensor.ModelFile("hood", press.name, coefficients={}, effects=(hood,))
 rng = np.random.default_rng(3)
 
 
 def under_the_hood(path):
     """Return a pressing as its sensors would have read it under the hood."""
     run = softsensor.read_run(path)
-    places = simulate_run(run, press, with_hood, values).places
+    places = softsensor.simulate(run, press, with_hood).frame()
     readings = {
-        name: places[f"panel.{name.split('_')[0]}"] + rng.normal(0.0, 0.2, len(run.time_s))
+        name: places[f"panel.{name.split('_')[0]}"].to_numpy() + rng.normal(0.0, 0.2, len(run.time_s))
         for name in run.matching(["top_*", "bottom_*"])
     }
     platens = {name: run.columns[name] for name in ("platen_top", "platen_bottom")}

@@ -14,8 +14,6 @@ import pandas as pd
 
 import daq
 import softsensor
-from softsensor.fitting.paper.procedures import reproduce
-from softsensor.heat.model import ThermalModel
 
 shared = daq.shared_files()
 press = softsensor.read_press(shared / "presses/lab.toml")
@@ -23,7 +21,7 @@ run = softsensor.read_run(shared / "samples/2026-03-04-07.csv")
 fitted = softsensor.fit(run, press)
 values = fitted.frame().loc[run.name, "value"].to_dict()
 measured = [(run, daq.find_moments(run, press), values)]
-found = reproduce(measured, ThermalModel(press), clock=time.perf_counter)
+found = softsensor.reproduce(measured, softsensor.ThermalModel(press), clock=time.perf_counter)
 pd.DataFrame(found.as_json()["table"]).set_index(["solver", "slopes"])[["converged", "seconds", "solves"]]
 
 # %% [markdown]

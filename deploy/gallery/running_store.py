@@ -8,7 +8,6 @@
 import tempfile
 import threading
 import time
-from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import daq
@@ -23,37 +22,8 @@ url = Path(tempfile.mkdtemp()) / "kerntemp.sqlite"
 # time. With a press at hand, leave this cell out and give the address of its store.
 
 # %%
-from daq.records import Channel, Quality, Scan
-from daq.store.records import NewRun, RunEnd
-from daq.store.store import open_store
-
-played = softsensor.read_run(shared / "samples/2026-03-04-05.csv")
-began = datetime(2026, 3, 4, 8, 0, tzinfo=UTC)
-
-
-def record():
-    """Write the pressing as a recorder does, five scans at a time."""
-    names = [name for name in played.columns if name != "core_1"]
-    with open_store(str(url)) as store:
-        key = store.register_press("lab", [Channel(name) for name in names])
-        for first in range(0, len(played.time_s), 5):
-            scans = [
-                Scan(
-                    key.next_number + i,
-                    began + timedelta(seconds=float(played.time_s[i])),
-                    float(played.time_s[i]),
-                    tuple(float(played.columns[name][i]) for name in names),
-                    (Quality.GOOD,) * len(names),
-                )
-                for i in range(first, min(first + 5, len(played.time_s)))
-            ]
-            new = NewRun("now", key.next_number, began, 0.0, played.header) if first == 0 else None
-            store.append_scans(key, scans, begin=new)
-            time.sleep(0.02)
-        store.append_scans(key, [], end=RunEnd("now", scans[-1].number, scans[-1].utc))
-
-
-recorder = threading.Thread(target=record)
+played = softsensor.read_run(shared / "samples/2026-03-04-05.csv", header={"run": "now"})
+recorder = threading.Thread(target=daq.play, args=(played, url, press.name), kwargs={"scans": 5, "pause_s": 0.02})
 recorder.start()
 
 # %% [markdown]
@@ -95,6 +65,6 @@ legend = ax.legend(frameon=False)
 # Replayed afterwards, the same pressing gives the same answers: live and replay are one code.
 
 # %%
-again = softsensor.predict(played, press, without=["core_*"]).frame()
+again = softsensor.predict(played, press).frame()
 assert len(again) == len(said)
 assert max(abs(again["core_C"].to_numpy() - [e.core_C for e in said])) < 1e-6

@@ -61,7 +61,7 @@ class CampaignCoefficient:
     """Of the logarithm from run to run, estimation error taken out."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class CampaignFit:
     """What a campaign says about a press."""
 

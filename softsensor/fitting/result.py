@@ -62,7 +62,7 @@ class Coefficient:
     """Why it is not identifiable, and which measurement would fix it."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class RunFit:
     """What a run says about the press."""
 

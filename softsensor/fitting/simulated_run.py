@@ -20,7 +20,7 @@ PROFILE_ROWS, PROFILE_DEPTHS = 160, 41
 """Times and depths of the temperature profile handed out, at most and exactly: enough for a picture."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Simulated:
     """What the model says about a run, place by place."""
 

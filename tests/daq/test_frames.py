@@ -2,6 +2,12 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
+from dataclasses import replace
+from datetime import UTC, datetime
+from decimal import Decimal
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -9,6 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import daq
+from daq.face import EVENT
 from daq.files.qualities import quality_text
 from daq.files.run_file import read_run
 from daq.press.press_file import read_press
@@ -69,11 +76,114 @@ def test_qualities_stand_beside_the_values_they_are_of(faults):
             assert np.isnan(run.columns[name][row]) == (not quality.usable)
 
 
-def test_a_table_of_floats_is_not_copied_and_the_run_does_not_change_it():
-    frame = pd.DataFrame({"top_1": [1.0, 2.0], "n": [1, 2]}, index=pd.Index([0.0, 1.0], name="time_s"))
+@pytest.mark.parametrize("place", ["column", "index"])
+def test_a_run_and_its_table_do_not_change_one_another(place):
+    frame = pd.DataFrame({"time_s": [0.0, 1.0], "top_1": [1.0, 2.0]})
+    frame.attrs["setting.steps"] = [1, 2]
+    frame = frame if place == "column" else frame.set_index("time_s")
     run = daq.run_of(frame)
-    assert np.shares_memory(run.columns["top_1"], frame["top_1"].to_numpy())
-    assert run.columns["n"].dtype == np.float64
+    frame.loc[frame.index[0], "top_1"] = 9.0
+    frame.attrs["setting.steps"].append(3)
+    if place == "column":
+        frame.loc[0, "time_s"] = -1.0
+    assert run.columns["top_1"].tolist() == [1.0, 2.0]
+    assert run.time_s.tolist() == [0.0, 1.0]
+    assert run.header["setting.steps"] == [1, 2]
+    back = daq.frame_of(run)
+    back.iloc[0, 0] = 9.0
+    assert run.columns["top_1"].tolist() == [1.0, 2.0]
+
+
+def test_a_run_cannot_be_changed_and_goes_to_another_process_as_it_is():
+    run = daq.run_of(pd.DataFrame({"time_s": [0.0, 1.0], "top_1": [1.0, 2.0]}), {"setting.a": 1.0})
+    for one in (run, pickle.loads(pickle.dumps(run)), copy.deepcopy(run)):
+        with pytest.raises(TypeError, match="change a copy"):
+            one.header["setting.a"] = 2.0
+        with pytest.raises(TypeError, match="change a copy"):
+            one.columns.update(top_1=run.time_s)
+        assert one.header == {"setting.a": 1.0}
+        assert one.columns["top_1"].tolist() == [1.0, 2.0]
+    for array in (run.time_s, run.columns["top_1"]):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 5.0
+    assert {**run.header, "setting.b": 1} == run.header | {"setting.b": 1}
+
+
+@pytest.mark.parametrize(
+    ("given", "numbers"),
+    [
+        ([21.5, None], [21.5, np.nan]),
+        ([None, 22], [np.nan, 22.0]),
+        ([True, Decimal("1.5")], [1.0, 1.5]),
+        ([np.float32(1.5), pd.NA], [1.5, np.nan]),
+        ([None, np.nan], [np.nan, np.nan]),
+    ],
+)
+def test_objects_that_are_all_numbers_or_missing_are_a_channel(given, numbers):
+    frame = pd.DataFrame({"time_s": [0.0, 1.0], "top_1": pd.Series(given, dtype=object)})
+    run = daq.run_of(frame)
+    assert not run.texts
+    np.testing.assert_array_equal(run.columns["top_1"], numbers)
+
+
+@pytest.mark.parametrize("column", ["time_s", "closed"])
+def test_words_where_only_numbers_can_stand_are_named_by_their_row(column):
+    frame = pd.DataFrame({"time_s": [0.0, 1.0], "closed": [0.0, 1.0]}).astype({column: object})
+    frame.loc[1, column] = "abc"
+    with pytest.raises(daq.InputError, match=f"row 2: column {column}: 'abc' is not a number; leave a missing"):
+        daq.run_of(frame)
+    with pytest.raises(daq.InputError, match=f"row 1: column {column}: '.*' is a number kept as text"):
+        daq.run_of(frame.replace("abc", 1.0).astype({column: str}))
+
+
+@pytest.mark.parametrize("kind", ["timedelta64[ns]", "timedelta64[ms]", object])
+@pytest.mark.parametrize("place", ["column", "index"])
+def test_durations_are_taken_in_seconds(kind, place):
+    frame = pd.DataFrame({"time_s": pd.to_timedelta([0.0, 0.5, 2.0], unit="s").astype(kind), "top_1": 20.0})
+    run = daq.run_of(frame if place == "column" else frame.set_index("time_s").rename_axis(None))
+    assert run.time_s.tolist() == [0.0, 0.5, 2.0]
+
+
+@pytest.mark.parametrize("zone", [None, "Europe/Berlin"])
+def test_a_column_of_instants_is_read_as_an_index_of_them(zone):
+    instants = pd.date_range("2026-10-25 01:59:58", periods=4, freq="500ms", tz=zone)
+    frame = pd.DataFrame({"top_1": [1.0, 2.0, 3.0, 4.0]}, index=instants)
+    told = daq.run_of(frame)
+    for column in (instants, instants.astype(object)):
+        run = daq.run_of(frame.reset_index(drop=True).assign(time_s=column))
+        assert run.time_s.tolist() == told.time_s.tolist() == [0.0, 0.5, 1.0, 1.5]
+        assert run.header == told.header
+
+
+@pytest.mark.parametrize("utc", [True, False])
+@pytest.mark.parametrize("told", ["attrs", "nothing"])
+def test_a_table_of_instants_goes_through_parquet_and_back(tmp_path, utc, told):
+    index = pd.date_range("2026-10-25 01:59:58.000000123", periods=4, freq="500ms", tz="Europe/Berlin")
+    run = daq.run_of(pd.DataFrame({"top_1": [20.0, np.nan, 22.0, 23.0], "remark": list("abcd")}, index=index))
+    ended = datetime(2026, 10, 25, 1, 0, tzinfo=UTC)
+    run = replace(run, header={**run.header, "recorded.ended_utc": ended, "own.day": ended.date()})
+    frame = daq.frame_of(run, utc=utc)
+    assert frame.attrs["own.day"] == "2026-10-25"
+    if told == "nothing":
+        frame.attrs.clear()
+    frame.to_parquet(tmp_path / "run.parquet")
+    for back in (daq.run_of(pd.read_parquet(tmp_path / "run.parquet")), read_run(tmp_path / "run.parquet")):
+        assert back.time_s.tobytes() == run.time_s.tobytes()
+        assert back.columns["top_1"].tobytes() == run.columns["top_1"].tobytes()
+        assert back.texts == run.texts
+        if utc or told == "attrs":
+            assert back.header["recorded.started_utc"] == run.header["recorded.started_utc"]
+        if told == "attrs":
+            assert back.header == {**run.header, "run": run.name, "own.day": "2026-10-25"}
+
+
+def test_parquet_of_durations_is_read_and_a_missing_instant_named(tmp_path):
+    path = tmp_path / "run.parquet"
+    pd.DataFrame({"time_s": pd.to_timedelta([0.0, 0.5], unit="s"), "top_1": [1.0, 2.0]}).to_parquet(path)
+    assert read_run(path).time_s.tolist() == [0.0, 0.5]
+    pd.DataFrame({"top_1": [1.0, 2.0]}, index=pd.DatetimeIndex(["2026-01-01", None], tz="UTC")).to_parquet(path)
+    with pytest.raises(daq.InputError, match="row 2: the time is missing"):
+        read_run(path)
 
 
 def test_instants_need_a_start_and_say_so():
@@ -98,6 +208,7 @@ def test_every_pressing_of_a_days_table_is_found_and_none_more():
     day = pd.concat(parts)
     day.attrs["recorded.started_utc"] = pd.Timestamp("2026-03-04 08:00", tz="UTC").to_pydatetime()
     found = daq.find_events(day, read_press(LAB))
+    assert list(found.columns) == [*EVENT, "utc"]
     closed = found[found["event"] == "closed"]
     assert len(closed) == 3
     assert np.abs(closed.index - closings).max() < 1.0

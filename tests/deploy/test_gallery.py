@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import os
 from pathlib import Path
 
@@ -10,6 +11,8 @@ import nbformat
 import pytest
 from nbclient import NotebookClient
 
+import daq
+import softsensor
 from daq.shared import shared_files
 
 GALLERY = shared_files() / "gallery"
@@ -37,6 +40,32 @@ def test_there_is_a_notebook_for_every_script():
 def test_the_notebook_is_its_script(script):
     cells, written = jupytext.read(script).cells, nbformat.read(script.with_suffix(".ipynb"), as_version=4).cells
     assert [(c.cell_type, c.source) for c in written] == [(c.cell_type, c.source) for c in cells]
+
+
+NAMES = {"daq": daq.__all__, "softsensor": softsensor.__all__}
+PACKAGES = (*NAMES, "api")
+
+
+def hidden_names(source):
+    """Return what a text takes from our packages that is not public, the virtual press aside."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            yield from (a.name for a in node.names if a.name.partition(".")[0] in PACKAGES and a.name not in NAMES)
+        elif isinstance(node, ast.ImportFrom) and node.module.partition(".")[0] in PACKAGES:
+            if not node.module.startswith("daq.simulated."):
+                yield from (a.name for a in node.names if a.name not in NAMES.get(node.module, ()))
+        elif isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id in NAMES:
+            yield from () if node.attr in NAMES[node.value.id] else (f"{node.value.id}.{node.attr}",)
+
+
+@every_notebook
+def test_only_public_names_are_used(script):
+    assert list(hidden_names(script.read_text(encoding="utf-8"))) == []
+    assert list(hidden_names("import daq.records\nfrom softsensor.heat import model\ndaq.face")) == [
+        "daq.records",
+        "model",
+        "daq.face",
+    ]
 
 
 @pytest.mark.campaign

@@ -1,10 +1,17 @@
 """Kerntemp from Python: what goes in comes out, results are those of the command line, errors too."""
 
 import json
+import math
+import pickle
+import re
 import subprocess
 import sys
+from collections.abc import Mapping
 from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
+from types import FunctionType
+from typing import get_args, get_type_hints
 
 import numpy as np
 import pandas as pd
@@ -15,6 +22,7 @@ from hypothesis import strategies as st
 import daq
 import softsensor
 from api.cli import main
+from daq.face import COEFFICIENT, ENTRY, ESTIMATE, EVENT, RUN
 from daq.files.run_file import read_run
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -52,6 +60,95 @@ def test_every_public_name_is_there_and_says_what_it_is(package):
         _ = package.not_a_name
 
 
+@pytest.mark.parametrize("name", ["advise", "diagnose", "fit", "plan", "predict", "read_run", "simulate"])
+def test_every_public_function_says_what_it_refuses(name):
+    said = getattr(softsensor, name).__doc__
+    assert "Raises\n    ------\n    InputError\n" in said
+
+
+def test_a_nonphysical_coefficient_is_refused():
+    with pytest.raises(daq.InputError):
+        softsensor.simulate(SHORT, LAB, {"h_pp_c": -5.0})
+
+
+def test_a_cause_that_the_catalogue_does_not_have_is_refused():
+    with pytest.raises(daq.InputError, match="no_such"):
+        softsensor.diagnose(SHORT, LAB, effects=["no_such"])
+
+
+def own_classes(hint):
+    """Return our classes in an annotation."""
+    parts = [one for part in get_args(hint) for one in own_classes(part)]
+    ours = isinstance(hint, type) and hint.__module__.partition(".")[0] in ("daq", "softsensor")
+    return [*parts, hint] if ours else parts
+
+
+def test_what_public_functions_take_and_give_is_public():
+    from matplotlib.axes import Axes
+
+    public = [getattr(package, name) for package in (softsensor, daq) for name in package.__all__]
+    known = {one for one in public if isinstance(one, type)}
+    asked = [one for one in public if isinstance(one, FunctionType)]
+    asked += [softsensor.LiveSensor.__init__]
+    for one in known:
+        if one.__module__ in ("softsensor.face", "daq.face"):
+            members = [getattr(member, "fget", member) for name, member in vars(one).items() if name[0] != "_"]
+            asked += [member for member in members if isinstance(member, FunctionType)]
+    missing = {
+        f"{function.__qualname__}: {found.__name__}"
+        for function in asked
+        for hint in get_type_hints(function, localns={"Axes": Axes}).values()
+        for found in own_classes(hint)
+        if found not in known
+    }
+    assert missing <= {"LiveSensor.mixture: Mixture"}  # what it weighs, for our own tests
+
+
+def test_a_live_sensor_takes_what_the_other_functions_take_and_rows_as_pandas_has_them():
+    table = daq.frame_of(softsensor.read_run(SHORT)).iloc[:40]
+    by_hand = softsensor.LiveSensor(LAB, table.attrs)
+    said = [by_hand.update(time_s, row) for time_s, row in table.iterrows()]
+    replayed = softsensor.predict(softsensor.read_run(table), LAB).frame()
+    assert [one.core_C for one in said if one.valid] == replayed.loc[replayed["valid"] == 1, "core_C"].tolist()
+    gaps = softsensor.LiveSensor(LAB, table.attrs)
+    assert gaps.update(0.0, {**table.iloc[0], "top_1": None, "top_2": pd.NA}).state is not None
+
+
+@pytest.mark.parametrize(
+    ("time_s", "values", "said"),
+    [
+        (1.0, {}, "a scan at 1 s after one at 1 s: times must rise"),
+        (math.nan, {}, "times must rise"),
+        (2.0, {"top_1": "20"}, "column top_1: '20' is not a number"),
+    ],
+)
+def test_a_live_sensor_refuses_scans_that_cannot_be_and_goes_on(time_s, values, said):
+    table = daq.frame_of(softsensor.read_run(SHORT))
+    sensor = softsensor.LiveSensor(LAB, table.attrs)
+    sensor.update(1.0, table.iloc[0])
+    with pytest.raises(daq.InputError, match=re.escape(said)):
+        sensor.update(time_s, values)
+    assert sensor.update(3.0, table.iloc[1]).time_s == 3.0
+
+
+def test_a_live_sensor_refuses_a_mistyped_header_at_once():
+    with pytest.raises(daq.InputError, match=r"did you mean panel\.thickness_mm"):
+        softsensor.LiveSensor(LAB, {"panel.thicknes_mm": 16.0})
+
+
+def test_a_run_that_is_played_is_in_the_store_as_it_was(tmp_path):
+    run = softsensor.read_run(SAMPLES[0])
+    url = tmp_path / "played.sqlite"
+    daq.play(run, url, "lab", scans=50)
+    with daq.open_store(url) as store:
+        assert store.runs().loc[run.name, "status"] == "closed"
+        samples = store.samples(run.name)
+    assert [name for name in samples.columns if name != "quality"] == list(run.columns)
+    assert np.allclose(samples["top_1"], run.columns["top_1"], atol=1e-3, equal_nan=True)
+    assert np.allclose(samples.index, run.time_s, atol=1e-6)
+    assert samples.attrs["panel.material"] == "MDF"
+
+
 def test_a_run_file_through_a_table_is_the_same_run():
     run = softsensor.read_run(SHORT)
     again = softsensor.read_run(daq.frame_of(run))
@@ -62,27 +159,69 @@ def test_a_run_file_through_a_table_is_the_same_run():
         assert again.columns[name].tobytes() == values.tobytes()
 
 
+KINDS = {
+    "float64": st.one_of(st.none(), st.floats(-200.0, 1300.0)),
+    "float32": st.one_of(st.none(), st.floats(-200.0, 1300.0, width=32)),
+    "int64": st.integers(-(2**53), 2**53),
+    "int8": st.integers(-128, 127),
+    "Int64": st.one_of(st.none(), st.integers(-(2**53), 2**53)),
+    "bool": st.booleans(),
+    "boolean": st.one_of(st.none(), st.booleans()),
+    "object": st.one_of(st.none(), st.integers(-9, 9), st.floats(-200.0, 1300.0)),
+    "str": st.sampled_from(["", "steady", "Brett schräg", "=1+1"]),
+}
+"""Columns of a table by pandas' name of their kind."""
+ZONES = [None, "UTC", "Europe/Berlin", "America/St_Johns", "Asia/Kathmandu"]
+
+
 @settings(deadline=None)
 @given(
-    values=st.lists(st.one_of(st.none(), st.floats(-200.0, 1300.0)), min_size=1, max_size=30),
+    data=st.data(),
+    kinds=st.lists(st.sampled_from(sorted(KINDS)), min_size=1, max_size=5),
+    rows=st.integers(1, 30),
     start=st.floats(0.0, 1e6),
-    zone=st.sampled_from([None, "UTC", "Europe/Berlin"]),
+    zone=st.sampled_from(ZONES),
 )
-def test_any_table_comes_back_as_it_went_in(values, start, zone):
-    column = np.array([np.nan if v is None else v for v in values])
+def test_any_table_comes_back_as_it_went_in(data, kinds, rows, start, zone):
     if zone is None:
-        index = pd.Index(start + 0.5 * np.arange(len(column)), name="time_s")
+        index = pd.Index(start + 0.5 * np.arange(rows), name="time_s")
     else:
-        index = pd.date_range("2026-10-25 01:59:58", periods=len(column), freq="500ms", tz=zone)
-    frame = pd.DataFrame({"top_1": column}, index=index)
+        index = pd.date_range("2026-10-25 01:59:58", periods=rows, freq="500ms", tz=zone)
+    columns = {
+        f"c{i}_{kind}": pd.Series(data.draw(st.lists(KINDS[kind], min_size=rows, max_size=rows)), dtype=kind)
+        for i, kind in enumerate(kinds)
+    }
+    frame = pd.DataFrame(columns).set_index(index)
     frame.attrs["panel.material"] = "MDF"
     run = daq.run_of(frame)
     back = daq.frame_of(run)
-    assert back["top_1"].to_numpy().tobytes() == column.tobytes()
+    assert sorted(back.columns) == sorted(frame.columns)
+    for name, values in frame.items():
+        if name.endswith("_str"):
+            assert back[name].tolist() == values.tolist()
+        else:
+            assert back[name].dtype == np.float64
+            told = np.array([np.nan if pd.isna(v) else float(v) for v in values])
+            assert back[name].to_numpy().tobytes() == told.tobytes()
     assert back.attrs["panel.material"] == "MDF"
     assert np.allclose(np.diff(back.index), 0.5)
     if zone is not None:
         assert run.header["recorded.started_utc"] == index[0]
+    pd.testing.assert_frame_equal(daq.frame_of(daq.run_of(back)), back)
+
+
+def test_tables_of_results_know_the_run_they_are_about():
+    run = softsensor.read_run(SHORT, header={"recorded.started_utc": datetime(2026, 3, 4, 7, tzinfo=UTC)})
+    told = daq.frame_of(run).attrs
+    assert softsensor.predict(run, LAB).frame().attrs == told
+    assert softsensor.simulate(run, LAB).frame().attrs == told
+    assert softsensor.fit(run, LAB).frame().attrs == told
+
+
+def keyed(frame, key):
+    """Return it with a key in its header."""
+    frame.attrs[key] = 1.0
+    return frame
 
 
 @pytest.mark.parametrize(
@@ -92,11 +231,43 @@ def test_any_table_comes_back_as_it_went_in(values, start, zone):
         (pd.DataFrame({"time_s": [], "top_1": []}), "the table has no rows"),
         (pd.DataFrame({"time_s": [1.0, 0.5], "top_1": [1.0, 2.0]}), "time_s"),
         (pd.DataFrame({"time_s": [0.0], "closed": [3.0]}), "column closed: 3 must be 0"),
+        (pd.DataFrame({"time_s": [0.0], "top_1": [1.0 + 2.0j]}), "column top_1 holds complex numbers; give"),
+        (pd.DataFrame({"time_s": [0.0], "top_1": pd.Series([2.0j], dtype=object)}), "top_1 holds complex numbers"),
+        (pd.DataFrame([[0.0, 1.0]], columns=[["time_s", "top"], ["", "1"]]), "labels have 2 levels; join them"),
+        (keyed(pd.DataFrame({"time_s": [0.0], "top_1": [1.0]}), 7), "key 7 of attrs is not a text"),
     ],
 )
 def test_a_table_that_is_no_run_is_refused_with_what_to_do(frame, words):
     with pytest.raises(daq.InputError, match=words):
         softsensor.read_run(frame)
+
+
+@pytest.mark.parametrize(
+    "use", [softsensor.fit, softsensor.diagnose, softsensor.predict, softsensor.simulate], ids=lambda f: f.__name__
+)
+@pytest.mark.parametrize("column", ["top_1", "platen_top"])
+def test_words_in_a_column_that_the_press_file_names_are_refused_by_row(use, column):
+    frame = daq.frame_of(softsensor.read_run(SHORT)).astype({column: object})
+    frame.iloc[4, frame.columns.get_loc(column)] = "abc"
+    with pytest.raises(daq.InputError, match=f"row 5: column {column}: 'abc' is not a number; leave a missing"):
+        use(frame, LAB)
+
+
+def test_numbers_kept_as_objects_are_the_same_run():
+    frame = daq.frame_of(softsensor.read_run(SHORT))
+    mixed = frame.astype(object).where(frame.notna(), None)
+    ours, told = softsensor.read_run(mixed), softsensor.read_run(frame)
+    assert all(ours.columns[name].tobytes() == values.tobytes() for name, values in told.columns.items())
+
+
+def test_a_pattern_that_hides_nothing_is_refused_as_by_the_command(tmp_path, capsys):
+    with pytest.raises(
+        daq.InputError, match=r"no column of run '2026-03-04-07' matches zzz\*; it has platen_"
+    ) as said:
+        softsensor.predict(SHORT, LAB, without=["top_*", "zzz*"])
+    out = ["--out", str(tmp_path / "core.csv")]
+    assert main(["predict", str(SHORT), "--press", str(LAB), "--without", "top_*, zzz*", *out]) == 2
+    assert str(said.value) in " ".join(capsys.readouterr().err.split())
 
 
 def test_fit_gives_what_the_command_writes(fitted, written):
@@ -130,6 +301,48 @@ def test_predict_gives_what_the_command_writes(fitted, written, tmp_path):
     assert set(without["reason"]) == {"press state unknown"}
 
 
+def test_what_is_handed_out_cannot_be_changed_and_is_compared_as_the_object_it_is(fitted):
+    run = softsensor.read_run(SHORT)
+    simulation, prediction = softsensor.simulate(run, LAB, fitted), softsensor.predict(run, LAB, fitted)
+    assert simulation.run is prediction.replayed.run is run
+    for handed in (run, simulation.simulated, fitted.campaign, *fitted.campaign.runs):
+        values = vars(handed).values()
+        mappings = [value for value in values if isinstance(value, Mapping)]
+        arrays = [value for value in values if isinstance(value, np.ndarray)]
+        arrays += [one for table in mappings for one in table.values() if isinstance(one, np.ndarray)]
+        assert not any(array.flags.writeable for array in arrays)
+        for table in mappings:
+            with pytest.raises(TypeError, match="change a copy"):
+                table["a"] = 1.0
+    for one, other in (
+        (run, softsensor.read_run(SHORT)),
+        (simulation, softsensor.simulate(run, LAB, fitted)),
+        (simulation.simulated, softsensor.simulate(run, LAB, fitted).simulated),
+        (prediction, softsensor.predict(run, LAB, fitted)),
+        (fitted, softsensor.fit(SHORT, LAB)),
+        (fitted.campaign, softsensor.fit(SHORT, LAB).campaign),
+        (fitted.campaign.runs[0], fitted.campaign.runs[1]),
+    ):
+        assert one != other
+        assert len({one, other, one}) == 2
+    again = pickle.loads(pickle.dumps(fitted))
+    assert again.to_json() == fitted.to_json()
+
+
+def test_the_answer_of_a_diagnosis_stays_what_it_is():
+    found = softsensor.diagnose(SHORT, LAB, effects=["edge_loss"])
+    verdict, told = found.verdict, found.to_json()
+    found.content["verdict"] = "mine"
+    found.content["base"].clear()
+    found.content["where"].append({})
+    found.content["candidates"][:1] = [{}]
+    for one in found.content["where"]:
+        one["signal"] = "mine"
+    assert found.verdict == verdict
+    assert found.to_json() == told
+    assert hash(found) != hash(softsensor.diagnose(SHORT, LAB, effects=["edge_loss"]))
+
+
 def test_simulate_takes_a_model_or_coefficients(fitted):
     plain = softsensor.simulate(SHORT, LAB)
     assert list(plain.frame().columns)[-1] == "core_C"
@@ -153,10 +366,34 @@ def test_a_store_answers_in_tables(tmp_path):
         assert again.name == SAMPLES[0].stem
         assert again.header["panel.thickness_mm"] == read_run(SAMPLES[0]).header["panel.thickness_mm"]
         assert set(daq.qualities_of(again)["top_1"]) <= {"good", "missing"}
-        for table in (store.estimates(SAMPLES[0].stem), store.coefficients(), store.events()):
-            assert isinstance(table, pd.DataFrame)
+        assert list(runs.columns)[:6] == [*RUN]
+        assert list(store.events().columns) == [*ENTRY]
+        assert tuple(store.estimates(SAMPLES[0].stem).columns) == ESTIMATE
+        assert tuple(store.coefficients().columns) == COEFFICIENT
     moments = daq.find_moments(samples, LAB)
     assert 0.0 < moments.closed_s < moments.opened_s
+
+
+def test_a_store_that_is_not_there_is_not_made(tmp_path):
+    with pytest.raises(daq.InputError, match="does not exist; start kerntemp record, or give the right path"):
+        daq.open_store(tmp_path / "typo.sqlite")
+    assert not list(tmp_path.iterdir())
+
+
+def test_tables_without_rows_have_the_columns_of_those_with(tmp_path):
+    from daq.store.store import open_store
+
+    url = str(tmp_path / "runs.sqlite")
+    open_store(url).close()
+    with daq.open_store(url) as store:
+        tables = (store.runs(), store.coefficients(), store.events())
+        for table, columns in zip(tables, (RUN, COEFFICIENT, ENTRY), strict=True):
+            assert table.empty
+            assert tuple(table.columns) == columns
+    quiet = daq.run_of(
+        pd.DataFrame({"platen_top": 190.0, "top_1": 21.0}, index=pd.Index([0.0, 1.0], name="time_s"))
+    )
+    assert list(daq.find_events(quiet, LAB).columns) == [*EVENT]
 
 
 def test_every_result_prints_on_one_screen_is_drawn_for_a_notebook_and_is_json(fitted):
