@@ -29,6 +29,7 @@ from api.answers.schemas import (
     Target,
 )
 from api.answers.words import said_of
+from daq.press.header import doubts
 from daq.press.press_file import parse_press
 from daq.records import InputError, Scan
 from daq.store.records import (
@@ -117,7 +118,14 @@ def run_detail(store: Store, run: RunRecord) -> RunDetail:
             RunEdit(utc=c.utc, who=c.who, field=c.field, before=_plain(c.before), after=_plain(c.after))
             for c in store.run_changes(run.run)
         ],
+        **doubts_told(run.header),
     )
+
+
+def doubts_told(header: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what is doubtful in a header as answers carry it."""
+    found = doubts(header)
+    return {"doubts": [str(doubt) for doubt in found], "doubts_said": [said_of(doubt) for doubt in found]}
 
 
 def _plain(value: object) -> Any:

@@ -309,6 +309,9 @@ class NextPanelNow(_Answer):
     utc: datetime | None
     recipes: dict[str, dict[str, Any]]
     """Header keys of the recipes there are, by name."""
+    doubts: list[str] = Field(default_factory=list)
+    """What is to be asked about the header: keys nobody knows, constants far from the material table."""
+    doubts_said: list[Said] = Field(default_factory=list)
 
 
 class RunHit(RunSummary):
@@ -354,6 +357,9 @@ class RunDetail(RunSummary):
     remark: str
     changes: list[RunEdit]
     """Oldest first."""
+    doubts: list[str] = Field(default_factory=list)
+    """What is to be asked about the header: keys nobody knows, constants far from the material table."""
+    doubts_said: list[Said] = Field(default_factory=list)
 
 
 class QualitySpan(_Answer):

@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import ipaddress
 import logging
+import re
 from dataclasses import dataclass
 from http import HTTPStatus
 
@@ -19,6 +20,7 @@ from starlette.types import Message as Event
 from api.http.problems import problem_response
 from api.http.tokens import Attempts, Token, TokenFile
 from daq.records import InputError
+from daq.tables import DEEPEST
 from daq.words import Message, say, spoken
 
 MAX_BODY_BYTES = 64 * 1024
@@ -70,6 +72,8 @@ class Gate:
                 refusal = 408, say("api-body-late", seconds=self.body_s), _CLOSE
             except _TooLargeError:
                 refusal = _TOO_LARGE
+            except InputError as error:
+                refusal = 422, spoken(error), {}
         if refusal is not None:
             status, said, extra = refusal
             if status == HTTPStatus.TOO_MANY_REQUESTS:
@@ -123,6 +127,10 @@ class Gate:
         return 401, say("api-token-invalid"), _CHALLENGE
 
 
+_TOKEN = re.compile(r'"(?:[^"\\]|\\.)*+"?|[\[\]{}]|[.]?[0-9]+', re.S)
+"""Of JSON: a text, also one without an end, what opens and closes, the digits of a number."""
+_MOST_DIGITS = 4300
+"""Of a whole number; Python reads no more (`sys.int_info.default_max_str_digits`)."""
 _CLOSE = {"Connection": "close"}
 _TOO_LARGE = (413, say("api-body-too-large", bytes=MAX_BODY_BYTES), _CLOSE)
 _CHALLENGE = {"WWW-Authenticate": 'Bearer realm="kerntemp"'}
@@ -153,6 +161,28 @@ class _TooLargeError(Exception):
     """A body without a stated length grew beyond the limit."""
 
 
+def _check_json(text: str) -> None:
+    """Refuse what the JSON reader would give up on without saying where.
+
+    Raises
+    ------
+    InputError
+        Naming the limit, and the key where there is one.
+    """
+    depth, key = 0, ""
+    for token in _TOKEN.findall(text):
+        if token[0] == '"':
+            key = token.strip('"')[:80]
+        elif token[0] in "[{":
+            depth += 1
+        elif token[0] in "]}":
+            depth -= 1
+        elif token[0] != "." and len(token) > _MOST_DIGITS:
+            raise InputError(say("api-body-number-too-long", key=key, count=len(token), digits=_MOST_DIGITS))
+        if depth > DEEPEST:
+            raise InputError(say("api-body-too-deep", key=key, deepest=DEEPEST))
+
+
 async def _whole_body(receive: Receive) -> Receive:
     """Take the body in before anything works on it; returns a receive that hands it out once."""
     body, more = bytearray(), True
@@ -164,6 +194,7 @@ async def _whole_body(receive: Receive) -> Receive:
         more = message.get("more_body", False)
         if len(body) > MAX_BODY_BYTES:
             raise _TooLargeError
+    _check_json(body.decode("utf-8", "replace"))
     waiting: list[Event] = [{"type": "http.request", "body": bytes(body), "more_body": False}]
 
     async def replay() -> Event:

@@ -119,3 +119,50 @@ def test_a_verdict_nobody_knows_is_refused(plant, verdict):
     assert client.patch(f"/runs/{run}", json={"header": {"panel.verdict": verdict or "x"}}).status_code == 422
     if verdict is not None:
         assert client.put(f"/runs/{run}/verdict", json={"verdict": verdict}).status_code == 422
+
+
+DOUBTFUL = {"panel.material": "MDF", "panel.density_kg_m3": 400.0}
+
+
+def doubts_in_journal(store):
+    return [line for line in store.journal(limit=200).items if line.level == "warning"]
+
+
+def test_a_panel_far_from_the_material_table_is_taken_with_a_doubt_in_answer_and_journal(plant):
+    store, client, _ = plant
+    said = client.put("/press/next", json={"header": DOUBTFUL}).json()
+    assert said["header"] == DOUBTFUL
+    [doubt] = said["doubts"]
+    assert "panel.density_kg_m3 = 400" in doubt
+    assert said["doubts_said"][0]["code"] == "header-far-from-table"
+    [line] = doubts_in_journal(store)
+    assert (line.process, line.press, str(line.message)) == ("operator", "lab", f"press lab: {doubt}")
+    assert client.get("/press/next").json()["doubts"] == [doubt]
+    sure = client.put("/press/next", json={"header": DOUBTFUL | {"panel.density_kg_m3": 731.0}}).json()
+    assert sure["doubts"] == []
+
+
+def test_a_change_of_a_run_that_is_doubtful_is_taken_with_a_doubt_told_once(plant):
+    store, client, press_a_panel = plant
+    run = press_a_panel()
+    known = {**DOUBTFUL, "panel.initial_temperature_C": 21.0}
+    said = client.patch(f"/runs/{run}", json={"header": known}).json()
+    [doubt] = said["doubts"]
+    assert "panel.density_kg_m3 = 400" in doubt
+    assert client.patch(f"/runs/{run}", json={"remark": "light"}).json()["doubts"] == [doubt]
+    [line] = doubts_in_journal(store)
+    assert (line.process, str(line.message)) == ("operator", f"run {run}: {doubt}")
+
+
+def test_a_run_that_begins_is_doubted_by_what_configuration_and_next_panel_say_together(plant):
+    store, client, press_a_panel = plant
+    client.put("/press/next", json={"header": {"panel.moisture_percent": 8.0, "panel.colour": "red"}})
+    before = len(doubts_in_journal(store))
+    first, second = press_a_panel(), press_a_panel()
+    client.put("/press/next", json={"header": DOUBTFUL})
+    third = press_a_panel()
+    told = [(str(line.message), line.process) for line in reversed(doubts_in_journal(store)[:-before])]
+    assert [process for _, process in told] == ["record", "operator", "record"]
+    assert told[0][0].startswith(f"run {first}: header key panel.colour")
+    assert told[2][0].startswith(f"run {third}: header key panel.density_kg_m3 = 400")
+    assert not [text for text, _ in told if second in text]  # as the run before: told already

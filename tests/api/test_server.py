@@ -22,6 +22,9 @@ from api.http.tokens import Attempts
 from daq.records import InputError
 from daq.store.store import open_store
 
+PATIENT_S = 60.0
+"""A busy machine answers late, and fails no test for it. [s]"""
+
 LAB = Path(__file__).parents[2] / "deploy" / "presses" / "lab.toml"
 LOGGER = 'name = "x"\nprofile = "labjack-t7"\nhost = "127.0.0.1"\nchannels = ["platen_top", "platen_bottom"]\n'
 CHANGE = "/api/v1/runs/lab-2026-03-04-01"
@@ -77,11 +80,11 @@ def test_with_certificate_files_the_server_speaks_tls_only(plant, certificate):
     with served(plant, "--certificate", str(cert), "--key", str(key)) as address:
         assert address.startswith("https://127.0.0.1:")
         trusting = ssl.create_default_context(cafile=str(cert))
-        assert httpx.get(address + "api/v1/health", verify=trusting).status_code == 200
+        assert httpx.get(address + "api/v1/health", verify=trusting, timeout=PATIENT_S).status_code == 200
         with pytest.raises(httpx.ConnectError, match="CERTIFICATE_VERIFY_FAILED"):
-            httpx.get(address)
+            httpx.get(address, timeout=PATIENT_S)
         with pytest.raises(httpx.RemoteProtocolError):
-            httpx.get(address.replace("https", "http"))
+            httpx.get(address.replace("https", "http"), timeout=PATIENT_S)
 
 
 def test_a_key_that_does_not_belong_to_the_certificate_is_told_at_the_start(certificate, tmp_path, tokens):
@@ -104,7 +107,7 @@ def test_tokens_are_noted_in_the_journal_by_name_and_shown_nowhere_else(plant, c
         wrong = text[:-1] + ("A" if text[-1] != "A" else "B")
         change = address + "api/v1/models/1/promote"
         for given, status in ((text, 404), (wrong, 401), *[(f"kt_guess{i}", 401) for i in range(9)], (text, 404)):
-            answer = httpx.post(change, headers={"Authorization": f"Bearer {given}"})
+            answer = httpx.post(change, headers={"Authorization": f"Bearer {given}"}, timeout=PATIENT_S)
             assert answer.status_code == status, answer.text
     assert main(["token", "revoke", "tablet", *config]) == 0
     with open_store(str(plant / "kerntemp.sqlite")) as store:
@@ -242,7 +245,7 @@ def test_connections_that_ask_nothing_lose_their_place_in_a_running_server(store
         for opened in (*silent, begun):
             with opened:
                 assert opened.recv(1) == b""
-        assert httpx.get(f"http://127.0.0.1:{port}/api/v1/health").status_code == 200
+        assert httpx.get(f"http://127.0.0.1:{port}/api/v1/health", timeout=PATIENT_S).status_code == 200
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="TCP_USER_TIMEOUT exists on Linux only")

@@ -10,11 +10,11 @@ import numpy as np
 from fastapi import APIRouter
 from pydantic import BaseModel, ConfigDict, Field, StrictBool, StrictFloat, StrictInt
 
-from api.answers.records import run_detail
+from api.answers.records import doubts_told, run_detail
 from api.answers.schemas import NextPanelNow, RunDetail, RunVerdict, Verdict
 from api.http.problems import ProblemError, problem_responses
 from api.http.routes.common import PressName, StoreDep, Words, Writer, existing_run
-from daq.press.header import check_header, panel_of
+from daq.press.header import check_header, doubts, new_doubts, panel_of
 from daq.press.press_file import SD, parse_press, press_for_run
 from daq.records import InputError, Run
 from daq.store.convert import header_of, header_text
@@ -73,7 +73,10 @@ def change_run(store: StoreDep, run: str, changes: RunChanges, who: Writer) -> R
     if wanted:
         store.annotate_run(run, wanted, who)
         store.log("info", who, say("api-run-changed", run=run, fields=tuple(wanted)), record.press)
-    return run_detail(store, store.run_record(run))
+    changed = store.run_record(run)
+    for doubt in new_doubts(changed.header, record.header):
+        store.log("warning", who, say("of-run", run=run, what=doubt), record.press)
+    return run_detail(store, changed)
 
 
 class VerdictChange(BaseModel):
@@ -126,7 +129,15 @@ def get_next_panel(store: StoreDep, press: PressName = None) -> NextPanelNow:
     if said is None:
         return NextPanelNow(press=name, recipe="", header={}, who=None, utc=None, recipes=recipes)
     header = dict(said.header)
-    return NextPanelNow(press=name, recipe=said.recipe, header=header, who=said.who, utc=said.utc, recipes=recipes)
+    return NextPanelNow(
+        press=name,
+        recipe=said.recipe,
+        header=header,
+        who=said.who,
+        utc=said.utc,
+        recipes=recipes,
+        **doubts_told(header),
+    )
 
 
 @router.put("/press/next", operation_id="put_next_panel", summary="Say what the next panels are")
@@ -141,7 +152,10 @@ def put_next_panel(store: StoreDep, change: NextPanelChange, who: Writer, press:
     store.log(
         "info", who, say("api-next-panel", press=name, fields=tuple(change.header), recipe=change.recipe), name
     )
-    return get_next_panel(store, name)
+    now = get_next_panel(store, name)
+    for doubt in doubts(now.header):
+        store.log("warning", who, say("of-press", press=name, what=doubt), name)
+    return now
 
 
 def _one_press(store: Store, press: str | None) -> str:

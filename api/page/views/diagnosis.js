@@ -23,7 +23,9 @@ export async function show(place, context) {
 function drawDiagnosis(holder, record) {
   const d = record.diagnosis;
   const tone = { no_effect: "good", named: "note", ambiguous: "warn", unknown_effect: "warn", too_few_runs: "idle", not_described: "warn" }[d.verdict] ?? "idle";
-  const gain = d.base?.heldout_rmse_K && d.extended?.heldout_rmse_K ? 1 - d.extended.heldout_rmse_K / d.base.heldout_rmse_K : null;
+  const predicted = Boolean(d.base?.predicted_rmse_K && d.extended?.predicted_rmse_K); // what decides at night, where it is there
+  const judged = (side) => (predicted ? side?.predicted_rmse_K : side?.heldout_rmse_K);
+  const gain = judged(d.base) && judged(d.extended) ? 1 - judged(d.extended) / judged(d.base) : null;
   const pair = (label, base, extended) => (base === null || base === undefined ? null
     : el("div", {}, el("b", {}, `${number(base, 2)} → ${number(extended, 2)} K`), el("span", {}, label)));
   const cards = [el("section", { class: "card", "data-testid": "diagnosis" },
@@ -33,7 +35,7 @@ function drawDiagnosis(holder, record) {
     d.suspected?.length ? el("p", { class: "small" }, `${text("page-suspected-causes")}: ${d.suspected.map((effect) => name(effect.name)).join(", ")}`) : null,
     el("div", { class: "gain" },
       pair(text("page-heldout"), d.base?.heldout_rmse_K, d.extended?.heldout_rmse_K), pair(text("page-predicted"), d.base?.predicted_rmse_K, d.extended?.predicted_rmse_K), pair(text("page-all-sensors"), d.base?.rmse_K, d.extended?.rmse_K), pair(text("page-core"), d.base?.core_rmse_K, d.extended?.core_rmse_K),
-      gain >= 0.005 && d.effects.length ? el("div", {}, el("b", {}, `${number(100 * gain, 0)} %`), el("span", {}, text("page-gain"))) : null,
+      gain >= 0.005 && d.effects.length ? el("div", {}, el("b", {}, `${number(100 * gain, 0)} %`), el("span", {}, text(predicted ? "page-gain-predicted" : "page-gain-left-out"))) : null,
       d.noise_floor_K ? el("div", {}, el("b", {}, `${number(d.noise_floor_K, 2)} K`), el("span", {}, text("page-noise-floor"))) : null),
     d.next_measurement ? el("p", { class: "next" }, el("b", {}, `${text("page-next-measurement")}: `), said(d.next_measurement_said, d.next_measurement)) : null)];
   cards.push(el("div", { class: "pair" }, candidatesCard(d), whereCard(d)));
@@ -51,8 +53,8 @@ async function drawCurves(card, id) {
   const cores = Object.values(curves.core.measured_C);
   const phases = curves.closed_s === null ? [] : [{ state: "closed", from_s: curves.closed_s, to_s: curves.opened_s }];
   card.append(el("h2", {}, text("page-curves", { run: curves.run })), el("p", { class: "small faint" }, text("page-curves-hint")), key([
-    { name: text("figure-mean"), colour: "--measured" }, ...models.map(([model, colour]) => ({ name: called(model), colour })),
-    ...models.map(([model, colour]) => ({ name: text("figure-core", { model: text(`figure-${model}`) }), colour })), ...(cores.length ? [{ name: text("figure-core-measured"), colour: "--bottom" }] : [])]));
+    { name: text("figure-mean"), colour: "--measured", class: "dots" }, ...models.map(([model, colour]) => ({ name: called(model), colour })),
+    ...models.map(([model, colour]) => ({ name: text("figure-core", { model: text(`figure-${model}`) }), colour, class: "dashes" })), ...(cores.length ? [{ name: text("figure-core-measured"), colour: "--bottom", class: "dots" }] : [])]));
   for (const place of curves.places) {
     const name = capital(placeName(place.place));
     const sync = `curves-${place.place}`;

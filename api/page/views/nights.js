@@ -24,12 +24,18 @@ function nightTable(nights) {
     { text: text("page-night-took"), class: "right" }, { text: text("page-night-memory"), class: "right" }, { text: text("page-night-named") }, { text: text("page-night-model") }];
   return table(text("page-nav-nights"), heads, nights.map((one) => [
     el("div", {}, report(one), el("p", { class: "small faint" }, text("page-night-stored", { press: one.press, runs: one.runs }))),
-    count(one.new), count(one.fitted), leftOut(one), el("span", { class: "num" }, duration(one.seconds)), el("span", { class: "num" }, bytes(one.memory_bytes)), named(one), model(one)]), { cards: true });
+    count(one.new), fitted(one), leftOut(one), el("span", { class: "num" }, duration(one.seconds)), el("span", { class: "num" }, bytes(one.memory_bytes)), named(one), model(one)]), { cards: true });
 }
 
 const report = (one) => el("a", { href: url(`/nights/${one.id}/report`, { language: language() }), download: null, target: "_blank", title: text("page-night-report"), onclick: download }, when(one.ended_utc));
 
 const count = (value) => el("span", { class: "num" }, number(value, 0));
+
+// Fits made tonight, and those made since the night before that stand.
+function fitted(one) {
+  const standing = one.runs - one.fitted - one.not_fitted - one.blind - one.later;
+  return el("div", {}, count(one.fitted), standing > 0 ? el("p", { class: "small faint" }, text("page-night-standing", { runs: standing })) : "");
+}
 
 // Runs without panel sensors and older ones are left out as it is meant; what could not be fitted is told run by run.
 function leftOut(one) {
