@@ -23,6 +23,7 @@ from api.commands.calling import Command, Group, refusal_of
 from api.commands.demo import demo
 from api.commands.diagnosing import diagnose
 from api.commands.fitting import fit
+from api.commands.guiding import guide
 from api.commands.keeping import backup
 from api.commands.planning import plan
 from api.commands.probing import probe
@@ -84,6 +85,7 @@ app.command("backup", cls=Command)(backup)
 app.command("probe", cls=Command)(probe)
 app.command("calibrate", cls=Command)(calibrate)
 app.command("token", cls=Command)(services.token)
+app.command("guide", cls=Command)(guide)
 
 
 COMPLETE = "_KERNTEMP_COMPLETE"

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import html
 import json
+import posixpath
 import re
 from base64 import b64encode
 from collections.abc import Mapping, Sequence
@@ -25,7 +26,10 @@ from daq.shared import shared_files
 FOLDERS = ("gallery", "guide", "mappings", "presses", "resins", "samples")
 """Of what is shipped, shown; the runbook stands beside them."""
 REFERENCE = ("softsensor", "daq")
+_LINK = re.compile(r"""href=["'](?!https?:|data:|mailto:|#)([^"'#]*)""")
 _SHELL = Path(__file__).parent / "page" / "guide.html"
+_STATIC = ("icon.svg", "style.css")
+"""What pages load from beside them."""
 
 
 @cache
@@ -49,6 +53,44 @@ def guide_page(path: str) -> str | None:
     if file.suffix == ".ipynb":
         return _page(_notebook_title(file), _notebook(text, path), depth)
     return _page(file.name, f"<h1>{html.escape(file.name)}</h1><pre>{html.escape(text)}</pre>", depth)
+
+
+def guide_files() -> dict[str, str]:
+    """Return every page of the guide, gallery and reference by the name of a file, to be read without a server.
+
+    Links lead from file to file; begin with ``index.html``.
+    """
+    pages: dict[str, str] = {}
+    waiting = {""}
+    while waiting:
+        path = waiting.pop()
+        if (page := guide_page(path)) is not None:
+            pages[path] = page
+            waiting |= {to for link in _LINK.findall(page) if (to := _leads_to(path, link)) not in pages}
+    drawn = {_file(path): _among_files(path, page, pages) for path, page in pages.items()}
+    return drawn | {name: (_SHELL.parent / name).read_text(encoding="utf-8") for name in _STATIC}
+
+
+def _leads_to(path: str, link: str) -> str:
+    """Return which page a page's link leads to; the first one where it leaves the guide."""
+    target = urljoin(f"/guide/{path}", link)
+    return target.removeprefix("/guide/") if target.startswith("/guide/") else ""
+
+
+def _file(path: str) -> str:
+    """Return the file of a page: browsers take for one only what is called so."""
+    return "index.html" if path == "" else path if path.endswith(".html") else f"{path}.html"
+
+
+def _among_files(path: str, page: str, pages: Mapping[str, str]) -> str:
+    folder = posixpath.dirname(path) or "."
+
+    def filed(link: re.Match[str]) -> str:
+        to, name = _leads_to(path, link[1]), posixpath.basename(link[1])
+        target = name if name in _STATIC else _file(to if to in pages else "")
+        return f'href="{posixpath.relpath(target, folder)}'
+
+    return _LINK.sub(filed, page)
 
 
 def _shown(path: str) -> Path | None:

@@ -11,7 +11,6 @@ import textwrap
 from collections.abc import Iterable, Iterator
 from typing import Any
 
-from pydantic import ValidationError
 from typer.core import TyperCommand, TyperGroup
 
 from api.outputs import in_words
@@ -119,6 +118,8 @@ def refusal_of(error: Exception) -> Message:
     name = parameter.opts[-1] if parameter.param_type_name == "option" else str(parameter.metavar)
     if not told.message:
         return say("at-key", key=name, what=say("key-missing"))
+    from pydantic import ValidationError
+
     if not isinstance(error.__cause__, ValidationError):
         return say("at-key", key=name, what=say("plain-text", text=str(told.message)))
     item = error.__cause__.errors()[0]

@@ -19,7 +19,6 @@ from api.commands.inputs import (
     files_read,
     opened_store,
     say_doubts,
-    store_address,
     stored_runs,
 )
 from api.outputs import check_writable, in_words, tell, tell_table, working, write_all
@@ -142,7 +141,7 @@ def export_runs(  # noqa: PLR0913 - one argument an option
             opened.run_record(run)
         targets = _targets(runs, out, kind)
         told = say("terminal-progress-exporting", runs=len(runs))
-        check_writable(*targets, inputs=files_read(store=store_address(store, config), config=config))
+        check_writable(*targets, inputs=files_read(opened.database.path, store=store, config=config))
         contents: dict[Path, str | Callable[[Path], None]] = {}
         with working(told, len(targets)) as done:
             for number, (path, run) in enumerate(targets.items(), 1):
@@ -213,7 +212,8 @@ def check(
         tell(say("terminal-check-store-opens", store=store.label))
     failed = [] if offline else [line for press in settings.press for line in _read_loggers(press)]
     if failed:
-        raise InputError(say("terminal-check-failed", path=str(path), failures=tuple(failed)))
+        failures = " – ".join(in_words(one) for one in failed)
+        raise InputError(say("terminal-check-failed", path=str(path), failures=failures))
 
 
 def _read_loggers(press: PressSettings) -> list[Message]:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from api.outputs import warn, working
+from daq.address import Address
 from daq.records import InputError, Run
 from daq.words import say
 
@@ -71,12 +72,12 @@ def config_path(given: Path | None) -> Path:
     return path
 
 
-def store_address(store: str | None, config: Path | None) -> str:
+def store_address(store: str | None, config: Path | None) -> Address:
     """Return the store's URL: as given, as the configuration says, else the default's."""
     if store is not None:
-        return store
+        return Address(store)
     if config is None and not Path(CONFIG_NAME).is_file():
-        return str(DEFAULT_STORE)
+        return Address(str(DEFAULT_STORE))
     from daq.process.config import load_config
 
     return load_config(config_path(config)).store.url

@@ -16,6 +16,7 @@ from daq.records import InputError
 from daq.words import Message, say, spoken
 
 if TYPE_CHECKING:
+    from daq.address import Address
     from daq.process.config import Config, ServerSettings
     from daq.store.store import Store
     from softsensor.jobs.night_judgement import NightOutcome
@@ -182,7 +183,7 @@ def token(
         _note_in_journal(settings.store.url, say("token-created", name=name, scope=scope))
 
 
-def _note_in_journal(url: str, said: Message) -> None:
+def _note_in_journal(url: Address, said: Message) -> None:
     """Write down who may come in; a store that is not there yet or away is no reason to refuse the change."""
     from daq.store.records import StoreUnavailable
     from daq.store.store import open_store

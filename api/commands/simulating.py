@@ -17,7 +17,6 @@ from daq.words import say
 
 if TYPE_CHECKING:
     from daq.press.press_file import Press
-    from daq.records import Run
     from softsensor.heat.model_file import ModelFile
 
 OutCsv = Annotated[Path, typer.Option("--out", metavar="CSV", help="help-out")]
@@ -94,7 +93,8 @@ def predict(
         known = read_model(model) if model is not None else None
         if known is not None:
             _check_model((described, press_for_run(described, loaded)), known, model)
-        columns = replay(described, loaded, known, _hidden(loaded, without), done, paper).columns()
+        hidden = loaded.named(filter(None, (part.strip() for part in without.split(","))))
+        columns = replay(described, loaded, known, hidden, done, paper).columns()
     write_all({out: table_text(columns)})
     if paper is not None:
         from softsensor.live.curing import resin_remarks
@@ -108,19 +108,6 @@ def _check_model(presses: tuple[Press, Press], model: ModelFile, path: Path | No
     _check_names(presses, model.coefficients, str(path))
     if model.press not in ("", presses[0].name):
         warn(say("terminal-model-of-another-press", path=str(path), other=model.press, press=presses[0].name))
-
-
-def _hidden(run: Run, without: str) -> set[str]:
-    """Return the columns a comma-separated list of patterns names. Raises `InputError` where one names none."""
-    hidden: set[str] = set()
-    for pattern in filter(None, (part.strip() for part in without.split(","))):
-        found = run.matching([pattern])
-        if not found:
-            raise InputError(
-                say("terminal-without-matches-none", pattern=pattern, run=run.name, columns=tuple(run.columns))
-            )
-        hidden |= set(found)
-    return hidden
 
 
 def _read_coefficients(path: Path, presses: tuple[Press, Press]) -> dict[str, float]:

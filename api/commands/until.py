@@ -11,14 +11,15 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 import typer
 
-from daq.press.press_file import Press
 from daq.records import InputError, PressEventKind, Run
 from daq.words import say
+
+if TYPE_CHECKING:
+    from daq.press.press_file import Press
 
 Until = Annotated[
     list[str] | None,
@@ -66,6 +67,8 @@ class End:
         if not columns:
             place, known = run.source or run.name, tuple(run.columns)
             raise InputError(say("terminal-until-no-column", run=place, column=self.column, known=known))
+        import numpy as np
+
         hot = np.flatnonzero(np.any([run.columns[name] >= self.seconds for name in columns], axis=0))
         return float(np.nextafter(run.time_s[hot[0]], -math.inf)) if len(hot) else math.inf
 
@@ -91,6 +94,8 @@ def shortened(runs: Sequence[Run], press: Press, until: Sequence[str] | None) ->
 
 
 def _rows_until(run: Run, last_s: float, asked: str) -> Run:
+    import numpy as np
+
     rows = int(np.searchsorted(run.time_s, last_s, side="right"))
     if rows < 2:
         kept = {"rows": rows, "all": len(run.time_s), "first": float(run.time_s[0])}

@@ -30,7 +30,6 @@ from api.demo.summary import (
     replayed,
     summary_lines,
 )
-from api.demo.warm_up import PARTS
 from api.outputs import WorkFailed
 from daq.files.run_file import toml_line, toml_value
 from daq.press.press_file import read_press
@@ -43,6 +42,8 @@ from daq.words import Message, say
 from softsensor.heat.model_file import ModelFile, parse_model
 
 SERVICES = ("record", "sense")
+WARM_UP = "warm-up"
+"""The process that compiles what fits need; it ends when it has."""
 START_S = 120.0
 """Longest wait for a process to come up. [s]"""
 QUICK_S = 5.0
@@ -116,7 +117,7 @@ class Children:
     def check(self) -> None:
         """Raise `WorkFailed` with the last words of a process that ended by itself."""
         for name, child in self.running.items():
-            if child.poll() is not None:
+            if child.poll() is not None and (name != WARM_UP or child.returncode):
                 raise WorkFailed(_ended(name, child.returncode, self.last_words(name)))
 
     def last_words(self, name: str) -> str | Message:
@@ -208,11 +209,7 @@ class _Demo:
         plan = self.plan
         settings = {"hide": plan.hide, "keep": LOGGERS_KEEP, "seed": plan.seed}
         self.truth: VirtualPress = virtual_press_of({**settings, "keep": plan.known_cycles})
-        for part in PARTS:
-            command = [sys.executable, "-m", "api.demo.warm_up", part]
-            self.children.start(f"warmup-{part}", command, stdout=subprocess.DEVNULL)
         loggers = self._start_loggers({**settings, "speed": plan.speed, "pressings": plan.pressings})
-        self._wait_for_warmup()
         _write_configuration(self.config, plan, loggers, self.truth)
         self.store: Store = ending.enter_context(open_store(str(plan.folder / "kerntemp.sqlite")))
         for name in SERVICES:
@@ -221,6 +218,7 @@ class _Demo:
         self.address = self._first_line(
             "serve", self.children.start("serve", web, stdout=subprocess.PIPE)
         ).split()[-1]
+        self.children.start(WARM_UP, [sys.executable, "-m", "api.demo.warm_up"], stdout=subprocess.DEVNULL)
         self._greet(loggers)
         self._wait_for_services()
         self.started = time.monotonic()
@@ -258,26 +256,6 @@ class _Demo:
         answer: dict[str, Any] = json.loads(self._first_line("loggers", child))
         return answer
 
-    def _wait_for_warmup(self) -> None:
-        """Compile before the clock starts: an accelerated press would run away from a compiling sensor."""
-        waiting, began, told = [f"warmup-{part}" for part in PARTS], time.monotonic(), False
-        while waiting := [name for name in waiting if not self._warmed(name)]:
-            waited = time.monotonic() - began
-            if waited > COMPILE_S:
-                raise WorkFailed(say("demo-compiling-too-long", seconds=COMPILE_S))
-            if waited > QUICK_S and not told:
-                told = True
-                self.tell(say("demo-compiling"))
-            time.sleep(0.05)
-
-    def _warmed(self, name: str) -> bool:
-        status = self.children.running[name].poll()
-        if status:
-            raise WorkFailed(say("demo-warming-up-failed", why=self.children.last_words(name)))
-        if status == 0:
-            del self.children.running[name]
-        return status == 0
-
     def _send(self, message: Mapping[str, Any]) -> None:
         pipe = self.children.running["loggers"].stdin
         if pipe is None:
@@ -286,12 +264,29 @@ class _Demo:
         pipe.flush()
 
     def _wait_for_services(self) -> None:
-        deadline = time.monotonic() + START_S
-        while not set(SERVICES) <= set(self.store.statuses()):
-            self.children.check()
-            if time.monotonic() > deadline:
-                raise WorkFailed(say("demo-no-sign-of-life", processes=SERVICES, seconds=START_S))
+        """Wait until all is compiled: an accelerated press would run away from a compiling sensor."""
+        began, told = time.monotonic(), False
+        while not (self._running() and self._warmed()):
+            waited = time.monotonic() - began
+            if waited > COMPILE_S:
+                raise WorkFailed(say("demo-no-sign-of-life", processes=SERVICES, seconds=COMPILE_S))
+            if waited > QUICK_S and not told:
+                told = True
+                self.tell(say("demo-compiling"))
             time.sleep(0.05)
+
+    def _warmed(self) -> bool:
+        """Whether what fits need is compiled."""
+        done = self.children.running[WARM_UP].poll() == 0
+        if done:
+            del self.children.running[WARM_UP]
+        return done
+
+    def _running(self) -> bool:
+        """Whether recorder and sensor do their work."""
+        self.children.check()
+        states = {name: told.status.get("state") for name, told in self.store.statuses().items()}
+        return all(states.get(name) not in (None, "starting") for name in SERVICES)
 
     def _first_line(self, name: str, child: subprocess.Popen[str]) -> str:
         line = child.stdout.readline() if child.stdout is not None else ""

@@ -1,13 +1,10 @@
-"""Compile what the services will need before a demonstration starts its clock: ``python -m api.demo.warm_up``.
+"""Compile what fits will need before a demonstration starts its clock: ``python -m api.demo.warm_up``.
 
-Compiled code is kept on disk, so this takes a minute once after an installation and a moment later on. With the
-name of a part it compiles that one alone, so that several can be compiled side by side.
+Compiled code is kept on disk, so this takes a minute once after an installation and a moment later on. The live
+sensor compiles what it needs by itself.
 """
 
 from __future__ import annotations
-
-import sys
-from collections.abc import Callable, Mapping, Sequence
 
 from daq.press.press_file import parse_press
 from daq.simulated.campaign import Plan, make_campaign
@@ -23,16 +20,6 @@ SHORT = Plan(
 )
 
 
-def follow_live() -> None:
-    """Send one short pressing of the virtual press through the live sensor."""
-    from softsensor.live.sensor import LiveSensor
-
-    run, _ = make_campaign(1, 1, plan=SHORT)[0]
-    sensor = LiveSensor(parse_press(press_toml()), run.header)
-    for i, time_s in enumerate(run.time_s.tolist()):
-        sensor.update(time_s, {name: float(values[i]) for name, values in run.columns.items()})
-
-
 def fit_one() -> None:
     """Fit one short pressing of the virtual press, and simulate it."""
     from softsensor.fitting.simulated_run import simulate_run
@@ -46,15 +33,5 @@ def fit_one() -> None:
     simulate_run(run, press, model, model.guesses)
 
 
-PARTS: Mapping[str, Callable[[], None]] = {"live": follow_live, "fit": fit_one}
-
-
-def main(parts: Sequence[str]) -> int:
-    """Compile some parts, or all."""
-    for part in parts or PARTS:
-        PARTS[part]()
-    return 0
-
-
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    fit_one()

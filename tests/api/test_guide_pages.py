@@ -9,6 +9,7 @@ import pytest
 
 import daq
 import softsensor
+from api.cli import main
 from api.guide import guide_page
 
 SOURCES = re.compile(r"""(?:src|href)=["']([^"'#]+)""")
@@ -73,3 +74,18 @@ def test_a_notebook_shows_what_its_cells_printed_and_drew(pages):
 def test_only_what_is_part_of_the_guide_is_shown(client, path):
     assert guide_page(path) is None
     assert client.get(f"/guide/{path}").status_code == 404
+
+
+def test_the_guide_is_written_as_files_whose_links_all_lead_to_one(pages, tmp_path, capsys):
+    folder = tmp_path / "to read"
+    assert main(["guide", str(folder)]) == 0
+    assert str(folder / "index.html") in capsys.readouterr().out
+    files = {file.relative_to(folder).as_posix() for file in folder.rglob("*") if file.is_file()}
+    assert len(files) >= len(pages)
+    for name in files:
+        if name.endswith(".html"):
+            text = (folder / name).read_text(encoding="utf-8")
+            ours = [link for link in SOURCES.findall(text) if not re.match(r"[a-z]+:", link)]
+            assert {urljoin(name, link) for link in ours} <= files, name
+    assert main(["guide", str(folder)]) == 2
+    assert "name a new folder" in capsys.readouterr().err

@@ -4,9 +4,14 @@ import json
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
+from urllib.error import URLError
+from urllib.request import urlopen
 
 import pytest
+
+from tests.api.test_alarms import free_port
 
 ROOT = Path(__file__).parents[2]
 CHILD = """
@@ -64,3 +69,47 @@ def test_time_of_a_first_start(what, tmp_path):
         print(
             "  compiling, each with what it calls: " + ", ".join(f"{name} {took:.1f} s" for name, took in longest)
         )
+
+
+@pytest.mark.benchmark
+@pytest.mark.timeout(1800)
+def test_time_until_the_demonstration_shows_something(tmp_path):
+    port = free_port()
+    for start in ("first start", "later start"):
+        folder = tmp_path / start.replace(" ", "-")
+        environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "compiled")}
+        command = [
+            sys.executable,
+            "-m",
+            "api",
+            "demo",
+            "--pressings",
+            "1",
+            "--port",
+            str(port),
+            "--data",
+            str(folder),
+        ]
+        print(f"\ndemonstration, {start} ({os.cpu_count()} cores, load {os.getloadavg()[0]:.1f})")
+        began, seen = time.monotonic(), set()
+        with subprocess.Popen([*command, "--speed", "20"], env=environment, stdout=subprocess.DEVNULL) as demo:
+            while demo.poll() is None:
+                for what in _there(port) - seen:
+                    seen.add(what)
+                    print(f"  {what:32s} after {time.monotonic() - began:6.1f} s")
+                time.sleep(0.2)
+        assert demo.returncode == 0
+        assert len(seen) == 3
+
+
+def _there(port):
+    """What the page's server shows by now."""
+    try:
+        with urlopen(f"http://127.0.0.1:{port}/api/v1/press", timeout=5) as answer:
+            presses = json.load(answer)["items"]
+    except (URLError, TimeoutError, ConnectionError):
+        return set()
+    read = any(channel["value"] is not None for now in presses for channel in now["channels"])
+    core = any(now["estimate"] is not None and now["estimate"]["valid"] for now in presses)
+    found = {"the page": True, "a scan recorded": read, "a live core": core}
+    return {what for what, there in found.items() if there}
