@@ -114,7 +114,7 @@ def test_a_port_that_does_not_open_is_said_at_once_and_not_taken_for_a_silent_wi
         pytest.raises(ReadFailure, match="port in use; another program has it open"),
     ):
         probe(wire_of(server))
-    with pytest.raises(ReadFailure, match="no such port"):
+    with pytest.raises(ReadFailure, match="no port; check adapter and name"):
         probe({"port": str(tmp_path / "ttyUSB9")})
 
 

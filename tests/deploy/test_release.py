@@ -11,6 +11,8 @@ from pathlib import Path
 from urllib.request import urlopen
 
 import pytest
+from mypy.modulefinder import FindModuleCache, ModuleNotFoundReason, SearchPaths
+from mypy.options import Options
 from packaging.requirements import Requirement
 
 from api.commands.licences import licences
@@ -52,6 +54,20 @@ def test_the_wheel_holds_every_module_and_data_file_of_the_packages(wheel):
     assert "api/page/vendor/LICENSE.fluent-bundle.txt" in held
     assert any(name.endswith("share/kerntemp/kerntemp_setup.py") for name in held)
     assert not [name for name in held if name.startswith(("tests/", "build/"))]
+
+
+def test_an_installed_copy_brings_its_types(wheel, tmp_path):
+    """As `mypy` looks for a package in site-packages: what has no py.typed it takes for untyped."""
+
+    def found(package):
+        return FindModuleCache(SearchPaths((), (), (str(tmp_path),), ()), None, Options()).find_module(package)
+
+    with zipfile.ZipFile(wheel) as archive:
+        archive.extractall(tmp_path)
+    for package in ("daq", "softsensor", "api"):
+        assert found(package) == str(tmp_path / package / "__init__.py")
+        (tmp_path / package / "py.typed").unlink()
+        assert found(package) is ModuleNotFoundReason.FOUND_WITHOUT_TYPE_HINTS
 
 
 def test_the_version_stands_in_one_place(wheel):

@@ -75,10 +75,10 @@ for name, line, oneshot in [m for n in names for m in members(n)]:
         quiet = dict(stdout=log, stderr=log, stdin=subprocess.DEVNULL, start_new_session=True)
         child = subprocess.Popen(line.split(), **quiet)
         pid.write_text(str(child.pid))
-        time.sleep(0.5)
+        time.sleep(0.5)  # who refuses at once is shown here; who does so later, at the step that needs it
         assert child.poll() is None, (pc / (name + ".log")).read_text()
 if verb == "start" and "kerntemp.target" in names:
-    deadline = time.monotonic() + 30
+    deadline = time.monotonic() + 150
     while "serves" not in (pc / "kerntemp-serve.log").read_text():
         assert time.monotonic() < deadline
         time.sleep(0.1)

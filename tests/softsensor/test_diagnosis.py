@@ -523,7 +523,7 @@ def test_the_sentence_says_what_a_verdict_rests_on() -> None:
     found = diagnosed(None, 41)
     assert sentences(verdict_said(found)).startswith("The plain model explains these 7 runs")
     beyond_chance = replace(found, verdict=Verdict.UNKNOWN_EFFECT)
-    assert "a cause fits them beyond chance" in sentences(verdict_said(beyond_chance))
+    assert "a cause fits them better than chance would" in sentences(verdict_said(beyond_chance))
     differs = replace(beyond_chance, noise_floor_K=found.base.rmse_K / 2)
     assert "differs from run to run" in sentences(verdict_said(differs))
     off = replace(found, verdict=Verdict.NOT_DESCRIBED)
