@@ -12,7 +12,6 @@ a method returns are made anew each time. Deeper down, where a fit keeps its sol
 
 from __future__ import annotations
 
-import fnmatch
 import html
 import json
 import math
@@ -27,11 +26,11 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import pandas as pd
 
 from daq.files.frames import attrs_of, run_of
+from daq.files.legible import legible
 from daq.files.mapping import read_foreign, read_mapping
 from daq.files.run_file import read_run as read_run_file
-from daq.files.run_rows import check_no_words
 from daq.press.header import check_header
-from daq.press.press_file import Press, press_for_run
+from daq.press.press_file import Press
 from daq.press.press_file import read_press as read_press_file
 from daq.press.resin_file import Resin, read_resin
 from daq.records import ROOM_C, FrozenDict, InputError, Run, with_frozen_fields
@@ -516,7 +515,7 @@ def predict(
         press without a panel.
     """
     described = read_press(press)
-    loaded = _legible(read_run(run), described)
+    loaded = legible(read_run(run), described)
     known = None if model is None else read_model(model)
     replayed = replay(described, loaded, known, loaded.named(without), resin=_resin(resin))
     return Prediction(replayed)
@@ -537,7 +536,7 @@ def simulate(run: AnyRun, press: AnyPress, model: AnyModel | Mapping[str, float]
         without a platen's column, a sensor or the panel's data, and a coefficient that is unknown or nonphysical.
     """
     described = read_press(press)
-    loaded = _legible(read_run(run), described)
+    loaded = legible(read_run(run), described)
     if model is None or isinstance(model, Mapping):
         thermal = ThermalModel(described)
         return _simulation(loaded, described, thermal, {**thermal.guesses, **(model or {})})
@@ -619,18 +618,7 @@ def _resin(resin: Resin | Path | str | None) -> Resin | None:
 
 def _runs(runs: AnyRun | Sequence[AnyRun], press: Press) -> list[Run]:
     given = [runs] if isinstance(runs, Run | pd.DataFrame | Path | str) else runs
-    return [_legible(read_run(run), press) for run in given]
-
-
-def _legible(run: Run, press: Press) -> Run:
-    """Return the run. Raises `InputError` where a column of words is one that the press takes numbers from."""
-    own = press_for_run(press, run)
-    loads = (contact.load.column for contact in own.contact if contact.load is not None)
-    wanted = (*(pattern for sensor in own.sensor for pattern in sensor.columns), *own.platens, *loads)
-    for column, cells in run.texts.items():
-        if any(fnmatch.fnmatchcase(column, pattern) for pattern in wanted):
-            check_no_words(run.source or run.name, column, cells)
-    return run
+    return [legible(read_run(run), press) for run in given]
 
 
 def _about(run: Run, frame: pd.DataFrame) -> pd.DataFrame:

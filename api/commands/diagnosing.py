@@ -61,7 +61,7 @@ def diagnose(
     check_writable(model, json, html, rehearse_file, inputs=files_read(*runs, press, store=store, config=config))
     _check_rehearsal(rehearse, (rehearse_campaigns, rehearse_file, dask), rehearse_effect or ())
     described = read_press(press)
-    loaded = shortened(load_runs(runs, store, config), described, until)
+    loaded = shortened(load_runs(runs, described, store, config), described, until)
     with working(say("terminal-progress-diagnosing", runs=len(loaded)), 100) as done:
         from softsensor.diagnosis.verdict import diagnose as look
 

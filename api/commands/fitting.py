@@ -111,7 +111,7 @@ def fit(  # noqa: PLR0913 - one argument an option
     settings = parse_program(program or [])
     described = read_press(press)
     check_shared(described, shared or [])
-    loaded = shortened(load_runs(runs, store, config), described, until)
+    loaded = shortened(load_runs(runs, described, store, config), described, until)
     with working(say("terminal-progress-fitting", runs=len(loaded)), len(loaded)) as done:
         from softsensor.jobs.campaign import fit_campaign
 

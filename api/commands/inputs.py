@@ -16,6 +16,7 @@ from daq.records import InputError, Run
 from daq.words import say
 
 if TYPE_CHECKING:
+    from daq.press.press_file import Press
     from daq.store.store import Store
 
 CONFIG_NAME = "kerntemp.toml"
@@ -108,12 +109,17 @@ def files_read(*given: Path | str | None, store: str | None, config: Path | None
     return [Path(one) for one in named if one is not None and Path(one).is_file()]
 
 
-def load_runs(arguments: list[str], store: str | None, config: Path | None) -> list[Run]:
-    """Read every run, from its file or from the store. Raises `InputError` naming the first that fails."""
+def load_runs(arguments: list[str], press: Press, store: str | None, config: Path | None) -> list[Run]:
+    """Read every run, from its file or from the store. Raises `InputError` naming the first that fails.
+
+    A column of words is an error where the press takes numbers from it.
+    """
+    from daq.files.legible import legible
+
     runs = []
     with working(say("terminal-progress-reading-runs", runs=len(arguments)), len(arguments)) as done:
         for number, argument in enumerate(arguments, start=1):
-            runs.append(find_run(argument, store, config))
+            runs.append(legible(find_run(argument, store, config), press))
             done(number)
     names = [run.name for run in runs]
     if twice := next((name for name in names if names.count(name) > 1), None):

@@ -34,7 +34,7 @@ def plan(  # noqa: PLR0913 - one argument an option
     check_writable(json, inputs=files_read(*runs, press, store=store, config=config))
     asked = parse_ranges(ranges or ())
     described = read_press(press)
-    loaded = shortened(load_runs(runs, store, config), described, until)
+    loaded = shortened(load_runs(runs, described, store, config), described, until)
     with working(say("terminal-progress-planning", runs=len(loaded)), 100) as done:
         from softsensor.diagnosis.verdict import diagnose
         from softsensor.planning.plan import plan as look_ahead

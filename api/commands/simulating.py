@@ -42,7 +42,7 @@ def simulate(
         raise InputError(say("terminal-coefficients-or-model"))
     check_writable(out, inputs=files_read(run, press, coefficients, model, store=store, config=config))
     described = read_press(press)
-    (loaded,) = load_runs([run], store, config)
+    (loaded,) = load_runs([run], described, store, config)
     own = press_for_run(described, loaded)
     with working(say("terminal-progress-simulating", run=loaded.name)):
         from softsensor.fitting.simulated_run import simulate_run
@@ -85,7 +85,7 @@ def predict(
     check_writable(out, inputs=files_read(run, press, model, resin, store=store, config=config))
     described = read_press(press)
     paper = read_resin(resin) if resin is not None else None
-    (loaded,) = load_runs([run], store, config)
+    (loaded,) = load_runs([run], described, store, config)
     with working(say("terminal-progress-predicting", run=loaded.name), len(loaded.time_s)) as done:
         from softsensor.jobs.model_files import read_model
         from softsensor.live.replay import replay

@@ -87,6 +87,22 @@ def test_every_figure_comes_as_svg(fitted):
     assert all((fitted / "figures" / name).read_text().lstrip().startswith("<?xml") for name in names)
 
 
+@pytest.mark.parametrize("command", ["fit", "diagnose", "predict", "simulate"])
+@pytest.mark.parametrize("column", ["top_1", "platen_top"])
+def test_words_where_the_press_takes_numbers_are_refused_by_row(command, column, folder, tmp_path, capsys):
+    """A column of words alone is one that may stand beside; where the press names it, it is not left out."""
+    lines = next(iter(sorted(folder.glob("*.csv")))).read_text().splitlines()
+    begin = next(i for i, line in enumerate(lines) if not line.startswith("#"))
+    place = lines[begin].split(",").index(column)
+    rows = [line.split(",") for line in lines[begin + 1 :]]
+    lines[begin + 1 :] = [",".join([*cells[:place], "off", *cells[place + 1 :]]) for cells in rows]
+    (tmp_path / "run.csv").write_text("\n".join(lines) + "\n")
+    out = ["--out", str(tmp_path / "out.csv")] if command in ("predict", "simulate") else []
+    assert main([command, str(tmp_path / "run.csv"), "--press", str(folder / "press.toml"), *out]) == 2
+    assert f"row 1: column {column}: 'off' is not a number" in _error(capsys)
+    assert not (tmp_path / "out.csv").exists()
+
+
 @pytest.mark.parametrize(
     ("more", "says"),
     [
