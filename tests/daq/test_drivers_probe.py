@@ -15,6 +15,8 @@ from daq.simulated.devices_converter import Switches
 from daq.simulated.devices_line import serve_serial
 
 TEXT = ("34970a", "daq970a", "sr630", "adam-4118-ascii", "m-7019r-dcon")
+ANSWER_S = 0.4
+"""A simulated device answers in milliseconds, on a busy machine later."""
 
 
 def room(profile):
@@ -42,7 +44,7 @@ def wire_of(server, **more):
 )
 def test_the_right_profile_is_proposed_for_a_device_at_room_temperature(profile, family):
     with simulated(profile, room(profile), refresh_s=0) as server:
-        report = probe(wire_of(server), timeout_s=0.15, profiles=TEXT if family & set(TEXT) else None)
+        report = probe(wire_of(server), timeout_s=ANSWER_S, profiles=TEXT if family & set(TEXT) else None)
         (proposal,) = report.proposals
         assert {proposal.settings["profile"], *proposal.ambiguous_with} == family
         inputs = kind_of(profile).inputs

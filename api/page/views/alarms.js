@@ -11,7 +11,17 @@ const LIMITS = [["core_above_C", "page-alarm-core", "°C"], ["platen_above_C", "
 export async function show(place, context) {
   const list = el("section", { class: "card", "data-testid": "alarms" });
   const limits = el("section", { class: "card", "data-testid": "alarm-limits" });
-  const load = async () => drawList(list, (await get("/alarms", { limit: 100 })).items, load);
+  let asked = 0, answered = 0, drawn = "";
+  const load = async (now = false) => {
+    const mine = ++asked;
+    const { items } = await get("/alarms", { limit: 100 });
+    const content = JSON.stringify(items);
+    if (mine < answered) return; // overtaken by a later answer
+    answered = mine;
+    if (content === drawn || (!now && list.matches(":active"))) return; // a button drawn anew while it is pressed is not clicked
+    drawn = content;
+    drawList(list, items, () => load(true));
+  };
   await load(); // first: a list that came later would push away what is below it, from under a finger
   place.append(list, bellCard(), limits);
   if (context.press) drawLimits(limits, (await get("/alarms/thresholds", { press: context.press })).items[0]);
