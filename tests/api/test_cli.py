@@ -490,10 +490,12 @@ def test_a_terminal_sees_that_many_runs_are_being_read(tmp_path):
     for number in range(3):
         write_run(Run(f"r{number}", {}, time_s, {"top_1": time_s}, "", {}), tmp_path / f"r{number}.csv")
     slow = f"""
-import time, api.commands.inputs as inputs
+import time, daq, api.commands.inputs as inputs
+from daq.press.press_file import read_press
 read = inputs.find_run
 inputs.find_run = lambda *given: (time.sleep(0.6), read(*given))[1]
-inputs.load_runs([f"{tmp_path}/r{{k}}.csv" for k in range(3)], None, None)
+press = read_press(daq.shared_files() / "presses/lab.toml")
+inputs.load_runs([f"{tmp_path}/r{{k}}.csv" for k in range(3)], press, None, None)
 """
     ours, theirs = pty.openpty()
     running = subprocess.Popen([sys.executable, "-c", slow], stdin=theirs, stdout=theirs, stderr=theirs)
