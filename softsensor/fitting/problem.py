@@ -306,8 +306,8 @@ def normal_equations(problem: Problem, at: Evaluation, spread: float = 1.0) -> t
     `spread` is the standard deviation of the readings in units of what the noise model says.
     """
     mean, precision = problem.precision
-    matrix, right = _gram(at.jacobian, at.weight / spread**2, at.z)
-    return matrix + np.diag(precision), right - precision * (at.x - mean)
+    matrix, right = _gram(at.jacobian, at.weight, at.z)
+    return matrix / spread**2 + np.diag(precision), right / spread**2 - precision * (at.x - mean)
 
 
 def _gram_of(jacobian: Array, weight: Array, z: Array) -> tuple[Array, Array]:

@@ -18,7 +18,8 @@ export async function show(place, context) {
     const content = JSON.stringify(items);
     if (mine < answered) return; // overtaken by a later answer
     answered = mine;
-    if (content === drawn || (!now && list.matches(":active"))) return; // a button drawn anew while it is pressed is not clicked
+    const inHand = list.contains(document.activeElement) || list.matches(":active"); // a button drawn anew while it is pressed is not clicked
+    if (content === drawn || (inHand && !now)) return;
     drawn = content;
     drawList(list, items, () => load(true));
   };
@@ -26,7 +27,7 @@ export async function show(place, context) {
   place.append(list, bellCard(), limits);
   if (context.press) drawLimits(limits, (await get("/alarms/thresholds", { press: context.press })).items[0]);
   else limits.remove();
-  const timer = setInterval(() => { if (!document.hidden && !list.contains(document.activeElement)) load().catch(() => {}); }, 3000);
+  const timer = setInterval(() => { if (!document.hidden) load().catch(() => {}); }, 3000);
   return () => clearInterval(timer);
 }
 
