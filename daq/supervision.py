@@ -30,6 +30,8 @@ class SupervisedThread:
         self.fault: Message | None = None
         """Why the work last ended, until it has gone well again."""
         self._work, self._journal = work, journal
+        self._untold: list[Message] = []
+        """Faults the journal did not take yet."""
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
         self._ending = threading.Event()
 
@@ -50,16 +52,23 @@ class SupervisedThread:
     def worked(self) -> None:
         """Note that all is well."""
         self.fault = None
+        self._tell()
 
     def failed(self, error: BaseException) -> None:
         """Note an exception and tell it, once for each that differs from the one before."""
         fault = say("thread-failed", thread=self._thread.name, why=unexpected(error))
         known, self.fault = self.fault, fault
-        if known == fault:
-            return
-        try:
+        if known != fault:
             LOG.error("%s", fault, exc_info=error)
-            self._journal(fault)
+            self._untold.append(fault)
+        self._tell()
+
+    def _tell(self) -> None:
+        """Journal the faults not journalled yet; what the journal does not take is told with the next."""
+        try:
+            while self._untold:
+                self._journal(self._untold[0])
+                del self._untold[0]
         except Exception:
             LOG.exception("journal")
 
@@ -67,6 +76,7 @@ class SupervisedThread:
         last = False
         while not last:
             last = self._ending.is_set()
+            self._tell()
             try:
                 self._work()
             except BaseException as error:  # noqa: BLE001 - whatever it is, the work must go on

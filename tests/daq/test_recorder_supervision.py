@@ -16,6 +16,7 @@ from daq.process.config import load_config
 from daq.process.notify import Notifier
 from daq.recording import acquisition, press_line, recorder, run_keeper
 from daq.store import journal, open_store, outbox, recording, session_placement, store, write_batch
+from daq.supervision import SupervisedThread, unexpected
 from daq.words import say
 from tests.daq.test_recorder import plant, wait_until
 from tests.daq.test_recorder import recording as recording_by
@@ -112,11 +113,12 @@ def test_an_error_at_any_call_in_any_thread_is_told_and_recording_goes_on(tmp_pa
             tried, seldom = set(), set()
 
             def inject(calls, longest_s):
-                said, newest = len(alarms()), opened.newest_scan_number("lab")
+                said = len(alarms())
                 if (call := injector.first_called(calls, longest_s)) is None:
                     return None
+                newest = opened.newest_scan_number("lab")
                 wait_until(lambda: opened.newest_scan_number("lab") > newest + 2, 20)
-                at = time.monotonic() + 3.0
+                at = time.monotonic() + 10.0
                 while len(alarms()) == said and time.monotonic() < at:
                     time.sleep(0.02)
                 if len(alarms()) == said and call[1] not in "".join(alarms()) and "read" not in call[1]:
@@ -135,6 +137,27 @@ def test_an_error_at_any_call_in_any_thread_is_told_and_recording_goes_on(tmp_pa
         numbers = all_numbers(opened)
         missing = sorted(set(range(numbers[-1] + 1)) - set(numbers))
         assert len(missing) <= 12, "a fault in the scanner costs its own scan at most"
+
+
+def test_a_fault_the_journal_did_not_take_is_told_as_soon_as_it_takes_one():
+    told, tries = [], []
+
+    def journal(fault):
+        tries.append(fault)
+        if len(tries) < 3:
+            raise Injected("the journal")
+        told.append(fault)
+
+    def work():
+        for reading in (Injected("first"), None, Injected("second")):
+            thread.failed(reading) if reading else thread.worked()
+
+    thread = SupervisedThread("press", work, journal)
+    thread.start()
+    thread.join(10.0)
+    faults = [unexpected(Injected(which)) for which in ("first", "second")]
+    assert told == [say("thread-failed", thread="press", why=fault) for fault in faults]
+    assert len(tries) == 4
 
 
 def test_while_the_writer_fails_the_watchdog_is_not_fed_and_health_says_why(tmp_path, monkeypatch):
