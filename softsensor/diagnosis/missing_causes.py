@@ -137,7 +137,7 @@ def with_missing_causes(model: ModelFile, fits: Sequence[RunFit]) -> ModelFile:
     """
     met = [fit for fit in fits if fit.met]
     seen = missing_causes([run_evidence(fit.problem, fit.minimum.evaluation) for fit in met or fits])
-    return replace(model, missing=seen if met else _far_off(seen, [fit.rmse_K for fit in fits]))
+    return replace(model, missing=seen if met else _far_off(seen, [fit.rmse_still_K for fit in fits]))
 
 
 def stored_missing_causes(fits: Sequence[Mapping[str, Any]]) -> MissingCauses | None:
@@ -148,7 +148,13 @@ def stored_missing_causes(fits: Sequence[Mapping[str, Any]]) -> MissingCauses | 
     met = [fit for fit in fits if fit.get("met", True)]
     found = [fit["evidence"] for fit in met or fits if fit.get("evidence")]
     seen = missing_causes([{name: RunEvidence.from_json(e) for name, e in run.items()} for run in found])
-    return seen if met else _far_off(seen, [float(fit["rmse_K"]) for fit in fits if fit.get("rmse_K") is not None])
+    return seen if met else _far_off(seen, [left for fit in fits if (left := _left_of(fit)) is not None])
+
+
+def _left_of(fit: Mapping[str, Any]) -> float | None:
+    """Return what a stored fit left of its run while nothing moved, by an older version of the whole run. [K]"""
+    left = fit.get("rmse_still_K", fit.get("rmse_K"))
+    return None if left is None else float(left)
 
 
 def _far_off(seen: MissingCauses | None, left: Sequence[float]) -> MissingCauses | None:

@@ -35,7 +35,7 @@ from softsensor.fitting.problem import (
     with_motion,
 )
 from softsensor.fitting.remarks import remarks, without_spikes
-from softsensor.fitting.result import RunFit, channel_residuals, misfit_of, rms, run_fit
+from softsensor.fitting.result import RunFit, channel_residuals, left_still, misfit_of, run_fit
 from softsensor.fitting.unknowns import chain_priors, coefficient_unknown, known_before
 from softsensor.heat.model import NUISANCES, ThermalModel
 from softsensor.heat.timing import TIMINGS
@@ -164,7 +164,7 @@ class _Settled:
 
     def left(self, at: Evaluation) -> float:
         """Return how far the prediction at a point is from the readings. [K]"""
-        return rms(channel_residuals(self.problem, at)[0].values())
+        return left_still(self.problem, channel_residuals(self.problem, at)[0])
 
     @property
     def rmse(self) -> float:

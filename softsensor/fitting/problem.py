@@ -22,6 +22,7 @@ from softsensor.heat.model import ThermalModel
 from softsensor.heat.timing import HANDLING_RAMP_S, OPENING_RAMP_S
 from softsensor.signals.doubt import Doubt, Source
 from softsensor.signals.places import Noise, Signals, whiten
+from softsensor.signals.screen import Flags
 from softsensor.signals.unknown import Unknown
 
 # Numbers without another source were set by hand, 2026-11.
@@ -99,6 +100,9 @@ class Problem:
     """Of the constants among the unknowns, by key."""
     blur: tuple[Array, ...] = ()
     """By place: what timing leaves unknown of each row (rows). [K]"""
+    moving: Flags | None = None
+    """Rows in which the press opens or closes or a panel is put in: their moment decides what is left of them, not
+    the model (rows)."""
     constant: Mapping[str, tuple[Array, ...]] = field(default_factory=dict)
     """By key and place: the prediction's derivative by a constant, taken once near the solution (rows).
     [K per unit of the key]"""
@@ -254,20 +258,23 @@ def with_motion(problem: Problem, x: Array, timing_s: float, reach_s: float = 0.
     closing = (moments.closed_s + values.get("closed_s", 0.0), moments.ramp_s + values.get("ramp_s", 0.0))
     opening = (moments.opened_s + values.get("opened_s", 0.0), OPENING_RAMP_S)
     inserting = (moments.inserted_s + values.get("inserted_s", 0.0), HANDLING_RAMP_S)
+    moves = []
+    for moment, ramp in (inserting, closing, opening) if problem.case.press.has_states else ():
+        edge = ramp / 2 + SWITCH_EDGE_S + reach_s
+        if (rows := np.abs(t - moment) < edge).any():
+            moves.append((rows, np.abs(t - moment) < edge + max(1.0, 1.1 * problem.signals.period_s), ramp))
     slope, blur = [], []
     for place in problem.signals.places:
         column = problem.case.columns.index(place.columns[0])
         slope.append(-solution.d_sensors[SLOPE][:, column])
         own = np.abs(slope[-1]) * timing_s
-        for moment, ramp in (inserting, closing, opening):
-            edge = ramp / 2 + SWITCH_EDGE_S + reach_s
-            moving = np.abs(t - moment) < edge
-            around = solution.sensors[np.abs(t - moment) < edge + max(1.0, 1.1 * problem.signals.period_s), column]
-            if moving.any() and problem.case.press.has_states:
-                steepest = float(np.ptp(around)) / max(ramp, 0.2)
-                own = np.where(moving, np.maximum(own, SWITCH_TIMING_S * steepest), own)
+        for rows, around, ramp in moves:
+            steepest = float(np.ptp(solution.sensors[around, column])) / max(ramp, 0.2)
+            own = np.where(rows, np.maximum(own, SWITCH_TIMING_S * steepest), own)
         blur.append(own)
-    return replace(problem, slope=tuple(slope), blur=tuple(blur))
+    moving = np.any([np.zeros(len(t), bool), *(rows for rows, _, _ in moves)], axis=0)
+    moving[0] = False  # what the first row reads is no matter of timing: nothing was seen to move before it
+    return replace(problem, slope=tuple(slope), blur=tuple(blur), moving=moving)
 
 
 def grid_correction(problem: Problem, x: Array) -> tuple[Array, ...]:

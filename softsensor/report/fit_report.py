@@ -101,8 +101,8 @@ def _core_svg(fitted: RunFit, language: str) -> str:
 
 
 def _typical_and_worst(campaign: CampaignFit) -> list[tuple[Message, RunFit]]:
-    ordered = sorted(campaign.met, key=lambda f: f.rmse_K)
-    left = sorted((f for f in campaign.runs if not f.met), key=lambda f: -f.rmse_K)
+    ordered = sorted(campaign.met, key=lambda f: f.rmse_still_K)
+    left = sorted((f for f in campaign.runs if not f.met), key=lambda f: -f.rmse_still_K)
     shown = []
     if ordered:
         typical = ordered[len(ordered) // 2]

@@ -12,7 +12,7 @@ from softsensor.effects import BUILT_IN
 from softsensor.heat.batch import solve_many
 from softsensor.heat.case import step_edges, step_means
 from softsensor.heat.model import ThermalModel
-from softsensor.heat.model_file import FittedValue, ModelFile
+from softsensor.heat.model_file import FittedValue, MissingCauses, ModelFile
 from softsensor.heat.timing import ramp
 from softsensor.live.replay import replay
 
@@ -352,7 +352,11 @@ def test_a_core_at_a_depth_is_what_a_thermocouple_there_reads(lab_press, make_ru
     found = model.solve(model.prepare(run, moments), coefficients)
     assert found.core.tolist() == found.column("core_1").tolist()
 
-    known = ModelFile("m", "lab", {n: FittedValue(v, 1e-3 * v) for n, v in coefficients.items()})
+    sure, complete = (
+        {n: FittedValue(v, 1e-3 * v) for n, v in coefficients.items()},
+        MissingCauses(12, 1.0, 0.0, {}),
+    )
+    known = ModelFile("m", "lab", sure, missing=complete)
     closed = ((run.time_s >= moments.closed_s) & (run.time_s < moments.opened_s)).astype(float)
     columns = {n: v for n, v in run.columns.items() if n.startswith("platen")} | {"closed": closed}
     told = [e.core_C for e in replay(press, replace(run, columns=columns), known).estimates]

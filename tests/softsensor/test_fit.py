@@ -55,3 +55,19 @@ def test_contact_that_builds_up_slowly_is_met_as_well_as_a_constant_one_can():
     fitted = fit_run(MODEL, run, truth.moments)
     assert fitted.met
     assert fitted.rmse_K < 0.6 * fitted.initial_rmse_K
+
+
+def test_a_row_amid_the_closing_decides_neither_whether_a_run_is_described_nor_which_search_is_kept():
+    """A face warms by 100 K in that row: half a row off in time, it was nine tenths of the residual."""
+    run, truth = _campaign(3, 1, 0.5)[0]
+    moments = _noticed(truth, np.random.default_rng(5), 2.0)
+    plain = fit_run(MODEL, run, moments)
+    closing = np.arange(len(run.time_s)) == np.argmin(np.abs(run.time_s - plain.closed_s))
+    off = {"top": np.where(closing, -90.0, 0.0), "bottom": np.where(closing, 90.0, 0.0)}
+    columns = {name: values + off.get(name.partition("_")[0], 0.0) for name, values in run.columns.items()}
+    fitted = fit_run(MODEL, replace(run, columns=columns), moments)
+    assert fitted.met
+    assert fitted.rmse_K > 10.0
+    assert fitted.rmse_still_K < 2.0 * plain.rmse_still_K
+    for name, c in plain.coefficients.items():
+        assert abs(np.log(fitted.coefficients[name].value / c.value)) < 0.5 * c.sd / c.value, name
