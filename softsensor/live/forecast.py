@@ -7,7 +7,7 @@ grows as it must.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,12 +17,16 @@ from daq.records import Array, PressState
 from daq.words import Message, say
 from softsensor.heat import implicit_steps as kernels
 from softsensor.live.curing import ResinSetup
+from softsensor.live.inside import believed
 from softsensor.live.kalman import KalmanFilter
 from softsensor.live.leaving import leave_of
 from softsensor.live.march_steps import SensorChain, march_span
 from softsensor.live.mixture import Mixture, mix
 from softsensor.live.passes import Pass
 from softsensor.opening.limits import Opening, opening
+
+Believed = Sequence[tuple[KalmanFilter, float, Array]]
+"""Filters with their shares, and the cells' temperatures they expect (`live.inside.believed`)."""
 
 # Numbers without another source were set by hand, 2026-11.
 
@@ -114,8 +118,10 @@ def look_ahead(run: Pass, wishes: Wishes, state: PressState, now: float, outside
     outside
         Boundary temperatures, bottom and top. [°C]
     """
-    plain = run.filters[0]
-    peak = _peak(plain, now, now, outside)
+    if run.mixture is None:
+        return Forecast()
+    filters = believed(run.filters, run.mixture)
+    peak = _peak(filters, now, now, outside)
     if state is PressState.OPEN:
         over = peak > wishes.limit_C
         warning = say("core-will-pass-limit", peak_C=peak, limit_C=wishes.limit_C) if over else None
@@ -126,7 +132,7 @@ def look_ahead(run: Pass, wishes: Wishes, state: PressState, now: float, outside
         target_in_s=until,
         target_earliest_s=_crossing(ahead, high, wishes.target_C),
         target_latest_s=_crossing(ahead, low, wishes.target_C),
-        open_in_s=_opening(plain, now, outside, wishes.target_C, until),
+        open_in_s=0.0 if peak >= wishes.target_C else _opening(filters, now, outside, wishes.target_C, until),
         peak_C=peak,
         limit_in_s=_crossing(ahead, high, wishes.limit_C),
         forecast_age_s=0.0,
@@ -215,25 +221,29 @@ def _crossing(ahead: Array, course: Array, level: float) -> float:
     return float(ahead[k - 1] + share * (ahead[k] - ahead[k - 1]))
 
 
-def _opening(one: KalmanFilter, now: float, outside: Array, target: float, until: float) -> float:
-    """Return how long to stay closed so that the peak after opening reaches the target. [s]"""
+def _opening(filters: Believed, now: float, outside: Array, target: float, until: float) -> float:
+    """Return how long to stay closed so that the peak after opening, too low by now, reaches the target. [s]"""
     if not math.isfinite(until):
         return math.nan
     early, late = 0.0, until
-    if _peak(one, now, now, outside) >= target:
-        return 0.0
     while late - early > 0.5:
         middle = 0.5 * (early + late)
-        if _peak(one, now, now + middle, outside) >= target:
+        if _peak(filters, now, now + middle, outside) >= target:
             late = middle
         else:
             early = middle
     return late
 
 
-def _peak(one: KalmanFilter, now: float, opening: float, outside: Array) -> float:
-    """Return the highest core temperature still to come if the press opens at a time. [°C]"""
-    bare = _bare(one, opening)
+def _peak(filters: Believed, now: float, opening: float, outside: Array) -> float:
+    """Return the highest core temperature to be expected if the press opens at a time. [°C]"""
+    return sum(
+        share * _peak_of(_bare(one, cells, opening), now, opening, outside) for one, share, cells in filters
+    )
+
+
+def _peak_of(bare: KalmanFilter, now: float, opening: float, outside: Array) -> float:
+    """Return the highest core temperature still to come by one filter. [°C]"""
     platens = np.stack([outside, outside])
     if opening > now:
         _march(bare, now, opening, platens)
@@ -269,12 +279,14 @@ def _chain(chain: SensorChain, like: Array) -> SensorChain:
     )
 
 
-def _bare(one: KalmanFilter, opening: float) -> KalmanFilter:
-    """Return a copy without tangents, at the estimate's own cell temperatures."""
+def _bare(one: KalmanFilter, cells: Array, opening: float) -> KalmanFilter:
+    """Return a copy without tangents, at these temperatures of its cells."""
     model = one.linearised.model
     s, factors = model.state, model.factors
+    chain = _chain(model.chain, np.empty((len(model.chain.true), 2)))
+    chain.level[0] = model.places[-1] @ cells  # the core there, of the last output
     state = s._replace(
-        t=one.cells, t_before=s.t_before.copy(), done=s.done.copy(), clock=s.clock.copy(),
+        t=cells.copy(), t_before=s.t_before + (cells - s.t), done=s.done.copy(), clock=s.clock.copy(),
         s=s.s[:0].copy(), s_before=s.s_before[:0].copy(), s_done=s.s_done[:, :0].copy(),
     )  # fmt: skip
     bare = model._replace(
@@ -286,7 +298,7 @@ def _bare(one: KalmanFilter, opening: float) -> KalmanFilter:
         ),
         moving=np.full_like(model.moving, -1),
         state=state,
-        chain=_chain(model.chain, np.empty((len(model.chain.true), 2))),
+        chain=chain,
     )
     timing = one.timing._replace(longest=STRIDE_S, opened=min(one.timing.opened, opening))
     return replace(one, linearised=replace(one.linearised, model=bare), timing=timing)

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+
+import numpy as np
 
 from daq.records import Array
 from softsensor.live import mixture_steps as mixtures
 from softsensor.live.kalman import KalmanFilter
+from softsensor.live.mixture import Mixture
 from softsensor.live.setup import Linearised
+
+LEAST_SHARE = 0.01
+"""Filters with less than this share of all hypotheses do not count: 50 K off, they would move a cell by 0.5 K."""
 
 
 @dataclass(frozen=True)
@@ -20,10 +27,21 @@ class Inside:
     """Heat in the panel beyond its start, water and reactions not counted. [kJ/m²]"""
 
 
-def look_inside(one: KalmanFilter) -> Inside:
-    """Return profile and heat as the model in force sees them."""
-    cells = one.cells
-    return Inside(one.linearised.profile @ cells, heat_taken_up(one.linearised, cells) / 1000.0)
+def look_inside(filters: Sequence[KalmanFilter], mixture: Mixture) -> Inside:
+    """Return profile and heat as all hypotheses together expect them."""
+    profiles, heats = [], []
+    for one, share, cells in believed(filters, mixture):
+        profiles.append(share * (one.linearised.profile @ cells))
+        heats.append(share * heat_taken_up(one.linearised, cells))
+    return Inside(np.sum(profiles, axis=0), sum(heats) / 1000.0)
+
+
+def believed(filters: Sequence[KalmanFilter], mixture: Mixture) -> list[tuple[KalmanFilter, float, Array]]:
+    """Return the filters that count, each with its share of all and its cells' expected temperatures (n). [°C]"""
+    totals = np.array([shares.sum() for shares in mixture.shares])
+    counted = np.where(totals < LEAST_SHARE, 0.0, totals)
+    found = zip(filters, counted / counted.sum(), totals, mixture.shares, strict=True)
+    return [(one, float(share), one.cells(shares / total)) for one, share, total, shares in found if share > 0.0]
 
 
 def heat_taken_up(made: Linearised, cells: Array) -> float:

@@ -143,10 +143,10 @@ class KalmanFilter:
         """Core where the model is linearised. [°C]"""
         return float(self.linearised.model.chain.level[0])
 
-    @property
-    def cells(self) -> Array:
-        """Temperatures of the cells if no suspected cause is at work (n). [°C]"""
-        return np.asarray(mixtures.cells(self.estimate, self.hypotheses, self.linearised.model.state))
+    def cells(self, shares: Array) -> Array:
+        """Return the cells' temperatures as the hypotheses expect them, each by its share (E + 1). [°C]"""
+        state = self.linearised.model.state
+        return np.asarray(mixtures.cells(self.estimate, self.hypotheses, shares, state))
 
     def better_point(self) -> Array | None:
         """Return where to linearise anew, or None where the old point will do. Suspected causes stay absent."""

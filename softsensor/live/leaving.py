@@ -118,16 +118,16 @@ def _pooled(filters: Sequence[KalmanFilter], read: Sequence[tuple[float, Array, 
         from elsewhere.
     """
     log, means, variances = np.empty((3, sum(len(f.names) for f in filters)))
-    reported, first = math.nan, 0
+    plain, first = math.nan, 0
     for f, (value, readout, variance) in zip(filters, read, strict=True):
         own = slice(first, first + len(f.names))
         out = Components(log[own], means[own], variances[own])
         level, slopes = np.array([value, 0.0]), np.ascontiguousarray(readout)
         chain = f.linearised.model.chain._replace(level=level, d_level=slopes)
-        reported = mixtures.weigh(f.estimate, chain, f.hypotheses, f.fit, reported, out)
+        plain = mixtures.weigh(f.estimate, chain, f.hypotheses, f.fit, plain, out)
         held = mixtures.held(f.estimate, chain, f.hypotheses)
         variances[own] = np.maximum(variances[own] * max(1.0, f.misfit) + held @ held + variance, 1e-12)
         first += len(f.names)
     sure = Change(0.0, math.nan, math.nan, 0.0, 0.0)
-    mean, _, low, high = mixtures.pool(Components(log, means, variances), reported, sure)
+    mean, _, low, high = mixtures.pool(Components(log, means, variances), sure)
     return Normal(np.array(mean), np.array(max(high - mean, mean - low) / BAND))

@@ -36,12 +36,14 @@ class Mixture:
     names: tuple[str, ...]
     components: Components
     core_C: float  # noqa: N815
-    """What the model in force says, or the faces alone where something has changed at once. [°C]"""
+    """What all hypotheses expect together, or the faces alone where something has changed at once. [°C]"""
     sd_K: float  # noqa: N815
     """Root mean square distance of the core from what is reported. [K]"""
     low_C: float  # noqa: N815
     high_C: float  # noqa: N815
     """Bounds of 95 %. [°C]"""
+    shares: tuple[Array, ...]
+    """By filter the shares of its hypotheses, should nothing have changed at once."""
     by_faces: bool = False
     """Whether something has changed at once and the faces as measured tell the core, whatever the contacts do."""
 
@@ -77,20 +79,22 @@ def mix(filters: Sequence[KalmanFilter], margin: float, between: BetweenFaces | 
     """Pool what all hypotheses of all filters say about the core; `margin` is the `model_variance`. [K²]"""
     names: list[str] = []
     log, means, variances, doubts = np.empty((4, sum(len(f.names) for f in filters)))
-    reported = math.nan
+    plain = math.nan
     for f in filters:
         own = slice(len(names), len(names) + len(f.names))
         out = Components(log[own], means[own], variances[own])
-        reported = weigh(f.estimate, f.linearised.model.chain, f.hypotheses, f.fit, reported, out)
+        plain = weigh(f.estimate, f.linearised.model.chain, f.hypotheses, f.fit, plain, out)
         squares, loose = f.held_K**2, f.linearised.loose
         variances[own] = (variances[own] + margin) * max(1.0, f.misfit) + squares @ (1.0 - loose)
         doubts[own] = squares @ loose
         names += f.names
     change, by_faces = _change(filters, margin, between)
     components = by_size(Components(log, means, variances), doubts, 2 if change.chance > 0.0 else 0)
-    names = [*names * len(DOUBT_SIZES), *[CHANGED] * (2 if change.chance > 0.0 else 0)]
-    core, sd, low, high = pool(components, reported, change)
-    return Mixture(tuple(names), components, core, sd, low, high, by_faces)
+    every = tuple([*names * len(DOUBT_SIZES), *[CHANGED] * (2 if change.chance > 0.0 else 0)])
+    chances = np.exp(log - log.max())
+    shares = np.split(chances / chances.sum(), np.cumsum([len(f.names) for f in filters])[:-1])
+    core, sd, low, high = pool(components, change)
+    return Mixture(every, components, core, sd, low, high, tuple(shares), by_faces)
 
 
 def by_size(components: Components, doubts: Array, room: int = 0) -> Components:

@@ -26,8 +26,6 @@ campaigns of the seeds 41000 to 41153; 0.03 to 0.3 do about as well."""
 SHAPE_SHARE, SHAPE_K = 0.45, 4.5
 """What a suspected cause does to the core is known to this share only, for its law may be another; and to so much
 at worst. Set by hand, 2026-11. [-, K]"""
-REPORTED_K = 12.0
-"""The core reported lies no further than this from what all hypotheses expect together. By hand, 2026-11. [K]"""
 _NODES, _SHARES = np.polynomial.legendre.leggauss(4)
 
 
@@ -197,19 +195,19 @@ def quantile(weights, means, sds, share):
 
 
 @compiled()
-def weigh(estimate, chain, hypotheses, fit, reported, out):
+def weigh(estimate, chain, hypotheses, fit, plain, out):
     """Write what one filter's hypotheses say about the core: log-weight, mean [°C] and variance [K²] (E + 1).
 
     Parameters
     ----------
     fit
         The filter's log-likelihood.
-    reported
-        What is reported; NaN: what the first hypothesis says.
+    plain
+        What the first filter's first hypothesis says, from where a cause's law is in doubt; NaN: this is that one.
 
     Returns
     -------
-    What is reported. [°C]
+    The same, a number now. [°C]
     """
     p, e = estimate.at.shape[0], hypotheses.column.shape[0]
     readout = np.zeros(estimate.mean.shape[0])
@@ -220,19 +218,19 @@ def weigh(estimate, chain, hypotheses, fit, reported, out):
     for j in range(e + 1):
         out.weight[j] = hypotheses.log_prior[j] + TRUST * (out.weight[j] + fit)
         out.mean[j] += centre
-        if j == 0 and math.isnan(reported):
-            reported = out.mean[0]
-        out.variance[j] += min(SHAPE_SHARE * abs(out.mean[j] - reported), SHAPE_K) ** 2
-    return reported
+        if j == 0 and math.isnan(plain):
+            plain = out.mean[0]
+        out.variance[j] += min(SHAPE_SHARE * abs(out.mean[j] - plain), SHAPE_K) ** 2
+    return plain
 
 
 @compiled()
-def pool(components, reported, change):
+def pool(components, change):
     """Make one mixture of all hypotheses: log-weights become shares.
 
     Returns
     -------
-    What is reported, the root mean square distance from it, and the bounds of 95 %. [°C, K, °C, °C]
+    What they expect together, the root mean square distance from it, and the bounds of 95 %. [°C, K, °C, °C]
     """
     log, means, variances = components
     n = log.shape[0] - (2 if change.chance > 0.0 else 0)
@@ -244,14 +242,13 @@ def pool(components, reported, change):
     for j in range(n):
         log[j] /= total
         expected += log[j] * means[j]
-    reported = min(max(reported, expected - REPORTED_K), expected + REPORTED_K)
     if change.chance > 0.0:
         centre, variance = change.core, change.variance
         if math.isnan(centre):
             centre, variance = expected, 0.0
             for j in range(n):
                 variance += log[j] * (variances[j] + (means[j] - expected) ** 2)
-        reported += change.chance * (centre - reported)
+        expected += change.chance * (centre - expected)
         for j in range(n):
             log[j] *= 1.0 - change.chance
         log[n], log[n + 1] = change.chance * (1.0 - change.other_panel), change.chance * change.other_panel
@@ -259,10 +256,10 @@ def pool(components, reported, change):
         variances[n], variances[n + 1] = variance, variance + change.other_K**2
     square = 0.0
     for j in range(log.shape[0]):
-        square += log[j] * (variances[j] + (means[j] - reported) ** 2)
+        square += log[j] * (variances[j] + (means[j] - expected) ** 2)
     sds = np.sqrt(variances)
     low, high = quantile(log, means, sds, 0.025), quantile(log, means, sds, 0.975)
-    return reported, math.sqrt(square), min(low, reported), max(high, reported)
+    return expected, math.sqrt(square), min(low, expected), max(high, expected)
 
 
 @compiled()
@@ -291,10 +288,19 @@ def _without_causes(estimate, hypotheses, states, known):
 
 
 @compiled()
-def cells(estimate, hypotheses, state):
-    """Return the cells' temperatures (n) if no suspected cause is at work. [°C]"""
-    p = estimate.at.shape[0]
-    return state.t + (without_causes(estimate, hypotheses)[:p] - estimate.at) @ state.s[:p]
+def cells(estimate, hypotheses, shares, state):
+    """Return the cells' temperatures (n) as one filter's hypotheses expect them, `shares` of them (E + 1). [°C]"""
+    p, column = estimate.at.shape[0], hypotheses.column
+    states = estimate.mean.copy()
+    if column.shape[0] > 0:
+        mean, precision, narrow, pull = _causes(estimate, hypotheses)
+        inner = np.linalg.inv(narrow)
+        still, sizes = inner @ pull, np.empty(column.shape[0])
+        for j in range(column.shape[0]):
+            shift, _, _ = _released(hypotheses, j, inner[j, j], still[j], 1.0)
+            sizes[j] = shares[1 + j] * shift
+        states += estimate.covariance[:, column] @ (precision @ (still - mean + inner @ sizes))
+    return state.t + (states[:p] - estimate.at) @ state.s[:p]
 
 
 @compiled()

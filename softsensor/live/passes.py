@@ -173,11 +173,11 @@ class Pass:
 
     @property
     def inside(self) -> Inside | None:
-        """Profile and heat of the panel, None without one."""
-        if not len(self.filters[0].linearised.profile):
+        """Profile and heat of the panel, None without one and before they are known."""
+        if self.mixture is None or not len(self.filters[0].linearised.profile):
             return None
         if self._inside is None or self._inside[0] is not self.mixture:
-            self._inside = self.mixture, look_inside(self.filters[0])
+            self._inside = self.mixture, look_inside(self.filters, self.mixture)
         return self._inside[1]
 
     @property

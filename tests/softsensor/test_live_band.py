@@ -285,7 +285,7 @@ def test_the_likeliest_cause_is_told_whatever_the_size_of_what_is_in_doubt():
     one = by_size(Components(np.log([0.6]), np.zeros(1), np.ones(1)), np.ones(1))
     weights = np.array([*np.exp(one.weight), 0.4])
     parts = Components(weights, np.zeros(4), np.ones(4))
-    assert Mixture(("", "", "", CHANGED), parts, 0.0, 1.0, -2.0, 2.0).leading == ""
+    assert Mixture(("", "", "", CHANGED), parts, 0.0, 1.0, -2.0, 2.0, ()).leading == ""
 
 
 def test_the_scatter_of_density_is_within_that_of_rho_c_and_counts_once(pressing):

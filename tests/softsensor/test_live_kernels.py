@@ -1,5 +1,7 @@
 """The filter's algebra against slow second ways."""
 
+from typing import NamedTuple
+
 import numpy as np
 import pytest
 from scipy.optimize import brentq
@@ -10,7 +12,7 @@ from softsensor.live.blocks import fresh_channels
 from softsensor.live.channel_steps import robust_mean
 from softsensor.live.kalman_steps import StateEstimate, kalman_update
 from softsensor.live.march_steps import PressTiming, set_shares, step_length
-from softsensor.live.mixture_steps import Change, Components, Hypotheses, condition, pool, quantile
+from softsensor.live.mixture_steps import Change, Components, Hypotheses, cells, condition, pool, quantile
 
 
 def problem(seed, states=6, readings=9):
@@ -89,6 +91,34 @@ def test_hypotheses_read_off_one_filter_equal_filters_run_for_each(seed):
             assert size == pytest.approx(own_x[own], abs=1e-6)
 
 
+class Field(NamedTuple):
+    """What `cells` reads of a marched state."""
+
+    t: np.ndarray
+    s: np.ndarray
+
+
+@pytest.mark.parametrize("one_sided", [False, True])
+def test_cells_are_what_the_hypotheses_expect_by_their_shares(one_sided):
+    h, y, noise = problem(7)
+    where, absent, width = np.array([1, 3, 4]), np.array([0.0, -2.5, 1.2]), np.array([0.05, 0.1, 0.2])
+    rng = np.random.default_rng(8)
+    x, cov, _ = filtered(h, y, noise)
+    shares, at, field = (
+        np.array([0.2, 0.5, 0.1, 0.2]),
+        rng.standard_normal(5),
+        Field(*rng.standard_normal((2, 5, 4))),
+    )
+    field = Field(field.t[0], field.s)
+    causes = Hypotheses(where, absent, width, np.full(3, one_sided), np.zeros(4))
+    found = cells(StateEstimate(x, cov, np.zeros((6, 0)), at), causes, shares, field)
+    for i in range(4):
+        readout = np.append(field.s[:, i], 0.0)  # the last state is a bias of the readings
+        shifts, _, _ = conditioned(x, cov, readout, where, absent, width, causes.one_sided)
+        centre = field.t[i] + field.s[:, i] @ (x[:5] - at)
+        assert found[i] == pytest.approx(centre + shares @ shifts)
+
+
 @pytest.mark.parametrize("absent", [0.0, -1.5])
 def test_a_cause_that_can_only_be_larger_counts_what_its_prior_leaves_above(absent):
     x, cov = np.array([0.8 + absent, 0.3]), np.array([[0.25, 0.1], [0.1, 0.5]])
@@ -114,7 +144,7 @@ def test_quantiles_of_a_mixture_leave_their_share_below():
 def test_what_may_have_changed_at_once_takes_its_share_of_the_mixture(core):
     log, means, variances = np.log([7.0, 2.0, 1.0]), np.array([0.0, 5.0, -3.0]), np.array([0.3, 1.0, 4.0])
     out = [np.append(column, [np.nan, np.nan]) for column in (log, means, variances)]
-    told, sd, low, high = pool(Components(*out), 0.0, Change(0.25, *core, 0.4, 2.0))
+    told, sd, low, high = pool(Components(*out), Change(0.25, *core, 0.4, 2.0))
     rng = np.random.default_rng(5)
     usual = rng.choice(3, 1_000_000, p=[0.7, 0.2, 0.1])
     draws = rng.normal(means[usual], np.sqrt(variances[usual]))
@@ -123,7 +153,7 @@ def test_what_may_have_changed_at_once_takes_its_share_of_the_mixture(core):
     faces = rng.normal(centre, np.sqrt(variance + np.where(doubted, 4.0, 0.0)))
     draws = np.where(rng.random(len(draws)) < 0.25, faces, draws)
     assert out[0] == pytest.approx([0.525, 0.15, 0.075, 0.15, 0.1])
-    assert told == pytest.approx(0.25 * centre, abs=0.01)
+    assert told == pytest.approx(draws.mean(), abs=0.01)
     assert sd == pytest.approx(np.sqrt(np.mean((draws - told) ** 2)), rel=0.01)
     assert (low, high) == pytest.approx(np.quantile(draws, [0.025, 0.975]), abs=0.05)
 
