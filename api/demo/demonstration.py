@@ -212,17 +212,22 @@ class _Demo:
         loggers = self._start_loggers({**settings, "speed": plan.speed, "pressings": plan.pressings})
         _write_configuration(self.config, plan, loggers, self.truth)
         self.store: Store = ending.enter_context(open_store(str(plan.folder / "kerntemp.sqlite")))
-        for name in SERVICES:
-            self.children.start(name, [*_KERNTEMP, name, "--config", str(self.config)], stdout=subprocess.DEVNULL)
         web = [*_KERNTEMP, "serve", "--config", str(self.config), "--port", str(plan.port)]
-        self.address = self._first_line(
-            "serve", self.children.start("serve", web, stdout=subprocess.PIPE)
-        ).split()[-1]
-        self.children.start(WARM_UP, [sys.executable, "-m", "api.demo.warm_up"], stdout=subprocess.DEVNULL)
+        page = self.children.start("serve", web, stdout=subprocess.PIPE)
+        self._start_service("sense")
+        self.address = self._first_line("serve", page).split()[-1]
         self._greet(loggers)
+        self._first_line("loggers", self.children.running["loggers"])  # they answer from here on
+        self._start_service("record")
+        self.children.start(WARM_UP, [sys.executable, "-m", "api.demo.warm_up"], stdout=subprocess.DEVNULL)
+        self.truth.cycle(0.0)  # solved before its clock runs
         self._wait_for_services()
         self.started = time.monotonic()
         self._send({"started_monotonic_s": self.started})
+
+    def _start_service(self, name: str) -> None:
+        command = [*_KERNTEMP, name, "--config", str(self.config)]
+        self.children.start(name, command, stdout=subprocess.DEVNULL)
 
     def _greet(self, loggers: Mapping[str, Any]) -> None:
         """Say what is there to look at, and when there will be more."""

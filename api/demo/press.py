@@ -1,9 +1,9 @@
 """The virtual press behind its simulated loggers, as a process of its own: ``python -m api.demo.press``.
 
-It reads one JSON line of settings, writes one JSON line with the loggers' wiring, and waits between
-two pressings until a second line names the moment of the machine's monotonic clock at which virtual
-time 0 is; from there it runs `speed` times as fast. It ends with its standard input, so that it never
-outlives whoever started it.
+It reads one JSON line of settings and writes two: the loggers' wiring at once, and that they answer as soon as the
+first pressing is solved, for which a first start must compile. It waits between two pressings until a second line
+names the moment of the machine's monotonic clock at which virtual time 0 is; from there it runs `speed` times as
+fast. It ends with its standard input, so that it never outlives whoever started it.
 """
 
 from __future__ import annotations
@@ -90,12 +90,18 @@ def main() -> int:
             wiring("labjack-t7", daq, "platens and top", TCP_CHANNELS),
             wiring("adam-4118-ascii", adam, "bottom", SERIAL_CHANNELS),
         ]
-        sys.stdout.write(json.dumps({"loggers": tables, "ambient_C": press.ambient}) + "\n")
-        sys.stdout.flush()
+        _tell({"loggers": tables})
+        press.cycle(0.0)
+        _tell({"ready": True})
         if told := sys.stdin.readline():
             clock.started_s = float(json.loads(told)["started_monotonic_s"])
         sys.stdin.read()
     return 0
+
+
+def _tell(message: dict[str, Any]) -> None:
+    sys.stdout.write(json.dumps(message) + "\n")
+    sys.stdout.flush()
 
 
 if __name__ == "__main__":

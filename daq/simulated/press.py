@@ -2,8 +2,8 @@
 
 A whole cycle, from one panel's removal to the next one's, is solved at once, in a thread of its own and
 one cycle ahead; asking for temperatures then only interpolates, so the press costs next to nothing at any
-speed and never keeps a logger waiting. Two objects with the same settings and seed agree at all times: a
-summary can ask a second one for the truth. Any thread may ask.
+speed and never keeps a logger waiting, once the first cycle was asked for and solved. Two objects with the
+same settings and seed agree at all times: a summary can ask a second one for the truth. Any thread may ask.
 """
 
 from __future__ import annotations
@@ -100,8 +100,8 @@ class VirtualPress:
         self.faults: tuple[Fault, ...] = (draw_fault(rng, 60.0),) if "sensor_fault" in inside else ()
         self._lock = threading.Lock()
         self._worker = ThreadPoolExecutor(1, "virtual-press")
-        self._cycles: deque[Cycle] = deque([self._cycle(None)], maxlen=self.settings.keep)
-        self._next: Future[Cycle] = self._worker.submit(self._cycle, self._cycles[-1])
+        self._cycles: deque[Cycle] = deque(maxlen=self.settings.keep)
+        self._next: Future[Cycle] = Future()
 
     @property
     def panel(self) -> Panel:
@@ -110,14 +110,14 @@ class VirtualPress:
 
     @property
     def cycles(self) -> tuple[Cycle, ...]:
-        """The cycles in memory, oldest first."""
+        """The cycles in memory, oldest first; none before a time was asked for."""
         return tuple(self._cycles)
 
     def cycle(self, at_s: float) -> Cycle:
         """Return the cycle a virtual time lies in, solving cycles up to it."""
         with self._lock:
-            while at_s >= self._cycles[-1].end:
-                self._cycles.append(self._next.result())
+            while not self._cycles or at_s >= self._cycles[-1].end:
+                self._cycles.append(self._next.result() if self._cycles else self._cycle(None))
                 self._next = self._worker.submit(self._cycle, self._cycles[-1])
             for cycle in reversed(self._cycles):
                 if at_s >= cycle.start:

@@ -52,7 +52,7 @@ def wait_for(browser: Browser, address: str) -> str:
     while time.monotonic() < deadline:
         state = page.evaluate(
             "Promise.all(['press', 'coefficients'].map(p => fetch('api/v1/' + p).then(a => a.json())))"
-            ".then(([p, c]) => [c.items.map(i => i.run), p.items[0].state, p.items[0].estimate?.core_C ?? 0])"
+            ".then(([p, c]) => [c.items.map(i => i.run), p.items[0]?.state, p.items[0]?.estimate?.core_C ?? 0])"
         )
         if len(state[0]) >= PRESSINGS_BEFORE and state[1] == "closed" and state[2] >= CORE_C:
             page.close()

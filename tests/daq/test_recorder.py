@@ -41,6 +41,7 @@ class Plant:
     def __init__(self, folder: Path, speed: float, rate_hz: float) -> None:
         self.folder, self.speed, self.rate_hz = folder, speed, rate_hz
         self.press = VirtualPress(QUICK, 3)
+        self.press.cycle(0.0)  # solved before the clock runs
         self.began = time.monotonic()
         self.lower = Switches()
         self.url = str(folder / "plant.sqlite")

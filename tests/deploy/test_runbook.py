@@ -96,6 +96,7 @@ class PressPc:
         self.warm_from: int | None = None
         self.began_s = self.stands_s = 0.0
         self.press = VirtualPress(PressSettings(between_s=(12.0, 16.0), keep=60), 3)
+        self.press.cycle(0.0)  # solved before a logger asks
         upper = simulated("adam-6018+", self._upper, clock=self._clock, refresh_s=0.0)
         lower = simulated("adam-4118-ascii", self._lower, clock=self._clock, refresh_s=0.1)
         self.upper, self.lower = stack.enter_context(upper), stack.enter_context(lower)
