@@ -96,8 +96,9 @@ class Bus:
             link = self._opened(timing)
             try:
                 self._settle(link, timing)
+                requested_s = time.monotonic()  # before it: the device may convert at once
                 link.write(request)
-                result = self._await(link, take, timing, time.monotonic())
+                result = self._await(link, take, timing, requested_s)
             except LinkLost as error:
                 self._drop()
                 raise NoReply(self._said(error), Cause.PORT_LOST) from error
@@ -189,7 +190,7 @@ class Bus:
 
     def _await(self, link: Link, take: TakeReply, timing: LineTiming, requested_s: float) -> Exchange:
         buffer = bytearray()
-        deadline = requested_s + timing.timeout_s
+        deadline = time.monotonic() + timing.timeout_s
         while (left := deadline - time.monotonic()) > 0:
             data = link.read(left)
             if not data:

@@ -67,6 +67,8 @@ class Spoiler:
     """What the device says when it is busy."""
     numbered: bool = False
     """Whether replies carry a transaction number, so that even an old one can be told."""
+    asks: Callable[[bytes], int] = lambda data: 1
+    """How many replies what the driver sends at once asks for."""
 
 
 _Arrival = tuple[float, list[bytes]]
@@ -212,7 +214,7 @@ class FaultProxy:
                 if data and not killed.is_set():
                     came_s = min(time.monotonic(), looked_s + _POLL_S)  # a busy machine may have let it lie
                     self._request, self._due_s = data, came_s + self._in_time_s(data)
-                    self._owed += 1
+                    self._owed += self._spoiler.asks(data)
                     with suppress(OSError):
                         device_send(data)
             killed.set()
@@ -393,7 +395,10 @@ def bare_text_spoiler() -> Spoiler:
         place = int(rng.integers(len(reply)))
         return reply[:place] + bytes([reply[place] | 0x80]) + reply[place + 1 :]
 
-    return Spoiler(damage=damage, wrong_id=lambda reply: None, busy=lambda reply: None)
+    def queries(data: bytes) -> int:
+        return data.count(b"?")  # a command asks for nothing
+
+    return Spoiler(damage=damage, wrong_id=lambda reply: None, busy=lambda reply: None, asks=queries)
 
 
 def _flipped_bit(reply: bytes, rng: np.random.Generator) -> bytes:
