@@ -13,8 +13,9 @@ import math
 import subprocess
 import sys
 import tempfile
+import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -203,6 +204,7 @@ class _Demo:
         """The nightly job, while it runs."""
         self._judged = 0
         """How many pressings there were when it last began or ended."""
+        self._told_of_compiling = False
 
     def start(self, ending: ExitStack) -> None:
         """Bring up loggers, recorder, sensor and page."""
@@ -217,11 +219,11 @@ class _Demo:
         self._start_service("sense")
         self.address = self._first_line("serve", page).split()[-1]
         self._greet(loggers)
-        self._first_line("loggers", self.children.running["loggers"])  # they answer from here on
+        self._wait_until(self._loggers_answer().is_set, ("loggers",))
         self._start_service("record")
         self.children.start(WARM_UP, [sys.executable, "-m", "api.demo.warm_up"], stdout=subprocess.DEVNULL)
         self.truth.cycle(0.0)  # solved before its clock runs
-        self._wait_for_services()
+        self._wait_until(self._all_run, SERVICES)  # an accelerated press would run away from a compiling sensor
         self.started = time.monotonic()
         self._send({"started_monotonic_s": self.started})
 
@@ -268,17 +270,34 @@ class _Demo:
         pipe.write(json.dumps(message) + "\n")
         pipe.flush()
 
-    def _wait_for_services(self) -> None:
-        """Wait until all is compiled: an accelerated press would run away from a compiling sensor."""
-        began, told = time.monotonic(), False
-        while not (self._running() and self._warmed()):
+    def _loggers_answer(self) -> threading.Event:
+        """Return what is set once the loggers' process has solved its first pressing."""
+        answering, child = threading.Event(), self.children.running["loggers"]
+
+        def listen() -> None:
+            if child.stdout is not None and child.stdout.readline():
+                answering.set()
+
+        threading.Thread(target=listen, name="loggers' answer", daemon=True).start()
+        return answering
+
+    def _wait_until(self, ready: Callable[[], bool], processes: Sequence[str]) -> None:
+        """Wait for processes that may have to compile; one that ends meanwhile is an error."""
+        began = time.monotonic()
+        while not ready():
+            self.children.check()
             waited = time.monotonic() - began
             if waited > COMPILE_S:
-                raise WorkFailed(say("demo-no-sign-of-life", processes=SERVICES, seconds=COMPILE_S))
-            if waited > QUICK_S and not told:
-                told = True
+                raise WorkFailed(say("demo-no-sign-of-life", processes=tuple(processes), seconds=COMPILE_S))
+            if waited > QUICK_S and not self._told_of_compiling:
+                self._told_of_compiling = True
                 self.tell(say("demo-compiling"))
             time.sleep(0.05)
+
+    def _all_run(self) -> bool:
+        """Whether recorder and sensor do their work, and what fits need is compiled."""
+        states = {name: told.status.get("state") for name, told in self.store.statuses().items()}
+        return all(states.get(name) not in (None, "starting") for name in SERVICES) and self._warmed()
 
     def _warmed(self) -> bool:
         """Whether what fits need is compiled."""
@@ -286,12 +305,6 @@ class _Demo:
         if done:
             del self.children.running[WARM_UP]
         return done
-
-    def _running(self) -> bool:
-        """Whether recorder and sensor do their work."""
-        self.children.check()
-        states = {name: told.status.get("state") for name, told in self.store.statuses().items()}
-        return all(states.get(name) not in (None, "starting") for name in SERVICES)
 
     def _first_line(self, name: str, child: subprocess.Popen[str]) -> str:
         line = child.stdout.readline() if child.stdout is not None else ""

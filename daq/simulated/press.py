@@ -101,7 +101,7 @@ class VirtualPress:
         self._lock = threading.Lock()
         self._worker = ThreadPoolExecutor(1, "virtual-press")
         self._cycles: deque[Cycle] = deque(maxlen=self.settings.keep)
-        self._next: Future[Cycle] = Future()
+        self._next: Future[Cycle] | None = None
 
     @property
     def panel(self) -> Panel:
@@ -114,10 +114,15 @@ class VirtualPress:
         return tuple(self._cycles)
 
     def cycle(self, at_s: float) -> Cycle:
-        """Return the cycle a virtual time lies in, solving cycles up to it."""
+        """Return the cycle a virtual time lies in, solving cycles up to it.
+
+        Also the first is solved by the worker: what a signal raises where the compiler runs is lost.
+        """
         with self._lock:
+            if self._next is None:
+                self._next = self._worker.submit(self._cycle, None)
             while not self._cycles or at_s >= self._cycles[-1].end:
-                self._cycles.append(self._next.result() if self._cycles else self._cycle(None))
+                self._cycles.append(self._next.result())
                 self._next = self._worker.submit(self._cycle, self._cycles[-1])
             for cycle in reversed(self._cycles):
                 if at_s >= cycle.start:

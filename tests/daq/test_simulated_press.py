@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import threading
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 from daq.press.header import panel_of
 from daq.records import InputError, PressState, Run
 from daq.simulated.campaign_sensors import CHANNELS, Nuisances
-from daq.simulated.press import PressSettings, VirtualPress
+from daq.simulated.press import Cycle, PressSettings, VirtualPress
 
 PERFECT = Nuisances.none()
 
@@ -34,6 +35,21 @@ def test_pressings_follow_one_another_and_differ() -> None:
         assert c.start < m.inserted_s < m.closed_s < m.opened_s < m.removed_s
         assert 0.2 <= m.ramp_s <= 1.0
     assert np.std([c.moments.opened_s - c.moments.closed_s for c in cycles]) > 3.0
+
+
+def test_no_cycle_is_solved_in_the_thread_that_asks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A signal that comes while the compiler calls back into Python raises there, and nobody hears of it."""
+    solving, solve = set(), VirtualPress._cycle
+
+    def solved(press: VirtualPress, before: Cycle | None) -> Cycle:
+        solving.add(threading.current_thread())
+        return solve(press, before)
+
+    monkeypatch.setattr(VirtualPress, "_cycle", solved)
+    press = VirtualPress(seed=3)
+    press.cycle(press.cycle(0.0).end)
+    assert solving
+    assert threading.current_thread() not in solving
 
 
 def test_two_presses_of_one_seed_agree_whatever_was_asked_before() -> None:
