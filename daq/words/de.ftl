@@ -709,9 +709,9 @@ fit-gap-at-moment =
         [closed_s] das Schließen
        *[opened_s] das Öffnen
     }. Der Zeitpunkt wird in der Lücke gesucht, und die Koeffizienten sind entsprechend ungenauer bekannt
-fit-misfit-astray = Residuum { NUMBER($rmse, minimumFractionDigits: 1, maximumFractionDigits: 1) } K nach der Anpassung, { NUMBER($first, minimumFractionDigits: 1, maximumFractionDigits: 1) } K davor
+fit-misfit-astray = Residuum in Ruhe { NUMBER($rmse, minimumFractionDigits: 1, maximumFractionDigits: 1) } K nach der Anpassung, { NUMBER($first, minimumFractionDigits: 1, maximumFractionDigits: 1) } K davor
 fit-misfit-lost-insertion = Einlegen und Schließen fallen in eine Lücke ihrer Zeilen, { NUMBER($begin, minimumFractionDigits: 1, maximumFractionDigits: 1) } bis { NUMBER($end, minimumFractionDigits: 1, maximumFractionDigits: 1) } s
-fit-misfit-span = { NUMBER($rmse, minimumFractionDigits: 1, maximumFractionDigits: 1) } K bleiben bei Messwerten, die { NUMBER($span, maximumFractionDigits: 0) } K überstreichen
+fit-misfit-span = { NUMBER($rmse, minimumFractionDigits: 1, maximumFractionDigits: 1) } K bleiben in Ruhe bei Messwerten, die { NUMBER($span, maximumFractionDigits: 0) } K überstreichen
 fit-no-run = keine Pressung angegeben; mindestens eine Datei nennen
 fit-no-such-method = Verfahren '{ $method }': erlaubt sind { $methods }
 fit-no-such-shared = gemeinsamer Koeffizient '{ $name }': erlaubt sind { $names }
@@ -1070,7 +1070,10 @@ night-compared =
         [with] { $effects }
         [without] ohne { $without }
        *[both] { $effects } ohne { $without }
-    }: Residuum einzelner Fühler, eigene Kontakte angepasst, { NUMBER($before, minimumFractionDigits: 3, maximumFractionDigits: 3) } -> { NUMBER($after, minimumFractionDigits: 3, maximumFractionDigits: 3) } K auf { $apart ->
+    }: Residuum einzelner Fühler{ $still ->
+        [yes] { " in Ruhe" }
+       *[no] { "" }
+    }, eigene Kontakte angepasst, { NUMBER($before, minimumFractionDigits: 3, maximumFractionDigits: 3) } -> { NUMBER($after, minimumFractionDigits: 3, maximumFractionDigits: 3) } K auf { $apart ->
         [yes] { $runs } unbeteiligten Pressungen
        *[no] { $runs } Pressungen der Diagnose
     }{ $predicted }{ $core }{ $against }
@@ -1887,7 +1890,7 @@ page-limit-in = Grenze in
 page-no-estimate = Noch keine Vorhersage
 page-no-panel = Keine Platte in der Presse
 page-no-press = Noch keine Presse
-page-no-press-hint = 'kerntemp record' mit einer Konfiguration starten oder 'kerntemp demo' ansehen.
+page-no-press-hint = Eine Presse erscheint hier, sobald ihre Aufzeichnung beginnt: 'kerntemp record' mit einer Konfiguration; die von 'kerntemp demo' innerhalb einer halben Minute nach deren Start.
 page-open-then = öffnen
 page-press = Presse
 page-running-pressing = Laufende Pressung

@@ -709,9 +709,9 @@ fit-gap-at-moment =
         [closed_s] the closing
        *[opened_s] the opening
     } falls: its moment is searched in the gap, and the coefficients are less well known for it
-fit-misfit-astray = residual { NUMBER($rmse, minimumFractionDigits: 1, maximumFractionDigits: 1) } K after the fit, { NUMBER($first, minimumFractionDigits: 1, maximumFractionDigits: 1) } K before it
+fit-misfit-astray = residual while nothing moves { NUMBER($rmse, minimumFractionDigits: 1, maximumFractionDigits: 1) } K after the fit, { NUMBER($first, minimumFractionDigits: 1, maximumFractionDigits: 1) } K before it
 fit-misfit-lost-insertion = insertion and closing fall into one gap of its rows, { NUMBER($begin, minimumFractionDigits: 1, maximumFractionDigits: 1) } to { NUMBER($end, minimumFractionDigits: 1, maximumFractionDigits: 1) } s
-fit-misfit-span = { NUMBER($rmse, minimumFractionDigits: 1, maximumFractionDigits: 1) } K left of readings that span { NUMBER($span, maximumFractionDigits: 0) } K
+fit-misfit-span = { NUMBER($rmse, minimumFractionDigits: 1, maximumFractionDigits: 1) } K left, while nothing moves, of readings that span { NUMBER($span, maximumFractionDigits: 0) } K
 fit-no-run = no run given; name at least one run file
 fit-no-such-method = method '{ $method }': must be one of { $methods }
 fit-no-such-shared = shared coefficient '{ $name }': must be one of { $names }
@@ -1053,7 +1053,10 @@ night-compared =
         [with] { $effects }
         [without] without { $without }
        *[both] { $effects } without { $without }
-    }: residual of single sensors, own contacts fitted, { NUMBER($before, minimumFractionDigits: 3, maximumFractionDigits: 3) } -> { NUMBER($after, minimumFractionDigits: 3, maximumFractionDigits: 3) } K on { $apart ->
+    }: residual of single sensors{ $still ->
+        [yes] { " while nothing moves" }
+       *[no] { "" }
+    }, own contacts fitted, { NUMBER($before, minimumFractionDigits: 3, maximumFractionDigits: 3) } -> { NUMBER($after, minimumFractionDigits: 3, maximumFractionDigits: 3) } K on { $apart ->
         [yes] { $runs } runs that took no part
        *[no] { $runs } runs of the diagnosis
     }{ $predicted }{ $core }{ $against }
@@ -1868,7 +1871,7 @@ page-limit-in = Limit in
 page-no-estimate = No prediction yet
 page-no-panel = No panel in the press
 page-no-press = No press yet
-page-no-press-hint = Start 'kerntemp record' with a configuration, or watch 'kerntemp demo'.
+page-no-press-hint = A press appears here as soon as its recorder begins: 'kerntemp record' with a configuration; that of 'kerntemp demo' within half a minute of its start.
 page-open-then = open
 page-press = Press
 page-running-pressing = Running pressing

@@ -32,6 +32,7 @@ from scipy.special import stdtrit
 from daq.records import Array
 from softsensor.effects import Effect, Need, Role, catalogue
 from softsensor.fitting.problem import Evaluation, Problem, constants_among, inverse, normal_equations
+from softsensor.fitting.result import left_in
 from softsensor.heat.model_file import FittedValue, MissingCause, MissingCauses, ModelFile
 from softsensor.signals.unknown import BAND
 
@@ -148,20 +149,15 @@ def stored_missing_causes(fits: Sequence[Mapping[str, Any]]) -> MissingCauses | 
     met = [fit for fit in fits if fit.get("met", True)]
     found = [fit["evidence"] for fit in met or fits if fit.get("evidence")]
     seen = missing_causes([{name: RunEvidence.from_json(e) for name, e in run.items()} for run in found])
-    return seen if met else _far_off(seen, [left for fit in fits if (left := _left_of(fit)) is not None])
-
-
-def _left_of(fit: Mapping[str, Any]) -> float | None:
-    """Return what a stored fit left of its run while nothing moved, by an older version of the whole run. [K]"""
-    left = fit.get("rmse_still_K", fit.get("rmse_K"))
-    return None if left is None else float(left)
+    return seen if met else _far_off(seen, left_in(fits)[1].tolist())
 
 
 def _far_off(seen: MissingCauses | None, left: Sequence[float]) -> MissingCauses | None:
     """Return what is said of runs the model describes none of: no cause takes anything of what is left."""
-    if seen is None or not left:
+    known = [kelvins for kelvins in left if math.isfinite(kelvins)]
+    if seen is None or not known:
         return seen
-    return replace(seen, runs=0, unexplained_K=max(seen.unexplained_K, float(np.median(left))))
+    return replace(seen, runs=0, unexplained_K=max(seen.unexplained_K, float(np.median(known))))
 
 
 def _moved(problem: Problem, effect: Effect, values: Mapping[str, float], base: Array) -> list[Array]:

@@ -60,9 +60,9 @@ def held_against(fitted: RunFit, own: RunFit) -> RunFit:
             c, ci95=ends, identifiable=told.identifiable, verdict=told.verdict, reason=told.reason
         )
     notes += verdict_notes(coefficients)
-    seen = fitted.rmse_K > own.rmse_K + SEEN_K
-    if seen and fitted.rmse_K > min(MUCH_WORSE * own.rmse_K, fitted.initial_rmse_K):
-        notes.append(say("fit-stuck", rmse=fitted.rmse_K, first=fitted.initial_rmse_K, own=own.rmse_K))
+    left, first, best = fitted.rmse_still_K, fitted.initial_rmse_still_K, own.rmse_still_K
+    if left > best + SEEN_K and left > min(MUCH_WORSE * best, first):
+        notes.append(say("fit-stuck", rmse=left, first=first, own=best))
         fitted = replace(fitted, converged=False)
     if misfit := fitted.misfit or own.misfit:
         return _unmet(replace(fitted, misfit=misfit, warnings=(*fitted.warnings, *notes)))

@@ -21,7 +21,8 @@ MISFIT_K, MISFIT_SHARE, MISFIT_NOISE, NOISIEST_K = 1.0, 0.04, 5.0, 1.0
 """A model does not describe a run from which it leaves more than each of: so many kelvin, this share of the span
 of the readings, and so many times the noise of a channel, which counts up to the last.
 
-Choice (2026-11-21): a pressing spans 160 K, so 6.4 K. The causes of the catalogue at typical sizes leave 0.3 to
+Of rows in which nothing is moved (`left_still`). Choice (2026-11-21, then of all rows): a pressing spans 160 K, so
+6.4 K. The causes of the catalogue at typical sizes leave 0.3 to
 4.0 K, and are for the diagnosis to name; a closing that is missed leaves 9 K.
 """
 
@@ -309,11 +310,24 @@ def channel_residuals(problem: Problem, at: Evaluation) -> tuple[dict[str, Array
 
 
 def left_still(problem: Problem, residuals: Mapping[str, Array]) -> float:
-    """Return the root mean square of channels' residuals while nothing is being moved, their means removed. [K]"""
+    """Return the root mean square of channels' residuals while nothing is being moved, their means removed. [K]
+
+    Of all rows where the press or the panel is being moved in each of them.
+    """
     still = slice(None) if problem.moving is None else np.logical_not(problem.moving)
     rows = [r[still] for r in residuals.values()]
     known = [r - r[np.isfinite(r)].mean() for r in rows if np.isfinite(r).any()]
-    return rms(known) if known else float("nan")
+    return rms(known or residuals.values())
+
+
+def left_in(fits: Sequence[Mapping[str, Any]]) -> tuple[str, Array]:
+    """Return what stored fits left of their runs, and by which key: still, unless an older version's has none.
+
+    NaN for a fit that says neither. [K]
+    """
+    old = any(fit.get("rmse_still_K") is None and fit.get("rmse_K") is not None for fit in fits)
+    key = "rmse_K" if old else "rmse_still_K"
+    return key, np.array([fit.get(key) for fit in fits], float)
 
 
 def rms(series: Any) -> float:

@@ -26,6 +26,7 @@ from daq.store.records import ModelStatus
 from daq.words import Message, say
 from softsensor.diagnosis.decision import Verdict
 from softsensor.diagnosis.missing_causes import stored_missing_causes
+from softsensor.fitting.result import left_in
 from softsensor.fitting.simulated_run import simulate_run
 from softsensor.heat.model_file import ModelFile, parse_model
 from softsensor.jobs.fitter import fit_one
@@ -276,12 +277,14 @@ def _compare(
     Where there are too few runs to keep the judging ones apart from the diagnosis, that is said, and predictions
     are those of the diagnosis, each run by the others. `fewer` effects than before need no gain, only no loss.
     """
-    old, new = (np.array([float(f[run]["rmse_K"]) for run in fits]) for f in (night.fits, fits))
+    key, left = left_in([f[run] for f in (night.fits, fits) for run in fits])
+    both = np.reshape(left, (2, -1))
+    old, new = both[:, np.isfinite(both).all(axis=0)]
     ahead = _predictions(night, report, candidate, list(fits), apart=apart or bool(fewer))
     figures: dict[str, Any] = {
         "judged_runs": list(fits),
         "judged_runs_took_part": not apart,
-        "rmse_K": {"before": _mean(old), "after": _mean(new)},
+        key: {"before": _mean(old), "after": _mean(new)},
     }
     if ahead is not None:
         figures["predicted_rmse_K"] = {"before": ahead.before_K, "after": ahead.after_K}
@@ -299,6 +302,7 @@ def _compare(
         before=_mean(old),
         after=_mean(new),
         runs=len(old),
+        still="yes" if key == "rmse_still_K" else "no",
         apart="yes" if apart else "no",
         predicted=_change("night-compared-predicted", ahead.before_K, ahead.after_K) if ahead is not None else "",
         core=_change("night-compared-core", core.before_K, core.after_K) if core is not None else "",

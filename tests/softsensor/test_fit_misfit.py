@@ -71,7 +71,7 @@ def test_report_and_json_say_it_before_all_else(found):
     bad = found.runs[3]
     page = fit_report(found)
     told = (
-        f"The model does not describe 1 of 9 runs: {bad.run} ({bad.rmse_still_K:.1f} K left of readings that span"
+        f"The model does not describe 1 of 9 runs: {bad.run} ({bad.rmse_still_K:.1f} K left, while nothing moves, "
     )
     assert page.partition('class="finding">')[2].startswith(told)
     assert "Fitted to 8 runs" in page

@@ -350,10 +350,12 @@ def test_an_effect_the_diagnosis_no_longer_finds_goes_unless_it_still_helps(stor
     monkeypatch.setattr(nightly_judge, "_diagnose", lambda night, asked: (report, plain))
     outcome = refit_press(store, "lab", PRESS, workers=1)
     assert outcome.promoted
-    assert str(outcome.reason).startswith("without edge_loss: residual of single sensors, own contacts fitted, ")
+    assert str(outcome.reason).startswith(
+        "without edge_loss: residual of single sensors while nothing moves, own "
+    )
     model = store.active_model("lab").model
     assert (model["effects"], model["basis"]["judged_runs"]) == ([], [run.name for run in runs])
-    assert model["basis"]["rmse_K"]["after"] < 1.02 * model["basis"]["rmse_K"]["before"]
+    assert model["basis"]["rmse_still_K"]["after"] < 1.02 * model["basis"]["rmse_still_K"]["before"]
 
     fits = {run.name: {"rmse_K": 0.3} for run in runs}
     night = nightly_judge.Night(store, "lab", PRESS, rim, [], fits)
@@ -381,6 +383,26 @@ def test_a_core_that_gets_worse_or_silent_is_no_gain(core, says, monkeypatch):
     found = nightly_judge._compare(night, {}, rim, after, apart=True)
     assert str(found.reason).endswith(says)
     assert found.better is (core.after_K < core.before_K)
+
+
+def test_what_moves_with_the_press_does_not_promote_a_model(monkeypatch):
+    """A row amid the closing weighs more than the rest of a run; older fits know of no other number."""
+    rim = ModelFile("lab-2", "lab", {}, (("edge_loss", {"W_m3K": FittedValue(1000.0, 100.0)}),))
+    monkeypatch.setattr(nightly_judge, "_core_rmse", lambda *_: None)
+    monkeypatch.setattr(nightly_judge, "_predictions", lambda *_, **__: None)
+
+    def found(before, after):
+        night = nightly_judge.Night(None, "lab", PRESS, None, [], {f"run-{i}": before for i in range(6)})
+        return nightly_judge._compare(night, {}, rim, dict.fromkeys(night.fits, after), apart=True)
+
+    moved = found({"rmse_K": 2.0, "rmse_still_K": 0.3}, {"rmse_K": 0.5, "rmse_still_K": 0.3})
+    assert not moved.better
+    assert "single sensors while nothing moves, own contacts fitted, 0.300 -> 0.300 K" in str(moved.reason)
+    older = found({"rmse_K": 2.0}, {"rmse_K": 0.5, "rmse_still_K": 0.3})
+    assert older.better
+    assert "single sensors, own contacts fitted, 2.000 -> 0.500 K" in str(older.reason)
+    unknown = found({"rmse_K": None}, {"rmse_K": 0.5, "rmse_still_K": 0.3})
+    assert not unknown.better
 
 
 @pytest.mark.parametrize(
