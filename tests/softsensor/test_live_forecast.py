@@ -14,7 +14,7 @@ from daq.simulated.campaign_pressfile import press_toml
 from daq.simulated.physics_pressing import BASE_COEFFICIENTS
 from softsensor.heat.implicit_steps import Stack
 from softsensor.heat.model_file import FittedValue, ModelFile
-from softsensor.live.inside import heat_taken_up
+from softsensor.live.inside import heat_taken_up, look_inside
 from softsensor.live.sensor import LiveSensor
 
 PRESS = parse_press(press_toml())
@@ -97,6 +97,32 @@ def test_the_heat_taken_up_is_that_of_the_profile(pressing, followed):
     capacity, start = 1550.0 * run.header["panel.density_kg_m3"], run.header["panel.initial_temperature_C"]
     depth = np.linspace(0.0, 0.016, 11)
     assert inside.energy_kJ_m2 == pytest.approx(np.trapezoid(profile - start, depth) * capacity / 1000.0, rel=0.04)
+
+
+def test_the_middle_of_the_profile_is_the_core_that_is_told(followed):
+    held = [(said.core_C, inside.profile_C[5]) for _, _, said, inside, _ in followed if inside and said.valid]
+    told, profile = np.array(held).T
+    assert len(told) > 100
+    assert np.abs(told - profile).max() < 0.3
+
+
+def test_filters_count_inside_the_panel_by_their_shares(pressing):
+    run, _ = pressing
+    sensor = LiveSensor(PRESS, run.header, MODEL)
+    for i, t in enumerate(run.time_s[:60].tolist()):
+        sensor.update(t, {name: float(values[i]) for name, values in run.columns.items()})
+    current = sensor._run.passes.current
+    one, two, mixture = current.filters[0], current.filters[1], current.mixture
+
+    def inside(first, second):
+        shares = [wanted * own / own.sum() for wanted, own in zip((first, second), mixture.shares, strict=False)]
+        return look_inside([one, two], replace(mixture, shares=tuple(shares)))
+
+    first, second, both = inside(1.0, 1e-9), inside(1e-9, 1.0), inside(0.25, 0.75)
+    assert np.abs(first.profile_C - second.profile_C).max() > 0.01
+    assert both.profile_C == pytest.approx(0.25 * first.profile_C + 0.75 * second.profile_C)
+    assert both.energy_kJ_m2 == pytest.approx(0.25 * first.energy_kJ_m2 + 0.75 * second.energy_kJ_m2)
+    assert inside(0.005, 0.995).profile_C == pytest.approx(second.profile_C), "too little to count"
 
 
 def test_nothing_is_foreseen_where_nothing_is_wanted(pressing):
