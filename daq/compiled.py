@@ -76,6 +76,10 @@ class _Kept:
     def _path(self, key: object) -> Path:
         return Path(self.cache_path, f"{self._name}-{hashlib.sha256(repr(key).encode()).hexdigest()[:16]}")
 
+    def place_of(self, signature: Any, context: Any) -> Path:
+        """Return the file of a signature on this processor."""
+        return self._path((signature, context.codegen().magic_tuple()))
+
     def load_overload(self, signature: Any, context: Any) -> Any:
         """Return the machine code for a signature, None where none is kept."""
         context.refresh()
@@ -128,11 +132,22 @@ class _Code(NamedTuple):
 
     def address(self) -> int:
         """Return where the machine code lies in this process, loaded or compiled if it does not yet."""
-        importlib.import_module(self.module)
-        function = _FUNCTIONS[self.module, self.name]
+        function = function_at(self.module, self.name)
         function.compile(self.signature)
         result = function.overloads[self.signature]
         return int(result.library.get_pointer_to_function(result.fndesc.llvm_func_name))
+
+
+def function_at(module: str, name: str) -> Any:
+    """Return a compiled function, whose module is imported for it."""
+    importlib.import_module(module)
+    return _FUNCTIONS[module, name]
+
+
+def place_of(module: str, name: str, signature: Any) -> Path:
+    """Return the file in which a function's machine code for a signature is kept, here and on this processor."""
+    function = function_at(module, name)
+    return Path(function._cache.place_of(signature, function.targetctx))  # noqa: SLF001 - put there above
 
 
 _FUNCTIONS: dict[tuple[str, str], Any] = {}

@@ -273,7 +273,7 @@ def warm_up(place: Place, version: str) -> None:
     """Compile now what the first pressing would have to wait for."""
     if place.compiles:
         say(words("compiling"))
-        as_service(place, version, "python", "-m", "api.demo.warm_up")
+        as_service(place, version, "python", "-m", "softsensor.jobs.first_start")
 
 
 def schema_of(place: Place, version: str) -> int:

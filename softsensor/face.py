@@ -43,6 +43,7 @@ from softsensor.fitting.simulated_run import Simulated, simulate_run
 from softsensor.heat.model import ThermalModel
 from softsensor.heat.model_file import ModelFile
 from softsensor.jobs.campaign import fit_campaign
+from softsensor.jobs.first_start import Work, compile_for
 from softsensor.jobs.model_files import read_model as read_model_file
 from softsensor.live.replay import Replay, replay
 from softsensor.live.sensor import Estimate
@@ -517,6 +518,7 @@ def predict(
     described = read_press(press)
     loaded = legible(read_run(run), described)
     known = None if model is None else read_model(model)
+    compile_for(Work.LIVE)
     replayed = replay(described, loaded, known, loaded.named(without), resin=_resin(resin))
     return Prediction(replayed)
 
@@ -577,6 +579,7 @@ class LiveSensor(ScanSensor):
         resin: Resin | Path | str | None = None,
     ) -> None:
         check_header(header, "LiveSensor")
+        compile_for(Work.LIVE)
         super().__init__(read_press(press), header, None if model is None else read_model(model), _resin(resin))
         self._newest_s = -math.inf
 

@@ -87,9 +87,11 @@ def predict(
     paper = read_resin(resin) if resin is not None else None
     (loaded,) = load_runs([run], described, store, config)
     with working(say("terminal-progress-predicting", run=loaded.name), len(loaded.time_s)) as done:
+        from softsensor.jobs.first_start import Work, compile_for
         from softsensor.jobs.model_files import read_model
         from softsensor.live.replay import replay
 
+        compile_for(Work.LIVE)
         known = read_model(model) if model is not None else None
         if known is not None:
             _check_model((described, press_for_run(described, loaded)), known, model)

@@ -43,8 +43,6 @@ from daq.words import Message, say
 from softsensor.heat.model_file import ModelFile, parse_model
 
 SERVICES = ("record", "sense")
-WARM_UP = "warm-up"
-"""The process that compiles what fits need; it ends when it has."""
 START_S = 120.0
 """Longest wait for a process to come up. [s]"""
 QUICK_S = 5.0
@@ -53,8 +51,8 @@ COMPILE_S = 600.0
 """Longest wait for the compiler. [s]"""
 PATIENCE_S = 15.0
 """Longest wait for a process to end by itself. [s]"""
-FIT_S = 90.0
-"""Longest wait for the last fit of a finished pressing. [s]"""
+FIT_S = 240.0
+"""Longest wait for the last fit of a finished pressing: of a first start, also for what fits compile. [s]"""
 SCANS_PER_S = 30.0
 """An accelerated demonstration scans at most about this often in real time."""
 TARGET_C = 40.0
@@ -118,7 +116,7 @@ class Children:
     def check(self) -> None:
         """Raise `WorkFailed` with the last words of a process that ended by itself."""
         for name, child in self.running.items():
-            if child.poll() is not None and (name != WARM_UP or child.returncode):
+            if child.poll() is not None:
                 raise WorkFailed(_ended(name, child.returncode, self.last_words(name)))
 
     def last_words(self, name: str) -> str | Message:
@@ -221,7 +219,6 @@ class _Demo:
         self._greet(loggers)
         self._wait_until(self._loggers_answer().is_set, ("loggers",))
         self._start_service("record")
-        self.children.start(WARM_UP, [sys.executable, "-m", "api.demo.warm_up"], stdout=subprocess.DEVNULL)
         self.truth.cycle(0.0)  # solved before its clock runs
         self._wait_until(self._all_run, SERVICES)  # an accelerated press would run away from a compiling sensor
         self.started = time.monotonic()
@@ -295,16 +292,9 @@ class _Demo:
             time.sleep(0.05)
 
     def _all_run(self) -> bool:
-        """Whether recorder and sensor do their work, and what fits need is compiled."""
+        """Whether recorder and sensor do their work."""
         states = {name: told.status.get("state") for name, told in self.store.statuses().items()}
-        return all(states.get(name) not in (None, "starting") for name in SERVICES) and self._warmed()
-
-    def _warmed(self) -> bool:
-        """Whether what fits need is compiled."""
-        done = self.children.running[WARM_UP].poll() == 0
-        if done:
-            del self.children.running[WARM_UP]
-        return done
+        return all(states.get(name) not in (None, "starting") for name in SERVICES)
 
     def _first_line(self, name: str, child: subprocess.Popen[str]) -> str:
         line = child.stdout.readline() if child.stdout is not None else ""

@@ -18,6 +18,7 @@ from softsensor.fitting.one_run import fit_run, make_problem
 from softsensor.fitting.problem import minimise
 from softsensor.fitting.result import RunFit
 from softsensor.heat.model import ThermalModel
+from softsensor.jobs.first_start import Work, compile_for
 from softsensor.signals.moments import moments_of
 
 # Numbers without another source were set by hand, 2026-11.
@@ -72,6 +73,7 @@ def fit_runs(
 ) -> list[RunFit]:
     """Fit every run on all cores, in order; `options` are those of `fit_run`."""
     workers, fit = _cores(workers, runs), partial(_fit, model, options)
+    compile_for(Work.FIT)
     # compiled before the first run, whose time would otherwise hold that
     minimise(
         make_problem(model, runs[0], moments_of(runs[0], model.press), options.get("start")), max_evaluations=1

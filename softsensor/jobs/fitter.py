@@ -17,6 +17,7 @@ import numpy as np
 from daq.press.press_file import Press
 from daq.records import Run
 from softsensor.heat.model_file import ModelFile
+from softsensor.jobs.first_start import Work, compile_for
 
 LOG = logging.getLogger("kerntemp.sense")
 
@@ -86,7 +87,9 @@ def _end_with_parent() -> None:
 
 
 def _warm_up() -> None:
-    """Load the solver before the first fit is due."""
+    """Compile beside the live sensor what that needs, then what fits need; load the solver before one is due."""
+    for work in (Work.LIVE, Work.FIT):
+        compile_for(work)
     from softsensor.fitting import campaign
 
     LOG.debug("fitter ready: %s", campaign.__name__)

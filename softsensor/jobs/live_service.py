@@ -32,6 +32,7 @@ from daq.store.waiting import open_when_ready
 from daq.supervision import BEAT_S
 from daq.words import Message, say, spoken
 from softsensor.heat.model_file import ModelFile, parse_model
+from softsensor.jobs.first_start import Work, compile_for
 from softsensor.jobs.fitter import Fitter
 from softsensor.jobs.model_in_force import NEWEST_RUNS, PRESS_FILE, up_to_date
 from softsensor.jobs.run_fits import RunFits, write_journal
@@ -91,6 +92,7 @@ def _compile(presses: Sequence[Press], beat: Callable[[], None]) -> None:
     """Compile what the sensors of these presses run on, or load it, with a sign of life meanwhile."""
 
     def warm() -> None:
+        compile_for(Work.LIVE, helped=False)  # the fits' worker helps
         for press in presses:
             with suppress(InputError):  # a rig whose runs must say more: compiled when the first does
                 warm_up(press)
