@@ -28,7 +28,7 @@ class Inside:
 
 
 def look_inside(filters: Sequence[KalmanFilter], mixture: Mixture) -> Inside:
-    """Return profile and heat as all hypotheses together expect them."""
+    """Return profile and heat as all hypotheses together expect them, should nothing have changed at once."""
     profiles, heats = [], []
     for one, share, cells in believed(filters, mixture):
         profiles.append(share * (one.linearised.profile @ cells))
@@ -37,11 +37,14 @@ def look_inside(filters: Sequence[KalmanFilter], mixture: Mixture) -> Inside:
 
 
 def believed(filters: Sequence[KalmanFilter], mixture: Mixture) -> list[tuple[KalmanFilter, float, Array]]:
-    """Return the filters that count, each with its share of all and its cells' expected temperatures (n). [°C]"""
+    """Return the filters that count, each with its share of all and its cells' expected temperatures (n). [°C]
+
+    Where shares are not known, neither is anything that they weigh: all of it is NaN.
+    """
     totals = np.array([shares.sum() for shares in mixture.shares])
     counted = np.where(totals < LEAST_SHARE, 0.0, totals)
     found = zip(filters, counted / counted.sum(), totals, mixture.shares, strict=True)
-    return [(one, float(share), one.cells(shares / total)) for one, share, total, shares in found if share > 0.0]
+    return [(one, float(share), one.cells(shares / total)) for one, share, total, shares in found if share != 0.0]
 
 
 def heat_taken_up(made: Linearised, cells: Array) -> float:

@@ -213,8 +213,8 @@ def test_the_diagnosis_is_shown_in_german(plant, browser):
 @pytest.mark.parametrize(
     ("language", "parts"),
     [
-        ("en-GB", ["lab, 1204 stored", "Evaporating moisture", "800 older ones follow", "401 stand from before"]),
-        ("de-DE", ["lab, 1204 gespeichert", "Verdampfende Feuchte", "800 ältere folgen", "401 gelten von vorher"]),
+        ("en-GB", ["lab, 1204 stored", "Evaporating moisture", "800 older ones follow", "401 fitted before"]),
+        ("de-DE", ["lab, 1204 gespeichert", "Verdampfende Feuchte", "800 ältere folgen", "401 schon ausgewertet"]),
     ],
 )
 def test_a_night_says_what_it_did_and_what_it_left_out(plant, browser, language, parts, tmp_path):

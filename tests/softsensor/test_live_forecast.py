@@ -123,6 +123,7 @@ def test_filters_count_inside_the_panel_by_their_shares(pressing):
     assert both.profile_C == pytest.approx(0.25 * first.profile_C + 0.75 * second.profile_C)
     assert both.energy_kJ_m2 == pytest.approx(0.25 * first.energy_kJ_m2 + 0.75 * second.energy_kJ_m2)
     assert inside(0.005, 0.995).profile_C == pytest.approx(second.profile_C), "too little to count"
+    assert np.isnan(inside(np.nan, np.nan).profile_C).all(), "shares that nobody knows"
 
 
 def test_nothing_is_foreseen_where_nothing_is_wanted(pressing):
