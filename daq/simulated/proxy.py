@@ -16,6 +16,7 @@ import select
 import socket
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -69,6 +70,8 @@ class Spoiler:
     """Whether replies carry a transaction number, so that even an old one can be told."""
     asks: Callable[[bytes], int] = lambda data: 1
     """How many replies what the driver sends at once asks for."""
+    parts: Callable[[bytes], list[bytes]] = lambda data: [data]
+    """Replies in what the device sends at once."""
 
 
 _Arrival = tuple[float, list[bytes]]
@@ -109,8 +112,8 @@ class FaultProxy:
         self._in_time_s = in_time_s
         self._greeting = greeting
         self._port_link = port_link
-        self._request, self._due_s = b"", math.inf
-        self._owed = 0
+        self._asked: deque[tuple[bytes, float]] = deque()
+        """Requests that wait for their reply, and until when. [-, s]"""
         self._dead = False
         self._stopped = threading.Event()
         self._wire: Server | None = None
@@ -203,18 +206,21 @@ class FaultProxy:
                 target=self._carry_back, args=(device_read, send, stopped, killed), daemon=True
             )
             back.start()
-            self._owed = 0
+            self._asked.clear()
+            empty_s = time.monotonic()
             while not stopped.is_set():
                 looked_s = time.monotonic()
-                data = read(_POLL_S)
+                data = read(0.0)
+                if data == b"":
+                    empty_s = looked_s
+                    data = read(_POLL_S)
                 if data is None:
                     break
                 if self._dead:
                     killed.set()
                 if data and not killed.is_set():
-                    came_s = min(time.monotonic(), looked_s + _POLL_S)  # a busy machine may have let it lie
-                    self._request, self._due_s = data, came_s + self._in_time_s(data)
-                    self._owed += self._spoiler.asks(data)
+                    due_s = empty_s + self._in_time_s(data)  # a busy machine may have let it lie since
+                    self._asked.extend([(data, due_s)] * self._spoiler.asks(data))
                     with suppress(OSError):
                         device_send(data)
             killed.set()
@@ -230,12 +236,18 @@ class FaultProxy:
                 continue
             while more := read(_MORE_S):
                 reply += more
-            self._owed -= 1
-            given_up = self._owed > 0 and self._due_s < math.inf  # the driver has asked for the next
-            if not (self._dead or given_up):
-                for delay_s, slices in self._spoiled(self._request, reply):
-                    self._outbox.send(send, slices, delay_s, self._due_s)
-            self._owed = max(self._owed, 0)
+            for part in self._spoiler.parts(reply):
+                self._pass_on(part, send)
+
+    def _pass_on(self, reply: bytes, send: Send) -> None:
+        """Send a reply, spoiled, to the driver that waits for it."""
+        if not self._asked:  # left over from a connection before
+            return
+        request, due_s = self._asked.popleft()
+        if self._dead or time.monotonic() > due_s:  # the driver has given it up
+            return
+        for delay_s, slices in self._spoiled(request, reply):
+            self._outbox.send(send, slices, delay_s, due_s)
 
     def _spoiled(self, request: bytes, reply: bytes) -> list[_Arrival]:
         """Return what arrives in place of a reply."""
@@ -398,7 +410,10 @@ def bare_text_spoiler() -> Spoiler:
     def queries(data: bytes) -> int:
         return data.count(b"?")  # a command asks for nothing
 
-    return Spoiler(damage=damage, wrong_id=lambda reply: None, busy=lambda reply: None, asks=queries)
+    def lines(data: bytes) -> list[bytes]:
+        return data.splitlines(keepends=True)
+
+    return Spoiler(damage, wrong_id=lambda reply: None, busy=lambda reply: None, asks=queries, parts=lines)
 
 
 def _flipped_bit(reply: bytes, rng: np.random.Generator) -> bytes:
