@@ -19,11 +19,11 @@ from softsensor.heat import implicit_steps as kernels
 from softsensor.live.curing import ResinSetup
 from softsensor.live.inside import believed
 from softsensor.live.kalman import KalmanFilter
-from softsensor.live.leaving import leave_of
+from softsensor.live.leaving import known_panel
 from softsensor.live.march_steps import SensorChain, march_span
 from softsensor.live.mixture import Mixture, mix
 from softsensor.live.passes import Pass
-from softsensor.opening.limits import Opening, opening
+from softsensor.opening.limits import Broken, Opening, opening
 
 Believed = Sequence[tuple[KalmanFilter, float, Array]]
 """Filters with their shares, and the cells' temperatures they expect (`live.inside.believed`)."""
@@ -180,7 +180,7 @@ class _Limits:
 
     def __init__(self, resin: ResinSetup | None) -> None:
         self._resin = resin
-        self._seen: list[dict[str, float]] = []
+        self._seen: list[Broken] = []
         self.settled = resin is None or not resin.limits.any
         """Whether nothing is to be looked for any further."""
 
@@ -188,17 +188,15 @@ class _Limits:
         """Note how likely each limit is broken at the moment the filters have come to."""
         if self._resin is None or self.settled:
             return
-        leave = leave_of(filters, mixture, self._resin)
-        self._seen.append(dict(leave.broken))
+        leave = known_panel(filters, mixture, self._resin).leave(self._resin)
+        self._seen.append(leave.broken)
         self.settled = leave.holds(self._resin.limits.probability)
 
     def opening(self, ahead: Array) -> Opening:
         """Return from when on they hold, for the moments looked at."""
         if self._resin is None or not self._seen:
             return Opening(math.nan, math.nan, math.nan, "", math.nan)
-        names = dict.fromkeys(name for one in self._seen for name in one)
-        chances = {name: np.array([one.get(name, 0.0) for one in self._seen]) for name in names}
-        return opening(ahead[: len(self._seen)], chances, self._resin.limits.probability)
+        return opening(ahead[: len(self._seen)], Broken.along(self._seen), self._resin.limits.probability)
 
 
 def _thinned(course: Array) -> tuple[tuple[float, float, float, float], ...]:

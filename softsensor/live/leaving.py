@@ -10,8 +10,8 @@ change nobody knows what the faces were.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,11 +21,12 @@ from softsensor.live.curing import ResinSetup
 from softsensor.live.kalman import KalmanFilter
 from softsensor.live.mixture import MARGIN_K, MARGIN_SHARE, Mixture
 from softsensor.live.mixture_steps import Change, Components
-from softsensor.opening.limits import Normal, PanelState, broken, risk
+from softsensor.opening.limits import Broken, Normal, PanelState, broken
 from softsensor.opening.steam import FIT_PERCENT, steam_with_slopes
 from softsensor.signals.unknown import BAND
 
 UNKNOWN = Normal(np.array(math.nan), np.array(math.nan))
+NOTHING_KNOWN = Broken({})
 CHANGED = "sudden_change"
 """Stands among the limits for what cannot be known."""
 
@@ -43,52 +44,90 @@ class Leave:
     """Upper bound of 95 %."""
     panel: PanelState | None = None
     """All that, as means and standard deviations."""
-    broken: Mapping[str, float] = field(default_factory=dict)
-    """Chance by limit that it is broken; empty where there is none, or nothing is known."""
+    broken: Broken = NOTHING_KNOWN
+    """How likely each limit is broken; no limit where nothing is known."""
 
     def holds(self, wanted: float) -> bool:
         """Return whether every limit holds with a probability; without a limit none does."""
-        return float(risk(self.broken)) <= 1.0 - wanted
+        return float(self.broken.risk) <= 1.0 - wanted
 
 
-def leave_of(filters: Sequence[KalmanFilter], mixture: Mixture, resin: ResinSetup) -> Leave:
+@dataclass(frozen=True)
+class KnownPanel:
+    """A panel at the moment the filters have come to, and how it goes on."""
+
+    panel: PanelState
+    pace: Array
+    """By which the logarithms of the lower and the upper face's equivalent time grow (2). [1/s]"""
+    changed: float
+    """Chance that something has changed at once."""
+
+    def after(self, seconds: float, warmer_K: float) -> PanelState:
+        """Return the panel some moments on, its faces as warm as they are; the core has warmed by so much."""
+        bottom, top = (
+            Normal(now.mean + math.log1p(pace * seconds), now.sd)
+            for now, pace in zip((self.panel.cure_bottom, self.panel.cure_top), self.pace.tolist(), strict=True)
+        )
+        core = replace(self.panel.core, mean=self.panel.core.mean + warmer_K)
+        return replace(self.panel, cure_bottom=bottom, cure_top=top, core=core)
+
+    def leave(self, resin: ResinSetup, seconds: float = 0.0, warmer_K: float = 0.0) -> Leave:
+        """Return what that means for the limits, `seconds` on."""
+        panel, cure = self.after(seconds, warmer_K), resin.kinetics.cure
+        low = min(float(panel.cure_bottom.low), float(panel.cure_top.low))
+        found = broken(resin.limits, resin.kinetics, panel)
+        if found.chances and self.changed > 0.0:
+            found = replace(found, chances={**found.chances, CHANGED: np.asarray(self.changed)})
+        return Leave(
+            cure_top=float(cure(np.exp(panel.cure_top.mean))),
+            cure_bottom=float(cure(np.exp(panel.cure_bottom.mean))),
+            cure_low=float(cure(math.exp(low))),
+            steam_kPa=float(np.exp(panel.steam.mean)),
+            steam_high_kPa=float(np.exp(panel.steam.high)),
+            panel=panel,
+            broken=found,
+        )
+
+
+def known_panel(filters: Sequence[KalmanFilter], mixture: Mixture, resin: ResinSetup) -> KnownPanel:
     """Return what is known of a panel at the moment the filters have come to."""
-    panel = known_panel(filters, mixture, resin)
-    cure = resin.kinetics.cure
-    low = min(float(panel.cure_bottom.low), float(panel.cure_top.low))
-    chances = {name: float(chance) for name, chance in broken(resin.limits, resin.kinetics, panel).items()}
-    if chances and mixture.changed > 0.0:
-        chances[CHANGED] = mixture.changed
-    return Leave(
-        cure_top=float(cure(np.exp(panel.cure_top.mean))),
-        cure_bottom=float(cure(np.exp(panel.cure_bottom.mean))),
-        cure_low=float(cure(math.exp(low))),
-        steam_kPa=float(np.exp(panel.steam.mean)),
-        steam_high_kPa=float(np.exp(panel.steam.high)),
-        panel=panel,
-        broken=chances,
-    )
+    first = filters[0].curing
+    pace = np.zeros(2)
+    if first is not None:
+        x = np.maximum(first.progress.equivalent_s, 1e-12)
+        pace = resin.kinetics.pace(x, first.face_C) / x
+    return KnownPanel(_state(filters, mixture, resin), pace, mixture.changed)
 
 
-def known_panel(filters: Sequence[KalmanFilter], mixture: Mixture, resin: ResinSetup) -> PanelState:
+def _state(filters: Sequence[KalmanFilter], mixture: Mixture, resin: ResinSetup) -> PanelState:
     """Return cure at both faces, core and steam as mean and standard deviation."""
     reach = max(mixture.high_C - mixture.core_C, mixture.core_C - mixture.low_C)
     core = Normal(np.array(mixture.core_C), np.array(reach / BAND))
-    return PanelState(_cure(filters, 0), _cure(filters, 1), core, _steam(filters[0], resin))
+    bottom, top, apart = _cure(filters)
+    both = bottom.sd**2 + top.sd**2 - apart.sd**2
+    with np.errstate(invalid="ignore"):
+        together = np.clip(both / (2.0 * bottom.sd * top.sd), -1.0, 1.0)
+    return PanelState(bottom, top, core, _steam(filters[0], resin), np.nan_to_num(together))
 
 
-def _cure(filters: Sequence[KalmanFilter], face: int) -> Normal:
-    """Return the logarithm of a face's equivalent time; face 0 is the lower. [ln s]"""
-    read: list[tuple[float, Array, float]] = []
+def _cure(filters: Sequence[KalmanFilter]) -> tuple[Normal, Normal, Normal]:
+    """Return the logarithms of the lower and the upper face's equivalent time, and how far they are apart."""
+    read: list[list[tuple[float, Array, float]]] = [[], [], []]
     for f in filters:
         if f.curing is None:
-            return UNKNOWN
+            return UNKNOWN, UNKNOWN, UNKNOWN
         progress = f.curing.progress
-        x = max(float(progress.equivalent_s[face]), 1e-12)
-        by_parameter, by_error = progress.by_parameter[face] / x, progress.by_error[face] / x
-        margin = (MARGIN_K * by_parameter[-2]) ** 2 + (MARGIN_SHARE * by_parameter[-1]) ** 2
-        read.append((math.log(x), by_parameter[: len(f.linearised.names)], margin + float(by_error @ by_error)))
-    return _pooled(filters, read)
+        x = np.maximum(progress.equivalent_s, 1e-12)
+        log, by_parameter, by_error = np.log(x), progress.by_parameter / x[:, None], progress.by_error / x[:, None]
+        margin = (MARGIN_K * by_parameter[:, -2]) ** 2 + (MARGIN_SHARE * by_parameter[:, -1]) ** 2
+        readout = by_parameter[:, : len(f.linearised.names)]
+        apart = by_error[1] - by_error[0]  # the paper is the same, the model's own errors are not
+        for face in (0, 1):
+            own = float(margin[face] + by_error[face] @ by_error[face])
+            read[face].append((float(log[face]), readout[face], own))
+        read[2].append((float(log[1] - log[0]), readout[1] - readout[0], float(margin.sum() + apart @ apart)))
+    bottom, top, between = (_pooled(filters, one) for one in read)
+    return bottom, top, between
 
 
 def _steam(one: KalmanFilter, resin: ResinSetup) -> Normal:

@@ -19,7 +19,7 @@ from softsensor.live.budget import band_from
 from softsensor.live.curing import ResinSetup
 from softsensor.live.inside import Inside, look_inside
 from softsensor.live.kalman import BetweenFaces, KalmanFilter
-from softsensor.live.leaving import Leave, leave_of
+from softsensor.live.leaving import KnownPanel, known_panel
 from softsensor.live.march_steps import LONGEST_STEP_S, PressTiming, SensorChain
 from softsensor.live.mixture import Mixture, mix, model_variance
 from softsensor.live.priors import TIMING, panel_plan, plans_for
@@ -106,7 +106,7 @@ class Pass:
         """Scans taken in."""
         self.mixture: Mixture | None = None
         self._inside: tuple[Mixture | None, Inside] | None = None
-        self._leave: tuple[Mixture | None, Leave] | None = None
+        self._panel: tuple[Mixture | None, KnownPanel] | None = None
         self._sound = True
         """Whether nothing has changed at once so far."""
 
@@ -186,13 +186,13 @@ class Pass:
         return self._setup.resin
 
     @property
-    def leave(self) -> Leave | None:
-        """Cure, steam and limits now; None where no resin is given, or nothing is known yet."""
+    def known_panel(self) -> KnownPanel | None:
+        """Cure, steam and core as the filters know them; None where no resin is given, or nothing is known yet."""
         if self._setup.resin is None or self.mixture is None:
             return None
-        if self._leave is None or self._leave[0] is not self.mixture:
-            self._leave = self.mixture, leave_of(self.filters, self.mixture, self._setup.resin)
-        return self._leave[1]
+        if self._panel is None or self._panel[0] is not self.mixture:
+            self._panel = self.mixture, known_panel(self.filters, self.mixture, self._setup.resin)
+        return self._panel[1]
 
     def margin(self, rise: float, *, by_faces: bool = False) -> float:
         """Return what the model itself adds to the core's variance after so much rise. [K²]"""

@@ -234,14 +234,17 @@ class LiveSensor:
         if current is None or current.mixture is None or run.platens.lost(time_s):
             return Estimate(time_s, state, invalid=Invalid(InvalidReason.PLATEN_READING_MISSING))
         mixture = current.mixture
-        ahead = float(current.chain.level[1]) * (time_s - float(run.scans.time[current.done - 1]))
+        since_s = time_s - float(run.scans.time[current.done - 1])
+        ahead = float(current.chain.level[1]) * since_s
         core, can_be = mixture.core_C + ahead, run.possible
         low, high = (
             min(max(t + ahead, can_be.lowest_C), can_be.highest_C) for t in (mixture.low_C, mixture.high_C)
         )
         invalid = can_be.contradicted(core) or _why_invalid(run, current, mixture, time_s)
         known = invalid is None or invalid.reason is InvalidReason.BAND_TOO_WIDE  # of the core: faces may be known
-        leave = current.leave if known else None
+        leave = None
+        if known and self._resin is not None and current.known_panel is not None:
+            leave = current.known_panel.leave(self._resin, since_s, ahead)
         return Estimate(
             time_s=time_s,
             state=state,

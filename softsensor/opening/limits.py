@@ -1,18 +1,19 @@
 """The limits a panel must keep at opening, how likely each is broken, and from when all of them hold.
 
-Each limit has its chance of being broken, and the chance that any is counts as no more than their sum (Boole's
-inequality): what is wanted with a probability holds with at least that, however the errors hang together. What is
-not known counts as broken.
+Each limit has its chance of being broken. Both faces carry the same paper and much the same contact, so that one
+of them is undercured with the chance of two normals that hang together (`either_below`); beside that the chance
+that any limit is broken counts as no more than the sum (Boole's inequality): what is wanted with a probability
+holds with at least that. What is not known counts as broken.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import ndtr, ndtri
+from scipy.special import ndtr, ndtri, owens_t
 
 from daq.press.resin_file import LimitsTable
 from daq.records import Array
@@ -27,6 +28,8 @@ CURE_BOTTOM, CURE_TOP, CORE_COLD, CORE_HOT, STEAM = (
     "steam_most",
 )
 """The limits by name."""
+_TINY = 1e-12
+"""Owen's formula divides by both deviates and by the root of 1 - r²: nearer to 0 is not looked."""
 
 
 @dataclass(frozen=True)
@@ -71,40 +74,99 @@ class PanelState:
     """[°C]"""
     steam: Normal
     """Logarithm of the partial pressure. [ln kPa]"""
+    together: Array | float = 0.0
+    """Correlation of both faces' cure."""
 
 
-def broken(limits: LimitsTable, kinetics: Kinetics | None, panel: PanelState) -> dict[str, Array]:
-    """Return for every limit there is the chance that it is broken, by its name (shape of the panel's numbers).
+@dataclass(frozen=True)
+class Broken:
+    """How likely limits are broken at one moment, or at many (any shape)."""
+
+    chances: Mapping[str, Array]
+    """Of each limit there is, by its name."""
+    cure: Array | float = 0.0
+    """That one face or the other has cured too little."""
+
+    @property
+    def risk(self) -> Array:
+        """Chance that any limit is broken, at most; 1 where there is no limit at all."""
+        if not self.chances:
+            return np.asarray(1.0)
+        others = [chance for name, chance in self.chances.items() if name not in (CURE_BOTTOM, CURE_TOP)]
+        return np.asarray(np.minimum(self.cure + sum(others), 1.0))
+
+    def at(self, moments: np.ndarray) -> Broken:
+        """Return it at some of its moments."""
+        cure = self.cure[moments] if isinstance(self.cure, np.ndarray) else self.cure
+        return Broken({name: chance[moments] for name, chance in self.chances.items()}, cure)
+
+    @staticmethod
+    def along(looks: Sequence[Broken]) -> Broken:
+        """Return moments looked at one by one as one (t); a limit that one of them lacks is kept there."""
+        names = dict.fromkeys(name for one in looks for name in one.chances)
+        zero = np.asarray(0.0)
+        chances = {n: np.array([float(one.chances.get(n, zero)) for one in looks]) for n in names}
+        return Broken(chances, np.array([float(one.cure) for one in looks]))
+
+
+def either_below(limit: float, one: Normal, other: Normal, together: Array | float) -> Array:
+    """Return the chance that one or the other of two normals lies below a limit, 1 where one is not known.
+
+    Parameters
+    ----------
+    together
+        Their correlation.
+
+    References
+    ----------
+    D. B. Owen, Ann. Math. Statist. 27 (1956) 1075, eq. 2.1: the bivariate normal by his function T.
 
     Examples
     --------
-    >>> from daq.press.resin_file import OrderLaw
+    >>> unit = Normal(np.array(0.0), np.array(1.0))
+    >>> [round(float(either_below(-1.959964, unit, unit, r)), 4) for r in (0.0, 0.9, 1.0)]
+    [0.0494, 0.0352, 0.025]
+    """
+    below = one.below(limit), other.below(limit)
+    sure = np.maximum(*below)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        h, k = ((limit - n.mean) / n.sd for n in (one, other))
+        h, k = (np.where(np.abs(x) < _TINY, _TINY, x) for x in (h, k))
+        r = np.clip(together, -1.0 + _TINY, 1.0 - _TINY)
+        root = np.sqrt(1.0 - r * r)
+        both = 0.5 * (below[0] + below[1]) - owens_t(h, (k / h - r) / root) - owens_t(k, (h / k - r) / root)
+        both = both - np.where(h * k < 0.0, 0.5, 0.0)
+    spread = np.isfinite(h) & np.isfinite(k)
+    return np.asarray(np.where(spread, np.clip(below[0] + below[1] - both, sure, 1.0), sure))
+
+
+def broken(limits: LimitsTable, kinetics: Kinetics | None, panel: PanelState) -> Broken:
+    """Return for every limit there is the chance that it is broken (shape of the panel's numbers).
+
+    Examples
+    --------
     >>> from softsensor.opening.kinetics import kinetics_of
+    >>> from daq.press.resin_file import OrderLaw
     >>> law = kinetics_of(OrderLaw(rate_per_s=0.05, activation_energy_kJ_mol=80.0))
     >>> at_limit = Normal(np.log(law.equivalent_s(0.9)), np.array(0.1))
     >>> unknown = Normal(np.array(np.nan), np.array(np.nan))
-    >>> panel = PanelState(at_limit, at_limit, unknown, unknown)
-    >>> {k: round(float(v), 6) for k, v in broken(LimitsTable(cure_least=0.9), law, panel).items()}
-    {'cure_bottom': 0.5, 'cure_top': 0.5}
+    >>> found = broken(LimitsTable(cure_least=0.9), law, PanelState(at_limit, at_limit, unknown, unknown))
+    >>> {k: round(float(v), 6) for k, v in found.chances.items()}, round(float(found.risk), 6)
+    ({'cure_bottom': 0.5, 'cure_top': 0.5}, 0.75)
     """
     found: dict[str, Array] = {}
+    undercured: Array | float = 0.0
     if limits.cure_least is not None and kinetics is not None:
         least = math.log(kinetics.equivalent_s(limits.cure_least))
         found[CURE_BOTTOM], found[CURE_TOP] = panel.cure_bottom.below(least), panel.cure_top.below(least)
+        undercured = either_below(least, panel.cure_bottom, panel.cure_top, panel.together)
     if limits.core_least_C is not None:
         found[CORE_COLD] = panel.core.below(limits.core_least_C)
     if limits.core_most_C is not None:
         found[CORE_HOT] = panel.core.above(limits.core_most_C)
     if limits.steam_most_kPa is not None:
         found[STEAM] = panel.steam.above(math.log(limits.steam_most_kPa))
-    return found
-
-
-def risk(chances: Mapping[str, Array] | Mapping[str, float]) -> Array:
-    """Return the chance that any limit is broken, at most: the sum of theirs; 1 where there is no limit at all."""
-    if not chances:
-        return np.asarray(1.0)
-    return np.asarray(np.minimum(sum(np.asarray(one) for one in chances.values()), 1.0))
+    return Broken(found, undercured)
 
 
 @dataclass(frozen=True)
@@ -136,27 +198,27 @@ def _falls_to(ahead_s: Array, total: Array, level: float) -> float:
     return float(ahead_s[k - 1] + share * (ahead_s[k] - ahead_s[k - 1]))
 
 
-def opening(ahead_s: Array, chances: Mapping[str, Array], wanted: float) -> Opening:
+def opening(ahead_s: Array, found: Broken, wanted: float) -> Opening:
     """Return from when on every limit holds.
 
     Parameters
     ----------
     ahead_s
         Moments looked at, rising, from 0 for now (t). [s]
-    chances
-        By name, that a limit is broken at these moments (t), as `broken` returns them.
+    found
+        How likely limits are broken at these moments (t).
     wanted
         Probability with which all limits are to hold together.
 
     Examples
     --------
     >>> ahead = np.array([0.0, 4.0, 8.0])
-    >>> round(opening(ahead, {"cure_top": np.array([0.9, 0.2, 0.01])}, 0.975).in_s, 1)
+    >>> round(opening(ahead, Broken({"core_least": np.array([0.9, 0.2, 0.01])}), 0.975).in_s, 1)
     7.0
-    >>> opening(ahead, {"steam_most": np.array([0.9, 0.9, 0.8])}, 0.975).blocking
+    >>> opening(ahead, Broken({"steam_most": np.array([0.9, 0.9, 0.8])}), 0.975).blocking
     'steam_most'
     """
-    total = np.broadcast_to(risk(chances), ahead_s.shape)
+    total, chances = np.broadcast_to(found.risk, ahead_s.shape), found.chances
     holds = total <= 1.0 - wanted + 1e-12
     likely_in = _falls_to(ahead_s, total, 0.5)
     if not holds.any():

@@ -26,7 +26,7 @@ from daq.records import Array, InputError
 from daq.tables import explained
 from daq.words import say
 from softsensor.opening.kinetics import Kinetics, equivalent_course, kinetics_of
-from softsensor.opening.limits import Normal, Opening, PanelState, broken, opening, risk
+from softsensor.opening.limits import Broken, Normal, Opening, PanelState, broken, opening
 from softsensor.opening.steam import steam_pressure
 from softsensor.planning.made_up import (
     DEPTHS,
@@ -98,7 +98,16 @@ class Quantities:
 
     def known(self) -> PanelState:
         """Return them as they are known."""
-        return PanelState(*(_normal(q) for q in (self.cure_bottom, self.cure_top, self.core, self.steam)))
+        bottom, top = (q - q.mean(axis=0) for q in (self.cure_bottom, self.cure_top))
+        with np.errstate(invalid="ignore"):
+            together = (bottom * top).sum(axis=0) / np.sqrt((bottom**2).sum(axis=0) * (top**2).sum(axis=0))
+        return PanelState(
+            _normal(self.cure_bottom),
+            _normal(self.cure_top),
+            _normal(self.core),
+            _normal(self.steam),
+            np.nan_to_num(together),
+        )
 
     def without(self, unit: Array, slopes: Array, columns: np.ndarray) -> Quantities:
         """Return them without the doubt in some columns of the draws, by a straight line through the draws.
@@ -127,8 +136,8 @@ class Tried:
     programme: Programme
     press_time_s: Array
     """Looked at (t). [s]"""
-    chances: Mapping[str, Array]
-    """By limit, that it is broken (t)."""
+    broken: Broken
+    """How likely limits are (t)."""
     opening: Opening
     energy_kWh: float  # noqa: N815
     """Of a panel: heat it takes up, and what the plates lose while the press is open; NaN without a press time."""
@@ -205,8 +214,8 @@ class ProgrammeAdvice:
             "tradeoff": {
                 "platen_temperature_C": shown.programme.platen_C,
                 "press_time_s": [round(float(t), 2) for t in shown.press_time_s],
-                "risk": _list(np.broadcast_to(risk(shown.chances), shown.press_time_s.shape)),
-                "limits": {name: _list(chance) for name, chance in shown.chances.items()},
+                "risk": _list(np.broadcast_to(shown.broken.risk, shown.press_time_s.shape)),
+                "limits": {name: _list(chance) for name, chance in shown.broken.chances.items()},
             },
             "measure": [s.as_json() for s in self.savings],
         }
@@ -304,14 +313,14 @@ def _tried(
 ) -> Tried:
     programme, courses, quantities = what
     times, allowed = _allowed(courses.press_time_s, wish)
-    chances = {name: c[allowed] for name, c in broken(wish.limits, kinetics, quantities.known()).items()}
-    found = opening(times, chances, wish.limits.probability)
+    risks = broken(wish.limits, kinetics, quantities.known()).at(allowed)
+    found = opening(times, risks, wish.limits.probability)
     energy = np.nan
     if isfinite(found.in_s):
         row = int(np.flatnonzero(allowed)[np.searchsorted(times, found.in_s)])
         energy = _energy(drawn.task, courses.layers_C[:, row].mean(axis=0), programme, wish.open_s)
     per_hour = 3600.0 / (found.in_s + wish.open_s)
-    return Tried(programme, times, chances, found, float(energy), per_hour, wish.price_per_kWh)
+    return Tried(programme, times, risks, found, float(energy), per_hour, wish.price_per_kWh)
 
 
 def _allowed(times: Array, wish: Wish) -> tuple[Array, np.ndarray]:
@@ -351,8 +360,7 @@ def _savings(
     for source in sources_of(drawn.draws):
         columns = np.flatnonzero([s == source for s in drawn.draws.sources])
         known = quantities.without(drawn.draws.unit, slopes, columns).known()
-        chances = {name: c[allowed] for name, c in broken(wish.limits, kinetics, known).items()}
-        seconds = opening(times, chances, wish.limits.probability).in_s
+        seconds = opening(times, broken(wish.limits, kinetics, known).at(allowed), wish.limits.probability).in_s
         if isfinite(seconds) and not seconds >= tried.opening.in_s:
             found.append(Saving(source, seconds))
     return tuple(sorted(found, key=lambda s: s.press_time_s))

@@ -9,7 +9,6 @@ from matplotlib.figure import Figure
 
 from daq.words import say
 from daq.words.message import ENGLISH, words
-from softsensor.opening.limits import risk
 from softsensor.planning.advise import ProgrammeAdvice
 from softsensor.planning.summary import advice_title
 from softsensor.report.fit_figures import COLOURS, INK, MUTED, sheet
@@ -22,12 +21,12 @@ def advice_figure(found: ProgrammeAdvice, language: str = ENGLISH) -> Figure:
     with sheet((7.2, 4.4), put(advice_title(found))) as figure:
         ax = figure.subplots()
         for tried in found.tried:
-            whole = np.broadcast_to(risk(tried.chances), tried.press_time_s.shape)
+            whole = np.broadcast_to(tried.broken.risk, tried.press_time_s.shape)
             mine = tried is found.nearest
             label = put(say("figure-advice-any", platen=tried.programme.platen_C)) if mine else None
             width, colour = (2.0, INK) if mine else (0.7, MUTED)
             ax.plot(tried.press_time_s, 100.0 * whole, lw=width, color=colour, label=label)
-        for colour, (name, chance) in zip(COLOURS * 2, found.nearest.chances.items(), strict=False):
+        for colour, (name, chance) in zip(COLOURS * 2, found.nearest.broken.chances.items(), strict=False):
             label = put(say(f"advise-limit-{name}"))
             ax.plot(found.nearest.press_time_s, 100.0 * chance, "--", lw=1.2, color=colour, label=label)
         ax.axhline(100.0 * allowed, color=MUTED, lw=0.8, ls=":")

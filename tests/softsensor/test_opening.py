@@ -5,11 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.integrate import quad, solve_ivp
+from scipy.stats import multivariate_normal
 
 from daq.press.resin_file import IsoconversionalLaw, KamalLaw, LimitsTable, OrderLaw, parse_resin, read_resin
 from daq.records import InputError
 from softsensor.opening.kinetics import Course, CureProgress, advance, cure_course, equivalent_course, kinetics_of
-from softsensor.opening.limits import Normal, Opening, PanelState, broken, opening, risk
+from softsensor.opening.limits import Broken, Normal, Opening, PanelState, broken, either_below, opening
 from softsensor.opening.steam import equilibrium_moisture, saturation_kPa, steam_pressure, steam_with_slopes
 
 R = 8.314462618
@@ -176,26 +177,51 @@ SAFE = PanelState(
 def test_what_is_not_known_counts_as_broken():
     nothing = Normal(np.array(np.nan), np.array(np.nan))
     every = LimitsTable(cure_least=0.9, core_least_C=60.0, core_most_C=120.0, steam_most_kPa=100.0)
-    assert float(risk(broken(every, LAW, SAFE))) < 1e-6
+    assert float(broken(every, LAW, SAFE).risk) < 1e-6
     for name, gone in (
         ("cure_top", PanelState(SAFE.cure_bottom, nothing, KNOWN, SAFE.steam)),
         ("core_most", PanelState(SAFE.cure_bottom, SAFE.cure_top, nothing, SAFE.steam)),
         ("steam_most", PanelState(SAFE.cure_bottom, SAFE.cure_top, KNOWN, nothing)),
     ):
-        chances = broken(every, LAW, gone)
-        assert chances[name] == 1.0
-        assert float(risk(chances)) == 1.0
+        found = broken(every, LAW, gone)
+        assert found.chances[name] == 1.0
+        assert float(found.risk) == 1.0
 
 
 def test_no_limit_at_all_is_no_leave_to_open():
-    assert broken(LimitsTable(), LAW, SAFE) == {}
-    assert float(risk({})) == 1.0
+    assert broken(LimitsTable(), LAW, SAFE) == Broken({})
+    assert float(Broken({}).risk) == 1.0
+
+
+@pytest.mark.parametrize("together", [-0.6, 0.0, 0.5, 0.9, 0.999])
+@pytest.mark.parametrize("limit", [-2.3, -1.0, 0.0, 0.7])
+def test_one_face_or_the_other_is_undercured_as_often_as_scipys_bivariate_normal_says(together, limit):
+    one, other = Normal(np.array(0.0), np.array(1.0)), Normal(np.array(0.3), np.array(0.8))
+    cross = 0.8 * together
+    neither = multivariate_normal([0.0, -0.3], [[1.0, cross], [cross, 0.64]]).cdf([-limit, -limit])
+    assert float(either_below(limit, one, other, together)) == pytest.approx(1.0 - neither, abs=2e-5)
+
+
+def test_two_faces_of_one_paper_break_the_limit_together_and_not_in_turn():
+    face, limits = Normal(np.array(1.959964), np.array(1.0)), LimitsTable(cure_least=0.9)
+    panels = (shifted(PanelState(face, face, KNOWN, KNOWN, together)) for together in (0.0, 1.0))
+    apart, whole = (float(broken(limits, LAW, panel).risk) for panel in panels)
+    assert apart == pytest.approx(1.0 - (1.0 - 0.025) ** 2, abs=1e-5)
+    assert whole == pytest.approx(0.025, abs=1e-5)
+
+
+def shifted(panel):
+    """Return the panel with its faces' cure counted from what 90 % take."""
+    least = np.log(LAW.equivalent_s(0.9))
+    faces = (Normal(face.mean + least, face.sd) for face in (panel.cure_bottom, panel.cure_top))
+    return PanelState(*faces, panel.core, panel.steam, panel.together)
 
 
 def test_a_limit_that_waiting_breaks_ends_the_window():
     ahead = np.arange(0.0, 20.0, 4.0)
-    chances = {"cure_top": np.array([1, 0.3, 0.01, 0, 0]), "core_most": np.array([0, 0, 0.001, 0.01, 0.5])}
-    found = opening(ahead, chances, 0.975)
+    cure = np.array([1, 0.3, 0.01, 0, 0])
+    chances = {"cure_top": cure, "core_most": np.array([0, 0, 0.001, 0.01, 0.5])}
+    found = opening(ahead, Broken(chances, cure), 0.975)
     assert found == Opening(found.in_s, found.likely_in_s, 12.0, "", pytest.approx(0.011))
     assert 4.0 < found.in_s < 8.0
     assert 0.0 < found.likely_in_s < 4.0
@@ -203,7 +229,8 @@ def test_a_limit_that_waiting_breaks_ends_the_window():
 
 def test_a_window_that_never_opens_names_what_blocks_it():
     ahead = np.array([0.0, 10.0])
-    found = opening(ahead, {"cure_top": np.array([0.9, 0.1]), "steam_most": np.array([0.2, 0.6])}, 0.975)
+    cure = np.array([0.9, 0.1])
+    found = opening(ahead, Broken({"cure_top": cure, "steam_most": np.array([0.2, 0.6])}, cure), 0.975)
     assert np.isnan(found.in_s)
     assert (found.blocking, found.risk) == ("steam_most", pytest.approx(0.7))
 
