@@ -398,7 +398,7 @@ def campaign(seed: int, hidden: str = "", runs: int = 12, half: bool = False) ->
     made = []
     for number in range(runs):
         world, header = _panel(rng, plate, product, float(rng.choice(thicknesses)), usual)
-        world, program = _with_hidden(world, _program(rng), what, secret)
+        program, world = _program(rng), _with_hidden(world, what, secret)
         happened = course(world, program)
         table = chain.read(happened, program, rng)
         table.attrs = {"run": f"second-{seed}-{number + 1:02d}", **header}
@@ -454,9 +454,7 @@ def _program(rng: np.random.Generator) -> Program:
     return Program(inserted, closed, opened, opened + rng.uniform(30.0, 100.0), platens[0], platens[1], ramp)
 
 
-def _with_hidden(
-    world: World, program: Program, hidden: Hidden, rng: np.random.Generator
-) -> tuple[World, Program]:
+def _with_hidden(world: World, hidden: Hidden, rng: np.random.Generator) -> World:
     """Put what is hidden into a pressing; what lies in the panel scatters by a fifth."""
     size, panel = hidden.size, world.layers[PANEL]
     own = size * rng.normal(1.0, 0.2)
@@ -480,8 +478,8 @@ def _with_hidden(
         "initial_press_state": lambda: {"plates_offset": size},
     }
     if hidden.name in layers:
-        return replace(world, layers=(world.layers[PLATE], layers[hidden.name](), world.layers[LID])), program
-    return replace(world, **changes.get(hidden.name, dict)()), program
+        return replace(world, layers=(world.layers[PLATE], layers[hidden.name](), world.layers[LID]))
+    return replace(world, **changes.get(hidden.name, dict)())
 
 
 @dataclass(frozen=True)
