@@ -11,7 +11,7 @@ import re
 import sqlite3
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib import resources
 from pathlib import Path
@@ -23,7 +23,7 @@ from sqlalchemy.exc import ArgumentError, DatabaseError, InterfaceError, NoSuchM
 
 from daq.address import Address, hidden, secrets_of
 from daq.records import InputError
-from daq.store.file_rescue import Identity, hold, identity_of, rescue
+from daq.store.file_rescue import Identity, hold, identity_of, logs_of, rescue
 from daq.store.records import StoreUnavailable
 from daq.words import Message, say
 
@@ -72,6 +72,8 @@ class Database:
         self._identity: Identity | None = None
         """The file that is open; its name may stand for another one by now."""
         self._held: sqlite3.Connection | None = None
+        self._logs = logs_of(Path())
+        """The log and its index of the file that is held on to."""
         if later:
             return
         try:
@@ -105,6 +107,7 @@ class Database:
         if self.path is not None and self._prepared and not self.moved:
             with self.translated():
                 self._held = hold(self.path)
+            self._logs = logs_of(self.path)
 
     @property
     def held(self) -> bool:
@@ -113,17 +116,30 @@ class Database:
 
     @property
     def moved(self) -> bool:
-        """Whether the file was deleted, moved or exchanged since it was opened."""
-        return self.path is not None and self._prepared and identity_of(self.path) != self._identity
+        """Whether the file, or the log of one held on to, was deleted, moved or exchanged since it was opened."""
+        if self.path is None or not self._prepared:
+            return False
+        return identity_of(self.path) != self._identity or self.log_gone
 
-    def rescue(self) -> Path | None:
-        """Put all of the lost file where it belongs and go on there; returns where another store was put aside."""
+    @property
+    def log_gone(self) -> bool:
+        """Whether the log of the file held on to is another one, while the file is in its place."""
+        if self.path is None or self._held is None or identity_of(self.path) != self._identity:
+            return False
+        return logs_of(self.path) != self._logs
+
+    def rescue(self, alive: Callable[[], None] = lambda: None) -> Path | None:
+        """Put all of the lost file where it belongs and go on there; returns where what was found there went.
+
+        `alive` is called now and then meanwhile.
+        """
         if self.path is None or self._held is None:
             return None
         try:
-            aside = rescue(self._held, self.path)
+            aside = rescue(self._held, self.path, alive)
         except (sqlite3.Error, OSError) as error:
             raise StoreUnavailable(_advice(self, str(error))) from error
+        self._held = None
         self._open_anew()
         self.hold_on()
         return aside

@@ -1,8 +1,10 @@
-"""An SQLite file deleted, moved or exchanged under a running recorder: all of it goes into a sound file.
+"""An SQLite file or its log deleted, moved or exchanged under a running recorder: all goes into a sound file.
 
 Whoever has the file open still reaches all of it, whatever became of its name. So a connection that never closes
 holds on to it, and its content is copied to where the store belongs. What goes on under the old connections would
-be written to a file nobody finds (2026-11-22: 116 acknowledged scans).
+be written to a file nobody finds (2026-11-22: 116 acknowledged scans). The same holds of the log beside it, which
+has the newest commits, and of the log's index: deleted alone, or left behind where a link stands in for the moved
+file, whoever opens the store sees none of them (2026-11-24: 687 acknowledged scans).
 
 After a rescue the held connection stays open for the life of the process: the last connection to leave a file in
 WAL mode deletes ``-wal`` and ``-shm`` by name, and these names belong to the new file by then. Whoever closes a
@@ -14,17 +16,36 @@ from __future__ import annotations
 import ctypes
 import os
 import sqlite3
+from collections.abc import Callable
 from contextlib import closing, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 
-Identity = tuple[int, int]
+Identity = tuple[str, int, int]
+_PAGES_AT_ONCE, _STEPS_AT_ONCE = 10_000, 10_000_000
+"""Copied, and checked, between two signs of life: less than a second each. Set by hand, 2026-11."""
+_UNREADABLE_NOW = ("locked", "unable to open")
+LOGS = ("-wal", "-shm")
+"""What SQLite keeps beside a file, by that file's own name: the newest commits, and where they stand in there."""
 
 
 def identity_of(path: Path) -> Identity | None:
-    """Return which file a name stands for; None where there is none."""
+    """Return which file a name stands for, and by which path; None where there is none, or an empty one."""
     try:
         found = path.stat()
+    except OSError:
+        return None
+    return (os.path.realpath(path), found.st_dev, found.st_ino) if found.st_size else None
+
+
+def logs_of(path: Path) -> tuple[tuple[int, int] | None, ...]:
+    """Return which files hold the log of an SQLite file and its index; they stay while somebody has it open."""
+    return tuple(_number_of(f"{os.path.realpath(path)}{ending}") for ending in LOGS)
+
+
+def _number_of(file: str) -> tuple[int, int] | None:
+    try:
+        found = Path(file).stat()
     except OSError:
         return None
     return found.st_dev, found.st_ino
@@ -42,28 +63,41 @@ def hold(path: Path) -> sqlite3.Connection:
     return connection
 
 
-def rescue(held: sqlite3.Connection, path: Path) -> Path | None:
+def rescue(held: sqlite3.Connection, path: Path, alive: Callable[[], None] = lambda: None) -> Path | None:
     """Copy all a held connection reaches to `path`; returns where another store found there was put aside.
 
-    Raises `sqlite3.Error` or `OSError` where the disk does not take it; nothing is changed then.
+    `alive` is called now and then: a large store takes minutes. Raises `sqlite3.Error` or `OSError` where the disk
+    does not take it or what can be reached is no sound store; nothing is changed then.
     """
     with suppress(sqlite3.Error):
         held.execute("PRAGMA wal_checkpoint(TRUNCATE)")  # a file that was moved is whole without its log
     part = path.with_name(f".{path.name}.rescued")
     part.unlink(missing_ok=True)
     with closing(sqlite3.connect(part)) as copy:
-        held.backup(copy)
-        copy.execute("PRAGMA journal_mode=DELETE")
+        _copy(held, copy, alive)
     with part.open("rb") as file:
         os.fsync(file.fileno())
     aside = None
     if path.exists() and _holds_presses(path):
         aside = path.with_name(f"{path.name}.found-{datetime.now(UTC):%Y%m%dT%H%M%S}")
         path.rename(aside)
-    for ending in ("-wal", "-shm"):
+    for ending in LOGS:
         Path(f"{path}{ending}").unlink(missing_ok=True)
     part.replace(path)
     return aside
+
+
+def _copy(held: sqlite3.Connection, copy: sqlite3.Connection, alive: Callable[[], None]) -> None:
+    held.execute("BEGIN")  # one state: else a commit of another process begins the copy anew
+    try:
+        held.execute("SELECT count(*) FROM sqlite_master").fetchone()
+        held.backup(copy, pages=_PAGES_AT_ONCE, progress=lambda *_: alive())
+    finally:
+        held.execute("ROLLBACK")
+    copy.execute("PRAGMA journal_mode=DELETE")
+    copy.set_progress_handler(alive, _STEPS_AT_ONCE)  # returns None, which lets it go on
+    if (found := copy.execute("PRAGMA quick_check(1)").fetchone()[0]) != "ok":
+        raise sqlite3.DatabaseError(found)
 
 
 def _holds_presses(path: Path) -> bool:
@@ -83,8 +117,6 @@ def damage_of(path: Path) -> str:
     try:
         with closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as connection:
             found = str(connection.execute("PRAGMA quick_check(1)").fetchone()[0])
-    except sqlite3.OperationalError:
-        return ""
     except sqlite3.DatabaseError as error:
-        return str(error)
+        return "" if any(sign in str(error) for sign in _UNREADABLE_NOW) else str(error)
     return "" if found == "ok" else found.replace("\n", " ")

@@ -190,11 +190,16 @@ class Outbox:
         """Bring a file that was deleted, moved or exchanged back to its place, with all it holds."""
         database = self._store.database
         if database.moved and database.held:
-            aside = database.rescue()
+            beside = "store-rescued-log" if database.log_gone else "store-rescued-beside"
+            aside = database.rescue(self._moves)
             said = {"store": self._store.label, "aside": str(aside)}
-            self._journal("alarm", Message("store-rescued-beside" if aside else "store-rescued", said))
+            self._journal("alarm", Message(beside if aside else "store-rescued", said))
         if database.path is not None and not database.held:
             database.hold_on()
+
+    def _moves(self) -> None:
+        """Note that the writer is at work."""
+        self._moved_s = time.monotonic()
 
     def _deliver(self) -> None:
         try:

@@ -426,6 +426,7 @@ store-remedy-read-only = no permission to write; check owner and mount of the fi
 store-remedy-server = check that the database server runs and is reachable
 store-rescued = store { $store }: the file was deleted, moved or exchanged; all of it is written anew to its place and recording goes on there
 store-rescued-beside = store { $store }: another store was put in its place; that one is set aside as { $aside }, all of the recorded one is written anew and recording goes on there
+store-rescued-log = store { $store }: its log (-wal, -shm) was deleted or exchanged; all of it is written anew and recording goes on there; the file without its newest entries is set aside as { $aside }
 store-run-missing = run '{ $run }' is not in the store; kerntemp export lists runs, a file needs its path
 store-run-name = { $file }: header key run = { $name }: must be a name of 1 to 200 characters without slashes, line breaks or blanks at its ends; nothing was imported
 store-run-renamed = run '{ $run }': the name of a run cannot change

@@ -1,5 +1,6 @@
-"""An SQLite file deleted, moved or exchanged under a writer is noticed, told, and costs no acknowledged scan."""
+"""An SQLite file or its log deleted, moved or exchanged under a writer is noticed, told, and costs no scan."""
 
+import os
 import sqlite3
 import threading
 from contextlib import closing
@@ -8,8 +9,10 @@ import pytest
 
 from daq.recording import recorder
 from daq.recording.recorder import PageWatch
-from daq.store import open_store
+from daq.store import file_rescue, open_store
+from daq.store.file_rescue import damage_of
 from daq.store.outbox import Outbox
+from daq.store.write_batch import WriteBatch
 from tests.daq.test_store_outbox import CHANNELS, Notes, batch, wait_until
 
 
@@ -27,7 +30,29 @@ def exchange(path, folder):
     (folder / "other.sqlite").replace(path)
 
 
-@pytest.mark.parametrize("fate", [delete, move, exchange])
+def delete_log(path, folder):
+    path.with_name(path.name + "-wal").unlink()
+
+
+def delete_index_of_log(path, folder):
+    path.with_name(path.name + "-shm").unlink()
+
+
+def move_and_link(path, folder):
+    move(path, folder)
+    path.symlink_to(folder / "elsewhere.sqlite")
+
+
+def empty(path, folder):
+    os.truncate(path, 0)
+
+
+FATES = [delete, move, exchange, delete_log, delete_index_of_log, empty]
+if os.name != "nt":
+    FATES.append(move_and_link)
+
+
+@pytest.mark.parametrize("fate", FATES)
 def test_a_store_file_that_goes_under_a_running_writer_is_put_back_whole_before_anything_is_written(
     tmp_path, fate
 ):
@@ -59,6 +84,10 @@ def test_a_store_file_that_goes_under_a_running_writer_is_put_back_whole_before_
         assert kept == list(range(200)) == notes.acknowledged
         assert [level for level, _ in notes.said] == ["alarm"]
         assert str(path) in notes.said[0][1]
+    if fate in (delete_log, delete_index_of_log):
+        assert "its log (-wal, -shm)" in notes.said[0][1]
+        (aside,) = tmp_path.glob("s.sqlite.found-*")
+        assert str(aside) in notes.said[0][1]
     if fate is move:
         with open_store(str(tmp_path / "elsewhere.sqlite")) as moved:
             assert moved.newest_scan_number("lab") >= 49
@@ -92,3 +121,48 @@ def test_flipped_bytes_in_the_file_are_noticed_while_it_is_recorded_into(tmp_pat
             stop.set()
             watcher.join()
     assert said == [("alarm", "store-damaged")]
+
+
+def test_a_file_of_which_too_little_is_left_is_told_and_nothing_takes_its_place(tmp_path):
+    path, notes = tmp_path / "s.sqlite", Notes()
+    with open_store(str(path)) as store:
+        key = store.register_press("lab", CHANNELS)
+        outbox = Outbox(store, acknowledged=notes.note, journal=notes.journal)
+        outbox.start()
+        outbox.put(WriteBatch(key, tuple(s for n in range(2000) for s in batch(key, n).scans)))
+        wait_until(lambda: len(notes.acknowledged) == 2000)
+        with store.database.engine.connect() as connection:
+            connection.exec_driver_sql("PRAGMA wal_checkpoint(TRUNCATE)")
+        os.truncate(path, 0)
+        outbox.put(batch(key, 2000))
+        wait_until(lambda: outbox.trouble)
+        outbox.close(0.1)
+    assert len(notes.acknowledged) == 2000
+    assert {level for level, _ in notes.said} == {"alarm"}
+    assert "not a database" in notes.said[0][1]
+    assert path.stat().st_size == 0
+
+
+def test_a_rescue_that_takes_long_gives_signs_of_life(tmp_path, monkeypatch):
+    monkeypatch.setattr(file_rescue, "_PAGES_AT_ONCE", 2)
+    path, alive = tmp_path / "s.sqlite", []
+    with open_store(str(path)) as store:
+        key = store.register_press("lab", CHANNELS)
+        store.write_batches([batch(key, n) for n in range(500)])
+        store.database.hold_on()
+        path.unlink()
+        store.database.rescue(lambda: alive.append(store.database.path.exists()))
+        assert store.newest_scan_number("lab") == 499
+    assert len(alive) > 10
+    assert not any(alive)  # while it lasts
+
+
+def test_a_file_whose_pages_the_disk_does_not_give_is_damaged_and_one_that_is_locked_is_not(tmp_path):
+    path = tmp_path / "s.sqlite"
+    with open_store(str(path)) as store:
+        store.register_press("lab", CHANNELS)
+        with store.database.writing():
+            assert damage_of(path) == ""
+        path.with_name("s.sqlite-wal").unlink()  # the index says that it holds the newest pages
+        assert damage_of(path) == "disk I/O error"
+    assert damage_of(tmp_path / "gone.sqlite") == ""
