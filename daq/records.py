@@ -75,6 +75,8 @@ ROOM_C = 23.0
 """Of a room where nothing is said of it: the middle of halls of 16 to 30 °C. [°C]"""
 COLDEST_C, HOTTEST_C = -273.15, 2000.0
 """Between these lies every temperature in a press or a furnace. [°C]"""
+GAS_CONSTANT = 6.02214076e23 * 1.380649e-23
+"""Avogadro's constant times Boltzmann's, both exact. (SI brochure, 9th ed. 2019) [J/mol K]"""
 
 
 class InputError(ValueError):

@@ -32,6 +32,7 @@ from daq.files.run_rows import (
     check_rows,
     escaped,
     number_in,
+    numbers_of,
     read_rows,
     row_place,
     unescaped,
@@ -339,8 +340,7 @@ def _parquet_rows(file: pq.ParquetFile, kinds: Mapping[str, bool]) -> Rows:
     rows = 0
     for piece in file.iter_batches(_ROWS_AT_ONCE):
         for name, column in columns.items():
-            values = piece[name].cast(pa.float64()).to_numpy(zero_copy_only=False)
-            column[rows : rows + len(piece)] = values
+            column[rows : rows + len(piece)] = numbers_of(piece[name].cast(pa.float64()))
         rows += len(piece)
         for name, kept in texts.items():
             kept += [known.setdefault(cell or "", cell or "") for cell in piece[name].to_pylist()]

@@ -36,7 +36,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.special import stdtrit
 
 from daq.records import Array, Nonphysical
 from softsensor.diagnosis.decision import FEW_RUNS
@@ -67,6 +66,7 @@ from softsensor.effects.free_law import (
 )
 from softsensor.effects.parameters import Parameter
 from softsensor.heat.model_file import FittedValue
+from softsensor.signals.student import student
 
 # Numbers without another source were set by hand, 2026-11.
 
@@ -370,7 +370,7 @@ def _band(law: _Tried) -> tuple[Array, Array, Array]:
 
 
 def _two_sided(law: _Tried) -> float:
-    return float(stdtrit(len(law.fit.runs) - 1, 0.975))
+    return student(max(len(law.fit.runs) - 1, 1))
 
 
 def _places(law: _Tried) -> list[int]:

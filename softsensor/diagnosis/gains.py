@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import stdtrit
 
 from daq.records import Array
+from softsensor.signals.student import student
 
 HARDLY = 0.05
 """Share of the residual on runs left out below which saving it is not what a cause, or a law, is worth. By hand,
@@ -55,7 +55,7 @@ def paired_gain(before: Array, after: Array) -> Gain:
     middle = float(fell.mean())
     if len(fell) < 2:
         return Gain(_kelvins(whole, middle), None)
-    half = float(stdtrit(len(fell) - 1, 0.975) * fell.std(ddof=1)) / len(fell) ** 0.5
+    half = student(len(fell) - 1) * float(fell.std(ddof=1)) / len(fell) ** 0.5
     return Gain(_kelvins(whole, middle), (_kelvins(whole, middle - half), _kelvins(whole, middle + half)))
 
 

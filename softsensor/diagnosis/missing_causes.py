@@ -27,13 +27,13 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.special import stdtrit
 
 from daq.records import Array
 from softsensor.effects import Effect, Need, Role, catalogue
 from softsensor.fitting.problem import Evaluation, Problem, constants_among, inverse, normal_equations
 from softsensor.fitting.result import left_in
 from softsensor.heat.model_file import FittedValue, MissingCause, MissingCauses, ModelFile
+from softsensor.signals.student import student
 from softsensor.signals.unknown import BAND
 
 if TYPE_CHECKING:
@@ -218,7 +218,7 @@ class _Size:
         noise = 1.0 / math.sqrt(power.sum())
         count = len(runs)
         seen = float(np.sqrt(((score - size * power) ** 2).sum()) / power.sum())
-        seen *= math.sqrt(count / max(count - 1, 1)) * float(stdtrit(max(count - 1, 2), 0.975)) / BAND
+        seen *= math.sqrt(count / max(count - 1, 1)) * student(max(count - 1, 2)) / BAND
         error = math.hypot(max(noise, seen), SIZE_FLOOR * size)
         gain = 0.5 * (size / noise) ** 2
         if size < 0.0 and _one_sided(name):

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.special import stdtrit
 
 from daq.records import Array
 from softsensor.diagnosis.extension import RunState, SharedFit
@@ -18,6 +17,7 @@ from softsensor.fitting.result import MISFIT_K, MISFIT_NOISE, MISFIT_SHARE, NOIS
 from softsensor.signals.digest import WIDEST_BIN_S, Digest, MeanNoise
 from softsensor.signals.faces import place_scatter
 from softsensor.signals.instrument import FACE_SLOW_S, MEAN_FAST_K, MEAN_FAST_S, MEAN_SLOW_K, MEAN_WHITE_K
+from softsensor.signals.student import student
 
 MODEL_ERROR = 0.03
 """Laws are simpler than nature: no standard deviation below this share of the size, or of a shape's range.
@@ -89,7 +89,7 @@ def intervals(fit: SharedFit, effect: Effect) -> dict[str, Interval]:
     centred = [g - np.mean(fit.gradients, axis=0) for g in fit.gradients]
     meat = sum((np.outer(g, g) for g in centred), np.zeros_like(covariance)) * runs / max(runs - 1, 1)
     robust = covariance @ meat @ covariance
-    quantile = float(stdtrit(max(runs - 1, 1), 0.975))
+    quantile = student(max(runs - 1, 1))
     found = {}
     for p in effect.parameters:
         i = fit.layout.names.index(effect.key(p.name))

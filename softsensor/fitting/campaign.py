@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.special import stdtrit
 
 from daq.press.press_file import Press, press_for_run
 from daq.records import Array, InputError, Run
@@ -30,6 +29,7 @@ from softsensor.fitting.unknowns import known_before
 from softsensor.heat.batch import Each
 from softsensor.heat.model import ThermalModel
 from softsensor.heat.model_file import FittedValue, ModelFile
+from softsensor.signals.student import student
 from softsensor.signals.unknown import BAND
 
 # Numbers without another source were set by hand, 2026-11.
@@ -151,7 +151,7 @@ class CampaignFit:
         before (`fitting.population.SPREAD_RUNS`) among its degrees of freedom.
         """
         p = self.population
-        wider = float(stdtrit(max(len(self.met), 1) - 1.0 + SPREAD_RUNS, 0.975)) / BAND
+        wider = student(max(len(self.met), 1) - 1.0 + SPREAD_RUNS) / BAND
         total = p.mean_covariance + np.diag((wider * p.spread) ** 2)
         table: dict[str, FittedValue] = {}
         shrink = np.ones(len(p.names))
@@ -270,7 +270,7 @@ def _summary(
     table = press.coefficient(name)
     middle, error = _anchored(press, name, float(people.mean[i]), float(np.sqrt(people.mean_covariance[i, i])))
     median = float(np.exp(middle))
-    quantile = float(stdtrit(max(len(fits) - 1, 1), 0.975))
+    quantile = student(max(len(fits) - 1, 1))
     if shared and fits:  # no scatter between runs is estimated: the runs' own noise decides
         quantile = max(f.quantile for f in fits)
     reach = min(quantile * error, 50.0)
@@ -282,7 +282,7 @@ def _summary(
         return CampaignCoefficient(median, 0.0, interval, interval, runs, median, interval, 0.0)
     if n >= 2:
         mean, sd = float(values.mean()), float(values.std(ddof=1))
-        half = float(stdtrit(n - 1, 0.975)) * sd / np.sqrt(n)
+        half = student(n - 1) * sd / np.sqrt(n)
         ci = (max(mean - half, min(table.lower, values.min())), min(mean + half, max(table.upper, values.max())))
         bootstrap = _bootstrap(values)
     else:

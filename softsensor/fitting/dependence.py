@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.special import stdtrit
 
 from daq.records import Array, Run
 from daq.words import Message, say
@@ -20,6 +19,7 @@ from softsensor.fitting.population import Knowledge
 from softsensor.fitting.result import RunFit
 from softsensor.heat.model_file import FittedValue
 from softsensor.signals.instrument import SPREAD_LOG
+from softsensor.signals.student import student
 
 SETTINGS: Mapping[str, tuple[str, float]] = {
     "platen_temperature_C": ("°C", 2.0),
@@ -119,7 +119,7 @@ class Dependence:
     @property
     def quantile(self) -> float:
         """Standard deviations to either end of a 95 % interval: Student's t, the scatter is estimated too."""
-        return float(stdtrit(max(self.runs - 1 - len(self.settings), 1), 0.975))
+        return student(max(self.runs - 1 - len(self.settings), 1))
 
     def program(self, settings: Mapping[str, float]) -> Program:
         """Return what a program never run would be like, with a remark where it lies outside those seen."""

@@ -3,7 +3,8 @@
 `softsensor.fitting.population` joins what the runs know near their own minima. Where a run hardly knows a
 coefficient its own minimum may lie far off or at a limit, and what it knows there says little about the
 place where the others put it. So such a run is searched again with the population as its prior, and enters
-the population anew, until nothing moves: the hierarchical fit at the price of a few more searches.
+the population anew, until nothing moves: the hierarchical fit at the price of a few more searches. A run that has
+no others is where it is.
 """
 
 from __future__ import annotations
@@ -69,7 +70,7 @@ def fit_together(
         _Member(f, f.minimum.x, information(f.problem, f.minimum.evaluation, f.spread, names)) for f in fits
     ]
     people = population(names, [m.knowledge for m in members], same=same, known=known)
-    for _ in range(ROUNDS):
+    for _ in range(ROUNDS if len(members) > 1 else 0):
         far = [
             i
             for i, (m, (mean, _)) in enumerate(zip(members, people.members, strict=True))

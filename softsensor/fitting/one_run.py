@@ -17,7 +17,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import minimize
 
 from daq.records import Array, InputError, Moments, Run
 from daq.words import say
@@ -36,6 +35,7 @@ from softsensor.fitting.problem import (
 )
 from softsensor.fitting.remarks import remarks, without_spikes
 from softsensor.fitting.result import RunFit, channel_residuals, left_still, misfit_of, run_fit
+from softsensor.fitting.simplex import lowest_point
 from softsensor.fitting.unknowns import chain_priors, coefficient_unknown, known_before
 from softsensor.heat.model import NUISANCES, ThermalModel
 from softsensor.heat.timing import TIMINGS
@@ -269,12 +269,7 @@ def slow_noise(problem: Problem, at: Evaluation) -> Noise:
         total += sum(float((g - m) / s) ** 2 for g, (m, s) in zip(guess, SLOW_PRIOR, strict=True))
         return 0.5 * total
 
-    best = minimize(
-        loss,
-        [m for m, _ in SLOW_PRIOR],
-        method="Nelder-Mead",
-        options={"xatol": 0.05, "fatol": 0.05, "maxfev": 50},
-    ).x
+    best = lowest_point(loss, [m for m, _ in SLOW_PRIOR], tolerance=0.05, most=50)
     best = np.clip(best, np.log([1e-3, 2.0]), np.log([50.0, 600.0]))
     return replace(problem.noise, slow_K=float(np.exp(best[0])), slow_s=float(np.exp(best[1])))
 

@@ -137,8 +137,8 @@ class Problem:
         return {**self.values, **own}
 
     def predict(self, x: Array) -> Solution:
-        """Solve the model at a point, with the derivatives by its unknowns."""
-        wanted = [u.name for u in self.unknowns if ":" not in u.name]
+        """Solve the model at a point, with the derivatives by its unknowns but those that are held."""
+        wanted = [u.name for u in self.unknowns if ":" not in u.name and u.lower < u.upper]
         return self.model.solve(self.case, self.merged(x), wanted)
 
     def evaluate(self, x: Array) -> Evaluation:
@@ -210,7 +210,8 @@ class Problem:
         added = np.zeros(len(predicted))
         for j, u in enumerate(self.unknowns):
             if ":" not in u.name:
-                derivative[:, j] = solution.d_sensors[u.name][:, column] * (u.slope(x[j] * u.unit) * u.unit)
+                if u.name in solution.d_sensors:
+                    derivative[:, j] = solution.d_sensors[u.name][:, column] * (u.slope(x[j] * u.unit) * u.unit)
                 continue
             kind, _, label = u.name.partition(":")
             if kind == CONSTANT:

@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.ndimage import median_filter
 
 from daq.press.press_file import Press
-from daq.records import Moments, Run
+from daq.records import Array, Moments, Run
 from daq.words import Message, say, spoken
 from softsensor.fitting.unknowns import gaps_at_moments
 from softsensor.heat.case import Case
@@ -55,13 +54,19 @@ def without_spikes(press: Press, run: Run) -> tuple[Run, list[Message]]:
         there = np.flatnonzero(np.isfinite(values))
         if len(there) < SPIKE_WINDOW:
             continue
-        off = np.abs(values[there] - median_filter(values[there], SPIKE_WINDOW, mode="nearest"))
+        off = np.abs(values[there] - _running_median(values[there]))
         far = there[off > max(SPIKE_K, SPIKE_RATIO * float(np.median(off)))]
         if len(far):
             values[far] = np.nan
             columns[name] = values
             said.append(say("fit-cells-jump", column=name, count=len(far), kelvin=SPIKE_K))
     return (replace(run, columns=columns) if said else run), said
+
+
+def _running_median(values: Array) -> Array:
+    """Return the median of each value and its neighbours, `SPIKE_WINDOW` of them; an end's go on beyond it."""
+    padded = np.pad(values, SPIKE_WINDOW // 2, mode="edge")
+    return np.asarray(np.median(np.lib.stride_tricks.sliding_window_view(padded, SPIKE_WINDOW), axis=1))
 
 
 def remarks(case: Case, signals: Signals, moments: Moments) -> list[Message]:

@@ -8,7 +8,6 @@ from enum import StrEnum
 from typing import Any
 
 import numpy as np
-from scipy.special import stdtrit
 
 from daq.records import Array, Moments
 from daq.words import Message, say
@@ -16,6 +15,7 @@ from softsensor.fitting.constants import ConstantFit, constants_of
 from softsensor.fitting.problem import Evaluation, Minimum, Problem
 from softsensor.fitting.remarks import lost_insertion
 from softsensor.fitting.unknowns import is_coefficient
+from softsensor.signals.student import student
 
 MISFIT_K, MISFIT_SHARE, MISFIT_NOISE, NOISIEST_K = 1.0, 0.04, 5.0, 1.0
 """A model does not describe a run from which it leaves more than each of: so many kelvin, this share of the span
@@ -187,7 +187,7 @@ def run_fit(
     residuals, offsets = channel_residuals(problem, best.evaluation)
     closed = best.evaluation.solution.closed_share > 0.5
     spread = _spread(problem, best)
-    quantile = float(stdtrit(spread.freedom, 0.975))
+    quantile = student(spread.freedom)
     values, moments = problem.merged(best.x), problem.case.moments
     first, _ = channel_residuals(problem, initial)
     still, still_first = left_still(problem, residuals), left_still(problem, first)

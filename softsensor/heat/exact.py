@@ -27,7 +27,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import eigh_tridiagonal
 
 from daq.records import Array, InputError
 from daq.words import say
@@ -255,6 +254,8 @@ def _decouple(w: Array, ambient: float) -> Modes:
             return _remembered[key]
     cap, g, loss, src, diag = w[rows]
     root = np.sqrt(cap[:n])
+    from scipy.linalg import eigh_tridiagonal  # loads slowly, and most runs are solved in steps
+
     rates, u = eigh_tridiagonal(diag[:n] / cap[:n], -g[1:n] / (root[1:] * root[:-1]))
     power = u.T / root
     inputs = np.zeros((n, 3))

@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.constants import R as GAS_CONSTANT
 
 from daq.compiled import compiled
+from daq.records import GAS_CONSTANT
 from softsensor.effects.effect import REFERENCE_C
 
 Array = NDArray[np.float64]

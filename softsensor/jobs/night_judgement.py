@@ -17,7 +17,6 @@ from enum import StrEnum
 from typing import Any
 
 import numpy as np
-from scipy.special import stdtrit
 
 from daq.press.press_file import Press
 from daq.records import Array, InputError, Run
@@ -34,6 +33,7 @@ from softsensor.jobs.model_in_force import combined_model
 from softsensor.live.replay import replay
 from softsensor.signals.faces import measured_core
 from softsensor.signals.moments import moments_of
+from softsensor.signals.student import student
 
 PROCESS = "refit"
 
@@ -357,9 +357,11 @@ def surely_less(old: Array, new: Array) -> bool:
 
     Of the ratio, since one run that leaves much over would else decide alone how certain the rest is.
     """
+    if len(old) < 2:  # one run has no scatter
+        return False
     fell = np.log(np.maximum(old, 1e-9)) - np.log(np.maximum(new, 1e-9))
     error = max(float(fell.std(ddof=1)) / math.sqrt(len(fell)), 1e-9)
-    return float(fell.mean()) / error > float(stdtrit(len(fell) - 1, 0.95))
+    return float(fell.mean()) / error > student(len(fell) - 1, 0.95)
 
 
 @dataclass(frozen=True)

@@ -28,10 +28,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.constants import R as GAS_CONSTANT
 
 from daq.press.resin_file import IsoconversionalLaw, KamalLaw, OrderLaw, Resin
-from daq.records import COLDEST_C, Array
+from daq.records import COLDEST_C, GAS_CONSTANT, Array
 
 OUTERMOST, CELLS = 14.0, 1400
 """The isotherm is laid out evenly in ln(α / (1 - α)) from -14 to 14: conversions of 8e-7 to 1 - 8e-7."""

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from statistics import NormalDist
 
 import numpy as np
-from scipy.special import ndtri
 
-BAND = float(ndtri(0.975))
+BAND = NormalDist().inv_cdf(0.975)
 """Half-width of a normal estimate's 95 % band, in standard deviations."""
 
 

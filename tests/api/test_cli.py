@@ -15,8 +15,11 @@ from api.commands.simulating import table_text
 from api.outputs import write_all
 from daq.files.run_file import read_run, write_run
 from daq.records import Run
+from daq.shared import shared_files
 from daq.simulated.campaign_pressfile import press_toml
 from daq.store import open_store
+
+SHARED = shared_files()
 
 
 @pytest.fixture(scope="module")
@@ -53,6 +56,16 @@ import sys, daq.recording.recorder, softsensor.jobs.live_service
 sys.exit(bool({'scipy.signal', 'scipy.stats', 'matplotlib', 'pandas'} & set(sys.modules)))
 """
     assert subprocess.run([sys.executable, "-c", script], check=False).returncode == 0
+
+
+def test_fit_of_a_run_loads_nothing_that_takes_long_and_that_it_can_do_without():
+    script = f"""
+import sys, api.cli
+assert api.cli.main(["fit", "{SHARED}/samples/2026-03-04-01.csv", "--press", "{SHARED}/presses/lab.toml"]) == 0
+print(set('scipy.optimize scipy.special scipy.ndimage matplotlib pandas'.split()) & set(sys.modules))
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "set()"
 
 
 def test_help_names_every_command_of_the_contract(capsys):

@@ -13,6 +13,7 @@ from daq.simulated.campaign_pressfile import press_toml
 from daq.simulated.campaign_sensors import Nuisances
 from softsensor.effects.parameters import plain
 from softsensor.fitting.joint import fit_together
+from softsensor.fitting.population import information, population
 from softsensor.fitting.problem import minimise
 from softsensor.heat.model import ThermalModel
 from softsensor.jobs.campaign import fit_campaign, fit_runs
@@ -69,6 +70,14 @@ def test_every_run_stands_where_its_own_search_with_the_others_as_prior_ends(cut
         problem = replace(fitted.problem, unknowns=(*unknowns, *fitted.problem.unknowns[len(NAMES) :]))
         ended = minimise(problem, max_evaluations=60, decrease=1e-4).x[: len(NAMES)]
         assert ended == pytest.approx(mean, abs=0.1)
+
+
+def test_run_without_others_is_not_searched_again(cut_short):
+    fitted = cut_short[1].runs[-1]  # whose contacts are far from known
+    assert not fitted.coefficients["h_p_c"].identifiable
+    own = information(fitted.problem, fitted.minimum.evaluation, fitted.spread, NAMES)
+    alone = fit_together([fitted], NAMES)
+    assert np.array_equal(alone.mean, population(NAMES, [own]).mean)
 
 
 def test_shared_coefficient_is_one_value_known_better_than_by_any_run():
