@@ -6,19 +6,20 @@ the heat of the outer layers still moves inwards, is taken as foreseen.
 
 Where a resin file sets limits, they alone decide: the press may open from when on all of them hold together with
 the wanted probability, as the live sensor foresees it. ``open_now`` is its word at the newest scan.
+
+Times count from now: the estimate's age is taken off. An estimate that is not of now gives no advice.
 """
 
 from __future__ import annotations
 
 import math
 
+from api.answers.present import SILENT_S, is_of_now
 from api.answers.schemas import Advice, EstimateNow
 from api.answers.words import said_of
 from daq.words import Message, say
 from softsensor.live.validity import reason_message
 
-SILENT_S = 5.0
-"""What is this much older than the newest scan is no longer so: an estimate, or a look ahead. [s]"""
 AT_ONCE_S = 0.5
 """An opening this near is now: the look ahead resolves no less. [s]"""
 
@@ -40,6 +41,9 @@ def advice_of(estimate: EstimateNow | None, target_C: float | None, opened_s: fl
     if not estimate.valid:
         why = reason_message(estimate.reason, estimate.reason_arguments)
         return _known("not_known", say("advice-not-known", why=why), target_C)
+    if not is_of_now(estimate.age_s):
+        why = say("advice-estimate-old", seconds=estimate.age_s or 0.0)
+        return _known("not_known", say("advice-not-known", why=why), target_C)
     if estimate.state != "closed":
         return _of_open_press(estimate, target_C, opened_s)
     return _of_closed_press(estimate, target_C) if estimate.cure_low is None else _of_limits(estimate, target_C)
@@ -50,23 +54,35 @@ def _of_open_press(estimate: EstimateNow, target_C: float | None, opened_s: floa
         return _known("not_closed", say("advice-not-closed"), target_C)
     peak_C = estimate.peak_C  # noqa: N806
     said = say("advice-opened") if peak_C is None else say("advice-opened-peak", peak_C=peak_C)
-    return _known("opened", said, target_C, peak_C=peak_C, age_s=estimate.forecast_age_s)
+    return _known("opened", said, target_C, peak_C=peak_C, age_s=_age_of_look(estimate))
+
+
+def _age_of_look(estimate: EstimateNow) -> float | None:
+    """Return how old the look ahead is now, None where there is none. [s]"""
+    age_s = estimate.forecast_age_s
+    return None if age_s is None else round(age_s + (estimate.age_s or 0.0), 3)
+
+
+def _from_now(seconds: float | None, estimate: EstimateNow) -> float | None:
+    """Return a time foreseen at the estimate as it counts from now; what is past is now. [s]"""
+    return None if seconds is None else max(seconds - (estimate.age_s or 0.0), 0.0)
 
 
 def _of_closed_press(estimate: EstimateNow, target_C: float | None) -> Advice:  # noqa: N803
     if target_C is None:
         return _known("no_target", say("advice-no-target"), None)
-    age_s = estimate.forecast_age_s
+    age_s = _age_of_look(estimate)
     if age_s is None:
         return _known("not_known", say("advice-not-known", why=say("advice-no-look-ahead")), target_C)
     if age_s > SILENT_S:
         why = say("advice-old", seconds=age_s)
         return _known("not_known", say("advice-not-known", why=why), target_C, age_s=age_s)
-    at, middle = estimate.open_in_s, estimate.target_in_s
+    at, middle = _from_now(estimate.open_in_s, estimate), _from_now(estimate.target_in_s, estimate)
     if at is None or middle is None:
         return _known("too_early", say("advice-too-early"), target_C, age_s=age_s)
-    before = None if estimate.target_earliest_s is None else at - (middle - estimate.target_earliest_s)
-    after = None if estimate.target_latest_s is None else at + (estimate.target_latest_s - middle)
+    earliest, latest = (_from_now(t, estimate) for t in (estimate.target_earliest_s, estimate.target_latest_s))
+    before = None if earliest is None else at - (middle - earliest)
+    after = None if latest is None else at + (latest - middle)
     bounds = {
         "open_in_s": round(at, 1),
         "open_earliest_s": None if before is None else round(max(before, 0.0), 1),
@@ -86,14 +102,14 @@ def _of_closed_press(estimate: EstimateNow, target_C: float | None) -> Advice:  
 
 def _of_limits(estimate: EstimateNow, target_C: float | None) -> Advice:  # noqa: N803
     """Return from when on every limit of the resin file holds."""
-    age_s = estimate.forecast_age_s
+    age_s = _age_of_look(estimate)
     if estimate.open_now:
         return _known("open_now", say("advice-open-now"), target_C, open_in_s=0.0, age_s=age_s)
     if age_s is None or age_s > SILENT_S:
         why = say("advice-no-look-ahead") if age_s is None else say("advice-old", seconds=age_s)
         return _known("not_known", say("advice-not-known", why=why), target_C, age_s=age_s)
-    if estimate.limits_in_s is not None:
-        at = max(estimate.limits_in_s, AT_ONCE_S)  # not yet, or the newest scan would have said so
+    if (foreseen := _from_now(estimate.limits_in_s, estimate)) is not None:
+        at = max(foreseen, AT_ONCE_S)  # not yet, or the newest scan would have said so
         return _known("open_in", say("advice-open-in", seconds=at), target_C, age_s=age_s, open_in_s=round(at, 1))
     if not estimate.limits_blocking:
         return _known("not_known", say("advice-not-known", why=say("advice-no-limit")), target_C, age_s=age_s)

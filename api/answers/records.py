@@ -6,13 +6,13 @@ import math
 import threading
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from typing import Any
 
-from api.answers.advice import SILENT_S, advice_of
+from api.answers.advice import advice_of
 from api.answers.channels import channels_now, faces_now
 from api.answers.decimation import number_or_none
+from api.answers.present import SILENT_S, Present, age_of, is_of_now, leave_of, present_of
 from api.answers.schemas import (
     CoefficientFit,
     CoefficientPoint,
@@ -31,27 +31,20 @@ from api.answers.schemas import (
 from api.answers.words import said_of
 from daq.press.header import doubts
 from daq.press.press_file import parse_press
-from daq.records import InputError, Scan
+from daq.records import InputError
 from daq.store.records import (
     CoefficientRecord,
     ModelRecord,
     ModelStatus,
     RunRecord,
-    RunStatus,
     StoredEstimate,
-    StoredPressEvent,
 )
 from daq.store.store import Store
 from daq.words import spoken
-from softsensor.live.validity import InvalidReason
 
-STATE_AFTER: Mapping[str, State] = {
-    "inserted": "open",
-    "closed": "closed",
-    "opened": "open",
-    "removed": "idle",
-}
-BESIDE = set(EstimateNow.model_fields) - set(StoredEstimate.__dataclass_fields__)
+TOLD_HERE = {"age_s", "valid_until_utc", "open_now", "advice"}
+"""What of an estimate depends on when it is told."""
+BESIDE = set(EstimateNow.model_fields) - set(StoredEstimate.__dataclass_fields__) - TOLD_HERE
 """What the sensor stores beside an estimate and the API hands on."""
 BESIDE_INVALID = {"suspected", "reason_arguments", "left_out"}
 """What of it stands beside an estimate that is not valid: forecast, profile and heat rest on that estimate."""
@@ -140,13 +133,21 @@ def _header_number(run: RunRecord, key: str) -> float | None:
     return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
 
 
-def estimate_now(estimate: StoredEstimate, run: RunRecord | None, utc: datetime | None) -> EstimateNow:
-    """Return one estimate as the API shows it; its time counts from the run's first row."""
+def estimate_now(
+    estimate: StoredEstimate, run: RunRecord | None, utc: datetime | None, now: datetime
+) -> EstimateNow:
+    """Return one estimate as the API shows it at `now`; its time counts from the run's first row.
+
+    Whether it is `valid` is its own word, of `utc`; leave to open and advice are given while that is of now.
+    """
     handed_on = BESIDE if estimate.valid else BESIDE_INVALID
-    now = EstimateNow(
+    age_s = age_of(utc, now)
+    told = EstimateNow(
         run=run.run if run else None,
         number=estimate.number,
         utc=utc,
+        age_s=None if age_s is None else round(age_s, 3),
+        valid_until_utc=utc + timedelta(seconds=SILENT_S) if utc and estimate.valid else None,
         time_s=round(estimate.monotonic_s - run.zero_monotonic_s, 6) if run else None,
         state=str(estimate.state),
         core_C=number_or_none(estimate.core_celsius),
@@ -155,10 +156,19 @@ def estimate_now(estimate: StoredEstimate, run: RunRecord | None, utc: datetime 
         core_high_C=number_or_none(estimate.core_high_celsius),
         valid=estimate.valid,
         reason=estimate.reason,
+        open_now=is_of_now(age_s) and leave_of(estimate),
         **{k: v for k, v in (estimate.detail or {}).items() if k in handed_on},
     )
     target_C = _header_number(run, "setting.core_target_C") if run else None  # noqa: N806
-    return now.model_copy(update={"advice": advice_of(now, target_C, run.moments.opened_s if run else math.nan)})
+    return told.model_copy(update={"advice": advice_of(told, target_C, run.moments.opened_s if run else math.nan)})
+
+
+def estimate_of(present: Present, run: RunRecord | None, now: datetime) -> EstimateNow | None:
+    """Return what the live sensor says of a press now as the API shows it, with `run` where it belongs to that."""
+    said = present.estimate
+    if said is None:
+        return None
+    return estimate_now(said, run_of_scan([run] if run else [], said.number), present.estimate_utc, now)
 
 
 def run_of_scan(runs: Iterable[RunRecord], number: int) -> RunRecord | None:
@@ -167,13 +177,6 @@ def run_of_scan(runs: Iterable[RunRecord], number: int) -> RunRecord | None:
         if run.first_scan <= number and (run.last_scan is None or number <= run.last_scan):
             return run
     return None
-
-
-def state_of(events: Sequence[StoredPressEvent], run: RunRecord | None) -> State:
-    """Return the press's state: what its last event of the open run left it in."""
-    if run is None or run.status is not RunStatus.OPEN:
-        return "idle"
-    return STATE_AFTER.get(events[-1].kind, "unknown") if events else "idle"
 
 
 def target_of(store: Store, run: RunRecord | None, estimate: EstimateNow | None) -> Target | None:
@@ -185,6 +188,8 @@ def target_of(store: Store, run: RunRecord | None, estimate: EstimateNow | None)
         return Target(temperature_C=wanted, reached=True, time_to_target_s=0.0)
     told = estimate is not None and estimate.valid and estimate.run == run.run
     ahead = estimate.target_in_s if estimate and told else None
+    if estimate and ahead is not None:
+        ahead = round(max(ahead - (estimate.age_s or 0.0), 0.0), 1)
     return Target(temperature_C=wanted, reached=False, time_to_target_s=ahead)
 
 
@@ -202,58 +207,29 @@ def highest_core(store: Store, run: RunRecord) -> float:
     return highest
 
 
-def last_word(store: Store, press: str, scan: Scan) -> tuple[StoredEstimate, datetime | None] | None:
-    """Return the newest estimate with the time of its own scan, None before the first.
-
-    It is not valid, and says why, where the live sensor has fallen silent while scans go on to `scan`.
-    """
-    number = store.newest_estimate_number(press)
-    found = store.estimates_after(press, number - 1, 1)
-    if not found:
-        return None
-    own = scan if number == scan.number else next(iter(store.scans_after(press, number - 1, 1).scans), None)
-    silent_s = (scan.utc - own.utc).total_seconds() if own else 0.0
-    told = found[0]
-    if silent_s > SILENT_S:
-        detail = {"reason_arguments": {"silent_s": round(silent_s)}}
-        told = replace(told, valid=False, reason=InvalidReason.LIVE_SENSOR_SILENT.value, detail=detail)
-    return told, own.utc if own else None
-
-
-def newest_estimate(store: Store, press: str, run: RunRecord | None, scan: Scan) -> EstimateNow | None:
-    """Return what the live sensor said last as the API shows it."""
-    said = last_word(store, press, scan)
-    if said is None:
-        return None
-    told, utc = said
-    return estimate_now(told, run_of_scan([run] if run else [], told.number), utc)
-
-
 def press_now(store: Store, press: str, press_file: str, now: datetime) -> PressNow:
     """Return one press as it stands."""
-    run = store.open_run(press)
+    present = present_of(store, press, now)
+    run, scan, live = present.run, present.scan, present.late is None
     shown = run or next(iter(store.runs(press=press, limit=1).items), None)
-    events = store.press_events(press, since_scan=run.first_scan) if run else []
-    number = store.newest_scan_number(press)
-    batch = store.scans_after(press, number - 1, 1)
-    scan = batch.scans[-1] if batch.scans else None
-    estimate = newest_estimate(store, press, shown, scan) if scan else None
-    time_s = scan.monotonic_s - run.zero_monotonic_s if run and scan else None
+    estimate = estimate_of(present, shown, now)
+    time_s = scan.monotonic_s - run.zero_monotonic_s if run and scan and live else math.nan
     closed_s = run.moments.closed_s if run else math.nan
-    channels = channels_now(store, press, batch.channels, scan, now, estimate.left_out if estimate else {})
+    left_out = estimate.left_out if estimate else {}
+    channels = channels_now(store, press, present.channels, scan, now, left_out)
+    age_s = age_of(scan.utc if scan else None, now)
     return PressNow(
         press=press,
-        state=state_of(events, run),
-        since_utc=events[-1].utc if events else None,
+        state=present.state,
+        since_utc=present.events[-1].utc if present.events else None,
+        age_s=None if age_s is None else round(age_s, 3),
         run=shown.run if shown else None,
         run_status=str(shown.status) if shown else None,
-        time_s=None if time_s is None else round(time_s, 3),
-        time_since_closing_s=round(time_s - closed_s, 3)
-        if time_s is not None and math.isfinite(closed_s)
-        else None,
+        time_s=number_or_none(round(time_s, 3)),
+        time_since_closing_s=number_or_none(round(time_s - closed_s, 3)),
         phases=phases_of(shown) if shown else [],
         channels=channels,
-        faces=faces_now(channels),
+        faces=faces_now(channels if live else ()),
         estimate=estimate,
         target=target_of(store, run, estimate),
         coefficients=coefficients_in_use(store, press, press_file),

@@ -156,6 +156,11 @@ class EstimateNow(_Answer):
     run: str | None
     number: int | None
     utc: datetime | None
+    """Of its scan."""
+    age_s: float | None = None
+    """How long ago that was when this was told. Times foreseen count from `utc`; those of `advice` from now."""
+    valid_until_utc: datetime | None = None
+    """From when on nothing here is to be acted on, if nothing newer came: `open_now` counts as false then."""
     time_s: float | None
     state: str
     core_C: float | None  # noqa: N815
@@ -203,7 +208,7 @@ class EstimateNow(_Answer):
     """Upper bound of 95 %."""
     open_now: bool = False
     """Whether the press is closed and every limit of the resin file holds with the wanted probability: ready for a
-    relay, false where anything is not known, not valid or old."""
+    relay, false where anything is not known, not valid or further than 5 s from this computer's clock."""
     limits_in_s: float | None = None
     """From when on every limit of the resin file holds, if the press stays closed."""
     limits_likely_in_s: float | None = None
@@ -246,7 +251,10 @@ class PressNow(_Answer):
 
     press: str
     state: State
+    """As the recorder left it; unknown where its newest scan is further than 5 s from this computer's clock."""
     since_utc: datetime | None
+    age_s: float | None
+    """Since the newest scan."""
     run: str | None
     run_status: str | None
     time_s: float | None

@@ -7,6 +7,7 @@ from datetime import datetime
 
 from api.answers.channels import channel_role
 from api.answers.drift import drift_of
+from api.answers.present import present_of
 from api.answers.schemas import AlarmLimits
 from daq.records import Scan
 from daq.store.records import StandingAlarm
@@ -37,7 +38,7 @@ def _crossed(store: Store, press: str, limits: AlarmLimits, now: datetime) -> It
         if limits.silence_s is not None and age_s > limits.silence_s:
             yield _of("silence", press, say("alarm-silence", press=press, limit=limits.silence_s))
         if age_s <= FRESH_S:
-            yield from _core(store, press, limits)
+            yield from _core(store, press, limits, now)
             yield from _platens(press, tuple(c.name for c in batch.channels), scan, limits)
     yield from _drifts(store, press, limits)
     found = store.diagnoses(press=press, limit=1).items if limits.verdict_unknown else ()
@@ -53,12 +54,12 @@ def _drifts(store: Store, press: str, limits: AlarmLimits) -> Iterator[StandingA
             yield _of(f"drift:{drift.coefficient}:{drift.since_run}", press, said)
 
 
-def _core(store: Store, press: str, limits: AlarmLimits) -> Iterator[StandingAlarm]:
+def _core(store: Store, press: str, limits: AlarmLimits, now: datetime) -> Iterator[StandingAlarm]:
     if limits.core_above_C is None:
         return
-    for said in store.estimates_after(press, store.newest_estimate_number(press) - 1, 1):
-        if said.valid and said.core_celsius > limits.core_above_C:
-            yield _of("core", press, say("alarm-core-above", press=press, limit=limits.core_above_C))
+    said = present_of(store, press, now).estimate
+    if said is not None and said.valid and said.core_celsius > limits.core_above_C:
+        yield _of("core", press, say("alarm-core-above", press=press, limit=limits.core_above_C))
 
 
 def _platens(press: str, channels: tuple[str, ...], scan: Scan, limits: AlarmLimits) -> Iterator[StandingAlarm]:

@@ -20,7 +20,8 @@ from starlette.responses import StreamingResponse
 from starlette.types import Receive, Scope, Send
 
 from api.answers.decimation import number_or_none
-from api.answers.records import STATE_AFTER, estimate_now, run_of_scan
+from api.answers.present import STATE_AFTER
+from api.answers.records import estimate_now, run_of_scan, utc_now
 from daq.records import Channel, InputError, Quality, Scan
 from daq.store.records import RunRecord, ScanBatch, StoredPressEvent, StoreUnavailable
 from daq.store.store import Store
@@ -172,12 +173,13 @@ def _scans(
     after = max(position.estimates.get(press, newest), newest - CATCH_UP_SCANS)
     estimates = store.estimates_after(press, after, CATCH_UP_SCANS)
     utc = _utc_of_scans(store, press, [estimate.number for estimate in estimates], batch)
+    now = utc_now()
     for estimate in estimates:
         if estimate.number > last_estimate:
             break
         position.estimates[press] = estimate.number
-        now = estimate_now(estimate, run_of_scan(runs, estimate.number), utc.get(estimate.number))
-        yield encode_event("estimate", {"press": press, **now.model_dump(mode="json")}, position)
+        told = estimate_now(estimate, run_of_scan(runs, estimate.number), utc.get(estimate.number), now)
+        yield encode_event("estimate", {"press": press, **told.model_dump(mode="json")}, position)
     position.estimates.setdefault(press, after)
 
 

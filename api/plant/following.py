@@ -13,7 +13,7 @@ from datetime import datetime
 from typing import Any
 
 from api.answers.decimation import number_or_none
-from api.answers.records import STATE_AFTER
+from api.answers.present import STATE_AFTER
 from daq.records import Channel, Quality, Scan
 from daq.store.records import ModelRecord, StoredEstimate, StoredPressEvent
 from daq.store.store import Store

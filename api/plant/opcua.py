@@ -11,6 +11,7 @@ status code                              meaning
 =======================================  ===================================================
 Good                                     measured, or predicted within its band
 UncertainLastUsableValue                 the logger repeats itself: the channel stands still
+UncertainSubstituteValue                 `open_now` alone: false because something is not known or old
 BadSensorFailure                         thermocouple open
 BadOutOfRange                            above or below what the logger can measure
 BadNoCommunication                       the logger does not answer, or no scan for 5 s
@@ -29,8 +30,9 @@ import asyncio
 import logging
 import math
 import threading
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -38,14 +40,15 @@ from asyncua import Node, Server, ua
 from asyncua.crypto.permission_rules import User, UserRole
 
 from api.answers.health import installed_version
-from api.answers.records import last_word, state_of, utc_now
+from api.answers.present import SILENT_S, Present, present_of
+from api.answers.records import utc_now
 from api.http.gate import is_loopback
 from api.http.tokens import TokenFile
 from api.outputs import in_words, spoken_language
 from api.plant.client_log import LIBRARY, clients_told_sparingly
 from daq.process.config import OpcuaSettings
 from daq.records import Channel, InputError, Quality
-from daq.store.records import StoredEstimate, StoredPressEvent, StoreUnavailable
+from daq.store.records import StoredPressEvent, StoreUnavailable
 from daq.store.store import Store
 from daq.words import Message, say, spoken
 from softsensor.live.validity import Invalid, InvalidReason, reason_message
@@ -54,9 +57,6 @@ LOG = logging.getLogger("kerntemp.publish")
 NAMESPACE = "urn:kerntemp:press"
 PERIOD_S = 0.1
 """How often the store is asked. [s]"""
-OLD = timedelta(seconds=5)
-"""Values whose newest scan is older than this are no longer present values."""
-
 STATUS = {
     Quality.GOOD: ua.StatusCodes.Good,
     Quality.SIMULATED: ua.StatusCodes.Good,
@@ -109,21 +109,10 @@ class _Press:
     last_event: int = 0
 
 
-@dataclass(frozen=True)
-class Present:
-    """What the store says of one press now."""
-
-    utc: datetime | None
-    """Of the newest scan."""
-    channels: tuple[Channel, ...]
-    values: dict[str, tuple[float, Quality]]
-    estimate: StoredEstimate | None
-    estimate_utc: datetime | None
-    """Of the scan the estimate belongs to."""
-    state: str
-    run: str
-    events: tuple[StoredPressEvent, ...]
-    old: bool
+Told = tuple[Present, Sequence[StoredPressEvent]]
+"""A press now, and its events that have not been shown yet."""
+NOTHING: Told = (Present(None, (), None, (), None, "unknown", None, None), ())
+"""What is known of a press while the store does not answer."""
 
 
 def check_settings(settings: OpcuaSettings, tokens: TokenFile) -> None:
@@ -144,10 +133,12 @@ def check_settings(settings: OpcuaSettings, tokens: TokenFile) -> None:
 class PressServer:
     """The server over one store."""
 
-    def __init__(self, store: Store, settings: OpcuaSettings, tokens: TokenFile) -> None:
+    def __init__(
+        self, store: Store, settings: OpcuaSettings, tokens: TokenFile, clock: Callable[[], datetime] = utc_now
+    ) -> None:
         self.problem: Message | None = None
         self.address = ""
-        self._store, self._settings, self._tokens = store, settings, tokens
+        self._store, self._settings, self._tokens, self._clock = store, settings, tokens, clock
         self._presses: dict[str, _Press] = {}
 
     async def run(self, stop: threading.Event, started: threading.Event | None = None) -> None:
@@ -197,65 +188,58 @@ class PressServer:
         return server
 
     async def _refresh(self, server: Server, root: Node, index: int) -> None:
+        reading = asyncio.ensure_future(asyncio.to_thread(self._read))
+        await asyncio.wait({reading}, timeout=SILENT_S)
+        if not reading.done():  # nothing stands as known while a store takes its time
+            await self._show_all(server, dict.fromkeys(self._presses, NOTHING), index)
         try:
-            now = await asyncio.to_thread(self._read)
+            now = await reading
             self.problem = None
         except StoreUnavailable as error:
             self.problem = spoken(error)
-            now = {name: Present(None, (), {}, None, None, "unknown", "", (), old=True) for name in self._presses}
-        for name, present in now.items():
+            now = dict.fromkeys(self._presses, NOTHING)
+        for name in now:
             if name not in self._presses:
                 self._presses[name] = await _make_press(server, root, index, name)
                 newest = await asyncio.to_thread(_newest_event, self._store, name)
                 self._presses[name].last_event = newest.number if newest else 0
                 if newest is not None:
                     await self._show_event(server, self._presses[name], newest)
-            await self._show(server, self._presses[name], present, index)
+        await self._show_all(server, now, index)
 
-    def _read(self) -> dict[str, Present]:
-        found = {}
+    def _read(self) -> dict[str, Told]:
+        found: dict[str, Told] = {}
         for name in self._store.presses():
-            batch = self._store.scans_after(name, self._store.newest_scan_number(name) - 1, 1)
-            scan = batch.scans[-1] if batch.scans else None
-            values = {}
-            if scan is not None:
-                names = (channel.name for channel in batch.channels)
-                values = dict(zip(names, zip(scan.values, scan.qualities, strict=True), strict=True))
-            said = last_word(self._store, name, scan) if scan is not None else None
-            estimate, estimate_utc = said or (None, None)
-            run = self._store.open_run(name)
             shown = self._presses.get(name)
-            events = self._store.press_events(name, after=shown.last_event) if shown else []
-            found[name] = Present(
-                scan.utc if scan else None,
-                tuple(batch.channels),
-                values,
-                estimate,
-                estimate_utc,
-                state_of(self._store.press_events(name, since_scan=run.first_scan) if run else [], run),
-                run.run if run else "",
-                tuple(events),
-                old=scan is None or utc_now() - scan.utc > OLD,
-            )
+            events = self._store.press_events(name, after=shown.last_event) if shown else ()
+            found[name] = (present_of(self._store, name, self._clock()), events)
         return found
+
+    async def _show_all(self, server: Server, now: Mapping[str, Told], index: int) -> None:
+        for name, (present, events) in now.items():
+            await self._show(server, self._presses[name], present, index)
+            for event in events:
+                await self._tell(server, self._presses[name], event)
 
     async def _show(self, server: Server, press: _Press, present: Present, index: int) -> None:
         for channel in present.channels:
             if f"channel.{channel.name}" not in press.nodes:
                 await _add_channel(press, channel, index)
+        utc = present.scan.utc if present.scan else None
         for key, (value, code) in _channel_values(press, present).items():
-            await _write(server, press, key, value, code, present.utc)
+            await _write(server, press, key, value, code, utc)
         for key, (value, code) in _estimate_values(present).items():
-            await _write(server, press, key, value, code, present.estimate_utc or present.utc)
-        await _write(server, press, _LEAVE, *_leave(present), present.estimate_utc or present.utc)
+            await _write(server, press, key, value, code, present.estimate_utc or utc)
+        await _write(server, press, _LEAVE, *_leave(present), present.estimate_utc or utc)
         for key, text in _texts(present).items():
-            await _write(server, press, key, text, ua.StatusCodes.Good, present.utc)
-        for event in present.events:
-            press.last_event = event.number
-            await self._show_event(server, press, event)
-            press.events.event.Message = ua.LocalizedText(event.kind)
-            press.events.event.Severity = 100
-            await press.events.trigger(message=event.kind)
+            await _write(server, press, key, text, ua.StatusCodes.Good, utc)
+
+    async def _tell(self, server: Server, press: _Press, event: StoredPressEvent) -> None:
+        press.last_event = event.number
+        await self._show_event(server, press, event)
+        press.events.event.Message = ua.LocalizedText(event.kind)
+        press.events.event.Severity = 100
+        await press.events.trigger(message=event.kind)
 
     async def _show_event(self, server: Server, press: _Press, event: StoredPressEvent) -> None:
         await _write(server, press, "event", event.kind, ua.StatusCodes.Good, event.utc)
@@ -279,46 +263,52 @@ def _newest_event(store: Store, press: str) -> StoredPressEvent | None:
     return newest
 
 
+def _live(present: Present) -> bool:
+    """Whether the newest scan is of now."""
+    return present.scan is not None and present.late is None
+
+
 def _channel_values(press: _Press, present: Present) -> dict[str, tuple[float, int]]:
     """Return value and status of every channel the press ever had; one that is gone has no communication."""
     known = (key for key in press.nodes if key.startswith("channel."))
+    scan, names = present.scan, (channel.name for channel in present.channels)
+    values = dict(zip(names, zip(scan.values, scan.qualities, strict=True), strict=True)) if scan else {}
     found = {}
     for key in known:
-        value, quality = present.values.get(key.removeprefix("channel."), (math.nan, Quality.MISSING))
-        found[key] = (value, ua.StatusCodes.BadNoCommunication if present.old else STATUS[quality])
+        value, quality = values.get(key.removeprefix("channel."), (math.nan, Quality.MISSING))
+        found[key] = (value, STATUS[quality] if _live(present) else ua.StatusCodes.BadNoCommunication)
     return found
 
 
 def _estimate_values(present: Present) -> dict[str, tuple[float, int]]:
     said = present.estimate
-    if said is None or present.old or not said.valid:
+    if said is None or not said.valid:
         code = ua.StatusCodes.BadNoData
-        if present.old:
-            code = ua.StatusCodes.BadNoCommunication if present.utc else ua.StatusCodes.BadWaitingForInitialData
+        if not _live(present):
+            code = ua.StatusCodes.BadNoCommunication if present.scan else ua.StatusCodes.BadWaitingForInitialData
         return dict.fromkeys(_ESTIMATES, (math.nan, code))
     values = (said.core_celsius, said.core_low_celsius, said.core_high_celsius, said.core_sd_kelvin)
     return {key: (value, ua.StatusCodes.Good) for key, value in zip(_ESTIMATES, values, strict=True)}
 
 
 def _leave(present: Present) -> tuple[bool, int]:
-    """Return whether the press may open now, and its status: good always, for a bad one would carry no value."""
-    _, code = _estimate_values(present)["core"]
-    given = present.estimate is not None and (present.estimate.detail or {}).get("open_now") is True
-    return given and code == ua.StatusCodes.Good, ua.StatusCodes.Good
+    """Return whether the press may open now, and whether that is known: a bad status would carry no value."""
+    known = ua.StatusCodes.Good if present.known else ua.StatusCodes.UncertainSubstituteValue
+    return present.open_now, known
 
 
 def _texts(present: Present) -> dict[str, str]:
     said = present.estimate
-    if present.old:
-        reason = Invalid(InvalidReason.NO_SCANS, {"silent_s": OLD.total_seconds()}).message
+    if present.late is not None:
+        reason = present.late.message
     elif said is None:
         reason = Invalid(InvalidReason.NO_ESTIMATE_YET).message
     else:
         reason = reason_message(said.reason, (said.detail or {}).get("reason_arguments"))
     return {
-        "state": "unknown" if present.old else present.state,
-        "run": present.run,
-        "model": said.model_version if said is not None and not present.old else "",
+        "state": present.state,
+        "run": present.run.run if present.run else "",
+        "model": said.model_version if said is not None and _live(present) else "",
         "reason": str(reason),
     }
 

@@ -1027,6 +1027,7 @@ core-will-pass-limit = der Kern wird bis auf { NUMBER($peak_C, maximumFractionDi
 core-will-pass-limit-even-if-opened = der Kern wird { NUMBER($peak_C, maximumFractionDigits: 0) } °C erreichen, selbst wenn die Presse jetzt öffnet, über der Grenze von { NUMBER($limit_C, maximumFractionDigits: 1) } °C
 reason-band-too-wide = Kern nicht bestimmbar: das Band ist breiter als ±{ NUMBER($limit_K, maximumFractionDigits: 0) } K
 reason-calculation-failed = die Rechnung ist fehlgeschlagen und wird neu gestartet
+reason-clock-ahead = die Messzeilen tragen eine Zeit, die der Uhr dieses Rechners { NUMBER($ahead_s, maximumFractionDigits: 0) } s voraus ist: Uhren stellen
 reason-constants-far-from-the-material = die Stoffwerte der Platte sind nicht auf die Hälfte genau bekannt: die der Kopfdaten liegen weit neben denen des Materials, oder die letzten Läufe hatten sie weit neben den Kopfdaten; berichtigen oder angeben, wie sicher sie sind (KEY.sd)
 reason-core-impossible = der berechnete Kern hat { NUMBER($core_C, maximumFractionDigits: 0) } °C, was unmöglich ist: nichts unter { NUMBER($lowest_C, maximumFractionDigits: 0) } °C oder über { NUMBER($highest_C, maximumFractionDigits: 0) } °C hat die Platte berührt
 reason-faces-jumped-during-a-gap = die Temperatur beider Seiten ist während einer Messlücke gesprungen
@@ -1386,6 +1387,7 @@ advice-blocked = { $limit ->
         [steam_most] zu viel Dampf, oder sein Druck ist nicht bekannt
        *[sudden_change] in der Presse hat sich etwas geändert: wie die Flächen waren, ist nicht bekannt
     }
+advice-estimate-old = das galt vor { NUMBER($seconds, maximumFractionDigits: 0) } s
 advice-no-limit = die Harzdatei hat keine Grenze
 advice-no-look-ahead = der Softsensor hat noch nicht vorausgeschaut
 advice-no-panel = keine Platte in der Presse

@@ -1010,6 +1010,7 @@ core-will-pass-limit = the core will peak at { NUMBER($peak_C, maximumFractionDi
 core-will-pass-limit-even-if-opened = the core will peak at { NUMBER($peak_C, maximumFractionDigits: 0) } °C even if the press is opened now, above the limit of { NUMBER($limit_C, maximumFractionDigits: 1) } °C
 reason-band-too-wide = core not observable: the band is wider than ±{ NUMBER($limit_K, maximumFractionDigits: 0) } K
 reason-calculation-failed = the calculation failed and is being restarted
+reason-clock-ahead = the readings are stamped { NUMBER($ahead_s, maximumFractionDigits: 0) } s ahead of this computer's clock: set the clocks
 reason-constants-far-from-the-material = the panel's constants are not known to within half: the header's are far from those of its material, or the last runs had them far from the header's; correct them, or state how sure they are (KEY.sd)
 reason-core-impossible = the calculated core is at { NUMBER($core_C, maximumFractionDigits: 0) } °C, which is impossible: nothing colder than { NUMBER($lowest_C, maximumFractionDigits: 0) } °C or hotter than { NUMBER($highest_C, maximumFractionDigits: 0) } °C has touched the panel
 reason-faces-jumped-during-a-gap = both faces jumped in temperature during a gap in the readings
@@ -1370,6 +1371,7 @@ advice-blocked = { $limit ->
         [steam_most] too much steam, or its pressure is not known
        *[sudden_change] something has changed in the press: what the faces were is not known
     }
+advice-estimate-old = this was so { NUMBER($seconds, maximumFractionDigits: 0) } s ago
 advice-no-limit = the resin file has no limit
 advice-no-look-ahead = the live sensor has not looked ahead yet
 advice-no-panel = no panel in the press

@@ -37,6 +37,7 @@ class InvalidReason(StrEnum):
     LIVE_SENSOR_SILENT = "live sensor silent"
     NO_ESTIMATE_YET = "no estimate yet"
     NO_SCANS = "no scans"
+    CLOCK_AHEAD = "clock ahead"
 
     @property
     def code(self) -> str:

@@ -14,8 +14,8 @@ from daq.words.message import words
 
 def estimate(state: str = "closed", **beside: Any) -> EstimateNow:
     core = {"core_C": 31.0, "core_sd_K": 1.0, "core_low_C": 29.0, "core_high_C": 33.0}
-    known = {"run": "a", "number": 1, "utc": None, "time_s": 20.0, "state": state, "valid": True, **core}
-    return EstimateNow(**{**known, **beside})
+    known = {"run": "a", "number": 1, "utc": None, "age_s": 0.0, "time_s": 20.0, "state": state, "valid": True}
+    return EstimateNow(**{**known, **core, **beside})
 
 
 def ahead(**changed: float | None) -> dict[str, float | None]:
@@ -60,6 +60,20 @@ def test_what_is_not_foreseen_is_not_advised(said, verdict):
 def test_an_old_look_ahead_is_no_advice_and_says_how_old_it_is():
     said = advice_of(estimate(**ahead(forecast_age_s=22.0)), 40.0)
     assert said.sentence == "not known, because the last look ahead is 22 s old"
+
+
+def test_times_count_from_now_and_a_look_ahead_ages_with_its_estimate():
+    said = advice_of(estimate(**ahead(), age_s=4.0), 40.0)
+    assert (said.open_in_s, said.open_earliest_s, said.open_latest_s, said.age_s) == (7.0, 4.0, 11.0, 5.0)
+    said = advice_of(estimate(**ahead(), age_s=4.5), 40.0)
+    assert said.sentence == "not known, because the last look ahead is 6 s old"
+
+
+@pytest.mark.parametrize("age_s", [5.1, -5.1, None])
+def test_an_estimate_that_is_not_of_now_gives_no_advice(age_s):
+    given = {**ahead(open_in_s=0.0), **CURED, "limits_in_s": 0.0, "open_now": True}
+    assert advice_of(estimate(**given), 40.0).verdict == "open_now"
+    assert advice_of(estimate(**given, age_s=age_s), 40.0).verdict == "not_known"
 
 
 def test_without_a_target_there_is_none_to_open_for():

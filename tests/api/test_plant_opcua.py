@@ -7,7 +7,6 @@ import logging
 import math
 import socket
 import threading
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
@@ -26,8 +25,7 @@ from daq.store import NewRun, Store, StoredEstimate, open_store
 
 LAB = (Path(__file__).parents[2] / "deploy" / "presses" / "lab.toml").read_text()
 CHANNELS = (*(Channel(name) for name in ("platen_top", "top_1", "top_2", "top_3")), Channel("bar", "bar"))
-AHEAD = timedelta(seconds=60)
-"""Scans stamped so far ahead are not yet called old when a busy machine gets round to serving them."""
+BEGAN = datetime(2026, 3, 4, 7, 0, tzinfo=UTC)
 
 
 @pytest.fixture
@@ -36,10 +34,19 @@ def store(tmp_path: Path) -> Iterator[Store]:
         yield opened
 
 
+class Clock:
+    """What the server takes for the present: a busy machine makes nothing old."""
+
+    utc = BEGAN
+
+    def __call__(self) -> datetime:
+        return self.utc
+
+
 @contextmanager
-def serving(store: Store, folder: Path, **settings: Any) -> Iterator[PressServer]:
+def serving(store: Store, folder: Path, clock: Clock | None = None, **settings: Any) -> Iterator[PressServer]:
     tokens = TokenFile(folder / "tokens.json")
-    server = PressServer(store, OpcuaSettings(port=0, **settings), tokens)
+    server = PressServer(store, OpcuaSettings(port=0, **settings), tokens, clock or Clock())
     stop, started = threading.Event(), threading.Event()
     thread = threading.Thread(target=lambda: asyncio.run(server.run(stop, started)))
     thread.start()
@@ -52,7 +59,7 @@ def serving(store: Store, folder: Path, **settings: Any) -> Iterator[PressServer
         assert not thread.is_alive()
 
 
-def write(store: Store, utc: datetime, *, valid: bool = True, said: bool = True) -> datetime:
+def write(store: Store, utc: datetime, *, valid: bool = True, said: bool = True, leave: bool = True) -> datetime:
     key = store.register_press("lab", CHANNELS, LAB)
     values = (201.5, 99.25, math.nan, 99.0, 42.0)
     scan = Scan(
@@ -64,7 +71,8 @@ def write(store: Store, utc: datetime, *, valid: bool = True, said: bool = True)
     )
     first = key.next_number == 0
     begin = NewRun("lab-2026-03-04-01", 0, utc, 10.0) if first else None
-    store.append_scans(key, [scan], [PressEvent(PressEventKind.INSERTED, 10.0, 10.4)] if first else (), begin)
+    kinds = (PressEventKind.INSERTED, PressEventKind.CLOSED) if first and valid else ()
+    store.append_scans(key, [scan], [PressEvent(kind, 10.0, 10.4) for kind in kinds], begin)
     if not said:
         return scan.utc
     core = 84.5 if valid else math.nan
@@ -79,7 +87,7 @@ def write(store: Store, utc: datetime, *, valid: bool = True, said: bool = True)
         valid,
         "" if valid else "no panel in the press",
         "lab-7",
-        detail={"open_now": True},
+        detail={"open_now": leave},
     )
     store.append_estimates("lab", [estimate])
     return scan.utc
@@ -93,7 +101,7 @@ async def read(server: PressServer, *keys: str) -> dict[str, ua.DataValue]:
 
 
 def test_values_come_with_status_codes_units_and_the_time_of_their_scan(tmp_path, store):
-    utc = write(store, datetime.now(UTC) + AHEAD)
+    utc = write(store, BEGAN)
     with serving(store, tmp_path) as server:
         found = asyncio.run(
             read(
@@ -121,7 +129,7 @@ def test_values_come_with_status_codes_units_and_the_time_of_their_scan(tmp_path
     stamp = found["channel.top_1"].SourceTimestamp.replace(tzinfo=UTC)
     assert abs(stamp - utc) < timedelta(milliseconds=1)
     texts = {key: found[key].Value.Value for key in ("state", "model", "run")}
-    assert texts == {"state": "open", "model": "lab-7", "run": "lab-2026-03-04-01"}
+    assert texts == {"state": "closed", "model": "lab-7", "run": "lab-2026-03-04-01"}
     assert {key: unit.Value.Value.DisplayName.Text for key, unit in units.items()} == {
         "core.units": "°C",
         "core_sd.units": "K",
@@ -131,59 +139,106 @@ def test_values_come_with_status_codes_units_and_the_time_of_their_scan(tmp_path
 
 
 def test_a_core_of_a_silent_live_sensor_is_no_data_while_the_press_goes_on(tmp_path, store):
-    before = write(store, datetime.now(UTC) + AHEAD)
-    after = write(store, before + timedelta(seconds=25), said=False)
-    with serving(store, tmp_path) as server:
+    clock = Clock()
+    before = write(store, BEGAN)
+    clock.utc = after = write(store, before + timedelta(seconds=25), said=False)
+    with serving(store, tmp_path, clock) as server:
         found = asyncio.run(read(server, "core", "core_high", "channel.top_1", "state", "reason"))
     codes = [found[key].StatusCode.name for key in ("core", "core_high", "channel.top_1")]
     assert codes == ["BadNoData", "BadNoData", "Good"]
     for key, utc in (("core", before), ("channel.top_1", after)):
         assert abs(found[key].SourceTimestamp.replace(tzinfo=UTC) - utc) < timedelta(milliseconds=1)
     assert found["reason"].Value.Value == "the live sensor has given no estimate for 25 s"
-    assert found["state"].Value.Value == "open"
+    assert found["state"].Value.Value == "closed"
 
 
-def test_leave_to_open_is_false_wherever_it_is_not_known(tmp_path, store):
-    began = datetime.now(UTC) + AHEAD
-    steps = (
-        (True, 0, {}),
-        (False, 1, {"valid": False}),
-        (True, 2, {}),
-        (False, 25, {"said": False}),
+async def becomes(server: PressServer, expected: tuple[bool, str]) -> None:
+    """Wait until a client that follows `open_now` has been told this value and status."""
+    told: list[tuple[bool, str]] = []
+
+    class Handler:
+        def datachange_notification(self, node: Any, value: Any, data: Any) -> None:
+            item = data.monitored_item.Value
+            told.append((item.Value.Value, item.StatusCode.name))
+
+    async with Client(server.address) as client:
+        node = client.get_node(ua.NodeId("lab.open_now", await client.get_namespace_index(NAMESPACE)))
+        subscription = await client.create_subscription(50, Handler())
+        await subscription.subscribe_data_change(node)
+        async with asyncio.timeout(60):
+            while told[-1:] != [expected]:
+                await asyncio.sleep(0.02)
+        value = await node.read_data_value(raise_on_bad_status=False)
+    assert (value.Value.Value, value.StatusCode.name) == expected
+
+
+def test_leave_to_open_is_false_and_uncertain_wherever_it_is_not_known(tmp_path, store):
+    clock = Clock()
+    good, unknown = (True, "Good"), (False, "UncertainSubstituteValue")
+    steps: tuple[tuple[tuple[bool, str], float, dict[str, Any] | None], ...] = (
+        (good, 0.0, {}),
+        (unknown, 1.0, {"valid": False}),
+        (good, 2.0, {}),
+        (unknown, 25.0, {"said": False}),  # the live sensor is silent
+        (good, 26.0, {}),
+        (unknown, 31.5, None),  # recorder and sensor are silent together
+        (good, 32.0, {}),
+        (unknown, -60.0, None),  # the recorder's clock runs ahead of ours
+        ((False, "Good"), 33.0, {"leave": False}),
     )
-    write(store, began)
-    with serving(store, tmp_path) as server:
+    write(store, BEGAN)
+    with serving(store, tmp_path, clock) as server:
         for expected, at_s, given in steps:
-            if at_s:
-                write(store, began + timedelta(seconds=at_s), **given)
-            deadline = time.monotonic() + 30.0
-            while (value := asyncio.run(read(server, "open_now"))["open_now"]).Value.Value is not expected:
-                assert time.monotonic() < deadline, expected
-            assert value.StatusCode.name == "Good"
+            if at_s and given is not None:
+                write(store, BEGAN + timedelta(seconds=at_s), **given)
+            clock.utc = BEGAN + timedelta(seconds=at_s)
+            asyncio.run(becomes(server, expected))
+
+
+def test_no_leave_to_open_stands_while_the_store_takes_its_time(tmp_path, store, monkeypatch):
+    write(store, BEGAN)
+    monkeypatch.setattr("api.plant.opcua.SILENT_S", 0.3)
+    hold, held = threading.Event(), threading.Event()
+    with serving(store, tmp_path) as server:
+        asyncio.run(becomes(server, (True, "Good")))
+        read_runs = store.open_run
+
+        def slow(press: str) -> Any:
+            held.set()
+            hold.wait(60)
+            return read_runs(press)
+
+        monkeypatch.setattr(store, "open_run", slow)
+        try:
+            assert held.wait(60)
+            asyncio.run(becomes(server, (False, "UncertainSubstituteValue")))
+        finally:
+            hold.set()
+        asyncio.run(becomes(server, (True, "Good")))
 
 
 def test_a_press_may_have_any_name(tmp_path, store):
-    write(store, datetime.now(UTC) + AHEAD)
+    write(store, BEGAN)
     store.register_press("presses", [Channel("top_1")], LAB)
     with serving(store, tmp_path) as server:
         assert asyncio.run(read(server, "core"))["core"].Value.Value == 84.5
 
 
 def test_without_a_panel_there_is_no_data_and_without_scans_no_communication(tmp_path, store):
-    write(store, datetime.now(UTC) + AHEAD, valid=False)
+    write(store, BEGAN, valid=False)
     with serving(store, tmp_path) as server:
         found = asyncio.run(read(server, "core", "reason"))
         assert found["core"].StatusCode.name == "BadNoData"
         assert found["reason"].Value.Value == "no panel in the press"
     with open_store(str(tmp_path / "old.sqlite")) as old:
-        write(old, datetime.now(UTC) - timedelta(seconds=30))
+        write(old, BEGAN - timedelta(seconds=30))
         with serving(old, tmp_path) as server:
             found = asyncio.run(read(server, "core", "channel.top_1"))
     assert {value.StatusCode.name for value in found.values()} == {"BadNoCommunication"}
 
 
 def test_a_subscriber_is_told_of_new_values_and_press_events(tmp_path, store):
-    write(store, datetime.now(UTC) + AHEAD)
+    write(store, BEGAN)
     values, events = [], []
 
     class Handler:
@@ -211,7 +266,7 @@ def test_a_subscriber_is_told_of_new_values_and_press_events(tmp_path, store):
 
 
 def test_nothing_can_be_written_from_outside(tmp_path, store):
-    write(store, datetime.now(UTC) + AHEAD)
+    write(store, BEGAN)
 
     async def overwrite(server: PressServer) -> None:
         async with Client(server.address) as client:
@@ -259,7 +314,7 @@ def certificate(folder: Path) -> tuple[Path, Path]:
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning:asyncua", "ignore::DeprecationWarning:cryptography")
 def test_beyond_loopback_a_token_is_the_password_and_the_line_is_encrypted(tmp_path, store):
-    write(store, datetime.now(UTC) + AHEAD)
+    write(store, BEGAN)
     tokens = TokenFile(tmp_path / "tokens.json")
     token = tokens.create("scada", "read")
     pem, key = certificate(tmp_path)
@@ -310,7 +365,7 @@ HOSTILE = (
 
 
 def test_hostile_clients_leave_few_lines_and_no_traceback(store: Store, tmp_path: Path, caplog: Any) -> None:
-    write(store, datetime.now(UTC) + AHEAD)
+    write(store, BEGAN)
     with caplog.at_level(logging.WARNING), serving(store, tmp_path) as server:
         host, _, port = server.address.removeprefix("opc.tcp://").partition("/")[0].partition(":")
         for _ in range(20):

@@ -12,13 +12,15 @@ import pytest
 
 from api.answers.drift import drift_of
 from api.answers.records import press_now
+from api.answers.thresholds import crossed
 from api.http.live import Position, news
-from daq.records import Channel, Quality, Run, Scan
+from daq.records import Channel, PressEvent, PressEventKind, Quality, Run, Scan
 from daq.store.records import NewRun, PressKey, RunEnd, StoredEstimate
 from daq.store.store import Store, open_store
 
 CHANNELS = tuple(Channel(name) for name in ("platen_top", "platen_bottom", "top_1", "bottom_1"))
 START = datetime(2026, 3, 4, 7, 0, tzinfo=UTC)
+KIND = PressEventKind
 TARGET = {"setting.core_target_C": 40.0}
 
 
@@ -43,14 +45,17 @@ def record(store: Store, key: PressKey, name: str, numbers: range, core: float, 
     """Store a run whose core stands at one temperature."""
     first = scan(numbers[0])
     rows = [scan(n) for n in numbers]
-    store.append_scans(key, rows, begin=NewRun(name, first.number, first.utc, first.monotonic_s, TARGET))
+    store.append_scans(key, rows[:1], begin=NewRun(name, first.number, first.utc, first.monotonic_s, TARGET))
+    at = first.monotonic_s
+    store.append_scans(key, rows[1:], [PressEvent(kind, at, at) for kind in (KIND.INSERTED, KIND.CLOSED)])
     store.append_estimates(key.name, [estimate(n, core) for n in numbers])
     if ended:
         store.append_scans(key, [], end=RunEnd(name, numbers[-1], scan(numbers[-1]).utc))
 
 
-def now_of(store: Store, seconds: float = 0.0):
-    return press_now(store, "lab", "", START + timedelta(seconds=seconds))
+def now_of(store: Store, later_s: float = 0.2):
+    """The press some time after its newest scan."""
+    return press_now(store, "lab", "", START + timedelta(seconds=store.newest_scan_number("lab") + later_s))
 
 
 def test_the_run_before_does_not_count_as_having_reached_the_target(store):
@@ -76,7 +81,8 @@ def test_the_time_to_the_target_is_what_the_live_sensor_said_last(store):
     record(store, key, "one", range(5), 30.0, ended=False)
     store.append_scans(key, [scan(5)])
     store.append_estimates("lab", [estimate(5, 31.0, target_in_s=17.5)])
-    assert now_of(store).target.time_to_target_s == 17.5
+    assert now_of(store, 0.0).target.time_to_target_s == 17.5
+    assert now_of(store, 3.0).target.time_to_target_s == 14.5
 
 
 def test_an_estimate_that_is_not_valid_hands_on_no_outlook(store):
@@ -107,8 +113,86 @@ def test_a_core_nobody_updates_any_more_is_not_shown_as_the_core_of_now(store):
     assert not stale.estimate.valid
     assert stale.estimate.reason == "live sensor silent"
     assert stale.estimate.reason_arguments == {"silent_s": 25}
+    assert (stale.state, stale.estimate.state, stale.estimate.core_C) == ("closed", "closed", None)
     assert stale.estimate.utc == START + timedelta(seconds=4)
     assert stale.target.time_to_target_s is None
+
+
+LEAVE = {"cure_top": 0.9, "cure_bottom": 0.9, "cure_low": 0.85, "open_now": True, "limits_in_s": 0.0}
+
+
+def pressing_that_may_end(store: Store) -> PressKey:
+    key = store.register_press("lab", CHANNELS)
+    record(store, key, "one", range(5), 30.0, ended=False)
+    store.append_scans(key, [scan(5)])
+    store.append_estimates("lab", [estimate(5, 31.0, **LEAVE)])
+    return key
+
+
+@pytest.mark.parametrize(("later_s", "leave"), [(0.0, True), (4.9, True), (5.1, False), (600.0, False)])
+def test_leave_to_open_is_taken_back_when_recorder_and_sensor_stop_together(store, later_s, leave):
+    pressing_that_may_end(store)
+    told = now_of(store, later_s)
+    assert (told.estimate.open_now, told.estimate.valid, told.age_s) == (leave, leave, later_s)
+    assert told.estimate.advice.verdict == ("open_now" if leave else "not_known")
+    assert told.state == ("closed" if leave else "unknown")
+    if not leave:
+        assert (told.estimate.reason, told.time_s, told.faces.top_C) == ("no scans", None, None)
+        assert told.estimate.reason_arguments == {"silent_s": round(later_s)}
+        assert told.estimate.advice.sentence == f"not known, because no scan for {later_s:.0f} s"
+
+
+def test_a_recorder_whose_clock_runs_ahead_gives_no_leave(store):
+    pressing_that_may_end(store)
+    told = now_of(store, -30.0)
+    assert (told.state, told.estimate.open_now, told.estimate.reason) == ("unknown", False, "clock ahead")
+    assert told.estimate.reason_arguments == {"ahead_s": 30}
+
+
+def test_what_is_told_says_until_when_it_may_be_acted_on(store):
+    pressing_that_may_end(store)
+    told = now_of(store, 1.5).estimate
+    assert (told.utc, told.age_s) == (START + timedelta(seconds=5), 1.5)
+    assert told.valid_until_utc == START + timedelta(seconds=10)
+    assert now_of(store, 9.0).estimate.valid_until_utc is None
+
+
+@pytest.mark.parametrize(
+    ("kind", "state", "reason"),
+    [
+        (KIND.OPENED, "open", "press state unknown"),  # which the sensor has not taken in
+        (KIND.REMOVED, "idle", "no panel in the press"),
+    ],
+)
+def test_an_estimate_of_another_state_than_the_recorders_is_none_of_this_panel(store, kind, state, reason):
+    key = pressing_that_may_end(store)
+    store.append_scans(key, [scan(6)], [PressEvent(kind, 1006.0, 1006.0)])
+    told = now_of(store)
+    assert (told.state, told.estimate.state, told.estimate.reason) == (state, state, reason)
+    assert (told.estimate.open_now, told.estimate.core_C) == (False, None)
+
+
+def test_a_new_panel_has_no_estimate_before_its_own(store):
+    key = pressing_that_may_end(store)
+    store.append_scans(key, [], end=RunEnd("one", 5, scan(5).utc))
+    assert now_of(store).estimate.reason == "no panel in the press"
+    new = scan(6)
+    store.append_scans(key, [new], begin=NewRun("two", 6, new.utc, new.monotonic_s, TARGET))
+    store.append_scans(key, [scan(7)], [PressEvent(KIND.INSERTED, 1006.0, 1006.0)])
+    told = now_of(store)
+    assert (told.state, told.estimate.reason) == ("open", "no estimate yet")
+    store.append_estimates("lab", [replace(estimate(7, 24.0), state="idle", valid=False, reason="x")])
+    assert now_of(store).estimate.reason == "no estimate yet"
+    store.append_estimates("lab", [replace(estimate(7, 24.0), state="open")])
+    assert now_of(store).estimate.valid
+
+
+def test_a_core_above_its_limit_is_no_alarm_once_nobody_says_so_any_more(store):
+    pressing_that_may_end(store)
+    store.put_alarm_thresholds("lab", {"core_above_C": 20.0}, "test")
+    at = START + timedelta(seconds=5)
+    assert [a.message.code for a in crossed(store, at)] == ["alarm-core-above"]
+    assert crossed(store, at + timedelta(seconds=6)) == []
 
 
 def test_an_estimate_between_pressings_carries_the_time_of_its_own_scan(store):

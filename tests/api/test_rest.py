@@ -160,12 +160,14 @@ def test_a_run_without_a_fit_says_how_to_fit_it(client):
     assert "kerntemp refit" in str(document["detail"])
 
 
-def test_the_press_stands_where_its_last_event_left_it(client):
+def test_a_press_whose_recorder_is_silent_stands_as_nobody_knows(client):
     press = client.get("/api/v1/press").json()["items"][0]
     assert press["press"] == "lab"
-    assert press["state"] == "open"
     assert press["run"] == "lab-2026-03-04-03"
-    assert press["estimate"]["valid"] is True
+    assert press["state"] == press["estimate"]["state"] == "unknown"  # its newest scan is of last March
+    assert (press["estimate"]["valid"], press["estimate"]["reason"]) == (False, "no scans")
+    (advice,) = client.get("/api/v1/advice").json()["items"]
+    assert advice["advice"]["sentence_said"]["arguments"]["why"]["code"] == "reason-no-scans"
     assert len(press["channels"]) == 16
     assert set(press["coefficients"]) == {"h_p_o", "h_p_c", "h_pp_o", "h_pp_c", "h_wa", "h_ap"}
 
@@ -273,7 +275,7 @@ def test_metrics_speak_prometheus(client, store):
     store.beat("record", {"state": "running"})  # that of the fixture may be old on a busy machine
     text = client.get("/metrics").text
     assert 'kerntemp_process_up{process="record"} 1.0' in text
-    assert 'kerntemp_press_state{press="lab",state="open"} 1.0' in text
+    assert 'kerntemp_press_state{press="lab",state="unknown"} 1.0' in text
     assert "kerntemp_scans_total" in text
 
 

@@ -114,20 +114,22 @@ class Feed:
         self.number = self.key.next_number
         self.stop = threading.Event()
         self.pause_s = 0.1
+        self.shares = (0.0, 1 / 3, 2 / 3)
+        """When the panel comes, the press closes and opens, as shares of the pressing."""
         self.period_s = 0.1
 
     def pressing(self, scans: int = 300, batch: int = 1) -> None:
         first, zero = self.number, 1000.0 + self.number * self.period_s
-        name = f"lab-{first:07d}"
+        name, due_at = f"lab-{first:07d}", [int(share * scans) for share in self.shares]
         for i in range(0, scans, batch):
             rows = [self._scan(zero, i + k) for k in range(batch)]
-            due = [KEYS[j] for j in range(3) if i <= (j * scans) // 3 < i + batch]
+            due = [kind for kind, at in zip(KEYS, due_at, strict=True) if i <= at < i + batch]
             events = [PressEvent(kind, rows[0].monotonic_s, rows[0].monotonic_s) for kind in due]
             begin = NewRun(name, first, rows[0].utc, zero, {"panel.material": "MDF"}) if i == 0 else None
             self.store.append_scans(self.key, rows, events, begin)
+            state = "closed" if due_at[1] < i + batch <= due_at[2] else "open"
             said = [
-                StoredEstimate(scan.number, scan.monotonic_s, "closed", 50.0, 1.0, 48.0, 52.0, True)
-                for scan in rows
+                StoredEstimate(scan.number, scan.monotonic_s, state, 50.0, 1.0, 48.0, 52.0, True) for scan in rows
             ]
             self.store.append_estimates("lab", said)
             if self.stop.wait(self.pause_s):

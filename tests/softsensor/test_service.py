@@ -214,10 +214,11 @@ def test_an_estimate_with_a_resin_says_cure_and_leave_to_open_and_the_api_hands_
     assert 0.0 <= closed[0].detail["cure_low"] <= closed[-1].detail["cure_low"] <= closed[-1].detail["cure_top"]
     assert not any(e.detail["open_now"] for e in said if e.detail and "open_now" in e.detail and not e.valid)
     leave = next(e for e in closed if e.detail["open_now"])
-    assert estimate_now(leave, store.open_run("lab"), None).advice.verdict == "open_now"
+    assert estimate_now(leave, store.open_run("lab"), BEGAN, BEGAN).advice.verdict == "open_now"
     silent = replace(leave, valid=False, reason=InvalidReason.LIVE_SENSOR_SILENT.value)
-    assert estimate_now(leave, None, None).open_now
-    assert not estimate_now(silent, None, None).open_now
+    assert estimate_now(leave, None, BEGAN, BEGAN).open_now
+    assert not estimate_now(leave, None, BEGAN, BEGAN + timedelta(seconds=6)).open_now
+    assert not estimate_now(silent, None, BEGAN, BEGAN).open_now
     assert not estimate_body("lab", silent, None)["open_now"]
 
 

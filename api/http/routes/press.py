@@ -9,7 +9,8 @@ from fastapi.responses import StreamingResponse
 
 from api.answers.advice import advice_of
 from api.answers.channels import channels_now
-from api.answers.records import newest_estimate, press_now, utc_now
+from api.answers.present import present_of
+from api.answers.records import estimate_of, press_now, utc_now
 from api.answers.schemas import AdviceList, AdviceNow, ChannelList, PressList
 from api.http.live import EventStream, Hub
 from api.http.problems import ProblemError, problem_responses
@@ -31,12 +32,11 @@ def list_presses(store: StoreDep, press: PressName = None) -> PressList:
 @router.get("/advice", operation_id="list_advice", summary="When to open each press, and how sure that is")
 def list_advice(store: StoreDep, press: PressName = None) -> AdviceList:
     """Return when to open each press so that the core's peak just reaches its target, or why nobody knows."""
-    items = []
+    items, now = [], utc_now()
     for name in store.presses():
         if press in (None, name):
-            run, number = store.open_run(name), store.newest_scan_number(name)
-            scans = store.scans_after(name, number - 1, 1).scans
-            said = newest_estimate(store, name, run, scans[-1]) if scans else None
+            present = present_of(store, name, now)
+            run, said = present.run, estimate_of(present, present.run, now)
             advice = said.advice if said and said.advice else advice_of(None, None)
             items.append(AdviceNow(press=name, run=run.run if run else None, advice=advice))
     return AdviceList(items=items)
@@ -49,10 +49,10 @@ def list_channels(store: StoreDep, press: PressName = None) -> ChannelList:
     items = []
     for name in store.presses():
         if press in (None, name):
-            batch = store.scans_after(name, store.newest_scan_number(name) - 1, 1)
-            scan = batch.scans[-1] if batch.scans else None
-            said = newest_estimate(store, name, store.open_run(name), scan) if scan else None
-            items += channels_now(store, name, batch.channels, scan, now, said.left_out if said else {})
+            present = present_of(store, name, now)
+            said = estimate_of(present, present.run, now)
+            left_out = said.left_out if said else {}
+            items += channels_now(store, name, present.channels, present.scan, now, left_out)
     return ChannelList(items=items)
 
 

@@ -1,0 +1,147 @@
+"""The press at this moment: one state, one estimate, one leave to open, each held against the clock.
+
+Whatever says how a press stands now asks here: REST, live events, MQTT, OPC UA, metrics, limits, and the page
+through them. The state is the recorder's word, the core the live sensor's; what is older than `SILENT_S`, and an
+estimate that is about another state, another panel or another clock, is not of now and says so in its `reason`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime
+from typing import Literal
+
+from api.answers.schemas import State
+from daq.records import Channel, PressState, Scan
+from daq.store.records import RunRecord, RunStatus, StoredEstimate, StoredPressEvent
+from daq.store.store import Store
+from softsensor.live.validity import Invalid, InvalidReason
+
+SILENT_S = 5.0
+"""What lies further than this from the clock is not of now: a scan, an estimate, a look ahead. More than two scans
+of the slowest recorder, 0.5 Hz. Set by hand, 2026-11. [s]"""
+STATE_AFTER: Mapping[str, State] = {
+    "inserted": "open",
+    "closed": "closed",
+    "opened": "open",
+    "removed": "idle",
+}
+
+
+@dataclass(frozen=True)
+class Present:
+    """One press now."""
+
+    scan: Scan | None
+    """The newest, whatever its age."""
+    channels: tuple[Channel, ...]
+    run: RunRecord | None
+    """The one being recorded."""
+    events: Sequence[StoredPressEvent]
+    """Of that run."""
+    late: Invalid | None
+    """Why the newest scan is not of now."""
+    state: State
+    estimate: StoredEstimate | None
+    """The newest, not valid where it is not of now; None before the first."""
+    estimate_utc: datetime | None
+    """Of its scan."""
+
+    @property
+    def open_now(self) -> bool:
+        """Whether the press may open now; false where anything is not known."""
+        return self.estimate is not None and leave_of(self.estimate)
+
+    @property
+    def known(self) -> bool:
+        """Whether `open_now` rests on an estimate of now, or on there being no panel."""
+        return self.estimate is not None and (self.estimate.valid or self.state == "idle") and self.late is None
+
+
+def present_of(store: Store, press: str, now: datetime) -> Present:
+    """Return how a press stands."""
+    run = store.open_run(press)
+    events = store.press_events(press, since_scan=run.first_scan) if run else ()
+    number = store.newest_estimate_number(press)
+    found = store.estimates_after(press, number - 1, 1)
+    batch = store.scans_after(press, store.newest_scan_number(press) - 1, 1)
+    scan = batch.scans[-1] if batch.scans else None
+    late = None if scan is None else _late(scan.utc, now)
+    state: State = "unknown" if scan is None or late is not None else state_of(events, run)
+    own = scan
+    if found and (scan is None or scan.number != number):
+        own = next((s for s in store.scans_after(press, number - 1, 1).scans if s.number == number), None)
+    utc = own.utc if found and own is not None else None
+    estimate = (
+        _as_of_now(found[0], late or _silent(utc, now) or _beside(found[0], state, run), state) if found else None
+    )
+    return Present(scan, tuple(batch.channels), run, events, late, state, estimate, utc)
+
+
+def state_of(events: Sequence[StoredPressEvent], run: RunRecord | None) -> State:
+    """Return the press's state: what its last event of the open run left it in."""
+    if run is None or run.status is not RunStatus.OPEN:
+        return "idle"
+    return STATE_AFTER.get(events[-1].kind, "unknown") if events else "idle"
+
+
+def leave_of(estimate: StoredEstimate) -> bool:
+    """Return whether an estimate says that the press may open, at its own moment."""
+    return estimate.valid and estimate.state == "closed" and (estimate.detail or {}).get("open_now") is True
+
+
+def age_of(utc: datetime | None, now: datetime) -> float | None:
+    """Return how long ago something was true, None where nobody knows. [s]"""
+    return None if utc is None else (now - utc).total_seconds()
+
+
+def is_of_now(age_s: float | None) -> bool:
+    """Return whether something of this age is of now; a clock that runs ahead makes ages negative."""
+    return age_s is not None and abs(age_s) <= SILENT_S
+
+
+def _late(utc: datetime, now: datetime) -> Invalid | None:
+    """Return why a scan is not of now."""
+    age_s = (now - utc).total_seconds()
+    if is_of_now(age_s):
+        return None
+    if age_s < 0.0:
+        return Invalid(InvalidReason.CLOCK_AHEAD, {"ahead_s": round(-age_s)})
+    return Invalid(InvalidReason.NO_SCANS, {"silent_s": round(age_s)})
+
+
+def _silent(utc: datetime | None, now: datetime) -> Invalid | None:
+    """Return why an estimate is not of now though scans are."""
+    if utc is None:
+        return Invalid(InvalidReason.NO_ESTIMATE_YET)
+    age_s = (now - utc).total_seconds()
+    return None if is_of_now(age_s) else Invalid(InvalidReason.LIVE_SENSOR_SILENT, {"silent_s": round(age_s)})
+
+
+def _beside(said: StoredEstimate, state: State, run: RunRecord | None) -> Invalid | None:
+    """Return why an estimate of now is not about the panel in the press as it stands."""
+    if state == "idle":
+        return Invalid(InvalidReason.NO_PANEL)
+    if run is None or said.number < run.first_scan or said.state == "idle":
+        return Invalid(InvalidReason.NO_ESTIMATE_YET)
+    return Invalid(InvalidReason.PRESS_STATE_UNKNOWN) if said.valid and said.state != state else None
+
+
+def _as_of_now(said: StoredEstimate, why: Invalid | None, state: State) -> StoredEstimate:
+    """Return an estimate as it counts now: without numbers where there is a reason."""
+    stands: PressState | Literal["unknown"] = "unknown" if state == "unknown" else PressState(state)
+    if why is None:
+        return replace(said, state=stands)
+    return replace(
+        said,
+        state=stands,
+        core_celsius=math.nan,
+        core_sd_kelvin=math.nan,
+        core_low_celsius=math.nan,
+        core_high_celsius=math.nan,
+        valid=False,
+        reason=why.reason.value,
+        detail={"reason_arguments": why.stored} if why.arguments else None,
+    )
