@@ -14,7 +14,7 @@ _LOCK = threading.Lock()
 
 def drift_of(store: Store, press: str) -> list[Drift]:
     """Return the changes that stand, one a coefficient at most; charted anew with each fit and promotion."""
-    from softsensor.jobs.drift import Chart, alarms_of
+    from softsensor.jobs.drift import alarms_of
 
     active = store.active_model(press)
     newest = (store.newest_fit_number(press), active.version if active else "")
@@ -29,7 +29,7 @@ def drift_of(store: Store, press: str) -> list[Drift]:
                 since_run=alarm.run,
                 noticed_run=alarm.noticed,
                 factor=round(alarm.factor, 4),
-                chart="jump" if alarm.chart is Chart.JUMP else "creep",
+                chart=alarm.chart.value,
                 sentence=str(alarm.message),
                 sentence_said=said_of(alarm.message),
             )

@@ -1,8 +1,17 @@
 """Control charts over runs: does the press still do what it used to?
 
-For each coefficient the logarithm of every run's value is standardised by what runs differ by, smoothed
-exponentially (EWMA, for creeping wear) and accumulated (CUSUM, for jumps). A chart that leaves its limits
-names the run at which the change began, not the one at which it was noticed.
+A run's value is held against all before it by its rank alone: where nothing changes, ranks among what came before
+are independent and uniform whatever the values scatter like, wild fits among them, so that the chart needs no
+spread and no limit for outliers. Rank `r` of `n` becomes the mean of the `r`-th of `n` equal parts of a normal
+distribution; a likelihood ratio of such scores has a mean of one at most (Jensen), so it is an e-value. One is asked for every run at which a
+change may have begun, a jump and a creep each, over a normal distribution of its size. Their sum says how much
+speaks for a change by now; where there is none it grows by one a run on average, so that it passes `n` once in `n`
+runs at most, however often one looks (an e-detector).
+
+References
+----------
+Gordon & Pollak, Ann. Statist. 22 (1994) 763 (charts by sequential ranks); Shin, Ramdas & Rinaldo, New Engl. J.
+Stat. Data Sci. 2 (2024) 229 (e-detectors); Kass & Wasserman, J. Am. Stat. Assoc. 90 (1995) 928 (unit information).
 """
 
 from __future__ import annotations
@@ -11,33 +20,26 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.special import ndtri, stdtr
+from scipy.special import ndtri
 
-from daq.records import InputError
+from daq.records import Array, InputError
 from daq.words import Message, say
-from softsensor.signals.instrument import LEAST_SPREAD_LOG
 
 if TYPE_CHECKING:
     from daq.store import Store
 
-# Numbers without another source were set by hand, 2026-11.
-
 CHARTED_RUNS = 200
-"""Runs the charts look back on."""
-LEARN_RUNS = 8
-"""Runs that say what is usual."""
-EWMA_WEIGHT, EWMA_LIMIT = 0.25, 3.2
-"""Weight of the newest run; limit in standard deviations of the smoothed value."""
-CUSUM_SLACK, CUSUM_LIMIT = 0.6, 5.0
-"""In standard deviations of one run: half the shift to be found, and the alarm. A false alarm every
-thousand runs or so (Montgomery, Introduction to Statistical Quality Control, ch. 9)."""
-SUDDEN = 2.5
-"""A run beyond this many standard deviations is no creep."""
-OUTLIER = 4.0
-"""One run beyond this many standard deviations counts as this many."""
+"""Runs the charts look back on: so many a change has to show itself in. It bounds a night's work."""
+FALSE_ALARM_RUNS = 1000
+"""Pressings from one false alarm of a press to the next, on average at least, all its coefficients together: as a
+chart for means is laid out (Montgomery, Introduction to Statistical Quality Control, ch. 9, 370 to 1000)."""
+CREEP_RUNS = 30
+"""A creep is looked for that moves by about a standard deviation of the runs within so many, the time within which
+one wants to know of it. A jump is looked for of about one standard deviation: what one run tells."""
 
 
 @dataclass(frozen=True)
@@ -46,15 +48,13 @@ class RunValue:
 
     run: str
     value: float
-    sd: float
-    """Of the value."""
 
 
 class Chart(StrEnum):
-    """Which chart has left its limits."""
+    """What kind of change it is."""
 
-    JUMP = "cusum"
-    CREEP = "ewma"
+    JUMP = "jump"
+    CREEP = "creep"
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class DriftAlarm:
 
     coefficient: str
     run: str
-    """The first run of the new behaviour."""
+    """The first run of the new behaviour, most likely."""
     noticed: str
     """The run that made it plain."""
     factor: float
@@ -82,71 +82,91 @@ class DriftAlarm:
         )
 
 
-def last_change(name: str, values: Sequence[RunValue]) -> DriftAlarm | None:
-    """Look through a coefficient's runs, oldest first, for the latest change that still stands.
+def last_change(name: str, values: Sequence[RunValue], watched: int = 1) -> DriftAlarm | None:
+    """Look through a coefficient's runs, oldest first, for a change that still stands.
 
-    Each run is held against all before it, `LEARN_RUNS` at least.
+    `watched`: how many coefficients of the press are looked at; they share the false alarms that are allowed.
     """
-    good = [v for v in values if v.value > 0 and math.isfinite(v.value) and math.isfinite(v.sd)]
-    if len(good) <= LEARN_RUNS:
+    good = [v for v in values if v.value > 0 and math.isfinite(v.value)][-CHARTED_RUNS:]
+    if len(good) < 3:
         return None
-    logs = np.array([math.log(v.value) for v in good])
-    errors = np.array([v.sd / v.value for v in good])
-    z = np.zeros(len(good))
-    tame = logs.copy()
-    for i in range(LEARN_RUNS, len(good)):
-        centre, spread = _usual(tame[:i])
-        away = (logs[i] - centre) / math.hypot(spread, errors[i])
-        # the past is known from i runs only: Student's t, as a normal deviate
-        away = float(ndtri(np.clip(stdtr(i - 1, away / math.sqrt(1.0 + 1.0 / i)), 1e-9, 1 - 1e-9)))
-        z[i] = min(max(away, -OUTLIER), OUTLIER)
-        tame[i] = min(max(logs[i], centre - 2.5 * spread), centre + 2.5 * spread)
-    return _chart(name, good, logs, z)
+    logs = np.log([v.value for v in good])
+    evidence = log_evidence(rank_scores(logs))
+    beyond = detector(evidence) > math.log(FALSE_ALARM_RUNS * watched)
+    if not beyond[-1]:
+        return None
+    chart = list(Chart)[int(np.argmax(np.logaddexp.reduce(evidence[:, :, -1], axis=1)))]
+    first = _jumped(logs) if chart is Chart.JUMP else 1 + int(np.argmax(evidence[1, :, -1]))
+    noticed = len(good) - int(np.argmin(np.append(beyond[::-1], False)))
+    factor = math.exp(_moved(logs, _course(len(good))[chart][first - 1]))
+    return DriftAlarm(name, good[first].run, good[max(noticed, first)].run, factor, chart)
 
 
-def _usual(logs: np.ndarray) -> tuple[float, float]:
-    """Return mean and standard deviation of the runs so far (self-starting chart, Hawkins 1987)."""
-    return float(logs.mean()), max(float(logs.std(ddof=1)), LEAST_SPREAD_LOG)
+def rank_scores(values: Array) -> Array:
+    """Return each value's normal score by its rank among itself and those before (runs).
 
-
-def _chart(name: str, runs: Sequence[RunValue], logs: np.ndarray, z: np.ndarray) -> DriftAlarm | None:
-    high = low = smooth = 0.0
-    high_from = low_from = smooth_from = LEARN_RUNS
-    alarm: DriftAlarm | None = None
-    scale = math.sqrt(EWMA_WEIGHT / (2.0 - EWMA_WEIGHT))
-    for i in range(LEARN_RUNS, len(z)):
-        high, high_from = (high + z[i] - CUSUM_SLACK, high_from) if high > 0 else (z[i] - CUSUM_SLACK, i)
-        low, low_from = (low - z[i] - CUSUM_SLACK, low_from) if low > 0 else (-z[i] - CUSUM_SLACK, i)
-        high, low = max(high, 0.0), max(low, 0.0)
-        before = smooth
-        smooth = (1.0 - EWMA_WEIGHT) * smooth + EWMA_WEIGHT * z[i]
-        if before * smooth <= 0.0:
-            smooth_from = i
-        first, chart = -1, Chart.JUMP
-        if high > CUSUM_LIMIT or low > CUSUM_LIMIT:
-            first, chart = _jump(logs, high_from if high > low else low_from, i), Chart.JUMP
-        elif abs(smooth) > EWMA_LIMIT * scale:
-            first, chart = (_jump(logs, smooth_from, i) if abs(z[i]) > SUDDEN else smooth_from), Chart.CREEP
-        if first < 0:
-            alarm = None
-        elif alarm is None or alarm.run != runs[first].run:
-            factor = math.exp(float(np.mean(logs[first : i + 1]) - np.mean(logs[:first])))
-            noticed = runs[i].run if alarm is None else alarm.noticed
-            alarm = DriftAlarm(name, runs[first].run, noticed, factor, chart)
-    return alarm
-
-
-def _jump(logs: np.ndarray, begun: int, noticed: int) -> int:
-    """Return the first run of the new level: where two means fit the runs up to the alarm best.
-
-    The sum may have begun to rise by luck before the jump; it is looked for from there on.
+    Equal values share the ranks they take up.
     """
-    options = range(max(begun, LEARN_RUNS), noticed + 1)
+    before = np.tril(np.ones((len(values), len(values)), dtype=bool), -1)
+    count = np.arange(1, len(values) + 1)
+    low = (before & (values[None, :] < values[:, None])).sum(axis=1) / count
+    high = low + (1 + (before & (values[None, :] == values[:, None])).sum(axis=1)) / count
+    return np.asarray((_density(ndtri(low)) - _density(ndtri(high))) / (high - low))
 
-    def left(k: int) -> float:
-        return float(logs[:k].var() * k + logs[k : noticed + 1].var() * (noticed + 1 - k))
 
-    return min(options, key=left)
+def _density(z: Array) -> Array:
+    return np.asarray(np.exp(-0.5 * z**2) / math.sqrt(2.0 * math.pi))
+
+
+def log_evidence(scores: Array) -> Array:
+    """Return logarithms of likelihood ratios (2 shapes, first runs, runs so far) of a change against none.
+
+    The first run may be the second to the last; where it has not come yet the ratio counts for nothing (-inf).
+    """
+    runs = len(scores)
+    seen = np.arange(runs)[None, :] > np.arange(runs - 1)[:, None]
+    shapes = np.stack(_shapes(runs))
+    known = np.cumsum(shapes**2, axis=2)
+    agreed = np.cumsum(shapes * scores, axis=2)
+    ratio = 0.5 * agreed**2 / (1.0 + known) - 0.5 * np.log1p(known)
+    return np.where(seen, ratio, -np.inf)
+
+
+def detector(evidence: Array) -> Array:
+    """Return the logarithm of the sum over first runs, both shapes alike, after each run (runs)."""
+    return np.asarray(np.logaddexp.reduce(evidence, axis=(0, 1)) - math.log(len(evidence)))
+
+
+@lru_cache(maxsize=8)
+def _shapes(runs: int) -> tuple[Array, Array]:
+    """Return what a unit change does to scores (first runs, runs), as a jump and as a creep.
+
+    A score tells how a run is off from the mean of all up to it, which follow the change in their turn.
+    """
+    count = np.arange(1.0, runs + 1.0)
+    jump, creep = (course - np.cumsum(course, axis=1) / count for course in _course(runs).values())
+    return jump, creep
+
+
+def _course(runs: int) -> dict[Chart, Array]:
+    """Return how far a unit change has gone in each run (first runs, runs)."""
+    since = np.maximum(np.arange(runs)[None, :] - np.arange(runs - 1)[:, None], 0.0)
+    return {Chart.JUMP: np.minimum(since, 1.0), Chart.CREEP: since / CREEP_RUNS}
+
+
+def _jumped(logs: Array) -> int:
+    """Return the first run after a jump: where two medians leave the least absolute deviations.
+
+    By the values, not their ranks: the larger a jump, the plainer its moment, which ranks do not show.
+    """
+    left = [sum(float(np.abs(p - np.median(p)).sum()) for p in np.split(logs, [k])) for k in range(1, len(logs))]
+    return 1 + int(np.argmin(left))
+
+
+def _moved(logs: Array, course: Array) -> float:
+    """Return by how much the logarithm has changed up to the last run, by least squares."""
+    away = course - course.mean()
+    return float(away @ logs / (away @ away) * course[-1])
 
 
 def alarms_of(store: Store, press: str) -> list[DriftAlarm]:
@@ -164,8 +184,8 @@ def alarms_of(store: Store, press: str) -> list[DriftAlarm]:
     history: dict[str, list[RunValue]] = {}
     for c in reversed(fitted):
         if c.identifiable and effects[c.model_version] == in_force:
-            history.setdefault(c.name, []).append(RunValue(c.run, c.value, c.sd))
-    found = (last_change(name, values) for name, values in history.items())
+            history.setdefault(c.name, []).append(RunValue(c.run, c.value))
+    found = (last_change(name, values, len(history)) for name, values in history.items())
     return [alarm for alarm in found if alarm is not None]
 
 
