@@ -17,6 +17,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from daq.records import InputError
+from daq.tables import reason_of
 from daq.words import Message, say
 from daq.words.message import ENGLISH, words
 
@@ -136,7 +137,7 @@ def write_all(contents: Mapping[Path, str | bytes | Callable[[Path], None]]) -> 
             else:
                 draft.replace(path)
     except OSError as error:
-        said = say("terminal-output-unwritable", path=str(error.filename), why=str(error.strerror))
+        said = say("terminal-output-unwritable", path=str(error.filename), why=reason_of(error))
         raise WorkFailed(said) from error
     finally:
         for draft in finished:

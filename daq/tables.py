@@ -6,6 +6,7 @@ One place for what configuration, press file, mapping, profile, calibration file
 from __future__ import annotations
 
 import difflib
+import errno
 import re
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -66,9 +67,28 @@ def load_toml(path: Path, what: Message) -> dict[str, Any]:
         raise InputError(at(path, spoken(error))) from error
 
 
-def reason_of(error: Exception) -> str:
-    """Return why the system did not do it, in its own words."""
-    return getattr(error, "strerror", None) or str(error)
+SYSTEM_FAULTS = {
+    errno.EACCES: "system-not-allowed",
+    errno.EADDRINUSE: "system-address-in-use",
+    errno.EADDRNOTAVAIL: "system-address-not-here",
+    errno.EEXIST: "system-exists-already",
+    errno.EISDIR: "system-is-a-folder",
+    errno.ENAMETOOLONG: "system-name-too-long",
+    errno.ENOENT: "system-no-such-file",
+    errno.ENOSPC: "system-disk-full",
+    errno.ENOTDIR: "system-not-a-folder",
+    errno.EPERM: "system-not-allowed",
+    errno.EROFS: "system-read-only",
+}
+"""Why the system does not do what it is asked, by its number for it."""
+
+
+def reason_of(error: Exception) -> Message | str:
+    """Return why the system did not do it; what is not among `SYSTEM_FAULTS` in its own words, so in English."""
+    if isinstance(error, OSError):
+        known = SYSTEM_FAULTS.get(error.errno or 0)
+        return Message(known, {}) if known else error.strerror or type(error).__name__
+    return str(error)
 
 
 def nearest(key: str, known: Iterable[str]) -> str | None:

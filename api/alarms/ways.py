@@ -21,6 +21,7 @@ from daq.process.config import EmailSettings, WebhookSettings
 from daq.records import InputError
 from daq.store.alarms import IN_HAND_S
 from daq.store.records import StoredAlarm
+from daq.tables import reason_of
 from daq.words import say
 from daq.words.message import languages, words
 
@@ -129,7 +130,7 @@ def _readable(path: Path | None) -> str:
     try:
         return _first_line(path)
     except OSError as error:
-        raise InputError(say("alarm-file", path=str(path), why=error.strerror or str(error))) from error
+        raise InputError(say("alarm-file", path=str(path), why=reason_of(error))) from error
 
 
 def _first_line(path: Path | None) -> str:

@@ -13,6 +13,7 @@ from api.commands.inputs import ConfigFile, PressFile, Runs, StoreUrl, effect_na
 from api.commands.until import Until, shortened
 from api.outputs import WorkFailed, as_json, check_writable, in_words, spoken_language, tell, working, write_all
 from daq.records import InputError
+from daq.tables import reason_of
 from daq.words import say
 
 if TYPE_CHECKING:
@@ -132,7 +133,7 @@ def _rehearsed(found: Diagnosis, plan: RehearsalPlan, dask: str) -> Rehearsal:
         except OSError as error:
             if plan.file is None:
                 raise
-            said = say("terminal-output-unwritable", path=str(plan.file), why=str(error.strerror))
+            said = say("terminal-output-unwritable", path=str(plan.file), why=reason_of(error))
             raise WorkFailed(said) from error
 
 

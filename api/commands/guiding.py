@@ -9,6 +9,7 @@ import typer
 
 from api.outputs import WorkFailed, tell, working, write_all
 from daq.records import InputError
+from daq.tables import reason_of
 from daq.words import say
 
 
@@ -24,6 +25,6 @@ def guide(folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="help-gu
         for place in {path.parent for path in files}:
             place.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise WorkFailed(say("terminal-output-unwritable", path=str(folder), why=str(error.strerror))) from error
+        raise WorkFailed(say("terminal-output-unwritable", path=str(folder), why=reason_of(error))) from error
     write_all(files)
     tell(say("terminal-guide-written", page=str(folder / "index.html")))

@@ -13,6 +13,7 @@ import typer
 from api.commands.inputs import ConfigFile, OneRun, PressFile, StoreUrl, files_read, load_runs
 from api.outputs import check_writable, warn, working, write_all
 from daq.records import InputError
+from daq.tables import reason_of
 from daq.words import say
 
 if TYPE_CHECKING:
@@ -116,7 +117,7 @@ def _read_coefficients(path: Path, presses: tuple[Press, Press]) -> dict[str, fl
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
-        said = say("terminal-coefficients-unreadable", path=str(path), why=str(error.strerror))
+        said = say("terminal-coefficients-unreadable", path=str(path), why=reason_of(error))
         raise InputError(said) from error
     except (UnicodeDecodeError, json.JSONDecodeError) as error:
         raise InputError(say("terminal-coefficients-not-json", path=str(path), why=str(error))) from error

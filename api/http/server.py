@@ -21,6 +21,7 @@ from api.http.tokens import TokenFile
 from daq.process.notify import Notifier
 from daq.records import InputError
 from daq.store.store import Store
+from daq.tables import reason_of
 from daq.words import say
 
 GRACE_S = 3
@@ -77,7 +78,7 @@ class Listening:
             taken.listen(2048)
         except OSError as error:
             taken.close()
-            said = say("api-address-taken", host=self.host, port=self.port, why=str(error.strerror))
+            said = say("api-address-taken", host=self.host, port=self.port, why=reason_of(error))
             raise InputError(said) from error
         return taken
 

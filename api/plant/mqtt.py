@@ -35,6 +35,7 @@ from api.plant.following import KINDS, Following, Outgoing, Place, model_body
 from daq.process.config import MqttSettings
 from daq.records import InputError
 from daq.store.store import Store
+from daq.tables import reason_of
 from daq.words import Message, say, spoken
 
 QOS = 1
@@ -237,5 +238,5 @@ def _password(settings: MqttSettings) -> str:
     try:
         return settings.password_file.read_text(encoding="utf-8").split("\n")[0]
     except OSError as error:
-        given = {"path": str(settings.password_file), "why": str(error.strerror)}
-        raise InputError(say("plant-password-unreadable", **given)) from error
+        said = say("plant-password-unreadable", path=str(settings.password_file), why=reason_of(error))
+        raise InputError(said) from error

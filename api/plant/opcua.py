@@ -50,6 +50,7 @@ from daq.process.config import OpcuaSettings
 from daq.records import Channel, InputError, Quality
 from daq.store.records import StoredPressEvent, StoreUnavailable
 from daq.store.store import Store
+from daq.tables import reason_of
 from daq.words import Message, say, spoken
 from softsensor.live.validity import Invalid, InvalidReason, reason_message
 
@@ -154,7 +155,7 @@ class PressServer:
             await server.start()
         except OSError as error:
             host, port = self._settings.host, self._settings.port
-            said = say("plant-address-taken", host=host, port=port, why=str(error.strerror))
+            said = say("plant-address-taken", host=host, port=port, why=reason_of(error))
             raise InputError(said) from error
         try:
             self.address = _address(server, self._settings)

@@ -42,6 +42,16 @@ number-unknown = nicht bekannt
 place-line = Zeile { NUMBER($line) }
 place-row = Reihe { NUMBER($row) }
 plain-text = { $text }
+system-address-in-use = Die Adresse ist schon vergeben
+system-address-not-here = Dieser Rechner hat die Adresse nicht
+system-disk-full = Auf dem Datenträger ist kein Platz mehr
+system-exists-already = Es gibt die Datei schon
+system-is-a-folder = Es ist ein Ordner
+system-name-too-long = Der Dateiname ist zu lang
+system-no-such-file = Datei oder Ordner nicht gefunden
+system-not-a-folder = Es ist kein Ordner
+system-not-allowed = Keine Berechtigung
+system-read-only = Das Dateisystem ist schreibgeschützt
 toml-integer-too-long = eine ganze Zahl mit mehr als { NUMBER($digits) } Ziffern; kürzen oder, wenn es ein Text ist, in Anführungszeichen setzen
 toml-invalid = kein gültiges TOML: { $reason }
 toml-too-deep = Tabellen oder Listen mehr als { NUMBER($deepest) } Ebenen tief verschachtelt; flacher schreiben
@@ -1018,6 +1028,7 @@ plan-set-start_temperature_C = Platte mit { NUMBER($value, maximumFractionDigits
 plan-set-thickness_mm = Platte von { NUMBER($value, maximumFractionDigits: 1) } mm
 plan-set-waiting_s = vor dem Schließen { NUMBER($value, maximumFractionDigits: 0) } s offen
 plan-settles = Eine Pressung klärt es mit { NUMBER($percent, maximumFractionDigits: 0) } % Wahrscheinlichkeit; { $runs }.
+plan-settles-surely = Eine Pressung klärt es so gut wie sicher: mit über 99 % Wahrscheinlichkeit.
 plan-with-core = Mit einem Fühler im Kern: { $settings }. { $prospect }
 
 ## softsensor.live: why the core is not valid

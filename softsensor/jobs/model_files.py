@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 from daq.records import InputError
+from daq.tables import reason_of
 from daq.words import say
 from softsensor.heat.model_file import ModelFile, parse_model
 
@@ -15,7 +16,6 @@ def read_model(path: Path) -> ModelFile:
     try:
         return parse_model(json.loads(path.read_text(encoding="utf-8")), str(path))
     except OSError as error:
-        why = str(error.strerror)
-        raise InputError(say("model-file-unreadable", file=str(path), error=why)) from error
+        raise InputError(say("model-file-unreadable", file=str(path), error=reason_of(error))) from error
     except (UnicodeDecodeError, json.JSONDecodeError) as error:
         raise InputError(say("model-file-no-json", file=str(path), error=str(error))) from error

@@ -68,7 +68,8 @@ def prospect_said(prospect: Prospect, kind: PointKind) -> Message:
     """Say what pressings of a kind would bring."""
     runs = say("plan-runs-too-many", many=MANY) if prospect.runs is None else say("plan-runs", runs=prospect.runs)
     if prospect.chance is not None:
-        return say("plan-settles", percent=100.0 * prospect.chance, runs=runs)
+        percent = round(100.0 * prospect.chance)
+        return say("plan-settles", percent=percent, runs=runs) if percent < 100 else say("plan-settles-surely")
     half = prospect.half_after or 0.0
     if kind is PointKind.COEFFICIENT:
         return say("plan-narrows-share", percent=100.0 * half, runs=runs)

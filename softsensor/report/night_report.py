@@ -13,6 +13,7 @@ from urllib.parse import quote
 
 from daq.press.press_file import parse_press
 from daq.records import InputError
+from daq.tables import reason_of
 from daq.words import Message, say
 from daq.words.message import ENGLISH
 from softsensor.effects import catalogue, find_effect
@@ -58,8 +59,7 @@ def write_report(night: NightRecord, folder: Path, language: str = ENGLISH, link
         part.write_text(night_report(night, language, link), encoding="utf-8")
         part.replace(path)
     except OSError as error:
-        why = error.strerror or type(error).__name__
-        raise InputError(say("night-cannot-write", path=str(path), why=why)) from error
+        raise InputError(say("night-cannot-write", path=str(path), why=reason_of(error))) from error
     return path
 
 

@@ -1,7 +1,9 @@
 """All codes in all languages: whatever the code says has its words, and the words fit its arguments."""
 
 import ast
+import errno
 import json
+import os
 import pickle
 import re
 from pathlib import Path
@@ -13,6 +15,7 @@ from fluent.syntax import FluentParser
 from fluent.syntax import ast as fluent
 
 from api.cli import app
+from daq.tables import SYSTEM_FAULTS, reason_of
 from daq.words import Message, say, spoken
 from daq.words.message import catalogue_of, languages, words
 from softsensor.diagnosis.decision import Verdict
@@ -225,3 +228,15 @@ def test_a_code_of_a_newer_version_is_shown_with_its_arguments():
     assert (
         words(Message("from-the-future", {"press": "lab", "n": 2}), "de") == "from-the-future: press = lab, n = 2"
     )
+
+
+@pytest.mark.skipif(os.name != "posix", reason="what the system says is held against POSIX's words")
+@pytest.mark.parametrize("number", SYSTEM_FAULTS)
+def test_what_the_system_refuses_is_said_in_its_own_words_and_in_every_language(number):
+    said = reason_of(OSError(number, "not to be repeated", "file.csv"))
+    english = {errno.EPERM: os.strerror(errno.EACCES)}.get(number, os.strerror(number))  # the same for a reader
+    assert [words(said, language) == english for language in languages()] == [one == "en" for one in languages()]
+
+
+def test_what_the_system_says_that_no_catalogue_has_is_repeated():
+    assert reason_of(OSError(errno.ENXIO, "No such device or address")) == "No such device or address"
