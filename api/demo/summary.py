@@ -16,7 +16,6 @@ from daq.store.store import Store
 from daq.words import Message, say
 from softsensor.effects.vocabulary import called
 from softsensor.heat.model_file import ModelFile
-from softsensor.live.sensor import LiveSensor
 
 _HEADS = (
     (
@@ -126,6 +125,8 @@ def replayed(
     store: Store, press: Press, model: ModelFile, record: RunRecord, cycle: Cycle, zero_virtual_s: float
 ) -> float:
     """Return the core error of a stored pressing taken through the live sensor again with another model. [K]"""
+    from softsensor.live.sensor import LiveSensor  # loads slowly, and the processes wait to be started
+
     run = store.load_run(record.run)
     hidden = set(press.sensors_of(run, "validation"))
     columns = {name: values.tolist() for name, values in run.columns.items() if name not in hidden}

@@ -24,7 +24,6 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.special import ndtri
 
 from daq.records import Array, InputError
 from daq.words import Message, say
@@ -107,6 +106,8 @@ def rank_scores(values: Array) -> Array:
 
     Equal values share the ranks they take up.
     """
+    from scipy.special import ndtri  # loads slowly, and the sensor is to be there at once
+
     before = np.tril(np.ones((len(values), len(values)), dtype=bool), -1)
     count = np.arange(1, len(values) + 1)
     low = (before & (values[None, :] < values[:, None])).sum(axis=1) / count

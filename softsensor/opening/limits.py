@@ -13,7 +13,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import ndtr, ndtri, owens_t
 
 from daq.press.resin_file import LimitsTable
 from daq.records import Array
@@ -51,6 +50,8 @@ class Normal:
 
     def below(self, limit: float) -> Array:
         """Return the chance that it lies below a limit, 1 where it is not known."""
+        from scipy.special import ndtr  # loads slowly, and only a press with limits asks
+
         with np.errstate(divide="ignore", invalid="ignore"):
             chance = ndtr((limit - self.mean) / self.sd)
         sure = np.where(np.asarray(self.mean) < limit, 1.0, 0.0)
@@ -127,6 +128,8 @@ def either_below(limit: float, one: Normal, other: Normal, together: Array | flo
     >>> [round(float(either_below(-1.959964, unit, unit, r)), 4) for r in (0.0, 0.9, 1.0)]
     [0.0494, 0.0352, 0.025]
     """
+    from scipy.special import owens_t
+
     below = one.below(limit), other.below(limit)
     sure = np.maximum(*below)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -193,6 +196,8 @@ def _falls_to(ahead_s: Array, total: Array, level: float) -> float:
     k = int(below[0])
     if k == 0:
         return float(ahead_s[0])
+    from scipy.special import ndtri
+
     before, after, wanted = ndtri(np.clip([total[k - 1], total[k], level], 1e-9, 1.0 - 1e-9))
     share = (before - wanted) / (before - after) if before > after else 1.0
     return float(ahead_s[k - 1] + share * (ahead_s[k] - ahead_s[k - 1]))
