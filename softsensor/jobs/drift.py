@@ -3,10 +3,10 @@
 A run's value is held against all before it by its rank alone: where nothing changes, ranks among what came before
 are independent and uniform whatever the values scatter like, wild fits among them, so that the chart needs no
 spread and no limit for outliers. Rank `r` of `n` becomes the mean of the `r`-th of `n` equal parts of a normal
-distribution; a likelihood ratio of such scores has a mean of one at most (Jensen), so it is an e-value. One is asked for every run at which a
-change may have begun, a jump and a creep each, over a normal distribution of its size. Their sum says how much
-speaks for a change by now; where there is none it grows by one a run on average, so that it passes `n` once in `n`
-runs at most, however often one looks (an e-detector).
+distribution; a likelihood ratio of such scores has a mean of one at most (Jensen), so it is an e-value. One is
+asked for every run at which a change may have begun, a jump and a creep each, over a normal distribution of its
+size. Their sum says how much speaks for a change by now; where there is none it grows by one a run on average, so
+that it passes `n` once in `n` runs at most, however often one looks (an e-detector).
 
 References
 ----------
