@@ -104,7 +104,7 @@ def run_detail(store: Store, run: RunRecord) -> RunDetail:
     return RunDetail(
         **run_summaries(store, [run])[0].model_dump(),
         header={key: _plain(value) for key, value in run.header.items()},
-        columns=list(store.load_run(run.run, from_s=0.0, to_s=0.0).columns),
+        columns=list(store.columns_of(run.run)),
         phases=phases_of(run),
         remark=run.remark,
         changes=[

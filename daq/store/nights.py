@@ -9,12 +9,12 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
-from sqlalchemy import ColumnElement, Connection, Row, and_, delete, func, insert, or_, select
+from sqlalchemy import ColumnElement, Connection, Row, and_, delete, exists, func, insert, or_, select
 
 from daq.store.convert import known_utc, to_json, unix_of
 from daq.store.reading import newest_first, run_record_of, runs_query
 from daq.store.records import Page, RunRecord, RunStatus, StoredNight
-from daq.store.schema import NIGHT, PRESS, RUN, RUN_CHANGE, UNFITTED
+from daq.store.schema import ARCHIVE, NIGHT, PRESS, RUN, RUN_CHANGE, UNFITTED
 
 
 def put_night(connection: Connection, night: StoredNight) -> int:
@@ -53,8 +53,12 @@ def _night(r: Row[Any]) -> StoredNight:
 def pressings(
     connection: Connection, press: str, *, after: int | None = None, below: int | None = None, limit: int = 200
 ) -> list[RunRecord]:
-    """Return finished pressings: those numbered above `after`, oldest first, else the newest, newest first."""
-    query = runs_query().where(*_finished(press)).limit(limit)
+    """Return finished pressings: those numbered above `after`, oldest first, else the newest, newest first.
+
+    Without those whose scans are kept no more or are in a file of the archive that is not sound.
+    """
+    unread = or_(ARCHIVE.c.removed_unix_s.is_not(None), ARCHIVE.c.problem != "")
+    query = runs_query().where(*_finished(press), ~exists().where(ARCHIVE.c.run == RUN.c.run, unread)).limit(limit)
     if below is not None:
         query = query.where(RUN.c.run_number < below)
     order = RUN.c.run_number.desc()

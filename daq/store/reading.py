@@ -12,6 +12,8 @@ from sqlalchemy import ColumnElement, Connection, Row, Select, Table, and_, case
 
 from daq.files.qualities import QUALITY, quality_text
 from daq.records import Array, Channel, InputError, Moments, Quality, Run, Scan
+from daq.store.archive_file import StoredScans
+from daq.store.archived import archived_layouts, archived_scans
 from daq.store.convert import channel_qualities, header_of, known_utc, nan, readings_table, utc_of
 from daq.store.records import Page, RunRecord, RunStatus, ScanBatch, StoredPressEvent
 from daq.store.schema import CONFIGURATION, LAYOUT, PRESS, PRESS_EVENT, RUN, SCAN, SCAN_REMARK
@@ -164,29 +166,23 @@ def load_run(
     """Return a run with its data so far; cells that are not usable are NaN, `texts` says why."""
     row = run_row(connection, run)
     zero = row.zero_monotonic_s
-    query = select(SCAN.c.monotonic_s, SCAN.c.layout_id, SCAN.c.readings, SCAN.c.faults).where(
-        *_scans_of(row, from_s, to_s)
-    )
-    found: tuple[list[Any], ...] = ([], [], [], [])
-    for rows in connection.execute(query.order_by(SCAN.c.number)).partitions(_ROWS):
-        for column, cells in zip(found, zip(*rows, strict=True), strict=True):
-            column.extend(cells)
-    at, layout_of, texts, faults = found
-    times = np.array(at, dtype=float)
-    layouts = dict.fromkeys(layout_of) or {_first_layout(connection, row.press_id): None}
+    scans = scans_of(connection, row, from_s, to_s)
+    layouts = scans.values or {_first_layout(connection, row.press_id): np.empty((0, 0))}
     table: dict[str, Array] = {}
-    for layout_id in layouts:
+    for layout_id, values in layouts.items():
         channels = layout_channels(connection, layout_id)
-        chosen = [i for i, own in enumerate(layout_of) if own == layout_id]
-        values = _usable_values(channels, [texts[i] for i in chosen], [faults[i] for i in chosen])
+        chosen = np.flatnonzero(scans.layout == layout_id)
+        usable = _usable_values(channels, values, [scans.faults[i] for i in chosen.tolist()])
         for i, channel in enumerate(channels):
-            table.setdefault(channel.name, np.full(len(times), np.nan))[chosen] = values[:, i]
+            table.setdefault(channel.name, np.full(len(scans), np.nan))[chosen] = (
+                usable[:, i] if len(usable) else ()
+            )
     if columns is not None:
         if unknown := [c for c in columns if c not in table]:
             raise InputError(say("store-column-missing", run=run, column=unknown[0], columns=tuple(table)))
         table = {name: table[name] for name in columns}
-    time_s = np.round(times - zero, 6) if zero else times
-    remarks = {} if QUALITY in table else _remarks(faults, columns)
+    time_s = np.round(scans.monotonic_s - zero, 6) if zero else scans.monotonic_s
+    remarks = {} if QUALITY in table else _remarks(scans.faults, columns)
     return Run(run, header_of(row.header_toml), time_s, table, "store", remarks)
 
 
@@ -194,15 +190,62 @@ def remarks_of(
     connection: Connection, run: str, from_s: float | None = None, to_s: float | None = None
 ) -> dict[str, tuple[str, ...]]:
     """Return the text columns an imported run came with, but for its qualities."""
+    found = scans_of(connection, run_row(connection, run), from_s, to_s).remarks
+    rows: list[dict[str, str]] = [json.loads(text or "{}") for text in found]
+    names = dict.fromkeys(name for row in rows for name in row)
+    return {name: tuple(row.get(name, "") for row in rows) for name in names}
+
+
+def scans_of(
+    connection: Connection, row: Row[Any], from_s: float | None = None, to_s: float | None = None
+) -> StoredScans:
+    """Return a run's scans, or those of a stretch of it, wherever they are kept. [s of the run]"""
+    archived = archived_scans(connection, row.run)
+    return (
+        _scans_in_table(connection, row, from_s, to_s)
+        if archived is None
+        else _between(archived, row, from_s, to_s)
+    )
+
+
+def _scans_in_table(
+    connection: Connection, row: Row[Any], from_s: float | None, to_s: float | None
+) -> StoredScans:
     beside = SCAN.outerjoin(
         SCAN_REMARK,
         and_(SCAN_REMARK.c.press_id == SCAN.c.press_id, SCAN_REMARK.c.number == SCAN.c.number),
     )
-    query = select(SCAN_REMARK.c.texts_json).select_from(beside).order_by(SCAN.c.number)
-    found = connection.execute(query.where(*_scans_of(run_row(connection, run), from_s, to_s))).scalars()
-    rows: list[dict[str, str]] = [json.loads(text or "{}") for text in found]
-    names = dict.fromkeys(name for row in rows for name in row)
-    return {name: tuple(row.get(name, "") for row in rows) for name in names}
+    kept = (SCAN.c.number, SCAN.c.unix_s, SCAN.c.monotonic_s, SCAN.c.layout_id, SCAN.c.readings, SCAN.c.faults)
+    query = select(*kept, SCAN_REMARK.c.texts_json).select_from(beside).where(*_scans_of(row, from_s, to_s))
+    found: tuple[list[Any], ...] = ([], [], [], [], [], [], [])
+    for rows in connection.execute(query.order_by(SCAN.c.number)).partitions(_ROWS):
+        for column, cells in zip(found, zip(*rows, strict=True), strict=True):
+            column.extend(cells)
+    number, unix_s, at, layout_of, texts, faults, remarks = found
+    values = {}
+    for layout_id in dict.fromkeys(layout_of):
+        own = [text for text, its in zip(texts, layout_of, strict=True) if its == layout_id]
+        values[layout_id] = readings_table(own, len(layout_channels(connection, layout_id)))
+    return StoredScans(
+        number=np.array(number, dtype=np.int64),
+        unix_s=np.array(unix_s, dtype=float),
+        monotonic_s=np.array(at, dtype=float),
+        layout=np.array(layout_of, dtype=np.int64),
+        values=values,
+        faults=tuple(faults),
+        remarks=tuple(remarks),
+    )
+
+
+def _between(scans: StoredScans, row: Row[Any], from_s: float | None, to_s: float | None) -> StoredScans:
+    """Return the scans of a stretch of a run."""
+    zero = row.zero_monotonic_s
+    chosen = np.full(len(scans), True)
+    if from_s is not None:
+        chosen &= scans.monotonic_s >= from_s + zero
+    if to_s is not None:
+        chosen &= scans.monotonic_s <= to_s + zero
+    return scans.at(chosen)
 
 
 def _scans_of(row: Row[Any], from_s: float | None, to_s: float | None) -> list[ColumnElement[bool]]:
@@ -218,14 +261,26 @@ def _scans_of(row: Row[Any], from_s: float | None, to_s: float | None) -> list[C
     return chosen
 
 
+def columns_of(connection: Connection, run: str) -> tuple[str, ...]:
+    """Return the names of a run's columns, also where its scans are kept no more."""
+    row = run_row(connection, run)
+    layouts = _layouts_of(connection, row) or [_first_layout(connection, row.press_id)]
+    return tuple(dict.fromkeys(c.name for layout in layouts for c in layout_channels(connection, layout)))
+
+
 def units_of(connection: Connection, run: str) -> dict[str, str]:
     """Return the unit of each column of a run, as far as it is known."""
-    row = run_row(connection, run)
-    own = [SCAN.c.press_id == row.press_id, SCAN.c.number >= row.first_scan]
-    if row.last_scan is not None:
-        own.append(SCAN.c.number <= row.last_scan)
-    layouts = connection.execute(select(SCAN.c.layout_id).where(*own).distinct()).scalars()
+    layouts = _layouts_of(connection, run_row(connection, run))
     return {c.name: c.unit for layout in layouts for c in layout_channels(connection, layout) if c.unit}
+
+
+def _layouts_of(connection: Connection, row: Row[Any]) -> Sequence[int]:
+    """Return the layouts of a run's scans, wherever they are."""
+    archived = archived_layouts(connection, row.run)
+    if archived is not None:
+        return archived
+    own = select(SCAN.c.layout_id).where(*_scans_of(row, None, None))
+    return connection.execute(own.distinct()).scalars().all()
 
 
 def _remarks(faults: Sequence[str | None], columns: Sequence[str] | None) -> dict[str, tuple[str, ...]]:
@@ -234,8 +289,8 @@ def _remarks(faults: Sequence[str | None], columns: Sequence[str] | None) -> dic
     return {QUALITY: tuple(words[f] for f in faults)} if any(words.values()) else {}
 
 
-def _usable_values(channels: Sequence[Channel], texts: Sequence[str], faults: Sequence[str | None]) -> Array:
-    values = readings_table(texts, len(channels))
+def _usable_values(channels: Sequence[Channel], values: Array, faults: Sequence[str | None]) -> Array:
+    values = values.copy()
     places = {c.name: i for i, c in enumerate(channels)}
     for number, named in enumerate(faults):
         if named is not None:

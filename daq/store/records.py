@@ -8,7 +8,7 @@ from datetime import datetime
 from enum import StrEnum
 from typing import Any, Generic, Literal, TypeVar
 
-from daq.records import Channel, Moments, PressState, Scan
+from daq.records import Channel, InputError, Moments, PressState, Scan
 from daq.words import Message
 
 T = TypeVar("T")
@@ -16,6 +16,10 @@ T = TypeVar("T")
 
 class StoreUnavailable(RuntimeError):
     """The store cannot do it now: locked, full, read-only, unreachable. The text says what to do."""
+
+
+class ArchiveUnreadable(InputError):
+    """A file of the archive is missing or is not what was written. The text says which and what to do."""
 
 
 class RunStatus(StrEnum):
@@ -199,6 +203,32 @@ class StoredNight:
     progress: Mapping[str, Any]
     number: int = 0
     """Given by the store."""
+
+
+@dataclass(frozen=True)
+class Archive:
+    """The folder that old runs' scans are moved to, and what it holds."""
+
+    folder: str
+    runs: int
+    """Whose scans are there."""
+    scans: int
+    """Ever moved there."""
+    bytes: int
+    removed: int
+    """Runs whose scans are no longer kept: their pressings are."""
+    unsound: int
+    """Files found missing or damaged."""
+
+
+@dataclass(frozen=True)
+class Moved:
+    """A run whose scans went into the archive."""
+
+    scans: int
+    file_bytes: int
+    freed_bytes: int
+    """Of what the store held of them, without its pages' own needs."""
 
 
 @dataclass(frozen=True)

@@ -67,6 +67,30 @@ RUN = _table(
     software_version=Text,
     started_unix_s=Double,
 )
+ARCHIVE = _table(
+    "archive",
+    "run",
+    run=Text,
+    file=Text,
+    sha256=Text,
+    bytes=BigInteger,
+    scans=BigInteger,
+    layouts_json=Text,
+    archived_unix_s=Double,
+    checked_unix_s=Double,
+    problem=Text,
+    removed_unix_s=Double,
+)
+ARCHIVE_TOTAL = _table(
+    "archive_total",
+    "place",
+    place=BigInteger,
+    folder=Text,
+    runs=BigInteger,
+    scans=BigInteger,
+    bytes=BigInteger,
+    removed=BigInteger,
+)
 RUN_CHANGE = _table(
     "run_change",
     "run_change_id",

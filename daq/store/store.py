@@ -15,10 +15,24 @@ from sqlalchemy import Connection, text
 
 from daq.address import Address
 from daq.records import Run
-from daq.store import alarms, cores, journal, next_panel, nights, reading, recording, results, upkeep
+from daq.store import (
+    alarms,
+    archive,
+    archived,
+    cores,
+    journal,
+    next_panel,
+    nights,
+    reading,
+    recording,
+    results,
+    upkeep,
+)
+from daq.store.archive import Checked
 from daq.store.convert import known_utc
 from daq.store.database import BUSY_S, Database
 from daq.store.origin import header_for_file
+from daq.store.records import Moved
 from daq.store.write_batch import Entry, WriteBatch, in_rows
 
 P = ParamSpec("P")
@@ -138,6 +152,7 @@ class Store:
     open_run = _reads(reading.open_run)
     ended_runs_after = _reads(reading.ended_runs_after)
     load_run = _reads(reading.load_run)
+    columns_of = _reads(reading.columns_of)
     units_of = _reads(reading.units_of)
     configuration_of = _reads(reading.configuration_of)
     newest_scan_number = _reads(reading.newest_number)
@@ -220,6 +235,33 @@ class Store:
     def beats_as(self, process: str) -> str:
         """Return the name of a process of this machine; with the host where several machines meet in one store."""
         return process if self.database.path is not None else f"{process}@{gethostname()}"
+
+    # --- archive ------------------------------------------------------------------------------------
+
+    runs_to_archive = _reads(archive.runs_to_archive)
+
+    def use_archive(self, folder: Path) -> None:
+        """Make a folder the store's archive, or see that it still is; raises `InputError` where it cannot be."""
+        archive.use_archive(self.database, folder)
+
+    def archive_run(self, run: str) -> Moved:
+        """Move a run's scans into a file of the archive, proved before they are deleted."""
+        return archive.archive_run(self.database, run)
+
+    def check_archive(self, before: datetime, limit: int = 100) -> Checked:
+        """Hold the sums of files that were not read since an instant against them; nothing is deleted."""
+        return archive.check_archive(self.database, before, limit)
+
+    def recheck_unsound(self) -> None:
+        """Let files that were found unsound come first at the next look."""
+        archive.recheck_unsound(self.database)
+
+    def remove_archived(self, press: str, before: datetime, limit: int = 50) -> tuple[int, int]:
+        """Give up archived scans of runs that old; their pressings stay. Returns runs and bytes."""
+        return archive.remove_archived(self.database, press, before, limit)
+
+    without_scans = _reads(archive.without_scans)
+    archive = _reads(archived.archive)
 
     # --- upkeep -------------------------------------------------------------------------------------
 

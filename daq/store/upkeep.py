@@ -24,7 +24,7 @@ from daq.files.manifest import check_listed, update_manifest
 from daq.records import InputError
 from daq.store.database import Database, migrations
 from daq.store.records import StoreUnavailable
-from daq.store.schema import ESTIMATE, FIT, METADATA, MODEL, PRESS, RUN, SCAN
+from daq.store.schema import ARCHIVE_TOTAL, ESTIMATE, FIT, METADATA, MODEL, PRESS, RUN, SCAN
 from daq.words import say
 
 _BATCH = 20_000
@@ -151,7 +151,8 @@ def verify(path: Path) -> Contents:
                 connection.execute(f"SELECT count(*) FROM {table}").fetchone()[0]
                 for table in ("run", "scan", "fit", "model")
             ]
-            short = connection.execute(_RUNS_WITHOUT_ENDS).fetchone()
+            own = _NOT_ARCHIVED if schema >= _WITH_ARCHIVE else ""
+            short = connection.execute(_RUNS_WITHOUT_ENDS.format(own=own)).fetchone()
     except sqlite3.Error as error:
         raise InputError(say("backup-unsound", file=str(path), error=str(error))) from error
     if schema > (known := max(migrations())):
@@ -162,8 +163,11 @@ def verify(path: Path) -> Contents:
     return Contents(schema, *counts)
 
 
+_WITH_ARCHIVE = 9
+"""The schema from which on scans of runs may be in the archive."""
+_NOT_ARCHIVED = "NOT EXISTS (SELECT 1 FROM archive WHERE archive.run = run.run) AND "
 _RUNS_WITHOUT_ENDS = """
-SELECT run.run FROM run WHERE run.last_scan >= run.first_scan AND run.status = 'closed' AND (
+SELECT run.run FROM run WHERE run.last_scan >= run.first_scan AND run.status = 'closed' AND {own}(
     NOT EXISTS (SELECT 1 FROM scan WHERE scan.press_id = run.press_id AND scan.number = run.first_scan)
     OR NOT EXISTS (SELECT 1 FROM scan WHERE scan.press_id = run.press_id AND scan.number = run.last_scan)
 ) LIMIT 1
@@ -271,8 +275,9 @@ def _old_surplus(
 def _all_older(database: Database, press_id: int, last: int, before: datetime) -> bool:
     """Whether the scan after a stretch, so the whole stretch, is older than `before`."""
     query = select(SCAN.c.unix_s).where(SCAN.c.press_id == press_id, SCAN.c.number == last + 1)
+    archived = select(RUN.c.started_unix_s).where(RUN.c.press_id == press_id, RUN.c.first_scan == last + 1)
     with database.reading() as connection:
-        unix_s = connection.execute(query).scalar()
+        unix_s = connection.execute(query).scalar() or connection.execute(archived).scalar()
     return unix_s is not None and unix_s < before.timestamp()
 
 
@@ -306,6 +311,7 @@ def sizes_of(database: Database) -> Sizes:
         presses = connection.execute(select(PRESS.c.press_id)).scalars().all()
         newest = [select(func.max(SCAN.c.number)).where(SCAN.c.press_id == key) for key in presses]
         scans = sum(int(connection.execute(query).scalar() or 0) + 1 for query in newest)
+        scans -= int(connection.execute(select(func.sum(ARCHIVE_TOTAL.c.scans))).scalar() or 0)
         if database.path is None:
             size = int(connection.execute(text("SELECT pg_database_size(current_database())")).scalar_one())
             return Sizes(size, size / max(scans, 1), _free_of_server(database, connection))

@@ -323,10 +323,12 @@ config-closed-twice = Kanal '{ $channel }' wird aus { $wires } geschrieben; dem 
 config-column-twice = zwei Messgeräte füllen Spalte '{ $column }'; jede Spalte kommt von einem Eingang
 config-header = { $file }: Presse { $press }
 config-logger-twice = zwei Messgeräte heißen '{ $logger }'; jedem einen eigenen Namen geben
+config-no-archive = { $key } sagt, wann Messzeilen ins Archiv gehen, aber es gibt keines; einen Ordner als archive nennen oder den Schlüssel streichen
 config-no-boundary-channel = kein Messgerät hat den Kanal '{ $channel }', den boundary.{ $end } von { $file } braucht; bei den Kanälen eines Messgeräts ergänzen
 config-no-such-press = Presse '{ $press }' steht nicht in der Konfiguration; vorhanden: { $known }
 config-no-wire-channel = kein Messgerät hat den Kanal '{ $channel }', den { $key } nennt; bei den Kanälen eines Messgeräts ergänzen oder { $key } entfernen
 config-press-twice = zwei Pressen heißen '{ $press }'; jeder einen eigenen Namen geben
+config-pressings-only-too-early = pressings_only_after_days = { $days }: muss mehr sein als archive_after_days = { $archived }: Messzeilen werden archiviert, bevor sie aufgegeben werden
 
 ## daq.recording: journal of the recorder
 
@@ -373,6 +375,18 @@ store-trouble = { $why } ({ $count } warten)
 
 ## daq.store: the store
 
+archive-file-damaged = Archivdatei { $file }: nicht mehr, was geschrieben wurde; sie aus einer Sicherung des Archivs zurückholen
+archive-file-mended = die Archivdatei der Pressung { $run } ist wieder heil
+archive-file-missing = Archivdatei { $file }: fehlt; sie aus einer Sicherung des Archivs zurückholen oder ihren Datenträger einhängen
+archive-file-newer = Archivdatei { $file }: von einer neueren Version geschrieben; Kerntemp aktualisieren
+archive-file-taken = Archivdatei { $file }: schon da, mit anderem Inhalt, vielleicht von einem anderen Datenspeicher; jedem einen eigenen Ordner als store.archive geben oder diese Datei wegräumen; nichts wurde gelöscht
+archive-file-unreadable = Archivdatei { $file }: { $reason }; Datenträger und Leserechte prüfen
+archive-folder-lacks = Archiv { $folder }: darin fehlt { $file }, archiviert in { $before }; den Datenträger einhängen, das Archiv dorthin kopieren oder store.archive berichtigen; nichts wurde geändert
+archive-folder-refused = Archiv { $folder }: { $reason }; den Ordner anlegen und den Dienst hineinschreiben lassen oder store.archive berichtigen
+archive-not-as-written = Archivdatei { $file }: anders zurückgelesen als geschrieben; den Datenträger prüfen; nichts wurde gelöscht
+archive-not-written = Archivdatei { $file }: { $reason }; Datenträger und freien Platz prüfen; nichts wurde gelöscht
+archive-run-changed = Pressung { $run }: ihre Messzeilen änderten sich beim Archivieren; nichts wurde gelöscht, die nächste Nacht versucht es wieder
+archive-run-removed = Pressung { $run }: ihre Messzeilen werden seit { $date } nicht mehr aufgehoben, wie store.pressings_only_after_days es sagt; die Pressung und ihre Koeffizienten bleiben
 backup-damaged = Sicherung { $file }: beschädigt: { $error }; eine andere Sicherung nehmen
 backup-exists = Sicherung { $file }: gibt es schon; einen neuen Namen geben, Sicherungen werden nie überschrieben
 backup-failed = Sicherung { $file }: { $error }; Datenträger und freien Platz prüfen
@@ -1078,6 +1092,13 @@ night-against-core-worse = der Kern wird schlechter
 night-against-not-significant = der Gewinn ist nicht signifikant
 night-against-predicts-worse = es sagt Pressungen schlechter vorher
 night-against-still-helps = ein Effekt, der wegfiele, verbessert die Anpassung noch
+night-archive = { $press }: { $archived } Pressungen ins Archiv verschoben ({ NUMBER($freed, minimumFractionDigits: 1, maximumFractionDigits: 1) } MB zu { NUMBER($written, minimumFractionDigits: 1, maximumFractionDigits: 1) } MB){ $removed ->
+        [0] { "" }
+       *[other] , Messzeilen von { $removed } aufgegeben
+    }{ $later ->
+        [0] { "" }
+       *[other] , { $later } folgen in den nächsten Nächten
+    }
 night-compared =
     { $kind ->
         [with] { $effects }
@@ -1481,6 +1502,10 @@ api-tokens-needed = server.host = { $host }: wer von anderswo liest, braucht ein
 api-tokens-unreadable = { $path }: die Zugangstoken sind nicht lesbar: { $why }; die Datei entfernen und neue anlegen
 api-too-many-listeners = zu viele Zuhörer; später wieder versuchen
 api-too-many-wrong-tokens = zu viele falsche Zugangstoken von dieser Adresse; weitere falsche werden eine Minute lang verzögert beantwortet
+health-archive-unsound = Archiv { $folder }: { $files ->
+        [one] eine Datei fehlt oder ist
+       *[other] { $files } Dateien fehlen oder sind
+    } beschädigt; das Journal nennt sie, aus einer Sicherung des Archivs zurückholen
 health-disk-nearly-full = weniger als { $gigabytes } GB frei auf dem Datenträger des Datenspeichers
 health-never-seen = noch nie gesehen
 health-nightly-job-overdue = refit: der nächtliche Lauf ist seit { NUMBER($hours, maximumFractionDigits: 0) } h nicht zu Ende gekommen; siehe sein Protokoll
@@ -2028,6 +2053,11 @@ page-repeated = { $count } mal in { $time }
 
 ## page: loggers
 
+page-archive = Archiv
+page-archive-holds = { $runs } Pressungen, { $size }{ $unsound ->
+        [0] { "" }
+       *[other] ; { $unsound } Dateien fehlen oder sind beschädigt
+    }
 page-channel = Kanal
 page-clock = Uhr
 page-clock-here = Gegen diesen Bildschirm
@@ -2132,6 +2162,13 @@ page-where = Wo das einfache Modell falsch liegt
 ## page: nights
 
 page-night = Nacht
+page-night-archive = { $archived } archiviert, { $freed } frei{ $removed ->
+        [0] { "" }
+       *[other] ; Messzeilen von { $removed } aufgegeben
+    }{ $later ->
+        [0] { "" }
+       *[other] ; { $later } folgen
+    }
 page-night-blind = { $runs } ohne Fühler an der Platte
 page-night-fitted = Ausgewertet
 page-night-later = { $runs } ältere folgen

@@ -323,10 +323,12 @@ config-closed-twice = channel '{ $channel }' is written from { $wires }; give th
 config-column-twice = two loggers fill column '{ $column }'; each column comes from one input
 config-header = { $file }: press { $press }
 config-logger-twice = two loggers are called '{ $logger }'; give each its own name
+config-no-archive = { $key } says when scans go to the archive, but there is none; name a folder as archive or take the key out
 config-no-boundary-channel = no logger has channel '{ $channel }', which boundary.{ $end } of { $file } needs; add it to a logger's channels
 config-no-such-press = press '{ $press }' is not in the configuration; it has { $known }
 config-no-wire-channel = no logger has channel '{ $channel }', which { $key } names; add it to a logger's channels, or remove { $key }
 config-press-twice = two presses are called '{ $press }'; give each its own name
+config-pressings-only-too-early = pressings_only_after_days = { $days }: must be more than archive_after_days = { $archived }: scans are archived before they are given up
 
 ## daq.recording: journal of the recorder
 
@@ -373,6 +375,18 @@ store-trouble = { $why } ({ $count } waiting)
 
 ## daq.store: the store
 
+archive-file-damaged = archive file { $file }: not what was written; copy it back from a backup of the archive
+archive-file-mended = the archive file of run { $run } is sound again
+archive-file-missing = archive file { $file }: not there; copy it back from a backup of the archive, or mount the disk it is on
+archive-file-newer = archive file { $file }: written by a newer version; update Kerntemp
+archive-file-taken = archive file { $file }: there already with other content, perhaps another store's; give each store a folder of its own as store.archive, or move this file away; nothing was deleted
+archive-file-unreadable = archive file { $file }: { $reason }; check the disk and who may read it
+archive-folder-lacks = archive { $folder }: lacks { $file }, which was archived in { $before }; mount its disk or copy the archive there, or correct store.archive; nothing was changed
+archive-folder-refused = archive { $folder }: { $reason }; create the folder and let the service write to it, or correct store.archive
+archive-not-as-written = archive file { $file }: read back other than written; check the disk; nothing was deleted
+archive-not-written = archive file { $file }: { $reason }; check the disk and its space; nothing was deleted
+archive-run-changed = run { $run }: its scans changed while they were archived; nothing was deleted, the next night tries again
+archive-run-removed = run { $run }: its scans are kept no more since { $date }, as store.pressings_only_after_days says; its pressing and its coefficients are
 backup-damaged = backup { $file }: damaged: { $error }; take another backup
 backup-exists = backup { $file }: exists already; give a new name, backups are never overwritten
 backup-failed = backup { $file }: { $error }; check the disk and its space
@@ -1061,6 +1075,13 @@ night-against-core-worse = the core gets worse
 night-against-not-significant = the gain is not significant
 night-against-predicts-worse = it predicts pressings worse
 night-against-still-helps = an effect it would drop still improves the fit
+night-archive = { $press }: { $archived } runs moved into the archive ({ NUMBER($freed, minimumFractionDigits: 1, maximumFractionDigits: 1) } MB to { NUMBER($written, minimumFractionDigits: 1, maximumFractionDigits: 1) } MB){ $removed ->
+        [0] { "" }
+       *[other] , scans of { $removed } given up
+    }{ $later ->
+        [0] { "" }
+       *[other] , { $later } follow in the next nights
+    }
 night-compared =
     { $kind ->
         [with] { $effects }
@@ -1465,6 +1486,10 @@ api-tokens-needed = server.host = { $host }: beyond loopback readers need tokens
 api-tokens-unreadable = { $path }: cannot read the tokens: { $why }; remove the file and make new ones
 api-too-many-listeners = too many live listeners; try again later
 api-too-many-wrong-tokens = too many wrong tokens from this address; further wrong ones are answered slowly for a minute
+health-archive-unsound = archive { $folder }: { $files ->
+        [one] one file is
+       *[other] { $files } files are
+    } missing or damaged; the journal names them, copy them back from a backup of the archive
 health-disk-nearly-full = less than { $gigabytes } GB left on the store's disk
 health-never-seen = never seen
 health-nightly-job-overdue = refit: the nightly job has not finished for { NUMBER($hours, maximumFractionDigits: 0) } h; see its log
@@ -2009,6 +2034,11 @@ page-repeated = { $count } times in { $time }
 
 ## page: loggers
 
+page-archive = Archive
+page-archive-holds = { $runs } runs, { $size }{ $unsound ->
+        [0] { "" }
+       *[other] ; { $unsound } files missing or damaged
+    }
 page-channel = Channel
 page-clock = Clock
 page-clock-here = Against this screen
@@ -2113,6 +2143,13 @@ page-where = Where the plain model is wrong
 ## page: nights
 
 page-night = Night
+page-night-archive = { $archived } archived, { $freed } freed{ $removed ->
+        [0] { "" }
+       *[other] ; scans of { $removed } given up
+    }{ $later ->
+        [0] { "" }
+       *[other] ; { $later } follow
+    }
 page-night-blind = { $runs } without panel sensors
 page-night-fitted = Fitted
 page-night-later = { $runs } older ones follow

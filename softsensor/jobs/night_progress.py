@@ -113,6 +113,8 @@ class _Marking:
         """Take in what of these runs is due, each once."""
         fresh = [r for r in records if r.number not in self.looked]
         self.looked.update(r.number for r in fresh)
+        gone = self.store.without_scans([r.run for r in fresh])
+        fresh = [r for r in fresh if r.run not in gone]
         names = [r.run for r in fresh]
         fits, tried = self.store.fits(names), self.store.unfitted_marks(names)
         for record in fresh:

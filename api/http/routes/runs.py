@@ -24,7 +24,7 @@ from api.http.routes.common import Cursor, PageSize, PressName, Since, StoreDep,
 from daq.files.qualities import spans_of
 from daq.files.run_file import write_run
 from daq.records import InputError, Run
-from daq.store.records import RunRecord, RunStatus, StoredEstimate
+from daq.store.records import ArchiveUnreadable, RunRecord, RunStatus, StoredEstimate
 from daq.store.store import Store
 from daq.words import say, spoken
 
@@ -117,6 +117,8 @@ def get_samples(
     try:
         load = store.load_run if format == "json" else store.run_for_file
         whole = load(run, names, from_s, to_s)
+    except ArchiveUnreadable:
+        raise
     except InputError as error:
         raise ProblemError(404, spoken(error)) from error
     shown = whole.at_rows(kept_rows(list(whole.columns.values()), len(whole.time_s), max_points))

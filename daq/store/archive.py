@@ -1,0 +1,258 @@
+"""The steps by which scans leave the store: into a file of the archive, and years later for good.
+
+A step is proved before anything is deleted: a file is written through, read back from the disk and compared value
+by value; then its sum goes into the store and its scans out of it in one transaction. Killed anywhere, the next
+night finds either the scans in the store, and takes a finished file as it is, or the file with its row.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from sqlalchemy import (
+    ColumnElement,
+    Connection,
+    Row,
+    and_,
+    delete,
+    exists,
+    func,
+    insert,
+    literal_column,
+    or_,
+    select,
+    update,
+)
+
+from daq.records import InputError
+from daq.store.archive_file import SUM, StoredScans, Written, sound_content, write_archive
+from daq.store.archived import folder_of
+from daq.store.convert import known_utc, unix_of
+from daq.store.database import Database
+from daq.store.reading import layout_channels, run_row, scans_of
+from daq.store.records import ArchiveUnreadable, Moved, RunStatus, StoreUnavailable
+from daq.store.schema import ARCHIVE, ARCHIVE_TOTAL, FIT, PRESS, RUN, SCAN, SCAN_REMARK, UNFITTED
+from daq.words import Message, say, spoken
+
+_NUMBERS_BYTES = 40
+"""Press, number, two times and layout of a scan, eight bytes each."""
+_NAME_LENGTH = 80
+"""Signs of a run's name in its file's name, which is told apart by the run's number. (By hand, 2026-11)"""
+
+
+@dataclass(frozen=True)
+class Checked:
+    """What a look at files of the archive found."""
+
+    files: int
+    unsound: tuple[Message, ...]
+    """Of those that were sound before."""
+    mended: tuple[str, ...]
+    """Runs whose file is sound again."""
+
+
+def use_archive(database: Database, folder: Path) -> None:
+    """Make a folder the store's archive, or see that it is still the one.
+
+    Raises
+    ------
+    InputError
+        For a folder that is not there or lacks what was archived: nothing is changed then.
+    """
+    with database.writing() as connection:
+        there = connection.execute(select(ARCHIVE_TOTAL)).first()
+        newest = select(ARCHIVE.c.file).where(ARCHIVE.c.file != "").order_by(ARCHIVE.c.archived_unix_s.desc())
+        file = connection.execute(newest.limit(1)).scalar()
+        if file is not None and not (folder / file).is_file():
+            before = there.folder if there is not None else ""
+            raise InputError(say("archive-folder-lacks", folder=str(folder), file=file, before=before))
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(say("archive-folder-refused", folder=str(folder), reason=str(error))) from error
+        if there is None:
+            none = {"runs": 0, "scans": 0, "bytes": 0, "removed": 0}
+            connection.execute(insert(ARCHIVE_TOTAL), {"place": 1, "folder": str(folder), **none})
+        elif there.folder != str(folder):
+            connection.execute(update(ARCHIVE_TOTAL).values(folder=str(folder)))
+
+
+def runs_to_archive(connection: Connection, press: str, before: datetime) -> list[str]:
+    """Return the runs of a press that were over before an instant and have their scans in the store, oldest first.
+
+    A run of which nobody said when it was has no age and stays.
+    """
+    query = (
+        select(RUN.c.run)
+        .join(PRESS, PRESS.c.press_id == RUN.c.press_id)
+        .where(PRESS.c.name == press, *_over(before), RUN.c.last_scan >= RUN.c.first_scan)
+        .where(~exists().where(ARCHIVE.c.run == RUN.c.run))
+        .order_by(RUN.c.run_number)
+    )
+    return list(connection.execute(query).scalars())
+
+
+def _over(before: datetime) -> list[ColumnElement[bool]]:
+    start = func.coalesce(RUN.c.started_unix_s, literal_column("-1.0"))  # as in the index run_by_start
+    ended = func.coalesce(RUN.c.ended_unix_s, RUN.c.started_unix_s)
+    return [RUN.c.status != RunStatus.OPEN.value, start < unix_of(before), ended < unix_of(before)]
+
+
+def archive_run(database: Database, run: str) -> Moved:
+    """Move a run's scans into a file of the archive.
+
+    Raises
+    ------
+    InputError
+        Where file and scans differ, or the file's place is taken: nothing is deleted.
+    StoreUnavailable
+        Where store or disk refuse.
+    """
+    with database.reading() as connection:
+        row = run_row(connection, run)
+        scans = scans_of(connection, row)
+        channels = {key: [c.name for c in layout_channels(connection, key)] for key in scans.values}
+        folder = folder_of(connection)
+    file = _file_of(row)
+    about = {"run": run, "press": row.press, "header_toml": row.header_toml, "zero_s": row.zero_monotonic_s}
+    try:
+        written = write_archive(folder / file, scans, channels, {**about, "started_unix_s": row.started_unix_s})
+    except OSError as error:
+        raise StoreUnavailable(say("archive-not-written", file=str(folder / file), reason=str(error))) from error
+    with database.writing() as connection:
+        return _exchange(connection, row, scans, file, written)
+
+
+def _file_of(row: Row[Any]) -> str:
+    month = "undated" if row.started_unix_s is None else f"{known_utc(row.started_unix_s):%Y/%m}"
+    name = re.sub(r"[^A-Za-z0-9._-]", "_", row.run)[:_NAME_LENGTH]
+    return f"{month}/{row.run_number:08d}-{name}.parquet"
+
+
+def _exchange(connection: Connection, row: Row[Any], scans: StoredScans, file: str, written: Written) -> Moved:
+    """Take the file's row in and the scans out; raises where the store holds other scans than were written."""
+    own = (SCAN.c.press_id == row.press_id, SCAN.c.number.between(row.first_scan, row.last_scan))
+    texts = func.length(SCAN.c.readings) + func.coalesce(func.length(SCAN.c.faults), 0)
+    freed = connection.execute(select(func.coalesce(func.sum(texts), 0)).where(*own)).scalar_one()
+    now = unix_of(datetime.now(UTC))
+    kept = {"file": file, "sha256": written.sha256, "bytes": written.bytes, "scans": len(scans)}
+    kept |= {"layouts_json": json.dumps(sorted(scans.values)), "archived_unix_s": now, "checked_unix_s": now}
+    connection.execute(insert(ARCHIVE), {"run": row.run, **kept, "problem": ""})
+    _count(connection, runs=1, scans=len(scans), bytes=written.bytes)
+    remarks = (SCAN_REMARK.c.press_id == row.press_id, SCAN_REMARK.c.number.between(row.first_scan, row.last_scan))
+    connection.execute(delete(SCAN_REMARK).where(*remarks))
+    if connection.execute(delete(SCAN).where(*own)).rowcount != len(scans):
+        raise StoreUnavailable(say("archive-run-changed", run=row.run))
+    return Moved(len(scans), written.bytes, int(freed) + _NUMBERS_BYTES * len(scans))
+
+
+def _count(connection: Connection, **more: int) -> None:
+    totals = {name: ARCHIVE_TOTAL.c[name] + count for name, count in more.items()}
+    connection.execute(update(ARCHIVE_TOTAL).values(totals))
+
+
+def check_archive(database: Database, before: datetime, limit: int = 100) -> Checked:
+    """Read files that were not since an instant, those read longest ago first, and hold their sums against them.
+
+    Nothing is deleted. Files come back whole from a backup of the archive, and are sound at the next look.
+    """
+    old = and_(ARCHIVE.c.checked_unix_s < unix_of(before), ARCHIVE.c.removed_unix_s.is_(None))
+    columns = (ARCHIVE.c.run, ARCHIVE.c.file, ARCHIVE.c.sha256, ARCHIVE.c.problem)
+    query = select(*columns).where(old).order_by(ARCHIVE.c.checked_unix_s).limit(limit)
+    with database.reading() as connection:
+        folder = folder_of(connection)
+        rows = connection.execute(query).all()
+    said = {row.run: _problem_of(folder / row.file, row.sha256) for row in rows}
+    now = unix_of(datetime.now(UTC))
+    with database.writing() as connection:
+        for run, problem in said.items():
+            found = {"problem": "" if problem is None else problem.code, "checked_unix_s": now}
+            connection.execute(update(ARCHIVE).where(ARCHIVE.c.run == run).values(found))
+        mended = [row.run for row in rows if said[row.run] is None and row.problem]
+        tried_in_vain = (UNFITTED.c.run.in_(mended), UNFITTED.c.kind == "unfit")
+        connection.execute(delete(UNFITTED).where(*tried_in_vain))
+    fresh = [problem for row in rows if (problem := said[row.run]) is not None and not row.problem]
+    return Checked(len(rows), tuple(fresh), tuple(mended))
+
+
+def recheck_unsound(database: Database) -> None:
+    """Let files that were found unsound come first at the next look."""
+    with database.writing() as connection:
+        connection.execute(update(ARCHIVE).where(ARCHIVE.c.problem != "").values(checked_unix_s=0.0))
+
+
+def _problem_of(path: Path, sha256: str) -> Message | None:
+    try:
+        sound_content(path, sha256)
+    except ArchiveUnreadable as error:
+        return spoken(error)
+    return None
+
+
+def remove_archived(database: Database, press: str, before: datetime, limit: int = 50) -> tuple[int, int]:
+    """Give up archived scans of runs that were over before an instant; the pressings stay. Returns runs and bytes.
+
+    A pressing that no night has worked off yet keeps its scans, and so does one whose file is not sound.
+    """
+    worked_off = or_(exists().where(FIT.c.run == RUN.c.run), exists().where(UNFITTED.c.run == RUN.c.run))
+    no_pressing = and_(PRESS.c.kind == "recorded", RUN.c.closed_s.is_(None))
+    query = (
+        select(ARCHIVE.c.run, ARCHIVE.c.file, ARCHIVE.c.sha256, ARCHIVE.c.bytes)
+        .join(RUN, RUN.c.run == ARCHIVE.c.run)
+        .join(PRESS, PRESS.c.press_id == RUN.c.press_id)
+        .where(PRESS.c.name == press, ARCHIVE.c.removed_unix_s.is_(None), ARCHIVE.c.problem == "", *_over(before))
+        .where(or_(worked_off, no_pressing))
+        .order_by(RUN.c.run_number)
+        .limit(limit)
+    )
+    with database.reading() as connection:
+        folder = folder_of(connection)
+        rows = connection.execute(query).all()
+    problems = {row.run: _problem_of(folder / row.file, row.sha256) for row in rows}
+    sound = [row for row in rows if problems[row.run] is None]
+    now = unix_of(datetime.now(UTC))
+    with database.writing() as connection:
+        for run, problem in problems.items():
+            found = {"removed_unix_s": now} if problem is None else {"problem": problem.code}
+            connection.execute(update(ARCHIVE).where(ARCHIVE.c.run == run).values(found))
+        gone = sum(row.bytes for row in sound)
+        _count(connection, runs=-len(sound), bytes=-gone, removed=len(sound))
+    _delete_files(database, folder)
+    return len(sound), gone
+
+
+def _delete_files(database: Database, folder: Path) -> None:
+    """Delete the files of runs given up, also those that a killed job has left."""
+    with database.reading() as connection:
+        left = select(ARCHIVE.c.run, ARCHIVE.c.file).where(
+            ARCHIVE.c.removed_unix_s.is_not(None), ARCHIVE.c.file != ""
+        )
+        rows = connection.execute(left).all()
+    for path in _with_sums(folder / row.file for row in rows):
+        with suppress(FileNotFoundError):
+            path.unlink()
+    with database.writing() as connection:
+        _files_gone(connection, [row.run for row in rows])
+
+
+def _files_gone(connection: Connection, runs: Sequence[str]) -> None:
+    connection.execute(update(ARCHIVE).where(ARCHIVE.c.run.in_(runs)).values(file=""))
+
+
+def _with_sums(files: Iterator[Path]) -> Iterator[Path]:
+    for path in files:
+        yield path
+        yield path.with_name(path.name + SUM)
+
+
+def without_scans(connection: Connection, runs: Sequence[str]) -> set[str]:
+    """Return those of these runs whose scans were given up."""
+    gone = select(ARCHIVE.c.run).where(ARCHIVE.c.run.in_(runs), ARCHIVE.c.removed_unix_s.is_not(None))
+    return set(connection.execute(gone).scalars())

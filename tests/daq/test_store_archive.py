@@ -1,0 +1,338 @@
+"""Old runs move into files and answer as before; what is not proved is not deleted."""
+
+import math
+import os
+import signal
+from datetime import UTC, datetime, timedelta
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from sqlalchemy import text
+
+from daq.records import Channel, InputError, Quality, Run, Scan
+from daq.store import NewRun, RunEnd, archive, archive_file, open_store
+from daq.store.archive_file import SUM, StoredScans, read_archive, write_archive
+from daq.store.records import ArchiveUnreadable
+
+BEGAN = datetime(2026, 3, 4, 7, 0, tzinfo=UTC)
+LATER = BEGAN + timedelta(days=400)
+CHANNELS = (Channel("platen_top", "C"), Channel("top_1", "C"), Channel("load", "kN"))
+G = Quality.GOOD
+
+
+def stored(values, faults=None):
+    n = len(values)
+    rng = np.random.default_rng(3)
+    monotonic_s = np.round(1000.0 + np.arange(n) / 10 + rng.normal(0, 1e-3, n), 6)
+    unix_s = np.round((1.7e9 + monotonic_s) * 1e6) / 1e6
+    texts = (None,) * n if faults is None else faults
+    return StoredScans(np.arange(7, 7 + n), unix_s, monotonic_s, np.full(n, 3), {3: values}, texts, (None,) * n)
+
+
+def through_a_file(scans, folder):
+    names = {key: [f"c{i}" for i in range(values.shape[1])] for key, values in scans.values.items()}
+    written = write_archive(folder / "a.parquet", scans, names, {})
+    return read_archive(folder / "a.parquet", written.sha256), written.bytes / max(len(scans), 1)
+
+
+def heating(scans, channels=16, step=0.1):
+    """What a press's thermocouples count: whole steps of a curve that warms up, with noise of half a step."""
+    rng = np.random.default_rng(0)
+    t = np.arange(scans)[:, None] / 10
+    curves = 20 + 150 * (1 - np.exp(-t / (20 + 5 * np.arange(channels))))
+    return np.rint((curves + rng.normal(0, 0.5 * step, curves.shape)) / step)
+
+
+READ = {
+    "tenths as text says them": lambda counts: counts / 10,
+    "tenths as a driver multiplies": lambda counts: counts * 0.1,
+    "tenths with a calibration's offset": lambda counts: counts * 0.1 - 0.423,
+    "tenths with gain and offset": lambda counts: 1.0003 * (counts * 0.1) + 0.31,
+    "a full scale of 1370 °C in 32767 counts": lambda counts: np.rint(counts * 3.2) * (1370 / 32767),
+    "doubles of any kind": lambda counts: counts / 10 + np.random.default_rng(1).normal(0, 0.01, counts.shape),
+}
+LARGEST = {"doubles of any kind": 110.0}
+"""Bytes a scan of 16 channels may take; 12 at 0.1 K where nothing else is said (issue 23)."""
+
+
+@pytest.mark.parametrize("how", READ)
+def test_a_file_gives_every_bit_back_and_stays_small(how, tmp_path):
+    values = READ[how](heating(3000))
+    values[5, 3] = math.nan
+    values[100:200, 0] = math.nan
+    scans = stored(values)
+    back, size = through_a_file(scans, tmp_path)
+    assert back.same_as(scans)
+    assert size <= LARGEST.get(how, 14.0 if "full scale" in how or "gain" in how else 12.0)
+
+
+@settings(max_examples=40)
+@given(rows=st.lists(st.lists(st.floats(width=64), min_size=2, max_size=2), min_size=1, max_size=5))
+def test_any_value_comes_back_to_the_last_bit(rows, tmp_path_factory):
+    values = np.where(np.isnan(rows), np.nan, rows)
+    scans = stored(values, tuple('{"c0":"open"}' if i % 2 else None for i in range(len(rows))))
+    assert through_a_file(scans, tmp_path_factory.mktemp("a"))[0].same_as(scans)
+
+
+def test_scans_of_several_layouts_come_back_each_with_its_channels(tmp_path):
+    scans = StoredScans(
+        np.array([4, 5, 7]),
+        np.full(3, np.nan),
+        np.array([0.0, 0.1, 0.3]),
+        np.array([2, 5, 2]),
+        {2: np.array([[1.5, -0.0], [math.nan, 2.5]]), 5: np.array([[9.0]])},
+        (None, '{"b":"open"}', None),
+        (None, None, '{"note":"door"}'),
+    )
+    written = write_archive(tmp_path / "a.parquet", scans, {2: ["a", "b"], 5: ["b"]}, {"run": "x"})
+    assert read_archive(tmp_path / "a.parquet", written.sha256).same_as(scans)
+
+
+def scan(number):
+    values = (200.0 + number % 3 / 10, 20.0 + number / 7, 3.5 if number % 5 else math.nan)
+    return Scan(
+        number,
+        BEGAN + timedelta(seconds=number / 10),
+        number / 10,
+        values,
+        (G, G, G if number % 5 else Quality.OPEN),
+    )
+
+
+def record(store, run="one", first=0, press="lab"):
+    """Record 100 scans, of which 60 are a run."""
+    key = store.register_press(press, CHANNELS)
+    first = key.next_number
+    numbers = range(first, first + 100)
+    start = scan(first + 20)
+    begin = NewRun(run, first + 20, start.utc, start.monotonic_s, {"panel.material": "MDF"})
+    end = RunEnd(run, first + 79, scan(first + 79).utc)
+    store.append_scans(key, [scan(n) for n in numbers], begin=begin, end=end)
+
+
+def answers(store, run):
+    loaded = store.run_for_file(run)
+    part = store.load_run(run, ["top_1"], 1.0, 2.0)
+    whole = [
+        loaded.time_s.tobytes(),
+        {n: v.tobytes() for n, v in loaded.columns.items()},
+        loaded.header,
+        loaded.texts,
+    ]
+    some = [part.time_s.tobytes(), part.columns["top_1"].tobytes(), part.texts]
+    return [*whole, *some, store.units_of(run), store.columns_of(run)]
+
+
+@pytest.fixture
+def store(store_url):
+    with open_store(store_url) as opened:
+        yield opened
+
+
+def test_a_run_in_the_archive_gives_the_same_answers(store, tmp_path):
+    record(store)
+    words = {"note": ("", "door open", "")}
+    nan = math.nan
+    store.import_run(
+        Run("told", {"run_started": "x"}, np.arange(3.0), {"top_1": np.array([20.1, nan, 20.3])}, texts=words),
+        "lab",
+    )
+    before = {run: answers(store, run) for run in ("one", "told")}
+    store.use_archive(tmp_path / "archive")
+    for run in before:
+        moved = store.archive_run(run)
+        assert moved.file_bytes > 0
+        assert answers(store, run) == before[run]
+    kept = store.archive()
+    assert (kept.runs, kept.scans, kept.removed, kept.unsound) == (2, 63, 0, 0)
+    with store.database.reading() as connection:
+        assert connection.execute(text("SELECT count(*) FROM scan")).scalar() == 40
+        assert connection.execute(text("SELECT count(*) FROM scan_remark")).scalar() == 0
+    assert store.register_press("lab", CHANNELS).next_number == 100
+
+
+def test_the_sum_beside_a_file_is_that_of_the_standard(store, tmp_path):
+    import hashlib
+
+    record(store)
+    store.use_archive(tmp_path)
+    store.archive_run("one")
+    [file] = tmp_path.rglob("*.parquet")
+    said = file.with_name(file.name + SUM).read_text()
+    assert said == f"{hashlib.sha256(file.read_bytes()).hexdigest()}  {file.name}\n"
+
+
+def test_runs_are_archived_by_age_and_open_ones_never(store, tmp_path):
+    record(store)
+    record(store, "two")
+    key = store.register_press("lab", CHANNELS)
+    store.append_scans(key, [scan(key.next_number)], begin=NewRun("open", key.next_number, BEGAN, 0.0))
+    store.import_run(Run("undated", {}, np.arange(3.0), {"top_1": np.ones(3)}), "lab")
+    store.use_archive(tmp_path)
+    assert store.runs_to_archive("lab", scan(100).utc) == ["one"]
+    assert store.runs_to_archive("lab", LATER) == ["one", "two"]
+    assert store.runs_to_archive("other", LATER) == []
+    store.archive_run("one")
+    assert store.runs_to_archive("lab", LATER) == ["two"]
+
+
+@pytest.mark.parametrize("harm", ["missing", "damaged"])
+def test_a_file_that_is_not_sound_is_told_with_a_remedy_and_nothing_is_deleted(store, harm, tmp_path):
+    record(store)
+    store.put_fit("one", {"coefficients": {}}, "v1")
+    before = answers(store, "one")
+    store.use_archive(tmp_path)
+    store.archive_run("one")
+    [file] = tmp_path.rglob("*.parquet")
+    sound = file.read_bytes()
+    assert store.check_archive(datetime.now(UTC) + timedelta(days=1)).unsound == ()
+    if harm == "missing":
+        file.unlink()
+    else:
+        file.write_bytes(sound[:2000] + bytes([sound[2000] ^ 1]) + sound[2001:])
+    said = "not there; copy it back" if harm == "missing" else "not what was written; copy it back"
+    with pytest.raises(ArchiveUnreadable, match=said):
+        store.load_run("one")
+    found = store.check_archive(datetime.now(UTC) + timedelta(days=1))
+    assert [said in str(one) for one in found.unsound] == [True]
+    assert store.archive().unsound == 1
+    assert store.remove_archived("lab", LATER) == (0, 0)
+    assert store.columns_of("one") == ("platen_top", "top_1", "load")
+    file.write_bytes(sound)
+    store.recheck_unsound()
+    assert store.check_archive(BEGAN).mended == ("one",)
+    assert store.archive().unsound == 0
+    assert answers(store, "one") == before
+
+
+def test_pressings_alone_stay_where_the_rule_says_so(store, tmp_path):
+    record(store)
+    record(store, "unfitted")
+    store.put_fit("one", {"coefficients": {"h": {"value": 1.0}}}, "v1")
+    store.use_archive(tmp_path)
+    for run in ("one", "unfitted"):
+        store.archive_run(run)
+    with store.database.writing() as connection:
+        connection.execute(text("UPDATE run SET closed_s = 3.0"))
+    assert store.remove_archived("lab", BEGAN) == (0, 0)
+    runs, gone = store.remove_archived("lab", LATER)
+    assert (runs, gone > 0) == (1, True)
+    with pytest.raises(InputError, match="run one: its scans are kept no more since 20"):
+        store.load_run("one")
+    assert store.fit("one")["coefficients"]["h"]["value"] == 1.0
+    assert store.run_record("one").header["panel.material"] == "MDF"
+    assert store.columns_of("one") == ("platen_top", "top_1", "load")
+    assert len(list(tmp_path.rglob("*.parquet"))) == 1
+    assert len(list(tmp_path.rglob("*" + SUM))) == 1
+    assert store.without_scans(["one", "unfitted"]) == {"one"}
+    assert [r.run for r in store.pressings("lab")] == ["unfitted"]
+    assert store.count_pressings("lab") == 2
+    assert store.archive().removed == 1
+
+
+def dies_at(store, where, do):
+    """Do something in a process of its own that is killed at a place, before that or right after it."""
+    module, name, after = where
+    child = os.fork()
+    if child:
+        assert os.WIFSIGNALED(os.waitpid(child, 0)[1]), "it came to its end without passing there"
+        return
+    real = getattr(module, name)
+
+    def fatal(*given, **named):
+        if after:
+            real(*given, **named)
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    setattr(module, name, fatal)
+    with open_store(store.database.address) as own:
+        do(own)
+    os._exit(0)
+
+
+MOMENTS = {
+    "while the file is written": (archive_file, "_to_disk", False),
+    "before what was written is compared": (archive_file, "_scans_in", False),
+    "before the sum is written": (archive_file, "_with_sum", False),
+    "when the file is done": (archive_file, "_with_sum", True),
+    "before the row": (archive, "_exchange", False),
+    "amid the transaction": (archive, "_count", True),
+    "before the commit": (archive, "_exchange", True),
+}
+
+
+@pytest.mark.skipif(os.name == "nt", reason="SIGKILL is POSIX")
+def test_killed_anywhere_archiving_loses_nothing_and_goes_on(store, tmp_path):
+    folder = tmp_path / "archive"
+    store.use_archive(folder)
+    for moment, where in MOMENTS.items():
+        record(store, moment)
+        before = answers(store, moment)
+        dies_at(store, where, lambda own: own.archive_run(moment))  # noqa: B023
+        assert answers(store, moment) == before
+        assert store.runs_to_archive("lab", LATER) == [moment]
+        store.archive_run(moment)
+        assert answers(store, moment) == before
+    assert store.archive().runs == len(MOMENTS)
+    left = [p.suffix for p in sorted(folder.rglob("*")) if p.is_file()]
+    assert left == [".parquet", ".sha256"] * len(MOMENTS)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="SIGKILL is POSIX")
+def test_killed_while_scans_are_given_up_the_next_night_ends_it(store, tmp_path):
+    folder = tmp_path / "archive"
+    store.use_archive(folder)
+    for run, name in {"before the files go": "_with_sums", "after the files went": "_files_gone"}.items():
+        record(store, run)
+        store.archive_run(run)
+        dies_at(store, (archive, name, False), lambda own: own.remove_archived("lab", LATER))
+        assert store.without_scans([run]) == {run}
+        assert store.remove_archived("lab", LATER) == (0, 0)
+        assert [p for p in folder.rglob("*") if p.is_file()] == []
+    assert (store.archive().runs, store.archive().bytes, store.archive().removed) == (0, 0, 2)
+
+
+def test_a_file_of_another_store_is_not_written_over(store, tmp_path):
+    record(store)
+    store.use_archive(tmp_path)
+    place = tmp_path / "2026" / "03" / "00000001-one.parquet"
+    place.parent.mkdir(parents=True)
+    place.write_bytes(b"another store's")
+    with pytest.raises(InputError, match="give each store a folder of its own"):
+        store.archive_run("one")
+    assert place.read_bytes() == b"another store's"
+    assert len(store.load_run("one").time_s) == 60
+
+
+def test_scans_that_came_meanwhile_keep_all_of_a_run_in_the_store(store, tmp_path, monkeypatch):
+    record(store)
+    store.use_archive(tmp_path)
+    real = write_archive
+
+    def slow(path, scans, channels, about):
+        with store.database.writing() as connection:
+            connection.execute(text("DELETE FROM scan WHERE number = 50"))
+        return real(path, scans, channels, about)
+
+    monkeypatch.setattr("daq.store.archive.write_archive", slow)
+    with pytest.raises(Exception, match="its scans changed while they were archived"):
+        store.archive_run("one")
+    assert store.archive().runs == 0
+    assert len(store.load_run("one").time_s) == 59
+
+
+def test_a_folder_without_what_was_archived_is_refused(store, tmp_path):
+    record(store)
+    store.use_archive(tmp_path / "a")
+    store.archive_run("one")
+    with pytest.raises(
+        InputError, match=r"lacks 2026/03/00000001-one.parquet, which was archived in .*nothing was"
+    ):
+        store.use_archive(tmp_path / "b")
+    assert not (tmp_path / "b").exists()
+    assert store.archive().folder == str(tmp_path / "a")
+    (tmp_path / "a").rename(tmp_path / "b")
+    store.use_archive(tmp_path / "b")
+    assert len(store.load_run("one").time_s) == 60
