@@ -7,10 +7,10 @@ from datetime import datetime, timedelta
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any, Literal
 
-from api.answers.schemas import Health, ProcessHealth, Said, StoreHealth
+from api.answers.schemas import ArchiveHealth, Health, ProcessHealth, Said, StoreHealth
 from api.answers.thresholds import crossed
 from api.answers.words import said_of
-from daq.store.records import ProcessStatus, StandingAlarm, StoreUnavailable
+from daq.store.records import Archive, ProcessStatus, StandingAlarm, StoreUnavailable
 from daq.store.store import Store
 from daq.store.upkeep import Sizes
 from daq.supervision import BEAT_S
@@ -96,6 +96,8 @@ def _conditions(
     free_bytes = store.sizes().free_bytes
     if free_bytes is not None and free_bytes < LEAST_FREE_BYTES:
         alarms.append(say("health-disk-nearly-full", gigabytes=LEAST_FREE_BYTES // 10**9))
+    if (archive := store.archive()) is not None and archive.unsound:
+        alarms.append(say("health-archive-unsound", files=archive.unsound, folder=archive.folder))
     if (age_s := refit_age_s(store, statuses, now)) is not None and age_s > REFIT_OVERDUE_S:
         alarms.append(say("health-nightly-job-overdue", hours=age_s / 3600.0))
     return alarms
@@ -227,6 +229,15 @@ def _store_health(store: Store) -> StoreHealth:
         size_bytes=sizes.bytes,
         free_bytes=sizes.free_bytes,
         hours_left=_hours_left(store, sizes),
+        archive=_archive_health(store.archive()),
+    )
+
+
+def _archive_health(archive: Archive | None) -> ArchiveHealth | None:
+    if archive is None:
+        return None
+    return ArchiveHealth(
+        runs=archive.runs, bytes=archive.bytes, unsound=archive.unsound, pressings_only=archive.removed
     )
 
 

@@ -58,6 +58,18 @@ class ProcessHealth(_Answer):
     details: dict[str, Any] = Field(default_factory=dict)
 
 
+class ArchiveHealth(_Answer):
+    """The archive of old runs' scans."""
+
+    runs: int
+    """Whose scans are there."""
+    bytes: int
+    unsound: int
+    """Files found missing or damaged, each named in the journal."""
+    pressings_only: int
+    """Runs whose scans were given up by rule."""
+
+
 class StoreHealth(_Answer):
     """The store: how big it is and how long the disk lasts."""
 
@@ -65,6 +77,7 @@ class StoreHealth(_Answer):
     size_bytes: int | None
     free_bytes: int | None
     hours_left: float | None = Field(description="At the present rate; null until 10 min and 16 MB were recorded.")
+    archive: ArchiveHealth | None = Field(default=None, description="Null where `store.archive` is not set.")
 
 
 class Health(_Answer):
@@ -608,6 +621,16 @@ class Night(_Answer):
     """The model in force afterwards, empty where there is none."""
     reason: str
     reason_said: Said
+    archived: int = 0
+    """Runs whose scans were moved into the archive."""
+    archived_bytes: int = 0
+    """Size of their files."""
+    freed_bytes: int = 0
+    """Room in the store for new scans."""
+    pressings_only: int = 0
+    """Runs whose archived scans were given up by rule."""
+    archive_later: int = 0
+    """Runs due for the archive that are still in the store."""
 
 
 class NightList(_Answer):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import socket
 import sys
+from datetime import timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from daq.process.config import Config, ServerSettings
     from daq.store.store import Store
     from softsensor.jobs.night_judgement import NightOutcome
+    from softsensor.jobs.retention import Rules
 
 Host = Annotated[str | None, typer.Option("--host", metavar="ADDRESS", help="help-host")]
 Port = Annotated[int | None, typer.Option("--port", min=0, max=65535, metavar="N", help="help-port")]
@@ -112,13 +114,32 @@ def refit(
                     read_press(press.file),
                     workers=workers or settings.refit.workers,
                     dask=dask or settings.refit.dask,
+                    rules=_rules(settings),
                 )
             tell(outcome.line)
+            if outcome.archive is not None:
+                tell(outcome.archive)
             outcomes.append(outcome)
             failed += _report(store, outcome, settings)
         nightly.sign_off(store, outcomes)
     if failed:
         raise WorkFailed(say("terminal-refit-failed", failures=tuple(failed)))
+
+
+def _rules(settings: Config) -> Rules | None:
+    """Return what becomes of old scans; the presses share the night's time for it."""
+    from softsensor.jobs.retention import Rules
+
+    kept = settings.store
+    if kept.archive is None:
+        return None
+    last = kept.pressings_only_after_days
+    return Rules(
+        folder=kept.archive,
+        archive_after=timedelta(days=kept.archive_after_days),
+        pressings_only_after=None if last is None else timedelta(days=last),
+        seconds=60.0 * kept.archive_minutes / len(settings.press),
+    )
 
 
 def _report(store: Store, outcome: NightOutcome, settings: Config) -> list[Message]:

@@ -61,6 +61,10 @@ def _add_health(health: Health, refit_s: float | None, registry: CollectorRegist
     if health.store.size_bytes is not None and health.store.free_bytes is not None:
         Gauge("kerntemp_store_bytes", "Size of the store", registry=registry).set(health.store.size_bytes)
         Gauge("kerntemp_store_free_bytes", "Free on its disk", registry=registry).set(health.store.free_bytes)
+    if (archive := health.store.archive) is not None:
+        Gauge("kerntemp_archive_runs", "Runs whose scans are archived", registry=registry).set(archive.runs)
+        Gauge("kerntemp_archive_bytes", "Size of their files", registry=registry).set(archive.bytes)
+        Gauge("kerntemp_archive_unsound", "Files missing or damaged", registry=registry).set(archive.unsound)
     told = [(duty_of(process.name), process.details) for process in health.processes]
     _add_recorders([details for kind, details in told if kind == "record"], registry)
     behind = Gauge("kerntemp_sense_behind_scans", "Scans without estimate yet", ["press"], registry=registry)
@@ -103,6 +107,8 @@ def _add_nights(nights: Mapping[str, StoredNight], now: datetime, registry: Coll
             memory.labels(name).set(told["memory_bytes"])
         for what in ("runs", "new", "fitted", "not_fitted", "blind", "later"):
             runs.labels(name, "stored" if what == "runs" else what).set(told[what])
+        for what in ("archived", "pressings_only", "archive_later"):
+            runs.labels(name, what).set(told.get(what, 0))  # nights of older versions had no archive
         for effect in told["named"]:
             named.labels(name, effect).set(1)
         for what in ("promoted", "refused"):

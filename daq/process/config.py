@@ -59,6 +59,25 @@ class StoreSettings(_Table):
     keep_idle_days: Annotated[float, Field(ge=1)] = 30.0
     """Scans outside every run are thinned after this many days. Runs are never touched: a day is longer than
     what a run takes in from before its insertion, and than its row waits behind its scans in a back-fill."""
+    archive: Path | None = None
+    """Folder that the nightly job moves the scans of old runs to, one file a run. None: they stay in the store."""
+    archive_after_days: Annotated[float, Field(ge=1)] = 90.0
+    """Age of a run from which on that is done."""
+    pressings_only_after_days: Annotated[float, Field(ge=1)] | None = None
+    """Age from which on archived scans are given up; header, moments and fits stay. None: never."""
+    archive_minutes: Annotated[float, Field(gt=0)] = 30.0
+    """Time of a night that this may take; what is left over goes on in the next one."""
+
+    @model_validator(mode="after")
+    def _one_step_after_the_other(self) -> StoreSettings:
+        given = self.model_fields_set & {"archive_after_days", "pressings_only_after_days", "archive_minutes"}
+        if self.archive is None and given:
+            raise ValueError(say("config-no-archive", key=min(given)))
+        last = self.pressings_only_after_days
+        if last is not None and last <= self.archive_after_days:
+            said = {"days": last, "archived": self.archive_after_days}
+            raise ValueError(say("config-pressings-only-too-early", **said))
+        return self
 
 
 class PressSettings(_Table):
@@ -281,7 +300,9 @@ def check_columns(settings: PressSettings, press: Press, where: str) -> None:
 
 def _absolute(config: Config, folder: Path) -> Config:
     buffer = folder / (config.store.buffer or "kerntemp-buffer.sqlite")
-    store = config.store.model_copy(update={"url": config.store.url.beside(folder), "buffer": buffer})
+    archive = None if config.store.archive is None else folder / config.store.archive
+    places = {"url": config.store.url.beside(folder), "buffer": buffer, "archive": archive}
+    store = config.store.model_copy(update=places)
     presses = tuple(
         p.model_copy(
             update={

@@ -25,6 +25,7 @@ from softsensor.jobs.model_in_force import PRESS_FILE, fingerprint
 from softsensor.jobs.night_fits import Done, FitTask, fit_all
 from softsensor.jobs.night_judgement import PROCESS, Night, NightOutcome, judge_night
 from softsensor.jobs.night_progress import Agenda, agenda_of
+from softsensor.jobs.retention import Kept, Rules, keep_house
 
 ROLLED_BACK = "model-rolled-back"
 
@@ -41,6 +42,7 @@ def refit_press(
     *,
     workers: int | None = None,
     dask: str = "",
+    rules: Rules | None = None,
 ) -> NightOutcome:
     """Run the job for one press, and sign off for it.
 
@@ -50,8 +52,11 @@ def refit_press(
         Local processes; by default one a core.
     dask
         Address of a Dask scheduler; its workers take the fits instead.
+    rules
+        What becomes of old scans; None: they stay in the store.
     """
     started, begun = datetime.now(UTC), time.perf_counter()
+    kept = Kept() if rules is None else keep_house(store, name, rules, started)
     active = store.active_model(name)
     base = parse_model(active.model, f"model {active.version}") if active is not None else None
     agenda = agenda_of(store, name, press, base)
@@ -65,7 +70,8 @@ def refit_press(
         outcome = judge_night(Night(store, name, press, base, agenda.window, fits), outcome)
     progress = replace(agenda.progress, basis=basis)
     outcome = replace(outcome, drifts=tuple((a.coefficient, a.message) for a in alarms_of(store, name)))
-    told = _told(outcome, time.perf_counter() - begun)
+    outcome = replace(outcome, archive=kept.line(name))
+    told = _told(outcome, time.perf_counter() - begun) | kept.told()
     store.put_night(StoredNight(name, started, datetime.now(UTC), told, progress.as_json()))
     store.log("info", PROCESS, outcome.line, name)
     return outcome

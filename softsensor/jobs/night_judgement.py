@@ -91,6 +91,8 @@ class NightOutcome:
     """Effects the diagnosis named."""
     refused: str = ""
     """A candidate that was made and not promoted."""
+    archive: Message | None = None
+    """What became of old scans, None where nothing did."""
 
     @property
     def fits_line(self) -> Message:

@@ -74,6 +74,18 @@ def test_a_resin_of_the_configuration_stands_beside_it_and_is_checked_at_once(fo
         (("lab.toml", "none.toml"), r"none.toml: cannot read the press file: No such file"),
         (("port = 9000", "port = 90000"), r"server.port = 90000"),
         (
+            ("[store]", "[store]\narchive_after_days = 30.0"),
+            r"archive_after_days says when scans go to the archive, but there is none; name a folder as archive",
+        ),
+        (
+            ("[store]", '[store]\narchive = "a"\narchive_after_days = 0.5'),
+            r"store.archive_after_days = 0.5: .*greater than or equal to 1",
+        ),
+        (
+            ("[store]", '[store]\narchive = "a"\npressings_only_after_days = 90'),
+            r"pressings_only_after_days = 90: must be more than archive_after_days = 90",
+        ),
+        (
             ("[store]", "[store]\nkeep_idle_days = 0.5"),
             r"store.keep_idle_days = 0.5: .*greater than or equal to 1",
         ),

@@ -35,6 +35,7 @@ def store(tmp_path):
         opened.append_estimates("lab", [said])
         logger = {"press": "lab", "name": "top", "state": "lost", "counters": {"good": 7, "no reply": 2}}
         told = {"press": "lab", "missed_ticks": 3}
+        opened.use_archive(tmp_path / "archive")
         opened.beat("record", {"state": "running", "waiting": 4, "presses": [told], "loggers": [logger]})
         opened.beat("sense", {"state": "running", "presses": [{"press": "lab", "behind_scans": 5}]})
         opened.beat("refit", {"state": "done", "message": "lab: 1 of 1 runs fitted"})

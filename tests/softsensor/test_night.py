@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 from dataclasses import replace
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -30,9 +31,10 @@ from softsensor.jobs import night_judgement as nightly_judge
 from softsensor.jobs import night_progress as progress
 from softsensor.jobs.model_in_force import combined_model, fingerprint
 from softsensor.jobs.night import refit_press, roll_back
-from softsensor.jobs.night_fits import Done, FitTask, fit_all
+from softsensor.jobs.night_fits import Done, FitTask, fit_all, fit_stored
 from softsensor.jobs.night_judgement import surely_less
 from softsensor.jobs.night_record import night_record, stored_night_record
+from softsensor.jobs.retention import Kept, Rules, keep_house
 from softsensor.report.night_report import night_report, write_report
 from tests.editions import edition
 from tests.panels import panel_stated
@@ -727,3 +729,42 @@ def test_three_runs_need_a_clearer_gain_than_twelve():
     ratios = np.array([0.95, 0.8, 0.65])
     assert not surely_less(np.ones(3), ratios)
     assert surely_less(np.ones(12), np.tile(ratios, 4))
+
+
+def test_a_night_archives_old_runs_by_the_rules_and_fits_them_from_there(store, runs, tmp_path):
+    dated = [
+        replace(run, header={**run.header, "recorded.started_utc": datetime(2020, 1, 1, tzinfo=UTC)})
+        for run in runs[:2]
+    ]
+    fill(store, dated)
+    before = {run.name: fit_stored(FitTask(store.database.address, PRESS, run.name, None)).fit for run in dated}
+    rules = Rules(tmp_path / "archive", timedelta(days=90), None, 600.0)
+    first = refit_press(store, "lab", PRESS, workers=1, rules=rules)
+    assert (first.fitted, first.failed) == (2, 0)
+    told = store.nights(press="lab").items[0].night
+    assert (told["archived"], told["archive_later"], told["pressings_only"]) == (2, 0, 0)
+    assert min(told["freed_bytes"], told["archived_bytes"]) > 0
+    for run, fit in before.items():
+        assert store.fit(run)["coefficients"] == json.loads(json.dumps(fit))["coefficients"]
+    last = replace(rules, pressings_only_after=timedelta(days=365))
+    assert refit_press(store, "lab", PRESS, workers=1, rules=last).archive is not None
+    assert store.nights(press="lab").items[0].night["pressings_only"] == 2
+    store.annotate_run(runs[0].name, {"panel.density_kg_m3": 700.0}, "tester")
+    assert refit_press(store, "lab", PRESS, workers=1, rules=last).failed == 0
+    assert set(store.fits(list(before))) == set(before)
+
+
+def test_a_night_without_time_leaves_the_archive_to_the_next_and_a_wrong_folder_stops_nothing_else(
+    store, runs, tmp_path
+):
+    fill(
+        store,
+        [replace(runs[0], header={**runs[0].header, "recorded.started_utc": datetime(2020, 1, 1, tzinfo=UTC)})],
+    )
+    (tmp_path / "file").write_text("")
+    rules = Rules(tmp_path / "archive", timedelta(days=90), None, 0.0)
+    assert keep_house(store, "lab", rules, datetime.now(UTC)).archive_later == 1
+    lost = keep_house(store, "lab", replace(rules, folder=tmp_path / "file"), datetime.now(UTC))
+    assert lost == Kept()
+    [said] = store.journal(level="alarm").items
+    assert "correct store.archive" in str(said.message)

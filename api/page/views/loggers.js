@@ -21,6 +21,7 @@ export async function show(place) {
 function storeCard({ store, status }) {
   return el("section", { class: "card" }, el("div", { class: "head" }, el("h2", { style: "margin:0" }, text("page-store")), el("span", { class: `pill ${{ ok: "good", degraded: "warn", down: "bad" }[status]}` }, text(`page-health-${status}`))),
     el("dl", { class: "facts" }, [[text("page-kind"), store.kind], [text("page-size"), bytes(store.size_bytes)], [text("page-free"), bytes(store.free_bytes)],
+      ...(store.archive ? [[text("page-archive"), text("page-archive-holds", { runs: store.archive.runs, size: bytes(store.archive.bytes), unsound: store.archive.unsound })]] : []),
       [text("page-hours-left"), store.hours_left === null ? "–" : duration(store.hours_left * 3600)]].flatMap(([name, value]) => [el("dt", {}, name), el("dd", {}, value)])));
 }
 

@@ -23,11 +23,14 @@ function nightTable(nights) {
   const heads = [{ text: text("page-night") }, { text: text("page-night-new"), class: "right" }, { text: text("page-night-fitted"), class: "right" }, { text: text("page-night-left-out") },
     { text: text("page-night-took"), class: "right" }, { text: text("page-night-memory"), class: "right" }, { text: text("page-night-named") }, { text: text("page-night-model") }];
   return table(text("page-nav-nights"), heads, nights.map((one) => [
-    el("div", {}, report(one), el("p", { class: "small faint" }, text("page-night-stored", { press: one.press, runs: one.runs }))),
+    el("div", {}, report(one), el("p", { class: "small faint" }, text("page-night-stored", { press: one.press, runs: one.runs })), archive(one)),
     count(one.new), fitted(one), leftOut(one), el("span", { class: "num" }, duration(one.seconds)), el("span", { class: "num" }, bytes(one.memory_bytes)), named(one), model(one)]), { cards: true });
 }
 
 const report = (one) => el("a", { href: url(`/nights/${one.id}/report`, { language: language() }), download: null, target: "_blank", title: text("page-night-report"), onclick: download }, when(one.ended_utc));
+
+const archive = (one) => one.archived || one.pressings_only || one.archive_later
+  ? el("p", { class: "small faint" }, text("page-night-archive", { archived: one.archived, freed: bytes(one.freed_bytes), removed: one.pressings_only, later: one.archive_later })) : "";
 
 const count = (value) => el("span", { class: "num" }, number(value, 0));
 

@@ -1,0 +1,126 @@
+"""What a night does with a press's old scans: into the archive, looked after there, and given up by rule.
+
+Each run is a step of its own that the store proves before it deletes, so a night may end or be killed anywhere.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+from daq.records import InputError
+from daq.store import Store, StoreUnavailable
+from daq.words import Message, say, spoken
+from softsensor.jobs.night_judgement import PROCESS
+
+# Numbers without another source were set by hand, 2026-11.
+
+CHECKED_EVERY = timedelta(days=30)
+"""How often each file of the archive is read and held against its sum, as far as the nights' time goes."""
+CHECKING_SHARE = 0.25
+"""Of a night's time for the archive that goes into this at most."""
+
+
+@dataclass(frozen=True)
+class Rules:
+    """``archive…`` and ``pressings_only…`` of ``[store]``."""
+
+    folder: Path
+    archive_after: timedelta
+    pressings_only_after: timedelta | None
+    """None: archived scans are kept for good."""
+    seconds: float
+    """The time a press may take in a night."""
+
+
+@dataclass(frozen=True)
+class Kept:
+    """What became of a press's old scans in a night."""
+
+    archived: int = 0
+    """Runs moved into the archive."""
+    archived_bytes: int = 0
+    """Size of their files."""
+    freed_bytes: int = 0
+    """Room in the store for new scans; an SQLite file keeps its size and fills it again."""
+    pressings_only: int = 0
+    """Runs whose archived scans were given up."""
+    archive_later: int = 0
+    """Runs due that this night had no time for, or that could not be moved."""
+
+    def told(self) -> dict[str, Any]:
+        """Return it as a night keeps it."""
+        return dict(self.__dict__)
+
+    def line(self, press: str) -> Message | None:
+        """Return one line for terminal and journal, None where nothing was done."""
+        if not (self.archived or self.pressings_only or self.archive_later):
+            return None
+        moved = {"archived": self.archived, "freed": self.freed_bytes / 1e6, "written": self.archived_bytes / 1e6}
+        return say("night-archive", press=press, **moved, removed=self.pressings_only, later=self.archive_later)
+
+
+def keep_house(store: Store, press: str, rules: Rules, now: datetime) -> Kept:
+    """Do as the rules say, for as long as they allow; what goes wrong is in the journal and stops nothing else."""
+    began = time.monotonic()
+    try:
+        store.use_archive(rules.folder)
+    except InputError as error:
+        store.log("alarm", PROCESS, spoken(error), press)
+        return Kept()
+    _check(store, press, now, began + CHECKING_SHARE * rules.seconds)
+    deadline = began + rules.seconds
+    kept = _give_up(store, press, rules, now, deadline)
+    kept = _archive(store, press, kept, now - rules.archive_after, deadline)
+    line = kept.line(press)
+    if line is not None:
+        store.log("info", PROCESS, line, press)
+    return kept
+
+
+def _check(store: Store, press: str, now: datetime, deadline: float) -> None:
+    """Read files whose turn it is, first those that were not sound; nothing is deleted."""
+    store.recheck_unsound()
+    while time.monotonic() < deadline:
+        checked = store.check_archive(now - CHECKED_EVERY)
+        for problem in checked.unsound:
+            store.log("warning", PROCESS, problem, press)
+        for run in checked.mended:
+            store.log("info", PROCESS, say("archive-file-mended", run=run), press)
+        if not checked.files:
+            return
+
+
+def _give_up(store: Store, press: str, rules: Rules, now: datetime, deadline: float) -> Kept:
+    kept = Kept()
+    while rules.pressings_only_after is not None and time.monotonic() < deadline:
+        runs, _ = store.remove_archived(press, now - rules.pressings_only_after)
+        if not runs:
+            break
+        kept = replace(kept, pressings_only=kept.pressings_only + runs)
+    return kept
+
+
+def _archive(store: Store, press: str, kept: Kept, before: datetime, deadline: float) -> Kept:
+    due = store.runs_to_archive(press, before)
+    for run in due:
+        if time.monotonic() > deadline:
+            break
+        try:
+            moved = store.archive_run(run)
+        except InputError as error:
+            store.log("alarm", PROCESS, spoken(error), press)
+            continue
+        except StoreUnavailable as error:  # a full disk takes the next run no better
+            store.log("alarm", PROCESS, spoken(error), press)
+            break
+        kept = replace(
+            kept,
+            archived=kept.archived + 1,
+            archived_bytes=kept.archived_bytes + moved.file_bytes,
+            freed_bytes=kept.freed_bytes + moved.freed_bytes,
+        )
+    return replace(kept, archive_later=len(due) - kept.archived)

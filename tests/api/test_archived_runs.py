@@ -1,0 +1,57 @@
+"""REST, Python and files answer of archived runs as of others, and say plainly what they cannot read."""
+
+from pathlib import Path
+
+import numpy as np
+
+import daq
+from api.cli import main
+from tests.api.conftest import STARTED
+
+RUN = "lab-2026-03-04-01"
+PATHS = (
+    f"runs/{RUN}",
+    f"runs/{RUN}/samples",
+    f"runs/{RUN}/samples?columns=top_1,core_1&from=5&to=20&max_points=50",
+    f"runs/{RUN}/samples?format=csv",
+    f"runs/{RUN}/samples?format=parquet",
+    f"runs/{RUN}/estimates",
+    f"runs/{RUN}/fit",
+)
+
+
+def asked(client):
+    return {path: client.get(f"/api/v1/{path}").content for path in PATHS}
+
+
+def exported(store, folder):
+    assert main(["export", RUN, "--out", str(folder / "run.csv"), "--store", str(store.database.path)]) == 0
+    return (folder / "run.csv").read_bytes()
+
+
+def test_an_archived_run_gives_every_answer_as_before_and_a_lost_file_is_told(store, client, tmp_path):
+    (tmp_path / "before").mkdir()
+    (tmp_path / "after").mkdir()
+    before, files, table = (
+        asked(client),
+        exported(store, tmp_path / "before"),
+        daq.open_store(store.label).samples(RUN),
+    )
+    store.use_archive(tmp_path / "archive")
+    store.archive_run(RUN)
+    assert asked(client) == before
+    assert exported(store, tmp_path / "after") == files
+    again = daq.open_store(store.label).samples(RUN)
+    assert again.equals(table)
+    assert np.array_equal(again.index, table.index)
+    kept = client.get("/api/v1/health").json()
+    assert (kept["store"]["archive"]["runs"], kept["store"]["archive"]["unsound"]) == (1, 0)
+    [file] = (tmp_path / "archive").rglob("*.parquet")
+    file.rename(Path(f"{file}.away"))
+    answer = client.get(f"/api/v1/runs/{RUN}/samples")
+    assert answer.status_code == 503
+    assert "not there; copy it back from a backup of the archive" in answer.json()["detail"]
+    assert client.get(f"/api/v1/runs/{RUN}").content == before[f"runs/{RUN}"]
+    assert len(store.check_archive(STARTED.replace(year=2100)).unsound) == 1
+    assert any("one file is missing or damaged" in said for said in client.get("/api/v1/health").json()["alarms"])
+    assert "kerntemp_archive_unsound 1.0" in client.get("/metrics").text

@@ -1,0 +1,78 @@
+"""What a scan costs in the store and in the archive, and what moving and reading a run takes, side by side.
+
+A run of 3,000 scans of 16 channels at 0.1 K, warming up as in a press, with noise of half a step. Asserts the
+size of issue 23 and that every bit comes back; times are printed.
+"""
+
+import time
+from datetime import UTC, datetime, timedelta
+
+import numpy as np
+import pytest
+
+from daq.records import Channel, Quality, Scan
+from daq.store import NewRun, RunEnd, open_store
+from tests.daq.test_store_archive import heating
+
+BEGAN = datetime(2026, 3, 4, 7, 0, tzinfo=UTC)
+CHANNELS = tuple(Channel(f"top_{i}", "C") for i in range(16))
+RUNS, SCANS = 20, 3000
+LARGEST_BYTES = 12.0
+"""A scan of 16 channels at 0.1 K in the archive. (Issue 23)"""
+
+
+def press(store):
+    """Record the runs; returns scans a second."""
+    key = store.register_press("lab", CHANNELS)
+    table = (heating(SCANS) * 0.1).tolist()
+    jitter = np.random.default_rng(5).normal(0, 2e-4, SCANS).tolist()
+    good = (Quality.GOOD,) * 16
+    spent = 0.0
+    for run in range(RUNS):
+        first, start = SCANS * run, BEGAN + timedelta(seconds=400 * run)
+        at = [i / 10 + jitter[i] for i in range(SCANS)]
+        scans = [
+            Scan(first + i, start + timedelta(seconds=at[i]), round(400.0 * run + at[i], 6), tuple(table[i]), good)
+            for i in range(SCANS)
+        ]
+        begin = NewRun(f"lab-{run:02d}", first, start, 400.0 * run, {"panel.material": "MDF"})
+        began = time.perf_counter()
+        store.append_scans(key, scans, begin=begin, end=RunEnd(begin.run, first + SCANS - 1, scans[-1].utc))
+        spent += time.perf_counter() - began
+    return RUNS * SCANS / spent
+
+
+def read(store):
+    """Return the runs' columns and the median time of reading one. [ms]"""
+    spent, columns = [], []
+    for run in range(RUNS):
+        began = time.perf_counter()
+        columns.append(store.load_run(f"lab-{run:02d}").columns)
+        spent.append(1000 * (time.perf_counter() - began))
+    return columns, float(np.median(spent))
+
+
+@pytest.mark.benchmark
+@pytest.mark.timeout(600)
+def test_a_scan_in_the_store_and_in_the_archive(store_url, tmp_path):
+    with open_store(store_url) as store:
+        empty = store.sizes().bytes
+        rate = press(store)
+        in_store = (store.sizes().bytes - empty) / (RUNS * SCANS)
+        before, read_store = read(store)
+        store.use_archive(tmp_path / "archive")
+        began = time.perf_counter()
+        moved = [store.archive_run(f"lab-{run:02d}") for run in range(RUNS)]
+        moving = 1000 * (time.perf_counter() - began) / RUNS
+        after, read_archive = read(store)
+    in_archive = sum(one.file_bytes for one in moved) / (RUNS * SCANS)
+    print(f"\n{store.database.dialect}, {RUNS} runs of {SCANS} scans of 16 channels at 0.1 K")
+    for what, here, there in (
+        ("bytes a scan", in_store, in_archive),
+        ("ms to read a run", read_store, read_archive),
+    ):
+        print(f"{what:16}  store {here:6.1f}  archive {there:5.2f}  ratio {here / there:.2f}")
+    print(f"scans written a second {rate:.0f}; a run moved in {moving:.0f} ms, proved")
+    assert in_archive <= LARGEST_BYTES
+    for mine, its in zip(before, after, strict=True):
+        assert {n: v.tobytes() for n, v in mine.items()} == {n: v.tobytes() for n, v in its.items()}
