@@ -50,6 +50,12 @@ class Present:
     """Of its scan."""
 
     @property
+    def silent(self) -> bool:
+        """Whether there was an estimate and none is of now, for the recorder or the live sensor is silent."""
+        reason = self.estimate.reason if self.estimate is not None else ""
+        return self.late is not None or reason == InvalidReason.LIVE_SENSOR_SILENT
+
+    @property
     def open_now(self) -> bool:
         """Whether the press may open now; false where anything is not known."""
         return self.estimate is not None and leave_of(self.estimate)
@@ -74,9 +80,7 @@ def present_of(store: Store, press: str, now: datetime) -> Present:
     if found and (scan is None or scan.number != number):
         own = next((s for s in store.scans_after(press, number - 1, 1).scans if s.number == number), None)
     utc = own.utc if found and own is not None else None
-    estimate = (
-        _as_of_now(found[0], late or _silent(utc, now) or _beside(found[0], state, run), state) if found else None
-    )
+    estimate = as_of_now(found[0], utc, state, run, now, late) if found else None
     return Present(scan, tuple(batch.channels), run, events, late, state, estimate, utc)
 
 
@@ -129,8 +133,24 @@ def _beside(said: StoredEstimate, state: State, run: RunRecord | None) -> Invali
     return Invalid(InvalidReason.PRESS_STATE_UNKNOWN) if said.valid and said.state != state else None
 
 
-def _as_of_now(said: StoredEstimate, why: Invalid | None, state: State) -> StoredEstimate:
-    """Return an estimate as it counts now: without numbers where there is a reason."""
+def as_of_now(
+    said: StoredEstimate,
+    utc: datetime | None,
+    state: State,
+    run: RunRecord | None,
+    now: datetime,
+    late: Invalid | None = None,
+) -> StoredEstimate:
+    """Return the newest estimate, of a scan of `utc`, as it counts now: without numbers where it is not of now.
+
+    Parameters
+    ----------
+    state, run
+        What the recorder says of the press, and the run it records.
+    late
+        Why the newest scan is not of now.
+    """
+    why = late or _silent(utc, now) or _beside(said, state, run)
     stands: PressState | Literal["unknown"] = "unknown" if state == "unknown" else PressState(state)
     if why is None:
         return replace(said, state=stands)

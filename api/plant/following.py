@@ -129,7 +129,6 @@ def estimate_body(press: str, estimate: StoredEstimate, utc: datetime | None) ->
         "core_low_C": number_or_none(estimate.core_low_celsius),
         "core_high_C": number_or_none(estimate.core_high_celsius),
         "valid": estimate.valid,
-        "open_now": estimate.valid and (estimate.detail or {}).get("open_now") is True,
         "reason": estimate.reason,
         "reason_arguments": (estimate.detail or {}).get("reason_arguments", {}),
         "model_version": estimate.model_version,

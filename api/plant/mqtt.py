@@ -8,7 +8,10 @@ Topics, each message JSON, quality of service 1, retained (so a newcomer sees th
 ``prefix/PRESS/estimate``  every estimate: ``core_C`` with ``core_low_C``, ``core_high_C`` (95 %), ``valid``
 ``prefix/PRESS/event``     ``inserted``, ``closed``, ``opened``, ``removed``, and the ``state`` after it
 ``prefix/PRESS/model``     the model version in force
+``prefix/PRESS/open_now``  whether the press may open now: of the present, not a record; see `api.plant.leave`
 =========================  ==================================================================
+
+Records stay what they were at their `utc`, retained or not: a retained estimate does not become old by itself.
 
 After an interruption everything stored meanwhile follows, in order. Where to go on is asked of the broker
 itself: its retained message carries the number that really arrived, so nothing is sent twice even if the
@@ -21,9 +24,12 @@ the seconds of an idle press before an insertion it had not seen yet, is in the 
 from __future__ import annotations
 
 import json
+import socket
 import threading
 import time
 from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
 
@@ -53,18 +59,30 @@ class BrokerAway(ConnectionError):
     """The broker does not answer: try again. The text says what to do."""
 
 
+@dataclass(frozen=True)
+class Will:
+    """What the broker tells where a connection ends without goodbye."""
+
+    topic: tuple[str, ...]
+    body: Mapping[str, Any]
+    client: str = ""
+    """What the client identifier ends with: two connections with the same one push each other out."""
+    keepalive_s: int = KEEPALIVE_S
+
+
 class Broker:
     """One connection to the broker: it ends with the first fault, and a new one is made."""
 
-    def __init__(self, settings: MqttSettings) -> None:
-        self._settings = settings
+    def __init__(self, settings: MqttSettings, will: Will | None = None) -> None:
+        will = will or Will(("status",), {"state": "offline"})
+        self._settings, self._keepalive_s = settings, will.keepalive_s
         self._answered = threading.Event()
         self._lost = threading.Event()
         self._reason: Message | None = None
         self._retained: dict[str, bytes] = {}
         self._marker = threading.Event()
         self._client = paho.Client(
-            CallbackAPIVersion.VERSION2, client_id=settings.client, reconnect_on_failure=False
+            CallbackAPIVersion.VERSION2, client_id=settings.client + will.client, reconnect_on_failure=False
         )
         if settings.user:
             self._client.username_pw_set(settings.user, _password(settings))
@@ -73,7 +91,7 @@ class Broker:
         self._client.on_connect = self._on_connect
         self._client.on_disconnect = self._on_disconnect
         self._client.on_message = self._on_message
-        self._client.will_set(self.topic("status"), _json({"state": "offline"}), QOS, retain=True)
+        self._client.will_set(self.topic(*will.topic), json_bytes(will.body), QOS, retain=True)
 
     def topic(self, *parts: str) -> str:
         """Return a topic below the prefix; signs that MQTT keeps for itself as ``%23`` and ``%2B``."""
@@ -83,7 +101,7 @@ class Broker:
         """Connect. Raises `BrokerAway`."""
         where = f"{self._settings.host}:{self._settings.port}"
         try:
-            self._client.connect(self._settings.host, self._settings.port, KEEPALIVE_S)
+            self._client.connect(self._settings.host, self._settings.port, self._keepalive_s)
         except (OSError, ValueError) as error:
             raise BrokerAway(say("plant-broker-unreachable", where=where, why=str(error))) from error
         self._client.loop_start()
@@ -100,9 +118,9 @@ class Broker:
         numbers = {place: _number(self._retained.get(topic)) for topic, place in topics.items()}
         return {place: number for place, number in numbers.items() if number is not None}
 
-    def send(self, messages: list[tuple[str, bytes]]) -> None:
+    def send(self, messages: list[tuple[str, bytes]], *, qos: int = QOS, retain: bool = True) -> None:
         """Publish in order and wait until the broker has all of it. Raises `BrokerAway`."""
-        sent = [self._client.publish(topic, body, QOS, retain=True) for topic, body in messages]
+        sent = [self._client.publish(topic, body, qos, retain=retain) for topic, body in messages]
         deadline = time.monotonic() + ANSWER_S
         for info in sent:
             while info.rc != paho.MQTT_ERR_SUCCESS or not info.is_published():
@@ -113,6 +131,14 @@ class Broker:
     def close(self) -> None:
         """Say goodbye and leave. A second call does no harm."""
         self._client.disconnect()
+        self._client.loop_stop()
+
+    def abandon(self) -> None:
+        """Let the connection go without goodbye, so that the broker tells the last will."""
+        line = self._client.socket()
+        if isinstance(line, socket.socket):
+            with suppress(OSError):
+                line.shutdown(socket.SHUT_RDWR)
         self._client.loop_stop()
 
     def _wait(self, event: threading.Event, code: str) -> None:
@@ -173,7 +199,7 @@ class Publisher:
                 while not stop.is_set():
                     if not self._send_waiting(broker):
                         stop.wait(POLL_S)
-                broker.send([(broker.topic("status"), _json({"state": "offline"}))])
+                broker.send([(broker.topic("status"), json_bytes({"state": "offline"}))])
             except BrokerAway as error:
                 self.problem = spoken(error)
                 stop.wait(pause_s)
@@ -189,14 +215,14 @@ class Publisher:
         self._guessed.clear()
         self._models.clear()
         online = {"state": "online", "version": installed_version(), "utc": datetime.now(UTC).isoformat()}
-        broker.send([(broker.topic("status"), _json(online))])
+        broker.send([(broker.topic("status"), json_bytes(online))])
         self.problem = None
 
     def _send_waiting(self, broker: Broker) -> bool:
         waiting = self._following.waiting() + self._models_in_force()
         if not waiting:
             return False
-        broker.send([(broker.topic(m.press, m.kind), _json(m.body)) for m in waiting])
+        broker.send([(broker.topic(m.press, m.kind), json_bytes(m.body)) for m in waiting])
         for message in waiting:
             if message.kind in KINDS:
                 self._following.seen(message)
@@ -228,7 +254,8 @@ def _number(retained: bytes | None) -> int | None:
         return None
 
 
-def _json(body: Mapping[str, Any]) -> bytes:
+def json_bytes(body: Mapping[str, Any]) -> bytes:
+    """Return a message's body."""
     return json.dumps(body, ensure_ascii=False, allow_nan=False, separators=(",", ":")).encode()
 
 

@@ -54,12 +54,13 @@ class _Feeds:
         self._config, self._tokens, self._store, self._stop = config, tokens, store, stop
         self._known = _kept_position(store)
         self._mqtt: Any = None
+        self._leave: Any = None
         self._opcua: Any = None
         self._failed: list[BaseException] = []
 
     def run(self) -> None:
         """Start the feeds and beat until stopped."""
-        work = [self._feed_mqtt] if self._config.mqtt else []
+        work = [self._feed_mqtt, self._feed_leave] if self._config.mqtt else []
         work += [self._serve_opcua] if self._config.opcua else []
         threads = [threading.Thread(target=self._guarded, args=(w,), name=w.__name__, daemon=True) for w in work]
         for thread in threads:
@@ -97,6 +98,14 @@ class _Feeds:
         LOG.info("%s", say("plant-feeds-broker", where=f"{self._config.mqtt.host}:{self._config.mqtt.port}"))
         self._mqtt.run(self._stop)
 
+    def _feed_leave(self) -> None:
+        from api.plant.leave import LeaveFeed
+
+        if self._config.mqtt is None:
+            return
+        self._leave = LeaveFeed(self._store, self._config.mqtt)
+        self._leave.run(self._stop)
+
     def _serve_opcua(self) -> None:
         from api.plant.opcua import PressServer, check_settings
 
@@ -108,7 +117,7 @@ class _Feeds:
 
     def _beat(self, state: str) -> str:
         """Write a sign of life; return what it says."""
-        problems = [feed.problem for feed in (self._mqtt, self._opcua) if feed is not None and feed.problem]
+        problems = [feed.problem for feed in (self._mqtt, self._leave, self._opcua) if feed and feed.problem]
         position = self._mqtt.position if self._mqtt is not None else self._known
         status: dict[str, Any] = {
             "state": state,

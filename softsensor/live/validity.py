@@ -38,6 +38,8 @@ class InvalidReason(StrEnum):
     NO_ESTIMATE_YET = "no estimate yet"
     NO_SCANS = "no scans"
     CLOCK_AHEAD = "clock ahead"
+    STORE_AWAY = "store away"
+    NOT_PUBLISHED = "not published"
 
     @property
     def code(self) -> str:

@@ -2,12 +2,13 @@ import json
 import socket
 import threading
 import time
-from datetime import UTC, datetime
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
 
 import httpx
 import pytest
 
-from api.http.live import Position
+from api.http.news import Position
 from daq.records import Channel, InputError, PressEvent, PressEventKind, Quality, Scan
 from daq.store.records import NewRun, PressKey
 
@@ -15,6 +16,7 @@ PATIENT_S = 60.0
 """A busy machine answers late, and fails no test for it. [s]"""
 
 LIVE = "/api/v1/live"
+CLOSING = (PressEventKind.INSERTED, PressEventKind.CLOSED)
 
 
 class Stream:
@@ -79,8 +81,8 @@ def test_scans_press_events_runs_estimates_and_fits_arrive_as_they_are_stored(
         first = scan(key.next_number, 30.0)
         new = NewRun("lab-live", first.number, first.utc, first.monotonic_s, {})
         store.append_scans(key, [first], begin=new)
-        event = PressEvent(PressEventKind.INSERTED, first.monotonic_s, first.monotonic_s)
-        store.append_scans(key, [scan(first.number + 1, 31.0)], [event])
+        events = [PressEvent(kind, first.monotonic_s, first.monotonic_s) for kind in CLOSING]
+        store.append_scans(key, [scan(first.number + 1, 31.0)], events)
         store.append_estimates("lab", [make_estimate(first, 25.0)])
         store.put_fit("lab-live", make_fit("lab-live", 5), "1")
         data = stream.wait("scan", 2)[0]["data"]
@@ -109,6 +111,65 @@ def test_who_comes_back_gets_every_scan_missed_once_and_in_order(client, store, 
         store.append_scans(key, [scan(number + 31, 71.0)])
         numbers = [e["data"]["number"] for e in back.wait("scan", 31)]
         assert numbers == list(range(number + 1, number + 32))
+    finally:
+        back.close()
+
+
+@pytest.fixture
+def leaving(store, key, make_estimate):
+    """A closed press whose panel may leave; returns what says so at a scan some time ago."""
+    store.interrupt_open_runs("lab")
+    first = scan(store.newest_scan_number("lab") + 1, 90.0)
+    name = f"lab-leaving-{first.number}"
+    store.append_scans(key, [first], begin=NewRun(name, first.number, first.utc, first.monotonic_s))
+    events = [PressEvent(kind, first.monotonic_s, first.monotonic_s) for kind in CLOSING]
+    store.append_scans(key, [scan(first.number + 1, 90.0)], events)
+
+    def say(ago_s: float) -> int:
+        new = scan(store.newest_scan_number("lab") + 1, 91.0)
+        store.append_scans(key, [replace(new, utc=new.utc - timedelta(seconds=ago_s))])
+        cured = {"cure_low": 0.9, "cure_top": 0.9, "cure_bottom": 0.9, "open_now": True}
+        store.append_estimates("lab", [replace(make_estimate(new, 85.0), detail=cured)])
+        return new.number
+
+    return say
+
+
+def told(events):
+    return [(e["data"]["number"], e["data"]["open_now"], e["data"]["reason"]) for e in events]
+
+
+def test_leave_to_open_is_withdrawn_from_the_stream_when_nobody_says_so_any_more(client, store, key, leaving):
+    stream = Stream(str(client.base_url))
+    try:
+        number = leaving(3.5)
+        first, second = stream.wait("estimate", 2)
+        assert told([first, second]) == [(number, True, ""), (number, False, "no scans")]
+        assert first["data"]["advice"]["verdict"] == "open_now"
+        assert (second["data"]["core_C"], second["data"]["state"]) == (None, "unknown")
+        assert second["data"]["advice"]["verdict"] == "not_known"
+        number = leaving(0.0)
+        assert told(stream.wait("estimate", 3))[-1] == (number, True, "")
+        opened = scan(number + 1, 92.0)
+        store.append_scans(key, [opened], [PressEvent(PressEventKind.OPENED, 1.0, 1.0)])
+        assert told(stream.wait("estimate", 4))[-1] == (number, False, "press state unknown")
+        assert len(stream.wait("estimate", 4)) == 4
+    finally:
+        stream.close()
+
+
+def test_who_comes_back_after_the_leave_was_withdrawn_hears_that_last(client, leaving):
+    stream = Stream(str(client.base_url))
+    leaving(0.0)
+    seen = stream.wait("estimate")[-1]
+    stream.close()
+    number = leaving(30.0)
+    back = Stream(str(client.base_url), str(seen["id"]))
+    try:
+        then, now = back.wait("estimate", 2)
+        assert (then["data"]["valid"], then["data"]["core_C"]) == (True, 85.0)  # as it was at its scan
+        assert told([then, now]) == [(number, False, ""), (number, False, "no scans")]
+        assert then["data"]["advice"]["verdict"] == now["data"]["advice"]["verdict"] == "not_known"
     finally:
         back.close()
 

@@ -14,6 +14,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, suppress
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -22,10 +23,11 @@ import paho.mqtt.client as paho
 import pytest
 from paho.mqtt.enums import CallbackAPIVersion
 
+from api.plant.leave import KEEPALIVE_S, LeaveFeed, leave_body
 from api.plant.mqtt import Publisher
 from daq.process.config import MqttSettings
 from daq.records import Channel, PressEvent, PressEventKind, PressState, Quality, Scan
-from daq.store import PressKey, Store, StoredEstimate, open_store
+from daq.store import NewRun, PressKey, Store, StoredEstimate, open_store
 
 MOSQUITTO = shutil.which("mosquitto", path="/usr/sbin:/usr/local/sbin:/usr/bin:/usr/local/bin")
 pytestmark = pytest.mark.skipif(MOSQUITTO is None, reason="no mosquitto is installed: apt-get install mosquitto")
@@ -223,6 +225,7 @@ def test_scans_estimates_events_and_model_arrive_with_units_quality_and_time(sto
     assert (event["event"], event["state"]) == ("closed", "closed")
     model = listener.got["plant/lab/model"][0]
     assert (model["version"], model["effects"]) == ("lab-7", ["edge_loss"])
+    assert "open_now" not in estimate  # a record, and retained
     wait_until(lambda: len(listener.got["plant/status"]) > 1)  # the broker's word may come late
     assert [s["state"] for s in listener.got["plant/status"]] == ["online", "offline"]
     listener.close()
@@ -347,3 +350,130 @@ def test_systemd_is_told_that_publish_is_ready_and_alive(tmp_path, store, broker
         assert service.wait(20) == 0
     assert said[0].startswith("READY=1")
     assert all(message.startswith("WATCHDOG=1") for message in said[1:])
+
+
+LEAVE = "plant/lab/open_now"
+
+
+class Pressing(Recorder):
+    """A closed press whose panel may leave, with scans of now."""
+
+    def __init__(self, store: Store) -> None:
+        super().__init__(store)
+        first = self.scan(0)
+        store.append_scans(self.key, [first], begin=NewRun("one", 0, first.utc, first.monotonic_s))
+        at = first.monotonic_s
+        self.next = 1
+        self.events = [PressEvent(kind, at, at) for kind in (PressEventKind.INSERTED, PressEventKind.CLOSED)]
+
+    def say(self, *, leave: bool = True, ago_s: float = 0.0) -> None:
+        scan = replace(self.scan(self.next), utc=datetime.now(UTC) - timedelta(seconds=ago_s))
+        self.store.append_scans(self.key, [scan], self.events)
+        self.store.append_estimates("lab", [replace(self.estimate(scan), detail={"open_now": leave})])
+        self.next, self.events = self.next + 1, []
+
+
+@contextmanager
+def giving_leave(store: Store, port: int) -> Iterator[LeaveFeed]:
+    feed, stop = LeaveFeed(store, MqttSettings(host="127.0.0.1", port=port, prefix="plant")), threading.Event()
+    thread = threading.Thread(target=feed.run, args=(stop,))
+    thread.start()
+    try:
+        yield feed
+    finally:
+        stop.set()
+        thread.join(20)
+        assert not thread.is_alive()
+
+
+def last(listener: Listener) -> tuple[bool, bool, str]:
+    """The newest word of leave to open: whether, whether that is known, and why not."""
+    said = (listener.got.get(LEAVE) or [{"open_now": None, "known": None, "reason": None}])[-1]
+    return said["open_now"], said["known"], said["reason"]
+
+
+def test_leave_to_open_is_said_each_second_and_taken_back_when_nobody_knows(store, broker):
+    pressing, listener = Pressing(store), Listener(broker.port)
+    with giving_leave(store, broker.port):
+        pressing.say(ago_s=2.5)
+        wait_until(lambda: last(listener) == (True, True, ""))
+        given = listener.got[LEAVE][-1]
+        until = datetime.fromisoformat(given["valid_until_utc"]) - datetime.fromisoformat(given["utc"])
+        assert (until, given["state"]) == (timedelta(seconds=5), "closed")
+        wait_until(lambda: [m["open_now"] for m in listener.got[LEAVE]].count(True) > 1)  # again, unchanged
+        wait_until(lambda: last(listener) == (False, False, "no scans"), 10)
+        pressing.say(leave=False)
+        wait_until(lambda: last(listener) == (False, True, ""))
+        pressing.say()
+        wait_until(lambda: last(listener)[0])
+    wait_until(lambda: last(listener) == (False, False, "not published"))
+    listener.close()
+
+
+def test_nothing_but_false_is_retained_so_no_relay_ever_hears_yesterdays_leave(store, broker):
+    pressing = Pressing(store)
+    with giving_leave(store, broker.port):
+        first = Listener(broker.port)
+        pressing.say()
+        wait_until(lambda: last(first)[0])
+        newcomer = Listener(broker.port)
+        wait_until(lambda: last(newcomer)[0])
+        assert [m["open_now"] for m in newcomer.got[LEAVE]][:2] == [False, True]
+        assert LEAVE in newcomer.retained
+    for listener in (first, newcomer):
+        listener.close()
+
+
+def test_leave_comes_again_by_itself_after_the_broker_was_away(store, broker):
+    pressing = Pressing(store)
+    with giving_leave(store, broker.port) as feed:
+        pressing.say(ago_s=-2.0)
+        wait_until(lambda: feed.problem is None and store.presses())
+        broker.kill()
+        wait_until(lambda: "MQTT broker 127.0.0.1" in str(feed.problem))
+        broker.start()
+        listener = Listener(broker.port)
+        pressing.say(ago_s=-2.0)
+        wait_until(lambda: last(listener)[0], 30)
+        assert feed.problem is None
+        listener.close()
+
+
+def test_a_store_that_does_not_answer_gives_no_leave():
+    body = leave_body("lab", None, datetime.now(UTC))
+    assert (body["open_now"], body["known"], body["reason"]) == (False, False, "store away")
+
+
+@pytest.mark.skipif(os.name == "nt", reason="SIGKILL is POSIX")
+@pytest.mark.parametrize(
+    ("word", "longest_s"),
+    [
+        (signal.SIGKILL, 3.0),
+        # Mosquitto looks every 5 s
+        pytest.param(signal.SIGSTOP, 1.5 * KEEPALIVE_S + 5.0 + 3.0, marks=pytest.mark.campaign),
+    ],
+)
+def test_the_broker_takes_leave_back_for_a_publisher_that_was_killed_or_hangs(
+    tmp_path, store, broker, word, longest_s
+):
+    pressing, listener = Pressing(store), Listener(broker.port)
+    process = command(tmp_path, broker)
+
+    def given() -> bool:
+        pressing.say()
+        time.sleep(0.1)
+        return last(listener)[0]
+
+    try:
+        wait_until(given)
+        process.send_signal(word)
+        stopped = time.monotonic()
+        while last(listener)[0]:
+            pressing.say()  # recorder and live sensor go on
+            time.sleep(0.1)
+            assert time.monotonic() - stopped < longest_s
+        assert last(listener) == (False, False, "not published")
+    finally:
+        process.kill()
+        process.wait()
+        listener.close()

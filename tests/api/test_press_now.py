@@ -13,7 +13,7 @@ import pytest
 from api.answers.drift import drift_of
 from api.answers.records import press_now
 from api.answers.thresholds import crossed
-from api.http.live import Position, news
+from api.http.news import Position, news
 from daq.records import Channel, PressEvent, PressEventKind, Quality, Run, Scan
 from daq.store.records import NewRun, PressKey, RunEnd, StoredEstimate
 from daq.store.store import Store, open_store
@@ -220,6 +220,7 @@ def test_the_stream_knows_the_run_of_each_of_many_presses_and_beside_an_import(s
     text = b"".join(news(store, behind)).decode()
     for i, name in enumerate(names):
         assert text.count(f'"press":"{name}","run":"run-{i}","number":') == 4, name  # two scans, two estimates
+        assert text.count(f'"press":"{name}","run":"run-{i}","event":') == 2, name
 
 
 def fit(value: float) -> dict[str, object]:

@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 
 from api.answers.records import estimate_now
-from api.plant.following import estimate_body
 from daq.drivers.settings import LoggerSettings
 from daq.press.events import PressEventDetector
 from daq.press.press_file import parse_press
@@ -219,7 +218,6 @@ def test_an_estimate_with_a_resin_says_cure_and_leave_to_open_and_the_api_hands_
     assert estimate_now(leave, None, BEGAN, BEGAN).open_now
     assert not estimate_now(leave, None, BEGAN, BEGAN + timedelta(seconds=6)).open_now
     assert not estimate_now(silent, None, BEGAN, BEGAN).open_now
-    assert not estimate_body("lab", silent, None)["open_now"]
 
 
 def test_beside_a_core_that_is_not_valid_nothing_is_foreseen(pressing):
