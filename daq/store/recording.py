@@ -91,7 +91,8 @@ def _make_view(
     else:
         values = [f"(readings::json ->> {i})::double precision" for i in range(len(channels))]
         utc = "to_timestamp(unix_s) AT TIME ZONE 'UTC'"
-    titles = _told_apart([c.name + ("_celsius" if c.unit == "C" else "") for c in channels])
+    plain = [c.name + ("_celsius" if c.unit == "C" else "") for c in channels]
+    titles = _distinct(plain, range(len(plain)), _OWN_COLUMNS)
     named = [f"{value} AS {_quoted(title)}" for title, value in zip(titles, values, strict=True)]
     columns = ", ".join([*_OWN_COLUMNS[:1], f"{utc} AS utc", "monotonic_s", *named, "faults"])
     connection.execute(text(f"DROP VIEW IF EXISTS {view}"))
@@ -109,26 +110,24 @@ _LONGEST_NAME = 63
 
 
 def _view_name(connection: Connection, press: str, press_id: int) -> str:
-    """Return the name of a press's view; of presses that differ in signs alone the first has the plain one."""
+    """Return the name of a press's view; of presses an engine takes for the same the first has the plain one."""
     recorded = select(PRESS.c.press_id, PRESS.c.name).where(PRESS.c.kind == "recorded").order_by(PRESS.c.press_id)
-    plain = _cut(_plain(press))
     rows = connection.execute(recorded).all()
-    alike = [row.press_id for row in rows if _cut(_plain(row.name)).casefold() == plain.casefold()]
-    return plain if press_id in alike[:1] else _cut(_plain(press), f"_{press_id}")
+    names = _distinct([_plain(row.name) for row in rows], [row.press_id for row in rows])
+    return dict(zip((row.press_id for row in rows), names, strict=True))[press_id]
 
 
 def _plain(press: str) -> str:
     return "scan_of_" + "".join(c if c.isalnum() else "_" for c in press)
 
 
-def _told_apart(names: Sequence[str]) -> list[str]:
-    """Return names that differ from one another and from the view's own columns for every engine."""
-    taken, told = set(_OWN_COLUMNS), []
-    for place, name in enumerate(names):
-        short = _cut(name)
-        if short.casefold() in taken:
-            short = _cut(name, f"_{place}")
-        taken.add(short.casefold())
+def _distinct(names: Sequence[str], numbers: Sequence[int], taken: Sequence[str] = ()) -> list[str]:
+    """Return names that differ for every engine from one another and those taken; an earlier one stays plain."""
+    seen, told = set(taken), []
+    for name, number in zip(names, numbers, strict=True):
+        tries = itertools.chain([""], (f"_{number}" + "_" * more for more in itertools.count()))
+        short = next(one for ending in tries if (one := _cut(name, ending)).casefold() not in seen)
+        seen.add(short.casefold())
         told.append(short)
     return told
 

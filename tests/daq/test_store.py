@@ -473,6 +473,30 @@ def test_channels_and_presses_that_an_engine_takes_for_the_same_are_told_apart(s
     assert len({row[7] for row in rows}) == 3
 
 
+@pytest.mark.parametrize(
+    "names", [("number_1", "number"), ("A" * 61 + "_2", "A" * 63, "A" * 64), ("faults", "faults_0")]
+)
+def test_a_name_made_to_tell_channels_apart_is_not_another_channels_own(store, names):
+    key = store.register_press("lab", [Channel(name, "") for name in names])
+    values = tuple(map(float, range(len(names))))
+    store.append_scans(key, [Scan(0, BEGAN, 1.0, values, (Quality.GOOD,) * len(names))])
+    with store.database.reading() as connection:
+        row = connection.execute(text("SELECT * FROM scan_of_lab")).one()
+    assert len({name.casefold() for name in row._fields}) == len(row._fields) == 4 + len(names)
+    assert row[3 : 3 + len(names)] == values
+
+
+def test_a_name_made_to_tell_presses_apart_is_not_another_press_s_own(store):
+    presses = ("hall-1", "hall_1", "hall-1-2", "hall_1_2", "HALL-1")
+    keys = [store.register_press(name, [Channel("top_1")]) for name in presses]
+    for key in keys:
+        store.append_scans(key, [Scan(0, BEGAN, float(key.press_id), (1.0,), (Quality.GOOD,))])
+    views = [name for name in inspect(store.database.engine).get_view_names() if name.startswith("scan_of_")]
+    with store.database.reading() as connection:
+        held = [connection.execute(text(f'SELECT monotonic_s FROM "{view}"')).scalar() for view in views]
+    assert sorted(held) == [key.press_id for key in keys]
+
+
 def test_people_find_events_estimates_coefficients_and_models_of_a_run_with_units_and_times(store):
     name = record_one_run(store)
     store.append_estimates("lab", [StoredEstimate(20, 1002.0, PressState.CLOSED, 61.0, 0.5, 60.0, 62.0, True)])
