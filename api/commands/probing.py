@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Annotated, Any
@@ -63,7 +64,7 @@ def _stations(text: str) -> list[int]:
     found: list[int] = []
     for part in filter(None, (p.strip() for p in text.split(","))):
         first, _, last = part.partition("-")
-        if not first.isdigit() or (last and not last.isdigit()):
+        if not all(re.fullmatch(r"[0-9]{1,3}", number) for number in (first, last or first)):
             raise InputError(say("terminal-stations-no-numbers", text=text))
         found += range(int(first), int(last or first) + 1)
     if not found or max(found) > 255:

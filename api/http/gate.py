@@ -94,7 +94,7 @@ class Gate:
 
     def _refusal(self, scope: Scope, headers: Headers) -> tuple[int, Message, dict[str, str]] | None:
         length = headers.get("content-length", "0")
-        if not length.isdigit() or int(length) > MAX_BODY_BYTES:
+        if not re.fullmatch(r"[0-9]{1,20}", length) or int(length) > MAX_BODY_BYTES:
             return _TOO_LARGE
         if "\0" in scope["path"] or b"%00" in scope["query_string"]:
             return 422, say("api-nul-character"), {}

@@ -373,7 +373,7 @@ def _time(path: Path, row: _Row, cell: str, mapped: Mapped, before: float = -mat
         if any(sign.isdigit() and not sign.isascii() for sign in cell):
             raise ValueError(cell)
         if layout == "clock":
-            hours, minutes, seconds = cell.split(":")
+            hours, minutes, seconds = cell.replace("_", "?").split(":")  # Python takes 1_0 for 10
             return 3600.0 * int(hours) + 60.0 * int(minutes) + float(_plain(seconds, mapped.file))
         moment = _moment(cell, layout)
     except ValueError as error:
@@ -403,7 +403,7 @@ def _start(path: Path, row: _Row, names: Sequence[str], mapped: Mapped) -> dict[
 
 def _plain(cell: str, file: FileTable) -> str:
     """Return a number with a decimal point and without thousands marks, its digits 0 to 9."""
-    if not cell.isascii():
+    if not cell.isascii() or "_" in cell:
         raise ValueError(cell)
     if file.decimal == ",":
         if "." in cell and "," not in cell:

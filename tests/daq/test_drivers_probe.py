@@ -7,6 +7,7 @@ import threading
 import pytest
 import serial
 
+from api.commands.probing import _stations
 from daq.drivers import LoggerSettings, ReadFailure, open_logger
 from daq.drivers.probe import interpretations, probe
 from daq.records import InputError, Quality
@@ -140,3 +141,13 @@ def test_registers_are_shown_under_every_reading_the_most_plausible_first():
 def test_a_probe_without_a_wire_is_refused():
     with pytest.raises(InputError, match="--port or --host"):
         probe({})
+
+
+@pytest.mark.parametrize("text", ["²", "٣", "1-99999999999", "1-" + "9" * 5000, "-", "1-2-3", "300"])
+def test_stations_that_are_no_numbers_are_refused_whatever_their_length(text):
+    with pytest.raises(InputError):
+        _stations(text)
+
+
+def test_stations_come_as_numbers_and_spans():
+    assert _stations("1, 3-5,247") == [1, 3, 4, 5, 247]

@@ -345,9 +345,9 @@ def _mapping(tmp_path, text):
     return read_mapping(tmp_path / "m.toml")
 
 
-@pytest.mark.parametrize(("time", "cell"), [("0", "٢١"), ("٠", "21")])
-def test_digits_of_another_script_are_no_numbers_in_a_foreign_file(tmp_path, time, cell):
+@pytest.mark.parametrize(("time", "cell"), [("0", "٢١"), ("٠", "21"), ("0", "2_1"), ("0_0", "21")])
+def test_digits_of_another_script_or_parted_by_dashes_are_no_numbers_in_a_foreign_file(tmp_path, time, cell):
     (tmp_path / "a.csv").write_text(f"t,x\n{time},{cell}\n1,22\n")
     (tmp_path / "m.toml").write_text('[time]\ncolumn = "t"\n[[column]]\nfrom = "x"\nto = "x"\n')
-    with pytest.raises(InputError, match=r"line 2: column [tx]: '[٢١٠]+' is not"):
+    with pytest.raises(InputError, match=r"line 2: column [tx]: '[٢١٠_012]+' is not"):
         read_foreign(tmp_path / "a.csv", read_mapping(tmp_path / "m.toml"))
