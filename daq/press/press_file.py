@@ -486,8 +486,13 @@ def press_for_run(press: Press, run: Run) -> Press:
     for end, boundary in press.boundary.ends:
         if boundary.from_run and run.header.get(key := f"boundary.{end}.incident_W_m2") is None:
             raise InputError(at(run.source or run.name, say("header-missing", key=key)))
+    return overridden(press, run.header, run.source or run.name)
+
+
+def overridden(press: Press, header: Mapping[str, Any], place: object) -> Press:
+    """Apply a header's overrides. Raises `InputError`, beginning with `place`, as `press_for_run` does."""
     tables = set(Press.model_fields)
-    overrides = {k: v for k, v in run.header.items() if k.partition(".")[0] in tables and "." in k}
+    overrides = {k: v for k, v in header.items() if k.partition(".")[0] in tables and "." in k}
     if not overrides:
         return press
     tree = press.model_dump(exclude_unset=True)
@@ -496,7 +501,7 @@ def press_for_run(press: Press, run: Run) -> Press:
             _set(tree, key.removesuffix(SD).split("."), value, SD if key.endswith(SD) else "")
         except (KeyError, IndexError, ValueError, TypeError) as error:
             said = say("header-no-such-place", key=key)
-            raise InputError(at(run.source or run.name, said)) from error
+            raise InputError(at(place, said)) from error
     try:
         used = Press.model_validate(tree | {"coefficients": {}, "priors": {}}).coefficient_names
         for table in ("coefficients", "priors"):
@@ -506,7 +511,7 @@ def press_for_run(press: Press, run: Run) -> Press:
         return Press.model_validate(tree)
     except ValidationError as error:
         said = say("header-override", what=explained(error, Press))
-        raise InputError(at(run.source or run.name, said)) from error
+        raise InputError(at(place, said)) from error
 
 
 def _set(tree: Any, keys: list[str], value: Any, ending: str = "") -> None:

@@ -35,7 +35,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from daq.address import Address, text_without
 from daq.drivers.settings import LoggerSettings
 from daq.press.header import check_header
-from daq.press.press_file import Press, read_press
+from daq.press.press_file import Press, overridden, read_press
 from daq.press.resin_file import read_resin
 from daq.press.wires import CLOSED, Wires
 from daq.records import InputError
@@ -248,7 +248,9 @@ def load_config(path: Path) -> Config:
     for settings in config.press:
         press = press_of(settings)
         check_columns(settings, press, str(path))
-        check_header(settings.header, say("config-header", file=str(path), press=settings.name))
+        place = say("config-header", file=str(path), press=settings.name)
+        check_header(settings.header, place)
+        overridden(press, settings.header, place)
         if settings.resin is not None:
             read_resin(settings.resin)
         presses.append(_resting(settings, press))

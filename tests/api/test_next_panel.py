@@ -9,6 +9,7 @@ import pytest
 
 from daq.files.run_file import read_run
 from daq.records import Channel, Quality, Scan
+from daq.simulated.campaign_pressfile import press_toml
 from daq.store.records import NewRun, RunEnd
 from daq.store.store import open_store
 
@@ -87,6 +88,24 @@ def test_a_panel_that_cannot_be_is_refused_by_name(plant, header, says):
     assert refused.status_code == 422
     assert says in refused.json()["detail"]
     assert client.get("/press/next").json()["header"] == {}
+
+
+@pytest.mark.parametrize(
+    ("header", "says"),
+    [
+        ({"boundary.topp.incident_W_m2": 6e4}, "boundary.topp"),
+        ({"layer.plate_botom.thickness_mm": 9.0}, "layer.plate_botom"),
+        ({"coefficients.h_pp_c.guess": -5.0}, "coefficients.h_pp_c"),
+    ],
+)
+def test_an_override_that_the_press_file_does_not_take_is_refused_before_a_run_begins_with_it(plant, header, says):
+    store, client, _ = plant
+    store.register_press("lab", (Channel("platen_top"), Channel("platen_bottom")), press_toml())
+    refused = client.put("/press/next", json={"header": header})
+    assert refused.status_code == 422
+    assert says in refused.json()["detail"]
+    taken = client.put("/press/next", json={"header": {"coefficients.h_pp_c.guess": 800.0}})
+    assert taken.status_code == 200
 
 
 def test_who_may_only_read_changes_neither_panel_nor_verdict(plant, tokens):

@@ -93,6 +93,14 @@ def test_a_resin_of_the_configuration_stands_beside_it_and_is_checked_at_once(fo
         (("[server]", "server]"), r"not valid TOML: .*line 17"),
         (('host = "127.0.0.1"\n', ""), r"press.0.logger.0: give either port"),
         (("[store]", 'text = "x"\n[store]'), r"text: unknown key"),
+        (
+            ('"panel.thickness_mm" = 16.0', '"boundary.topp.incident_W_m2" = 6e4'),
+            r"press lab: header override: boundary.topp: unknown key; did you mean top",
+        ),
+        (
+            ('"panel.thickness_mm" = 16.0', '"coefficients.h_pp_c.guess" = nan'),
+            r"press lab: header override: coefficients.h_pp_c.guess = nan: must be a finite number",
+        ),
     ],
 )
 def test_a_wrong_configuration_is_refused_by_key_and_value(folder, change, message):

@@ -15,7 +15,7 @@ from api.answers.schemas import NextPanelNow, RunDetail, RunVerdict, Verdict
 from api.http.problems import ProblemError, problem_responses
 from api.http.routes.common import PressName, StoreDep, Words, Writer, existing_run
 from daq.press.header import check_header, doubts, new_doubts, panel_of
-from daq.press.press_file import SD, parse_press, press_for_run
+from daq.press.press_file import SD, overridden, parse_press, press_for_run
 from daq.records import InputError, Run
 from daq.store.convert import header_of, header_text
 from daq.store.records import RunRecord
@@ -148,6 +148,8 @@ def put_next_panel(store: StoreDep, change: NextPanelChange, who: Writer, press:
         raise ProblemError(422, say("api-header-key-fixed", key=min(reserved)))
     if change.header:
         check_keys(change.header, change.header, f"press {name}")
+        if text := store.presses().get(name, ""):
+            overridden(parse_press(text, f"press {name}"), change.header, f"press {name}")
     store.put_next_panel(name, change.header, change.recipe, who)
     store.log(
         "info", who, say("api-next-panel", press=name, fields=tuple(change.header), recipe=change.recipe), name
