@@ -26,7 +26,7 @@ _LOCK = threading.Lock()
 MOST_KEPT = 20_000
 AT_ONCE = 500
 _COMPARISONS = {"<=": operator.le, ">=": operator.ge, "<": operator.lt, ">": operator.gt, "=": operator.eq}
-_BOUND = re.compile(r"\s*([A-Za-z][\w.-]*)\s*(<=|>=|<|>|=)\s*([+-]?\d+(?:[.,]\d+)?(?:[eE][+-]?\d+)?)\s*")
+_BOUND = re.compile(r"\s*([A-Za-z][\w.-]*)\s*(<=|>=|<|>|=)\s*([+-]?[0-9]+(?:[.,][0-9]+)?(?:[eE][+-]?[0-9]+)?)\s*")
 
 
 @dataclass(frozen=True)

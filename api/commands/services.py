@@ -66,8 +66,10 @@ def serve(
     from api.http.server import Listening, address_of, run_server
     from api.http.tokens import TokenFile
     from daq.process.config import ServerSettings, load_config
+    from daq.process.stopping import outlive_hangup
     from daq.store.store import open_store
 
+    outlive_hangup()
     path = Path(CONFIG_NAME) if store is not None and config is None else config_path(config)
     settings = load_config(path) if path.is_file() else None
     server = settings.server if settings else ServerSettings()

@@ -12,6 +12,7 @@ import hmac
 import json
 import re
 import secrets
+import stat
 import threading
 import time
 from collections import deque
@@ -30,6 +31,10 @@ ATTEMPTS = 10
 """Wrong tokens one address may present within `ATTEMPT_WINDOW_S` before further wrong ones are slowed."""
 ATTEMPT_WINDOW_S = 60.0
 """Set by hand, 2026-11: a mistyped token is never slowed, a guessing program always. [s]"""
+
+
+LARGEST_BYTES = 10_000_000
+"""Of the file: some 40,000 tokens. Set by hand, 2026-11."""
 
 
 @dataclass(frozen=True)
@@ -61,6 +66,8 @@ class TokenFile:
         with self._lock:
             try:
                 found = self.path.stat()
+                if not stat.S_ISREG(found.st_mode) or found.st_size > LARGEST_BYTES:
+                    raise OSError("not a file of tokens")  # a pipe would hold up the server for good
                 if self._seen != (found.st_mtime_ns, found.st_size):
                     self._tokens = tuple(_token_of(entry) for entry in json.loads(self.path.read_text("utf-8")))
                     self._seen = (found.st_mtime_ns, found.st_size)

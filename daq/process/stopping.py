@@ -14,9 +14,13 @@ def stop_on_signals(stop: threading.Event) -> None:
     """
     if threading.current_thread() is not threading.main_thread():
         return
-    if hasattr(signal, "SIGHUP"):
-        # A closed terminal, or somebody's wish to reload: changed files are noticed anyway.
-        signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    outlive_hangup()
     for name in ("SIGTERM", "SIGINT", "SIGBREAK"):
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), lambda *_: threading.Thread(target=stop.set).start())
+
+
+def outlive_hangup() -> None:
+    """Go on after SIGHUP: a closed terminal, or somebody's wish to reload; changed files are noticed anyway."""
+    if hasattr(signal, "SIGHUP") and threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)

@@ -1,7 +1,10 @@
 import json
+import os
 import stat
 import sys
+import threading
 import time
+from pathlib import Path
 
 import httpx
 import pytest
@@ -89,6 +92,30 @@ def test_a_damaged_token_file_is_named_with_what_to_do(client, tokens, damaged, 
     for command in (own.tokens, lambda: own.create("x", "read"), lambda: own.revoke("x")):
         with pytest.raises(InputError, match="remove the file and make new ones"):
             command()
+
+
+def fill(path):
+    with path.open("wb") as file:
+        file.truncate(3_000_000_000)  # takes no room on the disk
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="pipes and devices are files on POSIX")
+@pytest.mark.parametrize("make", [os.mkfifo, lambda path: path.symlink_to("/dev/zero"), Path.mkdir, fill])
+def test_what_is_no_file_of_tokens_holds_up_nobody(tmp_path, make):
+    """A server that waits for a pipe, or reads without end, answers nobody any more."""
+    own, told = TokenFile(tmp_path / "tokens.json"), []
+
+    def ask():
+        try:
+            own.find("kt_any")
+        except InputError as error:
+            told.append(str(error))
+
+    make(own.path)
+    asking = threading.Thread(target=ask, daemon=True)
+    asking.start()
+    asking.join(5.0)
+    assert ["remove the file and make new ones" in one for one in told] == [True]
 
 
 def test_a_foreign_host_name_is_refused_so_that_no_other_page_reads_along(client):

@@ -61,7 +61,12 @@ def test_pages_follow_one_another(found, client):
 
 
 @pytest.mark.parametrize(
-    ("query", "says"), [({"where": "hot"}, "core_at_opening_C>=95"), ({"sort": "nothing"}, "core_peak_C")]
+    ("query", "says"),
+    [
+        ({"where": "hot"}, "core_at_opening_C>=95"),
+        ({"where": "core_at_opening_C>٩"}, "core_at_opening_C>=95"),
+        ({"sort": "nothing"}, "core_peak_C"),
+    ],
 )
 def test_what_cannot_be_looked_for_is_refused_with_what_can(client: httpx.Client, query, says):
     answer = client.get("/api/v1/search", params=query)

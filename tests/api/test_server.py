@@ -1,6 +1,8 @@
 """`kerntemp serve` as a process of its own: TLS, slow and greedy clients, tokens in the journal."""
 
 import json
+import os
+import signal
 import socket
 import ssl
 import subprocess
@@ -46,7 +48,10 @@ def served(plant, *options):
     with (plant / "serve.log").open("w") as log:
         server = subprocess.Popen([*command, *options], stdout=subprocess.PIPE, stderr=log, text=True)
     try:
-        yield server.stdout.readline().split()[-1]
+        address = server.stdout.readline().split()[-1]
+        if os.name != "nt":
+            server.send_signal(signal.SIGHUP)  # a closed terminal ends none of these
+        yield address
     finally:
         server.terminate()
         server.wait(20)
