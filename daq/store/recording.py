@@ -114,7 +114,8 @@ def _view_name(connection: Connection, press: str, press_id: int) -> str:
     recorded = select(PRESS.c.press_id, PRESS.c.name).where(PRESS.c.kind == "recorded").order_by(PRESS.c.press_id)
     rows = connection.execute(recorded).all()
     names = _distinct([_plain(row.name) for row in rows], [row.press_id for row in rows])
-    return dict(zip((row.press_id for row in rows), names, strict=True))[press_id]
+    place = [row.press_id for row in rows].index(press_id)
+    return names[place]
 
 
 def _plain(press: str) -> str:
