@@ -36,6 +36,17 @@ _LOST_AFTER_S = 3.0
 """A logger without an answer this long is called lost. [s]"""
 
 
+def nine_digits(value: float) -> float:
+    """Return a value to the nine digits that tell every 32-bit float apart (IEEE 754), more than a logger counts.
+
+    A device's 363 tenths are 36.3 then and not the 36.300000000000004 of a product, which the store would keep.
+
+    >>> nine_digits(363 * 0.1), nine_digits(363 * 0.1 - 0.42)
+    (36.3, 35.88)
+    """
+    return float(f"{value:.9g}")
+
+
 class LoggerThread:
     """Asks one logger at every tick and keeps its newest answer."""
 
@@ -258,7 +269,7 @@ class Scanner:
                 values += [math.nan] * len(logger.channels)
                 qualities += [why] * len(logger.channels)
             else:
-                values += reading.values
+                values += map(nine_digits, reading.values)
                 qualities += reading.qualities
                 middles.append(0.5 * (reading.requested_s + reading.received_s))
         now_s, utc = time.monotonic(), datetime.now(UTC)

@@ -3,14 +3,17 @@
 import math
 import threading
 import time
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from statistics import median
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from daq.drivers import BadFrame, LoggerSettings, NoReply, open_logger
-from daq.recording.acquisition import ClockWatch, LoggerThread, Scanner, Ticks
+from daq.recording.acquisition import ClockWatch, LoggerThread, Scanner, Ticks, nine_digits
 from daq.records import Channel, Quality, Reading, Scan
 from daq.simulated.devices import simulated, wiring
 
@@ -50,6 +53,24 @@ def scans_of(instruments, period_s, count, speed=1.0, between=lambda number: Non
     scanner.join(2.0)
     assert all(x.closed for x in instruments if isinstance(x, Instrument))
     return scans, said, threads
+
+
+class Counter(Instrument):
+    """A device that counts tenths, behind a calibration's offset."""
+
+    def read(self):
+        return replace(super().read(), values=(363 * 0.1, 363 * 0.1 - 0.42))
+
+
+def test_a_scan_holds_what_the_device_counted_and_no_rounding_of_a_product():
+    assert str(363 * 0.1) == "36.300000000000004"
+    scans, _, _ = scans_of([Counter("a")], 0.05, 5)
+    assert {s.values for s in scans if s.qualities == (Quality.GOOD,) * 2} == {(36.3, 35.88)}
+
+
+@given(value=st.floats(width=32, allow_nan=False))
+def test_every_value_of_a_device_s_32_bit_floats_stays_apart_from_its_neighbours(value):
+    assert np.float32(nine_digits(value)) == np.float32(value)
 
 
 def test_scans_come_on_a_schedule_that_does_not_drift():
