@@ -77,13 +77,13 @@ def diagnose(
             told = {} if rehearsal is None else {"rehearsal": rehearsal.as_json()}
             outputs[json] = as_json(found.as_json() | told)
         if model is not None:
-            from softsensor.diagnosis.missing_causes import with_missing_causes
+            from softsensor.diagnosis.missing_causes import held_against
             from softsensor.heat.model_file import model_text
             from softsensor.jobs.campaign import fit_runs
 
             extended = found.model_file()
             fits = fit_runs(extended.model(described), loaded, start=extended.values, company=None)
-            outputs[model] = model_text(with_missing_causes(extended, fits))
+            outputs[model] = model_text(held_against(extended, fits))
         if html is not None:
             from softsensor.report.diagnosis_report import diagnosis_report
 

@@ -90,6 +90,7 @@ def predict(
     with working(say("terminal-progress-predicting", run=loaded.name), len(loaded.time_s)) as done:
         from softsensor.jobs.first_start import Work, compile_for
         from softsensor.jobs.model_files import read_model
+        from softsensor.live.panels import panel_remark
         from softsensor.live.replay import replay
 
         compile_for(Work.LIVE)
@@ -99,6 +100,8 @@ def predict(
         hidden = loaded.named(filter(None, (part.strip() for part in without.split(","))))
         columns = replay(described, loaded, known, hidden, done, paper).columns()
     write_all({out: table_text(columns)})
+    if (remark := panel_remark(loaded.header, known)) is not None:
+        warn(remark)
     if paper is not None:
         from softsensor.live.curing import resin_remarks
 

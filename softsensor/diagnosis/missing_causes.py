@@ -30,6 +30,7 @@ import numpy as np
 
 from daq.records import Array
 from softsensor.effects import Effect, Need, Role, catalogue
+from softsensor.fitting.constants import with_constants_of
 from softsensor.fitting.problem import Evaluation, Problem, constants_among, inverse, normal_equations
 from softsensor.fitting.result import left_in
 from softsensor.heat.model_file import FittedValue, MissingCause, MissingCauses, ModelFile
@@ -139,6 +140,14 @@ def with_missing_causes(model: ModelFile, fits: Sequence[RunFit]) -> ModelFile:
     met = [fit for fit in fits if fit.met]
     seen = missing_causes([run_evidence(fit.problem, fit.minimum.evaluation) for fit in met or fits])
     return replace(model, missing=seen if met else _far_off(seen, [fit.rmse_still_K for fit in fits]))
+
+
+def held_against(model: ModelFile, fits: Sequence[RunFit]) -> ModelFile:
+    """Return a model file with all that fitted runs, made with its effects, know beside coefficients and effects.
+
+    Causes it may leave out, how constants scatter, which panels there were; the last two from runs it describes.
+    """
+    return with_constants_of(with_missing_causes(model, fits), [fit.constants for fit in fits if fit.met])
 
 
 def stored_missing_causes(fits: Sequence[Mapping[str, Any]]) -> MissingCauses | None:

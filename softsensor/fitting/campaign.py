@@ -18,7 +18,7 @@ import numpy as np
 from daq.press.press_file import Press, press_for_run
 from daq.records import Array, InputError, Run
 from daq.words import Message, say
-from softsensor.fitting.constants import scatter_of
+from softsensor.fitting.constants import with_constants_of
 from softsensor.fitting.dependence import Dependence, Program, fit_dependence
 from softsensor.fitting.experiment_advice import Company
 from softsensor.fitting.identifiability import WIDE, LikelihoodProfile, is_verdict_on
@@ -164,8 +164,8 @@ class CampaignFit:
             if name not in table:
                 table[name] = FittedValue(self.press.coefficient(name).guess, 0.0)
         ordered = {n: table[n] for n in self.press.coefficient_names}
-        scatter = scatter_of(f.constants for f in self.met)
-        return ModelFile(version, self.press.name, ordered, (), p.names, total, scatter=scatter)
+        found = ModelFile(version, self.press.name, ordered, (), p.names, total)
+        return with_constants_of(found, [f.constants for f in self.met])
 
 
 def joint_interval(estimate: FittedValue) -> tuple[float, float]:

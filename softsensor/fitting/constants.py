@@ -34,10 +34,12 @@ from softsensor.fitting.problem import (
 )
 from softsensor.fitting.unknowns import nuisance
 from softsensor.heat.chain import Solution
-from softsensor.heat.model_file import Scatter
+from softsensor.heat.model_file import ModelFile, Scatter
 from softsensor.signals.doubt import PANEL_TO_PANEL, PRODUCT_SD, Doubt, Source, constant_doubts
+from softsensor.signals.pressed import all_products, products
 from softsensor.signals.unknown import Unknown
 
+THICKNESS = "panel.thickness_mm"
 CAPACITY, DENSITY = "heat_capacity_J_kgK", "density_kg_m3"
 LEFT_OUT = ("panel.initial_temperature_C", "panel.moisture_percent")
 """A nuisance of its own, and without effect but for a cause of the catalogue."""
@@ -167,6 +169,13 @@ def constants_of(problem: Problem, best: Minimum, spread: float) -> dict[str, Co
         value = d.value + float(step) * u.unit
         found[u.name.partition(":")[2]] = ConstantFit(d.value, d.sd, d.source, value, u.unit * sd)
     return found
+
+
+def with_constants_of(model: ModelFile, runs: Sequence[Mapping[str, ConstantFit]]) -> ModelFile:
+    """Return a model file with what runs add to it: how constants scatter, and which panels there were."""
+    pressed = products(run[THICKNESS].given for run in runs if THICKNESS in run)
+    scatter = {**model.scatter, **scatter_of(runs)}
+    return replace(model, scatter=scatter, panels=all_products(model.panels, pressed))
 
 
 LEARNT = (Source.DATA_SHEET, Source.MATERIAL_TABLE, Source.GUESS)

@@ -12,6 +12,9 @@ Optional ``"adequacy": {"runs", "nothing", "unexplained_K", "causes": {NAME: {"c
 Optional ``"scatter": {KEY: {"sd", "runs", "panel"}}``: by key of the header how far a constant was from what was
 given, as a share of it, how many runs showed it (`softsensor.signals.doubt`), and the part of it by which panels
 differ among themselves; a file without ``panel`` calls all of it that.
+
+Optional ``"panels": [{"thickness_mm", "runs"}]``: how thick the panels of earlier runs were, and how many runs had
+each; a file without it does not know (`softsensor.live.panels`).
 """
 
 from __future__ import annotations
@@ -77,6 +80,14 @@ class Scatter:
 
 
 @dataclass(frozen=True)
+class PressedPanel:
+    """A product that earlier runs pressed."""
+
+    thickness_mm: float
+    runs: int
+
+
+@dataclass(frozen=True)
 class ModelFile:
     """Coefficients and effects of one press, as a campaign found them."""
 
@@ -90,6 +101,8 @@ class ModelFile:
     """None: nobody looked."""
     scatter: Mapping[str, Scatter] = field(default_factory=dict)
     """By key of the header."""
+    panels: tuple[PressedPanel, ...] = ()
+    """Which thicknesses earlier runs had, thinnest first; empty: not known."""
 
     @property
     def learned(self) -> dict[str, float]:
@@ -138,6 +151,8 @@ class ModelFile:
             content["scatter"] = {
                 k: {"sd": s.sd, "runs": s.runs, "panel": s.panel} for k, s in self.scatter.items()
             }
+        if self.panels:
+            content["panels"] = [{"thickness_mm": p.thickness_mm, "runs": p.runs} for p in self.panels]
         return content
 
 
@@ -175,7 +190,18 @@ def parse_model(content: Any, source: str) -> ModelFile:
         covariance=np.array(matrix, dtype=float).reshape(len(names), len(names)),
         missing=_missing_causes(content["adequacy"], source) if content.get("adequacy") else None,
         scatter=_scatter(content.get("scatter") or {}, source),
+        panels=_panels(content.get("panels") or (), source),
     )
+
+
+def _panels(table: Any, source: str) -> tuple[PressedPanel, ...]:
+    try:
+        found = tuple(PressedPanel(float(entry["thickness_mm"]), int(entry["runs"])) for entry in table)
+    except (TypeError, KeyError, ValueError) as error:
+        raise InputError(say("model-file-panels", file=source, error=str(error))) from None
+    if bad := next((p for p in found if not (0.0 < p.thickness_mm < np.inf and p.runs > 0)), None):
+        raise InputError(say("model-file-panels", file=source, error=str(bad)))
+    return tuple(sorted(found, key=lambda p: p.thickness_mm))
 
 
 def _scatter(table: Any, source: str) -> dict[str, Scatter]:

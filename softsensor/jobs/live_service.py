@@ -34,10 +34,11 @@ from daq.words import Message, say, spoken
 from softsensor.heat.model_file import ModelFile, parse_model
 from softsensor.jobs.first_start import Work, compile_for
 from softsensor.jobs.fitter import Fitter
-from softsensor.jobs.model_in_force import NEWEST_RUNS, PRESS_FILE, up_to_date
+from softsensor.jobs.model_in_force import NEWEST_RUNS, PRESS_FILE, PRESSED_RUNS, up_to_date, with_pressed
 from softsensor.jobs.run_fits import RunFits, write_journal
 from softsensor.jobs.warm_up import warm_up
 from softsensor.live.leaving import Leave
+from softsensor.live.panels import panel_remark
 from softsensor.live.sensor import Estimate, LiveSensor
 from softsensor.live.validity import Invalid, InvalidReason
 from softsensor.signals.screen import AFTER_SWITCH_S
@@ -302,6 +303,8 @@ class Follower:
         fitted = before is not None and before.record.run == record.run and before.fitted_open
         self.live = _Live(record, LiveSensor(self.press, record.header, self.model, self.resin), version, fitted)
         self.problem = None
+        if not same and (remark := panel_remark(record.header, self.model)) is not None:
+            write_journal(self.store, "warning", say("of-run", run=record.run, what=remark), self.name)
         try:
             self._catch_up(record, said_before=same)
         except StoreUnavailable:
@@ -378,15 +381,16 @@ class Follower:
         self._rests_on = rests_on
         base = parse_model(active.model, f"model {active.version}") if active is not None else None
         version = base.version if base is not None else PRESS_FILE
-        runs = self.store.runs(press=self.name, limit=NEWEST_RUNS + 1).items
         busy = self.live.record.run if self.live else ""
-        fits = [self.store.fit(r.run) for r in runs if r.run != busy]
+        runs = [r for r in self.store.runs(press=self.name, limit=PRESSED_RUNS).items if r.run != busy]
+        fits = [self.store.fit(r.run) for r in runs[:NEWEST_RUNS]]
         good = [f for f in fits if f is not None and f.get("model_version") == version]
         if version != self._base_version:
             if self._base_version != "?":
                 write_journal(self.store, "info", say("sense-takes-model", version=version), self.name)
             self._base_version = version
-        self.model = up_to_date(self.press, base, good[:NEWEST_RUNS])
+        model = up_to_date(self.press, base, good)
+        self.model = None if model is None else with_pressed(model, (r.header for r in runs))
 
 
 def _resin_of(settings: PressSettings) -> Resin | None:

@@ -14,10 +14,11 @@ import numpy as np
 from daq.press.press_file import Press
 from daq.store import RunRecord
 from softsensor.diagnosis.missing_causes import stored_missing_causes
-from softsensor.fitting.constants import ConstantFit, scatter_of
-from softsensor.heat.model_file import FittedValue, ModelFile, Scatter
+from softsensor.fitting.constants import THICKNESS, ConstantFit, with_constants_of
+from softsensor.heat.model_file import FittedValue, ModelFile
 from softsensor.live.priors import spread_of
 from softsensor.signals.instrument import GUESS_LOG, LEAST_SPREAD_LOG, SPREAD_LOG
+from softsensor.signals.pressed import all_products, products
 
 PRESS_FILE = "press file"
 """Version of the model before there is one."""
@@ -26,6 +27,8 @@ PRESS_FILE = "press file"
 
 NEWEST_RUNS = 12
 """Older runs say little about today's press."""
+PRESSED_RUNS = 200
+"""So many runs say which panels a press has: weeks of a busy one, and one page of the store."""
 MODEL_RUNS = 8.0
 """How many runs a promoted model counts for."""
 
@@ -57,18 +60,29 @@ def combined_model(press: Press, base: ModelFile | None, fits: Sequence[Mapping[
             table[name] = estimate
     seen = stored_missing_causes(fits)
     if base is None:
-        return ModelFile(PRESS_FILE, press.name, table, missing=seen, scatter=_scatter(fits))
+        return _with_constants(ModelFile(PRESS_FILE, press.name, table, missing=seen), fits)
     before = base.missing
     looked_at = 0 if seen is None else seen.runs or len(fits)  # runs not described settle nothing, yet say so
     if before is not None and looked_at < before.runs:
         seen = before
-    return replace(base, coefficients=table, missing=seen, scatter={**base.scatter, **_scatter(fits)})
+    return _with_constants(replace(base, coefficients=table, missing=seen), fits)
 
 
-def _scatter(fits: Iterable[Mapping[str, Any]]) -> dict[str, Scatter]:
-    """Return how the panels' constants scattered about what their headers give, as these runs show it."""
-    constants = ({k: ConstantFit.from_json(c) for k, c in fit.get("constants", {}).items()} for fit in fits)
-    return scatter_of(constants)
+def with_stored_fits(model: ModelFile, fits: Sequence[Mapping[str, Any]]) -> ModelFile:
+    """Return a model file with what runs fitted with its effects know of missing causes, constants and panels."""
+    return _with_constants(replace(model, missing=stored_missing_causes(fits)), fits)
+
+
+def with_pressed(model: ModelFile, headers: Iterable[Mapping[str, Any]]) -> ModelFile:
+    """Return a model file that knows which panels a press has had, by the headers of its runs."""
+    given = (header.get(THICKNESS) for header in headers)
+    pressed = products(mm for mm in given if isinstance(mm, int | float) and mm > 0.0)
+    return replace(model, panels=all_products(pressed, model.panels))
+
+
+def _with_constants(model: ModelFile, fits: Iterable[Mapping[str, Any]]) -> ModelFile:
+    constants = [{k: ConstantFit.from_json(c) for k, c in fit.get("constants", {}).items()} for fit in fits]
+    return with_constants_of(model, constants)
 
 
 def _values(name: str, fits: Iterable[Mapping[str, Any]]) -> Iterable[tuple[float, float]]:

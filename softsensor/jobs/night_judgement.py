@@ -24,12 +24,11 @@ from daq.store import RunRecord, Store
 from daq.store.records import ModelStatus
 from daq.words import Message, say
 from softsensor.diagnosis.decision import Verdict
-from softsensor.diagnosis.missing_causes import stored_missing_causes
 from softsensor.fitting.result import left_in
 from softsensor.fitting.simulated_run import simulate_run
 from softsensor.heat.model_file import ModelFile, parse_model
 from softsensor.jobs.fitter import fit_one
-from softsensor.jobs.model_in_force import combined_model
+from softsensor.jobs.model_in_force import combined_model, with_stored_fits
 from softsensor.live.replay import replay
 from softsensor.signals.faces import measured_core
 from softsensor.signals.moments import moments_of
@@ -161,7 +160,7 @@ def judge_night(night: Night, outcome: NightOutcome) -> NightOutcome:
         return replace(outcome, reason=say("night-diagnosis-confirms"))
     candidate = replace(extended, version=_next_version(night), press=night.name)
     fits = _fits_with(night, candidate, (held or asked)[-JUDGES:])
-    candidate = replace(candidate, missing=stored_missing_causes(list(fits.values())))
+    candidate = with_stored_fits(replace(candidate, panels=base.panels), list(fits.values()))
     found = _compare(night, report, candidate, fits, apart=bool(held), fewer=fewer)
     found = replace(found, figures={"diagnosed_runs": asked, **found.figures})
     outcome = _promote_or_leave(night, candidate, found, outcome)

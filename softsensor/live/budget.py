@@ -11,9 +11,10 @@ from softsensor.live.priors import TIMING
 from softsensor.signals.doubt import MEAN_SQUARE_SIZE
 from softsensor.signals.unknown import Unknown
 
-KINDS = ("constants", "contacts", "timing", "start", "effects", "discrepancy", "suspected")
+KINDS = ("constants", "contacts", "timing", "start", "effects", "discrepancy", "suspected", "panel")
 """Constants of panel, layers and flux; contacts; moments of the press; temperatures of start and platens; effects
-that the model in force holds or that only bend readings; what any model lacks; causes not diagnosed."""
+that the model in force holds or that only bend readings; what any model lacks; causes not diagnosed; that another
+panel lies in the press than the header says."""
 
 
 def band_from(one: KalmanFilter, mixture: Mixture, margin: float) -> dict[str, float]:
@@ -21,7 +22,7 @@ def band_from(one: KalmanFilter, mixture: Mixture, margin: float) -> dict[str, f
 
     A parameter counts with its covariance with the core, which adds up to the whole variance (a negative share,
     where two errors offset each other, counts as none). Suspected causes count with all that they add to the
-    variance without them.
+    variance without them, other panels with all that they add to that of the header's.
 
     Parameters
     ----------
@@ -46,7 +47,9 @@ def band_from(one: KalmanFilter, mixture: Mixture, margin: float) -> dict[str, f
         found[_kind(prior)] += share
     found["discrepancy"] += margin
     plain = sum(found.values())
-    found["suspected"] += max(mixture.sd_K**2 - plain, 0.0)
+    header = mixture.panels[0]
+    found["suspected"] += max(header.sd_K**2 - plain, 0.0)
+    found["panel"] += max(mixture.sd_K**2 - max(header.sd_K**2, plain), 0.0) if len(mixture.panels) > 1 else 0.0
     total = sum(found.values())
     return {kind: value / total for kind, value in found.items()}
 

@@ -98,10 +98,15 @@ class Unowned:
         return np.clip((np.log(np.maximum(since_s, 1e-9)) - begin) / (end - begin), 0.0, 1.0)
 
 
-def directions_of(press: Press, run: Run, panel: Panel | None, model: ModelFile | None) -> tuple[Unowned, ...]:
-    """Return the constants that are in doubt and the discrepancy of a run; `press` has the run's overrides."""
+def directions_of(
+    press: Press, run: Run, panel: Panel | None, model: ModelFile | None, *, new_product: bool = False
+) -> tuple[Unowned, ...]:
+    """Return the constants that are in doubt and the discrepancy of a run; `press` has the run's overrides.
+
+    Of a new product no run has shown how far its constants are off.
+    """
     panels = PANEL_TO_PANEL
-    if model is None or model.missing is None or not model.missing.runs:
+    if new_product or model is None or model.missing is None or not model.missing.runs:
         doubts = constant_doubts(run.header, press, PRODUCT_SD | _across_or_along(run))
     else:
         usual = constant_doubts(run.header, press, PANEL_TO_PANEL)

@@ -58,10 +58,14 @@ class KalmanFilter:
     """Blocks not yet counted in the three: end, length, mean square innovation, nats for a change. [s, s, -, -]"""
     curing: Curing | None = None
     """Cure of both faces, where a resin is given."""
+    panel: int = 0
+    """Number of the panel it takes to lie in the press (`live.panels`); 0: the header's."""
 
     @staticmethod
-    def at_prior(setup: RunSetup, made: Linearised, timing: PressTiming, plan: FilterPlan) -> KalmanFilter:
-        """Start at the prior."""
+    def at_prior(
+        setup: RunSetup, made: Linearised, timing: PressTiming, plan: FilterPlan, chance: float = 1.0
+    ) -> KalmanFilter:
+        """Start at the prior; `chance` is that of the panel that is set up."""
         m, p = len(setup.labels), len(made.names)
         x, cov = np.zeros(p + 2 + 2 * m), np.eye(p + 2 + 2 * m)
         lean = plan.coupling
@@ -84,7 +88,7 @@ class KalmanFilter:
                 absent=np.array([c.absent for c in causes]),
                 width=np.array([c.width for c in causes]),
                 one_sided=np.array([c.one_sided for c in causes], dtype=bool),
-                log_prior=np.log([plan.chance, *(c.chance for c in causes)]),
+                log_prior=np.log(chance * np.array([plan.chance, *(c.chance for c in causes)])),
             ),
             timing=timing,
             estimate=StateEstimate(x, cov, error, made.at),

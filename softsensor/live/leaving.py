@@ -99,6 +99,15 @@ def known_panel(filters: Sequence[KalmanFilter], mixture: Mixture, resin: ResinS
     return KnownPanel(_state(filters, mixture, resin), pace, mixture.changed)
 
 
+def _first_of_each(filters: Sequence[KalmanFilter]) -> list[KalmanFilter]:
+    """Return of each panel that may lie in the press the filter whose cause is none."""
+    return [
+        f
+        for before, f in zip((None, *filters), filters, strict=False)
+        if before is None or before.panel != f.panel
+    ]
+
+
 def _state(filters: Sequence[KalmanFilter], mixture: Mixture, resin: ResinSetup) -> PanelState:
     """Return cure at both faces, core and steam as mean and standard deviation."""
     reach = max(mixture.high_C - mixture.core_C, mixture.core_C - mixture.low_C)
@@ -107,7 +116,7 @@ def _state(filters: Sequence[KalmanFilter], mixture: Mixture, resin: ResinSetup)
     both = bottom.sd**2 + top.sd**2 - apart.sd**2
     with np.errstate(invalid="ignore"):
         together = np.clip(both / (2.0 * bottom.sd * top.sd), -1.0, 1.0)
-    return PanelState(bottom, top, core, _steam(filters[0], resin), np.nan_to_num(together))
+    return PanelState(bottom, top, core, _steam(_first_of_each(filters), resin), np.nan_to_num(together))
 
 
 def _cure(filters: Sequence[KalmanFilter]) -> tuple[Normal, Normal, Normal]:
@@ -130,11 +139,16 @@ def _cure(filters: Sequence[KalmanFilter]) -> tuple[Normal, Normal, Normal]:
     return bottom, top, between
 
 
-def _steam(one: KalmanFilter, resin: ResinSetup) -> Normal:
+def _steam(filters: Sequence[KalmanFilter], resin: ResinSetup) -> Normal:
     """Return the logarithm of the pressure of steam, as the model in force and its hypotheses see it. [ln kPa]"""
-    moisture, sd = resin.moisture
-    if not math.isfinite(moisture) or moisture <= 0.0:
+    if not math.isfinite(resin.moisture[0]) or resin.moisture[0] <= 0.0:
         return UNKNOWN
+    return _pooled(filters, [_steam_of(one, resin) for one in filters])
+
+
+def _steam_of(one: KalmanFilter, resin: ResinSetup) -> tuple[float, Array, float]:
+    """Return the same of one filter as `_pooled` takes it."""
+    moisture, sd = resin.moisture
     model = one.linearised.model
     inside = np.flatnonzero(model.stack.wet)
     share = model.stack.dx[inside] / model.stack.dx[inside].sum()
@@ -144,7 +158,7 @@ def _steam(one: KalmanFilter, resin: ResinSetup) -> Normal:
     of_board = float(steam.by_factor) * resin.sorption.factor_sd / resin.sorption.factor
     whole = float(steam.by_temperature.sum())
     variance = of_water**2 + of_board**2 + (MARGIN_K * whole) ** 2
-    return _pooled([one], [(float(np.log(steam.pressure_kPa)), readout, variance)])
+    return float(np.log(steam.pressure_kPa)), readout, variance
 
 
 def _pooled(filters: Sequence[KalmanFilter], read: Sequence[tuple[float, Array, float]]) -> Normal:
@@ -157,13 +171,14 @@ def _pooled(filters: Sequence[KalmanFilter], read: Sequence[tuple[float, Array, 
         from elsewhere.
     """
     log, means, variances = np.empty((3, sum(len(f.names) for f in filters)))
-    plain, first = math.nan, 0
+    plain, first, panel = math.nan, 0, 0
     for f, (value, readout, variance) in zip(filters, read, strict=True):
         own = slice(first, first + len(f.names))
         out = Components(log[own], means[own], variances[own])
         level, slopes = np.array([value, 0.0]), np.ascontiguousarray(readout)
         chain = f.linearised.model.chain._replace(level=level, d_level=slopes)
-        plain = mixtures.weigh(f.estimate, chain, f.hypotheses, f.fit, plain, out)
+        plain = plain if f.panel == panel else math.nan
+        plain, panel = mixtures.weigh(f.estimate, chain, f.hypotheses, f.fit, plain, out), f.panel
         held = mixtures.held(f.estimate, chain, f.hypotheses)
         variances[own] = np.maximum(variances[own] * max(1.0, f.misfit) + held @ held + variance, 1e-12)
         first += len(f.names)

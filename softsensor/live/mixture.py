@@ -6,12 +6,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import groupby
 
 import numpy as np
 
 from daq.records import Array
 from softsensor.live.kalman import BetweenFaces, KalmanFilter, log_sum
-from softsensor.live.mixture_steps import Change, Components, pool, weigh
+from softsensor.live.mixture_steps import Change, Components, pool, quantile, weigh
 from softsensor.signals.doubt import DOUBT_SIZES
 
 MARGIN_K, MARGIN_SHARE = 0.1, 0.003
@@ -26,7 +27,23 @@ LEAST_ODDS = -6.0
 """Logarithm of the odds below which a change is no hypothesis."""
 SURE = 0.9
 """Chance beyond which a change counts as one."""
-CHANGED = "sudden change"
+CHANGED, ANOTHER_PANEL = "sudden change", "another panel"
+
+
+@dataclass(frozen=True)
+class PanelCore:
+    """What the hypotheses about one likely panel say of the core."""
+
+    chance: float
+    """That it is this panel, by all that was read."""
+    names: tuple[str, ...]
+    components: Components
+    core_C: float  # noqa: N815
+    sd_K: float  # noqa: N815
+    low_C: float  # noqa: N815
+    high_C: float  # noqa: N815
+    by_faces: bool
+    """As in `Mixture`, of this panel."""
 
 
 @dataclass(frozen=True)
@@ -46,6 +63,8 @@ class Mixture:
     """By filter the shares of its hypotheses, should nothing have changed at once."""
     by_faces: bool = False
     """Whether something has changed at once and the faces as measured tell the core, whatever the contacts do."""
+    panels: tuple[PanelCore, ...] = ()
+    """By panel that may lie in the press, the header's first (`live.panels`)."""
 
     @cached_property
     def leading(self) -> str:
@@ -75,26 +94,72 @@ def model_variance(rise_K: float, start_K: float) -> float:
     return float(MARGIN_K**2 + start_K**2 + (MARGIN_SHARE * rise_K) ** 2)
 
 
-def mix(filters: Sequence[KalmanFilter], margin: float, between: BetweenFaces | None = None) -> Mixture:
-    """Pool what all hypotheses of all filters say about the core; `margin` is the `model_variance`. [K²]"""
-    names: list[str] = []
-    log, means, variances, doubts = np.empty((4, sum(len(f.names) for f in filters)))
-    plain = math.nan
-    for f in filters:
-        own = slice(len(names), len(names) + len(f.names))
+def mix(filters: Sequence[KalmanFilter], margin: float, between: Sequence[BetweenFaces | None] = ()) -> Mixture:
+    """Pool what all hypotheses of all filters say about the core.
+
+    Parameters
+    ----------
+    filters
+        Of one likely panel after the other, the header's first.
+    margin
+        The `model_variance`. [K²]
+    between
+        Of each panel what it is alone between its faces; none: changes at once are left out.
+    """
+    counts = [len(f.names) for f in filters]
+    ends = np.cumsum(counts)
+    log, means, variances, doubts = np.empty((4, ends[-1]))
+    plain, panel = math.nan, 0
+    for f, end, count in zip(filters, ends.tolist(), counts, strict=True):
+        own = slice(end - count, end)
         out = Components(log[own], means[own], variances[own])
-        plain = weigh(f.estimate, f.linearised.model.chain, f.hypotheses, f.fit, plain, out)
+        plain = plain if f.panel == panel else math.nan  # another panel is no doubt about a cause's law
+        plain, panel = weigh(f.estimate, f.linearised.model.chain, f.hypotheses, f.fit, plain, out), f.panel
         squares, loose = f.held_K**2, f.linearised.loose
         variances[own] = (variances[own] + margin) * max(1.0, f.misfit) + squares @ (1.0 - loose)
         doubts[own] = squares @ loose
-        names += f.names
-    change, by_faces = _change(filters, margin, between)
-    components = by_size(Components(log, means, variances), doubts, 2 if change.chance > 0.0 else 0)
-    every = tuple([*names * len(DOUBT_SIZES), *[CHANGED] * (2 if change.chance > 0.0 else 0)])
     chances = np.exp(log - log.max())
-    shares = np.split(chances / chances.sum(), np.cumsum([len(f.names) for f in filters])[:-1])
-    core, sd, low, high = pool(components, change)
-    return Mixture(every, components, core, sd, low, high, tuple(shares), by_faces)
+    shares = np.split(chances / chances.sum(), ends[:-1])
+    said, begin = [], 0
+    for panel, group in groupby(zip(filters, shares, strict=True), key=lambda pair: pair[0].panel):
+        ours, likely = zip(*group, strict=True)
+        own = slice(begin, begin + sum(len(f.names) for f in ours))
+        change = _change(ours, margin, between[panel] if between else None)
+        told = Components(log[own], means[own], variances[own]), doubts[own]
+        said.append(_core(ours, float(sum(share.sum() for share in likely)), told, change))
+        begin = own.stop
+    return _together(said, tuple(shares))
+
+
+def _core(
+    filters: Sequence[KalmanFilter], chance: float, told: tuple[Components, Array], change: tuple[Change, bool]
+) -> PanelCore:
+    """Pool what the hypotheses about one panel say; `told` is theirs, with the variance by doubts of any size."""
+    changed, by_faces = change
+    room = 2 if changed.chance > 0.0 else 0
+    components = by_size(*told, room)
+    names = [name if f.panel == 0 else ANOTHER_PANEL for f in filters for name in f.names]
+    core, sd, low, high = pool(components, changed)
+    every = (*names * len(DOUBT_SIZES), *[CHANGED] * room)
+    return PanelCore(chance, every, components, core, sd, low, high, by_faces)
+
+
+def _together(panels: Sequence[PanelCore], shares: tuple[Array, ...]) -> Mixture:
+    """Return what all likely panels say together."""
+    names = tuple(name for panel in panels for name in panel.names)
+    if len(panels) == 1:
+        (only,) = panels
+        told = only.core_C, only.sd_K, only.low_C, only.high_C
+        return Mixture(names, only.components, *told, shares, only.by_faces, (only,))
+    weight = np.concatenate([panel.chance * panel.components.weight for panel in panels])
+    mean = np.concatenate([panel.components.mean for panel in panels])
+    variance = np.concatenate([panel.components.variance for panel in panels])
+    core = float(weight @ mean)
+    sd = math.sqrt(float(weight @ (variance + (mean - core) ** 2)))
+    low, high = (float(quantile(weight, mean, np.sqrt(variance), share)) for share in (0.025, 0.975))
+    by_faces = all(panel.by_faces for panel in panels)
+    every = Components(weight, mean, variance)
+    return Mixture(names, every, core, sd, min(low, core), max(high, core), shares, by_faces, tuple(panels))
 
 
 def by_size(components: Components, doubts: Array, room: int = 0) -> Components:

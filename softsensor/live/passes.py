@@ -22,7 +22,8 @@ from softsensor.live.kalman import BetweenFaces, KalmanFilter
 from softsensor.live.leaving import KnownPanel, known_panel
 from softsensor.live.march_steps import LONGEST_STEP_S, PressTiming, SensorChain
 from softsensor.live.mixture import Mixture, mix, model_variance
-from softsensor.live.priors import TIMING, panel_plan, plans_for
+from softsensor.live.panels import LikelyPanel
+from softsensor.live.priors import TIMING, FilterPlan, panel_plan, plans_for
 from softsensor.live.setup import Linearised, RunSetup, linearise
 from softsensor.signals.instrument import LIVE_MOMENT_S, START_K
 
@@ -75,8 +76,8 @@ class Pass:
 
     Parameters
     ----------
-    setup, model
-        The press with the run's overrides, and the model in force.
+    panels, model
+        The panels that may lie in the press, the header's first, and the model in force.
     known
         The run's moments as known when the pass began.
     points
@@ -86,22 +87,30 @@ class Pass:
     """
 
     def __init__(
-        self, setup: RunSetup, model: ModelFile | None, known: Known, points: Sequence[Array] | None, first: float
+        self,
+        panels: Sequence[LikelyPanel],
+        model: ModelFile | None,
+        known: Known,
+        points: Sequence[Array] | None,
+        first: float,
     ) -> None:
+        setup = panels[0].setup
         self._setup, self._known, self._first = setup, known, first
         self.switches = known.switches(first)
         self._uneven = UNEVEN_K if known.initial_sd > setup.start_sd else 0.0
-        unowned = [d.prior for d in setup.directions]
-        plans = plans_for(setup.press, model, known.moments_sd, known.initial_sd, unowned)
+        asked = [
+            (number, panel, plan) for number, panel in enumerate(panels) for plan in self._plans(panel, model)
+        ]
+        plans = [plan for _, _, plan in asked]
         if points is None or [len(p) for p in points] != [len(plan.priors) for plan in plans]:
             points = [plan.start.copy() for plan in plans]
         self.points = list(points)
-        made = [linearise(setup, plan, at) for plan, at in zip(plans, points, strict=True)]
-        self.filters = [
-            KalmanFilter.at_prior(setup, one, self._timing(one), plan)
-            for one, plan in zip(made, plans, strict=True)
-        ]
-        self.between = self._between_faces(model)
+        self.filters = []
+        for (number, panel, plan), at in zip(asked, points, strict=True):
+            made = linearise(panel.setup, plan, at)
+            one = KalmanFilter.at_prior(panel.setup, made, self._timing(made), plan, panel.chance)
+            self.filters.append(replace(one, panel=number))
+        self.between = [self._between_faces(panel.setup, model) for panel in panels]
         self.done = 0
         """Scans taken in."""
         self.mixture: Mixture | None = None
@@ -110,14 +119,18 @@ class Pass:
         self._sound = True
         """Whether nothing has changed at once so far."""
 
-    def _between_faces(self, model: ModelFile | None) -> BetweenFaces | None:
-        alone = self._setup.alone
+    def _plans(self, panel: LikelyPanel, model: ModelFile | None) -> list[FilterPlan]:
+        unowned = [d.prior for d in panel.setup.directions]
+        return plans_for(panel.setup.press, model, self._known.moments_sd, self._known.initial_sd, unowned)
+
+    def _between_faces(self, setup: RunSetup, model: ModelFile | None) -> BetweenFaces | None:
+        alone = setup.alone
         if alone is None:
             return None
         unowned = [d.prior for d in alone[0].directions]
         plan = panel_plan(model, alone[0].effects, self._known.initial_sd, unowned)
         made = linearise(alone[0], plan, np.zeros(len(plan.priors)))
-        return BetweenFaces.at_start(made, self._timing(made), alone[1], self._setup.start_C)
+        return BetweenFaces.at_start(made, self._timing(made), alone[1], setup.start_C)
 
     def _timing(self, made: Linearised) -> PressTiming:
         m = self._known.moments
@@ -146,7 +159,8 @@ class Pass:
     @property
     def missed_K(self) -> float:  # noqa: N802
         """By how much both faces moved while they were not read, at most. [K]"""
-        return 0.0 if self.between is None else float(self.between.read.jumped_K[1])
+        between = self.between[0]
+        return 0.0 if between is None else float(between.read.jumped_K[1])
 
     @property
     def misfit(self) -> float:
@@ -209,15 +223,16 @@ class Pass:
             inserted = timing.inserted + UNSURE * self._known.inserted_sd
             counted = Counted(inserted, timing.removed, self.switches, blind)
             blocks = blocks_of(scans.rows, self.done, ends, counted)
-            for one in (*self.filters, self.between):
+            for one in (*self.filters, *self.between):
                 if one is not None:
                     one.take(blocks)
             self.done = int(ends[-1]) + 1
             if whole:
                 self.mixture = mix(self.filters, self.margin(self.rise, by_faces=True), self.between)
                 self._sound = self._sound and self.mixture.changed < EVEN
-                if self.between is not None and self._sound:
-                    self.between.before_C = self.between.core[0]
+                for between in self.between if self._sound else ():
+                    if between is not None:
+                        between.before_C = between.core[0]
         return whole
 
     def better_points(self) -> list[Array] | None:
@@ -269,18 +284,18 @@ class Passes:
         """Begin anew, from what was known before the run, at the next scan."""
         self.current = self._next = None
 
-    def advance(self, setup: RunSetup, scans: Scans, press: KnowsPress, *, stale: bool) -> None:
+    def advance(self, panels: Sequence[LikelyPanel], scans: Scans, press: KnowsPress, *, stale: bool) -> None:
         """Bring the filters up to the newest scan, or a new pass of them nearer to it."""
         now = scans.now
         if stale or (self.current is None and self._next is None):
-            self._begin(setup, scans, press, None if self.current is None else self._points)
+            self._begin(panels, scans, press, None if self.current is None else self._points)
             self.overtaken = stale
         elif self.current is not None and not press.pending:
             self.current.extend(scans, len(scans), blind=self.overtaken)
             if self._next is None and self._due(self.current, now):
                 self._linearised_s = now
                 if (points := self.current.better_points()) is not None:
-                    self._begin(setup, scans, press, points)
+                    self._begin(panels, scans, press, points)
         if self._next is not None:
             step = now - float(scans.time[-2]) if len(scans) > 1 else 0.0
             if self._next.extend(scans, max(LEAST_BLOCKS, round(BLOCKS_PER_S * step))):
@@ -289,10 +304,12 @@ class Passes:
         if self.current is not None:
             scans.expect(self.current.chain.read)
 
-    def _begin(self, setup: RunSetup, scans: Scans, press: KnowsPress, points: Sequence[Array] | None) -> None:
+    def _begin(
+        self, panels: Sequence[LikelyPanel], scans: Scans, press: KnowsPress, points: Sequence[Array] | None
+    ) -> None:
         """Begin a pass with what is known by now; the present one answers until it has caught up."""
         known = replace(press.known, idle=press.state is PressState.IDLE)
-        self._next = Pass(setup, self._model, known, points, float(scans.time[0]))
+        self._next = Pass(panels, self._model, known, points, float(scans.time[0]))
         self._points = self._next.points
 
     def _due(self, current: Pass, now: float) -> bool:

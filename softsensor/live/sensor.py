@@ -30,7 +30,7 @@ from typing import Any
 
 import numpy as np
 
-from daq.press.press_file import Press, press_for_run
+from daq.press.press_file import Press
 from daq.press.resin_file import Resin
 from daq.records import PressState, Run
 from softsensor.heat.model_file import ModelFile
@@ -43,10 +43,11 @@ from softsensor.live.forecast import Forecast, look_ahead, wishes_of
 from softsensor.live.inside import Inside
 from softsensor.live.leaving import Leave
 from softsensor.live.mixture import Mixture
+from softsensor.live.panels import LikelyPanel, likely_panels, nearest_of
 from softsensor.live.passes import Pass, Passes
 from softsensor.live.platens import HeldPlatens
 from softsensor.live.possible import Possible
-from softsensor.live.setup import RunSetup, set_up, with_platens
+from softsensor.live.setup import RunSetup, with_platens
 from softsensor.live.validity import Invalid, InvalidReason
 
 # Numbers without another source were set by hand, 2026-11.
@@ -55,6 +56,8 @@ MISFIT_LIMIT = 9.0
 """Mean squared normalised innovation over 10 s beyond which the model is not valid: three deviations, for 10 s."""
 WIDEST_K = 25.0
 """Half-width of a band beyond which the core is not observable. Set by hand, 2026-11. [K]"""
+OF_THE_CORE_ALONE = (InvalidReason.BAND_TOO_WIDE, InvalidReason.ANOTHER_PANEL)
+"""Reasons that leave the faces known."""
 FORECAST_S = 2.0
 """How often the sensor looks ahead. [s]"""
 
@@ -97,7 +100,8 @@ class Estimate:
 class _Followed:
     """What follows a run from its first scan on."""
 
-    setup: RunSetup
+    panels: tuple[LikelyPanel, ...]
+    """That may lie in the press, the header's first."""
     scans: Scans
     press: PressFollower
     passes: Passes
@@ -105,6 +109,11 @@ class _Followed:
     loads: HeldLoads
     still: Stillness
     possible: Possible
+
+    @property
+    def setup(self) -> RunSetup:
+        """Press, mesh and places as the header says."""
+        return self.panels[0].setup
 
     @property
     def outside(self) -> tuple[float, ...]:
@@ -152,7 +161,8 @@ class LiveSensor:
             return Estimate(time_s, run.press.state, invalid=Invalid(InvalidReason.PLATEN_READING_MISSING))
         run.possible.note(run.platens.measured)
         if not len(run.scans):
-            run.setup = with_platens(run.setup, run.platens.values)
+            known = [with_platens(panel.setup, run.platens.values) for panel in run.panels]
+            run.panels = tuple(replace(p, setup=setup) for p, setup in zip(run.panels, known, strict=True))
             run.press.note_first_platens(time_s)
         run.scans.append(time_s, run.outside, readings[len(run.setup.platens) :])
         silenced = run.still.silence(run.scans, frozen=frozen)
@@ -160,7 +170,7 @@ class LiveSensor:
         current = run.passes.current
         run.press.receive(time_s, None if current is None else current.chain.read)
         try:
-            run.passes.advance(run.setup, run.scans, run.press, stale=bool(moments) or silenced or disagrees)
+            run.passes.advance(run.panels, run.scans, run.press, stale=bool(moments) or silenced or disagrees)
         except (ArithmeticError, np.linalg.LinAlgError):
             run.passes.drop()
             return Estimate(time_s, run.press.state, invalid=Invalid(InvalidReason.CALCULATION_FAILED))
@@ -219,13 +229,15 @@ class LiveSensor:
         times = np.linspace(-2.0, 900.0, 24)  # close enough that no gap needs bridging
         columns = {name: np.full(len(times), v) for name, v in values.items()}
         run = Run("live", self._header, times, columns, "live")
-        setup = replace(set_up(press_for_run(self._press, run), run, self._model), resin=self._resin)
+        likely = likely_panels(self._press, run, self._model)
+        panels = tuple(replace(p, setup=replace(p.setup, resin=self._resin)) for p in likely)
+        setup = panels[0].setup
         loads = HeldLoads(setup.press)
         scans = Scans(setup.place, len(setup.labels), len(loads.logs))
         still = Stillness(setup.place, len(setup.labels), len(setup.platens))
         platens = HeldPlatens(setup.press)
         press, possible = PressFollower(setup, scans), Possible(setup)
-        return _Followed(setup, scans, press, Passes(self._model), platens, loads, still, possible)
+        return _Followed(panels, scans, press, Passes(self._model), platens, loads, still, possible)
 
     def _estimate(self, run: _Followed, time_s: float) -> Estimate:
         state, current = run.press.state, run.passes.current
@@ -241,7 +253,7 @@ class LiveSensor:
             min(max(t + ahead, can_be.lowest_C), can_be.highest_C) for t in (mixture.low_C, mixture.high_C)
         )
         invalid = can_be.contradicted(core) or _why_invalid(run, current, mixture, time_s)
-        known = invalid is None or invalid.reason is InvalidReason.BAND_TOO_WIDE  # of the core: faces may be known
+        known = invalid is None or invalid.reason in OF_THE_CORE_ALONE
         leave = None
         if known and self._resin is not None and current.known_panel is not None:
             leave = current.known_panel.leave(self._resin, since_s, ahead)
@@ -272,6 +284,9 @@ def _why_invalid(run: _Followed, current: Pass, mixture: Mixture, time_s: float)
         return Invalid(InvalidReason.READINGS_CONTRADICT_MODEL)
     if (invalid := run.press.unseen(time_s, overtaken=run.passes.overtaken)) is not None:
         return invalid
-    if mixture.high_C - mixture.low_C > 2.0 * WIDEST_K:
-        return Invalid(InvalidReason.BAND_TOO_WIDE, {"limit_K": WIDEST_K})
-    return None
+    if mixture.high_C - mixture.low_C <= 2.0 * WIDEST_K:
+        return None
+    if len(run.panels) > 1:
+        told = nearest_of([panel.thickness_mm for panel in run.panels])
+        return Invalid(InvalidReason.ANOTHER_PANEL, {**told, "limit_K": WIDEST_K})
+    return Invalid(InvalidReason.BAND_TOO_WIDE, {"limit_K": WIDEST_K})

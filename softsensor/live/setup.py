@@ -116,15 +116,18 @@ class Linearised:
         return float(self.at[self.names.index(name)] * self.priors[self.names.index(name)].sd)
 
 
-def set_up(press: Press, run: Run, model: ModelFile | None) -> RunSetup:
-    """Check a run's first scan against the press. Raises InputError."""
+def set_up(press: Press, run: Run, model: ModelFile | None, *, new_product: bool = False) -> RunSetup:
+    """Check a run's first scan against the press. Raises InputError.
+
+    `new_product` says that no earlier run had such a panel.
+    """
     effects = tuple(name for name, _ in model.effects) if model else ()
     sensors = press.sensors_of(run)
     labels = tuple(dict.fromkeys(s.label for s in sensors.values()))
     place = np.array([labels.index(s.label) for s in sensors.values()], dtype=np.int64)
     panel = panel_of(run) if press.panel_layers else None
     start = panel.initial_temperature if panel is not None else math.nan
-    directions = directions_of(press, run, panel, model)
+    directions = directions_of(press, run, panel, model, new_product=new_product)
     fixed = {
         effect.key(p.name): table[p.name].value
         for effect, (_, table) in zip(map(find_effect, effects), model.effects if model else (), strict=True)

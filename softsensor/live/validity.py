@@ -32,6 +32,7 @@ class InvalidReason(StrEnum):
     LOWER_FACE_SILENT = "no reading of the lower face"
     INSERTION_NOT_SEEN = "insertion not seen"
     BAND_TOO_WIDE = "band too wide"
+    ANOTHER_PANEL = "another panel"
     NO_PANEL = "no panel in the press"
     RUN_REFUSED = "run refused"
     LIVE_SENSOR_SILENT = "live sensor silent"

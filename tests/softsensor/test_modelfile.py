@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from daq.records import InputError
-from softsensor.heat.model_file import FittedValue, ModelFile, Scatter, model_text, parse_model
+from softsensor.heat.model_file import FittedValue, ModelFile, PressedPanel, Scatter, model_text, parse_model
 from softsensor.jobs.model_files import read_model
 
 MODEL = ModelFile(
@@ -17,6 +17,7 @@ MODEL = ModelFile(
     names=("h_pp_c", "h_wa", "edge_loss.W_m3K"),
     covariance=np.diag([0.01, 0.02, 1e4]),
     scatter={"panel.conductivity_W_mK": Scatter(0.06, 12, 0.05)},
+    panels=(PressedPanel(16.0, 8), PressedPanel(19.1, 4)),
 )
 
 
@@ -29,8 +30,15 @@ def test_what_is_written_is_read(tmp_path):
     assert back.names == MODEL.names
     assert back.learned == {"panel.conductivity_W_mK": 0.06}
     assert back.scatter == MODEL.scatter
+    assert back.panels == MODEL.panels
     assert np.array_equal(back.covariance, MODEL.covariance)
     assert back.values == {"h_pp_c": 700.0, "h_wa": 12.0, "edge_loss.W_m3K": 900.0}
+
+
+def test_a_file_without_panels_does_not_know_which_there_were():
+    content = json.loads(model_text(MODEL))
+    assert content.pop("panels") == [{"thickness_mm": 16.0, "runs": 8}, {"thickness_mm": 19.1, "runs": 4}]
+    assert parse_model(content, "model.json").panels == ()
 
 
 def test_a_scatter_that_does_not_say_what_panels_differ_by_is_all_of_that():
@@ -56,6 +64,9 @@ def test_a_model_file_names_its_effects_to_the_thermal_model(lab_press):
             {"effects": [{"name": "edge_loss", "parameters": {"h": {"value": 1.0}}}]},
             r"effects\.0\.parameters\.h: edge_loss has W_m3K",
         ),
+        ({"panels": [{"thickness_mm": 16.0}]}, "panels is not as `fit` writes it"),
+        ({"panels": [{"thickness_mm": -16.0, "runs": 3}]}, "panels is not as `fit` writes it"),
+        ({"panels": 16.0}, "panels is not as `fit` writes it"),
         ({"scatter": {"panel.thickness_mm": {"sd": -0.1, "runs": 3}}}, "scatter is not as `fit` writes it"),
         (
             {"scatter": {"panel.thickness_mm": {"sd": 0.1, "runs": 3, "panel": 0.2}}},

@@ -1,0 +1,140 @@
+"""A thickness no earlier run of a press had: the header is right about a new panel, or wrong about a known one."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from daq.simulated.campaign import make_campaign
+from daq.words.message import words
+from softsensor.fitting.constants import ConstantFit, with_constants_of
+from softsensor.heat.model_file import PressedPanel
+from softsensor.jobs.model_in_force import combined_model, with_pressed, with_stored_fits
+from softsensor.live.panels import ENTRY_ERROR, LEAST_CHANCE, MOST_OTHERS, panel_chances, panel_remark
+from softsensor.live.sensor import LiveSensor
+from softsensor.live.validity import InvalidReason
+from softsensor.signals.doubt import Source
+from softsensor.signals.pressed import all_products, products, thickness_sd
+from tests.softsensor.test_live_trust import HELD, MODEL, PLAN, PRESS
+
+KEY = "panel.thickness_mm"
+KNOWN = (PressedPanel(16.0, 8),)
+
+
+def with_thickness(run, thickness_mm):
+    return replace(run, header={**run.header, KEY: thickness_mm})
+
+
+@pytest.mark.parametrize("runs", [1, 8, 40])
+def test_one_product_s_successor_is_new_as_laplace_says_and_the_header_wrong_as_often_as_people_are(runs):
+    new, known = 1.0 / (runs + 1.0), runs / (runs + 1.0)
+    right, wrong = (1.0 - ENTRY_ERROR) * new, ENTRY_ERROR * known
+    header, other = panel_chances(12.0, (PressedPanel(16.0, runs),))
+    assert header.chance == pytest.approx(right / (right + wrong), rel=1e-12)
+    assert (header.thickness_mm, other.thickness_mm) == (12.0, 16.0)
+    assert header.chance + other.chance == pytest.approx(1.0, abs=1e-12)
+
+
+def test_products_share_what_is_wrong_by_their_runs_and_new_ones_are_likelier_where_there_were_many():
+    header, thin, thick = panel_chances(12.0, (PressedPanel(16.0, 9), PressedPanel(19.0, 3)))
+    assert thin.chance == pytest.approx(3.0 * thick.chance)
+    assert header.chance == pytest.approx(
+        2.0 * (1.0 - ENTRY_ERROR) / (2.0 * (1.0 - ENTRY_ERROR) + 12 * ENTRY_ERROR)
+    )
+
+
+def test_a_band_of_95_percent_always_holds_nine_tenths_of_what_the_header_says():
+    header, other = panel_chances(12.0, (PressedPanel(16.0, 100_000),))
+    assert header.chance == LEAST_CHANCE
+    assert pytest.approx(1.0 - 0.9) == 0.025 / LEAST_CHANCE
+    assert other.chance == 1.0 - LEAST_CHANCE
+
+
+@pytest.mark.parametrize(("header_mm", "panels"), [(12.0, ()), (16.0, KNOWN), (16.3, KNOWN), (15.7, KNOWN)])
+def test_a_header_is_believed_where_nothing_is_known_or_the_product_is(header_mm, panels):
+    (only,) = panel_chances(header_mm, panels)
+    assert (only.chance, only.thickness_mm) == (1.0, header_mm)
+
+
+def test_many_products_are_a_few_panels_with_the_same_mean_and_variance():
+    pressed = [
+        PressedPanel(mm, runs) for mm, runs in ((6.0, 2), (8.0, 7), (10.0, 1), (16.0, 9), (19.0, 4), (38.0, 1))
+    ]
+    header, *others = panel_chances(12.0, pressed)
+    assert len(others) == MOST_OTHERS
+    share = np.array([o.chance for o in others]) / (1.0 - header.chance)
+    runs = np.array([p.runs for p in pressed]) / 24.0
+    mean = runs @ [p.thickness_mm for p in pressed]
+    assert share @ [o.thickness_mm for o in others] == pytest.approx(mean)
+    variance = runs @ [thickness_sd(p.thickness_mm) ** 2 + (p.thickness_mm - mean) ** 2 for p in pressed]
+    assert share @ [o.sd_mm**2 + (o.thickness_mm - mean) ** 2 for o in others] == pytest.approx(variance)
+
+
+def test_panels_within_the_norm_s_tolerance_are_one_product():
+    found = products([16.05, 19.0, 15.9, 18.9, 16.1, 16.6])
+    assert [(round(p.thickness_mm, 3), p.runs) for p in found] == [(16.017, 3), (16.6, 1), (18.95, 2)]
+    assert all_products(KNOWN, (PressedPanel(16.1, 3), PressedPanel(10.0, 1))) == (PressedPanel(10.0, 1), *KNOWN)
+
+
+def test_every_way_to_a_model_keeps_which_panels_there_were():
+    fits = [{KEY: ConstantFit(mm, 0.1, Source.DATA_SHEET, mm, 0.1)} for mm in (16.0, 16.0, 19.0)]
+    wanted = (PressedPanel(16.0, 2), PressedPanel(19.0, 1))
+    assert with_constants_of(MODEL, fits).panels == wanted
+    stored = [{"coefficients": {}, "constants": {KEY: fit[KEY].as_json()}} for fit in fits]
+    assert combined_model(PRESS, None, stored).panels == wanted
+    assert combined_model(PRESS, replace(MODEL, panels=KNOWN), stored).panels == (*KNOWN, wanted[1])
+    assert with_stored_fits(MODEL, stored).panels == wanted
+    headers = [{KEY: 16.0}, {KEY: 12}, {}, {KEY: "sixteen"}, {KEY: 16.0}]
+    assert with_pressed(MODEL, headers).panels == (PressedPanel(12.0, 1), PressedPanel(16.0, 2))
+
+
+@pytest.fixture(scope="module")
+def pressing():
+    return make_campaign(501, 1, None, PLAN)[0]
+
+
+def followed(run, truth, panels):
+    """Return by how much the truth lies beyond each valid band [K], all estimates, and the last mixture."""
+    sensor = LiveSensor(PRESS, run.header, replace(HELD, panels=panels))
+    said = [
+        sensor.update(t, {name: float(values[i]) for name, values in run.columns.items()})
+        for i, t in enumerate(run.time_s.tolist())
+    ]
+    beyond = [max(e.core_low_C - c, c - e.core_high_C) for e, c in zip(said, truth.core_C, strict=True) if e.valid]
+    return np.array(beyond), said, sensor.mixture
+
+
+@pytest.mark.parametrize("factor", [0.75, 1.5])
+def test_a_band_holds_the_core_of_the_panel_that_lies_there_though_the_header_says_another(pressing, factor):
+    run, truth = pressing
+    lie = with_thickness(run, 16.0 * factor)
+    sure_and_wrong, _, _ = followed(lie, truth, ())
+    assert sure_and_wrong.max() > 10.0  # as a model that does not know which panels there were has it
+    beyond, said, mixture = followed(lie, truth, KNOWN)
+    assert beyond.max() < 0.5
+    assert len(beyond) > 0.5 * len(run.time_s)
+    assert {e.reason for e in said if not e.valid} <= {InvalidReason.ANOTHER_PANEL}
+    assert sum(panel.chance for panel in mixture.panels) == pytest.approx(1.0)
+    assert mixture.components.weight.sum() == pytest.approx(1.0)
+    assert all(panel.low_C >= mixture.low_C - 40.0 for panel in mixture.panels)
+
+
+def test_a_header_that_says_a_known_product_changes_nothing(pressing):
+    run, truth = pressing
+    _, before, _ = followed(run, truth, ())
+    _, after, mixture = followed(run, truth, KNOWN)
+    told = [[(e.core_C, e.core_low_C, e.core_high_C, e.valid) for e in said] for said in (before, after)]
+    assert np.array_equal(*told, equal_nan=True)
+    assert len(mixture.panels) == 1
+
+
+def test_a_thickness_that_is_new_to_a_press_is_told_in_words():
+    model = replace(HELD, panels=(*KNOWN, PressedPanel(25.0, 3)))
+    remark = panel_remark({KEY: 12.0}, model)
+    assert str(remark).startswith(
+        "panel.thickness_mm = 12: no earlier run of this press had such a panel, the nearest"
+    )
+    assert "16" in str(remark)
+    assert "keine frühere Pressung" in words(remark, "de")
+    assert panel_remark({KEY: 16.0}, model) is None
+    assert panel_remark({KEY: 12.0}, None) is None
