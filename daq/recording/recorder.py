@@ -145,10 +145,7 @@ def record(
         outbox.start()
         for line in lines:
             line.start()
-        path = store.database.path
-        pages = None if path is None else PageWatch(path, journal)
-        if pages is not None:
-            SupervisedThread("pages", partial(pages.work, stop), partial(journal, "alarm")).start()
+        pages = _watched_pages(store, journal, stop)
         presses = tuple(settings.name for settings in config.press)
         journal("info", say("recording-begins", presses=presses, where=outbox.capacity))
         notifier = Notifier()
@@ -163,6 +160,15 @@ def record(
             outbox.beat(store.beats_as(PROCESS), _status(lines, outbox, "stopped"))
             journal("info", say("recording-ends"))
             outbox.close()
+
+
+def _watched_pages(store: Store, journal: Journal, stop: threading.Event) -> PageWatch | None:
+    """Begin to read the file of an SQLite store through, again and again; None for a server's."""
+    if (path := store.database.path) is None:
+        return None
+    pages = PageWatch(path, journal)
+    SupervisedThread("pages", partial(pages.work, stop), partial(journal, "alarm")).start()
+    return pages
 
 
 @contextmanager

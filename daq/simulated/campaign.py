@@ -201,23 +201,11 @@ def _make_run(press: _Press, seed: int, number: int) -> tuple[Run, Truth]:
     pressing = with_outside(replace(pressing, effects=physical), press.outside)
     places = solve_places(pressing, press.outside, press.plan.rim_contrast, press.plan.accuracy)
     core, faces = places.core, places.channels
-    period = 1.0 / press.rate_hz
-    n = int((pressing.end - pressing.start) / period)
-    jitter = np.clip(rng.standard_normal(n) * press.plan.nuisances.jitter, -0.2, 0.2)
-    times = np.round(pressing.start + period * (np.arange(n) + jitter), 4)
-    times -= times[0]
-    if hidden.random() < press.plan.nuisances.gap_chance:
-        begin = hidden.uniform(1.0, times[-1] - 11.0)
-        times = times[(times < begin) | (times > begin + hidden.uniform(1.0, 10.0))]
+    times = _scan_times(press, pressing, rng, hidden)
     faults = press.faults
     if rng.random() < press.plan.nuisances.loose_chance:
         faults += (draw_fault(rng, pressing.end, "loose"),)
-    chain = Chain(
-        press.plan.nuisances,
-        run_effects.get("clock_offset", {}).get("seconds", 0.0),
-        {f"platen_{s}": run_effects.get("platen_offset", {}).get(f"{s}_K", 0.0) for s in ("top", "bottom")},
-        faults,
-    )
+    chain = Chain.of(press.plan.nuisances, run_effects, faults)
     truth: dict[str, Callable[[Array], Array]] = {
         "platen_top": pressing.platen_top.at,
         "platen_bottom": pressing.platen_bottom.at,
@@ -247,6 +235,19 @@ def _make_run(press: _Press, seed: int, number: int) -> tuple[Run, Truth]:
         ambient=pressing.ambient,
         pressing=pressing,
     )
+
+
+def _scan_times(press: _Press, pressing: Pressing, rng: np.random.Generator, hidden: np.random.Generator) -> Array:
+    """Return when the logger scans, from 0 on, with its jitter and perhaps a gap (rows). [s]"""
+    period = 1.0 / press.rate_hz
+    n = int((pressing.end - pressing.start) / period)
+    jitter = np.clip(rng.standard_normal(n) * press.plan.nuisances.jitter, -0.2, 0.2)
+    times = np.round(pressing.start + period * (np.arange(n) + jitter), 4)
+    times -= times[0]
+    if hidden.random() < press.plan.nuisances.gap_chance:
+        begin = hidden.uniform(1.0, times[-1] - 11.0)
+        times = times[(times < begin) | (times > begin + hidden.uniform(1.0, 10.0))]
+    return np.asarray(times)
 
 
 def _draw_pressing(press: _Press, rng: np.random.Generator) -> tuple[Pressing, float]:

@@ -101,6 +101,17 @@ class Chain:
     """True minus reading."""
     faults: tuple[Fault, ...] = ()
 
+    @staticmethod
+    def of(nuisances: Nuisances, effects: Mapping[str, Mapping[str, float]], faults: tuple[Fault, ...]) -> Chain:
+        """Return the chain of a run, from what is hidden in it by effect and parameter."""
+        offset = effects.get("platen_offset", {})
+        return Chain(
+            nuisances,
+            effects.get("clock_offset", {}).get("seconds", 0.0),
+            {f"platen_{side}": offset.get(f"{side}_K", 0.0) for side in ("top", "bottom")},
+            faults,
+        )
+
 
 def measure(
     truth: Mapping[str, Callable[[Array], Array]],

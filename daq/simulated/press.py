@@ -167,12 +167,7 @@ class VirtualPress:
         pressing = with_outside(replace(pressing, effects=physical), self.outside)
         plates = None if before is None else before.plates
         places = solve_places(pressing, self.outside, rim_contrast=1.0, plates=plates)
-        chain = Chain(
-            self.settings.nuisances,
-            run_effects.get("clock_offset", {}).get("seconds", 0.0),
-            {f"platen_{s}": run_effects.get("platen_offset", {}).get(f"{s}_K", 0.0) for s in ("top", "bottom")},
-            self.faults,
-        )
+        chain = Chain.of(self.settings.nuisances, run_effects, self.faults)
         times = np.append(np.arange(0.0, pressing.end, GRID_S), pressing.end)
         curves = self._curves(pressing, places.channels, before, rng)
         readings = measure(curves, times, chain, self.ambient, rng)

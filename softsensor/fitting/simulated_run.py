@@ -10,6 +10,8 @@ import numpy as np
 
 from daq.press.press_file import Press
 from daq.records import Array, PressState, Run
+from softsensor.heat.case import Case
+from softsensor.heat.chain import Solution
 from softsensor.heat.model import ThermalModel, states
 from softsensor.signals.moments import moments_of
 from softsensor.signals.places import Place
@@ -65,27 +67,20 @@ def simulate_run(
         for label in places
         if np.isfinite(measured[label]).any()
     }
-    depths, chosen, profile = np.zeros(0), np.zeros(0), np.zeros((0, 0))
-    if case.press.panel_layers:
-        layer = case.press.panel_layers[0]
-        cells = case.mesh.cells(layer)
-        centres = case.mesh.centres(layer)
-        width = case.mesh.dx[cells].sum()
-        depths = np.linspace(0.0, width, PROFILE_DEPTHS)
-        rows = np.unique(np.linspace(0, len(case.edges) - 1, PROFILE_ROWS).astype(int))
-        chosen = case.edges[rows]
-        profile = np.stack([np.interp(depths, centres, solution.fields[row, cells]) for row in rows])
-    return Simulated(
-        run.time_s,
-        tuple(states(case)),
-        places,
-        measured,
-        rmse,
-        solution.core,
-        chosen,
-        depths * 1000.0,
-        profile,
-    )
+    profile = _profile(case, solution)
+    return Simulated(run.time_s, tuple(states(case)), places, measured, rmse, solution.core, *profile)
+
+
+def _profile(case: Case, solution: Solution) -> tuple[Array, Array, Array]:
+    """Return times [s], depths [mm] and temperatures [°C] through the panel (times, depths); empty without one."""
+    if not case.press.panel_layers:
+        return np.zeros(0), np.zeros(0), np.zeros((0, 0))
+    layer = case.press.panel_layers[0]
+    cells, centres = case.mesh.cells(layer), case.mesh.centres(layer)
+    depths = np.linspace(0.0, case.mesh.dx[cells].sum(), PROFILE_DEPTHS)
+    rows = np.unique(np.linspace(0, len(case.edges) - 1, PROFILE_ROWS).astype(int))
+    fields = np.stack([np.interp(depths, centres, solution.fields[row, cells]) for row in rows])
+    return case.edges[rows], depths * 1000.0, fields
 
 
 def _measured(run: Run, place_of: Mapping[str, int], place: int) -> Array:

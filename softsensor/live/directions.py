@@ -116,7 +116,8 @@ def directions_of(
         own = _seen({key: s.panel for key, s in model.scatter.items()}, usual, model.missing.nothing)
         panels = {key: own.get(key, size) for key, size in PANEL_TO_PANEL.items()}
     gaps = [Unowned(Unknown(name, 0.0, sd)) for name, sd in gap_priors(press, run, panel).items() if sd > START_K]
-    return (*_constants(press, run, panel, doubts, panels), *gaps, *_discrepancy(press, panel, model))
+    constants = (*_constants(press, run, panel, doubts, panels), *_fluxes(doubts))
+    return (*constants, *gaps, *_discrepancy(press, panel, model))
 
 
 def _across_or_along(run: Run) -> dict[str, float]:
@@ -151,18 +152,8 @@ def _constants(
         )
     for names in materials.values():
         own = next(layer for layer in press.layer if layer.name == names[0])
-        prefix = "panel" if own.from_run else f"layer.{own.name}"
-
-        def share(key: str, prefix: str = prefix) -> float:
-            found = doubts.get(f"{prefix}.{key}")
-            return found.relative if found is not None and math.isfinite(found.relative) else 0.0
-
-        def loose(key: str, share: float, prefix: str = prefix) -> float:
-            found = doubts.get(key := f"{prefix}.{key}")
-            if found is not None and found.source is Source.STATED:
-                return 0.0
-            return min(1.0, panels.get(key, share) / share) ** 2
-
+        in_doubt = _InDoubt("panel" if own.from_run else f"layer.{own.name}", doubts, panels)
+        share, loose = in_doubt.share, in_doubt.loose
         odd = _beside_table(run.header) if own.from_run else {}
         thick, k = share("thickness_mm"), max(share("conductivity_W_mK"), odd.get("conductivity", 0.0))
         c = math.hypot(
@@ -188,14 +179,34 @@ def _constants(
                 conductivity=-1.0,
                 capacity=1.0,
             )
+
+
+def _fluxes(doubts: Mapping[str, Doubt]) -> Iterator[Unowned]:
     for end, side in enumerate(("bottom", "top")):
-        both = [
-            doubts[key].relative
-            for n in ("incident_W_m2", "absorptivity")
-            if (key := f"boundary.{side}.{n}") in doubts
-        ]
-        if both:
+        keys = (f"boundary.{side}.{name}" for name in ("incident_W_m2", "absorptivity"))
+        if both := [doubts[key].relative for key in keys if key in doubts]:
             yield Unowned(Unknown(f"{CONSTANT} flux {side}", 0.0, math.hypot(*both), considered=True), flux=end)
+
+
+@dataclass(frozen=True)
+class _InDoubt:
+    """What is in doubt about the constants of one layer, or of the panel."""
+
+    prefix: str
+    doubts: Mapping[str, Doubt]
+    panels: Mapping[str, float]
+
+    def share(self, key: str) -> float:
+        """Return a constant's standard deviation, as a share; 0 where it is in no doubt."""
+        found = self.doubts.get(f"{self.prefix}.{key}")
+        return found.relative if found is not None and math.isfinite(found.relative) else 0.0
+
+    def loose(self, key: str, share: float) -> float:
+        """Return the share of that variance whose size is known only within a range."""
+        found = self.doubts.get(key := f"{self.prefix}.{key}")
+        if found is not None and found.source is Source.STATED:
+            return 0.0
+        return min(1.0, self.panels.get(key, share) / share) ** 2
 
 
 def _beside_table(header: Mapping[str, object]) -> dict[str, float]:

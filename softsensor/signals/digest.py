@@ -36,6 +36,8 @@ GROWTH = 1.15
 """Each bin after an event is this much wider than the one before."""
 FIRST_BIN_S, WIDEST_BIN_S = 0.2, 4.0
 """Narrowest bin, after an event, and widest in a run of up to 8 min. Set by hand, 2026-11. [s]"""
+LEAST_READ = 0.3
+"""Share of the rows in which a channel must read to stand for its signal."""
 SAMPLES = 4
 """The model is read at up to so many times within a bin."""
 PLAIN_K = 0.1
@@ -141,13 +143,8 @@ def digest_run(press: Press, run: Run, moments: Moments, excluded: frozenset[str
     """
     plain = ThermalModel(press)
     case = plain.prepare(run, moments, max_step_s=STEP_S)
-    fit = {c: s.label for c, s in case.press.sensors_of(run).items() if c not in excluded}
-    fit = {c: label for c, label in fit.items() if np.isfinite(run.columns[c]).sum() > 0.3 * len(run.time_s)}
-    if not fit:
-        named = tuple(p for s in press.sensor for p in s.columns)
-        raise InputError(say("run-no-panel-channel", run=run.source or run.name, named=named))
-    signals = tuple(dict.fromkeys(fit.values()))
-    channels = {s: tuple(c for c, label in fit.items() if label == s) for s in signals}
+    channels = _channels_of(case.press, run, excluded)
+    signals = tuple(channels)
     series, offset_sd = _signal_series(run, signals, channels)
     period = float(np.median(np.diff(run.time_s))) if len(run.time_s) > 1 else 1.0
     rows, group = _group_rows(run.time_s, moments, period)
@@ -187,6 +184,16 @@ def digest_run(press: Press, run: Run, moments: Moments, excluded: frozenset[str
         cores=cores,
         cases=cases,
     )
+
+
+def _channels_of(press: Press, run: Run, excluded: frozenset[str]) -> dict[str, tuple[str, ...]]:
+    """Return the channels of each signal. Raises InputError where none is left."""
+    fit = {c: s.label for c, s in press.sensors_of(run).items() if c not in excluded}
+    fit = {c: label for c, label in fit.items() if np.isfinite(run.columns[c]).mean() > LEAST_READ}
+    if not fit:
+        named = tuple(p for s in press.sensor for p in s.columns)
+        raise InputError(say("run-no-panel-channel", run=run.source or run.name, named=named))
+    return {s: tuple(c for c, label in fit.items() if label == s) for s in dict.fromkeys(fit.values())}
 
 
 def _sampled(case: Case, lean: Run, places: Mapping[str, str]) -> Case:

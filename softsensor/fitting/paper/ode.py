@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,27 @@ from softsensor.heat.timing import OPENING_RAMP_S
 Integers = NDArray[np.int64]
 
 
+class Slab(NamedTuple):
+    """What the compiled right-hand side needs of a run."""
+
+    dx: Array
+    """Cell widths (n). [m]"""
+    conductivity: Array
+    """(n). [W/mK]"""
+    capacity: Array
+    """Heat capacity per volume (n). [J/m³K]"""
+    spots: Integers
+    """Interface, state, kind (0 coupling, 1 lower face to air, 2 upper) and coefficient of each entry."""
+    time_s: Array
+    """Of the boundary temperatures (rows). [s]"""
+    boundary: Array
+    """Measured boundary temperatures (rows, 2). [°C]"""
+    switches: Array
+    """Insertion, closing, opening, closing ramp, opening ramp. [s]"""
+    ambient: float
+    """[°C]"""
+
+
 @dataclass(frozen=True)
 class Lines:
     """A run's semi-discrete equations, ready to integrate."""
@@ -30,21 +51,13 @@ class Lines:
     model: ThermalModel
     case: Case
     names: tuple[str, ...]
-    dx: Array
-    conductivity: Array
-    capacity: Array
-    spots: Integers
-    """Interface, state, kind (0 coupling, 1 lower face to air, 2 upper) and coefficient of each entry."""
+    slab: Slab
     places: Array
     """Weights that read the sensors' places (places, n)."""
-    boundary: Array
-    """Measured boundary temperatures (rows, 2). [°C]"""
-    switches: Array
-    """Insertion, closing, opening, closing ramp, opening ramp. [s]"""
 
     def solve(self, h: Array, *, sensitivities: bool, method: str = "LSODA") -> tuple[Array, Array]:
         """Integrate with the solver's default tolerances; places (rows, places) and derivatives by ln h."""
-        n, p = len(self.dx), len(h) if sensitivities else 0
+        n, p = len(self.slab.dx), len(h) if sensitivities else 0
         names = self.names if sensitivities else ()
         state = self.model.build(self.case, dict(zip(self.names, h, strict=True)), names).start
         start = np.column_stack([state.t, state.s[:p].T * h[:p]])
@@ -53,10 +66,7 @@ class Lines:
         options: dict[str, Any] = {"lband": band, "uband": band} if method == "LSODA" else {}
 
         def right(at: float, y: Array) -> Array:
-            return _right(
-                at, y.reshape(n, 1 + p), h, self.dx, self.conductivity, self.capacity, self.spots, t,
-                self.boundary, self.switches, self.case.ambient,
-            )  # fmt: skip
+            return _right(at, y.reshape(n, 1 + p), h, self.slab)
 
         found = solve_ivp(right, (t[0], t[-1]), start.ravel(), method=method, t_eval=t, **options)
         states = found.y.T.reshape(len(found.t), n, 1 + p)
@@ -84,10 +94,17 @@ def lines_of(model: ThermalModel, case: Case, names: tuple[str, ...], labels: tu
         [moments.inserted_s, moments.closed_s, moments.opened_s, max(moments.ramp_s, 0.05), OPENING_RAMP_S]
     )
     places = np.stack([case.places[case.labels.index(label)] for label in labels])
-    return Lines(
-        model, case, names, stack.dx, np.asarray(stack.k), np.asarray(stack.c), np.array(spots, dtype=np.int64),
-        places, boundary, switches,
-    )  # fmt: skip
+    slab = Slab(
+        stack.dx,
+        np.asarray(stack.k),
+        np.asarray(stack.c),
+        np.array(spots, dtype=np.int64),
+        run.time_s,
+        boundary,
+        switches,
+        case.ambient,
+    )
+    return Lines(model, case, names, slab, places)
 
 
 def _name_of(probe: Mapping[str, float], value: float) -> str:
@@ -106,30 +123,46 @@ def _share(at: float, middle: float, length: float) -> float:
 _ramp: Callable[[float, float, float], float] = compiled()(_share)
 
 
-def _right_side(  # noqa: C901, PLR0913 - one compiled loop
-    at: float, y: Array, h: Array, dx: Array, k: Array, c: Array, spots: Integers, times: Array,
-    boundary: Array, switches: Array, ambient: float,
-) -> Array:  # fmt: skip
-    """Heat into each cell over its capacity, and the same for every sensitivity column."""
-    n, width = y.shape
-    p = width - 1
+def _outside_at(at: float, slab: Slab) -> tuple[Array, Array]:
+    """Return the boundary temperatures (2) [°C] and the shares of the states idle, open and closed (3)."""
+    times, boundary, switches = slab.time_s, slab.boundary, slab.switches
     row = min(max(int(np.searchsorted(times, at)) - 1, 0), len(times) - 2)
     u = (at - times[row]) / (times[row + 1] - times[row])
-    ends = boundary[row] + u * (boundary[row + 1] - boundary[row])
     present = 1.0 if at >= switches[0] else 0.0
     closed = _ramp(at, switches[1], switches[3]) - _ramp(at, switches[2], switches[4])
-    weight = np.array([1.0 - present, present - closed, closed])
-    flow = np.zeros((n, width))
+    shares = np.array([1.0 - present, present - closed, closed])
+    return boundary[row] + u * (boundary[row + 1] - boundary[row]), shares
+
+
+_outside: Callable[[float, Slab], tuple[Array, Array]] = compiled()(_outside_at)
+
+
+def _contacts_of(shares: Array, h: Array, slab: Slab, p: int) -> tuple[Array, Array, Array]:
+    """Return contacts by kind (n + 1, 3), their slopes by ln h (n + 1, 3, p), and which interfaces have any."""
+    n = len(slab.dx)
     contact = np.zeros((n + 1, 3))
     slope = np.zeros((n + 1, 3, max(p, 1)))
     touched = np.zeros(n + 1)
-    for s in range(len(spots)):
-        j, state, kind, name = spots[s]
-        value = weight[state] * h[name]
+    for s in range(len(slab.spots)):
+        j, state, kind, name = slab.spots[s]
+        value = shares[state] * h[name]
         contact[j, kind] += value
         touched[j] = 1.0
         if p > 0:
             slope[j, kind, name] += value
+    return contact, slope, touched
+
+
+_contacts: Callable[[Array, Array, Slab, int], tuple[Array, Array, Array]] = compiled()(_contacts_of)
+
+
+def _right_side(at: float, y: Array, h: Array, slab: Slab) -> Array:  # noqa: C901 - one compiled loop
+    """Heat into each cell over its capacity, and the same for every sensitivity column."""
+    n, width = y.shape
+    dx, k, ambient = slab.dx, slab.conductivity, slab.ambient
+    ends, shares = _outside(at, slab)
+    contact, slope, touched = _contacts(shares, h, slab, width - 1)
+    flow = np.zeros((n, width))
     for j in range(n + 1):
         below = 0.5 * dx[j - 1] / k[j - 1] if j > 0 else 0.0
         above = 0.5 * dx[j] / k[j] if j < n else 0.0
@@ -160,7 +193,7 @@ def _right_side(  # noqa: C901, PLR0913 - one compiled loop
                 flow[i, q] += ga * ga / (ha * ha) * slope[j, side, q - 1] * (ambient - y[i, 0])
     for i in range(n):
         for q in range(width):
-            flow[i, q] /= c[i] * dx[i]
+            flow[i, q] /= slab.capacity[i] * dx[i]
     return flow.ravel()
 
 
