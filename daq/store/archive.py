@@ -20,6 +20,8 @@ from sqlalchemy import (
     ColumnElement,
     Connection,
     Row,
+    Table,
+    Text,
     and_,
     delete,
     exists,
@@ -32,17 +34,20 @@ from sqlalchemy import (
 )
 
 from daq.records import InputError
-from daq.store.archive_file import SUM, StoredScans, Written, sound_content, write_archive
+from daq.store.archive_file import StoredScans, write_archive
 from daq.store.archived import folder_of
-from daq.store.convert import known_utc, unix_of
+from daq.store.convert import known_utc, null, unix_of
+from daq.store.cores import run_cores
 from daq.store.database import Database
+from daq.store.estimate_file import EstimateRow, beside, write_estimates
+from daq.store.parquet_columns import SUM, Written, sound_content
 from daq.store.reading import layout_channels, run_row, scans_of
-from daq.store.records import ArchiveUnreadable, Moved, RunStatus, StoreUnavailable
-from daq.store.schema import ARCHIVE, ARCHIVE_TOTAL, FIT, PRESS, RUN, SCAN, SCAN_REMARK, UNFITTED
+from daq.store.records import ArchiveUnreadable, Moved, RunCore, RunStatus, StoreUnavailable
+from daq.store.schema import ARCHIVE, ARCHIVE_TOTAL, ESTIMATE, FIT, PRESS, RUN, SCAN, SCAN_REMARK, UNFITTED
 from daq.words import Message, say, spoken
 
-_NUMBERS_BYTES = 40
-"""Press, number, two times and layout of a scan, eight bytes each."""
+_NUMBER_BYTES = 8
+"""Of a number in a row; an engine may take less."""
 _NAME_LENGTH = 80
 """Signs of a run's name in its file's name, which is told apart by the run's number. (By hand, 2026-11)"""
 
@@ -87,13 +92,17 @@ def use_archive(database: Database, folder: Path) -> None:
 def runs_to_archive(connection: Connection, press: str, before: datetime) -> list[str]:
     """Return the runs of a press that were over before an instant and have their scans in the store, oldest first.
 
-    A run of which nobody said when it was has no age and stays.
+    A run of which nobody said when it was has no age and stays, and so does the newest one that a press recorded:
+    the live sensor sees by it how far it has come.
     """
+    own = RUN.alias()
+    newest = select(func.max(own.c.run_number)).where(own.c.press_id == PRESS.c.press_id).scalar_subquery()
     query = (
         select(RUN.c.run)
         .join(PRESS, PRESS.c.press_id == RUN.c.press_id)
         .where(PRESS.c.name == press, *_over(before), RUN.c.last_scan >= RUN.c.first_scan)
         .where(~exists().where(ARCHIVE.c.run == RUN.c.run))
+        .where(or_(PRESS.c.kind == "imported", RUN.c.run_number < newest))
         .order_by(RUN.c.run_number)
     )
     return list(connection.execute(query).scalars())
@@ -119,15 +128,18 @@ def archive_run(database: Database, run: str) -> Moved:
         row = run_row(connection, run)
         scans = scans_of(connection, row)
         channels = {key: [c.name for c in layout_channels(connection, key)] for key in scans.values}
+        said = _estimates(connection, row)
+        core = run_cores(connection, [run]).get(run)
         folder = folder_of(connection)
     file = _file_of(row)
     about = {"run": run, "press": row.press, "header_toml": row.header_toml, "zero_s": row.zero_monotonic_s}
     try:
         written = write_archive(folder / file, scans, channels, {**about, "started_unix_s": row.started_unix_s})
+        beside_it = write_estimates(beside(folder / file), said) if said else None
     except OSError as error:
         raise StoreUnavailable(say("archive-not-written", file=str(folder / file), reason=str(error))) from error
     with database.writing() as connection:
-        return _exchange(connection, row, scans, file, written)
+        return _exchange(connection, row, _Taken(file, scans, written, said, beside_it, core))
 
 
 def _file_of(row: Row[Any]) -> str:
@@ -136,21 +148,72 @@ def _file_of(row: Row[Any]) -> str:
     return f"{month}/{row.run_number:08d}-{name}.parquet"
 
 
-def _exchange(connection: Connection, row: Row[Any], scans: StoredScans, file: str, written: Written) -> Moved:
-    """Take the file's row in and the scans out; raises where the store holds other scans than were written."""
-    own = (SCAN.c.press_id == row.press_id, SCAN.c.number.between(row.first_scan, row.last_scan))
-    texts = func.length(SCAN.c.readings) + func.coalesce(func.length(SCAN.c.faults), 0)
-    freed = connection.execute(select(func.coalesce(func.sum(texts), 0)).where(*own)).scalar_one()
-    now = unix_of(datetime.now(UTC))
-    kept = {"file": file, "sha256": written.sha256, "bytes": written.bytes, "scans": len(scans)}
-    kept |= {"layouts_json": json.dumps(sorted(scans.values)), "archived_unix_s": now, "checked_unix_s": now}
-    connection.execute(insert(ARCHIVE), {"run": row.run, **kept, "problem": ""})
-    _count(connection, runs=1, scans=len(scans), bytes=written.bytes)
-    remarks = (SCAN_REMARK.c.press_id == row.press_id, SCAN_REMARK.c.number.between(row.first_scan, row.last_scan))
-    connection.execute(delete(SCAN_REMARK).where(*remarks))
-    if connection.execute(delete(SCAN).where(*own)).rowcount != len(scans):
-        raise StoreUnavailable(say("archive-run-changed", run=row.run))
-    return Moved(len(scans), written.bytes, int(freed) + _NUMBERS_BYTES * len(scans))
+def _estimates(connection: Connection, row: Row[Any]) -> list[EstimateRow]:
+    columns = [ESTIMATE.c[name] for name in EstimateRow._fields]
+    query = select(*columns).where(*_in_run(ESTIMATE, row)).order_by(ESTIMATE.c.number)
+    return [EstimateRow(*found) for found in connection.execute(query).all()]
+
+
+def _in_run(table: Table, row: Row[Any]) -> tuple[ColumnElement[bool], ...]:
+    return table.c.press_id == row.press_id, table.c.number.between(row.first_scan, row.last_scan)
+
+
+@dataclass(frozen=True)
+class _Taken:
+    """What of a run is in files now."""
+
+    file: str
+    scans: StoredScans
+    written: Written
+    said: Sequence[EstimateRow]
+    beside_it: Written | None
+    core: RunCore | None
+
+    @property
+    def columns(self) -> dict[str, Any]:
+        """Return the run's row of the archive."""
+        now = unix_of(datetime.now(UTC))
+        kept: dict[str, Any] = {
+            "file": self.file,
+            "sha256": self.written.sha256,
+            "bytes": self.bytes,
+            "problem": "",
+        }
+        kept |= {"scans": len(self.scans), "layouts_json": json.dumps(sorted(self.scans.values))}
+        kept |= {"archived_unix_s": now, "checked_unix_s": now}
+        kept["estimates_sha256"] = "" if self.beside_it is None else self.beside_it.sha256
+        if self.core is not None:
+            kept["core_at_opening_celsius"] = null(self.core.at_opening_celsius)
+            kept["core_band_kelvin"] = null(self.core.band_at_opening_kelvin)
+            kept["core_highest_celsius"] = null(self.core.highest_celsius)
+        return kept
+
+    @property
+    def bytes(self) -> int:
+        """Return the size of the files."""
+        return self.written.bytes + (0 if self.beside_it is None else self.beside_it.bytes)
+
+
+def _exchange(connection: Connection, row: Row[Any], taken: _Taken) -> Moved:
+    """Take the files' row in and their content out; raises where the store holds something else than they do."""
+    freed = _size_of(connection, SCAN, row) + _size_of(connection, ESTIMATE, row)
+    connection.execute(insert(ARCHIVE), {"run": row.run, **taken.columns})
+    _count(connection, runs=1, scans=len(taken.scans), bytes=taken.bytes)
+    connection.execute(delete(SCAN_REMARK).where(*_in_run(SCAN_REMARK, row)))
+    for table, rows in ((SCAN, len(taken.scans)), (ESTIMATE, len(taken.said))):
+        if connection.execute(delete(table).where(*_in_run(table, row))).rowcount != rows:
+            raise StoreUnavailable(say("archive-run-changed", run=row.run))
+    return Moved(len(taken.scans), taken.bytes, freed)
+
+
+def _size_of(connection: Connection, table: Table, row: Row[Any]) -> int:
+    """Return the bytes of a run's rows: texts by their length, numbers by eight."""
+    of_row: Any = _NUMBER_BYTES * sum(not isinstance(c.type, Text) for c in table.columns)
+    for column in table.columns:
+        if isinstance(column.type, Text):
+            of_row = of_row + func.coalesce(func.length(column), 0)
+    found = connection.execute(select(func.coalesce(func.sum(of_row), 0)).where(*_in_run(table, row)))
+    return int(found.scalar_one())
 
 
 def _count(connection: Connection, **more: int) -> None:
@@ -164,12 +227,11 @@ def check_archive(database: Database, before: datetime, limit: int = 100) -> Che
     Nothing is deleted. Files come back whole from a backup of the archive, and are sound at the next look.
     """
     old = and_(ARCHIVE.c.checked_unix_s < unix_of(before), ARCHIVE.c.removed_unix_s.is_(None))
-    columns = (ARCHIVE.c.run, ARCHIVE.c.file, ARCHIVE.c.sha256, ARCHIVE.c.problem)
-    query = select(*columns).where(old).order_by(ARCHIVE.c.checked_unix_s).limit(limit)
+    query = select(ARCHIVE).where(old).order_by(ARCHIVE.c.checked_unix_s).limit(limit)
     with database.reading() as connection:
         folder = folder_of(connection)
         rows = connection.execute(query).all()
-    said = {row.run: _problem_of(folder / row.file, row.sha256) for row in rows}
+    said = {row.run: _problem_of(folder, row) for row in rows}
     now = unix_of(datetime.now(UTC))
     with database.writing() as connection:
         for run, problem in said.items():
@@ -188,9 +250,11 @@ def recheck_unsound(database: Database) -> None:
         connection.execute(update(ARCHIVE).where(ARCHIVE.c.problem != "").values(checked_unix_s=0.0))
 
 
-def _problem_of(path: Path, sha256: str) -> Message | None:
+def _problem_of(folder: Path, row: Row[Any]) -> Message | None:
     try:
-        sound_content(path, sha256)
+        sound_content(folder / row.file, row.sha256)
+        if row.estimates_sha256:
+            sound_content(beside(folder / row.file), row.estimates_sha256)
     except ArchiveUnreadable as error:
         return spoken(error)
     return None
@@ -204,7 +268,7 @@ def remove_archived(database: Database, press: str, before: datetime, limit: int
     worked_off = or_(exists().where(FIT.c.run == RUN.c.run), exists().where(UNFITTED.c.run == RUN.c.run))
     no_pressing = and_(PRESS.c.kind == "recorded", RUN.c.closed_s.is_(None))
     query = (
-        select(ARCHIVE.c.run, ARCHIVE.c.file, ARCHIVE.c.sha256, ARCHIVE.c.bytes)
+        select(ARCHIVE)
         .join(RUN, RUN.c.run == ARCHIVE.c.run)
         .join(PRESS, PRESS.c.press_id == RUN.c.press_id)
         .where(PRESS.c.name == press, ARCHIVE.c.removed_unix_s.is_(None), ARCHIVE.c.problem == "", *_over(before))
@@ -215,7 +279,7 @@ def remove_archived(database: Database, press: str, before: datetime, limit: int
     with database.reading() as connection:
         folder = folder_of(connection)
         rows = connection.execute(query).all()
-    problems = {row.run: _problem_of(folder / row.file, row.sha256) for row in rows}
+    problems = {row.run: _problem_of(folder, row) for row in rows}
     sound = [row for row in rows if problems[row.run] is None]
     now = unix_of(datetime.now(UTC))
     with database.writing() as connection:
@@ -235,7 +299,7 @@ def _delete_files(database: Database, folder: Path) -> None:
             ARCHIVE.c.removed_unix_s.is_not(None), ARCHIVE.c.file != ""
         )
         rows = connection.execute(left).all()
-    for path in _with_sums(folder / row.file for row in rows):
+    for path in _with_sums(path for row in rows for path in (folder / row.file, beside(folder / row.file))):
         with suppress(FileNotFoundError):
             path.unlink()
     with database.writing() as connection:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from sqlalchemy import Connection, and_, case, func, select
 
+from daq.store.archived import archived_cores
 from daq.store.convert import nan
 from daq.store.records import RunCore
 from daq.store.schema import ESTIMATE, RUN
@@ -22,7 +23,7 @@ def run_cores(connection: Connection, runs: Sequence[str]) -> dict[str, RunCore]
     """Return core and band at opening and the highest core of each run that has a valid estimate."""
     found: dict[str, RunCore] = {}
     for i in range(0, len(runs), AT_ONCE):
-        found |= _cores(connection, runs[i : i + AT_ONCE])
+        found |= _cores(connection, runs[i : i + AT_ONCE]) | archived_cores(connection, runs[i : i + AT_ONCE])
     return found
 
 

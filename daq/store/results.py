@@ -11,7 +11,9 @@ from sqlalchemy import ColumnElement, Connection, Row, Table, func, insert, lite
 from sqlalchemy.dialects import postgresql, sqlite
 
 from daq.records import InputError, PressState
+from daq.store.archived import archived_estimates
 from daq.store.convert import known_utc, nan, null, to_json, unix_of, utc_of
+from daq.store.estimate_file import EstimateRow
 from daq.store.journal import log
 from daq.store.nights import forget_unfitted
 from daq.store.reading import cursor_number, newest_first, recorded_id, run_row
@@ -66,7 +68,7 @@ def append_estimates(connection: Connection, press: str, estimates: Sequence[Sto
     _put(connection, ESTIMATE, rows)
 
 
-def _estimate(row: Row[Any]) -> StoredEstimate:
+def _estimate(row: Row[Any] | EstimateRow) -> StoredEstimate:
     return StoredEstimate(
         row.number,
         row.monotonic_s,
@@ -125,7 +127,8 @@ def estimates_of(connection: Connection, run: str) -> tuple[tuple[float, StoredE
     query = select(ESTIMATE).where(ESTIMATE.c.press_id == row.press_id, ESTIMATE.c.number >= row.first_scan)
     if row.last_scan is not None:
         query = query.where(ESTIMATE.c.number <= row.last_scan)
-    found = connection.execute(query.order_by(ESTIMATE.c.number)).all()
+    archived = archived_estimates(connection, run)
+    found = connection.execute(query.order_by(ESTIMATE.c.number)).all() if archived is None else archived
     return tuple((round(e.monotonic_s - row.zero_monotonic_s, 6), _estimate(e)) for e in found)
 
 

@@ -80,6 +80,10 @@ ARCHIVE = _table(
     checked_unix_s=Double,
     problem=Text,
     removed_unix_s=Double,
+    estimates_sha256=Text,
+    core_at_opening_celsius=Double,
+    core_band_kelvin=Double,
+    core_highest_celsius=Double,
 )
 ARCHIVE_TOTAL = _table(
     "archive_total",

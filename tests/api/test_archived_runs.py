@@ -46,7 +46,7 @@ def test_an_archived_run_gives_every_answer_as_before_and_a_lost_file_is_told(st
     assert np.array_equal(again.index, table.index)
     kept = client.get("/api/v1/health").json()
     assert (kept["store"]["archive"]["runs"], kept["store"]["archive"]["unsound"]) == (1, 0)
-    [file] = (tmp_path / "archive").rglob("*.parquet")
+    [file] = (tmp_path / "archive").rglob(f"*-{RUN}.parquet")
     file.rename(Path(f"{file}.away"))
     answer = client.get(f"/api/v1/runs/{RUN}/samples")
     assert answer.status_code == 503
@@ -55,3 +55,14 @@ def test_an_archived_run_gives_every_answer_as_before_and_a_lost_file_is_told(st
     assert len(store.check_archive(STARTED.replace(year=2100)).unsound) == 1
     assert any("one file is missing or damaged" in said for said in client.get("/api/v1/health").json()["alarms"])
     assert "kerntemp_archive_unsound 1.0" in client.get("/metrics").text
+    Path(f"{file}.away").rename(file)
+    store.recheck_unsound()
+    store.check_archive(STARTED)
+    assert asked(client) == before
+    assert store.remove_archived("lab", STARTED.replace(year=2100))[0] == 1
+    for path in (f"runs/{RUN}/samples", f"runs/{RUN}/estimates", f"runs/{RUN}/figure.svg"):
+        answer = client.get(f"/api/v1/{path}")
+        assert (path, answer.status_code) == (path, 404)
+        assert "its pressing and its coefficients are" in answer.json()["detail"]
+    for path in (f"runs/{RUN}", f"runs/{RUN}/fit"):
+        assert client.get(f"/api/v1/{path}").content == before[path]

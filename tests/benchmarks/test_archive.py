@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 from daq.recording.acquisition import nine_digits
-from daq.records import Channel, Quality, Scan
-from daq.store import NewRun, RunEnd, open_store
+from daq.records import Channel, PressState, Quality, Scan
+from daq.store import NewRun, RunEnd, StoredEstimate, open_store
+from daq.store.estimate_file import ENDING
 from tests.daq.test_store_archive import heating
 
 BEGAN = datetime(2026, 3, 4, 7, 0, tzinfo=UTC)
@@ -51,6 +52,28 @@ def press(store, kept):
     return RUNS * SCANS / spent
 
 
+def say(store):
+    """Write what a live sensor says of the runs: core and band as doubles, profile and forecast to a tenth."""
+    rng = np.random.default_rng(9)
+    for run in range(RUNS):
+        core = 20 + 80 * (1 - np.exp(-np.arange(SCANS) / 900)) + rng.normal(0, 0.05, SCANS)
+        said = []
+        for i, celsius in enumerate(core.tolist()):
+            profile = [round(celsius + 100 * abs(z - 4) / 4, 1) for z in range(9)]
+            detail = {
+                "profile_C": profile,
+                "energy_kJ_m2": round(celsius * 18, 1),
+                "open_in_s": round(300 - i / 10, 1),
+            }
+            detail |= {"peak_C": round(celsius + 9, 1), "band_from": {"constants": 0.612, "start": 0.1}}
+            band = (celsius, 0.61 + i * 1e-7, celsius - 1.2, celsius + 1.2)
+            at = SCANS * run + i
+            said.append(
+                StoredEstimate(at, 400.0 * run + i / 10, PressState.CLOSED, *band, True, "", "lab-7", detail)
+            )
+        store.append_estimates("lab", said)
+
+
 def read(store):
     """Return the runs' columns and the median time of reading one. [ms]"""
     spent, columns = [], []
@@ -70,18 +93,24 @@ def test_a_scan_in_the_store_and_in_the_archive(store_url, tmp_path, kept):
         rate = press(store, kept)
         in_store = (bytes_of(store) - empty) / (RUNS * SCANS)
         before, read_store = read(store)
+        scans_only = bytes_of(store)
+        say(store)
+        said_store = (bytes_of(store) - scans_only) / (RUNS * SCANS)
         store.use_archive(tmp_path / "archive")
         began = time.perf_counter()
         moved = [store.archive_run(f"lab-{run:02d}") for run in range(RUNS)]
         moving = 1000 * (time.perf_counter() - began) / RUNS
         after, read_archive = read(store)
-    in_archive = sum(one.file_bytes for one in moved) / (RUNS * SCANS)
+    sizes = {p: p.stat().st_size for p in (tmp_path / "archive").rglob("*.parquet")}
+    said_archive = sum(n for p, n in sizes.items() if p.name.endswith(ENDING)) / (RUNS * SCANS)
+    in_archive = sum(one.file_bytes for one in moved) / (RUNS * SCANS) - said_archive
     print(f"\n{store.database.dialect}, {RUNS} runs of {SCANS} scans of 16 channels at 0.1 K, {kept.__name__}")
     for what, here, there in (
         ("bytes a scan", in_store, in_archive),
+        ("bytes an estimate", said_store, said_archive),
         ("ms to read a run", read_store, read_archive),
     ):
-        print(f"{what:16}  store {here:6.1f}  archive {there:5.2f}  ratio {here / there:.2f}")
+        print(f"{what:17}  store {here:6.1f}  archive {there:5.2f}  ratio {here / there:.2f}")
     print(f"scans written a second {rate:.0f}; a run moved in {moving:.0f} ms, proved")
     assert in_archive <= LARGEST_BYTES
     for mine, its in zip(before, after, strict=True):

@@ -11,9 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sqlalchemy import text
 
-from daq.records import Channel, InputError, Quality, Run, Scan
-from daq.store import NewRun, RunEnd, archive, archive_file, open_store
-from daq.store.archive_file import SUM, StoredScans, read_archive, write_archive
+from daq.records import Channel, InputError, PressState, Quality, Run, Scan
+from daq.store import NewRun, RunEnd, StoredEstimate, archive, open_store, parquet_columns
+from daq.store.archive_file import StoredScans, read_archive, write_archive
+from daq.store.parquet_columns import SUM
 from daq.store.records import ArchiveUnreadable
 
 BEGAN = datetime(2026, 3, 4, 7, 0, tzinfo=UTC)
@@ -110,6 +111,18 @@ def record(store, run="one", first=0, press="lab"):
     begin = NewRun(run, first + 20, start.utc, start.monotonic_s, {"panel.material": "MDF"})
     end = RunEnd(run, first + 79, scan(first + 79).utc)
     store.append_scans(key, [scan(n) for n in numbers], begin=begin, end=end)
+    said = [estimate(n) for n in numbers if n % 4]
+    store.append_estimates(press, said)
+
+
+def estimate(number):
+    if number % 3 == 0:
+        return StoredEstimate(number, number / 10, PressState.OPEN, *[math.nan] * 4, False, "platens_missing")
+    core = 20.0 + math.sqrt(number)
+    detail = {"profile_C": [core, 21.5], "energy_kJ_m2": number / 7}
+    return StoredEstimate(
+        number, number / 10, PressState.CLOSED, core, 0.5, core - 1.0, core + 1.0, True, "", "v1", detail
+    )
 
 
 def answers(store, run):
@@ -122,7 +135,8 @@ def answers(store, run):
         loaded.texts,
     ]
     some = [part.time_s.tobytes(), part.columns["top_1"].tobytes(), part.texts]
-    return [*whole, *some, store.units_of(run), store.columns_of(run)]
+    cores = {n: repr(c) for n, c in store.run_cores([run]).items()}
+    return [*whole, *some, store.units_of(run), store.columns_of(run), repr(store.estimates(run)), cores]
 
 
 @pytest.fixture
@@ -147,9 +161,11 @@ def test_a_run_in_the_archive_gives_the_same_answers(store, tmp_path):
         assert answers(store, run) == before[run]
     kept = store.archive()
     assert (kept.runs, kept.scans, kept.removed, kept.unsound) == (2, 63, 0, 0)
+    assert len(store.estimates("one")) == 45
     with store.database.reading() as connection:
         assert connection.execute(text("SELECT count(*) FROM scan")).scalar() == 40
         assert connection.execute(text("SELECT count(*) FROM scan_remark")).scalar() == 0
+        assert connection.execute(text("SELECT count(*) FROM estimate")).scalar() == 30
     assert store.register_press("lab", CHANNELS).next_number == 100
 
 
@@ -159,7 +175,7 @@ def test_the_sum_beside_a_file_is_that_of_the_standard(store, tmp_path):
     record(store)
     store.use_archive(tmp_path)
     store.archive_run("one")
-    [file] = tmp_path.rglob("*.parquet")
+    [file] = tmp_path.rglob("*-one.parquet")
     said = file.with_name(file.name + SUM).read_text()
     assert said == f"{hashlib.sha256(file.read_bytes()).hexdigest()}  {file.name}\n"
 
@@ -172,7 +188,7 @@ def test_runs_are_archived_by_age_and_open_ones_never(store, tmp_path):
     store.import_run(Run("undated", {}, np.arange(3.0), {"top_1": np.ones(3)}), "lab")
     store.use_archive(tmp_path)
     assert store.runs_to_archive("lab", scan(100).utc) == ["one"]
-    assert store.runs_to_archive("lab", LATER) == ["one", "two"]
+    assert store.runs_to_archive("lab", LATER) == ["one", "two"]  # of "open", the newest, later
     assert store.runs_to_archive("other", LATER) == []
     store.archive_run("one")
     assert store.runs_to_archive("lab", LATER) == ["two"]
@@ -185,7 +201,7 @@ def test_a_file_that_is_not_sound_is_told_with_a_remedy_and_nothing_is_deleted(s
     before = answers(store, "one")
     store.use_archive(tmp_path)
     store.archive_run("one")
-    [file] = tmp_path.rglob("*.parquet")
+    [file] = tmp_path.rglob("*-one.parquet")
     sound = file.read_bytes()
     assert store.check_archive(datetime.now(UTC) + timedelta(days=1)).unsound == ()
     if harm == "missing":
@@ -224,8 +240,9 @@ def test_pressings_alone_stay_where_the_rule_says_so(store, tmp_path):
     assert store.fit("one")["coefficients"]["h"]["value"] == 1.0
     assert store.run_record("one").header["panel.material"] == "MDF"
     assert store.columns_of("one") == ("platen_top", "top_1", "load")
-    assert len(list(tmp_path.rglob("*.parquet"))) == 1
-    assert len(list(tmp_path.rglob("*" + SUM))) == 1
+    left = ["00000002-unfitted.estimates.parquet", "00000002-unfitted.parquet"]
+    assert sorted(p.name for p in tmp_path.rglob("*.parquet")) == left
+    assert len(list(tmp_path.rglob("*" + SUM))) == 2
     assert store.without_scans(["one", "unfitted"]) == {"one"}
     assert [r.run for r in store.pressings("lab")] == ["unfitted"]
     assert store.count_pressings("lab") == 2
@@ -253,10 +270,12 @@ def dies_at(store, where, do):
 
 
 MOMENTS = {
-    "while the file is written": (archive_file, "_to_disk", False),
-    "before what was written is compared": (archive_file, "_scans_in", False),
-    "before the sum is written": (archive_file, "_with_sum", False),
-    "when the file is done": (archive_file, "_with_sum", True),
+    "while the file is written": (parquet_columns, "_to_disk", False),
+    "before what was written is compared": (parquet_columns, "columns_in", False),
+    "before the sum is written": (parquet_columns, "_with_sum", False),
+    "when the first file is done": (parquet_columns, "_with_sum", True),
+    "before the estimates": (archive, "write_estimates", False),
+    "after the estimates": (archive, "write_estimates", True),
     "before the row": (archive, "_exchange", False),
     "amid the transaction": (archive, "_count", True),
     "before the commit": (archive, "_exchange", True),
@@ -267,17 +286,17 @@ MOMENTS = {
 def test_killed_anywhere_archiving_loses_nothing_and_goes_on(store, tmp_path):
     folder = tmp_path / "archive"
     store.use_archive(folder)
-    for moment, where in MOMENTS.items():
+    for done, (moment, where) in enumerate(MOMENTS.items()):
         record(store, moment)
         before = answers(store, moment)
         dies_at(store, where, lambda own: own.archive_run(moment))  # noqa: B023
         assert answers(store, moment) == before
-        assert store.runs_to_archive("lab", LATER) == [moment]
+        assert store.archive().runs == done
         store.archive_run(moment)
         assert answers(store, moment) == before
     assert store.archive().runs == len(MOMENTS)
     left = [p.suffix for p in sorted(folder.rglob("*")) if p.is_file()]
-    assert left == [".parquet", ".sha256"] * len(MOMENTS)
+    assert left == [".parquet", ".sha256"] * 2 * len(MOMENTS)
 
 
 @pytest.mark.skipif(os.name == "nt", reason="SIGKILL is POSIX")

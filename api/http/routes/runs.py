@@ -142,7 +142,7 @@ def get_estimates(
     """Return the live core temperature and its band."""
     existing_run(store, run)
     low, high = (-math.inf if from_s is None else from_s), (math.inf if to_s is None else to_s)
-    chosen = [(t, e) for t, e in store.estimates(run) if low <= t <= high]
+    chosen = [(t, e) for t, e in _estimates_of(store, run) if low <= t <= high]
     rows = len(chosen)
     bands = np.array([(e.core_celsius, e.core_low_celsius, e.core_high_celsius) for _, e in chosen])
     chosen = [chosen[i] for i in kept_rows(list(bands.reshape(rows, 3).T), rows, max_points)]
@@ -157,6 +157,15 @@ def get_fit(store: StoreDep, run: str) -> Fit:
     if fit is None:
         raise ProblemError(404, say("api-run-not-fitted", run=run))
     return Fit(**fit)
+
+
+def _estimates_of(store: Store, run: str) -> Sequence[tuple[float, StoredEstimate]]:
+    try:
+        return store.estimates(run)
+    except ArchiveUnreadable:
+        raise
+    except InputError as error:  # given up by rule
+        raise ProblemError(404, spoken(error)) from error
 
 
 def _estimates(run: str, chosen: Sequence[tuple[float, StoredEstimate]], *, decimated: bool) -> Estimates:
