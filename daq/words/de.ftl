@@ -1947,6 +1947,7 @@ page-wall = Wandansicht
 ## page: the wall
 
 page-full-screen = Vollbild
+page-health-core-unknown = alles läuft, Kern nicht bekannt
 page-health-degraded = eingeschränkt
 page-health-ok = alles gut
 

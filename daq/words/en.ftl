@@ -1928,6 +1928,7 @@ page-wall = Wall view
 ## page: the wall
 
 page-full-screen = Full screen
+page-health-core-unknown = all runs, core not known
 page-health-degraded = degraded
 page-health-ok = all well
 

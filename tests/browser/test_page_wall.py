@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import threading
 import time
+from dataclasses import replace
 
 import pytest
 from playwright.sync_api import expect
 
+from daq.records import PressEvent, PressEventKind
 from daq.store.records import StoredEstimate
+from tests.browser.conftest import CHANNELS
 
 AHEAD = {
     "open_in_s": 11.0,
@@ -31,6 +34,15 @@ def pressing(served):
         append(press, [StoredEstimate(*_told(e), detail=beside) for e in estimates])
 
     feed.store.append_estimates = foreseeing
+    beating = threading.Event()
+
+    def beat():
+        while not beating.wait(0.5):
+            for process in ("record", "sense"):
+                feed.store.beat(process, {"state": "running", "presses": []})
+
+    heart = threading.Thread(target=beat, daemon=True)
+    heart.start()
     feed.shares = (0.0, 0.001, 0.999)
     writer = threading.Thread(target=feed.pressing, args=(6000,), daemon=True)
     writer.start()
@@ -40,12 +52,14 @@ def pressing(served):
     feed.store.annotate_run(run, {"setting.core_target_C": 60.0}, "test")
     yield server, page
     feed.stop.set()
+    beating.set()
     writer.join(20)
+    heart.join(20)
 
 
 def _told(e):
     core = (e.core_celsius, e.core_sd_kelvin, e.core_low_celsius, e.core_high_celsius)
-    return e.number, e.monotonic_s, e.state, *core, True, "", "1"
+    return e.number, e.monotonic_s, e.state, *core, e.valid, e.reason, "1"
 
 
 @pytest.mark.parametrize("view", ["#/now", "#/wall"])
@@ -91,6 +105,62 @@ def test_without_readings_no_answer_stands_and_nothing_is_green(pressing, view):
     server.go_on()
     expect(answer).to_have_text("open in 11 s (8 to 15)")
     assert page.evaluate(green) != []
+
+
+def test_no_green_light_stands_beside_an_answer_that_is_not_known(pressing, served):
+    server, page = pressing
+    store = served[1].store
+    page.goto(server.url + "#/wall")
+    light, answer, state = (page.locator(f".{part}").first for part in ("light", "answer", "pill"))
+    expect(light).to_have_class("light good")
+    expect(state).to_have_text("closed")
+    said = store.append_estimates
+    store.append_estimates = lambda *_: None  # the live sensor hangs, and goes on giving signs of life
+    expect(answer).to_contain_text("not known, because the live sensor has given no estimate for")
+    expect(light).to_have_class("light bad")
+    expect(light).to_contain_text("the live sensor has given no estimate for")
+    expect(state).to_have_text("closed")
+    store.append_estimates = lambda press, estimates: said(
+        press, [replace(e, valid=False, reason="band too wide") for e in estimates]
+    )
+    expect(answer).to_contain_text("not known, because core not observable")
+    expect(light).to_have_class("light idle")
+    expect(light).to_have_text("all runs, core not known")
+    store.append_estimates = said
+    expect(light).to_have_class("light good")
+
+
+def test_press_and_core_are_shown_in_one_state(pressing, served):
+    server, page = pressing
+    feed = served[1]
+    page.goto(server.url + "#/wall")
+    expect(page.get_by_test_id("state")).to_have_text("closed")
+    page.route("**/api/v1/press*", lambda route: route.abort())  # so that the stream alone tells
+    removed = PressEvent(PressEventKind.REMOVED, 1.0, 1.0)
+    page.wait_for_timeout(300)
+    feed.store.append_scans(feed.key, [], [removed])
+    expect(page.get_by_test_id("state")).to_have_text("no panel")
+    expect(page.get_by_test_id("band")).to_have_text("No panel in the press")
+    expect(page.get_by_test_id("answer")).to_have_text("no panel in the press")
+    expect(page.get_by_test_id("core")).to_have_text("–°C")
+
+
+def test_every_tab_can_be_read_at_any_width(served, browser):
+    server, feed, _ = served
+    feed.store.register_press("north press", CHANNELS)
+    page = browser.new_page(locale="de-DE")  # the longest words
+    for width in (768, 1280, 1440, 1610, 1920):
+        page.set_viewport_size({"width": width, "height": 600})
+        page.goto(server.url + "#/now")
+        expect(page.locator(".tabs a").first).to_be_visible()
+        cut = """[...document.querySelectorAll('.tabs a, .tools > *')].filter((e) => {
+            const at = e.getBoundingClientRect(), row = e.parentElement.getBoundingClientRect();
+            const beyond = at.right > Math.min(row.right, innerWidth) + 1 || at.bottom > row.bottom + 1;
+            return e.checkVisibility() && beyond;
+        }).map((e) => e.textContent)"""
+        assert page.evaluate(cut) == [], width
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+    page.close()
 
 
 @pytest.mark.parametrize(("width", "height"), [(1920, 1080), (768, 1024), (375, 812)])

@@ -35,6 +35,29 @@ export function showAnswer(place, estimate, silent) {
   if (place.textContent !== line) place.textContent = line;
 }
 
+// Why nothing is known of now, whatever the panel: recorder or live sensor are silent, clocks disagree.
+const SILENT = ["live sensor silent", "no scans", "clock ahead"];
+
+// The press's state as it may be shown: none that rests on old readings.
+export const stateOf = (now, stale) => (stale ? "unknown" : now.state);
+
+// One light: green only where everything runs and what there is to say of the panel is known.
+export function showLight(light, { now, silent = null, wrong = "" }) {
+  const { state, estimate } = now;
+  const known = state === "idle" || (estimate?.advice && estimate.advice.verdict !== "not_known");
+  const fault = silent !== null ? text("page-no-reading-for", { time: seconds(Math.round(silent)) }) : SILENT.includes(estimate?.reason) ? reasonOf(estimate) : wrong;
+  light.className = `light ${fault ? "bad" : known ? "good" : "idle"}`;
+  light.textContent = fault || text(known ? "page-health-ok" : "page-health-core-unknown");
+}
+
+// An estimate of the stream takes the place of the one before; what was missed and comes late is history.
+export function take(now, data) {
+  if (data.valid && data.age_s > STALE_S) return false;
+  now.estimate = data;
+  now.state = data.state;
+  return true;
+}
+
 export const closingOf = (phases) => phases?.findLast((phase) => phase.state === "closed")?.from_s ?? 0;
 
 export const shifted = (phases, zero) => (phases ?? []).map((phase) => ({ ...phase, from_s: phase.from_s - zero, to_s: phase.to_s === null ? null : phase.to_s - zero }));

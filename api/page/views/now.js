@@ -5,7 +5,7 @@ import { roleOf } from "../channels.js";
 import { TimeChart, key } from "../charts.js";
 import { clock, duration, el, number, reading } from "../dom.js";
 import { effectName, said, text } from "../words.js";
-import { CoreChart, STALE_S, believed, closingOf, coreKey, courseOf, seconds, shifted, showAnswer, showCore } from "./answer.js";
+import { CoreChart, STALE_S, believed, closingOf, coreKey, courseOf, seconds, shifted, showAnswer, showCore, stateOf, take } from "./answer.js";
 import { notesOf } from "./journal.js";
 import { PanelCards } from "./panel.js";
 import { sketch } from "./sketch.js";
@@ -109,8 +109,7 @@ class LivePress {
 
   facts() {
     const { now } = this;
-    this.state.className = `pill ${now.state}`;
-    this.state.textContent = text(`page-state-${now.state}`);
+    this.showState();
     this.showCore(now.estimate);
     const target = now.target;
     const rows = [
@@ -128,6 +127,12 @@ class LivePress {
     const { core_C: core } = believed(now.estimate);
     const share = target && now.state !== "idle" && core ? (core - 20) / (target.temperature_C - 20) : 0;
     this.meter.style.width = `${Math.max(0, Math.min(1, share)) * 100}%`;
+  }
+
+  showState() {
+    const state = stateOf(this.now, this.stale);
+    this.state.className = `pill ${state}`;
+    this.state.textContent = text(`page-state-${state}`);
   }
 
   showCore(estimate = this.now.estimate) {
@@ -160,6 +165,7 @@ class LivePress {
   showAge() {
     this.stale = this.now.channels.length > 0 && this.silentFor() > STALE_S;
     document.documentElement.toggleAttribute("data-stale", this.stale);
+    this.showState();
     this.old.hidden = !this.stale;
     if (!this.stale) { this.grid.dataset.age = ""; return; }
     const since = text("page-stale-since", { time: clock(this.now.channels[0].utc) });
@@ -254,7 +260,7 @@ class LivePress {
 
   estimate(data) {
     if (data.press !== this.now?.press) return;
-    this.now.estimate = data;
+    take(this.now, data);
     this.course = courseOf(data) ?? this.course;
     const closed = this.phases?.findLast((phase) => phase.state === "closed");
     if (closed && data.run === this.shown && data.time_s !== null) this.now.time_since_closing_s = Math.max(data.time_s - closed.from_s, 0);

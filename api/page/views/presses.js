@@ -2,7 +2,7 @@
 import { get } from "../api.js";
 import { el } from "../dom.js";
 import { said, text } from "../words.js";
-import { STALE_S, seconds, showAnswer, showCore } from "./answer.js";
+import { STALE_S, showAnswer, showCore, showLight, stateOf } from "./answer.js";
 
 export async function show(place) {
   const grid = el("div", { class: "presses", "data-testid": "presses" });
@@ -45,10 +45,9 @@ function draw({ node, state, core, band, answer, light, now, heard, wrong }) {
   const never = silent === Infinity;
   const stale = silent > STALE_S;
   node.classList.toggle("stale", stale);
-  state.className = `pill ${stale ? "" : now.state}`;
-  state.textContent = text(`page-state-${now.state}`);
+  state.className = `pill ${stateOf(now, stale)}`;
+  state.textContent = text(`page-state-${stateOf(now, stale)}`);
   showCore(core, band, now.state, now.estimate);
   showAnswer(answer, now.estimate, stale && !never ? silent : null);
-  light.className = `light ${stale || wrong ? "bad" : "good"}`;
-  light.textContent = never ? text("health-never-seen") : stale ? text("page-no-reading-for", { time: seconds(Math.round(silent)) }) : wrong ? said(wrong) : text("page-health-ok");
+  showLight(light, { now, silent: stale && !never ? silent : null, wrong: never ? text("health-never-seen") : wrong && said(wrong) });
 }

@@ -1,8 +1,8 @@
 // The wall: core, the one answer, press state and one health light, to be read from four metres; nothing to press.
 import { get } from "../api.js";
-import { duration, el, number } from "../dom.js";
+import { duration, el } from "../dom.js";
 import { said, text } from "../words.js";
-import { CoreChart, STALE_S, courseOf, showAnswer, showCore } from "./answer.js";
+import { CoreChart, STALE_S, courseOf, showAnswer, showCore, showLight, stateOf, take } from "./answer.js";
 
 export async function show(place, context, [press]) {
   const wall = new Wall(place, context, press ?? context.press);
@@ -71,8 +71,8 @@ class Wall {
 
   estimate(data) {
     if (data.press !== this.now?.press || this.left) return;
-    this.now.estimate = data;
-    Object.assign(this, { age: 0, heard: performance.now(), course: courseOf(data) ?? this.course });
+    if (take(this.now, data) && data.valid) Object.assign(this, { age: data.age_s, heard: performance.now() });
+    this.course = courseOf(data) ?? this.course;
     if (data.run === this.shown && data.valid && data.time_s !== null) this.keep(data.time_s, data.core_low_C, data.core_high_C, data.core_C);
     if (this.work) return;
     this.work = requestAnimationFrame(() => { this.work = 0; if (!this.left) this.draw(); });
@@ -80,8 +80,6 @@ class Wall {
 
   draw() {
     const { now } = this;
-    this.state.className = `pill ${now.state}`;
-    this.state.textContent = text(`page-state-${now.state}`);
     this.since.textContent = now.state !== "closed" || now.time_since_closing_s === null ? "" : duration(now.time_since_closing_s);
     showCore(this.core, this.band, now.state, now.estimate);
     this.showAge();
@@ -95,11 +93,12 @@ class Wall {
     const silent = this.age + (performance.now() - this.heard) / 1000;
     const stale = silent > STALE_S;
     document.documentElement.toggleAttribute("data-stale", stale);
+    const state = stateOf(this.now, stale);
+    this.state.className = `pill ${state}`;
+    this.state.textContent = text(`page-state-${state}`);
     showAnswer(this.answer, this.now.estimate, stale ? silent : null);
     const alarms = this.health?.alarms ?? [];
-    const well = !stale && this.health?.status === "ok";
-    this.light.className = `light ${well ? "good" : "bad"}`;
-    this.light.textContent = stale ? text("page-no-reading-for", { time: `${number(silent, 0)} s` })
-      : well ? text("page-health-ok") : said(this.health.alarms_said[0], alarms[0]) || text("page-health-degraded");
+    const wrong = this.health?.status === "ok" ? "" : said(this.health?.alarms_said[0], alarms[0]) || text("page-health-degraded");
+    showLight(this.light, { now: this.now, silent: stale ? silent : null, wrong });
   }
 }
