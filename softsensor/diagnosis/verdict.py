@@ -224,7 +224,7 @@ def _conclude(readings: _Readings, stages: list[SettledModel], rounds: list[Roun
         noise_floor_K=_rounded(noise),
         own_panels_K=own_panels_K,
         where=_where(stages[0]),
-        candidates=_candidate_rows(rounds, stages),
+        candidates=_candidate_rows(rounds, stages, (*findings, *suspected)),
         next_measurement=next_measurement(verdict, findings, seen, to_confirm),
         seconds=0.0,
         faults={r.name: f for r, f in zip(runs, faults, strict=True) if f},
@@ -414,17 +414,24 @@ def _where(plain: SettledModel) -> tuple[dict[str, Any], ...]:
     return tuple(where_row(p, digests) for p in found)
 
 
-def _candidate_rows(rounds: list[Round], stages: list[SettledModel]) -> tuple[dict[str, Any], ...]:
+def _candidate_rows(
+    rounds: list[Round], stages: list[SettledModel], found: Sequence[Finding]
+) -> tuple[dict[str, Any], ...]:
+    """Return what each cause had to show; one that is named or suspected saves what is said of it there.
+
+    The others were not settled: theirs is what the search's fit of them alone saves.
+    """
     if not rounds:
         return ()
     rows = []
+    settled = {finding.name: finding.gain for finding in found}
     for c in rounds[0].candidates:
         rows.append(
             {
                 "name": c.effect.name,
                 "score": _rounded(c.gain),
                 "p_value": _rounded(rounds[0].p_values[c.effect.name]),
-                "heldout_gain_K": _rounded(c.heldout_gain(stages[0]).value_K),
+                "heldout_gain_K": _rounded((settled.get(c.effect.name) or c.heldout_gain(stages[0])).value_K),
             }
         )
     return tuple(rows)

@@ -136,6 +136,15 @@ def test_the_answer_holds_every_key_of_the_contract_and_is_plain_json() -> None:
     assert content["where"][0]["phase"] == str(Message.from_json(content["where"][0]["phase_said"]))
 
 
+def test_a_cause_saves_the_same_in_its_own_table_among_the_candidates_and_in_its_sentence() -> None:
+    found = diagnosed("edge_loss", 501, 7, 0.5)
+    content = as_stored(found)
+    (effect,) = content["effects"]
+    (row,) = [c for c in content["candidates"] if c["name"] == effect["name"]]
+    assert row["heldout_gain_K"] == effect["heldout_gain_K"] == effect["worth_said"]["arguments"]["gain"]
+    assert f"by {effect['heldout_gain_K']:.2f} of " in effect["worth"]
+
+
 def test_a_stored_diagnosis_carries_what_a_cause_is_worth_as_a_sentence_and_as_a_code() -> None:
     (effect,) = as_stored(diagnosed("edge_loss", 501, 7, 0.5))["effects"]
     assert effect["worth"].startswith("lowers the residual by ")
