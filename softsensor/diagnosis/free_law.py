@@ -45,6 +45,7 @@ from softsensor.diagnosis.gains import HARDLY, Gain, paired_gain
 from softsensor.diagnosis.numbers import MODEL_ERROR
 from softsensor.diagnosis.search import SettledModel, run_errors
 from softsensor.effects import Effect, Scene, Terms, catalogue
+from softsensor.effects.effect import LawOf
 from softsensor.effects.free_law import (
     COLDEST_C,
     EARLY_S,
@@ -88,7 +89,7 @@ POINTS = 33
 class LawKind:
     """A kind of law, laid over what the runs visited."""
 
-    name: str
+    name: LawOf
     variable: str
     unit: str
     effect: Effect
@@ -106,7 +107,7 @@ class LawKind:
 class Law:
     """What is missing as a free function."""
 
-    kind: str
+    kind: LawOf
     variable: str
     unit: str
     curve: Array
@@ -227,7 +228,7 @@ def contact_by_time(last_s: float, side: str = "") -> LawKind:
     end = smooth.knots[-1:]
     along = np.linspace(0.0, end[0], POINTS)
     weights = smooth.weights(along) - smooth.weights(end)
-    kind = f"contact_{side}" if side else "contact"
+    kind = LawOf(f"{LawOf.CONTACT}_{side}") if side else LawOf.CONTACT
 
     def kept(numbers: Array) -> dict[str, float]:
         return {LAST_S: last_s, **_at_knots(smooth, numbers)}
@@ -248,9 +249,9 @@ def heat_by_temperature(coldest_C: float, hottest_C: float) -> LawKind:
         return {COLDEST_C: coldest_C, HOTTEST_C: hottest_C, **_at_knots(smooth, HEAT_SIZE * numbers)}
 
     x = np.linspace(coldest_C, hottest_C, POINTS)
-    effect = _effect("heat", smooth, terms, nonlinear=True)
+    effect = _effect(LawOf.HEAT, smooth, terms, nonlinear=True)
     weights = HEAT_SIZE * smooth.weights(x)
-    return LawKind("heat", "temperature_C", "kJ/m3K", effect, x, weights, np.asarray, kept)
+    return LawKind(LawOf.HEAT, "temperature_C", "kJ/m3K", effect, x, weights, np.asarray, kept)
 
 
 def exchange_by_depth() -> LawKind:
@@ -264,9 +265,9 @@ def exchange_by_depth() -> LawKind:
         return _at_knots(smooth, EXCHANGE_SIZE * numbers)
 
     z = np.linspace(-1.0, 1.0, POINTS)
-    effect = _effect("heat_exchange", smooth, terms)
+    effect = _effect(LawOf.EXCHANGE, smooth, terms)
     weights = EXCHANGE_SIZE * smooth.weights(z)
-    return LawKind("heat_exchange", "depth_share", "W/m3K", effect, 0.5 * (z + 1.0), weights, np.asarray, kept)
+    return LawKind(LawOf.EXCHANGE, "depth_share", "W/m3K", effect, 0.5 * (z + 1.0), weights, np.asarray, kept)
 
 
 def _function(smooth: Smooth, values: Mapping[str, Any], size: float = 1.0) -> Function:
@@ -279,7 +280,7 @@ def _at_knots(smooth: Smooth, numbers: Array) -> dict[str, float]:
 
 
 def _effect(
-    kind: str, smooth: Smooth, terms: Callable[[Scene, Mapping[str, Any]], Terms], *, nonlinear: bool = False
+    kind: LawOf, smooth: Smooth, terms: Callable[[Scene, Mapping[str, Any]], Terms], *, nonlinear: bool = False
 ) -> Effect:
     parameters = tuple(
         Parameter(f"w{i}", "-", 0.0, 1.0, -40.0, 40.0, "weight of a free law, no physical number")
@@ -378,15 +379,17 @@ def _places(law: _Tried) -> list[int]:
     return [law.fit.layout.names.index(effect.key(p.name)) for p in effect.parameters]
 
 
-def _resembles(kind: str, curve: Array) -> str | None:
+def _resembles(kind: LawOf, curve: Array) -> str | None:
     """Return the cause of the catalogue whose own curve lies within the band, nearest to the law; None without."""
     x, value, low, high = curve.T
     sd = np.maximum(0.5 * (high - low), 1e-9 * (1.0 + np.abs(value)))
-    apart = float(x[-1] - x[0]) / (KNOTS.get(kind, KNOTS["contact"]) - 1)  # no sharper can the knots tell it
+    apart = float(x[-1] - x[0]) / (KNOTS.get(kind, KNOTS[LawOf.CONTACT]) - 1)  # no sharper can the knots tell it
     nearest, least = None, math.inf
     for effect in catalogue().values():
         for shape in effect.as_law(kind, x, apart) if effect.as_law is not None else ():
-            size = 1.0 if "contact" in kind else np.sum(shape * value / sd**2) / np.sum(shape * shape / sd**2)
+            size = 1.0
+            if kind in (LawOf.HEAT, LawOf.EXCHANGE):
+                size = np.sum(shape * value / sd**2) / np.sum(shape * shape / sd**2)
             off = float(np.mean(((size * shape - value) / sd) ** 2))
             if off < least and np.mean((size * shape >= low) & (size * shape <= high)) >= INSIDE:
                 nearest, least = effect.name, off

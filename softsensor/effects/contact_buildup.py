@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from softsensor.effects.effect import Effect, Live, Need, Role, Scene, Terms
+from softsensor.effects.effect import Effect, LawOf, Live, Need, Role, Scene, Terms
 from softsensor.effects.parameters import Parameter
 
 
@@ -26,9 +26,9 @@ def _terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
     return Terms(closed_contact=dict.fromkeys(scene.panel_contacts, factor))
 
 
-def _as_law(kind: str, x: Any, _: float) -> Iterator[Any]:
+def _as_law(kind: LawOf, x: Any, _: float) -> Iterator[Any]:
     tau = EFFECT.parameters[1]
-    for missing in np.linspace(0.1, 0.95, 18) if kind == "contact" else ():
+    for missing in np.linspace(0.1, 0.95, 18) if kind is LawOf.CONTACT else ():
         for seconds in np.geomspace(tau.lower, tau.upper, 15):
             built = 1.0 - missing * np.exp(-x / seconds)
             yield built / built[-1]

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from softsensor.effects.effect import Effect, Live, Need, Role, Scene, Terms, on_panel
+from softsensor.effects.effect import Effect, LawOf, Live, Need, Role, Scene, Terms, on_panel
 from softsensor.effects.parameters import Parameter
 
 
@@ -13,8 +13,8 @@ def _terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
     return Terms(exchange=on_panel(scene, values["W_m3K"], 0.0))
 
 
-def _as_law(kind: str, x: Any, _: float) -> Iterator[Any]:
-    if kind == "heat_exchange":
+def _as_law(kind: LawOf, x: Any, _: float) -> Iterator[Any]:
+    if kind is LawOf.EXCHANGE:
         yield np.ones_like(x)
 
 

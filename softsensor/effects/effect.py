@@ -115,6 +115,16 @@ SUMMANDS = (
 """Terms that they add up."""
 
 
+class LawOf(StrEnum):
+    """What a free law is of (`effects.free_law`)."""
+
+    CONTACT = "contact"
+    CONTACT_LOWER = "contact_lower"
+    CONTACT_UPPER = "contact_upper"
+    HEAT = "heat"
+    EXCHANGE = "heat_exchange"
+
+
 class Need(StrEnum):
     """What a run must offer for an effect to be testable."""
 
@@ -188,10 +198,10 @@ class Effect:
     most_heat_J_m2: float = 0.0  # noqa: N815
     """The most heat it can release inside a panel, beyond what flows in through the faces: no core is hotter than
     that allows. [J/m²]"""
-    as_law: Callable[[str, Any, float], Iterable[Any]] | None = None
-    """Return what it looks like as a free law (`effects.free_law`), at its various shapes: by the law's kind, over
-    its variable (n), where neighbouring values blur over a distance. Empty for a kind it has nothing to do with;
-    a factor's curve comes with its size, any other's up to one."""
+    as_law: Callable[[LawOf, Any, float], Iterable[Any]] | None = None
+    """Return what it looks like as a free law (`effects.free_law`), at its various shapes: by what the law is of,
+    over its variable (n), where neighbouring values blur over a distance. Empty where it is none of these; a
+    factor's curve comes with its size, any other's up to one."""
     at_the_rim: bool = False
     """Whether sensors at the rim show it before those in the middle."""
 

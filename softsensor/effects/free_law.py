@@ -31,13 +31,13 @@ import numpy as np
 
 from daq.records import Array
 from daq.words import Message, say
-from softsensor.effects.effect import Conversion, Effect, Live, Need, Numbers, Role, Scene, Terms, on_panel
+from softsensor.effects.effect import Conversion, Effect, LawOf, Live, Need, Numbers, Role, Scene, Terms, on_panel
 from softsensor.effects.moisture_evaporation import RATE, SOFTNESS
 from softsensor.effects.parameters import Parameter
 
 SIDES = {"": slice(None), "lower": slice(0, 1), "upper": slice(-1, None)}
 """Which of the panel's contacts, from bottom to top, a law of contact is about."""
-KNOTS = {"contact": 12, "heat": 9, "heat_exchange": 5}
+KNOTS = {LawOf.CONTACT: 12, LawOf.HEAT: 9, LawOf.EXCHANGE: 5}
 """Of each kind: as many as a solve bears, and finer than what twelve runs show. By hand, 2026-11."""
 LENGTH = 1.3
 """Of the kernel, in distances of knots: then no function between knots is lost (by hand, 2026-11)."""
@@ -88,17 +88,17 @@ class Smooth:
 
 def contact_knots(last_s: float) -> Smooth:
     """Return the process of a law of contact, over log(1 + t / 2 s) of the time since closing. [s]"""
-    return Smooth.over(0.0, float(np.log1p(last_s / EARLY_S)), KNOTS["contact"])
+    return Smooth.over(0.0, float(np.log1p(last_s / EARLY_S)), KNOTS[LawOf.CONTACT])
 
 
 def heat_knots(coldest_C: float, hottest_C: float) -> Smooth:
     """Return the process of a law of heat, over temperature. [°C]"""
-    return Smooth.over(coldest_C, hottest_C, KNOTS["heat"])
+    return Smooth.over(coldest_C, hottest_C, KNOTS[LawOf.HEAT])
 
 
 def exchange_knots() -> Smooth:
     """Return the process of a law of exchange, over the height from -1 (lower face) to 1."""
-    return Smooth.over(-1.0, 1.0, KNOTS["heat_exchange"])
+    return Smooth.over(-1.0, 1.0, KNOTS[LawOf.EXCHANGE])
 
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
@@ -174,7 +174,7 @@ def _contact(side: str) -> LawEffect:
         last_s = float(np.real(values[LAST_S]))
         return contact_terms(scene, _given(contact_knots(last_s), values), last_s, side)
 
-    parameters = tuple(_parameters(KNOTS["contact"], "-", {LAST_S: (60.0, "s")}))
+    parameters = tuple(_parameters(KNOTS[LawOf.CONTACT], "-", {LAST_S: (60.0, "s")}))
     live = Live(Role.SCATTER, with_states=True)
     name = f"law_contact_{side}" if side else "law_contact"
     return LawEffect(name, parameters, terms, SOURCE, live=live, needs=Need.PANEL)
@@ -185,7 +185,8 @@ def _heat() -> LawEffect:
         smooth = heat_knots(float(np.real(values[COLDEST_C])), float(np.real(values[HOTTEST_C])))
         return heat_terms(scene, _given(smooth, values), smooth)
 
-    parameters = tuple(_parameters(KNOTS["heat"], "kJ/m³K", {COLDEST_C: (40.0, "°C"), HOTTEST_C: (200.0, "°C")}))
+    ends = {COLDEST_C: (40.0, "°C"), HOTTEST_C: (200.0, "°C")}
+    parameters = tuple(_parameters(KNOTS[LawOf.HEAT], "kJ/m³K", ends))
     live = Live(Role.OWN_FILTER)
     return LawEffect("law_heat", parameters, terms, SOURCE, live=live, nonlinear=True, needs=Need.PANEL)
 
@@ -194,7 +195,7 @@ def _exchange() -> LawEffect:
     def terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
         return exchange_terms(scene, _given(exchange_knots(), values))
 
-    parameters = tuple(_parameters(KNOTS["heat_exchange"], "W/m³K", {}))
+    parameters = tuple(_parameters(KNOTS[LawOf.EXCHANGE], "W/m³K", {}))
     live = Live(Role.HYPOTHESIS)
     return LawEffect("law_heat_exchange", parameters, terms, SOURCE, live=live, needs=Need.PANEL)
 

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from softsensor.effects.effect import REFERENCE_C, Effect, Live, Need, Role, Scene, Terms, on_panel
+from softsensor.effects.effect import REFERENCE_C, Effect, LawOf, Live, Need, Role, Scene, Terms, on_panel
 from softsensor.effects.parameters import change_per_100_K
 
 
@@ -11,8 +11,8 @@ def _terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
     return Terms(capacity_slope=on_panel(scene, values["per_100_K"] / 100.0, 0.0))
 
 
-def _as_law(kind: str, x: Any, _: float) -> Iterator[Any]:
-    if kind == "heat":
+def _as_law(kind: LawOf, x: Any, _: float) -> Iterator[Any]:
+    if kind is LawOf.HEAT:
         yield x - REFERENCE_C
 
 

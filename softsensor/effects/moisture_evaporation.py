@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from softsensor.effects.effect import Conversion, Effect, Live, Need, Role, Scene, Terms, on_panel
+from softsensor.effects.effect import Conversion, Effect, LawOf, Live, Need, Role, Scene, Terms, on_panel
 from softsensor.effects.parameters import Parameter
 
 LATENT_HEAT = 2.4e6
@@ -24,8 +24,8 @@ def _terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
     return Terms(conversions=(Conversion(on_panel(scene, heat, 0.0), 1, RATE, values["temperature_C"], SOFTNESS),))
 
 
-def _as_law(kind: str, x: Any, apart: float) -> Iterator[Any]:
-    for boils in np.arange(92.0, 112.0, 2.0) if kind == "heat" else ():
+def _as_law(kind: LawOf, x: Any, apart: float) -> Iterator[Any]:
+    for boils in np.arange(92.0, 112.0, 2.0) if kind is LawOf.HEAT else ():
         for width in (0.5 * apart, 0.75 * apart, apart):
             yield np.exp(-0.5 * ((x - boils) / width) ** 2)
 

@@ -24,6 +24,7 @@ from softsensor.diagnosis.search import SettledModel, settle_base
 from softsensor.diagnosis.summary import law_said
 from softsensor.diagnosis.verdict import _screened
 from softsensor.effects import find_effect
+from softsensor.effects.effect import LawOf
 from softsensor.effects.free_law import LENGTH, STRENGTH, Smooth
 from softsensor.fitting.simulated_run import simulate_run
 from softsensor.heat.model import ThermalModel
@@ -229,21 +230,21 @@ def test_a_flat_curve_of_exchange_is_a_rim_loss_and_a_bent_one_is_not():
     x = np.linspace(0.0, 1.0, 33)
     flat, bent = np.full(33, 900.0), 900.0 * np.sin(2.0 * np.pi * x)
     tables = [np.stack([x, v, v - 100.0, v + 100.0], axis=1) for v in (flat, bent)]
-    assert [laws._resembles("heat_exchange", table) for table in tables] == ["edge_loss", None]
+    assert [laws._resembles(LawOf.EXCHANGE, table) for table in tables] == ["edge_loss", None]
 
 
 def test_a_law_of_contact_that_grows_is_a_buildup():
     x = np.linspace(0.0, 30.0, 33)
     v = 1.0 - 0.6 * np.exp(-x / 7.0)
     curve = np.stack([x, v, v - 0.05, v + 0.05], axis=1)
-    assert laws._resembles("contact", curve) == "contact_buildup"
+    assert laws._resembles(LawOf.CONTACT, curve) == "contact_buildup"
 
 
 @pytest.mark.parametrize(("language", "part"), [("en", "time since closing"), ("de", "Zeit seit dem Schließen")])
 def test_a_law_is_told_in_words_and_as_the_contract_has_it(language, part):
     x = np.linspace(0.0, 30.0, 33)
     curve = np.stack([x, 1.0 - 0.5 * x / 30.0, x, x], axis=1)
-    told = ("contact", "time_since_closing_s", "-", curve, Gain(0.8, (0.5, 1.0)), ("contact", "heat"), None)
+    told = (LawOf.CONTACT, "time_since_closing_s", "-", curve, Gain(0.8, (0.5, 1.0)), ("contact", "heat"), None)
     one = Law(*told, stage=settled("nothing"), kept={})
     found = SimpleNamespace(law=one, extended=SimpleNamespace(heldout_rmse_K=1.2))
     said = [words(m, language) for m in law_said(cast(Diagnosis, found))]
