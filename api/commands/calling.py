@@ -6,6 +6,7 @@ the command line library would say in English is said here.
 
 from __future__ import annotations
 
+import re
 import shutil
 import textwrap
 from collections.abc import Iterable, Iterator
@@ -20,6 +21,8 @@ from daq.words import Message, say
 
 WIDEST = 110
 """Columns of a help page, as wide as a paragraph reads well."""
+PLACEHOLDER = re.compile(r"\b(?!(?:CSV|EUR|JSON|URL)\b)[A-Z]{2,}\b")
+"""A word in capitals that stands for something, what is written so everywhere aside."""
 
 
 class Command(TyperCommand):
@@ -62,9 +65,15 @@ def command_help(name: str) -> Message:
     return Message(f"help-command-{name}")
 
 
+def placeholders(call: str) -> str:
+    """Return what stands for a value in a call, ``KEY=VALUE`` say, in the terminal's language."""
+    return PLACEHOLDER.sub(lambda word: in_words(Message(f"help-word-{word[0].lower()}")), call)
+
+
 def help_lines(command: TyperCommand | TyperGroup, ctx: Any) -> Iterator[str]:
     """Yield the help page of a command: how it is called, what it does, what it takes."""
-    yield in_words(say("help-usage", call=" ".join([ctx.command_path, *command.collect_usage_pieces(ctx)])))
+    call = " ".join([ctx.command_path, *map(placeholders, command.collect_usage_pieces(ctx))])
+    yield in_words(say("help-usage", call=call))
     yield ""
     yield from textwrap.wrap(
         in_words(command_help(command.name or "")), _width(), initial_indent="  ", subsequent_indent="  "
@@ -75,13 +84,13 @@ def help_lines(command: TyperCommand | TyperGroup, ctx: Any) -> Iterator[str]:
         parameter: Any = one
         told = Message("help-help" if parameter.name == "help" else str(parameter.help))
         if parameter.param_type_name == "argument":
-            arguments.append((" ".join(parameter.get_usage_pieces(ctx)), told))
+            arguments.append((" ".join(map(placeholders, parameter.get_usage_pieces(ctx))), told))
             continue
         if parameter.default not in (None, False, "") and not parameter.required:
             told = say("help-default", told=told, value=parameter.default)
         if parameter.envvar:
             told = say("help-environment", told=told, name=parameter.envvar)
-        options.append((" ".join(filter(None, (parameter.opts[-1], parameter.metavar))), told))
+        options.append((" ".join(filter(None, (parameter.opts[-1], placeholders(parameter.metavar or "")))), told))
     yield from _section(say("help-arguments"), arguments)
     yield from _section(say("help-options"), options)
 
@@ -115,7 +124,7 @@ def refusal_of(error: Exception) -> Message:
     parameter = getattr(error, "param", None)
     if parameter is None:
         return say("plain-text", text=str(told.message))
-    name = parameter.opts[-1] if parameter.param_type_name == "option" else str(parameter.metavar)
+    name = parameter.opts[-1] if parameter.param_type_name == "option" else placeholders(parameter.metavar)
     if not told.message:
         return say("at-key", key=name, what=say("key-missing"))
     from pydantic import ValidationError

@@ -109,6 +109,8 @@ def test_help_and_wrong_calls_speak_the_language_of_the_terminal(monkeypatch, ca
     page = capsys.readouterr().out
     assert page.startswith("Aufruf: kerntemp demo")
     assert "Diese Seite zeigen." in page
+    assert "[OPTIONEN]" in page
+    assert "--data ORDNER" in page
     assert main(["demo", "--speed", "900"]) == 2
     assert one_line(capsys) == "kerntemp: --speed = '900': darf höchstens 200 sein"
     monkeypatch.setenv("KERNTEMP_LANGUAGE", "en")

@@ -15,6 +15,7 @@ from fluent.syntax import FluentParser
 from fluent.syntax import ast as fluent
 
 from api.cli import app
+from api.commands.calling import PLACEHOLDER
 from daq.tables import SYSTEM_FAULTS, reason_of
 from daq.words import Message, say, spoken
 from daq.words.message import catalogue_of, languages, words
@@ -240,3 +241,15 @@ def test_what_the_system_refuses_is_said_in_its_own_words_and_in_every_language(
 
 def test_what_the_system_says_that_no_catalogue_has_is_repeated():
     assert reason_of(OSError(errno.ENXIO, "No such device or address")) == "No such device or address"
+
+
+@pytest.mark.parametrize("language", languages())
+def test_whatever_stands_for_a_value_in_a_call_has_its_word(language):
+    group = typer.main.get_command(app)
+    params = [p for command in (group, *group.commands.values()) for p in command.params]
+    placeholders = {word for p in params for word in PLACEHOLDER.findall(str(p.metavar or ""))}
+    known = patterns(language)
+    assert len(placeholders) > 20
+    assert [
+        w for w in placeholders | {"OPTIONS", "COMMAND", "ARGS"} if f"help-word-{w.lower()}" not in known
+    ] == []
