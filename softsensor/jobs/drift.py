@@ -3,15 +3,15 @@
 A run's value is held against all before it by its rank alone: where nothing changes, ranks among what came before
 are independent and uniform whatever the values scatter like, wild fits among them, so that the chart needs no
 spread and no limit for outliers. Rank `r` of `n` becomes the mean of the `r`-th of `n` equal parts of a normal
-distribution; a likelihood ratio of such scores has a mean of one at most (Jensen), so it is an e-value. One is
-asked for every run at which a change may have begun, a jump and a creep each, over a normal distribution of its
-size. Their sum says how much speaks for a change by now; where there is none it grows by one a run on average, so
-that it passes `n` once in `n` runs at most, however often one looks (an e-detector).
+distribution, its score. How much likelier a score is after a shift than without one is asked for several shifts
+and for every run at which the shift may have come; the mean over shifts of the sum over such runs says how much
+speaks for a change by now. Where there is none it grows by one a run on average, so that it passes `n` once in `n`
+runs at most, however often one looks: Shiryaev's and Roberts' chart, an e-detector.
 
 References
 ----------
-Gordon & Pollak, Ann. Statist. 22 (1994) 763 (charts by sequential ranks); Shin, Ramdas & Rinaldo, New Engl. J.
-Stat. Data Sci. 2 (2024) 229 (e-detectors); Kass & Wasserman, J. Am. Stat. Assoc. 90 (1995) 928 (unit information).
+Gordon & Pollak, Ann. Statist. 22 (1994) 763 (the chart by sequential ranks); Shin, Ramdas & Rinaldo, New Engl. J.
+Stat. Data Sci. 2 (2024) 229 (e-detectors).
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.special import ndtri
 
 from daq.records import Array, InputError
 from daq.words import Message, say
@@ -36,9 +37,10 @@ CHARTED_RUNS = 200
 FALSE_ALARM_RUNS = 1000
 """Pressings from one false alarm of a press to the next, on average at least, all its coefficients together: as a
 chart for means is laid out (Montgomery, Introduction to Statistical Quality Control, ch. 9, 370 to 1000)."""
-CREEP_RUNS = 30
-"""A creep is looked for that moves by about a standard deviation of the runs within so many, the time within which
-one wants to know of it. A jump is looked for of about one standard deviation: what one run tells."""
+SHIFTS = (-4.0, -2.0, -1.0, -0.5, 0.5, 1.0, 2.0, 4.0)
+"""Shifts looked for, in standard deviations of the runs, twice as large each: one between two of them loses a
+ninth of its evidence at most, as a shift `d` looked for as `s` gives `s d - s^2 / 2` a run instead of `d^2 / 2`.
+A smaller one than the least takes more than the runs looked back on."""
 
 
 @dataclass(frozen=True)
@@ -90,14 +92,11 @@ def last_change(name: str, values: Sequence[RunValue], watched: int = 1) -> Drif
     if len(good) < 3:
         return None
     logs = np.log([v.value for v in good])
-    evidence = log_evidence(rank_scores(logs))
-    beyond = detector(evidence) > math.log(FALSE_ALARM_RUNS * watched)
+    beyond = log_evidence(rank_scores(logs)) > math.log(FALSE_ALARM_RUNS * watched)
     if not beyond[-1]:
         return None
-    chart = list(Chart)[int(np.argmax(np.logaddexp.reduce(evidence[:, :, -1], axis=1)))]
-    first = _jumped(logs) if chart is Chart.JUMP else 1 + int(np.argmax(evidence[1, :, -1]))
+    chart, first, factor = _course_of(logs)
     noticed = len(good) - int(np.argmin(np.append(beyond[::-1], False)))
-    factor = math.exp(_moved(logs, _course(len(good))[chart][first - 1]))
     return DriftAlarm(name, good[first].run, good[max(noticed, first)].run, factor, chart)
 
 
@@ -106,68 +105,55 @@ def rank_scores(values: Array) -> Array:
 
     Equal values share the ranks they take up.
     """
-    from scipy.special import ndtri  # loads slowly, and the sensor is to be there at once
-
     before = np.tril(np.ones((len(values), len(values)), dtype=bool), -1)
     count = np.arange(1, len(values) + 1)
     low = (before & (values[None, :] < values[:, None])).sum(axis=1) / count
     high = low + (1 + (before & (values[None, :] == values[:, None])).sum(axis=1)) / count
-    return np.asarray((_density(ndtri(low)) - _density(ndtri(high))) / (high - low))
+    return _part_mean(low, high)
 
 
-def _density(z: Array) -> Array:
-    return np.asarray(np.exp(-0.5 * z**2) / math.sqrt(2.0 * math.pi))
+def _part_mean(low: Array, high: Array) -> Array:
+    """Return the mean of a normal distribution between two of its shares."""
+    density = np.exp(-0.5 * ndtri(np.stack([low, high])) ** 2) / math.sqrt(2.0 * math.pi)
+    return np.asarray((density[0] - density[1]) / (high - low))
 
 
 def log_evidence(scores: Array) -> Array:
-    """Return logarithms of likelihood ratios (2 shapes, first runs, runs so far) of a change against none.
+    """Return the logarithm of what speaks for a change after each run (runs)."""
+    ratios = np.outer(scores, SHIFTS) - _log_usual(len(scores))
+    told, so_far = np.empty(len(scores)), np.full(len(SHIFTS), -np.inf)
+    for i, ratio in enumerate(ratios):
+        so_far = np.logaddexp(0.0, so_far) + ratio
+        told[i] = np.logaddexp.reduce(so_far) - math.log(len(SHIFTS))
+    return told
 
-    The first run may be the second to the last; where it has not come yet the ratio counts for nothing (-inf).
+
+@lru_cache(maxsize=4)
+def _log_usual(runs: int) -> Array:
+    """Return the logarithm of the mean of `exp(shift score)` where all ranks are alike (runs, shifts).
+
+    Equal values have the mean score of their ranks, and so no more than that.
     """
-    runs = len(scores)
-    seen = np.arange(runs)[None, :] > np.arange(runs - 1)[:, None]
-    shapes = np.stack(_shapes(runs))
-    known = np.cumsum(shapes**2, axis=2)
-    agreed = np.cumsum(shapes * scores, axis=2)
-    ratio = 0.5 * agreed**2 / (1.0 + known) - 0.5 * np.log1p(known)
-    return np.where(seen, ratio, -np.inf)
+    usual = np.empty((runs, len(SHIFTS)))
+    for i in range(1, runs + 1):
+        edges = np.arange(i + 1) / i
+        scores = _part_mean(edges[:-1], edges[1:])
+        usual[i - 1] = np.logaddexp.reduce(np.outer(scores, SHIFTS), axis=0) - math.log(i)
+    return usual
 
 
-def detector(evidence: Array) -> Array:
-    """Return the logarithm of the sum over first runs, both shapes alike, after each run (runs)."""
-    return np.asarray(np.logaddexp.reduce(evidence, axis=(0, 1)) - math.log(len(evidence)))
+def _course_of(logs: Array) -> tuple[Chart, int, float]:
+    """Return whether it was a jump or a creep, its first run, and the new level over the old one.
 
-
-@lru_cache(maxsize=8)
-def _shapes(runs: int) -> tuple[Array, Array]:
-    """Return what a unit change does to scores (first runs, runs), as a jump and as a creep.
-
-    A score tells how a run is off from the mean of all up to it, which follow the change in their turn.
+    By least squares over all first runs and both courses; of values, since a large jump makes its moment plain.
     """
-    count = np.arange(1.0, runs + 1.0)
-    jump, creep = (course - np.cumsum(course, axis=1) / count for course in _course(runs).values())
-    return jump, creep
-
-
-def _course(runs: int) -> dict[Chart, Array]:
-    """Return how far a unit change has gone in each run (first runs, runs)."""
-    since = np.maximum(np.arange(runs)[None, :] - np.arange(runs - 1)[:, None], 0.0)
-    return {Chart.JUMP: np.minimum(since, 1.0), Chart.CREEP: since / CREEP_RUNS}
-
-
-def _jumped(logs: Array) -> int:
-    """Return the first run after a jump: where two medians leave the least absolute deviations.
-
-    By the values, not their ranks: the larger a jump, the plainer its moment, which ranks do not show.
-    """
-    left = [sum(float(np.abs(p - np.median(p)).sum()) for p in np.split(logs, [k])) for k in range(1, len(logs))]
-    return 1 + int(np.argmin(left))
-
-
-def _moved(logs: Array, course: Array) -> float:
-    """Return by how much the logarithm has changed up to the last run, by least squares."""
-    away = course - course.mean()
-    return float(away @ logs / (away @ away) * course[-1])
+    since = np.maximum(np.arange(len(logs))[None, :] - np.arange(len(logs) - 1)[:, None], 0.0)
+    courses = np.stack([np.minimum(since, 1.0), since])
+    away = courses - courses.mean(axis=2, keepdims=True)
+    squares = (away**2).sum(axis=2)
+    shape, before = np.unravel_index(int(np.argmax((away @ logs) ** 2 / squares)), squares.shape)
+    slope = away[shape, before] @ logs / squares[shape, before]
+    return tuple(Chart)[int(shape)], int(before) + 1, math.exp(slope * courses[shape, before, -1])
 
 
 def alarms_of(store: Store, press: str) -> list[DriftAlarm]:

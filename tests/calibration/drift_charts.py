@@ -6,12 +6,13 @@ A press has six coefficients and a pressing a night. Ranks do not know what valu
 scatter would do; two are drawn all the same.
 """
 
+import math
 import sys
 from collections.abc import Callable
 
 import numpy as np
 
-from softsensor.jobs.drift import CHARTED_RUNS, RunValue, last_change
+from softsensor.jobs.drift import CHARTED_RUNS, FALSE_ALARM_RUNS, log_evidence, rank_scores
 
 COEFFICIENTS, NIGHTS, CHANGED, LATEST = 6, 365, 100, 120
 SCATTER = {
@@ -21,9 +22,14 @@ SCATTER = {
 
 
 def alarms(logs: np.ndarray, nights: range) -> list[bool]:
-    """Return whether an alarm stands after each night, of a press that has so many coefficients."""
-    runs = [RunValue(str(i), float(np.exp(v))) for i, v in enumerate(logs)]
-    return [last_change("h", runs[max(0, n - CHARTED_RUNS) : n], COEFFICIENTS) is not None for n in nights]
+    """Return whether an alarm stands after each night, of a press that has so many coefficients.
+
+    Of the newest runs only, as at night; up to there one look tells what each night before it would have told.
+    """
+    level = math.log(FALSE_ALARM_RUNS * COEFFICIENTS)
+    early = log_evidence(rank_scores(logs[:CHARTED_RUNS])) > level
+    late = (log_evidence(rank_scores(logs[n - CHARTED_RUNS : n]))[-1] > level for n in nights if n > CHARTED_RUNS)
+    return [*(bool(early[n - 1]) for n in nights if n <= CHARTED_RUNS), *map(bool, late)]
 
 
 def false_alarms(rng: np.random.Generator, presses: int, draw: Callable) -> tuple[float, float]:
