@@ -19,8 +19,8 @@ from softsensor.signals.screen import ChannelFault
 # Numbers without another source were set by hand, 2026-11.
 
 CORE_OFF_K = 1.0
-"""A core error worth a measurement where faces show nothing: the first core thermocouples of a rig are themselves
-0.1 to 0.75 K off (facts, decision.md). [K]"""
+"""A core error worth a measurement where faces show nothing: well above what a buried thermocouple is off of its
+own (`signals.instrument.BURIED_K`). [K]"""
 
 
 @dataclass(frozen=True)

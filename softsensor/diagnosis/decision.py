@@ -45,7 +45,7 @@ SMALLEST_SIZE, SMALLEST_EXPONENT = 0.25, 0.02
 to see when far smaller. Set by hand."""
 CORE_RATIO, CORE_K = 1.5, 0.5
 """Core thermocouples refute a model that is further off than another by this factor and so many kelvins in every
-run that has one. Set by hand; their own error on a rig is 0.1 to 0.75 K (facts, decision.md)."""
+run that has one. Set by hand, above what one is off of its own (`signals.instrument.BURIED_K`)."""
 SURE_T = 2.2
 """Standard errors over runs by which a rival gains less before it is told apart; about Student's two-sided 5 % for
 twelve runs (2.20)."""

@@ -30,9 +30,8 @@ from softsensor.heat.model import ThermalModel
 from softsensor.planning.information import RunInformation
 from softsensor.signals.digest import STEP_S, Digest, Whitened, digest_run, slope_of
 from softsensor.signals.doubt import PANEL_SCATTER, Doubt, Source
+from softsensor.signals.instrument import BURIED_K
 
-CORE_K = 0.4
-"""A core thermocouple's own error: the first of a rig are 0.1 to 0.75 K off (facts, decision.md). [K]"""
 CORE = "planned_in_the_core"
 """Column of a thermocouple in the core that is only planned; no pattern of a press file names it."""
 
@@ -112,7 +111,7 @@ def planned_digest(press: Press, run: Run, moments: Moments, like: Digest) -> Di
     filled = {c: np.zeros(len(run.time_s)) for c in (*channels, *planned)}
     excluded = frozenset(press_for_run(press, run).sensors_of(run)) - set(channels)
     digest = digest_run(press, replace(run, columns={**run.columns, **filled}), moments, excluded)
-    known = {s: CORE_K for s in digest.signals} | dict(zip(like.signals, like.offset_sd, strict=True))
+    known = {s: BURIED_K for s in digest.signals} | dict(zip(like.signals, like.offset_sd, strict=True))
     return replace(digest, offset_sd=np.array([known[s] for s in digest.signals]))
 
 
