@@ -39,6 +39,7 @@ from softsensor.diagnosis.finding import Diagnosis
 from softsensor.diagnosis.summary import verdict_said
 from softsensor.diagnosis.verdict import diagnose as diagnose_runs
 from softsensor.fitting.campaign import CampaignFit
+from softsensor.fitting.result import Coefficient, rounded
 from softsensor.fitting.simulated_run import Simulated, simulate_run
 from softsensor.heat.model import ThermalModel
 from softsensor.heat.model_file import ModelFile
@@ -59,6 +60,8 @@ from softsensor.planning.summary import advice_said, plan_said
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+UNKNOWN = "–"
 
 AnyRun: TypeAlias = Run | pd.DataFrame | Path | str
 AnyPress: TypeAlias = Press | Path | str
@@ -103,16 +106,29 @@ class FitResult:
         return json.dumps(self.campaign.as_json())
 
     def __repr__(self) -> str:
-        """Show coefficients and error of each run, their mean and scatter, and runs that are not described."""
-        frame = self.frame()
-        runs = frame["value"].unstack("coefficient")[list(self.campaign.coefficients)]
-        runs = runs.assign(rmse_K=frame["rmse_K"].groupby("run").first())
-        table = pd.concat([runs, runs.describe().loc[["mean", "std"]]])
+        """Show what is known from each run, to the digits it is known to; of several runs mean and scatter."""
+        over = self.campaign.coefficients
+        rows = {
+            run.run: {n: _known(run.coefficients[n]) for n in over} | {"rmse_K": f"{run.rmse_K:.2f}"}
+            for run in self.campaign.runs
+        }
+        if len(rows) > 1:
+            rows["mean"] = {n: _digits(c.mean, c.ci95) if c.runs else UNKNOWN for n, c in over.items()}
+            rows["sd"] = {n: f"{c.sd:.2g}" if math.isfinite(c.sd) else UNKNOWN for n, c in over.items()}
+        table = pd.DataFrame.from_dict(rows, orient="index").fillna("")
         short = self.campaign.shortfall
-        return "\n".join([table.to_string(max_rows=12, float_format="%.4g"), *([str(short)] if short else [])])
+        return "\n".join([table.to_string(max_rows=12), *([str(short)] if short else [])])
 
     def _repr_html_(self) -> str:
         return str(self.frame().to_html(float_format="%.4g", max_rows=24))
+
+
+def _known(found: Coefficient) -> str:
+    return _digits(found.value, found.ci95) if found.identifiable else UNKNOWN
+
+
+def _digits(value: float, ends: tuple[float, float]) -> str:
+    return f"{rounded(value, ends):.4g}"
 
 
 @dataclass(frozen=True, repr=False, eq=False)

@@ -1171,9 +1171,10 @@ figure-advice-any = irgendeine Grenze, Heizplatten { NUMBER($platen, maximumFrac
 figure-advice-press-time = Presszeit [s]
 figure-advice-risk = Wahrscheinlichkeit, dass eine Grenze verletzt ist [%]
 figure-channels = alle Fühler
-figure-coefficient = { $name } = { NUMBER($mean, maximumSignificantDigits: 3) } W/m²K
-figure-coefficient-shared = { $name } = { NUMBER($mean, maximumSignificantDigits: 3) } W/m²K, gemeinsam
-figure-coefficient-spread = { $name } = { NUMBER($mean, maximumSignificantDigits: 3) } ± { NUMBER($sd, maximumSignificantDigits: 2) } W/m²K
+figure-coefficient = { $name } = { NUMBER($mean, maximumSignificantDigits: 4) } W/m²K
+figure-coefficient-shared = { $name } = { NUMBER($mean, maximumSignificantDigits: 4) } W/m²K, gemeinsam
+figure-coefficient-spread = { $name } = { NUMBER($mean, maximumSignificantDigits: 4) } ± { NUMBER($sd, maximumSignificantDigits: 2) } W/m²K
+figure-coefficient-unknown = { $name } ist nicht bekannt
 figure-core = Kern, { $model }
 figure-core-band = sein 95-%-Band
 figure-core-by-fit = Kern nach dem angepassten Modell

@@ -1155,9 +1155,10 @@ figure-advice-any = any limit, platens at { NUMBER($platen, maximumFractionDigit
 figure-advice-press-time = press time [s]
 figure-advice-risk = chance that a limit is broken [%]
 figure-channels = all sensors
-figure-coefficient = { $name } = { NUMBER($mean, maximumSignificantDigits: 3) } W/m²K
-figure-coefficient-shared = { $name } = { NUMBER($mean, maximumSignificantDigits: 3) } W/m²K, shared
-figure-coefficient-spread = { $name } = { NUMBER($mean, maximumSignificantDigits: 3) } ± { NUMBER($sd, maximumSignificantDigits: 2) } W/m²K
+figure-coefficient = { $name } = { NUMBER($mean, maximumSignificantDigits: 4) } W/m²K
+figure-coefficient-shared = { $name } = { NUMBER($mean, maximumSignificantDigits: 4) } W/m²K, shared
+figure-coefficient-spread = { $name } = { NUMBER($mean, maximumSignificantDigits: 4) } ± { NUMBER($sd, maximumSignificantDigits: 2) } W/m²K
+figure-coefficient-unknown = { $name } is not known
 figure-core = core, { $model }
 figure-core-band = its 95 % band
 figure-core-by-fit = core by the fitted model

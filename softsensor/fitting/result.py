@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
@@ -61,6 +62,22 @@ class Coefficient:
     verdict: Identifiability = Identifiability.IDENTIFIABLE
     reason: Message | None = None
     """Why it is not identifiable, and which measurement would fix it."""
+
+
+def rounded(value: float, ends: tuple[float, float]) -> float:
+    """Return a value to the second digit of half its interval's width (JCGM 100:2008, 7.2.6).
+
+    Examples
+    --------
+    >>> rounded(643.27, (557.3, 729.2)), rounded(643.27, (600.1, 645.3)), rounded(6.4327, (6.31, 6.55))
+    (643.0, 643.0, 6.43)
+    >>> rounded(17043.0, (9000.0, 25000.0))
+    17000.0
+    """
+    half = (ends[1] - ends[0]) / 2
+    if not (half > 0.0 and np.isfinite(half)):
+        return value
+    return round(value, 1 - math.floor(math.log10(float(f"{half:.2g}"))))
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,7 +21,7 @@ from softsensor.effects.vocabulary import place_words
 from softsensor.fitting.campaign import CampaignFit
 from softsensor.fitting.core import FittedCore, fitted_core
 from softsensor.fitting.paper.procedures import Reproduction
-from softsensor.fitting.result import RunFit
+from softsensor.fitting.result import RunFit, rounded
 from softsensor.fitting.unknowns import is_coefficient
 from softsensor.signals.places import Place
 from softsensor.signals.robust import channel_scatter
@@ -252,17 +252,11 @@ def known_names(known: tuple[str, ...], of: int) -> Message:
 
 def _draw_coefficient(ax: Any, campaign: CampaignFit, name: str, put: Put) -> None:
     c = campaign.coefficients[name]
-    shared = name in campaign.shared
-    if shared:
-        title = say("figure-coefficient-shared", name=name, mean=c.mean)
-    elif np.isfinite(c.sd):
-        title = say("figure-coefficient-spread", name=name, mean=c.mean, sd=c.sd)
-    else:
-        title = say("figure-coefficient", name=name, mean=c.mean)
-    ax.set_title(put(title))
+    ax.set_title(put(_coefficient_title(campaign, name)))
     if np.isfinite(c.sd):
         ax.axhspan(c.mean - c.sd, c.mean + c.sd, color="#dfeaf4", lw=0, zorder=0)
-    ax.axhline(c.mean, color=COLOURS[1], lw=1.2, zorder=1)
+    if c.runs:
+        ax.axhline(c.mean, color=COLOURS[1], lw=1.2, zorder=1)
     tops = [c.mean]
     for i, f in enumerate(campaign.runs, start=1):
         one = f.coefficients[name]
@@ -279,6 +273,19 @@ def _draw_coefficient(ax: Any, campaign: CampaignFit, name: str, put: Put) -> No
         ax.set_xticks(range(1, len(campaign.runs) + 1))
     else:
         ax.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=FEW_TICKS))
+
+
+def _coefficient_title(campaign: CampaignFit, name: str) -> Message:
+    """Say what the runs know of a coefficient, to the digits of its interval."""
+    c = campaign.coefficients[name]
+    if not c.runs:
+        return say("figure-coefficient-unknown", name=name)
+    mean = rounded(c.mean, c.ci95)
+    if name in campaign.shared:
+        return say("figure-coefficient-shared", name=name, mean=mean)
+    if np.isfinite(c.sd):
+        return say("figure-coefficient-spread", name=name, mean=mean, sd=c.sd)
+    return say("figure-coefficient", name=name, mean=mean)
 
 
 def scattered(campaign: CampaignFit) -> list[str]:

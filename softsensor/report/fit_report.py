@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Iterator
 from typing import Any
@@ -16,7 +15,7 @@ from softsensor.fitting.core import fitted_core
 from softsensor.fitting.dependence import SETTINGS, Program
 from softsensor.fitting.identifiability import is_verdict_on
 from softsensor.fitting.paper.procedures import METHODS, Reproduction
-from softsensor.fitting.result import Identifiability, RunFit
+from softsensor.fitting.result import Identifiability, RunFit, rounded
 from softsensor.report.fit_figures import (
     coefficients_figure,
     core_figure,
@@ -130,28 +129,12 @@ def _rows(campaign: CampaignFit) -> Iterator[dict[str, Any]]:
 
 
 def _span(ends: tuple[float, float]) -> Message:
-    low, high = (_rounded(end, ends) for end in ends)
+    low, high = (rounded(end, ends) for end in ends)
     return say("report-span", low=low, high=high)
 
 
 def _known(value: float, ends: tuple[float, float]) -> Message:
-    return say("report-number", value=_rounded(value, ends))
-
-
-def _rounded(value: float, ends: tuple[float, float]) -> float:
-    """Return a value to the second digit of half its interval's width (JCGM 100:2008, 7.2.6).
-
-    Examples
-    --------
-    >>> _rounded(643.27, (557.3, 729.2)), _rounded(643.27, (600.1, 645.3)), _rounded(6.4327, (6.31, 6.55))
-    (643.0, 643.0, 6.43)
-    >>> _rounded(17043.0, (9000.0, 25000.0))
-    17000.0
-    """
-    half = (ends[1] - ends[0]) / 2
-    if not (half > 0.0 and np.isfinite(half)):
-        return value
-    return round(value, 1 - math.floor(math.log10(float(f"{half:.2g}"))))
+    return say("report-number", value=rounded(value, ends))
 
 
 def _joint(campaign: CampaignFit) -> Iterator[dict[str, Any]]:

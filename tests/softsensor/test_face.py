@@ -283,6 +283,27 @@ def test_fit_gives_what_the_command_writes(fitted, written):
     assert len(repr(fitted)) < 3000
 
 
+def test_a_fit_of_one_run_tells_one_number_a_coefficient_and_no_scatter():
+    one = softsensor.fit(SHORT, LAB)
+    (run,) = one.campaign.runs
+    told = repr(one)
+    assert "nan" not in told.lower()
+    assert len(told.splitlines()) == 2  # heads and the run: one run has neither mean nor scatter
+    heads, row = (line.split() for line in told.splitlines())
+    cells = dict(zip(heads, row[1:], strict=True))
+    drawn = [ax.get_title(loc="left") for ax in one.plot()]
+    titles = {title.split()[0]: title for title in drawn if title}
+    assert cells.keys() == {*run.coefficients, "rmse_K"}
+    assert {c.identifiable for c in run.coefficients.values()} == {True, False}
+    for name, found in run.coefficients.items():
+        if not found.identifiable:
+            assert (cells[name], titles[name]) == ("–", f"{name} is not known")
+            continue
+        assert titles[name] == f"{name} = {float(cells[name]):,g} W/m²K"
+        half = (found.ci95[1] - found.ci95[0]) / 2
+        assert abs(float(cells[name]) - found.value) <= 0.05 * half
+
+
 def test_predict_gives_what_the_command_writes(fitted, written, tmp_path):
     model = written / "model.json"
     out = tmp_path / "core.csv"
