@@ -1,4 +1,9 @@
-"""Faces denser than the middle."""
+"""Faces denser than the middle, as hot pressing makes them.
+
+Lighter ones are another thing and take a press schedule of its own (step-closing: Wang et al., Holz Roh Werkst. 59
+(2001) 19). A search that might turn this cause round took wet panels of another law for some 30 to 40 % lighter at
+their faces (`tests.second_press`, moisture, seeds 5010, 5013).
+"""
 
 from collections.abc import Mapping
 from typing import Any
@@ -20,9 +25,9 @@ EFFECT = Effect(
             unit="-",
             neutral=0.0,
             typical=0.25,
-            lower=-0.8,
+            lower=0.0,
             upper=1.1,
-            source="faces 1.2 to 1.4 times the core, assumed",
+            source="faces 1.2 to 1.4 times the core, assumed; lighter ones are not this cause",
             spread=0.25,
             least=-1.2,
             most=4.9,
@@ -32,7 +37,7 @@ EFFECT = Effect(
     terms=_terms,
     source="boards are denser at their faces; the fourth-power shape is assumed",
     chance=0.02,
-    live=Live(Role.HYPOTHESIS, one_sided=True),
+    live=Live(Role.HYPOTHESIS),
     needs=Need.PANEL,
     confirmed_in_core=True,
 )

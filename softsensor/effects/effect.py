@@ -156,8 +156,6 @@ class Live:
     role: Role = Role.NONE
     absent: float = 0.01
     """What is left of a hypothesis where it is absent, as a share of its typical size."""
-    one_sided: bool = False
-    """Whether its first parameter is above neutral where it is present, though a search may look below too."""
     with_states: bool = False
     """Carried only where the press opens and closes."""
     straight: bool = False

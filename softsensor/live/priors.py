@@ -63,8 +63,7 @@ class CausePrior:
 def prior_of(effect: Effect) -> CausePrior:
     """Return a cause as the catalogue has it."""
     first, live = effect.parameters[0], effect.live
-    one_sided = live.one_sided or first.one_sided
-    return CausePrior(effect.key(first.name), first.size, one_sided, effect.chance, live.absent)
+    return CausePrior(effect.key(first.name), first.size, first.one_sided, effect.chance, live.absent)
 
 
 SKIN = "skin.J_m2K"

@@ -73,6 +73,11 @@ def test_every_effect_has_a_source_and_limits_about_its_typical_size(effect):
         assert parameter.lower <= parameter.typical <= parameter.upper
 
 
+@pytest.mark.parametrize("name", ["density_profile", "moisture_evaporation", "contact_buildup", "open_radiation"])
+def test_no_search_looks_where_a_cause_would_be_the_opposite_of_its_name(name):
+    assert find_effect(name).one_sided
+
+
 @by_name
 def test_neutral_values_leave_the_stack_alone(effect, lab_press, make_run, coefficients, moments):
     model = ThermalModel(lab_press, (effect,))
