@@ -149,6 +149,14 @@ def measure_errors(stage: SettledModel, others: Sequence[RunState], ahead: Seque
     )
 
 
+def residual_K(stage: SettledModel) -> float:  # noqa: N802 - kelvin
+    """Return how far a model is from the readings it was fitted to, a channel's own scatter within. [K]"""
+    pairs = zip(stage.data, stage.fit.runs, strict=True)
+    return float(
+        np.sqrt(np.mean([_squares(d.digest, r.misfit)[0] + place_noise(d.digest) ** 2 for d, r in pairs]))
+    )
+
+
 def _squares(digest: Digest, misfit: Array) -> tuple[float, float]:
     """Time-weighted mean squares of the places' misfit, without its mean and with it."""
     without, with_mean, total = 0.0, 0.0, 0.0

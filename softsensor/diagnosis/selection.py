@@ -9,6 +9,7 @@ import numpy as np
 
 from daq.records import Array
 from softsensor.diagnosis.decision import (
+    ALPHA_PATTERN,
     FEW_RUNS,
     MOST_CAUSES,
     SMALLEST_SIZE,
@@ -19,12 +20,23 @@ from softsensor.diagnosis.decision import (
     Objection,
     Step,
     choose,
+    explains_the_rest,
     objections,
     strongest,
 )
 from softsensor.diagnosis.exchange import exchange, fit_alone
 from softsensor.diagnosis.extension import SCORE_LIMIT
-from softsensor.diagnosis.search import Candidate, SettledModel, candidates_for, core_errors, extend, search
+from softsensor.diagnosis.numbers import noise_floor, residual_K
+from softsensor.diagnosis.search import (
+    Candidate,
+    SettledModel,
+    candidates_for,
+    core_errors,
+    extend,
+    panels_as_usual,
+    search,
+    with_panels_freed,
+)
 from softsensor.diagnosis.sign_flips import max_t
 from softsensor.effects import Need
 
@@ -52,7 +64,9 @@ class Round:
     refuted: tuple[str, ...] = ()
     """Causes that the surfaces may like and core thermocouples speak against."""
     suspected: Candidate | None = None
-    """Where none was chosen: the strongest that only lacks a sure gain."""
+    """Where none was chosen: the strongest that only lacks a sure gain, or does not explain what was left."""
+    let_go: bool = False
+    """Whether that is all that speaks against it."""
 
     @property
     def name(self) -> str:
@@ -88,12 +102,15 @@ def search_all(
         if not pool:
             break
         found = search(stage, pool, _counted(tell, len(rounds), len(pool)))
-        context = replace(before, causes=len(rounds), saved=_saved(stages, rounds))
-        rounds.append(judge(stage, found, context))
+        rounds.append(judge(stage, found, replace(before, causes=len(rounds))))
         chosen = rounds[-1].chosen
         if chosen is None:
             break
-        stages.append(extend(stage, chosen))
+        further = extend(stage, chosen)
+        if len(stages) > 1 and not explains_the_rest(*left_beside(stages, further)):
+            rounds[-1] = replace(rounds[-1], chosen=None, set=(), suspected=chosen, let_go=True)
+            break
+        stages.append(further)
         if len(rounds) == 2 and not looked_again:
             looked_again = True
             stages, rounds = _second_look(stages, rounds, before)
@@ -139,13 +156,21 @@ def _second_look(
     return stages, rounds
 
 
-def _saved(stages: Sequence[SettledModel], rounds: Sequence[Round]) -> float:
-    """Return the sum of squares that causes of uncertain law have saved, in the noise of the last stage."""
-    saved = 0.0
-    for stage, round_ in zip(stages, rounds, strict=False):
-        if round_.chosen is not None and not round_.chosen.effect.measuring:
-            saved += round_.chosen.gain * (stage.noise.slow / stages[-1].noise.slow) ** 2
-    return saved
+def left_beside(stages: Sequence[SettledModel], further: SettledModel) -> tuple[float, float]:
+    """Return what the last of some stages leaves, and a model with a further cause, over what noise leaves.
+
+    Panels that differ as panels do are no cause: where they may be what is left over, both models are asked with
+    each panel's constants its own.
+    """
+    before = stages[-1]
+    noise = noise_floor([*stages, further])
+    left = residual_K(before) / noise, residual_K(further) / noise
+    if explains_the_rest(*left) or not further.fit.layout.model.press.panel_layers:
+        return left
+    freed = with_panels_freed(further)
+    if panels_as_usual(freed) <= ALPHA_PATTERN:
+        return left
+    return residual_K(with_panels_freed(before)) / noise, residual_K(freed) / noise
 
 
 def judge(stage: SettledModel, found: Sequence[Candidate], before: Evidence) -> Round:

@@ -12,10 +12,10 @@ The method and why it is so:
    and both (`diagnosis.sign_flips`). The facts this project started from name samples tested as if independent as
    the classic error: 84 to 100 % false names.
 4. Two rules decide (`decision`). The best candidate is taken in if its p-value holds, if runs left out gain by it
-   with an interval above nothing, if its size is physical, core thermocouples do not speak against it, and it
-   saves more than the law of a cause taken in before may be off. Candidates that the runs do not tell from it
-   form its `set`; core thermocouples, which no fit sees, make it smaller. Within a set the measuring
-   chain comes first.
+   with an interval above nothing, if its size is physical, core thermocouples do not speak against it, and beside
+   a cause taken in before, if it explains four fifths of what that one leaves beyond noise: else that one's law is
+   off. Candidates that the runs do not tell from it form its `set`; core thermocouples, which no fit sees, make it
+   smaller. Within a set the measuring chain comes first.
 5. The same again on top of the extended model, for a second and third cause. A second cause is then tried
    alone, since where the plain model is far off a cause may not have found its way, and others are tried
    in the place of the first (`diagnosis.exchange`).
@@ -78,6 +78,7 @@ from softsensor.diagnosis.numbers import (
     is_described,
     measure_errors,
     noise_floor,
+    residual_K,
 )
 from softsensor.diagnosis.search import (
     Candidate,
@@ -208,7 +209,10 @@ def _conclude(readings: _Readings, stages: list[SettledModel], rounds: list[Roun
         Remains(t, share, left / noise, is_described(e.rmse_K, noise, [d.digest for d in s.data]))
         for t, share, left, e, s in zip(tests, shares, left_K, errors, stages, strict=True)
     ]
-    conclusion = conclude(VerdictBasis(len(runs), tuple(proofs), tuple(remains), bool(columns), bool(nearly)))
+    let_go = bool(rounds) and rounds[-1].let_go
+    conclusion = conclude(
+        VerdictBasis(len(runs), tuple(proofs), tuple(remains), bool(columns), bool(nearly), let_go)
+    )
     named, verdict = conclusion.named, conclusion.verdict
     suspected = causes[named:] + nearly
     findings = _sensor_findings(faults, columns) + _told(causes[:named], models[named:])
@@ -244,7 +248,7 @@ def _left_by_panels_of_their_own(plain: SettledModel) -> float | None:
     freed = with_panels_freed(plain)
     if panels_as_usual(freed) <= ALPHA_PATTERN:
         return None
-    return measure_errors(freed, freed.fit.runs, freed.fit.runs).rmse_K
+    return residual_K(freed)
 
 
 def _errors(stages: Sequence[SettledModel], rounds: Sequence[Round]) -> list[Errors]:
