@@ -27,7 +27,7 @@ from softsensor.signals.instrument import scan_sd
 from softsensor.signals.unknown import Unknown
 
 STUCK = 3.0
-"""A run whose misfit is so many times the usual one may sit in a side valley. By hand, 2026-11."""
+"""A run whose misfit is so many times the usual or the noise's may sit in a side valley. By hand, 2026-11."""
 
 # Numbers without another source were set by hand, 2026-11.
 
@@ -210,10 +210,14 @@ def fit_campaign_model(
 
 
 def unstuck(fit: SharedFit, data: Sequence[Whitened]) -> SharedFit:
-    """Fit again where single runs are far worse off than the others only because of where they began."""
+    """Fit again where runs are worse off only because of where they began.
+
+    Those far worse off than the others, or than noise: most of a campaign may have gone astray together, with
+    moments and contacts. What a cause then seemed to save was a fresh start.
+    """
     misfits = np.array([r.cost / len(r.residual) for r in fit.runs])
     etas, freed = [r.eta for r in fit.runs], False
-    for r in np.flatnonzero(misfits > STUCK * np.median(misfits)).tolist():
+    for r in np.flatnonzero(misfits > STUCK * min(float(np.median(misfits)), 1.0)).tolist():
         again = fit_run_to(fit.layout, r, data[r], fit.theta, start_eta(fit.layout, r, fit.theta), rounds=8)
         if again.cost < 0.8 * fit.runs[r].cost:
             etas[r], freed = again.eta, True

@@ -22,13 +22,16 @@ from softsensor.diagnosis.advice import AdviceBasis, next_measurement, rim_notes
 from softsensor.diagnosis.curves import curves_of
 from softsensor.diagnosis.decision import ALPHA, ALPHA_PATTERN, EXCESS, NEGLIGIBLE_K, Verdict, refuted_by_cores
 from softsensor.diagnosis.extension import (
+    STUCK,
     Direction,
     RunState,
     evaluate,
+    fit_campaign_model,
     from_the_others,
     held_out,
     predicted,
     start_eta,
+    unstuck,
 )
 from softsensor.diagnosis.finding import Diagnosis, Finding
 from softsensor.diagnosis.gains import Gain
@@ -492,6 +495,21 @@ def test_panels_that_differ_as_panels_do_are_no_unknown_effect() -> None:
     assert found.own_panels_K < EXCESS * found.noise_floor_K
     assert found.verdict == "no_effect"
     assert "where each panel conducts and stores heat a little differently" in sentences(verdict_said(found))
+
+
+def test_a_campaign_whose_runs_have_all_gone_astray_finds_its_way_back() -> None:
+    """Moments 1.2 s off in each run, so that none is worse off than the others."""
+    good = settle_base(ThermalModel(press()), _screened(press(), [run for run, _ in campaign(None, 41, 7)])[1])
+    layout = good.fit.layout.begun(good.fit.theta)
+    late = [
+        np.array([eta + 1.2 * (u.name in SWITCHED) for u, eta in zip(own, run.eta, strict=True)])
+        for own, run in zip(layout.unknowns, good.fit.runs, strict=True)
+    ]
+    astray = fit_campaign_model(layout, good.data, late, rounds=0)
+    misfits = [run.cost for run in astray.runs]
+    assert max(misfits) < STUCK * np.median(misfits)
+    assert astray.cost > 20.0 * good.fit.cost
+    assert unstuck(astray, good.data).cost < 1.05 * good.fit.cost
 
 
 def test_panels_that_all_store_more_heat_than_given_are_not_taken_for_usual_ones() -> None:
