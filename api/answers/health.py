@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from datetime import datetime, timedelta
 from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
 from typing import Any, Literal
 
 from api.answers.schemas import ArchiveHealth, Health, ProcessHealth, Said, StoreHealth
@@ -96,8 +97,11 @@ def _conditions(
     free_bytes = store.sizes().free_bytes
     if free_bytes is not None and free_bytes < LEAST_FREE_BYTES:
         alarms.append(say("health-disk-nearly-full", gigabytes=LEAST_FREE_BYTES // 10**9))
-    if (archive := store.archive()) is not None and archive.unsound:
-        alarms.append(say("health-archive-unsound", files=archive.unsound, folder=archive.folder))
+    if (archive := store.archive()) is not None:
+        if archive.runs and not Path(archive.folder).is_dir():
+            alarms.append(say("health-archive-away", folder=archive.folder))
+        if archive.unsound:
+            alarms.append(say("health-archive-unsound", files=archive.unsound, folder=archive.folder))
     if (age_s := refit_age_s(store, statuses, now)) is not None and age_s > REFIT_OVERDUE_S:
         alarms.append(say("health-nightly-job-overdue", hours=age_s / 3600.0))
     return alarms

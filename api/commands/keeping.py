@@ -23,6 +23,7 @@ def backup(
     """Copy the store while others write to it; the copy is checked before it gets its name."""
     from daq.store import StoreUnavailable, upkeep
 
+    archive = None
     if verify and restore:
         raise InputError(say("terminal-backup-one-only"))
     try:
@@ -37,8 +38,11 @@ def backup(
                 working(say("terminal-progress-copying", store=opened.label)),
             ):
                 contents, done = opened.back_up(file), "written"
+                archive = opened.archive()
     except StoreUnavailable as error:
         raise WorkFailed(spoken(error)) from error
     numbers = {"runs": contents.runs, "scans": contents.scans, "fits": contents.fits, "models": contents.models}
     held = say("terminal-backup-contents", **numbers)
     tell(Message(f"terminal-backup-{done}", {"file": str(file), "contents": held}))
+    if archive is not None and archive.runs:
+        tell(say("terminal-backup-archive", runs=archive.runs, folder=archive.folder))

@@ -159,6 +159,8 @@ def _report(store: Store, outcome: NightOutcome, settings: Config) -> list[Messa
     except InputError as error:  # its work is in the store; the other presses wait for theirs
         store.log("warning", PROCESS, spoken(error), outcome.press)
         failed.append(spoken(error))
+    if outcome.archive_problem is not None:
+        failed.append(outcome.archive_problem)
     if outcome.newly_unfit:
         unfit = {"failed": outcome.newly_unfit, "runs": outcome.runs}
         failed.append(say("terminal-refit-unfit", press=outcome.press, **unfit))

@@ -1508,6 +1508,7 @@ api-tokens-needed = server.host = { $host }: wer von anderswo liest, braucht ein
 api-tokens-unreadable = { $path }: die Zugangstoken sind nicht lesbar: { $why }; die Datei entfernen und neue anlegen
 api-too-many-listeners = zu viele Zuhörer; später wieder versuchen
 api-too-many-wrong-tokens = zu viele falsche Zugangstoken von dieser Adresse; weitere falsche werden eine Minute lang verzögert beantwortet
+health-archive-away = Archiv { $folder }: nicht da; seinen Datenträger einhängen oder das Archiv dorthin zurückkopieren, alte Pressungen sind bis dahin nicht lesbar
 health-archive-unsound = Archiv { $folder }: { $files ->
         [one] eine Datei fehlt oder ist
        *[other] { $files } Dateien fehlen oder sind
@@ -1528,6 +1529,7 @@ diagnosed-next = Als Nächstes: { $sentence }
 diagnosed-plan = Als Nächstes am meisten wert (mehr sagt kerntemp plan):
 diagnosed-residual = Residuum { NUMBER($base, minimumFractionDigits: 3, maximumFractionDigits: 3) } K, erweitertes Modell { NUMBER($extended, minimumFractionDigits: 3, maximumFractionDigits: 3) } K
 terminal-averages-need-method = --averages gehört zu einem der Verfahren des Aufsatzes; auch --method angeben
+terminal-backup-archive = die Messzeilen von { $runs } Pressungen sind im Archiv: auch den Ordner { $folder } kopieren
 terminal-backup-contents = { $runs } Pressungen, { $scans } Messzeilen, { $fits } Anpassungen, { $models } Modelle
 terminal-backup-one-only = --verify und --restore: eins davon angeben; das Einspielen prüft die Kopie zuerst
 terminal-backup-restored = { $file } eingespielt und verglichen: { $contents }

@@ -1492,6 +1492,7 @@ api-tokens-needed = server.host = { $host }: beyond loopback readers need tokens
 api-tokens-unreadable = { $path }: cannot read the tokens: { $why }; remove the file and make new ones
 api-too-many-listeners = too many live listeners; try again later
 api-too-many-wrong-tokens = too many wrong tokens from this address; further wrong ones are answered slowly for a minute
+health-archive-away = archive { $folder }: not there; mount its disk or copy the archive back to it, old runs cannot be read until then
 health-archive-unsound = archive { $folder }: { $files ->
         [one] one file is
        *[other] { $files } files are
@@ -1512,6 +1513,7 @@ diagnosed-next = Next: { $sentence }
 diagnosed-plan = Pressings worth most next (kerntemp plan says more):
 diagnosed-residual = residual { NUMBER($base, minimumFractionDigits: 3, maximumFractionDigits: 3) } K, extended model { NUMBER($extended, minimumFractionDigits: 3, maximumFractionDigits: 3) } K
 terminal-averages-need-method = --averages goes with one of the paper's methods; give --method too
+terminal-backup-archive = the scans of { $runs } runs are in the archive: copy the folder { $folder } too
 terminal-backup-contents = { $runs } runs, { $scans } scans, { $fits } fits, { $models } models
 terminal-backup-one-only = --verify and --restore: give one of them; restoring checks the copy first
 terminal-backup-restored = { $file } restored and compared: { $contents }

@@ -70,7 +70,7 @@ def refit_press(
         outcome = judge_night(Night(store, name, press, base, agenda.window, fits), outcome)
     progress = replace(agenda.progress, basis=basis)
     outcome = replace(outcome, drifts=tuple((a.coefficient, a.message) for a in alarms_of(store, name)))
-    outcome = replace(outcome, archive=kept.line(name))
+    outcome = replace(outcome, archive=kept.line(name), archive_problem=kept.problem)
     told = _told(outcome, time.perf_counter() - begun) | kept.told()
     store.put_night(StoredNight(name, started, datetime.now(UTC), told, progress.as_json()))
     store.log("info", PROCESS, outcome.line, name)

@@ -92,6 +92,8 @@ class NightOutcome:
     """A candidate that was made and not promoted."""
     archive: Message | None = None
     """What became of old scans, None where nothing did."""
+    archive_problem: Message | None = None
+    """Why some of them could not be moved or read."""
 
     @property
     def fits_line(self) -> Message:

@@ -50,10 +50,12 @@ class Kept:
     """Runs whose archived scans were given up."""
     archive_later: int = 0
     """Runs due that this night had no time for, or that could not be moved."""
+    problem: Message | None = None
+    """What went wrong last, in the journal too."""
 
     def told(self) -> dict[str, Any]:
         """Return it as a night keeps it."""
-        return dict(self.__dict__)
+        return {name: value for name, value in self.__dict__.items() if name != "problem"}
 
     def line(self, press: str) -> Message | None:
         """Return one line for terminal and journal, None where nothing was done."""
@@ -70,7 +72,7 @@ def keep_house(store: Store, press: str, rules: Rules, now: datetime) -> Kept:
         store.use_archive(rules.folder)
     except InputError as error:
         store.log("alarm", PROCESS, spoken(error), press)
-        return Kept()
+        return Kept(problem=spoken(error))
     _check(store, press, now, began + CHECKING_SHARE * rules.seconds)
     deadline = began + rules.seconds
     kept = _give_up(store, press, rules, now, deadline)
@@ -111,12 +113,12 @@ def _archive(store: Store, press: str, kept: Kept, before: datetime, deadline: f
             break
         try:
             moved = store.archive_run(run)
-        except InputError as error:
+        except (InputError, StoreUnavailable) as error:
+            kept = replace(kept, problem=spoken(error))
             store.log("alarm", PROCESS, spoken(error), press)
+            if isinstance(error, StoreUnavailable):  # a full disk takes the next run no better
+                break
             continue
-        except StoreUnavailable as error:  # a full disk takes the next run no better
-            store.log("alarm", PROCESS, spoken(error), press)
-            break
         kept = replace(
             kept,
             archived=kept.archived + 1,

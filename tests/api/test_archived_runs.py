@@ -29,7 +29,7 @@ def exported(store, folder):
     return (folder / "run.csv").read_bytes()
 
 
-def test_an_archived_run_gives_every_answer_as_before_and_a_lost_file_is_told(store, client, tmp_path):
+def test_an_archived_run_gives_every_answer_as_before_and_a_lost_file_is_told(store, client, tmp_path, capsys):
     (tmp_path / "before").mkdir()
     (tmp_path / "after").mkdir()
     before, files, table = (
@@ -56,6 +56,13 @@ def test_an_archived_run_gives_every_answer_as_before_and_a_lost_file_is_told(st
     assert any("one file is missing or damaged" in said for said in client.get("/api/v1/health").json()["alarms"])
     assert "kerntemp_archive_unsound 1.0" in client.get("/metrics").text
     Path(f"{file}.away").rename(file)
+    (tmp_path / "archive").rename(tmp_path / "away")
+    assert any(
+        "archive: not there; mount its disk" in said for said in client.get("/api/v1/health").json()["alarms"]
+    )
+    (tmp_path / "away").rename(tmp_path / "archive")
+    assert main(["backup", str(tmp_path / "b.sqlite"), "--store", str(store.database.path)]) == 0
+    assert f"copy the folder {tmp_path / 'archive'} too" in " ".join(capsys.readouterr().out.split())
     store.recheck_unsound()
     store.check_archive(STARTED)
     assert asked(client) == before

@@ -2,7 +2,9 @@
 
 import math
 import os
+import random
 import signal
+import time
 from datetime import UTC, datetime, timedelta
 
 import numpy as np
@@ -16,6 +18,7 @@ from daq.store import NewRun, RunEnd, StoredEstimate, archive, open_store, parqu
 from daq.store.archive_file import StoredScans, read_archive, write_archive
 from daq.store.parquet_columns import SUM
 from daq.store.records import ArchiveUnreadable
+from tests.editions import edition
 
 BEGAN = datetime(2026, 3, 4, 7, 0, tzinfo=UTC)
 LATER = BEGAN + timedelta(days=400)
@@ -355,3 +358,42 @@ def test_a_folder_without_what_was_archived_is_refused(store, tmp_path):
     (tmp_path / "a").rename(tmp_path / "b")
     store.use_archive(tmp_path / "b")
     assert len(store.load_run("one").time_s) == 60
+
+
+@pytest.mark.campaign
+@pytest.mark.skipif(os.name == "nt", reason="SIGKILL is POSIX")
+def test_killed_at_random_again_and_again_a_night_archives_and_gives_up_all_and_loses_nothing(store, tmp_path):
+    folder, chance = tmp_path / "archive", random.Random(4)
+    store.use_archive(folder)
+    names = [f"run {i}" for i in range(edition(8, 300))]
+    before, kills = {}, 0
+    for name in names:
+        record(store, name)
+        store.put_fit(name, {"coefficients": {}}, "v1")
+        before[name] = answers(store, name)
+
+    def night(own):
+        for name in own.runs_to_archive("lab", LATER):
+            own.archive_run(name)
+        while own.remove_archived("lab", scan(100 * len(names) // 2).utc, limit=3)[0]:
+            pass
+
+    while store.runs_to_archive("lab", LATER) or store.archive().removed < len(names) // 2:
+        child = os.fork()
+        if not child:
+            with open_store(store.database.address) as own:
+                night(own)
+            os._exit(0)
+        time.sleep(chance.uniform(0.0, 0.8))
+        os.kill(child, signal.SIGKILL)
+        kills += os.WIFSIGNALED(os.waitpid(child, 0)[1])
+        gone = store.without_scans(names)
+        for name in chance.sample(names, 4):
+            assert name in gone or answers(store, name) == before[name]
+    for name in set(names) - store.without_scans(names):
+        assert answers(store, name) == before[name]
+    night(store)
+    kept = store.archive()
+    assert (kept.runs, kept.removed) == (len(names) - 1 - len(names) // 2, len(names) // 2)
+    assert len(list(folder.rglob("*.parquet"))) == 2 * kept.runs
+    print(f"{kills} kills: {kept.runs} of {len(names)} runs archived, {kept.removed} given up, none lost")

@@ -765,6 +765,7 @@ def test_a_night_without_time_leaves_the_archive_to_the_next_and_a_wrong_folder_
     rules = Rules(tmp_path / "archive", timedelta(days=90), None, 0.0)
     assert keep_house(store, "lab", rules, datetime.now(UTC)).archive_later == 1
     lost = keep_house(store, "lab", replace(rules, folder=tmp_path / "file"), datetime.now(UTC))
-    assert lost == Kept()
+    assert lost == Kept(problem=lost.problem)
+    assert "correct store.archive" in str(lost.problem)
     [said] = store.journal(level="alarm").items
     assert "correct store.archive" in str(said.message)
