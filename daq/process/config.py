@@ -83,7 +83,8 @@ class StoreSettings(_Table):
 class PressSettings(_Table):
     """``[[press]]``: one recorded press."""
 
-    name: str = Field(min_length=1, pattern=r"^[A-Za-z0-9_-]+$")
+    name: str = Field(min_length=1, max_length=100, pattern=r"^[A-Za-z0-9_-]+$")
+    """It begins the names of its runs, and those of files beside the store."""
     file: Path
     """The press file."""
     resin: Path | None = None

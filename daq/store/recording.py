@@ -27,11 +27,13 @@ from daq.words import say
 PROCESS = "record"
 """Who the journal says found out what a write brings to light."""
 Kind = Literal["recorded", "imported"]
-_NAME = re.compile(r"(?!\.{1,2}$)[^\x00-\x1f\x7f-\x9f/\\]{1,200}")
+_NAME = re.compile(r"(?!\.{1,2}$)[^\x00-\x1f\x7f-\x9f/\\]+")
 """A run's name is a file's name on export, part of a URL, and a cell of a list."""
 
 # Numbers without another source were set by hand, 2026-11.
 
+_LONGEST_RUN_NAME = 200
+"""A file system takes 255, an ending and a draft's sign among them. [bytes]"""
 _ROWS_AT_ONCE = 1 << 13
 """Rows of a run imported in one statement: a long run never stands in memory twice."""
 
@@ -460,7 +462,8 @@ def _remarks(run: Run) -> Iterator[tuple[int, str]]:
 
 def _check_name(run: Run) -> None:
     given = run.header.get("run", run.name)
-    if isinstance(given, list | bool) or not _NAME.fullmatch(run.name) or run.name != run.name.strip():
+    fits = _NAME.fullmatch(run.name) and len(run.name.encode("utf-8", "replace")) <= _LONGEST_RUN_NAME
+    if isinstance(given, list | bool) or not fits or run.name != run.name.strip():
         raise InputError(say("store-run-name", file=run.source or "run", name=repr(given)))
 
 

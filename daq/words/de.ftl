@@ -453,7 +453,7 @@ store-rescued = Datenspeicher { $store }: die Datei wurde gelöscht, verschoben 
 store-rescued-beside = Datenspeicher { $store }: an seinen Platz wurde ein anderer gelegt; dieser liegt nun unter { $aside }, der aufgezeichnete ist neu geschrieben, die Aufzeichnung läuft dort weiter
 store-rescued-log = Datenspeicher { $store }: sein Protokoll (-wal, -shm) wurde gelöscht oder ausgetauscht; alles ist neu geschrieben, die Aufzeichnung läuft dort weiter; die Datei ohne ihre neuesten Einträge liegt nun unter { $aside }
 store-run-missing = Pressung '{ $run }' ist nicht im Datenspeicher; kerntemp export listet die Pressungen, eine Datei braucht ihren Pfad
-store-run-name = { $file }: Kopfzeile run = { $name }: muss ein Name aus 1 bis 200 Zeichen sein, ohne Schrägstriche, Zeilenumbrüche und Leerzeichen am Rand; nichts wurde importiert
+store-run-name = { $file }: Kopfzeile run = { $name }: muss ein Name aus 1 bis 200 Bytes sein, ohne Schrägstriche, Zeilenumbrüche und Leerzeichen am Rand; nichts wurde importiert
 store-run-renamed = Pressung '{ $run }': der Name einer Pressung lässt sich nicht ändern
 store-run-taken = { $file }: Pressung '{ $run }' ist schon im Datenspeicher; nichts wurde importiert; die Kopfzeile run ändern
 store-scan-taken = Presse { $press }: Messzeile { $scan } ist schon mit anderen Werten da; ein anderer Rekorder schreibt für diese Presse: einen der beiden beenden

@@ -453,7 +453,7 @@ store-rescued = store { $store }: the file was deleted, moved or exchanged; all 
 store-rescued-beside = store { $store }: another store was put in its place; that one is set aside as { $aside }, all of the recorded one is written anew and recording goes on there
 store-rescued-log = store { $store }: its log (-wal, -shm) was deleted or exchanged; all of it is written anew and recording goes on there; the file without its newest entries is set aside as { $aside }
 store-run-missing = run '{ $run }' is not in the store; kerntemp export lists runs, a file needs its path
-store-run-name = { $file }: header key run = { $name }: must be a name of 1 to 200 characters without slashes, line breaks or blanks at its ends; nothing was imported
+store-run-name = { $file }: header key run = { $name }: must be a name of 1 to 200 bytes without slashes, line breaks or blanks at its ends; nothing was imported
 store-run-renamed = run '{ $run }': the name of a run cannot change
 store-run-taken = { $file }: run '{ $run }' is in the store already; nothing was imported; change the header key run
 store-scan-taken = press { $press }: scan { $scan } is there already with other values; another recorder writes to this press: stop one of them

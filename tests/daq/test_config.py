@@ -69,6 +69,7 @@ def test_a_resin_of_the_configuration_stands_beside_it_and_is_checked_at_once(fo
         (("rate_hz = 10.0", "rate_hz = 0.4"), r"press.0.rate_hz = 0.4: .*greater than or equal to 0.5"),
         (("rate_hz", 'limit_switch = "S7"\nrate_hz'), r"no logger has channel 'S7', which limit_switch names"),
         (('name = "lab"', 'name = "my lab"'), r"press.0.name = 'my lab'"),
+        (('name = "lab"', f'name = "{"x" * 101}"'), r"press.0.name = 'x+.*at most 100 characters"),
         (('"top_1"', '"platen_top"'), r"names platen_top twice"),
         (('"platen_bottom"', '"top_2"'), r"no logger has channel 'platen_bottom', which boundary.bottom"),
         (("lab.toml", "none.toml"), r"none.toml: cannot read the press file: No such file"),
