@@ -22,9 +22,9 @@ from api.alarms.watch import look, send_due
 from api.alarms.ways import NotDelivered, Webhook, ways_of
 from api.answers.health import NEVER_SEEN, SILENT_S, health_of, standing_alarms
 from daq.process.config import EmailSettings, WebhookSettings
-from daq.records import Channel, InputError, Quality, Scan
+from daq.records import Channel, InputError, PressEvent, PressEventKind, Quality, Scan
 from daq.store import open_store
-from daq.store.records import StandingAlarm, StoredEstimate
+from daq.store.records import NewRun, StandingAlarm, StoredEstimate
 from daq.words import say
 
 NOW = datetime(2026, 3, 4, 7, 0, tzinfo=UTC)
@@ -280,7 +280,9 @@ def test_no_alarm_is_lost_over_a_kill_and_none_doubled(store, store_url, mail, t
 def press_with(store, platen=200.0, core=95.0, when=NOW):
     key = store.register_press("lab", CHANNELS, "")
     n = key.next_number
-    store.append_scans(key, [Scan(n, when, float(n), (platen, 199.0, 90.0), (Quality.GOOD,) * 3)])
+    scan = Scan(n, when, float(n), (platen, 199.0, 90.0), (Quality.GOOD,) * 3)
+    closed = PressEvent(PressEventKind.CLOSED, float(n), float(n))
+    store.append_scans(key, [scan], [closed], NewRun("lab-1", n, when, float(n)))
     store.append_estimates("lab", [StoredEstimate(n, float(n), "closed", core, 1.0, core - 2, core + 2, True)])
 
 
