@@ -11,7 +11,9 @@ from daq.simulated.campaign_pressfile import press_toml
 from daq.simulated.campaign_sensors import Nuisances
 from softsensor.effects import find_effect
 from softsensor.fitting.one_run import fit_run
+from softsensor.fitting.unknowns import _moment_priors
 from softsensor.heat.model import ThermalModel
+from softsensor.signals.instrument import RAMP_LIMITS_S, RAMP_S
 
 PRESS = parse_press(press_toml())
 MODEL = ThermalModel.of(PRESS)
@@ -71,3 +73,11 @@ def test_a_row_amid_the_closing_decides_neither_whether_a_run_is_described_nor_w
     assert fitted.rmse_still_K < 2.0 * plain.rmse_still_K
     for name, c in plain.coefficients.items():
         assert abs(np.log(fitted.coefficients[name].value / c.value)) < 0.5 * c.sd / c.value, name
+
+
+def test_the_press_closes_within_the_limits_of_its_ramp_whatever_was_found(lab_press, make_run, moments):
+    for found in (0.2, 0.7):
+        case = ThermalModel.of(lab_press, []).prepare(make_run(), replace(moments, ramp_s=found))
+        (ramp,) = [unknown for unknown in _moment_priors(case, 0.1) if unknown.name == "ramp_s"]
+        assert (found + ramp.lower, found + ramp.upper) == pytest.approx(RAMP_LIMITS_S)
+        assert found + ramp.centre == pytest.approx(RAMP_S)

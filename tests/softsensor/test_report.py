@@ -111,6 +111,7 @@ def test_the_true_core_is_within_the_fits_band_and_a_better_known_panel_makes_it
         found = fitted_core(fitted)
         told = np.isfinite(found.low)
         assert told.sum() > 60
+        assert np.nanmedian(found.high + found.low - 2.0 * found.core) == pytest.approx(0.0, abs=1e-6)
         assert np.mean((truth.core_C >= found.low)[told] & (truth.core_C <= found.high)[told]) > 0.9
         start = min(run.header["panel.initial_temperature_C"], run.header["ambient.temperature_C"])
         assert np.nanmin(found.low) > start - 3.0
