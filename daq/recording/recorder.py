@@ -128,20 +128,9 @@ def record(
             _log(level, message)
             outbox.put(Entry(level, PROCESS, message, press, detail or None))
 
-        outbox = Outbox(
-            store,
-            buffer=config.store.buffer if store.database.dialect != "sqlite" else None,
-            per_second=sum(settings.rate_hz for settings in config.press) * config.clock.speed,
-            gather_s=_GATHER_S if config.clock.speed > 1 else 0.0,
-            acknowledged=acknowledged,
-            journal=journal,
-        )
-
-        speed = config.clock.speed
-        lines = [
-            PressLine(settings, config.text, loggers[settings.name], store, outbox, speed, journal, stop)
-            for settings in config.press
-        ]
+        outbox = _outbox(config, store, journal, acknowledged)
+        shared = store, outbox, config.clock.speed, journal, stop
+        lines = [PressLine(one, config.text, loggers[one.name], *shared) for one in config.press]
         outbox.start()
         for line in lines:
             line.start()
@@ -160,6 +149,20 @@ def record(
             outbox.beat(store.beats_as(PROCESS), _status(lines, outbox, "stopped"))
             journal("info", say("recording-ends"))
             outbox.close()
+
+
+def _outbox(
+    config: Config, store: Store, journal: Journal, acknowledged: Callable[[WriteBatch], None] | None
+) -> Outbox:
+    """Return the way of all scans to the store; a file on disk holds them while a server is away."""
+    return Outbox(
+        store,
+        buffer=config.store.buffer if store.database.dialect != "sqlite" else None,
+        per_second=sum(settings.rate_hz for settings in config.press) * config.clock.speed,
+        gather_s=_GATHER_S if config.clock.speed > 1 else 0.0,
+        acknowledged=acknowledged,
+        journal=journal,
+    )
 
 
 def _watched_pages(store: Store, journal: Journal, stop: threading.Event) -> PageWatch | None:

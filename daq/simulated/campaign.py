@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from daq.files.run_file import write_run
-from daq.records import Array, EventSource, Moments, Panel, Run
+from daq.records import Array, Moments, Panel, Run
 from daq.simulated.campaign_places import solve_places
 from daq.simulated.campaign_platens import Controller, draw_controller, draw_platens
 from daq.simulated.campaign_pressfile import press_toml
@@ -218,15 +218,12 @@ def _make_run(press: _Press, seed: int, number: int) -> tuple[Run, Truth]:
         columns["closed"] = ((times >= pressing.closed) & (times < pressing.opened)).astype(np.float64)
     name = f"{press.name}-{number + 1:02d}"
     run = Run(name, _header(press, pressing, name, setpoint, rng), times, columns, "virtual press")
-    moments = Moments(
-        pressing.inserted, pressing.closed, pressing.opened, float("nan"), pressing.closing_ramp, EventSource.TRUTH
-    )
     return run, Truth(
         coefficients=pressing.coefficients,
         effects=press.effects,
         run_effects=run_effects,
         outside=press.outside,
-        moments=moments,
+        moments=pressing.moments(),
         panel=pressing.panel,
         core_C=core(times),
         top_C=np.mean([faces[c](times) for c in FACES["top"]], axis=0),

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from daq.records import Array, Panel
+from daq.records import Array, EventSource, Moments, Panel
 from daq.simulated import physics_kernel as kernel
 
 BASE_COEFFICIENTS: Mapping[str, float] = {
@@ -126,3 +126,8 @@ class Pressing:
     vapour_law: Literal["proportional", "uniform"] = "proportional"
     """How steam spreads over the cooler layers; a second law keeps tests from leaning on the first."""
     drying_law: DryingLaw = "equilibrium"
+
+    def moments(self, start_s: float = 0.0, removed_s: float = float("nan")) -> Moments:
+        """Return when it truly began, closed and opened, on a clock that shows `start_s` at its 0. [s]"""
+        inserted, closed, opened = (start_s + t for t in (self.inserted, self.closed, self.opened))
+        return Moments(inserted, closed, opened, removed_s, self.closing_ramp, EventSource.TRUTH)

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from daq.records import Array, EventSource, Moments, Panel, PressState
+from daq.records import Array, Moments, Panel, PressState
 from daq.simulated.campaign_places import solve_places
 from daq.simulated.campaign_platens import Controller, draw_controller, draw_platens
 from daq.simulated.campaign_sensors import CHANNELS, FACES, PLATENS, Chain, Fault, Nuisances, draw_fault, measure
@@ -172,18 +172,10 @@ class VirtualPress:
         curves = self._curves(pressing, places.channels, before, rng)
         readings = measure(curves, times, chain, self.ambient, rng)
         with_panel = times >= pressing.inserted
-        moments = Moments(
-            start + pressing.inserted,
-            start + pressing.closed,
-            start + pressing.opened,
-            start + pressing.end,
-            pressing.closing_ramp,
-            EventSource.TRUTH,
-        )
         return Cycle(
             number=number,
             start=start,
-            moments=moments,
+            moments=pressing.moments(start, start + pressing.end),
             pressing=pressing,
             header=self._header(number, pressing, rng),
             times=times,

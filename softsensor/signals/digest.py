@@ -154,11 +154,8 @@ def digest_run(press: Press, run: Run, moments: Moments, excluded: frozenset[str
     last = np.append(first_row[1:], len(rows)) - 1
     start, end = run.time_s[rows[first_row]], run.time_s[rows[last]]
     samples, first_sample = _sample_times(start, end, last - first_row + 1)
-    validation = {
-        c: s.label
-        for c, s in case.press.sensors_of(run, "validation").items()
-        if np.isfinite(run.columns[c]).any()
-    }
+    buried = case.press.sensors_of(run, "validation")
+    validation = {c: s.label for c, s in buried.items() if np.isfinite(run.columns[c]).any()}
     cores = {c: _nan_means(run.columns[c][rows][:, None], first_row)[:, 0] for c in validation}
     slope = np.stack([slope_of(time, y[:, i]) for i in range(len(signals))], axis=1)
     lean = _lean(run, samples, series, signals, validation)
