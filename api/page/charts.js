@@ -1,10 +1,10 @@
 // Charts on uPlot: temperatures over time with the core's band and the press phases behind them.
 import { el, number } from "./dom.js";
+import { BRIDGE_S, drawer } from "./keep.js";
 import { text } from "./words.js";
 
 const style = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 const open = new Set();
-const BRIDGE_S = 5;
 
 export function redrawAll() {
   for (const chart of open) chart.rebuild();
@@ -17,7 +17,7 @@ export function closeAll() {
 // series: [{name, colour (CSS variable), kind: "line"|"dots"|"thin"|"band-low"|"band-high", unit, digits}]
 // why(name, x): the cause, in words, of a value that is not there; null where there is none to tell.
 export class TimeChart {
-  constructor(parent, { series, height = 320, label, yLabel = "°C", xLabel = null, phases = [], sync = null, yRange = null, xRange = null, xSteps = null, whiskers = null, why = null }) {
+  constructor(parent, { series, height = 320, label, yLabel = "°C", xLabel = null, phases = [], sync = null, yRange = null, xRange = null, xSteps = null, whiskers = null, why = null, keep = true }) {
     Object.assign(this, { series, height, label, yLabel, xLabel, phases, sync, yRange, xRange, xSteps, whiskers, why });
     this.data = [[], ...series.map(() => [])];
     this.marks = [];
@@ -35,6 +35,8 @@ export class TimeChart {
     this.tip = el("div", { class: "chart-tip", hidden: true });
     this.holder.append(this.tip);
     parent.append(this.holder);
+    this.drawer = keep ? drawer(this) : null;
+    if (keep) parent.append(this.drawer);
     this.pending = 0;
     this.plot = null;
     this.watch = new ResizeObserver(() => this.resize());
@@ -272,6 +274,7 @@ export class TimeChart {
 
   close() {
     this.watch.disconnect();
+    this.drawer?.remove();
     cancelAnimationFrame(this.pending);
     if (this.plot) this.plot.destroy();
     this.plot = null;

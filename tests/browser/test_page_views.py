@@ -9,6 +9,7 @@ from datetime import UTC, datetime, timedelta
 from importlib import resources
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import pytest
 from playwright.sync_api import Page, expect
@@ -184,6 +185,43 @@ def test_files_are_taken_with_the_token_of_the_tab(plant):
             page.get_by_role("link", name=kind, exact=True).click()
         assert download.value.suggested_filename == f"campaign-1.{kind.lower()}"
         assert download.value.path().stat().st_size > 1000
+
+
+def test_the_numbers_behind_a_chart_are_reached_by_key_and_taken_as_csv_and_picture(plant, tmp_path):
+    address, page, _ = plant
+    page.goto(address + "#/runs/campaign-1")
+    drawer = page.locator("details.keep").first
+    drawer.locator("summary").focus()
+    page.keyboard.press("Enter")
+    heads = drawer.get_by_role("columnheader")
+    expect(heads.nth(1)).to_contain_text("[°C]")
+    with page.expect_download() as taken:
+        drawer.get_by_role("button", name="CSV").press("Enter")
+    lines = Path(taken.value.path()).read_text(encoding="utf-8").splitlines()
+    assert taken.value.suggested_filename.endswith(".csv")
+    rows = [[float(cell) if cell else None for cell in line.split(",")] for line in lines[1:]]
+    assert len(rows) > 60
+    assert {len(row) for row in rows} == {heads.count()}
+    first = drawer.locator("tbody tr").first.locator("td").all_inner_texts()
+    assert [f"{value:,.1f}" if value is not None else "–" for value in rows[0]] == [
+        t.replace("−", "-") for t in first
+    ]
+    with page.expect_download() as taken:
+        drawer.get_by_role("button", name="SVG").click()
+    drawn = ElementTree.parse(taken.value.path()).getroot()
+    space = "{http://www.w3.org/2000/svg}"
+    lines = [
+        p.get("d") for p in drawn.iterfind(f"./{space}g/{space}path") if p.get("stroke-width") in ("1", "2", "2.6")
+    ]
+    shown = [sum(row[k] is not None for row in rows) for k in range(1, len(rows[0]))]
+    assert [len(re.findall("[ML]", line)) for line in lines] == [count for count in shown if count]
+    assert "nan" not in ElementTree.tostring(drawn, "unicode").lower()
+    assert {"0", "100"} <= {t.text for t in drawn.iter(f"{space}text")}
+    taken.value.save_as(tmp_path / "chart.svg")
+    with page.expect_download() as taken:
+        drawer.get_by_role("button", name="PNG").click()
+    assert Path(taken.value.path()).read_bytes().startswith(b"\x89PNG")
+    page.screenshot(path=tmp_path / "keep.png")
 
 
 def test_a_model_version_is_rolled_back_by_hand(plant):

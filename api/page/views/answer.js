@@ -73,13 +73,13 @@ export const coreKey = () => key([
 
 // The core alone, on its own scale, from closing on: band, target, the opening advised, and what is foreseen.
 export class CoreChart {
-  constructor(place, { height, measured = [] }) {
+  constructor(place, { height, measured = [], keep = true }) {
     this.chart = new TimeChart(place, {
       series: [{ name: "low", kind: "band-low" }, { name: "high", kind: "band-high" }, { name: text("page-core-predicted"), colour: "--core", kind: "core", spanGaps: true },
         { name: "low ahead", kind: "band-low", colour: "--core-ahead" }, { name: "high ahead", kind: "band-high", colour: "--core-ahead" },
         { name: text("page-core-foreseen"), colour: "--core", kind: "line", dash: [6, 5], spanGaps: true },
         ...measured.map((name) => ({ name, colour: "--measured", kind: "line" }))],
-      height, label: text("page-chart-now-label"), xLabel: text("page-time-from-closing"),
+      height, keep, label: text("page-chart-now-label"), xLabel: text("page-time-from-closing"),
       yRange: (_, low, high) => this.range(low, high),
     });
   }

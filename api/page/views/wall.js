@@ -61,7 +61,7 @@ class Wall {
     told.time_s.forEach((time, i) => { if (told.valid[i]) this.keep(time, told.core_low_C[i], told.core_high_C[i], told.core_C[i]); });
     this.chart?.close();
     this.chartPlace.replaceChildren();
-    this.chart = new CoreChart(this.chartPlace, { height: Math.max(this.chartPlace.clientHeight - 6, 120) });
+    this.chart = new CoreChart(this.chartPlace, { height: Math.max(this.chartPlace.clientHeight - 6, 120), keep: false });
   }
 
   keep(...row) {

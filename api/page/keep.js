@@ -1,0 +1,57 @@
+// What stands behind a chart: its numbers as a table, and the chart to take away as CSV, SVG or PNG.
+import { el, number, table } from "./dom.js";
+import { svgOf } from "./svg.js";
+import { text } from "./words.js";
+
+export const BRIDGE_S = 5; // a missed scan is bridged; a longer silence stays a gap
+const SHOWN_ROWS = 200; // a table of more is not read; the file has every row
+
+// A closed drawer below a chart; its table is made when it is opened, from what the chart holds then.
+export function drawer(chart) {
+  const place = el("div", {});
+  const box = el("details", { class: "keep", ontoggle: () => place.replaceChildren(box.open ? inside(chart) : "") },
+    el("summary", {}, text("page-chart-data")), place);
+  return box;
+}
+
+function inside(chart) {
+  const heads = [chart.xLabel ?? text("page-time-axis"), ...chart.series.map((s) => `${nameOf(s)} [${s.unit ?? chart.yLabel}]`)];
+  const rows = chart.data[0].map((x, i) => [x, ...chart.series.map((_, k) => chart.data[k + 1][i] ?? null)]);
+  const step = Math.max(1, Math.ceil(rows.length / SHOWN_ROWS));
+  const shown = rows.filter((_, i) => i % step === 0);
+  const digits = chart.series.map((s) => s.digits ?? 1);
+  return el("div", {},
+    el("div", { class: "row" },
+      el("button", { type: "button", class: "button", onclick: () => save(new Blob([csv(heads, rows)], { type: "text/csv" }), chart, "csv") }, "CSV"),
+      el("button", { type: "button", class: "button", onclick: () => save(new Blob([svgOf(chart, chart.whiskers ? 0 : BRIDGE_S)], { type: "image/svg+xml" }), chart, "svg") }, "SVG"),
+      el("button", { type: "button", class: "button", onclick: () => picture(chart) }, "PNG"),
+      step > 1 ? el("span", { class: "small faint" }, text("page-chart-every", { step })) : ""),
+    table(chart.label, heads.map((head) => ({ text: head, class: "right" })),
+      shown.map(([x, ...values]) => [el("span", { class: "num" }, number(x, 1)), ...values.map((v, k) => el("span", { class: "num" }, number(v, digits[k])))])));
+}
+
+const nameOf = (s) => (s.kind === "band-low" ? text("page-chart-low") : s.kind === "band-high" ? text("page-chart-high") : s.name);
+
+// Decimal points and commas, as in every file of Kerntemp; a value that is not there is an empty cell.
+export function csv(heads, rows) {
+  const cell = (text) => (/[",\n]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text);
+  return `${[heads.map(cell), ...rows.map((row) => row.map((v) => (Number.isFinite(v) ? String(v) : "")))].map((row) => row.join(",")).join("\n")}\n`;
+}
+
+// The canvas is transparent: the card's colour goes below it.
+function picture(chart) {
+  const drawn = chart.plot.ctx.canvas;
+  const sheet = Object.assign(document.createElement("canvas"), { width: drawn.width, height: drawn.height });
+  const ctx = sheet.getContext("2d");
+  ctx.fillStyle = getComputedStyle(document.documentElement).getPropertyValue("--card");
+  ctx.fillRect(0, 0, sheet.width, sheet.height);
+  ctx.drawImage(drawn, 0, 0);
+  sheet.toBlob((blob) => save(blob, chart, "png"), "image/png");
+}
+
+function save(blob, chart, ending) {
+  const address = URL.createObjectURL(blob);
+  const name = chart.label.toLowerCase().replace(/[^\p{L}\p{N}]+/gu, "-").replace(/^-+|-+$/g, "");
+  el("a", { href: address, download: `${name || "chart"}.${ending}` }).click();
+  setTimeout(() => URL.revokeObjectURL(address), 10000);
+}

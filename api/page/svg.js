@@ -1,0 +1,67 @@
+// A chart as SVG: what its canvas shows now, as lines and letters that scale.
+
+const style = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim() || name;
+const safe = (text) => String(text).replace(/[&<>"]/g, (sign) => ({ "&": "&amp;", "<": "&lt;", ">": "&gt;", '"': "&quot;" })[sign]);
+const round = (value) => Math.round(10 * value) / 10;
+const WIDTHS = { line: 2, thin: 1, core: 2.6 };
+
+// `gap`: seconds over which a line is not drawn through.
+export function svgOf(chart, gap) {
+  const { plot } = chart;
+  const [left, top] = [plot.bbox.left, plot.bbox.top].map((v) => v / devicePixelRatio);
+  const [width, height] = [plot.over.clientWidth, plot.over.clientHeight];
+  const x = (value) => round(left + plot.valToPos(value, "x"));
+  const y = (value) => round(top + plot.valToPos(value, "y"));
+  const inner = [...chart.phases.map((phase) => shade(phase, x, { left, top, width, height })), ...chart.series.map((s, i) => curve(chart, s, i, { x, y, gap })),
+    ...chart.marks.map((one) => mark(one, x, y, { left, top, width, height }))].join("");
+  return `<svg xmlns="http://www.w3.org/2000/svg" width="${plot.width}" height="${plot.height}" viewBox="0 0 ${plot.width} ${plot.height}" font-family="system-ui, sans-serif" font-size="12">`
+    + `<title>${safe(chart.label)}</title><rect width="100%" height="100%" fill="${style("--card")}"/>`
+    + `<clipPath id="plot"><rect x="${left}" y="${top}" width="${width}" height="${height}"/></clipPath>`
+    + `${axes(plot, x, y, { left, top, width, height })}<g clip-path="url(#plot)" fill="none">${inner}</g></svg>`;
+}
+
+function axes(plot, x, y, { left, top, width, height }) {
+  const [across, up] = plot.axes;
+  const letters = `fill="${style("--faint")}"`;
+  const grid = `stroke="${style("--line")}"`;
+  const bottom = top + height;
+  const ticks = (axis, drawn) => (axis._splits ?? []).map((value, i) => drawn(value, axis._values?.[i] ?? "")).join("");
+  return ticks(across, (v, said) => `<path d="M${x(v)} ${top}V${bottom}" ${grid}/><text x="${x(v)}" y="${bottom + 18}" text-anchor="middle" ${letters}>${safe(said)}</text>`)
+    + ticks(up, (v, said) => `<path d="M${left} ${y(v)}H${left + width}" ${grid}/><text x="${left - 8}" y="${y(v) + 4}" text-anchor="end" ${letters}>${safe(said)}</text>`)
+    + `<text x="${left + width / 2}" y="${plot.height - 4}" text-anchor="middle" ${letters}>${safe(across.label)}</text>`
+    + `<text transform="translate(14 ${top + height / 2}) rotate(-90)" text-anchor="middle" ${letters}>${safe(up.label)}</text>`;
+}
+
+function shade(phase, x, { left, top, width, height }) {
+  if (phase.state === "idle") return "";
+  const from = x(phase.from_s);
+  const to = phase.to_s === null ? left + width : x(phase.to_s);
+  return `<rect x="${from}" y="${top}" width="${Math.max(to - from, 0)}" height="${height}" fill="${style(phase.state === "closed" ? "--phase-closed" : "--phase-open")}"/>`;
+}
+
+function curve(chart, s, i, { x, y, gap }) {
+  const [times, values] = [chart.data[0], chart.data[i + 1]];
+  const there = times.map((_, k) => k).filter((k) => (values[k] ?? null) !== null);
+  if (s.kind === "band-high" || !there.length) return "";
+  if (s.kind === "band-low") return band(chart, s, i, there, { x, y });
+  const colour = style(s.colour);
+  if (s.kind === "dots") return there.map((k) => `<circle cx="${x(times[k])}" cy="${y(values[k])}" r="1.8" fill="${colour}"/>`).join("");
+  const pen = there.map((k, n) => `${n && (s.spanGaps || times[k] - times[there[n - 1]] <= gap) ? "L" : "M"}${x(times[k])} ${y(values[k])}`).join("");
+  return `<path d="${pen}" stroke="${colour}" stroke-width="${WIDTHS[s.kind] ?? 1.5}"${s.dash ? ` stroke-dasharray="${s.dash.join(" ")}"` : ""}/>`;
+}
+
+function band(chart, s, i, there, { x, y }) {
+  const [times, low, high] = [chart.data[0], chart.data[i + 1], chart.data[i + 2]];
+  const both = there.filter((k) => (high[k] ?? null) !== null);
+  if (chart.whiskers) return both.map((k) => `<path d="M${x(times[k])} ${y(low[k])}V${y(high[k])}" stroke="${style(chart.whiskers)}" stroke-width="1.5"/>`).join("");
+  const edge = [...both.map((k) => `${x(times[k])} ${y(low[k])}`), ...both.reverse().map((k) => `${x(times[k])} ${y(high[k])}`)];
+  return edge.length ? `<path d="M${edge.join("L")}Z" fill="${style(s.colour ?? "--core-band")}"/>` : "";
+}
+
+function mark(one, x, y, { left, top, width, height }) {
+  const colour = style(one.colour);
+  const across = one.y !== undefined;
+  const [line, at] = across ? [`M${left} ${y(one.y)}H${left + width}`, `x="${left + width - 4}" y="${y(one.y) - 3}" text-anchor="end"`]
+    : [`M${x(one.x)} ${top}V${top + height}`, `x="${x(one.x) + 4}" y="${top + height - 4}"`];
+  return `<path d="${line}" stroke="${colour}" stroke-width="1.5" stroke-dasharray="6 4"/><text ${at} fill="${colour}" font-weight="600">${safe(one.name)}</text>`;
+}
