@@ -25,16 +25,19 @@ LOG = logging.getLogger("kerntemp.sense")
 
 TRIES = 2
 """Workers a fit is given: one may be killed for what others use of the memory, two hardly."""
+LONGEST_S = 1800.0
+"""A worker that does not answer for so long stands still: a fit takes seconds, compiling before the first minutes,
+on a slow machine a quarter of an hour. [s]"""
 
 
 class Fitter:
-    """Fits runs in a worker process, one after the other; a worker that is killed is replaced."""
+    """Fits runs in a worker process, one after the other; one that is killed or stands still is replaced."""
 
     def __init__(self) -> None:
         # The worker is given one fit at a time: those that wait are not lost with the one that kills it.
         self._queue = ThreadPoolExecutor(1, thread_name_prefix="fits")
         self.replaced: set[str] = set()
-        """Runs whose worker was killed and that another one fits, until who asked for the fit has told it."""
+        """Runs whose worker was lost and that another one fits, until who asked for the fit has told it."""
         self._closed = False
         self._pool = new_workers(1)
         self._warm = self._pool.submit(_warm_up)
@@ -50,7 +53,7 @@ class Fitter:
     def submit(self, press: Press, run: Run, model: ModelFile | None) -> Future[dict[str, Any]]:
         """Fit a run with the effects of a model; the result is an entry of ``fit --json``.
 
-        The future raises `BrokenProcessPool` where the fit's worker was killed, and the next one's too.
+        The future raises `BrokenProcessPool` where the fit's worker was lost, and the next one's too.
         """
         return self._queue.submit(self._fit, press, run, model)
 
@@ -59,15 +62,21 @@ class Fitter:
         while True:
             tries += 1
             try:
-                return self._pool.submit(fit_one, press, run, model).result()
-            except BrokenProcessPool:
+                return self._pool.submit(fit_one, press, run, model).result(LONGEST_S)
+            except (BrokenProcessPool, TimeoutError) as error:
                 if self._closed:
                     raise
-                self._pool.shutdown(wait=False)
-                self._pool = new_workers(1)
+                self._replace_worker()
                 if tries == TRIES:
-                    raise
+                    raise BrokenProcessPool from error
                 self.replaced.add(run.name)
+
+    def _replace_worker(self) -> None:
+        workers = self._pool._processes or {}  # noqa: SLF001 - a pool has no other way to end one that stands still
+        for worker in list(workers.values()):
+            worker.kill()
+        self._pool.shutdown(wait=False)
+        self._pool = new_workers(1)
 
 
 def new_workers(count: int) -> ProcessPoolExecutor:

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 from concurrent.futures import Future
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
@@ -593,6 +594,21 @@ def test_a_fit_whose_worker_is_killed_is_made_by_another(store, pressing):
     (line,) = [entry for entry in store.journal().items if entry.message.code == "run-fit-again"]
     assert (line.level, line.process, line.press) == ("warning", "sense", "lab")
     assert line.message.arguments["run"] == record.run
+
+
+@pytest.mark.skipif(os.name == "nt", reason="SIGSTOP is POSIX")
+def test_a_worker_that_stands_still_is_ended_and_the_fit_given_to_another(pressing, monkeypatch):
+    run, _ = pressing
+    with Fitter() as fitter:
+        (stopped,) = fitter._pool._processes
+        os.kill(stopped, signal.SIGSTOP)
+        monkeypatch.setattr("softsensor.jobs.fitter.LONGEST_S", 0.2)  # too short for the second to start, too
+        asked = fitter.submit(parse_press(press_toml()), run, None)
+        with pytest.raises(BrokenProcessPool):
+            asked.result(60.0)
+        assert fitter.replaced == {run.name}
+        wait_until(lambda: is_zombie(stopped), 20)
+        assert stopped not in fitter._pool._processes
 
 
 @pytest.mark.skipif(os.name == "nt", reason="SIGKILL is POSIX")
