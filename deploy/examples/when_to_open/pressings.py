@@ -1,6 +1,6 @@
 """Two hundred pressings timed by a fixed press time and by Kerntemp: undercured, overcured, time and energy.
 
-    python deploy/examples/when_to_open/pressings.py [--pressings 200] [--hide contact_buildup] [--svg opening.svg]
+    python deploy/examples/when_to_open/pressings.py [--pressings 200] [--hide EFFECT] [--figure opening.png]
 
 The virtual press is the truth: it integrates heat and cure by its own equations on its own mesh. From pressing to
 pressing its contacts scatter by 12 %, conductivity, heat capacity and the paper's rate by 5 %, its activation
@@ -254,7 +254,7 @@ def draw(found: Summary) -> Figure:
         (f"fixed press time, {fixed:.1f} s", "#888780", [fixed] * len(found.opened)),
         ("when Kerntemp says so", "#2a6f97", [p.opened for p in found.opened]),
     )
-    figure = Figure(figsize=(9.0, 4.2), layout="constrained")
+    figure = Figure(figsize=(9.0, 4.4), layout="constrained")
     left, right = figure.subplots(1, 2)
     saved = 100.0 * (1.0 - found.mean(lambda p: p.opened) / fixed)
     figure.suptitle(
@@ -270,7 +270,6 @@ def draw(found: Summary) -> Figure:
     left.text(100.0 * LEAST - 0.3, 0.97 * top, "undercured", ha="right", va="top", color="#b3261e", fontsize=9)
     left.text(100.0 * OVER + 0.3, 0.97 * top, "overcured", va="top", color="#b3261e", fontsize=9)
     left.set(xlabel="cure of the less cured face at opening [%]", ylabel="panels", xlim=(80.0, 100.0))
-    left.legend(fontsize=9, frameon=False, loc="upper center", bbox_to_anchor=(0.35, 0.88))
     bins = np.arange(0.0, np.ceil(fixed) + 1.0, 0.5)
     right.hist(
         [p.oracle for p in found.opened], bins, color="#c9a227", alpha=0.6, label="needed, as the truth has it"
@@ -278,7 +277,10 @@ def draw(found: Summary) -> Figure:
     right.hist([p.opened for p in found.opened], bins, histtype="step", lw=1.8, color="#2a6f97", label=ways[1][0])
     right.axvline(fixed, color="#888780", lw=2.0, label=ways[0][0])
     right.set(xlabel="press time [s]", ylabel="panels")
-    right.legend(fontsize=9, frameon=False)
+    shown = {
+        name: drawn for ax in (left, right) for drawn, name in zip(*ax.get_legend_handles_labels(), strict=True)
+    }
+    figure.legend(shown.values(), shown, fontsize=9, frameon=False, loc="outside lower center", ncols=len(shown))
     return figure
 
 
@@ -288,7 +290,7 @@ def main() -> None:
     parser.add_argument("--pressings", type=int, default=200)
     parser.add_argument("--hide", help="an effect of the contract that only the virtual press has")
     parser.add_argument("--rate-sd", type=float, default=RATE_SD, help="relative scatter of the paper's rate")
-    parser.add_argument("--svg", type=Path, help="write the figure here")
+    parser.add_argument("--figure", type=Path, help="write the figure here, as SVG or PNG by its ending")
     asked = parser.parse_args()
     found = []
     for one in campaign(asked.pressings, asked.hide, asked.rate_sd):
@@ -297,8 +299,8 @@ def main() -> None:
     sys.stderr.write("\n")
     summary = Summary(found)
     sys.stdout.write("\n".join(summary.lines()) + "\n")
-    if asked.svg is not None:
-        draw(summary).savefig(asked.svg)
+    if asked.figure is not None:
+        draw(summary).savefig(asked.figure, dpi=150)
 
 
 if __name__ == "__main__":
