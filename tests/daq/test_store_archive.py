@@ -18,6 +18,7 @@ from daq.store import NewRun, RunEnd, StoredEstimate, archive, open_store, parqu
 from daq.store.archive_file import StoredScans, read_archive, write_archive
 from daq.store.parquet_columns import SUM
 from daq.store.records import ArchiveUnreadable
+from daq.store.upkeep import restore
 from tests.editions import edition
 
 BEGAN = datetime(2026, 3, 4, 7, 0, tzinfo=UTC)
@@ -195,6 +196,20 @@ def test_runs_are_archived_by_age_and_open_ones_never(store, tmp_path):
     assert store.runs_to_archive("other", LATER) == []
     store.archive_run("one")
     assert store.runs_to_archive("lab", LATER) == ["two"]
+
+
+def test_idle_scans_before_an_archived_run_are_thinned_once_and_a_backup_of_it_all_is_sound(store, tmp_path):
+    record(store)
+    record(store, "two")
+    store.use_archive(tmp_path / "archive")
+    store.archive_run("one")
+    done = {}
+    store.thin_idle(scan(60).utc, keep_every=10, done=done)
+    assert done == {1: 19}, "the stretch before the run is gone through again"
+    contents = store.back_up(tmp_path / "b.sqlite")
+    assert restore(tmp_path / "b.sqlite", str(tmp_path / "again.sqlite")) == contents
+    with open_store(str(tmp_path / "again.sqlite")) as again:
+        assert answers(again, "one") == answers(store, "one")
 
 
 @pytest.mark.parametrize("harm", ["missing", "damaged"])
