@@ -1,13 +1,13 @@
 """The live sensor: core temperature with a band one can trust, scan by scan.
 
-Method (decided 2026-11, see also `live.priors`). The thermal model marches with the platens; forward
-tangents say how faces and core answer to every uncertain parameter. A Kalman filter over these parameters
-(coefficients, start temperature, platen offsets, moments, biases of the readings, and causes the model in
-force leaves out) is corrected by one robust mean a face; constants in doubt are considered, not estimated
-(`live.directions`). The state estimate is a joint Gaussian; "no cause is missing" and "this cause is missing" are
-hypotheses it is conditioned on (`live.mixture_steps.condition`), so that the band is a Gaussian mixture: narrow
-while the faces agree with the plain model, wide or moved when they do not. Evaporation, whose tangent at zero says
-little about its real size, has a filter of its own.
+Method (decided 2026-11, see also `live.priors`). The thermal model marches with the platens; forward tangents
+say how faces and core answer to every uncertain parameter. A Kalman filter over these parameters (coefficients,
+start temperature, platen offsets, moments, biases of the readings, and causes the model in force leaves out) is
+corrected by one robust mean a face; constants in doubt are considered, not estimated (`live.directions`). The
+state estimate is a joint Gaussian; "no cause is missing" and "this cause is missing" are hypotheses it is
+conditioned on (`live.mixture_steps.condition`), so that the band is a Gaussian mixture: narrow while the faces
+agree with the plain model, wide or moved when they do not. Evaporation and steam, whose tangents at zero say
+little about their real size, have filters of their own.
 
 When the estimate moves far from where the model was linearised, or a moment of the press becomes known
 (always a little late), the stored scans are gone through again from the start, some blocks with each new

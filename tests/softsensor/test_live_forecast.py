@@ -102,7 +102,7 @@ def test_the_heat_taken_up_is_that_of_the_profile(pressing, followed):
 def test_the_middle_of_the_profile_is_the_core_that_is_told(followed):
     held = [(said.core_C, inside.profile_C[5]) for _, _, said, inside, _ in followed if inside and said.valid]
     told, profile = np.array(held).T
-    assert len(told) > 100
+    assert len(told) > 90
     assert np.abs(told - profile).max() < 0.3
 
 
