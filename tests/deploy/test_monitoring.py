@@ -14,8 +14,8 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from api.answers.health import health_of
 from api.http.metrics import metrics_text
-from daq.records import Channel, PressState, Quality, Scan
-from daq.store import Store, StoredEstimate, open_store
+from daq.records import Channel, PressEvent, PressEventKind, PressState, Quality, Scan
+from daq.store import NewRun, Store, StoredEstimate, open_store
 
 FOLDER = Path(__file__).parents[2] / "deploy" / "monitoring"
 RUNBOOK = FOLDER.parent / "RUNBOOK.md"
@@ -30,7 +30,8 @@ def store(tmp_path):
     with open_store(str(tmp_path / "plant.sqlite")) as opened:
         key = opened.register_press("lab", [Channel("platen_top"), Channel("top_1")], LAB)
         scan = Scan(0, NOW, 5.0, (200.0, float("nan")), (Quality.GOOD, Quality.OPEN))
-        opened.append_scans(key, [scan])
+        closing = [PressEvent(kind, 5.0, 5.0) for kind in (PressEventKind.INSERTED, PressEventKind.CLOSED)]
+        opened.append_scans(key, [scan], closing, NewRun("one", 0, NOW, 5.0))
         said = StoredEstimate(0, 5.0, PressState.CLOSED, 80.0, 0.5, 79.0, 81.0, True)
         opened.append_estimates("lab", [said])
         logger = {"press": "lab", "name": "top", "state": "lost", "counters": {"good": 7, "no reply": 2}}
