@@ -62,8 +62,7 @@ def _add_health(health: Health, refit_s: float | None, registry: CollectorRegist
         Gauge("kerntemp_store_bytes", "Size of the store", registry=registry).set(health.store.size_bytes)
         Gauge("kerntemp_store_free_bytes", "Free on its disk", registry=registry).set(health.store.free_bytes)
     if (archive := health.store.archive) is not None:
-        Gauge("kerntemp_archive_runs", "Runs whose scans are archived", registry=registry).set(archive.runs)
-        Gauge("kerntemp_archive_bytes", "Size of their files", registry=registry).set(archive.bytes)
+        Gauge("kerntemp_archive_bytes", "Size of the archive", registry=registry).set(archive.bytes)
         Gauge("kerntemp_archive_unsound", "Files missing or damaged", registry=registry).set(archive.unsound)
     told = [(duty_of(process.name), process.details) for process in health.processes]
     _add_recorders([details for kind, details in told if kind == "record"], registry)
