@@ -24,7 +24,6 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.special import ndtri
 
 from daq.records import Array, InputError
 from daq.words import Message, say
@@ -114,6 +113,8 @@ def rank_scores(values: Array) -> Array:
 
 def _part_mean(low: Array, high: Array) -> Array:
     """Return the mean of a normal distribution between two of its shares."""
+    from scipy.special import ndtri  # loads slowly, and the sensor is to be there at once
+
     density = np.exp(-0.5 * ndtri(np.stack([low, high])) ** 2) / math.sqrt(2.0 * math.pi)
     return np.asarray((density[0] - density[1]) / (high - low))
 
