@@ -23,6 +23,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 from scipy.stats import binomtest
 
 from daq.press.press_file import parse_press
@@ -257,9 +258,10 @@ def draw(found: Summary) -> Figure:
     figure = Figure(figsize=(9.0, 4.4), layout="constrained")
     left, right = figure.subplots(1, 2)
     saved = 100.0 * (1.0 - found.mean(lambda p: p.opened) / fixed)
+    heat = 100.0 * (1.0 - found.mean(lambda p: p.heat(p.opened)) / found.mean(lambda p: p.heat(fixed)))
     figure.suptitle(
-        f"{len(found.opened)} pressings: opened when Kerntemp says so, panels stay {saved:.0f} % shorter "
-        f"and {found.undercured} are undercured"
+        f"{len(found.opened)} pressings opened when Kerntemp says so: {saved:.0f} % shorter, "
+        f"{heat:.0f} % less heat, {found.undercured} undercured"
     )
     for name, colour, times in ways:
         cure = [100.0 * p.cure(t) for p, t in zip(found.opened, times, strict=True)]
@@ -276,7 +278,9 @@ def draw(found: Summary) -> Figure:
     )
     right.hist([p.opened for p in found.opened], bins, histtype="step", lw=1.8, color="#2a6f97", label=ways[1][0])
     right.axvline(fixed, color="#888780", lw=2.0, label=ways[0][0])
-    right.set(xlabel="press time [s]", ylabel="panels")
+    right.set(xlabel="press time [s]", ylabel="panels", xlim=(0.0, bins[-1]))
+    for ax in (left, right):
+        ax.yaxis.set_major_locator(MaxNLocator(integer=True))
     shown = {
         name: drawn for ax in (left, right) for drawn, name in zip(*ax.get_legend_handles_labels(), strict=True)
     }
