@@ -200,7 +200,8 @@ def _check_sd(key: str, value: object, place: object) -> None:
 def _unknown(header: Mapping[str, Any]) -> Iterator[Message]:
     for key in header:
         base = key.removesuffix(SD)
-        if base not in LIMITS and base not in _TEXTS and base.partition(".")[0] not in _FREE:
+        root, _, rest = base.partition(".")
+        if base not in LIMITS and base not in _TEXTS and not (rest and root in _FREE):
             yield say("header-key-unknown", key=key)
 
 

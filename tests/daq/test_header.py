@@ -55,6 +55,13 @@ def test_numbers_and_nesting_that_would_kill_the_reader_are_refused_by_line(tmp_
         read_run(file_with(tmp_path, f"x = {value}"))
 
 
+@pytest.mark.parametrize("line", ['boundary = "x"', "layer = []", 'press = "x"', 'setting = "x"'])
+def test_a_table_of_the_press_file_without_its_key_is_kept_with_a_word(tmp_path, line):
+    key = line.partition(" ")[0]
+    said = [str(doubt) for doubt in doubts(read_run(file_with(tmp_path, line)).header)]
+    assert said == [f"header key {key} is not known; it is kept, and nothing uses it"]
+
+
 @pytest.mark.parametrize(
     "line",
     [
