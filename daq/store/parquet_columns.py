@@ -22,6 +22,7 @@ import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from daq.files.run_rows import numbers_of
 from daq.records import Array, InputError
 from daq.store.records import ArchiveUnreadable
 from daq.words import say
@@ -77,7 +78,7 @@ class Columns:
 
     def plain(self, name: str) -> Array:
         """Return a column of floats that were added as they are."""
-        return np.array(self.arrays[name].to_numpy(zero_copy_only=False), dtype=float)
+        return np.array(numbers_of(self.arrays[name]))
 
     def values(self, name: str) -> Array:
         """Return a column of floats to the last bit."""
@@ -283,9 +284,9 @@ def _differences(counts: Array) -> pa.Array:
 
 def _undone(folded: pa.Array) -> Array:
     """Return what `_differences` was given."""
-    steps = folded.fill_null(0).to_numpy(zero_copy_only=False).astype(np.int64)
+    steps = np.from_dlpack(folded.fill_null(0)).astype(np.int64)  # as in `numbers_of`: without pandas
     counts = np.cumsum(np.where(steps % 2, -(steps + 1) // 2, steps // 2)).astype(float)
-    counts[folded.is_null().to_numpy(zero_copy_only=False)] = np.nan
+    counts[np.from_dlpack(folded.is_null().cast(pa.int8())) != 0] = np.nan
     return counts
 
 
