@@ -62,7 +62,7 @@ def panel_chances(header_mm: float, pressed: Sequence[PressedPanel]) -> tuple[Pa
         What earlier runs were of; none: not known.
     """
     own = PanelChance(1.0, header_mm, thickness_sd(header_mm))
-    if not pressed or any(one_product(*sorted((header_mm, p.thickness_mm))) for p in pressed):
+    if not pressed or any(one_product(header_mm, p.thickness_mm) for p in pressed):
         return (own,)
     runs = sum(p.runs for p in pressed)
     new, wrong = (1.0 - ENTRY_ERROR) * len(pressed), ENTRY_ERROR * runs

@@ -16,9 +16,9 @@ def thickness_sd(nominal_mm: float) -> float:
     return next(sd for upper, sd in PANEL_THICKNESS_MM if nominal_mm <= upper)
 
 
-def one_product(thin_mm: float, thick_mm: float) -> bool:
+def one_product(one_mm: float, other_mm: float) -> bool:
     """Return whether both may be panels of one nominal thickness."""
-    return thick_mm - thin_mm <= 2.0 * ALLOWED * thickness_sd(thick_mm)
+    return abs(one_mm - other_mm) <= 2.0 * ALLOWED * thickness_sd(max(one_mm, other_mm))
 
 
 def products(thicknesses_mm: Iterable[float]) -> tuple[PressedPanel, ...]:
@@ -34,5 +34,5 @@ def products(thicknesses_mm: Iterable[float]) -> tuple[PressedPanel, ...]:
 
 def all_products(base: Sequence[PressedPanel], newer: Sequence[PressedPanel]) -> tuple[PressedPanel, ...]:
     """Return what a model's runs and newer ones were of; runs may be in both, so what is known keeps its count."""
-    new = [p for p in newer if not any(one_product(*sorted((p.thickness_mm, b.thickness_mm))) for b in base)]
+    new = [p for p in newer if not any(one_product(p.thickness_mm, b.thickness_mm) for b in base)]
     return tuple(sorted((*base, *new), key=lambda p: p.thickness_mm))
