@@ -189,17 +189,24 @@ def broker(tmp_path: Path) -> Iterator[Broker]:
 
 
 @contextmanager
-def publishing(store: Store, port: int, known: dict[tuple[str, str], int] | None = None) -> Iterator[Publisher]:
-    publisher = Publisher(store, MqttSettings(host="127.0.0.1", port=port, prefix="plant"), known or {})
+def running(work: Callable[[threading.Event], None]) -> Iterator[None]:
+    """Something that goes on until it is stopped, and then ends."""
     stop = threading.Event()
-    thread = threading.Thread(target=publisher.run, args=(stop,))
+    thread = threading.Thread(target=work, args=(stop,))
     thread.start()
     try:
-        yield publisher
+        yield
     finally:
         stop.set()
         thread.join(20)
         assert not thread.is_alive()
+
+
+@contextmanager
+def publishing(store: Store, port: int, known: dict[tuple[str, str], int] | None = None) -> Iterator[Publisher]:
+    publisher = Publisher(store, MqttSettings(host="127.0.0.1", port=port, prefix="plant"), known or {})
+    with running(publisher.run):
+        yield publisher
 
 
 def test_scans_estimates_events_and_model_arrive_with_units_quality_and_time(store, broker):
@@ -375,15 +382,9 @@ class Pressing(Recorder):
 
 @contextmanager
 def giving_leave(store: Store, port: int) -> Iterator[LeaveFeed]:
-    feed, stop = LeaveFeed(store, MqttSettings(host="127.0.0.1", port=port, prefix="plant")), threading.Event()
-    thread = threading.Thread(target=feed.run, args=(stop,))
-    thread.start()
-    try:
+    feed = LeaveFeed(store, MqttSettings(host="127.0.0.1", port=port, prefix="plant"))
+    with running(feed.run):
         yield feed
-    finally:
-        stop.set()
-        thread.join(20)
-        assert not thread.is_alive()
 
 
 def last(listener: Listener) -> tuple[bool, bool, str]:
