@@ -185,9 +185,12 @@ def _meant(key: str) -> str | None:
     root, _, rest = base.partition(".")
     if base in LIMITS or base in _TEXTS or root == _RECORDED or root in _TABLES:
         return None
-    if (near := nearest(base, (*LIMITS, *_TEXTS))) is not None:
+    known = (*LIMITS, *_TEXTS)
+    if (near := nearest(base, known)) is not None:
         return near
-    near_root = nearest(root, _ROOTS) if rest and root not in _ROOTS else None
+    if not rest:  # "thickness_mm": the name without its table
+        return next((key for key in known if key.lower().endswith(f".{root.lower()}")), None)
+    near_root = nearest(root, _ROOTS) if root not in _ROOTS else None
     return near_root and f"{near_root}.{rest}"
 
 

@@ -30,6 +30,8 @@ def file_with(folder, *lines):
         ("boundry.top.incident_W_m2 = 60000", "boundary.top.incident_W_m2"),
         ("panel.thicknes_mm = 16.0", "panel.thickness_mm"),
         ("panel.thickness = 16.0", "panel.thickness_mm"),
+        ("thickness_mm = 12.0", "panel.thickness_mm"),
+        ("moisture_percent.sd = 0.1", "panel.moisture_percent"),
         ("panel.thicknes_mm.sd = 0.1", "panel.thickness_mm"),
         ("pannel.density_kg_m3 = 700", "panel.density_kg_m3"),
         ("setting.platen_temprature_C = 200", "setting.platen_temperature_C"),
