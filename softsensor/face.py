@@ -19,6 +19,7 @@ import numbers
 from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -43,7 +44,7 @@ from softsensor.fitting.result import Coefficient, rounded
 from softsensor.fitting.simulated_run import Simulated, simulate_run
 from softsensor.heat.model import ThermalModel
 from softsensor.heat.model_file import ModelFile
-from softsensor.jobs.campaign import fit_campaign
+from softsensor.jobs.campaign import diagnosed_model, fit_campaign
 from softsensor.jobs.first_start import Work, compile_for
 from softsensor.jobs.model_files import read_model as read_model_file
 from softsensor.live.replay import Replay, replay
@@ -168,8 +169,13 @@ class DiagnosisResult:
         return _shown(worst_run_figure(curves_of(self.diagnosis)))
 
     def model(self) -> ModelFile:
-        """Return the extended model."""
-        return self.diagnosis.model_file()
+        """Return the extended model, as ``diagnose --model`` writes it."""
+        return self._model
+
+    @cached_property
+    def _model(self) -> ModelFile:
+        found: ModelFile = with_frozen_fields(diagnosed_model(self.diagnosis))
+        return found
 
     def to_json(self) -> str:
         """Return what ``diagnose --json`` writes."""

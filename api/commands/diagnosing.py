@@ -77,13 +77,10 @@ def diagnose(
             told = {} if rehearsal is None else {"rehearsal": rehearsal.as_json()}
             outputs[json] = as_json(found.as_json() | told)
         if model is not None:
-            from softsensor.diagnosis.missing_causes import held_against
             from softsensor.heat.model_file import model_text
-            from softsensor.jobs.campaign import fit_runs
+            from softsensor.jobs.campaign import diagnosed_model
 
-            extended = found.model_file()
-            fits = fit_runs(extended.model(described), loaded, start=extended.values, company=None)
-            outputs[model] = model_text(held_against(extended, fits))
+            outputs[model] = model_text(diagnosed_model(found))
         if html is not None:
             from softsensor.report.diagnosis_report import diagnosis_report
 

@@ -12,12 +12,15 @@ from typing import Any
 
 from daq.press.press_file import Press
 from daq.records import Run
+from softsensor.diagnosis.finding import Diagnosis
+from softsensor.diagnosis.missing_causes import held_against
 from softsensor.fitting.campaign import CampaignFit, campaign_fit_of, company_of
 from softsensor.fitting.identifiability import profiles_of
 from softsensor.fitting.one_run import fit_run, make_problem
 from softsensor.fitting.problem import minimise
 from softsensor.fitting.result import RunFit
 from softsensor.heat.model import ThermalModel
+from softsensor.heat.model_file import ModelFile
 from softsensor.jobs.first_start import Work, compile_for
 from softsensor.signals.moments import moments_of
 
@@ -85,6 +88,17 @@ def fit_runs(
             return _collect(threads.map(fit, runs), progress)
     with ProcessPoolExecutor(workers) as processes:
         return _collect(processes.map(fit, runs, chunksize=4), progress)
+
+
+def diagnosed_model(found: Diagnosis) -> ModelFile:
+    """Return a diagnosis' extended model, and what its runs say when they are fitted with it.
+
+    What it may leave out, how constants scatter, which panels there were.
+    """
+    extended, plain = found.model_file(), found.stages[0]
+    model = extended.model(plain.fit.layout.model.press)
+    fits = fit_runs(model, [d.digest.run for d in plain.data], start=extended.values, company=None)
+    return held_against(extended, fits)
 
 
 def _cores(workers: int | None, runs: Sequence[Run]) -> int:

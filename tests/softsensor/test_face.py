@@ -24,6 +24,8 @@ import softsensor
 from api.cli import main
 from daq.face import COEFFICIENT, ENTRY, ESTIMATE, EVENT, RUN
 from daq.files.run_file import read_run
+from softsensor.face import DiagnosisResult
+from softsensor.heat.model_file import model_text
 
 ROOT = Path(__file__).resolve().parents[2]
 LAB = ROOT / "deploy/presses/lab.toml"
@@ -361,7 +363,17 @@ def test_the_answer_of_a_diagnosis_stays_what_it_is():
         one["signal"] = "mine"
     assert found.verdict == verdict
     assert found.to_json() == told
-    assert hash(found) != hash(softsensor.diagnose(SHORT, LAB, effects=["edge_loss"]))
+    assert hash(found) != hash(DiagnosisResult(found.diagnosis))
+
+
+def test_a_diagnosis_hands_out_the_model_that_the_command_writes(tmp_path):
+    file = tmp_path / "model.json"
+    assert main(["diagnose", str(SHORT), "--press", str(LAB), "--model", str(file)]) == 0
+    model = softsensor.diagnose(SHORT, LAB).model()
+    assert [panel.thickness_mm for panel in model.panels] == [19.0]
+    assert model.scatter
+    assert model.missing is not None
+    assert json.loads(model_text(model)) == json.loads(file.read_text(encoding="utf-8"))
 
 
 def test_simulate_takes_a_model_or_coefficients(fitted):
