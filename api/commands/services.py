@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import socket
 import sys
-from datetime import timedelta
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -107,7 +107,7 @@ def refit(
             version = nightly.roll_back(store, name, "kerntemp refit")
             tell(say("terminal-model-in-force-again", press=name, version=version))
             return
-        failed, outcomes = [], []
+        failed, outcomes, rules = [], [], _rules(settings)
         for press in settings.press:
             with working(say("terminal-progress-refitting", press=press.name)):
                 outcome = nightly.refit_press(
@@ -116,7 +116,7 @@ def refit(
                     read_press(press.file),
                     workers=workers or settings.refit.workers,
                     dask=dask or settings.refit.dask,
-                    rules=_rules(settings),
+                    rules=rules,
                 )
             tell(outcome.line)
             if outcome.archive is not None:
@@ -141,6 +141,7 @@ def _rules(settings: Config) -> Rules | None:
         archive_after=timedelta(days=kept.archive_after_days),
         pressings_only_after=None if last is None else timedelta(days=last),
         seconds=60.0 * kept.archive_minutes / len(settings.press),
+        began=datetime.now(UTC),
     )
 
 

@@ -244,10 +244,11 @@ def check_archive(database: Database, before: datetime, limit: int = 100) -> Che
     return Checked(len(rows), tuple(fresh), tuple(mended))
 
 
-def recheck_unsound(database: Database) -> None:
-    """Let files that were found unsound come first at the next look."""
+def recheck_unsound(database: Database, before: datetime) -> None:
+    """Let files that were found unsound, and not read since an instant, come first at the next look."""
+    due = (ARCHIVE.c.problem != "", ARCHIVE.c.checked_unix_s < unix_of(before))
     with database.writing() as connection:
-        connection.execute(update(ARCHIVE).where(ARCHIVE.c.problem != "").values(checked_unix_s=0.0))
+        connection.execute(update(ARCHIVE).where(*due).values(checked_unix_s=0.0))
 
 
 def _problem_of(folder: Path, row: Row[Any]) -> Message | None:

@@ -252,9 +252,9 @@ class Store:
         """Hold the sums of files that were not read since an instant against them; nothing is deleted."""
         return archive.check_archive(self.database, before, limit)
 
-    def recheck_unsound(self) -> None:
-        """Let files that were found unsound come first at the next look."""
-        archive.recheck_unsound(self.database)
+    def recheck_unsound(self, before: datetime) -> None:
+        """Let files that were found unsound, and not read since an instant, come first at the next look."""
+        archive.recheck_unsound(self.database, before)
 
     def remove_archived(self, press: str, before: datetime, limit: int = 50) -> tuple[int, int]:
         """Give up archived scans of runs that old; their pressings stay. Returns runs and bytes."""

@@ -34,6 +34,8 @@ class Rules:
     """None: archived scans are kept for good."""
     seconds: float
     """The time a press may take in a night."""
+    began: datetime
+    """When the night did: the archive is all presses', and a file that is not sound is read once in a night."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +75,7 @@ def keep_house(store: Store, press: str, rules: Rules, now: datetime) -> Kept:
     except InputError as error:
         store.log("alarm", PROCESS, spoken(error), press)
         return Kept(problem=spoken(error))
-    _check(store, press, now, began + CHECKING_SHARE * rules.seconds)
+    _check(store, press, rules, now, began + CHECKING_SHARE * rules.seconds)
     deadline = began + rules.seconds
     kept = _give_up(store, press, rules, now, deadline)
     kept = _archive(store, press, kept, now - rules.archive_after, deadline)
@@ -83,9 +85,9 @@ def keep_house(store: Store, press: str, rules: Rules, now: datetime) -> Kept:
     return kept
 
 
-def _check(store: Store, press: str, now: datetime, deadline: float) -> None:
+def _check(store: Store, press: str, rules: Rules, now: datetime, deadline: float) -> None:
     """Read files whose turn it is, first those that were not sound; nothing is deleted."""
-    store.recheck_unsound()
+    store.recheck_unsound(rules.began)
     while time.monotonic() < deadline:
         checked = store.check_archive(now - CHECKED_EVERY)
         for problem in checked.unsound:

@@ -63,7 +63,7 @@ def test_an_archived_run_gives_every_answer_as_before_and_a_lost_file_is_told(st
     (tmp_path / "away").rename(tmp_path / "archive")
     assert main(["backup", str(tmp_path / "b.sqlite"), "--store", str(store.database.path)]) == 0
     assert f"copy the folder {tmp_path / 'archive'} too" in " ".join(capsys.readouterr().out.split())
-    store.recheck_unsound()
+    store.recheck_unsound(STARTED.replace(year=2100))
     store.check_archive(STARTED)
     assert asked(client) == before
     assert store.remove_archived("lab", STARTED.replace(year=2100))[0] == 1

@@ -235,7 +235,7 @@ def test_a_file_that_is_not_sound_is_told_with_a_remedy_and_nothing_is_deleted(s
     assert store.remove_archived("lab", LATER) == (0, 0)
     assert store.columns_of("one") == ("platen_top", "top_1", "load")
     file.write_bytes(sound)
-    store.recheck_unsound()
+    store.recheck_unsound(datetime.now(UTC) + timedelta(days=1))
     assert store.check_archive(BEGAN).mended == ("one",)
     assert store.archive().unsound == 0
     assert answers(store, "one") == before

@@ -21,7 +21,8 @@ from daq.press.press_file import parse_press
 from daq.records import InputError
 from daq.simulated.campaign import Plan, make_campaign
 from daq.simulated.campaign_pressfile import press_toml
-from daq.store import open_store
+from daq.store import archive, open_store
+from daq.store.parquet_columns import sound_content
 from daq.words import say
 from softsensor.heat.model_file import FittedValue, ModelFile, parse_model
 from softsensor.jobs import cluster as cluster_of_workers
@@ -738,7 +739,7 @@ def test_a_night_archives_old_runs_by_the_rules_and_fits_them_from_there(store, 
     ]
     fill(store, dated)
     before = {run.name: fit_stored(FitTask(store.database.address, PRESS, run.name, None)).fit for run in dated}
-    rules = Rules(tmp_path / "archive", timedelta(days=90), None, 600.0)
+    rules = Rules(tmp_path / "archive", timedelta(days=90), None, 600.0, datetime.now(UTC))
     first = refit_press(store, "lab", PRESS, workers=1, rules=rules)
     assert (first.fitted, first.failed) == (2, 0)
     told = store.nights(press="lab").items[0].night
@@ -754,6 +755,25 @@ def test_a_night_archives_old_runs_by_the_rules_and_fits_them_from_there(store, 
     assert set(store.fits(list(before))) == set(before)
 
 
+def test_a_file_that_is_not_sound_is_read_once_a_night_whatever_presses_share_the_archive(
+    store, runs, tmp_path, monkeypatch
+):
+    old = {**runs[0].header, "recorded.started_utc": datetime(2020, 1, 1, tzinfo=UTC)}
+    fill(store, [replace(runs[0], header=old)])
+    rules = Rules(tmp_path / "archive", timedelta(days=90), None, 600.0, datetime.now(UTC))
+    assert keep_house(store, "lab", rules, datetime.now(UTC)).archived == 1
+    [file] = rules.folder.rglob("*.parquet")
+    file.write_bytes(file.read_bytes()[:-1])
+    assert len(store.check_archive(datetime.now(UTC) + timedelta(days=1)).unsound) == 1
+    read = []
+    monkeypatch.setattr(archive, "sound_content", lambda *of: [read.append(of[0]), sound_content(*of)])
+    for night in (1, 2):
+        tonight = replace(rules, began=datetime.now(UTC))
+        for press in ("lab", "left", "right"):
+            keep_house(store, press, tonight, datetime.now(UTC))
+        assert read == [file] * night
+
+
 def test_a_night_without_time_leaves_the_archive_to_the_next_and_a_wrong_folder_stops_nothing_else(
     store, runs, tmp_path
 ):
@@ -762,7 +782,7 @@ def test_a_night_without_time_leaves_the_archive_to_the_next_and_a_wrong_folder_
         [replace(runs[0], header={**runs[0].header, "recorded.started_utc": datetime(2020, 1, 1, tzinfo=UTC)})],
     )
     (tmp_path / "file").write_text("")
-    rules = Rules(tmp_path / "archive", timedelta(days=90), None, 0.0)
+    rules = Rules(tmp_path / "archive", timedelta(days=90), None, 0.0, datetime.now(UTC))
     assert keep_house(store, "lab", rules, datetime.now(UTC)).archive_later == 1
     lost = keep_house(store, "lab", replace(rules, folder=tmp_path / "file"), datetime.now(UTC))
     assert lost == Kept(problem=lost.problem)
