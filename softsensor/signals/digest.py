@@ -29,6 +29,7 @@ from softsensor.heat.model import ThermalModel
 from softsensor.signals.instrument import FACE_SLOW_S, INSERTED_S, MEAN_FAST_S, SCAN_LATE_S, SCAN_SKEW_S
 from softsensor.signals.moments import Switch, switch_of
 from softsensor.signals.places import Place
+from softsensor.signals.screen import faces_of
 
 # Numbers without another source were set by hand, 2026-11.
 
@@ -36,8 +37,6 @@ GROWTH = 1.15
 """Each bin after an event is this much wider than the one before."""
 FIRST_BIN_S, WIDEST_BIN_S = 0.2, 4.0
 """Narrowest bin, after an event, and widest in a run of up to 8 min. Set by hand, 2026-11. [s]"""
-LEAST_READ = 0.3
-"""Share of the rows in which a channel must read to stand for its signal."""
 SAMPLES = 4
 """The model is read at up to so many times within a bin."""
 PLAIN_K = 0.1
@@ -185,12 +184,13 @@ def digest_run(press: Press, run: Run, moments: Moments, excluded: frozenset[str
 
 def _channels_of(press: Press, run: Run, excluded: frozenset[str]) -> dict[str, tuple[str, ...]]:
     """Return the channels of each signal. Raises InputError where none is left."""
-    fit = {c: s.label for c, s in press.sensors_of(run).items() if c not in excluded}
-    fit = {c: label for c, label in fit.items() if np.isfinite(run.columns[c]).mean() > LEAST_READ}
-    if not fit:
+    usable = {
+        place: tuple(c for c in columns if c not in excluded) for place, columns in faces_of(press, run)[0].items()
+    }
+    if not any(usable.values()):
         named = tuple(p for s in press.sensor for p in s.columns)
         raise InputError(say("run-no-panel-channel", run=run.source or run.name, named=named))
-    return {s: tuple(c for c, label in fit.items() if label == s) for s in dict.fromkeys(fit.values())}
+    return {place: columns for place, columns in usable.items() if columns}
 
 
 def _sampled(case: Case, lean: Run, places: Mapping[str, str]) -> Case:

@@ -9,7 +9,9 @@ from daq.press.press_file import parse_press
 from daq.simulated.campaign import Plan, make_campaign
 from daq.simulated.campaign_pressfile import press_toml
 from daq.simulated.campaign_sensors import Nuisances
+from softsensor.signals.digest import digest_run
 from softsensor.signals.moments import moments_of
+from softsensor.signals.places import collect_signals
 from softsensor.signals.robust import nan_median
 from softsensor.signals.screen import FaultKind, faulty_channels
 
@@ -54,3 +56,13 @@ def test_a_channel_that_leaves_its_face_along_a_line_drifts(measured):
     assert found(spoiled(measured, bottom_3=measured.columns["bottom_3"] + drift)) == {
         "bottom_3": FaultKind.DRIFTING
     }
+
+
+@pytest.mark.parametrize("every", [8, 40])
+def test_fit_and_diagnosis_hear_the_same_channels_of_a_face_that_is_read_more_seldom(measured, every):
+    read = np.arange(len(measured.time_s)) % every == 0
+    seldom = {f"bottom_{i}": np.where(read, measured.columns[f"bottom_{i}"], np.nan) for i in range(1, 8)}
+    run, moments = spoiled(measured, **seldom), moments_of(measured, PRESS)
+    heard = {place.label: place.columns for place in collect_signals(PRESS, run, moments).places}
+    assert digest_run(PRESS, run, moments).channels == heard
+    assert ("panel.bottom" in heard) == (every == 8)
