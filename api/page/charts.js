@@ -252,6 +252,7 @@ export class TimeChart {
   set(data, phases) {
     this.data = data;
     if (phases) this.phases = phases;
+    this.drawer?.dispatchEvent(new Event("change"));
     if (this.pending) return;
     this.pending = requestAnimationFrame(() => {
       this.pending = 0;

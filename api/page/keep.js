@@ -1,5 +1,5 @@
 // What stands behind a chart: its numbers as a table, and the chart to take away as CSV, SVG or PNG.
-import { el, number, table } from "./dom.js";
+import { clock, el, number, table } from "./dom.js";
 import { svgOf } from "./svg.js";
 import { text } from "./words.js";
 
@@ -9,19 +9,26 @@ const SHOWN_ROWS = 200; // a table of more is not read; the file has every row
 // A closed drawer below a chart; its table is made when it is opened, from what the chart holds then.
 export function drawer(chart) {
   const place = el("div", {});
-  const box = el("details", { class: "keep", ontoggle: () => place.replaceChildren(box.open ? inside(chart) : "") },
-    el("summary", {}, text("page-chart-data")), place);
+  const fill = () => place.replaceChildren(box.open ? inside(chart) : "");
+  const box = el("details", { class: "keep", ontoggle: fill, onchange: () => tell() }, el("summary", {}, text("page-chart-data")), place);
+  // The chart went on since: the table stays as it is being read, says of when it is and offers the newer one.
+  function tell() {
+    const row = box.open && place.querySelector(".row");
+    if (!row || row.querySelector(".newer")) return;
+    row.append(el("span", { class: "small newer" }, text("page-chart-as-of", { time: clock(row.dataset.made, false) })),
+      el("button", { type: "button", class: "button", onclick: fill }, text("page-chart-newer")));
+  }
   return box;
 }
 
 function inside(chart) {
-  const heads = [chart.xLabel ?? text("page-time-axis"), ...chart.series.map((s) => `${nameOf(s)} [${s.unit ?? chart.yLabel}]`)];
+  const heads = [chart.xLabel ?? text("page-time-axis"), ...chart.series.map((s, i) => `${nameOf(s, i, chart.series)} [${s.unit ?? chart.yLabel}]`)];
   const rows = chart.data[0].map((x, i) => [x, ...chart.series.map((_, k) => chart.data[k + 1][i] ?? null)]);
   const step = Math.max(1, Math.ceil(rows.length / SHOWN_ROWS));
   const shown = rows.filter((_, i) => i % step === 0);
   const digits = chart.series.map((s) => s.digits ?? 1);
   return el("div", {},
-    el("div", { class: "row" },
+    el("div", { class: "row", "data-made": new Date().toISOString() },
       el("button", { type: "button", class: "button", onclick: () => save(new Blob([csv(heads, rows)], { type: "text/csv" }), chart, "csv") }, "CSV"),
       el("button", { type: "button", class: "button", onclick: () => save(new Blob([svgOf(chart, chart.whiskers ? 0 : BRIDGE_S)], { type: "image/svg+xml" }), chart, "svg") }, "SVG"),
       el("button", { type: "button", class: "button", onclick: () => picture(chart) }, "PNG"),
@@ -30,7 +37,11 @@ function inside(chart) {
       shown.map(([x, ...values]) => [el("span", { class: "num" }, number(x, 1)), ...values.map((v, k) => el("span", { class: "num" }, number(v, digits[k])))])));
 }
 
-const nameOf = (s) => (s.kind === "band-low" ? text("page-chart-low") : s.kind === "band-high" ? text("page-chart-high") : s.name);
+// A band stands before its own curve: whose bounds they are is that curve's name.
+function nameOf(s, i, series) {
+  const bound = { "band-low": "page-chart-low", "band-high": "page-chart-high" }[s.kind];
+  return bound ? `${series.slice(i).find((one) => !one.kind.startsWith("band")).name}: ${text(bound)}` : s.name;
+}
 
 // Decimal points and commas, as in every file of Kerntemp; a value that is not there is an empty cell.
 export function csv(heads, rows) {

@@ -193,6 +193,14 @@ def test_a_part_of_the_chart_stays_in_view_until_follow_is_pressed(pressing):
     expect(follow).to_be_visible()
     follow.click()
     expect(follow).to_be_hidden()
+    drawer = page.locator("details.keep").first
+    drawer.locator("summary").click()
+    for curve in ("Core, predicted", "Core, foreseen if it stays closed"):  # each with bounds of its own
+        expect(drawer.get_by_role("columnheader", name=f"{curve}: lower bound")).to_have_count(1)
+    expect(drawer.locator(".newer")).to_contain_text("as of")
+    rows = drawer.locator("tbody tr").count()
+    drawer.get_by_role("button", name="Show newer").click()
+    assert drawer.locator("tbody tr").count() >= rows
 
 
 def test_machines_are_given_the_advice_the_page_shows(pressing):
