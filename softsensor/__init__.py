@@ -28,22 +28,22 @@ if TYPE_CHECKING:
     from softsensor.effects import find_effect as find_effect
     from softsensor.effects import on_panel as on_panel
     from softsensor.effects.parameters import Parameter as Parameter
-    from softsensor.face import AdviceResult as AdviceResult
-    from softsensor.face import DiagnosisResult as DiagnosisResult
-    from softsensor.face import FitResult as FitResult
-    from softsensor.face import LiveSensor as LiveSensor
-    from softsensor.face import PlanResult as PlanResult
-    from softsensor.face import Prediction as Prediction
-    from softsensor.face import Simulation as Simulation
-    from softsensor.face import advise as advise
-    from softsensor.face import diagnose as diagnose
-    from softsensor.face import fit as fit
-    from softsensor.face import plan as plan
-    from softsensor.face import predict as predict
-    from softsensor.face import read_model as read_model
-    from softsensor.face import read_press as read_press
-    from softsensor.face import read_run as read_run
-    from softsensor.face import simulate as simulate
+    from softsensor.face.advising import AdviceResult as AdviceResult
+    from softsensor.face.advising import advise as advise
+    from softsensor.face.diagnosing import DiagnosisResult as DiagnosisResult
+    from softsensor.face.diagnosing import diagnose as diagnose
+    from softsensor.face.feeding import LiveSensor as LiveSensor
+    from softsensor.face.fitting import FitResult as FitResult
+    from softsensor.face.fitting import fit as fit
+    from softsensor.face.inputs import read_press as read_press
+    from softsensor.face.inputs import read_run as read_run
+    from softsensor.face.models import read_model as read_model
+    from softsensor.face.planning import PlanResult as PlanResult
+    from softsensor.face.planning import plan as plan
+    from softsensor.face.predicting import Prediction as Prediction
+    from softsensor.face.predicting import predict as predict
+    from softsensor.face.simulating import Simulation as Simulation
+    from softsensor.face.simulating import simulate as simulate
     from softsensor.fitting.paper.procedures import Reproduction as Reproduction
     from softsensor.fitting.paper.procedures import reproduce as reproduce
     from softsensor.heat.model import ThermalModel as ThermalModel
@@ -98,29 +98,44 @@ __all__ = [
     "simulate",
 ]
 _HOMES = {
+    "AdviceResult": "softsensor.face.advising",
     "Conversion": "softsensor.effects",
+    "DiagnosisResult": "softsensor.face.diagnosing",
     "Effect": "softsensor.effects",
     "Estimate": "softsensor.live.sensor",
+    "FitResult": "softsensor.face.fitting",
     "FittedValue": "softsensor.heat.model_file",
     "Forecast": "softsensor.live.forecast",
     "Inside": "softsensor.live.inside",
     "Leave": "softsensor.live.leaving",
     "Live": "softsensor.effects",
-    "LiveSensor": "softsensor.face",
+    "LiveSensor": "softsensor.face.feeding",
     "ModelFile": "softsensor.heat.model_file",
     "Need": "softsensor.effects",
     "Parameter": "softsensor.effects.parameters",
+    "PlanResult": "softsensor.face.planning",
+    "Prediction": "softsensor.face.predicting",
     "Press": "daq.press.press_file",
     "Reproduction": "softsensor.fitting.paper.procedures",
     "Resin": "daq.press.resin_file",
     "Role": "softsensor.effects",
     "Scene": "softsensor.effects",
+    "Simulation": "softsensor.face.simulating",
     "Terms": "softsensor.effects",
     "ThermalModel": "softsensor.heat.model",
     "add_effect": "softsensor.effects",
+    "advise": "softsensor.face.advising",
+    "diagnose": "softsensor.face.diagnosing",
     "find_effect": "softsensor.effects",
+    "fit": "softsensor.face.fitting",
     "on_panel": "softsensor.effects",
+    "plan": "softsensor.face.planning",
+    "predict": "softsensor.face.predicting",
+    "read_model": "softsensor.face.models",
+    "read_press": "softsensor.face.inputs",
+    "read_run": "softsensor.face.inputs",
     "reproduce": "softsensor.fitting.paper.procedures",
+    "simulate": "softsensor.face.simulating",
 }
 
 
@@ -128,7 +143,7 @@ def __getattr__(name: str) -> Any:
     """Load a public name on first use (PEP 562)."""
     if name not in __all__:
         raise AttributeError(f"module 'softsensor' has no attribute {name!r}; it has {', '.join(__all__)}")
-    found = globals()[name] = getattr(import_module(_HOMES.get(name, "softsensor.face")), name)
+    found = globals()[name] = getattr(import_module(_HOMES[name]), name)
     return found
 
 

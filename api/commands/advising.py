@@ -45,7 +45,7 @@ def advise(  # noqa: PLR0913 - one argument an option
     svg: SvgFile = None,
 ) -> None:
     """Say how long to press a panel not pressed yet, and how hot, under limits at a wanted probability."""
-    from softsensor.face import advise as look
+    from softsensor.face.advising import advise as look
 
     given = [path for path in (press, model, resin) if path is not None and path.is_file()]
     check_writable(json, svg, inputs=given)

@@ -24,7 +24,7 @@ import softsensor
 from api.cli import main
 from daq.face import COEFFICIENT, ENTRY, ESTIMATE, EVENT, RUN
 from daq.files.run_file import read_run
-from softsensor.face import DiagnosisResult
+from softsensor.face import kinds
 from softsensor.heat.model_file import model_text
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -50,6 +50,14 @@ def written(tmp_path_factory):
 def test_nothing_is_loaded_before_it_is_used():
     heavy = "('numba', 'pandas', 'scipy', 'sqlalchemy')"
     code = f"import sys, softsensor, daq; print([m for m in {heavy} if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
+    assert done.stdout.strip() == "[]"
+
+
+def test_reading_a_run_and_fitting_it_loads_no_pandas_and_no_live_sensor():
+    asked = "softsensor.read_run('deploy/samples/2026-03-04-07.csv'), softsensor.read_press, softsensor.fit"
+    unused = "('pandas', 'softsensor.live', 'softsensor.planning')"
+    code = f"import sys, softsensor; {asked}; print([m for m in {unused} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
     assert done.stdout.strip() == "[]"
 
@@ -93,13 +101,13 @@ def test_what_public_functions_take_and_give_is_public():
     asked = [one for one in public if isinstance(one, FunctionType)]
     asked += [softsensor.LiveSensor.__init__]
     for one in known:
-        if one.__module__ in ("softsensor.face", "daq.face"):
+        if one.__module__.startswith(("softsensor.face.", "daq.face")):
             members = [getattr(member, "fget", member) for name, member in vars(one).items() if name[0] != "_"]
             asked += [member for member in members if isinstance(member, FunctionType)]
     missing = {
         f"{function.__qualname__}: {found.__name__}"
         for function in asked
-        for hint in get_type_hints(function, localns={"Axes": Axes}).values()
+        for hint in get_type_hints(function, localns={"Axes": Axes, "pd": pd, **vars(kinds)}).values()
         for found in own_classes(hint)
         if found not in known
     }
@@ -363,7 +371,7 @@ def test_the_answer_of_a_diagnosis_stays_what_it_is():
         one["signal"] = "mine"
     assert found.verdict == verdict
     assert found.to_json() == told
-    assert hash(found) != hash(DiagnosisResult(found.diagnosis))
+    assert hash(found) != hash(softsensor.DiagnosisResult(found.diagnosis))
 
 
 def test_a_diagnosis_hands_out_the_model_that_the_command_writes(tmp_path):

@@ -1,0 +1,112 @@
+"""How long to press a panel not pressed yet."""
+
+from __future__ import annotations
+
+import html
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+from daq.press.resin_file import Resin
+from daq.records import ROOM_C, InputError
+from daq.words import say
+from softsensor.face.inputs import read_press, resin_of
+from softsensor.face.models import read_model
+from softsensor.face.showing import shown
+from softsensor.planning.advise import DEFAULT_RANGES, Goal, ProgrammeAdvice, Wish, limits_of
+from softsensor.planning.advise import advise as advise_on
+from softsensor.planning.made_up import Task
+from softsensor.planning.program import given_ranges
+from softsensor.planning.summary import advice_said
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
+
+    from softsensor.face.kinds import AnyModel, AnyPress
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class AdviceResult:
+    """Press time and platens for a panel not pressed yet, and those beside them."""
+
+    advised: ProgrammeAdvice
+
+    def frame(self) -> pd.DataFrame:
+        """Return one row a program looked at: press time, risk, energy; NaN where no press time will do."""
+        import pandas as pd
+
+        return pd.DataFrame(self.advised.as_json()["programs"]).set_index("platen_temperature_C")
+
+    def plot(self) -> list[Axes]:
+        """Draw press time against risk; return the axes."""
+        from softsensor.report.advice_figure import advice_figure
+
+        return shown(advice_figure(self.advised))
+
+    def to_json(self) -> str:
+        """Return what ``advise --json`` writes."""
+        return json.dumps(self.advised.as_json())
+
+    def __repr__(self) -> str:
+        """Say the answer, what it costs, and what to measure to press shorter."""
+        return "\n".join(map(str, advice_said(self.advised)))
+
+    def _repr_html_(self) -> str:
+        return "".join(f"<p>{html.escape(str(line))}</p>" for line in advice_said(self.advised))
+
+
+USUAL_PANEL: Mapping[str, Any] = MappingProxyType({"panel.material": "MDF", "panel.thickness_mm": 16.0})
+"""What is advised on where nothing is said of the panel; the answer names it."""
+
+
+def advise(  # noqa: PLR0913 - one argument a wish
+    press: AnyPress,
+    model: AnyModel,
+    resin: Resin | Path | str | None = None,
+    *,
+    panel: Mapping[str, Any] | None = None,
+    ranges: Mapping[str, tuple[float, float]] | None = None,
+    limits: Mapping[str, float] | None = None,
+    goal: str = "time",
+    price_per_kWh: float | None = None,
+    waiting_s: float = 10.0,
+    open_s: float = 30.0,
+    progress: Callable[[str, float], None] | None = None,
+) -> AdviceResult:
+    """Say how long to press a panel not pressed yet, and how hot, under limits at a wanted probability.
+
+    Parameters
+    ----------
+    resin
+        The resin file: kinetics, sorption and limits; without it the core alone can be limited.
+    panel
+        Keys of a run's header, such as ``panel.thickness_mm``; MDF of 16 mm without.
+    ranges
+        ``platen_temperature_C``, ``press_time_s``, ``pressure_N_cm2`` from and to.
+    limits
+        ``cure_least``, ``core_least_C``, ``core_most_C``, ``steam_most_kPa``, ``probability``, before the resin's.
+    goal
+        ``time``, ``energy`` or ``throughput``.
+    price_per_kWh
+        In euros.
+    waiting_s, open_s
+        From laying the panel in to closing; and how long the press is open between two panels. [s]
+
+    Raises
+    ------
+    InputError
+        For no limit, or a panel, range or press that cannot be.
+    """
+    if goal not in (known := tuple(one.value for one in Goal)):
+        raise InputError(say("advise-goal-unknown", goal=goal, known=known))
+    loaded = resin_of(resin)
+    wanted = limits_of(loaded, limits or {})
+    allowed = given_ranges(ranges or {}, DEFAULT_RANGES)
+    header = {**USUAL_PANEL, "panel.initial_temperature_C": ROOM_C, **(panel or {})}
+    task = Task(read_press(press), read_model(model), header, waiting_s, allowed["press_time_s"][1])
+    wish = Wish(wanted, loaded, allowed, Goal(goal), open_s, price_per_kWh)
+    return AdviceResult(advise_on(task, wish, progress))

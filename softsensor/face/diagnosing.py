@@ -1,0 +1,117 @@
+"""What the simulation gets wrong, why, and what knowing it is worth."""
+
+from __future__ import annotations
+
+import html
+import json
+from collections.abc import Mapping, Sequence
+from copy import deepcopy
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+from daq.records import with_frozen_fields
+from daq.words import say
+from softsensor.diagnosis.finding import Diagnosis
+from softsensor.diagnosis.summary import verdict_said
+from softsensor.diagnosis.verdict import diagnose as diagnose_runs
+from softsensor.face.inputs import read_press, runs_of
+from softsensor.face.showing import shown
+from softsensor.heat.model_file import ModelFile
+from softsensor.jobs.campaign import diagnosed_model
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
+
+    from softsensor.face.kinds import AnyPress, AnyRun
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class DiagnosisResult:
+    """What the simulation gets wrong, the causes, and what knowing them is worth. [K]"""
+
+    diagnosis: Diagnosis
+    """The causes with the fits and tests behind them."""
+
+    @property
+    def content(self) -> dict[str, Any]:
+        """What ``diagnose --json`` writes, each time a copy of one's own."""
+        return deepcopy(self.diagnosis.as_json())
+
+    @property
+    def verdict(self) -> str:
+        """``no_effect``, ``named``, ``ambiguous``, ``unknown_effect``, ``too_few_runs`` or ``not_described``."""
+        return str(self.diagnosis.verdict)
+
+    def frame(self) -> pd.DataFrame:
+        """Return one row a parameter of each cause, those named and those suspected: value and 95 % interval."""
+        import pandas as pd
+
+        columns = ["effect", "parameter", "value", "low", "high", "p_value", "heldout_gain_K", "named"]
+        rows, content = [], self.content
+        for effect in (*content["effects"], *content["suspected"]):
+            common = (effect["p_value"], effect["heldout_gain_K"], effect in content["effects"])
+            for name, told in effect["parameters"].items():
+                low, high = told["ci95"] if isinstance(told, Mapping) and told.get("ci95") else (None, None)
+                value = told["value"] if isinstance(told, Mapping) else told
+                rows.append((effect["name"], name, value, low, high, *common))
+        return pd.DataFrame(rows, columns=columns).set_index(["effect", "parameter"])
+
+    def plot(self) -> list[Axes]:
+        """Draw one run under both models with its residuals; return the axes."""
+        from softsensor.diagnosis.curves import curves_of
+        from softsensor.report.diagnosis_figures import worst_run_figure
+
+        return shown(worst_run_figure(curves_of(self.diagnosis)))
+
+    def model(self) -> ModelFile:
+        """Return the extended model, as ``diagnose --model`` writes it."""
+        return self._model
+
+    @cached_property
+    def _model(self) -> ModelFile:
+        found: ModelFile = with_frozen_fields(diagnosed_model(self.diagnosis))
+        return found
+
+    def to_json(self) -> str:
+        """Return what ``diagnose --json`` writes."""
+        return json.dumps(self.content)
+
+    def __repr__(self) -> str:
+        """Show verdict, causes, error before and after, and what to measure next."""
+        head, *rest = self._lines()
+        table = [self.frame().to_string(float_format="%.4g")] if len(self.frame()) else []
+        return "\n".join([head, *table, *rest])
+
+    def _repr_html_(self) -> str:
+        head, *rest = (html.escape(line) for line in self._lines())
+        table = str(self.frame().to_html(float_format="%.4g")) if len(self.frame()) else ""
+        return f"<p><b>{head}</b></p>{table}" + "".join(f"<p>{line}</p>" for line in rest)
+
+    def _lines(self) -> list[str]:
+        found = self.diagnosis
+        residual = say("diagnosed-residual", base=found.base.rmse_K, extended=found.extended.rmse_K)
+        said = " ".join(map(str, verdict_said(found)))
+        return [f"{self.verdict}: {said}", str(residual), str(found.next_measurement)]
+
+
+def diagnose(
+    runs: AnyRun | Sequence[AnyRun], press: AnyPress, *, effects: Sequence[str] | None = None
+) -> DiagnosisResult:
+    """Say what the simulation of these runs gets wrong, why, and what knowing it is worth. [K]
+
+    Parameters
+    ----------
+    runs
+        One run or several, as files, tables or `Run`. [°C, s]
+    effects
+        Causes to look for, by name; the whole catalogue without.
+
+    Raises
+    ------
+    InputError
+        As `fit`, and for an effect that the catalogue does not have.
+    """
+    described = read_press(press)
+    return DiagnosisResult(diagnose_runs(described, runs_of(runs, described), effects=effects))

@@ -1,0 +1,87 @@
+"""A live sensor fed by hand."""
+
+from __future__ import annotations
+
+import math
+import numbers
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from daq.press.header import check_header
+from daq.press.resin_file import Resin
+from daq.records import InputError
+from daq.words import say
+from softsensor.face.inputs import read_press, resin_of
+from softsensor.face.models import read_model
+from softsensor.jobs.first_start import Work, compile_for
+from softsensor.live.sensor import Estimate
+from softsensor.live.sensor import LiveSensor as ScanSensor
+
+if TYPE_CHECKING:
+    from softsensor.face.kinds import AnyModel, AnyPress
+
+
+class LiveSensor(ScanSensor):
+    """A live sensor fed by hand: takes scans and says what the core is doing.
+
+    Parameters
+    ----------
+    press
+        Where sensors lie and which columns are platens.
+    header
+        The run's header: panel, ambient, settings; of a table, its ``attrs``.
+    model
+        Coefficients and effects from earlier runs; without, the press file's guesses.
+    resin
+        How the paper cures and what must hold at opening; without, nobody asks.
+
+    Raises
+    ------
+    InputError
+        For a header that cannot be, or what is wrong in a file.
+    """
+
+    def __init__(
+        self,
+        press: AnyPress,
+        header: Mapping[str, Any],
+        model: AnyModel | None = None,
+        resin: Resin | Path | str | None = None,
+    ) -> None:
+        check_header(header, "LiveSensor")
+        compile_for(Work.LIVE)
+        super().__init__(read_press(press), header, None if model is None else read_model(model), resin_of(resin))
+        self._newest_s = -math.inf
+
+    def update(self, time_s: float, values: Mapping[str, float | None]) -> Estimate:
+        """Take a scan and return what is known then.
+
+        Parameters
+        ----------
+        time_s
+            Later than that of any scan before. [s]
+        values
+            By column, a row of a table for instance; missing ones None, NaN or left out. [°C, or the column's own]
+
+        Raises
+        ------
+        InputError
+            For a time that does not rise, a value that is no number, and at the first scan for what press or panel
+            lacks in header or columns.
+        """
+        if not self._newest_s < time_s < math.inf:
+            raise InputError(say("live-time-not-rising", time_s=float(time_s), newest_s=self._newest_s))
+        said = super().update(float(time_s), {name: _reading(name, value) for name, value in values.items()})
+        self._newest_s = float(time_s)
+        return said
+
+
+def _reading(column: str, value: float | None) -> float:
+    """Return a channel's value, NaN where there is none."""
+    if isinstance(value, numbers.Real):
+        return float(value)
+    if value is None or value is getattr(sys.modules.get("pandas"), "NA", None):
+        return math.nan
+    raise InputError(say("live-value-no-number", column=column, value=repr(value)))

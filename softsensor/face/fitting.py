@@ -1,0 +1,114 @@
+"""Coefficients of each run and of the campaign."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from daq.records import with_frozen_fields
+from softsensor.face.inputs import read_press, runs_of
+from softsensor.face.showing import about, shown
+from softsensor.fitting.campaign import CampaignFit
+from softsensor.fitting.result import Coefficient, rounded
+from softsensor.heat.model_file import ModelFile
+from softsensor.jobs.campaign import fit_campaign
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
+
+    from softsensor.face.kinds import AnyPress, AnyRun
+
+UNKNOWN = "–"
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class FitResult:
+    """Coefficients of each run and of the campaign. [W/m²K]"""
+
+    campaign: CampaignFit
+    """Of each run (``campaign.runs``) its coefficients [W/m²K], residuals by channel [K], moments [s], warnings;
+    of all together the population they are draws from."""
+
+    def frame(self) -> pd.DataFrame:
+        """Return one row a run and coefficient: value, sd and 95 % interval [W/m²K], and whether it is known.
+
+        ``rmse_K`` is what the fit leaves of the run [K]. Of one run its header stands in ``attrs``.
+        """
+        import pandas as pd
+
+        rows = [
+            {"run": run.run, "coefficient": name, "value": c.value, "sd": c.sd}
+            | {"low": c.ci95[0], "high": c.ci95[1], "identifiable": c.identifiable, "rmse_K": run.rmse_K}
+            for run in self.campaign.runs
+            for name, c in run.coefficients.items()
+        ]
+        frame = pd.DataFrame(rows).set_index(["run", "coefficient"])
+        return about(self.campaign.runs[0].problem.case.run, frame) if len(self.campaign.runs) == 1 else frame
+
+    def plot(self) -> list[Axes]:
+        """Draw the coefficients over the runs; return the axes."""
+        from softsensor.report.fit_figures import coefficients_figure
+
+        return shown(coefficients_figure(self.campaign))
+
+    def model(self) -> ModelFile:
+        """Return the campaign's model, as ``fit --model`` writes it."""
+        from softsensor.diagnosis.missing_causes import with_missing_causes
+
+        return with_missing_causes(self.campaign.model_file(), self.campaign.runs)
+
+    def to_json(self) -> str:
+        """Return what ``fit --json`` writes."""
+        return json.dumps(self.campaign.as_json())
+
+    def __repr__(self) -> str:
+        """Show what is known from each run, to the digits it is known to; of several runs mean and scatter."""
+        import pandas as pd
+
+        over = self.campaign.coefficients
+        rows = {
+            run.run: {n: _known(run.coefficients[n]) for n in over} | {"rmse_K": f"{run.rmse_K:.2f}"}
+            for run in self.campaign.runs
+        }
+        if len(rows) > 1:
+            rows["mean"] = {n: _digits(c.mean, c.ci95) if c.runs else UNKNOWN for n, c in over.items()}
+            rows["sd"] = {n: f"{c.sd:.2g}" if math.isfinite(c.sd) else UNKNOWN for n, c in over.items()}
+        table = pd.DataFrame.from_dict(rows, orient="index").fillna("")
+        short = self.campaign.shortfall
+        return "\n".join([table.to_string(max_rows=12), *([str(short)] if short else [])])
+
+    def _repr_html_(self) -> str:
+        return str(self.frame().to_html(float_format="%.4g", max_rows=24))
+
+
+def _known(found: Coefficient) -> str:
+    return _digits(found.value, found.ci95) if found.identifiable else UNKNOWN
+
+
+def _digits(value: float, ends: tuple[float, float]) -> str:
+    return f"{rounded(value, ends):.4g}"
+
+
+def fit(runs: AnyRun | Sequence[AnyRun], press: AnyPress, *, profiles: bool = False) -> FitResult:
+    """Fit the heat transfer coefficients of each run and of all together. [W/m²K]
+
+    Parameters
+    ----------
+    runs
+        One run or several, as files, tables or `Run`. [°C, s]
+    profiles
+        Work out the likelihood's profile of each coefficient too, for the JSON; it takes longer.
+
+    Raises
+    ------
+    InputError
+        For a run or press file that cannot be read, words in a column that the press file names, a run without a
+        platen's column, without sensors or without the panel's data, and no run at all.
+    """
+    described = read_press(press)
+    found = with_frozen_fields(fit_campaign(described, runs_of(runs, described), profiles=profiles))
+    return FitResult(replace(found, runs=tuple(map(with_frozen_fields, found.runs))))

@@ -1,0 +1,83 @@
+"""Runs, presses and resins as they are given: files, tables or what was read of them."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from daq.files.legible import legible
+from daq.files.run_file import read_run as read_run_file
+from daq.press.header import check_header
+from daq.press.press_file import Press
+from daq.press.press_file import read_press as read_press_file
+from daq.press.resin_file import Resin, read_resin
+from daq.records import FrozenDict, Run, with_frozen_fields
+
+if TYPE_CHECKING:
+    from softsensor.face.kinds import AnyPress, AnyRun
+
+
+def read_run(source: AnyRun, *, mapping: Path | str | None = None, header: Mapping[str, Any] | None = None) -> Run:
+    """Return a run from a CSV or Parquet file, a pandas table, or another logger's file.
+
+    Parameters
+    ----------
+    mapping
+        The TOML file that explains another logger's columns, units and times.
+    header
+        Keys beside those that the table or file has: panel, ambient, settings. The ones given here count.
+
+    Raises
+    ------
+    InputError
+        Naming file, line or column, value, limit and what to do.
+    """
+    if _is_table(source):
+        from daq.files.frames import run_of
+
+        return run_of(source, header)
+    if isinstance(source, Run):
+        found = source
+    elif mapping is not None:
+        from daq.files.mapping import read_foreign, read_mapping
+
+        found = read_foreign(Path(source), read_mapping(Path(mapping)))
+    else:
+        found = read_run_file(Path(source))
+    if header is None:
+        return _frozen_run(found)
+    keys = {**found.header, **header}
+    check_header(keys, found.source or found.name)
+    return _frozen_run(replace(found, header=keys, name=str(keys.get("run", found.name))))
+
+
+def _is_table(given: Any) -> bool:
+    """Return whether it is a pandas table; where there is one, pandas is loaded, and is not loaded to ask."""
+    return isinstance(given, getattr(sys.modules.get("pandas"), "DataFrame", ()))
+
+
+def _frozen_run(run: Run) -> Run:
+    """Return a run that cannot be changed: itself where it is one."""
+    if isinstance(run.header, FrozenDict) and isinstance(run.columns, FrozenDict):
+        return run
+    made: Run = with_frozen_fields(run)
+    return made
+
+
+def read_press(path: AnyPress) -> Press:
+    """Return the press that a press file describes. Raises `InputError`."""
+    return path if isinstance(path, Press) else read_press_file(Path(path))
+
+
+def resin_of(resin: Resin | Path | str | None) -> Resin | None:
+    """Return a resin from its file, None where none is given. Raises `InputError`."""
+    return resin if resin is None or isinstance(resin, Resin) else read_resin(Path(resin))
+
+
+def runs_of(runs: AnyRun | Sequence[AnyRun], press: Press) -> list[Run]:
+    """Return one run or several as read, with the press's words in their columns. Raises `InputError`."""
+    given = [runs] if isinstance(runs, Run | Path | str) or _is_table(runs) else runs
+    return [legible(read_run(run), press) for run in given]

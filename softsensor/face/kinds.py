@@ -1,0 +1,16 @@
+"""What may be given for a run, a press and a model: for type checkers and the reference; nothing else loads it."""
+
+from pathlib import Path
+from typing import TypeAlias
+
+import pandas as pd
+
+from daq.press.press_file import Press
+from daq.records import Run
+from softsensor.face.diagnosing import DiagnosisResult
+from softsensor.face.fitting import FitResult
+from softsensor.heat.model_file import ModelFile
+
+AnyRun: TypeAlias = Run | pd.DataFrame | Path | str
+AnyPress: TypeAlias = Press | Path | str
+AnyModel: TypeAlias = ModelFile | FitResult | DiagnosisResult | Path | str

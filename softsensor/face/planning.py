@@ -1,0 +1,88 @@
+"""Which pressings are worth most next."""
+
+from __future__ import annotations
+
+import html
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from softsensor.face.diagnosing import DiagnosisResult, diagnose
+from softsensor.face.inputs import read_press
+from softsensor.face.showing import axes_over_time, shown
+from softsensor.planning.plan import Plan
+from softsensor.planning.plan import plan as plan_after
+from softsensor.planning.summary import plan_said
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
+
+    from softsensor.face.kinds import AnyPress, AnyRun
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class PlanResult:
+    """The next pressings worth most, and what each would settle."""
+
+    planned: Plan
+
+    def frame(self) -> pd.DataFrame:
+        """Return one row an open point and pressing: its settings, chance to settle it, and runs needed."""
+        import pandas as pd
+
+        rows = []
+        for number, point in enumerate(self.planned.as_json()["open"]):
+            for which in ("best", "with_core", "repeated"):
+                if (pressing := point[which]) is not None:
+                    about = {"open": number, "kind": point["kind"], "name": point["name"], "pressing": which}
+                    told = {key: pressing[key] for key in ("worth", "chance", "runs", "half_interval")}
+                    rows.append(about | told | dict(pressing["settings"]))
+        index = ["open", "kind", "name", "pressing"]
+        return pd.DataFrame(rows).set_index(index) if rows else pd.DataFrame(columns=index).set_index(index)
+
+    def plot(self) -> list[Axes]:
+        """Draw what one pressing of each kind is worth to each open point; return the axes."""
+        ax = axes_over_time("figure-worth-of-pressing")
+        table = self.frame()
+        if len(table):
+            table["worth"].unstack("pressing").plot.barh(ax=ax)
+            ax.set_xlabel("nats")
+        return shown(ax.figure)
+
+    def to_json(self) -> str:
+        """Return what ``plan --json`` writes."""
+        return json.dumps(self.planned.as_json())
+
+    def __repr__(self) -> str:
+        """Say what is open and the pressings for it."""
+        return "\n".join(map(str, plan_said(self.planned)))
+
+    def _repr_html_(self) -> str:
+        return "".join(f"<p>{html.escape(str(line))}</p>" for line in plan_said(self.planned))
+
+
+def plan(
+    runs: AnyRun | Sequence[AnyRun] | DiagnosisResult,
+    press: AnyPress,
+    *,
+    ranges: Mapping[str, tuple[float, float]] | None = None,
+) -> PlanResult:
+    """Say which pressings are worth most next, and what each would settle.
+
+    Parameters
+    ----------
+    runs
+        Measured runs, or their diagnosis, which saves making it again.
+    ranges
+        What can be set and how far, by name (``thickness_mm``, ``platen_temperature_C``, ``press_time_s``,
+        ``start_temperature_C``, ``waiting_s``, ``pressure_N_cm2``); the runs' own, modestly widened, without.
+
+    Raises
+    ------
+    InputError
+        As `diagnose`, and for a range that cannot be.
+    """
+    found = runs if isinstance(runs, DiagnosisResult) else diagnose(runs, press)
+    return PlanResult(plan_after(read_press(press), found.diagnosis, ranges or {}))

@@ -1,0 +1,93 @@
+"""The core as the live sensor would have said it of a run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from daq.files.legible import legible
+from daq.press.resin_file import Resin
+from softsensor.face.inputs import read_press, read_run, resin_of
+from softsensor.face.models import read_model
+from softsensor.face.showing import about, axes_over_time, lists, shown
+from softsensor.jobs.first_start import Work, compile_for
+from softsensor.live.replay import Replay, replay
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
+
+    from softsensor.face.kinds import AnyModel, AnyPress, AnyRun
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class Prediction:
+    """The core as the live sensor would have said it, scan by scan. [°C]"""
+
+    replayed: Replay
+    """The run and what was said at each of its scans, an `Estimate` each."""
+
+    def frame(self) -> pd.DataFrame:
+        """Return the columns of ``predict --out``, indexed by ``time_s``, the run's header in ``attrs``. [°C]"""
+        import pandas as pd
+
+        return about(self.replayed.run, pd.DataFrame(self.replayed.columns()).set_index("time_s"))
+
+    def plot(self) -> list[Axes]:
+        """Draw the core with its 95 % band, and a measured core where the run has one; return the axes."""
+        table, run = self.frame(), self.replayed.run
+        ax = axes_over_time("figure-core-live")
+        sure = table["valid"] == 1
+        ax.fill_between(table.index, table["core_low_C"], table["core_high_C"], where=sure, alpha=0.25, lw=0)
+        ax.plot(table.index[sure], table["core_C"][sure], label="core_C")
+        for name in run.matching(["core_*"]):
+            ax.plot(run.time_s, run.columns[name], ".", ms=2, label=name)
+        ax.legend(frameon=False)
+        return shown(ax.figure)
+
+    def to_json(self) -> str:
+        """Return the table as JSON, a list a column; null where there is no value."""
+        return lists(self.frame())
+
+    def __repr__(self) -> str:
+        """Show the first and the last scans."""
+        return f"{self.replayed.run.name}\n{self.frame().to_string(max_rows=12, float_format='%.2f')}"
+
+    def _repr_html_(self) -> str:
+        return str(self.frame().to_html(max_rows=24, float_format="%.2f"))
+
+
+def predict(
+    run: AnyRun,
+    press: AnyPress,
+    model: AnyModel | None = None,
+    *,
+    without: Sequence[str] = (),
+    resin: Resin | Path | str | None = None,
+) -> Prediction:
+    """Replay a run through the live sensor, causally: row i rests on nothing later than scan i. [°C]
+
+    Parameters
+    ----------
+    model
+        Coefficients and effects from earlier runs; the press file's guesses without.
+    without
+        Columns (patterns) that it does not see; each must match one.
+    resin
+        A resin file: adds cure at both faces (0 to 1), steam [kPa] and leave to open.
+
+    Raises
+    ------
+    InputError
+        For a run, press, model or resin file that cannot be read, words in a column that the press file names, a
+        pattern that matches no column, a run without a platen's column or the panel's data, and a resin for a
+        press without a panel.
+    """
+    described = read_press(press)
+    loaded = legible(read_run(run), described)
+    known = None if model is None else read_model(model)
+    compile_for(Work.LIVE)
+    replayed = replay(described, loaded, known, loaded.named(without), resin=resin_of(resin))
+    return Prediction(replayed)

@@ -1,0 +1,46 @@
+"""Results as tables, lists and figures."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Any
+
+from daq.words import Message, say
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from daq.records import Run
+
+
+def about(run: Run, frame: pd.DataFrame) -> pd.DataFrame:
+    """Return a table with the header of the run it is about."""
+    from daq.files.frames import attrs_of
+
+    frame.attrs.update(attrs_of(run))
+    return frame
+
+
+def lists(frame: pd.DataFrame) -> str:
+    """Return a table as JSON, a list a column; null where there is no value."""
+    table = frame.reset_index().astype(object)
+    return json.dumps(table.where(table.notna(), None).to_dict("list"))
+
+
+def shown(figure: Figure) -> list[Axes]:
+    """Hand a figure to pyplot, so that a notebook shows it and ``plt.show()`` does; return its axes."""
+    from matplotlib import pyplot
+
+    pyplot.figure(figure)
+    return list(figure.axes)
+
+
+def axes_over_time(title: str) -> Any:
+    """Return axes of temperature over time, under a title given by its code."""
+    from matplotlib.figure import Figure
+
+    ax = Figure(figsize=(8.0, 4.0), layout="constrained").add_subplot()
+    ax.set(title=str(Message(title)), xlabel=str(say("figure-time")), ylabel=str(say("figure-temperature")))
+    return ax

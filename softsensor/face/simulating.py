@@ -1,0 +1,89 @@
+"""A run as the model has it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from daq.files.legible import legible
+from daq.press.press_file import Press
+from daq.records import Run, with_frozen_fields
+from softsensor.face.inputs import read_press, read_run
+from softsensor.face.models import read_model
+from softsensor.face.showing import about, axes_over_time, lists, shown
+from softsensor.fitting.simulated_run import Simulated, simulate_run
+from softsensor.heat.model import ThermalModel
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
+
+    from softsensor.face.kinds import AnyModel, AnyPress, AnyRun
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class Simulation:
+    """A run as the model has it, open loop from its platen temperatures. [°C]"""
+
+    run: Run
+    simulated: Simulated
+    """Temperatures at every place and through the panel [°C], and how far the readings are off [K]."""
+
+    def frame(self) -> pd.DataFrame:
+        """Return the columns of ``simulate --out``, indexed by ``time_s``, the run's header in ``attrs``. [°C]"""
+        import pandas as pd
+
+        state = [str(state) for state in self.simulated.state]
+        columns = {"state": state, **self.simulated.places, "core_C": self.simulated.core}
+        return about(self.run, pd.DataFrame(columns, index=pd.Index(self.simulated.time_s, name="time_s")))
+
+    def plot(self) -> list[Axes]:
+        """Draw every place, measured as dots and simulated as lines; return the axes."""
+        ax = axes_over_time("figure-dots-and-lines")
+        for place, values in self.simulated.places.items():
+            (line,) = ax.plot(self.simulated.time_s, values, label=place)
+            ax.plot(self.simulated.time_s, self.simulated.measured[place], ".", ms=2, color=line.get_color())
+        ax.plot(self.simulated.time_s, self.simulated.core, label="core_C", color="black")
+        ax.legend(frameon=False)
+        return shown(ax.figure)
+
+    def to_json(self) -> str:
+        """Return the table as JSON, a list a column; null where there is no value."""
+        return lists(self.frame())
+
+    def __repr__(self) -> str:
+        """Show the error at each place, and the first and last rows."""
+        errors = ", ".join(f"{place} {value:.2f} K" for place, value in self.simulated.rmse.items())
+        return f"{self.run.name}: {errors}\n{self.frame().to_string(max_rows=8, float_format='%.2f')}"
+
+    def _repr_html_(self) -> str:
+        return str(self.frame().to_html(max_rows=24, float_format="%.2f"))
+
+
+def simulate(run: AnyRun, press: AnyPress, model: AnyModel | Mapping[str, float] | None = None) -> Simulation:
+    """Simulate a run, open loop, from its platen temperatures. [°C]
+
+    Parameters
+    ----------
+    model
+        A model, or coefficients by name [W/m²K]; what it does not name stays at the press file's guess.
+
+    Raises
+    ------
+    InputError
+        For a run, press or model file that cannot be read, words in a column that the press file names, a run
+        without a platen's column, a sensor or the panel's data, and a coefficient that is unknown or nonphysical.
+    """
+    described = read_press(press)
+    loaded = legible(read_run(run), described)
+    if model is None or isinstance(model, Mapping):
+        thermal = ThermalModel(described)
+        return _simulation(loaded, described, thermal, {**thermal.guesses, **(model or {})})
+    content = read_model(model)
+    values = {**ThermalModel(described).guesses, **content.values}
+    return _simulation(loaded, described, content.model(described), values)
+
+
+def _simulation(run: Run, press: Press, model: ThermalModel, values: Mapping[str, float]) -> Simulation:
+    return Simulation(run, with_frozen_fields(simulate_run(run, press, model, values)))
