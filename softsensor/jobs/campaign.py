@@ -8,11 +8,10 @@ from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from daq.press.press_file import Press
 from daq.records import Run
-from softsensor.diagnosis.finding import Diagnosis
 from softsensor.diagnosis.missing_causes import held_against
 from softsensor.fitting.campaign import CampaignFit, campaign_fit_of, company_of
 from softsensor.fitting.identifiability import profiles_of
@@ -23,6 +22,9 @@ from softsensor.heat.model import ThermalModel
 from softsensor.heat.model_file import ModelFile
 from softsensor.jobs.first_start import Work, compile_for
 from softsensor.signals.moments import moments_of
+
+if TYPE_CHECKING:
+    from softsensor.diagnosis.finding import Diagnosis
 
 # Numbers without another source were set by hand, 2026-11.
 
