@@ -58,9 +58,11 @@ class Buffer:
         self._alarm = alarm
         self._bytes = _TYPICAL_BYTES
         self._count = self._handled = 0
+        self._counted = False  # a file damaged before its first count: nobody knows how much was in it
         self._known: dict[int, dict[str, Any]] = {}
         try:
             self._count = self._do(_count)
+            self._counted = True
             self._known = self._do(_notes) if self._count else self._do(_forget_notes)
         except (sqlite3.Error, OSError) as error:
             raise InputError(say("buffer-unusable", file=str(path), error=str(error))) from error
@@ -180,7 +182,8 @@ class Buffer:
         lost = max(expected - len(rows), gaps)
         if aside.exists():
             said = {"file": str(self.path), "aside": str(aside), "error": str(error)}
-            self._alarm(say("buffer-damaged", kept=len(rows), lost=lost, **said))
+            code = "buffer-damaged" if self._counted else "buffer-damaged-uncounted"
+            self._alarm(say(code, kept=len(rows), lost=lost, **said))
         else:
             self._alarm(say("buffer-gone", file=str(self.path), error=str(error), lost=lost))
 

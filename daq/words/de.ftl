@@ -398,6 +398,7 @@ backup-rows-missing = Sicherung { $file }: beschädigt: Zeilen verweisen auf Zei
 backup-run-short = Sicherung { $file }: der Pressung { $run } fehlt die erste oder letzte Messzeile; eine andere Sicherung nehmen
 backup-unsound = Sicherung { $file }: kein heiler Datenspeicher: { $error }; eine andere Sicherung nehmen
 buffer-damaged = Puffer { $file } ist beschädigt ({ $error }): als { $aside } beiseitegelegt; { $kept } Einträge waren lesbar und bleiben, { $lost } sind verloren; die Aufzeichnung läuft weiter
+buffer-damaged-uncounted = Puffer { $file } ist beschädigt ({ $error }): als { $aside } beiseitegelegt; { $kept } Einträge waren lesbar und bleiben; wie viele verloren sind, ist nicht bekannt, mindestens { $lost }; die Aufzeichnung läuft weiter
 buffer-emptied = Puffer { $file }: jemand hat ihn gelöscht; { $count } Einträge darin sind verloren; die Aufzeichnung läuft weiter
 buffer-gone = Puffer { $file } ist weg ({ $error }): neu angelegt; { $lost } Einträge darin sind verloren; die Aufzeichnung läuft weiter
 buffer-refuses = Puffer { $file }: { $error }; auf seinem Datenträger Platz schaffen

@@ -398,6 +398,7 @@ backup-rows-missing = backup { $file }: damaged: rows refer to rows that are not
 backup-run-short = backup { $file }: run { $run } lacks its first or last scan; take another backup
 backup-unsound = backup { $file }: not a sound store: { $error }; take another backup
 buffer-damaged = buffer { $file } is damaged ({ $error }): set aside as { $aside }; { $kept } entries could be read and go on, { $lost } are lost; recording goes on
+buffer-damaged-uncounted = buffer { $file } is damaged ({ $error }): set aside as { $aside }; { $kept } entries could be read and go on; how many are lost is not known, { $lost } at least; recording goes on
 buffer-emptied = buffer { $file }: somebody deleted it; { $count } entries in it are lost; recording goes on
 buffer-gone = buffer { $file } is gone ({ $error }): made anew; { $lost } entries in it are lost; recording goes on
 buffer-refuses = buffer { $file }: { $error }; free space on its disk

@@ -2,6 +2,7 @@
 
 import json
 import random
+import re
 import shutil
 import sqlite3
 from contextlib import closing
@@ -74,6 +75,16 @@ def test_a_damaged_buffer_is_set_aside_and_recording_goes_on_into_the_store(tmp_
     assert all(str(path) in text for text in alarms)
     named = [one for one in tmp_path.iterdir() if ".damaged-" in one.name or one.name.endswith(".jsonl")]
     assert any(str(one) in text for one in named for text in alarms)
+    told = re.search(r"(\d+) entries could be read and go on[,;] .*?(\d+)( at least| are lost)", alarms[0])
+    if told is None:
+        assert damage == "a flipped bit in a value"
+        assert len(kept) == 329
+    else:
+        unreadable = sum("checksum" in text for text in alarms)
+        assert int(told[1]) == len(kept) - 30 + unreadable
+        gone = 300 - int(told[1])
+        assert told[3] == (" are lost" if running else " at least")
+        assert int(told[2]) == gone if running or damage == "a torn page" else int(told[2]) <= gone
 
 
 def test_a_buffer_whose_folder_is_removed_is_made_anew_and_told(tmp_path):
@@ -130,7 +141,7 @@ def test_a_header_that_cannot_be_written_is_set_aside_and_all_else_goes_on(away,
     with open_store(str(tmp_path / "s.sqlite")) as store:
         key = store.register_press("lab", CHANNELS)
         outbox = Outbox(store, buffer=tmp_path / "b.sqlite", acknowledged=notes.note, journal=notes.journal)
-        header = {"panel.thickness_mm": 16.0, "setting.x": 10**5000, "setting.y": 1.0}
+        header = {"panel.thickness_mm": 16.0, "setting.x": [10**5000, 2], "setting.y": 1.0}
         outbox.put(replace(batch(key, 0), begin=NewRun("lab-1", 0, BEGAN, 100.0, header)))
         outbox.put(Entry("info", "record", say("plain-text", text="beside"), detail={"number": 10**5000}))
         for n in range(1, 20):
@@ -156,7 +167,7 @@ def test_a_header_that_cannot_be_written_is_set_aside_and_all_else_goes_on(away,
         assert "line-set-aside" in [e.message.code for e in store.journal().items]
     aside = tmp_path / "b.sqlite.set-aside.jsonl"
     kept = [json.loads(line)["content"] for line in aside.read_text().splitlines()]
-    assert len([text for text in kept if "lab-1" in text and hex(10**5000) in text]) == 1
+    assert len([text for text in kept if "lab-1" in text and f"[{hex(10**5000)}, 2]" in text]) == 1
     assert any("beside" in text for text in kept)
     said = [text for level, text in notes.said if level == "alarm"]
     assert any("lab-1" in text and str(aside) in text for text in said)
