@@ -26,10 +26,14 @@ def demo(
     hidden = tuple(name.strip() for name in hide.split(",") if name.strip())
     check_effects(hidden)
     check_port(port)
-    from api.demo.demonstration import DemoPlan, run_demo
+    from api.demo.processes import DemoPlan, started
 
     end_in_order()
-    run_demo(DemoPlan(speed=speed, pressings=pressings, hide=hidden, port=port, seed=seed), data, tell)
+    plan = DemoPlan(speed=speed, pressings=pressings, hide=hidden, port=port, seed=seed)
+    with started(plan, data) as children:
+        from api.demo.demonstration import run_demo  # while the others come up
+
+        run_demo(plan, children, tell, kept=data is not None)
 
 
 def end_in_order() -> None:
@@ -57,6 +61,6 @@ def check_effects(names: tuple[str, ...]) -> None:
 def check_port(port: int) -> None:
     """Look for a taken port before warming up, which may take a minute. Raises `InputError`."""
     if port:
-        from api.http.server import Listening
+        from api.http.binding import take_port
 
-        Listening(port=port).bind().close()
+        take_port("127.0.0.1", port).close()

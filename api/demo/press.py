@@ -1,9 +1,10 @@
 """The virtual press behind its simulated loggers, as a process of its own: ``python -m api.demo.press``.
 
-It reads one JSON line of settings and writes two: the loggers' wiring at once, and that they answer as soon as the
-first pressing is solved, for which a first start must compile. It waits between two pressings until a second line
-names the moment of the machine's monotonic clock at which virtual time 0 is; from there it runs `speed` times as
-fast. It ends with its standard input, so that it never outlives whoever started it.
+It reads one JSON line of settings and writes two: the loggers' wiring at once, for they answer, and that the
+first pressing is solved, for which a first start must compile. Until a second line names the moment of the
+machine's monotonic clock at which virtual time 0 is, the press is at rest: platens at their setpoint,
+thermocouples in the room. From there it runs `speed` times as fast. It ends with its standard input, so that it
+never outlives whoever started it.
 """
 
 from __future__ import annotations
@@ -15,6 +16,9 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
+from daq.simulated.campaign_sensors import CHANNELS, PLATENS
 from daq.simulated.devices import simulated, wiring
 from daq.simulated.press import PressSettings, VirtualPress
 
@@ -22,6 +26,9 @@ FAST_MODE_S = 0.1
 """An ADAM-4118 in its fast mode converts its eight inputs in about this time. [s]"""
 WAITING_S = 4.0
 """While it waits, the press goes to and fro in the first seconds before a pressing. [s]"""
+FIRST_PANEL_S = 15.0
+"""When the first panel is inserted: who has just started the demonstration need not watch an empty press for as
+long as between two pressings. [s]"""
 REST_S = 20.0
 """How long after the last panel's removal the press comes to rest, before another would be inserted. [s]"""
 TCP_CHANNELS = ("platen_top", "platen_bottom", *(f"top_{i}" for i in range(1, 8)))
@@ -32,7 +39,10 @@ AMBIENT_INPUT = ("",)
 
 def virtual_press_of(settings: dict[str, Any]) -> VirtualPress:
     """Return the virtual press of these settings; two of the same settings agree at all times."""
-    return VirtualPress(PressSettings(hide=tuple(settings["hide"]), keep=settings["keep"]), settings["seed"])
+    return VirtualPress(
+        PressSettings(hide=tuple(settings["hide"]), keep=settings["keep"], first_panel_s=FIRST_PANEL_S),
+        settings["seed"],
+    )
 
 
 @dataclass
@@ -61,6 +71,12 @@ class PressClock:
         return self._over_s + REST_S - _to_and_fro(at_s - self._over_s - REST_S)
 
 
+def at_rest(press: VirtualPress, rng: np.random.Generator) -> dict[str, float]:
+    """Return what the thermocouples give before the first pressing, which need not be solved for it. [°C]"""
+    true = {name: press.settings.setpoint_C if name in PLATENS else press.ambient for name in CHANNELS}
+    return {name: value + float(rng.normal(0.0, press.settings.nuisances.white_K)) for name, value in true.items()}
+
+
 def _to_and_fro(t: float) -> float:
     """Return 0 at 0, then up to `WAITING_S` and back, again and again."""
     return WAITING_S - abs(t % (2 * WAITING_S) - WAITING_S)
@@ -72,9 +88,11 @@ def main() -> int:
     press = virtual_press_of(settings)
     clock = PressClock(press, float(settings["speed"]), settings["pressings"])
 
+    rest = np.random.default_rng(settings["seed"])
+
     def inputs(channels: tuple[str, ...]) -> Any:
         def temperatures(at_s: float) -> list[float]:
-            now = press.temperatures(max(at_s, 0.0))
+            now = at_rest(press, rest) if clock.started_s is None else press.temperatures(max(at_s, 0.0))
             return [now[name] if name else press.ambient for name in channels]
 
         return temperatures

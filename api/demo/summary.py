@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,7 +15,9 @@ from daq.store.records import RunRecord, StoredEstimate
 from daq.store.store import Store
 from daq.words import Message, say
 from softsensor.effects.vocabulary import called
-from softsensor.heat.model_file import ModelFile
+
+if TYPE_CHECKING:
+    from softsensor.heat.model_file import ModelFile
 
 _HEADS = (
     (

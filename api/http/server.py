@@ -16,20 +16,18 @@ from typing import Any
 import uvicorn
 
 from api.http.app import create_app
+from api.http.binding import UNREAD_S, take_port
 from api.http.gate import is_loopback
 from api.http.tokens import TokenFile
 from daq.process.notify import Notifier
 from daq.records import InputError
 from daq.store.store import Store
-from daq.tables import reason_of
 from daq.words import say
 
 GRACE_S = 3
 """Requests still running at the end get this long. [s]"""
 IDLE_S = 20.0
 """A connection that asks nothing, or only begins to ask, is closed after this time. [s]"""
-UNREAD_S = 60.0
-"""A client that takes nothing of what is sent to it is cut off after this time. [s]"""
 MAX_CONNECTIONS = 2000
 FILES = 8192
 """Open files to ask the system for: connections, more that are being refused, and the store's own."""
@@ -67,20 +65,7 @@ class Listening:
 
     def bind(self) -> socket.socket:
         """Take the port now, so that a taken one is told in one line. Raises `InputError`."""
-        family = socket.AF_INET6 if ":" in self.host else socket.AF_INET
-        # Named TCP, or asyncio would leave Nagle's algorithm on and every answer would wait 40 ms.
-        taken = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
-        taken.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        if sys.platform == "linux":  # connections inherit it
-            taken.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, int(1000 * self.unread_s))
-        try:
-            taken.bind((self.host, self.port))
-            taken.listen(2048)
-        except OSError as error:
-            taken.close()
-            said = say("api-address-taken", host=self.host, port=self.port, why=reason_of(error))
-            raise InputError(said) from error
-        return taken
+        return take_port(self.host, self.port, self.unread_s)
 
 
 @dataclass

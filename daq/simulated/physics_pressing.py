@@ -9,7 +9,6 @@ from typing import Literal
 import numpy as np
 
 from daq.records import Array, EventSource, Moments, Panel
-from daq.simulated import physics_kernel as kernel
 
 BASE_COEFFICIENTS: Mapping[str, float] = {
     "h_p_o": 800.0,
@@ -60,7 +59,9 @@ class Platen:
 
     def at(self, times: Array) -> Array:
         """Return the temperature at any times inside the knots. [°C]"""
-        return np.asarray(kernel.platen_curve(times, self.start, self.step, self.values))
+        from daq.simulated.physics_kernel import platen_curve  # nothing is compiled for who only draws a pressing
+
+        return np.asarray(platen_curve(times, self.start, self.step, self.values))
 
 
 def constant_platen(temperature: float, end: float = 1e4) -> Platen:

@@ -17,7 +17,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from daq.records import Array, Moments, Panel, PressState
-from daq.simulated.campaign_places import solve_places
 from daq.simulated.campaign_platens import Controller, draw_controller, draw_platens
 from daq.simulated.campaign_sensors import CHANNELS, FACES, PLATENS, Chain, Fault, Nuisances, draw_fault, measure
 from daq.simulated.effects import CHAIN_EFFECTS, draw_outside, for_run, split_names, usual_effect, with_outside
@@ -37,6 +36,8 @@ class PressSettings:
 
     setpoint_C: float = 200.0
     between_s: tuple[float, float] = (25.0, 45.0)
+    first_panel_s: float | None = None
+    """When the first panel is inserted. None: as after any other pressing."""
     open_before_s: tuple[float, float] = (5.0, 12.0)
     press_time_s: tuple[float, float] = (35.0, 75.0)
     open_after_s: tuple[float, float] = (25.0, 40.0)
@@ -155,6 +156,8 @@ class VirtualPress:
         return self.state(at_s) is PressState.CLOSED
 
     def _cycle(self, before: Cycle | None) -> Cycle:
+        from daq.simulated.campaign_places import solve_places  # compiled: not for who only asks what press it is
+
         number = 1 if before is None else before.number + 1
         start = 0.0 if before is None else before.end
         rng = np.random.default_rng([self._seed, 8, number])
@@ -193,6 +196,8 @@ class VirtualPress:
     def _draw(self, before: Cycle | None, rng: np.random.Generator) -> Pressing:
         s = self.settings
         inserted = float(rng.uniform(*s.between_s))
+        if before is None and s.first_panel_s is not None:
+            inserted = s.first_panel_s
         closed = inserted + float(rng.uniform(*s.open_before_s))
         opened = closed + float(rng.uniform(*s.press_time_s))
         end = opened + float(rng.uniform(*s.open_after_s))

@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 from api.cli import main
-from api.demo.demonstration import DemoPlan, _Demo, run_demo
-from api.demo.press import PressClock, virtual_press_of
+from api.demo.demonstration import _Demo
+from api.demo.press import FIRST_PANEL_S, PressClock, at_rest, virtual_press_of
+from api.demo.processes import DemoPlan, started
 from api.demo.summary import PressingCheck, compare, pace_lines, summary_lines
 from daq.records import InputError
 from daq.store.records import RunStatus, StoredEstimate
@@ -97,10 +98,21 @@ def test_the_press_rests_after_as_many_panels_as_were_asked_for(monkeypatch):
     assert second.start < clock() < second.moments.inserted_s
 
 
+def test_before_the_first_pressing_loggers_answer_though_it_is_not_solved_and_the_first_panel_comes_soon():
+    press = virtual_press_of({"hide": [], "keep": 4, "seed": 3})
+    shown = at_rest(press, np.random.default_rng(1))
+    assert press.cycles == ()
+    assert abs(shown["platen_top"] - 200.0) < 1.0
+    assert abs(shown["bottom_7"] - press.ambient) < 1.0
+    first = press.cycle(0.0)
+    assert first.moments.inserted_s == FIRST_PANEL_S
+    assert abs(first.readings["bottom_7"][0] - shown["bottom_7"]) < 3.0
+
+
 def test_a_folder_that_holds_a_store_is_not_overwritten(tmp_path):
     (tmp_path / "kerntemp.sqlite").touch()
-    with pytest.raises(InputError, match="holds a store already"):
-        run_demo(DemoPlan(), tmp_path, print)
+    with pytest.raises(InputError, match="holds a store already"), started(DemoPlan(), tmp_path):
+        pass
 
 
 def test_two_virtual_presses_of_the_same_settings_agree_so_that_one_can_judge_the_other():
