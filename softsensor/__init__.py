@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from softsensor.face.fitting import fit as fit
     from softsensor.face.inputs import read_press as read_press
     from softsensor.face.inputs import read_run as read_run
+    from softsensor.face.learning import learn_steam_limit as learn_steam_limit
     from softsensor.face.models import read_model as read_model
     from softsensor.face.planning import PlanResult as PlanResult
     from softsensor.face.planning import plan as plan
@@ -53,6 +54,7 @@ if TYPE_CHECKING:
     from softsensor.live.inside import Inside as Inside
     from softsensor.live.leaving import Leave as Leave
     from softsensor.live.sensor import Estimate as Estimate
+    from softsensor.opening.blisters import SteamLimit as SteamLimit
 
 IMPORTED_S = time()
 """When this process began to import the package; see `daq.compiled`. [s]"""
@@ -81,6 +83,7 @@ __all__ = [
     "Role",
     "Scene",
     "Simulation",
+    "SteamLimit",
     "Terms",
     "ThermalModel",
     "add_effect",
@@ -88,6 +91,7 @@ __all__ = [
     "diagnose",
     "find_effect",
     "fit",
+    "learn_steam_limit",
     "on_panel",
     "plan",
     "predict",
@@ -121,6 +125,7 @@ _HOMES = {
     "Role": "softsensor.effects",
     "Scene": "softsensor.effects",
     "Simulation": "softsensor.face.simulating",
+    "SteamLimit": "softsensor.opening.blisters",
     "Terms": "softsensor.effects",
     "ThermalModel": "softsensor.heat.model",
     "add_effect": "softsensor.effects",
@@ -128,6 +133,7 @@ _HOMES = {
     "diagnose": "softsensor.face.diagnosing",
     "find_effect": "softsensor.effects",
     "fit": "softsensor.face.fitting",
+    "learn_steam_limit": "softsensor.face.learning",
     "on_panel": "softsensor.effects",
     "plan": "softsensor.face.planning",
     "predict": "softsensor.face.predicting",

@@ -42,7 +42,12 @@ class Table(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     sd: tuple[tuple[str, Positive], ...] = Field(default=(), exclude_if=lambda given: not given)
-    """Standard deviations of the table's numbers, by key. Kept; nothing uses them yet."""
+    """Standard deviations of the table's numbers, by key."""
+
+    @property
+    def spreads(self) -> dict[str, float]:
+        """Standard deviations by key."""
+        return dict(self.sd)
 
     @model_validator(mode="before")
     @classmethod

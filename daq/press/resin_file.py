@@ -47,11 +47,6 @@ class _Law(Table):
     reference_temperature_C: _Temperature = REFERENCE_C  # noqa: N815
     """Where rates hold. Errors of rate and activation energy are taken as independent there."""
 
-    @property
-    def spreads(self) -> dict[str, float]:
-        """Standard deviations by key."""
-        return dict(self.sd)
-
 
 class OrderLaw(_Law):
     """``[order]``: dα/dt = k (1 - α)^order."""
@@ -115,7 +110,7 @@ class IsoconversionalLaw(_Law):
         return self
 
 
-def _only(law: _Law, keys: tuple[str, ...]) -> None:
+def _only(law: Table, keys: tuple[str, ...]) -> None:
     """Refuse a standard deviation that no band would hold. Raises `ValueError`."""
     if unused := next((key for key in law.spreads if key not in keys), None):
         raise ValueError(say("resin-sd-unused", key=unused))
@@ -129,9 +124,14 @@ class LimitsTable(Table):
     core_least_C: _Temperature | None = None  # noqa: N815
     core_most_C: _Temperature | None = None  # noqa: N815
     steam_most_kPa: Positive | None = None  # noqa: N815
-    """Partial pressure of steam in the panel."""
+    """Partial pressure of steam in the panel; its ``sd`` is what panels differ by, and what is not known of it."""
     probability: Annotated[Number, Field(ge=0.5, lt=1.0)] = PROBABILITY
     """With which all of them hold together."""
+
+    @model_validator(mode="after")
+    def _no_other_sd(self) -> LimitsTable:
+        _only(self, ("steam_most_kPa",))
+        return self
 
     @property
     def any(self) -> bool:

@@ -279,7 +279,7 @@ quality-no-such-column = { $text } nennt Spalte { $column }, die es nicht gibt; 
 quality-unknown = { $text }: { $quality } ist keine Qualität; es gibt { $known }
 resin-one-law = genau eine der Tabellen [order], [kamal] und [isoconversional] muss gegeben sein; die gemessene behalten
 resin-one-rate = genau einer der Schlüssel rate_per_s (bei reference_temperature_C) und prefactor_per_s muss gegeben sein; den anderen weglassen
-resin-sd-unused = { $key }.sd: geht in kein Band ein; die sd von Geschwindigkeit und Aktivierungsenergie angeben oder den Schlüssel weglassen
+resin-sd-unused = { $key }.sd: nichts verwendet sie; den Schlüssel weglassen. Es zählen die sd von Geschwindigkeiten, Aktivierungsenergien und steam_most_kPa
 resin-table-not-rising = braucht mindestens zwei Zeilen aus Umsatz, Aktivierungsenergie und ln(A f), der Umsatz steigend zwischen 0 und 1
 run-cell-count =
     { $cells ->
@@ -1085,6 +1085,7 @@ resin-is-example = das Harz „{ $name }“ ist ein Beispiel; das eigene Papier 
 resin-needs-panel = die Presse hat keine Platte, also härtet kein Papier; das Harz weglassen
 resin-no-limits = die Harzdatei hat keine Grenze in [limits], open_now bleibt 0; cure_least setzen
 resin-no-moisture = { $key } fehlt im Kopf, der Dampf ist unbekannt und open_now bleibt 0; den Schlüssel ergänzen oder steam_most_kPa aus der Harzdatei nehmen
+steam-limit-no-marks = keiner von { $runs } als good oder blister markierten Läufen sagt den Dampf beim Öffnen; Platten markieren ({ $key }) und panel.moisture_percent angeben
 
 ## softsensor.jobs: services and nights
 

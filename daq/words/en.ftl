@@ -279,7 +279,7 @@ quality-no-such-column = { $text } names column { $column }, which is not there;
 quality-unknown = { $text }: { $quality } is no quality; they are { $known }
 resin-one-law = exactly one of the tables [order], [kamal] and [isoconversional] must be given; keep the one that was measured
 resin-one-rate = exactly one of rate_per_s (at reference_temperature_C) and prefactor_per_s must be given; leave the other out
-resin-sd-unused = { $key }.sd: no band holds it; give the sd of rate and activation energy, or leave it out
+resin-sd-unused = { $key }.sd: nothing uses it; leave it out. The sd of rates, of activation energies and of steam_most_kPa count
 resin-table-not-rising = needs at least two rows of conversion, activation energy and ln(A f), the conversions rising between 0 and 1
 run-cell-count =
     { $cells ->
@@ -1068,6 +1068,7 @@ resin-is-example = the resin "{ $name }" is an example; measure the paper at han
 resin-needs-panel = the press has no panel, so no paper cures; leave the resin out
 resin-no-limits = the resin file has no limit in [limits], so open_now stays 0; set cure_least
 resin-no-moisture = { $key } is missing in the header, so steam is not known and open_now stays 0; add it, or take steam_most_kPa out of the resin file
+steam-limit-no-marks = none of { $runs } runs marked good or blister tells its steam at opening; mark panels ({ $key }), and give panel.moisture_percent
 
 ## softsensor.jobs: services and nights
 

@@ -27,6 +27,8 @@ CURE_BOTTOM, CURE_TOP, CORE_COLD, CORE_HOT, STEAM = (
     "steam_most",
 )
 """The limits by name."""
+STEAM_MOST = "steam_most_kPa"
+"""Key of the resin file."""
 _TINY = 1e-12
 """Owen's formula divides by both deviates and by the root of 1 - r²: nearer to 0 is not looked."""
 
@@ -168,7 +170,9 @@ def broken(limits: LimitsTable, kinetics: Kinetics | None, panel: PanelState) ->
     if limits.core_most_C is not None:
         found[CORE_HOT] = panel.core.above(limits.core_most_C)
     if limits.steam_most_kPa is not None:
-        found[STEAM] = panel.steam.above(math.log(limits.steam_most_kPa))
+        own = limits.spreads.get(STEAM_MOST, 0.0) / limits.steam_most_kPa
+        steam = Normal(panel.steam.mean, np.hypot(panel.steam.sd, own))
+        found[STEAM] = steam.above(math.log(limits.steam_most_kPa))
     return Broken(found, undercured)
 
 

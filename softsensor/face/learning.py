@@ -1,0 +1,60 @@
+"""The steam that panels bear, learned from what became of panels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from daq.press.resin_file import Resin
+from daq.records import InputError, PressState
+from daq.words import say
+from softsensor.face.inputs import read_press, resin_of, runs_of
+from softsensor.face.models import read_model
+from softsensor.face.predicting import predict
+from softsensor.opening.blisters import USUAL_KPA, SteamLimit, learn_limit
+from softsensor.opening.limits import STEAM_MOST, Normal
+
+if TYPE_CHECKING:
+    from softsensor.face.kinds import AnyModel, AnyPress, AnyRun
+
+VERDICT, GOOD, BLISTER = "panel.verdict", "good", "blister"
+
+
+def learn_steam_limit(
+    runs: Sequence[AnyRun], press: AnyPress, model: AnyModel | None = None, *, resin: Resin | Path | str
+) -> SteamLimit:
+    """Return the partial pressure of steam that panels bear, from runs marked ``good`` or ``blister``. [kPa]
+
+    The mark is ``panel.verdict`` in a run's header, as the page and REST keep it; other marks say nothing of
+    blisters. Steam is the live sensor's last before the press opened, with its band. What is believed before is
+    the resin file's ``steam_most_kPa`` with its ``sd``, or 100 kPa within a factor of two; what comes out can
+    stand there, as ``steam_most_kPa`` (`SteamLimit.most_kPa`) and its ``sd`` (`SteamLimit.sd_kPa`).
+
+    Raises
+    ------
+    InputError
+        As `predict`; and where no marked run tells its panel's moisture and how its steam was at opening.
+    """
+    described, cures = read_press(press), resin_of(resin)
+    known = None if model is None else read_model(model)
+    marked = [run for run in runs_of(runs, described) if run.header.get(VERDICT) in (GOOD, BLISTER)]
+    steam = [_at_opening(run, described, known, cures) for run in marked]
+    read = Normal(np.array([float(one.mean) for one in steam]), np.array([float(one.sd) for one in steam]))
+    if not np.isfinite(read.mean).any():
+        raise InputError(say("steam-limit-no-marks", key=VERDICT, runs=len(marked)))
+    blistered = np.array([run.header[VERDICT] == BLISTER for run in marked])
+    limits = None if cures is None else cures.limits
+    if limits is None or limits.steam_most_kPa is None:
+        return learn_limit(read, blistered, USUAL_KPA)
+    return learn_limit(read, blistered, limits.steam_most_kPa, limits.spreads.get(STEAM_MOST))
+
+
+def _at_opening(run: AnyRun, press: AnyPress, model: AnyModel | None, resin: Resin | None) -> Normal:
+    """Return ln of the steam's pressure at the last scan before the press opened, NaN where it is not known."""
+    said = predict(run, press, model, resin=resin).replayed.estimates
+    leave = next((one.leave for one in reversed(said) if one.state is PressState.CLOSED), None)
+    unknown = Normal(np.array(np.nan), np.array(np.nan))
+    return unknown if leave is None or leave.panel is None else leave.panel.steam

@@ -1,0 +1,115 @@
+"""The steam a panel bears, learned from panels that were marked blistered or good.
+
+A panel blisters where the steam in it at opening exceeds what its bond bears. That differs from panel to panel,
+
+    ln L ~ N(m, t²),        ln p ~ N(mean, sd²) as the live sensor has it,
+    P(blister) = Φ((mean - m) / √(t² + sd²)),
+
+a probit with errors in p. The posterior of m and t is computed on a grid, so few marks and marks of one kind alone
+are no trouble: they move the prior as far as they speak. Panels that were let out early enough tell only from
+where on panels still hold; nothing here calls for pressing until one blisters.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from daq.records import Array
+from softsensor.opening.limits import Normal
+
+USUAL_KPA = 100.0
+"""MDF delaminates from some 100 kPa on (Forest Products Laboratory, treesearch 25741). [kPa]"""
+UNSURE_LOG = 0.35
+"""Of ln m where only such a number is known: a factor of two either way is two of it. By hand, 2026-11."""
+SCATTER_LOG, SCATTER_UNSURE = 0.15, 0.5
+"""Middle of t, and standard deviation of ln t: panels of one board bond 10 to 20 % apart. By hand, 2026-11."""
+_REACH, _CELLS = 4.0, (161, 41)
+"""The grid goes so many prior standard deviations either way, in so many cells of m and of t."""
+
+
+@dataclass(frozen=True)
+class SteamLimit:
+    """What is known of the limit: weights of a grid."""
+
+    middle: Array
+    """m (M). [ln kPa]"""
+    scatter: Array
+    """t (T)."""
+    weight: Array
+    """(M, T), together 1."""
+    marks: int
+    blistered: int
+
+    def chance(self, steam: Normal) -> Array:
+        """Return the chance that panels blister, steam as ln kPa (any shape); 1 where steam is not known."""
+        from scipy.special import ndtr  # loads slowly, and only who asks needs it
+
+        mean, sd = np.broadcast_arrays(np.asarray(steam.mean, float), np.asarray(steam.sd, float))
+        away = mean[..., None, None] - self.middle[:, None]
+        found = (ndtr(away / np.hypot(self.scatter, sd[..., None, None])) * self.weight).sum(axis=(-2, -1))
+        return np.asarray(np.where(np.isfinite(mean + sd), found, 1.0))
+
+    @cached_property
+    def most_kPa(self) -> float:  # noqa: N802
+        """What half of the panels bear. [kPa]"""
+        return math.exp(float(self.weight.sum(axis=1) @ self.middle))
+
+    @cached_property
+    def sd_kPa(self) -> float:  # noqa: N802
+        """How far a panel's own limit may be from it, what is not known of it included. [kPa]"""
+        by_middle = self.weight.sum(axis=1)
+        of_middle = float(by_middle @ self.middle**2) - float(by_middle @ self.middle) ** 2
+        of_panels = float(self.weight.sum(axis=0) @ self.scatter**2)
+        return self.most_kPa * math.sqrt(of_middle + of_panels)
+
+    @cached_property
+    def ci95_kPa(self) -> tuple[float, float]:  # noqa: N802
+        """Of what half of the panels bear. [kPa]"""
+        reached = np.cumsum(self.weight.sum(axis=1))
+        low, high = np.interp((0.025, 0.975), reached, self.middle)
+        return math.exp(low), math.exp(high)
+
+
+def learn_limit(
+    steam: Normal, blistered: Array, stated_kPa: float = USUAL_KPA, stated_sd_kPa: float | None = None
+) -> SteamLimit:
+    """Return the steam that panels bear, from marked ones.
+
+    Parameters
+    ----------
+    steam
+        ln of the partial pressure at opening (n). Panels of which it is not known count for nothing.
+    blistered
+        Whether they blistered (n).
+    stated_kPa, stated_sd_kPa
+        What was believed of half of the panels before, and how far that may be off (None: `UNSURE_LOG`). [kPa]
+
+    Examples
+    --------
+    Ten that held at 60 kPa and ten that blistered at 90 leave the limit in between:
+
+    >>> log = np.log(np.repeat([60.0, 90.0], 10))
+    >>> found = learn_limit(Normal(log, np.full(20, 0.05)), np.repeat([False, True], 10))
+    >>> 65.0 < found.most_kPa < 85.0, found.marks, found.blistered
+    (True, 20, 10)
+    """
+    from scipy.special import log_ndtr
+
+    unsure = UNSURE_LOG if stated_sd_kPa is None else stated_sd_kPa / stated_kPa
+    grid = (np.linspace(-_REACH, _REACH, n) for n in _CELLS)
+    u, v = (one for one in grid)
+    middle, scatter = math.log(stated_kPa) + unsure * u, SCATTER_LOG * np.exp(SCATTER_UNSURE * v)
+    log = -0.5 * (u[:, None] ** 2 + v**2)
+    mean, sd = np.asarray(steam.mean, float), np.asarray(steam.sd, float)
+    known = np.isfinite(mean) & np.isfinite(sd)
+    for m, s, burst in zip(mean[known], sd[known], np.asarray(blistered, bool)[known], strict=True):
+        z = (m - middle[:, None]) / np.hypot(scatter, s)
+        log = log + log_ndtr(z if burst else -z)
+    weight = np.exp(log - log.max())
+    return SteamLimit(
+        middle, scatter, weight / weight.sum(), int(known.sum()), int(np.asarray(blistered, bool)[known].sum())
+    )

@@ -1,0 +1,93 @@
+"""The steam that panels bear, learned from marks: against panels whose limits are known, being drawn."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import softsensor
+from daq.press.resin_file import LimitsTable
+from daq.records import InputError
+from softsensor.opening.blisters import SteamLimit, learn_limit
+from softsensor.opening.limits import STEAM, Normal, PanelState, broken
+
+READ_SD = 0.12
+"""Of ln steam as the live sensor has it."""
+
+
+def panels(rng: np.random.Generator, count: int, bears_kPa: float, differ: float) -> tuple[Normal, np.ndarray]:
+    """Return what is read of panels' steam, and whether they blistered; steam at opening from 30 to 150 kPa."""
+    log_p = rng.uniform(np.log(30.0), np.log(150.0), count)
+    blistered = log_p > np.log(bears_kPa) + differ * rng.standard_normal(count)
+    return Normal(log_p + READ_SD * rng.standard_normal(count), np.full(count, READ_SD)), blistered
+
+
+def test_the_limit_lies_in_its_interval_as_often_as_that_says() -> None:
+    held, truth = [], np.random.default_rng(22)
+    for _ in range(60):
+        bears, differ = (
+            100.0 * np.exp(0.35 * truth.standard_normal()),
+            0.15 * np.exp(0.5 * truth.standard_normal()),
+        )
+        low, high = learn_limit(*panels(truth, 25, bears, differ)).ci95_kPa
+        held.append(low <= bears <= high)
+    assert 0.88 <= np.mean(held) <= 1.0  # 95 % less two and a half standard errors of 60
+
+
+def test_later_panels_blister_as_often_as_is_said_once_thirty_were_marked() -> None:
+    """Where panels bear 70 kPa and 100 were stated: chance against what became of 500 later ones."""
+    rng = np.random.default_rng(7)
+    stated, learned = learn_limit(*panels(rng, 0, 70.0, 0.15)), learn_limit(*panels(rng, 30, 70.0, 0.15))
+    steam, blistered = panels(rng, 500, 70.0, 0.15)
+
+    def brier(limit: SteamLimit) -> float:
+        return float(np.mean((limit.chance(steam) - blistered) ** 2))
+
+    assert brier(learned) < 0.75 * brier(stated)
+    bold, sure = (float(blistered[limit.chance(steam) < 0.025].mean()) for limit in (stated, learned))
+    assert sure <= 0.04
+    assert bold <= 0.04  # unsure of what was stated, it was careful
+    assert learned.sd_kPa < 0.7 * stated.sd_kPa
+
+
+def test_panels_that_all_held_raise_what_is_believed_and_never_make_it_certain() -> None:
+    all_good = learn_limit(Normal(np.log(np.linspace(60.0, 110.0, 30)), np.full(30, 0.1)), np.zeros(30, bool))
+    assert all_good.most_kPa > 110.0
+    assert all_good.ci95_kPa[1] > 180.0
+    assert all_good.chance(Normal(np.log(150.0), np.array(0.1))) > 0.1
+
+
+def test_what_is_not_known_of_steam_blisters_and_teaches_nothing() -> None:
+    unknown = Normal(np.array([np.nan]), np.array([np.nan]))
+    assert learn_limit(unknown, np.array([True])).marks == 0
+    assert learn_limit(unknown, np.array([True])).chance(unknown) == pytest.approx(1.0)
+
+
+def test_the_limits_deviation_in_the_resin_file_counts() -> None:
+    """The learned limit as two numbers of the file gives the chance that the posterior gives."""
+    found = learn_limit(*panels(np.random.default_rng(3), 40, 80.0, 0.15))
+    written = LimitsTable.model_validate({"steam_most_kPa": found.most_kPa, "steam_most_kPa.sd": found.sd_kPa})
+    unknown = Normal(np.array(np.nan), np.array(np.nan))
+    for kPa in (50.0, 60.0, 80.0):
+        steam = Normal(np.log(kPa), np.array(READ_SD))
+        told = broken(written, None, PanelState(unknown, unknown, unknown, steam)).chances[STEAM]
+        assert float(told) == pytest.approx(float(found.chance(steam)), abs=0.012)
+
+
+SAMPLES = Path(__file__).parents[2] / "deploy"
+
+
+def test_a_marked_run_teaches_from_its_file() -> None:
+    """A sample panel that blistered lowers what is believed; one marked undercured says nothing of blisters."""
+    press, resin = SAMPLES / "presses/lab.toml", SAMPLES / "resins/melamine_formaldehyde.toml"
+    plain, blistered, undercured = (
+        softsensor.read_run(SAMPLES / "samples/2026-03-04-01.csv", header={"panel.moisture_percent": 8.0} | mark)
+        for mark in ({}, {"panel.verdict": "blister"}, {"panel.verdict": "undercured"})
+    )
+    found = softsensor.learn_steam_limit([plain, blistered, undercured], press, resin=resin)
+    assert (found.marks, found.blistered) == (1, 1)
+    assert found.most_kPa < 100.0
+    with pytest.raises(InputError, match=r"none of 0 runs marked good or blister"):
+        softsensor.learn_steam_limit([plain, undercured], press, resin=resin)
