@@ -406,6 +406,35 @@ class Samples(_Answer):
     """Why values are missing, or simulated; of all rows, also where they are decimated."""
 
 
+class UnreadRun(_Answer):
+    """A pressing whose scans are missing in an answer."""
+
+    run: str
+    why: str
+    why_said: Said
+
+
+class Extremes(_Answer):
+    """The lowest and the highest usable value of a channel in each step; null where there is none."""
+
+    low: list[float | None]
+    high: list[float | None]
+
+
+class Scans(_Answer):
+    """What a press recorded between two instants, in steps of equal length."""
+
+    press: str
+    from_utc: datetime
+    to_utc: datetime
+    step_s: float
+    scans: list[int]
+    """In each step: fewer where idle scans were thinned, none where nothing was recorded."""
+    columns: dict[str, Extremes]
+    unread: list[UnreadRun]
+    """Archived pressings whose scans cannot be read."""
+
+
 class Estimates(_Answer):
     """What the live sensor said during the run, scan by scan."""
 

@@ -172,7 +172,7 @@ def load_run(
     for layout_id, values in layouts.items():
         channels = layout_channels(connection, layout_id)
         chosen = np.flatnonzero(scans.layout == layout_id)
-        usable = _usable_values(channels, values, [scans.faults[i] for i in chosen.tolist()])
+        usable = usable_values(channels, values, [scans.faults[i] for i in chosen.tolist()])
         for i, channel in enumerate(channels):
             table.setdefault(channel.name, np.full(len(scans), np.nan))[chosen] = (
                 usable[:, i] if len(usable) else ()
@@ -289,7 +289,8 @@ def _remarks(faults: Sequence[str | None], columns: Sequence[str] | None) -> dic
     return {QUALITY: tuple(words[f] for f in faults)} if any(words.values()) else {}
 
 
-def _usable_values(channels: Sequence[Channel], values: Array, faults: Sequence[str | None]) -> Array:
+def usable_values(channels: Sequence[Channel], values: Array, faults: Sequence[str | None]) -> Array:
+    """Return scans' values [n, channels] with NaN for those that are not usable."""
     values = values.copy()
     places = {c.name: i for i, c in enumerate(channels)}
     for number, named in enumerate(faults):

@@ -20,6 +20,7 @@ from daq.store import (
     archive,
     archived,
     cores,
+    envelope,
     journal,
     next_panel,
     nights,
@@ -158,6 +159,7 @@ class Store:
     newest_scan_number = _reads(reading.newest_number)
     scans_after = _reads(reading.scans_after)
     press_events = _reads(reading.press_events)
+    envelope = _reads(envelope.envelope)
 
     def run_for_file(
         self,

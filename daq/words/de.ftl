@@ -1497,6 +1497,7 @@ api-run-not-fitted = Pressung { $run } ist nicht angepasst; kerntemp refit holt 
 api-run-not-simulated = Pressung { $run } lässt sich nicht simulieren: { $why }
 api-run-unknown = Pressung { $run } gibt es nicht; /api/v1/runs zählt sie auf
 api-run-without-press-file = Pressung { $run }: ihre Presse wurde ohne Pressendatei gespeichert
+api-scans-span = von { $begin } bis { $end }: das Ende muss nach dem Anfang liegen, höchstens 25 h danach; ein anderes Ende wählen oder Tag für Tag fragen
 api-search-bound = '{ $bound }' ist keine Grenze; zum Beispiel core_at_opening_C>=95 schreiben
 api-search-order = '{ $order }' ist keine Reihenfolge; eines von { $known }, oder ein Schlüssel des Kopfes
 api-server-failed = der Server ist daran gescheitert; siehe sein Protokoll

@@ -1481,6 +1481,7 @@ api-run-not-fitted = run { $run } has not been fitted; kerntemp refit fits it
 api-run-not-simulated = run { $run } cannot be simulated: { $why }
 api-run-unknown = run { $run } does not exist; /api/v1/runs lists them
 api-run-without-press-file = run { $run }: its press was stored without a press file
+api-scans-span = from { $begin } to { $end }: a stretch ends after it begins, and within 25 h; ask for a later end, or day by day
 api-search-bound = '{ $bound }' is no bound; write for example core_at_opening_C>=95
 api-search-order = '{ $order }' is no order; one of { $known }, or a header key
 api-server-failed = the server failed at this; see its log

@@ -9,6 +9,7 @@ from api.cli import main
 from tests.api.conftest import STARTED
 
 RUN = "lab-2026-03-04-01"
+SCANS = "scans?press=lab&from=2026-03-04T07:00:00Z&to=2026-03-04T08:00:00Z&points=60"
 PATHS = (
     f"runs/{RUN}",
     f"runs/{RUN}/samples",
@@ -17,6 +18,7 @@ PATHS = (
     f"runs/{RUN}/samples?format=parquet",
     f"runs/{RUN}/estimates",
     f"runs/{RUN}/fit",
+    SCANS,
 )
 
 
@@ -52,6 +54,10 @@ def test_an_archived_run_gives_every_answer_as_before_and_a_lost_file_is_told(st
     assert answer.status_code == 503
     assert "not there; copy it back from a backup of the archive" in answer.json()["detail"]
     assert client.get(f"/api/v1/runs/{RUN}").content == before[f"runs/{RUN}"]
+    told = client.get(f"/api/v1/{SCANS}").json()
+    assert told["scans"][0] == 0
+    assert sum(told["scans"]) > 100  # the other pressings
+    assert [(one["run"], one["why_said"]["code"]) for one in told["unread"]] == [(RUN, "archive-file-missing")]
     assert len(store.check_archive(STARTED.replace(year=2100)).unsound) == 1
     assert any("one file is missing or damaged" in said for said in client.get("/api/v1/health").json()["alarms"])
     assert "kerntemp_archive_unsound 1.0" in client.get("/metrics").text

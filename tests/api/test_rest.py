@@ -17,6 +17,7 @@ from daq.store import open_store
 from daq.store.records import StoredPressEvent
 from daq.words import Message
 from daq.words.message import languages
+from tests.api.conftest import STARTED
 from tests.curves import CURVES
 
 RUN = "/api/v1/runs/lab-2026-03-04-01"
@@ -570,3 +571,22 @@ def test_a_note_is_answered_with_its_own_line_whatever_the_same_hand_keeps_meanw
     line = store.note("lab", "steam at the left", "tablet")
     store.note("lab", "steam at the right", "tablet")
     assert line.message.arguments["text"] == "steam at the left"
+
+
+def test_scans_between_two_instants_keep_each_peak_in_its_step_of_time(client, store, campaign):
+    asked = {"press": "lab", "from": STARTED.isoformat(), "to": (STARTED + timedelta(minutes=10)).isoformat()}
+    told = client.get("/api/v1/scans", params={**asked, "points": 50}).json()
+    run, _ = campaign[0]
+    step = (run.time_s / told["step_s"]).astype(int)
+    assert told["step_s"] == 12.0
+    assert told["scans"] == np.bincount(step, minlength=50).tolist()
+    for name, values in run.columns.items():
+        for i in range(50):
+            own = values[(step == i) & np.isfinite(values)]
+            expected = [None, None] if not len(own) else [own.min(), own.max()]
+            assert [told["columns"][name][side][i] for side in ("low", "high")] == pytest.approx(
+                expected, abs=1e-4
+            )
+    late = {**asked, "to": (STARTED + timedelta(hours=26)).isoformat()}
+    for wrong, status in ((late, 422), ({**asked, "to": asked["from"]}, 422), ({**asked, "press": "none"}, 404)):
+        assert client.get("/api/v1/scans", params=wrong).status_code == status

@@ -75,7 +75,12 @@ def existing_run(store: Store, run: str) -> RunRecord:
 
 
 def aware(instant: datetime | None) -> datetime | None:
+    """Return an instant of a query, if there is one, as `zoned` does."""
+    return None if instant is None else zoned(instant)
+
+
+def zoned(instant: datetime) -> datetime:
     """Return an instant of a query. Refuses one without a time zone."""
-    if instant is not None and instant.tzinfo is None:
+    if instant.tzinfo is None:
         raise ProblemError(422, say("api-instant-without-zone", instant=instant.isoformat()))
     return instant

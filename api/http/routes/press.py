@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
+from datetime import datetime, timedelta
 from typing import Annotated
 
-from fastapi import APIRouter, Header, Request
+from fastapi import APIRouter, Header, Query, Request
 from fastapi.responses import StreamingResponse
 
 from api.answers.advice import advice_of
 from api.answers.channels import channels_now
+from api.answers.decimation import column_values
 from api.answers.present import present_of
 from api.answers.records import estimate_of, press_now, utc_now
-from api.answers.schemas import AdviceList, AdviceNow, ChannelList, PressList
+from api.answers.schemas import AdviceList, AdviceNow, ChannelList, Extremes, PressList, Scans, UnreadRun
+from api.answers.words import said_of
 from api.http.live import EventStream, Hub
 from api.http.problems import ProblemError, problem_responses
-from api.http.routes.common import PressName, StoreDep
+from api.http.routes.common import PressName, StoreDep, zoned
 from daq.words import say
 
 router = APIRouter(tags=["press"], responses=problem_responses())
+
+LONGEST = timedelta(hours=25)
+"""A day of the clock, with the hour it is set back."""
 
 
 @router.get("/press", operation_id="list_presses", summary="Every press as it stands")
@@ -54,6 +60,46 @@ def list_channels(store: StoreDep, press: PressName = None) -> ChannelList:
             left_out = said.left_out if said else {}
             items += channels_now(store, name, present.channels, present.scan, now, left_out)
     return ChannelList(items=items)
+
+
+@router.get(
+    "/scans",
+    operation_id="get_scans",
+    summary="What a press recorded between two instants, thinned",
+    responses=problem_responses(404),
+)
+def get_scans(
+    store: StoreDep,
+    press: Annotated[str, Query(description="Of this press.", max_length=200)],
+    since: Annotated[datetime, Query(alias="from", description="At or after this instant.")],
+    until: Annotated[datetime, Query(alias="to", description="Before this instant, at most 25 h later.")],
+    points: Annotated[int, Query(ge=1, le=2000, description="Steps the time is cut into.")] = 600,
+) -> Scans:
+    """Return each channel's lowest and highest value in steps of equal length: no peak is lost.
+
+    In pressings and between them, also of archived pressings; a run's own scans, each as it was, are under
+    `/runs/{run}/samples`.
+    """
+    known = store.presses()
+    if press not in known:
+        raise ProblemError(404, say("api-press-unknown", press=press, known=tuple(known)))
+    begin, end = zoned(since), zoned(until)
+    if not timedelta(0) < end - begin <= LONGEST:
+        raise ProblemError(422, say("api-scans-span", begin=begin.isoformat(), end=end.isoformat()))
+    found = store.envelope(press, begin, end, points)
+    columns = {
+        name: Extremes(low=column_values(found.low[name]), high=column_values(found.high[name]))
+        for name in sorted(found.low)
+    }
+    return Scans(
+        press=press,
+        from_utc=begin,
+        to_utc=end,
+        step_s=found.step_s,
+        scans=found.scans.astype(int).tolist(),
+        columns=columns,
+        unread=[UnreadRun(run=run, why=str(why), why_said=said_of(why)) for run, why in found.unread],
+    )
 
 
 @router.get(
