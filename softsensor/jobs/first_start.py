@@ -34,6 +34,13 @@ def list_of(work: Work) -> Path:
     return LISTS / f"first_start_{work}.json"
 
 
+def kept(work: Work) -> bool:
+    """Return whether nothing is left to be compiled for a kind of work; not known of a list that does not fit."""
+    with suppress(Exception):
+        return all_kept(read_list(list_of(work)))
+    return False
+
+
 @cache
 def compile_for(work: Work, *, helped: bool = True) -> None:
     """Compile what a kind of work needs, or find that it is kept; once in a process.

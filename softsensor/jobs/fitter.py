@@ -17,7 +17,7 @@ import numpy as np
 from daq.press.press_file import Press
 from daq.records import Run
 from softsensor.heat.model_file import ModelFile
-from softsensor.jobs.first_start import Work, compile_for
+from softsensor.jobs.first_start import Work, compile_for, kept
 
 LOG = logging.getLogger("kerntemp.sense")
 
@@ -40,7 +40,19 @@ class Fitter:
         """Runs whose worker was lost and that another one fits, until who asked for the fit has told it."""
         self._closed = False
         self._pool = new_workers(1)
-        self._warm = self._pool.submit(_warm_up)
+
+    def help_compiling(self) -> None:
+        """Compile in the worker, beside the live sensor, what that needs; where all is kept, none is started."""
+        if not kept(Work.LIVE):
+            self._pool.submit(compile_for, Work.LIVE)
+
+    def warm_up(self) -> Future[None]:
+        """Compile what fits need and load the solver, once the live sensor has what it needs."""
+        try:
+            return self._pool.submit(_warm_up)
+        except BrokenProcessPool:  # killed while it helped
+            self._replace_worker()
+            return self._pool.submit(_warm_up)
 
     def __enter__(self) -> Fitter:
         return self
@@ -96,9 +108,7 @@ def _end_with_parent() -> None:
 
 
 def _warm_up() -> None:
-    """Compile beside the live sensor what that needs, then what fits need; load the solver before one is due."""
-    for work in (Work.LIVE, Work.FIT):
-        compile_for(work)
+    compile_for(Work.FIT)
     from softsensor.fitting import campaign
 
     LOG.debug("fitter ready: %s", campaign.__name__)

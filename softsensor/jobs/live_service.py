@@ -80,7 +80,9 @@ def sense(config: Config, *, stop: threading.Event | None = None) -> None:
             for settings, press in presses
         ]
         notifier = Notifier()
+        fitter.help_compiling()
         _compile([press for _, press in presses], partial(_beat, store, followers, "starting"))
+        fitter.warm_up()
         with suppress(StoreUnavailable):  # held for the moment: no reason to end
             write_journal(store, "info", say("sense-following", presses=tuple(s.name for s, _ in presses)))
         notifier.ready("following the store")

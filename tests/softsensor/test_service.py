@@ -523,7 +523,7 @@ import time
 from softsensor.jobs.fitter import Fitter
 if __name__ == "__main__":
     with Fitter() as fitter:
-        fitter._warm.result()
+        fitter.warm_up().result()
         print(*fitter._pool._processes, flush=True)
         time.sleep(600)
 """
@@ -564,6 +564,14 @@ def kill_here():
     os.kill(os.getpid(), signal.SIGKILL)
 
 
+@pytest.mark.skipif(os.name == "nt", reason="SIGKILL is POSIX")
+def test_a_worker_that_is_killed_while_it_helps_to_compile_is_replaced():
+    with Fitter() as fitter:
+        with pytest.raises(BrokenProcessPool):
+            fitter._pool.submit(kill_here).result(60.0)
+        assert fitter.warm_up().result(60.0) is None
+
+
 class Poison:
     """A model that really kills each worker it comes to."""
 
@@ -582,7 +590,7 @@ def fitted(store, sense, run):
 def test_a_fit_whose_worker_is_killed_is_made_by_another(store, pressing):
     run, _ = pressing
     with Fitter() as fitter:
-        fitter._warm.result()
+        fitter.warm_up().result()
         (worker,) = fitter._pool._processes
         os.kill(worker, signal.SIGSTOP)  # so that the kill finds the fit under way
         sense = follow(store, fitter, Recorder(store, run))
@@ -600,6 +608,7 @@ def test_a_fit_whose_worker_is_killed_is_made_by_another(store, pressing):
 def test_a_worker_that_stands_still_is_ended_and_the_fit_given_to_another(pressing, monkeypatch):
     run, _ = pressing
     with Fitter() as fitter:
+        fitter.warm_up()
         (stopped,) = fitter._pool._processes
         os.kill(stopped, signal.SIGSTOP)
         monkeypatch.setattr("softsensor.jobs.fitter.LONGEST_S", 0.2)  # too short for the second to start, too
