@@ -4,7 +4,8 @@
 
 A case is ``first:SEED:CAUSE[+CAUSE][:LAW OF DRYING]`` or ``second:SEED:CAUSE``, twelve runs of the first or second
 virtual press. Prints what the model leaves, over noise, without and with the further cause that a search takes;
-then the shares of that beyond noise at which names that are there and names that are not would be kept.
+then the shares of that beyond noise at which names that are there and names that are not would be kept, with their
+binomial intervals.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import softsensor
 from daq.press.press_file import Press, parse_press
 from daq.records import Run
 from daq.simulated.campaign import Plan, make_campaign, press_toml
+from softsensor.diagnosis.rehearsal import Rate
 from softsensor.diagnosis.search import extend, settle_base
 from softsensor.diagnosis.selection import cool_rim, left_beside, search_all
 from softsensor.diagnosis.verdict import _screened
@@ -22,7 +24,7 @@ from softsensor.heat.model import ThermalModel
 from tests import second_press
 
 RUNS = 12
-SHARES = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95)
+SHARES = (0.4, 0.5, 0.6, 0.65, 0.7, 0.75, 0.8, 0.85, 0.9, 0.95)
 
 
 def campaign(case: str) -> tuple[Press, list[Run], set[str]]:
@@ -67,10 +69,19 @@ def main(cases: list[str]) -> None:
         print(
             f"{case:60} {name:28} {'there' if right else 'not there':10} {before:.2f} -> {after:.2f}", flush=True
         )
-    print("share explained    " + "".join(f"{share:>8.2f}" for share in SHARES))
+    print(table(kept))
+
+
+def table(kept: dict[bool, list[float]]) -> str:
+    """Return how many names a bound on the share explained keeps, and what chance of it that allows. [%]"""
+    lines = ["share explained    " + "".join(f"{share:>8.2f}" for share in SHARES)]
     for right, what in ((True, "there, kept"), (False, "not there, kept")):
-        counts = "".join(f"{sum(x >= share for x in kept[right]):>8}" for share in SHARES)
-        print(f"{what:19}{counts}  of {len(kept[right])}")
+        rates = [Rate(sum(x >= share for x in kept[right]), len(kept[right])) for share in SHARES]
+        lines.append(f"{what:19}" + "".join(f"{rate.count:>8}" for rate in rates) + f"  of {len(kept[right])}")
+        if kept[right]:
+            ends = (f"{100 * low:.0f}-{100 * high:.0f}" for low, high in (rate.ci95 for rate in rates))
+            lines.append(f"{'  95 % interval, %':19}" + "".join(f"{one:>8}" for one in ends))
+    return "\n".join(lines)
 
 
 if __name__ == "__main__":
