@@ -17,8 +17,8 @@ export function closeAll() {
 // series: [{name, colour (CSS variable), kind: "line"|"dots"|"thin"|"band-low"|"band-high", unit, digits}]
 // why(name, x): the cause, in words, of a value that is not there; null where there is none to tell.
 export class TimeChart {
-  constructor(parent, { series, height = 320, label, yLabel = "°C", xLabel = null, phases = [], sync = null, yRange = null, xRange = null, xSteps = null, whiskers = null, why = null, keep = true }) {
-    Object.assign(this, { series, height, label, yLabel, xLabel, phases, sync, yRange, xRange, xSteps, whiskers, why });
+  constructor(parent, { series, height = 320, label, yLabel = "°C", xLabel = null, phases = [], sync = null, yRange = null, xRange = null, xSteps = null, whiskers = null, why = null, keep = true, xSays = null, bridge = BRIDGE_S, release = text("page-follow") }) {
+    Object.assign(this, { series, height, label, yLabel, xLabel, phases, sync, yRange, xRange, xSteps, whiskers, why, xSays, bridge });
     this.data = [[], ...series.map(() => [])];
     this.marks = [];
     this.held = false;
@@ -30,7 +30,7 @@ export class TimeChart {
       this.zoom(event.deltaY > 0 || event.deltaX > 0 ? 1.25 : 0.8, Math.max(0, Math.min(1, (event.clientX - over.left) / over.width)));
     }, { passive: false });
     for (const kind of ["touchstart", "touchmove", "touchend"]) this.holder.addEventListener(kind, (event) => this.fingers(event), { passive: false });
-    this.release = el("button", { type: "button", class: "button follow", hidden: true, onclick: () => this.hold(false) }, text("page-follow"));
+    this.release = el("button", { type: "button", class: "button follow", hidden: true, onclick: () => this.hold(false) }, release);
     this.holder.append(this.release);
     this.tip = el("div", { class: "chart-tip", hidden: true });
     this.holder.append(this.tip);
@@ -70,12 +70,12 @@ export class TimeChart {
         y: this.yRange ? { range: this.yRange } : {},
       },
       axes: [
-        { ...axis, label: this.xLabel ?? text("page-time-axis"), labelSize: 20, size: 34, ...(this.xSteps ? { incrs: this.xSteps } : {}), values: (_, splits) => splits.map((v) => number(v, Number.isInteger(v) ? 0 : 1)) },
+        { ...axis, label: this.xLabel ?? text("page-time-axis"), labelSize: 20, size: 34, ...(this.xSteps ? { incrs: this.xSteps } : {}), values: (_, splits) => splits.map((v) => (this.xSays ? this.xSays(v) : number(v, Number.isInteger(v) ? 0 : 1))) },
         { ...axis, label: this.yLabel, labelSize: 20, size: (_, values) => Math.max(46, 14 + 7 * Math.max(...(values ?? [""]).map((v) => v.length))), values: (_, splits) => splits.map((v) => number(v, decimals(splits))) },
       ],
       series: [{}, ...this.series.map((s) => this.line(s))],
       bands,
-      hooks: { drawClear: [(plot) => this.shade(plot)], draw: [(plot) => this.intervals(plot, low + 1, high + 1), (plot) => this.name(plot), (plot) => this.mark(plot)], setSelect: [(plot) => { if (plot.select.width > 0) this.hold(true); }], setCursor: [(plot) => this.point(plot)] },
+      hooks: { drawClear: [(plot) => this.shade(plot)], draw: [(plot) => this.intervals(plot, low + 1, high + 1), (plot) => this.name(plot), (plot) => this.mark(plot)], setSelect: [(plot) => { if (plot.select.width > 0) this.hold(true); }], setCursor: [(plot) => this.point(plot)], setScale: [(plot, axis) => { if (axis === "x") this.onRange?.(plot.scales.x.min, plot.scales.x.max); }] },
     };
   }
 
@@ -84,7 +84,7 @@ export class TimeChart {
     if (s.kind === "band-low" || s.kind === "band-high") return { stroke: "transparent", width: 0, points: { show: false }, spanGaps: true };
     if (s.kind === "dots") return { stroke: colour, paths: () => null, points: { show: true, size: s.size ?? 3.5, fill: colour, stroke: colour, width: 0, space: 0 } };
     const width = { line: 2, thin: 1, core: 2.6 }[s.kind] ?? 1.5;
-    return { stroke: colour, width, dash: s.dash, alpha: s.kind === "thin" ? 0.75 : 1, points: { show: s.points ?? false }, spanGaps: s.spanGaps ?? false, pxAlign: 0, gaps: this.whiskers ? everyGap : longGaps };
+    return { stroke: colour, width, dash: s.dash, alpha: s.kind === "thin" ? 0.75 : 1, points: { show: s.points ?? false }, spanGaps: s.spanGaps ?? false, pxAlign: 0, gaps: this.whiskers ? everyGap : longGaps(this.bridge) };
   }
 
   shade(plot) {
@@ -284,9 +284,7 @@ export class TimeChart {
 }
 
 // A missed scan is bridged; silence of more than a few seconds stays a gap.
-function longGaps(plot, index, from, to, gaps) {
-  return gaps.filter(([start, end]) => plot.posToVal(end, "x", true) - plot.posToVal(start, "x", true) > BRIDGE_S);
-}
+const longGaps = (bridge) => (plot, index, from, to, gaps) => gaps.filter(([start, end]) => plot.posToVal(end, "x", true) - plot.posToVal(start, "x", true) > bridge);
 
 const everyGap = (plot, index, from, to, gaps) => gaps;
 

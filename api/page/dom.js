@@ -54,6 +54,13 @@ export function clock(utc, withDate = true) {
 // When a run was; a file need not say it.
 export const began = (utc) => (utc ? clock(utc) : text("page-date-unknown"));
 
+// The beginning of a day as the reader's clock has it, `later` days on; empty for no day.
+export function midnight(day, later) {
+  const [year, month, date] = day.split("-").map(Number);
+  const begin = new Date(year, month - 1, date + later);
+  return Number.isNaN(begin.getTime()) ? "" : begin.toISOString();
+}
+
 export function duration(seconds) {
   if (seconds === null || seconds === undefined) return "–";
   if (seconds < 100) return `${number(seconds, 1)} s`;

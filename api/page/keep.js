@@ -30,11 +30,11 @@ function inside(chart) {
   return el("div", {},
     el("div", { class: "row", "data-made": new Date().toISOString() },
       el("button", { type: "button", class: "button", onclick: () => save(new Blob([csv(heads, rows)], { type: "text/csv" }), chart, "csv") }, "CSV"),
-      el("button", { type: "button", class: "button", onclick: () => save(new Blob([svgOf(chart, chart.whiskers ? 0 : BRIDGE_S)], { type: "image/svg+xml" }), chart, "svg") }, "SVG"),
+      el("button", { type: "button", class: "button", onclick: () => save(new Blob([svgOf(chart, chart.whiskers ? 0 : chart.bridge)], { type: "image/svg+xml" }), chart, "svg") }, "SVG"),
       el("button", { type: "button", class: "button", onclick: () => picture(chart) }, "PNG"),
       step > 1 ? el("span", { class: "small faint" }, text("page-chart-every", { step })) : ""),
     table(chart.label, heads.map((head) => ({ text: head, class: "right" })),
-      shown.map(([x, ...values]) => [el("span", { class: "num" }, number(x, 1)), ...values.map((v, k) => el("span", { class: "num" }, number(v, digits[k])))])));
+      shown.map(([x, ...values]) => [el("span", { class: "num" }, chart.xSays ? chart.xSays(x, "medium") : number(x, 1)), ...values.map((v, k) => el("span", { class: "num" }, number(v, digits[k])))])));
 }
 
 // A band stands before its own curve: whose bounds they are is that curve's name.

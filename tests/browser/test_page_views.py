@@ -27,6 +27,7 @@ VIEWS = (
     "#/wall",
     "#/runs",
     "#/runs/campaign-1",
+    "#/runs/day",
     "#/coefficients",
     "#/diagnosis",
     "#/nights",
@@ -700,3 +701,31 @@ def test_a_run_the_model_does_not_describe_is_red_and_has_no_intervals(plant):
     page.reload()
     expect(fit.locator(".pill.bad").first).to_have_text("not described by the model")
     expect(fit).not_to_contain_text("…")
+
+
+def test_a_day_shows_readings_in_and_between_pressings_a_part_finer_and_leads_to_its_runs(plant):
+    address, page, _ = plant
+    page.goto(address + "#/runs")
+    page.get_by_role("link", name="Whole days").click()
+    day = page.get_by_test_id("day")
+    drawer = day.locator("details.keep")
+    drawer.locator("summary").click()
+    with page.expect_download() as taken:
+        drawer.get_by_role("button", name="CSV").click()
+    rows = [line.split(",")[1:] for line in Path(taken.value.path()).read_text(encoding="utf-8").splitlines()[1:]]
+    assert len(rows) == 600
+    assert {"20", "25.9"} <= {cell for row in rows for cell in row}  # the coldest and the hottest that were fed
+    expect(drawer.get_by_role("columnheader", name="Panel, top: highest")).to_have_count(1)
+    chart = day.locator(".chart")
+    chart.focus()
+    with page.expect_response(re.compile(r"/scans\?.*points=600")) as finer:
+        page.keyboard.press("+")
+    assert finer.value.json()["step_s"] < 120
+    day.get_by_role("button", name="Whole day").click()
+    expect(day.get_by_role("button", name="Whole day")).to_be_hidden()
+    expect(page.get_by_test_id("day-runs").get_by_role("link", name="lab-0000000")).to_be_visible()
+    page.get_by_label("The day before").click()
+    expect(page.get_by_test_id("day-runs").get_by_role("link")).to_have_count(0)
+    page.go_back()
+    page.get_by_test_id("day-runs").get_by_role("link", name="lab-0000000").click()
+    expect(page.get_by_role("heading", name="lab-0000000")).to_be_visible()

@@ -1,17 +1,19 @@
 // Runs: filter and compare; one run measured against simulated, its residual, the profile through the panel, its fit.
 import { download, get, url } from "../api.js";
 import { TimeChart, key } from "../charts.js";
-import { began, duration, el, number, table } from "../dom.js";
+import { began, duration, el, midnight, number, table } from "../dom.js";
 import { language, placeName, said, text } from "../words.js";
 import { roleOf } from "../channels.js";
 import { coefficientTable } from "./coefficients.js";
 import { compare } from "./compare.js";
+import { showDay } from "./day.js";
 import { notesOf } from "./journal.js";
 import { metadataCard } from "./metadata.js";
 import { profilePicture } from "./profile.js";
 
 export async function show(place, context, [id, ...rest]) {
   if (id === "compare") return compare(place, rest);
+  if (id === "day") return showDay(place, context, rest[0]);
   if (id) return detail(place, context, id);
   return list(place, context);
 }
@@ -33,7 +35,7 @@ async function list(place, context) {
   };
   const options = (values, code) => el("select", {}, el("option", { value: "" }, text("page-all")), values.map((value) => el("option", { value }, text(`${code}${value}`))));
   place.append(el("section", { class: "card" },
-    el("div", { class: "head" }, el("h1", {}, text("page-nav-runs")), compareLink),
+    el("div", { class: "head" }, el("h1", {}, text("page-nav-runs")), el("div", { class: "row" }, el("a", { class: "button", href: "#/runs/day" }, text("page-day-view")), compareLink)),
     el("div", { class: "row", style: "margin-bottom:.8rem" },
       field("q", text("page-search"), el("input", { type: "search", size: 18 })),
       field("where", text("page-search-bounds"), el("input", { type: "search", size: 26, placeholder: "core_at_opening_C>=95 panel.thickness_mm=16" })),
@@ -108,13 +110,6 @@ async function list(place, context) {
   await load(false);
   for (const name of ["run", "fit"]) context.on(name, () => { if (!cursor || items.length <= 50) load(false).catch(() => {}); });
   return null;
-}
-
-// The day as the reader's clock has it, like the times in the list.
-function midnight(day, later) {
-  if (!day) return "";
-  const [year, month, date] = day.split("-").map(Number);
-  return new Date(year, month - 1, date + later).toISOString();
 }
 
 function statusPill(status) {
