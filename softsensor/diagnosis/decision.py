@@ -25,7 +25,7 @@ import numpy as np
 
 from daq.records import Array
 from softsensor.diagnosis.gains import Gain
-from softsensor.diagnosis.sign_flips import PatternTest, paired_t
+from softsensor.diagnosis.sign_flips import PatternTest
 from softsensor.effects import Need
 
 ALPHA = 0.05
@@ -241,9 +241,22 @@ def refuted_by_cores(errors: Array, better: Array) -> bool:
 
 def told_apart(best: Claim, other: Claim) -> bool:
     """Return whether the runs prefer one cause to another beyond chance; few runs must all do so."""
-    if len(best.saves) < FEW_RUNS:
-        return not bool((other.saves >= best.saves).any())
-    return paired_t(best.saves, other.saves) >= SURE_T
+    return bool(beyond_chance(best.saves - other.saves))
+
+
+def beyond_chance(difference: Array) -> Array:
+    """Return whether runs gain more by one cause than by another (...); few runs must all do so.
+
+    Parameters
+    ----------
+    difference
+        What each run saves by the one, less what it saves by the other (..., runs).
+    """
+    runs = difference.shape[-1]
+    if runs < FEW_RUNS:
+        return np.asarray((difference > 0.0).all(axis=-1))
+    error = np.std(difference, axis=-1, ddof=1) / np.sqrt(runs)
+    return np.asarray(difference.mean(axis=-1) >= SURE_T * np.maximum(error, 1e-9))
 
 
 @dataclass(frozen=True)

@@ -9,11 +9,10 @@ from daq.records import Array
 from daq.words import Message
 from softsensor.diagnosis.decision import Verdict
 from softsensor.diagnosis.extended_model import model_of
-from softsensor.diagnosis.extension import SharedFit
 from softsensor.diagnosis.free_law import Law
 from softsensor.diagnosis.gains import Gain, paired_gain
 from softsensor.diagnosis.numbers import Errors, Interval
-from softsensor.diagnosis.search import SettledModel
+from softsensor.diagnosis.search import Candidate, SettledModel
 from softsensor.diagnosis.sign_flips import PatternTest
 from softsensor.effects import sensor_fault
 from softsensor.heat.model_file import ModelFile
@@ -26,8 +25,8 @@ class Contest:
 
     stage: SettledModel
     """The model on top of which the causes were fitted."""
-    fits: tuple[tuple[str, SharedFit], ...]
-    """Of each cause of the set, its own first."""
+    causes: tuple[Candidate, ...]
+    """The set, the cause itself first."""
 
 
 @dataclass(frozen=True)

@@ -371,8 +371,8 @@ def _told(causes: Sequence[Finding], models: Sequence[SharedFit]) -> tuple[Findi
 
 
 def _contest(stage: SettledModel, found: Iterable[Candidate], names: Sequence[str]) -> Contest:
-    fits = {c.effect.name: c.fit for c in found}
-    return Contest(stage, tuple((name, fits[name]) for name in names if name in fits))
+    tried = {c.effect.name: c for c in found}
+    return Contest(stage, tuple(tried[name] for name in names if name in tried))
 
 
 def _alternatives(round_: Round, named: Sequence[str]) -> tuple[str, ...]:

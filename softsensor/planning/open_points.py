@@ -6,23 +6,24 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from itertools import combinations
 
 import numpy as np
 
 from daq.records import Array
 from softsensor.diagnosis.advice import CORE_OFF_K
+from softsensor.diagnosis.decision import beyond_chance
 from softsensor.diagnosis.extension import SharedFit
 from softsensor.diagnosis.extension_unknowns import lay_out, logarithm_of, run_values, start_eta
 from softsensor.diagnosis.finding import Contest, Diagnosis, Finding
 from softsensor.diagnosis.search import SettledModel
 from softsensor.fitting.experiment_advice import WANTED
 from softsensor.planning.information import (
+    ODDS,
     WANTED_CHANCE,
     RunInformation,
-    chance_settled,
     covariance_after,
     evidence,
+    further_runs,
     pseudo_inverse,
     runs_needed,
 )
@@ -63,6 +64,21 @@ class Contender:
     fit: SharedFit
     before: Array
     """Precision of its numbers and of the shared constants."""
+    saves: Array
+    """Sum of squares each run so far saves by it, its numbers from the other runs (runs)."""
+
+
+@dataclass(frozen=True)
+class Rivalry:
+    """What pressings of one kind would tell between the first explanation and another one."""
+
+    other: Contender
+    run: RunInformation
+    """What one says, read by the other while the first holds."""
+
+    def evidence(self, runs: int) -> float:
+        """Return by how much the other would fit worse after so many."""
+        return evidence(self.other.before, self.run, runs)
 
 
 @dataclass(frozen=True)
@@ -101,21 +117,29 @@ class OpenPoint:
         """Return what a pressing would bring."""
         if self.along is not None:
             return self._knowledge(outlook, constants)
-        pairs = [self._between(a, b, outlook, constants) for a, b in combinations(self.contenders, 2)]
-        nearest = min(pairs, key=lambda p: p[1])
-        before, one, run = nearest[0], nearest[1], nearest[2]
+        read = with_readings(outlook.digest, self.contenders[0].fit, self.stage.population)
+        rivalries = [
+            Rivalry(other, expected(outlook, other.fit, self.stage, read, constants))
+            for other in self.contenders[1:]
+        ]
+        worth = min(r.evidence(1) for r in rivalries) / 2.0
+        chance = self.chance(rivalries, 1)
+        return Prospect(worth, chance, runs_needed(lambda n: self.chance(rivalries, n) >= WANTED_CHANCE))
 
-        def settled(runs: int) -> bool:
-            return chance_settled(evidence(before, run, runs)) >= WANTED_CHANCE
+    def chance(self, rivalries: Sequence[Rivalry], runs: int) -> float:
+        """Return the chance that so many pressings leave the first explanation alone.
 
-        return Prospect(one / 2.0, chance_settled(one), runs_needed(settled))
-
-    def _between(
-        self, true: Contender, other: Contender, outlook: Outlook, constants: Sequence[str]
-    ) -> tuple[Array, float, RunInformation]:
-        read = with_readings(outlook.digest, true.fit, self.stage.population)
-        run = expected(outlook, other.fit, self.stage, read, constants)
-        return other.before, evidence(other.before, run, 1), run
+        Between causes by the diagnosis' own rule: the runs must agree, those so far among them, and one pressing,
+        however clear, cannot outvote them. Against no cause at all by the odds that the further ones give.
+        """
+        first, settled = self.contenders[0], np.ones(1, dtype=bool)
+        for i, r in enumerate(rivalries):
+            worse = further_runs(first.saves - r.other.saves, r.evidence(runs), runs, i)
+            if r.other.name == NOTHING:
+                settled = settled & (worse[:, -runs:].sum(axis=1) > 2.0 * math.log(ODDS))
+            else:
+                settled = settled & beyond_chance(worse)
+        return float(settled.mean())
 
     def _knowledge(self, outlook: Outlook, constants: Sequence[str]) -> Prospect:
         known = self.contenders[0]
@@ -127,16 +151,25 @@ class OpenPoint:
 
 
 def contender(
-    name: str, fit: SharedFit, stage: SettledModel, past: Sequence[Outlook], constants: Sequence[str]
+    name: str,
+    fit: SharedFit,
+    stage: SettledModel,
+    past: Sequence[Outlook],
+    constants: Sequence[str],
+    saves: Array | None = None,
 ) -> Contender:
-    """Return an explanation with what the runs so far say of its numbers and of the shared constants."""
+    """Return an explanation with what the runs so far say of its numbers and of the shared constants.
+
+    `saves`: what each run saves by it, its numbers from the others (runs); None: nothing, as by no cause.
+    """
     count = len(fit.theta) + len(constants)
     before = np.zeros((count, count))
     before[: len(fit.theta), : len(fit.theta)] = fit.prior_hessian
     before[len(fit.theta) :, len(fit.theta) :] = np.eye(len(constants))
     for state, data, outlook in zip(fit.runs, stage.data, past, strict=True):
         before += told_by(outlook, state, data, constants).information
-    return Contender(name, fit, before)
+    own = np.zeros(len(fit.runs)) if saves is None else saves
+    return Contender(name, fit, before, own)
 
 
 def open_causes(found: Diagnosis, past: Sequence[Outlook], constants: Sequence[str]) -> list[OpenPoint]:
@@ -147,16 +180,18 @@ def open_causes(found: Diagnosis, past: Sequence[Outlook], constants: Sequence[s
 def contested(found: Diagnosis) -> list[tuple[Finding, Contest]]:
     """Return the findings between whose causes, or a cause and none, a pressing could decide."""
     least = [(f, 2) for f in found.findings] + [(f, 1) for f in found.suspected]
-    return [(f, f.contest) for f, n in least if f.contest is not None and len(f.contest.fits) >= n]
+    return [(f, f.contest) for f, n in least if f.contest is not None and len(f.contest.causes) >= n]
 
 
 def _of_causes(
     found: Diagnosis, finding: Finding, contest: Contest, past: Sequence[Outlook], constants: Sequence[str]
 ) -> OpenPoint:
     suspected = any(finding is f for f in found.suspected)
-    fits = [*contest.fits, *([(NOTHING, contest.stage.fit)] if suspected else [])]
-    known = tuple(contender(n, fit, contest.stage, past, constants) for n, fit in fits)
-    return OpenPoint(PointKind.CAUSE, finding.name, contest.stage, known, suspected)
+    stage = contest.stage
+    known = [contender(c.effect.name, c.fit, stage, past, constants, c.gains) for c in contest.causes]
+    if suspected:
+        known.append(contender(NOTHING, stage.fit, stage, past, constants))
+    return OpenPoint(PointKind.CAUSE, finding.name, stage, tuple(known), suspected)
 
 
 def open_numbers(stage: SettledModel, past: Sequence[Outlook], constants: Sequence[str]) -> list[OpenPoint]:
@@ -165,7 +200,7 @@ def open_numbers(stage: SettledModel, past: Sequence[Outlook], constants: Sequen
     Of the core at the opening counts what the campaign's numbers and shared constants leave; panels scatter
     besides.
     """
-    known = contender(stage.fit.layout.model.press.press.name, stage.fit, stage, past, constants)
+    known = contender(NOTHING, stage.fit, stage, past, constants)
     names, press = stage.fit.layout.names, stage.fit.layout.model.press
     blank = OpenPoint(PointKind.COEFFICIENT, "", stage, (known,), along=np.zeros(len(known.before)), wanted=WANTED)
     points = []

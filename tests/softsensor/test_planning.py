@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from functools import cache
-from math import log
 from pathlib import Path
 
 import numpy as np
@@ -18,18 +17,17 @@ from api.cli import main
 from daq.press.press_file import Press, parse_press
 from daq.records import InputError
 from daq.simulated.campaign import Plan, make_campaign, press_toml, write_campaign
-from softsensor.diagnosis.decision import Verdict
+from softsensor.diagnosis.decision import SURE_T, Verdict, beyond_chance
 from softsensor.diagnosis.extension import fit_campaign_model
 from softsensor.diagnosis.extension_unknowns import lay_out
 from softsensor.diagnosis.search import SettledModel, settle_base
 from softsensor.effects import find_effect
 from softsensor.heat.model import ThermalModel
 from softsensor.planning.information import (
-    ODDS,
     RunInformation,
-    chance_settled,
     covariance_after,
     evidence,
+    further_runs,
     runs_needed,
 )
 from softsensor.planning.open_points import OpenPoint, PointKind, contender
@@ -65,7 +63,7 @@ def test_what_the_shared_numbers_can_take_up_is_not_settled_by_repeating() -> No
     """A difference along a number known to 1 of a run's noise: n/(1 + n) of its square, at most 1."""
     same = RunInformation(np.eye(1), np.eye(1)[0], 1.0)
     assert [evidence(np.eye(1), same, n) for n in (1, 3, 99)] == pytest.approx([0.5, 0.75, 0.99])
-    assert runs_needed(lambda n: chance_settled(evidence(np.eye(1), same, n)) > 0.8) is None
+    assert runs_needed(lambda n: evidence(np.eye(1), same, n) > 1.0) is None
 
 
 def test_a_difference_nothing_can_take_up_grows_with_the_runs() -> None:
@@ -73,10 +71,18 @@ def test_a_difference_nothing_can_take_up_grows_with_the_runs() -> None:
     assert [evidence(np.eye(1), clear, n) for n in (1, 5)] == pytest.approx([4.0, 20.0])
 
 
-def test_the_chance_is_how_often_the_odds_come_out_so() -> None:
-    expected = 9.0
-    drawn = np.random.default_rng(1).normal(expected / 2, np.sqrt(expected), 200_000)
-    assert chance_settled(expected) == pytest.approx(float(np.mean(drawn > log(ODDS))), abs=0.005)
+@pytest.mark.parametrize(("further", "share"), [(1, 0.0), (3, 0.0), (4, 1.0)])
+def test_pressings_however_clear_do_not_outvote_runs_that_say_nothing(further: int, share: float) -> None:
+    """Seven runs with no difference and k with the same one: Student's t is √(k (n - 1) / (n - k)), n = 7 + k."""
+    worse = further_runs(np.zeros(7), 1e8 * further, further, 0)
+    assert beyond_chance(worse).mean() == share
+    assert (np.sqrt(further * (6 + further) / 7) > SURE_T) == bool(share)
+
+
+def test_what_a_pressing_says_scatters_as_twice_the_logarithm_of_odds_does() -> None:
+    drawn = further_runs(np.zeros(0), 18.0, 2, 1)
+    assert drawn.mean() == pytest.approx(9.0, abs=0.9)
+    assert drawn.std() == pytest.approx(6.0, rel=0.1)
 
 
 @cache
@@ -130,17 +136,20 @@ def test_two_names_of_one_cause_are_never_told_apart() -> None:
 
 
 @pytest.mark.campaign
-@pytest.mark.timeout(1800)
-def test_two_designed_pressings_name_what_four_repeated_ones_do_not() -> None:
+@pytest.mark.timeout(900)
+def test_two_designed_pressings_tell_apart_what_repeated_ones_hardly_do() -> None:
     """A conductivity 15 % off in seven panels of 16 mm, which these leave suspected beside the heat capacity.
 
-    Settings of the plan are the campaign's program: the virtual press computes by its own equations.
+    Settings of the plan are the campaign's program: the virtual press computes by its own equations. Another cause
+    may come in where nobody has pressed before; the plan's question is which of the two it is.
     """
     usual, hidden = Plan(rate_hz=2.0, thickness_mm=16.0), "conductivity_offset"
     runs = [run for run, _ in make_campaign(502, 7, hidden, usual)]
     found = softsensor.diagnose(runs, press())
     planned = softsensor.plan(found, press(), ranges={"thickness_mm": (8.0, 19.0)}).planned.points[0]
     assert set(planned.point.names) == {"conductivity_offset", "heat_capacity_offset", ""}
+    assert (planned.best.prospect.runs or 99) <= 4
+    assert (planned.repeated.prospect.runs or 99) > 8
     best = planned.best.settings
     designed = Plan(
         rate_hz=2.0,
@@ -149,12 +158,9 @@ def test_two_designed_pressings_name_what_four_repeated_ones_do_not() -> None:
         open_before_s=(best["waiting_s"],) * 2,
         platen_C=(best["platen_temperature_C"],) * 2,
     )
-    after = {}
-    for name, more, kind in (("designed", 2, designed), ("repeated", 4, usual)):
-        further = [run for run, _ in make_campaign(502, 7 + more, hidden, kind)][7:]
-        after[name] = softsensor.diagnose([*runs, *further], press()).content["effects"]
-    assert [effect["set"] for effect in after["designed"]] == [["conductivity_offset"]]
-    assert [len(effect["set"]) for effect in after["repeated"]] == [2]
+    further = [run for run, _ in make_campaign(502, 9, hidden, designed)][7:]
+    (effect,) = softsensor.diagnose([*runs, *further], press()).content["effects"]
+    assert set(effect["set"]) & set(planned.point.names) == {"conductivity_offset"}
 
 
 def test_the_usual_settings_give_the_run_they_were_read_from() -> None:
