@@ -254,7 +254,7 @@ mapping-term-unknown = computed.to = '{ $to }': keine [[column]] führt zu seine
 mapping-variant-of-nothing = required_variants: keine [[variant]] hat of = '{ $of }'
 press-boundary-needs-coefficient = kind = "air" braucht coefficient, den Namen des Wärmeübergangskoeffizienten
 press-boundary-needs-column = kind = "measured" braucht column, die Spalte der Laufdatei mit der Temperatur
-press-boundary-no-flux-of-run = from_run gehört zu kind = "flux", nicht zu { $kind }: der Wärmestrom kommt damit aus dem Kopf des Laufs
+press-boundary-no-flux-of-run = from_run gehört zu kind = "flux", nicht zu { $kind }: der Wärmestrom kommt damit aus dem Kopf der Laufdatei
 press-coefficient-unused = { $name }: kein Kontakt und kein Rand verwendet ihn; verwendet werden { $used }
 press-contact-cannot-part = { $boundary } ist von der Art '{ $kind }', von der sich keine Schicht trennt; einen Namen angeben
 press-contact-no-neighbours = keine Nachbarn, von unten nach oben genannt; möglich sind { $possible }
@@ -864,7 +864,7 @@ measured-between = { $low } bis { $high } °C
 next-confirm-and-core = Um den Kern zu kennen, zwei oder drei Opferplatten mit Kernfühler pressen; um die Ursache zu bestätigen: { $confirm }
 next-constants = Wärmeleitfähigkeit und Wärmekapazität der Platte messen: die Seiten passen, aber die Kernfühler liegen { NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K daneben, es stimmt also etwas nicht, das die Seiten nicht zeigen.
 next-describe = Dicken, Werkstoffe und Spalten von Pressendatei und Pressungen prüfen, dann eine Platte mit Kernfühler pressen.
-next-describe-rig = Dicken, Werkstoffe und Spalten von Pressendatei und Läufen prüfen, dann einmal mit einem Fühler in einer Schicht messen.
+next-describe-rig = Dicken, Werkstoffe und Spalten von Pressendatei und Messungen prüfen, dann einmal mit einem Fühler in einer Schicht messen.
 next-look-there = Drei Opferplatten mit Kernfühler pressen und die aufgeführten Zeiten und Stellen ansehen.
 next-look-there-rig = Noch einmal messen, mit einem Fühler an den aufgeführten Stellen und zu den aufgeführten Zeiten.
 next-more-runs = Mindestens { $more ->
@@ -872,9 +872,9 @@ next-more-runs = Mindestens { $more ->
        *[other] { $more } weitere Platten
     } pressen, mit verschiedenen Presszeiten und möglichst Dicken: unter { $least } Pressungen ist eine Ursache nicht vom Zufall zu unterscheiden.
 next-more-runs-rig = Mindestens { $more ->
-        [one] einen weiteren Lauf
-       *[other] { $more } weitere Läufe
-    } mit anderem Temperaturverlauf messen: unter { $least } Läufen ist eine Ursache nicht vom Zufall zu unterscheiden.
+        [one] eine weitere Messung
+       *[other] { $more } weitere Messungen
+    } mit anderem Temperaturverlauf machen: unter { $least } Messungen ist eine Ursache nicht vom Zufall zu unterscheiden.
 next-none = Keine nötig; ein Kernfühler in einer Opferplatte im Monat würde den Kern bestätigen.
 next-none-confirmed = Keine nötig: Kernfühler bestätigen es (vorher { NUMBER($before, minimumFractionDigits: 1, maximumFractionDigits: 1) } K daneben, nachher { NUMBER($after, minimumFractionDigits: 1, maximumFractionDigits: 1) } K).
 next-none-rig = Keine nötig.
@@ -1057,7 +1057,7 @@ reason-another-panel = keine frühere Pressung dieser Presse hatte eine Platte v
 reason-band-too-wide = Kern nicht bestimmbar: das Band ist breiter als ±{ NUMBER($limit_K, maximumFractionDigits: 0) } K
 reason-calculation-failed = die Rechnung ist fehlgeschlagen und wird neu gestartet
 reason-clock-ahead = die Messzeilen tragen eine Zeit, die der Uhr dieses Rechners { NUMBER($ahead_s, maximumFractionDigits: 0) } s voraus ist: Uhren stellen
-reason-constants-far-from-the-material = die Stoffwerte der Platte sind nicht auf die Hälfte genau bekannt: die der Kopfdaten liegen weit neben denen des Materials, oder die letzten Läufe hatten sie weit neben den Kopfdaten; berichtigen oder angeben, wie sicher sie sind (KEY.sd)
+reason-constants-far-from-the-material = die Stoffwerte der Platte sind nicht auf die Hälfte genau bekannt: die der Kopfdaten liegen weit neben denen des Materials, oder die letzten Pressungen hatten sie weit neben den Kopfdaten; berichtigen oder angeben, wie sicher sie sind (KEY.sd)
 reason-core-impossible = der berechnete Kern hat { NUMBER($core_C, maximumFractionDigits: 0) } °C, was unmöglich ist: nichts unter { NUMBER($lowest_C, maximumFractionDigits: 0) } °C oder über { NUMBER($highest_C, maximumFractionDigits: 0) } °C hat die Platte berührt
 reason-faces-jumped-during-a-gap = die Temperatur beider Seiten ist während einer Messlücke gesprungen
 reason-faces-too-cold-for-this-panel = die Seiten sind viel kälter als die der gepressten Platte; es kann eine andere Platte dort liegen
@@ -1085,7 +1085,7 @@ resin-is-example = das Harz „{ $name }“ ist ein Beispiel; das eigene Papier 
 resin-needs-panel = die Presse hat keine Platte, also härtet kein Papier; das Harz weglassen
 resin-no-limits = die Harzdatei hat keine Grenze in [limits], open_now bleibt 0; cure_least setzen
 resin-no-moisture = { $key } fehlt im Kopf, der Dampf ist unbekannt und open_now bleibt 0; den Schlüssel ergänzen oder steam_most_kPa aus der Harzdatei nehmen
-steam-limit-no-marks = keiner von { $runs } als good oder blister markierten Läufen sagt den Dampf beim Öffnen; Platten markieren ({ $key }) und panel.moisture_percent angeben
+steam-limit-no-marks = keine von { $runs } als good oder blister markierten Pressungen sagt den Dampf beim Öffnen; Platten markieren ({ $key }) und panel.moisture_percent angeben
 
 ## softsensor.jobs: services and nights
 
@@ -1680,9 +1680,9 @@ terminal-stations-out-of-range = --stations '{ $text }': Adressen liegen zwische
 terminal-token-needs-name = kerntemp token { $action }: braucht einen Namen
 terminal-unexpected = { $kind }: { $why } (KERNTEMP_TRACEBACK=1 zeigt, wo)
 terminal-until-leaves-too-little = { $run }: --until { $until } lässt { $rows } von { $all } Zeilen; die erste ist bei time_s = { $first }: einen späteren Zeitpunkt angeben
-terminal-until-no-column = { $run }: --until nennt Spalte '{ $column }'; der Lauf hat { $known }
-terminal-until-no-run = --until { $until }: kein Lauf '{ $run }' ist angegeben; Läufe sind { $known }
-terminal-until-not-read = --until { $until }: Sekunden (900), eine Temperatur einer Spalte (bottom_1=140) oder eines von { $events } angeben, mit LAUF: davor für einen Lauf allein
+terminal-until-no-column = { $run }: --until nennt Spalte '{ $column }'; die Pressung hat { $known }
+terminal-until-no-run = --until { $until }: keine Pressung '{ $run }' ist angegeben; Pressungen sind { $known }
+terminal-until-not-read = --until { $until }: Sekunden (900), eine Temperatur einer Spalte (bottom_1=140) oder eines von { $events } angeben, mit LAUF: davor für eine Pressung allein
 terminal-written = geschrieben: { $path }
 terminal-written-several = geschrieben: { $files } Dateien in { $folder }
 token-created = Zugangstoken { $name } angelegt, { $scope ->
@@ -1802,7 +1802,7 @@ help-timeout = Wartezeit auf eine Antwort, 0,05 bis 10.
 help-token-action = Was zu tun ist.
 help-token-name = Für wen das Zugangstoken ist.
 help-transport = Wie Modbus gesprochen wird; ohne Angabe entscheidet der Ort.
-help-until = Die Zeilen jeder Pressung nach diesem Punkt weglassen: einem Zeitpunkt von time_s, einer Temperatur, die eine Spalte erreicht (bottom_1=140), oder inserted, closed, opened, removed. LAUF:... gilt für einen Lauf allein. Mehrfach möglich; es zählt, was zuerst kommt.
+help-until = Die Zeilen jeder Pressung nach diesem Punkt weglassen: einem Zeitpunkt von time_s, einer Temperatur, die eine Spalte erreicht (bottom_1=140), oder inserted, closed, opened, removed. LAUF:... gilt für eine Pressung allein. Mehrfach möglich; es zählt, was zuerst kommt.
 help-usage = Aufruf: { $call }
 help-verify = Nur eine vorhandene Kopie prüfen.
 help-version = Die Version zeigen.

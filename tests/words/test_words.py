@@ -160,6 +160,11 @@ def test_german_sentences_speak_in_one_form_that_addresses_nobody():
     assert not [c for c, pattern in catalogue_of("de").entries().items() if addressed.search(pattern)]
 
 
+def test_german_calls_a_pressing_pressung_and_only_the_nightly_job_lauf():
+    wrong = re.findall(r".*(?<!ächtliche )(?<!ächtlicher )\b(?:Lauf|Laufs|Läufen?)\b.*", catalogue_of("de").text)
+    assert wrong == []
+
+
 def test_there_are_english_and_german():
     assert languages()[0] == "en"
     assert "de" in languages()
