@@ -1027,6 +1027,8 @@ plan-set-pressure_N_cm2 = pressure { NUMBER($value, maximumFractionDigits: 0) } 
 plan-set-start_temperature_C = panel at { NUMBER($value, maximumFractionDigits: 0) } °C
 plan-set-thickness_mm = panel of { NUMBER($value, maximumFractionDigits: 1) } mm
 plan-set-waiting_s = { NUMBER($value, maximumFractionDigits: 0) } s open before closing
+plan-setting-unknown = { $name }: this run has no such setting; it has { $known }
+plan-setting-wrong = { $name } = { $value } must lie between { $lower } and { $upper }
 plan-settles = One settles it with a chance of { NUMBER($percent, maximumFractionDigits: 0) } %; { $runs }.
 plan-settles-surely = One settles it almost certainly: the chance is above 99 %.
 plan-with-core = With a thermocouple in the core: { $settings }. { $prospect }

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from daq.files.legible import legible
-from daq.press.press_file import Press
-from daq.records import Run, with_frozen_fields
+from daq.press.press_file import Press, press_for_run
+from daq.records import InputError, Moments, Run, with_frozen_fields
+from daq.words import say
 from softsensor.face.inputs import read_press, read_run
 from softsensor.face.models import read_model
 from softsensor.face.showing import about, axes_over_time, lists, shown
@@ -61,29 +64,58 @@ class Simulation:
         return str(self.frame().to_html(max_rows=24, float_format="%.2f"))
 
 
-def simulate(run: AnyRun, press: AnyPress, model: AnyModel | Mapping[str, float] | None = None) -> Simulation:
+def simulate(
+    run: AnyRun,
+    press: AnyPress,
+    model: AnyModel | Mapping[str, float] | None = None,
+    *,
+    settings: Mapping[str, float] | None = None,
+) -> Simulation:
     """Simulate a run, open loop, from its platen temperatures. [°C]
 
     Parameters
     ----------
     model
         A model, or coefficients by name [W/m²K]; what it does not name stays at the press file's guess.
+    settings
+        What if: the same run with other settings, any of ``press_time_s``, ``platen_temperature_C``,
+        ``waiting_s``, ``thickness_mm``, ``start_temperature_C`` and ``pressure_N_cm2``; the platens follow the
+        press's movements as they did, and nothing is measured. Another panel: `read_run` with its header; other
+        layers: another press file.
 
     Raises
     ------
     InputError
         For a run, press or model file that cannot be read, words in a column that the press file names, a run
-        without a platen's column, a sensor or the panel's data, and a coefficient that is unknown or nonphysical.
+        without a platen's column, a sensor or the panel's data, a coefficient that is unknown or nonphysical, and
+        a setting that is unknown here or that no press has.
     """
     described = read_press(press)
-    loaded = legible(read_run(run), described)
+    loaded, moments = legible(read_run(run), described), None
+    if settings:
+        loaded, moments = _changed(loaded, described, settings)
+    thermal = ThermalModel(described)
     if model is None or isinstance(model, Mapping):
-        thermal = ThermalModel(described)
-        return _simulation(loaded, described, thermal, {**thermal.guesses, **(model or {})})
-    content = read_model(model)
-    values = {**ThermalModel(described).guesses, **content.values}
-    return _simulation(loaded, described, content.model(described), values)
+        values = {**thermal.guesses, **(model or {})}
+    else:
+        content = read_model(model)
+        thermal, values = content.model(described), {**thermal.guesses, **content.values}
+    return Simulation(loaded, with_frozen_fields(simulate_run(loaded, described, thermal, values, known=moments)))
 
 
-def _simulation(run: Run, press: Press, model: ThermalModel, values: Mapping[str, float]) -> Simulation:
-    return Simulation(run, with_frozen_fields(simulate_run(run, press, model, values)))
+def _changed(run: Run, press: Press, settings: Mapping[str, float]) -> tuple[Run, Moments]:
+    """Return the run that other settings would give, its sensors unread, and its moments."""
+    from softsensor.planning.program import FACTORS, designed_run, settings_of
+    from softsensor.signals.moments import moments_of
+
+    moments = moments_of(run, press)
+    usual = settings_of(run, press, moments)
+    for name, value in settings.items():
+        if name not in usual:
+            raise InputError(say("plan-setting-unknown", name=name, known=tuple(usual)))
+        f = FACTORS[name]
+        if not f.lower <= value <= f.upper:
+            raise InputError(say("plan-setting-wrong", name=name, value=value, lower=f.lower, upper=f.upper))
+    made, moments = designed_run(run, press, moments, {**usual, **settings})
+    unread = {name: np.full(len(made.time_s), np.nan) for name in press_for_run(press, made).sensors_of(made)}
+    return replace(made, columns={**made.columns, **unread}), moments

@@ -9,7 +9,7 @@ from types import MappingProxyType
 import numpy as np
 
 from daq.press.press_file import Press
-from daq.records import Array, PressState, Run
+from daq.records import Array, Moments, PressState, Run
 from softsensor.heat.case import Case
 from softsensor.heat.chain import Solution
 from softsensor.heat.model import ThermalModel, states
@@ -48,9 +48,13 @@ def simulate_run(
     model: ThermalModel,
     values: Mapping[str, float],
     refined: Mapping[str, float] = MappingProxyType({}),
+    known: Moments | None = None,
 ) -> Simulated:
-    """Solve the model over a run, open loop; `refined` moments go before those found. Raises `InputError`."""
-    moments = moments_of(run, press)
+    """Solve the model over a run, open loop; `refined` moments go before those found. Raises `InputError`.
+
+    `known`: the moments, where they need not be found.
+    """
+    moments = moments_of(run, press) if known is None else known
     moments = replace(
         moments,
         closed_s=refined.get("closed_s", moments.closed_s),

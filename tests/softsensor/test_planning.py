@@ -17,6 +17,8 @@ from api.cli import main
 from daq.press.press_file import Press, parse_press
 from daq.records import InputError
 from daq.simulated.campaign import Plan, make_campaign, press_toml, write_campaign
+from daq.simulated.physics import solve
+from daq.simulated.physics_pressing import BASE_COEFFICIENTS
 from softsensor.diagnosis.decision import SURE_T, Verdict, beyond_chance
 from softsensor.diagnosis.extension import fit_campaign_model
 from softsensor.diagnosis.extension_unknowns import lay_out
@@ -253,3 +255,34 @@ def test_a_model_that_does_not_describe_the_runs_forecasts_no_pressing() -> None
     off = plan(press(), replace(found, verdict=Verdict.NOT_DESCRIBED))
     assert not off.points
     assert [m.code for m in plan_said(off)] == ["plan-not-described"]
+
+
+def test_what_if_is_the_pressing_that_other_settings_really_give() -> None:
+    """Two virtual pressings, alike but for thickness and press time: one foretells the other's core."""
+    alike = {"rate_hz": 2.0, "closed_column": True, "coefficient_spread": 0.0, "panel_spread": 0.0}
+    alike |= {"platen_C": (190.0, 190.0), "open_before_s": (10.0, 10.0)}
+    first, other = (
+        make_campaign(3, 1, None, Plan(**alike, thickness_mm=thickness, press_time_s=(seconds, seconds)))[0]
+        for thickness, seconds in ((12.0, 50.0), (16.0, 80.0))
+    )
+    foretold = softsensor.simulate(
+        first[0], press(), BASE_COEFFICIENTS, settings={"thickness_mm": 16.0, "press_time_s": 80.0}
+    ).simulated
+    truth = solve(other[1].pressing)
+    closed = [moments.closed_s for moments in (first[1].moments, other[1].moments)]
+    after = np.linspace(0.0, 78.0, 40)
+    core = np.interp(closed[0] + after, foretold.time_s, foretold.core)
+    assert core == pytest.approx(truth.at("core", closed[1] + after), abs=1.0)
+    assert not foretold.rmse
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"press_time": 60.0}, "press_time: this run has no such setting; it has platen_temperature_C"),
+        ({"press_time_s": 0.1}, "press_time_s = 0.1 must lie between 5 and 3600"),
+    ],
+)
+def test_a_setting_that_no_press_has_is_refused(changed: dict[str, float], said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        softsensor.simulate(stage().data[0].digest.run, press(), settings=changed)
