@@ -675,13 +675,21 @@ def test_two_runs_are_compared_against_one_of_them_and_what_differs_stands_out(p
     expect(table).to_contain_text("panel.thickness_mm")
     page.get_by_label("Quantity").select_option(label="Panel, top")
     chart = page.locator(".chart").first
-    page.get_by_label("Minus").select_option("campaign-1")
+    page.locator("label", has_text=re.compile("^Minus")).get_by_role("combobox").select_option("campaign-1")
     chart.locator(".u-over").hover(position={"x": 300, "y": 60})
     expect(chart.locator(".chart-tip")).to_contain_text(re.compile(r"campaign-1\s*0\.00 K"))
+    page.get_by_label("Quantity").select_option(label="Residual: measured minus simulated, Panel, top")
+    page.locator("label", has_text=re.compile("^Minus")).get_by_role("combobox").select_option("")
+    expect(page.locator("main")).to_contain_text("Not known for lab-0000000")  # too short for a simulation
+    expect(page.locator("main")).to_contain_text("Closing not known, drawn from the first scan: campaign-1")
+    chart.locator(".u-over").hover(position={"x": 310, "y": 60})
+    expect(chart.locator(".chart-tip")).to_contain_text(re.compile(r"campaign-1\s*[−-]?\d+\.\d\d K"))
     page.get_by_role("checkbox").first.uncheck()
     chart.locator(".u-over").hover(position={"x": 320, "y": 60})
     expect(chart.locator(".chart-tip")).not_to_contain_text("campaign-1")
     expect(page.get_by_test_id("scatter").locator("canvas")).to_be_visible()
+    page.set_viewport_size({"width": 375, "height": 780})
+    assert page.evaluate("document.documentElement.scrollWidth") <= 375
 
 
 def test_a_run_the_model_does_not_describe_is_red_and_has_no_intervals(plant):

@@ -4,7 +4,11 @@ import { TimeChart } from "../charts.js";
 import { el, figure, number, table } from "../dom.js";
 import { text } from "../words.js";
 
-const QUANTITIES = { core: "page-core-predicted", top: "page-sensors-top", bottom: "page-sensors-bottom" };
+const QUANTITIES = {
+  core: { name: ["page-core-predicted"] }, top: { name: ["page-sensors-top"] }, bottom: { name: ["page-sensors-bottom"] }, platen: { name: ["page-platens"] },
+  residual_top: { name: ["page-residual", "page-sensors-top"], place: "panel.top" }, residual_bottom: { name: ["page-residual", "page-sensors-bottom"], place: "panel.bottom" },
+};
+const nameOf = (quantity) => QUANTITIES[quantity].name.map((code) => text(code)).join(", ");
 const STEP_S = 0.5; // all runs are read off at the same times: a difference has both
 
 export async function compare(place, ids) {
@@ -12,14 +16,24 @@ export async function compare(place, ids) {
   const shown = { quantity: "core", reference: "", off: new Set() };
   const holder = el("div", {});
   const legend = el("div", { class: "row legend" });
+  const without = el("p", { class: "small faint", role: "status" });
   const select = (label, options, done) => el("label", { class: "row small" }, el("span", { class: "faint" }, label), el("select", { onchange: (event) => { done(event.target.value); draw(); } }, options));
   place.append(el("section", { class: "card" }, el("div", { class: "head" }, el("h1", {}, text("page-compare")),
     el("div", { class: "row" },
-      select(text("page-quantity"), Object.entries(QUANTITIES).map(([value, code]) => el("option", { value }, text(code))), (value) => { shown.quantity = value; }),
+      select(text("page-quantity"), Object.keys(QUANTITIES).map((value) => el("option", { value }, nameOf(value))), (value) => { shown.quantity = value; }),
       select(text("page-reference"), [el("option", { value: "" }, "–"), ...ids.map((id) => el("option", { value: id }, id))], (value) => { shown.reference = value; }),
-      el("a", { class: "button", href: "#/runs" }, text("page-back")))), holder, legend), differences(runs), scatter(runs));
+      el("a", { class: "button", href: "#/runs" }, text("page-back")))), holder, without, legend), differences(runs), scatter(runs));
   let chart = null;
-  function draw() {
+  let turn = 0;
+  async function draw() {
+    const mine = ++turn;
+    const { place: simulated } = QUANTITIES[shown.quantity];
+    without.textContent = simulated ? text("page-simulating") : "";
+    if (simulated) await Promise.all(runs.map(residuals));
+    if (mine !== turn || !holder.isConnected) return;
+    const none = runs.filter((run) => !run[shown.quantity].times.length).map(({ id }) => id);
+    const loose = runs.filter((run) => run.closed === null).map(({ id }) => id);
+    without.textContent = [none.length && text("page-compare-without", { runs: none.join(", ") }), loose.length && text("page-compare-loose", { runs: loose.join(", ") })].filter(Boolean).join(" · ");
     const visible = runs.filter(({ id }) => !shown.off.has(id));
     const reference = runs.find(({ id }) => id === shown.reference);
     const from = Math.floor(Math.min(...runs.map((run) => run.from)) / STEP_S);
@@ -29,10 +43,10 @@ export async function compare(place, ids) {
     const curves = visible.map((run) => reading(run, shown.quantity, times).map((v, i) => (!base || v === null ? v : base[i] === null ? null : v - base[i])));
     chart?.close();
     holder.replaceChildren();
-    const unit = base ? "K" : "°C";
+    const unit = base || simulated ? "K" : "°C";
     chart = new TimeChart(holder, {
-      series: visible.map((run) => ({ name: run.id, colour: colourOf(runs.indexOf(run), runs.length), kind: "line", unit, digits: base ? 2 : 1 })),
-      height: 420, label: `${text("page-compare")}: ${text(QUANTITIES[shown.quantity])}`, xLabel: text("page-time-from-closing"), yLabel: unit,
+      series: visible.map((run) => ({ name: run.id, colour: colourOf(runs.indexOf(run), runs.length), kind: "line", unit, digits: unit === "K" ? 2 : 1 })),
+      height: 420, label: `${text("page-compare")}: ${nameOf(shown.quantity)}`, xLabel: text("page-time-from-closing"), yLabel: unit,
     });
     chart.set([times, ...curves]);
     legend.replaceChildren(...runs.map(({ id }, i) => el("label", { class: "row small" },
@@ -48,8 +62,9 @@ const colourOf = (i, count) => `hsl(${Math.round(35 + (310 * i) / Math.max(count
 
 async function load(id) {
   const path = `/runs/${encodeURIComponent(id)}`;
-  const [detail, samples, core, found] = await Promise.all([get(path), get(`${path}/samples`, { max_points: 3000 }), coreOf(path), get("/search", { q: id, limit: 500 })]);
-  const zero = detail.closed_s ?? 0;
+  const [detail, fit, samples, core, found] = await Promise.all([get(path), get(`${path}/fit`).catch(() => null), get(`${path}/samples`, { max_points: 3000 }), coreOf(path), get("/search", { q: id, limit: 500 })]);
+  const closed = detail.closed_s ?? fit?.closed_s ?? null; // of an imported run the fit finds it
+  const zero = closed ?? 0;
   const face = (start) => Object.entries(samples.columns).filter(([name]) => name.startsWith(start)).map(([, values]) => values);
   const middle = (columns) => samples.time_s.map((_, i) => {
     const good = columns.map((values) => values[i]).filter((v) => v !== null).sort((a, b) => a - b);
@@ -60,8 +75,18 @@ async function load(id) {
     id, detail, numbers: found.items.find((item) => item.run === id)?.numbers ?? {},
     from: (samples.time_s[0] ?? 0) - zero, to: (samples.time_s.at(-1) ?? 0) - zero,
     core: curve(core.time_s, core.core_C.map((v, i) => (core.valid[i] ? v : null))),
-    top: curve(samples.time_s, middle(face("top"))), bottom: curve(samples.time_s, middle(face("bottom"))),
+    zero, closed, platen: curve(samples.time_s, middle(face("platen"))), top: curve(samples.time_s, middle(face("top"))), bottom: curve(samples.time_s, middle(face("bottom"))),
   };
+}
+
+// Measured minus simulated with the run's own coefficients, asked for when it is looked at; of a run without any, nothing.
+async function residuals(run) {
+  if (run.residual_top) return;
+  const { time_s, positions, measured } = await get(`/runs/${encodeURIComponent(run.id)}/simulation`).catch(() => ({ time_s: [], positions: {}, measured: {} }));
+  for (const [quantity, { place }] of Object.entries(QUANTITIES).filter(([, one]) => one.place)) {
+    const there = positions[place] && measured[place] ? time_s : [];
+    run[quantity] = { times: there.map((t) => t - run.zero), values: there.map((_, i) => (positions[place][i] === null || measured[place][i] === null ? null : measured[place][i] - positions[place][i])) };
+  }
 }
 
 // The core as told live; of a run nobody followed live, as simulated with its fit.
