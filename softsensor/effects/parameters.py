@@ -8,6 +8,9 @@ from math import inf, isfinite
 
 from daq.words import Message, say
 
+QUARTILE = 0.6745
+"""Upper quartile of a normal, in standard deviations."""
+
 
 @dataclass(frozen=True)
 class Parameter:
@@ -29,6 +32,9 @@ class Parameter:
     """What can be at all, wider than the limits of a search: beyond, the equations mean nothing."""
     sd: float = 0.0
     """How far it may lie from `typical` where the effect is present; 0: as far as from `neutral`."""
+    within: float = 0.0
+    """Factor within which its size is known where the effect is present (one standard deviation of the logarithm);
+    0: `sd` says."""
     fixed: bool = False
     """Whether it only says what the effect is, so that nothing searches or doubts it."""
     told: tuple[float, str] | None = None
@@ -39,6 +45,19 @@ class Parameter:
     def size(self) -> float:
         """Typical size: how far `typical` lies from `neutral`."""
         return abs(self.typical - self.neutral)
+
+    @property
+    def present(self) -> tuple[float, float]:
+        """Mean and standard deviation where the effect is present.
+
+        Of a size known within a factor they are those of the normal with the log-normal's quartiles, for a band's
+        end lies near the upper one where the effect itself is in doubt.
+        """
+        if self.within <= 1.0:
+            return self.typical, self.sd or self.size
+        quartile = self.within**QUARTILE
+        low, high = ((self.typical - self.neutral) * share for share in (1.0 / quartile, quartile))
+        return self.neutral + 0.5 * (low + high), abs(high - low) / (2.0 * QUARTILE)
 
     @property
     def one_sided(self) -> bool:

@@ -23,6 +23,7 @@ from softsensor.live.leaving import known_panel
 from softsensor.live.march_steps import SensorChain, march_span
 from softsensor.live.mixture import Mixture, mix
 from softsensor.live.passes import Pass
+from softsensor.live.possible import Possible
 from softsensor.opening.limits import Broken, Opening, opening
 
 Believed = Sequence[tuple[KalmanFilter, float, Array]]
@@ -108,7 +109,9 @@ class Forecast:
         return replace(self, forecast_age_s=self.forecast_age_s + seconds, **ahead)
 
 
-def look_ahead(run: Pass, wishes: Wishes, state: PressState, now: float, outside: Array) -> Forecast:
+def look_ahead(
+    run: Pass, wishes: Wishes, state: PressState, now: float, outside: Array, can_be: Possible
+) -> Forecast:
     """Return what lies ahead of a press that stays open or closed.
 
     Parameters
@@ -117,6 +120,8 @@ def look_ahead(run: Pass, wishes: Wishes, state: PressState, now: float, outside
         Time to which the pass has come. [s]
     outside
         Boundary temperatures, bottom and top. [°C]
+    can_be
+        Between which temperatures a core can be.
     """
     if run.mixture is None:
         return Forecast()
@@ -126,7 +131,7 @@ def look_ahead(run: Pass, wishes: Wishes, state: PressState, now: float, outside
         over = peak > wishes.limit_C
         warning = say("core-will-pass-limit", peak_C=peak, limit_C=wishes.limit_C) if over else None
         return Forecast(peak_C=peak, forecast_age_s=0.0, warning=warning)
-    ahead, (reported, low, high), limits = _course(run, wishes, now, outside)
+    ahead, (reported, low, high), limits = _course(run, wishes, now, outside, can_be)
     until = _crossing(ahead, reported, wishes.target_C)
     found = Forecast(
         target_in_s=until,
@@ -153,7 +158,9 @@ def _warning(found: Forecast, limit_C: float) -> Message | None:
     return None
 
 
-def _course(run: Pass, wishes: Wishes, now: float, outside: Array) -> tuple[Array, Array, Opening]:
+def _course(
+    run: Pass, wishes: Wishes, now: float, outside: Array, can_be: Possible
+) -> tuple[Array, Array, Opening]:
     """Return times ahead [s], the core then (reported, low, high) as far as it matters, and when limits hold."""
     copies = [_copy(one) for one in run.filters]
     start = copies[0].core_C - run.rise
@@ -167,7 +174,8 @@ def _course(run: Pass, wishes: Wishes, now: float, outside: Array) -> tuple[Arra
                 _march(copy, now + ahead[k - 1], now + ahead[k], platens)
                 copy.cure(EVERY_S)
         mixture = mix(copies, run.margin(copies[0].core_C - start))
-        rows.append((mixture.core_C, mixture.low_C, mixture.high_C))
+        core, low, high = (can_be.within(t) for t in (mixture.core_C, mixture.low_C, mixture.high_C))
+        rows.append((core, low, high))
         limits.look(copies, mixture)
         if limits.settled and not (mixture.low_C < wishes.target_C or mixture.high_C < wishes.limit_C):
             break

@@ -50,6 +50,10 @@ class Possible:
             self.lowest_C = min(self.lowest_C, t - SLACK_K)
             self.highest_C = max(self.highest_C, t + self._above)
 
+    def within(self, temperature_C: float) -> float:
+        """Return the possible temperature nearest to one. [°C]"""
+        return min(max(temperature_C, self.lowest_C), self.highest_C)
+
     def contradicted(self, core_C: float) -> Invalid | None:
         """Return why a core cannot be so, None where it can. [°C]"""
         if self.lowest_C <= core_C <= self.highest_C:

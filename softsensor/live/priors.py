@@ -270,10 +270,10 @@ def plans_for(
 
 
 def _where_present(s: CausePrior) -> list[Unknown]:
-    """Return the parameters of a cause that is present: its size as earlier runs tell, the rest as typical."""
+    """Return a present cause's parameters: its size as earlier runs tell, the rest as the catalogue has it."""
     effect = find_effect(s.effect)
-    typical = [Unknown(effect.key(p.name), p.typical, p.sd or p.size) for p in effect.parameters]
-    return typical if s.centre is None else [s.prior, *typical[1:]]
+    present = [Unknown(effect.key(p.name), *p.present) for p in effect.parameters]
+    return present if s.centre is None else [s.prior, *present[1:]]
 
 
 def _informed(s: CausePrior, seen: MissingCauses | None) -> CausePrior:

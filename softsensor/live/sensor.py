@@ -221,7 +221,7 @@ class LiveSensor:
         self._forecast_s, self._forecast = now, Forecast()
         if state is PressState.CLOSED or state is PressState.OPEN:
             done = float(run.scans.time[current.done - 1])
-            found = look_ahead(current, self._wishes, state, done, np.array(run.outside))
+            found = look_ahead(current, self._wishes, state, done, np.array(run.outside), run.possible)
             self._forecast = found.later(now - done)
 
     def _begin(self, values: Mapping[str, float]) -> _Followed:
@@ -249,9 +249,7 @@ class LiveSensor:
         since_s = time_s - float(run.scans.time[current.done - 1])
         ahead = float(current.chain.level[1]) * since_s
         core, can_be = mixture.core_C + ahead, run.possible
-        low, high = (
-            min(max(t + ahead, can_be.lowest_C), can_be.highest_C) for t in (mixture.low_C, mixture.high_C)
-        )
+        low, high = (can_be.within(t + ahead) for t in (mixture.low_C, mixture.high_C))
         invalid = can_be.contradicted(core) or _why_invalid(run, current, mixture, time_s)
         known = invalid is None or invalid.reason in OF_THE_CORE_ALONE
         leave = None

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.stats import lognorm, norm
 
 from daq.records import InputError, Moments
 from daq.simulated.effects import SIZES
@@ -71,6 +72,12 @@ def test_every_effect_has_a_source_and_limits_about_its_typical_size(effect):
         assert parameter.source
         assert parameter.lower <= parameter.neutral <= parameter.upper
         assert parameter.lower <= parameter.typical <= parameter.upper
+
+
+def test_a_size_known_within_a_factor_lies_as_a_log_normal_does_between_its_quartiles():
+    size = find_effect("vapour_convection").parameters[0]
+    log_normal = lognorm(np.log(size.within), scale=size.typical)
+    assert norm(*size.present).ppf([0.25, 0.75]) == pytest.approx(log_normal.ppf([0.25, 0.75]), rel=1e-3)
 
 
 @pytest.mark.parametrize("name", ["density_profile", "moisture_evaporation", "contact_buildup", "open_radiation"])

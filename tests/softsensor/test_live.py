@@ -125,7 +125,7 @@ def test_the_band_does_not_jump_while_closing_and_opening_are_being_found(rate):
         assert np.abs(np.diff(half[near])).max() < 1.0  # of 6 to 20 K before
         off = core[near] - truth.core_C[near]
         assert np.abs(off).max() < 0.3 * half[near].min()
-        assert np.ptp(off) < 0.3
+        assert np.ptp(off) < 0.4
 
 
 def test_a_run_cut_short_gives_the_same_rows(plain, said):
@@ -155,7 +155,7 @@ def test_a_hidden_cause_is_held_by_the_band(cause):
     said = replay(run)
     _, inside, width = compared(said, truth.core_C)
     assert inside.mean() >= 0.75  # of one run; campaigns hold 85 %, see the benchmark
-    assert width.mean() <= 8.0
+    assert width.mean() <= 8.5
 
 
 def test_one_pressing_does_not_settle_which_of_several_causes_is_at_work():

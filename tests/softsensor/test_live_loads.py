@@ -82,7 +82,7 @@ def test_the_core_goes_to_where_each_load_leads_by_the_series_of_resistances():
     load = REFERENCE * np.repeat(shares, 800)
     core = cores(bench(load), model_file(exponent=EXPONENT))
     for k, share in enumerate(shares):
-        assert core[800 * (k + 1) - 1] == pytest.approx(steady_core(share), abs=0.1)
+        assert core[800 * (k + 1) - 1] == pytest.approx(steady_core(share), abs=0.15)
 
 
 def test_a_load_to_come_changes_nothing_said_before():
