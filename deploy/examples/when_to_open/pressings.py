@@ -108,6 +108,8 @@ class Pressed:
     half_width: float
     error: float
     """Root mean squares; of the logarithm of the equivalent time."""
+    error_of_faces: float
+    """What of the error is left where this paper is known: that of the faces' temperatures."""
 
     def cure(self, time: float) -> float:
         """Return the cure of the face that has cured less at a time."""
@@ -131,6 +133,7 @@ def pressed(run: Run, truth: Truth, paper: Paper, told: Resin) -> Pressed:
     warmer = solved.at("panel_mean", closed + after) - panel.initial_temperature
     per_kelvin = panel.density * panel.heat_capacity * panel.thickness * PRESS.press.area_m2
     inside, widths, errors = _band(run, truth, said, cured(solved, paper, run.time_s))
+    of_faces = _band(run, truth, said, cured(solved, PAPER, run.time_s))[2]
     return Pressed(
         opened=next((e.time_s - closed for e in said if e.open_now), np.nan),
         after=after,
@@ -140,6 +143,7 @@ def pressed(run: Run, truth: Truth, paper: Paper, told: Resin) -> Pressed:
         inside=float(np.mean(inside)),
         half_width=float(np.sqrt(np.mean(np.square(widths)))),
         error=float(np.sqrt(np.mean(np.square(errors)))),
+        error_of_faces=float(np.sqrt(np.mean(np.square(of_faces)))),
     )
 
 
@@ -239,7 +243,9 @@ class Summary:
         heat, less = self.mean(lambda p: p.heat(fixed)), self.mean(lambda p: p.heat(p.opened))
         inside = float(np.mean([p.inside for p in self.found]))
         yield f"{len(self.found)} pressings, leave to open in {len(self.opened)}"
+        of_faces = self.rms(lambda p: p.error_of_faces)
         yield f"band of the cure covers {100 * inside:.1f} %, half-width {width / error:.2f} times its error"
+        yield f"error of the equivalent time's logarithm {error:.3f}, with this paper known {of_faces:.3f}"
         yield f"undercured at opening: {self.undercured} ({100 * low:.1f} to {100 * high:.1f} %)"
         yield f"press time {time:.2f} s; fixed for as few {fixed:.2f} s: {100 * (1 - time / fixed):.0f} % shorter"
         yield f"overcured, beyond {100 * OVER:.0f} %: fixed {100 * over[0]:.0f} %, {100 * over[1]:.0f} %"
