@@ -371,7 +371,10 @@ def test_the_figure_is_an_svg_that_names_the_run(client):
     assert answer.headers["content-type"].startswith("image/svg+xml")
     root = ElementTree.fromstring(answer.text)
     assert root.tag.endswith("svg")
-    assert any("lab-2026-03-04-01" in (text.text or "") for text in root.iter("{http://www.w3.org/2000/svg}text"))
+    said = [text.text or "" for text in root.iter("{http://www.w3.org/2000/svg}text")]
+    assert any("lab-2026-03-04-01" in text for text in said)
+    assert {"Platens", "Core as predicted live, with its 95 % band"} <= set(said)
+    assert [p.get("fill") for p in root.iter("{http://www.w3.org/2000/svg}path") if p.get("opacity") == ".18"]
 
 
 def test_the_figure_speaks_the_language_that_is_asked_for(client):

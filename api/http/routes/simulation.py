@@ -7,8 +7,9 @@ from collections import OrderedDict
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
+import numpy as np
 from fastapi import APIRouter, Query, Response
 
 from api.answers.decimation import column_values, decimate
@@ -18,7 +19,7 @@ from api.http.problems import ProblemError, problem_responses
 from api.http.routes.common import StoreDep, existing_run
 from daq.press.press_file import parse_press, press_for_run
 from daq.records import InputError
-from daq.store.records import ModelRecord, RunRecord
+from daq.store.records import ArchiveUnreadable, ModelRecord, RunRecord
 from daq.store.store import Store
 from daq.words import say, spoken
 from daq.words.message import ENGLISH, languages
@@ -116,6 +117,7 @@ def get_figure(
     material = str(record.header.get("panel.material", ""))
     picture = run_figure(
         Curves(
+            **_recorded(store, run),
             title=f"{record.run}  {material}",
             time_s=simulated.time_s,
             simulated=simulated.places,
@@ -126,6 +128,24 @@ def get_figure(
         language,
     )
     return Response(picture, media_type="image/svg+xml")
+
+
+def _recorded(store: Store, run: str) -> dict[str, Any]:
+    """Return what the picture shows beside the simulation: the platens, and the core as it was told live."""
+    try:
+        whole = store.load_run(run)
+        told = [(t, e) for t, e in store.estimates(run) if e.valid]
+    except ArchiveUnreadable:
+        raise
+    except InputError as error:  # given up by rule
+        raise ProblemError(404, spoken(error)) from error
+    cells = np.array([(e.core_celsius, e.core_low_celsius, e.core_high_celsius) for _, e in told]).reshape(-1, 3)
+    return {
+        "platens": {name: values for name, values in whole.columns.items() if name.startswith("platen")},
+        "platen_time_s": whole.time_s,
+        "live": dict(zip(("core", "low", "high"), cells.T, strict=True)) if told else {},
+        "live_time_s": np.array([t for t, _ in told]),
+    }
 
 
 def _known(store: Store, record: RunRecord) -> _Known:
