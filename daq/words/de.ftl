@@ -1138,6 +1138,7 @@ night-fits =
 night-fits-later = { $fits }, { $later } ältere folgen in den nächsten Nächten
 night-left-to-you = { $version } wird nicht von selbst in Kraft gesetzt; zu entscheiden ist von Hand: { $reason }
 night-like-rolled-back = { $reason }; wie { $version }, das zurückgenommen wurde
+night-not-sure-yet = nur ein Verdacht, da alle Nächte zusammen noch nicht sicher zeigen, dass etwas fehlt: { $causes }
 night-nothing-changed = nichts hat sich geändert
 night-outcome =
     { $press }: { $fits }; Diagnose: { $verdict ->

@@ -1122,6 +1122,7 @@ night-fits =
 night-fits-later = { $fits }, { $later } older ones follow in the next nights
 night-left-to-you = { $version } is not promoted automatically; decide on it yourself: { $reason }
 night-like-rolled-back = { $reason }; like { $version }, which was rolled back
+night-not-sure-yet = only suspected, as all nights together are not sure yet that anything is missing: { $causes }
 night-nothing-changed = nothing changed
 night-outcome =
     { $press }: { $fits }; diagnosis: { $verdict ->

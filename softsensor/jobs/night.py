@@ -20,11 +20,13 @@ from daq.records import InputError
 from daq.store import JournalEntry, RunRecord, Store, StoredNight, every
 from daq.words import Message, say
 from softsensor.heat.model_file import ModelFile, parse_model
+from softsensor.jobs.bets import Bets
 from softsensor.jobs.drift import alarms_of
 from softsensor.jobs.model_in_force import PRESS_FILE, fingerprint
 from softsensor.jobs.night_fits import Done, FitTask, fit_all
-from softsensor.jobs.night_judgement import PROCESS, Night, NightOutcome, judge_night
+from softsensor.jobs.night_judgement import DIAGNOSED_RUNS, FEWEST_RUNS, PROCESS, Night, NightOutcome, judge_night
 from softsensor.jobs.night_progress import Agenda, agenda_of
+from softsensor.jobs.night_sure import settled
 from softsensor.jobs.retention import Kept, Rules, keep_house
 
 ROLLED_BACK = "model-rolled-back"
@@ -65,10 +67,12 @@ def refit_press(
         tally.keep(one, agenda.due[one.run])
     outcome = _worked_off(store, name, agenda, tally, base)
     fits = _standing_fits(store, agenda.window, press, base)
-    basis = _basis(press, [r for r in agenda.window if r.run in fits])
-    if base is None or agenda.progress.basis != basis:
-        outcome = judge_night(Night(store, name, press, base, agenda.window, fits), outcome)
-    progress = replace(agenda.progress, basis=basis)
+    good = [r for r in agenda.window if r.run in fits]
+    progress = replace(agenda.progress, basis=_basis(press, good))
+    if base is None or agenda.progress.basis != progress.basis:
+        progress = replace(progress, bets=_bets(store, press, base, agenda, good[-DIAGNOSED_RUNS:]))
+        night = Night(store, name, press, base, agenda.window, fits, progress.bets.sure)
+        outcome = judge_night(night, outcome)
     outcome = replace(outcome, drifts=tuple((a.coefficient, a.message) for a in alarms_of(store, name)))
     outcome = replace(outcome, archive=kept.line(name), archive_problem=kept.problem)
     told = _told(outcome, time.perf_counter() - begun) | kept.told()
@@ -133,6 +137,14 @@ def _standing_fits(
     found = store.fits([r.run for r in records])
     marks = {r.run: fingerprint(r, press, base) for r in records if r.run in found}
     return {run: found[run] for run, mark in marks.items() if found[run].get("fingerprint") == mark}
+
+
+def _bets(store: Store, press: Press, base: ModelFile | None, agenda: Agenda, good: Sequence[RunRecord]) -> Bets:
+    """Return the bets on whether the model in force leaves something out, with those of new runs settled."""
+    may_have_made_it = agenda.window if base is not None and base.effects else ()
+    made_of = max((r.number for r in may_have_made_it), default=0)
+    bets = agenda.progress.bets.facing(agenda.progress.rests_on, made_of)
+    return settled(bets, store, press, base, good) if len(good) >= FEWEST_RUNS else bets
 
 
 def _basis(press: Press, records: Sequence[RunRecord]) -> str:

@@ -3,7 +3,8 @@
 Nothing is promoted that has not been held against the model in force on the same runs and, where there is a core
 thermocouple, on the same scans of the core. Two residuals are told apart: with a run's own contacts fitted to it,
 and of a run predicted from its header, its moments and its platens alone. The prediction has a veto and, where it
-is surely better, suffices.
+is surely better, suffices. A test asked every night names something sooner or later: what a diagnosis would name
+is only suspected until the bets over all nights (`bets`) are sure that something is missing.
 """
 
 from __future__ import annotations
@@ -24,11 +25,13 @@ from daq.store import RunRecord, Store
 from daq.store.records import ModelStatus
 from daq.words import Message, say
 from softsensor.diagnosis.decision import Verdict
+from softsensor.effects.vocabulary import called
 from softsensor.fitting.result import left_in
 from softsensor.fitting.simulated_run import simulate_run
 from softsensor.heat.model_file import ModelFile, parse_model
 from softsensor.jobs.fitter import fit_one
 from softsensor.jobs.model_in_force import combined_model, with_stored_fits
+from softsensor.jobs.night_sure import held_back, unsure_causes
 from softsensor.live.replay import replay
 from softsensor.signals.faces import measured_core
 from softsensor.signals.moments import moments_of
@@ -129,6 +132,8 @@ class Night:
     """The newest runs, oldest first."""
     fits: Mapping[str, Mapping[str, Any]]
     """Of these, as far as they stand."""
+    sure: str = ""
+    """The run since which it is sure that the model in force leaves something out, empty where it is not."""
 
     def runs(self, names: Sequence[str]) -> list[Run]:
         """Return stored runs by name."""
@@ -151,10 +156,12 @@ def judge_night(night: Night, outcome: NightOutcome) -> NightOutcome:
     held = good[-min(JUDGES, len(good) // 3) :] if len(good) >= SPLIT_FROM else []
     asked = [run for run in good if run not in held][-DIAGNOSED_RUNS:]
     base = combined_model(night.press, night.base, [night.fits[run] for run in good])
-    report, extended = _diagnose(night, asked)
+    report, extended, unsure = _diagnose(night, asked)
     night.store.put_diagnosis(night.name, {**report, "runs": asked})
     named = tuple(str(effect["name"]) for effect in report.get("effects", ()))
     outcome = replace(outcome, verdict=str(report["verdict"]), named=named)
+    if unsure:
+        outcome = replace(outcome, reason=say("night-not-sure-yet", causes=tuple(map(called, unsure))))
     fewer = _leaves_out(night.base, extended) if outcome.verdict in (Verdict.NO_EFFECT, Verdict.NAMED) else ()
     if not extended.effects and not fewer:
         return _keep_or_begin(night, base, outcome)
@@ -453,11 +460,17 @@ def _errors(press: Press, run: Run, model: ModelFile | None, core: Array) -> Arr
     return predicted - core
 
 
-def _diagnose(night: Night, runs: Sequence[str]) -> tuple[dict[str, Any], ModelFile]:
-    """Ask what the plain model gets wrong on these runs; a law without a name is told and not promoted."""
+def _diagnose(night: Night, runs: Sequence[str]) -> tuple[dict[str, Any], ModelFile, list[str]]:
+    """Ask what the plain model gets wrong on these runs; a law without a name is told and not promoted.
+
+    Returns the report, the extended model, and causes it would name that the bets over all nights hold back.
+    """
     from softsensor.diagnosis.extended_model import model_of
     from softsensor.diagnosis.summary import as_stored
     from softsensor.diagnosis.verdict import diagnose
 
     found = diagnose(night.press, night.runs(runs))
-    return {**as_stored(found), "predicted_gain_ci95": found.predicted_gain.ci95}, model_of(found.final)
+    in_force = [name for name, _ in night.base.effects] if night.base is not None else []
+    unsure = [] if night.sure else unsure_causes(found, in_force)
+    found = held_back(found) if unsure else found
+    return {**as_stored(found), "predicted_gain_ci95": found.predicted_gain.ci95}, model_of(found.final), unsure

@@ -15,6 +15,7 @@ from typing import Any
 from daq.press.press_file import Press
 from daq.store import RunRecord, RunStatus, Store
 from softsensor.heat.model_file import ModelFile
+from softsensor.jobs.bets import Bets
 from softsensor.jobs.drift import CHARTED_RUNS
 from softsensor.jobs.model_in_force import fingerprint
 
@@ -43,12 +44,17 @@ class Progress:
     """Fingerprint of press file and effects."""
     basis: str = ""
     """Fingerprint of the runs that were judged: the next night judges again as soon as there are others."""
+    bets: Bets = field(default_factory=Bets)
+    """On whether the model in force leaves something out; kept with the night, so that a run has its turn once."""
 
     @classmethod
     def of(cls, store: Store, press: str) -> Progress:
         """Return where the last night that came to its end left off."""
         found = store.nights(press=press, limit=1).items
-        return cls(**found[0].progress) if found else cls()
+        if not found:
+            return cls()
+        told = found[0].progress
+        return cls(**{**told, "bets": Bets(**told.get("bets", {}))})
 
     def as_json(self) -> dict[str, Any]:
         """Return it as the store keeps it."""

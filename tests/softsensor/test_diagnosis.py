@@ -21,6 +21,7 @@ from daq.words.message import catalogue_of, sentences, words
 from softsensor.diagnosis.advice import AdviceBasis, next_measurement, rim_notes
 from softsensor.diagnosis.curves import curves_of
 from softsensor.diagnosis.decision import ALPHA, ALPHA_PATTERN, EXCESS, NEGLIGIBLE_K, Verdict, refuted_by_cores
+from softsensor.diagnosis.extended_model import model_of
 from softsensor.diagnosis.extension import (
     STUCK,
     Direction,
@@ -36,6 +37,7 @@ from softsensor.diagnosis.extension import (
 from softsensor.diagnosis.finding import Diagnosis, Finding
 from softsensor.diagnosis.gains import Gain
 from softsensor.diagnosis.numbers import BLOCK_S, intervals, intervals_of_models, measure_errors, noise_floor
+from softsensor.diagnosis.run_scores import run_scores
 from softsensor.diagnosis.search import (
     CLOCK_ERROR_S,
     HOPELESS,
@@ -56,6 +58,7 @@ from softsensor.effects import BUILT_IN, find_effect
 from softsensor.heat.model import ThermalModel
 from softsensor.heat.model_file import parse_model
 from softsensor.heat.timing import OPENING_RAMP, OPENING_RAMP_S
+from softsensor.jobs.night_sure import held_back
 from softsensor.report.diagnosis_figures import residual_figure
 from softsensor.report.diagnosis_report import diagnosis_report
 from softsensor.signals.digest import Digest
@@ -99,6 +102,25 @@ def test_a_rim_loss_is_named_and_its_size_found() -> None:
     truth = campaign("edge_loss", 501, 7, 0.5)[0][1].effects["edge_loss"]["W_m3K"]
     assert [f.name for f in found.findings] == ["edge_loss"]
     assert found.findings[0].parameters["W_m3K"].value == pytest.approx(truth, rel=0.35)
+
+
+def test_a_name_that_the_nights_are_not_sure_of_is_only_suspected() -> None:
+    held = held_back(diagnosed("edge_loss", 501, 7, 0.5))
+    content = json.loads(json.dumps(as_stored(held), allow_nan=False))
+    assert (content["verdict"], content["effects"]) == ("unknown_effect", [])
+    assert [f["name"] for f in content["suspected"]] == ["edge_loss"]
+    assert content["extended"] == content["base"]
+    assert content["next_measurement"].startswith("Insulate the rim")
+    assert model_of(held.final).effects == ()
+    assert any("heat lost at the rim" in str(said) for said in verdict_said(held))
+
+
+def test_runs_show_a_hidden_cause_each_by_itself_and_none_where_nothing_is_hidden() -> None:
+    for effect, seed in (("edge_loss", 501), (None, 41)):
+        runs = [run for run, _ in campaign(effect, seed, 7, 0.5 if effect else 0.0)]
+        shown = run_scores(ThermalModel(press()), press(), runs)
+        assert {"edge_loss.W_m3K", "platen_offset.top_K", "platen_offset.top_K-"} < set(shown)
+        assert ((shown["edge_loss.W_m3K"].beyond > 0.0) == bool(effect)).all()
 
 
 def test_the_extended_model_at_least_halves_core_and_held_out_errors() -> None:

@@ -101,6 +101,36 @@ def test_a_job_killed_among_the_fits_goes_on_where_it_was(store, runs, monkeypat
     assert refit_press(store, "lab", PRESS, workers=1).fitted == 1
 
 
+def test_each_run_is_bet_on_once_wherever_a_night_is_killed(store, runs, monkeypatch):
+    def bets():
+        return progress.Progress.of(store, "lab").bets
+
+    def killed(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(nightly, "judge_night", lambda night, outcome: outcome)
+    fill(store, runs[:3])
+    for where in ("judge_night", "alarms_of"):
+        with monkeypatch.context() as patched:
+            patched.setattr(nightly, where, killed)
+            with pytest.raises(KeyboardInterrupt):
+                refit_press(store, "lab", PRESS, workers=1)
+        assert bets().runs == 0
+    refit_press(store, "lab", PRESS, workers=1)
+    first = bets()
+    assert (first.models, first.runs, first.counted) == (1, 3, store.run_record(runs[2].name).number)
+    assert first.average != 1.0
+    refit_press(store, "lab", PRESS, workers=1)
+    assert bets() == first
+    fill(store, runs[3:])
+    refit_press(store, "lab", PRESS, workers=1)
+    assert bets().runs == 4
+    promote_with(store, "lab-1", "edge_loss")
+    fill(store, [replace(runs[0], name="later")])
+    refit_press(store, "lab", PRESS, workers=1)
+    assert (bets().models, bets().runs, bets().counted) == (2, 0, store.run_record("later").number)
+
+
 def without_panel_sensors(run):
     return replace(
         run,
@@ -249,6 +279,7 @@ def test_fits_that_no_finished_job_has_judged_are_judged_whoever_made_them(store
 def judging_nothing(monkeypatch):
     """Nights that fit in no time and judge nothing: what is looked at is what they are asked for."""
     monkeypatch.setattr(nightly, "judge_night", lambda night, outcome: outcome)
+    monkeypatch.setattr(nightly, "settled", lambda bets, *_: bets)
     monkeypatch.setattr(nightly_fits, "fit_stored", lambda task: Done(task.run, {"run": task.run, "rmse_K": 0.3}))
 
 
@@ -327,7 +358,7 @@ def test_a_model_somebody_has_gone_back_from_is_not_promoted_again_at_night(stor
         store.put_model("lab", model.version, model.as_json())
         store.promote_model(model.version, "test")
     report = {"verdict": "named", "base": {}, "extended": {}}
-    monkeypatch.setattr(nightly_judge, "_diagnose", lambda night, asked: (report, rim))
+    monkeypatch.setattr(nightly_judge, "_diagnose", lambda night, asked: (report, rim, []))
     monkeypatch.setattr(
         nightly_judge,
         "_compare",
@@ -350,7 +381,7 @@ def test_an_effect_the_diagnosis_no_longer_finds_goes_unless_it_still_helps(stor
     store.put_model("lab", "lab-1", rim.as_json())
     store.promote_model("lab-1", "test")
     report = {"verdict": "no_effect", "base": {}, "extended": {}}
-    monkeypatch.setattr(nightly_judge, "_diagnose", lambda night, asked: (report, plain))
+    monkeypatch.setattr(nightly_judge, "_diagnose", lambda night, asked: (report, plain, []))
     outcome = refit_press(store, "lab", PRESS, workers=1)
     assert outcome.promoted
     assert str(outcome.reason).startswith(
@@ -471,7 +502,7 @@ def test_a_promotion_alone_asks_no_second_diagnosis(store, runs, monkeypatch):
         asked.append(names)
         table = {n: FittedValue(PRESS.coefficient(n).guess, 10.0) for n in PRESS.coefficient_names}
         rim = (("edge_loss", {"W_m3K": FittedValue(1000.0, 100.0)}),)
-        return {"verdict": "named", "base": {}, "extended": {}}, ModelFile("", "lab", table, rim)
+        return {"verdict": "named", "base": {}, "extended": {}}, ModelFile("", "lab", table, rim), []
 
     monkeypatch.setattr(nightly_judge, "_diagnose", diagnose)
     monkeypatch.setattr(
