@@ -215,6 +215,8 @@ class EstimateNow(_Answer):
     cure_bottom: float | None = None
     cure_low: float | None = None
     """Lower bound of 95 % of the face that may have cured less."""
+    grade: Literal["", "undercured", "matt", "glossy"] = ""
+    """What such a face is by the thresholds of the resin file's `[grades]`; empty without any."""
     steam_kPa: float | None = None  # noqa: N815
     """Partial pressure of steam in the panel, as if it were sealed; null where its moisture is not known."""
     steam_high_kPa: float | None = None  # noqa: N815

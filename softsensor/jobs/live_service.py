@@ -431,7 +431,8 @@ def _leaving(leave: Leave, *, open_now: bool) -> dict[str, Any]:
     """Return cure, steam and leave to open as they stand beside an estimate."""
     digits = {"cure_top": 4, "cure_bottom": 4, "cure_low": 4, "steam_kPa": 1, "steam_high_kPa": 1}
     known = {name: round(value, n) for name, n in digits.items() if (value := getattr(leave, name)) == value}
-    return {**known, "open_now": open_now}
+    grade = {"grade": leave.grade} if leave.grade else {}
+    return {**known, **grade, "open_now": open_now}
 
 
 def _stored(scan: Scan, said: Estimate, model: str, detail: dict[str, Any]) -> StoredEstimate:

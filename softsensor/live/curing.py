@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from daq.press.press_file import Press
-from daq.press.resin_file import LimitsTable, Resin, SorptionTable
+from daq.press.resin_file import GradesTable, LimitsTable, Resin, SorptionTable
 from daq.records import Array
 from daq.words import Message, say
 from softsensor.heat import implicit_steps as kernels
@@ -34,6 +34,7 @@ class ResinSetup:
 
     kinetics: Kinetics
     limits: LimitsTable
+    grades: GradesTable
     sorption: SorptionTable
     moisture: tuple[float, float]
     """Mean and standard deviation, NaN where the header is silent. [% of dry mass]"""
@@ -45,7 +46,7 @@ def resin_setup(resin: Resin, header: Mapping[str, Any], press: Press) -> ResinS
     known = (math.nan, math.nan)
     if moisture is not None and moisture.source is not Source.GUESS:
         known = moisture.value, moisture.sd
-    return ResinSetup(kinetics_of(resin), resin.limits, resin.sorption, known)
+    return ResinSetup(kinetics_of(resin), resin.limits, resin.grades, resin.sorption, known)
 
 
 def resin_remarks(resin: Resin, header: Mapping[str, Any]) -> tuple[Message, ...]:

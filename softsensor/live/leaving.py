@@ -39,6 +39,8 @@ class Leave:
     cure_bottom: float = math.nan
     cure_low: float = math.nan
     """Lower bound of 95 % of the face that may have cured less."""
+    grade: str = ""
+    """What a face is that has cured so far (`GradesTable`); empty where the resin file has no thresholds."""
     steam_kPa: float = math.nan  # noqa: N815
     steam_high_kPa: float = math.nan  # noqa: N815
     """Upper bound of 95 %."""
@@ -75,13 +77,15 @@ class KnownPanel:
         """Return what that means for the limits, `seconds` on."""
         panel, cure = self.after(seconds, warmer_K), resin.kinetics.cure
         low = min(float(panel.cure_bottom.low), float(panel.cure_top.low))
+        sure = float(cure(math.exp(low)))
         found = broken(resin.limits, resin.kinetics, panel)
         if found.chances and self.changed > 0.0:
             found = replace(found, chances={**found.chances, CHANGED: np.asarray(self.changed)})
         return Leave(
             cure_top=float(cure(np.exp(panel.cure_top.mean))),
             cure_bottom=float(cure(np.exp(panel.cure_bottom.mean))),
-            cure_low=float(cure(math.exp(low))),
+            cure_low=sure,
+            grade=resin.grades.grade(sure) if sure == sure else "",
             steam_kPa=float(np.exp(panel.steam.mean)),
             steam_high_kPa=float(np.exp(panel.steam.high)),
             panel=panel,

@@ -203,7 +203,7 @@ def test_an_estimate_carries_what_is_inside_and_what_lies_ahead(store, fitter, p
 def test_an_estimate_with_a_resin_says_cure_and_leave_to_open_and_the_api_hands_it_on(store, fitter, pressing):
     recorder = Recorder(store, pressing[0], {k: v for k, v in pressing[0].header.items() if k != "run"})
     sense = follower(store, fitter)
-    limits = "[limits]\ncure_least = 0.3\n"
+    limits = "[limits]\ncure_least = 0.3\n[grades]\nmatt_from = 0.2\nglossy_from = 0.99\n"
     law = "[order]\nrate_per_s = 0.05\nactivation_energy_kJ_mol = 85.0\n"
     sense.resin = parse_resin(f'[resin]\nname = "x"\nsource = "test"\n{law}{limits}')
     while recorder.done < 80:
@@ -214,6 +214,8 @@ def test_an_estimate_with_a_resin_says_cure_and_leave_to_open_and_the_api_hands_
     assert 0.0 <= closed[0].detail["cure_low"] <= closed[-1].detail["cure_low"] <= closed[-1].detail["cure_top"]
     assert not any(e.detail["open_now"] for e in said if e.detail and "open_now" in e.detail and not e.valid)
     leave = next(e for e in closed if e.detail["open_now"])
+    assert (closed[0].detail["grade"], leave.detail["grade"]) == ("undercured", "matt")
+    assert estimate_now(leave, None, BEGAN, BEGAN).grade == "matt"
     assert estimate_now(leave, store.open_run("lab"), BEGAN, BEGAN).advice.verdict == "open_now"
     silent = replace(leave, valid=False, reason=InvalidReason.LIVE_SENSOR_SILENT.value)
     assert estimate_now(leave, None, BEGAN, BEGAN).open_now
