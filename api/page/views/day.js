@@ -30,7 +30,7 @@ export async function showDay(place, context, asked) {
   if (!context.press) { holder.replaceChildren(el("p", { class: "empty" }, text("page-no-press"))); return null; }
 
   const read = (begin, end) => get("/scans", { press: context.press, from: begin, to: end, points: STEPS });
-  const scans = await read(from, to);
+  const scans = await readPart(await read(from, to), read);
   const runs = (await get("/search", { press: context.press, from: new Date(Date.parse(from) - 3600e3).toISOString(), to, limit: 500 })).items
     .filter((run) => run.started_utc && Date.parse(run.ended_utc ?? run.started_utc) >= Date.parse(from)).sort((a, b) => Date.parse(a.started_utc) - Date.parse(b.started_utc));
   holder.replaceChildren();
@@ -51,6 +51,15 @@ export async function showDay(place, context, asked) {
   missing.replaceChildren(...scans.unread.map(({ run, why, why_said }) => el("p", { class: "small warn-text" }, `${run}: ${said(why_said, why)}`)));
   list.replaceChildren(pressings(runs, from, says));
   return null;
+}
+
+// Of a day with readings in a part of it, that part, in steps as much finer.
+async function readPart(day, read) {
+  const [first, last] = [day.scans.findIndex((count) => count > 0), day.scans.findLastIndex((count) => count > 0)];
+  if (first < 0 || last - first > 0.9 * day.scans.length) return day;
+  const edge = (step) => new Date(Date.parse(day.from_utc) + 1000 * day.step_s * step).toISOString();
+  const part = await read(edge(first), edge(last + 1));
+  return { ...part, unread: day.unread };
 }
 
 // [seconds from midnight, then of each group the highest and the lowest of all its channels]
