@@ -52,6 +52,8 @@ class KalmanFilter:
     """Mean squared normalised innovation, the newest weighing most."""
     worst: float = 0.0
     """Largest misfit away from switches, forgotten slowly."""
+    across: float = 0.0
+    """Largest mean squared normalised innovation right after a hole in the scans."""
     changed: float = -50.0
     """Logarithm of the odds that something changed at once since the start."""
     odd: deque[tuple[float, float, float, float]] = field(default_factory=deque)
@@ -127,6 +129,8 @@ class KalmanFilter:
         if not quiet:  # just after a switch the filters differ by their linearisation, not by what they know
             self.fit += fit
         elapsed = end - begin
+        if count and not quiet and elapsed > HOLE_S:
+            self.across = max(self.across, squares / count)
         self.worst *= math.exp(-elapsed / WORST_MEMORY_S)
         if count and not quiet:
             self.odd.append((end, max(elapsed, 0.05), squares / count, jump))

@@ -168,6 +168,11 @@ class Pass:
         return min(f.misfit for f in self.filters)
 
     @property
+    def across(self) -> float:
+        """Mean squared normalised innovation after the scans' worst hole, of the filter that expects it best."""
+        return min(f.across for f in self.filters)
+
+    @property
     def chain(self) -> SensorChain:
         """The measuring chain of the filter whose cause is none: what faces read and the core."""
         return self.filters[0].linearised.model.chain

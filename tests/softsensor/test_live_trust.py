@@ -355,3 +355,19 @@ def test_a_constant_far_from_that_of_its_material_is_doubted_whichever_way_it_is
     assert [said.code for said in doubts(mistaken.header)] == ["header-far-from-table"]
     said = replay(mistaken, HELD)
     assert told_wrong(said, truth.core_C) <= 0.05
+
+
+def without(run, begin, end):
+    """Return a run without its scans between two times."""
+    keep = (run.time_s <= begin) | (run.time_s > end)
+    return replace(run, time_s=run.time_s[keep], columns={n: v[keep] for n, v in run.columns.items()})
+
+
+def test_a_clock_that_jumps_is_doubted_and_scans_that_are_lost_are_not(pressing):
+    """After 25 s without scans the faces have warmed by 5 K; after a jump they stand where they were."""
+    run, truth = pressing
+    lost_s = truth.moments.closed_s + 10.0
+    jumped = replay(replace(run, time_s=run.time_s + 25.0 * (run.time_s > lost_s)), HELD)
+    assert not any(e.valid for e in jumped if e.time_s > lost_s + 1.0)
+    lost = replay(without(run, lost_s, lost_s + 25.0), HELD)
+    assert np.mean([e.valid for e in lost if e.time_s > lost_s]) > 0.9
