@@ -13,9 +13,9 @@ The method and why it is so:
    the classic error: 84 to 100 % false names.
 4. Two rules decide (`decision`). The best candidate is taken in if its p-value holds, if runs left out gain by it
    with an interval above nothing, if its size is physical, core thermocouples do not speak against it, and beside
-   a cause taken in before, if it explains four fifths of what that one leaves beyond noise: else that one's law is
-   off. Candidates that the runs do not tell from it form its `set`; core thermocouples, which no fit sees, make it
-   smaller. Within a set the measuring chain comes first.
+   a cause taken in before, if it explains what that one leaves beyond noise (`EXPLAINED_FURTHER`): else that
+   one's law is off. Candidates that the runs do not tell from it form its `set`; core thermocouples, which no fit
+   sees, make it smaller. Within a set the measuring chain comes first.
 5. The same again on top of the extended model, for a second and third cause. A second cause is then tried
    alone, since where the plain model is far off a cause may not have found its way, and others are tried
    in the place of the first (`diagnosis.exchange`).

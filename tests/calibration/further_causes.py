@@ -1,4 +1,4 @@
-"""What `EXPLAINED` does to further names: how many that are there, and how many that are not, it keeps.
+"""What `EXPLAINED_FURTHER` does to further names: how many that are there, and how many that are not, it keeps.
 
     python -m tests.calibration.further_causes CASE ...
 

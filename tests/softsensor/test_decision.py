@@ -64,8 +64,8 @@ RESTS = (
     (2.62, 1.17, True, "a loss at the rim beside a growing contact, 94 %"),
     (1.0, 0.9, False, "nothing was left"),
     (3.0, 8.6**0.5, False, "the last tenth alone"),
-    (3.0, 2.61**0.5, False, "hardly less than four fifths"),
-    (3.0, 2.59**0.5, True, "hardly more than four fifths"),
+    (3.0, 2.21**0.5, False, "hardly less than 85 %"),
+    (3.0, 2.19**0.5, True, "hardly more than 85 %"),
 )
 
 
