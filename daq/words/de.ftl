@@ -1044,7 +1044,7 @@ plan-set-pressure_N_cm2 = Druck { NUMBER($value, maximumFractionDigits: 0) } N/c
 plan-set-start_temperature_C = Platte mit { NUMBER($value, maximumFractionDigits: 0) } °C
 plan-set-thickness_mm = Platte von { NUMBER($value, maximumFractionDigits: 1) } mm
 plan-set-waiting_s = vor dem Schließen { NUMBER($value, maximumFractionDigits: 0) } s offen
-plan-setting-unknown = { $name }: diese Einstellung hat der Lauf nicht; er hat { $known }
+plan-setting-unknown = { $name }: diese Einstellung hat die Pressung nicht; sie hat { $known }
 plan-setting-wrong = { $name } = { $value } muss zwischen { $lower } und { $upper } liegen
 plan-settles = Eine Pressung klärt es mit { NUMBER($percent, maximumFractionDigits: 0) } % Wahrscheinlichkeit; { $runs }.
 plan-settles-surely = Eine Pressung klärt es so gut wie sicher: mit über 99 % Wahrscheinlichkeit.
