@@ -25,7 +25,7 @@ import numpy as np
 
 from daq.records import Array
 from softsensor.diagnosis.gains import Gain
-from softsensor.diagnosis.sign_flips import PatternTest
+from softsensor.diagnosis.sign_flips import PatternTest, paired_t
 from softsensor.effects import Need
 
 ALPHA = 0.05
@@ -255,11 +255,9 @@ def beyond_chance(difference: Array) -> Array:
     difference
         What each run saves by the one, less what it saves by the other (..., runs).
     """
-    runs = difference.shape[-1]
-    if runs < FEW_RUNS:
+    if difference.shape[-1] < FEW_RUNS:
         return np.asarray((difference > 0.0).all(axis=-1))
-    error = np.std(difference, axis=-1, ddof=1) / np.sqrt(runs)
-    return np.asarray(difference.mean(axis=-1) >= SURE_T * np.maximum(error, 1e-9))
+    return np.asarray(paired_t(difference) >= SURE_T)
 
 
 @dataclass(frozen=True)

@@ -79,13 +79,19 @@ def max_t(scores: Array, upward: Sequence[bool] = ()) -> Array:
     return np.where(np.array(upward) & (scores.sum(axis=0) <= 0.0), 1.0, p) if len(upward) else p
 
 
-def paired_t(better: Array, worse: Array) -> float:
-    """Return how sure it is over runs that one gains more than the other: mean over its standard error."""
-    difference = better - worse
-    if len(difference) < 2:
-        return float(np.sign(difference.sum())) * 10.0
-    error = float(np.std(difference, ddof=1)) / np.sqrt(len(difference))
-    return float(difference.mean() / max(error, 1e-9))
+def paired_t(difference: Array) -> Array:
+    """Return how sure it is that runs gain more by one than by another: mean over its standard error (...).
+
+    Parameters
+    ----------
+    difference
+        What each run gains by the one, less what it gains by the other (..., runs).
+    """
+    runs = difference.shape[-1]
+    if runs < 2:
+        return np.asarray(np.sign(difference.sum(axis=-1)) * 10.0)
+    error = np.std(difference, axis=-1, ddof=1) / np.sqrt(runs)
+    return np.asarray(difference.mean(axis=-1) / np.maximum(error, 1e-9))
 
 
 @dataclass(frozen=True)

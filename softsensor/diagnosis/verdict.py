@@ -337,7 +337,7 @@ def _findings(
         if chosen is not None:
             votes = (int((chosen.gains > 0.0).sum()), len(chosen.gains))
             against = [
-                (c.effect.name, round(paired_t(chosen.gains, c.gains), 2))
+                (c.effect.name, round(float(paired_t(chosen.gains - c.gains)), 2))
                 for c in round_.candidates
                 if c.refined and c.effect.name not in round_.set
             ][:3]
