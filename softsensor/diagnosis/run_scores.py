@@ -20,9 +20,7 @@ from softsensor.diagnosis.extension_unknowns import is_shape
 from softsensor.diagnosis.search import PROBE, SettledModel, candidates_for, settle_base, switch_scores
 from softsensor.effects import Effect, Need, catalogue
 from softsensor.heat.model import ThermalModel
-from softsensor.signals.digest import Digest, digest_run
-from softsensor.signals.moments import moments_seen
-from softsensor.signals.screen import faulty_channels
+from softsensor.signals.digest import screened_digest
 
 
 @dataclass(frozen=True)
@@ -81,14 +79,9 @@ def run_scores(model: ThermalModel, press: Press, runs: Sequence[Run]) -> dict[s
     InputError
         For a run that does not fit the press.
     """
-    stage = settle_base(model, [_digest(press, run) for run in runs])
+    stage = settle_base(model, [screened_digest(press, run)[0] for run in runs])
     able = {effect.name for effect in candidates_for(stage)} - set(stage.effects)
     return {name: _shown(stage, way) for name, way in ways().items() if way.effect.name in able}
-
-
-def _digest(press: Press, run: Run) -> Digest:
-    moments = moments_seen(run, press)
-    return digest_run(press, run, moments, frozenset(f.column for f in faulty_channels(press, run, moments)))
 
 
 def _shown(stage: SettledModel, way: Way) -> Shown:

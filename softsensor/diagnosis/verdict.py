@@ -95,10 +95,9 @@ from softsensor.diagnosis.where import MOST, stretches, where_row
 from softsensor.effects import Effect, find_effect, sensor_fault
 from softsensor.heat.model import ThermalModel
 from softsensor.heat.run_checks import load_remarks
-from softsensor.signals.digest import Digest, digest_run
+from softsensor.signals.digest import Digest, screened_digest
 from softsensor.signals.faces import rim_falls
-from softsensor.signals.moments import moments_seen
-from softsensor.signals.screen import ChannelFault, faulty_channels, recurring
+from softsensor.signals.screen import ChannelFault, recurring
 
 NOT_A_MODEL = Gain(0.0, None)
 """Of faulty channels: they are left out before anything is fitted."""
@@ -166,11 +165,9 @@ def _screened(press: Press, runs: Sequence[Run]) -> tuple[_Readings, list[Digest
     """Return the readings, and a digest of each run without its faulty channels."""
     faults, digests, rim = [], [], []
     for run in runs:
-        moments = moments_seen(run, press)
-        found = faulty_channels(press, run, moments)
-        columns = frozenset(f.column for f in found)
-        digests.append(digest_run(press, run, moments, columns))
-        rim.append(rim_falls(press, run, moments, columns))
+        digest, found = screened_digest(press, run)
+        digests.append(digest)
+        rim.append(rim_falls(press, run, digest.moments, frozenset(f.column for f in found)))
         faults.append(found)
     return _Readings(press, runs, faults, np.array(rim)), digests
 

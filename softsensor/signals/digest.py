@@ -27,9 +27,9 @@ from softsensor.heat.case import Case
 from softsensor.heat.chain import Solution
 from softsensor.heat.model import ThermalModel
 from softsensor.signals.instrument import FACE_SLOW_S, INSERTED_S, MEAN_FAST_S, SCAN_LATE_S, SCAN_SKEW_S
-from softsensor.signals.moments import Switch, switch_of
+from softsensor.signals.moments import Switch, moments_seen, switch_of
 from softsensor.signals.places import Place
-from softsensor.signals.screen import faces_of
+from softsensor.signals.screen import ChannelFault, faces_of, faulty_channels
 
 # Numbers without another source were set by hand, 2026-11.
 
@@ -180,6 +180,13 @@ def digest_run(press: Press, run: Run, moments: Moments, excluded: frozenset[str
         cores=cores,
         cases=cases,
     )
+
+
+def screened_digest(press: Press, run: Run) -> tuple[Digest, tuple[ChannelFault, ...]]:
+    """Return a run boiled down without its faulty channels, and these. Raises InputError as `digest_run`."""
+    moments = moments_seen(run, press)
+    faults = faulty_channels(press, run, moments)
+    return digest_run(press, run, moments, frozenset(fault.column for fault in faults)), faults
 
 
 def _channels_of(press: Press, run: Run, excluded: frozenset[str]) -> dict[str, tuple[str, ...]]:
