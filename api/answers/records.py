@@ -29,7 +29,7 @@ from api.answers.schemas import (
     Target,
 )
 from api.answers.words import said_of
-from daq.press.header import doubts
+from daq.press.header import VERDICT, doubts
 from daq.press.press_file import parse_press
 from daq.records import InputError
 from daq.store.records import (
@@ -95,7 +95,7 @@ def _run_summary(store: Store, run: RunRecord, errors: Mapping[str, float | None
         opened_s=number_or_none(run.moments.opened_s),
         rmse_K=errors.get(run.run),
         fitted=run.run in errors,
-        verdict=run.header.get("panel.verdict"),
+        verdict=run.header.get(VERDICT),
     )
 
 

@@ -13,6 +13,7 @@ from datetime import datetime
 from api.answers.decimation import number_or_none
 from api.answers.records import run_summaries
 from api.answers.schemas import RunHit
+from daq.press.header import VERDICT
 from daq.records import InputError
 from daq.store.records import Page, RunCore, RunRecord, RunStatus, every
 from daq.store.store import Store
@@ -131,7 +132,7 @@ def _asks_for(wanted: Wanted, name: str) -> bool:
 
 
 def _matches(record: RunRecord, wanted: Wanted) -> bool:
-    if wanted.verdict and record.header.get("panel.verdict") != wanted.verdict:
+    if wanted.verdict and record.header.get(VERDICT) != wanted.verdict:
         return False
     texts = (record.run, record.press, record.remark, *(v for v in record.header.values() if isinstance(v, str)))
     told = "\n".join(texts).casefold()

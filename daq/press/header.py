@@ -51,14 +51,16 @@ LIMITS: Mapping[str, NumberLimits] = {
     "setting.core_target_C": NumberLimits(-70.0, 2000.0, "°C", "as a reading of a thermocouple"),
     "setting.core_limit_C": NumberLimits(-70.0, 2000.0, "°C", "as a reading of a thermocouple"),
 }
-VERDICTS = ("good", "blister", "undercured", "scrap")
+GOOD, BLISTER = "good", "blister"
+VERDICTS = (GOOD, BLISTER, "undercured", "scrap")
 """What became of a panel, as the operator saw it."""
-_VERDICT = "panel.verdict"
+VERDICT = "panel.verdict"
+"""The key it stands under."""
 TABLES = ("panel.conductivity_W_mK", "panel.heat_capacity_J_kgK")
 """Numbers in whose place a table in temperature may stand: rows of °C and value."""
 TEMPERATURE = "setting.platen_temperature_C"
 """Whose limits those temperatures keep."""
-_TEXTS = ("run", "remark", "recipe", "panel.material", _VERDICT)
+_TEXTS = ("run", "remark", "recipe", "panel.material", VERDICT)
 _RECORDED = "recorded"
 """What a recorder wrote of a run: `daq.store.origin` knows these keys."""
 _TABLES = tuple(name for name in Press.model_fields if name != "sd")
@@ -86,7 +88,7 @@ def check_header(header: Mapping[str, Any], place: object) -> None:
             checked_table(key, value, place)
         elif key in LIMITS and value is not None:
             checked_number(key, value, place)
-        elif key == _VERDICT and value not in (*VERDICTS, None):
+        elif key == VERDICT and value not in (*VERDICTS, None):
             raise InputError(at(place, say("header-verdict", key=key, value=repr(value), known=VERDICTS)))
         elif key.startswith(_RECKONED) and isinstance(value, float) and not math.isfinite(value):
             raise Nonphysical(at(place, say("header-not-finite", key=key, value=repr(value))))

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from daq.press.header import BLISTER, GOOD, VERDICT
 from daq.press.resin_file import Resin
 from daq.records import InputError, PressState
 from daq.words import say
@@ -19,8 +20,6 @@ from softsensor.opening.limits import STEAM_MOST, Normal
 
 if TYPE_CHECKING:
     from softsensor.face.kinds import AnyModel, AnyPress, AnyRun
-
-VERDICT, GOOD, BLISTER = "panel.verdict", "good", "blister"
 
 
 def learn_steam_limit(

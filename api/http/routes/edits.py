@@ -14,7 +14,7 @@ from api.answers.records import doubts_told, run_detail
 from api.answers.schemas import NextPanelNow, RunDetail, RunVerdict, Verdict
 from api.http.problems import ProblemError, problem_responses
 from api.http.routes.common import PressName, StoreDep, Words, Writer, existing_run
-from daq.press.header import check_header, doubts, new_doubts, panel_of
+from daq.press.header import VERDICT, check_header, doubts, new_doubts, panel_of
 from daq.press.press_file import SD, overridden, parse_press, press_for_run
 from daq.records import InputError, Run
 from daq.store.convert import header_of, header_text
@@ -28,7 +28,6 @@ NUMBERS = ("setting.", "ambient.")
 """Header keys that begin so are numbers: fits, drift and the live sensor reckon with them."""
 EXACT = 2**53
 """Whole numbers up to here are the same in JSON, TOML and a float."""
-VERDICT = "panel.verdict"
 Key = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+(\.[A-Za-z0-9_-]+)*$", max_length=200)]
 Value = (
     StrictBool
