@@ -100,8 +100,7 @@ def learn_limit(
     from scipy.special import log_ndtr
 
     unsure = UNSURE_LOG if stated_sd_kPa is None else stated_sd_kPa / stated_kPa
-    grid = (np.linspace(-_REACH, _REACH, n) for n in _CELLS)
-    u, v = (one for one in grid)
+    u, v = (np.linspace(-_REACH, _REACH, n) for n in _CELLS)
     middle, scatter = math.log(stated_kPa) + unsure * u, SCATTER_LOG * np.exp(SCATTER_UNSURE * v)
     log = -0.5 * (u[:, None] ** 2 + v**2)
     mean, sd = np.asarray(steam.mean, float), np.asarray(steam.sd, float)

@@ -259,9 +259,7 @@ def advise(task: Task, wish: Wish, progress: Progress | None = None) -> Programm
 def limits_of(resin: Resin | None, given: Mapping[str, float]) -> LimitsTable:
     """Return the limits: those given before the resin's. Raises InputError for one that cannot be."""
     known = LimitsTable() if resin is None else resin.limits
-    kept = tuple(
-        (key, sd) for key, sd in known.sd if key not in given
-    )  # of a number that is given anew, it is not
+    kept = tuple((key, sd) for key, sd in known.sd if key not in given)  # a number given anew comes without
     try:
         return LimitsTable.model_validate(known.model_dump(exclude_none=True) | {"sd": kept} | dict(given))
     except ValidationError as error:
