@@ -70,7 +70,7 @@ export class TimeChart {
         y: this.yRange ? { range: this.yRange } : {},
       },
       axes: [
-        { ...axis, label: this.xLabel ?? text("page-time-axis"), labelSize: 20, size: 34, ...(this.xSteps ? { incrs: this.xSteps } : {}), values: (_, splits) => splits.map((v) => (this.xSays ? this.xSays(v) : number(v, Number.isInteger(v) ? 0 : 1))) },
+        { ...axis, label: this.xLabel ?? text("page-time-axis"), labelSize: 20, size: 34, ...(this.xSteps ? { incrs: this.xSteps } : {}), values: (_, splits) => splits.map((v) => (this.xSays ? this.xSays(v, splits[1] - splits[0] < 60 ? "medium" : "short") : number(v, Number.isInteger(v) ? 0 : 1))) },
         { ...axis, label: this.yLabel, labelSize: 20, size: (_, values) => Math.max(46, 14 + 7 * Math.max(...(values ?? [""]).map((v) => v.length))), values: (_, splits) => splits.map((v) => number(v, decimals(splits))) },
       ],
       series: [{}, ...this.series.map((s) => this.line(s))],

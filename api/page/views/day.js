@@ -76,7 +76,8 @@ function draw(holder, { whole, runs, from, says, label }) {
   const at = (utc) => (Date.parse(utc) - Date.parse(from)) / 1000;
   const phases = runs.flatMap((run) => {
     const [begin, end] = [at(run.started_utc), run.ended_utc ? at(run.ended_utc) : at(run.started_utc) + (run.opened_s ?? run.closed_s ?? 0)];
-    const closed = run.closed_s === null ? [] : [{ state: "closed", from_s: begin + run.closed_s, to_s: run.opened_s === null ? end : begin + run.opened_s }];
+    // Moments are in the press's own time, which in an accelerated demonstration ends after the clock's.
+    const closed = run.closed_s === null || begin + (run.opened_s ?? run.closed_s) > end ? [] : [{ state: "closed", from_s: begin + run.closed_s, to_s: run.opened_s === null ? end : begin + run.opened_s }];
     return [{ state: "open", from_s: begin, to_s: end, run: run.run }, ...closed];
   });
   const chart = new TimeChart(holder, {
