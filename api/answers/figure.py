@@ -23,6 +23,8 @@ POINTS = 700
 COLOURS = {"panel.top": "#e8590c", "panel.bottom": "#1c7ed6"}
 OTHERS = ("#2b8a3e", "#862e9c", "#0b7285")
 CORE, LIVE, PLATEN = "#c92a2a", "#6741d9", "#6b7280"
+DASH = "6 4"
+"""Of the simulated core, which is drawn over the live one: where they agree, both show."""
 INK, FAINT, LINE = "#17202b", "#5a6675", "#dfe3e8"
 CALM = 0.97
 """Share of the residuals the axis shows: the second after closing may be off by tens of kelvins."""
@@ -96,8 +98,8 @@ def run_figure(curves: Curves, language: str = ENGLISH) -> str:
         parts += _dots(above, time_s, thin[f"m {name}"], colour)
         parts += _line(above, time_s, thin[f"s {name}"], colour, 1.8)
         parts += ['<g clip-path="url(#below)">', *_line(below, time_s, residual[name], colour, 1.3), "</g>"]
-    parts += _line(above, time_s, thin["core"], CORE, 2.2)
-    parts += _line(above, live_s, live["core"], LIVE, 1.8) if live else []
+    parts += _line(above, live_s, live["core"], LIVE, 2.4) if live else []
+    parts += _line(above, time_s, thin["core"], CORE, 1.6, dash=DASH)
     parts += _legend(list(curves.simulated), language, platens=bool(platens), live=bool(live))
     return "\n".join([*parts, "</svg>"])
 
@@ -172,7 +174,9 @@ def _text(said: Message, language: str) -> str:
     return escape(words(said, language))
 
 
-def _line(panel: _Panel, time_s: Array, values: Array, colour: str, width: float) -> Iterable[str]:
+def _line(
+    panel: _Panel, time_s: Array, values: Array, colour: str, width: float, dash: str = "none"
+) -> Iterable[str]:
     x, y = panel.across(time_s), panel.down(values)
     path, pen = [], "M"
     for i in range(len(x)):
@@ -181,7 +185,8 @@ def _line(panel: _Panel, time_s: Array, values: Array, colour: str, width: float
             pen = "L"
         else:
             pen = "M"
-    yield f'<path d="{"".join(path)}" fill="none" stroke="{colour}" stroke-width="{width}"/>'
+    look = f'stroke="{colour}" stroke-width="{width}" stroke-dasharray="{dash}"'
+    yield f'<path d="{"".join(path)}" fill="none" {look}/>'
 
 
 def _dots(panel: _Panel, time_s: Array, values: Array, colour: str) -> Iterable[str]:
@@ -200,7 +205,8 @@ def _legend(names: Sequence[str], language: str, *, platens: bool, live: bool) -
         name = words(said, language)
         if x + 21 + 6.3 * len(name) > WIDTH - RIGHT:
             x, y = float(LEFT), y + 16
-        yield f'<path d="M{x} {y}h16" stroke="{colour}" stroke-width="3"/>'
+        dash = DASH if colour == CORE else "none"
+        yield f'<path d="M{x} {y}h16" stroke="{colour}" stroke-width="3" stroke-dasharray="{dash}"/>'
         yield f'<text x="{x + 21}" y="{y + 4}" font-size="11" fill="{FAINT}">{escape(name)}</text>'
         x += 34 + 6.3 * len(name)
     marks = _text(say("figure-dots-and-lines"), language)

@@ -11,9 +11,11 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
+from statistics import median
 from typing import Literal
 
 from api.answers.schemas import State
+from daq.press.detector import HAND_C
 from daq.records import Channel, PressState, Scan
 from daq.store.records import RunRecord, RunStatus, StoredEstimate, StoredPressEvent
 from daq.store.store import Store
@@ -75,7 +77,13 @@ def present_of(store: Store, press: str, now: datetime) -> Present:
     batch = store.scans_after(press, store.newest_scan_number(press) - 1, 1)
     scan = batch.scans[-1] if batch.scans else None
     late = None if scan is None else _late(scan.utc, now)
-    state: State = "unknown" if scan is None or late is not None else state_of(events, run)
+    state: State = "unknown"
+    if scan is not None and late is None:
+        before = None if run else next(iter(store.runs(press=press, limit=1).items), None)
+        left = before is not None and left_inside(
+            before, dict(zip((c.name for c in batch.channels), scan.values, strict=True))
+        )
+        state = "unknown" if left else state_of(events, run)
     own = scan
     if found and (scan is None or scan.number != number):
         own = next((s for s in store.scans_after(press, number - 1, 1).scans if s.number == number), None)
@@ -89,6 +97,22 @@ def state_of(events: Sequence[StoredPressEvent], run: RunRecord | None) -> State
     if run is None or run.status is not RunStatus.OPEN:
         return "idle"
     return STATE_AFTER.get(events[-1].kind, "unknown") if events else "idle"
+
+
+def left_inside(before: RunRecord, reading: Mapping[str, float]) -> bool:
+    """Return whether a panel may still be in the press that a stopped recorder left there, for a face is warm.
+
+    Parameters
+    ----------
+    before
+        The newest run, none being recorded.
+    reading
+        The newest scan by channel. [°C]
+    """
+    if before.status is not RunStatus.INTERRUPTED or math.isfinite(before.moments.removed_s):
+        return False
+    faces = ([v for n, v in reading.items() if n.startswith(face) and v == v] for face in ("top", "bottom"))
+    return any(values and median(values) > HAND_C for values in faces)
 
 
 def leave_of(estimate: StoredEstimate) -> bool:
@@ -128,6 +152,8 @@ def _beside(said: StoredEstimate, state: State, run: RunRecord | None) -> Invali
     """Return why an estimate of now is not about the panel in the press as it stands."""
     if state == "idle":
         return Invalid(InvalidReason.NO_PANEL)
+    if state == "unknown":
+        return Invalid(InvalidReason.PRESS_STATE_UNKNOWN)
     if run is None or said.number < run.first_scan or said.state == "idle":
         return Invalid(InvalidReason.NO_ESTIMATE_YET)
     return Invalid(InvalidReason.PRESS_STATE_UNKNOWN) if said.valid and said.state != state else None

@@ -206,6 +206,8 @@ def _standing(
 ) -> StoredEstimate:
     """Return the newest estimate as it counts for the press as the recorder sees it."""
     run = next((run for run in runs if run.status is RunStatus.OPEN), None)
+    if run is None and runs and runs[0].status is RunStatus.INTERRUPTED:
+        return as_of_now(estimate, utc, present_of(store, press, now).state, run, now)
     events = store.press_events(press, since_scan=run.first_scan) if run else ()
     return as_of_now(estimate, utc, state_of(events, run), run, now)
 

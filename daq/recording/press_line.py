@@ -343,6 +343,7 @@ class PressLine:
             "state": self._detector.state or "unknown",
             "open_run": self._keeper.open_run,
             "rate_hz": self.settings.rate_hz,
+            "speed": self._speed,
             "newest_scan": None if newest is None else newest.number,
             "newest_utc": None if newest is None else newest.utc.isoformat(),
             "missed_ticks": self._scanner.missed_ticks,

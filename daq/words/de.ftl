@@ -1968,7 +1968,6 @@ page-left-out-channel = { $kelvin } K { $side ->
  } den Nachbarn, nicht verwendet
 page-limit-in = Grenze in
 page-no-estimate = Noch keine Vorhersage
-page-no-panel = Keine Platte in der Presse
 page-no-press = Noch keine Presse
 page-no-press-hint = Eine Presse erscheint hier, sobald ihre Aufzeichnung beginnt: 'kerntemp record' mit einer Konfiguration; die von 'kerntemp demo' innerhalb einer halben Minute nach deren Start.
 page-open-then = öffnen

@@ -1949,7 +1949,6 @@ page-left-out-channel = { $kelvin } K { $side ->
  } its neighbours, not used
 page-limit-in = Limit in
 page-no-estimate = No prediction yet
-page-no-panel = No panel in the press
 page-no-press = No press yet
 page-no-press-hint = A press appears here as soon as its recorder begins: 'kerntemp record' with a configuration; that of 'kerntemp demo' within half a minute of its start.
 page-open-then = open

@@ -64,7 +64,9 @@ def simulate_run(
     solution = model.solve(case, values, fields=True)
     places = {label: solution.places[:, i] for i, label in enumerate(case.labels[:-1])}
     measured = {label: _measured(run, case.place_of, i) for i, label in enumerate(places)}
-    inside = run.time_s < (moments.removed_s if np.isfinite(moments.removed_s) else np.inf)
+    inside = ~(run.time_s < moments.inserted_s) & ~(
+        run.time_s >= moments.removed_s
+    )  # one that is NaN bounds nothing
     measured = {label: np.where(inside, values, np.nan) for label, values in measured.items()}
     rmse = {
         label: float(np.nanstd(measured[label] - places[label]))

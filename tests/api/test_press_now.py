@@ -187,6 +187,19 @@ def test_a_new_panel_has_no_estimate_before_its_own(store):
     assert now_of(store).estimate.valid
 
 
+def test_a_panel_a_stopped_recorder_left_in_the_press_is_not_said_to_be_gone_while_its_faces_are_warm(store):
+    key = store.register_press("lab", CHANNELS)
+    record(store, key, "one", range(5), 25.0, ended=False)
+    store.interrupt_open_runs("lab")
+    store.append_scans(key, [scan(5)])
+    store.append_estimates("lab", [replace(estimate(5, 25.0), state="idle", valid=False)])
+    now = now_of(store)
+    assert (now.state, now.estimate.reason, now.estimate.open_now) == ("unknown", "press state unknown", False)
+    cold = replace(scan(6), values=(200.0, 200.0, 22.0, 24.0))
+    store.append_scans(key, [cold])
+    assert now_of(store).state == "idle"
+
+
 def test_a_core_above_its_limit_is_no_alarm_once_nobody_says_so_any_more(store):
     pressing_that_may_end(store)
     store.put_alarm_thresholds("lab", {"core_above_C": 20.0}, "test")

@@ -364,6 +364,9 @@ def test_a_run_is_simulated_at_every_sensor_position_with_its_fitted_coefficient
     assert {len(v) for v in (*simulation["positions"].values(), *simulation["measured"].values())} == {rows}
     assert len(simulation["profile_C"]) == len(simulation["profile_time_s"])
     assert simulation["profile_depth_mm"][-1] == 16.0
+    inserted = client.get(RUN).json()["phases"][0]["from_s"]
+    measured = [t for t, v in zip(simulation["time_s"], simulation["measured"]["panel.top"], strict=True) if v]
+    assert measured[0] >= inserted > simulation["time_s"][0]  # hands on sensors before it are nothing measured
 
 
 def test_the_figure_is_an_svg_that_names_the_run(client):
@@ -374,7 +377,9 @@ def test_the_figure_is_an_svg_that_names_the_run(client):
     said = [text.text or "" for text in root.iter("{http://www.w3.org/2000/svg}text")]
     assert any("lab-2026-03-04-01" in text for text in said)
     assert {"Platens", "Core as predicted live, with its 95 % band"} <= set(said)
-    assert [p.get("fill") for p in root.iter("{http://www.w3.org/2000/svg}path") if p.get("opacity") == ".18"]
+    paths = list(root.iter("{http://www.w3.org/2000/svg}path"))
+    assert [p.get("fill") for p in paths if p.get("opacity") == ".18"]
+    assert [p.get("stroke-dasharray") for p in paths if p.get("fill") == "none"][-2:] == ["none", "6 4"]
 
 
 def test_the_figure_speaks_the_language_that_is_asked_for(client):

@@ -348,7 +348,9 @@ def test_the_journal_groups_what_repeats_and_holds_press_events_and_notes(plant,
     journal = page.get_by_test_id("journal")
     for part in words[:3]:
         expect(journal).to_contain_text(part)
-    expect(journal.get_by_role("link", name="lab-0000000").first).to_be_visible()
+    expect(link := journal.get_by_role("link", name="lab-0000000").first).to_be_visible()
+    page.set_viewport_size({"width": 375, "height": 812})
+    assert link.evaluate("link => link.closest('td').offsetWidth") > 180  # a name of 18 letters is not broken
     page.get_by_label(words[3]).fill("steam at the left")
     page.get_by_role("button", name=words[4]).click()
     expect(journal.get_by_role("row", name="steam at the left")).to_contain_text("foreman")
@@ -709,6 +711,27 @@ def test_a_run_the_model_does_not_describe_is_red_and_has_no_intervals(plant):
     page.reload()
     expect(fit.locator(".pill.bad").first).to_have_text("not described by the model")
     expect(fit).not_to_contain_text("…")
+
+
+def test_a_days_pressings_are_marked_by_the_clock_where_a_press_runs_faster_than_it(plant):
+    address, page, _ = plant
+    page.goto(address)
+    run = {"run": "a", "started_utc": "2026-03-04T00:00:10Z", "ended_utc": "2026-03-04T00:00:20Z"}
+    told = [run | {"closed_s": 20.0, "opened_s": 100.0}]
+    marked = page.evaluate(
+        "told => import('./static/views/day.js').then((day) => day.phasesOf(told, '2026-03-04T00:00:00Z', 20))",
+        told,
+    )
+    assert [(p["state"], p["from_s"], p["to_s"]) for p in marked] == [("open", 10, 20), ("closed", 11, 15)]
+
+
+def test_before_the_first_core_its_chart_reaches_from_a_room_to_the_target(plant):
+    address, page, _ = plant
+    page.goto(address)
+    low, high = page.evaluate(
+        "import('./static/views/answer.js').then((it) => it.CoreChart.prototype.range.call({ target: 40 }))"
+    )
+    assert low < 20 < 40 < high
 
 
 def test_a_day_shows_readings_in_and_between_pressings_a_part_finer_and_leads_to_its_runs(plant):

@@ -4,6 +4,7 @@ import { duration, el, number } from "../dom.js";
 import { said, text } from "../words.js";
 
 export const STALE_S = 5;
+const ROOM_C = 20; // where a core begins, until one is known
 
 // What may be shown as a number: an estimate that is not valid foresees nothing either.
 export const believed = (estimate) => (estimate?.valid ? estimate : {});
@@ -16,7 +17,7 @@ export function showCore(core, band, state, estimate) {
   core.replaceChildren(valid ? number(estimate.core_C, 1) : "–", el("small", {}, "°C"));
   band.textContent = valid
     ? `${number(estimate.core_low_C, 1)} … ${number(estimate.core_high_C, 1)} °C · ${text("page-band95")}`
-    : state === "idle" ? text("page-no-panel") : reasonOf(estimate) || text("page-no-estimate");
+    : state === "idle" || estimate?.reason === "no scans" ? "" : reasonOf(estimate) || text("page-no-estimate"); // the answer tells these
 }
 
 // Why there is no core: a code in plain words, whose words the catalogue has with hyphens.
@@ -25,12 +26,13 @@ function reasonOf(estimate) {
 }
 
 // One line in its own colour. What rests on no reading for `silent` seconds is not known, whatever was foreseen.
-export function showAnswer(place, estimate, silent) {
+export function showAnswer(place, { state, estimate }, silent) {
   const advice = estimate?.advice;
-  const verdict = silent !== null || !advice ? "not_known" : advice.verdict;
+  const empty = state === "idle" && !advice;
+  const verdict = silent !== null || !(advice || empty) ? "not_known" : empty ? "no_panel" : advice.verdict;
   const line = silent !== null
     ? text("advice-not-known", { why: text("page-no-reading-for", { time: seconds(Math.round(silent)) }) })
-    : advice ? said(advice.sentence_said, advice.sentence) : text("page-no-estimate");
+    : advice ? said(advice.sentence_said, advice.sentence) : text(empty ? "advice-no-panel" : "page-no-estimate");
   place.className = `answer ${verdict}`;
   if (place.textContent !== line) place.textContent = line;
 }
@@ -100,8 +102,10 @@ export class CoreChart {
       ...measured.map(before)], shifted(phases, zero));
   }
 
+  // Before the first core the target stands over a room's temperature, not alone.
   range(low, high) {
     const all = [low, high, this.target].filter((value) => Number.isFinite(value));
+    if (all.length === 1) all.push(ROOM_C);
     const [least, most] = all.length ? [Math.min(...all), Math.max(...all)] : [0, 100];
     const room = Math.max(0.06 * (most - least), 1);
     return [least - room, most + room];

@@ -35,7 +35,7 @@ export async function showDay(place, context, asked) {
     .filter((run) => run.started_utc && Date.parse(run.ended_utc ?? run.started_utc) >= Date.parse(from)).sort((a, b) => Date.parse(a.started_utc) - Date.parse(b.started_utc));
   holder.replaceChildren();
   const whole = curves(scans, from);
-  const chart = draw(holder, { whole, runs, from, says, label: text("page-day-of", { press: context.press }) });
+  const chart = draw(holder, { whole, phases: phasesOf(runs, from, speedOf(context.press, await get("/health"))), says, label: text("page-day-of", { press: context.press }) });
   let turn = 0;
   // A part looked at is read anew, in steps as much finer.
   chart.onRange = async (min, max) => {
@@ -72,14 +72,22 @@ function curves(scans, from) {
   return [scans.scans.map((_, i) => zero + (i + 0.5) * scans.step_s), ...Object.keys(GROUPS).flatMap((role) => [extreme(role, "high", Math.max), extreme(role, "low", Math.min)])];
 }
 
-function draw(holder, { whole, runs, from, says, label }) {
+// How much faster than the clock a press runs: only a demonstration's does.
+const speedOf = (press, { processes }) => processes.flatMap(({ details }) => details.presses ?? []).find((one) => one.press === press && one.speed)?.speed ?? 1;
+
+// When a panel lay in the press, and when that was closed. [s from the day's beginning]
+export function phasesOf(runs, from, speed) {
   const at = (utc) => (Date.parse(utc) - Date.parse(from)) / 1000;
-  const phases = runs.flatMap((run) => {
-    const [begin, end] = [at(run.started_utc), run.ended_utc ? at(run.ended_utc) : at(run.started_utc) + (run.opened_s ?? run.closed_s ?? 0)];
-    // Moments are in the press's own time, which in an accelerated demonstration ends after the clock's.
-    const closed = run.closed_s === null || begin + (run.opened_s ?? run.closed_s) > end ? [] : [{ state: "closed", from_s: begin + run.closed_s, to_s: run.opened_s === null ? end : begin + run.opened_s }];
+  return runs.flatMap((run) => {
+    const begin = at(run.started_utc);
+    const after = (moment) => begin + moment / speed; // moments are in the press's own time
+    const end = run.ended_utc ? at(run.ended_utc) : after(run.opened_s ?? run.closed_s ?? 0);
+    const closed = run.closed_s === null || after(run.opened_s ?? run.closed_s) > end ? [] : [{ state: "closed", from_s: after(run.closed_s), to_s: run.opened_s === null ? end : after(run.opened_s) }];
     return [{ state: "open", from_s: begin, to_s: end, run: run.run }, ...closed];
   });
+}
+
+function draw(holder, { whole, phases, says, label }) {
   const chart = new TimeChart(holder, {
     series: Object.values(GROUPS).flatMap(([code, colour]) => [{ name: `${text(code)}: ${text("page-highest")}`, colour, kind: "line" }, { name: `${text(code)}: ${text("page-lowest")}`, colour, kind: "line", dash: [4, 3] }]),
     height: 420, label, xLabel: text("page-started"), xSays: says, xSteps: [1, 5, 15, 60, 300, 900, 1800, 3600, 7200, 10800, 14400, 21600, 43200],

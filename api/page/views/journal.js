@@ -53,7 +53,7 @@ export async function show(place, context) {
     // Of what is older than one of the two lists reaches, only half is known.
     const reach = Math.max(...[[lines, cursors.lines], [pressed, cursors.pressed]].map(([items, next]) => (next ? at(items.at(-1)) : 0)));
     const all = [...lines, ...pressed].filter((one) => at(one) >= reach).sort((a, b) => at(b) - at(a));
-    const heads = [{ text: text("page-when") }, { text: text("page-process") }, { text: text("page-what"), class: "wide" }, { text: text("page-run") }];
+    const heads = [{ text: text("page-when") }, { text: text("page-process") }, { text: text("page-what"), class: "wide" }, { text: text("page-run"), class: "names" }];
     rows.replaceChildren(all.length ? table(text("page-nav-journal"), heads, together(all).map(row), { cards: true }) : el("p", { class: "faint" }, text("page-journal-empty")));
   }
 

@@ -141,7 +141,7 @@ class LivePress {
   }
 
   showAnswer() {
-    showAnswer(this.answer, this.now.estimate, this.stale ? this.silentFor() : null);
+    showAnswer(this.answer, this.now, this.stale ? this.silentFor() : null);
   }
 
   showWarning() {

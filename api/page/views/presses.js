@@ -48,6 +48,6 @@ function draw({ node, state, core, band, answer, light, now, heard, wrong }) {
   state.className = `pill ${stateOf(now, stale)}`;
   state.textContent = text(`page-state-${stateOf(now, stale)}`);
   showCore(core, band, now.state, now.estimate);
-  showAnswer(answer, now.estimate, stale && !never ? silent : null);
+  showAnswer(answer, now, stale && !never ? silent : null);
   showLight(light, { now, silent: stale && !never ? silent : null, wrong: never ? text("health-never-seen") : wrong && said(wrong) });
 }

@@ -84,7 +84,7 @@ async function list(place, context) {
     const cell = (value, digits, unit) => el("span", { class: "num" }, value === null || value === undefined ? "–" : `${number(value, digits)} ${unit}`);
     const columns = [["press_time_s", "page-pressed", 1, "s"], ["core_at_opening_C", "page-core-at-opening", 1, "°C"], ["core_peak_C", "page-core-peak", 1, "°C"], ["band_at_opening_K", "page-band-at-opening", 1, "K"], ["rmse_K", "page-rmse", 2, "K"]];
     body.replaceChildren(table(text("page-nav-runs"), [
-      { text: text("page-compare"), unseen: true }, { text: text("page-run") }, { text: text("page-started"), class: "hide-narrow" }, { text: text("page-material") },
+      { text: text("page-compare"), unseen: true }, { text: text("page-run") }, { text: text("page-started"), class: "hide-narrow" }, { text: text("page-material"), class: "hide-narrow" },
       { text: sorting("panel.thickness_mm", text("page-thickness")), class: "right hide-narrow" },
       ...columns.map(([name, code], i) => ({ text: sorting(name, text(code)), class: i === 1 ? "right" : "right hide-narrow" })),
       { text: text("page-panel-became") }, { text: text("page-status"), class: "hide-narrow" },

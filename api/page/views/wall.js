@@ -96,7 +96,7 @@ class Wall {
     const state = stateOf(this.now, stale);
     this.state.className = `pill ${state}`;
     this.state.textContent = text(`page-state-${state}`);
-    showAnswer(this.answer, this.now.estimate, stale ? silent : null);
+    showAnswer(this.answer, this.now, stale ? silent : null);
     const alarms = this.health?.alarms ?? [];
     const wrong = this.health?.status === "ok" ? "" : said(this.health?.alarms_said[0], alarms[0]) || text("page-health-degraded");
     showLight(this.light, { now: this.now, silent: stale ? silent : null, wrong });
