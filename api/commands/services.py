@@ -88,10 +88,7 @@ def serve(
 def refit(
     config: ConfigFile = None,
     workers: Annotated[int | None, typer.Option(min=1, metavar="N", help="help-workers")] = None,
-    dask: Annotated[
-        str,
-        typer.Option(metavar="ADDRESS", help="help-dask"),
-    ] = "",
+    dask: Annotated[str, typer.Option(metavar="ADDRESS", help="help-dask")] = "",
     roll_back: Annotated[str, typer.Option("--roll-back", metavar="PRESS", help="help-roll-back")] = "",
 ) -> None:
     """Refit all runs, diagnose, extend, and promote or reject a model version: the nightly job."""
@@ -99,6 +96,7 @@ def refit(
     from daq.process.config import load_config
     from daq.store.store import open_store
     from softsensor.jobs import night as nightly
+    from softsensor.jobs.nights import refit_presses
 
     settings = load_config(config_path(config))
     with open_store(settings.store.url) as store:
@@ -107,23 +105,22 @@ def refit(
             version = nightly.roll_back(store, name, "kerntemp refit")
             tell(say("terminal-model-in-force-again", press=name, version=version))
             return
-        failed, outcomes, rules = [], [], _rules(settings)
-        for press in settings.press:
-            with working(say("terminal-progress-refitting", press=press.name)):
-                outcome = nightly.refit_press(
-                    store,
-                    press.name,
-                    read_press(press.file),
-                    workers=workers or settings.refit.workers,
-                    dask=dask or settings.refit.dask,
-                    rules=rules,
-                )
-            tell(outcome.line)
-            if outcome.archive is not None:
-                tell(outcome.archive)
-            outcomes.append(outcome)
-            failed += _report(store, outcome, settings)
-        nightly.sign_off(store, outcomes)
+        failed: list[Message] = []
+        outcomes: dict[str, NightOutcome] = {}
+        presses = {press.name: read_press(press.file) for press in settings.press}
+        nights = refit_presses(
+            store,
+            presses,
+            workers=workers or settings.refit.workers,
+            dask=dask or settings.refit.dask,
+            rules=_rules(settings),
+        )
+        with working(say("terminal-progress-refitting", presses=len(presses)), len(presses)) as done:
+            for outcome in nights:
+                outcomes[outcome.press] = outcome
+                failed += _report(store, outcome, settings)
+                done(len(outcomes))
+        nightly.sign_off(store, [outcomes[name] for name in presses])
     if failed:
         raise WorkFailed(say("terminal-refit-failed", failures=tuple(failed)))
 
@@ -146,12 +143,15 @@ def _rules(settings: Config) -> Rules | None:
 
 
 def _report(store: Store, outcome: NightOutcome, settings: Config) -> list[Message]:
-    """Write the page of a press's night; return what went wrong, in this and in its fits."""
+    """Tell of a press's night and write its page; return what went wrong, in this and in its fits."""
     from softsensor.jobs.night_judgement import PROCESS
     from softsensor.jobs.night_record import night_record
     from softsensor.report.night_report import write_report
 
     failed = []
+    tell(outcome.line)
+    if outcome.archive is not None:
+        tell(outcome.archive)
     try:
         page = write_report(
             night_record(store, outcome), settings.refit.reports, spoken_language(), _page_address(settings.server)

@@ -129,9 +129,9 @@ class RefitSettings(_Table):
     """``[refit]``: the nightly job."""
 
     workers: Annotated[int, Field(ge=1)] | None = None
-    """Local processes; None: one a core."""
+    """Local processes, each for a press at a time; None: one a core."""
     dask: str = ""
-    """Address of a Dask scheduler whose workers take the fits instead; they must reach the store."""
+    """Address of a Dask scheduler whose workers take the presses instead; they must reach the store."""
     reports: Path = Path("reports")
     """Folder the job writes its report to, one page a press and night."""
 

@@ -1158,6 +1158,7 @@ night-outcome =
 night-rejected = { $version } abgelehnt: { $reason }
 night-too-few-runs = { $runs } Pressungen ausgewertet, { $needed } sind nötig
 night-too-few-to-judge = zu wenige Pressungen für ein Urteil
+night-workers-killed = { $press }: Die Prozesse, die an ihrer Nacht arbeiteten, wurden abgebrochen; der nächtliche Lauf arbeitet selbst daran, Pressung für Pressung
 press-problem = { $press }: { $problem }
 run-fit-again = Pressung { $run }: der Rechenprozess wurde abgebrochen oder stand still, ein anderer wertet sie aus; vermutlich ist Arbeitsspeicher knapp
 run-fit-killed = Pressung { $run } konnte nicht ausgewertet werden: der Rechenprozess wurde zweimal abgebrochen oder stand still; vermutlich fehlt Arbeitsspeicher
@@ -1654,7 +1655,10 @@ terminal-progress-reading-runs = { $runs ->
     [one] { $runs } Pressung wird gelesen
    *[other] { $runs } Pressungen werden gelesen
 }
-terminal-progress-refitting = { $press } wird neu angepasst
+terminal-progress-refitting = { $presses ->
+    [one] Eine Presse wird
+   *[other] { $presses } Pressen werden
+} neu angepasst
 terminal-progress-rehearsing = Diagnose von { $campaigns } simulierten Kampagnen
 terminal-progress-reproducing = { $runs } virtuelle Messungen, jede auf vier Weisen
 terminal-progress-restoring = { $file } wird eingespielt
@@ -1739,7 +1743,7 @@ help-completion = Ausgeben, was eine Shell Befehle und Optionen mit der Tabulato
 help-config = Die Konfiguration; ohne Angabe kerntemp.toml in diesem Ordner.
 help-core-least = Temperatur, die der Kern beim Öffnen haben muss.
 help-core-most = Temperatur, die der Kern beim Öffnen haben darf.
-help-dask = Ein Dask-Scheduler, dessen Worker die Anpassungen rechnen; siehe [refit] dask.
+help-dask = Ein Dask-Scheduler, dessen Worker die Pressen übernehmen, bei einer einzigen deren Anpassungen; siehe [refit] dask.
 help-data = Alles in diesem Ordner aufheben.
 help-default = { $told } [ohne Angabe: { $value }]
 help-device-host = Adresse eines Geräts im Netz.

@@ -1142,6 +1142,7 @@ night-outcome =
 night-rejected = { $version } rejected: { $reason }
 night-too-few-runs = { $runs } runs fitted, { $needed } are needed
 night-too-few-to-judge = too few runs to judge by
+night-workers-killed = { $press }: the workers that worked on its night were killed; the nightly job works on it itself, run by run
 press-problem = { $press }: { $problem }
 run-fit-again = run { $run }: its worker process was killed or stood still, another one fits it; memory may be short
 run-fit-killed = run { $run } could not be fitted: its worker process was killed or stood still, twice; memory may be short
@@ -1638,7 +1639,10 @@ terminal-progress-reading-runs = { $runs ->
     [one] Reading { $runs } run
    *[other] Reading { $runs } runs
 }
-terminal-progress-refitting = Refitting { $press }
+terminal-progress-refitting = Refitting { $presses ->
+    [one] one press
+   *[other] { $presses } presses
+}
 terminal-progress-rehearsing = Diagnosing { $campaigns } simulated campaigns
 terminal-progress-reproducing = { $runs } virtual measurements, four ways each
 terminal-progress-restoring = Restoring { $file }
@@ -1720,7 +1724,7 @@ help-completion = Print what makes a shell complete commands and options with Ta
 help-config = The configuration; without it kerntemp.toml in this folder.
 help-core-least = Temperature the core must have at opening.
 help-core-most = Temperature the core may have at opening.
-help-dask = A Dask scheduler whose workers take the fits; see [refit] dask.
+help-dask = A Dask scheduler whose workers take the presses, or the fits of a single one; see [refit] dask.
 help-data = Keep everything in this folder.
 help-default = { $told } [default: { $value }]
 help-device-host = Address of a device on the network.

@@ -1,13 +1,21 @@
-"""Work handed to the workers of a Dask scheduler."""
+"""Work handed to worker processes, of this machine or of a Dask scheduler.
+
+Both ways give the same: each task with its result as they come, None where workers were killed over it alone.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import CancelledError
+import os
+from collections import deque
+from collections.abc import Callable, Generator, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
 from typing import TypeVar
 
 from daq.records import InputError
 from daq.words import say
+from softsensor.jobs.fitter import new_workers
 
 # Numbers without another source were set by hand, 2026-11.
 
@@ -17,6 +25,59 @@ WORKERS_WAIT_S = 60.0
 """Longest wait for a scheduler's first worker. [s]"""
 Task = TypeVar("Task")
 Done = TypeVar("Done")
+
+
+def handed_out(
+    work: Callable[[Task], Done], tasks: Sequence[Task], workers: int | None = None, dask: str = ""
+) -> Iterator[tuple[Task, Done | None]]:
+    """Yield each task with its result as they come: by Dask, by local processes, or by this one.
+
+    `workers`: local processes, by default one a core; with one the work is done here, in the tasks' order.
+    """
+    if dask and tasks:
+        yield from on_dask(work, tasks, dask)
+    elif workers == 1:
+        yield from ((task, work(task)) for task in tasks)
+    elif tasks:
+        yield from _on_workers(work, tasks, min(workers or os.cpu_count() or 1, len(tasks)))
+
+
+def _on_workers(
+    work: Callable[[Task], Done], tasks: Sequence[Task], count: int
+) -> Iterator[tuple[Task, Done | None]]:
+    """Yield the results of local processes; what they had in hand when one was killed is tried once more."""
+    left = deque(tasks)
+    while left:
+        suspects = yield from _until_killed(work, left, count)
+        yield from ((task, _alone(work, task)) for task in suspects)
+
+
+def _until_killed(
+    work: Callable[[Task], Done], left: deque[Task], count: int
+) -> Generator[tuple[Task, Done], None, list[Task]]:
+    """Take tasks until all are done or a worker is killed; return what the workers had in hand then.
+
+    No worker is given more than one task at a time, so that few are under suspicion.
+    """
+    under_way: dict[Future[Done], Task] = {}
+    with suppress(BrokenProcessPool), new_workers(count) as pool:
+        while left or under_way:
+            while left and len(under_way) < count:
+                future = pool.submit(work, left[0])
+                under_way[future] = left.popleft()
+            for future in wait(under_way, return_when=FIRST_COMPLETED).done:
+                done = future.result()
+                yield under_way.pop(future), done
+    return list(under_way.values())
+
+
+def _alone(work: Callable[[Task], Done], task: Task) -> Done | None:
+    """Do a task in a new worker of its own."""
+    try:
+        with new_workers(1) as pool:
+            return pool.submit(work, task).result()
+    except BrokenProcessPool:
+        return None
 
 
 def on_dask(

@@ -27,9 +27,10 @@ from softsensor.jobs.night_fits import Done, FitTask, fit_all
 from softsensor.jobs.night_judgement import DIAGNOSED_RUNS, FEWEST_RUNS, PROCESS, Night, NightOutcome, judge_night
 from softsensor.jobs.night_progress import Agenda, agenda_of
 from softsensor.jobs.night_sure import settled
-from softsensor.jobs.retention import Kept, Rules, keep_house
+from softsensor.jobs.retention import Kept
 
 ROLLED_BACK = "model-rolled-back"
+NOTHING_KEPT = Kept()
 
 # Numbers without another source were set by hand, 2026-11.
 
@@ -44,7 +45,7 @@ def refit_press(
     *,
     workers: int | None = None,
     dask: str = "",
-    rules: Rules | None = None,
+    kept: Kept = NOTHING_KEPT,
 ) -> NightOutcome:
     """Run the job for one press, and sign off for it.
 
@@ -54,11 +55,10 @@ def refit_press(
         Local processes; by default one a core.
     dask
         Address of a Dask scheduler; its workers take the fits instead.
-    rules
-        What becomes of old scans; None: they stay in the store.
+    kept
+        What became of its old scans before.
     """
     started, begun = datetime.now(UTC), time.perf_counter()
-    kept = Kept() if rules is None else keep_house(store, name, rules, started)
     active = store.active_model(name)
     base = parse_model(active.model, f"model {active.version}") if active is not None else None
     agenda = agenda_of(store, name, press, base)

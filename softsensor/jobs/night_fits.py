@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-import os
-from collections import deque
-from collections.abc import Generator, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, wait
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -20,8 +15,8 @@ from daq.records import InputError
 from daq.store import Store, open_store
 from daq.words import Message, spoken
 from softsensor.heat.model_file import ModelFile
-from softsensor.jobs.cluster import on_dask
-from softsensor.jobs.fitter import fit_one, has_panel_readings, new_workers
+from softsensor.jobs.cluster import handed_out
+from softsensor.jobs.fitter import fit_one, has_panel_readings
 
 
 @dataclass(frozen=True)
@@ -63,50 +58,5 @@ def fit_stored(task: FitTask) -> Done:
 
 def fit_all(tasks: Sequence[FitTask], workers: int | None = None, dask: str = "") -> Iterator[Done]:
     """Yield the results of `fit_stored` as they come: on Dask, on local processes, or here."""
-    if dask and tasks:
-        yield from _on_dask(tasks, dask)
-        return
-    if workers == 1:
-        yield from map(fit_stored, tasks)
-    elif tasks:
-        yield from _on_workers(tasks, min(workers or os.cpu_count() or 1, len(tasks)))
-
-
-def _on_workers(tasks: Sequence[FitTask], count: int) -> Iterator[Done]:
-    """Yield the results of local processes; what they had in hand when one was killed is tried once more."""
-    left = deque(tasks)
-    while left:
-        suspects = yield from _until_killed(left, count)
-        yield from map(_alone, suspects)
-
-
-def _until_killed(left: deque[FitTask], count: int) -> Generator[Done, None, list[FitTask]]:
-    """Take tasks until all are done or a worker is killed; return what the workers had in hand then.
-
-    No worker is given more than one run at a time, so that few are under suspicion.
-    """
-    under_way: dict[Future[Done], FitTask] = {}
-    with suppress(BrokenProcessPool), new_workers(count) as pool:
-        while left or under_way:
-            while left and len(under_way) < count:
-                future = pool.submit(fit_stored, left[0])
-                under_way[future] = left.popleft()
-            for future in wait(under_way, return_when=FIRST_COMPLETED).done:
-                done = future.result()
-                del under_way[future]
-                yield done
-    return list(under_way.values())
-
-
-def _alone(task: FitTask) -> Done:
-    """Fit a run in a new worker of its own."""
-    try:
-        with new_workers(1) as pool:
-            return pool.submit(fit_stored, task).result()
-    except BrokenProcessPool:
-        return Done(task.run, killed=True)
-
-
-def _on_dask(tasks: Sequence[FitTask], address: str) -> Iterator[Done]:
-    for task, done in on_dask(fit_stored, tasks, address):
+    for task, done in handed_out(fit_stored, tasks, workers, dask):
         yield Done(task.run, killed=True) if done is None else done

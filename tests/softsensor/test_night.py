@@ -10,7 +10,6 @@ import threading
 import time
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -30,11 +29,13 @@ from softsensor.jobs import night as nightly
 from softsensor.jobs import night_fits as nightly_fits
 from softsensor.jobs import night_judgement as nightly_judge
 from softsensor.jobs import night_progress as progress
+from softsensor.jobs import nights as fleet
 from softsensor.jobs.model_in_force import combined_model, fingerprint
 from softsensor.jobs.night import refit_press, roll_back
 from softsensor.jobs.night_fits import Done, FitTask, fit_all, fit_stored
 from softsensor.jobs.night_judgement import surely_less
 from softsensor.jobs.night_record import night_record, stored_night_record
+from softsensor.jobs.nights import refit_presses
 from softsensor.jobs.retention import Kept, Rules, keep_house
 from softsensor.report.night_report import night_report, write_report
 from tests.editions import edition
@@ -647,49 +648,79 @@ def test_killed_at_any_moment_it_leaves_the_old_model_and_goes_on_next_time(tmp_
         assert list((tmp_path / "reports").glob("lab-*.html"))
 
 
-@pytest.fixture
-def dask_address(tmp_path):
-    """A scheduler and a worker, each a process of its own."""
-    dask = str(Path(sys.executable).parent / "dask")
-    file = tmp_path / "scheduler.json"
-    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "cwd": tmp_path}
-    begin = [
-        dask,
-        "scheduler",
-        "--host",
-        "127.0.0.1",
-        "--port",
-        "0",
-        "--no-dashboard",
-        "--scheduler-file",
-        str(file),
-    ]
-    scheduler = subprocess.Popen(begin, **quiet)
-    deadline = time.monotonic() + 60.0
-    while not file.exists() and time.monotonic() < deadline:
-        time.sleep(0.1)
-    address = json.loads(file.read_text(encoding="utf-8"))["address"]
-    worker = subprocess.Popen([dask, "worker", address, "--nthreads", "1", "--no-dashboard"], **quiet)
-    yield address
-    for process in (worker, scheduler):
-        process.terminate()
-        process.wait(30)
+def found_by(store, presses):
+    """Return all that a night has found of some presses, but how long it took."""
+
+    def timeless(entry):
+        return {k: v for k, v in entry.items() if k != "seconds"} if entry is not None else None
+
+    told = {}
+    for name in presses:
+        (night,) = store.nights(press=name).items
+        fits = {r.run: timeless(store.fit(r.run)) for r in store.runs(press=name).items}
+        (asked,) = store.diagnoses(press=name).items
+        (model,) = store.models(press=name).items
+        told[name] = (fits, timeless(asked.diagnosis), model.model, model.status, night.progress)
+    return told
 
 
 @pytest.mark.campaign
-def test_dask_workers_find_what_local_ones_find(tmp_path, runs, dask_address):
-    found = []
-    for name, address in (("local", ""), ("dask", dask_address)):
-        folder = tmp_path / name
-        folder.mkdir()
-        with open_store(str(folder / "kerntemp.sqlite")) as store:
-            fill(store, runs)
-            command = configured(folder, address)
-            done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
-            assert done.returncode == 0, done.stderr
-            found.append({run.name: values(store.fit(run.name)) for run in runs})
-    local, dask = found
-    assert dask == {run: pytest.approx(table, rel=1e-9) for run, table in local.items()}
+@pytest.mark.skipif(os.name == "nt", reason="SIGKILL is POSIX")
+def test_presses_on_dask_are_found_to_the_bit_as_here_and_a_killed_worker_costs_a_repetition_alone(tmp_path, runs):
+    from dask.distributed import Client, LocalCluster
+
+    presses, found, killed, over = {"left": PRESS, "right": PRESS}, [], [], threading.Event()
+
+    def kill_at_work(cluster):
+        with Client(cluster.scheduler_address) as watcher:
+            while not killed and not over.wait(0.02):
+                fitted = [r for r in store.runs(press="left").items if store.fit(r.run) is not None]
+                nannies = {n.worker_address: n for n in cluster.workers.values()}
+                busy = [a for a, tasks in watcher.processing().items() if tasks]
+                if fitted and busy:
+                    killed.append(nannies[busy[0]].pid)
+                    os.kill(killed[0], signal.SIGKILL)
+
+    for way in ("here", "dask"):
+        with open_store(str(tmp_path / f"{way}.sqlite")) as store:
+            for press in presses:
+                renamed = [replace(run, name=f"{press}-{i}") for i, run in enumerate(runs[:3])]
+                store.import_runs(renamed, press, press_toml())
+            if way == "here":
+                assert [o.press for o in refit_presses(store, presses, workers=1)] == ["left", "right"]
+            else:
+                with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
+                    hand = threading.Thread(target=kill_at_work, args=[cluster])
+                    hand.start()
+                    done = list(refit_presses(store, presses, dask=cluster.scheduler_address))
+                    over.set()
+                    hand.join(30)
+                assert {o.press for o in done if o.promoted} == set(presses)
+            found.append(found_by(store, presses))
+    assert len(killed) == 1
+    assert found[0] == found[1]
+
+
+def killed_over(task):
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+@pytest.mark.campaign
+@pytest.mark.skipif(os.name == "nt", reason="SIGKILL is POSIX")
+def test_presses_whose_workers_are_killed_again_and_again_are_worked_on_here(store, judging_nothing, monkeypatch):
+    monkeypatch.setattr(fleet, "refit_stored", killed_over)
+    outcomes = list(refit_presses(store, {"left": PRESS, "right": PRESS}, workers=2))
+    assert {o.press for o in outcomes} == {"left", "right"} == set(store.newest_nights())
+    said = [entry.message.code for entry in store.journal(level="warning").items]
+    assert said == ["night-workers-killed"] * 2
+
+
+def test_each_of_several_presses_has_a_night_of_its_own(store, runs, judging_nothing):
+    for press in ("left", "right"):
+        store.import_runs([replace(run, name=f"{press}-{run.name}") for run in runs[:2]], press, press_toml())
+    outcomes = list(refit_presses(store, {"left": PRESS, "right": PRESS}, workers=1))
+    assert [(o.press, o.fitted) for o in outcomes] == [("left", 2), ("right", 2)]
+    assert set(store.newest_nights()) == {"left", "right"}
 
 
 @pytest.mark.skipif(os.name == "nt", reason="SIGKILL is POSIX")
@@ -763,6 +794,11 @@ def test_three_runs_need_a_clearer_gain_than_twelve():
     assert surely_less(np.ones(12), np.tile(ratios, 4))
 
 
+def refit_kept(store, rules):
+    (outcome,) = refit_presses(store, {"lab": PRESS}, workers=1, rules=rules)
+    return outcome
+
+
 def test_a_night_archives_old_runs_by_the_rules_and_fits_them_from_there(store, runs, tmp_path):
     dated = [
         replace(run, header={**run.header, "recorded.started_utc": datetime(2020, 1, 1, tzinfo=UTC)})
@@ -771,7 +807,7 @@ def test_a_night_archives_old_runs_by_the_rules_and_fits_them_from_there(store, 
     fill(store, dated)
     before = {run.name: fit_stored(FitTask(store.database.address, PRESS, run.name, None)).fit for run in dated}
     rules = Rules(tmp_path / "archive", timedelta(days=90), None, 600.0, datetime.now(UTC))
-    first = refit_press(store, "lab", PRESS, workers=1, rules=rules)
+    first = refit_kept(store, rules)
     assert (first.fitted, first.failed) == (2, 0)
     told = store.nights(press="lab").items[0].night
     assert (told["archived"], told["archive_later"], told["pressings_only"]) == (2, 0, 0)
@@ -779,10 +815,10 @@ def test_a_night_archives_old_runs_by_the_rules_and_fits_them_from_there(store, 
     for run, fit in before.items():
         assert store.fit(run)["coefficients"] == json.loads(json.dumps(fit))["coefficients"]
     last = replace(rules, pressings_only_after=timedelta(days=365))
-    assert refit_press(store, "lab", PRESS, workers=1, rules=last).archive is not None
+    assert refit_kept(store, last).archive is not None
     assert store.nights(press="lab").items[0].night["pressings_only"] == 2
     store.annotate_run(runs[0].name, {"panel.density_kg_m3": 700.0}, "tester")
-    assert refit_press(store, "lab", PRESS, workers=1, rules=last).failed == 0
+    assert refit_kept(store, last).failed == 0
     assert set(store.fits(list(before))) == set(before)
 
 
