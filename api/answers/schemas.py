@@ -469,6 +469,8 @@ class Simulation(_Answer):
     profile_depth_mm: list[float]
     profile_C: list[list[float]]  # noqa: N815
     """Temperature through the panel: one row for each time, one value for each depth."""
+    profile_heat_kJ_m2: list[float]  # noqa: N815
+    """Heat in the panel beyond its start at each of these times, water and reactions not counted."""
 
 
 class CoefficientFit(_Answer):

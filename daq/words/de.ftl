@@ -2070,6 +2070,11 @@ page-residual = Residuum: gemessen minus simuliert
 page-rmse = RMSE der Anpassung
 page-scans = Messzeilen
 page-scatter = Eine Zahl über der anderen
+page-scatter-newest = Die neuesten { $count } der gefundenen Pressungen; eine engere Suche findet andere.
+page-scatter-of = { $count ->
+        [one] Eine Pressung
+       *[other] { $count } Pressungen
+    }
 page-scatter-right = nach rechts
 page-scatter-up = nach oben
 page-search = Suche

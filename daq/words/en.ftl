@@ -2051,6 +2051,11 @@ page-residual = Residual: measured minus simulated
 page-rmse = Fit RMSE
 page-scans = scans
 page-scatter = One number over another
+page-scatter-newest = The newest { $count } runs found; a narrower search finds others.
+page-scatter-of = { $count ->
+        [one] One run
+       *[other] { $count } runs
+    }
 page-scatter-right = to the right
 page-scatter-up = up
 page-search = Search

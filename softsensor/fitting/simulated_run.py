@@ -13,6 +13,7 @@ from daq.records import Array, Moments, PressState, Run
 from softsensor.heat.case import Case
 from softsensor.heat.chain import Solution
 from softsensor.heat.model import ThermalModel, states
+from softsensor.heat.step_terms import Stack, heat
 from softsensor.signals.moments import moments_of
 from softsensor.signals.places import Place
 
@@ -40,6 +41,8 @@ class Simulated:
     profile_depth_mm: Array
     profile: Array
     """Temperature through the panel (times, depths). [°C]"""
+    profile_heat: Array
+    """Heat in the panel beyond its start (times), water and reactions not counted; zero without a panel. [J/m²]"""
 
 
 def simulate_run(
@@ -73,20 +76,25 @@ def simulate_run(
         for label in places
         if np.isfinite(measured[label]).any()
     }
-    profile = _profile(case, solution)
+    profile = _profile(case, solution, model.build(case, values).stack)
     return Simulated(run.time_s, tuple(states(case)), places, measured, rmse, solution.core, *profile)
 
 
-def _profile(case: Case, solution: Solution) -> tuple[Array, Array, Array]:
-    """Return times [s], depths [mm] and temperatures [°C] through the panel (times, depths); empty without one."""
+def _profile(case: Case, solution: Solution, stack: Stack) -> tuple[Array, Array, Array, Array]:
+    """Return times [s], depths [mm], temperatures [°C] through the panel (times, depths) and its heat [J/m²].
+
+    All are empty without a panel.
+    """
     if not case.press.panel_layers:
-        return np.zeros(0), np.zeros(0), np.zeros((0, 0))
+        return np.zeros(0), np.zeros(0), np.zeros((0, 0)), np.zeros(0)
     layer = case.press.panel_layers[0]
     cells, centres = case.mesh.cells(layer), case.mesh.centres(layer)
     depths = np.linspace(0.0, case.mesh.dx[cells].sum(), PROFILE_DEPTHS)
     rows = np.unique(np.linspace(0, len(case.edges) - 1, PROFILE_ROWS).astype(int))
     fields = np.stack([np.interp(depths, centres, solution.fields[row, cells]) for row in rows])
-    return case.edges[rows], depths * 1000.0, fields
+    start = float(np.average(solution.fields[0, stack.wet], weights=stack.dx[stack.wet]))
+    warmth = np.array([heat(stack, start, solution.fields[row]) for row in rows])
+    return case.edges[rows], depths * 1000.0, fields, warmth
 
 
 def _measured(run: Run, place_of: Mapping[str, int], place: int) -> Array:

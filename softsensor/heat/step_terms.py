@@ -43,6 +43,7 @@ BOILING_C = 100.0
 """Water boils at, at 1013 hPa; 99.97 by IAPWS-IF97. [°C]"""
 _FLOOR = 0.05
 """Least factor a property falls to when it falls with temperature."""
+_NODES, _SHARES = np.polynomial.legendre.leggauss(4)
 
 
 class Stack(NamedTuple):
@@ -604,3 +605,20 @@ def switched(stack, tan, drive, step, state, co):
         steam(stack.dx, stack.wet, share * stack.convection, d_factor, co)
     for i in range(n):
         w[DIAG, i] = w[G, i] + w[G, i + 1] + w[LOSS, i] + w[SLOPE, i]
+
+
+@compiled()
+def heat(stack, start, field):
+    """Return the heat that takes the wet cells from `start` to `field` (n), rho c(T) integrated. [J/m²]"""
+    n = field.shape[0]
+    none, value, star = np.empty((0, n)), np.empty(n), np.empty(n)
+    capacity = Property(stack.c, stack.c_slope, stack.c_table, stack.table_x, stack.table_y, none, none)
+    total = 0.0
+    for k in range(_NODES.shape[0]):
+        for i in range(n):
+            star[i] = start + 0.5 * (1.0 + _NODES[k]) * (field[i] - start)
+        properties(stack.dx, capacity, star, none, value, none)
+        for i in range(n):
+            if stack.wet[i]:
+                total += 0.5 * _SHARES[k] * value[i] * (field[i] - start)
+    return total

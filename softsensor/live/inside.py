@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from daq.records import Array
-from softsensor.live import mixture_steps as mixtures
+from softsensor.heat import step_terms
 from softsensor.live.kalman import KalmanFilter
 from softsensor.live.mixture import Mixture
 from softsensor.live.setup import Linearised
@@ -49,4 +49,4 @@ def believed(filters: Sequence[KalmanFilter], mixture: Mixture) -> list[tuple[Ka
 
 def heat_taken_up(made: Linearised, cells: Array) -> float:
     """Return the heat that takes the panel from its start to `cells` (n), rho c(T) integrated. [J/m²]"""
-    return float(mixtures.heat(made.model.stack, made.start_C, cells))
+    return float(step_terms.heat(made.model.stack, made.start_C, cells))

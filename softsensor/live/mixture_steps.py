@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.compiled import compiled
-from softsensor.heat.step_terms import Property, properties
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -26,7 +25,6 @@ campaigns of the seeds 41000 to 41153; 0.03 to 0.3 do about as well."""
 SHAPE_SHARE, SHAPE_K = 0.45, 4.5
 """What a suspected cause does to the core is known to this share only, for its law may be another; and to so much
 at worst. Set by hand, 2026-11. [-, K]"""
-_NODES, _SHARES = np.polynomial.legendre.leggauss(4)
 
 
 class Hypotheses(NamedTuple):
@@ -301,20 +299,3 @@ def cells(estimate, hypotheses, shares, state):
             sizes[j] = shares[1 + j] * shift
         states += estimate.covariance[:, column] @ (precision @ (still - mean + inner @ sizes))
     return state.t + (states[:p] - estimate.at) @ state.s[:p]
-
-
-@compiled()
-def heat(stack, start, field):
-    """Return the heat that takes the wet cells from `start` to `field` (n), rho c(T) integrated. [J/m²]"""
-    n = field.shape[0]
-    none, value, star = np.empty((0, n)), np.empty(n), np.empty(n)
-    capacity = Property(stack.c, stack.c_slope, stack.c_table, stack.table_x, stack.table_y, none, none)
-    total = 0.0
-    for k in range(_NODES.shape[0]):
-        for i in range(n):
-            star[i] = start + 0.5 * (1.0 + _NODES[k]) * (field[i] - start)
-        properties(stack.dx, capacity, star, none, value, none)
-        for i in range(n):
-            if stack.wet[i]:
-                total += 0.5 * _SHARES[k] * value[i] * (field[i] - start)
-    return total

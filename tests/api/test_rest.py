@@ -12,6 +12,7 @@ import pytest
 from api.answers.events import press_event_of
 from api.answers.health import health_of, hours_left, is_missed
 from api.answers.schemas import ProcessHealth
+from daq.materials import MATERIALS
 from daq.records import Channel, Quality, Run, Scan
 from daq.store import open_store
 from daq.store.records import StoredPressEvent
@@ -364,6 +365,10 @@ def test_a_run_is_simulated_at_every_sensor_position_with_its_fitted_coefficient
     assert {len(v) for v in (*simulation["positions"].values(), *simulation["measured"].values())} == {rows}
     assert len(simulation["profile_C"]) == len(simulation["profile_time_s"])
     assert simulation["profile_depth_mm"][-1] == 16.0
+    panel, profile = client.get(RUN).json()["header"], np.array(simulation["profile_C"])
+    warmer = np.trapezoid(profile[-1] - profile[0], simulation["profile_depth_mm"]) / 1e3
+    heat = panel["panel.density_kg_m3"] * MATERIALS["MDF"].heat_capacity.value * warmer / 1e3
+    assert simulation["profile_heat_kJ_m2"][-1] == pytest.approx(heat, rel=0.01)
     inserted = client.get(RUN).json()["phases"][0]["from_s"]
     measured = [t for t, v in zip(simulation["time_s"], simulation["measured"]["panel.top"], strict=True) if v]
     assert measured[0] >= inserted > simulation["time_s"][0]  # hands on sensors before it are nothing measured

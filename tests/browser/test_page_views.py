@@ -667,6 +667,11 @@ def test_runs_are_found_by_what_is_typed_sorted_by_a_column_and_kept_in_the_addr
     page.reload()
     expect(page.get_by_role("button", name="Thickness ↓")).to_be_visible()
     expect(rows.first).to_contain_text("campaign-1")
+    page.get_by_role("link", name="One number over another").click()
+    scatter = page.get_by_test_id("scatter")
+    expect(scatter).to_contain_text("2 runs")
+    page.locator("label", has_text=re.compile("^up")).get_by_role("combobox").select_option("panel.thickness_mm")
+    assert page.url.split("?")[1] == "sort=-panel.thickness_mm&x=press_time_s&y=panel.thickness_mm"
 
 
 def test_two_runs_are_compared_against_one_of_them_and_what_differs_stands_out(plant):
@@ -686,12 +691,16 @@ def test_two_runs_are_compared_against_one_of_them_and_what_differs_stands_out(p
     expect(page.locator("main")).to_contain_text("Closing not known, drawn from the first scan: campaign-1")
     chart.locator(".u-over").hover(position={"x": 310, "y": 60})
     expect(chart.locator(".chart-tip")).to_contain_text(re.compile(r"campaign-1\s*[−-]?\d+\.\d\d K"))
+    page.get_by_label("Quantity").select_option(label="Heat taken up")
+    expect(chart.locator(".u-axis, .uplot").first).to_be_visible()
+    chart.locator(".u-over").hover(position={"x": 310, "y": 60})
+    expect(chart.locator(".chart-tip")).to_contain_text(re.compile(r"campaign-1\s*[\d,]+\.\d kJ/m²"))
     page.get_by_role("checkbox").first.uncheck()
     chart.locator(".u-over").hover(position={"x": 320, "y": 60})
     expect(chart.locator(".chart-tip")).not_to_contain_text("campaign-1")
     expect(page.get_by_test_id("scatter").locator("canvas")).to_be_visible()
     page.set_viewport_size({"width": 375, "height": 780})
-    assert page.evaluate("document.documentElement.scrollWidth") <= 375
+    page.wait_for_function("document.documentElement.scrollWidth <= 375")
 
 
 def test_a_run_the_model_does_not_describe_is_red_and_has_no_intervals(plant):

@@ -92,6 +92,7 @@ def get_simulation(store: StoreDep, run: str) -> Simulation:
         profile_time_s=[round(t, 3) for t in simulated.profile_time_s.tolist()],
         profile_depth_mm=[round(d, 3) for d in simulated.profile_depth_mm.tolist()],
         profile_C=[[round(v, 2) for v in row] for row in simulated.profile.tolist()],
+        profile_heat_kJ_m2=[round(q / 1000.0, 2) for q in simulated.profile_heat.tolist()],
     )
 
 

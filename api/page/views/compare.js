@@ -1,12 +1,14 @@
 // Runs side by side: any quantity from closing on, as it is or against one of them; what differs; any number over any other.
 import { get } from "../api.js";
 import { TimeChart } from "../charts.js";
-import { el, figure, number, table } from "../dom.js";
+import { el, figure, table } from "../dom.js";
 import { text } from "../words.js";
+import { scatter } from "./scatter.js";
 
 const QUANTITIES = {
   core: { name: ["page-core-predicted"] }, top: { name: ["page-sensors-top"] }, bottom: { name: ["page-sensors-bottom"] }, platen: { name: ["page-platens"] },
-  residual_top: { name: ["page-residual", "page-sensors-top"], place: "panel.top" }, residual_bottom: { name: ["page-residual", "page-sensors-bottom"], place: "panel.bottom" },
+  heat: { name: ["page-energy"], simulated: true, unit: "kJ/m²" },
+  residual_top: { name: ["page-residual", "page-sensors-top"], simulated: true, unit: "K", place: "panel.top" }, residual_bottom: { name: ["page-residual", "page-sensors-bottom"], simulated: true, unit: "K", place: "panel.bottom" },
 };
 const nameOf = (quantity) => QUANTITIES[quantity].name.map((code) => text(code)).join(", ");
 const STEP_S = 0.5; // all runs are read off at the same times: a difference has both
@@ -27,9 +29,9 @@ export async function compare(place, ids) {
   let turn = 0;
   async function draw() {
     const mine = ++turn;
-    const { place: simulated } = QUANTITIES[shown.quantity];
+    const { simulated, unit: own = "°C" } = QUANTITIES[shown.quantity];
     without.textContent = simulated ? text("page-simulating") : "";
-    if (simulated) await Promise.all(runs.map(residuals));
+    if (simulated) await Promise.all(runs.map(simulate));
     if (mine !== turn || !holder.isConnected) return;
     const none = runs.filter((run) => !run[shown.quantity].times.length).map(({ id }) => id);
     const loose = runs.filter((run) => run.closed === null).map(({ id }) => id);
@@ -43,7 +45,7 @@ export async function compare(place, ids) {
     const curves = visible.map((run) => reading(run, shown.quantity, times).map((v, i) => (!base || v === null ? v : base[i] === null ? null : v - base[i])));
     chart?.close();
     holder.replaceChildren();
-    const unit = base || simulated ? "K" : "°C";
+    const unit = base && own === "°C" ? "K" : own;
     chart = new TimeChart(holder, {
       series: visible.map((run) => ({ name: run.id, colour: colourOf(runs.indexOf(run), runs.length), kind: "line", unit, digits: unit === "K" ? 2 : 1 })),
       height: 420, label: `${text("page-compare")}: ${nameOf(shown.quantity)}`, xLabel: text("page-time-from-closing"), yLabel: unit,
@@ -79,10 +81,11 @@ async function load(id) {
   };
 }
 
-// Measured minus simulated with the run's own coefficients, asked for when it is looked at; of a run without any, nothing.
-async function residuals(run) {
-  if (run.residual_top) return;
-  const { time_s, positions, measured } = await get(`/runs/${encodeURIComponent(run.id)}/simulation`).catch(() => ({ time_s: [], positions: {}, measured: {} }));
+// What the run's own coefficients give, asked for when it is looked at; of a run without any, nothing.
+async function simulate(run) {
+  if (run.heat) return;
+  const { time_s, positions, measured, profile_time_s: at, profile_heat_kJ_m2: heat } = await get(`/runs/${encodeURIComponent(run.id)}/simulation`).catch(() => ({ time_s: [], positions: {}, measured: {}, profile_time_s: [], profile_heat_kJ_m2: [] }));
+  run.heat = { times: at.map((t) => t - run.zero), values: heat };
   for (const [quantity, { place }] of Object.entries(QUANTITIES).filter(([, one]) => one.place)) {
     const there = positions[place] && measured[place] ? time_s : [];
     run[quantity] = { times: there.map((t) => t - run.zero), values: there.map((_, i) => (positions[place][i] === null || measured[place][i] === null ? null : measured[place][i] - positions[place][i])) };
@@ -121,30 +124,4 @@ function differences(runs) {
   return el("section", { class: "card", "data-testid": "differences" }, el("h2", {}, text("page-differences")), table(text("page-differences"),
     [{ text: text("page-name") }, ...runs.map(({ id }) => ({ text: id, class: "right" }))],
     rows.map(({ key, cells, differs }) => [differs ? el("b", {}, `≠ ${key}`) : key, ...cells.map((cell) => el("span", { class: differs ? "num" : "num faint" }, cell))])));
-}
-
-// Any number of the runs over any other, by which a process is understood.
-function scatter(runs) {
-  const names = [...new Set(runs.flatMap(({ numbers }) => Object.keys(numbers).filter((name) => numbers[name] !== null)))].sort();
-  const axes = { x: names.includes("press_time_s") ? "press_time_s" : names[0], y: names.includes("core_at_opening_C") ? "core_at_opening_C" : names.at(-1) };
-  const holder = el("div", {});
-  const choose = (axis, label) => el("label", { class: "row small" }, el("span", { class: "faint" }, label),
-    el("select", { onchange: (event) => { axes[axis] = event.target.value; draw(); } }, names.map((name) => el("option", { value: name, selected: name === axes[axis] }, name))));
-  const card = el("section", { class: "card", "data-testid": "scatter" }, el("div", { class: "head" }, el("h2", { style: "margin:0" }, text("page-scatter")),
-    el("div", { class: "row" }, choose("y", text("page-scatter-up")), choose("x", text("page-scatter-right")))), holder);
-  let chart = null;
-  function draw() {
-    const points = runs.map(({ id, numbers }) => ({ id, x: numbers[axes.x] ?? null, y: numbers[axes.y] ?? null })).filter(({ x, y }) => x !== null && y !== null).sort((a, b) => a.x - b.x);
-    chart?.close();
-    holder.replaceChildren();
-    const span = points.length ? points.at(-1).x - points[0].x || Math.abs(points[0].x) || 1 : 1;
-    chart = new TimeChart(holder, {
-      series: [{ name: axes.y, colour: "--core", kind: "dots", size: 9, unit: "", digits: 2 }], height: 300, label: text("page-scatter"), yLabel: axes.y, xLabel: axes.x,
-      xRange: points.length ? [points[0].x - 0.08 * span, points.at(-1).x + 0.08 * span] : [0, 1],
-    });
-    chart.tipHead = (x) => `${points.filter((point) => point.x === x).map(({ id }) => id).join(", ")} · ${number(x, 1)}`;
-    chart.set([points.map(({ x }) => x), points.map(({ y }) => y)]);
-  }
-  if (names.length) requestAnimationFrame(draw);
-  return card;
 }

@@ -1,7 +1,7 @@
 // Runs: filter and compare; one run measured against simulated, its residual, the profile through the panel, its fit.
 import { download, get, url } from "../api.js";
 import { TimeChart, key } from "../charts.js";
-import { began, duration, el, midnight, number, table } from "../dom.js";
+import { began, duration, el, number, table } from "../dom.js";
 import { language, placeName, said, text } from "../words.js";
 import { roleOf } from "../channels.js";
 import { coefficientTable } from "./coefficients.js";
@@ -10,10 +10,12 @@ import { showDay } from "./day.js";
 import { notesOf } from "./journal.js";
 import { metadataCard } from "./metadata.js";
 import { profilePicture } from "./profile.js";
+import { asked, showScatter } from "./scatter.js";
 
 export async function show(place, context, [id, ...rest]) {
   if (id === "compare") return compare(place, rest);
   if (id === "day") return showDay(place, context, rest[0]);
+  if (id === "scatter") return showScatter(place, context, FILTERS);
   if (id) return detail(place, context, id);
   return list(place, context);
 }
@@ -28,6 +30,7 @@ async function list(place, context) {
   const body = el("div", {});
   const more = el("button", { type: "button", class: "button", onclick: () => load(true) }, text("page-more"));
   const compareLink = el("a", { class: "button", href: "#/runs", "aria-disabled": "true" }, text("page-compare"));
+  const scatterLink = el("a", { class: "button", href: `#/runs/scatter?${context.query}` }, text("page-scatter"));
   const field = (name, label, control) => {
     control.value = filter[name];
     control.addEventListener("input", () => { filter[name] = control.value; keep(); load(false); });
@@ -35,7 +38,7 @@ async function list(place, context) {
   };
   const options = (values, code) => el("select", {}, el("option", { value: "" }, text("page-all")), values.map((value) => el("option", { value }, text(`${code}${value}`))));
   place.append(el("section", { class: "card" },
-    el("div", { class: "head" }, el("h1", {}, text("page-nav-runs")), el("div", { class: "row" }, el("a", { class: "button", href: "#/runs/day" }, text("page-day-view")), compareLink)),
+    el("div", { class: "head" }, el("h1", {}, text("page-nav-runs")), el("div", { class: "row" }, el("a", { class: "button", href: "#/runs/day" }, text("page-day-view")), scatterLink, compareLink)),
     el("div", { class: "row", style: "margin-bottom:.8rem" },
       field("q", text("page-search"), el("input", { type: "search", size: 18 })),
       field("where", text("page-search-bounds"), el("input", { type: "search", size: 26, placeholder: "core_at_opening_C>=95 panel.thickness_mm=16" })),
@@ -49,6 +52,7 @@ async function list(place, context) {
   function keep() {
     const query = new URLSearchParams(FILTERS.filter((name) => filter[name]).map((name) => [name, filter[name]])).toString();
     history.replaceState(null, "", query ? `#/runs?${query}` : "#/runs");
+    scatterLink.href = query ? `#/runs/scatter?${query}` : "#/runs/scatter";
   }
 
   let turn = 0;
@@ -56,8 +60,7 @@ async function list(place, context) {
     const mine = ++turn;
     try {
       const page = await get("/search", {
-        press: context.presses.length > 1 ? context.press : "", q: filter.q, where: filter.where.split(/\s+/).filter(Boolean), verdict: filter.verdict, status: filter.status,
-        sort: filter.sort, limit: 50, cursor: next ? cursor : "", from: midnight(filter.from, 0), to: midnight(filter.to, 1),
+        ...asked(filter, context), sort: filter.sort, limit: 50, cursor: next ? cursor : "",
       });
       if (mine !== turn) return;
       items = next ? items.concat(page.items) : page.items;
