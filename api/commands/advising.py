@@ -44,7 +44,7 @@ def advise(  # noqa: PLR0913 - one argument an option
     json: JsonOut = None,
     svg: SvgFile = None,
 ) -> None:
-    """Say how long to press a panel not pressed yet, and how hot, under limits at a wanted probability."""
+    """Work out press time and platen temperature for a panel not pressed yet."""
     from softsensor.face.advising import advise as look
 
     given = [path for path in (press, model, resin) if path is not None and path.is_file()]

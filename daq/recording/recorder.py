@@ -21,8 +21,8 @@ disk full                      ``disk is full; free space on the disk; recording
 disk read-only                 ``unable to open ...; check that the folder exists, may be written, and its disk is
                                not mounted read-only`` or ``no permission to write; check owner and mount`` (alarm)
 buffer's disk full too         ``buffer ...; free space on its disk; scans wait in memory`` (alarm)
-room used up                   ``N scans lost: the store was away for longer than there was room`` (problem in
-                               /health)
+room used up                   ``N scans lost: the store was unreachable for longer than there was room``
+                               (problem in /health)
 store of a newer version       ``made by a newer version (schema X, this version knows Y); update Kerntemp or give
                                another store``: at start exit status 2; behind a server that came back, an alarm
 file damaged                   ``the file is damaged; restore the newest backup with kerntemp backup --restore``
@@ -43,7 +43,7 @@ clock set                      ``the clock of this machine was set by -3600.0 s;
                                affected`` (warning)
 logger silent or unplugged     ``logger X does not answer: ...; recording goes on without it, trying again``
                                (warning), then ``logger X answers again`` (info)
-switch against temperatures    ``press lab: the limit switch says open, but the upper face is hot; check it``
+switch against temperatures    ``press lab: the limit switch reports open, but the upper face is hot; check it``
                                (warning), at most every 10 minutes; the switch decides
 machine too busy               ``press lab: 3 scans left out, this machine was too busy`` (info), at most every
                                minute; the journal's detail says before which scans; from one in twenty on, or
@@ -51,7 +51,7 @@ machine too busy               ``press lab: 3 scans left out, this machine was t
 calibration file not made yet  ``logger X: values are not corrected, X.toml is not there yet; kerntemp calibrate
                                --write makes it`` (warning); it is taken over once it is there
 configuration changed          ``it takes effect between runs``, ``the changed configuration is in force`` (info)
-configuration wrong            file, key and value; ``recording goes on with the configuration before`` (warning)
+configuration wrong            file, key and value; ``recording goes on with the previous configuration`` (warning)
 =============================  ==================================================================================
 """
 

@@ -229,15 +229,15 @@ frame-column-complex = Spalte { $column } enthält komplexe Zahlen; den Realteil
 frame-column-levels = die Namen der Spalten haben { NUMBER($levels) } Ebenen; zu einer verbinden, etwa mit '_'.join
 frame-key-no-text = Schlüssel { $key } in attrs ist kein Text; die Schlüssel eines Kopfes sind Texte
 frame-without-rows = { $run }: die Tabelle hat keine Zeilen; eine Pressung braucht mindestens eine Messzeile
-frame-without-start = Der Kopf sagt nicht, wann die Pressung begann; { $key } als Zeitpunkt mit Zeitzone angeben oder time_s nehmen
+frame-without-start = Im Kopf fehlt, wann die Pressung begann; { $key } als Zeitpunkt mit Zeitzone angeben oder time_s nehmen
 frame-without-times = { $run }: die Tabelle hat keine Zeiten; eine Spalte oder einen Index time_s in Sekunden angeben, oder einen Index aus Zeitpunkten (Spalten sind { $columns })
-header-far-from-table = Kopfschlüssel { $key } = { NUMBER($value) } { $unit } liegt weit von den { NUMBER($table) } { $unit } der Werkstofftabelle für { $material }; bitte prüfen
+header-far-from-table = Kopfschlüssel { $key } = { NUMBER($value) } { $unit } liegt weit von den { NUMBER($table) } { $unit } der Materialtabelle für { $material }; bitte prüfen
 header-key-meant = Kopfschlüssel { $key } ist unbekannt; gemeint ist wohl { $meant }
 header-key-twice = Kopfschlüssel { $key } ist zweimal angegeben; einen behalten
 header-key-unknown = Kopfschlüssel { $key } ist unbekannt; er wird aufbewahrt, aber nicht verwendet
 header-line-no-toml = '# { $text }' ist kein 'Schlüssel = Wert' in TOML ({ $reason }); Text in Anführungszeichen setzen, eine Bemerkung mit '##' beginnen
 header-missing = Kopfschlüssel { $key } fehlt; '# { $key } = ...' ergänzen
-header-missing-material = Kopfschlüssel { $key } fehlt und Werkstoff '{ $material }' steht nicht in der Tabelle ({ $known }); '# { $key } = ...' ergänzen
+header-missing-material = Kopfschlüssel { $key } fehlt und Material '{ $material }' steht nicht in der Tabelle ({ $known }); '# { $key } = ...' ergänzen
 header-no-number = Kopfschlüssel { $key } = { $value }: muss eine Zahl sein; den Kopf berichtigen
 header-no-such-place = Kopfschlüssel { $key }: diese Stelle gibt es in der Pressendatei nicht
 header-not-finite = Kopfschlüssel { $key } = { $value }: muss eine endliche Zahl sein; berichtigen oder, wo sie nicht bekannt ist, den Schlüssel entfernen
@@ -323,12 +323,12 @@ config-closed-twice = Kanal '{ $channel }' wird aus { $wires } geschrieben; dem 
 config-column-twice = zwei Messgeräte füllen Spalte '{ $column }'; jede Spalte kommt von einem Eingang
 config-header = { $file }: Presse { $press }
 config-logger-twice = zwei Messgeräte heißen '{ $logger }'; jedem einen eigenen Namen geben
-config-no-archive = { $key } sagt, wann Messzeilen ins Archiv gehen, aber es gibt keines; einen Ordner als archive nennen oder den Schlüssel streichen
+config-no-archive = { $key } legt fest, wann Messzeilen archiviert werden, aber es gibt kein Archiv; einen Ordner als archive nennen oder den Schlüssel entfernen
 config-no-boundary-channel = kein Messgerät hat den Kanal '{ $channel }', den boundary.{ $end } von { $file } braucht; bei den Kanälen eines Messgeräts ergänzen
 config-no-such-press = Presse '{ $press }' steht nicht in der Konfiguration; vorhanden: { $known }
 config-no-wire-channel = kein Messgerät hat den Kanal '{ $channel }', den { $key } nennt; bei den Kanälen eines Messgeräts ergänzen oder { $key } entfernen
 config-press-twice = zwei Pressen heißen '{ $press }'; jeder einen eigenen Namen geben
-config-pressings-only-too-early = pressings_only_after_days = { $days }: muss mehr sein als archive_after_days = { $archived }: Messzeilen werden archiviert, bevor sie aufgegeben werden
+config-pressings-only-too-early = pressings_only_after_days = { $days }: muss mehr sein als archive_after_days = { $archived }: Messzeilen werden archiviert, bevor sie gelöscht werden
 
 ## daq.recording: journal of the recorder
 
@@ -348,12 +348,12 @@ needs-start-presses = die Liste der Pressen
 needs-start-store = [store]
 of-press = Presse { $press }: { $what }
 of-run = Pressung { $run }: { $what }
-pages-stalled = die Prüfung von { $store } auf Schäden kommt zu keinem Ende; die Platte prüfen
+pages-stalled = die Prüfung von { $store } auf Schäden kommt nicht voran; den Datenträger prüfen
 panel-not-pressed-before = { $key } = { NUMBER($header_mm, maximumFractionDigits: 1) }: keine frühere Pressung dieser Presse hatte eine solche Platte, die nächste hatte { NUMBER($nearest_mm, maximumFractionDigits: 1) } mm; das Band des Kerns umfasst beide; die Dicke prüfen
 press-recorded-already = Presse { $press }: ein anderer Rekorder schreibt sie in { $store }; diesen zuerst beenden
 press-stalled = { $press }: seit { NUMBER($seconds, maximumFractionDigits: 0) } s keine neue Messzeile
 problem-of-press = { $press }: { $what }
-recording-begins = zeichnet { $presses } auf; wenn der Datenspeicher fehlt, warten Messzeilen: { $where }
+recording-begins = zeichnet { $presses } auf; solange der Datenspeicher nicht erreichbar ist, warten Messzeilen: { $where }
 recording-ends = Aufzeichnung beendet
 recording-now = zeichnet { $presses } auf
 run-interrupted = Pressung { $run } wurde unterbrochen; ihre Daten sind erhalten
@@ -369,7 +369,7 @@ scans-left-out-lately = { $press }: { $count ->
 scans-lost = { $count ->
         [one] eine Messzeile
        *[other] { $count } Messzeilen
-    } verloren: der Datenspeicher war länger weg, als Platz da war
+    } verloren: der Datenspeicher war länger nicht erreichbar, als der Platz reichte
 scans-not-written = { $count } Messzeilen sind noch nicht geschrieben, dieser Rechner ist überlastet
 scans-recorded = { $count } Messzeilen aufgezeichnet
 store-trouble = { $why } ({ $count } warten)
@@ -380,14 +380,14 @@ archive-file-damaged = Archivdatei { $file }: nicht mehr, was geschrieben wurde;
 archive-file-mended = die Archivdatei der Pressung { $run } ist wieder heil
 archive-file-missing = Archivdatei { $file }: fehlt; sie aus einer Sicherung des Archivs zurückholen oder ihren Datenträger einhängen
 archive-file-newer = Archivdatei { $file }: von einer neueren Version geschrieben; Kerntemp aktualisieren
-archive-file-taken = Archivdatei { $file }: schon da, mit anderem Inhalt, vielleicht von einem anderen Datenspeicher; jedem einen eigenen Ordner als store.archive geben oder diese Datei wegräumen; nichts wurde gelöscht
+archive-file-taken = Archivdatei { $file }: gibt es schon mit anderem Inhalt, vielleicht von einem anderen Datenspeicher; jedem einen eigenen Ordner als store.archive geben oder diese Datei wegräumen; nichts wurde gelöscht
 archive-file-unreadable = Archivdatei { $file }: { $reason }; Datenträger und Leserechte prüfen
 archive-folder-lacks = Archiv { $folder }: darin fehlt { $file }, archiviert in { $before }; den Datenträger einhängen, das Archiv dorthin kopieren oder store.archive berichtigen; nichts wurde geändert
 archive-folder-refused = Archiv { $folder }: { $reason }; den Ordner anlegen und den Dienst hineinschreiben lassen oder store.archive berichtigen
-archive-not-as-written = Archivdatei { $file }: anders zurückgelesen als geschrieben; den Datenträger prüfen; nichts wurde gelöscht
+archive-not-as-written = Archivdatei { $file }: das Zurückgelesene weicht vom Geschriebenen ab; den Datenträger prüfen; nichts wurde gelöscht
 archive-not-written = Archivdatei { $file }: { $reason }; Datenträger und freien Platz prüfen; nichts wurde gelöscht
 archive-run-changed = Pressung { $run }: ihre Messzeilen änderten sich beim Archivieren; nichts wurde gelöscht, die nächste Nacht versucht es wieder
-archive-run-removed = Pressung { $run }: ihre Messzeilen werden seit { $date } nicht mehr aufgehoben, wie store.pressings_only_after_days es sagt; die Pressung und ihre Koeffizienten bleiben
+archive-run-removed = Pressung { $run }: ihre Messzeilen wurden am { $date } gelöscht, wie store.pressings_only_after_days es vorgibt; ihre Kopfdaten und ihre Koeffizienten bleiben
 backup-damaged = Sicherung { $file }: beschädigt: { $error }; eine andere Sicherung nehmen
 backup-exists = Sicherung { $file }: gibt es schon; einen neuen Namen geben, Sicherungen werden nie überschrieben
 backup-failed = Sicherung { $file }: { $error }; Datenträger und freien Platz prüfen
@@ -399,16 +399,16 @@ backup-run-short = Sicherung { $file }: der Pressung { $run } fehlt die erste od
 backup-unsound = Sicherung { $file }: kein heiler Datenspeicher: { $error }; eine andere Sicherung nehmen
 buffer-damaged = Puffer { $file } ist beschädigt ({ $error }): als { $aside } beiseitegelegt; { $kept } Einträge waren lesbar und bleiben, { $lost } sind verloren; die Aufzeichnung läuft weiter
 buffer-damaged-uncounted = Puffer { $file } ist beschädigt ({ $error }): als { $aside } beiseitegelegt; { $kept } Einträge waren lesbar und bleiben; wie viele verloren sind, ist nicht bekannt, mindestens { $lost }; die Aufzeichnung läuft weiter
-buffer-emptied = Puffer { $file }: jemand hat ihn gelöscht; { $count } Einträge darin sind verloren; die Aufzeichnung läuft weiter
-buffer-gone = Puffer { $file } ist weg ({ $error }): neu angelegt; { $lost } Einträge darin sind verloren; die Aufzeichnung läuft weiter
+buffer-emptied = Puffer { $file }: jemand hat ihn gelöscht; { $count } Einträge sind verloren; die Aufzeichnung läuft weiter
+buffer-gone = Puffer { $file } ist weg ({ $error }): neu angelegt; { $lost } Einträge sind verloren; die Aufzeichnung läuft weiter
 buffer-refuses = Puffer { $file }: { $error }; auf seinem Datenträger Platz schaffen
 buffer-row-unreadable = Puffer { $file }: ein Eintrag ist nicht lesbar ({ $error }); er liegt nun in { $aside }
 buffer-sum-wrong = Prüfsumme falsch
 buffer-unusable = Puffer { $file }: { $error }; seinen Ordner prüfen oder eine andere Datei als buffer in [store] angeben
-event-twice = Presse { $press }: { $kind } ist bei Messzeile { $scan } schon zu einem anderen Zeitpunkt vermerkt; das zweite wird nicht als Ereignis gespeichert
-events-lost = Presse { $press }: { $count } Ereignisse verloren: der Datenspeicher war länger weg, als Platz da war
+event-twice = Presse { $press }: { $kind } ist zu einem anderen Zeitpunkt der Messzeile { $scan } schon aufgezeichnet; das zweite Ereignis wird nicht gespeichert
+events-lost = Presse { $press }: { $count } Ereignisse verloren: der Datenspeicher war länger nicht erreichbar, als der Platz reichte
 item-set-aside = Presse { $press }: der Datenspeicher nimmt { $what } nicht an: { $why }; beiseitegelegt in { $aside }, alles andere ist geschrieben
-left-unwritten = { $count } Einträge sind nicht geschrieben: Datenspeicher { $store } nimmt sie nicht an; sie gehen mit dem Ende dieses Prozesses verloren
+left-unwritten = { $count } Einträge sind nicht geschrieben: Datenspeicher { $store } nimmt sie nicht an; sie gehen verloren, wenn dieser Prozess endet
 line-set-aside = Der Datenspeicher nimmt eine Zeile des Journals nicht an; sie liegt in { $aside }
 model-promoted = Modell { $version } in Kraft gesetzt
 model-rolled-back = zurückgenommen
@@ -417,9 +417,9 @@ model-version-missing = Modellversion '{ $version }' ist nicht im Datenspeicher
 model-version-taken = Modellversion '{ $version }' ist schon im Datenspeicher; Versionen ändern sich nie
 recipe-unknown = Rezept '{ $recipe }' gibt es nicht; es gibt: { $known }
 restore-differs = Datenspeicher { $store }: enthält nach dem Einspielen { $found }, die Sicherung { $expected }
-run-end-without-run = Das Ende der Pressung { $run } bei Messzeile { $scan } findet keine solche Pressung im Datenspeicher; ihre Messzeilen sind erhalten
+run-end-without-run = Pressung { $run } endet bei Messzeile { $scan }, aber der Datenspeicher hat keine solche Pressung; ihre Messzeilen sind erhalten
 run-renamed = Pressung { $run } ist schon im Datenspeicher; diese Pressung wird als { $name } gespeichert
-scans-given-up = Der Datenspeicher ist zu lange weg: die ältesten wartenden Messzeilen werden verworfen; Puffer: { $where }
+scans-given-up = Der Datenspeicher ist zu lange nicht erreichbar: die ältesten wartenden Messzeilen werden verworfen; Puffer: { $where }
 scans-wait = { $why }; Messzeilen warten: { $where }
 set-aside-begin = den Beginn der Pressung { $run } mit allen Kopfdaten
 set-aside-scans = eine Messzeile mit ihren Ereignissen
@@ -428,7 +428,7 @@ store-column-missing = Pressung '{ $run }' hat keine Spalte '{ $column }'; sie h
 store-cursor = Cursor '{ $cursor }': gehört nicht zu dieser Liste; next_cursor der Seite davor nehmen
 store-damaged = Datenspeicher { $store }: die Datei ist beschädigt: { $error }; das Lesbare sichern, dann die neueste heile Sicherung mit kerntemp backup --restore einspielen
 store-file-gone = Datenspeicher { $store }: die Datei wurde gelöscht oder verschoben; ein laufendes kerntemp record legt sie wieder an, sonst die neueste Sicherung einspielen
-store-foreign-view = Datenspeicher { $store }: die Sicht { $view } ist nicht von Kerntemp und steht auf einer, die diese Version ändert; sie löschen, neu starten und neu anlegen
+store-foreign-view = Datenspeicher { $store }: die Sicht { $view } ist nicht von Kerntemp und hängt von einer ab, die diese Version ändert; sie löschen, neu starten und sie neu anlegen
 store-gives-no-reason = ohne Angabe eines Grundes
 store-header-wrong = { $file }: Kopfzeile { $key } = { $value }: muss { $wanted } sein; berichtigen oder weglassen
 store-is-folder = Datenspeicher { $store }: ist ein Ordner; den Pfad einer Datei darin angeben
@@ -495,17 +495,17 @@ effect-clock_offset-called = Uhren, die voneinander abweichen
 effect-clock_offset-confirmed-by = Einen Heizplatten- und einen Plattenfühler gleichzeitig mit einem Lötkolben berühren und vergleichen.
 effect-clock_offset-core = Für sich keine, aber sie verfälscht die Kontaktkoeffizienten.
 effect-clock_offset-meaning = Die Plattenkanäle tragen spätere (oder frühere) Zeiten als die Heizplattenkanäle und der Endschalter.
-effect-clock_offset-symptom = Jeder Knick der Plattenmessung kommt um dieselbe Zeit zu spät, beim Schließen wie beim Öffnen.
+effect-clock_offset-symptom = Jeder Knick der Plattenmessung ist um dieselbe Zeit verspätet, beim Schließen wie beim Öffnen.
 effect-conductivity_offset-called = andere Wärmeleitfähigkeit als angegeben
 effect-conductivity_offset-confirmed-by = Die Wärmeleitfähigkeit dieser Platte messen oder verschiedene Dicken pressen.
 effect-conductivity_offset-core = Der Kern ist heißer (Verhältnis über 1) oder kühler, etwa 1 K je 5 %.
 effect-conductivity_offset-meaning = Die Wärmeleitfähigkeit der Platte weicht vom Wert in den Kopfdaten ab.
-effect-conductivity_offset-symptom = Die Seiten laufen in jedem Zustand mit der Wurzel der Zeit von der Simulation weg.
+effect-conductivity_offset-symptom = Die Seiten entfernen sich in jedem Zustand mit der Wurzel der Zeit von der Simulation.
 effect-conductivity_temperature-called = Wärmeleitfähigkeit, die von der Temperatur abhängt
 effect-conductivity_temperature-confirmed-by = Die Wärmeleitfähigkeit bei 25 und 100 °C messen (Zweiplattengerät) oder eine Platte mit Kernfühler pressen.
 effect-conductivity_temperature-core = Steigt die Wärmeleitfähigkeit, ist der Kern 1 bis 4 K heißer als simuliert.
 effect-conductivity_temperature-meaning = Die Platte leitet Wärme heiß anders als bei Raumtemperatur.
-effect-conductivity_temperature-symptom = Gegen Ende der Pressung und nach dem Öffnen laufen die Seiten von der Simulation weg, bei dicken Platten stärker.
+effect-conductivity_temperature-symptom = Gegen Ende der Pressung und nach dem Öffnen entfernen sich die Seiten von der Simulation, bei dicken Platten stärker.
 effect-contact_asymmetry-called = ungleicher Kontakt oben und unten
 effect-contact_asymmetry-confirmed-by = Die Platte umdrehen oder die Pressbleche tauschen.
 effect-contact_asymmetry-core = In der Mitte unter 1 K; die heißeste Ebene wandert aus der Mitte.
@@ -537,7 +537,7 @@ effect-heat_capacity_offset-called = andere Wärmekapazität als angegeben
 effect-heat_capacity_offset-confirmed-by = Die Platte wiegen und vermessen; ihre Wärmekapazität messen; verschiedene Dicken pressen.
 effect-heat_capacity_offset-core = Der Kern ist kühler (Verhältnis über 1) oder heißer, etwa 1 K je 5 %.
 effect-heat_capacity_offset-meaning = Dichte mal Wärmekapazität der Platte weicht vom Wert in den Kopfdaten ab.
-effect-heat_capacity_offset-symptom = Die Seiten laufen in jedem Zustand von der Simulation weg, bei dicken Platten zu Beginn am wenigsten.
+effect-heat_capacity_offset-symptom = Die Seiten entfernen sich in jedem Zustand von der Simulation, bei dicken Platten zu Beginn am wenigsten.
 effect-heat_capacity_temperature-called = Wärmekapazität, die von der Temperatur abhängt
 effect-heat_capacity_temperature-confirmed-by = Die Wärmekapazität von 20 bis 100 °C messen (DSC) oder eine Platte mit Kernfühler pressen.
 effect-heat_capacity_temperature-core = Steigt die Wärmekapazität, ist der Kern 1 bis 2 K kühler als simuliert.
@@ -563,12 +563,12 @@ effect-paper_layer-called = eine dämmende Papierschicht
 effect-paper_layer-confirmed-by = Dieselbe Platte unbeschichtet pressen.
 effect-paper_layer-core = Einige Zehntel Kelvin.
 effect-paper_layer-meaning = Das imprägnierte Papier auf beiden Seiten dämmt und speichert Wärme.
-effect-paper_layer-symptom = Die Seiten antworten später als simuliert auf das Schließen, und der Koeffizient der offenen Presse fällt zu klein aus.
-effect-platen_offset-called = eine Heizplattenmessung, die danebenliegt
+effect-paper_layer-symptom = Die Seiten reagieren später als simuliert auf das Schließen, und der Koeffizient der offenen Presse wird zu klein geschätzt.
+effect-platen_offset-called = eine falsche Heizplattenmessung
 effect-platen_offset-confirmed-by = Die Heizplattenfühler bei Betriebstemperatur mit einem kalibrierten vergleichen.
 effect-platen_offset-core = Etwa 0,3 K je Kelvin.
 effect-platen_offset-meaning = Die Heizplattenfühler zeigen immer gleich viel zu wenig (positiv) oder zu viel (negativ).
-effect-platen_offset-symptom = In einer langen Pressung enden beide Seiten neben der Simulation, im Verhältnis zur aufgenommenen Wärme.
+effect-platen_offset-symptom = Am Ende einer langen Pressung weichen beide Seiten von der Simulation ab, im Verhältnis zur aufgenommenen Wärme.
 effect-resin_cure-called = Wärme des aushärtenden Harzes
 effect-resin_cure-confirmed-by = Dieselbe Platte ein zweites Mal pressen: ausgehärtetes Harz gibt keine Wärme mehr ab.
 effect-resin_cure-core = Klein: einige Zehntel Kelvin.
@@ -584,10 +584,10 @@ effect-thermocouple_footprint-confirmed-by = Dünneren Draht nehmen oder einen F
 effect-thermocouple_footprint-core = Unter 0,1 K, aber sie verfälschen die Kontaktkoeffizienten.
 effect-thermocouple_footprint-meaning = In der geschlossenen Presse messen die Plattenfühler eine Mischung aus Plattenseite und Pressblech.
 effect-thermocouple_footprint-symptom = Die Messung springt beim Schließen hinauf und beim Öffnen hinab, um einen Teil des Temperatursprungs am Kontakt.
-effect-thermocouple_lag-called = Plattenfühler, die spät antworten
+effect-thermocouple_lag-called = Plattenfühler, die verzögert messen
 effect-thermocouple_lag-confirmed-by = Einen Fühler in heißes Wasser tauchen und die Sprungantwort aufzeichnen.
 effect-thermocouple_lag-core = Für sich keine, aber sie verfälschen die Kontaktkoeffizienten bis zum Faktor 3.
-effect-thermocouple_lag-meaning = Die Plattenfühler antworten spät.
+effect-thermocouple_lag-meaning = Die Plattenfühler messen verzögert.
 effect-thermocouple_lag-symptom = Die Messung hinkt der Simulation um so mehr nach, je steiler sie ist, am meisten in der Sekunde nach dem Schließen.
 effect-vapour_convection-called = Dampf, der Wärme trägt
 effect-vapour_convection-confirmed-by = Eine Opferplatte mit Fühler in der Mitte pressen.
@@ -655,7 +655,7 @@ header-verdict = { $key } = { $value } ist kein Urteil; eines von { $known }
 layer-from-run-without-panel = Schicht '{ $layer }' nimmt ihre Werte aus der Pressung, und es gibt keine Platte
 layer-incomplete = Schicht '{ $layer }': Dichte oder Dicke fehlt
 layer-value-impossible = { $run }: layer.{ $number }.{ $key } = { $value } ('{ $layer }'): muss eine Zahl von { NUMBER($lower, maximumFractionDigits: 6) } bis { NUMBER($upper, maximumFractionDigits: 6) } sein; die Pressendatei berichtigen
-live-time-not-rising = ein Scan bei { NUMBER($time_s, maximumFractionDigits: 3) } s nach einem bei { NUMBER($newest_s, maximumFractionDigits: 3) } s: Zeiten müssen steigen; für eine andere Pressung einen neuen LiveSensor beginnen
+live-time-not-rising = eine Messzeile bei { NUMBER($time_s, maximumFractionDigits: 3) } s nach einer bei { NUMBER($newest_s, maximumFractionDigits: 3) } s: Zeiten müssen steigen; für eine andere Pressung einen neuen LiveSensor beginnen
 live-value-no-number = Spalte { $column }: { $value } ist keine Zahl; für einen fehlenden Wert NaN oder None angeben
 load-column-empty = { $run }: Druckspalte '{ $column }' enthält keinen Wert über 0: { $contacts } wird als unabhängig vom Druck gerechnet; die Spalte angeben oder load aus der Pressendatei nehmen
 load-column-missing = { $run }: Druckspalte '{ $column }' fehlt (vorhanden: { $columns }): { $contacts } wird als unabhängig vom Druck gerechnet; die Spalte angeben oder load aus der Pressendatei nehmen
@@ -688,7 +688,7 @@ sensor-outside-layer = { $run }: ein Fühler bei depth_mm = { NUMBER($depth_mm, 
 solve-exact-contact-changes = method = 'exact': ein Kontakt ändert sich in der geschlossenen Presse; den impliziten Löser nehmen
 solve-exact-moments-too-near = method = 'exact': weniger als vier Schritte in { NUMBER($seconds, maximumFractionDigits: 6) } s zwischen zwei Bewegungen der Presse; den impliziten Löser nehmen
 solve-exact-not-linear = method = 'exact': { $what } ist nicht linear; den impliziten Löser nehmen
-solve-no-temperatures = { $run }: Aus diesen Übergängen und Quellen folgen keine Temperaturen; so etwas gibt es in keinem Stoff
+solve-no-temperatures = { $run }: diese Übergänge und Quellen führen zu keinen endlichen Temperaturen; kein Stoff hat solche Werte, also prüfen
 solve-table-or-radiation = eine Stoffwerttabelle oder Strahlung
 solve-unknown-method = method = { $method }: muss 'implicit' oder 'exact' sein
 solve-value-out-of-range = { $name } = { $value }: muss eine Zahl von { NUMBER($lower, maximumFractionDigits: 6) } bis { NUMBER($upper, maximumFractionDigits: 6) } sein
@@ -705,7 +705,7 @@ value-not-finite = { $name } = { $value }: muss eine endliche Zahl sein
 
 ## softsensor.signals: channels
 
-channel-departs = { $column } liest { NUMBER($kelvin, maximumFractionDigits: 0) } K { $side ->
+channel-departs = { $column } misst { NUMBER($kelvin, maximumFractionDigits: 0) } K { $side ->
     [below] unter
    *[above] über
  } den Nachbarn und wird in { $run } nicht verwendet
@@ -736,10 +736,10 @@ fit-gap-at-moment =
         [inserted_s] das Einlegen
         [closed_s] das Schließen
        *[opened_s] das Öffnen
-    }. Der Zeitpunkt wird in der Lücke gesucht, und die Koeffizienten sind entsprechend ungenauer bekannt
+    }. Der Zeitpunkt wird innerhalb der Lücke geschätzt, was die Koeffizienten unsicherer macht
 fit-misfit-astray = Residuum in Ruhe { NUMBER($rmse, minimumFractionDigits: 1, maximumFractionDigits: 1) } K nach der Anpassung, { NUMBER($first, minimumFractionDigits: 1, maximumFractionDigits: 1) } K davor
 fit-misfit-lost-insertion = Einlegen und Schließen fallen in eine Lücke ihrer Zeilen, { NUMBER($begin, minimumFractionDigits: 1, maximumFractionDigits: 1) } bis { NUMBER($end, minimumFractionDigits: 1, maximumFractionDigits: 1) } s
-fit-misfit-span = { NUMBER($rmse, minimumFractionDigits: 1, maximumFractionDigits: 1) } K bleiben in Ruhe bei Messwerten, die { NUMBER($span, maximumFractionDigits: 0) } K überstreichen
+fit-misfit-span = Residuum in Ruhe { NUMBER($rmse, minimumFractionDigits: 1, maximumFractionDigits: 1) } K bei Messwerten, die { NUMBER($span, maximumFractionDigits: 0) } K überstreichen
 fit-no-run = keine Pressung angegeben; mindestens eine Datei nennen
 fit-no-such-method = Verfahren '{ $method }': erlaubt sind { $methods }
 fit-no-such-shared = gemeinsamer Koeffizient '{ $name }': erlaubt sind { $names }
@@ -833,10 +833,10 @@ core-largest-shift = Im Verlauf einer Pressung ist er bis zu { NUMBER($kelvin, m
         [hotter] heißer
        *[cooler] kühler
     }.
-core-no-panel = In diesem Aufbau liegt keine Platte, über einen Kern ist also nichts zu sagen.
+core-no-panel = In diesem Aufbau liegt keine Platte, es gibt also keinen Kern.
 core-not-proven = Fühler an den Seiten können den Kern nicht bestätigen; dazu einige Platten mit Kernfühler pressen.
-core-off = Kernfühler, die keine Anpassung gesehen hat, liegen { NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K daneben.
-core-press-time = Für die Kerntemperatur, die das einfache Modell versprach, { NUMBER($seconds, minimumFractionDigits: 1, maximumFractionDigits: 1) } s { $change ->
+core-off = Kernfühler, die in keine Anpassung eingingen, liegen { NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K daneben.
+core-press-time = Für die Kerntemperatur, die das einfache Modell vorhersagte, { NUMBER($seconds, minimumFractionDigits: 1, maximumFractionDigits: 1) } s { $change ->
         [longer] länger
        *[shorter] kürzer
     } pressen (mittlere Pressung).
@@ -846,8 +846,8 @@ core-shift = { $at ->
     } ist der Kern { NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K { $change ->
         [hotter] heißer
        *[cooler] kühler
-    }, als das einfache Modell sagt (± { NUMBER($sd, minimumFractionDigits: 1, maximumFractionDigits: 1) } K von Pressung zu Pressung).
-core-thermocouples = Kernfühler, die keine Anpassung gesehen hat, liegen { NUMBER($before, minimumFractionDigits: 1, maximumFractionDigits: 1) } K neben dem einfachen und { NUMBER($after, minimumFractionDigits: 1, maximumFractionDigits: 1) } K neben dem erweiterten Modell.
+    } als nach dem einfachen Modell (± { NUMBER($sd, minimumFractionDigits: 1, maximumFractionDigits: 1) } K von Pressung zu Pressung).
+core-thermocouples = Kernfühler, die in keine Anpassung eingingen, liegen { NUMBER($before, minimumFractionDigits: 1, maximumFractionDigits: 1) } K neben dem einfachen und { NUMBER($after, minimumFractionDigits: 1, maximumFractionDigits: 1) } K neben dem erweiterten Modell.
 core-unchanged = Es kam keine Ursache hinzu, die Kernschätzung bleibt also, wie sie ist.
 diagnosis-no-runs = keine Pressungen für die Diagnose; mindestens eine Laufdatei angeben
 gain-hardly = { $causes ->
@@ -862,9 +862,9 @@ gain-residual-falls = { $causes ->
 measured-at = { $at } °C
 measured-between = { $low } bis { $high } °C
 next-confirm-and-core = Um den Kern zu kennen, zwei oder drei Opferplatten mit Kernfühler pressen; um die Ursache zu bestätigen: { $confirm }
-next-constants = Wärmeleitfähigkeit und Wärmekapazität der Platte messen: die Seiten passen, aber die Kernfühler liegen { NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K daneben, es stimmt also etwas nicht, das die Seiten nicht zeigen.
-next-describe = Dicken, Werkstoffe und Spalten von Pressendatei und Pressungen prüfen, dann eine Platte mit Kernfühler pressen.
-next-describe-rig = Dicken, Werkstoffe und Spalten von Pressendatei und Messungen prüfen, dann einmal mit einem Fühler in einer Schicht messen.
+next-constants = Wärmeleitfähigkeit und Wärmekapazität der Platte messen: die Seiten passen, aber die Kernfühler liegen { NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K daneben, es gibt also einen Fehler, den die Seiten nicht zeigen.
+next-describe = Dicken, Materialien und Spalten von Pressendatei und Pressungen prüfen, dann eine Platte mit Kernfühler pressen.
+next-describe-rig = Dicken, Materialien und Spalten von Pressendatei und Messungen prüfen, dann einmal mit einem Fühler in einer Schicht messen.
 next-look-there = Drei Opferplatten mit Kernfühler pressen und die aufgeführten Zeiten und Stellen ansehen.
 next-look-there-rig = Noch einmal messen, mit einem Fühler an den aufgeführten Stellen und zu den aufgeführten Zeiten.
 next-more-runs = Mindestens { $more ->
@@ -918,9 +918,9 @@ verdict-few-runs-off = { $runs } { $runs ->
     } zu wenig, um eine Ursache vom Zufall zu unterscheiden; das einfache Modell liegt { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K daneben, davon sind { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K Rauschen.
 verdict-left = Alle Pressungen haben ein Residuum gemeinsam, das keine Ursache des Katalogs erklärt.
 verdict-left-at = Alle Pressungen haben ein Residuum gemeinsam, das keine Ursache des Katalogs erklärt: { $stretch }.
-verdict-not-described = Nichts lässt sich sagen: das Modell liegt { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K daneben, Rauschen allein macht { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K. Pressendatei, Kopfdaten der Pressungen und die Zuordnung der Spalten prüfen.
+verdict-not-described = Kein Urteil möglich: das Modell liegt { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K daneben, Rauschen allein macht { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K. Pressendatei, Kopfdaten der Pressungen und die Zuordnung der Spalten prüfen.
 verdict-plain-model-explains = Das einfache Modell erklärt diese { $runs } Pressungen auf { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K; Rauschen allein macht { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K.
-verdict-plain-model-explains-panels = Das einfache Modell erklärt diese { $runs } Pressungen auf { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K, und auf { NUMBER($own, minimumFractionDigits: 2, maximumFractionDigits: 2) } K, wenn jede Platte ein wenig anders leitet und speichert, wie Platten es tun; Rauschen allein macht { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K.
+verdict-plain-model-explains-panels = Das einfache Modell erklärt diese { $runs } Pressungen auf { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K, und auf { NUMBER($own, minimumFractionDigits: 2, maximumFractionDigits: 2) } K, wenn jede Platte Wärme ein wenig anders leiten und speichern darf, wie wirkliche Platten es tun; Rauschen allein macht { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K.
 verdict-plain-model-explains-the-rest = Ohne sie erklärt das einfache Modell diese { $runs } Pressungen auf { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K.
 verdict-something-beyond-chance = Das einfache Modell erklärt diese { $runs } Pressungen auf { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K, bei { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K Rauschen, und doch passt eine Ursache besser als durch Zufall. Dass sie ausgelassene Pressungen verbessert, ist nicht gezeigt.
 verdict-suspected = Verdacht, nicht bewiesen: { $causes }.
@@ -962,7 +962,7 @@ law-kind-contact_lower = Faktor auf den geschlossenen Kontakt der unteren Fläch
 law-kind-contact_upper = Faktor auf den geschlossenen Kontakt der oberen Fläche
 law-kind-heat = Wärme, die beim Erwärmen der Platte verbraucht und beim Abkühlen nicht frei wird
 law-kind-heat_exchange = Wärme, die je Volumen an den Raum geht
-law-none = Kein freies Gesetz: keines verbessert ausgelassene Pressungen sicher.
+law-none = Kein freies Gesetz: bei keinem ist sicher, dass es ausgelassene Pressungen verbessert.
 law-not-told-from = Diese Pressungen können es nicht unterscheiden von: { $others }.
 law-resembles = In seinem Band liegt die Kurve einer bekannten Ursache: { $cause }.
 law-told = Es fehlt, ohne Namen: { $kind }, nach { $variable }, von { NUMBER($least, maximumSignificantDigits: 3) } (bei { NUMBER($at_least, maximumSignificantDigits: 3) }) bis { NUMBER($most, maximumSignificantDigits: 3) } (bei { NUMBER($at_most, maximumSignificantDigits: 3) }){ $unit }; das spart { NUMBER($gain, minimumFractionDigits: 2, maximumFractionDigits: 2) } von { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } K bei ausgelassenen Pressungen.
@@ -973,13 +973,13 @@ law-variable-time_since_closing_s = Zeit seit dem Schließen in s
 ## softsensor.diagnosis.rehearsal: error rates of a campaign
 
 rehearsal-alone = allein genannt
-rehearsal-begins = Probe mit { $runs } Pressungen: { $campaigns } simulierte Kampagnen zu diagnostizieren, { $done } schon fertig. Sie stammen aus dem eigenen Modell des Softsensors, mit Programmen, Rauschen und Streuung dieser Pressungen.
+rehearsal-begins = Probe mit { $runs } Pressungen: { $campaigns } simulierte Versuchsreihen zu diagnostizieren, { $done } schon fertig. Sie stammen aus dem eigenen Modell des Softsensors, mit Programmen, Rauschen und Streuung dieser Pressungen.
 rehearsal-found = gefunden
 rehearsal-heading = Wie oft eine solche Diagnose richtig ist
-rehearsal-none = Ohne verborgene Ursache wird in { $rate } der Kampagnen eine genannt.
-rehearsal-not-testable = --rehearse-effect { $name }: diese Pressungen können dazu nichts sagen; wählbar sind { $known }
+rehearsal-none = Ohne verborgene Ursache wird in { $rate } der Versuchsreihen eine genannt.
+rehearsal-not-testable = --rehearse-effect { $name }: diese Pressungen können sie nicht zeigen; wählbar sind { $known }
 rehearsal-options-alone = --rehearse-campaigns, --rehearse-effect, --rehearse-file und --dask gehören zu --rehearse; es mit angeben
-rehearsal-own-model = Die Kampagnen sind mit dem eigenen Modell des Softsensors simuliert: Die Anteile gelten für eine Presse, die es bis auf die eine Ursache beschreibt. Was eine wirkliche Presse sonst noch tut, verschlechtert sie.
+rehearsal-own-model = Die Versuchsreihen sind mit dem eigenen Modell des Softsensors simuliert: Die Anteile gelten für eine Presse, die es bis auf die eine Ursache beschreibt. Was eine wirkliche Presse sonst noch tut, verschlechtert sie.
 rehearsal-rate = { $count } von { $of } ({ NUMBER($low, maximumFractionDigits: 0) } bis { NUMBER($high, maximumFractionDigits: 0) } %)
 rehearsal-size = --rehearse-effect { $name }={ $size }: die Größe muss eine Zahl von { $low } bis { $high } sein
 rehearsal-size-cell = { $value } { $unit }
@@ -988,7 +988,7 @@ rehearsal-takes = Das dauert etwa { NUMBER($minutes, maximumFractionDigits: 0) }
     [one] Prozess
    *[other] Prozessen
 }.
-rehearsal-title = Kampagnen aus { $runs } Pressungen wie diesen, je mit einer verborgenen Ursache: wie viele davon sie finden, mit 95-%-Intervallen.
+rehearsal-title = Versuchsreihen aus { $runs } Pressungen wie diesen, je mit einer verborgenen Ursache: wie viele davon sie finden, mit 95-%-Intervallen.
 rehearsal-wrong = andere Ursache genannt
 
 ## softsensor.planning: the next pressings
@@ -1007,7 +1007,7 @@ advise-limit-steam_most = zu viel Dampf
 advise-load-unit = Presse { $press }: das Modell folgt der Last in Spalte { $column }, deren Einheit nirgends steht: beim Kontakt in load unit = "N/cm2", "kPa", "bar" oder "MPa" angeben
 advise-margin = Die mittlere Platte ist nach { NUMBER($likely, maximumFractionDigits: 0) } s fertig; bis { NUMBER($until, maximumFractionDigits: 0) } s gelten alle Grenzen mit der gewünschten Wahrscheinlichkeit.
 advise-measure = Wäre dies genau bekannt, genügten { NUMBER($seconds, maximumFractionDigits: 0) } s: { $source }
-advise-no-limit = keine Grenze einzuhalten; --resin mit [limits], --core-least oder --core-most angeben
+advise-no-limit = keine Grenze angegeben; --resin mit [limits], --core-least oder --core-most angeben
 advise-none = Kein Programm in den Bereichen hält alle Grenzen ein. Am nächsten: { $limit } mit { NUMBER($percent, maximumFractionDigits: 0) } %
 advise-panel = Platte: { $material }, { $thickness } mm
 advise-panel-unreadable = --panel '{ $given }': muss SCHLÜSSEL=WERT sein, etwa panel.thickness_mm=16
@@ -1023,7 +1023,7 @@ plan-best-is-usual = Am besten: die üblichen Einstellungen. { $prospect }
 plan-narrows-kelvin = Eine Pressung bringt es auf ±{ NUMBER($kelvin, maximumFractionDigits: 2) } K; { $runs }.
 plan-narrows-share = Eine Pressung bringt es auf ±{ NUMBER($percent, maximumFractionDigits: 0) } %; { $runs }.
 plan-not-described = Das Modell beschreibt diese Pressungen nicht; was eine weitere Pressung brächte, ist nicht vorherzusagen.
-plan-nothing-open = Nichts bleibt offen, was eine Pressung klären könnte.
+plan-nothing-open = Keine Frage bleibt offen, die eine Pressung klären könnte.
 plan-open-causes = Nicht zu unterscheiden: { $causes }
 plan-open-coefficient = { $name } ist auf ±{ NUMBER($percent, maximumFractionDigits: 0) } % bekannt (gewünscht: ±{ NUMBER($wanted, maximumFractionDigits: 0) } %)
 plan-open-core = Der Kern beim Öffnen ist auf ±{ NUMBER($kelvin, maximumFractionDigits: 1) } K bekannt, soweit alle Pressungen es gemeinsam haben (gewünscht: ±{ NUMBER($wanted, maximumFractionDigits: 1) } K)
@@ -1082,12 +1082,12 @@ reason-run-begins-with-the-panel-on-the-hot-plate = die Aufzeichnung beginnt mit
 reason-run-refused = der Pressung kann nicht gefolgt werden: { $problem }
 reason-start-temperature-contradicted = die Fühler zeigen { NUMBER($measured_C, maximumFractionDigits: 0) } °C, laut Kopfdaten beginnt die Platte bei { NUMBER($header_C, maximumFractionDigits: 0) } °C
 reason-start-temperature-too-high = laut Kopfdaten beginnt die Platte bei { NUMBER($header_C, maximumFractionDigits: 0) } °C; so heiß ist keine frische Platte
-reason-store-away = die Datenbank antwortet nicht
+reason-store-away = der Datenspeicher antwortet nicht
 resin-is-example = das Harz „{ $name }“ ist ein Beispiel; das eigene Papier messen und dessen Kinetik in die Harzdatei eintragen
 resin-needs-panel = die Presse hat keine Platte, also härtet kein Papier; das Harz weglassen
 resin-no-limits = die Harzdatei hat keine Grenze in [limits], open_now bleibt 0; cure_least setzen
 resin-no-moisture = { $key } fehlt im Kopf, der Dampf ist unbekannt und open_now bleibt 0; den Schlüssel ergänzen oder steam_most_kPa aus der Harzdatei nehmen
-steam-limit-no-marks = keine von { $runs } als good oder blister markierten Pressungen sagt den Dampf beim Öffnen; Platten markieren ({ $key }) und panel.moisture_percent angeben
+steam-limit-no-marks = von keiner der { $runs } als good oder blister markierten Pressungen ist der Dampf beim Öffnen bekannt; Platten markieren ({ $key }) und panel.moisture_percent angeben
 
 ## softsensor.jobs: services and nights
 
@@ -1103,7 +1103,7 @@ night-against-predicts-worse = es sagt Pressungen schlechter vorher
 night-against-still-helps = ein Effekt, der wegfiele, verbessert die Anpassung noch
 night-archive = { $press }: { $archived } Pressungen ins Archiv verschoben ({ NUMBER($freed, minimumFractionDigits: 1, maximumFractionDigits: 1) } MB zu { NUMBER($written, minimumFractionDigits: 1, maximumFractionDigits: 1) } MB){ $removed ->
         [0] { "" }
-       *[other] , Messzeilen von { $removed } aufgegeben
+       *[other] , Messzeilen von { $removed } gelöscht
     }{ $later ->
         [0] { "" }
        *[other] , { $later } folgen in den nächsten Nächten
@@ -1138,7 +1138,7 @@ night-fits =
 night-fits-later = { $fits }, { $later } ältere folgen in den nächsten Nächten
 night-left-to-you = { $version } wird nicht von selbst in Kraft gesetzt; zu entscheiden ist von Hand: { $reason }
 night-like-rolled-back = { $reason }; wie { $version }, das zurückgenommen wurde
-night-not-sure-yet = nur ein Verdacht, da alle Nächte zusammen noch nicht sicher zeigen, dass etwas fehlt: { $causes }
+night-not-sure-yet = nur ein Verdacht, da alle Nächte zusammen noch nicht beweisen, dass etwas fehlt: { $causes }
 night-nothing-changed = nichts hat sich geändert
 night-outcome =
     { $press }: { $fits }; Diagnose: { $verdict ->
@@ -1160,8 +1160,8 @@ night-too-few-runs = { $runs } Pressungen ausgewertet, { $needed } sind nötig
 night-too-few-to-judge = zu wenige Pressungen für ein Urteil
 night-workers-killed = { $press }: Die Prozesse, die an ihrer Nacht arbeiteten, wurden abgebrochen; der nächtliche Lauf arbeitet selbst daran, Pressung für Pressung
 press-problem = { $press }: { $problem }
-run-fit-again = Pressung { $run }: der Rechenprozess wurde abgebrochen oder stand still, ein anderer wertet sie aus; vermutlich ist Arbeitsspeicher knapp
-run-fit-killed = Pressung { $run } konnte nicht ausgewertet werden: der Rechenprozess wurde zweimal abgebrochen oder stand still; vermutlich fehlt Arbeitsspeicher
+run-fit-again = Pressung { $run }: der Rechenprozess wurde abgebrochen oder reagierte nicht mehr, ein anderer wertet sie aus; vermutlich ist Arbeitsspeicher knapp
+run-fit-killed = Pressung { $run } konnte nicht ausgewertet werden: der Rechenprozess wurde zweimal abgebrochen oder reagierte nicht mehr; vermutlich fehlt Arbeitsspeicher
 run-not-fitted = Pressung { $run } konnte nicht ausgewertet werden: { $why }
 run-nothing-to-fit = Pressung { $run } hat keine Fühler an der Platte: nichts auszuwerten
 sense-compiling = übersetzt das Modell, einmal nach einer Installation oder Aktualisierung: etwa eine Minute
@@ -1429,9 +1429,9 @@ advice-blocked = { $limit ->
         [cure_bottom] die untere Fläche härtet in der Vorausschau nicht aus
         [cure_top] die obere Fläche härtet in der Vorausschau nicht aus
         [steam_most] zu viel Dampf, oder sein Druck ist nicht bekannt
-       *[sudden_change] in der Presse hat sich etwas geändert: wie die Flächen waren, ist nicht bekannt
+       *[sudden_change] in der Presse hat sich etwas geändert: wie weit die Flächen gehärtet sind, ist nicht bekannt
     }
-advice-estimate-old = das galt vor { NUMBER($seconds, maximumFractionDigits: 0) } s
+advice-estimate-old = Stand vor { NUMBER($seconds, maximumFractionDigits: 0) } s
 advice-no-limit = die Harzdatei hat keine Grenze
 advice-no-look-ahead = der Softsensor hat noch nicht vorausgeschaut
 advice-no-panel = keine Platte in der Presse
@@ -1504,7 +1504,7 @@ api-run-without-press-file = Pressung { $run }: ihre Presse wurde ohne Pressenda
 api-scans-span = von { $begin } bis { $end }: das Ende muss nach dem Anfang liegen, höchstens 25 h danach; ein anderes Ende wählen oder Tag für Tag fragen
 api-search-bound = '{ $bound }' ist keine Grenze; zum Beispiel core_at_opening_C>=95 schreiben
 api-search-order = '{ $order }' ist keine Reihenfolge; eines von { $known }, oder ein Schlüssel des Kopfes
-api-server-failed = der Server ist daran gescheitert; siehe sein Protokoll
+api-server-failed = der Server ist an dieser Anfrage gescheitert; siehe sein Protokoll
 api-slows-wrong-tokens = zu viele falsche Zugangstoken von { $address }; weitere werden langsam beantwortet
 api-token-exists = das Zugangstoken { $name } gibt es schon; erst zurückziehen oder einen anderen Namen wählen
 api-token-invalid = dieses Zugangstoken gilt nicht; kerntemp token create legt eines an
@@ -1515,7 +1515,7 @@ api-tokens-needed = server.host = { $host }: wer von anderswo liest, braucht ein
 api-tokens-unreadable = { $path }: die Zugangstoken sind nicht lesbar: { $why }; die Datei entfernen und neue anlegen
 api-too-many-listeners = zu viele Zuhörer; später wieder versuchen
 api-too-many-wrong-tokens = zu viele falsche Zugangstoken von dieser Adresse; weitere falsche werden eine Minute lang verzögert beantwortet
-health-archive-away = Archiv { $folder }: nicht da; seinen Datenträger einhängen oder das Archiv dorthin zurückkopieren, alte Pressungen sind bis dahin nicht lesbar
+health-archive-away = Archiv { $folder }: fehlt; seinen Datenträger einhängen oder das Archiv dorthin zurückkopieren, alte Pressungen sind bis dahin nicht lesbar
 health-archive-unsound = Archiv { $folder }: { $files ->
         [one] eine Datei fehlt oder ist
        *[other] { $files } Dateien fehlen oder sind
@@ -1533,12 +1533,12 @@ health-scans-behind = { $press }: { $scans } Messzeilen im Rückstand, dieser Re
 diagnosed-cause = { $name }: { $worth }; { $sureness }
 diagnosed-causes = { $name } (nicht zu unterscheiden von { $others }): { $worth }; { $sureness }
 diagnosed-next = Als Nächstes: { $sentence }
-diagnosed-plan = Als Nächstes am meisten wert (mehr sagt kerntemp plan):
+diagnosed-plan = Die nächsten Pressungen, die am meisten bringen (Einzelheiten: kerntemp plan):
 diagnosed-residual = Residuum { NUMBER($base, minimumFractionDigits: 3, maximumFractionDigits: 3) } K, erweitertes Modell { NUMBER($extended, minimumFractionDigits: 3, maximumFractionDigits: 3) } K
 terminal-averages-need-method = --averages gehört zu einem der Verfahren des Aufsatzes; auch --method angeben
 terminal-backup-archive = die Messzeilen von { $runs } Pressungen sind im Archiv: auch den Ordner { $folder } kopieren
 terminal-backup-contents = { $runs } Pressungen, { $scans } Messzeilen, { $fits } Anpassungen, { $models } Modelle
-terminal-backup-one-only = --verify und --restore: eins davon angeben; das Einspielen prüft die Kopie zuerst
+terminal-backup-one-only = --verify und --restore schließen einander aus; eins angeben: das Einspielen prüft die Kopie zuerst
 terminal-backup-restored = { $file } eingespielt und verglichen: { $contents }
 terminal-backup-sound = { $file } ist in Ordnung: { $contents }
 terminal-backup-written = { $file } geschrieben und geprüft: { $contents }
@@ -1614,9 +1614,9 @@ terminal-press-enter = Nach etwa zehn Sekunden Enter drücken
 terminal-probe-answers = { $place }: Modbus antwortet von den Stationen { $stations }
 terminal-probe-answers-none = { $place }: keine Station antwortet auf Modbus
 terminal-probe-for-configuration = für kerntemp.toml; die Kanäle benennen
-terminal-probe-nothing-known = { $place }: nichts Bekanntes liest hier Raumtemperatur; Strom, Kabel, Adresse und Baudrate prüfen
+terminal-probe-nothing-known = { $place }: kein bekanntes Messgerät misst hier Raumtemperatur; Strom, Kabel, Adresse und Baudrate prüfen
 terminal-probe-reading = { $meaning }: { $percent } % auf Raumtemperatur: { $values }
-terminal-probe-reads-as-well = ebenso gut lesbar: { $profiles }; auf das Typenschild sehen
+terminal-probe-reads-as-well = passt ebenso gut: { $profiles }; auf das Typenschild sehen
 terminal-probe-registers = Station { $station }, Funktion { $function }: Register ab 0, gelesen als
 terminal-program-cannot-tell =
     { $runs ->
@@ -1659,7 +1659,7 @@ terminal-progress-refitting = { $presses ->
     [one] Eine Presse wird
    *[other] { $presses } Pressen werden
 } neu angepasst
-terminal-progress-rehearsing = Diagnose von { $campaigns } simulierten Kampagnen
+terminal-progress-rehearsing = Diagnose von { $campaigns } simulierten Versuchsreihen
 terminal-progress-reproducing = { $runs } virtuelle Messungen, jede auf vier Weisen
 terminal-progress-restoring = { $file } wird eingespielt
 terminal-progress-simulating = Simulation von { $run }
@@ -1689,7 +1689,7 @@ terminal-unexpected = { $kind }: { $why } (KERNTEMP_TRACEBACK=1 zeigt, wo)
 terminal-until-leaves-too-little = { $run }: --until { $until } lässt { $rows } von { $all } Zeilen; die erste ist bei time_s = { $first }: einen späteren Zeitpunkt angeben
 terminal-until-no-column = { $run }: --until nennt Spalte '{ $column }'; die Pressung hat { $known }
 terminal-until-no-run = --until { $until }: keine Pressung '{ $run }' ist angegeben; Pressungen sind { $known }
-terminal-until-not-read = --until { $until }: Sekunden (900), eine Temperatur einer Spalte (bottom_1=140) oder eines von { $events } angeben, mit LAUF: davor für eine Pressung allein
+terminal-until-not-read = --until { $until }: Sekunden (900), eine Temperatur einer Spalte (bottom_1=140) oder eines von { $events } angeben, mit PRESSUNG: davor für eine Pressung allein
 terminal-written = geschrieben: { $path }
 terminal-written-several = geschrieben: { $files } Dateien in { $folder }
 token-created = Zugangstoken { $name } angelegt, { $scope ->
@@ -1717,7 +1717,7 @@ help-baud = Baudrate der seriellen Leitung; ohne Angabe 9600.
 help-calibrate-write = Die gefundenen Abweichungen in die Kalibrierdatei jedes Messgeräts schreiben.
 help-certificate = TLS-Zertifikatskette, PEM.
 help-coefficients = Koeffizienten, ein flaches {"{"}NAME: Wert{"}"}.
-help-command-advise = Sagen, wie lange und wie heiß eine noch nicht gepresste Platte zu pressen ist, unter Grenzen mit gewünschter Wahrscheinlichkeit.
+help-command-advise = Presszeit und Heizplattentemperatur für eine noch nicht gepresste Platte berechnen, so dass alle Grenzen mit gewünschter Wahrscheinlichkeit gelten.
 help-command-backup = Den Datenspeicher kopieren, während andere in ihn schreiben. Die Kopie wird geprüft, bevor sie ihren Namen bekommt.
 help-command-calibrate = Alle Kanäle bei Raumtemperatur prüfen (--room) oder vertauschte finden (--warm). Vorher kerntemp record anhalten.
 help-command-check = Konfiguration und Datenspeicher prüfen und jedes Messgerät einmal lesen.
@@ -1784,11 +1784,11 @@ help-price = Preis einer kWh in Euro.
 help-probability = Wahrscheinlichkeit, mit der alle Grenzen gelten sollen; ohne Angabe die der Harzdatei oder 0,975.
 help-program = Ein noch nie gefahrenes Pressprogramm, durch seine Einstellungen: seine Koeffizienten werden aus denen der Versuchsreihe vorhergesagt. Mehrfach möglich.
 help-range = Was sich einstellen lässt, und wie weit: platen_temperature_C, press_time_s, thickness_mm, start_temperature_C, waiting_s oder pressure_N_cm2. Mehrfach möglich; ohne Angabe der Bereich der Pressungen selbst, maßvoll erweitert.
-help-rehearse = Solche Kampagnen mit dem eigenen Modell des Softsensors simulieren, mit jeder Ursache der Reihe nach und ohne, sie diagnostizieren und sagen, wie oft eine Ursache gefunden und wie oft eine falsche genannt wird.
-help-rehearse-campaigns = Simulierte Kampagnen je Ursache; ohne Angabe 10.
-help-rehearse-dask = Ein Dask-Scheduler, dessen Worker die simulierten Kampagnen übernehmen.
+help-rehearse = Solche Versuchsreihen mit dem eigenen Modell des Softsensors simulieren, mit jeder Ursache der Reihe nach und ohne, sie diagnostizieren und berichten, wie oft eine Ursache gefunden und wie oft eine falsche genannt wird.
+help-rehearse-campaigns = Simulierte Versuchsreihen je Ursache; ohne Angabe 10.
+help-rehearse-dask = Ein Dask-Scheduler, dessen Worker die simulierten Versuchsreihen übernehmen.
 help-rehearse-effect = Nur diese Ursache verbergen, in eigener Größe, wenn eine angegeben ist. Mehrfach möglich; ohne Angabe alle, die diese Pressungen zeigen könnten.
-help-rehearse-file = Jede fertige simulierte Kampagne in dieser Datei festhalten und nach einem Abbruch von dort weitermachen.
+help-rehearse-file = Jede fertige simulierte Versuchsreihe in dieser Datei festhalten und nach einem Abbruch von dort weitermachen.
 help-reproduce-paper = Stattdessen: warum die Gradientenverfahren stecken blieben, gezeigt an 20 virtuellen Messungen. --json, --html und --svg heben die Tabelle und die Kosten entlang eines Koeffizienten auf.
 help-resin = Wie das Papier härtet und was beim Öffnen gelten muss (TOML): ergänzt Härtung, Dampf und open_now.
 help-restore = Einen neuen, leeren Datenspeicher aus der Kopie füllen.
@@ -1809,7 +1809,7 @@ help-timeout = Wartezeit auf eine Antwort, 0,05 bis 10.
 help-token-action = Was zu tun ist.
 help-token-name = Für wen das Zugangstoken ist.
 help-transport = Wie Modbus gesprochen wird; ohne Angabe entscheidet der Ort.
-help-until = Die Zeilen jeder Pressung nach diesem Punkt weglassen: einem Zeitpunkt von time_s, einer Temperatur, die eine Spalte erreicht (bottom_1=140), oder inserted, closed, opened, removed. LAUF:... gilt für eine Pressung allein. Mehrfach möglich; es zählt, was zuerst kommt.
+help-until = Die Zeilen jeder Pressung nach diesem Punkt weglassen: einem Zeitpunkt von time_s, einer Temperatur, die eine Spalte erreicht (bottom_1=140), oder inserted, closed, opened, removed. PRESSUNG:... gilt für eine Pressung allein. Mehrfach möglich; das früheste zählt.
 help-usage = Aufruf: { $call }
 help-verify = Nur eine vorhandene Kopie prüfen.
 help-version = Die Version zeigen.
@@ -1838,7 +1838,7 @@ help-word-options = OPTIONEN
 help-word-out = ZIEL
 help-word-port = PORT
 help-word-press = PRESSE
-help-word-run = LAUF
+help-word-run = PRESSUNG
 help-word-seconds = SEKUNDEN
 help-word-shell = SHELL
 help-word-size = GRÖSSE
@@ -1910,7 +1910,7 @@ demo-column-worst = größter
 demo-compiling = Erster Start: das Übersetzen des Modells dauert etwa eine Minute ...
 demo-core-off = Kern { NUMBER($kelvin, minimumFractionDigits: 2, maximumFractionDigits: 2) } K daneben
 demo-core-unknown = Kern nicht bekannt
-demo-diagnosis-there = Die Diagnose ist da: { $diagnosis }, und was die Nacht getan hat: { $night }
+demo-diagnosis-there = Diagnose: { $diagnosis }; was die Nacht getan hat: { $night }
 demo-did-not-start = { $process } ist nicht gestartet: { $why }
 demo-ended = { $process } endete mit Status { $status }: { $why }
 demo-gain = Kernfehler der letzten { $runs } Pressungen: { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } K wie live ausgegeben, { NUMBER($after, minimumFractionDigits: 2, maximumFractionDigits: 2) } K mit dem in Kraft gesetzten Modell
@@ -1962,7 +1962,7 @@ page-band-from-start = der Anfangs- und der Heizplattentemperatur
 page-band-from-suspected = vermuteten Ursachen
 page-band-from-timing = den Zeitpunkten der Presse
 page-chart-now-label = Temperaturen der Pressung über der Zeit, mit vorhergesagtem Kern und 95-%-Band
-page-core-foreseen = Kern, wenn die Presse geschlossen bleibt
+page-core-foreseen = Kern, Vorhersage bei geschlossener Presse
 page-energy = Aufgenommene Wärme
 page-faces-and-platens = Plattenflächen und Heizplatten
 page-last-pressing = Letzte Pressung
@@ -1992,7 +1992,7 @@ page-health-ok = alles gut
 ## page: the next panel
 
 page-moisture = Feuchte
-page-next-faces = Die Flächen messen jetzt: oben { $top }, unten { $bottom }
+page-next-faces = Die Flächen jetzt: oben { $top }, unten { $bottom }
 page-next-hint = Gilt für jede Pressung bis zur Änderung, die Starttemperatur nur für eine.
 page-next-kept = Gespeichert: die nächste Pressung beginnt damit.
 page-next-panel = Nächste Platte
@@ -2112,7 +2112,7 @@ page-archive-holds = { $runs } Pressungen, { $size }{ $unsound ->
     }
 page-channel = Kanal
 page-clock = Uhr
-page-clock-here = Gegen diesen Bildschirm
+page-clock-here = Gegen die Uhr dieses Bildschirms
 page-clock-never = nicht seit Beginn
 page-clock-set = Zuletzt gestellt
 page-crc-errors = CRC-Fehler
@@ -2203,7 +2203,7 @@ page-promote-question = Modellversion { $version } für die Live-Vorhersage in K
 page-reason = Grund
 page-roll-back = Hierauf zurück
 page-sentence-no_effect = Das einfache Modell erklärt diese Pressungen bis auf das Rauschen.
-page-sentence-not_described = Das Modell liegt zu weit von diesen Pressungen weg, um etwas zu sagen.
+page-sentence-not_described = Das Modell liegt zu weit von diesen Pressungen weg, für ein Urteil.
 page-sentence-too_few_runs = Zu wenige Pressungen für eine Diagnose.
 page-sentence-unknown_effect = Etwas bleibt unerklärt, das der Katalog nicht kennt.
 page-since-it-began = Seit Beginn
@@ -2216,7 +2216,7 @@ page-where = Wo das einfache Modell falsch liegt
 page-night = Nacht
 page-night-archive = { $archived } archiviert, { $freed } frei{ $removed ->
         [0] { "" }
-       *[other] ; Messzeilen von { $removed } aufgegeben
+       *[other] ; Messzeilen von { $removed } gelöscht
     }{ $later ->
         [0] { "" }
        *[other] ; { $later } folgen
@@ -2230,7 +2230,7 @@ page-night-model = Modell
 page-night-named = Benannt
 page-night-new = Neu
 page-night-none = noch kein Modell
-page-night-not-asked = nicht gefragt: Pressungen der Nacht davor
+page-night-not-asked = nicht gefragt: dieselben Pressungen wie in der Nacht davor
 page-night-not-fitted = { $runs } nicht auswertbar
 page-night-promoted = { $version } in Kraft gesetzt
 page-night-refused = { $version } abgelehnt
@@ -2281,7 +2281,7 @@ page-day-view = Ganze Tage
 page-day-whole = Ganzer Tag
 page-files-only = keine Aufzeichnung, nur Dateien
 page-follow = Folgen
-page-guide = Handbuch und Referenz
+page-guide = Leitfaden und Referenz
 page-highest = höchster
 page-in-use = in Gebrauch
 page-interval = 95-%-Intervall

@@ -223,13 +223,13 @@ foreign-too-short =
         [one] has one line, but file.header_line = { NUMBER($header_line) }
        *[other] has { NUMBER($lines) } lines, but file.header_line = { NUMBER($header_line) }
     }
-foreign-variant-twice = this file's name matches two variants of '{ $of }', '{ $first }' and '{ $second }'; make them tell it apart
-foreign-variant-unknown = this file's name matches none of the mapping's variants of '{ $of }' ({ $known }); add a [[variant]] that says what holds for it, or rename the file
+foreign-variant-twice = this file's name matches two variants of '{ $of }', '{ $first }' and '{ $second }'; change their patterns so that only one fits
+foreign-variant-unknown = this file's name matches none of the mapping's variants of '{ $of }' ({ $known }); add a [[variant]] with what holds for it, or rename the file
 frame-column-complex = column { $column } holds complex numbers; give their real part, or a column each
 frame-column-levels = the columns' labels have { NUMBER($levels) } levels; join them into one, as in '_'.join
 frame-key-no-text = key { $key } of attrs is not a text; a header's keys are texts
 frame-without-rows = { $run }: the table has no rows; a run needs at least one scan
-frame-without-start = the header does not say when the run began; give { $key } as an instant with its time zone, or use time_s
+frame-without-start = the header lacks the time at which the run began; give { $key } as an instant with its time zone, or use time_s
 frame-without-times = { $run }: the table has no times; give a column or an index time_s in seconds, or an index of instants (columns are { $columns })
 header-far-from-table = header key { $key } = { NUMBER($value) } { $unit } lies far from the { NUMBER($table) } { $unit } of { $material } in the material table; check it
 header-key-meant = header key { $key } is not known; did you mean { $meant }?
@@ -238,7 +238,7 @@ header-key-unknown = header key { $key } is not known; it is kept, and nothing u
 header-line-no-toml = '# { $text }' is not 'key = value' in TOML ({ $reason }); put text in quotes, start a remark with '##'
 header-missing = header key { $key } is missing; add '# { $key } = ...'
 header-missing-material = header key { $key } is missing and material '{ $material }' is not in the table ({ $known }); add '# { $key } = ...'
-header-no-number = header key { $key } = { $value }: must be a number; mend the header
+header-no-number = header key { $key } = { $value }: must be a number; correct the header
 header-no-such-place = header key { $key }: the press file has no such place
 header-not-finite = header key { $key } = { $value }: must be a finite number; correct it, or remove the key where it is not known
 header-number-outside = header key { $key } = { $value }: must be a number from { NUMBER($lower) } to { NUMBER($upper) } { $unit }
@@ -314,8 +314,8 @@ told-by-pressure-channel = pressure channel
 told-by-temperatures = temperatures
 told-by-truth = virtual press
 told-by-unknown = unknown
-wire-closed-face-cold = the { $wire } says closed, but the upper face is cold; check the { $wire } and the panel
-wire-open-face-hot = the { $wire } says open, but the upper face is hot; check it
+wire-closed-face-cold = the { $wire } reports closed, but the upper face is cold; check the { $wire } and the panel
+wire-open-face-hot = the { $wire } reports open, but the upper face is hot; check it
 
 ## daq.process: configuration
 
@@ -323,12 +323,12 @@ config-closed-twice = channel '{ $channel }' is written from { $wires }; give th
 config-column-twice = two loggers fill column '{ $column }'; each column comes from one input
 config-header = { $file }: press { $press }
 config-logger-twice = two loggers are called '{ $logger }'; give each its own name
-config-no-archive = { $key } says when scans go to the archive, but there is none; name a folder as archive or take the key out
+config-no-archive = { $key } sets when scans are archived, but there is no archive; name a folder as archive or remove the key
 config-no-boundary-channel = no logger has channel '{ $channel }', which boundary.{ $end } of { $file } needs; add it to a logger's channels
 config-no-such-press = press '{ $press }' is not in the configuration; it has { $known }
 config-no-wire-channel = no logger has channel '{ $channel }', which { $key } names; add it to a logger's channels, or remove { $key }
 config-press-twice = two presses are called '{ $press }'; give each its own name
-config-pressings-only-too-early = pressings_only_after_days = { $days }: must be more than archive_after_days = { $archived }: scans are archived before they are given up
+config-pressings-only-too-early = pressings_only_after_days = { $days }: must be more than archive_after_days = { $archived }: scans are archived before they are deleted
 
 ## daq.recording: journal of the recorder
 
@@ -336,8 +336,8 @@ buffer-used-already = buffer { $file }: another recorder uses it; stop that one,
 clock-set = the clock of this machine was set by { $sign }{ NUMBER($seconds, minimumFractionDigits: 1, maximumFractionDigits: 1) } s; times within a run are not affected
 configuration-changed = configuration changed; it takes effect between runs
 configuration-in-force = the changed configuration is in force
-configuration-needs-start = { $file }: changed { $changed }: start kerntemp record anew for that
-configuration-refused = { $why }; recording goes on with the configuration before
+configuration-needs-start = { $file }: { $changed } changed; restart kerntemp record to apply it
+configuration-refused = { $why }; recording goes on with the previous configuration
 driver-stuck = { $press }: the driver of logger { $logger } has not returned from a read
 idle-not-thinned = idle scans are not thinned now: { $why }
 logger-back = logger { $logger } answers again
@@ -348,12 +348,12 @@ needs-start-presses = the list of presses
 needs-start-store = [store]
 of-press = press { $press }: { $what }
 of-run = run { $run }: { $what }
-pages-stalled = the check of { $store } for damage does not come to an end; check the disk
-panel-not-pressed-before = { $key } = { NUMBER($header_mm, maximumFractionDigits: 1) }: no earlier run of this press had such a panel, the nearest had { NUMBER($nearest_mm, maximumFractionDigits: 1) } mm; the band of the live core holds both; check the thickness
+pages-stalled = the check of { $store } for damage has stalled; check the disk
+panel-not-pressed-before = { $key } = { NUMBER($header_mm, maximumFractionDigits: 1) }: no earlier run of this press had such a panel, the nearest had { NUMBER($nearest_mm, maximumFractionDigits: 1) } mm; the band of the live core covers both; check the thickness
 press-recorded-already = press { $press }: another recorder writes it into { $store }; stop that one first
 press-stalled = { $press }: no fresh scan for { NUMBER($seconds, maximumFractionDigits: 0) } s
 problem-of-press = { $press }: { $what }
-recording-begins = recording { $presses }; while the store is away scans wait in { $where }
+recording-begins = recording { $presses }; while the store is unreachable, scans wait in { $where }
 recording-ends = recording ends
 recording-now = recording { $presses }
 run-interrupted = run { $run } was interrupted; its data are kept
@@ -369,25 +369,25 @@ scans-left-out-lately = { $press }: { $count ->
 scans-lost = { $count ->
         [one] one scan
        *[other] { $count } scans
-    } lost: the store was away for longer than there was room
+    } lost: the store was unreachable for longer than there was room
 scans-not-written = { $count } scans wait to be written, this machine is too busy
 scans-recorded = { $count } scans recorded
 store-trouble = { $why } ({ $count } waiting)
 
 ## daq.store: the store
 
-archive-file-damaged = archive file { $file }: not what was written; copy it back from a backup of the archive
+archive-file-damaged = archive file { $file }: no longer what was written; copy it back from a backup of the archive
 archive-file-mended = the archive file of run { $run } is sound again
-archive-file-missing = archive file { $file }: not there; copy it back from a backup of the archive, or mount the disk it is on
+archive-file-missing = archive file { $file }: missing; copy it back from a backup of the archive, or mount the disk it is on
 archive-file-newer = archive file { $file }: written by a newer version; update Kerntemp
-archive-file-taken = archive file { $file }: there already with other content, perhaps another store's; give each store a folder of its own as store.archive, or move this file away; nothing was deleted
+archive-file-taken = archive file { $file }: exists already with other content, perhaps from another store; give each store a folder of its own as store.archive, or move this file away; nothing was deleted
 archive-file-unreadable = archive file { $file }: { $reason }; check the disk and who may read it
 archive-folder-lacks = archive { $folder }: lacks { $file }, which was archived in { $before }; mount its disk or copy the archive there, or correct store.archive; nothing was changed
 archive-folder-refused = archive { $folder }: { $reason }; create the folder and let the service write to it, or correct store.archive
-archive-not-as-written = archive file { $file }: read back other than written; check the disk; nothing was deleted
+archive-not-as-written = archive file { $file }: what was read back differs from what was written; check the disk; nothing was deleted
 archive-not-written = archive file { $file }: { $reason }; check the disk and its space; nothing was deleted
 archive-run-changed = run { $run }: its scans changed while they were archived; nothing was deleted, the next night tries again
-archive-run-removed = run { $run }: its scans are kept no more since { $date }, as store.pressings_only_after_days says; its pressing and its coefficients are
+archive-run-removed = run { $run }: its scans were deleted on { $date }, as store.pressings_only_after_days asks; its header and its coefficients are kept
 backup-damaged = backup { $file }: damaged: { $error }; take another backup
 backup-exists = backup { $file }: exists already; give a new name, backups are never overwritten
 backup-failed = backup { $file }: { $error }; check the disk and its space
@@ -399,16 +399,16 @@ backup-run-short = backup { $file }: run { $run } lacks its first or last scan; 
 backup-unsound = backup { $file }: not a sound store: { $error }; take another backup
 buffer-damaged = buffer { $file } is damaged ({ $error }): set aside as { $aside }; { $kept } entries could be read and go on, { $lost } are lost; recording goes on
 buffer-damaged-uncounted = buffer { $file } is damaged ({ $error }): set aside as { $aside }; { $kept } entries could be read and go on; how many are lost is not known, { $lost } at least; recording goes on
-buffer-emptied = buffer { $file }: somebody deleted it; { $count } entries in it are lost; recording goes on
-buffer-gone = buffer { $file } is gone ({ $error }): made anew; { $lost } entries in it are lost; recording goes on
+buffer-emptied = buffer { $file }: somebody deleted it; { $count } entries are lost; recording goes on
+buffer-gone = buffer { $file } is gone ({ $error }): created again; { $lost } entries are lost; recording goes on
 buffer-refuses = buffer { $file }: { $error }; free space on its disk
 buffer-row-unreadable = buffer { $file }: an entry cannot be read ({ $error }); it is set aside in { $aside }
 buffer-sum-wrong = its checksum is wrong
 buffer-unusable = buffer { $file }: { $error }; check its folder, or give another file as buffer of [store]
-event-twice = press { $press }: { $kind } is noted for scan { $scan } already at another moment; the second one is not kept as an event
-events-lost = press { $press }: { $count } press events lost: the store was away for longer than there was room
+event-twice = press { $press }: { $kind } is recorded at another moment of scan { $scan } already; the second is not kept as an event
+events-lost = press { $press }: { $count } press events lost: the store was unreachable for longer than there was room
 item-set-aside = press { $press }: the store does not take { $what }: { $why }; set aside in { $aside }, everything else is written
-left-unwritten = { $count } entries are not written: store { $store } does not take them; they are lost with the end of this process
+left-unwritten = { $count } entries are not written: store { $store } does not take them; they are lost when this process ends
 line-set-aside = the store does not take a line of the journal; it is set aside in { $aside }
 model-promoted = model { $version } promoted
 model-rolled-back = rolled back
@@ -417,9 +417,9 @@ model-version-missing = model version '{ $version }' is not in the store
 model-version-taken = model version '{ $version }' is in the store already; versions never change
 recipe-unknown = there is no recipe '{ $recipe }'; there are: { $known }
 restore-differs = store { $store }: holds { $found } after restoring, the backup { $expected }
-run-end-without-run = the end of run { $run } at scan { $scan } finds no such run in the store; its scans are kept
+run-end-without-run = run { $run } ends at scan { $scan }, but the store has no such run; its scans are kept
 run-renamed = run { $run } is in the store already; this pressing is stored as { $name }
-scans-given-up = the store has been away for too long: the oldest waiting scans are dropped; buffer: { $where }
+scans-given-up = the store has been unreachable for too long: the oldest waiting scans are dropped; buffer: { $where }
 scans-wait = { $why }; scans wait in { $where }
 set-aside-begin = the beginning of run { $run } with all of its header
 set-aside-scans = a scan with its events
@@ -428,7 +428,7 @@ store-column-missing = run '{ $run }' has no column '{ $column }'; it has { $col
 store-cursor = cursor '{ $cursor }': not a cursor of this list; take next_cursor of the page before
 store-damaged = store { $store }: the file is damaged: { $error }; take a backup of what can be read, then restore the newest sound one with kerntemp backup --restore
 store-file-gone = store { $store }: the file was deleted or moved; a running kerntemp record puts it back, else restore the newest backup
-store-foreign-view = store { $store }: view { $view } is not Kerntemp's and stands on one that this version changes; drop it, start again, and make it anew
+store-foreign-view = store { $store }: view { $view } is not Kerntemp's and depends on one that this version changes; drop it, start again, and create it again
 store-gives-no-reason = it gives no reason
 store-header-wrong = { $file }: header key { $key } = { $value }: must be { $wanted }; correct it or remove the key
 store-is-folder = store { $store }: is a folder; give the path of a file in it
@@ -442,7 +442,7 @@ store-refuses = store { $store }: { $reason }
 store-refuses-remedy = store { $store }: { $reason }; { $remedy }
 store-remedy-damaged = the file is damaged; restore the newest backup with kerntemp backup --restore
 store-remedy-database = create the database, or correct the URL
-store-remedy-disk-failed = the disk failed; check it and its space, restore the newest backup if the file is hurt
+store-remedy-disk-failed = the disk failed; check it and its space, restore the newest backup if the file is damaged
 store-remedy-folder = check that the folder exists, may be written, and its disk is not mounted read-only
 store-remedy-full = free space on the disk; recording goes on by itself
 store-remedy-lock-timeout = another session holds a table; end it
@@ -450,9 +450,9 @@ store-remedy-locked = another process holds it; close other programs that have t
 store-remedy-password = check user and password in the URL
 store-remedy-read-only = no permission to write; check owner and mount of the file and its folder
 store-remedy-server = check that the database server runs and is reachable
-store-rescued = store { $store }: the file was deleted, moved or exchanged; all of it is written anew to its place and recording goes on there
-store-rescued-beside = store { $store }: another store was put in its place; that one is set aside as { $aside }, all of the recorded one is written anew and recording goes on there
-store-rescued-log = store { $store }: its log (-wal, -shm) was deleted or exchanged; all of it is written anew and recording goes on there; the file without its newest entries is set aside as { $aside }
+store-rescued = store { $store }: the file was deleted, moved or exchanged; all of it is written to its place again and recording goes on there
+store-rescued-beside = store { $store }: another store was put in its place; that one is set aside as { $aside }, all of the recorded one is written again and recording goes on there
+store-rescued-log = store { $store }: its log (-wal, -shm) was deleted or exchanged; all of it is written again and recording goes on there; the file without its newest entries is set aside as { $aside }
 store-run-missing = run '{ $run }' is not in the store; kerntemp export lists runs, a file needs its path
 store-run-name = { $file }: header key run = { $name }: must be a name of 1 to 200 bytes without slashes, line breaks or blanks at its ends; nothing was imported
 store-run-renamed = run '{ $run }': the name of a run cannot change
@@ -495,17 +495,17 @@ effect-clock_offset-called = clocks that differ
 effect-clock_offset-confirmed-by = Touch a platen and a panel thermocouple at once with a soldering iron and compare.
 effect-clock_offset-core = None by itself, but it biases the contact coefficients.
 effect-clock_offset-meaning = The panel channels are stamped later (or earlier) than the platen channels and the limit switch.
-effect-clock_offset-symptom = Every kink of the panel readings comes late by the same time, at closing and at opening.
+effect-clock_offset-symptom = Every kink of the panel readings is late by the same time, at closing and at opening.
 effect-conductivity_offset-called = conductivity other than nominal
 effect-conductivity_offset-confirmed-by = Measure k of this board, or press panels of different thickness.
 effect-conductivity_offset-core = The core is hotter (ratio above 1) or cooler by about 1 K for every 5 %.
 effect-conductivity_offset-meaning = The panel's conductivity differs from the value in the run's header.
-effect-conductivity_offset-symptom = Faces run off the simulation in proportion to the square root of time, in every state.
+effect-conductivity_offset-symptom = Faces depart from the simulation in proportion to the square root of time, in every state.
 effect-conductivity_temperature-called = conductivity that changes with temperature
 effect-conductivity_temperature-confirmed-by = Measure k at 25 and 100 °C (guarded hot plate), or press a panel with a core thermocouple.
 effect-conductivity_temperature-core = With a rising conductivity the core is 1 to 4 K hotter than simulated.
 effect-conductivity_temperature-meaning = The panel conducts heat differently when hot than at room temperature.
-effect-conductivity_temperature-symptom = Late in the pressing and after opening the faces drift off the simulation, more so for thick panels.
+effect-conductivity_temperature-symptom = Late in the pressing and after opening the faces drift away from the simulation, more so for thick panels.
 effect-contact_asymmetry-called = upper and lower contact that differ
 effect-contact_asymmetry-confirmed-by = Turn the panel over, or exchange the press plates.
 effect-contact_asymmetry-core = Below 1 K in the middle; the hottest plane moves off it.
@@ -537,7 +537,7 @@ effect-heat_capacity_offset-called = heat capacity other than nominal
 effect-heat_capacity_offset-confirmed-by = Weigh and measure the panel; measure its heat capacity; press panels of different thickness.
 effect-heat_capacity_offset-core = The core is cooler (ratio above 1) or hotter by about 1 K for every 5 %.
 effect-heat_capacity_offset-meaning = The panel's density times heat capacity differs from the value in the run's header.
-effect-heat_capacity_offset-symptom = Faces run off the simulation in every state, least in thick panels early on.
+effect-heat_capacity_offset-symptom = Faces depart from the simulation in every state, least in thick panels early on.
 effect-heat_capacity_temperature-called = heat capacity that changes with temperature
 effect-heat_capacity_temperature-confirmed-by = Measure c at 20 to 100 °C (DSC), or press a panel with a core thermocouple.
 effect-heat_capacity_temperature-core = With a rising heat capacity the core is 1 to 2 K cooler than simulated.
@@ -546,8 +546,8 @@ effect-heat_capacity_temperature-symptom = The faces cool more slowly after open
 effect-initial_press_state-called = plates not yet back at rest temperature
 effect-initial_press_state-confirmed-by = Wait two minutes between pressings, or tape a thermocouple to a press plate.
 effect-initial_press_state-core = Below 0.5 K.
-effect-initial_press_state-meaning = The press plates are still cooler (or warmer) than at rest when the panel comes in.
-effect-initial_press_state-symptom = The lower face is off from the moment of insertion, and the deviation fades within a minute.
+effect-initial_press_state-meaning = The press plates are still cooler (or warmer) than at rest when the panel is inserted.
+effect-initial_press_state-symptom = The lower face departs from the simulation at insertion, and the deviation fades within a minute.
 effect-moisture_evaporation-called = evaporating moisture
 effect-moisture_evaporation-confirmed-by = Weigh the panel before and after pressing, or press one dried to zero moisture.
 effect-moisture_evaporation-core = The core heats more slowly than simulated once steam forms: several kelvin too low.
@@ -562,13 +562,13 @@ effect-open_radiation-symptom = The upper face is warmer than simulated in the o
 effect-paper_layer-called = an insulating paper layer
 effect-paper_layer-confirmed-by = Press the same board bare.
 effect-paper_layer-core = Some tenths of a kelvin.
-effect-paper_layer-meaning = The impregnated paper on both faces resists and stores heat.
-effect-paper_layer-symptom = Faces answer later than simulated to closing, and the coefficient of the open press comes out low.
+effect-paper_layer-meaning = The impregnated paper on both faces insulates and stores heat.
+effect-paper_layer-symptom = Faces respond to closing later than simulated, and the coefficient of the open press is estimated too low.
 effect-platen_offset-called = a platen reading that is off
 effect-platen_offset-confirmed-by = Compare the platen thermocouples with a calibrated one at working temperature.
 effect-platen_offset-core = About 0.3 K for each kelvin.
 effect-platen_offset-meaning = The platen thermocouples read too low (positive) or too high (negative) by a constant.
-effect-platen_offset-symptom = Both faces end off the simulation in a long pressing, in proportion to the heat taken up.
+effect-platen_offset-symptom = At the end of a long pressing both faces are away from the simulation, in proportion to the heat taken up.
 effect-resin_cure-called = heat of the curing resin
 effect-resin_cure-confirmed-by = Press the same panel a second time: cured resin gives no more heat.
 effect-resin_cure-core = Small: some tenths of a kelvin.
@@ -584,10 +584,10 @@ effect-thermocouple_footprint-confirmed-by = Use thinner wire, or put one thermo
 effect-thermocouple_footprint-core = Below 0.1 K, but it biases the contact coefficients.
 effect-thermocouple_footprint-meaning = While closed, the panel's thermocouples read a mixture of panel face and press face.
 effect-thermocouple_footprint-symptom = Readings jump upwards at closing and downwards at opening by a share of the contact's drop.
-effect-thermocouple_lag-called = panel sensors that answer late
+effect-thermocouple_lag-called = panel sensors that respond late
 effect-thermocouple_lag-confirmed-by = Dip one thermocouple into hot water and log its step response.
 effect-thermocouple_lag-core = None by itself, but it biases the contact coefficients by a factor of up to 3.
-effect-thermocouple_lag-meaning = The panel's thermocouples answer late.
+effect-thermocouple_lag-meaning = The panel's thermocouples respond late.
 effect-thermocouple_lag-symptom = Readings trail the simulation in proportion to their slope, most of all in the second after closing.
 effect-vapour_convection-called = steam that carries heat
 effect-vapour_convection-confirmed-by = Press one sacrificial panel with a thermocouple in its middle.
@@ -648,20 +648,20 @@ boundary-impossible = { $run }: column '{ $column }' = { $value } °C at time_s 
 coefficient-missing = coefficient { $name } is missing; give all of { $all }
 coefficient-negative = { $name } = { $value } W/m²K: must be a finite number, at least 0
 header-ambient-impossible = { $run }: header key ambient.temperature_C = { $value }: must be a number from { NUMBER($lower, maximumFractionDigits: 6) } to { NUMBER($upper, maximumFractionDigits: 6) }
-header-pressure-impossible = { $run }: header key setting.pressure_N_cm2 = { $value }: must be a number above 0 N/cm²; mend it, or leave it out where it is not known
+header-pressure-impossible = { $run }: header key setting.pressure_N_cm2 = { $value }: must be a number above 0 N/cm²; correct it, or leave it out where it is not known
 header-table-not-rising = header key { $key }: the temperatures of its table do not rise from row to row
 header-table-rows = header key { $key } = { $value }: a table has rows of a temperature and a value, [[20, 0.12], [100, 0.14]]
 header-verdict = { $key } = { $value } is no verdict; one of { $known }
 layer-from-run-without-panel = layer '{ $layer }' takes its constants from the run, and there is no panel
 layer-incomplete = layer '{ $layer }' lacks density or thickness
-layer-value-impossible = { $run }: layer.{ $number }.{ $key } = { $value } ('{ $layer }'): must be a number from { NUMBER($lower, maximumFractionDigits: 6) } to { NUMBER($upper, maximumFractionDigits: 6) }; mend the press file
+layer-value-impossible = { $run }: layer.{ $number }.{ $key } = { $value } ('{ $layer }'): must be a number from { NUMBER($lower, maximumFractionDigits: 6) } to { NUMBER($upper, maximumFractionDigits: 6) }; correct the press file
 live-time-not-rising = a scan at { NUMBER($time_s, maximumFractionDigits: 3) } s after one at { NUMBER($newest_s, maximumFractionDigits: 3) } s: times must rise; begin a new LiveSensor for another run
 live-value-no-number = column { $column }: { $value } is not a number; give NaN or None for a missing value
 load-column-empty = { $run }: load column '{ $column }' holds no value above 0: { $contacts } taken as independent of load; give the column, or take load out of the press file
 load-column-missing = { $run }: load column '{ $column }' is missing (it has { $columns }): { $contacts } taken as independent of load; give the column, or take load out of the press file
 load-gap = { $run }: load column '{ $column }' is empty for { NUMBER($seconds, minimumFractionDigits: 1, maximumFractionDigits: 1) } s around time_s = { $time }; at most { NUMBER($most, maximumFractionDigits: 6) } s of a load are bridged: cut the run there, or leave the column out
-load-impossible = { $run }: load column '{ $column }' = { $value } at time_s = { $time }: must be a finite number, not below 0; empty the cell, or mend the column's sign or zero
-load-zero-while-closed = { $run }: load column '{ $column }' = { $value } at time_s = { $time }, where the press is closed: must be above 0; empty the cell, or mend the column's sign or zero
+load-impossible = { $run }: load column '{ $column }' = { $value } at time_s = { $time }: must be a finite number, not below 0; empty the cell, or correct the column's sign or zero
+load-zero-while-closed = { $run }: load column '{ $column }' = { $value } at time_s = { $time }, where the press is closed: must be above 0; empty the cell, or correct the column's sign or zero
 model-file-adequacy = { $file }: adequacy is not as `fit` writes it ({ $error }); leave the key out
 model-file-coefficient-not-positive = { $file }: coefficients.{ $name }.value = { $value }: must be above 0 W/m²K
 model-file-effect-unnamed = { $file }: effects.{ $number } has no name
@@ -678,23 +678,23 @@ parameter-unknown = '{ $name }' is no parameter of this model; it has { $known }
 run-moments-out-of-order = { $run }: { $later } = { $late } lies before { $earlier } = { $early }; check column closed
 run-ramp-impossible = { $run }: ramp_s = { $value }: closing takes a finite time, at least 0 s
 run-rows-missing = { $run }: no row for { NUMBER($seconds, minimumFractionDigits: 1, maximumFractionDigits: 1) } s after time_s = { $time }; at most { NUMBER($most, maximumFractionDigits: 6) } s of a measured boundary are bridged: cut the run there
-run-times-fall = { $run }: time_s = { $time } follows { $before } (row { $row }): times must rise; mend the row
+run-times-fall = { $run }: time_s = { $time } follows { $before } (row { $row }): times must rise; correct the row
 run-too-short =
   { $run }: column time_s has { NUMBER($rows) } { $rows ->
     [one] row
    *[other] rows
   }; a run needs at least two
-sensor-outside-layer = { $run }: a sensor at depth_mm = { NUMBER($depth_mm, maximumFractionDigits: 6) } lies outside layer '{ $layer }', { NUMBER($thickness_mm, maximumFractionDigits: 6) } mm thick in this run; mend its place or the thickness
+sensor-outside-layer = { $run }: a sensor at depth_mm = { NUMBER($depth_mm, maximumFractionDigits: 6) } lies outside layer '{ $layer }', { NUMBER($thickness_mm, maximumFractionDigits: 6) } mm thick in this run; correct its place or the thickness
 solve-exact-contact-changes = method = 'exact': a contact changes while the press is closed; use the implicit solver
 solve-exact-moments-too-near = method = 'exact': less than four steps in { NUMBER($seconds, maximumFractionDigits: 6) } s between two moments of the press; use the implicit solver
 solve-exact-not-linear = method = 'exact': { $what } is not linear; use the implicit solver
-solve-no-temperatures = { $run }: no temperatures follow from these contacts and sources; they are beyond what matter has
+solve-no-temperatures = { $run }: these contacts and sources lead to no finite temperatures; no matter has such values, so check them
 solve-table-or-radiation = a property table or radiation
 solve-unknown-method = method = { $method }: must be 'implicit' or 'exact'
 solve-value-out-of-range = { $name } = { $value }: must be a number from { NUMBER($lower, maximumFractionDigits: 6) } to { NUMBER($upper, maximumFractionDigits: 6) }
 start-layer-without-reading = { $run }: [initial] kind = "sensors" needs a reading in layer '{ $layer }'; empty are { $columns }: fill one, or give kind = "steady" or "uniform"
 start-no-readings = { $run }: [initial] kind = "sensors" needs a reading; all panel columns are empty
-start-not-steady = { $run }: { $why }; give [initial] kind = "uniform" with temperature_C, or "sensors", or mend the boundaries and contacts
+start-not-steady = { $run }: { $why }; give [initial] kind = "uniform" with temperature_C, or "sensors", or correct the boundaries and contacts
 start-not-steady-steep = its steady temperatures cannot be found: properties or radiation change too steeply with temperature
 start-not-steady-untied = layer '{ $layer }' is tied to no temperature, so it has no steady one
 start-not-steady-untied-without-panel = layer '{ $layer }' is tied to no temperature while no panel is in, so it has no steady one
@@ -736,10 +736,10 @@ fit-gap-at-moment =
         [inserted_s] the insertion
         [closed_s] the closing
        *[opened_s] the opening
-    } falls: its moment is searched in the gap, and the coefficients are less well known for it
+    } falls: its moment is estimated within the gap, which makes the coefficients less certain
 fit-misfit-astray = residual while nothing moves { NUMBER($rmse, minimumFractionDigits: 1, maximumFractionDigits: 1) } K after the fit, { NUMBER($first, minimumFractionDigits: 1, maximumFractionDigits: 1) } K before it
 fit-misfit-lost-insertion = insertion and closing fall into one gap of its rows, { NUMBER($begin, minimumFractionDigits: 1, maximumFractionDigits: 1) } to { NUMBER($end, minimumFractionDigits: 1, maximumFractionDigits: 1) } s
-fit-misfit-span = { NUMBER($rmse, minimumFractionDigits: 1, maximumFractionDigits: 1) } K left, while nothing moves, of readings that span { NUMBER($span, maximumFractionDigits: 0) } K
+fit-misfit-span = residual while nothing moves { NUMBER($rmse, minimumFractionDigits: 1, maximumFractionDigits: 1) } K, where the readings span { NUMBER($span, maximumFractionDigits: 0) } K
 fit-no-run = no run given; name at least one run file
 fit-no-such-method = method '{ $method }': must be one of { $methods }
 fit-no-such-shared = shared coefficient '{ $name }': must be one of { $names }
@@ -768,7 +768,7 @@ fit-remedy-faster-and-switch = Log faster than the { NUMBER($hertz, maximumSigni
 fit-remedy-go-on = Measure at { $boundary } until its temperature has changed more.
 fit-remedy-hotter = Repeat the run with a hotter press; a longer open time would not help.
 fit-remedy-leave-open = Leave the panel in the open press for a minute before closing instead of { NUMBER($seconds, maximumFractionDigits: 0) } s.
-fit-remedy-log-on = Log on for a minute after opening instead of { NUMBER($seconds, maximumFractionDigits: 0) } s.
+fit-remedy-log-on = Go on logging for a minute after opening instead of { NUMBER($seconds, maximumFractionDigits: 0) } s.
 fit-remedy-measure-constant = Measure { $key } on this panel and state how sure it is as { $key }.sd.
 fit-remedy-pressing = Log a pressing that closes.
 fit-remedy-stay-closed = Keep the press closed for longer than the { NUMBER($seconds, maximumFractionDigits: 0) } s of this run.
@@ -833,10 +833,10 @@ core-largest-shift = In the course of a run it is up to { NUMBER($kelvin, minimu
         [hotter] hotter
        *[cooler] cooler
     }.
-core-no-panel = There is no panel in this rig, so nothing is said about a core.
+core-no-panel = There is no panel in this rig, so it has no core.
 core-not-proven = Face sensors cannot confirm the core; press a few panels with a core thermocouple.
-core-off = Core thermocouples, which no fit has seen, are { NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K off it.
-core-press-time = For the core temperature that the plain model promised, press { NUMBER($seconds, minimumFractionDigits: 1, maximumFractionDigits: 1) } s { $change ->
+core-off = Core thermocouples, which took no part in any fit, are { NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K off it.
+core-press-time = For the core temperature that the plain model predicted, press { NUMBER($seconds, minimumFractionDigits: 1, maximumFractionDigits: 1) } s { $change ->
         [longer] longer
        *[shorter] shorter
     } (median run).
@@ -846,8 +846,8 @@ core-shift = { $at ->
     }, the core is { NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K { $change ->
         [hotter] hotter
        *[cooler] cooler
-    } than the plain model says (± { NUMBER($sd, minimumFractionDigits: 1, maximumFractionDigits: 1) } K from run to run).
-core-thermocouples = Core thermocouples, which no fit has seen, are { NUMBER($before, minimumFractionDigits: 1, maximumFractionDigits: 1) } K off the plain model and { NUMBER($after, minimumFractionDigits: 1, maximumFractionDigits: 1) } K off the extended one.
+    } than by the plain model (± { NUMBER($sd, minimumFractionDigits: 1, maximumFractionDigits: 1) } K from run to run).
+core-thermocouples = Core thermocouples, which took no part in any fit, are { NUMBER($before, minimumFractionDigits: 1, maximumFractionDigits: 1) } K off the plain model and { NUMBER($after, minimumFractionDigits: 1, maximumFractionDigits: 1) } K off the extended one.
 core-unchanged = No cause was added, so the core estimate stays as it is.
 diagnosis-no-runs = no runs to diagnose; give at least one run file
 gain-hardly = With { $causes ->
@@ -862,7 +862,7 @@ gain-residual-falls = With { $causes ->
 measured-at = { $at } °C
 measured-between = { $low } to { $high } °C
 next-confirm-and-core = To know the core, press two or three sacrificial panels with a core thermocouple; to confirm the cause: { $confirm }
-next-constants = Measure the panel's conductivity and heat capacity: the faces fit, but core thermocouples are off by { NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K, so something is wrong that faces do not show.
+next-constants = Measure the panel's conductivity and heat capacity: the faces fit, but core thermocouples are off by { NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K, so there is an error that faces do not show.
 next-describe = Check thicknesses, materials and columns of press file and runs, then press one panel with a core thermocouple.
 next-describe-rig = Check thicknesses, materials and columns of press file and runs, then measure once more with a thermocouple inside a layer.
 next-look-there = Press three sacrificial panels with a core thermocouple and look at the times and places listed.
@@ -870,18 +870,18 @@ next-look-there-rig = Measure again with a thermocouple at the places and times 
 next-more-runs = Press at least { $more } more { $more ->
         [one] panel
        *[other] panels
-    }, with different press times and, if possible, thicknesses: below { $least } runs a cause cannot be told from chance.
+    }, with different press times and, if possible, thicknesses: below { $least } runs a cause cannot be distinguished from chance.
 next-more-runs-rig = Measure at least { $more } more { $more ->
         [one] run
        *[other] runs
-    } with different courses of temperature: below { $least } runs a cause cannot be told from chance.
+    } with different courses of temperature: below { $least } runs a cause cannot be distinguished from chance.
 next-none = None needed; a core thermocouple in one sacrificial panel a month would confirm the core.
 next-none-confirmed = None needed: core thermocouples confirm it ({ NUMBER($before, minimumFractionDigits: 1, maximumFractionDigits: 1) } K off before, { NUMBER($after, minimumFractionDigits: 1, maximumFractionDigits: 1) } K after).
 next-none-rig = None needed.
-next-tell-apart = To tell these causes apart ({ $causes }): { $confirm }
+next-tell-apart = To distinguish these causes ({ $causes }): { $confirm }
 note-channel = { $run }: { $column } is { $kind } ({ NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K rms) and was left out
 note-channel-in-runs = { $count } of { $runs } runs: { $column } is { $kind } ({ NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K rms) and was left out
-note-refuted-by-cores = core thermocouples rule out { $cause }, though the faces would fit
+note-refuted-by-cores = core thermocouples rule out { $cause }, although the faces would fit
 note-rim-falls = rim sensors fall by { NUMBER($kelvin, minimumFractionDigits: 1, maximumFractionDigits: 1) } K against central ones in the course of a run: heat leaves there
 p-value = p = { NUMBER($p, maximumSignificantDigits: 2) }
 p-value-below = p < { NUMBER($p, maximumSignificantDigits: 1) }
@@ -893,28 +893,28 @@ phase-after-opening = after opening
 phase-before-closing = before closing
 phase-closed = closed
 phase-since-run-began = since the run began
-verdict-cannot-tell = These runs cannot tell the following causes apart: { $causes }.
+verdict-cannot-tell = These runs cannot distinguish the following causes: { $causes }.
 verdict-differs-from-run-to-run = No cause is common to these { $runs } runs, yet the plain model is { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K off and noise alone is { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K: what is missing differs from run to run.
 verdict-faulty-channels = Loose, drifting or swapped, and left out: { $columns }.
 verdict-few-runs = { $runs } { $runs ->
         [one] run is
        *[other] runs are
-    } too few to tell a cause from chance.
+    } too few to distinguish a cause from chance.
 verdict-few-runs-for-others = { $runs } { $runs ->
         [one] run is
        *[other] runs are
-    } too few to tell any other cause from chance.
+    } too few to distinguish any other cause from chance.
 verdict-few-runs-off = { $runs } { $runs ->
         [one] run is
        *[other] runs are
-    } too few to tell a cause from chance; the plain model is { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K off, of which { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K is noise.
+    } too few to distinguish a cause from chance; the plain model is { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K off, of which { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K is noise.
 verdict-left = All runs share a residual that no cause of the catalogue explains.
 verdict-left-at = All runs share a residual that no cause of the catalogue explains: { $stretch }.
-verdict-not-described = Nothing can be said: the model is { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K off, and noise alone is { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K. Check the press file, the runs' headers and which column is which.
+verdict-not-described = No verdict is possible: the model is { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K off, and noise alone is { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K. Check the press file, the runs' headers and which column is which.
 verdict-plain-model-explains = The plain model explains these { $runs } runs to { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K; noise alone is { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K.
-verdict-plain-model-explains-panels = The plain model explains these { $runs } runs to { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K, and to { NUMBER($own, minimumFractionDigits: 2, maximumFractionDigits: 2) } K where each panel conducts and stores heat a little differently, as panels do; noise alone is { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K.
+verdict-plain-model-explains-panels = The plain model explains these { $runs } runs to { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K, and to { NUMBER($own, minimumFractionDigits: 2, maximumFractionDigits: 2) } K if each panel may conduct and store heat a little differently, as real panels do; noise alone is { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K.
 verdict-plain-model-explains-the-rest = Without them, the plain model explains these { $runs } runs to { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K.
-verdict-something-beyond-chance = The plain model explains these { $runs } runs to { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K, with { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K of noise, yet a cause fits them better than chance would. It has not been shown to improve runs left out.
+verdict-something-beyond-chance = The plain model explains these { $runs } runs to { NUMBER($rmse, minimumFractionDigits: 2, maximumFractionDigits: 2) } K, with { NUMBER($noise, minimumFractionDigits: 2, maximumFractionDigits: 2) } K of noise, yet with a cause added it fits them better than by chance. That this improves runs left out has not been shown.
 verdict-suspected = Suspected, not proven: { $causes }.
 where-further = Then: { $stretch }.
 where-most = Furthest off: { $stretch }.
@@ -945,7 +945,7 @@ law-kind-contact_lower = factor on the closed contact of the lower face
 law-kind-contact_upper = factor on the closed contact of the upper face
 law-kind-heat = heat consumed as the panel warms up, not returned on cooling
 law-kind-heat_exchange = heat lost to the room per volume
-law-none = No free law: none surely improves runs left out.
+law-none = No free law: none is sure to improve runs left out.
 law-not-told-from = These runs cannot distinguish it from: { $others }.
 law-resembles = Within its band it is the curve of a known cause: { $cause }.
 law-told = Missing, without a name: { $kind }, by { $variable }, from { NUMBER($least, maximumSignificantDigits: 3) } (at { NUMBER($at_least, maximumSignificantDigits: 3) }) to { NUMBER($most, maximumSignificantDigits: 3) } (at { NUMBER($at_most, maximumSignificantDigits: 3) }){ $unit }; it saves { NUMBER($gain, minimumFractionDigits: 2, maximumFractionDigits: 2) } of { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } K on runs left out.
@@ -960,7 +960,7 @@ rehearsal-begins = Rehearsal of { $runs } runs: { $campaigns } simulated campaig
 rehearsal-found = found
 rehearsal-heading = How often such a diagnosis is right
 rehearsal-none = With nothing hidden, a cause is named in { $rate } of the campaigns.
-rehearsal-not-testable = --rehearse-effect { $name }: these runs can say nothing about it; choose from { $known }
+rehearsal-not-testable = --rehearse-effect { $name }: these runs cannot show it; choose from { $known }
 rehearsal-options-alone = --rehearse-campaigns, --rehearse-effect, --rehearse-file and --dask go with --rehearse; give it too
 rehearsal-own-model = The campaigns are simulated by the sensor's own model: rates are those of a press that it describes but for the one cause. What a real press does besides makes them worse.
 rehearsal-rate = { $count } of { $of } ({ NUMBER($low, maximumFractionDigits: 0) } to { NUMBER($high, maximumFractionDigits: 0) } %)
@@ -987,10 +987,10 @@ advise-limit-core_most = core too hot
 advise-limit-cure_bottom = lower face undercured
 advise-limit-cure_top = upper face undercured
 advise-limit-steam_most = too much steam
-advise-load-unit = press { $press }: the model follows the load in column { $column }, and nothing says in which unit: add unit = "N/cm2", "kPa", "bar" or "MPa" to the contact's load
+advise-load-unit = press { $press }: the model follows the load in column { $column }, whose unit is not given: add unit = "N/cm2", "kPa", "bar" or "MPa" to the contact's load
 advise-margin = The middle panel is ready after { NUMBER($likely, maximumFractionDigits: 0) } s; up to { NUMBER($until, maximumFractionDigits: 0) } s all limits are known to hold with the wanted probability.
 advise-measure = If this were known exactly, { NUMBER($seconds, maximumFractionDigits: 0) } s would do: { $source }
-advise-no-limit = nothing to keep to; give --resin with [limits], --core-least or --core-most
+advise-no-limit = no limit is given; give --resin with [limits], --core-least or --core-most
 advise-none = No program within the ranges keeps all limits. Nearest: { $limit } with { NUMBER($percent, maximumFractionDigits: 0) } %
 advise-panel = Panel: { $material }, { $thickness } mm
 advise-panel-unreadable = --panel '{ $given }': must be KEY=VALUE, such as panel.thickness_mm=16
@@ -1006,15 +1006,15 @@ plan-best-is-usual = Best: the usual settings. { $prospect }
 plan-narrows-kelvin = One brings it to ±{ NUMBER($kelvin, maximumFractionDigits: 2) } K; { $runs }.
 plan-narrows-share = One brings it to ±{ NUMBER($percent, maximumFractionDigits: 0) } %; { $runs }.
 plan-not-described = The model does not describe these runs, so what a further pressing would bring cannot be forecast.
-plan-nothing-open = Nothing is left open that a pressing could settle.
-plan-open-causes = Not told apart: { $causes }
+plan-nothing-open = No question is left that a pressing could settle.
+plan-open-causes = Not distinguished: { $causes }
 plan-open-coefficient = { $name } is known to ±{ NUMBER($percent, maximumFractionDigits: 0) } % (wanted: ±{ NUMBER($wanted, maximumFractionDigits: 0) } %)
 plan-open-core = The core at the opening is known to ±{ NUMBER($kelvin, maximumFractionDigits: 1) } K for what all pressings share (wanted: ±{ NUMBER($wanted, maximumFractionDigits: 1) } K)
 plan-open-suspected = Suspected, not proven: { $causes }
 plan-range-unknown = --range { $name }: no such setting here; known are { $known }
 plan-range-unreadable = --range '{ $given }': must be NAME=LOW:HIGH, such as thickness_mm=8:19
 plan-range-wrong = --range { $name }={ NUMBER($low, maximumFractionDigits: 3) }:{ NUMBER($high, maximumFractionDigits: 3) }: the lower end goes first, and both must lie between { NUMBER($lower, maximumFractionDigits: 3) } and { NUMBER($upper, maximumFractionDigits: 3) }
-plan-repeated = The usual settings again: { $prospect }
+plan-repeated = Repeating the usual settings: { $prospect }
 plan-runs = { $runs ->
     [one] { $runs } is enough
    *[other] { $runs } are enough
@@ -1070,7 +1070,7 @@ resin-is-example = the resin "{ $name }" is an example; measure the paper at han
 resin-needs-panel = the press has no panel, so no paper cures; leave the resin out
 resin-no-limits = the resin file has no limit in [limits], so open_now stays 0; set cure_least
 resin-no-moisture = { $key } is missing in the header, so steam is not known and open_now stays 0; add it, or take steam_most_kPa out of the resin file
-steam-limit-no-marks = none of { $runs } runs marked good or blister tells its steam at opening; mark panels ({ $key }), and give panel.moisture_percent
+steam-limit-no-marks = for none of { $runs } runs marked good or blister is the steam at opening known; mark panels ({ $key }), and give panel.moisture_percent
 
 ## softsensor.jobs: services and nights
 
@@ -1082,11 +1082,11 @@ model-none-before = press { $press }: no earlier model to go back to
 night-against-core-silenced = the core is valid in fewer scans
 night-against-core-worse = the core gets worse
 night-against-not-significant = the gain is not significant
-night-against-predicts-worse = it predicts pressings worse
+night-against-predicts-worse = it predicts runs worse
 night-against-still-helps = an effect it would drop still improves the fit
 night-archive = { $press }: { $archived } runs moved into the archive ({ NUMBER($freed, minimumFractionDigits: 1, maximumFractionDigits: 1) } MB to { NUMBER($written, minimumFractionDigits: 1, maximumFractionDigits: 1) } MB){ $removed ->
         [0] { "" }
-       *[other] , scans of { $removed } given up
+       *[other] , scans of { $removed } deleted
     }{ $later ->
         [0] { "" }
        *[other] , { $later } follow in the next nights
@@ -1122,7 +1122,7 @@ night-fits =
 night-fits-later = { $fits }, { $later } older ones follow in the next nights
 night-left-to-you = { $version } is not promoted automatically; decide on it yourself: { $reason }
 night-like-rolled-back = { $reason }; like { $version }, which was rolled back
-night-not-sure-yet = only suspected, as all nights together are not sure yet that anything is missing: { $causes }
+night-not-sure-yet = only suspected, since all nights together do not yet prove that anything is missing: { $causes }
 night-nothing-changed = nothing changed
 night-outcome =
     { $press }: { $fits }; diagnosis: { $verdict ->
@@ -1144,8 +1144,8 @@ night-too-few-runs = { $runs } runs fitted, { $needed } are needed
 night-too-few-to-judge = too few runs to judge by
 night-workers-killed = { $press }: the workers that worked on its night were killed; the nightly job works on it itself, run by run
 press-problem = { $press }: { $problem }
-run-fit-again = run { $run }: its worker process was killed or stood still, another one fits it; memory may be short
-run-fit-killed = run { $run } could not be fitted: its worker process was killed or stood still, twice; memory may be short
+run-fit-again = run { $run }: its worker process was killed or stopped responding; another one is fitting it; memory may be short
+run-fit-killed = run { $run } could not be fitted: its worker process was killed or stopped responding, twice; memory may be short
 run-not-fitted = run { $run } could not be fitted: { $why }
 run-nothing-to-fit = run { $run } has no panel sensors: nothing to fit
 sense-compiling = compiling the model, once after an installation or an update: about a minute
@@ -1262,7 +1262,7 @@ report-at-core = At the core: { $core }
 report-bold-better = W/m²K, ± half the 95 % interval. Bold: much better known together than alone.
 report-bold-excludes = Bold: the 95 % interval excludes no change.
 report-candidates = All candidates
-report-cannot-tell = These runs cannot tell the causes apart. What would:
+report-cannot-tell = These runs cannot distinguish the causes. What can:
 report-cause = cause
 report-chance = chance that it is luck
 report-change = change of the coefficient
@@ -1413,9 +1413,9 @@ advice-blocked = { $limit ->
         [cure_bottom] the lower face will not be cured within the look ahead
         [cure_top] the upper face will not be cured within the look ahead
         [steam_most] too much steam, or its pressure is not known
-       *[sudden_change] something has changed in the press: what the faces were is not known
+       *[sudden_change] something has changed in the press: the cure of the faces so far is not known
     }
-advice-estimate-old = this was so { NUMBER($seconds, maximumFractionDigits: 0) } s ago
+advice-estimate-old = as of { NUMBER($seconds, maximumFractionDigits: 0) } s ago
 advice-no-limit = the resin file has no limit
 advice-no-look-ahead = the live sensor has not looked ahead yet
 advice-no-panel = no panel in the press
@@ -1470,7 +1470,7 @@ api-instant-without-zone = { $instant } has no time zone; end it with Z or an of
 api-last-event-id-unknown = Last-Event-ID { $id } is not an id of this stream; leave it out
 api-model-unknown = model { $version } does not exist; /api/v1/models lists them
 api-next-panel = next panels of { $press }: { $recipe } { $fields }
-api-no-curves = diagnosis { $number } has no curves: there is none of that number, or a version before 2026-11-23 made it
+api-no-curves = diagnosis { $number } has no curves: it does not exist, or was made by a version before 2026-11-23
 api-no-night = there is no night { $number }
 api-no-such-language = there are no words in { $language }; there are { $languages }
 api-nul-character = path and query: a NUL character belongs nowhere; leave it out
@@ -1488,7 +1488,7 @@ api-run-without-press-file = run { $run }: its press was stored without a press 
 api-scans-span = from { $begin } to { $end }: a stretch ends after it begins, and within 25 h; ask for a later end, or day by day
 api-search-bound = '{ $bound }' is no bound; write for example core_at_opening_C>=95
 api-search-order = '{ $order }' is no order; one of { $known }, or a header key
-api-server-failed = the server failed at this; see its log
+api-server-failed = the server failed on this request; see its log
 api-slows-wrong-tokens = too many wrong tokens from { $address }; further ones are answered slowly
 api-token-exists = token { $name } exists; revoke it first or choose another name
 api-token-invalid = this token is not valid; kerntemp token create makes one
@@ -1499,7 +1499,7 @@ api-tokens-needed = server.host = { $host }: beyond loopback readers need tokens
 api-tokens-unreadable = { $path }: cannot read the tokens: { $why }; remove the file and make new ones
 api-too-many-listeners = too many live listeners; try again later
 api-too-many-wrong-tokens = too many wrong tokens from this address; further wrong ones are answered slowly for a minute
-health-archive-away = archive { $folder }: not there; mount its disk or copy the archive back to it, old runs cannot be read until then
+health-archive-away = archive { $folder }: missing; mount its disk or copy the archive back; old runs cannot be read until then
 health-archive-unsound = archive { $folder }: { $files ->
         [one] one file is
        *[other] { $files } files are
@@ -1515,14 +1515,14 @@ health-scans-behind = { $press }: { $scans } scans behind, this machine is too b
 ## api.commands: the command line
 
 diagnosed-cause = { $name }: { $worth }; { $sureness }
-diagnosed-causes = { $name } (not told apart from { $others }): { $worth }; { $sureness }
+diagnosed-causes = { $name } (not distinguished from { $others }): { $worth }; { $sureness }
 diagnosed-next = Next: { $sentence }
-diagnosed-plan = Pressings worth most next (kerntemp plan says more):
+diagnosed-plan = The next pressings worth most (details: kerntemp plan):
 diagnosed-residual = residual { NUMBER($base, minimumFractionDigits: 3, maximumFractionDigits: 3) } K, extended model { NUMBER($extended, minimumFractionDigits: 3, maximumFractionDigits: 3) } K
 terminal-averages-need-method = --averages goes with one of the paper's methods; give --method too
 terminal-backup-archive = the scans of { $runs } runs are in the archive: copy the folder { $folder } too
 terminal-backup-contents = { $runs } runs, { $scans } scans, { $fits } fits, { $models } models
-terminal-backup-one-only = --verify and --restore: give one of them; restoring checks the copy first
+terminal-backup-one-only = --verify and --restore exclude each other; give one: restoring checks the copy first
 terminal-backup-restored = { $file } restored and compared: { $contents }
 terminal-backup-sound = { $file } is sound: { $contents }
 terminal-backup-written = { $file } written and checked: { $contents }
@@ -1598,9 +1598,9 @@ terminal-press-enter = Press Enter after some ten seconds
 terminal-probe-answers = { $place }: Modbus answers from stations { $stations }
 terminal-probe-answers-none = { $place }: no station answers Modbus
 terminal-probe-for-configuration = for kerntemp.toml; name the channels
-terminal-probe-nothing-known = { $place }: nothing known reads room temperature here; check power, cable, address and baud rate
+terminal-probe-nothing-known = { $place }: no known logger reads room temperature here; check power, cable, address and baud rate
 terminal-probe-reading = { $meaning }: { $percent } % at room temperature: { $values }
-terminal-probe-reads-as-well = reads just as well: { $profiles }; look at the device's label
+terminal-probe-reads-as-well = fits equally well: { $profiles }; look at the device's label
 terminal-probe-registers = station { $station }, function { $function }: registers from 0, read as
 terminal-program-cannot-tell =
     { $runs ->
@@ -1698,7 +1698,7 @@ help-baud = Baud rate of the serial line; without it 9600.
 help-calibrate-write = Add the offsets found to each logger's calibration file.
 help-certificate = TLS certificate chain, PEM.
 help-coefficients = Coefficients, a flat {"{"}NAME: value{"}"}.
-help-command-advise = Say how long to press a panel not pressed yet, and how hot, under limits at a wanted probability.
+help-command-advise = Work out press time and platen temperature for a panel not pressed yet, so that all limits hold with a wanted probability.
 help-command-backup = Copy the store while others write to it. The copy is checked before it gets its name.
 help-command-calibrate = Check all channels at room temperature (--room), or find swapped ones (--warm). Stop kerntemp record first.
 help-command-check = Check the configuration and the store, and read every logger once.
@@ -1741,7 +1741,7 @@ help-html = Write a report to read here.
 help-import-files = Run files, or another logger's own files with --mapping.
 help-json = Write everything as JSON here.
 help-key = The certificate's private key, PEM.
-help-law = Estimate what is missing as a free function of time, temperature or depth, also where a cause is named; done anyway where the verdict is unknown_effect.
+help-law = Estimate what is missing as a free function of time, temperature or depth, also where a cause is named; where the verdict is unknown_effect this is done anyway.
 help-licences = List what is shipped or installed with it, with its licence.
 help-list-from = List only runs begun on this day or later, such as 2026-03-04.
 help-list-material = List only panels of this material.
@@ -1756,7 +1756,7 @@ help-open = How long the press is open between two panels, for energy and throug
 help-options = Options:
 help-out = Write the table here.
 help-page-port = Port of the page; 0 takes a free one.
-help-panel = A key of a run's header that describes the panel or the room, such as panel.thickness_mm=16. May be repeated; MDF of 16 mm without.
+help-panel = A key of a run's header that describes the panel or the room, such as panel.thickness_mm=16. May be repeated; without it MDF of 16 mm.
 help-period = Time between two readings.
 help-port = Port; 0 takes a free one and shows it.
 help-press = The press file.
@@ -1765,10 +1765,10 @@ help-price = Price of a kWh in euros.
 help-probability = Probability with which all limits are to hold; without it the resin file's, or 0.975.
 help-program = A press program never run, by its settings: its coefficients are predicted from the campaign's. May be repeated.
 help-range = What can be set, and how far: platen_temperature_C, press_time_s, thickness_mm, start_temperature_C, waiting_s or pressure_N_cm2. May be repeated; without it the runs' own range, modestly widened.
-help-rehearse = Simulate such campaigns from the sensor's own model, with each cause hidden in turn and none, diagnose them, and say how often a cause is found and how often a false one is named.
-help-rehearse-campaigns = Simulated campaigns of each cause; 10 without.
+help-rehearse = Simulate such campaigns from the sensor's own model, with each cause hidden in turn and none, diagnose them, and report how often a cause is found and how often a wrong one is named.
+help-rehearse-campaigns = Simulated campaigns of each cause; without it 10.
 help-rehearse-dask = A Dask scheduler whose workers take the simulated campaigns.
-help-rehearse-effect = Hide only this cause, at a size of its own if one is given. May be repeated; all that these runs could show without.
+help-rehearse-effect = Hide only this cause, at a size of its own if one is given. May be repeated; without it all that these runs could show.
 help-rehearse-file = Keep each finished simulated campaign in this file, and go on from there if broken off.
 help-reproduce-paper = Instead: why gradient least squares got stuck, shown on 20 virtual measurements. --json, --html and --svg keep the table and the cost along one coefficient.
 help-resin = How the paper cures and what must hold at opening (TOML): adds cure, steam and open_now.
@@ -1790,7 +1790,7 @@ help-timeout = Time to wait for a reply, 0.05 to 10.
 help-token-action = What to do.
 help-token-name = Whom the token is for.
 help-transport = How Modbus is spoken; without it the place decides.
-help-until = Leave out the rows of each run after this: a moment of time_s, a temperature that a column reaches (bottom_1=140), or inserted, closed, opened, removed. RUN:... is one run's own. May be repeated; the first that comes counts.
+help-until = Leave out the rows of each run after this: a moment of time_s, a temperature that a column reaches (bottom_1=140), or inserted, closed, opened, removed. RUN:... is one run's own. May be repeated; the earliest counts.
 help-usage = Usage: { $call }
 help-verify = Only check an existing copy.
 help-version = Show the version.
@@ -1857,7 +1857,7 @@ plant-node-model = Model version the estimate comes from
 plant-node-open-now = Whether the press may open now: every limit of the resin file holds; false where anything is not known
 plant-node-pressure = Pressure { $channel }
 plant-node-reason = Why there is no estimate, empty while there is one
-plant-node-run = The pressing being recorded, empty between two
+plant-node-run = The run being recorded, empty between two pressings
 plant-node-state = idle (no panel), open, closed or unknown
 plant-node-thermocouple = Thermocouple { $channel }
 plant-node-wire = Wire { $channel }, 1 for closed
@@ -1891,11 +1891,11 @@ demo-column-worst = worst
 demo-compiling = First start: compiling the model takes about a minute ...
 demo-core-off = core { NUMBER($kelvin, minimumFractionDigits: 2, maximumFractionDigits: 2) } K off
 demo-core-unknown = core not known
-demo-diagnosis-there = The diagnosis is there: { $diagnosis }, and what the night did: { $night }
+demo-diagnosis-there = Diagnosis: { $diagnosis }; what the night did: { $night }
 demo-did-not-start = { $process } did not start: { $why }
 demo-ended = { $process } ended with status { $status }: { $why }
-demo-gain = Live core error on the last { $runs } pressings: { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } K as it was reported, { NUMBER($after, minimumFractionDigits: 2, maximumFractionDigits: 2) } K with the promoted model
-demo-heldout = Pressings left out in turn, own contacts fitted: { $plain } K off with the plain model, { $extended } K with the extended one
+demo-gain = Live core error on the last { $runs } runs: { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } K as it was reported, { NUMBER($after, minimumFractionDigits: 2, maximumFractionDigits: 2) } K with the promoted model
+demo-heldout = Runs left out in turn, own contacts fitted: { $plain } K off with the plain model, { $extended } K with the extended one
 demo-hidden = Hidden in the virtual press: { $effects }
 demo-kept = Kept in { $folder }; to look at it again: kerntemp serve --config { $config }
 demo-logger = { $profile } at { $place }
@@ -1907,11 +1907,11 @@ demo-night = Nightly job: refitting all runs and looking for what the model gets
 demo-night-comes = After { $pressings } pressings, in about { $minutes } min, the nightly job looks for what the model gets wrong; the page stays until Ctrl-C.
 demo-no-diagnosis = The nightly job wrote no diagnosis.
 demo-no-message = no message
-demo-no-pressing = no pressing was recorded for too long; the logs are beside the store
+demo-no-pressing = no run was recorded for too long; the logs are beside the store
 demo-no-sign-of-life = no sign of life from { $processes } in { $seconds } s
 demo-not-fitted = { $runs ->
-    [one] { $runs } pressing waited in vain for its fit
-   *[other] { $runs } pressings waited in vain for their fit
+    [one] { $runs } run waited in vain for its fit
+   *[other] { $runs } runs waited in vain for their fit
 }
 demo-not-found = { $runs ->
     [one] { $runs } pressing was not found
@@ -1920,10 +1920,10 @@ demo-not-found = { $runs ->
 demo-not-kept = Nothing of it is kept; --data DIR keeps it all.
 demo-not-promoted = Model { $version } was not promoted: { $why }
 demo-page = Page     { $address }
-demo-pressing = Pressing { $run }: { $scans } scans, closing { NUMBER($closing, minimumFractionDigits: 2, maximumFractionDigits: 2) } s and opening { NUMBER($opening, minimumFractionDigits: 2, maximumFractionDigits: 2) } s off, surface (press still) { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } -> { NUMBER($after, minimumFractionDigits: 2, maximumFractionDigits: 2) } K, { $core }
+demo-pressing = Run { $run }: { $scans } scans, closing { NUMBER($closing, minimumFractionDigits: 2, maximumFractionDigits: 2) } s and opening { NUMBER($opening, minimumFractionDigits: 2, maximumFractionDigits: 2) } s off, surface (press still) { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } -> { NUMBER($after, minimumFractionDigits: 2, maximumFractionDigits: 2) } K, { $core }
 demo-scans-left-out = { $left_out } of { $all } scans were left out
 demo-store = Store    { $path }
-demo-stored = Compared with the virtual press: { $runs } pressings, { $scans } scans
+demo-stored = Compared with the virtual press: { $runs } runs, { $scans } scans
 demo-summary = Summary of { $runs ->
     [one] { $runs } pressing
    *[other] { $runs } pressings
@@ -1943,7 +1943,7 @@ page-band-from-start = start and platen temperatures
 page-band-from-suspected = suspected causes
 page-band-from-timing = moments of the press
 page-chart-now-label = Temperatures of the pressing over time, with the predicted core and its 95 % band
-page-core-foreseen = Core, foreseen if it stays closed
+page-core-foreseen = Core, forecast if the press stays closed
 page-energy = Heat taken up
 page-faces-and-platens = Faces and platens
 page-last-pressing = Last pressing
@@ -1973,7 +1973,7 @@ page-health-ok = all well
 ## page: the next panel
 
 page-moisture = Moisture
-page-next-faces = Faces read now: { $top } above, { $bottom } below
+page-next-faces = The faces now: { $top } above, { $bottom } below
 page-next-hint = Holds for every pressing until changed; the start temperature for one.
 page-next-kept = Kept: the next pressing begins with it.
 page-next-panel = Next panel
@@ -1989,7 +1989,7 @@ page-alarm-core = Core above
 page-alarm-drift = Drift of at least
 page-alarm-here = In this browser
 page-alarm-limits = Limits of { $press }
-page-alarm-limits-hint = Empty: no limit. Telling people by e-mail or webhook: [email] and [webhook] of kerntemp.toml.
+page-alarm-limits-hint = Empty: no limit. To notify people by e-mail or webhook: [email] and [webhook] of kerntemp.toml.
 page-alarm-limits-kept = Limits kept.
 page-alarm-new = Kerntemp: alarm
 page-alarm-no-leave = The browser does not allow notifications here.
@@ -2017,14 +2017,14 @@ page-cancel = Cancel
 page-change = Change
 page-changes = Changes
 page-compare = Compare
-page-compare-loose = Closing not known, drawn from the first scan: { $runs }
+page-compare-loose = Closing not known; drawn from the first scan: { $runs }
 page-compare-without = Not known for { $runs }
 page-converged = converged
 page-core-at-opening = Core at opening
 page-core-peak = Core, highest
 page-differences = Settings and results
 page-dots-measured = dots: measured, mean of the sensors
-page-empty-removes = An empty value removes the line. Who changes what is kept.
+page-empty-removes = An empty value removes the line. Who changed what is recorded.
 page-fit = Fit
 page-from = From
 page-isotherm = white: 100 °C
@@ -2035,8 +2035,8 @@ page-measured-simulated = Measured against simulated
 page-metadata = Metadata
 page-new-key = New name
 page-no-fit = Not fitted yet.
-page-no-runs = No pressings match.
-page-no-simulation = No simulation for this pressing.
+page-no-runs = No runs match.
+page-no-simulation = No simulation for this run.
 page-not-converged = not converged
 page-not-described = not described by the model
 page-panel-became = Panel became
@@ -2061,7 +2061,7 @@ page-scatter-up = up
 page-search = Search
 page-search-bounds = With
 page-simulated = simulated
-page-simulating = Simulating this pressing …
+page-simulating = Simulating this run …
 page-state-closed = closed
 page-state-open = open
 page-to = To
@@ -2132,18 +2132,18 @@ page-c-h_pp_o = plate – panel, open
 page-c-h_wa = panel – air
 page-ci-high = high
 page-ci-low = low
-page-coefficients-hint = Heat transfer coefficients refitted after each pressing, with 95 % intervals. Grey dots: not identifiable from that pressing.
+page-coefficients-hint = Heat transfer coefficients refitted after each pressing, with 95 % intervals. Grey dots: not identifiable from that run.
 page-drift = Drift
 page-drift-creep = creeping by { $change } since { $run }
 page-drift-hint = Control charts (CUSUM and EWMA) watch each coefficient from run to run.
 page-drift-jump = jumped by { $change } at { $run }
-page-few-for-drift = too few pressings
+page-few-for-drift = too few runs
 page-history = history
 page-identifiable = identifiable
 page-last-fit = Last fit
-page-no-fits = No fitted pressing yet.
+page-no-fits = No fitted run yet.
 page-not-identifiable = not identifiable
-page-order-of-runs = order of pressings
+page-order-of-runs = order of runs
 page-steady = steady
 
 ## page: diagnosis
@@ -2156,20 +2156,20 @@ page-curves-hint = The run the plain model fits worst. Dots: mean of the sensors
 page-curves-residual = { $place }: measured minus model
 page-earlier = Earlier diagnoses
 page-effects = Effects
-page-evidence = Evidence: gain on unseen pressings by cause
+page-evidence = Evidence: gain on unseen runs by cause
 page-explains = explains
-page-gain-left-out = less error in pressings left out, their own contacts fitted
-page-gain-predicted = less error in predicted pressings
+page-gain-left-out = less error in runs left out, their own contacts fitted
+page-gain-predicted = less error in predicted runs
 page-heldout = left out, own contacts fitted: plain → extended
-page-heldout-gain = gain on pressings left out
+page-heldout-gain = gain on runs left out
 page-luck = chance that it is luck
 page-measured-there = Measured there
 page-model-rejected = rejected
 page-models = Model versions
 page-next-measurement = Next measurement
 page-no-diagnosis = No diagnosis yet.
-page-no-diagnosis-hint = The nightly job 'kerntemp refit' writes one as soon as there are enough pressings.
-page-no-gain = No cause lowers the error on unseen pressings.
+page-no-diagnosis-hint = The nightly job 'kerntemp refit' writes one as soon as there are enough runs.
+page-no-gain = No cause lowers the error on unseen runs.
 page-no-models = No model version yet.
 page-noise-floor = noise floor
 page-nowhere = Nowhere beyond the noise.
@@ -2178,14 +2178,14 @@ page-or = or
 page-parameter = Parameter
 page-place = Place
 page-plain-model = plain model
-page-predicted = predicted pressings: plain → extended
+page-predicted = predicted runs: plain → extended
 page-promote = Promote
 page-promote-question = Use model version { $version } for the live prediction?
 page-reason = Reason
 page-roll-back = Roll back to this
-page-sentence-no_effect = The plain model explains these pressings down to the noise.
-page-sentence-not_described = The model is too far from these pressings to say anything.
-page-sentence-too_few_runs = Too few pressings for a diagnosis.
+page-sentence-no_effect = The plain model explains these runs down to the noise.
+page-sentence-not_described = The model is too far from these runs for a verdict.
+page-sentence-too_few_runs = Too few runs for a diagnosis.
 page-sentence-unknown_effect = Something the catalogue does not know remains unexplained.
 page-since-it-began = Since it began
 page-suspected-causes = Suspected, not proven
@@ -2197,7 +2197,7 @@ page-where = Where the plain model is wrong
 page-night = Night
 page-night-archive = { $archived } archived, { $freed } freed{ $removed ->
         [0] { "" }
-       *[other] ; scans of { $removed } given up
+       *[other] ; scans of { $removed } deleted
     }{ $later ->
         [0] { "" }
        *[other] ; { $later } follow
@@ -2211,10 +2211,10 @@ page-night-model = Model
 page-night-named = Named
 page-night-new = New
 page-night-none = no model yet
-page-night-not-asked = not asked: the runs of the night before
+page-night-not-asked = not asked: the same runs as the night before
 page-night-not-fitted = { $runs } cannot be fitted
 page-night-promoted = { $version } promoted
-page-night-refused = { $version } refused
+page-night-refused = { $version } rejected
 page-night-report = Report of this night
 page-night-standing = { $runs } fitted before
 page-night-stays = { $version } stays
@@ -2256,7 +2256,7 @@ page-date-unknown = unknown
 page-day = Day
 page-day-after = The day after
 page-day-before = The day before
-page-day-hint = Each point is the highest or lowest of all sensors in its step of time; a part you zoom into is read in finer steps. Lines go on through silences of up to 10 min.
+page-day-hint = Each point is the highest or lowest of all sensors in its step of time; a part you zoom into is read in finer steps. Lines bridge gaps of up to 10 min.
 page-day-of = A day of the press { $press }
 page-day-view = Whole days
 page-day-whole = Whole day
@@ -2306,7 +2306,7 @@ page-quality-over = over range
 page-quality-simulated = simulated
 page-quality-stale = stale
 page-quality-under = under range
-page-run = Pressing
+page-run = Run
 page-run-closed = complete
 page-run-interrupted = interrupted
 page-run-open = running
@@ -2320,7 +2320,7 @@ page-state-idle = no panel
 page-state-unknown = unknown
 page-status = Status
 page-suspected = Suspected cause
-page-suspected-another-panel = another panel than the header says
+page-suspected-another-panel = another panel than in the header
 page-suspected-sudden-change = a sudden change at the press or a sensor
 page-target = Target
 page-theme = Light or dark

@@ -77,7 +77,7 @@ def advise(  # noqa: PLR0913 - one argument a wish
     open_s: float = 30.0,
     progress: Callable[[str, float], None] | None = None,
 ) -> AdviceResult:
-    """Say how long to press a panel not pressed yet, and how hot, under limits at a wanted probability.
+    """Work out press time and platen temperature for a panel not pressed yet.
 
     Parameters
     ----------

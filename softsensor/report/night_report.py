@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-import re
 from collections.abc import Callable, Mapping
 from datetime import datetime
 from pathlib import Path
@@ -16,7 +15,7 @@ from daq.records import InputError
 from daq.tables import reason_of
 from daq.words import Message, say
 from daq.words.message import ENGLISH
-from softsensor.effects import catalogue, find_effect
+from softsensor.effects import find_effect
 from softsensor.effects.parameters import plain
 from softsensor.effects.vocabulary import called, coefficient_words, parameters_told
 from softsensor.jobs.night_record import NightRecord
@@ -75,20 +74,12 @@ def _link(page: str, run: str) -> str:
 
 def _outcome(night: NightRecord) -> Message:
     outcome = night.outcome
-    reason = _reason(outcome.reason)
+    reason = outcome.reason
     if outcome.promoted:
         return say("night-promoted", version=outcome.version, reason=reason)
     if outcome.version:
         return say("night-stays", version=outcome.version, reason=reason)
     return say("night-no-model", reason=reason)
-
-
-def _reason(reason: Message | str) -> Message | str:
-    """Return why; a store of a version older than codes (before 2026-11-22) holds a text with effects by name."""
-    if isinstance(reason, Message):
-        return reason
-    known = catalogue()
-    return re.sub(r"\b[a-z]+(?:_[a-z]+)+\b", lambda m: str(called(m[0])) if m[0] in known else m[0], reason)
 
 
 def _version(version: str, status: str, model: Mapping[str, Any], reason: Message | str) -> dict[str, Any]:
@@ -97,9 +88,7 @@ def _version(version: str, status: str, model: Mapping[str, Any], reason: Messag
         "version": version,
         "status": Message(f"night-status-{status}"),
         "effects": say("list-of-names", names=effects) if effects else say("night-no-effects"),
-        "reason": Message.from_json(kept)
-        if (kept := (model.get("basis") or {}).get("reason"))
-        else _reason(reason),
+        "reason": Message.from_json(kept) if (kept := (model.get("basis") or {}).get("reason")) else reason,
     }
 
 

@@ -52,7 +52,7 @@ def test_an_archived_run_gives_every_answer_as_before_and_a_lost_file_is_told(st
     file.rename(Path(f"{file}.away"))
     answer = client.get(f"/api/v1/runs/{RUN}/samples")
     assert answer.status_code == 503
-    assert "not there; copy it back from a backup of the archive" in answer.json()["detail"]
+    assert "missing; copy it back from a backup of the archive" in answer.json()["detail"]
     assert client.get(f"/api/v1/runs/{RUN}").content == before[f"runs/{RUN}"]
     told = client.get(f"/api/v1/{SCANS}").json()
     assert told["scans"][0] == 0
@@ -64,7 +64,7 @@ def test_an_archived_run_gives_every_answer_as_before_and_a_lost_file_is_told(st
     Path(f"{file}.away").rename(file)
     (tmp_path / "archive").rename(tmp_path / "away")
     assert any(
-        "archive: not there; mount its disk" in said for said in client.get("/api/v1/health").json()["alarms"]
+        "archive: missing; mount its disk" in said for said in client.get("/api/v1/health").json()["alarms"]
     )
     (tmp_path / "away").rename(tmp_path / "archive")
     assert main(["backup", str(tmp_path / "b.sqlite"), "--store", str(store.database.path)]) == 0
@@ -76,6 +76,6 @@ def test_an_archived_run_gives_every_answer_as_before_and_a_lost_file_is_told(st
     for path in (f"runs/{RUN}/samples", f"runs/{RUN}/estimates", f"runs/{RUN}/figure.svg"):
         answer = client.get(f"/api/v1/{path}")
         assert (path, answer.status_code) == (path, 404)
-        assert "its pressing and its coefficients are" in answer.json()["detail"]
+        assert "its header and its coefficients are kept" in answer.json()["detail"]
     for path in (f"runs/{RUN}", f"runs/{RUN}/fit"):
         assert client.get(f"/api/v1/{path}").content == before[path]

@@ -209,6 +209,6 @@ def test_the_nightly_job_names_what_is_hidden_and_halves_the_live_core_error(tmp
     said = re.search(r"Nightly job: verdict “cause named”, (.*)", told)
     assert said is not None
     assert str(called(effect)) in said[1]
-    gain = re.search(r"Live core error on the last 10 pressings: ([\d.]+) K .*, ([\d.]+) K", told)
+    gain = re.search(r"Live core error on the last 10 runs: ([\d.]+) K .*, ([\d.]+) K", told)
     assert gain is not None, told
     assert float(gain[2]) <= 0.5 * float(gain[1])

@@ -688,7 +688,7 @@ def test_two_runs_are_compared_against_one_of_them_and_what_differs_stands_out(p
     page.get_by_label("Quantity").select_option(label="Residual: measured minus simulated, Panel, top")
     page.locator("label", has_text=re.compile("^Minus")).get_by_role("combobox").select_option("")
     expect(page.locator("main")).to_contain_text("Not known for lab-0000000")  # too short for a simulation
-    expect(page.locator("main")).to_contain_text("Closing not known, drawn from the first scan: campaign-1")
+    expect(page.locator("main")).to_contain_text("Closing not known; drawn from the first scan: campaign-1")
     chart.locator(".u-over").hover(position={"x": 310, "y": 60})
     expect(chart.locator(".chart-tip")).to_contain_text(re.compile(r"campaign-1\s*[−-]?\d+\.\d\d K"))
     page.get_by_label("Quantity").select_option(label="Heat taken up")

@@ -195,7 +195,7 @@ def test_a_part_of_the_chart_stays_in_view_until_follow_is_pressed(pressing):
     expect(follow).to_be_hidden()
     drawer = page.locator("details.keep").first
     drawer.locator("summary").click()
-    for curve in ("Core, predicted", "Core, foreseen if it stays closed"):  # each with bounds of its own
+    for curve in ("Core, predicted", "Core, forecast if the press stays closed"):  # each with bounds of its own
         expect(drawer.get_by_role("columnheader", name=f"{curve}: lower bound")).to_have_count(1)
     expect(drawer.locator(".newer")).to_contain_text("as of")
     rows = drawer.locator("tbody tr").count()

@@ -17,6 +17,7 @@ from __future__ import annotations
 import ast
 import importlib
 import math
+import re
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -28,7 +29,10 @@ import daq
 import softsensor
 
 ROOT = Path(__file__).parents[2]
-REMARK = "set by hand, 2026-11"
+REMARK = re.compile("by hand", re.IGNORECASE)
+REMARK_OF_MODULE = re.compile(
+    "(?:Numbers|Thresholds) without another source were set by hand|numbers (?:below )?were set by hand"
+)
 FACTORS = (1.5, 1.0 / 1.5)
 SAMPLES = daq.shared_files() / "samples"
 PRESS = softsensor.read_press(daq.shared_files() / "presses/lab.toml")
@@ -87,19 +91,45 @@ def moved(before: dict[str, Any], after: dict[str, Any]) -> tuple[float, float, 
     return shift, wider, other
 
 
+def is_number(value: ast.expr) -> bool:
+    """Say whether an expression is a number, or a tuple of numbers, as it stands."""
+    if isinstance(value, ast.Tuple):
+        return all(is_number(one) for one in value.elts)
+    names = {node.id for node in ast.walk(value) if isinstance(node, ast.Name)} - {"np", "math"}
+    kinds = {type(node.value) for node in ast.walk(value) if isinstance(node, ast.Constant)}
+    return not names and bool(kinds) and kinds <= {int, float}
+
+
+def numbers_of(path: Path) -> Iterator[tuple[str, ast.expr]]:
+    """Yield name and value of each number at module level that was set by hand.
+
+    A remark in a comment or the docstring of a module holds for what stands below it, one in the docstring of a
+    number for that number.
+    """
+    text = path.read_text(encoding="utf-8")
+    body = ast.parse(text).body
+    below = text.count("\n", 0, found.start()) if (found := REMARK_OF_MODULE.search(text)) else math.inf
+    for node, after in zip(body, [*body[1:], None], strict=False):
+        if not isinstance(node, ast.Assign) or not is_number(node.value):
+            continue
+        own = (
+            ast.literal_eval(after.value)
+            if isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant)
+            else ""
+        )
+        if node.lineno < below and not REMARK.search(str(own)):
+            continue
+        for target in node.targets:
+            several = isinstance(target, ast.Tuple)
+            values = node.value.elts if several and isinstance(node.value, ast.Tuple) else [node.value]
+            yield from zip((one.id for one in (target.elts if several else [target])), values, strict=True)
+
+
 def numbers(rooms: tuple[str, ...]) -> Iterator[tuple[str, str]]:
     """Yield module and name of each number of the rooms that was set by hand."""
     for path in sorted(p for room in rooms for p in (ROOT / room).glob("*.py") if not p.stem.endswith("_steps")):
-        text = path.read_text(encoding="utf-8")
-        if REMARK not in text:
-            continue
-        line = text[: text.index(REMARK)].count("\n")
-        for node in ast.parse(text).body:
-            if not isinstance(node, ast.Assign) or node.lineno < line:
-                continue
-            for target in node.targets:
-                for one in target.elts if isinstance(target, ast.Tuple) else [target]:
-                    yield ".".join(path.relative_to(ROOT).with_suffix("").parts), one.id
+        for name, _ in numbers_of(path):
+            yield ".".join(path.relative_to(ROOT).with_suffix("").parts), name
 
 
 def changed(value: Any, factor: float) -> Any:
@@ -139,11 +169,12 @@ def main(work: str, *rooms: str) -> None:
         value = getattr(importlib.import_module(module), name)
         for factor in FACTORS:
             other = changed(value, factor)
-            if other is None or other == value:
+            if other is None or np.array_equal(other, value):
                 continue
             put(module, name, other)
             try:
                 rows.append((*moved(before, answer()), f"{module}.{name}", factor))
+                print(*rows[-1], flush=True)
             except (ValueError, ArithmeticError, IndexError) as fault:
                 rows.append((math.inf, math.inf, 0, f"{module}.{name}: {type(fault).__name__}", factor))
             finally:

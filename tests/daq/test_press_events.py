@@ -257,7 +257,7 @@ def test_a_switch_that_contradicts_the_temperatures_is_reported():
         detector.update(t, {name: float(c[i]) for name, c in stuck.columns.items()})
         if truth.moments.closed_s + 15 < t < truth.moments.opened_s - 1:
             said.add(str(detector.disagreement))
-    assert said == {"the limit switch says open, but the upper face is hot; check it"}
+    assert said == {"the limit switch reports open, but the upper face is hot; check it"}
 
 
 def kinds(events):

@@ -175,7 +175,7 @@ def test_a_pressure_channel_and_a_stuck_switch_go_before_the_temperatures_and_di
         ("closed", "pressure channel"),
         ("opened", "pressure channel"),
     ]
-    assert said == ["press lab: the pressure channel says open, but the upper face is hot; check it"]
+    assert said == ["press lab: the pressure channel reports open, but the upper face is hot; check it"]
     pressed, closed = run.columns["bar"] > 20.0, run.columns["closed"]
     assert {0.0, 1.0} == set(closed[np.isfinite(closed)])
     assert np.array_equal(closed[np.isfinite(closed)] > 0.5, pressed[np.isfinite(closed)])
@@ -277,7 +277,9 @@ def test_a_changed_configuration_is_taken_over_between_runs_without_losing_a_sca
             under_way = store.open_run("lab").run
             text = made.config.read_text()
             made.config.write_text(text.replace("speed = 10.0", "speed = 5.0"))
-            wait_until(lambda: any("start kerntemp record anew" in str(e.message) for e in store.journal().items))
+            wait_until(
+                lambda: any("restart kerntemp record to apply it" in str(e.message) for e in store.journal().items)
+            )
             made.config.write_text(text.replace("rate_hz = 1.0", "rate_hz = 99"))
             wait_until(lambda: any("rate_hz" in str(e.message) for e in store.journal().items))
             changed = text.replace('"MDF"', '"OSB"').replace("rate_hz = 1.0", "rate_hz = 2.0")
@@ -346,7 +348,7 @@ def test_a_folder_that_cannot_be_read_leaves_the_configuration_as_it_was(tmp_pat
     assert level == "warning"
     assert hidden in sentence
     assert "Permission denied" in sentence
-    assert sentence.endswith("recording goes on with the configuration before")
+    assert sentence.endswith("recording goes on with the previous configuration")
     watch.look([])
     assert said[1:] == [("info", "configuration changed; it takes effect between runs")]
 

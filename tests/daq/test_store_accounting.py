@@ -187,4 +187,4 @@ def test_an_end_whose_run_the_store_does_not_hold_is_an_alarm(store_url):
         key = store.register_press("lab", CHANNELS)
         store.append_scans(key, [scan(0, 0.0)], end=RunEnd("lab-9", 0, MIDNIGHT, first_scan=0))
         (said,) = store.journal(level="alarm").items
-    assert str(said.message) == "the end of run lab-9 at scan 0 finds no such run in the store; its scans are kept"
+    assert str(said.message) == "run lab-9 ends at scan 0, but the store has no such run; its scans are kept"

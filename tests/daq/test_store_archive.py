@@ -226,7 +226,7 @@ def test_a_file_that_is_not_sound_is_told_with_a_remedy_and_nothing_is_deleted(s
         file.unlink()
     else:
         file.write_bytes(sound[:2000] + bytes([sound[2000] ^ 1]) + sound[2001:])
-    said = "not there; copy it back" if harm == "missing" else "not what was written; copy it back"
+    said = "missing; copy it back" if harm == "missing" else "no longer what was written; copy it back"
     with pytest.raises(ArchiveUnreadable, match=said):
         store.load_run("one")
     found = store.check_archive(datetime.now(UTC) + timedelta(days=1))
@@ -253,7 +253,7 @@ def test_pressings_alone_stay_where_the_rule_says_so(store, tmp_path):
     assert store.remove_archived("lab", BEGAN) == (0, 0)
     runs, gone = store.remove_archived("lab", LATER)
     assert (runs, gone > 0) == (1, True)
-    with pytest.raises(InputError, match="run one: its scans are kept no more since 20"):
+    with pytest.raises(InputError, match="run one: its scans were deleted on 20"):
         store.load_run("one")
     assert store.fit("one")["coefficients"]["h"]["value"] == 1.0
     assert store.run_record("one").header["panel.material"] == "MDF"

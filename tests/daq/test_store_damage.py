@@ -105,7 +105,7 @@ def test_a_buffer_whose_folder_is_removed_is_made_anew_and_told(tmp_path):
         assert numbers(store) == list(range(50, 80))
     (alarm,) = [text for level, text in notes.said if level == "alarm"]
     assert str(folder / "b.sqlite") in alarm
-    assert "50 entries in it are lost" in alarm
+    assert "50 entries are lost" in alarm
 
 
 def test_a_header_and_a_journal_line_no_store_takes_are_set_aside_and_all_else_is_written(store_url, tmp_path):

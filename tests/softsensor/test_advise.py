@@ -185,7 +185,7 @@ def test_where_no_program_will_do_the_nearest_limit_is_named() -> None:
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        ({}, "nothing to keep to"),
+        ({}, "no limit is given"),
         ({"limits": {"cure_least": 0.9}}, "needs the resin's kinetics"),
         ({"limits": {"core_least_C": 60.0}, "goal": "speed"}, "must be one of time, energy, throughput"),
         ({"limits": {"core_least_C": 60.0}, "panel": {"panel.thickness_mm": -3.0}}, "thickness_mm"),
@@ -233,7 +233,7 @@ def test_a_load_column_gets_the_pressure_in_its_own_unit(unit, reads):
 
 def test_a_load_without_a_unit_is_refused_where_the_model_follows_it():
     follows = replace(model(), effects=(("contact_load", {"exponent": FittedValue(0.5, 0.1)}),))
-    with pytest.raises(InputError, match=r"column load, and nothing says in which unit: add unit = "):
+    with pytest.raises(InputError, match=r"column load, whose unit is not given: add unit = "):
         made_up_run(replace(task(), press=loaded(None), model=follows), Programme(180.0, 300.0))
     made_up_run(replace(task(), press=loaded(None)), Programme(180.0, 300.0))
 

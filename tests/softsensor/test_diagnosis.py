@@ -444,8 +444,8 @@ def test_the_noise_floor_is_the_readings_and_neither_the_misfit_nor_a_cap() -> N
 
 def test_a_named_cause_says_what_it_means_for_the_core() -> None:
     said = sentences(core_said(diagnosed("edge_loss", 501, 7, 0.5)))
-    assert "K cooler than the plain model says" in said
-    assert "Core thermocouples, which no fit has seen" in said
+    assert "K cooler than by the plain model" in said
+    assert "Core thermocouples, which took no part in any fit" in said
     assert "core estimate stays as it is" in sentences(core_said(diagnosed(None, 41)))
 
 
@@ -561,7 +561,7 @@ def test_a_rig_of_layers_is_told_nothing_of_panels_and_cores(verdict: Verdict) -
 
 def test_one_run_with_a_loose_sensor_says_that_it_is_too_few_and_draws_its_residual() -> None:
     found = diagnosed("sensor_fault", 21, 1)
-    assert sentences(verdict_said(found)).endswith("1 run is too few to tell any other cause from chance.")
+    assert sentences(verdict_said(found)).endswith("1 run is too few to distinguish any other cause from chance.")
     drawn = [line.get_label() for ax in residual_figure(curves_of(found)).get_axes() for line in ax.get_lines()]
     assert "plain model" in drawn
     assert "by comparison with the channels beside it" in diagnosis_report(found)
@@ -576,7 +576,7 @@ def test_the_sentence_says_what_a_verdict_rests_on() -> None:
     differs = replace(beyond_chance, noise_floor_K=found.base.rmse_K / 2)
     assert "differs from run to run" in sentences(verdict_said(differs))
     off = replace(found, verdict=Verdict.NOT_DESCRIBED)
-    assert sentences(verdict_said(off)).startswith("Nothing can be said: the model is ")
+    assert sentences(verdict_said(off)).startswith("No verdict is possible: the model is ")
     doubted = replace(found, suspected=diagnosed("edge_loss", 501, 7, 0.5).findings)
     assert sentences(verdict_said(doubted)).endswith("Suspected, not proven: heat lost at the rim.")
 

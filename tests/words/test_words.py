@@ -160,6 +160,14 @@ def test_german_sentences_speak_in_one_form_that_addresses_nobody():
     assert not [c for c, pattern in catalogue_of("de").entries().items() if addressed.search(pattern)]
 
 
+def test_english_sentences_do_without_the_words_readers_stumbled_over():
+    stumbled = re.compile(
+        r"\b(?:told|tells?|heard|coming|says?|said|speaks?|mend\w*|anew|foreseen|given up)\b", re.IGNORECASE
+    )
+    sentences = {c: re.sub(r"\{[^{}]*\}", "", pattern) for c, pattern in catalogue_of("en").entries().items()}
+    assert not [c for c, sentence in sentences.items() if stumbled.search(sentence)]
+
+
 def test_german_calls_a_pressing_pressung_and_only_the_nightly_job_lauf():
     wrong = re.findall(r".*(?<!ächtliche )(?<!ächtlicher )\b(?:Lauf|Laufs|Läufen?)\b.*", catalogue_of("de").text)
     assert wrong == []
