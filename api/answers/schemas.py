@@ -450,6 +450,12 @@ class Estimates(_Answer):
     core_low_C: list[float | None]  # noqa: N815
     core_high_C: list[float | None]  # noqa: N815
     valid: list[bool]
+    cure_low: list[float | None]
+    """Lower bound of 95 % of the less cured face, 0 to 1; null without a resin file."""
+    grade: list[str]
+    """What that face surely was by the resin file's thresholds; empty without any."""
+    steam_high_kPa: list[float | None]  # noqa: N815
+    """Upper bound of 95 %; null without a resin file or the panel's moisture."""
 
 
 class Simulation(_Answer):

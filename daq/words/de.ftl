@@ -1952,6 +1952,7 @@ demo-view = { "               " }{ $address }  { $name }
 
 ## page: the press now
 
+page-at-opening = Beim Öffnen
 page-band-from = Das Band kommt von
 page-band-from-constants = den Stoffwerten der Platte
 page-band-from-contacts = den Kontakten
@@ -1970,7 +1971,12 @@ page-left-out-channel = { $kelvin } K { $side ->
     [below] unter
    *[above] über
  } den Nachbarn, nicht verwendet
+page-cure = Aushärtung, schwächere Seite
+page-grade-glossy = glänzend
+page-grade-matt = matt
+page-grade-undercured = nicht ausgehärtet
 page-limit-in = Grenze in
+page-steam = Dampf
 page-no-estimate = Noch keine Vorhersage
 page-no-press = Noch keine Presse
 page-no-press-hint = Eine Presse erscheint hier, sobald ihre Aufzeichnung beginnt: 'kerntemp record' mit einer Konfiguration; die von 'kerntemp demo' innerhalb einer halben Minute nach deren Start.

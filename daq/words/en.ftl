@@ -1933,6 +1933,7 @@ demo-view = { "         " }{ $address }  { $name }
 
 ## page: the press now
 
+page-at-opening = At opening
 page-band-from = The band comes from
 page-band-from-constants = the panel's constants
 page-band-from-contacts = contacts
@@ -1951,7 +1952,12 @@ page-left-out-channel = { $kelvin } K { $side ->
     [below] below
    *[above] above
  } its neighbours, not used
+page-cure = Cure, weaker face
+page-grade-glossy = glossy
+page-grade-matt = matt
+page-grade-undercured = undercured
 page-limit-in = Limit in
+page-steam = Steam
 page-no-estimate = No prediction yet
 page-no-press = No press yet
 page-no-press-hint = A press appears here as soon as its recorder begins: 'kerntemp record' with a configuration; that of 'kerntemp demo' within half a minute of its start.

@@ -734,6 +734,21 @@ def test_a_days_pressings_are_marked_by_the_clock_where_a_press_runs_faster_than
     assert [(p["state"], p["from_s"], p["to_s"]) for p in marked] == [("open", 10, 20), ("closed", 11, 15)]
 
 
+def test_a_run_says_what_was_sure_of_the_cure_at_opening_and_nothing_without_a_resin(plant):
+    address, page, _ = plant
+    page.goto(address + "#/runs/lab-0000000")
+    expect(page.get_by_role("heading", name="lab-0000000")).to_be_visible()
+    expect(page.get_by_test_id("at-opening")).to_have_count(0)
+
+    def answer(route):
+        told = route.fetch().json()
+        route.fulfill(json=told | {"cure_low": [0.6] * told["rows"], "grade": ["undercured"] * told["rows"]})
+
+    page.route("**/runs/lab-0000000/estimates*", answer)
+    page.reload()
+    expect(page.get_by_test_id("at-opening")).to_contain_text("≥\u00a060\u00a0%, undercured")
+
+
 def test_before_the_first_core_its_chart_reaches_from_a_room_to_the_target(plant):
     address, page, _ = plant
     page.goto(address)

@@ -19,6 +19,9 @@ AHEAD = {
     "target_earliest_s": 23.0,
     "target_latest_s": 30.0,
     "peak_C": 70.0,
+    "cure_low": 0.814,
+    "grade": "matt",
+    "steam_high_kPa": 20.2,
 }
 COURSE = [[0.0, 50.0, 48.0, 52.0], [20.0, 58.0, 54.0, 62.0], [40.0, 66.0, 60.0, 72.0]]
 
@@ -128,6 +131,13 @@ def test_no_green_light_stands_beside_an_answer_that_is_not_known(pressing, serv
     expect(light).to_have_text("all runs, core not known")
     store.append_estimates = said
     expect(light).to_have_class("light good")
+
+
+def test_what_is_sure_of_cure_and_steam_stands_beside_the_live_core(pressing):
+    server, page = pressing
+    page.goto(server.url + "#/now")
+    expect(page.locator(".facts")).to_contain_text("≥\u00a081\u00a0%, matt")
+    expect(page.locator(".facts")).to_contain_text("≤\u00a020\u00a0kPa")
 
 
 def test_press_and_core_are_shown_in_one_state(pressing, served):

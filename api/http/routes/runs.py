@@ -169,6 +169,7 @@ def _estimates_of(store: Store, run: str) -> Sequence[tuple[float, StoredEstimat
 
 
 def _estimates(run: str, chosen: Sequence[tuple[float, StoredEstimate]], *, decimated: bool) -> Estimates:
+    details = [e.detail or {} for _, e in chosen]
     return Estimates(
         run=run,
         rows=len(chosen),
@@ -180,6 +181,9 @@ def _estimates(run: str, chosen: Sequence[tuple[float, StoredEstimate]], *, deci
         core_low_C=[number_or_none(e.core_low_celsius) for _, e in chosen],
         core_high_C=[number_or_none(e.core_high_celsius) for _, e in chosen],
         valid=[e.valid for _, e in chosen],
+        cure_low=[d.get("cure_low") for d in details],
+        grade=[str(d.get("grade", "")) for d in details],
+        steam_high_kPa=[d.get("steam_high_kPa") for d in details],
     )
 
 

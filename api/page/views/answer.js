@@ -11,6 +11,11 @@ export const believed = (estimate) => (estimate?.valid ? estimate : {});
 
 export const seconds = (value) => (value < 100 ? `${number(value, 0)} s` : duration(value));
 
+// What is sure of cure and steam: the least of the less cured face with its grade, and the most.
+export const cureOf = (low, grade) => [`≥\u00a0${number(100 * low, 0)}\u00a0%`, grade && text(`page-grade-${grade}`)].filter(Boolean).join(", ");
+
+export const steamOf = (high) => `≤\u00a0${number(high, 0)}\u00a0kPa`;
+
 export function showCore(core, band, state, estimate) {
   const valid = state !== "idle" && estimate && estimate.valid && estimate.core_C !== null;
   core.className = valid ? "core" : "core invalid";

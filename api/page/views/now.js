@@ -5,7 +5,7 @@ import { roleOf } from "../channels.js";
 import { TimeChart, key } from "../charts.js";
 import { clock, duration, el, number, reading } from "../dom.js";
 import { effectName, said, text } from "../words.js";
-import { CoreChart, STALE_S, believed, closingOf, coreKey, courseOf, seconds, shifted, showAnswer, showCore, stateOf, take } from "./answer.js";
+import { CoreChart, STALE_S, believed, closingOf, coreKey, courseOf, cureOf, seconds, shifted, showAnswer, showCore, stateOf, steamOf, take } from "./answer.js";
 import { notesOf } from "./journal.js";
 import { PanelCards } from "./panel.js";
 import { sketch } from "./sketch.js";
@@ -310,7 +310,7 @@ function bandFrom(shares) {
 // What the live sensor foresees beside the advice, where it says so.
 function ahead(state, estimate) {
   if (state === "idle") return [];
-  const facts = [["limit_in_s", "page-limit-in", seconds], ["energy_kJ_m2", "page-energy", (v) => `${number(v, 0)} kJ/m²`], ["band_from", "page-band-from", bandFrom]];
+  const facts = [["limit_in_s", "page-limit-in", seconds], ["energy_kJ_m2", "page-energy", (v) => `${number(v, 0)} kJ/m²`], ["cure_low", "page-cure", (v) => cureOf(v, estimate.grade)], ["steam_high_kPa", "page-steam", steamOf], ["band_from", "page-band-from", bandFrom]];
   return facts.filter(([key]) => estimate[key] !== null && estimate[key] !== undefined).map(([key, name, shown]) => [text(name), shown(estimate[key])]);
 }
 

@@ -5,6 +5,7 @@ import { began, duration, el, number, table } from "../dom.js";
 import { language, placeName, said, text } from "../words.js";
 import { roleOf } from "../channels.js";
 import { coefficientTable } from "./coefficients.js";
+import { cureOf, steamOf } from "./answer.js";
 import { compare } from "./compare.js";
 import { showDay } from "./day.js";
 import { notesOf } from "./journal.js";
@@ -127,7 +128,7 @@ async function detail(place, context, id) {
     get(`${path}/samples`, { max_points: 3000 }), get(`${path}/estimates`, { max_points: 3000 }), get(`${path}/fit`).catch(() => null),
   ]);
   const waiting = el("section", { class: "card empty" }, text("page-simulating"));
-  place.append(headCard(run, path), measuredCard(run, samples, estimates), waiting, el("div", { class: "pair" }, fitCard(fit), metadataCard(run, path)));
+  place.append(headCard(run, path, estimates), measuredCard(run, samples, estimates), waiting, el("div", { class: "pair" }, fitCard(fit), metadataCard(run, path)));
   get(`${path}/simulation`).then((simulation) => {
     if (waiting.isConnected) waiting.replaceWith(simulationCard(run, simulation), profileCard(run, simulation));
   }).catch((error) => waiting.replaceChildren(text("page-no-simulation"), el("p", { class: "small" }, error.message)));
@@ -135,7 +136,16 @@ async function detail(place, context, id) {
   return null;
 }
 
-function headCard(run, path) {
+// What was sure of cure and steam last before the press opened; nothing without a resin file.
+function atOpening({ opened_s: opened }, estimates) {
+  const row = estimates.time_s.findLastIndex((time, i) => time <= opened && estimates.state[i] === "closed" && estimates.valid[i]);
+  if (opened === null || row < 0) return null;
+  const [low, high] = [estimates.cure_low[row], estimates.steam_high_kPa[row]];
+  const told = [low !== null && `${text("page-cure")} ${cureOf(low, estimates.grade[row])}`, high !== null && `${text("page-steam")} ${steamOf(high)}`].filter(Boolean);
+  return told.length ? el("p", { "data-testid": "at-opening" }, `${text("page-at-opening")}: ${told.join(" · ")}`) : null;
+}
+
+function headCard(run, path, estimates) {
   const link = (label, href, file) => el("a", { class: "button", href, download: file, onclick: download }, label);
   return el("section", { class: "card" },
     el("div", { class: "head" },
@@ -145,6 +155,7 @@ function headCard(run, path) {
     el("p", { class: "faint" }, [run.material, run.thickness_mm && `${number(run.thickness_mm, 1)} mm`, run.platen_temperature_C && `${number(run.platen_temperature_C, 0)} °C`,
       run.closed_s !== null && run.opened_s !== null && `${text("page-pressed")} ${duration(run.opened_s - run.closed_s)}`, began(run.started_utc), `${run.scans} ${text("page-scans")}`]
       .filter(Boolean).join(" · ")),
+    atOpening(run, estimates),
     run.remark ? el("p", { class: "next", style: "white-space:pre-line" }, run.remark) : null);
 }
 
