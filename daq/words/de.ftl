@@ -1964,19 +1964,18 @@ page-band-from-suspected = vermuteten Ursachen
 page-band-from-timing = den Zeitpunkten der Presse
 page-chart-now-label = Temperaturen der Pressung über der Zeit, mit vorhergesagtem Kern und 95-%-Band
 page-core-foreseen = Kern, Vorhersage bei geschlossener Presse
+page-cure = Aushärtung, schwächere Seite
 page-energy = Aufgenommene Wärme
 page-faces-and-platens = Plattenflächen und Heizplatten
+page-grade-glossy = glänzend
+page-grade-matt = matt
+page-grade-undercured = nicht ausgehärtet
 page-last-pressing = Letzte Pressung
 page-left-out-channel = { $kelvin } K { $side ->
     [below] unter
    *[above] über
  } den Nachbarn, nicht verwendet
-page-cure = Aushärtung, schwächere Seite
-page-grade-glossy = glänzend
-page-grade-matt = matt
-page-grade-undercured = nicht ausgehärtet
 page-limit-in = Grenze in
-page-steam = Dampf
 page-no-estimate = Noch keine Vorhersage
 page-no-press = Noch keine Presse
 page-no-press-hint = Eine Presse erscheint hier, sobald ihre Aufzeichnung beginnt: 'kerntemp record' mit einer Konfiguration; die von 'kerntemp demo' innerhalb einer halben Minute nach deren Start.
@@ -1984,6 +1983,7 @@ page-open-then = öffnen
 page-press = Presse
 page-running-pressing = Laufende Pressung
 page-stale-since = Keine neue Messung seit { $time }
+page-steam = Dampf
 page-time-since-closing = Seit dem Schließen
 page-waiting-for-pressing = Warten auf die erste Pressung
 page-wall = Wandansicht

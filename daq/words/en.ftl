@@ -1945,19 +1945,18 @@ page-band-from-suspected = suspected causes
 page-band-from-timing = moments of the press
 page-chart-now-label = Temperatures of the pressing over time, with the predicted core and its 95 % band
 page-core-foreseen = Core, forecast if the press stays closed
+page-cure = Cure, weaker face
 page-energy = Heat taken up
 page-faces-and-platens = Faces and platens
+page-grade-glossy = glossy
+page-grade-matt = matt
+page-grade-undercured = undercured
 page-last-pressing = Last pressing
 page-left-out-channel = { $kelvin } K { $side ->
     [below] below
    *[above] above
  } its neighbours, not used
-page-cure = Cure, weaker face
-page-grade-glossy = glossy
-page-grade-matt = matt
-page-grade-undercured = undercured
 page-limit-in = Limit in
-page-steam = Steam
 page-no-estimate = No prediction yet
 page-no-press = No press yet
 page-no-press-hint = A press appears here as soon as its recorder begins: 'kerntemp record' with a configuration; that of 'kerntemp demo' within half a minute of its start.
@@ -1965,6 +1964,7 @@ page-open-then = open
 page-press = Press
 page-running-pressing = Running pressing
 page-stale-since = No new reading since { $time }
+page-steam = Steam
 page-time-since-closing = Since closing
 page-waiting-for-pressing = Waiting for the first pressing
 page-wall = Wall view
