@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
+from api.commands.calling import taking
 from api.commands.fitting import JsonOut
 from api.commands.inputs import PressFile
 from api.commands.planning import RangesGiven, parse_ranges
@@ -28,51 +30,57 @@ Probability = Annotated[float | None, typer.Option("--probability", metavar="P",
 SvgFile = Annotated[Path | None, typer.Option("--svg", metavar="OUT", help="help-advice-svg")]
 
 
-def advise(  # noqa: PLR0913 - one argument an option
-    press: PressFile,
-    model: KnownModel,
-    resin: ResinFile = None,
-    panel: PanelKeys = None,
-    ranges: RangesGiven = None,
-    goal: GoalName = "time",
-    core_least: CoreLeast = None,
-    core_most: CoreMost = None,
-    probability: Probability = None,
-    price: Price = None,
-    waiting: Waiting = 10.0,
-    open_for: OpenFor = 30.0,
-    json: JsonOut = None,
-    svg: SvgFile = None,
-) -> None:
+@dataclass(frozen=True)
+class AdviseOptions:
+    """What `advise` is called with."""
+
+    press: PressFile
+    model: KnownModel
+    resin: ResinFile = None
+    panel: PanelKeys = None
+    ranges: RangesGiven = None
+    goal: GoalName = "time"
+    core_least: CoreLeast = None
+    core_most: CoreMost = None
+    probability: Probability = None
+    price: Price = None
+    waiting: Waiting = 10.0
+    open_for: OpenFor = 30.0
+    json: JsonOut = None
+    svg: SvgFile = None
+
+
+@taking(AdviseOptions)
+def advise(asked: AdviseOptions) -> None:
     """Work out press time and platen temperature for a panel not pressed yet."""
     from softsensor.face.advising import advise as look
 
-    given = [path for path in (press, model, resin) if path is not None and path.is_file()]
-    check_writable(json, svg, inputs=given)
-    asked, header = parse_ranges(ranges or ()), parse_panel(panel or ())
-    limits = {"core_least_C": core_least, "core_most_C": core_most, "probability": probability}
+    given = [path for path in (asked.press, asked.model, asked.resin) if path is not None and path.is_file()]
+    check_writable(asked.json, asked.svg, inputs=given)
+    ranges, header = parse_ranges(asked.ranges or ()), parse_panel(asked.panel or ())
+    limits = {"core_least_C": asked.core_least, "core_most_C": asked.core_most, "probability": asked.probability}
     with working(say("terminal-progress-advising"), 100) as done:
         found = look(
-            press,
-            model,
-            resin,
+            asked.press,
+            asked.model,
+            asked.resin,
             panel=header,
-            ranges=asked,
+            ranges=ranges,
             limits={key: value for key, value in limits.items() if value is not None},
-            goal=goal,
-            price_per_kWh=price,
-            waiting_s=waiting,
-            open_s=open_for,
+            goal=asked.goal,
+            price_per_kWh=asked.price,
+            waiting_s=asked.waiting,
+            open_s=asked.open_for,
             progress=lambda _what, share: done(round(100 * share)),
         ).advised
         outputs: dict[Path, str | bytes | Callable[[Path], None]] = {}
-        if json is not None:
-            outputs[json] = as_json(found.as_json())
-        if svg is not None:
+        if asked.json is not None:
+            outputs[asked.json] = as_json(found.as_json())
+        if asked.svg is not None:
             from softsensor.report.advice_figure import advice_figure
             from softsensor.report.fit_figures import svg as drawn
 
-            outputs[svg] = drawn(advice_figure(found, spoken_language()))
+            outputs[asked.svg] = drawn(advice_figure(found, spoken_language()))
         write_all(outputs)
     from softsensor.planning.summary import advice_said
 

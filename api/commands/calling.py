@@ -9,8 +9,9 @@ from __future__ import annotations
 import re
 import shutil
 import textwrap
-from collections.abc import Iterable, Iterator
-from typing import Any
+from collections.abc import Callable, Iterable, Iterator
+from inspect import Signature, signature
+from typing import Any, TypeVar, get_type_hints
 
 from typer.core import TyperCommand, TyperGroup
 
@@ -23,6 +24,25 @@ WIDEST = 110
 """Columns of a help page, as wide as a paragraph reads well."""
 PLACEHOLDER = re.compile(r"\b(?!(?:CSV|EUR|JSON|URL)\b)[A-Z]{2,}\b")
 """A word in capitals that stands for something, what is written so everywhere aside."""
+
+
+Options = TypeVar("Options")
+
+
+def taking(options: type[Options]) -> Callable[[Callable[[Options], None]], Callable[..., None]]:
+    """Make the fields of a dataclass the arguments and options of a command, which takes them as one value."""
+    hints = get_type_hints(options, include_extras=True)
+    fields = [p.replace(annotation=hints[name]) for name, p in signature(options).parameters.items()]
+
+    def taken(command: Callable[[Options], None]) -> Callable[..., None]:
+        def called(**given: Any) -> None:
+            command(options(**given))
+
+        vars(called)["__signature__"] = Signature(fields)
+        called.__doc__ = command.__doc__
+        return called
+
+    return taken
 
 
 class Command(TyperCommand):

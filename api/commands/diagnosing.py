@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from api.commands.fitting import HtmlOut, JsonOut, ModelOut, aligned
+from api.commands.calling import taking
+from api.commands.fitting import HtmlOut, JsonOut, ModelOut, Outputs, aligned
 from api.commands.inputs import ConfigFile, PressFile, Runs, StoreUrl, effect_names, files_read, load_runs
 from api.commands.until import Until, shortened
 from api.outputs import WorkFailed, as_json, check_writable, in_words, spoken_language, tell, working, write_all
@@ -40,77 +42,98 @@ PLANNED = 2
 """Open causes of which the best pressing is said, at most."""
 
 
-def diagnose(
-    runs: Runs,
-    press: PressFile,
-    model: ModelOut = None,
-    json: JsonOut = None,
-    html: HtmlOut = None,
-    until: Until = None,
-    store: StoreUrl = None,
-    config: ConfigFile = None,
-    law: FreeLaw = False,
-    rehearse: Rehearse = False,
-    rehearse_campaigns: RehearseCampaigns = None,
-    rehearse_effect: RehearseEffects = None,
-    rehearse_file: RehearseFile = None,
-    dask: Dask = "",
-) -> None:
+@dataclass(frozen=True)
+class DiagnoseOptions:
+    """What `diagnose` is called with."""
+
+    runs: Runs
+    press: PressFile
+    model: ModelOut = None
+    json: JsonOut = None
+    html: HtmlOut = None
+    until: Until = None
+    store: StoreUrl = None
+    config: ConfigFile = None
+    law: FreeLaw = False
+    rehearse: Rehearse = False
+    rehearse_campaigns: RehearseCampaigns = None
+    rehearse_effect: RehearseEffects = None
+    rehearse_file: RehearseFile = None
+    dask: Dask = ""
+
+
+@taking(DiagnoseOptions)
+def diagnose(asked: DiagnoseOptions) -> None:
     """Say what the simulation gets wrong, why, what that costs, and what to measure next."""
     from daq.press.press_file import read_press
 
-    check_writable(model, json, html, rehearse_file, inputs=files_read(*runs, press, store=store, config=config))
-    _check_rehearsal(rehearse, (rehearse_campaigns, rehearse_file, dask), rehearse_effect or ())
-    described = read_press(press)
-    loaded = shortened(load_runs(runs, described, store, config), described, until)
+    check_writable(
+        asked.model,
+        asked.json,
+        asked.html,
+        asked.rehearse_file,
+        inputs=files_read(*asked.runs, asked.press, store=asked.store, config=asked.config),
+    )
+    _check_rehearsal(asked)
+    described = read_press(asked.press)
+    loaded = shortened(load_runs(asked.runs, described, asked.store, asked.config), described, asked.until)
     with working(say("terminal-progress-diagnosing", runs=len(loaded)), 100) as done:
         from softsensor.diagnosis.verdict import diagnose as look
 
         found = look(
-            described, loaded, progress=lambda _what, share: done(round(100 * share)), law=True if law else None
+            described,
+            loaded,
+            progress=lambda _what, share: done(round(100 * share)),
+            law=True if asked.law else None,
         )
-    plan = _rehearsal_plan(found, rehearse_campaigns, rehearse_effect or [], rehearse_file) if rehearse else None
-    rehearsal = _rehearsed(found, plan, dask) if plan is not None else None
+    rehearsal = _rehearsed(found, _rehearsal_plan(found, asked), asked.dask) if asked.rehearse else None
     with working(say("terminal-progress-writing")):
-        outputs: dict[Path, str | bytes | Callable[[Path], None]] = {}
-        if json is not None:
-            told = {} if rehearsal is None else {"rehearsal": rehearsal.as_json()}
-            outputs[json] = as_json(found.as_json() | told)
-        if model is not None:
-            from softsensor.heat.model_file import model_text
-            from softsensor.jobs.campaign import diagnosed_model
-
-            outputs[model] = model_text(diagnosed_model(found))
-        if html is not None:
-            from softsensor.report.diagnosis_report import diagnosis_report
-
-            outputs[html] = diagnosis_report(found, spoken_language(), rehearsal)
-        write_all(outputs)
+        write_all(_contents(found, rehearsal, asked))
         ahead = list(_ahead(described, found))
-    for line in (*_lines(found, law=law), *ahead):
+    for line in (*_lines(found, law=asked.law), *ahead):
         tell(line)
     for line in _rehearsal_lines(rehearsal) if rehearsal is not None else ():
         tell(line)
 
 
-def _check_rehearsal(rehearse: bool, options: Iterable[object], effects: Sequence[str]) -> None:
+def _contents(found: Diagnosis, rehearsal: Rehearsal | None, asked: DiagnoseOptions) -> Outputs:
+    """Return what goes into each file that was asked for."""
+    outputs: Outputs = {}
+    if asked.json is not None:
+        told = {} if rehearsal is None else {"rehearsal": rehearsal.as_json()}
+        outputs[asked.json] = as_json(found.as_json() | told)
+    if asked.model is not None:
+        from softsensor.heat.model_file import model_text
+        from softsensor.jobs.campaign import diagnosed_model
+
+        outputs[asked.model] = model_text(diagnosed_model(found))
+    if asked.html is not None:
+        from softsensor.report.diagnosis_report import diagnosis_report
+
+        outputs[asked.html] = diagnosis_report(found, spoken_language(), rehearsal)
+    return outputs
+
+
+def _check_rehearsal(asked: DiagnoseOptions) -> None:
     """Refuse options without a rehearsal, and effects that do not exist, before any work. Raises `InputError`."""
-    if (effects or any(options)) and not rehearse:
+    options = (asked.rehearse_campaigns, asked.rehearse_effect, asked.rehearse_file, asked.dask)
+    if any(options) and not asked.rehearse:
         raise InputError(say("rehearsal-options-alone"))
-    if effects:
+    if asked.rehearse_effect:
         from softsensor.diagnosis.rehearsal import sized
 
-        for one in effects:
+        for one in asked.rehearse_effect:
             sized(one)
 
 
-def _rehearsal_plan(found: Diagnosis, count: int | None, effects: list[str], file: Path | None) -> RehearsalPlan:
+def _rehearsal_plan(found: Diagnosis, asked: DiagnoseOptions) -> RehearsalPlan:
     """Lay out what is to be rehearsed. Raises `InputError`."""
     from softsensor.diagnosis.rehearsal import campaign_of, hidden_of
     from softsensor.jobs.rehearsals import CAMPAIGNS, plan_rehearsal
 
     campaign = campaign_of(found)
-    return plan_rehearsal(campaign, hidden_of(campaign, effects), count or CAMPAIGNS, file)
+    hidden = hidden_of(campaign, asked.rehearse_effect or [])
+    return plan_rehearsal(campaign, hidden, asked.rehearse_campaigns or CAMPAIGNS, asked.rehearse_file)
 
 
 def _rehearsed(found: Diagnosis, plan: RehearsalPlan, dask: str) -> Rehearsal:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from api.commands.calling import taking
 from api.commands.inputs import (
     ConfigFile,
     PressFile,
@@ -106,60 +107,76 @@ def _refuse_taken(store: Store, run: Run) -> None:
     raise InputError(say("store-run-taken", file=run.source or run.name, run=run.name))
 
 
-def export_runs(  # noqa: PLR0913 - one argument an option
+@dataclass(frozen=True)
+class ExportOptions:
+    """What `export` is called with."""
+
     runs: Annotated[
         list[str] | None, typer.Argument(metavar="RUN", help="help-export-runs", autocompletion=stored_runs)
-    ] = None,
-    out: Annotated[Path | None, typer.Option("--out", metavar="FILE", help="help-export-out")] = None,
+    ] = None
+    out: Annotated[Path | None, typer.Option("--out", metavar="FILE", help="help-export-out")] = None
     kind: Annotated[
         Literal["csv", "parquet", "jsonl"],
         typer.Option("--format", metavar="csv|parquet|jsonl", help="help-export-format"),
-    ] = "csv",
-    press: Annotated[str | None, typer.Option("--press", metavar="NAME", help="help-list-press")] = None,
-    material: Annotated[str | None, typer.Option("--material", metavar="NAME", help="help-list-material")] = None,
-    since: Annotated[datetime | None, typer.Option("--from", metavar="DAY", help="help-list-from")] = None,
-    until: Annotated[datetime | None, typer.Option("--to", metavar="DAY", help="help-list-to")] = None,
-    store: StoreUrl = None,
-    config: ConfigFile = None,
-) -> None:
+    ] = "csv"
+    press: Annotated[str | None, typer.Option("--press", metavar="NAME", help="help-list-press")] = None
+    material: Annotated[str | None, typer.Option("--material", metavar="NAME", help="help-list-material")] = None
+    since: Annotated[datetime | None, typer.Option("--from", metavar="DAY", help="help-list-from")] = None
+    until: Annotated[datetime | None, typer.Option("--to", metavar="DAY", help="help-list-to")] = None
+    store: StoreUrl = None
+    config: ConfigFile = None
+
+
+@taking(ExportOptions)
+def export_runs(asked: ExportOptions) -> None:
     """Write runs of the store as run files, or list what there is."""
-    from daq.files.documents import json_lines
     from daq.files.manifest import NAME as MANIFEST
     from daq.files.manifest import update_manifest
-    from daq.files.run_file import write_run
 
-    chosen = {"press": press, "material": material, "since": _utc(since), "until": _utc(until)}
-    if runs and any(chosen.values()):
+    chosen = {
+        "press": asked.press,
+        "material": asked.material,
+        "since": _utc(asked.since),
+        "until": _utc(asked.until),
+    }
+    if asked.runs and any(chosen.values()):
         raise InputError(say("terminal-list-alone"))
-    with opened_store(store, config) as opened:
-        if not runs:
+    with opened_store(asked.store, asked.config) as opened:
+        if not asked.runs:
             _list_runs(opened, chosen)
             return
-        if out is None:
+        if asked.out is None:
             raise InputError(say("terminal-export-needs-out"))
-        for run in runs:
+        for run in asked.runs:
             opened.run_record(run)
-        targets = _targets(runs, out, kind)
-        told = say("terminal-progress-exporting", runs=len(runs))
-        check_writable(*targets, inputs=files_read(opened.database.path, store=store, config=config))
+        targets = _targets(asked.runs, asked.out, asked.kind)
+        told = say("terminal-progress-exporting", runs=len(asked.runs))
+        check_writable(*targets, inputs=files_read(opened.database.path, store=asked.store, config=asked.config))
         contents: dict[Path, str | Callable[[Path], None]] = {}
         with working(told, len(targets)) as done:
             for number, (path, run) in enumerate(targets.items(), 1):
-                loaded = opened.run_for_file(run)
-                if path.suffix.lower() == ".jsonl":
-                    kept = opened.run_record(run)
-                    lines = json_lines(loaded, kept.started_utc, opened.units_of(run), _END[kept.status])
-                    contents[path] = "".join(f"{line}\n" for line in lines)
-                else:
-                    contents[path] = partial(write_run, loaded)
+                contents[path] = _content(opened, run, path)
                 done(number)
             write_all(contents)
-        folder = out if out.is_dir() else out.parent
-        if out.is_dir() or (folder / MANIFEST).is_file():
+        folder = asked.out if asked.out.is_dir() else asked.out.parent
+        if asked.out.is_dir() or (folder / MANIFEST).is_file():
             update_manifest(folder, targets)
 
 
 _END: dict[str, ExitStatus] = {"closed": "success", "interrupted": "abort", "open": None}
+
+
+def _content(store: Store, run: str, path: Path) -> str | Callable[[Path], None]:
+    """Return what goes into the file of a run, by the ending of its name."""
+    from daq.files.documents import json_lines
+    from daq.files.run_file import write_run
+
+    loaded = store.run_for_file(run)
+    if path.suffix.lower() != ".jsonl":
+        return partial(write_run, loaded)
+    kept = store.run_record(run)
+    lines = json_lines(loaded, kept.started_utc, store.units_of(run), _END[kept.status])
+    return "".join(f"{line}\n" for line in lines)
 
 
 def _targets(runs: list[str], out: Path, kind: str) -> dict[Path, str]:

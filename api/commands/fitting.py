@@ -5,11 +5,13 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from api.commands.calling import taking
 from api.commands.inputs import ConfigFile, StoreUrl, files_read, load_runs, stored_runs
 from api.commands.until import Until, shortened
 from api.outputs import as_json, check_writable, in_words, spoken_language, tell, working, write_all
@@ -76,94 +78,96 @@ SvgOut = Annotated[
 ]
 
 
-def fit(  # noqa: PLR0913 - one argument an option
-    runs: FitRuns = None,
-    press: FitPress = None,
-    model: ModelOut = None,
-    json: JsonOut = None,
-    html: HtmlOut = None,
-    svg: SvgOut = None,
-    store: StoreUrl = None,
-    config: ConfigFile = None,
-    method: MethodName = "default",
-    averages: Averages = False,
-    shared: Shared = None,
-    program: ProgramSettings = None,
-    until: Until = None,
-    reproduce_paper: Reproduce = False,
-) -> None:
+@dataclass(frozen=True)
+class FitOptions:
+    """What `fit` is called with."""
+
+    runs: FitRuns = None
+    press: FitPress = None
+    model: ModelOut = None
+    json: JsonOut = None
+    html: HtmlOut = None
+    svg: SvgOut = None
+    store: StoreUrl = None
+    config: ConfigFile = None
+    method: MethodName = "default"
+    averages: Averages = False
+    shared: Shared = None
+    program: ProgramSettings = None
+    until: Until = None
+    reproduce_paper: Reproduce = False
+
+
+@taking(FitOptions)
+def fit(asked: FitOptions) -> None:
     """Fit the heat transfer coefficients of each run and of the campaign."""
     from daq.press.press_file import read_press
 
-    check_writable(model, json, html, inputs=files_read(*(runs or ()), press, store=store, config=config))
-    check_folder(svg, model, json, html)
-    if reproduce_paper:
-        refuse_with_reproduce(
-            {"RUN": runs, "--press": press, "--model": model, "--store": store, "--config": config}
-            | {"--method": method != "default", "--averages": averages, "--shared": shared, "--program": program}
-            | {"--until": until}
-        )
-        _reproduce(json, html, svg)
+    check_writable(
+        asked.model,
+        asked.json,
+        asked.html,
+        inputs=files_read(*(asked.runs or ()), asked.press, store=asked.store, config=asked.config),
+    )
+    check_folder(asked.svg, asked.model, asked.json, asked.html)
+    if asked.reproduce_paper:
+        refuse_with_reproduce(asked)
+        _reproduce(asked)
         return
-    if not runs or press is None:
+    if not asked.runs or asked.press is None:
         raise InputError(say("terminal-fit-needs-runs"))
-    chosen = check_method(method, averages=averages)
-    settings = parse_program(program or [])
-    described = read_press(press)
-    check_shared(described, shared or [])
-    loaded = shortened(load_runs(runs, described, store, config), described, until)
+    chosen = check_method(asked.method, averages=asked.averages)
+    settings = parse_program(asked.program or [])
+    described = read_press(asked.press)
+    check_shared(described, asked.shared or [])
+    loaded = shortened(load_runs(asked.runs, described, asked.store, asked.config), described, asked.until)
     with working(say("terminal-progress-fitting", runs=len(loaded)), len(loaded)) as done:
         from softsensor.jobs.campaign import fit_campaign
 
         found = fit_campaign(
             described,
             loaded,
-            shared=shared or (),
-            profiles=json is not None or html is not None,
+            shared=asked.shared or (),
+            profiles=asked.json is not None or asked.html is not None,
             progress=count(done),
             method=chosen,
         )
         told = predict_program(found, settings)
-        write_all(contents(found, told, model=model, json=json, html=html, svg=svg))
+        write_all(contents(found, told, asked))
     for line in _lines(found):
         tell(line)
     for row in told.lines if told is not None else ():
         tell(row)
 
 
-def contents(
-    found: CampaignFit,
-    told: Program | None,
-    *,
-    model: Path | None,
-    json: Path | None,
-    html: Path | None,
-    svg: Path | None,
-) -> Outputs:
+def contents(found: CampaignFit, told: Program | None, asked: FitOptions) -> Outputs:
     """Return what goes into each file that was asked for."""
     outputs: Outputs = {}
-    if json is not None:
-        outputs[json] = as_json(found.as_json() | ({"program": told.as_json()} if told else {}))
-    if model is not None:
+    if asked.json is not None:
+        outputs[asked.json] = as_json(found.as_json() | ({"program": told.as_json()} if told else {}))
+    if asked.model is not None:
         from softsensor.diagnosis.missing_causes import with_missing_causes
         from softsensor.heat.model_file import model_text
 
-        outputs[model] = model_text(with_missing_causes(found.model_file(), found.runs))
-    if html is not None:
+        outputs[asked.model] = model_text(with_missing_causes(found.model_file(), found.runs))
+    if asked.html is not None:
         from softsensor.report.fit_report import fit_report
 
-        outputs[html] = fit_report(found, told, spoken_language())
-    if svg is not None:
+        outputs[asked.html] = fit_report(found, told, spoken_language())
+    if asked.svg is not None:
         from softsensor.report.fit_figures import campaign_figures
 
-        outputs |= into(svg, campaign_figures(found, spoken_language()))
+        outputs |= into(asked.svg, campaign_figures(found, spoken_language()))
     return outputs
 
 
-def refuse_with_reproduce(given: Mapping[str, object]) -> None:
+def refuse_with_reproduce(asked: FitOptions) -> None:
     """Raise `InputError` for arguments that the reproduction of the paper would ignore."""
-    if surplus := [name for name, value in given.items() if value]:
-        raise InputError(say("terminal-reproduce-alone", surplus=tuple(surplus)))
+    ignored = (f for f in fields(asked) if f.name not in ("json", "html", "svg", "reproduce_paper"))
+    surplus = [f.name for f in ignored if (value := getattr(asked, f.name)) and value != f.default]
+    if surplus:
+        given = tuple("RUN" if name == "runs" else f"--{name}" for name in surplus)
+        raise InputError(say("terminal-reproduce-alone", surplus=given))
 
 
 def check_folder(folder: Path | None, *others: Path | None) -> None:
@@ -239,24 +243,24 @@ def check_method(method: str, *, averages: bool) -> str:
     return f"{method}:averages" if averages else method
 
 
-def _reproduce(json: Path | None, html: Path | None, svg: Path | None) -> None:
+def _reproduce(asked: FitOptions) -> None:
     """Compare solvers and slopes on virtual measurements; print the table, and keep it where asked."""
     from softsensor.fitting.paper.virtual_runs import MEASUREMENTS, reproduce_paper
 
     with working(say("terminal-progress-reproducing", runs=MEASUREMENTS), MEASUREMENTS) as done:
         found = reproduce_paper(clock=time.perf_counter, progress=done)
         outputs: Outputs = {}
-        if json is not None:
-            outputs[json] = as_json(found.as_json())
-        if html is not None:
+        if asked.json is not None:
+            outputs[asked.json] = as_json(found.as_json())
+        if asked.html is not None:
             from softsensor.report.fit_report import paper_report
 
-            outputs[html] = paper_report(found, spoken_language())
-        if svg is not None:
+            outputs[asked.html] = paper_report(found, spoken_language())
+        if asked.svg is not None:
             from softsensor.report.fit_figures import roughness_figure
             from softsensor.report.fit_figures import svg as picture
 
-            outputs |= into(svg, {"cost": picture(roughness_figure(found, spoken_language()))})
+            outputs |= into(asked.svg, {"cost": picture(roughness_figure(found, spoken_language()))})
         write_all(outputs)
     heads = [in_words(say(f"report-paper-{column}")) for column in found.rows[0]]
     for line in aligned([heads, *([in_words(cell) for cell in row.values()] for row in found.rows)]):

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import Annotated
 
 import typer
 
+from api.commands.calling import taking
 from api.commands.fitting import JsonOut
 from api.commands.inputs import ConfigFile, PressFile, Runs, StoreUrl, files_read, load_runs
 from api.commands.until import Until, shortened
@@ -19,34 +21,40 @@ DIAGNOSING = 0.8
 """Share of the work that the diagnosis takes; measured on seven runs, 2026-11-22."""
 
 
-def plan(  # noqa: PLR0913 - one argument an option
-    runs: Runs,
-    press: PressFile,
-    json: JsonOut = None,
-    ranges: RangesGiven = None,
-    until: Until = None,
-    store: StoreUrl = None,
-    config: ConfigFile = None,
-) -> None:
+@dataclass(frozen=True)
+class PlanOptions:
+    """What `plan` is called with."""
+
+    runs: Runs
+    press: PressFile
+    json: JsonOut = None
+    ranges: RangesGiven = None
+    until: Until = None
+    store: StoreUrl = None
+    config: ConfigFile = None
+
+
+@taking(PlanOptions)
+def plan(asked: PlanOptions) -> None:
     """Say which pressings are worth most next, and what each would settle."""
     from daq.press.press_file import read_press
 
-    check_writable(json, inputs=files_read(*runs, press, store=store, config=config))
-    asked = parse_ranges(ranges or ())
-    described = read_press(press)
-    loaded = shortened(load_runs(runs, described, store, config), described, until)
+    check_writable(asked.json, inputs=files_read(*asked.runs, asked.press, store=asked.store, config=asked.config))
+    ranges = parse_ranges(asked.ranges or ())
+    described = read_press(asked.press)
+    loaded = shortened(load_runs(asked.runs, described, asked.store, asked.config), described, asked.until)
     with working(say("terminal-progress-planning", runs=len(loaded)), 100) as done:
         from softsensor.diagnosis.verdict import diagnose
         from softsensor.planning.plan import plan as look_ahead
         from softsensor.planning.plan import ranges_of
 
-        ranges_of(described, loaded, asked)
+        ranges_of(described, loaded, ranges)
         found = diagnose(described, loaded, progress=lambda _what, share: done(round(100 * DIAGNOSING * share)))
         rest = 1.0 - DIAGNOSING
         told = look_ahead(
-            described, found, asked, progress=lambda _what, share: done(round(100 * (DIAGNOSING + rest * share)))
+            described, found, ranges, progress=lambda _what, share: done(round(100 * (DIAGNOSING + rest * share)))
         )
-        write_all({} if json is None else {json: as_json(told.as_json())})
+        write_all({} if asked.json is None else {asked.json: as_json(told.as_json())})
     from softsensor.planning.summary import plan_said
 
     for line in plan_said(told):

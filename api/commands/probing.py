@@ -5,10 +5,12 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from api.commands.calling import taking
 from api.outputs import WorkFailed, in_words, tell
 from daq.records import InputError
 from daq.words import say, spoken
@@ -21,32 +23,38 @@ SHOWN_ATTEMPTS = 6
 SHOWN_READINGS = 8
 
 
-def probe(
-    port: Annotated[str | None, typer.Option(metavar="PORT", help="help-serial-port")] = None,
-    host: Annotated[str | None, typer.Option(metavar="ADDRESS", help="help-device-host")] = None,
-    baud: Annotated[int | None, typer.Option(min=300, metavar="N", help="help-baud")] = None,
+@dataclass(frozen=True)
+class ProbeOptions:
+    """What `probe` is called with."""
+
+    port: Annotated[str | None, typer.Option(metavar="PORT", help="help-serial-port")] = None
+    host: Annotated[str | None, typer.Option(metavar="ADDRESS", help="help-device-host")] = None
+    baud: Annotated[int | None, typer.Option(min=300, metavar="N", help="help-baud")] = None
     tcp_port: Annotated[
         int | None, typer.Option("--tcp-port", min=1, max=65535, metavar="N", help="help-tcp-port")
-    ] = None,
-    transport: Annotated[str | None, typer.Option(metavar="rtu|tcp|rtu_over_tcp", help="help-transport")] = None,
-    stations: Annotated[str, typer.Option(metavar="LIST", help="help-stations")] = "1",
-    timeout: Annotated[float, typer.Option(min=0.05, max=10.0, metavar="SECONDS", help="help-timeout")] = 0.3,
-) -> None:
+    ] = None
+    transport: Annotated[str | None, typer.Option(metavar="rtu|tcp|rtu_over_tcp", help="help-transport")] = None
+    stations: Annotated[str, typer.Option(metavar="LIST", help="help-stations")] = "1"
+    timeout: Annotated[float, typer.Option(min=0.05, max=10.0, metavar="SECONDS", help="help-timeout")] = 0.3
+
+
+@taking(ProbeOptions)
+def probe(asked: ProbeOptions) -> None:
     """Find out what logger is on a wire, with the sensors at room temperature.
 
     No device at hand? "python -m daq.simulated.devices_serve adam-4118" puts a simulated one on a wire to try.
     """
-    if (port is None) == (host is None):
+    if (asked.port is None) == (asked.host is None):
         raise InputError(say("probe-needs-place"))
-    given = {"port": port, "host": host, "tcp_port": tcp_port, "transport": transport}
+    given = {"port": asked.port, "host": asked.host, "tcp_port": asked.tcp_port, "transport": asked.transport}
     wire = {key: value for key, value in given.items() if value is not None}
-    if port is not None:
-        wire["baud"] = baud or 9600
+    if asked.port is not None:
+        wire["baud"] = asked.baud or 9600
     from daq.drivers import probe as probing
     from daq.drivers.protocol import ReadFailure
 
     try:
-        report = probing.probe(wire, stations=_stations(stations), timeout_s=timeout, progress=_tell)
+        report = probing.probe(wire, stations=_stations(asked.stations), timeout_s=asked.timeout, progress=_tell)
     except ReadFailure as error:
         raise WorkFailed(spoken(error)) from error
     for line in _lines(report):

@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from api.commands.calling import taking
 from api.commands.inputs import ConfigFile, OneRun, PressFile, StoreUrl, files_read, load_runs
 from api.outputs import check_writable, warn, working, write_all
 from daq.records import InputError
@@ -25,25 +27,36 @@ ResinFile = Annotated[Path | None, typer.Option("--resin", metavar="FILE", help=
 Model = Annotated[Path | None, typer.Option("--model", metavar="FILE", help="help-model")]
 
 
-def simulate(
-    run: OneRun,
-    press: PressFile,
-    out: OutCsv,
+@dataclass(frozen=True)
+class SimulateOptions:
+    """What `simulate` is called with."""
+
+    run: OneRun
+    press: PressFile
+    out: OutCsv
     coefficients: Annotated[
         Path | None, typer.Option("--coefficients", metavar="JSON", help="help-coefficients")
-    ] = None,
-    model: Model = None,
-    store: StoreUrl = None,
-    config: ConfigFile = None,
-) -> None:
+    ] = None
+    model: Model = None
+    store: StoreUrl = None
+    config: ConfigFile = None
+
+
+@taking(SimulateOptions)
+def simulate(asked: SimulateOptions) -> None:
     """Simulate a run, open loop, from its platen temperatures."""
     from daq.press.press_file import press_for_run, read_press
 
-    if coefficients is not None and model is not None:
+    if asked.coefficients is not None and asked.model is not None:
         raise InputError(say("terminal-coefficients-or-model"))
-    check_writable(out, inputs=files_read(run, press, coefficients, model, store=store, config=config))
-    described = read_press(press)
-    (loaded,) = load_runs([run], described, store, config)
+    check_writable(
+        asked.out,
+        inputs=files_read(
+            asked.run, asked.press, asked.coefficients, asked.model, store=asked.store, config=asked.config
+        ),
+    )
+    described = read_press(asked.press)
+    (loaded,) = load_runs([asked.run], described, asked.store, asked.config)
     own = press_for_run(described, loaded)
     with working(say("terminal-progress-simulating", run=loaded.name)):
         from softsensor.fitting.simulated_run import simulate_run
@@ -51,42 +64,53 @@ def simulate(
         from softsensor.heat.run_checks import load_remarks
         from softsensor.jobs.model_files import read_model
 
-        if model is not None:
-            content = read_model(model)
-            _check_model((described, own), content, model)
+        if asked.model is not None:
+            content = read_model(asked.model)
+            _check_model((described, own), content, asked.model)
             thermal, values = content.model(described), ThermalModel(own).guesses | content.values
         else:
-            given = _read_coefficients(coefficients, (described, own)) if coefficients else {}
+            given = _read_coefficients(asked.coefficients, (described, own)) if asked.coefficients else {}
             thermal, values = ThermalModel(described), ThermalModel(own).guesses | given
         result = simulate_run(loaded, described, thermal, values)
     columns: dict[str, Any] = {"time_s": result.time_s, "state": [str(s) for s in result.state]}
     columns |= dict(result.places) | {"core_C": result.core}
-    write_all({out: table_text(columns)})
+    write_all({asked.out: table_text(columns)})
     for remark in load_remarks(own, loaded):
         warn(remark)
 
 
-def predict(
-    run: OneRun,
-    press: PressFile,
-    out: OutCsv,
-    model: Model = None,
+@dataclass(frozen=True)
+class PredictOptions:
+    """What `predict` is called with."""
+
+    run: OneRun
+    press: PressFile
+    out: OutCsv
+    model: Model = None
     without: Annotated[
         str,
         typer.Option("--without", metavar="COLUMNS", help="help-without"),
-    ] = "",
-    resin: ResinFile = None,
-    store: StoreUrl = None,
-    config: ConfigFile = None,
-) -> None:
+    ] = ""
+    resin: ResinFile = None
+    store: StoreUrl = None
+    config: ConfigFile = None
+
+
+@taking(PredictOptions)
+def predict(asked: PredictOptions) -> None:
     """Replay a run scan by scan through the live sensor, causally."""
     from daq.press.press_file import press_for_run, read_press
     from daq.press.resin_file import read_resin
 
-    check_writable(out, inputs=files_read(run, press, model, resin, store=store, config=config))
-    described = read_press(press)
-    paper = read_resin(resin) if resin is not None else None
-    (loaded,) = load_runs([run], described, store, config)
+    check_writable(
+        asked.out,
+        inputs=files_read(
+            asked.run, asked.press, asked.model, asked.resin, store=asked.store, config=asked.config
+        ),
+    )
+    described = read_press(asked.press)
+    paper = read_resin(asked.resin) if asked.resin is not None else None
+    (loaded,) = load_runs([asked.run], described, asked.store, asked.config)
     with working(say("terminal-progress-predicting", run=loaded.name), len(loaded.time_s)) as done:
         from softsensor.jobs.first_start import Work, compile_for
         from softsensor.jobs.model_files import read_model
@@ -94,12 +118,12 @@ def predict(
         from softsensor.live.replay import replay
 
         compile_for(Work.LIVE)
-        known = read_model(model) if model is not None else None
+        known = read_model(asked.model) if asked.model is not None else None
         if known is not None:
-            _check_model((described, press_for_run(described, loaded)), known, model)
-        hidden = loaded.named(filter(None, (part.strip() for part in without.split(","))))
+            _check_model((described, press_for_run(described, loaded)), known, asked.model)
+        hidden = loaded.named(filter(None, (part.strip() for part in asked.without.split(","))))
         columns = replay(described, loaded, known, hidden, done, paper).columns()
-    write_all({out: table_text(columns)})
+    write_all({asked.out: table_text(columns)})
     if (remark := panel_remark(loaded.header, known)) is not None:
         warn(remark)
     if paper is not None:

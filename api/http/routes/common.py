@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass
 from datetime import datetime
 from typing import Annotated
 
 from fastapi import Depends, Query, Request
+from fastapi.dependencies.models import Dependant
 from fastapi.routing import APIRoute
 from pydantic import AfterValidator, Field
 
@@ -44,11 +47,18 @@ def get_writer(request: Request) -> str:
 def only_known_queries(request: Request) -> None:
     """Refuse a query the route does not know: a misspelt filter would answer with everything."""
     route = request.scope.get("route")
-    known = [p.alias for p in route.dependant.query_params] if isinstance(route, APIRoute) else []
+    known = list(_queries_of(route.dependant)) if isinstance(route, APIRoute) else []
     for name in request.query_params:
         if name not in known:
             of_none = say("api-query-unknown-of-none", name=name)
             raise ProblemError(422, say("api-query-unknown", name=name, known=tuple(known)) if known else of_none)
+
+
+def _queries_of(dependant: Dependant) -> Iterator[str]:
+    """Yield the names of a route's queries, its own and those of what it depends on."""
+    yield from (query.alias for query in dependant.query_params)
+    for one in dependant.dependencies:
+        yield from _queries_of(one)
 
 
 Words = Annotated[str, Field(max_length=4000, pattern=r"^[^\x00-\x08\x0b-\x1f\x7f-\x9f]*$")]
@@ -64,6 +74,31 @@ Cursor = Annotated[
 Since = Annotated[datetime | None, Query(alias="from", description="Started at or after this instant.")]
 Until = Annotated[datetime | None, Query(alias="to", description="Started before this instant.")]
 PressName = Annotated[str | None, Query(description="Only this press.", max_length=200)]
+
+
+@dataclass(frozen=True)
+class Page:
+    """Which page of a list."""
+
+    cursor: Cursor = None
+    limit: PageSize = 50
+
+
+@dataclass(frozen=True)
+class Began:
+    """Between which instants what is asked for began."""
+
+    since: Since = None
+    until: Until = None
+
+    @property
+    def span(self) -> tuple[datetime | None, datetime | None]:
+        """Both instants. Refuses one without a time zone."""
+        return aware(self.since), aware(self.until)
+
+
+PageDep = Annotated[Page, Depends()]
+BeganDep = Annotated[Began, Depends()]
 
 
 def existing_run(store: Store, run: str) -> RunRecord:

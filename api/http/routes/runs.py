@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 import tempfile
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, astuple, dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from fastapi import APIRouter, Header, Query
+from fastapi import APIRouter, Depends, Header, Query
 from fastapi.responses import FileResponse, JSONResponse, Response
 from starlette.background import BackgroundTask
 
@@ -20,7 +20,7 @@ from api.answers.records import run_detail, run_summaries
 from api.answers.schemas import Estimates, Fit, QualitySpan, RunDetail, RunList, Samples
 from api.http.caching import entity_tag, same_entity
 from api.http.problems import ProblemError, problem_responses
-from api.http.routes.common import Cursor, PageSize, PressName, Since, StoreDep, Until, aware, existing_run
+from api.http.routes.common import BeganDep, PageDep, PressName, StoreDep, existing_run
 from daq.files.qualities import spans_of
 from daq.files.run_file import write_run
 from daq.records import InputError, Run
@@ -45,29 +45,40 @@ FromTime = Annotated[
 ToTime = Annotated[
     float | None, Query(alias="to", allow_inf_nan=False, description="Up to this time of the run. [s]")
 ]
+
+
+@dataclass(frozen=True)
+class Part:
+    """Which part of a run, and how finely."""
+
+    from_s: FromTime = None
+    to_s: ToTime = None
+    max_points: MaxPoints = None
+
+
+PartDep = Annotated[Part, Depends()]
 MEDIA_TYPES = {"csv": "text/csv; charset=utf-8", "parquet": "application/vnd.apache.parquet"}
 
 
 @router.get("/runs", operation_id="list_runs", summary="Runs, newest first")
 def list_runs(
     store: StoreDep,
+    began: BeganDep,
+    part: PageDep,
     press: PressName = None,
     status: Annotated[RunStatus | None, Query(description="Only runs of this status.")] = None,
     material: Annotated[str | None, Query(description="Only panels of this material.", max_length=200)] = None,
-    since: Since = None,
-    until: Until = None,
-    cursor: Cursor = None,
-    limit: PageSize = 50,
 ) -> RunList:
     """Return one page of runs."""
+    since, until = began.span
     page = store.runs(
         press=press,
         status=status,
         material=material or None,
-        since=aware(since),
-        until=aware(until),
-        cursor=cursor,
-        limit=limit,
+        since=since,
+        until=until,
+        cursor=part.cursor,
+        limit=part.limit,
     )
     return RunList(items=run_summaries(store, page.items), next_cursor=page.next_cursor)
 
@@ -95,13 +106,11 @@ def get_run(store: StoreDep, run: str) -> RunDetail:
 def get_samples(
     store: StoreDep,
     run: str,
+    part: PartDep,
     format: Annotated[Literal["json", "csv", "parquet"], Query(description="How to answer.")] = "json",
     columns: Annotated[
         str | None, Query(description="Names of columns, comma between; all without.", max_length=4000)
     ] = None,
-    from_s: FromTime = None,
-    to_s: ToTime = None,
-    max_points: MaxPoints = None,
     if_none_match: Annotated[str, Header(include_in_schema=False)] = "",
 ) -> Response:
     """Return columns of a run between two times, decimated on request; CSV and Parquet are run files."""
@@ -111,17 +120,17 @@ def get_samples(
         raise ProblemError(422, say("api-columns-empty", columns=str(columns)))
     tag = ""
     if format != "json":
-        tag = _file_tag(store, record, (format, names, from_s, to_s, max_points))
+        tag = _file_tag(store, record, (format, names, *astuple(part)))
         if same_entity(if_none_match, tag):
             return Response(status_code=304, headers={"ETag": tag, "Cache-Control": "no-cache"})
     try:
         load = store.load_run if format == "json" else store.run_for_file
-        whole = load(run, names, from_s, to_s)
+        whole = load(run, names, part.from_s, part.to_s)
     except ArchiveUnreadable:
         raise
     except InputError as error:
         raise ProblemError(404, spoken(error)) from error
-    shown = whole.at_rows(kept_rows(list(whole.columns.values()), len(whole.time_s), max_points))
+    shown = whole.at_rows(kept_rows(list(whole.columns.values()), len(whole.time_s), part.max_points))
     if format != "json":
         return _file_response(shown, format, tag)
     samples = Samples(
@@ -136,16 +145,15 @@ def get_samples(
 
 
 @router.get("/runs/{run}/estimates", operation_id="get_estimates", summary="What the live sensor said in a run")
-def get_estimates(
-    store: StoreDep, run: str, from_s: FromTime = None, to_s: ToTime = None, max_points: MaxPoints = None
-) -> Estimates:
+def get_estimates(store: StoreDep, run: str, part: PartDep) -> Estimates:
     """Return the live core temperature and its band."""
     existing_run(store, run)
-    low, high = (-math.inf if from_s is None else from_s), (math.inf if to_s is None else to_s)
+    low = -math.inf if part.from_s is None else part.from_s
+    high = math.inf if part.to_s is None else part.to_s
     chosen = [(t, e) for t, e in _estimates_of(store, run) if low <= t <= high]
     rows = len(chosen)
     bands = np.array([(e.core_celsius, e.core_low_celsius, e.core_high_celsius) for _, e in chosen])
-    chosen = [chosen[i] for i in kept_rows(list(bands.reshape(rows, 3).T), rows, max_points)]
+    chosen = [chosen[i] for i in kept_rows(list(bands.reshape(rows, 3).T), rows, part.max_points)]
     return _estimates(run, chosen, decimated=len(chosen) < rows)
 
 

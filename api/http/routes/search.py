@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Annotated
 
-from fastapi import APIRouter, Query
+from fastapi import APIRouter, Depends, Query
 from pydantic import Field
 
 from api.answers.schemas import SearchList, Verdict
 from api.answers.search import OWN, Bound, Wanted, check_order, search_page
 from api.http.problems import problem_responses
-from api.http.routes.common import Cursor, PageSize, PressName, Since, StoreDep, Until, aware
+from api.http.routes.common import BeganDep, PageDep, PressName, StoreDep
 from daq.store.records import RunStatus
 
 router = APIRouter(tags=["runs"], responses=problem_responses())
@@ -36,23 +37,28 @@ Order = Annotated[
 ]
 
 
+@dataclass(frozen=True)
+class Search:
+    """What runs are asked for by."""
+
+    q: Words = ""
+    verdict: Annotated[Verdict | None, Query(description="Only panels that became this.")] = None
+    press: PressName = None
+    status: Annotated[RunStatus | None, Query(description="Only runs of this status.")] = None
+    sort: Order = ""
+
+
 @router.get("/search", operation_id="search_runs", summary="Runs by words and numbers")
-def search_runs(  # noqa: PLR0913 - each is a query by its name
+def search_runs(
     store: StoreDep,
-    q: Words = "",
+    asked: Annotated[Search, Depends()],
+    began: BeganDep,
+    page: PageDep,
     where: Where = [],  # noqa: B006
-    verdict: Annotated[Verdict | None, Query(description="Only panels that became this.")] = None,
-    press: PressName = None,
-    status: Annotated[RunStatus | None, Query(description="Only runs of this status.")] = None,
-    since: Since = None,
-    until: Until = None,
-    sort: Order = "",
-    cursor: Cursor = None,
-    limit: PageSize = 50,
 ) -> SearchList:
     """Return the runs for which all that is asked holds, with the numbers to compare them by."""
-    check_order(sort)
+    check_order(asked.sort)
     bounds = [Bound.parse(one) for one in where if one.strip()]
-    wanted = Wanted(q.split(), bounds, press, status, aware(since), aware(until), verdict, sort)
-    items, following = search_page(store, wanted, int(cursor or 0), limit)
+    wanted = Wanted(asked.q.split(), bounds, asked.press, asked.status, *began.span, asked.verdict, asked.sort)
+    items, following = search_page(store, wanted, int(page.cursor or 0), page.limit)
     return SearchList(items=items, next_cursor=None if following is None else str(following))

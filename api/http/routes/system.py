@@ -14,7 +14,7 @@ from api.answers.records import utc_now
 from api.answers.schemas import EventList, EventRecord, Health
 from api.http.metrics import metrics_text
 from api.http.problems import ProblemError, problem_responses
-from api.http.routes.common import Cursor, PageSize, PressName, StoreDep, Words, Writer
+from api.http.routes.common import PageDep, PressName, StoreDep, Words, Writer
 from daq.words import say
 
 router = APIRouter(tags=["system"], responses=problem_responses(404))
@@ -28,8 +28,9 @@ def get_health(store: StoreDep) -> Health:
 
 
 @router.get("/events", operation_id="list_events", summary="The journal, newest first")
-def list_events(  # noqa: PLR0913 - each is a query by its name
+def list_events(
     store: StoreDep,
+    part: PageDep,
     press: PressName = None,
     level: Annotated[Literal["info", "warning", "alarm"] | None, Query(description="Only this level.")] = None,
     process: Annotated[
@@ -39,14 +40,12 @@ def list_events(  # noqa: PLR0913 - each is a query by its name
         Literal["journal", "press"],
         Query(description="`press`: closings and openings, with cursors of their own."),
     ] = "journal",
-    cursor: Cursor = None,
-    limit: PageSize = 50,
 ) -> EventList:
     """Return alarms, losses, changes of state, notes, and who changed what; or what the presses did."""
     if kind == "press":
-        pressed = store.press_journal(press, cursor, limit)
+        pressed = store.press_journal(press, part.cursor, part.limit)
         return EventList(items=[press_event_of(*one) for one in pressed.items], next_cursor=pressed.next_cursor)
-    page = store.journal(press=press, level=level, process=process, cursor=cursor, limit=limit)
+    page = store.journal(press=press, level=level, process=process, cursor=part.cursor, limit=part.limit)
     return EventList(items=[event_of(entry) for entry in page.items], next_cursor=page.next_cursor)
 
 
