@@ -20,6 +20,9 @@ from softsensor.signals.screen import LEAST_CHANNELS, LIMIT_K, LIMIT_RATIO
 
 SPARSE_S, BESIDE_S = 2.2, 0.5
 """Faces unread for longer leave a moment in or so near beside the gap unknown: it may lie anywhere in it. [s]"""
+MOVED_SHARE = 0.2
+"""A face that a closed press heats has gone so much of its way to the platens within 2 s where the contact passes
+50 W/m²K (a half-space of wood, effusivity 370 W√s/m²K: 1.13 h √t / 370), and poorer ones are no press's. [-]"""
 _ROOM = 1024
 """Scans there is room for at first."""
 
@@ -106,6 +109,19 @@ class Scans:
         course = self._expected[first : self._count, face]
         known = course[np.isfinite(course)]
         return float(np.ptp(known)) if len(known) else 0.0
+
+    def late_s(self, closed_s: float) -> float:
+        """Return how long after the press closed the last face began to move, up to now where it has not. [s]"""
+        first, late_s = int(np.searchsorted(self.time, closed_s)), 0.0
+        for level in self.level.T if 0 < first < self._count else ():
+            read = level[:first][np.isfinite(level[:first])]
+            if not len(read):
+                continue
+            way = MOVED_SHARE * abs(float(self.outside[first, :2].mean()) - float(read[-1]))
+            moved = np.flatnonzero(np.abs(level[first:] - read[-1]) >= way)
+            begun = first + int(moved[0]) if len(moved) else self._count - 1
+            late_s = max(late_s, float(self.time[begun]) - closed_s)
+        return late_s
 
     def silence(self, face: int, since_s: float) -> None:
         """Forget what a face has read after a time."""

@@ -196,6 +196,9 @@ class BetweenFaces:
     read: FacesRead
     before_C: float  # noqa: N815
     """Core when last nothing had changed. [°C]"""
+    late_K: float = 0.0  # noqa: N815
+    """By how much the core may be ahead of faces that are read late: what it warms by in the time in which they
+    stood still in the closed press, at the rate of the model in force. [K]"""
 
     @staticmethod
     def at_start(made: Linearised, timing: PressTiming, faces: tuple[int, int], start_C: float) -> BetweenFaces:
@@ -216,7 +219,7 @@ class BetweenFaces:
     def core(self) -> tuple[float, float]:
         """Mean and variance. [°C, K²]"""
         chain = self.linearised.model.chain
-        return float(chain.level[0]), float(chain.d_level @ chain.d_level)
+        return float(chain.level[0]), float(chain.d_level @ chain.d_level) + self.late_K**2
 
 
 def log_sum(a: float, b: float) -> float:

@@ -42,6 +42,8 @@ BLOCKS_PER_S, LEAST_BLOCKS = 250, 25
 """How fast a new pass over the stored scans catches up: blocks for each second of the run, and for each scan."""
 FOUND_LATER = 2
 """So many of `TIMING`, closing and opening, become known after the filters have begun."""
+CLOSED = 2
+"""Where the closing stands among a run's switches."""
 EVEN = 0.5
 """Chance of a change from which on the core is no longer counted as before it."""
 
@@ -233,6 +235,10 @@ class Pass:
                     one.take(blocks)
             self.done = int(ends[-1]) + 1
             if whole:
+                late_K = scans.late_s(float(self.switches[CLOSED])) * float(self.chain.level[1])
+                for between in self.between:
+                    if between is not None:
+                        between.late_K = late_K
                 self.mixture = mix(self.filters, self.margin(self.rise, by_faces=True), self.between)
                 self._sound = self._sound and self.mixture.changed < EVEN
                 for between in self.between if self._sound else ():

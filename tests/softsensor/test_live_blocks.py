@@ -58,3 +58,12 @@ def test_a_block_holds_the_mean_of_what_was_heard_and_when():
     assert np.isnan(blocks_of(kept.rows, 1, np.array([3]), Counted(*ALWAYS, MOMENTS, True)).level).all()
     late = blocks_of(kept.rows, 1, np.array([3]), Counted(5.15, np.inf, MOMENTS, False))
     assert np.allclose(late.level, [[34.0, nan]], equal_nan=True)
+
+
+def test_faces_are_as_late_as_the_last_of_them_begins_to_move_in_the_closed_press():
+    times = np.arange(10.0)
+    lower, upper = np.where(times < 4.0, 20.0, 120.0), np.where(times < 7.0, 20.0, 120.0)
+    assert scans(times, np.column_stack([lower, upper])).late_s(2.5) == 4.5
+    assert scans(times, np.column_stack([lower, np.full(10, np.nan)])).late_s(2.5) == 1.5
+    assert scans(times, np.full((10, 2), 20.0)).late_s(2.5) == 6.5
+    assert scans(times, np.full((10, 2), 20.0)).late_s(np.nan) == 0.0

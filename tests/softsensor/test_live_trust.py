@@ -371,3 +371,9 @@ def test_a_clock_that_jumps_is_doubted_and_scans_that_are_lost_are_not(pressing)
     assert not any(e.valid for e in jumped if e.time_s > lost_s + 1.0)
     lost = replay(without(run, lost_s, lost_s + 25.0), HELD)
     assert np.mean([e.valid for e in lost if e.time_s > lost_s]) > 0.9
+
+
+def test_faces_that_stand_still_in_the_closed_press_are_read_late_and_tell_the_core_no_better(pressing):
+    run, truth = pressing
+    late = with_columns(run, ("top_", "bottom_"), lambda v: np.r_[np.full(20, v[0]), v[:-20]])
+    assert told_wrong(replay(late, HELD), truth.core_C) < 0.01
