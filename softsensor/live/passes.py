@@ -235,16 +235,19 @@ class Pass:
                     one.take(blocks)
             self.done = int(ends[-1]) + 1
             if whole:
-                late_K = scans.late_s(float(self.switches[CLOSED])) * float(self.chain.level[1])
-                for between in self.between:
-                    if between is not None:
-                        between.late_K = late_K
-                self.mixture = mix(self.filters, self.margin(self.rise, by_faces=True), self.between)
-                self._sound = self._sound and self.mixture.changed < EVEN
-                for between in self.between if self._sound else ():
-                    if between is not None:
-                        between.before_C = between.core[0]
+                self._mix(scans)
         return whole
+
+    def _mix(self, scans: Scans) -> None:
+        """Pool what all filters say, and what the faces alone do."""
+        known = [between for between in self.between if between is not None]
+        late_K = scans.late_s(float(self.switches[CLOSED])) * float(self.chain.level[1])
+        for between in known:
+            between.late_K = late_K
+        self.mixture = mix(self.filters, self.margin(self.rise, by_faces=True), self.between)
+        self._sound = self._sound and self.mixture.changed < EVEN
+        for between in known if self._sound else ():
+            between.before_C = between.core[0]
 
     def better_points(self) -> list[Array] | None:
         """Return where to linearise anew, None where the old points are still near enough."""
