@@ -24,7 +24,9 @@ from daq.words import Message, say, spoken
 LOG = logging.getLogger("kerntemp.serve")
 PROCESS = "serve"
 LOOK_S = 2.0
+"""How often conditions are looked at, small beside any limit of silence. [s]"""
 SEND_S = 1.0
+"""How often it is looked whether a delivery is due: a fifth of the first wait after one that failed. [s]"""
 
 
 def look(store: Store, ways: Sequence[Way], now: datetime, up_s: float = math.inf) -> int:

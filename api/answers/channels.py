@@ -19,6 +19,7 @@ from daq.store.store import Store
 LOOK_BACK_SCANS = 36_000
 """Where nobody asked for long, gaps and last good values are sought in this many scans: 1 h at 10 Hz."""
 BATCH = 2000
+"""Scans read at a time: some megabytes of 16 channels."""
 GAPS_OVER = timedelta(hours=1)
 Role = Literal["platen", "top", "bottom", "core", "other"]
 _ROLES: tuple[Role, ...] = ("platen", "top", "bottom", "core")

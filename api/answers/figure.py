@@ -19,7 +19,9 @@ from daq.words.message import ENGLISH, words
 from softsensor.effects.vocabulary import place_words
 
 WIDTH, LEFT, RIGHT = 900, 62, 14
+"""Of the drawing, and of its margins: room for the numbers of the axis. [px]"""
 POINTS = 700
+"""Of a curve: one a pixel is all that can be seen."""
 COLOURS = {"panel.top": "#e8590c", "panel.bottom": "#1c7ed6"}
 OTHERS = ("#2b8a3e", "#862e9c", "#0b7285")
 CORE, LIVE, PLATEN = "#c92a2a", "#6741d9", "#6b7280"

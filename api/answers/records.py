@@ -50,9 +50,11 @@ BESIDE_INVALID = {"suspected", "reason_arguments", "left_out"}
 """What of it stands beside an estimate that is not valid: forecast, profile and heat rest on that estimate."""
 
 KEPT_RUNS = 64
+"""Runs whose highest core is kept in memory: more than a page of runs shows."""
 _HIGHEST: dict[tuple[str, str], tuple[int, float]] = {}
 _HIGHEST_LOCK = threading.Lock()
 KEPT_MODELS = 16
+"""Models in force whose numbers are kept in memory: one a press, for as many presses as one server has."""
 _IN_USE: dict[tuple[object, ...], dict[str, float]] = {}
 _IN_USE_LOCK = threading.Lock()
 

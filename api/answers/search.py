@@ -25,7 +25,9 @@ OWN = ("press_time_s", "rmse_K", *CORE)
 _KEPT: dict[tuple[str, str], RunCore] = {}
 _LOCK = threading.Lock()
 MOST_KEPT = 20_000
+"""Runs whose numbers are kept in memory: some hundred bytes each."""
 AT_ONCE = 500
+"""Runs asked of the store at a time, as in a page (`MAX_PAGE`)."""
 _COMPARISONS = {"<=": operator.le, ">=": operator.ge, "<": operator.lt, ">": operator.gt, "=": operator.eq}
 _BOUND = re.compile(r"\s*([A-Za-z][\w.-]*)\s*(<=|>=|<|>|=)\s*([+-]?[0-9]+(?:[.,][0-9]+)?(?:[eE][+-]?[0-9]+)?)\s*")
 

@@ -20,7 +20,9 @@ if TYPE_CHECKING:
     from daq.words import Message
 
 SHOWN_ATTEMPTS = 6
+"""Of what was tried, and of what registers may mean, so much that all stands on one screen."""
 SHOWN_READINGS = 8
+"""See `SHOWN_ATTEMPTS`."""
 
 
 @dataclass(frozen=True)

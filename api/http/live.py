@@ -30,6 +30,7 @@ LOOK_S = 0.5
 QUEUE_EVENTS = 2000
 """A listener that lags this far behind is let go; it comes back with Last-Event-ID."""
 MAX_LISTENERS = 200
+"""Each holds a connection and its place in the queue; a hall has some tens of screens."""
 LOG = logging.getLogger("kerntemp.serve")
 
 

@@ -29,6 +29,7 @@ GRACE_S = 3
 IDLE_S = 20.0
 """A connection that asks nothing, or only begins to ask, is closed after this time. [s]"""
 MAX_CONNECTIONS = 2000
+"""Ten times the listeners (`api.http.live.MAX_LISTENERS`), and a quarter of `FILES`."""
 FILES = 8192
 """Open files to ask the system for: connections, more that are being refused, and the store's own."""
 

@@ -45,6 +45,7 @@ from daq.tables import reason_of
 from daq.words import Message, say, spoken
 
 QOS = 1
+"""At least once: the broker acknowledges, and what is repeated does no harm, for a value replaces a value."""
 KEEPALIVE_S = 15
 """The broker tells the last will after one and a half times this. [s]"""
 ANSWER_S = 10.0
@@ -52,6 +53,7 @@ ANSWER_S = 10.0
 POLL_S = 0.1
 """How often the store is asked for news while there is none. [s]"""
 MODEL_S = 2.0
+"""How often the models in force are looked at; one is promoted once a night. [s]"""
 _KEPT_SIGNS = str.maketrans({"#": "%23", "+": "%2B", "\0": "%00"})
 
 

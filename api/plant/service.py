@@ -18,13 +18,12 @@ from daq.process.stopping import stop_on_signals
 from daq.records import InputError
 from daq.store import Store, StoreUnavailable
 from daq.store.records import in_status
-from daq.store.waiting import open_when_ready
+from daq.store.waiting import RETRY_S, open_when_ready
 from daq.supervision import BEAT_S
 from daq.words import say, spoken
 
 LOG = logging.getLogger("kerntemp.publish")
 PROCESS = "publish"
-RETRY_S = 2.0
 
 
 def publish(config: Config, tokens: TokenFile, *, stop: threading.Event | None = None) -> None:

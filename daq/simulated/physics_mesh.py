@@ -102,6 +102,7 @@ def build_knobs(pressing: Pressing, mesh: Mesh) -> Knobs:
     load = (pressing.pressure / LOAD_REFERENCE) ** of("contact_load", "exponent", 0.0)
     return Knobs(
         **_floats({**h, "h_pp_c": h["h_pp_c"] * load}),
+        **_floats({name: value for name, value in vars(outside).items() if name in Knobs._fields}),
         ambient=float(pressing.ambient),
         inserted=float(pressing.inserted),
         close_0=pressing.closed - pressing.closing_ramp / 2,
@@ -129,22 +130,8 @@ def build_knobs(pressing: Pressing, mesh: Mesh) -> Knobs:
         footprint=of("thermocouple_footprint", "weight", 0.0),
         lag=of("thermocouple_lag", "time_constant_s", 0.0),
         lapse_factor=1.0 - outside.lapse_drop,
-        lapse_from=float(outside.lapse_from),
-        lapse_to=float(outside.lapse_to),
         split_r=float(outside.split_resistance),
-        split_from=float(outside.split_from),
         split_link=mesh.stack.first + int(np.searchsorted(mesh.depth, outside.split_depth)),
-        draught=float(outside.draught),
-        draught_from=float(outside.draught_from),
-        lift=float(outside.lift),
-        lift_from=float(outside.lift_from),
-        wet_heat=float(outside.wet_heat),
-        wet_release=float(outside.wet_release),
-        wet_return=float(outside.wet_return),
-        wet_width=float(outside.wet_width),
-        flash_rate=float(outside.flash_rate),
-        flash_from=float(outside.flash_from),
-        flash_to=float(outside.flash_to),
     )
 
 

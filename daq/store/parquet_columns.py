@@ -31,6 +31,7 @@ Integers = npt.NDArray[np.int64]
 Form = Mapping[str, float]
 """How counts become values; empty for values that are written as they are."""
 FORMAT = 1
+"""Of the files: a reader refuses a higher one, as of a newer version."""
 SUM = ".sha256"
 """Ending of the file beside it that holds its sum, for ``sha256sum --check``."""
 
@@ -40,7 +41,9 @@ _KEY = b"kerntemp"
 # Numbers without another source were set by hand, 2026-11.
 
 _MOST_DECIMALS = 6
+"""Of a value that counts in decimal steps: no logger of the profiles prints more."""
 _MOST_PARTS = 3
+"""The smallest distance of two values may be so many steps, where steps between were never read."""
 _MOST_ULPS = 1 << 15
 """Units in the last place by which a value may lie beside its step: a sum leaves hundreds near 0 °C."""
 _MOST_COUNT = float(1 << 53)

@@ -39,6 +39,7 @@ _N = (
     0.11670521452767e4, -0.72421316703206e6, -0.17073846940092e2, 0.12020824702470e5, -0.32325550322333e7,
     0.14915108613530e2, -0.48232657361591e4, 0.40511340542057e6, -0.23855557567849e0, 0.65017534844798e3,
 )  # fmt: skip
+"""Coefficients of the saturation equation. (IAPWS-IF97, region 4, table 34)"""
 
 
 def saturation_kPa(temperature_C: Array | float) -> Array:  # noqa: N802

@@ -8,16 +8,14 @@ Printed is how far the answer moves, in units of what it claims to know itself, 
 nothing may be anything within these limits; one that moves an answer by more than a standard deviation deserves a
 calibration of its own.
 
-Numbers that are compiled in (``*_steps.py``) are left out. What became part of another number when its module was
-loaded, or is the default of an argument, does not follow.
+Numbers that are compiled in (``*_steps.py``, ``*_terms.py``) are left out. What became part of another number when
+its module was loaded, or is the default of an argument, does not follow.
 """
 
 from __future__ import annotations
 
-import ast
 import importlib
 import math
-import re
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -27,12 +25,9 @@ import numpy as np
 
 import daq
 import softsensor
+from tests.numbers import numbers_of
 
 ROOT = Path(__file__).parents[2]
-REMARK = re.compile("by hand", re.IGNORECASE)
-REMARK_OF_MODULE = re.compile(
-    "(?:Numbers|Thresholds) without another source were set by hand|numbers (?:below )?were set by hand"
-)
 FACTORS = (1.5, 1.0 / 1.5)
 SAMPLES = daq.shared_files() / "samples"
 PRESS = softsensor.read_press(daq.shared_files() / "presses/lab.toml")
@@ -91,43 +86,10 @@ def moved(before: dict[str, Any], after: dict[str, Any]) -> tuple[float, float, 
     return shift, wider, other
 
 
-def is_number(value: ast.expr) -> bool:
-    """Say whether an expression is a number, or a tuple of numbers, as it stands."""
-    if isinstance(value, ast.Tuple):
-        return all(is_number(one) for one in value.elts)
-    names = {node.id for node in ast.walk(value) if isinstance(node, ast.Name)} - {"np", "math"}
-    kinds = {type(node.value) for node in ast.walk(value) if isinstance(node, ast.Constant)}
-    return not names and bool(kinds) and kinds <= {int, float}
-
-
-def numbers_of(path: Path) -> Iterator[tuple[str, ast.expr]]:
-    """Yield name and value of each number at module level that was set by hand.
-
-    A remark in a comment or the docstring of a module holds for what stands below it, one in the docstring of a
-    number for that number.
-    """
-    text = path.read_text(encoding="utf-8")
-    body = ast.parse(text).body
-    below = text.count("\n", 0, found.start()) if (found := REMARK_OF_MODULE.search(text)) else math.inf
-    for node, after in zip(body, [*body[1:], None], strict=False):
-        if not isinstance(node, ast.Assign) or not is_number(node.value):
-            continue
-        own = (
-            ast.literal_eval(after.value)
-            if isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant)
-            else ""
-        )
-        if node.lineno < below and not REMARK.search(str(own)):
-            continue
-        for target in node.targets:
-            several = isinstance(target, ast.Tuple)
-            values = node.value.elts if several and isinstance(node.value, ast.Tuple) else [node.value]
-            yield from zip((one.id for one in (target.elts if several else [target])), values, strict=True)
-
-
 def numbers(rooms: tuple[str, ...]) -> Iterator[tuple[str, str]]:
     """Yield module and name of each number of the rooms that was set by hand."""
-    for path in sorted(p for room in rooms for p in (ROOT / room).glob("*.py") if not p.stem.endswith("_steps")):
+    files = (p for room in rooms for p in (ROOT / room).glob("*.py") if not p.stem.endswith(("_steps", "_terms")))
+    for path in sorted(files):
         for name, _ in numbers_of(path):
             yield ".".join(path.relative_to(ROOT).with_suffix("").parts), name
 

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 router = APIRouter(tags=["runs"], responses=problem_responses(404))
 
 SHOWN_POINTS = 1500
+"""Of a curve: more than a wide screen has pixels for."""
 KEPT = 32
 """Simulations kept in memory; a run is simulated again when its data, header, press file or fit change."""
 
