@@ -29,13 +29,14 @@ from collections.abc import Callable
 from functools import cache
 from importlib.machinery import SourceFileLoader
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, NoReturn
 
 import llvmlite
 import llvmlite.binding
 import numba
 from numba import njit
 from numba.core.compiler import CompileResult
+from numba.core.registry import CPUDispatcher
 from numba.core.serialize import dumps
 from numba.misc.appdirs import AppDirs
 
@@ -46,23 +47,37 @@ _KEPT = 8
 or branches; all modules together took 13 MB a version on 2026-11-22."""
 
 
-def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
+def compiled(*, inner: bool = False, **options: Any) -> Callable[[Callable[..., Any]], Any]:
     """Return a decorator that compiles a function with Numba's `njit` and keeps the machine code.
 
     Parameters
     ----------
+    inner
+        Only compiled functions call it. What takes Python's objects apart for a call is not made then, which for
+        bundles of arrays takes as long as all the rest; called from Python it raises TypeError.
     options
         Of `numba.njit`, without ``cache``.
     """
 
     def compile_and_keep(function: Callable[..., Any]) -> Any:
-        made = njit(**options)(function)
+        made = njit(no_cfunc_wrapper=True, no_cpython_wrapper=inner, **options)(function)
         if made is not function:  # NUMBA_DISABLE_JIT leaves it as it is
+            if inner:
+                made.__class__ = _Inner
             made._cache = _Kept(function)  # noqa: SLF001 - where Numba's own cache=True puts its own
             _FUNCTIONS[function.__module__, function.__qualname__] = made
         return made
 
     return compile_and_keep
+
+
+class _Inner(CPUDispatcher):  # type: ignore[misc]
+    """A compiled function whose machine code Python has no way into."""
+
+    def __call__(self, *_given: Any, **_by_name: Any) -> NoReturn:
+        """Refuse: the code that would be called is not there."""
+        name = f"{self.py_func.__module__}.{self.py_func.__qualname__}"
+        raise TypeError(f"{name} is compiled for compiled functions only; drop inner=True to call it from Python")
 
 
 class _Kept:

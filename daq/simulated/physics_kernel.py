@@ -163,7 +163,7 @@ class State(NamedTuple):
     """Cure of the lower and the upper face, heat from outside [J/m²], lower and upper thermocouple."""
 
 
-@compiled(nogil=True, error_model="numpy")
+@compiled(inner=True, nogil=True, error_model="numpy")
 def platen(t: float, start: float, step: float, values: Array) -> float:
     """Return a platen's temperature: a Catmull-Rom curve through evenly spaced knots."""
     place = (t - start) / step
@@ -184,14 +184,14 @@ def platen_curve(times: Array, start: float, step: float, values: Array) -> Arra
     return out
 
 
-@compiled(nogil=True, error_model="numpy")
+@compiled(inner=True, nogil=True, error_model="numpy")
 def copy(source: Array, target: Array) -> None:
     """Copy an array: a loop compiles in a tenth of the time a slice takes, for want of its error message."""
     for i in range(source.size):
         target[i] = source[i]
 
 
-@compiled(nogil=True, error_model="numpy")
+@compiled(inner=True, nogil=True, error_model="numpy")
 def largest(values: Array) -> float:
     """Return the largest absolute value."""
     found = 0.0
@@ -200,7 +200,7 @@ def largest(values: Array) -> float:
     return found
 
 
-@compiled(nogil=True, error_model="numpy")
+@compiled(inner=True, nogil=True, error_model="numpy")
 def closed_fraction(t: float, k: Knobs) -> float:
     """Return how far the press is closed, 0 to 1, linear in both ramps."""
     if t < k.close_1:
@@ -208,13 +208,13 @@ def closed_fraction(t: float, k: Knobs) -> float:
     return 1.0 - min(max((t - k.open_0) / (k.open_1 - k.open_0), 0.0), 1.0)
 
 
-@compiled(nogil=True, error_model="numpy")
+@compiled(inner=True, nogil=True, error_model="numpy")
 def present(middle: float, k: Knobs) -> bool:
     """Return whether a panel is in the press."""
     return k.inserted < middle < k.removed
 
 
-@compiled(nogil=True, error_model="numpy")
+@compiled(inner=True, nogil=True, error_model="numpy")
 def links(t: float, middle: float, T: Array, k: Knobs, s: Stack, g: Array, loss: Array) -> float:
     """Fill conductances below each node and losses to ambient; return the closed fraction.
 
@@ -242,7 +242,7 @@ def links(t: float, middle: float, T: Array, k: Knobs, s: Stack, g: Array, loss:
     return f
 
 
-@compiled(nogil=True, error_model="numpy")
+@compiled(inner=True, nogil=True, error_model="numpy")
 def contacts(t: float, f: float, middle: float, T: Array, k: Knobs, s: Stack, g: Array, loss: Array) -> None:
     """Fill the links between plates and panel, and what the open faces lose to air."""
     since = max(t - 0.5 * (k.close_0 + k.close_1), 0.0)
@@ -263,7 +263,7 @@ def contacts(t: float, f: float, middle: float, T: Array, k: Knobs, s: Stack, g:
     loss[s.upper] = k.h_ap * air
 
 
-@compiled(nogil=True, error_model="numpy")
+@compiled(inner=True, nogil=True, error_model="numpy")
 def drying(T: float, w: float, k: Knobs) -> tuple[float, float, float]:
     """Return the rate of the water left and its slopes by temperature and by water left."""
     distance = (T - k.evap_t) / k.evap_width
@@ -280,13 +280,13 @@ def drying(T: float, w: float, k: Knobs) -> tuple[float, float, float]:
     return -(w - equilibrium) / k.evap_tau, fall / k.evap_tau, -1.0 / k.evap_tau
 
 
-@compiled(nogil=True, error_model="numpy")
+@compiled(inner=True, nogil=True, error_model="numpy")
 def curing(face: float, k: Knobs) -> float:
     """Return the resin's rate constant. [1/s]"""
     return k.cure_rate * np.exp(-k.cure_kelvin * (1.0 / (face + 273.15) - 1.0 / CURE_REFERENCE_K))  # type: ignore[no-any-return]
 
 
-@compiled(nogil=True, error_model="numpy")
+@compiled(inner=True, nogil=True, error_model="numpy")
 def steam(f: float, T: Array, k: Knobs, s: Stack, q: Array) -> None:
     """Move heat from layers above 100 °C to cooler ones; what one gives the others take."""
     hot = room = 0.0
@@ -304,7 +304,7 @@ def steam(f: float, T: Array, k: Knobs, s: Stack, q: Array) -> None:
         q[s.first + i] += strength * s.volume[i] * (hot * share / room - max(above, 0.0))
 
 
-@compiled(nogil=True, error_model="numpy")
+@compiled(inner=True, nogil=True, error_model="numpy")
 def sources(t: float, f: float, middle: float, y: State, k: Knobs, s: Stack, d: State) -> float:
     """Add what happens inside the panel to the heat flows `d.T` [W/m²]; return the heat from outside."""
     m, external = s.volume.size, 0.0
@@ -382,7 +382,7 @@ class Matrix(NamedTuple):
     """Latent heat over heat capacity of each panel node. [K]"""
 
 
-@compiled(nogil=True, error_model="numpy")
+@compiled(inner=True, nogil=True, error_model="numpy")
 def factor(
     inverse: float, moist: bool, inside: bool, y: State, k: Knobs, s: Stack, g: Array, loss: Array, a: Matrix
 ) -> None:
@@ -407,7 +407,7 @@ def factor(
         a.pivot[i] -= a.ratio[i] * a.up[i - 1]
 
 
-@compiled(nogil=True, error_model="numpy")
+@compiled(inner=True, nogil=True, error_model="numpy")
 def back_substitute(
     inverse: float, moist: bool, mix: float, k: Knobs, s: Stack, a: Matrix, z: State, u: State
 ) -> None:
@@ -433,7 +433,7 @@ def back_substitute(
         u.x[4] = (z.x[4] + high / k.lag) / (inverse + 1.0 / k.lag)
 
 
-@compiled(nogil=True, error_model="numpy")
+@compiled(inner=True, nogil=True, error_model="numpy")
 def combine(out: State, start: State, weights: Array, count: int, uT: Array, uw: Array, ux: Array) -> None:
     """Set `out` to `start` plus the weighted sum of the first `count` increments."""
     copy(start.T, out.T)
@@ -451,7 +451,7 @@ def combine(out: State, start: State, weights: Array, count: int, uT: Array, uw:
             out.x[i] += c * ux[j, i]
 
 
-@compiled(nogil=True, error_model="numpy")
+@compiled(inner=True, nogil=True, error_model="numpy")
 def record(t: float, y: State, f: float, k: Knobs, s: Stack, row: Array) -> None:
     """Write the time and `SIGNALS`."""
     T = y.T
@@ -475,7 +475,7 @@ def record(t: float, y: State, f: float, k: Knobs, s: Stack, row: Array) -> None
     row[12] = 0.5 * (y.x[0] + y.x[1])
 
 
-@compiled(nogil=True, error_model="numpy")
+@compiled(inner=True, nogil=True, error_model="numpy")
 def blank(n: int, m: int) -> State:
     """Return a state of zeros."""
     return State(np.zeros(n), np.zeros(m), np.zeros(5))

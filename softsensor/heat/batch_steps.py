@@ -181,7 +181,7 @@ def fill_lane(run, lane, lanes):
     _place(run.places, lanes, lane)
 
 
-@compiled()
+@compiled(inner=True)
 def _join(interface, w, lanes, lane, row):
     """Write a group's contacts."""
     n = w.shape[1] - 1
@@ -193,7 +193,7 @@ def _join(interface, w, lanes, lane, row):
         lanes.joint[lane, row, m, 2] = _diagonal(w, min(j, n - 1))
 
 
-@compiled()
+@compiled(inner=True)
 def _place(places, lanes, lane):
     """Write each place's first cell and the weights from there."""
     n = places.shape[1]
@@ -206,12 +206,12 @@ def _place(places, lanes, lane):
             lanes.weights[lane, a, b] = places[a, begin + b] if begin + b < n else 0.0
 
 
-@compiled()
+@compiled(inner=True)
 def _diagonal(w, i):
     return w[G, i] + w[G, i + 1] + w[LOSS, i] + w[SLOPE, i]
 
 
-@compiled()
+@compiled(inner=True)
 def _differs(weight, factor, step):
     """Whether a step's contacts differ from those of the step before."""
     for s in range(3):
@@ -269,7 +269,7 @@ def march_lanes(lanes, out):
         _read(lanes, out, step + 1)
 
 
-@compiled()
+@compiled(inner=True)
 def _switch(lanes, x, row):
     """Put a run's contacts into the state of another group."""
     joints, joint, n, g, diag = lanes.joints[x], lanes.joint[x, row], lanes.reach[x], lanes.g, lanes.diag
@@ -305,7 +305,7 @@ def _factor(flat):
         keep[k] *= cap[k]
 
 
-@compiled(fastmath=FAST)
+@compiled(inner=True, fastmath=FAST)
 def _first_stage(flat, bottom, top, reach):
     """Set u to the solution of the first stage."""
     keep, low, t, u = flat.keep, flat.low, flat.t, flat.u
@@ -316,7 +316,7 @@ def _first_stage(flat, bottom, top, reach):
     _substitute(flat.back, top, reach, u)
 
 
-@compiled(fastmath=FAST)
+@compiled(inner=True, fastmath=FAST)
 def _second_stage(flat, bottom, top, reach):
     """Set t to the solution of the second stage."""
     keep, low, t, u = flat.keep, flat.low, flat.t, flat.u
@@ -328,7 +328,7 @@ def _second_stage(flat, bottom, top, reach):
     _substitute(flat.back, top, reach, t)
 
 
-@compiled(fastmath=FAST)
+@compiled(inner=True, fastmath=FAST)
 def _substitute(back, top, reach, y):
     """Add what enters each run's top cell and substitute downwards."""
     for x in range(LANES):
@@ -337,7 +337,7 @@ def _substitute(back, top, reach, y):
         y[k] += back[k] * y[k + LANES]
 
 
-@compiled(fastmath=FAST)
+@compiled(inner=True, fastmath=FAST)
 def _read(lanes, out, row):
     """Read the places off every run."""
     t, first, weights, ambient = lanes.t, lanes.first, lanes.weights, lanes.ambient

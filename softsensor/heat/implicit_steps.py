@@ -149,7 +149,7 @@ def march(stack, tan, drive, state, record, nonlinear):
         step = last
 
 
-@compiled()
+@compiled(inner=True)
 def _same(drive, step):
     """Return the first later step whose contacts differ from those of `step`."""
     weight, d_weight, factor, d_factor = drive.weight, drive.d_weight, drive.factor, drive.d_factor
@@ -170,7 +170,7 @@ def _same(drive, step):
     return steps
 
 
-@compiled()
+@compiled(inner=True)
 def _touched(dw, busy):
     """List the cells whose coefficients any parameter changes; return how many."""
     p, n = dw.shape[1], busy.shape[0]
@@ -191,7 +191,7 @@ def _touched(dw, busy):
     return count
 
 
-@compiled(fastmath=FAST)
+@compiled(inner=True, fastmath=FAST)
 def _expect(state, h, co):
     """Temperatures expected in the middle of a step of length h, and their tangents."""
     t, t_before, s, s_before, before = state.t, state.t_before, state.s, state.s_before, state.clock[0]
@@ -205,7 +205,7 @@ def _expect(state, h, co):
             dstar[q, i] = s[q, i] + ratio * (s[q, i] - s_before[q, i])
 
 
-@compiled(fastmath=FAST)
+@compiled(inner=True, fastmath=FAST)
 def _advance(stack, drive, state, record, co, work, span):
     """Take steps with the same coefficients; `span`: first step, the one after the last, how many are busy."""
     step, last, count = span
@@ -397,7 +397,7 @@ def _solve_many(inv, back, x):
             a[j], b[j], c[j], d[j] = ha, hb, hc, hd
 
 
-@compiled(fastmath=FAST)
+@compiled(inner=True, fastmath=FAST)
 def _conduct(diag, g, t, out):
     """Write K T, without the boundaries' and ambient's own temperatures, into `out` (n)."""
     n = t.shape[0]
@@ -412,7 +412,7 @@ def _conduct(diag, g, t, out):
     out[n - 1] = diag[n - 1] * t[n - 1] - g[n - 1] * t[n - 2]
 
 
-@compiled(fastmath=FAST)
+@compiled(inner=True, fastmath=FAST)
 def _carry(w, hw, s, z, out):
     """Write C s - hw K z, of tangents (P, n), into `out`."""
     p, n = out.shape
@@ -430,7 +430,7 @@ def _carry(w, hw, s, z, out):
         oq[n - 1] = cap[n - 1] * sq[n - 1] - hw * (diag[n - 1] * zq[n - 1] - g[n - 1] * zq[n - 2])
 
 
-@compiled(fastmath=FAST)
+@compiled(inner=True, fastmath=FAST)
 def _disturb(dw, busy, stage, ambient, out):
     """Add what the changed coefficients do in a stage, in the `busy` cells."""
     p, n = out.shape
@@ -459,7 +459,7 @@ def _disturb(dw, busy, stage, ambient, out):
             oq[i] += dg[i] * (low - combo[i]) + dg[i + 1] * (high - combo[i]) - dslope[i] * combo[i]
 
 
-@compiled(fastmath=FAST)
+@compiled(inner=True, fastmath=FAST)
 def _convert(state, co, work, h):
     """Advance the conversions by what the step's mean temperature made of them."""
     t, tn, s, sn = state.t_before, state.t, state.s_before, state.s
@@ -479,7 +479,7 @@ def _convert(state, co, work, h):
                 dq[i] += h * (dvalue[i] + dslope[i] * mean + slope[i] * change)
 
 
-@compiled(fastmath=FAST)
+@compiled(inner=True, fastmath=FAST)
 def _observe(record, state, row):
     """Record weighted sums of cells, over each place's first to last cell with a weight."""
     places, out, d_out, t, s = record.places, record.out, record.d_out, state.t, state.s
@@ -571,7 +571,7 @@ def rest(stack, tan, drive, held, state):
     return -1 if change < UNSETTLED_K else n
 
 
-@compiled()
+@compiled(inner=True)
 def _rest_tangents(ambient, outside, d_outside, held, factors, co, state):
     """Bring the tangents to rest; return a thousandth of the largest change."""
     p, n = state.s.shape
@@ -592,7 +592,7 @@ def _rest_tangents(ambient, outside, d_outside, held, factors, co, state):
     return change
 
 
-@compiled()
+@compiled(inner=True)
 def _copy(t, s, t_out, s_out):
     """Copy temperatures (n) and their tangents (P, n)."""
     p, n = s.shape
@@ -603,7 +603,7 @@ def _copy(t, s, t_out, s_out):
             s_out[q, i] = s[q, i]
 
 
-@compiled()
+@compiled(inner=True)
 def _rest_factor(w, held, factors):
     """Factor K into `factors` (2, n); return a cell that is tied to nothing, or -1. Held cells stand alone.
 
@@ -630,7 +630,7 @@ def _rest_factor(w, held, factors):
     return -1
 
 
-@compiled()
+@compiled(inner=True)
 def _rest_solve(factors, held, given, x):
     """Solve K x = x in place; held cells get what is given."""
     through, pivot = factors[0], factors[1]

@@ -47,7 +47,7 @@ def freeze_steps(stack, tan, drive, state, steps, out):
         coefficients(stack, tan, drive, steps[i], state, Coefficients(w[i], dw[i], rate, drate))
 
 
-@compiled()
+@compiled(inner=True)
 def _hold(lam, h, keep, old, new):
     """Fill the factors on q0, z0 and z1 of every mode."""
     for j in range(lam.shape[0]):

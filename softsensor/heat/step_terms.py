@@ -183,7 +183,7 @@ class Property(NamedTuple):
     d_slope: Array
 
 
-@compiled()
+@compiled(inner=True)
 def _table(x, y, t):
     """Interpolate a table at t, constant beyond its ends; return value and slope."""
     last = x.shape[0] - 1
@@ -198,7 +198,7 @@ def _table(x, y, t):
     return y[j] + slope * (t - x[j]), slope
 
 
-@compiled()
+@compiled(inner=True)
 def _rate(kind, a, b, c, t):
     """Return a conversion's rate [1/s] and its derivatives in T, a, b, c; then those of its slope in T."""
     if kind == 0.0:
@@ -225,7 +225,7 @@ def _rate(kind, a, b, c, t):
     return first, (a * bend / c, step, -a * bend / c, -a * bend * x / c)
 
 
-@compiled()
+@compiled(inner=True)
 def properties(dx, law, star, dstar, value, dvalue):
     """Fill a property times `dx` of each cell (n), and its tangents (P, n), at the temperatures `star`."""
     p, n = law.d_base.shape
@@ -249,7 +249,7 @@ def properties(dx, law, star, dstar, value, dvalue):
             out[i] = by_base[i] * db[i] + by_slope[i] * ds[i] + by_star[i] * st[i]
 
 
-@compiled()
+@compiled(inner=True)
 def joints(dx, measured, co):
     """Conductance of the interfaces inside layers and of perfect joints, with tangents."""
     w, dw = co.w, co.dw
@@ -278,7 +278,7 @@ def joints(dx, measured, co):
                 dg[q, j] = 2.0 * dcond[q, i] / dx[i]
 
 
-@compiled()
+@compiled(inner=True)
 def contacts(stack, tan, drive, step, co):
     """Replace joints that are contacts by coupling and losses to air, with tangents; fill the losses."""
     w, dw, weight, d_weight = co.w, co.dw, drive.weight[step], drive.d_weight[step]
@@ -311,7 +311,7 @@ def contacts(stack, tan, drive, step, co):
         _inner(stack.dx, co, j, h, dh)
 
 
-@compiled()
+@compiled(inner=True)
 def _contact_values(contact, d_contact, drive, at, h, dh):
     """Mix a contact's three values (3, 3) by the step's shares of the states; fill h (3) and dh (3, P).
 
@@ -336,7 +336,7 @@ def _contact_values(contact, d_contact, drive, at, h, dh):
                     dh[v, q] += share * value * d_factor[q]
 
 
-@compiled()
+@compiled(inner=True)
 def _inner(dx, co, j, h, dh):
     """Eliminate the two faces of a contact: its coupling, and the losses of the cells on either side."""
     w, dw = co.w, co.dw
@@ -361,7 +361,7 @@ def _inner(dx, co, j, h, dh):
         dw[DLOSS, q, j] += (dgu * above + gu * dabove - up * ddet) / det
 
 
-@compiled()
+@compiled(inner=True)
 def _end(stack, tan, co, m, h, dh):
     """Contact m at an end of the stack, h (3) and dh (3, P) as in `_contact_values`."""
     end = 0 if stack.interface[m] == 0 else 1
@@ -371,7 +371,7 @@ def _end(stack, tan, co, m, h, dh):
         _surface(stack, tan.flux[end], co, m, h, dh)
 
 
-@compiled()
+@compiled(inner=True)
 def _measured_end(dx, co, end, h, dh):
     """A contact h[0] with a measured temperature; where they part, the face loses to the air."""
     w, dw, n = co.w, co.dw, dx.shape[0]
@@ -388,7 +388,7 @@ def _measured_end(dx, co, end, h, dh):
         dw[DLOSS, q, i] += (dg * h[own] + g * dh[own, q] - lost * dtotal) / total
 
 
-@compiled()
+@compiled(inner=True)
 def _surface(stack, d_flux, co, m, h, dh):
     """A surface that air and radiation act on, behind half a cell and, unless bare, a contact h[0].
 
@@ -433,7 +433,7 @@ def _surface(stack, d_flux, co, m, h, dh):
         dw[DSRC, q, i] += dpower * share + power * (dg * a - g * da) / (a + g) ** 2
 
 
-@compiled()
+@compiled(inner=True)
 def exchange_sources(stack, d_rate, co):
     """Start the sources with the volumetric exchange with ambient."""
     w, dw, dx, rate, ambient = co.w, co.dw, stack.dx, stack.exchange, stack.ambient
@@ -448,7 +448,7 @@ def exchange_sources(stack, d_rate, co):
             dslope[i] = dr[i] * dx[i]
 
 
-@compiled()
+@compiled(inner=True)
 def active_stretches(heat, d_heat, ends):
     """List where a conversion acts, stretch by stretch: first cell and the one after the last. Return how many.
 
@@ -474,7 +474,7 @@ def active_stretches(heat, d_heat, ends):
     return count
 
 
-@compiled()
+@compiled(inner=True)
 def conversion(stack, tan, state, r, h, co):
     """Add the heat of conversion r, dZ/dt = (1 - Z) rate(T), taken as the mean of a step of length h.
 
@@ -532,7 +532,7 @@ def conversion(stack, tan, state, r, h, co):
                 dk[i] -= dx[i] * (dh[i] * slope[i] + heat[i] * ds)
 
 
-@compiled()
+@compiled(inner=True)
 def steam(dx, wet, factor, d_factor, co):
     """Steam leaves cells above 100 °C and condenses in cooler ones in proportion to 100 °C - T."""
     w, dw = co.w, co.dw
@@ -588,7 +588,7 @@ def coefficients(stack, tan, drive, step, state, co):
     switched(stack, tan, drive, step, state, co)
 
 
-@compiled()
+@compiled(inner=True)
 def switched(stack, tan, drive, step, state, co):
     """Fill what changes with the press's state: contacts, sources and the diagonal."""
     w, weight, d_weight = co.w, drive.weight[step], drive.d_weight[step]

@@ -69,7 +69,7 @@ def robust_mean(channels, values, out, votes):
         _learn(channels, values, m)
 
 
-@compiled()
+@compiled(inner=True)
 def _median(values, count):
     """Return the median of the first `count` values; it hardly compiles beside Numba's own, for a dozen values."""
     ranked = np.empty(count)
@@ -82,7 +82,7 @@ def _median(values, count):
     return 0.5 * (ranked[(count - 1) // 2] + ranked[count // 2])
 
 
-@compiled()
+@compiled(inner=True)
 def _usable(channels, values, m, newcomers, near, who):
     """Collect a place's readings without their shifts, those of newcomers only where there are no others."""
     count = 0
@@ -96,7 +96,7 @@ def _usable(channels, values, m, newcomers, near, who):
     return count
 
 
-@compiled()
+@compiled(inner=True)
 def _learn(channels, values, m):
     """Learn the shift and the scatter of a place's channels from their newest readings."""
     level = channels.level[m]

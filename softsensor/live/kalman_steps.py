@@ -54,7 +54,7 @@ class StateEstimate(NamedTuple):
     """In prior units (P)."""
 
 
-@compiled()
+@compiled(inner=True)
 def predict_biases(estimate, first, keep, variance):
     """Let the slow biases of the faces, states `first` and on, decay and be renewed: P = F P F' + Q."""
     x, P, E = estimate.mean, estimate.covariance, estimate.error
@@ -121,7 +121,7 @@ def kalman_update(estimate, h, innovation, R, gate):
     return fit, square
 
 
-@compiled()
+@compiled(inner=True)
 def expected_reading(model, before, estimate, face, share, h):
     """Return what a face should read in the mean of a block, and fill its derivative `h` by the states (N). [°C]
 
@@ -145,7 +145,7 @@ def expected_reading(model, before, estimate, face, share, h):
     return value + (x[p + 2 + a] + x[p + 2 + m + a])
 
 
-@compiled()
+@compiled(inner=True)
 def update_by_faces(model, before, estimate, blocks, k, score):
     """Correct by what the faces read in block `k`; write into `score` (4) how well that was expected.
 

@@ -137,7 +137,7 @@ def step_length(t, end, timing):
     return min(h, 0.5 * left) if left < 2.0 * h else h
 
 
-@compiled()
+@compiled(inner=True)
 def _area(edge, middle, length):
     """Integral up to `edge` of a rise from 0 to 1 about `middle`."""
     x = (edge - middle) / length + 0.5
@@ -148,12 +148,12 @@ def _area(edge, middle, length):
     return length * x * x / 2
 
 
-@compiled()
+@compiled(inner=True)
 def _share(edge, middle, length):
     return min(max((edge - middle) / length + 0.5, 0.0), 1.0)
 
 
-@compiled()
+@compiled(inner=True)
 def _mean_rise(a, b, middle, length):
     if middle == -math.inf:
         return 1.0
@@ -191,7 +191,7 @@ def set_shares(drive, k, a, b, timing, moving):
         d_weight[k, 1, moving[2]] = -d_weight[k, 2, moving[2]]
 
 
-@compiled()
+@compiled(inner=True)
 def _set_factors(drive, k, a, b, factors, closed):
     """Fill the mean factors on closed contacts over a step."""
     factor, d_factor = drive.factor, drive.d_factor
@@ -214,7 +214,7 @@ def _set_factors(drive, k, a, b, factors, closed):
             d_factor[k, m, q] = (d_second - d_first) / (high - low)
 
 
-@compiled()
+@compiled(inner=True)
 def _set_loads(drive, k, by_load, outside, along):
     """Multiply a step's factors by what the loads do, `along` the way from outside[0] to outside[1]."""
     factor, d_factor = drive.factor, drive.d_factor
@@ -234,7 +234,7 @@ def _set_loads(drive, k, by_load, outside, along):
         factor[k, m] *= rise
 
 
-@compiled()
+@compiled(inner=True)
 def read_sensors(chain, out, d_out, k, h, closed):
     """Bring the measuring chain to output row `k`, `h` seconds after the last (0: settled).
 
@@ -265,7 +265,7 @@ def read_sensors(chain, out, d_out, k, h, closed):
         _delay(chain, a, y, row, h)
 
 
-@compiled()
+@compiled(inner=True)
 def _delay(chain, a, y, row, h):
     """First-order lag with the input straight over the step, and its derivative by the time constant."""
     tau = chain.lag
@@ -340,7 +340,7 @@ def _drive(model, timing, span, outside):
     return drive
 
 
-@compiled()
+@compiled(inner=True)
 def _closed(t, timing):
     """Return how far the press is closed at a time, from 0 to 1."""
     if not timing.switching:

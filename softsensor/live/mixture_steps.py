@@ -100,7 +100,7 @@ def condition(estimate, readout, hypotheses, out):
         out.weight[1 + j] = base + evidence
 
 
-@compiled()
+@compiled(inner=True)
 def log_determinant(matrix):
     """Return the logarithm of the determinant of a positive definite matrix (n, n), by Cholesky's factors.
 
@@ -118,7 +118,7 @@ def log_determinant(matrix):
     return found
 
 
-@compiled()
+@compiled(inner=True)
 def _causes(estimate, hypotheses):
     """Return the causes' mean and precision, and their precision and information vector if none is at work."""
     column, precise = hypotheses.column, hypotheses.width**-2.0
@@ -128,7 +128,7 @@ def _causes(estimate, hypotheses):
     return mean, precision, narrow, precision @ mean + hypotheses.absent * precise
 
 
-@compiled()
+@compiled(inner=True)
 def _released(hypotheses, j, own, still, carried):
     """Return what changes where cause `j` is at work: shift, variance and log-evidence beside "no cause".
 
@@ -156,7 +156,7 @@ def _released(hypotheses, j, own, still, carried):
     return shift, added, evidence
 
 
-@compiled()
+@compiled(inner=True)
 def _half_normal(z):
     """Log mass, mean shift and variance factor of N(z, 1) cut at 0, in units of its deviation."""
     if z < -6.0:
@@ -273,7 +273,7 @@ def without_causes(estimate, hypotheses):
     return _without_causes(estimate, hypotheses, estimate.mean.reshape(-1, 1), 1.0)[:, 0]
 
 
-@compiled()
+@compiled(inner=True)
 def _without_causes(estimate, hypotheses, states, known):
     """Return series of all states (N, S) if no suspected cause is at work: means (`known` 1) or errors (0)."""
     column = hypotheses.column

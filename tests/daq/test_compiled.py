@@ -120,6 +120,19 @@ def test_a_function_is_not_built_into_those_that_call_it(tree):
     assert answer(tree, kept=tree / "none", call=own) == (4.0, 1)
 
 
+def test_a_function_that_only_compiled_ones_call_refuses_python_compiled_anew_and_kept(tree):
+    change(tree, "softsensor/lower.py", "@compiled()", "@compiled(inner=True)")
+    assert answer(tree) == (5.0, 1)
+    refused = (
+        "import numba\nfrom softsensor.lower import half\nhalf.compile((numba.float64,))\n"
+        "try:\n    half(8.0)\nexcept TypeError as error:\n"
+        "    told = 'softsensor.lower.half is compiled for' in str(error)\n"
+        "    print(float(told), sum(half.stats.cache_misses.values()))"
+    )
+    assert answer(tree, call=refused) == (1.0, 0)
+    assert answer(tree, call=CALL) == (5.0, 0)
+
+
 def test_where_nothing_can_be_kept_each_process_compiles_for_itself(tree):
     (tree / "no-folder").touch()
     for _ in range(2):
