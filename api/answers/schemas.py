@@ -479,6 +479,53 @@ class Simulation(_Answer):
     """Heat in the panel beyond its start at each of these times, water and reactions not counted."""
 
 
+class WhatIfSetting(_Answer):
+    """What can be asked about a run."""
+
+    value: float
+    """As asked."""
+    was: float
+    lower: float
+    upper: float
+    """The least and the most it can be."""
+
+
+Bounded = tuple[float | None, float | None, float | None]
+"""Lower bound of 95 %, expected, upper bound; null where it is not known."""
+
+
+class WhatIfOutcome(_Answer):
+    """What the press would be opened with."""
+
+    core_C: Bounded  # noqa: N815
+    cure: Bounded
+    """Of the less cured face, 0 to 1."""
+    steam_kPa: Bounded  # noqa: N815
+    grade: Literal["", "undercured", "matt", "glossy"]
+    """What that face surely is by the resin file's thresholds."""
+
+
+class WhatIfAnswer(_Answer):
+    """A run with other settings: the same panel, in a band of 95 % of all that is not known of it."""
+
+    run: str
+    settings: dict[str, WhatIfSetting]
+    time_s: list[float]
+    closed_s: float | None
+    opened_s: float | None
+    core_C: list[float | None]  # noqa: N815
+    core_low_C: list[float | None]  # noqa: N815
+    core_high_C: list[float | None]  # noqa: N815
+    cure: list[float | None]
+    """Of the less cured face, 0 to 1; null without a resin file."""
+    cure_low: list[float | None]
+    steam_kPa: list[float | None]  # noqa: N815
+    """As if the panel were sealed; null without its moisture."""
+    steam_high_kPa: list[float | None]  # noqa: N815
+    at_opening: WhatIfOutcome | None
+    """Null where the press was not seen to open."""
+
+
 class CoefficientFit(_Answer):
     """One heat transfer coefficient. [W/m²K]"""
 

@@ -82,7 +82,8 @@ def serve(
         bound = listening.bind()
         tell(say("terminal-serves", address=address_of(bound, tls=certificate is not None)))
         with watching(opened, ways):
-            run_server(opened, tokens, listening, bound)
+            resins = {press.name: press.resin for press in (settings.press if settings else ()) if press.resin}
+            run_server(opened, tokens, listening, bound, resins)
 
 
 def refit(

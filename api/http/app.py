@@ -7,12 +7,13 @@ entity tags, routes.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass
 from http import HTTPStatus
 from importlib import import_module
 from pathlib import Path
+from types import MappingProxyType
 
 from fastapi import Depends, FastAPI, HTTPException
 from fastapi.responses import FileResponse, HTMLResponse
@@ -32,7 +33,7 @@ from api.http.gate import Gate
 from api.http.http_compatibility import HttpCompatibility
 from api.http.live import MAX_LISTENERS, Hub
 from api.http.metrics import metrics_text
-from api.http.routes import alarms, edits, messages, models, press, runs, search, simulation, system
+from api.http.routes import alarms, edits, messages, models, press, runs, search, simulation, system, what_if
 from api.http.routes.common import only_known_queries
 from api.http.tokens import Attempts, TokenFile
 from daq.store.records import StoreUnavailable
@@ -54,8 +55,13 @@ SECURITY_HEADERS = {
 }
 
 
-def create_app(store: Store, tokens: TokenFile, max_listeners: int = MAX_LISTENERS) -> FastAPI:
-    """Make the application that serves `store`; the caller closes the store."""
+def create_app(
+    store: Store,
+    tokens: TokenFile,
+    max_listeners: int = MAX_LISTENERS,
+    resins: Mapping[str, Path] = MappingProxyType({}),
+) -> FastAPI:
+    """Make the application that serves `store`; the caller closes the store. `resins`: resin files by press."""
     hub = Hub(store, max_listeners)
 
     @asynccontextmanager
@@ -74,13 +80,14 @@ def create_app(store: Store, tokens: TokenFile, max_listeners: int = MAX_LISTENE
         lifespan=lifespan,
         generate_unique_id_function=lambda route: route.name,
     )
-    app.state.store, app.state.hub = store, hub
+    app.state.store, app.state.hub, app.state.resins = store, hub, resins
     for router in (
         press.router,
         runs.router,
         edits.router,
         search.router,
         simulation.router,
+        what_if.router,
         models.router,
         messages.router,
         alarms.router,

@@ -8,9 +8,10 @@ import socket
 import ssl
 import sys
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import uvicorn
@@ -149,10 +150,15 @@ def address_of(bound: socket.socket, *, tls: bool) -> str:
     return f"{'https' if tls else 'http'}://{shown}:{port}/"
 
 
-def make_server(store: Store, tokens: TokenFile, listening: Listening) -> uvicorn.Server:
-    """Return a server over `store`; its ``run`` takes the sockets that `Listening.bind` made."""
+def make_server(
+    store: Store, tokens: TokenFile, listening: Listening, resins: Mapping[str, Path] = MappingProxyType({})
+) -> uvicorn.Server:
+    """Return a server over `store`; its ``run`` takes the sockets that `Listening.bind` made.
+
+    `resins`: resin files by press.
+    """
     config = uvicorn.Config(
-        create_app(store, tokens),
+        create_app(store, tokens, resins=resins),
         host=listening.host,
         port=listening.port,
         log_level="warning",
@@ -169,10 +175,12 @@ def make_server(store: Store, tokens: TokenFile, listening: Listening) -> uvicor
     return _Server(config, ConnectionWatchdog(listening.idle_s))
 
 
-def run_server(store: Store, tokens: TokenFile, listening: Listening, bound: socket.socket) -> None:
+def run_server(
+    store: Store, tokens: TokenFile, listening: Listening, bound: socket.socket, resins: Mapping[str, Path]
+) -> None:
     """Serve until interrupted or terminated."""
     logging.getLogger("uvicorn.access").disabled = True
     allow_many_files()
-    server = make_server(store, tokens, listening)
+    server = make_server(store, tokens, listening, resins)
     settle_memory()
     server.run(sockets=[bound])

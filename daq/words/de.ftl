@@ -1049,6 +1049,7 @@ plan-setting-wrong = { $name } = { $value } muss zwischen { $lower } und { $uppe
 plan-settles = Eine Pressung klärt es mit { NUMBER($percent, maximumFractionDigits: 0) } % Wahrscheinlichkeit; { $runs }.
 plan-settles-surely = Eine Pressung klärt es so gut wie sicher: mit über 99 % Wahrscheinlichkeit.
 plan-with-core = Mit einem Fühler im Kern: { $settings }. { $prospect }
+what-if-too-long = eine Pressung von mehr als { NUMBER($most, maximumFractionDigits: 0) } s wird nicht gerechnet; eine kürzere Presszeit wählen
 
 ## softsensor.live: why the core is not valid
 
@@ -1527,6 +1528,8 @@ health-process-never-seen = { $process }: noch nie gesehen; kerntemp { $command 
 health-process-silent = { $process }: seit { NUMBER($seconds, maximumFractionDigits: 0) } s stumm; kerntemp { $command } starten
 health-process-silent-for-hours = { $process }: seit { NUMBER($hours, maximumFractionDigits: 0) } h stumm; kerntemp { $command } starten
 health-scans-behind = { $press }: { $scans } Messzeilen im Rückstand, dieser Rechner ist überlastet
+what-if-busy = eine andere Was-wäre-wenn-Rechnung läuft; in einigen Sekunden wiederholen
+what-if-no-model = { $run }: es gibt weder eine Anpassung dieser Pressung noch ein gültiges Modell
 
 ## api.commands: the command line
 
@@ -2090,6 +2093,18 @@ page-simulating = Diese Pressung wird simuliert …
 page-state-closed = geschlossen
 page-state-open = offen
 page-to = Bis
+page-what-if = Was wäre, wenn
+page-what-if-as-it-was = Wie es war
+page-what-if-ask = Berechnen
+page-what-if-asked = Mit diesen Einstellungen
+page-what-if-hint = Dieselbe Platte zwischen Heizplatten, die der Presse folgen wie zuvor, in einem Band aus allem, was nicht bekannt ist.
+page-what-if-moisture_percent = Feuchte [%]
+page-what-if-platen_temperature_C = Heizplatten [°C]
+page-what-if-press_time_s = Presszeit [s]
+page-what-if-pressure_N_cm2 = Druck [N/cm²]
+page-what-if-start_temperature_C = Starttemperatur [°C]
+page-what-if-thickness_mm = Dicke [mm]
+page-what-if-waiting_s = Warten vor dem Schließen [s]
 
 ## page: the journal
 

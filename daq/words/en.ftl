@@ -1032,6 +1032,7 @@ plan-setting-wrong = { $name } = { $value } must lie between { $lower } and { $u
 plan-settles = One settles it with a chance of { NUMBER($percent, maximumFractionDigits: 0) } %; { $runs }.
 plan-settles-surely = One settles it almost certainly: the chance is above 99 %.
 plan-with-core = With a thermocouple in the core: { $settings }. { $prospect }
+what-if-too-long = a run of more than { NUMBER($most, maximumFractionDigits: 0) } s is not worked out; ask for a shorter press time
 
 ## softsensor.live: why the core is not valid
 
@@ -1511,6 +1512,8 @@ health-process-never-seen = { $process }: never seen; start kerntemp { $command 
 health-process-silent = { $process }: silent for { NUMBER($seconds, maximumFractionDigits: 0) } s; start kerntemp { $command }
 health-process-silent-for-hours = { $process }: silent for { NUMBER($hours, maximumFractionDigits: 0) } h; start kerntemp { $command }
 health-scans-behind = { $press }: { $scans } scans behind, this machine is too busy
+what-if-busy = another what-if is being worked out; try again in some seconds
+what-if-no-model = { $run }: there is neither a fit of this run nor a model in force
 
 ## api.commands: the command line
 
@@ -2071,6 +2074,18 @@ page-simulating = Simulating this run …
 page-state-closed = closed
 page-state-open = open
 page-to = To
+page-what-if = What if
+page-what-if-as-it-was = As it was
+page-what-if-ask = Work it out
+page-what-if-asked = With these settings
+page-what-if-hint = The same panel between platens that follow the press as they did, in a band of all that is not known of it.
+page-what-if-moisture_percent = Moisture [%]
+page-what-if-platen_temperature_C = Platens [°C]
+page-what-if-press_time_s = Press time [s]
+page-what-if-pressure_N_cm2 = Pressure [N/cm²]
+page-what-if-start_temperature_C = Start temperature [°C]
+page-what-if-thickness_mm = Thickness [mm]
+page-what-if-waiting_s = Wait before closing [s]
 
 ## page: the journal
 

@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from daq.files.legible import legible
-from daq.press.press_file import Press, press_for_run
-from daq.records import InputError, Moments, Run, with_frozen_fields
-from daq.words import say
+from daq.records import Run, with_frozen_fields
 from softsensor.face.inputs import read_press, read_run
 from softsensor.face.models import read_model
 from softsensor.face.showing import about, axes_over_time, lists, shown
@@ -79,9 +75,9 @@ def simulate(
         A model, or coefficients by name [W/m²K]; what it does not name stays at the press file's guess.
     settings
         What if: the same run with other settings, any of ``press_time_s``, ``platen_temperature_C``,
-        ``waiting_s``, ``thickness_mm``, ``start_temperature_C`` and ``pressure_N_cm2``; the platens follow the
-        press's movements as they did, and nothing is measured. Another panel: `read_run` with its header; other
-        layers: another press file.
+        ``waiting_s``, ``thickness_mm``, ``start_temperature_C``, ``pressure_N_cm2`` and ``moisture_percent``; the
+        platens follow the press's movements as they did, and nothing is measured. Another panel: `read_run` with
+        its header; other layers: another press file.
 
     Raises
     ------
@@ -93,7 +89,10 @@ def simulate(
     described = read_press(press)
     loaded, moments = legible(read_run(run), described), None
     if settings:
-        loaded, moments = _changed(loaded, described, settings)
+        from softsensor.planning.what_if import changed  # loads slowly, and only who asks what if needs it
+        from softsensor.signals.moments import moments_of
+
+        loaded, moments = changed(loaded, described, moments_of(loaded, described), settings)
     thermal = ThermalModel(described)
     if model is None or isinstance(model, Mapping):
         values = {**thermal.guesses, **(model or {})}
@@ -101,21 +100,3 @@ def simulate(
         content = read_model(model)
         thermal, values = content.model(described), {**thermal.guesses, **content.values}
     return Simulation(loaded, with_frozen_fields(simulate_run(loaded, described, thermal, values, known=moments)))
-
-
-def _changed(run: Run, press: Press, settings: Mapping[str, float]) -> tuple[Run, Moments]:
-    """Return the run that other settings would give, its sensors unread, and its moments."""
-    from softsensor.planning.program import FACTORS, designed_run, settings_of
-    from softsensor.signals.moments import moments_of
-
-    moments = moments_of(run, press)
-    usual = settings_of(run, press, moments)
-    for name, value in settings.items():
-        if name not in usual:
-            raise InputError(say("plan-setting-unknown", name=name, known=tuple(usual)))
-        f = FACTORS[name]
-        if not f.lower <= value <= f.upper:
-            raise InputError(say("plan-setting-wrong", name=name, value=value, lower=f.lower, upper=f.upper))
-    made, moments = designed_run(run, press, moments, {**usual, **settings})
-    unread = {name: np.full(len(made.time_s), np.nan) for name in press_for_run(press, made).sensors_of(made)}
-    return replace(made, columns={**made.columns, **unread}), moments

@@ -29,8 +29,8 @@ from softsensor.opening.kinetics import Kinetics, equivalent_course, kinetics_of
 from softsensor.opening.limits import Broken, Normal, Opening, PanelState, broken, opening
 from softsensor.opening.steam import steam_pressure
 from softsensor.planning.made_up import (
-    DEPTHS,
     KINETICS,
+    SHARE,
     SORPTION,
     Courses,
     Ensemble,
@@ -59,8 +59,6 @@ KWH_J = 3.6e6
 """Joules of a kilowatt hour, by definition."""
 STEAM_ROWS = 5
 """Steam, which follows the whole panel, is worked out at every fifth press time, straight in between."""
-SHARE = np.gradient(DEPTHS) / np.gradient(DEPTHS).sum()
-"""Of the panel that each depth stands for."""
 Progress = Callable[[str, float], None]
 
 

@@ -40,6 +40,8 @@ ROW_S = 1.0
 """Rows of a made-up run. [s]"""
 DEPTHS = np.linspace(0.0, 1.0, 9)
 """Where temperatures are read through the panel, as shares of its thickness."""
+SHARE = np.gradient(DEPTHS) / np.gradient(DEPTHS).sum()
+"""Of the panel that each depth stands for."""
 COEFFICIENTS, EFFECTS, PLATENS, KINETICS, SORPTION = "coefficients", "effects", "platens", "kinetics", "sorption"
 """Sources of doubt besides the constants, which go by their keys in the header."""
 
@@ -184,20 +186,38 @@ class Ensemble:
 def ensemble(task: Task, start: Programme) -> Ensemble:
     """Draw what is not known. Raises `InputError` for a panel or press that cannot be solved."""
     run, moments = made_up_run(task, start)
+    drawn = draw(run, task.press, task.model, moments)
+    return Ensemble(task, start, drawn.draws, drawn.cases, drawn.values, drawn.doubts)
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """A pressing drawn many times."""
+
+    draws: Draws
+    cases: tuple[Case, ...]
+    """By draw, read at `DEPTHS` and in the core."""
+    values: tuple[dict[str, float], ...]
+    """Of the model's parameters, by draw."""
+    doubts: Mapping[str, Doubt]
+
+
+def draw(run: Run, press: Press, model: ModelFile, moments: Moments) -> Drawn:
+    """Draw what is not known of a pressing. Raises `InputError` for a panel or press that cannot be solved."""
     panel_of(run)
-    doubts = {k: d for k, d in constant_doubts(run.header, task.press, task.model.learned).items() if d.sd > 0.0}
+    doubts = {k: d for k, d in constant_doubts(run.header, press, model.learned).items() if d.sd > 0.0}
     taken = {key: doubt.value for key, doubt in doubts.items() if key.startswith("panel.")}
     run = replace(run, header={**taken, **run.header})
-    sources = [COEFFICIENTS if name in task.press.coefficient_names else EFFECTS for name in task.model.names]
+    sources = [COEFFICIENTS if name in press.coefficient_names else EFFECTS for name in model.names]
     sources += [*doubts, PLATENS, PLATENS, KINETICS, KINETICS, SORPTION]
     half = np.random.default_rng(SEED).standard_normal((HALF, len(sources)))
     draws = Draws(np.concatenate([half, -half]), tuple(sources))
-    model = task.model.model(task.press)
+    thermal = model.model(press)
     cases = [
-        _read_through(model.prepare(_drawn(run, task.press, doubts, draws, i), moments, max_step_s=STEP_S))
+        _read_through(thermal.prepare(_drawn(run, press, doubts, draws, i), moments, max_step_s=STEP_S))
         for i in range(len(draws.unit))
     ]
-    return Ensemble(task, start, draws, tuple(cases), tuple(_values(task, draws)), doubts)
+    return Drawn(draws, tuple(cases), tuple(_values(press, model, draws)), doubts)
 
 
 def _drawn(run: Run, press: Press, doubts: Mapping[str, Doubt], draws: Draws, i: int) -> Run:
@@ -218,9 +238,8 @@ def _read_through(case: Case) -> Case:
     return replace(case, places=places, labels=labels, columns=(), place_of={}, press_face=np.zeros_like(places))
 
 
-def _values(task: Task, draws: Draws) -> list[dict[str, float]]:
+def _values(press: Press, model: ModelFile, draws: Draws) -> list[dict[str, float]]:
     """Return every parameter of each draw."""
-    model, press = task.model, task.press
     own = np.concatenate([draws.of(COEFFICIENTS), draws.of(EFFECTS)], axis=1)
     order = [i for i, s in enumerate(model.names) if s in press.coefficient_names]
     order += [i for i, s in enumerate(model.names) if s not in press.coefficient_names]

@@ -374,6 +374,21 @@ def test_a_run_is_simulated_at_every_sensor_position_with_its_fitted_coefficient
     assert measured[0] >= inserted > simulation["time_s"][0]  # hands on sensors before it are nothing measured
 
 
+def test_a_run_is_asked_what_if_by_whoever_may_read(client):
+    was = client.get(f"{RUN}/what-if").json()
+    longer = client.get(
+        f"{RUN}/what-if", params={"press_time_s": was["settings"]["press_time_s"]["was"] + 30}
+    ).json()
+    assert longer["settings"]["press_time_s"]["value"] == pytest.approx(
+        was["settings"]["press_time_s"]["was"] + 30
+    )
+    assert longer["opened_s"] == pytest.approx(was["opened_s"] + 30, abs=0.01)
+    assert longer["at_opening"]["core_C"][1] > was["at_opening"]["core_C"][1] + 1
+    assert (was["at_opening"]["cure"], was["at_opening"]["grade"]) == ([None] * 3, "")  # no resin file
+    refused = client.get(f"{RUN}/what-if", params={"press_time_s": 2})
+    assert (refused.status_code, refused.json()["detail_said"]["code"]) == (422, "plan-setting-wrong")
+
+
 def test_the_figure_is_an_svg_that_names_the_run(client):
     answer = client.get(f"{RUN}/figure.svg")
     assert answer.headers["content-type"].startswith("image/svg+xml")

@@ -36,7 +36,7 @@ KEPT = 32
 
 
 @dataclass(frozen=True)
-class _Known:
+class Known:
     """What a run is simulated with: its own fit and the model it was fitted with, else the model in force."""
 
     version: str | None
@@ -55,7 +55,7 @@ class _Kept:
 
     def get(self, store: Store, record: RunRecord) -> tuple[Simulated, str | None]:
         """Return the simulation of a run as it stands, and the version of the model behind it."""
-        known = _known(store, record)
+        known = known_of(store, record)
         newest = record.last_scan if record.last_scan is not None else store.newest_scan_number(record.press)
         fitted = (known.version, sorted(known.values.items()), known.closed_s, known.opened_s)
         press_file = store.presses().get(record.press, "")
@@ -150,21 +150,22 @@ def _recorded(store: Store, run: str) -> dict[str, Any]:
     }
 
 
-def _known(store: Store, record: RunRecord) -> _Known:
+def known_of(store: Store, record: RunRecord) -> Known:
+    """Return what a run is simulated with."""
     active = store.active_model(record.press)
     fit = store.fit(record.run)
     if fit is None:
-        return _Known(active.version if active else None, active, {})
+        return Known(active.version if active else None, active, {})
     version = fit.get("model_version") or None
     behind = active if active and active.version == version else None
     if behind is None and version:
         with suppress(InputError):
             behind = store.model(version)
     values = {name: float(c["value"]) for name, c in fit.get("coefficients", {}).items()}
-    return _Known(version, behind, values, fit.get("closed_s"), fit.get("opened_s"))
+    return Known(version, behind, values, fit.get("closed_s"), fit.get("opened_s"))
 
 
-def _simulate(store: Store, record: RunRecord, known: _Known) -> Simulated:
+def _simulate(store: Store, record: RunRecord, known: Known) -> Simulated:
     from softsensor.fitting.simulated_run import simulate_run
     from softsensor.heat.model import ThermalModel
     from softsensor.heat.model_file import parse_model

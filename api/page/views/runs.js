@@ -12,6 +12,7 @@ import { notesOf } from "./journal.js";
 import { metadataCard } from "./metadata.js";
 import { profilePicture } from "./profile.js";
 import { asked, showScatter } from "./scatter.js";
+import { whatIfCard } from "./whatif.js";
 
 export async function show(place, context, [id, ...rest]) {
   if (id === "compare") return compare(place, rest);
@@ -128,7 +129,7 @@ async function detail(place, context, id) {
     get(`${path}/samples`, { max_points: 3000 }), get(`${path}/estimates`, { max_points: 3000 }), get(`${path}/fit`).catch(() => null),
   ]);
   const waiting = el("section", { class: "card empty" }, text("page-simulating"));
-  place.append(headCard(run, path, estimates), measuredCard(run, samples, estimates), waiting, el("div", { class: "pair" }, fitCard(fit), metadataCard(run, path)));
+  place.append(headCard(run, path, estimates), measuredCard(run, samples, estimates), waiting, run.status === "open" ? "" : whatIfCard(path), el("div", { class: "pair" }, fitCard(fit), metadataCard(run, path)));
   get(`${path}/simulation`).then((simulation) => {
     if (waiting.isConnected) waiting.replaceWith(simulationCard(run, simulation), profileCard(run, simulation));
   }).catch((error) => waiting.replaceChildren(text("page-no-simulation"), el("p", { class: "small" }, error.message)));
