@@ -115,6 +115,7 @@ def refit(
             workers=workers or settings.refit.workers,
             dask=dask or settings.refit.dask,
             rules=_rules(settings),
+            learning=[press.name for press in settings.press if press.sisters],
         )
         with working(say("terminal-progress-refitting", presses=len(presses)), len(presses)) as done:
             for outcome in nights:

@@ -89,6 +89,8 @@ class PressSettings(_Table):
     """The press file."""
     resin: Path | None = None
     """The resin file: how the paper cures, and what must hold at opening. None: nobody asks."""
+    sisters: bool = True
+    """Whether the press begins, while it has no model, with what presses of the same kind in the store know."""
     rate_hz: Annotated[float, Field(ge=0.5, le=20)] = 10.0
     pre_trigger_s: Annotated[float, Field(ge=0, le=600)] = 5.0
     """A run begins this long before the panel's insertion; at least 35 s where no sensor showed it."""

@@ -410,6 +410,10 @@ events-lost = Presse { $press }: { $count } Ereignisse verloren: der Datenspeich
 item-set-aside = Presse { $press }: der Datenspeicher nimmt { $what } nicht an: { $why }; beiseitegelegt in { $aside }, alles andere ist geschrieben
 left-unwritten = { $count } Einträge sind nicht geschrieben: Datenspeicher { $store } nimmt sie nicht an; sie gehen verloren, wenn dieser Prozess endet
 line-set-aside = Der Datenspeicher nimmt eine Zeile des Journals nicht an; sie liegt in { $aside }
+model-from-sisters = gelernt von { $count ->
+    [one] einer Presse
+   *[other] { $count } Pressen
+} derselben Bauart: { $sisters }
 model-promoted = Modell { $version } in Kraft gesetzt
 model-rolled-back = zurückgenommen
 model-through-api = über die API
@@ -673,6 +677,7 @@ model-file-not-finite = { $file }: { $place }.value ist nicht endlich
 model-file-panels = { $file }: panels ist nicht, wie `fit` es schreibt ({ $error }); den Schlüssel weglassen
 model-file-parameter-unknown = { $file }: effects.{ $number }.parameters.{ $name }: { $effect } hat { $known }
 model-file-scatter = { $file }: scatter ist nicht, wie `fit` es schreibt ({ $error }); den Schlüssel weglassen
+model-file-sisters = { $file }: sisters ist nicht, wie der nächtliche Lauf es schreibt ({ $error }); den Schlüssel weglassen
 model-file-unreadable = { $file }: die Modelldatei ist nicht zu lesen: { $error }
 parameter-unknown = '{ $name }' ist kein Parameter dieses Modells; es hat { $known }
 run-moments-out-of-order = { $run }: { $later } = { $late } liegt vor { $earlier } = { $early }; die Spalte closed prüfen
@@ -2173,6 +2178,7 @@ page-c-h_wa = Platte – Luft
 page-ci-high = oben
 page-ci-low = unten
 page-coefficients-hint = Wärmeübergangskoeffizienten, nach jeder Pressung neu angepasst, mit 95-%-Intervallen. Graue Punkte: aus dieser Pressung nicht bestimmbar.
+page-coefficients-sisters = Wo eigene Pressungen es noch nicht besser sagen, sind die Koeffizienten dieser Presse { $why }.
 page-drift = Drift
 page-drift-creep = kriecht um { $change } seit { $run }
 page-drift-hint = Regelkarten (CUSUM und EWMA) überwachen jeden Koeffizienten von Pressung zu Pressung.

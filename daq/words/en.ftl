@@ -410,6 +410,10 @@ events-lost = press { $press }: { $count } press events lost: the store was unre
 item-set-aside = press { $press }: the store does not take { $what }: { $why }; set aside in { $aside }, everything else is written
 left-unwritten = { $count } entries are not written: store { $store } does not take them; they are lost when this process ends
 line-set-aside = the store does not take a line of the journal; it is set aside in { $aside }
+model-from-sisters = learned from { $count ->
+    [one] one press
+   *[other] { $count } presses
+} of the same kind: { $sisters }
 model-promoted = model { $version } promoted
 model-rolled-back = rolled back
 model-through-api = through the API
@@ -673,6 +677,7 @@ model-file-not-finite = { $file }: { $place }.value is not finite
 model-file-panels = { $file }: panels is not as `fit` writes it ({ $error }); leave the key out
 model-file-parameter-unknown = { $file }: effects.{ $number }.parameters.{ $name }: { $effect } has { $known }
 model-file-scatter = { $file }: scatter is not as `fit` writes it ({ $error }); leave the key out
+model-file-sisters = { $file }: sisters is not as the nightly job writes it ({ $error }); leave the key out
 model-file-unreadable = { $file }: cannot read the model file: { $error }
 parameter-unknown = '{ $name }' is no parameter of this model; it has { $known }
 run-moments-out-of-order = { $run }: { $later } = { $late } lies before { $earlier } = { $early }; check column closed
@@ -2154,6 +2159,7 @@ page-c-h_wa = panel – air
 page-ci-high = high
 page-ci-low = low
 page-coefficients-hint = Heat transfer coefficients refitted after each pressing, with 95 % intervals. Grey dots: not identifiable from that run.
+page-coefficients-sisters = Where runs of its own do not show it better yet, the coefficients of this press are { $why }.
 page-drift = Drift
 page-drift-creep = creeping by { $change } since { $run }
 page-drift-hint = Control charts (CUSUM and EWMA) watch each coefficient from run to run.

@@ -15,6 +15,10 @@ differ among themselves; a file without ``panel`` calls all of it that.
 
 Optional ``"panels": [{"thickness_mm", "runs"}]``: how thick the panels of earlier runs were, and how many runs had
 each; a file without it does not know (`softsensor.live.panels`).
+
+Optional ``"sisters": {"presses": [NAME, ...], "scatter": {NAME: {"between", "within"}}}``: the presses of the same
+kind that a press without runs of its own learned its model from, and how coefficients' logarithms scatter between
+them and from run to run (`softsensor.jobs.sisters`).
 """
 
 from __future__ import annotations
@@ -88,6 +92,25 @@ class PressedPanel:
 
 
 @dataclass(frozen=True)
+class SisterScatter:
+    """How a coefficient's logarithm scatters among presses of one kind."""
+
+    between: float
+    """Of a further press about what is expected of it."""
+    within: float
+    """From run to run."""
+
+
+@dataclass(frozen=True)
+class Sisters:
+    """What a press without runs of its own learned its model from."""
+
+    presses: tuple[str, ...]
+    scatter: Mapping[str, SisterScatter]
+    """By coefficient."""
+
+
+@dataclass(frozen=True)
 class ModelFile:
     """Coefficients and effects of one press, as a campaign found them."""
 
@@ -103,6 +126,8 @@ class ModelFile:
     """By key of the header."""
     panels: tuple[PressedPanel, ...] = ()
     """Which thicknesses earlier runs had, thinnest first; empty: not known."""
+    sisters: Sisters | None = None
+    """None: it rests on the press's own runs."""
 
     @property
     def learned(self) -> dict[str, float]:
@@ -153,6 +178,9 @@ class ModelFile:
             }
         if self.panels:
             content["panels"] = [{"thickness_mm": p.thickness_mm, "runs": p.runs} for p in self.panels]
+        if self.sisters is not None:
+            scatter = {n: {"between": s.between, "within": s.within} for n, s in self.sisters.scatter.items()}
+            content["sisters"] = {"presses": list(self.sisters.presses), "scatter": scatter}
         return content
 
 
@@ -191,7 +219,23 @@ def parse_model(content: Any, source: str) -> ModelFile:
         missing=_missing_causes(content["adequacy"], source) if content.get("adequacy") else None,
         scatter=_scatter(content.get("scatter") or {}, source),
         panels=_panels(content.get("panels") or (), source),
+        sisters=_sisters(content["sisters"], source) if content.get("sisters") else None,
     )
+
+
+def _sisters(entry: Any, source: str) -> Sisters:
+    try:
+        scatter = {
+            name: SisterScatter(float(s["between"]), float(s["within"])) for name, s in entry["scatter"].items()
+        }
+        found = Sisters(tuple(map(str, entry["presses"])), scatter)
+    except (TypeError, KeyError, ValueError, AttributeError) as error:
+        raise InputError(say("model-file-sisters", file=source, error=str(error))) from None
+    if bad := next(
+        (n for n, s in scatter.items() if not (0.0 < s.between < np.inf and 0.0 < s.within < np.inf)), None
+    ):
+        raise InputError(say("model-file-sisters", file=source, error=f"{bad}: {scatter[bad]}"))
+    return found
 
 
 def _panels(table: Any, source: str) -> tuple[PressedPanel, ...]:

@@ -36,6 +36,7 @@ from softsensor.jobs.first_start import Work, compile_for
 from softsensor.jobs.fitter import Fitter
 from softsensor.jobs.model_in_force import NEWEST_RUNS, PRESS_FILE, PRESSED_RUNS, up_to_date, with_pressed
 from softsensor.jobs.run_fits import RunFits, write_journal
+from softsensor.jobs.sisters import begin_with_sisters
 from softsensor.jobs.warm_up import warm_up
 from softsensor.live.leaving import Leave
 from softsensor.live.panels import panel_remark
@@ -381,7 +382,11 @@ class Follower:
         if rests_on == self._rests_on:
             return
         self._rests_on = rests_on
-        base = parse_model(active.model, f"model {active.version}") if active is not None else None
+        base: ModelFile | None = None
+        if active is not None:
+            base = parse_model(active.model, f"model {active.version}")
+        elif self.settings.sisters:
+            base = begin_with_sisters(self.store, self.name, self.press, PROCESS)
         version = base.version if base is not None else PRESS_FILE
         busy = self.live.record.run if self.live else ""
         runs = [r for r in self.store.runs(press=self.name, limit=PRESSED_RUNS).items if r.run != busy]

@@ -7,15 +7,16 @@ import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
 
 from daq.press.press_file import Press
-from daq.store import RunRecord
+from daq.store import RunRecord, Store
 from softsensor.diagnosis.missing_causes import stored_missing_causes
 from softsensor.fitting.constants import THICKNESS, ConstantFit, with_constants_of
-from softsensor.heat.model_file import FittedValue, ModelFile
+from softsensor.heat.model_file import FittedValue, ModelFile, SisterScatter
 from softsensor.live.priors import spread_of
 from softsensor.signals.instrument import GUESS_LOG, LEAST_SPREAD_LOG, SPREAD_LOG
 from softsensor.signals.pressed import all_products, products
@@ -55,7 +56,8 @@ def combined_model(press: Press, base: ModelFile | None, fits: Sequence[Mapping[
     table = {}
     for name in press.coefficient_names:
         known = base.coefficients.get(name) if base is not None else None
-        estimate = _combined(known, press.coefficient(name).guess, list(_values(name, fits)))
+        kind = base.sisters.scatter.get(name) if base is not None and base.sisters is not None else None
+        estimate = _combined(known, kind, press.coefficient(name).guess, list(known_values(name, fits)))
         if estimate is not None:
             table[name] = estimate
     seen = stored_missing_causes(fits)
@@ -85,7 +87,7 @@ def _with_constants(model: ModelFile, fits: Iterable[Mapping[str, Any]]) -> Mode
     return with_constants_of(model, constants)
 
 
-def _values(name: str, fits: Iterable[Mapping[str, Any]]) -> Iterable[tuple[float, float]]:
+def known_values(name: str, fits: Iterable[Mapping[str, Any]]) -> Iterable[tuple[float, float]]:
     """Yield logarithm and its standard deviation for each fit in which the coefficient is known."""
     for fit in fits:
         entry = fit.get("coefficients", {}).get(name) or {}
@@ -94,24 +96,49 @@ def _values(name: str, fits: Iterable[Mapping[str, Any]]) -> Iterable[tuple[floa
             yield math.log(value), spread_of(value, sd)
 
 
-def _combined(known: FittedValue | None, guess: float, found: list[tuple[float, float]]) -> FittedValue | None:
+def _combined(
+    known: FittedValue | None, kind: SisterScatter | None, guess: float, found: list[tuple[float, float]]
+) -> FittedValue | None:
+    """Return a coefficient of what the model says of it, which may be its `kind`'s, and what runs found."""
     if not found:
         return known
     logs, errors = np.array(found).T
     spread = SPREAD_LOG if known is None else max(spread_of(known.value, known.sd), LEAST_SPREAD_LOG)
+    spread = spread if kind is None else kind.within
     if len(logs) >= 3:
         seen = max(float(logs.var(ddof=1)) - float(np.mean(errors**2)), 0.0)
-        count = len(logs)
-        spread = math.sqrt(max((4.0 * spread**2 + count * seen) / (4.0 + count), LEAST_SPREAD_LOG**2))
+        spread = spread_with(spread, seen, len(logs))
     weights = 1.0 / (spread**2 + errors**2)
     if known is None:
         centre, own = math.log(guess), 1.0 / GUESS_LOG**2
     else:
-        centre, own = math.log(known.value), MODEL_RUNS / spread**2
+        own = MODEL_RUNS / spread**2 if kind is None else 1.0 / kind.between**2
+        centre = math.log(known.value)
     mean = (weights @ logs + own * centre) / (weights.sum() + own)
     sd = math.sqrt(spread**2 + 1.0 / (weights.sum() + own))
     value = math.exp(mean)
     return FittedValue(value, value * math.sqrt(math.expm1(sd**2)))
+
+
+def standing_fits(
+    store: Store, records: Sequence[RunRecord], press: Press, base: ModelFile | None
+) -> dict[str, dict[str, Any]]:
+    """Return the fits that still stand, by run: same run, same press file, same effects, as its mark says."""
+    found = store.fits([r.run for r in records])
+    marks = {r.run: fingerprint(r, press, base) for r in records if r.run in found}
+    return {run: found[run] for run, mark in marks.items() if found[run].get("fingerprint") == mark}
+
+
+def next_version(store: Store, press: str) -> str:
+    """Return a name of today that no version of a press has."""
+    taken = {m.version for m in store.models(press=press, limit=200).items}
+    day = f"{press}-{datetime.now(UTC):%Y-%m-%d}"
+    return next(f"{day}-{i}" for i in range(1, 10_000) if f"{day}-{i}" not in taken)
+
+
+def spread_with(before: float, variance: float, count: int) -> float:
+    """Return how far a coefficient's logarithm scatters: as was likely before, and as `count` runs show it."""
+    return math.sqrt(max((4.0 * before**2 + count * variance) / (4.0 + count), LEAST_SPREAD_LOG**2))
 
 
 def fingerprint(record: RunRecord, press: Press, model: ModelFile | None) -> str:

@@ -22,7 +22,7 @@ from daq.words import Message, say
 from softsensor.heat.model_file import ModelFile, parse_model
 from softsensor.jobs.bets import Bets
 from softsensor.jobs.drift import alarms_of
-from softsensor.jobs.model_in_force import PRESS_FILE, fingerprint
+from softsensor.jobs.model_in_force import PRESS_FILE, fingerprint, standing_fits
 from softsensor.jobs.night_fits import Done, FitTask, fit_all
 from softsensor.jobs.night_judgement import DIAGNOSED_RUNS, FEWEST_RUNS, PROCESS, Night, NightOutcome, judge_night
 from softsensor.jobs.night_progress import Agenda, agenda_of
@@ -66,7 +66,7 @@ def refit_press(
     for one in fit_all([FitTask(store.database.address, press, run, base) for run in agenda.due], workers, dask):
         tally.keep(one, agenda.due[one.run])
     outcome = _worked_off(store, name, agenda, tally, base)
-    fits = _standing_fits(store, agenda.window, press, base)
+    fits = standing_fits(store, agenda.window, press, base)
     good = [r for r in agenda.window if r.run in fits]
     progress = replace(agenda.progress, basis=_basis(press, good))
     if base is None or agenda.progress.basis != progress.basis:
@@ -128,15 +128,6 @@ def _worked_off(store: Store, name: str, agenda: Agenda, tally: _Tally, base: Mo
         later=store.count_pressings(name, below=behind) if behind else 0,
         left_out=tuple(tally.left_out[:SHOWN_LEFT_OUT]),
     )
-
-
-def _standing_fits(
-    store: Store, records: Sequence[RunRecord], press: Press, base: ModelFile | None
-) -> dict[str, dict[str, Any]]:
-    """Return the fits that still stand, by run: same run, same press file, same effects, as its mark says."""
-    found = store.fits([r.run for r in records])
-    marks = {r.run: fingerprint(r, press, base) for r in records if r.run in found}
-    return {run: found[run] for run, mark in marks.items() if found[run].get("fingerprint") == mark}
 
 
 def _bets(store: Store, press: Press, base: ModelFile | None, agenda: Agenda, good: Sequence[RunRecord]) -> Bets:

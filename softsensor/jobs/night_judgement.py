@@ -13,7 +13,6 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
 from enum import StrEnum
 from typing import Any
 
@@ -30,7 +29,7 @@ from softsensor.fitting.result import left_in
 from softsensor.fitting.simulated_run import simulate_run
 from softsensor.heat.model_file import ModelFile, parse_model
 from softsensor.jobs.fitter import fit_one
-from softsensor.jobs.model_in_force import combined_model, with_stored_fits
+from softsensor.jobs.model_in_force import combined_model, next_version, with_stored_fits
 from softsensor.jobs.night_sure import held_back, unsure_causes
 from softsensor.live.replay import replay
 from softsensor.signals.faces import measured_core
@@ -167,7 +166,7 @@ def judge_night(night: Night, outcome: NightOutcome) -> NightOutcome:
         return _keep_or_begin(night, base, outcome)
     if night.base is not None and _same_effects(night.base, extended):
         return replace(outcome, reason=say("night-diagnosis-confirms"))
-    candidate = replace(extended, version=_next_version(night), press=night.name)
+    candidate = replace(extended, version=next_version(night.store, night.name), press=night.name)
     fits = _fits_with(night, candidate, (held or asked)[-JUDGES:])
     candidate = with_stored_fits(replace(candidate, panels=base.panels), list(fits.values()))
     found = _compare(night, report, candidate, fits, apart=bool(held), fewer=fewer)
@@ -210,7 +209,7 @@ def _keep_or_begin(night: Night, base: ModelFile, outcome: NightOutcome) -> Nigh
     """Leave the promoted model; where there is none yet, begin with the runs' coefficients."""
     if night.base is not None:
         return outcome
-    first = replace(base, version=_next_version(night), press=night.name)
+    first = replace(base, version=next_version(night.store, night.name), press=night.name)
     described = sum(bool(fit.get("met", True)) for fit in night.fits.values())
     reason = say("night-first-model", runs=described)
     if outcome.reason != NOTHING_CHANGED:
@@ -246,12 +245,6 @@ def _rolled_back(night: Night, candidate: ModelFile) -> str:
         if m.status is ModelStatus.RETIRED and _same_effects(parse_model(m.model, m.version), candidate)
     )
     return next(same, "")
-
-
-def _next_version(night: Night) -> str:
-    taken = {m.version for m in night.store.models(press=night.name, limit=200).items}
-    day = f"{night.name}-{datetime.now(UTC):%Y-%m-%d}"
-    return next(f"{day}-{i}" for i in range(1, 10_000) if f"{day}-{i}" not in taken)
 
 
 def _fits_with(night: Night, candidate: ModelFile, runs: Sequence[str]) -> dict[str, dict[str, Any]]:

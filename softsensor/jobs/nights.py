@@ -10,7 +10,7 @@ the run at fault. Old scans are moved before, by this process: a worker elsewher
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
@@ -22,6 +22,7 @@ from softsensor.jobs.cluster import handed_out
 from softsensor.jobs.night import refit_press
 from softsensor.jobs.night_judgement import PROCESS, NightOutcome
 from softsensor.jobs.retention import Kept, Rules, keep_house
+from softsensor.jobs.sisters import begin_with_sisters
 
 
 @dataclass(frozen=True)
@@ -49,6 +50,7 @@ def refit_presses(
     workers: int | None = None,
     dask: str = "",
     rules: Rules | None = None,
+    learning: Collection[str] = (),
 ) -> Iterator[NightOutcome]:
     """Run the job for every press, and yield what it did as they end; one press alone has its fits shared out.
 
@@ -60,7 +62,11 @@ def refit_presses(
         Address of a Dask scheduler whose workers take the presses instead, or one press's fits.
     rules
         What becomes of old scans; None: they stay in the store.
+    learning
+        Presses that begin with what their sisters know, where they have no model.
     """
+    for name in learning:  # before any night: what they begin with must not depend on which one ends first
+        begin_with_sisters(store, name, presses[name], PROCESS)
     kept = {n: keep_house(store, n, rules, datetime.now(UTC)) if rules is not None else Kept() for n in presses}
     if len(presses) == 1:
         for name, press in presses.items():

@@ -8,8 +8,9 @@ const LEARN_RUNS = 8; // the control charts judge from then on
 
 export async function show(place, context) {
   const press = context.presses.length > 1 ? context.press : "";
-  const [{ items }, presses, drift] = await Promise.all([get("/coefficients", { press, limit: 500 }), get("/press"), get("/coefficients/drift", { press })]);
-  if (!items.length) { place.append(el("div", { class: "card empty" }, el("h1", {}, text("page-nav-coefficients")), el("p", {}, text("page-no-fits")))); return null; }
+  const [{ items }, presses, drift, models] = await Promise.all([get("/coefficients", { press, limit: 500 }), get("/press"), get("/coefficients/drift", { press }), get("/models", { press: context.press })]);
+  const origin = ofSisters(models.items.find((item) => item.current));
+  if (!items.length) { place.append(el("div", { class: "card empty" }, el("h1", {}, text("page-nav-coefficients")), el("p", {}, text("page-no-fits")), ...origin)); return null; }
   const history = [...items].reverse();
   const names = [...new Set(history.flatMap((item) => Object.keys(item.coefficients)))];
   const axes = ["time", ...new Set(history.flatMap((item) => Object.keys(item.settings)))];
@@ -18,7 +19,7 @@ export async function show(place, context) {
   const used = presses.items.find((item) => item.press === context.press)?.coefficients ?? {};
   place.append(el("section", { class: "card" }, el("div", { class: "head" }, el("h1", {}, text("page-nav-coefficients")),
     el("label", { class: "row small" }, el("span", { class: "faint" }, text("page-against")), choice)),
-  el("p", { class: "faint" }, `${text("page-coefficients-hint")} ${text("page-drift-hint")}`)), charts);
+  el("p", { class: "faint" }, `${text("page-coefficients-hint")} ${text("page-drift-hint")}`), ...origin), charts);
   const draw = () => {
     charts.replaceChildren(...names.map((name) => card(name, history, choice.value, used[name], drift.items.find((item) => item.coefficient === name))));
   };
@@ -27,6 +28,11 @@ export async function show(place, context) {
   place.append(latestCard(history.at(-1)));
   context.on("fit", () => { dispatchEvent(new HashChangeEvent("hashchange")); });
   return null;
+}
+
+// A model that presses of the same kind have taught says which.
+function ofSisters(model) {
+  return model?.reason_said?.code === "model-from-sisters" ? [el("p", {}, text("page-coefficients-sisters", { why: said(model.reason_said, model.reason) }))] : [];
 }
 
 function card(name, history, axis, used, drift) {
