@@ -113,11 +113,11 @@ def run_detail(store: Store, run: RunRecord) -> RunDetail:
             RunEdit(utc=c.utc, who=c.who, field=c.field, before=_plain(c.before), after=_plain(c.after))
             for c in store.run_changes(run.run)
         ],
-        **doubts_told(run.header),
+        **stated_doubts(run.header),
     )
 
 
-def doubts_told(header: Mapping[str, Any]) -> dict[str, Any]:
+def stated_doubts(header: Mapping[str, Any]) -> dict[str, Any]:
     """Return what is doubtful in a header as answers carry it."""
     found = doubts(header)
     return {"doubts": [str(doubt) for doubt in found], "doubts_said": [said_of(doubt) for doubt in found]}

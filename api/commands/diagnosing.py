@@ -184,7 +184,7 @@ def _ahead(press: Press, found: Diagnosis) -> Iterator[str]:
 
 def _lines(found: Diagnosis, *, law: bool) -> Iterator[str]:
     from softsensor.diagnosis.summary import core_said, law_said, sureness, verdict_said, where_said, worth
-    from softsensor.effects.vocabulary import parameters_told
+    from softsensor.effects.vocabulary import parameters_shown
 
     runs = len(found.stages[0].data)
     yield f"{found.verdict}: {in_words(*verdict_said(found))}"
@@ -195,7 +195,7 @@ def _lines(found: Diagnosis, *, law: bool) -> Iterator[str]:
         if len(f.set) > 1:
             said = say("diagnosed-causes", others=f.set[1:], **said.arguments)
         yield f"  {in_words(said)}"
-        for p in parameters_told(f.name, {name: i.as_json() for name, i in f.parameters.items()}):
+        for p in parameters_shown(f.name, {name: i.as_json() for name, i in f.parameters.items()}):
             yield f"    {in_words(p.line)}"
     yield f"  {in_words(say('diagnosed-residual', base=found.base.rmse_K, extended=found.extended.rmse_K))}"
     if found.where:

@@ -52,7 +52,7 @@ class ClientLog(logging.Handler):
 
 
 @contextmanager
-def clients_told_sparingly(log: logging.Logger) -> Iterator[None]:
+def client_log_thinned(log: logging.Logger) -> Iterator[None]:
     """Send the library's warnings through a `ClientLog` instead of to the program's handlers."""
     library, handler = logging.getLogger(LIBRARY), ClientLog(log)
     before = library.propagate

@@ -45,7 +45,7 @@ from api.answers.records import utc_now
 from api.http.gate import is_loopback
 from api.http.tokens import TokenFile
 from api.outputs import in_words, spoken_language
-from api.plant.client_log import LIBRARY, clients_told_sparingly
+from api.plant.client_log import LIBRARY, client_log_thinned
 from daq.process.config import OpcuaSettings
 from daq.records import Channel, InputError, Quality
 from daq.store.records import StoredPressEvent, StoreUnavailable
@@ -144,7 +144,7 @@ class PressServer:
 
     async def run(self, stop: threading.Event, started: threading.Event | None = None) -> None:
         """Serve until stopped. Raises `InputError` where the port is taken."""
-        with clients_told_sparingly(LOG):
+        with client_log_thinned(LOG):
             await self._serve(stop, started)
 
     async def _serve(self, stop: threading.Event, started: threading.Event | None) -> None:

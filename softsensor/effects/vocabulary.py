@@ -35,7 +35,7 @@ class Body(StrEnum):
 
 
 @dataclass(frozen=True)
-class Told:
+class ShownParameter:
     """A parameter as a page or a terminal shows it."""
 
     name: str
@@ -54,7 +54,7 @@ class Told:
         return told if self.between is None else say("parameter-told-within", told=told, between=self.between)
 
 
-def parameters_told(effect: str, values: Mapping[str, Mapping[str, Any]]) -> list[Told]:
+def parameters_shown(effect: str, values: Mapping[str, Mapping[str, Any]]) -> list[ShownParameter]:
     """Return an effect's parameters as people are told them.
 
     Parameters
@@ -72,7 +72,9 @@ def parameters_told(effect: str, values: Mapping[str, Mapping[str, Any]]) -> lis
         plain_name, no_unit = _plain(name.replace("_", " ")), _plain("")
         if isinstance(value, str | list | tuple):
             columns = [value] if isinstance(value, str) else value
-            found.append(Told(name, plain_name, say("list-of-names", names=tuple(columns)), no_unit, None))
+            found.append(
+                ShownParameter(name, plain_name, say("list-of-names", names=tuple(columns)), no_unit, None)
+            )
             continue
         factor, words, unit = 1.0, plain_name, no_unit
         if own is not None and name in known:
@@ -80,7 +82,7 @@ def parameters_told(effect: str, values: Mapping[str, Mapping[str, Any]]) -> lis
             words = own.parameter_called(name)
         ends = None if ci95 is None else [factor * float(end) for end in ci95]
         between = None if ends is None else say("parameter-interval", low=ends[0], high=ends[1])
-        found.append(Told(name, words, say("report-number-3", value=factor * value), unit, between))
+        found.append(ShownParameter(name, words, say("report-number-3", value=factor * value), unit, between))
     return found
 
 

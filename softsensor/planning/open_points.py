@@ -17,6 +17,7 @@ from softsensor.diagnosis.extension_unknowns import lay_out, logarithm_of, run_v
 from softsensor.diagnosis.finding import Contest, Diagnosis, Finding
 from softsensor.diagnosis.search import SettledModel
 from softsensor.fitting.experiment_advice import WANTED
+from softsensor.planning.design_point import DesignPoint, expected, information_of, opening_row, with_readings
 from softsensor.planning.information import (
     ODDS,
     WANTED_CHANCE,
@@ -27,7 +28,6 @@ from softsensor.planning.information import (
     pseudo_inverse,
     runs_needed,
 )
-from softsensor.planning.outlook import Outlook, expected, opening_row, told_by, with_readings
 from softsensor.signals.unknown import BAND
 
 NOTHING = ""
@@ -113,13 +113,13 @@ class OpenPoint:
         along = np.asarray(self.along)
         return BAND * math.sqrt(max(float(along @ covariance @ along), 0.0))
 
-    def prospect(self, outlook: Outlook, constants: Sequence[str]) -> Prospect:
+    def prospect(self, design: DesignPoint, constants: Sequence[str]) -> Prospect:
         """Return what a pressing would bring."""
         if self.along is not None:
-            return self._knowledge(outlook, constants)
-        read = with_readings(outlook.digest, self.contenders[0].fit, self.stage.population)
+            return self._knowledge(design, constants)
+        read = with_readings(design.digest, self.contenders[0].fit, self.stage.population)
         rivalries = [
-            Rivalry(other, expected(outlook, other.fit, self.stage, read, constants))
+            Rivalry(other, expected(design, other.fit, self.stage, read, constants))
             for other in self.contenders[1:]
         ]
         worth = min(r.evidence(1) for r in rivalries) / 2.0
@@ -141,10 +141,10 @@ class OpenPoint:
                 settled = settled & beyond_chance(worse)
         return float(settled.mean())
 
-    def _knowledge(self, outlook: Outlook, constants: Sequence[str]) -> Prospect:
+    def _knowledge(self, design: DesignPoint, constants: Sequence[str]) -> Prospect:
         known = self.contenders[0]
-        read = with_readings(outlook.digest, known.fit, self.stage.population)
-        run = expected(outlook, known.fit, self.stage, read, constants)
+        read = with_readings(design.digest, known.fit, self.stage.population)
+        run = expected(design, known.fit, self.stage, read, constants)
         after, now = self._half(covariance_after(known.before, run, 1)), self.half_now or 0.0
         runs = runs_needed(lambda n: self._half(covariance_after(known.before, run, n)) <= self.wanted)
         return Prospect(math.log(max(now, 1e-12) / max(after, 1e-12)), None, runs, after)
@@ -154,7 +154,7 @@ def contender(
     name: str,
     fit: SharedFit,
     stage: SettledModel,
-    past: Sequence[Outlook],
+    past: Sequence[DesignPoint],
     constants: Sequence[str],
     saves: Array | None = None,
 ) -> Contender:
@@ -166,13 +166,13 @@ def contender(
     before = np.zeros((count, count))
     before[: len(fit.theta), : len(fit.theta)] = fit.prior_hessian
     before[len(fit.theta) :, len(fit.theta) :] = np.eye(len(constants))
-    for state, data, outlook in zip(fit.runs, stage.data, past, strict=True):
-        before += told_by(outlook, state, data, constants).information
+    for state, data, design in zip(fit.runs, stage.data, past, strict=True):
+        before += information_of(design, state, data, constants).information
     own = np.zeros(len(fit.runs)) if saves is None else saves
     return Contender(name, fit, before, own)
 
 
-def open_causes(found: Diagnosis, past: Sequence[Outlook], constants: Sequence[str]) -> list[OpenPoint]:
+def open_causes(found: Diagnosis, past: Sequence[DesignPoint], constants: Sequence[str]) -> list[OpenPoint]:
     """Return the sets that the runs do not tell apart, and what is suspected, against none at all."""
     return [_of_causes(found, f, contest, past, constants) for f, contest in contested(found)]
 
@@ -184,7 +184,7 @@ def contested(found: Diagnosis) -> list[tuple[Finding, Contest]]:
 
 
 def _of_causes(
-    found: Diagnosis, finding: Finding, contest: Contest, past: Sequence[Outlook], constants: Sequence[str]
+    found: Diagnosis, finding: Finding, contest: Contest, past: Sequence[DesignPoint], constants: Sequence[str]
 ) -> OpenPoint:
     suspected = any(finding is f for f in found.suspected)
     stage = contest.stage
@@ -194,7 +194,7 @@ def _of_causes(
     return OpenPoint(PointKind.CAUSE, finding.name, stage, tuple(known), suspected)
 
 
-def open_numbers(stage: SettledModel, past: Sequence[Outlook], constants: Sequence[str]) -> list[OpenPoint]:
+def open_numbers(stage: SettledModel, past: Sequence[DesignPoint], constants: Sequence[str]) -> list[OpenPoint]:
     """Return coefficients known less well than `WANTED`, and the core, where more than `CORE_OFF_K` is left of it.
 
     Of the core at the opening counts what the campaign's numbers and shared constants leave; panels scatter
@@ -214,18 +214,18 @@ def open_numbers(stage: SettledModel, past: Sequence[Outlook], constants: Sequen
     return [p for p in points if (p.half_now or 0.0) > p.wanted]
 
 
-def _core_of_the_usual(stage: SettledModel, past: Sequence[Outlook], constants: Sequence[str]) -> Array:
+def _core_of_the_usual(stage: SettledModel, past: Sequence[DesignPoint], constants: Sequence[str]) -> Array:
     """Return what shared numbers and constants do to the core at the opening, mean over runs (x). [K]"""
     total = np.zeros(len(stage.fit.theta) + len(constants))
-    for outlook in past:
-        layout = lay_out(stage.fit.layout.model, [outlook.digest], stage.population, stage.fit.values)
+    for design in past:
+        layout = lay_out(stage.fit.layout.model, [design.digest], stage.population, stage.fit.values)
         values = run_values(layout, 0, stage.fit.theta, start_eta(layout, 0, stage.fit.theta))
         coefficients = stage.fit.layout.model.press.free_coefficients
         wanted = [stage.fit.layout.coefficients.get(name, name) for name in stage.fit.layout.names]
-        solution = outlook.digest.solve(stage.fit.layout.model, values, wanted)
-        row = opening_row(outlook.digest)
+        solution = design.digest.solve(stage.fit.layout.model, values, wanted)
+        row = opening_row(design.digest)
         for i, name in enumerate(wanted):
             total[i] += solution.d_core[name][row] * (values[name] if name in coefficients else 1.0)
         for i, key in enumerate(constants):
-            total[len(wanted) + i] += outlook.core_K.get(key, 0.0) * (key in outlook.shared)
+            total[len(wanted) + i] += design.core_K.get(key, 0.0) * (key in design.shared)
     return total / len(past)

@@ -19,8 +19,8 @@ from daq.records import InputError, Run
 from softsensor.diagnosis.decision import Verdict
 from softsensor.diagnosis.finding import Diagnosis
 from softsensor.diagnosis.search import SettledModel
+from softsensor.planning.design_point import DesignPoint, design_point_of, planned_digest, with_core
 from softsensor.planning.open_points import OpenPoint, Prospect, contested, open_causes, open_numbers
-from softsensor.planning.outlook import Outlook, outlook_of, planned_digest, with_core
 from softsensor.planning.program import Ranges, Settings, default_ranges, designed_run, settings_of
 from softsensor.signals.digest import Digest
 from softsensor.signals.moments import moments_seen
@@ -110,7 +110,7 @@ class Plan:
 
 
 @dataclass
-class _Bench:
+class _WorkedOut:
     """Pressings worked out once, by their settings."""
 
     press: Press
@@ -118,10 +118,10 @@ class _Bench:
     like: Digest
     usual: Settings
     constants: tuple[str, ...]
-    known: dict[tuple[tuple[tuple[str, float], ...], bool], Outlook | None] = field(default_factory=dict)
+    known: dict[tuple[tuple[tuple[str, float], ...], bool], DesignPoint | None] = field(default_factory=dict)
 
-    def outlook(self, settings: Settings, core: bool) -> Outlook | None:
-        """Return a pressing's outlook, None where the press cannot do it."""
+    def design(self, settings: Settings, core: bool) -> DesignPoint | None:
+        """Return a pressing as a point of the design, None where the press cannot do it."""
         key = (tuple(sorted(settings.items())), core)
         if key not in self.known:
             try:
@@ -130,19 +130,19 @@ class _Bench:
                 self.known[key] = None
         return self.known[key]
 
-    def _made(self, settings: Settings, core: bool) -> Outlook:
+    def _made(self, settings: Settings, core: bool) -> DesignPoint:
         run, moments = designed_run(self.like.run, self.press, self.like.moments, settings)
         press = with_core(self.press, settings["thickness_mm"]) if core else self.press
         digest = planned_digest(press, run, moments, self.like)
-        return outlook_of(press, digest, self.stage.fit)
+        return design_point_of(press, digest, self.stage.fit)
 
     def pressing(self, point: OpenPoint, settings: Settings, core: bool = False) -> PlannedPressing | None:
         """Return what some settings would bring to an open point."""
-        outlook = self.outlook(settings, core)
-        if outlook is None:
+        design = self.design(settings, core)
+        if design is None:
             return None
         changed = tuple(name for name, value in settings.items() if value != self.usual[name])
-        return PlannedPressing(dict(settings), core, changed, point.prospect(outlook, self.constants))
+        return PlannedPressing(dict(settings), core, changed, point.prospect(design, self.constants))
 
 
 def plan(
@@ -182,14 +182,14 @@ def plan(
     tell("runs so far", 0.0)
     described = found.verdict is not Verdict.NOT_DESCRIBED
     idle = not described or (causes_alone and not contested(found))
-    past = [] if idle else [outlook_of(press, d, stage.fit) for d in digests]
-    constants = tuple(dict.fromkeys(key for outlook in past for key in outlook.shared))
+    past = [] if idle else [design_point_of(press, d, stage.fit) for d in digests]
+    constants = tuple(dict.fromkeys(key for design in past for key in design.shared))
     points = [] if idle else open_causes(found, past, constants)
     if described and not causes_alone:
         points += open_numbers(found.final, past, constants)
     middle = _middle(settings)
     usual = {name: round(settings[middle][name], 1) for name in allowed if name in settings[middle]}
-    bench = _Bench(press, stage, digests[middle], usual, constants)
+    bench = _WorkedOut(press, stage, digests[middle], usual, constants)
     advised = []
     for i, point in enumerate(points):
         tell(point.name, (i + 1) / (len(points) + 1))
@@ -216,7 +216,7 @@ def _middle(settings: Sequence[Settings]) -> int:
     return min(range(len(settings)), key=lambda i: off(settings[i]))
 
 
-def _advice(bench: _Bench, point: OpenPoint, ranges: Ranges) -> Advice | None:
+def _advice(bench: _WorkedOut, point: OpenPoint, ranges: Ranges) -> Advice | None:
     repeated = bench.pressing(point, bench.usual)
     if repeated is None:
         return None
@@ -230,7 +230,7 @@ def _advice(bench: _Bench, point: OpenPoint, ranges: Ranges) -> Advice | None:
     return Advice(point, repeated, best, _with_core(bench, point, best))
 
 
-def _with_core(bench: _Bench, point: OpenPoint, best: PlannedPressing) -> PlannedPressing | None:
+def _with_core(bench: _WorkedOut, point: OpenPoint, best: PlannedPressing) -> PlannedPressing | None:
     """Return the best or the usual settings, whichever is worth more with a thermocouple in the core."""
     if not bench.press.panel_layers:
         return None
@@ -239,7 +239,7 @@ def _with_core(bench: _Bench, point: OpenPoint, best: PlannedPressing) -> Planne
 
 
 def _best_level(
-    bench: _Bench, point: OpenPoint, best: PlannedPressing, name: str, ends: tuple[float, float]
+    bench: _WorkedOut, point: OpenPoint, best: PlannedPressing, name: str, ends: tuple[float, float]
 ) -> PlannedPressing:
     for level in {*ends, bench.usual[name]} - {best.settings[name]}:
         other = bench.pressing(point, {**best.settings, name: level})

@@ -13,7 +13,7 @@ from softsensor.diagnosis.rehearsal import Rehearsal
 from softsensor.diagnosis.summary import chance, core_said, law_said, sureness, verdict_said, worth
 from softsensor.diagnosis.where import temperatures
 from softsensor.effects import find_effect
-from softsensor.effects.vocabulary import called, parameters_told, place_words
+from softsensor.effects.vocabulary import called, parameters_shown, place_words
 from softsensor.report.diagnosis_figures import diagnosis_pictures
 from softsensor.report.page import kelvins, page, signed_kelvins
 from softsensor.report.rehearsal_rows import HEADS, none_said, rehearsal_rows
@@ -70,7 +70,7 @@ def _finding(found: Diagnosis, f: Finding) -> dict[str, Any]:
         "symptom": effect.symptom,
         "core": effect.core,
         "confirm": [find_effect(name).confirm for name in f.set] if len(f.set) > 1 else [],
-        "parameters": parameters_told(f.name, {name: i.as_json() for name, i in f.parameters.items()}),
+        "parameters": parameters_shown(f.name, {name: i.as_json() for name, i in f.parameters.items()}),
         "worth": said,
         "against": [say("report-preferred", cause=called(name), t=t) for name, t in f.against],
     }

@@ -17,7 +17,7 @@ from daq.words import Message, say
 from daq.words.message import ENGLISH
 from softsensor.effects import find_effect
 from softsensor.effects.parameters import plain
-from softsensor.effects.vocabulary import called, coefficient_words, parameters_told
+from softsensor.effects.vocabulary import called, coefficient_words, parameters_shown
 from softsensor.jobs.night_record import NightRecord
 from softsensor.report.diagnosis_figures import diagnosis_pictures
 from softsensor.report.page import kelvins, page
@@ -149,7 +149,7 @@ def _found(diagnosis: Mapping[str, Any] | None) -> dict[str, Any] | None:
             {
                 "name": say("list-of-names", names=tuple(called(n) for n in e["set"])),
                 "worth": _said(e, "worth"),
-                "parameters": parameters_told(e["name"], e["parameters"]),
+                "parameters": parameters_shown(e["name"], e["parameters"]),
             }
             for e in diagnosis.get("effects", ())
         ],

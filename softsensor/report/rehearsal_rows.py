@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from daq.words import Message, say
 from softsensor.diagnosis.rehearsal import Hidden, Rate, Rehearsal
-from softsensor.effects.vocabulary import called, parameters_told
+from softsensor.effects.vocabulary import called, parameters_shown
 
 HEADS = ("report-cause", "rehearsal-size-head", "rehearsal-found", "rehearsal-alone", "rehearsal-wrong")
 """Of the columns."""
@@ -43,5 +43,5 @@ def size_said(hidden: Hidden) -> Message:
     """Say how large a hidden cause is; nothing of one without a size."""
     if not hidden.parameters:
         return say("plain-text", text="")
-    first = parameters_told(hidden.name, {name: {"value": value} for name, value in hidden.parameters})[0]
+    first = parameters_shown(hidden.name, {name: {"value": value} for name, value in hidden.parameters})[0]
     return say("rehearsal-size-cell", value=first.value, unit=first.unit)

@@ -226,13 +226,13 @@ from daq.press.press_file import read_press
 from daq.words.message import words
 from softsensor.diagnosis.missing_causes import candidates
 from softsensor.effects import catalogue, words_of_own_effects
-from softsensor.effects.vocabulary import called, parameters_told
+from softsensor.effects.vocabulary import called, parameters_shown
 from softsensor.heat.model import ThermalModel
 from softsensor.live.priors import plans_for
 
 press = read_press(Path("deploy/presses/lab.toml"))
 effect = catalogue()["hood_draught"]
-told = parameters_told("hood_draught", {"W_m3K": {"value": 1500.0, "ci95": [1000.0, 2000.0]}})[0]
+told = parameters_shown("hood_draught", {"W_m3K": {"value": 1500.0, "ci95": [1000.0, 2000.0]}})[0]
 plan = plans_for(press, None, (0.0, 0.1, 0.1))[0]
 suspect = next(s for s in plan.causes if s.effect == "hood_draught")
 problem = Space(model=ThermalModel(press), case=Space(press=press))

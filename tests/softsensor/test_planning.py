@@ -25,6 +25,7 @@ from softsensor.diagnosis.extension_unknowns import lay_out
 from softsensor.diagnosis.search import SettledModel, settle_base
 from softsensor.effects import find_effect
 from softsensor.heat.model import ThermalModel
+from softsensor.planning.design_point import design_point_of, planned_digest, shares, with_core
 from softsensor.planning.information import (
     RunInformation,
     covariance_after,
@@ -33,7 +34,6 @@ from softsensor.planning.information import (
     runs_needed,
 )
 from softsensor.planning.open_points import OpenPoint, PointKind, contender
-from softsensor.planning.outlook import outlook_of, planned_digest, shares, with_core
 from softsensor.planning.plan import plan
 from softsensor.planning.program import FACTORS, default_ranges, designed_run, settings_of
 from softsensor.planning.summary import plan_said
@@ -104,7 +104,7 @@ def stage() -> SettledModel:
 def between(first: str, second: str) -> OpenPoint:
     """A matter between two causes, as three runs leave it."""
     base = stage()
-    past = [outlook_of(press(), d.digest, base.fit) for d in base.data]
+    past = [design_point_of(press(), d.digest, base.fit) for d in base.data]
     known = []
     for name in (first, second):
         model = base.fit.layout.model.extended(find_effect(name))
@@ -120,7 +120,7 @@ def prospect(point: OpenPoint, *, core: bool = False, **changed: float) -> float
     run, moments = designed_run(like.run, press(), like.moments, {**usual, **changed})
     described = with_core(press(), changed.get("thickness_mm", 16.0)) if core else press()
     digest = planned_digest(described, run, moments, like)
-    return point.prospect(outlook_of(described, digest, stage().fit), ()).worth
+    return point.prospect(design_point_of(described, digest, stage().fit), ()).worth
 
 
 def test_another_thickness_or_the_core_tells_conductivity_from_heat_capacity() -> None:

@@ -78,7 +78,7 @@ PressName = Annotated[str | None, Query(description="Only this press.", max_leng
 
 
 @dataclass(frozen=True)
-class Page:
+class PagePart:
     """Which page of a list."""
 
     cursor: Cursor = None
@@ -98,7 +98,7 @@ class Began:
         return aware(self.since), aware(self.until)
 
 
-PageDep = Annotated[Page, Depends()]
+PageDep = Annotated[PagePart, Depends()]
 BeganDep = Annotated[Began, Depends()]
 
 

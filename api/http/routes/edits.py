@@ -10,7 +10,7 @@ import numpy as np
 from fastapi import APIRouter
 from pydantic import BaseModel, ConfigDict, Field, StrictBool, StrictFloat, StrictInt
 
-from api.answers.records import doubts_told, run_detail
+from api.answers.records import run_detail, stated_doubts
 from api.answers.schemas import NextPanelNow, RunDetail, RunVerdict, Verdict
 from api.http.problems import ProblemError, problem_responses
 from api.http.routes.common import PressName, StoreDep, Words, Writer, existing_run
@@ -135,7 +135,7 @@ def get_next_panel(store: StoreDep, press: PressName = None) -> NextPanelNow:
         who=said.who,
         utc=said.utc,
         recipes=recipes,
-        **doubts_told(header),
+        **stated_doubts(header),
     )
 
 

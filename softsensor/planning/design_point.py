@@ -37,7 +37,7 @@ CORE = "planned_in_the_core"
 
 
 @dataclass(frozen=True)
-class Outlook:
+class DesignPoint:
     """One pressing with its constants' doubts, measured or not."""
 
     digest: Digest
@@ -69,8 +69,8 @@ def shares(key: str, doubt: Doubt) -> tuple[float, float]:
     return own, math.sqrt(1.0 - own**2)
 
 
-def outlook_of(press: Press, digest: Digest, fit: SharedFit) -> Outlook:
-    """Return a pressing's outlook; the constants' changes are taken at the campaign's usual numbers."""
+def design_point_of(press: Press, digest: Digest, fit: SharedFit) -> DesignPoint:
+    """Return a pressing as a point of the design; constants change about the campaign's usual numbers."""
     run, case = digest.run, digest.cases[False]
     effects = tuple(e for e in fit.layout.model.effects if not e.layers)
     model = ThermalModel(press, effects)
@@ -92,7 +92,7 @@ def outlook_of(press: Press, digest: Digest, fit: SharedFit) -> Outlook:
             own[key] = by_run * step
         if common > 0.0:
             shared[key] = common * step
-    return Outlook(digest, own, shared, core)
+    return DesignPoint(digest, own, shared, core)
 
 
 def opening_row(digest: Digest) -> int:
@@ -124,7 +124,9 @@ def with_readings(digest: Digest, fit: SharedFit, population: Mapping[str, float
     return replace(digest, y=y, slope=slope)
 
 
-def told_by(outlook: Outlook, state: RunState, data: Whitened, constants: Sequence[str]) -> RunInformation:
+def information_of(
+    design: DesignPoint, state: RunState, data: Whitened, constants: Sequence[str]
+) -> RunInformation:
     """Return what a run says about the campaign's numbers and the shared `constants` after them.
 
     Parameters
@@ -140,10 +142,10 @@ def told_by(outlook: Outlook, state: RunState, data: Whitened, constants: Sequen
             found[: len(white)] = white
         return found
 
-    nothing = np.zeros_like(outlook.digest.y)
-    shared = np.hstack([state.shared_jacobian, rows([outlook.shared.get(key, nothing) for key in constants])])
-    own = np.hstack([state.jacobian, rows(list(outlook.own.values()))])
-    count = len(outlook.own)
+    nothing = np.zeros_like(design.digest.y)
+    shared = np.hstack([state.shared_jacobian, rows([design.shared.get(key, nothing) for key in constants])])
+    own = np.hstack([state.jacobian, rows(list(design.own.values()))])
+    count = len(design.own)
     own = np.vstack([own, np.hstack([np.zeros((count, own.shape[1] - count)), np.eye(count)])])
     shared = np.vstack([shared, np.zeros((count, shared.shape[1]))])
     residual = np.concatenate([state.residual, np.zeros(count)])
@@ -153,10 +155,10 @@ def told_by(outlook: Outlook, state: RunState, data: Whitened, constants: Sequen
 
 
 def expected(
-    outlook: Outlook, fit: SharedFit, stage: SettledModel, digest: Digest, constants: Sequence[str]
+    design: DesignPoint, fit: SharedFit, stage: SettledModel, digest: Digest, constants: Sequence[str]
 ) -> RunInformation:
     """Return what a run with some readings says about a fit's numbers, its own at what the campaign expects."""
     data = Whitened.of(digest, stage.noise)
     layout = lay_out(fit.layout.model, [digest], stage.population, fit.values)
     state = evaluate(layout, 0, data, fit.theta, start_eta(layout, 0, fit.theta))
-    return told_by(outlook, state, data, constants)
+    return information_of(design, state, data, constants)
