@@ -13,9 +13,10 @@ REMARK_OF_MODULE = re.compile(
     "(?:Numbers|Thresholds) without another source were set by hand|numbers (?:below )?were set by hand"
 )
 SOURCE = re.compile(
-    r"\b(?:CODATA|Handbook|ISO|IEC|IAPWS|NIST|NAMEDATALEN|doi|et al|TR-BDF2|by definition|seeds?|default|half[- ]space)\b"
+    r"\b(?:CODATA|Handbook|ISO|IEC|IAPWS|NIST|NAMEDATALEN|doi|et al|TR-BDF2|by definition|half[- ]space|seeds?|"
+    r"default)\b"
 )
-"""Names a table, a paper, a definition, a solution in closed form, or a calibration with what it was drawn with."""
+"""Names a table, a paper, a definition, a closed solution, or a calibration with what it was drawn with."""
 
 
 def is_number(value: ast.expr) -> bool:
