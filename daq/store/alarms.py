@@ -107,7 +107,7 @@ def alarms(
 ) -> Page[StoredAlarm]:
     """Return a page of alarms, newest first; `pending` ones stand, or nobody has acknowledged them."""
     if not pending:
-        rows, following = newest_first(connection, ALARM, "alarm_id", press, cursor, limit)
+        rows, following = newest_first(connection, ALARM, press, cursor, limit)
         return Page(tuple(_alarm(row) for row in rows), following)
     query = select(ALARM).where(or_(ALARM.c.ended_unix_s.is_(None), ALARM.c.acknowledged_unix_s.is_(None)))
     if press is not None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from datetime import UTC, datetime
-from typing import Any, Literal
+from typing import Any
 
 from sqlalchemy import Connection, Row, insert, select
 
@@ -13,28 +13,32 @@ from daq.store.convert import header_text, known_utc, to_json, unix_of
 from daq.store.reading import newest_first, open_run, recorded_id
 from daq.store.records import JournalEntry, Page
 from daq.store.schema import EVENT, RUN_CHANGE, SCAN
+from daq.store.write_batch import Entry, Level
 from daq.words import Message, say, spoken
 
 
 def log(
     connection: Connection,
-    level: Literal["info", "warning", "alarm"],
+    level: Level,
     process: str,
     message: Message | str,
     press: str | None = None,
     detail: Mapping[str, Any] | None = None,
-    utc: datetime | None = None,
 ) -> int:
-    """Add a line to the journal, of now or of the moment given; return its number."""
-    said = spoken(message)
+    """Add a line of now to the journal; return its number."""
+    return write_line(connection, Entry(level, process, spoken(message), press, detail))
+
+
+def write_line(connection: Connection, line: Entry) -> int:
+    """Add a line to the journal, of the moment it tells; return its number."""
     row = {
-        "unix_s": unix_of(utc or datetime.now(UTC)),
-        "level": level,
-        "process": process,
-        "press": press,
-        "message": str(said),
-        "message_json": to_json(said.to_json()),
-        "detail_json": None if detail is None else to_json(detail),
+        "unix_s": unix_of(known_utc(line.unix_s)),
+        "level": line.level,
+        "process": line.process,
+        "press": line.press,
+        "message": str(line.message),
+        "message_json": to_json(line.message.to_json()),
+        "detail_json": None if line.detail is None else to_json(line.detail),
     }
     key = connection.execute(insert(EVENT), row).inserted_primary_key
     return int(key[0]) if key is not None else 0
@@ -68,9 +72,7 @@ def journal(
     limit: int = 50,
 ) -> Page[JournalEntry]:
     """Return a page of the journal, newest first."""
-    rows, following = newest_first(
-        connection, EVENT, "event_id", press, cursor, limit, level=level, process=process
-    )
+    rows, following = newest_first(connection, EVENT, press, cursor, limit, level=level, process=process)
     return Page(tuple(_entry(r) for r in rows), following)
 
 

@@ -34,7 +34,7 @@ def nights(
     connection: Connection, *, press: str | None = None, cursor: str | None = None, limit: int = 50
 ) -> Page[StoredNight]:
     """Return a page of nights, newest first."""
-    rows, following = newest_first(connection, NIGHT, "night_id", press, cursor, limit)
+    rows, following = newest_first(connection, NIGHT, press, cursor, limit)
     return Page(tuple(_night(row) for row in rows), following)
 
 

@@ -16,7 +16,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from daq.records import Channel, InputError, Quality, Scan
 from daq.store.buffer import Buffer, set_aside
@@ -24,11 +24,10 @@ from daq.store.convert import known_utc
 from daq.store.records import PressKey, StoreUnavailable
 from daq.store.session_placement import Notes, SessionPlacement, session_key
 from daq.store.store import Store
-from daq.store.write_batch import Entry, WriteBatch, encode_item, in_parts, item_in_words
+from daq.store.write_batch import Entry, Level, WriteBatch, encode_item, in_parts, item_in_words
 from daq.supervision import SupervisedThread, unexpected
 from daq.words import Message, say, spoken
 
-Level = Literal["info", "warning", "alarm"]
 _FIRST_RETRY_S, _LONGEST_RETRY_S = 1.0, 10.0
 """A store that refuses is tried again after this, doubled each time up to the second. Set by hand, 2026-11. [s]"""
 

@@ -443,14 +443,13 @@ def configuration_of(connection: Connection, run: str) -> str:
 def newest_first(
     connection: Connection,
     table: Table,
-    key: str,
     press: str | None,
     cursor: str | None,
     limit: int,
     **only: str | None,
 ) -> tuple[list[Row[Any]], str | None]:
     """Return a page of a table's rows, newest first, and the next cursor; `only` chooses by other columns."""
-    column = table.c[key]
+    (column,) = table.primary_key
     query = select(table, column.label("row_number")).order_by(column.desc()).limit(limit + 1)
     for name, wanted in {"press": press, **only}.items():
         if wanted is not None:

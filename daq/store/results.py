@@ -325,7 +325,7 @@ def models(
     connection: Connection, *, press: str | None = None, cursor: str | None = None, limit: int = 50
 ) -> Page[ModelRecord]:
     """Return a page of model versions, newest first."""
-    rows, following = newest_first(connection, MODEL, "model_number", press, cursor, limit)
+    rows, following = newest_first(connection, MODEL, press, cursor, limit)
     return Page(tuple(_model(row) for row in rows), following)
 
 
@@ -349,7 +349,7 @@ def diagnoses(
     connection: Connection, *, press: str | None = None, cursor: str | None = None, limit: int = 50
 ) -> Page[DiagnosisRecord]:
     """Return a page of diagnoses, newest first."""
-    rows, following = newest_first(connection, DIAGNOSIS, "diagnosis_id", press, cursor, limit)
+    rows, following = newest_first(connection, DIAGNOSIS, press, cursor, limit)
     items = tuple(
         DiagnosisRecord(
             r.diagnosis_id, r.press, known_utc(r.created_unix_s), r.verdict, json.loads(r.diagnosis_json)

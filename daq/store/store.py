@@ -30,7 +30,6 @@ from daq.store import (
     upkeep,
 )
 from daq.store.archive import Checked
-from daq.store.convert import known_utc
 from daq.store.database import BUSY_S, Database
 from daq.store.origin import header_for_file
 from daq.store.records import Moved
@@ -128,8 +127,7 @@ class Store:
             for p in in_rows(batches):
                 recording.append(connection, p.key, p.scans, p.events, p.begin, p.end)
             for line in lines:
-                at = known_utc(line.unix_s)
-                journal.log(connection, line.level, line.process, line.message, line.press, line.detail, at)
+                journal.write_line(connection, line)
 
     def try_to_write(self) -> None:
         """Raise what keeps anything from being written now."""

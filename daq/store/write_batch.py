@@ -67,11 +67,14 @@ def _cleaned(value: Any) -> Any:
     return value.replace("\0", "\ufffd").encode("utf-8", "replace").decode()
 
 
+Level = Literal["info", "warning", "alarm"]
+
+
 @dataclass(frozen=True)
 class Entry:
     """A line for the journal."""
 
-    level: Literal["info", "warning", "alarm"]
+    level: Level
     process: str
     message: Message
     press: str | None = None
