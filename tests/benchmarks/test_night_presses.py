@@ -2,7 +2,8 @@
 
 Beside the time on the clock stands the processor time of all processes: on a machine that does other work the
 clock says little, and two workers on two idle cores need no less than half of theirs. One worker is held to one
-core, since a diagnosis uses a second one where it is free. `KERNTEMP_BENCH_RUNS` asks for more runs a press.
+core, since a diagnosis uses a second one where it is free. `KERNTEMP_BENCH_PRESSES`, `KERNTEMP_BENCH_RUNS` and
+`KERNTEMP_BENCH_HIDE` ask for other numbers of presses and of runs a press, and for a cause hidden in each.
 """
 
 import json
@@ -19,8 +20,9 @@ from daq.simulated.campaign_pressfile import press_toml
 from daq.store import open_store
 from tests.softsensor.test_night import found_by
 
-PRESSES = [f"press-{i}" for i in range(8)]
+PRESSES = [f"press-{i}" for i in range(int(os.environ.get("KERNTEMP_BENCH_PRESSES", "8")))]
 RUNS = int(os.environ.get("KERNTEMP_BENCH_RUNS", "6"))
+HIDE = os.environ.get("KERNTEMP_BENCH_HIDE")
 pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(3600)]
 
 NIGHT = """
@@ -64,15 +66,15 @@ WAYS = (
 )
 
 
-def test_a_night_of_eight_presses_on_two_workers(tmp_path, capsys):
+def test_a_night_of_several_presses_on_two_workers(tmp_path, capsys):
     stored, script = tmp_path / "stored.sqlite", tmp_path / "night.py"
     script.write_text(NIGHT, encoding="utf-8")
     with open_store(str(stored)) as store:
         for i, press in enumerate(PRESSES):
-            runs = [run for run, _ in make_campaign(7300 + i, RUNS, None, Plan(rate_hz=2.0))]
+            runs = [run for run, _ in make_campaign(7300 + i, RUNS, HIDE, Plan(rate_hz=2.0))]
             named = [replace(run, name=f"{press}-{j:02}") for j, run in enumerate(runs)]
             store.import_runs(named, press, press_toml())
-    times, found = {}, []
+    times, found, memory = {}, [], 0
     for way in WAYS:
         copy = str(shutil.copy(stored, tmp_path / f"{len(found)}.sqlite"))
         done = subprocess.run(
@@ -81,8 +83,13 @@ def test_a_night_of_eight_presses_on_two_workers(tmp_path, capsys):
         times[way] = json.loads(done.stdout.splitlines()[-1])
         with open_store(copy) as store:
             found.append(found_by(store, PRESSES))
+            nights = [record.night for record in store.newest_nights().values()]
+            memory = max([memory, *(night["memory_bytes"] or 0 for night in nights)])
     with capsys.disabled():
-        print(f"\n{len(PRESSES)} presses of {RUNS} runs, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}")
+        print(
+            f"\n{len(PRESSES)} presses of {RUNS} runs, {HIDE or 'nothing'} hidden, {memory / 1e6:.0f} MB at most, "
+            f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}"
+        )
         for way, (wall, used) in times.items():
             print(
                 f"{way:>48}: {wall:6.1f} s, {times[WAYS[0]][0] / wall:4.2f} times as fast as one worker, "

@@ -659,8 +659,8 @@ def found_by(store, presses):
         (night,) = store.nights(press=name).items
         fits = {r.run: timeless(store.fit(r.run)) for r in store.runs(press=name).items}
         (asked,) = store.diagnoses(press=name).items
-        (model,) = store.models(press=name).items
-        told[name] = (fits, timeless(asked.diagnosis), model.model, model.status, night.progress)
+        models = [(m.version, m.model, m.status) for m in store.models(press=name).items]
+        told[name] = (fits, timeless(asked.diagnosis), models, night.progress)
     return told
 
 
