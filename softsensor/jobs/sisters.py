@@ -85,25 +85,24 @@ def begin_with_sisters(store: Store, name: str, press: Press, who: str) -> Model
 
 def sisters_of(store: Store, name: str, press: Press) -> list[Sister]:
     """Return the presses of a store that are of the same kind and have a model and fits of their own."""
-    found = []
-    for other, text in sorted(store.presses().items()):
-        active = store.active_model(other) if other != name and _same_kind(text, press) else None
-        if active is None:
-            continue
-        model, described = parse_model(active.model, f"model {active.version}"), parse_press(text)
-        records = store.pressings(other, limit=NEWEST_RUNS)
-        fits = standing_fits(store, records, described, model)
-        found.append(Sister(other, model, [fits[r.run] for r in records if r.run in fits]))
-    return found
+    others = sorted((other, text) for other, text in store.presses().items() if other != name)
+    return [sister for other, text in others if (sister := _sister(store, other, text, press)) is not None]
 
 
-def _same_kind(press_file: str, press: Press) -> bool:
-    """Return whether a press file, as the store keeps it, has the layers, boundaries and contacts of a press."""
+def _sister(store: Store, name: str, press_file: str, press: Press) -> Sister | None:
+    """Return a press as a sister of another, None where it is none, or where what is kept of it cannot be read."""
+    active = store.active_model(name)
+    if active is None:
+        return None
     try:
-        other = parse_press(press_file)
-    except InputError:  # of a press that nothing was kept of, or of a version before
-        return False
-    return (other.layer, other.boundary, other.contact) == (press.layer, press.boundary, press.contact)
+        own, model = parse_press(press_file), parse_model(active.model, f"model {active.version}")
+    except InputError:
+        return None
+    if (own.layer, own.boundary, own.contact) != (press.layer, press.boundary, press.contact):
+        return None
+    records = store.pressings(name, limit=NEWEST_RUNS)
+    fits = standing_fits(store, records, own, model)
+    return Sister(name, model, [fits[r.run] for r in records if r.run in fits])
 
 
 def learned_from(press: Press, sisters: Sequence[Sister]) -> ModelFile | None:

@@ -90,7 +90,7 @@ def test_sisters_with_other_effects_than_most_are_not_asked():
 
 @pytest.fixture
 def store(tmp_path):
-    """Three presses with models and fits, one of them of another kind, and one that has just come."""
+    """Presses with models and fits, one of another kind and one whose model cannot be read."""
     ((run, _),) = make_campaign(51, 1, None, Plan(rate_hz=1.0, thickness_mm=16.0, press_time_s=(25.0, 40.0)))
     thick = press_toml(plates=Plates(0.02, 40.0, 7800.0, 470.0))
     with open_store(str(tmp_path / "kerntemp.sqlite")) as opened:
@@ -101,6 +101,9 @@ def store(tmp_path):
             opened.promote_model(model.version, "test")
             mark = fingerprint(opened.run_record(f"{name}-1"), parse_press(text), model)
             opened.put_fit(f"{name}-1", {**fit_entry(value), "fingerprint": mark}, model.version)
+        opened.import_run(replace(run, name="d-1"), "d", press_toml())
+        opened.put_model("d", "d-model", {"coefficients": {CONTACT: {"value": -1.0}}})
+        opened.promote_model("d-model", "test")
         yield opened
 
 
