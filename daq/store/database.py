@@ -23,7 +23,7 @@ from sqlalchemy.exc import ArgumentError, DatabaseError, InterfaceError, NoSuchM
 
 from daq.address import Address, hidden, secrets_of
 from daq.records import InputError
-from daq.store.file_rescue import Identity, hold, identity_of, logs_of, rescue
+from daq.store.file_rescue import Identity, hold, identity_of, log_cut, logs_of, rescue, settle
 from daq.store.records import StoreUnavailable
 from daq.words import Message, say
 
@@ -74,6 +74,8 @@ class Database:
         self._held: sqlite3.Connection | None = None
         self._logs = logs_of(Path())
         """The log and its index of the file that is held on to."""
+        self._log_size = 0
+        """How long the log was when it was last looked at."""
         if later:
             return
         try:
@@ -99,7 +101,7 @@ class Database:
                 if self.path:
                     _switch_to_wal(self.engine, self._busy_s)
                 self._migrate()
-            self._identity = identity_of(self.path) if self.path else None
+            self._identity, self._log_size = (identity_of(self.path) if self.path else None), 0
             self._prepared = True
 
     def hold_on(self) -> None:
@@ -108,6 +110,16 @@ class Database:
             with self.translated():
                 self._held = hold(self.path)
             self._logs = logs_of(self.path)
+            self.settle()
+
+    def settle(self) -> bool:
+        """Bring all of the log into the file held on to; return whether it is there."""
+        if self._held is None or self.moved:
+            return False
+        try:
+            return settle(self._held)
+        except sqlite3.Error:
+            return False
 
     @property
     def held(self) -> bool:
@@ -126,7 +138,15 @@ class Database:
         """Whether the log of the file held on to is another one, while the file is in its place."""
         if self.path is None or self._held is None or identity_of(self.path) != self._identity:
             return False
-        return logs_of(self.path) != self._logs
+        return logs_of(self.path) != self._logs or self.log_cut
+
+    @property
+    def log_cut(self) -> bool:
+        """Whether the log was emptied or cut short in its place: what it held is nowhere any more."""
+        if self.path is None or not self._prepared or identity_of(self.path) != self._identity:
+            return False
+        cut, self._log_size = log_cut(self.path, self._log_size)
+        return cut
 
     def rescue(self, alive: Callable[[], None] = lambda: None) -> Path | None:
         """Put all of the lost file where it belongs and go on there; returns where what was found there went.
@@ -136,7 +156,7 @@ class Database:
         if self.path is None or self._held is None:
             return None
         try:
-            aside = rescue(self._held, self.path, alive)
+            aside = rescue(self._held, self.path, alive, without_log=self.log_cut)
         except (sqlite3.Error, OSError) as error:
             raise StoreUnavailable(_advice(self, str(error))) from error
         self._held = None
@@ -157,6 +177,8 @@ class Database:
             if self.path is None or self._held is not None or not self.path.exists():
                 raise StoreUnavailable(say("store-file-gone", store=self.label))
             self._open_anew()
+        elif self.log_cut:
+            raise StoreUnavailable(say("store-file-gone", store=self.label))
 
     @property
     def dialect(self) -> str:

@@ -4,7 +4,8 @@ Whoever has the file open still reaches all of it, whatever became of its name. 
 holds on to it, and its content is copied to where the store belongs. What goes on under the old connections would
 be written to a file nobody finds (2026-11-22: 116 acknowledged scans). The same holds of the log beside it, which
 has the newest commits, and of the log's index: deleted alone, or left behind where a link stands in for the moved
-file, whoever opens the store sees none of them (2026-11-24: 687 acknowledged scans).
+file, whoever opens the store sees none of them (2026-11-24: 687 acknowledged scans). What a log held that was
+emptied in its place is nowhere any more: the file is copied without it, and who wrote last writes that again.
 
 After a rescue the held connection stays open for the life of the process: the last connection to leave a file in
 WAL mode deletes ``-wal`` and ``-shm`` by name, and these names belong to the new file by then. Whoever closes a
@@ -25,6 +26,10 @@ Identity = tuple[str, int, int]
 _PAGES_AT_ONCE, _STEPS_AT_ONCE = 10_000, 10_000_000
 """Copied, and checked, between two signs of life: less than a second each. Set by hand, 2026-11."""
 _UNREADABLE_NOW = ("locked", "unable to open")
+_BEGINS = (b"\x37\x7f\x06\x82", b"\x37\x7f\x06\x83")
+"""What a log begins with. https://www.sqlite.org/fileformat2.html#walformat"""
+_LOG_HEADER, _PAGE_HEADER = 32, 24
+"""Bytes before the log's first page, and before each. Same source."""
 LOGS = ("-wal", "-shm")
 """What SQLite keeps beside a file, by that file's own name: the newest commits, and where they stand in there."""
 
@@ -41,6 +46,37 @@ def identity_of(path: Path) -> Identity | None:
 def logs_of(path: Path) -> tuple[tuple[int, int] | None, ...]:
     """Return which files hold the log of an SQLite file and its index; they stay while somebody has it open."""
     return tuple(_number_of(f"{os.path.realpath(path)}{ending}") for ending in LOGS)
+
+
+def log_cut(path: Path, seen: int) -> tuple[bool, int]:
+    """Return whether a log that was seen so long was emptied or cut short in its place, and how long it is now.
+
+    A log only grows, but for a checkpoint that empties it; its index lists no page after that. [bytes] A log that
+    is not there counts as whole.
+    """
+    try:
+        with Path(f"{os.path.realpath(path)}{LOGS[0]}").open("rb") as log:
+            begins, size = log.read(len(_BEGINS[0])), log.seek(0, os.SEEK_END)
+    except OSError:
+        return False, seen
+    if begins and begins not in _BEGINS:  # somebody has written behind the hole
+        return True, seen
+    if size >= seen:
+        return False, size
+    try:
+        with closing(sqlite3.connect(path)) as connection:
+            pages = connection.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchone()[1]
+            page_size = connection.execute("PRAGMA page_size").fetchone()[0]
+    except sqlite3.Error as error:
+        return not any(sign in str(error) for sign in _UNREADABLE_NOW), seen
+    cut = pages > 0 and size < _LOG_HEADER + pages * (_PAGE_HEADER + page_size)
+    return cut, seen if cut else size
+
+
+def settle(held: sqlite3.Connection) -> bool:
+    """Bring what a log holds into its file; return whether all of it is there: a reader may be in the way."""
+    busy, listed, settled = held.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchone()
+    return not busy and listed == settled
 
 
 def _number_of(file: str) -> tuple[int, int] | None:
@@ -63,18 +99,27 @@ def hold(path: Path) -> sqlite3.Connection:
     return connection
 
 
-def rescue(held: sqlite3.Connection, path: Path, alive: Callable[[], None] = lambda: None) -> Path | None:
+def rescue(
+    held: sqlite3.Connection, path: Path, alive: Callable[[], None] = lambda: None, *, without_log: bool = False
+) -> Path | None:
     """Copy all a held connection reaches to `path`; returns where another store found there was put aside.
 
-    `alive` is called now and then: a large store takes minutes. Raises `sqlite3.Error` or `OSError` where the disk
-    does not take it or what can be reached is no sound store; nothing is changed then.
+    `alive` is called now and then: a large store takes minutes. `without_log`: the file alone is copied, as its
+    last checkpoint left it. Raises `sqlite3.Error` or `OSError` where the disk does not take it or what can be
+    reached is no sound store; nothing is changed then.
     """
-    with suppress(sqlite3.Error):
-        held.execute("PRAGMA wal_checkpoint(TRUNCATE)")  # a file that was moved is whole without its log
+    source = held
+    if without_log:
+        source = sqlite3.connect(f"{path.absolute().as_uri()}?immutable=1", uri=True, isolation_level=None)
+    else:
+        with suppress(sqlite3.Error):
+            held.execute("PRAGMA wal_checkpoint(TRUNCATE)")  # a file that was moved is whole without its log
     part = path.with_name(f".{path.name}.rescued")
     part.unlink(missing_ok=True)
     with closing(sqlite3.connect(part)) as copy:
-        _copy(held, copy, alive)
+        _copy(source, copy, alive)
+    if without_log:
+        source.close()
     with part.open("rb") as file:
         os.fsync(file.fileno())
     aside = None

@@ -25,7 +25,7 @@ from daq.store.records import PressKey, StoreUnavailable
 from daq.store.session_placement import Notes, SessionPlacement, session_key
 from daq.store.store import Store
 from daq.store.write_batch import Entry, Level, WriteBatch, encode_item, in_parts, item_in_words
-from daq.supervision import SupervisedThread, unexpected
+from daq.supervision import BEAT_S, SupervisedThread, unexpected
 from daq.words import Message, say, spoken
 
 _FIRST_RETRY_S, _LONGEST_RETRY_S = 1.0, 10.0
@@ -75,6 +75,11 @@ class Outbox:
         self._news = threading.Event()
         self._beat: tuple[str, Mapping[str, Any]] | None = None
         self._waiting: list[WriteBatch | Entry] = []
+        self._unsettled: deque[WriteBatch | Entry] = deque(maxlen=_MOST_WAITING)
+        """Written, but perhaps only in the log of an SQLite store so far."""
+        self._again: list[WriteBatch | Entry] = []
+        """What a log that was cut short held, to be written again."""
+        self._settle_at = time.monotonic() + BEAT_S
         self._retry_s, self._retry_at = _FIRST_RETRY_S, 0.0
         self._buffer_trouble = False
         self._moved_s = time.monotonic()
@@ -190,11 +195,24 @@ class Outbox:
         database = self._store.database
         if database.moved and database.held:
             beside = "store-rescued-log" if database.log_gone else "store-rescued-beside"
+            if cut := database.log_cut:
+                beside = "store-rescued-cut"
             aside = database.rescue(self._moves)
-            said = {"store": self._store.label, "aside": str(aside)}
+            if cut:
+                self._again, self._unsettled = [*self._again, *self._unsettled], deque(maxlen=_MOST_WAITING)
+            said: dict[str, Any] = {"store": self._store.label, "aside": str(aside), "count": len(self._again)}
             self._journal("alarm", Message(beside if aside else "store-rescued", said))
         if database.path is not None and not database.held:
             database.hold_on()
+
+    def _settle(self) -> None:
+        """Bring what the log holds into the file with every sign of life, and forget what is there for certain."""
+        if self._store.database.path is None:
+            self._unsettled.clear()
+        elif time.monotonic() >= self._settle_at:
+            self._settle_at = time.monotonic() + BEAT_S
+            if self._store.database.settle():
+                self._unsettled.clear()
 
     def _moves(self) -> None:
         """Note that the writer is at work."""
@@ -203,6 +221,10 @@ class Outbox:
     def _deliver(self) -> None:
         try:
             self._watch_file()
+            while self._again:
+                self._write(self._again[:_AT_ONCE])
+                del self._again[:_AT_ONCE]
+                self._show()
             self._drain()
             while self._waiting:
                 items = self._waiting[:_AT_ONCE]
@@ -215,6 +237,7 @@ class Outbox:
         else:
             self._retry_s, self._thinned = _FIRST_RETRY_S, False
             self._thread.worked()
+            self._settle()
             if self.trouble:
                 self.trouble = None
                 self._journal("info", say("store-back", store=self._store.label))
@@ -252,6 +275,7 @@ class Outbox:
             parts = [p for x in items for p in (in_parts(x) if isinstance(x, WriteBatch) else ((x,),))]
             if sum(self._write_one_of(tries) for tries in parts) == 0:
                 self._thread.failed(error)  # it was none of them
+        self._unsettled += items
 
     def _write_one_of(self, tries: Sequence[WriteBatch | Entry]) -> int:
         """Write the first of these that the store takes; return how many before it were set aside and told."""

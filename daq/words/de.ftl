@@ -456,6 +456,10 @@ store-remedy-read-only = keine Schreibrechte; Eigentümer und Einhängung der Da
 store-remedy-server = prüfen, ob der Datenbankserver läuft und erreichbar ist
 store-rescued = Datenspeicher { $store }: die Datei wurde gelöscht, verschoben oder ausgetauscht; alles ist an ihrem Platz neu geschrieben, die Aufzeichnung läuft dort weiter
 store-rescued-beside = Datenspeicher { $store }: an seinen Platz wurde ein anderer gelegt; dieser liegt nun unter { $aside }, der aufgezeichnete ist neu geschrieben, die Aufzeichnung läuft dort weiter
+store-rescued-cut = Datenspeicher { $store }: sein Protokoll (-wal) wurde geleert oder gekürzt; die Datei ist ohne es neu geschrieben, mit { $count ->
+        [one] dem einen neuesten Eintrag
+       *[other] den { $count } neuesten Einträgen
+    } des Rekorders; was andere Prozesse in den letzten Sekunden gespeichert haben, kann verloren sein; die vorgefundene Datei liegt nun unter { $aside }
 store-rescued-log = Datenspeicher { $store }: sein Protokoll (-wal, -shm) wurde gelöscht oder ausgetauscht; alles ist neu geschrieben, die Aufzeichnung läuft dort weiter; die Datei ohne ihre neuesten Einträge liegt nun unter { $aside }
 store-run-missing = Pressung '{ $run }' ist nicht im Datenspeicher; kerntemp export listet die Pressungen, eine Datei braucht ihren Pfad
 store-run-name = { $file }: Kopfzeile run = { $name }: muss ein Name aus 1 bis 200 Bytes sein, ohne Schrägstriche, Zeilenumbrüche und Leerzeichen am Rand; nichts wurde importiert

@@ -456,6 +456,10 @@ store-remedy-read-only = no permission to write; check owner and mount of the fi
 store-remedy-server = check that the database server runs and is reachable
 store-rescued = store { $store }: the file was deleted, moved or exchanged; all of it is written to its place again and recording goes on there
 store-rescued-beside = store { $store }: another store was put in its place; that one is set aside as { $aside }, all of the recorded one is written again and recording goes on there
+store-rescued-cut = store { $store }: its log (-wal) was emptied or cut short; the file is written again without it, with { $count ->
+        [one] the one newest entry
+       *[other] the { $count } newest entries
+    } of the recorder; what other processes stored in the last seconds may be lost; the file as found is set aside as { $aside }
 store-rescued-log = store { $store }: its log (-wal, -shm) was deleted or exchanged; all of it is written again and recording goes on there; the file without its newest entries is set aside as { $aside }
 store-run-missing = run '{ $run }' is not in the store; kerntemp export lists runs, a file needs its path
 store-run-name = { $file }: header key run = { $name }: must be a name of 1 to 200 bytes without slashes, line breaks or blanks at its ends; nothing was imported

@@ -10,6 +10,7 @@ import pytest
 from daq.recording import recorder
 from daq.recording.recorder import PageWatch
 from daq.store import file_rescue, open_store
+from daq.store import outbox as outbox_module
 from daq.store.file_rescue import damage_of
 from daq.store.outbox import Outbox
 from daq.store.write_batch import WriteBatch
@@ -43,19 +44,32 @@ def move_and_link(path, folder):
     path.symlink_to(folder / "elsewhere.sqlite")
 
 
-def empty(path, folder):
-    os.truncate(path, 0)
+def empty_log(path, folder):
+    os.truncate(path.with_name(path.name + "-wal"), 0)
 
 
-FATES = [delete, move, exchange, delete_log, delete_index_of_log, empty]
+def cut_log_short(path, folder):
+    os.truncate(path.with_name(path.name + "-wal"), 200)  # a part of its first page
+
+
+def empty_log_before_somebody_writes_on(path, folder):
+    log = path.with_name(path.name + "-wal")
+    size = log.stat().st_size
+    os.truncate(log, 0)
+    os.truncate(log, size)
+
+
+CUTS = [empty_log, cut_log_short, empty_log_before_somebody_writes_on]
+FATES = [delete, move, exchange, delete_log, delete_index_of_log, *CUTS]
 if os.name != "nt":
     FATES.append(move_and_link)
 
 
 @pytest.mark.parametrize("fate", FATES)
 def test_a_store_file_that_goes_under_a_running_writer_is_put_back_whole_before_anything_is_written(
-    tmp_path, fate
+    tmp_path, fate, monkeypatch
 ):
+    monkeypatch.setattr(outbox_module, "BEAT_S", 3600.0)  # all is in the log: the worst case
     path, notes = tmp_path / "s.sqlite", Notes()
     with open_store(str(path)) as store, open_store(str(path)) as reader:
         key = store.register_press("lab", CHANNELS)
@@ -88,6 +102,8 @@ def test_a_store_file_that_goes_under_a_running_writer_is_put_back_whole_before_
         assert "its log (-wal, -shm)" in notes.said[0][1]
         (aside,) = tmp_path.glob("s.sqlite.found-*")
         assert str(aside) in notes.said[0][1]
+    if fate in CUTS:
+        assert "its log (-wal) was emptied or cut short" in notes.said[0][1]
     if fate is move:
         with open_store(str(tmp_path / "elsewhere.sqlite")) as moved:
             assert moved.newest_scan_number("lab") >= 49
@@ -95,6 +111,20 @@ def test_a_store_file_that_goes_under_a_running_writer_is_put_back_whole_before_
         (aside,) = tmp_path.glob("s.sqlite.found-*")
         with open_store(str(aside)) as found:
             assert list(found.presses()) == ["hall"]
+
+
+def test_what_the_log_holds_comes_into_the_file_every_second(tmp_path, monkeypatch):
+    monkeypatch.setattr(outbox_module, "BEAT_S", 0.0)
+    path, notes = tmp_path / "s.sqlite", Notes()
+    with open_store(str(path)) as store:
+        key = store.register_press("lab", CHANNELS)
+        outbox = Outbox(store, acknowledged=notes.note)
+        outbox.start()
+        outbox.put(batch(key, 0))
+        wait_until(lambda: notes.acknowledged == [0] and not outbox._unsettled)
+        with closing(sqlite3.connect(f"{path.as_uri()}?immutable=1", uri=True)) as without_log:
+            assert without_log.execute("SELECT number FROM scan").fetchall() == [(0,)]
+        outbox.close()
 
 
 def test_flipped_bytes_in_the_file_are_noticed_while_it_is_recorded_into(tmp_path, monkeypatch):
