@@ -54,6 +54,10 @@ SECURITY_HEADERS = {
     "Referrer-Policy": "no-referrer",
 }
 
+ROUTERS = tuple(
+    routes.router for routes in (press, runs, edits, search, simulation, what_if, models, messages, alarms, system)
+)
+
 
 def create_app(
     store: Store,
@@ -81,18 +85,7 @@ def create_app(
         generate_unique_id_function=lambda route: route.name,
     )
     app.state.store, app.state.hub, app.state.resins = store, hub, resins
-    for router in (
-        press.router,
-        runs.router,
-        edits.router,
-        search.router,
-        simulation.router,
-        what_if.router,
-        models.router,
-        messages.router,
-        alarms.router,
-        system.router,
-    ):
+    for router in ROUTERS:
         app.include_router(router, prefix="/api/v1", dependencies=[Depends(only_known_queries)])
     app.include_router(system.metrics_router)
     _add_page(app)

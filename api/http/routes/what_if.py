@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -42,34 +42,32 @@ def get_resins(request: Request) -> Mapping[str, Path]:
     return resins
 
 
+@dataclass(frozen=True)
+class Settings:
+    """What may be set otherwise; nothing stays as it was."""
+
+    platen_temperature_C: Setting = None  # noqa: N815
+    press_time_s: Setting = None
+    waiting_s: Setting = None
+    pressure_N_cm2: Setting = None  # noqa: N815
+    thickness_mm: Setting = None
+    start_temperature_C: Setting = None  # noqa: N815
+    moisture_percent: Setting = None
+
+
 @router.get("/runs/{run}/what-if", operation_id="what_if", summary="The run with other settings")
-def get_what_if(  # noqa: PLR0913 - each is a query by its name
+def get_what_if(
     store: StoreDep,
     resins: Annotated[Mapping[str, Path], Depends(get_resins)],
     run: str,
-    platen_temperature_C: Setting = None,  # noqa: N803
-    press_time_s: Setting = None,
-    waiting_s: Setting = None,
-    pressure_N_cm2: Setting = None,  # noqa: N803
-    thickness_mm: Setting = None,
-    start_temperature_C: Setting = None,  # noqa: N803
-    moisture_percent: Setting = None,
+    asked: Annotated[Settings, Depends()],
 ) -> WhatIfAnswer:
     """Return core, and with a resin file cure and steam, that other settings would give; without any, as it was.
 
     The same panel between platens that follow the press as they did: with its own coefficients, what the live
     sensor told of it, and a band of all else that is not known.
     """
-    given = {
-        "platen_temperature_C": platen_temperature_C,
-        "press_time_s": press_time_s,
-        "waiting_s": waiting_s,
-        "pressure_N_cm2": pressure_N_cm2,
-        "thickness_mm": thickness_mm,
-        "start_temperature_C": start_temperature_C,
-        "moisture_percent": moisture_percent,
-    }
-    settings = {name: value for name, value in given.items() if value is not None}
+    settings = {name: value for name, value in asdict(asked).items() if value is not None}
     return _worked_out(store, existing_run(store, run), resins, settings)
 
 
