@@ -210,9 +210,8 @@ def _in_force_in_turn(store: Store, press: str) -> list[str]:
 
 
 def _rolled_back(detail: Mapping[str, Any]) -> bool:
-    """Return whether a promotion went back; a store of a version before 2026-11-22 has only the text of why."""
-    said = detail.get("reason_said")
-    return said["code"] == ROLLED_BACK if said else detail.get("reason") == "rolled back"
+    """Return whether a promotion went back to an earlier version."""
+    return (detail.get("reason_said") or {}).get("code") == ROLLED_BACK
 
 
 def _promotions(store: Store, press: str) -> list[JournalEntry]:
