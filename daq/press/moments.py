@@ -16,6 +16,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -195,7 +196,7 @@ def opening_moment(
         level = float(np.median(before[-5:])) if len(before) else np.nan
         flux = 365.0 * max(plate - level, 2.0) + 12.0 * max(level - ROOM_C, 5.0)
         sizes.append(-_SQRT_KELVIN * flux)
-    return _kink(times, faces, noticed, sigma, _OPENING_RAMPS_S, (1.8, tuple(sizes)), lag)
+    return _kink(times, faces, noticed, sigma, _Expected(_OPENING_RAMPS_S, 1.8, tuple(sizes)), lag)
 
 
 def insertion_moment(
@@ -208,7 +209,7 @@ def insertion_moment(
 ) -> Placed:
     """Return when the cool panel came to lie on the hot plate."""
     sizes = tuple(_SQRT_KELVIN * 40.0 * max(plate - float(np.nanmin(face)), 30.0) for face in faces)
-    return _kink(times, faces, noticed, sigma, (0.02,), (11.0, sizes), lag)
+    return _kink(times, faces, noticed, sigma, _Expected((0.02,), 11.0, sizes), lag)
 
 
 @cache
@@ -220,18 +221,23 @@ def _kink_table(ramps: tuple[float, ...]) -> Array:
     return np.stack([_lagged(shape, lag) for lag in LAGS_S])
 
 
+class _Expected(NamedTuple):
+    """What is expected of a kink."""
+
+    ramps_s: tuple[float, ...]
+    """How long the press may take to move. [s]"""
+    back_s: float
+    """How long before it is plain to see it may lie. [s]"""
+    sizes: tuple[float, ...]
+    """How strong it will be, by face. [K/√s]"""
+
+
 def _kink(
-    times: Array,
-    faces: Sequence[Array],
-    noticed: float,
-    sigma: float,
-    ramps: tuple[float, ...],
-    expected: tuple[float, tuple[float, ...]],
-    lag: Array | None,
+    times: Array, faces: Sequence[Array], noticed: float, sigma: float, expected: _Expected, lag: Array | None
 ) -> Placed:
-    """Place a kink; `expected` tells how far back it may lie and how strong each face's will be. [s, K/√s]"""
-    back, sizes = expected
-    onsets = np.arange(max(noticed - back, times[0] - 1.0), noticed + 1e-9, STEP_S)
+    """Place a kink of both faces."""
+    ramps = expected.ramps_s
+    onsets = np.arange(max(noticed - expected.back_s, times[0] - 1.0), noticed + 1e-9, STEP_S)
     place = np.rint((times[None, :] - onsets[:, None]) / STEP_S).astype(int)
     table = _kink_table(ramps)
     place = np.clip(place, 0, table.shape[-1] - 1)
@@ -240,7 +246,7 @@ def _kink(
     for i in np.flatnonzero(lag < lag.min() + 20.0):
         shape = table[i][..., place]  # ramp, onset, row
         misfit[i] = lag[i]
-        for face, size in zip(faces, sizes, strict=True):
+        for face, size in zip(faces, expected.sizes, strict=True):
             good = np.isfinite(face)
             if good.sum() >= 3:
                 misfit[i] += _misfit(times[good] - noticed, face[good], shape[..., good], size, sigma)
