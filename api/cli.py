@@ -18,6 +18,7 @@ import typer
 from api.commands import files, services
 from api.commands import simulating as analysis
 from api.commands.advising import advise
+from api.commands.blistering import blisters
 from api.commands.calibrating import calibrate
 from api.commands.calling import Command, Group, refusal_of
 from api.commands.demo import demo
@@ -76,6 +77,7 @@ app.command("fit", cls=Command)(fit)
 app.command("diagnose", cls=Command)(diagnose)
 app.command("plan", cls=Command)(plan)
 app.command("advise", cls=Command)(advise)
+app.command("blisters", cls=Command)(blisters)
 app.command("simulate", cls=Command)(analysis.simulate)
 app.command("predict", cls=Command)(analysis.predict)
 app.command("import", cls=Command)(files.import_runs)

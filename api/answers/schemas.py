@@ -479,6 +479,39 @@ class Simulation(_Answer):
     """Heat in the panel beyond its start at each of these times, water and reactions not counted."""
 
 
+class MarkedPanel(_Answer):
+    """A panel marked good or blistered, and its steam at opening as the live sensor had it."""
+
+    run: str
+    verdict: Verdict
+    steam_kPa: float | None  # noqa: N815
+    steam_high_kPa: float | None  # noqa: N815
+    """Upper bound of 95 %; both null where it was not known."""
+
+
+class Blisters(_Answer):
+    """The steam that a press's panels bear, learned from the marked ones."""
+
+    press: str
+    panels: list[MarkedPanel]
+    """The newest first, 300 at most."""
+    marks: int
+    """Those of them whose steam is known."""
+    blistered: int
+    stated_kPa: float  # noqa: N815
+    """What was believed before: the resin file's limit, or 100 kPa within a factor of two."""
+    steam_most_kPa: float  # noqa: N815
+    """What half of the panels bear."""
+    ci95_kPa: tuple[float, float]  # noqa: N815
+    sd_kPa: float  # noqa: N815
+    """How far a panel's own limit may be from it, what is not known of it included."""
+    curve_kPa: list[float]  # noqa: N815
+    chance: list[float]
+    """That a panel blisters which is opened with so much steam."""
+    sentences: list[str]
+    sentences_said: list[Said]
+
+
 class WhatIfSetting(_Answer):
     """What can be asked about a run."""
 

@@ -1062,6 +1062,12 @@ what-if-too-long = eine Pressung von mehr als { NUMBER($most, maximumFractionDig
 
 ## softsensor.live: why the core is not valid
 
+blisters-bear = Die Hälfte der Platten hält { NUMBER($most, maximumFractionDigits: 0) } kPa Dampf aus (95 %: { NUMBER($low, maximumFractionDigits: 0) } bis { NUMBER($high, maximumFractionDigits: 0) }).
+blisters-marks = { $marks ->
+        [one] Eine markierte Platte
+       *[other] { $marks } markierte Platten
+    }, deren Dampf beim Öffnen bekannt ist, { $blistered } mit Blasen.
+blisters-write = Für [limits] der Harzdatei: steam_most_kPa = { NUMBER($most, maximumFractionDigits: 0) }, steam_most_kPa.sd = { NUMBER($sd, maximumFractionDigits: 0) }
 core-may-pass-limit-soon = der Kern kann in { NUMBER($seconds, maximumFractionDigits: 0) } s { NUMBER($limit_C, maximumFractionDigits: 1) } °C überschreiten: Presse öffnen
 core-will-pass-limit = der Kern wird bis auf { NUMBER($peak_C, maximumFractionDigits: 0) } °C steigen, über die Grenze von { NUMBER($limit_C, maximumFractionDigits: 1) } °C
 core-will-pass-limit-even-if-opened = der Kern wird { NUMBER($peak_C, maximumFractionDigits: 0) } °C erreichen, selbst wenn die Presse jetzt öffnet, über der Grenze von { NUMBER($limit_C, maximumFractionDigits: 1) } °C
@@ -1640,6 +1646,10 @@ terminal-program-no-number = --program { $setting }: „{ $value }“ ist keine 
 terminal-program-out-of-range = --program { $setting }: muss zwischen 0 und { $most } { $unit } liegen
 terminal-program-unknown-key = --program { $setting }: muss KEY=WERT sein, mit KEY eins von { $known }
 terminal-progress-advising = Programme werden durchgerechnet
+terminal-progress-blisters = { $runs ->
+        [one] Eine Pressung
+       *[other] { $runs } Pressungen
+    } nachspielen
 terminal-progress-copying = { $store } wird kopiert
 terminal-progress-diagnosing = { $runs ->
     [one] Diagnose von { $runs } Pressung
@@ -1731,6 +1741,7 @@ help-certificate = TLS-Zertifikatskette, PEM.
 help-coefficients = Koeffizienten, ein flaches {"{"}NAME: Wert{"}"}.
 help-command-advise = Presszeit und Heizplattentemperatur für eine noch nicht gepresste Platte berechnen, so dass alle Grenzen mit gewünschter Wahrscheinlichkeit gelten.
 help-command-backup = Den Datenspeicher kopieren, während andere in ihn schreiben. Die Kopie wird geprüft, bevor sie ihren Namen bekommt.
+help-command-blisters = Aus Platten, die als gut oder mit Blase markiert sind, lernen, wie viel Dampf sie aushalten, für die Grenze in der Harzdatei.
 help-command-calibrate = Alle Kanäle bei Raumtemperatur prüfen (--room) oder vertauschte finden (--warm). Vorher kerntemp record anhalten.
 help-command-check = Konfiguration und Datenspeicher prüfen und jedes Messgerät einmal lesen.
 help-command-demo = Alles an einer virtuellen Presse: Aufzeichnung, Live-Vorhersage, Anpassungen und Seite.
@@ -2050,6 +2061,10 @@ page-all = alle
 page-all-channels = alle übrigen Kanäle
 page-and-more = und { $count } weitere
 page-band-at-opening = Band beim Öffnen
+page-blisters = Dampf, den Platten von { $press } aushalten
+page-blisters-chance = Wahrscheinlichkeit einer Blase
+page-blisters-marked = Markierte Platten
+page-blisters-none = Noch keine Platte ist als gut oder mit Blase markiert.
 page-cancel = Abbrechen
 page-change = Ändern
 page-changes = Änderungen

@@ -1045,6 +1045,12 @@ what-if-too-long = a run of more than { NUMBER($most, maximumFractionDigits: 0) 
 
 ## softsensor.live: why the core is not valid
 
+blisters-bear = Half of the panels bear { NUMBER($most, maximumFractionDigits: 0) } kPa of steam (95 %: { NUMBER($low, maximumFractionDigits: 0) } to { NUMBER($high, maximumFractionDigits: 0) }).
+blisters-marks = { $marks ->
+        [one] One marked panel
+       *[other] { $marks } marked panels
+    } whose steam at opening is known, { $blistered } blistered.
+blisters-write = For [limits] of the resin file: steam_most_kPa = { NUMBER($most, maximumFractionDigits: 0) }, steam_most_kPa.sd = { NUMBER($sd, maximumFractionDigits: 0) }
 core-may-pass-limit-soon = the core may pass { NUMBER($limit_C, maximumFractionDigits: 1) } °C in { NUMBER($seconds, maximumFractionDigits: 0) } s: open the press
 core-will-pass-limit = the core will peak at { NUMBER($peak_C, maximumFractionDigits: 0) } °C, above the limit of { NUMBER($limit_C, maximumFractionDigits: 1) } °C
 core-will-pass-limit-even-if-opened = the core will peak at { NUMBER($peak_C, maximumFractionDigits: 0) } °C even if the press is opened now, above the limit of { NUMBER($limit_C, maximumFractionDigits: 1) } °C
@@ -1624,6 +1630,10 @@ terminal-program-no-number = --program { $setting }: '{ $value }' is no number
 terminal-program-out-of-range = --program { $setting }: must lie between 0 and { $most } { $unit }
 terminal-program-unknown-key = --program { $setting }: must be KEY=VALUE with KEY one of { $known }
 terminal-progress-advising = Trying programs
+terminal-progress-blisters = Replaying { $runs ->
+        [one] one run
+       *[other] { $runs } runs
+    }
 terminal-progress-copying = Copying { $store }
 terminal-progress-diagnosing = { $runs ->
     [one] Diagnosing { $runs } run
@@ -1712,6 +1722,7 @@ help-certificate = TLS certificate chain, PEM.
 help-coefficients = Coefficients, a flat {"{"}NAME: value{"}"}.
 help-command-advise = Work out press time and platen temperature for a panel not pressed yet, so that all limits hold with a wanted probability.
 help-command-backup = Copy the store while others write to it. The copy is checked before it gets its name.
+help-command-blisters = Learn from panels marked good or blistered how much steam they bear, for the limit in the resin file.
 help-command-calibrate = Check all channels at room temperature (--room), or find swapped ones (--warm). Stop kerntemp record first.
 help-command-check = Check the configuration and the store, and read every logger once.
 help-command-demo = Run everything on a virtual press: logging, live prediction, refits and the page.
@@ -2031,6 +2042,10 @@ page-all = all
 page-all-channels = all other channels
 page-and-more = and { $count } more
 page-band-at-opening = Band at opening
+page-blisters = Steam that panels of { $press } bear
+page-blisters-chance = Chance of a blister
+page-blisters-marked = Marked panels
+page-blisters-none = No panel is marked good or blistered yet.
 page-cancel = Cancel
 page-change = Change
 page-changes = Changes

@@ -15,10 +15,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from daq.records import Array
+from daq.words import Message, say
 from softsensor.opening.limits import Normal
 
 USUAL_KPA = 100.0
@@ -72,6 +74,26 @@ class SteamLimit:
         reached = np.cumsum(self.weight.sum(axis=1))
         low, high = np.interp((0.025, 0.975), reached, self.middle)
         return math.exp(low), math.exp(high)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the content of ``blisters --json``. [kPa]"""
+        return {
+            "marks": self.marks,
+            "blistered": self.blistered,
+            "steam_most_kPa": round(self.most_kPa, 2),
+            "ci95_kPa": [round(end, 2) for end in self.ci95_kPa],
+            "sd_kPa": round(self.sd_kPa, 2),
+        }
+
+
+def limit_said(limit: SteamLimit) -> tuple[Message, ...]:
+    """Return in words what is learned, and what to write into the resin file."""
+    low, high = limit.ci95_kPa
+    return (
+        say("blisters-marks", marks=limit.marks, blistered=limit.blistered),
+        say("blisters-bear", most=limit.most_kPa, low=low, high=high),
+        say("blisters-write", most=limit.most_kPa, sd=limit.sd_kPa),
+    )
 
 
 def learn_limit(

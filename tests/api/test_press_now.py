@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from api.answers.blisters import blisters_of
 from api.answers.drift import drift_of
 from api.answers.records import press_now
 from api.answers.thresholds import crossed
@@ -17,6 +18,8 @@ from api.http.news import Position, news
 from daq.records import Channel, PressEvent, PressEventKind, Quality, Run, Scan
 from daq.store.records import NewRun, PressKey, RunEnd, StoredEstimate
 from daq.store.store import Store, open_store
+from softsensor.opening.blisters import learn_limit
+from softsensor.opening.limits import Normal
 
 CHANNELS = tuple(Channel(name) for name in ("platen_top", "platen_bottom", "top_1", "bottom_1"))
 START = datetime(2026, 3, 4, 7, 0, tzinfo=UTC)
@@ -198,6 +201,25 @@ def test_a_panel_a_stopped_recorder_left_in_the_press_is_not_said_to_be_gone_whi
     cold = replace(scan(6), values=(200.0, 200.0, 22.0, 24.0))
     store.append_scans(key, [cold])
     assert now_of(store).state == "idle"
+
+
+def test_marked_panels_teach_what_steam_is_borne_by_what_the_live_sensor_last_said_of_them(store):
+    """Against the rule asked directly; a panel whose steam nobody knew counts for nothing."""
+    key = store.register_press("lab", CHANNELS)
+    steam = (60.0, 70.0, 95.0, None)
+    for i, (kPa, verdict) in enumerate(zip(steam, ("good", "good", "blister", "blister"), strict=True)):
+        record(store, key, f"run-{i}", range(10 * i, 10 * i + 5), 55.0, ended=False)
+        store.append_scans(key, [last := scan(10 * i + 5)])
+        beside = {} if kPa is None else {"steam_kPa": kPa, "steam_high_kPa": 1.25 * kPa}
+        store.append_estimates("lab", [estimate(last.number, 55.0, **beside)])
+        store.append_scans(key, [], end=RunEnd(f"run-{i}", last.number, last.utc))
+        store.annotate_run(f"run-{i}", {"panel.verdict": verdict}, "foreman")
+    told = blisters_of(store, "lab", None)
+    sd = np.full(3, np.log(1.25) / 1.959964)
+    asked = learn_limit(Normal(np.log(steam[:3]), sd), np.array([False, False, True]))
+    assert (told.marks, told.blistered, len(told.panels)) == (3, 1, 4)
+    assert told.steam_most_kPa == pytest.approx(asked.most_kPa, abs=0.1)
+    assert told.ci95_kPa == pytest.approx(asked.ci95_kPa, abs=0.1)
 
 
 def test_a_core_above_its_limit_is_no_alarm_once_nobody_says_so_any_more(store):

@@ -28,6 +28,7 @@ VIEWS = (
     "#/runs",
     "#/runs/campaign-1",
     "#/runs/day",
+    "#/runs/blisters",
     "#/coefficients",
     "#/diagnosis",
     "#/nights",

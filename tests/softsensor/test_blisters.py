@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 import softsensor
+from api.cli import main
 from daq.press.resin_file import LimitsTable
 from daq.records import InputError
-from softsensor.opening.blisters import SteamLimit, learn_limit
+from softsensor.opening.blisters import SteamLimit, learn_limit, limit_said
 from softsensor.opening.limits import STEAM, Normal, PanelState, broken
 
 READ_SD = 0.12
@@ -91,3 +92,23 @@ def test_a_marked_run_teaches_from_its_file() -> None:
     assert found.most_kPa < 100.0
     with pytest.raises(InputError, match=r"none of 0 runs marked good or blister"):
         softsensor.learn_steam_limit([plain, undercured], press, resin=resin)
+
+
+def test_what_is_learned_is_said_with_what_to_write_into_the_resin_file() -> None:
+    log = np.log(np.repeat([60.0, 90.0], 10))
+    found = learn_limit(Normal(log, np.full(20, 0.05)), np.repeat([False, True], 10))
+    marks, bear, write = (str(line) for line in limit_said(found))
+    assert marks == "20 marked panels whose steam at opening is known, 10 blistered."
+    told = found.as_json()
+    low, high = told["ci95_kPa"]
+    assert f"bear {told['steam_most_kPa']:.0f} kPa of steam (95 %: {low:.0f} to {high:.0f})" in bear
+    assert f"steam_most_kPa = {told['steam_most_kPa']:.0f}, steam_most_kPa.sd = {told['sd_kPa']:.0f}" in write
+
+
+def test_the_command_refuses_runs_of_which_none_is_marked_and_writes_nothing(tmp_path, capsys) -> None:
+    out = tmp_path / "limit.json"
+    resin = ["--resin", str(SAMPLES / "resins/melamine_formaldehyde.toml"), "--json", str(out)]
+    run = str(SAMPLES / "samples/2026-03-04-01.csv")
+    assert main(["blisters", run, "--press", str(SAMPLES / "presses/lab.toml"), *resin]) == 2
+    assert "none of 0 runs marked good or blister" in capsys.readouterr().err
+    assert not out.exists()

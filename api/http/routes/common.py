@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from datetime import datetime
+from pathlib import Path
 from typing import Annotated
 
 from fastapi import Depends, Query, Request
@@ -29,6 +30,12 @@ def get_store(request: Request) -> Store:
     if not isinstance(store, Store):
         raise TypeError("the application was made without a store")
     return store
+
+
+def get_resins(request: Request) -> Mapping[str, Path]:
+    """Return the resin files of the configuration by press."""
+    resins: Mapping[str, Path] = request.app.state.resins
+    return resins
 
 
 def get_writer(request: Request) -> str:
@@ -65,6 +72,7 @@ def _queries_of(dependant: Dependant) -> Iterator[str]:
 Words = Annotated[str, Field(max_length=4000, pattern=r"^[^\x00-\x08\x0b-\x1f\x7f-\x9f]*$")]
 """Any text but control characters, which no database keeps and no reader sees; lines and tabs may be."""
 StoreDep = Annotated[Store, Depends(get_store)]
+ResinsDep = Annotated[Mapping[str, Path], Depends(get_resins)]
 Writer = Annotated[str, Depends(get_writer)]
 PageSize = Annotated[int, Query(ge=1, le=MAX_PAGE, description="Items in one page.")]
 Cursor = Annotated[

@@ -9,15 +9,17 @@ from fastapi import APIRouter, Header, Query, Request
 from fastapi.responses import StreamingResponse
 
 from api.answers.advice import advice_of
+from api.answers.blisters import blisters_of
 from api.answers.channels import channels_now
 from api.answers.decimation import column_values
 from api.answers.present import present_of
 from api.answers.records import estimate_of, press_now, utc_now
-from api.answers.schemas import AdviceList, AdviceNow, ChannelList, Extremes, PressList, Scans, UnreadRun
+from api.answers.schemas import AdviceList, AdviceNow, Blisters, ChannelList, Extremes, PressList, Scans, UnreadRun
 from api.answers.words import said_of
 from api.http.live import EventStream, Hub
 from api.http.problems import ProblemError, problem_responses
-from api.http.routes.common import PressName, StoreDep, zoned
+from api.http.routes.common import PressName, ResinsDep, StoreDep, zoned
+from daq.press.resin_file import read_resin
 from daq.words import say
 
 router = APIRouter(tags=["press"], responses=problem_responses())
@@ -46,6 +48,22 @@ def list_advice(store: StoreDep, press: PressName = None) -> AdviceList:
             advice = said.advice if said and said.advice else advice_of(None, None)
             items.append(AdviceNow(press=name, run=run.run if run else None, advice=advice))
     return AdviceList(items=items)
+
+
+@router.get(
+    "/blisters",
+    operation_id="get_blisters",
+    summary="The steam that a press's panels bear",
+    responses=problem_responses(404),
+)
+def get_blisters(
+    store: StoreDep, resins: ResinsDep, press: Annotated[str, Query(description="Of this press.", max_length=200)]
+) -> Blisters:
+    """Return what panels marked good or blistered say of the steam that panels bear, as the live sensor saw it."""
+    known = store.presses()
+    if press not in known:
+        raise ProblemError(404, say("api-press-unknown", press=press, known=tuple(known)))
+    return blisters_of(store, press, read_resin(resins[press]) if press in resins else None)
 
 
 @router.get("/channels", operation_id="list_channels", summary="Every channel and how its logger behaves")

@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
-from fastapi import APIRouter, Depends, Query, Request
+from fastapi import APIRouter, Depends, Query
 
 from api.answers.decimation import column_values
 from api.answers.schemas import WhatIfAnswer, WhatIfOutcome, WhatIfSetting
 from api.http.problems import ProblemError, problem_responses
-from api.http.routes.common import StoreDep, existing_run
+from api.http.routes.common import ResinsDep, StoreDep, existing_run
 from api.http.routes.simulation import Known, known_of
 from daq.press.press_file import parse_press
 from daq.press.resin_file import Resin, read_resin
@@ -36,12 +36,6 @@ _ONE = threading.Lock()
 Setting = Annotated[float | None, Query(allow_inf_nan=False, description="Instead of what it was.")]
 
 
-def get_resins(request: Request) -> Mapping[str, Path]:
-    """Return the resin files of the configuration by press."""
-    resins: Mapping[str, Path] = request.app.state.resins
-    return resins
-
-
 @dataclass(frozen=True)
 class Settings:
     """What may be set otherwise; nothing stays as it was."""
@@ -58,7 +52,7 @@ class Settings:
 @router.get("/runs/{run}/what-if", operation_id="what_if", summary="The run with other settings")
 def get_what_if(
     store: StoreDep,
-    resins: Annotated[Mapping[str, Path], Depends(get_resins)],
+    resins: ResinsDep,
     run: str,
     asked: Annotated[Settings, Depends()],
 ) -> WhatIfAnswer:

@@ -82,7 +82,8 @@ export class PanelCards {
       },
     }, text(`page-panel-${one}`)));
     this.verdict.replaceChildren(el("h2", {}, text("page-panel-verdict", { run })), el("div", { class: "verdicts" }, buttons), message,
-      said.who ? el("p", { class: "small faint" }, text("page-next-by", { who: said.who, time: clock(said.utc) })) : "");
+      said.who ? el("p", { class: "small faint" }, text("page-next-by", { who: said.who, time: clock(said.utc) })) : "",
+      ["good", "blister"].includes(said.verdict) ? el("p", { class: "small" }, el("a", { href: "#/runs/blisters" }, text("page-blisters", { press: this.press }))) : "");
   }
 }
 

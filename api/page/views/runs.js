@@ -6,6 +6,7 @@ import { language, placeName, said, text } from "../words.js";
 import { roleOf } from "../channels.js";
 import { coefficientTable } from "./coefficients.js";
 import { cureOf, steamOf } from "./answer.js";
+import { showBlisters } from "./blisters.js";
 import { compare } from "./compare.js";
 import { showDay } from "./day.js";
 import { notesOf } from "./journal.js";
@@ -17,6 +18,7 @@ import { whatIfCard } from "./whatif.js";
 export async function show(place, context, [id, ...rest]) {
   if (id === "compare") return compare(place, rest);
   if (id === "day") return showDay(place, context, rest[0]);
+  if (id === "blisters") return showBlisters(place, context);
   if (id === "scatter") return showScatter(place, context, FILTERS);
   if (id) return detail(place, context, id);
   return list(place, context);

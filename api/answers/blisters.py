@@ -1,0 +1,90 @@
+"""The steam that a press's panels bear, learned from the marked ones as the live sensor saw them."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from typing import Any
+
+import numpy as np
+
+from api.answers.schemas import Blisters, MarkedPanel
+from api.answers.words import said_of
+from daq.press.header import BLISTER, GOOD, VERDICT
+from daq.press.resin_file import Resin
+from daq.records import InputError
+from daq.store.records import RunRecord, StoredEstimate, every
+from daq.store.store import Store
+
+MOST = 300
+"""Marked panels taken, the newest: so many leave of the limit's doubt 1/√300 of what one panel's own limit differs
+by, 0.9 % of 15 %."""
+CURVE_KPA = np.linspace(2.0, 300.0, 150)
+"""Where the chance of a blister is given: up to three times what MDF bears. [kPa]"""
+Z95 = 1.959964
+"""The upper bound of 95 % lies so many standard deviations above the middle."""
+_STEAM: dict[tuple[str, str, int | None], tuple[float, float]] = {}
+_LOCK = threading.Lock()
+
+
+def blisters_of(store: Store, press: str, resin: Resin | None) -> Blisters:
+    """Return the marked panels of a press and what they say of the steam that panels bear."""
+    from softsensor.opening.blisters import USUAL_KPA, learn_limit, limit_said
+    from softsensor.opening.limits import STEAM_MOST, Normal
+
+    runs = every(lambda at: store.runs(press=press, cursor=at, limit=500))
+    marked = [run for run in runs if run.header.get(VERDICT) in (GOOD, BLISTER)][:MOST]
+    steam = [_at_opening(store, run) for run in marked]
+    log = np.array(steam).reshape(-1, 2)
+    limits = None if resin is None else resin.limits
+    stated: tuple[float, float | None] = (USUAL_KPA, None)
+    if limits is not None and limits.steam_most_kPa is not None:
+        stated = (limits.steam_most_kPa, limits.spreads.get(STEAM_MOST))
+    burst = np.array([run.header[VERDICT] == BLISTER for run in marked], dtype=bool)
+    found = learn_limit(Normal(log[:, 0], log[:, 1]), burst, *stated)
+    lines = limit_said(found)
+    return Blisters(
+        press=press,
+        panels=[_panel(run, *one) for run, one in zip(marked, steam, strict=True)],
+        marks=found.marks,
+        blistered=found.blistered,
+        stated_kPa=stated[0],
+        steam_most_kPa=round(found.most_kPa, 1),
+        sd_kPa=round(found.sd_kPa, 1),
+        ci95_kPa=(round(found.ci95_kPa[0], 1), round(found.ci95_kPa[1], 1)),
+        curve_kPa=CURVE_KPA.round(2).tolist(),
+        chance=found.chance(Normal(np.log(CURVE_KPA), np.zeros(len(CURVE_KPA)))).round(4).tolist(),
+        sentences=[str(line) for line in lines],
+        sentences_said=[said_of(line) for line in lines],
+    )
+
+
+def _panel(run: RunRecord, mean: float, sd: float) -> MarkedPanel:
+    known = math.isfinite(mean + sd)
+    return MarkedPanel(
+        run=run.run,
+        verdict=run.header[VERDICT],
+        steam_kPa=round(math.exp(mean), 2) if known else None,
+        steam_high_kPa=round(math.exp(mean + Z95 * sd), 2) if known else None,
+    )
+
+
+def _at_opening(store: Store, run: RunRecord) -> tuple[float, float]:
+    """Return ln of the steam last told before the press opened, and its deviation; NaN where none was. [ln kPa]"""
+    key = (store.label, run.run, run.last_scan)
+    if key not in _STEAM:
+        told: Sequence[tuple[float, StoredEstimate]] = ()
+        with suppress(InputError):  # in an archive that is away, or deleted by rule
+            told = store.estimates(run.run)
+        last: Mapping[str, Any] = next((e.detail or {} for _, e in reversed(told) if e.state == "closed"), {})
+        middle, high = last.get("steam_kPa", math.nan), last.get("steam_high_kPa", math.nan)
+        found = (
+            (math.log(middle), math.log(high / middle) / Z95)
+            if middle > 0.0 and high > middle
+            else (math.nan,) * 2
+        )
+        with _LOCK:
+            _STEAM[key] = found
+    return _STEAM[key]

@@ -1,0 +1,51 @@
+"""`blisters`: the steam that panels bear, learned from those marked good or blistered."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from api.commands.calling import taking
+from api.commands.fitting import JsonOut
+from api.commands.inputs import ConfigFile, PressFile, Runs, StoreUrl, files_read, load_runs
+from api.commands.simulating import Model
+from api.outputs import as_json, check_writable, tell, working, write_all
+from daq.words import say
+
+
+@dataclass(frozen=True)
+class BlistersOptions:
+    """What `blisters` is called with."""
+
+    runs: Runs
+    press: PressFile
+    resin: Annotated[Path, typer.Option("--resin", metavar="FILE", help="help-advice-resin")]
+    model: Model = None
+    json: JsonOut = None
+    store: StoreUrl = None
+    config: ConfigFile = None
+
+
+@taking(BlistersOptions)
+def blisters(asked: BlistersOptions) -> None:
+    """Learn from marked panels how much steam they bear."""
+    from daq.press.press_file import read_press
+    from daq.press.resin_file import read_resin
+
+    read = (*asked.runs, asked.press, asked.resin, asked.model)
+    check_writable(asked.json, inputs=files_read(*read, store=asked.store, config=asked.config))
+    described, paper = read_press(asked.press), read_resin(asked.resin)
+    loaded = load_runs(asked.runs, described, asked.store, asked.config)
+    with working(say("terminal-progress-blisters", runs=len(loaded))):
+        from softsensor.face.learning import learn_steam_limit
+        from softsensor.jobs.model_files import read_model
+        from softsensor.opening.blisters import limit_said
+
+        known = read_model(asked.model) if asked.model is not None else None
+        found = learn_steam_limit(loaded, described, known, resin=paper)
+        write_all({} if asked.json is None else {asked.json: as_json(found.as_json())})
+    for line in limit_said(found):
+        tell(line)
