@@ -134,6 +134,11 @@ class Night:
     sure: str = ""
     """The run since which it is sure that the model in force leaves something out, empty where it is not."""
 
+    @property
+    def of_sisters(self) -> bool:
+        """Whether the model in force is what presses of the same kind know."""
+        return self.base is not None and self.base.sisters is not None
+
     def runs(self, names: Sequence[str]) -> list[Run]:
         """Return stored runs by name."""
         return [self.store.load_run(name) for name in names]
@@ -143,7 +148,7 @@ def judge_night(night: Night, outcome: NightOutcome) -> NightOutcome:
     """Diagnose, make a candidate, and promote it if runs that took no part are the better for it.
 
     A candidate with fewer effects than the model in force, where the diagnosis no longer finds them, need not
-    be better: it is promoted unless those effects still help.
+    be better: it is promoted unless those effects still help. Nor need the press's own where that is its sisters'.
     """
     good = [r.run for r in night.records if r.run in night.fits]
     if len(good) < FEWEST_RUNS:
@@ -164,7 +169,7 @@ def judge_night(night: Night, outcome: NightOutcome) -> NightOutcome:
     fewer = _leaves_out(night.base, extended) if outcome.verdict in (Verdict.NO_EFFECT, Verdict.NAMED) else ()
     if not extended.effects and not fewer:
         return _keep_or_begin(night, base, outcome)
-    if night.base is not None and _same_effects(night.base, extended):
+    if night.base is not None and not night.of_sisters and _same_effects(night.base, extended):
         return replace(outcome, reason=say("night-diagnosis-confirms"))
     candidate = replace(extended, version=next_version(night.store, night.name), press=night.name)
     fits = _fits_with(night, candidate, (held or asked)[-JUDGES:])
@@ -278,7 +283,8 @@ def _compare(
     """Say what the candidate gains on the judging runs, and whether that is enough.
 
     Where there are too few runs to keep the judging ones apart from the diagnosis, that is said, and predictions
-    are those of the diagnosis, each run by the others. `fewer` effects than before need no gain, only no loss.
+    are those of the diagnosis, each run by the others. `fewer` effects than before need no gain, only no loss,
+    and neither does the first model of its own runs after one of its sisters'.
     """
     key, left = left_in([f[run] for f in (night.fits, fits) for run in fits])
     both = np.reshape(left, (2, -1))
@@ -296,7 +302,7 @@ def _compare(
     core = _core_rmse(night, candidate)
     if core is not None:
         figures["core_rmse_K"] = {"before": core.before_K, "after": core.after_K}
-    against = _against(old, new, ahead, core, fewer=bool(fewer))
+    against = _against(old, new, ahead, core, fewer=bool(fewer) or night.of_sisters)
     reason = say(
         "night-compared",
         effects=" + ".join(name for name, _ in candidate.effects),

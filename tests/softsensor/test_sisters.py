@@ -15,6 +15,7 @@ from daq.simulated.campaign_pressfile import press_toml
 from daq.simulated.physics_pressing import Plates
 from daq.store import open_store
 from softsensor.heat.model_file import FittedValue, ModelFile, Sisters, SisterScatter, parse_model
+from softsensor.jobs import night_judgement
 from softsensor.jobs.live_service import Follower
 from softsensor.jobs.model_in_force import fingerprint, up_to_date
 from softsensor.jobs.nights import refit_presses
@@ -133,3 +134,23 @@ def test_the_live_sensor_begins_with_sisters_unless_its_press_is_not_to(store):
         sense._refresh_model()
         assert (sense.model is not None) == learns
     assert sense.model.sisters.presses == ("a", "b")
+
+
+@pytest.mark.parametrize(("known", "promoted"), [(Sisters(("a", "b"), {}), True), (None, False)])
+def test_the_same_effects_found_by_its_own_runs_take_the_place_of_its_sisters_model(
+    store, monkeypatch, known, promoted
+):
+    """Its sisters' sizes scatter; of a model of its own runs, a diagnosis like it is no news."""
+    rim = ModelFile("d-model", "d", {}, (("edge_loss", {"W_m3K": FittedValue(1000.0, 300.0)}),), sisters=known)
+    (record,) = store.pressings("d", limit=1)
+    records = [replace(record, run=f"d-{i}") for i in range(6)]
+    fits = {r.run: {"rmse_K": 0.3} for r in records}
+    report = {"verdict": "named", "base": {}, "extended": {}}
+    own = replace(rim, effects=(("edge_loss", {"W_m3K": FittedValue(1100.0, 50.0)}),), sisters=None)
+    monkeypatch.setattr(night_judgement, "_diagnose", lambda night, asked: (report, own, []))
+    monkeypatch.setattr(night_judgement, "_fits_with", lambda night, candidate, runs: {r: fits[r] for r in runs})
+    monkeypatch.setattr(night_judgement, "_core_rmse", lambda *_: None)
+    night = night_judgement.Night(store, "d", PRESS, rim, records, fits)
+    outcome = night_judgement.judge_night(night, night_judgement.NightOutcome("d", 6, 0, 0, "d-model"))
+    assert outcome.promoted is promoted
+    assert not promoted or "sisters" not in store.active_model("d").model
