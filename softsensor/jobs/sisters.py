@@ -22,7 +22,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.special import stdtr
 
 from daq.press.press_file import Press, parse_press
 from daq.records import Array, InputError
@@ -166,6 +165,8 @@ def one_more(means: Array, errors: Array, centre: float, scale: float) -> tuple[
     chance = np.exp(chance - chance.max())
     chance /= chance.sum()
     at = np.linspace(-reach - 6.0, reach + 6.0, 241)
+    from scipy.special import stdtr  # loads slowly, and the sensor is to be there at once
+
     below = np.array([(chance * stdtr(DEGREES, (x - mu[:, :, 0]) / tau[:, :, 0])).sum() for x in at])
     low, middle, high = np.interp([0.025, 0.5, 0.975], below, at)
     return centre + scale * float(middle), scale * float(high - low) / (2.0 * BAND)
