@@ -200,6 +200,9 @@ class Effect:
     """Return what it looks like as a free law (`effects.free_law`), at its various shapes: by what the law is of,
     over its variable (n), where neighbouring values blur over a distance. Empty where it is none of these; a
     factor's curve comes with its size, any other's up to one."""
+    of_constant: str = ""
+    """Key of the header whose number it says is off: where that has a standard deviation beside it, the number is
+    as doubtful as that says, and the live sensor does not suspect it besides."""
     at_the_rim: bool = False
     """Whether sensors at the rim show it before those in the middle."""
 

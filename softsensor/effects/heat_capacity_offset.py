@@ -19,4 +19,5 @@ EFFECT = Effect(
     chance=0.035,
     live=Live(Role.HYPOTHESIS),
     needs=Need.PANEL,
+    of_constant="panel.heat_capacity_J_kgK",
 )

@@ -122,8 +122,9 @@ class Pass:
         """Whether nothing has changed at once so far."""
 
     def _plans(self, panel: LikelyPanel, model: ModelFile | None) -> list[FilterPlan]:
-        unowned = [d.prior for d in panel.setup.directions]
-        return plans_for(panel.setup.press, model, self._known.moments_sd, self._known.initial_sd, unowned)
+        setup, known = panel.setup, self._known
+        unowned = [d.prior for d in setup.directions]
+        return plans_for(setup.press, model, known.moments_sd, known.initial_sd, unowned, setup.stated)
 
     def _between_faces(self, setup: RunSetup, model: ModelFile | None) -> BetweenFaces | None:
         alone = setup.alone

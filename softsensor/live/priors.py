@@ -9,7 +9,7 @@ runs have none, some have one. Which effect is what, how likely and how large, t
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 
@@ -235,6 +235,7 @@ def plans_for(
     moments_sd: Sequence[float],
     initial_sd: float = START_K,
     unowned: Sequence[Unknown] = (),
+    stated: Collection[str] = (),
 ) -> list[FilterPlan]:
     """Return the filters to run side by side: the joint one, and one for each cause that needs its own.
 
@@ -244,6 +245,8 @@ def plans_for(
         Of the moments of `TIMING`, 0 for one that is no parameter, and of the header's start temperature. [s, K]
     unowned
         Parameters that no effect owns, in every filter (`live.directions`).
+    stated
+        Keys of the header whose standard deviation stands beside them: a cause that says they are off is none.
     """
     own = {name for name, _ in model.effects} if model else set()
     seen = model.missing if model else None
@@ -252,6 +255,7 @@ def plans_for(
     moments = zip(TIMING, moments_sd, strict=True) if press.has_states else ()
     timing = [Unknown(name, 0.0, sd) for name, sd in moments if sd > 0.0]
     left_out = [e for e in catalogue().values() if press.panel_layers and e.name not in own]
+    left_out = [e for e in left_out if e.of_constant not in stated or _gainsaid(e, seen)]
     causes = tuple(_informed(prior_of(e), seen) for e in left_out if e.live.role is Role.HYPOTHESIS)
     apart = [_informed(prior_of(e), seen) for e in left_out if e.live.role is Role.OWN_FILTER]
     apart = [s for s in apart if not _ruled_out(s)]
@@ -287,6 +291,11 @@ def _informed(s: CausePrior, seen: MissingCauses | None) -> CausePrior:
     least = s.width * s.sd
     sd = max(known.sd, least)
     return replace(s, centre=known.value, sd=sd, width=least / sd, chance=max(earlier.chance, LEAST_CHANCE))
+
+
+def _gainsaid(effect: Effect, seen: MissingCauses | None) -> bool:
+    """Return whether earlier runs hold it likelier that a stated constant is off than that nothing is missing."""
+    return seen is not None and effect.name in seen.causes and seen.causes[effect.name].chance > seen.nothing
 
 
 def _ruled_out(s: CausePrior) -> bool:

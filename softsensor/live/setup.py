@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.press.header import panel_of
-from daq.press.press_file import Press
+from daq.press.press_file import SD, Press
 from daq.records import Array, Moments, Run
 from softsensor.effects import Role, find_effect
 from softsensor.heat import implicit_steps as kernels
@@ -62,6 +62,11 @@ class RunSetup:
     def unknown_constants(self) -> bool:
         """Whether one of the constants may be off by so much that it is not known."""
         return any(d.prior.sd > MOST_SHARE for d in self.directions if d.is_constant)
+
+    @cached_property
+    def stated(self) -> frozenset[str]:
+        """Keys of the header whose standard deviation stands beside them."""
+        return frozenset(key.removesuffix(SD) for key in self.run.header if key.endswith(SD))
 
     @cached_property
     def start_sd(self) -> float:

@@ -15,7 +15,7 @@ from daq.simulated.physics_pressing import BASE_COEFFICIENTS
 from softsensor.diagnosis.missing_causes import with_missing_causes
 from softsensor.effects import BUILT_IN
 from softsensor.fitting.simulated_run import simulate_run
-from softsensor.heat.model_file import FittedValue, ModelFile
+from softsensor.heat.model_file import FittedValue, MissingCause, MissingCauses, ModelFile
 from softsensor.jobs.campaign import fit_campaign
 from softsensor.live import march_steps
 from softsensor.live.march_steps import PressTiming
@@ -414,3 +414,18 @@ def test_what_an_effect_does_to_the_core_is_the_same_live_and_solved(blind, effe
     known = np.isfinite(moved)
     assert known.mean() > 0.8
     assert np.abs(moved - solved_moved)[known].max() <= 0.1 + 0.1 * np.abs(solved_moved).max()
+
+
+def test_a_constant_whose_deviation_the_header_states_is_not_suspected_besides_unless_runs_gainsay_it():
+    stated, names = {"panel.conductivity_W_mK"}, ("conductivity_offset", "heat_capacity_offset")
+
+    def suspected(model):
+        plans = plans_for(PRESS, model, (0.0, 0.15, 0.15), stated=stated)
+        looked_for = {plan.label for plan in plans} | {c.effect for plan in plans for c in plan.causes}
+        return [name for name in names if name in looked_for]
+
+    off = MissingCause(0.4, 0.5, {"ratio": FittedValue(1.1, 0.02)}, {})
+    assert suspected(None) == ["heat_capacity_offset"]
+    for nothing, left in ((0.5, ["heat_capacity_offset"]), (0.3, list(names))):
+        missing = MissingCauses(8, nothing, 0.0, dict.fromkeys(names, off))
+        assert suspected(replace(MODEL, missing=missing)) == left
