@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 from dataclasses import fields, replace
+from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from daq.words import message as words
 from softsensor.effects import BUILT_IN, Terms, catalogue, find_effect, learn_words
 from softsensor.effects.vocabulary import coefficient_words
 from softsensor.heat.model import ThermalModel
+from softsensor.opening.steam import equilibrium_moisture
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = ROOT / "deploy" / "examples"
@@ -228,6 +230,7 @@ from softsensor.diagnosis.missing_causes import candidates
 from softsensor.effects import catalogue, words_of_own_effects
 from softsensor.effects.vocabulary import called, parameters_shown
 from softsensor.heat.model import ThermalModel
+from softsensor.opening.steam import equilibrium_moisture
 from softsensor.live.priors import plans_for
 
 press = read_press(Path("deploy/presses/lab.toml"))
@@ -262,6 +265,44 @@ def test_an_installed_package_adds_its_effect_in_one_file_and_diagnosis_live_sen
         "Zug der Haube",
     ]
     assert "hood_draught" not in catalogue()
+
+
+@pytest.fixture(scope="module")
+def isotherm():
+    """Return the example's module: a second law of drying."""
+    path = EXAMPLES / "drying_by_isotherm" / "drying_by_isotherm.py"
+    spec = spec_from_file_location(path.stem, path)
+    module = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize("moisture", [0.0, 3.0, 8.0, 25.0])
+def test_drying_by_the_isotherm_keeps_the_water_and_leaves_what_the_wood_holds_in_steam(isotherm, moisture):
+    at, water = map(np.array, zip(*isotherm.leaving(moisture), strict=True))
+    assert water.sum() == pytest.approx(moisture, abs=1e-12)
+    assert (water >= 0.0).all()
+    assert np.iscomplexobj(np.array([w for _, w in isotherm.leaving(moisture + 1e-20j)]))
+    for hot_C in (105.0, 117.0, 140.0):  # 1013 hPa over that of saturated water, by steam tables
+        humidity = 101.33 / {105.0: 120.9, 117.0: 180.5, 140.0: 361.5}[hot_C]
+        holds = min(moisture, float(equilibrium_moisture(humidity, hot_C)))
+        assert water[at > hot_C].sum() == pytest.approx(holds, abs=0.1)
+
+
+def test_the_heat_that_drying_by_the_isotherm_takes_is_that_of_the_water_wood_no_longer_holds(isotherm, make_rig):
+    end = 'kind = "air"\ncoefficient = "h"\nambient_C = 115.0\n'
+    toml = f'[[layer]]\nname = "panel"\nfrom_run = true\n[boundary.bottom]\n{end}[boundary.top]\n{end}'
+    toml += '[initial]\nkind = "uniform"\ntemperature_C = 95.0\n'
+    panel = {"thickness_mm": 1.0, "density_kg_m3": 740.0, "conductivity_W_mK": 0.12, "heat_capacity_J_kgK": 1550.0}
+    header = {f"panel.{key}": value for key, value in panel.items()} | {"panel.initial_temperature_C": 95.0}
+    plain, run = make_rig(toml, np.arange(0.0, 200.5, 0.5), {}, {"face": '"panel.bottom"'}, **header)
+    model = ThermalModel(plain.press, (isotherm.EFFECT,))
+    for moisture, dries in ((8.0, 1.6), (0.0, 0.0)):  # % left at 112 °C in steam of one atmosphere: 6.4
+        wet = {"drying_by_isotherm.moisture_percent": moisture, "drying_by_isotherm.temperature_C": 100.0}
+        solved = model.solve(model.prepare(run, Moments()), {"h": 20.0} | wet)
+        flowed_in = np.trapezoid(2.0 * 20.0 * (115.0 - solved.column("face")), run.time_s)
+        kept = 740.0 * 1550.0 * 1e-3 * (solved.core[-1] - 95.0)
+        assert (flowed_in - kept) / (isotherm.LATENT_HEAT * 740.0 * 1e-5) == pytest.approx(dries, abs=0.15)
 
 
 def test_an_effect_without_english_words_is_refused_with_what_is_missing():
