@@ -16,13 +16,14 @@ export const cureOf = (low, grade) => [`≥\u00a0${number(100 * low, 0)}\u00a0%`
 
 export const steamOf = (high) => `≤\u00a0${number(high, 0)}\u00a0kPa`;
 
+// Why there is no core is told once: by the answer where that is not known, else here.
 export function showCore(core, band, state, estimate) {
   const valid = state !== "idle" && estimate && estimate.valid && estimate.core_C !== null;
   core.className = valid ? "core" : "core invalid";
   core.replaceChildren(valid ? number(estimate.core_C, 1) : "–", el("small", {}, "°C"));
   band.textContent = valid
     ? `${number(estimate.core_low_C, 1)} … ${number(estimate.core_high_C, 1)} °C · ${text("page-band95")}`
-    : state === "idle" || estimate?.reason === "no scans" ? "" : reasonOf(estimate) || text("page-no-estimate"); // the answer tells these
+    : state === "idle" || !estimate || estimate.advice?.verdict === "not_known" ? "" : reasonOf(estimate);
 }
 
 // Why there is no core: a code in plain words, whose words the catalogue has with hyphens.
