@@ -2200,16 +2200,15 @@ page-coefficients-hint = Wärmeübergangskoeffizienten, nach jeder Pressung neu 
 page-coefficients-sisters = Wo eigene Pressungen es noch nicht besser sagen, sind die Koeffizienten dieser Presse { $why }.
 page-drift = Drift
 page-drift-creep = kriecht um { $change } seit { $run }
-page-drift-hint = Regelkarten (CUSUM und EWMA) überwachen jeden Koeffizienten von Pressung zu Pressung.
+page-drift-hint = Eine Regelkarte fragt nach jeder Pressung, ob die Werte eines Koeffizienten noch so unter den früheren liegen, als hätte sich nichts geändert.
 page-drift-jump = Sprung um { $change } bei { $run }
-page-few-for-drift = zu wenige Pressungen
+page-drift-none = keine zu sehen
 page-history = Verlauf
 page-identifiable = bestimmbar
 page-last-fit = Letzte Anpassung
 page-no-fits = Noch keine angepasste Pressung.
 page-not-identifiable = nicht bestimmbar
 page-order-of-runs = Reihenfolge der Pressungen
-page-steady = stetig
 
 ## page: diagnosis
 

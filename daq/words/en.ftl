@@ -2181,16 +2181,15 @@ page-coefficients-hint = Heat transfer coefficients refitted after each pressing
 page-coefficients-sisters = Where runs of its own do not show it better yet, the coefficients of this press are { $why }.
 page-drift = Drift
 page-drift-creep = creeping by { $change } since { $run }
-page-drift-hint = Control charts (CUSUM and EWMA) watch each coefficient from run to run.
+page-drift-hint = A control chart asks after each run whether a coefficient's values still lie among the earlier ones as if nothing had changed.
 page-drift-jump = jumped by { $change } at { $run }
-page-few-for-drift = too few runs
+page-drift-none = none has shown itself
 page-history = history
 page-identifiable = identifiable
 page-last-fit = Last fit
 page-no-fits = No fitted run yet.
 page-not-identifiable = not identifiable
 page-order-of-runs = order of runs
-page-steady = steady
 
 ## page: diagnosis
 

@@ -4,7 +4,6 @@ import { duration, el, number } from "../dom.js";
 import { said, text } from "../words.js";
 
 export const STALE_S = 5;
-const ROOM_C = 20; // where a core begins, until one is known
 
 // What may be shown as a number: an estimate that is not valid foresees nothing either.
 export const believed = (estimate) => (estimate?.valid ? estimate : {});
@@ -108,10 +107,10 @@ export class CoreChart {
       ...measured.map(before)], shifted(phases, zero));
   }
 
-  // Before the first core the target stands over a room's temperature, not alone.
+  // Before the first core the target stands over 0 °C, not alone.
   range(low, high) {
     const all = [low, high, this.target].filter((value) => Number.isFinite(value));
-    if (all.length === 1) all.push(ROOM_C);
+    if (all.length === 1) all.push(0);
     const [least, most] = all.length ? [Math.min(...all), Math.max(...all)] : [0, 100];
     const room = Math.max(0.06 * (most - least), 1);
     return [least - room, most + room];

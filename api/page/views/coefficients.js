@@ -4,8 +4,6 @@ import { TimeChart } from "../charts.js";
 import { began, el, figure, number, table } from "../dom.js";
 import { has, said, text } from "../words.js";
 
-const LEARN_RUNS = 8; // the control charts judge from then on
-
 export async function show(place, context) {
   const press = context.presses.length > 1 ? context.press : "";
   const [{ items }, presses, drift, models] = await Promise.all([get("/coefficients", { press, limit: 500 }), get("/press"), get("/coefficients/drift", { press }), get("/models", { press: context.press })]);
@@ -62,14 +60,15 @@ function card(name, history, axis, used, drift) {
   const described = bodies(name);
   return el("section", { class: "card" }, el("div", { class: "head" }, el("h2", { style: "margin:0" }, name, " ", el("span", { class: "faint small" }, described)),
     el("span", { class: "num" }, last ? `${figure(last.c.value)} W/m²K` : used ? "" : "–", used ? el("span", { class: "faint small" }, `${last ? " · " : ""}${text("page-in-use")} ${figure(used)} W/m²K`) : "")),
-  el("p", { class: "row small", style: "margin:-.4rem 0 .4rem" }, driftPill(drift, told.length)), holder);
+  el("p", { class: "row small", style: "margin:-.4rem 0 .4rem" }, driftPill(drift)), holder);
 }
 
 // Which bodies a coefficient couples; empty for a press of one's own.
 const bodies = (name) => (has(`page-c-${name}`) ? text(`page-c-${name}`) : "");
 
-function driftPill(drift, runs) {
-  if (!drift) return el("span", { class: `pill ${runs > LEARN_RUNS ? "good" : ""}` }, `${text("page-drift")}: ${text(runs > LEARN_RUNS ? "page-steady" : "page-few-for-drift")}`);
+// That no change has shown itself is not that there is none: no green.
+function driftPill(drift) {
+  if (!drift) return el("span", { class: "pill" }, `${text("page-drift")}: ${text("page-drift-none")}`);
   const change = `${drift.factor >= 1 ? "+" : "−"}${number(Math.abs(100 * (drift.factor - 1)), 0)} %`;
   const sentence = text(`page-drift-${drift.chart}`, { change, run: drift.since_run });
   return el("a", { class: "pill warn", href: `#/runs/${encodeURIComponent(drift.since_run)}`, title: said(drift.sentence_said, drift.sentence) }, `${text("page-drift")}: ${sentence}`);
