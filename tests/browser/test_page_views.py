@@ -103,8 +103,10 @@ def plant(served) -> tuple[str, Page, str]:
     coefficient = {"value": 600.0, "sd": 20.0, "ci95": [560.0, 640.0], "identifiable": True}
     fit = {"run": "campaign-1", "converged": True, "coefficients": {"h_pp_c": coefficient}, "warnings": []}
     store.put_fit("campaign-1", fit | {"rmse_K": 0.3, "initial_rmse_K": 2.0}, "")
+    why = say("model-from-sisters", count=2, sisters=("left", "right")).to_json()
     for version, status in (("1", "retired"), ("2", "promoted")):
-        store.put_model("lab", version, {"version": version, "effects": []}, status=status)
+        model = {"version": version, "effects": [], "basis": {"reason": why}}
+        store.put_model("lab", version, model, status=status)
     store.put_diagnosis("lab", DIAGNOSIS)
     store.put_night(StoredNight("lab", NIGHT_BEGAN, NIGHT_BEGAN + timedelta(seconds=47), NIGHT, {}))
     feed.pause_s = 0.0
@@ -165,6 +167,12 @@ def test_nothing_that_is_missing_is_written_as_null(plant):
         expect(page.locator("main .card, main .wall").first).to_be_visible()
         page.wait_for_timeout(500)
         assert not re.search(r"\b(null|undefined|NaN)\b", page.locator("main").inner_text()), view
+
+
+def test_a_model_that_its_sisters_taught_says_so_beside_the_coefficients(plant):
+    address, page, _ = plant
+    page.goto(address + "#/coefficients")
+    expect(page.locator("main")).to_contain_text("learned from 2 presses of the same kind: left, right.")
 
 
 def test_without_a_token_a_change_says_what_is_missing(plant):
