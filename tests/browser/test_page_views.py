@@ -762,6 +762,7 @@ def test_a_run_says_what_was_sure_of_the_cure_at_opening_and_nothing_without_a_r
 def test_a_runs_page_asks_what_if_only_when_that_is_unfolded(plant, browser):
     address, *_ = plant
     page = browser.new_context(locale="de-DE", viewport={"width": 375, "height": 812}).new_page()
+    page.set_default_timeout(120_000)  # a first answer loads the solver of many draws
     asked = []
     page.on("request", lambda request: asked.append(request.url) if "what-if" in request.url else None)
     page.goto(address + "#/runs/campaign-1")
@@ -769,7 +770,7 @@ def test_a_runs_page_asks_what_if_only_when_that_is_unfolded(plant, browser):
     card.locator("summary").first.click()
     card.locator("#what-if-platen_temperature_C").fill("170,5")
     card.locator("form button").click()
-    expect(card.locator("table").first).to_contain_text("Mit diesen Einstellungen")
+    expect(card.locator("table").first).to_contain_text("Mit diesen Einstellungen", timeout=120_000)
     assert asked == [f"{address}api/v1/runs/campaign-1/what-if{q}" for q in ("", "?platen_temperature_C=170.5")]
     assert page.evaluate("document.documentElement.scrollWidth") <= 375
     page.context.close()
