@@ -239,8 +239,8 @@ class Panel:
     """The same of the heat capacity. [°C, J/kgK]"""
 
 
-_KEYS_SHOWN = 20
-"""Header keys of a run shown on one screen of 25 lines."""
+KEYS_SHOWN = 20
+"""Header keys of a run, and lines of a press, shown on one screen of 25 lines."""
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -266,7 +266,7 @@ class Run:
         """Return on one screen which run it is: scans, columns, header."""
         span = f", {self.time_s[0]:g} to {self.time_s[-1]:g} s" if len(self.time_s) else ""
         columns = textwrap.shorten(", ".join((*self.columns, *self.texts)), 300, placeholder=" ...")
-        keys = [f"{key} = {value}" for key, value in self.header.items()][:_KEYS_SHOWN]
+        keys = [f"{key} = {value}" for key, value in self.header.items()][:KEYS_SHOWN]
         shown = [textwrap.shorten(key, 100, placeholder=" ...") for key in keys]
         more = [f"... and {len(self.header) - len(shown)} more"] if len(self.header) > len(shown) else []
         return "\n".join([f"Run {self.name}: {len(self.time_s)} scans{span}", columns, *shown, *more])

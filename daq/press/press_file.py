@@ -10,13 +10,14 @@ import fnmatch
 import itertools
 import math
 import re
+import textwrap
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
-from daq.records import COLDEST_C, HOTTEST_C, InputError, Run
+from daq.records import COLDEST_C, HOTTEST_C, KEYS_SHOWN, InputError, Run
 from daq.tables import at, explained, read_toml, reason_of
 from daq.words import Message, say, spoken
 
@@ -290,6 +291,16 @@ class Press(Table):
     core: Core | None = None
     """None: the middle of the panel; without a panel where the first ``validation`` sensor sits, else the middle
     of the layer in the middle."""
+
+    def __repr__(self) -> str:
+        """Return on one screen which press it is: its chain, its coefficients, where its sensors sit."""
+        guesses = [f"{name} = {c.guess:g} ({c.lower:g} .. {c.upper:g})" for name, c in self.coefficients.items()]
+        places = [f"{sensor.label}: {', '.join(sensor.columns)}" for sensor in self.sensor]
+        lines = [f"Press {self.name}: {', '.join(self.chain)}", *guesses, *places]
+        shown = [textwrap.shorten(line, 300, placeholder=" ...") for line in lines[:KEYS_SHOWN]]
+        return "\n".join([*shown, *(["..."] if len(lines) > len(shown) else [])])
+
+    __str__ = __repr__
 
     @property
     def name(self) -> str:

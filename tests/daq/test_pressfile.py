@@ -156,6 +156,16 @@ def test_missing_temperature_is_not_blamed_on_the_material() -> None:
         panel_of(run(panel__material="MDF", panel__thickness_mm=16.0))
 
 
+def test_a_press_prints_on_one_screen() -> None:
+    text = str(read_press(LAB))
+    assert text.startswith(
+        "Press lab: boundary.bottom, plate_bottom, panel, plate_top, boundary.top\nh_p_o = 500 (10"
+    )
+    assert text.endswith("\npanel.middle: core_*")
+    many = PANEL + "".join(f'[[sensor]]\ncolumns = ["top_{n}"]\nat = "panel.top"\n' for n in range(60))
+    assert len(repr(parse_press(many)).splitlines()) <= 25
+
+
 def test_unknown_material_needs_its_constants() -> None:
     with pytest.raises(InputError, match=r"panel\.density_kg_m3 is missing and material 'cork' is not in the"):
         panel_of(run(panel__material="cork", panel__thickness_mm=16.0, panel__initial_temperature_C=20.0))
