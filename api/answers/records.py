@@ -225,6 +225,7 @@ def press_now(store: Store, press: str, press_file: str, now: datetime) -> Press
         state=present.state,
         since_utc=present.events[-1].utc if present.events else None,
         age_s=None if age_s is None else round(age_s, 3),
+        silent_after_s=SILENT_S,
         run=shown.run if shown else None,
         run_status=str(shown.status) if shown else None,
         time_s=number_or_none(round(time_s, 3)),

@@ -270,6 +270,8 @@ class PressNow(_Answer):
     since_utc: datetime | None
     age_s: float | None
     """Since the newest scan."""
+    silent_after_s: float
+    """What is older than this is not of now."""
     run: str | None
     run_status: str | None
     time_s: float | None
@@ -475,6 +477,8 @@ class Simulation(_Answer):
     profile_depth_mm: list[float]
     profile_C: list[list[float]]  # noqa: N815
     """Temperature through the panel: one row for each time, one value for each depth."""
+    boiling_C: float  # noqa: N815
+    """Where water boils in the model."""
     profile_heat_kJ_m2: list[float]  # noqa: N815
     """Heat in the panel beyond its start at each of these times, water and reactions not counted."""
 

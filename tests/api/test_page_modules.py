@@ -31,4 +31,4 @@ def test_the_page_has_no_number_of_the_plant_or_the_charts_of_its_own():
     """What it may call seconds or kelvins is how it draws: what lies together, what is bridged, what shows."""
     named = re.compile(r"^(?:export )?const ([A-Z_]+_(?:C|K|S|RUNS)) = [0-9]", re.MULTILINE)
     own = {name for file in imports() for name in named.findall(file.read_text("utf-8"))}
-    assert own == {"BRIDGE_S", "SHOWN_K", "STEP_S", "TOGETHER_S", "STALE_S", "BOILING_C"}
+    assert own == {"BRIDGE_S", "SHOWN_K", "STEP_S", "TOGETHER_S"}

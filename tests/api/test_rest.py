@@ -18,6 +18,7 @@ from daq.store import open_store
 from daq.store.records import StoredPressEvent
 from daq.words import Message
 from daq.words.message import languages
+from softsensor.heat.step_terms import BOILING_C
 from tests.api.conftest import STARTED
 from tests.curves import CURVES
 
@@ -365,6 +366,7 @@ def test_a_run_is_simulated_at_every_sensor_position_with_its_fitted_coefficient
     assert {len(v) for v in (*simulation["positions"].values(), *simulation["measured"].values())} == {rows}
     assert len(simulation["profile_C"]) == len(simulation["profile_time_s"])
     assert simulation["profile_depth_mm"][-1] == 16.0
+    assert simulation["boiling_C"] == BOILING_C
     panel, profile = client.get(RUN).json()["header"], np.array(simulation["profile_C"])
     warmer = np.trapezoid(profile[-1] - profile[0], simulation["profile_depth_mm"]) / 1e3
     heat = panel["panel.density_kg_m3"] * MATERIALS["MDF"].heat_capacity.value * warmer / 1e3

@@ -78,6 +78,8 @@ _KEPT = _Kept()
 )
 def get_simulation(store: StoreDep, run: str) -> Simulation:
     """Return simulated and measured temperatures at each sensor position, and the profile over time."""
+    from softsensor.heat.step_terms import BOILING_C  # loads slowly
+
     simulated, version = _KEPT.get(store, existing_run(store, run))
     table = {f"s {k}": v for k, v in simulated.places.items()}
     table |= {f"m {k}": v for k, v in simulated.measured.items()} | {"core": simulated.core}
@@ -93,6 +95,7 @@ def get_simulation(store: StoreDep, run: str) -> Simulation:
         profile_time_s=[round(t, 3) for t in simulated.profile_time_s.tolist()],
         profile_depth_mm=[round(d, 3) for d in simulated.profile_depth_mm.tolist()],
         profile_C=[[round(v, 2) for v in row] for row in simulated.profile.tolist()],
+        boiling_C=BOILING_C,
         profile_heat_kJ_m2=[round(q / 1000.0, 2) for q in simulated.profile_heat.tolist()],
     )
 

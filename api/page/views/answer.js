@@ -3,8 +3,6 @@ import { TimeChart, key } from "../charts.js";
 import { duration, el, number } from "../dom.js";
 import { said, text } from "../words.js";
 
-export const STALE_S = 5;
-
 // What may be shown as a number: an estimate that is not valid foresees nothing either.
 export const believed = (estimate) => (estimate?.valid ? estimate : {});
 
@@ -59,7 +57,7 @@ export function showLight(light, { now, silent = null, wrong = "" }) {
 
 // An estimate of the stream takes the place of the one before; what was missed and comes late is history.
 export function take(now, data) {
-  if (data.valid && data.age_s > STALE_S) return false;
+  if (data.valid && data.age_s > now.silent_after_s) return false;
   now.estimate = data;
   now.state = data.state;
   return true;

@@ -5,7 +5,7 @@ import { roleOf } from "../channels.js";
 import { TimeChart, key } from "../charts.js";
 import { clock, duration, el, number, reading } from "../dom.js";
 import { effectName, said, text } from "../words.js";
-import { CoreChart, STALE_S, believed, closingOf, coreKey, courseOf, cureOf, seconds, shifted, showAnswer, showCore, stateOf, steamOf, take } from "./answer.js";
+import { CoreChart, believed, closingOf, coreKey, courseOf, cureOf, seconds, shifted, showAnswer, showCore, stateOf, steamOf, take } from "./answer.js";
 import { notesOf } from "./journal.js";
 import { PanelCards } from "./panel.js";
 import { sketch } from "./sketch.js";
@@ -163,7 +163,7 @@ class LivePress {
 
   // Old numbers must not look like new ones: one banner, nothing green, every number grey with its age.
   showAge() {
-    this.stale = this.now.channels.length > 0 && this.silentFor() > STALE_S;
+    this.stale = this.now.channels.length > 0 && this.silentFor() > this.now.silent_after_s;
     document.documentElement.toggleAttribute("data-stale", this.stale);
     this.showState();
     this.old.hidden = !this.stale;

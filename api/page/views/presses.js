@@ -2,7 +2,7 @@
 import { get } from "../api.js";
 import { el } from "../dom.js";
 import { said, text } from "../words.js";
-import { STALE_S, showAnswer, showCore, showLight, stateOf } from "./answer.js";
+import { showAnswer, showCore, showLight, stateOf } from "./answer.js";
 
 export async function show(place) {
   const grid = el("div", { class: "presses", "data-testid": "presses" });
@@ -43,7 +43,7 @@ function draw({ node, state, core, band, answer, light, now, heard, wrong }) {
   for (const part of [state, core, band, answer]) part.hidden = false;
   const silent = Math.min(...now.channels.map((channel) => channel.age_s ?? Infinity)) + (performance.now() - heard) / 1000;
   const never = silent === Infinity;
-  const stale = silent > STALE_S;
+  const stale = silent > now.silent_after_s;
   node.classList.toggle("stale", stale);
   state.className = `pill ${stateOf(now, stale)}`;
   state.textContent = text(`page-state-${stateOf(now, stale)}`);

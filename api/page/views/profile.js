@@ -6,7 +6,6 @@ import { text } from "../words.js";
 const STOPS = [[0, 0, 4], [31, 12, 72], [85, 15, 109], [136, 34, 106], [186, 54, 85], [227, 89, 51], [249, 140, 10], [249, 201, 50], [252, 255, 164]];
 const HEIGHT = 270;
 const MARGIN = { left: 66, right: 74, top: 14, bottom: 44 };
-const BOILING_C = 100;
 
 export function profilePicture(simulation, phases) {
   const canvas = el("canvas", { class: "profile", role: "img", "aria-label": text("page-profile-label") });
@@ -18,7 +17,7 @@ export function profilePicture(simulation, phases) {
   return holder;
 }
 
-function drawProfile(canvas, legend, { profile_time_s: times, profile_depth_mm: depths, profile_C: rows }, phases) {
+function drawProfile(canvas, legend, { profile_time_s: times, profile_depth_mm: depths, profile_C: rows, boiling_C: boiling }, phases) {
   const values = rows.flat().filter((value) => value !== null);
   const [low, high] = [Math.min(...values), Math.max(...values)];
   const width = canvas.clientWidth;
@@ -32,11 +31,11 @@ function drawProfile(canvas, legend, { profile_time_s: times, profile_depth_mm: 
   const y = (depth) => box.y + box.h * (1 - depth / depths.at(-1));
   ctx.imageSmoothingEnabled = true;
   ctx.drawImage(field(times, depths, rows, low, high), box.x, box.y, box.w, box.h);
-  isotherm(ctx, times, depths, rows, x, y);
+  isotherm(ctx, times, depths, rows, boiling, x, y);
   moments(ctx, phases, x, box);
   axes(ctx, times, depths, x, y, box);
   colourBar(ctx, low, high, box);
-  legend.textContent = `${text("page-profile-axes")} · ${number(low, 0)} … ${number(high, 0)} °C${high > BOILING_C ? ` · ${text("page-isotherm")}` : ""}`;
+  legend.textContent = `${text("page-profile-axes")} · ${number(low, 0)} … ${number(high, 0)} °C${high > boiling ? ` · ${text("page-isotherm", { temperature: number(boiling, 0) })}` : ""}`;
 }
 
 // One pixel for each time and height of an even grid; the browser smooths between them.
@@ -58,11 +57,11 @@ function field(times, depths, rows, low, high) {
 }
 
 // Where water boils, seen from either face.
-function isotherm(ctx, times, depths, rows, x, y) {
+function isotherm(ctx, times, depths, rows, boiling, x, y) {
   ctx.fillStyle = "rgba(255, 255, 255, .85)";
   rows.forEach((row, i) => {
     for (let k = 1; k < depths.length; k += 1) {
-      const [a, b] = [row[k - 1] - BOILING_C, row[k] - BOILING_C];
+      const [a, b] = [row[k - 1] - boiling, row[k] - boiling];
       if (a * b < 0) ctx.fillRect(x(times[i]) - 1, y(depths[k - 1] + ((depths[k] - depths[k - 1]) * a) / (a - b)) - 0.7, 2, 1.4);
     }
   });

@@ -2,7 +2,7 @@
 import { get } from "../api.js";
 import { duration, el } from "../dom.js";
 import { said, text } from "../words.js";
-import { CoreChart, STALE_S, courseOf, showAnswer, showCore, showLight, stateOf, take } from "./answer.js";
+import { CoreChart, courseOf, showAnswer, showCore, showLight, stateOf, take } from "./answer.js";
 
 export async function show(place, context, [press]) {
   const wall = new Wall(place, context, press ?? context.press);
@@ -91,7 +91,7 @@ class Wall {
 
   showAge() {
     const silent = this.age + (performance.now() - this.heard) / 1000;
-    const stale = silent > STALE_S;
+    const stale = silent > this.now.silent_after_s;
     document.documentElement.toggleAttribute("data-stale", stale);
     const state = stateOf(this.now, stale);
     this.state.className = `pill ${state}`;
