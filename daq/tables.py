@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import difflib
 import errno
+import json
 import re
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -44,7 +45,7 @@ def read_toml(text: str) -> dict[str, Any]:
     try:
         tree = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise InputError(say("toml-invalid", reason=str(error))) from error
+        raise InputError(_no_toml(text, str(error))) from error
     except ValueError as error:  # Python converts no integer of more than 4300 digits
         raise InputError(_too_long(text)) from error
     except RecursionError as error:
@@ -55,6 +56,16 @@ def read_toml(text: str) -> dict[str, Any]:
         if isinstance(value, int) and abs(value) >= 10**MOST_DIGITS:
             raise InputError(_too_long(text))
     return tree
+
+
+def _no_toml(text: str, reason: str) -> Message:
+    """Return what is wrong with a text that Python's reader refused: where, and whether something stands twice."""
+    at = re.search(r"\(at line ([0-9]+), column ([0-9]+)\)$", reason)
+    lines = text.split("\n")
+    line, column = (int(at[1]), int(at[2])) if at else (len(lines), len(lines[-1]) + 1)
+    if reason.startswith(("Cannot declare", "Cannot overwrite", "Cannot redefine", "Duplicate")):
+        return say("toml-twice", line=line)
+    return say("toml-invalid", line=line, column=column)
 
 
 def load_toml(path: Path, what: Message) -> dict[str, Any]:
@@ -84,10 +95,17 @@ SYSTEM_FAULTS = {
 
 
 def reason_of(error: Exception) -> Message | str:
-    """Return why the system did not do it; what is not among `SYSTEM_FAULTS` in its own words, so in English."""
+    """Return why something was not read or done: no UTF-8, no JSON, or what the system said.
+
+    What is not among `SYSTEM_FAULTS` comes in its own words, so in English.
+    """
     if isinstance(error, OSError):
         known = SYSTEM_FAULTS.get(error.errno or 0)
         return Message(known, {}) if known else error.strerror or type(error).__name__
+    if isinstance(error, UnicodeDecodeError):
+        return say("at-line", line=error.object.count(b"\n", 0, error.start) + 1, what=say("run-not-utf8"))
+    if isinstance(error, json.JSONDecodeError):
+        return say("json-invalid", line=error.lineno, column=error.colno)
     return str(error)
 
 

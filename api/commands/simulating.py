@@ -147,7 +147,7 @@ def _read_coefficients(path: Path, presses: tuple[Press, Press]) -> dict[str, fl
         said = say("terminal-coefficients-unreadable", path=str(path), why=reason_of(error))
         raise InputError(said) from error
     except (UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise InputError(say("terminal-coefficients-not-json", path=str(path), why=str(error))) from error
+        raise InputError(say("terminal-coefficients-not-json", path=str(path), why=reason_of(error))) from error
     if not isinstance(content, dict):
         raise InputError(say("terminal-coefficients-no-object", path=str(path)))
     for name, value in content.items():

@@ -23,7 +23,8 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from daq.records import InputError
-from daq.words import say
+from daq.tables import reason_of
+from daq.words import Message, say, spoken
 
 Scope = Literal["read", "write"]
 PREFIX = "kt"
@@ -67,14 +68,14 @@ class TokenFile:
             try:
                 found = self.path.stat()
                 if not stat.S_ISREG(found.st_mode) or found.st_size > LARGEST_BYTES:
-                    raise OSError("not a file of tokens")  # a pipe would hold up the server for good
+                    raise InputError(say("api-tokens-no-file"))  # a pipe would hold up the server for good
                 if self._seen != (found.st_mtime_ns, found.st_size):
                     self._tokens = tuple(_token_of(entry) for entry in json.loads(self.path.read_text("utf-8")))
                     self._seen = (found.st_mtime_ns, found.st_size)
             except FileNotFoundError:
                 self._tokens, self._seen = (), None
             except (OSError, ValueError, TypeError, RecursionError) as error:
-                raise InputError(say("api-tokens-unreadable", path=str(self.path), why=str(error))) from error
+                raise InputError(say("api-tokens-unreadable", path=str(self.path), why=_why(error))) from error
             return self._tokens
 
     def create(self, name: str, scope: Scope) -> str:
@@ -140,13 +141,21 @@ class Attempts:
 
 
 def _token_of(entry: Any) -> Token:
-    """Return a token from its entry in the file. Raises TypeError or ValueError for anything else."""
+    """Return a token from its entry in the file. Raises TypeError or InputError for anything else."""
     token = Token(**entry)
     if not all(isinstance(value, str) for value in asdict(token).values()):
-        raise TypeError("an entry is not a text")
+        raise InputError(say("api-tokens-entry"))
     if token.scope not in get_args(Scope) or not re.fullmatch("[0-9a-f]{64}", token.sha256):
-        raise ValueError(f"token {token.name!r} has no usable scope or sha256")
+        raise InputError(say("api-tokens-no-scope", name=token.name))
     return token
+
+
+def _why(error: Exception) -> Message | str:
+    """Return what is wrong with the file; what is no list of tables with the keys of a token is no entry."""
+    if isinstance(error, InputError):
+        return spoken(error)
+    known = isinstance(error, OSError | UnicodeDecodeError | json.JSONDecodeError)
+    return reason_of(error) if known else say("api-tokens-entry")
 
 
 def _digest(text: str) -> str:

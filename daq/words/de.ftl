@@ -21,6 +21,7 @@ file-of-press = die Pressendatei
 file-of-profile = das Profil
 file-of-resin = die Harzdatei
 file-of-run = die Laufdatei
+json-invalid = unverständlich ab Zeile { NUMBER($line) }, Spalte { NUMBER($column) }
 key-empty = ist leer; mindestens einen Eintrag angeben
 key-missing = fehlt; bitte ergänzen
 key-no-bool = muss true oder false sein
@@ -53,8 +54,9 @@ system-not-a-folder = Es ist kein Ordner
 system-not-allowed = Keine Berechtigung
 system-read-only = Das Dateisystem ist schreibgeschützt
 toml-integer-too-long = eine ganze Zahl mit mehr als { NUMBER($digits) } Ziffern; kürzen oder, wenn es ein Text ist, in Anführungszeichen setzen
-toml-invalid = kein gültiges TOML: { $reason }
+toml-invalid = kein gültiges TOML: unverständlich ab Zeile { NUMBER($line) }, Spalte { NUMBER($column) }
 toml-too-deep = Tabellen oder Listen mehr als { NUMBER($deepest) } Ebenen tief verschachtelt; flacher schreiben
+toml-twice = kein gültiges TOML: ein Schlüssel oder eine Tabelle steht doppelt, bemerkt in Zeile { NUMBER($line) }; eines davon entfernen
 
 ## daq.drivers: loggers, wires, calibration
 
@@ -1527,7 +1529,10 @@ api-token-invalid = dieses Zugangstoken gilt nicht; kerntemp token create legt e
 api-token-reads-only = Zugangstoken { $name } darf nur lesen; eine Änderung braucht das Schreibrecht
 api-token-unknown = das Zugangstoken { $name } gibt es nicht; es gibt: { $known }
 api-token-unknown-of-none = das Zugangstoken { $name } gibt es nicht; es gibt noch keines
+api-tokens-entry = ein Eintrag besteht nicht aus fünf Texten: id, name, scope, sha256, created_utc
 api-tokens-needed = server.host = { $host }: wer von anderswo liest, braucht ein Zugangstoken, und es gibt keines; eines anlegen mit kerntemp token create NAME --scope read oder auf 127.0.0.1 lauschen
+api-tokens-no-file = keine Datei von Zugangstoken
+api-tokens-no-scope = Zugangstoken { $name } hat keinen brauchbaren Umfang (scope) oder sha256
 api-tokens-unreadable = { $path }: die Zugangstoken sind nicht lesbar: { $why }; die Datei entfernen und neue anlegen
 api-too-many-listeners = zu viele Zuhörer; später wieder versuchen
 api-too-many-wrong-tokens = zu viele falsche Zugangstoken von dieser Adresse; weitere falsche werden eine Minute lang verzögert beantwortet

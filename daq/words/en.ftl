@@ -21,6 +21,7 @@ file-of-press = the press file
 file-of-profile = the profile
 file-of-resin = the resin file
 file-of-run = the run file
+json-invalid = not understood from line { NUMBER($line) }, column { NUMBER($column) } on
 key-empty = is empty; give at least one
 key-missing = is missing; add it
 key-no-bool = must be true or false
@@ -53,8 +54,9 @@ system-not-a-folder = Not a directory
 system-not-allowed = Permission denied
 system-read-only = Read-only file system
 toml-integer-too-long = a whole number with more than { NUMBER($digits) } digits; shorten it, or put it in quotes if it is a text
-toml-invalid = not valid TOML: { $reason }
+toml-invalid = not valid TOML: not understood from line { NUMBER($line) }, column { NUMBER($column) } on
 toml-too-deep = tables or lists more than { NUMBER($deepest) } deep within one another; flatten them
+toml-twice = not valid TOML: a key or table stands twice, found in line { NUMBER($line) }; remove one
 
 ## daq.drivers: loggers, wires, calibration
 
@@ -1511,7 +1513,10 @@ api-token-invalid = this token is not valid; kerntemp token create makes one
 api-token-reads-only = token { $name } may read only; a change needs scope write
 api-token-unknown = token { $name } does not exist; there are: { $known }
 api-token-unknown-of-none = token { $name } does not exist; there is none yet
+api-tokens-entry = an entry is not five texts: id, name, scope, sha256, created_utc
 api-tokens-needed = server.host = { $host }: beyond loopback readers need tokens and there are none; make one with kerntemp token create NAME --scope read, or listen on 127.0.0.1
+api-tokens-no-file = not a file of tokens
+api-tokens-no-scope = token { $name } has no usable scope or sha256
 api-tokens-unreadable = { $path }: cannot read the tokens: { $why }; remove the file and make new ones
 api-too-many-listeners = too many live listeners; try again later
 api-too-many-wrong-tokens = too many wrong tokens from this address; further wrong ones are answered slowly for a minute

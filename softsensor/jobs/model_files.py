@@ -18,4 +18,4 @@ def read_model(path: Path) -> ModelFile:
     except OSError as error:
         raise InputError(say("model-file-unreadable", file=str(path), error=reason_of(error))) from error
     except (UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise InputError(say("model-file-no-json", file=str(path), error=str(error))) from error
+        raise InputError(say("model-file-no-json", file=str(path), error=reason_of(error))) from error

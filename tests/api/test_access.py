@@ -13,6 +13,8 @@ from api.http.gate import SLOWED_S, is_loopback
 from api.http.server import Listening, address_of
 from api.http.tokens import ATTEMPTS, Attempts, TokenFile
 from daq.records import InputError
+from daq.words import spoken
+from daq.words.message import words
 
 PATIENT_S = 60.0
 """A busy machine answers late, and fails no test for it. [s]"""
@@ -185,6 +187,26 @@ def test_two_tokens_of_one_name_are_refused(tmp_path):
     file.create("grafana", "read")
     with pytest.raises(InputError, match="revoke it first"):
         file.create("grafana", "write")
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (b"[\n\xff]", "Zeile 2: kein UTF-8-Text"),
+        (b"[\n{", "unverständlich ab Zeile 2, Spalte 2"),
+        (b"[3]", "aus fünf Texten"),
+        (
+            b'[{"id": "a", "name": "tablet", "scope": "", "sha256": "", "created_utc": ""}]',
+            "Zugangstoken tablet",
+        ),
+        (b" " * 10_000_001, "keine Datei von Zugangstoken"),
+    ],
+)
+def test_what_is_wrong_with_the_file_of_tokens_is_said_in_one_language(tmp_path, text, said):
+    (tmp_path / "tokens.json").write_bytes(text)
+    with pytest.raises(InputError) as refused:
+        TokenFile(tmp_path / "tokens.json").tokens()
+    assert said in words(spoken(refused.value), "de")
 
 
 def test_waiting_a_minute_lets_an_address_try_again():

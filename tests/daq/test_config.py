@@ -76,7 +76,7 @@ def test_a_resin_of_the_configuration_stands_beside_it_and_is_checked_at_once(fo
         (("port = 9000", "port = 90000"), r"server.port = 90000"),
         (
             ("[store]", "[store]\narchive_after_days = 30.0"),
-            r"archive_after_days says when scans go to the archive, but there is none; name a folder as archive",
+            r"archive_after_days sets when scans are archived, but there is no archive; name a folder as archive",
         ),
         (
             ("[store]", '[store]\narchive = "a"\narchive_after_days = 0.5'),

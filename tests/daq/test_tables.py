@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from daq.press.press_file import parse_press
+from daq.press.press_file import parse_press, read_press
 from daq.process.config import Config, load_config
 from daq.records import InputError
 from daq.tables import fields_at, nearest, read_toml
+from daq.words import spoken
+from daq.words.message import words
 
 PANEL = '[[layer]]\nname = "panel"\nfrom_run = true\n'
 
@@ -35,6 +37,25 @@ def test_numbers_and_nesting_that_would_kill_the_reader_are_refused_in_press_fil
     path.write_text(text)
     with pytest.raises(InputError, match=f"kerntemp.toml: .*{said}"):
         load_config(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (b"a = 1\nb = ", "kein gültiges TOML: unverständlich ab Zeile 2, Spalte 5"),
+        (b"a = 1\n= 2\n", "kein gültiges TOML: unverständlich ab Zeile 2, Spalte 1"),
+        (b"[a]\n\n[a]\n", "bemerkt in Zeile 3"),
+        (b"a = 1\na = 2", "bemerkt in Zeile 2"),
+        (b"a = 1\nb = '\xfc'", "Zeile 2: kein UTF-8-Text"),
+    ],
+)
+def test_what_is_wrong_with_a_file_is_said_in_one_language_with_its_line(tmp_path, text, said):
+    path = tmp_path / "kerntemp.toml"
+    path.write_bytes(text)
+    for read in (load_config, read_press):
+        with pytest.raises(InputError) as refused:
+            read(path)
+        assert said in words(spoken(refused.value), "de")
 
 
 def test_a_large_whole_number_and_a_longer_text_are_read():
