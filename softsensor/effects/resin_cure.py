@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from daq.press.resin_file import REFERENCE_C
 from daq.records import COLDEST_C
 from softsensor.effects.effect import Conversion, Effect, Live, Need, Role, Scene, Terms
 from softsensor.effects.parameters import Parameter
@@ -29,7 +30,7 @@ def _terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
         below = np.minimum(np.concatenate([[0.0], np.cumsum(dx[order])]), SKIN)
         share[first : last + 1] += (np.diff(below) / SKIN)[order] / dx
     heat = share * (values["heat_kJ_m2"] * 1e3)
-    return Terms(conversions=(Conversion(heat, 0, RATE_140, ACTIVATION, 140.0 - COLDEST_C),))
+    return Terms(conversions=(Conversion(heat, 0, RATE_140, ACTIVATION, REFERENCE_C - COLDEST_C),))
 
 
 EFFECT = Effect(

@@ -19,8 +19,8 @@ import numpy as np
 from daq.compiled import compiled
 from daq.press.press_file import Press
 from daq.records import Array, Moments, Run
-from softsensor.signals.instrument import CHANNEL_FAST_S
-from softsensor.signals.robust import nan_median
+from softsensor.signals.instrument import CHANNEL_FAST_S, CHANNEL_WHITE_K
+from softsensor.signals.robust import nan_median, robust_sd
 from softsensor.signals.screen import ChannelFault, Flags, faces_of, faulty_channels, quiet_rows
 
 # Numbers without another source were set by hand, 2026-11.
@@ -112,8 +112,8 @@ def _drop_outliers(values: Array) -> tuple[Array, int]:
     relative = values - nan_median(values)[:, None]
     column = nan_median(relative.T)
     relative = relative - column[None, :]
-    typical = 1.4826 * nan_median(np.abs(relative).T)
-    row = 1.4826 * nan_median(np.abs(relative))
+    typical = robust_sd(relative.T)
+    row = robust_sd(relative)
     limit = np.maximum(np.maximum(6.0 * typical[None, :], 6.0 * row[:, None]), OUTLIER_K)
     far = np.abs(relative) > limit
     return np.where(far, np.nan, values), int(far.sum())
@@ -170,8 +170,8 @@ def _without_gain(deviation: Array, mean: Array) -> Array:
 
 def _white_level(values: Array) -> float:
     second = np.diff(values, n=2, axis=0)
-    second = np.abs(second[np.isfinite(second)])
-    return 1.4826 * float(np.median(second)) / np.sqrt(6.0) if len(second) else 0.05
+    second = second[np.isfinite(second)]
+    return float(robust_sd(second)) / np.sqrt(6.0) if len(second) else CHANNEL_WHITE_K
 
 
 def _whiten(

@@ -24,6 +24,14 @@ def nan_median(values: Array) -> Array:
     return np.where(count > 0, (low + high) / 2, np.nan)
 
 
+def robust_sd(away: Array) -> Array:
+    """Return the standard deviation of normal values about zero from their median distance to it: (…, n) to (…).
+
+    The three quarters point of the standard normal distribution is 0.6745. NaN where nothing is.
+    """
+    return np.asarray(nan_median(np.abs(away)) / 0.6744897501960817)
+
+
 def channel_scatter(values: Array, *, own_offsets: bool) -> Array:
     """Standard deviation over channels in each row (rows, channels), their own offsets taken out if asked for."""
     good = np.isfinite(values)

@@ -12,7 +12,7 @@ from daq.simulated.campaign_sensors import Nuisances
 from softsensor.signals.digest import digest_run
 from softsensor.signals.moments import moments_of
 from softsensor.signals.places import collect_signals
-from softsensor.signals.robust import nan_median
+from softsensor.signals.robust import nan_median, robust_sd
 from softsensor.signals.screen import FaultKind, faulty_channels
 
 PRESS = parse_press(press_toml())
@@ -66,3 +66,10 @@ def test_fit_and_diagnosis_hear_the_same_channels_of_a_face_that_is_read_more_se
     heard = {place.label: place.columns for place in collect_signals(PRESS, run, moments).places}
     assert digest_run(PRESS, run, moments).channels == heard
     assert ("panel.bottom" in heard) == (every == 8)
+
+
+def test_normal_values_have_their_standard_deviation_by_their_median_too_and_wild_ones_do_not_count():
+    values = 0.3 * np.random.default_rng(5).normal(size=(2, 20_001))
+    values[:, :100], values[0, 100:200] = 1e6, np.nan
+    assert robust_sd(values) == pytest.approx([0.3, 0.3], rel=0.03)
+    assert np.isnan(robust_sd(np.full((1, 3), np.nan)))
