@@ -11,7 +11,7 @@ from softsensor.fitting.constants import changed_by
 from softsensor.fitting.problem import CONSTANT, carried_among
 from softsensor.fitting.result import RunFit
 from softsensor.signals.faces import measured_core
-from softsensor.signals.instrument import PLATEN_ALONE_K, START_ALONE_K
+from softsensor.signals.instrument import PLATEN_TOTAL_K, START_TOTAL_K
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ def _ends(fitted: RunFit) -> tuple[float, float]:
     case = fitted.problem.case
     start = case.ambient if case.panel is None else case.panel.initial_temperature
     known = np.concatenate([[case.ambient, start], *(case.run.columns[c] for c in case.press.platens)])
-    return float(np.nanmin(known)) - 2.0 * START_ALONE_K, float(np.nanmax(known)) + 2.0 * PLATEN_ALONE_K
+    return float(np.nanmin(known)) - 2.0 * START_TOTAL_K, float(np.nanmax(known)) + 2.0 * PLATEN_TOTAL_K
 
 
 def _derivative(fitted: RunFit) -> Array:

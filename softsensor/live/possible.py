@@ -17,9 +17,9 @@ from softsensor.effects import catalogue
 from softsensor.heat.step_terms import STEFAN_BOLTZMANN, ZERO_C
 from softsensor.live.setup import RunSetup
 from softsensor.live.validity import Invalid, InvalidReason
-from softsensor.signals.instrument import PLATEN_ALONE_K
+from softsensor.signals.instrument import PLATEN_TOTAL_K
 
-SLACK_K = 3.0 * PLATEN_ALONE_K
+SLACK_K = 3.0 * PLATEN_TOTAL_K
 """A platen's reading may be off by so much. [K]"""
 
 

@@ -20,7 +20,7 @@ from daq.records import Array
 from softsensor.effects import Effect, Need, Role, catalogue, find_effect, paper_layer
 from softsensor.effects.parameters import Parameter
 from softsensor.heat.model_file import MissingCauses, ModelFile
-from softsensor.signals.instrument import GUESS_LOG, LEAST_SPREAD_LOG, PLATEN_ALONE_K, START_K
+from softsensor.signals.instrument import GUESS_LOG, LEAST_SPREAD_LOG, PLATEN_TOTAL_K, START_K
 from softsensor.signals.unknown import Unknown
 
 
@@ -198,7 +198,7 @@ def nuisance_priors(
     priors = [Unknown("initial_K", 0.0, initial_sd)]
     for side, boundary in press.boundary.ends:
         if boundary.kind == "measured":
-            priors.append(Unknown(f"boundary_{side}_K", 0.0, PLATEN_ALONE_K))
+            priors.append(Unknown(f"boundary_{side}_K", 0.0, PLATEN_TOTAL_K))
     for effect in catalogue().values():
         if effect.live.role is not Role.SCATTER or effect.measuring or effect.layers or effect.name in known:
             continue

@@ -1,7 +1,7 @@
 """Pressings of a panel not pressed yet: a made-up program, drawn many times with all that is not known of it.
 
 Platens stand at their set point, for what a press's control does to them nobody has measured; how far a platen
-may be off (`signals.instrument.PLATEN_ALONE_K`) is drawn. A draw has its own coefficients and effects (the model
+may be off (`signals.instrument.PLATEN_TOTAL_K`) is drawn. A draw has its own coefficients and effects (the model
 file's covariance, scatter from run to run included), constants (`signals.doubt`), platens, kinetics and sorption.
 """
 
@@ -26,7 +26,7 @@ from softsensor.heat.model import ThermalModel
 from softsensor.heat.model_file import ModelFile
 from softsensor.signals.digest import STEP_S
 from softsensor.signals.doubt import Doubt, constant_doubts
-from softsensor.signals.instrument import PLATEN_ALONE_K, RAMP_S
+from softsensor.signals.instrument import PLATEN_TOTAL_K, RAMP_S
 
 HALF = 48
 """Draws, each with its mirror image, so that their mean is exact to first order: a standard deviation from twice
@@ -257,7 +257,7 @@ def _values(press: Press, model: ModelFile, draws: Draws) -> list[dict[str, floa
                 values[name] *= float(np.exp(change))
             else:
                 values[name] = _within(name, values[name] + float(change))
-        values["boundary_bottom_K"], values["boundary_top_K"] = (PLATEN_ALONE_K * platens).tolist()
+        values["boundary_bottom_K"], values["boundary_top_K"] = (PLATEN_TOTAL_K * platens).tolist()
         found.append(values)
     return found
 

@@ -21,7 +21,7 @@ import numpy as np
 from daq.materials import TABLE_SD, Constant, find_material
 from daq.press.press_file import SD, At, Boundary, Layer, Press
 from daq.records import ROOM_C
-from softsensor.signals.instrument import START_ALONE_K
+from softsensor.signals.instrument import START_TOTAL_K
 
 
 class Source(StrEnum):
@@ -166,7 +166,7 @@ def _panel(header: Mapping[str, Any]) -> Iterator[tuple[str, Doubt]]:
         "panel.conductivity_W_mK": doubt("panel.conductivity_W_mK", PANEL_SCATTER, "conductivity"),
         "panel.heat_capacity_J_kgK": doubt("panel.heat_capacity_J_kgK", PANEL_SCATTER, "heat_capacity"),
         "panel.initial_temperature_C": _given(
-            header, "panel.initial_temperature_C", START_ALONE_K, Source.MEASURED
+            header, "panel.initial_temperature_C", START_TOTAL_K, Source.MEASURED
         ),
         "panel.moisture_percent": _given(header, "panel.moisture_percent", MOISTURE_PERCENT, Source.MEASURED),
     }

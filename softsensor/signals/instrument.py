@@ -28,7 +28,7 @@ A campaign looks for it as the effect ``platen_offset``; the live sensor bears i
 BURIED_K = 0.4
 """Offset of a thermocouple buried in a panel: taped ones on rigs are off by 0.1 to 0.75 K of their own, here the
 middle. (the project's facts, decision.md) [K]"""
-PLATEN_ALONE_K = math.hypot(PLATEN_K, PLATEN_CLASS_K)
+PLATEN_TOTAL_K = math.hypot(PLATEN_K, PLATEN_CLASS_K)
 """Both together: all a platen channel may be off. The live sensor's number, whose band must hold in a run. [K]"""
 CHANNEL_WHITE_K = 0.07
 """White noise of one reading of a panel channel: a logger's step of 0.1 K (0.03) and its own 0.05 to 0.1. [K]"""
@@ -85,9 +85,9 @@ passed for late thermocouples (virtual press, 12 runs with nothing hidden, seed 
 
 START_K = 0.3
 """The panel's start temperature in the header against the true one: a handheld sensor, an uneven panel. [K]"""
-START_ALONE_K = math.hypot(START_K, PLATEN_CLASS_K)
+START_TOTAL_K = math.hypot(START_K, PLATEN_CLASS_K)
 """With what the sensor that gave it may be off in all runs, which is of a platen channel's class. Where no face is
-read, nothing else tells the start. The live sensor's number, as `PLATEN_ALONE_K` is. [K]"""
+read, nothing else tells the start. The live sensor's number, as `PLATEN_TOTAL_K` is. [K]"""
 GUESS_LOG = 0.7
 """Of the logarithm of a coefficient of which only the press file's guess is known: a factor of two."""
 SPREAD_LOG = 0.15
