@@ -19,10 +19,10 @@ import pytest
 
 from daq.drivers import LoggerSettings, ReadFailure, open_logger
 from daq.drivers.protocol import Cause
-from daq.simulated import proxy
 from daq.simulated.devices import kind_of, station, wiring
 from daq.simulated.devices_line import Server, serve_serial, serve_tcp
-from daq.simulated.proxy import Fault, FaultProxy
+from tests.daq import proxy
+from tests.daq.proxy import Fault, FaultProxy
 from tests.editions import edition
 
 BASE_C, CHANNEL_K, PERIOD_S, SWING_K = 20.0, 12.0, 10.0, 10.0

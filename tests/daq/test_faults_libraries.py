@@ -13,7 +13,7 @@ from daq.drivers.link import SerialPlace
 from daq.drivers.modbus import Request, registers, rtu_frame, rtu_reply
 from daq.simulated.devices_line import serve_serial
 from daq.simulated.modbus import Image, ModbusModule
-from daq.simulated.proxy import Fault, FaultProxy, rtu_spoiler
+from tests.daq.proxy import Fault, FaultProxy, rtu_spoiler
 
 TIMEOUT_S = 0.2
 LATE_S = (1.3 * TIMEOUT_S, 1.4 * TIMEOUT_S)

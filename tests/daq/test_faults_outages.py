@@ -14,7 +14,7 @@ from daq.records import Quality
 from daq.simulated.devices import simulated, station, wiring
 from daq.simulated.devices_converter import Switches
 from daq.simulated.devices_line import serve_serial
-from daq.simulated.proxy import Fault, FaultProxy, rtu_spoiler, tcp_spoiler
+from tests.daq.proxy import Fault, FaultProxy, rtu_spoiler, tcp_spoiler
 
 BACK_WITHIN_S = 5.0
 EIGHT = tuple(f"c{k}" for k in range(8))

@@ -88,7 +88,7 @@ class FaultProxy:
     vanish and return under the same name.
     """
 
-    def __init__(  # noqa: PLR0913 - every way to misbehave
+    def __init__(
         self,
         upstream: Server,
         spoiler: Spoiler,
