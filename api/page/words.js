@@ -21,7 +21,7 @@ export async function loadWords(chosen = localStorage.getItem(KEPT) ?? navigator
   if (answer?.status === 404 && chosen !== "en") return loadWords("en");
   if (!answer?.ok) return false;
   const told = await answer.json();
-  const bundle = new FluentBundle(variantOf(told.language), { useIsolating: false, functions: { NUMBER: numberOrWords } });
+  const bundle = new FluentBundle(variantOf(told.language), { useIsolating: false, functions: { NUMBER: numberOrWords, SPAN: span } });
   bundle.addResource(new FluentResource(Object.entries(told.messages).map(([code, pattern]) => `${code} = ${pattern}`).join("\n")));
   catalogue = { ...told, bundle };
   return true;
@@ -32,6 +32,18 @@ function numberOrWords([value], how) {
   if (!(value instanceof FluentNumber)) return value;
   const options = Object.fromEntries(Object.entries(how).map(([name, one]) => [name, one.valueOf()]));
   return new FluentNumber(value.valueOf(), { ...value.opts, ...options });
+}
+
+// Seconds as people put them, in two units at most; the server's catalogue has the same.
+function span([value]) {
+  if (!(value instanceof FluentNumber)) return value;
+  const seconds = Math.round(value.valueOf());
+  for (const [large, small, size, part] of [["d", "h", 86400, 3600], ["h", "min", 3600, 60], ["min", "s", 60, 1]]) {
+    if (seconds < size) continue;
+    const rest = Math.floor((seconds % size) / part);
+    return `${Math.floor(seconds / size)} ${large}${rest ? ` ${rest} ${small}` : ""}`;
+  }
+  return `${seconds} s`;
 }
 
 export async function chooseLanguage(chosen) {

@@ -353,7 +353,7 @@ of-run = Pressung { $run }: { $what }
 pages-stalled = die Prüfung von { $store } auf Schäden kommt nicht voran; den Datenträger prüfen
 panel-not-pressed-before = { $key } = { NUMBER($header_mm, maximumFractionDigits: 1) }: keine frühere Pressung dieser Presse hatte eine solche Platte, die nächste hatte { NUMBER($nearest_mm, maximumFractionDigits: 1) } mm; das Band des Kerns umfasst beide; die Dicke prüfen
 press-recorded-already = Presse { $press }: ein anderer Rekorder schreibt sie in { $store }; diesen zuerst beenden
-press-stalled = { $press }: seit { NUMBER($seconds, maximumFractionDigits: 0) } s keine neue Messzeile
+press-stalled = { $press }: seit { SPAN($seconds) } keine neue Messzeile
 problem-of-press = { $press }: { $what }
 recording-begins = zeichnet { $presses } auf; solange der Datenspeicher nicht erreichbar ist, warten Messzeilen: { $where }
 recording-ends = Aufzeichnung beendet
@@ -483,7 +483,7 @@ wanted-seconds = eine Zahl in Sekunden
 wanted-text = ein Text
 wanted-time = eine Zeit mit Zeitzone zwischen den Jahren 1970 und 9999, wie 2026-03-04T07:00:00Z
 writer-dead = Der Schreiber zum Datenspeicher läuft nicht
-writer-stalled = Der Schreiber zum Datenspeicher steht seit { NUMBER($seconds, maximumFractionDigits: 0) } s
+writer-stalled = Der Schreiber zum Datenspeicher steht seit { SPAN($seconds) }
 
 ## softsensor.effects: the catalogue of effects
 
@@ -1082,11 +1082,11 @@ reason-core-impossible = der berechnete Kern hat { NUMBER($core_C, maximumFracti
 reason-faces-jumped-during-a-gap = die Temperatur beider Seiten ist während einer Messlücke gesprungen
 reason-faces-too-cold-for-this-panel = die Seiten sind viel kälter als die der gepressten Platte; es kann eine andere Platte dort liegen
 reason-insertion-not-seen = Kern nicht bestimmbar: nichts hat gezeigt, wann die Platte eingelegt wurde
-reason-live-sensor-silent = der Softsensor hat seit { NUMBER($silent_s, maximumFractionDigits: 0) } s keine Schätzung geliefert
+reason-live-sensor-silent = der Softsensor hat seit { SPAN($silent_s) } keine Schätzung geliefert
 reason-no-estimate-yet = der Softsensor hat noch keine Schätzung geliefert
 reason-no-panel-in-the-press = keine Platte in der Presse
 reason-no-reading-of-the-lower-face = Kern nicht bestimmbar: kein Fühler der Unterseite zeigt, ob eine Platte in der Presse liegt
-reason-no-scans = seit { NUMBER($silent_s, maximumFractionDigits: 0) } s keine Messzeile
+reason-no-scans = seit { SPAN($silent_s) } keine Messzeile
 reason-not-published = im Augenblick veröffentlicht es niemand
 reason-panel-not-seen-in-the-open-press = seit Langem zeigt kein Fühler, ob die Platte noch in der offenen Presse liegt
 reason-platen-reading-missing = Heizplattentemperatur fehlt
@@ -1449,14 +1449,14 @@ advice-blocked = { $limit ->
         [steam_most] zu viel Dampf, oder sein Druck ist nicht bekannt
        *[sudden_change] in der Presse hat sich etwas geändert: wie weit die Flächen gehärtet sind, ist nicht bekannt
     }
-advice-estimate-old = Stand vor { NUMBER($seconds, maximumFractionDigits: 0) } s
+advice-estimate-old = Stand vor { SPAN($seconds) }
 advice-no-limit = die Harzdatei hat keine Grenze
 advice-no-look-ahead = der Softsensor hat noch nicht vorausgeschaut
 advice-no-panel = keine Platte in der Presse
 advice-no-target = kein Kernziel gesetzt
 advice-not-closed = Presse noch nicht geschlossen
 advice-not-known = nicht bekannt: { $why }
-advice-old = die letzte Vorausschau ist { NUMBER($seconds, maximumFractionDigits: 0) } s alt
+advice-old = die letzte Vorausschau ist { SPAN($seconds) } alt
 advice-open-in = öffnen in { NUMBER($seconds, maximumFractionDigits: 0) } s
 advice-open-in-at-least = öffnen in { NUMBER($seconds, maximumFractionDigits: 0) } s ({ NUMBER($low, maximumFractionDigits: 0) } oder später)
 advice-open-in-between = öffnen in { NUMBER($seconds, maximumFractionDigits: 0) } s ({ NUMBER($low, maximumFractionDigits: 0) } bis { NUMBER($high, maximumFractionDigits: 0) })
@@ -1479,7 +1479,7 @@ alarm-missing = es gibt keinen Alarm { $number }
 alarm-not-delivered = { $way }: Alarm { $number } wurde nicht angenommen, neuer Versuch folgt: { $why }
 alarm-platen-above = { $press }: { $channel } ist über { NUMBER($limit, maximumFractionDigits: 1) } °C
 alarm-platen-below = { $press }: { $channel } ist unter { NUMBER($limit, maximumFractionDigits: 1) } °C
-alarm-silence = { $press }: seit mehr als { NUMBER($limit, maximumFractionDigits: 0) } s kein Messwert
+alarm-silence = { $press }: seit mehr als { SPAN($limit) } kein Messwert
 alarm-subject = Kerntemp: { $what }
 alarm-thresholds-set = Alarmgrenzen von { $press } gesetzt: { $fields }
 alarm-verdict = { $press }: die Diagnose lässt etwas unerklärt
@@ -1545,7 +1545,7 @@ health-disk-nearly-full = weniger als { $gigabytes } GB frei auf dem Datenträge
 health-never-seen = noch nie gesehen
 health-nightly-job-overdue = refit: der nächtliche Lauf ist seit { NUMBER($hours, maximumFractionDigits: 0) } h nicht zu Ende gekommen; siehe sein Protokoll
 health-process-never-seen = { $process }: noch nie gesehen; kerntemp { $command } starten
-health-process-silent = { $process }: seit { NUMBER($seconds, maximumFractionDigits: 0) } s stumm; kerntemp { $command } starten
+health-process-silent = { $process }: seit { SPAN($seconds) } stumm; kerntemp { $command } starten
 health-process-silent-for-hours = { $process }: seit { NUMBER($hours, maximumFractionDigits: 0) } h stumm; kerntemp { $command } starten
 health-scans-behind = { $press }: { $scans } Messzeilen im Rückstand, dieser Rechner ist überlastet
 what-if-busy = eine andere Was-wäre-wenn-Rechnung läuft; in einigen Sekunden wiederholen

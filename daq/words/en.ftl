@@ -353,7 +353,7 @@ of-run = run { $run }: { $what }
 pages-stalled = the check of { $store } for damage has stalled; check the disk
 panel-not-pressed-before = { $key } = { NUMBER($header_mm, maximumFractionDigits: 1) }: no earlier run of this press had such a panel, the nearest had { NUMBER($nearest_mm, maximumFractionDigits: 1) } mm; the band of the live core covers both; check the thickness
 press-recorded-already = press { $press }: another recorder writes it into { $store }; stop that one first
-press-stalled = { $press }: no fresh scan for { NUMBER($seconds, maximumFractionDigits: 0) } s
+press-stalled = { $press }: no fresh scan for { SPAN($seconds) }
 problem-of-press = { $press }: { $what }
 recording-begins = recording { $presses }; while the store is unreachable, scans wait in { $where }
 recording-ends = recording ends
@@ -483,7 +483,7 @@ wanted-seconds = a number of seconds
 wanted-text = text
 wanted-time = a time with its zone between the years 1970 and 9999, as 2026-03-04T07:00:00Z
 writer-dead = the writer to the store does not run
-writer-stalled = the writer to the store has not moved for { NUMBER($seconds, maximumFractionDigits: 0) } s
+writer-stalled = the writer to the store has not moved for { SPAN($seconds) }
 
 ## softsensor.effects: the catalogue of effects
 
@@ -1065,11 +1065,11 @@ reason-core-impossible = the calculated core is at { NUMBER($core_C, maximumFrac
 reason-faces-jumped-during-a-gap = both faces jumped in temperature during a gap in the readings
 reason-faces-too-cold-for-this-panel = the faces are far colder than those of the panel that was pressed; another panel may lie there
 reason-insertion-not-seen = core not observable: nothing has shown when the panel was inserted
-reason-live-sensor-silent = the live sensor has given no estimate for { NUMBER($silent_s, maximumFractionDigits: 0) } s
+reason-live-sensor-silent = the live sensor has given no estimate for { SPAN($silent_s) }
 reason-no-estimate-yet = the live sensor has given no estimate yet
 reason-no-panel-in-the-press = no panel in the press
 reason-no-reading-of-the-lower-face = core not observable: no sensor of the lower face shows whether a panel lies in the press
-reason-no-scans = no scan for { NUMBER($silent_s, maximumFractionDigits: 0) } s
+reason-no-scans = no scan for { SPAN($silent_s) }
 reason-not-published = nobody publishes it at the moment
 reason-panel-not-seen-in-the-open-press = for a long time no sensor has shown whether the panel still lies in the open press
 reason-platen-reading-missing = platen reading missing
@@ -1433,14 +1433,14 @@ advice-blocked = { $limit ->
         [steam_most] too much steam, or its pressure is not known
        *[sudden_change] something has changed in the press: the cure of the faces so far is not known
     }
-advice-estimate-old = as of { NUMBER($seconds, maximumFractionDigits: 0) } s ago
+advice-estimate-old = as of { SPAN($seconds) } ago
 advice-no-limit = the resin file has no limit
 advice-no-look-ahead = the live sensor has not looked ahead yet
 advice-no-panel = no panel in the press
 advice-no-target = no core target set
 advice-not-closed = press not closed yet
 advice-not-known = not known, because { $why }
-advice-old = the last look ahead is { NUMBER($seconds, maximumFractionDigits: 0) } s old
+advice-old = the last look ahead is { SPAN($seconds) } old
 advice-open-in = open in { NUMBER($seconds, maximumFractionDigits: 0) } s
 advice-open-in-at-least = open in { NUMBER($seconds, maximumFractionDigits: 0) } s ({ NUMBER($low, maximumFractionDigits: 0) } or later)
 advice-open-in-between = open in { NUMBER($seconds, maximumFractionDigits: 0) } s ({ NUMBER($low, maximumFractionDigits: 0) } to { NUMBER($high, maximumFractionDigits: 0) })
@@ -1463,7 +1463,7 @@ alarm-missing = there is no alarm { $number }
 alarm-not-delivered = { $way }: alarm { $number } was not taken, trying again: { $why }
 alarm-platen-above = { $press }: { $channel } is above { NUMBER($limit, maximumFractionDigits: 1) } °C
 alarm-platen-below = { $press }: { $channel } is below { NUMBER($limit, maximumFractionDigits: 1) } °C
-alarm-silence = { $press }: no scan for more than { NUMBER($limit, maximumFractionDigits: 0) } s
+alarm-silence = { $press }: no scan for more than { SPAN($limit) }
 alarm-subject = Kerntemp: { $what }
 alarm-thresholds-set = alarm limits of { $press } set: { $fields }
 alarm-verdict = { $press }: the diagnosis leaves something unexplained
@@ -1529,7 +1529,7 @@ health-disk-nearly-full = less than { $gigabytes } GB left on the store's disk
 health-never-seen = never seen
 health-nightly-job-overdue = refit: the nightly job has not finished for { NUMBER($hours, maximumFractionDigits: 0) } h; see its log
 health-process-never-seen = { $process }: never seen; start kerntemp { $command }
-health-process-silent = { $process }: silent for { NUMBER($seconds, maximumFractionDigits: 0) } s; start kerntemp { $command }
+health-process-silent = { $process }: silent for { SPAN($seconds) }; start kerntemp { $command }
 health-process-silent-for-hours = { $process }: silent for { NUMBER($hours, maximumFractionDigits: 0) } h; start kerntemp { $command }
 health-scans-behind = { $press }: { $scans } scans behind, this machine is too busy
 what-if-busy = another what-if is being worked out; try again in some seconds

@@ -93,7 +93,9 @@ class Catalogue:
         self.learnt: dict[str, str] = {}
         """Words that came later (`learn`), by code."""
         self._patterns = _patterns(text)
-        self._bundle = FluentBundle([language], use_isolating=False, functions={"NUMBER": _number_or_words})
+        self._bundle = FluentBundle(
+            [language], use_isolating=False, functions={"NUMBER": _number_or_words, "SPAN": _span}
+        )
         self._resource, self._number = FluentResource, fluent_number
 
     def entries(self) -> dict[str, str]:
@@ -207,6 +209,22 @@ def _number_or_words(value: Any, **how: Any) -> Any:
     from fluent.runtime.types import fluent_number
 
     return value if isinstance(value, str) else fluent_number(value, **how)
+
+
+def _span(value: Any) -> Any:
+    """Put seconds as people do, in two units at most; what stands for a number not known is words already.
+
+    >>> _span(4399), _span(42.4), _span(90000.0), _span(119.6)
+    ('1 h 13 min', '42 s', '1 d 1 h', '2 min')
+    """
+    if isinstance(value, str):
+        return value
+    seconds = round(float(value))
+    for large, small, size, part in (("d", "h", 86400, 3600), ("h", "min", 3600, 60), ("min", "s", 60, 1)):
+        if abs(seconds) >= size:
+            whole, rest = divmod(seconds, size)
+            return f"{whole} {large}" + (f" {rest // part} {small}" if rest >= part else "")
+    return f"{seconds} s"
 
 
 def _plain(value: Argument) -> Any:

@@ -266,3 +266,12 @@ def test_whatever_stands_for_a_value_in_a_call_has_its_word(language):
     assert [
         w for w in placeholders | {"OPTIONS", "COMMAND", "ARGS"} if f"help-word-{w.lower()}" not in known
     ] == []
+
+
+@pytest.mark.parametrize("language", languages())
+def test_a_silence_is_told_as_people_put_it(language):
+    said = words(
+        Message("health-process-silent", {"process": "record", "seconds": 4399.2, "command": "record"}), language
+    )
+    assert "1 h 13 min" in said
+    assert "4399" not in said
