@@ -64,11 +64,6 @@ class Platen:
         return np.asarray(platen_curve(times, self.start, self.step, self.values))
 
 
-def constant_platen(temperature: float, end: float = 1e4) -> Platen:
-    """Return a platen that stays at one temperature."""
-    return Platen(0.0, end, np.full(2, temperature))
-
-
 @dataclass(frozen=True)
 class Outside:
     """Faults outside the catalogue; the defaults do nothing. Times in s of the run."""

@@ -219,11 +219,6 @@ def equivalent_course(kinetics: Kinetics, time_s: Array, face_C: Array, errors: 
     return out
 
 
-def cure_course(kinetics: Kinetics, time_s: Array, face_C: Array, errors: Array | None = None) -> Array:
-    """Return the degree of cure along courses (..., t); see `equivalent_course`."""
-    return kinetics.cure(equivalent_course(kinetics, time_s, face_C, errors))
-
-
 def kinetics_of(law: Resin | OrderLaw | KamalLaw | IsoconversionalLaw) -> Kinetics:
     """Return the kinetics of a resin file, or of one of its tables."""
     if isinstance(law, Resin):

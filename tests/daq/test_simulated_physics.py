@@ -13,11 +13,15 @@ from scipy.special import erfcx
 from daq.simulated import physics_kernel as kernel
 from daq.simulated.physics import nominal_panel, solve
 from daq.simulated.physics_mesh import LATENT_HEAT, build_knobs, build_mesh, first_state
-from daq.simulated.physics_pressing import DryingLaw, Outside, Plates, Pressing, constant_platen
+from daq.simulated.physics_pressing import DryingLaw, Outside, Platen, Plates, Pressing
 
 TIMES = np.arange(5.0, 139.0, 0.1)
 NOTHING = 1e-9
 STEEL = Plates()
+
+
+def constant_platen(temperature_C):
+    return Platen(0.0, 1e4, np.full(2, temperature_C))
 
 
 def pressing(**changes: object) -> Pressing:

@@ -9,12 +9,16 @@ from scipy.stats import multivariate_normal
 
 from daq.press.resin_file import IsoconversionalLaw, KamalLaw, LimitsTable, OrderLaw, parse_resin, read_resin
 from daq.records import InputError
-from softsensor.opening.kinetics import Course, CureProgress, advance, cure_course, equivalent_course, kinetics_of
+from softsensor.opening.kinetics import Course, CureProgress, advance, equivalent_course, kinetics_of
 from softsensor.opening.limits import Broken, Normal, Opening, PanelState, broken, either_below, opening
 from softsensor.opening.steam import equilibrium_moisture, saturation_kPa, steam_pressure, steam_with_slopes
 
 R = 8.314462618
 RESINS = Path(__file__).resolve().parents[2] / "deploy" / "resins"
+
+
+def cure_course(law, time_s, face_C):
+    return law.cure(equivalent_course(law, time_s, face_C))
 
 
 def arrhenius(rate, energy, reference_C, t_C):
