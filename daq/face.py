@@ -57,8 +57,11 @@ class StoreTables:
         return _table(rows, "run", RUN)
 
     def samples(self, run: str, *, utc: bool = False) -> pd.DataFrame:
-        """Return a run's scans by ``time_s`` or by instants in UTC, header in ``attrs``. Raises `InputError`."""
-        return frame_of(self.store.load_run(run), utc=utc)
+        """Return a run's scans by ``time_s`` or by instants in UTC, header in ``attrs``. Raises `InputError`.
+
+        The header is that of an exported file: it also knows when the run began, and what the store knows of it.
+        """
+        return frame_of(self.store.run_for_file(run), utc=utc)
 
     def estimates(self, run: str) -> pd.DataFrame:
         """Return what the live sensor said of a run, indexed by ``time_s``."""

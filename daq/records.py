@@ -243,6 +243,10 @@ KEYS_SHOWN = 20
 """Header keys of a run, and lines of a press, shown on one screen of 25 lines."""
 
 
+UNNAMED = "frame"
+"""The name of a run that was given as a table without one."""
+
+
 @dataclass(frozen=True, repr=False, eq=False)
 class Run:
     """One measured pressing: what a run file or the store holds, in memory.

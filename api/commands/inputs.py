@@ -114,16 +114,14 @@ def load_runs(arguments: list[str], press: Press, store: str | None, config: Pat
 
     A column of words is an error where the press takes numbers from it.
     """
-    from daq.files.legible import legible
+    from daq.files.legible import check_each_once, legible
 
     runs = []
     with working(say("terminal-progress-reading-runs", runs=len(arguments)), len(arguments)) as done:
         for number, argument in enumerate(arguments, start=1):
             runs.append(legible(find_run(argument, store, config), press))
             done(number)
-    names = [run.name for run in runs]
-    if twice := next((name for name in names if names.count(name) > 1), None):
-        raise InputError(say("terminal-run-twice", run=twice))
+    check_each_once(runs)
     say_doubts(run.header for run in runs)
     return runs
 

@@ -15,7 +15,7 @@ from daq.files.instants import STARTED, for_json, from_json, seconds_of
 from daq.files.qualities import OTHERS, QUALITY, row_faults, without_unusable
 from daq.files.run_rows import CLOSED, TIME, Rows, check_names, check_no_words, check_rows, row_place
 from daq.press.header import check_header
-from daq.records import Array, InputError, Quality, Run, with_frozen_fields
+from daq.records import UNNAMED, Array, InputError, Quality, Run, with_frozen_fields
 from daq.tables import at
 from daq.words import say
 
@@ -90,7 +90,7 @@ def run_of(frame: pd.DataFrame, header: Mapping[str, Any] | None = None) -> Run:
     given = {**frame.attrs, **(header or {})}
     _check_labels(frame, given)
     keys = from_json(given)
-    name = str(keys.get("run", "frame"))
+    name = str(keys.get("run", UNNAMED))
     check_names(name, [str(column) for column in frame.columns])
     times = _times(name, frame, keys)
     columns, texts = {TIME: times}, dict[str, tuple[str, ...]]()

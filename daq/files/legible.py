@@ -1,12 +1,15 @@
-"""Whether a run has numbers where its press takes them."""
+"""Whether runs can be worked on: numbers where their press takes them, and each but once."""
 
 from __future__ import annotations
 
 import fnmatch
+from collections import Counter
+from collections.abc import Iterable
 
 from daq.files.run_rows import check_no_words
 from daq.press.press_file import Press, press_for_run
-from daq.records import Run
+from daq.records import InputError, Run
+from daq.words import say
 
 
 def legible(run: Run, press: Press) -> Run:
@@ -18,3 +21,9 @@ def legible(run: Run, press: Press) -> Run:
         if any(fnmatch.fnmatchcase(column, pattern) for pattern in wanted):
             check_no_words(run.source or run.name, column, cells)
     return run
+
+
+def check_each_once(runs: Iterable[Run]) -> None:
+    """Raise `InputError` where a run is given twice, by its name: it would count as two."""
+    if twice := [name for name, times in Counter(run.name for run in runs).items() if times > 1]:
+        raise InputError(say("run-twice", run=twice[0]))

@@ -309,6 +309,7 @@ run-quotation = { $reason }; Anführungszeichen und Zeilenenden prüfen
 run-table-empty = die Tabelle hat keine Reihen; eine Pressung braucht mindestens eine Messzeile
 run-time-falls = time_s = { $time } steigt nicht ({ $place }: { $before }); Reihen sortieren, doppelte entfernen
 run-time-missing = die Zeit fehlt; jede Reihe braucht eine
+run-twice = die Pressung „{ $run }“ ist zweimal angegeben; jede zählt einmal
 run-value-infinite = unendlich; muss eine Zahl sein
 told-by-limit-switch = Endschalter
 told-by-one-state = Presse mit einem Zustand
@@ -1705,7 +1706,6 @@ terminal-room-no-value = { $channel } { $verdict } ({ $quality })
 terminal-rose = { $channel } ({ $logger }) stieg um { NUMBER($rise, minimumFractionDigits: 1, maximumFractionDigits: 1) } K
 terminal-run-file-ending = { $path }: eine Laufdatei endet auf .csv oder .parquet, Ereignisdokumente auf .jsonl
 terminal-run-neither-file-nor-stored = { $run }: diese Datei gibt es nicht, und keinen Datenspeicher zum Nachsehen; eine Datei, --store oder --config angeben
-terminal-run-twice = die Pressung „{ $run }“ ist zweimal angegeben; jede zählt einmal
 terminal-serves = kerntemp ist erreichbar unter { $address }
 terminal-shared-none-free = --shared { $name }: die Pressendatei legt alle Koeffizienten fest
 terminal-shared-unknown = --shared { $name }: muss eins von { $known } sein

@@ -309,6 +309,7 @@ run-quotation = { $reason }; check its quotation marks and line ends
 run-table-empty = the table has no rows; a run needs at least one scan
 run-time-falls = time_s = { $time } does not rise ({ $place }: { $before }); sort the rows, remove doubled ones
 run-time-missing = the time is missing; every row needs one
+run-twice = run '{ $run }' is given twice; each run counts once
 run-value-infinite = infinite; must be a number
 told-by-limit-switch = limit switch
 told-by-one-state = press of one state
@@ -1689,7 +1690,6 @@ terminal-room-no-value = { $channel } { $verdict } ({ $quality })
 terminal-rose = { $channel } ({ $logger }) rose by { NUMBER($rise, minimumFractionDigits: 1, maximumFractionDigits: 1) } K
 terminal-run-file-ending = { $path }: a run file ends in .csv or .parquet, event documents in .jsonl
 terminal-run-neither-file-nor-stored = { $run }: no such file, and no store to look in; give a file, --store or --config
-terminal-run-twice = run '{ $run }' is given twice; each run counts once
 terminal-serves = kerntemp serves { $address }
 terminal-shared-none-free = --shared { $name }: the press file fixes all coefficients
 terminal-shared-unknown = --shared { $name }: must be one of { $known }

@@ -97,7 +97,7 @@ class DiagnosisResult:
 
 
 def diagnose(
-    runs: AnyRun | Sequence[AnyRun], press: AnyPress, *, effects: Sequence[str] | None = None
+    runs: AnyRun | Sequence[AnyRun], press: AnyPress, *, effects: str | Sequence[str] | None = None
 ) -> DiagnosisResult:
     """Say what the simulation of these runs gets wrong, why, and what knowing it is worth. [K]
 
@@ -106,7 +106,7 @@ def diagnose(
     runs
         One run or several, as files, tables or `Run`. [°C, s]
     effects
-        Causes to look for, by name; the whole catalogue without.
+        Cause or causes to look for, by name; the whole catalogue without.
 
     Raises
     ------
@@ -114,4 +114,5 @@ def diagnose(
         As `fit`, and for an effect that the catalogue does not have.
     """
     described = read_press(press)
-    return DiagnosisResult(diagnose_runs(described, runs_of(runs, described), effects=effects))
+    wanted = [effects] if isinstance(effects, str) else effects
+    return DiagnosisResult(diagnose_runs(described, runs_of(runs, described), effects=wanted))

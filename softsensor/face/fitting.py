@@ -59,7 +59,8 @@ class FitResult:
         """Return the campaign's model, as ``fit --model`` writes it."""
         from softsensor.diagnosis.missing_causes import with_missing_causes
 
-        return with_missing_causes(self.campaign.model_file(), self.campaign.runs)
+        found: ModelFile = with_frozen_fields(with_missing_causes(self.campaign.model_file(), self.campaign.runs))
+        return found
 
     def to_json(self) -> str:
         """Return what ``fit --json`` writes."""

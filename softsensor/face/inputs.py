@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+import itertools
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from daq.files.legible import legible
+from daq.files.legible import check_each_once, legible
 from daq.files.run_file import read_run as read_run_file
 from daq.press.header import check_header
 from daq.press.press_file import Press
 from daq.press.press_file import read_press as read_press_file
 from daq.press.resin_file import Resin, read_resin
-from daq.records import FrozenDict, Run, with_frozen_fields
+from daq.records import UNNAMED, FrozenDict, Run, with_frozen_fields
 
 if TYPE_CHECKING:
     from softsensor.face.kinds import AnyPress, AnyRun
@@ -78,6 +79,17 @@ def resin_of(resin: Resin | Path | str | None) -> Resin | None:
 
 
 def runs_of(runs: AnyRun | Sequence[AnyRun], press: Press) -> list[Run]:
-    """Return one run or several as read, with the press's words in their columns. Raises `InputError`."""
+    """Return one run or several as read; tables without a name are numbered.
+
+    Raises
+    ------
+    InputError
+        For what cannot be read, words in a column that the press takes numbers from, or a run given twice.
+    """
     given = [runs] if isinstance(runs, Run | Path | str) or _is_table(runs) else runs
-    return [legible(read_run(run), press) for run in given]
+    read = [legible(read_run(run), press) for run in given]
+    if sum(run.name == UNNAMED for run in read) > 1:
+        number = itertools.count(1)
+        read = [replace(r, name=f"{UNNAMED}-{next(number)}") if r.name == UNNAMED else r for r in read]
+    check_each_once(read)
+    return read

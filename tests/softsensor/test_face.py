@@ -25,6 +25,7 @@ from api.cli import main
 from daq.face import COEFFICIENT, ENTRY, ESTIMATE, EVENT, RUN
 from daq.files.run_file import read_run
 from softsensor.face import kinds
+from softsensor.face.inputs import runs_of
 from softsensor.heat.model_file import model_text
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -153,6 +154,8 @@ def test_a_run_that_is_played_is_in_the_store_as_it_was(tmp_path):
     with daq.open_store(url) as store:
         assert store.runs().loc[run.name, "status"] == "closed"
         samples = store.samples(run.name)
+        instants, began = store.samples(run.name, utc=True).index, store.runs().loc[run.name, "started_utc"]
+    assert np.allclose((instants - began).total_seconds(), run.time_s, atol=1e-3)
     assert [name for name in samples.columns if name != "quality"] == list(run.columns)
     assert np.allclose(samples["top_1"], run.columns["top_1"], atol=1e-3, equal_nan=True)
     assert np.allclose(samples.index, run.time_s, atol=1e-6)
@@ -392,6 +395,25 @@ def test_simulate_takes_a_model_or_coefficients(fitted):
     assert np.allclose(with_model.frame()["core_C"], given_.frame()["core_C"])
     assert max(with_model.simulated.rmse.values()) < max(plain.simulated.rmse.values())
     assert len(repr(plain)) < 3000
+
+
+def test_a_fitted_model_cannot_be_changed_and_one_effect_may_be_a_text(fitted):
+    with pytest.raises(TypeError, match="cannot be changed"):
+        fitted.model().coefficients["h_pp_c"] = None
+    with pytest.raises(daq.InputError, match="effect 'moisture' is not in the catalogue"):
+        softsensor.diagnose(SAMPLES[5:7], LAB, effects="moisture")
+
+
+def test_a_run_counts_once_and_tables_without_a_name_are_told_apart():
+    with pytest.raises(daq.InputError, match="given twice; each run counts once"):
+        runs_of([SHORT, SHORT], softsensor.read_press(LAB))
+    table = daq.frame_of(read_run(SHORT))
+    table.attrs.pop("run")
+    assert [run.name for run in runs_of([table, SHORT, table], softsensor.read_press(LAB))] == [
+        "frame-1",
+        SHORT.stem,
+        "frame-2",
+    ]
 
 
 def test_a_store_answers_in_tables(tmp_path):
