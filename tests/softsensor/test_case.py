@@ -201,9 +201,9 @@ def test_step_means_keep_the_area_under_a_series():
 @pytest.mark.parametrize(
     ("key", "value", "said"),
     [
-        ("setting.pressure_N_cm2", "high", "must be a number; mend"),
-        ("ambient.temperature_C", "warm", "must be a number; mend"),
-        ("ambient.temperature_C", True, "must be a number; mend"),
+        ("setting.pressure_N_cm2", "high", "must be a number; correct"),
+        ("ambient.temperature_C", "warm", "must be a number; correct"),
+        ("ambient.temperature_C", True, "must be a number; correct"),
         ("setting.pressure_N_cm2", 0, "must be a number above 0 N/cm²"),
         ("setting.pressure_N_cm2", -5.0, "must be a number above 0 N/cm²"),
         ("setting.pressure_N_cm2", float("nan"), "must be a number above 0 N/cm²"),

@@ -516,7 +516,7 @@ def test_panels_that_differ_as_panels_do_are_no_unknown_effect() -> None:
     assert found.own_panels_K is not None
     assert found.own_panels_K < EXCESS * found.noise_floor_K
     assert found.verdict == "no_effect"
-    assert "where each panel conducts and stores heat a little differently" in sentences(verdict_said(found))
+    assert [m.code for m in verdict_said(found)] == ["verdict-plain-model-explains-panels"]
 
 
 def test_a_campaign_whose_runs_have_all_gone_astray_finds_its_way_back() -> None:
@@ -572,7 +572,7 @@ def test_the_sentence_says_what_a_verdict_rests_on() -> None:
     found = diagnosed(None, 41)
     assert sentences(verdict_said(found)).startswith("The plain model explains these 7 runs")
     beyond_chance = replace(found, verdict=Verdict.UNKNOWN_EFFECT)
-    assert "a cause fits them better than chance would" in sentences(verdict_said(beyond_chance))
+    assert "with a cause added it fits them better than by chance" in sentences(verdict_said(beyond_chance))
     differs = replace(beyond_chance, noise_floor_K=found.base.rmse_K / 2)
     assert "differs from run to run" in sentences(verdict_said(differs))
     off = replace(found, verdict=Verdict.NOT_DESCRIBED)

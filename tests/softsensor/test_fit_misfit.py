@@ -44,6 +44,10 @@ def found(measured):
     return fit_campaign(PRESS, runs, profiles=True)
 
 
+def remains(fit):
+    return f"residual while nothing moves {fit.rmse_still_K:.1f} K, where the readings span "
+
+
 def test_run_whose_record_begins_too_late_is_called_not_described(found):
     bad = found.runs[3]
     assert bad.rmse_K > 5.0
@@ -52,7 +56,7 @@ def test_run_whose_record_begins_too_late_is_called_not_described(found):
     for name in NAMES:
         c = bad.coefficients[name]
         assert not c.identifiable
-        assert str(c.reason).startswith(f"the model does not describe this run: {bad.rmse_still_K:.1f} K left")
+        assert str(c.reason).startswith(f"the model does not describe this run: {remains(bad)}")
         assert c.ci95 == (PRESS.coefficient(name).lower, PRESS.coefficient(name).upper)
     assert sum("does not describe" in str(w) for w in bad.warnings) == 1
 
@@ -70,9 +74,7 @@ def test_campaign_without_the_run_is_the_same_campaign(found, measured):
 def test_report_and_json_say_it_before_all_else(found):
     bad = found.runs[3]
     page = fit_report(found)
-    told = (
-        f"The model does not describe 1 of 9 runs: {bad.run} ({bad.rmse_still_K:.1f} K left, while nothing moves, "
-    )
+    told = f"The model does not describe 1 of 9 runs: {bad.run} ({remains(bad)}"
     assert page.partition('class="finding">')[2].startswith(told)
     assert "Fitted to 8 runs" in page
     assert f"{bad.run} (not described" in page
@@ -88,9 +90,7 @@ def test_report_and_json_say_it_before_all_else(found):
 
 def test_run_by_itself_gives_no_coefficient_and_a_model_file_of_guesses(found, measured):
     alone = fit_campaign(PRESS, [_late(*measured[3])], profiles=True)
-    assert str(alone.shortfall).startswith(
-        f"The model does not describe this run: {alone.runs[0].rmse_still_K:.1f} K left"
-    )
+    assert str(alone.shortfall).startswith(f"The model does not describe this run: {remains(alone.runs[0])}")
     assert str(alone.shortfall) in fit_report(alone).replace("&#39;", "'")
     model = parse_model(json.loads(model_text(with_missing_causes(alone.model_file(), alone.runs))), "text")
     for name in NAMES:

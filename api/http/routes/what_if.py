@@ -17,36 +17,42 @@ from api.answers.schemas import WhatIfAnswer, WhatIfOutcome, WhatIfSetting
 from api.http.problems import ProblemError, problem_responses
 from api.http.routes.common import ResinsDep, StoreDep, existing_run
 from api.http.routes.simulation import Known, known_of
+from daq.press.header import LIMITS, NumberLimits
 from daq.press.press_file import parse_press
 from daq.press.resin_file import Resin, read_resin
 from daq.records import InputError
 from daq.store.records import ArchiveUnreadable, RunRecord
 from daq.store.store import Store
 from daq.words import say, spoken
+from softsensor.planning.program import FACTORS, Factor
 
 if TYPE_CHECKING:
     from softsensor.heat.model_file import ModelFile
     from softsensor.planning.what_if import Band, LiveCore, Pressed, WhatIf
 
-router = APIRouter(tags=["runs"], responses=problem_responses(404))
+router = APIRouter(tags=["runs"], responses=problem_responses(404, 409))
 
 WAIT_S = 20.0
 """One answer is worked out at a time, in about a second; who waits longer is told to come again. By hand. [s]"""
 _ONE = threading.Lock()
-Setting = Annotated[float | None, Query(allow_inf_nan=False, description="Instead of what it was.")]
+
+
+def _within(limits: Factor | NumberLimits) -> Any:
+    """Return what a query says of a setting."""
+    return Query(ge=limits.lower, le=limits.upper, allow_inf_nan=False, description="Instead of what it was.")
 
 
 @dataclass(frozen=True)
 class Settings:
     """What may be set otherwise; nothing stays as it was."""
 
-    platen_temperature_C: Setting = None  # noqa: N815
-    press_time_s: Setting = None
-    waiting_s: Setting = None
-    pressure_N_cm2: Setting = None  # noqa: N815
-    thickness_mm: Setting = None
-    start_temperature_C: Setting = None  # noqa: N815
-    moisture_percent: Setting = None
+    platen_temperature_C: Annotated[float | None, _within(FACTORS["platen_temperature_C"])] = None  # noqa: N815
+    press_time_s: Annotated[float | None, _within(FACTORS["press_time_s"])] = None
+    waiting_s: Annotated[float | None, _within(FACTORS["waiting_s"])] = None
+    pressure_N_cm2: Annotated[float | None, _within(FACTORS["pressure_N_cm2"])] = None  # noqa: N815
+    thickness_mm: Annotated[float | None, _within(FACTORS["thickness_mm"])] = None
+    start_temperature_C: Annotated[float | None, _within(FACTORS["start_temperature_C"])] = None  # noqa: N815
+    moisture_percent: Annotated[float | None, _within(LIMITS["panel.moisture_percent"])] = None
 
 
 @router.get("/runs/{run}/what-if", operation_id="what_if", summary="The run with other settings")
@@ -79,7 +85,7 @@ def _worked_out(
     except ArchiveUnreadable:
         raise
     except InputError as error:
-        raise ProblemError(422, spoken(error)) from error
+        raise ProblemError(409, spoken(error)) from error
     finally:
         _ONE.release()
     told = {
