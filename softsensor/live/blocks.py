@@ -47,6 +47,7 @@ class Scans:
         self._level, self._votes = np.empty((_ROOM, faces)), np.empty((_ROOM, faces))
         self._readings = np.empty((_ROOM, len(place)))
         self._expected = np.full((_ROOM, faces), np.nan)
+        self._late_s: dict[float, float] = {}
 
     def __len__(self) -> int:
         return self._count
@@ -112,7 +113,9 @@ class Scans:
 
     def late_s(self, closed_s: float) -> float:
         """Return how long after the press closed the last face began to move, up to now where it has not. [s]"""
-        first, late_s = int(np.searchsorted(self.time, closed_s)), 0.0
+        if closed_s in self._late_s:  # every face has begun to move: that is so for good
+            return self._late_s[closed_s]
+        first, late_s, all_moved = int(np.searchsorted(self.time, closed_s)), 0.0, True
         for level in self.level.T if 0 < first < self._count else ():
             read = level[:first][np.isfinite(level[:first])]
             if not len(read):
@@ -120,12 +123,15 @@ class Scans:
             way = MOVED_SHARE * abs(float(self.outside[first, :2].mean()) - float(read[-1]))
             moved = np.flatnonzero(np.abs(level[first:] - read[-1]) >= way)
             begun = first + int(moved[0]) if len(moved) else self._count - 1
-            late_s = max(late_s, float(self.time[begun]) - closed_s)
+            late_s, all_moved = max(late_s, float(self.time[begun]) - closed_s), all_moved and len(moved) > 0
+        if all_moved and 0 < first < self._count:
+            self._late_s[closed_s] = late_s
         return late_s
 
     def silence(self, face: int, since_s: float) -> None:
         """Forget what a face has read after a time."""
         self._level[int(np.searchsorted(self.time, since_s + 1e-9)) : self._count, face] = np.nan
+        self._late_s.clear()
 
     @property
     def time(self) -> Array:
