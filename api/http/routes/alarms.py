@@ -9,7 +9,7 @@ from fastapi import APIRouter, Path, Query
 from api.answers.alarms import alarm_of, thresholds_of
 from api.answers.schemas import Alarm, AlarmLimits, AlarmList, AlarmThresholds, AlarmThresholdsList
 from api.http.problems import ProblemError, problem_responses
-from api.http.routes.common import Cursor, PageSize, PressName, StoreDep, Writer
+from api.http.routes.common import Cursor, PageSize, PressName, StoreDep, Writer, existing_press
 from daq.records import InputError
 from daq.words import say
 
@@ -39,9 +39,7 @@ def list_thresholds(store: StoreDep, press: PressName = None) -> AlarmThresholds
 @router.put("/alarms/thresholds/{press}", operation_id="put_thresholds", summary="Set the limits of a press")
 def put_thresholds(store: StoreDep, press: str, limits: AlarmLimits, who: Writer) -> AlarmThresholds:
     """Replace the limits of a press; needs a token with scope write."""
-    known = tuple(store.presses())
-    if press not in known:
-        raise ProblemError(404, say("api-press-unknown", press=press, known=known))
+    existing_press(store, press)
     if None not in (limits.platen_below_C, limits.platen_above_C) and not (
         float(limits.platen_below_C or 0.0) < float(limits.platen_above_C or 0.0)
     ):

@@ -118,6 +118,14 @@ def existing_run(store: Store, run: str) -> RunRecord:
         raise ProblemError(404, say("api-run-unknown", run=run)) from error
 
 
+def existing_press(store: Store, press: str) -> str:
+    """Return a press's name or refuse with 404."""
+    known = tuple(store.presses())
+    if press not in known:
+        raise ProblemError(404, say("api-press-unknown", press=press, known=known))
+    return press
+
+
 def aware(instant: datetime | None) -> datetime | None:
     """Return an instant of a query, if there is one, as `zoned` does."""
     return None if instant is None else zoned(instant)

@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, StrictBool, StrictFloat, Stri
 from api.answers.records import run_detail, stated_doubts
 from api.answers.schemas import NextPanelNow, RunDetail, RunVerdict, Verdict
 from api.http.problems import ProblemError, problem_responses
-from api.http.routes.common import PressName, StoreDep, Words, Writer, existing_run
+from api.http.routes.common import PressName, StoreDep, Words, Writer, existing_press, existing_run
 from daq.press.header import VERDICT, check_header, doubts, new_doubts, panel_of
 from daq.press.press_file import SD, overridden, parse_press, press_for_run
 from daq.records import InputError, Run
@@ -164,9 +164,7 @@ def _one_press(store: Store, press: str | None) -> str:
     known = list(store.presses())
     if press is None and len(known) == 1:
         return known[0]
-    if press not in known:
-        raise ProblemError(404, say("api-press-unknown", press=press or "", known=tuple(known)))
-    return press
+    return existing_press(store, press or "")
 
 
 def _check(store: Store, record: RunRecord, wanted: Mapping[str, Any]) -> None:

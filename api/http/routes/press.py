@@ -18,7 +18,7 @@ from api.answers.schemas import AdviceList, AdviceNow, Blisters, ChannelList, Ex
 from api.answers.words import said_of
 from api.http.live import EventStream, Hub
 from api.http.problems import ProblemError, problem_responses
-from api.http.routes.common import PressName, ResinsDep, StoreDep, zoned
+from api.http.routes.common import PressName, ResinsDep, StoreDep, existing_press, zoned
 from daq.press.resin_file import read_resin
 from daq.words import say
 
@@ -60,9 +60,7 @@ def get_blisters(
     store: StoreDep, resins: ResinsDep, press: Annotated[str, Query(description="Of this press.", max_length=200)]
 ) -> Blisters:
     """Return what panels marked good or blistered say of the steam that panels bear, as the live sensor saw it."""
-    known = store.presses()
-    if press not in known:
-        raise ProblemError(404, say("api-press-unknown", press=press, known=tuple(known)))
+    existing_press(store, press)
     return blisters_of(store, press, read_resin(resins[press]) if press in resins else None)
 
 
@@ -98,9 +96,7 @@ def get_scans(
     In pressings and between them, also of archived pressings; a run's own scans, each as it was, are under
     `/runs/{run}/samples`.
     """
-    known = store.presses()
-    if press not in known:
-        raise ProblemError(404, say("api-press-unknown", press=press, known=tuple(known)))
+    existing_press(store, press)
     begin, end = zoned(since), zoned(until)
     if not timedelta(0) < end - begin <= LONGEST:
         raise ProblemError(422, say("api-scans-span", begin=begin.isoformat(), end=end.isoformat()))

@@ -13,9 +13,8 @@ from api.answers.health import health_of
 from api.answers.records import utc_now
 from api.answers.schemas import EventList, EventRecord, Health
 from api.http.metrics import metrics_text
-from api.http.problems import ProblemError, problem_responses
-from api.http.routes.common import PageDep, PressName, StoreDep, Words, Writer
-from daq.words import say
+from api.http.problems import problem_responses
+from api.http.routes.common import PageDep, PressName, StoreDep, Words, Writer, existing_press
 
 router = APIRouter(tags=["system"], responses=problem_responses(404))
 metrics_router = APIRouter(tags=["system"])
@@ -61,8 +60,7 @@ class Note(BaseModel):
 @router.post("/events", operation_id="add_note", summary="Write a note into the journal", status_code=201)
 def add_note(store: StoreDep, note: Note, who: Writer) -> EventRecord:
     """Keep a note; while a pressing is recorded it belongs to it, at its time."""
-    if note.press not in store.presses():
-        raise ProblemError(404, say("api-press-unknown", press=note.press, known=tuple(store.presses())))
+    existing_press(store, note.press)
     return event_of(store.note(note.press, note.text, who))
 
 
