@@ -17,14 +17,13 @@ from daq.press.resin_file import Resin
 from daq.records import InputError
 from daq.store.records import RunRecord, StoredEstimate, every
 from daq.store.store import Store
+from softsensor.signals.unknown import BAND
 
 MOST = 300
 """Marked panels taken, the newest: so many leave of the limit's doubt 1/√300 of what one panel's own limit differs
 by, 0.9 % of 15 %."""
 CURVE_KPA = np.linspace(2.0, 300.0, 150)
 """Where the chance of a blister is given: up to three times what MDF bears. [kPa]"""
-Z95 = 1.959964
-"""The upper bound of 95 % lies so many standard deviations above the middle."""
 _STEAM: dict[tuple[str, str, int | None], tuple[float, float]] = {}
 _LOCK = threading.Lock()
 
@@ -67,7 +66,7 @@ def _panel(run: RunRecord, mean: float, sd: float) -> MarkedPanel:
         run=run.run,
         verdict=run.header[VERDICT],
         steam_kPa=round(math.exp(mean), 2) if known else None,
-        steam_high_kPa=round(math.exp(mean + Z95 * sd), 2) if known else None,
+        steam_high_kPa=round(math.exp(mean + BAND * sd), 2) if known else None,
     )
 
 
@@ -81,7 +80,7 @@ def _at_opening(store: Store, run: RunRecord) -> tuple[float, float]:
         last: Mapping[str, Any] = next((e.detail or {} for _, e in reversed(told) if e.state == "closed"), {})
         middle, high = last.get("steam_kPa", math.nan), last.get("steam_high_kPa", math.nan)
         found = (
-            (math.log(middle), math.log(high / middle) / Z95)
+            (math.log(middle), math.log(high / middle) / BAND)
             if middle > 0.0 and high > middle
             else (math.nan,) * 2
         )

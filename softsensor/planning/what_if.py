@@ -29,6 +29,7 @@ from softsensor.opening.kinetics import equivalent_course, kinetics_of
 from softsensor.opening.steam import steam_pressure
 from softsensor.planning.made_up import KINETICS, SHARE, SORPTION, Drawn, draw
 from softsensor.planning.program import FACTORS, designed_run, settings_of
+from softsensor.signals.unknown import BAND
 
 MOISTURE = "panel.moisture_percent"
 WETTER = "moisture_percent"
@@ -37,8 +38,6 @@ ROWS, STEAM_ROWS = 300, 60
 """Of an answer at most, and of its steam, straight in between: enough for a picture. By hand, 2026-11."""
 LONGEST_S = 1200.0
 """A longer pressing is refused: it would keep a server busy. By hand, 2026-11. [s]"""
-Z95 = 1.959964
-"""95 % of a normal distribution lie so many standard deviations about its mean."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +73,7 @@ class Band:
             slope = away @ (draws - middle) / (away @ away)
             middle = middle + slope * (told.core_C - told.drawn.mean())
             variance = variance + slope**2 * (told.sd_K**2 - told.drawn.var(ddof=1))
-        wide = Z95 * np.sqrt(np.maximum(variance, 0.0))
+        wide = BAND * np.sqrt(np.maximum(variance, 0.0))
         return cls(middle, middle - wide, middle + wide)
 
     def within(self, lowest: float, highest: float) -> Band:
@@ -145,12 +144,11 @@ def what_if(pressed: Pressed, settings: Mapping[str, float] = MappingProxyType({
     InputError
         As `changed`; for a pressing longer than `LONGEST_S`, and for a panel or press that cannot be solved.
     """
-    told = None
+    made, told = _Solved.of(pressed, settings), None
     if pressed.live is not None:
-        as_it_was = _Solved.of(pressed, {})
+        as_it_was = _Solved.of(pressed, {}) if settings else made
         row = int(np.abs(as_it_was.run.time_s - pressed.live.time_s).argmin())
         told = Told(**vars(pressed.live), drawn=as_it_was.core[:, row])
-    made = _Solved.of(pressed, settings)
     cure, steam = made.cure(pressed.resin, told), made.steam(pressed.resin, told)
     core = Band.of(made.core, told).within(float(made.layers.min()), float(made.layers.max()))
     return WhatIf(made.run, made.moments, core, cure, steam)

@@ -12,8 +12,9 @@ import softsensor
 from daq.press.press_file import read_press
 from daq.records import InputError
 from softsensor.heat.model_file import FittedValue, ModelFile
-from softsensor.planning.what_if import Z95, LiveCore, Pressed, what_if
+from softsensor.planning.what_if import LiveCore, Pressed, what_if
 from softsensor.signals.moments import moments_of
+from softsensor.signals.unknown import BAND
 
 DEPLOY = Path(__file__).parents[2] / "deploy"
 LAB = read_press(DEPLOY / "presses" / "lab.toml")
@@ -32,7 +33,7 @@ def test_as_it_was_the_core_is_what_the_live_sensor_told(pressed):
     found = what_if(replace(pressed, live=LiveCore(at_s, 61.0, 1.5)))
     row = int(np.abs(found.run.time_s - at_s).argmin())
     told = found.core.middle[row], found.core.high[row] - found.core.middle[row]
-    assert told == pytest.approx((61.0, Z95 * 1.5), rel=1e-9)
+    assert told == pytest.approx((61.0, BAND * 1.5), rel=1e-9)
 
 
 def test_what_the_live_sensor_told_narrows_what_a_later_opening_would_have_brought(pressed):
