@@ -294,6 +294,17 @@ function decimals(splits) {
   return exact ?? 3;
 }
 
+// Values at given times, straight between two no further apart than `most` seconds; nothing is made up beyond.
+export function straight(times, values, at, most = Infinity) {
+  let j = 0;
+  return at.map((time) => {
+    while (j < times.length && times[j] < time) j += 1;
+    const [before, after] = [times[j] === time ? j : j - 1, j];
+    if (before < 0 || after >= times.length || values[before] === null || values[after] === null || times[after] - times[before] > most) return null;
+    return before === after ? values[after] : values[before] + ((values[after] - values[before]) * (time - times[before])) / (times[after] - times[before]);
+  });
+}
+
 export function key(items) {
   return el("ul", { class: "key" }, items.map((item) =>
     el("li", {}, el("i", { class: item.class, style: item.class === "band" ? "" : `--dot: var(${item.colour})` }), item.name)));

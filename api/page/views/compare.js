@@ -1,6 +1,6 @@
 // Runs side by side: any quantity from closing on, as it is or against one of them; what differs; any number over any other.
 import { get } from "../api.js";
-import { TimeChart } from "../charts.js";
+import { TimeChart, straight } from "../charts.js";
 import { el, figure, table } from "../dom.js";
 import { text } from "../words.js";
 import { scatter } from "./scatter.js";
@@ -100,17 +100,8 @@ async function coreOf(path) {
   return { time_s, core_C, valid: core_C.map((value) => value !== null) };
 }
 
-// A curve at given times, straight between two values no further apart than 5 s; nothing is made up beyond.
-function reading(run, quantity, at) {
-  const { times, values } = run[quantity];
-  let j = 0;
-  return at.map((time) => {
-    while (j < times.length && times[j] < time) j += 1;
-    const [before, after] = [times[j] === time ? j : j - 1, j];
-    if (before < 0 || after >= times.length || values[before] === null || values[after] === null || times[after] - times[before] > 5) return null;
-    return before === after ? values[after] : values[before] + ((values[after] - values[before]) * (time - times[before])) / (times[after] - times[before]);
-  });
-}
+// A curve at given times; a gap of more than 5 s is one.
+const reading = (run, quantity, at) => straight(run[quantity].times, run[quantity].values, at, 5);
 
 // Settings and results, a row each; what is not the same in all runs stands out.
 function differences(runs) {

@@ -1,6 +1,6 @@
 // What if: the run with other settings, against the run as it was; asked of the server when it is unfolded.
 import { get } from "../api.js";
-import { TimeChart, key } from "../charts.js";
+import { TimeChart, key, straight } from "../charts.js";
 import { el, number, table, written } from "../dom.js";
 import { text } from "../words.js";
 
@@ -75,14 +75,4 @@ function chart(name, label, unit, factor) {
     }).set([times, scaled(asked[low]), scaled(asked[high]), before, scaled(asked[middle])]);
   };
   return { holder, draw };
-}
-
-function straight(times, values, at) {
-  let j = 0;
-  return at.map((time) => {
-    while (j < times.length && times[j] < time) j += 1;
-    if (j >= times.length || (j === 0 && times[0] > time) || values[j] === null) return null;
-    if (j === 0 || values[j - 1] === null) return values[j];
-    return values[j - 1] + ((values[j] - values[j - 1]) * (time - times[j - 1])) / (times[j] - times[j - 1]);
-  });
 }
