@@ -30,18 +30,15 @@ _LOCK = threading.Lock()
 
 def blisters_of(store: Store, press: str, resin: Resin | None) -> Blisters:
     """Return the marked panels of a press and what they say of the steam that panels bear."""
-    from softsensor.opening.blisters import USUAL_KPA, learn_limit, limit_said
-    from softsensor.opening.limits import STEAM_MOST, Normal
+    from softsensor.opening.blisters import learn_limit, limit_said, stated_limit
+    from softsensor.opening.limits import Normal
 
     runs = every(lambda at: store.runs(press=press, cursor=at, limit=500))
     marked = [run for run in runs if run.header.get(VERDICT) in (GOOD, BLISTER)][:MOST]
     steam = [_at_opening(store, run) for run in marked]
     log = np.array(steam).reshape(-1, 2)
-    limits = None if resin is None else resin.limits
-    stated: tuple[float, float | None] = (USUAL_KPA, None)
-    if limits is not None and limits.steam_most_kPa is not None:
-        stated = (limits.steam_most_kPa, limits.spreads.get(STEAM_MOST))
     burst = np.array([run.header[VERDICT] == BLISTER for run in marked], dtype=bool)
+    stated = stated_limit(resin)
     found = learn_limit(Normal(log[:, 0], log[:, 1]), burst, *stated)
     lines = limit_said(found)
     return Blisters(

@@ -15,8 +15,8 @@ from daq.words import say
 from softsensor.face.inputs import read_press, resin_of, runs_of
 from softsensor.face.models import read_model
 from softsensor.face.predicting import predict
-from softsensor.opening.blisters import USUAL_KPA, SteamLimit, learn_limit
-from softsensor.opening.limits import STEAM_MOST, Normal
+from softsensor.opening.blisters import SteamLimit, learn_limit, stated_limit
+from softsensor.opening.limits import Normal
 
 if TYPE_CHECKING:
     from softsensor.face.kinds import AnyModel, AnyPress, AnyRun
@@ -45,10 +45,7 @@ def learn_steam_limit(
     if not np.isfinite(read.mean).any():
         raise InputError(say("steam-limit-no-marks", key=VERDICT, runs=len(marked)))
     blistered = np.array([run.header[VERDICT] == BLISTER for run in marked])
-    limits = None if cures is None else cures.limits
-    if limits is None or limits.steam_most_kPa is None:
-        return learn_limit(read, blistered, USUAL_KPA)
-    return learn_limit(read, blistered, limits.steam_most_kPa, limits.spreads.get(STEAM_MOST))
+    return learn_limit(read, blistered, *stated_limit(cures))
 
 
 def _at_opening(run: AnyRun, press: AnyPress, model: AnyModel | None, resin: Resin | None) -> Normal:

@@ -19,9 +19,10 @@ from typing import Any
 
 import numpy as np
 
+from daq.press.resin_file import Resin
 from daq.records import Array
 from daq.words import Message, say
-from softsensor.opening.limits import Normal
+from softsensor.opening.limits import STEAM_MOST, Normal
 
 USUAL_KPA = 100.0
 """MDF delaminates from some 100 kPa on (Forest Products Laboratory, treesearch 25741). [kPa]"""
@@ -94,6 +95,14 @@ def limit_said(limit: SteamLimit) -> tuple[Message, ...]:
         say("blisters-bear", most=limit.most_kPa, low=low, high=high),
         say("blisters-write", most=limit.most_kPa, sd=limit.sd_kPa),
     )
+
+
+def stated_limit(resin: Resin | None) -> tuple[float, float | None]:
+    """Return what a resin file states of the limit, else what is usual, and how far it may be off. [kPa]"""
+    limits = None if resin is None else resin.limits
+    if limits is None or limits.steam_most_kPa is None:
+        return USUAL_KPA, None
+    return limits.steam_most_kPa, limits.spreads.get(STEAM_MOST)
 
 
 def learn_limit(
