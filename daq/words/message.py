@@ -221,7 +221,7 @@ def _span(value: Any) -> Any:
         return value
     seconds = round(float(value))
     for large, small, size, part in (("d", "h", 86400, 3600), ("h", "min", 3600, 60), ("min", "s", 60, 1)):
-        if abs(seconds) >= size:
+        if seconds >= size:
             whole, rest = divmod(seconds, size)
             return f"{whole} {large}" + (f" {rest // part} {small}" if rest >= part else "")
     return f"{seconds} s"

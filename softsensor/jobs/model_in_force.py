@@ -103,8 +103,10 @@ def _combined(
     if not found:
         return known
     logs, errors = np.array(found).T
-    spread = SPREAD_LOG if known is None else max(spread_of(known.value, known.sd), LEAST_SPREAD_LOG)
-    spread = spread if kind is None else kind.within
+    if kind is not None:
+        spread = kind.within
+    else:
+        spread = SPREAD_LOG if known is None else max(spread_of(known.value, known.sd), LEAST_SPREAD_LOG)
     if len(logs) >= 3:
         seen = max(float(logs.var(ddof=1)) - float(np.mean(errors**2)), 0.0)
         spread = spread_with(spread, seen, len(logs))
