@@ -252,13 +252,15 @@ def _counted(values: Array) -> Iterator[tuple[Form, Array]]:
 
 def _of_own_step(values: Array, levels: Array) -> Iterator[tuple[Form, Array]]:
     """Yield counts of the smallest difference between levels, and of parts of it: one step may never occur."""
-    if (
-        len(levels) < 2
-        or not (width := levels[-1] - levels[0]) / np.diff(levels).min() < _MOST_COUNT / _MOST_PARTS
-    ):
+    if len(levels) < 2:
+        return
+    with np.errstate(over="ignore"):  # more steps than a number can hold are too many as well
+        width = levels[-1] - levels[0]
+        steps = width / np.diff(levels).min()
+    if not steps < _MOST_COUNT / _MOST_PARTS:
         return
     for parts in range(1, _MOST_PARTS + 1):
-        step = width / np.rint(width / np.diff(levels).min() * parts)
+        step = width / np.rint(steps * parts)
         yield {"first": float(levels[0]), "step": float(step)}, np.rint((values - levels[0]) / step)
 
 

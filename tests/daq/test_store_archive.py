@@ -9,7 +9,7 @@ from datetime import UTC, datetime, timedelta
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from sqlalchemy import text
 
@@ -74,6 +74,7 @@ def test_a_file_gives_every_bit_back_and_stays_small(how, tmp_path):
 
 
 @settings(max_examples=40)
+@example(rows=[[0.0, 0.0], [0.0, 2.0], [0.0, 1.1125369292536007e-308]])
 @given(rows=st.lists(st.lists(st.floats(width=64), min_size=2, max_size=2), min_size=1, max_size=5))
 def test_any_value_comes_back_to_the_last_bit(rows, tmp_path_factory):
     values = np.where(np.isnan(rows), np.nan, rows)
