@@ -55,6 +55,9 @@ def frozen(value: Any) -> Any:
     """
     import numpy as np
 
+    if type(value) is tuple and set(map(type, value)) <= {str}:
+        return value  # a column of texts, of a million rows perhaps
+
     if isinstance(value, np.ndarray):
         view = value.view()
         view.flags.writeable = False
@@ -265,6 +268,8 @@ class Run:
     """Where it came from, for messages: a file path or ``store``."""
     texts: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     """Columns of remarks, one text a row, kept in files; ``quality`` says why cells are missing."""
+    layout: object = None
+    """How the pandas table was laid out that it was made of, for `daq.frame_of`."""
 
     def __repr__(self) -> str:
         """Return on one screen which run it is: scans, columns, header."""

@@ -12,7 +12,8 @@ import numpy as np
 import pandas as pd
 
 from daq.files.instants import STARTED, for_json, from_json, seconds_of
-from daq.files.qualities import OTHERS, QUALITY, row_faults, without_unusable
+from daq.files.layout import Layout, layout_of, nanoseconds_of, with_index, with_kinds
+from daq.files.qualities import OTHERS, QUALITY, rows_alike, without_unusable
 from daq.files.run_rows import CLOSED, TIME, Rows, check_names, check_no_words, check_rows, row_place
 from daq.press.header import check_header
 from daq.records import UNNAMED, Array, InputError, Quality, Run, with_frozen_fields
@@ -20,23 +21,43 @@ from daq.tables import at
 from daq.words import say
 
 
-def frame_of(run: Run, *, utc: bool = False) -> pd.DataFrame:
+def frame_of(run: Run, *, utc: bool = False, as_given: bool = False) -> pd.DataFrame:
     """Return a run as a table, one row a scan: its header in ``attrs``, its texts as columns.
 
     What JSON does not hold, instants and dates, stands as ISO text in ``attrs``, so that Parquet can be written.
+    A run that `run_of` made of a table has that table's columns in their order and of their kinds (whole numbers,
+    categories, instants of a zone, narrower floats), as far as they can hold what is in them.
 
     Parameters
     ----------
     utc
         Index the rows by instants in UTC, not by ``time_s``: to join them with other tables.
+    as_given
+        Index them as that table was: by instants of its zone or of none, by durations, or with a column
+        ``time_s``; a run of a file by ``time_s``.
 
     Raises
     ------
     InputError
-        For instants of a run whose header does not say when it began.
+        For instants in UTC of a run whose header does not say when it began.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> rows = pd.date_range("2026-03-04 08:00", periods=2, freq="1s", tz="Europe/Berlin", name="at")
+    >>> run = run_of(pd.DataFrame({"top_1": [21.4, 21.5], "cycle": [7, 7]}, index=rows))
+    >>> frame_of(run).index.tolist(), frame_of(run)["cycle"].tolist()
+    ([0.0, 1.0], [7, 7])
+    >>> frame_of(run, as_given=True).rename_axis(None)
+                               top_1  cycle
+    2026-03-04 08:00:00+01:00   21.4      7
+    2026-03-04 08:00:01+01:00   21.5      7
     """
     index = _instants(run) if utc else pd.Index(run.time_s, name=TIME)
     frame = pd.DataFrame({**run.columns, **run.texts}, index=index)
+    if isinstance(run.layout, Layout):
+        frame = with_kinds(frame, run.layout)
+        frame = with_index(frame, run.layout, run) if as_given and not utc else frame
     frame.attrs.update(attrs_of(run))
     return frame
 
@@ -56,10 +77,10 @@ def qualities_of(run: Run) -> pd.DataFrame:
         name: np.where(np.isnan(values), codes[Quality.MISSING], codes[Quality.GOOD])
         for name, values in run.columns.items()
     }
-    for row, faults in enumerate(row_faults(run) or ()):
-        for name in cells if faults else ():
+    for faults, rows in rows_alike(run):
+        for name, of in cells.items():
             if (quality := faults.get(name, faults.get(OTHERS))) is not None:
-                cells[name][row] = codes[quality]
+                of[rows] = codes[quality]
     kind = pd.CategoricalDtype([str(quality) for quality in Quality])
     columns = {name: pd.Categorical.from_codes(of, dtype=kind) for name, of in cells.items()}
     return pd.DataFrame(columns, index=pd.Index(run.time_s, name=TIME))
@@ -75,8 +96,8 @@ def run_of(frame: pd.DataFrame, header: Mapping[str, Any] | None = None) -> Run:
         are counted from the first one, which goes into the header where they know their zone; durations
         (timedelta) are taken in seconds. Integers, booleans, narrower floats, decimals and objects that are all
         numbers become channels of 64-bit floats, a missing value NaN. All else stays beside them as text:
-        categories by their names, instants and dates as ISO text, a missing value as empty text. A column's label
-        that is no text becomes one.
+        categories by their names, instants and dates as ISO text, a missing value as empty text; `frame_of` gives
+        both back as they were. A column's label that is no text becomes one.
     header
         Keys of the run file; those of ``frame.attrs`` that it does not name are added. ISO text under a key
         ``recorded.*`` is an instant.
@@ -92,39 +113,51 @@ def run_of(frame: pd.DataFrame, header: Mapping[str, Any] | None = None) -> Run:
     keys = from_json(given)
     name = str(keys.get("run", UNNAMED))
     check_names(name, [str(column) for column in frame.columns])
-    times = _times(name, frame, keys)
+    given_times = _times_in(name, frame)
+    times = _times(name, frame, given_times, keys)
     columns, texts = {TIME: times}, dict[str, tuple[str, ...]]()
     for column in frame.columns:
         if column == TIME:
             continue
         values = frame[column]
-        if _holds_numbers(values) or column == CLOSED:
-            columns[str(column)] = _numbers(name, values)
+        numbers = _holds_numbers(values)
+        if numbers or column == CLOSED:
+            columns[str(column)] = _numbers(name, values, numbers=numbers)
         else:
             texts[str(column)] = _texts(values)
     rows = Rows(columns, texts)
     check_rows(name, rows)
     check_header(keys, name)
     del columns[TIME]
-    run: Run = with_frozen_fields(without_unusable(Run(name, keys, times, columns, name, texts)))
+    layout = layout_of(frame, given_times)
+    run: Run = with_frozen_fields(without_unusable(Run(name, keys, times, columns, name, texts, layout)))
     return run
 
 
 def _check_labels(frame: pd.DataFrame, keys: Mapping[Any, Any]) -> None:
-    """Refuse columns and keys that no run file can name, and columns of numbers that no channel holds."""
+    """Refuse columns and keys that no run file can name."""
     if frame.columns.nlevels > 1:
         raise InputError(say("frame-column-levels", levels=frame.columns.nlevels))
     if odd := [repr(key) for key in keys if not isinstance(key, str)]:
         raise InputError(say("frame-key-no-text", key=odd[0]))
-    for column, values in frame.items():
-        if pd.api.types.infer_dtype(values, skipna=True) == "complex":
-            raise InputError(say("frame-column-complex", column=str(column)))
+
+
+_COMPLEX = (complex, np.complexfloating)
+_MISSING = (type(None), type(pd.NA), type(pd.NaT))
 
 
 def _holds_numbers(values: pd.Series[Any]) -> bool:
-    """Return whether a column holds numbers; one of objects does if each is a number or missing, as in a file."""
-    if values.dtype == object:
-        return values.name != QUALITY and all(isinstance(v, Real | Decimal | np.bool_) for v in values.dropna())
+    """Return whether a column holds numbers; one of objects does if each is a number or missing, as in a file.
+
+    Raises `InputError` for complex ones, which no channel holds.
+    """
+    objects = values.dtype == object
+    kinds = set(map(type, values.to_numpy())) if objects else {values.dtype.type}
+    if any(issubclass(kind, _COMPLEX) for kind in kinds):
+        raise InputError(say("frame-column-complex", column=str(values.name)))
+    if objects:
+        numbers = (Real, Decimal, np.bool_, *_MISSING)
+        return values.name != QUALITY and all(issubclass(kind, numbers) for kind in kinds)
     return bool(pd.api.types.is_numeric_dtype(values) or pd.api.types.is_bool_dtype(values))
 
 
@@ -133,26 +166,29 @@ def _texts(values: pd.Series[Any] | pd.Index[Any]) -> tuple[str, ...]:
     return tuple(found.where(values.notna(), "").astype(str).tolist())
 
 
-def _numbers(name: str, values: pd.Series[Any]) -> Array:
+def _numbers(name: str, values: pd.Series[Any], *, numbers: bool) -> Array:
     """Return a copy of a column of numbers, as its table may be written to. Raises `InputError` for words."""
-    if not _holds_numbers(values):
+    if not numbers:
         check_no_words(name, str(values.name), _texts(values))
     return np.asarray(values.to_numpy(dtype=float, na_value=np.nan, copy=True))
 
 
-def _times(name: str, frame: pd.DataFrame, keys: dict[str, Any]) -> Array:
-    """Return the times [s]; instants of a zone are counted from the microsecond that goes into the header."""
+def _times_in(name: str, frame: pd.DataFrame) -> pd.Series[Any]:
+    """Return a table's times as they stand there."""
     if frame.empty:
         raise InputError(say("frame-without-rows", run=name))
-    times = (
-        frame[TIME] if TIME in frame.columns else frame.index.to_series(name=frame.index.name)
-    ).infer_objects()
+    times = frame[TIME] if TIME in frame.columns else frame.index.to_series(name=frame.index.name)
+    return times.infer_objects()
+
+
+def _times(name: str, frame: pd.DataFrame, times: pd.Series[Any], keys: dict[str, Any]) -> Array:
+    """Return the times [s]; instants of a zone are counted from the microsecond that goes into the header."""
     if pd.api.types.is_datetime64_any_dtype(times):
         return _seconds(name, pd.DatetimeIndex(times), keys)
     if pd.api.types.is_timedelta64_dtype(times):
         return np.asarray(times.dt.total_seconds(), float)
     if times.name == TIME:
-        return _numbers(name, times)
+        return _numbers(name, times, numbers=_holds_numbers(times))
     raise InputError(say("frame-without-times", run=name, columns=tuple(str(c) for c in frame.columns[:8])))
 
 
@@ -168,7 +204,7 @@ def _instants(run: Run) -> pd.DatetimeIndex:
     started = run.header.get(STARTED)
     if not isinstance(started, datetime) or started.tzinfo is None:
         raise InputError(at(run.source or run.name, say("frame-without-start", key=STARTED)))
-    nanoseconds = np.rint(run.time_s * 1e9).astype(np.int64)
     return pd.DatetimeIndex(
-        pd.Timestamp(started).tz_convert("UTC").as_unit("ns") + pd.to_timedelta(nanoseconds), name="utc"
+        pd.Timestamp(started).tz_convert("UTC").as_unit("ns") + pd.to_timedelta(nanoseconds_of(run.time_s)),
+        name="utc",
     )

@@ -13,6 +13,7 @@ from functools import lru_cache, partial
 from itertools import groupby
 
 import numpy as np
+from numpy.typing import NDArray
 
 from daq.records import Quality, Run
 from daq.words import Message, say
@@ -84,11 +85,12 @@ def wrong_quality(texts: Sequence[str], columns: Collection[str]) -> tuple[int, 
     pairs = {text: _PAIR.findall(text) for text in set(texts)}
     if not any(name in columns or quality in _QUALITIES for found in pairs.values() for name, quality in found):
         return None
-    for row, text in enumerate(texts):
+    for text in dict.fromkeys(texts):
         faults = faults_of(text)
         unknown = [name for name in faults or () if name not in (OTHERS, *columns)]
         if faults is not None and not unknown:
             continue
+        row = texts.index(text)
         if odd := [quality for _, quality in pairs[text] if quality not in _QUALITIES]:
             return row, say("quality-unknown", text=repr(text), quality=repr(odd[0]), known=_QUALITIES)
         if faults is None or any("=" in name for name in unknown):
@@ -97,17 +99,30 @@ def wrong_quality(texts: Sequence[str], columns: Collection[str]) -> tuple[int, 
     return None
 
 
-def without_unusable(run: Run) -> Run:
-    """Take out the values that the run itself calls unusable."""
+def rows_alike(run: Run) -> list[tuple[Mapping[str, Quality], NDArray[np.intp]]]:
+    """Return what deviates with the rows that say it, one entry a cell that differs; good rows are left out."""
     told = row_faults(run)
     if told is None or not any(told):
+        return []
+    texts = run.texts[QUALITY]
+    places = {text: place for place, text in enumerate(dict.fromkeys(texts))}
+    cells = np.fromiter(map(places.__getitem__, texts), np.intp, len(texts))
+    order = np.argsort(cells, kind="stable")
+    groups = np.split(order, np.searchsorted(cells[order], np.arange(1, len(places))))
+    return [(told[rows[0]], rows) for rows in groups if told[rows[0]]]
+
+
+def without_unusable(run: Run) -> Run:
+    """Take out the values that the run itself calls unusable."""
+    alike = rows_alike(run)
+    if not alike:
         return run
     columns = {name: np.array(values) for name, values in run.columns.items()}
-    for row, faults in enumerate(told):
+    for faults, rows in alike:
         rest = faults.get(OTHERS, Quality.GOOD)
-        for name in columns if faults else ():
+        for name, values in columns.items():
             if not faults.get(name, rest).usable:
-                columns[name][row] = np.nan
+                values[rows] = np.nan
     return replace(run, columns=columns)
 
 

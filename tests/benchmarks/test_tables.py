@@ -34,6 +34,8 @@ def test_time_of_a_million_rows(tmp_path):
     frame.attrs["panel.material"] = "MDF"
     instants = frame.set_index(pd.date_range("2026-03-04", periods=ROWS, freq="100ms", tz="UTC"))
     telling = frame.assign(quality=np.where(np.arange(ROWS) % 1000, "", "top_3=open"))
+    objects = frame.astype(object)
+    phases = frame.assign(phase=pd.Categorical(np.where(np.arange(ROWS) % 1000, "hot", "cold")))
     daq.frame_of(daq.run_of(frame.head()))
     run = daq.run_of(frame)
     parquet, csv = tmp_path / "run.parquet", tmp_path / "run.csv"
@@ -43,6 +45,8 @@ def test_time_of_a_million_rows(tmp_path):
         "table to run": spent(lambda: daq.run_of(frame))[0],
         "table of instants to run": spent(lambda: daq.run_of(instants))[0],
         "table with qualities to run": spent(lambda: daq.run_of(telling))[0],
+        "table of objects to run": spent(lambda: daq.run_of(objects))[0],
+        "table of categories to run": spent(lambda: daq.run_of(phases))[0],
         "run to table": spent(lambda: daq.frame_of(run))[0],
         "run to table of instants": spent(lambda: daq.frame_of(daq.run_of(instants), utc=True))[0],
         "Parquet to run": spent(lambda: softsensor.read_run(parquet))[0],

@@ -186,6 +186,66 @@ def test_parquet_of_durations_is_read_and_a_missing_instant_named(tmp_path):
         read_run(path)
 
 
+AT = pd.date_range("2026-10-25 01:59:58", periods=3, freq="500ms")
+
+
+@pytest.mark.parametrize(
+    "index",
+    [
+        AT.tz_localize("Europe/Berlin").rename("at"),
+        AT.tz_localize("UTC").as_unit("us"),
+        AT,
+        pd.to_timedelta([0.25, 0.5, 2.0], unit="s").as_unit("ms"),
+        pd.Index([0.25, 0.5, 2.0], name="time_s"),
+        pd.Index([1, 2, 4], name="time_s"),
+    ],
+    ids=lambda index: str(index.dtype),
+)
+@pytest.mark.parametrize("place", ["index", "column"])
+def test_what_a_run_has_no_room_for_comes_back_with_its_table(index, place):
+    frame = pd.DataFrame(
+        {
+            "phase": pd.Categorical(["hot", None, "cold"], categories=["cold", "hot", "off"], ordered=True),
+            "cycle": np.array([1, 2, 2**31 - 1], np.int32),
+            "top_1": np.array([20.5, np.nan, 22.25], np.float32),
+            "batch": pd.Categorical([7, 8, 7]),
+            "laid_in": pd.to_datetime(["2026-10-25 00:30", None, "2026-10-25 02:30"], utc=True).tz_convert(
+                "Europe/Berlin"
+            ),
+            "since": pd.to_timedelta([1.5, 2.5, None], unit="s"),
+            "day": pd.to_datetime(["2026-10-25", "2026-10-26", None]),
+            "flag": pd.array([True, None, False], dtype="boolean"),
+            "remark": ["a", "", "b"],
+        },
+        index=index,
+    )
+    if place == "column":
+        frame.insert(3, "time_s", index)
+        frame = frame.reset_index(drop=True)
+    run = daq.run_of(frame)
+    for one in (run, pickle.loads(pickle.dumps(run)), copy.deepcopy(run)):
+        pd.testing.assert_frame_equal(daq.frame_of(one, as_given=True), frame, check_freq=False)
+    assert daq.frame_of(run).index.dtype == np.float64
+    assert daq.run_of(daq.frame_of(run, as_given=True)).header == {**run.header, "run": run.name}
+
+
+def test_a_kind_that_cannot_hold_what_is_in_a_column_now_is_not_forced_on_it():
+    frame = pd.DataFrame({"time_s": [0.0, 1.0], "cycle": [1, 2], "phase": pd.Categorical(["a", "b"])})
+    run = daq.run_of(frame.assign(quality=["", "cycle=open"]))
+    assert daq.frame_of(run)["cycle"].tolist()[0] == 1.0
+    assert np.isnan(daq.frame_of(run)["cycle"].iloc[1])
+    other = replace(run, columns={"cycle": np.array([1.5, 2.0])}, texts={"phase": ("a", "c")})
+    back = daq.frame_of(other)
+    assert (back["cycle"].tolist(), back["phase"].tolist()) == ([1.5, 2.0], ["a", "c"])
+    assert list(back.columns) == ["cycle", "phase"]
+
+
+def test_a_runs_rows_keep_the_kinds_of_its_table():
+    frame = pd.DataFrame({"cycle": [1, 2, 3]}, index=AT.tz_localize("Europe/Berlin"))
+    back = daq.frame_of(daq.run_of(frame).at_rows(slice(1, 3)), as_given=True)
+    pd.testing.assert_frame_equal(back, frame.iloc[1:], check_freq=False)
+
+
 def test_instants_need_a_start_and_say_so():
     with pytest.raises(daq.InputError, match=r"recorded\.started_utc"):
         daq.frame_of(read_run(SAMPLES[0]), utc=True)
