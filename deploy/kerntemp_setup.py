@@ -24,6 +24,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -42,74 +43,31 @@ PUBLISH = "kerntemp-publish.service"
 EXTRAS = "plant,postgresql"
 KEPT_VERSIONS = 3
 HOME = Path(__file__).resolve().parent
-WORDS: dict[str, dict[str, str]] = {
-    "en": {
-        "building": "building the wheel of {folder}",
-        "command-failed": "{name} failed: {why}",
-        "compiling": "compiling the model; this takes about a minute once",
-        "complete": "Kerntemp {version} has all that {file} asks for: {extras}.",
-        "config-unreadable": "{file}: {error}; mend it first",
-        "installed": "Kerntemp {version} is installed.",
-        "installing": "installing version {version} in {folder}",
-        "kept-newer": "what version {version} recorded is kept in {file}",
-        "needs-root": "needs root; use sudo",
-        "needs-venv": "{why}; apt-get install python3-venv",
-        "needs-wheel": "no wheel given, and this file does not lie in Kerntemp's sources; give the wheel",
-        "next": "Next: edit {file}, then: kerntemp check && systemctl start kerntemp.target",
-        "no-wheel": "{file}: not a wheel; give the file kerntemp-VERSION-py3-none-any.whl",
-        "nothing-before": "there is no version to go back to",
-        "other-version": "the installed program says {told!r}, expected {version}",
-        "other-wheel": "{file}: holds {name}, not kerntemp",
-        "removed": "Kerntemp is removed. Configuration and data are still in {settings} and {data}.",
-        "restore-postgresql": "PostgreSQL: the copy goes into the database of store.url, a new and empty one",
-        "rollback-partly": "version {version} is in force again, but not all of it runs",
-        "rolled-back": "Kerntemp {version} is in force again.",
-        "schema-changes": "the store's schema changes from {before} to {after}: recording stops for the backup",
-        "store-still-newer": "the store is still version {version}'s: {why}",
-        "there-already": "version {version} is installed already; {folder}",
-        "update-partly": "version {version} is in force, but not all of it runs; rollback goes back to {old}",
-        "updated": "Kerntemp {version} is in force; python3 kerntemp_setup.py rollback goes back to {old}.",
-        "use-install": "nothing is installed; use install",
-        "use-update": "version {version} is installed; use update",
-        "version-gone": "version {version} is no longer in {folder}; install its wheel with update",
-    },
-    "de": {
-        "building": "das Wheel von {folder} wird gebaut",
-        "command-failed": "{name} ist gescheitert: {why}",
-        "compiling": "das Modell wird übersetzt; das dauert einmal etwa eine Minute",
-        "complete": "Kerntemp {version} hat alles, was {file} verlangt: {extras}.",
-        "config-unreadable": "{file}: {error}; erst in Ordnung bringen",
-        "installed": "Kerntemp {version} ist installiert.",
-        "installing": "Version {version} wird in {folder} installiert",
-        "kept-newer": "was Version {version} aufgezeichnet hat, liegt weiter in {file}",
-        "needs-root": "braucht root; sudo verwenden",
-        "needs-venv": "{why}; apt-get install python3-venv",
-        "needs-wheel": "diese Datei liegt nicht in den Quellen von Kerntemp; ein Wheel angeben",
-        "next": "Als Nächstes {file} bearbeiten, dann: kerntemp check && systemctl start kerntemp.target",
-        "no-wheel": "{file}: kein Wheel; die Datei kerntemp-VERSION-py3-none-any.whl angeben",
-        "nothing-before": "es gibt keine Version, auf die man zurückgehen könnte",
-        "other-version": "das installierte Programm sagt {told!r}, erwartet war {version}",
-        "other-wheel": "{file}: enthält {name}, nicht kerntemp",
-        "removed": "Kerntemp ist entfernt. Konfiguration und Daten liegen weiter in {settings} und {data}.",
-        "restore-postgresql": "PostgreSQL: die Kopie kommt in die neue, leere Datenbank von store.url",
-        "rollback-partly": "Version {version} ist wieder in Kraft, aber nicht alles davon läuft",
-        "rolled-back": "Kerntemp {version} ist wieder in Kraft.",
-        "schema-changes": "Schema des Speichers {before} wird {after}: die Aufzeichnung hält für die Sicherung an",
-        "store-still-newer": "der Speicher ist noch der von Version {version}: {why}",
-        "there-already": "Version {version} ist schon installiert; {folder}",
-        "update-partly": "Version {version} ist in Kraft, aber nicht alles läuft; rollback geht zurück auf {old}",
-        "updated": "Kerntemp {version} ist in Kraft; python3 kerntemp_setup.py rollback geht zurück auf {old}.",
-        "use-install": "nichts ist installiert; install verwenden",
-        "use-update": "Version {version} ist installiert; update verwenden",
-        "version-gone": "Version {version} ist nicht mehr in {folder}; ihr Wheel mit update installieren",
-    },
-}
-"""All it says, by language: the catalogues lie in the program it installs."""
+Words = dict[str, str]
+in_force: Words = {}
+"""The pattern of each code it says, once `main` has found the catalogue."""
+
+
+def find_words(place: Place, wheel: Path | None) -> Words:
+    """Return what it says in KERNTEMP_LANGUAGE, else English: of its sources, the wheel, or what is installed."""
+    here = [HOME.parent / "daq/words", *place.current.glob("lib/python*/site-packages/daq/words")]
+    for language in (os.environ.get("KERNTEMP_LANGUAGE", ""), "en"):
+        name = f"{language}.ftl"
+        texts = [path.read_text(encoding="utf-8") for folder in here if (path := folder / name).is_file()]
+        if wheel is not None and zipfile.is_zipfile(wheel):
+            with zipfile.ZipFile(wheel) as archive:
+                texts += [archive.read(n).decode() for n in archive.namelist() if n == f"daq/words/{name}"]
+        for text in texts:
+            if found := dict(re.findall(r"^(setup-[a-z-]+) = (.+)$", text, re.MULTILINE)):
+                return found
+    return {}
 
 
 def words(code: str, **known: object) -> str:
-    """Return what a code says in KERNTEMP_LANGUAGE, in English where that has no words."""
-    return WORDS.get(os.environ.get("KERNTEMP_LANGUAGE", ""), WORDS["en"])[code].format(**known)
+    """Return what a code says; without a catalogue the code itself with its arguments."""
+    if code not in in_force:
+        return ": ".join([code, ", ".join(f"{name} = {value}" for name, value in known.items())]).rstrip(": ")
+    return re.sub(r"\{ \$(\w+) \}", lambda found: str(known[found[1]]), in_force[code])
 
 
 class Refused(Exception):
@@ -155,7 +113,7 @@ class Place:
         try:
             return tomllib.loads(self.config.read_text()).get(table, {}).get(key, "")
         except (OSError, tomllib.TOMLDecodeError) as error:
-            raise Refused(words("config-unreadable", file=self.config, error=error)) from error
+            raise Refused(words("setup-config-unreadable", file=self.config, error=error)) from error
 
     def remember(self, history: list[dict[str, Any]]) -> None:
         """Keep the history."""
@@ -180,7 +138,7 @@ def run(*command: str | Path, **options: Any) -> str:
     if done.returncode != 0:
         told = [line for line in (done.stderr + done.stdout).splitlines() if line.strip()]
         why = told[-1] if told else f"status {done.returncode}"
-        raise Refused(words("command-failed", name=Path(command[0]).name, why=why))
+        raise Refused(words("setup-command-failed", name=Path(command[0]).name, why=why))
     return done.stdout.strip()
 
 
@@ -210,10 +168,10 @@ def version_of(wheel: Path) -> str:
             name = next(n for n in archive.namelist() if n.endswith(".dist-info/METADATA"))
             lines = archive.read(name).decode().splitlines()
     except (OSError, zipfile.BadZipFile, StopIteration) as error:
-        raise Refused(words("no-wheel", file=wheel)) from error
+        raise Refused(words("setup-no-wheel", file=wheel)) from error
     told = dict(line.split(": ", 1) for line in lines if line.startswith(("Name: ", "Version: ")))
     if told.get("Name") != "kerntemp":
-        raise Refused(words("other-wheel", file=wheel, name=told.get("Name")))
+        raise Refused(words("setup-other-wheel", file=wheel, name=told.get("Name")))
     return told["Version"]
 
 
@@ -222,15 +180,15 @@ def make_environment(folder: Path) -> None:
     try:
         run(sys.executable, "-m", "venv", folder)
     except Refused as refused:
-        raise Refused(words("needs-venv", why=refused)) from refused
+        raise Refused(words("setup-needs-venv", why=refused)) from refused
 
 
 def built_wheel(folder: Path) -> Path:
     """Build the wheel of the source tree this file lies in."""
     source = HOME.parent
     if not (source / "pyproject.toml").is_file():
-        raise Refused(words("needs-wheel"))
-    say(words("building", folder=source))
+        raise Refused(words("setup-needs-wheel"))
+    say(words("setup-building", folder=source))
     make_environment(folder / "builder")
     copied = folder / "source"
     shutil.copytree(source, copied, ignore=shutil.ignore_patterns(".*", "*.egg-info", "build", "__pycache__"))
@@ -246,16 +204,16 @@ def put_version(place: Place, wheel: Path, wheels: Path | None) -> str:
     version = version_of(wheel)
     target = place.code / version
     if (target / "installed").exists() and version in {entry["version"] for entry in place.history}:
-        raise Refused(words("there-already", version=version, folder=target))
+        raise Refused(words("setup-there-already", version=version, folder=target))
     shutil.rmtree(target, ignore_errors=True)
-    say(words("installing", version=version, folder=target))
+    say(words("setup-installing", version=version, folder=target))
     place.code.mkdir(parents=True, exist_ok=True)
     try:
         make_environment(target)
         put_packages(target, f"{wheel}[{place.extras}]", wheels)
         told = run(target / "bin/kerntemp", "--version")
         if version not in told:
-            raise Refused(words("other-version", told=told, version=version))
+            raise Refused(words("setup-other-version", told=told, version=version))
     except Refused:
         shutil.rmtree(target, ignore_errors=True)
         raise
@@ -272,7 +230,7 @@ def put_packages(target: Path, what: str, wheels: Path | None) -> None:
 def warm_up(place: Place, version: str) -> None:
     """Compile now what the first pressing would have to wait for."""
     if place.compiles:
-        say(words("compiling"))
+        say(words("setup-compiling"))
         as_service(place, version, "python", "-m", "softsensor.jobs.first_start")
 
 
@@ -390,7 +348,7 @@ def back_up(place: Place, version: str, why: str) -> str:
 def install(place: Place, wheel: Path | None, wheels: Path | None) -> None:
     """Install for the first time."""
     if place.history:
-        raise Refused(words("use-update", version=place.history[-1]["version"]))
+        raise Refused(words("setup-use-update", version=place.history[-1]["version"]))
     with tempfile.TemporaryDirectory(prefix="kerntemp-") as folder:
         version = put_version(place, wheel or built_wheel(Path(folder)), wheels)
     make_folders(place, version, make_user(place, version))
@@ -398,15 +356,15 @@ def install(place: Place, wheel: Path | None, wheels: Path | None) -> None:
     warm_up(place, version)
     place.remember([{"version": version, "schema": schema_of(place, version), "backup": ""}])
     systemctl(place, "enable", "--quiet", "kerntemp.target", TIMER)
-    say(words("installed", version=version))
-    say(words("next", file=place.config))
+    say(words("setup-installed", version=version))
+    say(words("setup-next", file=place.config))
 
 
 def update(place: Place, wheel: Path | None, wheels: Path | None) -> None:
     """Put a newer version in force; the one before stays for `rollback`."""
     history = place.history
     if not history:
-        raise Refused(words("use-install"))
+        raise Refused(words("setup-use-install"))
     old = history[-1]["version"]
     with tempfile.TemporaryDirectory(prefix="kerntemp-") as folder:
         version = put_version(place, wheel or built_wheel(Path(folder)), wheels)
@@ -415,7 +373,7 @@ def update(place: Place, wheel: Path | None, wheels: Path | None) -> None:
     migrates = schema != history[-1]["schema"]
     store_file(place, version)  # reads the whole configuration: what the new version refuses in it stops nothing
     if migrates:
-        say(words("schema-changes", before=history[-1]["schema"], after=schema))
+        say(words("setup-schema-changes", before=history[-1]["schema"], after=schema))
         systemctl(place, "stop", "kerntemp.target")
     backup = ""
     try:
@@ -426,9 +384,9 @@ def update(place: Place, wheel: Path | None, wheels: Path | None) -> None:
     except (Refused, OSError):
         undo(place, old, version, backup if migrates else "")
         raise
-    restart(place, words("update-partly", version=version, old=old))
+    restart(place, words("setup-update-partly", version=version, old=old))
     drop_old_versions(place)
-    say(words("updated", version=version, old=old))
+    say(words("setup-updated", version=version, old=old))
 
 
 def undo(place: Place, version: str, newer: str, backup: str) -> None:
@@ -437,7 +395,7 @@ def undo(place: Place, version: str, newer: str, backup: str) -> None:
         if backup:
             restore(place, version, backup, newer)
     except Refused as refused:  # the update's own failure is the news
-        say(words("store-still-newer", version=newer, why=refused))
+        say(words("setup-store-still-newer", version=newer, why=refused))
     try:
         if place.current.readlink() != Path(version):
             switch(place, version)
@@ -450,10 +408,10 @@ def rollback(place: Place) -> None:
     """Go back to the version before, with its store where the schema has changed since."""
     history = place.history
     if len(history) < 2:
-        raise Refused(words("nothing-before"))
+        raise Refused(words("setup-nothing-before"))
     before, now = history[-2], history[-1]
     if not (place.code / before["version"] / "installed").exists():
-        raise Refused(words("version-gone", version=before["version"], folder=place.code))
+        raise Refused(words("setup-version-gone", version=before["version"], folder=place.code))
     migrated = before["schema"] != now["schema"]
     if migrated and now["backup"]:
         say(as_service(place, before["version"], "kerntemp", "backup", now["backup"], "--verify"))
@@ -467,18 +425,18 @@ def rollback(place: Place) -> None:
         raise
     place.remember(history[:-1])
     shutil.rmtree(place.code / now["version"], ignore_errors=True)
-    restart(place, words("rollback-partly", version=before["version"]))
-    say(words("rolled-back", version=before["version"]))
+    restart(place, words("setup-rollback-partly", version=before["version"]))
+    say(words("setup-rolled-back", version=before["version"]))
 
 
 def complete(place: Place, wheels: Path | None) -> None:
     """Bring to the version in force what the configuration has come to ask for."""
     history = place.history
     if not history:
-        raise Refused(words("use-install"))
+        raise Refused(words("setup-use-install"))
     version = history[-1]["version"]
     put_packages(place.code / version, f"kerntemp[{place.extras}]=={version}", wheels)
-    say(words("complete", version=version, file=place.config, extras=place.extras))
+    say(words("setup-complete", version=version, file=place.config, extras=place.extras))
 
 
 def restore(place: Place, version: str, backup: str, newer: str) -> None:
@@ -489,7 +447,7 @@ def restore(place: Place, version: str, backup: str, newer: str) -> None:
     store = store_file(place, version)
     command = ["kerntemp", "backup", backup, "--restore"]
     if store is None:
-        say(words("restore-postgresql"))
+        say(words("setup-restore-postgresql"))
         say(as_service(place, version, *command, "--config", str(place.config)))
         return
     draft = store.with_name(f"{store.name}.restored")
@@ -503,7 +461,7 @@ def restore(place: Place, version: str, backup: str, newer: str) -> None:
     kept = store.parent / f"kerntemp-{newer}-{datetime.now(UTC):%Y-%m-%dT%H%M%S}.sqlite"
     move(store, kept)
     move(draft, store)
-    say(words("kept-newer", version=newer, file=kept))
+    say(words("setup-kept-newer", version=newer, file=kept))
 
 
 def move(store: Path, target: Path | None) -> None:
@@ -565,7 +523,7 @@ def uninstall(place: Place) -> None:
     shutil.rmtree(place.code, ignore_errors=True)
     shutil.rmtree(place.cache, ignore_errors=True)
     systemctl(place, "daemon-reload")
-    say(words("removed", settings=place.settings, data=place.data))
+    say(words("setup-removed", settings=place.settings, data=place.data))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -578,10 +536,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--root", type=Path, default=Path("/"), help="work below this folder")
     given = parser.parse_args(arguments)
     place = Place(given.root.resolve(), compiles=not given.no_warmup)
-    if os.geteuid() != 0:
-        sys.stderr.write(f"kerntemp_setup: {words('needs-root')}\n")
-        return 2
     wheel = given.wheel.resolve() if given.wheel else None
+    in_force.update(find_words(place, wheel))
+    if os.geteuid() != 0:
+        sys.stderr.write(f"kerntemp_setup: {words('setup-needs-root')}\n")
+        return 2
     os.environ.pop("PYTHONPATH", None)  # the programs installed find their own code, not the caller's
     try:
         if given.action in ("install", "update"):

@@ -7,6 +7,8 @@ entity tags, routes.
 from __future__ import annotations
 
 import asyncio
+import html
+import re
 from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass
@@ -38,7 +40,8 @@ from api.http.routes.common import only_known_queries
 from api.http.tokens import Attempts, TokenFile
 from daq.store.records import StoreUnavailable
 from daq.store.store import Store
-from daq.words.message import ENGLISH
+from daq.words import say
+from daq.words.message import ENGLISH, languages, words
 
 PAGE = Path(__file__).parents[1] / "page"
 DESCRIPTION = """Temperatures, core estimates, runs, coefficients and diagnoses of pressed panels.
@@ -130,12 +133,23 @@ class _SecurityHeaders:
         await self.app(scope, receive, careful)
 
 
+def _shell() -> str:
+    """Return the page before it has the words of one language: its ``{page-code}`` stand in every one."""
+
+    def in_every(found: re.Match[str]) -> str:
+        said = ((one, words(say(found[1]), one)) for one in languages())
+        return " · ".join(f'<span lang="{one}">{html.escape(line)}</span>' for one, line in said)
+
+    return re.sub(r"\{(page-[a-z-]+)\}", in_every, (PAGE / "index.html").read_text(encoding="utf-8"))
+
+
 def _add_page(app: FastAPI) -> None:
     """Serve the page at ``/`` and the API's own pages; nothing comes from another host."""
+    shell = _shell()
 
     @app.get("/", include_in_schema=False)
-    def page() -> FileResponse:
-        return FileResponse(PAGE / "index.html", headers={"Cache-Control": "no-cache"})
+    def page() -> HTMLResponse:
+        return HTMLResponse(shell, headers={"Cache-Control": "no-cache"})
 
     @app.get("/docs", include_in_schema=False)
     def docs() -> FileResponse:

@@ -1978,6 +1978,37 @@ demo-summary = Zusammenfassung von { $runs ->
 demo-too-slow = Dieser Rechner hielt mit { NUMBER($speed) }-facher Geschwindigkeit nicht Schritt: { $troubles }; ein kleineres --speed angeben
 demo-view = { "               " }{ $address }  { $name }
 
+## deploy: the installer
+
+setup-building = das Wheel von { $folder } wird gebaut
+setup-command-failed = { $name } ist gescheitert: { $why }
+setup-compiling = das Modell wird übersetzt; das dauert einmal etwa eine Minute
+setup-complete = Kerntemp { $version } hat alles, was { $file } verlangt: { $extras }.
+setup-config-unreadable = { $file }: { $error }; erst in Ordnung bringen
+setup-installed = Kerntemp { $version } ist installiert.
+setup-installing = Version { $version } wird in { $folder } installiert
+setup-kept-newer = was Version { $version } aufgezeichnet hat, liegt weiter in { $file }
+setup-needs-root = braucht root; sudo verwenden
+setup-needs-venv = { $why }; apt-get install python3-venv
+setup-needs-wheel = diese Datei liegt nicht in den Quellen von Kerntemp; ein Wheel angeben
+setup-next = Als Nächstes { $file } bearbeiten, dann: kerntemp check && systemctl start kerntemp.target
+setup-no-wheel = { $file }: kein Wheel; die Datei kerntemp-VERSION-py3-none-any.whl angeben
+setup-nothing-before = es gibt keine Version, auf die man zurückgehen könnte
+setup-other-version = das installierte Programm nennt als Version '{ $told }', erwartet war { $version }
+setup-other-wheel = { $file }: enthält { $name }, nicht kerntemp
+setup-removed = Kerntemp ist entfernt. Konfiguration und Daten liegen weiter in { $settings } und { $data }.
+setup-restore-postgresql = PostgreSQL: die Kopie kommt in die neue, leere Datenbank von store.url
+setup-rollback-partly = Version { $version } ist wieder in Kraft, aber nicht alles davon läuft
+setup-rolled-back = Kerntemp { $version } ist wieder in Kraft.
+setup-schema-changes = Schema des Speichers { $before } wird { $after }: die Aufzeichnung hält für die Sicherung an
+setup-store-still-newer = der Speicher ist noch der von Version { $version }: { $why }
+setup-there-already = Version { $version } ist schon installiert; { $folder }
+setup-update-partly = Version { $version } ist in Kraft, aber nicht alles läuft; rollback geht zurück auf { $old }
+setup-updated = Kerntemp { $version } ist in Kraft; python3 kerntemp_setup.py rollback geht zurück auf { $old }.
+setup-use-install = nichts ist installiert; install verwenden
+setup-use-update = Version { $version } ist installiert; update verwenden
+setup-version-gone = Version { $version } ist nicht mehr in { $folder }; ihr Wheel mit update installieren
+
 ## page: the press now
 
 page-at-opening = Beim Öffnen
@@ -2356,6 +2387,7 @@ page-nav-presses = Alle Pressen
 page-nav-runs = Pressungen
 page-nav-wall = Wandansicht
 page-need-token = Zugangstoken eingeben
+page-needs-javascript = Diese Seite zeigt, was die API liefert, und braucht JavaScript.
 page-next-by = von { $who }, { $time }
 page-no-answer = Der Server antwortet nicht.
 page-no-reading-for = seit { $time } keine Messung
@@ -2396,6 +2428,7 @@ page-theme = Hell oder dunkel
 page-thickness = Dicke
 page-time-axis = Zeit [s]
 page-time-from-closing = Zeit ab dem Schließen [s]
+page-unanswered = Der Server antwortet nicht.
 page-value = Wert
 page-verdict = Urteil
 page-verdict-ambiguous = mehrdeutig

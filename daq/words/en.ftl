@@ -1959,6 +1959,37 @@ demo-summary = Summary of { $runs ->
 demo-too-slow = This machine did not keep up with { NUMBER($speed) } times real speed: { $troubles }; give a lower --speed
 demo-view = { "         " }{ $address }  { $name }
 
+## deploy: the installer
+
+setup-building = building the wheel of { $folder }
+setup-command-failed = { $name } failed: { $why }
+setup-compiling = compiling the model; this takes about a minute once
+setup-complete = Kerntemp { $version } has all that { $file } asks for: { $extras }.
+setup-config-unreadable = { $file }: { $error }; correct it first
+setup-installed = Kerntemp { $version } is installed.
+setup-installing = installing version { $version } in { $folder }
+setup-kept-newer = what version { $version } recorded is kept in { $file }
+setup-needs-root = needs root; use sudo
+setup-needs-venv = { $why }; apt-get install python3-venv
+setup-needs-wheel = no wheel given, and this file does not lie in Kerntemp's sources; give the wheel
+setup-next = Next: edit { $file }, then: kerntemp check && systemctl start kerntemp.target
+setup-no-wheel = { $file }: not a wheel; give the file kerntemp-VERSION-py3-none-any.whl
+setup-nothing-before = there is no version to go back to
+setup-other-version = the installed program gives its version as '{ $told }', expected { $version }
+setup-other-wheel = { $file }: holds { $name }, not kerntemp
+setup-removed = Kerntemp is removed. Configuration and data are still in { $settings } and { $data }.
+setup-restore-postgresql = PostgreSQL: the copy goes into the database of store.url, a new and empty one
+setup-rollback-partly = version { $version } is in force again, but not all of it runs
+setup-rolled-back = Kerntemp { $version } is in force again.
+setup-schema-changes = the store's schema changes from { $before } to { $after }: recording stops for the backup
+setup-store-still-newer = the store is still version { $version }'s: { $why }
+setup-there-already = version { $version } is installed already; { $folder }
+setup-update-partly = version { $version } is in force, but not all of it runs; rollback goes back to { $old }
+setup-updated = Kerntemp { $version } is in force; python3 kerntemp_setup.py rollback goes back to { $old }.
+setup-use-install = nothing is installed; use install
+setup-use-update = version { $version } is installed; use update
+setup-version-gone = version { $version } is no longer in { $folder }; install its wheel with update
+
 ## page: the press now
 
 page-at-opening = At opening
@@ -2337,6 +2368,7 @@ page-nav-presses = All presses
 page-nav-runs = Runs
 page-nav-wall = Wall view
 page-need-token = Give an access token
+page-needs-javascript = This page draws what the API answers and needs JavaScript.
 page-next-by = by { $who }, { $time }
 page-no-answer = The server does not answer.
 page-no-reading-for = no reading for { $time }
@@ -2377,6 +2409,7 @@ page-theme = Light or dark
 page-thickness = Thickness
 page-time-axis = Time [s]
 page-time-from-closing = Time from closing [s]
+page-unanswered = The server does not answer.
 page-value = Value
 page-verdict = Verdict
 page-verdict-ambiguous = ambiguous

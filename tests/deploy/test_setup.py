@@ -18,7 +18,6 @@ from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager, redirect_stderr, redirect_stdout
 from io import StringIO
 from pathlib import Path
-from string import Formatter
 from types import ModuleType
 from typing import Any
 from urllib.request import urlopen
@@ -53,6 +52,7 @@ def setup() -> ModuleType:
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
+    module.in_force.update(module.find_words(module.Place(Path("/nowhere")), None))
     return module
 
 
@@ -234,16 +234,23 @@ def test_a_wheel_is_installed_updated_rolled_back_and_removed_and_the_data_stay(
     assert (root / "etc/kerntemp/kerntemp.toml").read_text() == configured
 
 
-def test_the_setup_has_words_for_all_it_says_in_every_language_about_the_same(setup, monkeypatch):
-    said = set(re.findall(r'words\(["\']([a-z-]+)', SETUP.read_text(encoding="utf-8")))
-    fields = {
-        language: {code: {f for _, f, _, _ in Formatter().parse(text) if f} for code, text in table.items()}
-        for language, table in setup.WORDS.items()
-    }
-    assert set(fields["en"]) == said
-    assert all(table == fields["en"] for table in fields.values())
-    monkeypatch.setenv("KERNTEMP_LANGUAGE", "de")
-    assert setup.words("installed", version="2.0") == "Kerntemp 2.0 ist installiert."
+def test_the_setup_speaks_a_third_language_from_its_one_file(setup, tmp_path, monkeypatch):
+    monkeypatch.setenv("KERNTEMP_LANGUAGE", "fr")
+    wheel = tmp_path / "kerntemp-7.8.0-py3-none-any.whl"
+    with zipfile.ZipFile(wheel, "w") as archive:
+        archive.writestr("daq/words/fr.ftl", "setup-installed = Kerntemp { $version } est installé.\n")
+    place = setup.Place(tmp_path / "pc")
+    assert setup.find_words(place, None)["setup-installed"] == "Kerntemp { $version } is installed."
+    setup.in_force.update(setup.find_words(place, wheel))
+    assert setup.words("setup-installed", version="2.0") == "Kerntemp 2.0 est installé."
+
+
+def test_a_setup_without_any_catalogue_says_its_codes_with_what_they_are_about(setup, tmp_path, monkeypatch):
+    monkeypatch.setattr(setup, "HOME", tmp_path / "alone")
+    setup.in_force.clear()
+    assert setup.find_words(setup.Place(tmp_path / "pc"), None) == {}
+    assert setup.words("setup-nothing-before") == "setup-nothing-before"
+    assert setup.words("setup-use-update", version="2.0") == "setup-use-update: version = 2.0"
 
 
 @root_only
