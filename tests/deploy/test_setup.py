@@ -506,7 +506,7 @@ def test_dask_is_installed_where_the_configuration_names_a_scheduler(setup, tmp_
         assert asked[-1][:2] == [str(tmp_path / "opt/kerntemp/0.1.0/bin/python"), "-m"]
         assert asked[-1][-1].endswith("]==0.1.0")
     place.config.write_text("[refit\n")
-    with pytest.raises(setup.Refused, match="mend it first"):
+    with pytest.raises(setup.Refused, match="correct it first"):
         setup.complete(place, None)
 
 
