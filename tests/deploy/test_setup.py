@@ -241,13 +241,13 @@ def test_the_setup_speaks_a_third_language_from_its_one_file(setup, tmp_path, mo
         archive.writestr("daq/words/fr.ftl", "setup-installed = Kerntemp { $version } est installé.\n")
     place = setup.Place(tmp_path / "pc")
     assert setup.find_words(place, None)["setup-installed"] == "Kerntemp { $version } is installed."
-    setup.in_force.update(setup.find_words(place, wheel))
+    monkeypatch.setattr(setup, "in_force", setup.find_words(place, wheel))
     assert setup.words("setup-installed", version="2.0") == "Kerntemp 2.0 est installé."
 
 
 def test_a_setup_without_any_catalogue_says_its_codes_with_what_they_are_about(setup, tmp_path, monkeypatch):
     monkeypatch.setattr(setup, "HOME", tmp_path / "alone")
-    setup.in_force.clear()
+    monkeypatch.setattr(setup, "in_force", {})
     assert setup.find_words(setup.Place(tmp_path / "pc"), None) == {}
     assert setup.words("setup-nothing-before") == "setup-nothing-before"
     assert setup.words("setup-use-update", version="2.0") == "setup-use-update: version = 2.0"
