@@ -111,10 +111,9 @@ def check_at_room_temperature(
 
 def _checked(name: str, k: int, readings: Sequence[Reading], reference: float) -> RoomCheck:
     bad = [r.qualities[k] for r in readings if not r.qualities[k].usable]
-    values = np.array([r.values[k] for r in readings if r.qualities[k].usable])
-    if bad or values.size < 2:
-        quality = bad[0] if bad else Quality.MISSING
-        return RoomCheck(name, RoomVerdict.NO_VALUE, math.nan, math.nan, math.nan, quality)
+    values = np.array([r.values[k] for r in readings])
+    if bad:
+        return RoomCheck(name, RoomVerdict.NO_VALUE, math.nan, math.nan, math.nan, bad[0])
     mean, noise = float(values.mean()), float(values.std(ddof=1))
     deviation = mean - reference
     verdict = RoomVerdict.OK

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
+from daq.records import Array
 from softsensor.live.directions import CONSTANT, DISCREPANCY
 from softsensor.live.kalman import KalmanFilter
 from softsensor.live.mixture import Mixture
@@ -33,11 +35,7 @@ def band_from(one: KalmanFilter, mixture: Mixture, margin: float) -> dict[str, f
     """
     made, causes = one.linearised, one.hypotheses
     p = len(made.names)
-    P = np.array(one.estimate.covariance[:p, :p])
-    if len(causes.column):  # as if each were absent: its prior narrowed to `width`, which may be all it has
-        narrowed = P[:, causes.column] * np.sqrt(1.0 / causes.width**2 - 1.0)
-        among = narrowed[causes.column] * np.sqrt(1.0 / causes.width**2 - 1.0)[:, None]
-        P -= narrowed @ np.linalg.solve(among + np.eye(len(among)), narrowed.T)
+    P = narrowed(one.estimate.covariance[:p, :p], causes.column, causes.width)  # as if each were absent
     readout = made.model.chain.d_level
     shares = np.maximum(readout * (P @ readout), 0.0)
     size = 1.0 + (MEAN_SQUARE_SIZE - 1.0) * made.loose
@@ -52,6 +50,22 @@ def band_from(one: KalmanFilter, mixture: Mixture, margin: float) -> dict[str, f
     found["panel"] += max(mixture.sd_K**2 - max(header.sd_K**2, plain), 0.0) if len(mixture.panels) > 1 else 0.0
     total = sum(found.values())
     return {kind: value / total for kind, value in found.items()}
+
+
+def narrowed(covariance: Array, column: NDArray[np.int64], width: Array) -> Array:
+    """Return the covariance (P, P), had the priors of some parameters been narrower.
+
+    Parameters
+    ----------
+    column
+        Of these parameters (E).
+    width
+        Standard deviation of each prior as a share of what it was (E); 1 changes nothing.
+    """
+    root = np.sqrt(1.0 / width**2 - 1.0)
+    across = covariance[:, column] * root
+    among = across[column] * root[:, None]
+    return np.asarray(covariance - across @ np.linalg.solve(among + np.eye(len(column)), across.T))
 
 
 def _kind(prior: Unknown) -> str:

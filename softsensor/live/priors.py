@@ -309,7 +309,7 @@ def panel_plan(
 ) -> FilterPlan:
     """Return the filter of the panel alone: start temperature, constants, and the effects inside it."""
     own = [p for p in effect_priors(model) if p.name.partition(".")[0] in effects]
-    return FilterPlan((Unknown("initial_K", 0.0, initial_sd / 2), *own, *unowned), (), 1.0, "", {})
+    return FilterPlan((Unknown("initial_K", 0.0, initial_sd), *own, *unowned), (), 1.0, "", {})
 
 
 @cache

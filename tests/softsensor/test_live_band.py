@@ -14,8 +14,8 @@ from softsensor.diagnosis.missing_causes import RunEvidence
 from softsensor.heat.model import ThermalModel
 from softsensor.heat.model_file import FittedValue, MissingCauses, ModelFile, Scatter
 from softsensor.jobs.model_in_force import combined_model
-from softsensor.live.budget import KINDS, band_from
-from softsensor.live.mixture import CHANGED, Mixture, by_size
+from softsensor.live.budget import KINDS, band_from, narrowed
+from softsensor.live.mixture import CHANGED, Mixture, by_size, model_variance
 from softsensor.live.mixture_steps import Components, quantile, without_causes
 from softsensor.live.possible import Possible
 from softsensor.live.sensor import LiveSensor
@@ -53,6 +53,10 @@ def beyond(said, core):
     """Return by how much the truth lies outside the band of each valid scan. [K]"""
     rows = [max(e.core_low_C - c, c - e.core_high_C, 0.0) for e, c in zip(said, core, strict=True) if e.valid]
     return np.array(rows)
+
+
+def first_scans(run, count):
+    return replace(run, time_s=run.time_s[:count], columns={n: v[:count] for n, v in run.columns.items()})
 
 
 def in_panel(run, change):
@@ -342,6 +346,39 @@ def test_the_band_says_what_it_comes_from_and_constants_that_were_measured_weigh
         halves.append(said[-1].core_high_C - said[-1].core_low_C)
     assert shares[1] < 0.2 < 0.5 < shares[0]
     assert halves[1] < 0.6 * halves[0]  # the rest is steam of a size that nobody knows
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_narrower_priors_leave_what_the_sum_of_the_precisions_does(seed):
+    """A Gaussian prior made narrower adds what its precision gained to that of what is known since."""
+    rng = np.random.default_rng(seed)
+    read, column, width = rng.standard_normal((4, 6)), np.array([1, 3, 4]), np.array([0.05, 0.4, 1.0])
+    known = np.eye(6) + read.T @ read
+    gained = np.zeros(6)
+    gained[column] = 1.0 / width**2 - 1.0
+    exact = np.linalg.inv(known + np.diag(gained))
+    assert narrowed(np.linalg.inv(known), column, width) == pytest.approx(exact, abs=1e-9)
+    none = np.zeros(0, dtype=np.int64)
+    assert narrowed(exact, none, np.zeros(0)) == pytest.approx(exact)
+
+
+def test_independent_doubts_of_the_model_itself_add_up_in_squares():
+    nothing, risen, started = model_variance(0.0, 0.0), model_variance(100.0, 0.0), model_variance(0.0, 0.7)
+    assert np.sqrt(nothing) == pytest.approx(0.1)
+    assert np.sqrt(risen - nothing) == pytest.approx(0.3)  # 0.3 % of the rise
+    assert np.sqrt(model_variance(-50.0, 0.0) - nothing) == pytest.approx(0.15)
+    assert np.sqrt(started - nothing) == pytest.approx(0.7)
+    assert model_variance(100.0, 0.7) == pytest.approx(risen + started - nothing)
+
+
+@pytest.mark.parametrize("stated", [None, 2.0])
+def test_the_panel_alone_between_its_faces_doubts_its_start_as_the_header_does(pressing, stated):
+    """Before heat has come so deep, the middle is as far off as the whole start is."""
+    run, _ = pressing
+    own = {} if stated is None else {"panel.initial_temperature_C.sd": stated}
+    sensor, _ = followed(first_scans(replace(run, header=run.header | own), 3))
+    _, variance = sensor._run.passes.current.between[0].core
+    assert np.sqrt(variance) == pytest.approx(stated or np.hypot(0.3, 0.75), rel=1e-3)  # rounded, by its sensor
 
 
 @pytest.mark.parametrize("width", [0.03, 1.0])

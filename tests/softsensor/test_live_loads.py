@@ -7,8 +7,9 @@ from daq.press.press_file import parse_press
 from daq.records import Run
 from softsensor.heat.model_file import FittedValue, MissingCause, MissingCauses, ModelFile
 from softsensor.live.contact_loads import LEAST, HeldLoads
-from softsensor.live.priors import nuisance_priors
+from softsensor.live.priors import nuisance_priors, plans_for
 from softsensor.live.replay import replay
+from softsensor.live.setup import linearise, set_up
 
 HOT, COLD, REFERENCE, EXPONENT = 180.0, 30.0, 150.0, 0.9
 PLATE_R, PANEL_R, H_B, H_C, H_T = 0.005 / 45.0, 0.004 / 0.12, 1000.0, 50.0, 100.0
@@ -121,3 +122,19 @@ def test_what_the_load_does_is_in_doubt_until_runs_have_shown_it():
     assert known.centre == pytest.approx(draws.mean())
     assert known.sd == pytest.approx(np.hypot(draws.std(), np.sqrt(0.8) * 0.05), rel=0.02)
     assert all(p.name != "contact_load.exponent" for p in nuisance_priors(PRESS, {"contact_load"}, 0.3))
+
+
+def test_a_contact_s_factor_answers_to_load_and_exponent_as_the_power_law_says():
+    """h = h_ref (p / p_ref)^n: its logarithm is n ln(p / p_ref), the derivative of that by n is ln(p / p_ref)."""
+    model = model_file(exponent=EXPONENT)
+    setup = set_up(PRESS, bench([60.0, 60.0]), model)
+    plan = plans_for(PRESS, model, (0.0, 0.0, 0.0), unowned=[d.prior for d in setup.directions])[0]
+    at = plan.start + np.linspace(-0.5, 0.5, len(plan.start))
+    made = linearise(setup, plan, at)
+    table, own = made.model.factors.by_load, made.names.index("contact_load.exponent")
+    over = table.loads - np.log(60.0 / REFERENCE)  # the first scan's load is in the other factor
+    prior = plan.priors[own]
+    assert table.log[:, 1] == pytest.approx((prior.centre + prior.sd * at[own]) * over)
+    assert table.d_log[:, 1, own] == pytest.approx(prior.sd * over)
+    assert not table.log[:, [0, 2]].any()
+    assert np.abs(np.delete(table.d_log, own, axis=2)).max() < 1e-12
