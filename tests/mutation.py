@@ -127,8 +127,10 @@ def functions(text: str) -> dict[int, str]:
                 if not (isinstance(statement, ast.Expr) and isinstance(statement.value, ast.Constant)):
                     inside |= dict.fromkeys(range(statement.lineno, (statement.end_lineno or 0) + 1), node.name)
     for node in ast.walk(ast.parse(text)):
-        if isinstance(node, ast.AnnAssign):
-            for line in range(node.annotation.lineno, (node.annotation.end_lineno or 0) + 1):
+        says = [node.annotation] if isinstance(node, ast.AnnAssign | ast.arg) else []
+        says += [node.returns] if isinstance(node, ast.FunctionDef) else []
+        for annotation in filter(None, says):
+            for line in range(annotation.lineno, (annotation.end_lineno or 0) + 1):
                 inside.pop(line, None)
     return inside
 
