@@ -151,7 +151,7 @@ class Server(uvicorn.Server):
     def run_in_thread(self) -> threading.Thread:
         thread = threading.Thread(target=self.run, daemon=True)
         thread.start()
-        deadline = time.monotonic() + 20
+        deadline = time.monotonic() + 240
         while not self.started and time.monotonic() < deadline:
             time.sleep(0.01)
         port = self.servers[0].sockets[0].getsockname()[1]
@@ -189,5 +189,5 @@ def serve(store: Store, serve_any: Callable[..., str]) -> Callable[..., str]:
 
 @pytest.fixture(scope="module")
 def client(serve: Callable[..., str]) -> Iterator[httpx.Client]:
-    with httpx.Client(base_url=serve(), timeout=120) as opened:
+    with httpx.Client(base_url=serve(), timeout=240) as opened:
         yield opened

@@ -466,7 +466,7 @@ def test_the_shell_completes_commands_and_options(tmp_path):
     def completed(words):
         asked = {"_KERNTEMP_COMPLETE": "complete_bash", "COMP_WORDS": words, "COMP_CWORD": str(words.count(" "))}
         command = [sys.executable, "-m", "api"]
-        found = subprocess.run(command, env=os.environ | asked, capture_output=True, text=True, timeout=60)
+        found = subprocess.run(command, env=os.environ | asked, capture_output=True, text=True, timeout=240)
         return set(found.stdout.split())
 
     assert completed("kerntemp dia") == {"diagnose"}
@@ -515,6 +515,6 @@ inputs.load_runs([f"{tmp_path}/r{{k}}.csv" for k in range(3)], press, None, None
     ours, theirs = pty.openpty()
     running = subprocess.Popen([sys.executable, "-c", slow], stdin=theirs, stdout=theirs, stderr=theirs)
     os.close(theirs)
-    assert running.wait(60) == 0
+    assert running.wait(240) == 0
     assert b"Reading 3 runs" in os.read(ours, 65536)
     os.close(ours)

@@ -35,7 +35,6 @@ def test_a_taken_port_is_told_before_anything_warms_up(tmp_path, capsys):
     assert not (tmp_path / "demo").exists()
 
 
-@pytest.mark.timeout(900)  # on a fresh machine the compiler runs first
 def test_the_demonstration_ends_by_itself_with_a_summary_and_leaves_no_process_behind(tmp_path):
     folder = tmp_path / "demo"
     command = [sys.executable, "-m", "api", "demo", "--speed", "15", "--pressings", "1", "--data", str(folder)]
@@ -56,14 +55,13 @@ def test_the_demonstration_ends_by_itself_with_a_summary_and_leaves_no_process_b
     with open_store(str(folder / "kerntemp.sqlite")) as store:
         assert [r.status for r in store.runs(limit=5).items] == [RunStatus.CLOSED]
     if sys.platform != "win32":
-        deadline = time.monotonic() + 10
+        deadline = time.monotonic() + 240
         while processes_mentioning(str(folder)) and time.monotonic() < deadline:
             time.sleep(0.1)
         assert processes_mentioning(str(folder)) == 0
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals; on Windows Ctrl-Break does the same")
-@pytest.mark.timeout(900)  # on a fresh machine the compiler runs first
 def test_a_demonstration_that_is_killed_ends_all_its_processes(tmp_path):
     folder = tmp_path / "demo"
     command = [sys.executable, "-m", "api", "demo", "--speed", "30", "--data", str(folder)]
@@ -74,7 +72,7 @@ def test_a_demonstration_that_is_killed_ends_all_its_processes(tmp_path):
             time.sleep(0.1)
         assert processes_mentioning(str(folder)) > 3
         running.terminate()
-        assert running.wait(60) == 128 + signal.SIGTERM
+        assert running.wait(240) == 128 + signal.SIGTERM
     assert processes_mentioning(str(folder)) == 0
 
 

@@ -38,7 +38,7 @@ def plant(tmp_path, serve_any, writer):
             store.append_scans(key, [], end=RunEnd(f"lab-{n}", n, started))
             return f"lab-{n}"
 
-        with httpx.Client(base_url=store_url + "/api/v1", headers=writer, timeout=60) as client:
+        with httpx.Client(base_url=store_url + "/api/v1", headers=writer, timeout=240) as client:
             yield store, client, press_a_panel
 
 

@@ -134,7 +134,7 @@ class Listener:
         self._client.connect("127.0.0.1", port)
         self._client.loop_start()
         self._client.subscribe("plant/#", 1)
-        assert subscribed.wait(5)
+        assert subscribed.wait(240)
 
     def _on_message(self, client: Any, data: Any, message: paho.MQTTMessage) -> None:
         if message.retain:
@@ -198,7 +198,7 @@ def running(work: Callable[[threading.Event], None]) -> Iterator[None]:
         yield
     finally:
         stop.set()
-        thread.join(20)
+        thread.join(240)
         assert not thread.is_alive()
 
 
@@ -271,8 +271,8 @@ def test_over_cut_lines_everything_arrives_in_order_and_once(store, broker):
             time.sleep(chance.uniform(0.0, 0.1))
             relay.cut()
         recorder.scans(10)
-        wait_until(lambda: listener.numbers("estimate")[-1:] == [recorder.next - 1], 60)
-        wait_until(lambda: listener.numbers("scan")[-1:] == [recorder.next - 1], 60)
+        wait_until(lambda: listener.numbers("estimate")[-1:] == [recorder.next - 1])
+        wait_until(lambda: listener.numbers("scan")[-1:] == [recorder.next - 1])
     assert listener.numbers("scan") == list(range(recorder.next))
     assert listener.numbers("estimate") == list(range(recorder.next))
     assert "offline" in [s["state"] for s in listener.got["plant/status"]]
@@ -293,7 +293,7 @@ def test_a_broker_that_came_back_empty_gets_what_was_stored_meanwhile(store, bro
         broker.start()
         listener = Listener(broker.port)
         relay.restore()
-        wait_until(lambda: listener.numbers("scan")[-1:] == [719], 30)
+        wait_until(lambda: listener.numbers("scan")[-1:] == [719])
     assert listener.numbers("scan") == list(range(20, 720))
     listener.close()
     relay.close()
@@ -338,7 +338,7 @@ def test_the_last_will_tells_of_a_killed_process_and_the_next_one_goes_on_where_
     second = command(tmp_path, broker)
     wait_until(lambda: listener.numbers("scan")[-1:] == [69])
     second.terminate()
-    assert second.wait(20) == 0
+    assert second.wait(240) == 0
     assert listener.numbers("scan") == list(range(70))
     assert [s["state"] for s in listener.got["plant/status"]] == ["online", "offline", "online", "offline"]
     assert store.statuses()["publish"].status["state"] == "stopped"
@@ -350,11 +350,11 @@ def test_systemd_is_told_that_publish_is_ready_and_alive(tmp_path, store, broker
     place = str(tmp_path / "notify")
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as line:
         line.bind(place)
-        line.settimeout(30)
+        line.settimeout(240)
         service = command(tmp_path, broker, NOTIFY_SOCKET=place)
         said = [line.recv(4096).decode() for _ in range(3)]
         service.terminate()
-        assert service.wait(20) == 0
+        assert service.wait(240) == 0
     assert said[0].startswith("READY=1")
     assert all(message.startswith("WATCHDOG=1") for message in said[1:])
 
@@ -402,7 +402,7 @@ def test_leave_to_open_is_said_each_second_and_taken_back_when_nobody_knows(stor
         until = datetime.fromisoformat(given["valid_until_utc"]) - datetime.fromisoformat(given["utc"])
         assert (until, given["state"]) == (timedelta(seconds=5), "closed")
         wait_until(lambda: [m["open_now"] for m in listener.got[LEAVE]].count(True) > 1)  # again, unchanged
-        wait_until(lambda: last(listener) == (False, False, "no scans"), 10)
+        wait_until(lambda: last(listener) == (False, False, "no scans"))
         pressing.say(leave=False)
         wait_until(lambda: last(listener) == (False, True, ""))
         pressing.say()
@@ -435,7 +435,7 @@ def test_leave_comes_again_by_itself_after_the_broker_was_away(store, broker):
         broker.start()
         listener = Listener(broker.port)
         pressing.say(ago_s=-2.0)
-        wait_until(lambda: last(listener)[0], 30)
+        wait_until(lambda: last(listener)[0])
         assert feed.problem is None
         listener.close()
 

@@ -51,11 +51,11 @@ def serving(store: Store, folder: Path, clock: Clock | None = None, **settings: 
     thread = threading.Thread(target=lambda: asyncio.run(server.run(stop, started)))
     thread.start()
     try:
-        assert started.wait(60)
+        assert started.wait(240)
         yield server
     finally:
         stop.set()
-        thread.join(60)
+        thread.join(240)
         assert not thread.is_alive()
 
 
@@ -165,7 +165,7 @@ async def becomes(server: PressServer, expected: tuple[bool, str]) -> None:
         node = client.get_node(ua.NodeId("lab.open_now", await client.get_namespace_index(NAMESPACE)))
         subscription = await client.create_subscription(50, Handler())
         await subscription.subscribe_data_change(node)
-        async with asyncio.timeout(60):
+        async with asyncio.timeout(240):
             while told[-1:] != [expected]:
                 await asyncio.sleep(0.02)
         value = await node.read_data_value(raise_on_bad_status=False)
@@ -205,12 +205,12 @@ def test_no_leave_to_open_stands_while_the_store_takes_its_time(tmp_path, store,
 
         def slow(press: str) -> Any:
             held.set()
-            hold.wait(60)
+            hold.wait(240)
             return read_runs(press)
 
         monkeypatch.setattr(store, "open_run", slow)
         try:
-            assert held.wait(60)
+            assert held.wait(240)
             asyncio.run(becomes(server, (False, "UncertainSubstituteValue")))
         finally:
             hold.set()
@@ -256,7 +256,7 @@ def test_a_subscriber_is_told_of_new_values_and_press_events(tmp_path, store):
             await subscription.subscribe_events(client.get_node(ua.NodeId("lab", index)))
             key = store.register_press("lab", CHANNELS, LAB)
             store.append_scans(key, [], [PressEvent(PressEventKind.CLOSED, 10.5, 10.9)])
-            async with asyncio.timeout(60):
+            async with asyncio.timeout(240):
                 while "closed" not in values or "closed" not in events:
                     await asyncio.sleep(0.02)
 

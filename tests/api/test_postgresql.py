@@ -26,7 +26,7 @@ def plant(postgresql_url, make_estimate, make_fit, serve_any):
         store.put_model("lab", "1", {"version": "1", "effects": []}, status="candidate")
         store.put_diagnosis("lab", {"verdict": "no_effect", "effects": []})
         store.beat("record", {"state": "running"})
-        with httpx.Client(base_url=serve_any(store), timeout=120) as client:
+        with httpx.Client(base_url=serve_any(store), timeout=240) as client:
             yield client
 
 

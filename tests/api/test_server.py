@@ -24,7 +24,7 @@ from api.http.tokens import Attempts
 from daq.records import InputError
 from daq.store.store import open_store
 
-PATIENT_S = 60.0
+PATIENT_S = 240.0
 """A busy machine answers late, and fails no test for it. [s]"""
 
 LAB = Path(__file__).parents[2] / "deploy" / "presses" / "lab.toml"
@@ -54,7 +54,7 @@ def served(plant, *options):
         yield address
     finally:
         server.terminate()
-        server.wait(20)
+        server.wait(240)
         server.stdout.close()
 
 
@@ -72,7 +72,7 @@ def certificate(tmp_path_factory):
 def test_the_page_is_there_before_its_database_and_says_that_it_is_away(plant):
     config = plant / "kerntemp.toml"
     config.write_text('[store]\nurl = "postgresql://x@127.0.0.1:9/none"\n' + config.read_text())
-    with served(plant) as address, httpx.Client(base_url=address, timeout=30) as client:
+    with served(plant) as address, httpx.Client(base_url=address, timeout=240) as client:
         health = client.get("/api/v1/health").json()
         assert (health["status"], health["store"]["kind"]) == ("down", "PostgreSQL")
         assert "check that the database server runs" in health["alarms"][0]
@@ -129,7 +129,7 @@ def test_tokens_are_noted_in_the_journal_by_name_and_shown_nowhere_else(plant, c
 def raw(client):
     """A bare socket to the server."""
     host, port = client.base_url.host, client.base_url.port
-    with socket.create_connection((host, port), timeout=10) as opened:
+    with socket.create_connection((host, port), timeout=240) as opened:
         yield opened
 
 
@@ -184,7 +184,7 @@ def running(server, sockets=None):
     """A server in a thread until the block ends."""
     thread = threading.Thread(target=server.run, args=(sockets,), daemon=True)
     thread.start()
-    deadline = time.monotonic() + 20
+    deadline = time.monotonic() + 240
     while not server.started:
         assert time.monotonic() < deadline
         time.sleep(0.01)
@@ -192,13 +192,13 @@ def running(server, sockets=None):
         yield server.servers[0].sockets[0].getsockname()[1]
     finally:
         server.should_exit = True
-        thread.join(20)
+        thread.join(240)
 
 
 def test_a_body_that_does_not_arrive_in_time_is_given_up(store, tokens):
     impatient = Gate(create_app(store, tokens), tokens, Attempts(), body_s=0.2)
     server = uvicorn.Server(uvicorn.Config(impatient, port=0, log_level="warning", lifespan="off"))
-    with running(server) as port, socket.create_connection(("127.0.0.1", port), timeout=10) as slow:
+    with running(server) as port, socket.create_connection(("127.0.0.1", port), timeout=240) as slow:
         slow.sendall(f"PATCH {CHANGE} HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 50\r\n\r\n{{".encode())
         status, problem = answer_of(slow)
     assert status == 408
@@ -244,8 +244,8 @@ def test_beyond_the_limit_the_oldest_idle_connections_go_first():
 def test_connections_that_ask_nothing_lose_their_place_in_a_running_server(store, tokens):
     listening = Listening(port=0, idle_s=0.5)
     with running(make_server(store, tokens, listening), [listening.bind()]) as port:
-        silent = [socket.create_connection(("127.0.0.1", port), timeout=10) for _ in range(20)]
-        begun = socket.create_connection(("127.0.0.1", port), timeout=10)
+        silent = [socket.create_connection(("127.0.0.1", port), timeout=240) for _ in range(20)]
+        begun = socket.create_connection(("127.0.0.1", port), timeout=240)
         begun.sendall(b"GET /api/v1/health HTTP/1.1\r\nHost:")
         for opened in (*silent, begun):
             with opened:
@@ -261,7 +261,7 @@ def test_a_client_that_takes_nothing_of_an_answer_is_cut_off(store, tokens):
         greedy.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         greedy.connect(("127.0.0.1", port))
         greedy.sendall(f"GET {CHANGE}/samples HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n".encode() * 300)
-        deadline = time.monotonic() + 20
+        deadline = time.monotonic() + 240
         answered = 0
         while server.server_state.connections or not answered:
             answered = server.server_state.total_requests

@@ -14,6 +14,7 @@ from contextlib import suppress
 from datetime import UTC, datetime
 from multiprocessing import get_all_start_methods, get_context
 from pathlib import Path
+from typing import Any
 
 import pytest
 from playwright.sync_api import Browser, Page, expect, sync_playwright
@@ -23,7 +24,9 @@ from daq.records import Channel, PressEvent, PressEventKind, Quality, Scan
 from daq.store.records import NewRun, RunEnd, StoredEstimate
 from daq.store.store import Store, open_store
 
-expect.set_options(timeout=30_000)
+PATIENT_MS = 240_000
+"""What must come is waited for however busy the machine is."""
+expect.set_options(timeout=PATIENT_MS)
 CHROMIUM = next((p for p in ("/usr/bin/chromium", "/usr/bin/chromium-browser") if Path(p).exists()), None)
 FLAGS = [
     "--no-sandbox",
@@ -45,8 +48,18 @@ def browser() -> Iterator[Browser]:
         pytest.skip("no Chromium on this machine; 'apt-get install chromium' lets this test run")
     with sync_playwright() as playwright:
         running = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+        running.new_context, running.new_page = _patient(running.new_context), _patient(running.new_page)
         yield running
         running.close()
+
+
+def _patient(make: Callable[..., Any]) -> Callable[..., Any]:
+    def made(**options: Any) -> Any:
+        opened = make(**options)
+        opened.set_default_timeout(PATIENT_MS)
+        return opened
+
+    return made
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +79,7 @@ def demo(browser: Browser) -> Iterator[str]:
     drain.start()
     yield address
     running.send_signal(signal.SIGINT)
-    running.wait(60)
+    running.wait(240)
     drain.join(10)
     running.stdout.close()
 
@@ -80,7 +93,6 @@ def open_page(browser: Browser, demo: str) -> Iterator[Callable[..., Page]]:
         context = browser.new_context(**{"viewport": {"width": 1280, "height": 860}, "locale": "en-GB", **options})
         contexts.append(context)
         page = context.new_page()
-        page.set_default_timeout(60_000)
         page.on("pageerror", lambda error: complaints.append(str(error)))
         page.on("request", lambda request: _same_host(request.url, demo, complaints))
         page.goto(demo + view)

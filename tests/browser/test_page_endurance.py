@@ -27,7 +27,7 @@ def test_an_open_page_goes_on_by_itself_after_the_server_was_restarted(served):
     seen = tile.inner_text()
     expect(tile).not_to_have_text(seen)
     feed.stop.set()
-    writer.join(20)
+    writer.join(240)
 
 
 @pytest.mark.campaign
@@ -57,7 +57,7 @@ def test_on_a_slow_network_the_page_comes_up_and_stays_live(served):
     seen = tile.inner_text()
     expect(tile).not_to_have_text(seen)
     feed.stop.set()
-    writer.join(20)
+    writer.join(240)
 
 
 def test_when_the_line_goes_dead_old_readings_are_called_old_until_new_ones_come(served):
@@ -73,7 +73,7 @@ def test_when_the_line_goes_dead_old_readings_are_called_old_until_new_ones_come
     server.go_on()
     expect(old).to_be_hidden()
     feed.stop.set()
-    writer.join(20)
+    writer.join(240)
 
 
 def test_readings_shown_once_are_called_old_when_nothing_follows_them(served):
@@ -86,7 +86,7 @@ def test_readings_shown_once_are_called_old_when_nothing_follows_them(served):
     expect(page.get_by_test_id("core")).to_have_text("50.0°C")
     expect(page.get_by_text("No new reading since")).to_be_visible()
     feed.stop.set()
-    writer.join(20)
+    writer.join(240)
 
 
 PRESSINGS, SCANS = edition((3, 27, 30), (30, 270, 300)), 144

@@ -16,10 +16,9 @@ from daq.records import Quality
 from daq.simulated.devices import KINDS, kind_of, simulated, wiring
 from daq.simulated.devices_converter import Switches
 from daq.simulated.devices_line import Server
+from tests.patience import PATIENT, briefly, found_again, until_good
 
-QUICK = {"timeout_s": 0.5, "drain_s": 0.05}
 QUICK_SETUP = {"timing": {"setup_s": 0.002}}
-BACK_WITHIN_S = 5.0
 PROFILES = profile_names()
 CANNOT_SAY_BUSY = {"34970a", "daq970a", "sr630"}
 
@@ -35,7 +34,7 @@ def logger_of(profile, *, names=None, switches=None, **changes):
     names = names or tuple(f"t_{k}" for k in range(inputs))
     with simulated(profile, lambda now_s: truth(inputs), refresh_s=0, switches=switches) as server:
         table = wiring(profile, server, profile, names)
-        table |= QUICK | {"override": table.get("override", {}) | QUICK_SETUP} | changes
+        table |= PATIENT | {"override": table.get("override", {}) | QUICK_SETUP} | changes
         if profile == "generic":
             table["override"] = {**table["override"], "timing": {"response_s": 0.5, "refresh_s": 1.0}}
         logger = open_logger(LoggerSettings(**table))
@@ -108,17 +107,18 @@ def test_a_broken_thermocouple_costs_only_its_own_channel(profile):
 
 def test_a_device_that_falls_silent_is_a_named_gap_and_is_found_again(profile):
     switches = Switches()
-    with logger_of(profile, switches=switches, timeout_s=0.15) as logger:
-        _first_good(logger)
-        switches.silent = True
-        for _ in range(3):
-            with pytest.raises(ReadFailure) as caught:
-                logger.read()
-            assert caught.value.cause in ("silent", "port lost")
-            assert caught.value.quality in (Quality.MISSING, Quality.BAD_FRAME)
-        switches.silent = False
-        reading, waited_s = _first_good(logger)
-        assert waited_s < BACK_WITHIN_S
+    with logger_of(profile, switches=switches) as logger:
+        logger.read()
+
+        def fall_silent():
+            switches.silent = True
+            for _ in range(3):
+                with pytest.raises(ReadFailure) as caught, briefly(logger):
+                    logger.read()
+                assert caught.value.cause in ("silent", "port lost")
+                assert caught.value.quality in (Quality.MISSING, Quality.BAD_FRAME)
+
+        reading = found_again(logger, fall_silent, lambda: setattr(switches, "silent", False))
         assert reading.values == pytest.approx(truth(kind_of(profile).inputs), abs=0.06)
 
 
@@ -130,7 +130,7 @@ def test_a_busy_device_is_a_named_gap(profile):
             logger.read()
         assert caught.value.cause in ("busy", "refused")
         switches.busy = False
-        assert _first_good(logger)[0].qualities[0] is Quality.GOOD
+        assert until_good(logger).qualities[0] is Quality.GOOD
 
 
 def test_closing_twice_does_no_harm_and_reading_after_it_says_so(profile):
@@ -145,15 +145,6 @@ def test_closing_twice_does_no_harm_and_reading_after_it_says_so(profile):
 def test_values_of_a_simulated_device_can_be_marked_as_such(profile):
     with logger_of(profile, simulated=True) as logger:
         assert set(logger.read().qualities) == {Quality.SIMULATED}
-
-
-def _first_good(logger):
-    start = time.monotonic()
-    while True:
-        try:
-            return logger.read(), time.monotonic() - start
-        except ReadFailure:
-            assert time.monotonic() - start < 2 * BACK_WITHIN_S
 
 
 def test_every_profile_stands_in_the_table_of_profiles(profile):

@@ -225,7 +225,7 @@ class FaultProxy:
                         device_send(data)
             killed.set()
             self._outbox.forget(send)
-            back.join(timeout=5)
+            back.join(timeout=240)
 
     def _carry_back(self, read: Read, send: Send, stopped: threading.Event, killed: threading.Event) -> None:
         while not (stopped.is_set() or killed.is_set()):

@@ -43,7 +43,7 @@ def start(tree):
 
 
 def made_by(*processes):
-    told = [process.communicate(timeout=120)[0] for process in processes]
+    told = [process.communicate(timeout=240)[0] for process in processes]
     assert not any(process.returncode for process in processes)
     return [name for line in told for name in line.split()]
 

@@ -26,7 +26,7 @@ def test_the_printed_table_reads_the_device(arguments, capsys):
     server = threading.Thread(target=main, args=(arguments, stop))
     server.start()
     try:
-        printed, deadline = "", time.monotonic() + 10
+        printed, deadline = "", time.monotonic() + 240
         while "channels" not in printed:
             assert time.monotonic() < deadline
             stop.wait(0.05)

@@ -242,7 +242,7 @@ def run_campaign(directory, faulted, seed, give_up_s):
             stop.wait(0.2)
         stop.set()
         for thread in threads:
-            thread.join(timeout=30)
+            thread.join(timeout=240)
         assert not any(thread.is_alive() for thread in threads)
     return tallies, sum((Counter(wire.faults) for wire in wires), Counter())
 
@@ -299,7 +299,7 @@ def test_the_proxy_drops_what_a_busy_machine_kept_it_from_sending_in_time():
         FaultProxy(upstream, spoiler, lambda *_: Fault.NONE, **sound, in_time_s=patience_s.__getitem__) as wire,
         socket.create_connection(("127.0.0.1", wire.place["tcp_port"])) as driver,
     ):
-        driver.settimeout(30.0)
+        driver.settimeout(240.0)
         driver.sendall(b"1")
         while not wire._asked:
             time.sleep(0.001)
@@ -323,7 +323,7 @@ def test_the_proxy_carries_every_reply_to_a_driver_that_asks_again_before_one():
                 asked += connection.recv(9)
             connection.sendall(b"1\r\n2\r\n")
             connection.sendall(b"3\r\n")
-            stopped.wait(30.0)
+            stopped.wait(240.0)
 
     upstream.start(answer)
     options = {"seed": 1, "late_s": (0.0, 0.0), "in_time_s": lambda _: 60.0}
@@ -332,7 +332,7 @@ def test_the_proxy_carries_every_reply_to_a_driver_that_asks_again_before_one():
         FaultProxy(upstream, proxy.bare_text_spoiler(), lambda *_: Fault.NONE, **options) as wire,
         socket.create_connection(("127.0.0.1", wire.place["tcp_port"])) as driver,
     ):
-        driver.settimeout(30.0)
+        driver.settimeout(240.0)
         for question in (b"1?", b"2?", b"3?"):
             driver.sendall(question)
         answers = b""

@@ -37,7 +37,7 @@ class Herd:
 
     def kill(self, role):
         os.kill(self.alive[role], signal.SIGKILL)
-        wait_until(lambda: not Path(f"/proc/{self.alive[role]}").exists() or is_zombie(self.alive[role]), 10)
+        wait_until(lambda: not Path(f"/proc/{self.alive[role]}").exists() or is_zombie(self.alive[role]))
         self.kills[role] += 1
 
     def acknowledged(self, role):
@@ -74,7 +74,7 @@ def herd(folder, store=None):
                 if not is_zombie(pid):
                     os.kill(pid, signal.SIGKILL)
             parent.stdin.close()
-            parent.wait(20)
+            parent.wait(240)
             parent.stdout.close()
 
 

@@ -102,7 +102,7 @@ def recording(made):
         yield
     finally:
         stop.set()
-        thread.join(30)
+        thread.join(240)
     assert not failures
     assert not thread.is_alive()
 
@@ -119,7 +119,7 @@ def test_pressings_are_recorded_as_runs_with_their_moments_and_start_temperature
     near = 1.0 + 0.2 * speed  # a fifth of a second in which a busy machine reads nothing
     with plant(tmp_path, speed=speed, rate_hz=2.0) as made, open_store(made.url) as store:
         with recording(made):
-            wait_until(lambda: len(store.runs(status=RunStatus.CLOSED).items) >= 2, 120)
+            wait_until(lambda: len(store.runs(status=RunStatus.CLOSED).items) >= 2)
         runs = store.runs(status=RunStatus.CLOSED).items[:2]
         for record_ in runs:
             zero = record_.zero_monotonic_s - made.began * made.speed
@@ -162,9 +162,9 @@ def test_a_pressure_channel_and_a_stuck_switch_go_before_the_temperatures_and_di
             pressure = 'pressure = { column = "bar", closed_above = 20.0, unit = "bar" }\n'
             press.write_text(press.read_text().replace("[press]\n", "[press]\n" + pressure))
             with recording(made):
-                wait_until(lambda: len(store.runs(status=RunStatus.CLOSED).items) >= 1, 120)
+                wait_until(lambda: len(store.runs(status=RunStatus.CLOSED).items) >= 1)
                 stuck.set()
-                wait_until(lambda: store.journal(press="lab", level="warning").items, 120)
+                wait_until(lambda: store.journal(press="lab", level="warning").items)
                 told = store.newest_scan_number("lab")
                 wait_until(lambda: store.newest_scan_number("lab") > told + 30)  # in which nothing is said again
         kept = store.runs(status=RunStatus.CLOSED).items[-1]
@@ -205,12 +205,12 @@ def test_a_silent_logger_is_said_once_leaves_gaps_with_cause_and_does_not_distur
         with recording(made):
             wait_until(lambda: store.newest_scan_number("lab") > 10)
             made.lower.silent = True
-            wait_until(lambda: any("does not answer" in str(e.message) for e in store.journal().items), 20)
+            wait_until(lambda: any("does not answer" in str(e.message) for e in store.journal().items))
             first = store.newest_scan_number("lab")
             wait_until(lambda: store.newest_scan_number("lab") > first + 20)
             said = store.statuses()["record"].status
             made.lower.silent = False
-            wait_until(lambda: any("answers again" in str(e.message) for e in store.journal().items), 20)
+            wait_until(lambda: any("answers again" in str(e.message) for e in store.journal().items))
             last = store.newest_scan_number("lab")
         batch = store.scans_after("lab", first, 20)
         names = [c.name for c in batch.channels]
@@ -273,7 +273,7 @@ def all_scans(store):
 def test_a_changed_configuration_is_taken_over_between_runs_without_losing_a_scan(tmp_path):
     with plant(tmp_path, speed=10.0, rate_hz=1.0) as made, open_store(made.url) as store:
         with recording(made):
-            wait_until(lambda: store.open_run("lab") is not None, 60)
+            wait_until(lambda: store.open_run("lab") is not None)
             under_way = store.open_run("lab").run
             text = made.config.read_text()
             made.config.write_text(text.replace("speed = 10.0", "speed = 5.0"))
@@ -286,9 +286,9 @@ def test_a_changed_configuration_is_taken_over_between_runs_without_losing_a_sca
             made.config.write_text(changed.replace('"bottom_7"', '""'))
             wait_until(lambda: any("takes effect between runs" in str(e.message) for e in store.journal().items))
             assert not any("is in force" in str(e.message) for e in store.journal().items)
-            wait_until(lambda: (now := store.open_run("lab")) is not None and now.run != under_way, 60)
+            wait_until(lambda: (now := store.open_run("lab")) is not None and now.run != under_way)
             later = store.open_run("lab").run
-            wait_until(lambda: store.run_record(later).status is not RunStatus.OPEN, 60)
+            wait_until(lambda: store.run_record(later).status is not RunStatus.OPEN)
         runs = {r.run: r.header["panel.material"] for r in store.runs().items}
         before, after = store.load_run(under_way), store.load_run(later)
         assert runs.pop(under_way) == "MDF"
@@ -398,9 +398,9 @@ def test_a_calibration_that_changes_is_in_force_between_runs_and_kept_with_them(
             wait_until(lambda: store.newest_scan_number("lab") > 10)
             raw = newest()
             (tmp_path / "upper.toml").write_text(entry.format(1, "0.0") + entry.format(2, "30.0"))
-            wait_until(lambda: newest() > raw + 20.0, 60)
+            wait_until(lambda: newest() > raw + 20.0)
             assert any("is in force" in str(e.message) for e in store.journal().items)
-            wait_until(lambda: store.open_run("lab") is not None, 60)
+            wait_until(lambda: store.open_run("lab") is not None)
             kept = store.configuration_of(store.open_run("lab").run)
         assert "date = 2026-01-02" in kept
         assert "offset_K = 30.0" in kept
@@ -423,7 +423,7 @@ def acknowledged_until_killed(child, wait_s):
 
     listener = threading.Thread(target=listen)
     listener.start()
-    wait_until(lambda: numbers or child.poll() is not None, 60)
+    wait_until(lambda: numbers or child.poll() is not None)
     end = time.monotonic() + wait_s
     while time.monotonic() < end:
         time.sleep(0.005)
@@ -462,12 +462,12 @@ def test_killed_in_mid_run_the_recorder_loses_nothing_acknowledged_and_resumes(t
         with open_store(made.url) as store:
             before = {r.run for r in store.runs().items}
             child = start(made)
-            wait_until(lambda: (now := store.open_run("lab")) is not None and now.run not in before, 60)
+            wait_until(lambda: (now := store.open_run("lab")) is not None and now.run not in before)
             run = store.open_run("lab").run
             last = acknowledged_until_killed(child, 0.3)
             assert store.run_record(run).status is RunStatus.OPEN
             child = start(made)
-            wait_until(lambda: store.run_record(run).status is RunStatus.INTERRUPTED, 60)
+            wait_until(lambda: store.run_record(run).status is RunStatus.INTERRUPTED)
             assert len(store.load_run(run).time_s) > 5
             acknowledged_until_killed(child, 0.2)
             assert any(f"run {run} was interrupted" in str(e.message) for e in store.journal().items)
@@ -478,9 +478,9 @@ def test_killed_in_mid_run_the_recorder_loses_nothing_acknowledged_and_resumes(t
 def test_asked_to_end_the_recorder_writes_what_it_has_and_ends_in_order(tmp_path):
     with plant(tmp_path, speed=20.0, rate_hz=2.0) as made, open_store(made.url) as store:
         child = start(made)
-        wait_until(lambda: store.open_run("lab") is not None, 60)
+        wait_until(lambda: store.open_run("lab") is not None)
         child.send_signal(signal.SIGTERM)
-        out, _ = child.communicate(timeout=20)
+        out, _ = child.communicate(timeout=240)
         assert child.returncode == 0
         acknowledged = [int(line.split()[1]) for line in out.split("\n") if line]
         assert acknowledged[-1] == store.newest_scan_number("lab")
@@ -495,7 +495,7 @@ def test_a_recorder_on_postgresql_stores_the_same(tmp_path, postgresql_url):
         open_store(postgresql_url) as store,
     ):
         with recording(made):
-            wait_until(lambda: len(store.runs(status=RunStatus.CLOSED).items) >= 1, 60)
+            wait_until(lambda: len(store.runs(status=RunStatus.CLOSED).items) >= 1)
         run = store.load_run(store.runs(status=RunStatus.CLOSED).items[0].run)
         assert np.median(np.diff(run.time_s)) == pytest.approx(0.5, rel=0.05)
 
@@ -503,14 +503,14 @@ def test_a_recorder_on_postgresql_stores_the_same(tmp_path, postgresql_url):
 def test_a_second_recorder_is_sent_away_and_does_not_disturb_the_first(tmp_path, store_url):
     with plant(tmp_path, speed=20.0, rate_hz=2.0, store=store_url) as made, open_store(store_url) as store:
         with recording(made):
-            wait_until(lambda: store.open_run("lab") is not None, 60)
+            wait_until(lambda: store.open_run("lab") is not None)
             run = store.open_run("lab").run
             command = [sys.executable, "-m", "daq.recording.recorder", str(made.config)]
-            second = subprocess.run(command, capture_output=True, text=True, timeout=60)
+            second = subprocess.run(command, capture_output=True, text=True, timeout=240)
             assert second.returncode
             assert "another recorder" in second.stderr.splitlines()[-1]
             assert not second.stdout
-            wait_until(lambda: store.run_record(run).status is not RunStatus.OPEN, 60)
+            wait_until(lambda: store.run_record(run).status is not RunStatus.OPEN)
             assert store.run_record(run).status is RunStatus.CLOSED
         assert not any("interrupted" in str(e.message) for e in store.journal(limit=500).items)
 
@@ -527,7 +527,7 @@ def test_a_second_recorder_that_comes_by_a_link_is_sent_away_too(tmp_path, link)
         assert made.url in text
         (tmp_path / "second.toml").write_text(text.replace(made.url, str(other / "linked.sqlite")))
         command = [sys.executable, "-m", "daq.recording.recorder", str(tmp_path / "second.toml")]
-        second = subprocess.run(command, capture_output=True, text=True, timeout=60)
+        second = subprocess.run(command, capture_output=True, text=True, timeout=240)
         assert second.returncode
         assert "another recorder" in second.stderr.splitlines()[-1]
 

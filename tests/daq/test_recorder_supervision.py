@@ -35,8 +35,9 @@ MODULES = (
 )
 ONCE = {"__init__", "start", "close", "join", "main", "record", "expect", "later_key", "stop", "retire"}
 """Called when a recorder begins or ends, not while it records."""
-PRESSING_S = 5.0
-"""In so much time a pressing of the plant begins and ends."""
+PRESSING_S = 10.0
+"""In so much time a pressing of the plant begins and ends, on a busy machine, too."""
+LONGEST_S = 240.0
 
 
 class Injected(Exception):
@@ -92,7 +93,11 @@ def all_numbers(opened):
     return numbers
 
 
-@pytest.mark.timeout(600)
+def _told(call, alarms, before):
+    """Whether an error at a call is told: by an alarm of its own, by one before it, or by a driver's gaps."""
+    return len(alarms) > before or call[1] in "".join(alarms) or "read" in call[1]
+
+
 def test_an_error_at_any_call_in_any_thread_is_told_and_recording_goes_on(tmp_path, monkeypatch):
     monkeypatch.setattr("daq.supervision.RESTART_S", 0.02)
     monkeypatch.setattr(outbox, "_FIRST_RETRY_S", 0.02)
@@ -105,7 +110,7 @@ def test_an_error_at_any_call_in_any_thread_is_told_and_recording_goes_on(tmp_pa
             return [str(e.message) for e in opened.journal(level="alarm", limit=200).items]
 
         with recording_by(made):
-            wait_until(lambda: opened.runs().items and len(opened.press_events("lab")) >= 4, 60)
+            wait_until(lambda: opened.runs().items and len(opened.press_events("lab")) >= 4)
             threads = [name for name in injector.seen if name in ("writer", "press", "logger", "Thread-1")]
             assert {"writer", "press", "logger"} <= set(threads)
             names = ("writer", "press", "logger")
@@ -117,11 +122,11 @@ def test_an_error_at_any_call_in_any_thread_is_told_and_recording_goes_on(tmp_pa
                 if (call := injector.first_called(calls, longest_s)) is None:
                     return None
                 newest = opened.newest_scan_number("lab")
-                wait_until(lambda: opened.newest_scan_number("lab") > newest + 2, 20)
-                at = time.monotonic() + 10.0
-                while len(alarms()) == said and time.monotonic() < at:
+                wait_until(lambda: opened.newest_scan_number("lab") > newest + 2)
+                at = time.monotonic() + LONGEST_S
+                while not (told := _told(call, alarms(), said)) and time.monotonic() < at:
                     time.sleep(0.02)
-                if len(alarms()) == said and call[1] not in "".join(alarms()) and "read" not in call[1]:
+                if not told:
                     untold.append(call)
                 tried.add(call)
                 return call
@@ -154,7 +159,7 @@ def test_a_fault_the_journal_did_not_take_is_told_as_soon_as_it_takes_one():
 
     thread = SupervisedThread("press", work, journal)
     thread.start()
-    thread.join(10.0)
+    thread.join(240.0)
     faults = [unexpected(Injected(which)) for which in ("first", "second")]
     assert told == [say("thread-failed", thread="press", why=fault) for fault in faults]
     assert len(tries) == 4

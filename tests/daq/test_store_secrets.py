@@ -53,7 +53,7 @@ def test_a_password_is_nowhere_in_what_a_session_with_faults_wrote(tmp_path, ser
             subprocess.Popen(command, cwd=Path(__file__).parents[2], stdout=written, stderr=written) as child,
         ):
             try:
-                wait_until(lambda: store.runs().items, 60)
+                wait_until(lambda: store.runs().items)
                 with psycopg.connect(postgresql_url.replace("+psycopg", ""), autocommit=True) as connection:
                     connection.execute(
                         "SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE usename = %s", (user,)

@@ -25,7 +25,6 @@ from tests.deploy.truth import KILLED, RESTARTED, Fault, PacedPress, PlantClock,
 
 
 @pytest.mark.campaign
-@pytest.mark.timeout(900)
 @pytest.mark.skipif(os.name == "nt", reason="SIGKILL is POSIX")
 def test_after_every_kind_of_fault_nothing_is_unaccounted_for(tmp_path):
     plan = Plan(3, 9, Pace(15.0, 1.0), Pace(120.0, 0.5), day_s=3600.0)

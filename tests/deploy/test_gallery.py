@@ -25,7 +25,7 @@ every_notebook = pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: pat
 def kernel(tmp_path_factory):
     """One kernel for all of them, as starting one takes as long as running one."""
     folder = tmp_path_factory.mktemp("notebooks")
-    client = NotebookClient(nbformat.v4.new_notebook(), timeout=500, resources={"metadata": {"path": str(folder)}})
+    client = NotebookClient(nbformat.v4.new_notebook(), timeout=800, resources={"metadata": {"path": str(folder)}})
     with client.setup_kernel(env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}):
         yield client
     assert not list(folder.iterdir())
@@ -69,7 +69,6 @@ def test_only_public_names_are_used(script):
 
 
 @pytest.mark.campaign
-@pytest.mark.timeout(600)
 @every_notebook
 def test_the_notebook_runs(script, kernel):
     written = nbformat.read(script.with_suffix(".ipynb"), as_version=4)

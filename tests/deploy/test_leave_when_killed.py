@@ -19,7 +19,6 @@ from tests.daq.test_recorder import plant, wait_until
 
 pytestmark = [
     pytest.mark.campaign,
-    pytest.mark.timeout(900),
     pytest.mark.skipif(os.name == "nt", reason="SIGKILL is POSIX"),
 ]
 ROOT = Path(__file__).parents[2]
@@ -56,7 +55,7 @@ class Plant:
         return time.monotonic()
 
     def ask(self, path):
-        return httpx.get(f"http://127.0.0.1:{self.port}/api/v1/{path}", timeout=60).json()["items"][0]
+        return httpx.get(f"http://127.0.0.1:{self.port}/api/v1/{path}", timeout=240).json()["items"][0]
 
     def allowed_by_rest(self):
         press, advice = self.ask("press"), self.ask("advice")["advice"]
@@ -106,7 +105,7 @@ def running(folder, broker, speed=1.0):
 
 def answers(port):
     try:
-        return bool(httpx.get(f"http://127.0.0.1:{port}/api/v1/press", timeout=60).json()["items"])
+        return bool(httpx.get(f"http://127.0.0.1:{port}/api/v1/press", timeout=240).json()["items"])
     except (httpx.TransportError, KeyError):
         return False
 

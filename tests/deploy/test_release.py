@@ -100,7 +100,6 @@ def test_each_thing_that_is_shipped_names_its_licence():
 
 
 @pytest.mark.campaign
-@pytest.mark.timeout(900)
 def test_installed_alone_it_says_its_version_and_serves_its_page(wheel, tmp_path, monkeypatch):
     monkeypatch.delenv("PYTHONPATH", raising=False)
     subprocess.run([sys.executable, "-m", "venv", str(tmp_path / "venv")], check=True)
@@ -126,5 +125,5 @@ def test_installed_alone_it_says_its_version_and_serves_its_page(wheel, tmp_path
         assert urlopen(f"{address}api/v1/health").status == 200
     finally:
         server.terminate()
-        server.wait(20)
+        server.wait(240)
         server.stdout.close()

@@ -78,7 +78,7 @@ for name, line, oneshot in [m for n in names for m in members(n)]:
         time.sleep(0.5)  # who refuses at once is shown here; who does so later, at the step that needs it
         assert child.poll() is None, (pc / (name + ".log")).read_text()
 if verb == "start" and "kerntemp.target" in names:
-    deadline = time.monotonic() + 150
+    deadline = time.monotonic() + 240
     while "serves" not in (pc / "kerntemp-serve.log").read_text():
         assert time.monotonic() < deadline
         time.sleep(0.1)
@@ -187,7 +187,7 @@ class PressPc:
             capture_output=True,
             text=True,
             check=False,
-            timeout=200,
+            timeout=240,
         )
         assert done.returncode == 0, f"{command}\n{done.stdout[-2000:]}\n{done.stderr[-2000:]}"
         return done.stdout
@@ -206,7 +206,7 @@ class PressPc:
             self._wait("no pressing was fitted", lambda: any(store.fit(r.run) for r in closed))
 
     def _wait(self, else_: str, done: Callable[[], object]) -> None:
-        deadline = time.monotonic() + 150
+        deadline = time.monotonic() + 240
         while not done():
             assert time.monotonic() < deadline, else_
             time.sleep(0.2)
@@ -224,7 +224,6 @@ def pc(tmp_path: Path) -> Iterator[PressPc]:
 
 @posix_only
 @pytest.mark.campaign
-@pytest.mark.timeout(900)
 def test_every_command_works_in_the_order_of_the_runbook(pc):
     said = {}
     for line in commands(setup=False):
@@ -244,7 +243,7 @@ def test_every_command_works_in_the_order_of_the_runbook(pc):
     assert (pc.folder / "var/lib/kerntemp/first.json").is_file()
     assert (pc.folder / "var/lib/kerntemp/restored.sqlite").is_file()
     with open_store(str(pc.folder / "var/lib/kerntemp/kerntemp.sqlite")) as store:
-        deadline = time.monotonic() + 60
+        deadline = time.monotonic() + 240
         while "publish" not in store.statuses() and time.monotonic() < deadline:
             time.sleep(0.2)
         assert {"record", "sense", "publish"} <= set(store.statuses())
@@ -340,7 +339,7 @@ def test_the_scheduler_and_workers_of_the_runbook_come_up():
         with subprocess.Popen([program, *line, "--no-dashboard"], stderr=subprocess.DEVNULL) as second:
             try:
                 with Client(address, timeout="60s") as client:
-                    client.wait_for_workers(1, timeout=60)
+                    client.wait_for_workers(1, timeout=240)
                     assert list(client.nthreads().values()) == [1]
             finally:
                 second.terminate()

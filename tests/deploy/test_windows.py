@@ -173,7 +173,7 @@ def test_record_sense_and_serve_start_and_work_without_them(tmp_path):
             time.sleep(0.1)
         for name, child in children.items():
             child.send_signal(signal.SIGTERM)
-            assert child.wait(30) in (0, -signal.SIGTERM), (tmp_path / f"{name}.log").read_text()
+            assert child.wait(240) in (0, -signal.SIGTERM), (tmp_path / f"{name}.log").read_text()
 
 
 def _works(path: Path) -> bool:

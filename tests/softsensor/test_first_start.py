@@ -24,7 +24,6 @@ print(json.dumps([(module, name, str(tuple(s))) for (module, name), f in found f
 
 
 @pytest.mark.parametrize("work", Work)
-@pytest.mark.timeout(900)
 def test_the_list_holds_what_the_work_compiles(work):
     """Else: ``python -m tests.first_start``."""
     command = [sys.executable, "-c", NEEDED, work]

@@ -694,7 +694,7 @@ def test_presses_on_dask_are_found_to_the_bit_as_here_and_a_killed_worker_costs_
                     hand.start()
                     done = list(refit_presses(store, presses, dask=cluster.scheduler_address))
                     over.set()
-                    hand.join(30)
+                    hand.join(240)
                 assert {o.press for o in done if o.promoted} == set(presses)
             found.append(found_by(store, presses))
     assert len(killed) == 1
@@ -748,7 +748,7 @@ def test_a_dask_worker_that_is_killed_in_mid_fit_costs_a_repetition_and_never_a_
         hand.start()
         done = list(fit_all(tasks, dask=cluster.scheduler_address))
         over.set()
-        hand.join(30)
+        hand.join(240)
     assert len(killed) == 4
     assert sorted(one.run for one in done) == sorted(run.name for run in runs[:3])
     assert all(one.fit is not None for one in done)

@@ -138,7 +138,6 @@ def test_two_names_of_one_cause_are_never_told_apart() -> None:
 
 
 @pytest.mark.campaign
-@pytest.mark.timeout(900)
 def test_two_designed_pressings_tell_apart_what_repeated_ones_hardly_do() -> None:
     """A conductivity 15 % off in seven panels of 16 mm, which these leave suspected beside the heat capacity.
 
