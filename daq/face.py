@@ -12,12 +12,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import pandas as pd
 
 from daq.files.frames import frame_of, run_of
 from daq.files.instants import STARTED
+from daq.files.run_file import read_run
+from daq.given import path_of
 from daq.press.detector import PressEventDetector
 from daq.press.events import find_moments as find_run_moments
 from daq.press.press_file import Press, read_press
@@ -27,6 +29,8 @@ from daq.store.store import Store
 from daq.store.store import open_store as open_database
 
 # Numbers without another source were set by hand, 2026-11.
+
+AnyRun: TypeAlias = Run | pd.DataFrame | Path | str
 
 HISTORY_ROWS = 200
 """Rows asked of the store at a time."""
@@ -121,7 +125,7 @@ def open_store(url: str | Path) -> StoreTables:
     return StoreTables(open_database(str(url), create=False))
 
 
-def play(run: Run | pd.DataFrame, store: Path | str, press: str, *, scans: int = 1, pause_s: float = 0.0) -> None:
+def play(run: AnyRun, store: Path | str, press: str, *, scans: int = 1, pause_s: float = 0.0) -> None:
     """Write a run into a store as a recorder does while it is pressed, to try without a press what reads along.
 
     Parameters
@@ -140,7 +144,7 @@ def play(run: Run | pd.DataFrame, store: Path | str, press: str, *, scans: int =
     StoreUnavailable
         Where the disk or the server refuses now.
     """
-    played = run_of(run) if isinstance(run, pd.DataFrame) else run
+    played = _run(run)
     columns = {name: values.tolist() for name, values in played.columns.items()}
     started = played.header.get(STARTED)
     began = started if isinstance(started, datetime) and started.tzinfo else datetime.now(UTC)
@@ -163,21 +167,20 @@ def _scan(number: int, began: datetime, time_s: float, values: Sequence[float]) 
     return Scan(number, began + timedelta(seconds=time_s), time_s, tuple(values), qualities)
 
 
-def find_moments(run: Run | pd.DataFrame, press: Press | Path | str) -> Moments:
+def find_moments(run: AnyRun, press: Press | Path | str) -> Moments:
     """Return when the press closed and opened in a run, and when the panel came and went. [s of the run]"""
-    described = press if isinstance(press, Press) else read_press(Path(press))
-    return find_run_moments(run_of(run) if isinstance(run, pd.DataFrame) else run, described)
+    return find_run_moments(_run(run), _press(press))
 
 
-def find_events(table: Run | pd.DataFrame, press: Press | Path | str) -> pd.DataFrame:
+def find_events(table: AnyRun, press: Press | Path | str) -> pd.DataFrame:
     """Find every press event of a table, which may hold many pressings: one row an event, by ``time_s``.
 
     Causal, as the recorder finds them: an event rests on the rows up to ``noticed_s``. Columns are ``event``
     (inserted, closed, opened, removed), ``noticed_s`` and ``source``; where the run's header knows its start,
     ``utc`` too. For one pressing `find_moments` places the moments better, with both sides of each known.
     """
-    run = run_of(table) if isinstance(table, pd.DataFrame) else table
-    detector = PressEventDetector(press if isinstance(press, Press) else read_press(Path(press)))
+    run = _run(table)
+    detector = PressEventDetector(_press(press))
     seen = {name: values.tolist() for name, values in run.columns.items()}
     found = []
     for i, time_s in enumerate(run.time_s.tolist()):
@@ -190,6 +193,16 @@ def find_events(table: Run | pd.DataFrame, press: Press | Path | str) -> pd.Data
     if rows and isinstance(started := run.header.get(STARTED), datetime):
         events["utc"] = pd.Timestamp(started) + pd.to_timedelta(events.index, unit="s")
     return events
+
+
+def _run(given: AnyRun) -> Run:
+    if isinstance(given, pd.DataFrame):
+        return run_of(given)
+    return given if isinstance(given, Run) else read_run(path_of(given, "given-no-run"))
+
+
+def _press(given: Press | Path | str) -> Press:
+    return given if isinstance(given, Press) else read_press(path_of(given, "given-no-press"))
 
 
 def _table(rows: list[dict[str, Any]], index: str, columns: tuple[str, ...]) -> pd.DataFrame:

@@ -135,7 +135,9 @@ def predict(asked: PredictOptions) -> None:
 
 def _check_model(presses: tuple[Press, Press], model: ModelFile, path: Path | None) -> None:
     """Refuse coefficients the press does not have, raising `InputError`; warn of another press's model."""
-    _check_names(presses, model.coefficients, str(path))
+    from softsensor.jobs.model_files import check_coefficient_names
+
+    check_coefficient_names(model.coefficients, presses, str(path))
     if model.press not in ("", presses[0].name):
         warn(say("terminal-model-of-another-press", path=str(path), other=model.press, press=presses[0].name))
 
@@ -150,21 +152,9 @@ def _read_coefficients(path: Path, presses: tuple[Press, Press]) -> dict[str, fl
         raise InputError(say("terminal-coefficients-not-json", path=str(path), why=reason_of(error))) from error
     if not isinstance(content, dict):
         raise InputError(say("terminal-coefficients-no-object", path=str(path)))
-    for name, value in content.items():
-        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < 1e9:
-            wrong = {"name": str(name), "value": repr(value)}
-            raise InputError(say("terminal-coefficient-not-positive", path=str(path), **wrong))
-    _check_names(presses, content, str(path))
-    return {name: float(value) for name, value in content.items()}
+    from softsensor.jobs.model_files import coefficients_of
 
-
-def _check_names(presses: tuple[Press, Press], given: Mapping[str, Any], where: str) -> None:
-    """Refuse a coefficient that neither the press file nor the run's own press has. Raises `InputError`."""
-    names = dict.fromkeys(name for press in presses for name in press.coefficient_names)
-    if unknown := [name for name in given if name not in names]:
-        press, known = presses[0].name, tuple(names)
-        said = say("terminal-coefficient-unknown", where=where, name=unknown[0], press=press, known=known)
-        raise InputError(said)
+    return coefficients_of(content, presses, str(path))
 
 
 TEMPERATURE_DIGITS = 3

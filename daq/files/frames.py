@@ -15,6 +15,7 @@ from daq.files.instants import STARTED, for_json, from_json, seconds_of
 from daq.files.layout import Layout, layout_of, nanoseconds_of, with_index, with_kinds
 from daq.files.qualities import OTHERS, QUALITY, rows_alike, without_unusable
 from daq.files.run_rows import CLOSED, TIME, Rows, check_names, check_no_words, check_rows, row_place
+from daq.given import refused
 from daq.press.header import check_header
 from daq.records import UNNAMED, Array, InputError, Quality, Run, with_frozen_fields
 from daq.tables import at
@@ -53,6 +54,8 @@ def frame_of(run: Run, *, utc: bool = False, as_given: bool = False) -> pd.DataF
     2026-03-04 08:00:00+01:00   21.4      7
     2026-03-04 08:00:01+01:00   21.5      7
     """
+    if not isinstance(run, Run):
+        raise refused(run, "given-no-run")
     index = _instants(run) if utc else pd.Index(run.time_s, name=TIME)
     frame = pd.DataFrame({**run.columns, **run.texts}, index=index)
     if isinstance(run.layout, Layout):
@@ -72,6 +75,8 @@ def qualities_of(run: Run) -> pd.DataFrame:
 
     A missing value that nothing is said of is ``missing``; columns that a row's ``*`` covers have its quality.
     """
+    if not isinstance(run, Run):
+        raise refused(run, "given-no-run")
     codes = {quality: np.int8(code) for code, quality in enumerate(Quality)}
     cells = {
         name: np.where(np.isnan(values), codes[Quality.MISSING], codes[Quality.GOOD])
@@ -108,6 +113,8 @@ def run_of(frame: pd.DataFrame, header: Mapping[str, Any] | None = None) -> Run:
         For times that do not rise, names that come twice, values that no channel has, complex numbers, labels of
         several levels, or a key of ``attrs`` that is no text: column and row are named.
     """
+    if not isinstance(frame, pd.DataFrame):
+        raise refused(frame, "given-no-table")
     given = {**frame.attrs, **(header or {})}
     _check_labels(frame, given)
     keys = from_json(given)

@@ -233,6 +233,19 @@ frame-key-no-text = Schlüssel { $key } in attrs ist kein Text; die Schlüssel e
 frame-without-rows = { $run }: die Tabelle hat keine Zeilen; eine Pressung braucht mindestens eine Messzeile
 frame-without-start = Im Kopf fehlt, wann die Pressung begann; { $key } als Zeitpunkt mit Zeitzone angeben oder time_s nehmen
 frame-without-times = { $run }: die Tabelle hat keine Zeiten; eine Spalte oder einen Index time_s in Sekunden angeben, oder einen Index aus Zeitpunkten (Spalten sind { $columns })
+given-key-no-text = Schlüssel { $key } ist kein Text; Namen als Texte angeben
+given-no-effect = { $found }: ein Effekt wird als Effect angegeben
+given-no-header = { $found }: ein Kopf wird als Zuordnung von Schlüsseln mit Punkten angegeben, etwa {"{"}"panel.thickness_mm": 16.0{"}"}
+given-no-limits = { $found }: Grenzen werden als Zuordnung von Zahlen zu Namen angegeben, etwa {"{"}"core_least_C": 110.0{"}"}
+given-no-mapping = { $found }: eine Zuordnungsdatei wird mit ihrem Pfad angegeben
+given-no-model = { $found }: ein Modell wird mit dem Pfad einer Modelldatei angegeben, als ModelFile oder als Ergebnis einer Anpassung oder Diagnose
+given-no-names = { $found }: Namen werden als ein Text oder mehrere angegeben
+given-no-press = { $found }: eine Presse wird mit dem Pfad einer Pressendatei angegeben oder als das, was read_press gab
+given-no-ranges = { $found }: Bereiche werden als Zuordnung von je zwei Zahlen zu Namen angegeben, etwa {"{"}"press_time_s": (60.0, 240.0){"}"}
+given-no-resin = { $found }: ein Harz wird mit dem Pfad einer Harzdatei angegeben oder als Resin
+given-no-run = { $found }: eine Pressung wird mit dem Pfad einer CSV- oder Parquet-Datei angegeben, als pandas-Tabelle oder als Run; die Tabelle einer anderen Bibliothek geht mit ihrem to_pandas()
+given-no-settings = { $found }: Einstellungen werden als Zuordnung von Zahlen zu Namen angegeben, etwa {"{"}"press_time_s": 90.0{"}"}
+given-no-table = { $found }: eine Tabelle wird als DataFrame von pandas angegeben; die einer anderen Bibliothek geht mit ihrem to_pandas()
 header-far-from-table = Kopfschlüssel { $key } = { NUMBER($value) } { $unit } liegt weit von den { NUMBER($table) } { $unit } der Materialtabelle für { $material }; bitte prüfen
 header-key-meant = Kopfschlüssel { $key } ist unbekannt; gemeint ist wohl { $meant }
 header-key-twice = Kopfschlüssel { $key } ist zweimal angegeben; einen behalten
@@ -658,6 +671,8 @@ boundary-gap = { $run }: die Spalte '{ $column }' ist { NUMBER($seconds, minimum
 boundary-impossible = { $run }: Spalte '{ $column }' = { $value } °C bei time_s = { $time }: boundary.{ $end } muss zwischen { NUMBER($lower, maximumFractionDigits: 6) } und { NUMBER($upper, maximumFractionDigits: 6) } °C liegen; die Zelle leeren
 coefficient-missing = Koeffizient { $name } fehlt; alle angeben: { $all }
 coefficient-negative = { $name } = { $value } W/m²K: muss eine endliche Zahl sein, mindestens 0
+coefficient-not-positive = { $where }: { $name } = { $value }: muss eine Zahl über 0 in W/m²K sein
+coefficient-unknown = { $where }: { $name }: die Presse „{ $press }“ hat keinen solchen Koeffizienten; sie hat { $known }
 header-ambient-impossible = { $run }: Kopfdaten ambient.temperature_C = { $value }: muss eine Zahl von { NUMBER($lower, maximumFractionDigits: 6) } bis { NUMBER($upper, maximumFractionDigits: 6) } sein
 header-pressure-impossible = { $run }: Kopfdaten setting.pressure_N_cm2 = { $value }: muss eine Zahl über 0 N/cm² sein; berichtigen oder, wo sie nicht bekannt ist, weglassen
 header-table-not-rising = Kopfschlüssel { $key }: die Temperaturen der Tabelle steigen nicht von Zeile zu Zeile
@@ -1577,8 +1592,6 @@ terminal-check-failed = { $path }: { $failures }
 terminal-check-logger-failed = Presse { $press }, Messgerät { $logger }: { $why }
 terminal-check-store-opens = Datenspeicher { $store }: lässt sich öffnen
 terminal-check-well-formed = { $path }: wohlgeformt
-terminal-coefficient-not-positive = { $path }: { $name } = { $value }: muss eine Zahl über 0 in W/m²K sein
-terminal-coefficient-unknown = { $where }: { $name }: die Presse „{ $press }“ hat keinen solchen Koeffizienten; sie hat { $known }
 terminal-coefficients-no-object = { $path }: muss ein Objekt {"{"}NAME: Wert{"}"} sein
 terminal-coefficients-not-json = { $path }: kein JSON: { $why }
 terminal-coefficients-or-model = --coefficients und --model schließen einander aus; eins angeben

@@ -233,6 +233,19 @@ frame-key-no-text = key { $key } of attrs is not a text; a header's keys are tex
 frame-without-rows = { $run }: the table has no rows; a run needs at least one scan
 frame-without-start = the header lacks the time at which the run began; give { $key } as an instant with its time zone, or use time_s
 frame-without-times = { $run }: the table has no times; give a column or an index time_s in seconds, or an index of instants (columns are { $columns })
+given-key-no-text = key { $key } is not a text; give names as texts
+given-no-effect = { $found }: an effect is given as an Effect
+given-no-header = { $found }: a header is given as a mapping of dotted keys, such as {"{"}"panel.thickness_mm": 16.0{"}"}
+given-no-limits = { $found }: limits are given as a mapping of numbers by name, such as {"{"}"core_least_C": 110.0{"}"}
+given-no-mapping = { $found }: a mapping is given as the path of its TOML file
+given-no-model = { $found }: a model is given as the path of a model file, a ModelFile, or the result of a fit or a diagnosis
+given-no-names = { $found }: names are given as one text or several
+given-no-press = { $found }: a press is given as the path of a press file, or as what read_press returned
+given-no-ranges = { $found }: ranges are given as a mapping of two numbers by name, such as {"{"}"press_time_s": (60.0, 240.0){"}"}
+given-no-resin = { $found }: a resin is given as the path of a resin file, or as a Resin
+given-no-run = { $found }: a run is given as the path of a CSV or Parquet file, a pandas table, or a Run; another library's table comes in by its to_pandas()
+given-no-settings = { $found }: settings are given as a mapping of numbers by name, such as {"{"}"press_time_s": 90.0{"}"}
+given-no-table = { $found }: a table is given as a pandas DataFrame; another library's comes in by its to_pandas()
 header-far-from-table = header key { $key } = { NUMBER($value) } { $unit } lies far from the { NUMBER($table) } { $unit } of { $material } in the material table; check it
 header-key-meant = header key { $key } is not known; did you mean { $meant }?
 header-key-twice = header key { $key } is given twice; keep one
@@ -658,6 +671,8 @@ boundary-gap = { $run }: column '{ $column }' is empty for { NUMBER($seconds, mi
 boundary-impossible = { $run }: column '{ $column }' = { $value } °C at time_s = { $time }: boundary.{ $end } must lie between { NUMBER($lower, maximumFractionDigits: 6) } and { NUMBER($upper, maximumFractionDigits: 6) } °C; empty the cell
 coefficient-missing = coefficient { $name } is missing; give all of { $all }
 coefficient-negative = { $name } = { $value } W/m²K: must be a finite number, at least 0
+coefficient-not-positive = { $where }: { $name } = { $value }: must be a number above 0 in W/m²K
+coefficient-unknown = { $where }: { $name }: press '{ $press }' has no such coefficient; it has { $known }
 header-ambient-impossible = { $run }: header key ambient.temperature_C = { $value }: must be a number from { NUMBER($lower, maximumFractionDigits: 6) } to { NUMBER($upper, maximumFractionDigits: 6) }
 header-pressure-impossible = { $run }: header key setting.pressure_N_cm2 = { $value }: must be a number above 0 N/cm²; correct it, or leave it out where it is not known
 header-table-not-rising = header key { $key }: the temperatures of its table do not rise from row to row
@@ -1561,8 +1576,6 @@ terminal-check-failed = { $path }: { $failures }
 terminal-check-logger-failed = press { $press }, logger { $logger }: { $why }
 terminal-check-store-opens = store { $store }: opens
 terminal-check-well-formed = { $path }: well formed
-terminal-coefficient-not-positive = { $path }: { $name } = { $value }: must be a number above 0 in W/m²K
-terminal-coefficient-unknown = { $where }: { $name }: press '{ $press }' has no such coefficient; it has { $known }
 terminal-coefficients-no-object = { $path }: must be an object {"{"}NAME: value{"}"}
 terminal-coefficients-not-json = { $path }: not JSON: { $why }
 terminal-coefficients-or-model = --coefficients and --model exclude each other; give one

@@ -9,6 +9,7 @@ from __future__ import annotations
 from functools import cache
 from importlib.metadata import entry_points
 
+from daq.given import refused
 from daq.records import InputError
 from daq.words import message as words
 from daq.words import say
@@ -85,8 +86,10 @@ def catalogue() -> dict[str, Effect]:
 def add_effect(effect: Effect) -> None:
     """Add an effect of one's own to the catalogue of this process, as an installed package's entry point does.
 
-    Raises InputError for one whose name is taken, or one without words.
+    Raises InputError for what is no `Effect`, one whose name is taken, or one without words.
     """
+    if not isinstance(effect, Effect):
+        raise refused(effect, "given-no-effect")
     _add(catalogue(), effect, effect.name)
 
 

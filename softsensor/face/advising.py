@@ -10,6 +10,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
+from daq.given import keys_of
 from daq.press.resin_file import Resin
 from daq.records import ROOM_C, InputError
 from daq.words import say
@@ -104,9 +105,10 @@ def advise(  # noqa: PLR0913 - one argument a wish
     if goal not in (known := tuple(one.value for one in Goal)):
         raise InputError(say("advise-goal-unknown", goal=goal, known=known))
     loaded = resin_of(resin)
-    wanted = limits_of(loaded, limits or {})
-    allowed = given_ranges(ranges or {}, DEFAULT_RANGES)
-    header = {**USUAL_PANEL, "panel.initial_temperature_C": ROOM_C, **(panel or {})}
+    wanted = limits_of(loaded, keys_of(limits, "given-no-limits"))
+    allowed = given_ranges(keys_of(ranges, "given-no-ranges"), DEFAULT_RANGES)
+    given = keys_of(panel, "given-no-header")
+    header = {**USUAL_PANEL, "panel.initial_temperature_C": ROOM_C, **given}
     task = Task(read_press(press), read_model(model), header, waiting_s, allowed["press_time_s"][1])
     wish = Wish(wanted, loaded, allowed, Goal(goal), open_s, price_per_kWh)
     return AdviceResult(advise_on(task, wish, progress))

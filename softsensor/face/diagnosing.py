@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
+from daq.given import names_of
 from daq.records import with_frozen_fields
 from daq.words import say
 from softsensor.diagnosis.finding import Diagnosis
@@ -114,5 +115,5 @@ def diagnose(
         As `fit`, and for an effect that the catalogue does not have.
     """
     described = read_press(press)
-    wanted = [effects] if isinstance(effects, str) else effects
+    wanted = None if effects is None else names_of(effects)
     return DiagnosisResult(diagnose_runs(described, runs_of(runs, described), effects=wanted))

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from daq.given import keys_of
 from daq.press.header import check_header
 from daq.press.resin_file import Resin
 from daq.records import InputError
@@ -50,7 +51,7 @@ class LiveSensor(ScanSensor):
         model: AnyModel | None = None,
         resin: Resin | Path | str | None = None,
     ) -> None:
-        check_header(header, "LiveSensor")
+        check_header(keys_of(header, "given-no-header"), "LiveSensor")
         compile_for(Work.LIVE)
         super().__init__(read_press(press), header, None if model is None else read_model(model), resin_of(resin))
         self._newest_s = -math.inf

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import itertools
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from daq.files.legible import check_each_once, legible
 from daq.files.run_file import read_run as read_run_file
+from daq.given import keys_of, path_of
 from daq.press.header import check_header
 from daq.press.press_file import Press
 from daq.press.press_file import read_press as read_press_file
@@ -39,18 +40,18 @@ def read_run(source: AnyRun, *, mapping: Path | str | None = None, header: Mappi
     if _is_table(source):
         from daq.files.frames import run_of
 
-        return run_of(source, header)
+        return run_of(source, keys_of(header, "given-no-header"))
     if isinstance(source, Run):
         found = source
     elif mapping is not None:
         from daq.files.mapping import read_foreign, read_mapping
 
-        found = read_foreign(Path(source), read_mapping(Path(mapping)))
+        found = read_foreign(path_of(source, "given-no-run"), read_mapping(path_of(mapping, "given-no-mapping")))
     else:
-        found = read_run_file(Path(source))
+        found = read_run_file(path_of(source, "given-no-run"))
     if header is None:
         return _frozen_run(found)
-    keys = {**found.header, **header}
+    keys = {**found.header, **keys_of(header, "given-no-header")}
     check_header(keys, found.source or found.name)
     return _frozen_run(replace(found, header=keys, name=str(keys.get("run", found.name))))
 
@@ -70,12 +71,12 @@ def _frozen_run(run: Run) -> Run:
 
 def read_press(path: AnyPress) -> Press:
     """Return the press that a press file describes. Raises `InputError`."""
-    return path if isinstance(path, Press) else read_press_file(Path(path))
+    return path if isinstance(path, Press) else read_press_file(path_of(path, "given-no-press"))
 
 
 def resin_of(resin: Resin | Path | str | None) -> Resin | None:
     """Return a resin from its file, None where none is given. Raises `InputError`."""
-    return resin if resin is None or isinstance(resin, Resin) else read_resin(Path(resin))
+    return resin if resin is None or isinstance(resin, Resin) else read_resin(path_of(resin, "given-no-resin"))
 
 
 def runs_of(runs: AnyRun | Sequence[AnyRun], press: Press) -> list[Run]:
@@ -86,7 +87,8 @@ def runs_of(runs: AnyRun | Sequence[AnyRun], press: Press) -> list[Run]:
     InputError
         For what cannot be read, words in a column that the press takes numbers from, or a run given twice.
     """
-    given = [runs] if isinstance(runs, Run | Path | str) or _is_table(runs) else runs
+    one = isinstance(runs, Run | Path | str | Mapping) or _is_table(runs) or not isinstance(runs, Iterable)
+    given: Any = [runs] if one else runs
     read = [legible(read_run(run), press) for run in given]
     if sum(run.name == UNNAMED for run in read) > 1:
         number = itertools.count(1)

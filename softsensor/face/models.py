@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
+from daq.given import path_of
 from softsensor.heat.model_file import ModelFile
 from softsensor.jobs.model_files import read_model as read_model_file
 
@@ -12,8 +12,16 @@ if TYPE_CHECKING:
     from softsensor.face.kinds import AnyModel
 
 
+@runtime_checkable
+class _Found(Protocol):
+    """The result of a fit or a diagnosis."""
+
+    def model(self) -> ModelFile:
+        """Return the model it found."""
+
+
 def read_model(model: AnyModel) -> ModelFile:
     """Return a model from its file, or out of the result of a fit or a diagnosis. Raises `InputError`."""
     if isinstance(model, ModelFile):
         return model
-    return read_model_file(Path(model)) if isinstance(model, Path | str) else model.model()
+    return model.model() if isinstance(model, _Found) else read_model_file(path_of(model, "given-no-model"))

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from daq.given import keys_of
 from softsensor.face.diagnosing import DiagnosisResult, diagnose
 from softsensor.face.inputs import read_press
 from softsensor.face.showing import axes_over_time, shown
@@ -85,4 +86,4 @@ def plan(
         As `diagnose`, and for a range that cannot be.
     """
     found = runs if isinstance(runs, DiagnosisResult) else diagnose(runs, press)
-    return PlanResult(plan_after(read_press(press), found.diagnosis, ranges or {}))
+    return PlanResult(plan_after(read_press(press), found.diagnosis, keys_of(ranges, "given-no-ranges")))

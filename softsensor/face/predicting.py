@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from daq.files.legible import legible
+from daq.given import names_of
 from daq.press.resin_file import Resin
 from softsensor.face.inputs import read_press, read_run, resin_of
 from softsensor.face.models import read_model
@@ -64,7 +65,7 @@ def predict(
     press: AnyPress,
     model: AnyModel | None = None,
     *,
-    without: Sequence[str] = (),
+    without: str | Sequence[str] = (),
     resin: Resin | Path | str | None = None,
 ) -> Prediction:
     """Replay a run through the live sensor, causally: row i rests on nothing later than scan i. [°C]
@@ -74,7 +75,7 @@ def predict(
     model
         Coefficients and effects from earlier runs; the press file's guesses without.
     without
-        Columns (patterns) that it does not see; each must match one.
+        Column or columns (patterns) that it does not see; each must match one.
     resin
         A resin file: adds cure at both faces (0 to 1), steam [kPa] and leave to open.
 
@@ -89,5 +90,5 @@ def predict(
     loaded = legible(read_run(run), described)
     known = None if model is None else read_model(model)
     compile_for(Work.LIVE)
-    replayed = replay(described, loaded, known, loaded.named(without), resin=resin_of(resin))
+    replayed = replay(described, loaded, known, loaded.named(names_of(without)), resin=resin_of(resin))
     return Prediction(replayed)

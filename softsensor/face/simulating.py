@@ -7,12 +7,15 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from daq.files.legible import legible
+from daq.given import keys_of
+from daq.press.press_file import press_for_run
 from daq.records import Run, with_frozen_fields
 from softsensor.face.inputs import read_press, read_run
 from softsensor.face.models import read_model
 from softsensor.face.showing import about, axes_over_time, lists, shown
 from softsensor.fitting.simulated_run import Simulated, simulate_run
 from softsensor.heat.model import ThermalModel
+from softsensor.jobs.model_files import coefficients_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -88,14 +91,16 @@ def simulate(
     """
     described = read_press(press)
     loaded, moments = legible(read_run(run), described), None
-    if settings:
+    wanted = keys_of(settings, "given-no-settings")
+    if wanted:
         from softsensor.planning.what_if import changed  # loads slowly, and only who asks what if needs it
         from softsensor.signals.moments import moments_of
 
-        loaded, moments = changed(loaded, described, moments_of(loaded, described), settings)
+        loaded, moments = changed(loaded, described, moments_of(loaded, described), wanted)
     thermal = ThermalModel(described)
     if model is None or isinstance(model, Mapping):
-        values = {**thermal.guesses, **(model or {})}
+        presses = (described, press_for_run(described, loaded))
+        values = thermal.guesses | coefficients_of(keys_of(model, "given-no-model"), presses, "model")
     else:
         content = read_model(model)
         thermal, values = content.model(described), {**thermal.guesses, **content.values}

@@ -31,7 +31,7 @@ from typing import Any
 import numpy as np
 
 from daq.press.press_file import Press
-from daq.records import Array, InputError
+from daq.records import KEYS_SHOWN, Array, InputError
 from daq.words import say
 from softsensor.effects import find_effect
 from softsensor.heat.model import ThermalModel
@@ -110,7 +110,7 @@ class Sisters:
     """By coefficient."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class ModelFile:
     """Coefficients and effects of one press, as a campaign found them."""
 
@@ -128,6 +128,21 @@ class ModelFile:
     """Which thicknesses earlier runs had, thinnest first; empty: not known."""
     sisters: Sisters | None = None
     """None: it rests on the press's own runs."""
+
+    def __repr__(self) -> str:
+        """Return on one screen what it holds: its coefficients and effects, and what else runs have taught."""
+        held = {
+            **self.coefficients,
+            **{f"{n}.{key}": one for n, table in self.effects for key, one in table.items()},
+        }
+        lines = [f"{name} = {one.value:.4g}, sd {one.sd:.2g}" for name, one in held.items()]
+        shown = [*lines[:KEYS_SHOWN], *(["..."] if len(lines) > KEYS_SHOWN else [])]
+        if self.missing is not None:
+            shown.append(f"nothing is missing: {self.missing.nothing:.0%}, by {self.missing.runs} runs")
+        thick = ", ".join(f"{panel.thickness_mm:g} mm" for panel in self.panels[:KEYS_SHOWN])
+        return "\n".join(
+            [f"Model {self.version} of press {self.press}", *shown, *([f"panels: {thick}"] if thick else [])]
+        )
 
     @property
     def learned(self) -> dict[str, float]:

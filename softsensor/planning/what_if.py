@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from numbers import Real
 from types import MappingProxyType
 
 import numpy as np
@@ -111,6 +112,8 @@ def changed(run: Run, press: Press, moments: Moments, settings: Mapping[str, flo
     for name, value in settings.items():
         if name not in usual:
             raise InputError(say("plan-setting-unknown", name=name, known=tuple(usual)))
+        if not isinstance(value, Real):
+            raise InputError(say("at-key-value", key=name, value=repr(value), what=say("key-no-number")))
         _, lower, upper = usual[name]
         if not lower <= value <= upper:
             raise InputError(say("plan-setting-wrong", name=name, value=value, lower=lower, upper=upper))

@@ -493,6 +493,66 @@ def test_an_effect_of_ones_own_is_known_by_name_once():
         softsensor.add_effect(find_effect("edge_loss"))
 
 
+@pytest.mark.parametrize(
+    ("ask", "said"),
+    [
+        (lambda: softsensor.read_run(5), "int: a run is given as the path of a CSV"),
+        (lambda: softsensor.read_run({"time_s": [0.0]}), "dict: a run is given as"),
+        (lambda: softsensor.fit(None, LAB), "NoneType: a run is given as"),
+        (lambda: softsensor.fit([SHORT, 5], LAB), "int: a run is given as"),
+        (lambda: softsensor.read_run(SHORT, mapping=5), "int: a mapping is given as the path"),
+        (lambda: softsensor.read_run(SHORT, header=[("panel.thickness_mm", 1.0)]), "list: a header is given as"),
+        (lambda: softsensor.read_run(SHORT, header={5: 1.0}), "key 5 is not a text"),
+        (lambda: softsensor.read_press(5), "int: a press is given as"),
+        (lambda: softsensor.read_model(None), "NoneType: a model is given as"),
+        (lambda: softsensor.simulate(SHORT, LAB, 5), "int: a model is given as"),
+        (lambda: softsensor.simulate(SHORT, LAB, settings=5), "int: settings are given as"),
+        (lambda: softsensor.simulate(SHORT, LAB, settings={"press_time_s": "a"}), "press_time_s = 'a': must be a"),
+        (lambda: softsensor.predict(SHORT, LAB, resin=5), "int: a resin is given as"),
+        (lambda: softsensor.predict(SHORT, LAB, without=5), "int: names are given as one text or several"),
+        (lambda: softsensor.diagnose(SHORT, LAB, effects=[5]), "int: names are given as one text or several"),
+        (lambda: softsensor.LiveSensor(LAB, 5), "int: a header is given as"),
+        (lambda: softsensor.add_effect(5), "int: an effect is given as an Effect"),
+        (lambda: daq.run_of({"time_s": [0.0]}), "dict: a table is given as a pandas DataFrame"),
+        (lambda: daq.frame_of(5), "int: a run is given as"),
+        (lambda: daq.qualities_of(pd.DataFrame()), "pandas.DataFrame: a run is given as"),
+        (lambda: daq.find_moments(5, LAB), "int: a run is given as"),
+        (lambda: daq.find_events(SHORT, None), "NoneType: a press is given as"),
+    ],
+)
+def test_what_is_of_another_kind_than_asked_for_is_refused_in_words(ask, said):
+    with pytest.raises(daq.InputError, match=re.escape(said)):
+        ask()
+
+
+@pytest.mark.parametrize("given", [{"h_x": 5.0}, {"h_pp_c": -5.0}, {"h_pp_c": "a"}])
+def test_wrong_coefficients_are_refused_as_by_the_command(given, tmp_path, capsys):
+    with pytest.raises(daq.InputError) as ours:
+        softsensor.simulate(SHORT, LAB, given)
+    path = tmp_path / "coefficients.json"
+    path.write_text(json.dumps(given))
+    out = ["--coefficients", str(path), "--out", str(tmp_path / "out.csv")]
+    assert main(["simulate", str(SHORT), "--press", str(LAB), *out]) == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert str(ours.value).removeprefix("model: ") in said
+    assert f"{path.name}: " in said
+
+
+def test_one_pattern_may_be_a_text_and_a_run_a_file_for_every_function():
+    told = softsensor.predict(SHORT, LAB, without="top_*").frame()
+    pd.testing.assert_frame_equal(told, softsensor.predict(SHORT, LAB, without=["top_*"]).frame())
+    assert daq.find_moments(SHORT, LAB) == daq.find_moments(softsensor.read_run(SHORT), LAB)
+
+
+def test_a_model_prints_on_one_screen(fitted):
+    lines = repr(fitted.model()).splitlines()
+    assert len(lines) <= 24
+    assert max(map(len, lines)) <= 200
+    assert lines[0].endswith("of press lab")
+    for name in fitted.model().coefficients:
+        assert any(line.startswith(f"{name} = ") for line in lines)
+
+
 def test_keys_given_beside_a_file_count_before_its_own():
     path = SAMPLES[0]
     run = softsensor.read_run(path, header={"panel.thickness_mm": 12.0})

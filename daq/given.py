@@ -1,0 +1,50 @@
+"""What is given from Python, held against what is asked for: anything else is refused in words."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from daq.records import InputError
+from daq.words import say
+
+
+def refused(given: object, asked: str) -> InputError:
+    """Return the error for a thing of another kind than asked for; `asked` is the code of what is said.
+
+    >>> str(refused(5, "given-no-press"))
+    'int: a press is given as the path of a press file, or as what read_press returned'
+    """
+    kind = type(given)
+    package = kind.__module__.partition(".")[0]
+    return InputError(say(asked, found=kind.__name__ if package == "builtins" else f"{package}.{kind.__name__}"))
+
+
+def path_of(given: object, asked: str) -> Path:
+    """Return a path that was given as such or as a text. Raises `InputError` for anything else."""
+    if isinstance(given, str | os.PathLike):
+        return Path(given)
+    raise refused(given, asked)
+
+
+def keys_of(given: object, asked: str) -> Mapping[str, Any]:
+    """Return a mapping by name; None is an empty one. Raises `InputError` for anything else."""
+    if given is None:
+        return {}
+    if not isinstance(given, Mapping):
+        raise refused(given, asked)
+    if odd := [repr(key) for key in given if not isinstance(key, str)]:
+        raise InputError(say("given-key-no-text", key=odd[0]))
+    return given
+
+
+def names_of(given: object) -> list[str]:
+    """Return names that were given as one text or several. Raises `InputError` for anything else."""
+    if isinstance(given, str):
+        return [given]
+    names: list[Any] = list(given) if isinstance(given, Iterable) else [given]
+    if odd := [name for name in names if not isinstance(name, str)]:
+        raise refused(odd[0], "given-no-names")
+    return names
