@@ -472,7 +472,7 @@ class Simulation(_Answer):
     """The mean of the good sensors at each position. [°C]"""
     core_C: list[float | None]  # noqa: N815
     rmse_K: dict[str, float]  # noqa: N815
-    """Between the two at each position, a constant offset removed."""
+    """The fit's `rmse_K` by position: all good channels, each one's constant offset removed."""
     profile_time_s: list[float]
     profile_depth_mm: list[float]
     profile_C: list[list[float]]  # noqa: N815

@@ -127,6 +127,12 @@ class RunFit:
         return self.misfit is None
 
     @property
+    def rmse_places_K(self) -> dict[str, float]:  # noqa: N802
+        """Return `rmse_K` of the channels at each place. [K]"""
+        places = self.problem.signals.places
+        return {place.label: rms(self.residuals[c] for c in place.columns) for place in places}
+
+    @property
     def values(self) -> dict[str, float]:
         """Every parameter's value, nuisances included."""
         return self.problem.merged(self.minimum.x)
@@ -178,12 +184,15 @@ class RunFit:
             "rmse_K": json_number(self.rmse_K),
             "rmse_closed_K": json_number(self.rmse_closed_K),
             "rmse_raw_K": json_number(self.rmse_raw_K),
+            "rmse_places_K": {label: json_number(value) for label, value in self.rmse_places_K.items()},
             "initial_rmse_K": json_number(self.initial_rmse_K),
             "rmse_still_K": json_number(self.rmse_still_K),
             "initial_rmse_still_K": json_number(self.initial_rmse_still_K),
             "seconds": json_number(round(self.seconds, 4)),
             "closed_s": json_number(self.closed_s),
             "opened_s": json_number(self.opened_s),
+            "inserted_s": json_number(self.moments.inserted_s),
+            "ramp_s": json_number(self.moments.ramp_s),
             "warnings": [str(warning) for warning in self.warnings],
             "warnings_said": [warning.to_json() for warning in self.warnings],
         }

@@ -10,12 +10,15 @@ import numpy as np
 
 from daq.press.press_file import Press
 from daq.records import Array, Moments, PressState, Run
+from softsensor.fitting.problem import rows_with_panel
+from softsensor.fitting.result import rms
 from softsensor.heat.case import Case
 from softsensor.heat.chain import Solution
 from softsensor.heat.model import ThermalModel, states
 from softsensor.heat.step_terms import Stack, heat
 from softsensor.signals.moments import moments_of
-from softsensor.signals.places import Place
+from softsensor.signals.places import Place, collect_signals
+from softsensor.signals.robust import nan_mean
 
 # Numbers without another source were set by hand, 2026-11.
 
@@ -32,9 +35,9 @@ class Simulated:
     places: Mapping[str, Array]
     """Temperature at each sensor position, named as in ``at``. [°C]"""
     measured: Mapping[str, Array]
-    """Mean of the sensors at each position while the panel is in the press. [°C]"""
+    """Mean of the sensors at each position while the panel is in the press, without what a fit leaves out. [°C]"""
     rmse: Mapping[str, float]
-    """Between the two, a constant offset removed. [K]"""
+    """The fit's `rmse_K` by position: all good channels, each one's constant offset removed. [K]"""
     core: Array
     """[°C]"""
     profile_time_s: Array
@@ -60,22 +63,26 @@ def simulate_run(
     moments = moments_of(run, press) if known is None else known
     moments = replace(
         moments,
+        inserted_s=refined.get("inserted_s", moments.inserted_s),
         closed_s=refined.get("closed_s", moments.closed_s),
         opened_s=refined.get("opened_s", moments.opened_s),
+        ramp_s=refined.get("ramp_s", moments.ramp_s),
     )
     case = model.prepare(run, moments)
     solution = model.solve(case, values, fields=True)
     places = {label: solution.places[:, i] for i, label in enumerate(case.labels[:-1])}
-    measured = {label: _measured(run, case.place_of, i) for i, label in enumerate(places)}
-    inside = ~(run.time_s < moments.inserted_s) & ~(
-        run.time_s >= moments.removed_s
-    )  # one that is NaN bounds nothing
-    measured = {label: np.where(inside, values, np.nan) for label, values in measured.items()}
-    rmse = {
-        label: float(np.nanstd(measured[label] - places[label]))
-        for label in places
-        if np.isfinite(measured[label]).any()
-    }
+    signals = collect_signals(case.press, run, moments)
+    believed = {place.label: place for place in signals.places}
+    inside = rows_with_panel(case) > 0
+    measured, rmse = {}, {}
+    for i, label in enumerate(places):
+        place = believed.get(label)
+        mean = place.mean if place else _measured(run, case.place_of, i)
+        measured[label] = np.where(inside, mean, np.nan)
+        channels = [signals.cells[c] for c in place.columns] if place else [mean]
+        away = [np.where(inside, channel - places[label], np.nan) for channel in channels]
+        if any(np.isfinite(a).any() for a in away):
+            rmse[label] = rms(a - nan_mean(a) for a in away if np.isfinite(a).any())
     profile = _profile(case, solution, model.build(case, values).stack)
     return Simulated(run.time_s, tuple(states(case)), places, measured, rmse, solution.core, *profile)
 

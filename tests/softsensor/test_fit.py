@@ -11,6 +11,7 @@ from daq.simulated.campaign_pressfile import press_toml
 from daq.simulated.campaign_sensors import Nuisances
 from softsensor.effects import find_effect
 from softsensor.fitting.one_run import fit_run
+from softsensor.fitting.simulated_run import simulate_run
 from softsensor.fitting.unknowns import _moment_priors
 from softsensor.heat.model import ThermalModel
 from softsensor.signals.instrument import RAMP_LIMITS_S, RAMP_S
@@ -48,6 +49,18 @@ def test_loose_sensor_is_left_out_and_named():
     fitted = fit_run(MODEL, replace(run, columns=columns), truth.moments)
     assert any(w.arguments.get("column") == "top_3" for w in fitted.warnings)
     assert "top_3" not in fitted.residuals
+    _shown_as_fitted(replace(run, columns=columns), fitted)
+
+
+def _shown_as_fitted(run, fitted):
+    """What a run's view shows is what the fit left: the same channels, moments and definition."""
+    faces = fitted.rmse_places_K
+    assert np.sqrt(np.mean(np.square(list(faces.values())))) == pytest.approx(fitted.rmse_K, rel=0.05)
+    refined = {n: getattr(fitted.moments, n) for n in ("inserted_s", "closed_s", "opened_s", "ramp_s")}
+    values = {name: c.value for name, c in fitted.coefficients.items()}
+    shown = simulate_run(run, PRESS, MODEL, values, refined)
+    for place, left in faces.items():
+        assert shown.rmse[place] == pytest.approx(left, rel=0.15), place
 
 
 def test_contact_that_builds_up_slowly_is_met_as_well_as_a_constant_one_can():

@@ -6,7 +6,7 @@ import threading
 from collections import OrderedDict
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
@@ -31,6 +31,8 @@ router = APIRouter(tags=["runs"], responses=problem_responses(404))
 
 SHOWN_POINTS = 1500
 """Of a curve: more than a wide screen has pixels for."""
+MOMENTS = ("inserted_s", "closed_s", "opened_s", "ramp_s")
+"""Those of a run that a fit refines."""
 KEPT = 32
 """Simulations kept in memory; a run is simulated again when its data, header, press file or fit change."""
 
@@ -43,9 +45,10 @@ class Known:
     model: ModelRecord | None
     values: Mapping[str, float]
     """Coefficients of the run's fit, empty without one."""
-    closed_s: float | None = None
-    opened_s: float | None = None
-    """As the fit refined them."""
+    moments: Mapping[str, float] = field(default_factory=dict)
+    """As the fit refined them. [s]"""
+    rmse: Mapping[str, float] = field(default_factory=dict)
+    """What the fit left at each place. [K]"""
 
 
 class _Kept:
@@ -53,11 +56,11 @@ class _Kept:
         self._lock = threading.Lock()
         self._known: OrderedDict[tuple[object, ...], Simulated] = OrderedDict()
 
-    def get(self, store: Store, record: RunRecord) -> tuple[Simulated, str | None]:
-        """Return the simulation of a run as it stands, and the version of the model behind it."""
+    def get(self, store: Store, record: RunRecord) -> tuple[Simulated, Known]:
+        """Return the simulation of a run as it stands, and what it was simulated with."""
         known = known_of(store, record)
         newest = record.last_scan if record.last_scan is not None else store.newest_scan_number(record.press)
-        fitted = (known.version, sorted(known.values.items()), known.closed_s, known.opened_s)
+        fitted = (known.version, sorted(known.values.items()), sorted(known.moments.items()))
         press_file = store.presses().get(record.press, "")
         told = repr((newest, record.moments, sorted(record.header.items()), fitted))
         key = (store.label, record.run, press_file, told)
@@ -67,7 +70,7 @@ class _Kept:
                 while len(self._known) > KEPT:
                     self._known.popitem(last=False)
             self._known.move_to_end(key)
-            return self._known[key], known.version
+            return self._known[key], known
 
 
 _KEPT = _Kept()
@@ -80,18 +83,18 @@ def get_simulation(store: StoreDep, run: str) -> Simulation:
     """Return simulated and measured temperatures at each sensor position, and the profile over time."""
     from softsensor.heat.step_terms import BOILING_C  # loads slowly
 
-    simulated, version = _KEPT.get(store, existing_run(store, run))
+    simulated, known = _KEPT.get(store, existing_run(store, run))
     table = {f"s {k}": v for k, v in simulated.places.items()}
     table |= {f"m {k}": v for k, v in simulated.measured.items()} | {"core": simulated.core}
     time_s, kept = decimate(simulated.time_s, table, SHOWN_POINTS)
     return Simulation(
         run=run,
-        model_version=version,
+        model_version=known.version,
         time_s=[round(t, 3) for t in time_s.tolist()],
         positions={k: column_values(kept[f"s {k}"]) for k in simulated.places},
         measured={k: column_values(kept[f"m {k}"]) for k in simulated.places},
         core_C=column_values(kept["core"]),
-        rmse_K={k: round(v, 4) for k, v in simulated.rmse.items()},
+        rmse_K={k: round(v, 4) for k, v in {**simulated.rmse, **known.rmse}.items()},
         profile_time_s=[round(t, 3) for t in simulated.profile_time_s.tolist()],
         profile_depth_mm=[round(d, 3) for d in simulated.profile_depth_mm.tolist()],
         profile_C=[[round(v, 2) for v in row] for row in simulated.profile.tolist()],
@@ -165,7 +168,9 @@ def known_of(store: Store, record: RunRecord) -> Known:
         with suppress(InputError):
             behind = store.model(version)
     values = {name: float(c["value"]) for name, c in fit.get("coefficients", {}).items()}
-    return Known(version, behind, values, fit.get("closed_s"), fit.get("opened_s"))
+    moments = {name: fit[name] for name in MOMENTS if fit.get(name) is not None}
+    left = {place: value for place, value in fit.get("rmse_places_K", {}).items() if value is not None}
+    return Known(version, behind, values, moments, left)
 
 
 def _simulate(store: Store, record: RunRecord, known: Known) -> Simulated:
@@ -184,8 +189,6 @@ def _simulate(store: Store, record: RunRecord, known: Known) -> Simulated:
         guesses = replace(model, press=press_for_run(press, run)).guesses
         given = (file.values if file else {}) | dict(known.values)
         values = guesses | {name: value for name, value in given.items() if name in guesses}
-        moments = {"closed_s": known.closed_s, "opened_s": known.opened_s}
-        refined = {name: at for name, at in moments.items() if at is not None}
-        return simulate_run(run, press, model, values, refined)
+        return simulate_run(run, press, model, values, known.moments)
     except InputError as error:
         raise ProblemError(404, say("api-run-not-simulated", run=record.run, why=spoken(error))) from error

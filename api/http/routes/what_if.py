@@ -145,9 +145,11 @@ def _pressed(store: Store, record: RunRecord, resin: Path | None) -> Pressed:
         known_of(store, record),
     )
     found = moments_of(run, press)
-    closed_s = found.closed_s if known.closed_s is None else known.closed_s
-    opened_s = found.opened_s if known.opened_s is None else known.opened_s
-    moments = replace(found, closed_s=closed_s, opened_s=opened_s)
+    moments = replace(
+        found,
+        closed_s=known.moments.get("closed_s", found.closed_s),
+        opened_s=known.moments.get("opened_s", found.opened_s),
+    )
     cures = None if resin is None else read_resin(resin)
     live = _live_core(store, record, moments.opened_s)
     return Pressed(run, press, _own_model(store, record, known), moments, live, cures)
