@@ -74,6 +74,12 @@ const PLACES = { "panel.top": "page-sensors-top", "panel.bottom": "page-sensors-
 // Where a sensor sits, in words; a place without any stands for itself.
 export const placeName = (place) => (PLACES[place] ? text(PLACES[place]) : place);
 
+// A run's number in words with its unit; one without words, of a header of one's own, stands for itself.
+export function numberName(key) {
+  const code = `page-number-${key.replaceAll(".", "-")}`;
+  return has(code) ? text(code) : key;
+}
+
 // What an effect is called, as a heading or in a list; one without words stands for itself.
 export function effectName(effect) {
   const code = [`effect-${effect}-called`, `page-suspected-${effect.replaceAll(" ", "-")}`].find(has);

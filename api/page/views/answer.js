@@ -74,7 +74,7 @@ export function courseOf({ course, time_s: time, forecast_age_s: age }) {
 
 export const coreKey = () => key([
   { name: text("page-core-predicted"), colour: "--core" }, { name: text("page-band95"), class: "band" },
-  { name: text("page-core-foreseen"), colour: "--core", class: "dots" }]);
+  { name: text("page-core-foreseen"), colour: "--core", class: "dashes" }]);
 
 // The core alone, on its own scale, from closing on: band, target, the opening advised, and what is foreseen.
 export class CoreChart {

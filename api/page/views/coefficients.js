@@ -2,7 +2,7 @@
 import { get } from "../api.js";
 import { TimeChart } from "../charts.js";
 import { began, el, figure, number, table } from "../dom.js";
-import { has, said, text } from "../words.js";
+import { has, numberName, said, text } from "../words.js";
 
 export async function show(place, context) {
   const press = context.presses.length > 1 ? context.press : "";
@@ -12,7 +12,7 @@ export async function show(place, context) {
   const history = [...items].reverse();
   const names = [...new Set(history.flatMap((item) => Object.keys(item.coefficients)))];
   const axes = ["time", ...new Set(history.flatMap((item) => Object.keys(item.settings)))];
-  const choice = el("select", { "aria-label": text("page-against") }, axes.map((name) => el("option", { value: name }, name === "time" ? text("page-order-of-runs") : name)));
+  const choice = el("select", { "aria-label": text("page-against") }, axes.map((name) => el("option", { value: name }, name === "time" ? text("page-order-of-runs") : numberName(name))));
   const charts = el("div", { class: "pair" });
   const used = presses.items.find((item) => item.press === context.press)?.coefficients ?? {};
   place.append(el("section", { class: "card" }, el("div", { class: "head" }, el("h1", {}, text("page-nav-coefficients")),
@@ -49,11 +49,11 @@ function card(name, history, axis, used, drift) {
       series: [{ name: text("page-ci-low"), kind: "band-low" }, { name: text("page-ci-high"), kind: "band-high" },
         { name, colour: "--accent", kind: axis === "time" ? "line" : "dots", points: true, size: 7, unit: "W/m²K", digits: 0 },
         { name: text("page-not-identifiable"), colour: "--faint", kind: "dots", size: 8, unit: "W/m²K", digits: 0 }],
-      height: 200, label: `${name} ${text("page-history")}`, yLabel: "W/m²K", xLabel: axis === "time" ? text("page-order-of-runs") : axis,
+      height: 200, label: `${name} ${text("page-history")}`, yLabel: "W/m²K", xLabel: axis === "time" ? text("page-order-of-runs") : numberName(axis),
       whiskers: "--accent", xSteps: axis === "time" ? [1, 2, 5, 10, 20, 50, 100, 200] : null,
       yRange: [low, high], xRange: axis === "time" ? [0.5, Math.max(points.length, 2) + 0.5] : undefined,
     });
-    chart.tipHead = (x) => (axis === "time" ? points.find((p) => p.x === x)?.item.run ?? "" : `${axis} ${number(x, 0)}`);
+    chart.tipHead = (x) => (axis === "time" ? points.find((p) => p.x === x)?.item.run ?? "" : `${numberName(axis)} ${number(x, 0)}`);
     chart.set([points.map((p) => p.x), points.map((p) => (known(p) ? p.c.ci95?.[0] ?? null : null)), points.map((p) => (known(p) ? p.c.ci95?.[1] ?? null : null)),
       points.map((p) => (known(p) ? p.c.value : null)), points.map((p) => (known(p) ? null : inside(p.c.value)))]);
   });

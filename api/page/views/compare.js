@@ -2,7 +2,7 @@
 import { get } from "../api.js";
 import { TimeChart, straight } from "../charts.js";
 import { el, figure, table } from "../dom.js";
-import { text } from "../words.js";
+import { numberName, text } from "../words.js";
 import { scatter } from "./scatter.js";
 
 const QUANTITIES = {
@@ -114,5 +114,5 @@ function differences(runs) {
   }).sort((a, b) => Number(b.differs) - Number(a.differs));
   return el("section", { class: "card", "data-testid": "differences" }, el("h2", {}, text("page-differences")), table(text("page-differences"),
     [{ text: text("page-name") }, ...runs.map(({ id }) => ({ text: id, class: "right" }))],
-    rows.map(({ key, cells, differs }) => [differs ? el("b", {}, `≠ ${key}`) : key, ...cells.map((cell) => el("span", { class: differs ? "num" : "num faint" }, cell))])));
+    rows.map(({ key, cells, differs }) => [el(differs ? "b" : "span", { title: key }, `${differs ? "≠ " : ""}${numberName(key)}`), ...cells.map((cell) => el("span", { class: differs ? "num" : "num faint" }, cell))])));
 }

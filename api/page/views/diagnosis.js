@@ -27,7 +27,7 @@ function drawDiagnosis(holder, record) {
   const judged = (side) => (predicted ? side?.predicted_rmse_K : side?.heldout_rmse_K);
   const gain = judged(d.base) && judged(d.extended) ? 1 - judged(d.extended) / judged(d.base) : null;
   const pair = (label, base, extended) => (base === null || base === undefined ? null
-    : el("div", {}, el("b", {}, `${number(base, 2)} → ${number(extended, 2)} K`), el("span", {}, label)));
+    : el("div", {}, el("b", {}, d.effects.length ? `${number(base, 2)} → ${number(extended, 2)} K` : `${number(base, 2)} K`), el("span", {}, label)));
   const cards = [el("section", { class: "card", "data-testid": "diagnosis" },
     el("div", { class: "row" }, el("span", { class: `pill ${tone}` }, text(`page-verdict-${d.verdict}`)), el("span", { class: "faint small" }, clock(record.utc))),
     el("p", { class: "verdict" }, sentence(d)),

@@ -75,6 +75,7 @@ class LivePress {
   }
 
   frame() {
+    this.drawn = null;
     this.state = el("span", { class: "pill", "data-testid": "state" });
     this.core = el("div", { class: "core", "data-testid": "core" });
     this.band = el("div", { class: "band", "data-testid": "band" });
@@ -98,8 +99,9 @@ class LivePress {
           el("div", { class: "beside" }, this.sketch, this.list),
           el("p", { class: "small" }, el("a", { href: "#/wall" }, text("page-wall")))),
         this.charts = el("section", { class: "card", "aria-label": text("page-running-pressing") },
-          el("div", { class: "head" }, this.title), this.canvas, this.keys,
-          el("h2", { class: "sub" }, text("page-faces-and-platens")), this.faces, this.faceKeys)),
+          el("div", { class: "head" }, this.title),
+          this.curves = el("div", { hidden: true }, this.canvas, this.keys,
+            el("h2", { class: "sub" }, text("page-faces-and-platens")), this.faces, this.faceKeys))),
       this.panels = el("div", { class: "pair" }),
       el("section", { class: "card" }, el("h2", {}, text("page-channels")), this.grid));
     this.panel = new PanelCards(this.panels, this.now.press);
@@ -120,6 +122,7 @@ class LivePress {
       [text("page-press"), now.press],
     ];
     this.showAge();
+    this.showTitle();
     this.showWarning();
     this.panel.show(now);
     this.list.replaceChildren(...rows.flatMap(([name, value]) => [el("dt", {}, name), el("dd", {}, value)]));
@@ -187,9 +190,17 @@ class LivePress {
     this.grid.replaceChildren(...nodes);
   }
 
+  // The pressing whose curves are shown; one that has ended since is the last, not the running one.
+  showTitle() {
+    const { run, run_status: status } = this.now;
+    const code = this.drawn === run && status === "open" ? "page-running-pressing" : "page-last-pressing";
+    this.title.textContent = this.drawn ? `${text(code)} ${this.drawn}` : text("page-waiting-for-pressing");
+    this.curves.hidden = !this.drawn;
+  }
+
   async loadRun(run) {
     this.shown = run;
-    if (!run) { this.title.textContent = text("page-waiting-for-pressing"); return; }
+    if (!run) return;
     const [samples, estimates, detail] = await Promise.all([
       get(`/runs/${encodeURIComponent(run)}/samples`, { max_points: 4000 }),
       get(`/runs/${encodeURIComponent(run)}/estimates`, { max_points: 4000 }),
@@ -211,6 +222,7 @@ class LivePress {
     for (const chart of [this.chart, this.faceChart]) chart?.close();
     this.canvas.replaceChildren();
     this.faces.replaceChildren();
+    this.curves.hidden = false; // a chart is as wide as its place
     const height = Math.max(240, Math.min(380, innerHeight * 0.4));
     this.chart = new CoreChart(this.canvas, { height, measured: this.inner });
     this.faceChart = new TimeChart(this.faces, {
@@ -218,8 +230,8 @@ class LivePress {
       height: 200, label: text("page-faces-and-platens"), xLabel: text("page-time-from-closing"),
     });
     this.redraw();
-    const running = this.now.run_status === "open";
-    this.title.textContent = `${text(running ? "page-running-pressing" : "page-last-pressing")} ${this.shown}`;
+    this.drawn = this.shown;
+    this.showTitle();
     this.keys.replaceChildren(coreKey());
     this.faceKeys.replaceChildren(key([
       { name: text("page-sensors-top"), colour: "--top" }, { name: text("page-sensors-bottom"), colour: "--bottom" },

@@ -209,7 +209,8 @@ function simulationCard(run, simulation) {
   const card = el("section", { class: "card", "data-testid": "simulation" },
     el("h2", {}, text("page-measured-simulated")), above, el("h3", {}, text("page-residual")), below, key([
       ...shown.map((name, i) => ({ name: `${placeName(name)} · RMSE ${number(simulation.rmse_K[name], 2)} K`, colour: colour(name, i) })),
-      { name: text("page-dots-measured"), colour: "--measured", class: "dots" }, { name: text("page-core-simulated"), colour: "--core" }]));
+      { name: text("page-dots-measured"), colour: "--measured", class: "dots" }, { name: text("page-core-simulated"), colour: "--core" }]),
+    el("p", { class: "small faint" }, text("page-rmse-hint")));
   const index = shown.map((name) => places.indexOf(name));
   later(above, () => {
     new TimeChart(above, {
@@ -239,13 +240,15 @@ function profileCard(run, simulation) {
 function fitCard(fit) {
   if (!fit) return el("section", { class: "card" }, el("h2", {}, text("page-fit")), el("p", { class: "faint" }, text("page-no-fit")));
   const described = !(fit.warnings_said ?? []).some(({ code }) => code === "fit-not-described-check");
-  const state = !described ? ["bad", "page-not-described"] : fit.converged ? ["good", "page-converged"] : ["warn", "page-not-converged"];
+  const shown = (value) => Number((value ?? NaN).toFixed(2));
+  const further = shown(fit.rmse_K) > shown(fit.initial_rmse_K); // of the figures shown below
+  const state = !described ? ["bad", "page-not-described"] : !fit.converged ? ["warn", "page-not-converged"] : further ? ["warn", "page-further-off"] : ["good", "page-converged"];
   // Of a run the model does not describe nothing is known: what a search ended at has no interval.
   const coefficients = described ? fit.coefficients : Object.fromEntries(Object.entries(fit.coefficients).map(([name, c]) => [name, { ...c, ci95: null }]));
   return el("section", { class: "card", "data-testid": "fit" }, el("div", { class: "head" }, el("h2", {}, text("page-fit")),
     el("span", { class: `pill ${state[0]}` }, text(state[1]))),
   coefficientTable(coefficients),
-  el("p", { class: "small faint" }, `RMSE ${number(fit.initial_rmse_K, 2)} K → ${number(fit.rmse_K, 2)} K`),
+  el("p", { class: "small faint" }, text("page-fit-left", { before: number(fit.initial_rmse_K, 2), after: number(fit.rmse_K, 2) })),
   fit.warnings.length ? el("ul", { class: "small" }, fit.warnings.map((warning, i) => el("li", {}, said(fit.warnings_said?.[i], warning)))) : null);
 }
 

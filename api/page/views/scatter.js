@@ -2,7 +2,7 @@
 import { get } from "../api.js";
 import { TimeChart } from "../charts.js";
 import { el, midnight, number } from "../dom.js";
-import { text } from "../words.js";
+import { numberName, text } from "../words.js";
 
 const MOST = 2000;
 const AXES = ["x", "y"];
@@ -37,7 +37,7 @@ export function scatter(runs, axes = {}, keep = () => {}) {
   for (const axis of AXES) axes[axis] = [axes[axis], ...usual[axis]].find((name) => names.includes(name));
   const holder = el("div", {});
   const choose = (axis, label) => el("label", { class: "row small" }, el("span", { class: "faint" }, label),
-    el("select", { onchange: (event) => { axes[axis] = event.target.value; keep(); draw(); } }, names.map((name) => el("option", { value: name, selected: name === axes[axis] }, name))));
+    el("select", { onchange: (event) => { axes[axis] = event.target.value; keep(); draw(); } }, names.map((name) => el("option", { value: name, selected: name === axes[axis] }, numberName(name)))));
   const card = el("section", { class: "card", "data-testid": "scatter" }, el("div", { class: "head" }, el("h2", { style: "margin:0" }, text("page-scatter")),
     el("div", { class: "row" }, choose("y", text("page-scatter-up")), choose("x", text("page-scatter-right")))), holder);
   let chart = null;
@@ -47,7 +47,7 @@ export function scatter(runs, axes = {}, keep = () => {}) {
     holder.replaceChildren();
     const span = points.length ? points.at(-1).x - points[0].x || Math.abs(points[0].x) || 1 : 1;
     chart = new TimeChart(holder, {
-      series: [{ name: axes.y, colour: "--core", kind: "dots", size: 9, unit: "", digits: 2 }], height: 300, label: text("page-scatter"), yLabel: axes.y, xLabel: axes.x,
+      series: [{ name: numberName(axes.y), colour: "--core", kind: "dots", size: 9, unit: "", digits: 2 }], height: 300, label: text("page-scatter"), yLabel: numberName(axes.y), xLabel: numberName(axes.x),
       xRange: points.length ? [points[0].x - 0.08 * span, points.at(-1).x + 0.08 * span] : [0, 1],
     });
     chart.tipHead = (x) => `${points.filter((point) => point.x === x).map(({ id }) => id).join(", ")} · ${number(x, 1)}`;
