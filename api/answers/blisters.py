@@ -24,6 +24,8 @@ MOST = 300
 by, 0.9 % of 15 %."""
 CURVE_KPA = np.linspace(2.0, 300.0, 150)
 """Where the chance of a blister is given: up to three times what MDF bears. [kPa]"""
+REMEMBERED = 30 * MOST
+"""Panels whose steam is kept in memory, the last asked for: all that thirty presses show."""
 _STEAM: dict[tuple[str, str, int | None], tuple[float, float]] = {}
 _LOCK = threading.Lock()
 
@@ -39,7 +41,7 @@ def blisters_of(store: Store, press: str, resin: Resin | None) -> Blisters:
     log = np.array(steam).reshape(-1, 2)
     burst = np.array([run.header[VERDICT] == BLISTER for run in marked], dtype=bool)
     stated = stated_limit(resin)
-    found = learn_limit(Normal(log[:, 0], log[:, 1]), burst, *stated)
+    found = learn_limit(Normal(log[::-1, 0], log[::-1, 1]), burst[::-1], *stated)
     lines = limit_said(found)
     return Blisters(
         press=press,
@@ -70,17 +72,22 @@ def _panel(run: RunRecord, mean: float, sd: float) -> MarkedPanel:
 def _at_opening(store: Store, run: RunRecord) -> tuple[float, float]:
     """Return ln of the steam last told before the press opened, and its deviation; NaN where none was. [ln kPa]"""
     key = (store.label, run.run, run.last_scan)
-    if key not in _STEAM:
-        told: Sequence[tuple[float, StoredEstimate]] = ()
-        with suppress(InputError):  # in an archive that is away, or deleted by rule
-            told = store.estimates(run.run)
-        last: Mapping[str, Any] = next((e.detail or {} for _, e in reversed(told) if e.state == "closed"), {})
-        middle, high = last.get("steam_kPa", math.nan), last.get("steam_high_kPa", math.nan)
-        found = (
-            (math.log(middle), math.log(high / middle) / BAND)
-            if middle > 0.0 and high > middle
-            else (math.nan,) * 2
-        )
-        with _LOCK:
-            _STEAM[key] = found
-    return _STEAM[key]
+    with _LOCK:
+        found = _STEAM.pop(key, None)
+    found = found or _read(store, run)
+    with _LOCK:
+        _STEAM[key] = found
+        while len(_STEAM) > REMEMBERED:
+            del _STEAM[next(iter(_STEAM))]
+    return found
+
+
+def _read(store: Store, run: RunRecord) -> tuple[float, float]:
+    told: Sequence[tuple[float, StoredEstimate]] = ()
+    with suppress(InputError):  # in an archive that is away, or deleted by rule
+        told = store.estimates(run.run)
+    last: Mapping[str, Any] = next((e.detail or {} for _, e in reversed(told) if e.state == "closed"), {})
+    middle, high = last.get("steam_kPa", math.nan), last.get("steam_high_kPa", math.nan)
+    if middle > 0.0 and high > middle:
+        return math.log(middle), math.log(high / middle) / BAND
+    return math.nan, math.nan

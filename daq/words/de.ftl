@@ -1081,6 +1081,7 @@ what-if-too-long = eine Pressung von mehr als { NUMBER($most, maximumFractionDig
 ## softsensor.live: why the core is not valid
 
 blisters-bear = Die Hälfte der Platten hält { NUMBER($most, maximumFractionDigits: 0) } kPa Dampf aus (95 %: { NUMBER($low, maximumFractionDigits: 0) } bis { NUMBER($high, maximumFractionDigits: 0) }).
+blisters-foreseen = Spätere Platten, jede nach den vor ihr markierten beurteilt: Was aus ihnen wurde, galt zu { NUMBER($learned, maximumFractionDigits: 0) } % als wahrscheinlich, nach der angegebenen Grenze zu { NUMBER($stated, maximumFractionDigits: 0) } %.
 blisters-marks = { $marks ->
         [one] Eine markierte Platte
        *[other] { $marks } markierte Platten

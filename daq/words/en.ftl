@@ -1064,6 +1064,7 @@ what-if-too-long = a run of more than { NUMBER($most, maximumFractionDigits: 0) 
 ## softsensor.live: why the core is not valid
 
 blisters-bear = Half of the panels bear { NUMBER($most, maximumFractionDigits: 0) } kPa of steam (95 %: { NUMBER($low, maximumFractionDigits: 0) } to { NUMBER($high, maximumFractionDigits: 0) }).
+blisters-foreseen = Later panels, each judged by those marked before it: what became of them had been given a chance of { NUMBER($learned, maximumFractionDigits: 0) } %, by the stated limit of { NUMBER($stated, maximumFractionDigits: 0) } %.
 blisters-marks = { $marks ->
         [one] One marked panel
        *[other] { $marks } marked panels

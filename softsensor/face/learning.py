@@ -28,9 +28,10 @@ def learn_steam_limit(
     """Return the partial pressure of steam that panels bear, from runs marked ``good`` or ``blister``. [kPa]
 
     The mark is ``panel.verdict`` in a run's header, as the page and REST keep it; other marks say nothing of
-    blisters. Steam is the live sensor's last before the press opened, with its band. What is believed before is
-    the resin file's ``steam_most_kPa`` with its ``sd``, or 100 kPa within a factor of two; what comes out can
-    stand there, as ``steam_most_kPa`` (`SteamLimit.most_kPa`) and its ``sd`` (`SteamLimit.sd_kPa`).
+    blisters. Runs are given in the order in which they were pressed, so that each is also foreseen by those before
+    it (`SteamLimit.foreseen`). Steam is the live sensor's last before the press opened, with its band. What is
+    believed before is the resin file's ``steam_most_kPa`` with its ``sd``, or 100 kPa within a factor of two; what
+    comes out can stand there, as ``steam_most_kPa`` (`SteamLimit.most_kPa`) and its ``sd`` (`SteamLimit.sd_kPa`).
 
     Raises
     ------

@@ -13,6 +13,7 @@ where on panels still hold; nothing here calls for pressing until one blisters.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -46,6 +47,9 @@ class SteamLimit:
     """(M, T), together 1."""
     marks: int
     blistered: int
+    foreseen: tuple[float, float] = (math.nan, math.nan)
+    """Chance given beforehand to what became of the panels, on geometric average: by what the panels before each
+    had taught, and by what was stated; NaN where less than two are known."""
 
     def chance(self, steam: Normal) -> Array:
         """Return the chance that panels blister, steam as ln kPa (any shape); 1 where steam is not known."""
@@ -84,15 +88,22 @@ class SteamLimit:
             "steam_most_kPa": round(self.most_kPa, 2),
             "ci95_kPa": [round(end, 2) for end in self.ci95_kPa],
             "sd_kPa": round(self.sd_kPa, 2),
+            "foreseen": {
+                key: None if math.isnan(share) else round(share, 3)
+                for key, share in zip(("learned", "stated"), self.foreseen, strict=True)
+            },
         }
 
 
 def limit_said(limit: SteamLimit) -> tuple[Message, ...]:
     """Return in words what is learned, and what to write into the resin file."""
     low, high = limit.ci95_kPa
+    learned, stated = limit.foreseen
+    gain = () if math.isnan(learned) else (say("blisters-foreseen", learned=100 * learned, stated=100 * stated),)
     return (
         say("blisters-marks", marks=limit.marks, blistered=limit.blistered),
         say("blisters-bear", most=limit.most_kPa, low=low, high=high),
+        *gain,
         say("blisters-write", most=limit.most_kPa, sd=limit.sd_kPa),
     )
 
@@ -113,7 +124,8 @@ def learn_limit(
     Parameters
     ----------
     steam
-        ln of the partial pressure at opening (n). Panels of which it is not known count for nothing.
+        ln of the partial pressure at opening (n), in the order in which the panels were pressed. Panels of which
+        it is not known count for nothing.
     blistered
         Whether they blistered (n).
     stated_kPa, stated_sd_kPa
@@ -136,10 +148,31 @@ def learn_limit(
     log = -0.5 * (u[:, None] ** 2 + v**2)
     mean, sd = np.asarray(steam.mean, float), np.asarray(steam.sd, float)
     known = np.isfinite(mean) & np.isfinite(sd)
+    before, foreseen = log - _log_sum(log), []
     for m, s, burst in zip(mean[known], sd[known], np.asarray(blistered, bool)[known], strict=True):
         z = (m - middle[:, None]) / np.hypot(scatter, s)
-        log = log + log_ndtr(z if burst else -z)
-    weight = np.exp(log - log.max())
+        told = log_ndtr(z if burst else -z)
+        foreseen.append((_log_sum(log + told) - _log_sum(log), _log_sum(before + told)))
+        log = log + told
     return SteamLimit(
-        middle, scatter, weight / weight.sum(), int(known.sum()), int(np.asarray(blistered, bool)[known].sum())
+        middle,
+        scatter,
+        np.exp(log - _log_sum(log)),
+        marks=int(known.sum()),
+        blistered=int(np.asarray(blistered, bool)[known].sum()),
+        foreseen=_later(foreseen),
     )
+
+
+def _log_sum(log: Array) -> float:
+    """Return the logarithm of the sum of numbers given by theirs."""
+    highest = float(log.max())
+    return highest + math.log(float(np.exp(log - highest).sum()))
+
+
+def _later(foreseen: Sequence[tuple[float, float]]) -> tuple[float, float]:
+    """Return the chances given to what became of all panels but the first, which had nobody to learn from."""
+    if len(foreseen) < 2:
+        return math.nan, math.nan
+    learned, stated = np.exp(np.mean(foreseen[1:], axis=0)).tolist()
+    return learned, stated

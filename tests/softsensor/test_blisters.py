@@ -53,6 +53,19 @@ def test_later_panels_blister_as_often_as_is_said_once_thirty_were_marked() -> N
     assert learned.sd_kPa < 0.7 * stated.sd_kPa
 
 
+def test_each_panel_is_foreseen_by_those_before_it_alone() -> None:
+    """Panels bear 70 kPa, 100 were stated: the chance given to each, again from the ones marked before it."""
+    steam, blistered = panels(np.random.default_rng(11), 30, 70.0, 0.15)
+    given = []
+    for k in range(1, 30):
+        told = Normal(steam.mean[:k], steam.sd[:k]), blistered[:k]
+        chance = float(learn_limit(*told).chance(Normal(steam.mean[k], steam.sd[k])))
+        given.append(np.log(chance if blistered[k] else 1.0 - chance))
+    found = learn_limit(steam, blistered)
+    assert found.foreseen[0] == pytest.approx(np.exp(np.mean(given)), rel=1e-6)
+    assert found.foreseen[0] > found.foreseen[1]
+
+
 def test_panels_that_all_held_raise_what_is_believed_and_never_make_it_certain() -> None:
     all_good = learn_limit(Normal(np.log(np.linspace(60.0, 110.0, 30)), np.full(30, 0.1)), np.zeros(30, bool))
     assert all_good.most_kPa > 110.0
@@ -63,6 +76,7 @@ def test_panels_that_all_held_raise_what_is_believed_and_never_make_it_certain()
 def test_what_is_not_known_of_steam_blisters_and_teaches_nothing() -> None:
     unknown = Normal(np.array([np.nan]), np.array([np.nan]))
     assert learn_limit(unknown, np.array([True])).marks == 0
+    assert np.isnan(learn_limit(unknown, np.array([True])).foreseen).all()
     assert learn_limit(unknown, np.array([True])).chance(unknown) == pytest.approx(1.0)
 
 
@@ -101,10 +115,12 @@ def test_a_marked_run_teaches_from_its_file() -> None:
 def test_what_is_learned_is_said_with_what_to_write_into_the_resin_file() -> None:
     log = np.log(np.repeat([60.0, 90.0], 10))
     found = learn_limit(Normal(log, np.full(20, 0.05)), np.repeat([False, True], 10))
-    marks, bear, write = (str(line) for line in limit_said(found))
+    marks, bear, foreseen, write = (str(line) for line in limit_said(found))
     assert marks == "20 marked panels whose steam at opening is known, 10 blistered."
     told = found.as_json()
     low, high = told["ci95_kPa"]
+    learned, stated = (100.0 * told["foreseen"][key] for key in ("learned", "stated"))
+    assert f"a chance of {learned:.0f} %, by the stated limit of {stated:.0f} %" in foreseen
     assert f"bear {told['steam_most_kPa']:.0f} kPa of steam (95 %: {low:.0f} to {high:.0f})" in bear
     assert f"steam_most_kPa = {told['steam_most_kPa']:.0f}, steam_most_kPa.sd = {told['sd_kPa']:.0f}" in write
 
