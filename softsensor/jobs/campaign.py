@@ -11,7 +11,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from daq.press.press_file import Press
-from daq.records import Run
+from daq.records import Moments, Run
 from softsensor.diagnosis.missing_causes import held_against
 from softsensor.fitting.campaign import CampaignFit, campaign_fit_of, company_of
 from softsensor.fitting.identifiability import profiles_of
@@ -80,16 +80,15 @@ def fit_runs(
     workers, fit = _cores(workers, runs), partial(_fit, model, options)
     compile_for(Work.FIT)
     # compiled before the first run, whose time would otherwise hold that
-    minimise(
-        make_problem(model, runs[0], moments_of(runs[0], model.press), options.get("start")), max_evaluations=1
-    )
+    moments = [moments_of(run, model.press) for run in runs]
+    minimise(make_problem(model, runs[0], moments[0], options.get("start")), max_evaluations=1)
     if workers == 1:
-        return _collect(map(fit, runs), progress)
+        return _collect(map(fit, runs, moments), progress)
     if len(runs) < PROCESSES_FROM:
         with ThreadPoolExecutor(workers) as threads:
-            return _collect(threads.map(fit, runs), progress)
+            return _collect(threads.map(fit, runs, moments), progress)
     with ProcessPoolExecutor(workers) as processes:
-        return _collect(processes.map(fit, runs, chunksize=4), progress)
+        return _collect(processes.map(fit, runs, moments, chunksize=4), progress)
 
 
 def diagnosed_model(found: Diagnosis) -> ModelFile:
@@ -107,9 +106,9 @@ def _cores(workers: int | None, runs: Sequence[Run]) -> int:
     return max(1, min(workers or os.cpu_count() or 1, len(runs)))
 
 
-def _fit(model: ThermalModel, options: dict[str, Any], run: Run) -> RunFit:
+def _fit(model: ThermalModel, options: dict[str, Any], run: Run, moments: Moments) -> RunFit:
     begun = time.perf_counter()
-    fitted = fit_run(model, run, moments_of(run, model.press), **options)
+    fitted = fit_run(model, run, moments, **options)
     return replace(fitted, seconds=time.perf_counter() - begun)
 
 

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from daq.press.press_file import Press
-from daq.records import Array, InputError, Run
+from daq.records import Array, InputError, Moments, Run
 from daq.store import RunRecord, Store
 from daq.store.records import ModelStatus
 from daq.words import Message, say
@@ -392,7 +392,7 @@ def _predictions(
         low = (report.get("predicted_gain_ci95") or (0.0,))[0]
         return None if before is None or after is None else _Predictions(float(before), float(after), low > 0.0)
     models = (night.base or combined_model(night.press, None, list(night.fits.values())), candidate)
-    errors = np.array([[_prediction_error(night, run, model) for model in models] for run in night.runs(runs)])
+    errors = np.array([_prediction_errors(night, run, models) for run in night.runs(runs)])
     errors = errors[np.isfinite(errors).all(axis=1)]
     if len(errors) < 2:
         return None
@@ -401,14 +401,21 @@ def _predictions(
     return _Predictions(before_K, after_K, surely_less(old, new))
 
 
-def _prediction_error(night: Night, run: Run, model: ModelFile) -> float:
-    """Return how far a run simulated from its platens is from its panel sensors; NaN where it cannot be. [K]"""
+def _prediction_errors(night: Night, run: Run, models: Sequence[ModelFile]) -> list[float]:
+    """Return by model how far a simulated run is from its panel sensors; NaN where it cannot be simulated. [K]"""
     try:
-        out = simulate_run(run, night.press, model.model(night.press), model.values)
+        moments = moments_of(run, night.press)
+    except InputError:
+        return [math.nan] * len(models)
+    return [_prediction_error(night, run, moments, model) for model in models]
+
+
+def _prediction_error(night: Night, run: Run, moments: Moments, model: ModelFile) -> float:
+    try:
+        out = simulate_run(run, night.press, model.model(night.press), model.values, known=moments)
     except InputError:
         return math.nan
-    inside = out.time_s >= moments_of(run, night.press).inserted_s
-    squares = [(out.measured[place] - values)[inside] ** 2 for place, values in out.places.items()]
+    squares = [(out.measured[place] - values) ** 2 for place, values in out.places.items()]
     seen = [s[np.isfinite(s)] for s in squares]
     return math.sqrt(_mean(np.concatenate(seen))) if any(len(s) for s in seen) else math.nan
 

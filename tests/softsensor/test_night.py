@@ -474,11 +474,11 @@ def test_a_run_is_predicted_from_platens_and_header_alone(store, runs):
     inside = out.time_s >= nightly_judge.moments_of(run, PRESS).inserted_s
     rest = np.concatenate([(out.measured[p] - v)[inside] for p, v in out.places.items()])
     rest = rest[np.isfinite(rest)]
-    assert nightly_judge._prediction_error(night, run, model) == pytest.approx(np.sqrt(np.mean(rest**2)))
+    assert nightly_judge._prediction_errors(night, run, [model])[0] == pytest.approx(np.sqrt(np.mean(rest**2)))
     panel = [c for c in run.columns if c.startswith(("top_", "bottom_"))]
     moved = replace(run, columns={c: v + 3.0 * (c in panel) for c, v in run.columns.items()})
     expected = np.sqrt(np.mean((rest + 3.0) ** 2))
-    assert nightly_judge._prediction_error(night, moved, model) == pytest.approx(expected, rel=0.02)
+    assert nightly_judge._prediction_errors(night, moved, [model])[0] == pytest.approx(expected, rel=0.02)
 
 
 def test_judging_runs_that_took_part_are_judged_by_what_the_others_predicted(store):
