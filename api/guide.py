@@ -227,4 +227,14 @@ def _reference(path: str) -> str | None:
             getattr(module, public)
         modules[known] = pdoc.doc.Module(module)
     pdoc.render.configure(docformat="numpy", search=False, show_source=False, footer_text="Kerntemp")
-    return str(pdoc.render.html_module(modules[name], modules))
+    return _FORMULA.sub(_drawn_formula, str(pdoc.render.html_module(modules[name], modules)))
+
+
+_FORMULA = re.compile(r"\$\$([^$]+)\$\$")
+
+
+def _drawn_formula(found: re.Match[str]) -> str:
+    """Return a formula of a docstring as MathML, as those of the guide are."""
+    from latex2mathml.converter import convert
+
+    return str(convert(html.unescape(found[1]), display="block"))

@@ -121,6 +121,16 @@ def open_store(url: str | Path) -> StoreTables:
         For a wrong address, a file that is not there or is no store, or a store made by a newer version.
     StoreUnavailable
         Where the disk or the server refuses now.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> from daq.shared import shared_files
+    >>> with TemporaryDirectory() as folder:
+    ...     play(shared_files() / "samples" / "2026-03-04-07.csv", f"{folder}/runs.sqlite", "lab", scans=200)
+    ...     with open_store(f"{folder}/runs.sqlite") as store:
+    ...         store.runs()["status"].to_dict(), store.samples("2026-03-04-07")["platen_top"].size
+    ({'2026-03-04-07': 'closed'}, 127)
     """
     return StoreTables(open_database(str(url), create=False))
 
@@ -168,7 +178,16 @@ def _scan(number: int, began: datetime, time_s: float, values: Sequence[float]) 
 
 
 def find_moments(run: AnyRun, press: Press | Path | str) -> Moments:
-    """Return when the press closed and opened in a run, and when the panel came and went. [s of the run]"""
+    """Return when the press closed and opened in a run, and when the panel came and went. [s of the run]
+
+    Examples
+    --------
+    >>> from daq.shared import shared_files
+    >>> run, press = shared_files() / "samples" / "2026-03-04-07.csv", shared_files() / "presses" / "lab.toml"
+    >>> moments = find_moments(run, press)
+    >>> round(moments.opened_s - moments.closed_s), str(moments.source)
+    (31, 'temperatures')
+    """
     return find_run_moments(_run(run), _press(press))
 
 
@@ -178,6 +197,13 @@ def find_events(table: AnyRun, press: Press | Path | str) -> pd.DataFrame:
     Causal, as the recorder finds them: an event rests on the rows up to ``noticed_s``. Columns are ``event``
     (inserted, closed, opened, removed), ``noticed_s`` and ``source``; where the run's header knows its start,
     ``utc`` too. For one pressing `find_moments` places the moments better, with both sides of each known.
+
+    Examples
+    --------
+    >>> from daq.shared import shared_files
+    >>> run, press = shared_files() / "samples" / "2026-03-04-07.csv", shared_files() / "presses" / "lab.toml"
+    >>> find_events(run, press)["event"].tolist()
+    ['inserted', 'closed', 'opened']
     """
     run = _run(table)
     detector = PressEventDetector(_press(press))

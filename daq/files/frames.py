@@ -74,6 +74,13 @@ def qualities_of(run: Run) -> pd.DataFrame:
     """Return what each value is worth, one column a channel (``good``, ``open``, ``stale``, ...), by ``time_s``.
 
     A missing value that nothing is said of is ``missing``; columns that a row's ``*`` covers have its quality.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> table = pd.DataFrame({"time_s": [0.0, 1.0], "top_1": [21.0, 999.0], "quality": ["", "top_1=open"]})
+    >>> qualities_of(run_of(table))["top_1"].tolist(), run_of(table).columns["top_1"].tolist()
+    (['good', 'open'], [21.0, nan])
     """
     if not isinstance(run, Run):
         raise refused(run, "given-no-run")
@@ -112,6 +119,15 @@ def run_of(frame: pd.DataFrame, header: Mapping[str, Any] | None = None) -> Run:
     InputError
         For times that do not rise, names that come twice, values that no channel has, complex numbers, labels of
         several levels, or a key of ``attrs`` that is no text: column and row are named.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> run_of(pd.DataFrame({"time_s": [0.0, 0.5], "top_1": [21.0, None]}), {"run": "a", "panel.material": "MDF"})
+    Run a: 2 scans, 0 to 0.5 s
+    top_1
+    run = a
+    panel.material = MDF
     """
     if not isinstance(frame, pd.DataFrame):
         raise refused(frame, "given-no-table")

@@ -130,7 +130,13 @@ def known_effect(name: str) -> Effect | None:
 
 
 def find_effect(name: str) -> Effect:
-    """Return the effect of that name. Raises InputError with the known names."""
+    """Return the effect of that name. Raises InputError with the known names.
+
+    Examples
+    --------
+    >>> [f"{p.name} [{p.unit}]" for p in find_effect("edge_loss").parameters]
+    ['W_m3K [W/m³K]']
+    """
     effect = known_effect(name)
     if effect is None:
         raise InputError(say("effect-not-in-catalogue", name=repr(name), known=tuple(catalogue())))

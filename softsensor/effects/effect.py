@@ -54,10 +54,16 @@ class Scene:
 
 @dataclass(frozen=True)
 class Conversion:
-    """Heat released once, as something in the cells is used up: Q d(done)/dt."""
+    r"""Heat released once, as something in the cells is used up.
+
+    With u from 0 to 1 what is used up, and T in kelvin for the first kind, in °C for the second:
+
+    $$q = Q \frac{du}{dt}, \quad
+    \frac{du}{dt} = (1 - u) a e^{-\frac{b}{R} \left(\frac{1}{T} - \frac{1}{c}\right)}$$
+    """
 
     heat: Numbers
-    """By cell when complete; negative takes heat (n). [J/m³]"""
+    """Q, by cell when complete; negative takes heat (n). [J/m³]"""
     kind: int
     """0: rate = a exp(-b/R (1/T - 1/c)); 1: rate = a (T - b)+, softened over c kelvin."""
     a: Any
@@ -74,7 +80,12 @@ REFERENCE_C = 20.0
 
 @dataclass(frozen=True)
 class Terms:
-    """Changes of the stack and of the measuring chain; what is left out stays as it was."""
+    r"""Changes of the stack and of the measuring chain; what is left out stays as it was.
+
+    A factor f and a slope s make of a property p at 20 °C:
+
+    $$p(T) = f p \left(1 + s (T - 20)\right)$$
+    """
 
     conductivity: Numbers | float = 1.0
     """Factor by cell."""
@@ -256,5 +267,12 @@ class Effect:
 
 
 def on_panel(scene: Scene, value: Numbers | float | complex, elsewhere: float) -> Numbers:
-    """Return `value` on the panel's cells and `elsewhere` on the others."""
+    """Return `value` on the panel's cells and `elsewhere` on the others.
+
+    Examples
+    --------
+    >>> from types import SimpleNamespace
+    >>> on_panel(SimpleNamespace(panel_cells=np.array([False, True, True, False])), 1.2, 1.0).tolist()
+    [1.0, 1.2, 1.2, 1.0]
+    """
     return np.where(scene.panel_cells, value, elsewhere)

@@ -36,6 +36,17 @@ def read_run(source: AnyRun, *, mapping: Path | str | None = None, header: Mappi
     ------
     InputError
         Naming file, line or column, value, limit and what to do.
+
+    Examples
+    --------
+    Another logger's file, with German names and decimal commas, by what a mapping says of it:
+
+    >>> from daq import shared_files
+    >>> samples = shared_files() / "samples"
+    >>> keys = {"panel.density_kg_m3": 700.0}
+    >>> run = read_run(samples / "foreign.txt", mapping=samples / "foreign.toml", header=keys)
+    >>> sorted(run.columns)[-3:], run.header["panel.density_kg_m3"]
+    (['platen_top', 'top_1', 'top_2'], 700.0)
     """
     if _is_table(source):
         from daq.files.frames import run_of
@@ -70,7 +81,14 @@ def _frozen_run(run: Run) -> Run:
 
 
 def read_press(path: AnyPress) -> Press:
-    """Return the press that a press file describes. Raises `InputError`."""
+    """Return the press that a press file describes. Raises `InputError`.
+
+    Examples
+    --------
+    >>> from daq import shared_files
+    >>> read_press(shared_files() / "presses" / "lab.toml").chain
+    ('boundary.bottom', 'plate_bottom', 'panel', 'plate_top', 'boundary.top')
+    """
     return path if isinstance(path, Press) else read_press_file(path_of(path, "given-no-press"))
 
 

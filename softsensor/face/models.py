@@ -21,7 +21,15 @@ class _Found(Protocol):
 
 
 def read_model(model: AnyModel) -> ModelFile:
-    """Return a model from its file, or out of the result of a fit or a diagnosis. Raises `InputError`."""
+    """Return a model from its file, or out of the result of a fit or a diagnosis. Raises `InputError`.
+
+    Examples
+    --------
+    >>> from softsensor import FittedValue, ModelFile
+    >>> read_model(ModelFile("mine", "lab", {"h_pp_c": FittedValue(650.0, 80.0)}))
+    Model mine of press lab
+    h_pp_c = 650, sd 80
+    """
     if isinstance(model, ModelFile):
         return model
     return model.model() if isinstance(model, _Found) else read_model_file(path_of(model, "given-no-model"))

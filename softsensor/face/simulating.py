@@ -88,6 +88,16 @@ def simulate(
         For a run, press or model file that cannot be read, words in a column that the press file names, a run
         without a platen's column, a sensor or the panel's data, a coefficient that is unknown or nonphysical, and
         a setting that is unknown here or that no press has.
+
+    Examples
+    --------
+    >>> from daq import shared_files
+    >>> run, press = shared_files() / "samples" / "2026-03-04-07.csv", shared_files() / "presses" / "lab.toml"
+    >>> {place: round(rmse, 1) for place, rmse in simulate(run, press).simulated.rmse.items()}
+    {'panel.top': 5.5, 'panel.bottom': 4.1, 'panel.middle': 0.5}
+    >>> longer = simulate(run, press, settings={"press_time_s": 60.0})
+    >>> bool(longer.frame()["core_C"].max() > simulate(run, press).frame()["core_C"].max())
+    True
     """
     described = read_press(press)
     loaded, moments = legible(read_run(run), described), None

@@ -87,7 +87,12 @@ _STATES = (PressState.IDLE, PressState.OPEN, PressState.CLOSED)
 
 @dataclass(frozen=True)
 class ThermalModel:
-    """A press and the effects its model takes into account.
+    r"""A press and the effects its model takes into account.
+
+    Between the boundaries, through every layer, with contacts between neighbours and q from the effects:
+
+    $$\rho c \frac{\partial T}{\partial t} =
+    \frac{\partial}{\partial x}\left(k \frac{\partial T}{\partial x}\right) + q$$
 
     Examples
     --------

@@ -35,7 +35,7 @@ _REACH, _CELLS = 4.0, (161, 41)
 """The grid goes so many prior standard deviations either way, in so many cells of m and of t."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class SteamLimit:
     """What is known of the limit: weights of a grid."""
 
@@ -50,6 +50,12 @@ class SteamLimit:
     foreseen: tuple[float, float] = (math.nan, math.nan)
     """Chance given beforehand to what became of the panels, on geometric average: by what the panels before each
     had taught, and by what was stated; NaN where less than two are known."""
+
+    def __repr__(self) -> str:
+        """Say what half of the panels bear, with its 95 % interval, and from how many marks."""
+        low, high = self.ci95_kPa
+        marked = f"{self.blistered} of {self.marks} blistered"
+        return f"SteamLimit {self.most_kPa:.0f} kPa ({low:.0f} to {high:.0f}), {marked}"
 
     def chance(self, steam: Normal) -> Array:
         """Return the chance that panels blister, steam as ln kPa (any shape); 1 where steam is not known."""

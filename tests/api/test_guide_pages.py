@@ -55,6 +55,17 @@ def test_every_equation_is_drawn_and_none_is_left_as_text(pages):
     assert "<math" in pages["/guide/gallery/own_effect.ipynb"]
 
 
+def test_formulas_of_the_reference_are_drawn(pages):
+    text = pages["/guide/reference/softsensor.html"]
+    assert (
+        text.count("<math")
+        == sum((getattr(softsensor, name).__doc__ or "").count("$$") // 2 for name in softsensor.__all__)
+        > 2
+    )
+    assert "$$" not in text
+    assert "merror" not in text
+
+
 @pytest.mark.parametrize("package", [softsensor, daq])
 def test_the_reference_holds_every_public_name_with_its_words(pages, package):
     text = pages[f"/guide/reference/{package.__name__}.html"]

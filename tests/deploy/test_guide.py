@@ -73,6 +73,19 @@ def test_the_lines_of_python_in_the_readme_run(tmp_path):
     )
 
 
+@pytest.mark.campaign
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("page", GUIDE, ids=lambda page: page.stem)
+def test_the_lines_of_python_in_the_guide_run(page, tmp_path):
+    blocks = re.findall(r"^```python\n(.*?)^```", page.read_text(encoding="utf-8"), flags=re.M | re.S)
+    assert blocks or page.stem != "runs"
+    for number, lines in enumerate(blocks):
+        script = tmp_path / f"{page.stem}_{number}.py"
+        script.write_text(lines)
+        environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+        subprocess.run([sys.executable, str(script)], check=True, cwd=ROOT, env=environment)
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_every_link_of_the_page_leads_to_a_file(page):
     targets = re.findall(r"\]\((?!https?:)([^)#]+)", page.read_text(encoding="utf-8"))
