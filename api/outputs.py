@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -23,10 +24,11 @@ from daq.words.message import ENGLISH, words
 
 _LANGUAGE = ContextVar("language of the terminal", default=ENGLISH)
 _PIPED = ContextVar("standard output belongs to a file asked for as -", default=False)
+_HEARD = ContextVar("when the terminal last showed a sign of life [s]", default=-float("inf"))
 STANDARD_OUTPUT = Path("-")
 """Stands for standard output where a file to write is asked for; what is said goes to standard error then."""
 PATIENCE_S = 1.0
-"""Work that takes longer than this shows progress on a terminal."""
+"""A terminal that was silent for longer than this shows progress."""
 NAMED_FILES = 4
 """Files of a folder that are named one by one when written: what `fit` has options for, figures aside."""
 
@@ -35,6 +37,7 @@ def speak(language: str) -> None:
     """Choose the language of all that this process says at the terminal; once, where it starts."""
     _LANGUAGE.set(language)
     _PIPED.set(False)
+    _HEARD.set(time.monotonic())
 
 
 def spoken_language() -> str:
@@ -167,7 +170,7 @@ def as_json(value: Any) -> str:
 
 @contextmanager
 def working(what: Message, total: int | None = None) -> Iterator[Callable[[int], None]]:
-    """Show `what` with elapsed time and a bar once it takes longer than 1 s, on a terminal only.
+    """Show `what` with elapsed time and a bar once nothing was said for 1 s, on a terminal only.
 
     Yields a function that takes how much is done.
     """
@@ -183,11 +186,14 @@ def working(what: Message, total: int | None = None) -> Iterator[Callable[[int],
         transient=True,
     )
     task = bar.add_task(in_words(what), total=total)
-    timer = threading.Timer(PATIENCE_S, bar.start)
+    silent_s = time.monotonic() - _HEARD.get()
+    timer = threading.Timer(max(PATIENCE_S - silent_s, 0.0), bar.start)
     timer.daemon = True
     timer.start()
     try:
         yield lambda done: bar.update(task, completed=done)
     finally:
         timer.cancel()
+        if bar.live.is_started:
+            _HEARD.set(time.monotonic())
         bar.stop()

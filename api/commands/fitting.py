@@ -116,9 +116,9 @@ def fit(asked: FitOptions) -> None:
         return
     if not asked.runs or asked.press is None:
         raise InputError(say("terminal-fit-needs-runs"))
+    described = read_press(asked.press)
     chosen = check_method(asked.method, averages=asked.averages)
     settings = parse_program(asked.program or [])
-    described = read_press(asked.press)
     check_shared(described, asked.shared or [])
     loaded = shortened(load_runs(asked.runs, described, asked.store, asked.config), described, asked.until)
     with working(say("terminal-progress-fitting", runs=len(loaded)), len(loaded)) as done:
@@ -201,9 +201,11 @@ def check_shared(press: Press, shared: list[str]) -> None:
 
 def parse_program(settings: list[str]) -> dict[str, float]:
     """Read ``KEY=VALUE`` settings. Raises `InputError` naming a wrong one."""
-    from softsensor.fitting.dependence import SETTINGS
-
     found: dict[str, float] = {}
+    if not settings:
+        return found
+    from softsensor.fitting.dependence import SETTINGS  # loads slowly
+
     for setting in settings:
         key, _, value = setting.partition("=")
         if key in found:
