@@ -16,6 +16,7 @@ from http import HTTPStatus
 from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 from fastapi import Depends, FastAPI, HTTPException
 from fastapi.responses import FileResponse, HTMLResponse
@@ -174,3 +175,13 @@ def _describe_problems(app: FastAPI) -> None:
     described["security"] = [{}, {"token": []}]
     for schema in ("HTTPValidationError", "ValidationError"):
         described["components"]["schemas"].pop(schema, None)
+    for operation in (one for path in described["paths"].values() for one in path.values()):
+        for parameter in operation.get("parameters", ()):
+            _describe_no_nul(parameter["schema"])
+
+
+def _describe_no_nul(schema: dict[str, Any]) -> None:
+    """Say of a parameter's free text what `gate` holds every address to: no NUL character."""
+    for one in (schema, *schema.get("anyOf", ()), schema.get("items", {})):
+        if one.get("type") == "string" and not one.keys() & {"pattern", "format", "enum", "const"}:
+            one["pattern"] = r"^[^\u0000]*$"

@@ -705,7 +705,7 @@ def test_two_runs_are_compared_against_one_of_them_and_what_differs_stands_out(p
     page.goto(address + "#/runs/compare/campaign-1/lab-0000000")
     table = page.get_by_test_id("differences")
     expect(table.locator("tbody tr").first).to_contain_text("≠")
-    expect(table).to_contain_text("panel.thickness_mm")
+    expect(table).to_contain_text("Thickness [mm]")
     page.get_by_label("Quantity").select_option(label="Panel, top")
     chart = page.locator(".chart").first
     page.locator("label", has_text=re.compile("^Minus")).get_by_role("combobox").select_option("campaign-1")
