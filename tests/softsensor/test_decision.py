@@ -14,6 +14,7 @@ from softsensor.diagnosis.decision import (
     Step,
     Verdict,
     VerdictBasis,
+    beyond_chance,
     choose,
     conclude,
     explains_the_rest,
@@ -192,6 +193,7 @@ VERDICTS = (
     ("a pattern that is likely chance", remains(pattern=PatternTest(0.03, 0.25, None)), Verdict.NO_EFFECT, 0),
     ("a pattern that is negligible", remains(pattern=PatternTest(0.008, 0.003, None)), Verdict.NO_EFFECT, 0),
     ("no pattern, but 1.6 K over 0.44 K of noise", remains(times_noise=1.6 / 0.44), Verdict.UNKNOWN_EFFECT, 0),
+    ("no pattern, six tenths more than noise", remains(times_noise=1.6), Verdict.UNKNOWN_EFFECT, 0),
     ("no pattern, hardly more than noise", remains(times_noise=1.4), Verdict.NO_EFFECT, 0),
     ("six runs, 1.6 K over 0.44 K", replace(remains(times_noise=3.6), runs=6), Verdict.UNKNOWN_EFFECT, 0),
     ("few runs, nothing found", replace(NONE, runs=5), Verdict.TOO_FEW_RUNS, 0),
@@ -238,6 +240,14 @@ def test_the_verdict_follows_from_what_is_left_what_explains_it_and_whether_it_g
 ):
     found = conclude(evidence)
     assert (found.verdict, found.named) == (verdict, named), case
+
+
+@pytest.mark.parametrize(("runs", "chance"), [(6, 0.0395), (12, 0.0250), (24, 0.0191)])
+def test_equal_causes_are_told_apart_by_chance_as_often_as_students_t_says(runs, chance):
+    """`chance`: Student's one-sided tail beyond 2.2 standard errors, `runs` - 1 degrees of freedom."""
+    campaigns = 20_000
+    drawn = np.random.default_rng(1).normal(0.0, 30.0, (campaigns, runs))
+    assert beyond_chance(drawn).mean() == pytest.approx(chance, abs=4.0 * np.sqrt(chance / campaigns))
 
 
 def test_no_name_stands_beside_an_unknown_effect():
