@@ -190,9 +190,14 @@ class LiveSensor:
 
     @property
     def left_out(self) -> dict[str, float]:
-        """Channels that read something else than their neighbours and lost their vote, and by how much. [K]"""
+        """Channels that read something else than their neighbours and lost their vote, and by how much. [K]
+
+        Without a panel in the press there are none: what hangs in air shares no face, and no fit looks at it.
+        """
         run = self._run
-        return {run.setup.columns[k]: away for k, away in run.scans.departing().items()} if run is not None else {}
+        if run is None or run.press.state is PressState.IDLE:
+            return {}
+        return {run.setup.columns[k]: away for k, away in run.scans.departing().items()}
 
     @property
     def band_from(self) -> dict[str, float]:

@@ -182,3 +182,16 @@ def test_a_channel_that_stands_still_beside_six_is_left_out_and_a_sound_one_is_n
     again[dead] = float(np.median([v for name, v in again.items() if name.startswith("top_") and name != dead]))
     sensor.update(t + 0.1, again)
     assert abs(sensor.left_out[dead]) > 10.0  # what it is left out for, though at this scan it agrees
+
+
+def test_without_a_panel_in_the_press_no_channel_departs_from_its_neighbours(pressing):
+    run, truth = pressing
+    scattered = {name: values.copy() for name, values in run.columns.items()}
+    before = run.time_s < truth.moments.inserted_s - 2.0
+    for name in ("top_1", "top_2"):
+        scattered[name][before] += 8.0 * (-1.0) ** np.arange(before.sum())
+    sensor = LiveSensor(PRESS, run.header, MODEL)
+    for i in np.flatnonzero(before).tolist():
+        said = sensor.update(float(run.time_s[i]), {name: float(values[i]) for name, values in scattered.items()})
+        assert said.state is PressState.IDLE
+        assert sensor.left_out == {}
