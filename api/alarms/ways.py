@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import smtplib
 import ssl
+from base64 import b64encode
 from dataclasses import dataclass
 from email.message import EmailMessage
 from hashlib import sha256
@@ -27,6 +28,10 @@ from daq.words.message import languages, words
 
 TRY_S = IN_HAND_S / 9.0
 """Longest wait for each answer of a receiver: a try, nine answers at most, stays within `IN_HAND_S`. [s]"""
+
+
+TAKEN = 235
+"""What a mail server answers to a login it takes (RFC 4954, section 6)."""
 
 
 class NotDelivered(RuntimeError):
@@ -64,9 +69,9 @@ class Email:
                 if s.security == "starttls":
                     server.starttls(context=context)
                 if s.user:
-                    server.login(s.user, _first_line(s.password_file))
+                    _login(server, s.user, _first_line(s.password_file))
                 server.send_message(self.message(alarm))
-        except (smtplib.SMTPException, OSError) as error:
+        except (smtplib.SMTPException, OSError, ValueError) as error:
             raise NotDelivered(f"{s.host}:{s.port}: {error or type(error).__name__}") from error
 
     def message(self, alarm: StoredAlarm) -> EmailMessage:
@@ -82,6 +87,18 @@ class Email:
         raised = f"{alarm.raised_utc:%Y-%m-%d %H:%M:%S} UTC"
         mail.set_content(words(say("alarm-body", what=text, raised=raised, number=alarm.number), s.language))
         return mail
+
+
+def _login(server: smtplib.SMTP, user: str, password: str) -> None:
+    """Say who we are; what smtplib, which knows ASCII alone, cannot say goes as PLAIN in UTF-8 (RFC 4616)."""
+    if (user + password).isascii():
+        server.login(user, password)
+        return
+    server.ehlo_or_helo_if_needed()
+    said = b64encode(f"\0{user}\0{password}".encode()).decode()
+    code, answer = server.docmd("AUTH", f"PLAIN {said}")
+    if code != TAKEN:
+        raise smtplib.SMTPAuthenticationError(code, answer)
 
 
 class _NoRedirect(HTTPRedirectHandler):

@@ -6,17 +6,25 @@ import json
 import os
 import signal
 import socket
+import ssl
 import subprocess
 import sys
 import threading
 import time
+import warnings
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from email import message_from_bytes
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from ipaddress import ip_address
 
 import httpx
 import pytest
 from aiosmtpd.controller import Controller
+from aiosmtpd.smtp import AuthResult
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec
 
 from api.alarms.watch import look, send_due
 from api.alarms.ways import NotDelivered, Webhook, ways_of
@@ -169,6 +177,86 @@ def test_a_mail_in_german_where_the_plant_reads_german(store, mail):
     assert "der Kern ist über 110 °C" in inbox.mails[0].get_payload(decode=True).decode()
     with pytest.raises(InputError, match="there are words for en, de"):
         ways_of(settings.model_copy(update={"language": "fr"}), None, "store")
+
+
+class TlsController(Controller):
+    """A mail server that speaks TLS from the first byte and takes a known user alone."""
+
+    def __init__(self, inbox, context):
+        self.logins = []
+        super().__init__(
+            inbox,
+            hostname="127.0.0.1",
+            port=free_port(),
+            ssl_context=context,
+            authenticator=self.known,
+            auth_required=True,
+            auth_require_tls=False,  # aiosmtpd counts STARTTLS alone
+        )
+
+    def known(self, server, session, envelope, mechanism, data):
+        self.logins.append((data.login.decode(), data.password.decode()))
+        return AuthResult(success=self.logins[-1] == ("schicht", "Prüfstand"), handled=False)
+
+
+@pytest.fixture
+def tls_mail(tmp_path, monkeypatch):
+    key, certificate = tmp_path / "key.pem", tmp_path / "certificate.pem"
+    own_certificate(key, certificate)
+    monkeypatch.setenv("SSL_CERT_FILE", str(certificate))
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.load_cert_chain(certificate, key)
+    with warnings.catch_warnings():  # of what aiosmtpd thinks of a login without STARTTLS
+        warnings.simplefilter("ignore")
+        server = TlsController(Inbox(), context)
+        server.start()
+        password = tmp_path / "password"
+        told = {"security": "tls", "user": "schicht", "password_file": password}
+        to = ("shift@plant.example",)
+        settings = EmailSettings(host="127.0.0.1", port=server.port, sender="press@plant.example", to=to, **told)
+        yield server, settings, password
+        server.stop()
+
+
+def own_certificate(key, certificate):
+    """Write a key and a certificate for 127.0.0.1 that vouches for itself."""
+    made = ec.generate_private_key(ec.SECP256R1())
+    name = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, "mail")])
+    place = x509.SubjectAlternativeName([x509.IPAddress(ip_address("127.0.0.1"))])
+    now = datetime.now(UTC)
+    built = x509.CertificateBuilder().subject_name(name).issuer_name(name).public_key(made.public_key())
+    built = (
+        built.serial_number(1).not_valid_before(now - timedelta(days=1)).not_valid_after(now + timedelta(days=1))
+    )
+    signed = built.add_extension(place, critical=False).sign(made, hashes.SHA256())
+    plain = serialization.NoEncryption(), serialization.PrivateFormat.PKCS8
+    key.write_bytes(made.private_bytes(serialization.Encoding.PEM, plain[1], plain[0]))
+    certificate.write_bytes(signed.public_bytes(serialization.Encoding.PEM))
+
+
+def test_a_mail_goes_over_tls_also_with_a_password_that_is_no_ascii(store, tls_mail):
+    server, settings, password = tls_mail
+    password.write_text("Prüfling\n", encoding="utf-8")
+    ways = ways_of(settings, None, "store")
+    store.watch_alarms([HOT], ["email"], NOW)
+    assert send_due(store, ways, lambda: NOW) == 0
+    (said,) = store.journal(level="warning").items
+    assert "535" in str(said.message)
+    password.write_text("Prüfstand\n", encoding="utf-8")
+    assert send_due(store, ways, lambda: seconds(6)) == 1
+    assert server.logins == [("schicht", "Prüfling"), ("schicht", "Prüfstand")]
+    assert len(server.handler.mails) == 1
+
+
+def test_a_password_file_that_is_no_text_is_told_and_keeps_no_other_way_waiting(store, mail, receiver, tmp_path):
+    _, settings = mail
+    (tmp_path / "password").write_bytes(b"\xff\xfe")
+    (way,) = ways_of(settings, None, "store")
+    told = settings.model_copy(update={"user": "press", "password_file": tmp_path / "password"})
+    ways = [replace(way, settings=told), *ways_of(None, hook(tmp_path, receiver.port), "store")]
+    store.watch_alarms([HOT], ["email", "webhook"], NOW)
+    assert send_due(store, ways, lambda: NOW) == 1
+    assert len(receiver.posts) == 1
 
 
 def test_a_receiver_that_refuses_is_asked_again_later_and_told_of_once(store, mail, receiver, tmp_path):
