@@ -194,6 +194,28 @@ def test_the_wall_fills_the_screen_and_does_not_scroll(pressing, browser, width,
     page.close()
 
 
+@pytest.mark.parametrize(("width", "height"), [(1920, 1080), (1280, 860), (1024, 768), (768, 1024), (375, 812)])
+def test_nothing_on_the_wall_covers_the_cores_unit(pressing, served, browser, width, height):
+    server, _ = pressing
+    store = served[1].store
+    said = store.append_estimates
+    store.append_estimates = lambda press, estimates: said(
+        press, [replace(e, core_celsius=107.3, core_high_celsius=110.0) for e in estimates]
+    )
+    page = browser.new_page(viewport={"width": width, "height": height}, locale="en-GB")
+    page.goto(server.url + "#/wall")
+    core = page.get_by_test_id("core")
+    expect(core).to_have_text("107.3°C")
+    expect(page.get_by_test_id("answer")).to_have_class("answer open_in")
+    page.wait_for_function("""() => {
+        const core = document.querySelector('[data-testid=core]'), letters = document.createRange();
+        letters.selectNodeContents(core);
+        const [end, place] = [letters.getBoundingClientRect().right, core.getBoundingClientRect().right];
+        return end <= place + 1;
+    }""")
+    page.close()
+
+
 def test_a_part_of_the_chart_stays_in_view_until_follow_is_pressed(pressing):
     server, page = pressing
     page.goto(server.url + "#/now")
