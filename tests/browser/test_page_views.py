@@ -745,6 +745,27 @@ def test_a_run_the_model_does_not_describe_is_red_and_has_no_intervals(plant):
     expect(fit).not_to_contain_text("…")
 
 
+def test_a_fit_that_ended_further_off_than_its_guesses_is_amber(plant):
+    address, page, _ = plant
+    fit = page.locator("[data-testid=fit]")
+    told = {}
+
+    def answer(route):
+        route.fulfill(json={**route.fetch().json(), **told})
+
+    page.route("**/runs/campaign-1/fit", answer)
+    for first, left, tone, says in (
+        (0.5, 0.9, "warn", "further off than its guesses"),
+        (0.9, 0.5, "good", "converged"),
+    ):
+        told.update(initial_rmse_K=first, rmse_K=left)
+        page.goto(address + "#/runs")
+        page.goto(address + "#/runs/campaign-1")
+        expect(fit.locator(".head .pill")).to_have_text(says)
+        expect(fit.locator(".head .pill")).to_have_class(f"pill {tone}")
+        expect(fit).to_contain_text(f"{first:.2f}")
+
+
 def test_a_days_pressings_are_marked_by_the_clock_where_a_press_runs_faster_than_it(plant):
     address, page, _ = plant
     page.goto(address)
