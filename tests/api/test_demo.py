@@ -134,7 +134,7 @@ def test_a_perfect_prediction_has_no_error_and_lies_inside_its_band(store):
 
     class OnlyThese:
         def fit(self, run):
-            return {"initial_rmse_still_K": 4.0, "rmse_still_K": 0.4}
+            return {"initial_rmse_K": 5.0, "rmse_K": 0.5, "initial_rmse_still_K": 4.0, "rmse_still_K": 0.4}
 
         def estimates(self, run):
             return [(t, e) for t, e in store.estimates(run) if e.number in known]
@@ -142,6 +142,7 @@ def test_a_perfect_prediction_has_no_error_and_lies_inside_its_band(store):
     finding = compare(OnlyThese(), record, cycle, cycle.start)
     assert finding.core_worst_K < 1e-6
     assert finding.inside_band == 1.0
+    assert (finding.rmse_before_K, finding.rmse_after_K) == (5.0, 0.5)  # the figures of the page
 
 
 def test_a_machine_that_does_not_keep_up_is_told_so():
