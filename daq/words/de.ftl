@@ -976,7 +976,7 @@ worth-moves = { $change ->
        *[lowers] senkt
     } { $coefficient } ({ $bodies }) um { NUMBER($percent, maximumFractionDigits: 0) } %
 worth-moves-nothing = ändert keinen Koeffizienten über den Zufall hinaus
-worth-saves = senkt das Residuum um { NUMBER($gain, minimumFractionDigits: 2, maximumFractionDigits: 2) } von { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } K auf ausgelassenen Pressungen
+worth-saves = senkt das Residuum um { NUMBER($gain, minimumFractionDigits: 2, maximumFractionDigits: 2) } K auf ausgelassenen Pressungen, im Mittel über die Pressungen
 
 ## softsensor.diagnosis.free_law: what is missing as a free function
 
@@ -1256,7 +1256,7 @@ figure-votes = { $better } von { $runs } Pressungen, jede einmal ausgelassen, pa
 figure-with-fit = Modell mit angepassten Koeffizienten
 figure-with-guesses = Modell mit den Schätzwerten der Pressendatei
 figure-worst-run = { $run }, die am schlechtesten passende Pressung: das einfache Modell liegt { NUMBER($rms, minimumFractionDigits: 2, maximumFractionDigits: 2) } K daneben (RMS der Mittel je Stelle)
-figure-worst-run-extended = { $run }: { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } K daneben mit dem einfachen Modell, { NUMBER($after, minimumFractionDigits: 2, maximumFractionDigits: 2) } K mit { $causes }
+figure-worst-run-extended = { $run }: { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } K daneben mit dem einfachen Modell, { NUMBER($after, minimumFractionDigits: 2, maximumFractionDigits: 2) } K mit dem erweiterten ({ $causes })
 figure-worth-of-pressing = Was eine Pressung je offenem Punkt wert ist
 
 ## softsensor.report: nights
@@ -1329,7 +1329,7 @@ report-dependence = Abhängigkeit vom Pressprogramm
 report-diagnosis-basis = Presse „{ $press }“, { $runs } { $runs ->
         [one] Pressung
        *[other] Pressungen
-    }, Urteil
+    }
 report-diagnosis-of = { $verdict } – Presse { $press }
 report-error-core = Fehler des Kerns gegen Kernfühler
 report-error-core-predicted = Abweichung an Kernfühlern, Pressungen vorhergesagt

@@ -959,7 +959,7 @@ worth-hardly = hardly lowers the residual on runs left out ({ NUMBER($gain, mini
 worth-hardly-without-panel = hardly lowers the residual on runs left out ({ NUMBER($gain, minimumFractionDigits: 2, maximumFractionDigits: 2) } of { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } K); named because { $better } of { $runs } runs, each left out in turn, fit better with it; it { $moved }
 worth-moves = { $change } { $coefficient } ({ $bodies }) by { NUMBER($percent, maximumFractionDigits: 0) } %
 worth-moves-nothing = moves no coefficient beyond chance
-worth-saves = lowers the residual by { NUMBER($gain, minimumFractionDigits: 2, maximumFractionDigits: 2) } of { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } K on runs left out
+worth-saves = lowers the residual by { NUMBER($gain, minimumFractionDigits: 2, maximumFractionDigits: 2) } K on runs left out, in the mean over the runs
 
 ## softsensor.diagnosis.free_law: what is missing as a free function
 
@@ -1313,7 +1313,7 @@ report-dependence = Dependence on the press program
 report-diagnosis-basis = Press “{ $press }”, { $runs } { $runs ->
         [one] run
        *[other] runs
-    }, verdict
+    }
 report-diagnosis-of = { $verdict } – press { $press }
 report-error-core = error of the core against core thermocouples
 report-error-core-predicted = error at core thermocouples, runs predicted

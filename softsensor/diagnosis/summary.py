@@ -202,7 +202,7 @@ def worth(found: Diagnosis, finding: Finding) -> Message:
         return say("worth-faulty-channel")
     before, gain = found.base.heldout_rmse_K, finding.gain.value_K
     if gain >= HARDLY * before:
-        return say("worth-saves", gain=gain, before=before)
+        return say("worth-saves", gain=gain)
     at = found.final.effects.index(finding.name)
     less, more = found.stages[at : at + 2]
     better, runs = finding.votes

@@ -30,7 +30,6 @@ def diagnosis_report(found: Diagnosis, language: str = ENGLISH, rehearsal: Rehea
         language,
         press=found.final.fit.layout.model.press.name,
         title=Message(f"report-verdict-{found.verdict}"),
-        verdict=found.verdict,
         sentence=verdict_said(found),
         runs=len(found.stages[0].data),
         findings=[_finding(found, f) for f in found.findings],

@@ -167,7 +167,7 @@ def test_a_cause_saves_the_same_in_its_own_table_among_the_candidates_and_in_its
     (effect,) = content["effects"]
     (row,) = [c for c in content["candidates"] if c["name"] == effect["name"]]
     assert row["heldout_gain_K"] == effect["heldout_gain_K"] == effect["worth_said"]["arguments"]["gain"]
-    assert f"by {effect['heldout_gain_K']:.2f} of " in effect["worth"]
+    assert f"by {effect['heldout_gain_K']:.2f} K on runs left out, in the mean" in effect["worth"]
 
 
 def test_a_stored_diagnosis_carries_what_a_cause_is_worth_as_a_sentence_and_as_a_code() -> None:
@@ -198,7 +198,7 @@ def test_the_report_says_cause_cost_gain_and_next_measurement() -> None:
 def test_what_hardly_saves_kelvins_says_why_it_is_named_and_what_it_moves() -> None:
     found = diagnosed("edge_loss", 501, 7, 0.5)
     edge = found.findings[0]
-    assert str(worth(found, edge)).endswith("K on runs left out")
+    assert str(worth(found, edge)).endswith("in the mean over the runs")
     said = str(worth(found, replace(edge, gain=Gain(-0.0, (-0.1, 0.1)))))
     before, after = core_of(found.stages[0]), core_of(found.stages[1])
     assert "(0.00 of " in said
@@ -716,3 +716,5 @@ def test_a_report_in_german_says_nothing_of_its_own_in_english() -> None:
     english = {c: t.strip() for c, t in catalogue_of("en").entries().items() if c.startswith("report-")}
     shown = re.sub(r"<svg.*?</svg>|<style.*?</style>", "", page, flags=re.DOTALL)
     assert not [c for c, said in english.items() if "{" not in said and f">{said}<" in shown]
+    assert not re.search(r"\bnamed\b", shown)  # the verdict's code, which is for machines
+    assert "mit dem erweiterten (wärmeverlust" in page.lower()
