@@ -636,6 +636,7 @@ parameter-interval = { NUMBER($low, maximumSignificantDigits: 3) } bis { NUMBER(
 parameter-law-coldest_C = tiefste Temperatur der Kurve
 parameter-law-hottest_C = höchste Temperatur der Kurve
 parameter-law-last_s = späteste Zeit seit dem Schließen
+parameter-law-level = Logarithmus des Faktors zur spätesten Zeit
 parameter-law-strength = Stärke, 1 wie gefunden
 parameter-law-value = Wert an der Stützstelle { $knot }
 parameter-moisture_evaporation-moisture_percent = Wasser, das verdampft

@@ -636,6 +636,7 @@ parameter-interval = { NUMBER($low, maximumSignificantDigits: 3) } to { NUMBER($
 parameter-law-coldest_C = lowest temperature of the curve
 parameter-law-hottest_C = highest temperature of the curve
 parameter-law-last_s = latest time since closing
+parameter-law-level = logarithm of the factor at the latest time
 parameter-law-strength = strength, 1 as found
 parameter-law-value = value at knot { $knot }
 parameter-moisture_evaporation-moisture_percent = water that evaporates

@@ -9,7 +9,8 @@ the campaign: the marginal likelihood (Laplace's, from the fit's curvature) over
 kind               variable                     curve
 =================  ===========================  =================================================================
 ``contact``        ``time_since_closing_s``     factor on the closed panel's contacts, 1 at the latest time seen;
-                                                ``contact_lower`` and ``contact_upper`` on one of them alone
+                                                ``contact_lower`` and ``contact_upper`` on one of them alone, 1
+                                                where it is the press's closed coefficient as the other is
 ``heat``           ``temperature_C``            heat that goes for good as the panel warms up, negative where it
                                                 comes [kJ/m³K]
 ``heat_exchange``  ``depth_share``              heat lost to the room by height in the panel, 0 at its lower face;
@@ -52,6 +53,7 @@ from softsensor.effects.free_law import (
     HOTTEST_C,
     KNOTS,
     LAST_S,
+    LEVEL,
     SIDES,
     SOURCE,
     STRENGTH,
@@ -64,6 +66,7 @@ from softsensor.effects.free_law import (
     exchange_terms,
     heat_knots,
     heat_terms,
+    levelled,
 )
 from softsensor.effects.parameters import Parameter
 from softsensor.heat.model_file import FittedValue
@@ -223,15 +226,17 @@ def contact_by_time(last_s: float, side: str = "") -> LawKind:
     smooth = contact_knots(last_s)
 
     def terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
-        return contact_terms(scene, _function(smooth, values), last_s, side)
+        law = _function(smooth, values)
+        return contact_terms(scene, law if side else levelled(law, last_s), last_s, side)
 
-    end = smooth.knots[-1:]
-    along = np.linspace(0.0, end[0], POINTS)
-    weights = smooth.weights(along) - smooth.weights(end)
+    end = smooth.weights(smooth.knots[-1:])
+    along = np.linspace(0.0, smooth.knots[-1], POINTS)
+    weights = smooth.weights(along) - (0.0 if side else end)
     kind = LawOf(f"{LawOf.CONTACT}_{side}") if side else LawOf.CONTACT
 
     def kept(numbers: Array) -> dict[str, float]:
-        return {LAST_S: last_s, **_at_knots(smooth, numbers)}
+        level = {LEVEL: float(end[0] @ numbers)} if side else {}
+        return {LAST_S: last_s, **level, **_at_knots(smooth, numbers)}
 
     effect = _effect(kind, smooth, terms)
     x = EARLY_S * np.expm1(along)

@@ -1,9 +1,11 @@
 """Upper and lower contact that differ while the press is closed."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
-from softsensor.effects.effect import Effect, Live, Need, Role, Scene, Terms
+import numpy as np
+
+from softsensor.effects.effect import Effect, LawOf, Live, Need, Role, Scene, Terms
 from softsensor.effects.parameters import Parameter
 
 
@@ -13,6 +15,14 @@ def _terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
     root = values["ratio"] ** 0.5
     return Terms(closed_contact={scene.panel_contacts[0]: 1.0 / root, scene.panel_contacts[-1]: root})
 
+
+def _as_law(kind: LawOf, x: Any, _: float) -> Iterator[Any]:
+    ratio = EFFECT.parameters[0]
+    for factor in np.geomspace(ratio.lower, ratio.upper, 101) if kind in _SIDES else ():
+        yield np.full(len(x), factor)
+
+
+_SIDES = (LawOf.CONTACT_LOWER, LawOf.CONTACT_UPPER)
 
 EFFECT = Effect(
     name="contact_asymmetry",
@@ -34,4 +44,5 @@ EFFECT = Effect(
     chance=0.45,
     live=Live(Role.SCATTER, with_states=True),
     needs=Need.PANEL,
+    as_law=_as_law,
 )

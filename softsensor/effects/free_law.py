@@ -9,7 +9,8 @@ effect                   values at the knots
 =======================  =========================================================================================
 ``law_contact``          logarithm of the factor on the closed panel's contacts, up to a constant that makes the
                          factor 1 at the longest time seen, over log(1 + t / 2 s) of the time
-                         t since closing; ``law_contact_lower`` and ``law_contact_upper`` on one of them alone
+                         t since closing; ``law_contact_lower`` and ``law_contact_upper`` on one of them alone,
+                         with a level of its own, since the coefficient is also the other one's
 ``law_heat``             heat that goes for good as the panel warms up, over its temperature [kJ/m³K]
 ``law_heat_exchange``    heat lost to the room, over the height in the panel [W/m³K]
 =======================  =========================================================================================
@@ -46,6 +47,8 @@ EARLY_S = 2.0
 HEAT_UNIT = 1e3
 """From what a law of heat is told in. [J/m³K per kJ/m³K]"""
 STRENGTH, LAST_S, COLDEST_C, HOTTEST_C = "strength", "last_s", "coldest_C", "hottest_C"
+LEVEL = "level"
+"""Logarithm of the factor on one contact at the longest time seen; 0 in files of versions that had none."""
 VALUE = "value"
 """Of each knot, with its number."""
 
@@ -106,18 +109,23 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
 
 
 def contact_terms(scene: Scene, law: Function, last_s: float, side: str = "") -> Terms:
-    """Return the contacts' factors: `law` is their logarithm, up to a constant, and 1 the factor last seen. [s]"""
+    """Return the contacts' factors, whose logarithm is `law`; after the longest time seen they stay. [s]"""
     if np.isnan(scene.closed_s):
         return Terms()
     middle, half = 0.5 * (scene.step_start + scene.step_end), 0.5 * (scene.step_end - scene.step_start)
-    end = law(np.log1p(np.array([last_s]) / EARLY_S))
     factor: Numbers = np.zeros(len(middle))
     for node, weight in zip(_NODES, _WEIGHTS, strict=True):
         since = middle + node * half - scene.closed_s
         since = np.where(np.real(since) > 0.0, since, 0.0)
         since = np.where(np.real(since) < last_s, since, last_s)
-        factor = factor + 0.5 * weight * np.exp(law(np.log(1.0 + since / EARLY_S)) - end)
+        factor = factor + 0.5 * weight * np.exp(law(np.log(1.0 + since / EARLY_S)))
     return Terms(closed_contact=dict.fromkeys(scene.panel_contacts[SIDES[side]], factor))
+
+
+def levelled(law: Function, last_s: float, level: Any = 0.0) -> Function:
+    """Return a law of contact whose value at the longest time seen is `level`. [s]"""
+    shift = level - law(np.log1p(np.array([last_s]) / EARLY_S))
+    return lambda x: law(x) + shift
 
 
 def heat_terms(scene: Scene, law: Function, smooth: Smooth) -> Terms:
@@ -172,9 +180,12 @@ def _given(smooth: Smooth, values: Mapping[str, Any]) -> Function:
 def _contact(side: str) -> LawEffect:
     def terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
         last_s = float(np.real(values[LAST_S]))
-        return contact_terms(scene, _given(contact_knots(last_s), values), last_s, side)
+        level = values[STRENGTH] * values[LEVEL] if side else 0.0
+        law = levelled(_given(contact_knots(last_s), values), last_s, level)
+        return contact_terms(scene, law, last_s, side)
 
-    parameters = tuple(_parameters(KNOTS[LawOf.CONTACT], "-", {LAST_S: (60.0, "s")}))
+    ranges = {LAST_S: (60.0, "s")} | ({LEVEL: (0.0, "-")} if side else {})
+    parameters = tuple(_parameters(KNOTS[LawOf.CONTACT], "-", ranges))
     live = Live(Role.SCATTER, with_states=True)
     name = f"law_contact_{side}" if side else "law_contact"
     return LawEffect(name, parameters, terms, SOURCE, live=live, needs=Need.PANEL)

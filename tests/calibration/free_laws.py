@@ -1,0 +1,112 @@
+"""What a free law is worth: ``python -m tests.calibration.free_laws CAMPAIGNS [CASE ...]``.
+
+Campaigns of eight pressings on the virtual press, on seeds from 24,200: nothing hidden, and laws of which it
+computes each by its own equations. Printed for each case: in how many campaigns a law is claimed; the kind right,
+alone or in a set of two; what the faces of runs left out gain, their own contacts refitted (mean); and, where the
+true curve can be written down and the kind is right, the share of the curve in its 95 % band over the range
+visited and how far it is off (root mean square over the true curve's range; medians).
+"""
+
+import sys
+from typing import NamedTuple
+
+import numpy as np
+
+from daq.press.press_file import parse_press
+from daq.simulated.campaign import make_campaign, press_toml
+from softsensor.diagnosis.free_law import free_law
+from softsensor.diagnosis.search import settle_base
+from softsensor.diagnosis.verdict import _screened
+from softsensor.heat.model import ThermalModel
+from tests.softsensor.test_free_law import THIN
+
+FIRST, RUNS = 24_200, 8
+PRESS = parse_press(press_toml())
+
+
+def lapsed(truth, x):
+    """Return the factor on the upper contact, broken off and back at once, against the lower one."""
+    p = truth.outside["contact_lapse"]
+    lasting = truth.moments.opened_s - truth.moments.closed_s
+    from_s = p["from_share"] * lasting
+    until_s = min(p["from_share"] + p["lasts_share"], 1.2) * lasting
+    return np.where((x >= from_s) & (x < until_s), 1.0 - p["drop"], 1.0)
+
+
+def grown(truth, x):
+    """Return the factor on both contacts, 1 at the latest time."""
+    p = truth.effects["contact_buildup"]
+    factor = 1.0 - p["deficit"] * np.exp(-x / p["time_constant_s"])
+    return factor / factor[-1]
+
+
+def lost(truth, x):
+    """Return the loss to the room, the same at every depth. [W/m³K]"""
+    return np.full(len(x), truth.effects["edge_loss"]["W_m3K"])
+
+
+CASES = {
+    "nothing": (None, (), None),
+    "contact_lapse": ("contact_lapse", ("contact_upper",), lapsed),
+    "contact_buildup": ("contact_buildup", ("contact",), grown),
+    "edge_loss": ("edge_loss", ("heat_exchange",), lost),
+    "moisture_evaporation": ("moisture_evaporation", ("heat",), None),
+}
+"""What is hidden, the right kinds, and the true curve of a truth over x."""
+
+
+class Answer(NamedTuple):
+    """Of one campaign."""
+
+    set: tuple[str, ...] = ()
+    inside: float = np.nan
+    off: float = np.nan
+    gain: float = 0.0
+    """[K]"""
+
+
+def answered(seed, hidden, right, curve):
+    """Return what a campaign's runs tell."""
+    campaign = make_campaign(seed, RUNS, hidden, THIN)
+    _, digests = _screened(PRESS, [run for run, _ in campaign])
+    law = free_law(settle_base(ThermalModel(PRESS), digests))
+    if law is None:
+        return Answer()
+    if curve is None or law.kind not in right:
+        return Answer(law.set, gain=law.gain.value_K)
+    x, value, low, high = law.curve.T
+    true = curve(campaign[0][1], x)
+    off = np.sqrt(np.mean((value - true) ** 2)) / (np.ptp(true) or np.mean(np.abs(true)))
+    return Answer(law.set, float(np.mean((true >= low) & (true <= high))), float(off), law.gain.value_K)
+
+
+def told(name, answers, right):
+    """Return a case in a line."""
+    claimed = [a for a in answers if a.set]
+    sure = sum(len(a.set) <= 2 and not set(right).isdisjoint(a.set) for a in claimed)
+    line = f"{name}: a law in {len(claimed)} of {len(answers)}"
+    if not claimed:
+        return line
+    line += f", the right one alone or in two {sure}, gain {np.mean([a.gain for a in claimed]):.2f} K"
+    known = [(a.inside, a.off) for a in claimed if np.isfinite(a.inside)]
+    if not known:
+        return line
+    inside, off = 100.0 * np.median(known, axis=0)
+    return f"{line}; {inside:.0f} % of the curve in its band, off by {off:.0f} % of its range"
+
+
+def main():
+    """Print a line a case, and one a campaign as it is done."""
+    campaigns, names = int(sys.argv[1]), sys.argv[2:] or list(CASES)
+    for name in names:
+        hidden, right, curve = CASES[name]
+        answers = []
+        for seed in range(FIRST, FIRST + campaigns):
+            answers.append(found := answered(seed, hidden, right, curve))
+            figures = f"{100 * found.inside:.0f} % in its band, off by {100 * found.off:.0f} %, {found.gain:.2f} K"
+            print(f"  {name} {seed}: {', '.join(found.set) or '-'}, {figures}", flush=True)
+        print(told(name, answers, right), flush=True)
+
+
+if __name__ == "__main__":
+    main()
