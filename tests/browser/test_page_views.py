@@ -747,6 +747,41 @@ def test_a_run_the_model_does_not_describe_is_red_and_has_no_intervals(plant):
     expect(fit).not_to_contain_text("…")
 
 
+TICKS = """
+const {fillText: written, clearRect: cleared} = CanvasRenderingContext2D.prototype;
+window.ticks = new Map();
+CanvasRenderingContext2D.prototype.fillText = function (words, ...at) {
+    if (this.textAlign === 'right') window.ticks.get(this.canvas)?.add(words);
+    return written.call(this, words, ...at);
+};
+CanvasRenderingContext2D.prototype.clearRect = function (...at) {
+    window.ticks.set(this.canvas, new Set());
+    return cleared.call(this, ...at);
+};
+"""
+"""Keeps what stands beside the upward axis of each chart as it was last drawn."""
+
+
+def test_a_low_charts_axis_tells_more_than_one_step(plant, browser):
+    page = browser.new_page(viewport={"width": 1280, "height": 900}, locale="en-GB")
+    page.add_init_script(TICKS)
+
+    def answer(route):
+        told = route.fetch().json()
+        for place in told["curves"]["places"]:
+            for model in ("plain", "extended"):
+                count = len(place[f"{model}_residual_K"])
+                place[f"{model}_residual_K"] = [1.752 if i % 2 else -4.178 for i in range(count)]
+        route.fulfill(json=told)
+
+    page.route("**/diagnoses/*/curves", answer)
+    page.goto(plant[0] + "#/diagnosis")
+    expect(page.get_by_test_id("curves").locator("canvas").nth(1)).to_be_visible()
+    page.wait_for_function("""() => [...document.querySelectorAll('[data-testid=curves] canvas')].every(
+        (canvas) => (window.ticks.get(canvas)?.size ?? 0) > 1)""")
+    page.close()
+
+
 def test_a_fit_that_ended_further_off_than_its_guesses_is_amber(plant):
     address, page, _ = plant
     fit = page.locator("[data-testid=fit]")
