@@ -1257,7 +1257,7 @@ figure-votes = { $better } von { $runs } Pressungen, jede einmal ausgelassen, pa
 figure-with-fit = Modell mit angepassten Koeffizienten
 figure-with-guesses = Modell mit den Schätzwerten der Pressendatei
 figure-worst-run = { $run }, die am schlechtesten passende Pressung: das einfache Modell liegt { NUMBER($rms, minimumFractionDigits: 2, maximumFractionDigits: 2) } K daneben (RMS der Mittel je Stelle)
-figure-worst-run-extended = { $run }: { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } K daneben mit dem einfachen Modell, { NUMBER($after, minimumFractionDigits: 2, maximumFractionDigits: 2) } K mit dem erweiterten ({ $causes })
+figure-worst-run-extended = { $run }: { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } K daneben, erweitert { NUMBER($after, minimumFractionDigits: 2, maximumFractionDigits: 2) } K ({ $causes })
 figure-worth-of-pressing = Was eine Pressung je offenem Punkt wert ist
 
 ## softsensor.report: nights
