@@ -1,6 +1,7 @@
 """Two hundred pressings timed by a fixed press time and by Kerntemp: undercured, overcured, time and energy.
 
     python deploy/examples/when_to_open/pressings.py [--pressings 200] [--hide EFFECT] [--figure opening.png]
+        [--first 7100]
 
 The virtual press is the truth: it integrates heat and cure by its own equations on its own mesh. From pressing to
 pressing its contacts scatter by 12 %, conductivity, heat capacity and the paper's rate by 5 %, its activation
@@ -187,12 +188,14 @@ def _band(
     return inside, widths, errors
 
 
-def campaign(count: int, hidden: str | None = None, rate_sd: float = RATE_SD) -> Iterator[Pressed]:
+def campaign(
+    count: int, hidden: str | None = None, rate_sd: float = RATE_SD, first: int = SEED
+) -> Iterator[Pressed]:
     """Press so many panels; each has a press, a panel and a paper of its own."""
     told = resin(rate_sd)
     for i in range(count):
-        ((run, truth),) = make_campaign(SEED + i, 1, hidden, PLAN)
-        paper = draw_paper(np.random.default_rng([SEED, 9, i]), rate_sd, ENERGY_SD, PAPER)
+        ((run, truth),) = make_campaign(first + i, 1, hidden, PLAN)
+        paper = draw_paper(np.random.default_rng([first, 9, i]), rate_sd, ENERGY_SD, PAPER)
         yield pressed(run, truth, paper, told)
 
 
@@ -298,12 +301,13 @@ def main() -> None:
     """Press, print what came out, and draw it."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--pressings", type=int, default=200)
+    parser.add_argument("--first", type=int, default=SEED, help="seed of the first pressing")
     parser.add_argument("--hide", help="an effect of the contract that only the virtual press has")
     parser.add_argument("--rate-sd", type=float, default=RATE_SD, help="relative scatter of the paper's rate")
     parser.add_argument("--figure", type=Path, help="write the figure here, as SVG or PNG by its ending")
     asked = parser.parse_args()
     found = []
-    for one in campaign(asked.pressings, asked.hide, asked.rate_sd):
+    for one in campaign(asked.pressings, asked.hide, asked.rate_sd, asked.first):
         found.append(one)
         sys.stderr.write(f"\r{len(found)} of {asked.pressings}")
     sys.stderr.write("\n")
