@@ -8,10 +8,17 @@ which the cause may have begun, and over causes and the ways they can show; wher
 ever passes `1 / p` in a share `p` of presses at most (Ville's inequality). It says that something is missing; what
 it is, a night's diagnosis says.
 
+The average over beginnings is a recursion (Shiryaev's): a share waits and is not bet, so it is not lost while
+nothing is there; at each run a part of it, `_begins`, is laid on every stake. That part may depend on nothing but
+earlier runs. A cause is there from the first run with chance one half; else it begins at each run with one chance
+that is not known, of a Beta(1, `WAIT`) distribution, whose predictive chance after `n` runs without it is
+`1 / (WAIT + 1 + n)` (Laplace's rule of succession). A factor is 2 at most, so that a cause which shows in one way
+takes at least `log2(limit * number of ways)` runs, eleven against the first model, whenever it is laid.
+
 References
 ----------
 Ramdas, Ruf, Larsson & Koolen, arXiv:2009.03167 (processes for symmetric scores); Shafer, J. R. Stat. Soc. A 184
-(2021) 407 (testing by betting).
+(2021) 407 (testing by betting); Shiryaev, Theory Probab. Appl. 8 (1963) 22 (a beginning with a prior chance).
 """
 
 from __future__ import annotations
@@ -19,6 +26,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -29,6 +37,9 @@ ALPHA = 0.05
 STAKES = (0.5, 2.0)
 """Shifts of the scores that are bet on, in their standard deviations; one in between is bet on as its half or its
 double at worst."""
+WAIT = 100.0
+"""Runs within which a cause that was not there at first begins with chance one half; a convention. It moves how
+soon a cause is seen, not the bound on how often one is seen where there is none."""
 MOST = 1e9
 """Where products are cut off, far above every limit; cutting only makes it less sure."""
 
@@ -45,16 +56,27 @@ class Bets:
     """Runs up to this number have had their turn."""
     runs: int = 0
     """Runs counted against this model."""
+    waiting: float = 1.0
+    """Share of the unit that waits for a cause to begin."""
     wealth: Mapping[str, Sequence[float]] = field(default_factory=dict)
     """What has become of what was laid so far, by way (`diagnosis.run_scores.ways`) and stake."""
     sure: str = ""
     """The run that made it sure, empty where it is not. No more is bet then."""
 
+    @classmethod
+    def stored(cls, told: Mapping[str, Any]) -> Bets:
+        """Return the bets that the store kept.
+
+        Before 2026-11-25 it did not keep what waits, which was `1 / (1 + log2(runs + 1))`. The bets go on from
+        there: what is laid from now on may follow any rule.
+        """
+        return cls(**{"waiting": 1.0 / (1.0 + math.log2(told.get("runs", 0) + 1.0)), **told})
+
     @property
     def average(self) -> float:
         """What one unit has become, in the mean over ways."""
-        kept = [sum(self.wealth[name]) if name in self.wealth else _laid(self.runs) for name in ways()]
-        return 1.0 - _laid(self.runs) + sum(kept) / len(kept)
+        kept = [sum(self.wealth[name]) if name in self.wealth else 1.0 - self.waiting for name in ways()]
+        return self.waiting + sum(kept) / len(kept)
 
     @property
     def limit(self) -> float:
@@ -74,17 +96,17 @@ class Bets:
         """Return the bets with a further run settled; `scores` by way, those it has."""
         if self.sure:
             return replace(self, counted=number)
-        before, now = _laid(self.runs), _laid(self.runs + 1)
-        equal = [before / len(STAKES)] * len(STAKES)
+        begins = self.waiting * _begins(self.runs)
+        equal = [(1.0 - self.waiting) / len(STAKES)] * len(STAKES)
         held = np.array([self.wealth.get(name, equal) for name in ways()])
         said = np.array([scores.get(name, 0.0) for name in ways()])
         factors = 2.0 / (1.0 + np.exp(-2.0 * np.outer(said, STAKES)))
-        held = np.minimum((held + (now - before) / len(STAKES)) * factors, MOST)
+        held = np.minimum((held + begins / len(STAKES)) * factors, MOST)
         wealth = dict(zip(ways(), held.tolist(), strict=True))
-        found = replace(self, counted=number, runs=self.runs + 1, wealth=wealth)
+        found = replace(self, counted=number, runs=self.runs + 1, waiting=self.waiting - begins, wealth=wealth)
         return replace(found, sure=run, wealth={}) if found.average >= self.limit else found
 
 
-def _laid(runs: int) -> float:
-    """Return the share of the unit laid by a run: half at the first, then ever less, and all of it in the end."""
-    return 1.0 - 1.0 / (1.0 + math.log2(runs + 1.0))
+def _begins(runs: int) -> float:
+    """Return the chance that a cause begins at the next run, given that it has not in so many."""
+    return 1.0 / (WAIT + runs) if runs else 0.5

@@ -54,7 +54,7 @@ class Progress:
         if not found:
             return cls()
         told = found[0].progress
-        return cls(**{**told, "bets": Bets(**told.get("bets", {}))})
+        return cls(**{**told, "bets": Bets.stored(told.get("bets", {}))})
 
     def as_json(self) -> dict[str, Any]:
         """Return it as the store keeps it."""
