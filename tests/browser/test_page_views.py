@@ -745,6 +745,7 @@ def test_a_run_the_model_does_not_describe_is_red_and_has_no_intervals(plant):
     page.reload()
     expect(fit.locator(".pill.bad").first).to_have_text("not described by the model")
     expect(fit).not_to_contain_text("…")
+    expect(page.locator("h1 + .pill")).to_have_class("pill idle")  # a complete record is no good fit
 
 
 TICKS = """

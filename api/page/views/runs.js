@@ -119,8 +119,9 @@ async function list(place, context) {
   return null;
 }
 
+// A record that is complete is no good pressing: green is for what was judged.
 function statusPill(status) {
-  const tone = { open: "open", closed: "good", interrupted: "warn" }[status] ?? "";
+  const tone = { open: "open", closed: "idle", interrupted: "warn" }[status] ?? "";
   return el("span", { class: `pill ${tone}` }, text(`page-run-${status}`));
 }
 
