@@ -146,9 +146,9 @@ def ways_of(email: EmailSettings | None, webhook: WebhookSettings | None, store:
 def _readable(path: Path | None) -> str:
     try:
         return _first_line(path)
-    except OSError as error:
+    except (OSError, UnicodeDecodeError) as error:
         raise InputError(say("alarm-file", path=str(path), why=reason_of(error))) from error
 
 
 def _first_line(path: Path | None) -> str:
-    return path.read_text(encoding="utf-8").split("\n")[0].strip() if path is not None else ""
+    return path.read_text(encoding="utf-8-sig").split("\n")[0].strip() if path is not None else ""

@@ -389,6 +389,8 @@ def _resembles(kind: LawOf, curve: Array) -> str | None:
     x, value, low, high = curve.T
     sd = np.maximum(0.5 * (high - low), 1e-9 * (1.0 + np.abs(value)))
     apart = float(x[-1] - x[0]) / (KNOTS.get(kind, KNOTS[LawOf.CONTACT]) - 1)  # no sharper can the knots tell it
+    if kind not in (LawOf.HEAT, LawOf.EXCHANGE) and np.mean((low <= 1.0) & (high >= 1.0)) >= INSIDE:
+        return None  # nearly everywhere no law at all
     nearest, least = None, math.inf
     for effect in catalogue().values():
         for shape in effect.as_law(kind, x, apart) if effect.as_law is not None else ():

@@ -18,7 +18,7 @@ def _terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
 
 def _as_law(kind: LawOf, x: Any, _: float) -> Iterator[Any]:
     ratio = EFFECT.parameters[0]
-    for factor in np.geomspace(ratio.lower, ratio.upper, 101) if kind in _SIDES else ():
+    for factor in np.geomspace(ratio.lower, ratio.upper, 1001) if kind in _SIDES else ():  # half a percent apart
         yield np.full(len(x), factor)
 
 

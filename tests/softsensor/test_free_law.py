@@ -278,11 +278,11 @@ def test_a_law_is_told_in_words_and_as_the_contract_has_it(language, part):
 
 
 @pytest.mark.parametrize("side", [LawOf.CONTACT_LOWER, LawOf.CONTACT_UPPER])
-def test_a_flat_law_of_one_contact_is_an_asymmetry_and_one_of_both_is_nothing(side):
+def test_a_flat_law_of_one_contact_is_an_asymmetry_and_a_brief_one_is_not(side):
     x = np.linspace(0.0, 30.0, 33)
-    curve = np.stack([x, np.full(33, 0.7), np.full(33, 0.65), np.full(33, 0.75)], axis=1)
-    assert laws._resembles(side, curve) == "contact_asymmetry"
-    assert laws._resembles(LawOf.CONTACT, curve) is None
+    flat, brief = np.full(33, 0.708), np.where((x > 10.0) & (x < 13.0), 0.5, 1.0)
+    assert laws._resembles(side, np.stack([x, flat, flat - 0.01, flat + 0.01], axis=1)) == "contact_asymmetry"
+    assert laws._resembles(side, np.stack([x, brief, brief - 0.05, brief + 0.05], axis=1)) is None
 
 
 def test_a_model_file_of_a_version_without_levels_means_what_it_meant():
