@@ -23,8 +23,6 @@ import pytest
 from aiosmtpd.controller import Controller
 from aiosmtpd.smtp import AuthResult
 from cryptography import x509
-from cryptography.hazmat.primitives import hashes, serialization
-from cryptography.hazmat.primitives.asymmetric import ec
 
 from api.alarms.watch import look, send_due
 from api.alarms.ways import NotDelivered, Webhook, ways_of
@@ -34,6 +32,7 @@ from daq.records import Channel, InputError, PressEvent, PressEventKind, Quality
 from daq.store import open_store
 from daq.store.records import NewRun, StandingAlarm, StoredEstimate
 from daq.words import say
+from tests.api.certificates import self_signed
 
 NOW = datetime(2026, 3, 4, 7, 0, tzinfo=UTC)
 CHANNELS = (Channel("platen_top"), Channel("platen_bottom"), Channel("top_1"))
@@ -201,8 +200,7 @@ class TlsController(Controller):
 
 @pytest.fixture
 def tls_mail(tmp_path, monkeypatch):
-    key, certificate = tmp_path / "key.pem", tmp_path / "certificate.pem"
-    own_certificate(key, certificate)
+    certificate, key = self_signed(tmp_path, "mail", x509.IPAddress(ip_address("127.0.0.1")))
     monkeypatch.setenv("SSL_CERT_FILE", str(certificate))
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     context.load_cert_chain(certificate, key)
@@ -216,22 +214,6 @@ def tls_mail(tmp_path, monkeypatch):
         settings = EmailSettings(host="127.0.0.1", port=server.port, sender="press@plant.example", to=to, **told)
         yield server, settings, password
         server.stop()
-
-
-def own_certificate(key, certificate):
-    """Write a key and a certificate for 127.0.0.1 that vouches for itself."""
-    made = ec.generate_private_key(ec.SECP256R1())
-    name = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, "mail")])
-    place = x509.SubjectAlternativeName([x509.IPAddress(ip_address("127.0.0.1"))])
-    now = datetime.now(UTC)
-    built = x509.CertificateBuilder().subject_name(name).issuer_name(name).public_key(made.public_key())
-    built = (
-        built.serial_number(1).not_valid_before(now - timedelta(days=1)).not_valid_after(now + timedelta(days=1))
-    )
-    signed = built.add_extension(place, critical=False).sign(made, hashes.SHA256())
-    plain = serialization.NoEncryption(), serialization.PrivateFormat.PKCS8
-    key.write_bytes(made.private_bytes(serialization.Encoding.PEM, plain[1], plain[0]))
-    certificate.write_bytes(signed.public_bytes(serialization.Encoding.PEM))
 
 
 def test_a_mail_goes_over_tls_also_with_a_password_that_is_no_ascii(store, tls_mail):

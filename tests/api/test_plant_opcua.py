@@ -22,6 +22,7 @@ from api.plant.opcua import NAMESPACE, PressServer, _Readers, check_settings
 from daq.process.config import OpcuaSettings
 from daq.records import Channel, InputError, PressEvent, PressEventKind, PressState, Quality, Scan
 from daq.store import NewRun, Store, StoredEstimate, open_store
+from tests.api.certificates import self_signed
 
 LAB = (Path(__file__).parents[2] / "deploy" / "presses" / "lab.toml").read_text()
 CHANNELS = (*(Channel(name) for name in ("platen_top", "top_1", "top_2", "top_3")), Channel("bar", "bar"))
@@ -281,35 +282,11 @@ def test_nothing_can_be_written_from_outside(tmp_path, store):
 
 
 def certificate(folder: Path) -> tuple[Path, Path]:
-    from datetime import timedelta
-
     from cryptography import x509
-    from cryptography.hazmat.primitives import hashes, serialization
-    from cryptography.hazmat.primitives.asymmetric import rsa
-    from cryptography.x509.oid import NameOID
 
-    key = rsa.generate_private_key(65537, 2048)
-    name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "press-pc")])
     uri = x509.UniformResourceIdentifier("urn:kerntemp:server")
-    now = datetime.now(UTC)
     usage = x509.KeyUsage(True, True, True, True, False, True, False, False, False)
-    signed = (
-        x509.CertificateBuilder()
-        .subject_name(name)
-        .issuer_name(name)
-        .public_key(key.public_key())
-        .serial_number(1)
-        .not_valid_before(now - timedelta(days=1))
-        .not_valid_after(now + timedelta(days=30))
-        .add_extension(x509.SubjectAlternativeName([uri, x509.DNSName("press-pc")]), False)
-        .add_extension(usage, False)
-        .sign(key, hashes.SHA256())
-    )
-    pem, plain = serialization.Encoding.PEM, serialization.NoEncryption()
-    (folder / "server.pem").write_bytes(signed.public_bytes(pem))
-    kept = key.private_bytes(pem, serialization.PrivateFormat.PKCS8, plain)
-    (folder / "server-key.pem").write_bytes(kept)
-    return folder / "server.pem", folder / "server-key.pem"
+    return self_signed(folder, "press-pc", uri, x509.DNSName("press-pc"), usage=usage)
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning:asyncua", "ignore::DeprecationWarning:cryptography")
