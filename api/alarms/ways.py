@@ -29,7 +29,6 @@ from daq.words.message import languages, words
 TRY_S = IN_HAND_S / 9.0
 """Longest wait for each answer of a receiver: a try, nine answers at most, stays within `IN_HAND_S`. [s]"""
 
-
 TAKEN = 235
 """What a mail server answers to a login it takes (RFC 4954, section 6)."""
 

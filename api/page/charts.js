@@ -54,7 +54,7 @@ export class TimeChart {
   options() {
     const line = style("--line");
     const faint = style("--faint");
-    const font = "12px system-ui, sans-serif"; // a low chart's steps stand as close as its letters allow: one step alone is no scale
+    const font = "12px system-ui, sans-serif";
     const axis = { stroke: faint, font, labelFont: font, grid: { stroke: line, width: 1 }, ticks: { stroke: line, width: 1, size: 5 } };
     const [low, high] = ["band-low", "band-high"].map((kind) => this.series.findIndex((s) => s.kind === kind));
     // Each lower bound is followed by its upper one.
@@ -71,6 +71,7 @@ export class TimeChart {
       },
       axes: [
         { ...axis, label: this.xLabel ?? text("page-time-axis"), labelSize: 20, size: 34, ...(this.xSteps ? { incrs: this.xSteps } : {}), values: (_, splits) => splits.map((v) => (this.xSays ? this.xSays(v, splits[1] - splits[0] < 60 ? "medium" : "short") : number(v, Number.isInteger(v) ? 0 : 1))) },
+        // A low chart's steps stand as close as its letters allow: one step alone is no scale.
         { ...axis, label: this.yLabel, labelSize: 20, space: this.height < 200 ? 18 : 30, size: (_, values) => Math.max(46, 14 + 7 * Math.max(...(values ?? [""]).map((v) => v.length))), values: (_, splits) => splits.map((v) => number(v, decimals(splits))) },
       ],
       series: [{}, ...this.series.map((s) => this.line(s))],

@@ -389,15 +389,19 @@ def _resembles(kind: LawOf, curve: Array) -> str | None:
     x, value, low, high = curve.T
     sd = np.maximum(0.5 * (high - low), 1e-9 * (1.0 + np.abs(value)))
     apart = float(x[-1] - x[0]) / (KNOTS.get(kind, KNOTS[LawOf.CONTACT]) - 1)  # no sharper can the knots tell it
-    if kind not in (LawOf.HEAT, LawOf.EXCHANGE) and np.mean((low <= 1.0) & (high >= 1.0)) >= INSIDE:
+    sized = kind in (LawOf.HEAT, LawOf.EXCHANGE)
+
+    def holds(shape: Any) -> bool:
+        return bool(np.mean((shape >= low) & (shape <= high)) >= INSIDE)
+
+    if not sized and holds(1.0):
         return None  # nearly everywhere no law at all
     nearest, least = None, math.inf
     for effect in catalogue().values():
         for shape in effect.as_law(kind, x, apart) if effect.as_law is not None else ():
-            size = 1.0
-            if kind in (LawOf.HEAT, LawOf.EXCHANGE):
-                size = np.sum(shape * value / sd**2) / np.sum(shape * shape / sd**2)
-            off = float(np.mean(((size * shape - value) / sd) ** 2))
-            if off < least and np.mean((size * shape >= low) & (size * shape <= high)) >= INSIDE:
+            if sized:
+                shape = shape * np.sum(shape * value / sd**2) / np.sum(shape * shape / sd**2)
+            off = float(np.mean(((shape - value) / sd) ** 2))
+            if off < least and holds(shape):
                 nearest, least = effect.name, off
     return nearest

@@ -26,11 +26,8 @@ PRESS = parse_press(press_toml())
 
 def lapsed(truth, x):
     """Return the factor on the upper contact, broken off and back at once, against the lower one."""
-    p = truth.outside["contact_lapse"]
-    lasting = truth.moments.opened_s - truth.moments.closed_s
-    from_s = p["from_share"] * lasting
-    until_s = min(p["from_share"] + p["lasts_share"], 1.2) * lasting
-    return np.where((x >= from_s) & (x < until_s), 1.0 - p["drop"], 1.0)
+    o, time = truth.pressing.outside, truth.pressing.closed + x
+    return np.where((time >= o.lapse_from) & (time < o.lapse_to), 1.0 - o.lapse_drop, 1.0)
 
 
 def grown(truth, x):

@@ -290,13 +290,15 @@ def test_a_model_file_of_a_version_without_levels_means_what_it_meant():
     made, press = laws.contact_by_time(30.0, "upper"), parse_press(press_toml())
     run, truth = make_campaign(43, 1, None, THIN)[0]
     kept = made.kept(0.6 * np.random.default_rng(4).normal(size=len(made.effect.parameters)))
-    shifted = kept | {f"{VALUE}_{k}": kept[f"{VALUE}_{k}"] + 0.4 for k in range(len(made.effect.parameters))}
+    older = {name: value for name, value in kept.items() if name != LEVEL}
+    shifted = older | {f"{VALUE}_{k}": kept[f"{VALUE}_{k}"] + 0.4 for k in range(len(made.effect.parameters))}
     stored = find_effect("law_contact_upper")
     model = ThermalModel(press, (stored,))
     case = model.prepare(run, truth.moments)
     cores = [
-        model.solve(case, model.guesses | {stored.key(n): v for n, v in numbers.items() if n != LEVEL}).core
-        for numbers in (kept, kept | {LEVEL: 0.0}, shifted)
+        model.solve(case, model.guesses | {stored.key(n): v for n, v in numbers.items()}).core
+        for numbers in (older, older | {LEVEL: 0.0}, shifted, kept)
     ]
     assert cores[1] == pytest.approx(cores[0], abs=1e-9)
     assert np.max(np.abs(cores[2] - cores[0])) < 0.05
+    assert np.max(np.abs(cores[3] - cores[0])) > 0.05
