@@ -14,6 +14,8 @@ BEAT_S = 1.0
 
 # Numbers without another source were set by hand, 2026-11.
 
+IN_USE_S = 7 * 86400.0
+"""What is unheard of for longer, a press, a machine, a way to people, is taken for gone. [s]"""
 RESTART_S = 1.0
 """Between an exception and the next try: a fault that stays must not fill the journal or a core. [s]"""
 

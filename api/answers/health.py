@@ -14,7 +14,7 @@ from api.answers.words import said_of
 from daq.store.records import Archive, ProcessStatus, StandingAlarm, StoreUnavailable
 from daq.store.store import Store
 from daq.store.upkeep import Sizes
-from daq.supervision import BEAT_S
+from daq.supervision import BEAT_S, IN_USE_S
 from daq.words import Message, say, spoken
 
 SILENT_S = 10.0 * BEAT_S
@@ -29,8 +29,6 @@ SEEN_S, SEEN_BYTES = 600.0, 16_000_000
 and of the write-ahead log (4 MB), and the figure many times too small."""
 LONG_S = 7200.0
 """A silence longer than this is counted in hours. [s]"""
-IN_USE_S = 7 * 86400.0
-"""A press or a machine unheard of for longer is taken for one that is no longer there: no alarm stands. [s]"""
 MANY_BEHIND = 600
 """Scans without an estimate, a minute of them at 10 Hz: the live sensor does not keep up, or compiles."""
 LEAST_FREE_BYTES = 2_000_000_000

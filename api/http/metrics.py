@@ -8,12 +8,13 @@ from typing import Any
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, generate_latest
 
-from api.answers.health import IN_USE_S, WANTED, duty_of, health_of, installed_version, is_missed, refit_age_s
+from api.answers.health import WANTED, duty_of, health_of, installed_version, is_missed, refit_age_s
 from api.answers.records import press_now
 from api.answers.schemas import Health, PressNow
 from daq.records import Quality
 from daq.store.records import StoredNight, StoreUnavailable
 from daq.store.store import Store
+from daq.supervision import IN_USE_S
 
 STATES = ("idle", "open", "closed", "unknown")
 

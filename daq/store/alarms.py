@@ -1,26 +1,30 @@
 """Alarms: raised once, acknowledged by somebody, and on their way to people. One transaction each.
 
-An alarm and its deliveries are written together, and a delivery leaves the outbox only when its receiver has taken
-it: no restart loses one. A condition that stands already is not raised again, and a delivery that a process has in
-hand is put off for the others: none is doubled, but for a process killed between the receiver's word and its own
-note, where the receiver knows it by the alarm's number.
+An alarm and its deliveries, one for each way of every server over the store, are written together; a delivery leaves
+the outbox only when its receiver has taken it: no restart loses one, whichever server raised it. A condition that
+stands already is not raised again, servers look one after the other, and a delivery that a process has in hand is
+put off for the others: none is doubled, but for a process killed between the receiver's word and its own note,
+where the receiver knows it by the alarm's number.
 """
 
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Any
 
-from sqlalchemy import Connection, Row, delete, func, insert, or_, select, update
+from sqlalchemy import Connection, Row, delete, exists, func, insert, or_, select, update
 
 from daq.records import InputError
 from daq.store.convert import known_utc, to_json, unix_of, utc_of
 from daq.store.journal import journal_after
 from daq.store.reading import newest_first
 from daq.store.records import Delivery, Page, StandingAlarm, StoredAlarm, Thresholds
-from daq.store.schema import ALARM, ALARM_DELIVERY, ALARM_POSITION, ALARM_THRESHOLD, EVENT
+from daq.store.schema import ALARM, ALARM_DELIVERY, ALARM_POSITION, ALARM_THRESHOLD, ALARM_WAY, EVENT
+from daq.store.upsert import insert_new, put
+from daq.supervision import IN_USE_S
 from daq.words import Message, say
 
 # Numbers without another source were set by hand, 2026-11.
@@ -38,15 +42,21 @@ LINES = 500
 """Of the journal looked through at a time. By hand, 2026-11."""
 
 
+NOTED_S = 3600.0
+"""How often it is noted that a way is still there, small beside `IN_USE_S`: a write each. [s]"""
+
+
 def watch(connection: Connection, standing: Sequence[StandingAlarm], ways: Sequence[str], now: datetime) -> int:
     """Take up what stands now and the journal's new alarms, end what no longer stands; return how many are new.
 
     Parameters
     ----------
     ways
-        How people are told of a new alarm: one delivery each.
+        How this server can tell people; a new alarm gets one delivery for each way of every server.
     """
     at = unix_of(now)
+    position = _turn(connection)
+    ways = _ways(connection, ways, at)
     known = set(connection.execute(select(ALARM.c.key).where(ALARM.c.ended_unix_s.is_(None))).scalars())
     told = {alarm.key: alarm for alarm in standing}
     if known & set(told):
@@ -54,7 +64,40 @@ def watch(connection: Connection, standing: Sequence[StandingAlarm], ways: Seque
     over = (ALARM.c.ended_unix_s.is_(None), ALARM.c.seen_unix_s < at - CALM_S)
     connection.execute(update(ALARM).where(*over).values(ended_unix_s=ALARM.c.seen_unix_s))
     new = [_raise(connection, alarm, ways, at) for key, alarm in told.items() if key not in known]
-    return len(new) + _take_up_journal(connection, ways)
+    return len(new) + _take_up_journal(connection, position, ways)
+
+
+def _turn(connection: Connection) -> int:
+    """Wait until no other server looks; return up to which line of the journal its alarms are taken up."""
+    query = select(ALARM_POSITION.c.event_id).with_for_update()
+    if (position := connection.execute(query).scalar()) is None:  # the first look: what was before is history
+        newest = connection.execute(select(func.max(EVENT.c.event_id))).scalar()
+        insert_new(connection, ALARM_POSITION, {"journal": JOURNAL, "event_id": newest or 0})
+        position = connection.execute(query).scalar_one()
+    return int(position)
+
+
+def _ways(connection: Connection, own: Sequence[str], at: float) -> list[str]:
+    """Return the ways of every server there lately, `own` among them; by a new one goes what stands already."""
+    seen = {row.way: row.seen_unix_s for row in connection.execute(select(ALARM_WAY)).all()}
+    for way in own:
+        silent_s = at - seen.get(way, -math.inf)
+        if silent_s < NOTED_S:
+            continue
+        put(connection, ALARM_WAY, [{"way": way, "seen_unix_s": at}])
+        seen[way] = at
+        if silent_s > IN_USE_S:
+            queued = exists().where(ALARM_DELIVERY.c.alarm_id == ALARM.c.alarm_id, ALARM_DELIVERY.c.way == way)
+            standing = select(ALARM.c.alarm_id).where(ALARM.c.ended_unix_s.is_(None), ~queued)
+            for number in connection.execute(standing).scalars().all():
+                _send(connection, number, [way], at)
+    return [way for way, last in seen.items() if at - last <= IN_USE_S]
+
+
+def _send(connection: Connection, number: int, ways: Sequence[str], at: float) -> None:
+    outbox = [{"alarm_id": number, "way": w, "due_unix_s": at, "tries": 0, "problem": ""} for w in ways]
+    if outbox:
+        connection.execute(insert(ALARM_DELIVERY), outbox)
 
 
 def _stands(keys: set[str]) -> Any:
@@ -74,19 +117,12 @@ def _raise(
     }
     made = connection.execute(insert(ALARM), row).inserted_primary_key
     number = int(made[0]) if made is not None else 0
-    outbox = [{"alarm_id": number, "way": w, "due_unix_s": at, "tries": 0, "problem": ""} for w in ways]
-    if outbox:
-        connection.execute(insert(ALARM_DELIVERY), outbox)
+    _send(connection, number, ways, at)
     return number
 
 
-def _take_up_journal(connection: Connection, ways: Sequence[str]) -> int:
+def _take_up_journal(connection: Connection, position: int, ways: Sequence[str]) -> int:
     """Raise the journal's alarms since the last look. They are over as they are raised: a line does not stand."""
-    position = connection.execute(select(ALARM_POSITION.c.event_id)).scalar()
-    if position is None:  # the first look: what was before is history
-        newest = connection.execute(select(func.max(EVENT.c.event_id))).scalar()
-        connection.execute(insert(ALARM_POSITION), {"journal": JOURNAL, "event_id": newest or 0})
-        return 0
     entries = journal_after(connection, position, LINES)
     alarms = [entry for entry in entries if entry.level == "alarm"]
     for entry in alarms:

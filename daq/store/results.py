@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Collection, Mapping, Sequence
 from datetime import UTC, datetime
-from importlib import import_module
 from typing import Any
 
 from sqlalchemy import ColumnElement, Connection, Row, Table, func, insert, literal_column, or_, select, update
@@ -27,20 +26,12 @@ from daq.store.records import (
     StoredEstimate,
 )
 from daq.store.schema import COEFFICIENT, DIAGNOSIS, ESTIMATE, FIT, MODEL, RUN, STATUS
+from daq.store.upsert import put
 from daq.words import Message, say
 
 
 def _now() -> float:
     return unix_of(datetime.now(UTC))
-
-
-def _put(connection: Connection, table: Table, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Insert rows; a row whose key is there already takes the new values."""
-    dialect = import_module(f"sqlalchemy.dialects.{connection.dialect.name}")  # one costs a process 0.1 s to load
-    statement: Any = dialect.insert(table)
-    keys = [c.name for c in table.primary_key]
-    changed = {c.name: statement.excluded[c.name] for c in table.columns if c.name not in keys}
-    connection.execute(statement.on_conflict_do_update(index_elements=keys, set_=changed), list(rows))
 
 
 def append_estimates(connection: Connection, press: str, estimates: Sequence[StoredEstimate]) -> None:
@@ -65,7 +56,7 @@ def append_estimates(connection: Connection, press: str, estimates: Sequence[Sto
         }
         for e in estimates
     ]
-    _put(connection, ESTIMATE, rows)
+    put(connection, ESTIMATE, rows)
 
 
 def _estimate(row: Row[Any] | EstimateRow) -> StoredEstimate:
@@ -361,7 +352,7 @@ def diagnoses(
 
 def beat(connection: Connection, process: str, status: Mapping[str, Any]) -> None:
     """Write a process's sign of life."""
-    _put(connection, STATUS, [{"process": process, "unix_s": _now(), "status_json": to_json(status)}])
+    put(connection, STATUS, [{"process": process, "unix_s": _now(), "status_json": to_json(status)}])
 
 
 def statuses(connection: Connection) -> dict[str, ProcessStatus]:

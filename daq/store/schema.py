@@ -226,4 +226,5 @@ ALARM_DELIVERY = _table(
     problem=Text,
 )
 ALARM_POSITION = _table("alarm_position", "journal", journal=Text, event_id=BigInteger)
+ALARM_WAY = _table("alarm_way", "way", way=Text, seen_unix_s=Double)
 ALARM_THRESHOLD = _table("alarm_threshold", "press", press=Text, unix_s=Double, who=Text, thresholds_json=Text)

@@ -12,11 +12,14 @@ import sys
 import threading
 import time
 import warnings
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from email import message_from_bytes
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from ipaddress import ip_address
+from pathlib import Path
 
 import httpx
 import pytest
@@ -31,9 +34,12 @@ from daq.process.config import EmailSettings, WebhookSettings
 from daq.records import Channel, InputError, PressEvent, PressEventKind, Quality, Scan
 from daq.store import open_store
 from daq.store.records import NewRun, StandingAlarm, StoredEstimate
+from daq.supervision import IN_USE_S
 from daq.words import say
 from tests.api.certificates import self_signed
 
+LAB = Path(__file__).parents[2] / "deploy/presses/lab.toml"
+LOGGER = 'profile = "exemys-rme1-tc"\nhost = "127.0.0.1"\nchannels = ["platen_top", "platen_bottom"]\n'
 NOW = datetime(2026, 3, 4, 7, 0, tzinfo=UTC)
 CHANNELS = (Channel("platen_top"), Channel("platen_bottom"), Channel("top_1"))
 HOT = StandingAlarm("hot", "lab", say("alarm-core-above", press="lab", limit=110.0))
@@ -347,6 +353,105 @@ def test_no_alarm_is_lost_over_a_kill_and_none_doubled(store, store_url, mail, t
     assert {a.message.code for a in store.alarms(limit=100).items} == wanted
     assert sorted(int(post["id"]) for _, post in late.posts) == numbers
     assert sorted(int(m["Message-ID"].split("-")[1].split(".")[0]) for m in inbox.mails) == numbers
+
+
+def test_what_a_server_without_mail_raises_is_mailed_once_by_one_that_has_it(store, mail):
+    inbox, settings = mail
+    mails = ways_of(settings, None, "store")
+    assert look(store, [], NOW, up_s=1.0) == 0
+    look(store, mails, NOW, up_s=1.0)
+    assert store.watch_alarms([HOT], [], seconds(2)) == 1  # the server without mail is faster
+    store.log("alarm", "record", say("run-fit-killed", run="one"), "lab")
+    assert store.watch_alarms([HOT], [], seconds(4)) == 1
+    assert store.watch_alarms([HOT], ["email"], seconds(6)) == 0
+    assert [send_due(store, ways, lambda: datetime.now(UTC)) for ways in ([], mails, mails)] == [0, 2, 0]
+    assert len({m["Message-ID"] for m in inbox.mails}) == 2
+
+
+def test_what_stands_goes_by_a_way_that_is_new_and_what_is_over_does_not(store, mail):
+    inbox, settings = mail
+    ended = replace(HOT, key="ended")
+    store.watch_alarms([HOT, ended], [], NOW)
+    store.watch_alarms([HOT], [], seconds(30))
+    store.watch_alarms([HOT], [], seconds(90))
+    later = seconds(90) + timedelta(seconds=IN_USE_S)
+    for at in (seconds(90), later, later + timedelta(seconds=IN_USE_S + 1)):  # there, still there, back again
+        store.watch_alarms([HOT], ["email"], at)
+        assert send_due(store, ways_of(settings, None, "store"), lambda: seconds(90 + 4 * IN_USE_S)) in (0, 1)
+    assert len(inbox.mails) == 1
+
+
+def test_a_way_that_no_server_has_any_longer_is_not_queued_for(store):
+    store.watch_alarms([], ["email", "webhook"], NOW)
+    store.watch_alarms([], ["webhook"], seconds(IN_USE_S))
+    store.watch_alarms([HOT], [], seconds(IN_USE_S + 1))
+    assert store.take_delivery(["email"], seconds(IN_USE_S + 2)) is None
+    assert store.take_delivery(["webhook"], seconds(IN_USE_S + 2)) is not None
+
+
+def test_two_servers_that_look_at_the_same_moment_raise_an_alarm_once(store, store_url):
+    store.watch_alarms([], ["email"], NOW)
+    with ThreadPoolExecutor(4) as pool, ExitStack() as opened:
+        stores = [opened.enter_context(open_store(store_url)) for _ in range(4)]
+        for n in range(10):
+            store.log("alarm", "record", say("run-fit-killed", run=f"run-{n}"), "lab")
+            standing = [replace(HOT, key=f"hot-{n}")]
+            list(pool.map(lambda s, now=standing: s.watch_alarms(now, [], NOW), stores))
+    assert len(store.alarms(limit=100).items) == 20
+
+
+@pytest.fixture
+def serve_on(request, tmp_path):
+    """Starts `kerntemp serve` over a store, with further configuration, until the test ends."""
+
+    def start(name, url, more=""):
+        config = tmp_path / f"{name}.toml"
+        press = f'[[press]]\nname = "lab"\nfile = "{LAB.as_posix()}"\n[[press.logger]]\nname = "x"\n{LOGGER}'
+        config.write_text(f'[store]\nurl = "{url}"\n{press}{more}', encoding="utf-8")
+        command = [sys.executable, "-m", "api", "serve", "--config", str(config), "--port", str(free_port())]
+        process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        request.addfinalizer(lambda: end(process))
+        assert process.stdout.readline()
+        return process
+
+    return start
+
+
+def test_alarms_are_mailed_whichever_of_two_servers_raises_them(store, store_url, mail, serve_on):
+    inbox, settings = mail
+    to = f"sender = '{settings.sender}'\nto = {list(settings.to)}"
+    email = f"[email]\nhost = '127.0.0.1'\nport = {settings.port}\n{to}\n"
+
+    def until(done):
+        deadline = time.monotonic() + 240.0
+        while not done():
+            assert time.monotonic() < deadline, (store.alarms().items, inbox.mails)
+            time.sleep(0.05)
+
+    def log(run):
+        store.log("alarm", "record", say("run-fit-killed", run=run), "lab")
+
+    store.watch_alarms([], [], datetime.now(UTC))
+    log("early")
+    with_mail = serve_on("mails", store_url, email)
+    until(lambda: inbox.mails)
+    with_mail.kill()
+    with_mail.wait(240)
+    serve_on("plain", store_url)  # it has no [email]
+    log("alone")
+    until(lambda: "alone" in [a.message.arguments.get("run") for a in store.alarms(limit=100).items])
+    serve_on("mails-again", store_url, email)
+    for n in range(4):
+        log(f"both-{n}")
+
+    def raised():
+        return sorted(a.number for a in store.alarms(limit=100).items)
+
+    def told():
+        return sorted(int(m["Message-ID"].split("-")[1].split(".")[0]) for m in list(inbox.mails))
+
+    until(lambda: len(raised()) >= 6 and set(told()) == set(raised()))
+    assert len(told()) == len(set(told()))
 
 
 def press_with(store, platen=200.0, core=95.0, when=NOW):
