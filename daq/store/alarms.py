@@ -1,9 +1,9 @@
 """Alarms: raised once, acknowledged by somebody, and on their way to people. One transaction each.
 
-An alarm and its deliveries, one for each way of every server over the store, are written together; a delivery leaves
-the outbox only when its receiver has taken it: no restart loses one, whichever server raised it. A condition that
-stands already is not raised again, servers look one after the other, and a delivery that a process has in hand is
-put off for the others: none is doubled, but for a process killed between the receiver's word and its own note,
+An alarm and its deliveries, one for each way of every server over the store, are written together; a delivery
+leaves the outbox only when its receiver has taken it: no restart loses one, whichever server raised it. A condition
+that stands already is not raised again, servers look one after the other, and a delivery in the hands of a process
+is put off for the others: none is doubled, but for a process killed between the receiver's word and its own note,
 where the receiver knows it by the alarm's number.
 """
 
@@ -42,8 +42,8 @@ LINES = 500
 """Of the journal looked through at a time. By hand, 2026-11."""
 
 
-NOTED_S = 3600.0
-"""How often it is noted that a way is still there, small beside `IN_USE_S`: a write each. [s]"""
+NOTED_S = IN_USE_S / 168.0
+"""How often it is noted that a way is still there: hourly, each is a write. [s]"""
 
 
 def watch(connection: Connection, standing: Sequence[StandingAlarm], ways: Sequence[str], now: datetime) -> int:
