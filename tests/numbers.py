@@ -19,6 +19,21 @@ SOURCE = re.compile(
 """Names a table, a paper, a definition, a closed solution, or a calibration with what it was drawn with."""
 
 
+PLAIN = (0.0, 0.5, 1.0, 2.0)
+"""Of a formula, not of a press: none, half, all, both."""
+GUARD = 1e-6
+"""So small a number keeps a division, a root or a logarithm from nothing, and moves no answer."""
+OF_UNITS = (10.0, 60.0, 100.0, 1e3, 3600.0, 86400.0, 1e6, 1e9)
+"""A factor or divisor that turns a unit into another, a share into percent."""
+DRAWING = (
+    "softsensor/report/",
+    "softsensor/face/showing.py",
+    "softsensor/face/predicting.py",
+    "api/answers/figure.py",
+)
+"""Where numbers are places, widths and shades of a picture."""
+
+
 def is_number(value: ast.expr) -> bool:
     """Say whether an expression is a number, or a tuple of numbers, as it stands."""
     if isinstance(value, ast.Tuple):
@@ -63,3 +78,27 @@ def numbers_of(path: Path) -> Iterator[tuple[str, ast.expr]]:
     for name, value, line, words in numbers_in(path):
         if REMARK.search(words) or (line > below and not SOURCE.search(words)):
             yield name, value
+
+
+def numbers_in_functions(path: Path) -> Iterator[tuple[float, int]]:
+    """Yield value and line of each number that stands bare in a function: what it is and whence nobody says.
+
+    Numbers with a point are meant; without one they count rows, digits, axes and the statuses of HTTP. None of
+    these: `PLAIN`, guards, and numbers `OF_UNITS` where they multiply or divide.
+    """
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    functions = (n for n in ast.walk(tree) if isinstance(n, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda))
+    bodies = (n.body if isinstance(n.body, list) else [n.body] for n in functions)
+    inside = {node for body in bodies for statement in body for node in ast.walk(statement)}
+    factors = {
+        side
+        for node in inside
+        if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Mult | ast.Div)
+        for side in (node.left, node.right)
+    }
+    for node in inside:
+        if not (isinstance(node, ast.Constant) and isinstance(node.value, float)):
+            continue
+        if node.value in PLAIN or node.value <= GUARD or (node in factors and node.value in OF_UNITS):
+            continue
+        yield node.value, node.lineno

@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from daq.press.faces import HIGH_C, LOW_C, Face, columns_of, middle
-from daq.press.moments import Placed, closing_moment, insertion_moment, opening_moment, usual_lag
+from daq.press.moments import INSERTION_S, FaceHistory, place_moment, usual_lag
 from daq.press.press_file import Press
 from daq.press.wires import Wires
 from daq.records import ROOM_C, Array, EventSource, PressEvent, PressEventKind, PressState
@@ -20,8 +19,6 @@ from daq.words import Message, say
 # Thresholds without another source were set by hand, 2026-11-21, between what hands and noise do to a sensor and
 # what a plate does to a face (tens of kelvins a second); tests/daq/test_press_events.py holds what they find.
 
-_MEMORY_S = 14.0
-"""How far the machine looks back at most: an insertion is placed by so long a rise. [s]"""
 _LOOK_BACK_S = 0.9
 """Changes are judged over about this time, at least one scan. [s]"""
 _SETTLE_S = 0.65
@@ -45,12 +42,23 @@ _INSERTION_K, _INSERTION_SHARE, _SLOW_INSERTION_SHARE = 4.0, 0.04, 0.08
 """The lower face jumps by so much within the look-back, or by the larger share within `_SLOW_S`. [K]"""
 _SLOW_S = 9.0
 """A panel on a plate that conducts badly warms over this. [s]"""
+_INSERTION_RATIO = 0.5
+"""And the upper face by less than this share of it: that lies on no plate yet. [-]"""
 _OPENING_AFTER_S = 1.5
 """No press opens sooner after it closed. [s]"""
+UNSEEN_BEFORE_S = 1.0
+"""A panel whose insertion nobody saw is put this long before its closing. [s]"""
+_OPENS_AFTER_S = 1.0
+"""Rows so long after the middle of the closing still belong to it, not to the opening. [s]"""
 _OPENING_TOP_K, _OPENING_BOTTOM_K, _OPENING_RATIO = 1.8, 0.35, 0.2
 """Both faces fall, the lower by a share of the upper. [K]"""
 _PLAIN_FALL_K = 25.0
 """The upper face alone falls by so much: nothing but an opening does that. [K]"""
+_SANK_BACK_S, _SANK_CLOSED_S = (3.0, 6.0), 1.0
+"""The upper face is also compared with what it was so long ago, where the press had been closed by then. [s]"""
+_SANK_K, _SANK_RATIO, _SANK_SPARE_K = 4.0, 1.7, 2.5
+"""It sank, not only touched worse, where it fell by the first, and by more than its distance to the plate had been
+times the second and the third. [K, -, K]"""
 _ONE_FACE_TOP_K, _ONE_FACE_BOTTOM_K = 3.0, 2.0
 """Where one face is heard: its fall. [K]"""
 _TOP_COLD_SHARE, _TOP_HOT_SHARE = 0.2, 0.6
@@ -67,6 +75,26 @@ _WARMED_K = 2.0
 """An upper face that stands or falls comes to no plate; one in the open press warms by more in 9 s. [K]"""
 _SPREAD_K = 25.0
 """Sensors of one face that part by this much have been taken off the panel. [K]"""
+_LEFT_AFTER_S, _LEFT_BACK_S, _TREND_FROM_S, _TREND_S = 4.0, 2.5, 6.5, 2.0
+"""A panel may leave its plate so long after the press moved: its lower face is compared with what it was at least
+the second ago, carried on by the trend since the third ago, taken over at least the fourth. [s]"""
+_TREND_AFTER_S = 0.5
+"""The trend begins so long after the press moved. [s]"""
+_LEFT_FALL_K, _LEFT_STEP_K, _LEFT_SENSORS_K = 3.0, 2.5, 5.0
+"""It falls below that trend by the first, by the second in all, and its sensors `_together`, by the third. [K]"""
+_LIES_AGAIN_K = 5.0
+"""A face that has warmed by so much since it left its plate lies on one again. [K]"""
+_SENSORS_RISE, _SENSORS_SHARE = 0.4, 0.7
+"""Of the least rise of a face each sensor does the first, or as many as the second of them. [-]"""
+_HAND_RATIO = 1.3
+"""Where only the upper face is read, a panel in the open press is hotter than a hand by this. [-]"""
+_COMPARED_AFTER_S, _COMPARED_LEAST_K = 5.0, 30.0
+"""Wire and temperatures are compared so long after the press moved; a plate counts as hotter than the room by at
+least the second. [s, K]"""
+ONE_STEP = 1.01
+"""A scan's step is taken so much longer, lest a clock's jitter leaves out the scan meant. [-]"""
+_SLOPE_OVER_S = 2.0
+"""The lower face's slope before a closing is taken over this. [s]"""
 
 
 class _Row(NamedTuple):
@@ -189,7 +217,7 @@ class PressEventDetector:
             self._first = time_s
         self._rows.append(_Row(time_s, *levels, plate, top, bottom))
         self._times.append(time_s)
-        while self._times[0] < time_s - _MEMORY_S and len(self._times) > 4:
+        while self._times[0] < time_s - INSERTION_S and len(self._times) > 4:
             del self._rows[0], self._times[0]
 
     # --- limit switch, pressure channel ----------------------------------------------------------
@@ -239,9 +267,9 @@ class PressEventDetector:
     def _compare(self, time_s: float, closed: bool) -> None:
         row = self._rows[-1]
         self.disagreement = None
-        if time_s - self._since < 5.0 or row.plate - row.top != row.plate - row.top:
+        if time_s - self._since < _COMPARED_AFTER_S or row.plate - row.top != row.plate - row.top:
             return
-        reach = (row.top - ROOM_C) / max(row.plate - ROOM_C, 30.0)
+        reach = (row.top - ROOM_C) / max(row.plate - ROOM_C, _COMPARED_LEAST_K)
         wire = self.wires.told_by.message
         if closed and reach < _TOP_COLD_SHARE:
             self.disagreement = say("wire-closed-face-cold", wire=wire)
@@ -266,7 +294,7 @@ class PressEventDetector:
     @property
     def _look_back(self) -> float:
         step = self._rows[-1].time - self._rows[-2].time if len(self._rows) > 1 else 0.0
-        return max(_LOOK_BACK_S, 1.01 * step)
+        return max(_LOOK_BACK_S, ONE_STEP * step)
 
     def _row_before(self, seconds: float) -> _Row | None:
         """Return the newest row at least `seconds` before the newest, or the first where all are younger."""
@@ -296,8 +324,9 @@ class PressEventDetector:
         return gap > _LOWER_GAP_K and now.bottom - then.bottom - max(expected, 0.0) > least
 
     def _slope_before(self, then: _Row) -> float:
-        """Return how fast the lower face moved in the 2 s before a row. [K/s]"""
-        early = [r for r in self._rows if then.time - 2.0 <= r.time <= then.time and r.bottom == r.bottom]
+        """Return how fast the lower face moved before a row. [K/s]"""
+        since = then.time - _SLOPE_OVER_S
+        early = [r for r in self._rows if since <= r.time <= then.time and r.bottom == r.bottom]
         if len(early) < 2:
             return 0.0
         return (early[-1].bottom - early[0].bottom) / (early[-1].time - early[0].time)
@@ -309,7 +338,7 @@ class PressEventDetector:
         top, bottom = then.top - now.top, then.bottom - now.bottom
         if top == top and bottom == bottom:
             both = top > _OPENING_TOP_K and bottom > _OPENING_BOTTOM_K and bottom > _OPENING_RATIO * top
-            earlier = (then, self._row_before(3.0), self._row_before(6.0))
+            earlier = (then, *(self._row_before(back) for back in _SANK_BACK_S))
             plain = (both or top > _PLAIN_FALL_K) and _most_fell(now.tops, then.tops)
             return plain or any(self._sank(now, row) for row in earlier)
         if top == top:
@@ -318,10 +347,10 @@ class PressEventDetector:
 
     def _sank(self, now: _Row, then: _Row | None) -> bool:
         """Whether the upper face fell further than a worse contact could let it: it follows the plate then."""
-        if then is None or then.time < self._since + 1.0:
+        if then is None or then.time < self._since + _SANK_CLOSED_S:
             return False
         fall = (then.top - now.top) - max(then.plate - now.plate, 0.0)
-        if not (fall > 4.0 and fall > 1.7 * max(then.plate - then.top, 0.0) + 2.5):
+        if not (fall > _SANK_K and fall > _SANK_RATIO * max(then.plate - then.top, 0.0) + _SANK_SPARE_K):
             return False
         return _most_fell(now.tops, then.tops)
 
@@ -341,14 +370,14 @@ class PressEventDetector:
         gap, rise = _gap(now.plate, then.bottom), now.bottom - then.bottom
         if not (gap > _LEAST_GAP_K and rise > max(_INSERTION_K, share * gap)):
             return False
-        if now.top - then.top > 0.5 * rise:
+        if now.top - then.top > _INSERTION_RATIO * rise:
             return False
         return _together(now.bottoms, then.bottoms, 0.5 * share * gap)
 
     def _upper_only(self, now: _Row, then: _Row) -> bool:
         """Where no sensor of the lower face is heard, not only for a scan, the upper one has warmed."""
         early = self._row_before(_SLOW_S) or then
-        if self._bottom_before(0.0) is not None or not now.top > 1.3 * HAND_C:
+        if self._bottom_before(0.0) is not None or not now.top > _HAND_RATIO * HAND_C:
             return False
         return now.top > then.top and now.top - early.top > _WARMED_K
 
@@ -372,7 +401,7 @@ class PressEventDetector:
                 self._lifted = (self._moment(PressEventKind.REMOVED, now.time), level, self._spread(now))
             return False
         moment, lowest, spread = self._lifted
-        if level > lowest + 5.0:
+        if level > lowest + _LIES_AGAIN_K:
             self._lifted = None
             return False
         self._lifted = (moment, min(level, lowest), spread)
@@ -387,18 +416,18 @@ class PressEventDetector:
 
     def _left_plate(self, now: _Row) -> bool:
         """Whether the lower face falls against its trend."""
-        if now.bottom != now.bottom or now.time - self._since < 4.0:
+        if now.bottom != now.bottom or now.time - self._since < _LEFT_AFTER_S:
             return False
-        then, early = self._bottom_before(max(2.5, self._look_back)), self._bottom_before(6.5)
+        then, early = self._bottom_before(max(_LEFT_BACK_S, self._look_back)), self._bottom_before(_TREND_FROM_S)
         if then is None or early is None:
             return False
-        if then.time - early.time < 2.0 or early.time < self._since + 0.5:
+        if then.time - early.time < _TREND_S or early.time < self._since + _TREND_AFTER_S:
             return False
         trend = (then.bottom - early.bottom) / (then.time - early.time)
         fall = then.bottom + trend * (now.time - then.time) - now.bottom
-        if not (fall > 3.0 and then.bottom - now.bottom > 2.5 and now.bottom > HAND_C):
+        if not (fall > _LEFT_FALL_K and then.bottom - now.bottom > _LEFT_STEP_K and now.bottom > HAND_C):
             return False
-        return _together(then.bottoms, now.bottoms, 5.0)
+        return _together(then.bottoms, now.bottoms, _LEFT_SENSORS_K)
 
     # --- the moment -----------------------------------------------------------------------------
 
@@ -416,7 +445,7 @@ class PressEventDetector:
         moment = min(self._moment(kind, noticed) if lifted is None else lifted, time_s)
         events = []
         if kind is PressEventKind.CLOSED and self._state is PressState.IDLE:
-            events.append(self._event(PressEventKind.INSERTED, max(self._first, moment - 1.0), time_s))
+            events.append(self._event(PressEventKind.INSERTED, max(self._first, moment - UNSEEN_BEFORE_S), time_s))
         return [*events, self._event(kind, moment, time_s)]
 
     def _moment(self, kind: PressEventKind, noticed: float) -> float:
@@ -424,7 +453,7 @@ class PressEventDetector:
             return noticed
         times = np.array(self._times)
         top, bottom = np.array([r.top for r in self._rows]), np.array([r.bottom for r in self._rows])
-        after = self._since + 1.0 if kind is PressEventKind.OPENED else -math.inf
+        after = self._since + _OPENS_AFTER_S if kind is PressEventKind.OPENED else -math.inf
         placed = place_moment(
             kind, FaceHistory(times, top, bottom, self._rows[-1].plate), noticed, after, self._lag
         )
@@ -458,7 +487,7 @@ class PressEventDetector:
 def _together(now: Mapping[str, float], then: Mapping[str, float], least: float) -> bool:
     """Whether most sensors of a face rose from `then` to `now`, not a few that a hand touched."""
     rises = [value - then[name] for name, value in now.items() if name in then]
-    return not rises or sum(r > 0.4 * least for r in rises) >= 0.7 * len(rises)
+    return not rises or sum(r > _SENSORS_RISE * least for r in rises) >= _SENSORS_SHARE * len(rises)
 
 
 def _most_fell(now: Mapping[str, float], then: Mapping[str, float]) -> bool:
@@ -470,50 +499,3 @@ def _most_fell(now: Mapping[str, float], then: Mapping[str, float]) -> bool:
 def _gap(plate: float, face: float) -> float:
     """Return how much hotter the plate is; with no platen column, what a press usually has."""
     return plate - face if plate == plate else _USUAL_GAP_K
-
-
-@dataclass(frozen=True)
-class FaceHistory:
-    """Both faces over some seconds, and the plate's temperature there."""
-
-    times: Array
-    top: Array
-    bottom: Array
-    plate: float
-
-
-def place_moment(
-    kind: PressEventKind, faces: FaceHistory, noticed: float, after: float, lag: Array | None
-) -> Placed | None:
-    """Place an event by the faces around the scan it was noticed at; None where they cannot tell.
-
-    Rows before `after` belong to an earlier event. [s]
-    """
-    reach = 6.0 if after < noticed - 20.0 else 2.5
-    reach = 14.0 if kind is PressEventKind.INSERTED else reach
-    near = (faces.times > noticed - reach) & (faces.times >= after)
-    times, top, bottom = faces.times[near], faces.top[near], faces.bottom[near]
-    seen = [face for face in (top, bottom) if np.isfinite(face).sum() >= 2]
-    plate = faces.plate
-    if not seen or len(times) < 2:
-        return None
-    if kind is PressEventKind.CLOSED:
-        hot = plate - 3.0 if plate == plate else float(np.nanmax(seen[0])) + 30.0
-        return closing_moment(times, seen[0], hot, noticed, lag)
-    if kind is PressEventKind.OPENED:
-        return opening_moment(times, seen, noticed, plate, lag)
-    lower = bottom if np.isfinite(bottom).sum() >= 2 else top
-    if kind is PressEventKind.INSERTED:
-        rise = _last_rise(times, lower, noticed)
-        return insertion_moment(times[rise:], [lower[rise:]], noticed, plate, lag)
-    return opening_moment(times, [lower], noticed, math.nan, lag)
-
-
-def _last_rise(times: Array, face: Array, noticed: float) -> int:
-    """Return the row from which a face only rose: a warm hand before the insertion is no part of it."""
-    lowest = math.inf
-    for i in range(int(np.searchsorted(times, noticed, side="right")) - 1, -1, -1):
-        if face[i] > lowest + 1.0:
-            return i + 1
-        lowest = min(lowest, face[i]) if face[i] == face[i] else lowest
-    return 0

@@ -11,6 +11,12 @@ A limit switch or a pressure channel, where one is logged, goes before the tempe
 (`daq.press.wires`). The moment itself is placed between the scans by `daq.press.moments`, once enough
 scans have followed to tell, at most 0.9 s later.
 `find_moments` runs the same machine over a whole run and then looks at each moment with both sides known.
+
+The recorder and the live sensor each run the machine (2026-11-25). The recorder's events, which the store keeps
+with the scan that showed them, cut the runs and tell people. The live sensor cannot take those: it is a function
+of header and scans alone, so that `predict`, an imported run, a sensor fed by hand and a restarted service answer
+the same; it leaves out channels that stand still and follows what a run's header overrides, as the recorder does
+not; and its steps need what is `pending` and the state at every scan, which no event holds.
 """
 
 from __future__ import annotations
@@ -20,9 +26,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from daq.press.detector import FaceHistory, PressEventDetector, place_moment
+from daq.press.detector import ONE_STEP, UNSEEN_BEFORE_S, PressEventDetector
 from daq.press.faces import columns_of, face_of
-from daq.press.moments import Placed, insertion_moment, usual_lag
+from daq.press.moments import FaceHistory, Placed, insertion_moment, place_moment, usual_lag
 from daq.press.press_file import Press
 from daq.press.wires import CLOSED, SILENT_S, closed_of
 from daq.records import Array, EventSource, Moments, PressEventKind, Run
@@ -31,8 +37,22 @@ __all__ = ["PressEventDetector", "columns_of", "find_moments"]
 
 # Numbers without another source were set by hand, 2026-11.
 
-_CONCLUDED_S = 1.1
-"""An insertion nobody saw is put 1 s before the closing: one so near was none. [s]"""
+_CONCLUDED_S = UNSEEN_BEFORE_S + 0.1
+"""An insertion so near to the closing was not seen: the machine has put it there. [s]"""
+_STILL_OPEN_S = 0.8
+"""Rows up to so long before the closing are looked at for a slow insertion. [s]"""
+_SLOW_START_S, _SLOW_RISE_K, _SLOW_COLD_K = 2.0, 5.0, 1.0
+"""A slow insertion: the lower face's start is its median over the first, it rises by the second in all, and has
+not begun to while it is within the third. [s, K, K]"""
+_SLOW_BEFORE_S, _SLOW_AFTER_S, _SLOW_NOTICED_S = 4.0, 3.0, 1.5
+"""It is placed by the rows from and to so long before and after, as if noticed so long after. [s]"""
+_ENDS_LIFTED_S = 15.0
+"""A run that ends so soon after the panel seems to have left its plate ends with the removal. [s]"""
+_PLACED_BEFORE_S, _PLACED_AFTER_S = 15.0, 0.6
+"""Rows from and to so long before and after an event was noticed place it. [s]"""
+_OPENS_AFTER_S = 0.7
+"""Rows so long after the closing was noticed still belong to it, not to the opening; the machine's own second
+counts from its middle. [s]"""
 _SCAN_S = 0.35
 """Between the scans of a stored run the machine looks at: enough to notice; all place the moment. [s]"""
 
@@ -103,7 +123,7 @@ def _coarse(
             if event.kind is PressEventKind.OPENED or event.kind not in found:
                 left = event.kind is PressEventKind.REMOVED  # sure only once the sensors are cold
                 found[event.kind] = event.monotonic_s if left else event.noticed_s
-    if detector.left_plate_s is not None and times[-1] - detector.left_plate_s < 15.0:
+    if detector.left_plate_s is not None and times[-1] - detector.left_plate_s < _ENDS_LIFTED_S:
         found[PressEventKind.REMOVED] = detector.left_plate_s  # the run ends with the panel's removal
     return found
 
@@ -111,19 +131,20 @@ def _coarse(
 def _slow_insertion(times: Array, bottom: Array, closed: float) -> float:
     """Return when the lower face began to warm, too slowly to be noticed; the first row where none tells."""
     first = float(times[0])
-    before = (times < (closed - 0.8 if closed == closed else times[-1])) & np.isfinite(bottom)
+    before = (times < (closed - _STILL_OPEN_S if closed == closed else times[-1])) & np.isfinite(bottom)
     if before.sum() < 4 or closed != closed:
         return first
     t, y = times[before], bottom[before]
-    start = float(np.median(y[t < t[0] + 2.0]))
-    if y[-1] - start < 5.0:
+    start = float(np.median(y[t < t[0] + _SLOW_START_S]))
+    if y[-1] - start < _SLOW_RISE_K:
         return first
-    cold = np.flatnonzero(y < start + 1.0)
+    cold = np.flatnonzero(y < start + _SLOW_COLD_K)
     place = int(cold[-1]) + 1 if len(cold) else 0
     if place <= 1 or place >= len(t):
         return first
-    near = (times > t[place] - 4.0) & (times < min(t[place] + 3.0, closed - 0.8))
-    return insertion_moment(times[near], [bottom[near]], min(float(t[place]) + 1.5, closed - 0.8)).middle
+    last, begun = closed - _STILL_OPEN_S, float(t[place])
+    near = (times > begun - _SLOW_BEFORE_S) & (times < min(begun + _SLOW_AFTER_S, last))
+    return insertion_moment(times[near], [bottom[near]], min(begun + _SLOW_NOTICED_S, last)).middle
 
 
 def _example(patterns: Sequence[str]) -> str:
@@ -133,15 +154,15 @@ def _example(patterns: Sequence[str]) -> str:
 
 def _window(times: Array, noticed: float) -> slice:
     step = float(np.median(np.diff(times))) if len(times) > 1 else 1.0
-    first = int(np.searchsorted(times, noticed - 15.0))
-    return slice(first, int(np.searchsorted(times, noticed + max(0.6, 1.01 * step), side="right")))
+    first = int(np.searchsorted(times, noticed - _PLACED_BEFORE_S))
+    return slice(first, int(np.searchsorted(times, noticed + max(_PLACED_AFTER_S, ONE_STEP * step), side="right")))
 
 
 def _refined(
     found: Mapping[PressEventKind, float], times: Array, top: Array, bottom: Array, plate: Array
 ) -> dict[PressEventKind, Placed]:
     """Place all events, the sensors' lag learned from insertion and opening together."""
-    after = {PressEventKind.OPENED: found.get(PressEventKind.CLOSED, -math.inf) + 0.7}
+    after = {PressEventKind.OPENED: found.get(PressEventKind.CLOSED, -math.inf) + _OPENS_AFTER_S}
 
     def place(kind: PressEventKind, lag: Array | None) -> Placed | None:
         near = _window(times, found[kind])

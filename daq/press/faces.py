@@ -18,6 +18,13 @@ RATTLE_S = 10.0
 """How long a sensor's restlessness is remembered: longer than a closing, shorter than a pressing. [s]"""
 LOW_C, HIGH_C = -60.0, 500.0
 """A panel's sensor outside this is broken: colder than any hall, hotter than charred wood. [°C]"""
+_RATTLE_K, _RATTLE_RATIO = 0.4, 5.0
+"""A sensor is left out where its second differences exceed both together: so many kelvins, and so many times what
+the middle sensor of its face does. [K]"""
+_STEP_FADES_S = 10.0
+"""How fast the step of a sensor that dropped out or returned is let go. [s]"""
+_BRIDGED_S = 3.0
+"""A stored run's gap in one sensor is bridged by a straight line up to this. [s]"""
 
 
 @dataclass(frozen=True)
@@ -75,7 +82,7 @@ class Face:
             return math.nan
         now, before = values.keys(), self.before.keys()
         common = now if now == before else now & before
-        self.shift *= math.exp(-elapsed_s / 10.0)
+        self.shift *= math.exp(-elapsed_s / _STEP_FADES_S)
         if not common:
             self.shift, common = 0.0, now
         elif common != self.members:
@@ -96,7 +103,7 @@ class Face:
             rattles.append(rattle)
         if len(values) < 3:
             return values
-        limit = 0.4 + 5.0 * middle(rattles)
+        limit = _RATTLE_K + _RATTLE_RATIO * middle(rattles)
         if rattles[-1] <= limit:  # the largest, now that they are sorted
             return values
         return {n: v for n, v in values.items() if motion[n][2] <= limit}
@@ -110,7 +117,7 @@ def face_of(run: Run, names: Sequence[str]) -> Array:
     table = table[np.isfinite(table).any(axis=1)]
     if len(table) >= 3 and table.shape[1] >= 10:
         rattle = np.nan_to_num(np.nanmean(np.abs(np.diff(table, 2, axis=1)), axis=1), nan=np.inf)
-        table = table[rattle <= 0.4 + 5.0 * float(np.median(rattle))]
+        table = table[rattle <= _RATTLE_K + _RATTLE_RATIO * float(np.median(rattle))]
     if not len(table):
         return np.full(len(run.time_s), np.nan)
     lost = np.isnan(table).all(axis=0)
@@ -127,7 +134,7 @@ def _plausible(values: Array) -> Array:
 
 
 def _bridged(times: Array, values: Array) -> Array:
-    """Fill gaps up to 3 s by a straight line."""
+    """Fill gaps up to `_BRIDGED_S` by a straight line."""
     good = np.isfinite(values)
     if good.all() or good.sum() < 2:
         return values
@@ -135,4 +142,4 @@ def _bridged(times: Array, values: Array) -> Array:
     place = np.clip(np.searchsorted(times[good], times), 1, good.sum() - 1)
     gap = times[good][place] - times[good][place - 1]
     inside = (times >= times[good][0]) & (times <= times[good][-1])
-    return np.asarray(np.where(good | (inside & (gap <= 3.0)), filled, np.nan))
+    return np.asarray(np.where(good | (inside & (gap <= _BRIDGED_S)), filled, np.nan))

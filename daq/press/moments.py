@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.records import ROOM_C, Array
+from daq.records import ROOM_C, Array, PressEventKind
 
 STEP_S = 0.02
 """Of the grids of onset and time: small beside a scan at 20 Hz. Set by hand, 2026-11. [s]"""
@@ -42,6 +42,37 @@ _LAG_SCALE_S = 0.25
 """A thermocouple taped between two bodies may lag up to a second, but mostly does not. [s]"""
 _SQRT_KELVIN = 2.0 / (np.sqrt(np.pi) * 370.0)
 """Rise of a face per flux and root of time; 370 is the effusivity of MDF. [K m²/W/√s]"""
+_CLOSED_W_M2K, _AIR_W_M2K, _LYING_W_M2K = 365.0, 12.0, 40.0
+"""Roughly what a face gains from its platen, closed; what it loses to air and hall, open; and what it gains where
+it only lies on its plate. How strong a kink is depends on them, and is known no better than `_SIZE_SHARE`.
+[W/m²K]"""
+_LEAST_GAPS_K = (2.0, 5.0, 30.0)
+"""Of these three the temperature difference is taken to be at least so large: a size of nothing fits any noise.
+[K]"""
+_SIZE_SHARE = 0.6
+"""How well the size of a kink is known beforehand."""
+_NOTICED_AFTER_S, _OPENED_BEFORE_S, _INSERTED_BEFORE_S = 2.6, 1.8, 11.0
+"""A closing, an opening and an insertion begin at most so long before they are plain to see. [s]"""
+_BEFORE_CLOSING_S, _BEFORE_OPENING_S = 1.3, 0.9
+"""Rows so long before a closing, an opening is plain show the face undisturbed. [s]"""
+_SLOPES_K_S = (-3.0, 6.0)
+"""No face that waits for its plate moves faster, down or up. [K/s]"""
+_LYING_DOWN_S = (0.02,)
+"""A panel comes to lie on its plate at once: one step of the grid. [s]"""
+INSERTION_S, _REACH_LONG_S, _REACH_SHORT_S, _LONG_S = 14.0, 6.0, 2.5, 20.0
+"""Rows so long before an event was noticed place it: an insertion, which is a slow rise; another where the press
+had not moved for the last, and where it had. The detector remembers no more. [s]"""
+_NEAR_PLATE_K, _BEYOND_FACE_K = 3.0, 30.0
+"""The hot plate a face comes to ends below its platen by the first; with no platen read, it is hotter than the
+face ever was by the second. [K]"""
+_RISE_BREAK_K = 1.0
+"""A rise that was interrupted by so much began after it. [K]"""
+_NEVER = 1e9
+"""The misfit of what was not computed."""
+_UNLIKELY = 20.0
+"""A lag whose misfit is larger by this is not tried: its odds are e⁻¹⁰."""
+_LAG_COST = 5.0
+"""Misfit of any lag against none: odds of e⁻²·⁵, one in twelve, before its length tells against it."""
 _REACH_S = 4.0
 """How long after the ramp a face is compared: √(a t) is 0.6 mm in MDF then, so any panel is a half space. [s]"""
 
@@ -90,12 +121,12 @@ class Placed:
 
 def no_lag() -> Array:
     """Return the belief that the sensors do not lag, as a misfit for each of `LAGS_S`."""
-    return np.where(LAGS_S == 0.0, 0.0, 1e6)
+    return np.where(LAGS_S == 0.0, 0.0, _NEVER)
 
 
 def usual_lag() -> Array:
     """Return what is believed of the lag before a run is seen: most likely none, at times up to a second."""
-    return np.where(LAGS_S == 0.0, 0.0, 5.0 + 2.0 * LAGS_S / _LAG_SCALE_S)
+    return np.where(LAGS_S == 0.0, 0.0, _LAG_COST + 2.0 * LAGS_S / _LAG_SCALE_S)
 
 
 def closing_moment(
@@ -120,7 +151,7 @@ def closing_moment(
     good = np.isfinite(face)
     times, face = times[good], face[good]
     level, slope = _trend(times, face, noticed)
-    onsets = np.arange(noticed - 2.6, noticed + 1e-9, STEP_S)
+    onsets = np.arange(noticed - _NOTICED_AFTER_S, noticed + 1e-9, STEP_S)
     onsets = onsets[onsets >= min(times[0], noticed) - STEP_S]
     near = times >= onsets[0]
     times, face = times[near], face[near]
@@ -132,8 +163,8 @@ def closing_moment(
     lag = no_lag() if lag is None else lag
     prior = ((np.log(_CONTACTS / _TYPICAL_CONTACT) / _CONTACT_SPREAD) ** 2)[:, None, None]
     # a ramp of any length is as likely as another
-    misfit = np.full((len(LAGS_S), len(_CONTACTS), len(_CLOSING_RAMPS_S), len(onsets)), 1e9)
-    for i in np.flatnonzero(lag < lag.min() + 20.0):
+    misfit = np.full((len(LAGS_S), len(_CONTACTS), len(_CLOSING_RAMPS_S), len(onsets)), _NEVER)
+    for i in np.flatnonzero(lag < lag.min() + _UNLIKELY):
         model = _contact_table()[i]  # contact, ramp, time since the onset
         squares = (model * model) @ counts - 2.0 * (model @ sums) + share @ share
         misfit[i] = squares / error**2 + prior + lag[i]
@@ -166,14 +197,14 @@ def _posterior(misfit: Array, onsets: Array, ramps: Array, lag: Array) -> Placed
 
 def _trend(times: Array, face: Array, noticed: float) -> tuple[float, float]:
     """Return level at `noticed` and slope of the readings safely before the jump."""
-    early = times < noticed - 1.3
+    early = times < noticed - _BEFORE_CLOSING_S
     if early.sum() < 2:
         early = np.arange(len(times)) < max(1, int((times < noticed).sum()) - 1)
     t, y = times[early][-40:], face[early][-40:]
     if len(t) < 4:
         return float(y[-1]), 0.0
     slope, _ = np.polyfit(t - noticed, y, 1)
-    slope = float(np.clip(slope, -3.0, 6.0))
+    slope = float(np.clip(slope, *_SLOPES_K_S))
     return float(np.mean(y) - slope * np.mean(t - noticed)), slope
 
 
@@ -188,15 +219,16 @@ def opening_moment(
     """Return when the plates left the faces: their flux changes over a short ramp.
 
     `sigma` is the error of reading and model. [K] The platen, where known, tells roughly how much flux
-    there was to lose (365 W/m²K from platen to face); that helps where a single scan follows the opening.
+    there was to lose (`_CLOSED_W_M2K`); that helps where a single scan follows the opening.
     """
     sizes = []
+    to_plate, to_air, _ = _LEAST_GAPS_K
     for face in faces:
-        before = face[(times < noticed - 0.9) & np.isfinite(face)]
+        before = face[(times < noticed - _BEFORE_OPENING_S) & np.isfinite(face)]
         level = float(np.median(before[-5:])) if len(before) else np.nan
-        flux = 365.0 * max(plate - level, 2.0) + 12.0 * max(level - ROOM_C, 5.0)
+        flux = _CLOSED_W_M2K * max(plate - level, to_plate) + _AIR_W_M2K * max(level - ROOM_C, to_air)
         sizes.append(-_SQRT_KELVIN * flux)
-    return _kink(times, faces, noticed, sigma, _Expected(_OPENING_RAMPS_S, 1.8, tuple(sizes)), lag)
+    return _kink(times, faces, noticed, sigma, _Expected(_OPENING_RAMPS_S, _OPENED_BEFORE_S, tuple(sizes)), lag)
 
 
 def insertion_moment(
@@ -208,8 +240,9 @@ def insertion_moment(
     sigma: float = 0.6,
 ) -> Placed:
     """Return when the cool panel came to lie on the hot plate."""
-    sizes = tuple(_SQRT_KELVIN * 40.0 * max(plate - float(np.nanmin(face)), 30.0) for face in faces)
-    return _kink(times, faces, noticed, sigma, _Expected((0.02,), 11.0, sizes), lag)
+    *_, least = _LEAST_GAPS_K
+    sizes = tuple(_SQRT_KELVIN * _LYING_W_M2K * max(plate - float(np.nanmin(face)), least) for face in faces)
+    return _kink(times, faces, noticed, sigma, _Expected(_LYING_DOWN_S, _INSERTED_BEFORE_S, sizes), lag)
 
 
 @cache
@@ -242,8 +275,8 @@ def _kink(
     table = _kink_table(ramps)
     place = np.clip(place, 0, table.shape[-1] - 1)
     lag = usual_lag() if lag is None else lag
-    misfit = np.full((len(LAGS_S), len(ramps), len(onsets)), 1e9)
-    for i in np.flatnonzero(lag < lag.min() + 20.0):
+    misfit = np.full((len(LAGS_S), len(ramps), len(onsets)), _NEVER)
+    for i in np.flatnonzero(lag < lag.min() + _UNLIKELY):
         shape = table[i][..., place]  # ramp, onset, row
         misfit[i] = lag[i]
         for face, size in zip(faces, expected.sizes, strict=True):
@@ -254,14 +287,14 @@ def _kink(
 
 
 def _misfit(times: Array, face: Array, shape: NDArray[np.float64], size: float, sigma: float) -> Array:
-    """Return the squared misfit of level + slope + kink for every shape, the kink's size known within 60 %."""
+    """Return the squared misfit of level + slope + kink for every shape, its size known within `_SIZE_SHARE`."""
     lines = np.stack([np.ones_like(times), times])
     if len(times) < 6:
         lines = lines[:1]
     q, _ = np.linalg.qr(lines.T)
     rest = face - q @ (q.T @ face)
     bent = shape - (shape @ q) @ q.T
-    trust = (sigma / (0.6 * size)) ** 2 if np.isfinite(size) else 0.0
+    trust = (sigma / (_SIZE_SHARE * size)) ** 2 if np.isfinite(size) else 0.0
     aim = size if np.isfinite(size) else 0.0
     square, along = np.einsum("...n,...n->...", bent, bent), bent @ rest
     found = (along + trust * aim) / np.maximum(square + trust, 1e-9)
@@ -269,3 +302,50 @@ def _misfit(times: Array, face: Array, shape: NDArray[np.float64], size: float, 
         found = np.where(np.sign(found) == np.sign(size), found, 0.0)
     off = rest @ rest - 2.0 * found * along + found**2 * square + trust * (found - aim) ** 2
     return np.asarray(off / sigma**2)
+
+
+@dataclass(frozen=True)
+class FaceHistory:
+    """Both faces over some seconds, and the plate's temperature there."""
+
+    times: Array
+    top: Array
+    bottom: Array
+    plate: float
+
+
+def place_moment(
+    kind: PressEventKind, faces: FaceHistory, noticed: float, after: float, lag: Array | None
+) -> Placed | None:
+    """Place an event by the faces around the scan it was noticed at; None where they cannot tell.
+
+    Rows before `after` belong to an earlier event. [s]
+    """
+    reach = _REACH_LONG_S if after < noticed - _LONG_S else _REACH_SHORT_S
+    reach = INSERTION_S if kind is PressEventKind.INSERTED else reach
+    near = (faces.times > noticed - reach) & (faces.times >= after)
+    times, top, bottom = faces.times[near], faces.top[near], faces.bottom[near]
+    seen = [face for face in (top, bottom) if np.isfinite(face).sum() >= 2]
+    plate = faces.plate
+    if not seen or len(times) < 2:
+        return None
+    if kind is PressEventKind.CLOSED:
+        hot = plate - _NEAR_PLATE_K if plate == plate else float(np.nanmax(seen[0])) + _BEYOND_FACE_K
+        return closing_moment(times, seen[0], hot, noticed, lag)
+    if kind is PressEventKind.OPENED:
+        return opening_moment(times, seen, noticed, plate, lag)
+    lower = bottom if np.isfinite(bottom).sum() >= 2 else top
+    if kind is PressEventKind.INSERTED:
+        rise = _last_rise(times, lower, noticed)
+        return insertion_moment(times[rise:], [lower[rise:]], noticed, plate, lag)
+    return opening_moment(times, [lower], noticed, math.nan, lag)
+
+
+def _last_rise(times: Array, face: Array, noticed: float) -> int:
+    """Return the row from which a face only rose: a warm hand before the insertion is no part of it."""
+    lowest = math.inf
+    for i in range(int(np.searchsorted(times, noticed, side="right")) - 1, -1, -1):
+        if face[i] > lowest + _RISE_BREAK_K:
+            return i + 1
+        lowest = min(lowest, face[i]) if face[i] == face[i] else lowest
+    return 0
