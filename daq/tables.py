@@ -121,7 +121,7 @@ def nearest(key: str, known: Iterable[str]) -> str | None:
     """
     spelt = {one.lower(): one for one in known if one != key}
     low = key.lower()
-    for close in difflib.get_close_matches(low, spelt, n=3, cutoff=0.6):
+    for close in difflib.get_close_matches(low, spelt, n=3):
         letters, others = _DIGITS.sub("", low), _DIGITS.sub("", close)
         if (letters != others or low == close) and _slips(low, close) <= min(_TYPING_SLIPS, len(letters) // 4):
             return spelt[close]

@@ -11,10 +11,13 @@ import numpy as np
 from numpy.polynomial.polynomial import polyval
 from numpy.typing import ArrayLike
 
-from daq.records import Array
+from daq.records import COLDEST_C, Array
 
 LOWEST_C, HIGHEST_C = -270.0, 1372.0
 """Where NIST's functions hold. [°C]"""
+
+_F_PER_K, _ICE_F = 1.8, 32.0
+"""Degrees Fahrenheit in a kelvin and at the ice point, by definition."""
 
 # Of powers of the temperature, from the zeroth on. (NIST Monograph 175) [mV/K^i]
 _BELOW_ZERO = (
@@ -137,3 +140,16 @@ def implied_cold_junction(voltage_mV: ArrayLike, temperature_C: ArrayLike) -> Ar
     25.0
     """
     return temperature(voltage(temperature_C) - np.asarray(voltage_mV, dtype=float))
+
+
+def celsius_of(value: float, unit: str) -> float:
+    """Return a temperature in ``K`` or ``F`` as degrees Celsius; a number in any other unit as it is.
+
+    Examples
+    --------
+    >>> celsius_of(0.0, "K"), celsius_of(32.0, "F"), celsius_of(21.5, "C")
+    (-273.15, 0.0, 21.5)
+    """
+    if unit == "K":
+        return value + COLDEST_C
+    return (value - _ICE_F) / _F_PER_K if unit == "F" else value

@@ -23,7 +23,7 @@ PLAIN = (0.0, 0.5, 1.0, 2.0)
 """Of a formula, not of a press: none, half, all, both."""
 GUARD = 1e-6
 """So small a number keeps a division, a root or a logarithm from nothing, and moves no answer."""
-OF_UNITS = (10.0, 60.0, 100.0, 1e3, 3600.0, 86400.0, 1e6, 1e9)
+OF_UNITS = (1e-3, 10.0, 60.0, 100.0, 1e3, 3600.0, 86400.0, 1e6, 1e9)
 """A factor or divisor that turns a unit into another, a share into percent."""
 DRAWING = (
     "softsensor/report/",

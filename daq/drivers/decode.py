@@ -141,12 +141,8 @@ def _celsius(
     profile: Profile, physical: Sequence[float], words: Sequence[int], cold_junction: float | None
 ) -> list[float]:
     unit = profile.values.unit if profile.values else "C"
-    if unit == "K":
-        return [v - 273.15 for v in physical]
-    if unit == "F":
-        return [(v - 32) / 1.8 for v in physical]
-    if unit == "C":
-        return list(physical)
+    if unit in ("C", "F", "K"):
+        return [thermocouple.celsius_of(v, unit) for v in physical]
     millivolt = np.array(physical) * (1e-3 if unit == "uV" else 1.0)
     cold = _cold_junction(profile, millivolt, words, cold_junction)
     found = thermocouple.compensated(millivolt, cold)

@@ -29,6 +29,8 @@ from daq.words import Message, say, spoken
 
 ROOMS_C = (5.0, 45.0)
 """Where loggers are set up: from an unheated hall in winter to one beside a hot press in summer. [°C]"""
+_DRAIN_S, _TURN_S = 0.3, 0.005
+"""What comes late is awaited so long at most; between two requests a device gets the second. [s]"""
 _ENOUGH = 0.5
 """Share of inputs that must read room temperature: some may have no thermocouple yet."""
 _SCALINGS: Mapping[Message, tuple[str, Scaling]] = {
@@ -202,7 +204,7 @@ def _registers(
 ) -> tuple[list[RegisterBlock], tuple[int, ...]]:
     """Return the first registers of each station, and the stations that answered, be it with a refusal."""
     bus = Bus(place, numbered=_is_tcp(wire))
-    timing = LineTiming(timeout_s, min(timeout_s, 0.3), 0.005)
+    timing = LineTiming(timeout_s, min(timeout_s, _DRAIN_S), _TURN_S)
     blocks, answering = [], set()
     try:
         for station in stations:
@@ -277,7 +279,9 @@ def _attempt(
     settings = _table(profile.name, wire, station, scaling)
     trial = {"channels": [f"input_{k}" for k in range(profile.inputs)], "timeout_s": timeout_s}
     try:
-        logger = open_logger(LoggerSettings.model_validate(settings | trial | {"drain_s": min(timeout_s, 0.3)}))
+        logger = open_logger(
+            LoggerSettings.model_validate(settings | trial | {"drain_s": min(timeout_s, _DRAIN_S)})
+        )
     except ValidationError as error:
         raise InputError(say("at-place", place="probe", what=explained(error, LoggerSettings))) from None
     try:

@@ -60,6 +60,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from daq.press.header import check_header
 from daq.records import COLDEST_C, HOTTEST_C, Array, InputError, Run
 from daq.tables import at, explained, load_toml, reason_of
+from daq.thermocouple import celsius_of
 from daq.words import say
 
 _DELIMITERS = {"tab": "\t", "space": " "}
@@ -423,11 +424,7 @@ def _value(path: Path, row: _Row, place: int, column: ColumnTable, file: FileTab
         raise InputError(at(path, said, line=row.line, column=" | ".join(column.sources))) from error
     if not column.lower <= value <= column.upper or not math.isfinite(value):
         return math.nan
-    if column.unit == "K":
-        return round(value - 273.15, 9)
-    if column.unit == "F":
-        return round((value - 32.0) / 1.8, 9)
-    return value
+    return round(celsius_of(value, column.unit), 9) if column.unit in ("K", "F") else value
 
 
 def _value_at(path: Path, key: str, values: Array, source: HeaderFrom) -> float:

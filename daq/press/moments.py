@@ -59,6 +59,8 @@ _SLOPES_K_S = (-3.0, 6.0)
 """No face that waits for its plate moves faster, down or up. [K/s]"""
 _LYING_DOWN_S = (0.02,)
 """A panel comes to lie on its plate at once: one step of the grid. [s]"""
+BEFORE_S = 0.2
+"""A scan so long before a moment shows what was before it: moments are placed to 0.1 s. [s]"""
 INSERTION_S, _REACH_LONG_S, _REACH_SHORT_S, _LONG_S = 14.0, 6.0, 2.5, 20.0
 """Rows so long before an event was noticed place it: an insertion, which is a slow rise; another where the press
 had not moved for the last, and where it had. The detector remembers no more. [s]"""

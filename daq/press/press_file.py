@@ -67,6 +67,10 @@ class Table(BaseModel):
         return table | {"sd": (*table.get("sd", ()), *own.items())}
 
 
+_PER_N_CM2 = {"N/cm2": 1.0, "kPa": 10.0, "bar": 0.1, "MPa": 0.01}
+"""Of each unit of pressure in a newton per square centimetre."""
+
+
 class Pressure(Table):
     """``press.pressure``: a channel whose pressure tells whether the press is closed."""
 
@@ -174,7 +178,7 @@ class Load(Table):
 
     def reading(self, pressure_N_cm2: float) -> float:  # noqa: N803
         """Return what the column reads at a pressure; as that stands where no unit is given."""
-        return pressure_N_cm2 * {"N/cm2": 1.0, "kPa": 10.0, "bar": 0.1, "MPa": 0.01}[self.unit or "N/cm2"]
+        return pressure_N_cm2 * _PER_N_CM2[self.unit or "N/cm2"]
 
 
 class Contact(Table):

@@ -32,6 +32,12 @@ By hand, 2026-11."""
 
 # Numbers without another source were set by hand, 2026-11.
 
+_FIRST_TICK_S = 0.05
+"""The first tick lies so far ahead, for the loggers' threads to be there. [s]"""
+_WAIT_PERIODS = 0.85
+"""Answers are awaited for so many scan periods; the rest is for writing them. [periods]"""
+_APART_S = 1e-4
+"""Scans are at least so far apart, whatever the clock said meanwhile: no two have one time. [s]"""
 _LOST_AFTER_S = 3.0
 """A logger without an answer this long is called lost. [s]"""
 
@@ -203,7 +209,7 @@ class Scanner:
         self.left_out = 0
         """Ticks that went by without a scan right before the newest one: this machine was too busy."""
         self._skipped = 0
-        self._ticks = Ticks(time.monotonic() + 0.05, period_s)
+        self._ticks = Ticks(time.monotonic() + _FIRST_TICK_S, period_s)
         self._speed = speed
         self._number = first_number
         self._tick = 0
@@ -245,7 +251,7 @@ class Scanner:
         if stop.wait(self._ticks.until(self._tick)):
             return None
         period = self._ticks.period_s
-        end = self._ticks.at(self._tick) + 0.85 * period
+        end = self._ticks.at(self._tick) + _WAIT_PERIODS * period
         with self._arrived:
             self._arrived.wait_for(
                 lambda: stop.is_set() or all(x.has(self._tick) or x.lost for x in self.loggers),
@@ -274,10 +280,10 @@ class Scanner:
                 middles.append(0.5 * (reading.requested_s + reading.received_s))
         now_s, utc = time.monotonic(), datetime.now(UTC)
         measured_s = sum(middles) / len(middles) if middles else self._ticks.at(self._tick)
-        at_s = max(min(measured_s, now_s), self._last_s + 1e-4)
+        at_s = max(min(measured_s, now_s), self._last_s + _APART_S)
         self._last_s = at_s
         utc = datetime.fromtimestamp(utc.timestamp() - (now_s - at_s), UTC)
-        converted_s = max(at_s * self._speed - self._age_s, self._last_scan_s + 1e-4)
+        converted_s = max(at_s * self._speed - self._age_s, self._last_scan_s + _APART_S)
         self._last_scan_s = converted_s
         return Scan(self._number, utc, round(converted_s, 6), tuple(values), tuple(qualities))
 

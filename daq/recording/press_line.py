@@ -41,8 +41,10 @@ _DISAGREEMENT_SAID_EVERY_S = 600.0
 """A limit switch that contradicts the temperatures is journalled at once, then at most this often. [s]"""
 LEFT_OUT_SAID_EVERY_S = 60.0
 """Scans left out are journalled at once, then at most this often. [s of the press]"""
-_TOO_MANY_LEFT_OUT = 0.05
-"""Of the scans of the last minute; single ones go missing wherever a machine is busy for a moment."""
+_ENDS_S, _SCANNER_ENDS_S = 10.0, 5.0
+"""The end of a press waits so long for its thread and its loggers' at most; systemd ends what hangs. [s]"""
+_TOO_MANY_LEFT_OUT, _LATELY_S = 0.05, 60.0
+"""Of the scans of so long; single ones go missing wherever a machine is busy for a moment."""
 
 Level = Literal["info", "warning", "alarm"]
 
@@ -199,8 +201,8 @@ class PressLine:
 
     def join(self) -> None:
         """Wait for the end: a run under way is closed as interrupted."""
-        self._thread.join(10.0)
-        self._scanner.join(5.0)
+        self._thread.join(_ENDS_S)
+        self._scanner.join(_SCANNER_ENDS_S)
 
     def _work(self) -> None:
         while (scan := self._scanner.scan(self._stop)) is not None:
@@ -329,9 +331,9 @@ class PressLine:
         ]
         if self._detector.disagreement:
             said.append(say("problem-of-press", press=name, what=self._detector.disagreement))
-        since_s = time.monotonic() - 60.0
+        since_s = time.monotonic() - _LATELY_S
         gone_by = sum(count for at_s, count in tuple(self._gone_by) if at_s > since_s)
-        if gone_by * self._period_s > _TOO_MANY_LEFT_OUT * 60.0:
+        if gone_by * self._period_s > _TOO_MANY_LEFT_OUT * _LATELY_S:
             said.append(say("scans-left-out-lately", press=name, count=gone_by))
         return said
 

@@ -13,6 +13,7 @@ from datetime import datetime
 from statistics import median
 from typing import Any
 
+from daq.press.moments import BEFORE_S
 from daq.records import PressEvent, PressEventKind, Scan
 from daq.store.records import NewRun, RunEnd, RunStatus
 
@@ -22,6 +23,8 @@ _SETTLED_S, _SETTLED_SCANS = 3.0, 3
 """The panel's start temperature is what its sensors showed in the last scans before the insertion."""
 
 
+_SPARE_S = 60.0
+"""Scans are kept for so long beyond a run: what happened is told later, and runs follow each other. [s]"""
 UNSEEN_S = 35.0
 """A run whose panel no sensor showed coming, since none was heard or only the closing told of it, begins this long
 before: longer than a panel usually waits in the open press. [s]"""
@@ -146,7 +149,7 @@ class RunKeeper:
         `at_closing` says that the insertion was only concluded from the closing.
         """
         early = event.monotonic_s - self.rules.pre_trigger_s
-        before = [s.panel_celsius for s in self._recent if early <= s.monotonic_s < event.monotonic_s - 0.2]
+        before = [s.panel_celsius for s in self._recent if early <= s.monotonic_s < event.monotonic_s - BEFORE_S]
         if at_closing or not any(level == level for level in before):
             early = event.monotonic_s - max(self.rules.pre_trigger_s, UNSEEN_S)
         taken = self._first if self.open_run is not None else self._last
@@ -157,7 +160,7 @@ class RunKeeper:
         settled = [
             s.panel_celsius
             for s in self._recent
-            if event.monotonic_s - _SETTLED_S <= s.monotonic_s < event.monotonic_s - 0.2
+            if event.monotonic_s - _SETTLED_S <= s.monotonic_s < event.monotonic_s - BEFORE_S
             and s.panel_celsius == s.panel_celsius
         ]
         header = dict(self.rules.header)
@@ -170,6 +173,6 @@ class RunKeeper:
         usable = [scan.values[i] for i in self._places if scan.qualities[i].usable]
         level = median(usable) if usable else float("nan")
         self._recent.append(_Seen(scan.number, scan.monotonic_s, scan, level))
-        keep = max(self.rules.pre_trigger_s, UNSEEN_S) + self.rules.post_removal_s + 60.0
+        keep = max(self.rules.pre_trigger_s, UNSEEN_S) + self.rules.post_removal_s + _SPARE_S
         while self._recent[0].monotonic_s < scan.monotonic_s - keep:
             self._recent.popleft()

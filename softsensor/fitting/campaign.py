@@ -30,10 +30,13 @@ from softsensor.heat.batch import Each
 from softsensor.heat.model import ThermalModel
 from softsensor.heat.model_file import FittedValue, ModelFile
 from softsensor.signals.student import student
-from softsensor.signals.unknown import BAND
+from softsensor.signals.unknown import BAND, CENTRAL, FAR_LOG
 
 # Numbers without another source were set by hand, 2026-11.
 
+LIMITS_SD, LEAST_PRIOR = 4.0, 1e-3
+"""A coefficient's limits lie so many standard deviations apart, their 95 %; of its logarithm one is at least so
+much."""
 BOOTSTRAPS = 4000
 """Resamplings: ends of a 95 % interval then vary by some 2 % of it."""
 NAMED_RUNS = 5
@@ -170,7 +173,7 @@ class CampaignFit:
 
 def joint_interval(estimate: FittedValue) -> tuple[float, float]:
     """Return the 95 % interval of a run's value as the joint fit knows it."""
-    reach = float(np.exp(min(BAND * estimate.sd / estimate.value, 50.0)))
+    reach = float(np.exp(min(BAND * estimate.sd / estimate.value, FAR_LOG)))
     return estimate.value / reach, estimate.value * reach
 
 
@@ -255,7 +258,7 @@ def _anchored(press: Press, name: str, middle: float, sd: float) -> tuple[float,
     all there is where none does.
     """
     table = press.coefficient(name)
-    prior = max(float(np.log(table.upper / table.lower)) / 4.0, 1e-3)
+    prior = max(float(np.log(table.upper / table.lower)) / LIMITS_SD, LEAST_PRIOR)
     weight = prior**2 / (prior**2 + sd**2)
     joined = weight * middle + (1.0 - weight) * float(np.log(table.guess))
     limited = float(np.clip(joined, np.log(table.lower), np.log(table.upper)))
@@ -273,7 +276,7 @@ def _summary(
     quantile = student(max(len(fits) - 1, 1))
     if shared and fits:  # no scatter between runs is estimated: the runs' own noise decides
         quantile = max(f.quantile for f in fits)
-    reach = min(quantile * error, 50.0)
+    reach = min(quantile * error, FAR_LOG)
     interval = (max(median * float(np.exp(-reach)), table.lower), min(median * float(np.exp(reach)), table.upper))
     if shared:
         inside = interval[0] > table.lower and interval[1] < table.upper
@@ -297,5 +300,5 @@ def _bootstrap(values: Array) -> tuple[float, float]:
     """Percentile interval of the mean over resampled runs; the same runs give the same interval."""
     rng = np.random.default_rng(20261121)
     means = values[rng.integers(0, len(values), (BOOTSTRAPS, len(values)))].mean(axis=1)
-    low, high = np.percentile(means, [2.5, 97.5])
+    low, high = np.quantile(means, CENTRAL)
     return float(low), float(high)

@@ -20,6 +20,7 @@ from softsensor.fitting.result import RunFit
 from softsensor.heat.model_file import FittedValue
 from softsensor.signals.instrument import SPREAD_LOG
 from softsensor.signals.student import student
+from softsensor.signals.unknown import FAR_LOG
 
 SETTINGS: Mapping[str, tuple[str, float]] = {
     "platen_temperature_C": ("°C", 2.0),
@@ -132,7 +133,7 @@ class Dependence:
         coefficients = self.predict(settings)
         intervals = {}
         for name, e in coefficients.items():
-            reach = float(np.exp(min(self.quantile * e.sd / e.value, 50.0)))
+            reach = float(np.exp(min(self.quantile * e.sd / e.value, FAR_LOG)))
             intervals[name] = (e.value / reach, e.value * reach)
         return Program(dict(settings), coefficients, intervals, tuple(remarks))
 

@@ -31,6 +31,15 @@ WIDE = float(np.log(4.0))
 """An interval whose ends differ by more than four times is no knowledge to build on, even if both are closed."""
 SETTLED = 0.3
 """Where the other unknowns still promise less than this, one Gauss-Newton step tells where they would end."""
+NEAR_RISE = 0.15
+"""A point whose rise is so near to the one looked for, as a share, is the end: 7 % of the interval's width."""
+FURTHER, LEAST_STEP, BETWEEN = 1.5, 0.5, (0.1, 0.9)
+"""Where nothing rises enough yet, the next point is so many times further out, counted from at least the second of
+a logarithm; between two points it keeps these shares away from both."""
+MOST_FOLLOWED = 3.0
+"""How far the other unknowns are taken along a profile to begin with, in their own units."""
+BEYOND, LEAST_WIDTH = 0.25, 1e-3
+"""A profile that is drawn goes beyond the interval by this share of its width, which counts at least so much."""
 MUCH_WORSE = 1.5
 """A procedure that ends this many times as far from the readings as they can be met has not found them."""
 PROFILE_POINTS = 5
@@ -160,7 +169,7 @@ def _side(fitted: RunFit, i: int, direction: int, reach: float) -> Side:
     for _ in range(5):
         height = profile_rise(fitted, i, at)
         points.append((at, height))
-        if abs(height / rise - 1.0) < 0.15:
+        if abs(height / rise - 1.0) < NEAR_RISE:
             return Side(at, True)
         if height < rise and abs(at - limit) < 1e-9:
             return Side(limit, False)
@@ -179,11 +188,11 @@ def _next(points: list[tuple[float, float]], rise: float, limit: float, directio
     inner = max((p for p in points if p[1] < rise), key=lambda p: direction * p[0])
     outer = [p for p in points if p[1] >= rise]
     if not outer:
-        grown = inner[0] + 1.5 * direction * max(abs(inner[0] - points[0][0]), 0.5)
+        grown = inner[0] + FURTHER * direction * max(abs(inner[0] - points[0][0]), LEAST_STEP)
         return limit if direction * (grown - limit) > 0 or len(points) > 3 else grown
     end = min(outer, key=lambda p: direction * p[0])
     root = np.sqrt(max(inner[1], 0.0)), np.sqrt(end[1])
-    share = np.clip((np.sqrt(rise) - root[0]) / max(root[1] - root[0], 1e-9), 0.1, 0.9)
+    share = np.clip((np.sqrt(rise) - root[0]) / max(root[1] - root[0], 1e-9), *BETWEEN)
     return float(inner[0] + share * (end[0] - inner[0]))
 
 
@@ -198,7 +207,7 @@ def profile_rise(fitted: RunFit, i: int, x: float, steps: int = EVALUATIONS) -> 
     if best.covariance[i, i] > 0:
         start += best.covariance[:, i] / best.covariance[i, i] * (x - best.x[i])
     start[i] = x
-    start = best.x + np.clip(start - best.x, -3.0, 3.0)
+    start = best.x + np.clip(start - best.x, -MOST_FOLLOWED, MOST_FOLLOWED)
     start[i] = x
     u = problem.unknowns[i]
     own = 0.5 * u.deviation(best.x[i] * u.unit) ** 2
@@ -235,10 +244,10 @@ def profile(fitted: RunFit, name: str, points: int = PROFILE_POINTS) -> Likeliho
     u, c = fitted.problem.unknowns[i], fitted.coefficients[name]
     low, high = (side[i] for side in fitted.problem.limits)
     ends = np.log(c.ci95)
-    middle, most = fitted.minimum.x[i], max(abs(ends[1] - ends[0]), 1e-3)
+    middle, most = fitted.minimum.x[i], max(abs(ends[1] - ends[0]), LEAST_WIDTH)
     alone = fitted.spread**2 * float(fitted.minimum.covariance[i, i])
-    first = max(low, min(middle, ends[0]) - 0.25 * most)
-    last = min(high, max(middle, ends[1]) + 0.25 * most)
+    first = max(low, min(middle, ends[0]) - BEYOND * most)
+    last = min(high, max(middle, ends[1]) + BEYOND * most)
     below = np.linspace(first, middle, points // 2 + 1)[:-1] if middle > first else np.zeros(0)
     above = np.linspace(middle, last, points // 2 + 1)[1:] if last > middle else np.zeros(0)
     xs = np.concatenate([below, [middle], above])

@@ -17,7 +17,7 @@ import numpy as np
 
 from daq.records import Array
 from softsensor.fitting.population import Knowledge, Population, information, population
-from softsensor.fitting.problem import minimise
+from softsensor.fitting.problem import STALLED, minimise
 from softsensor.fitting.result import RunFit
 from softsensor.heat.batch import Each
 
@@ -98,5 +98,5 @@ def _again(people: Population, one: tuple[_Member, Array]) -> _Member:
         unknowns[j] = replace(unknowns[j], centre=float(people.mean[i]), sd=sd)
         x[j] = there[i]
     problem = replace(problem, unknowns=tuple(unknowns))
-    found = minimise(problem, x, max_evaluations=EVALUATIONS, decrease=0.05)
+    found = minimise(problem, x, max_evaluations=EVALUATIONS, decrease=STALLED)
     return _Member(fitted, found.x, information(problem, found.evaluation, fitted.spread, people.names))

@@ -59,6 +59,15 @@ OTHER_STARTS = (float(np.log(3.0)), -float(np.log(3.0)))
 """Shifts of the logarithms for further starts."""
 SLOW_PRIOR = ((np.log(FACE_SLOW_K), 1.0), (np.log(FACE_SLOW_S), 0.7))
 """Log-normal priors of the slow noise's size [K] and correlation time [s]."""
+SLOW_LIMITS, SLOW_TOLERANCE = (np.log((1e-3, 2.0)), np.log((50.0, 600.0))), 0.05
+"""Smallest and largest of both, and how well their logarithms are searched. [K, s]"""
+TIMING_S, TIMING_ROWS, FIRST_TIMING_S = 0.005, 0.02, 0.05
+"""How well the time of a row is known beyond what all channels of a place share: at least, per row, and before the
+moments have been fitted. [s, rows, s]"""
+PLACED_ROWS, RELAID_S = 0.1, 0.1
+"""How well a fitted moment is known, and how far it moves until the steps are laid anew. [rows, s]"""
+SWITCHING_S = (1.0, 1.5)
+"""Before and after a switch no row tells of the slow noise: the model's ramps are not the press's. [s]"""
 
 
 def fit_run(
@@ -184,17 +193,17 @@ def _settle(problem: Problem) -> _Settled:
 def _search(problem: Problem) -> _Settled:
     """Fit in three passes: roughly, with noise and grid corrected, and once more with noise re-estimated."""
     period = problem.signals.period_s
-    moving = with_motion(problem, problem.start, 0.05 + timing(problem), moment_sd(period))
+    moving = with_motion(problem, problem.start, FIRST_TIMING_S + timing(problem), moment_sd(period))
     problem = replace(problem, blur=moving.blur)
     initial = problem.evaluate(problem.start)
     problem, x = recentre(problem, _roughly(problem).x)
     problem = replace(problem, correction=grid_correction(problem, x))
     problem = with_constants(problem, x)
-    problem = with_motion(problem, x, timing(problem), 0.1 * period)
+    problem = with_motion(problem, x, timing(problem), PLACED_ROWS * period)
     noise = channel_noise(problem.signals, problem.case.moments, problem.noise)
     problem = replace(problem, noise=replace(noise, slow_K=SECOND_SLOW_K, slow_s=FACE_SLOW_S))
-    best = minimise(problem, x, max_evaluations=15, decrease=0.05)
-    problem = with_motion(problem, best.x, timing(problem), 0.1 * period)
+    best = minimise(problem, x, max_evaluations=15, decrease=STALLED)
+    problem = with_motion(problem, best.x, timing(problem), PLACED_ROWS * period)
     problem = replace(problem, noise=slow_noise(problem, best.evaluation))
     best = minimise(problem, best.x, max_evaluations=25)
     return _Settled(problem, best, initial)
@@ -202,13 +211,13 @@ def _search(problem: Problem) -> _Settled:
 
 def _roughly(problem: Problem) -> Minimum:
     """Search from the given start, and from further ones where that ends badly or at a limit."""
-    best = minimise(problem, max_evaluations=25, decrease=0.05)
+    best = minimise(problem, max_evaluations=25, decrease=STALLED)
     logs = np.array([u.log for u in problem.unknowns])
     for shift in OTHER_STARTS:
         values = float(np.count_nonzero(best.evaluation.z))
         if best.converged and best.evaluation.loss < BAD_LOSS * values and not best.held[logs].any():
             break
-        other = minimise(problem, problem.start + np.where(logs, shift, 0.0), max_evaluations=25, decrease=0.05)
+        other = minimise(problem, problem.start + np.where(logs, shift, 0.0), max_evaluations=25, decrease=STALLED)
         if other.evaluation.loss < best.evaluation.loss - STALLED:
             best = other
     return best
@@ -216,7 +225,7 @@ def _roughly(problem: Problem) -> Minimum:
 
 def timing(problem: Problem) -> float:
     """Return how well row times are known: channels are read one after the other. [s]"""
-    return 0.005 + 0.02 * problem.signals.period_s
+    return TIMING_S + TIMING_ROWS * problem.signals.period_s
 
 
 def recentre(problem: Problem, x: Array) -> tuple[Problem, Array]:
@@ -224,7 +233,7 @@ def recentre(problem: Problem, x: Array) -> tuple[Problem, Array]:
     values = problem.merged(x)
     case = problem.case
     shifts = {n: values.get(n, 0.0) for n in TIMINGS}
-    if all(abs(s) < 0.1 for s in shifts.values()):
+    if all(abs(s) < RELAID_S for s in shifts.values()):
         return problem, x
     moments = replace(case.moments, **{n: getattr(case.moments, n) + s for n, s in shifts.items()})
     moments = replace(moments, inserted_s=max(moments.inserted_s, float(case.run.time_s[0])))
@@ -269,8 +278,8 @@ def slow_noise(problem: Problem, at: Evaluation) -> Noise:
         total += sum(float((g - m) / s) ** 2 for g, (m, s) in zip(guess, SLOW_PRIOR, strict=True))
         return 0.5 * total
 
-    best = lowest_point(loss, [m for m, _ in SLOW_PRIOR], tolerance=0.05, most=50)
-    best = np.clip(best, np.log([1e-3, 2.0]), np.log([50.0, 600.0]))
+    best = lowest_point(loss, [m for m, _ in SLOW_PRIOR], tolerance=SLOW_TOLERANCE, most=50)
+    best = np.clip(best, *SLOW_LIMITS)
     return replace(problem.noise, slow_K=float(np.exp(best[0])), slow_s=float(np.exp(best[1])))
 
 
@@ -280,7 +289,7 @@ def _thin(problem: Problem) -> Array:
     use = problem.rows > 0
     for moment in (moments.closed_s, moments.opened_s):
         if np.isfinite(moment):
-            use &= (t < moment - 1.0) | (t > moment + 1.5)
+            use &= (t < moment - SWITCHING_S[0]) | (t > moment + SWITCHING_S[1])
     rows = np.flatnonzero(use)
     step = max(1, round(1.0 / problem.signals.period_s), len(rows) // 400)
     return np.asarray(rows[::step])

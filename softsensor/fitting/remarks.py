@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from daq.press.moments import BEFORE_S
 from daq.press.press_file import Press
 from daq.records import Array, Moments, Run
 from daq.words import Message, say, spoken
@@ -90,7 +91,7 @@ def start_remarks(case: Case, signals: Signals, moments: Moments) -> list[Messag
     faces = [p for p in signals.places if p.label.partition("@")[0].partition(".")[0] in case.press.panel_layers]
     t, start = signals.time_s, case.panel.initial_temperature
     inserted = moments.inserted_s if np.isfinite(moments.inserted_s) else float(t[0])
-    lead = (t >= inserted - LEAD_S) & (t < inserted - 0.2 - 0.5 * signals.period_s)
+    lead = (t >= inserted - LEAD_S) & (t < inserted - BEFORE_S - 0.5 * signals.period_s)
     levels = [p.mean[lead & np.isfinite(p.mean)] for p in faces]
     read = [float(np.median(values)) for values in levels if len(values)]
     if read:

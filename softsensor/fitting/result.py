@@ -17,6 +17,7 @@ from softsensor.fitting.problem import Evaluation, Minimum, Problem
 from softsensor.fitting.remarks import lost_insertion
 from softsensor.fitting.unknowns import is_coefficient
 from softsensor.signals.student import student
+from softsensor.signals.unknown import FAR_LOG
 
 MISFIT_K, MISFIT_SHARE, MISFIT_NOISE, NOISIEST_K = 1.0, 0.04, 5.0, 1.0
 """A model does not describe a run from which it leaves more than each of: so many kelvin, this share of the span
@@ -29,6 +30,9 @@ Of rows in which nothing is moved (`left_still`). Choice (2026-11-21, then of al
 
 # Numbers without another source were set by hand, 2026-11.
 
+FREEDOM = (5.0, 100.0)
+"""Values behind the size of the slow noise that count as independent, fewest and most: at 5 Student's t is 2.6,
+beyond 100 it is normal."""
 ASTRAY = 1.5
 """Nor does it where the search ends so many times as far from the readings as it began, and above `MISFIT_K`."""
 
@@ -299,7 +303,7 @@ def _coefficient(limits: tuple[float, float], x: float, sd: float, quantile: flo
     value = float(np.exp(x))
     if sd == 0.0:
         return Coefficient(value, float("nan"), limits, False)
-    reach = min(quantile * sd, 50.0)
+    reach = min(quantile * sd, FAR_LOG)
     interval = (max(float(np.exp(x - reach)), limits[0]), min(float(np.exp(x + reach)), limits[1]))
     return Coefficient(value, float(value * sd), interval, True)
 
@@ -318,7 +322,7 @@ def _spread(problem: Problem, best: Minimum) -> _Spread:
     size = float((w[used] * z[used] ** 2).sum() / max(used.sum() - len(best.x), 1))
     seconds = float(problem.rows.sum()) * problem.signals.period_s
     freedom = len(problem.signals.places) * seconds / problem.noise.slow_s
-    return _Spread(max(1.0, float(np.sqrt(size))), float(np.clip(freedom, 5.0, 100.0)))
+    return _Spread(max(1.0, float(np.sqrt(size))), float(np.clip(freedom, *FREEDOM)))
 
 
 def channel_residuals(problem: Problem, at: Evaluation) -> tuple[dict[str, Array], dict[str, float]]:

@@ -61,6 +61,10 @@ IDLE_S = 1.0
 """Between pressings an estimate is written this often. [s]"""
 
 
+UPDATE_SHARE = 0.02
+"""Of the newest update in the mean that `/health` tells: over some 50. By hand, 2026-11."""
+
+
 def sense(config: Config, *, stop: threading.Event | None = None) -> None:
     """Follow all presses of a configuration until stopped by `stop`, SIGTERM or SIGINT.
 
@@ -199,9 +203,9 @@ class Follower:
     _base_version: str = "?"
     _rests_on: tuple[str, int] | None = None
     """Promoted model and newest fit behind `model`."""
-    _looked: float = -1e9
-    _idle_said: float = -1e9
-    _model_looked: float = -1e9
+    _looked: float = -math.inf
+    _idle_said: float = -math.inf
+    _model_looked: float = -math.inf
     _ended: list[RunRecord] = field(default_factory=list)
     """Pressings that are over and have scans this process has not seen yet, oldest first."""
     _unwritten: list[StoredEstimate] = field(default_factory=list)
@@ -227,7 +231,7 @@ class Follower:
             self._looked = now
             self._look()
         if self.fits.collect(self._base_version, self.model):
-            self._model_looked = -1e9
+            self._model_looked = -math.inf
         self._write()
         batch = self.store.scans_after(self.name, self.last, BATCH)
         if not batch.scans:
@@ -350,7 +354,7 @@ class Follower:
         except InputError as error:
             self.problem = spoken(error)
             said = Estimate(time_s, None, invalid=Invalid(InvalidReason.RUN_REFUSED, {"problem": self.problem}))
-        self.update_us += 0.02 * (1e6 * (time.perf_counter() - begun) - self.update_us)
+        self.update_us += UPDATE_SHARE * (1e6 * (time.perf_counter() - begun) - self.update_us)
         details = _details(live.sensor, said)
         course = live.sensor.forecast.course
         if said.valid and course and course is not live.course:

@@ -30,6 +30,9 @@ NEWEST_RUNS = 12
 """Older runs say little about today's press."""
 PRESSED_RUNS = 200
 """So many runs say which panels a press has: weeks of a busy one, and one page of the store."""
+SPREAD_RUNS = 4.0
+"""How many runs the scatter known beforehand counts for in the live sensor. A campaign's own fit takes two
+(`fitting.population`): it only sees the runs it has, and the live band must hold in the next."""
 MODEL_RUNS = 8.0
 """How many runs a promoted model counts for."""
 
@@ -140,7 +143,9 @@ def next_version(store: Store, press: str) -> str:
 
 def spread_with(before: float, variance: float, count: int) -> float:
     """Return how far a coefficient's logarithm scatters: as was likely before, and as `count` runs show it."""
-    return math.sqrt(max((4.0 * before**2 + count * variance) / (4.0 + count), LEAST_SPREAD_LOG**2))
+    return math.sqrt(
+        max((SPREAD_RUNS * before**2 + count * variance) / (SPREAD_RUNS + count), LEAST_SPREAD_LOG**2)
+    )
 
 
 def fingerprint(record: RunRecord, press: Press, model: ModelFile | None) -> str:

@@ -51,13 +51,16 @@ CORE_RUNS, CORE_SEARCHED = 6, 100
 newest."""
 LEAST_SHARE = 0.02
 """Of the residual with own contacts, which a model must save whose predictions are not surely better."""
-CORE_TOLERANCE = 1.02
-"""Factor by which a candidate may let the error of the live core grow, and 0.05 K more. Set by hand, 2026-11."""
+CORE_TOLERANCE, CORE_SLACK_K = 1.02, 0.05
+"""Factor by which a candidate may let the error of the live core grow, and how much more.
+Set by hand, 2026-11. [-, K]"""
 LEAST_VALID = 0.9
 """Of the scans with a core thermocouple that the model in force predicts: a candidate must dare as many."""
 NOTHING_CHANGED = say("night-nothing-changed")
 NOT_ASKED = "not_asked"
 """Instead of a verdict, where the runs are those of the night before."""
+ONE_SIDED = 0.95
+"""Of Student's t where only one side counts, at 5 %."""
 FEWEST_RUNS = 3
 """Runs a first model needs."""
 
@@ -348,7 +351,7 @@ def _against(
         return Against.NOT_SIGNIFICANT
     if core is not None and core.silenced:
         return Against.CORE_SILENCED
-    if core is not None and not core.after_K <= CORE_TOLERANCE * core.before_K + 0.05:
+    if core is not None and not core.after_K <= CORE_TOLERANCE * core.before_K + CORE_SLACK_K:
         return Against.CORE_WORSE
     return None
 
@@ -370,7 +373,7 @@ def surely_less(old: Array, new: Array) -> bool:
         return False
     fell = np.log(np.maximum(old, 1e-9)) - np.log(np.maximum(new, 1e-9))
     error = max(float(fell.std(ddof=1)) / math.sqrt(len(fell)), 1e-9)
-    return float(fell.mean()) / error > student(len(fell) - 1, 0.95)
+    return float(fell.mean()) / error > student(len(fell) - 1, ONE_SIDED)
 
 
 @dataclass(frozen=True)

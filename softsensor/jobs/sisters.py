@@ -47,10 +47,15 @@ from softsensor.jobs.model_in_force import (
     with_stored_fits,
 )
 from softsensor.signals.instrument import GUESS_LOG, SPREAD_LOG
-from softsensor.signals.unknown import BAND
+from softsensor.signals.unknown import BAND, CENTRAL
 
 DEGREES = 4.0
 """Of Student's t, by which presses differ: for few groups (Lange et al., J. Am. Stat. Assoc. 84 (1989) 881)."""
+_REACH, _TAILS = 4.0, 6.0
+"""The grid of a kind's centre goes so many scales either way, at least, and that of a further press as many more
+as the second, beyond which Student's t of `DEGREES` holds less than 0.4 %."""
+_SCATTERS = (0.05, 3.0)
+"""Least and largest scatter between presses that the grid holds, in the scale of its half-normal prior."""
 
 
 @dataclass(frozen=True)
@@ -156,19 +161,19 @@ def one_more(means: Array, errors: Array, centre: float, scale: float) -> tuple[
         Of presses (presses), in any unit.
     """
     z, e = (np.asarray(means) - centre) / scale, np.asarray(errors) / scale
-    reach = max(4.0, float(np.abs(z).max(initial=0.0)) + 1.0)
+    reach = max(_REACH, float(np.abs(z).max(initial=0.0)) + 1.0)
     mu = np.linspace(-reach, reach, 161)[:, None, None]
-    tau = np.geomspace(0.05, 3.0, 25)[None, :, None]
+    tau = np.geomspace(*_SCATTERS, 25)[None, :, None]
     width2 = tau**2 + e**2
     log = -0.5 * np.log(width2) - 0.5 * (DEGREES + 1.0) * np.log1p((z - mu) ** 2 / (DEGREES * width2))
     chance = log.sum(axis=2) - 0.5 * mu[:, :, 0] ** 2 - 0.5 * tau[:, :, 0] ** 2 + np.log(tau[:, :, 0])
     chance = np.exp(chance - chance.max())
     chance /= chance.sum()
-    at = np.linspace(-reach - 6.0, reach + 6.0, 241)
+    at = np.linspace(-reach - _TAILS, reach + _TAILS, 241)
     from scipy.special import stdtr  # loads slowly, and the sensor is to be there at once
 
     below = np.array([(chance * stdtr(DEGREES, (x - mu[:, :, 0]) / tau[:, :, 0])).sum() for x in at])
-    low, middle, high = np.interp([0.025, 0.5, 0.975], below, at)
+    low, middle, high = np.interp([CENTRAL[0], 0.5, CENTRAL[1]], below, at)
     return centre + scale * float(middle), scale * float(high - low) / (2.0 * BAND)
 
 

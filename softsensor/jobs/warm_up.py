@@ -19,6 +19,8 @@ _HEADER: Mapping[str, object] = {
 
 # Numbers without another source were set by hand, 2026-11.
 
+_FACES_C, _PLATENS_C = (20.0, 30.0, 120.0), 180.0
+"""Faces before the insertion, in the open press and in the closed one, and platens. [°C]"""
 _INSERTED_S, _CLOSED_S, _OPENED_S, _END_S = 2, 6, 12, 18
 """When the made-up press moves: long enough apart for the detector to believe it. [s]"""
 
@@ -36,7 +38,7 @@ def warm_up(press: Press) -> None:
     inside = [pattern.replace("*", "1") for sensor in press.sensor for pattern in sensor.columns]
     sensor = LiveSensor(press, _HEADER, None)
     for second in range(_END_S):
-        warmth = 20.0 if second < _INSERTED_S else 30.0 if second < _CLOSED_S else 120.0
-        values = dict.fromkeys(inside, warmth) | dict.fromkeys(outside, 180.0)
+        warmth = _FACES_C[0] if second < _INSERTED_S else _FACES_C[1] if second < _CLOSED_S else _FACES_C[2]
+        values = dict.fromkeys(inside, warmth) | dict.fromkeys(outside, _PLATENS_C)
         sensor.update(float(second), values | {"closed": float(_CLOSED_S <= second < _OPENED_S)})
         _ = sensor.inside  # has loops of its own

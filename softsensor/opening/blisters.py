@@ -24,6 +24,7 @@ from daq.press.resin_file import Resin
 from daq.records import Array
 from daq.words import Message, say
 from softsensor.opening.limits import STEAM_MOST, Normal
+from softsensor.signals.unknown import CENTRAL
 
 USUAL_KPA = 100.0
 """MDF delaminates from some 100 kPa on (Forest Products Laboratory, treesearch 25741). [kPa]"""
@@ -83,7 +84,7 @@ class SteamLimit:
     def ci95_kPa(self) -> tuple[float, float]:  # noqa: N802
         """Of what half of the panels bear. [kPa]"""
         reached = np.cumsum(self.weight.sum(axis=1))
-        low, high = np.interp((0.025, 0.975), reached, self.middle)
+        low, high = np.interp(CENTRAL, reached, self.middle)
         return math.exp(low), math.exp(high)
 
     def as_json(self) -> dict[str, Any]:

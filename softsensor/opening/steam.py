@@ -31,6 +31,12 @@ of the table it was fitted to. [°C]"""
 FIT_PERCENT = 0.5
 """Of moisture: what the fit differs from its table, and species from one another, one standard deviation between
 Simpson's mean (0.13) and worst (0.9) deviation. [%]"""
+_TRIPLE_C, _CRITICAL_C = 0.01, 373.9
+"""From water's triple point to just below its critical one the saturation pressure holds. (IAPWS-IF97) [°C]"""
+# Of the sorption isotherm, by powers of the temperature in °C. (W. T. Simpson, Wood Handbook)
+_WEIGHT, _K = (349.0, 1.29, 0.0135), (0.805, 0.000736, -0.00000273)
+_K1, _K2 = (6.27, -0.00938, -0.000303), (1.91, 0.0407, -0.000293)
+"""The same of its two constants of equilibrium. (W. T. Simpson, Wood Handbook)"""
 _STEPS = 40
 """Halvings of the search in ln p, over some 25: to 2e-11."""
 _NUDGE_K, _NUDGE = 0.05, 1e-4
@@ -43,14 +49,14 @@ _N = (
 
 
 def saturation_kPa(temperature_C: Array | float) -> Array:  # noqa: N802
-    """Return the saturation pressure of water, held at the ends of 0.01 to 373.9 °C. [kPa]
+    """Return the saturation pressure of water, held at the triple point and just below the critical one. [kPa]
 
     Examples
     --------
     >>> float(saturation_kPa(500.0 - 273.15).round(5))  # the standard's own check: 2.63889776 MPa
     2638.89776
     """
-    T = np.clip(np.asarray(temperature_C, dtype=float), 0.01, 373.9) - COLDEST_C
+    T = np.clip(np.asarray(temperature_C, dtype=float), _TRIPLE_C, _CRITICAL_C) - COLDEST_C
     v = T + _N[8] / (T - _N[9])
     a = v**2 + _N[0] * v + _N[1]
     b = _N[2] * v**2 + _N[3] * v + _N[4]
@@ -67,10 +73,7 @@ def equilibrium_moisture(humidity: Array | float, temperature_C: Array | float) 
     12.0
     """
     t = np.clip(np.asarray(temperature_C, dtype=float), 0.0, HOTTEST_SORPTION_C)
-    weight = 349.0 + 1.29 * t + 0.0135 * t**2
-    K = 0.805 + 0.000736 * t - 0.00000273 * t**2
-    K1 = 6.27 - 0.00938 * t - 0.000303 * t**2
-    K2 = 1.91 + 0.0407 * t - 0.000293 * t**2
+    weight, K, K1, K2 = (a + b * t + c * t**2 for a, b, c in (_WEIGHT, _K, _K1, _K2))
     Kh = K * np.clip(humidity, 0.0, 1.0)
     hydrates = (K1 * Kh + 2.0 * K1 * K2 * Kh**2) / (1.0 + K1 * Kh + K1 * K2 * Kh**2)
     return np.asarray(1800.0 / weight * (Kh / (1.0 - Kh) + hydrates))

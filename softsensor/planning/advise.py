@@ -27,11 +27,10 @@ from daq.tables import explained
 from daq.words import say
 from softsensor.opening.kinetics import Kinetics, equivalent_course, kinetics_of
 from softsensor.opening.limits import Broken, Normal, Opening, PanelState, broken, opening
-from softsensor.opening.steam import steam_pressure
 from softsensor.planning.made_up import (
     KINETICS,
+    MOISTURE,
     SHARE,
-    SORPTION,
     Courses,
     Ensemble,
     Programme,
@@ -39,6 +38,7 @@ from softsensor.planning.made_up import (
     ensemble,
     made_up_run,
     sources_of,
+    steam_of,
 )
 from softsensor.planning.program import Ranges
 
@@ -295,14 +295,10 @@ def quantities_of(drawn: Ensemble, courses: Courses, wish: Wish, kinetics: Kinet
 
 def _steam(drawn: Ensemble, courses: Courses, resin: Resin | None) -> Array:
     """Return the steam's pressure (draws, t); NaN where nothing says how moist the panel is. [kPa]"""
-    key = "panel.moisture_percent"
-    if (doubt := drawn.doubts.get(key)) is None:
+    if (doubt := drawn.doubts.get(MOISTURE)) is None:
         return np.full(courses.layers_C.shape[:2], np.nan)
-    moisture = np.maximum(doubt.value + doubt.sd * drawn.draws.of(key), 0.1)
-    factor, sd = (1.0, 0.0) if resin is None else (resin.sorption.factor, resin.sorption.factor_sd)
-    drawn_factor = factor * np.exp(sd * drawn.draws.of(SORPTION))
     rows = np.unique(np.append(np.arange(0, len(courses.press_time_s), STEAM_ROWS), len(courses.press_time_s) - 1))
-    pressure = steam_pressure(courses.layers_C[:, rows], SHARE, moisture, drawn_factor)
+    pressure = steam_of(drawn.draws, doubt, courses.layers_C[:, rows], resin)
     times, thin = courses.press_time_s, courses.press_time_s[rows]
     return np.exp([np.interp(times, thin, log_p) for log_p in np.log(pressure)])
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from daq.press.header import panel_of
 from daq.press.press_file import Press, press_for_run
+from daq.press.resin_file import Resin
 from daq.records import Array, InputError, Moments, Run
 from daq.words import say
 from softsensor.effects import contact_load, find_effect
@@ -24,6 +25,7 @@ from softsensor.heat.batch import solve_many
 from softsensor.heat.case import Case
 from softsensor.heat.model import ThermalModel
 from softsensor.heat.model_file import ModelFile
+from softsensor.opening.steam import steam_pressure
 from softsensor.signals.digest import STEP_S
 from softsensor.signals.doubt import Doubt, constant_doubts
 from softsensor.signals.instrument import PLATEN_TOTAL_K, RAMP_S
@@ -42,6 +44,12 @@ DEPTHS = np.linspace(0.0, 1.0, 9)
 """Where temperatures are read through the panel, as shares of its thickness."""
 SHARE = np.gradient(DEPTHS) / np.gradient(DEPTHS).sum()
 """Of the panel that each depth stands for."""
+MOISTURE = "panel.moisture_percent"
+"""The header's key that steam follows."""
+DRIEST_PERCENT = 0.1
+"""A draw's panel holds at least so much water: what is drawn below is no panel. [% of dry mass]"""
+STILL_MATTER = 0.8
+"""A draw may take so large a share of a constant away: what is nearly nothing, or less, is no matter."""
 COEFFICIENTS, EFFECTS, PLATENS, KINETICS, SORPTION = "coefficients", "effects", "platens", "kinetics", "sorption"
 """Sources of doubt besides the constants, which go by their keys in the header."""
 
@@ -202,6 +210,13 @@ class Drawn:
     doubts: Mapping[str, Doubt]
 
 
+def steam_of(draws: Draws, moisture: Doubt, layers_C: Array, resin: Resin | None) -> Array:
+    """Return the pressure of steam in panels drawn (draws, t, depths at `DEPTHS`): (draws, t). [kPa]"""
+    percent = np.maximum(moisture.value + moisture.sd * draws.of(MOISTURE), DRIEST_PERCENT)
+    factor, sd = (1.0, 0.0) if resin is None else (resin.sorption.factor, resin.sorption.factor_sd)
+    return steam_pressure(layers_C, SHARE, percent, factor * np.exp(sd * draws.of(SORPTION)))
+
+
 def draw(run: Run, press: Press, model: ModelFile, moments: Moments) -> Drawn:
     """Draw what is not known of a pressing. Raises `InputError` for a panel or press that cannot be solved."""
     panel_of(run)
@@ -224,7 +239,7 @@ def _drawn(run: Run, press: Press, doubts: Mapping[str, Doubt], draws: Draws, i:
     """Return the run with its constants as one draw has them; what no matter has stays as given."""
     for key, doubt in doubts.items():
         change = doubt.sd * float(draws.of(key)[i, 0])
-        if key.startswith(("ambient.", "panel.initial")) or abs(change) < 0.8 * abs(doubt.value):
+        if key.startswith(("ambient.", "panel.initial")) or abs(change) < STILL_MATTER * abs(doubt.value):
             run = changed_run(run, press, key, change)
     return run
 

@@ -27,12 +27,10 @@ from daq.words import say
 from softsensor.heat.batch import solve_many
 from softsensor.heat.model_file import ModelFile
 from softsensor.opening.kinetics import equivalent_course, kinetics_of
-from softsensor.opening.steam import steam_pressure
-from softsensor.planning.made_up import KINETICS, SHARE, SORPTION, Drawn, draw
+from softsensor.planning.made_up import KINETICS, MOISTURE, Drawn, draw, steam_of
 from softsensor.planning.program import FACTORS, designed_run, settings_of
 from softsensor.signals.unknown import BAND
 
-MOISTURE = "panel.moisture_percent"
 WETTER = "moisture_percent"
 """A setting beside those of `FACTORS`, which a press operator cannot set but a supplier can."""
 ROWS, STEAM_ROWS = 300, 60
@@ -195,10 +193,7 @@ class _Solved:
         rows = self.layers.shape[1]
         if (doubt := self.drawn.doubts.get(MOISTURE)) is None:
             return Band(*np.full((3, rows), np.nan))
-        draws = self.drawn.draws
-        moisture = np.maximum(doubt.value + doubt.sd * draws.of(MOISTURE), 0.1)
-        factor, sd = (1.0, 0.0) if resin is None else (resin.sorption.factor, resin.sorption.factor_sd)
         thin = np.unique(np.linspace(0, rows - 1, STEAM_ROWS).astype(int))
-        pressure = steam_pressure(self.layers[:, thin], SHARE, moisture, factor * np.exp(sd * draws.of(SORPTION)))
+        pressure = steam_of(self.drawn.draws, doubt, self.layers[:, thin], resin)
         log = Band.of(np.log(pressure), told)
         return Band(*(np.exp(np.interp(np.arange(rows), thin, x)) for x in (log.middle, log.low, log.high)))

@@ -9,6 +9,11 @@ import numpy as np
 
 BAND = NormalDist().inv_cdf(0.975)
 """Half-width of a normal estimate's 95 % band, in standard deviations."""
+CENTRAL = (0.025, 0.975)
+"""Shares of a distribution below the ends of its central 95 %, by definition."""
+FAR_LOG = 50.0
+"""An interval of a logarithm ends here at the latest, before it overflows: e⁵⁰ times anything is beyond all
+limits. By hand, 2026-11."""
 
 
 @dataclass(frozen=True)

@@ -34,6 +34,14 @@ STOP = 1e-4
 
 LEAST_SCATTER_K = 0.1
 """Sensors that happen to agree better than they can read get no more weight. [K]"""
+STOP_COST = 1e-3
+"""And the simplex when the cost does by less than this."""
+SEARCHED = (np.log(0.01), np.log(1e6))
+"""Logarithms of the coefficients that solvers are asked for: none to a perfect contact. [W/m²K]"""
+AS_GOOD = 1.02
+"""A search found the minimum where its cost is at most so many times the lowest that any found."""
+ALONG = 0.02
+"""How far to either side of the minimum the cost is drawn."""
 
 
 class Solver(StrEnum):
@@ -145,7 +153,7 @@ def fit_as_paper(
         rough = minimize(
             lambda v: float(np.sum(problem.residuals(problem.solution(v, derive=False)[0]) ** 2)),
             x, method="Nelder-Mead", bounds=list(zip(low, high, strict=True)),
-            options={"xatol": STOP, "fatol": 1e-3, "maxfev": 1200},
+            options={"xatol": STOP, "fatol": STOP_COST, "maxfev": 1200},
         )  # fmt: skip
         x, converged = rough.x, bool(rough.success)
     if method != "nelder_mead":
@@ -317,7 +325,7 @@ def _search(problem: _Fit, lines: Lines | None, slopes: Slopes, start: Array) ->
 
     def solve(x: Array, derive: bool) -> tuple[Array, Array]:
         count[0] += 1
-        x = np.clip(x, np.log(0.01), np.log(1e6))
+        x = np.clip(x, *SEARCHED)
         return (
             problem.solution(x, derive=derive) if lines is None else lines.solve(np.exp(x), sensitivities=derive)
         )
@@ -336,7 +344,7 @@ def _search(problem: _Fit, lines: Lines | None, slopes: Slopes, start: Array) ->
 
     jacobian = (lambda x: problem.jacobian(both(x)[1])) if exact else "2-point"
     found = least_squares(value, start, jac=jacobian, max_nfev=60)
-    final = problem.residuals(problem.solution(np.clip(found.x, -4.6, 13.8), derive=False)[0])
+    final = problem.residuals(problem.solution(np.clip(found.x, *SEARCHED), derive=False)[0])
     return _Outcome(np.asarray(found.x), float(final @ final), count[0])
 
 
@@ -358,7 +366,7 @@ def _table(
             Combination(
                 solver,
                 slopes,
-                sum(o.cost <= 1.02 * lowest for o, lowest in zip(outcomes, best, strict=True)),
+                sum(o.cost <= AS_GOOD * lowest for o, lowest in zip(outcomes, best, strict=True)),
                 len(outcomes),
                 float(np.mean([o.seconds for o in outcomes])),
                 float(np.mean([o.solves for o in outcomes])),
@@ -369,9 +377,9 @@ def _table(
 
 
 def _cost_along(problem: _Fit, lines: Lines, x: Array, points: int = 81) -> tuple[str, Array, Array, Array]:
-    """Cost along the last but one coefficient that closes the press, ±2 % about the minimum."""
+    """Cost along the last but one coefficient that closes the press, to either side of the minimum."""
     i = next((problem.names.index(n) for n in ("h_pp_c",) if n in problem.names), 0)
-    relative = np.linspace(0.98, 1.02, points)
+    relative = np.linspace(1.0 - ALONG, 1.0 + ALONG, points)
     adaptive, exact = np.empty(points), np.empty(points)
     for k, factor in enumerate(relative):
         at = x.copy()
