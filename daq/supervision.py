@@ -12,7 +12,8 @@ LOG = logging.getLogger("kerntemp.record")
 BEAT_S = 1.0
 """How often a process gives a sign of life. By hand, 2026-11. [s]"""
 IN_USE_S = 7 * 86400.0
-"""What is unheard of for longer, a press, a machine, a way to people, is taken for gone: a weekend is shorter. [s]"""
+"""What is unheard of for longer, a press, a machine, a way to people, is taken for gone: a weekend is shorter.
+[s]"""
 
 # Numbers without another source were set by hand, 2026-11.
 

@@ -1,10 +1,10 @@
 """Alarms: raised once, acknowledged by somebody, and on their way to people. One transaction each.
 
 An alarm and its deliveries, one for each way of every server over the store, are written together; a delivery
-leaves the outbox only when its receiver has taken it: no restart loses one, whichever server raised it. A condition
-that stands already is not raised again, servers look one after the other, and a delivery in the hands of a process
-is put off for the others: none is doubled, but for a process killed between the receiver's word and its own note,
-where the receiver knows it by the alarm's number.
+leaves the outbox only when its receiver has taken it: no restart loses one, whichever server raised it. A
+condition that stands already is not raised again, servers look one after the other, and a delivery in the hands
+of a process is put off for the others: none is doubled, but for a process killed between the receiver's word and
+its own note, where the receiver knows it by the alarm's number.
 """
 
 from __future__ import annotations
