@@ -145,10 +145,6 @@ def _end(end: RunEnd) -> list[Any]:
     return [end.run, end.last_scan, end.ended_utc.isoformat(), end.status.value, end.first_scan]
 
 
-def _read_end(run: str, last_scan: int, ended: str, status: str, first_scan: int | None = None) -> RunEnd:
-    return RunEnd(run, last_scan, datetime.fromisoformat(ended), RunStatus(status), first_scan)
-
-
 def decode_item(text: str) -> WriteBatch | Entry:
     """Read what `encode_item` wrote."""
     tree = json.loads(text)

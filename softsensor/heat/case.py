@@ -46,6 +46,17 @@ FINE_STEP_S = 0.03
 
 GROWTH = 1.13
 """Of steps after it."""
+HANDLED_S, SWITCHED_S = 0.3, 0.4
+"""Fine steps go so far to either side of insertion and removal, and of the ramps of closing and opening. [s]"""
+LAST_STEP = 0.25
+"""What is left before a switch is part of the step before it up to this share of it."""
+GRIDS = {
+    "fineness": (0.05, 50.0),
+    "max_step_s": (1e-4, 3600.0),
+    "switch_step_s": (1e-4, 60.0),
+    "growth": (1.0, 10.0),
+}
+"""Within these a grid may be asked for: beyond, a mistyped unit. [-, s, s, -]"""
 
 
 @dataclass(frozen=True)
@@ -171,10 +182,10 @@ class Fineness:
 
     def __post_init__(self) -> None:
         for name, value, lower, upper in (
-            ("fineness", self.cells, 0.05, 50.0),
-            ("max_step_s", self.max_step_s, 1e-4, 3600.0),
-            ("switch_step_s", self.switch_step_s, 1e-4, 60.0),
-            ("growth", self.growth, 1.0, 10.0),
+            ("fineness", self.cells, *GRIDS["fineness"]),
+            ("max_step_s", self.max_step_s, *GRIDS["max_step_s"]),
+            ("switch_step_s", self.switch_step_s, *GRIDS["switch_step_s"]),
+            ("growth", self.growth, *GRIDS["growth"]),
         ):
             if not isinstance(value, Real) or not lower <= value <= upper:
                 raise InputError(
@@ -255,10 +266,10 @@ def step_edges(
     start, end = float(time_s[0]), float(time_s[-1])
     switches = [start]
     for moment, half in (
-        (moments.inserted_s, 0.3),
-        (moments.closed_s, moments.ramp_s / 2 + 0.4),
-        (moments.opened_s, OPENING_RAMP_S / 2 + 0.4),
-        (moments.removed_s, 0.3),
+        (moments.inserted_s, HANDLED_S),
+        (moments.closed_s, moments.ramp_s / 2 + SWITCHED_S),
+        (moments.opened_s, OPENING_RAMP_S / 2 + SWITCHED_S),
+        (moments.removed_s, HANDLED_S),
     ):
         if start < moment < end:
             switches += [max(start, moment - half), min(end, moment + half)]
@@ -270,7 +281,7 @@ def step_edges(
         longest = min(max_step, closed) if shut else max_step
         while t < begin - 1e-9:
             t = min(t + h, begin)
-            if begin - t < 0.25 * h:
+            if begin - t < LAST_STEP * h:
                 t = begin
             edges.append(t)
             h = min(h * growth, longest)

@@ -17,6 +17,11 @@ from daq.records import Array
 
 QUICK_S = 20.0
 """A layer whose thickness² / diffusivity is shorter gets equal cells. [s]"""
+EQUAL_CELLS = 3.0
+"""Half as many as it gets, at a fineness of 1."""
+FIRST_S, WIDEST_S, WIDEST_SHARE, WIDER = 0.02, 6.0, 24.0, 0.12
+"""Other layers: the cell at a face is what heat crosses in the first; widths grow by the last of the depth, up to
+what heat crosses in the second, or so many a layer. [s, s, -, -]"""
 
 
 @dataclass(frozen=True)
@@ -82,12 +87,12 @@ def graded_widths(thickness: float, diffusivity: float, fineness: float = 1.0) -
     (0.016, 76)
     """
     if thickness**2 / diffusivity < QUICK_S:
-        equal = max(4, 2 * round(3.0 * fineness))
+        equal = max(4, 2 * round(EQUAL_CELLS * fineness))
         return np.full(equal, thickness / equal)
-    widest = min(np.sqrt(diffusivity * 6.0), thickness / 24.0)
-    first = min(np.sqrt(diffusivity * 0.02), widest)
+    widest = min(np.sqrt(diffusivity * WIDEST_S), thickness / WIDEST_SHARE)
+    first = min(np.sqrt(diffusivity * FIRST_S), widest)
     x = np.linspace(0.0, thickness / 2, 2001)
-    density = 1.0 / (first + 0.12 * x) + 1.0 / widest
+    density = 1.0 / (first + WIDER * x) + 1.0 / widest
     count = np.concatenate([[0.0], np.cumsum((density[1:] + density[:-1]) / 2 * np.diff(x))])
     half = max(2, round(float(count[-1]) * fineness))
     edges = np.interp(np.linspace(0.0, count[-1], half + 1), count, x)

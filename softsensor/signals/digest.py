@@ -39,6 +39,12 @@ FIRST_BIN_S, WIDEST_BIN_S = 0.2, 4.0
 """Narrowest bin, after an event, and widest in a run of up to 8 min. Set by hand, 2026-11. [s]"""
 SAMPLES = 4
 """The model is read at up to so many times within a bin."""
+MEAN_OFFSET_K = 0.1
+"""Error of a place's mean that its channels' scatter does not show: they share a face and a logger. [K]"""
+BEFORE_REMOVAL_S, SWITCHING_S = 0.3, 0.5
+"""Left out before the panel's removal; and around closing and opening, bins of their own. [s]"""
+MOST_BINS, LAST_BIN = 120.0, 1.6
+"""A long run's widest bins would be so many; what is left before a switch is one bin up to so many widths."""
 PLAIN_K = 0.1
 """Where a slope times the timing error exceeds this, residuals count less. [K]"""
 STEP_S = 1.5
@@ -234,7 +240,7 @@ def _signal_series(
         place = Place.of(signal, channels[signal], np.stack([run.columns[c] for c in channels[signal]], axis=1))
         series[:, i] = place.mean
         if len(place.offsets) >= 3:
-            offset_sd[i] = np.sqrt(np.var(place.offsets, ddof=1) / len(place.offsets) + 0.1**2)
+            offset_sd[i] = np.sqrt(np.var(place.offsets, ddof=1) / len(place.offsets) + MEAN_OFFSET_K**2)
     return series, offset_sd
 
 
@@ -250,20 +256,20 @@ def _group_rows(time_s: Array, moments: Moments, period: float) -> tuple[np.ndar
     start = float(time_s[0])
     if np.isfinite(moments.inserted_s):
         start = min(max(moments.inserted_s, start) + UNSURE_S, float(time_s[-1]))
-    end = moments.removed_s - 0.3 if np.isfinite(moments.removed_s) else time_s[-1]
+    end = moments.removed_s - BEFORE_REMOVAL_S if np.isfinite(moments.removed_s) else time_s[-1]
     edges = [start]
     inner = [m for m in (moments.closed_s, moments.opened_s) if np.isfinite(m) and start < m < end]
-    stops = [m - 0.5 for m in inner] + [float(end) + period]
-    widest = max(WIDEST_BIN_S, (float(end) - start) / 120.0)
+    stops = [m - SWITCHING_S for m in inner] + [float(end) + period]
+    widest = max(WIDEST_BIN_S, (float(end) - start) / MOST_BINS)
     for stop in stops:
         width = max(FIRST_BIN_S, period)
         while edges[-1] < stop - 1e-9:
-            step = width if edges[-1] + 1.6 * width < stop else stop - edges[-1]
+            step = width if edges[-1] + LAST_BIN * width < stop else stop - edges[-1]
             edges.append(edges[-1] + step)
             width = min(width * GROWTH, widest)
         if stop != stops[-1]:
             fine = max(FIRST_BIN_S, period)
-            for _ in range(max(1, round(0.5 / fine))):
+            for _ in range(max(1, round(SWITCHING_S / fine))):
                 edges.append(edges[-1] + fine)
     rows = np.flatnonzero((time_s >= start) & (time_s <= end))
     group = np.searchsorted(np.array(edges), time_s[rows], side="right")

@@ -10,6 +10,10 @@ from daq.press.press_file import Press
 from daq.records import Array, Moments, Run
 from softsensor.signals.robust import nan_mean
 
+RIM, INNER = 0.8, 0.6
+"""Of the way from a face's middle to its outermost sensor: from the first on sensors lie at its rim, up to the
+second within. By hand, 2026-11."""
+
 
 def place_scatter(run: Run, channels: Sequence[str], rows: np.ndarray) -> float:
     """Return how single channels scatter about their place's mean, offsets removed. [K]"""
@@ -41,7 +45,7 @@ def rim_falls(press: Press, run: Run, moments: Moments, excluded: frozenset[str]
             continue
         places = np.array(sensor.position_mm)
         away = np.abs(places - (places.max(axis=0) + places.min(axis=0)) / 2).max(axis=1)
-        far, near = away >= 0.8 * away.max(), away <= 0.6 * away.max()
+        far, near = away >= RIM * away.max(), away <= INNER * away.max()
         groups = []
         for group in (far, near):
             chosen = [c for c, inside in zip(columns, group, strict=True) if inside and c not in excluded]

@@ -56,8 +56,9 @@ recorded. It scales all three together, to what a campaign leaves."""
 ROUNDING_K2 = 3e-4
 """Variance that no number of channels averages out: rounding to 0.06 K (width/√12)². Only the live sensor adds it
 to `CHANNEL_WHITE_K`; a fit estimates its white noise from the readings, rounding within. [K²]"""
-CHANNEL_FAST_S = 10.0
-"""How fast a channel forgets its own faster noise, where a run's readings do not tell (3 to 40 s). By hand. [s]"""
+CHANNEL_FAST_S, CHANNEL_FAST_LIMITS_S = 10.0, (3.0, 40.0)
+"""How fast a channel forgets its own faster noise: where a run's readings do not tell, and the limits within which
+they do. By hand. [s]"""
 
 # Timing
 

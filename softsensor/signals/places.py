@@ -19,14 +19,20 @@ import numpy as np
 from daq.compiled import compiled
 from daq.press.press_file import Press
 from daq.records import Array, Moments, Run
-from softsensor.signals.instrument import CHANNEL_FAST_S, CHANNEL_WHITE_K
+from softsensor.signals.instrument import CHANNEL_FAST_LIMITS_S, CHANNEL_FAST_S, CHANNEL_WHITE_K
 from softsensor.signals.robust import nan_median, robust_sd
 from softsensor.signals.screen import ChannelFault, Flags, faces_of, faulty_channels, quiet_rows
 
 # Numbers without another source were set by hand, 2026-11.
 
 OUTLIER_K = 1.0
-"""A single cell that departs from its face by more than this and by 6 standard deviations is dropped. [K]"""
+"""A single cell that departs from its face by more than this, and by `OUTLIER_SD`, is dropped. [K]"""
+OUTLIER_SD = 6.0
+"""Of its channel and of its row. [standard deviations]"""
+NEAR_S, FAR_S = 2.0, 6.0
+"""Lags at which the channels' noise is looked at: one beyond a scan, one beyond what fades at once. [s]"""
+LEAST_WHITE_K, LEAST_WHITE_SHARE = 1e-3, 0.1
+"""White noise of a channel at least, alone, and as a share of all its noise where it has a slower part. [K, -]"""
 
 
 @dataclass(frozen=True)
@@ -114,7 +120,7 @@ def _drop_outliers(values: Array) -> tuple[Array, int]:
     relative = relative - column[None, :]
     typical = robust_sd(relative.T)
     row = robust_sd(relative)
-    limit = np.maximum(np.maximum(6.0 * typical[None, :], 6.0 * row[:, None]), OUTLIER_K)
+    limit = np.maximum(np.maximum(OUTLIER_SD * typical[None, :], OUTLIER_SD * row[:, None]), OUTLIER_K)
     far = np.abs(relative) > limit
     return np.where(far, np.nan, values), int(far.sum())
 
@@ -122,12 +128,12 @@ def _drop_outliers(values: Array) -> tuple[Array, int]:
 def channel_noise(signals: Signals, moments: Moments, before: Noise) -> Noise:
     """Return the noise with its channel part estimated from deviations within each place.
 
-    Autocovariances near lags of 0, 2 and 6 s give white level, channel level and correlation time.
+    Autocovariances near lags of 0, `NEAR_S` and `FAR_S` give white level, channel level and correlation time.
     A place with a single channel has no deviations; its white level follows from second differences.
     """
     quiet = quiet_rows(signals.time_s, moments)
     period = signals.period_s
-    near, far = max(1, round(2.0 / period)), max(2, round(6.0 / period))
+    near, far = max(1, round(NEAR_S / period)), max(2, round(FAR_S / period))
     sums, weights = np.zeros(3), np.zeros(3)
     single = []
     for place in signals.places:
@@ -146,14 +152,16 @@ def channel_noise(signals: Signals, moments: Moments, before: Noise) -> Noise:
             weights[i] += ok.sum()
     if weights[0] < 20:
         white = float(np.median(single)) if single else before.white_K
-        return replace(before, white_K=max(white, 1e-3), fast_K=0.0)
+        return replace(before, white_K=max(white, LEAST_WHITE_K), fast_K=0.0)
     c0, c1, c2 = sums / np.maximum(weights, 1.0)
     if weights[2] < 20:
-        return replace(before, white_K=max(float(np.sqrt(c0)), 1e-3), fast_K=0.0)
+        return replace(before, white_K=max(float(np.sqrt(c0)), LEAST_WHITE_K), fast_K=0.0)
     apart = (far - near) * period
-    tau = CHANNEL_FAST_S if c2 <= 0 or c1 <= c2 else float(np.clip(apart / np.log(c1 / c2), 3.0, 40.0))
+    tau = (
+        CHANNEL_FAST_S if c2 <= 0 or c1 <= c2 else float(np.clip(apart / np.log(c1 / c2), *CHANNEL_FAST_LIMITS_S))
+    )
     fast = float(np.clip(c1 * np.exp(near * period / tau), 0.0, c0))
-    white = max(c0 - fast, (0.1 * np.sqrt(c0)) ** 2, 1e-6)
+    white = max(c0 - fast, (LEAST_WHITE_SHARE * np.sqrt(c0)) ** 2, LEAST_WHITE_K**2)
     return replace(before, fast_K=float(np.sqrt(fast)), fast_s=tau, white_K=float(np.sqrt(white)))
 
 

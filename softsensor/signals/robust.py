@@ -24,12 +24,16 @@ def nan_median(values: Array) -> Array:
     return np.where(count > 0, (low + high) / 2, np.nan)
 
 
+QUARTER = 0.6744897501960817
+"""Three quarters of a standard normal distribution lie below, by definition."""
+
+
 def robust_sd(away: Array) -> Array:
     """Return the standard deviation of normal values about zero from their median distance to it: (…, n) to (…).
 
-    The three quarters point of the standard normal distribution is 0.6745. NaN where nothing is.
+    NaN where nothing is.
     """
-    return np.asarray(nan_median(np.abs(away)) / 0.6744897501960817)
+    return np.asarray(nan_median(np.abs(away)) / QUARTER)
 
 
 def channel_scatter(values: Array, *, own_offsets: bool) -> Array:
