@@ -13,7 +13,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from daq.materials import MATERIALS, find_material
+from daq.materials import MATERIALS, Constant, find_material
 from daq.press.press_file import SD, Press
 from daq.records import InputError, Nonphysical, Panel, Run
 from daq.tables import at, nearest
@@ -210,19 +210,21 @@ def _unknown(header: Mapping[str, Any]) -> Iterator[Message]:
             yield say("header-key-unknown", key=key)
 
 
+def listed_constants(header: Mapping[str, Any]) -> dict[str, Constant]:
+    """Return by key of the header what the table has of its panel's material; empty for an unknown one."""
+    known = find_material(str(header.get("panel.material", "")))
+    if known is None:
+        return {}
+    return {
+        "panel.density_kg_m3": known.density,
+        "panel.conductivity_W_mK": known.conductivity,
+        "panel.heat_capacity_J_kgK": known.heat_capacity,
+    }
+
+
 def _far(header: Mapping[str, Any]) -> Iterator[Message]:
     material = str(header.get("panel.material", ""))
-    known = find_material(material)
-    table = (
-        {}
-        if known is None
-        else {
-            "panel.density_kg_m3": known.density,
-            "panel.conductivity_W_mK": known.conductivity,
-            "panel.heat_capacity_J_kgK": known.heat_capacity,
-        }
-    )
-    for key, constant in table.items():
+    for key, constant in listed_constants(header).items():
         value = header.get(key)
         if isinstance(value, int | float) and constant.off(value):
             yield say(

@@ -21,10 +21,12 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
-from daq.materials import GRAIN_SD, find_material, is_solid_wood
+from daq.materials import GRAIN_SD, is_solid_wood
+from daq.press.header import listed_constants
 from daq.press.press_file import SD, Press
 from daq.records import Array, Panel, Run
 from softsensor.heat.assembly import layer_constants
@@ -154,11 +156,11 @@ def _constants(
         own = next(layer for layer in press.layer if layer.name == names[0])
         in_doubt = _InDoubt("panel" if own.from_run else f"layer.{own.name}", doubts, panels)
         share, loose = in_doubt.share, in_doubt.loose
-        odd = _beside_table(run.header) if own.from_run else {}
-        thick, k = share("thickness_mm"), max(share("conductivity_W_mK"), odd.get("conductivity", 0.0))
+        odd = _unknown_in(run.header) if own.from_run else {}
+        thick, k = share("thickness_mm"), max(share("conductivity_W_mK"), odd.get("conductivity_W_mK", 0.0))
         c = math.hypot(
-            max(share("density_kg_m3"), odd.get("density", 0.0)),
-            max(share("heat_capacity_J_kgK"), odd.get("heat_capacity", 0.0)),
+            max(share("density_kg_m3"), odd.get("density_kg_m3", 0.0)),
+            max(share("heat_capacity_J_kgK"), odd.get("heat_capacity_J_kgK", 0.0)),
         )
         resists = sum(parts[n][0] / parts[n][1] for n in names) / resistance
         stores = sum(parts[n][0] * parts[n][2] for n in names) / capacity
@@ -209,21 +211,24 @@ class _InDoubt:
         return min(1.0, self.panels.get(key, share) / share) ** 2
 
 
-def _beside_table(header: Mapping[str, object]) -> dict[str, float]:
-    """Return by how much the header's constants are off those of its material, as a share, where that is odd.
+def odd_constants(header: Mapping[str, Any]) -> dict[str, float]:
+    """Return by key the panel's constants that are odd for its material, and by how much they are off, as a share.
 
-    Boards sold under one name differ by `daq.materials.TABLE_SD`; a number twice as far off as that is as likely
-    mistaken as the board is special, unless its own standard deviation stands beside it.
+    Boards sold under one name differ by `daq.materials.TABLE_SD`. A number whose own standard deviation stands
+    beside it is nobody's slip.
     """
-    found: dict[str, float] = {}
-    material = find_material(str(header.get("panel.material", "")))
-    units = {"density": "kg_m3", "conductivity": "W_mK", "heat_capacity": "J_kgK"}
-    for name, unit in units.items() if material is not None else ():
-        key, usual = f"panel.{name}_{unit}", getattr(material, name)
+    found = {}
+    for key, listed in listed_constants(header).items():
         given = header.get(key)
-        if isinstance(given, int | float) and f"{key}{SD}" not in header and (off := usual.off(given)):
-            found[name] = off
+        if isinstance(given, int | float) and f"{key}{SD}" not in header and (off := listed.off(given)):
+            found[key] = off
     return found
+
+
+def _unknown_in(header: Mapping[str, Any]) -> dict[str, float]:
+    """Return by name the odd constants that are not followed at all, and by how much they are off, as a share."""
+    odd = {key.removeprefix("panel."): off for key, off in odd_constants(header).items()}
+    return {name: off for name, off in odd.items() if off > MOST_SHARE}
 
 
 def _discrepancy(press: Press, panel: Panel | None, model: ModelFile | None) -> Iterator[Unowned]:

@@ -12,6 +12,11 @@ product was is believed. One that says something else is right about a new produ
 
 for a wrong number may be any, as a new product's may. A new product's constants are known no better than before
 any run; a known one's as earlier runs have shown them. Each has filters of its own, and the faces weigh them.
+
+So it is with a constant that is odd for its material (`daq.materials.ODD`): the board is special, or the number is
+mistaken and a board of the table lies there. Until 2026-11-25 one filter about the header's number doubted it by
+as much as it is off; the core answers to that in no straight line, and was 1.4 K beyond its band where the header
+said half as much again.
 """
 
 from __future__ import annotations
@@ -21,10 +26,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from daq.press.header import listed_constants
 from daq.press.press_file import SD, Press, press_for_run
 from daq.records import Run
 from daq.words import Message, say
 from softsensor.heat.model_file import ModelFile, PressedPanel
+from softsensor.live.directions import MOST_SHARE, odd_constants
 from softsensor.live.setup import RunSetup, set_up
 from softsensor.signals.pressed import one_product, thickness_sd
 
@@ -85,6 +92,23 @@ def _joined(one: PanelChance, other: PanelChance) -> PanelChance:
     return PanelChance(chance, one.thickness_mm + (1.0 - share) * apart, math.sqrt(variance))
 
 
+def mistaken_constants(header: Mapping[str, Any]) -> tuple[float, dict[str, float]]:
+    """Return the chance that a header's odd constants are mistaken, and what its keys hold if they are.
+
+    Of sound boards a number lies as far from the table's as by the normal law, and of mistaken ones at most every
+    one does: right : mistaken is (1 - ENTRY_ERROR) P(so far off) : ENTRY_ERROR. Nothing and 0 where none is odd,
+    or where one is off by too much to be followed.
+    """
+    odd, listed = odd_constants(header), listed_constants(header)
+    if not odd or max(odd.values()) > MOST_SHARE:
+        return 0.0, {}
+    deviations = max(math.expm1(off) / listed[key].relative_sd for key, off in odd.items())
+    right = (1.0 - ENTRY_ERROR) * math.erfc(deviations / math.sqrt(2.0))
+    told = {key: listed[key].value for key in odd}
+    told |= {f"{key}{SD}": listed[key].relative_sd * value for key, value in told.items()}
+    return 1.0 - max(right / (right + ENTRY_ERROR), LEAST_CHANCE), told
+
+
 @dataclass(frozen=True)
 class LikelyPanel:
     """A panel that may lie in the press, as a run's set-up."""
@@ -117,6 +141,8 @@ def panel_remark(header: Mapping[str, Any], model: ModelFile | None) -> Message 
 def likely_panels(press: Press, run: Run, model: ModelFile | None) -> tuple[LikelyPanel, ...]:
     """Return the panels that may lie in a run's press, the header's first; they add up to 1.
 
+    The last is the material table's where a constant of the header is odd.
+
     Parameters
     ----------
     press
@@ -133,9 +159,18 @@ def likely_panels(press: Press, run: Run, model: ModelFile | None) -> tuple[Like
     header_mm, pressed = run.header.get(THICKNESS), model.panels if model is not None else ()
     if not own.panel_layers or not isinstance(header_mm, int | float):
         return (LikelyPanel(1.0, set_up(own, run, model)),)
+    mistaken, listed = mistaken_constants(run.header)
     header, *others = panel_chances(float(header_mm), pressed)
-    found = [LikelyPanel(header.chance, set_up(own, run, model, new_product=bool(others)))]
-    for other in others:
-        told = {THICKNESS: other.thickness_mm, f"{THICKNESS}{SD}": other.sd_mm}
-        found.append(LikelyPanel(other.chance, set_up(own, replace(run, header={**run.header, **told}), model)))
+    likely = [(header.chance, {}), *((o.chance, _so_thick(o)) for o in others)]
+    likely = [((1.0 - mistaken) * chance, told) for chance, told in likely]
+    likely += [(mistaken, listed)] if mistaken else []
+    found = []
+    for number, (chance, told) in enumerate(likely):
+        so_told = replace(run, header={**run.header, **told})
+        new = number == 0 and bool(others)
+        found.append(LikelyPanel(chance, set_up(own, so_told, model, new_product=new)))
     return tuple(found)
+
+
+def _so_thick(one: PanelChance) -> dict[str, float]:
+    return {THICKNESS: one.thickness_mm, f"{THICKNESS}{SD}": one.sd_mm}

@@ -293,7 +293,8 @@ def _why_invalid(run: _Followed, current: Pass, mixture: Mixture, time_s: float)
         return invalid
     if mixture.high_C - mixture.low_C <= 2.0 * WIDEST_K:
         return None
-    if len(run.panels) > 1:
-        told = nearest_of([panel.thickness_mm for panel in run.panels])
+    thicknesses = [panel.thickness_mm for panel in run.panels]
+    if len(set(thicknesses)) > 1:
+        told = nearest_of([mm for i, mm in enumerate(thicknesses) if i == 0 or mm != thicknesses[0]])
         return Invalid(InvalidReason.ANOTHER_PANEL, {**told, "limit_K": WIDEST_K})
     return Invalid(InvalidReason.BAND_TOO_WIDE, {"limit_K": WIDEST_K})

@@ -10,7 +10,15 @@ from daq.words.message import words
 from softsensor.fitting.constants import ConstantFit, with_constants_of
 from softsensor.heat.model_file import PressedPanel
 from softsensor.jobs.model_in_force import combined_model, with_pressed, with_stored_fits
-from softsensor.live.panels import ENTRY_ERROR, LEAST_CHANCE, MOST_OTHERS, panel_chances, panel_remark
+from softsensor.live.panels import (
+    ENTRY_ERROR,
+    LEAST_CHANCE,
+    MOST_OTHERS,
+    likely_panels,
+    mistaken_constants,
+    panel_chances,
+    panel_remark,
+)
 from softsensor.live.sensor import LiveSensor
 from softsensor.live.validity import InvalidReason
 from softsensor.signals.doubt import Source
@@ -138,3 +146,62 @@ def test_a_thickness_that_is_new_to_a_press_is_told_in_words():
     assert "keine frühere Pressung" in words(remark, "de")
     assert panel_remark({KEY: 16.0}, model) is None
     assert panel_remark({KEY: 12.0}, None) is None
+
+
+# --- constants that are odd for their material -------------------------------------------------------
+
+DENSITY = "panel.density_kg_m3"
+BOARD = {"panel.material": "MDF", KEY: 16.0, "panel.initial_temperature_C": 21.0}
+
+
+@pytest.mark.parametrize(("density", "beyond"), [(740.0 * 1.45, 0.0244489), (740.0 * 1.5, 0.0124193)])
+def test_an_odd_density_is_mistaken_as_often_as_people_are_beside_how_rare_such_a_board_is(density, beyond):
+    """Of a normal law 2.4 and 1.2 % lie beyond 2.25 and 2.5 deviations to either side."""
+    chance, told = mistaken_constants({**BOARD, DENSITY: density})
+    right = (1.0 - ENTRY_ERROR) * beyond
+    assert chance == pytest.approx(ENTRY_ERROR / (ENTRY_ERROR + right), rel=1e-4)
+    assert told == {DENSITY: 740.0, f"{DENSITY}.sd": 148.0}
+
+
+def test_a_header_s_odd_number_is_never_held_less_likely_than_its_least():
+    assert mistaken_constants({**BOARD, DENSITY: 740.0 * 1.6})[0] == 1.0 - LEAST_CHANCE
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        {DENSITY: 1000.0},
+        {DENSITY: 1110.0, f"{DENSITY}.sd": 10.0},
+        {DENSITY: 370.0},
+        {DENSITY: 1110.0, "panel.material": "slate"},
+        {},
+    ],
+    ids=["usual", "stated", "too far to be followed", "no material of the table", "not given"],
+)
+def test_no_other_panel_lies_there_where_no_constant_is_odd_or_one_is_too_far_off_to_follow(header):
+    assert mistaken_constants({**BOARD, **header}) == (0.0, {})
+
+
+def test_a_new_thickness_and_an_odd_density_leave_three_panels_whose_chances_add_up(pressing):
+    run, _ = pressing
+    lie = replace(run, header={**run.header, KEY: 12.0, DENSITY: 1110.0})
+    panels = likely_panels(PRESS, lie, replace(HELD, panels=KNOWN))
+    assert [(p.thickness_mm, p.setup.run.header[DENSITY]) for p in panels] == [
+        (12.0, 1110.0),
+        (16.0, 1110.0),
+        (12.0, 740.0),
+    ]
+    assert sum(p.chance for p in panels) == pytest.approx(1.0)
+    by_thickness = panel_chances(12.0, KNOWN)
+    assert panels[0].chance / panels[1].chance == pytest.approx(by_thickness[0].chance / by_thickness[1].chance)
+
+
+@pytest.mark.parametrize("seed", [501, 503])
+def test_a_density_half_as_high_again_leaves_the_core_within_its_band(seed):
+    """Until 2026-11-25 up to 1.4 K beyond it, in four scans of ten."""
+    run, truth = make_campaign(seed, 1, None, PLAN)[0]
+    lie = replace(run, header={**run.header, DENSITY: 1.5 * run.header[DENSITY]})
+    beyond, said, _ = followed(lie, truth, KNOWN)
+    assert beyond.max() < 0.2
+    assert len(beyond) > 0.9 * len(run.time_s)
+    assert {e.reason for e in said if not e.valid} <= {InvalidReason.BAND_TOO_WIDE}
