@@ -16,7 +16,7 @@ from api.commands.inputs import ConfigFile, StoreUrl, files_read, load_runs, sto
 from api.commands.until import Until, shortened
 from api.outputs import as_json, check_writable, in_words, spoken_language, tell, working, write_all
 from daq.records import InputError
-from daq.words import say
+from daq.words import Message, say
 
 if TYPE_CHECKING:
     from daq.press.press_file import Press
@@ -288,9 +288,16 @@ def aligned(rows: list[list[str]]) -> Iterator[str]:
         yield "  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
 
 
-def _lines(found: CampaignFit) -> Iterator[str]:
-    from softsensor.effects.parameters import plain
+def _figure(value: float, digits: int) -> str:
+    """Return a number with so many significant digits: 2, 3 or 4."""
+    return in_words(Message("report-number" if digits == 4 else f"report-number-{digits}", {"value": value}))
 
+
+def _decimals(value: float, digits: int) -> str:
+    return in_words(say("report-decimals", value=value, digits=digits))
+
+
+def _lines(found: CampaignFit) -> Iterator[str]:
     if found.shortfall:
         yield in_words(found.shortfall)
     names = list(found.coefficients)
@@ -298,25 +305,27 @@ def _lines(found: CampaignFit) -> Iterator[str]:
     rows = [[heads["run"], *names, "RMSE", heads["from"]]]
     for run in found.runs:
         cells = [
-            f"{plain(run.coefficients[n].value, 4)}{'' if run.coefficients[n].identifiable else '?'}"
+            f"{_figure(run.coefficients[n].value, 4)}{'' if run.coefficients[n].identifiable else '?'}"
             for n in names
         ]
         cells = cells if run.met else ["–" for _ in names]
         remark = "" if run.met else f" {in_words(say('report-not-described'))}"
         remark += "" if run.converged else f" {in_words(say('report-not-converged'))}"
-        rows.append([run.run, *cells, f"{run.rmse_K:.3f} K", f"{run.initial_rmse_K:.2f} K{remark}"])
+        rows.append(
+            [run.run, *cells, f"{_decimals(run.rmse_K, 3)} K", f"{_decimals(run.initial_rmse_K, 2)} K{remark}"]
+        )
     summary = found.coefficients.values()
-    known = [f"{plain(c.mean, 4)}{'' if c.runs else '?'}" for c in summary]
+    known = [f"{_figure(c.mean, 4)}{'' if c.runs else '?'}" for c in summary]
     if len(found.runs) > 1:
         rows.append([heads["mean"], *known, "", ""])
         rows.append(
-            [heads["sd"], *(f"± {plain(c.sd, 2)}" if c.runs > 1 and c.sd > 0.0 else "" for c in summary), "", ""]
+            [heads["sd"], *(f"± {_figure(c.sd, 2)}" if c.runs > 1 and c.sd > 0.0 else "" for c in summary), "", ""]
         )
-        rows.append([heads["joint-median"], *(f"{plain(c.median, 4)}" for c in summary), "", ""])
+        rows.append([heads["joint-median"], *(_figure(c.median, 4) for c in summary), "", ""])
         spans = [c.median_ci95 for c in summary]
     else:
         spans = [found.runs[0].coefficients[n].ci95 for n in names]
-    rows.append(["95 %", *(f"{plain(low, 3)} … {plain(high, 3)}" for low, high in spans), "", ""])
+    rows.append(["95 %", *(f"{_figure(low, 3)} … {_figure(high, 3)}" for low, high in spans), "", ""])
     yield from aligned(rows)
     yield in_words(say("terminal-fit-legend"))
     if len(found.runs) > 1:

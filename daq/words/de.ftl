@@ -1147,8 +1147,8 @@ night-archive = { $press }: { $archived } Pressungen ins Archiv verschoben ({ NU
 night-compared =
     { $kind ->
         [with] { $effects }
-        [without] ohne { $without }
-       *[both] { $effects } ohne { $without }
+        [without] nicht mehr: { $without }
+       *[both] { $effects }; nicht mehr: { $without }
     }: Residuum einzelner Fühler{ $still ->
         [yes] { " in Ruhe" }
        *[no] { "" }
@@ -1326,6 +1326,17 @@ report-coefficients = { $runs ->
     }
 report-cost = Was es kostet
 report-count-of = { $count } von { $total }
+report-decimals =
+    { $digits ->
+        [0] { NUMBER($value, maximumFractionDigits: 0) }
+        [1] { NUMBER($value, minimumFractionDigits: 1, maximumFractionDigits: 1) }
+        [2] { NUMBER($value, minimumFractionDigits: 2, maximumFractionDigits: 2) }
+        [3] { NUMBER($value, minimumFractionDigits: 3, maximumFractionDigits: 3) }
+        [4] { NUMBER($value, minimumFractionDigits: 4, maximumFractionDigits: 4) }
+        [5] { NUMBER($value, minimumFractionDigits: 5, maximumFractionDigits: 5) }
+        [6] { NUMBER($value, minimumFractionDigits: 6, maximumFractionDigits: 6) }
+       *[other] { NUMBER($value, maximumSignificantDigits: 4) }
+    }
 report-dependence = Abhängigkeit vom Pressprogramm
 report-diagnosis-basis = Presse „{ $press }“, { $runs } { $runs ->
         [one] Pressung
@@ -1430,6 +1441,7 @@ report-saved-left-out = gespart auf ausgelassenen Pressungen
 report-setting = { $name } = { $value } { $unit }
 report-shared = gemeinsam
 report-shared-note = In allen Pressungen war ein Wert verlangt: { $names }.
+report-signed = { $sign }{ NUMBER($value, minimumFractionDigits: 2, maximumFractionDigits: 2) }
 report-since-state-began = seit seinem Beginn
 report-slope = { NUMBER($percent, minimumFractionDigits: 1, maximumFractionDigits: 1) } % ({ NUMBER($low, minimumFractionDigits: 1, maximumFractionDigits: 1) } … { NUMBER($high, minimumFractionDigits: 1, maximumFractionDigits: 1) })
 report-span = { NUMBER($low, maximumSignificantDigits: 4) } – { NUMBER($high, maximumSignificantDigits: 4) }
@@ -2446,6 +2458,7 @@ page-run-closed = vollständig
 page-run-interrupted = unterbrochen
 page-run-open = läuft
 page-save = Speichern
+page-sensor-stray = nicht verwendet, folgt seiner Seite nicht
 page-sensors-bottom = Platte unten
 page-sensors-top = Platte oben
 page-skip = Zum Inhalt

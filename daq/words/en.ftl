@@ -1130,8 +1130,8 @@ night-archive = { $press }: { $archived } runs moved into the archive ({ NUMBER(
 night-compared =
     { $kind ->
         [with] { $effects }
-        [without] without { $without }
-       *[both] { $effects } without { $without }
+        [without] no longer: { $without }
+       *[both] { $effects }; no longer: { $without }
     }: residual of single sensors{ $still ->
         [yes] { " while nothing moves" }
        *[no] { "" }
@@ -1310,6 +1310,17 @@ report-coefficients = { $runs ->
     }
 report-cost = What it costs
 report-count-of = { $count } of { $total }
+report-decimals =
+    { $digits ->
+        [0] { NUMBER($value, maximumFractionDigits: 0) }
+        [1] { NUMBER($value, minimumFractionDigits: 1, maximumFractionDigits: 1) }
+        [2] { NUMBER($value, minimumFractionDigits: 2, maximumFractionDigits: 2) }
+        [3] { NUMBER($value, minimumFractionDigits: 3, maximumFractionDigits: 3) }
+        [4] { NUMBER($value, minimumFractionDigits: 4, maximumFractionDigits: 4) }
+        [5] { NUMBER($value, minimumFractionDigits: 5, maximumFractionDigits: 5) }
+        [6] { NUMBER($value, minimumFractionDigits: 6, maximumFractionDigits: 6) }
+       *[other] { NUMBER($value, maximumSignificantDigits: 4) }
+    }
 report-dependence = Dependence on the press program
 report-diagnosis-basis = Press “{ $press }”, { $runs } { $runs ->
         [one] run
@@ -1414,6 +1425,7 @@ report-saved-left-out = saved on runs left out
 report-setting = { $name } = { $value } { $unit }
 report-shared = shared
 report-shared-note = One value was asked for in all runs: { $names }.
+report-signed = { $sign }{ NUMBER($value, minimumFractionDigits: 2, maximumFractionDigits: 2) }
 report-since-state-began = since it began
 report-slope = { NUMBER($percent, minimumFractionDigits: 1, maximumFractionDigits: 1) } % ({ NUMBER($low, minimumFractionDigits: 1, maximumFractionDigits: 1) } … { NUMBER($high, minimumFractionDigits: 1, maximumFractionDigits: 1) })
 report-span = { NUMBER($low, maximumSignificantDigits: 4) } – { NUMBER($high, maximumSignificantDigits: 4) }
@@ -2427,6 +2439,7 @@ page-run-closed = complete
 page-run-interrupted = interrupted
 page-run-open = running
 page-save = Save
+page-sensor-stray = not used, does not follow its face
 page-sensors-bottom = Panel, bottom
 page-sensors-top = Panel, top
 page-skip = Skip to content

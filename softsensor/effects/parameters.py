@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from decimal import Decimal
-from math import inf, isfinite
+from math import inf
 
 from daq.words import Message, say
 
@@ -86,17 +85,3 @@ def change_per_100_K(source: str) -> Parameter:  # noqa: N802 - kelvin
     """Return the parameter of a constant of the panel that changes with temperature."""
     told = (100.0, "unit-percent-of-value-at-20-degrees")
     return Parameter("per_100_K", "of the value at 20 °C", 0.0, 0.2, -0.5, 1.5, source, spread=0.25, told=told)
-
-
-def plain(value: float, digits: int = 3) -> str:
-    """Return a number with so many significant digits and no exponent.
-
-    Examples
-    --------
-    >>> plain(247.3, 2), plain(0.01234), plain(68437.0), plain(1.1e-6), plain(float("nan"))
-    ('250', '0.0123', '68400', '0.0000011', 'nan')
-    """
-    if not isfinite(value):
-        return f"{value:g}"
-    text = f"{Decimal(f'{value:.{digits}g}'):f}"
-    return text.rstrip("0").rstrip(".") if "." in text else text

@@ -308,8 +308,8 @@ def _compare(
     against = _against(old, new, ahead, core, fewer=bool(fewer) or night.of_sisters)
     reason = say(
         "night-compared",
-        effects=" + ".join(name for name, _ in candidate.effects),
-        without=" + ".join(fewer),
+        effects=tuple(called(name) for name, _ in candidate.effects),
+        without=tuple(map(called, fewer)),
         kind="both" if candidate.effects and fewer else "without" if fewer else "with",
         before=_mean(old),
         after=_mean(new),

@@ -177,4 +177,4 @@ def diagnosis_pictures(curves: Curves, law: Mapping[str, Any] | None, language: 
         "law_svg": law_figure(law, language),
         "votes_svg": votes_figure(curves, language),
     }
-    return {name: "" if figure is None else svg(figure) for name, figure in figures.items()}
+    return {name: "" if figure is None else svg(figure, language) for name, figure in figures.items()}

@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 from matplotlib import rc_context
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import Formatter, FuncFormatter, MaxNLocator
 
 from daq.records import Array
 from daq.words import Message, say
@@ -73,24 +74,38 @@ def sheet(size: tuple[float, float], title: str = "") -> Iterator[Figure]:
         yield figure
 
 
-def svg(figure: Figure) -> str:
-    """Return a figure as SVG text, the same for the same figure."""
+def svg(figure: Figure, language: str = ENGLISH) -> str:
+    """Return a figure as SVG text, the same for the same figure; its axes have the language's decimal sign."""
     buffer = io.BytesIO()
+    sign = words(say("report-tenths", value=0.5), language)[1]
+    for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
+        axis.set_major_formatter(_with_sign(axis, sign))
     with _STYLING, rc_context(dict(STYLE)):
         figure.savefig(buffer, format="svg", metadata={"Date": None})
     return buffer.getvalue().decode()
 
 
+def _with_sign(axis: Axis, sign: str) -> Formatter:
+    """Return a formatter that says what an axis' own does, with the language's decimal sign."""
+    told = axis.get_major_formatter()
+
+    def say_it(value: float, place: int | None = None) -> str:
+        told.set_locs(list(axis.get_majorticklocs()))
+        return told(value, place).replace(".", sign)
+
+    return FuncFormatter(say_it)
+
+
 def campaign_figures(campaign: CampaignFit, language: str = ENGLISH) -> dict[str, str]:
     """Return every figure of a campaign as SVG text, by name: the runs, the coefficients, what moves together."""
-    figures = {"coefficients": svg(coefficients_figure(campaign, language))}
+    figures = {"coefficients": svg(coefficients_figure(campaign, language), language)}
     if scattered(campaign):
-        figures["coefficients_normalised"] = svg(normalised_figure(campaign, language))
+        figures["coefficients_normalised"] = svg(normalised_figure(campaign, language), language)
     for fitted in campaign.runs:
-        figures[f"measured_{fitted.run}"] = svg(fitted_run_figure(fitted, language))
+        figures[f"measured_{fitted.run}"] = svg(fitted_run_figure(fitted, language), language)
         if (core := fitted_core(fitted)) is not None:
-            figures[f"core_{fitted.run}"] = svg(core_figure(fitted, core, language))
-        figures[f"correlation_{fitted.run}"] = svg(correlation_figure(fitted, language))
+            figures[f"core_{fitted.run}"] = svg(core_figure(fitted, core, language), language)
+        figures[f"correlation_{fitted.run}"] = svg(correlation_figure(fitted, language), language)
     return figures
 
 

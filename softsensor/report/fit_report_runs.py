@@ -87,13 +87,14 @@ def smooth(x: Array, rise: Array, best: float, points: int = 41) -> tuple[Array,
     return along, np.asarray(PchipInterpolator(x, root)(along)) ** 2
 
 
-def _cell(value: float) -> dict[str, str]:
-    """Return a correlation as text, colour (red together, blue against each other) and ink that shows on it."""
+def _cell(value: float) -> dict[str, Message | str]:
+    """Return a correlation in words, colour (red together, blue against each other) and ink that shows on it."""
     strength = min(abs(float(value)), 1.0)
     tint = [round(255 - strength * (255 - c)) for c in (RED if value > 0 else BLUE)]
     colour = ",".join(map(str, tint))
     ink = "black" if _luminance(tint) > EVEN else "white"
-    return {"text": f"{value:+.2f}", "colour": f"rgb({colour})", "ink": ink}
+    said = say("report-signed", sign="-" if value < 0.0 else "+", value=abs(float(value)))
+    return {"text": said, "colour": f"rgb({colour})", "ink": ink}
 
 
 EVEN = math.sqrt(1.05 * 0.05) - 0.05

@@ -16,7 +16,6 @@ from daq.tables import reason_of
 from daq.words import Message, say
 from daq.words.message import ENGLISH
 from softsensor.effects import find_effect
-from softsensor.effects.parameters import plain
 from softsensor.effects.vocabulary import called, coefficient_words, parameters_shown
 from softsensor.jobs.night_record import NightRecord
 from softsensor.report.diagnosis_figures import diagnosis_pictures
@@ -162,17 +161,21 @@ def _said(content: Mapping[str, Any], key: str) -> Message | str:
     return Message.from_json(said) if said else str(content.get(key, ""))
 
 
-def with_spread(value: float, sd: float) -> tuple[str, str]:
-    """Return a value and its standard deviation as text, both to the deviation's second digit, without exponents.
+def with_spread(value: float, sd: float) -> tuple[Message, Message | str]:
+    """Return a value and its standard deviation, both to the deviation's second digit, without exponents.
 
     Examples
     --------
-    >>> with_spread(712.43, 110.2), with_spread(0.2034, 0.0312), with_spread(17043.0, 1234.0)
-    (('710', '110'), ('0.203', '0.031'), ('17000', '1200'))
-    >>> with_spread(0.00042, 0.0)
+    >>> [tuple(map(str, with_spread(*row))) for row in ((712.43, 110.2), (0.2034, 0.0312), (17043.0, 1234.0))]
+    [('710', '110'), ('0.203', '0.031'), ('17000', '1200')]
+    >>> tuple(map(str, with_spread(0.00042, 0.0)))
     ('0.00042', '–')
     """
     if not (sd > 0.0 and math.isfinite(sd)):
-        return plain(value, 4), "–"
+        return say("report-number", value=value), "–"
     digits = 1 - math.floor(math.log10(float(f"{sd:.2g}")))
-    return f"{round(value, digits):.{max(digits, 0)}f}", f"{round(sd, digits):.{max(digits, 0)}f}"
+    return _decimals(value, digits), _decimals(sd, digits)
+
+
+def _decimals(value: float, digits: int) -> Message:
+    return say("report-decimals", value=round(value, digits), digits=max(digits, 0))

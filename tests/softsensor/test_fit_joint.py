@@ -11,7 +11,7 @@ from daq.records import InputError
 from daq.simulated.campaign import Plan, make_campaign
 from daq.simulated.campaign_pressfile import press_toml
 from daq.simulated.campaign_sensors import Nuisances
-from softsensor.effects.parameters import plain
+from daq.words import say
 from softsensor.fitting.joint import fit_together
 from softsensor.fitting.population import information, population
 from softsensor.fitting.problem import minimise
@@ -159,7 +159,7 @@ def test_shared_coefficient_reads_the_same_on_the_page_and_on_the_terminal(alike
     for name in alike.shared:
         c = alike.coefficients[name]
         half = 50.0 * (c.median_ci95[1] - c.median_ci95[0]) / c.median
-        cell = f"{plain(c.median, 4)} ± {half:.0f} %"
+        cell = f"{say('report-number', value=c.median)} ± {half:.0f} %"
         assert page.count(cell) == 2 * len(alike.runs), name
         column = 1 + names.index(name)
         told = [line[column].rstrip("?") for line in lines[1 : 1 + len(alike.runs)]]

@@ -23,6 +23,7 @@ from daq.simulated.campaign_pressfile import press_toml
 from daq.store import archive, open_store
 from daq.store.parquet_columns import sound_content
 from daq.words import say
+from daq.words.message import words
 from softsensor.heat.model_file import FittedValue, ModelFile, parse_model
 from softsensor.jobs import cluster as cluster_of_workers
 from softsensor.jobs import night as nightly
@@ -525,10 +526,16 @@ def test_a_hidden_cause_is_named_and_the_better_model_promoted(store):
     fill(store, [run for run, _ in make_campaign(52, 12, "edge_loss", replace(PLAN, press_time_s=(40.0, 90.0)))])
     outcome = refit_press(store, "lab", PRESS)
     assert outcome.promoted
-    assert re.match(r"edge_loss: .* on 12 runs of the diagnosis, predictions .* K off", str(outcome.reason))
+    said = r"heat lost at the rim: .* on 12 runs of the diagnosis, predictions .* K off"
+    assert re.match(said, str(outcome.reason))
+    german = words(outcome.reason, "de")
+    assert re.match(r"Wärmeverlust am Rand: .* 12 Pressungen der Diagnose, Vorhersagen \d+,\d\d ", german)
+    assert "edge_loss" not in german
     assert store.active_model("lab").model["effects"][0]["name"] == "edge_loss"
 
 
+TAG = re.compile(r"<svg.*?</svg>|<style.*?</style>|<[^>]+>", re.DOTALL)
+AXIS_LABEL = re.compile(r"<!-- (.*?) -->")
 RIM = {
     "verdict": "named",
     "effects": [
@@ -569,6 +576,10 @@ def test_the_page_of_the_night_says_what_was_done(store, runs, tmp_path):
     german = night_report(night_record(store, outcome), "de")
     assert f"Modell {outcome.version} wurde in Kraft gesetzt" in german
     assert "<b>Ursache benannt</b>" in german
+    assert re.search(r">\d+,\d+</td>", german)  # a small coefficient's spread, say
+    own = TAG.sub(" ", german.replace(RIM["effects"][0]["worth"], ""))  # that is text of an earlier version
+    assert not re.search(r"\d\.\d", own)
+    assert not any(re.search(r"\d\.\d", label) for label in AXIS_LABEL.findall(german))
     assert [p.suffix for p in (tmp_path / "reports").iterdir()] == [".html"]
 
 

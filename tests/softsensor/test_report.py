@@ -135,7 +135,7 @@ def test_the_page_draws_the_core_with_its_band_and_what_was_measured_there(campa
     own = [say[code].strip() for code in ("figure-core-band", "figure-core-by-fit", "figure-core-measured")]
     assert legends == [own, own[:2], own[:2]]
     page = fit_report(campaign, language=language)
-    shown = [f for f in campaign.runs if svg(core_figure(f, fitted_core(f), language)) in page]
+    shown = [f for f in campaign.runs if svg(core_figure(f, fitted_core(f), language), language) in page]
     assert len(shown) == 2  # the typical one and the worst
     assert say["report-legend-core"].strip() in page.replace("&#39;", "'")
 
