@@ -73,13 +73,17 @@ def phases_of(run: RunRecord) -> list[Phase]:
     return [Phase(state=state, from_s=at, to_s=end) for (at, state), end in zip(known, ends, strict=True)]
 
 
+NOT_DESCRIBED = "fit-not-described-check"
+"""What the fit warns of where its model does not describe a run."""
+
+
 def run_summaries(store: Store, runs: Sequence[RunRecord]) -> list[RunSummary]:
     """Return runs as lists show them."""
-    errors = store.fit_errors([run.run for run in runs])
-    return [_run_summary(store, run, errors) for run in runs]
+    fits = store.fits([run.run for run in runs])
+    return [_run_summary(store, run, fits.get(run.run)) for run in runs]
 
 
-def _run_summary(store: Store, run: RunRecord, errors: Mapping[str, float | None]) -> RunSummary:
+def _run_summary(store: Store, run: RunRecord, fit: Mapping[str, Any] | None) -> RunSummary:
     duration = (run.ended_utc - run.started_utc).total_seconds() if run.started_utc and run.ended_utc else None
     newest = run.last_scan if run.last_scan is not None else store.newest_scan_number(run.press)
     return RunSummary(
@@ -95,8 +99,9 @@ def _run_summary(store: Store, run: RunRecord, errors: Mapping[str, float | None
         platen_temperature_C=_header_number(run, "setting.platen_temperature_C"),
         closed_s=number_or_none(run.moments.closed_s),
         opened_s=number_or_none(run.moments.opened_s),
-        rmse_K=errors.get(run.run),
-        fitted=run.run in errors,
+        rmse_K=(fit or {}).get("rmse_K"),
+        fitted=fit is not None,
+        described=None if fit is None else all(w["code"] != NOT_DESCRIBED for w in fit.get("warnings_said", ())),
         verdict=run.header.get(VERDICT),
     )
 

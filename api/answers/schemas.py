@@ -310,6 +310,8 @@ class RunSummary(_Answer):
     opened_s: float | None
     rmse_K: float | None  # noqa: N815
     fitted: bool
+    described: bool | None
+    """Whether the model describes it; null without a fit."""
     verdict: Verdict | None
     """What became of the panel, as the operator saw it."""
 

@@ -232,7 +232,7 @@ export class TimeChart {
     if (!rows.length) { this.tip.hidden = true; return; }
     this.tip.replaceChildren(el("table", {},
       el("tr", {}, el("td", { class: "faint" }, this.tipHead ? this.tipHead(this.data[0][idx]) : `${number(this.data[0][idx], 1)} s`), el("td", {})),
-      rows.map(({ s, value }) => el("tr", {}, el("td", {}, el("span", { style: `color:${style(s.colour) || s.colour}` }, "■ "), s.group ?? s.name),
+      rows.map(({ s, value }) => el("tr", {}, el("td", {}, el("span", { style: `color:${style(s.colour) || s.colour}` }, "■ "), s.group ?? [s.name, s.note].filter(Boolean).join(": ")),
         el("td", {}, value)))));
     this.tip.hidden = false;
     const place = left + 70;

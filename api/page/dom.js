@@ -63,11 +63,11 @@ export function midnight(day, later) {
 
 export function duration(seconds) {
   if (seconds === null || seconds === undefined) return "–";
-  if (seconds < 100) return `${number(seconds, 1)} s`;
+  if (seconds < 100) return `${number(seconds, 1)}\u00a0s`;
   seconds = Math.round(seconds);
   const minutes = Math.floor(seconds / 60);
-  if (minutes < 100) return `${minutes} min ${number(seconds - 60 * minutes, 0)} s`;
-  return minutes < 2880 ? `${number(minutes / 60, 1)} h` : `${number(minutes / 1440, 1)} d`;
+  if (minutes < 100) return `${minutes}\u00a0min ${number(seconds - 60 * minutes, 0)}\u00a0s`;
+  return minutes < 2880 ? `${number(minutes / 60, 1)}\u00a0h` : `${number(minutes / 1440, 1)}\u00a0d`;
 }
 
 export function bytes(value) {

@@ -52,11 +52,15 @@ export async function chooseLanguage(chosen) {
 
 export const has = (code) => catalogue.bundle.hasMessage(code);
 
+// No line ends between a number and its unit.
+const UNIT = /(\d) (?=(?:%|°C|K|kPa|mm|ms|s|min|h|d|kB|MB|GB|TB|kJ|kWh|Hz|N|W|J)(?![\p{L}\d]))/gu;
+export const unbroken = (words) => words.replace(UNIT, "$1\u00a0");
+
 // The words of a code; one without any, of a newer server say, is shown with its arguments.
 export function text(code, values = {}) {
   const pattern = catalogue.bundle.getMessage(code)?.value;
   const shown = Object.fromEntries(Object.entries(values).map(([name, value]) => [name, argument(value)]));
-  if (pattern) return catalogue.bundle.formatPattern(pattern, shown, []);
+  if (pattern) return unbroken(catalogue.bundle.formatPattern(pattern, shown, []));
   return [code, Object.entries(values).map(([name, value]) => `${name} = ${value}`).join(", ")].filter(Boolean).join(": ");
 }
 

@@ -748,6 +748,38 @@ def test_a_run_the_model_does_not_describe_is_red_and_has_no_intervals(plant):
     expect(page.locator("h1 + .pill")).to_have_class("pill idle")  # a complete record is no good fit
 
 
+def test_a_run_the_model_does_not_describe_is_marked_in_the_list(served):
+    server, feed, page = served
+    feed.pause_s = 0.0
+    feed.pressing(scans=60, batch=10)
+    feed.pressing(scans=60, batch=10)
+    good, bad = sorted(run.run for run in feed.store.runs(limit=10).items)
+    warned = say("fit-not-described-check", misfit=say("plain-text", text="off by 9 K")).to_json()
+    for run, rmse, said in ((good, 0.3, []), (bad, 14.0, [warned])):
+        feed.store.put_fit(run, {"run": run, "coefficients": {}, "rmse_K": rmse, "warnings_said": said}, "")
+    for width in (1280, 375):
+        page.set_viewport_size({"width": width, "height": 800})
+        page.goto(server.url + "#/runs")
+        expect(page.locator("tr", has_text=bad).locator(".pill.bad")).to_have_text("not described by the model")
+        expect(page.locator("tr", has_text=good).locator(".pill.bad")).to_have_count(0)
+
+
+def test_a_loose_sensor_has_its_own_curve_and_says_so(plant):
+    address, page, _ = plant
+    warned = say("channel-loose", column="top_2", kelvin=19.1)
+
+    def answer(route):
+        told = route.fetch().json()
+        route.fulfill(json={**told, "warnings": [str(warned)], "warnings_said": [warned.to_json()]})
+
+    page.route("**/runs/campaign-1/fit", answer)
+    page.goto(address + "#/runs/campaign-1")
+    heading = page.get_by_role("heading", name="Measured, and the core as predicted live")
+    card = page.locator("section", has=heading)
+    expect(card.locator(".key")).to_contain_text("top_2: not used, does not follow its face")
+    tip_says(card.locator(".chart").first, "top_2: not used, does not follow its face")
+
+
 TICKS = """
 const {fillText: written, clearRect: cleared} = CanvasRenderingContext2D.prototype;
 window.ticks = new Map();

@@ -75,6 +75,31 @@ def test_the_answer_is_one_line_and_nothing_beside_it_contradicts_it(pressing, v
     expect(page.locator(".chart canvas").first).to_be_visible()
 
 
+BROKEN = """(place) => {
+    const text = place.firstChild.textContent, range = document.createRange(), found = [];
+    for (const {index, 0: said} of text.matchAll(/\\d\\s(?:s|min|h|°C|K)(?![\\p{L}])/gu)) {
+        range.setStart(place.firstChild, index);
+        range.setEnd(place.firstChild, index + said.length);
+        const tops = [...range.getClientRects()].map((r) => Math.round(r.top));
+        found.push(Math.max(...tops) - Math.min(...tops));
+    }
+    return found;
+}"""
+"""How far apart number and unit stand, in every place of a line. [px]"""
+
+
+@pytest.mark.parametrize("language", ["en", "de"])
+def test_no_line_of_the_answer_ends_between_a_number_and_its_unit(pressing, language):
+    server, page = pressing
+    page.add_init_script(f"localStorage.setItem('kerntemp-language', '{language}')")
+    page.goto(server.url + "#/wall")
+    answer = page.get_by_test_id("answer")
+    expect(answer).to_contain_text("11 s")
+    for width in (*range(320, 480, 12), *range(700, 1100, 24), 1366, 1920):
+        page.set_viewport_size({"width": width, "height": 1080 if width > 1100 else 768})
+        assert set(answer.evaluate(BROKEN)) == {0}, width
+
+
 def test_a_channel_that_is_not_used_says_so_on_its_tile_and_is_not_called_good(pressing):
     server, page = pressing
     page.goto(server.url + "#/now")

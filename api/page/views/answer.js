@@ -6,7 +6,7 @@ import { said, text } from "../words.js";
 // What may be shown as a number: an estimate that is not valid foresees nothing either.
 export const believed = (estimate) => (estimate?.valid ? estimate : {});
 
-export const seconds = (value) => (value < 100 ? `${number(value, 0)} s` : duration(value));
+export const seconds = (value) => (value < 100 ? `${number(value, 0)}\u00a0s` : duration(value));
 
 // What is sure of cure and steam: the least of the less cured face with its grade, and the most.
 export const cureOf = (low, grade) => [`≥\u00a0${number(100 * low, 0)}\u00a0%`, grade && text(`page-grade-${grade}`)].filter(Boolean).join(", ");
@@ -19,7 +19,7 @@ export function showCore(core, band, state, estimate) {
   core.className = valid ? "core" : "core invalid";
   core.replaceChildren(valid ? number(estimate.core_C, 1) : "–", el("small", {}, "°C"));
   band.textContent = valid
-    ? `${number(estimate.core_low_C, 1)} … ${number(estimate.core_high_C, 1)} °C · ${text("page-band95")}`
+    ? `${number(estimate.core_low_C, 1)} … ${number(estimate.core_high_C, 1)}\u00a0°C · ${text("page-band95")}`
     : state === "idle" || !estimate || estimate.advice?.verdict === "not_known" ? "" : reasonOf(estimate);
 }
 

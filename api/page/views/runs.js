@@ -99,7 +99,8 @@ async function list(place, context) {
       el("input", { type: "checkbox", checked: chosen.has(run.run), "aria-label": `${text("page-compare")} ${run.run}`, onchange: (event) => pick(run.run, event.target.checked) }),
       el("a", { href: `#/runs/${encodeURIComponent(run.run)}` }, run.run),
       el("span", { class: "num" }, began(run.started_utc)), run.material || "–", cell(run.thickness_mm, 1, "mm"),
-      ...columns.map(([name, , digits, unit]) => cell(run.numbers[name], digits, unit)),
+      ...columns.map(([name, , digits, unit]) => (name === "rmse_K" && run.described === false
+        ? el("div", {}, cell(run.numbers[name], digits, unit), el("p", {}, el("span", { class: "pill bad" }, text("page-not-described")))) : cell(run.numbers[name], digits, unit))),
       run.verdict ? el("span", { class: `pill ${run.verdict === "good" ? "good" : "bad"}` }, text(`page-panel-${run.verdict}`)) : "–",
       statusPill(run.status),
     ]), { pick: (i) => { location.hash = `#/runs/${encodeURIComponent(items[i].run)}`; } }));
@@ -132,7 +133,7 @@ async function detail(place, context, id) {
     get(`${path}/samples`, { max_points: 3000 }), get(`${path}/estimates`, { max_points: 3000 }), get(`${path}/fit`).catch(() => null),
   ]);
   const waiting = el("section", { class: "card empty" }, text("page-simulating"));
-  place.append(headCard(run, path, estimates), measuredCard(run, samples, estimates), waiting, run.status === "open" ? "" : whatIfCard(path), el("div", { class: "pair" }, fitCard(fit), metadataCard(run, path)));
+  place.append(headCard(run, path, estimates), measuredCard(run, samples, estimates, fit), waiting, run.status === "open" ? "" : whatIfCard(path), el("div", { class: "pair" }, fitCard(fit), metadataCard(run, path)));
   get(`${path}/simulation`).then((simulation) => {
     if (waiting.isConnected) waiting.replaceWith(simulationCard(run, simulation), profileCard(run, simulation));
   }).catch((error) => waiting.replaceChildren(text("page-no-simulation"), el("p", { class: "small" }, error.message)));
@@ -163,10 +164,15 @@ function headCard(run, path, estimates) {
     run.remark ? el("p", { class: "next", style: "white-space:pre-line" }, run.remark) : null);
 }
 
-function measuredCard(run, samples, estimates) {
+// Sensors the fit leaves out because they do not follow their face.
+const STRAY = ["channel-loose", "channel-drifting", "channel-swapped"];
+
+function measuredCard(run, samples, estimates, fit) {
+  const stray = new Set((fit?.warnings_said ?? []).filter(({ code }) => STRAY.includes(code)).map((one) => one.arguments.column));
   const names = Object.keys(samples.columns).filter((name) => name !== "closed");
   const colour = { platen: "--platen", top: "--top", bottom: "--bottom", core: "--measured", other: "--faint" };
-  const series = [...names.map((name) => ({ name, colour: colour[roleOf(name)], kind: roleOf(name) === "core" ? "line" : "thin" })),
+  const series = [...names.map((name) => (stray.has(name) ? { name, colour: "--bad", kind: "stray", dash: [3, 4], note: text("page-sensor-stray") }
+    : { name, colour: colour[roleOf(name)], kind: roleOf(name) === "core" ? "line" : "thin" })),
     { name: "low", kind: "band-low" }, { name: "high", kind: "band-high" }, { name: text("page-core-predicted"), colour: "--core", kind: "core", spanGaps: true }];
   const { times, lift } = grid(samples.time_s, estimates.time_s);
   const ok = (values) => values.map((value, i) => (estimates.valid[i] ? value : null));
@@ -175,7 +181,8 @@ function measuredCard(run, samples, estimates) {
   const holder = el("div", {});
   const card = el("section", { class: "card" }, el("h2", {}, text("page-measured-and-core")), holder, key([
     { name: text("page-core-predicted"), colour: "--core" }, { name: text("page-band95"), class: "band" }, { name: text("page-sensors-top"), colour: "--top" },
-    { name: text("page-sensors-bottom"), colour: "--bottom" }, { name: text("page-platens"), colour: "--platen" }]), leftOut(samples.quality));
+    { name: text("page-sensors-bottom"), colour: "--bottom" }, { name: text("page-platens"), colour: "--platen" },
+    ...names.filter((name) => stray.has(name)).map((name) => ({ name: `${name}: ${text("page-sensor-stray")}`, colour: "--bad", class: "dots" }))]), leftOut(samples.quality));
   const why = (name, time) => samples.quality.find((span) => (span.column === name || span.column === "*") && span.from_s <= time && time <= span.to_s);
   later(holder, () => Object.assign(new TimeChart(holder, { series, height: 360, label: text("page-measured-and-core"), phases: run.phases, sync: "run",
     why: (name, time) => { const span = names.includes(name) && why(name, time); return span ? text(`page-quality-${span.quality}`) : null; } }), { marks: notesOf(run) }).set(data));
