@@ -7,7 +7,7 @@ the verdict, from three questions:
 1. Is something left? A pattern that the runs share, or a residual well above what the readings' own noise leaves.
 2. Does a named cause explain it? Its law may be off, so a further one must explain nearly all that it leaves.
 3. Is the gain real? On runs left out, with an interval above nothing; on runs predicted from their headers alone
-   not surely a loss, nor a larger one than that gain; and its size surely not nothing.
+   surely likelier, and not surely more kelvins off; and its size surely not nothing.
 
 A cause that fails the third question is suspected, and so is every cause where the second fails. What is suspected
 is beyond chance all the same: the verdict is then that something is unknown, never that nothing is there. Fits
@@ -247,6 +247,11 @@ def told_apart(best: Claim, other: Claim) -> bool:
     return bool(beyond_chance(best.saves - other.saves))
 
 
+def signed_root(saves: Array) -> Array:
+    """Return what sums of squares are in standard deviations, so that a run's large one is not all (...)."""
+    return np.asarray(np.sign(saves) * np.sqrt(np.abs(saves)))
+
+
 def beyond_chance(difference: Array) -> Array:
     """Return whether runs gain more by one cause than by another (...); few runs must all do so.
 
@@ -268,6 +273,8 @@ class Proof:
     gain: Gain
     """On runs left out, own contacts fitted."""
     predicted: Gain
+    saves: Array
+    """Sum of squares each run saves by numbers from the others (runs)."""
     size_is_sure: bool
     """An amplitude's interval leaves out the neutral value, and none is at a limit."""
     heldout_ratio: float
@@ -275,9 +282,14 @@ class Proof:
 
     @property
     def holds(self) -> bool:
-        """Whether the gain is real: sure on runs left out, and not lost again on predicted ones."""
-        lost = self.predicted.surely_worse or self.gain.value_K + self.predicted.value_K <= 0.0
-        return self.gain.sure and not lost and self.size_is_sure
+        """Whether the gain is real: sure on runs left out, likelier on predicted ones and not surely worse there.
+
+        In kelvins a prediction is off by its contacts first, which scatter from run to run, so that a cause worth
+        a tenth of a kelvin falls or stands by chance. What a run saves by the others' numbers, its own contacts
+        at the price of their scatter, is twice the logarithm of how much likelier its prediction becomes.
+        """
+        likelier = bool(beyond_chance(signed_root(self.saves)))
+        return self.gain.sure and likelier and not self.predicted.surely_worse and self.size_is_sure
 
 
 @dataclass(frozen=True)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
+
+import numpy as np
 
 from daq.records import Array
 from daq.words import Message
@@ -45,8 +47,8 @@ class Finding:
     explained_share: float
     against: tuple[tuple[str, float], ...] = ()
     """Runners-up outside the set and by how many standard errors the runs prefer the name."""
-    votes: tuple[int, int] = (0, 0)
-    """How many runs, each left out in turn, fit better with it, and how many there are."""
+    saves: Array = field(default_factory=lambda: np.zeros(0))
+    """Sum of squares each run, left out in turn, saves by it (runs); none of a fault of channels."""
     contest: Contest | None = None
     """What the next pressings may decide (`softsensor.planning`); None where no fit stands behind it."""
 
@@ -63,6 +65,11 @@ class Finding:
             "predicted_gain_ci95": _edges(self.predicted),
             "explained_share": self.explained_share,
         }
+
+    @property
+    def votes(self) -> tuple[int, int]:
+        """How many runs, each left out in turn, fit better with it, and how many there are."""
+        return int((self.saves > 0.0).sum()), len(self.saves)
 
     @property
     def of_channels(self) -> bool:

@@ -191,6 +191,7 @@ def _conclude(readings: _Readings, stages: list[SettledModel], rounds: list[Roun
             set=f.set,
             gain=f.gain,
             predicted=f.predicted,
+            saves=f.saves,
             size_is_sure=_size_is_sure(find_effect(f.name), f.parameters),
             heldout_ratio=float(np.exp(np.mean(np.log(e.heldout / errors[0].heldout)))),
         )
@@ -330,9 +331,8 @@ def _findings(
         chosen = round_.chosen
         switched = chosen.switched if chosen is not None and chosen.effect.name == name else ()
         against: list[tuple[str, float]] = []
-        votes = (0, 0)
+        saves = np.zeros(len(final.data)) if chosen is None else chosen.gains
         if chosen is not None:
-            votes = (int((chosen.gains > 0.0).sum()), len(chosen.gains))
             against = [
                 (c.effect.name, round(float(paired_t(chosen.gains - c.gains)), 2))
                 for c in round_.candidates
@@ -349,7 +349,7 @@ def _findings(
                 predicted=paired_gain(errors[i - 1].predicted, errors[i].predicted),
                 explained_share=_rounded(max(shares[i] - shares[i - 1], 0.0)),
                 against=tuple(against),
-                votes=votes,
+                saves=saves,
                 contest=_contest(stages[i - 1], round_.candidates, names),
             )
         )
@@ -396,7 +396,7 @@ def _nearly(rounds: Sequence[Round], stage: SettledModel, beside: tuple[SettledM
             gain=c.heldout_gain(stage),
             predicted=paired_gain(*(run_errors(stage.data, states) for states in ahead)),
             explained_share=_explained_by(c, stage),
-            votes=(int((c.gains > 0.0).sum()), len(c.gains)),
+            saves=c.gains,
             contest=_contest(stage, (c,), (c.effect.name,)),
         ),
     )
