@@ -31,10 +31,6 @@ STUCK = 3.0
 
 # Numbers without another source were set by hand, 2026-11.
 
-SCORE_LIMIT = 3.0
-"""Standard deviations a run can say at most: else a few thin panels, which see far more of a cause, drown the rest
-and leave sign flips nothing to count. An odd function of a score keeps the flips exact."""
-
 
 @dataclass(frozen=True)
 class RunState:
@@ -369,9 +365,8 @@ class Direction:
 
     @property
     def scores(self) -> Array:
-        """Each run's score in units of its own standard deviation, `SCORE_LIMIT` at most (runs)."""
-        own = self.score / np.sqrt(self.power + 1e-3 * self.power.mean() + 1e-12)
-        return np.asarray(np.clip(own, -SCORE_LIMIT, SCORE_LIMIT))
+        """Each run's score in units of its own standard deviation (runs)."""
+        return np.asarray(self.score / np.sqrt(self.power + 1e-3 * self.power.mean() + 1e-12))
 
     @property
     def amplitude(self) -> float:

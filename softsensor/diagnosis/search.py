@@ -19,7 +19,6 @@ from scipy.special import chdtrc, ndtr
 
 from daq.records import Array
 from softsensor.diagnosis.extension import (
-    SCORE_LIMIT,
     Direction,
     RunState,
     SharedFit,
@@ -391,7 +390,7 @@ def switch_scores(stage: SettledModel) -> Array:
     for moments in _switched(stage):
         rest = [u.deviation(estimate - usual) for u, estimate in moments]
         scores.append(sum(rest) / max(len(rest), 1) ** 0.5)
-    return np.asarray(np.clip(scores, -SCORE_LIMIT, SCORE_LIMIT), dtype=float)
+    return np.asarray(scores, dtype=float)
 
 
 def _fresh_fits(stage: SettledModel, model: ThermalModel, effect: Effect, rounds: int) -> Iterator[SharedFit]:

@@ -10,7 +10,6 @@ import numpy as np
 from daq.records import Array
 from softsensor.diagnosis.decision import (
     ALPHA_PATTERN,
-    FEW_RUNS,
     MOST_CAUSES,
     SMALLEST_SIZE,
     UNPROVEN,
@@ -22,10 +21,10 @@ from softsensor.diagnosis.decision import (
     choose,
     explains_the_rest,
     objections,
+    signed_root,
     strongest,
 )
 from softsensor.diagnosis.exchange import exchange, fit_alone
-from softsensor.diagnosis.extension import SCORE_LIMIT
 from softsensor.diagnosis.numbers import noise_floor, residual_K
 from softsensor.diagnosis.search import (
     Candidate,
@@ -37,11 +36,9 @@ from softsensor.diagnosis.search import (
     search,
     with_panels_freed,
 )
-from softsensor.diagnosis.sign_flips import max_t
+from softsensor.diagnosis.sign_flips import max_t, tempered
 from softsensor.effects import Need
 
-TWO_LOOKS = FEW_RUNS + 2
-"""Below so many runs there are too few flips to pay for asking gains as well as scores. Set by hand."""
 RIM_K, RIM_T = 0.15, 3.0
 """Rim sensors that fall by so much against central ones, and so many standard errors, speak for a loss at the rim.
 Set by hand; means over virtual runs without one stay within 0.15 K. [K], [1]"""
@@ -238,10 +235,7 @@ def p_values(found: Sequence[Candidate], runs: np.ndarray) -> dict[str, float]:
     a cause, or that one which can only be positive would have to be negative, speaks for nothing.
     """
     scores = [c.score[runs] for c in found]
-    upward = [c.effect.one_sided for c in found]
-    if len(runs) >= TWO_LOOKS:
-        limit = SCORE_LIMIT**2
-        scores += [np.clip(c.gains[runs], -limit, limit) * (c.effect.needs != Need.SWITCH) for c in found]
-        upward += [True] * len(found)
-    p = max_t(np.stack(scores, axis=1), upward).reshape(-1, len(found)).min(axis=0)
+    roots = [signed_root(c.gains[runs]) * (c.effect.needs != Need.SWITCH) for c in found]
+    upward = [c.effect.one_sided for c in found] + [True] * len(found)
+    p = max_t(tempered(np.stack(scores + roots, axis=1)), upward, alike=True).reshape(-1, len(found)).min(axis=0)
     return dict(zip([c.effect.name for c in found], p.tolist(), strict=True))

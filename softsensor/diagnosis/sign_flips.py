@@ -30,6 +30,8 @@ SINCE_S = (0.0, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 1e9)
 """Edges of the bins of time since the last event, twice as wide each, as heat spreads. [s]"""
 SHARES = 6
 """The pressing is also cut into so many equal shares, for what follows the program and not the clock."""
+SCORE_LIMIT = 3.0
+"""Standard deviations from which a run's score is tempered. By hand, 2026-11."""
 SURE = 0.05
 """A pocket whose adjusted p-value is above this, and above the least one, may be off by chance."""
 
@@ -59,21 +61,32 @@ def sign_patterns(runs: int) -> Array:
     return drawn
 
 
-def flip_statistics(scores: Array) -> Array:
-    """Return |sum over runs| / root of the sum of squares for every sign pattern (patterns, tests)."""
-    norm = np.sqrt(np.maximum((scores**2).sum(axis=0), 1e-300))
+def flip_statistics(scores: Array, *, alike: bool = False) -> Array:
+    """Return |sum over runs|, over the root of their squares' sum unless `alike` (patterns, tests)."""
+    norm = 1.0 if alike else np.sqrt(np.maximum((scores**2).sum(axis=0), 1e-300))
     return np.asarray(np.abs(sign_patterns(len(scores)) @ scores) / norm)
 
 
-def max_t(scores: Array, upward: Sequence[bool] = ()) -> Array:
+def tempered(scores: Array) -> Array:
+    """Return scores in standard deviations where large ones grow as their root: an odd and growing function (...).
+
+    A few thin panels see far more of a cause than the others and would drown them. Cut off instead, at three, all
+    scores of a campaign with much left over are the same, and whatever has their signs ties with the true cause.
+    """
+    return np.asarray(scores / np.sqrt(1.0 + np.abs(scores) / SCORE_LIMIT))
+
+
+def max_t(scores: Array, upward: Sequence[bool] = (), *, alike: bool = False) -> Array:
     """Return p-values of tests (runs, tests), adjusted for their number by the maximum.
+
+    `alike`: scores of all tests are in the same unit; else each test counts in its own scatter.
 
     For a test that only a sum above zero speaks for (`upward`, of each test) any other has no p-value below 1.
     Flips count on both sides all the same, so its p-value is rather too large, and the least of n runs 2^(1-n).
     """
     if scores.shape[1] == 0:
         return np.zeros(0)
-    statistics = flip_statistics(scores)
+    statistics = flip_statistics(scores, alike=alike)
     largest = statistics.max(axis=1)
     p = np.asarray((largest[:, None] >= statistics[0][None, :] - 1e-9).mean(axis=0))
     return np.where(np.array(upward) & (scores.sum(axis=0) <= 0.0), 1.0, p) if len(upward) else p

@@ -7,8 +7,8 @@ The method and why it is so:
    own coefficients, moments, start temperature, platen errors and sensor offsets, with priors learned
    from the campaign (`extension`). What these can absorb is no evidence for a cause.
 3. Every candidate of the catalogue is fitted for real on top, all of that following it. A score along a
-   finite-size secant gives each run's score, three standard deviations at most, and so does what it gains by
-   numbers from the others; signs of whole runs are flipped for the p-value, with the maximum over candidates
+   finite-size secant gives each run's score, and so does what it gains by numbers from the others, large ones
+   tempered; signs of whole runs are flipped for the p-value, with the maximum over candidates
    and both (`diagnosis.sign_flips`). The facts this project started from name samples tested as if independent as
    the classic error: 84 to 100 % false names.
 4. Two rules decide (`decision`). The best candidate is taken in if its p-value holds, if runs left out gain by it

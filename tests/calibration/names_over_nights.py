@@ -26,9 +26,8 @@ from daq.press.press_file import parse_press
 from daq.simulated.campaign import Plan, make_campaign
 from daq.simulated.campaign_pressfile import press_toml
 from daq.store import open_store
-from softsensor.diagnosis.extension import SCORE_LIMIT
 from softsensor.diagnosis.run_scores import run_scores, ways
-from softsensor.diagnosis.sign_flips import max_t
+from softsensor.diagnosis.sign_flips import SCORE_LIMIT, max_t
 from softsensor.heat.model import ThermalModel
 from softsensor.jobs.bets import ALPHA, Bets
 from softsensor.jobs.night import refit_press

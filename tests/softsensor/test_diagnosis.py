@@ -677,6 +677,14 @@ def test_a_cause_that_every_run_gains_by_is_sure_though_few_show_its_direction()
     assert p_values([says("four", score, four)], everyone)["four"] > 0.05
 
 
+def test_large_scores_of_mixed_signs_do_not_tie_with_a_cause_that_six_runs_show() -> None:
+    """What a misfit of many standard deviations does to every direction: cut off at three, flips cannot tell."""
+    ones, none = np.ones(6), np.zeros(6)
+    found = [says("there", 12.0 * ones, none), says("beside", 8.0 * np.array([1, 1, -1, 1, 1, -1.0]), none)]
+    assert p_values(found, np.arange(6))["there"] == 2.0**-5
+    assert p_values(found, np.arange(6))["beside"] > ALPHA
+
+
 def test_scores_and_gains_left_out_keep_their_common_level_where_nothing_is() -> None:
     """Six causes of twelve runs, one number each, by its formulas: a name by chance in 5 % of campaigns."""
     rng = np.random.default_rng(7)
