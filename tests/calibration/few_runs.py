@@ -10,8 +10,9 @@ smallest adjusted p-value was 0.05 or less.
 2026-11-24, seeds 56100 to 56119 in the catalogue's order, read by nobody before: 8 named or in a set, 12 not, 0
 wrong.
 
-Tried on 2026-11-25 and not in force, since of five pairs of twelve runs it names the second cause in two only (one
-of the others, 55103, falls by `decision.EXPLAINED_FURTHER`), and the second press was not measured with it:
+Tried on 2026-11-25 and not in force as a whole, since of five pairs of twelve runs it names the second cause in
+two only (one of the others, 55103, falls by `decision.EXPLAINED_FURTHER`), and the second press was not measured
+with it. Rule 2 is in force, and of 3 and 4 what `decision.Proof.holds` asks:
 
 1. Each panel's conductivity and heat capacity are unknowns of its run in every fit (`_panel_shares` in
    `_nuisances`), so that what panels differ by no longer fills other candidates' scores. Where the plain model is
