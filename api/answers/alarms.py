@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 from api.answers.schemas import Alarm, AlarmLimits, AlarmThresholds
 from api.answers.words import said_of
 from daq.store.records import StoredAlarm, Thresholds
 
 
-def alarm_of(stored: StoredAlarm) -> Alarm:
-    """Return a stored alarm."""
+def alarm_of(stored: StoredAlarm, standing: Collection[str] | None = None) -> Alarm:
+    """Return a stored alarm. `standing`: keys of what stands now, as `/health` tells it; None: as stored."""
+    stands = stored.ended_utc is None and (standing is None or stored.key in standing)
     return Alarm(
         id=str(stored.number),
         press=stored.press,
         message=str(stored.message),
         message_said=said_of(stored.message),
         raised_utc=stored.raised_utc,
-        ended_utc=stored.ended_utc,
-        stands=stored.ended_utc is None,
+        ended_utc=None if stands else stored.ended_utc or stored.seen_utc,
+        stands=stands,
         acknowledged_utc=stored.acknowledged_utc,
         acknowledged_by=stored.acknowledged_by,
     )

@@ -165,6 +165,8 @@ def _alarm(r: Row[Any]) -> StoredAlarm:
         utc_of(r.ended_unix_s),
         utc_of(r.acknowledged_unix_s),
         r.acknowledged_by,
+        r.key,
+        known_utc(r.seen_unix_s),
     )
 
 

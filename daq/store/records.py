@@ -250,9 +250,13 @@ class StoredAlarm:
     message: Message
     raised_utc: datetime
     ended_utc: datetime | None
-    """None while it stands."""
+    """None while it stands, and for a minute of calm after it."""
     acknowledged_utc: datetime | None
     acknowledged_by: str | None
+    key: str
+    """What it is about, the same as long as it stands."""
+    seen_utc: datetime
+    """When it was last found to stand."""
 
 
 @dataclass(frozen=True)

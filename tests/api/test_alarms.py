@@ -514,7 +514,7 @@ def test_an_engineer_sets_limits_and_acknowledges_by_rest(plant):
     assert client.get("/alarms/thresholds").json()["items"] == [said]
     look(store, [], NOW)
     (alarm,) = client.get("/alarms?pending=true&press=lab").json()["items"]
-    assert (alarm["message"], alarm["stands"]) == ("lab: the core is above 94 °C", True)
+    assert (alarm["message"], alarm["stands"]) == ("lab: the core is above 94 °C", False)  # that was long ago
     done = client.post(f"/alarms/{alarm['id']}/acknowledge").json()
     assert done["acknowledged_by"] == "engineer"
     assert client.get("/alarms?limit=1").json()["next_cursor"] is not None
@@ -528,6 +528,20 @@ def test_an_engineer_sets_limits_and_acknowledges_by_rest(plant):
     for change in (httpx.put, httpx.post):
         path = "/alarms/thresholds/lab" if change is httpx.put else f"/alarms/{alarm['id']}/acknowledge"
         assert change(url + path, json={}).status_code == 401
+
+
+def test_health_and_the_list_of_alarms_tell_the_same_of_a_limit_at_any_moment(store, serve_any):
+    press_with(store, when=datetime.now(UTC) - timedelta(seconds=30))
+    url = serve_any(store) + "/api/v1"
+
+    def told():
+        said = [a["message"] for a in httpx.get(url + "/alarms", timeout=240).json()["items"] if a["stands"]]
+        return httpx.get(url + "/health", timeout=240).json()["alarms"], said
+
+    for limits, stands in (({}, False), ({"silence_s": 20.0}, True), ({}, False), ({"silence_s": 20.0}, True)):
+        store.put_alarm_thresholds("lab", limits, "engineer")
+        assert [any(m.startswith("lab: ") for m in each) for each in told()] == [stands, stands]
+    assert len(store.alarms().items) == 1  # calm for less than a minute: the same one
 
 
 def test_a_process_that_starts_with_the_watch_is_missed_only_when_it_could_have_spoken(store):

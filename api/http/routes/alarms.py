@@ -7,10 +7,13 @@ from typing import Annotated
 from fastapi import APIRouter, Path, Query
 
 from api.answers.alarms import alarm_of, thresholds_of
+from api.answers.health import NEVER_SEEN, standing_alarms
+from api.answers.records import utc_now
 from api.answers.schemas import Alarm, AlarmLimits, AlarmList, AlarmThresholds, AlarmThresholdsList
 from api.http.problems import ProblemError, problem_responses
-from api.http.routes.common import Cursor, PageSize, PressName, StoreDep, Writer, existing_press
+from api.http.routes.common import MAX_PAGE, Cursor, PageSize, PressName, StoreDep, Writer, existing_press
 from daq.records import InputError
+from daq.store.store import Store
 from daq.words import say
 
 router = APIRouter(tags=["alarms"], responses=problem_responses(404))
@@ -24,8 +27,21 @@ def list_alarms(
     store: StoreDep, press: PressName = None, pending: Pending = False, cursor: Cursor = None, limit: PageSize = 50
 ) -> AlarmList:
     """Return one page of alarms: limits crossed, processes silent, alarms of the journal; each one once."""
+    standing = _raised_now(store)
     page = store.alarms(press=press, pending=pending, cursor=cursor, limit=limit)
-    return AlarmList(items=[alarm_of(alarm) for alarm in page.items], next_cursor=page.next_cursor)
+    items = [alarm_of(alarm, standing) for alarm in page.items]
+    shown = [one for one in items if not pending or one.stands or one.acknowledged_utc is None]
+    return AlarmList(items=shown, next_cursor=page.next_cursor)
+
+
+def _raised_now(store: Store) -> set[str]:
+    """Return the keys of what stands now, by the same look as `/health`; what nobody has raised yet is raised."""
+    now = utc_now()
+    standing = standing_alarms(store, now)
+    known = {alarm.key for alarm in store.alarms(pending=True, limit=MAX_PAGE).items}
+    if any(alarm.key not in known and alarm.message.code != NEVER_SEEN for alarm in standing):
+        store.watch_alarms([alarm for alarm in standing if alarm.message.code != NEVER_SEEN], (), now)
+    return {alarm.key for alarm in standing}
 
 
 @router.get("/alarms/thresholds", operation_id="list_thresholds", summary="The limits set for each press")
@@ -55,6 +71,6 @@ def put_thresholds(store: StoreDep, press: str, limits: AlarmLimits, who: Writer
 def acknowledge_alarm(store: StoreDep, alarm: Number, who: Writer) -> Alarm:
     """Say that you have taken an alarm on; the first one counts. Needs a token with scope write."""
     try:
-        return alarm_of(store.acknowledge_alarm(int(alarm), who))
+        return alarm_of(store.acknowledge_alarm(int(alarm), who), _raised_now(store))
     except InputError as error:
         raise ProblemError(404, say("alarm-missing", number=int(alarm))) from error
