@@ -29,6 +29,8 @@ from daq.words.message import languages, words
 TRY_S = IN_HAND_S / 9.0
 """Longest wait for each answer of a receiver: a try, nine answers at most, stays within `IN_HAND_S`. [s]"""
 
+GO_ON = 334
+"""What a mail server answers to a user's name, when it asks for the password (RFC 4954, section 4)."""
 TAKEN = 235
 """What a mail server answers to a login it takes (RFC 4954, section 6)."""
 
@@ -89,15 +91,27 @@ class Email:
 
 
 def _login(server: smtplib.SMTP, user: str, password: str) -> None:
-    """Say who we are; what smtplib, which knows ASCII alone, cannot say goes as PLAIN in UTF-8 (RFC 4616)."""
+    """Say who we are; what smtplib, which knows ASCII alone, cannot say goes in UTF-8.
+
+    As PLAIN (RFC 4616), or as LOGIN where the server offers no PLAIN.
+    """
     if (user + password).isascii():
         server.login(user, password)
         return
     server.ehlo_or_helo_if_needed()
-    said = b64encode(f"\0{user}\0{password}".encode()).decode()
-    code, answer = server.docmd("AUTH", f"PLAIN {said}")
+    offered = server.esmtp_features.get("auth", "").upper().split()
+    if "LOGIN" in offered and "PLAIN" not in offered:
+        code, answer = server.docmd("AUTH", f"LOGIN {_coded(user)}")
+        if code == GO_ON:
+            code, answer = server.docmd(_coded(password))
+    else:
+        code, answer = server.docmd("AUTH", f"PLAIN {_coded(chr(0) + user + chr(0) + password)}")
     if code != TAKEN:
         raise smtplib.SMTPAuthenticationError(code, answer)
+
+
+def _coded(said: str) -> str:
+    return b64encode(said.encode()).decode()
 
 
 class _NoRedirect(HTTPRedirectHandler):

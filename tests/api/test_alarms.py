@@ -187,7 +187,7 @@ def test_a_mail_in_german_where_the_plant_reads_german(store, mail):
 class TlsController(Controller):
     """A mail server that speaks TLS from the first byte and takes a known user alone."""
 
-    def __init__(self, inbox, context):
+    def __init__(self, inbox, context, without=()):
         self.logins = []
         super().__init__(
             inbox,
@@ -196,6 +196,7 @@ class TlsController(Controller):
             ssl_context=context,
             authenticator=self.known,
             auth_required=True,
+            auth_exclude_mechanism=without,
             auth_require_tls=False,  # aiosmtpd counts STARTTLS alone
         )
 
@@ -204,15 +205,15 @@ class TlsController(Controller):
         return AuthResult(success=self.logins[-1] == ("schicht", "Prüfstand"), handled=False)
 
 
-@pytest.fixture
-def tls_mail(tmp_path, monkeypatch):
+@pytest.fixture(params=[(), ("PLAIN",)], ids=["any", "login-alone"])
+def tls_mail(request, tmp_path, monkeypatch):
     certificate, key = self_signed(tmp_path, "mail", x509.IPAddress(ip_address("127.0.0.1")))
     monkeypatch.setenv("SSL_CERT_FILE", str(certificate))
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     context.load_cert_chain(certificate, key)
     with warnings.catch_warnings():  # of what aiosmtpd thinks of a login without STARTTLS
         warnings.simplefilter("ignore")
-        server = TlsController(Inbox(), context)
+        server = TlsController(Inbox(), context, request.param)
         server.start()
         password = tmp_path / "password"
         told = {"security": "tls", "user": "schicht", "password_file": password}
