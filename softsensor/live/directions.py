@@ -220,15 +220,20 @@ def odd_constants(header: Mapping[str, Any]) -> dict[str, float]:
     found = {}
     for key, listed in listed_constants(header).items():
         given = header.get(key)
-        if isinstance(given, int | float) and f"{key}{SD}" not in header and (off := listed.off(given)):
+        if not isinstance(given, int | float) or given <= 0 or f"{key}{SD}" in header:
+            continue
+        if off := listed.off(given):
             found[key] = off
     return found
 
 
 def _unknown_in(header: Mapping[str, Any]) -> dict[str, float]:
-    """Return by name the odd constants that are not followed at all, and by how much they are off, as a share."""
+    """Return by name the odd constants that no panel of their own stands for, and by how much they are off.
+
+    One that is off by too much to be followed, and several, any of which may be mistaken (`panels`). As a share.
+    """
     odd = {key.removeprefix("panel."): off for key, off in odd_constants(header).items()}
-    return {name: off for name, off in odd.items() if off > MOST_SHARE}
+    return {name: off for name, off in odd.items() if off > MOST_SHARE or len(odd) > 1}
 
 
 def _discrepancy(press: Press, panel: Panel | None, model: ModelFile | None) -> Iterator[Unowned]:

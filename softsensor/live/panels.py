@@ -97,10 +97,11 @@ def mistaken_constants(header: Mapping[str, Any]) -> tuple[float, dict[str, floa
 
     Of sound boards a number lies as far from the table's as by the normal law, and of mistaken ones at most every
     one does: right : mistaken is (1 - ENTRY_ERROR) P(so far off) : ENTRY_ERROR. Nothing and 0 where none is odd,
-    or where one is off by too much to be followed.
+    where one is off by too much to be followed, or where several are, any of which may be the mistaken one: each
+    is then doubted by as much as it is off (`directions`).
     """
     odd, listed = odd_constants(header), listed_constants(header)
-    if not odd or max(odd.values()) > MOST_SHARE:
+    if len(odd) != 1 or max(odd.values()) > MOST_SHARE:
         return 0.0, {}
     deviations = max(math.expm1(off) / listed[key].relative_sd for key, off in odd.items())
     right = (1.0 - ENTRY_ERROR) * math.erfc(deviations / math.sqrt(2.0))
@@ -164,10 +165,13 @@ def likely_panels(press: Press, run: Run, model: ModelFile | None) -> tuple[Like
     likely = [(header.chance, {}), *((o.chance, _so_thick(o)) for o in others)]
     likely = [((1.0 - mistaken) * chance, told) for chance, told in likely]
     likely += [(mistaken, listed)] if mistaken else []
+    if (first := likely[0][0]) < LEAST_CHANCE:  # of two doubts together
+        rest = (1.0 - LEAST_CHANCE) / (1.0 - first)
+        likely = [(LEAST_CHANCE, {}), *((rest * chance, told) for chance, told in likely[1:])]
     found = []
-    for number, (chance, told) in enumerate(likely):
+    for chance, told in likely:
         so_told = replace(run, header={**run.header, **told})
-        new = number == 0 and bool(others)
+        new = bool(others) and THICKNESS not in told
         found.append(LikelyPanel(chance, set_up(own, so_told, model, new_product=new)))
     return tuple(found)
 

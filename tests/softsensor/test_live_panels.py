@@ -10,6 +10,7 @@ from daq.words.message import words
 from softsensor.fitting.constants import ConstantFit, with_constants_of
 from softsensor.heat.model_file import PressedPanel
 from softsensor.jobs.model_in_force import combined_model, with_pressed, with_stored_fits
+from softsensor.live.directions import _unknown_in
 from softsensor.live.panels import (
     ENTRY_ERROR,
     LEAST_CHANCE,
@@ -175,8 +176,10 @@ def test_a_header_s_odd_number_is_never_held_less_likely_than_its_least():
         {DENSITY: 370.0},
         {DENSITY: 1110.0, "panel.material": "slate"},
         {},
+        {DENSITY: 1110.0, "panel.conductivity_W_mK": 0.3},
+        {DENSITY: 0.0},
     ],
-    ids=["usual", "stated", "too far to be followed", "no material of the table", "not given"],
+    ids=["usual", "stated", "too far to be followed", "no material of the table", "not given", "several", "none"],
 )
 def test_no_other_panel_lies_there_where_no_constant_is_odd_or_one_is_too_far_off_to_follow(header):
     assert mistaken_constants({**BOARD, **header}) == (0.0, {})
@@ -192,8 +195,17 @@ def test_a_new_thickness_and_an_odd_density_leave_three_panels_whose_chances_add
         (12.0, 740.0),
     ]
     assert sum(p.chance for p in panels) == pytest.approx(1.0)
-    by_thickness = panel_chances(12.0, KNOWN)
-    assert panels[0].chance / panels[1].chance == pytest.approx(by_thickness[0].chance / by_thickness[1].chance)
+    mistaken, _ = mistaken_constants(lie.header)
+    of_thickness = panel_chances(12.0, KNOWN)[1].chance
+    assert panels[1].chance / panels[2].chance == pytest.approx((1.0 - mistaken) * of_thickness / mistaken)
+    assert panels[0].chance >= LEAST_CHANCE  # though both its thickness and its density are in doubt
+
+
+def test_several_odd_constants_are_each_doubted_by_as_much_as_they_are_off():
+    """Any of them may be the mistaken one: a panel of the table's and one of the header's would not hold that."""
+    both = {**BOARD, DENSITY: 1110.0, "panel.conductivity_W_mK": 0.3}
+    assert set(_unknown_in(both)) == {"density_kg_m3", "conductivity_W_mK"}
+    assert _unknown_in({**BOARD, DENSITY: 1110.0}) == {}
 
 
 @pytest.mark.parametrize("seed", [501, 503])
