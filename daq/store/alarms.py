@@ -1,10 +1,11 @@
 """Alarms: raised once, acknowledged by somebody, and on their way to people. One transaction each.
 
 An alarm and its deliveries, one for each way of every server over the store, are written together; a delivery
-leaves the outbox only when its receiver has taken it: no restart loses one, whichever server raised it. A
-condition that stands already is not raised again, servers look one after the other, and a delivery in the hands
-of a process is put off for the others: none is doubled, but for a process killed between the receiver's word and
-its own note, where the receiver knows it by the alarm's number.
+leaves the outbox only when its receiver has taken it: no restart loses one, whichever server raised it. A way that
+nobody had for a week gets what stands when it is back, not what came and went meanwhile. A condition that stands
+already is not raised again, servers look one after the other, and a delivery in the hands of a process is put off
+for the others: none is doubled, but for a process killed between the receiver's word and its own note, where the
+receiver knows it by the alarm's number.
 """
 
 from __future__ import annotations
@@ -81,16 +82,21 @@ def _ways(connection: Connection, own: Sequence[str], at: float) -> list[str]:
     """Return the ways of every server there lately, `own` among them; by a new one goes what stands already."""
     seen = {row.way: row.seen_unix_s for row in connection.execute(select(ALARM_WAY)).all()}
     for way in own:
-        silent_s = at - seen.get(way, -math.inf)
+        silent_s = abs(at - seen.get(way, -math.inf))  # a clock set back is as good as a long silence
         if silent_s < NOTED_S:
             continue
         put(connection, ALARM_WAY, [{"way": way, "seen_unix_s": at}])
-        seen[way] = at
         if silent_s > IN_USE_S:
+            gone_s = seen.get(way, math.inf)
+            over = (ALARM.c.ended_unix_s.is_not(None), ALARM.c.raised_unix_s > gone_s)
+            passed = select(ALARM.c.alarm_id).where(*over)
+            stale = (ALARM_DELIVERY.c.way == way, ALARM_DELIVERY.c.alarm_id.in_(passed))
+            connection.execute(delete(ALARM_DELIVERY).where(*stale))
             queued = exists().where(ALARM_DELIVERY.c.alarm_id == ALARM.c.alarm_id, ALARM_DELIVERY.c.way == way)
             standing = select(ALARM.c.alarm_id).where(ALARM.c.ended_unix_s.is_(None), ~queued)
             for number in connection.execute(standing).scalars().all():
                 _send(connection, number, [way], at)
+        seen[way] = at
     return [way for way, last in seen.items() if at - last <= IN_USE_S]
 
 

@@ -382,6 +382,18 @@ def test_what_stands_goes_by_a_way_that_is_new_and_what_is_over_does_not(store, 
     assert len(inbox.mails) == 1
 
 
+def test_what_came_and_went_while_a_way_was_gone_is_not_sent_when_it_is_back(store, mail):
+    inbox, settings = mail
+    before, during = replace(HOT, key="before"), replace(HOT, key="during")
+    store.watch_alarms([before], ["email"], NOW)  # in its hands when it went
+    store.watch_alarms([during], [], seconds(120))
+    store.watch_alarms([], [], seconds(300))
+    back = seconds(IN_USE_S + 60)
+    store.watch_alarms([], ["email"], back)
+    assert [send_due(store, ways_of(settings, None, "store"), lambda: back) for _ in range(2)] == [1, 0]
+    assert len(inbox.mails) == 1
+
+
 def test_a_way_that_no_server_has_any_longer_is_not_queued_for(store):
     store.watch_alarms([], ["email", "webhook"], NOW)
     store.watch_alarms([], ["webhook"], seconds(IN_USE_S))
