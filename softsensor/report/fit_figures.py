@@ -11,9 +11,8 @@ from typing import Any
 
 import numpy as np
 from matplotlib import rc_context
-from matplotlib.axis import Axis
 from matplotlib.figure import Figure
-from matplotlib.ticker import Formatter, FuncFormatter, MaxNLocator
+from matplotlib.ticker import FuncFormatter, MaxNLocator, ScalarFormatter, StrMethodFormatter
 
 from daq.records import Array
 from daq.words import Message, say
@@ -79,21 +78,32 @@ def svg(figure: Figure, language: str = ENGLISH) -> str:
     buffer = io.BytesIO()
     sign = words(say("report-tenths", value=0.5), language)[1]
     for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
-        axis.set_major_formatter(_with_sign(axis, sign))
+        told = axis.get_major_formatter()
+        if isinstance(told, ScalarFormatter):
+            axis.set_major_formatter(_Signed(sign))
+        elif isinstance(told, StrMethodFormatter):
+            axis.set_major_formatter(FuncFormatter(_with_sign(told, sign)))
     with _STYLING, rc_context(dict(STYLE)):
         figure.savefig(buffer, format="svg", metadata={"Date": None})
     return buffer.getvalue().decode()
 
 
-def _with_sign(axis: Axis, sign: str) -> Formatter:
-    """Return a formatter that says what an axis' own does, with the language's decimal sign."""
-    told = axis.get_major_formatter()
+def _with_sign(told: StrMethodFormatter, sign: str) -> Callable[[float, int | None], str]:
+    return lambda value, place: told(value, place).replace(".", sign)
 
-    def say_it(value: float, place: int | None = None) -> str:
-        told.set_locs(list(axis.get_majorticklocs()))
-        return told(value, place).replace(".", sign)
 
-    return FuncFormatter(say_it)
+class _Signed(ScalarFormatter):
+    """What an axis' numbers are by default, with a language's decimal sign."""
+
+    def __init__(self, sign: str) -> None:
+        super().__init__()
+        self._sign = sign
+
+    def __call__(self, value: float, pos: int | None = None) -> str:
+        return super().__call__(value, pos).replace(".", self._sign)
+
+    def get_offset(self) -> str:
+        return super().get_offset().replace(".", self._sign)
 
 
 def campaign_figures(campaign: CampaignFit, language: str = ENGLISH) -> dict[str, str]:
