@@ -6,8 +6,8 @@ the verdict, from three questions:
 
 1. Is something left? A pattern that the runs share, or a residual well above what the readings' own noise leaves.
 2. Does a named cause explain it? Its law may be off, so a further one must explain nearly all that it leaves.
-3. Is the gain real? On runs left out, with an interval above nothing; on runs predicted from their headers alone
-   surely likelier, and not surely more kelvins off; and its size surely not nothing.
+3. Is the gain real? On runs left out, with an interval above nothing, their own contacts at the price of their
+   scatter; on runs predicted from their headers alone not surely a loss; and its size surely not nothing.
 
 A cause that fails the third question is suspected, and so is every cause where the second fails. What is suspected
 is beyond chance all the same: the verdict is then that something is unknown, never that nothing is there. Fits
@@ -25,7 +25,7 @@ import numpy as np
 
 from daq.records import Array
 from softsensor.diagnosis.gains import Gain
-from softsensor.diagnosis.sign_flips import PatternTest, paired_t
+from softsensor.diagnosis.sign_flips import PatternTest, paired_t, tempered
 from softsensor.effects import Need
 
 ALPHA = 0.05
@@ -248,7 +248,7 @@ def told_apart(best: Claim, other: Claim) -> bool:
 
 
 def signed_root(saves: Array) -> Array:
-    """Return what sums of squares are in standard deviations, so that a run's large one is not all (...)."""
+    """Return what sums of squares are in standard deviations (...)."""
     return np.asarray(np.sign(saves) * np.sqrt(np.abs(saves)))
 
 
@@ -273,6 +273,7 @@ class Proof:
     gain: Gain
     """On runs left out, own contacts fitted."""
     predicted: Gain
+    """On runs predicted from their headers and the others' numbers."""
     saves: Array
     """Sum of squares each run saves by numbers from the others (runs)."""
     size_is_sure: bool
@@ -282,13 +283,13 @@ class Proof:
 
     @property
     def holds(self) -> bool:
-        """Whether the gain is real: sure on runs left out, likelier on predicted ones and not surely worse there.
+        """Whether the gain is real: runs left out surely nearer and likelier, predicted ones not surely worse.
 
         In kelvins a prediction is off by its contacts first, which scatter from run to run, so that a cause worth
-        a tenth of a kelvin falls or stands by chance. What a run saves by the others' numbers, its own contacts
-        at the price of their scatter, is twice the logarithm of how much likelier its prediction becomes.
+        a tenth of a kelvin falls or stands by chance. What a run saves by the others' numbers counts its own
+        contacts at the price of their scatter.
         """
-        likelier = bool(beyond_chance(signed_root(self.saves)))
+        likelier = bool(beyond_chance(tempered(signed_root(self.saves))))
         return self.gain.sure and likelier and not self.predicted.surely_worse and self.size_is_sure
 
 

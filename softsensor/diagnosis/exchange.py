@@ -37,14 +37,14 @@ def fit_alone(base: SettledModel, effect: Effect, both: SettledModel) -> Candida
 
 def exchange(
     stages: Sequence[SettledModel], first: Sequence[Candidate], least: float
-) -> list[SettledModel] | None:
-    """Try others in the place of the first of two causes; None if it stays.
+) -> tuple[list[SettledModel], Candidate] | None:
+    """Try others in the place of the first of two causes; None if it stays, else the second as fitted beside it.
 
     The first cause was chosen while the second was still unknown. `least` is the smallest size of a cause.
     """
     base, last = stages[0], stages[-1]
     second = last.fit.layout.model.effects[1]
-    best: tuple[float, SettledModel, SettledModel] | None = None
+    best: tuple[float, SettledModel, SettledModel, Candidate] | None = None
     for other in [c for c in first if c.refined and c.effect.name not in last.effects][:2]:
         middle = extend(base, other)
         middle = _resettled(middle, last)
@@ -56,8 +56,9 @@ def exchange(
                 found.fit.cost,
                 extend(base, other),
                 SettledModel(found.fit, last.data, last.population, last.noise),
+                found,
             )
-    return None if best is None else [base, best[1], best[2]]
+    return None if best is None else ([base, best[1], best[2]], best[3])
 
 
 def _resettled(stage: SettledModel, like: SettledModel) -> SettledModel:

@@ -47,7 +47,7 @@ class Finding:
     explained_share: float
     against: tuple[tuple[str, float], ...] = ()
     """Runners-up outside the set and by how many standard errors the runs prefer the name."""
-    saves: Array = field(default_factory=lambda: np.zeros(0))
+    saves: Array = field(default_factory=lambda: np.zeros(0), compare=False)
     """Sum of squares each run, left out in turn, saves by it (runs); none of a fault of channels."""
     contest: Contest | None = None
     """What the next pressings may decide (`softsensor.planning`); None where no fit stands behind it."""

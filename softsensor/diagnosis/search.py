@@ -152,6 +152,13 @@ class Candidate:
                 return True
         return False
 
+    @property
+    def saves(self) -> Array:
+        """Sum of squares each run, left out, saves; of a clock what the limit switch says alone (runs)."""
+        if self.effect.needs != Need.SWITCH:
+            return self.gains
+        return np.asarray(np.sign(self.score.sum()) * self.score * np.abs(self.score))
+
     def heldout_gain(self, stage: SettledModel) -> Gain:
         """Return what it saves on runs left out.
 

@@ -147,9 +147,10 @@ def _second_look(
     claims = {c.name: c for c in claims_of(base, first.candidates, first.p_values, everyone)}
     able = [c for c in first.candidates if c.refined and not objections(claims[c.effect.name], before)]
     if exchanged := exchange(stages, able, SMALLEST_SIZE):
-        name = exchanged[1].effects[-1]
+        found, beside = exchanged
+        name = found[1].effects[-1]
         chosen = next(c for c in first.candidates if c.effect.name == name)
-        return exchanged, [replace(first, chosen=chosen, set=(name,), refuted=()), *rounds[1:]]
+        return found, [replace(first, chosen=chosen, set=(name,), refuted=()), replace(rounds[1], chosen=beside)]
     return stages, rounds
 
 

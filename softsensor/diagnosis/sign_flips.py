@@ -31,7 +31,11 @@ SINCE_S = (0.0, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 1e9)
 SHARES = 6
 """The pressing is also cut into so many equal shares, for what follows the program and not the clock."""
 SCORE_LIMIT = 3.0
-"""Standard deviations from which a run's score is tempered. By hand, 2026-11."""
+"""Standard deviations a run can say at most in what is put together over nights. By hand, 2026-11."""
+MOST_SAID = 9.0
+"""Standard deviations that a tempered score stays below. By hand, 2026-11."""
+UNBOUNDED = 1e12
+"""Stands for a score that is no number, or without end."""
 SURE = 0.05
 """A pocket whose adjusted p-value is above this, and above the least one, may be off by chance."""
 
@@ -68,12 +72,14 @@ def flip_statistics(scores: Array, *, alike: bool = False) -> Array:
 
 
 def tempered(scores: Array) -> Array:
-    """Return scores in standard deviations where large ones grow as their root: an odd and growing function (...).
+    """Return scores in standard deviations, large ones as less: x / (1 + |x| / `MOST_SAID`) (...).
 
-    A few thin panels see far more of a cause than the others and would drown them. Cut off instead, at three, all
-    scores of a campaign with much left over are the same, and whatever has their signs ties with the true cause.
+    Odd and growing. A few thin panels see far more of a cause than the others and would drown them, and a run
+    whose fit has failed would drown every other cause. Cut off instead, at three, all scores of a campaign with
+    much left over are the same, and what has their signs ties with the true cause. No number speaks against one.
     """
-    return np.asarray(scores / np.sqrt(1.0 + np.abs(scores) / SCORE_LIMIT))
+    known = np.nan_to_num(scores, nan=-UNBOUNDED, posinf=UNBOUNDED, neginf=-UNBOUNDED)
+    return np.asarray(known / (1.0 + np.abs(known) / MOST_SAID))
 
 
 def max_t(scores: Array, upward: Sequence[bool] = (), *, alike: bool = False) -> Array:

@@ -21,8 +21,8 @@ The method and why it is so:
    in the place of the first (`diagnosis.exchange`).
 6. The verdict answers three questions: is something left, does a named cause explain it, is the gain real.
    Residuals of all runs are averaged by place and time since the last event; a model that explains less than four
-   fifths of that common pattern's energy is not the cause, however significant. Gains are asked for twice, on runs
-   left out and on runs predicted from their headers alone.
+   fifths of that common pattern's energy is not the cause, however significant. Gains are asked for on runs left
+   out, in kelvins and with contacts at their price, and on runs predicted from their headers alone.
 
 Better than a linear score test alone: all candidates get a non-linear fit, so amplitude and shape are
 right before anything is compared; timing, lag and clock, which bend coefficients by a factor, get it
@@ -331,7 +331,7 @@ def _findings(
         chosen = round_.chosen
         switched = chosen.switched if chosen is not None and chosen.effect.name == name else ()
         against: list[tuple[str, float]] = []
-        saves = np.zeros(len(final.data)) if chosen is None else chosen.gains
+        saves = np.zeros(0) if chosen is None else chosen.saves
         if chosen is not None:
             against = [
                 (c.effect.name, round(float(paired_t(chosen.gains - c.gains)), 2))
@@ -396,7 +396,7 @@ def _nearly(rounds: Sequence[Round], stage: SettledModel, beside: tuple[SettledM
             gain=c.heldout_gain(stage),
             predicted=paired_gain(*(run_errors(stage.data, states) for states in ahead)),
             explained_share=_explained_by(c, stage),
-            saves=c.gains,
+            saves=c.saves,
             contest=_contest(stage, (c,), (c.effect.name,)),
         ),
     )

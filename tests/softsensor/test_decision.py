@@ -214,6 +214,8 @@ VERDICTS = (
      Verdict.NAMED, 1),
     ("a gain in kelvins that makes as many predictions less likely as likelier",
      proof(saves=SAVES * (-1.0) ** np.arange(RUNS)), Verdict.UNKNOWN_EFFECT, 0),
+    ("a gain in every run, and in one a hundred times as large",
+     proof(saves=np.append(np.full(RUNS - 1, 25.0), 2500.0)), Verdict.NAMED, 1),
     ("a gain that makes one prediction very much likelier", proof(saves=np.append(np.full(RUNS - 1, -0.3), 900.0)),
      Verdict.UNKNOWN_EFFECT, 0),
     ("a size that may be nothing", proof(size_is_sure=False), Verdict.UNKNOWN_EFFECT, 0),
