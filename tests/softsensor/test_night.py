@@ -387,7 +387,7 @@ def test_an_effect_the_diagnosis_no_longer_finds_goes_unless_it_still_helps(stor
     outcome = refit_press(store, "lab", PRESS, workers=1)
     assert outcome.promoted
     assert str(outcome.reason).startswith(
-        "without edge_loss: residual of single sensors while nothing moves, own "
+        "no longer: heat lost at the rim: residual of single sensors while nothing moves, own "
     )
     model = store.active_model("lab").model
     assert (model["effects"], model["basis"]["judged_runs"]) == ([], [run.name for run in runs])
