@@ -6,8 +6,9 @@ the verdict, from three questions:
 
 1. Is something left? A pattern that the runs share, or a residual well above what the readings' own noise leaves.
 2. Does a named cause explain it? Its law may be off, so a further one must explain nearly all that it leaves.
-3. Is the gain real? On runs left out, with an interval above nothing, their own contacts at the price of their
-   scatter; on runs predicted from their headers alone not surely a loss; and its size surely not nothing.
+3. Is the gain real? On runs left out, with an interval above nothing; on runs predicted from their headers alone
+   not surely a loss, nor a larger one than that gain, unless the model leaves no more than noise and runs left out
+   are surely likelier by it, their own contacts at the price of their scatter; and its size surely not nothing.
 
 A cause that fails the third question is suspected, and so is every cause where the second fails. What is suspected
 is beyond chance all the same: the verdict is then that something is unknown, never that nothing is there. Fits
@@ -276,6 +277,8 @@ class Proof:
     """On runs predicted from their headers and the others' numbers."""
     saves: Array
     """Sum of squares each run saves by numbers from the others (runs)."""
+    times_noise: float
+    """What the model with it leaves, over what noise leaves."""
     size_is_sure: bool
     """An amplitude's interval leaves out the neutral value, and none is at a limit."""
     heldout_ratio: float
@@ -283,14 +286,15 @@ class Proof:
 
     @property
     def holds(self) -> bool:
-        """Whether the gain is real: runs left out surely nearer and likelier, predicted ones not surely worse.
+        """Whether the gain is real: sure on runs left out, and not lost again on predicted ones.
 
         In kelvins a prediction is off by its contacts first, which scatter from run to run, so that a cause worth
-        a tenth of a kelvin falls or stands by chance. What a run saves by the others' numbers counts its own
-        contacts at the price of their scatter.
+        a tenth of a kelvin falls or stands by chance. Where the model leaves no more than noise does, likelihood
+        decides instead: what a run saves by the others' numbers, its own contacts at the price of their scatter.
         """
-        likelier = bool(beyond_chance(tempered(signed_root(self.saves))))
-        return self.gain.sure and likelier and not self.predicted.surely_worse and self.size_is_sure
+        likelier = self.times_noise <= EXCESS and bool(beyond_chance(tempered(signed_root(self.saves))))
+        lost = self.predicted.surely_worse or not (likelier or self.gain.value_K + self.predicted.value_K > 0.0)
+        return self.gain.sure and not lost and self.size_is_sure
 
 
 @dataclass(frozen=True)

@@ -192,6 +192,7 @@ def _conclude(readings: _Readings, stages: list[SettledModel], rounds: list[Roun
             gain=f.gain,
             predicted=f.predicted,
             saves=f.saves,
+            times_noise=e.rmse_K / noise,
             size_is_sure=_size_is_sure(find_effect(f.name), f.parameters),
             heldout_ratio=float(np.exp(np.mean(np.log(e.heldout / errors[0].heldout)))),
         )

@@ -169,7 +169,8 @@ def test_a_search_stops_and_says_why(evidence, step):
 NOTHING, PATTERN = PatternTest(0.6, 0.0, None), PatternTest(0.008, 0.25, None)
 QUIET, LOUD = Remains(NOTHING, 0.0, 1.1, True), Remains(PATTERN, 0.0, 4.0, True)
 SAVES = np.linspace(20.0, 40.0, RUNS)
-GOOD = Proof(("a",), SURE, SURE, SAVES, True, 0.4)
+GOOD = Proof(("a",), SURE, SURE, SAVES, 1.1, True, 0.4)
+HIDDEN = Gain(-0.8, (-2.0, 0.4))
 AFTER = replace(QUIET, explained=0.95)
 ONE = VerdictBasis(RUNS, (GOOD,), (LOUD, AFTER))
 NONE = VerdictBasis(RUNS, (), (QUIET,))
@@ -210,14 +211,17 @@ VERDICTS = (
     ("a gain whose interval holds nothing", proof(gain=Gain(0.006, (-0.01, 0.02))), Verdict.UNKNOWN_EFFECT, 0),
     ("a gain that predictions surely lose", proof(predicted=Gain(-0.1, (-0.2, -0.01))),
      Verdict.UNKNOWN_EFFECT, 0),
-    ("a gain that contacts which scatter hide in predictions", proof(predicted=Gain(-0.8, (-2.0, 0.4))),
-     Verdict.NAMED, 1),
-    ("a gain in kelvins that makes as many predictions less likely as likelier",
-     proof(saves=SAVES * (-1.0) ** np.arange(RUNS)), Verdict.UNKNOWN_EFFECT, 0),
-    ("a gain in every run, and in one a hundred times as large",
-     proof(saves=np.append(np.full(RUNS - 1, 25.0), 2500.0)), Verdict.NAMED, 1),
-    ("a gain that makes one prediction very much likelier", proof(saves=np.append(np.full(RUNS - 1, -0.3), 900.0)),
+    ("a gain that contacts which scatter hide in predictions", proof(predicted=HIDDEN), Verdict.NAMED, 1),
+    ("the same where the model leaves more than noise", proof(predicted=HIDDEN, times_noise=1.6),
      Verdict.UNKNOWN_EFFECT, 0),
+    ("a gain that predictions hardly see, where it leaves more than noise",
+     proof(predicted=Gain(-0.05, (-0.2, 0.1)), times_noise=30.0), Verdict.NAMED, 1),
+    ("a gain hidden in predictions, as many runs less likely as likelier",
+     proof(predicted=HIDDEN, saves=SAVES * (-1.0) ** np.arange(RUNS)), Verdict.UNKNOWN_EFFECT, 0),
+    ("a gain hidden in predictions, in every run, and in one a hundred times as large",
+     proof(predicted=HIDDEN, saves=np.append(np.full(RUNS - 1, 25.0), 2500.0)), Verdict.NAMED, 1),
+    ("a gain hidden in predictions that makes one very much likelier",
+     proof(predicted=HIDDEN, saves=np.append(np.full(RUNS - 1, -0.3), 900.0)), Verdict.UNKNOWN_EFFECT, 0),
     ("a size that may be nothing", proof(size_is_sure=False), Verdict.UNKNOWN_EFFECT, 0),
     ("a size that may be nothing, and nothing left",
      replace(proof(size_is_sure=False), remains=(QUIET, AFTER)), Verdict.UNKNOWN_EFFECT, 0),
