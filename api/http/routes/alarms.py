@@ -38,10 +38,11 @@ def _raised_now(store: Store) -> set[str]:
     """Return the keys of what stands now, by the same look as `/health`; what nobody has raised yet is raised."""
     now = utc_now()
     standing = standing_alarms(store, now)
+    due = [alarm for alarm in standing if alarm.message.code != NEVER_SEEN]
     pending = store.alarms(pending=True, limit=MAX_PAGE).items
     known = {alarm.key for alarm in pending if alarm.ended_utc is None}
-    if any(alarm.key not in known and alarm.message.code != NEVER_SEEN for alarm in standing):
-        store.watch_alarms([alarm for alarm in standing if alarm.message.code != NEVER_SEEN], (), now)
+    if not known.issuperset(alarm.key for alarm in due):
+        store.watch_alarms(due, (), now)
     return {alarm.key for alarm in standing}
 
 
