@@ -96,11 +96,11 @@ _MANY_WAITING = 1000
 """More scans than this wait only where the store is away or this machine does not keep up."""
 _PAGES_S = 30.0
 """How often the file of an SQLite store is read through, where it is small. [s]"""
-_PAGES_REST = 50.0
-"""So many times as long as reading it took it is left alone: 2 % of a disk's time."""
+_REST = 50.0
+"""So many times as long as reading it, or thinning a piece, took it is left alone: 2 % of a disk's time."""
 _READING_S, _READING_BYTES_PER_S = 300.0, 1e6
 """A reading of that file that takes longer than this and what a slow disk needs beside has stopped. [s]"""
-_TIDY_S = 600.0
+_THIN_S = 600.0
 """How often old idle scans are thinned. [s]"""
 
 
@@ -135,6 +135,8 @@ def record(
         for line in lines:
             line.start()
         pages = _watched_pages(store, journal, stop)
+        thin = partial(_thin, store, config.store.keep_idle_days, stop)
+        SupervisedThread("thinning", thin, partial(journal, "alarm")).start()
         presses = tuple(settings.name for settings in config.press)
         journal("info", say("recording-begins", presses=presses, where=outbox.capacity))
         notifier = Notifier()
@@ -201,16 +203,12 @@ class _Recording:
     pages: PageWatch | None = None
 
     def watch(self, stop: threading.Event) -> None:
-        """Until stopped: signs of life, changes of the configuration, thinning of old idle scans."""
-        watch, tidied, told = _ConfigWatch(self.config, self.journal), time.monotonic(), None
-        thinned: dict[int, int] = {}
+        """Until stopped: signs of life, changes of the configuration; what takes longer has its own thread."""
+        watch, told = _ConfigWatch(self.config, self.journal), None
         while not stop.wait(BEAT_S):
             try:
                 self._give_sign_of_life()
                 watch.look(self.lines)
-                if time.monotonic() - tidied > _TIDY_S:
-                    tidied = time.monotonic()
-                    _tidy(self.store, self.config.store.keep_idle_days, thinned)
                 told = None
             except Exception as error:  # noqa: BLE001 - who watches must not die of what it sees
                 fault = say("thread-failed", thread="watch", why=unexpected(error))
@@ -231,11 +229,18 @@ class _Recording:
             self.notifier.alive(status["message"])
 
 
-def _tidy(store: Store, keep_days: float, done: dict[int, int]) -> None:
-    try:
-        store.thin_idle(datetime.now(UTC) - timedelta(days=keep_days), done=done)
-    except StoreUnavailable as error:
-        LOG.info("%s", say("idle-not-thinned", why=spoken(error)))
+def _thin(store: Store, keep_days: float, stop: threading.Event) -> None:
+    """Until stopped: thin old idle scans now and then, resting after each piece; a store that is away has time."""
+    while not stop.wait(_THIN_S):
+        pieces = store.thin_idle(datetime.now(UTC) - timedelta(days=keep_days))
+        try:
+            began = time.monotonic()
+            for _ in pieces:
+                if stop.wait(_REST * (time.monotonic() - began)):
+                    return
+                began = time.monotonic()
+        except StoreUnavailable as error:
+            LOG.info("%s", say("idle-not-thinned", why=spoken(error)))
 
 
 class PageWatch:
@@ -257,7 +262,7 @@ class PageWatch:
                 found = damage_of(self._path)
             finally:
                 self._due_s = math.inf
-            pause_s = max(_PAGES_S, _PAGES_REST * (time.monotonic() - began))
+            pause_s = max(_PAGES_S, _REST * (time.monotonic() - began))
             if found and found != self._told:
                 self._journal("alarm", say("store-damaged", store=str(self._path), error=found))
             self._told = found

@@ -17,7 +17,7 @@ from sqlalchemy import Connection, func, select
 from daq.records import Array, InputError
 from daq.store.archived import archived_scans
 from daq.store.convert import readings_table
-from daq.store.reading import layout_channels, recorded_id, usable_values
+from daq.store.reading import first_number_from, layout_channels, recorded_id, usable_values
 from daq.store.schema import ARCHIVE, RUN, SCAN
 from daq.words import Message
 from daq.words.message import spoken
@@ -64,7 +64,7 @@ def envelope(connection: Connection, press: str, since: datetime, until: datetim
     press_id = recorded_id(connection, press)
     if press_id is None:
         return found
-    first, last = (_first_number_from(connection, press_id, at) for at in (begin, end))
+    first, last = (first_number_from(connection, press_id, at) for at in (begin, end))
     for unix_s, values in _in_table(connection, press_id, first, last):
         found.add(unix_s, values)
     for run in _archived_runs(connection, press_id, first, begin, end):
@@ -80,19 +80,6 @@ def envelope(connection: Connection, press: str, since: datetime, until: datetim
             faults = [text for text, its in zip(scans.faults, own, strict=True) if its]
             found.add(scans.unix_s[own], _columns(connection, layout, table, faults))
     return found
-
-
-def _first_number_from(connection: Connection, press_id: int, unix_s: float) -> int:
-    """Return a number below which all scans are older than an instant, by halving: no index goes by time."""
-    own = SCAN.c.press_id == press_id
-    newest = connection.execute(select(func.max(SCAN.c.number)).where(own)).scalar()
-    low, high = 0, -1 if newest is None else int(newest) + 1  # from 0 on: the oldest may be archived
-    while low < high:
-        middle = (low + high) // 2
-        query = select(SCAN.c.number, SCAN.c.unix_s).where(own, SCAN.c.number >= middle)
-        number, at = connection.execute(query.order_by(SCAN.c.number).limit(1)).one()
-        low, high = (number + 1, high) if at < unix_s else (low, middle)
-    return int(low)
 
 
 def _in_table(

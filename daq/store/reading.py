@@ -337,6 +337,19 @@ def newest_number(connection: Connection, press: str) -> int:
     return -1 if number is None else int(number)
 
 
+def first_number_from(connection: Connection, press_id: int, unix_s: float) -> int:
+    """Return a number below which all scans are older than an instant, by halving: no index goes by time."""
+    own = SCAN.c.press_id == press_id
+    newest = connection.execute(select(func.max(SCAN.c.number)).where(own)).scalar()
+    low, high = 0, -1 if newest is None else int(newest) + 1  # from 0 on: the oldest may be archived
+    while low < high:
+        middle = (low + high) // 2
+        query = select(SCAN.c.number, SCAN.c.unix_s).where(own, SCAN.c.number >= middle)
+        number, at = connection.execute(query.order_by(SCAN.c.number).limit(1)).one()
+        low, high = (number + 1, high) if at < unix_s else (low, middle)
+    return int(low)
+
+
 def scans_after(connection: Connection, press: str, last_number: int, limit: int = 1000) -> ScanBatch:
     """Return the scans, all of one layout, that follow `last_number`: start with -1, go on with the last one's."""
     press_id = recorded_id(connection, press)

@@ -41,6 +41,7 @@ SCAN = _table(
     faults=Text,
 )
 SCAN_REMARK = _table("scan_remark", "press_id number", press_id=BigInteger, number=BigInteger, texts_json=Text)
+IDLE_THINNED = _table("idle_thinned", "press_id", press_id=BigInteger, number=BigInteger)
 CONFIGURATION = _table(
     "configuration", "configuration_id", configuration_id=BigInteger, text=Text, created_unix_s=Double
 )

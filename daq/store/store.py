@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from datetime import datetime
 from functools import wraps
@@ -273,12 +273,12 @@ class Store:
         """Return how many runs, scans, fits and models there are."""
         return upkeep.contents_of(self.database)
 
-    def thin_idle(self, before: datetime, keep_every: int = 100, done: dict[int, int] | None = None) -> int:
-        """Delete some idle scans older than `before`, all but every `keep_every`-th; runs stay whole.
+    def thin_idle(self, before: datetime, keep_every: int = 100) -> Iterator[int]:
+        """Delete idle scans older than `before`, all but every `keep_every`-th; runs stay whole.
 
-        Hand in the same `done` each time: it keeps how far each press is thinned already.
+        Yields how many went with each piece; what is thinned already is not gone through again.
         """
-        return upkeep.thin_idle(self.database, before, keep_every, done=done)
+        return upkeep.thin_idle(self.database, before, keep_every)
 
     def sizes(self) -> upkeep.Sizes:
         """Return size, cost of a scan and free space."""

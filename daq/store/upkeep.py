@@ -23,12 +23,17 @@ from daq.address import Address
 from daq.files.manifest import check_listed, update_manifest
 from daq.records import InputError
 from daq.store.database import Database, migrations
-from daq.store.records import StoreUnavailable
-from daq.store.schema import ARCHIVE_TOTAL, ESTIMATE, FIT, METADATA, MODEL, PRESS, RUN, SCAN
+from daq.store.reading import first_number_from
+from daq.store.records import RunStatus, StoreUnavailable
+from daq.store.schema import ARCHIVE_TOTAL, ESTIMATE, FIT, IDLE_THINNED, METADATA, MODEL, PRESS, RUN, SCAN
+from daq.store.upsert import put
 from daq.words import say
 
 _BATCH = 20_000
 """Rows copied in one statement. By hand, 2026-11."""
+_PIECE = 998
+"""Idle scans deleted in one transaction: with their press as many values as a statement of any SQLite takes, by
+default 999 before version 3.32 (https://www.sqlite.org/limits.html)."""
 Progress = Callable[[int], None]
 
 
@@ -220,89 +225,89 @@ def contents_of(database: Database) -> Contents:
     return Contents(int(schema), *counts)
 
 
-def thin_idle(
-    database: Database,
-    before: datetime,
-    keep_every: int,
-    most_rows: int = 20_000,
-    done: dict[int, int] | None = None,
-) -> int:
+def thin_idle(database: Database, before: datetime, keep_every: int) -> Iterator[int]:
     """Delete idle scans older than `before` but every `keep_every`-th; scans of runs are never touched.
 
-    Returns how many went; at most `most_rows` at a time, so that recording never waits long. `done` keeps, by
-    press, up to which scan everything is thinned: hand it in again, and old runs are not gone through anew.
+    Piece by piece, each in a transaction of its own: yields how many went, and others come in between.
+    The store keeps how far each press is thinned, and a piece asks for what follows alone.
     """
-    gone, done = 0, {} if done is None else done
-    for press_id, first, last in _idle_stretches(database):
-        start = max(first, done.get(press_id, -1) + 1)
-        while start <= last:
-            numbers = _old_surplus(database, press_id, start, last, before, keep_every)
-            if not numbers:
-                break
+    for press_id, thinned in _thinned(database).items():
+        with database.reading() as connection:
+            end = _end_of_old(connection, press_id, before)
+        while thinned < end - 1:
             with database.writing() as connection:
-                for table in (SCAN, ESTIMATE):
-                    connection.execute(
-                        delete(table).where(table.c.press_id == press_id, table.c.number.in_(numbers))
-                    )
-            gone += len(numbers)
-            start = numbers[-1] + 1
-            done[press_id] = numbers[-1]
-            if gone >= most_rows:
-                return gone
-        if _all_older(database, press_id, last, before):
-            done[press_id] = max(last, done.get(press_id, -1))
-    return gone
+                gone, thinned = _thin_piece(connection, press_id, range(thinned + 1, end), before, keep_every)
+                put(connection, IDLE_THINNED, [{"press_id": press_id, "number": thinned}])
+            yield gone
+
+
+def _thinned(database: Database) -> dict[int, int]:
+    """Return up to which scan each recorded press is thinned."""
+    query = select(PRESS.c.press_id, func.coalesce(IDLE_THINNED.c.number, -1)).where(PRESS.c.kind == "recorded")
+    with database.reading() as connection:
+        found = connection.execute(query.outerjoin(IDLE_THINNED, IDLE_THINNED.c.press_id == PRESS.c.press_id))
+        return {press_id: number for press_id, number in found}
+
+
+def _end_of_old(connection: Connection, press_id: int, before: datetime) -> int:
+    """Return the scan before which a press may be thinned: one not so old, the first of an open run, the newest.
+
+    The newest stays at any age, as numbers go on from it.
+    """
+    is_open = (RUN.c.press_id == press_id, RUN.c.status == RunStatus.OPEN.value)
+    limits = (
+        select(func.min(RUN.c.first_scan)).where(*is_open),
+        select(func.max(SCAN.c.number)).where(SCAN.c.press_id == press_id),
+    )
+    found = [connection.execute(limit).scalar() for limit in limits]
+    first = first_number_from(connection, press_id, before.timestamp())
+    return min([first, *(int(number) for number in found if number is not None)])
+
+
+def _thin_piece(
+    connection: Connection, press_id: int, scans: range, before: datetime, keep_every: int
+) -> tuple[int, int]:
+    """Thin what of these scans lies before the next run, as far as one piece goes.
+
+    Returns how many went, and up to where all is thinned: the run after a stretch that is through goes with it.
+    """
+    run = _next_run(connection, press_id, scans.start)
+    idle, beyond = scans, scans.stop - 1
+    if run is not None and run[0] < scans.stop:
+        idle, beyond = range(scans.start, run[0]), run[1]
+    numbers = _old_surplus(connection, press_id, idle, before, keep_every)
+    for table in (SCAN, ESTIMATE):
+        connection.execute(delete(table).where(table.c.press_id == press_id, table.c.number.in_(numbers)))
+    return len(numbers), numbers[-1] if len(numbers) == _PIECE else beyond
+
+
+def _next_run(connection: Connection, press_id: int, number: int) -> tuple[int, int] | None:
+    """Return first and last scan of the run that holds a scan, or of the next one after it."""
+    own = RUN.c.press_id == press_id
+    begun = select(func.coalesce(func.max(RUN.c.first_scan), 0)).where(own, RUN.c.first_scan <= number)
+    query = select(RUN.c.first_scan, RUN.c.last_scan).where(
+        own, RUN.c.first_scan >= begun.scalar_subquery(), RUN.c.last_scan >= number
+    )
+    row = connection.execute(query.order_by(RUN.c.first_scan).limit(1)).first()
+    return None if row is None else (row.first_scan, row.last_scan)
 
 
 def _old_surplus(
-    database: Database, press_id: int, first: int, last: int, before: datetime, keep_every: int
+    connection: Connection, press_id: int, idle: range, before: datetime, keep_every: int
 ) -> list[int]:
     query = (
         select(SCAN.c.number)
         .where(
             SCAN.c.press_id == press_id,
-            SCAN.c.number.between(first, last),
+            SCAN.c.number >= idle.start,
+            SCAN.c.number < idle.stop,
             SCAN.c.number % keep_every != 0,
             SCAN.c.unix_s < before.timestamp(),
         )
         .order_by(SCAN.c.number)
-        .limit(1000)
+        .limit(_PIECE)
     )
-    with database.reading() as connection:
-        return list(connection.execute(query).scalars())
-
-
-def _all_older(database: Database, press_id: int, last: int, before: datetime) -> bool:
-    """Whether the scan after a stretch, so the whole stretch, is older than `before`."""
-    query = select(SCAN.c.unix_s).where(SCAN.c.press_id == press_id, SCAN.c.number == last + 1)
-    archived = select(RUN.c.started_unix_s).where(RUN.c.press_id == press_id, RUN.c.first_scan == last + 1)
-    with database.reading() as connection:
-        unix_s = connection.execute(query).scalar() or connection.execute(archived).scalar()
-    return unix_s is not None and unix_s < before.timestamp()
-
-
-def _idle_stretches(database: Database) -> Iterator[tuple[int, int, int]]:
-    """Yield press, first and last number of every stretch of scans outside all runs, oldest first."""
-    with database.reading() as connection:
-        presses = list(connection.execute(select(PRESS.c.press_id).where(PRESS.c.kind == "recorded")).scalars())
-        stretches = []
-        for press_id in presses:
-            runs = connection.execute(
-                select(RUN.c.first_scan, RUN.c.last_scan)
-                .where(RUN.c.press_id == press_id)
-                .order_by(RUN.c.first_scan)
-            ).all()
-            first = 0
-            for run in runs:
-                if run.first_scan > first:
-                    stretches.append((press_id, first, run.first_scan - 1))
-                if run.last_scan is None:
-                    break
-                first = max(first, run.last_scan + 1)
-            else:
-                newest = connection.execute(select(func.max(SCAN.c.number)).where(SCAN.c.press_id == press_id))
-                stretches.append((press_id, first, int(newest.scalar() or 0)))
-    yield from (s for s in stretches if s[2] >= s[1])
+    return list(connection.execute(query).scalars())
 
 
 def sizes_of(database: Database) -> Sizes:

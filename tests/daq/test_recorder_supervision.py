@@ -228,6 +228,41 @@ def test_while_the_check_of_the_file_stands_the_watchdog_is_not_fed_and_health_s
         free.set()
 
 
+def test_while_idle_scans_are_thinned_signs_of_life_go_on_however_long_it_takes(tmp_path, monkeypatch):
+    beats, thinning, free = [], threading.Event(), threading.Event()
+    monkeypatch.setattr(Notifier, "alive", lambda self, status: beats.append("fed"))
+    monkeypatch.setattr(recorder, "BEAT_S", 0.05)
+    monkeypatch.setattr(recorder, "_THIN_S", 0.02)
+
+    def standing(self, before):
+        thinning.set()
+        free.wait()
+        yield 0
+
+    monkeypatch.setattr(store.Store, "thin_idle", standing)
+    try:
+        with plant(tmp_path) as made, open_store(made.url) as opened, recording_by(made):
+            wait_until(thinning.is_set)
+            newest, fed = opened.newest_scan_number("lab"), len(beats)
+            wait_until(lambda: len(beats) > fed + 5 and opened.newest_scan_number("lab") > newest)
+            free.set()
+    finally:
+        free.set()
+
+
+def test_a_recorder_thins_what_was_recorded_long_ago(tmp_path, monkeypatch):
+    monkeypatch.setattr(recorder, "_THIN_S", 0.2)
+    with plant(tmp_path) as made, open_store(made.url) as opened:
+        with recording_by(made):
+            wait_until(lambda: opened.newest_scan_number("lab") > 10)
+        with opened.database.writing() as connection:
+            for table in ("scan", "press_event"):
+                connection.exec_driver_sql(f"UPDATE {table} SET unix_s = unix_s - 4000000")
+            connection.exec_driver_sql("DELETE FROM run")
+        with recording_by(made):
+            wait_until(lambda: [s.number for s in opened.scans_after("lab", -1, 2).scans][1] > 10)
+
+
 @pytest.mark.skipif(os.name == "nt", reason="SIGHUP is POSIX")
 def test_a_closed_terminal_does_not_end_the_recorder(tmp_path):
     with plant(tmp_path) as made, open_store(made.url) as opened:

@@ -204,9 +204,8 @@ def test_idle_scans_before_an_archived_run_are_thinned_once_and_a_backup_of_it_a
     record(store, "two")
     store.use_archive(tmp_path / "archive")
     store.archive_run("one")
-    done = {}
-    store.thin_idle(scan(60).utc, keep_every=19, done=done)  # the last of the stretch is kept
-    assert done == {1: 19}, "the stretch before the run is gone through again"
+    assert sum(store.thin_idle(scan(60).utc, keep_every=19)) > 0
+    assert list(store.thin_idle(scan(60).utc, keep_every=19)) == []
     contents = store.back_up(tmp_path / "b.sqlite")
     assert restore(tmp_path / "b.sqlite", str(tmp_path / "again.sqlite")) == contents
     with open_store(str(tmp_path / "again.sqlite")) as again:

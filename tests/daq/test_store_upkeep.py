@@ -10,7 +10,7 @@ from datetime import UTC, datetime, timedelta
 
 import numpy as np
 import pytest
-from sqlalchemy import make_url, text
+from sqlalchemy import event, make_url, text
 
 from daq.files.manifest import NAME, check_listed, update_manifest
 from daq.records import Channel, InputError, PressState, Quality, Run, Scan
@@ -190,8 +190,8 @@ def test_thinning_takes_old_idle_scans_and_never_those_of_a_run(store_url):
     with open_store(store_url) as store:
         key = fill(store)
         before = store.load_run("one")
-        assert store.thin_idle(BEGAN - timedelta(days=1)) == 0
-        gone = store.thin_idle(BEGAN + timedelta(seconds=68), keep_every=100)
+        assert sum(store.thin_idle(BEGAN - timedelta(days=1))) == 0
+        gone = sum(store.thin_idle(BEGAN + timedelta(seconds=68), keep_every=100))
         kept = [s.number for s in store.scans_after("lab", -1, 5000).scans]
         assert kept == [0, 100, 200, *range(300, 651), *range(680, 700)]
         assert gone == 700 - len(kept)
@@ -205,8 +205,59 @@ def test_an_open_run_is_not_thinned(store_url):
     with open_store(store_url) as store:
         key = store.register_press("lab", CHANNELS)
         store.append_scans(key, scans(0, 50), begin=NewRun("r", 20, BEGAN, 2.0))
-        store.thin_idle(BEGAN + timedelta(days=1))
+        assert sum(store.thin_idle(BEGAN + timedelta(days=1))) == 19
         assert len(store.load_run("r").time_s) == 30
+
+
+def test_numbers_go_on_after_a_press_that_stood_still_for_long_was_thinned(store_url):
+    with open_store(store_url) as store:
+        key = fill(store)
+        assert sum(store.thin_idle(BEGAN + timedelta(days=1))) > 0
+        assert store.register_press("lab", CHANNELS).next_number == key.next_number + 700
+
+
+def test_a_long_stretch_is_thinned_in_pieces_and_a_thinning_that_ends_between_two_is_taken_up_again(store_url):
+    with open_store(store_url) as store:
+        key = store.register_press("lab", CHANNELS)
+        store.append_scans(key, scans(0, 3000))
+        first = next(iter(store.thin_idle(BEGAN + timedelta(days=1))))
+        assert 0 < first < 2000
+        assert len(store.scans_after("lab", -1, 5000).scans) == 3000 - first
+    with open_store(store_url) as store:
+        assert first + sum(store.thin_idle(BEGAN + timedelta(days=1))) == 3000 - 31
+        kept = [s.number for s in store.scans_after("lab", -1, 5000).scans]
+        assert kept == [*range(0, 3000, 100), 2999]
+
+
+def with_runs(store, count):
+    """Store runs of three scans with two idle ones before each."""
+    key = store.register_press("lab", CHANNELS)
+    for i in range(count):
+        end = RunEnd(f"r{i}", 5 * i + 4, BEGAN + timedelta(seconds=i))
+        store.append_scans(key, scans(5 * i, 5), begin=NewRun(f"r{i}", 5 * i + 2, BEGAN, 0.5 * i), end=end)
+    store.append_scans(key, scans(5 * count, 2))
+
+
+def test_what_is_thinned_is_not_gone_through_again_after_a_restart_however_much_is_stored(store_url):
+    asked, old = [], BEGAN + timedelta(days=1)
+    for count in (4, 60):
+        with open_store(store_url) as store:
+            with_runs(store, count)
+            assert sum(store.thin_idle(old)) > 0
+        with open_store(store_url) as store:
+            statements_of(store, asked)
+            before = len(asked)
+            assert sum(store.thin_idle(old)) == 0
+            assert len(asked) - before < 20, "questions that grow with the runs stored"
+            for table in ("scan", "run"):
+                with store.database.writing() as connection:
+                    connection.execute(text(f"DELETE FROM {table}"))
+
+
+def statements_of(store, asked):
+    """Let every statement of a store be noted."""
+    store.presses()
+    event.listen(store.database.engine, "before_cursor_execute", lambda *told: asked.append(told[2]))
 
 
 def test_sizes_tell_what_a_scan_costs(store_url):
