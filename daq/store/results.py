@@ -226,9 +226,12 @@ def _of_fits(fits: Collection[int]) -> list[ColumnElement[bool]]:
     return [COEFFICIENT.c.fit_id.in_(fits), *([COEFFICIENT.c.fit_id.between(low, high)] if narrow else [])]
 
 
-def newest_fit_number(connection: Connection, press: str | None = None) -> int:
-    """Return the number of the fit stored last, 0 where there is none."""
-    query = select(FIT.c.fit_id).order_by(FIT.c.fit_id.desc()).limit(1)
+def newest_fit_number(connection: Connection, press: str | None = None, after: int = 0) -> int:
+    """Return the number of the fit stored last, 0 where none is newer than fit `after`.
+
+    Of a press all fits after that one are looked at until one is found.
+    """
+    query = select(FIT.c.fit_id).where(FIT.c.fit_id > after).order_by(FIT.c.fit_id.desc()).limit(1)
     if press is not None:
         query = query.join(RUN, RUN.c.run == FIT.c.run).where(_beside_order(press))
     return int(connection.execute(query).scalar() or 0)

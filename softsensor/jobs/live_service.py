@@ -201,8 +201,8 @@ class Follower:
     message: Message = field(default_factory=lambda: say("sense-waiting"))
     update_us: float = 0.0
     _base_version: str = "?"
-    _rests_on: tuple[str, int] | None = None
-    """Promoted model and newest fit behind `model`."""
+    _rests_on: tuple[str | None, int] = (None, 0)
+    """Promoted model and newest fit, of any press, behind `model`; no text before the first look."""
     _looked: float = -math.inf
     _idle_said: float = -math.inf
     _model_looked: float = -math.inf
@@ -382,10 +382,11 @@ class Follower:
     def _refresh_model(self) -> None:
         """Take the promoted model and the newest fits made with it."""
         active = self.store.active_model(self.name)
-        rests_on = (active.version if active else "", self.store.newest_fit_number(self.name))
-        if rests_on == self._rests_on:
+        rests_on = (active.version if active else "", self.store.newest_fit_number())
+        version, fit = self._rests_on
+        if version == rests_on[0] and self.store.newest_fit_number(self.name, after=fit) == 0:
+            self._rests_on = rests_on
             return
-        self._rests_on = rests_on
         base: ModelFile | None = None
         if active is not None:
             base = parse_model(active.model, f"model {active.version}")
@@ -402,6 +403,7 @@ class Follower:
             self._base_version = version
         model = up_to_date(self.press, base, good)
         self.model = None if model is None else with_pressed(model, (r.header for r in runs))
+        self._rests_on = rests_on
 
 
 def _resin_of(settings: PressSettings) -> Resin | None:

@@ -318,7 +318,9 @@ def test_the_newest_fit_of_a_run_counts_in_the_history(store):
     rest = store.coefficient_history(limit=2, cursor=page.next_cursor)
     assert [(c.run, c.value) for c in rest.items] == [(names[0], 650.0)] * 2
     assert store.newest_fit_number("lab") == store.newest_fit_number() == rest.items[0].fit_number
-    assert store.newest_fit_number("other") == 0
+    newest = store.newest_fit_number()
+    assert store.newest_fit_number("lab", after=newest - 1) == newest
+    assert store.newest_fit_number("lab", after=newest) == store.newest_fit_number("other") == 0
     assert [run for _, run in store.fits_after(0, limit=2)] == [names[2], names[0]]
     assert rest.next_cursor is None
     assert store.coefficient_history(press="other").items == ()

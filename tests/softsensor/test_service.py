@@ -22,10 +22,10 @@ from daq.press.press_file import parse_press
 from daq.press.resin_file import parse_resin
 from daq.process.config import PressSettings
 from daq.recording.run_keeper import RunKeeper, RunNames, RunRules
-from daq.records import Channel, PressState, Quality, Scan
+from daq.records import Channel, PressState, Quality, Run, Scan
 from daq.simulated.campaign import Plan, make_campaign
 from daq.simulated.campaign_pressfile import press_toml
-from daq.store import NewRun, RunEnd, RunStatus, StoreUnavailable, open_store
+from daq.store import NewRun, RunEnd, RunStatus, StoreUnavailable, open_store, results
 from softsensor.heat.model_file import FittedValue, ModelFile
 from softsensor.jobs.fitter import Fitter
 from softsensor.jobs.live_service import Follower, _details
@@ -269,6 +269,26 @@ def test_a_promoted_model_is_taken_without_restart(store, fitter, pressing):
     versions = [e.model_version for _, e in store.estimates(store.runs().items[0].run)]
     assert versions[-1] == "lab-7"
     assert versions[0] == ""
+
+
+def test_looking_for_a_new_model_takes_no_longer_however_many_fits_of_other_presses_are_stored(store, fitter):
+    sense = follower(store, fitter)
+    steps = []
+    connection = store.database.engine.connect()
+    connection.connection.dbapi_connection.set_progress_handler(lambda: steps.append(1), 10)
+    connection.close()  # the pool hands it out again
+    taken = []
+    for first, last in ((0, 5), (5, 600)):
+        runs = [Run(f"other-{i}", {}, np.arange(2.0), {"top_1": np.ones(2)}) for i in range(first, last)]
+        store.import_runs(runs, "other")
+        with store.database.writing() as connection:
+            for run in runs:
+                results.put_fit(connection, run.name, {"coefficients": {}})
+        sense._refresh_model()
+        steps.clear()
+        sense._refresh_model()
+        taken.append(len(steps))
+    assert 0 < taken[1] <= taken[0] + 2
 
 
 def test_what_the_operator_writes_down_counts_at_once(store, fitter, pressing):
