@@ -22,6 +22,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from daq.files.instants import from_json, seconds_of
+from daq.files.parquet_columns import ARCHIVE, BESIDE, MICRO, NewerFormat, columns_of, is_archived
 from daq.files.qualities import without_unusable
 from daq.files.run_rows import (
     CLOSED,
@@ -258,6 +259,8 @@ def _column_names(path: Path, line: int, text: str) -> list[str]:
 def _read_parquet(path: Path, temperatures: Sequence[str]) -> Run:
     try:
         with pq.ParquetFile(path, page_checksum_verification=True) as file:
+            if is_archived(file):
+                return _read_archived(path, file)
             header = _parquet_header(file.schema_arrow)
             time = _time_column(path, file.schema_arrow)
             kinds = _parquet_kinds(path, file.schema_arrow, time)
@@ -272,6 +275,29 @@ def _read_parquet(path: Path, temperatures: Sequence[str]) -> Run:
         raise InputError(at(path, said, column=_damaged_column(path))) from error
     check_rows(str(path), rows, temperatures=temperatures)
     return _run(path, header, rows)
+
+
+def _read_archived(path: Path, file: pq.ParquetFile) -> Run:
+    """Read a run of the archive as the store gives it out as a file."""
+    try:
+        columns = columns_of(file)
+    except NewerFormat:
+        raise InputError(at(path, say("run-archive-newer"))) from None
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(at(path, say("run-no-parquet", reason=str(error)))) from error
+    if TIME not in columns.arrays:
+        raise InputError(at(path, say("run-archive-former")))
+    header = {k.decode(): _metadata_value(v.decode()) for k, v in file.metadata.metadata.items()}
+    header.pop(ARCHIVE)
+    table = {name: columns.values(name) for name in columns.forms}
+    timed = pa.types.is_decimal(columns.arrays[TIME].type)
+    table[TIME] = columns.counts(TIME) / MICRO if timed else columns.plain(TIME)
+    texts = {
+        name: tuple(text or "" for text in columns.texts(name))
+        for name, array in columns.arrays.items()
+        if _is_text(array.type) and not name.startswith(BESIDE)
+    }
+    return _run(path, header, Rows(table, texts))
 
 
 def _parquet_header(schema: pa.Schema) -> dict[str, Any]:

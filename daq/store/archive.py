@@ -40,8 +40,9 @@ from daq.store.convert import known_utc, null, unix_of
 from daq.store.cores import run_cores
 from daq.store.database import Database
 from daq.store.estimate_file import EstimateRow, beside, write_estimates
-from daq.store.parquet_columns import SUM, Written, sound_content
-from daq.store.reading import layout_channels, run_row, scans_of
+from daq.store.origin import header_for_file
+from daq.store.proved_file import SUM, Written, sound_content
+from daq.store.reading import layout_channels, run_record, run_row, scans_of
 from daq.store.records import ArchiveUnreadable, Moved, RunCore, RunStatus, StoreUnavailable
 from daq.store.schema import ARCHIVE, ARCHIVE_TOTAL, ESTIMATE, FIT, PRESS, RUN, SCAN, SCAN_REMARK, UNFITTED
 from daq.words import Message, say, spoken
@@ -130,11 +131,11 @@ def archive_run(database: Database, run: str) -> Moved:
         channels = {key: [c.name for c in layout_channels(connection, key)] for key in scans.values}
         said = _estimates(connection, row)
         core = run_cores(connection, [run]).get(run)
-        folder = folder_of(connection)
+        folder, header = folder_of(connection), header_for_file(run_record(connection, run))
     file = _file_of(row)
-    about = {"run": run, "press": row.press, "header_toml": row.header_toml, "zero_s": row.zero_monotonic_s}
+    about = {"press": row.press, "zero_s": row.zero_monotonic_s, "started_unix_s": row.started_unix_s}
     try:
-        written = write_archive(folder / file, scans, channels, {**about, "started_unix_s": row.started_unix_s})
+        written = write_archive(folder / file, scans, channels, header, about)
         beside_it = write_estimates(beside(folder / file), said) if said else None
     except OSError as error:
         raise StoreUnavailable(say("archive-not-written", file=str(folder / file), reason=str(error))) from error

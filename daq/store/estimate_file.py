@@ -8,7 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from daq.store.parquet_columns import Columns, Written, read_proved, write_proved
+from daq.files.parquet_columns import Columns
+from daq.store.proved_file import Written, read_proved, write_proved
 
 ENDING = ".estimates.parquet"
 """In place of the ``.parquet`` of the run's scans."""

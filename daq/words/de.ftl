@@ -296,6 +296,8 @@ resin-one-law = genau eine der Tabellen [order], [kamal] und [isoconversional] m
 resin-one-rate = genau einer der Schlüssel rate_per_s (bei reference_temperature_C) und prefactor_per_s muss gegeben sein; den anderen weglassen
 resin-sd-unused = { $key }.sd: nichts verwendet sie; den Schlüssel weglassen. Es zählen die sd von Geschwindigkeiten, Aktivierungsenergien und steam_most_kPa
 resin-table-not-rising = braucht mindestens zwei Zeilen aus Umsatz, Aktivierungsenergie und ln(A f), der Umsatz steigend zwischen 0 und 1
+run-archive-former = eine Messung, die eine frühe Version archiviert hat; sie ist nur über ihre Datenbank lesbar
+run-archive-newer = von einer neueren Version von Kerntemp geschrieben; Kerntemp aktualisieren
 run-cell-count =
     { $cells ->
         [one] 1 Zelle, aber die Kopfzeile hat { NUMBER($columns) } Spalten; einen fehlenden Wert als leere Zelle schreiben

@@ -296,6 +296,8 @@ resin-one-law = exactly one of the tables [order], [kamal] and [isoconversional]
 resin-one-rate = exactly one of rate_per_s (at reference_temperature_C) and prefactor_per_s must be given; leave the other out
 resin-sd-unused = { $key }.sd: nothing uses it; leave it out. The sd of rates, of activation energies and of steam_most_kPa count
 resin-table-not-rising = needs at least two rows of conversion, activation energy and ln(A f), the conversions rising between 0 and 1
+run-archive-former = a run that an early version archived; it can be read through its store only
+run-archive-newer = written by a newer version of Kerntemp; update it
 run-cell-count =
     { $cells ->
         [one] 1 cell, but the header row has { NUMBER($columns) } columns; leave a missing value as an empty cell

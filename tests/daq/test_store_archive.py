@@ -6,19 +6,24 @@ import random
 import signal
 import time
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from sqlalchemy import text
 
+from daq.files.run_file import read_run
 from daq.records import Channel, InputError, PressState, Quality, Run, Scan
-from daq.store import NewRun, RunEnd, StoredEstimate, archive, open_store, parquet_columns
+from daq.store import NewRun, RunEnd, StoredEstimate, archive, open_store, proved_file
 from daq.store.archive_file import StoredScans, read_archive, write_archive
-from daq.store.parquet_columns import SUM
+from daq.store.estimate_file import beside, read_estimates
+from daq.store.proved_file import SUM
 from daq.store.records import ArchiveUnreadable
 from daq.store.upkeep import restore
+from tests.daq.archive_1 import make as archive_1
 from tests.editions import edition
 
 BEGAN = datetime(2026, 3, 4, 7, 0, tzinfo=UTC)
@@ -38,7 +43,7 @@ def stored(values, faults=None):
 
 def through_a_file(scans, folder):
     names = {key: [f"c{i}" for i in range(values.shape[1])] for key, values in scans.values.items()}
-    written = write_archive(folder / "a.parquet", scans, names, {})
+    written = write_archive(folder / "a.parquet", scans, names, {}, {})
     return read_archive(folder / "a.parquet", written.sha256), written.bytes / max(len(scans), 1)
 
 
@@ -73,6 +78,13 @@ def test_a_file_gives_every_bit_back_and_stays_small(how, tmp_path):
     assert size <= LARGEST.get(how, 14.0 if "full scale" in how or "gain" in how else 12.0)
 
 
+@pytest.mark.parametrize(("scans", "most"), [(1000, 12.0), (600, 14.0), (240, 20.0), (120, 32.0)])
+def test_a_short_pressing_stays_small_too(scans, most, tmp_path):
+    back, size = through_a_file(stored(heating(scans) / 10), tmp_path)
+    assert len(back) == scans
+    assert size <= most
+
+
 @settings(max_examples=40)
 @example(rows=[[0.0, 0.0], [0.0, 2.0], [0.0, 1.1125369292536007e-308]])
 @given(rows=st.lists(st.lists(st.floats(width=64), min_size=2, max_size=2), min_size=1, max_size=5))
@@ -92,8 +104,46 @@ def test_scans_of_several_layouts_come_back_each_with_its_channels(tmp_path):
         (None, '{"b":"open"}', None),
         (None, None, '{"note":"door"}'),
     )
-    written = write_archive(tmp_path / "a.parquet", scans, {2: ["a", "b"], 5: ["b"]}, {"run": "x"})
+    written = write_archive(tmp_path / "a.parquet", scans, {2: ["a", "b"], 5: ["b"]}, {}, {})
     assert read_archive(tmp_path / "a.parquet", written.sha256).same_as(scans)
+
+
+def test_files_of_the_first_format_still_give_every_bit_back():
+    files = Path(archive_1.__file__).with_name("run.parquet")
+    sums = [file.with_name(file.name + SUM).read_text().split()[0] for file in (files, beside(files))]
+    assert read_archive(files, sums[0]).same_as(archive_1.scans())
+    assert read_estimates(beside(files), sums[1]) == archive_1.estimates()
+    with pytest.raises(InputError, match="through its store only"):
+        read_run(files)
+
+
+@pytest.mark.parametrize("how", [*READ, "an unusable one", "another clock"])
+def test_an_archived_run_is_a_run_file(how, store, tmp_path):
+    counts = heating(200, 3)
+    table = READ.get(how, READ["tenths as text says them"])(counts).tolist()
+    table[5][1] = math.nan
+    key = store.register_press("lab", CHANNELS)
+    bad = {50: (G, Quality.STALE, G)} if how == "an unusable one" else {}
+    jitter = 0.1 if how != "another clock" else 0.1000000007
+    scans = [
+        Scan(i, BEGAN + timedelta(seconds=i / 10), 30.0 + i * jitter, tuple(row), bad.get(i, (G, G, G)))
+        for i, row in enumerate(table)
+    ]
+    begin = NewRun("one", 0, BEGAN, 30.0, {"panel.material": "MDF", "panel.thickness_mm": 16.0})
+    store.append_scans(key, scans, begin=begin, end=RunEnd("one", 199, scans[-1].utc))
+    known = store.run_for_file("one")
+    store.use_archive(tmp_path)
+    store.archive_run("one")
+    [file] = tmp_path.rglob("*-one.parquet")
+    read = read_run(file)
+    assert read.header == known.header
+    assert read.time_s == pytest.approx(known.time_s, abs=1e-6)
+    assert {n: c.tobytes() for n, c in read.columns.items()} == {n: c.tobytes() for n, c in known.columns.items()}
+    assert read.texts == known.texts
+    if "says" in how or "multiplies" in how:  # as decimals, which any program reads
+        plain = pq.read_table(file, columns=["time_s", "platen_top"]).to_pydict()
+        for name, cells in (("time_s", known.time_s), ("platen_top", known.columns["platen_top"])):
+            assert [float(cell) for cell in plain[name]] == pytest.approx(cells.tolist(), abs=1e-6)
 
 
 def scan(number):
@@ -161,8 +211,11 @@ def test_a_run_in_the_archive_gives_the_same_answers(store, tmp_path):
     before = {run: answers(store, run) for run in ("one", "told")}
     store.use_archive(tmp_path / "archive")
     for run in before:
+        known = store.run_for_file(run)
         moved = store.archive_run(run)
         assert moved.file_bytes > 0
+        [file] = (tmp_path / "archive").rglob(f"*-{run}.parquet")
+        assert (read_run(file).header, read_run(file).texts) == (known.header, known.texts)
         assert answers(store, run) == before[run]
     kept = store.archive()
     assert (kept.runs, kept.scans, kept.removed, kept.unsound) == (2, 63, 0, 0)
@@ -225,7 +278,7 @@ def test_a_file_that_is_not_sound_is_told_with_a_remedy_and_nothing_is_deleted(s
     if harm == "missing":
         file.unlink()
     else:
-        file.write_bytes(sound[:2000] + bytes([sound[2000] ^ 1]) + sound[2001:])
+        file.write_bytes(sound[:900] + bytes([sound[900] ^ 1]) + sound[901:])
     said = "missing; copy it back" if harm == "missing" else "no longer what was written; copy it back"
     with pytest.raises(ArchiveUnreadable, match=said):
         store.load_run("one")
@@ -288,10 +341,10 @@ def dies_at(store, where, do):
 
 
 MOMENTS = {
-    "while the file is written": (parquet_columns, "_to_disk", False),
-    "before what was written is compared": (parquet_columns, "columns_in", False),
-    "before the sum is written": (parquet_columns, "_with_sum", False),
-    "when the first file is done": (parquet_columns, "_with_sum", True),
+    "while the file is written": (proved_file, "_to_disk", False),
+    "before what was written is compared": (proved_file, "columns_in", False),
+    "before the sum is written": (proved_file, "_with_sum", False),
+    "when the first file is done": (proved_file, "_with_sum", True),
     "before the estimates": (archive, "write_estimates", False),
     "after the estimates": (archive, "write_estimates", True),
     "before the row": (archive, "_exchange", False),
@@ -348,10 +401,10 @@ def test_scans_that_came_meanwhile_keep_all_of_a_run_in_the_store(store, tmp_pat
     store.use_archive(tmp_path)
     real = write_archive
 
-    def slow(path, scans, channels, about):
+    def slow(path, *given):
         with store.database.writing() as connection:
             connection.execute(text("DELETE FROM scan WHERE number = 50"))
-        return real(path, scans, channels, about)
+        return real(path, *given)
 
     monkeypatch.setattr("daq.store.archive.write_archive", slow)
     with pytest.raises(Exception, match="its scans changed while they were archived"):

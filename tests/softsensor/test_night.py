@@ -21,7 +21,7 @@ from daq.records import InputError
 from daq.simulated.campaign import Plan, make_campaign
 from daq.simulated.campaign_pressfile import press_toml
 from daq.store import archive, open_store
-from daq.store.parquet_columns import sound_content
+from daq.store.proved_file import sound_content
 from daq.words import say
 from daq.words.message import words
 from softsensor.heat.model_file import FittedValue, ModelFile, parse_model
