@@ -179,8 +179,8 @@ class _Live:
     fitted_open: bool = False
     course: object = ()
     """The forecast's course that was stored last: one goes beside the first estimate after it was found, once."""
-    left_out_since: dict[str, float] = field(default_factory=dict)
-    """Channels the sensor does not use, and since when; infinite once the journal has been told. [s]"""
+    departs_since: dict[str, float] = field(default_factory=dict)
+    """Channels that read something else than their neighbours, and since when; infinite once told. [s]"""
 
 
 @dataclass
@@ -360,20 +360,20 @@ class Follower:
         if said.valid and course and course is not live.course:
             live.course = course
             details["course"] = [[round(v, 1) for v in row] for row in course]
-        self._tell_left_out(live, time_s)
+        self._tell_departing(live, time_s)
         return _stored(scan, said, live.model, details)
 
-    def _tell_left_out(self, live: _Live, time_s: float) -> None:
-        """Write into the journal, once a run, which channels the sensor does not use for longer than a switch."""
-        now = live.sensor.left_out
-        told = {column: at for column, at in live.left_out_since.items() if column in now or at == math.inf}
+    def _tell_departing(self, live: _Live, time_s: float) -> None:
+        """Write into the journal, once a run, which channels depart for longer than a switch."""
+        now = live.sensor.departing
+        since = {column: at for column, at in live.departs_since.items() if column in now or at == math.inf}
         for column, kelvin in now.items():
-            if time_s - told.setdefault(column, time_s) > AFTER_SWITCH_S:
-                told[column] = math.inf
+            if time_s - since.setdefault(column, time_s) > AFTER_SWITCH_S:
+                since[column] = math.inf
                 side = "below" if kelvin < 0.0 else "above"
                 said = say("channel-departs", column=column, kelvin=abs(kelvin), side=side, run=live.record.run)
                 write_journal(self.store, "warning", said, self.name)
-        live.left_out_since = told
+        live.departs_since = since
 
     def _finish(self, live: _Live) -> None:
         """A run is over: fit all of it."""

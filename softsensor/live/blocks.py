@@ -6,7 +6,7 @@ second else. A pass over stored scans takes many blocks in one call of a compile
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -64,7 +64,7 @@ class Scans:
         self._expected[i] = np.nan
         self._count = i + 1
 
-    def departing(self) -> dict[int, float]:
+    def left_out(self) -> dict[int, float]:
         """Return the channels that read something else than their place, and by how much. [K]
 
         Now, or of late (rms) if that is more. The same limits as the screen of a finished run: a departure of
@@ -72,17 +72,37 @@ class Scans:
         """
         if not self._count:
             return {}
-        far = np.sqrt(self._channels.scatter)
-        found: dict[int, float] = {}
+        far, away = np.sqrt(self._channels.scatter), self._away()
+        most = np.copysign(np.maximum(far, np.abs(away)), away)
+        return {k: float(most[k]) for k, limit in self._limits() if far[k] > limit and np.isfinite(away[k])}
+
+    def departing(self) -> dict[int, float]:
+        """Return those that read something else at the newest scan, whatever they read of late. [K]
+
+        Just after a switch faces change by 100 K/s, and channels read one after another differ by kelvins: of late
+        they then departed for seconds more, and a shift learned then is none. A channel departs here from both
+        its place and its shift.
+        """
+        if not self._count:
+            return {}
+        away = self._away()
+        own = np.minimum(np.abs(away), np.abs(away - self._channels.shift))
+        return {k: float(away[k]) for k, limit in self._limits() if own[k] > limit}
+
+    def _away(self) -> Array:
+        """Return how far the channels read from their places at the newest scan (K). [K]"""
+        newest = self._count - 1
+        away: Array = self._readings[newest] - self._level[newest, self._channels.place]
+        return away
+
+    def _limits(self) -> Iterator[tuple[int, float]]:
+        """Give each channel whose place can tell, and the departure that counts there. [K]"""
         for m in range(self._faces):
             there = np.flatnonzero((self._channels.place == m) & (self._channels.seen > 0))
             if len(there) < LEAST_CHANNELS:
                 continue
-            limit = max(LIMIT_K, LIMIT_RATIO * float(np.median(far[there])))
-            away = self._readings[self._count - 1] - self._level[self._count - 1, m]
-            most = np.copysign(np.maximum(far, np.abs(away)), away)
-            found |= {int(k): float(most[k]) for k in there if far[k] > limit and np.isfinite(away[k])}
-        return found
+            limit = max(LIMIT_K, LIMIT_RATIO * float(np.median(np.sqrt(self._channels.scatter[there]))))
+            yield from ((int(k), limit) for k in there)
 
     def average_anew(self, since_s: float) -> None:
         """Forget what the channels were like, and average those of scans from a time on again."""

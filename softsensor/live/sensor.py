@@ -197,6 +197,17 @@ class LiveSensor:
         run = self._run
         if run is None or run.press.state is PressState.IDLE:
             return {}
+        return {run.setup.columns[k]: away for k, away in run.scans.left_out().items()}
+
+    @property
+    def departing(self) -> dict[str, float]:
+        """Channels that read something else than their neighbours at this scan, and by how much. [K]
+
+        None once the press has opened again: as the panel leaves, its sensors come off one after another.
+        """
+        run = self._run
+        if run is None or run.press.state is PressState.IDLE or math.isfinite(run.press.known.moments.opened_s):
+            return {}
         return {run.setup.columns[k]: away for k, away in run.scans.departing().items()}
 
     @property
