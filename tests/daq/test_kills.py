@@ -158,6 +158,7 @@ def estimates_of(store):
     return estimates
 
 
+@pytest.mark.campaign
 def test_killed_at_random_recorder_and_sensor_lose_nothing_acknowledged(store_url, tmp_path):
     with herd(tmp_path, store_url) as one, open_store(store_url) as store:
         kill_at_random(one, 8, 1)

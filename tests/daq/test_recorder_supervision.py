@@ -98,6 +98,7 @@ def _told(call, alarms, before):
     return len(alarms) > before or call[1] in "".join(alarms) or "read" in call[1]
 
 
+@pytest.mark.campaign
 def test_an_error_at_any_call_in_any_thread_is_told_and_recording_goes_on(tmp_path, monkeypatch):
     monkeypatch.setattr("daq.supervision.RESTART_S", 0.02)
     monkeypatch.setattr(outbox, "_FIRST_RETRY_S", 0.02)

@@ -417,6 +417,7 @@ print(after - before, len(run.time_s), len(run.columns))
 """
 
 
+@pytest.mark.campaign
 @pytest.mark.skipif(sys.platform != "linux", reason="kilobytes of the system's own count")
 @pytest.mark.parametrize("kind", ["numbers", "remarks", "parquet"])
 def test_reading_a_long_run_takes_little_more_memory_than_the_run(tmp_path, kind):
@@ -455,6 +456,7 @@ with open_store(sys.argv[4]) as store:
 """
 
 
+@pytest.mark.campaign
 @pytest.mark.skipif(sys.platform != "linux", reason="kilobytes of the system's own count")
 def test_a_mapped_file_is_read_and_imported_in_pieces(tmp_path):
     """Of 10 million rows of five columns: 0.4 GB are the run's own numbers, 8 bytes a cell."""

@@ -85,6 +85,7 @@ def gated(url):
         gate.shut()
 
 
+@pytest.mark.campaign
 def test_a_recorder_started_and_killed_while_the_server_is_away_loses_nothing(postgresql_url, tmp_path):
     with gated(postgresql_url) as (gate, url), herd(tmp_path, url) as one:
         for count in (60, 120):

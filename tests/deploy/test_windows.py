@@ -136,6 +136,7 @@ sys.exit(main(sys.argv[1:]))
 """
 
 
+@pytest.mark.campaign
 def test_record_sense_and_serve_start_and_work_without_them(tmp_path):
     top = ["platen_top", "platen_bottom", *(f"top_{k}" for k in range(1, 7))]
     with ExitStack() as stack:

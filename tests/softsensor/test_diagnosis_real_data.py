@@ -47,6 +47,7 @@ def moist():
     return diagnose(pine_disc(), [_before_charring(r) for r in moist_runs()])
 
 
+@pytest.mark.campaign
 def test_moist_pine_is_named_moist():
     found = moist()
     assert [f.set[0] for f in found.findings] == ["moisture_evaporation"]

@@ -46,6 +46,7 @@ def _half_width(c):
     return np.log(c.ci95[1] / c.ci95[0]) / 2.0
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize(("rate_hz", "stated", "reach"), [(10.0, True, 0.3), (1.0, False, 0.5)])
 def test_intervals_of_a_dozen_runs_cover_the_truth(rate_hz, stated, reach):
     pairs = _fitted(range(40, 44), 3, rate_hz, stated=stated)

@@ -73,6 +73,7 @@ def test_too_few_runs_tell_no_law():
     assert free_law(settled("lapse").among(np.arange(5))) is None
 
 
+@pytest.mark.campaign
 def test_a_contact_that_lapses_is_found_by_the_time_since_closing_and_on_its_side():
     """The virtual press breaks it off sharply, which a smooth law rounds: a second about each edge is left out."""
     found = law("lapse")
@@ -195,6 +196,7 @@ def _along(fit, torn):
     return np.array([torn.get(name, 0.0) for name in fit.layout.names])
 
 
+@pytest.mark.campaign
 def test_a_law_found_goes_with_the_model_to_runs_nobody_has_seen(tmp_path):
     """Faces and core of six further runs, simulated and predicted, beside the model without the law.
 

@@ -739,6 +739,7 @@ def test_each_of_several_presses_has_a_night_of_its_own(store, runs, judging_not
     assert set(store.newest_nights()) == {"left", "right"}
 
 
+@pytest.mark.campaign
 @pytest.mark.skipif(os.name == "nt", reason="SIGKILL is POSIX")
 def test_a_dask_worker_that_is_killed_in_mid_fit_costs_a_repetition_and_never_a_result(store, runs):
     """Killed so often that the scheduler gives up on everything that waited at the worker."""
@@ -756,7 +757,8 @@ def test_a_dask_worker_that_is_killed_in_mid_fit_costs_a_repetition_and_never_a_
         def kill_at_work():
             while len(killed) < 4 and not over.wait(0.02):
                 (nanny,) = cluster.workers.values()
-                if any(watcher.processing().values()) and nanny.pid is not None and nanny.pid not in killed:
+                at_work = watcher.processing().get(nanny.worker_address)  # a nanny replaces one that has begun
+                if at_work and nanny.pid is not None and nanny.pid not in killed:
                     killed.append(nanny.pid)
                     os.kill(nanny.pid, signal.SIGKILL)
 

@@ -677,6 +677,7 @@ def test_a_worker_that_stands_still_is_ended_and_the_fit_given_to_another(pressi
         assert stopped not in fitter._pool._processes
 
 
+@pytest.mark.campaign
 @pytest.mark.skipif(os.name == "nt", reason="SIGKILL is POSIX")
 def test_a_fit_that_kills_every_worker_ends_in_an_alarm_and_the_live_sensor_goes_on(store, pressing):
     run, _ = pressing
