@@ -11,6 +11,7 @@ from datetime import datetime
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
+from daq.printed import LINE, in_short, lines_of
 from daq.words import Message, say
 
 if TYPE_CHECKING:
@@ -41,6 +42,12 @@ class FrozenDict(dict[Key, Value]):
 
     __setitem__ = __delitem__ = __ior__ = _refuse
     clear = pop = popitem = setdefault = update = _refuse
+
+    def __repr__(self) -> str:
+        """Return what a dictionary does, in short where that takes more than a line."""
+        if len(line := in_short(self)) <= LINE:
+            return line
+        return "\n".join(lines_of([f"{key!r}: {in_short(one)}" for key, one in self.items()]))
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle and copy it as what it is made of."""

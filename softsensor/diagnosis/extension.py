@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import solve_triangular
 
+from daq.printed import on_screen
 from daq.records import Array
 from softsensor.diagnosis.extension_unknowns import Unknowns, run_values, shared_cost, start_eta
 from softsensor.heat.model import ThermalModel
@@ -55,6 +56,8 @@ class RunState:
     shift: Array
     """What offsets and insertion moment took out (bins, signals). [K]"""
 
+    __repr__ = on_screen
+
     @property
     def cost(self) -> float:
         """Sum of squares."""
@@ -73,6 +76,8 @@ class SharedFit:
     gradients: tuple[Array, ...]
     prior_hessian: Array
     converged: bool
+
+    __repr__ = on_screen
 
     @property
     def cost(self) -> float:
@@ -362,6 +367,8 @@ class Direction:
     """Projected directions."""
     own: tuple[Array, ...]
     """What the run's own numbers do to make up for a unit of the direction (eta)."""
+
+    __repr__ = on_screen
 
     @property
     def scores(self) -> Array:

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from daq.press.press_file import Press
+from daq.printed import on_screen
 from daq.records import Array
 from softsensor.effects import conductivity_offset
 from softsensor.effects.parameters import Parameter
@@ -43,6 +44,8 @@ class Unknowns:
     """By run."""
     spreads: Mapping[str, float]
     """Relative scatter between runs of effect parameters, by full name."""
+
+    __repr__ = on_screen
 
     @property
     def effect_names(self) -> tuple[str, ...]:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from daq.printed import lines_of, on_screen
 from daq.records import Array
 from daq.words import Message
 from softsensor.diagnosis.decision import Verdict
@@ -30,6 +31,8 @@ class Contest:
     causes: tuple[Candidate, ...]
     """The set, the cause itself first."""
 
+    __repr__ = on_screen
+
 
 @dataclass(frozen=True)
 class Finding:
@@ -51,6 +54,8 @@ class Finding:
     """Sum of squares each run, left out in turn, saves by it (runs); none of a fault of channels."""
     contest: Contest | None = None
     """What the next pressings may decide (`softsensor.planning`); None where no fit stands behind it."""
+
+    __repr__ = on_screen
 
     def as_json(self) -> dict[str, Any]:
         """Return the contract's table."""
@@ -109,6 +114,13 @@ class Diagnosis:
     """What the plain model leaves where each panel's constants are its own, if that was asked. [K]"""
     law: Law | None = None
     """What is missing as a free function, where runs left out gain by it."""
+
+    def __repr__(self) -> str:
+        """Return on one screen the verdict, the causes named and suspected, and the residual. [K]"""
+        head = f"Diagnosis: {self.verdict}, {self.base.rmse_K:.2f} K before, {self.extended.rmse_K:.2f} K after"
+        told = [f"named: {f.name}, p = {f.p_value:.2g}" for f in self.findings]
+        told += [f"suspected: {f.name}, p = {f.p_value:.2g}" for f in self.suspected]
+        return "\n".join([head, *lines_of(told)])
 
     @property
     def final(self) -> SettledModel:

@@ -17,6 +17,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.special import chdtrc, ndtr
 
+from daq.printed import on_screen
 from daq.records import Array
 from softsensor.diagnosis.extension import (
     Direction,
@@ -86,6 +87,8 @@ class SettledModel:
     population: Mapping[str, float]
     noise: MeanNoise
 
+    __repr__ = on_screen
+
     @property
     def misfit(self) -> float:
         """Cost over the number of readings; about 1 where noise is all that is left."""
@@ -126,6 +129,8 @@ class Candidate:
     """What it saves on runs left out whose moments are held at the limit switch; of what needs one alone."""
     score: Array = field(default_factory=lambda: np.zeros(0))
     """Each run's score along the direction at the fitted size (runs)."""
+
+    __repr__ = on_screen
 
     def among(self, stage: SettledModel, runs: np.ndarray) -> Candidate:
         """Return what some of the runs say for it."""

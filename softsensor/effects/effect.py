@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.printed import on_screen
 from daq.records import Array, Panel
 from daq.words import Message, say
 from softsensor.effects.parameters import Parameter
@@ -50,6 +51,8 @@ class Scene:
     """Contact pressure over its reference, by contact, in each step."""
     ambient: float
     """[°C]"""
+
+    __repr__ = on_screen
 
 
 @dataclass(frozen=True)

@@ -54,7 +54,7 @@ class Prediction:
 
     def __repr__(self) -> str:
         """Show the first and the last scans."""
-        return f"{self.replayed.run.name}\n{self.frame().to_string(max_rows=12, float_format='%.2f')}"
+        return f"{self.replayed.run.name}\n{self.frame().to_string(max_rows=8, float_format='%.2f')}"
 
     def _repr_html_(self) -> str:
         return str(self.frame().to_html(max_rows=24, float_format="%.2f"))

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from daq.press.press_file import Press, press_for_run
+from daq.printed import lines_of
 from daq.records import Array, InputError, Run
 from daq.words import Message, say
 from softsensor.fitting.constants import with_constants_of
@@ -24,7 +25,7 @@ from softsensor.fitting.experiment_advice import Company
 from softsensor.fitting.identifiability import WIDE, LikelihoodProfile, is_verdict_on
 from softsensor.fitting.joint import fit_together
 from softsensor.fitting.population import SPREAD_RUNS, Population, information
-from softsensor.fitting.result import Coefficient, Identifiability, RunFit, json_number
+from softsensor.fitting.result import Coefficient, Identifiability, RunFit, json_number, rounded
 from softsensor.fitting.unknowns import known_before
 from softsensor.heat.batch import Each
 from softsensor.heat.model import ThermalModel
@@ -63,6 +64,11 @@ class CampaignCoefficient:
     spread: float
     """Of the logarithm from run to run, estimation error taken out."""
 
+    def __str__(self) -> str:
+        """Return mean and scatter, and how many runs know it."""
+        scatter = f", sd {self.sd:.2g}" if np.isfinite(self.sd) else ""
+        return f"{rounded(self.mean, self.ci95):g}{scatter}, known from {self.runs}" if self.runs else "–"
+
 
 @dataclass(frozen=True, eq=False)
 class CampaignFit:
@@ -82,6 +88,12 @@ class CampaignFit:
     profiles: tuple[Mapping[str, LikelihoodProfile], ...] = ()
     """By run and coefficient; of runs for which they were not asked empty."""
     method: str = "default"
+
+    def __repr__(self) -> str:
+        """Return on one screen how many runs there are, and what they say of each coefficient. [W/m²K]"""
+        head = f"Campaign on press {self.press.name}: {len(self.runs)} runs, {len(self.met)} of them described"
+        told = [f"{name} = {c}" for name, c in self.coefficients.items()]
+        return "\n".join([head, *lines_of(told)])
 
     @property
     def met(self) -> tuple[RunFit, ...]:

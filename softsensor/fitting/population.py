@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from daq.printed import on_screen
 from daq.records import Array
 from softsensor.fitting.problem import (
     Evaluation,
@@ -56,6 +57,8 @@ class Population:
     """Standard deviation of the logarithms from run to run."""
     members: tuple[tuple[Array, Array], ...]
     """Mean and covariance of each run's logarithms, the others and the error of the mean taken into account."""
+
+    __repr__ = on_screen
 
 
 def information(problem: Problem, at: Evaluation, spread: float, names: Sequence[str]) -> Knowledge:

@@ -14,6 +14,7 @@ from enum import StrEnum
 import numpy as np
 
 from daq.compiled import compiled
+from daq.printed import on_screen
 from daq.records import Array
 from softsensor.effects import clock_offset
 from softsensor.heat.case import Case
@@ -77,6 +78,8 @@ class Evaluation:
     derivative: tuple[Array, ...]
     """By place: of the prediction by the internal variables (rows, unknowns). [K]"""
 
+    __repr__ = on_screen
+
 
 @dataclass(frozen=True)
 class Problem:
@@ -106,6 +109,8 @@ class Problem:
     constant: Mapping[str, tuple[Array, ...]] = field(default_factory=dict)
     """By key and place: the prediction's derivative by a constant, taken once near the solution (rows).
     [K per unit of the key]"""
+
+    __repr__ = on_screen
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -301,6 +306,8 @@ class Minimum:
     """What their doubt adds (unknowns, unknowns); it does not grow with the residuals, as the other does."""
     held: Array
     """Which unknowns a limit holds (unknowns)."""
+
+    __repr__ = on_screen
 
     @property
     def x(self) -> Array:

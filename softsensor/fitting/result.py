@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from daq.printed import lines_of
 from daq.records import Array, Moments
 from daq.words import Message, say
 from softsensor.fitting.constants import ConstantFit, constants_of
@@ -66,6 +67,13 @@ class Coefficient:
     verdict: Identifiability = Identifiability.IDENTIFIABLE
     reason: Message | None = None
     """Why it is not identifiable, and which measurement would fix it."""
+
+    def __str__(self) -> str:
+        """Return value and 95 % interval, or why there is none."""
+        if not self.identifiable:
+            return f"– {self.reason or self.verdict.said}"
+        value, low, high = (rounded(one, self.ci95) for one in (self.value, *self.ci95))
+        return f"{value:g}, 95 % {low:g} to {high:g}"
 
 
 def rounded(value: float, ends: tuple[float, float]) -> float:
@@ -124,6 +132,12 @@ class RunFit:
     """Why this run says nothing about coefficients: the model does not describe it; None where it does."""
     seconds: float = float("nan")
     """How long the fit took; only who holds a clock knows."""
+
+    def __repr__(self) -> str:
+        """Return on one screen what is left of the readings [K], and what the run says of coefficients. [W/m²K]"""
+        head = f"Fit of run {self.run}: {self.initial_rmse_K:.2f} K before, {self.rmse_K:.2f} K after"
+        told = [f"{name} = {c}" for name, c in self.coefficients.items()]
+        return "\n".join([head, *lines_of(told), *map(str, () if self.misfit is None else (self.misfit,))])
 
     @property
     def met(self) -> bool:

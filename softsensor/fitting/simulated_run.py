@@ -9,6 +9,7 @@ from types import MappingProxyType
 import numpy as np
 
 from daq.press.press_file import Press
+from daq.printed import lines_of
 from daq.records import Array, Moments, PressState, Run
 from softsensor.fitting.problem import rows_with_panel
 from softsensor.fitting.result import rms
@@ -46,6 +47,14 @@ class Simulated:
     """Temperature through the panel (times, depths). [°C]"""
     profile_heat: Array
     """Heat in the panel beyond its start (times), water and reactions not counted; zero without a panel. [J/m²]"""
+
+    def __repr__(self) -> str:
+        """Return on one screen how long it is, and at each place the range [°C] and the error [K]."""
+        head = f"Simulated: {len(self.time_s)} rows, {self.time_s[0]:g} to {self.time_s[-1]:g} s"
+        ranges = {**self.places, "core": self.core}
+        errors = {place: f", {value:.2f} K from the readings" for place, value in self.rmse.items()}
+        told = [f"{p}: {min(v):.1f} to {max(v):.1f} °C{errors.get(p, '')}" for p, v in ranges.items()]
+        return "\n".join([head, *lines_of(told)])
 
 
 def simulate_run(

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.press.press_file import Contact, Press
+from daq.printed import on_screen
 from daq.records import Array, InputError, Panel
 from daq.words import say
 from softsensor.effects.effect import Terms
@@ -60,6 +61,8 @@ class Layout:
     """(0, 4)"""
     unmoved: implicit_steps.Tangents
     """Of a stack without conversions by no parameter."""
+
+    __repr__ = on_screen
 
     @staticmethod
     def of(press: Press, mesh: Mesh, panel: Panel | None, ambient: float) -> Layout:

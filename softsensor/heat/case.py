@@ -15,6 +15,7 @@ import numpy as np
 
 from daq.press.header import panel_of
 from daq.press.press_file import At, Press, press_for_run
+from daq.printed import on_screen
 from daq.records import (
     Array,
     InputError,
@@ -88,6 +89,8 @@ class Case:
     """Weights that read the press face opposite each place, zero rows where there is none (m, n)."""
     layout: Layout
     """What no parameter changes."""
+
+    __repr__ = on_screen
 
     @cached_property
     def fitted_places(self) -> dict[str, int]:

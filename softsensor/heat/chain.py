@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from daq.printed import on_screen
 from daq.records import Array
 from softsensor.heat import implicit_steps
 from softsensor.heat.build import Build
@@ -36,6 +37,8 @@ class Solution:
     fields: Array
     """Cell temperatures at every step edge (steps + 1, n), empty unless asked for. [°C]"""
     final: implicit_steps.State
+
+    __repr__ = on_screen
 
     def column(self, name: str) -> Array:
         """Return one channel (rows). [°C]"""

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from daq.printed import on_screen
 from daq.records import Array
 
 # Numbers without another source were set by hand, 2026-11.
@@ -34,6 +35,8 @@ class Mesh:
     """Layer names in order."""
     first: tuple[int, ...]
     """Index of each layer's first cell; one more entry holds n."""
+
+    __repr__ = on_screen
 
     def cells(self, layer: str) -> slice:
         """Return the cells of a layer."""

@@ -31,6 +31,7 @@ from typing import Any
 import numpy as np
 
 from daq.press.press_file import Press
+from daq.printed import on_screen
 from daq.records import KEYS_SHOWN, Array, InputError
 from daq.words import say
 from softsensor.effects import find_effect
@@ -70,6 +71,8 @@ class MissingCauses:
     unexplained_K: float  # noqa: N815
     """Residual that neither the model nor any single cause explains. [K]"""
     causes: Mapping[str, MissingCause]
+
+    __repr__ = on_screen
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from daq.printed import on_screen
 from daq.records import Array
 from softsensor.heat import implicit_steps
 
@@ -22,6 +23,8 @@ class Reader:
 
     first: implicit_steps.Integers
     weights: Array
+
+    __repr__ = on_screen
 
     @staticmethod
     def at(edges: Array, times: Array, *, slope: bool = False) -> Reader:
@@ -69,6 +72,8 @@ class Derivatives(Mapping[str, Array]):
     """(P, rows, m)"""
     place_of_column: tuple[int, ...]
     _spread: dict[str, Array] = field(default_factory=dict, repr=False)
+
+    __repr__ = on_screen
 
     def __getitem__(self, name: str) -> Array:
         if name not in self._spread:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.compiled import compiled
+from daq.printed import on_screen
 from daq.records import GAS_CONSTANT
 from softsensor.effects.effect import REFERENCE_C
 
@@ -133,6 +134,10 @@ class State(NamedTuple):
     """Tangents of `done` (r, P, n)."""
     clock: Array
     """Length of the last step (1), 0 before the first. [s]"""
+
+    def __repr__(self) -> str:
+        """Return it in short, as it stands in results."""
+        return on_screen(self)
 
 
 class Drive(NamedTuple):

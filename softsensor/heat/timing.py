@@ -12,6 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
+from daq.printed import on_screen
 from daq.records import Array, Moments
 
 # Numbers without another source were set by hand, 2026-11.
@@ -42,6 +43,8 @@ class Clock:
     has_states: bool
     start: float
     """Of the run. [s]"""
+
+    __repr__ = on_screen
 
     @staticmethod
     def of(moments: Moments, times: Array, start: float, *, mean: bool, has_states: bool) -> Clock:

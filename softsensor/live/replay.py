@@ -28,6 +28,13 @@ class Replay:
     resin: bool = False
     """Whether cure, steam and leave to open were asked for."""
 
+    def __repr__(self) -> str:
+        """Return on a screen whose replay it is, how many of its scans have an estimate, and the last one."""
+        valid = [one for one in self.estimates if one.valid]
+        last = [f"at {one.time_s:g} s core {one.core_C:.1f} °C, sd {one.core_sd_K:.1f} K" for one in valid[-1:]]
+        head = f"Replay of run {self.run.name}: {len(self.estimates)} scans, {len(valid)} valid"
+        return "\n".join([head, *last])
+
     def columns(self) -> dict[str, list[float] | list[int] | list[str]]:
         """Return it as the columns of ``predict --out``."""
         rows = self.estimates

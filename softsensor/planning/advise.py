@@ -22,6 +22,7 @@ from pydantic import ValidationError
 from daq.press.header import panel_of
 from daq.press.press_file import press_for_run
 from daq.press.resin_file import LimitsTable, Resin
+from daq.printed import on_screen
 from daq.records import Array, InputError
 from daq.tables import explained
 from daq.words import say
@@ -84,6 +85,8 @@ class Wish:
     price_per_kWh: float | None = None  # noqa: N815
     """In euros."""
 
+    __repr__ = on_screen
+
 
 @dataclass(frozen=True)
 class Quantities:
@@ -93,6 +96,8 @@ class Quantities:
     cure_top: Array
     core: Array
     steam: Array
+
+    __repr__ = on_screen
 
     def known(self) -> PanelState:
         """Return them as they are known."""
@@ -142,6 +147,8 @@ class Tried:
     panels_per_h: float
     price: float | None
 
+    __repr__ = on_screen
+
     @property
     def possible(self) -> bool:
         """Whether there is a press time at which every limit holds."""
@@ -176,6 +183,8 @@ class Saving:
     """`made_up.COEFFICIENTS` and so on, or a key of the header."""
     press_time_s: float
 
+    __repr__ = on_screen
+
     def as_json(self) -> dict[str, Any]:
         """Return its entry."""
         return {"source": self.source, "press_time_s": _number(self.press_time_s)}
@@ -194,6 +203,8 @@ class ProgrammeAdvice:
     """The best, or the one that comes nearest."""
     savings: tuple[Saving, ...]
     """Most seconds first."""
+
+    __repr__ = on_screen
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of ``advise --json``."""

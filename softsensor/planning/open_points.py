@@ -9,6 +9,7 @@ from enum import StrEnum
 
 import numpy as np
 
+from daq.printed import on_screen
 from daq.records import Array
 from softsensor.diagnosis.advice import CORE_OFF_K
 from softsensor.diagnosis.decision import beyond_chance
@@ -55,6 +56,8 @@ class Prospect:
     half_after: float | None = None
     """Half interval after one, of a coefficient as a share, of the core in K."""
 
+    __repr__ = on_screen
+
 
 @dataclass(frozen=True)
 class Contender:
@@ -67,6 +70,8 @@ class Contender:
     saves: Array
     """Sum of squares each run so far saves by it, its numbers from the other runs (runs)."""
 
+    __repr__ = on_screen
+
 
 @dataclass(frozen=True)
 class Rivalry:
@@ -75,6 +80,8 @@ class Rivalry:
     other: Contender
     run: RunInformation
     """What one says, read by the other while the first holds."""
+
+    __repr__ = on_screen
 
     def evidence(self, runs: int) -> float:
         """Return by how much the other would fit worse after so many."""
@@ -98,6 +105,8 @@ class OpenPoint:
     along: Array | None = None
     wanted: float = 0.0
     """Half interval wanted, as `half_now`."""
+
+    __repr__ = on_screen
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from daq.press.press_file import Press
+from daq.printed import on_screen
 from daq.records import InputError, Run
 from softsensor.diagnosis.decision import Verdict
 from softsensor.diagnosis.finding import Diagnosis
@@ -42,6 +43,8 @@ class PlannedPressing:
     changed: tuple[str, ...]
     """Factors that differ from the usual ones."""
     prospect: Prospect
+
+    __repr__ = on_screen
 
     def as_json(self) -> dict[str, Any]:
         """Return the pressing's entry."""
@@ -73,6 +76,8 @@ class Advice:
     with_core: PlannedPressing | None
     """The best or the usual settings with a thermocouple in the core besides; None without a panel."""
 
+    __repr__ = on_screen
+
     def as_json(self) -> dict[str, Any]:
         """Return the point's entry."""
         return {
@@ -97,6 +102,8 @@ class Plan:
     usual: Settings
     ranges: Ranges
     points: tuple[Advice, ...]
+
+    __repr__ = on_screen
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of ``plan --json``."""

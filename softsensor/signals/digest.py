@@ -21,6 +21,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from daq.press.press_file import Press
+from daq.printed import on_screen
 from daq.records import Array, InputError, Moments, Run
 from daq.words import say
 from softsensor.heat.case import Case
@@ -103,6 +104,8 @@ class Digest:
     """Validation channels by bin. [°C]"""
     cases: Mapping[bool, Case]
     """Ready to solve, without and with paper layers."""
+
+    __repr__ = on_screen
 
     @property
     def valid(self) -> np.ndarray:
@@ -319,6 +322,8 @@ class Whitened:
     noise: MeanNoise
     inverses: tuple[Array, ...]
     """Of the covariances' Cholesky factors, by signal."""
+
+    __repr__ = on_screen
 
     @staticmethod
     def of(digest: Digest, noise: MeanNoise) -> Whitened:

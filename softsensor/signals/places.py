@@ -18,6 +18,7 @@ import numpy as np
 
 from daq.compiled import compiled
 from daq.press.press_file import Press
+from daq.printed import on_screen
 from daq.records import Array, Moments, Run
 from softsensor.signals.instrument import CHANNEL_FAST_LIMITS_S, CHANNEL_FAST_S, CHANNEL_WHITE_K
 from softsensor.signals.robust import nan_median, robust_sd
@@ -48,6 +49,8 @@ class Place:
     offsets: Array
     """By how much each channel reads above their common level (channels). [K]"""
 
+    __repr__ = on_screen
+
     @staticmethod
     def of(label: str, columns: Sequence[str], values: Array) -> Place:
         """Take the mean over channels (rows, channels); one that drops out makes no step in it."""
@@ -72,6 +75,8 @@ class Signals:
     findings: tuple[ChannelFault, ...]
     dropped: int
     """Single cells left out."""
+
+    __repr__ = on_screen
 
     @property
     def period_s(self) -> float:

@@ -22,6 +22,7 @@ from softsensor.heat.model_file import FittedValue, ModelFile, model_text
 from softsensor.opening.kinetics import equivalent_course, kinetics_of
 from softsensor.planning.advise import Goal, ProgrammeAdvice, Wish, _energy, advise, limits_of, quantities_of
 from softsensor.planning.made_up import DEPTHS, PLATENS, Programme, Task, ensemble, made_up_run
+from tests.screens import flooding
 
 ROOT = Path(__file__).parents[2]
 RESIN = ROOT / "deploy" / "resins" / "melamine_formaldehyde.toml"
@@ -160,6 +161,7 @@ def test_the_virtual_press_breaks_the_limit_no_oftener_than_promised(probability
         ranges={"platen_temperature_C": (180.0, 180.0)},
         limits={"cure_least": 0.85, "probability": probability},
     ).advised
+    assert flooding(found) == {}
     time_s = seconds(found)
     pressed = make_campaign(91, 80, None, replace(usual, platen_C=(180.0, 180.0), press_time_s=(time_s, time_s)))
     rng, kinetics, least = np.random.default_rng(3), kinetics_of(resin()), []

@@ -27,6 +27,7 @@ from daq.files.run_file import read_run
 from softsensor.face import kinds
 from softsensor.face.inputs import runs_of
 from softsensor.heat.model_file import model_text
+from tests.screens import flooding
 
 ROOT = Path(__file__).resolve().parents[2]
 LAB = ROOT / "deploy/presses/lab.toml"
@@ -480,6 +481,17 @@ def test_every_result_prints_on_one_screen_is_drawn_for_a_notebook_and_is_json(f
         assert json.loads(result.to_json(), parse_constant=no_number)
         with pytest.raises(AttributeError):
             result.anything = 1
+
+
+def test_whatever_a_result_leads_to_prints_on_one_screen(fitted):
+    live = softsensor.LiveSensor(LAB, softsensor.read_run(SHORT).header, fitted)
+    results = (
+        *(fitted, fitted.model(), softsensor.read_press(LAB), live.update(0.0, {"platen_top": 200.0})),
+        softsensor.simulate(SHORT, LAB, fitted),
+        softsensor.predict(SHORT, LAB, fitted, resin=LAB.parents[1] / "resins/melamine_formaldehyde.toml"),
+        softsensor.diagnose(SAMPLES[5:8], LAB, effects=["edge_loss"]),
+    )
+    assert {type(one).__name__: flooding(one) for one in results} == {type(one).__name__: {} for one in results}
 
 
 def test_an_effect_of_ones_own_is_known_by_name_once():

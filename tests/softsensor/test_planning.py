@@ -40,6 +40,7 @@ from softsensor.planning.summary import plan_said
 from softsensor.signals.digest import digest_run
 from softsensor.signals.doubt import Doubt, Source
 from softsensor.signals.moments import moments_seen
+from tests.screens import flooding
 
 
 def test_n_runs_know_a_straight_line_as_n_times_its_readings_do() -> None:
@@ -244,6 +245,7 @@ def test_a_plan_in_python_is_the_commands() -> None:
     told = json.loads(planned.to_json())
     assert len(planned.frame()) == sum(3 for _ in told["open"])
     assert len(str(planned)) > 10
+    assert flooding(planned) == {}
     assert planned.plot()
 
 

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import least_squares, minimize
 
+from daq.printed import on_screen
 from daq.records import Array, InputError, Moments, Run
 from daq.words import Message, say
 from softsensor.fitting.paper.ode import Lines, lines_of
@@ -64,6 +65,8 @@ class PaperFit:
 
     values: Mapping[str, float]
     converged: bool
+
+    __repr__ = on_screen
 
 
 @dataclass(frozen=True)
@@ -205,6 +208,8 @@ class Combination:
     """Mean solves a measurement, differences counted."""
     error: float
     """Median over measurements of the largest |ln h / h_true| of the coefficients a run shows."""
+
+    __repr__ = on_screen
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,64 @@
+"""How a record prints: its name, then a line a field, on one screen, however large the arrays in it are."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, is_dataclass
+from typing import Any
+
+LINE, LINES = 120, 20
+"""Characters of a line, and lines of a record: with its head they fit a terminal of 25 lines, none of them wrapped
+on today's 120 columns."""
+
+
+def on_screen(record: Any) -> str:
+    """Return a dataclass or named tuple in short: stands in a class as ``__repr__ = on_screen``.
+
+    >>> import numpy as np
+    >>> from dataclasses import dataclass
+    >>> @dataclass
+    ... class Curve:
+    ...     name: str
+    ...     core: np.ndarray
+    ...     __repr__ = on_screen
+    >>> Curve("a", np.linspace(20.0, 80.0, 400))
+    Curve
+    name = 'a'
+    core = array (400,) from 20 to 80
+    """
+    names = [one.name for one in fields(record)] if is_dataclass(record) else record._fields
+    told = [f"{name} = {in_short(getattr(record, name))}" for name in names]
+    return "\n".join([type(record).__name__, *lines_of(told)])
+
+
+def lines_of(lines: Sequence[str]) -> list[str]:
+    """Return lines cut to the screen's width; of many the first ones and how many more there are."""
+    shown = [textwrap.shorten(line, LINE, placeholder=" ...") for line in lines[:LINES]]
+    return [*shown, *([f"... and {len(lines) - LINES} more"] if len(lines) > LINES else [])]
+
+
+def in_short(value: Any) -> str:
+    """Return a value on one line: arrays by shape and range, many things by their number, records by head."""
+    if hasattr(value, "dtype") and getattr(value, "ndim", False):
+        return _array(value)
+    if isinstance(value, Mapping):
+        few = ", ".join(f"{key!r}: {in_short(one)}" for key, one in list(value.items())[:LINES])
+        return "{" + few + (", ...}" if len(value) > LINES else "}")
+    if isinstance(value, Sequence) and not isinstance(value, str | bytes) and not hasattr(value, "_fields"):
+        few = ", ".join(in_short(one) for one in value[:LINES])
+        return f"({few})" if len(few) <= LINE and len(value) <= LINES else f"{len(value)} {_kinds(value)}"
+    return f"{value:.6g}" if isinstance(value, float) else repr(value).partition("\n")[0]
+
+
+def _array(values: Any) -> str:
+    """Return shape and range of an array, or that of what it holds."""
+    head = f"array {values.shape}"
+    if values.dtype.kind not in "iuf" or not values.size:
+        return f"{head} of {values.dtype}"
+    known = values[values == values]
+    return f"{head} from {known.min():.6g} to {known.max():.6g}" if known.size else f"{head} of nan"
+
+
+def _kinds(values: Sequence[Any]) -> str:
+    return " and ".join(sorted({type(one).__name__ for one in values}))
