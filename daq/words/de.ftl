@@ -234,6 +234,7 @@ frame-without-rows = { $run }: die Tabelle hat keine Zeilen; eine Pressung brauc
 frame-without-start = Im Kopf fehlt, wann die Pressung begann; { $key } als Zeitpunkt mit Zeitzone angeben oder time_s nehmen
 frame-without-times = { $run }: die Tabelle hat keine Zeiten; eine Spalte oder einen Index time_s in Sekunden angeben, oder einen Index aus Zeitpunkten (Spalten sind { $columns })
 given-key-no-text = Schlüssel { $key } ist kein Text; Namen als Texte angeben
+given-mapping-without-file = { $found }: eine Zuordnungsdatei erklärt die Datei eines fremden Loggers; gib den Pfad dieser Datei an, oder benenne die Spalten der Tabelle um und lass die Zuordnung weg
 given-no-effect = { $found }: ein Effekt wird als Effect angegeben
 given-no-header = { $found }: ein Kopf wird als Zuordnung von Schlüsseln mit Punkten angegeben, etwa {"{"}"panel.thickness_mm": 16.0{"}"}
 given-no-limits = { $found }: Grenzen werden als Zuordnung von Zahlen zu Namen angegeben, etwa {"{"}"core_least_C": 110.0{"}"}

@@ -234,6 +234,7 @@ frame-without-rows = { $run }: the table has no rows; a run needs at least one s
 frame-without-start = the header lacks the time at which the run began; give { $key } as an instant with its time zone, or use time_s
 frame-without-times = { $run }: the table has no times; give a column or an index time_s in seconds, or an index of instants (columns are { $columns })
 given-key-no-text = key { $key } is not a text; give names as texts
+given-mapping-without-file = { $found }: a mapping explains the file of another logger; give that file's path, or rename the columns of the table and leave the mapping out
 given-no-effect = { $found }: an effect is given as an Effect
 given-no-header = { $found }: a header is given as a mapping of dotted keys, such as {"{"}"panel.thickness_mm": 16.0{"}"}
 given-no-limits = { $found }: limits are given as a mapping of numbers by name, such as {"{"}"core_least_C": 110.0{"}"}

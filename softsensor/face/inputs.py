@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from daq.files.legible import check_each_once, legible
 from daq.files.run_file import read_run as read_run_file
-from daq.given import keys_of, path_of
+from daq.given import keys_of, path_of, refused
 from daq.press.header import check_header
 from daq.press.press_file import Press
 from daq.press.press_file import read_press as read_press_file
@@ -28,14 +28,15 @@ def read_run(source: AnyRun, *, mapping: Path | str | None = None, header: Mappi
     Parameters
     ----------
     mapping
-        The TOML file that explains another logger's columns, units and times.
+        The TOML file that explains another logger's columns, units and times: of a file alone, which it reads as
+        that logger wrote it.
     header
         Keys beside those that the table or file has: panel, ambient, settings. The ones given here count.
 
     Raises
     ------
     InputError
-        Naming file, line or column, value, limit and what to do.
+        Naming file, line or column, value, limit and what to do; and for a mapping beside a table or a `Run`.
 
     Examples
     --------
@@ -48,6 +49,8 @@ def read_run(source: AnyRun, *, mapping: Path | str | None = None, header: Mappi
     >>> sorted(run.columns)[-3:], run.header["panel.density_kg_m3"]
     (['platen_top', 'top_1', 'top_2'], 700.0)
     """
+    if mapping is not None and (_is_table(source) or isinstance(source, Run)):
+        raise refused(source, "given-mapping-without-file")
     if _is_table(source):
         from daq.files.frames import run_of
 

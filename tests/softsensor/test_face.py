@@ -513,6 +513,8 @@ def test_an_effect_of_ones_own_is_known_by_name_once():
         (lambda: softsensor.fit(None, LAB), "NoneType: a run is given as"),
         (lambda: softsensor.fit([SHORT, 5], LAB), "int: a run is given as"),
         (lambda: softsensor.read_run(SHORT, mapping=5), "int: a mapping is given as the path"),
+        (lambda: softsensor.read_run(pd.DataFrame({"time_s": [0.0]}), mapping=LAB), "DataFrame: a mapping"),
+        (lambda: softsensor.read_run(softsensor.read_run(SHORT), mapping=LAB), "Run: a mapping explains the file"),
         (lambda: softsensor.read_run(SHORT, header=[("panel.thickness_mm", 1.0)]), "list: a header is given as"),
         (lambda: softsensor.read_run(SHORT, header={5: 1.0}), "key 5 is not a text"),
         (lambda: softsensor.read_press(5), "int: a press is given as"),
