@@ -21,9 +21,12 @@ if TYPE_CHECKING:
     from daq.records import EventSource as EventSource
     from daq.records import InputError as InputError
     from daq.records import Moments as Moments
+    from daq.records import Nonphysical as Nonphysical
+    from daq.records import NoSteadyState as NoSteadyState
     from daq.records import PressState as PressState
     from daq.records import Run as Run
     from daq.shared import shared_files as shared_files
+    from daq.store.records import StoreUnavailable as StoreUnavailable
 
 IMPORTED_S = time()
 """When this process began to import the package; see `daq.compiled`. [s]"""
@@ -32,10 +35,13 @@ __all__ = [
     "EventSource",
     "InputError",
     "Moments",
+    "NoSteadyState",
+    "Nonphysical",
     "Press",
     "PressState",
     "Run",
     "StoreTables",
+    "StoreUnavailable",
     "find_events",
     "find_moments",
     "frame_of",
@@ -49,9 +55,12 @@ _HOMES = {
     "EventSource": "daq.records",
     "InputError": "daq.records",
     "Moments": "daq.records",
+    "NoSteadyState": "daq.records",
+    "Nonphysical": "daq.records",
     "Press": "daq.press.press_file",
     "PressState": "daq.records",
     "Run": "daq.records",
+    "StoreUnavailable": "daq.store.records",
     "frame_of": "daq.files.frames",
     "qualities_of": "daq.files.frames",
     "run_of": "daq.files.frames",

@@ -1,5 +1,6 @@
 """Kerntemp from Python: what goes in comes out, results are those of the command line, errors too."""
 
+import inspect
 import json
 import math
 import pickle
@@ -76,6 +77,20 @@ def test_every_public_name_is_there_and_says_what_it_is(package):
 def test_every_public_function_says_what_it_refuses(name):
     said = getattr(softsensor, name).__doc__
     assert "Raises\n    ------\n    InputError\n" in said
+
+
+def test_every_error_that_a_public_name_says_it_raises_is_public():
+    public = {name: getattr(package, name) for package in (softsensor, daq) for name in package.__all__}
+    said = {}
+    for name, one in public.items():
+        members = [member for key, member in vars(one).items() if key[0] != "_"] if isinstance(one, type) else []
+        for told in (one, *members):
+            _, _, raised = inspect.cleandoc(told.__doc__ or "").partition("Raises\n------\n")
+            errors = re.findall(r"^(\w+)$", raised.partition("\n\n")[0], re.M)
+            errors += re.findall(r"Raises `(\w+)`", told.__doc__ or "")
+            said.update(dict.fromkeys(errors, name))
+    assert said.keys() >= {"InputError", "StoreUnavailable"}
+    assert {error: name for error, name in said.items() if error not in public} == {}
 
 
 def test_a_nonphysical_coefficient_is_refused():
