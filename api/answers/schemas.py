@@ -736,7 +736,8 @@ class Night(_Answer):
     left_out: list[LeftOut]
     """What could not be fitted this night, the first 50."""
     verdict: str
-    """Of the diagnosis, `not_asked` where the runs are those of the night before."""
+    """Of the diagnosis, `not_asked` where the runs are those of the night before, `failed` where the press's night
+    did not come to its end: then `reason` says why."""
     named: list[str]
     promoted: str
     """The version promoted, empty without one."""

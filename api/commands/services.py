@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import socket
 import sys
+from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -93,38 +94,52 @@ def refit(
     roll_back: Annotated[str, typer.Option("--roll-back", metavar="PRESS", help="help-roll-back")] = "",
 ) -> None:
     """Refit all runs, diagnose, extend, and promote or reject a model version: the nightly job."""
-    from daq.press.press_file import read_press
     from daq.process.config import load_config
     from daq.store.store import open_store
     from softsensor.jobs import night as nightly
-    from softsensor.jobs.nights import refit_presses
 
-    settings = load_config(config_path(config))
-    with open_store(settings.store.url) as store:
-        if roll_back:
+    if roll_back:
+        settings = load_config(config_path(config))
+        with open_store(settings.store.url) as store:
             name = settings.press_named(roll_back).name
             version = nightly.roll_back(store, name, "kerntemp refit")
             tell(say("terminal-model-in-force-again", press=name, version=version))
-            return
-        failed: list[Message] = []
-        outcomes: dict[str, NightOutcome] = {}
-        presses = {press.name: read_press(press.file) for press in settings.press}
-        nights = refit_presses(
-            store,
-            presses,
-            workers=workers or settings.refit.workers,
-            dask=dask or settings.refit.dask,
-            rules=_rules(settings),
-            learning=[press.name for press in settings.press if press.sisters],
-        )
-        with working(say("terminal-progress-refitting", presses=len(presses)), len(presses)) as done:
+        return
+    unsound: dict[str, InputError] = {}
+    settings = load_config(config_path(config), unsound)
+    names = [*unsound, *(press.name for press in settings.press)]
+    failed: list[Message] = []
+    outcomes: dict[str, NightOutcome] = {}
+    with open_store(settings.store.url) as store:
+        nights = _nights(store, settings, unsound, workers or settings.refit.workers, dask or settings.refit.dask)
+        with working(say("terminal-progress-refitting", presses=len(names)), len(names)) as done:
             for outcome in nights:
                 outcomes[outcome.press] = outcome
                 failed += _report(store, outcome, settings)
                 done(len(outcomes))
-        nightly.sign_off(store, [outcomes[name] for name in presses])
+        nightly.sign_off(store, [outcomes[name] for name in names])
     if failed:
         raise WorkFailed(say("terminal-refit-failed", failures=tuple(failed)))
+
+
+def _nights(
+    store: Store, settings: Config, unsound: Mapping[str, InputError], workers: int | None, dask: str
+) -> Iterator[NightOutcome]:
+    """Yield the night of every press; of one whose files are refused, that it failed."""
+    from daq.press.press_file import read_press
+    from softsensor.jobs.night import failed_night
+    from softsensor.jobs.nights import refit_presses
+
+    for name, error in unsound.items():
+        yield failed_night(store, name, datetime.now(UTC), spoken(error))
+    yield from refit_presses(
+        store,
+        {press.name: read_press(press.file) for press in settings.press},
+        workers=workers,
+        dask=dask,
+        rules=_rules(settings),
+        learning=[press.name for press in settings.press if press.sisters],
+    )
 
 
 def _rules(settings: Config) -> Rules | None:
@@ -146,10 +161,13 @@ def _rules(settings: Config) -> Rules | None:
 
 def _report(store: Store, outcome: NightOutcome, settings: Config) -> list[Message]:
     """Tell of a press's night and write its page; return what went wrong, in this and in its fits."""
-    from softsensor.jobs.night_judgement import PROCESS
+    from softsensor.jobs.night import reason_of
+    from softsensor.jobs.night_judgement import FAILED, PROCESS
     from softsensor.jobs.night_record import night_record
     from softsensor.report.night_report import write_report
 
+    if outcome.verdict == FAILED:
+        return [outcome.line]
     failed = []
     tell(outcome.line)
     if outcome.archive is not None:
@@ -159,9 +177,10 @@ def _report(store: Store, outcome: NightOutcome, settings: Config) -> list[Messa
             night_record(store, outcome), settings.refit.reports, spoken_language(), _page_address(settings.server)
         )
         tell(say("terminal-refit-report", press=outcome.press, page=str(page)))
-    except InputError as error:  # its work is in the store; the other presses wait for theirs
-        store.log("warning", PROCESS, spoken(error), outcome.press)
-        failed.append(spoken(error))
+    except Exception as error:  # noqa: BLE001 - its work is in the store; the other presses wait for theirs
+        why = reason_of(error)
+        store.log("warning", PROCESS, why, outcome.press)
+        failed.append(why)
     if outcome.archive_problem is not None:
         failed.append(outcome.archive_problem)
     if outcome.newly_unfit:

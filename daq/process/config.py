@@ -227,8 +227,14 @@ class Config(_Table):
         return found[0]
 
 
-def load_config(path: Path) -> Config:
+def load_config(path: Path, unsound: dict[str, InputError] | None = None) -> Config:
     """Read and check a configuration with everything it names.
+
+    Parameters
+    ----------
+    unsound
+        Takes presses whose files or headers are refused, with why; the configuration returned is that of the
+        others. Without it, or where no press is left, one refused press is a refused configuration.
 
     Raises
     ------
@@ -249,15 +255,27 @@ def load_config(path: Path) -> Config:
         raise InputError(at(path, say("at-key", key="store.url", what=say("store-url-mistyped"))))
     presses = []
     for settings in config.press:
-        press = press_of(settings)
-        check_columns(settings, press, str(path))
-        place = say("config-header", file=str(path), press=settings.name)
-        check_header(settings.header, place)
-        overridden(press, settings.header, place)
-        if settings.resin is not None:
-            read_resin(settings.resin)
-        presses.append(_resting(settings, press))
+        try:
+            presses.append(_checked(settings, path))
+        except InputError as error:
+            if unsound is None:
+                raise
+            unsound[settings.name] = error
+    if unsound and not presses:
+        raise next(iter(unsound.values()))
     return config.model_copy(update={"press": tuple(presses)})
+
+
+def _checked(settings: PressSettings, path: Path) -> PressSettings:
+    """Read and check what a configuration names for a press."""
+    press = press_of(settings)
+    check_columns(settings, press, str(path))
+    place = say("config-header", file=str(path), press=settings.name)
+    check_header(settings.header, place)
+    overridden(press, settings.header, place)
+    if settings.resin is not None:
+        read_resin(settings.resin)
+    return _resting(settings, press)
 
 
 def _resting(settings: PressSettings, press: Press) -> PressSettings:

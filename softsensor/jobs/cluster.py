@@ -23,6 +23,12 @@ SCHEDULER_WAIT_S = 10.0
 """Longest wait for a scheduler's answer. [s]"""
 WORKERS_WAIT_S = 60.0
 """Longest wait for a scheduler's first worker. [s]"""
+
+
+class NoWorkers(InputError):
+    """The package, the scheduler or its workers are missing: nothing has been begun."""
+
+
 Task = TypeVar("Task")
 Done = TypeVar("Done")
 
@@ -87,22 +93,22 @@ def on_dask(
 
     A worker that is killed takes with it what it had in hand, and the scheduler blames whatever waited there too:
     what it gave up is tried again at the end, one task at a time, so that only the one at fault is left without.
-    Raises `InputError` where the package, the scheduler or its workers are missing.
+    Raises `NoWorkers` where the package, the scheduler or its workers are missing.
     """
     try:
         from dask.distributed import Client, KilledWorker
         from dask.distributed import as_completed as completed
     except ImportError as error:
-        raise InputError(say("dask-package-missing", address=address)) from error
+        raise NoWorkers(say("dask-package-missing", address=address)) from error
     try:
         client = Client(address, timeout=SCHEDULER_WAIT_S)
     except (OSError, TimeoutError, ValueError) as error:
-        raise InputError(say("dask-no-answer", address=address, seconds=SCHEDULER_WAIT_S)) from error
+        raise NoWorkers(say("dask-no-answer", address=address, seconds=SCHEDULER_WAIT_S)) from error
     with client:
         try:
             client.wait_for_workers(1, timeout=WORKERS_WAIT_S)
         except TimeoutError as error:
-            raise InputError(say("dask-no-worker", address=address, seconds=WORKERS_WAIT_S)) from error
+            raise NoWorkers(say("dask-no-worker", address=address, seconds=WORKERS_WAIT_S)) from error
         suspects = []
         futures = client.map(work, tasks, pure=False)
         given = {future.key: task for future, task in zip(futures, tasks, strict=True)}

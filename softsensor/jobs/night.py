@@ -7,9 +7,11 @@ next night begins where this one ended.
 
 from __future__ import annotations
 
+import logging
 import sys
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from hashlib import sha256
@@ -17,18 +19,28 @@ from typing import Any, Literal
 
 from daq.press.press_file import Press
 from daq.records import InputError
-from daq.store import JournalEntry, RunRecord, Store, StoredNight, every
-from daq.words import Message, say
+from daq.store import JournalEntry, RunRecord, Store, StoredNight, StoreUnavailable, every
+from daq.supervision import unexpected
+from daq.words import Message, say, spoken
 from softsensor.heat.model_file import ModelFile, parse_model
 from softsensor.jobs.bets import Bets
 from softsensor.jobs.drift import alarms_of
 from softsensor.jobs.model_in_force import PRESS_FILE, fingerprint, standing_fits
 from softsensor.jobs.night_fits import Done, FitTask, fit_all
-from softsensor.jobs.night_judgement import DIAGNOSED_RUNS, FEWEST_RUNS, PROCESS, Night, NightOutcome, judge_night
+from softsensor.jobs.night_judgement import (
+    DIAGNOSED_RUNS,
+    FAILED,
+    FEWEST_RUNS,
+    PROCESS,
+    Night,
+    NightOutcome,
+    judge_night,
+)
 from softsensor.jobs.night_progress import Agenda, agenda_of
 from softsensor.jobs.night_sure import settled
 from softsensor.jobs.retention import Kept
 
+LOG = logging.getLogger("kerntemp.refit")
 ROLLED_BACK = "model-rolled-back"
 NOTHING_KEPT = Kept()
 
@@ -79,6 +91,33 @@ def refit_press(
     store.put_night(StoredNight(name, started, datetime.now(UTC), told, progress.as_json()))
     store.log("info", PROCESS, outcome.line, name)
     return outcome
+
+
+def failed_night(store: Store, name: str, began: datetime, why: Message) -> NightOutcome:
+    """Sign off for a press whose night did not come to its end: an alarm names it, the next begins where it did.
+
+    What the store holds of it may be the very fault, or the store away: what is returned says it all the same.
+    """
+    outcome = NightOutcome(name, runs=0, fitted=0, failed=0, version="", verdict=FAILED, reason=why)
+    with suppress(Exception):
+        store.log("alarm", PROCESS, outcome.line, name)
+    with suppress(Exception):
+        without = store.count_unfitted(name)
+        failed = without.get("unfit", 0) + without.get("killed", 0)
+        runs, blind = store.count_pressings(name), without.get("blind", 0)
+        outcome = replace(outcome, runs=runs, failed=failed, blind=blind)
+        before = store.nights(press=name, limit=1).items
+        told, progress = _told(outcome, 0.0), before[0].progress if before else {}
+        store.put_night(StoredNight(name, began, datetime.now(UTC), told, progress))
+    return outcome
+
+
+def reason_of(error: Exception) -> Message:
+    """Return what an error says; one that nobody foresaw leaves its trace in the log."""
+    if isinstance(error, InputError | StoreUnavailable):
+        return spoken(error)
+    LOG.error("%s", unexpected(error), exc_info=error)
+    return unexpected(error)
 
 
 @dataclass

@@ -59,6 +59,8 @@ LEAST_VALID = 0.9
 NOTHING_CHANGED = say("night-nothing-changed")
 NOT_ASKED = "not_asked"
 """Instead of a verdict, where the runs are those of the night before."""
+FAILED = "failed"
+"""Instead of a verdict, where the press's night could not be gone through."""
 ONE_SIDED = 0.95
 """Of Student's t where only one side counts, at 5 %."""
 FEWEST_RUNS = 3
@@ -76,7 +78,7 @@ class NightOutcome:
     version: str
     """The model in force afterwards, empty where there is none."""
     verdict: str = NOT_ASKED
-    """Of the diagnosis, or why there was none."""
+    """Of the diagnosis, or why there was none; with `FAILED` the reason says what kept the night from its end."""
     promoted: bool = False
     reason: Message = NOTHING_CHANGED
     newly_unfit: int = 0
@@ -111,6 +113,8 @@ class NightOutcome:
     @property
     def line(self) -> Message:
         """One line for terminal and journal."""
+        if self.verdict == FAILED:
+            return say("night-failed", press=self.press, why=self.reason)
         return say(
             "night-outcome",
             press=self.press,
