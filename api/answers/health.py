@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from datetime import datetime, timedelta
 from importlib.metadata import PackageNotFoundError, version
@@ -54,13 +55,15 @@ def health_of(store: Store, now: datetime) -> Health:
     try:
         statuses = store.statuses()
         alarms = _recent_alarms(store, now)
-        kept = _store_health(store)
+        processes = [_process(name, statuses.get(name), now) for name in _names(statuses, now)]
+        sizes = store.sizes()
+        kept = _store_health(store, sizes, _scans_per_s(processes))
         limits = crossed(store, now)
     except StoreUnavailable as error:
         empty = StoreHealth(kind=KINDS[store.database.dialect], size_bytes=None, free_bytes=None, hours_left=None)
         return _health("down", now, empty, [], [spoken(error)])
-    processes = [_process(name, statuses.get(name), now) for name in _names(statuses, now)]
-    alarms = [*_conditions(store, statuses, processes, now), *alarms, *(a.message for a in limits)]
+    conditions = _conditions(store, statuses, processes, sizes.free_bytes, now)
+    alarms = [*conditions, *alarms, *(a.message for a in limits)]
     return _health("degraded" if alarms else "ok", now, kept, processes, alarms)
 
 
@@ -68,7 +71,8 @@ def standing_alarms(store: Store, now: datetime) -> list[StandingAlarm]:
     """Return what stands now, as `/health` tells it, with what each is about: to be raised once."""
     statuses = store.statuses()
     processes = [_process(name, statuses.get(name), now) for name in _names(statuses, now)]
-    found = [StandingAlarm(_key(m), _press_in(m), m) for m in _conditions(store, statuses, processes, now)]
+    conditions = _conditions(store, statuses, processes, store.sizes().free_bytes, now)
+    found = [StandingAlarm(_key(m), _press_in(m), m) for m in conditions]
     return [*found, *crossed(store, now)]
 
 
@@ -88,11 +92,14 @@ def _press_in(said: Message) -> str | None:
 
 
 def _conditions(
-    store: Store, statuses: Mapping[str, ProcessStatus], processes: list[ProcessHealth], now: datetime
+    store: Store,
+    statuses: Mapping[str, ProcessStatus],
+    processes: list[ProcessHealth],
+    free_bytes: int | None,
+    now: datetime,
 ) -> list[Message]:
     """Return what is wrong with processes, disk and nightly job."""
     alarms = _process_alarms(processes)
-    free_bytes = store.sizes().free_bytes
     if free_bytes is not None and free_bytes < LEAST_FREE_BYTES:
         alarms.append(say("health-disk-nearly-full", gigabytes=LEAST_FREE_BYTES // 10**9))
     if (archive := store.archive()) is not None:
@@ -224,15 +231,23 @@ def _recent_alarms(store: Store, now: datetime) -> list[Message]:
     return [entry.message for entry in entries if now - entry.utc < ALARM_AGE]
 
 
-def _store_health(store: Store) -> StoreHealth:
-    sizes = store.sizes()
+def _store_health(store: Store, sizes: Sizes, scans_per_s: float) -> StoreHealth:
+    scans = round(sizes.bytes / sizes.bytes_per_scan)  # imported or recorded
+    left = None if sizes.free_bytes is None else hours_left(sizes.bytes, sizes.free_bytes, scans, scans_per_s)
     return StoreHealth(
         kind=KINDS[store.database.dialect],
         size_bytes=sizes.bytes,
         free_bytes=sizes.free_bytes,
-        hours_left=_hours_left(store, sizes),
+        hours_left=left,
         archive=_archive_health(store.archive()),
     )
+
+
+def _scans_per_s(processes: Sequence[ProcessHealth]) -> float:
+    """Return how many scans the recorders at work make of all their presses. [1/s]"""
+    told = [process.details for process in processes if process.alive and duty_of(process.name) == "record"]
+    presses = [press for details in told for press in details.get("presses", [])]
+    return math.fsum(press.get("rate_hz", 0.0) * press.get("speed", 1.0) for press in presses)
 
 
 def _archive_health(archive: Archive | None) -> ArchiveHealth | None:
@@ -241,19 +256,6 @@ def _archive_health(archive: Archive | None) -> ArchiveHealth | None:
     return ArchiveHealth(
         runs=archive.runs, bytes=archive.bytes, unsound=archive.unsound, pressings_only=archive.removed
     )
-
-
-def _hours_left(store: Store, sizes: Sizes) -> float | None:
-    """At the present rate of scans and the store's mean size for one, imported or recorded."""
-    per_second = 0.0
-    for press in store.presses():
-        batch = store.scans_after(press, store.newest_scan_number(press) - 20, 20)
-        if len(batch.scans) > 1:
-            elapsed = (batch.scans[-1].utc - batch.scans[0].utc).total_seconds()
-            per_second += (len(batch.scans) - 1) / elapsed if elapsed > 0 else 0.0
-    if sizes.free_bytes is None:
-        return None
-    return hours_left(sizes.bytes, sizes.free_bytes, round(sizes.bytes / sizes.bytes_per_scan), per_second)
 
 
 def hours_left(size_bytes: int, free_bytes: int, scans: int, scans_per_s: float) -> float | None:

@@ -313,9 +313,9 @@ def _old_surplus(
 def sizes_of(database: Database) -> Sizes:
     """Return how large the store is and what a scan costs."""
     with database.reading() as connection:
-        presses = connection.execute(select(PRESS.c.press_id)).scalars().all()
-        newest = [select(func.max(SCAN.c.number)).where(SCAN.c.press_id == key) for key in presses]
-        scans = sum(int(connection.execute(query).scalar() or 0) + 1 for query in newest)
+        newest = select(func.max(SCAN.c.number) + 1).where(SCAN.c.press_id == PRESS.c.press_id).scalar_subquery()
+        numbered = select(func.sum(func.coalesce(newest, 1))).select_from(PRESS)
+        scans = int(connection.execute(numbered).scalar() or 0)
         scans -= int(connection.execute(select(func.sum(ARCHIVE_TOTAL.c.scans))).scalar() or 0)
         if database.path is None:
             size = int(connection.execute(text("SELECT pg_database_size(current_database())")).scalar_one())

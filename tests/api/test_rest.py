@@ -8,6 +8,7 @@ import httpx
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from sqlalchemy import event
 
 from api.answers.events import press_event_of
 from api.answers.health import health_of, hours_left, is_missed
@@ -269,9 +270,28 @@ def test_imported_runs_do_not_shorten_how_long_the_disk_lasts(tmp_path):
             key, [Scan(i, began + timedelta(seconds=i / 10), i / 10, tuple(x), good) for i, x in enumerate(rows)]
         )
         sizes = store.sizes()
-        told = health_of(store, began).store.hours_left
+        assert health_of(store, datetime.now(UTC)).store.hours_left is None, "nobody records"
+        store.beat("record", {"state": "running", "presses": [{"press": "lab", "rate_hz": 5.0, "speed": 2.0}]})
+        told = health_of(store, datetime.now(UTC)).store.hours_left
         expected = store.sizes().free_bytes / (sizes.bytes / 67_000 * 10.0 * 3600.0)
     assert told == pytest.approx(expected, rel=0.05)
+
+
+def test_health_asks_the_store_as_often_however_many_presses_there_are(tmp_path):
+    asked, counts = [], []
+    with open_store(str(tmp_path / "s.sqlite")) as store:
+        store.presses()
+        event.listen(store.database.engine, "before_cursor_execute", lambda *told: asked.append(told[2]))
+        for count in (1, 30):
+            for number in range(count):
+                key = store.register_press(f"press-{number}", (Channel("top_1"),))
+                now = datetime.now(UTC)
+                store.append_scans(key, [Scan(key.next_number, now, 0.0, (20.0,), (Quality.GOOD,))])
+            asked.clear()
+            assert health_of(store, now).store.size_bytes > 0
+            counts.append(len(asked))
+        assert store.sizes().bytes_per_scan == pytest.approx(store.sizes().bytes / 31)
+    assert counts[0] == counts[1]
 
 
 def test_metrics_speak_prometheus(client, store):
