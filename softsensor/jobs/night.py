@@ -19,7 +19,7 @@ from typing import Any, Literal
 
 from daq.press.press_file import Press
 from daq.records import InputError
-from daq.store import JournalEntry, RunRecord, Store, StoredNight, StoreUnavailable, every
+from daq.store import JournalEntry, ModelRecord, RunRecord, Store, StoredNight, StoreUnavailable, every
 from daq.supervision import unexpected
 from daq.words import Message, say, spoken
 from softsensor.heat.model_file import ModelFile, parse_model
@@ -85,12 +85,21 @@ def refit_press(
         progress = replace(progress, bets=_bets(store, press, base, agenda, good[-DIAGNOSED_RUNS:]))
         night = Night(store, name, press, base, agenda.window, fits, progress.bets.sure)
         outcome = judge_night(night, outcome)
+    if active is not None and not outcome.promoted and _came_from_sisters(store, active):
+        reason = Message.from_json(active.model["basis"]["reason"])
+        outcome = replace(outcome, promoted=True, reason=reason)
     outcome = replace(outcome, drifts=tuple((a.coefficient, a.message) for a in alarms_of(store, name)))
     outcome = replace(outcome, archive=kept.line(name), archive_problem=kept.problem)
     told = _told(outcome, time.perf_counter() - begun) | kept.told()
     store.put_night(StoredNight(name, started, datetime.now(UTC), told, progress.as_json()))
     store.log("info", PROCESS, outcome.line, name)
     return outcome
+
+
+def _came_from_sisters(store: Store, active: ModelRecord) -> bool:
+    """Return whether a model was learned from sisters since the night before: this night tells of it."""
+    before = store.nights(press=active.press, limit=1).items
+    return "sisters" in active.model and (not before or before[0].ended_utc < active.created_utc)
 
 
 def failed_night(store: Store, name: str, began: datetime, why: Message) -> NightOutcome:

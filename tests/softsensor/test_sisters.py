@@ -126,6 +126,17 @@ def test_a_press_that_is_not_to_learn_has_no_model_before_its_own_pressings(stor
     assert store.active_model("new").model["sisters"]["presses"] == ["a", "b"]
 
 
+def test_the_night_in_which_a_press_learned_from_its_sisters_says_so_and_the_next_one_does_not(store):
+    told = []
+    for _ in range(2):
+        (outcome,) = refit_presses(store, {"new": PRESS}, workers=1, learning=["new"])
+        (night,) = store.nights(press="new", limit=1).items
+        told.append((outcome.promoted, night.night["promoted"], night.night["reason"]["code"]))
+    version = store.active_model("new").version
+    assert told[0] == (True, version, "model-from-sisters")
+    assert told[1][:2] == (False, "")
+
+
 def test_the_live_sensor_begins_with_sisters_unless_its_press_is_not_to(store):
     logger = {"name": "x", "profile": "m-7018", "host": "127.0.0.1", "channels": ["platen_top"]}
     for name, learns in (("alone", False), ("new", True)):
