@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter as Counted
 from collections.abc import Mapping, Sequence
 from datetime import datetime
 from typing import Any
@@ -99,8 +100,18 @@ def _add_nights(nights: Mapping[str, StoredNight], now: datetime, registry: Coll
     judged = Gauge(
         "kerntemp_night_model", "1 for a model promoted or refused", ["press", "what"], registry=registry
     )
+    failed = Gauge("kerntemp_night_failed", "1 where the night did not come to its end", label, registry=registry)
+    out = Gauge(
+        "kerntemp_night_left_out",
+        "Runs that this night could not fit, the first 50, by the reason's code",
+        ["press", "why"],
+        registry=registry,
+    )
     for name, night in nights.items():
         told = night.night
+        failed.labels(name).set(told["verdict"] == "failed")
+        for why, count in Counted(_code(one["why"]) for one in told["left_out"]).items():
+            out.labels(name, why).set(count)
         age.labels(name).set(max((now - night.ended_utc).total_seconds(), 0.0))
         took.labels(name).set(told["seconds"])
         if told["memory_bytes"] is not None:
@@ -113,6 +124,12 @@ def _add_nights(nights: Mapping[str, StoredNight], now: datetime, registry: Coll
             named.labels(name, effect).set(1)
         for what in ("promoted", "refused"):
             judged.labels(name, what).set(bool(told[what]))
+
+
+def _code(said: Mapping[str, Any]) -> str:
+    """Return the code of the innermost reason of what is said of a run."""
+    inner = said["arguments"].get("why")
+    return _code(inner) if isinstance(inner, dict) else str(said["code"])
 
 
 def _add_presses(

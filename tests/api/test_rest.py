@@ -218,6 +218,8 @@ def test_a_night_is_told_by_press_in_lists_and_numbers(client):
     assert 'kerntemp_night_seconds{press="lab"} 51.5' in numbers
     assert 'kerntemp_night_named{effect="edge_loss",press="lab"} 1.0' in numbers
     assert 'kerntemp_night_model{press="lab",what="refused"} 1.0' in numbers
+    assert 'kerntemp_night_left_out{press="lab",why="run-fit-killed"} 1.0' in numbers
+    assert 'kerntemp_night_failed{press="lab"} 0.0' in numbers
     assert "kerntemp_night_memory_bytes{" not in numbers  # not known here
 
 

@@ -430,6 +430,30 @@ def test_a_press_of_files_alone_is_a_quiet_tile_and_no_alarm(served, browser, la
     page.close()
 
 
+@pytest.mark.parametrize("width", [1280, 375])
+def test_the_nights_of_all_presses_stand_in_one_table_that_names_each_press(served, browser, width, tmp_path):
+    server, feed, _ = served
+    feed.store.register_press("north", CHANNELS, LAB.read_text(encoding="utf-8"))
+    for number, press in enumerate(("lab", "north", "lab")):
+        began = NIGHT_BEGAN + timedelta(days=number)
+        feed.store.put_night(StoredNight(press, began, began + timedelta(seconds=47), NIGHT, {}))
+    page = browser.new_page(viewport={"width": width, "height": 900}, locale="en-GB")
+    page.goto(server.url + "#/nights?press=lab")
+    rows = page.get_by_test_id("nights").locator("tbody tr")
+    expect(rows).to_have_count(2)
+    page.get_by_test_id("nights-of").select_option(label="all")
+    expect(rows).to_have_count(3)
+    for row, press in enumerate(("lab", "north", "lab")):
+        expect(rows.nth(row).get_by_text(press, exact=True)).to_be_visible()
+    page.screenshot(path=tmp_path / "nights.png")
+    page.reload()
+    expect(rows).to_have_count(3)
+    page.get_by_test_id("nights-of").select_option(label="lab")
+    expect(rows).to_have_count(2)
+    assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    page.close()
+
+
 def test_thirty_presses_stand_on_one_screen_and_a_tile_leads_to_its_press(served, browser, tmp_path):
     server, feed, _ = served
     text = LAB.read_text(encoding="utf-8")

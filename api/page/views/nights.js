@@ -1,4 +1,4 @@
-// Nights: what the nightly job did for each press, newest first.
+// Nights: what the nightly job did for the chosen press or for all, newest first.
 import { download, get, url } from "../api.js";
 import { bytes, duration, el, number, table, when } from "../dom.js";
 import { effectName, has, language, said, text } from "../words.js";
@@ -6,25 +6,35 @@ import { effectName, has, language, said, text } from "../words.js";
 export async function show(place, context) {
   const rows = el("div", { "data-testid": "nights" });
   const more = el("button", { type: "button", class: "button", hidden: true, onclick: () => load() }, text("page-more"));
-  place.append(el("section", { class: "card" }, el("h1", {}, text("page-nav-nights")), el("p", { class: "small faint" }, text("page-nights-hint")), rows, more));
-  const nights = [];
-  let cursor = null;
+  let all = context.presses.length > 1 && context.query.get("presses") === "all";
+  const choose = (event) => {
+    all = event.target.value === "all";
+    history.replaceState(null, "", all ? "#/nights?presses=all" : "#/nights");
+    begin();
+  };
+  const options = [["", context.press], ["all", text("page-all")]].map(([value, words]) => el("option", { value, selected: (value === "all") === all }, words));
+  const choice = context.presses.length > 1 ? el("label", { class: "row small" }, text("page-press"), el("select", { "data-testid": "nights-of", onchange: choose }, options)) : null;
+  place.append(el("section", { class: "card" }, el("div", { class: "head" }, el("h1", {}, text("page-nav-nights")), choice), el("p", { class: "small faint" }, text("page-nights-hint")), rows, more));
+  let nights, cursor, turn = 0;
+  const begin = () => { [nights, cursor] = [[], null]; return load(); };
   const load = async () => {
-    const page = await get("/nights", { press: context.press, cursor, limit: 30 });
+    const mine = ++turn;
+    const page = await get("/nights", { press: all ? null : context.press, cursor, limit: 30 });
+    if (mine !== turn) return;
     nights.push(...page.items);
     cursor = page.next_cursor;
     more.hidden = !cursor;
-    rows.replaceChildren(nights.length ? nightTable(nights) : el("p", { class: "faint" }, text("page-no-nights")));
+    rows.replaceChildren(nights.length ? nightTable(nights, all) : el("p", { class: "faint" }, text("page-no-nights")));
   };
-  await load();
+  await begin();
 }
 
-function nightTable(nights) {
-  const heads = [{ text: text("page-night") }, { text: text("page-night-new"), class: "right" }, { text: text("page-night-fitted"), class: "right" }, { text: text("page-night-left-out") },
+function nightTable(nights, all) {
+  const heads = [{ text: text("page-night") }, ...(all ? [{ text: text("page-press") }] : []), { text: text("page-night-new"), class: "right" }, { text: text("page-night-fitted"), class: "right" }, { text: text("page-night-left-out") },
     { text: text("page-night-took"), class: "right" }, { text: text("page-night-memory"), class: "right" }, { text: text("page-night-named") }, { text: text("page-night-model") }];
   return table(text("page-nav-nights"), heads, nights.map((one) => [
     el("div", {}, report(one), el("p", { class: "small faint" }, text("page-night-stored", { press: one.press, runs: one.runs })), archive(one)),
-    count(one.new), fitted(one), leftOut(one), el("span", { class: "num" }, duration(one.seconds)), el("span", { class: "num" }, bytes(one.memory_bytes)), named(one), model(one)]), { cards: true });
+    ...(all ? [one.press] : []), count(one.new), fitted(one), leftOut(one), el("span", { class: "num" }, duration(one.seconds)), el("span", { class: "num" }, bytes(one.memory_bytes)), named(one), model(one)]), { cards: true });
 }
 
 const report = (one) => el("a", { href: url(`/nights/${one.id}/report`, { language: language() }), download: null, target: "_blank", title: text("page-night-report"), onclick: download }, when(one.ended_utc));
