@@ -6,6 +6,7 @@ from api.answers.schemas import LeftOut, Night
 from api.answers.words import said_of
 from daq.store.records import StoredNight
 from daq.words import Message
+from softsensor.jobs.night_progress import nights_for
 
 
 def night_of(stored: StoredNight) -> Night:
@@ -21,5 +22,6 @@ def night_of(stored: StoredNight) -> Night:
         left_out=[LeftOut(run=run, why=str(why), why_said=said_of(why)) for run, why in left_out],
         reason=str(reason),
         reason_said=said_of(reason),
+        later_nights=nights_for(told["later"]),
         **told,
     )

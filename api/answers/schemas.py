@@ -733,6 +733,8 @@ class Night(_Answer):
     """Runs without panel sensors."""
     later: int
     """Older runs whose fits rest on effects or a press file of before; their turn comes in the next nights."""
+    later_nights: int
+    """So many nights these take, a share of them in each."""
     left_out: list[LeftOut]
     """What could not be fitted this night, the first 50."""
     verdict: str

@@ -1175,7 +1175,10 @@ night-fits =
         [0] { "" }
        *[other] , { $blind } ohne Fühler an der Platte
     }
-night-fits-later = { $fits }, { $later } ältere folgen in den nächsten Nächten
+night-fits-later = { $fits }, { $later } ältere folgen in { $nights ->
+        [one] der nächsten Nacht
+       *[other] den nächsten { $nights } Nächten
+    }
 night-left-to-you = { $version } wird nicht von selbst in Kraft gesetzt; zu entscheiden ist von Hand: { $reason }
 night-like-rolled-back = { $reason }; wie { $version }, das zurückgenommen wurde
 night-not-sure-yet = nur ein Verdacht, da alle Nächte zusammen noch nicht beweisen, dass etwas fehlt: { $causes }
@@ -2356,7 +2359,10 @@ page-night-archive = { $archived } archiviert, { $freed } frei{ $removed ->
     }
 page-night-blind = { $runs } ohne Fühler an der Platte
 page-night-fitted = Ausgewertet
-page-night-later = { $runs } ältere folgen
+page-night-later = { $runs } ältere folgen in { $nights ->
+        [one] der nächsten Nacht
+       *[other] den nächsten { $nights } Nächten
+    }
 page-night-left-out = Ausgelassen
 page-night-memory = Speicher
 page-night-model = Modell

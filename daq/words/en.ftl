@@ -1159,7 +1159,10 @@ night-fits =
         [one] , { $blind } has no panel sensors
        *[other] , { $blind } have no panel sensors
     }
-night-fits-later = { $fits }, { $later } older ones follow in the next nights
+night-fits-later = { $fits }, { $later } older ones follow in { $nights ->
+        [one] the next night
+       *[other] the next { $nights } nights
+    }
 night-left-to-you = { $version } is not promoted automatically; decide on it yourself: { $reason }
 night-like-rolled-back = { $reason }; like { $version }, which was rolled back
 night-not-sure-yet = only suspected, since all nights together do not yet prove that anything is missing: { $causes }
@@ -2337,7 +2340,10 @@ page-night-archive = { $archived } archived, { $freed } freed{ $removed ->
     }
 page-night-blind = { $runs } without panel sensors
 page-night-fitted = Fitted
-page-night-later = { $runs } older ones follow
+page-night-later = { $runs } older ones follow in { $nights ->
+        [one] the next night
+       *[other] the next { $nights } nights
+    }
 page-night-left-out = Left out
 page-night-memory = Memory
 page-night-model = Model

@@ -30,6 +30,7 @@ from softsensor.fitting.simulated_run import simulate_run
 from softsensor.heat.model_file import ModelFile, parse_model
 from softsensor.jobs.fitter import fit_one
 from softsensor.jobs.model_in_force import combined_model, next_version, with_stored_fits
+from softsensor.jobs.night_progress import nights_for
 from softsensor.jobs.night_sure import held_back, unsure_causes
 from softsensor.live.replay import replay
 from softsensor.signals.faces import measured_core
@@ -108,7 +109,9 @@ class NightOutcome:
         kept = self.runs - self.fitted - self.failed - self.blind - self.later
         told = {"fitted": self.fitted, "runs": self.runs, "kept": max(kept, 0)}
         fits = say("night-fits", **told, failed=self.failed, blind=self.blind)
-        return say("night-fits-later", fits=fits, later=self.later) if self.later else fits
+        if not self.later:
+            return fits
+        return say("night-fits-later", fits=fits, later=self.later, nights=nights_for(self.later))
 
     @property
     def line(self) -> Message:

@@ -99,6 +99,11 @@ def agenda_of(store: Store, name: str, press: Press, base: ModelFile | None) -> 
     return Agenda(mark.due, new, window, replace(before, seen=seen, edits=edits, behind=behind))
 
 
+def nights_for(later: int) -> int:
+    """Return how many nights older runs take, a share of them in each."""
+    return math.ceil(later / SHARE)
+
+
 def rests_on_of(press: Press, model: ModelFile | None) -> str:
     """Return what all fits of a press rest on, as a text that changes with press file and effects."""
     effects = model.as_json()["effects"] if model is not None else []

@@ -275,8 +275,24 @@ def test_the_diagnosis_is_shown_in_german(plant, browser):
 @pytest.mark.parametrize(
     ("language", "parts"),
     [
-        ("en-GB", ["lab, 1204 stored", "Evaporating moisture", "800 older ones follow", "401 fitted before"]),
-        ("de-DE", ["lab, 1204 gespeichert", "Verdampfende Feuchte", "800 ältere folgen", "401 schon ausgewertet"]),
+        (
+            "en-GB",
+            [
+                "lab, 1204 stored",
+                "Evaporating moisture",
+                "800 older ones follow in the next 4 nights",
+                "401 fitted before",
+            ],
+        ),
+        (
+            "de-DE",
+            [
+                "lab, 1204 gespeichert",
+                "Verdampfende Feuchte",
+                "800 ältere folgen in den nächsten 4 Nächten",
+                "401 schon ausgewertet",
+            ],
+        ),
     ],
 )
 def test_a_night_says_what_it_did_and_what_it_left_out(plant, browser, language, parts, tmp_path):

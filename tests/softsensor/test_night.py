@@ -304,7 +304,8 @@ def test_a_promoted_effect_refits_the_newest_runs_at_once_and_the_others_night_b
     promote_with(store, "lab-1", "edge_loss")
     nights = [refit_press(store, "lab", PRESS, workers=1) for _ in range(4)]
     assert [(n.new, n.fitted, n.later) for n in nights] == [(0, 7, 5), (0, 3, 2), (0, 2, 0), (0, 0, 0)]
-    assert "7 of 12 runs fitted, 0 could not be, 5 older ones follow in the next nights" in str(nights[0].line)
+    assert "7 of 12 runs fitted, 0 could not be, 5 older ones follow in the next 2 nights" in str(nights[0].line)
+    assert "2 older ones follow in the next night;" in str(nights[1].line)
     assert [night.night["later"] for night in store.nights(press="lab").items] == [0, 0, 2, 5, 0]
 
 

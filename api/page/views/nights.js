@@ -54,7 +54,7 @@ function fitted(one) {
 function leftOut(one) {
   const parts = [["page-night-not-fitted", one.not_fitted], ["page-night-blind", one.blind], ["page-night-later", one.later]].filter(([, runs]) => runs);
   if (!parts.length && !one.left_out.length) return "–";
-  return el("div", {}, parts.map(([code, runs]) => el("p", { class: code === "page-night-not-fitted" ? "small warn-text" : "small" }, text(code, { runs }))),
+  return el("div", {}, parts.map(([code, runs]) => el("p", { class: code === "page-night-not-fitted" ? "small warn-text" : "small" }, text(code, { runs, nights: one.later_nights }))),
     one.left_out.length ? el("details", {}, el("summary", { class: "small" }, text("page-night-why", { runs: one.left_out.length })),
       el("ul", { class: "small" }, one.left_out.map((each) => el("li", {}, el("a", { href: `#/runs/${encodeURIComponent(each.run)}` }, each.run), ` ${said(each.why_said, each.why)}`)))) : "");
 }
