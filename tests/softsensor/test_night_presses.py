@@ -90,7 +90,7 @@ def test_whatever_one_press_has_the_others_have_their_nights(fault, workers, tmp
 def test_whatever_one_press_has_the_others_have_their_nights_on_dask(fault, tmp_path, runs):
     from dask.distributed import LocalCluster
 
-    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
+    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0") as cluster:
         found = night_of_three(tmp_path, runs, fault, "--dask", cluster.scheduler_address)
     only_north_failed(found, fault)
 
