@@ -40,7 +40,7 @@ from daq.store.records import (
     StoredEstimate,
 )
 from daq.store.store import Store
-from daq.words import spoken
+from daq.words import Message, spoken
 
 TOLD_HERE = {"age_s", "valid_until_utc", "open_now", "advice"}
 """What of an estimate depends on when it is told."""
@@ -118,13 +118,12 @@ def run_detail(store: Store, run: RunRecord) -> RunDetail:
             RunEdit(utc=c.utc, who=c.who, field=c.field, before=_plain(c.before), after=_plain(c.after))
             for c in store.run_changes(run.run)
         ],
-        **stated_doubts(run.header),
+        **doubts_told(doubts(run.header)),
     )
 
 
-def stated_doubts(header: Mapping[str, Any]) -> dict[str, Any]:
+def doubts_told(found: Sequence[Message]) -> dict[str, Any]:
     """Return what is doubtful in a header as answers carry it."""
-    found = doubts(header)
     return {"doubts": [str(doubt) for doubt in found], "doubts_said": [said_of(doubt) for doubt in found]}
 
 

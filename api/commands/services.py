@@ -64,7 +64,7 @@ def serve(
     """Serve REST and the page; on loopback only unless tokens exist."""
     from api.alarms.watch import watching
     from api.alarms.ways import ways_of
-    from api.http.server import Listening, address_of, run_server
+    from api.http.server import Listening, address_of, make_server, run_server
     from api.http.tokens import TokenFile
     from daq.process.config import ServerSettings, load_config
     from daq.process.stopping import outlive_hangup
@@ -84,7 +84,8 @@ def serve(
         tell(say("terminal-serves", address=address_of(bound, tls=certificate is not None)))
         with watching(opened, ways):
             resins = {press.name: press.resin for press in (settings.press if settings else ()) if press.resin}
-            run_server(opened, tokens, listening, bound, resins)
+            headers = {press.name: press.header for press in (settings.press if settings else ())}
+            run_server(make_server(opened, tokens, listening, resins, headers), bound)
 
 
 def refit(

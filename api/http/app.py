@@ -68,8 +68,12 @@ def create_app(
     tokens: TokenFile,
     max_listeners: int = MAX_LISTENERS,
     resins: Mapping[str, Path] = MappingProxyType({}),
+    headers: Mapping[str, Mapping[str, Any]] = MappingProxyType({}),
 ) -> FastAPI:
-    """Make the application that serves `store`; the caller closes the store. `resins`: resin files by press."""
+    """Make the application that serves `store`; the caller closes the store.
+
+    `resins`: resin files by press; `headers`: what the configuration says of a press's runs.
+    """
     hub = Hub(store, max_listeners)
 
     @asynccontextmanager
@@ -88,7 +92,7 @@ def create_app(
         lifespan=lifespan,
         generate_unique_id_function=lambda route: route.name,
     )
-    app.state.store, app.state.hub, app.state.resins = store, hub, resins
+    app.state.store, app.state.hub, app.state.resins, app.state.headers = store, hub, resins, headers
     for router in ROUTERS:
         app.include_router(router, prefix="/api/v1", dependencies=[Depends(only_known_queries)])
     app.include_router(system.metrics_router)

@@ -151,14 +151,18 @@ def address_of(bound: socket.socket, *, tls: bool) -> str:
 
 
 def make_server(
-    store: Store, tokens: TokenFile, listening: Listening, resins: Mapping[str, Path] = MappingProxyType({})
+    store: Store,
+    tokens: TokenFile,
+    listening: Listening,
+    resins: Mapping[str, Path] = MappingProxyType({}),
+    headers: Mapping[str, Mapping[str, Any]] = MappingProxyType({}),
 ) -> uvicorn.Server:
     """Return a server over `store`; its ``run`` takes the sockets that `Listening.bind` made.
 
-    `resins`: resin files by press.
+    `resins`, `headers`: by press, as of `create_app`.
     """
     config = uvicorn.Config(
-        create_app(store, tokens, resins=resins),
+        create_app(store, tokens, resins=resins, headers=headers),
         host=listening.host,
         port=listening.port,
         log_level="warning",
@@ -175,12 +179,9 @@ def make_server(
     return _Server(config, ConnectionWatchdog(listening.idle_s))
 
 
-def run_server(
-    store: Store, tokens: TokenFile, listening: Listening, bound: socket.socket, resins: Mapping[str, Path]
-) -> None:
+def run_server(server: uvicorn.Server, bound: socket.socket) -> None:
     """Serve until interrupted or terminated."""
     logging.getLogger("uvicorn.access").disabled = True
     allow_many_files()
-    server = make_server(store, tokens, listening, resins)
     settle_memory()
     server.run(sockets=[bound])

@@ -56,6 +56,8 @@ VERDICTS = (GOOD, BLISTER, "undercured", "scrap")
 """What became of a panel, as the operator saw it."""
 VERDICT = "panel.verdict"
 """The key it stands under."""
+CONSTANTS = ("panel.density_kg_m3", "panel.conductivity_W_mK", "panel.heat_capacity_J_kgK")
+"""What the material table has of a panel."""
 TABLES = ("panel.conductivity_W_mK", "panel.heat_capacity_J_kgK")
 """Numbers in whose place a table in temperature may stand: rows of °C and value."""
 TEMPERATURE = "setting.platen_temperature_C"
@@ -181,6 +183,15 @@ def panel_of(run: Run) -> Panel:
     )
 
 
+def check_material(header: Mapping[str, Any], place: object) -> None:
+    """Refuse a material of which neither the table nor the header knows a constant. Raises InputError."""
+    material = str(header.get("panel.material", ""))
+    missing = [key for key in CONSTANTS if header.get(key) is None]
+    if missing and find_material(material) is None:
+        said = say("header-material-unknown", material=material, known=tuple(MATERIALS), missing=tuple(missing))
+        raise InputError(at(place, said))
+
+
 def _meant(key: str) -> str | None:
     """Return the key that a mistyped one was meant to be; None for one that is known, free or of its own."""
     base = key.removesuffix(SD)
@@ -215,11 +226,7 @@ def listed_constants(header: Mapping[str, Any]) -> dict[str, Constant]:
     known = find_material(str(header.get("panel.material", "")))
     if known is None:
         return {}
-    return {
-        "panel.density_kg_m3": known.density,
-        "panel.conductivity_W_mK": known.conductivity,
-        "panel.heat_capacity_J_kgK": known.heat_capacity,
-    }
+    return dict(zip(CONSTANTS, (known.density, known.conductivity, known.heat_capacity), strict=True))
 
 
 def _far(header: Mapping[str, Any]) -> Iterator[Message]:

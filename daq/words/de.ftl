@@ -252,6 +252,7 @@ header-key-meant = Kopfschlüssel { $key } ist unbekannt; gemeint ist wohl { $me
 header-key-twice = Kopfschlüssel { $key } ist zweimal angegeben; einen behalten
 header-key-unknown = Kopfschlüssel { $key } ist unbekannt; er wird aufbewahrt, aber nicht verwendet
 header-line-no-toml = '# { $text }' ist kein 'Schlüssel = Wert' in TOML ({ $reason }); Text in Anführungszeichen setzen, eine Bemerkung mit '##' beginnen
+header-material-unknown = Material '{ $material }' steht nicht in der Tabelle ({ $known }), und { $missing } ist nirgends angegeben; das Material berichtigen oder Fehlendes angeben
 header-missing = Kopfschlüssel { $key } fehlt; '# { $key } = ...' ergänzen
 header-missing-material = Kopfschlüssel { $key } fehlt und Material '{ $material }' steht nicht in der Tabelle ({ $known }); '# { $key } = ...' ergänzen
 header-no-number = Kopfschlüssel { $key } = { $value }: muss eine Zahl sein; den Kopf berichtigen
@@ -261,6 +262,7 @@ header-number-outside = Kopfschlüssel { $key } = { $value }: muss eine Zahl von
 header-override = Überschreibung im Kopf: { $what }
 header-sd-not-positive = { $key } = { $value }: eine Standardabweichung muss eine positive Zahl sein
 header-section = '# { $text }': Abschnitte werden nicht gelesen; '# panel.key = value' schreiben
+header-start-hot = panel.initial_temperature_C = { NUMBER($value, maximumFractionDigits: 1) }: Hände und Raum erwärmen keine Platte über { NUMBER($limit, maximumFractionDigits: 0) } °C; die Starttemperatur prüfen
 header-value-kind = Kopfwert { $value }: eine Laufdatei enthält Text, Zahlen, true/false, Zeiten und Listen
 manifest-line = nicht 'SHA-256-Summe, zwei Leerzeichen, Datei'; die Zeile entfernen
 mapping-header-source = header_from.{ $key }.column = '{ $column }': keine [[column]] führt dorthin

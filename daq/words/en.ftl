@@ -252,6 +252,7 @@ header-key-meant = header key { $key } is not known; did you mean { $meant }?
 header-key-twice = header key { $key } is given twice; keep one
 header-key-unknown = header key { $key } is not known; it is kept, and nothing uses it
 header-line-no-toml = '# { $text }' is not 'key = value' in TOML ({ $reason }); put text in quotes, start a remark with '##'
+header-material-unknown = material '{ $material }' is not in the table ({ $known }), and its { $missing } is given nowhere; correct the material, or give what is missing
 header-missing = header key { $key } is missing; add '# { $key } = ...'
 header-missing-material = header key { $key } is missing and material '{ $material }' is not in the table ({ $known }); add '# { $key } = ...'
 header-no-number = header key { $key } = { $value }: must be a number; correct the header
@@ -261,6 +262,7 @@ header-number-outside = header key { $key } = { $value }: must be a number from 
 header-override = header override: { $what }
 header-sd-not-positive = { $key } = { $value }: a standard deviation must be a positive number
 header-section = '# { $text }': sections are not read; write '# panel.key = value'
+header-start-hot = panel.initial_temperature_C = { NUMBER($value, maximumFractionDigits: 1) }: hands and room bring no panel above { NUMBER($limit, maximumFractionDigits: 0) } °C; check the start temperature
 header-value-kind = header value { $value }: a run file holds text, numbers, true/false, times and lists
 manifest-line = not 'SHA-256 sum, two spaces, file'; remove the line
 mapping-header-source = header_from.{ $key }.column = '{ $column }': no [[column]] maps to it

@@ -33,7 +33,7 @@ from daq.words import Message, say
 from softsensor.heat.model_file import ModelFile, PressedPanel
 from softsensor.live.directions import MOST_SHARE, odd_constants
 from softsensor.live.setup import RunSetup, set_up
-from softsensor.signals.pressed import one_product, thickness_sd
+from softsensor.signals.doubt import one_product, thickness_sd
 
 THICKNESS = "panel.thickness_mm"
 ENTRY_ERROR = 0.023

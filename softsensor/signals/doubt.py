@@ -89,6 +89,8 @@ neither: a name's worth. Unverified."""
 PANEL_THICKNESS_MM = ((19.0, 0.1), (float("inf"), 0.15))
 """Up to a thickness, its deviation: EN 622-1 allows ±0.2 mm up to 19 mm and ±0.3 mm beyond (method: EN 324-1),
 taken as two deviations. Unverified. [mm]"""
+ALLOWED = 2.0
+"""So many deviations to either side a norm allows a panel (`PANEL_THICKNESS_MM`)."""
 MOISTURE_PERCENT = 1.0
 """Of a moisture in the header: a meter's reading, or a delivery's. Unverified. [%]"""
 MOISTURE_GUESS = (7.5, 2.0)
@@ -232,3 +234,13 @@ def _number(value: object) -> float | None:
     if isinstance(value, list | tuple) and value and isinstance(value[0], list | tuple):
         value = value[0][1]
     return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
+
+
+def thickness_sd(nominal_mm: float) -> float:
+    """Return by how much panels of one nominal thickness differ. [mm]"""
+    return next(sd for upper, sd in PANEL_THICKNESS_MM if nominal_mm <= upper)
+
+
+def one_product(one_mm: float, other_mm: float) -> bool:
+    """Return whether both may be panels of one nominal thickness."""
+    return abs(one_mm - other_mm) <= 2.0 * ALLOWED * thickness_sd(max(one_mm, other_mm))

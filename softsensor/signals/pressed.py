@@ -5,20 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from softsensor.heat.model_file import PressedPanel
-from softsensor.signals.doubt import PANEL_THICKNESS_MM
-
-ALLOWED = 2.0
-"""So many deviations to either side a norm allows a panel (`PANEL_THICKNESS_MM`)."""
-
-
-def thickness_sd(nominal_mm: float) -> float:
-    """Return by how much panels of one nominal thickness differ. [mm]"""
-    return next(sd for upper, sd in PANEL_THICKNESS_MM if nominal_mm <= upper)
-
-
-def one_product(one_mm: float, other_mm: float) -> bool:
-    """Return whether both may be panels of one nominal thickness."""
-    return abs(one_mm - other_mm) <= 2.0 * ALLOWED * thickness_sd(max(one_mm, other_mm))
+from softsensor.signals.doubt import one_product
 
 
 def products(thicknesses_mm: Iterable[float]) -> tuple[PressedPanel, ...]:

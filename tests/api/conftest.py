@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from datetime import UTC, datetime, timedelta
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import httpx
 import numpy as np
@@ -169,7 +170,7 @@ def serve_any(tokens: TokenFile) -> Iterator[Callable[..., str]]:
     """Start servers over any store; returns their addresses."""
     running: list[tuple[Server, threading.Thread]] = []
 
-    def start(store: Store, **options: int) -> str:
+    def start(store: Store, **options: Any) -> str:
         app = create_app(store, tokens, **options)
         server = Server(uvicorn.Config(app, port=0, log_level="warning", timeout_graceful_shutdown=1))
         running.append((server, server.run_in_thread()))

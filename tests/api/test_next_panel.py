@@ -108,6 +108,37 @@ def test_an_override_that_the_press_file_does_not_take_is_refused_before_a_run_b
     assert taken.status_code == 200
 
 
+def test_a_material_without_constants_is_refused_unless_the_configuration_gives_them(plant, serve_any, writer):
+    store, client, _ = plant
+    unknown = {"panel.material": "unobtainium"}
+    refused = client.put("/press/next", json={"header": unknown})
+    assert refused.status_code == 422
+    assert "unobtainium" in refused.json()["detail"]
+    assert client.get("/press/next").json()["header"] == {}
+    own = {"panel.density_kg_m3": 600.0, "panel.conductivity_W_mK": 0.1, "panel.heat_capacity_J_kgK": 1500.0}
+    url = serve_any(store, headers={"lab": own})
+    taken = httpx.put(url + "/api/v1/press/next", json={"header": unknown}, headers=writer, timeout=240)
+    assert taken.status_code == 200
+
+
+@pytest.mark.parametrize(
+    ("header", "code"),
+    [
+        ({"panel.initial_temperature_C": 190.0}, "header-start-hot"),
+        ({"panel.thickness_mm": 190.0}, "panel-not-pressed-before"),
+    ],
+)
+def test_a_panel_unlike_all_before_is_taken_with_a_doubt(plant, header, code):
+    store, client, press_a_panel = plant
+    press_a_panel()
+    said = client.put("/press/next", json={"header": header}).json()
+    assert [doubt["code"] for doubt in said["doubts_said"]] == [code]
+    assert client.get("/press/next").json()["doubts"] == said["doubts"]
+    assert [str(line.message) for line in doubts_in_journal(store)] == [f"press lab: {said['doubts'][0]}"]
+    usual = {"panel.initial_temperature_C": 21.0, "panel.thickness_mm": 16.2}
+    assert client.put("/press/next", json={"header": usual}).json()["doubts"] == []
+
+
 def test_who_may_only_read_changes_neither_panel_nor_verdict(plant, tokens):
     _, client, press_a_panel = plant
     reader = {"Authorization": f"Bearer {tokens.create('reader', 'read')}"}

@@ -22,8 +22,8 @@ from softsensor.live.panels import (
 )
 from softsensor.live.sensor import LiveSensor
 from softsensor.live.validity import InvalidReason
-from softsensor.signals.doubt import Source
-from softsensor.signals.pressed import all_products, products, thickness_sd
+from softsensor.signals.doubt import Source, thickness_sd
+from softsensor.signals.pressed import all_products, products
 from tests.softsensor.test_live_trust import HELD, MODEL, PLAN, PRESS
 
 KEY = "panel.thickness_mm"

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from fastapi import Depends, Query, Request
 from fastapi.dependencies.models import Dependant
@@ -36,6 +36,12 @@ def get_resins(request: Request) -> Mapping[str, Path]:
     """Return the resin files of the configuration by press."""
     resins: Mapping[str, Path] = request.app.state.resins
     return resins
+
+
+def get_headers(request: Request) -> Mapping[str, Mapping[str, Any]]:
+    """Return what the configuration says of the runs of each press."""
+    headers: Mapping[str, Mapping[str, Any]] = request.app.state.headers
+    return headers
 
 
 def get_writer(request: Request) -> str:
@@ -73,6 +79,7 @@ Words = Annotated[str, Field(max_length=4000, pattern=r"^[^\x00-\x08\x0b-\x1f\x7
 """Any text but control characters, which no database keeps and no reader sees; lines and tabs may be."""
 StoreDep = Annotated[Store, Depends(get_store)]
 ResinsDep = Annotated[Mapping[str, Path], Depends(get_resins)]
+HeadersDep = Annotated[Mapping[str, Mapping[str, Any]], Depends(get_headers)]
 Writer = Annotated[str, Depends(get_writer)]
 PageSize = Annotated[int, Query(ge=1, le=MAX_PAGE, description="Items in one page.")]
 Cursor = Annotated[

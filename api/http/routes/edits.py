@@ -10,22 +10,34 @@ import numpy as np
 from fastapi import APIRouter
 from pydantic import BaseModel, ConfigDict, Field, StrictBool, StrictFloat, StrictInt
 
-from api.answers.records import run_detail, stated_doubts
+from api.answers.records import doubts_told, run_detail
 from api.answers.schemas import NextPanelNow, RunDetail, RunVerdict, Verdict
 from api.http.problems import ProblemError, problem_responses
-from api.http.routes.common import PressName, StoreDep, Words, Writer, existing_press, existing_run
-from daq.press.header import VERDICT, check_header, doubts, new_doubts, panel_of
+from api.http.routes.common import (
+    MAX_PAGE,
+    HeadersDep,
+    PressName,
+    StoreDep,
+    Words,
+    Writer,
+    existing_press,
+    existing_run,
+)
+from daq.press.detector import HAND_C
+from daq.press.header import VERDICT, check_header, check_material, doubts, new_doubts, panel_of
 from daq.press.press_file import SD, overridden, parse_press, press_for_run
 from daq.records import InputError, Run
 from daq.store.convert import header_of, header_text
 from daq.store.records import RunRecord
 from daq.store.store import Store
-from daq.words import say
+from daq.words import Message, say
+from softsensor.signals.doubt import one_product
 
 router = APIRouter(tags=["runs"], responses=problem_responses(404))
 
 NUMBERS = ("setting.", "ambient.")
 """Header keys that begin so are numbers: fits, drift and the live sensor reckon with them."""
+THICKNESS = "panel.thickness_mm"
 EXACT = 2**53
 """Whole numbers up to here are the same in JSON, TOML and a float."""
 Key = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+(\.[A-Za-z0-9_-]+)*$", max_length=200)]
@@ -135,12 +147,14 @@ def get_next_panel(store: StoreDep, press: PressName = None) -> NextPanelNow:
         who=said.who,
         utc=said.utc,
         recipes=recipes,
-        **stated_doubts(header),
+        **doubts_told(_doubts(store, name, header)),
     )
 
 
 @router.put("/press/next", operation_id="put_next_panel", summary="Say what the next panels are")
-def put_next_panel(store: StoreDep, change: NextPanelChange, who: Writer, press: PressName = None) -> NextPanelNow:
+def put_next_panel(
+    store: StoreDep, headers: HeadersDep, change: NextPanelChange, who: Writer, press: PressName = None
+) -> NextPanelNow:
     """Replace what is said of the panels to come; runs begin with it until it is changed, an empty one ends it."""
     name = _one_press(store, press)
     if reserved := {"run", "remark", "recipe", VERDICT} & set(change.header):
@@ -149,14 +163,30 @@ def put_next_panel(store: StoreDep, change: NextPanelChange, who: Writer, press:
         check_keys(change.header, change.header, f"press {name}")
         if text := store.presses().get(name, ""):
             overridden(parse_press(text, f"press {name}"), change.header, f"press {name}")
+        if "panel.material" in change.header:
+            check_material({**headers.get(name, {}), **change.header}, f"press {name}")
     store.put_next_panel(name, change.header, change.recipe, who)
     store.log(
         "info", who, say("api-next-panel", press=name, fields=tuple(change.header), recipe=change.recipe), name
     )
     now = get_next_panel(store, name)
-    for doubt in doubts(now.header):
+    for doubt in _doubts(store, name, now.header):
         store.log("warning", who, say("of-press", press=name, what=doubt), name)
     return now
+
+
+def _doubts(store: Store, press: str, header: Mapping[str, Any]) -> tuple[Message, ...]:
+    """Return what is to be asked about the panels to come."""
+    found = list(doubts(header))
+    if isinstance(start := header.get("panel.initial_temperature_C"), int | float) and start > HAND_C:
+        found.append(say("header-start-hot", value=start, limit=HAND_C))
+    thickness = header.get(THICKNESS)
+    pressed = [run.header.get(THICKNESS) for run in store.runs(press=press, limit=MAX_PAGE).items]
+    known = [mm for mm in pressed if isinstance(mm, int | float)]
+    if isinstance(thickness, int | float) and known and not any(one_product(thickness, mm) for mm in known):
+        nearest = min(known, key=lambda mm: abs(mm - thickness))
+        found.append(say("panel-not-pressed-before", key=THICKNESS, header_mm=thickness, nearest_mm=nearest))
+    return tuple(found)
 
 
 def _one_press(store: Store, press: str | None) -> str:

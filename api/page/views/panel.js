@@ -53,7 +53,8 @@ export class PanelCards {
     });
     this.next.replaceChildren(el("div", { class: "head" }, el("h2", {}, text("page-next-panel")),
       el("span", { class: "small faint" }, said.who ? text("page-next-by", { who: said.who, time: clock(said.utc) }) : "")),
-    form, el("p", { class: "small faint" }, text("page-next-hint")), this.faces, message);
+    form, ...said.doubts_said.map((doubt) => el("p", { class: "warning", role: "status" }, `⚠ ${text(doubt.code, doubt.arguments)}`)),
+    el("p", { class: "small faint" }, text("page-next-hint")), this.faces, message);
   }
 
   // What the faces read now, beside the start temperature that is typed in, and the last panel's verdict.
