@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from datetime import datetime
 from decimal import Decimal
 from numbers import Real
@@ -26,8 +27,9 @@ def frame_of(run: Run, *, utc: bool = False, as_given: bool = False) -> pd.DataF
     """Return a run as a table, one row a scan: its header in ``attrs``, its texts as columns.
 
     What JSON does not hold, instants and dates, stands as ISO text in ``attrs``, so that Parquet can be written.
-    A run that `run_of` made of a table has that table's columns in their order and of their kinds (whole numbers,
-    categories, instants of a zone, narrower floats), as far as they can hold what is in them.
+    A run that `run_of` made of a table has that table's columns in their order and of their kinds (whole numbers
+    of any size, categories, instants of a zone, narrower floats, objects, texts with gaps), as long as the run
+    says the same of them; a column changed since then has what it says now.
 
     Parameters
     ----------
@@ -35,7 +37,7 @@ def frame_of(run: Run, *, utc: bool = False, as_given: bool = False) -> pd.DataF
         Index the rows by instants in UTC, not by ``time_s``: to join them with other tables.
     as_given
         Index them as that table was: by instants of its zone or of none, by durations, or with a column
-        ``time_s``; a run of a file by ``time_s``.
+        ``time_s`` beside whatever its index was; a run of a file by ``time_s``.
 
     Raises
     ------
@@ -59,7 +61,7 @@ def frame_of(run: Run, *, utc: bool = False, as_given: bool = False) -> pd.DataF
     index = _instants(run) if utc else pd.Index(run.time_s, name=TIME)
     frame = pd.DataFrame({**run.columns, **run.texts}, index=index)
     if isinstance(run.layout, Layout):
-        frame = with_kinds(frame, run.layout)
+        frame = with_kinds(frame, run.layout, run)
         frame = with_index(frame, run.layout, run) if as_given and not utc else frame
     frame.attrs.update(attrs_of(run))
     return frame
@@ -152,8 +154,9 @@ def run_of(frame: pd.DataFrame, header: Mapping[str, Any] | None = None) -> Run:
     check_rows(name, rows)
     check_header(keys, name)
     del columns[TIME]
-    layout = layout_of(frame, given_times)
-    run: Run = with_frozen_fields(without_unusable(Run(name, keys, times, columns, name, texts, layout)))
+    made = Run(name, keys, times, columns, name, texts)
+    made = replace(made, layout=layout_of(frame, given_times, made))
+    run: Run = with_frozen_fields(without_unusable(made))
     return run
 
 

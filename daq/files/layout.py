@@ -1,12 +1,14 @@
 """How a pandas table was laid out that a run was made of: the order and kinds of its columns, and its index.
 
 A run holds channels of 64-bit floats and texts; what the table had besides is kept here, so that it comes back.
+What those cannot hold (a gap among texts, whole numbers above 2**53, objects) is kept as it was given, and comes
+back while the run still says the same of it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from types import MappingProxyType
 from typing import Any
 
@@ -17,8 +19,11 @@ from daq.files.instants import STARTED
 from daq.files.run_rows import TIME
 from daq.records import Array, Run
 
+WHOLE = 2**53
+"""Beyond it not every whole number is a 64-bit float. (IEEE 754-2019, binary64: 53 bits)"""
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, eq=False)
 class Layout:
     """What a table had that a run has not."""
 
@@ -30,36 +35,79 @@ class Layout:
     """The index' name."""
     first: pd.Timestamp | None
     """The first of instants without a zone, which no header tells."""
+    rows: pd.Index
+    """Its times in the run, by which the rows of what is kept are found. [s]"""
+    labels: pd.Index | None
+    """Its index, where the times stood in a column beside one that does not just count."""
+    heads: Any
+    """The name of its columns' axis."""
+    kept: Mapping[str, tuple[pd.Series[Any], pd.Series[Any]]]
+    """By column what was given and what the run holds of it, where that alone does not give it back."""
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Let it go to another process, which a read-only mapping does not by itself."""
-        return _made, (dict(self.kinds), self.in_index, self.index, self.first)
+        held = {one.name: getattr(self, one.name) for one in fields(self)}
+        return _made, (held | {"kinds": dict(self.kinds), "kept": dict(self.kept)},)
+
+    def places(self, time_s: Array) -> Any:
+        """Return at which of the table's rows these times stand; None where one stands at none."""
+        found = self.rows.get_indexer(pd.Index(time_s))
+        return None if (found < 0).any() else found
 
 
-def _made(kinds: Mapping[str, Any], in_index: bool, index: Any, first: pd.Timestamp | None) -> Layout:
-    return Layout(MappingProxyType(dict(kinds)), in_index, index, first)
+def _made(held: Mapping[str, Any]) -> Layout:
+    layout = Layout(**held)
+    return replace(layout, kinds=MappingProxyType(layout.kinds), kept=MappingProxyType(layout.kept))
 
 
-def layout_of(frame: pd.DataFrame, times: pd.Series[Any]) -> Layout:
-    """Return how a table is laid out whose times are these."""
+def layout_of(frame: pd.DataFrame, times: pd.Series[Any], run: Run) -> Layout:
+    """Return how a table is laid out whose times are these, and which became this run."""
     in_index = TIME not in frame.columns
     kinds = {str(column): kind for column, kind in frame.dtypes.items()} | {TIME: times.dtype}
     naive = pd.api.types.is_datetime64_dtype(times.dtype)
-    return _made(kinds, in_index, frame.index.name, times.iloc[0] if naive else None)
+    kept = {}
+    for column in frame.columns.drop(TIME, errors="ignore"):
+        given, held = frame[column].reset_index(drop=True), {**run.columns, **run.texts}[str(column)]
+        if _is_more_than_held(given):
+            kept[str(column)] = (given.copy(), pd.Series(held))
+    counts = isinstance(frame.index, pd.RangeIndex) and frame.index.equals(pd.RangeIndex(len(frame)))
+    labels = None if in_index or (counts and frame.index.name is None) else frame.index
+    first = times.iloc[0] if naive else None
+    places = {"in_index": in_index, "index": frame.index.name, "rows": pd.Index(run.time_s), "labels": labels}
+    return _made({"kinds": kinds, "first": first, "heads": frame.columns.name, "kept": kept} | places)
 
 
-def with_kinds(frame: pd.DataFrame, layout: Layout) -> pd.DataFrame:
+def _is_more_than_held(given: pd.Series[Any]) -> bool:
+    """Return whether a column's kind does not give it back from what a run holds of it."""
+    if pd.api.types.is_integer_dtype(given.dtype):
+        return bool((given.lt(-WHOLE) | given.gt(WHOLE)).any())
+    gaps = isinstance(given.dtype, pd.StringDtype) and given.isna().any()
+    return bool(gaps) or pd.api.types.is_object_dtype(given.dtype)
+
+
+def with_kinds(frame: pd.DataFrame, layout: Layout, run: Run) -> pd.DataFrame:
     """Return a run's table with its columns in the order and of the kinds that the layout tells."""
     order = [column for column in layout.kinds if column in frame.columns]
     order += [column for column in frame.columns if column not in layout.kinds]
     if order != list(frame.columns):
         frame = frame[order]
+    places = layout.places(run.time_s) if layout.kept else None
     changed = {
-        column: _of_kind(frame[column], kind)
+        column: _as_given(frame[column], layout, places)
         for column, kind in layout.kinds.items()
-        if column in frame.columns and frame[column].dtype != kind
+        if column in frame.columns and (frame[column].dtype != kind or column in layout.kept)
     }
-    return frame.assign(**changed) if changed else frame
+    return (frame.assign(**changed) if changed else frame).rename_axis(columns=layout.heads)
+
+
+def _as_given(values: pd.Series[Any], layout: Layout, places: Any) -> pd.Series[Any]:
+    """Return a column as it was given, as far as the run still says the same of it."""
+    column = str(values.name)
+    if column in layout.kept and places is not None:
+        given, held = (one.take(places) for one in layout.kept[column])
+        if held.reset_index(drop=True).equals(values.reset_index(drop=True)):
+            return given.set_axis(values.index)
+    return _of_kind(values, layout.kinds[column])
 
 
 def with_index(frame: pd.DataFrame, layout: Layout, run: Run) -> pd.DataFrame:
@@ -70,7 +118,8 @@ def with_index(frame: pd.DataFrame, layout: Layout, run: Run) -> pd.DataFrame:
     placed = frame.reset_index(drop=True)
     columns = list(layout.kinds)
     placed.insert(min(columns.index(TIME), placed.shape[1]), TIME, times)
-    return placed
+    places = layout.places(run.time_s)
+    return placed if layout.labels is None or places is None else placed.set_index(layout.labels.take(places))
 
 
 def _times(run: Run, layout: Layout) -> pd.Index:
