@@ -2,7 +2,8 @@
 
     python deploy/figures/gallery_notebooks.py [NAME...]
 
-Needs the extra ``test``. A test holds every notebook against its script and runs it.
+Needs the extra ``test``. A test holds every notebook against its script, runs it, and holds what it says against
+what is kept: whoever changes how a result prints, or what a fit finds, runs this once more.
 """
 
 from __future__ import annotations
