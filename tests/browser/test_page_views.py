@@ -716,6 +716,17 @@ def test_the_next_panel_is_entered_with_large_fields_and_the_last_one_is_judged(
     page.wait_for_function(f"{told}.then((it) => it.verdict === 'blister' && it.who === 'foreman')")
 
 
+def test_on_a_touch_screen_every_field_of_the_next_panel_is_large_enough_for_a_glove(plant, browser):
+    address, _, _ = plant
+    context = browser.new_context(viewport={"width": 768, "height": 1024}, has_touch=True, is_mobile=True)
+    page = context.new_page()
+    page.goto(address + "#/now")
+    controls = page.get_by_test_id("next-panel").locator("input:visible, select:visible, button:visible")
+    expect(controls).to_have_count(8)
+    assert min(controls.evaluate_all("all => all.map((one) => one.getBoundingClientRect().height)")) >= 56.0
+    context.close()
+
+
 def test_runs_are_found_by_what_is_typed_sorted_by_a_column_and_kept_in_the_address(plant):
     address, page, _ = plant
     page.goto(address + "#/runs")
