@@ -61,7 +61,7 @@ def main(presses: int, seed: int) -> None:
         ever, begun = false_alarms(rng, presses, draw)
         print(f"  {name:24s} an alarm ever in {ever:6.1%} of presses, {begun:.2f} in 1000 pressings")
     print("pressings until a change after 100 is noticed: median, mean, 90 %")
-    for spread in (0.05, 0.08, 0.12):
+    for spread in (0.05, 0.08, 0.12, 0.2, 0.3):
         for change, over in ((-0.1, 1), (-0.1, 30), (-0.3, 1)):
             late = noticed(rng, presses, spread, change, over)
             kind = "at once" if over == 1 else f"over {over}"
