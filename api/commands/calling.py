@@ -56,6 +56,10 @@ class Command(TyperCommand):
             raise InputError(say("call-surplus", words=tuple(ctx.args)))
         return rest
 
+    def shell_complete(self, ctx: Any, incomplete: str) -> list[Any]:
+        """Return what the word may become, for the shell."""
+        return _with_words(super().shell_complete(ctx, incomplete))
+
     def get_help(self, ctx: Any) -> str:
         """Return the help page."""
         return "\n".join(help_lines(self, ctx))
@@ -74,10 +78,30 @@ class Group(TyperGroup):
             )
         return super().resolve_command(ctx, args)
 
+    def shell_complete(self, ctx: Any, incomplete: str) -> list[Any]:
+        """Return what the word may become, for the shell."""
+        found = super().shell_complete(ctx, incomplete)
+        for item in found:
+            if item.value in self.commands:
+                item.help = command_help(item.value).code
+        return _with_words(found)
+
     def get_help(self, ctx: Any) -> str:
         """Return the help page."""
         commands = [(name, command_help(name)) for name in self.commands]
         return "\n".join([*help_lines(self, ctx), *_section(say("help-commands"), commands)])
+
+
+def _with_words(items: list[Any]) -> list[Any]:
+    """Give completions their help from the catalogues, where they have one, each in a line."""
+    from rich.markup import escape  # the shell's scripts have markup taken out
+
+    for item in items:
+        if item.value == "--help":
+            item.help = "help-help"
+        if item.help:
+            item.help = escape(textwrap.shorten(in_words(Message(item.help)), _width() - 1, placeholder="…"))
+    return items
 
 
 def command_help(name: str) -> Message:

@@ -490,6 +490,30 @@ def test_what_a_shell_needs_to_complete_is_printed(shell, capsys):
     assert "_KERNTEMP_COMPLETE=complete_" + shell in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("shell", ["zsh", "fish"])
+@pytest.mark.parametrize(
+    ("language", "call", "said"),
+    [
+        ("en", "kerntemp demo --sp", "Times real speed, 0.1 to 200."),
+        ("de", "kerntemp demo --sp", "Vielfaches der wirklichen Geschwindigkeit"),
+        ("en", "kerntemp pub", "Feed an MQTT broker ([mqtt])"),
+        ("de", "kerntemp fit --", "Diese Seite zeigen."),
+    ],
+)
+def test_the_shell_is_told_what_a_completion_means(shell, language, call, said):
+    asked = {
+        "_KERNTEMP_COMPLETE": f"complete_{shell}",
+        "_TYPER_COMPLETE_ARGS": call,
+        "KERNTEMP_LANGUAGE": language,
+    }
+    asked |= {"_TYPER_COMPLETE_FISH_ACTION": "get-args", "COLUMNS": "80"}
+    command = [sys.executable, "-c", "import sys; sys.argv[0] = 'kerntemp'; from api.cli import main; main()"]
+    told = subprocess.run(command, env={**os.environ, **asked}, capture_output=True, text=True, check=False).stdout
+    assert said in told
+    assert "help-" not in told
+    assert "broker ()" not in told
+
+
 def test_an_effect_that_does_not_exist_is_refused_before_anything_is_diagnosed(files, first, capsys, monkeypatch):
     monkeypatch.setattr("softsensor.diagnosis.verdict.diagnose", lambda *_, **__: pytest.fail("diagnosed first"))
     call = ["diagnose", first, "--press", str(files / "press.toml"), "--rehearse", "--rehearse-effect", "nonsense"]
