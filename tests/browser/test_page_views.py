@@ -716,6 +716,29 @@ def test_the_next_panel_is_entered_with_large_fields_and_the_last_one_is_judged(
     page.wait_for_function(f"{told}.then((it) => it.verdict === 'blister' && it.who === 'foreman')")
 
 
+def test_the_next_panel_is_shown_anew_when_a_pressing_took_what_was_said_unless_somebody_types(served):
+    server, feed, page = served
+    feed.pause_s = 0.0
+    token = TokenFile(server.config.parent / "kerntemp-tokens.json").create("foreman", "write")
+    with_token(page, token)
+    feed.pressing(scans=40, batch=10)
+    page.goto(server.url + "#/now")
+    card = page.get_by_test_id("next-panel")
+    start, target = card.get_by_label("Start temperature"), card.get_by_label("Target")
+    start.fill("31")
+    target.fill("85")
+    card.get_by_role("button", name="Save").click()
+    expect(card).to_contain_text("by foreman")
+    page.mouse.click(1, 1)  # nobody is in the card
+    feed.pressing(scans=40, batch=10)
+    expect(start).to_have_value("")
+    expect(target).to_have_value("85")
+    target.fill("90")
+    feed.pressing(scans=40, batch=10)
+    expect(page.get_by_role("link", name="lab-0000080").first).to_be_visible()
+    expect(target).to_have_value("90")
+
+
 def test_on_a_touch_screen_every_field_of_the_next_panel_is_large_enough_for_a_glove(plant, browser):
     address, _, _ = plant
     context = browser.new_context(viewport={"width": 768, "height": 1024}, has_touch=True, is_mobile=True)

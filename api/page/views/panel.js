@@ -10,7 +10,7 @@ const FIELDS = [["panel.material", "page-material", ""], ["panel.thickness_mm", 
 
 export class PanelCards {
   constructor(place, press) {
-    Object.assign(this, { press, run: null });
+    Object.assign(this, { press, run: null, begun: undefined, typed: false });
     this.next = el("section", { class: "card touch", "data-testid": "next-panel" });
     this.verdict = el("section", { class: "card touch", "data-testid": "verdict", hidden: true });
     place.append(this.verdict, this.next);
@@ -22,6 +22,7 @@ export class PanelCards {
   }
 
   draw(said) {
+    this.typed = false;
     const fields = FIELDS.map(([key, label, unit]) => {
       const value = said.header[key];
       const input = el("input", { type: "text", id: `next-${key}`, inputmode: key === "panel.material" ? "text" : "decimal", autocomplete: "off", value: value === undefined ? "" : typeof value === "number" ? written(value) : value });
@@ -42,6 +43,7 @@ export class PanelCards {
       el("label", { for: "next-recipe" }, text("page-recipe"), choice), ...fields.map(({ row }) => row),
       el("label", { for: "next-name" }, text("page-recipe-name"), name),
       el("button", { class: "button primary" }, text("page-save")));
+    form.addEventListener("input", () => { this.typed = true; });
     form.addEventListener("submit", async (event) => {
       event.preventDefault();
       const others = Object.entries(said.header).filter(([key]) => !FIELDS.some(([known]) => known === key));
@@ -61,11 +63,19 @@ export class PanelCards {
   show(now) {
     const degrees = (value) => `${number(value, 1)} °C`;
     if (this.faces) this.faces.textContent = text("page-next-faces", { top: degrees(now.faces.top_C), bottom: degrees(now.faces.bottom_C) });
+    this.follow(now.run);
     const done = now.run && (now.run_status !== "open" || now.estimate?.advice?.verdict === "opened") ? now.run : null;
     if (done === this.run) return;
     this.run = done;
     this.verdict.hidden = !done;
     if (done) this.ask(done).catch(() => { this.verdict.hidden = true; });
+  }
+
+  // A pressing that begins takes what was said of its panel alone, and others may have said something since.
+  follow(run) {
+    const before = this.begun;
+    this.begun = run;
+    if (before !== undefined && run !== before && !this.typed && !this.next.contains(document.activeElement)) this.load().catch(() => {});
   }
 
   async ask(run) {
