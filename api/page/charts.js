@@ -26,8 +26,7 @@ export class TimeChart {
     this.holder.addEventListener("wheel", (event) => {
       if (!event.ctrlKey && !event.shiftKey) return; // the page scrolls
       event.preventDefault();
-      const over = this.plot.over.getBoundingClientRect();
-      this.zoom(event.deltaY > 0 || event.deltaX > 0 ? 1.25 : 0.8, Math.max(0, Math.min(1, (event.clientX - over.left) / over.width)));
+      this.zoom(event.deltaY > 0 || event.deltaX > 0 ? 1.25 : 0.8, this.across(event.clientX));
     }, { passive: false });
     for (const kind of ["touchstart", "touchmove", "touchend"]) this.holder.addEventListener(kind, (event) => this.fingers(event), { passive: false });
     this.release = el("button", { type: "button", class: "button follow", hidden: true, onclick: () => this.hold(false) }, release);
@@ -192,6 +191,12 @@ export class TimeChart {
     this.plot.setScale("x", { min: at - (at - min) * factor, max: at + (max - at) * factor });
   }
 
+  // How far across the chart a place on the screen is, 0 to 1.
+  across(x) {
+    const { left, width } = this.plot.over.getBoundingClientRect();
+    return Math.max(0, Math.min(1, (x - left) / width));
+  }
+
   pan(share) {
     const { min, max } = this.plot.scales.x;
     this.hold(true);
@@ -212,8 +217,9 @@ export class TimeChart {
 
   fingers(event) {
     if (event.touches.length !== 2) { this.apart = null; return; }
-    const apart = Math.abs(event.touches[0].clientX - event.touches[1].clientX);
-    if (this.apart && apart > 0) this.zoom(this.apart / apart);
+    const [{ clientX: x, clientY: y }, { clientX: other, clientY: below }] = event.touches;
+    const apart = Math.hypot(x - other, y - below);
+    if (this.apart && apart > 0) this.zoom(this.apart / apart, this.across((x + other) / 2));
     this.apart = apart;
     event.preventDefault();
   }

@@ -739,6 +739,41 @@ def test_the_next_panel_is_shown_anew_when_a_pressing_took_what_was_said_unless_
     expect(target).to_have_value("90")
 
 
+@pytest.mark.parametrize("upright", [False, True], ids=["side by side", "one above the other"])
+def test_two_fingers_zoom_about_the_place_between_them(plant, browser, upright):
+    address, _, _ = plant
+    context = browser.new_context(viewport={"width": 1024, "height": 768}, has_touch=True)
+    page = context.new_page()
+    page.goto(address + "#/runs/campaign-1")
+    chart = page.locator(".chart").first
+    chart.scroll_into_view_if_needed()
+    over = chart.locator(".u-over")
+    box = over.bounding_box()
+    touch = context.new_cdp_session(page)
+
+    def seconds_at(share):
+        over.hover(position={"x": share * box["width"], "y": 40})
+        said = chart.locator(".chart-tip tr").first
+        expect(said).to_contain_text(" s")
+        return float(said.inner_text().split()[0])
+
+    def two_fingers(kind, apart):
+        x, y = box["x"] + 0.2 * box["width"], box["y"] + box["height"] / 2
+        away = (0.0, apart / 2) if upright else (apart / 2, 0.0)
+        points = [{"x": x + way * away[0], "y": y + way * away[1]} for way in (-1, 1)]
+        touch.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+
+    between, wide = seconds_at(0.2), seconds_at(0.9) - seconds_at(0.1)
+    two_fingers("touchStart", 40.0)
+    for apart in (50.0, 60.0, 70.0, 80.0):
+        two_fingers("touchMove", apart)
+    touch.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
+    expect(chart.locator("button.follow")).to_be_visible()
+    assert seconds_at(0.9) - seconds_at(0.1) == pytest.approx(wide / 2, rel=0.1)
+    assert seconds_at(0.2) == pytest.approx(between, abs=0.05 * wide)
+    context.close()
+
+
 def test_on_a_touch_screen_every_field_of_the_next_panel_is_large_enough_for_a_glove(plant, browser):
     address, _, _ = plant
     context = browser.new_context(viewport={"width": 768, "height": 1024}, has_touch=True, is_mobile=True)
