@@ -6,6 +6,7 @@ import threading
 import time
 from contextlib import suppress
 from datetime import UTC, datetime, timedelta
+from itertools import count, islice
 
 import pytest
 from hypothesis import given, settings
@@ -269,15 +270,21 @@ def test_a_full_disk_makes_scans_wait_and_recording_goes_on_when_there_is_room(s
         with (small_disk / "ballast").open("wb", buffering=0) as ballast, suppress(OSError):
             while ballast.write(b"x" * 4096) == 4096:
                 pass
-        for n in range(1, 3000):
-            outbox.put(batch(key, n))
-        wait_until(lambda: outbox.trouble)
+        put = count(1)  # until the room that the file and its log still hold is used up
+
+        def is_full():
+            for n in islice(put, 100):
+                outbox.put(batch(key, n))
+            return outbox.trouble
+
+        wait_until(is_full)
+        last = next(put)
         assert "free space on the disk" in notes.said[0][1]
         assert store.newest_scan_number("lab") == max(notes.acknowledged)
         (small_disk / "ballast").unlink()
-        wait_until(lambda: len(notes.acknowledged) == 3000)
+        wait_until(lambda: len(notes.acknowledged) == last)
         outbox.close()
-        assert numbers(store) == notes.acknowledged == list(range(3000))
+        assert numbers(store) == notes.acknowledged == list(range(last))
 
 
 def test_a_disk_that_turns_read_only_makes_scans_wait_until_it_is_mended(small_disk):
