@@ -33,7 +33,7 @@ from daq.words import Message, say
 from softsensor.heat.model_file import ModelFile, PressedPanel
 from softsensor.live.directions import MOST_SHARE, odd_constants
 from softsensor.live.setup import RunSetup, set_up
-from softsensor.signals.doubt import one_product, thickness_sd
+from softsensor.signals.doubt import nearest_of, one_product, thickness_sd
 
 THICKNESS = "panel.thickness_mm"
 ENTRY_ERROR = 0.023
@@ -122,13 +122,6 @@ class LikelyPanel:
     def thickness_mm(self) -> float:
         """As it is set up; NaN without a panel. [mm]"""
         return float(self.setup.run.header.get(THICKNESS, math.nan))
-
-
-def nearest_of(thicknesses_mm: Sequence[float]) -> dict[str, float]:
-    """Return the first thickness, the header's, and the nearest of the others, as words take them. [mm]"""
-    header, *others = thicknesses_mm
-    nearest = header + min((mm - header for mm in others), key=abs)
-    return {"header_mm": header, "nearest_mm": round(nearest, 1)}
 
 
 def panel_remark(header: Mapping[str, Any], model: ModelFile | None) -> Message | None:

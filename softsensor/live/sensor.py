@@ -43,12 +43,13 @@ from softsensor.live.forecast import Forecast, look_ahead, wishes_of
 from softsensor.live.inside import Inside
 from softsensor.live.leaving import Leave
 from softsensor.live.mixture import Mixture
-from softsensor.live.panels import LikelyPanel, likely_panels, nearest_of
+from softsensor.live.panels import LikelyPanel, likely_panels
 from softsensor.live.passes import Pass, Passes
 from softsensor.live.platens import HeldPlatens
 from softsensor.live.possible import Possible
 from softsensor.live.setup import RunSetup, with_platens
 from softsensor.live.validity import Invalid, InvalidReason
+from softsensor.signals.doubt import nearest_of
 
 # Numbers without another source were set by hand, 2026-11.
 

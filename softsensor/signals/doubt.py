@@ -11,7 +11,7 @@ Numbers called unverified are general knowledge and no measurement; a press that
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
@@ -244,3 +244,10 @@ def thickness_sd(nominal_mm: float) -> float:
 def one_product(one_mm: float, other_mm: float) -> bool:
     """Return whether both may be panels of one nominal thickness."""
     return abs(one_mm - other_mm) <= 2.0 * ALLOWED * thickness_sd(max(one_mm, other_mm))
+
+
+def nearest_of(thicknesses_mm: Sequence[float]) -> dict[str, float]:
+    """Return the first thickness, the header's, and the nearest of the others, as words take them. [mm]"""
+    header, *others = thicknesses_mm
+    nearest = header + min((mm - header for mm in others), key=abs)
+    return {"header_mm": header, "nearest_mm": round(nearest, 1)}

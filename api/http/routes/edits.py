@@ -31,7 +31,7 @@ from daq.store.convert import header_of, header_text
 from daq.store.records import RunRecord
 from daq.store.store import Store
 from daq.words import Message, say
-from softsensor.signals.doubt import one_product
+from softsensor.signals.doubt import nearest_of, one_product
 
 router = APIRouter(tags=["runs"], responses=problem_responses(404))
 
@@ -135,20 +135,7 @@ class NextPanelChange(BaseModel):
 @router.get("/press/next", operation_id="get_next_panel", summary="The next panel's data and recipe")
 def get_next_panel(store: StoreDep, press: PressName = None) -> NextPanelNow:
     """Return what is said of the panels to come at a press, and the recipes to choose from."""
-    name = _one_press(store, press)
-    said, recipes = store.next_panel(name), store.recipes()
-    if said is None:
-        return NextPanelNow(press=name, recipe="", header={}, who=None, utc=None, recipes=recipes)
-    header = dict(said.header)
-    return NextPanelNow(
-        press=name,
-        recipe=said.recipe,
-        header=header,
-        who=said.who,
-        utc=said.utc,
-        recipes=recipes,
-        **doubts_told(_doubts(store, name, header)),
-    )
+    return _next_panel(store, _one_press(store, press))[0]
 
 
 @router.put("/press/next", operation_id="put_next_panel", summary="Say what the next panels are")
@@ -169,10 +156,29 @@ def put_next_panel(
     store.log(
         "info", who, say("api-next-panel", press=name, fields=tuple(change.header), recipe=change.recipe), name
     )
-    now = get_next_panel(store, name)
-    for doubt in _doubts(store, name, now.header):
+    now, found = _next_panel(store, name)
+    for doubt in found:
         store.log("warning", who, say("of-press", press=name, what=doubt), name)
     return now
+
+
+def _next_panel(store: Store, press: str) -> tuple[NextPanelNow, tuple[Message, ...]]:
+    """Return what is said of the panels to come, and what is to be asked about it."""
+    said, recipes = store.next_panel(press), store.recipes()
+    if said is None:
+        return NextPanelNow(press=press, recipe="", header={}, who=None, utc=None, recipes=recipes), ()
+    header = dict(said.header)
+    found = _doubts(store, press, header)
+    now = NextPanelNow(
+        press=press,
+        recipe=said.recipe,
+        header=header,
+        who=said.who,
+        utc=said.utc,
+        recipes=recipes,
+        **doubts_told(found),
+    )
+    return now, found
 
 
 def _doubts(store: Store, press: str, header: Mapping[str, Any]) -> tuple[Message, ...]:
@@ -180,12 +186,11 @@ def _doubts(store: Store, press: str, header: Mapping[str, Any]) -> tuple[Messag
     found = list(doubts(header))
     if isinstance(start := header.get("panel.initial_temperature_C"), int | float) and start > HAND_C:
         found.append(say("header-start-hot", value=start, limit=HAND_C))
-    thickness = header.get(THICKNESS)
-    pressed = [run.header.get(THICKNESS) for run in store.runs(press=press, limit=MAX_PAGE).items]
-    known = [mm for mm in pressed if isinstance(mm, int | float)]
-    if isinstance(thickness, int | float) and known and not any(one_product(thickness, mm) for mm in known):
-        nearest = min(known, key=lambda mm: abs(mm - thickness))
-        found.append(say("panel-not-pressed-before", key=THICKNESS, header_mm=thickness, nearest_mm=nearest))
+    if isinstance(thickness := header.get(THICKNESS), int | float):
+        pressed = [run.header.get(THICKNESS) for run in store.runs(press=press, limit=MAX_PAGE).items]
+        known = [mm for mm in pressed if isinstance(mm, int | float)]
+        if known and not any(one_product(thickness, mm) for mm in known):
+            found.append(say("panel-not-pressed-before", key=THICKNESS, **nearest_of([thickness, *known])))
     return tuple(found)
 
 
