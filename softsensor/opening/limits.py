@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from daq.press.resin_file import LimitsTable
+from daq.printed import on_screen
 from daq.records import Array
 from softsensor.opening.kinetics import Kinetics
 from softsensor.signals.unknown import BAND
@@ -39,6 +40,8 @@ class Normal:
 
     mean: Array
     sd: Array
+
+    __repr__ = on_screen
 
     @property
     def low(self) -> Array:
@@ -89,6 +92,8 @@ class Broken:
     """Of each limit there is, by its name."""
     cure: Array | float = 0.0
     """That one face or the other has cured too little."""
+
+    __repr__ = on_screen
 
     @property
     def risk(self) -> Array:
