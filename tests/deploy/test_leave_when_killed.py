@@ -1,11 +1,12 @@
 """Leave to open, given by the real processes on a virtual press, and what is left of it when one is killed."""
 
 import os
+import re
 import signal
 import subprocess
 import sys
 import time
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import httpx
@@ -14,7 +15,6 @@ import pytest
 from api.answers.present import SILENT_S
 from tests.api.test_live import Stream
 from tests.api.test_plant_mqtt import MOSQUITTO, Broker, Listener
-from tests.browser.conftest import free_port
 from tests.daq.test_recorder import plant, wait_until
 
 pytestmark = [
@@ -41,18 +41,28 @@ class Plant:
     """Processes of one configuration, each killed by its name."""
 
     def __init__(self, config):
-        self.config, self.port = config, free_port()
-        self.running = {}
+        self.config, self.running = config, {}
 
     def start(self, name, *more):
         command = [sys.executable, "-m", "api", name, "--config", str(self.config), *more]
         with (self.config.parent / f"{name}.log").open("w") as log:
             self.running[name] = subprocess.Popen(command, cwd=ROOT, stdout=log, stderr=log)
 
+    @property
+    def port(self):
+        """Where the page's server listens, as it says; None before."""
+        said = re.search(r"serves http://127\.0\.0\.1:(\d+)/", (self.config.parent / "serve.log").read_text())
+        return said and int(said[1])
+
     def kill(self, name):
         self.running[name].send_signal(signal.SIGKILL)
         self.running[name].wait()
         return time.monotonic()
+
+    def end(self):
+        for process in self.running.values():
+            process.kill()
+            process.wait()
 
     def ask(self, path):
         return httpx.get(f"http://127.0.0.1:{self.port}/api/v1/{path}", timeout=240).json()["items"][0]
@@ -86,24 +96,21 @@ def running(folder, broker, speed=1.0):
         )
         made.config.write_text(text.replace('"panel.thickness_mm" = 16.0', '"panel.thickness_mm" = 16.0' + STATED))
         found = Plant(made.config)
-        found.start("serve", "--port", str(found.port))
-        found.start("sense")
-        found.start("publish")
-        found.start("record")
-        found.listener = Listener(broker.port)
-        wait_until(lambda: answers(found.port))
-        found.stream = Stream(f"http://127.0.0.1:{found.port}")
-        try:
+        with ExitStack() as ending:
+            ending.callback(found.end)
+            for name in ("serve", "sense", "publish", "record"):
+                found.start(name, *(("--port", "0") if name == "serve" else ()))
+            found.listener = Listener(broker.port)
+            ending.callback(found.listener.close)
+            wait_until(lambda: answers(found.port))
+            found.stream = Stream(f"http://127.0.0.1:{found.port}")
+            ending.callback(found.stream.close)
             yield found
-        finally:
-            found.listener.close()
-            found.stream.close()
-            for process in found.running.values():
-                process.kill()
-                process.wait()
 
 
 def answers(port):
+    if port is None:
+        return False
     try:
         return bool(httpx.get(f"http://127.0.0.1:{port}/api/v1/press", timeout=240).json()["items"])
     except (httpx.TransportError, KeyError):
