@@ -103,26 +103,35 @@ def test_a_tab_that_stays_open_for_a_day_of_pressings_keeps_its_memory(served):
     session = page.context.new_cdp_session(page)
 
     def used() -> tuple[float, int, int]:
-        """Return the least of a few seconds: while it draws, the page also holds what it has just replaced."""
-        seen = []
-        for _ in range(5):
-            session.send("HeapProfiler.collectGarbage")
-            heap = float(session.send("Runtime.getHeapUsage")["usedSize"]) / 1e6
-            counts = session.send("Memory.getDOMCounters")
-            seen.append((heap, counts["nodes"], counts["jsEventListeners"]))
-            page.wait_for_timeout(500)
-        heaps, nodes, listeners = zip(*seen, strict=True)
+        session.send("HeapProfiler.collectGarbage")
+        heap = float(session.send("Runtime.getHeapUsage")["usedSize"]) / 1e6
+        counts = session.send("Memory.getDOMCounters")
+        page.wait_for_timeout(500)
+        return heap, counts["nodes"], counts["jsEventListeners"]
+
+    def least(looks: int = 5) -> tuple[float, int, int]:
+        """Return the least of some looks: while it draws, the page also holds what it has just replaced."""
+        heaps, nodes, listeners = zip(*(used() for _ in range(looks)), strict=True)
         return min(heaps), min(nodes), min(listeners)
 
-    def pass_pressings(count: int) -> tuple[float, int, int]:
+    def pass_pressings(count: int) -> None:
         for _ in range(count):
             feed.pressing(scans=SCANS, batch=12)
         expect(page.locator(".facts")).to_contain_text(f"lab-{feed.number - SCANS:07d}")
         expect(page.locator("#link")).to_have_text("live")
-        return used()
+
+    def within(mark: tuple[float, int, int], before: tuple[float, int, int]) -> bool:
+        return mark[0] < before[0] + 2.0 and mark[1] < 1.2 * before[1] and mark[2] < 1.2 * before[2]
 
     begun = time.monotonic()
-    marks = [pass_pressings(count) for count in PRESSINGS]
+    marks = []
+    for count in PRESSINGS:
+        pass_pressings(count)
+        marks.append(least())
+    # A busy machine lets go of a chart later than these looks; what leaks is never let go of.
+    patience = time.monotonic() + 60
+    while not within(marks[2], marks[1]) and time.monotonic() < patience:
+        marks[2] = least()
     took = time.monotonic() - begun
     print(
         f"\n{sum(PRESSINGS)} pressings, {feed.number} scans, {sum(PRESSINGS) * SCANS / 3600:g} h of press time "
@@ -130,6 +139,4 @@ def test_a_tab_that_stays_open_for_a_day_of_pressings_keeps_its_memory(served):
     )
     for after, (heap, nodes, listeners) in zip(accumulate(PRESSINGS), marks, strict=True):
         print(f"after {after:3} pressings  {heap:5.1f} MB heap  {nodes:5} nodes  {listeners:4} listeners")
-    assert marks[2][0] < marks[1][0] + 2.0
-    assert marks[2][1] < 1.2 * marks[1][1]  # by the first mark not all of the view has been drawn yet
-    assert marks[2][2] < 1.2 * marks[1][2]
+    assert within(marks[2], marks[1]), marks  # by the first mark not all of the view has been drawn yet
