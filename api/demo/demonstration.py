@@ -8,6 +8,7 @@ the press, and at the end compares what the system found with what the virtual p
 
 from __future__ import annotations
 
+import shlex
 import subprocess
 import threading
 import time
@@ -47,6 +48,8 @@ NIGHT_AFTER = 14
 """Pressings from one nightly job to the next while the demonstration goes on; in as many, causes were named."""
 VIEWS = ("now", "wall", "runs", "coefficients", "diagnosis", "nights")
 """What a newcomer is told to look at."""
+PRESS = "lab"
+"""The virtual press's name."""
 USUAL_CYCLE_S = 130.0
 """From one panel's removal to the next one's, on average over the ranges of `PressSettings`. [s]"""
 
@@ -74,6 +77,8 @@ class _Demo:
         self._noted: set[str] = set()
         self._pressed: set[int] = set()
         """Which of the virtual press's pressings were found."""
+        self._told_press: Mapping[str, Any] = {}
+        """What the virtual press was told of the next panels."""
         self._ended: dict[str, tuple[float, int]] = {}
         self.config = plan.folder / "kerntemp.toml"
         self._night: subprocess.Popen[str] | None = None
@@ -114,6 +119,7 @@ class _Demo:
         for view in VIEWS:
             address = self._view(view).ljust(len(self._view(max(VIEWS, key=len))))
             self.tell(say("demo-view", address=address, name=Message(f"page-nav-{view}")))
+        self.tell(say("demo-token", config=shlex.quote(str(self.config))))
         if plan.pressings is None:
             minutes = max(round(NIGHT_AFTER * USUAL_CYCLE_S / plan.speed / 60.0), 1)
             self.tell(say("demo-night-comes", pressings=NIGHT_AFTER, minutes=minutes))
@@ -122,14 +128,18 @@ class _Demo:
         return f"{self.address}#/{name}"
 
     def _loggers_answer(self) -> threading.Event:
-        """Return what is set once the loggers' process has solved its first pressing."""
-        answering, child = threading.Event(), self.children.running["loggers"]
+        """Return what is set once the loggers' process has solved its first pressing.
 
-        def listen() -> None:
-            if child.stdout is not None and child.stdout.readline():
-                answering.set()
+        From which pressing on panels are as somebody entered, it says afterwards; the truth is told as well.
+        """
+        answering = threading.Event()
 
-        threading.Thread(target=listen, name="loggers' answer", daemon=True).start()
+        def heard(told: Mapping[str, Any]) -> None:
+            answering.set()
+            if "panel" in told:
+                self.truth.press_as_said(told["from"], told["panel"])
+
+        self.children.hear_loggers(heard)
         return answering
 
     def _wait_until(self, ready: Callable[[], bool], processes: Sequence[str]) -> None:
@@ -157,6 +167,7 @@ class _Demo:
             if self.plan.pressings is None:
                 self._look_after_night()
             self.children.check()
+            self._pass_on()
             for record in reversed(self.store.runs(limit=20).items):
                 self._note(record)
                 if not self._enough and self._finished(record):
@@ -205,8 +216,16 @@ class _Demo:
     def _enough(self) -> bool:
         return self.plan.pressings is not None and len(self.findings) >= self.plan.pressings
 
+    def _pass_on(self) -> None:
+        """Have the press lay in what somebody entered for the next panel, for as long as the store keeps it."""
+        said = self.store.next_panel(PRESS)
+        header = {} if said is None else said.header
+        if header != self._told_press:
+            self._told_press = header
+            self.children.tell_loggers({"panel": header})
+
     def _note(self, record: RunRecord) -> None:
-        """Write down what the operator knows of a pressing as soon as it runs."""
+        """Write down, as soon as a pressing runs, what is in the press: what somebody entered was laid in."""
         if record.run in self._noted or record.status is not RunStatus.OPEN:
             return
         self._noted.add(record.run)
@@ -258,10 +277,10 @@ class _Demo:
             return
         from softsensor.heat.model_file import parse_model  # compiled code, of which the beginning needs none
 
-        active = self.store.active_model("lab")
+        active = self.store.active_model(PRESS)
         if active is not None and active.model.get("effects"):
             self.tell(gain_line(self.findings, list(self._replays(parse_model(active.model, active.version)))))
-        for left in self.store.models(press="lab").items:
+        for left in self.store.models(press=PRESS).items:
             if left.status in (ModelStatus.REJECTED, ModelStatus.CANDIDATE):
                 self.tell(say("demo-not-promoted", version=left.version, why=left.reason))
 

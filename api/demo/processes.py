@@ -10,8 +10,9 @@ import math
 import subprocess
 import sys
 import tempfile
+import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -80,6 +81,7 @@ class Children:
     running: dict[str, subprocess.Popen[str]] = field(default_factory=dict)
     loggers: Mapping[str, Any] = field(default_factory=dict)
     """How they are wired, as they say it."""
+    _listeners: list[threading.Thread] = field(default_factory=list)
 
     @property
     def config(self) -> Path:
@@ -110,6 +112,17 @@ class Children:
         pipe.write(json.dumps(message) + "\n")
         pipe.flush()
 
+    def hear_loggers(self, heard: Callable[[Mapping[str, Any]], None]) -> None:
+        """Hand on every line the loggers' process says from now on, in a thread of its own."""
+        pipe = self.running["loggers"].stdout
+
+        def listen() -> None:
+            for line in pipe or ():
+                heard(json.loads(line))
+
+        self._listeners.append(threading.Thread(target=listen, name="loggers' answers", daemon=True))
+        self._listeners[-1].start()
+
     def check(self) -> None:
         """Raise `WorkFailed` with the last words of a process that ended by itself."""
         for name, child in self.running.items():
@@ -133,6 +146,8 @@ class Children:
             if child.stdin is not None:
                 child.stdin.close()
         _wait_or_kill(fed)
+        for listener in self._listeners:
+            listener.join(PATIENCE_S)
         for child in self.running.values():
             if child.stdout is not None:
                 child.stdout.close()
@@ -209,7 +224,6 @@ def _write_configuration(plan: DemoPlan, children: Children) -> None:
     header = {
         "panel.material": panel.material,
         "panel.thickness_mm": panel.thickness * 1000.0,
-        "panel.density_kg_m3": panel.density,
         "panel.moisture_percent": panel.moisture_percent or 0.0,
         "panel.initial_temperature_C": round(press.ambient, 1),
         "ambient.temperature_C": round(press.ambient, 1),

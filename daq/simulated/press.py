@@ -3,7 +3,8 @@
 A whole cycle, from one panel's removal to the next one's, is solved at once, in a thread of its own and
 one cycle ahead; asking for temperatures then only interpolates, so the press costs next to nothing at any
 speed and never keeps a logger waiting, once the first cycle was asked for and solved. Two objects with the
-same settings and seed agree at all times: a summary can ask a second one for the truth. Any thread may ask.
+same settings and seed, told the same of their panels, agree at all times: a summary can ask a second one for the
+truth. Any thread may ask.
 """
 
 from __future__ import annotations
@@ -13,10 +14,12 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
-from daq.records import Array, Moments, Panel, PressState
+from daq.press.header import panel_of
+from daq.records import Array, Moments, Panel, PressState, Run
 from daq.simulated.campaign_platens import Controller, draw_controller, draw_platens
 from daq.simulated.campaign_sensors import CHANNELS, FACES, PLATENS, Chain, Fault, Nuisances, draw_fault, measure
 from daq.simulated.effects import CHAIN_EFFECTS, draw_outside, for_run, split_names, usual_effect, with_outside
@@ -25,6 +28,12 @@ from daq.simulated.press_hands import Between, wander
 
 GRID_S = 0.05
 """Between the temperatures a pressing is worked out at: twice a 10 Hz scan's pace. [s]"""
+PANEL = "panel."
+"""What header keys begin with that say what panel is pressed."""
+PRESSURE = "setting.pressure_N_cm2"
+MOISTURE = "panel.moisture_percent"
+USUAL_MOISTURE_PERCENT = 8.0
+"""Of panels nobody said anything of; at it, hidden evaporation has its usual size. [%]"""
 _QUIET = replace(
     Nuisances(), quantum_K=0.0, skew_s=0.0, jitter=0.0, missing=0.0, burst_chance=0.0, loose_chance=0.0
 )
@@ -63,7 +72,7 @@ class Cycle:
     moments: Moments
     pressing: Pressing
     """With times of its own: add `start`."""
-    header: Mapping[str, str | float]
+    header: Mapping[str, Any]
     """What people and the press's controller know of the pressing, as a run's header says it."""
     times: Array
     readings: Mapping[str, Array]
@@ -103,11 +112,15 @@ class VirtualPress:
         self._worker = ThreadPoolExecutor(1, "virtual-press")
         self._cycles: deque[Cycle] = deque(maxlen=self.settings.keep)
         self._next: Future[Cycle] | None = None
+        self._said: list[tuple[int, Mapping[str, Any]]] = [(1, {})]
+        """From which pressing on the panels are said to be what, by rising number."""
 
     @property
     def panel(self) -> Panel:
         """The panels' nominal constants, as a run's header states them."""
-        return Panel("MDF", self.settings.thickness_mm / 1000.0, 740.0, 0.12, 1550.0, self.ambient, 8.0)
+        return Panel(
+            "MDF", self.settings.thickness_mm / 1000.0, 740.0, 0.12, 1550.0, self.ambient, USUAL_MOISTURE_PERCENT
+        )
 
     @property
     def cycles(self) -> tuple[Cycle, ...]:
@@ -121,14 +134,42 @@ class VirtualPress:
         """
         with self._lock:
             if self._next is None:
-                self._next = self._worker.submit(self._cycle, None)
+                self._next = self._solve(None)
             while not self._cycles or at_s >= self._cycles[-1].end:
                 self._cycles.append(self._next.result())
-                self._next = self._worker.submit(self._cycle, self._cycles[-1])
+                self._next = self._solve(self._cycles[-1])
             for cycle in reversed(self._cycles):
                 if at_s >= cycle.start:
                     return cycle
         raise ValueError(f"virtual time {at_s:g} s: only {self._cycles[0].start:g} s and later is in memory")
+
+    def coming(self, at_s: float) -> int:
+        """Return the number of the first pressing whose panel is not in the press yet at a virtual time."""
+        cycle = self.cycle(at_s)
+        return cycle.number if at_s < cycle.moments.inserted_s else cycle.number + 1
+
+    def press_as_said(self, number: int, header: Mapping[str, Any]) -> None:
+        """From a pressing on, lay in panels such as header keys say; what they do not say is the press's own.
+
+        What a panel is, and the pressure, are obeyed; other keys stand in the cycle's header and change nothing. A
+        pressing from there on that is solved already is solved anew, and comes in its place once that is done.
+        """
+        with self._lock:
+            self._said = [*(said for said in self._said if said[0] < number), (number, dict(header))]
+            earlier = [cycle for cycle in self._cycles if cycle.number < number]
+            ahead = self._cycles[-1].number + 1 if self._cycles else 1
+            if self._next is None or number > ahead:
+                return
+            if number > 1 and not earlier:
+                raise ValueError(f"pressing {number}: the one before it is no longer in memory")
+            anew = self._solve(earlier[-1] if earlier else None)
+        anew.result()  # whoever asks meanwhile sees the panel before
+        with self._lock:
+            shown = any(cycle.number == number for cycle in self._cycles)
+            self._cycles = deque((c for c in self._cycles if c.number < number), maxlen=self.settings.keep)
+            if shown:
+                self._cycles.append(anew.result())
+            self._next = self._solve(anew.result()) if shown else anew
 
     def temperatures(self, at_s: float) -> dict[str, float]:
         """Return what the 16 thermocouples give at a virtual time, with their imperfections. [°C]"""
@@ -155,15 +196,22 @@ class VirtualPress:
         """Return the limit switch."""
         return self.state(at_s) is PressState.CLOSED
 
-    def _cycle(self, before: Cycle | None) -> Cycle:
+    def _solve(self, before: Cycle | None) -> Future[Cycle]:
+        number = 1 if before is None else before.number + 1
+        said = next(header for first, header in reversed(self._said) if first <= number)
+        return self._worker.submit(self._cycle, before, said)
+
+    def _cycle(self, before: Cycle | None, said: Mapping[str, Any]) -> Cycle:
         from daq.simulated.campaign_places import solve_places  # compiled: not for who only asks what press it is
 
         number = 1 if before is None else before.number + 1
         start = 0.0 if before is None else before.end
         rng = np.random.default_rng([self._seed, 8, number])
         hidden = np.random.default_rng([self._seed, 9, number])
-        pressing = self._draw(before, rng)
+        pressing = self._draw(before, said, rng)
         run_effects = {n: for_run(n, p, hidden) for n, p in self.effects.items()}
+        if water := run_effects.get("moisture_evaporation"):
+            water["moisture_percent"] *= (pressing.panel.moisture_percent or 0.0) / USUAL_MOISTURE_PERCENT
         physical = {n: p for n, p in run_effects.items() if n not in CHAIN_EFFECTS}
         if before is not None:
             physical.pop("initial_press_state", None)
@@ -180,7 +228,7 @@ class VirtualPress:
             start=start,
             moments=pressing.moments(start, start + pressing.end),
             pressing=pressing,
-            header=self._header(number, pressing, rng),
+            header={"run": f"demo-{number:03d}", **self._header(said, pressing, rng)},
             times=times,
             readings={name: readings[name] for name in CHANNELS},
             core_C=np.where(with_panel, places.core(times), np.nan),
@@ -193,7 +241,7 @@ class VirtualPress:
             ),
         )
 
-    def _draw(self, before: Cycle | None, rng: np.random.Generator) -> Pressing:
+    def _draw(self, before: Cycle | None, said: Mapping[str, Any], rng: np.random.Generator) -> Pressing:
         s = self.settings
         inserted = float(rng.uniform(*s.between_s))
         if before is None and s.first_panel_s is not None:
@@ -206,11 +254,12 @@ class VirtualPress:
             platens = _continued(platens[0], before.platens_end[0]), _continued(platens[1], before.platens_end[1])
         k, c = np.exp(s.panel_spread * rng.standard_normal(2))
         start = self.ambient + float(rng.normal(0.0, 0.7))
+        panel = panel_of(Run("", self._panel_header(said, start), np.zeros(0), {}))
         spread = {
             n: float(h * np.exp(s.coefficient_spread * rng.standard_normal())) for n, h in s.coefficients.items()
         }
         return Pressing(
-            panel=Panel("MDF", s.thickness_mm / 1000.0, 740.0, 0.12 * k, 1550.0 * c, start, 8.0),
+            panel=replace(panel, conductivity=panel.conductivity * k, heat_capacity=panel.heat_capacity * c),
             ambient=self.ambient,
             platen_bottom=platens[0],
             platen_top=platens[1],
@@ -222,22 +271,28 @@ class VirtualPress:
             closing_ramp=float(rng.uniform(0.2, 1.0)),
             opening_ramp=float(rng.uniform(0.2, 0.5)),
             coefficients=spread,
-            pressure=float(rng.choice([280.0, 320.0, 350.0, 380.0, 400.0])),
+            pressure=float(said.get(PRESSURE, rng.choice([280.0, 320.0, 350.0, 380.0, 400.0]))),
         )
 
-    def _header(self, number: int, pressing: Pressing, rng: np.random.Generator) -> dict[str, str | float]:
-        start = pressing.panel.initial_temperature + rng.normal(0.0, self.settings.nuisances.start_error_K)
-        return {
-            "run": f"demo-{number:03d}",
+    def _panel_header(self, said: Mapping[str, Any], start_C: float) -> dict[str, Any]:
+        """Return the header keys of a panel: what is said of it, and for the rest the press's own panels."""
+        own = {
             "panel.material": "MDF",
             "panel.thickness_mm": self.settings.thickness_mm,
-            "panel.density_kg_m3": 740.0,
-            "panel.moisture_percent": 8.0,
-            "panel.initial_temperature_C": round(float(start), 2),
+            MOISTURE: USUAL_MOISTURE_PERCENT,
+            "panel.initial_temperature_C": start_C,
+        }
+        return own | {key: value for key, value in said.items() if key.startswith(PANEL)}
+
+    def _header(self, said: Mapping[str, Any], pressing: Pressing, rng: np.random.Generator) -> dict[str, Any]:
+        start = pressing.panel.initial_temperature + rng.normal(0.0, self.settings.nuisances.start_error_K)
+        return {
+            **self._panel_header(said, round(float(start), 2)),
             "ambient.temperature_C": round(self.ambient, 1),
             "setting.platen_temperature_C": self.settings.setpoint_C,
             "setting.pressure_N_cm2": pressing.pressure,
             "setting.press_time_s": round(pressing.opened - pressing.closed, 1),
+            **said,
         }
 
     def _curves(

@@ -2013,6 +2013,7 @@ demo-summary = Zusammenfassung von { $runs ->
     [one] { $runs } Pressung
    *[other] { $runs } Pressungen
 } an der virtuellen Presse
+demo-token = Um auf der Seite etwas zu ändern, ein Token erzeugen und dort unter Zugang eingeben: kerntemp token create operator --scope write --config { $config }
 demo-too-slow = Dieser Rechner hielt mit { NUMBER($speed) }-facher Geschwindigkeit nicht Schritt: { $troubles }; ein kleineres --speed angeben
 demo-view = { "               " }{ $address }  { $name }
 

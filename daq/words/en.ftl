@@ -1994,6 +1994,7 @@ demo-summary = Summary of { $runs ->
     [one] { $runs } pressing
    *[other] { $runs } pressings
 } on the virtual press
+demo-token = To change something on the page, make a token and give it there under Access: kerntemp token create operator --scope write --config { $config }
 demo-too-slow = This machine did not keep up with { NUMBER($speed) } times real speed: { $troubles }; give a lower --speed
 demo-view = { "         " }{ $address }  { $name }
 

@@ -163,6 +163,7 @@ def test_more_pressings_that_finish_at_once_than_were_asked_for_are_not_counted(
 
     demo = _Demo(DemoPlan(pressings=2), SimpleNamespace(check=lambda: None), print)
     demo.store = Finished()
+    monkeypatch.setattr(demo, "_pass_on", lambda: None)
     monkeypatch.setattr(demo, "_note", lambda record: None)
     monkeypatch.setattr(demo, "_finished", lambda record: True)
     monkeypatch.setattr(demo, "_conclude", lambda record: demo.findings.append(record.run))

@@ -63,12 +63,17 @@ def _patient(make: Callable[..., Any]) -> Callable[..., Any]:
 
 
 @pytest.fixture(scope="module")
-def demo(browser: Browser) -> Iterator[str]:
+def told_by_demo() -> list[str]:
+    """The lines of the demonstration, also those to come."""
+    return []
+
+
+@pytest.fixture(scope="module")
+def demo(browser: Browser, told_by_demo: list[str]) -> Iterator[str]:
     """Start `kerntemp demo` and return the page's address."""
     command = [sys.executable, "-m", "api", "demo", "--speed", "20"]
     running = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
-    said: list[str] = []
-    address = ""
+    said, address = told_by_demo, ""
     for line in running.stdout:
         said.append(line)
         if line.startswith("Page"):

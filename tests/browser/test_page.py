@@ -1,4 +1,7 @@
 import re
+import shlex
+import subprocess
+import sys
 import time
 
 from playwright.sync_api import Page, expect
@@ -31,6 +34,46 @@ def test_a_live_pressing_is_followed_from_closing_to_its_stored_run(open_page):
         with page.expect_download() as download:
             page.get_by_role("link", name=kind, exact=True).click()
         assert download.value.path().stat().st_size > 1000
+
+
+def test_the_virtual_press_lays_in_the_panel_that_was_entered_by_a_token_the_demonstration_says_how_to_make(
+    open_page, told_by_demo, tmp_path
+):
+    page = open_page("#/now")
+    while not (commands := [line for line in told_by_demo if "kerntemp token" in line]):
+        page.wait_for_timeout(100)
+    command = shlex.split(commands[0][commands[0].index("kerntemp token") :])
+    made = subprocess.run([sys.executable, "-m", "api", *command[1:]], capture_output=True, text=True, check=True)
+    page.goto(page.url.replace("#/now", "#/access"))
+    page.get_by_label("Access token").fill(made.stdout.strip())
+    page.get_by_role("button", name="Use for this tab").click()
+    card = page.get_by_test_id("next-panel")
+    for label, value in (("Thickness", "22"), ("Moisture", "6.5"), ("Start temperature", "31"), ("Target", "55")):
+        card.get_by_label(label).fill(value)
+    card.get_by_role("button", name="Save").click()
+    expect(card).to_contain_text("by operator")
+    listed = "fetch('api/v1/runs?limit=3').then((answer) => answer.json()).then((list) => list.items)"
+    told = "run => fetch(`api/v1/runs/${run}`).then((answer) => answer.json())"
+    so, deadline = [], time.monotonic() + 240
+    while len(so) < 2 or so[1]["ended_utc"] is None:
+        assert time.monotonic() < deadline, so
+        runs = [page.evaluate(told, run["run"]) for run in reversed(page.evaluate(listed))]
+        so = [run for run in runs if run["header"].get("panel.thickness_mm") == 22]
+        page.wait_for_timeout(200)
+    first, second = so[:2]
+    entered = {"panel.thickness_mm": 22, "panel.moisture_percent": 6.5, "setting.core_target_C": 55}
+    for run in (first, second):
+        assert {key: run["header"][key] for key in entered} == entered
+    assert first["header"]["panel.initial_temperature_C"] == 31
+    assert second["header"]["panel.initial_temperature_C"] < 27  # the room's again
+    by_hand = [c for c in first["changes"] if c["field"] in (*entered, "panel.initial_temperature_C")]
+    assert by_hand == []
+    faces = page.evaluate(
+        "run => fetch(`api/v1/runs/${run}/samples?to=1&max_points=20`).then((answer) => answer.json())",
+        first["run"],
+    )["columns"]
+    assert all(abs(faces[f"top_{n}"][-1] - 31) < 3 for n in range(1, 8)), faces
+    page.screenshot(path=tmp_path / "next-panel.png", full_page=True)
 
 
 def test_coefficients_have_one_card_each_with_their_history(open_page):
