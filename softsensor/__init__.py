@@ -3,9 +3,10 @@
 What ``__all__`` lists is stable, typed and documented; everything else may change. Nothing is imported
 before it is used.
 
->>> import softsensor
->>> run = softsensor.read_run("deploy/samples/2026-03-04-01.csv")
->>> simulated = softsensor.simulate(run, "deploy/presses/lab.toml")
+>>> import daq, softsensor
+>>> shared = daq.shared_files()
+>>> run = softsensor.read_run(shared / "samples" / "2026-03-04-01.csv")
+>>> simulated = softsensor.simulate(run, shared / "presses" / "lab.toml")
 >>> list(simulated.frame().columns)
 ['state', 'panel.top', 'panel.bottom', 'core_C']
 """

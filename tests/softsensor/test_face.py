@@ -1,5 +1,6 @@
 """Kerntemp from Python: what goes in comes out, results are those of the command line, errors too."""
 
+import doctest
 import inspect
 import json
 import math
@@ -596,3 +597,10 @@ def test_keys_given_beside_a_file_count_before_its_own():
     assert softsensor.read_run(run, header={"run": "other"}).name == "other"
     with pytest.raises(daq.InputError, match=r"panel\.thickness_mm"):
         softsensor.read_run(path, header={"panel.thicknes_mm": 12.0})
+
+
+def test_the_first_examples_run_in_any_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    result = doctest.testmod(softsensor)
+    assert result.attempted >= 4  # the lines of the package's first example
+    assert result.failed == 0
