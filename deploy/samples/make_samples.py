@@ -2,7 +2,9 @@
 
 Ten pressings of a virtual press at one scan a second, with water that leaves the panel: what `kerntemp diagnose`
 finds in them. Every third carries a thermocouple in the core. ``foreign.txt`` is the last of them as another
-logger might have written it, for a mapping of one's own. One seed makes them the same on every machine.
+logger might have written it, for a mapping of one's own. ``line2_01_16mm.txt`` and its sisters are a campaign of
+another press with another cause, as a third logger wrote it: degrees Fahrenheit, six thermocouples, a clock
+without a date, thicknesses in the files' names. One seed makes them all the same on every machine.
 """
 
 from __future__ import annotations
@@ -20,6 +22,17 @@ from daq.simulated.campaign import Plan, make_campaign
 HERE = Path(__file__).parent
 SEED, RUNS = 2026, 10
 HIDDEN = "moisture_evaporation"
+LINE2_SEED, LINE2_RUNS = 2027, 8
+LINE2_HIDDEN = {"contact_asymmetry": {"ratio": 0.7}}
+"""The upper face's contact while closed, in units of the lower face's: a worn upper plate."""
+LINE2_COLUMNS = {
+    "platen_top": "Platen up (F)",
+    "platen_bottom": "Platen low (F)",
+    "top_1": "Up A (F)",
+    "top_2": "Up B (F)",
+    "bottom_1": "Low A (F)",
+    "bottom_2": "Low B (F)",
+}
 
 
 def short(run: Run, number: int) -> Run:
@@ -42,6 +55,34 @@ def foreign(run: Run) -> str:
     return "\n".join(lines) + "\n"
 
 
+def fahrenheit(run: Run) -> str:
+    """Return a run as a logger with degrees Fahrenheit, tabs and the time of day writes it."""
+    hall = f"{1.8 * float(run.header['ambient.temperature_C']) + 32.0:.1f}"  # type: ignore[arg-type]
+    lines = ["Line 2, hot press", "\t".join(("Clock", *LINE2_COLUMNS.values(), "Hall (F)"))]
+    for i, time in enumerate(run.time_s):
+        seconds = 14 * 3600 + round(10.0 * float(time)) / 10.0
+        clock = f"{int(seconds // 3600):02d}:{int(seconds // 60) % 60:02d}:{seconds % 60.0:04.1f}"
+        cells = (f"{1.8 * float(run.columns[name][i]) + 32.0:.1f}".replace("nan", "") for name in LINE2_COLUMNS)
+        lines.append("\t".join((clock, *cells, hall)))
+    return "\n".join(lines) + "\n"
+
+
+def write_line2() -> None:
+    """Write the campaign of the second line, whose readings only a mapping explains."""
+    plan = Plan(
+        rate_hz=1.0,
+        thickness_mm=(12.0, 16.0),
+        press_time_s=(30.0, 60.0),
+        open_before_s=(5.0, 15.0),
+        open_after_s=(20.0, 35.0),
+        start_before_s=8.0,
+        closed_column=False,
+    )
+    for number, (run, _) in enumerate(make_campaign(LINE2_SEED, LINE2_RUNS, LINE2_HIDDEN, plan), start=1):
+        file = HERE / f"line2_{number:02d}_{run.header['panel.thickness_mm']:.0f}mm.txt"
+        file.write_text(fahrenheit(run), encoding="utf-8")
+
+
 def main() -> None:
     """Write the sample files beside this script."""
     plan = Plan(rate_hz=1.0, closed_column=False, core_column=0.34, start_before_s=8.0, panel_spread=0.0)
@@ -50,7 +91,8 @@ def main() -> None:
         made = short(run, number)
         write_run(made, HERE / f"{made.name}.csv")
     (HERE / "foreign.txt").write_text(foreign(made), encoding="utf-8")
-    sys.stdout.write(f"{RUNS} runs, hidden: {campaign[0][1].effects}\n")
+    write_line2()
+    sys.stdout.write(f"{RUNS} runs, hidden: {campaign[0][1].effects}; {LINE2_RUNS} runs, hidden: {LINE2_HIDDEN}\n")
 
 
 if __name__ == "__main__":

@@ -35,7 +35,7 @@ def kernel(tmp_path_factory):
 
 
 def test_there_is_a_notebook_for_every_script():
-    assert len(SCRIPTS) == 8
+    assert len(SCRIPTS) == 9
     assert [p.stem for p in sorted(GALLERY.glob("*.ipynb"))] == sorted(p.stem for p in SCRIPTS)
 
 

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import os
 import re
+import runpy
 import shutil
 import stat
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from daq.files.mapping import read_foreign, read_mapping
 from daq.files.run_file import read_run
 
 ROOT = Path(__file__).parents[2]
@@ -113,9 +116,34 @@ def test_the_samples_are_those_their_script_makes(tmp_path):
     shutil.copy(ROOT / "deploy" / "samples" / "make_samples.py", tmp_path)
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     subprocess.run([sys.executable, str(tmp_path / "make_samples.py")], check=True, env=environment)
-    for made in tmp_path.glob("2026-*.csv"):
-        kept = ROOT / "deploy" / "samples" / made.name
-        new, old = read_run(made), read_run(kept)
+    samples = ROOT / "deploy" / "samples"
+    line2 = read_mapping(samples / "line2.toml")
+    written = {p.name for p in tmp_path.iterdir()} - {"foreign.txt"}
+    assert written == {p.name for p in samples.iterdir()} - {"foreign.txt", "foreign.toml", "line2.toml"}
+    for name in written - {"make_samples.py"}:
+        read = read_run if name.endswith(".csv") else partial(read_foreign, mapped=line2)
+        new, old = read(tmp_path / name), read(samples / name)
         assert new.header == old.header
         for name, values in old.columns.items():
-            assert new.columns[name] == pytest.approx(values, abs=0.11, nan_ok=True), (made.name, name)
+            assert new.columns[name] == pytest.approx(values, abs=0.11, nan_ok=True), (old.name, name)
+
+
+@pytest.mark.campaign
+def test_five_lines_lead_from_another_loggers_files_to_the_cause_that_the_virtual_press_hid(monkeypatch):
+    monkeypatch.chdir(ROOT)
+    section = (ROOT / "deploy" / "guide" / "runs.md").read_text(encoding="utf-8").split("## Another logger")[1]
+    (lines,) = re.findall(r"^```python\n(.*?)^```", section.split("\n## ")[0], flags=re.M | re.S)
+    assert len(lines.split("\n")) - lines.count("\n\n") - 1 == 5
+    names = {}
+    exec(lines, names)
+    hidden = runpy.run_path(str(ROOT / "deploy" / "samples" / "make_samples.py"))["LINE2_HIDDEN"]
+    ((cause, (parameter, size)),) = [(cause, *values.items()) for cause, values in hidden.items()]
+    found = names["found"]
+    assert found.verdict == "named"
+    assert list(found.frame().index) == [(cause, parameter)]
+    row = found.frame().iloc[0]
+    assert row["named"]
+    assert row["low"] < size < row["high"]
+    assert row["high"] < 1.0  # the side: it is the upper contact that is the worse one
+    assert row["value"] == pytest.approx(size, rel=0.05)
+    assert f"{row['value']:.2f} of the lower one ({row['low']:.2f} to {row['high']:.2f};" in section
