@@ -8,6 +8,7 @@ export class Refused extends Error {
   constructor(problem, status) {
     super(said(problem.detail_said, problem.detail || problem.title) || `HTTP ${status}`);
     this.status = status;
+    this.said = problem.detail_said;
   }
 }
 

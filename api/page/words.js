@@ -84,6 +84,20 @@ export function numberName(key) {
   return has(code) ? text(code) : key;
 }
 
+// A message about header keys, for whom they are fields of a form: it names each as `names` or a run's numbers do.
+export function saidOfFields(message, english, names) {
+  const code = AS_FIELD[message?.code] ?? message?.code;
+  return said(message && { code, arguments: Object.fromEntries(Object.entries(message.arguments).map(([name, value]) => [name, asField(value, names)])) }, english);
+}
+
+const AS_FIELD = { "header-number-outside": "page-field-outside", "api-header-not-a-number": "page-field-no-number" };
+
+function asField(value, names) {
+  if (Array.isArray(value)) return value.map((one) => asField(one, names));
+  if (value?.code) return saidOfFields(value, value.code, names);
+  return typeof value === "string" ? names[value] ?? numberName(value).replace(/ \[.*\]$/, "") : value;
+}
+
 // What an effect is called, as a heading or in a list; one without words stands for itself.
 export function effectName(effect) {
   const code = [`effect-${effect}-called`, `page-suspected-${effect.replaceAll(" ", "-")}`].find(has);

@@ -471,7 +471,7 @@ def with_sd(text: str) -> str:
     return _SD_LINE.sub(r'\1"\2.sd"', text)
 
 
-def parse_press(text: str, source: str = "press file") -> Press:
+def parse_press(text: str, source: str | Message = "press file") -> Press:
     """Return the press a TOML text describes.
 
     Raises

@@ -41,6 +41,8 @@ limit-less-than-equal = darf höchstens { NUMBER($limit, maximumFractionDigits: 
 list-of-names = { $names }
 number-unknown = nicht bekannt
 place-line = Zeile { NUMBER($line) }
+place-model = Modell { $version }
+place-press = Presse { $press }
 place-row = Reihe { NUMBER($row) }
 plain-text = { $text }
 system-address-in-use = Die Adresse ist schon vergeben
@@ -262,7 +264,7 @@ header-number-outside = Kopfschlüssel { $key } = { $value }: muss eine Zahl von
 header-override = Überschreibung im Kopf: { $what }
 header-sd-not-positive = { $key } = { $value }: eine Standardabweichung muss eine positive Zahl sein
 header-section = '# { $text }': Abschnitte werden nicht gelesen; '# panel.key = value' schreiben
-header-start-hot = panel.initial_temperature_C = { NUMBER($value, maximumFractionDigits: 1) }: Hände und Raum erwärmen keine Platte über { NUMBER($limit, maximumFractionDigits: 0) } °C; die Starttemperatur prüfen
+header-start-hot = { $key } = { NUMBER($value, maximumFractionDigits: 1) }: Hände und Raum erwärmen keine Platte über { NUMBER($limit, maximumFractionDigits: 0) } °C; die Starttemperatur prüfen
 header-value-kind = Kopfwert { $value }: eine Laufdatei enthält Text, Zahlen, true/false, Zeiten und Listen
 manifest-line = nicht 'SHA-256-Summe, zwei Leerzeichen, Datei'; die Zeile entfernen
 mapping-header-source = header_from.{ $key }.column = '{ $column }': keine [[column]] führt dorthin
@@ -2110,6 +2112,7 @@ page-start-temperature = Starttemperatur
 
 page-alarm-core = Kern über
 page-alarm-drift = Drift ab
+page-alarm-drift-hint = Drift meldet die Regelkarte eines Koeffizienten, sobald genug Pressungen angepasst sind; kleinere Änderungen als diese bleiben dabei aus.
 page-alarm-here = In diesem Browser
 page-alarm-limits = Grenzen von { $press }
 page-alarm-limits-hint = Leer: keine Grenze. Benachrichtigung über E-Mail oder Webhook: [email] und [webhook] in kerntemp.toml.
@@ -2421,6 +2424,8 @@ page-day-hint = Jeder Punkt ist der höchste oder tiefste Wert aller Fühler in 
 page-day-of = Ein Tag der Presse { $press }
 page-day-view = Ganze Tage
 page-day-whole = Ganzer Tag
+page-field-no-number = { $key }: { $value } ist keine Zahl
+page-field-outside = { $key } = { $value }: muss eine Zahl von { NUMBER($lower) } bis { NUMBER($upper) } { $unit } sein
 page-files-only = keine Aufzeichnung, nur Dateien
 page-follow = Folgen
 page-guide = Leitfaden und Referenz

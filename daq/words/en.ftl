@@ -41,6 +41,8 @@ limit-less-than-equal = must be less than or equal to { NUMBER($limit, maximumFr
 list-of-names = { $names }
 number-unknown = not known
 place-line = line { NUMBER($line) }
+place-model = model { $version }
+place-press = press { $press }
 place-row = row { NUMBER($row) }
 plain-text = { $text }
 system-address-in-use = Address already in use
@@ -262,7 +264,7 @@ header-number-outside = header key { $key } = { $value }: must be a number from 
 header-override = header override: { $what }
 header-sd-not-positive = { $key } = { $value }: a standard deviation must be a positive number
 header-section = '# { $text }': sections are not read; write '# panel.key = value'
-header-start-hot = panel.initial_temperature_C = { NUMBER($value, maximumFractionDigits: 1) }: hands and room bring no panel above { NUMBER($limit, maximumFractionDigits: 0) } °C; check the start temperature
+header-start-hot = { $key } = { NUMBER($value, maximumFractionDigits: 1) }: hands and room bring no panel above { NUMBER($limit, maximumFractionDigits: 0) } °C; check the start temperature
 header-value-kind = header value { $value }: a run file holds text, numbers, true/false, times and lists
 manifest-line = not 'SHA-256 sum, two spaces, file'; remove the line
 mapping-header-source = header_from.{ $key }.column = '{ $column }': no [[column]] maps to it
@@ -2091,6 +2093,7 @@ page-start-temperature = Start temperature
 
 page-alarm-core = Core above
 page-alarm-drift = Drift of at least
+page-alarm-drift-hint = Drift is raised by a coefficient's control chart, once enough pressings have been fitted; changes smaller than this are left out of it.
 page-alarm-here = In this browser
 page-alarm-limits = Limits of { $press }
 page-alarm-limits-hint = Empty: no limit. To notify people by e-mail or webhook: [email] and [webhook] of kerntemp.toml.
@@ -2402,6 +2405,8 @@ page-day-hint = Each point is the highest or lowest of all sensors in its step o
 page-day-of = A day of the press { $press }
 page-day-view = Whole days
 page-day-whole = Whole day
+page-field-no-number = { $key }: { $value } is no number
+page-field-outside = { $key } = { $value }: must be a number from { NUMBER($lower) } to { NUMBER($upper) } { $unit }
 page-files-only = no recorder, files only
 page-follow = Follow
 page-guide = Guide and reference

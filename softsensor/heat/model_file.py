@@ -33,7 +33,7 @@ import numpy as np
 from daq.press.press_file import Press
 from daq.printed import on_screen
 from daq.records import KEYS_SHOWN, Array, InputError
-from daq.words import say
+from daq.words import Message, say
 from softsensor.effects import find_effect
 from softsensor.heat.model import ThermalModel
 
@@ -202,7 +202,7 @@ class ModelFile:
         return content
 
 
-def parse_model(content: Any, source: str) -> ModelFile:
+def parse_model(content: Any, source: str | Message) -> ModelFile:
     """Check a model file's content. Raises InputError naming `source`, key and value."""
     if not isinstance(content, dict) or "coefficients" not in content:
         raise InputError(say("model-file-no-coefficients", file=source))
@@ -241,7 +241,7 @@ def parse_model(content: Any, source: str) -> ModelFile:
     )
 
 
-def _sisters(entry: Any, source: str) -> Sisters:
+def _sisters(entry: Any, source: str | Message) -> Sisters:
     try:
         scatter = {
             name: SisterScatter(float(s["between"]), float(s["within"])) for name, s in entry["scatter"].items()
@@ -256,7 +256,7 @@ def _sisters(entry: Any, source: str) -> Sisters:
     return found
 
 
-def _panels(table: Any, source: str) -> tuple[PressedPanel, ...]:
+def _panels(table: Any, source: str | Message) -> tuple[PressedPanel, ...]:
     try:
         found = tuple(PressedPanel(float(entry["thickness_mm"]), int(entry["runs"])) for entry in table)
     except (TypeError, KeyError, ValueError) as error:
@@ -266,7 +266,7 @@ def _panels(table: Any, source: str) -> tuple[PressedPanel, ...]:
     return tuple(sorted(found, key=lambda p: p.thickness_mm))
 
 
-def _scatter(table: Any, source: str) -> dict[str, Scatter]:
+def _scatter(table: Any, source: str | Message) -> dict[str, Scatter]:
     try:
         found = {
             key: Scatter(float(entry["sd"]), int(entry["runs"]), float(entry.get("panel", entry["sd"])))
@@ -279,7 +279,7 @@ def _scatter(table: Any, source: str) -> dict[str, Scatter]:
     return found
 
 
-def _estimates(table: Any, source: str, where: str) -> dict[str, FittedValue]:
+def _estimates(table: Any, source: str | Message, where: str) -> dict[str, FittedValue]:
     if not isinstance(table, dict):
         raise InputError(say("model-file-no-table", file=source, place=where))
     found = {}
@@ -294,7 +294,7 @@ def _estimates(table: Any, source: str, where: str) -> dict[str, FittedValue]:
     return found
 
 
-def _missing_causes(entry: Any, source: str) -> MissingCauses:
+def _missing_causes(entry: Any, source: str | Message) -> MissingCauses:
     try:
         causes = {
             name: MissingCause(

@@ -38,6 +38,7 @@ router = APIRouter(tags=["runs"], responses=problem_responses(404))
 NUMBERS = ("setting.", "ambient.")
 """Header keys that begin so are numbers: fits, drift and the live sensor reckon with them."""
 THICKNESS = "panel.thickness_mm"
+START = "panel.initial_temperature_C"
 EXACT = 2**53
 """Whole numbers up to here are the same in JSON, TOML and a float."""
 Key = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+(\.[A-Za-z0-9_-]+)*$", max_length=200)]
@@ -147,11 +148,12 @@ def put_next_panel(
     if reserved := {"run", "remark", "recipe", VERDICT} & set(change.header):
         raise ProblemError(422, say("api-header-key-fixed", key=min(reserved)))
     if change.header:
-        check_keys(change.header, change.header, f"press {name}")
+        where = say("place-press", press=name)
+        check_keys(change.header, change.header, where)
         if text := store.presses().get(name, ""):
-            overridden(parse_press(text, f"press {name}"), change.header, f"press {name}")
+            overridden(parse_press(text, where), change.header, where)
         if "panel.material" in change.header:
-            check_material({**headers.get(name, {}), **change.header}, f"press {name}")
+            check_material({**headers.get(name, {}), **change.header}, where)
     store.put_next_panel(name, change.header, change.recipe, who)
     store.log(
         "info", who, say("api-next-panel", press=name, fields=tuple(change.header), recipe=change.recipe), name
@@ -184,8 +186,8 @@ def _next_panel(store: Store, press: str) -> tuple[NextPanelNow, tuple[Message, 
 def _doubts(store: Store, press: str, header: Mapping[str, Any]) -> tuple[Message, ...]:
     """Return what is to be asked about the panels to come."""
     found = list(doubts(header))
-    if isinstance(start := header.get("panel.initial_temperature_C"), int | float) and start > HAND_C:
-        found.append(say("header-start-hot", value=start, limit=HAND_C))
+    if isinstance(start := header.get(START), int | float) and start > HAND_C:
+        found.append(say("header-start-hot", key=START, value=start, limit=HAND_C))
     if isinstance(thickness := header.get(THICKNESS), int | float):
         pressed = [run.header.get(THICKNESS) for run in store.runs(press=press, limit=MAX_PAGE).items]
         known = [mm for mm in pressed if isinstance(mm, int | float)]
@@ -208,11 +210,11 @@ def _check(store: Store, record: RunRecord, wanted: Mapping[str, Any]) -> None:
         return
     merged = {**record.header, **wanted}
     header = {key: value for key, value in merged.items() if value is not None}
-    check_keys(header, wanted, f"run {record.run}")
-    imagined = Run(record.run, header, np.zeros(0), {}, source=f"run {record.run}")
+    check_keys(header, wanted, record.run)
+    imagined = Run(record.run, header, np.zeros(0), {}, source=record.run)
     text = store.presses().get(record.press, "")
     if text:
-        press_for_run(parse_press(text, f"press {record.press}"), imagined)
+        press_for_run(parse_press(text, say("place-press", press=record.press)), imagined)
     try:
         panel_of(imagined)
     except InputError:
@@ -221,7 +223,7 @@ def _check(store: Store, record: RunRecord, wanted: Mapping[str, Any]) -> None:
             raise  # what was missing before may stay missing while something else is written down
 
 
-def check_keys(header: Mapping[str, Any], wanted: Mapping[str, Any], where: str) -> None:
+def check_keys(header: Mapping[str, Any], wanted: Mapping[str, Any], where: str | Message) -> None:
     """Refuse header keys that could not be read again, or whose values cannot be.
 
     Parameters

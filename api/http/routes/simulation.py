@@ -182,8 +182,12 @@ def _simulate(store: Store, record: RunRecord, known: Known) -> Simulated:
     if not text:
         raise ProblemError(404, say("api-run-without-press-file", run=record.run))
     try:
-        press = parse_press(text, f"press {record.press}")
-        file = parse_model(known.model.model, f"model {known.model.version}") if known.model else None
+        press = parse_press(text, say("place-press", press=record.press))
+        file = (
+            parse_model(known.model.model, say("place-model", version=known.model.version))
+            if known.model
+            else None
+        )
         model = file.model(press) if file else ThermalModel(press)
         run = store.load_run(record.run)
         guesses = replace(model, press=press_for_run(press, run)).guesses

@@ -140,7 +140,7 @@ def _pressed(store: Store, record: RunRecord, resin: Path | None) -> Pressed:
     if not text:
         raise ProblemError(404, say("api-run-without-press-file", run=record.run))
     press, run, known = (
-        parse_press(text, f"press {record.press}"),
+        parse_press(text, say("place-press", press=record.press)),
         store.load_run(record.run),
         known_of(store, record),
     )
@@ -176,7 +176,7 @@ def _own_model(store: Store, record: RunRecord, known: Known) -> ModelFile:
     if known.model is None:
         model = ModelFile("", record.press, own)
     else:
-        file = parse_model(known.model.model, f"model {known.model.version}")
+        file = parse_model(known.model.model, say("place-model", version=known.model.version))
         model = replace(file, coefficients={**file.coefficients, **own})
     if model.names:
         return model

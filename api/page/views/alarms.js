@@ -84,7 +84,8 @@ function drawLimits(place, kept) {
   });
   place.replaceChildren(el("div", { class: "head" }, el("h2", {}, text("page-alarm-limits", { press: kept.press })),
     el("span", { class: "small faint" }, kept.who ? text("page-next-by", { who: kept.who, time: clock(kept.utc) }) : "")),
-  el("label", { class: "row", for: "limit-verdict" }, unknown, text("page-alarm-verdict")), form, el("p", { class: "small faint" }, text("page-alarm-limits-hint")), message);
+  el("label", { class: "row", for: "limit-verdict" }, unknown, text("page-alarm-verdict")), form, el("p", { class: "small faint" }, text("page-alarm-drift-hint")),
+  el("p", { class: "small faint" }, text("page-alarm-limits-hint")), message);
 }
 
 export function refuse(message, error) {

@@ -2,7 +2,7 @@
 import { announce } from "../announce.js";
 import { get, put } from "../api.js";
 import { clock, el, number, written } from "../dom.js";
-import { text } from "../words.js";
+import { saidOfFields, text } from "../words.js";
 
 const VERDICTS = ["good", "blister", "undercured", "scrap"];
 const FIELDS = [["panel.material", "page-material", ""], ["panel.thickness_mm", "page-thickness", "mm"], ["panel.moisture_percent", "page-moisture", "%"],
@@ -51,11 +51,11 @@ export class PanelCards {
       try {
         this.draw(await put(`/press/next?press=${encodeURIComponent(this.press)}`, { header, recipe: name.value.trim() }));
         announce(text("page-next-kept"));
-      } catch (error) { refuse(message, error); }
+      } catch (error) { refuse(message, error, saidOfFields(error.said, error.message, labels())); }
     });
     this.next.replaceChildren(el("div", { class: "head" }, el("h2", {}, text("page-next-panel")),
       el("span", { class: "small faint" }, said.who ? text("page-next-by", { who: said.who, time: clock(said.utc) }) : "")),
-    form, ...said.doubts_said.map((doubt) => el("p", { class: "warning", role: "status" }, `⚠ ${text(doubt.code, doubt.arguments)}`)),
+    form, ...said.doubts_said.map((doubt) => el("p", { class: "warning", role: "status" }, `⚠ ${saidOfFields(doubt, doubt.code, labels())}`)),
     el("p", { class: "small faint" }, text("page-next-hint")), this.faces, message);
   }
 
@@ -98,9 +98,12 @@ export class PanelCards {
   }
 }
 
-function refuse(message, error) {
+// What the operator sees the header's keys called.
+const labels = () => Object.fromEntries(FIELDS.map(([key, label]) => [key, text(label)]));
+
+function refuse(message, error, words = error.message) {
   message.className = "small bad-text";
-  message.replaceChildren(error.message, error.status === 401 ? el("a", { href: "#/access" }, ` ${text("page-need-token")}`) : "");
+  message.replaceChildren(words, error.status === 401 ? el("a", { href: "#/access" }, ` ${text("page-need-token")}`) : "");
 }
 
 const meant = (key, typed) => (key !== "panel.material" && /^[+-]?\d+([.,]\d+)?$/.test(typed) ? Number(typed.replace(",", ".")) : typed);

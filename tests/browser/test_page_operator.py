@@ -1,0 +1,129 @@
+"""What an operator enters and is told, in the words of the fields on the page, and on the screens of the plant."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime, timedelta
+
+import numpy as np
+import pytest
+from playwright.sync_api import expect
+
+from api.http.tokens import TokenFile
+from daq.records import Run
+from tests.browser.conftest import CHANNELS, LAB
+
+
+@pytest.fixture
+def write(served):
+    """Give the page's tab a token that may write."""
+    server, _, page = served
+    token = TokenFile(server.config.parent / "kerntemp-tokens.json").create("foreman", "write")
+    page.add_init_script(f"sessionStorage.setItem('kerntemp-token', {token!r})")
+
+
+@pytest.mark.parametrize(
+    ("language", "fields", "save", "refused", "outside", "doubted"),
+    [
+        (
+            "en",
+            ("Material", "Thickness", "Start temperature"),
+            "Save",
+            ("press lab: material 'unobtainium' is not in the table", "Density of the panel"),
+            "press lab: Thickness = 900: must be a number from 0.1 to 500 mm",
+            (
+                "Start temperature = 61: hands and room bring no panel above 38 °C",
+                "Thickness = 190: no earlier run",
+            ),
+        ),
+        (
+            "de",
+            ("Material", "Dicke", "Starttemperatur"),
+            "Speichern",
+            ("Presse lab: Material 'unobtainium' steht nicht in der Tabelle", "Dichte der Platte"),
+            "Presse lab: Dicke = 900: muss eine Zahl von 0,1 bis 500 mm sein",
+            (
+                "Starttemperatur = 61: Hände und Raum erwärmen keine Platte über 38 °C",
+                "Dicke = 190: keine frühere",
+            ),
+        ),
+    ],
+)
+def test_the_card_refuses_and_doubts_by_the_names_of_its_fields(
+    served, write, tmp_path, language, fields, save, refused, outside, doubted
+):
+    server, feed, page = served
+    ran = Run("before", {"panel.thickness_mm": 16.0}, np.array([0.0, 60.0]), {"top_1": np.full(2, 20.0)})
+    feed.store.import_run(ran, "lab")
+    page.add_init_script(f"localStorage.setItem('kerntemp-language', '{language}')")
+    page.goto(server.url + "#/now")
+    card = page.get_by_test_id("next-panel")
+    material, thickness, start = (card.get_by_label(field) for field in fields)
+    material.fill("unobtainium")
+    card.get_by_role("button", name=save).click()
+    for part in refused:
+        expect(card.get_by_role("status")).to_contain_text(part)
+    material.fill("MDF")
+    thickness.fill("900")
+    card.get_by_role("button", name=save).click()
+    expect(card.get_by_role("status")).to_contain_text(outside)
+    thickness.fill("190")
+    start.fill("61")
+    card.get_by_role("button", name=save).click()
+    for part in doubted:
+        expect(card.locator(".warning", has_text=part)).to_have_count(1)
+    assert "panel." not in card.inner_text()
+    page.screenshot(path=tmp_path / "card.png", full_page=True)
+
+
+def test_a_limit_of_drift_tells_what_the_control_chart_tells_from_that_size_on(served, write, tmp_path):
+    server, feed, page = served
+    began, one = datetime(2026, 3, 4, tzinfo=UTC), {"top_1": np.ones(2)}
+    for i in range(27):
+        header = {"recorded.started_utc": began + timedelta(hours=i)}
+        feed.store.import_run(Run(f"lab-{i:02}", header, np.array([0.0, 60.0]), one), "lab")
+        value = 700.0 + 10 * (i % 3) if i < 20 else 490.0
+        known = {"value": value, "sd": value / 30, "ci95": [0.9 * value, 1.1 * value], "identifiable": True}
+        fit = {"coefficients": {"h_pp_c": known}, "rmse_K": 0.3, "initial_rmse_K": 1.0, "warnings": []}
+        feed.store.put_fit(f"lab-{i:02}", fit)
+    page.add_init_script("localStorage.setItem('kerntemp-language', 'en')")
+    page.goto(server.url + "#/alarms")
+    limits = page.get_by_test_id("alarm-limits")
+    expect(limits).to_contain_text("Drift is raised by a coefficient's control chart, once enough pressings")
+    told = page.get_by_test_id("alarms").get_by_text("lab: h_pp_c is at 69 % of what it was since lab-20")
+    for percent, times in (("40", 0), ("20", 1)):  # h_pp_c fell by 31 %
+        limits.get_by_label("Drift of at least").fill(percent)
+        limits.get_by_role("button", name="Save").click()
+        expect(limits.get_by_label("Drift of at least")).to_have_value(percent)
+        kept = "fetch('api/v1/alarms/thresholds').then((a) => a.json()).then((l) => l.items[0].thresholds)"
+        expect(limits).to_contain_text("by foreman")
+        assert page.evaluate(kept)["drift_percent"] == float(percent)
+        page.wait_for_timeout(2500 if not times else 0)
+        expect(told).to_have_count(times)
+    page.screenshot(path=tmp_path / "alarms.png", full_page=True)
+
+
+def test_thirty_presses_stand_on_one_small_screen(served, browser, tmp_path):
+    server, feed, _ = served
+    for number in range(2, 31):
+        feed.store.register_press(f"press-{number}", CHANNELS, LAB.read_text(encoding="utf-8"))
+    page = browser.new_page(viewport={"width": 1366, "height": 768}, locale="de-DE", bypass_csp=True)
+    page.goto(server.url)
+    expect(page.locator(".press-tile")).to_have_count(30)
+    page.screenshot(path=tmp_path / "presses.png", full_page=True)
+    page.wait_for_function("document.querySelector('.presses').getBoundingClientRect().bottom <= innerHeight")
+    page.close()
+
+
+def test_a_press_with_a_long_name_does_not_make_a_narrow_screen_scroll_sideways(served, browser, tmp_path):
+    server, feed, _ = served
+    name = "short-cycle press of the northern hall, line 4, upper floor"
+    feed.store.register_press(name, CHANNELS, LAB.read_text(encoding="utf-8"))
+    page = browser.new_page(viewport={"width": 375, "height": 812}, locale="de-DE")
+    for view in ("now", "presses", "nights"):
+        page.goto(f"{server.url}#/{view}")
+        expect(page.locator("#press")).to_be_visible()
+        page.locator("#press").select_option(name)
+        expect(page.locator("main .card").first).to_be_visible()
+        page.screenshot(path=tmp_path / f"{view}.png")
+        assert page.evaluate("document.documentElement.scrollWidth") <= 375, view
+    page.close()
