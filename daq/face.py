@@ -48,6 +48,7 @@ class StoreTables:
     """An open store. Close it, or use it in a ``with`` statement."""
 
     store: Store
+    """What the tables are read from."""
 
     def runs(self, press: str | None = None) -> pd.DataFrame:
         """Return one row a run, newest first, with the keys of its header."""

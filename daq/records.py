@@ -140,16 +140,22 @@ class PressState(StrEnum):
     """What the press is doing: no panel, panel in the open press, or pressing."""
 
     IDLE = "idle"
+    """No panel in the press."""
     OPEN = "open"
+    """A panel in the open press."""
     CLOSED = "closed"
+    """A panel being pressed."""
 
 
 class EventSource(StrEnum):
     """What told of a moment of the press."""
 
     TEMPERATURES = "temperatures"
+    """Found in the readings of the sensors."""
     LIMIT_SWITCH = "limit switch"
+    """A wire that tells open from closed."""
     PRESSURE_CHANNEL = "pressure channel"
+    """A logged pressure."""
     ONE_STATE = "one state"
     """A press that never opens: there was nothing to find."""
     UNKNOWN = "unknown"
@@ -268,9 +274,13 @@ class Run:
     """
 
     name: str
+    """Which run it is, in files and in the store."""
     header: Mapping[str, Any]
+    """By dotted key, as given; units stand in the keys."""
     time_s: Array
+    """Of each scan, rising (n). [s]"""
     columns: Mapping[str, Array]
+    """By name, NaN where a cell is empty or not usable (n each). [°C, or the column's own unit]"""
     source: str = ""
     """Where it came from, for messages: a file path or ``store``."""
     texts: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
@@ -340,8 +350,14 @@ class Moments:
     """
 
     inserted_s: float = float("nan")
+    """When the panel was laid in. [s]"""
     closed_s: float = float("nan")
+    """Middle of the closing ramp. [s]"""
     opened_s: float = float("nan")
+    """Middle of the opening ramp. [s]"""
     removed_s: float = float("nan")
+    """When the panel was taken out. [s]"""
     ramp_s: float = 0.5
+    """How long closing takes. [s]"""
     source: EventSource = EventSource.TEMPERATURES
+    """What told of closing and opening."""

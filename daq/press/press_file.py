@@ -285,13 +285,21 @@ class Press(Table):
     """One press, or any rig of layers: the whole press file."""
 
     press: PressTable = PressTable()
+    """The press's name and measures."""
     layer: tuple[Layer, ...] = Field(min_length=1)
+    """What heat goes through, from bottom to top."""
     boundary: Boundaries = Boundaries()
+    """What is known at either end."""
     contact: tuple[Contact, ...] = ()
+    """How neighbours touch, by press state."""
     coefficients: Mapping[str, CoefficientTable] = Field(default_factory=dict)
+    """Guess and limits of each heat transfer coefficient, by name. [W/m²K]"""
     priors: Mapping[str, Prior] = Field(default_factory=dict)
+    """What is known of a coefficient before any run is seen, by name. [W/m²K]"""
     sensor: tuple[Sensor, ...] = ()
+    """Which columns are read where."""
     initial: Initial = Initial()
+    """The temperatures before the first row."""
     core: Core | None = None
     """None: the middle of the panel; without a panel where the first ``validation`` sensor sits, else the middle
     of the layer in the middle."""

@@ -174,12 +174,19 @@ class Resin(Table):
     """A checked resin file."""
 
     resin: ResinTable
+    """Its name, and where its numbers are from."""
     order: OrderLaw | None = None
+    """How fast it cures, as a law of nth order; exactly one of the three laws is given."""
     kamal: KamalLaw | None = None
+    """How fast it cures by Kamal's law, else None."""
     isoconversional: IsoconversionalLaw | None = None
+    """How fast it cures by a table over conversion, else None."""
     limits: LimitsTable = Field(default_factory=LimitsTable)
+    """What must hold at opening."""
     grades: GradesTable = Field(default_factory=GradesTable)
+    """From which degree of cure a face is matt or glossy."""
     sorption: SorptionTable = Field(default_factory=SorptionTable)
+    """How much water the board holds."""
 
     @model_validator(mode="after")
     def _one_law(self) -> Resin:

@@ -38,13 +38,15 @@ class Scene:
     face_cells: tuple[int, int] | None
     """The panel's lowest and highest cell, None without a panel."""
     panel: Panel | None
+    """The panel's measures and constants, None without one."""
     panel_contacts: tuple[int, ...]
     """Numbers of the contacts that touch the panel, from bottom to top."""
     contacts: int
     """How many contacts there are."""
     step_start: Array
+    """Starts of the solver's steps, in the run's time (steps). [s]"""
     step_end: Array
-    """Of the solver's steps, in the run's time. [s]"""
+    """Ends of them (steps). [s]"""
     closed_s: complex | float
     """Middle of the closing ramp, NaN if the press never closes. [s]"""
     load: Mapping[int, Array]
@@ -97,6 +99,7 @@ class Terms:
     capacity: Numbers | float = 1.0
     """Factor on rho c by cell."""
     capacity_slope: Numbers | float = 0.0
+    """Of rho c, relative, by cell. [1/K]"""
     exchange: Numbers | float = 0.0
     """Heat lost to ambient per volume, by cell. [W/m³K]"""
     closed_contact: Mapping[int, Numbers] = field(default_factory=dict)
@@ -106,6 +109,7 @@ class Terms:
     convection: Any = 0.0
     """Steam transport in the closed panel. [W/m³K]"""
     conversions: tuple[Conversion, ...] = ()
+    """Heat released or taken once, one for each thing that is used up."""
     paper: tuple[Any, Any] | None = None
     """Resistance and capacity of a layer on each panel face. [m²K/W, J/m²K]"""
     plates_offset: Any = 0.0
@@ -143,9 +147,13 @@ class Need(StrEnum):
     """What a run must offer for an effect to be testable."""
 
     NOTHING = ""
+    """Any run will do."""
     PANEL = "panel"
+    """A press with a panel."""
     SWITCH = "closed"
+    """A ``closed`` column: a wire that tells when the press is closed."""
     LOAD = "load"
+    """Pressings at several pressures, or a load that changes within one."""
 
 
 class Role(StrEnum):
@@ -168,6 +176,7 @@ class Live:
     """An effect in the live sensor."""
 
     role: Role = Role.NONE
+    """In which way the filter holds it."""
     absent: float = 0.01
     """What is left of a hypothesis where it is absent, as a share of its typical size."""
     with_states: bool = False
@@ -186,14 +195,18 @@ class Effect:
     """
 
     name: str
+    """Which it is, in files, answers and keys."""
     parameters: tuple[Parameter, ...]
     """Its size first; then what says how it goes."""
     terms: Callable[[Scene, Mapping[str, Any]], Terms]
+    """Its share of the equations: what it changes in a scene, for the values of its parameters by name."""
     source: str
+    """Where its equation and sizes are from."""
     chance: float = 0.0
     """That a pressing has it at its typical size, before anything is known of the press. Set by hand, 2026-11, so
     that the live sensor's band holds what it promises on virtual campaigns."""
     live: Live = Live()
+    """How the live sensor carries it."""
     words: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     """By language: ``called``, ``meaning``, ``symptom``, ``confirmed-by``, ``core`` and ``parameter-NAME``."""
     measuring: bool = False
@@ -205,6 +218,7 @@ class Effect:
     layers: bool = False
     """Whether it adds layers to the mesh (``Terms.paper``)."""
     needs: Need = Need.NOTHING
+    """What a run must offer for it to be testable."""
     confirmed_in_core: bool = False
     """Whether the measurement that would settle it is a thermocouple in the core."""
     most_heat_J_m2: float = 0.0  # noqa: N815

@@ -16,19 +16,25 @@ class Parameter:
     """One parameter of an effect."""
 
     name: str
+    """Which it is among the effect's."""
     unit: str
+    """Of its value, as written; empty for a share."""
     neutral: float
     """The value at which the effect is absent."""
     typical: float
     """A physical size to try first; differences to `neutral` of this size are what a diagnosis tests."""
     lower: float
+    """Lowest value that a search tries."""
     upper: float
+    """Highest value that a search tries."""
     source: str
+    """Where the numbers are from."""
     spread: float = 0.0
     """How much it differs between pressings, as a share of its value; 0 where all share one value."""
     least: float = -inf
+    """The least that can be at all: below, the equations mean nothing."""
     most: float = inf
-    """What can be at all, wider than the limits of a search: beyond, the equations mean nothing."""
+    """The most that can be at all; both are wider than the limits of a search."""
     sd: float = 0.0
     """How far it may lie from `typical` where the effect is present; 0: as far as from `neutral`."""
     within: float = 0.0

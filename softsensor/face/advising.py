@@ -35,6 +35,7 @@ class AdviceResult:
     """Press time and platens for a panel not pressed yet, and those beside them."""
 
     advised: ProgrammeAdvice
+    """Programs looked at, the best one, what was asked; press times [s], platens [°C], chances from 0 to 1."""
 
     def frame(self) -> pd.DataFrame:
         """Return one row a program looked at: press time, risk, energy; NaN where no press time will do."""

@@ -28,6 +28,7 @@ class PlanResult:
     """The next pressings worth most, and what each would settle."""
 
     planned: Plan
+    """The open points, and for each the pressings that would settle it; what one is worth in nats."""
 
     def frame(self) -> pd.DataFrame:
         """Return one row an open point and pressing: its settings, chance to settle it, and runs needed."""

@@ -29,6 +29,7 @@ class Simulation:
     """A run as the model has it, open loop from its platen temperatures. [°C]"""
 
     run: Run
+    """What was simulated: the run as given, or with the settings asked for. [s, °C]"""
     simulated: Simulated
     """Temperatures at every place and through the panel [°C], and how far the readings are off [K]."""
 

@@ -111,7 +111,9 @@ class ThermalModel:
     """
 
     press: Press
+    """The chain of layers and contacts."""
     effects: tuple[Effect, ...] = ()
+    """What it adds to plain conduction, in this order."""
 
     @staticmethod
     def of(press: Press, names: Iterable[str] = ()) -> ThermalModel:

@@ -43,7 +43,9 @@ class FittedValue:
     """A value and its standard deviation."""
 
     value: float
+    """In the unit of its coefficient or parameter; of a coefficient [W/m²K]."""
     sd: float
+    """Standard deviation in the same unit: what a run may differ by, uncertainty of the mean included."""
 
 
 @dataclass(frozen=True)
@@ -118,11 +120,17 @@ class ModelFile:
     """Coefficients and effects of one press, as a campaign found them."""
 
     version: str
+    """Which model of the press it is."""
     press: str
+    """Name of the press it is of."""
     coefficients: Mapping[str, FittedValue]
+    """Heat transfer coefficients of a typical run, by name. [W/m²K]"""
     effects: tuple[tuple[str, Mapping[str, FittedValue]], ...] = ()
+    """Name of each effect, and its parameters by name, in the parameters' own units."""
     names: tuple[str, ...] = ()
+    """What rows and columns of the covariance are of, in their order (n)."""
     covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    """Of the coefficients' logarithms and of the effects' parameters themselves (n, n)."""
     missing: MissingCauses | None = None
     """None: nobody looked."""
     scatter: Mapping[str, Scatter] = field(default_factory=dict)

@@ -77,8 +77,9 @@ class Forecast:
     target_in_s: float = math.nan
     """Until the core reaches the target if the press stays as it is, 0 if it has."""
     target_earliest_s: float = math.nan
+    """Lower bound of 95 % of the time until then. [s]"""
     target_latest_s: float = math.nan
-    """Bounds of 95 %."""
+    """Upper bound of 95 % of it. [s]"""
     open_in_s: float = math.nan
     """When to open so that the core's peak after opening just reaches the target."""
     peak_C: float = math.nan  # noqa: N815
@@ -97,6 +98,7 @@ class Forecast:
     """The core to come if the press stays closed: time from the look on, as reported, lower and upper bound of
     95 %, at most `COURSE_POINTS` of them. [s, °C]"""
     warning: Message | None = None
+    """What is about to go wrong, in words; None: nothing."""
 
     def later(self, seconds: float) -> Forecast:
         """Return the same forecast some seconds on."""

@@ -36,12 +36,15 @@ class Leave:
     """Cure and steam at one moment, and how likely each limit is broken if the press opens then."""
 
     cure_top: float = math.nan
+    """Degree of cure of the upper face, from 0 to 1."""
     cure_bottom: float = math.nan
+    """Degree of cure of the lower face, from 0 to 1."""
     cure_low: float = math.nan
     """Lower bound of 95 % of the face that may have cured less."""
     grade: str = ""
     """What a face is that has cured so far (`GradesTable`); empty where the resin file has no thresholds."""
     steam_kPa: float = math.nan  # noqa: N815
+    """Partial pressure of steam in the panel. [kPa]"""
     steam_high_kPa: float = math.nan  # noqa: N815
     """Upper bound of 95 %."""
     panel: PanelState | None = None

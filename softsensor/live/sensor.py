@@ -72,13 +72,17 @@ class Estimate:
     """What the live sensor says at one scan."""
 
     time_s: float
+    """When the scan was taken, on the run's clock. [s]"""
     state: PressState | None
     """None: unknown."""
     core_C: float = math.nan  # noqa: N815
+    """The core's temperature as far as is known; NaN where nothing is. [°C]"""
     core_sd_K: float = math.nan  # noqa: N815
+    """Its standard deviation. [K]"""
     core_low_C: float = math.nan  # noqa: N815
+    """Lower bound of 95 %. [°C]"""
     core_high_C: float = math.nan  # noqa: N815
-    """Low and high bound 95 %."""
+    """Upper bound of 95 %. [°C]"""
     invalid: Invalid | None = None
     """Why it is not to be believed; None: it is valid."""
     suspected: str = ""

@@ -47,7 +47,9 @@ class SteamLimit:
     weight: Array
     """(M, T), together 1."""
     marks: int
+    """How many marked panels it rests on."""
     blistered: int
+    """How many of them blistered."""
     foreseen: tuple[float, float] = (math.nan, math.nan)
     """Chance given beforehand to what became of the panels, on geometric average: by what the panels before each
     had taught, and by what was stated; NaN where less than two are known."""

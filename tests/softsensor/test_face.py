@@ -1,5 +1,6 @@
 """Kerntemp from Python: what goes in comes out, results are those of the command line, errors too."""
 
+import ast
 import doctest
 import inspect
 import json
@@ -72,6 +73,30 @@ def test_every_public_name_is_there_and_says_what_it_is(package):
         assert getattr(package, name).__doc__
     with pytest.raises(AttributeError, match="it has"):
         _ = package.not_a_name
+
+
+def fields_without_words(cls):
+    """Return the public fields of a class, and those of them under which no words stand."""
+    (body,) = (one.body for one in ast.parse(inspect.getsource(cls)).body if isinstance(one, ast.ClassDef))
+    after = [*body[1:], ast.Pass()]
+    named, silent = [], []
+    for node, following in zip(body, after, strict=True):
+        target = getattr(node, "target", None) or next(iter(getattr(node, "targets", ())), None)
+        if not isinstance(target, ast.Name) or target.id[0] == "_":
+            continue
+        told = following.value if isinstance(following, ast.Expr) else None
+        named.append(target.id)
+        if not (isinstance(told, ast.Constant) and isinstance(told.value, str)):
+            silent.append(target.id)
+    return named, silent
+
+
+def test_words_stand_under_every_field_of_every_public_class():
+    public = {getattr(package, name) for package in (softsensor, daq) for name in package.__all__}
+    found = {one.__name__: fields_without_words(one) for one in public if isinstance(one, type)}
+    assert {"time_s", "core_C"} <= set(found["Estimate"][0])  # as a walk that finds no field finds no lack either
+    assert {"NOTHING", "PANEL"} <= set(found["Need"][0])
+    assert {name: silent for name, (_, silent) in found.items() if silent} == {}
 
 
 @pytest.mark.parametrize("name", ["advise", "diagnose", "fit", "plan", "predict", "read_run", "simulate"])

@@ -217,12 +217,15 @@ class Reproduction:
     """The table, and the cost along one coefficient for either solver."""
 
     table: tuple[Combination, ...]
+    """One entry for each pair of solver and slopes."""
     coefficient: str
+    """Name of the one along which the cost is drawn."""
     relative: Array
-    """Of the coefficient, about the minimum. [-]"""
+    """Where it is drawn: the coefficient over its value at the minimum (n). [-]"""
     adaptive: Array
+    """By how much the cost exceeds its least with the adaptive solver, per residual (n). [-]"""
     exact: Array
-    """Cost over its minimum, per residual."""
+    """The same with the exact solver (n). [-]"""
 
     @property
     def slope_changes(self) -> tuple[int, int]:
