@@ -4,7 +4,7 @@ import { said, text as word } from "./words.js";
 const ROOT = "api/v1";
 const SILENT_MS = 25000; // the server says something every 10 s; a stream silent for longer has died unnoticed
 
-export class Refused extends Error {
+class Refused extends Error {
   constructor(problem, status) {
     super(said(problem.detail_said, problem.detail || problem.title) || `HTTP ${status}`);
     this.status = status;

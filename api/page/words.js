@@ -54,7 +54,7 @@ export const has = (code) => catalogue.bundle.hasMessage(code);
 
 // No line ends between a number and its unit.
 const UNIT = /(\d) (?=(?:%|°C|K|kPa|mm|ms|s|min|h|d|kB|MB|GB|TB|kJ|kWh|Hz|N|W|J)(?![\p{L}\d]))/gu;
-export const unbroken = (words) => words.replace(UNIT, "$1\u00a0");
+const unbroken = (words) => words.replace(UNIT, "$1\u00a0");
 
 // The words of a code; one without any, of a newer server say, is shown with its arguments.
 export function text(code, values = {}) {
