@@ -32,12 +32,12 @@ before: longer than a panel usually waits in the open press. [s]"""
 
 @dataclass(frozen=True)
 class RunRules:
-    """How runs are cut from the scans of a press."""
+    """How runs are cut from the scans of a press; the times are those of its `PressSettings`."""
 
     press: str
-    pre_trigger_s: float = 5.0
-    post_removal_s: float = 5.0
-    longest_run_s: float = 3600.0
+    pre_trigger_s: float
+    post_removal_s: float
+    longest_run_s: float
     header: Mapping[str, Any] = field(default_factory=dict)
     configuration: str = ""
 

@@ -18,7 +18,8 @@ def scan(number, value=21.0):
 
 
 def keeper(**rules):
-    return RunKeeper(RunRules("lab", **rules), RunNames("lab", "lab-2026-03-04-07"), panel_places=[1])
+    times = {"pre_trigger_s": 5.0, "post_removal_s": 5.0, "longest_run_s": 3600.0}
+    return RunKeeper(RunRules("lab", **times | rules), RunNames("lab", "lab-2026-03-04-07"), panel_places=[1])
 
 
 def event(kind, at, noticed=None):
@@ -36,7 +37,7 @@ def test_a_run_begins_before_the_insertion_and_ends_after_the_removal():
         300: [event(PressEventKind.CLOSED, 29.5)],
         980: [event(PressEventKind.REMOVED, 90.0, 98.0)],
     }
-    (begin, none), (nothing, end) = play(keeper(pre_trigger_s=5.0, post_removal_s=5.0), events, 1100)
+    (begin, none), (nothing, end) = play(keeper(), events, 1100)
     assert none is None
     assert nothing is None
     assert begin.run == "lab-2026-03-04-07"

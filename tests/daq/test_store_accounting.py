@@ -21,6 +21,7 @@ from daq.store.outbox import Outbox
 from tests.daq.test_store_outbox import wait_until
 
 CHANNELS = (Channel("platen_top"), Channel("top_1"))
+RULES = RunRules("lab", pre_trigger_s=5.0, post_removal_s=5.0, longest_run_s=3600.0)
 MIDNIGHT = datetime(2026, 3, 5, tzinfo=UTC)
 CYCLE = {10: "inserted", 20: "closed", 60: "opened", 75: "removed"}
 """What happens at which scan of a cycle of 100 scans, one a second."""
@@ -44,7 +45,7 @@ def record_pressings(store, cycles, clock, restart=lambda cycle: False):
             store.interrupt_open_runs("lab")
             key = store.register_press("lab", CHANNELS)
             names = RunNames("lab", store.unused_run_name("lab", scan(number, clock(cycle)).utc))
-            keeper, outbox = RunKeeper(RunRules("lab"), names, [1]), Outbox(store)
+            keeper, outbox = RunKeeper(RULES, names, [1]), Outbox(store)
             outbox.start()
         for _ in range(100):
             one, events = scan(number, clock(cycle)), events_at(number)
@@ -123,9 +124,7 @@ def record_until_killed(url, folder, step_s):
         store.interrupt_open_runs("lab")
         key = store.register_press("lab", CHANNELS)
         begun = number
-        keeper = RunKeeper(
-            RunRules("lab"), RunNames("lab", store.unused_run_name("lab", scan(number, step_s).utc)), [1]
-        )
+        keeper = RunKeeper(RULES, RunNames("lab", store.unused_run_name("lab", scan(number, step_s).utc)), [1])
         outbox = Outbox(store, acknowledged=lambda batch: note(place, "kept", batch))
         outbox.start()
         while True:

@@ -80,7 +80,7 @@ class Recorder:
         self.key = store.register_press("lab", [Channel(n) for n in self.names], "press")
         self.detector = PressEventDetector(PRESS)
         header = {k: v for k, v in run.header.items() if k != "run"} if header is None else header
-        rules = RunRules("lab", header=header, post_removal_s=3.0)
+        rules = RunRules("lab", 5.0, 3.0, 3600.0, header)
         places = [i for i, n in enumerate(self.names) if n.startswith(("top", "bottom"))]
         self.keeper = RunKeeper(rules, RunNames("lab", store.unused_run_name("lab", BEGAN)), places)
         self.done = 0
