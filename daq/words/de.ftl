@@ -2457,6 +2457,7 @@ page-needs-javascript = Diese Seite zeigt, was die API liefert, und braucht Java
 page-next-by = von { $who }, { $time }
 page-no-answer = Der Server antwortet nicht.
 page-no-reading-for = seit { $time } keine Messung
+page-no-reading-yet = noch keine Messung
 page-panel-blister = Blase
 page-panel-good = gut
 page-panel-scrap = Ausschuss

@@ -2438,6 +2438,7 @@ page-needs-javascript = This page draws what the API answers and needs JavaScrip
 page-next-by = by { $who }, { $time }
 page-no-answer = The server does not answer.
 page-no-reading-for = no reading for { $time }
+page-no-reading-yet = no reading yet
 page-panel-blister = blister
 page-panel-good = good
 page-panel-scrap = scrap

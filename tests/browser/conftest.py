@@ -161,6 +161,15 @@ class Feed:
         return scan
 
 
+def comes(page: Page, asked: str, holds: str) -> Any:
+    """Return what a promise gives once a predicate holds of it; `wait_for_function` takes any promise for true."""
+    until = time.monotonic() + PATIENT_MS / 1000
+    while not page.evaluate(f"async () => ({holds})(await {asked})"):
+        assert time.monotonic() < until, page.evaluate(asked)
+        page.wait_for_timeout(100)
+    return page.evaluate(asked)
+
+
 def free_port() -> int:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         return int(taken.getsockname()[1])

@@ -89,6 +89,15 @@ def test_readings_shown_once_are_called_old_when_nothing_follows_them(served):
     writer.join(240)
 
 
+def test_a_press_that_never_gave_a_reading_is_told_so_and_not_for_how_long(served):
+    server, _, page = served
+    for view in ("now", "wall"):
+        page.goto(f"{server.url}#/{view}")
+        main = page.locator("main")
+        expect(main).to_contain_text("no reading yet")
+        expect(main).not_to_contain_text("∞")
+
+
 PRESSINGS, SCANS = edition((3, 27, 30), (30, 270, 300)), 144
 """Pressings before each mark: a day of them in all, of 144 s, or a tenth of one."""
 

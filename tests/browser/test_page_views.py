@@ -20,7 +20,7 @@ from daq.simulated.campaign import Plan, make_campaign
 from daq.store import StoredNight
 from daq.words import Message, say
 from daq.words.message import words
-from tests.browser.conftest import CHANNELS, PATIENT_MS
+from tests.browser.conftest import CHANNELS, PATIENT_MS, comes
 from tests.curves import CURVES
 
 VIEWS = (
@@ -488,7 +488,7 @@ def test_thirty_presses_stand_on_one_screen_and_a_tile_leads_to_its_press(served
     )
     lab = tiles.filter(has_text="lab")
     expect(lab.locator(".core")).to_have_text("50,0°C")
-    expect(tiles.filter(has_text="press-30").locator(".light.bad")).to_contain_text("noch nie gesehen")
+    expect(tiles.filter(has_text="press-30").locator(".light.bad")).to_contain_text("noch keine Messung")
     page.screenshot(path=tmp_path / "presses.png")
     tiles.filter(has_text="press-30").click()
     expect(page.locator("#press")).to_have_value("press-30")
@@ -713,7 +713,7 @@ def test_the_next_panel_is_entered_with_large_fields_and_the_last_one_is_judged(
     expect(chosen).to_have_text("blister")
     run = page.evaluate("fetch('api/v1/press').then((answer) => answer.json())")["items"][0]["run"]
     told = f"fetch('api/v1/runs/{run}/verdict').then((answer) => answer.json())"
-    page.wait_for_function(f"{told}.then((it) => it.verdict === 'blister' && it.who === 'foreman')")
+    comes(page, told, "(it) => it.verdict === 'blister' && it.who === 'foreman'")
 
 
 def test_the_next_panel_is_shown_anew_when_a_pressing_took_what_was_said_unless_somebody_types(served):

@@ -11,7 +11,7 @@ from playwright.sync_api import expect
 
 from daq.records import PressEvent, PressEventKind
 from daq.store.records import StoredEstimate
-from tests.browser.conftest import CHANNELS
+from tests.browser.conftest import CHANNELS, comes
 
 AHEAD = {
     "open_in_s": 11.0,
@@ -270,6 +270,5 @@ def test_machines_are_given_the_advice_the_page_shows(pressing):
     page.goto(server.url + "#/now")
     asked = "fetch('api/v1/advice').then((answer) => answer.json()).then((told) => told.items[0])"
     counted = "it.press === 'lab' && it.advice.verdict === 'open_in' && it.advice.open_latest_s > 10"  # from now
-    page.wait_for_function(f"{asked}.then((it) => {counted})")
-    told = page.evaluate(asked)
+    told = comes(page, asked, f"(it) => {counted}")
     assert told["advice"]["open_latest_s"] <= 15.0

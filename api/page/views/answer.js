@@ -28,13 +28,16 @@ function reasonOf(estimate) {
   return estimate?.reason && said({ code: `reason-${estimate.reason.replaceAll(" ", "-")}`, arguments: estimate.reason_arguments }, estimate.reason);
 }
 
+// For how long nothing was read; a press whose loggers never gave a reading has been silent for ever.
+export const whySilent = (silent) => (silent === Infinity ? text("page-no-reading-yet") : text("page-no-reading-for", { time: seconds(Math.round(silent)) }));
+
 // One line in its own colour. What rests on no reading for `silent` seconds is not known, whatever was foreseen.
 export function showAnswer(place, { state, estimate }, silent) {
   const advice = estimate?.advice;
   const empty = state === "idle" && !advice;
   const verdict = silent !== null || !(advice || empty) ? "not_known" : empty ? "no_panel" : advice.verdict;
   const line = silent !== null
-    ? text("advice-not-known", { why: text("page-no-reading-for", { time: seconds(Math.round(silent)) }) })
+    ? text("advice-not-known", { why: whySilent(silent) })
     : advice ? said(advice.sentence_said, advice.sentence) : text(empty ? "advice-no-panel" : "page-no-estimate");
   place.className = `answer ${verdict}`;
   if (place.textContent !== line) place.textContent = line;
@@ -50,7 +53,7 @@ export const stateOf = (now, stale) => (stale ? "unknown" : now.state);
 export function showLight(light, { now, silent = null, wrong = "" }) {
   const { state, estimate } = now;
   const known = state === "idle" || (estimate?.advice && estimate.advice.verdict !== "not_known");
-  const fault = silent !== null ? text("page-no-reading-for", { time: seconds(Math.round(silent)) }) : SILENT.includes(estimate?.reason) ? reasonOf(estimate) : wrong;
+  const fault = silent !== null ? whySilent(silent) : SILENT.includes(estimate?.reason) ? reasonOf(estimate) : wrong;
   light.className = `light ${fault ? "bad" : known ? "good" : "idle"}`;
   light.textContent = fault || text(known ? "page-health-ok" : "page-health-core-unknown");
 }

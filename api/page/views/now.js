@@ -5,7 +5,7 @@ import { roleOf } from "../channels.js";
 import { TimeChart, key } from "../charts.js";
 import { clock, duration, el, number, reading } from "../dom.js";
 import { effectName, said, text } from "../words.js";
-import { CoreChart, believed, closingOf, coreKey, courseOf, cureOf, seconds, shifted, showAnswer, showCore, stateOf, steamOf, take } from "./answer.js";
+import { CoreChart, believed, closingOf, coreKey, courseOf, cureOf, seconds, shifted, showAnswer, showCore, stateOf, steamOf, take, whySilent } from "./answer.js";
 import { notesOf } from "./journal.js";
 import { PanelCards } from "./panel.js";
 import { sketch } from "./sketch.js";
@@ -171,8 +171,9 @@ class LivePress {
     this.showState();
     this.old.hidden = !this.stale;
     if (!this.stale) { this.grid.dataset.age = ""; return; }
-    const since = text("page-stale-since", { time: clock(this.now.channels[0].utc) });
-    this.old.textContent = `${since} (${text("page-ago", { time: duration(this.silentFor()) })})`;
+    const silent = this.silentFor();
+    const since = () => `${text("page-stale-since", { time: clock(this.now.channels[0].utc) })} (${text("page-ago", { time: duration(silent) })})`;
+    this.old.textContent = silent === Infinity ? whySilent(silent) : since();
     this.showAnswer();
   }
 

@@ -42,12 +42,11 @@ function draw({ node, state, core, band, answer, light, now, heard, wrong }) {
   }
   for (const part of [state, core, band, answer]) part.hidden = false;
   const silent = Math.min(...now.channels.map((channel) => channel.age_s ?? Infinity)) + (performance.now() - heard) / 1000;
-  const never = silent === Infinity;
   const stale = silent > now.silent_after_s;
   node.classList.toggle("stale", stale);
   state.className = `pill ${stateOf(now, stale)}`;
   state.textContent = text(`page-state-${stateOf(now, stale)}`);
   showCore(core, band, now.state, now.estimate);
-  showAnswer(answer, now, stale && !never ? silent : null);
-  showLight(light, { now, silent: stale && !never ? silent : null, wrong: never ? text("health-never-seen") : wrong && said(wrong) });
+  showAnswer(answer, now, stale ? silent : null);
+  showLight(light, { now, silent: stale ? silent : null, wrong: wrong && said(wrong) });
 }
