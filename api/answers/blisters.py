@@ -32,7 +32,7 @@ _LOCK = threading.Lock()
 
 def blisters_of(store: Store, press: str, resin: Resin | None) -> Blisters:
     """Return the marked panels of a press and what they say of the steam that panels bear."""
-    from softsensor.opening.blisters import learn_limit, limit_said, stated_limit
+    from softsensor.opening.blisters import believed_limit, learn_limit, limit_said
     from softsensor.opening.limits import Normal
 
     runs = every(lambda at: store.runs(press=press, cursor=at, limit=500))
@@ -40,15 +40,15 @@ def blisters_of(store: Store, press: str, resin: Resin | None) -> Blisters:
     steam = [_at_opening(store, run) for run in marked]
     log = np.array(steam).reshape(-1, 2)
     burst = np.array([run.header[VERDICT] == BLISTER for run in marked], dtype=bool)
-    stated = stated_limit(resin)
-    found = learn_limit(Normal(log[::-1, 0], log[::-1, 1]), burst[::-1], *stated)
+    believed = believed_limit(resin)
+    found = learn_limit(Normal(log[::-1, 0], log[::-1, 1]), burst[::-1], *believed)
     lines = limit_said(found)
     return Blisters(
         press=press,
         panels=[_panel(run, *one) for run, one in zip(marked, steam, strict=True)],
         marks=found.marks,
         blistered=found.blistered,
-        stated_kPa=stated[0],
+        stated_kPa=believed[0],
         steam_most_kPa=round(found.most_kPa, 1),
         sd_kPa=round(found.sd_kPa, 1),
         ci95_kPa=(round(found.ci95_kPa[0], 1), round(found.ci95_kPa[1], 1)),

@@ -125,12 +125,15 @@ class LimitsTable(Table):
     core_most_C: _Temperature | None = None  # noqa: N815
     steam_most_kPa: Positive | None = None  # noqa: N815
     """Partial pressure of steam in the panel; its ``sd`` is what panels differ by, and what is not known of it."""
+    steam_believed_kPa: Positive | None = None  # noqa: N815
+    """What was believed of it before any panel was marked, where `steam_most_kPa` was learned from marks:
+    these must not count twice when more are learned from. It limits nothing."""
     probability: Annotated[Number, Field(ge=0.5, lt=1.0)] = PROBABILITY
     """With which all of them hold together."""
 
     @model_validator(mode="after")
     def _no_other_sd(self) -> LimitsTable:
-        _only(self, ("steam_most_kPa",))
+        _only(self, ("steam_most_kPa", "steam_believed_kPa"))
         return self
 
     @property

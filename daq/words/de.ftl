@@ -1090,6 +1090,7 @@ what-if-too-long = eine Pressung von mehr als { NUMBER($most, maximumFractionDig
 
 blisters-bear = Die Hälfte der Platten hält { NUMBER($most, maximumFractionDigits: 0) } kPa Dampf aus (95 %: { NUMBER($low, maximumFractionDigits: 0) } bis { NUMBER($high, maximumFractionDigits: 0) }).
 blisters-foreseen = Spätere Platten, jede nach den vor ihr markierten beurteilt: Was aus ihnen wurde, galt zu { NUMBER($learned, maximumFractionDigits: 0) } % als wahrscheinlich, nach der angegebenen Grenze zu { NUMBER($stated, maximumFractionDigits: 0) } %.
+blisters-keep = Daneben, damit diese Markierungen nicht noch einmal zählen, wenn aus weiteren gelernt wird: steam_believed_kPa = { NUMBER($believed, maximumFractionDigits: 2) }, steam_believed_kPa.sd = { NUMBER($sd, maximumFractionDigits: 2) }
 blisters-marks = { $marks ->
         [one] Eine markierte Platte
        *[other] { $marks } markierte Platten

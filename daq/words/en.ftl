@@ -1073,6 +1073,7 @@ what-if-too-long = a run of more than { NUMBER($most, maximumFractionDigits: 0) 
 
 blisters-bear = Half of the panels bear { NUMBER($most, maximumFractionDigits: 0) } kPa of steam (95 %: { NUMBER($low, maximumFractionDigits: 0) } to { NUMBER($high, maximumFractionDigits: 0) }).
 blisters-foreseen = Later panels, each judged by those marked before it: what became of them had been given a chance of { NUMBER($learned, maximumFractionDigits: 0) } %, by the stated limit of { NUMBER($stated, maximumFractionDigits: 0) } %.
+blisters-keep = Beside it, so that these marks are not counted again when more are learned from: steam_believed_kPa = { NUMBER($believed, maximumFractionDigits: 2) }, steam_believed_kPa.sd = { NUMBER($sd, maximumFractionDigits: 2) }
 blisters-marks = { $marks ->
         [one] One marked panel
        *[other] { $marks } marked panels

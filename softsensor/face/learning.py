@@ -15,7 +15,7 @@ from daq.words import say
 from softsensor.face.inputs import read_press, resin_of, runs_of
 from softsensor.face.models import read_model
 from softsensor.face.predicting import predict
-from softsensor.opening.blisters import SteamLimit, learn_limit, stated_limit
+from softsensor.opening.blisters import SteamLimit, believed_limit, learn_limit
 from softsensor.opening.limits import Normal
 
 if TYPE_CHECKING:
@@ -30,8 +30,10 @@ def learn_steam_limit(
     The mark is ``panel.verdict`` in a run's header, as the page and REST keep it; other marks say nothing of
     blisters. Runs are given in the order in which they were pressed, so that each is also foreseen by those before
     it (`SteamLimit.foreseen`). Steam is the live sensor's last before the press opened, with its band. What is
-    believed before is the resin file's ``steam_most_kPa`` with its ``sd``, or 100 kPa within a factor of two; what
-    comes out can stand there, as ``steam_most_kPa`` (`SteamLimit.most_kPa`) and its ``sd`` (`SteamLimit.sd_kPa`).
+    believed before any mark is the resin file's ``steam_believed_kPa``, else its ``steam_most_kPa``, each with its
+    ``sd``, else 100 kPa within a factor of two. What comes out can stand there, as ``steam_most_kPa``
+    (`SteamLimit.most_kPa`) and its ``sd`` (`SteamLimit.sd_kPa`), with ``steam_believed_kPa`` beside it: then the
+    marks count once when it is learned anew.
 
     Raises
     ------
@@ -46,7 +48,7 @@ def learn_steam_limit(
     if not np.isfinite(read.mean).any():
         raise InputError(say("steam-limit-no-marks", key=VERDICT, runs=len(marked)))
     blistered = np.array([run.header[VERDICT] == BLISTER for run in marked])
-    return learn_limit(read, blistered, *stated_limit(cures))
+    return learn_limit(read, blistered, *believed_limit(cures))
 
 
 def _at_opening(run: AnyRun, press: AnyPress, model: AnyModel | None, resin: Resin | None) -> Normal:

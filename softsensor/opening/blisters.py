@@ -23,7 +23,7 @@ import numpy as np
 from daq.press.resin_file import Resin
 from daq.records import Array
 from daq.words import Message, say
-from softsensor.opening.limits import STEAM_MOST, Normal
+from softsensor.opening.limits import STEAM_BELIEVED, STEAM_MOST, Normal
 from softsensor.signals.unknown import CENTRAL
 
 USUAL_KPA = 100.0
@@ -50,9 +50,11 @@ class SteamLimit:
     """How many marked panels it rests on."""
     blistered: int
     """How many of them blistered."""
+    believed: tuple[float, float | None] = (USUAL_KPA, None)
+    """What was believed of half of the panels before, and how far that may be off (None: `UNSURE_LOG`). [kPa]"""
     foreseen: tuple[float, float] = (math.nan, math.nan)
     """Chance given beforehand to what became of the panels, on geometric average: by what the panels before each
-    had taught, and by what was stated; NaN where less than two are known."""
+    had taught, and by what was believed before all of them; NaN where less than two are known."""
 
     def __repr__(self) -> str:
         """Say what half of the panels bear, with its 95 % interval, and from how many marks."""
@@ -97,6 +99,8 @@ class SteamLimit:
             "steam_most_kPa": round(self.most_kPa, 2),
             "ci95_kPa": [round(end, 2) for end in self.ci95_kPa],
             "sd_kPa": round(self.sd_kPa, 2),
+            "believed_kPa": round(self.believed[0], 2),
+            "believed_sd_kPa": None if self.believed[1] is None else round(self.believed[1], 2),
             "foreseen": {
                 key: None if math.isnan(share) else round(share, 3)
                 for key, share in zip(("learned", "stated"), self.foreseen, strict=True)
@@ -114,19 +118,31 @@ def limit_said(limit: SteamLimit) -> tuple[Message, ...]:
         say("blisters-bear", most=limit.most_kPa, low=low, high=high),
         *gain,
         say("blisters-write", most=limit.most_kPa, sd=limit.sd_kPa),
+        say("blisters-keep", **_kept(*limit.believed)),
     )
 
 
-def stated_limit(resin: Resin | None) -> tuple[float, float | None]:
-    """Return what a resin file states of the limit, else what is usual, and how far it may be off. [kPa]"""
+def _kept(believed: float, sd: float | None) -> dict[str, float]:
+    """Return what the resin file keeps of the belief before any mark, as `believed_limit` reads it."""
+    return {"believed": believed, "sd": UNSURE_LOG * believed if sd is None else sd}
+
+
+def believed_limit(resin: Resin | None) -> tuple[float, float | None]:
+    """Return what was believed of the limit before any mark, and how far that may be off. [kPa]
+
+    A resin file's ``steam_believed_kPa``, else its ``steam_most_kPa``, else what is usual. The limit in force
+    holds the marks, once learned, and they count once.
+    """
     limits = None if resin is None else resin.limits
-    if limits is None or limits.steam_most_kPa is None:
-        return USUAL_KPA, None
-    return limits.steam_most_kPa, limits.spreads.get(STEAM_MOST)
+    if limits is not None and limits.steam_believed_kPa is not None:
+        return limits.steam_believed_kPa, limits.spreads.get(STEAM_BELIEVED)
+    if limits is not None and limits.steam_most_kPa is not None:
+        return limits.steam_most_kPa, limits.spreads.get(STEAM_MOST)
+    return USUAL_KPA, None
 
 
 def learn_limit(
-    steam: Normal, blistered: Array, stated_kPa: float = USUAL_KPA, stated_sd_kPa: float | None = None
+    steam: Normal, blistered: Array, believed_kPa: float = USUAL_KPA, believed_sd_kPa: float | None = None
 ) -> SteamLimit:
     """Return the steam that panels bear, from marked ones.
 
@@ -137,8 +153,9 @@ def learn_limit(
         it is not known count for nothing.
     blistered
         Whether they blistered (n).
-    stated_kPa, stated_sd_kPa
-        What was believed of half of the panels before, and how far that may be off (None: `UNSURE_LOG`). [kPa]
+    believed_kPa, believed_sd_kPa
+        What was believed of half of the panels before any of these marks, and how far that may be off (None:
+        `UNSURE_LOG`). [kPa]
 
     Examples
     --------
@@ -151,9 +168,9 @@ def learn_limit(
     """
     from scipy.special import log_ndtr
 
-    unsure = UNSURE_LOG if stated_sd_kPa is None else stated_sd_kPa / stated_kPa
+    unsure = UNSURE_LOG if believed_sd_kPa is None else believed_sd_kPa / believed_kPa
     u, v = (np.linspace(-_REACH, _REACH, n) for n in _CELLS)
-    middle, scatter = math.log(stated_kPa) + unsure * u, SCATTER_LOG * np.exp(SCATTER_UNSURE * v)
+    middle, scatter = math.log(believed_kPa) + unsure * u, SCATTER_LOG * np.exp(SCATTER_UNSURE * v)
     log = -0.5 * (u[:, None] ** 2 + v**2)
     mean, sd = np.asarray(steam.mean, float), np.asarray(steam.sd, float)
     known = np.isfinite(mean) & np.isfinite(sd)
@@ -169,6 +186,7 @@ def learn_limit(
         np.exp(log - _log_sum(log)),
         marks=int(known.sum()),
         blistered=int(np.asarray(blistered, bool)[known].sum()),
+        believed=(believed_kPa, believed_sd_kPa),
         foreseen=_later(foreseen),
     )
 

@@ -28,7 +28,7 @@ CURE_BOTTOM, CURE_TOP, CORE_COLD, CORE_HOT, STEAM = (
     "steam_most",
 )
 """The limits by name."""
-STEAM_MOST = "steam_most_kPa"
+STEAM_MOST, STEAM_BELIEVED = "steam_most_kPa", "steam_believed_kPa"
 """Key of the resin file."""
 _TINY = 1e-12
 """Owen's formula divides by both deviates and by the root of 1 - r²: nearer to 0 is not looked."""

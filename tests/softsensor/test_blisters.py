@@ -9,9 +9,9 @@ import pytest
 
 import softsensor
 from api.cli import main
-from daq.press.resin_file import LimitsTable
+from daq.press.resin_file import LimitsTable, parse_resin
 from daq.records import InputError
-from softsensor.opening.blisters import SteamLimit, learn_limit, limit_said
+from softsensor.opening.blisters import SteamLimit, believed_limit, learn_limit, limit_said
 from softsensor.opening.limits import STEAM, Normal, PanelState, broken
 
 READ_SD = 0.12
@@ -115,14 +115,34 @@ def test_a_marked_run_teaches_from_its_file() -> None:
 def test_what_is_learned_is_said_with_what_to_write_into_the_resin_file() -> None:
     log = np.log(np.repeat([60.0, 90.0], 10))
     found = learn_limit(Normal(log, np.full(20, 0.05)), np.repeat([False, True], 10))
-    marks, bear, foreseen, write = (str(line) for line in limit_said(found))
+    marks, bear, foreseen, write, keep = (str(line) for line in limit_said(found))
     assert marks == "20 marked panels whose steam at opening is known, 10 blistered."
     told = found.as_json()
     low, high = told["ci95_kPa"]
     learned, stated = (100.0 * told["foreseen"][key] for key in ("learned", "stated"))
     assert f"a chance of {learned:.0f} %, by the stated limit of {stated:.0f} %" in foreseen
+    assert "steam_believed_kPa = 100, steam_believed_kPa.sd = 35" in keep
     assert f"bear {told['steam_most_kPa']:.0f} kPa of steam (95 %: {low:.0f} to {high:.0f})" in bear
     assert f"steam_most_kPa = {told['steam_most_kPa']:.0f}, steam_most_kPa.sd = {told['sd_kPa']:.0f}" in write
+
+
+@pytest.mark.parametrize("stated", ["", "steam_most_kPa = 60\nsteam_most_kPa.sd = 9\n"])
+def test_marks_count_once_however_often_what_they_taught_was_written_into_the_resin_file(stated) -> None:
+    file = (SAMPLES / "resins/melamine_formaldehyde.toml").read_text(encoding="utf-8")
+    steam, blistered = panels(np.random.default_rng(5), 30, 80.0, 0.15)
+
+    def learned(limits: str) -> SteamLimit:
+        return learn_limit(
+            steam, blistered, *believed_limit(parse_resin(file.replace("[limits]\n", f"[limits]\n{limits}")))
+        )
+
+    first = learned(stated)
+    write, keep = (str(line).split(": ")[1].replace(", ", "\n") for line in limit_said(first)[-2:])
+    second = learned(f"{write}\n{keep}\n")
+    assert second.most_kPa == pytest.approx(first.most_kPa, rel=1e-6)
+    assert second.ci95_kPa == pytest.approx(first.ci95_kPa, rel=1e-6)
+    twice = learned(write + "\n")
+    assert abs(twice.most_kPa - first.most_kPa) > 0.1  # so without the belief kept beside it
 
 
 def test_the_command_refuses_runs_of_which_none_is_marked_and_writes_nothing(tmp_path, capsys) -> None:
