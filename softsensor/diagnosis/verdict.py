@@ -47,6 +47,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -186,40 +187,29 @@ def _conclude(readings: _Readings, stages: list[SettledModel], rounds: list[Roun
     beside = _with_the_suspected(stages, rounds)
     models = [s.fit for s in (*stages, *beside)]
     causes = _findings(stages, rounds, shares, errors, models[len(stages) - 1 :])
-    proofs = [
-        Proof(
-            set=f.set,
-            gain=f.gain,
-            predicted=f.predicted,
-            saves=f.saves,
-            times_noise=e.rmse_K / noise,
-            size_is_sure=_size_is_sure(find_effect(f.name), f.parameters),
-            heldout_ratio=float(np.exp(np.mean(np.log(e.heldout / errors[0].heldout)))),
-        )
-        for f, e in zip(causes, errors[1:], strict=True)
-    ]
     nearly = _nearly(rounds, stages[-1], beside)
-    left_K = [e.rmse_K for e in errors]
-    own_panels_K = None
-    if press.panel_layers and not causes and not nearly and left_K[0] > EXCESS * noise:
-        own_panels_K = _left_by_panels_of_their_own(stages[0])
-        left_K[0] = left_K[0] if own_panels_K is None else own_panels_K
-    remains = [
-        Remains(t, share, left / noise, is_described(e.rmse_K, noise, [d.digest for d in s.data]))
-        for t, share, left, e, s in zip(tests, shares, left_K, errors, stages, strict=True)
-    ]
-    let_go = bool(rounds) and rounds[-1].let_go
-    conclusion = conclude(
-        VerdictBasis(len(runs), tuple(proofs), tuple(remains), bool(columns), bool(nearly), let_go)
+    own_panels_K = None if causes or nearly else _left_by_panels_of_their_own(stages[0], errors[0].rmse_K, noise)
+    left_K = [errors[0].rmse_K if own_panels_K is None else own_panels_K, *(e.rmse_K for e in errors[1:])]
+    basis = VerdictBasis(
+        runs=len(runs),
+        proofs=tuple(_proof(f, errors[0], e, noise) for f, e in zip(causes, errors[1:], strict=True)),
+        remains=tuple(
+            Remains(t, share, left / noise, is_described(e.rmse_K, noise, [d.digest for d in s.data]))
+            for t, share, left, e, s in zip(tests, shares, left_K, errors, stages, strict=True)
+        ),
+        faulty_channels=bool(columns),
+        suspected=bool(nearly),
+        let_go=bool(rounds) and rounds[-1].let_go,
     )
-    named, verdict = conclusion.named, conclusion.verdict
+    conclusion = conclude(basis)
+    named = conclusion.named
     suspected = causes[named:] + nearly
     findings = _sensor_findings(faults, columns) + _told(causes[:named], models[named:])
-    to_confirm = () if something_left(remains[named], len(runs)) else suspected
+    to_confirm = () if something_left(basis.remains[named], len(runs)) else suspected
     base, extended = errors[0], errors[named]
     seen = AdviceBasis(len(runs), bool(press.panel_layers), base.core_rmse_K, extended.core_rmse_K)
     return Diagnosis(
-        verdict=verdict,
+        verdict=conclusion.verdict,
         findings=findings,
         suspected=suspected,
         base=base,
@@ -228,7 +218,7 @@ def _conclude(readings: _Readings, stages: list[SettledModel], rounds: list[Roun
         own_panels_K=own_panels_K,
         where=_where(stages[0]),
         candidates=_candidate_rows(rounds, stages, (*findings, *suspected)),
-        next_measurement=next_measurement(verdict, findings, seen, to_confirm),
+        next_measurement=next_measurement(conclusion.verdict, findings, seen, to_confirm),
         seconds=0.0,
         faults={r.name: f for r, f in zip(runs, faults, strict=True) if f},
         stages=tuple(stages[: named + 1]),
@@ -238,12 +228,27 @@ def _conclude(readings: _Readings, stages: list[SettledModel], rounds: list[Roun
     )
 
 
-def _left_by_panels_of_their_own(plain: SettledModel) -> float | None:
+def _proof(found: Finding, plain: Errors, with_it: Errors, noise: float) -> Proof:
+    return Proof(
+        set=found.set,
+        gain=found.gain,
+        predicted=found.predicted,
+        saves=found.saves,
+        times_noise=with_it.rmse_K / noise,
+        size_is_sure=_size_is_sure(find_effect(found.name), found.parameters),
+        heldout_ratio=float(np.exp(np.mean(np.log(with_it.heldout / plain.heldout)))),
+    )
+
+
+def _left_by_panels_of_their_own(plain: SettledModel, left_K: float, noise: float) -> float | None:
     """Return what the plain model leaves where each panel's constants are its own, as panels differ. [K]
 
     Panels of one product differ in conductivity and heat capacity; what that leaves is no unknown effect. None
-    where it takes panels unlike those given, in the middle or in their scatter.
+    where it takes panels unlike those given, in the middle or in their scatter, or where the plain model leaves no
+    more than noise does.
     """
+    if not plain.fit.layout.model.press.panel_layers or left_K <= EXCESS * noise:
+        return None
     freed = with_panels_freed(plain)
     if panels_as_usual(freed) <= ALPHA_PATTERN:
         return None
@@ -326,32 +331,27 @@ def _findings(
     """Return the causes taken in; `models`: the last fit, and that with what is suspected beside them."""
     found = []
     final = stages[-1]
-    for i in range(1, len(stages)):
-        round_ = rounds[i - 1]
-        name = final.effects[i - 1]
-        chosen = round_.chosen
-        switched = chosen.switched if chosen is not None and chosen.effect.name == name else ()
-        against: list[tuple[str, float]] = []
-        saves = np.zeros(0) if chosen is None else chosen.saves
-        if chosen is not None:
-            against = [
-                (c.effect.name, round(float(paired_t(chosen.gains - c.gains)), 2))
-                for c in round_.candidates
-                if c.refined and c.effect.name not in round_.set
-            ][:3]
-        names = _alternatives(round_, final.effects)
+    chosen = [(r, r.chosen) for r in rounds if r.chosen is not None]
+    steps = zip(chosen, pairwise(stages), pairwise(shares), pairwise(errors), strict=True)
+    for (round_, cause), (before, _), (share, more), (without, with_it) in steps:
+        names = _alternatives(round_, cause, final.effects)
+        against = [
+            (c.effect.name, round(float(paired_t(cause.gains - c.gains)), 2))
+            for c in round_.candidates
+            if c.refined and c.effect.name not in round_.set
+        ]
         found.append(
             Finding(
-                name=name,
+                name=cause.effect.name,
                 set=names,
-                parameters=intervals_of_models(models, find_effect(name)),
-                p_value=_rounded(round_.p_values.get(name, 1.0)),
-                gain=switched[0] if switched else paired_gain(errors[i - 1].heldout, errors[i].heldout),
-                predicted=paired_gain(errors[i - 1].predicted, errors[i].predicted),
-                explained_share=_rounded(max(shares[i] - shares[i - 1], 0.0)),
-                against=tuple(against),
-                saves=saves,
-                contest=_contest(stages[i - 1], round_.candidates, names),
+                parameters=intervals_of_models(models, cause.effect),
+                p_value=_rounded(round_.p_values[cause.effect.name]),
+                gain=cause.switched[0] if cause.switched else paired_gain(without.heldout, with_it.heldout),
+                predicted=paired_gain(without.predicted, with_it.predicted),
+                explained_share=_rounded(max(more - share, 0.0)),
+                against=tuple(against[:3]),
+                saves=cause.saves,
+                contest=_contest(before, round_.candidates, names),
             )
         )
     return tuple(found)
@@ -373,13 +373,12 @@ def _contest(stage: SettledModel, found: Iterable[Candidate], names: Sequence[st
     return Contest(stage, tuple(tried[name] for name in names if name in tried))
 
 
-def _alternatives(round_: Round, named: Sequence[str]) -> tuple[str, ...]:
+def _alternatives(round_: Round, cause: Candidate, named: Sequence[str]) -> tuple[str, ...]:
     """Return the set of a search without what is named beside its cause and gained no more alone.
 
     Needed beside the cause, it cannot stand in its place; nor can the cause then be spared beside it.
     """
-    most = round_.chosen.gain if round_.chosen else 0.0
-    weaker = {c.effect.name for c in round_.candidates if c is not round_.chosen and c.gain <= most}
+    weaker = {c.effect.name for c in round_.candidates if c is not cause and c.gain <= cause.gain}
     return tuple(n for n in round_.set if n not in weaker.intersection(named))
 
 

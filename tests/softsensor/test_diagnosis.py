@@ -257,10 +257,10 @@ def test_a_cause_named_beside_a_better_one_is_no_alternative_to_it() -> None:
     nothing = np.zeros(12)
     found = [says(name, nothing, nothing, gain) for name, gain in zip(told, (90.0, 60.0, 50.0), strict=True)]
     round_ = Round(found, {}, found[0], told)
-    assert _alternatives(round_, told[:2]) == ("moisture_evaporation", "resin_cure")
-    assert _alternatives(round_, told[:1]) == told
+    assert _alternatives(round_, found[0], told[:2]) == ("moisture_evaporation", "resin_cure")
+    assert _alternatives(round_, found[0], told[:1]) == told
     found[1] = says(told[1], nothing, nothing, 95.0)
-    assert _alternatives(round_, told[:2]) == told
+    assert _alternatives(round_, found[0], told[:2]) == told
 
 
 def test_a_scan_that_reads_one_face_after_the_other_is_no_cause() -> None:
