@@ -12,7 +12,7 @@ import typer
 from api.commands.calling import taking
 from api.commands.fitting import JsonOut
 from api.commands.inputs import PressFile
-from api.commands.planning import RangesGiven, parse_ranges
+from api.commands.planning import parse_ranges
 from api.outputs import as_json, check_writable, spoken_language, tell, working, write_all
 from daq.records import InputError
 from daq.words import say
@@ -27,6 +27,7 @@ OpenFor = Annotated[float, typer.Option("--open", metavar="S", min=1.0, max=3600
 CoreLeast = Annotated[float | None, typer.Option("--core-least", metavar="C", help="help-core-least")]
 CoreMost = Annotated[float | None, typer.Option("--core-most", metavar="C", help="help-core-most")]
 Probability = Annotated[float | None, typer.Option("--probability", metavar="P", help="help-probability")]
+Settable = Annotated[list[str] | None, typer.Option("--range", metavar="NAME=LOW:HIGH", help="help-advice-range")]
 SvgFile = Annotated[Path | None, typer.Option("--svg", metavar="OUT", help="help-advice-svg")]
 
 
@@ -38,7 +39,7 @@ class AdviseOptions:
     model: KnownModel
     resin: ResinFile = None
     panel: PanelKeys = None
-    ranges: RangesGiven = None
+    ranges: Settable = None
     goal: GoalName = "time"
     core_least: CoreLeast = None
     core_most: CoreMost = None

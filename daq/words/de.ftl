@@ -1046,8 +1046,10 @@ advise-no-limit = keine Grenze angegeben; --resin mit [limits], --core-least ode
 advise-none = Kein Programm in den Bereichen hält alle Grenzen ein. Am nächsten: { $limit } mit { NUMBER($percent, maximumFractionDigits: 0) } %
 advise-panel = Platte: { $material }, { $thickness } mm
 advise-panel-unreadable = --panel '{ $given }': muss SCHLÜSSEL=WERT sein, etwa panel.thickness_mm=16
+advise-press-time-narrow = --range press_time_s={ NUMBER($low, maximumFractionDigits: 3) }:{ NUMBER($high, maximumFractionDigits: 3) }: Presszeiten werden im Abstand von { NUMBER($step) } s geprüft, und keine liegt dazwischen; den Bereich weiten
 advise-press-without-states = { $press }: nach der Pressendatei öffnet und schließt nichts, also gibt es keine Presszeit
 advise-pressure = Druck: { NUMBER($pressure, maximumFractionDigits: 0) } N/cm²
+advise-pressure-unknown = --range { $name }: das Modell weiß nicht, was der Druck bewirkt, denn nichts in ihm folgt einer Last; weglassen, oder zuerst Pressungen mit verschiedenem Druck diagnostizieren
 advise-source-coefficients = die Kontakte dieser Pressung (der Softsensor lernt sie beim Pressen; gleichmäßige Kontakte helfen)
 advise-source-effects = die Größe der gefundenen Ursachen (mehr Pressungen)
 advise-source-kinetics = die Kinetik des Harzes (eine DSC dieses Papiers)
@@ -1776,6 +1778,7 @@ call-option-unknown = { $option }: diese Option gibt es nicht; --help nennt alle
 call-option-unknown-meant = { $option }: diese Option gibt es nicht; ähnlich sind { $meant }
 call-option-without-value = { $option }: braucht einen Wert
 call-surplus = zu viel in diesem Aufruf: { $words }; Text mit Leerzeichen in Anführungszeichen setzen
+help-advice-range = Was sich einstellen lässt, und wie weit: platen_temperature_C, press_time_s oder pressure_N_cm2. Mehrfach möglich; ohne Angabe 160 bis 200 °C, 5 bis 180 s und 200 bis 300 N/cm².
 help-advice-resin = Die Harzdatei: Kinetik, Sorption und Grenzen beim Öffnen.
 help-advice-svg = Die Presszeit gegen das Risiko in diese Datei zeichnen.
 help-arguments = Argumente:

@@ -1029,8 +1029,10 @@ advise-no-limit = no limit is given; give --resin with [limits], --core-least or
 advise-none = No program within the ranges keeps all limits. Nearest: { $limit } with { NUMBER($percent, maximumFractionDigits: 0) } %
 advise-panel = Panel: { $material }, { $thickness } mm
 advise-panel-unreadable = --panel '{ $given }': must be KEY=VALUE, such as panel.thickness_mm=16
+advise-press-time-narrow = --range press_time_s={ NUMBER($low, maximumFractionDigits: 3) }:{ NUMBER($high, maximumFractionDigits: 3) }: press times are looked at { NUMBER($step) } s apart, and none lies in between; widen it
 advise-press-without-states = { $press }: nothing in the press file opens and closes, so there is no press time
 advise-pressure = Pressure: { NUMBER($pressure, maximumFractionDigits: 0) } N/cm²
+advise-pressure-unknown = --range { $name }: the model does not know what pressure does, as nothing in it follows a load; leave it out, or diagnose runs of different pressures first
 advise-source-coefficients = the contacts of this pressing (the live sensor learns them while it presses; even contacts help)
 advise-source-effects = the size of the diagnosed causes (more runs)
 advise-source-kinetics = the resin's kinetics (a DSC of this paper)
@@ -1757,6 +1759,7 @@ call-option-unknown = { $option }: no such option; --help lists them
 call-option-unknown-meant = { $option }: no such option; near it are { $meant }
 call-option-without-value = { $option }: needs a value
 call-surplus = too much in this call: { $words }; put quotes around a text with blanks
+help-advice-range = What can be set, and how far: platen_temperature_C, press_time_s or pressure_N_cm2. May be repeated; without it 160 to 200 °C, 5 to 180 s and 200 to 300 N/cm².
 help-advice-resin = The resin file: kinetics, sorption and limits at opening.
 help-advice-svg = Draw press time against risk here.
 help-arguments = Arguments:

@@ -17,7 +17,7 @@ from daq.words import say
 from softsensor.face.inputs import read_press, resin_of
 from softsensor.face.models import read_model
 from softsensor.face.showing import shown
-from softsensor.planning.advise import DEFAULT_RANGES, Goal, ProgrammeAdvice, Wish, limits_of
+from softsensor.planning.advise import DEFAULT_RANGES, PRESSURE, Goal, ProgrammeAdvice, Wish, limits_of
 from softsensor.planning.advise import advise as advise_on
 from softsensor.planning.made_up import Task
 from softsensor.planning.program import given_ranges
@@ -107,9 +107,12 @@ def advise(  # noqa: PLR0913 - one argument a wish
         raise InputError(say("advise-goal-unknown", goal=goal, known=known))
     loaded = resin_of(resin)
     wanted = limits_of(loaded, keys_of(limits, "given-no-limits"))
-    allowed = given_ranges(keys_of(ranges, "given-no-ranges"), DEFAULT_RANGES)
+    settable = keys_of(ranges, "given-no-ranges")
+    allowed = given_ranges(settable, DEFAULT_RANGES)
     given = keys_of(panel, "given-no-header")
     header = {**USUAL_PANEL, "panel.initial_temperature_C": ROOM_C, **given}
     task = Task(read_press(press), read_model(model), header, waiting_s, allowed["press_time_s"][1])
+    if PRESSURE in settable and not task.follows_load:
+        raise InputError(say("advise-pressure-unknown", name=PRESSURE))
     wish = Wish(wanted, loaded, allowed, Goal(goal), open_s, price_per_kWh)
     return AdviceResult(advise_on(task, wish, progress))

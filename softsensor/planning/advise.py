@@ -31,6 +31,7 @@ from softsensor.opening.limits import Broken, Normal, Opening, PanelState, broke
 from softsensor.planning.made_up import (
     KINETICS,
     MOISTURE,
+    ROW_S,
     SHARE,
     Courses,
     Ensemble,
@@ -47,11 +48,12 @@ from softsensor.planning.program import Ranges
 
 PLATEN_LEVELS, PRESSURE_LEVELS = 7, 3
 """Programs looked at between the ends of a range."""
+PRESSURE = "pressure_N_cm2"
 DEFAULT_RANGES: Ranges = MappingProxyType(
     {
         "platen_temperature_C": (160.0, 200.0),
         "press_time_s": (5.0, 180.0),
-        "pressure_N_cm2": (200.0, 300.0),
+        PRESSURE: (200.0, 300.0),
     }
 )
 """Laminating of MDF: 160 to 200 °C, 2 to 3 MPa, 40 to 60 s (facts, physics.md, section 5), the time from the
@@ -250,6 +252,9 @@ def advise(task: Task, wish: Wish, progress: Progress | None = None) -> Programm
     programmes = _grid(task, wish)
     tell("draws", 0.0)
     drawn = ensemble(task, programmes[len(programmes) // 2])
+    if not len(_allowed(drawn.press_times, wish)[0]):
+        low, high = wish.ranges["press_time_s"]
+        raise InputError(say("advise-press-time-narrow", low=low, high=high, step=ROW_S))
     kinetics = None if wish.resin is None else kinetics_of(wish.resin)
     tried, known = [], []
     for i, programme in enumerate(programmes):
@@ -287,7 +292,7 @@ def _grid(task: Task, wish: Wish) -> list[Programme]:
     platens = np.unique(np.linspace(*ranges["platen_temperature_C"], PLATEN_LEVELS)).tolist()
     pressures: list[float | None] = [None]
     if task.follows_load:
-        pressures = np.unique(np.linspace(*ranges["pressure_N_cm2"], PRESSURE_LEVELS)).tolist()
+        pressures = np.unique(np.linspace(*ranges[PRESSURE], PRESSURE_LEVELS)).tolist()
     return [Programme(round(t, 1), p) for t, p in product(platens, pressures)]
 
 

@@ -193,6 +193,14 @@ def test_where_no_program_will_do_the_nearest_limit_is_named() -> None:
         ({"limits": {"core_least_C": 60.0}, "goal": "speed"}, "must be one of time, energy, throughput"),
         ({"limits": {"core_least_C": 60.0}, "panel": {"panel.thickness_mm": -3.0}}, "thickness_mm"),
         ({"limits": {"core_least_C": 60.0}, "ranges": {"thickness_mm": (8.0, 9.0)}}, "no such setting here"),
+        (
+            {"limits": {"core_least_C": 60.0}, "ranges": {"pressure_N_cm2": (200.0, 400.0)}},
+            "nothing in it follows",
+        ),
+        (
+            {"limits": {"core_least_C": 60.0}, "ranges": {"press_time_s": (20.3, 20.31)}},
+            "1 s apart, and none lies",
+        ),
         ({"limits": {"core_cold": 60.0}}, "core_cold"),
     ],
 )
