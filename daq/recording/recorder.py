@@ -286,21 +286,13 @@ class _ConfigWatch:
 
     def __init__(self, config: Config, journal: Journal) -> None:
         self._config, self._journal = config, journal
-        self._seen = self._stamp()
-
-    def _stamp(self) -> tuple[int, ...]:
-        named = [p.file for p in self._config.press]
-        for logger in (x for p in self._config.press for x in p.logger):
-            named += [logger.calibration] if logger.calibration else []
-            named += [Path(logger.profile)] if logger.profile.endswith(".toml") else []
-        files = [self._config.path, *named]
-        return tuple(0 if f is None else _changed_ns(f) for f in files)
+        self._seen = _changed(config)
 
     def look(self, lines: Sequence[PressLine]) -> None:
         """Hand a changed configuration to the presses; a wrong one is told once and left."""
-        if self._config.path is None or self._stamp() == self._seen:
+        if self._config.path is None or (now := _changed(self._config)) == self._seen:
             return
-        self._seen = self._stamp()
+        self._seen = now
         try:
             fresh = load_config(self._config.path)
             self._refuse_what_needs_a_start(fresh)
@@ -310,7 +302,7 @@ class _ConfigWatch:
             self._journal("warning", say("configuration-refused", why=spoken(error)))
             return
         self._config = fresh
-        self._seen = self._stamp()
+        self._seen = _changed(fresh) | {file: at for file, at in now.items() if file in _files(fresh)}
         self._journal("info", say("configuration-changed"))
 
     def _refuse_what_needs_a_start(self, fresh: Config) -> None:
@@ -327,6 +319,18 @@ class _ConfigWatch:
         ]
         if changed:
             raise InputError(say("configuration-needs-start", file=str(fresh.path), changed=tuple(changed)))
+
+
+def _files(config: Config) -> list[Path]:
+    """Return the configuration's file and those that it names."""
+    loggers = [logger for press in config.press for logger in press.logger]
+    profiles = [Path(logger.profile) for logger in loggers if logger.profile.endswith(".toml")]
+    named = [config.path, *(p.file for p in config.press), *(logger.calibration for logger in loggers)]
+    return [file for file in (*named, *profiles) if file]
+
+
+def _changed(config: Config) -> dict[Path, int]:
+    return {file: _changed_ns(file) for file in _files(config)}
 
 
 def _changed_ns(file: Path) -> int:

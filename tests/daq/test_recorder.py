@@ -317,6 +317,34 @@ class SettableClock(datetime):
         return datetime.now(tz) + cls.set_by
 
 
+class LineAtWork:
+    """A press that takes a changed configuration over, while somebody saves the next change."""
+
+    settings = SimpleNamespace(name="lab")
+
+    def __init__(self, saves):
+        self.saves, self.taken = list(saves), []
+
+    def change(self, press, text):
+        self.taken.append(text)
+        if self.saves:
+            path, content = self.saves.pop()
+            path.write_text(content, encoding="utf-8")
+
+
+def test_a_configuration_saved_while_the_one_before_is_taken_over_is_taken_over_next(tmp_path):
+    made = Plant(tmp_path, 1.0, 10.0)
+    with simulated("labjack-t7", made.inputs(UPPER), clock=made.clock) as a:
+        made.write(wiring("labjack-t7", a, "upper", UPPER))
+    first = made.config.read_text(encoding="utf-8")
+    watch = _ConfigWatch(load_config(made.config), lambda level, message, *_: None)
+    line = LineAtWork([(made.config, first + "# the second\n")])
+    made.config.write_text(first + "# the first\n", encoding="utf-8")
+    for _ in range(3):
+        watch.look([line])
+    assert [text.splitlines()[-1] for text in line.taken] == ["# the first", "# the second"]
+
+
 @pytest.mark.parametrize("hidden", ["kerntemp.toml", "lab.toml", "upper.toml"])
 def test_a_folder_that_cannot_be_read_leaves_the_configuration_as_it_was(tmp_path, monkeypatch, hidden):
     made, said = Plant(tmp_path, 1.0, 10.0), []
