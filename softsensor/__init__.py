@@ -38,16 +38,17 @@ if TYPE_CHECKING:
     from softsensor.face.fitting import fit as fit
     from softsensor.face.inputs import read_press as read_press
     from softsensor.face.inputs import read_run as read_run
+    from softsensor.face.learning import SteamLimit as SteamLimit
     from softsensor.face.learning import learn_steam_limit as learn_steam_limit
     from softsensor.face.models import read_model as read_model
     from softsensor.face.planning import PlanResult as PlanResult
     from softsensor.face.planning import plan as plan
     from softsensor.face.predicting import Prediction as Prediction
     from softsensor.face.predicting import predict as predict
+    from softsensor.face.reproducing import Reproduction as Reproduction
+    from softsensor.face.reproducing import reproduce as reproduce
     from softsensor.face.simulating import Simulation as Simulation
     from softsensor.face.simulating import simulate as simulate
-    from softsensor.fitting.paper.procedures import Reproduction as Reproduction
-    from softsensor.fitting.paper.procedures import reproduce as reproduce
     from softsensor.heat.model import ThermalModel as ThermalModel
     from softsensor.heat.model_file import FittedValue as FittedValue
     from softsensor.heat.model_file import ModelFile as ModelFile
@@ -55,7 +56,6 @@ if TYPE_CHECKING:
     from softsensor.live.inside import Inside as Inside
     from softsensor.live.leaving import Leave as Leave
     from softsensor.live.sensor import Estimate as Estimate
-    from softsensor.opening.blisters import SteamLimit as SteamLimit
 
 IMPORTED_S = time()
 """When this process began to import the package; see `daq.compiled`. [s]"""
@@ -121,12 +121,12 @@ _HOMES = {
     "PlanResult": "softsensor.face.planning",
     "Prediction": "softsensor.face.predicting",
     "Press": "daq.press.press_file",
-    "Reproduction": "softsensor.fitting.paper.procedures",
+    "Reproduction": "softsensor.face.reproducing",
     "Resin": "daq.press.resin_file",
     "Role": "softsensor.effects",
     "Scene": "softsensor.effects",
     "Simulation": "softsensor.face.simulating",
-    "SteamLimit": "softsensor.opening.blisters",
+    "SteamLimit": "softsensor.face.learning",
     "Terms": "softsensor.effects",
     "ThermalModel": "softsensor.heat.model",
     "add_effect": "softsensor.effects",
@@ -141,7 +141,7 @@ _HOMES = {
     "read_model": "softsensor.face.models",
     "read_press": "softsensor.face.inputs",
     "read_run": "softsensor.face.inputs",
-    "reproduce": "softsensor.fitting.paper.procedures",
+    "reproduce": "softsensor.face.reproducing",
     "simulate": "softsensor.face.simulating",
 }
 

@@ -1228,6 +1228,7 @@ figure-adaptive = Löser mit angepassten Schritten
 figure-advice-any = irgendeine Grenze, Heizplatten { NUMBER($platen, maximumFractionDigits: 0) } °C
 figure-advice-press-time = Presszeit [s]
 figure-advice-risk = Wahrscheinlichkeit, dass eine Grenze verletzt ist [%]
+figure-blister-chance = Wahrscheinlichkeit einer Blase [%]
 figure-channels = alle Fühler
 figure-coefficient = { $name } = { NUMBER($mean, maximumSignificantDigits: 4) } W/m²K
 figure-coefficient-shared = { $name } = { NUMBER($mean, maximumSignificantDigits: 4) } W/m²K, gemeinsam
@@ -1262,11 +1263,15 @@ figure-not-described = { $run }: das Modell beschreibt diese Pressung nicht: { N
 figure-nothing-known = Kein Koeffizient ist bekannt: das Modell beschreibt das Gemessene nicht
 figure-over-mean = Wert / Mittel
 figure-plain = einfach
+figure-plan-best = beste Einstellungen
+figure-plan-repeated = übliche Einstellungen
+figure-plan-with-core = ebenso mit Fühler im Kern
 figure-residuals = Was alle Pressungen gemeinsam haben, fehlt dem Modell
 figure-roughness = Angepasste Schritte machen die Kosten rau: Differenzen messen die Schritte, nicht die Steigung
 figure-run = Pressung
 figure-since-beginning = Zeit seit Beginn [s]
 figure-since-closing = Zeit seit dem Schließen [s]
+figure-steam = Dampf beim Öffnen [kPa]
 figure-temperature = Temperatur [°C]
 figure-time = Zeit [s]
 figure-votes = { $better } von { $runs } Pressungen, jede einmal ausgelassen, passen mit dieser Ursache besser: { $cause }
@@ -1274,6 +1279,7 @@ figure-with-fit = Modell mit angepassten Koeffizienten
 figure-with-guesses = Modell mit den Schätzwerten der Pressendatei
 figure-worst-run = { $run }, die am schlechtesten passende Pressung: das einfache Modell liegt { NUMBER($rms, minimumFractionDigits: 2, maximumFractionDigits: 2) } K daneben (RMS der Mittel je Stelle)
 figure-worst-run-extended = { $run }: { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } K daneben, erweitert { NUMBER($after, minimumFractionDigits: 2, maximumFractionDigits: 2) } K ({ $causes })
+figure-worth = Wert einer Pressung [nat]
 figure-worth-of-pressing = Was eine Pressung je offenem Punkt wert ist
 
 ## softsensor.report: nights

@@ -1212,6 +1212,7 @@ figure-adaptive = adaptive solver
 figure-advice-any = any limit, platens at { NUMBER($platen, maximumFractionDigits: 0) } °C
 figure-advice-press-time = press time [s]
 figure-advice-risk = chance that a limit is broken [%]
+figure-blister-chance = chance of a blister [%]
 figure-channels = all sensors
 figure-coefficient = { $name } = { NUMBER($mean, maximumSignificantDigits: 4) } W/m²K
 figure-coefficient-shared = { $name } = { NUMBER($mean, maximumSignificantDigits: 4) } W/m²K, shared
@@ -1246,11 +1247,15 @@ figure-not-described = { $run }: the model does not describe this run, it is { N
 figure-nothing-known = No coefficient is known: the model does not describe what was measured
 figure-over-mean = value / mean
 figure-plain = plain
+figure-plan-best = best settings
+figure-plan-repeated = usual settings
+figure-plan-with-core = the same with a core thermocouple
 figure-residuals = What all runs have in common is what the model lacks
 figure-roughness = Adaptive steps make the cost rough: differences measure the steps, not the slope
 figure-run = run
 figure-since-beginning = time since the beginning [s]
 figure-since-closing = time since closing [s]
+figure-steam = steam at opening [kPa]
 figure-temperature = temperature [°C]
 figure-time = time [s]
 figure-votes = { $better } of { $runs } runs, each left out in turn, fit better with this cause: { $cause }
@@ -1258,6 +1263,7 @@ figure-with-fit = model with fitted coefficients
 figure-with-guesses = model with the press file's guesses
 figure-worst-run = { $run }, the worst fit of all runs: the plain model is { NUMBER($rms, minimumFractionDigits: 2, maximumFractionDigits: 2) } K off (rms of place means)
 figure-worst-run-extended = { $run }: { NUMBER($before, minimumFractionDigits: 2, maximumFractionDigits: 2) } K off with the plain model, { NUMBER($after, minimumFractionDigits: 2, maximumFractionDigits: 2) } K with { $causes }
+figure-worth = worth of one pressing [nats]
 figure-worth-of-pressing = What one pressing is worth, by open point
 
 ## softsensor.report: nights

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -16,7 +15,7 @@ from daq.records import ROOM_C, InputError
 from daq.words import say
 from softsensor.face.inputs import read_press, resin_of
 from softsensor.face.models import read_model
-from softsensor.face.showing import shown
+from softsensor.face.showing import lines_html, shown
 from softsensor.planning.advise import DEFAULT_RANGES, PRESSURE, Goal, ProgrammeAdvice, Wish, limits_of
 from softsensor.planning.advise import advise as advise_on
 from softsensor.planning.made_up import Task
@@ -38,10 +37,15 @@ class AdviceResult:
     """Programs looked at, the best one, what was asked; press times [s], platens [°C], chances from 0 to 1."""
 
     def frame(self) -> pd.DataFrame:
-        """Return one row a program looked at: press time, risk, energy; NaN where no press time will do."""
+        """Return one row a program looked at: press time [s], risk, energy [kWh], cost [€].
+
+        NaN where no press time will do or nobody asked; ``blocking`` is empty where no limit is in the way.
+        """
         import pandas as pd
 
-        return pd.DataFrame(self.advised.as_json()["programs"]).set_index("platen_temperature_C")
+        table = pd.DataFrame(self.advised.as_json()["programs"]).set_index("platen_temperature_C")
+        numbers = dict.fromkeys(table.columns.drop("blocking"), float)
+        return table.astype(numbers).fillna({"blocking": ""})
 
     def plot(self) -> list[Axes]:
         """Draw press time against risk; return the axes."""
@@ -58,7 +62,7 @@ class AdviceResult:
         return "\n".join(map(str, advice_said(self.advised)))
 
     def _repr_html_(self) -> str:
-        return "".join(f"<p>{html.escape(str(line))}</p>" for line in advice_said(self.advised))
+        return lines_html(advice_said(self.advised))
 
 
 USUAL_PANEL: Mapping[str, Any] = MappingProxyType({"panel.material": "MDF", "panel.thickness_mm": 16.0})

@@ -17,7 +17,7 @@ from softsensor.diagnosis.finding import Diagnosis
 from softsensor.diagnosis.summary import verdict_said
 from softsensor.diagnosis.verdict import diagnose as diagnose_runs
 from softsensor.face.inputs import read_press, runs_of
-from softsensor.face.showing import shown
+from softsensor.face.showing import UNKNOWN, shown, table_html
 from softsensor.heat.model_file import ModelFile
 from softsensor.jobs.campaign import diagnosed_model
 
@@ -82,12 +82,12 @@ class DiagnosisResult:
     def __repr__(self) -> str:
         """Show verdict, causes, error before and after, and what to measure next."""
         head, *rest = self._lines()
-        table = [self.frame().to_string(float_format="%.4g")] if len(self.frame()) else []
+        table = [self.frame().to_string(float_format="%.4g", na_rep=UNKNOWN)] if len(self.frame()) else []
         return "\n".join([head, *table, *rest])
 
     def _repr_html_(self) -> str:
         head, *rest = (html.escape(line) for line in self._lines())
-        table = str(self.frame().to_html(float_format="%.4g")) if len(self.frame()) else ""
+        table = table_html(self.frame()) if len(self.frame()) else ""
         return f"<p><b>{head}</b></p>{table}" + "".join(f"<p>{line}</p>" for line in rest)
 
     def _lines(self) -> list[str]:

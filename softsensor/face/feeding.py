@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from daq.given import keys_of
 from daq.press.header import check_header
 from daq.press.resin_file import Resin
+from daq.printed import on_screen
 from daq.records import InputError
 from daq.words import say
 from softsensor.face.inputs import read_press, resin_of
@@ -53,8 +54,10 @@ class LiveSensor(ScanSensor):
     ) -> None:
         check_header(keys_of(header, "given-no-header"), "LiveSensor")
         compile_for(Work.LIVE)
-        super().__init__(read_press(press), header, None if model is None else read_model(model), resin_of(resin))
-        self._newest_s = -math.inf
+        described = read_press(press)
+        super().__init__(described, header, None if model is None else read_model(model), resin_of(resin))
+        self._named = described.press.name
+        self._newest: Estimate | None = None
 
     def update(self, time_s: float, values: Mapping[str, float | None]) -> Estimate:
         """Take a scan and return what is known then.
@@ -72,11 +75,18 @@ class LiveSensor(ScanSensor):
             For a time that does not rise, a value that is no number, and at the first scan for what press or panel
             lacks in header or columns.
         """
-        if not self._newest_s < time_s < math.inf:
-            raise InputError(say("live-time-not-rising", time_s=float(time_s), newest_s=self._newest_s))
-        said = super().update(float(time_s), {name: _reading(name, value) for name, value in values.items()})
-        self._newest_s = float(time_s)
-        return said
+        newest_s = -math.inf if self._newest is None else self._newest.time_s
+        if not newest_s < time_s < math.inf:
+            raise InputError(say("live-time-not-rising", time_s=float(time_s), newest_s=newest_s))
+        self._newest = super().update(
+            float(time_s), {name: _reading(name, value) for name, value in values.items()}
+        )
+        return self._newest
+
+    def __repr__(self) -> str:
+        """Say which press it follows, and what it said at the newest scan."""
+        newest = [] if self._newest is None else [on_screen(self._newest)]
+        return "\n".join([f"LiveSensor of press {self._named}", *newest])
 
 
 def _reading(column: str, value: float | None) -> float:

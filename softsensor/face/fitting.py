@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from daq.records import with_frozen_fields
 from softsensor.face.inputs import read_press, runs_of
-from softsensor.face.showing import about, shown
+from softsensor.face.showing import UNKNOWN, about, shown, table_html
 from softsensor.fitting.campaign import CampaignFit
 from softsensor.fitting.result import Coefficient, rounded
 from softsensor.heat.model_file import ModelFile
@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from softsensor.face.kinds import AnyPress, AnyRun
-
-UNKNOWN = "–"
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -83,7 +81,9 @@ class FitResult:
         return "\n".join([table.to_string(max_rows=12), *([str(short)] if short else [])])
 
     def _repr_html_(self) -> str:
-        return str(self.frame().to_html(float_format="%.4g", max_rows=24))
+        table = self.frame()
+        table.loc[~table["identifiable"], ["value", "sd", "low", "high"]] = math.nan
+        return table_html(table)
 
 
 def _known(found: Coefficient) -> str:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,11 +17,46 @@ from daq.words import say
 from softsensor.face.inputs import read_press, resin_of, runs_of
 from softsensor.face.models import read_model
 from softsensor.face.predicting import predict
-from softsensor.opening.blisters import SteamLimit, believed_limit, learn_limit
+from softsensor.face.showing import lines_html, shown
+from softsensor.opening.blisters import SteamLimit as Learned
+from softsensor.opening.blisters import believed_limit, learn_limit, limit_said
 from softsensor.opening.limits import Normal
 
 if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
+
     from softsensor.face.kinds import AnyModel, AnyPress, AnyRun
+
+
+DRAWN = np.linspace(0.0, 2.0, 81)[1:]
+"""Pressures at which the chance of a blister is told, over what half of the panels bear. By hand, 2026-11."""
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class SteamLimit(Learned):
+    """What is known of the steam that panels bear: weights of a grid. [kPa]"""
+
+    def frame(self) -> pd.DataFrame:
+        """Return the chance of a blister over the partial pressure of steam at opening. [kPa]"""
+        import pandas as pd
+
+        steam = self.most_kPa * DRAWN
+        chance = self.chance(Normal(np.log(steam), np.zeros_like(steam)))
+        return pd.DataFrame({"steam_kPa": steam, "blister_chance": chance}).set_index("steam_kPa")
+
+    def plot(self) -> list[Axes]:
+        """Draw the chance of a blister over steam, and what half of the panels bear; return the axes."""
+        from softsensor.report.steam_figure import steam_figure
+
+        return shown(steam_figure(self, self.frame()["blister_chance"]))
+
+    def to_json(self) -> str:
+        """Return what ``blisters --json`` writes."""
+        return json.dumps(self.as_json())
+
+    def _repr_html_(self) -> str:
+        return lines_html(limit_said(self))
 
 
 def learn_steam_limit(
@@ -48,7 +85,8 @@ def learn_steam_limit(
     if not np.isfinite(read.mean).any():
         raise InputError(say("steam-limit-no-marks", key=VERDICT, runs=len(marked)))
     blistered = np.array([run.header[VERDICT] == BLISTER for run in marked])
-    return learn_limit(read, blistered, *believed_limit(cures))
+    found = learn_limit(read, blistered, *believed_limit(cures))
+    return SteamLimit(**{one.name: getattr(found, one.name) for one in fields(found)})
 
 
 def _at_opening(run: AnyRun, press: AnyPress, model: AnyModel | None, resin: Resin | None) -> Normal:

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import html
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from daq.given import keys_of
+from daq.printed import LINES
 from softsensor.face.diagnosing import DiagnosisResult, diagnose
 from softsensor.face.inputs import read_press
-from softsensor.face.showing import axes_over_time, shown
+from softsensor.face.showing import lines_html, shown
 from softsensor.planning.plan import Plan
 from softsensor.planning.plan import plan as plan_after
-from softsensor.planning.summary import plan_said
+from softsensor.planning.summary import best_said, plan_said, point_said
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -46,23 +46,23 @@ class PlanResult:
 
     def plot(self) -> list[Axes]:
         """Draw what one pressing of each kind is worth to each open point; return the axes."""
-        ax = axes_over_time("figure-worth-of-pressing")
-        table = self.frame()
-        if len(table):
-            table["worth"].unstack("pressing").plot.barh(ax=ax)
-            ax.set_xlabel("nats")
-        return shown(ax.figure)
+        from softsensor.report.plan_figure import plan_figure
+
+        return shown(plan_figure(self.planned))
 
     def to_json(self) -> str:
         """Return what ``plan --json`` writes."""
         return json.dumps(self.planned.as_json())
 
     def __repr__(self) -> str:
-        """Say what is open and the pressings for it."""
-        return "\n".join(map(str, plan_said(self.planned)))
+        """Say what is open, and the best pressing for it; the notebook's view and the table hold the others."""
+        points, shown_points = self.planned.points, LINES // 3  # a row for the point and two for its pressing
+        said = [one for advice in points[:shown_points] for one in (point_said(advice.point), best_said(advice))]
+        more = [f"... and {len(points) - shown_points} more"] if len(points) > shown_points else []
+        return "\n".join([*map(str, said or plan_said(self.planned)), *more])
 
     def _repr_html_(self) -> str:
-        return "".join(f"<p>{html.escape(str(line))}</p>" for line in plan_said(self.planned))
+        return lines_html(plan_said(self.planned))
 
 
 def plan(

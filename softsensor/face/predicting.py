@@ -12,7 +12,7 @@ from daq.given import names_of
 from daq.press.resin_file import Resin
 from softsensor.face.inputs import read_press, read_run, resin_of
 from softsensor.face.models import read_model
-from softsensor.face.showing import about, axes_over_time, lists, shown
+from softsensor.face.showing import UNKNOWN, about, axes_over_time, lists, shown, table_html
 from softsensor.jobs.first_start import Work, compile_for
 from softsensor.live.replay import Replay, replay
 
@@ -54,10 +54,12 @@ class Prediction:
 
     def __repr__(self) -> str:
         """Show the first and the last scans."""
-        return f"{self.replayed.run.name}\n{self.frame().to_string(max_rows=8, float_format='%.2f')}"
+        return (
+            f"{self.replayed.run.name}\n{self.frame().to_string(max_rows=8, float_format='%.2f', na_rep=UNKNOWN)}"
+        )
 
     def _repr_html_(self) -> str:
-        return str(self.frame().to_html(max_rows=24, float_format="%.2f"))
+        return table_html(self.frame(), "%.2f")
 
 
 def predict(

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import html
 import json
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 from daq.words import Message, say
@@ -13,6 +15,20 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from daq.records import Run
+
+
+UNKNOWN = "–"
+"""Stands in what is shown where a number is not known."""
+
+
+def table_html(frame: pd.DataFrame, digits: str = "%.4g") -> str:
+    """Return a table for a notebook, long ones shortened; a dash where a number is not known."""
+    return str(frame.to_html(float_format=digits, max_rows=24, na_rep=UNKNOWN))
+
+
+def lines_html(lines: Iterable[Message]) -> str:
+    """Return sentences for a notebook, a paragraph each."""
+    return "".join(f"<p>{html.escape(str(line))}</p>" for line in lines)
 
 
 def about(run: Run, frame: pd.DataFrame) -> pd.DataFrame:

@@ -12,7 +12,7 @@ from daq.press.press_file import press_for_run
 from daq.records import Run, with_frozen_fields
 from softsensor.face.inputs import read_press, read_run
 from softsensor.face.models import read_model
-from softsensor.face.showing import about, axes_over_time, lists, shown
+from softsensor.face.showing import UNKNOWN, about, axes_over_time, lists, shown, table_html
 from softsensor.fitting.simulated_run import Simulated, simulate_run
 from softsensor.heat.model import ThermalModel
 from softsensor.jobs.model_files import coefficients_of
@@ -58,10 +58,12 @@ class Simulation:
     def __repr__(self) -> str:
         """Show the error at each place, and the first and last rows."""
         errors = ", ".join(f"{place} {value:.2f} K" for place, value in self.simulated.rmse.items())
-        return f"{self.run.name}: {errors}\n{self.frame().to_string(max_rows=8, float_format='%.2f')}"
+        return (
+            f"{self.run.name}: {errors}\n{self.frame().to_string(max_rows=8, float_format='%.2f', na_rep=UNKNOWN)}"
+        )
 
     def _repr_html_(self) -> str:
-        return str(self.frame().to_html(max_rows=24, float_format="%.2f"))
+        return table_html(self.frame(), "%.2f")
 
 
 def simulate(

@@ -9,6 +9,7 @@ import pickle
 import re
 import subprocess
 import sys
+import time
 from collections.abc import Mapping
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -27,10 +28,14 @@ import softsensor
 from api.cli import main
 from daq.face import COEFFICIENT, ENTRY, ESTIMATE, EVENT, RUN
 from daq.files.run_file import read_run
+from daq.press.press_file import parse_press
+from daq.simulated.campaign import Plan, make_campaign
+from daq.simulated.campaign_pressfile import press_toml
 from softsensor.face import kinds
 from softsensor.face.inputs import runs_of
 from softsensor.heat.model_file import model_text
-from tests.screens import flooding
+from softsensor.planning.summary import point_said
+from tests.screens import ROWS, flooding, rows_of
 
 ROOT = Path(__file__).resolve().parents[2]
 LAB = ROOT / "deploy/presses/lab.toml"
@@ -76,13 +81,14 @@ def test_every_public_name_is_there_and_says_what_it_is(package):
 
 
 def fields_without_words(cls):
-    """Return the public fields of a class, and those of them under which no words stand."""
-    (body,) = (one.body for one in ast.parse(inspect.getsource(cls)).body if isinstance(one, ast.ClassDef))
-    after = [*body[1:], ast.Pass()]
+    """Return the public fields of a class, and those of them under which no words stand, its parents' included."""
+    ours = [one for one in cls.__mro__ if one.__module__.partition(".")[0] in ("daq", "softsensor")]
+    bodies = [ast.parse(inspect.getsource(one)).body[0].body for one in ours]
+    pairs = [pair for body in bodies for pair in zip(body, [*body[1:], ast.Pass()], strict=True)]
     named, silent = [], []
-    for node, following in zip(body, after, strict=True):
+    for node, following in pairs:
         target = getattr(node, "target", None) or next(iter(getattr(node, "targets", ())), None)
-        if not isinstance(target, ast.Name) or target.id[0] == "_":
+        if not isinstance(target, ast.Name) or target.id[0] == "_" or target.id == "model_config":  # pydantic's
             continue
         told = following.value if isinstance(following, ast.Expr) else None
         named.append(target.id)
@@ -514,9 +520,6 @@ def test_every_result_prints_on_one_screen_is_drawn_for_a_notebook_and_is_json(f
     from matplotlib import pyplot
     from matplotlib.axes import Axes
 
-    def no_number(text):
-        raise AssertionError(text)
-
     for result in (fitted, softsensor.simulate(SHORT, LAB, fitted), softsensor.predict(SHORT, LAB, fitted)):
         lines = repr(result).splitlines()
         assert len(lines) <= 24
@@ -529,6 +532,77 @@ def test_every_result_prints_on_one_screen_is_drawn_for_a_notebook_and_is_json(f
         assert json.loads(result.to_json(), parse_constant=no_number)
         with pytest.raises(AttributeError):
             result.anything = 1
+
+
+def no_number(text):
+    raise AssertionError(text)
+
+
+@pytest.fixture(scope="module")
+def results(fitted):
+    """Return the answer of every public function that works something out."""
+    resin = LAB.parents[1] / "resins/melamine_formaldehyde.toml"
+    wet = {"panel.moisture_percent": 8.0, "panel.verdict": "blister"}
+    (measured,) = make_campaign(77, 1, plan=Plan(rate_hz=1.0, thickness_mm=16.0))
+    run, truth = measured
+    model, clock = softsensor.ThermalModel(parse_press(press_toml())), time.perf_counter
+    found = softsensor.diagnose(SAMPLES[5:8], LAB, effects=["edge_loss"])
+    return {
+        "advise": softsensor.advise(LAB, fitted, limits={"core_least_C": 90.0}),
+        "diagnose": found,
+        "fit": fitted,
+        "learn_steam_limit": softsensor.learn_steam_limit(
+            [softsensor.read_run(SAMPLES[0], header=wet)], LAB, fitted, resin=resin
+        ),
+        "plan": softsensor.plan(found, LAB),
+        "predict": softsensor.predict(SHORT, LAB, fitted),
+        "reproduce": softsensor.reproduce([(run, truth.moments, truth.coefficients)], model, clock=clock),
+        "simulate": softsensor.simulate(SHORT, LAB, fitted),
+    }
+
+
+def test_every_public_result_is_a_table_a_figure_a_screen_a_notebooks_view_and_json(results):
+    from matplotlib import pyplot
+    from matplotlib.axes import Axes
+
+    taken_in = {softsensor.Press, softsensor.ModelFile, softsensor.Effect, daq.Run}
+    public = {name: getattr(softsensor, name) for name in softsensor.__all__}
+    functions = {name: one for name, one in public.items() if isinstance(one, FunctionType)}
+    answers = {name: public.get(one.__annotations__["return"]) for name, one in functions.items()}
+    answers = {name: kind for name, kind in answers.items() if kind not in (None, *taken_in)}
+    assert {name: type(one) for name, one in results.items()} == answers
+    for name, result in results.items():
+        table = result.frame()
+        assert len(table), name
+        assert not table.map(lambda cell: cell is None).to_numpy().any(), name
+        axes = result.plot()
+        assert axes, name
+        assert all(isinstance(ax, Axes) for ax in axes)
+        pyplot.close(axes[0].figure)
+        assert flooding(result) == {}
+        assert "<object" not in repr(result)
+        for shown in (repr(result), result._repr_html_()):
+            assert not re.search(r"\b(nan|none)\b", shown, re.I), (name, shown)
+        assert "<p>" in result._repr_html_() or "<table" in result._repr_html_()
+        assert json.loads(result.to_json(), parse_constant=no_number)
+
+
+def test_a_plan_is_drawn_in_words_and_its_legend_lies_over_no_bar(results):
+    (ax,) = results["plan"].plot()
+    ax.figure.canvas.draw()
+    names = [label.get_text().replace("\n", " ") for label in ax.get_yticklabels()]
+    assert names == [str(point_said(advice.point)) for advice in results["plan"].planned.points]
+    (legend,) = ax.figure.legends
+    assert not legend.get_window_extent().overlaps(ax.get_window_extent())
+    assert ax.get_legend() is None
+
+
+def test_a_live_sensor_says_which_press_it_follows_and_what_it_said_last(fitted):
+    live = softsensor.LiveSensor(LAB, softsensor.read_run(SHORT).header, fitted)
+    assert repr(live) == "LiveSensor of press lab"
+    live.update(2.5, {"platen_top": 200.0})
+    assert "time_s = 2.5" in repr(live)
+    assert rows_of(repr(live)) <= ROWS
 
 
 def test_whatever_a_result_leads_to_prints_on_one_screen(fitted):

@@ -1,0 +1,40 @@
+"""The figure of a plan: what a pressing of each kind is worth to each open point."""
+
+from __future__ import annotations
+
+import textwrap
+from functools import partial
+
+from matplotlib.figure import Figure
+
+from daq.printed import LINE
+from daq.words import say
+from daq.words.message import ENGLISH, words
+from softsensor.planning.plan import Plan
+from softsensor.planning.summary import point_said
+from softsensor.report.fit_figures import COLOURS, sheet
+
+
+def plan_figure(found: Plan, language: str = ENGLISH) -> Figure:
+    """Draw a bar a pressing for each open point, the most open on top."""
+    put = partial(words, language=language)
+    kinds = ("best", "with_core", "repeated")
+    bar = 1.0 / (len(kinds) + 1)  # with a gap of one between points
+    with sheet((8.0, 1.8 + 0.8 * len(found.points)), put(say("figure-worth-of-pressing"))) as figure:
+        ax = figure.subplots()
+        for number, kind in enumerate(kinds):
+            pressings = [(at, getattr(advice, kind)) for at, advice in enumerate(found.points)]
+            bars = [(at + (number - 1) * bar, one.prospect.worth) for at, one in pressings if one is not None]
+            if bars:
+                label = put(say(f"figure-plan-{kind.replace('_', '-')}"))
+                places, worth = zip(*bars, strict=True)
+                ax.barh(places, worth, height=bar, color=COLOURS[number], label=label)
+        names = [textwrap.fill(put(point_said(advice.point)), LINE // 3) for advice in found.points]
+        ax.set_yticks(range(len(names)), names)
+        ax.invert_yaxis()
+        ax.set_xscale("symlog", linthresh=1.0)  # a cause is worth hundreds where a coefficient is worth tenths
+        ax.set_axisbelow(True)
+        ax.set_xlabel(put(say("figure-worth")))
+        if names:
+            figure.legend(loc="outside lower center", ncols=len(kinds), frameon=False)
+    return figure
