@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -33,7 +33,6 @@ DRAWN = np.linspace(0.0, 2.0, 81)[1:]
 """Pressures at which the chance of a blister is told, over what half of the panels bear. By hand, 2026-11."""
 
 
-@dataclass(frozen=True, repr=False, eq=False)
 class SteamLimit(Learned):
     """What is known of the steam that panels bear: weights of a grid. [kPa]"""
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from daq.records import Moments, Run
@@ -18,7 +17,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-@dataclass(frozen=True, repr=False, eq=False)
 class Reproduction(Compared):
     """Two solvers and two kinds of slopes beside each other, and the cost along one coefficient."""
 
