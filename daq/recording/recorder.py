@@ -302,7 +302,8 @@ class _ConfigWatch:
             self._journal("warning", say("configuration-refused", why=spoken(error)))
             return
         self._config = fresh
-        self._seen = _changed(fresh) | {file: at for file, at in now.items() if file in _files(fresh)}
+        seen = _changed(fresh)  # of a file known before, as it was when this configuration was read
+        self._seen = seen | {file: at for file, at in now.items() if file in seen}
         self._journal("info", say("configuration-changed"))
 
     def _refuse_what_needs_a_start(self, fresh: Config) -> None:
