@@ -1312,7 +1312,13 @@ paper-adaptive = adaptive
 paper-exact = exact
 paper-exact-sensitivities = exact
 paper-finite-differences = finite differences
-paper-slope-changes = Cost along { $name } within ±{ NUMBER($span, maximumSignificantDigits: 1) } %: the slope changes sign { $adaptive } times with the adaptive solver, { $exact } times with the exact one.
+paper-slope-changes = Cost along { $name } within ±{ NUMBER($span, maximumSignificantDigits: 1) } %: the slope changes sign { $adaptive ->
+    [one] once
+   *[other] { $adaptive } times
+} with the adaptive solver, { $exact ->
+    [one] once
+   *[other] { $exact } times
+} with the exact one.
 report-95-bootstrap = 95 % (bootstrap)
 report-95-of-mean = 95 % of the mean (t)
 report-95-of-runs = 95 % of its runs

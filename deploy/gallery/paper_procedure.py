@@ -7,10 +7,7 @@
 # one pressing, beside a solver with fixed steps that carries its slopes along.
 
 # %%
-import time
-
 import matplotlib.pyplot as plt
-import pandas as pd
 
 import daq
 import softsensor
@@ -21,8 +18,8 @@ run = softsensor.read_run(shared / "samples/2026-03-04-07.csv")
 fitted = softsensor.fit(run, press)
 values = fitted.frame().loc[run.name, "value"].to_dict()
 measured = [(run, daq.find_moments(run, press), values)]
-found = softsensor.reproduce(measured, softsensor.ThermalModel(press), clock=time.perf_counter)
-pd.DataFrame(found.as_json()["table"]).set_index(["solver", "slopes"])[["converged", "seconds", "solves"]]
+found = softsensor.reproduce(measured, softsensor.ThermalModel(press))
+found.frame()[["converged", "seconds", "solves"]]
 
 # %% [markdown]
 # Every search began a factor of up to 3 from the fit; one that ends at the lowest cost that any found has converged. The cost along one coefficient shows why one of them ends early.

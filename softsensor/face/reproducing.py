@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from daq.records import Moments, Run
 from softsensor.face.showing import lines_html, shown, table_html
+from softsensor.fitting.paper.procedures import EVERY_RUN_SHOWS
 from softsensor.fitting.paper.procedures import Reproduction as Compared
 from softsensor.fitting.paper.procedures import reproduce as compare
 from softsensor.heat.model import ThermalModel
@@ -48,9 +50,9 @@ def reproduce(
     measurements: Sequence[tuple[Run, Moments, Mapping[str, float]]],
     model: ThermalModel,
     *,
-    judged: Sequence[str] = ("h_pp_o", "h_pp_c", "h_wa"),
+    judged: Sequence[str] = EVERY_RUN_SHOWS,
     seed: int = 1,
-    clock: Callable[[], float],
+    clock: Callable[[], float] = time.perf_counter,
     progress: Callable[[int], None] | None = None,
 ) -> Reproduction:
     """Compare the four combinations on measurements given with their moments and true coefficients.

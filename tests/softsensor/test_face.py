@@ -9,7 +9,6 @@ import pickle
 import re
 import subprocess
 import sys
-import time
 from collections.abc import Mapping
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -545,7 +544,7 @@ def results(fitted):
     wet = {"panel.moisture_percent": 8.0, "panel.verdict": "blister"}
     (measured,) = make_campaign(77, 1, plan=Plan(rate_hz=1.0, thickness_mm=16.0))
     run, truth = measured
-    model, clock = softsensor.ThermalModel(parse_press(press_toml())), time.perf_counter
+    model = softsensor.ThermalModel(parse_press(press_toml()))
     found = softsensor.diagnose(SAMPLES[5:8], LAB, effects=["edge_loss"])
     return {
         "advise": softsensor.advise(LAB, fitted, limits={"core_least_C": 90.0}),
@@ -556,7 +555,7 @@ def results(fitted):
         ),
         "plan": softsensor.plan(found, LAB),
         "predict": softsensor.predict(SHORT, LAB, fitted),
-        "reproduce": softsensor.reproduce([(run, truth.moments, truth.coefficients)], model, clock=clock),
+        "reproduce": softsensor.reproduce([(run, truth.moments, truth.coefficients)], model),
         "simulate": softsensor.simulate(SHORT, LAB, fitted),
     }
 

@@ -43,6 +43,8 @@ AS_GOOD = 1.02
 """A search found the minimum where its cost is at most so many times the lowest that any found."""
 ALONG = 0.02
 """How far to either side of the minimum the cost is drawn."""
+EVERY_RUN_SHOWS = ("h_pp_o", "h_pp_c", "h_wa")
+"""Coefficients whose error against the truth counts: the faces of any run that was pressed show these."""
 
 
 class Solver(StrEnum):
@@ -284,22 +286,12 @@ def reproduce(
     measurements: Sequence[tuple[Run, Moments, Mapping[str, float]]],
     model: ThermalModel,
     *,
-    judged: Sequence[str] = ("h_pp_o", "h_pp_c", "h_wa"),
+    judged: Sequence[str] = EVERY_RUN_SHOWS,
     seed: int = 1,
     clock: Callable[[], float],
     progress: Callable[[int], None] | None = None,
 ) -> Reproduction:
-    """Compare the four combinations on measurements given with their moments and true coefficients.
-
-    Parameters
-    ----------
-    judged
-        Coefficients whose error against the truth counts: those every run shows.
-    seed
-        Of the starts, which are off by up to a factor of 3.
-    clock
-        Seconds since whenever, for how long each search takes.
-    """
+    """Run the four combinations; arguments as `softsensor.reproduce` explains them."""
     rng = np.random.default_rng(seed)
     results: dict[tuple[Solver, Slopes], list[_Outcome]] = {}
     for number, (run, moments, truth) in enumerate(measurements, start=1):
@@ -360,7 +352,7 @@ def _table(
     results: Mapping[tuple[Solver, Slopes], Sequence[_Outcome]],
     truths: Sequence[Mapping[str, float]],
     names: Sequence[str],
-    judged: Sequence[str],
+    judged: Sequence[str] = EVERY_RUN_SHOWS,
 ) -> tuple[Combination, ...]:
     best = [min(outcomes[r].cost for outcomes in results.values()) for r in range(len(truths))]
     index = [names.index(n) for n in judged if n in names]
