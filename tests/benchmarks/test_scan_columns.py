@@ -1,7 +1,7 @@
 """Readings of a scan kept as text, as a typed column each, as one binary value, side by side on both engines.
 
-60,000 scans of 16 channels at 0.1 K in one table of the store's shape. Asserts that every bit comes back; sizes and
-rates are printed, and their ratios to text, which the store keeps.
+60,000 scans of 16 channels at 0.1 K in one table of the store's shape. Asserts that every bit comes back; sizes
+and rates are printed, and their ratios to text, which the store keeps.
 """
 
 import time
@@ -91,7 +91,7 @@ def test_readings_as_text_as_typed_columns_and_as_one_binary_value(store_url):
     for kept, figures in found.items():
         size, written, read = ((f, f / t) for f, t in zip(figures, found["text"], strict=True))
         print(
-            f"{kept:14} {size[0]:5.0f} bytes a scan ({size[1]:.2f})  written {written[0]:7.0f}/s ({written[1]:.2f})"
-            f"  read {read[0]:7.0f}/s ({read[1]:.2f})"
+            f"{kept:14} {size[0]:5.0f} bytes a scan ({size[1]:.2f})"
+            f"  written {written[0]:7.0f}/s ({written[1]:.2f})  read {read[0]:7.0f}/s ({read[1]:.2f})"
         )
     database.close()
