@@ -153,6 +153,8 @@ def either_below(limit: float, one: Normal, other: Normal, together: Array | flo
 def broken(limits: LimitsTable, kinetics: Kinetics | None, panel: PanelState) -> Broken:
     """Return for every limit there is the chance that it is broken (shape of the panel's numbers).
 
+    Without kinetics nobody knows how far a face has cured: a limit of cure counts as broken.
+
     Examples
     --------
     >>> from softsensor.opening.kinetics import kinetics_of
@@ -166,8 +168,8 @@ def broken(limits: LimitsTable, kinetics: Kinetics | None, panel: PanelState) ->
     """
     found: dict[str, Array] = {}
     undercured: Array | float = 0.0
-    if limits.cure_least is not None and kinetics is not None:
-        least = math.log(kinetics.equivalent_s(limits.cure_least))
+    if limits.cure_least is not None:
+        least = math.inf if kinetics is None else math.log(kinetics.equivalent_s(limits.cure_least))
         found[CURE_BOTTOM], found[CURE_TOP] = panel.cure_bottom.below(least), panel.cure_top.below(least)
         undercured = either_below(least, panel.cure_bottom, panel.cure_top, panel.together)
     if limits.core_least_C is not None:

@@ -192,6 +192,12 @@ def test_what_is_not_known_counts_as_broken():
         assert float(found.risk) == 1.0
 
 
+def test_a_limit_of_cure_without_kinetics_counts_as_broken():
+    found = broken(LimitsTable(cure_least=0.9, core_least_C=60.0), None, SAFE)
+    assert (found.chances["cure_bottom"], found.chances["cure_top"], float(found.risk)) == (1.0, 1.0, 1.0)
+    assert found.chances["core_least"] < 1e-6
+
+
 def test_no_limit_at_all_is_no_leave_to_open():
     assert broken(LimitsTable(), LAW, SAFE) == Broken({})
     assert float(Broken({}).risk) == 1.0
