@@ -986,7 +986,7 @@ worth-moves = { $change ->
 worth-moves-nothing = ändert keinen Koeffizienten über den Zufall hinaus
 worth-saves = senkt das Residuum um { NUMBER($gain, minimumFractionDigits: 2, maximumFractionDigits: 2) } K auf ausgelassenen Pressungen, im Mittel über die Pressungen
 
-## softsensor.diagnosis.free_law: what is missing as a free function
+## softsensor.diagnosis.laws: what is missing as a free function
 
 law-axis-depth_share = Höhe in der Platte, als Anteil ihrer Dicke
 law-axis-temperature_C = Temperatur [°C]

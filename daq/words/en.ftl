@@ -969,7 +969,7 @@ worth-moves = { $change } { $coefficient } ({ $bodies }) by { NUMBER($percent, m
 worth-moves-nothing = moves no coefficient beyond chance
 worth-saves = lowers the residual by { NUMBER($gain, minimumFractionDigits: 2, maximumFractionDigits: 2) } K on runs left out, in the mean over the runs
 
-## softsensor.diagnosis.free_law: what is missing as a free function
+## softsensor.diagnosis.laws: what is missing as a free function
 
 law-axis-depth_share = height in the panel, as a share of its thickness
 law-axis-temperature_C = temperature [°C]

@@ -12,8 +12,8 @@ from daq.records import Array
 from daq.words import Message
 from softsensor.diagnosis.decision import Verdict
 from softsensor.diagnosis.extended_model import model_of
-from softsensor.diagnosis.free_law import Law
 from softsensor.diagnosis.gains import Gain, paired_gain
+from softsensor.diagnosis.laws.choice import Law
 from softsensor.diagnosis.numbers import Errors, Interval
 from softsensor.diagnosis.search import Candidate, SettledModel
 from softsensor.diagnosis.sign_flips import PatternTest

@@ -69,8 +69,8 @@ from softsensor.diagnosis.decision import (
 from softsensor.diagnosis.extension import RunState, SharedFit, from_the_others, held_out, predicted
 from softsensor.diagnosis.extension_unknowns import is_shape
 from softsensor.diagnosis.finding import Contest, Diagnosis, Finding
-from softsensor.diagnosis.free_law import free_law
 from softsensor.diagnosis.gains import Gain, paired_gain
+from softsensor.diagnosis.laws.choice import free_law
 from softsensor.diagnosis.numbers import (
     Errors,
     Interval,

@@ -1,6 +1,6 @@
 """What is missing as a smooth function of one variable: an effect without a name, whose curve is data.
 
-A diagnosis learns the curve (`softsensor.diagnosis.free_law`); here it acts on the stack, while it is fitted and
+A diagnosis learns the curve (`softsensor.diagnosis.laws`); here it acts on the stack, while it is fitted and
 later, in a model file. There it is an effect like others: how strong it is (1 as found), where its knots lie, and
 its values at them. These effects stand in no catalogue, since nobody looks for one by its name.
 

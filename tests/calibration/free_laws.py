@@ -14,7 +14,7 @@ import numpy as np
 
 from daq.press.press_file import parse_press
 from daq.simulated.campaign import make_campaign, press_toml
-from softsensor.diagnosis.free_law import free_law
+from softsensor.diagnosis.laws.choice import free_law
 from softsensor.diagnosis.search import settle_base
 from softsensor.diagnosis.verdict import _screened
 from softsensor.heat.model import ThermalModel

@@ -14,12 +14,15 @@ from daq.press.press_file import parse_press
 from daq.records import Nonphysical
 from daq.simulated.campaign import Effects, Plan, make_campaign, press_toml
 from daq.words.message import words
-from softsensor.diagnosis import free_law as laws
 from softsensor.diagnosis.extended_model import model_of
 from softsensor.diagnosis.extension import SharedFit
 from softsensor.diagnosis.finding import Diagnosis
-from softsensor.diagnosis.free_law import Law, free_law, learned_strength
 from softsensor.diagnosis.gains import Gain
+from softsensor.diagnosis.laws import fitting
+from softsensor.diagnosis.laws import kinds as laws
+from softsensor.diagnosis.laws.choice import Law, free_law
+from softsensor.diagnosis.laws.curve import resembles
+from softsensor.diagnosis.laws.fitting import STRENGTHS, learned_strength
 from softsensor.diagnosis.search import SettledModel, settle_base
 from softsensor.diagnosis.summary import law_said
 from softsensor.diagnosis.verdict import _screened
@@ -188,8 +191,8 @@ def test_a_law_that_the_runs_drive_beyond_all_matter_is_none_and_ends_nothing(mo
     torn = {kind.effect.key(p.name): 400.0 * (-1) ** i for i, p in enumerate(kind.effect.parameters)}
     with pytest.raises(Nonphysical, match="lead to no finite temperatures"):
         model.solve(model.prepare(run, truth.moments), model.guesses | torn)
-    monkeypatch.setattr(laws, "from_the_others", lambda fit, data: [fit.theta + _along(fit, torn)] * len(data))
-    assert laws._tried(settled("nothing"), kind) is None
+    monkeypatch.setattr(fitting, "from_the_others", lambda fit, data: [fit.theta + _along(fit, torn)] * len(data))
+    assert fitting.tried(settled("nothing"), kind) is None
 
 
 def _along(fit, torn):
@@ -245,7 +248,7 @@ def test_the_strength_of_a_law_is_that_of_the_likeliest_prior():
     )
     expected = np.sqrt(np.mean(weights**2) - 1.0 / precise)
     found = learned_strength(cast(SharedFit, fit), names)
-    step = laws.STRENGTHS[1] / laws.STRENGTHS[0]
+    step = STRENGTHS[1] / STRENGTHS[0]
     assert expected / step < found < expected * step
 
 
@@ -253,14 +256,14 @@ def test_a_flat_curve_of_exchange_is_a_rim_loss_and_a_bent_one_is_not():
     x = np.linspace(0.0, 1.0, 33)
     flat, bent = np.full(33, 900.0), 900.0 * np.sin(2.0 * np.pi * x)
     tables = [np.stack([x, v, v - 100.0, v + 100.0], axis=1) for v in (flat, bent)]
-    assert [laws._resembles(LawOf.EXCHANGE, table) for table in tables] == ["edge_loss", None]
+    assert [resembles(LawOf.EXCHANGE, table) for table in tables] == ["edge_loss", None]
 
 
 def test_a_law_of_contact_that_grows_is_a_buildup():
     x = np.linspace(0.0, 30.0, 33)
     v = 1.0 - 0.6 * np.exp(-x / 7.0)
     curve = np.stack([x, v, v - 0.05, v + 0.05], axis=1)
-    assert laws._resembles(LawOf.CONTACT, curve) == "contact_buildup"
+    assert resembles(LawOf.CONTACT, curve) == "contact_buildup"
 
 
 @pytest.mark.parametrize(("language", "part"), [("en", "time since closing"), ("de", "Zeit seit dem Schließen")])
@@ -283,8 +286,8 @@ def test_a_law_is_told_in_words_and_as_the_contract_has_it(language, part):
 def test_a_flat_law_of_one_contact_is_an_asymmetry_and_a_brief_one_is_not(side):
     x = np.linspace(0.0, 30.0, 33)
     flat, brief = np.full(33, 0.708), np.where((x > 10.0) & (x < 13.0), 0.5, 1.0)
-    assert laws._resembles(side, np.stack([x, flat, flat - 0.01, flat + 0.01], axis=1)) == "contact_asymmetry"
-    assert laws._resembles(side, np.stack([x, brief, brief - 0.05, brief + 0.05], axis=1)) is None
+    assert resembles(side, np.stack([x, flat, flat - 0.01, flat + 0.01], axis=1)) == "contact_asymmetry"
+    assert resembles(side, np.stack([x, brief, brief - 0.05, brief + 0.05], axis=1)) is None
 
 
 def test_a_model_file_of_a_version_without_levels_means_what_it_meant():

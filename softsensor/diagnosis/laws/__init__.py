@@ -1,0 +1,33 @@
+"""What is missing as a free function: where no cause of the catalogue explains the runs, they tell its law.
+
+Read `kinds` (of what a law is, and by which variable), `fitting` (a kind fitted beside everything else), `curve`
+(its band, and which known cause it is like), `choice` (whether there is a law, and which).
+
+A law is a smooth function of one variable, a Gaussian process on a few knots with a squared-exponential kernel:
+its weights are one more effect of the model, with independent normal priors, so coefficients, moments and offsets
+are fitted beside it and derivatives are exact. How strong it is, the prior's standard deviation, is learned from
+the campaign: the marginal likelihood (Laplace's, from the fit's curvature) over a grid.
+
+=================  ===========================  =================================================================
+kind               variable                     curve
+=================  ===========================  =================================================================
+``contact``        ``time_since_closing_s``     factor on the closed panel's contacts, 1 at the latest time seen;
+                                                ``contact_lower`` and ``contact_upper`` on one of them alone, 1
+                                                where it is the press's closed coefficient as the other is
+``heat``           ``temperature_C``            heat that goes for good as the panel warms up, negative where it
+                                                comes [kJ/m³K]
+``heat_exchange``  ``depth_share``              heat lost to the room by height in the panel, 0 at its lower face;
+                                                negative where it comes [W/m³K]
+=================  ===========================  =================================================================
+
+Runs left out decide: each, with the law from the others and its own contacts fitted, must be met better than
+without a law, with an interval above nothing; for each the kind is chosen by the other runs. Kinds that these do
+not tell from the best form a set. Laws that the effects' terms cannot carry (conductivity as a free function of
+temperature, contact by pressure or temperature) are not tried: what follows them stays unknown, or is told by the
+nearest kind.
+
+References
+----------
+Rasmussen & Williams, Gaussian Processes for Machine Learning (2006), sec. 8.3.1 (subset of regressors) and 3.4
+(Laplace's approximation of the marginal likelihood).
+"""

@@ -1,0 +1,156 @@
+"""Of what a law is and by which variable: each kind laid over what the runs visited."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from daq.records import Array
+from softsensor.diagnosis.search import SettledModel
+from softsensor.effects import Effect, Scene, Terms
+from softsensor.effects.effect import LawOf
+from softsensor.effects.free_law import (
+    COLDEST_C,
+    EARLY_S,
+    HOTTEST_C,
+    LAST_S,
+    LEVEL,
+    SIDES,
+    SOURCE,
+    VALUE,
+    Function,
+    Smooth,
+    contact_knots,
+    contact_terms,
+    exchange_knots,
+    exchange_terms,
+    heat_knots,
+    heat_terms,
+    levelled,
+)
+from softsensor.effects.parameters import Parameter
+
+# Numbers without another source were set by hand, 2026-11.
+
+COLDEST_K = 15.0
+"""So far above the panel's start a law of temperature begins: below, it is not told from the start. [K]"""
+HEAT_SIZE = 1e3
+"""Of a law of heat, about the heat capacity of wood per volume. [kJ/m³K]"""
+EXCHANGE_SIZE = 1e3
+"""Of a law of exchange, about a loss at the rim of its typical size. [W/m³K]"""
+POINTS = 33
+"""Of a curve that is handed out."""
+
+
+@dataclass(frozen=True)
+class LawKind:
+    """A kind of law, laid over what the runs visited."""
+
+    name: LawOf
+    variable: str
+    unit: str
+    effect: Effect
+    x: Array
+    """Where the curve is told (points)."""
+    weights: Array
+    """Of the fitted numbers at these points (points, knots)."""
+    told: Callable[[Array], Array]
+    """From the smooth function to what is told."""
+    kept: Callable[[Array], dict[str, float]]
+    """From the fitted numbers to those a model file keeps (`effects.free_law`), its strength aside."""
+
+
+def kinds(stage: SettledModel) -> Iterator[LawKind]:
+    """Yield the kinds of law that these runs could follow."""
+    press = stage.fit.layout.model.press
+    if not press.panel_layers:
+        return
+    digests = [d.digest for d in stage.data]
+    lasts = [
+        (d.moments.opened_s if np.isfinite(d.moments.opened_s) else d.time[-1]) - d.moments.closed_s
+        for d in digests
+        if np.isfinite(d.moments.closed_s)
+    ]
+    if press.has_states and lasts:
+        yield from (contact_by_time(float(np.max(lasts)), side) for side in SIDES)
+    hottest = float(np.max([np.nanmax(d.y) for d in digests]))
+    coldest = float(np.min([np.nanmin(d.y[:3]) for d in digests])) + COLDEST_K
+    if hottest > coldest + COLDEST_K:
+        yield heat_by_temperature(coldest, hottest)
+    yield exchange_by_depth()
+
+
+def contact_by_time(last_s: float, side: str = "") -> LawKind:
+    """Return the contact, or that of one `side`, as a free function of the time since closing. [s]"""
+    smooth = contact_knots(last_s)
+
+    def terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
+        law = _function(smooth, values)
+        return contact_terms(scene, law if side else levelled(law, last_s), last_s, side)
+
+    end = smooth.weights(smooth.knots[-1:])
+    along = np.linspace(0.0, smooth.knots[-1], POINTS)
+    weights = smooth.weights(along) - (0.0 if side else end)
+    kind = LawOf(f"{LawOf.CONTACT}_{side}") if side else LawOf.CONTACT
+
+    def kept(numbers: Array) -> dict[str, float]:
+        level = {LEVEL: float(end[0] @ numbers)} if side else {}
+        return {LAST_S: last_s, **level, **_at_knots(smooth, numbers)}
+
+    effect = _effect(kind, smooth, terms)
+    x = EARLY_S * np.expm1(along)
+    return LawKind(kind, "time_since_closing_s", "-", effect, x, weights, np.exp, kept)
+
+
+def heat_by_temperature(coldest_C: float, hottest_C: float) -> LawKind:
+    """Return heat that goes for good as the panel warms up, as a free function of temperature. [°C]"""
+    smooth = heat_knots(coldest_C, hottest_C)
+
+    def terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
+        return heat_terms(scene, _function(smooth, values, HEAT_SIZE), smooth)
+
+    def kept(numbers: Array) -> dict[str, float]:
+        return {COLDEST_C: coldest_C, HOTTEST_C: hottest_C, **_at_knots(smooth, HEAT_SIZE * numbers)}
+
+    x = np.linspace(coldest_C, hottest_C, POINTS)
+    effect = _effect(LawOf.HEAT, smooth, terms, nonlinear=True)
+    weights = HEAT_SIZE * smooth.weights(x)
+    return LawKind(LawOf.HEAT, "temperature_C", "kJ/m3K", effect, x, weights, np.asarray, kept)
+
+
+def exchange_by_depth() -> LawKind:
+    """Return heat lost to the room as a free function of the height in the panel."""
+    smooth = exchange_knots()
+
+    def terms(scene: Scene, values: Mapping[str, Any]) -> Terms:
+        return exchange_terms(scene, _function(smooth, values, EXCHANGE_SIZE))
+
+    def kept(numbers: Array) -> dict[str, float]:
+        return _at_knots(smooth, EXCHANGE_SIZE * numbers)
+
+    z = np.linspace(-1.0, 1.0, POINTS)
+    effect = _effect(LawOf.EXCHANGE, smooth, terms)
+    weights = EXCHANGE_SIZE * smooth.weights(z)
+    return LawKind(LawOf.EXCHANGE, "depth_share", "W/m3K", effect, 0.5 * (z + 1.0), weights, np.asarray, kept)
+
+
+def _function(smooth: Smooth, values: Mapping[str, Any], size: float = 1.0) -> Function:
+    numbers = size * np.array([values[name] for name in values])
+    return lambda x: smooth.weights(x) @ numbers
+
+
+def _at_knots(smooth: Smooth, numbers: Array) -> dict[str, float]:
+    return {f"{VALUE}_{knot}": float(value) for knot, value in enumerate(smooth.factor @ numbers)}
+
+
+def _effect(
+    kind: LawOf, smooth: Smooth, terms: Callable[[Scene, Mapping[str, Any]], Terms], *, nonlinear: bool = False
+) -> Effect:
+    parameters = tuple(
+        Parameter(f"w{i}", "-", 0.0, 1.0, -40.0, 40.0, "weight of a free law, no physical number")
+        for i in range(smooth.factor.shape[1])
+    )
+    return Effect(f"law_{kind}", parameters, terms, SOURCE, nonlinear=nonlinear)
