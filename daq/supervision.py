@@ -1,10 +1,16 @@
-"""Threads that are watched: an unexpected exception begins their work anew, and whoever asks learns of it."""
+"""Threads that are watched: what ends one or holds it up is told.
+
+An unexpected exception begins the work of a `SupervisedThread` anew. Work that stands still cannot be begun anew
+from outside: whoever gives the process's signs of life asks its `Steps`, and tells or withholds.
+"""
 
 from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 from daq.words import Message, say, spoken
 
@@ -19,6 +25,45 @@ IN_USE_S = 7 * 86400.0
 
 RESTART_S = 1.0
 """Between an exception and the next try: a fault that stays must not fill the journal or a core. [s]"""
+STALLED_S = 60.0
+"""Longer than any wait the engine allows (watchdog 11 s, another's transaction 10 s, a buffer's lock 5 s). [s]"""
+
+
+class Steps:
+    """Work done step by step: each must end within its time; between two it may rest for as long as it likes.
+
+    Examples
+    --------
+    >>> steps = Steps("thinning")
+    >>> with steps.step(0.0):
+    ...     time.sleep(0.01)
+    ...     print(steps.stalled() is not None)
+    True
+    >>> steps.stalled() is None
+    True
+    """
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self._under_way: tuple[float, float] | None = None
+        """When the step began and when it is due, None between steps. [s]"""
+
+    @contextmanager
+    def step(self, longest_s: float | None = None) -> Iterator[None]:
+        """Do one step inside the block, for `STALLED_S` at most unless something else is said."""
+        now_s = time.monotonic()
+        self._under_way = now_s, now_s + (STALLED_S if longest_s is None else longest_s)
+        try:
+            yield
+        finally:
+            self._under_way = None
+
+    def stalled(self) -> Message | None:
+        """Return that a step does not come to its end; None while it may still."""
+        under_way, now_s = self._under_way, time.monotonic()
+        if under_way is None or now_s <= under_way[1]:
+            return None
+        return say("thread-stalled", thread=self.name, seconds=now_s - under_way[0])
 
 
 def unexpected(error: BaseException) -> Message:

@@ -9,16 +9,17 @@ from __future__ import annotations
 import logging
 import math
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import datetime
 
 from api.alarms.ways import NotDelivered, Way
 from api.answers.health import NEVER_SEEN, SILENT_S, standing_alarms
 from api.answers.records import utc_now
+from daq.store.alarms import IN_HAND_S
 from daq.store.records import StoreUnavailable
 from daq.store.store import Store
-from daq.supervision import SupervisedThread
+from daq.supervision import STALLED_S, Steps, SupervisedThread
 from daq.words import Message, say, spoken
 
 LOG = logging.getLogger("kerntemp.serve")
@@ -41,56 +42,94 @@ def look(store: Store, ways: Sequence[Way], now: datetime, up_s: float = math.in
     return store.watch_alarms(standing, [way.name for way in ways], now)
 
 
-def _look_since(began: datetime, store: Store, ways: Sequence[Way], now: datetime) -> int:
-    return look(store, ways, now, (now - began).total_seconds())
-
-
-def send_due(store: Store, ways: Sequence[Way], clock: Callable[[], datetime]) -> int:
-    """Send what is due, one after the other; return how many were taken."""
+def send_due(store: Store, ways: Sequence[Way], clock: Callable[[], datetime], steps: Steps | None = None) -> int:
+    """Send what is due, one after the other, each in a step; return how many were taken."""
     named = {way.name: way for way in ways}
-    sent = 0
-    while named and (delivery := store.take_delivery(list(named), clock())):
-        try:
-            named[delivery.way].deliver(delivery.alarm)
-        except NotDelivered as error:
-            store.put_off(delivery, str(error), clock())
-            if delivery.tries == 1:
-                said = say("alarm-not-delivered", way=delivery.way, number=delivery.alarm.number, why=str(error))
-                store.log("warning", PROCESS, said, delivery.alarm.press)
-            continue
-        store.delivered(delivery, clock())
-        sent += 1
+    sent, left, steps = 0, bool(named), steps or Steps("deliveries")
+    while left:
+        with steps.step(IN_HAND_S + STALLED_S):
+            taken = _send_next(store, named, clock)
+        left, sent = taken is not None, sent + (taken is True)
     return sent
 
 
-@contextmanager
-def watching(store: Store, ways: Sequence[Way], clock: Callable[[], datetime] = utc_now) -> Iterator[None]:
-    """Watch and send until the block ends."""
-    stop, began = threading.Event(), clock()
-
-    def every(seconds: float, work: Callable[[], object]) -> Callable[[], None]:
-        def run() -> None:
-            while not stop.is_set():
-                try:
-                    work()
-                except StoreUnavailable as error:
-                    LOG.info("%s", say("store-trying-again", why=spoken(error)))
-                stop.wait(seconds)
-
-        return run
-
-    def tell(fault: Message) -> None:
-        store.log("alarm", PROCESS, fault)
-
-    threads = [
-        SupervisedThread("alarms", every(LOOK_S, lambda: _look_since(began, store, ways, clock())), tell),
-        SupervisedThread("deliveries", every(SEND_S, lambda: send_due(store, ways, clock)), tell),
-    ]
-    for thread in threads:
-        thread.start()
+def _send_next(store: Store, ways: Mapping[str, Way], clock: Callable[[], datetime]) -> bool | None:
+    """Send the next alarm that is due; return whether it was taken, None where there is none."""
+    delivery = store.take_delivery(list(ways), clock())
+    if delivery is None:
+        return None
     try:
-        yield
-    finally:
-        stop.set()
-        for thread in threads:
+        ways[delivery.way].deliver(delivery.alarm)
+    except NotDelivered as error:
+        store.put_off(delivery, str(error), clock())
+        if delivery.tries == 1:
+            said = say("alarm-not-delivered", way=delivery.way, number=delivery.alarm.number, why=str(error))
+            store.log("warning", PROCESS, said, delivery.alarm.press)
+        return False
+    store.delivered(delivery, clock())
+    return True
+
+
+class _Watch:
+    """The two threads, and what is told of them."""
+
+    def __init__(self, store: Store, ways: Sequence[Way], clock: Callable[[], datetime]) -> None:
+        self._store, self._ways, self._clock, self._began = store, ways, clock, clock()
+        self._stop = threading.Event()
+        self._looking, self._sending = Steps("alarms"), Steps("deliveries")
+        self._told = False
+        """Whether it is told what stands still now."""
+        self._threads = [
+            SupervisedThread(self._looking.name, lambda: self._every(LOOK_S, self._look), self._tell),
+            SupervisedThread(self._sending.name, lambda: self._every(SEND_S, self._send), self._tell),
+        ]
+
+    def start(self) -> None:
+        for thread in self._threads:
+            thread.start()
+
+    def end(self) -> None:
+        self._stop.set()
+        for thread in self._threads:
             thread.join(5.0)
+
+    def stalled(self) -> Message | None:
+        """Return why one of the two stands still, or None; it is journalled once."""
+        why = self._looking.stalled() or self._sending.stalled()
+        if why is not None and not self._told:
+            LOG.error("%s", why)  # journalled by a thread: the store may be what they wait for
+            SupervisedThread("stalled", lambda: self._tell(why), lambda fault: None).start()
+        self._told = why is not None
+        return why
+
+    def _look(self) -> None:
+        now = self._clock()
+        with self._looking.step():
+            look(self._store, self._ways, now, (now - self._began).total_seconds())
+
+    def _send(self) -> None:
+        send_due(self._store, self._ways, self._clock, self._sending)
+
+    def _every(self, seconds: float, work: Callable[[], object]) -> None:
+        while not self._stop.is_set():
+            try:
+                work()
+            except StoreUnavailable as error:
+                LOG.info("%s", say("store-trying-again", why=spoken(error)))
+            self._stop.wait(seconds)
+
+    def _tell(self, fault: Message) -> None:
+        self._store.log("alarm", PROCESS, fault)
+
+
+@contextmanager
+def watching(
+    store: Store, ways: Sequence[Way], clock: Callable[[], datetime] = utc_now
+) -> Iterator[Callable[[], Message | None]]:
+    """Watch and send until the block ends; it is given what returns why one of the two stands still, or None."""
+    watch = _Watch(store, ways, clock)
+    watch.start()
+    try:
+        yield watch.stalled
+    finally:
+        watch.end()

@@ -82,10 +82,10 @@ def serve(
         ways = ways_of(settings.email, settings.webhook, opened.label) if settings else []
         bound = listening.bind()
         tell(say("terminal-serves", address=address_of(bound, tls=certificate is not None)))
-        with watching(opened, ways):
+        with watching(opened, ways) as stalled:
             resins = {press.name: press.resin for press in (settings.press if settings else ()) if press.resin}
             headers = {press.name: press.header for press in (settings.press if settings else ())}
-            run_server(make_server(opened, tokens, listening, resins, headers), bound)
+            run_server(make_server(opened, tokens, listening, resins, headers, stalled), bound)
 
 
 def refit(

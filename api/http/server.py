@@ -23,7 +23,7 @@ from api.http.tokens import TokenFile
 from daq.process.notify import Notifier
 from daq.records import InputError
 from daq.store.store import Store
-from daq.words import say
+from daq.words import Message, say
 
 GRACE_S = 3
 """Requests still running at the end get this long. [s]"""
@@ -33,6 +33,10 @@ MAX_CONNECTIONS = 2000
 """Ten times the listeners (`api.http.live.MAX_LISTENERS`), and a quarter of `FILES`."""
 FILES = 8192
 """Open files to ask the system for: connections, more that are being refused, and the store's own."""
+
+
+ALIVE_TICKS = 50
+"""The server looks up ten times a second; at every so many-th time it gives a sign of life."""
 
 
 @dataclass(frozen=True)
@@ -100,18 +104,27 @@ class ConnectionWatchdog:
 class _Server(uvicorn.Server):
     """Lets idle connections go, and ends the live streams before it waits for requests to finish."""
 
-    def __init__(self, config: uvicorn.Config, watchdog: ConnectionWatchdog) -> None:
+    def __init__(
+        self, config: uvicorn.Config, watchdog: ConnectionWatchdog, stalled: Callable[[], Message | None]
+    ) -> None:
         super().__init__(config)
-        self._watchdog = watchdog
+        self._watchdog, self._stalled = watchdog, stalled
         self._notifier = Notifier()
 
     async def on_tick(self, counter: int) -> bool:
         """Look after connections once a second, one call of ten, and give the service manager a sign of life."""
         if counter % 10 == 0:
             self._watchdog.look(list(self.server_state.connections))
-        if counter % 50 == 0:
-            self._notifier.alive(f"{len(self.server_state.connections)} connections")
+        if counter % ALIVE_TICKS == 0:
+            self._give_sign_of_life()
         return await super().on_tick(counter)
+
+    def _give_sign_of_life(self) -> None:
+        """Feed the watchdog, unless what works beside the server stands still."""
+        if why := self._stalled():
+            self._notifier.status(str(why))
+        else:
+            self._notifier.alive(f"{len(self.server_state.connections)} connections")
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         """Tell the service manager once connections are taken."""
@@ -156,10 +169,11 @@ def make_server(
     listening: Listening,
     resins: Mapping[str, Path] = MappingProxyType({}),
     headers: Mapping[str, Mapping[str, Any]] = MappingProxyType({}),
+    stalled: Callable[[], Message | None] = lambda: None,
 ) -> uvicorn.Server:
     """Return a server over `store`; its ``run`` takes the sockets that `Listening.bind` made.
 
-    `resins`, `headers`: by press, as of `create_app`.
+    `resins`, `headers`: by press, as of `create_app`. `stalled`: why the process must not count as alive, or None.
     """
     config = uvicorn.Config(
         create_app(store, tokens, resins=resins, headers=headers),
@@ -176,7 +190,7 @@ def make_server(
         ssl_certfile=str(listening.certificate) if listening.certificate else None,
         ssl_keyfile=str(listening.key) if listening.key else None,
     )
-    return _Server(config, ConnectionWatchdog(listening.idle_s))
+    return _Server(config, ConnectionWatchdog(listening.idle_s), stalled)
 
 
 def run_server(server: uvicorn.Server, bound: socket.socket) -> None:

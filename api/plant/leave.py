@@ -29,6 +29,7 @@ from api.plant.mqtt import Broker, BrokerAway, Will, json_bytes
 from daq.process.config import MqttSettings
 from daq.store.records import StoreUnavailable
 from daq.store.store import Store
+from daq.supervision import Steps
 from daq.words import Message, spoken
 from softsensor.live.validity import Invalid, InvalidReason
 
@@ -80,6 +81,14 @@ class LeaveFeed:
         self._lines: dict[str, threading.Thread] = {}
         self._problems: dict[str, Message] = {}
         self._failed: list[BaseException] = []
+        self.steps = Steps("leave")
+        self._steps: dict[str, Steps] = {}
+        """By press, of its line."""
+
+    def stalled(self) -> Message | None:
+        """Return what stands still of reading the store and the lines of all presses."""
+        steps = (self.steps, *self._steps.copy().values())
+        return next((why for one in steps if (why := one.stalled())), None)
 
     @property
     def problem(self) -> Message | None:
@@ -91,7 +100,8 @@ class LeaveFeed:
         ending = threading.Event()
         try:
             while not stop.is_set() and not self._failed:
-                self._look(ending)
+                with self.steps.step():
+                    self._look(ending)
                 stop.wait(LOOK_S)
         finally:
             ending.set()
@@ -108,6 +118,7 @@ class LeaveFeed:
             self._present = {}
         self._read_s = time.monotonic()
         for press in self._present.keys() - self._lines.keys():
+            self._steps[press] = Steps(f"leave {press}")
             line = threading.Thread(target=self._keep, args=(press, ending), name=f"leave {press}", daemon=True)
             self._lines[press] = line
             line.start()
@@ -119,7 +130,8 @@ class LeaveFeed:
         while not ending.is_set():
             broker = Broker(self._settings, will)
             try:
-                broker.open()
+                with self._steps[press].step():
+                    broker.open()
                 self._problems.pop(press, None)
                 pause_s = 0.2
                 self._say(broker, press, nobody, ending)
@@ -136,14 +148,16 @@ class LeaveFeed:
 
     def _say(self, broker: Broker, press: str, nobody: Mapping[str, Any], ending: threading.Event) -> None:
         """Say at each change and now and then how the press stands. Raises `BrokerAway`."""
-        topic = broker.topic(press, TOPIC)
-        broker.send([(topic, json_bytes(nobody))])
+        topic, steps = broker.topic(press, TOPIC), self._steps[press]
+        with steps.step():
+            broker.send([(topic, json_bytes(nobody))])
         told, told_s = nobody, time.monotonic()
         while not ending.wait(LOOK_S):
             read = time.monotonic() - self._read_s < SILENT_S
             body = leave_body(press, self._present.get(press) if read else None, utc_now())
             changed = any(body[key] != told[key] for key in ("open_now", "known", "state", "reason"))
             if changed or time.monotonic() - told_s >= SAY_S:
-                broker.send([(topic, json_bytes(body))], qos=0, retain=False)
+                with steps.step():
+                    broker.send([(topic, json_bytes(body))], qos=0, retain=False)
                 told, told_s = body, time.monotonic()
         broker.send([(topic, json_bytes(nobody))])

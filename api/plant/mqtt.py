@@ -41,6 +41,7 @@ from api.plant.following import KINDS, Following, Outgoing, Place, model_body
 from daq.process.config import MqttSettings
 from daq.records import InputError
 from daq.store.store import Store
+from daq.supervision import Steps
 from daq.tables import reason_of
 from daq.words import Message, say, spoken
 
@@ -178,6 +179,7 @@ class Publisher:
     def __init__(self, store: Store, settings: MqttSettings, known: Mapping[Place, int]) -> None:
         self.problem: Message | None = None
         self.sent = 0
+        self.steps = Steps("mqtt")
         self._store, self._settings = store, settings
         self._following = Following(store)
         self._following.start(known)
@@ -190,16 +192,23 @@ class Publisher:
         """What has arrived, to be kept and given back at the next start."""
         return dict(self._following.position)
 
+    def stalled(self) -> Message | None:
+        """Return that it stands still; None while it works or waits."""
+        return self.steps.stalled()
+
     def run(self, stop: threading.Event) -> None:
         """Connect, send, connect again, until stopped. Raises what the store raises."""
         pause_s = 0.2
         while not stop.is_set():
             broker = Broker(self._settings)
             try:
-                self._connect(broker)
+                with self.steps.step():
+                    self._connect(broker)
                 pause_s = 0.2
                 while not stop.is_set():
-                    if not self._send_waiting(broker):
+                    with self.steps.step():
+                        sent = self._send_waiting(broker)
+                    if not sent:
                         stop.wait(POLL_S)
                 broker.send([(broker.topic("status"), json_bytes({"state": "offline"}))])
             except BrokerAway as error:

@@ -50,6 +50,7 @@ from daq.process.config import OpcuaSettings
 from daq.records import Channel, InputError, Quality
 from daq.store.records import StoredPressEvent, StoreUnavailable
 from daq.store.store import Store
+from daq.supervision import Steps
 from daq.tables import reason_of
 from daq.words import Message, say, spoken
 from softsensor.live.validity import Invalid, InvalidReason, reason_message
@@ -139,8 +140,13 @@ class PressServer:
     ) -> None:
         self.problem: Message | None = None
         self.address = ""
+        self.steps = Steps("opcua")
         self._store, self._settings, self._tokens, self._clock = store, settings, tokens, clock
         self._presses: dict[str, _Press] = {}
+
+    def stalled(self) -> Message | None:
+        """Return that it stands still; None while it works or waits."""
+        return self.steps.stalled()
 
     async def run(self, stop: threading.Event, started: threading.Event | None = None) -> None:
         """Serve until stopped. Raises `InputError` where the port is taken."""
@@ -159,12 +165,14 @@ class PressServer:
             raise InputError(said) from error
         try:
             self.address = _address(server, self._settings)
-            await self._refresh(server, root, index)
+            with self.steps.step():
+                await self._refresh(server, root, index)
             if started is not None:
                 started.set()
             while not stop.is_set():
                 await asyncio.sleep(PERIOD_S)
-                await self._refresh(server, root, index)
+                with self.steps.step():
+                    await self._refresh(server, root, index)
         finally:
             await server.stop()
 

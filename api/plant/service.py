@@ -7,7 +7,7 @@ import logging
 import os
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from api.http.tokens import TokenFile
@@ -20,7 +20,7 @@ from daq.store import Store, StoreUnavailable
 from daq.store.records import in_status
 from daq.store.waiting import RETRY_S, open_when_ready
 from daq.supervision import BEAT_S
-from daq.words import say, spoken
+from daq.words import Message, say, spoken
 
 LOG = logging.getLogger("kerntemp.publish")
 PROCESS = "publish"
@@ -67,7 +67,9 @@ class _Feeds:
         notifier = Notifier()
         notifier.ready("feeding the plant's systems")
         while not self._stop.wait(BEAT_S):
-            notifier.alive(self._beat("running"))
+            stalled = self._stalled()
+            status = self._beat("running", stalled)
+            (notifier.status if stalled else notifier.alive)(status)
         notifier.stopping()
         for thread in threads:
             thread.join(15.0)
@@ -114,9 +116,15 @@ class _Feeds:
         self._opcua = PressServer(self._store, self._config.opcua, self._tokens)
         asyncio.run(self._opcua.run(self._stop))
 
-    def _beat(self, state: str) -> str:
+    def _stalled(self) -> list[Message]:
+        """Return which feeds stand still."""
+        feeds = [feed for feed in (self._mqtt, self._leave, self._opcua) if feed is not None]
+        return [why for feed in feeds if (why := feed.stalled())]
+
+    def _beat(self, state: str, stalled: Sequence[Message] = ()) -> str:
         """Write a sign of life; return what it says."""
-        problems = [feed.problem for feed in (self._mqtt, self._leave, self._opcua) if feed and feed.problem]
+        feeds = [feed for feed in (self._mqtt, self._leave, self._opcua) if feed is not None]
+        problems = [*stalled, *(feed.problem for feed in feeds if feed.problem)]
         position = self._mqtt.position if self._mqtt is not None else self._known
         status: dict[str, Any] = {
             "state": state,

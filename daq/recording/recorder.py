@@ -58,7 +58,6 @@ configuration wrong            file, key and value; ``recording goes on with the
 from __future__ import annotations
 
 import logging
-import math
 import os
 import threading
 import time
@@ -82,7 +81,7 @@ from daq.store.outbox import Outbox
 from daq.store.process_lock import only_user, only_user_of_file
 from daq.store.records import in_status
 from daq.store.write_batch import Entry, WriteBatch
-from daq.supervision import BEAT_S, SupervisedThread, unexpected
+from daq.supervision import BEAT_S, Steps, SupervisedThread, unexpected
 from daq.words import Message, say, spoken
 
 LOG = logging.getLogger("kerntemp.record")
@@ -99,7 +98,8 @@ _PAGES_S = 30.0
 _REST = 50.0
 """So many times as long as reading it, or thinning a piece, took it is left alone: 2 % of a disk's time."""
 _READING_S, _READING_BYTES_PER_S = 300.0, 1e6
-"""A reading of that file that takes longer than this and what a slow disk needs beside has stopped. [s]"""
+"""A reading of that file that takes longer than this and what a slow disk needs beside has stopped; so has the
+thinning of a piece, which is far less. [s]"""
 _THIN_S = 600.0
 """How often old idle scans are thinned. [s]"""
 
@@ -135,14 +135,15 @@ def record(
         for line in lines:
             line.start()
         pages = _watched_pages(store, journal, stop)
-        thin = partial(_thin, store, config.store.keep_idle_days, stop)
-        SupervisedThread("thinning", thin, partial(journal, "alarm")).start()
+        thinning = Steps("thinning")
+        thin = partial(_thin, store, config.store.keep_idle_days, stop, thinning)
+        SupervisedThread(thinning.name, thin, partial(journal, "alarm")).start()
         presses = tuple(settings.name for settings in config.press)
         journal("info", say("recording-begins", presses=presses, where=outbox.capacity))
         notifier = Notifier()
         notifier.ready(str(say("recording-now", presses=presses)))
         try:
-            _Recording(config, store, lines, outbox, notifier, journal, pages).watch(stop)
+            _Recording(config, store, lines, outbox, notifier, journal, thinning, pages).watch(stop)
         finally:
             notifier.stopping()
             stop.set()
@@ -200,6 +201,7 @@ class _Recording:
     outbox: Outbox
     notifier: Notifier
     journal: Journal
+    thinning: Steps
     pages: PageWatch | None = None
 
     def watch(self, stop: threading.Event) -> None:
@@ -217,11 +219,15 @@ class _Recording:
                 told = fault
 
     def _give_sign_of_life(self) -> None:
-        """Feed the watchdog only while presses have fresh scans, drivers come back, writer and page watch work."""
+        """Feed the watchdog only while presses have fresh scans, drivers come back, writer and page watch work.
+
+        Thinning that stands still is told; it is no reason to stop recording.
+        """
         found = [*(line.stalled() for line in self.lines), self.outbox.stalled()]
         found += [self.pages.stalled()] if self.pages is not None else []
         stalled = [why for why in found if why is not None]
-        status = _status(self.lines, self.outbox, "running", stalled)
+        told = stalled if (slow := self.thinning.stalled()) is None else [*stalled, slow]
+        status = _status(self.lines, self.outbox, "running", told)
         self.outbox.beat(self.store.beats_as(PROCESS), status)
         if stalled:
             self.notifier.status("; ".join(map(str, stalled)))
@@ -229,16 +235,18 @@ class _Recording:
             self.notifier.alive(status["message"])
 
 
-def _thin(store: Store, keep_days: float, stop: threading.Event) -> None:
+def _thin(store: Store, keep_days: float, stop: threading.Event, steps: Steps) -> None:
     """Until stopped: thin old idle scans now and then, resting after each piece; a store that is away has time."""
     while not stop.wait(_THIN_S):
         pieces = store.thin_idle(datetime.now(UTC) - timedelta(days=keep_days))
         try:
-            began = time.monotonic()
-            for _ in pieces:
+            left = True
+            while left:
+                began = time.monotonic()
+                with steps.step(_READING_S):
+                    left = next(pieces, None) is not None
                 if stop.wait(_REST * (time.monotonic() - began)):
                     return
-                began = time.monotonic()
         except StoreUnavailable as error:
             LOG.info("%s", say("idle-not-thinned", why=spoken(error)))
 
@@ -249,19 +257,15 @@ class PageWatch:
     def __init__(self, path: Path, journal: Journal) -> None:
         self._path, self._journal = path, journal
         self._told = ""
-        self._due_s = math.inf
-        """When the reading under way must be over; infinite between readings."""
+        self._steps = Steps("pages")
 
     def work(self, stop: threading.Event) -> None:
         """Until stopped: read the file and tell."""
         pause_s = _PAGES_S
         while not stop.wait(pause_s):
             began = time.monotonic()
-            self._due_s = began + _READING_S + _size_of(self._path) / _READING_BYTES_PER_S
-            try:
+            with self._steps.step(_READING_S + _size_of(self._path) / _READING_BYTES_PER_S):
                 found = damage_of(self._path)
-            finally:
-                self._due_s = math.inf
             pause_s = max(_PAGES_S, _REST * (time.monotonic() - began))
             if found and found != self._told:
                 self._journal("alarm", say("store-damaged", store=str(self._path), error=found))
@@ -269,9 +273,7 @@ class PageWatch:
 
     def stalled(self) -> Message | None:
         """Return that a reading does not come to its end; None while it does."""
-        if time.monotonic() <= self._due_s:
-            return None
-        return say("pages-stalled", store=str(self._path))
+        return None if self._steps.stalled() is None else say("pages-stalled", store=str(self._path))
 
 
 def _size_of(file: Path) -> int:

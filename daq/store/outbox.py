@@ -25,7 +25,7 @@ from daq.store.records import PressKey, StoreUnavailable
 from daq.store.session_placement import Notes, SessionPlacement, session_key
 from daq.store.store import Store
 from daq.store.write_batch import Entry, Level, WriteBatch, encode_item, in_parts, item_in_words
-from daq.supervision import BEAT_S, SupervisedThread, unexpected
+from daq.supervision import BEAT_S, STALLED_S, SupervisedThread, unexpected
 from daq.words import Message, say, spoken
 
 _FIRST_RETRY_S, _LONGEST_RETRY_S = 1.0, 10.0
@@ -39,8 +39,6 @@ _AT_ONCE = 500
 """Items in one transaction: some 0.1 s of writing, so that others wait no longer."""
 _IDLE_S = 0.25
 """How often the writer looks whether it is to go on. [s]"""
-_STALLED_AFTER_S = 60.0
-"""Longer than any wait the engine allows (watchdog 11 s, another's transaction 10 s, a buffer's lock 5 s). [s]"""
 
 
 class Outbox:
@@ -105,7 +103,7 @@ class Outbox:
         if self._thread.fault is not None or not self._thread.alive:
             return self._thread.fault or say("writer-dead")
         still_s = time.monotonic() - self._moved_s
-        return say("writer-stalled", seconds=still_s) if still_s > _STALLED_AFTER_S else None
+        return say("writer-stalled", seconds=still_s) if still_s > STALLED_S else None
 
     def later_key(self, press: str, channels: Sequence[Channel], press_file: str) -> PressKey:
         """Return a key to record with before the store can give one; the store's is found when it is due."""

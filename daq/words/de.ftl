@@ -496,6 +496,7 @@ store-url-no-file = Datenspeicher-URL '{ $url }': im Datenspeicher treffen sich 
 store-url-unsupported = Datenspeicher-URL '{ $url }': { $engine } wird nicht unterstützt; einen Dateipfad oder postgresql://... angeben
 store-url-wrong = Datenspeicher-URL '{ $url }': keine URL; einen Dateipfad oder postgresql://benutzer@rechner/name angeben
 thread-failed = { $thread }: { $why }; wird neu gestartet
+thread-stalled = { $thread }: seit { SPAN($seconds) } kein Fortschritt; den Dienst neu starten
 unexpected-error = unerwarteter Fehler ({ $kind }: { $error }); bitte melden
 waits-in-buffer = in { $file }, Platz für { NUMBER($hours, maximumFractionDigits: 0) } h
 waits-in-memory = im Arbeitsspeicher, Platz für { NUMBER($hours, minimumFractionDigits: 1, maximumFractionDigits: 1) } h

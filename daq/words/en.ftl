@@ -496,6 +496,7 @@ store-url-no-file = store url '{ $url }': processes meet in the store, so it nee
 store-url-unsupported = store url '{ $url }': { $engine } is not supported; give a file path or postgresql://...
 store-url-wrong = store url '{ $url }': not a URL; give a file path or postgresql://user@host/name
 thread-failed = { $thread }: { $why }; it is restarted
+thread-stalled = { $thread }: no progress for { SPAN($seconds) }; restart the service
 unexpected-error = unexpected fault ({ $kind }: { $error }); please report it
 waits-in-buffer = { $file }, enough for { NUMBER($hours, maximumFractionDigits: 0) } h
 waits-in-memory = memory, enough for { NUMBER($hours, minimumFractionDigits: 1, maximumFractionDigits: 1) } h

@@ -229,11 +229,15 @@ def test_while_the_check_of_the_file_stands_the_watchdog_is_not_fed_and_health_s
         free.set()
 
 
-def test_while_idle_scans_are_thinned_signs_of_life_go_on_however_long_it_takes(tmp_path, monkeypatch):
+def test_while_idle_scans_are_thinned_signs_of_life_go_on_and_tell_when_it_stands_still(tmp_path, monkeypatch):
     beats, thinning, free = [], threading.Event(), threading.Event()
     monkeypatch.setattr(Notifier, "alive", lambda self, status: beats.append("fed"))
     monkeypatch.setattr(recorder, "BEAT_S", 0.05)
     monkeypatch.setattr(recorder, "_THIN_S", 0.02)
+    monkeypatch.setattr(recorder, "_READING_S", 0.2)
+
+    def told_by(opened):
+        return opened.statuses()[opened.beats_as("record")].status["message"]
 
     def standing(self, before):
         thinning.set()
@@ -246,7 +250,11 @@ def test_while_idle_scans_are_thinned_signs_of_life_go_on_however_long_it_takes(
             wait_until(thinning.is_set)
             newest, fed = opened.newest_scan_number("lab"), len(beats)
             wait_until(lambda: len(beats) > fed + 5 and opened.newest_scan_number("lab") > newest)
+            wait_until(lambda: "thinning: no progress" in told_by(opened))
+            fed = len(beats)
+            wait_until(lambda: len(beats) > fed)
             free.set()
+            wait_until(lambda: "thinning" not in told_by(opened))
     finally:
         free.set()
 

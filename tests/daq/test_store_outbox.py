@@ -111,7 +111,7 @@ def test_a_run_recorded_before_the_store_said_where_it_belongs_holds_its_own_sca
 
 def test_a_writer_that_the_store_holds_up_for_longer_than_any_wait_does_not_count_as_alive(tmp_path, monkeypatch):
     held, going_on = threading.Event(), threading.Event()
-    monkeypatch.setattr("daq.store.outbox._STALLED_AFTER_S", 0.3)
+    monkeypatch.setattr("daq.store.outbox.STALLED_S", 0.3)
     with open_store(str(tmp_path / "s.sqlite")) as store:
         outbox = Outbox(store)
         write = store.write_batches

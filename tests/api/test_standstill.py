@@ -1,0 +1,135 @@
+"""Threads that stand still beside the one that gives signs of life: it is told, and the watchdog starves."""
+
+import threading
+from contextlib import contextmanager
+from datetime import UTC, datetime
+
+import pytest
+
+import daq.supervision
+from api.alarms import watch
+from api.alarms.watch import watching
+from api.alarms.ways import Webhook
+from api.http import server as http_server
+from api.http.server import Listening, make_server
+from api.http.tokens import TokenFile
+from api.plant import service
+from api.plant.leave import LeaveFeed
+from api.plant.mqtt import Broker, Publisher
+from api.plant.opcua import PressServer
+from daq.process.config import Config, MqttSettings, OpcuaSettings, StoreSettings
+from daq.process.notify import Notifier
+from daq.records import Channel
+from daq.store import Store, open_store
+from tests.api.test_alarms import HOT, free_port, hook
+from tests.api.test_plant_mqtt import Broker as Mosquitto
+from tests.api.test_plant_mqtt import wait_until
+from tests.api.test_server import running
+
+
+@pytest.fixture
+def stored(tmp_path):
+    with open_store(str(tmp_path / "plant.sqlite")) as opened:
+        yield opened
+
+
+@pytest.fixture
+def broker(tmp_path):
+    started = Mosquitto(tmp_path)
+    yield started
+    started.kill()
+
+
+@pytest.fixture
+def beats(monkeypatch):
+    """What systemd hears: the watchdog fed, or why it is not."""
+    heard = []
+    monkeypatch.setattr(Notifier, "alive", lambda self, status: heard.append("fed"))
+    monkeypatch.setattr(Notifier, "status", lambda self, status: heard.append(status))
+    monkeypatch.setattr(daq.supervision, "STALLED_S", 0.5)
+    monkeypatch.setattr(watch, "STALLED_S", 0.5)
+    monkeypatch.setattr(watch, "IN_HAND_S", 0.0)
+    monkeypatch.setattr(http_server, "ALIVE_TICKS", 2)
+    monkeypatch.setattr(service, "BEAT_S", 0.1)
+    return heard
+
+
+@contextmanager
+def standing(monkeypatch, owner, name, thread=""):
+    """Let a method stand still in threads whose name begins so; yields what says that one does, what ends it."""
+    stands, free, work = threading.Event(), threading.Event(), getattr(owner, name)
+
+    def still(*arguments, **given):
+        if threading.current_thread().name.startswith(thread) and not free.is_set():
+            stands.set()
+            free.wait()
+        return work(*arguments, **given)
+
+    monkeypatch.setattr(owner, name, still)
+    try:
+        yield stands, free
+    finally:
+        free.set()
+
+
+def starved_and_fed_again(beats, thread, free):
+    """The watchdog starves while a thread stands still, and is fed once it goes on."""
+    wait_until(lambda: any(thread in beat for beat in beats))
+    first = next(i for i, beat in enumerate(beats) if thread in beat)
+    wait_until(lambda: len(beats) > first + 2)
+    assert "fed" not in beats[first : first + 3]
+    free.set()
+    wait_until(lambda: "fed" in beats[first + 3 :])
+
+
+HANGS = [
+    (Store, "watch_alarms", "alarms"),
+    (Store, "take_delivery", "deliveries"),
+    (Webhook, "deliver", "deliveries"),
+]
+
+
+@pytest.mark.parametrize(("owner", "name", "thread"), HANGS, ids=[name for _, name, _ in HANGS])
+def test_alarms_not_looked_for_or_not_sent_are_an_alarm_and_starve_the_watchdog(
+    stored, tmp_path, monkeypatch, beats, owner, name, thread
+):
+    stored.watch_alarms([HOT], ["webhook"], datetime.now(UTC))
+    listening = Listening(port=0)
+    way = Webhook(hook(tmp_path, free_port()))
+    with standing(monkeypatch, owner, name) as (stands, free), watching(stored, [way]) as stalled:
+        server = make_server(stored, TokenFile(tmp_path / "tokens.json"), listening, stalled=stalled)
+        with running(server, [listening.bind()]):
+            wait_until(stands.is_set)
+            starved_and_fed_again(beats, thread, free)
+    told = [e.message for e in stored.journal(level="alarm").items if e.message.code == "thread-stalled"]
+    assert [m.arguments["thread"] for m in told] == [thread]
+
+
+FEEDS = [
+    (Publisher, "_send_waiting", "mqtt", ""),
+    (LeaveFeed, "_look", "leave", ""),
+    (Broker, "send", "leave lab", "leave lab"),
+    (PressServer, "_read", "opcua", ""),
+]
+
+
+@pytest.mark.parametrize(("owner", "name", "feed", "thread"), FEEDS, ids=[feed for _, _, feed, _ in FEEDS])
+def test_a_feed_of_the_plant_that_stands_still_is_told_and_starves_the_watchdog(
+    stored, broker, tmp_path, monkeypatch, beats, owner, name, feed, thread
+):
+    stored.register_press("lab", (Channel("platen_top"), Channel("platen_bottom")))
+    mqtt = MqttSettings(host="127.0.0.1", port=broker.port, prefix="plant")
+    plant = StoreSettings(url=str(tmp_path / "plant.sqlite"))
+    config = Config.model_construct(store=plant, mqtt=mqtt, opcua=OpcuaSettings(port=0), press=())
+    stop, tokens = threading.Event(), TokenFile(tmp_path / "tokens.json")
+    feeds = threading.Thread(target=service.publish, args=(config, tokens), kwargs={"stop": stop})
+    with standing(monkeypatch, owner, name, thread) as (stands, free):
+        feeds.start()
+        try:
+            wait_until(stands.is_set)
+            wait_until(lambda: f"{feed}: no progress" in str(stored.statuses().get("publish")))
+            starved_and_fed_again(beats, f"{feed}: no progress", free)
+        finally:
+            free.set()
+            stop.set()
+            feeds.join(240)
