@@ -6,16 +6,20 @@ Both ways give the same: each task with its result as they come, None where work
 from __future__ import annotations
 
 import os
+import time
 from collections import deque
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Collection, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import suppress
-from typing import TypeVar
+from contextlib import contextmanager, suppress
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from daq.records import InputError
 from daq.words import say
 from softsensor.jobs.fitter import new_workers
+
+if TYPE_CHECKING:
+    from dask.distributed import Client
 
 # Numbers without another source were set by hand, 2026-11.
 
@@ -25,8 +29,16 @@ WORKERS_WAIT_S = 60.0
 """Longest wait for a scheduler's first worker. [s]"""
 
 
+LOOK_S = 2.0
+"""How often it is looked whether anybody still works. [s]"""
+
+
 class NoWorkers(InputError):
     """The package, the scheduler or its workers are missing: nothing has been begun."""
+
+
+class WorkersLost(InputError):
+    """The scheduler, or the last of its workers, went away over the work; what was yielded before is done."""
 
 
 Task = TypeVar("Task")
@@ -93,11 +105,30 @@ def on_dask(
 
     A worker that is killed takes with it what it had in hand, and the scheduler blames whatever waited there too:
     what it gave up is tried again at the end, one task at a time, so that only the one at fault is left without.
-    Raises `NoWorkers` where the package, the scheduler or its workers are missing.
+
+    Raises
+    ------
+    NoWorkers
+        Where the package, the scheduler or its workers are missing.
+    WorkersLost
+        Where the scheduler goes away, or has no worker for `WORKERS_WAIT_S`.
     """
+    with _client(address) as client:
+        suspects = []
+        for task, done in _tried(client, work, tasks):
+            if done is None:
+                suspects.append(task)
+            else:
+                yield task, done
+        for task in suspects:
+            yield from _tried(client, work, [task])
+
+
+@contextmanager
+def _client(address: str) -> Iterator[Client]:
+    """Connect to a scheduler that has workers. Raises `NoWorkers`."""
     try:
-        from dask.distributed import Client, KilledWorker
-        from dask.distributed import as_completed as completed
+        from dask.distributed import Client
     except ImportError as error:
         raise NoWorkers(say("dask-package-missing", address=address)) from error
     try:
@@ -109,16 +140,41 @@ def on_dask(
             client.wait_for_workers(1, timeout=WORKERS_WAIT_S)
         except TimeoutError as error:
             raise NoWorkers(say("dask-no-worker", address=address, seconds=WORKERS_WAIT_S)) from error
-        suspects = []
-        futures = client.map(work, tasks, pure=False)
-        given = {future.key: task for future, task in zip(futures, tasks, strict=True)}
-        for future in completed(futures):
+        yield client
+
+
+def _tried(
+    client: Client, work: Callable[[Task], Done], tasks: Sequence[Task]
+) -> Iterator[tuple[Task, Done | None]]:
+    """Yield each task with its result as they come, None where the scheduler gave it up. Raises `WorkersLost`."""
+    from dask.distributed import KilledWorker
+
+    left = dict(zip(client.map(work, tasks, pure=False), tasks, strict=True))
+    while left:
+        for future in _ended(client, list(left)):
+            task = left.pop(future)
             try:
-                yield given[future.key], future.result()
-            except (KilledWorker, CancelledError):
-                suspects.append(given[future.key])
-        for task in suspects:
-            try:
-                yield task, client.submit(work, task, pure=False).result()
+                yield task, future.result()
             except (KilledWorker, CancelledError):
                 yield task, None
+
+
+def _ended(client: Client, futures: Sequence[Any]) -> Collection[Any]:
+    """Wait until some of Dask's futures end; return these. Raises `WorkersLost`."""
+    from dask.distributed import wait as wait_for
+
+    working_s = time.monotonic()
+    while client.status == "running":
+        try:
+            return list(wait_for(futures, timeout=LOOK_S, return_when="FIRST_COMPLETED").done)
+        except CancelledError:
+            if ended := [future for future in futures if future.status == "cancelled"]:
+                return ended
+        except TimeoutError:
+            silent_s = time.monotonic() - working_s
+            if client.status == "running" and client.nthreads():
+                working_s = time.monotonic()
+            elif silent_s > WORKERS_WAIT_S:
+                said = say("dask-workers-lost", address=client.scheduler.address, seconds=silent_s)
+                raise WorkersLost(said) from None
+    raise WorkersLost(say("dask-scheduler-lost", address=client.scheduler.address))

@@ -7,12 +7,11 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
-import numpy as np
-
 from daq.address import Address
 from daq.press.press_file import Press
 from daq.records import InputError
-from daq.store import Store, open_store
+from daq.store import Store, StoreUnavailable, open_store
+from daq.supervision import unexpected
 from daq.words import Message, spoken
 from softsensor.heat.model_file import ModelFile
 from softsensor.jobs.cluster import handed_out
@@ -46,14 +45,24 @@ def _store_of(url: str | Address) -> Store:
 
 
 def fit_stored(task: FitTask) -> Done:
-    """Fit one stored run."""
+    """Fit one stored run; whatever is wrong with it costs its own fit alone.
+
+    Raises
+    ------
+    StoreUnavailable
+        Where the store does not give the run: that is no fault of the run's.
+    """
     try:
         run = _store_of(task.url).load_run(task.run)
         if not has_panel_readings(task.press, run):
             return Done(task.run)
         return Done(task.run, fit_one(task.press, run, task.model))
-    except (InputError, ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
-        return Done(task.run, why=spoken(error) if str(error) else spoken(type(error).__name__))
+    except StoreUnavailable:
+        raise
+    except InputError as error:
+        return Done(task.run, why=spoken(error))
+    except Exception as error:  # noqa: BLE001 - the other runs' fits must not end with this one
+        return Done(task.run, why=unexpected(error))
 
 
 def fit_all(tasks: Sequence[FitTask], workers: int | None = None, dask: str = "") -> Iterator[Done]:

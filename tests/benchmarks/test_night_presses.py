@@ -47,7 +47,7 @@ def work(store, presses, way):
             list(refit_presses(store, {name: press}, workers=2))
     elif way == "two workers of Dask":
         from dask.distributed import LocalCluster
-        with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
+        with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0") as cluster:
             list(refit_presses(store, presses, dask=cluster.scheduler_address))
     elif way == "two workers":
         list(refit_presses(store, presses, workers=2))

@@ -10,6 +10,7 @@ import threading
 import time
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,8 +21,9 @@ from daq.press.press_file import parse_press
 from daq.records import InputError
 from daq.simulated.campaign import Plan, make_campaign
 from daq.simulated.campaign_pressfile import press_toml
-from daq.store import archive, open_store
+from daq.store import StoreUnavailable, archive, open_store
 from daq.store.proved_file import sound_content
+from daq.supervision import unexpected
 from daq.words import say
 from daq.words.message import words
 from softsensor.heat.model_file import FittedValue, ModelFile, parse_model
@@ -31,6 +33,7 @@ from softsensor.jobs import night_fits as nightly_fits
 from softsensor.jobs import night_judgement as nightly_judge
 from softsensor.jobs import night_progress as progress
 from softsensor.jobs import nights as fleet
+from softsensor.jobs.cluster import WorkersLost, on_dask
 from softsensor.jobs.model_in_force import combined_model, fingerprint
 from softsensor.jobs.night import refit_press, roll_back
 from softsensor.jobs.night_fits import Done, FitTask, fit_all, fit_stored
@@ -706,7 +709,7 @@ def test_presses_on_dask_are_found_to_the_bit_as_here_and_a_killed_worker_costs_
                 assert [o.press for o in refit_presses(store, presses, workers=1)] == ["left", "right"]
             else:
                 as_here = config.set({"distributed.nanny.pre-spawn-environ": {}})  # rounding goes by BLAS threads
-                with as_here, LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
+                with as_here, LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0") as cluster:
                     hand = threading.Thread(target=kill_at_work, args=[cluster])
                     hand.start()
                     done = list(refit_presses(store, presses, dask=cluster.scheduler_address))
@@ -751,7 +754,7 @@ def test_a_dask_worker_that_is_killed_in_mid_fit_costs_a_repetition_and_never_a_
     tasks = [FitTask(url, PRESS, run.name, None) for run in runs[:3]]
     killed, over = [], threading.Event()
     with (
-        LocalCluster(n_workers=1, threads_per_worker=1, processes=True, dashboard_address=None) as cluster,
+        LocalCluster(n_workers=1, threads_per_worker=1, processes=True, dashboard_address=":0") as cluster,
         Client(cluster.scheduler_address) as watcher,
     ):
 
@@ -773,12 +776,71 @@ def test_a_dask_worker_that_is_killed_in_mid_fit_costs_a_repetition_and_never_a_
     assert all(one.fit is not None for one in done)
 
 
+def after(seconds):
+    time.sleep(seconds)
+    return seconds
+
+
+@pytest.fixture
+def scheduler_and_worker(tmp_path):
+    """A scheduler and a worker as somebody starts them, each a process of its own, and the scheduler's address."""
+    running, file = [], tmp_path / "scheduler.json"
+
+    def started(module, *told):
+        line = [sys.executable, "-m", f"distributed.cli.{module}", *told]
+        where = {"cwd": Path(__file__).parents[2], "stderr": subprocess.DEVNULL, "stdout": subprocess.DEVNULL}
+        running.append(subprocess.Popen(line, **where))
+
+    started("dask_scheduler", "--port", "0", "--dashboard-address", ":0", "--scheduler-file", str(file))
+    started("dask_worker", "--scheduler-file", str(file), "--no-nanny", "--nthreads", "1", "--no-dashboard")
+    while not file.exists() or not file.read_text(encoding="utf-8"):
+        time.sleep(0.05)
+    yield (*running, json.loads(file.read_text(encoding="utf-8"))["address"])
+    for process in running:
+        process.kill()
+        process.wait(240)
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize(("gone", "said"), [("worker", "no worker for"), ("scheduler", "went away over the work")])
+def test_a_scheduler_or_last_worker_that_goes_away_in_mid_work_is_told_instead_of_waited_for(
+    gone, said, scheduler_and_worker, monkeypatch
+):
+    scheduler, worker, address = scheduler_and_worker
+    came = on_dask(after, [0.1, 3600.0], address)
+    assert next(came) == (0.1, 0.1)
+    monkeypatch.setattr(cluster_of_workers, "WORKERS_WAIT_S", 0.5)
+    monkeypatch.setattr(cluster_of_workers, "LOOK_S", 0.2)
+    (worker if gone == "worker" else scheduler).kill()
+    with pytest.raises(WorkersLost, match=said):
+        next(came)
+
+
+def test_a_fault_nobody_foresaw_costs_one_run_its_fit_and_a_store_that_is_away_is_no_fault_of_a_run(
+    store, runs, monkeypatch
+):
+    fill(store, runs[:1])
+    task = FitTask(store.database.url.render_as_string(), PRESS, runs[0].name, None)
+
+    def faulty(error):
+        def fit(*_):
+            raise error
+
+        return fit
+
+    monkeypatch.setattr(nightly_fits, "fit_one", faulty(KeyError("top_1")))
+    assert fit_stored(task).why == unexpected(KeyError("top_1"))
+    monkeypatch.setattr(nightly_fits, "fit_one", faulty(StoreUnavailable("locked")))
+    with pytest.raises(StoreUnavailable):
+        fit_stored(task)
+
+
 @pytest.mark.campaign
 def test_a_dask_scheduler_without_workers_is_named_instead_of_waited_for(store, monkeypatch):
     from dask.distributed import LocalCluster
 
     monkeypatch.setattr(cluster_of_workers, "WORKERS_WAIT_S", 0.5)
-    with LocalCluster(n_workers=0, dashboard_address=None, processes=False) as cluster:
+    with LocalCluster(n_workers=0, dashboard_address=":0", processes=False) as cluster:
         task = FitTask("", PRESS, "run", None)
         with pytest.raises(InputError, match=r"no worker in 0\.5 s; start dask worker"):
             list(fit_all([task], dask=cluster.scheduler_address))
